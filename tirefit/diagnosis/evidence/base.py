@@ -8,19 +8,25 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from tirefit.diagnosis.effects import Atom, atoms_of
-from tirefit.diagnosis.evidence.beginning import (
+from tirefit.diagnosis.evidence.fits import (
+    Refit,
     begin,
     check_followed,
     design_of,
     first_fit,
     measured_slips,
+    refit,
+    refit_folds,
     standing_in,
     with_offset,
 )
-from tirefit.diagnosis.evidence.forms import PLACE, not_followed, whitened_generic
+from tirefit.diagnosis.evidence.forms import (
+    PLACE,
+    not_followed,
+    whitened_generic,
+    with_runs,
+)
 from tirefit.diagnosis.evidence.forward import Design, Linear, Tire, with_force
-from tirefit.diagnosis.evidence.refits import Refit, refit, refit_folds
-from tirefit.diagnosis.evidence.runs import with_runs
 from tirefit.diagnosis.evidence.simulator import (
     STAND_INS,
     Given,
@@ -28,8 +34,7 @@ from tirefit.diagnosis.evidence.simulator import (
     check_signs,
 )
 from tirefit.diagnosis.negligible import FLAT
-from tirefit.diagnosis.noise.level import NoiseLevel, judge_noise, slip_scatter
-from tirefit.diagnosis.noise.memory import in_order
+from tirefit.diagnosis.noise import NoiseLevel, in_order, judge_noise, slip_scatter
 from tirefit.diagnosis.rows.basis import Generic, smooth_basis, wave_basis
 from tirefit.diagnosis.rows.prepared import (
     NOT_STATED,
@@ -37,7 +42,7 @@ from tirefit.diagnosis.rows.prepared import (
     neighbours,
     on_scale_of,
 )
-from tirefit.diagnosis.rows.slip_nodes import slip_doubt, slip_proxies
+from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
 _ON_BOUND = 6.0
@@ -204,7 +209,7 @@ class Base:
         return self.linear[key]
 
     def refit(self, starts, sets, design: Design | None = None) -> Refit:
-        """Hypotheses refitted on this design or another: see :func:`refits.refit`."""
+        """Hypotheses refitted on this design or another: see :func:`evidence.fits.refit`."""
         return refit(self.fit.tire, starts, sets, design or self.design)
 
     def refit_folds(self, starts, sets, keeps) -> Refit:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.refits import one_of
+from tirefit.diagnosis.evidence.fits import one_of
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.basis import without
 

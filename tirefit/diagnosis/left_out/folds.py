@@ -7,7 +7,7 @@ import numpy as np
 
 from tirefit.data.levels import levels
 from tirefit.diagnosis.rows.prepared import Prepared
-from tirefit.diagnosis.rows.rates import shown_runs
+from tirefit.diagnosis.rows.slips import shown_runs
 
 LEAST_RUNS = 4
 """Runs from which whole runs are left out: three measured circles, two to one side, do

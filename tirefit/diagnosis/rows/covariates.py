@@ -9,8 +9,8 @@ from scipy.constants import g
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
-from tirefit.diagnosis.rows.rates import Sweeps, segments, shown_runs, slip_rate
 from tirefit.diagnosis.rows.rig import STANDS
+from tirefit.diagnosis.rows.slips import Sweeps, segments, shown_runs, slip_rate
 
 LOADS, _ANGLE = 0.03, 1e-3
 """Spread above which a quantity varies: relative (loads, speeds, pressures, forces

@@ -15,7 +15,7 @@ import numpy as np
 
 from tirefit.data.levels import Levels, levels
 from tirefit.diagnosis.negligible import NONZERO
-from tirefit.diagnosis.rows.rates import segments
+from tirefit.diagnosis.rows.slips import segments
 
 FULL_SLIDING = 3.0
 """Slip over that of full sliding beyond which nothing more depends on it."""

@@ -10,10 +10,8 @@ from tirefit.data.levels import levels
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.rows import covariates as table
-from tirefit.diagnosis.rows.rates import AHEAD, slip_rate
-from tirefit.diagnosis.rows.rig import Rig, check_data, unfit
-from tirefit.diagnosis.rows.slip_check import SlipCheck, check_slip
-from tirefit.diagnosis.rows.slip_nodes import slip_law
+from tirefit.diagnosis.rows.rig import Rig, SlipCheck, check_data, check_slip, unfit
+from tirefit.diagnosis.rows.slips import AHEAD, slip_law, slip_rate
 from tirefit.fitting.problem import check_slip_noise
 from tirefit.fitting.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs

@@ -8,7 +8,7 @@ from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.posterior import Weighed
 from tirefit.diagnosis.evidence.search import Hypothesis, Search
 from tirefit.diagnosis.left_out.predicted import Predicted
-from tirefit.diagnosis.rows.slip_check import SlipCheck
+from tirefit.diagnosis.rows.rig import SlipCheck
 from tirefit.diagnosis.summary.records import Untestable
 
 

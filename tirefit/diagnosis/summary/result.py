@@ -8,9 +8,9 @@ import numpy as np
 
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects import Effect
-from tirefit.diagnosis.evidence.runs import RunOffsets
+from tirefit.diagnosis.evidence.forms import RunOffsets
 from tirefit.diagnosis.left_out.ladder import Ladder
-from tirefit.diagnosis.rows.slip_check import SlipCheck
+from tirefit.diagnosis.rows.rig import SlipCheck
 from tirefit.diagnosis.summary.records import (
     Candidate,
     Cell,
