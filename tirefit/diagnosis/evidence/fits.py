@@ -12,7 +12,7 @@ from tirefit.data.table import CANONICAL, TireData
 from tirefit.diagnosis.effects import atoms_of
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.evidence.changes import MOST_EFFECTS
-from tirefit.diagnosis.evidence.forward import Design, ForwardModel, Tire
+from tirefit.diagnosis.evidence.forward import Design, Tire
 from tirefit.diagnosis.evidence.simulator import STAND_INS, Given, refused
 from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.diagnosis.rows.prepared import Prepared
@@ -70,7 +70,7 @@ class _Hypotheses:
     """Sets of atoms, each on some sets of rows, to be refitted from ``starts`` (h, w);
     sets smaller than the largest are filled with amplitudes of nothing."""
 
-    def __init__(self, model: ForwardModel, starts, sets, keeps, design: Design):
+    def __init__(self, model: Tire, starts, sets, keeps, design: Design):
         self.model, self.design, self.p = model, design, len(starts[0][0])
         begin = np.zeros((len(sets), self.p + MOST_EFFECTS))
         for row, (z, amplitude) in zip(begin, starts, strict=True):
@@ -109,7 +109,7 @@ class _Hypotheses:
         return Normal(cost, normal, gradient)
 
 
-def refit_folds(model: ForwardModel, starts, sets, keeps, design: Design) -> Refit:
+def refit_folds(model: Tire, starts, sets, keeps, design: Design) -> Refit:
     """Sets of atoms refitted from starts (z, amplitudes in prior scales), each on every
     set of rows ``keeps`` (f, n), 0 or 1: leading axes (f, sets)."""
     those = _Hypotheses(model, starts, sets, keeps, design)
@@ -125,7 +125,7 @@ def refit_folds(model: ForwardModel, starts, sets, keeps, design: Design) -> Ref
     return Refit(*(values.reshape(*shape, *values.shape[1:]) for values in found))
 
 
-def refit(model: ForwardModel, starts, sets, design: Design) -> Refit:
+def refit(model: Tire, starts, sets, design: Design) -> Refit:
     """The same on the rows of the design: leading axis (sets,)."""
     return one_of(refit_folds(model, starts, sets, [design.keep], design), 0)
 
