@@ -8,18 +8,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from tirefit.diagnosis.effects import Atom, atoms_of
-from tirefit.diagnosis.evidence.fits import (
-    Refit,
-    begin,
-    check_followed,
-    design_of,
-    first_fit,
-    measured_slips,
-    refit,
-    refit_folds,
-    standing_in,
-    with_offset,
-)
+from tirefit.diagnosis.evidence import fits
 from tirefit.diagnosis.evidence.forms import (
     PLACE,
     not_followed,
@@ -45,20 +34,8 @@ from tirefit.diagnosis.rows.prepared import (
 from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
-_ON_BOUND = 6.0
-"""Size of a z from which its parameter rests on a bound, to 0.25 % of the interval."""
-
-_ROWS_OF_A_FUNCTION = 6
-"""Rows for each smooth function that may soak up a gap before the noise is judged."""
-
-_FELT = 0.1
-"""Standard errors of what a stand-in misses, all rows together, that nothing feels."""
-
-_LINEARISED = 24
-"""Linearised fits that are kept for as long as their base: 10 MB each at most."""
-
 _SMALL = 1e-3
-"""Noise of the slip that shows the slope of a force, within which it is straight."""
+"""Noise of the slip by which the slope of a force is taken."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +60,7 @@ class Base(Fit):
     channels, (m, ...). ``linear`` keeps the last linearised fits, by (z, amplitudes).
     """
 
-    alone: Refit
+    alone: fits.Refit
     noise: Mapping[str, NoiseLevel]
     linear: dict[tuple[bytes, ...], Linear] = field(default_factory=dict, init=False)
 
@@ -103,7 +80,8 @@ class Base(Fit):
     def off_bounds(self, z) -> np.ndarray:
         """Parameters z, with the first guess for those that rest on a bound: there they
         have no slope, so no refit that starts there leaves it."""
-        return np.where(np.abs(z) > _ON_BOUND, self.guess, z)
+        on_bound = np.abs(z) > 6.0  # 0.25 % of the interval
+        return np.where(on_bound, self.guess, z)
 
     @property
     def slip_noise(self) -> float:
@@ -163,7 +141,7 @@ class Base(Fit):
             off = not_followed(missed, rows.slip, around, most)
             blocks.append(off * weight[:n, None])
         found = block_diag(*blocks)
-        return found[:, np.linalg.norm(found, axis=0) > _FELT]
+        return found[:, np.linalg.norm(found, axis=0) > 0.1]  # standard errors
 
     def _forces_of(self, slips) -> np.ndarray:
         """Whitened forces (m, k) of small changes of the slips (n, k)."""
@@ -178,7 +156,7 @@ class Base(Fit):
     @cached_property
     def measured(self) -> "Base":
         """The same fit at the measured slips."""
-        return self.on(measured_slips(self.design, self.rows))
+        return self.on(fits.measured_slips(self.design, self.rows))
 
     def on(self, design: Design, rows: Prepared | None = None) -> "Base":
         """The same fit on another design, of other rows if given."""
@@ -188,23 +166,23 @@ class Base(Fit):
         """The used rows, linearised in everything."""
         key = np.asarray(z).tobytes(), amplitudes.tobytes()
         if key not in self.linear:
-            if len(self.linear) == _LINEARISED:
+            if len(self.linear) == 24:  # of 10 MB each at most
                 self.linear.pop(next(iter(self.linear)))
             given = z, amplitudes, self.design, self.rows.n
             self.linear[key] = self.tire.linearised(*given)
         return self.linear[key]
 
-    def refit(self, starts, sets, design: Design | None = None) -> Refit:
+    def refit(self, starts, sets, design: Design | None = None) -> fits.Refit:
         """Hypotheses refitted on this design or another, by :func:`refit`."""
-        return refit(self.tire, starts, sets, design or self.design)
+        return fits.refit(self.tire, starts, sets, design or self.design)
 
-    def refit_folds(self, starts, sets, keeps) -> Refit:
+    def refit_folds(self, starts, sets, keeps) -> fits.Refit:
         """Hypotheses refitted on each of some sets of the used rows (f, n), without
         outliers: leading axes (f, sets)."""
         every = np.zeros((len(keeps), len(self.design.keep)))
         every[:, : self.rows.n] = keeps
         every *= self.design.keep
-        return refit_folds(self.tire, starts, sets, every, self.design)
+        return fits.refit_folds(self.tire, starts, sets, every, self.design)
 
     def amplitudes(self, atoms: Sequence[int] = (), sizes=()) -> np.ndarray:
         """Amplitudes of all atoms (K,) in their own units, from those of some atoms in
@@ -247,18 +225,18 @@ def fit_base(
     """
     simulator, stand_in = None, name or STAND_INS[0]
     if given is None:
-        fitted = first_fit(prepared, stand_in, prepared.data, effects, rig)
-        begun = begin(prepared, *fitted, rig, False)
+        fitted = fits.first_fit(prepared, stand_in, prepared.data, effects, rig)
+        begun = fits.begin(prepared, *fitted, rig, False)
     elif given.tire is None:
-        begun, stand_in = standing_in(prepared, name, effects, rig, given)
+        begun, stand_in = fits.standing_in(prepared, name, effects, rig, given)
     else:
-        begun = begin(prepared, *given.tire_for(prepared, effects), rig, True)
+        begun = fits.begin(prepared, *given.tire_for(prepared, effects), rig, True)
     tire, design, z, guess, missed = begun
     if given is not None:
-        check_followed(prepared, missed, stand_in)
+        fits.check_followed(prepared, missed, stand_in)
         doubt = check_signs(prepared, tire, z, given)
         simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
-        z = refit(tire, [(z, ())], [()], design).z[0]
+        z = fits.refit(tire, [(z, ())], [()], design).z[0]
     fit = Fit(
         rows=prepared, tire=tire, design=design, z=z, guess=guess, simulator=simulator,
         slip_fraction=_slip_fraction(prepared, tire, z, design),
@@ -274,9 +252,9 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     known = prepared.slip_source != NOT_STATED or prepared.derived is not None
     if known or prepared.mode == "xy":
         return 0.0
-    tire, z, _ = first_fit(prepared, name, prepared.data, effects, rig)
+    tire, z, _ = fits.first_fit(prepared, name, prepared.data, effects, rig)
     noisy = replace(prepared, slip_std=np.full(prepared.n, _SMALL))
-    channel, design = prepared.channels[0], design_of(noisy, effects, rig)
+    channel, design = prepared.channels[0], fits.design_of(noisy, effects, rig)
     mean, spread = tire.moments(z, design, prepared.n)
     # Where the slip changes its sign the curve bends, and any shift of it is a gap.
     side, groups = prepared.slip > 0, neighbours(prepared)
@@ -295,7 +273,7 @@ def _under(noise: Mapping[str, NoiseLevel], fit: Fit) -> Base:
     keep = (np.arange(size) < n).astype(float)
     keep[:n] = ~np.any([level.outlier for level in levels], axis=0)
     design = fit.design._replace(scale=scale, keep=keep)
-    alone = refit(fit.tire, [(fit.z, ())], [()], design)
+    alone = fits.refit(fit.tire, [(fit.z, ())], [()], design)
     return Base(
         rows=fit.rows, tire=fit.tire, design=design, z=alone.z[0], guess=fit.guess,
         slip_fraction=fit.slip_fraction, simulator=fit.simulator, alone=alone,
@@ -312,9 +290,9 @@ def with_noise_judged(base: Base, rig, z, amplitudes) -> Base:
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:
     """The same fit on other rows, for its forces: the noise is that of its own rows."""
     tire, prepared = base.tire, on_scale_of(prepared, base.rows)
-    design = design_of(prepared, tire.effects, rig)
+    design = fits.design_of(prepared, tire.effects, rig)
     if base.simulator is not None:
-        design, _ = with_offset(prepared, tire, design, base.simulator.z)
+        design, _ = fits.with_offset(prepared, tire, design, base.simulator.z)
     return base.on(with_force(prepared, tire, design, base.z), prepared)
 
 
@@ -332,7 +310,7 @@ def _noise(fit: Fit, rig, amplitudes=(), outliers=False) -> dict[str, NoiseLevel
     """Noise of each channel, judged on the remainder of a fit."""
     rows, fz = fit.rows, fit.rows.inputs.fz
     mean, spread = fit.tire.moments(fit.z, fit.design, rows.n, amplitudes)
-    typical, most = fz / np.mean(fz), rows.n // _ROWS_OF_A_FUNCTION
+    typical, most = fz / np.mean(fz), rows.n // 6
     basis = smooth_basis(rows, fit.slip_fraction, typical, most, runs=True)
     waves, groups, levels = wave_basis(rows, typical), neighbours(rows), {}
     for c in rows.channels:

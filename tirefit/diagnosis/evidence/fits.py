@@ -25,25 +25,27 @@ from tirefit.fitting.least_squares import MAX_STEPS, TOLERANCE
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.problem import build
 from tirefit.fitting.solve import starting_points
+from tirefit.models import TireInputs
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.padding import pad_rows, padded_size
 from tirefit.results import DataError
 
-_STEPS = 26
-"""Steps of a refit, at most."""
+_STEPS, _TOLERANCE, _FARTHEST = 26, 1e-3, 20.0
+"""Most steps of a refit, chi-squared that one more step may still gain (evidence counts
+in whole units), and largest amplitude in prior scales."""
 
-_TOLERANCE = 1e-3
-"""Chi-squared that one more step of a refit could still gain: evidence is counted in
-whole units."""
+_LEAST_ROWS = 256
+"""Smallest number of rows that a diagnosis is compiled for: small files share it."""
 
-_FARTHEST = 20.0
-"""Amplitudes, in prior scales, beyond which no refit goes."""
+_FARTHEST_OFF, _CLOSELY = 0.2, 0.01
+"""Largest error of a stand-in for a simulator, as a share of the simulated force (rms),
+and error up to which the plain one is good enough."""
 
 
 class Refit(NamedTuple):
-    """Hypotheses refitted: parameters, amplitudes in prior scales, sum of squares, log
-    determinant of the curvature, covariance of (z, amplitudes), and the squared
-    distance of the amplitudes from what is expected."""
+    """Refitted hypotheses: parameters, amplitudes in prior scales, sum of squares, log
+    determinant of the curvature, covariance of (z, amplitudes), and squared distance of
+    the amplitudes from their expected values."""
 
     z: np.ndarray
     amplitude: np.ndarray
@@ -67,8 +69,8 @@ class Normal(NamedTuple):
 
 
 class _Hypotheses:
-    """Sets of atoms, each on some sets of rows, to be refitted from ``starts`` (h, w);
-    sets smaller than the largest are filled with amplitudes of nothing."""
+    """Sets of atoms, each on some sets of rows, to be refitted from ``starts`` (h, w).
+    Smaller sets are filled up with amplitudes of no effect."""
 
     def __init__(self, model: Tire, starts, sets, keeps, design: Design):
         self.model, self.design, self.p = model, design, len(starts[0][0])
@@ -85,12 +87,12 @@ class _Hypotheses:
         self.high = np.minimum(np.append(design.high, np.inf), _FARTHEST)[index]
 
     def allowed(self, numbers, points) -> np.ndarray:
-        """The nearest points (k, w) that may be tried."""
+        """The points (k, w) with the amplitudes clipped to their bounds."""
         amplitudes = np.clip(points[:, self.p :], self.low[numbers], self.high[numbers])
         return np.concatenate([points[:, : self.p], amplitudes], axis=1)
 
     def at(self, numbers, points) -> Normal:
-        """Around points (k, w), with what pulls on the parameters."""
+        """Normal equations at points (k, w), priors included."""
         held, center = self.starts[numbers, : self.p], self.center[numbers]
         pull = np.ones(points.shape[1])
         pull[: self.p] = float(self.design.hold) ** 2
@@ -131,7 +133,7 @@ def refit(model: Tire, starts, sets, design: Design) -> Refit:
 
 
 def _after_step(z, at: Normal, allowed: Callable, damping, longest: float):
-    """As that of :mod:`tirefit.fitting.least_squares`, of each of many."""
+    """Damped steps of many fits, as in :mod:`tirefit.fitting.least_squares`."""
 
     def limited(system, right):
         move = np.linalg.solve(system, right[..., None])[..., 0]
@@ -154,7 +156,7 @@ def _after_step(z, at: Normal, allowed: Callable, damping, longest: float):
 
 
 def _gain(move, at: Normal):
-    """By how much the costs would fall, were the residuals straight."""
+    """Decrease of the costs for linear residuals."""
     straight = 2 * at.gradient + (at.normal @ move[:, :, None])[..., 0]
     return -np.sum(move * straight, axis=1)
 
@@ -194,57 +196,37 @@ def minimised(
     return z, best
 
 
-_LEAST_ROWS = 256
-"""Rows that a diagnosis is compiled for, at least: small files share one program."""
-
-_STARTS = 4
-"""Starts of the first fit, half of those of a fit that is an end in itself."""
-
-_FARTHEST_OFF, _CLOSELY = 0.2, 0.01
-"""Shares of the simulated force (rms) that a tire which stands in for a simulator may
-miss at most, and up to which the plain one is good enough: its slopes, and so the parts
-of the budget, are off by as much."""
-
-_FIRST_NOISE = 0.05
-"""Noise of a force as a share of its standard deviation, before it is judged; only the
-scale of the first forces' weights, which no verdict rests on."""
-
-
 def design_of(prepared: Prepared, effects, rig) -> Design:
-    """The rows, padded, as the programs of the engine take them."""
+    """The rows as padded arrays."""
     size = padded_size(prepared.n, _LEAST_ROWS)
     slips, weight = slip_nodes(prepared.slip_law, prepared.slip, prepared.slip_std)
     observed, fz, v = prepared.observed, prepared.inputs.fz, prepared.inputs.v
     priors = [atom.prior(prepared, rig) for atom in atoms_of(effects)]
     scale, center, low, high = (np.array(part) for part in zip(*priors, strict=True))
     return Design(
-        inputs=type(prepared.inputs)(*(pad_rows(x, size) for x in prepared.inputs)),
-        slip=pad_rows(slips, size),
-        weight=pad_rows(weight, size),
+        inputs=TireInputs(*(pad_rows(x, size) for x in prepared.inputs)),
+        slip=pad_rows(slips, size), weight=pad_rows(weight, size),
         second=pad_rows(prepared.second, size),
         observed={c: pad_rows(x, size) for c, x in observed.items()},
-        scale={c: np.full(size, _FIRST_NOISE * np.std(x)) for c, x in observed.items()},
-        offset={c: np.zeros(size) for c in observed},
+        # A first guess; the noise is judged later.
+        scale={c: np.full(size, 0.05 * np.std(x)) for c, x in observed.items()},
+        offset={c: np.zeros(size) for c in observed}, hold=np.zeros(()),
         keep=(np.arange(size) < prepared.n).astype(float),
-        hold=np.zeros(()),
         rows=Covariates(*(pad_rows(x, size) for x in prepared.covariates)),
-        prior_scale=scale,
-        prior_center=center / scale,
-        low=low / scale,
-        high=high / scale,
-        reference=np.array([np.median(fz), np.median(v)]),
-    )
+        prior_scale=scale, prior_center=center / scale, low=low / scale,
+        high=high / scale, reference=np.array([np.median(fz), np.median(v)]),
+    )  # fmt: skip
 
 
 def measured_slips(design: Design, prepared: Prepared) -> Design:
-    """The same design at the slips as they were measured, not as they are believed."""
+    """The same design at the measured slips."""
     slips = np.repeat(prepared.slip[:, None], design.slip.shape[1], axis=1)
     return design._replace(slip=pad_rows(slips, len(design.keep)))
 
 
 def with_offset(prepared: Prepared, tire: Tire, design: Design, z):
-    """The design with what a simulator says beyond its tire at the measured slips, and
-    that by channel (n,)."""
+    """The design with the offset of a simulator from its tire at the measured slips;
+    that offset by channel (n,)."""
     own = tire.moments(z, measured_slips(design, prepared), prepared.n)[0]
     missed = {c: prepared.column(f"{c}_sim") - own[c] for c in prepared.channels}
     offset = {c: pad_rows(values, len(design.keep)) for c, values in missed.items()}
@@ -254,9 +236,10 @@ def with_offset(prepared: Prepared, tire: Tire, design: Design, z):
 def first_fit(
     prepared: Prepared, name: str, data, effects, rig
 ) -> tuple[Tire, np.ndarray, np.ndarray]:
-    """(tire, z, first guess of z) by least squares with estimated noise, slip as
-    measured; outliers count by Huber's loss."""
-    config = parse_config({"force": list(prepared.channels), "starts": _STARTS})
+    """(tire, z, first guess of z) by least squares with Huber's loss at the measured
+    slips."""
+    # Half the starts of `tirefit fit`.
+    config = parse_config({"force": list(prepared.channels), "starts": 4})
     task = build(data, name, config, _LEAST_ROWS)
     model, layout, rows = task.problem.model, task.problem.layout, task.problem.rows
     tire = Tire(model, layout, tuple(effects), prepared.mode)
@@ -287,13 +270,8 @@ def first_fit(
     return tire, z[int(np.argmin(ends.cost))], starts[0]
 
 
-Begun = tuple[Tire, Design, np.ndarray, np.ndarray, dict[str, np.ndarray]]
-"""A tire on the design of its rows, its z and a first guess of z, and what a simulator
-has beyond it (n,), by channel."""
-
-
-def begin(prepared: Prepared, tire: Tire, z, guess, rig, simulated: bool) -> Begun:
-    """A fitted tire on the rows, and on a simulator in their data."""
+def begin(prepared: Prepared, tire: Tire, z, guess, rig, simulated: bool):
+    """(tire, design of the rows, z, guess, offset of a simulator by channel (n,))."""
     design, missed = design_of(prepared, tire.effects, rig), {}
     if simulated:
         design, missed = with_offset(prepared, tire, design, z)
@@ -301,7 +279,7 @@ def begin(prepared: Prepared, tire: Tire, z, guess, rig, simulated: bool) -> Beg
 
 
 def as_measured(data: TireData, channels) -> TireData:
-    """The data with the simulated forces in the place of the measured ones."""
+    """The data with the simulated forces in place of the measured ones."""
     dropped = {f"{c}_std" for c in channels}
     columns = {k: v for k, v in data.columns.items() if k not in dropped}
     return replace(data, columns=columns | {c: data[f"{c}_sim"] for c in channels})
@@ -312,13 +290,13 @@ def _rms(values) -> float:
 
 
 def missed_share(prepared, channel: str, values) -> float:
-    """What a tire misses of the simulated forces (n,), as a share of these, rms."""
+    """Error (n,) of a tire as a share of the simulated force, rms."""
     return _rms(values) / max(_rms(prepared.column(f"{channel}_sim")), NONZERO)
 
 
 def check_followed(prepared, missed: dict, name: str) -> None:
-    """Raises DataError where a tire, of the model ``name`` that stands in, misses too
-    much of the simulated forces, (n,) by channel."""
+    """Raises DataError where a stand-in of model ``name`` misses too much of the
+    simulated forces; ``missed`` is (n,) by channel."""
     for c, values in missed.items():
         share = missed_share(prepared, c, values)
         if share > _FARTHEST_OFF:
@@ -333,8 +311,8 @@ def check_followed(prepared, missed: dict, name: str) -> None:
 
 
 def standing_in(prepared: Prepared, name, effects, rig, given: Given):
-    """The tire that follows a simulator's forces, and its model's name: ``name``, or of
-    :data:`STAND_INS` the first that follows closely, else the one that does best."""
+    """:func:`begin` of a tire fitted to a simulator's forces, and its model: ``name``,
+    or of :data:`STAND_INS` the first that follows closely, else the better one."""
     simulated = as_measured(prepared.data, prepared.channels)
 
     def tried(model: str):

@@ -14,24 +14,8 @@ from scipy.special import chdtrc
 from tirefit.diagnosis.effects.per_run import OFFSETS, RELATIVE
 from tirefit.diagnosis.effects.state import State
 from tirefit.diagnosis.evidence.forward import Design
-from tirefit.diagnosis.negligible import FLAT, NONZERO
-from tirefit.diagnosis.rows.basis import (
-    FULL_SLIDING,
-    Generic,
-    bumps,
-    smooth_basis,
-    wave_basis,
-    without,
-)
-from tirefit.diagnosis.rows.patterns import (
-    PARAMETERS,
-    PHASES,
-    Over,
-    Patterns,
-    patterns,
-    phased,
-    turns,
-)
+from tirefit.diagnosis.negligible import FLAT, NONZERO, UNSEEN
+from tirefit.diagnosis.rows import basis, patterns
 from tirefit.diagnosis.rows.prepared import Prepared, coincides
 from tirefit.diagnosis.rows.slips import shown_runs
 from tirefit.padding import pad_rows
@@ -39,30 +23,19 @@ from tirefit.padding import pad_rows
 PLACE = {name: k for k, name in enumerate(State._fields)}
 """Column of each field of the state in :class:`evidence.forward.Linear`."""
 
-_WIDTHS = (0.004, 0.02, 0.05, 0.1)
-"""Widths of a change that are tried, as shares of the record: sudden to gradual."""
-
-_TIMES = np.linspace(-0.46, 0.46, 93)
-"""Its times, as shares of the record about its middle: a hundredth apart."""
+_WIDTHS, _TIMES = (0.004, 0.02, 0.05, 0.1), np.linspace(-0.46, 0.46, 93)
+"""Widths and times of a change that are tried, as shares of the record; times about its
+middle."""
 
 _LENGTHS = (0.08, 0.12, 0.17, 0.24, 0.34, 0.48)
 """Lengths of a change that ends, in the same unit."""
 
-_OF_SLIP, _OWN = 12, 0.1
-"""Functions of the slip that a covariate may follow, and the share of its variance that
-is its own where it does."""
+_AROUND = 4
+"""Rows on either side for the slope of the error of a stand-in."""
 
-_USUAL_CHANGE, _AROUND = 0.1, 4
-"""Share by which a hypothesis changes friction or stiffness, at least; and rows on
-either side over which the slope of what a stand-in misses is taken."""
-
-_ROWS_OF_A_FUNCTION = 3
-"""Rows for each smooth function of a remainder, at least."""
-
-_FINER, _DRAWN, _SPARSE = 4, 2, 4
-"""Lines of a periodogram for each that a record has: between two of them a wave loses a
-fiftieth of its square at most. Strongest lines that are drawn, of each parameter.
-Places of a sampling for each row from which it is none."""
+_FINER = 4
+"""Oversampling of a periodogram: a wave between two lines loses at most a fiftieth of
+its square. A record with as many sampling times for each row is not sampled evenly."""
 
 
 def form_columns(effects, fields, prepared, slip_fraction) -> np.ndarray:
@@ -87,12 +60,12 @@ def form_columns(effects, fields, prepared, slip_fraction) -> np.ndarray:
 
 
 def follows(values, slip_fraction) -> bool:
-    """Whether a covariate (n,) is a function of the slip, as a load that moves with the
-    braking is: of its variance hardly a tenth is its own."""
-    shapes = bumps(np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING), _OF_SLIP)
-    shapes = np.column_stack([np.ones(len(values)), shapes])
-    own = without(values - values.mean(), shapes)
-    return bool(0 < np.sum(own**2) <= _OWN * len(values) * np.var(values))
+    """Whether a covariate (n,) is a function of the slip, as a load under braking: 12
+    bumps over the slip explain nine tenths of its variance."""
+    inside = np.clip(slip_fraction, -basis.FULL_SLIDING, basis.FULL_SLIDING)
+    shapes = np.column_stack([np.ones(len(values)), basis.bumps(inside, 12)])
+    own = basis.without(values - values.mean(), shapes)
+    return bool(0 < np.sum(own**2) <= 0.1 * len(values) * np.var(values))
 
 
 def shape_of_change(time, friction, used_up, residual, blocks) -> np.ndarray:
@@ -108,7 +81,7 @@ def shape_of_change(time, friction, used_up, residual, blocks) -> np.ndarray:
             :func:`rows.prepared.blocks_of_settings`: none of them is tried.
     """
     repeats = len(friction) // len(time)
-    residual = without(residual, used_up)
+    residual = basis.without(residual, used_up)
     best, best_gain = np.zeros(len(time)), 0.0
     for width, length in product(_WIDTHS, (None, *_LENGTHS)):
         if length is not None and length < 2 * width:
@@ -118,7 +91,7 @@ def shape_of_change(time, friction, used_up, residual, blocks) -> np.ndarray:
         if length is not None:
             shapes -= 0.5 * np.tanh((time[:, None] - begin - length) / width) + 0.5
         columns = friction[:, None] * np.tile(shapes, (repeats, 1))
-        columns = without(columns, used_up)
+        columns = basis.without(columns, used_up)
         size = np.sum(columns**2, axis=0)
         gain = (columns.T @ residual) ** 2 / np.maximum(size, FLAT)
         if gain.max() > best_gain:
@@ -128,13 +101,13 @@ def shape_of_change(time, friction, used_up, residual, blocks) -> np.ndarray:
 
 def not_followed(missed, slip, groups, changed: float) -> np.ndarray:
     """How a simulator may change where its stand-in does not: columns (n, 2), to first
-    order. Where it misses e, friction times 1 + a and stiffness times 1 + b add
-    a (e - slip e') + b slip e' to what the stand-in's own change is.
+    order. Where it misses e, friction times 1 + a and stiffness times 1 + b add a (e -
+    slip e') + b slip e' to what the stand-in's own change is.
 
     Args:
         missed: simulated force less that of its stand-in, (n,).
         groups: index arrays of like rows in the order of their slip.
-        changed: typical size of a and b.
+        changed: typical size of a and b, at least a tenth.
     """
     steep, wide = np.zeros(len(slip)), 2 * _AROUND + 1
     for rows in (rows for rows in groups if len(rows) >= wide):
@@ -144,30 +117,31 @@ def not_followed(missed, slip, groups, changed: float) -> np.ndarray:
         )
         x, y = (view - view.mean(axis=1, keepdims=True) for view in (x, y))
         steep[rows] = np.sum(x * y, axis=1) / np.maximum(np.sum(x * x, axis=1), NONZERO)
-    return max(changed, _USUAL_CHANGE) * np.stack([missed, slip * steep], axis=1)
+    return max(changed, 0.1) * np.stack([missed, slip * steep], axis=1)
 
 
 def whitened_generic(
     rows: Prepared, design: Design, slip_fraction, fields: np.ndarray
-) -> Generic:
-    """What a remainder may look like: generic functions for each channel by itself,
-    whitened (m, b); arguments as of :func:`form_columns`."""
+) -> basis.Generic:
+    """Generic functions of a remainder for each channel, whitened (m, b): arguments as
+    of :func:`form_columns`, and three rows or more for each smooth function."""
     keep, bases = np.asarray(design.keep)[: rows.n, None], []
     for channel in rows.channels:
         typical = rows.inputs.fz / np.asarray(design.scale[channel])[: rows.n]
-        most = rows.n // _ROWS_OF_A_FUNCTION
-        smooth = smooth_basis(rows, slip_fraction, typical, most)
-        bases.append([b * keep for b in (smooth, wave_basis(rows, typical))])
+        smooth = basis.smooth_basis(rows, slip_fraction, typical, rows.n // 3)
+        bases.append([b * keep for b in (smooth, basis.wave_basis(rows, typical))])
     smooth, waves = (block_diag(*each) for each in zip(*bases, strict=True))
-    by_name = {name: fields[:, PLACE[field]] for name, (field, _) in PARAMETERS.items()}
-    return Generic(smooth, waves, patterns(rows, slip_fraction, by_name))
+    by_name = {
+        name: fields[:, PLACE[field]]
+        for name, (field, _) in patterns.PARAMETERS.items()
+    }
+    return basis.Generic(smooth, waves, patterns.patterns(rows, slip_fraction, by_name))
 
 
-def with_fast_waves(among: Patterns, time, residual) -> Patterns:
-    """The patterns, and as those of one quantity more the strongest waves in time of
-    what is left that are faster than they are: the hum of the mains, chatter, a
-    resonance. There may be as many as half the rows, and each is as probable as one of
-    so many. The same patterns where the record has no sampling that shows any.
+def with_fast_waves(among: patterns.Patterns, time, residual) -> patterns.Patterns:
+    """The patterns and the strongest faster waves in time, two of each parameter: the
+    hum of the mains, chatter, a resonance. Each is as probable as one of all fast
+    waves. The same patterns where the sampling shows no faster waves.
 
     Args:
         time: (n,) of the rows [s].
@@ -181,7 +155,7 @@ def with_fast_waves(among: Patterns, time, residual) -> Patterns:
     step = float(np.median(np.diff(moments)))
     places = np.rint((time - low) / step).astype(int)
     count = int(places.max()) + 1
-    if count > _SPARSE * len(time):
+    if count > _FINER * len(time):
         return among
     size = next_fast_len(_FINER * count, real=True)
     cycles = np.arange(size // 2) * span / (step * size)
@@ -194,33 +168,27 @@ def with_fast_waves(among: Patterns, time, residual) -> Patterns:
         each = weights[:, :, column] * residual.reshape(len(weights), -1)
         each = np.bincount(places, np.sum(each, axis=0), count)
         power = np.abs(rfft(each, size)[: size // 2]) * fast
-        for _ in range(_DRAWN):
+        for _ in range(2):
             line = int(np.argmax(power))
             if power[line] <= 0:
                 break
             chosen.add(float(cycles[line]))
             power[max(line - 2 * _FINER, 0) : line + 2 * _FINER + 1] = 0.0
     share, counts = (time - low) / span, np.array(sorted(chosen))
-    waves = np.concatenate([turns(share, np.array([c])) for c in counts], axis=1)
-    listed = [("wave", span / c, 0.0) for c in counts for _ in range(PHASES)]
-    rare = -np.log(np.count_nonzero(fast) / _FINER * PHASES)
-    prior, drawn = np.full(len(listed), rare), phased(waves).astype(np.float32)
-    more = Over("time", drawn, listed, prior, slow.weights)
+    waves = np.concatenate(
+        [patterns.turns(share, np.array([c])) for c in counts], axis=1
+    )
+    listed = [("wave", span / c, 0.0) for c in counts for _ in range(patterns.PHASES)]
+    rare = -np.log(np.count_nonzero(fast) / _FINER * patterns.PHASES)
+    prior, drawn = np.full(len(listed), rare), patterns.phased(waves).astype(np.float32)
+    more = patterns.Over("time", drawn, listed, prior, slow.weights)
     return replace(among, over=(*among.over, more))
 
 
-_STEPS, _NINETY = 400, 1.353
-"""Spreads that are tried, from none to three times the range of the runs; and the fall
-of the log likelihood at the ends of a 90 % interval of one parameter."""
-
-_UNKNOWN = 1e6
-"""Error of a run's offset, in those of the best known one, that says nothing."""
-
-
 class Shrunk(NamedTuple):
-    """Runs as draws from one law: its ``common`` value with ``std``, the ``spread``
-    between runs with its 90 % interval, ``p_value`` of no spread, and each run's own
-    value and standard error, shrunk towards the common one, (R,) each."""
+    """Normal law of the runs: its ``common`` value with ``std``, the ``spread`` between
+    runs with its 90 % interval, ``p_value`` of no spread, and each run's value and
+    standard error, shrunk towards the common one, (R,) each."""
 
     common: float
     std: float
@@ -232,8 +200,8 @@ class Shrunk(NamedTuple):
 
 
 class RunOffsets(NamedTuple):
-    """One kind of offset over the runs of a file, in its own unit: :class:`Shrunk`,
-    with (value, standard error) of each run by its name."""
+    """:class:`Shrunk` of one kind of offset, in its unit; ``values`` are (value,
+    standard error) by the name of the run."""
 
     unit: str
     common: float
@@ -256,7 +224,7 @@ def shrunk(values, covariance) -> Shrunk:
     """
     error, axes = np.linalg.eigh(covariance)
     along, one = axes.T @ values, np.sum(axes, axis=0)
-    tried = np.linspace(0.0, 3 * max(np.ptp(values), NONZERO), _STEPS)
+    tried = np.linspace(0.0, 3 * max(np.ptp(values), NONZERO), 400)
     # In the axes of the errors the values are independent: (spreads, R).
     sharp = 1 / np.maximum(error + tried[:, None] ** 2, NONZERO)
     weight = sharp @ one**2
@@ -265,10 +233,9 @@ def shrunk(values, covariance) -> Shrunk:
     square = np.sum(sharp * off**2, axis=1)
     logs = 0.5 * (np.sum(np.log(sharp), axis=1) - np.log(weight) - square)
     best = int(np.argmax(logs))
-    inside = tried[logs > logs[best] - _NINETY]
+    inside = tried[logs > logs[best] - 1.353]  # half of chi-squared at 90 %
     far = tried[best] ** 2 * sharp[best]
     own = common[best] + axes @ (far * off[best])
-    # The common value is no better known than the runs tell of it.
     pull = 1 - axes @ (far * one)
     errors = np.sqrt(axes**2 @ (far * error) + pull**2 / weight[best])
     return Shrunk(
@@ -279,12 +246,11 @@ def shrunk(values, covariance) -> Shrunk:
 
 
 def _estimates(base, kind: str, hypothesis=None):
-    """Each run's own offset beside the rest of a hypothesis, None for the base fit, to
-    first order.
+    """First-order offset of each run beside a hypothesis, None for the base fit.
 
     Returns:
-        (codes, values (R,), covariance (R, R)) in the units of the field; None where
-        fewer than two runs are long enough, or nothing tells them apart.
+        (codes, values (R,), covariance (R, R)) in the units of the field; None with
+        fewer than two long runs, or without any slope.
     """
     rows, offset = base.rows, OFFSETS[kind]
     codes = shown_runs(rows.run, rows.data.runs)
@@ -298,17 +264,22 @@ def _estimates(base, kind: str, hypothesis=None):
         ids = {k: base.atoms[k].effect.id for k in atoms}
         other = [k for k in atoms if ids[k] not in (kind, f"{kind}_run")]
         used_up = np.concatenate([linear.jacobian, linear.columns[:, other]], axis=1)
-        there = _already(base, kind, {ids[k]: amplitudes[k] for k in atoms})
+        # The offset of every row that the hypothesis has of this kind.
+        sizes = {ids[k]: amplitudes[k] for k in atoms}
+        own = np.asarray(getattr(base.design.rows, offset.pattern))[: rows.n]
+        there = sizes.get(kind, 0.0) + sizes.get(f"{kind}_run", 0.0) * own
+        if offset.of_load:
+            there = there * 1e-3 * rows.covariates.load
     run, field = np.tile(rows.run, len(rows.channels)), PLACE[offset.field]
     slope = linear.fields[:, field]
     if offset.unit == RELATIVE:
         slope = slope * np.tile(np.exp(there), len(rows.channels))
     own = np.stack([np.where(run == code, slope, 0.0) for code in codes], axis=1)
-    left = without(own, used_up)
+    left = basis.without(own, used_up)
     value, vector = np.linalg.eigh(left.T @ left)
     if value[-1] <= 0:
         return None
-    inverse = (vector / np.maximum(value, value[-1] / _UNKNOWN)) @ vector.T
+    inverse = (vector / np.maximum(value, value[-1] * UNSEEN)) @ vector.T
     first = [int(np.argmax(rows.run == code)) for code in codes]
     own = inverse @ (left.T @ linear.residual) + there[first]
     if offset.unit == RELATIVE:
@@ -317,18 +288,7 @@ def _estimates(base, kind: str, hypothesis=None):
         own = own - own.mean()
         inverse = inverse - one @ inverse - inverse @ one + one @ inverse @ one
         inverse = inverse + one * np.trace(inverse) / max(len(codes) - 1, 1)
-    # What a few large residuals would do to the error, every row does here.
     return codes, own, max(level.inflation for level in base.noise.values()) * inverse
-
-
-def _already(base, kind: str, amplitudes: Mapping[str, float]) -> np.ndarray:
-    """The offset of every row that a hypothesis has of this kind: (n,)."""
-    offset = OFFSETS[kind]
-    own = np.asarray(getattr(base.design.rows, offset.pattern))[: base.rows.n]
-    there = amplitudes.get(kind, 0.0) + amplitudes.get(f"{kind}_run", 0.0) * own
-    if offset.of_load:
-        there = there * 1e-3 * base.rows.covariates.load
-    return np.broadcast_to(there, base.rows.n)
 
 
 def offsets_of_runs(base, hypothesis) -> dict[str, RunOffsets]:
@@ -339,16 +299,13 @@ def offsets_of_runs(base, hypothesis) -> dict[str, RunOffsets]:
             law = shrunk(*seen[1:])
             names = [base.rows.data.runs[code] for code in seen[0]]
             own = zip(law.values.tolist(), law.errors.tolist(), strict=True)
-            offsets[kind] = RunOffsets(
-                offset.unit, law.common, law.std, law.spread, law.spread_ci,
-                law.p_value, dict(zip(names, own, strict=True)),
-            )  # fmt: skip
+            by_name = dict(zip(names, own, strict=True))
+            offsets[kind] = RunOffsets(offset.unit, *law[:5], by_name)
     return offsets
 
 
 def _pattern(base, kind: str) -> np.ndarray:
-    """How the runs differ, less what is common, of unit rms over the rows: (n,); zero
-    where they do not."""
+    """Offsets of the runs about their mean, of unit rms over the rows: (n,)."""
     pattern, seen = np.zeros(base.rows.n), _estimates(base, kind)
     if seen is None or (law := shrunk(*seen[1:])).spread == 0:
         return pattern
@@ -360,12 +317,12 @@ def _pattern(base, kind: str) -> np.ndarray:
 
 
 def with_runs(base):
-    """The same base with how its runs differ, where there are several."""
+    """The base with the patterns of the offsets of its runs, if there are several."""
     if "runs" not in base.rows.has:
         return base
     size, rows = len(base.design.keep), base.design.rows
-    patterns = {
+    differences = {
         offset.pattern: pad_rows(_pattern(base, kind), size)
         for kind, offset in OFFSETS.items()
     }
-    return base.on(base.design._replace(rows=rows._replace(**patterns)))
+    return base.on(base.design._replace(rows=rows._replace(**differences)))

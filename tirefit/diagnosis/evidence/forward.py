@@ -23,16 +23,6 @@ from tirefit.models import AbstractTire, Brush, Parabolic, TireInputs
 from tirefit.padding import pad_rows
 from tirefit.params import Values, with_values
 
-_AT_ZERO = 1e-6
-"""Slip [-] at which stiffness is taken: at zero itself some laws have half a slope."""
-
-_HALF_LENGTH = 0.1
-"""Half-length of the patch [m] of models that state none, as of a car's tire: it scales
-what a change of shape does to the aligning moment, and nothing else."""
-
-_LEAST_DIVISOR = 0.05
-"""x / (1 - w x) has a pole at slips of 1 / w; it grows no more than twentyfold."""
-
 _AT_ONCE, _MOST_ROWS = 16, 16384
 """Fits of one call of a program, and rows of all of them at once, at most."""
 
@@ -112,10 +102,12 @@ def _reference(tire, where: _Where, mode: str):
         def force(slip):
             return getattr(tire(sample._replace(**{driven: slip})), name)
 
-        return jax.jvp(force, (_AT_ZERO,), (1.0,))[1]
+        # Not at zero itself, where some laws have half a slope.
+        return jax.jvp(force, (1e-6,), (1.0,))[1]
 
     stiffness = jax.vmap(slope)(where.inputs) / 2
-    arm = getattr(tire, "half_length", _HALF_LENGTH)
+    # A car's for models that state none: it scales the aligning moment alone.
+    arm = getattr(tire, "half_length", 0.1)
     return stiffness, peak_ratio(tire, *where.reference), arm
 
 
@@ -128,7 +120,8 @@ def _mean_and_spread(model, layout, mode: str, where: _Where) -> Callable:
 
         def at(slip):
             moved = slip + state.shift
-            moved = moved / jnp.maximum(1 - state.curvature * moved, _LEAST_DIVISOR)
+            # x / (1 - w x) has a pole at 1 / w: it grows twentyfold at most.
+            moved = moved / jnp.maximum(1 - state.curvature * moved, 0.05)
             pair = (state.other, moved) if mode == "y" else (moved, state.other)
             if mode == "xy":
                 pair = (moved, second * (1 + moved))

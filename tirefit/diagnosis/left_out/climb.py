@@ -60,8 +60,7 @@ def of_one_run(base: Base) -> set[str]:
 
 def _steps(base: Base, search: Search) -> dict[str, int]:
     """Effects that may be steps, each by its atom in the best set that holds it."""
-    fitted = [h for h in search.hypotheses if h.refitted]
-    ranked = sorted(fitted, key=lambda h: -h.log_weight)
+    ranked = search.fitted
     singles = [h for h in ranked if len(h.atoms) == 1][:_SINGLES]
     atoms: dict[str, int] = {}
     own = of_one_run(base)

@@ -10,8 +10,9 @@ from tirefit.diagnosis.rows.rig import LEAST_ROWS
 from tirefit.fitting.noise import MAD
 from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
 
-_WINDOWS = sorted(int(41 / 1.5**k) | 1 for k in range(6))
-"""Rows of the local parabolas: odd, each 1.5 times the one before."""
+_WINDOWS = (5, 9, 13, 19, 27, 41)
+"""Rows of the local parabolas."""
+
 _REACH, _PIECE = _WINDOWS[-1] - 1, 4_000
 """Rows beside a row that its path uses; rows at once, which bounds the memory."""
 
@@ -22,23 +23,19 @@ AGES = np.append(np.arange(-AHEAD, 7), np.geomspace(8, 34, 6).round().astype(int
 """How many intervals ago each column was: each row, then a third more each time."""
 
 _SPAN = 0.0375
-"""Smallest interval over the time in which the slip changes by its standard deviation:
+"""Smallest interval, in times in which the slip changes by its standard deviation:
 linear interpolation over it is accurate to 2e-4 of that."""
 
-_WORTH = 0.7
-"""Log probability of each row that a parabola explains, calibrated on the errors of
-saw-tooth and sine sweeps."""
-
-_MORE = 1.25
-"""Ratio of two estimates of the noise above which they disagree."""
+_WORTH, _MORE = 0.7, 1.25
+"""Log probability of each row that a parabola explains, calibrated on saw-tooth and
+sine sweeps; ratio of two estimates of the noise above which they disagree."""
 
 _NOISY = 17
-"""Rows over which a slip in noise is a parabola; a record with too few rows for its
-motion is not."""
+"""Rows over which a well sampled slip is a parabola."""
 
 
 def segments(time, run) -> list[np.ndarray]:
-    """Index arrays of stretches without a pause of 5 usual intervals, in time order."""
+    """Index arrays of stretches without a pause of 5 usual intervals."""
     order = np.lexsort((time, run))
     step = np.diff(time[order])
     same = np.diff(run[order]) == 0
@@ -50,17 +47,6 @@ def segments(time, run) -> list[np.ndarray]:
 def shown_runs(run, names) -> list[int]:
     """Codes of the runs ``names`` with enough rows for an offset of their own."""
     return [k for k in range(len(names)) if np.sum(run == k) >= LEAST_ROWS]
-
-
-def _in_pieces(of, values, time, *given) -> list[np.ndarray]:
-    """Columns ``of(values, time, *given)`` of one stretch, in overlapping pieces."""
-    pieces = []
-    for first in range(0, len(values), _PIECE):
-        start, end = max(first - _REACH, 0), first + _PIECE
-        near = slice(start, end + _REACH)
-        own = slice(first - start, end - start)
-        pieces.append([column[own] for column in of(values[near], time[near], *given)])
-    return [np.concatenate(column) for column in zip(*pieces, strict=True)]
 
 
 def _parabolas(values, time, window: int):
@@ -82,20 +68,9 @@ def _parabolas(values, time, window: int):
 
 
 def _scatter(slip, parts, order: int) -> float:
-    """Standard deviation of white noise from differences of this order, which remove a
-    smooth curve, the higher the better."""
+    """Standard deviation of white noise from differences of this order."""
     each = np.concatenate([np.diff(slip[part], order) for part in parts])
     return MAD * float(np.median(np.abs(each))) / float(np.sqrt(comb(2 * order, order)))
-
-
-def _about_parabolas(slip, time, parts) -> float:
-    """The same from what parabolas through :data:`_NOISY` rows leave; infinite where no
-    stretch has so many."""
-    long = [part for part in parts if len(part) >= _NOISY]
-    if not long:
-        return np.inf
-    left = [_parabolas(slip[p], time[p], _NOISY)[2] for p in long]
-    return float(np.sqrt(np.median(np.concatenate(left)) / (_NOISY - 3)))
 
 
 class _Path(NamedTuple):
@@ -134,6 +109,17 @@ def _averaged(values, time, noise: float) -> _Path:
     return _Path(value, slope, np.sqrt(np.maximum(square - slope**2, 0.0)), reach)
 
 
+def _path_of(values, time, noise: float) -> _Path:
+    """:func:`_averaged` of a stretch, in overlapping pieces."""
+    pieces = []
+    for first in range(0, len(values), _PIECE):
+        start, end = max(first - _REACH, 0), first + _PIECE
+        near, own = slice(start, end + _REACH), slice(first - start, end - start)
+        path = _averaged(values[near], time[near], noise)
+        pieces.append([column[own] for column in path])
+    return _Path(*map(np.concatenate, zip(*pieces, strict=True)))
+
+
 class Past(NamedTuple):
     """The slip at :data:`AGES` times ``interval`` [s] before each row; column
     :data:`AHEAD` is the row itself. Times beyond the sweep take its end.
@@ -159,8 +145,8 @@ class Past(NamedTuple):
         return first + moved + share * rest**2 * out + share**2 * rest * back
 
     def place(self, part, time):
-        """Write the rows between which the times of the stretch ``part`` fall; their
-        numbers within the part, and the share: (n, k) each."""
+        """Write the rows of the stretch ``part`` around each time. Returns the number
+        within the part of the row before, and the share: (n, k) each."""
         when = np.clip(time[:, None] - self.interval * AGES, time[0], time[-1])
         low = np.clip(np.searchsorted(time, when, side="right") - 1, 0, len(part) - 2)
         share = (when - time[low]) / (time[low + 1] - time[low])
@@ -218,12 +204,14 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     if curved > 0.4 * np.std(slip):  # neighbours in time scatter: no sweep
         return still
     # All agree on noise; a curve leaves more in a lower order, or about wide parabolas.
-    most = max(curved, _about_parabolas(slip, time, parts))
+    long = [part for part in parts if len(part) >= _NOISY]
+    left = [_parabolas(slip[p], time[p], _NOISY)[2] for p in long] or [[np.inf]]
+    about = np.sqrt(np.median(np.concatenate(left)) / (_NOISY - 3))
+    most = max(curved, float(about))
     scatter = seen if FLAT * np.std(slip) < most < _MORE * seen else 0.0
     seen = max(seen, FLAT * np.std(slip))
     level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
-    each = ((slip[part], time[part], level) for part in parts)
-    paths = [_Path(*_in_pieces(_averaged, *given)) for given in each]
+    paths = [_path_of(slip[part], time[part], level) for part in parts]
     usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
     rate = np.sqrt(np.mean(np.concatenate([path.slope for path in paths]) ** 2))
     period = float(np.std(slip) / rate) if rate > 0 else 0.0
@@ -241,7 +229,7 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
 
 
 def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
-    """Cubics through values and measured rates: a past between the rows."""
+    """Sweeps of cubics through values and measured rates."""
     usual = float(np.sqrt(np.mean(rate**2)))
     past = still.past._replace(interval=_SPAN * float(np.std(slip)) / usual)
     for part in parts:
@@ -269,7 +257,7 @@ def slip_law(slip, std) -> SlipDistribution | None:
 
 
 def slip_nodes(law: SlipDistribution | None, slip, std):
-    """True slips and their probabilities, (n, k) each; measured slips without a law."""
+    """True slips and their probabilities (n, k); the measured slips without a law."""
     if law is None:
         return slip[:, None], np.ones((len(slip), 1))
     offset, mass = _MANY if _steep(slip, std) else _FEW
@@ -280,11 +268,9 @@ def slip_nodes(law: SlipDistribution | None, slip, std):
 
 def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray:
     """Common error of the estimated slips: columns (n, k) times independent unit normal
-    numbers.
-
-    All rows share one density of the true slips, which was estimated from the same
-    noisy slips: where the slip moves steadily, rows of one phase have the same error.
-    ``path`` holds slips (n,) estimated from their neighbours in time, or is None.
+    numbers. The density of the true slips is estimated from the same noisy slips, so
+    rows with equal slips share its error. ``path`` (n,) holds slips estimated from
+    their neighbours in time, or is None.
     """
     columns, std = [np.zeros((len(slip), 0))], np.maximum(std, FLAT)
     if law is not None and _steep(slip, std):
@@ -299,13 +285,12 @@ def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray
 def slip_proxies(slip, std, measured, path=None, past=None) -> np.ndarray:
     """Noise of the slips as other measurements predict it: columns (n, k).
 
-    A quantity that moves with the true slip (its neighbours in time, a load that the
-    cornering shifts) has none of its noise, so a regression gives it a part of the
-    slip's effect. The expected noise of row i is std^2 / variance(slip - predicted) of
-    (slip - predicted)_i.
+    A quantity that moves with the true slip, as a load that the cornering shifts, has
+    none of its noise, so a regression gives it a part of the slip's effect. The
+    expected noise is (slip - predicted) std^2 / variance(slip - predicted).
 
     Args:
-        measured: (n,) each; the slips are predicted from a cubic of each and the past.
+        measured: (n,) each; a cubic of each, and the past, predict the slips.
         path: as in :func:`slip_doubt`.
         past: (n, k) slips before, at and after each row by their neighbours in time.
     """
@@ -329,8 +314,8 @@ def slip_proxies(slip, std, measured, path=None, past=None) -> np.ndarray:
 
 
 def _of_density(law: SlipDistribution, slip, std) -> np.ndarray:
-    """Error of the slips by that of the density's weights, which add up to one: maximum
-    likelihood with a weak prior (each weight about as large as all on average)."""
+    """Error of the slips due to that of the density's weights, which add up to one:
+    maximum likelihood, each weight with a prior as wide as all on average."""
     # Likelihood of each row under each part of the density (n, parts), and the same
     # times the true slip less the measured one.
     unit, step = np.linspace(-4, 4, 41), np.diff(law.knots)[0]
