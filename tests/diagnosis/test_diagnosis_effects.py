@@ -288,8 +288,8 @@ def test_noise_of_a_speed_falls_with_the_speed(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text("[noise]\nfx = 40\nsigma_x = 0.003\nsigma_x_speed = 0.01\n")
     rig = load_rig(path)
-    assert rig.slip_noise_speed("sigma_x") == 0.01
-    assert rig.slip_noise_speed("alpha") is None
+    assert rig.slip_noise("sigma_x", "_speed") == 0.01
+    assert rig.slip_noise("alpha", "_speed") is None
     frame, _ = record(None)
     prepared = prepared_of(frame, rig)
     right = np.sqrt(0.003**2 + (0.01 / frame["v"]) ** 2)

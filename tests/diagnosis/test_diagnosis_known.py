@@ -14,8 +14,8 @@ from tirefit.diagnosis.effects.state import null_state
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.rows.covariates import derived_from
 from tirefit.diagnosis.rows.prepared import prepare
-from tirefit.diagnosis.rows.rates import AHEAD
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.slips import AHEAD
 from tirefit.report.diagnosis_text import diagnosis_text
 from tirefit.report.diagnosis_words import needs_text
 

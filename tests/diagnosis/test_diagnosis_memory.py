@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tirefit.diagnosis.noise.memory import FORGETFUL, Memory, memory_of
+from tirefit.diagnosis.noise import FORGETFUL, Memory, memory_of
 
 ROWS = 1200
 TIME = np.linspace(0, 1, ROWS)

@@ -14,11 +14,11 @@ from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS, atoms_of, effects_by_id
 from tirefit.diagnosis.effects.motion import lagged
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.evidence.runs import shrunk
+from tirefit.diagnosis.evidence.forms import shrunk
 from tirefit.diagnosis.rows.covariates import derived_from
 from tirefit.diagnosis.rows.prepared import prepare
-from tirefit.diagnosis.rows.rates import AHEAD, slip_rate
 from tirefit.diagnosis.rows.rig import Rig, load_rig
+from tirefit.diagnosis.rows.slips import AHEAD, slip_rate
 from tirefit.diagnosis.summary.closure import (
     closure_elsewhere,
     of_so_few_runs,

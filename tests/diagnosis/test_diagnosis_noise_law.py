@@ -8,7 +8,7 @@ from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.evidence.base import fit_base
-from tirefit.diagnosis.noise.level import judge_noise
+from tirefit.diagnosis.noise import judge_noise
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 

@@ -21,12 +21,12 @@ from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, atoms_of
 from tirefit.diagnosis.effects.state import force_of_state, null_state
 from tirefit.diagnosis.evidence.base import fit_base
 from tirefit.diagnosis.evidence.forms import PLACE, form_columns, shape_of_change
-from tirefit.diagnosis.noise.level import judge_noise
+from tirefit.diagnosis.noise import judge_noise
 from tirefit.diagnosis.rows import rates
 from tirefit.diagnosis.rows.basis import Generic, gains, of_any_kind, waves_within
 from tirefit.diagnosis.rows.prepared import blocks_of_settings, coincides, prepare
-from tirefit.diagnosis.rows.rates import AGES, AHEAD, segments, slip_rate
 from tirefit.diagnosis.rows.rig import VEHICLE, Rig, load_rig
+from tirefit.diagnosis.rows.slips import AGES, AHEAD, segments, slip_rate
 from tirefit.diagnosis.summary.budget import shapley
 from tirefit.diagnosis.summary.forecast import (
     recognition,

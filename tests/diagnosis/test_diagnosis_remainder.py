@@ -21,7 +21,7 @@ from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.evidence.base import Base, fit_base
 from tirefit.diagnosis.evidence.forward import Design
 from tirefit.diagnosis.evidence.posterior import LinearFit
-from tirefit.diagnosis.noise.memory import FORGETFUL, Memory
+from tirefit.diagnosis.noise import FORGETFUL, Memory
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 

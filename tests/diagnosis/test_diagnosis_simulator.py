@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.evidence.beginning import as_measured
+from tirefit.diagnosis.evidence.fits import as_measured
 from tirefit.diagnosis.evidence.forms import not_followed
 from tirefit.diagnosis.evidence.simulator import simulator_at
 from tirefit.diagnosis.rows.rig import Rig

@@ -14,7 +14,7 @@ from tirefit.diagnosis.evidence.search import _Searcher
 from tirefit.diagnosis.rows.basis import SCALES, without
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
-from tirefit.diagnosis.rows.slip_nodes import (
+from tirefit.diagnosis.rows.slips import (
     slip_doubt,
     slip_law,
     slip_nodes,

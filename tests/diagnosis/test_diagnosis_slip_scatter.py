@@ -6,7 +6,7 @@ from conftest_diagnosis import brush
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.noise.level import slip_scatter
+from tirefit.diagnosis.noise import slip_scatter
 from tirefit.diagnosis.rows.rig import Rig
 
 ROWS, NOISE = 600, 0.002

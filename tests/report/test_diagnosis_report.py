@@ -18,11 +18,10 @@ import tirefit
 from tirefit.data.table import Source, TireData
 from tirefit.diagnosis.decide.verdict import Each, Status
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect
-from tirefit.diagnosis.evidence.runs import RunOffsets
+from tirefit.diagnosis.evidence.forms import RunOffsets
 from tirefit.diagnosis.left_out import Ladder, Step
 from tirefit.diagnosis.rows.patterns import Look
-from tirefit.diagnosis.rows.rig import Rig
-from tirefit.diagnosis.rows.slip_check import SlipCheck
+from tirefit.diagnosis.rows.rig import Rig, SlipCheck
 from tirefit.diagnosis.summary.records import (
     Amplitude,
     Candidate,

@@ -288,8 +288,7 @@ def _are_smooth(base: Base, testable: Sequence[int]) -> None:
 
 def _with_change(base: Base, searched: Search) -> Base | None:
     """The base with the shape of a sudden change, where one is among the best."""
-    fitted = [h for h in searched.hypotheses if h.refitted]
-    ranked = sorted(fitted, key=lambda h: -h.log_weight)[:_AMONG]
+    ranked = searched.fitted[:_AMONG]
     steps = {k for k, atom in enumerate(base.atoms) if atom.effect.scans_time}
     likely = next((h for h in ranked if set(h.atoms) & steps), None)
     if likely is None:

@@ -16,7 +16,7 @@ from tirefit.diagnosis.evidence.search import Hypothesis, Search
 from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.diagnosis.rows.basis import SCALES
 from tirefit.diagnosis.rows.prepared import Prepared
-from tirefit.diagnosis.rows.rates import shown_runs
+from tirefit.diagnosis.rows.slips import shown_runs
 
 LEAST_RUNS = 4
 """Fewest runs of which whole runs are left out: three measured circles, two to one
@@ -327,8 +327,7 @@ def of_one_run(base: Base) -> set[str]:
 
 def _steps(base: Base, search: Search) -> dict[str, int]:
     """Effects that may be steps, each by its atom in the best set that holds it."""
-    fitted = [h for h in search.hypotheses if h.refitted]
-    ranked = sorted(fitted, key=lambda h: -h.log_weight)
+    ranked = search.fitted
     singles = [h for h in ranked if len(h.atoms) == 1][:_SINGLES]
     atoms: dict[str, int] = {}
     own = of_one_run(base)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
 from tirefit.diagnosis.rows.patterns import Look
-from tirefit.diagnosis.rows.slip_check import SlipCheck
+from tirefit.diagnosis.rows.rig import SlipCheck
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.records import (
     Amplitude,

@@ -17,11 +17,11 @@ from tirefit.diagnosis.decide.verdict import Tests
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.posterior import Key, Weighed, linear_at
 from tirefit.diagnosis.negligible import ROUNDING, SILENT
-from tirefit.diagnosis.noise.memory import Memory, correlation
+from tirefit.diagnosis.noise import Memory, correlation
 from tirefit.diagnosis.rows.basis import without
 from tirefit.diagnosis.rows.patterns import travelled
 from tirefit.diagnosis.rows.prepared import Prepared, neighbours
-from tirefit.diagnosis.rows.rates import segments
+from tirefit.diagnosis.rows.slips import segments
 
 DRAWS = 199
 """Simulated residuals."""

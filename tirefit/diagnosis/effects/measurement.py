@@ -13,7 +13,7 @@ from tirefit.diagnosis.effects.record import (
     multiplies,
     seldom,
 )
-from tirefit.diagnosis.rows.slip_check import AGAINST, BESIDE, FOR
+from tirefit.diagnosis.rows.rig import AGAINST, BESIDE, FOR
 
 _FINE = 5e-4
 """Standard error of an offset of the slip below which its absence is evidence."""

@@ -13,7 +13,7 @@ from tirefit.diagnosis.effects.record import (
     multiplies,
     seldom,
 )
-from tirefit.diagnosis.rows.rates import shown_runs
+from tirefit.diagnosis.rows.slips import shown_runs
 
 RELATIVE = "relative"
 """Unit of a share of a parameter of the tire: the runs have nothing of it in common."""

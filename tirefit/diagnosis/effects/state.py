@@ -23,7 +23,7 @@ class Covariates(NamedTuple):
     """What effects may depend on: one value per row, (n,), or (n, k) where noted.
 
     Zero where the data lack a column. Columns (n, k) of the past belong to the times of
-    :class:`rows.rates.Past`; they are zero without sweeps.
+    :class:`rows.slips.Past`; they are zero without sweeps.
     """
 
     fz: Values  # load over its geometric mean

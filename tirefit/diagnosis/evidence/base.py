@@ -8,19 +8,14 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from tirefit.diagnosis.effects import Atom, atoms_of
-from tirefit.diagnosis.evidence.beginning import (
-    begin,
-    check_followed,
-    design_of,
-    first_fit,
-    measured_slips,
-    standing_in,
-    with_offset,
+from tirefit.diagnosis.evidence import fits
+from tirefit.diagnosis.evidence.forms import (
+    PLACE,
+    not_followed,
+    whitened_generic,
+    with_runs,
 )
-from tirefit.diagnosis.evidence.forms import PLACE, not_followed, whitened_generic
 from tirefit.diagnosis.evidence.forward import Design, Linear, Tire, with_force
-from tirefit.diagnosis.evidence.refits import Refit, refit, refit_folds
-from tirefit.diagnosis.evidence.runs import with_runs
 from tirefit.diagnosis.evidence.simulator import (
     STAND_INS,
     Given,
@@ -28,8 +23,7 @@ from tirefit.diagnosis.evidence.simulator import (
     check_signs,
 )
 from tirefit.diagnosis.negligible import FLAT
-from tirefit.diagnosis.noise.level import NoiseLevel, judge_noise, slip_scatter
-from tirefit.diagnosis.noise.memory import in_order
+from tirefit.diagnosis.noise import NoiseLevel, in_order, judge_noise, slip_scatter
 from tirefit.diagnosis.rows.basis import Generic, smooth_basis, wave_basis
 from tirefit.diagnosis.rows.prepared import (
     NOT_STATED,
@@ -37,50 +31,37 @@ from tirefit.diagnosis.rows.prepared import (
     neighbours,
     on_scale_of,
 )
-from tirefit.diagnosis.rows.slip_nodes import slip_doubt, slip_proxies
+from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
-_ON_BOUND = 6.0
-"""Size of a z from which its parameter rests on a bound, to 0.25 % of the interval."""
-
-_ROWS_OF_A_FUNCTION = 6
-"""Rows for each smooth function that may soak up a gap before the noise is judged."""
-
-_FELT = 0.1
-"""Standard errors of what a stand-in misses, all rows together, that nothing feels."""
-
-_LINEARISED = 24
-"""Linearised fits that are kept for as long as their base: 10 MB each at most."""
-
 _SMALL = 1e-3
-"""Noise of the slip that shows the slope of a force, within which it is straight."""
+"""Noise of the slip by which the slope of a force is taken."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """A tire fitted to a design without effects: parameters z, the first ``guess`` of
-    them, and the slip over that of full sliding (n,)."""
+    """A tire fitted to rows without effects: parameters z, the first ``guess`` of them,
+    and the slip over that of full sliding (n,). With a ``simulator``, the fit adapts
+    its parameters to the data."""
 
+    rows: Prepared
     tire: Tire
     design: Design
     z: np.ndarray
     guess: np.ndarray
     slip_fraction: np.ndarray
+    simulator: Simulated | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
-class Base:
-    """Where a diagnosis starts: the rows, the base fit to them, and their noise by
-    channel. Whitened values are over the used rows of all channels, (m, ...). ``alone``
-    is the refit without effects that gave z. Where there is a ``simulator``, the fit is
-    of its parameters to the data. ``linear`` keeps the last fits linearised, by (z,
-    amplitudes): a verdict comes back to its best."""
+class Base(Fit):
+    """The base fit of a diagnosis under the judged noise, by channel. ``alone`` is the
+    refit without effects that gave z. Whitened values are over the used rows of all
+    channels, (m, ...). ``linear`` keeps the last linearised fits, by (z, amplitudes).
+    """
 
-    rows: Prepared
-    fit: Fit
-    alone: Refit
+    alone: fits.Refit
     noise: Mapping[str, NoiseLevel]
-    simulator: Simulated | None = None
     linear: dict[tuple[bytes, ...], Linear] = field(default_factory=dict, init=False)
 
     @property
@@ -93,25 +74,14 @@ class Base:
         return self.rows
 
     @property
-    def design(self) -> Design:
-        return self.fit.design
-
-    @property
     def layout(self):
-        return self.fit.tire.layout
-
-    @property
-    def z(self) -> np.ndarray:
-        return self.fit.z
+        return self.tire.layout
 
     def off_bounds(self, z) -> np.ndarray:
-        """Parameters z, those that rest on a bound at the first guess of them: on a
-        bound they have no slope, and no refit that starts there leaves it."""
-        return np.where(np.abs(z) > _ON_BOUND, self.fit.guess, z)
-
-    @property
-    def slip_fraction(self) -> np.ndarray:
-        return self.fit.slip_fraction
+        """Parameters z, with the first guess for those that rest on a bound: there they
+        have no slope, so no refit that starts there leaves it."""
+        on_bound = np.abs(z) > 6.0  # 0.25 % of the interval
+        return np.where(on_bound, self.guess, z)
 
     @property
     def slip_noise(self) -> float:
@@ -120,7 +90,7 @@ class Base:
 
     @cached_property
     def atoms(self) -> tuple[Atom, ...]:
-        return atoms_of(self.fit.tire.effects)
+        return atoms_of(self.tire.effects)
 
     @cached_property
     def generic(self) -> Generic:
@@ -130,31 +100,31 @@ class Base:
 
     @cached_property
     def doubt(self) -> np.ndarray:
-        """What the residual may be off by as the true slips are not known, beside the
-        noise of each row: columns (m, k) times independent unit normal numbers."""
+        """Error of the residual shared by rows, due to the unknown true slips: columns
+        (m, k) times independent unit normal numbers."""
         rows = self.rows
         off = slip_doubt(rows.slip_law, rows.slip, rows.slip_std, rows.path)
         return np.concatenate([self._forces_of(off), self.proxies], axis=1)
 
     @cached_property
     def _doubtful(self) -> tuple[np.ndarray, np.ndarray]:
-        """Orthonormal directions (m, k) of the doubt, and how much of the residual
-        along each is not known (k,)."""
+        """Orthonormal directions (m, k) of the doubt, and the share (k,) of the
+        residual along each that is removed."""
         along, size, _ = np.linalg.svd(self.doubt, full_matrices=False)
         return along, 1 - 1 / np.sqrt(1 + size**2)
 
     def sure(self, values) -> np.ndarray:
-        """Whitened values (m, ...) of which the doubt is one more noise."""
+        """Whitened values (m, ...), whitened for the doubt too."""
         along, unknown = self._doubtful
         return values - (along * unknown) @ (along.T @ values)
 
     @cached_property
     def proxies(self) -> np.ndarray:
-        """Columns (m, k) of the residual that no effect explains: what the rows tell of
-        the noise of their slip, see :func:`slip_proxies`, and :func:`not_followed`."""
+        """Columns (m, k) of the residual that no effect explains: :func:`slip_proxies`
+        and :func:`not_followed`."""
         rows = self.rows
-        told = slip_proxies(rows.slip, rows.slip_std, rows.moving, rows.path, rows.past)
-        return np.concatenate([self._forces_of(told), self._not_followed], axis=1)
+        off = slip_proxies(rows.slip, rows.slip_std, rows.moving, rows.path, rows.past)
+        return np.concatenate([self._forces_of(off), self._not_followed], axis=1)
 
     @cached_property
     def _not_followed(self) -> np.ndarray:
@@ -164,14 +134,14 @@ class Base:
             return np.zeros((len(rows.channels) * n, 0))
         given = self.layout.vector(self.simulator.z)
         changed = np.abs(self.layout.vector(self.z) / np.where(given, given, 1.0) - 1)
+        around, most = neighbours(rows), min(float(np.max(changed)), 1.0)
         for channel in rows.channels:
             missed = np.asarray(self.design.offset[channel])[:n]
-            around, most = neighbours(rows), min(float(np.max(changed)), 1.0)
-            off = not_followed(missed, rows.slip, around, most)
             weight = np.asarray(self.design.keep) / self.design.scale[channel]
+            off = not_followed(missed, rows.slip, around, most)
             blocks.append(off * weight[:n, None])
         found = block_diag(*blocks)
-        return found[:, np.linalg.norm(found, axis=0) > _FELT]
+        return found[:, np.linalg.norm(found, axis=0) > 0.1]  # standard errors
 
     def _forces_of(self, slips) -> np.ndarray:
         """Whitened forces (m, k) of small changes of the slips (n, k)."""
@@ -185,35 +155,34 @@ class Base:
 
     @cached_property
     def measured(self) -> "Base":
-        """The same fit at the slips as they were measured, not as they are believed."""
-        return self.on(measured_slips(self.design, self.rows))
+        """The same fit at the measured slips."""
+        return self.on(fits.measured_slips(self.design, self.rows))
 
     def on(self, design: Design, rows: Prepared | None = None) -> "Base":
-        """The same fit looked at on another design, of other rows if given."""
-        fit = replace(self.fit, design=design)
-        return replace(self, fit=fit, rows=rows or self.rows)
+        """The same fit on another design, of other rows if given."""
+        return replace(self, design=design, rows=rows or self.rows)
 
     def linearised(self, z, amplitudes) -> Linear:
         """The used rows, linearised in everything."""
-        key, tire = (np.asarray(z).tobytes(), amplitudes.tobytes()), self.fit.tire
+        key = np.asarray(z).tobytes(), amplitudes.tobytes()
         if key not in self.linear:
-            if len(self.linear) == _LINEARISED:
+            if len(self.linear) == 24:  # of 10 MB each at most
                 self.linear.pop(next(iter(self.linear)))
             given = z, amplitudes, self.design, self.rows.n
-            self.linear[key] = tire.linearised(*given)
+            self.linear[key] = self.tire.linearised(*given)
         return self.linear[key]
 
-    def refit(self, starts, sets, design: Design | None = None) -> Refit:
-        """Hypotheses refitted on this design or another: see :func:`refits.refit`."""
-        return refit(self.fit.tire, starts, sets, design or self.design)
+    def refit(self, starts, sets, design: Design | None = None) -> fits.Refit:
+        """Hypotheses refitted on this design or another, by :func:`refit`."""
+        return fits.refit(self.tire, starts, sets, design or self.design)
 
-    def refit_folds(self, starts, sets, keeps) -> Refit:
+    def refit_folds(self, starts, sets, keeps) -> fits.Refit:
         """Hypotheses refitted on each of some sets of the used rows (f, n), without
         outliers: leading axes (f, sets)."""
         every = np.zeros((len(keeps), len(self.design.keep)))
         every[:, : self.rows.n] = keeps
         every *= self.design.keep
-        return refit_folds(self.fit.tire, starts, sets, every, self.design)
+        return fits.refit_folds(self.tire, starts, sets, every, self.design)
 
     def amplitudes(self, atoms: Sequence[int] = (), sizes=()) -> np.ndarray:
         """Amplitudes of all atoms (K,) in their own units, from those of some atoms in
@@ -233,12 +202,12 @@ class Base:
     def forces_each(self, fits) -> np.ndarray:
         """Mean forces (h, C, n) of every used row of each of some (z, amplitudes), the
         channels in the order of their names."""
-        found = self.fit.tire.forces(fits, self.design)
+        found = self.tire.forces(fits, self.design)
         return np.array([mean[:, : self.rows.n] for mean, _ in found])
 
     def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
         """Mean force of every used row, by channel."""
-        return self.fit.tire.moments(z, self.design, self.rows.n, amplitudes)[0]
+        return self.tire.moments(z, self.design, self.rows.n, amplitudes)[0]
 
 
 def fit_base(
@@ -256,34 +225,36 @@ def fit_base(
     """
     simulator, stand_in = None, name or STAND_INS[0]
     if given is None:
-        fitted = first_fit(prepared, stand_in, prepared.data, effects, rig)
-        begun = begin(prepared, *fitted, rig, False)
+        fitted = fits.first_fit(prepared, stand_in, prepared.data, effects, rig)
+        begun = fits.begin(prepared, *fitted, rig, False)
     elif given.tire is None:
-        begun, stand_in = standing_in(prepared, name, effects, rig, given)
+        begun, stand_in = fits.standing_in(prepared, name, effects, rig, given)
     else:
-        begun = begin(prepared, *given.tire_for(prepared, effects), rig, True)
+        begun = fits.begin(prepared, *given.tire_for(prepared, effects), rig, True)
     tire, design, z, guess, missed = begun
     if given is not None:
-        check_followed(prepared, missed, stand_in)
+        fits.check_followed(prepared, missed, stand_in)
         doubt = check_signs(prepared, tire, z, given)
         simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
-        z = refit(tire, [(z, ())], [()], design).z[0]
-    fraction = _slip_fraction(prepared, tire, z, design)
-    fit = Fit(tire=tire, design=design, z=z, guess=guess, slip_fraction=fraction)
-    base = _under(_noise(prepared, fit, rig), prepared, fit, simulator)
+        z = fits.refit(tire, [(z, ())], [()], design).z[0]
+    fit = Fit(
+        rows=prepared, tire=tire, design=design, z=z, guess=guess, simulator=simulator,
+        slip_fraction=_slip_fraction(prepared, tire, z, design),
+    )  # fmt: skip
+    base = _under(_noise(fit, rig), fit)
     return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
 
 
 def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
-    """What the measured forces show of the noise of their slip by the model ``name``;
-    zero where it is known, where both slips drive, and where the force was derived from
-    the motion, whose errors are those of the slip too."""
+    """Noise of the slip estimated from the measured forces and the model ``name``. Zero
+    where it is known, where both slips drive, and where the force was derived from the
+    motion, which has the same errors as the slip."""
     known = prepared.slip_source != NOT_STATED or prepared.derived is not None
     if known or prepared.mode == "xy":
         return 0.0
-    tire, z, _ = first_fit(prepared, name, prepared.data, effects, rig)
+    tire, z, _ = fits.first_fit(prepared, name, prepared.data, effects, rig)
     noisy = replace(prepared, slip_std=np.full(prepared.n, _SMALL))
-    channel, design = prepared.channels[0], design_of(noisy, effects, rig)
+    channel, design = prepared.channels[0], fits.design_of(noisy, effects, rig)
     mean, spread = tire.moments(z, design, prepared.n)
     # Where the slip changes its sign the curve bends, and any shift of it is a gap.
     side, groups = prepared.slip > 0, neighbours(prepared)
@@ -294,32 +265,34 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     )  # fmt: skip
 
 
-def _under(noise, prepared: Prepared, fit: Fit, simulator) -> Base:
+def _under(noise: Mapping[str, NoiseLevel], fit: Fit) -> Base:
     """The base refitted under a noise."""
-    size, levels = len(fit.design.keep), noise.values()
+    size, n, levels = len(fit.design.keep), fit.rows.n, noise.values()
     wide = np.sqrt(max(level.inflation for level in levels))
     scale = {c: pad_rows(level.std * wide, size) for c, level in noise.items()}
-    keep = (np.arange(size) < prepared.n).astype(float)
-    keep[: prepared.n] = ~np.any([level.outlier for level in levels], axis=0)
+    keep = (np.arange(size) < n).astype(float)
+    keep[:n] = ~np.any([level.outlier for level in levels], axis=0)
     design = fit.design._replace(scale=scale, keep=keep)
-    alone = refit(fit.tire, [(fit.z, ())], [()], design)
-    fit = replace(fit, design=design, z=alone.z[0])
-    return Base(rows=prepared, fit=fit, alone=alone, noise=noise, simulator=simulator)
+    alone = fits.refit(fit.tire, [(fit.z, ())], [()], design)
+    return Base(
+        rows=fit.rows, tire=fit.tire, design=design, z=alone.z[0], guess=fit.guess,
+        slip_fraction=fit.slip_fraction, simulator=fit.simulator, alone=alone,
+        noise=noise,
+    )  # fmt: skip
 
 
 def with_noise_judged(base: Base, rig, z, amplitudes) -> Base:
-    """The base refitted under the noise that the remainder of a fit (z, amplitudes)
-    shows, rows far off set aside: only a fit without a gross gap can tell them."""
-    noise = _noise(base.rows, replace(base.fit, z=z), rig, amplitudes, outliers=True)
-    return _under(noise, base.rows, base.fit, base.simulator)
+    """The base refitted under the noise of the remainder of a fit (z, amplitudes).
+    Outliers are excluded: this needs a fit without a gross gap."""
+    return _under(_noise(replace(base, z=z), rig, amplitudes, outliers=True), base)
 
 
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:
-    """The same fit looked at on other rows: forces only, its noise does not carry."""
-    tire, prepared = base.fit.tire, on_scale_of(prepared, base.rows)
-    design = design_of(prepared, tire.effects, rig)
+    """The same fit on other rows, for its forces: the noise is that of its own rows."""
+    tire, prepared = base.tire, on_scale_of(prepared, base.rows)
+    design = fits.design_of(prepared, tire.effects, rig)
     if base.simulator is not None:
-        design, _ = with_offset(prepared, tire, design, base.simulator.z)
+        design, _ = fits.with_offset(prepared, tire, design, base.simulator.z)
     return base.on(with_force(prepared, tire, design, base.z), prepared)
 
 
@@ -333,21 +306,19 @@ def _slip_fraction(prepared: Prepared, tire: Tire, z, design):
     return side * size / (1.5 * float(mu) * prepared.inputs.fz / stiffness)
 
 
-def _noise(
-    prepared: Prepared, fit: Fit, rig, amplitudes=(), outliers: bool = False
-) -> dict[str, NoiseLevel]:
-    mean, spread = fit.tire.moments(fit.z, fit.design, prepared.n, amplitudes)
-    fz, most = prepared.inputs.fz, prepared.n // _ROWS_OF_A_FUNCTION
-    typical = fz / np.mean(fz)
-    basis = smooth_basis(prepared, fit.slip_fraction, typical, most, runs=True)
-    waves = wave_basis(prepared, fz / np.mean(fz))
-    groups, levels = neighbours(prepared), {}
-    for c in prepared.channels:
+def _noise(fit: Fit, rig, amplitudes=(), outliers=False) -> dict[str, NoiseLevel]:
+    """Noise of each channel, judged on the remainder of a fit."""
+    rows, fz = fit.rows, fit.rows.inputs.fz
+    mean, spread = fit.tire.moments(fit.z, fit.design, rows.n, amplitudes)
+    typical, most = fz / np.mean(fz), rows.n // 6
+    basis = smooth_basis(rows, fit.slip_fraction, typical, most, runs=True)
+    waves, groups, levels = wave_basis(rows, typical), neighbours(rows), {}
+    for c in rows.channels:
         given = rig.force_noise(c, fz)
-        if f"{c}_std" in prepared.data:
-            given = prepared.column(f"{c}_std")
+        if f"{c}_std" in rows.data:
+            given = rows.column(f"{c}_std")
         levels[c] = judge_noise(
-            prepared.observed[c] - mean[c], spread[c], fz, mean[c], given, basis, waves,
-            groups, prepared.time, prepared.run, outliers,
+            rows.observed[c] - mean[c], spread[c], fz, mean[c], given, basis, waves,
+            groups, rows.time, rows.run, outliers,
         )  # fmt: skip
     return levels

@@ -1,11 +1,11 @@
-"""What effects do to the state of every row: the part of a fit that knows of them.
+"""Changes of the state of every row by effects.
 
-The changes are traced once by JAX and evaluated by NumPy: to compile the fifty of the
-library takes XLA 15 s of processor time, more than a diagnosis runs.
+JAX traces each change once, NumPy evaluates it: XLA needs 15 s of processor time to
+compile the fifty effects of the library, more than a diagnosis runs.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -28,9 +28,9 @@ Slopes = dict[int, np.ndarray | float]
 
 
 class Changes(NamedTuple):
-    """What more of each atom does to a state: ``slopes`` by its amplitude; where those
-    vanish or mislead, the state (F, n) in ``ends`` that lies ``sizes`` prior scales
-    away, one or as far as is expected."""
+    """Changes of a state by each atom: ``slopes`` by its amplitude. For an atom whose
+    slope vanishes or misleads: the state (F, n) in ``ends``, ``sizes`` prior scales
+    away."""
 
     slopes: dict[int, Slopes]
     ends: dict[int, np.ndarray]
@@ -38,8 +38,8 @@ class Changes(NamedTuple):
 
 
 class _Change:
-    """The change of an effect, for rows of given shapes, by NumPy; ``touched`` are the
-    numbers of the fields of the state that it changes."""
+    """Change of an effect for rows of given shapes. ``touched`` are the numbers of the
+    fields of the state that it changes."""
 
     touched: tuple[int, ...] = ()
 
@@ -50,14 +50,13 @@ class _Change:
         self._functions: dict[tuple, Callable] = {}
 
     def _changed(self, amplitude, state, constants, rows) -> list:
+        before = State(*state)
         try:
-            before = State(*state)
             after = self._effect.change(before, amplitude, constants, rows)
-            pairs = enumerate(zip(after, before, strict=True))
             new = {
                 field: jnp.broadcast_to(jnp.asarray(value, float), state[0].shape)
-                for field, (value, old) in pairs
-                if value is not old
+                for field, value in enumerate(after)
+                if value is not before[field]
             }
         except Exception as error:  # whatever a user's function raises
             reason = f"effect {self._effect.id!r}: {type(error).__name__}: {error}"
@@ -88,8 +87,7 @@ class _Change:
         return self._functions[key](amplitude, state, constants, *more)
 
     def added(self, state, amplitude: float, constants, rows: Covariates):
-        """The state (F, n) with the change, and the slopes of that by its amplitude;
-        where it touches nothing, of a field by nothing."""
+        """The state (F, n) with the change, and its slopes by the amplitude."""
         given = amplitude, state, constants, rows
         values, slopes = self._evaluated(self._direct, *given)
         after = np.array(state)
@@ -142,8 +140,8 @@ class Library:
         return state, slopes
 
     def changes(self, present: Present, rows: Covariates, scale, center) -> Changes:
-        """What more of each atom does beside those that are present: of amplitudes
-        (K,) with these prior scales, and expected at the center, in such scales."""
+        """Changes by each atom beside those present. ``scale`` are the prior scales
+        (K,) of the amplitudes, ``center`` their expected values in those scales."""
         whole, amplitudes = self.state(present, rows), dict(present)
         found = Changes({}, {}, {})
         for number, atom in enumerate(self.atoms):
@@ -165,23 +163,14 @@ class Library:
 
 @lru_cache(maxsize=64)
 def library_of(effects: tuple[Effect, ...]) -> Library:
-    """The effects with what was traced of them so far."""
+    """The library of these effects, kept so that each is traced once."""
     return Library(effects)
 
 
-@cache
-def _null() -> np.ndarray:
-    return np.array([[float(value)] for value in null_state()])
-
-
+@lru_cache(maxsize=64)
 def _nothing(count: int) -> np.ndarray:
-    """The state (F, n) without any effect."""
-    return np.repeat(_null(), count, axis=1)
-
-
-def count_atoms(effects) -> int:
-    """Variants of all effects."""
-    return sum(len(effect.variants) for effect in effects)
+    """The state (F, n) without any effect; not to be written to."""
+    return np.repeat([[float(value)] for value in null_state()], count, axis=1)
 
 
 _ELEMENTWISE: dict[str, Callable] = {
@@ -200,16 +189,16 @@ _WITHIN = {"jit": "jaxpr", "custom_jvp_call": "call_jaxpr"}
 
 
 def _traced(function: Callable, *example: Any) -> tuple[Any, Any]:
-    """A function of arguments of the shapes of an example, as JAX saw it: the program,
-    and the structure of what it gives."""
+    """The program of a function for arguments like the example, and the structure of
+    its result."""
     program, shape = jax.make_jaxpr(function, return_shape=True)(*example)
     return program, jax.tree.structure(shape)
 
 
 def _by_numpy(traced: tuple, known: Mapping[int, np.ndarray]) -> Callable:
-    """The function, of arrays or tuples of such; what has one value for all rows may
-    come back as that. What follows from the leaves of the arguments that are ``known``,
-    by number, or is multiplied by zero, is not evaluated again."""
+    """A NumPy function of arrays, or tuples of arrays, from a traced program. Results
+    with one value for all rows may be scalars. ``known`` holds leaves of the arguments
+    by number: what follows from them is evaluated once."""
     closed, structure = traced
     count = len(closed.jaxpr.invars)
     steps = _Steps([known.get(k) for k in range(count)])
@@ -233,8 +222,7 @@ def _by_numpy(traced: tuple, known: Mapping[int, np.ndarray]) -> Callable:
 
 
 class _Steps:
-    """Operations one after the other, between places of a list of values; None stands
-    for what is not known yet."""
+    """Operations in sequence on a list of values; None is a value not known yet."""
 
     def __init__(self, values: list):
         self.values = values
@@ -245,7 +233,7 @@ class _Steps:
         return len(self.values) - 1
 
     def added(self, jaxpr, constants, places: list[int]) -> list[int]:
-        """The places of what a program gives, of those of what it takes."""
+        """Places of the results of a program, from the places of its arguments."""
         where = dict(zip(jaxpr.invars, places, strict=True))
         for variable, value in zip(jaxpr.constvars, constants, strict=True):
             where[variable] = self._place(np.array(value, variable.aval.dtype))
@@ -283,8 +271,8 @@ class _Steps:
 
 
 def _operation(equation) -> Callable:
-    """A function of arrays, each of the shape of its variable or one that broadcasts to
-    it, that gives a tuple of such; what NumPy has no short way for is left to JAX."""
+    """NumPy function of an equation: arrays that broadcast to the shapes of its
+    variables -> tuple of such arrays. JAX evaluates what NumPy has no short way for."""
     name, told = equation.primitive.name, equation.params
     shapes = [variable.aval.shape for variable in equation.invars]
     if name in _ELEMENTWISE:

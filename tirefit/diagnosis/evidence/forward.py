@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,36 +16,26 @@ from tirefit.diagnosis.effects.state import (
     force_of_state,
     peak_ratio,
 )
-from tirefit.diagnosis.evidence.changes import Library, count_atoms, library_of
+from tirefit.diagnosis.evidence.changes import Library, library_of
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.fitting.layout import Layout
 from tirefit.models import AbstractTire, Brush, Parabolic, TireInputs
 from tirefit.padding import pad_rows
 from tirefit.params import Values, with_values
 
-_AT_ZERO = 1e-6
-"""Slip [-] at which stiffness is taken: at zero itself some laws have half a slope."""
-
-_HALF_LENGTH = 0.1
-"""Half-length of the patch [m] of models that state none, as of a car's tire: it scales
-what a change of shape does to the aligning moment, and nothing else."""
-
-_LEAST_DIVISOR = 0.05
-"""x / (1 - w x) has a pole at slips of 1 / w; it grows no more than twentyfold."""
-
 _AT_ONCE, _MOST_ROWS = 16, 16384
 """Fits of one call of a program, and rows of all of them at once, at most."""
 
 
 class Design(NamedTuple):
-    """Everything a refit needs, as arrays, padded to few shapes.
+    """Data of a refit as arrays, padded to few shapes.
 
     ``slip`` and ``weight`` (n, q) are the nodes of the latent slip and their
-    probabilities; by channel, ``observed``, ``scale`` and what a simulator says beyond
-    its tire, ``offset``, are (n,); ``keep`` (n,) is 0 for padding and outliers.
-    ``hold`` is the stiffness that keeps a refit's z where it starts, 0 where it is
-    free. Of the amplitudes (K,), ``prior_scale`` is in their own units, and the
-    center, ``low`` and ``high`` are in prior scales; ``reference`` is load and speed.
+    probabilities. ``observed``, ``scale`` and ``offset`` (a simulator's force less its
+    tire's) are (n,) by channel; ``keep`` (n,) is 0 for padding and outliers. ``hold``
+    is the stiffness that pulls z to the start of a refit. For the amplitudes (K,),
+    ``prior_scale`` is in their own units, center, ``low`` and ``high`` are in prior
+    scales. ``reference`` is load and speed.
     """
 
     inputs: TireInputs
@@ -66,11 +56,11 @@ class Design(NamedTuple):
 
     @property
     def forces(self) -> np.ndarray:
-        """Observed forces (C, n), in the order of their names: that of programs."""
+        """Observed forces (C, n), in the order of their names."""
         return np.stack([self.observed[c] for c in sorted(self.observed)])
 
     def weights(self, keep=None) -> np.ndarray:
-        """What whitens each row (C, n), of other rows that count if given."""
+        """Reciprocal noise (C, n), zero where ``keep``, or another one given, is."""
         scales = np.stack([self.scale[c] for c in sorted(self.observed)])
         return np.asarray(self.keep if keep is None else keep, float) / scales
 
@@ -84,19 +74,6 @@ class Linear(NamedTuple):
     jacobian: np.ndarray
     columns: np.ndarray
     fields: np.ndarray
-
-
-@runtime_checkable
-class ForwardModel(Protocol):
-    """What predicts the forces of rows from parameters z and amplitudes of atoms: all
-    that the search, refits and leaving out need of a tire, or of a vehicle."""
-
-    def forces(self, fits, design: Design) -> Iterator:
-        """See :meth:`Tire.forces`, as of the others."""
-
-    def linearised(self, z, amplitudes, design: Design, n: int) -> Linear: ...
-
-    def slopes(self, points, sets, design: Design) -> Iterator: ...
 
 
 class _Where(NamedTuple):
@@ -125,10 +102,12 @@ def _reference(tire, where: _Where, mode: str):
         def force(slip):
             return getattr(tire(sample._replace(**{driven: slip})), name)
 
-        return jax.jvp(force, (_AT_ZERO,), (1.0,))[1]
+        # Not at zero itself, where some laws have half a slope.
+        return jax.jvp(force, (1e-6,), (1.0,))[1]
 
     stiffness = jax.vmap(slope)(where.inputs) / 2
-    arm = getattr(tire, "half_length", _HALF_LENGTH)
+    # A car's for models that state none: it scales the aligning moment alone.
+    arm = getattr(tire, "half_length", 0.1)
     return stiffness, peak_ratio(tire, *where.reference), arm
 
 
@@ -141,7 +120,8 @@ def _mean_and_spread(model, layout, mode: str, where: _Where) -> Callable:
 
         def at(slip):
             moved = slip + state.shift
-            moved = moved / jnp.maximum(1 - state.curvature * moved, _LEAST_DIVISOR)
+            # x / (1 - w x) has a pole at 1 / w: it grows twentyfold at most.
+            moved = moved / jnp.maximum(1 - state.curvature * moved, 0.05)
             pair = (state.other, moved) if mode == "y" else (moved, state.other)
             if mode == "xy":
                 pair = (moved, second * (1 + moved))
@@ -159,18 +139,16 @@ def _mean_and_spread(model, layout, mode: str, where: _Where) -> Callable:
 
 
 def _carrier(model, layout, mode: str, z, where: _Where):
-    """What carries changes of shape: see :func:`_reference`, each (n,); None where the
-    base is the plain brush."""
-    if type(model) is Brush and type(model.pressure) is Parabolic:
-        if not model.friction.laws:
-            return None
+    """:func:`_reference` for changes of shape, each (n,); None for the plain brush."""
+    brush = type(model) is Brush and type(model.pressure) is Parabolic
+    if brush and not model.friction.laws:
+        return None
     found = _reference(with_values(model, layout.natural(z)), where, mode)
     return tuple(jnp.broadcast_to(value, where.second.shape) for value in found)
 
 
 def _each(count, one: Callable, z, states):
-    """``one`` of the first ``count`` of some fits, one after the other; nothing of the
-    rest."""
+    """``one`` of the first ``count`` fits, one after the other; zero for the rest."""
     shapes = jax.eval_shape(one, z[0], states[0])
     blank = jax.tree.map(lambda a: jnp.zeros((len(z), *a.shape), a.dtype), shapes)
 
@@ -233,8 +211,8 @@ def _brush_of(model, layout, mode: str, z, where: _Where):
 
 @dataclass(frozen=True)
 class Tire:
-    """A base model with all effects, looked at on any design: a :class:`ForwardModel`.
-    ``mode`` says which slip drives (x, y or xy), ``layout`` where z has what."""
+    """A base model with all effects. ``mode`` says which slip drives (x, y or xy),
+    ``layout`` holds the places of the parameters in z."""
 
     model: AbstractTire
     layout: Layout
@@ -246,8 +224,8 @@ class Tire:
         return library_of(self.effects)
 
     def _run(self, program, points, states, design: Design) -> Iterator:
-        """What a program gives for z (h, p) and the states (F, n) of fits, one by one;
-        the next states are made while JAX works on the last."""
+        """Results of a program for z (h, p) and the states (F, n) of fits, one by one;
+        the next states are computed while JAX works on the last."""
         size, where, waiting = len(design.keep), _Where.of(design), None
         room = int(np.clip(_MOST_ROWS // size, 1, _AT_ONCE))
         for first in range(0, len(points), room):
@@ -273,7 +251,7 @@ class Tire:
         return self._run(_forces_of, points, some, design)
 
     def moments(self, z, design: Design, n: int, amplitudes=()):
-        """Those of one fit, of the first n rows, by channel."""
+        """Mean and variance for one fit, of the first n rows, by channel."""
         both, names = self.forces([(z, amplitudes)], design), sorted(design.observed)
         return tuple(
             {c: x[:n] for c, x in zip(names, part, strict=True)} for part in next(both)
@@ -292,7 +270,7 @@ class Tire:
         changes = self.library.changes(present, rows, scale, center)
         mean, by_z, fields = next(self._run(_slopes_of, points, iter([state]), design))
         weight, observed = design.weights(), design.forces
-        columns = np.zeros((count_atoms(self.effects), *mean.shape))
+        columns = np.zeros((len(scale), *mean.shape))
         for atom, slopes in changes.slopes.items():
             columns[atom] = _along(fields, slopes, float(scale[atom]))
         points = np.repeat(points, len(changes.ends), axis=0)
@@ -309,9 +287,9 @@ class Tire:
         return Linear(*map(flat, (observed - mean, by_z, columns, fields)))
 
     def slopes(self, points, sets, design: Design) -> Iterator:
-        """Of each hypothesis, a set of atoms at a point (z, amplitudes, ...), the mean
-        forces (C, n), and their slopes by z and amplitudes, in prior scales
-        (p + k, C, n)."""
+        """Mean forces (C, n) of each hypothesis, a set of atoms at a point (z,
+        amplitudes, ...), and slopes (p + k, C, n) by z and amplitudes in prior
+        scales."""
         p, scale, by_amplitude = self.layout.size, design.prior_scale, []
 
         def states():
@@ -333,12 +311,12 @@ class Tire:
 
 
 def _present(amplitudes) -> list[tuple[int, float]]:
-    """The atoms that amplitudes of all (K,), in their own units, have."""
+    """Atoms with an amplitude, from amplitudes of all (K,) in their own units."""
     return [(int(k), float(amplitudes[k])) for k in np.flatnonzero(amplitudes)]
 
 
 def _one_by_one(found, count: int) -> Iterator:
-    """Of each of the first ``count`` fits, what a program gave."""
+    """Results of a program for each of the first ``count`` fits."""
     parts = [np.asarray(part) for part in found]
     yield from (tuple(part[k] for part in parts) for k in range(count))
 

@@ -1,5 +1,5 @@
-"""The posterior over sets of effects: each refitted, linearised around its fit, and
-weighed alone and beside a discrepancy, which is whatever no listed effect explains."""
+"""The posterior over sets of effects. Each set is refitted, linearised around its fit,
+and weighed alone and beside a discrepancy, which no listed effect explains."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,23 +21,22 @@ from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.diagnosis.rows.basis import gain, gains, of_any_kind, orthogonal
 
 _PRIOR_OF_FORM = 0.4
-"""That a listed effect is there in another form than the formulas'."""
+"""Probability that a listed effect has another form than its formula."""
 
 _SHOWS = 3.0
-"""Log evidence over no effect from which a set of effects shows at all: 20 to 1."""
+"""Log evidence over no effect from which the data show a set of effects: 20 to 1."""
 
 _FREED, _SINGLES = 6, 8
-"""Sets, and sets of one effect, the most probable of each, that are weighed with other
-forms and with a discrepancy too."""
+"""Numbers of the most probable sets, and sets of one effect, that are weighed with
+other forms and with a discrepancy too."""
 
 Key = tuple[str, ...]
 """A set of effects: their ids in order; () is no effect."""
 
 
 class LinearFit(NamedTuple):
-    """A refitted hypothesis: residual (m,), the columns that it used up (m, p), those
-    of the other forms of its effects (m, k), and what is measured beside the slip knows
-    of its noise (m, j)."""
+    """A refitted hypothesis: residual (m,), its columns (m, p), those of other forms of
+    its effects (m, k), and those of the slip noise by other measurements (m, j)."""
 
     residual: np.ndarray
     used_up: np.ndarray
@@ -46,11 +45,11 @@ class LinearFit(NamedTuple):
 
     @property
     def explained(self) -> np.ndarray:
-        """Columns (m, p + j) of all that needs no further explanation."""
+        """Columns (m, p + j) that a remainder is orthogonal to."""
         return np.concatenate([self.used_up, self.proxies], axis=1)
 
     def in_other_form(self) -> "LinearFit":
-        """The same where the effects are there in another form: that is used up too."""
+        """The same with the columns of the other forms used up too."""
         whole = np.concatenate([self.used_up, self.forms], axis=1)
         return self._replace(used_up=whole)
 
@@ -67,9 +66,9 @@ def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
 
 
 def due_to_doubt(base, hypothesis: Hypothesis, linear: LinearFit) -> float:
-    """What the doubt of the slips, of which a refit knew nothing, changes in the log
-    evidence of a set around its own fit. It is not fitted again: sets that miss much
-    end at one optimum or another then, and their evidence changes by tens of units."""
+    """Change of the log evidence of a set by the shared slip uncertainty, at its fit. A
+    refit ignores it and is not repeated: sets that miss much would end elsewhere, and
+    their evidence would change by tens of units."""
     center = np.asarray(base.design.prior_center)[list(hypothesis.atoms)]
     off = hypothesis.amplitude - center
     p = linear.used_up.shape[1] - len(off)
@@ -85,25 +84,21 @@ def due_to_doubt(base, hypothesis: Hypothesis, linear: LinearFit) -> float:
 
 def gains_beside(base, linear: LinearFit, in_other_form: bool) -> dict[str, float]:
     """Log evidence of each kind of remainder beside a set of effects, in the formulas'
-    form or in another, which is no larger than such forms are. The doubt of the slips
-    adds nothing: what is seen only where they are doubted is not seen in the data."""
+    form or in another. The slip uncertainty can only reduce it."""
 
-    explained, residual = linear.explained, linear.residual
+    def found(expected):
+        return gains(base.generic, linear.explained, linear.residual, expected)
 
-    def found(*expected):
-        columns = np.concatenate([explained[:, :0], *expected], axis=1)
-        return gains(base.generic, explained, residual, columns)
-
-    forms = [linear.forms] if in_other_form else []
-    sure = found(*forms)
+    forms = linear.forms if in_other_form else linear.forms[:, :0]
+    sure = found(forms)
     if not base.doubt.shape[1] or max(sure.values()) <= 0:
         return sure
-    doubting = found(*forms, base.doubt)
+    doubting = found(np.concatenate([forms, base.doubt], axis=1))
     return {kind: min(value, doubting[kind]) for kind, value in sure.items()}
 
 
 def fitted_form(linear: LinearFit) -> np.ndarray:
-    """What the other forms add to the fit, whitened: (m,)."""
+    """Forces that the other forms add to the fit, whitened: (m,)."""
     left, size = orthogonal(linear.forms, linear.used_up)
     t = size**2
     return left @ (left.T @ linear.residual * t / (1 + t))
@@ -111,12 +106,11 @@ def fitted_form(linear: LinearFit) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Weighed:
-    """Every refitted set of effects, with its best fit, its log evidence over no effect
-    plus log prior, that with a discrepancy beside it (of the leading sets), the log
-    evidence alone, in whatever form, and that of each kind of discrepancy beside it.
-    ``other_form`` are the sets whose effects have a form of their own; ``hidden`` is
-    the probability of sets too improbable to be refitted, which these data could not
-    show either."""
+    """Every refitted set of effects: its best fit; log evidence over no effect plus log
+    prior; the same with a discrepancy (leading sets only); log evidence in any form;
+    and that of each kind of discrepancy. ``other_form`` are the sets whose effects have
+    another form; ``hidden`` is the probability of sets that are too improbable to be
+    refitted and that these data could not show."""
 
     best_of: Mapping[Key, Hypothesis]
     log_weight: Mapping[Key, float]
@@ -129,14 +123,13 @@ class Weighed:
 
     @property
     def best(self) -> Key:
-        """The most probable set of effects, if all that is there is listed; () where
-        none was fitted."""
+        """The most probable set of effects without discrepancy; () without a fit."""
         log = self.log_weight
         return max((k for k in log if k), key=lambda k: log[k], default=())
 
     @cached_property
     def sets(self) -> dict[Key, float]:
-        """Probability of every set, and of nothing else."""
+        """Probability of every set, without a discrepancy."""
         return self._probabilities(self.log_weight)
 
     @cached_property
@@ -154,13 +147,13 @@ class Weighed:
 
     @cached_property
     def listed(self) -> dict[Key, float]:
-        """Probability of every set, if all that is there is listed."""
+        """Probability of every set, given that there is no discrepancy."""
         log = self.log_weight
         return dict(zip(log, softmax([*log.values()]).tolist(), strict=True))
 
     def holding(self, effects) -> float:
-        """Probability of the sets that hold these effects, if something is there and
-        all of it is listed."""
+        """Probability of the sets that hold these effects, given an effect and no
+        discrepancy."""
         return _holding({k: p for k, p in self.listed.items() if k}, effects)
 
     def holding_beside(self, effects) -> float:
@@ -173,7 +166,7 @@ class Weighed:
 
     @property
     def nothing_shown(self) -> float:
-        """Probability that nothing is there which these data could show."""
+        """Probability of the sets that these data could not show."""
         weak = (p for k, p in self.sets.items() if self.evidence[k] < _SHOWS)
         return min(self.hidden + sum(weak), 1.0)
 
@@ -187,7 +180,7 @@ def weigh(search: Search) -> Weighed:
     """Posterior probabilities of all sets, with and without an unknown remainder."""
     base, best = search.base, dict[Key, Hypothesis]()
     logs: dict[Key, list[float]] = {}
-    # An estimate is no fit of its set: its remainder is that of a smaller one.
+    # The remainder of a linear estimate is that of a smaller set.
     for hypothesis in (h for h in search.hypotheses if h.refitted):
         key = tuple(sorted(hypothesis.effects))
         logs.setdefault(key, []).append(hypothesis.log_weight)
@@ -203,9 +196,12 @@ def weigh(search: Search) -> Weighed:
         linear = linear_at(base, best[key])
         if linear.forms.shape[1] and len(key) < MOST_EFFECTS:
             formula = float(np.log(1 - _PRIOR_OF_FORM))
-            # Around nothing, doubt explains what a form is there for.
+            sure = [base.sure(part) for part in linear]
+            left, size = orthogonal(sure[2], sure[1])
+            # Without effects, the slip uncertainty explains what a form is for.
             due = min(due_to_doubt(base, best[key], linear) - of_nothing, 0.0)
-            form = _gain_of_form(base, linear) + due - best[key].due_to_doubt
+            form = gain(left.T @ sure[0], size) + float(np.log(_PRIOR_OF_FORM))
+            form += due - best[key].due_to_doubt
             total[key] += float(np.logaddexp(formula, form))
             evidence[key] += float(np.logaddexp(formula, form))
             if form > formula:
@@ -224,10 +220,3 @@ def weigh(search: Search) -> Weighed:
         other_form=frozenset(others), gains=remainder, log_total=everything,
         hidden=float(np.sum(np.exp(np.array(hidden) - everything))),
     )  # fmt: skip
-
-
-def _gain_of_form(base, linear: LinearFit) -> float:
-    """Log evidence of the other forms over the formulas, with their prior."""
-    left, size = orthogonal(base.sure(linear.forms), base.sure(linear.used_up))
-    there = gain(left.T @ base.sure(linear.residual), size)
-    return there + float(np.log(_PRIOR_OF_FORM))

@@ -1,7 +1,7 @@
-"""Which effects: screened in closed form, refitted one by one, weighed by evidence."""
+"""Search for sets of effects: a screen in closed form, then refits."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.refits import one_of
+from tirefit.diagnosis.evidence.fits import one_of
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.basis import without
 
@@ -23,37 +23,34 @@ PRIOR_OF_UNKNOWN = 0.1
 """That something is there that no listed effect explains, beside any set."""
 
 _WITHIN = 15.0
-"""Log evidence below the best by the linear screen within which every single effect is
-refitted: that screen may be wrong by some of it on a large gap."""
+"""Every single effect is refitted whose log evidence by the linear screen, which errs
+on a large gap, is at most this far below the best; twice as far below, no set is
+extended."""
 
 _SOME, _BEYOND_TWO = 6, (2, 4)
-"""Single effects, pairs of the linear screen and effects beside the best sets of one
-that are refitted at least; sets of two that are extended, and effects beside each. What
-is less likely rarely wins."""
+"""Smallest number of single effects, of pairs of the linear screen, and of effects
+beside the best sets of one that are refitted; number of sets of two that are extended,
+and of effects beside each."""
 
-_HOPELESS, _WORTH_A_REFIT = 30.0, 4.0
-"""Log weights below the best at which a set is not extended any more, and, by the
-linear step, at which it is not refitted: it has less than a fiftieth of the best."""
+_WORTH_A_REFIT = 4.0
+"""Log weight below the best at which, by the linear step, a set is not refitted: less
+than a fiftieth."""
 
 _FAR, _SMALL, _TINY = 4.0, 0.3, 0.1
-"""Amplitudes in prior scales where refits start: farthest, second start and nearest to
-zero of an effect of one sign."""
-
-_DIGITS = 6
-"""Decimals of the log evidence of the linear screen: finer differences are rounding."""
+"""Start of a refit, in prior scales: largest amplitude, second start, and smallest of
+an effect of one sign."""
 
 _LIKELY = 3
-"""Variants of one effect that are refitted, and sets of one effect that are extended:
-those that are likeliest."""
+"""Number of variants of an effect that are refitted, and of single effects that are
+extended."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set of atoms, refitted: ``log_evidence`` is relative to the base model alone;
-    ``amplitude`` in prior scales, ``covariance`` that of (z, amplitude).
-    ``due_to_doubt`` is what of the evidence the doubt of the slips made, to first order
-    around the base fit. ``refitted`` is False where the linear step showed that it is
-    not worth it."""
+    """A set of atoms. ``log_evidence`` is relative to the base model, ``amplitude`` in
+    prior scales, ``covariance`` that of (z, amplitude). ``due_to_doubt`` is the change
+    of the evidence by the slip uncertainty, to first order. ``refitted`` is False for a
+    linear estimate, of a set too improbable to refit."""
 
     atoms: tuple[int, ...]
     effects: tuple[str, ...]
@@ -76,28 +73,6 @@ def amplitudes_of(base: Base, hypothesis: Hypothesis) -> np.ndarray:
     return base.amplitudes(hypothesis.atoms, hypothesis.amplitude)
 
 
-@dataclass
-class Search:
-    """Everything the search has found out about one file: ``tried`` is every set of
-    atoms with its fit, ``refit`` adds sets to it, from (z, amplitude) by set."""
-
-    base: Base
-    testable: tuple[int, ...]
-    score: dict[str, float]
-    tried: Mapping[tuple[int, ...], Hypothesis]
-    projected: np.ndarray
-    refit: Callable[[Sequence[tuple[int, ...]], dict], None]
-
-    @property
-    def hypotheses(self) -> list[Hypothesis]:
-        return list(self.tried.values())
-
-    @property
-    def best(self) -> Hypothesis:
-        fitted = [h for h in self.hypotheses if h.refitted]
-        return max(fitted, key=lambda h: h.log_weight)
-
-
 def _log_bayes(gram, score, center, sign, sets) -> np.ndarray:
     """Log Bayes factors (s,) of Gaussian amplitudes, prior scale 1, on the columns of
     each of the sets (s, k), all of one size."""
@@ -116,8 +91,8 @@ def _log_bayes(gram, score, center, sign, sets) -> np.ndarray:
     return value + np.sum(np.where(sign[sets] != 0, one_sided, 0.0), axis=1)
 
 
-class _Searcher:
-    """One search: it remembers what was refitted."""
+class Search:
+    """The search on one file. ``tried`` holds the fit of every set of atoms so far."""
 
     def __init__(self, base: Base, testable: Sequence[int]):
         self.base, self.testable = base, tuple(testable)
@@ -139,6 +114,32 @@ class _Searcher:
                 self.null.covariance[: len(z), : len(z)], float(self.null.chi2),
             )
         }  # fmt: skip
+        self.gram, self.scores, self.projected = self.columns(self.tried[()])
+
+    @property
+    def hypotheses(self) -> list[Hypothesis]:
+        return list(self.tried.values())
+
+    @property
+    def fitted(self) -> list[Hypothesis]:
+        """Hypotheses that were refitted, the most probable first."""
+        fitted = [h for h in self.tried.values() if h.refitted]
+        return sorted(fitted, key=lambda h: -h.log_weight)
+
+    @property
+    def best(self) -> Hypothesis:
+        return self.fitted[0]
+
+    @property
+    def score(self) -> dict[str, float]:
+        """Score of each effect at the base fit in standard errors: of its variants, the
+        one of largest size."""
+        largest: dict[str, float] = {}
+        for k in self.testable:
+            if self.gram[k, k] > UNSEEN:
+                z = float(self.scores[k] / np.sqrt(self.gram[k, k]))
+                largest[self.ids[k]] = max(largest.get(self.ids[k], 0.0), z, key=abs)
+        return largest
 
     def log_prior(self, atoms: tuple[int, ...]) -> float:
         """Split evenly over families, then forms, then variants."""
@@ -160,21 +161,20 @@ class _Searcher:
         return left.T @ left, left.T @ without(residual, used_up), left
 
     @cached_property
-    def _with_doubt_and_without(self) -> tuple[tuple, tuple]:
-        """(gram, score) around the base fit, twice."""
+    def _without_doubt(self) -> tuple:
+        """(gram, score) around the base fit without the slip uncertainty."""
         residual, jacobian, columns, _ = self.base.at_null
-        sure = self._projected(columns, jacobian, residual)
-        return self.columns(self.tried[()])[:2], sure[:2]
+        return self._projected(columns, jacobian, residual)[:2]
 
     def _due_to_doubt(self, atoms) -> float:
-        """What the doubt of the slips takes from the log evidence of a set, to first
-        order; refits know of each slip's own noise only. It adds nothing: what an
-        effect explains only where the slips are doubted is not seen in the data (of
-        pulses with noisy slips, a lag of 1.4 standard errors became likelier by a
-        factor of a million)."""
+        """Log evidence that a set loses by the slip uncertainty, to first order; refits
+        take each slip's own noise into account only. A gain does not count: the data do
+        not show what an effect explains only where the slips are uncertain (of pulses
+        with noisy slips, a lag of 1.4 standard errors became likelier by a factor of a
+        million)."""
         doubting, sure = (
             _log_bayes(gram, score, self.center, self.sign, [atoms])[0]
-            for gram, score in self._with_doubt_and_without
+            for gram, score in ((self.gram, self.scores), self._without_doubt)
         )
         return float(min(doubting - sure, 0.0))
 
@@ -183,8 +183,8 @@ class _Searcher:
         if not sets:
             return []
         values = _log_bayes(gram, score, self.center, self.sign, sets)
-        # Variants that are the same on a file differ by their last digits alone.
-        return np.round(values, _DIGITS).tolist()
+        # Identical variants differ in their last digits; evidence counts in units.
+        return np.round(values, 6).tolist()
 
     def refit(self, sets: Sequence[tuple[int, ...]], guesses: dict) -> None:
         """Refit sets of atoms, two starts each where the sign is open."""
@@ -280,7 +280,7 @@ class _Searcher:
         guesses: dict[tuple[int, ...], tuple] = {}
         top = max(h.log_weight for h in self.tried.values())
         for hypothesis in sets:
-            if hypothesis.log_weight < top - _HOPELESS and hypothesis is not sets[0]:
+            if hypothesis.log_weight < top - 2 * _WITHIN and hypothesis is not sets[0]:
                 continue
             gram, score, _ = self.columns(hypothesis)
             ranked = self.best_variants(gram, score, hypothesis.atoms)
@@ -295,31 +295,22 @@ class _Searcher:
 
 
 def search(base: Base, testable: Sequence[int]) -> Search:
-    """Screen and refit singles, then what each of the best still lacks."""
-    searcher = _Searcher(base, testable)
-    null = searcher.tried[()]
-    gram, score, left = searcher.columns(null)
-    ranked = searcher.best_variants(gram, score)
+    """Screen and refit single effects, then add effects to the best sets."""
+    searched = Search(base, testable)
+    null, gram, score = searched.tried[()], searched.gram, searched.scores
+    ranked = searched.best_variants(gram, score)
     guesses: dict[tuple[int, ...], tuple] = {}
     for rank, variants in enumerate(ranked):
         top, first = variants[0]
         near = rank < _SOME or top > ranked[0][0][0] - _WITHIN
-        if near or searcher.effects[first].far:
-            more = [searcher.guess(gram, score, null, k) for _, k in variants[:_LIKELY]]
+        if near or searched.effects[first].far:
+            more = [searched.guess(gram, score, null, k) for _, k in variants[:_LIKELY]]
             guesses |= dict(more)
-    searcher.refit(list(guesses), guesses)
-    searcher.extend(1, _LIKELY, _SOME)
+    searched.refit(list(guesses), guesses)
+    searched.extend(1, _LIKELY, _SOME)
     # Pairs that only show together.
     pairs = list(combinations(sorted(variants[0][1] for variants in ranked), 2))
-    values = zip(searcher.screened(gram, score, pairs), pairs, strict=True)
-    searcher.refit([pair for _, pair in sorted(values, reverse=True)[:_SOME]], {})
-    searcher.extend(2, *_BEYOND_TWO)
-    # z of each effect at the base fit: the largest of its variants.
-    largest: dict[str, float] = {}
-    for k in searcher.testable:
-        if gram[k, k] > UNSEEN:
-            z, effect = float(score[k] / np.sqrt(gram[k, k])), searcher.ids[k]
-            if abs(z) > abs(largest.get(effect, 0.0)):
-                largest[effect] = z
-    tried, refit = searcher.tried, searcher.refit
-    return Search(base, searcher.testable, largest, tried, left, refit)
+    values = zip(searched.screened(gram, score, pairs), pairs, strict=True)
+    searched.refit([pair for _, pair in sorted(values, reverse=True)[:_SOME]], {})
+    searched.extend(2, *_BEYOND_TWO)
+    return searched

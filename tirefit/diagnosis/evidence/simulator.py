@@ -1,6 +1,5 @@
-"""Somebody's simulator as it is: its forces beside the measured ones, and a test of its
-signs. A hypothesis predicts its force + tire(changed) - tire(as simulated): whatever it
-has that the tire lacks stays in."""
+"""A given simulator: its forces beside the measured ones, and a check of its signs. A
+hypothesis predicts its force + tire(changed) - tire(as simulated)."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
@@ -37,39 +36,33 @@ from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.slip import CONVENTIONS
 
 STAND_INS = ("brush", "mf61")
-"""Models that may stand in for a simulator whose forces alone are known, where none is
-asked for: the plain one, and one that follows any load, camber and curve."""
+"""Default models to stand in for a simulator of which the forces alone are known."""
 
 _SCALING = {
-    "x": {"LMUX": "friction (longitudinal)", "LKX": "slip stiffness"},
-    "y": {"LMUY": "friction (lateral)", "LKY": "cornering stiffness"},
+    "x": (("LMUX", "friction (longitudinal)"), ("LKX", "slip stiffness")),
+    "y": (("LMUY", "friction (lateral)"), ("LKY", "cornering stiffness")),
 }
 """Scaling factors of a Magic Formula tire that are adapted, by slip."""
 
 _FACTOR = 50.0
 """Largest scaling factor that is adapted; the smallest is its reciprocal."""
 
-_ADAPTED, _STEP = 0.3, 1e-4
-"""Relative change of the parameters that is fitted whatever the signs: a misfit that it
-explains does not come from signs. And the step in z of its finite differences."""
-
 _FELT, _CLEAR, _NEAR, _ALIKE = 0.1, 0.5, 0.2, 1.02
-"""Of other signs: smallest effect on a channel, as a share of its squared misfit, for
-the channel to count; largest share of that misfit that may remain; largest deviation
-from 1 of the factor at which the change fits best, as an offset of the slip has the
-same shape at any factor; and ratio of squared misfits below which two are alike."""
+"""Other signs are reported where, for each channel whose force they change by the first
+share of its squared misfit or more, the second share of it or less remains, and the
+change fits best at a factor within the third of 1 (an offset of the slip has the same
+shape at any factor). The last is the ratio of squared misfits of two equal fits."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Given:
-    """A simulator that was given.
+    """A given simulator.
 
     ``kind`` is columns, model, fit or tir; ``source`` its name or file, ``sha256`` of
     the file. ``tire`` is None where only its forces are known; ``layout`` and ``z`` are
-    those of a fit. ``forces`` gives canonical forces (n,) of the rows of data, None
-    for columns of the data; ``remarks`` sentences on file and data. ``otherwise`` is
-    the convention assumed for data that declare none, and its origin; ``signs`` that of
-    a ``.tir`` file or of columns, where declared.
+    those of a fit. ``forces`` gives canonical forces (n,) for data, None for columns of
+    the data; ``remarks`` gives sentences. ``otherwise`` is the convention assumed for
+    data that declare none, and its origin; ``signs`` the declared convention.
     """
 
     kind: str
@@ -84,22 +77,17 @@ class Given:
     remarks: Callable[[TireData], list[str]] | None = None
 
     def channels(self, data: TireData, modelled: Sequence[str]) -> tuple[str, ...]:
-        """Forces that it gives beside ``data`` of :meth:`beside`: of those ``modelled``
-        by its tire, if it has one."""
+        """Its forces in ``data`` of :meth:`beside`, among those ``modelled``."""
         own = modelled if self.tire is None else forces_modelled(self.tire)
         return tuple(c for c in own if f"{c}_sim" in data)
 
     def beside(self, data: TireData, other: bool = False) -> TireData:
-        """The data with the simulator's forces as their columns ``fx_sim``, ...; rows
-        that it says nothing of are masked.
+        """The data with the simulator's forces as columns ``fx_sim``, ...; rows without
+        them are masked. Raises DataError for none beside a measured force, or zeros.
 
         Args:
-            other: whether these are not the data that it was given for: arrays then
-                say nothing, and the data's own columns are taken.
-
-        Raises:
-            DataError: no simulated force beside a measured one, or none but zeros; the
-                data lack an input of the simulator.
+            other: whether these are not the data that it was given for: arrays are
+                ignored then, and the data's own columns are taken.
         """
         columns = {k: v for k, v in data.columns.items() if k not in SIMULATED}
         found = self._forces(data, other)
@@ -142,43 +130,39 @@ class Given:
         return {k: v for k, v in found.items() if k not in silent}
 
     def tire_for(self, prepared: Prepared, effects) -> tuple[Tire, np.ndarray, Any]:
-        """Its tire, whose layout says which parameters may be adapted; their values as
-        z, and again as the first guess of them."""
+        """Its tire with a layout of the parameters that may be adapted; their values as
+        z, and again as the first guess."""
         tire, layout, z = self.tire, self.layout, self.z
         assert tire is not None, "only its forces are known: no tire to adapt"
         if layout is None:
             values = parameter_values(tire)
             if "LMUX" in values:
-                layout = _scaling_layout(tire, prepared.mode)
+                known, free = specs(tire), []
+                limits: dict[str, Any] = {"lower": 1 / _FACTOR, "upper": _FACTOR}
+                factors = [one for mode in prepared.mode for one in _SCALING[mode]]
+                for name, text in factors:
+                    spec = known[name]._replace(meaning=text, scale="log", **limits)
+                    free.append(FreeParameter(name, spec))
+                layout = Layout(tuple(free))
             else:
                 held = {name: {"value": float(value)} for name, value in values.items()}
                 config = parse_config({"parameters": held})
                 own = choose_layout(tire, config, ("run",), prepared.channels)
                 tire, layout = own[:2]
             z = layout.unconstrained(values)
-        z, given = np.asarray(z), (tire, layout, tuple(effects), prepared.mode)
-        return Tire(*given), z, z
+        z = np.asarray(z)
+        return Tire(tire, layout, tuple(effects), prepared.mode), z, z
 
 
 @dataclass(frozen=True, kw_only=True)
 class Simulated:
-    """A simulator in a diagnosis: parameters z of its tire as given, the name of the
-    model that replaces a missing tire, and a remark on its signs."""
+    """A simulator in a diagnosis: parameters z of its tire, the name of the model that
+    stands in for a missing one, and a remark on its signs."""
 
     given: Given
     z: np.ndarray
     stand_in: str = ""
     doubt: str = ""
-
-
-def _scaling_layout(tire: AbstractTire, mode: str) -> Layout:
-    """The scaling factors of friction and stiffness as parameters."""
-    known, parameters = specs(tire), []
-    bounds: dict[str, Any] = {"lower": 1 / _FACTOR, "upper": _FACTOR, "scale": "log"}
-    for name, said in (pair for slip in mode for pair in _SCALING[slip].items()):
-        spec = known[name]._replace(meaning=said, **bounds)
-        parameters.append(FreeParameter(name, spec))
-    return Layout(tuple(parameters))
 
 
 def refused(data: TireData, reason: str, remedy: str, column=None) -> DataError:
@@ -188,8 +172,7 @@ def refused(data: TireData, reason: str, remedy: str, column=None) -> DataError:
 
 
 def _check_size(force, data: TireData, name: str, rows) -> None:
-    """Raises DataError where a simulated force (n,) is not of the measured one's size:
-    no parameter that is adapted bridges that."""
+    """Raises DataError for a simulated force (n,) far from the size of the measured."""
     measured = data[name.removesuffix("_sim")]
     rows = rows & np.isfinite(measured)
     if not rows.any():
@@ -203,12 +186,8 @@ def _check_size(force, data: TireData, name: str, rows) -> None:
 
 
 def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given:
-    """The simulator that ``sim`` of :func:`tirefit.diagnose` means, or what
-    :func:`simulator_at` gave; ``signs`` is the convention of columns ``fx_sim``, ...
-
-    Raises:
-        UsageError: none of these, or arrays of another length.
-    """
+    """The simulator of an argument ``sim`` of :func:`tirefit.diagnose`; ``signs`` is
+    that of columns ``fx_sim``, ... Raises UsageError."""
     if isinstance(sim, Given):
         return sim
     if sim is True:
@@ -285,17 +264,13 @@ def _predicted(model, data: TireData) -> dict[str, np.ndarray]:
 def simulator_at(
     text: str, values: Mapping[str, float] | None = None, **of_tir: str | None
 ) -> Given:
-    """The simulator that a name or a file means.
+    """The simulator of a name or a file. Raises UsageError, or DataError for the file.
 
     Args:
         text: a ``fit.json``, a ``.tir`` file, or the name of a model.
         values: parameter values of a named model or of a ``.tir`` file.
-        of_tir: ``side``, ``signs`` and ``combination`` of the tire of a ``.tir`` file,
-            see :func:`tirefit.fitting.tir.tire_of`.
-
-    Raises:
-        UsageError: no such model, parameter or convention, or values for a fit.
-        DataError: the file cannot be read.
+        of_tir: ``side``, ``signs`` and ``combination`` for a ``.tir`` file, see
+            :func:`tirefit.fitting.tir.tire_of`.
     """
     values = dict(values or {})
     if text.lower().endswith(".tir"):
@@ -333,7 +308,7 @@ def _digest(path: str) -> str:
 
 
 class _Misfit(NamedTuple):
-    """Of each channel (C,), with some signs reversed: the rms misfit, its mean square
+    """For each channel (C,), with some signs reversed: the rms misfit, its mean square
     with adapted parameters, the mean square change of the force by the signs, and the
     factor of this change that fits best."""
 
@@ -345,17 +320,12 @@ class _Misfit(NamedTuple):
 
 def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
     """A sentence if a simulator fits better with some signs reversed, as a tire written
-    in other axes or for the other side of the vehicle does; else an empty text.
-
-    Args:
-        tire: the tire of the simulator, or its replacement, with parameters z.
-
-    Raises:
-        DataError: a file or columns fit with other signs, and no signs were declared. A
-            diagnosis would then name some effect in place of the wrong signs.
-    """
+    in other axes or for the other side of the vehicle does; else an empty text. Raises
+    DataError for a file or columns without declared signs: the diagnosis would name
+    some effect in place of the wrong signs. ``tire`` may be the stand-in."""
     inputs = _inputs(prepared)._asdict()
-    moved = [f for f in ("slip", "alpha", "gamma") if np.any(inputs[_column(f)])]
+    columns = {"slip": "sigma_x", "alpha": "alpha", "gamma": "gamma"}
+    moved = [field for field, name in columns.items() if np.any(inputs[name])]
     there, left = frozenset((*moved, *prepared.channels)), {}
     before = _misfits(prepared, tire, z, frozenset())
     for turned in _hypotheses(there):
@@ -376,17 +346,14 @@ def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
         if after.change[k] > _FELT * before.square[k]
     )
     fields = CONVENTIONS[TIR_SIGNS]._fields
-    ways = (" and ".join(_column(f) for f in fields if f in turned) for turned in alike)
+    names = {f: "sigma_x" if f == "slip" else f for f in fields}
+    ways = (" and ".join(names[f] for f in fields if f in turned) for turned in alike)
     reason = f"the simulator {given.source} fits if it is mirrored in"
     reason += f" {' or '.join(ways)}: {better}"
     remedy = "; ".join(_remedies(alike, there, prepared, given))
     if given.signs or given.kind not in ("tir", "columns"):
         return f"{reason}. It is taken as it is: {remedy}"
     raise refused(prepared.data, reason, remedy)
-
-
-def _column(field: str) -> str:
-    return "sigma_x" if field == "slip" else field
 
 
 def _inputs(prepared: Prepared) -> TireInputs:
@@ -398,7 +365,7 @@ def _inputs(prepared: Prepared) -> TireInputs:
 
 
 def _hypotheses(there: frozenset[str]) -> list[frozenset[str]]:
-    """Sets of fields to reverse: differences of two conventions, the other side of the
+    """Sets of fields to reverse: differences of conventions, the other side of the
     vehicle, and single fields."""
     pairs = combinations(CONVENTIONS.values(), 2)
     sets = [*(one.turned(other) for one, other in pairs), OTHER_SIDE]
@@ -419,10 +386,11 @@ def _misfits(prepared: Prepared, tire: Tire, z, turned: frozenset[str]) -> _Misf
 
     here, z = of(z), np.asarray(z, float)
     change, values = here - of(z, frozenset()), tire.layout.vector(z)
+    # A misfit that 30 % of the parameters explain does not come from signs.
     slopes = np.zeros((len(z), *here.shape))
-    for i, step in enumerate(_STEP * np.eye(len(z))):
+    for i, step in enumerate(1e-4 * np.eye(len(z))):
         moved = abs(tire.layout.vector(z + step) - values)[i]
-        unit = _ADAPTED * abs(values[i]) / max(moved, NONZERO)
+        unit = 0.3 * abs(values[i]) / max(moved, NONZERO)
         slopes[i] = unit * (of(z + step) - here)
     gap = [prepared.observed[c] - prepared.column(f"{c}_sim") for c in channels]
     none, once, twice = (
@@ -445,7 +413,7 @@ def _adapted(gap: np.ndarray, columns: np.ndarray) -> float:
 
 
 def _remedies(alike, there: frozenset[str], prepared: Prepared, given: Given):
-    """Options that declare the signs of a hypothesis, or the present signs."""
+    """Ways to declare the signs of a hypothesis, or the present signs."""
     source, tir = prepared.data.source, given.kind == "tir"
     now, read = CONVENTIONS[given.signs or TIR_SIGNS], CONVENTIONS[source.convention]
     ways, assumed = [], source.convention_from.startswith("assumed")
@@ -458,8 +426,9 @@ def _remedies(alike, there: frozenset[str], prepared: Prepared, given: Given):
         if assumed and other.fz == read.fz and read.turned(other) & there in alike:
             ways.append(f"--convention {name} reads the data so, which declare none")
     for (name,) in (h for h in alike if len(h) == 1):
-        unit = source.units.get(name, CANONICAL[_column(name)][0]).replace(" ", "")
-        ways.append(f"--unit {_column(name)}=-{unit}, if that column alone is turned")
+        column = "sigma_x" if name == "slip" else name
+        unit = source.units.get(name, CANONICAL[column][0]).replace(" ", "")
+        ways.append(f"--unit {column}=-{unit}, if that column alone is turned")
     ways = ways or ["turn these signs in the simulator, or in the data"]
     kept = given.signs or (TIR_SIGNS if tir else source.convention)
     return [*ways, f"--signs {kept} keeps it as it is"]

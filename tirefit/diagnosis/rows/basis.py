@@ -1,4 +1,4 @@
-"""Generic bases: remainders that no listed effect explains."""
+"""Generic bases of the remainder that no listed effect explains."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,9 +19,6 @@ from tirefit.diagnosis.rows.patterns import (
 
 SCALES = 2.0 * 3.0 ** np.arange(4)
 """Standard deviations of a basis function's coefficient that are averaged over."""
-
-RANK = 1e-6
-"""Smallest squared length of a direction over the longest; the rest is rounding."""
 
 _BUMPS = (4, 8)
 """Fewest and most functions of the slip for each sign."""
@@ -46,8 +43,8 @@ def functions_of(values, count: int) -> np.ndarray:
 
 
 def _by_side(slip_fraction, factors, scale, most: int) -> np.ndarray:
-    """Bumps over the size of the slip, for each sign of a twentieth of the rows, times
-    each factor (n,): about ``most`` whitened columns."""
+    """Bumps over the size of the slip times each factor (n,), for each sign if both
+    have a twentieth of the rows: about ``most`` whitened columns."""
     inside = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
     sides = [inside >= 0, inside < 0]
     if min(np.mean(side) for side in sides) <= 0.05:
@@ -82,15 +79,14 @@ def _modulations(prepared) -> list[np.ndarray]:
 
 
 def _scaled(columns, scale):
-    """Whitened unit columns, reduced to those that draw the same functions with random
-    coefficients of equal spread."""
+    """Whitened unit columns, reduced to a basis with the same covariance."""
     basis = columns * scale[:, None]
     size = np.linalg.norm(basis, axis=0)
     basis = basis[:, size > FLAT] / size[size > FLAT]
     if not basis.shape[1]:
         return basis
     values, vectors = np.linalg.eigh(basis.T @ basis)
-    return basis @ vectors[:, values > RANK * values.max()]
+    return basis @ vectors[:, values > UNSEEN * values.max()]
 
 
 def smooth_basis(
@@ -128,7 +124,7 @@ def wave_basis(prepared, scale) -> np.ndarray:
 
 
 def orthogonal(basis, against) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal directions (n, q) of the basis with ``against`` (n, p) taken out, and
+    """Orthonormal directions (n, q) of the basis orthogonal to ``against`` (n, p), and
     their singular values (q,)."""
     left = without(basis, against)
     turned, size = _principal(left.T @ left)
@@ -139,21 +135,21 @@ def _principal(gram) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (b, q) of orthonormal combinations of columns with these products,
     and their singular values (q,)."""
     values, vectors = np.linalg.eigh(gram)
-    good = values > RANK * max(values.max(), ROUNDING)
+    good = values > UNSEEN * max(values.max(), ROUNDING)
     size = np.sqrt(values[good])
     return vectors[:, good] / size, size
 
 
 def without(basis, against):
-    """Columns, or one (m,), with those of ``against`` (m, p) taken out."""
+    """Part of columns, or one (m,), that is orthogonal to ``against`` (m, p)."""
     unit, _ = np.linalg.qr(against)
     return basis - unit @ (unit.T @ basis)
 
 
 def taken_out(against, expected=None) -> np.ndarray:
-    """Columns Q (m, q), where ``1 - Q Q'`` is the precision of the rows after a fit of
-    columns ``against`` (m, p) with free coefficients and ``expected`` (m, k) with unit
-    standard deviation: shorter than one where the prior determines a direction."""
+    """Columns Q (m, q): ``1 - Q Q'`` is the precision of the rows after a fit of
+    columns ``against`` (m, p) with free coefficients and ``expected`` (m, k) with
+    coefficients of unit standard deviation."""
     unit, _ = np.linalg.qr(against)
     if expected is None or not expected.shape[1]:
         return unit
@@ -162,8 +158,8 @@ def taken_out(against, expected=None) -> np.ndarray:
 
 
 def gain(score, size) -> float:
-    """Log evidence of coefficients over none, from the scores (q,) of orthonormal
-    directions and their standard deviations ``size`` (q,)."""
+    """Log evidence of coefficients over none: scores (q,) of orthonormal directions,
+    prior standard deviations ``size`` (q,)."""
     t = size**2
     return float(0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t)))
 
@@ -218,9 +214,8 @@ class Generic:
         return self.smooth.T @ self.smooth, _pairs(self.waves)
 
     def left(self, against, residual, expected=None):
-        """What a fit that used up ``against`` and ``expected`` (:func:`taken_out`)
-        leaves: scores and sizes (q,) of orthonormal smooth directions, products (K, 3)
-        and scores (K, 2) of the waves of :func:`_in_pairs`."""
+        """Of the remainder of a fit, see :func:`taken_out`: scores and sizes (q,) of
+        orthonormal smooth directions, products (K, 3) and scores (K, 2) of waves."""
         unit = taken_out(against, expected)
         rest = residual - unit @ (unit.T @ residual)
         both = np.concatenate([unit, rest[:, None]], axis=1).T @ self.columns

@@ -1,5 +1,5 @@
-"""Covariates of the rows, and typical sizes of one file. Amplitudes are expected in
-units of these sizes: one library of effects serves a truck and a model car."""
+"""Covariates of the rows, and typical sizes of one file: the units of the amplitudes,
+so that one library of effects serves a truck and a model car."""
 
 from typing import NamedTuple
 
@@ -9,15 +9,12 @@ from scipy.constants import g
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
-from tirefit.diagnosis.rows.rates import Sweeps, segments, shown_runs, slip_rate
 from tirefit.diagnosis.rows.rig import STANDS
+from tirefit.diagnosis.rows.slips import Sweeps, segments, shown_runs, slip_rate
 
 LOADS, _ANGLE = 0.03, 1e-3
 """Spread above which a quantity varies: relative (loads, speeds, pressures, forces
 across), and of camber, steering or the other slip [rad]."""
-
-_WARMER = 20.0
-"""Unit of the temperature [K]."""
 
 _COOLINGS = (np.inf, 0.2, 0.05)
 """Time constants of the cooling, in shares of the record."""
@@ -47,8 +44,8 @@ def _largest(values) -> float:
 
 
 def half_force_slip(slip, share) -> float:
-    """Median size of the slips (n,) at 0.4 to 0.6 of the largest force over load (n,),
-    at least a thousandth of the largest slip."""
+    """Median size of the slips (n,) at 0.4 to 0.6 of the largest ``share``, the force
+    over load (n,); at least a thousandth of the largest slip."""
     size, share = np.abs(slip), np.abs(share)
     top = _largest(share)
     half = (share > 0.4 * top) & (share < 0.6 * top)
@@ -117,8 +114,8 @@ def derived_from(data: TireData, channel: str) -> Derived | None:
 
 
 def wheel_radius(data: TireData, derived: Derived | None) -> float:
-    """Radius of the wheel [m] as a derived file states it, else 0.15 of the wheelbase
-    (0.11 of cars, up to 0.19 of models); zero where neither is known."""
+    """Radius of the wheel [m]: stated, else 0.15 of the wheelbase (0.11 of cars, 0.19
+    of some models); zero where neither is known."""
     stated = data.source.constants
     if "wheel_radius" in stated:
         return stated["wheel_radius"]
@@ -162,15 +159,11 @@ def _force_of(data: TireData, mode: str) -> np.ndarray:
     return column(data, f"f{mode}")
 
 
-def _centered(values, width: float) -> np.ndarray:
-    return (values - np.mean(values)) / width
-
-
 def _over_range(values) -> np.ndarray:
     """About their mean, over their range; zero where nothing varies."""
     span = np.ptp(values)
     varies = span > FLAT * np.max(np.abs(values))
-    return _centered(values, span) if varies else np.zeros(len(values))
+    return (values - np.mean(values)) / span if varies else np.zeros(len(values))
 
 
 def covariates_of(
@@ -185,7 +178,7 @@ def covariates_of(
     interval = np.full(data.n, sweeps.past.interval)
     usual = float(np.median(np.abs(v)))
     pace = np.maximum(np.abs(v), STANDS * usual if usual else 1.0)
-    way = sweeps.rate / pace
+    way, temperature = sweeps.rate / pace, column(data, "temperature")
     sliding = np.abs(v * (size if mode == "y" else size / (1 + sigma)))
     work = work_of_sliding(np.abs(force) * sliding, time, run)
     other = {"x": tan_alpha * (1 + sigma), "y": sigma, "xy": zero}[mode]
@@ -195,7 +188,7 @@ def covariates_of(
     of_the_fit = ("force", "usage", "change", "traction", *of_runs)
     return Covariates(
         fz=fz / np.exp(np.mean(np.log(fz))), v=v, time=_over_range(time),
-        temperature=_centered(column(data, "temperature"), _WARMER),
+        temperature=(temperature - np.mean(temperature)) / 20.0,
         inflation=_over_range(column(data, "pressure")), gamma=column(data, "gamma"),
         rate=sweeps.rate, turning=sweeps.turning, side=np.sign(slip), other=other,
         lag=way * np.std(size) / max(np.sqrt(np.mean(way**2)), ROUNDING),
@@ -234,7 +227,7 @@ def needs_met(
         "speeds": relative(rows.v) > LOADS,
         "loads": relative(rows.fz) > LOADS,
         "time": "time" in data and bool(np.any(rows.time)),
-        "temperature": varies("temperature", LOADS * _WARMER),
+        "temperature": varies("temperature", LOADS * 20.0),
         "pressure": relative(column(data, "pressure")) > LOADS,
         "gamma": varies("gamma", _ANGLE),
         "signs": 0.1 < np.mean(rows.side > 0) < 0.9,

@@ -1,8 +1,6 @@
-"""Sharp shapes of a remainder: one parameter of the tire changes with one covariate.
-
-A pattern is a kink, a threshold, a local change or a wave: one direction in the space
-of the data, whose evidence has a closed form. It is the product of a shape of the rows
-and the force of a usual change; shapes and forces are stored, not their products.
+"""Patterns of a remainder: one parameter of the tire changes with one covariate, in the
+shape of a kink, a threshold, a local change or a wave. The column of a pattern is the
+product of a shape of the rows and the force of a usual change; both are stored.
 """
 
 from collections import Counter
@@ -15,7 +13,7 @@ import numpy as np
 
 from tirefit.data.levels import Levels, levels
 from tirefit.diagnosis.negligible import NONZERO
-from tirefit.diagnosis.rows.rates import segments
+from tirefit.diagnosis.rows.slips import segments
 
 FULL_SLIDING = 3.0
 """Slip over that of full sliding beyond which nothing more depends on it."""
@@ -24,8 +22,8 @@ PARAMETERS = {
     "stiffness": ("stiffness", 0.06), "friction": ("friction", 0.03),
     "slip": ("shift", 0.002), "force": ("force", 0.01),
 }  # fmt: skip
-"""Parameters: field of the state, and usual size of a change (relative, a slip, or a
-force relative to the load)."""
+"""Field of the state and usual size of a change (relative, a slip, or force over load)
+of each parameter."""
 
 USUAL_SIZES = 0.5 * 4.0 ** np.arange(3)
 """Multiples of the usual size that the evidence is averaged over."""
@@ -34,12 +32,12 @@ _SET_BY_RIG = ("fz", "v", "temperature", "gamma", "pressure")
 """Covariates that may have few settings, with shapes of their own."""
 
 _PLACES = np.arange(1, 20) / 20
-"""Places as shares of the range: a bump between two, one or two steps wide, loses at
-most a tenth of its square."""
+"""Places as shares of the range: a bump between two loses at most a tenth of its
+square."""
 
 WAVES, ROWS_OF_A_WAVE = 96, 5
-"""Largest number of waves in a record, and smallest number of rows of a wave. Patterns
-in time or distance have half as many, others an eighth."""
+"""Largest number of waves in a record (half as many for patterns in time or distance,
+an eighth for others), and smallest number of rows of a wave."""
 
 PHASES = 4
 """Phases of each wave."""
@@ -67,8 +65,8 @@ class Over(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Patterns:
-    """Every shape of ``over`` as a change of each of its parameters; ``weights``
-    (channels, n, W) are the whitened forces of usual changes."""
+    """The shapes of ``over`` as changes of each parameter; ``weights`` (channels, n, W)
+    are the whitened forces of usual changes."""
 
     weights: np.ndarray
     over: Sequence[Over]
@@ -77,7 +75,7 @@ class Patterns:
     def log_prior(self) -> np.ndarray:
         """Log probability of each pattern (k,): covariates and parameters are equal."""
         each = [np.tile(one.log_prior, len(one.weights)) for one in self.over]
-        return np.concatenate(each) - np.log(sum(len(one.weights) for one in self.over))
+        return np.concatenate(each) - np.log(len(self.over) * len(PARAMETERS))
 
     @cached_property
     def of(self) -> list[Pattern]:
@@ -137,7 +135,7 @@ class Look(NamedTuple):
 
 
 def travelled(prepared) -> np.ndarray:
-    """Distance since the start of each unbroken record [m]: (n,)."""
+    """Distance since the start of each unbroken stretch [m]: (n,)."""
     way = np.zeros(prepared.n)
     for rows in segments(prepared.time, prepared.run):
         pace = np.abs(prepared.covariates.v[rows])
@@ -149,13 +147,14 @@ def travelled(prepared) -> np.ndarray:
 def quantities(prepared, slip_fraction) -> dict[str, np.ndarray]:
     """Covariates of patterns that vary: (n,) each."""
     has, rows = prepared.has, prepared.covariates
-    size = np.minimum(np.abs(slip_fraction), FULL_SLIDING)
+    signed = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
+    size = np.abs(signed)
     values = {
         "slip_fraction": size,
         "used_friction": 1 - (1 - np.minimum(size, 1)) ** 3,
     }
     if "signs" in has:
-        values["slip"] = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
+        values["slip"] = signed
     if "loads" in has:
         values["fz"] = np.asarray(prepared.inputs.fz)
     if "speeds" in has:
@@ -185,30 +184,26 @@ _Shape = tuple[str, float, float, np.ndarray]
 
 
 def _between_settings(values, settings: Levels) -> list[_Shape]:
-    """Thresholds between the few settings of a rig, and single ones."""
-    centers = np.asarray(settings.center)
-    order = np.sort(centers)
-    between = 0.5 * (order[1:] + order[:-1])
-    steps = [("threshold", b, 0.0, (values > b) - 0.5) for b in between]
-    inner = [
-        ("local", c, 0.0, 1.0 * (settings.code == code))
-        for code, c in enumerate(centers)
-        if order[0] < c < order[-1]
+    """Thresholds between the few settings of a rig, and single inner settings."""
+    order = np.sort(settings.center)
+    steps = [
+        ("threshold", at, 0.0, (values > at) - 0.5)
+        for at in 0.5 * (order[1:] + order[:-1])
     ]
-    return steps + inner
+    return steps + [
+        ("local", at, 0.0, 1.0 * (settings.code == code))
+        for code, at in enumerate(settings.center)
+        if order[0] < at < order[-1]
+    ]
 
 
 def _in_range(share) -> list[_Shape]:
-    """Kinks, steps and bumps over a range, of which rows have these shares, with 4 % of
-    the rows at least on either side of a step and within a bump."""
-
-    def both_sides(k) -> bool:
-        return bool(0.04 < np.mean(share > k) < 0.96)
-
+    """Kinks, steps and bumps over a range, from the rows' shares of it (n,). 4 % of the
+    rows or more are on either side of a step, or within a bump."""
     even, step = _PLACES[1::2], _PLACES[1] - _PLACES[0]
     kinks = [("kink", k, 0.0, np.maximum(share - k, 0.0)) for k in even]
     listed = kinks + [("threshold", k, 0.0, (share > k) - 0.5) for k in _PLACES]
-    listed = [one for one in listed if both_sides(one[1])]
+    listed = [one for one in listed if 0.04 < np.mean(share > one[1]) < 0.96]
     for width, places in ((step, _PLACES), (2 * step, even)):
         for k in places:
             if np.mean(np.abs(share - k) < width) > 0.04:
@@ -271,16 +266,17 @@ def patterns(prepared, slip_fraction, fields: dict[str, np.ndarray]) -> Patterns
         columns += [field, field * side]  # the second one for mirrored changes
     over = []
     for covariate, values in quantities(prepared, slip_fraction).items():
-        mirrored = [is_mirrored(name, covariate) for name in PARAMETERS]
-        number = {name: 2 * k + mirrored[k] for k, name in enumerate(PARAMETERS)}
-        over.append(_over(covariate, np.asarray(values, float), number))
-    return Patterns(np.stack(columns, axis=2), [one for one in over if one is not None])
+        names = enumerate(PARAMETERS)
+        number = {name: 2 * k + is_mirrored(name, covariate) for k, name in names}
+        if (one := _over(covariate, np.asarray(values, float), number)) is not None:
+            over.append(one)
+    return Patterns(np.stack(columns, axis=2), over)
 
 
 def weights_of_sizes(among: Patterns, unit, residual):
-    """Squared length and score (k,) of every pattern with ``unit`` (m, q) of
-    :func:`rows.basis.taken_out` taken out, and its log weight over no pattern at each
-    usual size (S, k); zero length where hardly anything is left of it."""
+    """Squared length and score (k,) of every pattern orthogonal to ``unit`` (m, q) of
+    :func:`rows.basis.taken_out`, and its log weight over no pattern at each usual size
+    (S, k). The length is zero where hardly anything remains."""
     left = residual - unit @ (unit.T @ residual)
     found = among.products(np.concatenate([unit, left[:, None]], axis=1))
     whole = among.square.astype(float)
@@ -300,8 +296,8 @@ def patterns_gain(among: Patterns, unit, residual) -> float:
 
 
 def looks(among: Patterns, against, residual, most: int = 3) -> list[Look]:
-    """The most probable pattern of each parameter and covariate, most probable first,
-    of what a fit of ``against`` (m, p) leaves."""
+    """The most probable pattern of each parameter and covariate in the remainder of a
+    fit of ``against`` (m, p), most probable first."""
     length, score, each = weights_of_sizes(among, np.linalg.qr(against)[0], residual)
     weight = np.logaddexp.reduce(each, axis=0) - np.log(len(each))
     whole = np.logaddexp.reduce(weight)

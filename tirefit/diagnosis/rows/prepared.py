@@ -10,10 +10,8 @@ from tirefit.data.levels import levels
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.rows import covariates as table
-from tirefit.diagnosis.rows.rates import AHEAD, slip_rate
-from tirefit.diagnosis.rows.rig import Rig, check_data, unfit
-from tirefit.diagnosis.rows.slip_check import SlipCheck, check_slip
-from tirefit.diagnosis.rows.slip_nodes import slip_law
+from tirefit.diagnosis.rows.rig import Rig, SlipCheck, check_data, check_slip, unfit
+from tirefit.diagnosis.rows.slips import AHEAD, slip_law, slip_rate
 from tirefit.fitting.problem import check_slip_noise
 from tirefit.fitting.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs
@@ -29,8 +27,8 @@ _MOVE = ("fz", "v", "yaw", "lean", "ahead", "swing", "steering", "across")
 """Covariates that may move with the true slip."""
 
 _SAME, _NEAR = 0.8, 0.02
-"""Overlap of two stretches, over both together, from which they coincide; and distance
-of a step from a change of run, as a share of the record, within which it is that."""
+"""Overlap over union from which two stretches coincide; distance within which a step
+coincides with a change of run, as a share of the record."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class Prepared:
 
     @cached_property
     def slip_law(self) -> SlipDistribution | None:
-        """Distribution of the true slips; None where the slips have no noise."""
+        """Distribution of the true slips; None without slip noise."""
         return slip_law(self.slip, self.slip_std)
 
     @property
@@ -115,28 +113,19 @@ def _mode(data: TireData) -> str:
     return "x" if along else "y"
 
 
-def _channels(data: TireData, mode: str, given) -> tuple[str, ...]:
-    """Measured forces of the slip that varies that a model gives."""
-    channels = tuple(c for c in MODES[mode] if c in data and c in given)
-    if not channels:
-        reason = f"{' or '.join(MODES[mode])}, whose slip varies, is not simulated"
-        remedy = f"the model gives {', '.join(given) or 'no force'}: choose another"
-        raise unfit(data, reason, remedy)
-    return channels
-
-
 def prepare(data: TireData, rig: Rig, model, slip_scatter: float = 0.0) -> Prepared:
-    """Slips, channels and covariates of the used rows, for the forces of a model.
-
-    ``slip_scatter`` is the noise of the slip where it is neither stated nor seen in
-    sweeps. Raises DataError for data that cannot be diagnosed.
-    """
+    """The used rows, for the forces of a model. ``slip_scatter`` is the noise of the
+    slip where it is neither stated nor seen in sweeps. Raises DataError."""
     check_data(data, (), rig)
     mode = _mode(data)
     tan_alpha = np.tan(table.column(data, "alpha"))
     slip = tan_alpha if mode == "y" else table.column(data, "sigma_x")
     second = tan_alpha if mode == "xy" else np.zeros(data.n)
-    channels = _channels(data, mode, model)
+    channels = tuple(c for c in MODES[mode] if c in data and c in model)
+    if not channels:
+        reason = f"{' or '.join(MODES[mode])}, whose slip varies, is not simulated"
+        remedy = f"the model gives {', '.join(model) or 'no force'}: choose another"
+        raise unfit(data, reason, remedy)
     time, run = data.usable("time") if "time" in data else None, data.run[data.used]
     stated, _ = _slip_std(data, mode, rig, 0.0, 0.0)
     rate = None
@@ -206,7 +195,7 @@ def _slip_std(data: TireData, mode: str, rig: Rig, scatter: float, shown: float)
     name = "alpha" if mode == "y" else "sigma_x"
     if f"{name}_std" in data:
         return np.nan_to_num(data.usable(f"{name}_std")), f"column {name}_std"
-    given, of_speed = rig.slip_noise(name), rig.slip_noise_speed(name)
+    given, of_speed = rig.slip_noise(name), rig.slip_noise(name, "_speed")
     if of_speed is not None:
         return std_with_speed(given or 0.0, of_speed, speed_of(data)), "given"
     for size, source in ((given, "given"), (scatter, _SCATTER), (shown, _SHOWN)):
@@ -217,26 +206,21 @@ def _slip_std(data: TireData, mode: str, rig: Rig, scatter: float, shown: float)
 
 def neighbours(prepared: Prepared) -> list[np.ndarray]:
     """Rows of like run, load, speed and direction in the order of slip: index arrays.
-
-    The forces of neighbours differ by noise alone: a rig holds a load to 5 %, a driver
-    a speed to 10 %.
-    """
+    The forces of neighbours differ by noise alone."""
     rows = prepared.covariates
+    # A rig holds a load to 5 %, a driver a speed to 10 %.
     load, speed = np.round(np.log(rows.fz) / 0.05), np.round(np.log(rows.pace) / 0.1)
     settings = np.stack([prepared.run, load, speed, np.sign(rows.turning)], axis=1)
-    _, cell = np.unique(settings, axis=0, return_inverse=True)
-    cell = np.ravel(cell)
+    cell = np.ravel(np.unique(settings, axis=0, return_inverse=True)[1])
     order = np.lexsort((prepared.slip, cell))
     return np.split(order, np.flatnonzero(np.diff(cell[order])) + 1)
 
 
 def blocks_of_settings(prepared: Prepared) -> np.ndarray:
     """Begin and end (k, 2) of the stretches, as shares of the record about its middle,
-    with a load, a speed or a pair of both that occurs at no other time.
-
-    An effect of the time equals one of the setting there. Stretches at the ends of the
-    record are excluded: there a change is a step. The end of a change of run is
-    infinite.
+    with a load, a speed or a pair of both that occurs at no other time: there an effect
+    of the time equals one of the setting. Stretches at the ends of the record do not
+    count (a change is a step there); the end of a change of run is infinite.
     """
     rows = prepared.covariates
     found = [levels(values) for values in (rows.fz, rows.v)]

@@ -4,12 +4,14 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from tirefit.data.table import TireData
+from tirefit.data.units import slip_from_sigma, slip_from_speeds
+from tirefit.diagnosis.negligible import UNSEEN
 from tirefit.door import read_toml
 from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.settings import Section, parse_settings
@@ -124,31 +126,26 @@ class Rig:
         return float(np.median(radius))
 
     def slip_noise(self, slip: str, kind: str = "") -> float | None:
-        """Stated standard deviation of a slip."""
+        """Stated standard deviation of a slip, or of its sliding speed ("_speed")."""
         names = ("alpha",) if slip == "alpha" else ("sigma_x", "kappa")
         keys = (f"{name}{kind}" for name in (*names, "slip"))
         return next((self.noise[k] for k in keys if k in self.noise), None)
 
-    def slip_noise_speed(self, slip: str) -> float | None:
-        """Stated standard deviation of the sliding speed of a slip [m/s]."""
-        return self.slip_noise(slip, "_speed")
-
     def beside(self, data: TireData) -> tuple[str, ...]:
         """Sentences about stated noises that columns of the data replace."""
-        said = []
-        for key in self.noise:
-            name = key.removesuffix("_relative").removesuffix("_speed")
-            said += [
-                f"[noise] {key} of the rig is not used: the file has a column {column}"
-                for column in _OWN_COLUMNS.get(name, (f"{name}_std",))
-                if column in data
-            ]
-        return tuple(said)
+        names = {
+            k: k.removesuffix("_relative").removesuffix("_speed") for k in self.noise
+        }
+        return tuple(
+            f"[noise] {key} of the rig is not used: the file has a column {column}"
+            for key, name in names.items()
+            for column in _OWN_COLUMNS.get(name, (f"{name}_std",))
+            if column in data
+        )
 
     def force_noise(self, channel: str, fz) -> np.ndarray | None:
         """Stated standard deviation of a force, shape of ``fz``, or None."""
-        shared = () if channel == "mz" else ("force",)
-        for name in (channel, *shared):
+        for name in (channel, *(["force"] if channel != "mz" else [])):
             if name in self.noise:
                 return np.full(len(fz), self.noise[name])
             if f"{name}_relative" in self.noise:
@@ -215,7 +212,84 @@ def check_data(data: TireData, channels: tuple[str, ...], rig: Rig) -> None:
         column = f"{channel}_std"
         stated = data.usable(column) if column in data else rig.force_noise(channel, fz)
         if stated is not None and np.median(stated) > largest:
-            of_rig = f"[noise] of the rig for {channel}", channel
-            source, at = (column, column) if column in data else of_rig
+            source, at = f"[noise] of the rig for {channel}", channel
+            if column in data:
+                source = at = column
             reason = f"noise of {np.median(stated):.3g}, beyond the largest load"
             raise unfit(data, reason, f"check the unit of the noise, {source}", at)
+
+
+FOR, BESIDE, AGAINST = 3.0, 1.5, -1.5
+"""Changes of an effect's log odds by the :class:`SlipCheck`: it shows the effect (about
+even odds of one in 25), shows it or an error of the speeds, or would have shown it."""
+
+_BETTER = 0.7
+"""Largest scatter of the best definition of the slip over that of another one."""
+
+
+class SlipCheck(NamedTuple):
+    """The slip column against the slip (v - omega R) / (omega R) from the wheel speed.
+    The column or the speeds may be wrong; a definition is that of the column."""
+
+    read_as: str  # definition of the slip
+    fits: str  # the one that fits best
+    radius: float  # [m] that was used
+    rms: float  # difference from the computed slip in ``read_as``
+    scatter: float  # that in ``fits``, about a line of offset and gain
+    offset: float
+    offset_std: float
+    gain: float
+    told_apart: bool  # all other definitions leave clearly more
+
+    @property
+    def shifted(self) -> bool:
+        """Whether the offset is significant: 4 standard errors."""
+        return abs(self.offset) > 4 * self.offset_std
+
+    @property
+    def agrees(self) -> bool:
+        """Whether column and speeds agree, but for a wrong radius (2 % of gain)."""
+        same = self.fits == self.read_as and not self.shifted
+        return same and abs(self.gain - 1) < 0.02
+
+
+def _line(computed, logged) -> dict[str, float]:
+    """Least-squares line logged = offset + gain computed."""
+    columns = np.stack([np.ones_like(computed), computed], axis=1)
+    (offset, gain), *_ = np.linalg.lstsq(columns, logged, rcond=None)
+    left = logged - columns @ (offset, gain)
+    scatter = np.sqrt(np.sum(left**2) / (len(left) - 2))
+    error = scatter * np.sqrt(np.linalg.inv(columns.T @ columns)[0, 0])
+    return {
+        "scatter": float(scatter), "offset": float(offset), "gain": float(gain),
+        "offset_std": max(float(error), UNSEEN),
+    }  # fmt: skip
+
+
+def check_slip(data: TireData, radius: float | None) -> SlipCheck | None:
+    """The comparison; None without omega, v, a radius [m] and slips that vary."""
+    if radius is None or not {"omega", "v", "sigma_x"} <= set(data.columns):
+        return None
+    omega, v, sigma = (data.usable(name) for name in ("omega", "v", "sigma_x"))
+    computed = slip_from_speeds(omega, v, radius)
+    largest = 3.0  # beyond, the wheel hardly turns
+    good = (np.abs(computed) < largest) & (np.abs(sigma) < largest) & (omega > 0)
+    good &= computed > -1 + 1 / (1 + largest)
+    if good.sum() < LEAST_ROWS or np.ptp(computed[good]) < UNSEEN:
+        return None
+    alpha = data.usable("alpha")[good] if "alpha" in data else None
+    read_as = data.source.slip_definition
+    own = "kappa" if read_as == "s" else read_as
+    logged = slip_from_sigma(sigma[good], read_as, alpha)
+    definitions = ("sigma_x", "kappa", "slip_ratio")
+    meant = {name: slip_from_sigma(computed[good], name) for name in definitions}
+    lines = {name: _line(x, logged) for name, x in meant.items()}
+    best = min(lines, key=lambda name: lines[name]["scatter"])
+    if lines[best]["scatter"] > _BETTER * lines[own]["scatter"]:
+        best = own
+    others = [line["scatter"] for name, line in lines.items() if name != best]
+    return SlipCheck(
+        read_as=read_as, fits=read_as if best == own else best, radius=radius,
+        rms=float(np.sqrt(np.mean((logged - meant[own]) ** 2))),
+        told_apart=lines[best]["scatter"] < _BETTER * min(others), **lines[best],
+    )  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 
 from tirefit.diagnosis.decide.verdict import POLICY
 from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.beginning import missed_share
+from tirefit.diagnosis.evidence.fits import missed_share
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.summary.closure import (

@@ -9,9 +9,8 @@ from tirefit.diagnosis.decide.findings import as_often_right, floor_of
 from tirefit.diagnosis.decide.remainder import widening
 from tirefit.diagnosis.decide.verdict import Status
 from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.forms import with_fast_waves
+from tirefit.diagnosis.evidence.forms import offsets_of_runs, with_fast_waves
 from tirefit.diagnosis.evidence.posterior import linear_at
-from tirefit.diagnosis.evidence.runs import offsets_of_runs
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.left_out import ladder_of
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN

@@ -153,8 +153,8 @@ def _with_moment(base: Base, z) -> _Block:
     design = base.design._replace(
         observed=none, offset=none, scale=dict.fromkeys(channels, scale)
     )
-    tire = replace(base.fit.tire, mode="y")
-    lateral = replace(base, rows=rows, fit=replace(base.fit, tire=tire, design=design))
+    tire = replace(base.tire, mode="y")
+    lateral = replace(base, rows=rows, tire=tire, design=design)
     force = lateral.forces(z, base.amplitudes())
     peaks = {c: max(float(np.max(np.abs(f))), FLAT) for c, f in force.items()}
     scales = {"fy": scale, "mz": scale * peaks["mz"] / peaks["fy"]}
@@ -222,7 +222,7 @@ def next_measurements(
         one, two = (sizes[name] for name in pair)
         now, names = _told_apart([here], one, two), list(changes)
         by = {base.atoms[k].effect.told_apart_by for k, _ in (one, two)}
-        has_moment = "mz" in modelled(base.fit.tire.model)
+        has_moment = "mz" in modelled(base.tire.model)
         if "mz" in by and "mz" not in base.prepared.has and has_moment:
             names.append(_MOMENT)
         for name in names if now <= 1 - _WORTHWHILE else [_SAME_AGAIN]:

@@ -13,9 +13,9 @@ from tirefit.data.records import FileRecord, Row
 from tirefit.data.table import TireData
 from tirefit.data.write import to_convention, write_csv
 from tirefit.diagnosis.effects import Effect
-from tirefit.diagnosis.evidence.runs import RunOffsets
+from tirefit.diagnosis.evidence.forms import RunOffsets
 from tirefit.diagnosis.left_out import Ladder
-from tirefit.diagnosis.rows.slip_check import SlipCheck
+from tirefit.diagnosis.rows.rig import SlipCheck
 from tirefit.diagnosis.summary.records import (
     Candidate,
     Cell,

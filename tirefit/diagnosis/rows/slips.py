@@ -1,8 +1,4 @@
-"""Path of a slip in time and its rate of change, estimated from noisy slips.
-
-The estimate averages local parabolas of several widths, centred on each row and on
-either side of it, by their probability.
-"""
+"""Slips: their path in time, and the true slips that a noisy one may stand for."""
 
 from typing import NamedTuple
 
@@ -12,9 +8,11 @@ from scipy.special import comb, softmax
 from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
 from tirefit.diagnosis.rows.rig import LEAST_ROWS
 from tirefit.fitting.noise import MAD
+from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
 
-_WINDOWS = sorted(int(41 / 1.5**k) | 1 for k in range(6))
-"""Rows of the local parabolas: odd, each 1.5 times the one before."""
+_WINDOWS = (5, 9, 13, 19, 27, 41)
+"""Rows of the local parabolas."""
+
 _REACH, _PIECE = _WINDOWS[-1] - 1, 4_000
 """Rows beside a row that its path uses; rows at once, which bounds the memory."""
 
@@ -25,23 +23,19 @@ AGES = np.append(np.arange(-AHEAD, 7), np.geomspace(8, 34, 6).round().astype(int
 """How many intervals ago each column was: each row, then a third more each time."""
 
 _SPAN = 0.0375
-"""Smallest interval over the time in which the slip changes by its standard deviation:
+"""Smallest interval, in times in which the slip changes by its standard deviation:
 linear interpolation over it is accurate to 2e-4 of that."""
 
-_WORTH = 0.7
-"""Log probability of each row that a parabola explains, calibrated on the errors of
-saw-tooth and sine sweeps."""
-
-_MORE = 1.25
-"""Ratio of two estimates of the noise above which they disagree."""
+_WORTH, _MORE = 0.7, 1.25
+"""Log probability of each row that a parabola explains, calibrated on saw-tooth and
+sine sweeps; ratio of two estimates of the noise above which they disagree."""
 
 _NOISY = 17
-"""Rows over which a slip in noise is a parabola; a record with too few rows for its
-motion is not."""
+"""Rows over which a well sampled slip is a parabola."""
 
 
 def segments(time, run) -> list[np.ndarray]:
-    """Index arrays of stretches without a pause of 5 usual intervals, in time order."""
+    """Index arrays of stretches without a pause of 5 usual intervals."""
     order = np.lexsort((time, run))
     step = np.diff(time[order])
     same = np.diff(run[order]) == 0
@@ -53,17 +47,6 @@ def segments(time, run) -> list[np.ndarray]:
 def shown_runs(run, names) -> list[int]:
     """Codes of the runs ``names`` with enough rows for an offset of their own."""
     return [k for k in range(len(names)) if np.sum(run == k) >= LEAST_ROWS]
-
-
-def _in_pieces(of, values, time, *given) -> list[np.ndarray]:
-    """Columns ``of(values, time, *given)`` of one stretch, in overlapping pieces."""
-    pieces = []
-    for first in range(0, len(values), _PIECE):
-        start, end = max(first - _REACH, 0), first + _PIECE
-        near = slice(start, end + _REACH)
-        own = slice(first - start, end - start)
-        pieces.append([column[own] for column in of(values[near], time[near], *given)])
-    return [np.concatenate(column) for column in zip(*pieces, strict=True)]
 
 
 def _parabolas(values, time, window: int):
@@ -85,20 +68,9 @@ def _parabolas(values, time, window: int):
 
 
 def _scatter(slip, parts, order: int) -> float:
-    """Standard deviation of white noise from differences of this order, which remove a
-    smooth curve, the higher the better."""
+    """Standard deviation of white noise from differences of this order."""
     each = np.concatenate([np.diff(slip[part], order) for part in parts])
     return MAD * float(np.median(np.abs(each))) / float(np.sqrt(comb(2 * order, order)))
-
-
-def _about_parabolas(slip, time, parts) -> float:
-    """The same from what parabolas through :data:`_NOISY` rows leave; infinite where no
-    stretch has so many."""
-    long = [part for part in parts if len(part) >= _NOISY]
-    if not long:
-        return np.inf
-    left = [_parabolas(slip[p], time[p], _NOISY)[2] for p in long]
-    return float(np.sqrt(np.median(np.concatenate(left)) / (_NOISY - 3)))
 
 
 class _Path(NamedTuple):
@@ -137,6 +109,17 @@ def _averaged(values, time, noise: float) -> _Path:
     return _Path(value, slope, np.sqrt(np.maximum(square - slope**2, 0.0)), reach)
 
 
+def _path_of(values, time, noise: float) -> _Path:
+    """:func:`_averaged` of a stretch, in overlapping pieces."""
+    pieces = []
+    for first in range(0, len(values), _PIECE):
+        start, end = max(first - _REACH, 0), first + _PIECE
+        near, own = slice(start, end + _REACH), slice(first - start, end - start)
+        path = _averaged(values[near], time[near], noise)
+        pieces.append([column[own] for column in path])
+    return _Path(*map(np.concatenate, zip(*pieces, strict=True)))
+
+
 class Past(NamedTuple):
     """The slip at :data:`AGES` times ``interval`` [s] before each row; column
     :data:`AHEAD` is the row itself. Times beyond the sweep take its end.
@@ -162,8 +145,8 @@ class Past(NamedTuple):
         return first + moved + share * rest**2 * out + share**2 * rest * back
 
     def place(self, part, time):
-        """Write the rows between which the times of the stretch ``part`` fall; their
-        numbers within the part, and the share: (n, k) each."""
+        """Write the rows of the stretch ``part`` around each time. Returns the number
+        within the part of the row before, and the share: (n, k) each."""
         when = np.clip(time[:, None] - self.interval * AGES, time[0], time[-1])
         low = np.clip(np.searchsorted(time, when, side="right") - 1, 0, len(part) - 2)
         share = (when - time[low]) / (time[low + 1] - time[low])
@@ -221,12 +204,14 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     if curved > 0.4 * np.std(slip):  # neighbours in time scatter: no sweep
         return still
     # All agree on noise; a curve leaves more in a lower order, or about wide parabolas.
-    most = max(curved, _about_parabolas(slip, time, parts))
+    long = [part for part in parts if len(part) >= _NOISY]
+    left = [_parabolas(slip[p], time[p], _NOISY)[2] for p in long] or [[np.inf]]
+    about = np.sqrt(np.median(np.concatenate(left)) / (_NOISY - 3))
+    most = max(curved, float(about))
     scatter = seen if FLAT * np.std(slip) < most < _MORE * seen else 0.0
     seen = max(seen, FLAT * np.std(slip))
     level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
-    each = ((slip[part], time[part], level) for part in parts)
-    paths = [_Path(*_in_pieces(_averaged, *given)) for given in each]
+    paths = [_path_of(slip[part], time[part], level) for part in parts]
     usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
     rate = np.sqrt(np.mean(np.concatenate([path.slope for path in paths]) ** 2))
     period = float(np.std(slip) / rate) if rate > 0 else 0.0
@@ -244,7 +229,7 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
 
 
 def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
-    """Cubics through values and measured rates: a past between the rows."""
+    """Sweeps of cubics through values and measured rates."""
     usual = float(np.sqrt(np.mean(rate**2)))
     past = still.past._replace(interval=_SPAN * float(np.std(slip)) / usual)
     for part in parts:
@@ -253,3 +238,102 @@ def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
     error = 0.05 * usual  # of a measured rate
     turning = np.clip(np.sign(slip) * rate / (2 * error), -1, 1)
     return still._replace(present=True, rate=rate, past=past, turning=turning)
+
+
+_FEW, _MANY = (np.polynomial.hermite_e.hermegauss(count) for count in (3, 5))
+"""Gauss-Hermite nodes of the slip noise: exact for polynomial forces of degree 5, 9."""
+
+
+def _steep(slip, std) -> bool:
+    """Whether the force bends within the noise: 1 % of a large slip."""
+    large = max(float(np.quantile(np.abs(slip), 0.9)), FLAT)
+    return float(np.median(std)) > 0.01 * large
+
+
+def slip_law(slip, std) -> SlipDistribution | None:
+    """Distribution of the true slips, from measured ones and their noise (n,); None
+    without noise."""
+    return slip_distribution(slip, np.maximum(std, FLAT)) if np.any(std > 0) else None
+
+
+def slip_nodes(law: SlipDistribution | None, slip, std):
+    """True slips and their probabilities (n, k); the measured slips without a law."""
+    if law is None:
+        return slip[:, None], np.ones((len(slip), 1))
+    offset, mass = _MANY if _steep(slip, std) else _FEW
+    mean, spread = law.moments(slip, std)
+    nodes = mean[:, None] + spread[:, None] * offset
+    return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
+
+
+def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray:
+    """Common error of the estimated slips: columns (n, k) times independent unit normal
+    numbers. The density of the true slips is estimated from the same noisy slips, so
+    rows with equal slips share its error. ``path`` (n,) holds slips estimated from
+    their neighbours in time, or is None.
+    """
+    columns, std = [np.zeros((len(slip), 0))], np.maximum(std, FLAT)
+    if law is not None and _steep(slip, std):
+        columns.append(_of_density(law, slip, std))
+    if law is not None and path is not None:
+        offset, mass = _MANY
+        believed = np.array([law.moments(path + std * e, std)[0] for e in offset]).T
+        columns.append((believed @ (mass / mass.sum()) - path)[:, None])
+    return np.concatenate(columns, axis=1)
+
+
+def slip_proxies(slip, std, measured, path=None, past=None) -> np.ndarray:
+    """Noise of the slips as other measurements predict it: columns (n, k).
+
+    A quantity that moves with the true slip, as a load that the cornering shifts, has
+    none of its noise, so a regression gives it a part of the slip's effect. The
+    expected noise is (slip - predicted) std^2 / variance(slip - predicted).
+
+    Args:
+        measured: (n,) each; a cubic of each, and the past, predict the slips.
+        path: as in :func:`slip_doubt`.
+        past: (n, k) slips before, at and after each row by their neighbours in time.
+    """
+    if not np.any(std > 0):
+        return np.zeros((len(slip), 0))
+    predictions = [] if path is None else [path]
+    if measured:
+        free = [np.ones((len(slip), 1)), *([] if past is None else [past])]
+        for values in measured:
+            spread = max(float(np.std(values)), NONZERO)
+            free.append(np.vander((values - np.mean(values)) / spread, 4)[:, :3])
+        known = np.concatenate(free, axis=1)
+        predictions.append(known @ np.linalg.lstsq(known, slip, rcond=None)[0])
+    columns = []
+    for predicted in predictions:
+        off = predicted - slip
+        known = np.mean(std**2) / max(float(np.mean(off**2)), NONZERO)
+        if known > 0.2:  # a smaller share of the noise is not worth a column
+            columns.append(min(known, 1.0) * off)
+    return np.array(columns).reshape(len(columns), len(slip)).T
+
+
+def _of_density(law: SlipDistribution, slip, std) -> np.ndarray:
+    """Error of the slips due to that of the density's weights, which add up to one:
+    maximum likelihood, each weight with a prior as wide as all on average."""
+    # Likelihood of each row under each part of the density (n, parts), and the same
+    # times the true slip less the measured one.
+    unit, step = np.linspace(-4, 4, 41), np.diff(law.knots)[0]
+    off = std[:, None] * unit
+    far = np.abs((slip[:, None] + off)[..., None] - law.knots[1:-1]) / step
+    bell = np.exp(-0.5 * unit**2) * np.diff(unit)[0] / step
+    hats = np.maximum(1 - far, 0) * bell[:, None]
+    place = law.standing - slip[:, None]
+    there = np.exp(-0.5 * (place / std[:, None]) ** 2) / std[:, None]
+    likely = np.hstack([hats.sum(axis=1), there]) / np.sqrt(2 * np.pi)
+    first = np.hstack([np.einsum("nqk,nq->nk", hats, off), there * place])
+    first /= np.sqrt(2 * np.pi)
+    weight = np.append(law.density[1:-1] * step, law.shares)
+    together = np.maximum(likely @ weight, NONZERO)[:, None]
+    mean = first @ weight / together[:, 0]
+    moved = (first - mean[:, None] * likely) / together
+    # Directions in which the weights still add up to one.
+    free = np.linalg.svd(np.ones((1, len(weight))))[2][1:].T
+    score = likely / together @ free
+    normal = score.T @ score + len(weight) ** 2 * np.eye(free.shape[1])
+    return moved @ free @ np.linalg.cholesky(np.linalg.inv(normal))

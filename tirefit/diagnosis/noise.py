@@ -1,4 +1,4 @@
-"""Noise of the forces and of the slip: the scatter that no smooth gap explains.
+"""Noise of the forces and of the slip: its level, and its correlation in time.
 
 All scales are Huber's proposal 2, so that a few large residuals move them little and no
 row changes them at once.
@@ -8,22 +8,128 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.ndimage import convolve1d, median_filter
 from scipy.optimize import nnls
 from scipy.special import chdtr, chdtrc
 
-from tirefit.diagnosis.negligible import NONZERO, ROUNDING
-from tirefit.diagnosis.noise.memory import (
-    CORRELATED,
-    FORGETFUL,
-    Memory,
-    in_order,
-    memory_of,
-    rows_per_independent,
-)
-from tirefit.diagnosis.rows.basis import RANK, waves_within
+from tirefit.diagnosis.negligible import NONZERO, ROUNDING, SILENT, UNSEEN
+from tirefit.diagnosis.rows.basis import waves_within
 from tirefit.diagnosis.rows.covariates import LOADS
-from tirefit.fitting.noise import MAD
+from tirefit.fitting.noise import MAD, autocorrelation_time
+
+
+class Memory(NamedTuple):
+    """A first-order autoregressive noise, or with a ``share`` of 0 independent noise.
+
+    ``fade`` is the correlation of neighbours, ``chance`` the probability of this one.
+    """
+
+    fade: float = 0.0
+    share: float = 0.0
+    chance: float = 1.0
+
+    @property
+    def rows_each(self) -> float:
+        """Number of rows per independent row."""
+        return 1 + 2 * self.share * self.fade / (1 - self.fade)
+
+
+FORGETFUL = Memory()
+"""Independent rows."""
+
+_FADES = np.arange(20) / 20
+"""Correlations of neighbours that are compared."""
+
+CORRELATED = 2.5
+"""Significant lag-one correlation, in standard errors: one white record in 160."""
+
+_FACTS = len(_FADES)
+"""Smallest number of independent rows: more correlation is taken for a gap."""
+
+
+def memory_of(
+    white, unit, stretches: Sequence[np.ndarray], most: float = np.inf
+) -> tuple[Memory, ...]:
+    """Correlations of a noise of 2 % probability or more, the most probable first;
+    :data:`FORGETFUL` where the correlation of neighbours is not significant.
+
+    Smooth functions take up slow noise, so the correlation of what they leave is biased
+    downwards; the restricted likelihood corrects that.
+
+    Args:
+        white: (n,) remainder after smooth functions, zero for excluded rows.
+        unit: (n, q) those functions, orthonormal.
+        stretches: rows in the order of time (index arrays), which share no row.
+        most: largest variance of the noise: a slow gap beside noise of a known level is
+            not taken for correlated noise.
+    """
+    stretches = [rows for rows in stretches if len(rows) > 2]
+    if not stretches or np.sqrt(np.mean(white**2)) < SILENT:
+        return (FORGETFUL,)
+    rows, q = unit.shape
+    variance = float(white @ white) / max(rows - q, 1)
+    together = sum(float(white[s][1:] @ white[s][:-1]) for s in stretches)
+    taken = sum(float(np.sum(unit[s][1:] * unit[s][:-1])) for s in stretches)
+    lag_one = (together + variance * taken) / max(variance * rows, NONZERO)
+    if lag_one < CORRELATED / np.sqrt(sum(len(rows) for rows in stretches)):
+        return (FORGETFUL,)
+    logs = _log_likelihoods(white, unit, stretches, most)
+    chance = np.exp(logs - logs.max())
+    chance[chance < 0.02 * chance.sum()] = 0.0
+    chance /= chance.sum()
+    ranked = np.argsort(-chance)[: np.count_nonzero(chance)]
+    return tuple(
+        Memory(float(_FADES[k]), float(_FADES[k] > 0), float(chance[k])) for k in ranked
+    )
+
+
+def _log_likelihoods(white, unit, stretches, most: float) -> np.ndarray:
+    """Restricted log likelihood of each of the correlations.
+
+    The innovation of a row is x_t - fade x_(t-1): the products of the innovations of
+    all correlations are sums of the same three.
+    """
+    both = np.concatenate([unit, white[:, None]], axis=1)
+    heads, tails = (
+        np.concatenate([rows[part] for rows in stretches])
+        for part in (slice(None, -1), slice(1, None))
+    )
+    starts, before, after = both[[s[0] for s in stretches]], both[heads], both[tails]
+    across = after.T @ before
+    starts, before, after = (x.T @ x for x in (starts, before, after))
+    freedom, logs = len(heads) + len(stretches) - unit.shape[1], []
+    for fade in _FADES:
+        left = 1 - fade**2
+        new = after - fade * (across + across.T) + fade**2 * before
+        products = starts + new / left
+        smooth, score = products[:-1, :-1], products[:-1, -1]
+        factor = cho_factor(smooth + ROUNDING * np.eye(len(smooth)))
+        rest = float(products[-1, -1] - score @ cho_solve(factor, score))
+        variance = min(max(rest, NONZERO) / freedom, most)
+        log = -0.5 * (freedom * np.log(variance) + rest / variance)
+        log -= 0.5 * len(heads) * np.log(left)
+        logs.append(log - float(np.sum(np.log(np.diag(factor[0])))))
+    return np.array(logs)
+
+
+def in_order(time, run) -> list[np.ndarray]:
+    """Rows of each run in the order they were measured: index arrays."""
+    order = np.arange(len(run)) if time is None else np.lexsort((time, run))
+    return [order[run[order] == code] for code in np.unique(run)]
+
+
+def correlation(white, time, run) -> float:
+    """Number of rows per independent row of a remainder (n,), at least 1; excluded rows
+    are zero."""
+    parts = [white[rows] for rows in in_order(time, run)]
+    together = sum(float(p[1:] @ p[:-1]) for p in parts)
+    lag_one = together / max(float(white @ white), NONZERO)
+    if lag_one < CORRELATED / np.sqrt(len(white)):
+        return 1.0
+    first_order = (1 + lag_one) / max(1 - lag_one, ROUNDING)
+    return min(max(autocorrelation_time(parts), first_order), len(white) / _FACTS)
+
 
 _FINEST = 1e-5
 """Smallest noise over the load: a twentieth of the error of the best force transducers
@@ -33,37 +139,26 @@ _CLIP = 2.5
 """Residual, in standard deviations, at which squares are clipped."""
 
 
-def _mean_of_clipped(square: float) -> float:
-    """Mean square of a normal number whose square is clipped here."""
-    return float(chdtr(3, square) + square * chdtrc(1, square))
-
-
-_CLIPPED = _mean_of_clipped(_CLIP**2)
+_CLIPPED = float(chdtr(3, _CLIP**2) + _CLIP**2 * chdtrc(1, _CLIP**2))
+"""Mean square of a normal number whose square is clipped there."""
 
 _OUTLIER = 4.5
 """Standard deviations from which a row is excluded: one normal row in 1.5e5."""
 
 _FEW, _FLAGGED = 3, 0.004
-"""Number and share of excluded rows above which outliers are reported; so many may lie
+"""Number and share of excluded rows above which outliers are reported: so many may lie
 at a sharp edge of the force."""
-
-_WINDOW = 7
-"""Rows whose median an outlier does not move."""
 
 _ROUNDS = 4
 """Largest number of rounds of exclusion, and of weighting by a variance law."""
 
 _MISSTATED, _OVERSTATED = 0.15, 0.6
-"""Excess over the stated noise that is tolerated, and share of it below which the
-stated noise is kept but flagged: it may stand for errors without scatter."""
+"""Tolerated excess over the stated noise; share of the stated noise below which it is
+kept but flagged, as it may include errors without scatter."""
 
 _CLEAR = 4.0
 """Standard errors of a significant excess or of a variance that follows the force: one
 normal noise in 15,000."""
-
-_STRONG_WAVE, _WAVES = 6.0, 3
-"""Log odds, beyond the log of their number, from which a wave is no noise; and the
-largest number of waves that are removed."""
 
 _NEIGHBOURED = 0.3
 """Smallest share of the rows with neighbours that represents all."""
@@ -71,15 +166,14 @@ _NEIGHBOURED = 0.3
 _LEAST_VARIANCE = 1e-3
 """Smallest variance of a row over the mean one."""
 
-_CALM = 0.1
-"""Quantile of noise over stated noise that is reported as its excess: noise that grows
-with the force is that of the sensor where the force is small."""
+_TOGETHER = 1.94
+"""1 + 2 (4/9 + 1/36): squares of second differences per independent one."""
 
 
 class NoiseLevel(NamedTuple):
-    """Noise of one force: standard deviation (n,), possible correlations, number of
-    rows per independent row, excluded rows (n,) bool, flags, source of the level, and
-    ratio to the stated noise where it is small (1 without one)."""
+    """Noise of one force: standard deviation (n,), possible correlations, rows per
+    independent row, excluded rows (n,) bool, flags, source of the level, and ratio to
+    the stated noise (1 without one)."""
 
     std: np.ndarray
     memory: tuple[Memory, ...]
@@ -104,8 +198,7 @@ def judge_noise(
         waves: (n, 2 x waves), of which the significant ones are removed too.
         groups: rows whose neighbours differ by noise alone: index arrays.
         time, run: order of the rows (time may be None).
-        refine: whether to exclude rows by the smooth remainder; that needs a fit
-            without a gross gap.
+        refine: exclude rows by the smooth remainder of a fit without a gross gap.
     """
     stated = given is not None
     base = given if stated else np.ones(len(residual))
@@ -156,19 +249,21 @@ def judge_noise(
             flags.append("heteroscedastic")
     if np.count_nonzero(~keep) > max(_FEW, _FLAGGED * len(residual)):
         flags.append("outliers")
-    inflation = 1.0
-    if np.any(std > floor):
-        left = np.where(keep, rest, 0) / std
-        inflation = rows_per_independent(memory, left, time, run)
-    if inflation > 1:
+    inflation = sum(one.chance * one.rows_each for one in memory)
+    if inflation > 1 and np.any(std > floor):
         flags.append("autocorrelated")
-    first = np.sqrt(base**2 + spread)
-    ratio = float(np.quantile(std / first, _CALM)) if stated else 1.0
+        left = np.where(keep, rest, 0) / std
+        most = len(left) / _FACTS
+        inflation = min(max(inflation, correlation(left, time, run)), most)
+    else:
+        inflation = 1.0
+    # Where the force is small, noise that grows with it is that of the sensor.
+    ratio = float(np.quantile(std / np.sqrt(base**2 + spread), 0.1)) if stated else 1.0
     return NoiseLevel(std, memory, inflation, ~keep, tuple(flags), source, ratio)
 
 
 def _overruled(white, smooth: "_Smooth", size: float, groups, in_time):
-    """(factor, flags, source) of a stated noise, which counts unless the remainder, of
+    """(factor, flags, source) of a stated noise. It is replaced where the remainder, of
     ``size`` over it, and all neighbours scatter by more."""
     scales = {
         "about smooth functions": size,
@@ -187,9 +282,9 @@ def _stray(residual, groups) -> np.ndarray:
     """Rows far both from the median of their neighbours and from the line between the
     two next to them: (n,) bool."""
     off = np.zeros((2, len(residual)))
-    for group in (group for group in groups if len(group) >= _WINDOW):
+    for group in (group for group in groups if len(group) >= 7):
         values = residual[group]
-        off[0, group] = values - median_filter(values, _WINDOW, mode="mirror")
+        off[0, group] = values - median_filter(values, 7, mode="mirror")
         off[1, group] = convolve1d(values, [-0.5, 1.0, -0.5], mode="mirror")
     seen = np.any(off != 0, axis=0)
     if not seen.any():
@@ -238,18 +333,14 @@ def _between(white, groups, keep, apart: float = 0.0, in_time=()) -> float:
     return _huber(second) * (1 + 2 * float(error))
 
 
-_TOGETHER = 1.94
-"""1 + 2 (4/9 + 1/36): squares of second differences per independent one."""
-
-
 def _smooth(white, basis, waves, keep, in_time) -> "_Smooth":
     """Smooth functions and the few significant waves.
 
     A wave counts beyond what the correlation of the remainder without it explains.
     """
     smooth, kept = _Smooth(basis, keep), waves * keep[:, None]
-    least = np.log(waves.shape[1] // 2) + _STRONG_WAVE
-    for _ in range(_WAVES):
+    least = np.log(waves.shape[1] // 2) + 6.0  # log odds of 400 to 1
+    for _ in range(_FEW):
         rest = np.where(keep, smooth.remainder(white), 0.0)
         chi2 = waves_within(kept, smooth.basis * keep[:, None], rest)
         best = 2 * int(np.argmax(chi2))
@@ -272,7 +363,7 @@ class _Smooth:
         self.basis, self.keep = basis, keep
         part = basis * keep[:, None]
         values, vectors = np.linalg.eigh(part.T @ part)
-        good = values > RANK * values.max()
+        good = values > UNSEEN * values.max()
         self.root = vectors[:, good] / np.sqrt(values[good])
         self.freedom = max(int(keep.sum()) - int(good.sum()), 1)
 
@@ -323,18 +414,18 @@ def _growth(white, values, keep) -> float:
 
 
 def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) -> float:
-    """Standard deviation of the slip noise from the forces, zero where none shows.
+    """Standard deviation of the slip noise from the forces, zero if not significant.
 
-    An error of the slip moves the force in proportion to its slope, so that neighbours
-    scatter more where the curve is steep. The part that rows in sequence share is no
+    An error of the slip moves the force in proportion to its slope, so neighbours
+    scatter more where the curve is steep. Errors that consecutive rows share are not
     noise.
 
     Args:
         residual: (n,) [N].
-        steepness: (n,) square of the force's slope over the slip [N^2].
+        steepness: (n,) squared slope of the force over the slip [N^2].
         fz: (n,) load, with which the force noise may grow.
-        alike: rows whose neighbours differ by noise alone: index arrays.
-        in_time: rows in the order of time: index arrays.
+        alike, in_time: rows whose neighbours differ by noise alone, and rows in the
+            order of time: index arrays.
     """
     alike = [rows for rows in alike if len(rows) > 2]
     if sum(len(rows) - 2 for rows in alike) < _NEIGHBOURED * len(residual):

@@ -1,1 +1,0 @@
-"""Room 2: the noise of every force and of the slip."""
