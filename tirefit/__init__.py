@@ -97,6 +97,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "online.methods": ["METHODS"],
         "models": ["MODELS", "TireInputs", "forces"],
         "params": ["parameter_values", "with_values"],
+        "targets.export": ["export"],
         "report.diagnosis_draw": ["plot_diagnosis"],
         "report.fit_html": ["write_fit_page"],
         "report.fits_html": ["write_fits_page"],

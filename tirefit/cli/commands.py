@@ -13,6 +13,7 @@ from tirefit.cli.brake import brake
 from tirefit.cli.convert import convert
 from tirefit.cli.diagnose import ManyHoldouts, diagnose
 from tirefit.cli.estimate import estimate
+from tirefit.cli.export import export
 from tirefit.cli.fit import fit, model_names
 from tirefit.cli.magic_formula import CombinationOption
 from tirefit.cli.notes import merged_notes, warn
@@ -59,6 +60,7 @@ class Axle(StrEnum):
 
 app.command()(fit)
 app.command()(convert)
+app.command()(export)
 app.command(cls=ManyHoldouts)(diagnose)
 app.command()(estimate)
 app.command()(brake)

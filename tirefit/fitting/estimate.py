@@ -21,6 +21,7 @@ from tirefit.fitting.profile import Profile, profile_all
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, information
 from tirefit.fitting.solve import Solved
 from tirefit.fitting.verdict import judge
+from tirefit.models import TireInputs
 from tirefit.params import constrain, log_jacobian, parameter_values, specs
 from tirefit.precision import require_x64
 
@@ -193,8 +194,19 @@ def data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str,
         "units": dict(source.units),
         "assumptions": list(source.notes),
         "constants": dict(source.constants),
+        "range": _ranges(data),
         "slip_check": None if source.slip_check is None else asdict(source.slip_check),
     }
+
+
+def _ranges(data: TireData) -> dict[str, tuple[float, float]]:
+    """Least and largest value of each input of the used rows, canonical."""
+    found = {}
+    for name in TireInputs._fields:
+        values = data.usable(name) if name in data else np.zeros(0)
+        if name != "time" and len(values):
+            found[name] = (float(np.min(values)), float(np.max(values)))
+    return found
 
 
 def _follows_load(problem: FitProblem, scale: np.ndarray) -> bool:

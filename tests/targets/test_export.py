@@ -1,0 +1,284 @@
+"""Exported files, loaded by the software that they are for, against our own forces."""
+
+import ctypes
+import importlib.util
+import json
+import shutil
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import tirefit
+from tirefit.cli.commands import app
+from tirefit.data.tir import read_tir
+from tirefit.fitting.tir import own_tire
+from tirefit.models import MODELS, TireInputs, forces
+from tirefit.params import parameter_values
+from tirefit.slip import sigma_from_kappa
+from tirefit.targets.program import traced, with_derivatives
+from tirefit.targets.shape import shape_of
+from tirefit.targets.tire import tire_of
+
+MF61 = "tests/data/tir/mfeval_julia/MagicFormula61_Parameters.tir"
+TRUCK = "tests/data/tir/chrono/335_65R22_5_G275MSA_40psi.tir"
+SOURCES = ["brush", "brush-dmh", "brush-d-force", "lugre", "liu-peng", MF61]
+
+KAPPA, ALPHA, LOAD = (
+    axis.ravel()
+    for axis in np.meshgrid(
+        [-0.95, -0.2, -0.03, 0.0, 0.01, 0.1, 2.0], [-0.4, -0.05, 0.0, 0.02, 0.3],
+        [500.0, 4000.0, 9000.0], indexing="ij",
+    )
+)  # fmt: skip
+"""Grid of slip, angle and load in the signs of ISO-W."""
+SPEED, CAMBER, PRESSURE = 12.0, 0.03, 2.1e5
+
+
+def model_of(source):
+    return own_tire(read_tir(source)) if source.endswith(".tir") else MODELS[source]
+
+
+def own(source):
+    """Our forces (n, 2) on the grid, in the signs of ISO-W."""
+    given = TireInputs(
+        sigma_from_kappa(-KAPPA), ALPHA, LOAD, SPEED, CAMBER, PRESSURE, 0.0
+    )
+    found = forces(model_of(source), given)
+    return -np.stack([found.fx, found.fy], axis=1)
+
+
+def inputs_of(source):
+    """The grid's arguments of an exported function."""
+    known = {
+        "kappa": KAPPA, "alpha": ALPHA, "fz": LOAD, "v": np.full_like(LOAD, SPEED),
+        "gamma": np.full_like(LOAD, CAMBER), "pressure": np.full_like(LOAD, PRESSURE),
+    }  # fmt: skip
+    return [known[name] for name in tire_of(source).program("iso-w").inputs]
+
+
+def loaded(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_numpy_gives_our_forces(source, tmp_path):
+    path = tmp_path / "tire.py"
+    tirefit.export(source, "numpy", path)
+    found = np.stack(loaded(path).tire(*inputs_of(source))[:2], axis=1)
+    assert np.max(np.abs(found - own(source)) / LOAD[:, None]) < 1e-12
+
+
+def test_the_numpy_file_needs_nothing_of_ours(tmp_path):
+    tirefit.export("brush", "numpy", tmp_path / "tire.py")
+    code = (
+        "import sys, tire; print(tire.tire(0.02, 0.01, 4000.0)[0]);"
+        "assert 'tirefit' not in sys.modules and 'jax' not in sys.modules"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    at = TireInputs(sigma_from_kappa(-0.02), 0.01, 4000.0)
+    assert float(done.stdout) == pytest.approx(-float(forces(MODELS["brush"], at).fx))
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_casadi_gives_our_forces_and_slopes(source, tmp_path):
+    pytest.importorskip("casadi")
+    path = tmp_path / "tire.py"
+    tirefit.export(source, "casadi", path)
+    module, given = loaded(path), np.array(inputs_of(source))
+    found = np.stack([x.full()[0] for x in module.tire.map(len(LOAD))(*given)[:2]], 1)
+    assert np.max(np.abs(found - own(source)) / LOAD[:, None]) < 1e-9
+    middle, step = given[:, 40], np.zeros(len(given))
+    step[1] = 1e-6
+    change = [float(module.tire(*(middle + s * step))[1]) for s in (-1, 1)]
+    slopes = module.tire_jacobian(*middle).full()
+    assert np.all(np.isfinite(slopes))
+    wanted = (change[1] - change[0]) / 2e-6
+    assert slopes[1, 1] == pytest.approx(wanted, rel=1e-4, abs=1e-2)
+
+
+def built(path, folder, single):
+    """The header's functions in a shared library."""
+    source = folder / f"use{single}.c"
+    count = 3 if "mz" in path.read_text().split("static")[0] else 2
+    args = [
+        line.split("(")[1].split(", tirefit_real force")[0]
+        for line in path.read_text().splitlines() if "inline void tire(" in line
+    ][0]  # fmt: skip
+    names = [one.split()[-1] for one in args.split(", ")]
+    given = ", ".join(names)
+    source.write_text(
+        f'#include "{path.name}"\n'
+        f"void one({args}, tirefit_real *f);\nvoid two({args}, tirefit_real *f);\n"
+        f"void one({args}, tirefit_real *f) {{ tire({given}, f); }}\n"
+        f"void two({args}, tirefit_real *f) {{ tirefit_real g[16];"
+        f" tire_jacobian({given}, g, (tirefit_real (*)[3])f); }}\n"
+    )
+    library = folder / f"lib{single}.so"
+    command = ["cc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-shared"]
+    command += ["-fPIC", *(["-DTIREFIT_SINGLE"] if single else [])]
+    subprocess.run(
+        [*command, "-o", library, source, "-lm"], check=True, capture_output=True
+    )
+    return ctypes.CDLL(str(library)), len(names), count
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+@pytest.mark.parametrize("source", ["brush-dmh", "brush-d-force", "lugre", MF61])
+@pytest.mark.parametrize("single", [False, True])
+def test_c_gives_our_forces_and_slopes(source, single, tmp_path):
+    path = tmp_path / "tire.h"
+    tirefit.export(source, "c", path)
+    library, count, _ = built(path, tmp_path, single)
+    kind = ctypes.c_float if single else ctypes.c_double
+    found, slopes = [], []
+    for row in np.array(inputs_of(source)).T:
+        for name, results in (("one", found), ("two", slopes)):
+            space = (kind * 16)()
+            function = getattr(library, name)
+            function.argtypes = [kind] * count + [ctypes.POINTER(kind)]
+            function(*map(float, row), space)
+            results.append([*space])
+    found, slopes = np.array(found)[:, :2], np.array(slopes)
+    limit = 1e-4 if single else 1e-9
+    assert np.max(np.abs(found - own(source)) / LOAD[:, None]) < limit
+    tire = model_of(source)
+
+    def fy(alpha, k):
+        at = TireInputs(
+            sigma_from_kappa(-KAPPA[k]), alpha, LOAD[k], SPEED, CAMBER, PRESSURE
+        )
+        return -tire(at).fy
+
+    for k in (10, 40, 77):
+        # The second row is that of fy, its second place the derivative by alpha.
+        wanted = float(jax.grad(fy)(ALPHA[k], k))
+        got = slopes[k, 3 + 1]
+        assert got == pytest.approx(wanted, rel=2e-3 if single else 1e-9, abs=0.5)
+
+
+def test_test_vectors_of_the_header_are_our_forces(tmp_path):
+    tirefit.export("brush", "c", tmp_path / "tire.h")
+    lines = [
+        line for line in (tmp_path / "tire.h").read_text().splitlines() if "->" in line
+    ]
+    assert len(lines) == 4
+    for line in lines:
+        told = dict(
+            pair.split("=") for half in line.strip(" *").split(" -> ")
+            for pair in half.split(", ")
+        )  # fmt: skip
+        at = {name: float(x) for name, x in told.items()}
+        given = TireInputs(sigma_from_kappa(-at["kappa"]), at["alpha"], at["fz"])
+        assert at["fy"] == pytest.approx(-float(forces(MODELS["brush"], given).fy))
+
+
+@pytest.mark.parametrize("convention, sign", [("sae", 1), ("adapted-sae", 1)])
+def test_signs_follow_the_convention(convention, sign, tmp_path):
+    path = tmp_path / "tire.py"
+    tirefit.export("brush", "numpy", path, convention=convention)
+    load = -4000.0 if convention == "sae" else 4000.0
+    fx, fy, _ = loaded(path).tire(0.02, 0.01, load)
+    given = TireInputs(sigma_from_kappa(-0.02), 0.01, 4000.0)
+    wanted = forces(MODELS["brush"], given)
+    assert fx == pytest.approx(-float(wanted.fx))
+    turned = -1 if convention == "sae" else 1
+    assert fy == pytest.approx(sign * turned * float(wanted.fy))
+
+
+def test_a_pure_formula_is_exported_with_combined_slip(tmp_path):
+    done = tirefit.export("magic-formula", "numpy", tmp_path / "tire.py")
+    assert any("combined" in note for note in done.notes)
+    function = loaded(tmp_path / "tire.py").tire
+    pure = function(0.3, 0.0, 4000.0)[0]
+    fx, fy = function(0.3, 0.3, 4000.0)
+    assert np.hypot(fx, fy) < 1.03 * pure
+    alone = forces(MODELS["magic-formula"], TireInputs(sigma_from_kappa(-0.3), 0, 4e3))
+    assert pure == pytest.approx(-float(alone.fx), rel=1e-9)
+
+
+def test_shape_finds_a_square_tire_and_wrong_signs():
+    tire = tire_of(TRUCK)
+    assert not shape_of(tire, tire.program("iso-w"), "iso-w").sound
+    brush = tire_of("brush")
+    good = shape_of(brush, brush.program("iso-w"), "iso-w")
+    assert good.sound and len(good.sentences) == 5
+    turned = shape_of(brush, brush.program("braking"), "iso-w")
+    assert not turned.sound and "AGAINST" in turned.sentences[2]
+
+
+def test_a_fit_is_exported_with_its_errors_and_range(tmp_path):
+    angle = np.linspace(-0.2, 0.2, 60)
+    force = np.asarray(forces(MODELS["brush"], TireInputs(0.0, angle, 4000.0)).fy)
+    force = force + 20 * np.random.default_rng(1).standard_normal(60)
+    data = {"alpha": angle, "fz": np.full(60, 4000.0), "fy": force}
+    fit = tirefit.fit(data, "brush")
+    tirefit.save_fit(fit, tmp_path)
+    for source in (fit, tmp_path / "fit.json"):
+        done = tirefit.export(source, "numpy", tmp_path / "tire.py")
+        text = done.path.read_text()
+        assert "alpha -0.2 to 0.2 rad" in text and "mu = " in text
+        line = next(x for x in text.splitlines() if "cpa2 = " in x)
+        std = fit.least_squares["cpa2"].std
+        assert float(line.split("+-")[1].split()[0]) == pytest.approx(std, rel=0.06)
+        assert any("fx was not measured" in note for note in done.notes)
+
+
+def test_a_program_folds_and_differentiates():
+    def cubic(x, y):
+        return (x**3 + 2 * y, y / 1.0 + 0.0 * x)
+
+    program = traced(with_derivatives(cubic, 2, (0, 1)), ("x", "y"), tuple("abcdef"))
+    assert program.outputs["e"] == 2.0 and program.outputs["d"] == 0.0
+    assert program.outputs["f"] == 1.0
+    assert sum(op == "mul" for op, _ in program.operations) <= 5
+
+
+# --- command line -------------------------------------------------------------------
+
+
+def ran(*arguments):
+    return CliRunner().invoke(app, ["export", *map(str, arguments)])
+
+
+def test_the_command_writes_and_replaces_only_exports(tmp_path):
+    path = tmp_path / "tire.h"
+    path.write_text("mine")
+    refused = ran("brush", "--to", "c", "--out", path)
+    assert refused.exit_code == 2 and path.read_text() == "mine"
+    assert ran("brush", "--to", "c", "--out", path, "--force").exit_code == 0
+    again = ran("brush", "--to", "c", "--out", path, "--set", "mu=0.8")
+    assert again.exit_code == 0 and "mu = 0.8 -" in path.read_text()
+    assert len(again.stdout.splitlines()) == 6
+
+
+def test_all_that_is_wrong_is_reported_at_once(tmp_path):
+    done = ran("brush", "--to", "cc", "--out", tmp_path / "no" / "1x.py")
+    assert done.exit_code == 2
+    for part in ("did you mean 'c'", "no folder", "no name of a function"):
+        assert part in done.stderr
+    assert ran().exit_code == 2
+    done = ran("brsh", "--to", "c", "--out", tmp_path / "tire.h")
+    assert done.exit_code == 2 and "brush" in done.stderr
+    assert not (tmp_path / "tire.h").exists()
+
+
+def test_the_list_names_every_target():
+    done = ran("--list")
+    assert done.exit_code == 0
+    for target in ("casadi", "c", "numpy"):
+        assert f"{target} " in done.stdout
+
+
+def test_parameters_are_those_of_the_tire():
+    tire = tire_of("brush", {"mu": 0.7})
+    assert json.dumps(parameter_values(tire.model)["mu"]) == "0.7"

@@ -1,0 +1,1 @@
+"""Fitted tires in the simulators and optimizers that people have."""

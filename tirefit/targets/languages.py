@@ -1,0 +1,115 @@
+"""Programs printed as statements of C, NumPy and CasADi."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
+
+from tirefit.targets.program import Place, Program
+
+
+class Language(NamedTuple):
+    """How a language writes an operation.
+
+    Attributes:
+        calls: operation -> name of a function, or a format of the arguments.
+        number: a constant.
+        line: a statement that gives a value a name.
+    """
+
+    calls: Mapping[str, str]
+    number: Callable[[float], str]
+    line: str
+
+
+_SIGNS = {
+    "add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}",
+    "neg": "-{}", "lt": "{} < {}", "le": "{} <= {}", "gt": "{} > {}", "ge": "{} >= {}",
+    "eq": "{} == {}", "ne": "{} != {}",
+}  # fmt: skip
+
+
+def _shortest(value: float) -> str:
+    return repr(float(value))
+
+
+def _in_c(value: float) -> str:
+    return f"TIREFIT_C({float(value)!r})"
+
+
+def _functions(prefix: str, names: Iterable[str]) -> dict[str, str]:
+    return {name: prefix.format(name) for name in names}
+
+
+_COMMON = (
+    "sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "sinh", "cosh", "tanh",
+)  # fmt: skip
+_ARCS = ("asin", "acos", "atan", "asinh")
+
+C = Language(
+    _SIGNS | _functions("TIREFIT_F({})", (*_COMMON, *_ARCS, "cbrt", "pow", "atan2"))
+    | {
+        "abs": "TIREFIT_F(fabs)", "max": "({0} > {1} ? {0} : {1})",
+        "min": "({0} < {1} ? {0} : {1})",
+        "sign": "(tirefit_real)(({0} > 0) - ({0} < 0))",
+        "where": "({0} ? {1} : {2})", "and": "({0} && {1})", "or": "({0} || {1})",
+        "not": "!{}",
+    },
+    _in_c, "const {type} {name} = {value};",
+)  # fmt: skip
+
+NUMPY = Language(
+    _SIGNS | _functions("np.{}", (*_COMMON, "cbrt", "sign"))
+    | {name: f"np.arc{name[1:]}" for name in (*_ARCS, "atan2")}
+    | {
+        "pow": "np.power", "abs": "np.abs", "max": "np.maximum", "min": "np.minimum",
+        "where": "np.where", "and": "np.logical_and", "or": "np.logical_or",
+        "not": "np.logical_not",
+    },
+    _shortest, "{name} = {value}",
+)  # fmt: skip
+
+CASADI = Language(
+    _SIGNS | _functions("ca.{}", (*_COMMON, *_ARCS, "atan2", "sign"))
+    | {
+        "pow": "{} ** {}", "cbrt": "ca.sign({0}) * ca.fabs({0}) ** (1 / 3)",
+        "abs": "ca.fabs", "max": "ca.fmax", "min": "ca.fmin", "where": "ca.if_else",
+        "and": "ca.logic_and", "or": "ca.logic_or", "not": "ca.logic_not",
+    },
+    _shortest, "{name} = {value}",
+)  # fmt: skip
+
+_TRUTHS = frozenset({"lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not"})
+
+
+def body(program: Program, language: Language, indent: str = "    ") -> list[str]:
+    """Statements that compute a program's operations, one a line.
+
+    The inputs have their own names; the k-th operation is named ``t{k}``.
+    """
+    lines = []
+    for k, (op, args) in enumerate(program.operations):
+        if op == "input":
+            continue
+        lines.append(indent + language.line.format(
+            type="int" if op in _TRUTHS else "tirefit_real", name=f"t{k}",
+            value=_expression(program, language, op, args),
+        ))  # fmt: skip
+    return lines
+
+
+def value(program: Program, language: Language, name: str) -> str:
+    """An output of a program as an expression."""
+    return _argument(program, language, program.outputs[name])
+
+
+def _argument(program: Program, language: Language, arg) -> str:
+    if not isinstance(arg, Place):
+        text = language.number(arg)
+        return f"({text})" if text.startswith("-") else text
+    op, args = program.operations[arg]
+    return program.inputs[args[0]] if op == "input" else f"t{arg}"
+
+
+def _expression(program: Program, language: Language, op: str, args) -> str:
+    given = [_argument(program, language, arg) for arg in args]
+    how = language.calls[op]
+    return how.format(*given) if "{" in how else f"{how}({', '.join(given)})"

@@ -1,0 +1,330 @@
+"""Straight-line programs of a model's forces, traced from its JAX function.
+
+A model is written once, in JAX. :func:`traced` turns that function, with the parameter
+values in it, into a list of scalar operations that :mod:`tirefit.targets.languages`
+prints in other languages: no formula is written twice.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.extend import core
+
+MOST_OPERATIONS = 20_000
+"""Operations from which a program is too long to be compiled by others."""
+
+LEAST = 1e-36
+"""The smallest positive constant of a program."""
+
+
+class Operation(NamedTuple):
+    """``op`` of arguments, each a constant or a :class:`Term`."""
+
+    op: str
+    args: tuple
+
+
+class Term:
+    """A value that depends on the inputs: its place in a :class:`Graph`."""
+
+    __slots__ = ("graph", "place")
+
+    def __init__(self, graph: "Graph", place: int):
+        self.graph, self.place = graph, place
+
+    def __hash__(self):
+        return self.place
+
+    def __eq__(self, other):
+        return isinstance(other, Term) and other.place == self.place
+
+
+class Graph:
+    """Operations in order; equal ones are shared, and constants are folded."""
+
+    def __init__(self):
+        self.operations: list[Operation] = []
+        self._known: dict[Operation, Term] = {}
+
+    def term(self, op: str, *args) -> Term:
+        """The term of an operation."""
+        key = Operation(op, args)
+        if key not in self._known:
+            if len(self.operations) >= MOST_OPERATIONS:
+                raise ValueError(f"more than {MOST_OPERATIONS} operations")
+            self._known[key] = Term(self, len(self.operations))
+            self.operations.append(key)
+        return self._known[key]
+
+    def apply(self, op: str, *args):
+        """An operation on terms and constants; a constant where it is one."""
+        if op == "same":
+            return args[0]
+        if not any(isinstance(arg, Term) for arg in args):
+            return _folded(op, args)
+        if op == "where":
+            condition, yes, no = args
+            if not isinstance(condition, Term):
+                return yes if condition else no
+            if yes == no:
+                return yes
+        if (simpler := _simplified(self, op, args)) is not None:
+            return simpler
+        return self.term(op, *args)
+
+
+class Program(NamedTuple):
+    """A function of scalars as operations.
+
+    Attributes:
+        inputs: names of the arguments, in order.
+        outputs: name and value of each result: a place or a constant.
+        operations: in order; ``("input", (k,))`` is the k-th argument.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: dict[str, Any]
+    operations: list[Operation]
+
+
+def traced(
+    function: Callable, inputs: Sequence[str], outputs: Sequence[str]
+) -> Program:
+    """The program of a JAX function of scalars.
+
+    Args:
+        function: of ``len(inputs)`` scalars, to a tuple of ``len(outputs)`` scalars.
+        inputs, outputs: names.
+
+    Raises:
+        NotImplementedError: the function has a loop of unknown length, or an operation
+            that no other language has.
+    """
+    graph = Graph()
+    closed = jax.make_jaxpr(function)(*[1.0] * len(inputs))
+    given = [_array(graph.term("input", k)) for k in range(len(inputs))]
+    values = _evaluate(graph, closed.jaxpr, closed.consts, given)
+    found = {name: value.item() for name, value in zip(outputs, values, strict=True)}
+    return _pruned(Program(tuple(inputs), found, graph.operations))
+
+
+def with_derivatives(function: Callable, count: int, by: Sequence[int]) -> Callable:
+    """The function's results, then their derivatives by the inputs ``by``, each input
+    for all results in turn."""
+
+    def both(*at):
+        values = tuple(function(*at))
+        slopes: list = []
+        for k in by:
+            along = tuple(1.0 if j == k else 0.0 for j in range(count))
+            slopes += jax.jvp(function, at, along)[1]
+        return (*values, *slopes)
+
+    return both
+
+
+def _array(value) -> np.ndarray:
+    array = np.empty((), object)
+    array[()] = value
+    return array
+
+
+def _evaluate(graph: Graph, jaxpr, consts, given) -> list[np.ndarray]:
+    """The results of a jaxpr on arrays of terms and constants."""
+    known = dict(zip(jaxpr.constvars, map(np.asarray, consts), strict=True))
+    known |= dict(zip(jaxpr.invars, given, strict=True))
+
+    def read(atom):
+        if not isinstance(atom, core.Literal):
+            return known[atom]
+        # A smaller number is zero in single precision, where it keeps a length from
+        # being zero.
+        value = np.asarray(atom.val)
+        return np.maximum(value, LEAST) if 0 < value < LEAST else value
+
+    for equation in jaxpr.eqns:
+        values = [read(atom) for atom in equation.invars]
+        results = _result(graph, equation, values)
+        known |= dict(zip(equation.outvars, results, strict=True))
+    return [read(atom) for atom in jaxpr.outvars]
+
+
+def _result(graph: Graph, equation, values) -> list[np.ndarray]:
+    name, how = equation.primitive.name, equation.params
+    if name in ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"):
+        inner = how.get("jaxpr") or how.get("call_jaxpr") or how.get("fun_jaxpr")
+        return _evaluate(graph, inner.jaxpr, inner.consts, values)
+    if name == "scan":
+        return _unrolled(graph, how, values)
+    if name in _SHAPES:
+        return [_SHAPES[name](values, how)]
+    if name in ("integer_pow", "square"):
+        y = how.get("y", 2)
+        return [_each(graph, lambda g, x: _power(g, x, y), values)]
+    if name == "rsqrt":
+        root = _each(graph, lambda g, x: g.apply("sqrt", x), values)
+        return [_each(graph, lambda g, x: g.apply("div", 1.0, x), [root])]
+    if name in ("reduce_sum", "reduce_max"):
+        op = {"reduce_sum": "add", "reduce_max": "max"}[name]
+        pair = np.frompyfunc(lambda x, y: graph.apply(op, x, y), 2, 1)
+        total = values[0].astype(object)
+        for axis in sorted(how["axes"], reverse=True):
+            total = np.asarray(pair.reduce(total, axis=axis), object)
+        return [total]
+    if name == "select_n":
+        condition, no, yes = values
+        name, values = "where", [condition, yes, no]
+    if name not in _NAMES and name != "where":
+        raise NotImplementedError(name)
+    op = _NAMES.get(name, name)
+    return [_each(graph, lambda g, *args: g.apply(op, *args), values)]
+
+
+def _unrolled(graph: Graph, how, values) -> list[np.ndarray]:
+    """A loop of known length, step by step."""
+    first, last = how["num_consts"], how["num_consts"] + how["num_carry"]
+    consts, carry, over = values[:first], values[first:last], values[last:]
+    order = range(how["length"])
+    steps = []
+    for k in reversed(order) if how["reverse"] else order:
+        inner = how["jaxpr"]
+        given = [*consts, *carry, *(each[k] for each in over)]
+        given = [g if isinstance(g, np.ndarray) else _array(g) for g in given]
+        results = _evaluate(graph, inner.jaxpr, inner.consts, given)
+        carry = results[: how["num_carry"]]
+        steps.append(results[how["num_carry"] :])
+    if how["reverse"]:
+        steps.reverse()
+    stacked = [np.stack(one) for one in zip(*steps, strict=True)] if steps else []
+    return [*carry, *stacked]
+
+
+def _each(graph: Graph, function, values) -> np.ndarray:
+    """A function of scalars on arrays."""
+    arrays = np.broadcast_arrays(*values)
+    result = np.empty(arrays[0].shape, object)
+    for at in np.ndindex(result.shape):
+        result[at] = function(graph, *(_plain(array[at]) for array in arrays))
+    return result
+
+
+def _plain(value):
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _folded(op: str, args):
+    """An operation on constants; no number where it has no value."""
+    try:
+        return _CONSTANT[op](*args)
+    except (ValueError, ZeroDivisionError, OverflowError):
+        return math.nan
+
+
+def _power(graph: Graph, x, y: int):
+    """An integer power as products."""
+    if y < 0:
+        return graph.apply("div", 1.0, _power(graph, x, -y))
+    result, square = 1.0, x
+    while y:
+        if y & 1:
+            result = graph.apply("mul", result, square)
+        y >>= 1
+        square = graph.apply("mul", square, square) if y else square
+    return result
+
+
+def _simplified(graph: Graph, op: str, args):
+    """What an operation with a neutral constant is; None where it has none. A product
+    with an exact zero is zero: that is the derivative by an input that does not act."""
+    if op == "mul":
+        x, y = args if isinstance(args[0], Term) else args[::-1]
+        if isinstance(y, Term) or y not in (0.0, 1.0, -1.0):
+            return None
+        return 0.0 if y == 0.0 else x if y == 1.0 else graph.apply("neg", x)
+    if op in ("add", "sub") and not isinstance(args[1], Term) and args[1] == 0.0:
+        return args[0]
+    if op == "add" and not isinstance(args[0], Term) and args[0] == 0.0:
+        return args[1]
+    if op == "div" and not isinstance(args[0], Term) and args[0] == 0.0:
+        return 0.0
+    if op == "div" and not isinstance(args[1], Term) and args[1] == 1.0:
+        return args[0]
+    if op == "neg" and isinstance(args[0], Term):
+        inner = graph.operations[args[0].place]
+        return inner.args[0] if inner.op == "neg" else None
+    return None
+
+
+def _pruned(program: Program) -> Program:
+    """Without operations that no result needs; arguments of operations as places."""
+    used, wanted = set(), [v for v in program.outputs.values() if isinstance(v, Term)]
+    while wanted:
+        term = wanted.pop()
+        if term.place not in used:
+            used.add(term.place)
+            args = program.operations[term.place].args
+            wanted += [arg for arg in args if isinstance(arg, Term)]
+    kept = [(k, one) for k, one in enumerate(program.operations) if k in used]
+    new = {old: k for k, (old, _) in enumerate(kept)}
+
+    def placed(value):
+        return Place(new[value.place]) if isinstance(value, Term) else value
+
+    operations = [Operation(o.op, tuple(map(placed, o.args))) for _, o in kept]
+    outputs = {name: placed(value) for name, value in program.outputs.items()}
+    return Program(program.inputs, outputs, operations)
+
+
+class Place(int):
+    """The number of an operation whose result is meant."""
+
+
+_NAMES = {
+    "add": "add", "add_any": "add", "sub": "sub", "mul": "mul", "div": "div",
+    "neg": "neg", "max": "max", "min": "min", "abs": "abs", "sign": "sign",
+    "sqrt": "sqrt", "cbrt": "cbrt", "exp": "exp", "expm1": "expm1", "log": "log",
+    "log1p": "log1p", "pow": "pow", "sin": "sin", "cos": "cos", "tan": "tan",
+    "asin": "asin", "acos": "acos", "atan": "atan", "atan2": "atan2", "sinh": "sinh",
+    "cosh": "cosh", "tanh": "tanh", "asinh": "asinh", "lt": "lt", "le": "le",
+    "gt": "gt", "ge": "ge", "eq": "eq", "ne": "ne", "and": "and", "or": "or",
+    "not": "not", "stop_gradient": "same", "convert_element_type": "same",
+    "copy": "same",
+}  # fmt: skip
+"""Operation of JAX -> ours."""
+
+_CONSTANT: dict[str, Callable] = {
+    "add": lambda x, y: x + y, "sub": lambda x, y: x - y, "mul": lambda x, y: x * y,
+    "div": lambda x, y: x / y, "neg": lambda x: -x, "max": max, "min": min,
+    "abs": abs, "sign": lambda x: (x > 0) - (x < 0), "sqrt": math.sqrt,
+    "cbrt": math.cbrt, "exp": math.exp, "expm1": math.expm1, "log": math.log,
+    "log1p": math.log1p, "pow": math.pow, "sin": math.sin, "cos": math.cos,
+    "tan": math.tan, "asin": math.asin, "acos": math.acos, "atan": math.atan,
+    "atan2": math.atan2, "sinh": math.sinh, "cosh": math.cosh, "tanh": math.tanh,
+    "asinh": math.asinh, "lt": lambda x, y: x < y, "le": lambda x, y: x <= y,
+    "gt": lambda x, y: x > y, "ge": lambda x, y: x >= y, "eq": lambda x, y: x == y,
+    "ne": lambda x, y: x != y, "and": lambda x, y: x and y, "or": lambda x, y: x or y,
+    "not": lambda x: not x,
+    "where": lambda condition, yes, no: yes if condition else no,
+}  # fmt: skip
+"""The same of constants."""
+
+_SHAPES: dict[str, Callable] = {
+    "broadcast_in_dim": lambda v, how: np.broadcast_to(
+        np.asarray(v[0]).reshape([
+            n if k in how["broadcast_dimensions"] else 1
+            for k, n in enumerate(how["shape"])
+        ] if np.ndim(v[0]) else ()), how["shape"]),
+    "reshape": lambda v, how: v[0].reshape(how["new_sizes"]),
+    "squeeze": lambda v, how: np.squeeze(v[0], tuple(how["dimensions"])),
+    "slice": lambda v, how: v[0][tuple(
+        slice(*each) for each in zip(
+            how["start_indices"], how["limit_indices"],
+            how["strides"] or [1] * len(how["start_indices"]), strict=True)
+    )],
+    "concatenate": lambda v, how: np.concatenate(v, how["dimension"]),
+    "stack": lambda v, how: np.stack(v, how["axis"]),
+}  # fmt: skip
+"""Operations that only move values."""

@@ -1,0 +1,130 @@
+"""What an exported tire does where simulators fail: at rest, at large slip and load."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.slip import CONVENTIONS
+from tirefit.targets.code import compiled
+from tirefit.targets.program import Program
+from tirefit.targets.tire import Tire
+
+_STEP = 1e-4
+"""Slip beside zero over which slopes and jumps are judged."""
+
+_JUMP = 0.01
+"""Share of the load that the force may change within such a step, beside its slope."""
+
+_SQUARE = 1.05
+"""Resultant over the ellipse of the pure forces from which a tire is square."""
+
+_SLIPS = np.linspace(-0.99, 0.99, 397)
+_ANGLES = np.linspace(-1.2, 1.2, 241)
+
+
+class Shape(NamedTuple):
+    """Five sentences on a tire, and whether one of them is a warning."""
+
+    sentences: tuple[str, ...]
+    sound: bool
+
+
+def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
+    """How a tire's forces behave, in single precision, to twice the largest load."""
+    signs = CONVENTIONS[convention]
+    force, names = compiled(program), list(program.outputs)
+    load = tire.load
+    most = 2 * tire.measured.get("fz", (0.0, 2 * load))[1]
+    middle = {"v": 10.0, "gamma": 0.0, "pressure": 0.0}
+
+    def at(kappa=0.0, alpha=0.0, fz=load, **others) -> dict[str, np.ndarray]:
+        values = middle | {"kappa": kappa, "alpha": alpha, "fz": signs.fz * fz} | others
+        given = np.broadcast_arrays(*(values[k] for k in program.inputs))
+        with np.errstate(all="ignore"):
+            found = force(*(np.asarray(one, np.float32) for one in given))
+        shape = given[0].shape
+        return {n: np.broadcast_to(f, shape) for n, f in zip(names, found, strict=True)}
+
+    found = [_at_rest(at, names, load), _standing(at, names, "v" in program.inputs)]
+    found += [_signs(at, names, signs, load), _peaks(at, names, load, most)]
+    found.append(_ellipse(at, names, most))
+    return Shape(tuple(s for s, _ in found), all(sound for _, sound in found))
+
+
+_SLIP_OF = {"fx": "kappa", "fy": "alpha"}
+
+
+def _forces(names) -> list[str]:
+    return [name for name in ("fx", "fy") if name in names]
+
+
+def _at_rest(at: Callable, names, load) -> tuple[str, bool]:
+    told, sound = [], True
+    for name in _forces(names):
+        slips = np.array([-2, -1, 0, 1, 2]) * _STEP
+        f = at(**{_SLIP_OF[name]: slips})[name] / load
+        left, right = (f[1] - f[0]) / _STEP, (f[4] - f[3]) / _STEP
+        jump = max(abs(f[2] - f[1] - left * _STEP), abs(f[3] - f[2] - right * _STEP))
+        smooth = bool(np.all(np.isfinite(f)) and jump < _JUMP)
+        smooth &= abs(left - right) < 0.1 * max(abs(left), abs(right))
+        sound &= smooth
+        how = "continuous" if smooth else "NOT continuous"
+        told.append(
+            f"{name} {how}, slope {(left + right) / 2:.4g} F_z, {f[2]:.3g} F_z at zero"
+        )
+    return "zero slip: " + "; ".join(told), sound
+
+
+def _standing(at: Callable, names, speed: bool) -> tuple[str, bool]:
+    slips = np.concatenate([_SLIPS, [-1.0, 1.0]])
+    forces = at(kappa=slips[:, None], alpha=_ANGLES, v=0.0)
+    sound = all(np.all(np.isfinite(forces[name])) for name in names)
+    how = "finite" if sound else "NOT finite"
+    what = "speed zero and a locked wheel" if speed else "a locked wheel"
+    return f"standstill: every force is {how} at {what}", sound
+
+
+def _signs(at: Callable, names, signs, load) -> tuple[str, bool]:
+    told, sound = [], True
+    for name in _forces(names):
+        slip = _SLIP_OF[name]
+        f = at(**{slip: np.array([-0.02, 0.02])})[name]
+        own = getattr(signs, "slip" if slip == "kappa" else slip) * getattr(signs, name)
+        right = bool((f[1] - f[0]) * own > 0)
+        sound &= right
+        told.append(f"{name} {'rises' if f[1] > f[0] else 'falls'} with {slip}")
+    word = "as its convention has it" if sound else "AGAINST its convention"
+    return f"signs: {', '.join(told)}, {word}", sound
+
+
+def _peaks(at: Callable, names, load, most) -> tuple[str, bool]:
+    told, sound = [], True
+    for name in _forces(names):
+        slip, grid = _SLIP_OF[name], _SLIPS if name == "fx" else _ANGLES
+        each = []
+        for fz in (load, most):
+            f = np.abs(at(**{slip: grid}, fz=fz)[name]) / fz
+            place = int(np.argmax(f))
+            sound &= bool(np.isfinite(f).all() and f[place] < 5)
+            each.append(f"{f[place]:.3g} F_z at {abs(grid[place]):.2g}")
+        told.append(f"{name} {each[0]} (twice the largest load: {each[1]})")
+    return "peak: " + "; ".join(told), sound
+
+
+def _ellipse(at: Callable, names, most) -> tuple[str, bool]:
+    if _forces(names) != ["fx", "fy"]:
+        return "combined slip: one force alone", True
+    worst = 0.0
+    for fz in (0.5 * most, most):
+        grid = at(kappa=_SLIPS[:, None], alpha=_ANGLES, fz=fz)
+        pure_x = np.max(np.abs(at(kappa=_SLIPS, fz=fz)["fx"]))
+        pure_y = np.max(np.abs(at(alpha=_ANGLES, fz=fz)["fy"]))
+        size = np.hypot(grid["fx"] / pure_x, grid["fy"] / pure_y)
+        worst = max(worst, float(np.nanmax(size)))
+    sound = worst < _SQUARE
+    how = "within" if sound else "NOT within"
+    return (
+        f"combined slip: at most {worst:.3f} of the ellipse of the pure forces, {how}"
+        f" it, to F_z {most:.4g} N"
+    ), sound
