@@ -76,7 +76,7 @@ def test_a_twin_makes_it_cannot_tell_and_counts_for_its_effect():
     verdict = decide(findings({A: 0.48, B: 0.46, (): 0.01}, sets))
     assert (verdict.status, verdict.effects) == (Status.CANNOT_TELL, A)
     assert verdict.also_possible == B and verdict.each["a"].twins == B
-    assert verdict.each["a"].probability == pytest.approx(0.48 / 0.94)
+    assert verdict.each["a"].probability == pytest.approx(1.0)
     # A rival beside the whole set is possible, and no twin.
     verdict = decide(findings({A: 0.7, AB: 0.2}, sets))
     assert verdict.status == Status.CANNOT_TELL and verdict.also_possible == B

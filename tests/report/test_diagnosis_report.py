@@ -913,9 +913,9 @@ def test_every_verdict_has_its_sentence(verdict, sentence):
 def test_an_effect_has_amplitude_probability_closure_and_twins():
     found = judged("cannot_tell", ["load_friction"], 0.6, ["force_offset"], ["toe"])
     assert (
-        "load friction (load_friction): 0.1234 ± 0.0056 probability 0.91 that it is"
-        " there; closes 80.0 ± 5.0 % of the gap on data left out; this data cannot tell"
-        " it from toe friction is a power of the load; to do: fit brush-load"
+        "load friction (load_friction): 0.1234 ± 0.0056 probability 0.91 that it or"
+        " toe is there: this data cannot tell them apart; closes 80.0 ± 5.0 % of the"
+        " gap on data left out friction is a power of the load; to do: fit brush-load"
     ) in flat(found)
     alone = flat(found).split("force offset (force_offset): not named")[1]
     assert alone.startswith(" probability 0.20 that it is there the force")

@@ -120,9 +120,10 @@ def diagnose(
     Returns:
         ``verdict.effects`` are the named effects, ``verdict.probability`` that of
         exactly this set, and ``verdict.each`` holds for each effect the probability
-        that it is there, what it closes on data left out, and its twins: effects that
-        these data cannot tell from it. ``verdict.left`` is what remains, ``ladder`` how
-        the rms on data left out shrinks effect by effect. ``verdict.status`` is
+        that it or a twin is there, what it closes on data left out, and its twins:
+        effects that these data cannot tell from it. ``verdict.left`` is what remains,
+        ``ladder`` how the rms on data left out shrinks effect by effect.
+        ``verdict.status`` is
 
         - ``none``: no gap shows beyond the noise;
         - ``named``: effects are named, nothing unlisted is likelier there than not;

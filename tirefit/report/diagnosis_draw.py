@@ -118,7 +118,7 @@ def draw_chances(figure, bars: Sequence[ChanceBar]) -> None:
             f"{bar.probability:.2f}", va="center", fontsize=8.5,
             ha="right" if inside else "left", color="white" if inside else DARK,
         )  # fmt: skip
-    tidy(axes, "probability that it is there, whatever else is")
+    tidy(axes, "probability that it (or a twin) is there")
     axes.set_yticks(places, [textwrap.fill(bar.label, 18) for bar in bars])
     axes.set_ylim(-0.6, top - 0.4)
     axes.set_xlim(0, 1)

@@ -241,13 +241,13 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
 
 
 def _each_text(each: Each) -> str:
-    text = f"probability {each.probability:.2f} that it is there"
+    what = listing(["it", *map(name_of, each.twins)], "or")
+    text = f"probability {each.probability:.2f} that {what} is there"
+    if each.twins:
+        text += ": this data cannot tell them apart"
     if each.closed_left_out is not None:
         closed = _percent(each.closed_left_out, each.closed_left_out_std)
         text += f"; closes {closed} of the gap on data left out"
-    if each.twins:
-        twins = listing([name_of(twin) for twin in each.twins], "or")
-        text += f"; this data cannot tell it from {twins}"
     return text
 
 

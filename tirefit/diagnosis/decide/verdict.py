@@ -64,10 +64,10 @@ POLICY = Policy()
 
 
 class Each(NamedTuple):
-    """One named effect: the probability that it is there, whatever else is; the share
-    of the gap that it closes on data left out beside the other named effects, with its
-    standard error (None where nothing could be left out); and its ``twins``: effects
-    that these data cannot tell from it."""
+    """One named effect: the probability that it, or one of its twins, is there,
+    whatever else is; the share of the gap that it closes on data left out beside the
+    other named effects, with its standard error (None where nothing could be left out);
+    and its ``twins``: effects that these data cannot tell from it."""
 
     probability: float
     closed_left_out: float | None
@@ -189,7 +189,7 @@ def decide(found: Findings, policy: Policy = POLICY) -> Verdict:
         return unnamed(more or weighed.nothing_shown <= policy.perhaps, also)
     gains, each = found.sets[key].gains, {}
     for e in sorted(key, key=lambda e: -gains[e].gain if e in gains else 0.0):
-        gain, there = gains.get(e), found.probability(e, key, policy)
+        gain, there = gains.get(e), found.claim(e, key, rivals, policy)
         closed, std = (gain.closed, gain.closed_std) if gain else (None, None)
         each[e] = Each(there, closed, std, rivals.get(e, ()))
     exact = weighed.listed_given_gap(key) if key == best else weighed.holding(key)
