@@ -22,7 +22,7 @@ from tirefit.diagnosis.effects.state import force_of_state, null_state
 from tirefit.diagnosis.evidence.base import fit_base
 from tirefit.diagnosis.evidence.forms import PLACE, form_columns, shape_of_change
 from tirefit.diagnosis.noise import judge_noise
-from tirefit.diagnosis.rows import rates
+from tirefit.diagnosis.rows import slips
 from tirefit.diagnosis.rows.basis import Generic, gains, of_any_kind, waves_within
 from tirefit.diagnosis.rows.prepared import blocks_of_settings, coincides, prepare
 from tirefit.diagnosis.rows.rig import VEHICLE, Rig, load_rig
@@ -332,7 +332,7 @@ def test_a_long_sweep_in_pieces_is_the_whole(monkeypatch, piece):
     noise = np.random.default_rng(7).normal(0, 0.002, 400)
     slip, run = 0.05 * np.sin(2.0 * time) + noise, np.zeros(400, int)
     whole = slip_rate(slip, time, run)
-    monkeypatch.setattr(rates, "_PIECE", piece)
+    monkeypatch.setattr(slips, "_PIECE", piece)
     pieces = slip_rate(slip, time, run)
     assert whole.present
     assert whole.noise > 0

@@ -10,7 +10,7 @@ from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.evidence.base import fit_base
 from tirefit.diagnosis.evidence.posterior import due_to_doubt, gains_beside, linear_at
-from tirefit.diagnosis.evidence.search import _Searcher
+from tirefit.diagnosis.evidence.search import Search
 from tirefit.diagnosis.rows.basis import SCALES, without
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
@@ -156,7 +156,7 @@ def doubted():
     base = fit_base(prepared, "brush", EFFECTS, SLALOM_RIG)
     names = [atom.effect.id for atom in base.atoms]
     wanted = "slip_offset", "slip_offset_load", "load_stiffness"
-    return base, _Searcher(base, [names.index(name) for name in wanted])
+    return base, Search(base, [names.index(name) for name in wanted])
 
 
 def test_doubt_is_one_more_noise(doubted):

@@ -28,7 +28,6 @@ from tirefit.diagnosis.evidence.simulator import (
     STAND_INS,
     Given,
     given_simulator,
-    refused,
     simulator_at,
 )
 from tirefit.diagnosis.rows.prepared import (
@@ -38,7 +37,7 @@ from tirefit.diagnosis.rows.prepared import (
     prepare,
     thinned,
 )
-from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.rig import Rig, unfit
 from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.document import document_of
 from tirefit.diagnosis.summary.records import Settings, Untestable
@@ -196,7 +195,7 @@ def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
         if (same or other.columns is data.columns) and np.any(other.used & data.used):
             reason = "held out are the data that are diagnosed: they check nothing"
             remedy = "give other data with --holdout, or none: a part is left out then"
-            raise refused(other, reason, remedy)
+            raise unfit(other, reason, remedy)
 
 
 def _are_known(without: Sequence[str], known: set[str]) -> None:

@@ -8,13 +8,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from tirefit.diagnosis.effects import Atom, atoms_of
-from tirefit.diagnosis.evidence import fits
-from tirefit.diagnosis.evidence.forms import (
-    PLACE,
-    not_followed,
-    whitened_generic,
-    with_runs,
-)
+from tirefit.diagnosis.evidence import fits, forms
 from tirefit.diagnosis.evidence.forward import Design, Linear, Tire, with_force
 from tirefit.diagnosis.evidence.simulator import (
     STAND_INS,
@@ -96,7 +90,9 @@ class Base(Fit):
     def generic(self) -> Generic:
         """Generic functions for each channel by itself, whitened: (m, b)."""
         fields = np.asarray(self.at_null.fields)
-        return whitened_generic(self.rows, self.design, self.slip_fraction, fields)
+        return forms.whitened_generic(
+            self.rows, self.design, self.slip_fraction, fields
+        )
 
     @cached_property
     def doubt(self) -> np.ndarray:
@@ -138,14 +134,14 @@ class Base(Fit):
         for channel in rows.channels:
             missed = np.asarray(self.design.offset[channel])[:n]
             weight = np.asarray(self.design.keep) / self.design.scale[channel]
-            off = not_followed(missed, rows.slip, around, most)
+            off = forms.not_followed(missed, rows.slip, around, most)
             blocks.append(off * weight[:n, None])
         found = block_diag(*blocks)
         return found[:, np.linalg.norm(found, axis=0) > 0.1]  # standard errors
 
     def _forces_of(self, slips) -> np.ndarray:
         """Whitened forces (m, k) of small changes of the slips (n, k)."""
-        steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
+        steep = np.asarray(self.at_null.fields)[:, forms.PLACE["shift"]]
         return steep[:, None] * np.tile(slips, (len(self.rows.channels), 1))
 
     @cached_property
@@ -242,7 +238,7 @@ def fit_base(
         slip_fraction=_slip_fraction(prepared, tire, z, design),
     )  # fmt: skip
     base = _under(_noise(fit, rig), fit)
-    return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
+    return forms.with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
 
 
 def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:

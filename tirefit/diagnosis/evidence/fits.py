@@ -13,9 +13,10 @@ from tirefit.diagnosis.effects import atoms_of
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.evidence.changes import MOST_EFFECTS
 from tirefit.diagnosis.evidence.forward import Design, Tire
-from tirefit.diagnosis.evidence.simulator import STAND_INS, Given, refused
+from tirefit.diagnosis.evidence.simulator import STAND_INS, Given
 from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.rows.rig import unfit
 from tirefit.diagnosis.rows.slips import slip_nodes
 from tirefit.fitting import least_squares as one_start
 from tirefit.fitting.across_files import HUBER
@@ -307,7 +308,7 @@ def check_followed(prepared, missed: dict, name: str) -> None:
             )
             remedy = f"choose a base model nearer to the simulator than {name} with"
             remedy += f" --model, and check sign, unit and row order of {c}_sim"
-            raise refused(prepared.data, reason, remedy)
+            raise unfit(prepared.data, reason, remedy)
 
 
 def standing_in(prepared: Prepared, name, effects, rig, given: Given):

@@ -18,6 +18,7 @@ from tirefit.data.units import sign_of
 from tirefit.diagnosis.evidence.forward import Tire
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.rows.rig import unfit
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.layout import FreeParameter, Layout, choose_layout
 from tirefit.fitting.mf.result import MagicFormulaFit
@@ -32,7 +33,7 @@ from tirefit.models.mf import OTHER_SIDE, MFTire
 from tirefit.models.mf.tire import turned_forces, turned_inputs
 from tirefit.padding import pad_rows, padded_size
 from tirefit.params import check_values, parameter_values, specs, with_values
-from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.results import InputProblem, UsageError
 from tirefit.slip import CONVENTIONS
 
 STAND_INS = ("brush", "mf61")
@@ -97,7 +98,7 @@ class Given:
                 "write its force for every row into a column fx_sim or fy_sim, in the"
                 " unit and sign of fx or fy; `tirefit predict ... --beside` does so"
             )
-            raise refused(data, reason, remedy)
+            raise unfit(data, reason, remedy)
         known = np.all([np.isfinite(force) for force in found.values()], axis=0)
         for name, force in found.items():
             _check_size(force, data, name, known & data.used)
@@ -125,7 +126,7 @@ class Given:
             what = "zero" if there else "no number"
             reason = f"{what} in every row: no force of a simulator"
             remedy = "write the simulated force into it, or leave the column out"
-            raise refused(data, reason, remedy, silent[0])
+            raise unfit(data, reason, remedy, silent[0])
         # A tire without coefficients of M_z has none.
         return {k: v for k, v in found.items() if k not in silent}
 
@@ -165,12 +166,6 @@ class Simulated:
     doubt: str = ""
 
 
-def refused(data: TireData, reason: str, remedy: str, column=None) -> DataError:
-    """The error of data that cannot be diagnosed."""
-    path = data.source.path or data.name
-    return DataError(InputProblem(reason, remedy, path, column=column))
-
-
 def _check_size(force, data: TireData, name: str, rows) -> None:
     """Raises DataError for a simulated force (n,) far from the size of the measured."""
     measured = data[name.removesuffix("_sim")]
@@ -182,7 +177,7 @@ def _check_size(force, data: TireData, name: str, rows) -> None:
     if not 1 / _FACTOR < ratio < _FACTOR:
         reason = f"its mean size is {ratio:.3g} times that of the measured force"
         remedy = f"check unit and rows of {name}: no tire is off by that much"
-        raise refused(data, reason, remedy, name)
+        raise unfit(data, reason, remedy, name)
 
 
 def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given:
@@ -353,7 +348,7 @@ def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
     remedy = "; ".join(_remedies(alike, there, prepared, given))
     if given.signs or given.kind not in ("tir", "columns"):
         return f"{reason}. It is taken as it is: {remedy}"
-    raise refused(prepared.data, reason, remedy)
+    raise unfit(prepared.data, reason, remedy)
 
 
 def _inputs(prepared: Prepared) -> TireInputs:
