@@ -12,6 +12,7 @@ from fits.withheld.injected import CHANGES, half
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS
 from tirefit.diagnosis.engine import diagnose
+from tirefit.models import MODELS, TireInputs, forces
 from tirefit.report.diagnosis_words import range_text
 from tirefit.results import DataError, UsageError
 
@@ -292,3 +293,14 @@ def test_a_slip_of_zero_is_no_side():
     found = diagnose(read_frame(frame), rig=RIG)
     signs = [region for region in found.where if region.covariate == "sign"]
     assert {range_text(region) for region in signs} <= {"negative", "positive"}
+
+
+def test_a_file_too_large_to_use_every_row_is_diagnosed_on_some():
+    """The base fit and the diagnosis take the same rows."""
+    slip = np.random.default_rng(0).uniform(-0.2, 0.2, 7000)
+    load = np.random.default_rng(1).choice([2000.0, 4000.0, 6000.0], 7000)
+    given = TireInputs(slip + 0.004, 0.0, load)
+    noise = np.random.default_rng(2).normal(0, 60, 7000)
+    force = np.asarray(forces(MODELS["brush"], given).fx) + noise
+    found = diagnose(read_frame({"sigma_x": slip, "fz": load, "fx": force}, "large"))
+    assert found.verdict.effects == ("slip_offset",)
