@@ -1,6 +1,7 @@
 """The document of a diagnosis: its keys, and that it always says what to measure."""
 
 import json
+from copy import copy
 from dataclasses import fields, is_dataclass, replace
 from itertools import combinations
 
@@ -239,7 +240,8 @@ def test_the_moment_is_forecast_by_the_rows_not_promised(studied):
     )  # fmt: skip
 
     def chances(base):
-        search = replace(case.search, base=base)
+        search = copy(case.search)
+        search.base = base
         steps, _ = next_measurements(base, search, case.weighed, verdict, most=99)
         return {
             step.separates[1]: step.p_after for step in steps if step.add == _MOMENT

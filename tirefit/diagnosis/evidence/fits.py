@@ -239,9 +239,10 @@ def first_fit(
 ) -> tuple[Tire, np.ndarray, np.ndarray]:
     """(tire, z, first guess of z) by least squares with Huber's loss at the measured
     slips."""
-    used = np.zeros(len(data), bool)
-    used[np.flatnonzero(data.used)[prepared.kept]] = True
-    data = replace(data, used=used)  # a large file is diagnosed on some of its rows
+    if prepared.n < data.n:  # a large file is diagnosed on some of its rows
+        used = np.zeros(len(data), bool)
+        used[np.flatnonzero(data.used)[prepared.kept]] = True
+        data = replace(data, used=used)
     # Half the starts of `tirefit fit`.
     config = parse_config({"force": list(prepared.channels), "starts": 4})
     task = build(data, name, config, _LEAST_ROWS)
