@@ -79,7 +79,7 @@ class Straight(Base):
         sharp = patterns_of(smooth)
         self.__dict__ |= {
             "columns": columns, "truth": truth, "atoms": (one,), "rows": rows,
-            "fit": SimpleNamespace(design=design, slip_fraction=x),
+            "design": design, "slip_fraction": x,
             "generic": Generic(smooth, smooth, sharp),
             "doubt": np.zeros((ROWS, 1)), "proxies": np.zeros((ROWS, 0)),
         }  # fmt: skip
