@@ -75,7 +75,7 @@ class Patterns:
     def log_prior(self) -> np.ndarray:
         """Log probability of each pattern (k,): covariates and parameters are equal."""
         each = [np.tile(one.log_prior, len(one.weights)) for one in self.over]
-        return np.concatenate(each) - np.log(len(self.over) * len(PARAMETERS))
+        return np.concatenate(each) - np.log(sum(len(one.weights) for one in self.over))
 
     @cached_property
     def of(self) -> list[Pattern]:
