@@ -52,8 +52,12 @@ class Fitted(Base):
         keep = np.ones(rows.n) if keep is None else keep.astype(float)
         noise = {c: SimpleNamespace(memory=(memory,)) for c in rows.channels}
         design = Design(*[None] * len(Design._fields))._replace(keep=keep)
-        fit = SimpleNamespace(design=design)
-        self.__dict__ |= {"rows": rows, "noise": noise, "fit": fit, "doubt": doubt}
+        self.__dict__ |= {
+            "rows": rows,
+            "noise": noise,
+            "design": design,
+            "doubt": doubt,
+        }
 
 
 def judged(residual, seed=0, rows=PREPARED, columns=COLUMNS, **given):
