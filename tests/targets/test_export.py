@@ -6,6 +6,8 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -15,10 +17,13 @@ from typer.testing import CliRunner
 import tirefit
 from tirefit.cli.commands import app
 from tirefit.data.tir import read_tir
+from tirefit.fitting.mf.store import save_magic_formula
 from tirefit.fitting.tir import own_tire
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import parameter_values
-from tirefit.slip import sigma_from_kappa
+from tirefit.results import UsageError
+from tirefit.slip import CONVENTIONS, sigma_from_kappa
+from tirefit.targets.code import Draft, c_source
 from tirefit.targets.program import traced, with_derivatives
 from tirefit.targets.shape import shape_of
 from tirefit.targets.tire import tire_of
@@ -109,7 +114,6 @@ def test_casadi_gives_our_forces_and_slopes(source, tmp_path):
 def built(path, folder, single):
     """The header's functions in a shared library."""
     source = folder / f"use{single}.c"
-    count = 3 if "mz" in path.read_text().split("static")[0] else 2
     args = [
         line.split("(")[1].split(", tirefit_real force")[0]
         for line in path.read_text().splitlines() if "inline void tire(" in line
@@ -129,7 +133,7 @@ def built(path, folder, single):
     subprocess.run(
         [*command, "-o", library, source, "-lm"], check=True, capture_output=True
     )
-    return ctypes.CDLL(str(library)), len(names), count
+    return ctypes.CDLL(str(library)), len(names)
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
@@ -138,7 +142,7 @@ def built(path, folder, single):
 def test_c_gives_our_forces_and_slopes(source, single, tmp_path):
     path = tmp_path / "tire.h"
     tirefit.export(source, "c", path)
-    library, count, _ = built(path, tmp_path, single)
+    library, count = built(path, tmp_path, single)
     kind = ctypes.c_float if single else ctypes.c_double
     found, slopes = [], []
     for row in np.array(inputs_of(source)).T:
@@ -166,8 +170,10 @@ def test_c_gives_our_forces_and_slopes(source, single, tmp_path):
         assert got == pytest.approx(wanted, rel=2e-3 if single else 1e-9, abs=0.5)
 
 
-def test_test_vectors_of_the_header_are_our_forces(tmp_path):
-    tirefit.export("brush", "c", tmp_path / "tire.h")
+@pytest.mark.parametrize("convention", ["iso-w", "sae"])
+def test_test_vectors_of_the_header_are_our_forces(convention, tmp_path):
+    tirefit.export("brush", "c", tmp_path / "tire.h", convention=convention)
+    signs = CONVENTIONS[convention]
     lines = [
         line for line in (tmp_path / "tire.h").read_text().splitlines() if "->" in line
     ]
@@ -178,12 +184,14 @@ def test_test_vectors_of_the_header_are_our_forces(tmp_path):
             for pair in half.split(", ")
         )  # fmt: skip
         at = {name: float(x) for name, x in told.items()}
-        given = TireInputs(sigma_from_kappa(-at["kappa"]), at["alpha"], at["fz"])
-        assert at["fy"] == pytest.approx(-float(forces(MODELS["brush"], given).fy))
+        slip = sigma_from_kappa(-at["kappa"])
+        given = TireInputs(slip, signs.alpha * at["alpha"], signs.fz * at["fz"])
+        wanted = signs.fy * float(forces(MODELS["brush"], given).fy)
+        assert at["fy"] == pytest.approx(wanted) and wanted != 0
 
 
-@pytest.mark.parametrize("convention, sign", [("sae", 1), ("adapted-sae", 1)])
-def test_signs_follow_the_convention(convention, sign, tmp_path):
+@pytest.mark.parametrize("convention, turned", [("sae", -1), ("adapted-sae", 1)])
+def test_signs_follow_the_convention(convention, turned, tmp_path):
     path = tmp_path / "tire.py"
     tirefit.export("brush", "numpy", path, convention=convention)
     load = -4000.0 if convention == "sae" else 4000.0
@@ -191,8 +199,7 @@ def test_signs_follow_the_convention(convention, sign, tmp_path):
     given = TireInputs(sigma_from_kappa(-0.02), 0.01, 4000.0)
     wanted = forces(MODELS["brush"], given)
     assert fx == pytest.approx(-float(wanted.fx))
-    turned = -1 if convention == "sae" else 1
-    assert fy == pytest.approx(sign * turned * float(wanted.fy))
+    assert fy == pytest.approx(turned * float(wanted.fy))
 
 
 def test_a_pure_formula_is_exported_with_combined_slip(tmp_path):
@@ -230,7 +237,52 @@ def test_a_fit_is_exported_with_its_errors_and_range(tmp_path):
         line = next(x for x in text.splitlines() if "cpa2 = " in x)
         std = fit.least_squares["cpa2"].std
         assert float(line.split("+-")[1].split()[0]) == pytest.approx(std, rel=0.06)
-        assert any("fx was not measured" in note for note in done.notes)
+        assert any("fx was not fitted" in note for note in done.notes)
+
+
+def test_a_fit_of_braking_states_its_range_in_the_signs_of_the_file(tmp_path):
+    slip = np.linspace(-0.1, 0.25, 60)
+    force = np.asarray(forces(MODELS["brush"], TireInputs(slip, 0.0, 4000.0)).fx)
+    force = force + 20 * np.random.default_rng(1).standard_normal(60)
+    data = {"sigma_x": slip, "fz": np.full(60, 4000.0), "fx": force}
+    fit = tirefit.fit(data, "brush")
+    path = tmp_path / "tire.h"
+    # Driving positive: braking to kappa 0.25 / 1.25 is -0.2.
+    assert any("fy was not fitted" in n for n in tirefit.export(fit, "c", path).notes)
+    assert "kappa -0.2 to 0.1111 -" in path.read_text()
+    tirefit.export(fit, "c", path, convention="braking")
+    assert "kappa -0.1111 to 0.2 -" in path.read_text()
+    with pytest.raises(UsageError, match="beside a fit"):
+        tirefit.export(fit, "c", path, values={"mu": 0.5})
+
+
+def test_a_fitted_magic_formula_is_exported_from_memory_and_from_its_file(tmp_path):
+    angle, load = (
+        np.tile(np.linspace(-0.2, 0.2, 41), 2),
+        np.repeat([3000.0, 6000.0], 41),
+    )
+    given = TireInputs(0.0, angle, load)
+    force = np.asarray(forces(model_of(MF61), given).fy)
+    force = force + 20 * np.random.default_rng(1).standard_normal(82)
+    fit = tirefit.fit_magic_formula({"alpha": angle, "fz": load, "fy": force}, "mf61")
+    save_magic_formula(fit, tmp_path)
+    wanted = -np.asarray(forces(fit.tire, given).fy)
+    for source in (fit, tmp_path / "fit.json"):
+        done = tirefit.export(source, "numpy", tmp_path / "tire.py")
+        function = loaded(tmp_path / "tire.py").tire
+        found = dict(zip(("fx", "fy"), function(*(0.0, angle, load)), strict=False))
+        assert np.max(np.abs(found["fy"] - wanted) / load) < 1e-9
+        assert any("fx was not fitted" in note for note in done.notes)
+        std = fit.coefficients["PDY1"].std
+        line = next(x for x in done.path.read_text().splitlines() if "PDY1 =" in x)
+        assert float(line.split("+-")[1].split()[0]) == pytest.approx(std, rel=0.06)
+
+
+def test_ranges_of_a_tir_file_keep_its_signs():
+    tire, numbers = tire_of(MF61), read_tir(MF61).numbers
+    low, high = numbers["KPUMIN"], numbers["KPUMAX"]
+    assert tire.measured["kappa"] == (-high, -low)
+    assert f"kappa {low:.4g} to {high:.4g} -" in tire.ranges("iso-w")
 
 
 def test_a_program_folds_and_differentiates():
@@ -264,12 +316,41 @@ def test_the_command_writes_and_replaces_only_exports(tmp_path):
 def test_all_that_is_wrong_is_reported_at_once(tmp_path):
     done = ran("brush", "--to", "cc", "--out", tmp_path / "no" / "1x.py")
     assert done.exit_code == 2
-    for part in ("did you mean 'c'", "no folder", "no name of a function"):
+    for part in ("did you mean 'c'", "does not exist", "no name of a function"):
         assert part in done.stderr
     assert ran().exit_code == 2
     done = ran("brsh", "--to", "c", "--out", tmp_path / "tire.h")
     assert done.exit_code == 2 and "brush" in done.stderr
     assert not (tmp_path / "tire.h").exists()
+
+
+@pytest.mark.parametrize("name", ["double", "lambda", "np"])
+def test_a_word_of_the_language_is_no_name(name, tmp_path):
+    done = ran("brush", "--to", "c", "--out", tmp_path / f"{name}.h")
+    assert done.exit_code == 2 and "no name of a function" in done.stderr
+
+
+def test_the_ending_is_that_of_the_target_and_no_input_is_replaced(tmp_path):
+    assert ran("brush", "--to", "c", "--out", tmp_path / "tire.py").exit_code == 2
+    source = tmp_path / "tire.tir"
+    source.write_bytes(Path(MF61).read_bytes())
+    done = ran(source, "--to", "c", "--out", source, "--force")
+    assert done.exit_code == 2 and source.read_bytes() == Path(MF61).read_bytes()
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+def test_a_file_name_ends_no_comment(tmp_path):
+    tire = tire_of("brush")
+    odd = replace(tire, origin="fit to rigs/*.csv */ int x;\nint y;")
+    draft = Draft(odd, odd.program("iso-w"), "iso-w", [odd.origin], "tire")
+    assert "/*.csv" not in c_source(draft) and "csv */" not in c_source(draft)
+    folder = tmp_path / "a\nimport this"
+    folder.mkdir()
+    source = folder / "tire.tir"
+    source.write_bytes(Path(MF61).read_bytes())
+    tirefit.export(source, "numpy", tmp_path / "tire.py")
+    lines = (tmp_path / "tire.py").read_text().splitlines()
+    assert not any(line.startswith("import this") for line in lines)
 
 
 def test_the_list_names_every_target():

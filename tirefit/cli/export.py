@@ -70,7 +70,8 @@ def export(
         if problems:
             raise UsageError(problems)
         assert source and to and out
-        check(to, out, convention, out.stem if name is None else name, force)
+        name = out.stem if name is None else name
+        check(source, to, out, convention, name, force)
         start_jax()
         done = export(
             source, to, out, values=values, convention=convention, name=name,

@@ -49,12 +49,21 @@ class StoredFit:
         Raises:
             UsageError: a parameter has a value for each run.
         """
-        values = self.layout.natural(self.z)
-        several = [name for name, value in values.items() if np.ndim(value)]
-        if several:
-            reason = f"the fit has a {several[0]} for each run: it is not one tire"
-            raise UsageError(InputProblem(reason, "fit it with one for all runs"))
-        return with_values(self.tire, {k: float(v) for k, v in values.items()})
+        return at_estimate(self.tire, self.layout, self.z)
+
+
+def at_estimate(template: AbstractTire, layout: Layout, z) -> AbstractTire:
+    """A tire with the values of an estimate ``z`` in the unconstrained space.
+
+    Raises:
+        UsageError: a parameter has a value for each run.
+    """
+    values = layout.natural(z)
+    several = [name for name, value in values.items() if np.ndim(value)]
+    if several:
+        reason = f"the fit has a {several[0]} for each run: it is not one tire"
+        raise UsageError(InputProblem(reason, "fit it with one for all runs"))
+    return with_values(template, {k: float(v) for k, v in values.items()})
 
 
 _LARGEST = 1e20

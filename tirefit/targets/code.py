@@ -1,11 +1,12 @@
 """Source code of a tire's forces: C, NumPy and CasADi."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.slip import CONVENTIONS
-from tirefit.targets.languages import CASADI, NUMPY, C, body, value
+from tirefit.targets.languages import CASADI, NUMPY, C, body, results
 from tirefit.targets.program import Program
 from tirefit.targets.tire import ALWAYS, UNITS, Tire
 
@@ -25,52 +26,71 @@ def header(tire: Tire, program: Program, convention: str) -> list[str]:
     """Sentences on a tire that stand first in every exported file."""
     names = (*program.inputs, *program.outputs)
     return [
-        *tire.origin,
+        tire.origin,
         f"signs: {convention} ({CONVENTIONS[convention].description})",
         *(f"{name} [{UNITS[name]}]: {MEANING[name]}" for name in names),
         "at low speed compute kappa with max(speed, a few tenths of a m/s)",
-        f"measured: {tire.ranges()}; beyond it the model extrapolates",
+        f"measured: {tire.ranges(convention)}; beyond it the model extrapolates",
         "parameters (+- standard error):",
         *(f"  {line}" for line in tire.parameters()),
         *tire.notes,
     ]
 
 
-def numpy_source(
-    tire: Tire, program: Program, convention: str, above: Sequence[str], name: str
-) -> str:
+class Draft(NamedTuple):
+    """What a file is written from.
+
+    Attributes:
+        tire: the tire; ``forces`` is its program in the signs of ``convention``.
+        above: lines that stand first in the file.
+        name: of the function.
+    """
+
+    tire: Tire
+    forces: Program
+    convention: str
+    above: Sequence[str]
+    name: str
+
+
+def numpy_source(draft: Draft) -> str:
     """A Python module with one function of arrays; it needs NumPy alone."""
-    del tire, convention
-    results = ", ".join(value(program, NUMPY, out) for out in program.outputs)
-    lines = [
-        *(f"# {line}" for line in above), "", "import numpy as np", "", "",
+    return "\n".join([
+        *(f"# {line}" for line in draft.above), "", "import numpy as np", "", "",
+        *_numpy_function(draft.forces, draft.name), "",
+    ])  # fmt: skip
+
+
+def _numpy_function(program: Program, name: str) -> list[str]:
+    return [
         f"def {name}({', '.join(program.inputs)}):",
         f'    """Forces ({", ".join(program.outputs)}) of arrays or numbers."""',
         *body(program, NUMPY),
-        f"    return {results}{',' if len(program.outputs) == 1 else ''}",
-    ]  # fmt: skip
-    return "\n".join(lines) + "\n"
+        f"    return ({', '.join(results(program, NUMPY))},)",
+    ]
 
 
-def casadi_source(
-    tire: Tire, program: Program, convention: str, above: Sequence[str], name: str
-) -> str:
+def compiled(program: Program) -> Callable:
+    """A program as a Python function of numbers or arrays, to a tuple."""
+    scope: dict = {"np": np}
+    exec("\n".join(_numpy_function(program, "force")), scope)
+    return scope["force"]
+
+
+def casadi_source(draft: Draft) -> str:
     """A Python module with a ``casadi.Function`` of scalars, and its Jacobian."""
-    del tire, convention
-    given = ", ".join(program.inputs)
-    results = ", ".join(value(program, CASADI, out) for out in program.outputs)
-    outputs = ", ".join(repr(out) for out in program.outputs)
-    inputs = ", ".join(repr(one) for one in program.inputs)
+    program, name = draft.forces, draft.name
+    given, found = ", ".join(program.inputs), ", ".join(results(program, CASADI))
     lines = [
-        *(f"# {line}" for line in above), "", "import casadi as ca", "", "",
+        *(f"# {line}" for line in draft.above), "", "import casadi as ca", "", "",
         "def _build():",
         *(f"    {one} = ca.SX.sym({one!r})" for one in program.inputs),
         *body(program, CASADI),
         "    forces = ca.Function(",
-        f"        {name!r}, [{given}], [{results}], [{inputs}], [{outputs}]",
+        f"        {name!r}, [{given}], [{found}],",
+        f"        {list(program.inputs)}, {list(program.outputs)},",
         "    )",
-        f"    at = ca.vertcat({given})",
-        f"    slopes = ca.jacobian(ca.vertcat({results}), at)",
+        f"    slopes = ca.jacobian(ca.vertcat({found}), ca.vertcat({given}))",
         f"    return forces, ca.Function({name + '_jacobian'!r}, [{given}], [slopes])",
         "", "",
         f"{name}, {name}_jacobian = _build()",
@@ -78,19 +98,16 @@ def casadi_source(
     return "\n".join(lines) + "\n"
 
 
-def vectors(tire: Tire, program: Program, function) -> list[str]:
-    """Inputs and forces to check a program by, a line each.
-
-    Args:
-        function: of the program's inputs, to its outputs.
-    """
-    sign = {"kappa": 1.0, "alpha": 1.0, "fz": 1.0}
-    middle = {"v": 10.0, "gamma": 0.02, "pressure": 0.0}
+def vectors(draft: Draft) -> list[str]:
+    """Inputs and forces to check a file by, a line each."""
+    program, force = draft.forces, compiled(draft.forces)
+    load = CONVENTIONS[draft.convention].fz * draft.tire.load
     lines, names = [], tuple(program.outputs)
     for kappa, alpha, share in _VECTORS:
-        at = sign | middle | {"kappa": kappa, "alpha": alpha, "fz": share * tire.load}
+        at = {"kappa": kappa, "alpha": alpha, "fz": share * load}
+        at |= {"v": 10.0, "gamma": 0.02, "pressure": 0.0}
         given = [float(f"{at[name]:.6g}") for name in program.inputs]
-        found = function(*given)
+        found = force(*given)
         lines.append(f"{_named(program.inputs, given)} -> {_named(names, found)}")
     return lines
 
@@ -119,43 +136,33 @@ typedef double tirefit_real;
 """
 
 
-def c_source(
-    tire: Tire, program: Program, convention: str, above: Sequence[str], name: str
-) -> str:
+def c_source(draft: Draft) -> str:
     """A C header: forces, and forces with their Jacobian by kappa, alpha and fz."""
-    lines = ["/*", *(f" * {line.replace('*/', '* /')}" for line in above)]
-    lines += [" * test vectors:"]
-    lines += [f" *   {line}" for line in vectors(tire, program, compiled(program))]
-    lines += [" */", _C_HEAD.format(guard=f"{name.upper()}_H")]
-    count = len(program.outputs)
-    lines += _c_function(program, name, [f"tirefit_real force[{count}]"], count)
-    both = tire.program(convention, jacobian=True)
-    there = [f"tirefit_real force[{count}]", f"tirefit_real slope[{count}][{ALWAYS}]"]
-    lines += ["", *_c_function(both, f"{name}_jacobian", there, count)]
-    return "\n".join([*lines, "", "#endif", ""])
+    name, count = draft.name, len(draft.forces.outputs)
+    above = [*draft.above, "test vectors:", *(f"  {line}" for line in vectors(draft))]
+    # No comment may begin or end within the comment.
+    said = [line.replace("/*", "/ *").replace("*/", "* /") for line in above]
+    force, slope = f"tirefit_real force[{count}]", f"slope[{count}][{ALWAYS}]"
+    both = draft.tire.program(draft.convention, jacobian=True)
+    return "\n".join([
+        "/*", *(f" * {line}" for line in said), " */",
+        _C_HEAD.format(guard=f"{name.upper()}_H"),
+        *_c_function(draft.forces, name, [force], count), "",
+        *_c_function(both, f"{name}_jacobian", [force, f"tirefit_real {slope}"], count),
+        "", "#endif", "",
+    ])  # fmt: skip
 
 
-def _c_function(program: Program, name: str, results, count: int) -> list[str]:
+def _c_function(program: Program, name: str, given, count: int) -> list[str]:
+    """A function; the outputs beyond ``count`` are derivatives, see
+    :meth:`Tire.program`."""
     inputs = [f"tirefit_real {one}" for one in program.inputs]
-    lines = [f"static inline void {name}({', '.join([*inputs, *results])})", "{"]
     used = {args[0] for op, args in program.operations if op == "input"}
     unused = [one for k, one in enumerate(program.inputs) if k not in used]
-    lines += [f"    (void){one};" for one in unused]
-    lines += body(program, C)
-    outputs = list(program.outputs)
-    for k, out in enumerate(outputs):
-        place = f"force[{k}]"
-        if k >= count:
-            by, force = divmod(k - count, count)
-            place = f"slope[{force}][{by}]"
-        lines.append(f"    {place} = {value(program, C, out)};")
-    return [*lines, "}"]
-
-
-def compiled(program: Program):
-    """A program as a Python function of numbers or arrays."""
-    results = ", ".join(value(program, NUMPY, out) for out in program.outputs)
-    lines = [f"def force({', '.join(program.inputs)}):", *body(program, NUMPY)]
-    scope: dict = {"np": np}
-    exec("\n".join([*lines, f"    return ({results},)"]), scope)
-    return scope["force"]
+    lines = [f"    (void){one};" for one in unused] + body(program, C)
+    for k, result in enumerate(results(program, C)):
+        by, force = divmod(k - count, count)
+        place = f"force[{k}]" if k < count else f"slope[{force}][{by}]"
+        lines.append(f"    {place} = {result};")
+    head = f"static inline void {name}({', '.join([*inputs, *given])})"
+    return [head, "{", *lines, "}"]

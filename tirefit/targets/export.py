@@ -1,20 +1,39 @@
 """A fitted tire as a file of another program: :func:`export`."""
 
+import keyword
 import os
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from tirefit import __version__
+from tirefit.data.write import output_problems
 from tirefit.files import write_text_atomic
 from tirefit.results import InputProblem, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS
-from tirefit.targets.code import c_source, casadi_source, header, numpy_source
-from tirefit.targets.program import Program
+from tirefit.targets.code import (
+    Draft,
+    c_source,
+    casadi_source,
+    header,
+    numpy_source,
+)
 from tirefit.targets.shape import Shape, shape_of
-from tirefit.targets.tire import Tire, tire_of
+from tirefit.targets.tire import tire_of
 
 MARK = "written by tirefit export"
 """What the first line of every exported file says."""
+
+_TAKEN = frozenset(
+    "auto case char const default do double enum extern float goto inline int long"
+    " register restrict short signed sizeof static struct switch typedef union unsigned"
+    " void volatile np ca".split()
+)
+"""Words of C that are none of Python, and what the Python files import."""
+
+_NEW_LINE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
+"""Characters that may end a line."""
 
 
 class Target(NamedTuple):
@@ -23,15 +42,14 @@ class Target(NamedTuple):
     Attributes:
         ending: of the file.
         what: what the file is, and what it needs.
-        holds: which models it holds, and how exactly.
-        write: of the tire, its forces as a program, the convention, the lines above and
-            the name of the function, to the text of the file.
+        holds: the models that it holds, and how exactly.
+        write: the text of the file.
     """
 
     ending: str
     what: str
     holds: str
-    write: Callable[[Tire, Program, str, Sequence[str], str], str]
+    write: Callable[[Draft], str]
 
 
 TARGETS: dict[str, Target] = {
@@ -84,7 +102,7 @@ def export(
         source: a fit, a ``fit.json``, a ``.tir`` file, a tire, or the name of a model.
         target: a key of :data:`TARGETS`.
         path: the file to write.
-        values: parameter values of a named model or a ``.tir`` file.
+        values: parameter values of a model or a ``.tir`` file; a fit has its own.
         convention: signs of the file's inputs and forces.
         name: of the function in the file; the file's own name by default.
         force: replace a file that is no export.
@@ -95,8 +113,9 @@ def export(
         signs, or exceeds the ellipse of its pure forces.
 
     Raises:
-        UsageError: unknown target, convention or parameter; a name that is none; or a
-            file that is there and no export.
+        UsageError: unknown target, convention or parameter; values beside a fit; a name
+            that no function can have; a file that cannot be written, or that is there
+            and no export; or a model that the target cannot hold.
         DataError: the source cannot be read.
 
     Example:
@@ -108,25 +127,28 @@ def export(
     """
     path = Path(path)
     name = path.stem if name is None else name
-    check(target, path, convention, name, force)
+    check(source, target, path, convention, name, force)
     tire = tire_of(source, values)
-    from tirefit import __version__
-
+    first = f"{MARK}, tirefit {__version__}: {tire.name} for {target}"
     try:
         forces = tire.program(convention)
         shape = shape_of(tire, forces, convention)
-        first = f"{MARK}, tirefit {__version__}: {tire.name} for {target}"
         above = [first, *header(tire, forces, convention), *shape.sentences]
-        text = TARGETS[target].write(tire, forces, convention, above, name)
+        # A line of a file's name or text must not end the comment.
+        above = [_NEW_LINE.sub(" ", line) for line in above]
+        draft = Draft(tire, forces, convention, above, name)
+        text = TARGETS[target].write(draft)
     except NotImplementedError as error:
-        reason = f"{tire.name} uses an operation that {target} lacks: {error}"
+        reason = f"{tire.name} cannot be written for {target}: {error}"
         remedy = "export another model, fitted to its curve by `tirefit convert`"
         raise UsageError(InputProblem(reason, remedy)) from None
     write_text_atomic(path, text)
     return Exported(path, shape, tire.notes)
 
 
-def check(target: str, path: Path, convention: str, name: str, force: bool) -> None:
+def check(
+    source, target: str, path: Path, convention: str, name: str, force: bool
+) -> None:
     """Raises UsageError for all that is wrong with a request, before the work."""
     problems = []
     for what, given, known in (
@@ -135,16 +157,18 @@ def check(target: str, path: Path, convention: str, name: str, force: bool) -> N
         if given not in known:
             remedy = f"{did_you_mean(given, known)}valid: {', '.join(known)}"
             problems.append(InputProblem(f"{what}: {given!r} is not known", remedy))
-    if not (name.isidentifier() and name.isascii()):
-        remedy = "name the function with --name: letters, digits and _"
+    plain = name.isidentifier() and name.isascii()
+    if not plain or keyword.iskeyword(name) or name in _TAKEN:
+        remedy = "name the function with --name: letters, digits and _, no keyword"
         problems.append(InputProblem(f"{name!r} is no name of a function", remedy))
-    if path.exists() and not force and not _exported(path):
+    inputs = [source] if isinstance(source, str | os.PathLike) else []
+    ending = TARGETS[target].ending if target in TARGETS else ""
+    if unwritable := output_problems(path, inputs, ending):
+        problems += unwritable
+    elif path.exists() and not force and not _exported(path):
         reason = "the file is there and was not written by an export"
         remedy = "choose another file, or replace it with --force"
         problems.append(InputProblem(reason, remedy, str(path)))
-    if not path.parent.is_dir():
-        reason = f"no folder {path.parent}"
-        problems.append(InputProblem(reason, "make it first", str(path)))
     if problems:
         raise UsageError(problems)
 

@@ -1,5 +1,6 @@
 """Programs printed as statements of C, NumPy and CasADi."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
@@ -27,12 +28,14 @@ _SIGNS = {
 }  # fmt: skip
 
 
-def _shortest(value: float) -> str:
-    return repr(float(value))
+def _in_python(value: float) -> str:
+    text = repr(float(value))
+    return text if math.isfinite(value) else f"float({text!r})"
 
 
 def _in_c(value: float) -> str:
-    return f"TIREFIT_C({float(value)!r})"
+    text = repr(float(value))
+    return f"TIREFIT_C({text.replace('inf', 'INFINITY').replace('nan', 'NAN')})"
 
 
 def _functions(prefix: str, names: Iterable[str]) -> dict[str, str]:
@@ -64,7 +67,7 @@ NUMPY = Language(
         "where": "np.where", "and": "np.logical_and", "or": "np.logical_or",
         "not": "np.logical_not",
     },
-    _shortest, "{name} = {value}",
+    _in_python, "{name} = {value}",
 )  # fmt: skip
 
 CASADI = Language(
@@ -74,7 +77,7 @@ CASADI = Language(
         "abs": "ca.fabs", "max": "ca.fmax", "min": "ca.fmin", "where": "ca.if_else",
         "and": "ca.logic_and", "or": "ca.logic_or", "not": "ca.logic_not",
     },
-    _shortest, "{name} = {value}",
+    _in_python, "{name} = {value}",
 )  # fmt: skip
 
 _TRUTHS = frozenset({"lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not"})
@@ -96,9 +99,9 @@ def body(program: Program, language: Language, indent: str = "    ") -> list[str
     return lines
 
 
-def value(program: Program, language: Language, name: str) -> str:
-    """An output of a program as an expression."""
-    return _argument(program, language, program.outputs[name])
+def results(program: Program, language: Language) -> list[str]:
+    """The outputs of a program as expressions."""
+    return [_argument(program, language, one) for one in program.outputs.values()]
 
 
 def _argument(program: Program, language: Language, arg) -> str:

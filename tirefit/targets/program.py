@@ -5,7 +5,6 @@ values in it, into a list of scalar operations that :mod:`tirefit.targets.langua
 prints in other languages: no formula is written twice.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -30,10 +29,10 @@ class Operation(NamedTuple):
 class Term:
     """A value that depends on the inputs: its place in a :class:`Graph`."""
 
-    __slots__ = ("graph", "place")
+    __slots__ = ("place",)
 
-    def __init__(self, graph: "Graph", place: int):
-        self.graph, self.place = graph, place
+    def __init__(self, place: int):
+        self.place = place
 
     def __hash__(self):
         return self.place
@@ -54,17 +53,16 @@ class Graph:
         key = Operation(op, args)
         if key not in self._known:
             if len(self.operations) >= MOST_OPERATIONS:
-                raise ValueError(f"more than {MOST_OPERATIONS} operations")
-            self._known[key] = Term(self, len(self.operations))
+                raise NotImplementedError(f"it takes over {MOST_OPERATIONS} operations")
+            self._known[key] = Term(len(self.operations))
             self.operations.append(key)
         return self._known[key]
 
     def apply(self, op: str, *args):
         """An operation on terms and constants; a constant where it is one."""
-        if op == "same":
-            return args[0]
         if not any(isinstance(arg, Term) for arg in args):
-            return _folded(op, args)
+            with np.errstate(all="ignore"):
+                return _OPERATIONS[op](*args).item()
         if op == "where":
             condition, yes, no = args
             if not isinstance(condition, Term):
@@ -100,8 +98,8 @@ def traced(
         inputs, outputs: names.
 
     Raises:
-        NotImplementedError: the function has a loop of unknown length, or an operation
-            that no other language has.
+        NotImplementedError: the function has a loop of unknown length, an operation
+            that other languages lack, or too many operations.
     """
     graph = Graph()
     closed = jax.make_jaxpr(function)(*[1.0] * len(inputs))
@@ -177,10 +175,12 @@ def _result(graph: Graph, equation, values) -> list[np.ndarray]:
     if name == "select_n":
         condition, no, yes = values
         name, values = "where", [condition, yes, no]
-    if name not in _NAMES and name != "where":
-        raise NotImplementedError(name)
-    op = _NAMES.get(name, name)
-    return [_each(graph, lambda g, *args: g.apply(op, *args), values)]
+    if name in _UNCHANGED and not np.issubdtype(equation.outvars[0].aval.dtype, int):
+        return values
+    name = "add" if name == "add_any" else name
+    if name not in _OPERATIONS:
+        raise NotImplementedError(f"it has no operation {name}")
+    return [_each(graph, lambda g, *args: g.apply(name, *args), values)]
 
 
 def _unrolled(graph: Graph, how, values) -> list[np.ndarray]:
@@ -213,14 +213,6 @@ def _each(graph: Graph, function, values) -> np.ndarray:
 
 def _plain(value):
     return value.item() if isinstance(value, np.generic) else value
-
-
-def _folded(op: str, args):
-    """An operation on constants; no number where it has no value."""
-    try:
-        return _CONSTANT[op](*args)
-    except (ValueError, ZeroDivisionError, OverflowError):
-        return math.nan
 
 
 def _power(graph: Graph, x, y: int):
@@ -282,34 +274,23 @@ class Place(int):
     """The number of an operation whose result is meant."""
 
 
-_NAMES = {
-    "add": "add", "add_any": "add", "sub": "sub", "mul": "mul", "div": "div",
-    "neg": "neg", "max": "max", "min": "min", "abs": "abs", "sign": "sign",
-    "sqrt": "sqrt", "cbrt": "cbrt", "exp": "exp", "expm1": "expm1", "log": "log",
-    "log1p": "log1p", "pow": "pow", "sin": "sin", "cos": "cos", "tan": "tan",
-    "asin": "asin", "acos": "acos", "atan": "atan", "atan2": "atan2", "sinh": "sinh",
-    "cosh": "cosh", "tanh": "tanh", "asinh": "asinh", "lt": "lt", "le": "le",
-    "gt": "gt", "ge": "ge", "eq": "eq", "ne": "ne", "and": "and", "or": "or",
-    "not": "not", "stop_gradient": "same", "convert_element_type": "same",
-    "copy": "same",
+_OPERATIONS: dict[str, Callable] = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide,
+    "neg": np.negative, "max": np.maximum, "min": np.minimum, "abs": np.abs,
+    "sign": np.sign, "sqrt": np.sqrt, "cbrt": np.cbrt, "exp": np.exp,
+    "expm1": np.expm1, "log": np.log, "log1p": np.log1p, "pow": np.power,
+    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos,
+    "atan": np.arctan, "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh,
+    "tanh": np.tanh, "asinh": np.arcsinh, "lt": np.less, "le": np.less_equal,
+    "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal,
+    "and": np.logical_and, "or": np.logical_or, "not": np.logical_not,
+    "where": np.where,
 }  # fmt: skip
-"""Operation of JAX -> ours."""
+"""Operation of a program -> what it does to constants. All but ``where`` have the
+names that they have in JAX."""
 
-_CONSTANT: dict[str, Callable] = {
-    "add": lambda x, y: x + y, "sub": lambda x, y: x - y, "mul": lambda x, y: x * y,
-    "div": lambda x, y: x / y, "neg": lambda x: -x, "max": max, "min": min,
-    "abs": abs, "sign": lambda x: (x > 0) - (x < 0), "sqrt": math.sqrt,
-    "cbrt": math.cbrt, "exp": math.exp, "expm1": math.expm1, "log": math.log,
-    "log1p": math.log1p, "pow": math.pow, "sin": math.sin, "cos": math.cos,
-    "tan": math.tan, "asin": math.asin, "acos": math.acos, "atan": math.atan,
-    "atan2": math.atan2, "sinh": math.sinh, "cosh": math.cosh, "tanh": math.tanh,
-    "asinh": math.asinh, "lt": lambda x, y: x < y, "le": lambda x, y: x <= y,
-    "gt": lambda x, y: x > y, "ge": lambda x, y: x >= y, "eq": lambda x, y: x == y,
-    "ne": lambda x, y: x != y, "and": lambda x, y: x and y, "or": lambda x, y: x or y,
-    "not": lambda x: not x,
-    "where": lambda condition, yes, no: yes if condition else no,
-}  # fmt: skip
-"""The same of constants."""
+_UNCHANGED = ("stop_gradient", "convert_element_type", "copy")
+"""Operations of JAX that change no value, but for a conversion to integers."""
 
 _SHAPES: dict[str, Callable] = {
     "broadcast_in_dim": lambda v, how: np.broadcast_to(

@@ -34,8 +34,7 @@ def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
     """How a tire's forces behave, in single precision, to twice the largest load."""
     signs = CONVENTIONS[convention]
     force, names = compiled(program), list(program.outputs)
-    load = tire.load
-    most = 2 * tire.measured.get("fz", (0.0, 2 * load))[1]
+    load, most = tire.load, 2 * tire.largest_load
     middle = {"v": 10.0, "gamma": 0.0, "pressure": 0.0}
 
     def at(kappa=0.0, alpha=0.0, fz=load, **others) -> dict[str, np.ndarray]:
@@ -69,9 +68,9 @@ def _at_rest(at: Callable, names, load) -> tuple[str, bool]:
         smooth = bool(np.all(np.isfinite(f)) and jump < _JUMP)
         smooth &= abs(left - right) < 0.1 * max(abs(left), abs(right))
         sound &= smooth
-        how = "continuous" if smooth else "NOT continuous"
+        how, zero = "continuous" if smooth else "NOT continuous", f[2] + 0.0  # no -0
         told.append(
-            f"{name} {how}, slope {(left + right) / 2:.4g} F_z, {f[2]:.3g} F_z at zero"
+            f"{name} {how}, slope {(left + right) / 2:.4g} F_z, {zero:.3g} F_z at zero"
         )
     return "zero slip: " + "; ".join(told), sound
 

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -12,8 +12,8 @@ from tirefit.data.tir_keys import LIMITS
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import FitResult
-from tirefit.fitting.store import StoredFit, load_fit
-from tirefit.fitting.tir import own_tire, remarks
+from tirefit.fitting.store import StoredFit, at_estimate, load_fit
+from tirefit.fitting.tir import TIR_SIGNS, own_tire, remarks
 from tirefit.models import (
     AbstractTire,
     CombinedMagicFormula,
@@ -24,7 +24,8 @@ from tirefit.models import (
 from tirefit.models.relaxation import Relaxed
 from tirefit.params import check_values, parameter_values, specs, with_values
 from tirefit.precision import require_x64
-from tirefit.slip import CONVENTIONS, LOCKED
+from tirefit.results import InputProblem, UsageError
+from tirefit.slip import CONVENTIONS, LOCKED, kappa_from_sigma
 from tirefit.targets.program import Program, traced, with_derivatives
 
 INPUTS = ("kappa", "alpha", "fz", "v", "gamma", "pressure")
@@ -33,6 +34,9 @@ INPUTS = ("kappa", "alpha", "fz", "v", "gamma", "pressure")
 
 ALWAYS = 3
 """The first of them that every exported tire has."""
+
+_USUAL_LOAD = 4000.0
+"""Load of a passenger car's tire [N], where no file states one."""
 
 UNITS = {
     "kappa": "-", "alpha": "rad", "fz": "N", "v": "m/s", "gamma": "rad",
@@ -48,25 +52,25 @@ class Tire:
         model: steady-state tire with its values.
         name: of the model.
         origin: sentences on where it comes from.
+        load: a usual load [N], at which the tire is checked.
         spread: standard errors by parameter; of those that were fitted.
-        measured: (least, largest) value by input, canonical; of those that are known.
-        forces: forces that were fitted; all that are modelled if there was no fit.
+        measured: (least, largest) value by input of :data:`INPUTS`, in canonical signs;
+            of those that are known.
         notes: sentences on what was assumed.
     """
 
     model: AbstractTire
     name: str
-    origin: tuple[str, ...]
-    spread: Mapping[str, float]
-    measured: Mapping[str, tuple[float, float]]
-    forces: tuple[str, ...]
+    origin: str
+    load: float
+    spread: Mapping[str, float] = field(default_factory=dict)
+    measured: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property
-    def load(self) -> float:
-        """A load in the middle of what was measured [N]."""
-        low, high = self.measured.get("fz", (4000.0, 4000.0))
-        return (low + high) / 2
+    def largest_load(self) -> float:
+        """The largest load that was measured [N]."""
+        return max(self.load, self.measured.get("fz", (0.0, 0.0))[1])
 
     def parameters(self) -> list[str]:
         """Name, value, standard error and unit of every parameter, a line each."""
@@ -76,12 +80,11 @@ class Tire:
             lines.append(f"{name} = {value:.8g}{error} {known[name].unit}")
         return lines
 
-    def ranges(self) -> str:
-        """What was measured, in words."""
-        told = [
-            f"{name} {low:.4g} to {high:.4g} {UNITS[name]}"
-            for name, (low, high) in self.measured.items()
-        ]
+    def ranges(self, convention: str) -> str:
+        """The measured range of each input, in the signs of a convention."""
+        told = []
+        for name, (low, high) in turned_range(self.measured, convention).items():
+            told.append(f"{name} {low:.4g} to {high:.4g} {UNITS[name]}")
         return ", ".join(told) or "not known"
 
     def program(self, convention: str, jacobian: bool = False) -> Program:
@@ -123,6 +126,19 @@ class Tire:
         return program._replace(inputs=inputs, operations=operations)
 
 
+def turned_range(
+    measured: Mapping[str, tuple[float, float]], convention: str
+) -> dict[str, tuple[float, float]]:
+    """Ranges of inputs from canonical signs to those of a convention, or back."""
+    signs = CONVENTIONS[convention]
+    found = {}
+    for name, ends in measured.items():
+        sign = getattr(signs, {"kappa": "slip"}.get(name, name), 1)
+        low, high = sorted(sign * end for end in ends)
+        found[name] = low, high
+    return found
+
+
 def tire_of(
     source: FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike,
     values: Mapping[str, float] | None = None,
@@ -133,65 +149,71 @@ def tire_of(
         values: parameter values of a model or a ``.tir`` file.
 
     Raises:
-        UsageError: an unknown model or parameter; or a fit with values by run.
+        UsageError: an unknown model or parameter; values beside a fit; or a fit with
+            values by run.
         DataError: a file that cannot be read.
     """
-    text, given = os.fspath(source) if isinstance(source, str | Path) else "", values
+    text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
     if text.lower().endswith(".tir"):
-        return _of_tir(text, given or {})
+        return _of_tir(text, values or {})
     if text.endswith(".json") or text and Path(text).is_file():
         source = load_fit(text)
-    if isinstance(source, FitResult):
-        problem = source.problem
-        source = StoredFit(
-            source.model, problem.model, problem.layout, source.z, source.covariance,
-            {}, source.to_dict(),
-        )  # fmt: skip
-    if isinstance(source, MagicFormulaFit):
-        source = source.stored
-    if isinstance(source, StoredFit):
-        return _of_fit(source.at_estimate(), source.model, source.content, text)
+    if isinstance(source, FitResult | MagicFormulaFit | StoredFit):
+        if values:
+            reason = "parameter values beside a fit, which has its own"
+            raise UsageError(InputProblem(reason, "leave out --set, or name a model"))
+        return _of_fit(source, text)
     if isinstance(source, AbstractTire):
         tire, name = source, type(source).__name__
     else:
         tire, name = find_model(text), text
-    check_values(tire, name, given or {})
-    tire = with_values(tire, dict(given or {}))
-    return _exportable(Tire(tire, name, (f"model {name}, values given",), {}, {}, ()))
+    check_values(tire, name, values or {})
+    tire = with_values(tire, dict(values or {}))
+    return _exportable(Tire(tire, name, f"model {name}, no data", _USUAL_LOAD))
 
 
-def _of_fit(tire: AbstractTire, model: str, content: Mapping, path: str) -> Tire:
-    data, fitted = content["data"], content["parameters"]
-    origin = (
-        f"fit of {model} to {data['file']} (sha256 {str(data['sha256'])[:12]}),"
-        f" {data['used']} rows, seed {content['seed']}" + (f", {path}" if path else ""),
-    )
+def _of_fit(fit: FitResult | MagicFormulaFit | StoredFit, path: str) -> Tire:
+    content = fit.content if isinstance(fit, StoredFit) else fit.to_dict()
+    if isinstance(fit, MagicFormulaFit):
+        tire: AbstractTire = fit.tire
+    elif isinstance(fit, StoredFit):
+        tire = fit.at_estimate()
+    else:
+        tire = at_estimate(fit.problem.model, fit.problem.layout, fit.z)
+    data, model = content["data"], fit.model
+    origin = f"fit of {model} to {data['file']} (sha256 {str(data['sha256'])[:12]}),"
+    origin += f" {data['used']} rows"
+    origin += f", seed {content['seed']}" if "seed" in content else ""
+    origin += f", {path}" if path else ""
+    fitted = content.get("parameters") or content["coefficients"]
     spread = {
         name: one["std"]
         for name, one in fitted.items()
-        if not one.get("fixed") and one.get("std") is not None
+        if one.get("std") and not one.get("fixed")
     }
-    ranges = {"fz": (content["reference"]["fz"],) * 2}
-    ranges |= {k: tuple(v) for k, v in data.get("range", {}).items() if k in _KNOWN}
-    forces = tuple(content["forces"])
-    absent = [f for f in ("fx", "fy") if f not in forces]
-    notes = tuple(f"{f} was not measured: it is the model's" for f in absent)
-    return _exportable(Tire(tire, model, origin, spread, ranges, forces, notes))
+    ranges = {k: tuple(ends) for k, ends in data.get("range", {}).items()}
+    if "sigma_x" in ranges:
+        ranges["kappa"] = tuple(map(kappa_from_sigma, ranges.pop("sigma_x")))
+    absent = [f for f in modelled(tire) if f not in content["forces"]]
+    notes = tuple(f"{f} was not fitted: it is the model's" for f in absent)
+    load = content["reference"]["fz"]
+    return _exportable(Tire(tire, model, origin, load, spread, ranges, notes))
 
 
 def _of_tir(path: str, values: Mapping[str, float]) -> Tire:
     tir = read_tir(path)
     tire = own_tire(tir, values=values)
-    ranges = {}
-    for name, (least, most) in LIMITS.items():
-        if least in tir.numbers and most in tir.numbers:
-            ranges[name] = (tir.numbers[least], tir.numbers[most])
-    origin = (f"Magic Formula {tir.version} of {path}, TYRESIDE {tir.side}",)
-    notes = tuple(remarks(tir, tire))
-    return Tire(tire, f"MF {tir.version}", origin, {}, ranges, modelled(tire), notes)
-
-
-_KNOWN = ("sigma_x", *INPUTS)
+    stated = {
+        name: (tir.numbers[least], tir.numbers[most])
+        for name, (least, most) in LIMITS.items()
+        if least in tir.numbers and most in tir.numbers
+    }
+    return Tire(
+        tire, f"MF {tir.version}",
+        f"Magic Formula {tir.version} of {path}, TYRESIDE {tir.side}",
+        tire.nominal.FNOMIN, measured=turned_range(stated, TIR_SIGNS),
+        notes=tuple(remarks(tir, tire)),
+    )  # fmt: skip
 
 
 def _exportable(tire: Tire) -> Tire:
@@ -212,5 +234,4 @@ def _exportable(tire: Tire) -> Tire:
             "the formula is of pure slip: both slips are combined by the method of"
             " Gaefvert and Svendenius (2005), with the same curve along both axes"
         )
-    forces = tire.forces or modelled(model)
-    return replace(tire, model=model, notes=tuple(notes), forces=forces)
+    return replace(tire, model=model, notes=tuple(notes))
