@@ -1,4 +1,4 @@
-"""Room 4: what each set of effects predicts of data left out of its fit. One partition
+"""What each set of effects predicts of data left out of its fit. One partition
 of a file serves the names, the ladder and the errors of amplitudes."""
 
 from collections.abc import Sequence
@@ -293,8 +293,8 @@ def climbed(base: Base, search: Search, folds: Folds, needed: float) -> Hypothes
         new = [k for effect, k in atoms.items() if effect not in there]
         sets = [tuple(sorted((*kept, k))) for k in new]
         # A refit starts from what is known of each of its effects.
-        sizes = {h.atoms[0]: h.amplitude[0] for h in search.hypotheses
-                 if h.refitted and len(h.atoms) == 1}  # fmt: skip
+        singles = (h for h in search.fitted if len(h.atoms) == 1)
+        sizes = {h.atoms[0]: h.amplitude[0] for h in singles}
         sizes |= dict(zip(now.atoms, now.amplitude, strict=True))
         known = [s for s in sets if sizes.keys() >= {*s}]
         search.refit(sets, {s: (now.z, np.array([sizes[k] for k in s])) for s in known})

@@ -196,12 +196,9 @@ def weigh(search: Search) -> Weighed:
         linear = linear_at(base, best[key])
         if linear.forms.shape[1] and len(key) < MOST_EFFECTS:
             formula = float(np.log(1 - _PRIOR_OF_FORM))
-            sure = [base.sure(part) for part in linear]
-            left, size = orthogonal(sure[2], sure[1])
             # Without effects, the slip uncertainty explains what a form is for.
             due = min(due_to_doubt(base, best[key], linear) - of_nothing, 0.0)
-            form = gain(left.T @ sure[0], size) + float(np.log(_PRIOR_OF_FORM))
-            form += due - best[key].due_to_doubt
+            form = _gain_of_form(base, linear) + due - best[key].due_to_doubt
             total[key] += float(np.logaddexp(formula, form))
             evidence[key] += float(np.logaddexp(formula, form))
             if form > formula:
@@ -220,3 +217,10 @@ def weigh(search: Search) -> Weighed:
         other_form=frozenset(others), gains=remainder, log_total=everything,
         hidden=float(np.sum(np.exp(np.array(hidden) - everything))),
     )  # fmt: skip
+
+
+def _gain_of_form(base, linear: LinearFit) -> float:
+    """Log evidence of the other forms over the formulas, with their prior."""
+    left, size = orthogonal(base.sure(linear.forms), base.sure(linear.used_up))
+    there = gain(left.T @ base.sure(linear.residual), size)
+    return there + float(np.log(_PRIOR_OF_FORM))
