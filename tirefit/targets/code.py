@@ -30,7 +30,7 @@ def header(tire: Tire, program: Program, convention: str) -> list[str]:
         f"signs: {convention} ({CONVENTIONS[convention].description})",
         *(f"{name} [{UNITS[name]}]: {MEANING[name]}" for name in names),
         "at low speed compute kappa with max(speed, a few tenths of a m/s)",
-        f"measured: {tire.ranges(convention)}; beyond it the model extrapolates",
+        f"measured range: {tire.ranges(convention)}",
         "parameters (+- standard error):",
         *(f"  {line}" for line in tire.parameters()),
         *tire.notes,

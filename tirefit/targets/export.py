@@ -100,7 +100,7 @@ def export(
 
     Args:
         source: a fit, a ``fit.json``, a ``.tir`` file, a tire, or the name of a model.
-        target: a key of :data:`TARGETS`.
+        target: ``c``, ``casadi`` or ``numpy``; see :data:`TARGETS`.
         path: the file to write.
         values: parameter values of a model or a ``.tir`` file; a fit has its own.
         convention: signs of the file's inputs and forces.

@@ -1,4 +1,5 @@
-"""What an exported tire does where simulators fail: at rest, at large slip and load."""
+"""Checks of an exported tire at rest, at large slip and at large load, where simulators
+fail."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -24,7 +25,7 @@ _ANGLES = np.linspace(-1.2, 1.2, 241)
 
 
 class Shape(NamedTuple):
-    """Five sentences on a tire, and whether one of them is a warning."""
+    """Five sentences on a tire; ``sound`` is False where one of them is a warning."""
 
     sentences: tuple[str, ...]
     sound: bool
@@ -93,7 +94,7 @@ def _signs(at: Callable, names, signs, load) -> tuple[str, bool]:
         right = bool((f[1] - f[0]) * own > 0)
         sound &= right
         told.append(f"{name} {'rises' if f[1] > f[0] else 'falls'} with {slip}")
-    word = "as its convention has it" if sound else "AGAINST its convention"
+    word = "as the convention requires" if sound else "AGAINST the convention"
     return f"signs: {', '.join(told)}, {word}", sound
 
 

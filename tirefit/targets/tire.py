@@ -81,11 +81,12 @@ class Tire:
         return lines
 
     def ranges(self, convention: str) -> str:
-        """The measured range of each input, in the signs of a convention."""
+        """The measured range of each input in words, in the signs of a convention."""
         told = []
         for name, (low, high) in turned_range(self.measured, convention).items():
             told.append(f"{name} {low:.4g} to {high:.4g} {UNITS[name]}")
-        return ", ".join(told) or "not known"
+        known = "; beyond it the model extrapolates" if told else "not known"
+        return ", ".join(told) + known
 
     def program(self, convention: str, jacobian: bool = False) -> Program:
         """The forces as a program in a sign convention.
