@@ -76,25 +76,39 @@ def test_rows_that_stand_are_off_together():
     assert phase[rising].mean() == pytest.approx(missed, abs=0.35 * STD)
 
 
-def test_what_moves_with_the_true_slip_tells_its_noise():
-    """A column follows the noise in its own size; what knows the slip badly, or not
-    at all, gives none."""
+def proxies(slip, measured, path=None, past=None, std=STD):
+    std = np.full(ROWS, std)
+    return slip_proxies(slip_law(slip, std), slip, std, measured, path, past)
+
+
+def test_what_moves_with_the_true_slip_tells_its_error():
+    """A column follows the error of the believed slip in its own size; what knows the
+    slip badly, or not at all, gives none."""
     generator = np.random.default_rng(2)
     path = 0.1 * np.sin(np.linspace(0, 20, ROWS))
-    noise = STD * generator.standard_normal(ROWS)
-    std = np.full(ROWS, STD)
+    slip = path + STD * generator.standard_normal(ROWS)
+    error = path - believed(slip)
     load = 4000 + 3e4 * path - 1e5 * path**3
     coarse = path + 5 * STD * generator.standard_normal(ROWS)
     others = [load, generator.standard_normal(ROWS)]
-    for columns in (
-        slip_proxies(path + noise, std, others, coarse),
-        slip_proxies(path + noise, std, [], path),
-    ):
+    for columns in (proxies(slip, others, coarse), proxies(slip, [], path)):
         assert columns.shape == (ROWS, 1)
         # Six free coefficients follow some of the noise.
-        np.testing.assert_allclose(-columns[:, 0], noise, atol=0.6 * STD)
-        assert -columns[:, 0] @ noise / (noise @ noise) == pytest.approx(1, abs=0.1)
-    assert slip_proxies(path, 0 * std, others, path).shape == (ROWS, 0)
+        np.testing.assert_allclose(columns[:, 0], error, atol=0.6 * STD)
+        assert columns[:, 0] @ error / (error @ error) == pytest.approx(1, abs=0.1)
+    assert proxies(path, others, path, std=0).shape == (ROWS, 0)
+
+
+def test_no_column_repeats_what_the_law_of_the_slips_knows():
+    """Pulses of braking between which the wheel rolls freely: the measured slip less
+    the true one depends on the measured slip, the column does not."""
+    generator = np.random.default_rng(4)
+    path = np.maximum(0.1 * np.sin(np.linspace(0, 40, ROWS)), 0)
+    slip = path + STD * generator.standard_normal(ROWS)
+    (column,) = proxies(slip, [], path).T
+    near = np.abs(slip) < 2 * STD
+    raw, own = (np.polyfit(slip[near], x[near], 1)[0] for x in (path - slip, column))
+    assert abs(own) < 0.5 * abs(raw)
 
 
 def test_what_tells_only_together_tells():
@@ -102,17 +116,17 @@ def test_what_tells_only_together_tells():
     generator = np.random.default_rng(3)
     turn = np.linspace(0, 20, ROWS)
     path, other = 0.1 * np.sin(turn), 0.3 * np.sin(2.3 * turn)
-    noise = STD * generator.standard_normal(ROWS)
-    std, late = np.full(ROWS, STD), 0.1 * np.sin(turn - 0.4)
+    slip = path + STD * generator.standard_normal(ROWS)
+    late = 0.1 * np.sin(turn - 0.4)
     for measured, past in (
         ([path + other, path - other], None),
         ([path + 2 * late], np.stack([path + late, 0 * path], axis=1)),
     ):
-        (column,) = slip_proxies(path + noise, std, measured, past=past).T
-        np.testing.assert_allclose(-column, noise, atol=0.6 * STD)
+        (column,) = proxies(slip, measured, past=past).T
+        np.testing.assert_allclose(column, path - believed(slip), atol=0.6 * STD)
     # Neither does alone, nor the past by itself.
-    assert slip_proxies(path + noise, std, [path + other]).shape == (ROWS, 0)
-    assert slip_proxies(path + noise, std, [], past=past).shape == (ROWS, 0)
+    assert proxies(slip, [path + other]).shape == (ROWS, 0)
+    assert proxies(slip, [], past=past).shape == (ROWS, 0)
 
 
 SLALOM_RIG = Rig(noise={"fx_relative": 0.01, "sigma_x": 0.003})

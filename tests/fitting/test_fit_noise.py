@@ -126,14 +126,18 @@ def test_a_slip_that_many_rows_have_is_found():
     assert found.shares[0] == pytest.approx(0.3, abs=0.04)
     total = np.trapezoid(found.density, found.knots) + found.shares.sum()
     assert total == pytest.approx(1.0, abs=1e-9)
-    mean, spread = found.moments(slip, std)
+    mean, spread, common = found.moments(slip, std)
     # What is left of the slip does not hang on where it was measured, as it does raw.
     near = np.abs(slip - 0.011) < 0.004
     assert np.abs(np.corrcoef((true - slip)[near], slip[near])[0, 1]) > 0.6
     assert np.abs(np.corrcoef((true - mean)[near], slip[near])[0, 1]) < 0.25
     assert np.mean((true - mean) ** 2) < 0.9 * np.mean((true - slip) ** 2)
-    # Rows of one standing slip keep all of their noise: they share its place.
+    # Rows of one standing slip keep all of their noise: they share its place, and
+    # scatter by the rest alone.
     assert np.mean(spread[near] ** 2) == pytest.approx(0.002**2, rel=0.15)
+    own = np.mean((1 - common[near]) * spread[near] ** 2)
+    assert own < 0.6 * 0.002**2
+    assert own == pytest.approx(np.mean((true - mean)[near] ** 2), rel=0.5)
 
 
 def test_every_set_point_is_found():
@@ -155,7 +159,7 @@ def test_no_slip_stands_out_of_an_even_spread():
     std = np.full(900, 0.004)
     found = slip_distribution(slip, std)
     assert found.standing.size == 0
-    mean, spread = found.moments(slip, 0 * std)
+    mean, spread, _ = found.moments(slip, 0 * std)
     np.testing.assert_array_equal(mean, slip)
     np.testing.assert_array_equal(spread, 0.0)
 

@@ -78,10 +78,12 @@ class SlipDistribution(NamedTuple):
     shares: np.ndarray
 
     def moments(self, slip, std):
-        """Mean and standard deviation (n,) of each latent slip, given the measured.
+        """Mean and standard deviation (n,) of each latent slip, given the measured, and
+        the share (n,) of that variance which rows of one standing slip have in common.
 
-        Rows of one standing slip share what its place is wrong by: each counts with
-        all of its own noise, so that their mean is as unsure as it is.
+        What the place of a standing slip is wrong by, its rows share. Each counts with
+        all of its own noise instead, so that their mean is as unsure as the place is;
+        the rows do not scatter by it.
         """
         offset = np.linspace(-_REACH, _REACH, 41)
         nodes = slip[:, None] + std[:, None] * offset
@@ -98,8 +100,9 @@ class SlipDistribution(NamedTuple):
         places = np.concatenate([nodes, places], axis=1) - slip[:, None]
         mean = np.sum(weight * places, axis=1)
         square = np.sum(weight * (places - mean[:, None]) ** 2, axis=1)
-        square = square + std**2 * there.sum(axis=1) / total
-        return slip + mean, np.sqrt(square)
+        common = std**2 * there.sum(axis=1) / total
+        square = square + common
+        return slip + mean, np.sqrt(square), common / np.maximum(square, 1e-300)
 
 
 _NEW_SHARE = 0.05

@@ -119,7 +119,8 @@ class Base(Fit):
         """Columns (m, k) of the residual that no effect explains: :func:`slip_proxies`
         and :func:`not_followed`."""
         rows = self.rows
-        off = slip_proxies(rows.slip, rows.slip_std, rows.moving, rows.path, rows.past)
+        given = rows.slip_law, rows.slip, rows.slip_std, rows.moving
+        off = slip_proxies(*given, rows.path, rows.past)
         return np.concatenate([self._forces_of(off), self._not_followed], axis=1)
 
     @cached_property
@@ -313,8 +314,10 @@ def _noise(fit: Fit, rig, amplitudes=(), outliers=False) -> dict[str, NoiseLevel
         given = rig.force_noise(c, fz)
         if f"{c}_std" in rows.data:
             given = rows.column(f"{c}_std")
-        levels[c] = judge_noise(
-            rows.observed[c] - mean[c], spread[c], fz, mean[c], given, basis, waves,
-            groups, rows.time, rows.run, outliers,
+        common = spread[c] * rows.common
+        level = judge_noise(
+            rows.observed[c] - mean[c], spread[c] - common, fz, mean[c], given, basis,
+            waves, groups, rows.time, rows.run, outliers,
         )  # fmt: skip
+        levels[c] = level._replace(std=np.sqrt(level.std**2 + common))
     return levels

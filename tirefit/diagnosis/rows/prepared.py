@@ -68,6 +68,17 @@ class Prepared:
         """Distribution of the true slips; None without slip noise."""
         return slip_law(self.slip, self.slip_std)
 
+    @cached_property
+    def common(self) -> np.ndarray:
+        """Share (n,) of the variance of each true slip that rows of one standing slip
+        have in common, see :class:`SlipDistribution`."""
+        law = self.slip_law
+        return (
+            np.zeros(self.n)
+            if law is None
+            else law.moments(self.slip, self.slip_std)[2]
+        )
+
     @property
     def slip_scatter(self) -> float:
         """Noise of the slip estimated from the forces; zero where known otherwise."""

@@ -261,7 +261,7 @@ def slip_nodes(law: SlipDistribution | None, slip, std):
     if law is None:
         return slip[:, None], np.ones((len(slip), 1))
     offset, mass = _MANY if _steep(slip, std) else _FEW
-    mean, spread = law.moments(slip, std)
+    mean, spread, _ = law.moments(slip, std)
     nodes = mean[:, None] + spread[:, None] * offset
     return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
 
@@ -282,20 +282,26 @@ def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray
     return np.concatenate(columns, axis=1)
 
 
-def slip_proxies(slip, std, measured, path=None, past=None) -> np.ndarray:
-    """Noise of the slips as other measurements predict it: columns (n, k).
+def slip_proxies(
+    law: SlipDistribution | None, slip, std, measured, path=None, past=None
+) -> np.ndarray:
+    """Error of the estimated slips as other measurements predict it: columns (n, k).
 
     A quantity that moves with the true slip, as a load that the cornering shifts, has
-    none of its noise, so a regression gives it a part of the slip's effect. The
-    expected noise is (slip - predicted) std^2 / variance(slip - predicted).
+    none of its noise, so a regression gives it a part of the slip's effect. Of a slip
+    believed with the variance s^2, the expected error is (predicted - believed) s^2 /
+    variance(predicted - believed). The measured slip in the place of the believed one
+    would make a curve over the slip of what the law of the slips knows already.
 
     Args:
         measured: (n,) each; a cubic of each, and the past, predict the slips.
         path: as in :func:`slip_doubt`.
         past: (n, k) slips before, at and after each row by their neighbours in time.
     """
-    if not np.any(std > 0):
+    if law is None:
         return np.zeros((len(slip), 0))
+    believed, unsure, common = law.moments(slip, std)
+    variance = np.mean(unsure**2 * (1 - common))
     predictions = [] if path is None else [path]
     if measured:
         free = [np.ones((len(slip), 1)), *([] if past is None else [past])]
@@ -306,8 +312,8 @@ def slip_proxies(slip, std, measured, path=None, past=None) -> np.ndarray:
         predictions.append(known @ np.linalg.lstsq(known, slip, rcond=None)[0])
     columns = []
     for predicted in predictions:
-        off = predicted - slip
-        known = np.mean(std**2) / max(float(np.mean(off**2)), NONZERO)
+        off = predicted - believed
+        known = variance / max(float(np.mean(off**2)), NONZERO)
         if known > 0.2:  # a smaller share of the noise is not worth a column
             columns.append(min(known, 1.0) * off)
     return np.array(columns).reshape(len(columns), len(slip)).T
