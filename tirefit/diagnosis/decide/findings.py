@@ -157,8 +157,7 @@ def _errors(base: Base, weighed: Weighed, out: Predicted, key: Key):
     p, size = len(best.z), np.abs(best.amplitude)
     left = base.residual(best.z, amplitudes_of(base, best))
     variance = np.diag(best.covariance)[p:] * widening(base, left)
-    jacobian, own = linear.used_up[:, :p], linear.used_up[:, p:]
-    own = without(own, jacobian)
+    own = without(linear.own, linear.jacobian)
     moved = np.linalg.solve(own.T @ own + np.eye(len(size)), own.T @ base.doubt)
     variance = np.maximum(variance, 0.0) + np.sum(moved**2, axis=1)
     if key in out.effects:
