@@ -72,12 +72,9 @@ class Prepared:
     def common(self) -> np.ndarray:
         """Share (n,) of the variance of each true slip that rows of one standing slip
         have in common, see :class:`SlipDistribution`."""
-        law = self.slip_law
-        return (
-            np.zeros(self.n)
-            if law is None
-            else law.moments(self.slip, self.slip_std)[2]
-        )
+        if self.slip_law is None:
+            return np.zeros(self.n)
+        return self.slip_law.moments(self.slip, self.slip_std)[2]
 
     @property
     def slip_scatter(self) -> float:
