@@ -222,8 +222,7 @@ def judge_noise(
 
     for _ in range(_ROUNDS if refine else 0):
         shares = _shares(rest / std, fz, force, keep)
-        off = np.abs(rest) / np.maximum(level(), floor)
-        good = off < _farthest(off)
+        good = _no_outlier(np.abs(rest) / np.maximum(level(), floor))
         if np.array_equal(good, keep):
             break
         keep, smooth = good, _Smooth(smooth.basis, good)
@@ -300,10 +299,13 @@ def _stray(residual, groups) -> np.ndarray:
     return stray & (stray.sum() > max(_FEW, 2 * _FLAGGED * len(residual)))
 
 
-def _farthest(off) -> float:
-    """Standard deviations ``off`` (n,) from which a row is likelier an outlier than
-    not: by two normal laws, the wider one that of the outliers, fitted by expectation
-    maximisation; :data:`_OUTLIER` where one law is enough."""
+def _no_outlier(off) -> np.ndarray:
+    """Rows (n,) bool that are likelier not an outlier, from their standard deviations
+    ``off`` (n,).
+
+    Two normal laws are fitted by expectation maximisation, the wider one that of the
+    outliers. Where one law is enough, rows count up to :data:`_OUTLIER`.
+    """
     square, share, wide = np.minimum(off, 1 / ROUNDING) ** 2, 0.05, 4.0
     for _ in range(5 * _ROUNDS):
         wider = np.log(share / wide) - 0.5 * square / wide**2
@@ -311,10 +313,8 @@ def _farthest(off) -> float:
         chance = np.exp(wider - both)
         share = float(np.clip(np.mean(chance), ROUNDING, 0.5))
         wide = max(float(np.sqrt(chance @ square / np.sum(chance))), 2.0)
-    if np.sum(both + 0.5 * square) < _TWO_LAWS:
-        return _OUTLIER
-    even = 2 * np.log((1 - share) * wide / share) / (1 - wide**-2)
-    return float(min(np.sqrt(even), _OUTLIER))
+    enough = np.sum(both + 0.5 * square) < _TWO_LAWS
+    return (off < _OUTLIER) & (enough | (chance < 0.5))
 
 
 def _scale(white, smooth: "_Smooth") -> float:
