@@ -19,13 +19,15 @@ from tirefit.report.numbers import format_number
 class LadderBar(NamedTuple):
     """A step of the ladder: ``rms`` [N] on data left out, the standard ``error`` of its
     gain over the step before, as that of an rms (None where none is known), and the
-    share ``closed``; ``kind`` is base, effect, smooth or noise."""
+    share ``closed``; ``kind`` is base, effect, smooth or noise; ``held_out`` is the rms
+    on the files held out."""
 
     label: str
     rms: float
     error: float | None
     closed: float | None
     kind: str
+    held_out: float | None = None
 
 
 class ChanceBar(NamedTuple):
@@ -52,6 +54,7 @@ def ladder_bars(result: Diagnosis) -> list[LadderBar]:
             # d(rms) = d(rms^2) / (2 rms)
             step.gain_std / (2 * step.rms_left_out) if step.effects else None,
             step.closed if step.effects else None, kinds.get(step.effects, "effect"),
+            step.rms_held_out,
         )
         for k, step in enumerate(result.ladder.steps)
     ]  # fmt: skip
