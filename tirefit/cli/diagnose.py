@@ -119,8 +119,7 @@ def diagnose(
     sim: Annotated[
         bool,
         typer.Option(
-            "--sim",
-            help="the simulator's forces stand in FILE: fx_sim, fy_sim, mz_sim",
+            "--sim", help="the simulator's forces stand in FILE: fx_sim, fy_sim, mz_sim"
         ),
     ] = False,
     side: SideOption = None,

@@ -80,8 +80,7 @@ class DataOptions:
         typer.Option(metavar="FIT.TOML", parser=named_path, help="configuration"),
     ] = None
     column: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=HEADER", help="header of a column"),
+        list[str] | None, typer.Option(metavar="NAME=HEADER", help="header of a column")
     ] = None
     unit: Annotated[
         list[str] | None,
@@ -112,8 +111,7 @@ class DataOptions:
         float | None, typer.Option(help="effective radius [m]")
     ] = None
     mask_bad_rows: Annotated[
-        bool,
-        typer.Option("--mask-bad-rows", help="mask and list bad rows, go on"),
+        bool, typer.Option("--mask-bad-rows", help="mask and list bad rows, go on")
     ] = False
 
 

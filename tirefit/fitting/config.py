@@ -4,12 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    PositiveFloat,
-    PrivateAttr,
-)
+from pydantic import BeforeValidator, Field, PositiveFloat, PrivateAttr
 
 from tirefit.data.prepare.settings import PrepareConfig
 from tirefit.door import read_toml

@@ -289,11 +289,7 @@ def _gauss_newton(residual: Residual, start) -> Solution:
     return Solution(end.z, end.cost, end.converged, end.steps)
 
 
-SOLVERS = {
-    "gauss-newton": _gauss_newton,
-    "optimistix": _optimistix,
-    "jaxopt": _jaxopt,
-}
+SOLVERS = {"gauss-newton": _gauss_newton, "optimistix": _optimistix, "jaxopt": _jaxopt}
 """Solver name -> (residual, start) -> Solution; each can be vmapped over starts."""
 
 

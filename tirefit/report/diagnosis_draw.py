@@ -26,11 +26,7 @@ from tirefit.report.canvas import (
     tidy,
 )
 from tirefit.report.curves import SlipAxis, slip_axis
-from tirefit.report.diagnosis_budget import (
-    WaterfallBar,
-    channel_name,
-    waterfall_steps,
-)
+from tirefit.report.diagnosis_budget import WaterfallBar, channel_name, waterfall_steps
 from tirefit.report.diagnosis_look import draw_look
 from tirefit.report.diagnosis_panels import (
     ChanceBar,

@@ -64,11 +64,7 @@ def whole(name: str, values: np.ndarray) -> Settings:
 
 
 def settings_of(
-    name: str,
-    values: np.ndarray,
-    windows: list[Window],
-    pieces,
-    shortest: int,
+    name: str, values: np.ndarray, windows: list[Window], pieces, shortest: int
 ) -> Settings:
     """The settings of a channel, and the rows at each.
 
