@@ -42,8 +42,7 @@ def check_replaced(
     file that is no earlier result; before the work.
 
     Args:
-        schema: what every earlier result says of itself; any file may be replaced where
-            it is empty.
+        schema: what every earlier result says of itself; empty files may be replaced.
     """
     problems, inputs = [], [path for path in inputs if _is(path)]
     for path in filter(_is, made):
@@ -134,8 +133,7 @@ def staged(
         apart: end of the folder's name, where processes write at the same time.
 
     Raises:
-        OSError: naming the file that could not be written; with a note of what the
-            directory holds.
+        OSError: naming the file that was not written; a note says what is there.
     """
     folder = directory / f"{_WRITING}{apart}"
     shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed

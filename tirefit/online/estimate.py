@@ -59,8 +59,7 @@ def estimate(
 
     Raises:
         UsageError: an unknown method or setting; 32-bit floats.
-        DataError: a column that a method needs is missing, no row is usable, or the
-            time never goes on.
+        DataError: a needed column is missing, no row is usable, or time stands still.
     """
     require_x64("an online estimate")
     data = as_data(data, mask_bad_rows=True, curve=False)

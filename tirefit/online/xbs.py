@@ -14,9 +14,8 @@ leaves inside the band: with 2 to 20 Hz at 200 samples a second it runs from 3.7
 1/s for every p from zero to infinity. But it rises with p, and of a white disturbance w
 it can be written down: the sampled speed has the spectrum of :func:`speed_spectrum`,
 the filter is known, so :math:`\hat p` is a ratio of two integrals over frequency. The
-record holds that relation, made once, and turns it around. The same integrals give the
-variance of the estimate; the recursion's own P is that of white errors, which these are
-not.
+record holds that relation, made once, and inverts it. The same integrals give the
+variance of the estimate; the recursion's own P is that of white errors.
 
 Seen is the square of p: far below the band all poles look alike, and beyond it too.
 
@@ -260,8 +259,7 @@ class Xbs(AbstractEstimator):
 
     A sample's ``omega`` is all that is needed. ``reference``: speed [m/s] that a
     deceleration servo follows, :math:`v_0` of O(9), taken off; ``use``: 1, or 0 for a
-    sample that moves the filter and is kept from the regression, as while the brake's
-    pressure is ramped.
+    sample that moves the filter but not the regression, as while a pressure is ramped.
     """
 
     method: ClassVar[Method] = Method(

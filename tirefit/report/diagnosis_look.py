@@ -45,8 +45,7 @@ def _axis_label(panel: LookCurve) -> str:
 
 
 def draw_look(figure, panel: LookCurve, beside: str) -> None:
-    """The local change of a parameter in bins with its standard errors, and the fitted
-    shape.
+    """The local change of a parameter in bins ± standard error, and the fitted shape.
 
     Args:
         beside: what the change comes on top of.

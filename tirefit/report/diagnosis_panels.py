@@ -58,8 +58,7 @@ def ladder_bars(result: Diagnosis) -> list[LadderBar]:
 
 
 def chance_bars(result: Diagnosis) -> list[ChanceBar]:
-    """Every effect of the verdict with its own probability, named ones first; last
-    something unlisted."""
+    """Probability of every effect of the verdict, named ones first, unlisted last."""
     verdict = result.verdict
     kinds = dict.fromkeys(verdict.also_possible, "other")
     kinds |= dict.fromkeys(verdict.effects, "verdict")

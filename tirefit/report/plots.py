@@ -26,8 +26,7 @@ def plot_fit(result: FitResult | MagicFormulaFit, ax=None):
 
     Args:
         result: a fit from this process.
-        ax: axes to draw the first force on, of a figure of your own: nothing of it
-            lies beside them.
+        ax: axes to draw the first force on, and nothing else, in your own figure.
     """
     if isinstance(result, MagicFormulaFit):
         return plot_magic_formula(result, ax)

@@ -33,8 +33,7 @@ class Corner(NamedTuple):
     column), row > column, to a density (bins, bins) over (row, column), and ``levels``
     the same key to the densities that enclose 95 % and 50 %. ``interval`` (p, 2) and
     ``median`` (p,) are of the posterior, ``estimate`` (p,) is least squares;
-    ``correlation`` (p, p) of the draws is NaN where one is constant; ``values`` are
-    texts.
+    ``correlation`` (p, p) is NaN where a draw is constant; ``values`` are texts.
     """
 
     labels: tuple[str, ...]
@@ -136,8 +135,7 @@ def named_labels(result: FitResult, parameters: Sequence[str]) -> tuple[str, ...
 
 
 def _chosen(result: FitResult, most: int, rank: Sequence[float]) -> tuple[str, ...]:
-    """At most so many labels, in order: those that are not identified, then those of
-    highest rank."""
+    """At most so many labels, in order: not identified ones first, then by rank."""
     if len(result.labels) <= most:
         return result.labels
     vague = np.array([not result.least_squares[k].identified for k in result.labels])
@@ -167,8 +165,7 @@ def corner_data(result: FitResult, parameters: Sequence[str] | None = None) -> C
     """Marginal and pairwise posterior densities.
 
     Args:
-        parameters: as of :func:`named_labels`; without them all, or the twenty that are
-            correlated most.
+        parameters: as of :func:`named_labels`; by default the twenty most correlated.
     """
     if parameters is None:
         labels = _telling_pairs(result)
@@ -237,8 +234,7 @@ def trace_data(result: FitResult, parameters: Sequence[str] | None = None) -> Tr
     """Draws of every ensemble in order, thinned for drawing, and their densities.
 
     Args:
-        parameters: as of :func:`named_labels`; without them all, or the ten whose
-            chains agree least.
+        parameters: as of :func:`named_labels`; by default the ten of worst R-hat.
     """
     if parameters is None:
         labels = _least_mixed(result)
