@@ -62,7 +62,6 @@ class _RigFile(Section):
     wheel_inertia: _Inertia = None
     noise: _Noise = _Noise()
     vehicle: _Vehicle = _Vehicle()
-    commanded_slip: str | None = None
     run_order: Literal["random", "sequential"] | None = None
 
 
@@ -87,14 +86,13 @@ class Rig:
     of the tracked point, ``clock`` [s] between channels, ``yaw_inertia`` (relative).
     ``noise`` holds standard deviations: of a force [N] or over the load
     (``fx_relative``), of the slip [-] or slip angle [rad], of the sliding speed [m/s]
-    (``sigma_x_speed``). ``commanded_slip`` (a column) is not used.
+    (``sigma_x_speed``).
     """
 
     rolling_radius: float | None = None
     wheel_inertia: float | None = None
     noise: Mapping[str, float] = field(default_factory=dict)
     vehicle: Mapping[str, float] = field(default_factory=dict)
-    commanded_slip: str | None = None
     run_order: str | None = None
     notes: tuple[str, ...] = ()
 
@@ -160,8 +158,6 @@ def load_rig(path: str | Path | None) -> Rig:
     content, others = _of_others(read_toml(path), _RigFile)
     stated = parse_settings(_RigFile, content, str(path))
     notes = [f"{key} of {path} is not used" for key in others]
-    if stated.commanded_slip is not None:
-        notes.append(f"commanded_slip of {path} is noted, not used")
     try:
         return Rig(**stated.model_dump(exclude_none=True), notes=tuple(notes))
     except UsageError as error:
