@@ -84,7 +84,7 @@ def models(json: JsonOption = False) -> None:
 def methods(json: JsonOption = False) -> None:
     """List the online methods: inputs, estimates, valid use of friction, source."""
     from tirefit.online.methods import METHODS
-    from tirefit.report.method_tables import methods_dict, methods_table
+    from tirefit.report.model_tables import methods_dict, methods_table
 
     if json:
         from json import dumps

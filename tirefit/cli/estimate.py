@@ -134,7 +134,7 @@ def _say_masked(table) -> None:
 def _follow(names, chosen, how) -> None:
     """Estimates as CSV rows, one for every row that comes, at once."""
     from tirefit.data.stream import RowReader
-    from tirefit.online.stream import Streams
+    from tirefit.online.estimate import Streams
 
     how = {key: value for key, value in how.items() if key != "mask_bad_rows"}
     if sys.stdin is None:

@@ -282,6 +282,6 @@ def _page_of_all(folder: Path, rows, failed: dict[str, str], asked: bool) -> Non
 
 
 def _summary(records: list["FileRecord"]) -> str:
-    from tirefit.report.summary import summary_table
+    from tirefit.report.text import summary_table
 
     return summary_table(records)

@@ -12,12 +12,17 @@ import numpy as np
 from tirefit.models import AbstractTire, TireInputs, modelled
 from tirefit.params import parameter_values
 from tirefit.results import InputProblem, UsageError
-from tirefit.sim.brake_hydraulics import Hydraulics
 from tirefit.sim.brake_plant import Plant
 from tirefit.sim.brake_road import road_of
-from tirefit.sim.brake_sensors import Sensors
 from tirefit.sim.brake_tire import on_road
-from tirefit.sim.brake_vehicle import GRAVITY, Vehicle, four_wheels, quarter_car
+from tirefit.sim.brake_vehicle import (
+    GRAVITY,
+    Hydraulics,
+    Sensors,
+    Vehicle,
+    four_wheels,
+    quarter_car,
+)
 
 VEHICLES = {"car": four_wheels, "quarter": quarter_car}
 """Name of a vehicle -> what makes it."""

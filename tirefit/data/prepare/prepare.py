@@ -7,14 +7,20 @@ import numpy as np
 
 from tirefit.data.accept import as_data
 from tirefit.data.levels import levels
-from tirefit.data.prepare.bins import bin_name, setting_names
 from tirefit.data.prepare.segments import Segment, segments_of, trimmed
-from tirefit.data.prepare.series import Series, bridged, runs_of, series_of
+from tirefit.data.prepare.series import (
+    Series,
+    ZeroPhase,
+    bridged,
+    runs_of,
+    series_of,
+    zero_phase,
+)
 from tirefit.data.prepare.set_points import Settings, Window, settings_of
 from tirefit.data.prepare.settings import PrepareConfig
 from tirefit.data.prepare.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs
+from tirefit.data.prepare.store import bin_name, setting_names
 from tirefit.data.prepare.warmth import last_sweeps_kept, with_warmth
-from tirefit.data.prepare.zero_phase import ZeroPhase, zero_phase
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
 from tirefit.results import DataError, InputProblem, UsageError
