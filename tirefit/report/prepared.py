@@ -7,8 +7,8 @@ from matplotlib.patches import Patch
 
 from tirefit import __version__
 from tirefit.data.prepare.prepare import Prepared
+from tirefit.data.prepare.set_points import SHOWN
 from tirefit.data.prepare.slips import LEAST, swept_range
-from tirefit.data.prepare.store import SHOWN
 from tirefit.data.units import slip_from_sigma
 from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, RED, Picture, tidy
 from tirefit.report.numbers import plain_text

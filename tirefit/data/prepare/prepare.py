@@ -16,10 +16,15 @@ from tirefit.data.prepare.series import (
     series_of,
     zero_phase,
 )
-from tirefit.data.prepare.set_points import Settings, Window, settings_of
+from tirefit.data.prepare.set_points import (
+    Settings,
+    Window,
+    bin_name,
+    setting_names,
+    settings_of,
+)
 from tirefit.data.prepare.settings import PrepareConfig
 from tirefit.data.prepare.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs
-from tirefit.data.prepare.store import bin_name, setting_names
 from tirefit.data.prepare.warmth import last_sweeps_kept, with_warmth
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
