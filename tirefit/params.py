@@ -133,8 +133,7 @@ def check_values(
             problems.append(InputProblem(reason, f"it has {', '.join(known)}"))
         else:
             problems += _out_of_bounds(key, value, known[key])
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _out_of_bounds(key: str, value: float, spec: Spec) -> list[InputProblem]:
@@ -173,8 +172,7 @@ def check_names(
             reason = f"there is no {noun} {name!r}"
             remedy = f"{did_you_mean(name, there)}known: {all_known}"
             problems.append(InputProblem(reason, remedy))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return tuple(asked)
 
 
@@ -208,8 +206,7 @@ def by_owner(
         for name in takers:
             problems += _out_of_bounds(f"{name}.{setting}", value, known[name][setting])
             chosen[name][setting] = value
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return chosen
 
 

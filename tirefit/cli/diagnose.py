@@ -70,8 +70,7 @@ def _names(files: list[Path]) -> list[str]:
     twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice:
         reason = f"several input files are named {', '.join(twice)}"
-        remedy = "rename one: their results would overwrite each other"
-        raise UsageError(InputProblem(reason, remedy))
+        raise UsageError(reason, "rename one: their results would overwrite each other")
     return names
 
 
@@ -270,8 +269,7 @@ def _simulator(
     if wrong and not (model or "").lower().endswith(".tir"):
         reason = f"{' and '.join(sorted(wrong))} without --model FILE.tir"
         problems.append(InputProblem(reason, "leave it out"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     if sim:
         return {"sim": True, "signs": of_tir["signs"]}
     assert model is not None, "the plain one, where no simulator's forces are given"

@@ -34,7 +34,7 @@ from tirefit.cli.options import (
 from tirefit.cli.output import check_directories, is_page
 from tirefit.data.remote import expanded
 from tirefit.names import MODEL_NAMES
-from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.results import ExitCode, TirefitError, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -62,11 +62,9 @@ def _output_directories(files: list[Path], out: Path | None, joint: bool) -> lis
     twice = sorted(stem for stem, count in Counter(stems).items() if count > 1)
     if twice and not joint:
         raise UsageError(
-            InputProblem(
-                f"several input files are named {', '.join(twice)}: their results would"
-                " overwrite each other",
-                "rename a file, or fit them one by one with different --out",
-            )
+            f"several input files are named {', '.join(twice)}: their results would"
+            " overwrite each other",
+            "rename a file, or fit them one by one with different --out",
         )
     if len(files) == 1 or joint:
         return [out if out is not None else Path(stems[0])]

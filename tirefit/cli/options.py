@@ -171,8 +171,7 @@ def pairs(option: str, items: list[str] | None) -> dict[str, str]:
     """
     problems: list[InputProblem] = []
     given = _pairs(option, items, problems)
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return given
 
 
@@ -202,7 +201,7 @@ def forces_named(force: list[str] | None) -> list[str] | None:
     """
     wrong = [name for name in force or [] if name not in ("fx", "fy", "mz")]
     if wrong:
-        raise UsageError(InputProblem(f"--force {wrong[0]!r}", "one of fx, fy, mz"))
+        raise UsageError(f"--force {wrong[0]!r}", "one of fx, fy, mz")
     return force or None
 
 
@@ -223,8 +222,7 @@ def read_options(given: DataOptions, config) -> dict[str, Any]:
         "units": _pairs("--unit", given.unit, problems),
         "constants": numbers("--constant", given.constant, problems),
     }
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     below = {} if config is None else config.data.model_dump()
     single = {}
     for name in ("convention", "slip", "rolling_radius"):

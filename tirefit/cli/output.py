@@ -31,8 +31,7 @@ def check_directories(directories: Sequence[Path]) -> None:
             reason = f"no permission to write into the folder {there.absolute()}"
         if reason:
             problems.append(InputProblem(reason, remedy, str(directory)))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def check_replaced(
@@ -54,8 +53,7 @@ def check_replaced(
             continue
         remedy = "choose another folder with --out"
         problems.append(InputProblem(reason, remedy, str(path)))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _is_of_others(path: Path, schema: str) -> bool:
@@ -94,7 +92,7 @@ def claimed(directory: Path) -> Iterator[None]:
         if handle is not None and not took_lock(handle):
             reason = "another tirefit is writing its results into this folder"
             remedy = "wait until it has ended, or choose another folder with --out"
-            raise UsageError(InputProblem(reason, remedy, str(directory)))
+            raise UsageError(reason, remedy, str(directory))
         _remove_what_a_kill_left(directory)
         yield
     finally:

@@ -24,7 +24,7 @@ from tirefit.cli.options import (
 )
 from tirefit.cli.output import check_directories, check_replaced, claimed, staged
 from tirefit.data.remote import expanded, file_at
-from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -104,7 +104,7 @@ def prepare(
             how = read_options(options, base)
             config = _settings(base, changes)
         if not files:
-            raise UsageError(InputProblem("no FILE given", "name one, or --repeat"))
+            raise UsageError("no FILE given", "name one, or --repeat")
         names = _names(files)
         check_directories([out])
         ends = (".csv", ".segments.csv", ".png", ".prepare.json")
@@ -132,7 +132,7 @@ def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]
     """Files, reading options and settings of a record; nothing may contradict it."""
     if changes or options != DataOptions():
         reason = "--repeat with other settings"
-        raise UsageError(InputProblem(reason, "give the files alone, or no --repeat"))
+        raise UsageError(reason, "give the files alone, or no --repeat")
     from tirefit.data.prepare.settings import PrepareConfig
     from tirefit.data.prepare.store import SCHEMA
     from tirefit.door import read_record
@@ -147,11 +147,11 @@ def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]
     if not file.is_file():
         reason = f"{file}, which it was made from, is not there"
         remedy = "name the file: tirefit prepare FILE --repeat ..."
-        raise DataError(InputProblem(reason, remedy, str(record)))
+        raise DataError(reason, remedy, str(record))
     if hashlib.sha256(file.read_bytes()).hexdigest() != content["input"]["sha256"]:
         reason = f"{file} is not what it was made from: its sha256 differs"
         remedy = f"to prepare it all the same: tirefit prepare {file} --repeat {record}"
-        raise DataError(InputProblem(reason, remedy, str(record)))
+        raise DataError(reason, remedy, str(record))
     return [file], content["read"], config
 
 
@@ -162,7 +162,7 @@ def _names(files: list[Path]) -> list[str]:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         reason = f"several files are named {', '.join(twice)}"
-        raise UsageError(InputProblem(reason, "prepare them into different --out"))
+        raise UsageError(reason, "prepare them into different --out")
     return names
 
 

@@ -31,7 +31,7 @@ def stated_convention(above: Sequence[str], file: str) -> tuple[Layout, tuple]:
         elif layout.convention not in (None, name):
             before = f"contradicts {layout.convention!r} in line {layout.stated_in}"
             reason = f"the convention {name!r} {before}"
-            raise DataError(InputProblem(reason, "correct one of them", file, row))
+            raise DataError(reason, "correct one of them", file, row)
         else:
             layout = Layout(convention=name, stated_in=layout.stated_in or row)
     return layout, tuple(doubts)
@@ -127,8 +127,7 @@ class Options(NamedTuple):
                 kind = "a positive" if is_size else "a finite"
                 reason = f"--constant {name}={value:g} is not {kind} number"
                 problems.append(InputProblem(reason, "give it in SI units and signs"))
-        if problems:
-            raise UsageError(problems)
+        UsageError.raise_for(problems)
 
 
 def _unknown(option: str, given, known) -> list[InputProblem]:

@@ -224,14 +224,12 @@ def join(tables: Sequence[TireData]) -> TireData:
         twin = names.setdefault(table.source.sha256, table.source.path or table.name)
         if table.source.sha256 and twin != (table.source.path or table.name):
             reason = f"the same content as {twin}: its rows would count twice"
-            raise DataError(
-                InputProblem(reason, "give each file once", table.source.path)
-            )
+            raise DataError(reason, "give each file once", table.source.path)
     paths = [table.source.path for table in tables if table.source.path]
     if twice := {path for path in paths if paths.count(path) > 1}:
         reason = f"{', '.join(map(str, sorted(twice)))} is given twice"
         remedy = "give each file once, and each frame a name=... of its own"
-        raise DataError(InputProblem(reason, remedy))
+        raise DataError(reason, remedy)
     shared = [c for c in tables[0].columns if all(c in table for table in tables)]
     runs: list[str] = []
     codes = []

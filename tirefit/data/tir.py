@@ -34,8 +34,7 @@ def parse_tir(text: str, path: str = "", notes: Sequence[str] = ()) -> TirFile:
     """
     tir, problems = parsed(text, path, notes)
     problems += problems_of(tir)
-    if problems:
-        raise DataError(problems)
+    DataError.raise_for(problems)
     return tir
 
 
@@ -60,7 +59,7 @@ def read_tir(path) -> TirFile:
     if odd is not None:
         row, name = odd
         reason = f"not a text file: it holds the control character {name}"
-        raise DataError(InputProblem(reason, "remove it", str(path), row))
+        raise DataError(reason, "remove it", str(path), row)
     return parse_tir(text, str(path), notes)
 
 

@@ -204,8 +204,7 @@ def _are_known(without: Sequence[str], known: set[str]) -> None:
     for name in sorted(set(without) - known):
         remedy = f"{did_you_mean(name, known)}known effects: {every}"
         problems.append(InputProblem(f"--without: no effect {name!r}", remedy))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _asked_for(forces, data: TireData, gives, in_columns) -> tuple[str, ...]:
@@ -218,8 +217,7 @@ def _asked_for(forces, data: TireData, gives, in_columns) -> tuple[str, ...]:
             reason = f"the simulator's {name} is missing: there is no {name}_sim"
             remedy = f"add it, or ask for {' or '.join(gives)} alone"
         problems.append(InputProblem(reason, remedy))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     require(data, forces, "a diagnosis of them")
     return tuple(name for name in gives if name in forces)
 
@@ -283,7 +281,7 @@ def _are_smooth(base: Base, testable: Sequence[int]) -> None:
     if wrong := sorted({base.atoms[k].effect.id for k in testable if not finite[k]}):
         reason = f"effect {wrong[0]!r}: its change at amplitude 0 is not finite"
         remedy = "give a change that is smooth there, and finite for all rows"
-        raise UsageError(InputProblem(reason, remedy))
+        raise UsageError(reason, remedy)
 
 
 def _with_change(base: Base, searched: Search) -> Base | None:

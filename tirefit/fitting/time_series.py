@@ -43,8 +43,7 @@ def check_time_series(data: TireData, name: str) -> None:
                 file, _line(data, rows[at]), column or "time",
             )
         )  # fmt: skip
-    if problems:
-        raise DataError(problems)
+    DataError.raise_for(problems)
 
 
 def check_whole_series(data: TireData, name: str, slips, config: FitConfig) -> None:
@@ -72,5 +71,4 @@ def check_whole_series(data: TireData, name: str, slips, config: FitConfig) -> N
             file = data.source.path or data.name
             column = data.source.columns.get(f"{slip}_std", f"{slip}_std")
             problems.append(InputProblem(reason, remedy, file, column=column))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)

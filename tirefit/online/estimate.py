@@ -39,7 +39,7 @@ def _check_time(data: TireData) -> None:
         reason = "the time never goes on from one row to the next"
         remedy = "sort the rows by time, or name its column: --column time=HEADER"
         file = data.source.path or data.name
-        raise DataError(InputProblem(reason, remedy, file, column="time"))
+        raise DataError(reason, remedy, file, column="time")
 
 
 def estimate(
@@ -103,7 +103,7 @@ def _usual_load(data: TireData, columns: Mapping[str, np.ndarray]) -> float:
     there = loads[np.isfinite(loads) & (loads > 0)]
     if not len(there):
         reason = "no row can be used: none has a load"
-        raise DataError(InputProblem(reason, "check fz", data.source.path or data.name))
+        raise DataError(reason, "check fz", data.source.path or data.name)
     return float(there[0])
 
 
@@ -152,8 +152,7 @@ class Streams:
             for column in ("time", *METHODS[name].method.inputs)
             if column not in columns
         ]
-        if problems:
-            raise DataError(problems)
+        DataError.raise_for(problems)
         self._settings = {name: settings.get(name, {}) for name in names}
         self._streams: dict[str, Stream] = {}
 

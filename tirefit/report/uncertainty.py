@@ -18,7 +18,7 @@ from tirefit.params import Spec
 from tirefit.report.fit_tables import value_text
 from tirefit.report.labels import short_label, short_run
 from tirefit.report.numbers import plain_text
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 
 _MOST_PAIRS = 20
 _MOST_TRACES = 10
@@ -130,7 +130,7 @@ def named_labels(result: FitResult, parameters: Sequence[str]) -> tuple[str, ...
     if wrong or not parameters:
         reason = f"this fit has no free parameter {', '.join(wrong) or '(none given)'}"
         shown = ", ".join(short_label(result, label) for label in result.labels)
-        raise UsageError(InputProblem(reason, f"it has {shown}"))
+        raise UsageError(reason, f"it has {shown}")
     return tuple(k for k, names in known.items() if names & set(parameters))
 
 

@@ -176,8 +176,7 @@ def check(request: Request) -> None:
         what = "steer" if request.steer else "have a left and a right"
         reason = f"a quarter car cannot {what}"
         problems.append(InputProblem(reason, "brake the whole one: --vehicle car"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _tire_problems(request: Request) -> list[InputProblem]:
@@ -221,8 +220,7 @@ def with_numbers(request: Request, values: Mapping[str, float]) -> Request:
             known = ", ".join((*Hydraulics._fields, *Sensors._fields))
             reason = f"--plant {name}: there is no such number"
             problems.append(InputProblem(reason, f"there are {known}"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return replace(request, hydraulics=hydraulics, sensors=sensors)
 
 

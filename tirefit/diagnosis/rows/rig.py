@@ -13,7 +13,7 @@ from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_from_speeds
 from tirefit.diagnosis.negligible import UNSEEN
 from tirefit.door import read_toml
-from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.results import DataError, UsageError
 from tirefit.settings import Section, parse_settings
 
 # Optional numbers with the range of plausible values.
@@ -102,11 +102,11 @@ class Rig:
             for name, value in getattr(self, kind).items():
                 if not 0 < value < np.inf:
                     reason = f"{kind}: {name} = {value:g}"
-                    raise UsageError(InputProblem(reason, "give a positive number"))
+                    raise UsageError(reason, "give a positive number")
         for name in self.noise:
             if f"{name}_relative" in self.noise:
                 reason = f"noise: {name} and {name}_relative are both stated"
-                raise UsageError(InputProblem(reason, "state one of them"))
+                raise UsageError(reason, "state one of them")
 
     def radius_for(self, data: TireData) -> float | None:
         """Rolling radius [m]: stated, or the median of v / (omega (1 + slip))."""
@@ -183,7 +183,7 @@ def _of_others(content: dict, kind: type[Section]) -> tuple[dict, list[str]]:
 def unfit(data: TireData, reason: str, remedy: str, column: str = "") -> DataError:
     """The error of data that cannot be diagnosed."""
     file = data.source.path or data.name
-    return DataError(InputProblem(reason, remedy, file, column=column or None))
+    return DataError(reason, remedy, file, column=column or None)
 
 
 def check_data(data: TireData, channels: tuple[str, ...], rig: Rig) -> None:

@@ -194,8 +194,7 @@ def _check_settings(model: str, config: FitConfig) -> None:
     if config.noise.loss not in ("squares", FitConfig().noise.loss):
         reason = f"noise.loss = {config.noise.loss!r} in a Magic Formula"
         problems.append(InputProblem(reason, "leave it out", config.source))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def nominal_of(
