@@ -143,8 +143,7 @@ def _out_of_bounds(key: str, value: float, spec: Spec) -> list[InputProblem]:
         return []
     reason = f"{key} = {value} is outside its bounds [{low:.6g}, {high:.6g}]"
     unit = "" if spec.unit == "-" else f" {spec.unit}"
-    remedy = f"{spec.meaning}: {low:.6g} to {high:.6g}{unit}"
-    return [InputProblem(reason, remedy)]
+    return [InputProblem(reason, f"{spec.meaning}: {low:.6g} to {high:.6g}{unit}")]
 
 
 def check_names(
@@ -169,9 +168,8 @@ def check_names(
         if asked.count(name) > 1:
             problems.append(InputProblem(f"{noun} {name!r} is given twice", "once"))
         if name not in there:
-            reason = f"there is no {noun} {name!r}"
             remedy = f"{did_you_mean(name, there)}known: {all_known}"
-            problems.append(InputProblem(reason, remedy))
+            problems.append(InputProblem(f"there is no {noun} {name!r}", remedy))
     UsageError.raise_for(problems)
     return tuple(asked)
 

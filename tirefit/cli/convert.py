@@ -125,9 +125,8 @@ def convert(
             found = convert_whole(file, model, float(slips[-1]), chosen, out, of_file)
             raise typer.Exit(found)
         if combination:
-            reason = f"--combination with --model {model or 'brush'}"
             remedy = "leave it out: a brush is fitted to one force in pure slip"
-            raise UsageError(reason, remedy)
+            raise UsageError(f"--combination with --model {model or 'brush'}", remedy)
         result = _refit(
             file, coefficients, model or "brush", force or Force.fx, slips, chosen,
             seed, out, signs,

@@ -138,8 +138,7 @@ def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]
     from tirefit.door import read_record
     from tirefit.settings import parse_settings
 
-    remedy = "give a NAME.prepare.json of tirefit prepare"
-    content = read_record(record, SCHEMA, remedy)
+    content = read_record(record, SCHEMA, "give a NAME.prepare.json of tirefit prepare")
     config = parse_settings(PrepareConfig, content["config"], str(record))
     if files:
         return files, content["read"], config

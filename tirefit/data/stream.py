@@ -49,9 +49,8 @@ class RowReader:
             reason = f"the first line is no header: {error}"
             raise DataError(reason, "give CSV", name, 1) from None
         if not header or all(is_number(cell) for cell in header):
-            reason = "the first line is no header"
             remedy = "begin with a line such as time,sigma_x,fx,fz"
-            raise DataError(reason, remedy, name, 1)
+            raise DataError("the first line is no header", remedy, name, 1)
         plan = plan_columns(header, None, self._options, name)
         signs = self._options.signs(layout, plan.columns, name)
         if problems := [*plan.problems, *signs.problems]:

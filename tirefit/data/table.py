@@ -227,9 +227,8 @@ def join(tables: Sequence[TireData]) -> TireData:
             raise DataError(reason, "give each file once", table.source.path)
     paths = [table.source.path for table in tables if table.source.path]
     if twice := {path for path in paths if paths.count(path) > 1}:
-        reason = f"{', '.join(map(str, sorted(twice)))} is given twice"
         remedy = "give each file once, and each frame a name=... of its own"
-        raise DataError(reason, remedy)
+        raise DataError(f"{', '.join(map(str, sorted(twice)))} is given twice", remedy)
     shared = [c for c in tables[0].columns if all(c in table for table in tables)]
     runs: list[str] = []
     codes = []

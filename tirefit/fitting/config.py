@@ -17,8 +17,7 @@ Force = Literal["fx", "fy", "mz"]
 def _out_of_order(section, low: str, high: str, remedy: str) -> Iterator[InputProblem]:
     lower, upper = getattr(section, low), getattr(section, high)
     if None not in (lower, upper) and lower >= upper:
-        reason = f"{low} = {lower:g} is not below {high} = {upper:g}"
-        yield InputProblem(reason, remedy)
+        yield InputProblem(f"{low} = {lower:g} is not below {high} = {upper:g}", remedy)
 
 
 class Prior(Section):

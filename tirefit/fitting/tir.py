@@ -117,8 +117,7 @@ def check_gives(tir: TirFile, force: str) -> None:
         reason = f"no {symbol} in this file: {tir.lacks[symbol]}"
         other = {"fx": "fy", "fy": "fx"}[force]
         instead = f", or ask for {other}" if _SYMBOLS[other] not in tir.lacks else ""
-        remedy = f"add the coefficients{instead}"
-        raise DataError(reason, remedy, tir.path)
+        raise DataError(reason, f"add the coefficients{instead}", tir.path)
 
 
 def remarks(

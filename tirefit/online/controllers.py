@@ -38,6 +38,5 @@ def controller_of(
     try:
         made = dataclasses.replace(template, **values | dict(settings or {}))
     except ValueError as error:
-        remedy = f"choose other settings of {name}"
-        raise UsageError(str(error), remedy) from None
+        raise UsageError(str(error), f"choose other settings of {name}") from None
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), made)

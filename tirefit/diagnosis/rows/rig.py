@@ -190,9 +190,8 @@ def check_data(data: TireData, channels: tuple[str, ...], rig: Rig) -> None:
     """Raises DataError for no load, too few rows, or a force or a stated noise of the
     channels far beyond all loads."""
     if "fz" not in data:
-        reason = "a diagnosis needs fz (load, N) for every row"
         remedy = "name its column with --column fz=HEADER, or --constant fz=4000"
-        raise unfit(data, reason, remedy)
+        raise unfit(data, "a diagnosis needs fz (load, N) for every row", remedy)
     if data.n < LEAST_ROWS:
         reason = f"{data.n} usable rows: a diagnosis needs {LEAST_ROWS} or more"
         raise unfit(data, reason, "measure more points")
