@@ -1,7 +1,6 @@
 """``tirefit diagnose``: where a model misses, which effect causes it, how far."""
 
 import json
-from collections import Counter
 from dataclasses import asdict, dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -33,6 +32,7 @@ from tirefit.cli.options import (
 )
 from tirefit.cli.output import (
     check_directories,
+    check_distinct,
     check_replaced,
     claimed,
     is_page,
@@ -63,15 +63,6 @@ class ManyHoldouts(TyperCommand):
             else:
                 spread.append(word)
         return super().parse_args(ctx, spread)
-
-
-def _names(files: list[Path]) -> list[str]:
-    names = [Path(file.name.removesuffix(".gz")).stem for file in files]
-    twice = sorted(name for name, count in Counter(names).items() if count > 1)
-    if twice:
-        reason = f"several input files are named {', '.join(twice)}"
-        raise UsageError(reason, "rename one: their results would overwrite each other")
-    return names
 
 
 def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
@@ -162,7 +153,8 @@ def diagnose(
     """Diagnose the gap between a model and data: where, which effect, how far."""
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files)
-        names = _names(files)
+        names = [Path(file.name.removesuffix(".gz")).stem for file in files]
+        check_distinct(names, "rename one: their results would overwrite each other")
         check_directories([out])
         config = read_config(options.config)
         how, plain = read_options(options, config), _PLAIN if model is None else model

@@ -34,6 +34,13 @@ def check_directories(directories: Sequence[Path]) -> None:
     UsageError.raise_for(problems)
 
 
+def check_distinct(names: Sequence[str], remedy: str) -> None:
+    """Raises UsageError where files have one name, and so would their results."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise UsageError(f"several input files are named {', '.join(twice)}", remedy)
+
+
 def check_replaced(
     made: Iterable[Path], inputs: Iterable[Path], schema: str = ""
 ) -> None:

@@ -22,7 +22,13 @@ from tirefit.cli.options import (
     say,
     takes_data_options,
 )
-from tirefit.cli.output import check_directories, check_replaced, claimed, staged
+from tirefit.cli.output import (
+    check_directories,
+    check_distinct,
+    check_replaced,
+    claimed,
+    staged,
+)
 from tirefit.data.remote import expanded, file_at
 from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
@@ -105,7 +111,8 @@ def prepare(
             config = _settings(base, changes)
         if not files:
             raise UsageError("no FILE given", "name one, or --repeat")
-        names = _names(files)
+        names = [Path(file.name.removesuffix(".gz")).stem for file in files]
+        check_distinct(names, "prepare them into different --out")
         check_directories([out])
         ends = (".csv", ".segments.csv", ".png", ".prepare.json")
         made = [out / f"{name}{end}" for name in names for end in ends]
@@ -152,17 +159,6 @@ def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]
         remedy = f"to prepare it all the same: tirefit prepare {file} --repeat {record}"
         raise DataError(reason, remedy, str(record))
     return [file], content["read"], config
-
-
-def _names(files: list[Path]) -> list[str]:
-    from tirefit.data.text import stem_of
-
-    names = [stem_of(file) for file in files]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        reason = f"several files are named {', '.join(twice)}"
-        raise UsageError(reason, "prepare them into different --out")
-    return names
 
 
 @dataclass(frozen=True)

@@ -127,7 +127,7 @@ def problem_at(
     """A problem with one row (counted from 0), placed in its own file."""
     source = data.source
     paths = source.paths
-    file = paths[data.run[row]] if paths else source.path or data.name
+    file = paths[data.run[row]] if paths else data.file
     line = row if source.line is None else int(source.line[row])
     header = source.columns.get(column, column)
     return InputProblem(reason, remedy, file, line, header)

@@ -148,7 +148,7 @@ def inspect(data: Any) -> Inspection:
     data = as_data(data)
     source = data.source
     return Inspection(
-        file=source.path or data.name,
+        file=data.file,
         sha256=source.sha256,
         rows=len(data),
         used=data.n,

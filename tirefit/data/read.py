@@ -117,7 +117,7 @@ def require(data: TireData, columns: Sequence[str], why: str) -> None:
         if column == "sigma_x":
             remedy += " (also kappa, s), or give omega, v and --rolling-radius"
         reason = f"{why} needs {column} ({meaning}), which the data do not have"
-        problems.append(InputProblem(reason, remedy, data.source.path or data.name))
+        problems.append(InputProblem(reason, remedy, data.file))
     DataError.raise_for(problems)
 
 

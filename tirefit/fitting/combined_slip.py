@@ -36,7 +36,7 @@ def slip_of_forces(
             " on both slips, and only one noisy slip can be integrated out",
             "give the noise of the slip that matters more, and count that of the"
             " other as noise of the forces; or fit rows of pure slip",
-            data.source.path or data.name,
+            data.file,
         )
     (slip,) = noisy
     return dict.fromkeys(forces, slip)

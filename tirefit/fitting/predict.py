@@ -82,7 +82,7 @@ def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
         raise DataError(
             f"the fit has no parameters for the runs {', '.join(unknown)}",
             f"it knows {', '.join(layout.runs)}",
-            data.source.path or data.name,
+            data.file,
         )
     return np.array([layout.runs.index(run) for run in data.runs])[data.run[data.used]]
 
@@ -150,7 +150,7 @@ def predict(
         raise DataError(
             f"the fit is of {', '.join(noise)}: the data need {needs}",
             "name the column with --column",
-            data.source.path or data.name,
+            data.file,
         )
     for channel in fitted:
         out[channel] = force[channel]
@@ -224,5 +224,5 @@ def _of_model(
         has = " and ".join(modelled(tire))
         reason = f"{name} gives {has} alone, whose slip the data do not have"
         remedy = "name the column with --column, or choose another tire"
-        raise DataError(reason, remedy, data.source.path or data.name)
+        raise DataError(reason, remedy, data.file)
     return _all_rows(data, {c: given[c] for c in channels})

@@ -83,7 +83,7 @@ def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], 
             "no force with a slip that varies: a fit needs fx with sigma_x (or"
             " kappa, s), or fy with alpha",
             "see `tirefit inspect`",
-            data.source.path or data.name,
+            data.file,
         )
     chosen = varied[0]
     rest = [name for name in varied if name != chosen]
@@ -176,7 +176,7 @@ def _noise_column(data: TireData, column: str, wrong, beside: str) -> InputProbl
     return InputProblem(
         f"{data[column][row]:.3g} {beside}{rows}",
         "correct the column or its unit, or leave it out",
-        source.path or data.name,
+        data.file,
         None if source.line is None else int(source.line[row]),
         source.columns.get(column, column),
     )
@@ -207,7 +207,7 @@ def check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
             f" measured slips (standard deviation {spread:.3g}): they say nothing"
             " about where on the curve a row lies",
             f"check the unit of the noise, {column or f'noise.{slip}'}",
-            data.source.path or data.name,
+            data.file,
             column=column,
         )
 
@@ -273,7 +273,7 @@ def _check_size(data: TireData, layout: Layout, channels, n_values: int) -> None
             f" ({', '.join(layout.labels)}"
             + (" and the noise level)" if unknowns > layout.size else ")"),
             "measure more points, or fix parameters in fit.toml",
-            data.source.path or data.name,
+            data.file,
         )
 
 
@@ -372,7 +372,7 @@ def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
         if limits:
             reason += f" within {' and '.join(limits)} of {config.source}"
             remedy = "widen these limits"
-        raise DataError(reason, remedy, data.source.path or data.name)
+        raise DataError(reason, remedy, data.file)
 
 
 def _with_reference_load(data: TireData, model: AbstractTire, config: FitConfig):

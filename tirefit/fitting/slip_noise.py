@@ -32,7 +32,7 @@ def speed_of(data: TireData) -> np.ndarray:
         return data.usable("v")
     reason = "the noise of the slip is stated as one of a speed, and v is not there"
     remedy = "name its column with --column v=HEADER, or --constant v=10"
-    raise DataError(reason, remedy, data.source.path or data.name)
+    raise DataError(reason, remedy, data.file)
 
 
 def std_with_speed(plain: float, of_speed: float, v) -> np.ndarray:

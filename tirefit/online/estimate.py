@@ -38,7 +38,7 @@ def _check_time(data: TireData) -> None:
     if len(steps) and not np.any(steps > 0):
         reason = "the time never goes on from one row to the next"
         remedy = "sort the rows by time, or name its column: --column time=HEADER"
-        file = data.source.path or data.name
+        file = data.file
         raise DataError(reason, remedy, file, column="time")
 
 
@@ -103,7 +103,7 @@ def _usual_load(data: TireData, columns: Mapping[str, np.ndarray]) -> float:
     there = loads[np.isfinite(loads) & (loads > 0)]
     if not len(there):
         reason = "no row can be used: none has a load"
-        raise DataError(reason, "check fz", data.source.path or data.name)
+        raise DataError(reason, "check fz", data.file)
     return float(there[0])
 
 

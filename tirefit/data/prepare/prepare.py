@@ -132,7 +132,7 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
     if not slips:
         reason = "no slip and no slip angle: there is nothing to cut the test by"
         remedy = "name one, as in --column alpha=HEADER; see `tirefit inspect`"
-        raise DataError(reason, remedy, data.source.path or data.name)
+        raise DataError(reason, remedy, data.file)
     series = series_of(data, config.rate)
     raw = _channels(data, series)
     is_series = series.rate is not None and series.rate * config.shortest >= _LEAST_ROWS
@@ -157,7 +157,7 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
     if not kept.any():
         reason = f"nothing is left: {', '.join(dict.fromkeys(p.kind for p in parts))}"
         remedy = "see the segments in the figure, or keep other kinds"
-        raise DataError(reason, remedy, data.source.path or data.name)
+        raise DataError(reason, remedy, data.file)
     notes = [*said, how] if how else list(said)
     notes += _conditions_at_risk(parts, kept)
     unusable = len(data) - data.n

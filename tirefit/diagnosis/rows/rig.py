@@ -182,8 +182,7 @@ def _of_others(content: dict, kind: type[Section]) -> tuple[dict, list[str]]:
 
 def unfit(data: TireData, reason: str, remedy: str, column: str = "") -> DataError:
     """The error of data that cannot be diagnosed."""
-    file = data.source.path or data.name
-    return DataError(reason, remedy, file, column=column or None)
+    return DataError(reason, remedy, data.file, column=column or None)
 
 
 def check_data(data: TireData, channels: tuple[str, ...], rig: Rig) -> None:

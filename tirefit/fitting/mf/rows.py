@@ -108,7 +108,7 @@ def rows_of_part(
     forces = list(dict.fromkeys(f for name in parts for f in PARTS[name].forces))
     forces = [force for force in forces if force != "mz" or part not in MOMENTS]
     rows = rows_of_forces(whole, forces, config)
-    source = whole.source.path or whole.name
+    source = whole.file
     pressures = next(iter(rows.values())).column("pressure")
     typical = np.median(pressures[pressures > 0]) if np.any(pressures > 0) else None
     if typical is not None and not PRESSURES[0] <= typical <= PRESSURES[1]:
@@ -156,7 +156,7 @@ def rows_of_forces(
                 f"{np.count_nonzero(there)} rows of {force}: a Magic Formula needs"
                 f" at least {_FEWEST}",
                 "measure more, or fit a brush model",
-                data.source.path or data.name,
+                data.file,
             )
         rows[force] = _rows_of(replace(data, used=there), force, config)
     if not rows:
@@ -164,7 +164,7 @@ def rows_of_forces(
             f"no {' or '.join(forces)} with its slip: a fit needs fx with sigma_x"
             " (or kappa, s), fy and mz with alpha, mx with alpha and fy",
             "check with `tirefit inspect` how the columns were read",
-            data.source.path or data.name,
+            data.file,
         )
     return rows
 

@@ -71,7 +71,7 @@ def at_reference(
     if np.ptp(column[data.used]) < _LEAST:
         reason = f"temperature varies by less than {_LEAST:g} K, too little to fit"
         remedy = "leave out friction_temperature"
-        raise DataError(reason, remedy, data.source.path or data.name)
+        raise DataError(reason, remedy, data.file)
     reference = float(np.round(np.median(column[data.used])))
     warmth = {
         force: column[np.isfinite(data.columns[force]) & data.used] - reference
