@@ -371,8 +371,7 @@ def _is_whole(path: Path, rows: int) -> bool:
 
 
 def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
-    """Whether the document there is of this file as read now, of these settings, this
-    seed and version."""
+    """Whether the document is of this file, these settings, this seed and version."""
     from importlib.metadata import version
 
     from tirefit.diagnosis.effects import EFFECTS

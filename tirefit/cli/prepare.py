@@ -163,8 +163,7 @@ def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]
 
 @dataclass(frozen=True)
 class _Task:
-    """What all files share: the folder of the results, arguments of ``tirefit.read``,
-    and the settings."""
+    """What all files share: results' folder, ``tirefit.read`` arguments, settings."""
 
     out: Path
     how: dict[str, Any]

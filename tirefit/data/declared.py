@@ -73,8 +73,7 @@ class Options(NamedTuple):
     otherwise: tuple[str, str] | None = None
 
     def signs(self, layout: Layout, columns: Iterable[str], file: str) -> Signs:
-        """The convention: the user's, else the file's, else that of a model, else
-        "braking".
+        """The convention: the user's, the file's, a model's, or "braking".
 
         Args:
             layout: of the file. A convention that a line of the file states must agree

@@ -238,8 +238,7 @@ def derive_files(
         paths: The logs; their names become the runs.
         vehicle_toml: See :mod:`tirefit.data.vehicle`.
         out: CSV to write, in canonical columns and SI units; ``NAME.derive.json``
-            beside ``NAME.csv`` states the vehicle, the bandwidth, the assumptions and
-            the sources.
+            beside it states vehicle, bandwidth, assumptions and sources.
         axle: "rear" or "front".
         units: Unit of a quantity, over ``[units]`` of the vehicle.
         believe: Only warn of channels that contradict each other.
@@ -247,8 +246,7 @@ def derive_files(
 
     Raises:
         DataError: With the problems of all logs; then nothing is written.
-        UsageError: If the configuration, the axle or ``out`` is wrong, or two logs
-            have one name.
+        UsageError: wrong configuration, axle or ``out``, or two logs of one name.
         OSError: If a file cannot be written; then neither is.
     """
     out = Path(out)

@@ -89,8 +89,7 @@ def diagnose(
         >>> found.verdict.status.value, found.verdict.effects
         ('named', ('slip_offset',))
 
-    ``print(found)`` shows the report on one screen; ``tirefit.plot_diagnosis(found)``
-    draws it.
+    ``print(found)`` shows one screen; ``tirefit.plot_diagnosis(found)`` draws it.
 
     Args:
         data: what ``tirefit.read`` gave, or anything that it reads with its defaults: a
@@ -133,9 +132,8 @@ def diagnose(
     Raises:
         UsageError: no such model, no such force, or no such effect to leave out; an
             argument that is none of the above; or 32-bit floats in use.
-        DataError: no force with a slip that varies, no load, too few rows, no
-            simulated forces, a model that does not follow them, or ``data`` among what
-            is held out.
+        DataError: no force with a slip that varies, no load, too few rows, no simulated
+            forces, a model that does not follow them, ``data`` held out too.
     """
     require_x64("a diagnosis")
     release_programs()

@@ -296,8 +296,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
 
     Raises:
         UsageError: unknown model or parameter, impossible bounds, ties or noise.
-        DataError: columns the model needs are missing, noise in a column that is none,
-            or too few rows.
+        DataError: columns or rows are missing, or noise in a column is none.
     """
     template = find_model(name)
     forces, notes = _chosen_forces(data, config)

@@ -80,8 +80,7 @@ class Tabulated(AbstractPressure):
             file: where they came from, for messages.
 
         Raises:
-            UsageError: as for :meth:`from_function`, or the points do not increase from
-                -1 to 1.
+            UsageError: as :meth:`from_function`; points not rising from -1 to 1.
         """
         xi, density = np.asarray(xi, float), np.asarray(density, float)
         _check_points(xi, density, file)

@@ -4,8 +4,7 @@ Whatever the method, a sample passes the same guard first. What is missing, out 
 order, without load, of a locked wheel or at standstill does not reach the method: it
 holds its state, whose covariance grows by the time that passes, and the row is flagged.
 What is usable is averaged over a few samples before the method steps, as noise of slip
-does not average out of a curve: sample by sample, S section 5.1's makes mu a fifth too
-small.
+does not average out of a curve: sample by sample mu is a fifth low in S section 5.1.
 """
 
 from collections.abc import Mapping

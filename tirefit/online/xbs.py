@@ -21,8 +21,7 @@ Seen is the square of p: far below the band all poles look alike, and beyond it 
 
 A loud past hides a calm present, as a wheel that nears its peak shakes ten times as
 much: half of a fall of k is seen within 0.2 s, half of a rise only after 1.6 s, with a
-memory of 1 s. ``quiet`` above zero lets the past go where the wheel is that much
-calmer.
+memory of 1 s. ``quiet`` above zero drops the past where the wheel is so much calmer.
 """
 
 from functools import lru_cache
@@ -219,8 +218,7 @@ def rate_in_use(slope, stiffness, direction=0.0):
 
 
 class Sums(NamedTuple):
-    """Weighted by age: squares and products of increments [m2/s2], the weights, and by
-    their squares."""
+    """Weighted by age: squares, products of increments [m2/s2]; weights, squares of."""
 
     square: Float[Array, ""]
     product: Float[Array, ""]

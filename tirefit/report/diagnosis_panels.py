@@ -122,8 +122,7 @@ _LETTERS = 66
 
 
 def look_title(panel: LookCurve) -> str:
-    """What is left as a sentence: ``What is left: friction steps at a load F_z of 5000
-    N by -4.9 %``."""
+    """``What is left: friction steps at a load F_z of 5000 N by -4.9 %``."""
     return f"What is left: {look_text(panel.look)}"
 
 

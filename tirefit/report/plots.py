@@ -60,8 +60,7 @@ def plot_trace(result: FitResult, parameters: Sequence[str] | None = None):
 
     Args:
         result: a fit with its posterior.
-        parameters: as of :func:`plot_corner`; without them all, or the ten whose chains
-            agree least.
+        parameters: as of :func:`plot_corner`; by default all or ten of worst R-hat.
     """
     _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
     remedy = "chain: its posterior is of independent points (plot_corner draws it)"

@@ -21,9 +21,8 @@ from tirefit.models import AbstractTire, TireInputs
 from tirefit.slip import sigma_from_kappa
 
 LOW_SPEED = 0.3
-"""Speed [m/s] below which slip is taken over this speed, lest it be infinitely stiff
-at a standstill; a locked wheel's force fades at a tenth of it, a hand's breadth of way
-before the end."""
+"""Speed [m/s] below which slip is taken over this speed, lest it be infinitely stiff at
+a standstill; a locked wheel's force fades at a tenth of it, 0.1 m before the end."""
 _LOCKED = 0.99
 """Largest kappa: of a wheel that stands (sigma 99)."""
 _LEAST_KAPPA = -5.0

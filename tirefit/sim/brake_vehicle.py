@@ -143,10 +143,9 @@ class Sensors(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """Standard normal numbers of a stop of n samples on w wheels, except ``road``
-    (n + 1, w): the force d over the static load, a stationary process of first order
-    below whose corner, under the 2-20 Hz that O listens to, its rate is white: the w of
-    O(2)."""
+    """Standard normal numbers of a stop of n samples on w wheels, except ``road`` (n +
+    1, w): the force d over the static load, a stationary process of first order below
+    whose corner, under O's 2-20 Hz, its rate is white: the w of O(2)."""
 
     speed: Float[Array, "n w"]
     pressure: Float[Array, "n w"]

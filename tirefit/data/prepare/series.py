@@ -36,8 +36,7 @@ class Series(NamedTuple):
 
 
 def runs_of(code: np.ndarray) -> list[tuple[int, int]]:
-    """(begin, end) of the stretches of equal values of an (n,) array, or of equal rows
-    of an (n, k) one."""
+    """(begin, end) of stretches of equal values of an (n,) array or rows of (n, k)."""
     if not len(code):
         return []
     table = np.asarray(code).reshape(len(code), -1)

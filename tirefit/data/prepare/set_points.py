@@ -2,9 +2,8 @@
 
 A setting is where a channel stays while a slip is swept or held, not a bin of equal
 width: candidates are the medians of whole sweeps, and of a second here and there where
-all is held; what is on its way is none. Candidates closer than their own scatter are
-one setting. A row belongs to a setting while the channel is as near it as it was during
-those sweeps.
+all is held, not on the way. Candidates closer than their own scatter are one setting. A
+row belongs to a setting while the channel is as near it as during those sweeps.
 """
 
 from collections.abc import Mapping, Set

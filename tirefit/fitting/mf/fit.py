@@ -206,8 +206,7 @@ def nominal_of(
 ):
     """The tire with its nominal state and the given values, and notes on assumptions.
 
-    It has M_x or M_y if the data measure it, or if ``config`` or ``also`` name one of
-    its coefficients.
+    It has M_x or M_y if the data do, or ``config`` or ``also`` name a coefficient.
 
     Args:
         constants: ``Source.constants`` of the data file, which replace assumptions; the

@@ -128,8 +128,7 @@ def with_dimensions(
     """Complete the settings from the other tire; returns them with notes.
 
     Taken are its free radius, its nominal pressure if the test has no pressure, and
-    QSX12 to QSX14 if M_x is not measured, unless the settings or a constant of the data
-    file give them.
+    QSX12 to QSX14 if M_x is not measured, unless settings or the data file give them.
     """
     wanted = ["UNLOADED_RADIUS"]
     if not any(np.any(one.column("pressure") > 0) for one in rows.values()):

@@ -99,8 +99,7 @@ class Search:
     held: set[str] = field(default_factory=set)
 
     def rmse(self, group: Group) -> float:
-        """Root mean square residual [N, N m] of the means of cells, weighted by their
-        numbers of rows."""
+        """Rms residual [N, N m] of the means of cells, weighted by rows."""
         cells = group.cells
         predicted = row_values(self.problem, self.u, group.force, cells.inputs)
         squares = (predicted - cells.observed) ** 2
@@ -180,8 +179,7 @@ def _one_stage(work: Search, force: str, count: int, rows: ForceRows | None) -> 
     """Fit the first ``count`` groups of a force; the last of them is new.
 
     Args:
-        rows: rows of the force, for the starts and the noise of single rows; None in a
-            continued search.
+        rows: of the force, for starts and noise; None in a continued search.
     """
     is_last = count == len(work.groups[force])
     names = _to_move(work, force, is_last)
@@ -239,8 +237,7 @@ def problem_of(work: Search, force: str, count: int, names, most=None) -> Proble
 
 
 def _learn_noise(work: Search, force: str, count: int, rows) -> float:
-    """Estimate the noise of the newest group from its residuals; returns its largest
-    relative change."""
+    """Estimate the newest group's noise from its residuals; largest relative change."""
     group = work.groups[force][count - 1]
     cells = group.cells
     predicted = row_values(work.problem, work.u, force, cells.inputs)
@@ -296,8 +293,7 @@ def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarr
     """The covariance (p, p) of u after a stage.
 
     The known coefficients k keep their covariance. The moved ones m have the covariance
-    H_mm^-1 given k, and change with k by -H_mm^-1 H_mk; H is the curvature of rows and
-    priors.
+    H_mm^-1 given k and change by -H_mm^-1 H_mk; H: curvature of rows and priors.
     """
     moved, known = np.flatnonzero(problem.free), np.flatnonzero(~problem.free)
     curvature = curvature_at(problem, u)
