@@ -112,7 +112,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         if odd is None:
             return content
         reason = f"{odd[0]}: {odd[1]}"
-    raise UsageError(InputProblem(reason, "correct the file", str(path)))
+    raise UsageError(reason, "correct the file", str(path))
 
 
 # --- our own files --------------------------------------------------------------
@@ -137,7 +137,7 @@ def read_record(path: str | Path, schema: str, remedy: str) -> dict:
     """
 
     def refused(reason: str) -> DataError:
-        return DataError(InputProblem(reason, remedy, str(path)))
+        return DataError(reason, remedy, str(path))
 
     raw = content_of(path, RECORD, DataError, remedy)
     try:

@@ -65,13 +65,14 @@ from tirefit.report.diagnosis_draw import (
     write_figure,
 )
 from tirefit.report.diagnosis_html import diagnosis_page, write_page
-from tirefit.report.diagnosis_look import draw_look, look_title
 from tirefit.report.diagnosis_panels import (
     after_label,
     chance_bars,
+    draw_look,
     ladder_bars,
     level_labels,
     load_label,
+    look_title,
 )
 from tirefit.report.diagnosis_sections import answer, gap_line, step_label, step_lines
 from tirefit.report.diagnosis_text import diagnosis_text

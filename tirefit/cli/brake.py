@@ -94,8 +94,7 @@ def brake(
         values = numbers("--set", parameter, problems)
         settings = numbers("--tune", tune, problems)
         plant_values = numbers("--plant", plant, problems)
-        if problems:
-            raise UsageError(problems)
+        UsageError.raise_for(problems)
         check_directories([out])
         start_jax()
         from tirefit.online.controllers import CONTROLLERS
@@ -123,8 +122,7 @@ def _tire(source: str | None, values: dict[str, float], signs: str | None):
     from tirefit.fitting.problem import find_model
 
     if signs and not (source or "").lower().endswith(".tir"):
-        reason = "--signs applies to .tir files only"
-        raise UsageError(InputProblem(reason, "leave it out"))
+        raise UsageError("--signs applies to .tir files only", "leave it out")
     if source is None:
         return DEFAULT_TIRE, tire_with(find_model(DEFAULT_TIRE), DEFAULT_TIRE,
                                        DEFAULT_VALUES | values)  # fmt: skip
@@ -132,8 +130,7 @@ def _tire(source: str | None, values: dict[str, float], signs: str | None):
         from tirefit.fitting.store import load_fit
 
         if values:
-            reason = "--set with a fit.json"
-            raise UsageError(InputProblem(reason, "use it with a model name"))
+            raise UsageError("--set with a fit.json", "use it with a model name")
         fitted = load_fit(source)
         return source, fitted.at_estimate()
     if source.lower().endswith(".tir"):

@@ -97,14 +97,14 @@ def _connected(distributed: ModuleType, address: str) -> Any:
     try:
         client = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        raise UsageError(InputProblem(f"--scheduler: {reason}", remedy)) from error
+        raise UsageError(f"--scheduler: {reason}", remedy) from error
     try:
         client.wait_for_workers(1, timeout=_CONNECT)
     except TimeoutError:
         client.close()
         reason = f"the scheduler at {address} has no worker"
         remedy = f"start some: dask worker {address} --nthreads 1 --nworkers auto"
-        raise UsageError(InputProblem(f"--scheduler: {reason}", remedy)) from None
+        raise UsageError(f"--scheduler: {reason}", remedy) from None
     return client
 
 
@@ -248,7 +248,7 @@ class _Sharing:
 
 
 def _gone(reason: str) -> UsageError:
-    return UsageError(InputProblem(reason, "start it again, then --resume"))
+    return UsageError(reason, "start it again, then --resume")
 
 
 _ALONE = threading.Lock()

@@ -84,7 +84,7 @@ def models(json: JsonOption = False) -> None:
 def methods(json: JsonOption = False) -> None:
     """List the online methods: inputs, estimates, valid use of friction, source."""
     from tirefit.online.methods import METHODS
-    from tirefit.report.method_tables import methods_dict, methods_table
+    from tirefit.report.model_tables import methods_dict, methods_table
 
     if json:
         from json import dumps
@@ -232,7 +232,7 @@ def predict(
         if any(of_file.values()):
             own = "--starred-angles, --side, --signs and --combination"
             reason = f"{own} apply to .tir files only"
-            raise UsageError(InputProblem(reason, f"leave them out with {source}"))
+            raise UsageError(reason, f"leave them out with {source}")
         is_file = source.endswith(".json") or Path(source).is_file()
         values = _checked_request(source, is_file, data, out, parameter)
         start_jax()
@@ -309,8 +309,7 @@ def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
         problems.append(
             InputProblem("--set with a fit.json", "use it with a model name")
         )
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return values
 
 

@@ -1,7 +1,6 @@
 """``tirefit diagnose``: where a model misses, which effect causes it, how far."""
 
 import json
-from collections import Counter
 from dataclasses import asdict, dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -33,6 +32,7 @@ from tirefit.cli.options import (
 )
 from tirefit.cli.output import (
     check_directories,
+    check_distinct,
     check_replaced,
     claimed,
     is_page,
@@ -63,16 +63,6 @@ class ManyHoldouts(TyperCommand):
             else:
                 spread.append(word)
         return super().parse_args(ctx, spread)
-
-
-def _names(files: list[Path]) -> list[str]:
-    names = [Path(file.name.removesuffix(".gz")).stem for file in files]
-    twice = sorted(name for name, count in Counter(names).items() if count > 1)
-    if twice:
-        reason = f"several input files are named {', '.join(twice)}"
-        remedy = "rename one: their results would overwrite each other"
-        raise UsageError(InputProblem(reason, remedy))
-    return names
 
 
 def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
@@ -119,8 +109,7 @@ def diagnose(
     sim: Annotated[
         bool,
         typer.Option(
-            "--sim",
-            help="the simulator's forces stand in FILE: fx_sim, fy_sim, mz_sim",
+            "--sim", help="the simulator's forces stand in FILE: fx_sim, fy_sim, mz_sim"
         ),
     ] = False,
     side: SideOption = None,
@@ -164,7 +153,8 @@ def diagnose(
     """Diagnose the gap between a model and data: where, which effect, how far."""
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files)
-        names = _names(files)
+        names = [Path(file.name.removesuffix(".gz")).stem for file in files]
+        check_distinct(names, "rename one: their results would overwrite each other")
         check_directories([out])
         config = read_config(options.config)
         how, plain = read_options(options, config), _PLAIN if model is None else model
@@ -271,8 +261,7 @@ def _simulator(
     if wrong and not (model or "").lower().endswith(".tir"):
         reason = f"{' and '.join(sorted(wrong))} without --model FILE.tir"
         problems.append(InputProblem(reason, "leave it out"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     if sim:
         return {"sim": True, "signs": of_tir["signs"]}
     assert model is not None, "the plain one, where no simulator's forces are given"
@@ -382,8 +371,7 @@ def _is_whole(path: Path, rows: int) -> bool:
 
 
 def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
-    """Whether the document there is of this file as read now, of these settings, this
-    seed and version."""
+    """Whether the document is of this file, these settings, this seed and version."""
     from importlib.metadata import version
 
     from tirefit.diagnosis.effects import EFFECTS

@@ -28,7 +28,7 @@ from tirefit.cli.options import (
     start_jax,
 )
 from tirefit.cli.output import check_replaced, swept
-from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -57,7 +57,7 @@ class Sharing:
     def __post_init__(self):
         if self.jobs is not None and self.scheduler is not None:
             remedy = "give one: --jobs starts a cluster of its own on this machine"
-            raise UsageError(InputProblem("--jobs beside --scheduler", remedy))
+            raise UsageError("--jobs beside --scheduler", remedy)
 
     @property
     def apart(self) -> bool:
@@ -73,7 +73,7 @@ class Sharing:
         if both := sorted(set(ours) & set(made)):
             reason = "it would be the result of one file and that of all"
             remedy = "rename the file, or leave out --jobs and --scheduler"
-            raise UsageError(InputProblem(reason, remedy, str(both[0])))
+            raise UsageError(reason, remedy, str(both[0]))
 
 
 class Piece(NamedTuple):
@@ -171,7 +171,7 @@ def _in_order(results: Iterator[tuple[int, Outcome]]) -> Iterator[Outcome]:
 def _lost(piece: Piece, ended: Ended) -> Outcome:
     reason = f"each of {ended.workers} workers that were given this file alone died"
     remedy = "where memory is short, give fewer --jobs; then --resume"
-    error = DataError(InputProblem(reason, remedy, str(piece.file)))
+    error = DataError(reason, remedy, str(piece.file))
     return _failed(piece, ExitCode.DATA, error_text(error) + "\n")
 
 
@@ -240,11 +240,11 @@ def _apart(packed: _Packed, piece: Piece) -> Outcome:
 def _where_the_command_runs(packed: _Packed) -> chdir:
     if packed.version != __version__:
         reason = f"a worker runs tirefit {__version__}, the command {packed.version}"
-        raise UsageError(InputProblem(reason, "install the same for all workers"))
+        raise UsageError(reason, "install the same for all workers")
     if not os.path.isdir(packed.folder):
         reason = f"a worker does not see the folder of the command, {packed.folder}"
         remedy = "run workers where it is mounted: they read files and write results"
-        raise UsageError(InputProblem(reason, remedy))
+        raise UsageError(reason, remedy)
     return chdir(packed.folder)
 
 
@@ -267,5 +267,5 @@ def attempted(
     except Exception as error:
         reason = f"a fault of the program: {type(error).__name__}: {error}"
         remedy = "the command on this file alone says where; please report it"
-        complain(error_text(DataError(InputProblem(reason, remedy, str(piece.file)))))
+        complain(error_text(DataError(reason, remedy, str(piece.file))))
         return ExitCode.DATA, None

@@ -57,8 +57,7 @@ def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
         reason = f"{given} without --model {', '.join(MAGIC_FORMULA_NAMES)}"
         remedy = "leave it out: other models have no such stages"
         problems.append(InputProblem(reason, remedy))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return whole
 
 

@@ -31,8 +31,14 @@ def check_directories(directories: Sequence[Path]) -> None:
             reason = f"no permission to write into the folder {there.absolute()}"
         if reason:
             problems.append(InputProblem(reason, remedy, str(directory)))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
+
+
+def check_distinct(names: Sequence[str], remedy: str) -> None:
+    """Raises UsageError where files have one name, and so would their results."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise UsageError(f"several input files are named {', '.join(twice)}", remedy)
 
 
 def check_replaced(
@@ -42,8 +48,7 @@ def check_replaced(
     file that is no earlier result; before the work.
 
     Args:
-        schema: what every earlier result says of itself; any file may be replaced where
-            it is empty.
+        schema: what every earlier result says of itself; empty files may be replaced.
     """
     problems, inputs = [], [path for path in inputs if _is(path)]
     for path in filter(_is, made):
@@ -55,8 +60,7 @@ def check_replaced(
             continue
         remedy = "choose another folder with --out"
         problems.append(InputProblem(reason, remedy, str(path)))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _is_of_others(path: Path, schema: str) -> bool:
@@ -95,7 +99,7 @@ def claimed(directory: Path) -> Iterator[None]:
         if handle is not None and not took_lock(handle):
             reason = "another tirefit is writing its results into this folder"
             remedy = "wait until it has ended, or choose another folder with --out"
-            raise UsageError(InputProblem(reason, remedy, str(directory)))
+            raise UsageError(reason, remedy, str(directory))
         _remove_what_a_kill_left(directory)
         yield
     finally:
@@ -134,8 +138,7 @@ def staged(
         apart: end of the folder's name, where processes write at the same time.
 
     Raises:
-        OSError: naming the file that could not be written; with a note of what the
-            directory holds.
+        OSError: naming the file that was not written; a note says what is there.
     """
     folder = directory / f"{_WRITING}{apart}"
     shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed

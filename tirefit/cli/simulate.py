@@ -67,8 +67,7 @@ def braking(
         ]  # fmt: skip
         _check(out, truth, limits)
         if tire not in ("magic-formula", "lugre"):
-            reason = f"--tire {tire!r} is not known"
-            raise UsageError(InputProblem(reason, "magic-formula or lugre"))
+            raise UsageError(f"--tire {tire!r} is not known", "magic-formula or lugre")
         start_jax()
         from tirefit.sim.braking import Braking, simulate_braking
 
@@ -155,8 +154,7 @@ def rig(
     with errors_to_exit():
         problems: list[InputProblem] = []
         values = numbers("--set", parameter, problems)
-        if problems:
-            raise UsageError(problems)
+        UsageError.raise_for(problems)
         loads, speeds = load or [4000.0], speed or [20.0]
         limits = [("--load", x, 0.0, 1e9) for x in loads]
         limits += [("--speed", x, 0.0, 1e3) for x in speeds]
@@ -187,10 +185,10 @@ def _drop(text: str | None) -> tuple[float, float] | None:
         time, friction = map(float, text.split("="))
     except ValueError:
         reason = f"--drop {text!r} is not TIME=FRICTION"
-        raise UsageError(InputProblem(reason, "as in --drop 5=0.4")) from None
+        raise UsageError(reason, "as in --drop 5=0.4") from None
     if not (time > 0 and 0.05 <= friction <= 5):
         reason = f"--drop {text!r} is out of range"
-        raise UsageError(InputProblem(reason, "a time > 0 s, a friction 0.05 to 5"))
+        raise UsageError(reason, "a time > 0 s, a friction 0.05 to 5")
     return time, friction
 
 
@@ -218,8 +216,7 @@ def _check(out: Path, truth: Path | None, limits) -> None:
             reason = f"{option} {value:g} is out of range"
             least = "from 0" if low < 0 else f"above {low:g}, up"
             problems.append(InputProblem(reason, f"{least} to {high:g}"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _write(made, out: Path, truth: Path | None, seed: int) -> None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.cells import Body, TextColumn
+from tirefit.data.cells import TextColumn
 from tirefit.data.check import BadRows, parsed
 from tirefit.data.columns import is_number
 from tirefit.data.remote import Place
@@ -68,8 +68,9 @@ class _Layout(NamedTuple):
     commas: bool
 
 
-class _Rows(Body):
-    """Rows of the head, then those of the pieces."""
+class _Rows:
+    """Rows of the head, then those of the pieces; ``commas``: whether numbers were read
+    with a decimal comma."""
 
     def __init__(self, content: bytes, head: Table, layout: _Layout):
         self._content, self._layout = content, layout
@@ -96,6 +97,7 @@ class _Rows(Body):
         return len(self._all.lines)
 
     def numbers(self, column: int) -> np.ndarray:
+        """The numbers of a column (n,), NaN for a cell that is none."""
         return self._all.numbers[column]
 
     def may_hold(self, mark: str) -> bool:
@@ -191,8 +193,9 @@ def _pieces(content: bytes, first: int) -> Iterator[tuple[int, int]]:
 def _layout(content: bytes, head: Table, first: int, path: Place) -> _Layout:
     apart = head.delimiter not in ("", ",")
     commas = apart and b"," in content and content.find(b".", first) < 0
+    mark = "," if commas else "."
     is_text = [
-        not any(is_number(_pointed(cell, commas)) for cell in column)
+        not any(is_number(cell.replace(mark, ".")) for cell in column)
         for column in head.cells
     ]
     kind = np.dtype(
@@ -200,10 +203,6 @@ def _layout(content: bytes, head: Table, first: int, path: Place) -> _Layout:
     )
     spaced = SPACED in head.notes
     return _Layout(path, len(is_text), head.delimiter, spaced, kind, commas)
-
-
-def _pointed(cell: str, commas: bool) -> str:
-    return cell.replace(",", ".") if commas else cell
 
 
 def _read(piece: bytes, start: int, number: int, layout: _Layout) -> _Piece | None:

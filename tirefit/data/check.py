@@ -309,8 +309,7 @@ def doubt_units(
 def doubt_time(
     time: np.ndarray, run: np.ndarray, lines: np.ndarray, header: str
 ) -> list[str]:
-    """A time that goes back within a run, as a sentence with a remedy; none where it
-    does not.
+    """A time that goes back within a run, as a sentence with a remedy; else none.
 
     Args:
         time, run, lines: (n,) time [s], run and line in the file of the used rows.

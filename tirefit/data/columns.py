@@ -278,8 +278,7 @@ def _inferred(headers, declared, plan, file, names) -> dict[str, int]:
 
 
 def _places(indices: Sequence[int]) -> str:
-    """Where columns stand, from 1: of headers that are alike, all that tells them
-    apart."""
+    """Places of columns, from 1; of headers that are alike nothing else differs."""
     return f"columns {' and '.join(str(index + 1) for index in indices)}"
 
 

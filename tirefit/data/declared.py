@@ -31,7 +31,7 @@ def stated_convention(above: Sequence[str], file: str) -> tuple[Layout, tuple]:
         elif layout.convention not in (None, name):
             before = f"contradicts {layout.convention!r} in line {layout.stated_in}"
             reason = f"the convention {name!r} {before}"
-            raise DataError(InputProblem(reason, "correct one of them", file, row))
+            raise DataError(reason, "correct one of them", file, row)
         else:
             layout = Layout(convention=name, stated_in=layout.stated_in or row)
     return layout, tuple(doubts)
@@ -73,8 +73,7 @@ class Options(NamedTuple):
     otherwise: tuple[str, str] | None = None
 
     def signs(self, layout: Layout, columns: Iterable[str], file: str) -> Signs:
-        """The convention: the user's, else the file's, else that of a model, else
-        "braking".
+        """The convention: the user's, the file's, a model's, or "braking".
 
         Args:
             layout: of the file. A convention that a line of the file states must agree
@@ -127,8 +126,7 @@ class Options(NamedTuple):
                 kind = "a positive" if is_size else "a finite"
                 reason = f"--constant {name}={value:g} is not {kind} number"
                 problems.append(InputProblem(reason, "give it in SI units and signs"))
-        if problems:
-            raise UsageError(problems)
+        UsageError.raise_for(problems)
 
 
 def _unknown(option: str, given, known) -> list[InputProblem]:

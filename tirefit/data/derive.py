@@ -171,14 +171,12 @@ def derive(
     """
     file = file_at(path)
     if axle not in ("rear", "front"):
-        raise UsageError(InputProblem(f"unknown axle {axle!r}", "say rear or front"))
+        raise UsageError(f"unknown axle {axle!r}", "say rear or front")
     if axle == "front" and vehicle.steering is None:
         raise UsageError(
-            InputProblem(
-                "the front slip angle needs the road wheel angle",
-                "name columns.steering and give [steering] in vehicle.toml, or derive"
-                " the rear axle, which needs neither",
-            )
+            "the front slip angle needs the road wheel angle",
+            "name columns.steering and give [steering] in vehicle.toml, or derive"
+            " the rear axle, which needs neither",
         )
     track, motion, gaps = read_motion(file, vehicle)
     compared = compare(track, motion, vehicle, str(file))
@@ -187,11 +185,9 @@ def derive(
     kept, dropped = _kept(motion, track, vehicle, axle)
     if not kept.any():
         raise DataError(
-            InputProblem(
-                f"no sample is left of {len(kept)}: {_counts(dropped)}",
-                "check the units and [keep] of vehicle.toml",
-                str(file),
-            )
+            f"no sample is left of {len(kept)}: {_counts(dropped)}",
+            "check the units and [keep] of vehicle.toml",
+            str(file),
         )
     warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
     warnings = _hardly_any(kept, dropped) + warnings
@@ -242,8 +238,7 @@ def derive_files(
         paths: The logs; their names become the runs.
         vehicle_toml: See :mod:`tirefit.data.vehicle`.
         out: CSV to write, in canonical columns and SI units; ``NAME.derive.json``
-            beside ``NAME.csv`` states the vehicle, the bandwidth, the assumptions and
-            the sources.
+            beside it states vehicle, bandwidth, assumptions and sources.
         axle: "rear" or "front".
         units: Unit of a quantity, over ``[units]`` of the vehicle.
         believe: Only warn of channels that contradict each other.
@@ -251,8 +246,7 @@ def derive_files(
 
     Raises:
         DataError: With the problems of all logs; then nothing is written.
-        UsageError: If the configuration, the axle or ``out`` is wrong, or two logs
-            have one name.
+        UsageError: wrong configuration, axle or ``out``, or two logs of one name.
         OSError: If a file cannot be written; then neither is.
     """
     out = Path(out)
@@ -266,8 +260,7 @@ def derive_files(
             logs.append(derive(path, vehicle, axle, believe))
         except DataError as error:
             problems += error.problems
-    if problems:
-        raise DataError(problems)
+    DataError.raise_for(problems)
     columns = {
         name: np.concatenate([log.columns[name] for log in logs])
         for name in logs[0].columns
@@ -467,5 +460,4 @@ def _check_names(
                 f"two logs are named {name!r}", "rename one: the name is the run"
             )
         )
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)

@@ -1,6 +1,5 @@
-"""Rows far from everything: values that lie neither among those of their file nor among
-those of their neighbours, as a wrong unit or a faulty channel leaves them in single
-rows."""
+"""Rows far from everything: values that lie neither among those of their file nor of
+their neighbours, as a wrong unit or a faulty channel leaves them in single rows."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -20,8 +19,7 @@ FAR_COLUMNS = (
 _GAP = 3.0
 """Gap between a value and all others, in ranges of those others, that is no setting."""
 _FEW = 0.05
-"""Share of the rows, at most, that can be single ones: more are part of what was
-measured."""
+"""Largest share of rows that are single ones: more are part of what was measured."""
 _LEAST_RANGE = 0.3
 """A column that hardly varies counts as if it varied by so much of its median."""
 _OTHER_LOAD = 3.0
@@ -127,7 +125,7 @@ def problem_at(
     """A problem with one row (counted from 0), placed in its own file."""
     source = data.source
     paths = source.paths
-    file = paths[data.run[row]] if paths else source.path or data.name
+    file = paths[data.run[row]] if paths else data.file
     line = row if source.line is None else int(source.line[row])
     header = source.columns.get(column, column)
     return InputProblem(reason, remedy, file, line, header)

@@ -148,7 +148,7 @@ def inspect(data: Any) -> Inspection:
     data = as_data(data)
     source = data.source
     return Inspection(
-        file=source.path or data.name,
+        file=data.file,
         sha256=source.sha256,
         rows=len(data),
         used=data.n,
@@ -346,10 +346,7 @@ def _run_lines(run: RunSummary) -> list[str]:
     if run.replicates:
         parts.append(f"{run.replicates} operating points replicated")
     lines = _wrap(f"{run.name}: {', '.join(parts)}")
-    for word, held, unit in (
-        ("loads", run.loads, "N"),
-        ("speeds", run.speeds, "m/s"),
-    ):
+    for word, held, unit in (("loads", run.loads, "N"), ("speeds", run.speeds, "m/s")):
         if held:
             lines += _wrap(f"  {word}: {', '.join(_level_text(x, unit) for x in held)}")
     return lines

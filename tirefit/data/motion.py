@@ -14,7 +14,7 @@ import numpy as np
 from tirefit.data.remote import Place, file_at
 from tirefit.data.track import Track, read_track
 from tirefit.data.vehicle import POSE, RATES, Vehicle
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 
 @dataclass(frozen=True)
@@ -212,11 +212,9 @@ def _check_size(track: Track, splits: np.ndarray, rate: float) -> None:
     count = float(steps.sum()) * rate
     if count > _MOST_SAMPLES:
         raise DataError(
-            InputProblem(
-                f"at {rate:g} Hz the log has {count:.2g} samples, more than"
-                f" {_MOST_SAMPLES:,}",
-                "lower filter.sample_rate, split the log, or check the unit of time",
-            )
+            f"at {rate:g} Hz the log has {count:.2g} samples, more than"
+            f" {_MOST_SAMPLES:,}",
+            "lower filter.sample_rate, split the log, or check the unit of time",
         )
 
 

@@ -182,9 +182,8 @@ def _others(motion, vehicle: Vehicle, rows: _Rows) -> list[tuple[float, str, str
     changed = _more_inertia(motion, vehicle, fit.amount)[1]
     if _sure(fit) and set(changed.doubts()) <= set(vehicle.doubts()):
         share = f"{1 + fit.amount:.2g} ± {fit.std:.1g}"
-        reason = f"yaw_inertia is {share} of the stated one"
         remedy = f"set yaw_inertia = {changed.yaw_inertia:.3g}"
-        found.append((fit.misfit, reason, remedy))
+        found.append((fit.misfit, f"yaw_inertia is {share} of the stated one", remedy))
     for name in ("yaw",) if pose else ("v_y", "a_y"):
         small = 1 / vehicle.filter.sample_rate
         fit = _fitted(_earlier(name), small, motion, vehicle, rows)

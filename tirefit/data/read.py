@@ -117,9 +117,8 @@ def require(data: TireData, columns: Sequence[str], why: str) -> None:
         if column == "sigma_x":
             remedy += " (also kappa, s), or give omega, v and --rolling-radius"
         reason = f"{why} needs {column} ({meaning}), which the data do not have"
-        problems.append(InputProblem(reason, remedy, data.source.path or data.name))
-    if problems:
-        raise DataError(problems)
+        problems.append(InputProblem(reason, remedy, data.file))
+    DataError.raise_for(problems)
 
 
 @dataclass

@@ -28,8 +28,7 @@ def stated_of(vehicle: Vehicle) -> dict[str, float]:
 
 def found_in(logs: Sequence) -> dict[str, float]:
     """What the logs show of their own errors, as means over the logs: alpha_zero [rad],
-    found_point [m ahead of the rear axle], late_CHANNEL [s], the latter two with their
-    standard errors.
+    found_point [m ahead of the rear axle] and late_CHANNEL [s] with standard errors.
 
     Args:
         logs: what :func:`tirefit.data.derive.derive` found in each.

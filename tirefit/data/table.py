@@ -177,6 +177,11 @@ class TireData(Displayed):
         """Number of used rows."""
         return int(np.count_nonzero(self.used))
 
+    @property
+    def file(self) -> str:
+        """Path of the file, or the name of data that come from none."""
+        return self.source.path or self.name
+
     def first_masked(self, most: int = 3) -> tuple[str, ...]:
         """The first rows that are not used, with their reasons; how many there are
         where those are not all."""
@@ -221,17 +226,14 @@ def join(tables: Sequence[TireData]) -> TireData:
     """
     names: dict[str, str] = {}
     for table in tables:
-        twin = names.setdefault(table.source.sha256, table.source.path or table.name)
-        if table.source.sha256 and twin != (table.source.path or table.name):
+        twin = names.setdefault(table.source.sha256, table.file)
+        if table.source.sha256 and twin != table.file:
             reason = f"the same content as {twin}: its rows would count twice"
-            raise DataError(
-                InputProblem(reason, "give each file once", table.source.path)
-            )
+            raise DataError(reason, "give each file once", table.source.path)
     paths = [table.source.path for table in tables if table.source.path]
     if twice := {path for path in paths if paths.count(path) > 1}:
-        reason = f"{', '.join(map(str, sorted(twice)))} is given twice"
         remedy = "give each file once, and each frame a name=... of its own"
-        raise DataError(InputProblem(reason, remedy))
+        raise DataError(f"{', '.join(map(str, sorted(twice)))} is given twice", remedy)
     shared = [c for c in tables[0].columns if all(c in table for table in tables)]
     runs: list[str] = []
     codes = []
@@ -268,7 +270,7 @@ def join(tables: Sequence[TireData]) -> TireData:
         warnings=(*merged((name, s.warnings) for name, s in sources), *differing),
         masked=tuple(problem for table in tables for problem in table.source.masked),
         line=np.concatenate(lines) if len(lines) == len(tables) else None,
-        paths=tuple(t.source.path or t.name for t in tables for _ in t.runs),
+        paths=tuple(t.file for t in tables for _ in t.runs),
     )
     return TireData(
         "+".join(table.name for table in tables),

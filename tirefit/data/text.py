@@ -21,7 +21,7 @@ from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
 from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.door import DATA, too_large
-from tirefit.results import DataError, InputProblem, did_you_mean
+from tirefit.results import DataError, did_you_mean
 
 SPACED = "columns separated by white space"
 """The note of a text that is."""
@@ -92,7 +92,7 @@ def read_bytes(path: Place) -> bytes:
 
 
 def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataError:
-    return DataError(InputProblem(reason, remedy, str(path), row))
+    return DataError(reason, remedy, str(path), row)
 
 
 def gunzipped(raw: bytes, path: Place) -> bytes:

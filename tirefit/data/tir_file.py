@@ -234,8 +234,7 @@ class TirFile:
             else:
                 reason = f"{key} is no key of the file and no coefficient"
                 problems.append(InputProblem(reason, "correct its name", self.path))
-        if problems:
-            raise UsageError(problems)
+        UsageError.raise_for(problems)
         return parsed("".join(_with_new(lines, new)), self.path)[0]
 
 

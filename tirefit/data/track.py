@@ -169,8 +169,7 @@ def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]
     for quantity in names.beyond:
         header = getattr(names, quantity)
         channels.append(_channel(table, quantity, header, vehicle, notes, problems))
-    if problems:
-        raise DataError(problems)
+    DataError.raise_for(problems)
     taken = {channel.header for channel in channels}
     for quantity in CHECKS:
         if quantity in (channel.quantity for channel in channels):
@@ -288,16 +287,14 @@ def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
         if len(time) > 1:
             reason = "time does not rise from any sample to the next"
             remedy = "sort the log by time, or name the right column"
-        raise DataError(InputProblem(reason, remedy, file, column=column))
+        raise DataError(reason, remedy, file, column=column)
     period = float(np.median(steps))
     if period > 1 / (4 * cutoff):
         raise DataError(
-            InputProblem(
-                f"is sampled at {1 / period:.3g} Hz only",
-                f"give {needed}, lower filter.cutoff, or check the unit of time",
-                file,
-                column=vehicle.columns.time,
-            )
+            f"is sampled at {1 / period:.3g} Hz only",
+            f"give {needed}, lower filter.cutoff, or check the unit of time",
+            file,
+            column=vehicle.columns.time,
         )
     return period
 

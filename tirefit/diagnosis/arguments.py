@@ -9,11 +9,11 @@ import numpy as np
 
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.rows.rig import Rig, load_rig
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 
 
 def _wrong(reason: str, remedy: str) -> UsageError:
-    return UsageError(InputProblem(reason, remedy))
+    return UsageError(reason, remedy)
 
 
 def names(given: Any, argument: str) -> tuple[str, ...]:

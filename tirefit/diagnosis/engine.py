@@ -89,8 +89,7 @@ def diagnose(
         >>> found.verdict.status.value, found.verdict.effects
         ('named', ('slip_offset',))
 
-    ``print(found)`` shows the report on one screen; ``tirefit.plot_diagnosis(found)``
-    draws it.
+    ``print(found)`` shows one screen; ``tirefit.plot_diagnosis(found)`` draws it.
 
     Args:
         data: what ``tirefit.read`` gave, or anything that it reads with its defaults: a
@@ -133,9 +132,8 @@ def diagnose(
     Raises:
         UsageError: no such model, no such force, or no such effect to leave out; an
             argument that is none of the above; or 32-bit floats in use.
-        DataError: no force with a slip that varies, no load, too few rows, no
-            simulated forces, a model that does not follow them, or ``data`` among what
-            is held out.
+        DataError: no force with a slip that varies, no load, too few rows, no simulated
+            forces, a model that does not follow them, ``data`` held out too.
     """
     require_x64("a diagnosis")
     release_programs()
@@ -204,8 +202,7 @@ def _are_known(without: Sequence[str], known: set[str]) -> None:
     for name in sorted(set(without) - known):
         remedy = f"{did_you_mean(name, known)}known effects: {every}"
         problems.append(InputProblem(f"--without: no effect {name!r}", remedy))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _asked_for(forces, data: TireData, gives, in_columns) -> tuple[str, ...]:
@@ -218,8 +215,7 @@ def _asked_for(forces, data: TireData, gives, in_columns) -> tuple[str, ...]:
             reason = f"the simulator's {name} is missing: there is no {name}_sim"
             remedy = f"add it, or ask for {' or '.join(gives)} alone"
         problems.append(InputProblem(reason, remedy))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     require(data, forces, "a diagnosis of them")
     return tuple(name for name in gives if name in forces)
 
@@ -283,7 +279,7 @@ def _are_smooth(base: Base, testable: Sequence[int]) -> None:
     if wrong := sorted({base.atoms[k].effect.id for k in testable if not finite[k]}):
         reason = f"effect {wrong[0]!r}: its change at amplitude 0 is not finite"
         remedy = "give a change that is smooth there, and finite for all rows"
-        raise UsageError(InputProblem(reason, remedy))
+        raise UsageError(reason, remedy)
 
 
 def _with_change(base: Base, searched: Search) -> Base | None:

@@ -2,9 +2,8 @@
 
 Each file's value y_i has its own standard deviation s_i; beside it, files differ among
 themselves by a scatter tau. The line over time is fitted by Huber's weights (that of
-wild files is bounded), and tau is where half of
-the files lie within 0.6745 of their own sqrt(s_i^2 + tau^2): a few wild files move
-neither.
+wild files is bounded); tau is where half of the files lie within 0.6745 of their own
+sqrt(s_i^2 + tau^2): a few wild files move neither.
 """
 
 from typing import NamedTuple

@@ -1,5 +1,4 @@
-"""The fitted curve at any inputs, with the 95 % bands of the curve and of a
-measurement."""
+"""The fitted curve at any inputs, with 95 % bands of the curve and of a measurement."""
 
 from typing import NamedTuple
 
@@ -130,8 +129,7 @@ def force_band(
 
     Args:
         inputs: (m,) each; ``run`` (m,) the run that each belongs to.
-        noise: (m,) standard deviation of the force as measured there, without that of
-            the slip.
+        noise: (m,) standard deviation of a measured force, without the slip's.
     """
     force, low, high = _curve_band(result, channel, inputs, run)
     std = np.hypot(noise, _slip_part(result, channel, inputs, run, force))

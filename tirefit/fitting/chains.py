@@ -61,8 +61,7 @@ def save_chain(path: Path, chain: Chain, identity: str) -> None:
 class Keeper:
     """Keeps a chain in its file while it is drawn: every few seconds, and at the end.
 
-    A disk that is full does not end the drawing: ``fault`` says what was wrong at the
-    last time.
+    A full disk does not end the drawing: ``fault`` says what was wrong at last.
     """
 
     def __init__(self, path: Path | None, identity: str):

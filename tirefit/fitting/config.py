@@ -4,12 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    PositiveFloat,
-    PrivateAttr,
-)
+from pydantic import BeforeValidator, Field, PositiveFloat, PrivateAttr
 
 from tirefit.data.prepare.settings import PrepareConfig
 from tirefit.door import read_toml
@@ -22,8 +17,7 @@ Force = Literal["fx", "fy", "mz"]
 def _out_of_order(section, low: str, high: str, remedy: str) -> Iterator[InputProblem]:
     lower, upper = getattr(section, low), getattr(section, high)
     if None not in (lower, upper) and lower >= upper:
-        reason = f"{low} = {lower:g} is not below {high} = {upper:g}"
-        yield InputProblem(reason, remedy)
+        yield InputProblem(f"{low} = {lower:g} is not below {high} = {upper:g}", remedy)
 
 
 class Prior(Section):

@@ -111,8 +111,7 @@ def _start_and_peak(force):
 
     A plateau is flat to the third order where it begins, so values alone would give
     its slip to 1e-4; the sign of the slope gives it to rounding. One loop serves both,
-    a few slips at a time: the force is what takes time to compile, and stands in the
-    program once.
+    a few slips at a time: the force takes time to compile and stands there once.
     """
 
     def with_slope(slip):
@@ -358,8 +357,7 @@ def derived_from_draws(
 
     Args:
         z_draws: draws of the unconstrained parameters, shape (m, p).
-        least_squares: the same at the least-squares estimate, which says what the data
-            identify.
+        least_squares: those of least squares, which say what the data identify.
     """
     channel = derived_channel([c.name for c in problem.channels])
     if channel is None or not least_squares:

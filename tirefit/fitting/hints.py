@@ -113,8 +113,7 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
 
 
 def _explained(values, known, more) -> float:
-    """Sum of squares that the columns ``more`` explain beyond ``known``; zero if it is
-    not significant."""
+    """Sum of squares that ``more`` explains beyond ``known``; 0 if not significant."""
     (before, fewer), (rest, rank) = _remainder(values, known), _remainder(values, more)
     explained, left = float(before @ before - rest @ rest), float(rest @ rest)
     effective = len(rest) / autocorrelation_time([rest])

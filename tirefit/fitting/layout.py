@@ -83,8 +83,7 @@ class Layout:
         return any(parameter.per_run for parameter in self.free)
 
     def elements_of(self, run):
-        """Indices (n, q) of the elements of z that each row depends on, one per free
-        parameter."""
+        """Indices (n, q) of each row's elements of z, one per free parameter."""
         count = [len(self.runs) if p.per_run else 1 for p in self.free]
         first = np.cumsum([0, *count[:-1]])
         own = np.array([p.per_run for p in self.free])

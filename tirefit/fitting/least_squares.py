@@ -226,8 +226,7 @@ def _ordinary(residual: Residual, start) -> Callable:
     """Residuals that a least-squares library can take, with the same minimum.
 
     The rows of noisy slip become sqrt(1 + r^2 - r(start)^2): the sum of squares changes
-    by a constant, and near the start, where it must be, Gauss-Newton's curvature is
-    that of scoring.
+    by a constant, and near the start Gauss-Newton's curvature is that of scoring.
     """
     first, weights = residual(start)
     deviance_row = weights != 1.0
@@ -289,11 +288,7 @@ def _gauss_newton(residual: Residual, start) -> Solution:
     return Solution(end.z, end.cost, end.converged, end.steps)
 
 
-SOLVERS = {
-    "gauss-newton": _gauss_newton,
-    "optimistix": _optimistix,
-    "jaxopt": _jaxopt,
-}
+SOLVERS = {"gauss-newton": _gauss_newton, "optimistix": _optimistix, "jaxopt": _jaxopt}
 """Solver name -> (residual, start) -> Solution; each can be vmapped over starts."""
 
 

@@ -4,8 +4,7 @@ A problem is one pytree, :class:`FitProblem`: every function of a fit is a funct
 it and of the unconstrained parameters z (p,). Every solver, the profile and the
 samplers use the one function :func:`root_deviance`. Without slip noise its entries are
 the whitened residuals. With slip noise of standard deviation :math:`\tau` the true slip
-of a row is latent, and is integrated over the distribution that the slips of this file
-come from:
+of a row is latent, integrated over the distribution of this file's slips:
 
 .. math::
    L_i = \int N(F_i \mid f(s), \sigma)\, N(s_i \mid s, \tau)\, g(s)\, ds
@@ -66,8 +65,7 @@ LOSSES = {
 class Channel:
     """One fitted force: its name and whether its noise scale is estimated.
 
-    ``slip`` is the slip whose noise, if any, is integrated out for it: its own in pure
-    slip.
+    ``slip`` is the slip whose noise, if any, is integrated out: its own if pure.
     """
 
     name: str
@@ -226,8 +224,7 @@ def _at_nodes(problem: FitProblem, z, slip: str) -> dict[str, Float[Array, "n q"
 
 
 def _channel_forces(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Array]:
-    """Forces by channel: (n,), or (n, q) at its latent slips where those are laid
-    out."""
+    """Forces by channel: (n,), or (n, q) at the latent slips where there are some."""
     nodes = problem.rows.nodes
     plain = [c.name for c in problem.channels if c.slip not in nodes]
     predicted = predict(problem, z) if plain else {}

@@ -73,8 +73,7 @@ def autocorrelation_time(residuals: list[np.ndarray]) -> float:
 
 
 def effective_inflation(scores, run, time) -> float:
-    """Rows per independent row: how much more the estimates vary than if rows were
-    independent.
+    """Rows per independent row: by how much autocorrelation raises the variance.
 
     The largest autocorrelation time of the rows' contributions to the gradient, over
     orthonormal directions of the parameters. The residuals alone would mislead: a

@@ -5,8 +5,7 @@ least-squares fit, where a well-identified posterior is nearly a unit Gaussian; 
 prior is flat within the bounds of the natural parameters, or what ``fit.toml`` gives.
 
 A chain is a sequence of chunks of steps. After each chunk the random state is part of
-the record, so an interrupted run that is resumed draws exactly the same samples as one
-that was not.
+the record: a resumed run draws exactly the samples of one without interruption.
 """
 
 import os

@@ -26,7 +26,7 @@ from tirefit.models import AbstractTire, TireInputs, forces, modelled
 from tirefit.models.mf import MFTire
 from tirefit.params import Values, check_values, parameter_values, with_values
 from tirefit.precision import require_x64
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 
 @compiled(static=("layout",), brief=True)
@@ -80,11 +80,9 @@ def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
     unknown = [run for run in data.runs if run not in layout.runs]
     if unknown:
         raise DataError(
-            InputProblem(
-                f"the fit has no parameters for the runs {', '.join(unknown)}",
-                f"it knows {', '.join(layout.runs)}",
-                data.source.path or data.name,
-            )
+            f"the fit has no parameters for the runs {', '.join(unknown)}",
+            f"it knows {', '.join(layout.runs)}",
+            data.file,
         )
     return np.array([layout.runs.index(run) for run in data.runs])[data.run[data.used]]
 
@@ -150,11 +148,9 @@ def predict(
     if not fitted:
         needs = " and ".join(dict.fromkeys(SLIPS_OF[channel][0] for channel in noise))
         raise DataError(
-            InputProblem(
-                f"the fit is of {', '.join(noise)}: the data need {needs}",
-                "name the column with --column",
-                data.source.path or data.name,
-            )
+            f"the fit is of {', '.join(noise)}: the data need {needs}",
+            "name the column with --column",
+            data.file,
         )
     for channel in fitted:
         out[channel] = force[channel]
@@ -228,5 +224,5 @@ def _of_model(
         has = " and ".join(modelled(tire))
         reason = f"{name} gives {has} alone, whose slip the data do not have"
         remedy = "name the column with --column, or choose another tire"
-        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+        raise DataError(reason, remedy, data.file)
     return _all_rows(data, {c: given[c] for c in channels})

@@ -55,18 +55,16 @@ def find_model(name: str) -> AbstractTire:
         reason = f"{name} is a whole Magic Formula, which is fitted in stages"
         remedy = f"`tirefit fit --model {name}`, fit_magic_formula in Python; what it"
         remedy += " writes, fit.json and fit.tir, is a tire"
-        raise UsageError(InputProblem(reason, remedy))
+        raise UsageError(reason, remedy)
     if os.path.isfile(name):
         reason = f"{name!r} is a file, and no name of a model"
         remedy = (
             "a tire of a file ends in .json (a fit) or .tir; `tirefit models` lists"
         )
-        raise UsageError(InputProblem(reason, f"{remedy} the names"))
+        raise UsageError(reason, f"{remedy} the names")
     close = difflib.get_close_matches(name, MODELS, 3)
     hint = f"did you mean {', '.join(close)}? " if close else ""
-    raise UsageError(
-        InputProblem(f"unknown model {name!r}", f"{hint}`tirefit models` lists them")
-    )
+    raise UsageError(f"unknown model {name!r}", f"{hint}`tirefit models` lists them")
 
 
 def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], list]:
@@ -82,12 +80,10 @@ def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], 
     varied = [c for c in possible if np.ptp(data.usable(CHANNEL_SLIP[c])) > 1e-9]
     if not varied:
         raise DataError(
-            InputProblem(
-                "no force with a slip that varies: a fit needs fx with sigma_x (or"
-                " kappa, s), or fy with alpha",
-                "see `tirefit inspect`",
-                data.source.path or data.name,
-            )
+            "no force with a slip that varies: a fit needs fx with sigma_x (or"
+            " kappa, s), or fy with alpha",
+            "see `tirefit inspect`",
+            data.file,
         )
     chosen = varied[0]
     rest = [name for name in varied if name != chosen]
@@ -180,7 +176,7 @@ def _noise_column(data: TireData, column: str, wrong, beside: str) -> InputProbl
     return InputProblem(
         f"{data[column][row]:.3g} {beside}{rows}",
         "correct the column or its unit, or leave it out",
-        source.path or data.name,
+        data.file,
         None if source.line is None else int(source.line[row]),
         source.columns.get(column, column),
     )
@@ -207,14 +203,12 @@ def check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
     if noise > 0.7 * spread:
         column = f"{slip}_std" if f"{slip}_std" in data else None
         raise DataError(
-            InputProblem(
-                f"the noise of {slip} ({noise:.3g}) is as large as the spread of the"
-                f" measured slips (standard deviation {spread:.3g}): they say nothing"
-                " about where on the curve a row lies",
-                f"check the unit of the noise, {column or f'noise.{slip}'}",
-                data.source.path or data.name,
-                column=column,
-            )
+            f"the noise of {slip} ({noise:.3g}) is as large as the spread of the"
+            f" measured slips (standard deviation {spread:.3g}): they say nothing"
+            " about where on the curve a row lies",
+            f"check the unit of the noise, {column or f'noise.{slip}'}",
+            data.file,
+            column=column,
         )
 
 
@@ -275,13 +269,11 @@ def _check_size(data: TireData, layout: Layout, channels, n_values: int) -> None
     unknowns = layout.size + sum(c.noise_estimated for c in channels)
     if n_values <= unknowns:
         raise DataError(
-            InputProblem(
-                f"{n_values} measured values for {unknowns} unknowns"
-                f" ({', '.join(layout.labels)}"
-                + (" and the noise level)" if unknowns > layout.size else ")"),
-                "measure more points, or fix parameters in fit.toml",
-                data.source.path or data.name,
-            )
+            f"{n_values} measured values for {unknowns} unknowns"
+            f" ({', '.join(layout.labels)}"
+            + (" and the noise level)" if unknowns > layout.size else ")"),
+            "measure more points, or fix parameters in fit.toml",
+            data.file,
         )
 
 
@@ -304,8 +296,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
 
     Raises:
         UsageError: unknown model or parameter, impossible bounds, ties or noise.
-        DataError: columns the model needs are missing, noise in a column that is none,
-            or too few rows.
+        DataError: columns or rows are missing, or noise in a column is none.
     """
     template = find_model(name)
     forces, notes = _chosen_forces(data, config)
@@ -362,11 +353,9 @@ def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
     if config.friction_temperature:
         reason = f"friction_temperature with the model {name}"
         remedy = "it is of mf52, mf61 and mf62: leave it out of [model]"
-        raise UsageError(InputProblem(reason, remedy, config.source))
+        raise UsageError(reason, remedy, config.source)
     if "mz" in forces and "mz" not in modelled(model):
-        raise UsageError(
-            InputProblem(f"{name} has no aligning moment", "fit fy, or a brush model")
-        )
+        raise UsageError(f"{name} has no aligning moment", "fit fy, or a brush model")
     require(data, ("fz", *model.needs), f"the model {name}")
     if model.transient:
         slips = dict.fromkeys(CHANNEL_SLIP[force] for force in forces)
@@ -382,7 +371,7 @@ def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
         if limits:
             reason += f" within {' and '.join(limits)} of {config.source}"
             remedy = "widen these limits"
-        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+        raise DataError(reason, remedy, data.file)
 
 
 def _with_reference_load(data: TireData, model: AbstractTire, config: FitConfig):

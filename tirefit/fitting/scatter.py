@@ -10,8 +10,7 @@ from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.noise import autocorrelation_time
 
 ROWS = 512
-"""Rows that stand for all, spread evenly over loads and slips: one program for all
-files."""
+"""Rows that stand for all, evenly over loads and slips: one program for all files."""
 _LEAST_NOISE = 1e-3
 """Of the load: no rig measures better."""
 _GUESSED_NOISE = 0.01

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 _REACH = 4.0
 """Nodes span this many slip standard deviations on both sides of the measured slip."""
@@ -32,7 +32,7 @@ def speed_of(data: TireData) -> np.ndarray:
         return data.usable("v")
     reason = "the noise of the slip is stated as one of a speed, and v is not there"
     remedy = "name its column with --column v=HEADER, or --constant v=10"
-    raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+    raise DataError(reason, remedy, data.file)
 
 
 def std_with_speed(plain: float, of_speed: float, v) -> np.ndarray:

@@ -33,8 +33,7 @@ from tirefit.fitting.problem import FitTask
 from tirefit.fitting.slip_noise import latent_nodes
 
 _SETTLED = 1e-3
-"""Deviance left to gain at which an estimate counts as settled: 3 % of a standard
-deviation."""
+"""Deviance left to gain at which an estimate is settled: 0.03 standard deviations."""
 
 _DOUBLED = 6.0
 """Number of degrees of freedom that equals its 95 % quantile of t^2: the interval then

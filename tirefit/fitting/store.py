@@ -24,7 +24,7 @@ from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.params import specs, with_values
-from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.results import DataError, UsageError
 from tirefit.slip import CONVENTIONS
 
 
@@ -62,7 +62,7 @@ def at_estimate(template: AbstractTire, layout: Layout, z) -> AbstractTire:
     several = [name for name, value in values.items() if np.ndim(value)]
     if several:
         reason = f"the fit has a {several[0]} for each run: it is not one tire"
-        raise UsageError(InputProblem(reason, "fit it with one for all runs"))
+        raise UsageError(reason, "fit it with one for all runs")
     return with_values(template, {k: float(v) for k, v in values.items()})
 
 
@@ -180,7 +180,7 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
     except (ValueError, KeyError, UsageError) as error:
         # Its checksum holds: it is of another version, or was made by hand.
         reason = f"it does not hold a fit: {str(error).splitlines()[0][:200]}"
-        raise DataError(InputProblem(reason, remedy, str(path))) from None
+        raise DataError(reason, remedy, str(path)) from None
     return StoredFit(
         record.model, tire, layout, np.array(record.prediction.z),
         np.array(record.prediction.covariance), noise, content,

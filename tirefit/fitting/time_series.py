@@ -20,7 +20,7 @@ def check_time_series(data: TireData, name: str) -> None:
     """
     rows = np.flatnonzero(data.used)
     run, time = data.run[rows], data["time"][rows]
-    file, column = data.source.path or data.name, data.source.columns.get("time")
+    file, column = data.file, data.source.columns.get("time")
     same = run[1:] == run[:-1]
     # A run begins once, where the run before it ended.
     first = np.unique(run, return_index=True)[1]
@@ -43,8 +43,7 @@ def check_time_series(data: TireData, name: str) -> None:
                 file, _line(data, rows[at]), column or "time",
             )
         )  # fmt: skip
-    if problems:
-        raise DataError(problems)
+    DataError.raise_for(problems)
 
 
 def check_whole_series(data: TireData, name: str, slips, config: FitConfig) -> None:
@@ -69,8 +68,7 @@ def check_whole_series(data: TireData, name: str, slips, config: FitConfig) -> N
             reason = f"noise.{slip}: {reason}"
             problems.append(InputProblem(reason, remedy, config.source))
         elif f"{slip}_std" in data:
-            file = data.source.path or data.name
+            file = data.file
             column = data.source.columns.get(f"{slip}_std", f"{slip}_std")
             problems.append(InputProblem(reason, remedy, file, column=column))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)

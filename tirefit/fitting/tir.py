@@ -8,18 +8,11 @@ from tirefit.data.table import TireData
 from tirefit.data.tir import TirFile, notes_on
 from tirefit.data.tir_keys import LIMITS, PRESSURE_TERMS
 from tirefit.models.base import AbstractTire, TireInputs
-from tirefit.models.mf import (
-    OTHER_SIDE,
-    WEIGHTS,
-    MFTire,
-    Mirrored,
-    curvatures,
-    mf_tire,
-)
+from tirefit.models.mf import OTHER_SIDE, WEIGHTS, MFTire, Mirrored, curvatures, mf_tire
 from tirefit.models.mf.fields import Nominal
 from tirefit.models.mf.tire import turned_inputs
 from tirefit.params import parameter_values
-from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
+from tirefit.results import DataError, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS, kappa_from_sigma
 
 TIR_SIGNS = "iso-w"
@@ -81,7 +74,7 @@ def tire_of(
         if tir.side == "UNKNOWN":
             reason = "TYRESIDE is not stated: no side to mirror the tire from"
             remedy = "write TYRESIDE = 'LEFT' or 'RIGHT' into [MODEL], or omit --side"
-            raise UsageError(InputProblem(reason, remedy, tir.path))
+            raise UsageError(reason, remedy, tir.path)
         turned ^= OTHER_SIDE
     return Mirrored(tire, turned) if turned else tire
 
@@ -112,7 +105,7 @@ def turned_by(signs: str | None) -> frozenset[str]:
     """
     if signs is not None and signs not in CONVENTIONS:
         remedy = f"{did_you_mean(signs, CONVENTIONS)}valid: {', '.join(CONVENTIONS)}"
-        raise UsageError(InputProblem(f"--signs: {signs!r} is not known", remedy))
+        raise UsageError(f"--signs: {signs!r} is not known", remedy)
     own = CONVENTIONS[TIR_SIGNS]
     return own.turned(CONVENTIONS[signs or TIR_SIGNS]) - {"fz"}
 
@@ -124,8 +117,7 @@ def check_gives(tir: TirFile, force: str) -> None:
         reason = f"no {symbol} in this file: {tir.lacks[symbol]}"
         other = {"fx": "fy", "fy": "fx"}[force]
         instead = f", or ask for {other}" if _SYMBOLS[other] not in tir.lacks else ""
-        remedy = f"add the coefficients{instead}"
-        raise DataError(InputProblem(reason, remedy, tir.path))
+        raise DataError(reason, f"add the coefficients{instead}", tir.path)
 
 
 def remarks(

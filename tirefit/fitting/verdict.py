@@ -22,9 +22,8 @@ _SYSTEMATIC = 0.5
 def disagreements(result: FitResult) -> dict[str, str]:
     """Where the routes to an interval differ, by label.
 
-    An end that differs from the profile's by more than 30 % of its half-width is named;
-    a parameter that is not identified has no interval to agree on, and rounding makes
-    none.
+    An end that differs from the profile's by more than 30 % of its half-width is named.
+    A parameter that is not identified has no interval; rounding makes none.
     """
     apart: dict[str, str] = {}
     if _exactness(result):

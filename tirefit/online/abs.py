@@ -3,8 +3,7 @@ r"""Conventional anti-lock braking by rules on wheel acceleration and slip.
 The cycle is the textbook's, Bosch (2014): a wheel that slows faster than the car ever
 could is held; if it slips as well, its pressure falls until it slows no more; it is
 held while it speeds up; then the pressure rises, quickly to a share of the pressure at
-which the wheel was last seen to lock, and in small steps from there until it tends to
-lock again.
+which the wheel last tended to lock, and in small steps from there until it does again.
 
 ====== ======== ==============================================================
 phase  valve    left for, when

@@ -56,9 +56,8 @@ class Measurement(NamedTuple):
 class Command(NamedTuple):
     """What the valves do until the next sample.
 
-    ``valve`` (w,) in [-1, 1]: the share of the interval for which the inlet (positive)
-    or the outlet (negative) is open; an on-off valve takes ``INCREASE``, ``HOLD`` or
-    ``DECREASE``.
+    ``valve`` (w,) in [-1, 1]: share of the interval for which the inlet (positive) or
+    outlet (negative) is open; ``INCREASE``, ``HOLD`` or ``DECREASE`` if on-off.
     """
 
     valve: Float[Array, " w"]

@@ -1,8 +1,7 @@
 r"""An observer of the friction by the LuGre tire from the wheel's speed, S section 3.4.
 
-The level of friction is :math:`\theta g`, and :math:`p = 1/\theta` is what is adapted.
-Of the patch the observer knows the mean deflection, which the tread carries out at the
-rate c:
+The level of friction is :math:`\theta g`; :math:`p = 1/\theta` is adapted. Of the patch
+the observer knows the mean deflection, which the tread carries out at the rate c:
 
 .. math::
    \dot z &= v_s - p a z - c z, \quad a = \sigma_0 |v_s| / g(|v_s|),
@@ -31,10 +30,9 @@ every :math:`\varrho > (\tau - pa)^2 / 4 (c + pa)(\tau + c)`. Gains for which no
 fast bristles do not have the sampling make it diverge.
 
 That takes c for known. Unless ``kappa`` is given, it is that of the patch at the
-present :math:`\hat p`, :math:`\kappa = \varphi_1(x)/\varphi_2(x)` at
-:math:`x = \hat p a L/|\omega R|`, 2 at rest and 1 in full sliding, with which the mean
-has the steady force of S(18); it then depends on what is adapted, at most a third as
-much as pa does.
+present :math:`\hat p`, :math:`\kappa = \varphi_1(x)/\varphi_2(x)` at :math:`x = \hat p
+a L/|\omega R|`, 2 at rest and 1 in full sliding, with which the mean has the steady
+force of S(18); it depends on the adapted p at most a third as much as pa.
 
 V says that the error vanishes, not how large noise leaves it: the covariance of the
 observer's own error, by the slopes of its step, does.
@@ -328,8 +326,7 @@ def _summed(state: ObserverState, surprise):
     """The state with one more surprise; the standardised sum of ten, else NaN.
 
     Noise of an input enters the intervals before and after it: their errors correlate,
-    by a quarter with slip noise of S section 5.1, and the variance of a sum of n is
-    1.5 n then.
+    by a quarter with slip noise of S section 5.1; a sum of n has variance 1.5 n.
     """
     count = state.summed + 1
     total = state.sum + jnp.clip(surprise, -4.0, 4.0)

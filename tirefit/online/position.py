@@ -14,8 +14,7 @@ without a difference being taken. The brush is linear in
 :math:`\Phi = [|\tan\alpha|, -|\tan\alpha|^2/(3F_z), |\tan\alpha|^3/(27F_z^2)]`; force
 and :math:`\Phi`, with their signs, pass the source's filter :math:`(s + a)^{-2}`. One
 filter before :math:`\Phi` alone would have to be as slow as a, and the brush of a
-filtered slip is not the filtered brush: at a = 3/s and a use of 60 % mu came out 60 %
-too large.
+filtered slip is not the filtered brush: at a = 3/s and 60 % use mu was 60 % high.
 
 The adaptive law, which the source leaves to its reference [7], is here least squares
 with forgetting on :math:`\ln C` and :math:`1/\mu`, so that the third part of

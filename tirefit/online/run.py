@@ -4,11 +4,7 @@ Whatever the method, a sample passes the same guard first. What is missing, out 
 order, without load, of a locked wheel or at standstill does not reach the method: it
 holds its state, whose covariance grows by the time that passes, and the row is flagged.
 What is usable is averaged over a few samples before the method steps, as noise of slip
-does not average out of a curve: S section 5.1's, taken sample by sample, makes mu
-a fifth too small.
-A state that is not finite is thrown away and begun anew, flagged too. A cumulative sum
-of the surprises (Page's test, as S section 3.1 has it) detects changes and has the
-method open up for them.
+does not average out of a curve: sample by sample mu is a fifth low in S section 5.1.
 """
 
 from collections.abc import Mapping

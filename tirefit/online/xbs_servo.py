@@ -39,7 +39,7 @@ from tirefit.online.base import Flag, code
 from tirefit.online.controller import AbstractController, Command, Measurement
 from tirefit.online.xbs import Xbs, XbsState
 from tirefit.params import par
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 
 Wheels = Float[Array, " w"]
 
@@ -101,12 +101,10 @@ def refuse_unstable(
     bound = -poles[least_slope]
     if not gain > bound:
         raise UsageError(
-            InputProblem(
-                f"the gain of the deceleration servo breaks O(11), a > -k_min r^2/J:"
-                f" {gain:g} is not above {bound:g} 1/s (k_min = {least_slope:g} N s/m,"
-                f" r = {radius:g} m, J = {inertia:g} kg m2)",
-                f"give servo_gain more than {bound:.3g}, or a least_slope nearer zero",
-            )
+            f"the gain of the deceleration servo breaks O(11), a > -k_min r^2/J:"
+            f" {gain:g} is not above {bound:g} 1/s (k_min = {least_slope:g} N s/m,"
+            f" r = {radius:g} m, J = {inertia:g} kg m2)",
+            f"give servo_gain more than {bound:.3g}, or a least_slope nearer zero",
         )
     for slope, pole in poles.items():
         largest = np.abs(
@@ -114,13 +112,11 @@ def refuse_unstable(
         ).max()
         if largest >= 1:
             raise UsageError(
-                InputProblem(
-                    f"the deceleration servo is unstable at k = {slope:g} N s/m: with a"
-                    f" gain of {gain:g} 1/s, a delay of {1e3 * delay / rate:g} ms and a"
-                    f" lag of {1e3 * lag:g} ms, sampled {rate:g} times a second, the"
-                    f" largest eigenvalue of the loop is {largest:.4g}, not below 1",
-                    "O(11) bounds the gain from below only: give a smaller servo_gain",
-                )
+                f"the deceleration servo is unstable at k = {slope:g} N s/m: with a"
+                f" gain of {gain:g} 1/s, a delay of {1e3 * delay / rate:g} ms and a"
+                f" lag of {1e3 * lag:g} ms, sampled {rate:g} times a second, the"
+                f" largest eigenvalue of the loop is {largest:.4g}, not below 1",
+                "O(11) bounds the gain from below only: give a smaller servo_gain",
             )
 
 

@@ -11,7 +11,7 @@ from tirefit.report.canvas import COLORS, DARK, GREY, Picture, panel_title, tidy
 from tirefit.report.html import table_fragment
 from tirefit.report.numbers import format_number, plain_text
 from tirefit.report.text import table
-from tirefit.sim.brake_curve import tire_curve
+from tirefit.sim.brake_request import tire_curve
 from tirefit.sim.brake_result import Braking, Stop
 from tirefit.sim.brake_road import road_of
 from tirefit.sim.brake_summary import MEANINGS, UNITS

@@ -1,7 +1,6 @@
 """The look of all figures: colours, sizes, title, footnote, files; no global state.
 
-Only matplotlib's object API is used: pyplot is slow to import and keeps figures in
-global lists.
+Only matplotlib's object API is used: pyplot imports slowly and keeps global lists.
 """
 
 import io

@@ -84,8 +84,7 @@ what followed them."""
 
 
 def stand_in_line(result: Diagnosis) -> str:
-    """How well the tire that stands in for a simulator follows it; empty where nothing
-    has to."""
+    """How well the stand-in of a simulator follows it; empty where there is none."""
     if result.simulator is None or result.simulator.surrogate.of_force <= 1e-6:
         return ""
     followed, resolvable = result.simulator.surrogate, result.gap.resolvable

@@ -26,18 +26,14 @@ from tirefit.report.canvas import (
     tidy,
 )
 from tirefit.report.curves import SlipAxis, slip_axis
-from tirefit.report.diagnosis_budget import (
-    WaterfallBar,
-    channel_name,
-    waterfall_steps,
-)
-from tirefit.report.diagnosis_look import draw_look
+from tirefit.report.diagnosis_budget import WaterfallBar, channel_name, waterfall_steps
 from tirefit.report.diagnosis_panels import (
     ChanceBar,
     LadderBar,
     after_label,
     chance_bars,
     covariate_label,
+    draw_look,
     ladder_bars,
     level_labels,
     load_label,

@@ -1,16 +1,22 @@
-"""What the figure of a diagnosis shows beside its arrays: bars and labels."""
+"""What the figure of a diagnosis shows beside its arrays: bars, labels, remainder."""
 
 import math
+import textwrap
 from typing import NamedTuple
+
+import numpy as np
 
 from tirefit.diagnosis.left_out import NOISE, SMOOTH
 from tirefit.diagnosis.summary.result import Diagnosis
-from tirefit.diagnosis.summary.views import LoadCurve, ResidualMap
+from tirefit.diagnosis.summary.views import LoadCurve, LookCurve, ResidualMap
+from tirefit.report.canvas import BLUE, DARK, GREY, panel_title, tidy
 from tirefit.report.diagnosis_sections import step_label
 from tirefit.report.diagnosis_words import (
     NAMED_VALUES,
     covariate_text,
     covariate_unit,
+    look_place,
+    look_text,
     name_of,
 )
 from tirefit.report.numbers import format_number
@@ -61,8 +67,7 @@ def ladder_bars(result: Diagnosis) -> list[LadderBar]:
 
 
 def chance_bars(result: Diagnosis) -> list[ChanceBar]:
-    """Every effect of the verdict with its own probability, named ones first; last
-    something unlisted."""
+    """Probability of every effect of the verdict, named ones first, unlisted last."""
     verdict = result.verdict
     kinds = dict.fromkeys(verdict.also_possible, "other")
     kinds |= dict.fromkeys(verdict.effects, "verdict")
@@ -103,3 +108,63 @@ def after_label(result: Diagnosis) -> str:
         return "base + located gap"
     named = map(name_of, result.effects) if result.verdict.names_an_effect else ()
     return " + ".join((*(["parameters"] if result.simulator else []), *named))
+
+
+_CHANGES = {
+    "stiffness": "change of stiffness [%]",
+    "friction": "change of friction [%]",
+    "slip": "added slip [-]",
+    "force": "added force [% of $F_z$]",
+}
+_ALONG = {
+    "slip": "added slip, in its own direction [-]",
+    "force": "added force, towards the slip [% of $F_z$]",
+}
+_LETTERS = 66
+"""Of a line of the title."""
+
+
+def look_title(panel: LookCurve) -> str:
+    """``What is left: friction steps at a load F_z of 5000 N by -4.9 %``."""
+    return f"What is left: {look_text(panel.look)}"
+
+
+def _axis_label(panel: LookCurve) -> str:
+    look = panel.look
+    unit = covariate_unit(look.covariate)
+    tail = f" [{unit}]" if unit else ""
+    words = covariate_text(look.covariate)
+    if panel.is_folded:
+        return f"{words}, folded over the period of {look_place(look)}{tail}"
+    return f"{words}{tail}"
+
+
+def draw_look(figure, panel: LookCurve, beside: str) -> None:
+    """The local change of a parameter in bins ± standard error, and the fitted shape.
+
+    Args:
+        beside: what the change comes on top of.
+    """
+    axes = figure.subplots()
+    scale = 1.0 if panel.look.parameter == "slip" else 100.0
+    axes.axhline(0.0, color=GREY, lw=0.8, zorder=1)
+    if panel.at_settings:
+        # Between settings nothing was measured.
+        half = 0.25 * np.min(np.diff(np.sort(panel.x)))
+        axes.hlines(
+            scale * panel.shape, panel.x - half, panel.x + half, color=BLUE, lw=2.0,
+            zorder=2,
+        )  # fmt: skip
+        axes.set_xticks(panel.x)
+    else:
+        axes.plot(panel.x, scale * panel.shape, color=BLUE, lw=1.6, zorder=2)
+    axes.errorbar(
+        panel.center, scale * panel.change, scale * panel.std, fmt="o", ms=3.5,
+        color=DARK, ecolor=GREY, elinewidth=1.0, zorder=3,
+    )  # fmt: skip
+    labels = _ALONG if panel.is_mirrored else _CHANGES
+    tidy(axes, _axis_label(panel), labels[panel.look.parameter])
+    panel_title(
+        axes, textwrap.fill(look_title(panel).replace(" %", "\u00a0%"), _LETTERS),
+        f"points: bins of the data ± standard error; line: fitted; on top of {beside}",
+    )  # fmt: skip

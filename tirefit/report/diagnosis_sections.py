@@ -7,12 +7,7 @@ from typing import NamedTuple
 from tirefit.diagnosis.decide.remainder import LEAST_P, LEVEL
 from tirefit.diagnosis.left_out import NOISE, SMOOTH, Step
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.records import (
-    Each,
-    NextMeasurement,
-    Shrinkage,
-    Status,
-)
+from tirefit.diagnosis.summary.records import Each, NextMeasurement, Shrinkage, Status
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.diagnosis_budget import (
     budget_table,

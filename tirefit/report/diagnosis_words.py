@@ -8,12 +8,7 @@ from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by
 from tirefit.diagnosis.rows.patterns import Look
 from tirefit.diagnosis.rows.rig import SlipCheck
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.records import (
-    Amplitude,
-    Region,
-    Spot,
-    Untestable,
-)
+from tirefit.diagnosis.summary.records import Amplitude, Region, Spot, Untestable
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.numbers import format_estimate, format_number
 

@@ -1,7 +1,6 @@
 """The pictures of a fit's page: one message each, made to be read on a phone too.
 
-They are narrow: on a phone's screen, 375 pixels of the page, print of 8.5 points is 9.6
-pixels high.
+They are narrow: on a phone's screen, 375 pixels wide, 8.5 points are 9.6 pixels high.
 """
 
 from collections.abc import Mapping

@@ -38,8 +38,7 @@ class Panel(NamedTuple):
 
 
 def _fitted(fit: MagicFormulaFit, force: str, inputs: Sequence[TireInputs]):
-    """For each of the inputs, the predicted force (n,) and its standard deviation (n,)
-    as a measurement."""
+    """Predicted force (n,) at the inputs, standard deviation (n,) of a measurement."""
     joined = TireInputs(*map(np.concatenate, zip(*inputs, strict=True)))
     columns = {
         name: column

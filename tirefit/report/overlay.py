@@ -91,8 +91,7 @@ def _curve(result: FitResult, name: str, channel: str, axis: SlipAxis, over_load
 
 
 def _near(result: FitResult, slip: str, middle: Mapping[str, float]) -> np.ndarray:
-    """The rows (n,) at about the load and the other slip of the curve: others would lie
-    beside it."""
+    """The rows (n,) at about the load and the other slip of the curve."""
     problem = result.problem
     inputs, other = problem.rows.inputs, _OTHER[slip]
     load, aside = problem.used(inputs.fz), problem.used(getattr(inputs, other))

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.patches import Patch
 
 from tirefit import __version__
-from tirefit.data.prepare.bins import SHOWN
 from tirefit.data.prepare.prepare import Prepared
+from tirefit.data.prepare.set_points import SHOWN
 from tirefit.data.prepare.slips import LEAST, swept_range
 from tirefit.data.units import slip_from_sigma
 from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, RED, Picture, tidy

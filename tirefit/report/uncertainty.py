@@ -18,7 +18,7 @@ from tirefit.params import Spec
 from tirefit.report.fit_tables import value_text
 from tirefit.report.labels import short_label, short_run
 from tirefit.report.numbers import plain_text
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 
 _MOST_PAIRS = 20
 _MOST_TRACES = 10
@@ -33,8 +33,7 @@ class Corner(NamedTuple):
     column), row > column, to a density (bins, bins) over (row, column), and ``levels``
     the same key to the densities that enclose 95 % and 50 %. ``interval`` (p, 2) and
     ``median`` (p,) are of the posterior, ``estimate`` (p,) is least squares;
-    ``correlation`` (p, p) of the draws is NaN where one is constant; ``values`` are
-    texts.
+    ``correlation`` (p, p) is NaN where a draw is constant; ``values`` are texts.
     """
 
     labels: tuple[str, ...]
@@ -131,13 +130,12 @@ def named_labels(result: FitResult, parameters: Sequence[str]) -> tuple[str, ...
     if wrong or not parameters:
         reason = f"this fit has no free parameter {', '.join(wrong) or '(none given)'}"
         shown = ", ".join(short_label(result, label) for label in result.labels)
-        raise UsageError(InputProblem(reason, f"it has {shown}"))
+        raise UsageError(reason, f"it has {shown}")
     return tuple(k for k, names in known.items() if names & set(parameters))
 
 
 def _chosen(result: FitResult, most: int, rank: Sequence[float]) -> tuple[str, ...]:
-    """At most so many labels, in order: those that are not identified, then those of
-    highest rank."""
+    """At most so many labels, in order: not identified ones first, then by rank."""
     if len(result.labels) <= most:
         return result.labels
     vague = np.array([not result.least_squares[k].identified for k in result.labels])
@@ -167,8 +165,7 @@ def corner_data(result: FitResult, parameters: Sequence[str] | None = None) -> C
     """Marginal and pairwise posterior densities.
 
     Args:
-        parameters: as of :func:`named_labels`; without them all, or the twenty that are
-            correlated most.
+        parameters: as of :func:`named_labels`; by default the twenty most correlated.
     """
     if parameters is None:
         labels = _telling_pairs(result)
@@ -237,8 +234,7 @@ def trace_data(result: FitResult, parameters: Sequence[str] | None = None) -> Tr
     """Draws of every ensemble in order, thinned for drawing, and their densities.
 
     Args:
-        parameters: as of :func:`named_labels`; without them all, or the ten whose
-            chains agree least.
+        parameters: as of :func:`named_labels`; by default the ten of worst R-hat.
     """
     if parameters is None:
         labels = _least_mixed(result)

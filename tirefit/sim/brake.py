@@ -22,7 +22,7 @@ from tirefit.sim.brake_plant import (
     contacts,
     rolling,
 )
-from tirefit.sim.brake_sensors import Noise, Sensors, draw_noise, wheel_speeds
+from tirefit.sim.brake_vehicle import Noise, Sensors, draw_noise, wheel_speeds
 
 STANDS = 0.1
 """Speed [m/s] below which the car has stopped: 1.3 cm before the end at mu 0.04."""

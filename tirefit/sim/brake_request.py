@@ -12,12 +12,17 @@ import numpy as np
 from tirefit.models import AbstractTire, TireInputs, modelled
 from tirefit.params import parameter_values
 from tirefit.results import InputProblem, UsageError
-from tirefit.sim.brake_hydraulics import Hydraulics
 from tirefit.sim.brake_plant import Plant
 from tirefit.sim.brake_road import road_of
-from tirefit.sim.brake_sensors import Sensors
-from tirefit.sim.brake_tire import on_road
-from tirefit.sim.brake_vehicle import GRAVITY, Vehicle, four_wheels, quarter_car
+from tirefit.sim.brake_tire import on_road, wheel_slips
+from tirefit.sim.brake_vehicle import (
+    GRAVITY,
+    Hydraulics,
+    Sensors,
+    Vehicle,
+    four_wheels,
+    quarter_car,
+)
 
 VEHICLES = {"car": four_wheels, "quarter": quarter_car}
 """Name of a vehicle -> what makes it."""
@@ -171,8 +176,7 @@ def check(request: Request) -> None:
         what = "steer" if request.steer else "have a left and a right"
         reason = f"a quarter car cannot {what}"
         problems.append(InputProblem(reason, "brake the whole one: --vehicle car"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _tire_problems(request: Request) -> list[InputProblem]:
@@ -216,6 +220,31 @@ def with_numbers(request: Request, values: Mapping[str, float]) -> Request:
             known = ", ".join((*Hydraulics._fields, *Sensors._fields))
             reason = f"--plant {name}: there is no such number"
             problems.append(InputProblem(reason, f"there are {known}"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return replace(request, hydraulics=hydraulics, sensors=sensors)
+
+
+def tire_curve(
+    request: Request, most: float, points: int = 200
+) -> dict[float, tuple[np.ndarray, np.ndarray]]:
+    """Friction of the road -> (kappa, F_x / F_z), each (points,).
+
+    Args:
+        request: whose tire and roads are meant; at the static load of the first wheel
+            and half the speed of the manoeuvre.
+        most: largest kappa.
+    """
+    plant = plant_of(request)
+    kappa = jnp.linspace(0.0, min(most, 0.99), points)
+    speed = 0.5 * jnp.asarray(request.speed, float)
+    fz = plant.vehicle.fz[0]
+    curves = {}
+    for mu in np.unique(np.r_[plant.road.before, plant.road.after]):
+
+        def one(k, mu=mu):
+            slips = wheel_slips(speed[None], jnp.zeros(1), speed * (1 - k)[None])
+            fx, _ = plant.tire.forces(jnp.full(1, mu), slips, fz[None])
+            return fx[0] / fz
+
+        curves[float(mu)] = (np.asarray(kappa), np.asarray(jax.vmap(one)(kappa)))
+    return curves

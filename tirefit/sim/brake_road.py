@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 
 ROADS = ("mu=0.4", "mu=0.3:0.8@20", "left=0.3,right=0.8")
 """How a road is written: constant; another friction from 20 m on; split."""
@@ -63,7 +63,7 @@ def road_of(text: str) -> Road:
         remedy = (
             f"write it as {', '.join(ROADS)}; friction from {_LEAST:g} to {_MOST:g}"
         )
-        raise UsageError(InputProblem(f"--road {text!r} is not a road", remedy))
+        raise UsageError(f"--road {text!r} is not a road", remedy)
     if sides is not None:
         both = np.array([float(sides[1]), float(sides[2])])
         road = Road(both, both, np.inf)
@@ -76,6 +76,5 @@ def road_of(text: str) -> Road:
     for mu in {*road.before.tolist(), *road.after.tolist()}:
         if not _LEAST <= mu <= _MOST:
             reason = f"--road {text!r}: friction {mu:g} is out of range"
-            remedy = f"give {_LEAST:g} (ice) to {_MOST:g}"
-            raise UsageError(InputProblem(reason, remedy))
+            raise UsageError(reason, f"give {_LEAST:g} (ice) to {_MOST:g}")
     return road

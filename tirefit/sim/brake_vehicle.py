@@ -1,4 +1,4 @@
-"""The vehicle that is braked: a quarter car, or a car on four wheels.
+"""The braked vehicle (a quarter car, or a car on four wheels), its brakes and sensors.
 
 Axes of ISO 8855 (x forward, y left) at the centre of gravity. Per-wheel values come
 along one axis of length w: one wheel, or four in the order of
@@ -7,6 +7,8 @@ along one axis of length w: one wheel, or four in the order of
 
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -87,3 +89,95 @@ def quarter_car() -> Vehicle:
         radius=np.array([car.radius]), inertia=np.array([car.wheel_inertia]),
         brake_gain=np.array([_FRONT_GAIN]), steered=zero,
     )  # fmt: skip
+
+
+class Hydraulics(NamedTuple):
+    r"""A master cylinder, and an inlet and an outlet valve at each wheel.
+
+    The driver's pressure :math:`p_m` rises at a constant rate. An open inlet lets the
+    wheel's pressure p follow it, an open outlet lets p fall; the command is the share u
+    of an interval for which the one (positive) or the other (negative) is open:
+
+    .. math:: \dot p = u^+ \min\{(p_m - p)/T, R_+\} - u^- \min\{p/T, R_-\}
+
+    ``demand`` [Pa] of the driver, reached at ``ramp`` [Pa/s]; ``rise``, ``fall``
+    [Pa/s]: fastest change through an open valve; ``lag`` T [s] of an orifice; ``delay``
+    [s] of a command, rounded to whole samples of the controller."""
+
+    demand: float = 12e6
+    ramp: float = 60e6
+    rise: float = 40e6
+    fall: float = 80e6
+    lag: float = 0.02
+    delay: float = 0.01
+
+    def master(self, t):
+        """Pressure [Pa] of the master cylinder ``t`` [s] after the braking begins."""
+        return jnp.minimum(self.demand, self.ramp * jnp.maximum(t, 0.0))
+
+    def flow(self, t, pressure, valve):
+        """Rate of the wheels' pressure (w,) [Pa/s] under commands (w,) in [-1, 1]."""
+        up = jnp.clip((self.master(t) - pressure) / self.lag, 0.0, self.rise)
+        down = jnp.clip(pressure / self.lag, 0.0, self.fall)
+        # A driver who asks for less has it at once, past the valve (check valve).
+        back = jnp.minimum((self.master(t) - pressure) / self.lag, 0.0)
+        turned = jnp.maximum(valve, 0.0) * up - jnp.maximum(-valve, 0.0) * down
+        return turned + jnp.maximum(back, -self.fall)
+
+    def queue(self, rate: float) -> int:
+        """Samples that a command waits, at ``rate`` a second."""
+        return round(self.delay * rate)
+
+
+class Sensors(NamedTuple):
+    """``speed_std`` [m/s]: noise of a wheel's circumferential speed; ``speed_step``
+    [m/s], in which it is told; ``deceleration_std`` [m/s2]; ``pressure_std`` [Pa];
+    ``road_std``: of the force d over the static load; ``road_corner`` [Hz]: of d."""
+
+    speed_std: float = 0.005
+    speed_step: float = 0.01
+    deceleration_std: float = 0.1
+    pressure_std: float = 2e4
+    road_std: float = 0.01
+    road_corner: float = 1.0
+
+
+class Noise(NamedTuple):
+    """Standard normal numbers of a stop of n samples on w wheels, except ``road`` (n +
+    1, w): the force d over the static load, a stationary process of first order below
+    whose corner, under O's 2-20 Hz, its rate is white: the w of O(2)."""
+
+    speed: Float[Array, "n w"]
+    pressure: Float[Array, "n w"]
+    deceleration: Float[Array, " n"]
+    road: Float[Array, "m w"]
+
+
+def draw_noise(key, sensors: Sensors, samples: int, wheels: int, rate: float) -> Noise:
+    """The noise of one stop; the same for every controller that has the key."""
+    keys = jax.random.split(key, 4)
+    shape = (samples, wheels)
+    kept = jnp.exp(-2 * np.pi * sensors.road_corner / rate)
+    pushes = jax.random.normal(keys[3], (samples + 1, wheels))
+
+    def move(d, push):
+        d = kept * d + jnp.sqrt(1 - kept**2) * push
+        return d, d
+
+    first, rest = pushes[0], pushes[1:]
+    _, later = jax.lax.scan(move, first, rest)
+    road = sensors.road_std * jnp.concatenate([first[None], later])
+    return Noise(
+        jax.random.normal(keys[0], shape), jax.random.normal(keys[1], shape),
+        jax.random.normal(keys[2], (samples,)), road,
+    )  # fmt: skip
+
+
+def wheel_speeds(sensors: Sensors, turning, noise):
+    """Circumferential speeds (w,) [m/s] as they are told: noise, then steps; a wheel
+    that stands gives no pulses."""
+    step = sensors.speed_step
+    noisy = turning + sensors.speed_std * noise * (turning > 0)
+    safe = jnp.where(step > 0, step, 1.0)
+    told = jnp.where(step > 0, jnp.round(noisy / safe) * step, noisy)
+    return jnp.maximum(told, 0.0)

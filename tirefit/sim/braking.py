@@ -44,8 +44,7 @@ def source_tire(peak: float = PEAK) -> MagicFormula:
     slip kappa of 4 %, as S section 5.4 has it, the one whose peak comes first.
 
     Args:
-        peak: peak force over load D [-]; another friction changes the peak, not the
-            stiffness.
+        peak: peak force over load D [-]; the stiffness does not depend on it.
     """
     x = 0.04 * STIFFNESS / (_SHAPE * PEAK * LOAD)
     bent = np.tan(np.arcsin(0.6) / _SHAPE)

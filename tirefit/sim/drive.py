@@ -24,7 +24,7 @@ import numpy as np
 
 from tirefit.data.table import WHEELS
 from tirefit.online.vehicle import GRAVITY, axle_angles, brush_share, clipped
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 from tirefit.sim.braking import SimulatedLog
 
 _SLOWEST = 0.01
@@ -311,11 +311,9 @@ def simulate_drive(
     states, followed = _integrate(numbers, time, max_steps)
     if not followed:
         raise UsageError(
-            InputProblem(
-                f"the drive cannot be followed in {max_steps} steps: a car spins where"
-                " braking and bends together ask for more than the grip",
-                "ask for less lateral acceleration or braking, or more friction",
-            )
+            f"the drive cannot be followed in {max_steps} steps: a car spins where"
+            " braking and bends together ask for more than the grip",
+            "ask for less lateral acceleration or braking, or more friction",
         )
     truth = {k: np.asarray(v) for k, v in _measured(numbers, time, states).items()}
     random = np.random.default_rng(how.seed)

@@ -7,17 +7,28 @@ import numpy as np
 
 from tirefit.data.accept import as_data
 from tirefit.data.levels import levels
-from tirefit.data.prepare.bins import bin_name, setting_names
 from tirefit.data.prepare.segments import Segment, segments_of, trimmed
-from tirefit.data.prepare.series import Series, bridged, runs_of, series_of
-from tirefit.data.prepare.set_points import Settings, Window, settings_of
+from tirefit.data.prepare.series import (
+    Series,
+    ZeroPhase,
+    bridged,
+    runs_of,
+    series_of,
+    zero_phase,
+)
+from tirefit.data.prepare.set_points import (
+    Settings,
+    Window,
+    bin_name,
+    setting_names,
+    settings_of,
+)
 from tirefit.data.prepare.settings import PrepareConfig
 from tirefit.data.prepare.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs
 from tirefit.data.prepare.warmth import last_sweeps_kept, with_warmth
-from tirefit.data.prepare.zero_phase import ZeroPhase, zero_phase
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
-from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.results import DataError, UsageError
 from tirefit.settings import parse_settings
 
 CONDITIONS = ("fz", "gamma", "pressure", "v")
@@ -85,7 +96,7 @@ class Prepared:
         if by == "run":
             return data
         if by not in ("segment", "bin"):
-            raise UsageError(InputProblem(f"by = {by!r}", "run, segment or bin"))
+            raise UsageError(f"by = {by!r}", "run, segment or bin")
         run, codes = np.zeros(len(data), int), dict[str, int]()
         for number, part in enumerate(self.segments):
             if self.kept[part.begin : part.end].any():
@@ -121,7 +132,7 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
     if not slips:
         reason = "no slip and no slip angle: there is nothing to cut the test by"
         remedy = "name one, as in --column alpha=HEADER; see `tirefit inspect`"
-        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+        raise DataError(reason, remedy, data.file)
     series = series_of(data, config.rate)
     raw = _channels(data, series)
     is_series = series.rate is not None and series.rate * config.shortest >= _LEAST_ROWS
@@ -146,7 +157,7 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
     if not kept.any():
         reason = f"nothing is left: {', '.join(dict.fromkeys(p.kind for p in parts))}"
         remedy = "see the segments in the figure, or keep other kinds"
-        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+        raise DataError(reason, remedy, data.file)
     notes = [*said, how] if how else list(said)
     notes += _conditions_at_risk(parts, kept)
     unusable = len(data) - data.n

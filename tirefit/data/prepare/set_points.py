@@ -2,11 +2,11 @@
 
 A setting is where a channel stays while a slip is swept or held, not a bin of equal
 width: candidates are the medians of whole sweeps, and of a second here and there where
-all is held; what is on its way is none. Candidates closer than their own scatter are
-one setting. A row belongs to a setting while the channel is as near it as it was during
-those sweeps.
+all is held, not on the way. Candidates closer than their own scatter are one setting. A
+row belongs to a setting while the channel is as near it as during those sweeps.
 """
 
+from collections.abc import Mapping, Set
 from typing import NamedTuple
 
 import numpy as np
@@ -64,11 +64,7 @@ def whole(name: str, values: np.ndarray) -> Settings:
 
 
 def settings_of(
-    name: str,
-    values: np.ndarray,
-    windows: list[Window],
-    pieces,
-    shortest: int,
+    name: str, values: np.ndarray, windows: list[Window], pieces, shortest: int
 ) -> Settings:
     """The settings of a channel, and the rows at each.
 
@@ -206,3 +202,48 @@ def _fill(code: np.ndarray, longest: int) -> None:
     for (_, a), (b, c), (d, _) in zip(runs, runs[1:], runs[2:], strict=False):
         if code[b] < 0 and c - b <= longest and code[a - 1] == code[d]:
             code[b:c] = code[d]
+
+
+SHOWN = {
+    "fz": (1.0, "N"),
+    "gamma": (180 / np.pi, "deg"),
+    "alpha": (180 / np.pi, "deg"),
+    "pressure": (1e-3, "kPa"),
+    "v": (1.0, "m/s"),
+    "sigma_x": (100.0, "%"),
+}
+"""Channel -> factor from SI and unit in the names of bins."""
+
+_ANGLES = {"gamma": " camber", "alpha": " slip angle"}
+
+_FINE = 0.02
+"""Of a setting, and of its distance to others, by which its name may be off; and in the
+unit of the name: nothing is set to a hundredth of a degree or of a newton."""
+
+
+def setting_names(settings: Settings) -> list[str]:
+    """Each setting with its unit, in as few digits as tell it from its neighbours."""
+    scale, unit = SHOWN[settings.name]
+    center = settings.center * scale
+    apart = np.diff(center).min() if len(center) > 1 else np.max(np.abs(center))
+    # Nothing is set to a twentieth of a step: that is zero.
+    size = min([apart, *(abs(c) for c in center if abs(c) > 0.05 * apart)])
+    for places in range(-5, 7):
+        # + 0.0: no setting is called -0.
+        rounded = [round(float(value), places) + 0.0 for value in center]
+        off = float(np.max(np.abs(np.array(rounded) - center)))
+        if off <= _FINE * max(size, 1.0) and len(set(rounded)) == len(rounded):
+            break
+    return [f"{value:.{max(places, 0)}f} {unit}" for value in rounded]
+
+
+def bin_name(
+    level: Mapping[str, int], names: Mapping[str, list[str]], varied: Set[str]
+) -> str:
+    """The name of a bin: its settings of the channels ``varied``.
+
+    If camber and slip angle both varied, their names follow the values in degrees.
+    """
+    words = _ANGLES if varied >= _ANGLES.keys() else {}
+    shown = ((c, k) for c, k in level.items() if c in varied and k >= 0)
+    return " ".join(names[c][k] + words.get(c, "") for c, k in shown) or "all"

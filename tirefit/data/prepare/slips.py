@@ -22,8 +22,7 @@ _PAUSE = 0.3
 """A stop shorter than this share of the sweeps beside it is their turning point: a sine
 is within ``_STILL`` of its end for 0.11 of the way from end to end."""
 _STEP = 0.4
-"""A movement shorter than this share of both stops beside it leads from one to the
-other."""
+"""A movement shorter than this share of both stops beside it leads between them."""
 _HURRY = 2.5
 """A movement so many times as fast as the sweep beside it takes the slip back."""
 

@@ -31,8 +31,7 @@ class Form(NamedTuple):
 
     A form is left out where the data lack ``needs`` (at one speed, any function of the
     sliding speed is one of the slip), or where the covariate ``by`` follows the slip:
-    it would fit any remainder. A form may add an eighth to a half of what the formula
-    may."""
+    it would fit any remainder. A form may add 1/8 to 1/2 of what the formula may."""
 
     field: str
     size: float

@@ -22,8 +22,7 @@ _INERTIA_STATED = 0.3
 """Standard deviation of a stated inertia over it: hub, disc and shaft turn too."""
 
 _CORNERING = 10.0
-"""Usual cornering stiffness over load [1/rad]: the same amplitude for both forms of
-camber thrust."""
+"""Usual cornering stiffness over load [1/rad]: one amplitude for both camber forms."""
 
 _WARMING = 0.2
 """Time constant of a zero that settles with its warm amplifier, over the record."""

@@ -121,8 +121,7 @@ class _Shaped(AbstractPressure):
 
 _NEWTON, _LEAST_SLOPE = 7, 0.05
 """Newton's steps from the breakaway of the parabola, and the least slope that one
-divides by: they leave 3e-5 of the demand at the most, over all d and shares that the
-effects allow."""
+divides by: they leave at most 3e-5 of the demand at any d and share of the effects."""
 
 _PEAKS = (1e-3, 2.0, 60)
 """Slips at which the largest force is looked for: from, to and how many, 14 % apart."""

@@ -44,8 +44,7 @@ _STRETCHES = tuple(
     for length, begins in ((3, range(-8, 8, 2)), (7, range(-8, 4, 2)))
     for begin in begins
 )
-"""Begin and end of a stretch of another road, in the same unit: a seventh and a third
-of the record."""
+"""Begin and end of a stretch of another road, same unit: 1/7 and 1/3 of the record."""
 
 _DRIFTS = ((1.0, 1.0), (0.0, 0.12), (0.0, 0.35))
 """(1 for an even drift, else 0; time constant of a drift that is quick at first, as a

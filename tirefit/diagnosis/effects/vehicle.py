@@ -39,8 +39,7 @@ _OF_BOTH = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
 
 
 def _slip_speed(share, constants, rows):
-    """A radius that grows with the speed, or with its square; zero at rest, or at the
-    usual speed."""
+    """Slip of a radius that grows with v or v^2; zero at rest or at the usual speed."""
     even, square, about = constants
     grown = blend((even, square), rows.v, rows.v**2 / rows.cruise)
     return share * (grown - about * rows.cruise)

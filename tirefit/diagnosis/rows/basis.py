@@ -180,8 +180,7 @@ def _in_pairs(gram, score, ridge):
 
 
 def _pairs(columns) -> np.ndarray:
-    """Products of sine and sine, sine and cosine, cosine and cosine of waves (m, 2 K):
-    (K, 3)."""
+    """Products sine-sine, sine-cosine, cosine-cosine of waves (m, 2 K): (K, 3)."""
     sine, cosine = columns[:, ::2], columns[:, 1::2]
     each = ((sine, sine), (sine, cosine), (cosine, cosine))
     return np.stack([np.einsum("mk,mk->k", *pair) for pair in each], axis=1)

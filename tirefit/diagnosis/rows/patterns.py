@@ -32,8 +32,7 @@ _SET_BY_RIG = ("fz", "v", "temperature", "gamma", "pressure")
 """Covariates that may have few settings, with shapes of their own."""
 
 _PLACES = np.arange(1, 20) / 20
-"""Places as shares of the range: a bump between two loses at most a tenth of its
-square."""
+"""Places as shares of the range: a bump between two loses at most 0.1 of its square."""
 
 WAVES, ROWS_OF_A_WAVE = 96, 5
 """Largest number of waves in a record (half as many for patterns in time or distance,

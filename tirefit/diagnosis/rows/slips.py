@@ -251,8 +251,7 @@ def _steep(slip, std) -> bool:
 
 
 def slip_law(slip, std) -> SlipDistribution | None:
-    """Distribution of the true slips, from measured ones and their noise (n,); None
-    without noise."""
+    """Distribution of the true slips by measured ones and noise (n,); None if zero."""
     return slip_distribution(slip, np.maximum(std, FLAT)) if np.any(std > 0) else None
 
 

@@ -124,9 +124,8 @@ def _energies(means):
 
 
 def _missed(base: Base, chosen: Hypothesis) -> dict[str, dict[tuple, np.ndarray]]:
-    """Residual (n,) of every channel where only a subset of the players is allowed;
-    every subset is refitted, with the simulator's parameters held unless they are among
-    it."""
+    """Residual (n,) of every channel where only a subset of the players is allowed; all
+    subsets are refitted, the simulator's parameters held unless they are in it."""
     atoms, sets = chosen.atoms, subsets(chosen.atoms)
     guess = [chosen.amplitude[[atoms.index(k) for k in s]] for s in sets]
     refit = base.refit([(chosen.z, a) for a in guess], sets)

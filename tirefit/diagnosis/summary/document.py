@@ -227,8 +227,7 @@ def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
     """The most probable sets of effects, and the unknown.
 
     Args:
-        before, truth: (n,) force of the base and (n, draws) what it may truly be, first
-            channel.
+        before, truth: (n,) base force, (n, draws) possible true one, first channel.
     """
     total, verdict = _chances(case), case.verdict
     ranked = sorted(total, key=lambda k: (k == verdict.key, total[k]), reverse=True)

@@ -245,8 +245,7 @@ class Untestable(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Resolution:
-    """What would have been seen: the smallest unlisted remainder, rms, and amplitudes
-    of effects."""
+    """Smallest unlisted remainder (rms) and amplitudes that would have been seen."""
 
     remainder: float
     smallest_effects: Mapping[str, float]

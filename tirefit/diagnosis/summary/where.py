@@ -91,8 +91,7 @@ def _chance(base: Base, residual, rows) -> float:
 
 
 def binned(values, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Bin (n,) of each value, and the edges (k + 1,) of ``count`` bins at most, of as
-    many values each."""
+    """Bin (n,) of each value, edges (k + 1,) of at most ``count`` equally full bins."""
     edges = np.unique(np.quantile(values, np.linspace(0, 1, max(count, 1) + 1)))
     if len(edges) == 1:  # one value alone would be a bin without width
         edges = edges[0] + np.array([-0.5, 0.5])

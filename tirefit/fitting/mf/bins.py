@@ -69,9 +69,8 @@ class Setting(NamedTuple):
 class SlipBins(NamedTuple):
     """The rows of one setting, of all runs, in m bins of the swept slip; arrays (m,).
 
-    ``slip`` (rad, or kappa), ``inputs`` and ``force`` are medians of the rows of a bin.
-    ``low`` and ``high`` bound the central 95 % of its forces. ``rows`` is the number of
-    its rows.
+    ``slip`` (rad, or kappa), ``inputs`` and ``force`` are medians of the ``rows`` (a
+    number) of a bin. ``low`` and ``high`` bound the central 95 % of its forces.
     """
 
     setting: Setting
@@ -105,8 +104,7 @@ def rig_settings(rows: ForceRows) -> tuple[tuple[Setting, ...], np.ndarray]:
 
     Rows share a setting if they share the levels of load, camber, pressure and held
     slip, and the run. The load of a rig varies with the slip, so levels are searched
-    within classes of similar slip. A channel without levels is cut into thirds of its
-    rows.
+    within classes of similar slip. A channel without levels is cut into thirds.
 
     Args:
         rows: (n,) in the order in which they were measured.
@@ -178,8 +176,7 @@ def _levels(name: str, values: np.ndarray, alike) -> tuple[np.ndarray, bool]:
     """The level of each value (n,), and whether the levels are thirds of a range.
 
     Args:
-        alike: class of similar slip of each row (n,), 0 at rest; a level scatters less
-            within a class.
+        alike: class of similar slip of each row (n,), 0 at rest, of less scatter.
     """
     found = levels(values)
     if found.few(_MOST):

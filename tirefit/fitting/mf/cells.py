@@ -18,15 +18,13 @@ from tirefit.models import TireInputs
 
 _WIDTH = {"sigma_x": 0.005, "alpha": 0.005, "gamma": 0.005}
 """Width of a cell at small slip [-], [rad]. The force at the mean input of a cell
-differs from the mean force by (B width)^2 / 24 of it: 0.1 % at a stiffness factor
-B = 30."""
+differs from the mean force by (B width)^2 / 24 of it: 0.1 % at B = 30."""
 
 _FEWEST = 4096
 """Number of rows below which every row is a cell: so few take no longer to fit."""
 
 _WIDENS = 0.1
-"""Slip above which the width of a cell grows with the slip: the curves are nearly
-straight there."""
+"""Slip above which cells widen with the slip: the curves are nearly straight there."""
 
 _SHARE = {"fz": 0.05, "pressure": 0.02, "v": 0.05}
 """Relative width of a cell in load, pressure and speed."""

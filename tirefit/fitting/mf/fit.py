@@ -18,7 +18,6 @@ from tirefit.fitting.mf.bins import binned, settings_of
 from tirefit.fitting.mf.cells import groups_of
 from tirefit.fitting.mf.guards import check_guards
 from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, LeftOut, cross_validated
-from tirefit.fitting.mf.like import Borrowed, borrowed_from, with_dimensions
 from tirefit.fitting.mf.parts import (
     HELD,
     MOMENTS,
@@ -30,7 +29,15 @@ from tirefit.fitting.mf.parts import (
     own_coefficients,
     parts_named,
 )
-from tirefit.fitting.mf.priors import Prior, normal_form, prior_given, published_priors
+from tirefit.fitting.mf.priors import (
+    Borrowed,
+    Prior,
+    borrowed_from,
+    normal_form,
+    prior_given,
+    published_priors,
+    with_dimensions,
+)
 from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
 from tirefit.fitting.mf.rows import ForceRows, joined, rows_of_part
 from tirefit.fitting.mf.solve import Problem, row_values
@@ -187,8 +194,7 @@ def _check_settings(model: str, config: FitConfig) -> None:
     if config.noise.loss not in ("squares", FitConfig().noise.loss):
         reason = f"noise.loss = {config.noise.loss!r} in a Magic Formula"
         problems.append(InputProblem(reason, "leave it out", config.source))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def nominal_of(
@@ -200,8 +206,7 @@ def nominal_of(
 ):
     """The tire with its nominal state and the given values, and notes on assumptions.
 
-    It has M_x or M_y if the data measure it, or if ``config`` or ``also`` name one of
-    its coefficients.
+    It has M_x or M_y if the data do, or ``config`` or ``also`` name a coefficient.
 
     Args:
         constants: ``Source.constants`` of the data file, which replace assumptions; the

@@ -1,8 +1,7 @@
 """Guards: whether the curves of a fitted Magic Formula are those of a tire.
 
 Each guard is a property of the force on a grid: loads from the smallest of the data to
-twice the largest, cambers and pressures of the data, slips to a locked wheel and 30
-degrees.
+twice the largest, cambers and pressures of the data, slips to lock and to 30 degrees.
 """
 
 from collections.abc import Mapping
@@ -167,8 +166,7 @@ def _failures(
 
 
 def _falls(grid: _Grid, force: str) -> np.ndarray:
-    """States within the data whose largest force is below that at the next smaller
-    load."""
+    """States within the data whose largest force is below that at a smaller load."""
     falls = np.zeros(len(grid.fz), bool)
     for peak in _peaks(grid, force):
         # Of a state and the one before, which has the next smaller load.

@@ -85,8 +85,7 @@ def parts_named(part: str) -> tuple[str, ...]:
 
 
 def coefficients_of(version: str) -> dict[str, str]:
-    """Coefficient of this version -> the part that estimates it, in the order of the
-    equations.
+    """Coefficient of this version -> part that estimates it, in equation order.
 
     Scaling factors and the nominal state are given, so they are not included.
     """

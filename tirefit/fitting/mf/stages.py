@@ -27,7 +27,6 @@ from tirefit.fitting.mf.solve import (
     row_gradients,
     row_values,
 )
-from tirefit.fitting.mf.starts import first_values
 from tirefit.fitting.noise import autocorrelation_time, design_effect
 from tirefit.fitting.noise_law import noise_law
 from tirefit.models import TireInputs
@@ -100,8 +99,7 @@ class Search:
     held: set[str] = field(default_factory=set)
 
     def rmse(self, group: Group) -> float:
-        """Root mean square residual [N, N m] of the means of cells, weighted by their
-        numbers of rows."""
+        """Rms residual [N, N m] of the means of cells, weighted by rows."""
         cells = group.cells
         predicted = row_values(self.problem, self.u, group.force, cells.inputs)
         squares = (predicted - cells.observed) ** 2
@@ -181,8 +179,7 @@ def _one_stage(work: Search, force: str, count: int, rows: ForceRows | None) -> 
     """Fit the first ``count`` groups of a force; the last of them is new.
 
     Args:
-        rows: rows of the force, for the starts and the noise of single rows; None in a
-            continued search.
+        rows: of the force, for starts and noise; None in a continued search.
     """
     is_last = count == len(work.groups[force])
     names = _to_move(work, force, is_last)
@@ -240,8 +237,7 @@ def problem_of(work: Search, force: str, count: int, names, most=None) -> Proble
 
 
 def _learn_noise(work: Search, force: str, count: int, rows) -> float:
-    """Estimate the noise of the newest group from its residuals; returns its largest
-    relative change."""
+    """Estimate the newest group's noise from its residuals; largest relative change."""
     group = work.groups[force][count - 1]
     cells = group.cells
     predicted = row_values(work.problem, work.u, force, cells.inputs)
@@ -297,8 +293,7 @@ def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarr
     """The covariance (p, p) of u after a stage.
 
     The known coefficients k keep their covariance. The moved ones m have the covariance
-    H_mm^-1 given k, and change with k by -H_mm^-1 H_mk; H is the curvature of rows and
-    priors.
+    H_mm^-1 given k and change by -H_mm^-1 H_mk; H: curvature of rows and priors.
     """
     moved, known = np.flatnonzero(problem.free), np.flatnonzero(~problem.free)
     curvature = curvature_at(problem, u)
@@ -345,3 +340,41 @@ def _starts(work: Search, group: Group) -> list[np.ndarray]:
                 u[i] = problem.unit(name, values[name])
         starts.append(u)
     return starts
+
+
+_SHAPES: dict[str, tuple[dict[str, float], ...]] = {
+    "fx": ({}, {"PCX1": 1.2}, {"PCX1": 1.8}),
+    "fy": ({}, {"PCY1": 1.1}, {"PCY1": 1.8}),
+    "mz": ({"QEZ1": -0.5}, {"QCZ1": 1.1, "QEZ1": -3.0}, {"QCZ1": 1.5, "QEZ1": -1.0}),
+    "mx": (
+        {},
+        {"QSX2": -1.0, "QSX3": 0.5, "QSX4": -1.0},
+        {"QSX2": 1.0, "QSX3": -0.5, "QSX4": 1.0},
+    ),
+}
+"""Shapes of the curves to start from. Curves with a peak, without a peak and with a
+sharp peak belong to different local minima."""
+
+
+def first_values(group: Group) -> list[dict[str, float]]:
+    """Coefficients to start from, one set per shape."""
+    return [_look(group) | shape for shape in _SHAPES.get(group.force, ({},))]
+
+
+def _look(group: Group) -> dict[str, float]:
+    """Friction from the largest forces, and stiffness from the slope at small slips."""
+    if group.force not in ("fx", "fy"):
+        return {}
+    inputs, force = group.cells.inputs, group.cells.observed
+    slip = np.asarray(inputs.sigma_x if group.force == "fx" else inputs.alpha)
+    fz, size = np.asarray(inputs.fz), np.abs(slip)
+    low = size <= max(np.quantile(size, 0.2), 0.1 * size.max())
+    peak = float(np.clip(np.quantile(np.abs(force) / fz, 0.98), 0.1, 3.0))
+    share = slip[low] * fz[low]
+    slope = 1.2 * float(share @ force[low] / max(share @ share, 1e-12))
+    slope = max(slope, peak / max(size.max(), 1e-6))
+    if group.force == "fx":
+        return {"PDX1": peak, "PKX1": slope}
+    # K = PKY1 F_z0 sin(2 arctan(F_z / (PKY2 F_z0))) at F_z = F_z0.
+    at_nominal = np.sin(2 * np.arctan(1 / 2.5))
+    return {"PDY1": peak, "PKY1": -slope / at_nominal, "PKY2": 2.5}

@@ -3,10 +3,9 @@
 import os
 from pathlib import Path
 
-from tirefit.data.tir import write_tir
+from tirefit.data.tir import new_tir, write_tir
 from tirefit.data.tir_file import TirFile
 from tirefit.data.tir_keys import ONLY_IN
-from tirefit.data.tir_new import new_tir
 from tirefit.files import write_text_atomic
 from tirefit.fitting.mf.parts import VERSIONS
 from tirefit.fitting.mf.result import MagicFormulaFit

@@ -18,7 +18,7 @@ from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import row_gradients, row_values
 from tirefit.fitting.mf.stages import Search, problem_of
 from tirefit.params import parameter_values, with_values
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 _ROUNDS = 6
 _SETTLED = 0.1
@@ -71,7 +71,7 @@ def at_reference(
     if np.ptp(column[data.used]) < _LEAST:
         reason = f"temperature varies by less than {_LEAST:g} K, too little to fit"
         remedy = "leave out friction_temperature"
-        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+        raise DataError(reason, remedy, data.file)
     reference = float(np.round(np.median(column[data.used])))
     warmth = {
         force: column[np.isfinite(data.columns[force]) & data.used] - reference

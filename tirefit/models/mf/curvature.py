@@ -12,10 +12,9 @@ from tirefit.models.mf.tire import MFTire
 def curvatures(tire: MFTire, inputs: TireInputs) -> dict[str, Float[Array, " n"]]:
     """Largest curvature factor E of each force, before the limit to one.
 
-    At E > 1 the curve bends back. Programs that read a coefficient file differ there:
-    some limit E to one, as :func:`~tirefit.models.magic_formula.bent` does, others do
-    not. F_x and F_y have two factors each: of the pure curve and of the weighting
-    function.
+    At E > 1 the curve bends back. Some programs limit E to one, as
+    :func:`~tirefit.models.magic_formula.bent` does, others do not. F_x and F_y have two
+    factors each: of the pure curve and of the weighting function.
 
     Args:
         tire: the tire.

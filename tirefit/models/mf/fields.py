@@ -58,8 +58,7 @@ class Curve(NamedTuple):
 
 
 class Weight(NamedTuple):
-    """Curve of a weighting function at a slip, and ``x`` of it where the slip is zero;
-    ``shape``: C."""
+    """Weighting curve at a slip; ``x`` of it at zero slip; ``shape`` C."""
 
     curve: Curve
     x_at_rest: Any

@@ -43,8 +43,7 @@ class MFTire(AbstractTire):
     ``digression``: A_mu of (4.E8) in MF 6; the larger it is, the less the vertical
     shifts decrease with scaled friction (LMUX, LMUY, LMUV). It is 1 in the software of
     TNO that reads and writes the files; the book recommends 10. MF 5.2 has none.
-    ``similarity``: forces whose combined slip is that of :mod:`.similarity` instead of
-    weighting functions.
+    ``similarity``: combined slip by :mod:`.similarity`, not by weighting functions.
     ``lacks``: forces that the tire does not have; they are None.
     """
 
