@@ -125,13 +125,15 @@ def diagnose(
     ] = None,
     holdout: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE...", help="data to check the closure on, not used"),
+        typer.Option(
+            metavar="FILE...", help="other files, only to check the answer on"
+        ),
     ] = None,
     without: Annotated[
         list[str] | None,
         typer.Option(
             metavar="ID",
-            help="leave this effect out of the library",
+            help="do not look for this effect",
             autocompletion=completed(*EFFECT_NAMES),
         ),
     ] = None,
@@ -147,7 +149,7 @@ def diagnose(
     jobs: Jobs = None,
     scheduler: Scheduler = None,
     seed: Annotated[
-        int, typer.Option(min=0, max=2**32 - 1, help="of everything random")
+        int, typer.Option(min=0, max=2**32 - 1, help="of the random numbers")
     ] = 0,
 ) -> None:
     """Diagnose the gap between a model and data: where, which effect, how far."""
@@ -253,7 +255,8 @@ def _simulator(
     problems: list[InputProblem] = []
     values = numbers("--set", parameter, problems)
     if sim and (values or (model and _is_file(model))):
-        reason = f"--sim with {'--set' if values else f'--model {model}'}"
+        other = "--set" if values else f"--model {model}"
+        reason = f"--sim together with {other}"
         remedy = "with --sim, --model names the form that stands in for the simulator"
         problems.append(InputProblem(reason, remedy))
     of_columns = {"side", "combination"} if sim else set(of_tir)

@@ -201,7 +201,7 @@ def forces_named(force: list[str] | None) -> list[str] | None:
     """
     wrong = [name for name in force or [] if name not in ("fx", "fy", "mz")]
     if wrong:
-        raise UsageError(f"--force {wrong[0]!r}", "one of fx, fy, mz")
+        raise UsageError(f"--force {wrong[0]!r} is no force", "one of fx, fy, mz")
     return force or None
 
 

@@ -65,7 +65,7 @@ def diagnose(
     signs: str | None = None,
     rig: Rig | str | PathLike | None = None,
     forces: str | Sequence[str] | None = None,
-    effects: Sequence[Effect] = EFFECTS,
+    effects: Sequence[Effect] | None = None,
     without: str | Sequence[str] = (),
     holdout: Any = (),
     seed: int = 0,
@@ -109,7 +109,7 @@ def diagnose(
         rig: what is known of the rig (noise, rolling radius, wheel inertia), or the
             path of its ``rig.toml``.
         forces: of fx, fy, mz, those that matter; None for all that were measured.
-        effects: the library to search; add your own to :data:`EFFECTS`.
+        effects: the library to search, :data:`EFFECTS` if None; add your own to it.
         without: ids of effects that are not looked for.
         holdout: data of the same kinds, or a list of such, not used for the search, to
             check the closure on.
@@ -137,7 +137,8 @@ def diagnose(
     """
     require_x64("a diagnosis")
     release_programs()
-    model, effects = args.a_model(model), args.the_effects(effects)
+    effects = args.the_effects(EFFECTS if effects is None else effects)
+    model = args.a_model(model)
     without = args.names(without, "without")
     asked = None if forces is None else args.names(forces, "forces")
     if isinstance(sim, str | PathLike):

@@ -2,11 +2,12 @@
 
 import math
 import textwrap
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.left_out import NOISE, SMOOTH
+from tirefit.diagnosis.left_out import AS_GIVEN, NOISE, SMOOTH, Step
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.diagnosis.summary.views import LoadCurve, LookCurve, ResidualMap
 from tirefit.report.canvas import BLUE, DARK, GREY, panel_title, tidy
@@ -23,10 +24,9 @@ from tirefit.report.numbers import format_number
 
 
 class LadderBar(NamedTuple):
-    """A step of the ladder: ``rms`` [N] on data left out, the standard ``error`` of its
-    gain over the step before, as that of an rms (None where none is known), and the
-    share ``closed``; ``kind`` is base, effect, smooth or noise; ``held_out`` is the rms
-    on the files held out."""
+    """A step of the ladder: ``rms`` [N] on data left out, its standard ``error`` (None
+    of the first), and the share ``closed``; ``kind`` is base, effect, smooth or noise;
+    ``held_out`` is the rms on the files held out."""
 
     label: str
     rms: float
@@ -45,10 +45,17 @@ class ChanceBar(NamedTuple):
     kind: str
 
 
+def _error(step: Step, steps: Sequence[Step]) -> float:
+    """Standard error of the rms of a step by that of the share it closes: of the gap g
+    beyond the noise n, rms^2 = n^2 + g^2 (1 - closed)^2."""
+    gap = max(steps[0].rms_left_out ** 2 - steps[-1].rms_left_out ** 2, 0.0)
+    return gap * abs(1 - step.closed) * step.closed_std / step.rms_left_out
+
+
 def ladder_bars(result: Diagnosis) -> list[LadderBar]:
     """The steps of the ladder, in order; where nothing could be left out, the model
     alone and the noise on the rows fitted."""
-    kinds = {(): "base", SMOOTH: "smooth", NOISE: "noise"}
+    kinds = {AS_GIVEN: "base", (): "base", SMOOTH: "smooth", NOISE: "noise"}
     if not result.ladder.steps:
         noise = result.noise.forces[result.data.channels[0]]
         before = math.hypot(result.gap.rms, noise)
@@ -57,9 +64,8 @@ def ladder_bars(result: Diagnosis) -> list[LadderBar]:
     return [
         LadderBar(
             step_label(result, k), step.rms_left_out,
-            # d(rms) = d(rms^2) / (2 rms)
-            step.gain_std / (2 * step.rms_left_out) if step.effects else None,
-            step.closed if step.effects else None, kinds.get(step.effects, "effect"),
+            _error(step, result.ladder.steps) if k else None,
+            step.closed if k else None, kinds.get(step.effects, "effect"),
             step.rms_held_out,
         )
         for k, step in enumerate(result.ladder.steps)

@@ -179,7 +179,7 @@ def _by_condition(
     name: str, fitted: str, scales, by_load, by_time, sizes, like_load, like_time
 ) -> tuple[Effect, ...]:
     """Effects of friction or stiffness with load, temperature, time, pressure, work."""
-    symbol, range_of_file = SYMBOLS[name], "over the range of the file"
+    symbol, range_of_file = SYMBOLS[name], "over its range in the file"
     heat, inflation, work = sizes
 
     def effect(id, covariate, scale, change, bounds=SHARE, **given: Any) -> Effect:

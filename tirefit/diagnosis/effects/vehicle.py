@@ -173,7 +173,7 @@ SPEEDS = (
     Effect(
         id="load_transfer", family="friction x acceleration", scale=0.15,
         change=multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
-        unit="over the range of the file", remedy="add m h a_x / wheelbase to fz",
+        unit="over its range in the file", remedy="add m h a_x / wheelbase to fz",
         formula="F_z + amplitude (geometric mean F_z) a_x: m h a_x / wheelbase",
         means="the load moves between the axles with the acceleration, and fz does not",
         parameter="share", bounds=(SHARE,), prior=of_a_known_height, needs=("a_x",),

@@ -157,7 +157,8 @@ def load_rig(path: str | Path | None) -> Rig:
         return Rig()
     content, others = _of_others(read_toml(path), _RigFile)
     stated = parse_settings(_RigFile, content, str(path))
-    notes = [f"{key} of {path} is not used" for key in others]
+    keys = ", ".join(_RigFile.model_fields)
+    notes = [f"{key} of {path} is not used: rig.toml has {keys}" for key in others]
     try:
         return Rig(**stated.model_dump(exclude_none=True), notes=tuple(notes))
     except UsageError as error:

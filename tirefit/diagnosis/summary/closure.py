@@ -10,7 +10,7 @@ from scipy.stats import norm
 from tirefit.diagnosis.evidence.base import on_rows
 from tirefit.diagnosis.evidence.posterior import linear_at
 from tirefit.diagnosis.evidence.search import amplitudes_of
-from tirefit.diagnosis.left_out import Ladder
+from tirefit.diagnosis.left_out import AS_GIVEN, Ladder
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 from tirefit.diagnosis.rows.basis import gain, orthogonal, without
 from tirefit.diagnosis.rows.patterns import weights_of_sizes
@@ -241,9 +241,10 @@ def held_out(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
     """
     if holdout:
         return _on_files(case, holdout, rig, ladder, generator)
-    if not case.verdict.status.names or len(ladder.steps) < 4:
+    *steps, _, floor = ladder.steps or (None, None)
+    if not case.verdict.status.names or not steps or not steps[-1].effects:
         return None, ladder
-    base, step, floor = ladder.steps[0], ladder.steps[-3], ladder.steps[-1]
+    base, step = steps[0], steps[-1]
     rms = np.sqrt(max(base.rms_left_out**2 - floor.rms_left_out**2, 0.0))
     reach = _NINETY * step.closed_std
     return HeldOut(
@@ -283,7 +284,8 @@ def _on_files(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
         closed = share if closure.resolvable else None
         return step._replace(rms_held_out=rms, closed_held_out=closed)
 
-    missed_by = dict(zip(steps, others, strict=True)) | {(): before}
+    missed_by = {(): before, AS_GIVEN: before}
+    missed_by |= dict(zip(steps, others, strict=True))
     added = [
         beside(step, missed_by[key]) if key in missed_by else step
         for step, key in zip(ladder.steps, keys, strict=True)

@@ -206,16 +206,23 @@ def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSumm
     where no effect on the mean is found, what its noise shows."""
     verdict, noise = case.verdict, case.on_the_noise
     status = "noise" if noise else verdict.status
+    probability = as_often_right(status, verdict.probability)
+    # "Nothing unlisted" is part of what one of the two is the probability of.
+    unlisted = verdict.unlisted
+    if verdict.status == Status.INCOMPLETE:
+        unlisted = max(unlisted, probability)
+    elif verdict.status != Status.UNKNOWN:
+        unlisted = min(unlisted, 1 - probability)
     return VerdictSummary(
         status=Status.NAMED if noise else verdict.status,
         effects=noise or verdict.effects,
-        probability=as_often_right(status, verdict.probability),
+        probability=probability,
         each=verdict.each,
         also_possible=verdict.also_possible,
         left=Left(
             rms=gap.remaining_rms,
             share=(gap.remaining_rms / max(gap.rms, ROUNDING)) ** 2,
-            unlisted=verdict.unlisted,
+            unlisted=unlisted,
             tests=verdict.tests._asdict(),
             looks_like=tuple(curve.look for curve in curves),
         ),
