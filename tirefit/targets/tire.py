@@ -72,6 +72,11 @@ class Tire:
         """The largest load that was measured [N]."""
         return max(self.load, self.measured.get("fz", (0.0, 0.0))[1])
 
+    @property
+    def modelled(self) -> tuple[str, ...]:
+        """The forces and moments that the tire gives."""
+        return modelled(self.model)
+
     def parameters(self) -> list[str]:
         """Name, value, standard error and unit of every parameter, a line each."""
         known, lines = specs(self.model), []
