@@ -149,7 +149,7 @@ def _commonroad_start(curves: Curves) -> dict[str, float]:
         "p_hx1": given.get("PHX1", 0.0), "p_vx1": 0.0,
         "p_cy1": cy, "p_dy1": dy, "p_ey1": ey, "p_ky1": -by * cy * dy,
         # Without own weights: those of CommonRoad's tire, over the slips of both peaks.
-        "r_bx1": 0.6 * by * cy, "r_bx2": -0.4 * bx * cx, "r_cx1": 1.1, "r_ex1": 0.0,
+        "r_bx1": 0.6 * by * cy, "r_bx2": -0.7 * bx * cx, "r_cx1": 1.1, "r_ex1": 0.0,
         "r_hx1": 0.0, "r_by1": 0.4 * bx * cx, "r_by2": 0.4 * by * cy, "r_by3": 0.0,
         "r_cy1": 1.1, "r_ey1": 0.0, "r_hy1": 0.0, "r_vy1": 0.0, "r_vy4": 10.0,
         "r_vy5": 1.9, "r_vy6": 10.0,

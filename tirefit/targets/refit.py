@@ -21,8 +21,8 @@ EXACT = 1e-9
 """Miss over load below which a formula holds a tire exactly."""
 
 OTHER_LOADS = 0.75, 1.25
-"""Shares of a load at which the miss is stated as well: a car that turns at 0.4 g on a
-track of 1.6 times its height of the centre of gravity shifts a quarter."""
+"""Shares of a load at which the miss is stated as well: with a track of 1.5 m and the
+centre of gravity 0.55 m high, a car shifts a quarter of a wheel's load at 0.34 g."""
 
 SPEED = 10.0
 """Speed [m/s] at which a tire is refitted: the formulas have none."""

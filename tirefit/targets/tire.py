@@ -21,6 +21,7 @@ from tirefit.models import (
     TireInputs,
     modelled,
 )
+from tirefit.models.mf import MFTire
 from tirefit.models.relaxation import Relaxed
 from tirefit.params import check_values, parameter_values, specs, with_values
 from tirefit.precision import require_x64
@@ -175,7 +176,8 @@ def tire_of(
         tire, name = find_model(text), text
     check_values(tire, name, values or {})
     tire = with_values(tire, dict(values or {}))
-    return _exportable(Tire(tire, name, f"model {name}, no data", _USUAL_LOAD))
+    load = tire.nominal.FNOMIN if isinstance(tire, MFTire) else _USUAL_LOAD
+    return _exportable(Tire(tire, name, f"model {name}, no data", float(load)))
 
 
 def _of_fit(fit: FitResult | MagicFormulaFit | StoredFit, path: str) -> Tire:
