@@ -2,7 +2,9 @@
 
 import re
 import shutil
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -248,6 +250,19 @@ def test_slipx_gives_our_lateral_force_within_the_stated_miss(tmp_path, vehicle)
     assert slipx.peak_longitudinal_force(tyre, load) == pytest.approx(load, rel=1e-3)
 
 
+def test_slipx_has_the_relaxation_length(tmp_path, vehicle):
+    path = tmp_path / "rubber_floor.yaml"
+    values = {"relaxation_length": 0.06}
+    model = "magic-formula-relaxation"
+    tirefit.export(model, "slipx", path, values=values, vehicle=vehicle)
+    slipx, spec, _ = slipx_tyre(path, tmp_path)
+    assert spec.sigma == 0.06
+    car = slipx.load_car(tmp_path / "car")
+    assert (
+        car.params_for_tier(slipx.Tier.L2_DoubleTrack).tyre_front.relax_length == 0.06
+    )
+
+
 def test_slipx_falls_with_load_as_the_tire_does(tmp_path):
     # The cornering stiffness is -15 F_z.
     given = {"PDY1": 1.0, "PDY2": -0.1, "PKY1": -7.5e6, "PKY2": 1e6, "PCY1": 1.5}
@@ -299,6 +314,45 @@ def test_gazebo_has_slope_and_peak(tmp_path, vehicle):
     miss = np.max(np.abs(clipped - own(tire, np.zeros_like(SLIPS), SLIPS, load)[1]))
     # The formula takes tan(alpha), which is 1.3 % more than alpha at 0.2 rad.
     assert stated(done.notes)["fy"] == pytest.approx(miss, rel=0.1)
+
+
+# --- MuJoCo -------------------------------------------------------------------------
+
+
+class Parameter:
+    """The interface of ``mujoco.sysid.Parameter`` of mujoco 4.0.0."""
+
+    def __init__(
+        self, name, nominal, min_value, max_value, frozen=False, modifier=None
+    ):
+        self.name, self.bounds, self.modifier = name, (min_value, max_value), modifier
+        self.value = np.atleast_1d(nominal)
+
+
+def test_mujoco_has_our_forces_and_a_friction_for_sysid(tmp_path, monkeypatch):
+    path = tmp_path / "tire.py"
+    done = tirefit.export("brush", "mujoco", path, values={"mu": 0.7})
+    sysid = SimpleNamespace(Parameter=Parameter, ParameterDict=Parameters)
+    monkeypatch.setitem(sys.modules, "mujoco", SimpleNamespace(sysid=sysid))
+    scope = {}
+    exec(path.read_text(), scope)
+    found = scope["tire"](np.array([0.02, 0.1]), np.array([0.01, -0.05]), LOAD)[:2]
+    wanted = own(
+        tire_of("brush", {"mu": 0.7}).model, *np.array([[0.02, 0.1], [0.01, -0.05]])
+    )
+    assert np.max(np.abs(np.stack(found) / LOAD - wanted)) < 1e-12
+    geoms = {"left": SimpleNamespace(friction=[1.0, 0.005, 1e-4])}
+    (parameter,) = scope["sysid_parameters"](["left"]).values()
+    parameter.modifier(SimpleNamespace(geom=geoms.get), parameter)
+    assert geoms["left"].friction == pytest.approx([0.7, 0.005, 1e-4])
+    assert parameter.bounds == pytest.approx((0.56, 0.84)) and done.shape.sound
+
+
+class Parameters(dict):
+    """The interface of ``mujoco.sysid.ParameterDict``."""
+
+    def add(self, parameter):
+        self[parameter.name] = parameter
 
 
 # --- the refit and its reports ------------------------------------------------------

@@ -18,6 +18,7 @@ from tirefit.targets.code import (
     header,
     numpy_source,
 )
+from tirefit.targets.mujoco import mujoco_source
 from tirefit.targets.parameters import (
     PARAMETER_FILES,
     SIGNS,
@@ -34,9 +35,9 @@ MARK = "written by tirefit export"
 _TAKEN = frozenset(
     "auto case char const default do double enum extern float goto inline int long"
     " register restrict short signed sizeof static struct switch typedef union unsigned"
-    " void volatile np ca".split()
+    " void volatile np ca sysid_parameters".split()
 )
-"""Words of C that are none of Python, and what the Python files import."""
+"""Words of C that are none of Python, and other names in the Python files."""
 
 
 class Target(NamedTuple):
@@ -67,6 +68,10 @@ TARGETS: dict[str, Target | ParameterFile] = {
     "numpy": Target(
         ".py", "Python module with one function of arrays; needs numpy",
         "every model, exactly", numpy_source,
+    ),
+    "mujoco": Target(
+        ".py", "Python module as for numpy, and its friction for mujoco.sysid",
+        "every model, exactly; peak friction for sysid", mujoco_source,
     ),
     **PARAMETER_FILES,
 }  # fmt: skip

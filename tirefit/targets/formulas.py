@@ -268,6 +268,7 @@ SLIPX = Formula(
         "along the wheel SlipX takes a demanded force and limits both forces by an"
         " ellipse: c_kappa is the slope at zero slip and mu_x0 the peak of F_x at the"
         " nominal load, and the curves of F_x and of combined slip have no place",
+        "tier L2 of SlipX needs relaxation.sigma, which a tire with relaxation gives",
     ),
 )  # fmt: skip
 """MF-lite of SlipX: F_y of pure slip, friction that falls with load, an ellipse."""

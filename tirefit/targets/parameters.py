@@ -267,6 +267,7 @@ def _forzaeth(sheet: Sheet) -> str:
 
 def _slipx(sheet: Sheet) -> str:
     (axle,), values = sheet.axles, sheet.fits[0].values
+    length = axle.tire.relaxation
     compound, _, surface = sheet.path.stem.partition("_")
     version = {"schema_version": "0.2.0"}
     provenance = {
@@ -284,6 +285,7 @@ def _slipx(sheet: Sheet) -> str:
         },
         "friction": {name: values[name] for name in ("mu_y0", "mu_x0", "k_mu")},
         "mf_lite": {name: values[name] for name in "CE"},
+        **({"relaxation": {"sigma": length}} if length else {}),
         "provenance": version | provenance,
     }  # fmt: skip
     return _yaml(sheet.above, content)

@@ -58,6 +58,7 @@ class Tire:
         measured: (least, largest) value by input of :data:`INPUTS`, in canonical signs;
             of those that are known.
         notes: sentences on what was assumed.
+        relaxation: relaxation length [m], which is not in the forces; None without.
     """
 
     model: AbstractTire
@@ -67,6 +68,7 @@ class Tire:
     spread: Mapping[str, float] = field(default_factory=dict)
     measured: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    relaxation: float | None = None
 
     @property
     def largest_load(self) -> float:
@@ -226,12 +228,12 @@ def _of_tir(path: str, values: Mapping[str, float]) -> Tire:
 
 def _exportable(tire: Tire) -> Tire:
     """In steady state, and with both slips combined."""
-    notes, model = list(tire.notes), tire.model
+    notes, model, length = list(tire.notes), tire.model, None
     if isinstance(model, Relaxed):
         length = float(model.relaxation_length)
         notes.append(
-            f"steady state: the relaxation length {length:.4g} m has no place here: lag"
-            " the slips by it before the call"
+            f"steady state: the relaxation length {length:.4g} m is not in the forces:"
+            " lag the slips by it before the call"
         )
         model = model.tire
     if isinstance(model, MagicFormula):
@@ -242,4 +244,4 @@ def _exportable(tire: Tire) -> Tire:
             "the formula is of pure slip: both slips are combined by the method of"
             " Gaefvert and Svendenius (2005), with the same curve along both axes"
         )
-    return replace(tire, model=model, notes=tuple(notes))
+    return replace(tire, model=model, notes=tuple(notes), relaxation=length)
