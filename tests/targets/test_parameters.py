@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
@@ -15,7 +16,13 @@ from typer.testing import CliRunner
 import tirefit
 from tests.targets import gymkhana_tire_model as gymkhana
 from tirefit.cli.commands import app
-from tirefit.models import AbstractTire, MagicFormula, TireInputs, forces
+from tirefit.models import (
+    AbstractTire,
+    MagicFormula,
+    TireForces,
+    TireInputs,
+    forces,
+)
 from tirefit.models.mf import mf_tire
 from tirefit.results import UsageError
 from tirefit.slip import sigma_from_kappa
@@ -375,6 +382,28 @@ def test_least_squares_finds_the_coefficients_of_a_magic_formula():
     assert found.values == pytest.approx(wanted, rel=1e-3)
 
 
+class Broken(AbstractTire):
+    """A lateral force that ends at a slip angle of 0.15 rad."""
+
+    def __call__(self, inputs):
+        fy = inputs.fz * jnp.sqrt(0.15**2 - inputs.alpha**2) * inputs.alpha
+        return TireForces(None, fy, None)
+
+
+def test_a_tire_without_the_force_or_with_none_in_the_range_is_refused(tmp_path):
+    path = tmp_path / "car.yaml"
+    tire = mf_tire("5.2", {"FNOMIN": LOAD}, lacks=["fy"])
+    with pytest.raises(UsageError, match="no fy to be written"):
+        tirefit.export(tire, "forzaeth", path)
+    with pytest.raises(UsageError, match="not finite within the range"):
+        tirefit.export(Broken(), "forzaeth", path)
+    assert not list(tmp_path.iterdir())
+    done = tirefit.export(
+        Broken(), "commonroad", path, over={"alpha": (-0.1, 0.1)}, force=True
+    )
+    assert any("no fx: that of the other axis" in note for note in done.notes)
+
+
 def test_the_file_states_range_miss_errors_and_loss_first(tmp_path):
     angle = np.linspace(-0.15, 0.15, 60)
     force = np.asarray(
@@ -393,7 +422,11 @@ def test_the_file_states_range_miss_errors_and_loss_first(tmp_path):
     line = next(one for one in head if "cpa2 = " in one)
     std = fit.least_squares["cpa2"].std
     assert float(line.split("+-")[1].split()[0]) == pytest.approx(std, rel=0.06)
-    for part in ("mz of the tire", "fx was not fitted", "positive when braking"):
+    for part in (
+        "mz of the tire has no place",
+        "fx was not fitted",
+        "positive when braking",
+    ):
         assert any(part in line for line in head)
 
 

@@ -105,7 +105,8 @@ def magic_formula_of(
 
 
 def _floats(b, c, d, e) -> Coefficients:
-    return float(b), float(c), float(d), float(e)
+    # As `bent` does; simulators take E as it is.
+    return float(b), float(c), float(d), min(float(e), 1.0)
 
 
 # --- CommonRoad ---------------------------------------------------------------------
@@ -157,6 +158,7 @@ def _commonroad_start(curves: Curves) -> dict[str, float]:
     # Its combined slip takes kappa positive when braking: odd terms change their sign.
     turned = {"RHY1": -1.0, "RVY6": -1.0}
     for name, value in given.items():
+        value = min(value, 1.0) if name in ("REX1", "REY1") else value
         if name[0] == "R":
             found[f"{name[0].lower()}_{name[1:].lower()}"] = (
                 turned.get(name, 1.0) * value
@@ -193,8 +195,8 @@ COMMONROAD = Formula(
         "r_by1": _WEIGHT, "r_by2": _WEIGHT, "r_cy1": _SHAPE, "r_ey1": _CURVATURE,
     },
     loss=(
-        "its forces are proportional to F_z; an offset of F_y has no place without"
-        " camber, and camber is left out",
+        "its forces are proportional to F_z; offsets of F_y and the vertical one of F_x"
+        " have no place (p_vx1 stands inside the sine), and camber is left out",
     ),
 )  # fmt: skip
 """CommonRoad's reduced PAC2002, also that of Gym-Khana's STD and MB."""
@@ -313,6 +315,7 @@ GAZEBO = Formula(
         "the force is linear in slip up to Coulomb friction, each direction by itself:"
         " slip_compliance is one over the slope at zero slip, mu the peak, at the"
         " normal force of the file",
+        "WHEEL stands for the name of each wheel's link",
     ),
 )
 """Force-dependent slip of ODE as Gazebo's WheelSlip system sets it."""

@@ -20,7 +20,7 @@ from tirefit.targets.formulas import (
     SLIPX,
     Formula,
 )
-from tirefit.targets.refit import Ranges, Refit, percent, ranges_of, refit
+from tirefit.targets.refit import SPEED, Ranges, Refit, percent, ranges_of, refit
 from tirefit.targets.shape import Shape, shape_of
 from tirefit.targets.tire import Tire, turned_range
 
@@ -168,16 +168,19 @@ def _about(name: str, tire: Tire) -> list[str]:
     ]
 
 
+_TAKEN_AT = {
+    "v": f"{SPEED:g} m/s", "gamma": "no camber", "pressure": "nominal pressure",
+}  # fmt: skip
+
+
 def _lost(tire: Tire, formula: Formula) -> list[str]:
     """Forces and inputs of the tire that have no place in the formula."""
-    given = [name for name in tire.modelled if name not in formula.outputs]
+    beyond = [name for name in tire.modelled if name not in formula.outputs]
     needs = [name for name in tire.model.needs if name != "time"]
     absent = [name for name in formula.outputs if name not in tire.modelled]
-    lost = [f"{', '.join(given)} of the tire: no place in the file"] if given else []
-    if needs:
-        lost.append(f"{', '.join(needs)} of the tire: no place in the file")
-    if absent:
-        lost.append(f"{', '.join(absent)}: the tire has none; the values are a guess")
+    lost = [f"{', '.join(beyond)} of the tire has no place"] if beyond else []
+    lost += [f"{name} has no place: forces at {_TAKEN_AT[name]}" for name in needs]
+    lost += [f"the tire has no {name}: that of the other axis" for name in absent]
     return lost
 
 
@@ -334,7 +337,8 @@ _GAZEBO = """\
       <slip_compliance_lateral>{slip_compliance_lateral}</slip_compliance_lateral>
       <slip_compliance_longitudinal>{slip_compliance_longitudinal}\
 </slip_compliance_longitudinal>
-      <wheel_normal_force>{wheel_normal_force}</wheel_normal_force>{radius}
+      <wheel_normal_force>{wheel_normal_force}</wheel_normal_force>
+      <wheel_radius>{radius}</wheel_radius>
     </wheel>
   </plugin>
 </model>
@@ -344,10 +348,9 @@ _GAZEBO = """\
 def _gazebo(sheet: Sheet) -> str:
     (axle,), values = sheet.axles, dict(sheet.fits[0].values)
     values["wheel_normal_force"] /= axle.wheels
-    radius = ""
-    if sheet.vehicle is not None:
-        text = _number(sheet.vehicle.wheel_radius or 0.0)
-        radius = f"\n      <wheel_radius>{text}</wheel_radius>"
+    radius = "RADIUS in m"
+    if sheet.vehicle is not None and sheet.vehicle.wheel_radius is not None:
+        radius = _number(sheet.vehicle.wheel_radius)
     # No comment of XML may hold two hyphens.
     above = "\n".join(sheet.above).replace("--", "- -")
     numbers = {name: _number(value) for name, value in values.items()}

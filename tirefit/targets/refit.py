@@ -11,6 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from tirefit.models import TireInputs, forces, modelled
+from tirefit.results import InputProblem, UsageError
 from tirefit.slip import CONVENTIONS, sigma_from_kappa
 from tirefit.targets.code import compiled
 from tirefit.targets.formulas import Curves, Formula, magic_formula_of
@@ -79,7 +80,11 @@ class Refit(NamedTuple):
                     f"{_NAMES[key]} {how}: largest miss {percent(miss)} % of F_z"
                 )
         where = []
+        seen = {"fx": {"kappa"}, "fy": {"alpha"}, "both": {"kappa", "alpha"}}
+        used = set().union({"fz"}, *(seen[kind] for kind in self.miss))
         for name, (low, high) in turned_range(self.ranges, convention).items():
+            if name not in used:
+                continue
             unit = f" {UNITS[name]}" if UNITS[name] != "-" else ""
             ends = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
             where.append(f"{name} {ends}{unit}")
@@ -161,6 +166,10 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     Returns:
         The parameters, and the largest miss on a grid finer than that of the fit.
 
+    Raises:
+        UsageError: the tire has none of the formula's forces, or one that is not finite
+            within the ranges.
+
     Example:
         >>> import jax
         >>> from tirefit.targets.formulas import PACEJKA
@@ -172,6 +181,9 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
         True
     """
     has = [name for name in formula.outputs if name in modelled(tire.model)]
+    if not has:
+        reason = f"{tire.name} has no {' or '.join(formula.outputs)} to be written"
+        raise UsageError(InputProblem(reason, "export a tire that has"))
     values = formula.start(_curves(tire))
     stages = dict(formula.stages)
     kinds = [*has, *(["both"] if len(has) == 2 else [])]
@@ -180,8 +192,14 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     fine = {kind: _grid(kind, ranges, 201, 31, 7) for kind in kinds}
     low, high = ranges["fz"]
     other = {"fz": (OTHER_LOADS[0] * low, OTHER_LOADS[1] * high)}
-    beyond = {kind: _grid(kind, {**ranges, **other}, 201, 0, 2) for kind in has}
+    beyond = {
+        kind: _grid(kind, {**ranges, **other}, 201, 0, 2)
+        for kind in has if kind in stages
+    }  # fmt: skip
     found = _forces(tire, [*rough.values(), *fine.values(), *beyond.values()])
+    if not all(np.isfinite(one).all() for one in found):
+        reason = f"a force of {tire.name} is not finite within the range of the refit"
+        raise UsageError(InputProblem(reason, "narrow it, as with --over fz=LOW:HIGH"))
     wanted = dict(zip(kinds, found, strict=False))
     fitted = []
     for kind, names in formula.stages:
@@ -198,7 +216,7 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
         for (kind, grid), forces in zip(grids, found[len(kinds) :], strict=True)
     ]
     miss = dict(zip(kinds, misses, strict=False))
-    loads = max(misses[len(kinds) :]) if low == high and stages else None
+    loads = max(misses[len(kinds) :], default=None) if low == high else None
     return Refit(formula, values, ranges, miss, loads, tuple(fitted))
 
 
@@ -281,6 +299,8 @@ def _curves(tire: Tire) -> Curves:
     x, y = _by_slope_and_peak(found[0][0]), _by_slope_and_peak(found[1][1])
     less, more = (_by_slope_and_peak(one[1])[2] for one in found[2:])
     fall = float(np.clip(-np.log(more / less) / np.log(1.1 / 0.9), 0.0, 1.0))
+    has = modelled(tire.model)
+    x, y = x if "fx" in has else y, y if "fy" in has else x
     if own := magic_formula_of(tire.model):
         x, y, weights = own
         return Curves(x, y, tire.load, fall, weights)
@@ -293,7 +313,6 @@ _SHAPE = 1.4
 
 def _by_slope_and_peak(force):
     """B, C, D, E of a curve at slips of 1e-4, -1e-4, and beyond: E = 0."""
-    slope, peak = (force[0] - force[1]) / 2e-4, np.max(force[2:])
-    if not peak > 0:  # the tire has no such force
-        return 10.0, _SHAPE, 1.0, 0.0
+    slope = (force[0] - force[1]) / 2e-4
+    peak = np.max(force[2:], where=np.isfinite(force[2:]), initial=1e-9)
     return float(slope / (_SHAPE * peak)), _SHAPE, float(peak), 0.0
