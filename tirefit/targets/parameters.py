@@ -8,8 +8,6 @@ from datetime import date
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from tirefit.data.vehicle import Vehicle
 from tirefit.results import InputProblem, UsageError
 from tirefit.targets.car import Axle, axles_of, vehicle_of
@@ -120,13 +118,9 @@ def parameter_text(
     kind = PARAMETER_FILES[target]
     car = None if vehicle is None else vehicle_of(Path(vehicle), target, kind.needs)
     narrowed = turned_range(over or {}, SIGNS)
-    low, high = narrowed.get("fz", (0.0, np.inf))
-    tires = {
-        name: tire if low <= tire.load <= high
-        else replace(tire, load=(low + high) / 2)
-        for name, tire in tires.items()
-    }  # fmt: skip
-    axles = axles_of(target, kind.tires, tires, car)
+    axles = tuple(
+        _within(axle, narrowed) for axle in axles_of(target, kind.tires, tires, car)
+    )
     fits = tuple(
         refit(one.tire, kind.formula, ranges_of(one.tire, narrowed, one.static))
         for one in axles
@@ -145,7 +139,8 @@ def parameter_text(
     notes += kind.formula.loss
     signs = f"SI units; signs of the file: {kind.formula.signs.description}"
     about = [line for name, tire in tires.items() for line in _about(name, tire)]
-    above = one_line([first, *notes, signs, *about, *sentences])
+    checks = f"checks of the written formula, in the signs of {SIGNS}:"
+    above = one_line([first, *notes, signs, *about, checks, *sentences])
     sheet = Sheet(above, axles, fits, car, path)
     kind.check(sheet)
     worst = max(fit.largest for fit in fits)
@@ -157,6 +152,14 @@ def parameter_text(
         )
     shape = Shape(tuple(sentences), all(one.sound for one in shapes))
     return Written(kind.write(sheet), shape, tuple(notes))
+
+
+def _within(axle: Axle, over: Ranges) -> Axle:
+    """The axle with a nominal load within the loads that were asked for."""
+    low, high = over.get("fz", (axle.tire.load, axle.tire.load))
+    if axle.static or low <= axle.tire.load <= high:
+        return axle
+    return axle._replace(tire=replace(axle.tire, load=(low + high) / 2))
 
 
 def _about(name: str, tire: Tire) -> list[str]:
