@@ -1,80 +1,31 @@
 """Parameter files, evaluated by the simulators that they are for."""
 
-import re
 import shutil
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
-from typer.testing import CliRunner
 
 import tirefit
 from tests.targets import gymkhana_tire_model as gymkhana
-from tirefit.cli.commands import app
-from tirefit.models import (
-    AbstractTire,
-    MagicFormula,
-    TireForces,
-    TireInputs,
-    forces,
+from tests.targets.support import (
+    LOAD,
+    SLIPS,
+    SMALL,
+    commonroad,
+    grids,
+    held,
+    largest,
+    own,
+    ran,
+    stated,
 )
 from tirefit.models.mf import mf_tire
 from tirefit.results import UsageError
-from tirefit.slip import sigma_from_kappa
-from tirefit.targets.formulas import PACEJKA
-from tirefit.targets.refit import ranges_of, refit
 from tirefit.targets.tire import tire_of
-
-LOAD = 4000.0
-MISS = re.compile(
-    r"(F_x of pure|F_y of pure|combined) slip [^;]*largest miss ([\d.]+) %"
-)
-KINDS = {"F_x of pure": "fx", "F_y of pure": "fy", "combined": "both"}
-SLIPS = np.linspace(-0.2, 0.2, 401)
-
-
-def grids():
-    """ISO-W kappa, alpha (n,) by kind of slip, finer than those of the export."""
-    zero, some = np.zeros_like(SLIPS), np.linspace(-0.2, 0.2, 61)
-    both = [one.ravel() for one in np.meshgrid(some, some)]
-    return {"fx": (SLIPS, zero), "fy": (zero, SLIPS), "both": both}
-
-
-def own(source, kappa, alpha, load=LOAD):
-    """Our forces over load (2, n), in the signs of ISO-W."""
-    given = TireInputs(sigma_from_kappa(-kappa), alpha, np.full_like(alpha, load), 10.0)
-    model = tire_of(source).model
-    return -np.stack([forces(model, given).fx, forces(model, given).fy]) / load
-
-
-def largest(miss, kind):
-    """Largest length of a miss (2, n) of the forces that a kind of slip compares."""
-    rows = {"fx": [0], "fy": [1], "both": [0, 1]}[kind]
-    return np.max(np.linalg.norm(miss[rows], axis=0))
-
-
-def stated(notes):
-    """The misses over load that an export states, by kind of slip."""
-    text = "; ".join(notes)
-    return {KINDS[kind]: float(miss) / 100 for kind, miss in MISS.findall(text)}
-
-
-def held(misses, notes, exact=()):
-    """Asserts that the true misses are those that are stated, rounded up to two digits;
-    a finer grid may find a little more."""
-    told = stated(notes)
-    assert set(told) == set(misses) - set(exact)
-    for kind, miss in misses.items():
-        if kind in exact:
-            assert miss < 1e-9
-        else:
-            assert miss < 1.02 * told[kind] and told[kind] < 1.2 * miss
-
 
 # --- CommonRoad and Gym-Khana -------------------------------------------------------
 
@@ -91,14 +42,6 @@ def std_forces(formulas, p, kappa, alpha, load=LOAD):
             formulas.formula_lateral_comb(s, angle, 0, mu, load, across, p),
         ))  # fmt: skip
     return np.array(found).T / load
-
-
-def commonroad(path):
-    """CommonRoad's reader on our file beside its own first vehicle."""
-    models = pytest.importorskip("vehiclemodels.vehicle_parameters")
-    own_files = Path(models.__file__).parent / "parameters"
-    shutil.copy(own_files / "parameters_vehicle1.yaml", path.parent)
-    return models.setup_vehicle_parameters(vehicle_id=1, dir_params=path.parent)
 
 
 @pytest.mark.parametrize("source", ["brush", "lugre", "magic-formula-combined"])
@@ -170,19 +113,6 @@ def test_gymkhana_has_the_forces_of_commonroad_under_its_own_keys(tmp_path):
 
 def pacejka(b, c, d, e, alpha):
     return d * np.sin(c * np.arctan(b * alpha - e * (b * alpha - np.arctan(b * alpha))))
-
-
-CAR = "mass = 3.5\nl_f = 0.16\nl_r = 0.17\nyaw_inertia = 0.05\n"
-WHOLE = CAR + "h_cg = 0.07\nwheel_radius = 0.05\n"
-SMALL = {"cpa2": 130.0}
-"""A brush for the load of a car of 1:10."""
-
-
-@pytest.fixture
-def vehicle(tmp_path):
-    path = tmp_path / "vehicle.toml"
-    path.write_text(WHOLE)
-    return path
 
 
 @pytest.mark.parametrize("target", ["forzaeth", "gymkhana-stp"])
@@ -360,134 +290,3 @@ class Parameters(dict):
 
     def add(self, parameter):
         self[parameter.name] = parameter
-
-
-# --- the refit and its reports ------------------------------------------------------
-
-
-class Unknown(AbstractTire):
-    """A Magic Formula that the conversion by formula does not recognise."""
-
-    inner: MagicFormula = MagicFormula(12.0, 1.7, 0.9, -0.4)
-
-    def __call__(self, inputs):
-        return self.inner(inputs)
-
-
-def test_least_squares_finds_the_coefficients_of_a_magic_formula():
-    tire = tire_of(Unknown())
-    found = refit(tire, PACEJKA, ranges_of(tire, {}))
-    assert found.refitted == ("fy",) and found.largest < 1e-6
-    wanted = {"B": 12.0, "C": 1.7, "D": 0.9, "E": -0.4}
-    assert found.values == pytest.approx(wanted, rel=1e-3)
-
-
-class Broken(AbstractTire):
-    """A lateral force that ends at a slip angle of 0.15 rad."""
-
-    def __call__(self, inputs):
-        fy = inputs.fz * jnp.sqrt(0.15**2 - inputs.alpha**2) * inputs.alpha
-        return TireForces(None, fy, None)
-
-
-def test_a_tire_without_the_force_or_with_none_in_the_range_is_refused(tmp_path):
-    path = tmp_path / "car.yaml"
-    tire = mf_tire("5.2", {"FNOMIN": LOAD}, lacks=["fy"])
-    with pytest.raises(UsageError, match="no fy to be written"):
-        tirefit.export(tire, "forzaeth", path)
-    with pytest.raises(UsageError, match="not finite within the range"):
-        tirefit.export(Broken(), "forzaeth", path)
-    assert not list(tmp_path.iterdir())
-    done = tirefit.export(
-        Broken(), "commonroad", path, over={"alpha": (-0.1, 0.1)}, force=True
-    )
-    assert any("no fx: that of the other axis" in note for note in done.notes)
-
-
-def test_the_file_states_range_miss_errors_and_loss_first(tmp_path):
-    angle = np.linspace(-0.15, 0.15, 60)
-    force = np.asarray(
-        forces(tire_of("brush").model, TireInputs(0.0, angle, 3000.0)).fy
-    )
-    force = force + 20 * np.random.default_rng(1).standard_normal(60)
-    data = {"alpha": angle, "fz": np.full(60, 3000.0), "fy": force}
-    fit = tirefit.fit(data, "brush")
-    path = tmp_path / "parameters_tire.yaml"
-    tirefit.export(fit, "commonroad", path)
-    text = path.read_text()
-    head = text[: text.index("tire:\n  p_cx1")].splitlines()
-    assert all(line.startswith("#") for line in head)
-    assert "alpha -0.15 to 0.15 rad, fz 3000 N" in head[1] and "largest miss" in head[1]
-    assert "at 0.75 and 1.25 times this load" in head[2]
-    line = next(one for one in head if "cpa2 = " in one)
-    std = fit.least_squares["cpa2"].std
-    assert float(line.split("+-")[1].split()[0]) == pytest.approx(std, rel=0.06)
-    for part in (
-        "mz of the tire has no place",
-        "fx was not fitted",
-        "positive when braking",
-    ):
-        assert any(part in line for line in head)
-
-
-def test_a_large_miss_needs_force(tmp_path):
-    path = tmp_path / "parameters_tire.yaml"
-    given = ["brush", "--to", "commonroad", "--out", path, "--over", "fz=2000:6000"]
-    done = ran(*given)
-    assert done.exit_code == 2 and not path.exists()
-    assert "above 5 %" in done.stderr and "--over" in done.stderr
-    done = ran(*given, "--force")
-    assert done.exit_code == 0 and "warning: commonroad misses" in done.stderr
-    assert "fz 2000 to 6000 N" in path.read_text()
-
-
-def test_missing_data_of_the_vehicle_are_named(tmp_path, vehicle):
-    vehicle.write_text(CAR)
-    path = tmp_path / "parameters_tire.yaml"
-    done = ran("brush", "--to", "commonroad", "--vehicle", vehicle, "--out", path)
-    assert done.exit_code == 2 and not path.exists()
-    for part in ("vehicle.toml", "'h_cg'", "'wheel_radius'", "add h_cg"):
-        assert part in done.stderr
-    vehicle.write_text(WHOLE)
-    done = ran(
-        "magic-formula", "--to", "commonroad", "--vehicle", vehicle, "--out", path
-    )
-    assert done.exit_code == 0
-    p = commonroad(path)
-    found = (p.m, p.a, p.b, p.I_z, p.h_s, p.R_w)
-    assert found == pytest.approx((3.5, 0.16, 0.17, 0.05, 0.07, 0.05))
-    assert p.I_y_w == 1.7  # what vehicle.toml does not have stays CommonRoad's
-
-
-def test_a_fit_of_an_axle_becomes_one_of_a_tire(tmp_path, vehicle):
-    angle = np.linspace(-0.2, 0.2, 60)
-    model = tire_of("brush", SMALL).model
-    axle = 3.5 * 9.80665 * 0.17 / 0.33
-    given = TireInputs(0.0, angle, axle)
-    data = {"alpha": angle, "fz": np.full(60, axle), "fy": forces(model, given).fy}
-    fit = tirefit.fit(data, "brush")
-    path = tmp_path / "rubber_floor.yaml"
-    done = tirefit.export(None, "slipx", path, front=fit, vehicle=vehicle)
-    assert any("an axle of two tires" in note for note in done.notes)
-    content = yaml.safe_load(path.read_text())
-    assert content["nominal_load"] == pytest.approx(axle / 2)
-    assert content["linear"]["c_kappa"] == pytest.approx(130.0, rel=1e-3)
-
-
-def test_what_does_not_belong_together_is_refused(tmp_path):
-    path = tmp_path / "x.yaml"
-    done = ran("brush", "--to", "comonroad", "--out", path)
-    assert done.exit_code == 2 and "did you mean 'commonroad'" in done.stderr
-    done = ran("brush", "--to", "commonroad", "--convention", "sae", "--out", path)
-    assert done.exit_code == 2 and "leave --convention out" in done.stderr
-    done = ran("brush", "--to", "commonroad", "--front", "lugre", "--out", path)
-    assert done.exit_code == 2 and "give one tire" in done.stderr
-    done = ran("brush", "--to", "commonroad", "--over", "fz=9:1", "--out", path)
-    assert done.exit_code == 2 and "NAME=LOW:HIGH" in done.stderr
-    done = ran("brush", "--to", "c", "--over", "fz=1:9", "--out", tmp_path / "x.h")
-    assert done.exit_code == 2 and "leave them out" in done.stderr
-    assert not list(tmp_path.iterdir())
-
-
-def ran(*arguments):
-    return CliRunner().invoke(app, ["export", *map(str, arguments)])
