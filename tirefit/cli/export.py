@@ -32,6 +32,14 @@ def export(
             "--set", metavar="NAME=VALUE", help="parameter of a model or a .tir file"
         ),
     ] = None,
+    diagnosis: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="NAME.json",
+            parser=named_path,
+            help="of `tirefit diagnose`: the effects that it names change the tire",
+        ),
+    ] = None,
     convention: Annotated[
         str, typer.Option(help="signs of the file: iso-w, sae, adapted-sae, braking")
     ] = "iso-w",
@@ -74,8 +82,8 @@ def export(
         check(source, to, out, convention, name, force)
         start_jax()
         done = export(
-            source, to, out, values=values, convention=convention, name=name,
-            force=force,
+            source, to, out, values=values, diagnosis=diagnosis,
+            convention=convention, name=name, force=force,
         )  # fmt: skip
         for note in done.notes:
             complain(f"note: {note}")

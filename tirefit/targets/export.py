@@ -5,7 +5,7 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from tirefit import __version__
 from tirefit.data.write import output_problems
@@ -21,6 +21,9 @@ from tirefit.targets.code import (
 )
 from tirefit.targets.shape import Shape, shape_of
 from tirefit.targets.tire import tire_of
+
+if TYPE_CHECKING:
+    from tirefit.diagnosis.summary.result import Diagnosis
 
 MARK = "written by tirefit export"
 """What the first line of every exported file says."""
@@ -89,6 +92,7 @@ def export(
     path: str | os.PathLike,
     *,
     values: Mapping[str, float] | None = None,
+    diagnosis: "Diagnosis | str | os.PathLike | None" = None,
     convention: str = "iso-w",
     name: str | None = None,
     force: bool = False,
@@ -103,6 +107,8 @@ def export(
         target: ``c``, ``casadi`` or ``numpy``; see :data:`TARGETS`.
         path: the file to write.
         values: parameter values of a model or a ``.tir`` file; a fit has its own.
+        diagnosis: of the same model, or its ``NAME.json``: the effects that it names
+            change the tire where the target can hold them.
         convention: signs of the file's inputs and forces.
         name: of the function in the file; the file's own name by default.
         force: replace a file that is no export.
@@ -115,8 +121,9 @@ def export(
     Raises:
         UsageError: unknown target, convention or parameter; values beside a fit; a name
             that no function can have; a file that cannot be written, or that is there
-            and no export; or a model that the target cannot hold.
-        DataError: the source cannot be read.
+            and no export; a model that the target cannot hold; or a diagnosis of
+            another model.
+        DataError: the source or the diagnosis cannot be read.
 
     Example:
         >>> import tempfile, jax
@@ -128,7 +135,7 @@ def export(
     path = Path(path)
     name = path.stem if name is None else name
     check(source, target, path, convention, name, force)
-    tire = tire_of(source, values)
+    tire = tire_of(source, values, diagnosis)
     first = f"{MARK}, tirefit {__version__}: {tire.name} for {target}"
     try:
         forces = tire.program(convention)

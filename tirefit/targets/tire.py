@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 
@@ -27,6 +28,9 @@ from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 from tirefit.slip import CONVENTIONS, LOCKED, kappa_from_sigma
 from tirefit.targets.program import Program, traced, with_derivatives
+
+if TYPE_CHECKING:
+    from tirefit.diagnosis.summary.result import Diagnosis
 
 INPUTS = ("kappa", "alpha", "fz", "v", "gamma", "pressure")
 """Arguments of an exported tire, in order: practical slip [-], slip angle [rad], load
@@ -57,6 +61,7 @@ class Tire:
         measured: (least, largest) value by input of :data:`INPUTS`, in canonical signs;
             of those that are known.
         notes: sentences on what was assumed.
+        bare: the model without the effects of a diagnosis; None where it has none.
     """
 
     model: AbstractTire
@@ -66,6 +71,7 @@ class Tire:
     spread: Mapping[str, float] = field(default_factory=dict)
     measured: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    bare: AbstractTire | None = None
 
     @property
     def largest_load(self) -> float:
@@ -143,17 +149,26 @@ def turned_range(
 def tire_of(
     source: FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike,
     values: Mapping[str, float] | None = None,
+    diagnosis: "Diagnosis | str | os.PathLike | None" = None,
 ) -> Tire:
-    """The tire of a fit, a ``fit.json``, a ``.tir`` file, or a model.
+    """The tire of a fit, a ``fit.json``, a ``.tir`` file, or a model, in steady state
+    and with both slips combined.
 
     Args:
         values: parameter values of a model or a ``.tir`` file.
+        diagnosis: names the effects that change the tire; the parameters that it
+            estimated beside them replace those of the tire.
 
     Raises:
-        UsageError: an unknown model or parameter; values beside a fit; or a fit with
-            values by run.
+        UsageError: an unknown model or parameter; values beside a fit; a fit with
+            values by run; or a diagnosis of another model.
         DataError: a file that cannot be read.
     """
+    tire = _given(source, values)
+    return _exportable(tire) if diagnosis is None else _with_effects(tire, diagnosis)
+
+
+def _given(source, values: Mapping[str, float] | None) -> Tire:
     text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
     if text.lower().endswith(".tir"):
         return _of_tir(text, values or {})
@@ -170,7 +185,7 @@ def tire_of(
         tire, name = find_model(text), text
     check_values(tire, name, values or {})
     tire = with_values(tire, dict(values or {}))
-    return _exportable(Tire(tire, name, f"model {name}, no data", _USUAL_LOAD))
+    return Tire(tire, name, f"model {name}, no data", _USUAL_LOAD)
 
 
 def _of_fit(fit: FitResult | MagicFormulaFit | StoredFit, path: str) -> Tire:
@@ -198,7 +213,7 @@ def _of_fit(fit: FitResult | MagicFormulaFit | StoredFit, path: str) -> Tire:
     absent = [f for f in modelled(tire) if f not in content["forces"]]
     notes = tuple(f"{f} was not fitted: it is the model's" for f in absent)
     load = content["reference"]["fz"]
-    return _exportable(Tire(tire, model, origin, load, spread, ranges, notes))
+    return Tire(tire, model, origin, load, spread, ranges, notes)
 
 
 def _of_tir(path: str, values: Mapping[str, float]) -> Tire:
@@ -214,6 +229,31 @@ def _of_tir(path: str, values: Mapping[str, float]) -> Tire:
         f"Magic Formula {tir.version} of {path}, TYRESIDE {tir.side}",
         tire.nominal.FNOMIN, measured=turned_range(stated, TIR_SIGNS),
         notes=tuple(remarks(tir, tire)),
+    )  # fmt: skip
+
+
+def _with_effects(tire: Tire, diagnosis) -> Tire:
+    """With the effects that a diagnosis names and that a tire can hold."""
+    from tirefit.diagnosis.extended import document_of, extend, read_document
+    from tirefit.diagnosis.summary.result import Diagnosis
+
+    if isinstance(diagnosis, Diagnosis):
+        document = document_of(diagnosis.to_json())
+    else:
+        document = read_document(diagnosis)
+    require_x64("an export")
+    report = extend(
+        tire.model, tire.name, document,
+        lambda model: _exportable(replace(tire, model=model)).model,
+    )  # fmt: skip
+    own = document.extended_parameters
+    notes = _exportable(tire).notes + report.sentences
+    if tire.spread:
+        changed = ", ".join(own)
+        notes += (f"{changed}: estimates beside the effects, without standard error",)
+    return replace(
+        tire, model=report.tire, bare=report.bare if report.names else None,
+        spread={k: std for k, std in tire.spread.items() if k not in own}, notes=notes,
     )  # fmt: skip
 
 
