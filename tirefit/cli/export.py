@@ -40,6 +40,14 @@ def export(
             help="of `tirefit diagnose`: the effects that it names change the tire",
         ),
     ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(help="version of the Magic Formula of a .tir: mf52, mf61, mf62"),
+    ] = None,
+    wheel: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="of the wheel, in SI units (--list)"),
+    ] = None,
     convention: Annotated[
         str, typer.Option(help="signs of the file: iso-w, sae, adapted-sae, braking")
     ] = "iso-w",
@@ -68,6 +76,7 @@ def export(
             return
         problems: list[InputProblem] = []
         values = numbers("--set", parameter, problems)
+        of_wheel = numbers("--wheel", wheel, problems)
         for what, given, remedy in (
             ("a tire", source, "give a fit.json, a .tir file or the name of a model"),
             ("--to", to, f"one of {', '.join(TARGETS)}"),
@@ -79,11 +88,11 @@ def export(
             raise UsageError(problems)
         assert source and to and out
         name = out.stem if name is None else name
-        check(source, to, out, convention, name, force)
+        check(source, to, out, convention, name, force, model, of_wheel)
         start_jax()
         done = export(
             source, to, out, values=values, diagnosis=diagnosis,
-            convention=convention, name=name, force=force,
+            model=model, wheel=of_wheel, convention=convention, name=name, force=force,
         )  # fmt: skip
         for note in done.notes:
             complain(f"note: {note}")

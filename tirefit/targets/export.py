@@ -4,14 +4,17 @@ import keyword
 import os
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from tirefit import __version__
 from tirefit.data.write import output_problems
-from tirefit.files import write_text_atomic
+from tirefit.files import write_texts
+from tirefit.fitting.tir import TIR_SIGNS
 from tirefit.results import InputProblem, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS
+from tirefit.targets.chrono import chrono_source, held_by_chrono
 from tirefit.targets.code import (
     Draft,
     c_source,
@@ -19,8 +22,11 @@ from tirefit.targets.code import (
     header,
     numpy_source,
 )
+from tirefit.targets.loss import check_loss
 from tirefit.targets.shape import Shape, shape_of
-from tirefit.targets.tire import tire_of
+from tirefit.targets.stablehlo import jax_source
+from tirefit.targets.tir import held_as_tir, tir_source
+from tirefit.targets.tire import Tire, tire_of
 
 if TYPE_CHECKING:
     from tirefit.diagnosis.summary.result import Diagnosis
@@ -31,7 +37,7 @@ MARK = "written by tirefit export"
 _TAKEN = frozenset(
     "auto case char const default do double enum extern float goto inline int long"
     " register restrict short signed sizeof static struct switch typedef union unsigned"
-    " void volatile np ca".split()
+    " void volatile np ca jax jnp base64".split()
 )
 """Words of C that are none of Python, and what the Python files import."""
 
@@ -46,13 +52,18 @@ class Target(NamedTuple):
         ending: of the file.
         what: what the file is, and what it needs.
         holds: the models that it holds, and how exactly.
-        write: the text of the file.
+        write: the text of the file, or of several by their endings.
+        prepare: (tire, version of the Magic Formula, values of the wheel) -> the tire
+            that the file holds; None where it holds every tire and has a function.
+        beside: endings of other files that are written beside it.
     """
 
     ending: str
     what: str
     holds: str
-    write: Callable[[Draft], str]
+    write: Callable[[Draft], str | dict[str, str]]
+    prepare: Callable[..., Tire] | None = None
+    beside: tuple[str, ...] = ()
 
 
 TARGETS: dict[str, Target] = {
@@ -67,6 +78,23 @@ TARGETS: dict[str, Target] = {
     "numpy": Target(
         ".py", "Python module with one function of arrays; needs numpy",
         "every model, exactly", numpy_source,
+    ),
+    "jax": Target(
+        ".py", "Python module with a compiled program (StableHLO) of arrays, for jit"
+        " and grad; needs jax",
+        "every model, exactly", jax_source,
+    ),
+    "tir": Target(
+        ".tir", "tire property file, Magic Formula 5.2, 6.1 or 6.2 (--model)",
+        "a Magic Formula, exactly in its own version; of a brush c_p a^2 and mu (needs"
+        " --wheel radius=)", tir_source, held_as_tir,
+    ),
+    "chrono": Target(
+        ".json", "tire of Project Chrono (Pac02Tire), with its .tir beside it; needs"
+        " --wheel mass= ixx= iyy= vertical_stiffness= vertical_damping= width=, one"
+        " each, as far as no .tir states them",
+        "what a .tir of Magic Formula 5.2 holds", chrono_source, held_by_chrono,
+        (".tir",),
     ),
 }  # fmt: skip
 """Target -> how it is written."""
@@ -93,25 +121,30 @@ def export(
     *,
     values: Mapping[str, float] | None = None,
     diagnosis: "Diagnosis | str | os.PathLike | None" = None,
+    model: str | None = None,
+    wheel: Mapping[str, float] | None = None,
     convention: str = "iso-w",
     name: str | None = None,
     force: bool = False,
 ) -> Exported:
     """Write a tire as a file that another program reads or compiles.
 
-    The file holds the model itself, operation by operation, so it gives the forces of
-    :func:`tirefit.predict` to rounding.
+    Source code holds the model itself, operation by operation, so it gives the forces
+    of :func:`tirefit.predict` to rounding. ``notes`` say what other files miss.
 
     Args:
         source: a fit, a ``fit.json``, a ``.tir`` file, a tire, or the name of a model.
-        target: ``c``, ``casadi`` or ``numpy``; see :data:`TARGETS`.
+        target: a key of :data:`TARGETS`.
         path: the file to write.
         values: parameter values of a model or a ``.tir`` file; a fit has its own.
         diagnosis: of the same model, or its ``NAME.json``: the effects that it names
             change the tire where the target can hold them.
         convention: signs of the file's inputs and forces.
         name: of the function in the file; the file's own name by default.
-        force: replace a file that is no export.
+        model: version of the Magic Formula of a ``.tir``: ``mf52``, ``mf61``, ``mf62``.
+        wheel: what a target needs beside the tire, in SI units, see :data:`TARGETS`.
+        force: replace a file that is no export, and write one that misses the tire by
+            more than :data:`~tirefit.targets.loss.MOST` of the load.
 
     Returns:
         The file, and how the tire behaves at rest, at large slip and at twice the
@@ -133,9 +166,14 @@ def export(
         True
     """
     path = Path(path)
-    name = path.stem if name is None else name
-    check(source, target, path, convention, name, force)
-    tire = tire_of(source, values, diagnosis)
+    if name is None or target in TARGETS and TARGETS[target].prepare:
+        name = path.stem
+    check(source, target, path, convention, name, force, model, wheel)
+    tire, chosen = tire_of(source, values, diagnosis), TARGETS[target]
+    if chosen.prepare is not None:
+        held = chosen.prepare(tire, model, wheel or {})
+        missed = check_loss(tire, held, target, force)
+        tire = replace(held, notes=held.notes + missed)
     first = f"{MARK}, tirefit {__version__}: {tire.name} for {target}"
     try:
         forces = tire.program(convention)
@@ -143,18 +181,26 @@ def export(
         above = [first, *header(tire, forces, convention), *shape.sentences]
         # A line of a file's name or text must not end the comment.
         above = [_NEW_LINE.sub(" ", line) for line in above]
-        draft = Draft(tire, forces, convention, above, name)
-        text = TARGETS[target].write(draft)
+        draft = Draft(tire, forces, convention, above, name, wheel or {})
+        text = chosen.write(draft)
     except NotImplementedError as error:
         reason = f"{tire.name} cannot be written for {target}: {error}"
         remedy = "export another model, fitted to its curve by `tirefit convert`"
         raise UsageError(InputProblem(reason, remedy)) from None
-    write_text_atomic(path, text)
+    texts = {chosen.ending: text} if isinstance(text, str) else text
+    write_texts({path.with_suffix(end): each for end, each in texts.items()})
     return Exported(path, shape, tire.notes)
 
 
 def check(
-    source, target: str, path: Path, convention: str, name: str, force: bool
+    source,
+    target: str,
+    path: Path,
+    convention: str,
+    name: str,
+    force: bool,
+    model: str | None = None,
+    wheel: Mapping[str, float] | None = None,
 ) -> None:
     """Raises UsageError for all that is wrong with a request, before the work."""
     problems = []
@@ -164,18 +210,28 @@ def check(
         if given not in known:
             remedy = f"{did_you_mean(given, known)}valid: {', '.join(known)}"
             problems.append(InputProblem(f"{what}: {given!r} is not known", remedy))
-    plain = name.isidentifier() and name.isascii()
+    is_code = target not in TARGETS or TARGETS[target].prepare is None
+    asked = {"--model": model, "--wheel": wheel}
+    for option in [option for option, given in asked.items() if given and is_code]:
+        reason = f"{option} with --to {target}, which has no use for it"
+        problems.append(InputProblem(reason, "leave it out"))
+    if not is_code and convention != TIR_SIGNS:
+        reason = f"--convention {convention} with --to {target}"
+        problems.append(InputProblem(reason, f"leave it out: it is {TIR_SIGNS}"))
+    plain = name.isidentifier() and name.isascii() or not is_code
     if not plain or keyword.iskeyword(name) or name in _TAKEN:
         remedy = "name the function with --name: letters, digits and _, no keyword"
         problems.append(InputProblem(f"{name!r} is no name of a function", remedy))
     inputs = [source] if isinstance(source, str | os.PathLike) else []
     ending = TARGETS[target].ending if target in TARGETS else ""
-    if unwritable := output_problems(path, inputs, ending):
-        problems += unwritable
-    elif path.exists() and not force and not _exported(path):
-        reason = "the file is there and was not written by an export"
-        remedy = "choose another file, or replace it with --force"
-        problems.append(InputProblem(reason, remedy, str(path)))
+    others = TARGETS[target].beside if target in TARGETS else ()
+    for one, end in [(path, ending), *((path.with_suffix(e), e) for e in others)]:
+        if unwritable := output_problems(one, inputs, end):
+            problems += unwritable
+        elif one.exists() and not force and not _exported(one):
+            reason = "the file is there and was not written by an export"
+            remedy = "choose another file, or replace it with --force"
+            problems.append(InputProblem(reason, remedy, str(one)))
     if problems:
         raise UsageError(problems)
 

@@ -1,14 +1,14 @@
 """The tire that is exported: its function, where it comes from, what was measured."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 
-from tirefit.data.tir import read_tir
+from tirefit.data.tir import TirFile, read_tir
 from tirefit.data.tir_keys import LIMITS
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.problem import find_model
@@ -62,6 +62,7 @@ class Tire:
             of those that are known.
         notes: sentences on what was assumed.
         bare: the model without the effects of a diagnosis; None where it has none.
+        tir: the file that states the model, for targets that write one.
     """
 
     model: AbstractTire
@@ -72,6 +73,7 @@ class Tire:
     measured: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     bare: AbstractTire | None = None
+    tir: TirFile | None = None
 
     @property
     def largest_load(self) -> float:
@@ -94,13 +96,12 @@ class Tire:
         known = "; beyond it the model extrapolates" if told else "not known"
         return ", ".join(told) + known
 
-    def program(self, convention: str, jacobian: bool = False) -> Program:
-        """The forces as a program in a sign convention.
+    def function(self, convention: str) -> tuple[Callable, tuple[str, ...]]:
+        """The forces as a JAX function of the scalars :data:`INPUTS`, and their names.
 
         Args:
             convention: a key of ``slip.CONVENTIONS``; kappa, alpha, camber, load and
                 the forces have its signs.
-            jacobian: with the derivatives by kappa, alpha and fz, named ``fx_kappa``.
         """
         require_x64("an export")
         signs, outputs = CONVENTIONS[convention], modelled(self.model)
@@ -116,11 +117,19 @@ class Tire:
             found = self.model(given)._asdict()
             return tuple(getattr(signs, name) * found[name] for name in outputs)
 
+        return forces, outputs
+
+    def program(self, convention: str, jacobian: bool = False) -> Program:
+        """The same as a program of the inputs that change a force.
+
+        Args:
+            jacobian: with the derivatives by kappa, alpha and fz, named ``fx_kappa``.
+        """
+        function, outputs = self.function(convention)
         names = list(outputs)
-        function = forces
         if jacobian:
             by = range(ALWAYS)
-            function = with_derivatives(forces, len(INPUTS), by)
+            function = with_derivatives(function, len(INPUTS), by)
             names += [f"{out}_{INPUTS[k]}" for k in by for out in outputs]
         program = traced(function, INPUTS, names)
         used = {args[0] for op, args in program.operations if op == "input"}
@@ -229,6 +238,7 @@ def _of_tir(path: str, values: Mapping[str, float]) -> Tire:
         f"Magic Formula {tir.version} of {path}, TYRESIDE {tir.side}",
         tire.nominal.FNOMIN, measured=turned_range(stated, TIR_SIGNS),
         notes=tuple(remarks(tir, tire)),
+        tir=tir.with_values(values) if values else tir,
     )  # fmt: skip
 
 
