@@ -137,7 +137,7 @@ def test_what_does_not_belong_together_is_refused(tmp_path):
     done = ran("brush", "--to", "comonroad", "--out", path)
     assert done.exit_code == 2 and "did you mean 'commonroad'" in done.stderr
     done = ran("brush", "--to", "commonroad", "--convention", "sae", "--out", path)
-    assert done.exit_code == 2 and "leave --convention out" in done.stderr
+    assert done.exit_code == 2 and "leave it out" in done.stderr
     done = ran("brush", "--to", "commonroad", "--front", "lugre", "--out", path)
     assert done.exit_code == 2 and "give one tire" in done.stderr
     done = ran("brush", "--to", "commonroad", "--over", "fz=9:1", "--out", path)

@@ -53,6 +53,22 @@ def export(
             "--set", metavar="NAME=VALUE", help="parameter of a model or a .tir file"
         ),
     ] = None,
+    diagnosis: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="NAME.json",
+            parser=named_path,
+            help="of `tirefit diagnose`: the effects that it names change the tire",
+        ),
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(help="version of the Magic Formula of a .tir: mf52, mf61, mf62"),
+    ] = None,
+    wheel: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="of the wheel, in SI units (--list)"),
+    ] = None,
     convention: Annotated[
         str, typer.Option(help="signs of the file: iso-w, sae, adapted-sae, braking")
     ] = "iso-w",
@@ -85,6 +101,7 @@ def export(
         values = numbers("--set", parameter, problems)
         ranges = _ranges(over, problems)
         tire = "a fit.json, a .tir file or the name of a model, or --front and --rear"
+        of_wheel = numbers("--wheel", wheel, problems)
         for what, given, remedy in (
             ("a tire", source or front or rear, f"give {tire}"),
             ("--to", to, f"one of {', '.join(TARGETS)}"),
@@ -98,7 +115,8 @@ def export(
         start_jax()
         done = export(
             source, to, out, front=front, rear=rear, vehicle=vehicle, over=ranges,
-            values=values, convention=convention, name=name, force=force,
+            values=values, diagnosis=diagnosis, model=model, wheel=of_wheel,
+            convention=convention, name=name, force=force,
         )  # fmt: skip
         for note in done.notes:
             complain(note if note.startswith("warning") else f"note: {note}")

@@ -18,14 +18,10 @@ from tirefit.targets.formulas import (
     SLIPX,
     Formula,
 )
+from tirefit.targets.loss import MOST
 from tirefit.targets.refit import SPEED, Ranges, Refit, percent, ranges_of, refit
 from tirefit.targets.shape import Shape, shape_of
 from tirefit.targets.tire import Tire, turned_range
-
-LARGEST_MISS = 0.05
-"""Miss over load above which a refitted file is written with ``force`` alone. At one
-load, brushes, LuGre and Magic Formulas miss by 1 to 4 % over slips of 0.2; more is a
-law of load or an asymmetry that the formula lacks."""
 
 SIGNS = "iso-w"
 """Signs in which ranges and checks are stated; a file's own are in its head."""
@@ -109,7 +105,7 @@ def parameter_text(
         first: the first line.
         vehicle: ``vehicle.toml``; its car is written where the target has one.
         over: kappa, alpha and fz of the refit, in the signs of :data:`SIGNS`.
-        force: write a file that misses by more than :data:`LARGEST_MISS`.
+        force: write a file that misses by more than :data:`~tirefit.targets.loss.MOST`.
 
     Raises:
         UsageError: what the target cannot hold, or a larger miss; data of the vehicle
@@ -144,7 +140,7 @@ def parameter_text(
     sheet = Sheet(above, axles, fits, car, path)
     kind.check(sheet)
     worst = max(fit.largest for fit in fits)
-    if worst > LARGEST_MISS:
+    if worst > MOST:
         if not force:
             raise _refused(target, worst, fits)
         notes.append(
@@ -190,7 +186,7 @@ def _lost(tire: Tire, formula: Formula) -> list[str]:
 def _refused(target: str, worst: float, fits: tuple[Refit, ...]) -> UsageError:
     reason = (
         f"{target} misses this tire by up to {percent(worst)} % of F_z, above"
-        f" {percent(LARGEST_MISS)} %: {' / '.join(fit.sentence(SIGNS) for fit in fits)}"
+        f" {percent(MOST)} %: {' / '.join(fit.sentence(SIGNS) for fit in fits)}"
     )
     remedy = (
         "narrow the range, as with --over fz=LOW:HIGH or --over alpha=LOW:HIGH, or"
