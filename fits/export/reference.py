@@ -31,7 +31,7 @@ def fitted(name: str) -> np.ndarray:
     # A few rows are far off: the car was lifted, or hit something.
     rows, z = np.ones(len(alpha), bool), [50.0, 0.7]
     for _ in range(5):
-        z = least_squares(lambda z: missed(z)[rows], z).x
+        z = least_squares(lambda z, rows=rows: missed(z)[rows], z).x
         left = missed(z)
         rows = np.abs(left) < FAR * np.std(left[rows])
     return z
@@ -52,7 +52,9 @@ def driven(front, rear, time, steering) -> np.ndarray:
         return [
             SPEED * np.cos(heading) - sideways * np.sin(heading),
             SPEED * np.sin(heading) + sideways * np.cos(heading),
-            turn, (f + r) / MASS - SPEED * turn, AHEAD * (f - r) / INERTIA,
+            turn,
+            (f + r) / MASS - SPEED * turn,
+            AHEAD * (f - r) / INERTIA,
         ]
 
     found = solve_ivp(

@@ -26,8 +26,8 @@ KEYS = {
         "budget", "budgets", "where", "spots", "map", "verdict", "ladder",
         "candidates", "untestable", "resolution", "forecast", "next_measurement",
         "next_measurement_reason",
-        "slip_check", "runs", "base_parameters", "extended_parameters", "settings",
-        "seed", "version", "ladder_on",
+        "slip_check", "runs", "base_parameters", "extended_parameters", "extension",
+        "settings", "seed", "version", "ladder_on",
     ],
     "data": [
         "name", "path", "sha256", "convention", "channels", "assumptions", "set_aside",

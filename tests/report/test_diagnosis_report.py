@@ -19,6 +19,7 @@ from tirefit.data.table import Source, TireData
 from tirefit.diagnosis.decide.verdict import Each, Status
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect
 from tirefit.diagnosis.evidence.forms import RunOffsets
+from tirefit.diagnosis.extended import Extension
 from tirefit.diagnosis.left_out import AS_GIVEN, Ladder, Step
 from tirefit.diagnosis.rows.patterns import Look
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck
@@ -227,6 +228,10 @@ def records(channel):
         "next_measurement_reason": None, "slip_check": None,
         "base_parameters": {"cpa2": 51234.0, "mu": 0.912},
         "extended_parameters": {"cpa2": 51235.0, "mu": 0.913},
+        "extension": Extension(
+            "x", {"load_friction": 0}, False, 3634.0, 4000.0, (4000.0, 12.0), 0.4, 7.5,
+            12.0, 0.04, 0.97, 0.91, (0.0, 0.0),
+        ),
         "settings": Settings(
             rig=Rig(noise={"fx_relative": 0.01}, notes=("a note",)),
             effects=("load_friction", "slip_offset"), holdout=(),

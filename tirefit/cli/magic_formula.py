@@ -31,9 +31,6 @@ CombinationOption = Annotated[
     ),
 ]
 
-_SHARES_OF_NOMINAL = (0.5, 0.75, 1.0, 1.25, 1.5)
-"""Loads at which a file is tested to convert it."""
-
 
 def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
     """Whether the model is a whole Magic Formula.
@@ -106,9 +103,9 @@ def convert_whole(
     tir = read_tir(file)
     check_directories([out])
     start_jax()
-    from tirefit.fitting.mf.convert import converted
+    from tirefit.fitting.mf.convert import USUAL_SHARES, converted
 
-    loads = loads or [share * tir.numbers["FNOMIN"] for share in _SHARES_OF_NOMINAL]
+    loads = loads or [share * tir.numbers["FNOMIN"] for share in USUAL_SHARES]
     with claimed(out):
         result = converted(tir, model, slip_max, loads, **of_file)
         _write(result, out, advice="try other --loads or a smaller --slip-max")

@@ -1,6 +1,7 @@
 """Source code of a tire's forces: C, NumPy and CasADi."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,9 @@ MEANING = {
     "mx": "overturning moment", "my": "rolling resistance moment",
 }  # fmt: skip
 
+PARAMETERS = "parameters (+- standard error):"
+"""Line above those of the parameters in a head."""
+
 _VECTORS = ((0.02, 0.01, 1.0), (-0.1, 0.05, 0.5), (0.0, -0.2, 1.5), (-0.9, 0.3, 2.0))
 """Slip, slip angle and share of the middle load of the test vectors."""
 
@@ -31,7 +35,7 @@ def header(tire: Tire, program: Program, convention: str) -> list[str]:
         *(f"{name} [{UNITS[name]}]: {MEANING[name]}" for name in names),
         "at low speed compute kappa with max(speed, a few tenths of a m/s)",
         f"measured range: {tire.ranges(convention)}",
-        "parameters (+- standard error):",
+        PARAMETERS,
         *(f"  {line}" for line in tire.parameters()),
         *tire.notes,
     ]
@@ -43,7 +47,8 @@ class Draft(NamedTuple):
     Attributes:
         tire: the tire; ``forces`` is its program in the signs of ``convention``.
         above: lines that stand first in the file.
-        name: of the function.
+        name: of the function, or of the file without its ending.
+        wheel: what was given of the wheel, in SI units.
     """
 
     tire: Tire
@@ -51,6 +56,7 @@ class Draft(NamedTuple):
     convention: str
     above: Sequence[str]
     name: str
+    wheel: Mapping[str, float] = MappingProxyType({})
 
 
 def numpy_source(draft: Draft) -> str:

@@ -1,13 +1,14 @@
 """The tire that is exported: its function, where it comes from, what was measured."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 
-from tirefit.data.tir import read_tir
+from tirefit.data.tir import TirFile, read_tir
 from tirefit.data.tir_keys import LIMITS
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.problem import find_model
@@ -21,12 +22,16 @@ from tirefit.models import (
     TireInputs,
     modelled,
 )
+from tirefit.models.mf import MFTire
 from tirefit.models.relaxation import Relaxed
 from tirefit.params import check_values, parameter_values, specs, with_values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 from tirefit.slip import CONVENTIONS, LOCKED, kappa_from_sigma
 from tirefit.targets.program import Program, traced, with_derivatives
+
+if TYPE_CHECKING:
+    from tirefit.diagnosis.summary.result import Diagnosis
 
 INPUTS = ("kappa", "alpha", "fz", "v", "gamma", "pressure")
 """Arguments of an exported tire, in order: practical slip [-], slip angle [rad], load
@@ -57,6 +62,9 @@ class Tire:
         measured: (least, largest) value by input of :data:`INPUTS`, in canonical signs;
             of those that are known.
         notes: sentences on what was assumed.
+        bare: the model without the effects of a diagnosis; None where it has none.
+        tir: the file that states the model, for targets that write one.
+        relaxation: relaxation length [m], which is not in the forces; None without.
     """
 
     model: AbstractTire
@@ -66,11 +74,19 @@ class Tire:
     spread: Mapping[str, float] = field(default_factory=dict)
     measured: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    bare: AbstractTire | None = None
+    tir: TirFile | None = None
+    relaxation: float | None = None
 
     @property
     def largest_load(self) -> float:
         """The largest load that was measured [N]."""
         return max(self.load, self.measured.get("fz", (0.0, 0.0))[1])
+
+    @property
+    def modelled(self) -> tuple[str, ...]:
+        """The forces and moments that the tire gives."""
+        return modelled(self.model)
 
     def parameters(self) -> list[str]:
         """Name, value, standard error and unit of every parameter, a line each."""
@@ -88,13 +104,12 @@ class Tire:
         known = "; beyond it the model extrapolates" if told else "not known"
         return ", ".join(told) + known
 
-    def program(self, convention: str, jacobian: bool = False) -> Program:
-        """The forces as a program in a sign convention.
+    def function(self, convention: str) -> tuple[Callable, tuple[str, ...]]:
+        """The forces as a JAX function of the scalars :data:`INPUTS`, and their names.
 
         Args:
             convention: a key of ``slip.CONVENTIONS``; kappa, alpha, camber, load and
                 the forces have its signs.
-            jacobian: with the derivatives by kappa, alpha and fz, named ``fx_kappa``.
         """
         require_x64("an export")
         signs, outputs = CONVENTIONS[convention], modelled(self.model)
@@ -110,11 +125,19 @@ class Tire:
             found = self.model(given)._asdict()
             return tuple(getattr(signs, name) * found[name] for name in outputs)
 
+        return forces, outputs
+
+    def program(self, convention: str, jacobian: bool = False) -> Program:
+        """The same as a program of the inputs that change a force.
+
+        Args:
+            jacobian: with the derivatives by kappa, alpha and fz, named ``fx_kappa``.
+        """
+        function, outputs = self.function(convention)
         names = list(outputs)
-        function = forces
         if jacobian:
             by = range(ALWAYS)
-            function = with_derivatives(forces, len(INPUTS), by)
+            function = with_derivatives(function, len(INPUTS), by)
             names += [f"{out}_{INPUTS[k]}" for k in by for out in outputs]
         program = traced(function, INPUTS, names)
         used = {args[0] for op, args in program.operations if op == "input"}
@@ -143,17 +166,26 @@ def turned_range(
 def tire_of(
     source: FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike,
     values: Mapping[str, float] | None = None,
+    diagnosis: "Diagnosis | str | os.PathLike | None" = None,
 ) -> Tire:
-    """The tire of a fit, a ``fit.json``, a ``.tir`` file, or a model.
+    """The tire of a fit, a ``fit.json``, a ``.tir`` file, or a model, in steady state
+    and with both slips combined.
 
     Args:
         values: parameter values of a model or a ``.tir`` file.
+        diagnosis: names the effects that change the tire; the parameters that it
+            estimated beside them replace those of the tire.
 
     Raises:
-        UsageError: an unknown model or parameter; values beside a fit; or a fit with
-            values by run.
+        UsageError: an unknown model or parameter; values beside a fit; a fit with
+            values by run; or a diagnosis of another model.
         DataError: a file that cannot be read.
     """
+    tire = _given(source, values)
+    return _exportable(tire) if diagnosis is None else _with_effects(tire, diagnosis)
+
+
+def _given(source, values: Mapping[str, float] | None) -> Tire:
     text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
     if text.lower().endswith(".tir"):
         return _of_tir(text, values or {})
@@ -170,7 +202,8 @@ def tire_of(
         tire, name = find_model(text), text
     check_values(tire, name, values or {})
     tire = with_values(tire, dict(values or {}))
-    return _exportable(Tire(tire, name, f"model {name}, no data", _USUAL_LOAD))
+    load = tire.nominal.FNOMIN if isinstance(tire, MFTire) else _USUAL_LOAD
+    return Tire(tire, name, f"model {name}, no data", float(load))
 
 
 def _of_fit(fit: FitResult | MagicFormulaFit | StoredFit, path: str) -> Tire:
@@ -198,7 +231,7 @@ def _of_fit(fit: FitResult | MagicFormulaFit | StoredFit, path: str) -> Tire:
     absent = [f for f in modelled(tire) if f not in content["forces"]]
     notes = tuple(f"{f} was not fitted: it is the model's" for f in absent)
     load = content["reference"]["fz"]
-    return _exportable(Tire(tire, model, origin, load, spread, ranges, notes))
+    return Tire(tire, model, origin, load, spread, ranges, notes)
 
 
 def _of_tir(path: str, values: Mapping[str, float]) -> Tire:
@@ -214,17 +247,43 @@ def _of_tir(path: str, values: Mapping[str, float]) -> Tire:
         f"Magic Formula {tir.version} of {path}, TYRESIDE {tir.side}",
         tire.nominal.FNOMIN, measured=turned_range(stated, TIR_SIGNS),
         notes=tuple(remarks(tir, tire)),
+        tir=tir.with_values(values) if values else tir,
+    )  # fmt: skip
+
+
+def _with_effects(tire: Tire, diagnosis) -> Tire:
+    """With the effects that a diagnosis names and that a tire can hold."""
+    from tirefit.diagnosis.extended import document_of, extend, read_document
+    from tirefit.diagnosis.summary.result import Diagnosis
+
+    if isinstance(diagnosis, Diagnosis):
+        document = document_of(diagnosis.to_json())
+    else:
+        document = read_document(diagnosis)
+    require_x64("an export")
+    report = extend(
+        tire.model, tire.name, document,
+        lambda model: _exportable(replace(tire, model=model)).model,
+    )  # fmt: skip
+    own = document.extended_parameters
+    notes = _exportable(tire).notes + report.sentences
+    if tire.spread:
+        changed = ", ".join(own)
+        notes += (f"{changed}: estimates beside the effects, without standard error",)
+    return replace(
+        tire, model=report.tire, bare=report.bare if report.names else None,
+        spread={k: std for k, std in tire.spread.items() if k not in own}, notes=notes,
     )  # fmt: skip
 
 
 def _exportable(tire: Tire) -> Tire:
     """In steady state, and with both slips combined."""
-    notes, model = list(tire.notes), tire.model
+    notes, model, length = list(tire.notes), tire.model, None
     if isinstance(model, Relaxed):
         length = float(model.relaxation_length)
         notes.append(
-            f"steady state: the relaxation length {length:.4g} m has no place here: lag"
-            " the slips by it before the call"
+            f"steady state: the relaxation length {length:.4g} m is not in the forces:"
+            " lag the slips by it before the call"
         )
         model = model.tire
     if isinstance(model, MagicFormula):
@@ -235,4 +294,4 @@ def _exportable(tire: Tire) -> Tire:
             "the formula is of pure slip: both slips are combined by the method of"
             " Gaefvert and Svendenius (2005), with the same curve along both axes"
         )
-    return replace(tire, model=model, notes=tuple(notes))
+    return replace(tire, model=model, notes=tuple(notes), relaxation=length)

@@ -48,6 +48,7 @@ class Effect:
     Attributes:
         id: its name in every output.
         family: which parameter varies with which quantity.
+        of: what it is a property of: tire, vehicle or measurement.
         change: (state, amplitude, constants, covariates) -> state; amplitude 0
             changes nothing.
         scale: prior standard deviation of the amplitude, a judgement: twice as wide
@@ -86,6 +87,7 @@ class Effect:
     means: str = ""
     remedy: str = ""
     parameter: str = "amplitude"
+    of: str = "tire"
     per: tuple[str, ...] = ("plain",)
     bounds: tuple[tuple[float, float], ...] = ((-float("inf"), float("inf")),)
     center: float = 0.0

@@ -12,6 +12,7 @@ from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.forms import offsets_of_runs, with_fast_waves
 from tirefit.diagnosis.evidence.posterior import linear_at
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
+from tirefit.diagnosis.extended import Extension, extension_of
 from tirefit.diagnosis.left_out import ladder_of
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.basis import without
@@ -123,6 +124,7 @@ def document_of(
         runs=offsets_of_runs(base, case.chosen),
         base_parameters=_base_parameters(base, base.as_given),
         extended_parameters=_base_parameters(base, case.chosen.z),
+        extension=_extension(case),
         settings=settings,
         seed=seed,
         version=importlib.metadata.version("tirefit"),
@@ -329,6 +331,11 @@ def _resolution(case: Case) -> Resolution:
             smallest[effect.id] = _SEEN * abs(std)
     remainder = float(np.median(scale) * needed)
     return Resolution(remainder=remainder, smallest_effects=smallest)
+
+
+def _extension(case: Case) -> Extension:
+    other_form = case.verdict.key in case.weighed.other_form
+    return extension_of(case.base, case.chosen, other_form)
 
 
 def _base_parameters(base: Base, z) -> dict[str, float]:
