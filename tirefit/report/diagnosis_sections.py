@@ -104,7 +104,7 @@ def _no_help(result: Diagnosis) -> Iterator[str]:
     if plain is None or not result.verdict.names_an_effect:
         return
     before, after = plain.rms_held_out, steps[-1].rms_held_out
-    if after > before:
+    if before is not None and after is not None and after > before:
         unit = FORCE_UNIT[result.data.channels[0]]
         old, new = (format_number(x, 3) for x in (before, after))
         yield (
@@ -228,9 +228,9 @@ def _ladder(result: Diagnosis) -> Section:
     ]  # fmt: skip
     lines = [_CLOSED + "; gain: what the row takes from the mean square"]
     if result.settings.holdout:
-        held = [f"held out [{unit}]", *map(_held_out, ladder.steps)]
+        cells = [f"held out [{unit}]", *map(_held_out, ladder.steps)]
         # In place of the gain, for which a line has no room.
-        table = [(*row[:3], cell) for row, cell in zip(table, held, strict=True)]
+        table = [(*row[:3], cell) for row, cell in zip(table, cells, strict=True)]
         lines = [_CLOSED + "; held out: rms on those files (share closed there)"]
         lines += _worse_held_out(result, unit)
     if not ladder.steps:

@@ -4,10 +4,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from tirefit.data.tir import parse_tir, reduced_tir
+from tirefit.data.tir import new_tir, parse_tir, reduced_tir
 from tirefit.data.tir_file import TirFile
 from tirefit.data.tir_keys import LIMITS, ONLY_IN
-from tirefit.data.tir_new import new_tir
 from tirefit.fitting.mf.convert import USUAL_SHARES, USUAL_SLIP, converted
 from tirefit.fitting.mf.parts import VERSIONS
 from tirefit.fitting.tir import TIR_SIGNS, own_tire, remarks

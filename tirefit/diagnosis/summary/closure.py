@@ -241,10 +241,10 @@ def held_out(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
     """
     if holdout:
         return _on_files(case, holdout, rig, ladder, generator)
-    *steps, _, floor = ladder.steps or (None, None)
+    steps = ladder.steps[:-2]
     if not case.verdict.status.names or not steps or not steps[-1].effects:
         return None, ladder
-    base, step = steps[0], steps[-1]
+    base, step, floor = steps[0], steps[-1], ladder.steps[-1]
     rms = np.sqrt(max(base.rms_left_out**2 - floor.rms_left_out**2, 0.0))
     reach = _NINETY * step.closed_std
     return HeldOut(
