@@ -138,17 +138,15 @@ def _repeating(columns, stretches, way, vehicle: Vehicle) -> list[str]:
         if wave is None:
             continue
         as_well = ", or in time: the speed hardly varies" if steady else ""
+        least = wave.p_value < _LEAST
+        chance = f"< {_LEAST:.0e}" if least else f"{wave.p_value:.0e}"
         said.append(
             f"{name} repeats every {wave.length:.3g} m of the road (a wave of"
-            f" {factor * wave.size:.2g} {unit}, p {_chance(wave)}){as_well}: a wheel"
+            f" {factor * wave.size:.2g} {unit}, p {chance}){as_well}: a wheel"
             f" of {1e3 * wave.length / (2 * np.pi):.3g} mm turns once in that; look for"
             " run-out, imbalance or a worn patch"
         )
     return said
-
-
-def _chance(wave: Wave) -> str:
-    return f"< {_LEAST:.0e}" if wave.p_value < _LEAST else f"{wave.p_value:.0e}"
 
 
 def repeats_with_distance(values, way, shortest: float, longest: float) -> Wave | None:

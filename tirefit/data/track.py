@@ -205,7 +205,8 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
     unit = unit_of(text, quantity) if text else None
     # Round brackets may hold anything, as in ``W (IMU)``.
     label = f"({in_header})" in header and text == in_header
-    if text and text != "-" and unit is None and not (label and not _is_unit(text)):
+    label = label and known_unit(text.removeprefix("-")) is None
+    if text and text != "-" and unit is None and not label:
         problems.append(
             InputProblem(
                 f"unit {text!r} is no unit of {dimension}, which {quantity} is of",
@@ -222,10 +223,6 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
     if named or text != _SI[dimension]:
         notes.append(f"column {header!r} read as {quantity} in {text}{where}")
     return Channel(quantity, header, text, scale, named)
-
-
-def _is_unit(text: str) -> bool:
-    return known_unit(text.removeprefix("-")) is not None
 
 
 def _numbers(table: Table, channels, active: str | None) -> dict[str, np.ndarray]:

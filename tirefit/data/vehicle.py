@@ -251,7 +251,7 @@ class Vehicle(Section):
         for name, text in self.units.items():
             if name in QUANTITIES and unit_of(text, name) is not None:
                 continue
-            units = _units_of(name)
+            units = units_of(QUANTITIES[name]) if name in QUANTITIES else []
             what = f"units.{name} = {text!r}" if units else f"units.{name}: {name}"
             known = ", ".join(units or QUANTITIES)
             yield InputProblem(f"{what} is not one of {known}", "choose one of them")
@@ -351,10 +351,6 @@ def unit_of(text: str, quantity: str) -> Unit | None:
         return unit and unit._replace(scale=-unit.scale)
     unit = known_unit(text) if text else None
     return unit if unit and unit.dimension == QUANTITIES[quantity] else None
-
-
-def _units_of(quantity: str) -> list[str]:
-    return units_of(QUANTITIES[quantity]) if quantity in QUANTITIES else []
 
 
 def load_vehicle(path: str | Path, units: Mapping[str, str] | None = None) -> Vehicle:

@@ -200,9 +200,10 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
     ensembles, walkers, steps, _ = draws.shape
     coords = {"chain": np.arange(ensembles * walkers), "draw": np.arange(steps)}
     flat = draws.reshape(ensembles * walkers, steps, -1)
+    estimates = result.least_squares
     posterior = xr.Dataset(
         {
-            label: (("chain", "draw"), flat[..., i], {"unit": _unit(result, label)})
+            label: (("chain", "draw"), flat[..., i], {"unit": estimates[label].unit})
             for i, label in enumerate(result.labels)
         },
         coords | {"ensemble": ("chain", np.repeat(np.arange(ensembles), walkers))},
@@ -228,10 +229,6 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
     content = tree.to_netcdf(None, engine="h5netcdf")
     with replacing(path) as temporary:
         temporary.write_bytes(content)
-
-
-def _unit(result: FitResult, label: str) -> str:
-    return result.least_squares[label].unit
 
 
 def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:

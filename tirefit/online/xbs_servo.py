@@ -251,9 +251,8 @@ class XbsServo(AbstractController):
 
     def step(self, state: XbsServoState, measurement: Measurement) -> Any:
         s, m = state, measurement
-        slowing = s.slowing + _share(self.period, _STEADY) * (
-            m.deceleration - s.slowing
-        )
+        weight = self.period / (self.period + _STEADY)  # in a mean over that time
+        slowing = s.slowing + weight * (m.deceleration - s.slowing)
         vehicle = jnp.maximum(s.vehicle - self.period * slowing, 0.0)
         ready = m.pressure + jnp.sum(s.coming, axis=0)
         follows = jnp.abs(s.target - ready) < _FOLLOWED
@@ -316,8 +315,3 @@ class XbsServo(AbstractController):
         share = jnp.clip(self.response * error / full, -1.0, 1.0)
         share = jnp.where(jnp.abs(error) > self.dead_band, share, 0.0)
         return share, share * full
-
-
-def _share(period, time):
-    """Weight of a new sample in a mean over a time [s]."""
-    return period / (period + time)

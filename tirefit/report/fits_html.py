@@ -22,11 +22,6 @@ _TOGETHER = 3
 """Quantities by file in one picture."""
 
 
-def _short(fits: Mapping[str, FitResult]) -> dict[str, FitResult]:
-    """The fits by what tells their names apart."""
-    return dict(zip(run_names(list(fits)).short, fits.values(), strict=True))
-
-
 def _columns(fits: Mapping[str, FitResult], part: str) -> dict[str, str]:
     """Parameters or derived quantities of any fit -> unit, but for those of a run."""
     return {
@@ -176,7 +171,7 @@ def fits_page(
         raise UsageError("no fit for the page", "give fits by name: {'dry': fit, ...}")
     names = list(fits)
     pattern = [name_pattern(names)] if run_names(names).pattern else []
-    by_name = _short(fits)
+    by_name = dict(zip(run_names(names).short, fits.values(), strict=True))
     results = list(fits.values())
     return rendered(
         "fits_page.html",

@@ -247,7 +247,9 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
     smooth = {name: _smoothed(raw[name], series, look) for name in raw}
     its_legs = {}
     for name in slips:
-        noise = _noise(raw[name] - smooth[name]) * np.sqrt(2 * look.bandwidth / rate)
+        rest = raw[name] - smooth[name]
+        noise = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
+        noise *= np.sqrt(2 * look.bandwidth / rate)
         its_legs[name] = legs(smooth[name], series.pieces, noise, LEAST[name], shortest)
     windows = _windows(its_legs, len(data), round(_WINDOW * rate))
     settings = {
@@ -285,11 +287,6 @@ def _smoothed(values, series: Series, look: ZeroPhase) -> np.ndarray:
     for piece in series.pieces:
         out[piece] = look(values[piece], series.time[piece])
     return out
-
-
-def _noise(rest: np.ndarray) -> float:
-    """Standard deviation of noise by the median of its size."""
-    return float(1.4826 * np.median(np.abs(rest - np.median(rest))))
 
 
 def _windows(its_legs, n: int, second: int) -> list[Window]:
