@@ -28,11 +28,6 @@ _WARMING = 0.2
 """Time constant of a zero that settles with its warm amplifier, over the record."""
 
 
-def _as_it_was_read(prior, prepared, rig):
-    """The sign of the conversion depends on how the slip was read."""
-    return prior._replace(center=prior.center * prepared.definition)
-
-
 def _of_this_wheel(prior, prepared, rig):
     """A force taken from the torque lacks the whole inertia that the rig states."""
     known = rig.wheel_inertia
@@ -88,10 +83,6 @@ def _settled(rows, constants):
     return blend(constants, rows.time, late)
 
 
-def _force_drift(drift, constants, rows):
-    return PER_MILLE * drift * rows.load * _settled(rows, constants)
-
-
 def _force_hysteresis(size, constants, rows):
     plain, grown = constants
     way = rows.turning * rows.side * (plain + grown * rows.usage)
@@ -130,7 +121,11 @@ OFFSETS = (
     Effect(
         id="slip_definition", family="measurement", scale=0.3, bounds=((-6.0, 6.0),),
         change=adds("curvature", lambda a, constants, _: constants[0] * a), center=1.0,
-        formula="slip / (1 - amplitude slip)", prior=_as_it_was_read, channels=("fx",),
+        formula="slip / (1 - amplitude slip)", channels=("fx",),
+        # The sign of the conversion depends on how the slip was read.
+        prior=lambda prior, rows, rig: prior._replace(
+            center=prior.center * rows.definition
+        ),
         means="the slip follows another definition than it was read by",
         remedy="read its column by the other one: --column kappa=HEADER or"
         " sigma_x=HEADER", parameter="1: kappa logged as sigma, or the reverse",
@@ -180,7 +175,9 @@ SENSORS = (
     ),
     Effect(
         id="force_zero_drift", family="force x time", scale=35.0, parameter="drift",
-        change=adds("force", _force_drift), unit="1e-3 mean F_z per record",
+        change=adds(
+            "force", lambda a, c, rows: PER_MILLE * a * rows.load * _settled(rows, c)
+        ), unit="1e-3 mean F_z per record",
         formula="force + amplitude t; zero drift of strain gauges, Hoffmann 1989",
         means="the zero of the force sensor moves over the record", odds=seldom,
         remedy="tare between runs; subtract the zeros before and after, shared by time",

@@ -70,10 +70,6 @@ def _skew_with(state, d, constants, rows):
     return _skewed(state, d * moving)
 
 
-def _flatness(state, share, constants, rows):
-    return state._replace(flat=jnp.clip(state.flat + share, *_FLATNESSES))
-
-
 def _kinetic_times(state, factor):
     return state._replace(kinetic=state.kinetic * jnp.maximum(factor, _LEAST_KINETIC))
 
@@ -152,11 +148,6 @@ def _step(share, constants, rows):
     return 1 + share * blend((1 - shaped, shaped), sudden, rows.change)
 
 
-def _worked(share, constants, rows):
-    """With the work of sliding so far, under one of its coolings."""
-    return 1 + share * rows.work @ jnp.asarray(constants)
-
-
 def _other(state, share, constants, rows):
     """The slips share the friction as in the patch, or the force falls with the other
     slip by a weight of its own, cos(arctan B alpha), Pacejka 4.3.2."""
@@ -223,7 +214,8 @@ def _by_condition(
             forms=free.over(name, inflation, "inflation"),
         ),
         effect(
-            f"{name}_warming", "work", scales[4], multiplies(name, _worked),
+            f"{name}_warming", "work", scales[4],
+            multiplies(name, lambda a, c, rows: 1 + a * rows.work @ jnp.asarray(c)),
             unit=range_of_file, odds=seldom, needs=("work", "v"), variants=choices(3),
             formula=f"{symbol} (1 + amplitude W), dW/dt = |F| v_s - W / cooling",
             means=f"{name} follows the work of sliding: the tire warms up or wears",
@@ -256,7 +248,10 @@ PATCH = (
         told_apart_by="mz",
     ),
     Effect(
-        id="pressure_flatness", family="pressure", change=_flatness, scale=0.6,
+        id="pressure_flatness", family="pressure", scale=0.6,
+        change=lambda state, share, constants, rows: state._replace(
+            flat=jnp.clip(state.flat + share, *_FLATNESSES)
+        ),
         formula="p from the parabola towards 5/8 (1 - xi^4), S(25)", parameter="share",
         means="the contact pressure is flatter or sharper than a parabola",
         remedy="fit quartic or elliptic", bounds=(_FLATNESSES,), told_apart_by="mz",
