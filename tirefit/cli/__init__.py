@@ -13,8 +13,7 @@ from typing import NoReturn
 
 __all__ = ["main"]
 
-_OVER = 0.01
-"""Seconds after which a callback of the garbage collector is over."""
+_OVER = 0.01  # seconds after which a callback of the garbage collector is over
 
 
 def main() -> None:

@@ -27,8 +27,7 @@ _BATCH, _RATE = 5.0, 100.0
 """Seconds that a batch of several pieces is to take, at least, and batches a second of
 all workers, at most: one costs scheduler and client 4 ms."""
 
-_AHEAD = 2
-"""Batches at a time for each worker: one at work and one that waits for it."""
+_AHEAD = 2  # batches at a time for each worker: one at work and one that waits for it
 
 _CONNECT, _ABSENT = 30.0, 60.0
 """Seconds to wait for a scheduler and its first worker, and for workers that are all

@@ -181,8 +181,7 @@ def diagnose(
         raise typer.Exit(worst)
 
 
-_PLAIN = "brush"
-"""The base model where none is asked for."""
+_PLAIN = "brush"  # the base model where none is asked for
 
 _INSTEAD = {"model": "--model", "seed": "--seed", "noise": "[noise] in --rig"}
 """Key or section of fit.toml -> where a diagnosis takes it from."""

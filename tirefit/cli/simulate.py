@@ -192,8 +192,7 @@ def _drop(text: str | None) -> tuple[float, float] | None:
     return time, friction
 
 
-_ROWS, _MOST_ROWS = "number of rows", 1e7
-"""What all of them need some GB of memory for."""
+_ROWS, _MOST_ROWS = "number of rows", 1e7  # what all of them need some GB of memory for
 
 
 def _of_log(rate: float, duration: float, drop) -> list[tuple]:

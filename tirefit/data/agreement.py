@@ -22,8 +22,7 @@ _NO_DELAY = 0.02
 """What the longest delay must add to R² beyond no delay: half a wave later, a wave of
 the other sign is as good."""
 
-_GLITCH = 3.0
-"""Multiple of the 99th percentile beyond which a sample is a glitch."""
+_GLITCH = 3.0  # multiple of the 99th percentile beyond which a sample is a glitch
 
 _OUTLIER = 5.0
 """Standard deviations of the remainder, by its median size, that no noise reaches."""

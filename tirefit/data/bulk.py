@@ -38,8 +38,7 @@ LARGE = 2**21
 _HEAD = 2**17
 _PIECE = 2**21
 
-_LONGEST = 2**16
-"""Bytes of a line; a longer one is of another kind of file."""
+_LONGEST = 2**16  # bytes of a line; a longer one is of another kind of file
 
 _PLAIN = bytes([*range(0x20, 0x7F), *b"\n\r\t"])
 """What the bytes below the head must be: nothing there needs an encoding."""

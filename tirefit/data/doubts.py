@@ -12,11 +12,8 @@ _CUT, _MUCH_CUT = 0.7, 0.05
 """Share of the bandwidth above which the filter takes part of what is there, and the
 share of a column's variance from which that is said."""
 
-_GRIP = 1.5
-"""Largest |F_y| / F_z of racing tires on dry asphalt, without downforce."""
-
-_SILENT = 1e-300
-"""Variance of a column that never changes."""
+_GRIP = 1.5  # largest |F_y| / F_z of racing tires on dry asphalt, without downforce
+_SILENT = 1e-300  # variance of a column that never changes
 
 _LONGEST = 2.0
 """Longest wave that is looked for, in wheelbases: wheels of cars turn once in 0.6 to 1,
@@ -25,8 +22,7 @@ of model cars in 1 to 1.5; a slalom is longer."""
 _TURNS = 16
 """Waves of the longest kind in a window: wavelengths are told apart to 1 / 16."""
 
-_WINDOWS = 4
-"""Windows that a log must have, at least."""
+_WINDOWS = 4  # windows that a log must have, at least
 
 _CHANCE = 1e-4
 """Probability that the highest of all peaks is chance, below which it is said."""

@@ -16,12 +16,10 @@ from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 _SMALL_ANGLE = np.radians(4.0)
 """Slip angle up to which the aligning moment has one sign."""
 
-_SMALL_SLIP = 0.03
-"""Longitudinal slip up to which a test of the slip angle is one."""
+_SMALL_SLIP = 0.03  # longitudinal slip up to which a test of the slip angle is one
 
 _LEAST_CAMBER = np.radians(1.0)
-_LEAST_BRAKING = 0.5
-"""Acceleration [m/s2] that is more than the noise of one."""
+_LEAST_BRAKING = 0.5  # acceleration [m/s2] that is more than the noise of one
 
 
 class Evidence(NamedTuple):

@@ -35,12 +35,9 @@ _SHARE = 0.25
 _AGAINST, _SMALL_SLIPS = 0.5, 0.25
 """A force of so much of the largest with a slip of the other sign is absurd, but for
 the smallest slips by size, which may have an offset."""
-_LOAD_STEP = 0.1
-"""Loads that differ by less in their logarithm are alike, ..."""
-_SLIP_STEP = 0.02
-"""... and slips across that of the force."""
-_CHUNK = 1 << 16
-"""Rows whose neighbours are sorted at once."""
+_LOAD_STEP = 0.1  # loads that differ by less in their logarithm are alike, ...
+_SLIP_STEP = 0.02  # ... and slips across that of the force.
+_CHUNK = 1 << 16  # rows whose neighbours are sorted at once
 _ALL = "all other rows"
 _SLIP_OF = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
 

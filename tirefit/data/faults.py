@@ -27,8 +27,7 @@ SURE = 4.0
 _STEERING = (0.4, 8.0)
 """Steering over that of a car that rolls: understeer makes it up to some times more."""
 
-_CLEAR = 5.0
-"""A gain is known where it is so many standard errors from 0."""
+_CLEAR = 5.0  # A gain is known where it is so many standard errors from 0
 
 SEEN = 0.5
 """Share of a term's variation that must be no noise for its gain to be judged."""
@@ -36,8 +35,7 @@ SEEN = 0.5
 RELATED = 0.6
 """Correlation from which two channels follow each other."""
 
-_SHARED = 0.9
-"""Correlation that noise of two sensors does not have."""
+_SHARED = 0.9  # correlation that noise of two sensors does not have
 
 _UNRELATED, _SURELY = 0.7, 2.5
 """They do not where the correlation and so many of its standard errors stay below."""

@@ -17,10 +17,8 @@ from tirefit.files import json_safe
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
 _WIDTH = 80
-_COMBINED = 10
-"""Rows of combined slip from which it is no accident."""
-_FAR_ROWS = 8
-"""Far rows that the text names one by one."""
+_COMBINED = 10  # rows of combined slip from which it is no accident
+_FAR_ROWS = 8  # far rows that the text names one by one
 _VARIES = 0.2
 """Relative spread from which a load or speed dependence can be told from noise."""
 

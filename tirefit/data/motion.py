@@ -157,8 +157,7 @@ _ROLLING = (0.02, 0.005)
 """Error of drag and rolling resistance over the weight, without and with a drag that is
 stated."""
 
-_MOST_SAMPLES = 3_000_000
-"""Samples on the grid of one log: 8 h at 100 Hz."""
+_MOST_SAMPLES = 3_000_000  # samples on the grid of one log: 8 h at 100 Hz
 
 _LOST = 3.5
 """Periods of a channel that has blanks between its samples, beyond which it is lost."""

@@ -22,8 +22,7 @@ from tirefit.files import replacing
 
 FAILED = "failed"
 
-_GROUP = 100_000
-"""Rows that are held before they go to the disk."""
+_GROUP = 100_000  # rows that are held before they go to the disk
 
 
 class Row(NamedTuple):

@@ -10,8 +10,7 @@ from tirefit.data.vehicle import POSE, Vehicle
 _POSE_CLOCK = 0.005
 """Standard error [s] of the time between x, y and yaw, which one instrument gives."""
 
-_DELAYED = 3.0
-"""Standard errors from which a delay between two channels is reported."""
+_DELAYED = 3.0  # standard errors from which a delay between two channels is reported
 
 
 def stated_of(vehicle: Vehicle) -> dict[str, float]:

@@ -33,10 +33,8 @@ _CONSTANT = re.compile(r"([A-Za-z_]+)=(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)\b")
 _AIM = re.compile(r'"?Format"?\s*[,;\t]\s*"?AiM CSV File', re.IGNORECASE)
 """First line of an export of AiM RaceStudio. Keys and values, a blank line, names,
 units and, in some versions, channel numbers follow."""
-_SEARCHED = 60
-"""Lines with content in which the header must stand."""
-_LONGEST = 10
-"""Lines that a header with quoted line ends may take."""
+_SEARCHED = 60  # lines with content in which the header must stand
+_LONGEST = 10  # lines that a header with quoted line ends may take
 
 
 @dataclass(frozen=True)

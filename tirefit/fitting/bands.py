@@ -14,8 +14,7 @@ from tirefit.padding import pad_rows, padded_size
 from tirefit.params import unconstrain
 
 _DRAWS = 400
-_ROOM = 8192
-"""Rows that 400 evaluations of which take as long as compiling a program."""
+_ROOM = 8192  # rows that 400 evaluations of which take as long as compiling a program
 
 
 class Band(NamedTuple):

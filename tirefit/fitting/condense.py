@@ -32,8 +32,7 @@ from tirefit.params import unconstrain
 FEWEST = 4096
 """Rows of a file that is condensed: fewer take no longer than their cells."""
 
-_REACH = 2.5
-"""Standard deviations at which the change of the force is looked at."""
+_REACH = 2.5  # standard deviations at which the change of the force is looked at
 
 _TRIES = ((512, 1e-3), (2048, 2.5e-4), (8192, 6e-5))
 """Cells, at most, and the share of the squared change that may be lost in them: of the
@@ -48,8 +47,7 @@ _MOVES = 3
 
 _COMPARED = 64
 
-_SAMPLED = 2**16
-"""Rows that the cells are cut by."""
+_SAMPLED = 2**16  # rows that the cells are cut by
 
 
 def condensed(solved: Solved, root: Float[np.ndarray, "p p"]) -> FitProblem | None:

@@ -33,8 +33,7 @@ _AT_ONCE = 8
 _GRID = np.append(0.0, np.geomspace(1e-5, _LARGEST_SLIP, 199))
 """Slips among which the peak is looked for, a whole number of times so many at once."""
 
-_NARROWED = 16
-"""Rounds that narrow it to 1e-15 of the distance of two of them."""
+_NARROWED = 16  # rounds that narrow it to 1e-15 of the distance of two of them
 
 
 def quantity_of(label: str) -> str:

@@ -44,8 +44,7 @@ from tirefit.fitting.problem import FitTask, build
 from tirefit.fitting.solve import Solved, on_rows, solve_problem
 from tirefit.results import InputProblem
 
-_CHANCE = 0.005
-"""Share of clean data sets that lose a row, were their noise ..."""
+_CHANCE = 0.005  # share of clean data sets that lose a row, were their noise ...
 _TAILS = 30
 """... Student's t of so many degrees of freedom at most: measured noise has tails a
 little heavier than normal, and in a long log a row of six standard deviations is no
@@ -69,12 +68,10 @@ _NEVER = 1e-9
 slip a force says nothing of its load, and such a row would rule the slope."""
 _REMEMBERED = 30
 """Rows, to either side, over which a transient tire spreads what is wrong in one."""
-_ROUNDING = 1e-6
-"""Share of a force's range below which nothing is far."""
+_ROUNDING = 1e-6  # share of a force's range below which nothing is far
 _RESTS = 0.7
 """Share of what is known of some parameter from which the fit rests on one row."""
-_MANY = 10
-"""Rows for each free parameter from which that is worth saying."""
+_MANY = 10  # rows for each free parameter from which that is worth saying
 
 
 @dataclass(frozen=True)

@@ -42,8 +42,7 @@ _HIGHEST, _FRICTIONS = 2.0, 7
 _AS_WELL = 9.0
 """Rise of -2 log likelihood up to which a friction describes the rows as well (three
 standard deviations)."""
-_REACHED = {"sigma_x": (-0.9, 2.0), "alpha": (-1.2, 1.2)}
-"""Slips that a test can go to."""
+_REACHED = {"sigma_x": (-0.9, 2.0), "alpha": (-1.2, 1.2)}  # slips that a test can go to
 _INSIDE = 4.0
 """Unconstrained values that are looked at: to 2 % of the range from either bound, where
 a step of the parameter would be none of the force."""
@@ -51,8 +50,7 @@ _STEPS = 12
 _TIMES_TOLD, _TIMES_KNOWN = 10.0, 3.0
 """Ends of a 95 % interval, one over the other, from which on ``fit`` calls a scale or
 a positive coefficient not identified."""
-_SHARE_TOLD = 0.8
-"""Of the allowed range, the same for any other parameter."""
+_SHARE_TOLD = 0.8  # of the allowed range, the same for any other parameter
 _WELL = 0.15
 """Half of the interval over the value, or over a quarter of the range: told well."""
 _STEEPEST = 20.0

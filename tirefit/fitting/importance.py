@@ -23,11 +23,9 @@ LARGEST_K_HAT = 0.7
 """Above it weighted means do not converge at any practical size (Vehtari et al.)."""
 
 _DEGREES_OF_FREEDOM = 5.0
-_WIDE = 0.1
-"""Share of the points from anywhere within the bounds."""
+_WIDE = 0.1  # share of the points from anywhere within the bounds
 _BLOCK = 512
-_FEWEST = 4096
-"""Points of the first round: k-hat of fewer is too noisy to refuse by."""
+_FEWEST = 4096  # points of the first round: k-hat of fewer is too noisy to refuse by
 _LEAST_SHARE = 0.02
 """Effective samples per point below which an ensemble is as cheap, and safer."""
 

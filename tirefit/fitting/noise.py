@@ -11,8 +11,7 @@ from tirefit.fitting.noise_law import NoiseLaw, law_shares
 MAD = 1.4826
 """Standard deviation of a normal law over its median absolute deviation."""
 
-_CHANCE = 5e-5
-"""Level of significance of a difference in noise."""
+_CHANCE = 5e-5  # level of significance of a difference in noise
 
 _CLEAR = 3.1
 """Standard errors by which a design effect must exceed one (0.1 %, one-sided)."""
@@ -21,8 +20,7 @@ _ALONE = 0.9
 """Leverage of one setting in a direction above which its residuals there are ignored:
 no other setting can contradict them."""
 
-_LEAST_RUNS = 4
-"""Smallest number of runs whose scatter is tested."""
+_LEAST_RUNS = 4  # smallest number of runs whose scatter is tested
 
 
 def autocorrelation(residuals: list[np.ndarray]) -> np.ndarray:

@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
-_CLEAR = 10.8
-"""Chi-square of one degree of freedom at the level of 0.1 %."""
+_CLEAR = 10.8  # chi-square of one degree of freedom at the level of 0.1 %
 
 _ROUNDS, _SETTLED = 50, 1e-4
 """Limit of regressions, and the change of a share of the variance that ends them."""

@@ -11,12 +11,9 @@ from tirefit.fitting.result import FitResult
 
 _BINS = 12
 """Settings up to so many have a mean each; more are bins of as many rows each."""
-_FEWEST = 3
-"""Rows of a bin from which its scatter gives its mean an error."""
-_HALF_95 = 1.96
-"""Standard errors to the end of a 95 % interval of a normal law."""
-_LAGS = 40
-"""Lags, at most, and those of a quarter of the longest run."""
+_FEWEST = 3  # rows of a bin from which its scatter gives its mean an error
+_HALF_95 = 1.96  # standard errors to the end of a 95 % interval of a normal law
+_LAGS = 40  # lags, at most, and those of a quarter of the longest run
 
 
 class Means(NamedTuple):

@@ -17,8 +17,7 @@ from tirefit.results import Outcome
 
 SCHEMA = "tirefit.fit/1"
 
-_MOST_ROWS = 1000
-"""Far rows in ``fit.json``, at most; ``data.set_aside`` counts all."""
+_MOST_ROWS = 1000  # far rows in ``fit.json``, at most; ``data.set_aside`` counts all
 
 _BELOW_MINUS_ONE = math.erfc(1 / math.sqrt(2)) / 2
 """Share of a Gaussian below its mean less one standard deviation."""

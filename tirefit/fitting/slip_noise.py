@@ -102,8 +102,7 @@ class SlipDistribution(NamedTuple):
         return slip + mean, np.sqrt(square)
 
 
-_NEW_SHARE = 0.05
-"""Share that new standing slips begin with, together."""
+_NEW_SHARE = 0.05  # share that new standing slips begin with, together
 
 
 def slip_distribution(slip, std, most: int = 40, iterations: int = 60):

@@ -39,8 +39,7 @@ _DOUBLED = 6.0
 """Number of degrees of freedom that equals its 95 % quantile of t^2: the interval then
 ends where the sum of squares has doubled."""
 
-_ONE_MINIMUM = 1e-5
-"""Distance in z below which two estimates are one."""
+_ONE_MINIMUM = 1e-5  # distance in z below which two estimates are one
 
 
 class Solved(NamedTuple):

@@ -35,8 +35,7 @@ from tirefit.params import par
 
 HYPOTHESES = tuple(0.05 * k for k in range(2, 27))
 """Friction 0.1 to 1.3 [-]; each is as likely at first."""
-_LONGEST = 0.5
-"""Time [s] without samples after which the motion starts anew."""
+_LONGEST = 0.5  # time [s] without samples after which the motion starts anew
 _MEMORY, _LEAST_SQUARE = 0.9, 0.02
 """Weight of the mean square surprise before, and the least that is taken for it."""
 _STATES, _FORCES = 8, 6

@@ -63,17 +63,14 @@ from tirefit.params import par
 from tirefit.results import InputProblem
 
 _SUBSTEPS = 4
-_LONGEST = 0.5
-"""Time [s] without samples after which the motion starts anew."""
+_LONGEST = 0.5  # time [s] without samples after which the motion starts anew
 _JUMP = 0.03
 """Jump of the torque over R F_z between samples after which the motion starts anew."""
-_SUMMED = 10.0
-"""Surprises that are told as one."""
+_SUMMED = 10.0  # surprises that are told as one
 _SPUN = 0.015
 """Time [s] after which a wheel follows a torque that jumped: three times J v / R^2 C_x
 of the wheel of S section 5."""
-_LEAST, _MOST = 0.05, 4.0
-"""theta is kept between them."""
+_LEAST, _MOST = 0.05, 4.0  # theta is kept between them
 _SLIPS = np.geomspace(0.01, 3.0, 64)
 """Where the peak of the steady force is looked for: a step of 9 %, on a flat peak."""
 _SPEEDS, _SLIDING = np.geomspace(2.0, 60.0, 12), np.r_[0.0, np.geomspace(1e-4, 1, 40)]

@@ -159,12 +159,9 @@ def wheel_rls_step(
     return WheelRls(omega, state.force + gain * error, grown * (1 - gain * lever))
 
 
-_LONGEST = 0.5
-"""Time [s] without samples after which the motion starts anew."""
-_USUAL = 0.02
-"""Time [s] between samples for which the noise of the forces is stated."""
-_FARTHEST = 0.1
-"""Largest step of the logarithm of mu a sample."""
+_LONGEST = 0.5  # time [s] without samples after which the motion starts anew
+_USUAL = 0.02  # time [s] between samples for which the noise of the forces is stated
+_FARTHEST = 0.1  # largest step of the logarithm of mu a sample
 _FIRST = (0.5, 0.5, 0.05, 0.1)
 """Std of the first y [m], dy/dt [m/s], heading [rad] and yaw rate [rad/s]."""
 

@@ -48,10 +48,8 @@ _SLOWEST, _FASTEST = 0.02, 8.0
 """Poles of the relation over the lower and the upper edge of the band."""
 _SETTLING = 0.8
 """Periods of the lower edge until the band-pass has forgotten a step to 4 %."""
-_RECENT = 0.1
-"""Time [s] of the mean square that is compared with that of the memory."""
-_QUICKLY = 0.9
-"""Forgetting factor while the wheel shakes so much less than before."""
+_RECENT = 0.1  # time [s] of the mean square that is compared with that of the memory
+_QUICKLY = 0.9  # forgetting factor while the wheel shakes so much less than before
 _INTERVAL_OFF = 0.2
 """Relative difference of an interval from the rate's, beyond which it is a gap."""
 

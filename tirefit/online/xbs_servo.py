@@ -43,12 +43,10 @@ from tirefit.results import UsageError
 
 Wheels = Float[Array, " w"]
 
-_STEADY = 0.05
-"""Time [s] over which the deceleration of the vehicle is averaged."""
+_STEADY = 0.05  # time [s] over which the deceleration of the vehicle is averaged
 _SLOWEST = 2.0
 """Speed [m/s] of the vehicle below which the pressures are held: k goes with 1/v."""
-_FOLLOWED = 3e5
-"""Error of the pressure [Pa] up to which the servo acts as O(8) has it."""
+_FOLLOWED = 3e5  # error of the pressure [Pa] up to which the servo acts as O(8) has it
 _LEAST_SLIP = 0.01
 _LEAST_FLOW = 1e5
 

@@ -15,8 +15,7 @@ from tirefit.sim.brake_request import VEHICLES
 from tirefit.sim.brake_result import Braking, Stop
 from tirefit.sim.brake_road import road_of
 
-_RATE = 20
-"""Pictures a second of simulated time; shown as fast as it happened."""
+_RATE = 20  # pictures a second of simulated time; shown as fast as it happened
 _WHEEL = (0.6, 0.22)
 _BODY = (4.2, 1.7)
 

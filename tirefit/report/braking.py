@@ -25,8 +25,7 @@ _SHORT = {
 _LEGEND: dict[str, Any] = {"facecolor": "white", "edgecolor": "none"}
 _SLOWEST_SHOWN = 2.0
 """Speed [m/s] above which a path of slip is shown: below it controllers switch off."""
-_PEAKS_SHOWN = 8.0
-"""Slip up to which it is shown, over that of the highest peak."""
+_PEAKS_SHOWN = 8.0  # slip up to which it is shown, over that of the highest peak
 
 
 def _cell(value: float, scale: float = 1.0) -> str:

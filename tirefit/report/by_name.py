@@ -16,8 +16,7 @@ from tirefit.report.numbers import plain_text
 _SAME = 1e-6
 """Relative spread of a ratio from which two quantities are not one in other units."""
 _MOST_NAMES = 40
-_LEFT = 0.88
-"""Inches for a label and its numbers."""
+_LEFT = 0.88  # inches for a label and its numbers
 
 
 class Points(NamedTuple):

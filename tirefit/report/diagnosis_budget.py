@@ -102,8 +102,7 @@ def stand_in_line(result: Diagnosis) -> str:
     return line
 
 
-_KINDS = ("parameters", "unexplained", "noise")
-"""Parts of a budget that are no effect."""
+_KINDS = ("parameters", "unexplained", "noise")  # parts of a budget that are no effect
 
 
 def _label(part: Part) -> str:

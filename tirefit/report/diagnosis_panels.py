@@ -117,8 +117,7 @@ _ALONG = {
     "slip": "added slip, in its own direction [-]",
     "force": "added force, towards the slip [% of $F_z$]",
 }
-_LETTERS = 66
-"""Of a line of the title."""
+_LETTERS = 66  # of a line of the title
 
 
 def look_title(panel: LookCurve) -> str:

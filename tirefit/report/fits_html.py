@@ -18,8 +18,7 @@ from tirefit.report.numbers import format_number
 from tirefit.report.overlay import draw_overlay, overlay_of
 from tirefit.results import UsageError
 
-_TOGETHER = 3
-"""Quantities by file in one picture."""
+_TOGETHER = 3  # quantities by file in one picture
 
 
 def _columns(fits: Mapping[str, FitResult], part: str) -> dict[str, str]:

@@ -17,11 +17,8 @@ _KINDS = ("parameter", "effect", "gap", "derived", "statistic")
 _OWN_STD = ("parameter", "effect", "derived")
 """Kinds whose numbers say how sure they are: one that does not is not known."""
 
-_FEW = 3
-"""Files from which on a quantity of some of them is shown."""
-
-_MOST = 300
-"""Files that are drawn one by one; of more, as many bins of neighbours."""
+_FEW = 3  # files from which on a quantity of some of them is shown
+_MOST = 300  # files that are drawn one by one; of more, as many bins of neighbours
 
 
 class Quantity(NamedTuple):

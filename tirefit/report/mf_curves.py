@@ -13,8 +13,7 @@ from tirefit.models import TireInputs
 from tirefit.report.curves import FORCE_LABEL, Curve, FitCurve, Group, even
 from tirefit.results import UsageError
 
-_POINTS = 80
-"""Points of a curve between the first and the last bin."""
+_POINTS = 80  # points of a curve between the first and the last bin
 _IN_95 = 1.96
 _BY = {
     "fz": "load",

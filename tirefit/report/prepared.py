@@ -29,8 +29,7 @@ _PANELS = {
 _ALSO = {"fx": (1.0, "N"), "fy": (1.0, "N"), "temperature": (1.0, "°C")}
 _LEAST_FORCE = 0.1
 """Of the largest load: a force that changes less is not worth a panel."""
-_KILO = 2000.0
-"""Newtons from which on forces are shown in kN."""
+_KILO = 2000.0  # Newtons from which on forces are shown in kN
 _POINTS = 1500
 """Columns of the picture in which a line shows its lowest and highest value."""
 

@@ -20,10 +20,8 @@ from tirefit.report.numbers import plain_text
 
 _INDEPENDENT = 0.9
 """Effective share of the rows from which their order in the file is moot."""
-_MOST_RUNS = 30
-"""Runs that have a panel of their own, at most."""
-_TICK = 12
-"""Characters of a run's name below an axis."""
+_MOST_RUNS = 30  # runs that have a panel of their own, at most
+_TICK = 12  # characters of a run's name below an axis
 _LABEL = {
     "fz": ("load $F_z$", "N"),
     "v": ("speed $v$", "m/s"),

@@ -27,8 +27,7 @@ from tirefit.sim.brake_vehicle import (
 VEHICLES = {"car": four_wheels, "quarter": quarter_car}
 """Name of a vehicle -> what makes it."""
 
-_LEAST_SHARE = 0.4
-"""Share of the least friction with which the time limit reckons."""
+_LEAST_SHARE = 0.4  # share of the least friction with which the time limit reckons
 _GRACE = 3.0
 _FASTEST, _SHARPEST = 100.0, 0.6
 
@@ -103,8 +102,7 @@ def plant_of(request: Request) -> Plant:
 _USUAL_SLOPE = (3.0, 150.0)
 """Slope of the braking force at rest over the load: 10 to 40 of car tires."""
 
-_LONGEST = 300.0
-"""Longest manoeuvre [s]."""
+_LONGEST = 300.0  # longest manoeuvre [s]
 
 _NUMBERS = {
     "demand": (1e3, 5e7, "Pa"), "ramp": (1e3, 1e10, "Pa/s"),

@@ -17,8 +17,7 @@ ROADS = ("mu=0.4", "mu=0.3:0.8@20", "left=0.3,right=0.8")
 """How a road is written: constant; another friction from 20 m on; split."""
 
 _LEAST, _MOST = 0.05, 2.0
-_PATCH = 0.2
-"""Length [m] of the contact patch, which comes onto a new road bit by bit."""
+_PATCH = 0.2  # length [m] of the contact patch, which comes onto a new road bit by bit
 
 
 class Road(NamedTuple):

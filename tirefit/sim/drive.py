@@ -30,13 +30,11 @@ from tirefit.sim.braking import SimulatedLog
 _SLOWEST = 0.01
 """Wheel speed over that of free rolling below which a brake only holds a wheel."""
 _LEAST_LOAD = 1.0
-_PREVIEW = 15.0
-"""Distance [m] at which the driver looks at the lane."""
+_PREVIEW = 15.0  # distance [m] at which the driver looks at the lane
 _LEAD = 0.15
 """Time [s] by which the driver turns in before a bend, as the car follows that late."""
 _FRONT_BRAKES = 0.6
-_PITCH_TIME = 0.1
-"""Time [s] in which the loads of the axles follow the deceleration."""
+_PITCH_TIME = 0.1  # time [s] in which the loads of the axles follow the deceleration
 
 
 @dataclass(frozen=True)

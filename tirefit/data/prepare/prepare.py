@@ -37,8 +37,7 @@ FORCE_OF = {"alpha": "fy", "sigma_x": "fx"}
 _LOOK = 5.0
 """Bandwidth [Hz] in which segments are looked for: rigs move slower than that."""
 _SHARE_OF_RATE = 0.2
-_WINDOW = 1.0
-"""Seconds of a hold in which a setting is looked for at a time."""
+_WINDOW = 1.0  # seconds of a hold in which a setting is looked for at a time
 _LEAST_ROWS = 4
 """Rows in the shortest time that is held: sampled slower, rows are points, no series;
 and rows of the shortest sweep among points."""
@@ -46,12 +45,9 @@ _CYCLES = 40.0
 """Bandwidth times the time of a fast sweep. A brush that slides from a fifth of the
 largest slip on is then kept to 0.2 % of its peak by sweeps of one speed from end to
 end, to 0.5 % by sines."""
-_STANDING = 0.02
-"""Of the highest speed: slower, the wheel does not roll."""
-_FASTEST = 0.1
-"""Quantile of the times of the sweeps that counts as fast."""
-_LOWEST, _HIGHEST = 2.0, 25.0
-"""Bandwidths [Hz] that are chosen at least and at most."""
+_STANDING = 0.02  # of the highest speed: slower, the wheel does not roll
+_FASTEST = 0.1  # quantile of the times of the sweeps that counts as fast
+_LOWEST, _HIGHEST = 2.0, 25.0  # bandwidths [Hz] that are chosen at least and at most
 
 
 @dataclass(frozen=True, repr=False)

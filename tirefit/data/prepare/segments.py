@@ -9,12 +9,9 @@ from tirefit.data.prepare.series import Series, runs_of
 from tirefit.data.prepare.set_points import Settings
 from tirefit.data.prepare.slips import SWEPT, Leg
 
-_PART = 0.25
-"""Of a whole sweep that is left of it at least where a change cuts into it."""
-_SLOW = 3.0
-"""Seconds from which on a load on its way measures the spring rate."""
-_FAR = 0.3
-"""Of the largest load: a spring rate is measured over so much at least."""
+_PART = 0.25  # of a whole sweep that is left of it at least where a change cuts into it
+_SLOW = 3.0  # seconds from which on a load on its way measures the spring rate
+_FAR = 0.3  # of the largest load: a spring rate is measured over so much at least
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from tirefit.data.table import TireData
 
-_GAP = 3.5
-"""Sampling steps without a row from which on a series is cut in two."""
+_GAP = 3.5  # sampling steps without a row from which on a series is cut in two
 
 
 class Series(NamedTuple):
@@ -77,10 +76,8 @@ def bridged(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.interp(at, at[good], values[good])
 
 
-_ORDER = 2
-"""Of one pass: the two together fall by 80 dB a decade."""
-_HIGHEST = 0.4
-"""Of the sampling rate: above, there is nothing to filter."""
+_ORDER = 2  # of one pass: the two together fall by 80 dB a decade
+_HIGHEST = 0.4  # of the sampling rate: above, there is nothing to filter
 _UNEVEN = 0.1
 """Of a sampling step that a time stamp may be off its place on an even grid."""
 

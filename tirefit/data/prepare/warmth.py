@@ -8,8 +8,7 @@ import numpy as np
 
 from tirefit.data.prepare.segments import Segment
 
-_RISE = 5.0
-"""Kelvin that a tire gets warmer by at least, if its warming is to be told."""
+_RISE = 5.0  # kelvin that a tire gets warmer by at least, if its warming is to be told
 _WARM, _COLD = 0.8, 0.33
 """Of the rise of its temperature: warm from there on; a sweep below that is cold."""
 _STILL_WARMING = 0.1

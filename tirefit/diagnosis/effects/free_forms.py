@@ -17,8 +17,7 @@ _OF_THE_CURVE, _OF_SPEED, _OF_RATE = 9, 8, 6
 """The same for force over slip, friction over sliding speed and friction over the rate
 of the slip, which vary within a part of the range."""
 
-_QUICKEST = 3.0
-"""Rates over the usual one that count as this one: a jump."""
+_QUICKEST = 3.0  # rates over the usual one that count as this one: a jump
 
 _CERTAIN, _TURNS = 0.99, 0.1
 """Size of ``turning`` from which the direction is certain; largest share of uncertain

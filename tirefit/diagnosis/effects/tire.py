@@ -36,8 +36,7 @@ that are tried: exponential, S(37), and with exponent 0 by log(1 + v_s / v_st)."
 STEPS = tuple(float(t) for t in np.linspace(-0.42, 0.42, 15))
 """Times of a sudden change that are tried, as shares of the record about its middle."""
 
-_NO_END = 1.0
-"""End, outside the record, of a change that lasts."""
+_NO_END = 1.0  # end, outside the record, of a change that lasts
 
 _STRETCHES = tuple(
     (begin / 20, (begin + length) / 20)
@@ -57,8 +56,7 @@ _OF_FRICTION = 0.62
 """Force by the stiffness alone over the friction, at the slip of half the largest
 force: 3 (1 - 2^(-1/3)) of a brush."""
 
-_LEAST_KINETIC = 1e-3
-"""Smallest kinetic friction over its usual value."""
+_LEAST_KINETIC = 1e-3  # smallest kinetic friction over its usual value
 
 
 def _skewed(state, change):

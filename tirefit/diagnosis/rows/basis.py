@@ -20,11 +20,8 @@ from tirefit.diagnosis.rows.patterns import (
 SCALES = 2.0 * 3.0 ** np.arange(4)
 """Standard deviations of a basis function's coefficient that are averaged over."""
 
-_BUMPS = (4, 8)
-"""Fewest and most functions of the slip for each sign."""
-
-_LEVELS = 4
-"""Largest number of settings of a covariate with a coefficient each."""
+_BUMPS = (4, 8)  # fewest and most functions of the slip for each sign
+_LEVELS = 4  # largest number of settings of a covariate with a coefficient each
 
 
 def bumps(values, count: int) -> np.ndarray:

@@ -10,8 +10,7 @@ from tirefit.diagnosis.rows.rig import LEAST_ROWS
 from tirefit.fitting.noise import MAD
 from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
 
-_WINDOWS = (5, 9, 13, 19, 27, 41)
-"""Rows of the local parabolas."""
+_WINDOWS = (5, 9, 13, 19, 27, 41)  # rows of the local parabolas
 
 _REACH, _PIECE = _WINDOWS[-1] - 1, 4_000
 """Rows beside a row that its path uses; rows at once, which bounds the memory."""
@@ -30,8 +29,7 @@ _WORTH, _MORE = 0.7, 1.25
 """Log probability of each row that a parabola explains, calibrated on saw-tooth and
 sine sweeps; ratio of two estimates of the noise above which they disagree."""
 
-_NOISY = 17
-"""Rows over which a well sampled slip is a parabola."""
+_NOISY = 17  # rows over which a well sampled slip is a parabola
 
 
 def segments(time, run) -> list[np.ndarray]:

@@ -26,23 +26,18 @@ _RESOLVED = 3.0
 """Standard deviations of the energy of noise from which a gap is resolved."""
 WORST = -1.0
 """Closure that counts as the worst there is: the gap doubled."""
-_BLOCKS = 60
-"""Blocks of a record, at most."""
+_BLOCKS = 60  # blocks of a record, at most
 _WIDER = 1.2
 """Factor on the errors of parameters: those of a fit whose form is not quite right."""
-_SETS = 3
-"""Sets of effects that are drawn from, the most probable ones."""
+_SETS = 3  # sets of effects that are drawn from, the most probable ones
 _SIZES = np.geomspace(0.03, 300, 20)
 """Sizes of a discrepancy's coefficients over the noise; all are as likely."""
-_SHAPES = 30
-"""Sharp shapes of a discrepancy that are drawn, the most probable ones."""
-_FAR = 6.0
-"""Standard errors within which an energy is looked for."""
+_SHAPES = 30  # sharp shapes of a discrepancy that are drawn, the most probable ones
+_FAR = 6.0  # standard errors within which an energy is looked for
 _UNDRAWN, _FACTOR = 0.4, 1.5
 """Discrepancy of other shapes, as a share of what is drawn: its median, and standard
 deviation of its logarithm. Development trials have .2 to .6."""
-_NINETY = 1.645
-"""Standard errors on both sides of a 90 % interval."""
+_NINETY = 1.645  # standard errors on both sides of a 90 % interval
 
 
 def plausible_forces(case, generator) -> dict[str, np.ndarray]:

@@ -53,8 +53,7 @@ from tirefit.diagnosis.summary.where import data_summary, parameter_map, regions
 _LISTED, _MENTIONED = 10, 1e-3
 """Candidates that are listed, at most; probability from which the unknown is one."""
 
-_SHOWN = 0.05
-"""Probability of a shape of the remainder from which it is reported."""
+_SHOWN = 0.05  # probability of a shape of the remainder from which it is reported
 
 _SEEN = 3.3
 """Standard errors of an amplitude that is seen four times in five: 0.84 beyond 2.46,

@@ -21,8 +21,7 @@ DRAWS = 2000
 """Draws of noise: a probability of 5 % is known to half a percent."""
 _FACTORS, _SMALL = (0.5, 2.0), 0.1
 """Loads, speeds and slips of further measurements over those of the file."""
-_FEW = 3
-"""Pairs of effects that are compared, and additions that are listed, at most."""
+_FEW = 3  # pairs of effects that are compared, and additions that are listed, at most
 _WORTHWHILE = 0.02
 """Rise of the probability to tell two effects apart that is worth an addition."""
 _SAME_AGAIN = "the same again"

@@ -27,14 +27,11 @@ _BANDS, _BINS, _STEPS = 5, 13, 60
 """Bands of a swept covariate, bins of a map or of what is left, and bins of a curve, at
 most."""
 
-_FEWEST = 4
-"""Rows of a cell from which its scatter is known."""
-_TENTHS = (0.1, 0.9)
-"""Quantiles that hold 80 % of the rows of a bin."""
+_FEWEST = 4  # rows of a cell from which its scatter is known
+_TENTHS = (0.1, 0.9)  # quantiles that hold 80 % of the rows of a bin
 _BETTER = 0.05
 """Share of its energy by which another map must show more than that over the load."""
-_POINTS, _CURVES = 300, 3
-"""Points and curves that a figure shows, at most."""
+_POINTS, _CURVES = 300, 3  # points and curves that a figure shows, at most
 _SHOWN_OVER = ("fz", "v", "time", "direction", "gamma")
 """Covariates that the map is drawn over, the usual one first."""
 

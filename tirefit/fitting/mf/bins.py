@@ -18,10 +18,8 @@ _HELD = {"fz": 0.03, "pressure": 0.01, "sigma_x": 0.01}
 _HELD |= {"gamma": 0.2 * _DEG, "alpha": 0.3 * _DEG}
 """Scatter of a channel that a rig holds constant, at one slip: relative for load and
 pressure, rad for angles, kappa for ``sigma_x``."""
-_SWEPT = 10.0
-"""Width, in units of :data:`_HELD`, above which a level is a range."""
-_MOST = 12
-"""Largest number of levels of a channel; a channel with more is a range."""
+_SWEPT = 10.0  # width, in units of :data:`_HELD`, above which a level is a range
+_MOST = 12  # largest number of levels of a channel; a channel with more is a range
 _VALLEY = 0.5
 """Two levels are separate if the density of rows between them falls below this share of
 the lower of their two peaks."""
@@ -29,10 +27,8 @@ _LEAST_SHARE = 0.01
 """Smallest share of the rows in a level; fewer rows are on the way between levels."""
 _SUPPORT = 0.1
 """Smallest share of the rows that must show a number of levels for it to be used."""
-_STEPS = 4
-"""Cells of the density estimate per unit of :data:`_HELD`."""
-_CELLS = 32
-"""Number of slip bins between the ends of all sweeps."""
+_STEPS = 4  # cells of the density estimate per unit of :data:`_HELD`
+_CELLS = 32  # number of slip bins between the ends of all sweeps
 
 
 class Setting(NamedTuple):

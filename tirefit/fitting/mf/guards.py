@@ -23,8 +23,7 @@ GUARDS = {
 }
 """Name -> what holds."""
 
-_BEYOND = 2.0
-"""Largest load of the grid over that of the data."""
+_BEYOND = 2.0  # largest load of the grid over that of the data
 
 _LOADS = 9
 _SMALL, _CLEAR = 0.004, 0.06

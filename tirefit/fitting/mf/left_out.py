@@ -22,8 +22,7 @@ _ROWS = 1500
 
 _IN_95 = 1.96
 
-_CHANCE = 0.05
-"""Level of the test for shifts that are larger than the standard errors."""
+_CHANCE = 0.05  # level of the test for shifts that are larger than the standard errors
 
 _DETERMINED = 0.1
 """Smallest relative growth of a variance without the part, in a direction of the

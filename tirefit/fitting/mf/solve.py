@@ -39,8 +39,7 @@ _RESTS, _GAINED = 15, 1e-3
 """The search ends if this number of passes gained less than this deviance (a thirtieth
 of a standard error) in all: at a kink of the formula every step stays damped."""
 
-_LIMITED = 256
-"""Number of points at which the curvature factors of a force are limited."""
+_LIMITED = 256  # number of points at which the curvature factors of a force are limited
 
 _LARGEST_E, _OVER = 0.98, 0.005
 """Curvature factor above which a penalty applies, and the excess that costs one of
