@@ -15,13 +15,13 @@ from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
+    Folder,
     SideOption,
     SignsOption,
     complain,
     completed,
     errors_to_exit,
     forces_named,
-    named_path,
     numbers,
     progress_bar,
     read_config,
@@ -87,10 +87,7 @@ def _check_replaced(
 def diagnose(
     files: Files,
     options: DataOptions,
-    out: Annotated[
-        Path,
-        typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
-    ],
+    out: Folder,
     model: Annotated[
         str | None,
         typer.Option(

@@ -28,6 +28,11 @@ _WARMING = 0.2
 """Time constant of a zero that settles with its warm amplifier, over the record."""
 
 
+def _as_it_was_read(prior, prepared, rig):
+    """The sign of the conversion depends on how the slip was read."""
+    return prior._replace(center=prior.center * prepared.definition)
+
+
 def _of_this_wheel(prior, prepared, rig):
     """A force taken from the torque lacks the whole inertia that the rig states."""
     known = rig.wheel_inertia
@@ -121,11 +126,7 @@ OFFSETS = (
     Effect(
         id="slip_definition", family="measurement", scale=0.3, bounds=((-6.0, 6.0),),
         change=adds("curvature", lambda a, constants, _: constants[0] * a), center=1.0,
-        formula="slip / (1 - amplitude slip)", channels=("fx",),
-        # The sign of the conversion depends on how the slip was read.
-        prior=lambda prior, rows, rig: prior._replace(
-            center=prior.center * rows.definition
-        ),
+        formula="slip / (1 - amplitude slip)", prior=_as_it_was_read, channels=("fx",),
         means="the slip follows another definition than it was read by",
         remedy="read its column by the other one: --column kappa=HEADER or"
         " sigma_x=HEADER", parameter="1: kappa logged as sigma, or the reverse",

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.fitting.mf.rows import ForceRows
-from tirefit.fitting.noise_law import NoiseLaw, noise_law
+from tirefit.fitting.noise import NoiseLaw, noise_law
 from tirefit.models import TireInputs
 
 _WIDTH = {"sigma_x": 0.005, "alpha": 0.005, "gamma": 0.005}

@@ -11,7 +11,7 @@ from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import blocks_of, propagated
 from tirefit.fitting.mf.stages import Search, without
-from tirefit.fitting.noise_law import NoiseLaw, noise_law
+from tirefit.fitting.noise import NoiseLaw, noise_law
 
 LEAVE_OUT = ("three", "load", "bin", "none")
 """What is left out in turn: the bins of three loads (the smallest, a middle one, the

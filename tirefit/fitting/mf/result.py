@@ -15,7 +15,7 @@ from tirefit.fitting.mf.guards import Guard
 from tirefit.fitting.mf.left_out import LeftOut
 from tirefit.fitting.mf.stages import Stage
 from tirefit.fitting.mf.temperature import FrictionTemperature
-from tirefit.fitting.noise_law import NoiseLaw
+from tirefit.fitting.noise import NoiseLaw
 from tirefit.fitting.result import SCHEMA, layout_record
 from tirefit.fitting.store import StoredFit
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire

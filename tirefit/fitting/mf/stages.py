@@ -27,8 +27,7 @@ from tirefit.fitting.mf.solve import (
     row_gradients,
     row_values,
 )
-from tirefit.fitting.noise import autocorrelation_time, design_effect
-from tirefit.fitting.noise_law import noise_law
+from tirefit.fitting.noise import autocorrelation_time, design_effect, noise_law
 from tirefit.models import TireInputs
 
 _ENOUGH = 2048
