@@ -19,8 +19,7 @@ LATEST = 0.4
 """Longest delay that is looked for [s]: of the recorders of vehicles."""
 
 _NO_DELAY = 0.02
-"""What the longest delay must add to R² beyond no delay: half a wave later, a wave of
-the other sign is as good."""
+"""Least gain in R² of the longest delay: half a wave late the other sign fits too."""
 
 _GLITCH = 3.0  # multiple of the 99th percentile beyond which a sample is a glitch
 
@@ -184,8 +183,7 @@ def _seen_around(values, around) -> float:
 
 
 def _no_outlier(error: np.ndarray) -> np.ndarray:
-    """Rows (n,) bool whose remainder is of the size of the others'; all of them where
-    too few would be left."""
+    """Rows (n,) bool with remainders of common size; all where too few would be."""
     about = np.abs(error - np.median(error))
     good = about <= _OUTLIER * 1.4826 * np.median(about)
     return good if good.sum() >= FEWEST else np.ones(len(error), bool)

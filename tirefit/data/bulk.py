@@ -68,8 +68,7 @@ class _Layout(NamedTuple):
 
 
 class _Rows:
-    """Rows of the head, then those of the pieces; ``commas``: whether numbers were read
-    with a decimal comma."""
+    """Rows of the head, then of the pieces; ``commas``: decimal ones."""
 
     def __init__(self, content: bytes, head: Table, layout: _Layout):
         self._content, self._layout = content, layout

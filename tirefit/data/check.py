@@ -190,8 +190,7 @@ def list_problems(
         file: named in the problems.
 
     Returns:
-        Problems of single rows, and problems of whole columns (most rows are bad),
-        which masking cannot cure.
+        Problems of single rows, and of whole columns, which no mask cures.
     """
     of_rows, of_columns = [], []
     for fault in faults:

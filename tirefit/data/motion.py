@@ -60,8 +60,7 @@ def read_motion(path: str | Place, vehicle: Vehicle) -> tuple[Track, Motion, int
     """The usable samples of a log, the motion on the grid, and the number of gaps.
 
     Raises:
-        DataError: If the file cannot be read, lacks a column, holds text or is slower
-            than the filter needs.
+        DataError: unreadable file, missing column, text, or too low a rate.
     """
     track = read_track(file_at(path), vehicle)
     return track, *_motion(track, vehicle)
@@ -218,8 +217,7 @@ def _check_size(track: Track, splits: np.ndarray, rate: float) -> None:
 
 
 def _on_grid(time, signals, grid, max_gap: float, vehicle: Vehicle):
-    """Signals (n, k) on the grid, low-passed; None if too short. One that is missing
-    for long is NaN there."""
+    """Signals (n, k) on the grid, low-passed, NaN in long gaps; None if too short."""
     from scipy.interpolate import CubicSpline  # slow, and no other reader needs it
 
     # Cubic: a straight line would cut the corners of a turn.
@@ -267,8 +265,7 @@ def _from_pose(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:
 
 
 def _from_rates(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:
-    """As :func:`_from_pose`, from v_x, v_y, yaw rate, a_y at the tracked point, and a_x
-    where it is logged."""
+    """As :func:`_from_pose`, from v_x, v_y, yaw rate, a_y at the point, and any a_x."""
     rate = vehicle.filter.sample_rate
     v_x, v_y, yaw_rate, a_y = (of[name] for name in RATES)
     cos, sin = np.cos(vehicle.sideslip_offset), np.sin(vehicle.sideslip_offset)

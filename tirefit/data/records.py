@@ -159,8 +159,7 @@ _DATE = re.compile(
 
 
 def dates_of(files: Sequence[str]) -> np.ndarray | None:
-    """Dates (n,) datetime64[s] in the names of the files; None unless all have one, and
-    they are not all the same."""
+    """Dates (n,) datetime64[s] in file names; None unless all have one and differ."""
     dates = []
     for file in files:
         date = _DATE.search(file.replace("\\", "/").rsplit("/", 1)[-1])

@@ -83,8 +83,7 @@ def agreements(
 def heading_off_path(
     track: Track, motion: Motion, vehicle: Vehicle, sign: int
 ) -> float:
-    """Mean of ``sign`` times the direction of the path, less the yaw [rad], in ±pi; NaN
-    where the log has no pose."""
+    """Mean of ``sign`` x path direction less yaw [rad], in ±pi; NaN without a pose."""
     if not motion.settled.any():
         return np.nan
     of = _slowly(track, motion, vehicle)

@@ -183,8 +183,7 @@ class TireData(Displayed):
         return self.source.path or self.name
 
     def first_masked(self, most: int = 3) -> tuple[str, ...]:
-        """The first rows that are not used, with their reasons; how many there are
-        where those are not all."""
+        """The first unused rows with reasons; their number if there are more."""
         masked = self.source.masked
         first = [replace(at, remedy="", file="") for at in masked[:most]]
         rest = [f"{len(self) - self.n} rows in all"] if len(masked) > most else []

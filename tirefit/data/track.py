@@ -83,8 +83,7 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     """Rows with finite values, a later stamp than all before, and a new pose.
 
     Raises:
-        DataError: If the file cannot be read, lacks a column, holds text or is slower
-            than the filter needs.
+        DataError: unreadable file, missing column, text, or too low a rate.
     """
     table, vehicle = _read(path, vehicle)
     notes = list(table.notes)

@@ -103,16 +103,13 @@ def diagnose(
             signs. Where only its forces are known, ``model``, fitted to them, stands in
             for what a hypothesis changes: the brush by default, or mf61 where that does
             not follow them closely.
-        signs: convention in which the ``.tir`` file ``sim`` was written ("iso-w" if
-            None), or the columns ``fx_sim``, ... (that of the data if None), a key of
-            ``slip.CONVENTIONS``.
-        rig: what is known of the rig (noise, rolling radius, wheel inertia), or the
-            path of its ``rig.toml``.
+        signs: convention, a key of ``slip.CONVENTIONS``, of the ``.tir`` file ``sim``
+            ("iso-w" if None), or of the columns ``fx_sim``, ... (the data's if None).
+        rig: what is known (noise, radius, inertia), or a path of ``rig.toml``.
         forces: of fx, fy, mz, those that matter; None for all that were measured.
         effects: the library to search; add your own to :data:`EFFECTS`.
         without: ids of effects that are not looked for.
-        holdout: data of the same kinds, or a list of such, not used for the search, to
-            check the closure on.
+        holdout: data of the same kinds, or a list of such, to check closure on.
         seed: of the simulated null distributions and bootstraps.
 
     Returns:

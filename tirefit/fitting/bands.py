@@ -18,8 +18,7 @@ _ROOM = 8192  # rows that 400 evaluations of which take as long as compiling a p
 
 
 class Band(NamedTuple):
-    """A fitted force (m,), the ends of its 95 % band (m,), and those of the band that
-    holds 95 % of measurements."""
+    """A fitted force (m,), ends of its 95 % band and of that of measurements (m,)."""
 
     force: np.ndarray
     low: np.ndarray

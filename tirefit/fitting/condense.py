@@ -116,8 +116,7 @@ def _is_plain(problem: FitProblem) -> bool:
 
 
 def _places(solved: Solved) -> Float[np.ndarray, "n d"]:
-    """What rows of one cell must have alike: inputs, and residuals where a row's
-    deviance is no square."""
+    """What rows of a cell share: inputs, and residuals if the deviance is no square."""
     problem = solved.problem
     columns = [problem.used(column) for column in problem.rows.inputs]
     columns += [problem.used(std) for std in problem.rows.slip_std.values()]

@@ -105,8 +105,7 @@ def _curve(model, values, channel: str, fz, v):
 
 
 def _start_and_peak(force):
-    """Slope at zero slip, and (slip, force) of the first largest force: a grid, then
-    where the slope ends.
+    """Slope at zero slip; (slip, force) of the first maximum, by a grid, then slope.
 
     A plateau is flat to the third order where it begins, so values alone would give
     its slip to 1e-4; the sign of the slope gives it to rounding. One loop serves both,

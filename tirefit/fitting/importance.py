@@ -148,8 +148,7 @@ def draw_weighted(
     Args:
         density: log posterior density (n,) of points (n, p) of the whitened space, up
             to a constant; -inf where there is none.
-        center, root: (p,) and (p, p); z = center + root u are coordinates in which the
-            bounds are at infinity.
+        center, root: (p,), (p, p); z = center + root u is unbounded in u.
         seed: the same seed draws the same samples.
         target: draws wanted; refused where they would take 50 times as many points.
         progress: called with (share done, message).

@@ -175,8 +175,7 @@ def damped_gauss_newton(
     Args:
         residual: residuals and scoring weights; p up to about ten.
         start: first z.
-        elements: indices of the elements of z that each residual depends on; None if
-            it depends on all.
+        elements: those of z that each residual depends on, or None for all.
         allowed: takes a trial z to the nearest one that may be tried.
         max_steps: limit of trials, the start included.
         relative, absolute: the search ends where one undamped step could change the

@@ -126,8 +126,7 @@ def autocorrelation_time(residuals: list[np.ndarray]) -> float:
     """Integrated autocorrelation time of residuals in time order, at least 1.
 
     Sum of the autocorrelation over lags by Geyer's initial positive sequence, runs
-    pooled. Where the lag-one autocorrelation is not significant at 0.1 % the residuals
-    count as independent.
+    pooled; 1 where the lag-one autocorrelation is not significant at 0.1 %.
 
     Args:
         residuals: one array (n_run,) per run, in the order they were measured.

@@ -109,8 +109,7 @@ def predict(
         Masked rows are NaN.
 
     Raises:
-        UsageError: unknown model or parameter, or a value outside its bounds; or
-            32-bit floats in use.
+        UsageError: unknown model or parameter, value out of bounds, 32-bit floats.
         DataError: the data lack an input, or have runs the fit does not know.
     """
     require_x64("a prediction")

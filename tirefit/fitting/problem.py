@@ -141,8 +141,7 @@ def _slip_scale(data: TireData, slip: str, noise: NoiseConfig):
 
 
 def _noise_problems(data: TireData, forces, config: FitConfig):
-    """Noise beside which squares of residuals overflow or vanish: in columns, and in
-    the settings."""
+    """Noise, in columns or settings, at which squared residuals overflow or vanish."""
     given = {name: force_scale(data, name, config.noise) for name in forces}
     stds = {name: std for name, (std, estimated, _) in given.items() if not estimated}
     for slip in dict.fromkeys(CHANNEL_SLIP[name] for name in forces):

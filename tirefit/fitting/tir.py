@@ -65,8 +65,7 @@ def tire_of(
         how: keywords of :func:`own_tire`.
 
     Raises:
-        UsageError: ``side`` is given but the file does not state its side; or there is
-            no such convention.
+        UsageError: ``side`` given but not stated in the file; unknown signs.
     """
     tire = own_tire(tir, **how)
     turned = turned_by(signs)

@@ -126,8 +126,7 @@ def observer_step(state: Observer, omega, torque, dt, radius, inertia, pole):
 def observer_std(omega_std, torque_std, dt, radius, inertia, pole):
     """Standard deviation [N] of the observer's force, from that of white noise.
 
-    ``omega_std`` [rad/s] and ``torque_std`` [N m] of one sample, ``dt`` [s] apart; for
-    pole dt well below one.
+    ``omega_std`` [rad/s], ``torque_std`` [N m] of a sample, ``dt`` [s]; pole dt << 1.
     """
     of_speed = inertia * omega_std * jnp.sqrt(dt * pole**3 / 4)
     return jnp.hypot(of_speed, torque_std * jnp.sqrt(dt * pole / 4)) / radius

@@ -92,8 +92,7 @@ def _rows(count: int) -> str:
 
 
 def drawn(values: np.ndarray, among: int | None = None) -> np.ndarray:
-    """Which points to draw (m,), in order: of very many some at random, and those that
-    lie farthest out.
+    """Which points to draw (m,), in order: of very many, random and extreme ones.
 
     Args:
         values: (n,) of the points.

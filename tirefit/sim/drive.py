@@ -143,8 +143,7 @@ def _steering(numbers: _Numbers, t, s: _State):
 
 
 def _torques(numbers: _Numbers, t, s: _State):
-    """Brake less drive torque (4,) [N m]: saw-teeth, and the speed regained by rear
-    wheel drive in between."""
+    """Brake less drive torque (4,) [N m]: saw-teeth; rear wheels drive in between."""
     car, how = numbers.car, numbers.how
     phase = (t % how["brake_period"]) / how["brake_period"]
     braking = (phase < 0.5) & (how["brake"] > 0)

@@ -93,8 +93,7 @@ def settings_of(
 
 
 def _candidates(values, windows: list[Window]):
-    """The windows in which the channel is held: its median in each, how far it strays
-    there, and the windows."""
+    """Medians of the channel in windows where it is held, its strays, the windows."""
     middle, stray, scatter, trend = [], [], [], []
     for begin, end, _ in windows:
         part = values[begin:end]

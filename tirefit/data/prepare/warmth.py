@@ -81,8 +81,7 @@ def last_sweeps_kept(
 
 
 def _cut(parts, time, until: float, cold_until: float | None) -> list[Segment]:
-    """Held segments that begin before ``until`` are warm-up, sweeps before
-    ``cold_until`` cold."""
+    """Mark segments before ``until`` warm-up, sweeps before ``cold_until`` cold."""
     out = []
     for part in parts:
         if part.is_held and time[part.begin] < until:

@@ -50,8 +50,7 @@ _UNITS = {"shift": "rise", "force": "load"}
 def over(
     field: str, size: float, covariate: str, count: int = ONE_WAY
 ) -> tuple[Form, ...]:
-    """A field as ``count`` smooth functions of one covariate about their means: the
-    mean is no change."""
+    """A field as ``count`` smooth functions of a covariate, about their means."""
 
     def shapes(rows, u):
         free = _about_mean(functions_of(getattr(rows, covariate), count))

@@ -127,8 +127,7 @@ def _within_the_past(prior, prepared, rig):
 
 
 def said_of_motion(base, rig) -> tuple[str, ...]:
-    """Sentences about the force of a base fit that was derived from the motion; none
-    for a measured one."""
+    """Sentences about a base fit's force if it was derived from the motion."""
     rows, derived = base.rows, base.rows.derived
     if derived is None:
         return ()

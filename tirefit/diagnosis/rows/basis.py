@@ -193,8 +193,7 @@ def waves_within(waves, against, residual):
 
 @dataclass(frozen=True, eq=False)
 class Generic:
-    """Whitened remainders: smooth functions (m, b), one of many waves (m, 2 x waves),
-    one of many patterns."""
+    """Whitened: smooth functions (m, b), many waves (m, 2 x waves), many patterns."""
 
     smooth: np.ndarray
     waves: np.ndarray
@@ -244,8 +243,7 @@ def of_any_kind(kinds: Mapping[str, float]) -> float:
 
 
 def located(bases: Generic, against, residual):
-    """Smooth part of the residual and its variance, (m,) each, by the smooth functions
-    and the significant waves."""
+    """Smooth part of the residual, by smooth functions and waves; its variance (m,)."""
     _, gram, of_waves = bases.left(against, residual)
     chi2, _ = _in_pairs(gram, of_waves, FLAT)
     # 8 over the largest of as many waves of noise: 55 to 1.

@@ -22,8 +22,7 @@ PARAMETERS = {
     "stiffness": ("stiffness", 0.06), "friction": ("friction", 0.03),
     "slip": ("shift", 0.002), "force": ("force", 0.01),
 }  # fmt: skip
-"""Field of the state and usual size of a change (relative, a slip, or force over load)
-of each parameter."""
+"""Field of each parameter; usual change (relative, a slip, or force over load)."""
 
 USUAL_SIZES = 0.5 * 4.0 ** np.arange(3)
 """Multiples of the usual size that the evidence is averaged over."""

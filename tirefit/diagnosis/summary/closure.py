@@ -163,8 +163,7 @@ def closure_on_rows(truth, before, after, variance, run, inflation) -> Shrinkage
 
 def closure_elsewhere(before, after, variance, run, inflation, generator) -> Shrinkage:
     """Closure on rows that neither fit has seen. The energy left, that of the residuals
-    less that of the noise, has a normal error; its root is zero or more, all values as
-    likely beforehand.
+    less that of the noise, has a normal error; its root is >= 0, with a flat prior.
 
     Args:
         before, after: (n,) residuals [N] of the base and of the extension.

@@ -64,8 +64,7 @@ _SEEN_ENERGY = 2.5
 noise: 0.84 beyond 1.65, which noise exceeds once in 20 files."""
 
 _DIRECTIONS = 40
-"""Smooth directions that share the noise's energy, at most: a remainder of a force over
-slip has no more."""
+"""Most smooth directions that share the noise's energy; a force over slip has fewer."""
 
 
 def document_of(
@@ -260,8 +259,7 @@ def _chances(case: Case) -> dict:
 
 
 def _widening(base: Base, hypothesis: Hypothesis) -> float:
-    """Of the formulas alone: where an effect has another form, no size of its formula
-    is surer than that."""
+    """Of the formulas alone: where another form is used, no size is surer than that."""
     return widening(base, base.residual(hypothesis.z, amplitudes_of(base, hypothesis)))
 
 

@@ -74,8 +74,7 @@ def recognition(directions, names: Sequence[str], truth: int, size: float, noise
 
 
 def confusion(search) -> list[Forecast]:
-    """For each testable effect at its usual size: would these rows show it, and what
-    would it be taken for?"""
+    """For each testable effect at its usual size: is it seen, or taken for another?"""
     base, left = search.base, search.projected
     length = np.linalg.norm(left, axis=0)
     use = [k for k in search.testable if length[k] > UNSEEN]
@@ -132,8 +131,7 @@ def _changed(base: Base, change: dict) -> Base:
 
 
 _Block = tuple[np.ndarray, np.ndarray]
-"""Whitened rows of one measurement: by the base parameters (m, p) and by the amplitudes
-of the effects (m, K)."""
+"""Whitened rows of one measurement, by base parameters (m, p) and amplitudes (m, K)."""
 
 
 def _block(base: Base, z) -> _Block:

@@ -136,8 +136,7 @@ def rows_of_part(
 def rows_of_forces(
     data: TireData, forces: Sequence[str], config: FitConfig
 ) -> dict[str, ForceRows]:
-    """The rows of every force that the data hold with its slip; of M_x only beside F_y,
-    on which it depends.
+    """The rows of every force that has its slip; of M_x only beside F_y.
 
     Raises:
         DataError: a force has fewer than 30 rows, or none is there with its slip.

@@ -32,8 +32,7 @@ _MAX_STEPS = 200
 _FIRST_DAMPING, _LEAST_DAMPING, _STUCK = 1.0, 1e-6, 1e10
 _GOOD, _FAIR = 0.75, 0.25
 _SETTLED = 1e-6
-"""Deviance that one more undamped step must gain for the search to go on: a thousandth
-of a standard error."""
+"""Least gain in deviance of one more undamped step: 0.001 of a standard error."""
 
 _RESTS, _GAINED = 15, 1e-3
 """The search ends if this number of passes gained less than this deviance (a thirtieth

@@ -38,12 +38,10 @@ _TRIES, _ROUGHLY = 60, 0.01
 
 _ROUNDS = 10
 _SETTLED = 0.02
-"""Limit of rounds of search and noise estimation, and the relative change of the noise
-below which they end."""
+"""Most rounds of search and noise estimation; change of the noise that ends them."""
 
 _DETERMINED = 0.5
-"""Posterior over prior variance below which the rows determine a coefficient: later
-stages do not move it."""
+"""Posterior over prior variance below which later stages keep a coefficient."""
 
 _HELD = 0.98
 """Posterior over prior variance above which the rows do not identify a coefficient."""
