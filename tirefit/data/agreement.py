@@ -47,27 +47,16 @@ class Term(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """A channel (n,) and what others say of it.
-
-    Attributes:
-        channel: the channel's name; words: the other side, for the user.
-        values: the channel, (n,) on the grid, NaN where it is not known.
-        terms: the other side's summands.
-        zero: standard deviation of the zero error that a sound sensor may have, in
-            the channel's unit.
-        floor: rms from which the channel or the other side says anything.
-        level: whether the level itself is compared, as of a speed, and not only how it
-            varies.
-        exact: whether the two are the same at every moment, or but for the car's own
-            dynamics, which look like a delay.
-    """
+    """A channel (n,) and what others say of it; ``level``: the level is compared too,
+    as of a speed; ``exact``: both are the same at every moment, not but for the car's
+    own dynamics, which look like a delay."""
 
     channel: str
-    words: str
-    values: np.ndarray
-    terms: tuple[Term, ...]
-    zero: float
-    floor: float
+    words: str  # the other side, for the user
+    values: np.ndarray  # (n,) on the grid, NaN where the channel is not known
+    terms: tuple[Term, ...]  # summands of the other side
+    zero: float  # standard deviation of a sound sensor's zero, unit of the channel
+    floor: float  # rms from which either side says anything
     level: bool = False
     exact: bool = True
 
@@ -75,33 +64,26 @@ class Pair(NamedTuple):
 class Agreement(NamedTuple):
     """A pair as estimated: standard errors by the effective number of samples.
 
-    Attributes:
-        gains, gain_stds: one a term, 1 where the two sides agree.
-        delay, delay_std: by which the channel is later than the others [s].
-        offset, offset_std: what the channel shows beyond, in its unit.
-        seen: share of what only this term has that is there a while before and after
-            as well, so is no noise; delay_seen, own_seen: likewise of the terms' rate,
-            which shows the delay, and of the channel itself.
-        size, own_size: rms of the other side's variation and the channel's.
-        correlation: of the two sides at that delay.
-        samples, effective: rows that were compared, and how many they count as.
+    ``seen``: share of what only this term has that is there a while before and after as
+    well, so is no noise; ``delay_seen``, ``own_seen``: the same of the terms' rate,
+    which shows the delay, and of the channel itself.
     """
 
     pair: Pair
-    gains: tuple[float, ...]
+    gains: tuple[float, ...]  # one a term, 1 where the two sides agree
     gain_stds: tuple[float, ...]
-    delay: float
+    delay: float  # [s] by which the channel is later than the others
     delay_std: float
-    offset: float
+    offset: float  # what the channel shows beyond, in its unit
     offset_std: float
     seen: tuple[float, ...]
     delay_seen: float
     own_seen: float
-    size: float
-    own_size: float
-    correlation: float
-    samples: int
-    effective: float
+    size: float  # rms of the other side's variation
+    own_size: float  # and of the channel's
+    correlation: float  # of the two sides at that delay
+    samples: int  # rows that were compared
+    effective: float  # independent rows that they count as
 
 
 class _Fit(NamedTuple):

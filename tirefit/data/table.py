@@ -88,19 +88,12 @@ SIMULATED = ("fx_sim", "fy_sim", "mz_sim")
 
 @dataclass(frozen=True)
 class SlipCheck:
-    """A slip column against the slip of the speeds, (v - omega R) / (omega R).
+    """A slip column against the slip of the speeds, (v - omega R) / (omega R)."""
 
-    Attributes:
-        radius: the rolling radius R that was given [m].
-        difference: median size of the difference of the two, as slip ratios [-].
-        contradicts: whether that is more than noise of the slip could be.
-        text: what it may come from, for the user; empty where the two agree.
-    """
-
-    radius: float
-    difference: float
-    contradicts: bool
-    text: str = ""
+    radius: float  # the rolling radius R that was given [m]
+    difference: float  # median size of the difference of the two, as slip ratios [-]
+    contradicts: bool  # whether that is more than noise of the slip could be
+    text: str = ""  # what it may come from, for the user; empty where the two agree
 
 
 @dataclass(frozen=True)

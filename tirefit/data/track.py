@@ -33,50 +33,30 @@ _MEANT = {"yaw": "heading", "v_x": "v"}
 
 @dataclass(frozen=True)
 class Channel:
-    """A column of a log, and the unit that it is read in.
+    """A column of a log, and the unit that it is read in."""
 
-    Attributes:
-        quantity: of :data:`tirefit.data.vehicle.QUANTITIES`, or ``steering``.
-        unit: as written; "" of the steering command, which the map gives a meaning.
-        factor: from that unit to SI, negative for a channel of the other sign.
-        named: whether ``[columns]`` names it, or its header alone says what it is.
-    """
-
-    quantity: str
+    quantity: str  # of :data:`tirefit.data.vehicle.QUANTITIES`, or ``steering``
     header: str
-    unit: str
-    factor: float
-    named: bool
+    unit: str  # as written; "" of the steering command, which the map gives a meaning
+    factor: float  # from that unit to SI, negative for a channel of the other sign
+    named: bool  # whether ``[columns]`` names it, or its header alone says what it is
 
 
 @dataclass(frozen=True)
 class Track:
-    """Usable samples of a log.
+    """Usable samples of a log; ``signals`` (n, k) in SI are what the motion needs, then
+    the steering command if any, then what can be compared, which may be NaN."""
 
-    Attributes:
-        time: Increasing, (n,) [s] from the first one.
-        signals: (n, k) in SI: what the motion needs, then the steering command if any,
-            then what can be compared, which may be NaN.
-        channels: The column that each signal comes from.
-        active: (n,) bool, whether the vehicle was driven.
-        max_gap: Longest time between two samples that is interpolated [s].
-        epoch: The log's time [s] at time 0.
-        rows: Rows in the file.
-        dropped: Reason -> rows that were not used.
-        sha256: Of the file.
-        notes: What was assumed to read the file.
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # increasing, (n,) [s] from the first one
     signals: np.ndarray
-    channels: tuple[Channel, ...]
-    active: np.ndarray
-    max_gap: float
-    epoch: float
-    rows: int
-    dropped: Mapping[str, int]
-    sha256: str
-    notes: tuple[str, ...]
+    channels: tuple[Channel, ...]  # the column that each signal comes from
+    active: np.ndarray  # (n,) bool, whether the vehicle was driven
+    max_gap: float  # longest time between two samples that is interpolated [s]
+    epoch: float  # the log's time [s] at time 0
+    rows: int  # in the file
+    dropped: Mapping[str, int]  # reason -> rows that were not used
+    sha256: str  # of the file
+    notes: tuple[str, ...]  # what was assumed to read the file
 
 
 def read_track(path: Place, vehicle: Vehicle) -> Track:

@@ -34,27 +34,17 @@ _FASTEST, _SHARPEST = 100.0, 0.6
 
 @dataclass(frozen=True)
 class Request:
-    """A manoeuvre: which tire, where, how fast.
+    """A manoeuvre: which tire, where, how fast."""
 
-    Attributes:
-        tire: with its parameter values; ``tire_name``: how it is called.
-        road: as in :data:`tirefit.sim.brake_road.ROADS`.
-        speed: [m/s] at which the braking begins.
-        vehicle: a key of :data:`VEHICLES`.
-        steer: angle [rad] of the front wheels, to the left; constant.
-        hydraulics, sensors: with the driver's demand and the unevenness of the road.
-        time_limit: [s]; by speed and friction if None.
-    """
-
-    tire: AbstractTire
-    tire_name: str
-    road: str = "mu=0.3"
-    speed: float = 15.0
-    vehicle: str = "car"
-    steer: float = 0.0
-    hydraulics: Hydraulics = field(default_factory=Hydraulics)
-    sensors: Sensors = field(default_factory=Sensors)
-    time_limit: float | None = None
+    tire: AbstractTire  # with its parameter values
+    tire_name: str  # how it is called
+    road: str = "mu=0.3"  # as in :data:`tirefit.sim.brake_road.ROADS`
+    speed: float = 15.0  # [m/s] at which the braking begins
+    vehicle: str = "car"  # a key of :data:`VEHICLES`
+    steer: float = 0.0  # angle [rad] of the front wheels, to the left; constant
+    hydraulics: Hydraulics = field(default_factory=Hydraulics)  # the driver's demand
+    sensors: Sensors = field(default_factory=Sensors)  # and unevenness of the road
+    time_limit: float | None = None  # [s]; by speed and friction if None
 
     @property
     def limit(self) -> float:
