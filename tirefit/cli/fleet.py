@@ -198,15 +198,12 @@ def _alike(piece: Piece) -> int:
 
 
 class _Packed(NamedTuple):
-    """What a worker needs beside the file: where the command runs, its version, and
-    the attempt with what all files share.
+    """What a worker needs beside the file, as bytes: JAX's arrays are of 64 bits only
+    once it has been told."""
 
-    As bytes: JAX's arrays are of 64 bits only once it has been told.
-    """
-
-    folder: str
-    version: str
-    content: bytes
+    folder: str  # where the command runs
+    version: str  # of the command
+    content: bytes  # the attempt with what all files share
 
     @classmethod
     def of(cls, attempt: Attempt, task: Any) -> "_Packed":

@@ -49,18 +49,14 @@ _LEAST_SLIP = (("fx", "sigma_x", 0.01), ("fy", "alpha", np.radians(0.5)))
 
 
 class BadRows(NamedTuple):
-    """Rows that break one rule in one column.
-
-    ``values`` holds, per row, what stands there; value and ``rule`` make the reason.
-    ``is_systematic``: where most rows break it the column is wrong, not its rows.
-    """
+    """Rows that break one rule in one column."""
 
     column: str | None
     rows: Sequence[int] | np.ndarray
-    values: Sequence[str]
+    values: Sequence[str]  # what stands in each row; with the rule it makes the reason
     rule: str
     remedy: str = _CORRECT
-    is_systematic: bool = False
+    is_systematic: bool = False  # most rows break it: the column is wrong, not its rows
 
 
 class Rule(NamedTuple):

@@ -43,18 +43,14 @@ _SLIP_OF = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
 
 
 class FarValue(NamedTuple):
-    """A value far from all of its like.
+    """A value far from all of its like."""
 
-    ``row`` counts from 0; ``low`` and ``high`` are the ends of what the others have,
-    and ``among`` says which others.
-    """
-
-    row: int
+    row: int  # counted from 0
     column: str
     value: float
-    low: float
+    low: float  # ends of what the others have
     high: float
-    among: str
+    among: str  # which others
 
 
 def far_values(

@@ -58,16 +58,12 @@ _AS_LIKELY = 0.02
 
 
 class Fault(NamedTuple):
-    """Channels that were read with a wrong factor.
-
-    ``factor``: what was read over what is true; ``unit``: what it is in, None where
-    only the sign is wrong; ``rarity``: as a distance [log gain].
-    """
+    """Channels that were read with a wrong factor."""
 
     channels: tuple[str, ...]
-    factor: float
-    unit: str | None
-    rarity: float
+    factor: float  # what was read over what is true
+    unit: str | None  # what it is in, None where only the sign is wrong
+    rarity: float  # as a distance [log gain]
 
 
 # --- what is judged -------------------------------------------------------------

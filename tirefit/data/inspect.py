@@ -48,20 +48,16 @@ class Level:
 
 @dataclass(frozen=True)
 class RunSummary:
-    """One run: its used rows, levels, slips and sampling.
-
-    ``slip`` maps sigma_x and alpha to (min, max); ``replicates`` is the number of
-    operating points measured more than once, 0 in a continuous sweep.
-    """
+    """One run: its used rows, levels, slips and sampling."""
 
     name: str
     n: int
     loads: tuple[Level, ...]
     speeds: tuple[Level, ...]
-    slip: dict[str, tuple[float, float]]
+    slip: dict[str, tuple[float, float]]  # sigma_x and alpha -> (min, max)
     directions: tuple[str, ...]
     sampling_rate: float | None
-    replicates: int
+    replicates: int  # operating points measured more than once, 0 in a continuous sweep
 
 
 @dataclass(frozen=True)

@@ -25,18 +25,13 @@ _REMEMBERED = 16
 
 
 class Levels(NamedTuple):
-    """Levels of a column in increasing order.
+    """Levels of a column in increasing order."""
 
-    ``center``, ``low`` and ``high`` (k,) are the median and the ends of each level,
-    ``code`` (n,) numbers the level of each row. ``is_swept``: the values gather
-    nowhere, and the only level is their range.
-    """
-
-    center: np.ndarray
-    low: np.ndarray
+    center: np.ndarray  # (k,) medians
+    low: np.ndarray  # (k,) ends
     high: np.ndarray
-    code: np.ndarray
-    is_swept: bool
+    code: np.ndarray  # (n,) level of each row
+    is_swept: bool  # values gather nowhere, and the only level is their range
 
     def few(self, most: int = FEW_SETTINGS) -> bool:
         """Whether these are settings, and at most so many."""

@@ -19,15 +19,8 @@ from tirefit.results import DataError
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of the centre of gravity on the grid, (n,) each, SI, ISO 8855 axes.
-
-    ``heading`` [rad, not wrapped], ``x`` and ``y`` [m] over the floor are NaN of a log
-    of rates; ``command`` is the steering command (0 without one); ``part`` (n,) int
-    counts the stretches between gaps, ``within`` (n,) [s] is the time to the nearer end
-    of the sample's own; ``settled`` (n,) bool is False where an edge or a gap is too
-    near, there the others may be NaN. ``logged`` (n, k) are the log's own channels as
-    :class:`tirefit.data.track.Track` has them, through the same filter.
-    """
+    """Motion of the centre of gravity on the grid, (n,) each, SI, ISO 8855 axes;
+    ``heading``, ``x`` and ``y`` are NaN of a log of rates."""
 
     time: np.ndarray
     v_x: np.ndarray
@@ -36,14 +29,14 @@ class Motion:
     a_y: np.ndarray
     yaw_rate: np.ndarray
     yaw_acceleration: np.ndarray
-    heading: np.ndarray
-    x: np.ndarray
+    heading: np.ndarray  # [rad, not wrapped]
+    x: np.ndarray  # [m] over the floor
     y: np.ndarray
-    command: np.ndarray
-    part: np.ndarray
-    within: np.ndarray
-    settled: np.ndarray
-    logged: np.ndarray
+    command: np.ndarray  # of the steering, 0 without one
+    part: np.ndarray  # int, counts the stretches between gaps
+    within: np.ndarray  # [s] to the nearer end of the sample's own stretch
+    settled: np.ndarray  # bool, False near an edge or gap, where others may be NaN
+    logged: np.ndarray  # (n, k) the channels of a ``Track``, through the same filter
 
     def rate_of(self, values: np.ndarray) -> np.ndarray:
         """Time derivative (n,) of values (n,), by central differences within each

@@ -76,20 +76,15 @@ _MANY = 10  # rows for each free parameter from which that is worth saying
 
 @dataclass(frozen=True)
 class FarRow:
-    """A row far from everything, and what became of it.
-
-    ``row`` counts the lines of the file; ``distance`` is that from what the other rows
-    ``predicted`` of ``force``, in standard deviations; ``column`` with its ``value`` is
-    where to look first.
-    """
+    """A row far from everything, and what became of it."""
 
     file: str
-    row: int
-    column: str
+    row: int  # line of the file
+    column: str  # where to look first
     value: float
     force: str
-    predicted: float
-    distance: float
+    predicted: float  # ``force`` by the other rows
+    distance: float  # from that, in standard deviations
     set_aside: bool
     reason: str
     remedy: str
@@ -111,18 +106,12 @@ class Settled(NamedTuple):
 
 
 class _Judged(NamedTuple):
-    """How far the rows lie: by channel (k, n), but for the leverage.
+    """How far the rows lie: by channel (k, n), but for the leverage."""
 
-    ``distance`` from what the other rows predict, in standard deviations of a
-    measurement; ``ratio`` that distance over the one from which a row is set aside;
-    ``predicted`` the force. ``leverage`` (n,) is the largest share that a row has in
-    what is known of a parameter.
-    """
-
-    distance: np.ndarray
-    ratio: np.ndarray
-    predicted: np.ndarray
-    leverage: np.ndarray
+    distance: np.ndarray  # from what the others predict, in standard deviations
+    ratio: np.ndarray  # over the distance from which a row is set aside
+    predicted: np.ndarray  # force
+    leverage: np.ndarray  # (n,) largest share in what is known of a parameter
 
 
 def settle(data: TireData, name: str, config: FitConfig) -> Settled:

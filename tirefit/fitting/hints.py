@@ -52,14 +52,10 @@ class Followed(NamedTuple):
 
 
 class Misfit(NamedTuple):
-    """The columns that the residuals depend on, in the order of selection.
-
-    ``rows_per_one`` is the number of rows per independent row of the residuals without
-    these trends, scaled to their variance with the trends.
-    """
+    """The columns that the residuals depend on, in the order of selection."""
 
     columns: tuple[Followed, ...] = ()
-    rows_per_one: float = 1.0
+    rows_per_one: float = 1.0  # independent row, without trends at their variance
 
 
 def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:

@@ -60,22 +60,16 @@ WELL, ROUGHLY, NOT = "well", "roughly", "not"
 
 
 class ParameterGate(NamedTuple):
-    """What the file would tell of one parameter.
-
-    ``value`` is the guess that it was looked at, ``std`` the standard deviation that a
-    fit would have; ``told`` is "well", "roughly" or "not". ``beside`` names the
-    parameter it trades places with, ``remedy`` the rows that would tell it.
-    ``is_size``: it is positive by nature, so that its std is a share of it.
-    """
+    """What the file would tell of one parameter."""
 
     name: str
     unit: str
-    value: float
-    std: float
-    told: str
-    is_size: bool
-    beside: str = ""
-    remedy: str = ""
+    value: float  # guess that it was looked at
+    std: float  # standard deviation that a fit would have
+    told: str  # "well", "roughly" or "not"
+    is_size: bool  # positive by nature, so that its std is a share of it
+    beside: str = ""  # the parameter it trades places with
+    remedy: str = ""  # rows that would tell it
 
 
 class ModelGate(NamedTuple):

@@ -31,18 +31,13 @@ _LEAST_SHARE = 0.02
 
 
 class Weighted(NamedTuple):
-    """What weighting came to.
+    """What weighting came to."""
 
-    ``draws`` (m, p) in the whitened space are worth as many independent ones, in random
-    order; ``points`` were evaluated. ``refused`` says why the draws must not be used;
-    empty where they may. ``interrupted``: by the user, with fewer draws than asked.
-    """
-
-    draws: np.ndarray
+    draws: np.ndarray  # (m, p) in the whitened space, worth m independent ones
     k_hat: float
-    points: int
-    refused: str
-    interrupted: bool
+    points: int  # evaluated
+    refused: str  # why the draws must not be used, "" where they may
+    interrupted: bool  # by the user, with fewer draws than asked
 
 
 def _pareto_fit(tail: np.ndarray) -> tuple[float, float]:

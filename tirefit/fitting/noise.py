@@ -15,16 +15,11 @@ _ROUNDS, _SETTLED = 50, 1e-4
 
 
 class NoiseLaw(NamedTuple):
-    """Variance of one value: constant^2 + (share F_z)^2 + (of_force F)^2.
+    """Variance of one value: constant^2 + (share F_z)^2 + (of_force F)^2."""
 
-    ``constant`` [N, N m] is the noise of the sensor, ``share`` [-, m] the part
-    proportional to load, and ``of_force`` [-] the part proportional to force, such as
-    friction that varies between sweeps.
-    """
-
-    constant: float
-    share: float
-    of_force: float = 0.0
+    constant: float  # [N, N m] noise of the sensor
+    share: float  # [-, m] proportional to load
+    of_force: float = 0.0  # [-] with force, as friction that varies between sweeps
 
     def variance(self, fz, force):
         """Variance at loads fz [N] and forces [N, N m], any shape."""

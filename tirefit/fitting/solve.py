@@ -43,14 +43,10 @@ _ONE_MINIMUM = 1e-5  # distance in z below which two estimates are one
 
 
 class Solved(NamedTuple):
-    """A problem with its noise settled and judged: estimate, covariance.
-
-    ``at`` holds residuals, slopes and moments of the used rows at the estimate,
-    ``independent`` the covariance if every row were independent of the others.
-    """
+    """A problem with its noise settled and judged: estimate, covariance."""
 
     problem: FitProblem
-    at: Linearised
+    at: Linearised  # residuals, slopes and moments of the used rows at the estimate
     z: np.ndarray
     covariance: np.ndarray
     level: float
@@ -60,7 +56,7 @@ class Solved(NamedTuple):
     ambiguous: bool
     chi2_dof: float | None
     n_effective: float
-    independent: np.ndarray
+    independent: np.ndarray  # covariance if rows were independent of each other
     misfit: Misfit = Misfit()
 
     @property

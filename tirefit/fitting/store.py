@@ -30,18 +30,15 @@ from tirefit.slip import CONVENTIONS
 
 @dataclass(frozen=True)
 class StoredFit:
-    """What a prediction needs of a fit: the tire, the estimate and the noise.
-
-    ``noise`` holds the noise record of each fitted force, ``content`` the whole file.
-    """
+    """What a prediction needs of a fit: the tire, the estimate and the noise."""
 
     model: str
     tire: AbstractTire
     layout: Layout
     z: np.ndarray
     covariance: np.ndarray
-    noise: Mapping[str, Mapping]
-    content: Mapping
+    noise: Mapping[str, Mapping]  # record of each fitted force
+    content: Mapping  # the whole file
 
     def at_estimate(self) -> AbstractTire:
         """The tire with its fitted values.

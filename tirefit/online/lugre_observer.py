@@ -103,18 +103,15 @@ class Course(NamedTuple):
 
 
 class ObserverState(NamedTuple):
-    """``x`` (7,): z [m], omega [rad/s] and p [-] of the observer, then the last omega,
-    v, fz and torque; ``covariance`` (7, 7) of their errors; ``waited`` [s] since then,
-    ``smooth`` [s] since the torque jumped until then; ``sum`` of the ``summed``
-    latest surprises; ``peak`` (2,): mu and its slope by theta, there."""
+    """Estimates, their covariance and what they were made from."""
 
-    x: Float[Array, "7"]
-    covariance: Float[Array, "7 7"]
-    waited: Float[Array, ""]
-    smooth: Float[Array, ""]
-    sum: Float[Array, ""]
-    summed: Float[Array, ""]
-    peak: Float[Array, "2"]
+    x: Float[Array, "7"]  # z [m], omega [rad/s], p [-]; last omega, v, fz, torque
+    covariance: Float[Array, "7 7"]  # of their errors
+    waited: Float[Array, ""]  # [s] since then
+    smooth: Float[Array, ""]  # [s] from the last jump of the torque until then
+    sum: Float[Array, ""]  # of the latest surprises
+    summed: Float[Array, ""]  # how many
+    peak: Float[Array, "2"]  # mu and its slope by theta, there
 
 
 class LuGreObserver(AbstractEstimator):

@@ -46,22 +46,17 @@ _MOST_SURPRISING = 4.0
 
 
 class Guarded(NamedTuple):
-    """State of a run: the method's own, and what the guard remembers.
-
-    ``time`` [s] of the last sample that had one; ``interval`` [s], the usual one;
-    ``sums`` of the inputs over the ``gathered`` samples since the last step, ``flag``
-    of that step; ``rise``, ``fall``: the two cumulative sums; ``run``: code of it.
-    """
+    """State of a run: the method's own, and what the guard remembers."""
 
     inner: Any
-    time: Float[Array, ""]
-    interval: Float[Array, ""]
-    sums: dict[str, Float[Array, ""]]
-    gathered: Float[Array, ""]
-    flag: Int[Array, ""]
-    rise: Float[Array, ""]
-    fall: Float[Array, ""]
-    run: Float[Array, ""]
+    time: Float[Array, ""]  # [s] of the last sample that had one
+    interval: Float[Array, ""]  # [s], the usual one
+    sums: dict[str, Float[Array, ""]]  # of the inputs since the last step
+    gathered: Float[Array, ""]  # samples in them
+    flag: Int[Array, ""]  # of the last step
+    rise: Float[Array, ""]  # cumulative sum
+    fall: Float[Array, ""]  # likewise
+    run: Float[Array, ""]  # its code
 
 
 def start(estimator: AbstractEstimator) -> Guarded:

@@ -20,17 +20,14 @@ _LEFT = 0.88  # inches for a label and its numbers
 
 
 class Points(NamedTuple):
-    """One quantity of n runs or files: values, 95 % intervals (n,), NaN where open.
-
-    ``known`` (n,) says which ones the data identify.
-    """
+    """One quantity of n runs or files: values, 95 % intervals (n,), NaN where open."""
 
     label: str
     names: tuple[str, ...]
     value: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    known: np.ndarray
+    known: np.ndarray  # (n,) which ones the data identify
 
 
 def points_of(

@@ -40,22 +40,19 @@ class Plant(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """State: ``distance`` [m] along the way, position ``x``, ``y`` [m] and ``heading``
-    [rad] on the ground, ``v_x``, ``v_y`` [m/s], ``yaw_rate`` [rad/s], ``slowing`` and
-    ``aside`` [m/s2]: accelerations that the loads have followed, backward and to the
-    left; ``omega`` (w,) [rad/s], ``pressure`` (w,) [Pa]."""
+    """State of the vehicle."""
 
-    distance: Number
-    x: Number
-    y: Number
-    heading: Number
-    v_x: Number
-    v_y: Number
-    yaw_rate: Number
-    slowing: Number
-    aside: Number
-    omega: Wheels
-    pressure: Wheels
+    distance: Number  # [m] along the way
+    x: Number  # [m] on the ground
+    y: Number  # [m]
+    heading: Number  # [rad]
+    v_x: Number  # [m/s]
+    v_y: Number  # [m/s]
+    yaw_rate: Number  # [rad/s]
+    slowing: Number  # [m/s2] backward, that the loads have followed
+    aside: Number  # [m/s2] to the left, likewise
+    omega: Wheels  # [rad/s]
+    pressure: Wheels  # [Pa]
 
 
 class Contacts(NamedTuple):
@@ -71,16 +68,13 @@ class Contacts(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """What acts between two samples: ``valve`` (w,); ``begin``, ``end`` (w,) [N]:
-    forces d of the uneven road at both, linear between them; ``free``: 1 where the car
-    rolls unbraked at a speed that it keeps, before a manoeuvre; ``moving``: 0 where it
-    stands, and nothing changes."""
+    """What acts between two samples."""
 
     valve: Wheels
-    begin: Wheels
-    end: Wheels
-    free: Number
-    moving: Number
+    begin: Wheels  # [N] force d of the uneven road at the first, linear between
+    end: Wheels  # [N] at the second
+    free: Number  # 1 where the car rolls unbraked at constant speed, before a manoeuvre
+    moving: Number  # 0 where it stands, and nothing changes
 
 
 def rolling(plant: Plant, speed: Number) -> Motion:

@@ -22,28 +22,20 @@ Number = Float[Array | np.ndarray, ""] | float
 
 
 class Vehicle(NamedTuple):
-    """Masses, geometry and brakes.
+    """Masses, geometry and brakes."""
 
-    ``mass`` [kg], ``yaw_inertia`` [kg m2]; ``x``, ``y`` (w,) [m]: wheels from the
-    centre of gravity; ``fz`` (w,) [N]: static loads; ``pitch``, ``roll`` (w,) [kg]:
-    load gained by each m/s2 of deceleration, of acceleration to the left;
-    ``transfer_time`` [s] in which they follow; ``radius`` (w,) [m], effective;
-    ``inertia`` (w,) [kg m2] of a wheel; ``brake_gain`` (w,) [N m/Pa]: torque by
-    pressure; ``steered`` (w,): 1 where the wheel is steered.
-    """
-
-    mass: Number
-    yaw_inertia: Number
-    x: Wheels
-    y: Wheels
-    fz: Wheels
-    pitch: Wheels
-    roll: Wheels
-    transfer_time: Number
-    radius: Wheels
-    inertia: Wheels
-    brake_gain: Wheels
-    steered: Wheels
+    mass: Number  # [kg]
+    yaw_inertia: Number  # [kg m2]
+    x: Wheels  # [m] of the wheels, ahead of the centre of gravity
+    y: Wheels  # [m] to its left
+    fz: Wheels  # [N] static loads
+    pitch: Wheels  # [kg] load gained by each m/s2 of deceleration
+    roll: Wheels  # [kg] and of acceleration to the left
+    transfer_time: Number  # [s] in which they follow
+    radius: Wheels  # [m], effective
+    inertia: Wheels  # [kg m2] of a wheel
+    brake_gain: Wheels  # [N m/Pa] torque by pressure
+    steered: Wheels  # 1 where the wheel is steered
 
     @property
     def wheels(self) -> tuple[str, ...]:

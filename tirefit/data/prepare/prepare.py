@@ -52,24 +52,18 @@ _LOWEST, _HIGHEST = 2.0, 25.0  # bandwidths [Hz] that are chosen at least and at
 
 @dataclass(frozen=True, repr=False)
 class Prepared:
-    """What :func:`prepare` made of a file.
-
-    ``segments`` cover all rows in order; ``settings`` hold what each condition was set
-    to, ``names`` its settings as bins have them. ``columns`` (n,) are the canonical
-    channels after the filter, of all rows; ``kept`` (n,) bool the rows to be written.
-    ``series`` has the clock; ``notes`` say what was done and assumed.
-    """
+    """What :func:`prepare` made of a file."""
 
     data: TireData
     config: PrepareConfig
-    series: Series
-    settings: dict[str, Settings]
-    names: dict[str, list[str]]
-    segments: tuple[Segment, ...]
-    columns: dict[str, np.ndarray]
-    kept: np.ndarray
+    series: Series  # the clock
+    settings: dict[str, Settings]  # what each condition was set to
+    names: dict[str, list[str]]  # of its settings, as in bins
+    segments: tuple[Segment, ...]  # all rows in order
+    columns: dict[str, np.ndarray]  # (n,) canonical channels after the filter, all rows
+    kept: np.ndarray  # (n,) bool, rows to be written
     filter: ZeroPhase | None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = field(default=())  # what was done and assumed
 
     def __repr__(self) -> str:
         kept, bins = int(self.kept.sum()), {p.bin for p in self.segments if p.bin}

@@ -17,15 +17,11 @@ _GAP = 3.5  # sampling steps without a row from which on a series is cut in two
 
 
 class Series(NamedTuple):
-    """The clock of a file and its unbroken pieces.
+    """The clock of a file and its unbroken pieces."""
 
-    ``time`` (n,) is in seconds, or counts rows where the file has no time: then
-    ``rate`` is None. ``pieces`` are slices of rows, in order.
-    """
-
-    time: np.ndarray
-    rate: float | None
-    pieces: tuple[slice, ...]
+    time: np.ndarray  # (n,) [s], or number of the row where the file has no time
+    rate: float | None  # None then
+    pieces: tuple[slice, ...]  # slices of rows, in order
 
     @property
     def hertz(self) -> float:
@@ -83,15 +79,12 @@ _UNEVEN = 0.1
 
 
 class ZeroPhase(NamedTuple):
-    """A filter of ``bandwidth`` [Hz] (-3 dB) for series of ``rate`` samples a second.
+    """A low-pass filter for series of ``rate`` samples a second."""
 
-    ``sections`` (s, 6) are those of one pass, ``corner`` [Hz] its own -3 dB.
-    """
-
-    bandwidth: float
+    bandwidth: float  # [Hz] at -3 dB
     rate: float
-    corner: float
-    sections: np.ndarray
+    corner: float  # [Hz] of one pass at -3 dB
+    sections: np.ndarray  # (s, 6) of one pass
 
     @property
     def reach(self) -> float:

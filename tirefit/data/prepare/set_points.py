@@ -37,17 +37,12 @@ class Window(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """The settings of one channel.
-
-    ``center`` and ``width`` (k,): the median, and how far the channel usually strays.
-    ``code`` (n,): the setting of each row, -1 where it is at none. A channel that was
-    never held has no center, and no row of it is at a setting.
-    """
+    """The settings of one channel; one that was never held has none."""
 
     name: str
-    center: np.ndarray
-    width: np.ndarray
-    code: np.ndarray
+    center: np.ndarray  # (k,) medians
+    width: np.ndarray  # (k,) how far the channel usually strays
+    code: np.ndarray  # (n,) setting of each row, -1 where it is at none
 
     @property
     def is_held(self) -> bool:

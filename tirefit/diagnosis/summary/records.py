@@ -135,16 +135,13 @@ class Cell(NamedTuple):
 
 
 class Left(NamedTuple):
-    """What remains of the gap beyond the noise: ``rms`` and ``share`` of its energy;
-    the probability that something ``unlisted`` is there; p-values of the ``tests`` of
-    the remainder, None where the rows have no such order; the shapes that it resembles,
-    the most probable first."""
+    """What remains of the gap beyond the noise."""
 
     rms: float
-    share: float
-    unlisted: float
-    tests: Mapping[str, float | None]
-    looks_like: tuple[Look, ...] = ()
+    share: float  # of the gap's energy
+    unlisted: float  # probability that something unlisted is there
+    tests: Mapping[str, float | None]  # p-values, None if rows have no such order
+    looks_like: tuple[Look, ...] = ()  # shapes it resembles, the most probable first
 
 
 @dataclass(frozen=True, kw_only=True)

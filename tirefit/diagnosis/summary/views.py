@@ -54,20 +54,15 @@ class ShownRows(NamedTuple):
 
 
 class ResidualMap(NamedTuple):
-    """Mean residual of the base fit in cells of slip fraction x another covariate.
-
-    ``edges`` (k+1,) of the signed slip fraction; ``levels`` (m, 2) of the other one,
-    from and to; ``mean`` (m, k) in % of F_z, NaN for empty cells; ``beyond`` (m, k):
-    it is not noise (Benjamini-Hochberg, 5 %); ``energy`` (m, k): share of the located
-    gap's energy, 0 where no gap can be resolved."""
+    """Mean residual of the base fit in cells of slip fraction x another covariate."""
 
     channel: str
     covariate: str
-    levels: np.ndarray
-    edges: np.ndarray
-    mean: np.ndarray
-    beyond: np.ndarray
-    energy: np.ndarray
+    levels: np.ndarray  # (m, 2) of the covariate, from and to
+    edges: np.ndarray  # (k+1,) of the signed slip fraction
+    mean: np.ndarray  # (m, k) in % of F_z, NaN for empty cells
+    beyond: np.ndarray  # (m, k) it is not noise (Benjamini-Hochberg, 5 %)
+    energy: np.ndarray  # (m, k) share of the gap's energy, 0 if it cannot be resolved
 
 
 class LoadCurve(NamedTuple):
@@ -206,24 +201,18 @@ def compared(rows: ShownRows, named: bool) -> Comparison:
 
 
 class LookCurve(NamedTuple):
-    """The local change of the parameter of a :class:`Look` over its covariate.
-
-    ``center``, ``change``, ``std`` (k,) are bins: the covariate, the estimate and its
-    standard error; ``x``, ``shape`` (p,) the fitted shape, whose size is that of the
-    look: of a wave the amplitude, of a kink its value at the end. Changes are in the
-    units of :class:`Look`, in the direction of the slip where ``is_mirrored``;
-    ``is_folded``: a wave, shown within one period; ``at_settings``: bins are settings.
-    """
+    """The local change of the parameter of a :class:`Look` over its covariate, in the
+    units of the look."""
 
     look: Look
-    center: np.ndarray
-    change: np.ndarray
-    std: np.ndarray
-    x: np.ndarray
-    shape: np.ndarray
-    is_mirrored: bool
-    is_folded: bool
-    at_settings: bool
+    center: np.ndarray  # (k,) bins of the covariate
+    change: np.ndarray  # (k,) estimates
+    std: np.ndarray  # (k,) standard errors
+    x: np.ndarray  # (p,) of the shape
+    shape: np.ndarray  # (p,) fitted; its size: a wave's amplitude, a kink's end
+    is_mirrored: bool  # changes in the direction of the slip
+    is_folded: bool  # a wave, shown within one period
+    at_settings: bool  # bins are settings
 
 
 def shape_of(one: Pattern | Look, values, low: float, span: float) -> np.ndarray:

@@ -32,19 +32,14 @@ _CELLS = 32  # number of slip bins between the ends of all sweeps
 
 
 class Setting(NamedTuple):
-    """The conditions at which a rig swept one slip.
+    """The conditions at which a rig swept one slip: medians of their levels."""
 
-    ``fz`` [N], ``gamma`` [rad] and ``pressure`` [Pa] are the medians of their levels.
-    ``swept`` is the slip that varies, ``alpha`` or ``sigma_x``. ``held`` is the median
-    of the other slip (rad, or kappa). ``run`` is the number of the run.
-    """
-
-    fz: float
-    gamma: float
-    pressure: float
-    swept: str
-    held: float
-    run: int
+    fz: float  # [N]
+    gamma: float  # [rad]
+    pressure: float  # [Pa]
+    swept: str  # slip that varies, ``alpha`` or ``sigma_x``
+    held: float  # median of the other slip (rad, or kappa)
+    run: int  # its number
 
     def text(self, name: str) -> str:
         """One condition with its unit, for labels; empty for an unknown pressure."""
@@ -63,19 +58,16 @@ class Setting(NamedTuple):
 
 
 class SlipBins(NamedTuple):
-    """The rows of one setting, of all runs, in m bins of the swept slip; arrays (m,).
-
-    ``slip`` (rad, or kappa), ``inputs`` and ``force`` are medians of the ``rows`` (a
-    number) of a bin. ``low`` and ``high`` bound the central 95 % of its forces.
-    """
+    """The rows of one setting, of all runs, in m bins of the swept slip; arrays
+    (m,)."""
 
     setting: Setting
-    slip: np.ndarray
-    inputs: TireInputs
-    force: np.ndarray
-    low: np.ndarray
+    slip: np.ndarray  # median (rad, or kappa)
+    inputs: TireInputs  # medians
+    force: np.ndarray  # median
+    low: np.ndarray  # ends of the central 95 % of the forces
     high: np.ndarray
-    rows: np.ndarray
+    rows: np.ndarray  # number in the bin
 
 
 def settings_of(rows: ForceRows) -> tuple[tuple[str, ...], np.ndarray]:

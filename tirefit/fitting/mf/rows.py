@@ -27,20 +27,15 @@ _ASIDE = {
 
 @dataclass(frozen=True)
 class ForceRows:
-    """The rows of one force.
-
-    ``std`` (n,) is the standard deviation of the noise, which is given unless
-    ``estimated``. ``run`` (n,) is the number of the run. ``pure`` (n,) marks rows of
-    pure slip; none is marked if they are too few to be fitted alone.
-    """
+    """The rows of one force."""
 
     force: str
     inputs: TireInputs
     observed: np.ndarray
-    std: np.ndarray
+    std: np.ndarray  # (n,) of the noise, which is given unless ``estimated``
     estimated: bool
-    run: np.ndarray
-    pure: np.ndarray
+    run: np.ndarray  # (n,) number of the run
+    pure: np.ndarray  # (n,) rows of pure slip; none if too few to be fitted alone
 
     def column(self, name: str) -> np.ndarray:
         """One of the inputs, (n,)."""

@@ -58,23 +58,16 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True)
 class Problem:
-    """A least-squares problem: the rows, and the coefficients that may move.
+    """A least-squares problem: the rows, and the coefficients that may move."""
 
-    ``tire`` holds the nominal state, the scaling factors and the fixed coefficients.
-    ``names`` gives the order of u; ``centre`` and ``spread`` (p,) are those of the
-    priors. Where ``log`` (p,), u is the logarithm of the coefficient over its centre.
-    ``free`` (p,) marks the coefficients that this stage moves. ``limits``: force ->
-    inputs at which its curvature factors must stay below one.
-    """
-
-    tire: MFTire
-    names: tuple[str, ...]
-    centre: np.ndarray
-    spread: np.ndarray
-    log: np.ndarray
-    free: np.ndarray
+    tire: MFTire  # nominal state, scaling factors, fixed coefficients
+    names: tuple[str, ...]  # order of u
+    centre: np.ndarray  # (p,) of the priors
+    spread: np.ndarray  # (p,) of the priors
+    log: np.ndarray  # (p,) where u is log(coefficient / centre)
+    free: np.ndarray  # (p,) coefficients that this stage moves
     blocks: tuple[Block, ...]
-    limits: Mapping[str, TireInputs] = field(default_factory=dict)
+    limits: Mapping[str, TireInputs] = field(default_factory=dict)  # keep E < 1 there
 
     def values(self, u) -> dict[str, float]:
         """Coefficient -> value at u (p,)."""
