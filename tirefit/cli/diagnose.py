@@ -272,13 +272,12 @@ def _simulator(
 
 @dataclass(frozen=True)
 class _Task:
-    """What all files share: the folder of the results, arguments of
-    ``tirefit.diagnose`` and of ``tirefit.read``, tables held out, and the options."""
+    """What all files share."""
 
-    out: Path
-    settings: dict
-    kept: list
-    how: dict
+    out: Path  # folder of the results
+    settings: dict  # arguments of ``tirefit.diagnose``
+    kept: list  # tables held out
+    how: dict  # arguments of ``tirefit.read``
     figures: bool
     resume: bool
     seed: int

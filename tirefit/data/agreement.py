@@ -87,14 +87,13 @@ class Agreement(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """Of the terms, the rate of their sum, and 1: (k + 2,) factors, their standard
-    errors, shares seen, effective number of samples, and the (n,) remainder."""
+    """Of the terms, the rate of their sum, and 1."""
 
-    theta: np.ndarray
-    std: np.ndarray
-    seen: np.ndarray
-    effective: float
-    error: np.ndarray
+    theta: np.ndarray  # (k + 2,) factors
+    std: np.ndarray  # their standard errors
+    seen: np.ndarray  # shares seen
+    effective: float  # number of samples
+    error: np.ndarray  # (n,) remainder
 
 
 def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement | None:

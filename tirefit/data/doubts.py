@@ -38,12 +38,11 @@ _SHOWN_IN = {"alpha": ("mrad", 1e3), "fy": ("N", 1.0)}
 
 
 class Wave(NamedTuple):
-    """A wave that comes once in ``length`` [m] of the road, of so much ``size`` (half
-    of its height), by chance with probability ``p_value``."""
+    """A wave along the road."""
 
-    length: float
-    size: float
-    p_value: float
+    length: float  # [m]
+    size: float  # half of its height
+    p_value: float  # probability by chance
 
 
 def doubts(columns, motion: Motion, kept, vehicle: Vehicle) -> tuple[str, ...]:

@@ -47,26 +47,23 @@ _Change = Callable[[Motion, Vehicle, float], tuple[Motion, Vehicle]]
 
 
 class PointCheck(NamedTuple):
-    """``line``: sentence for the summary. ``estimate``: position [m ahead of the rear
-    axle] and its standard error, None if the log does not determine it."""
+    """What was found of the tracked point."""
 
-    line: str
-    estimate: tuple[float, float] | None
+    line: str  # sentence for the summary
+    estimate: tuple[float, float] | None  # [m ahead of the rear axle], standard error
     problems: tuple[InputProblem, ...] = ()
     warnings: tuple[str, ...] = ()
 
 
 class _Fit(NamedTuple):
-    """Amount of a change, its standard error, the rms residual of the slip angle [rad],
-    the effect of the change on the slip angle (rms over rms), the slope with the change
-    (:func:`_slope`), and the F statistic of the instruments."""
+    """A change, fitted."""
 
-    amount: float = 0.0
-    std: float = math.inf
-    misfit: float = math.inf
-    effect: float = 0.0
-    slope: float = 0.0
-    strength: float = 0.0
+    amount: float = 0.0  # of the change
+    std: float = math.inf  # its standard error
+    misfit: float = math.inf  # rms residual of the slip angle [rad]
+    effect: float = 0.0  # of the change on the slip angle (rms over rms)
+    slope: float = 0.0  # with the change (:func:`_slope`)
+    strength: float = 0.0  # F statistic of the instruments
 
 
 class _Rows(NamedTuple):

@@ -27,17 +27,15 @@ _LEAST_SCALE = 1e-12
 
 
 class AcrossFiles(NamedTuple):
-    """``middle`` at the mean time, ``scatter`` of the files beyond their own standard
-    deviations, ``change`` from the first to the last time with its standard deviation;
-    ``pulls`` (n,): distances from the line in standard deviations, ``outlier`` (n,)."""
+    """One quantity over many files."""
 
-    middle: float
-    scatter: float
-    change: float
-    change_std: float
+    middle: float  # at the mean time
+    scatter: float  # of the files beyond their own standard deviations
+    change: float  # from the first to the last time
+    change_std: float  # standard deviation
     drifts: bool
-    pulls: np.ndarray
-    outlier: np.ndarray
+    pulls: np.ndarray  # (n,) distances from the line in standard deviations
+    outlier: np.ndarray  # (n,)
 
 
 def across_files(value, std, when) -> AcrossFiles:

@@ -154,14 +154,12 @@ def _changes(solved: Solved, points, sample) -> Float[np.ndarray, "s m"]:
 
 
 class _Tree(NamedTuple):
-    """Cuts of the rows' places: by node its axis (-1 of a leaf), where it cuts, and the
-    first of the two nodes below it (or the number of the leaf). The roots come first,
-    one for each of ``groups``."""
+    """Cuts of the rows' places by node, roots first."""
 
-    groups: np.ndarray
-    axis: np.ndarray
-    cut: np.ndarray
-    below: np.ndarray
+    groups: np.ndarray  # one root for each
+    axis: np.ndarray  # -1 of a leaf
+    cut: np.ndarray  # where it cuts
+    below: np.ndarray  # first of the two nodes below, or number of the leaf
 
     def leaf_of(self, place: np.ndarray, group: np.ndarray) -> Int[np.ndarray, " n"]:
         """Number of the leaf that each row falls into."""

@@ -17,12 +17,11 @@ _LAGS = 40  # lags, at most, and those of a quarter of the longest run
 
 
 class Means(NamedTuple):
-    """Means over bins: ``center`` of the input and ``mean`` of the residuals, with the
-    half-width ``half`` of the mean's 95 % interval, (k,) each."""
+    """Means over bins, (k,) each."""
 
-    center: np.ndarray
-    mean: np.ndarray
-    half: np.ndarray
+    center: np.ndarray  # of the input
+    mean: np.ndarray  # of the residuals
+    half: np.ndarray  # half-width of the mean's 95 % interval
 
 
 def standardised(result: FitResult, channel: str) -> np.ndarray:

@@ -69,13 +69,13 @@ def slip_density(slip, std, hats: int = 20, iterations: int = 200):
 
 
 class SlipDistribution(NamedTuple):
-    """A piecewise linear density (``knots``, ``density``) and slips that many rows
-    have: ``standing`` (k,) with their ``shares`` (k,). All of it integrates to one."""
+    """A piecewise linear density, and slips that many rows have; all integrates to
+    one."""
 
     knots: np.ndarray
     density: np.ndarray
-    standing: np.ndarray
-    shares: np.ndarray
+    standing: np.ndarray  # (k,)
+    shares: np.ndarray  # (k,)
 
     def moments(self, slip, std):
         """Mean and standard deviation (n,) of each latent slip, given the measured.

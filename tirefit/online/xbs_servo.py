@@ -119,17 +119,15 @@ def refuse_unstable(
 
 
 class XbsServoState(NamedTuple):
-    """Estimators' states; wheel speeds before and their references [m/s]; target
-    pressures [Pa]; changes of pressure on their way (delay, w) [Pa]; deceleration of
-    the vehicle, filtered [m/s2]; its speed [m/s]."""
+    """State of the servo and its estimators."""
 
     xbs: XbsState
-    speed: Wheels
-    reference: Wheels
-    target: Wheels
-    coming: Float[Array, "d w"]
-    slowing: Float[Array, ""]
-    vehicle: Float[Array, ""]
+    speed: Wheels  # [m/s] before
+    reference: Wheels  # [m/s]
+    target: Wheels  # [Pa]
+    coming: Float[Array, "d w"]  # changes on their way [Pa]
+    slowing: Float[Array, ""]  # filtered [m/s2]
+    vehicle: Float[Array, ""]  # speed [m/s]
 
 
 class XbsServo(AbstractController):

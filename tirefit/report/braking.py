@@ -269,12 +269,11 @@ def compare_figure(result: Braking) -> Picture:
 
 
 class Path(NamedTuple):
-    """Slip and use of one wheel's stop: ``kappa``, ``force`` (n,) [-] over the load;
-    ``mean``: of both, the operational point of O Figure 10."""
+    """Slip and use of one wheel's stop."""
 
     kappa: np.ndarray
-    force: np.ndarray
-    mean: tuple[float, float]
+    force: np.ndarray  # (n,) over the load
+    mean: tuple[float, float]  # of both, the operational point of O Figure 10
 
 
 def path_of(stop: Stop, wheel: int = 0) -> Path:

@@ -23,24 +23,21 @@ from tirefit.report.numbers import format_number
 
 
 class LadderBar(NamedTuple):
-    """A step of the ladder: ``rms`` [N] on data left out, the standard ``error`` of its
-    gain over the step before, as that of an rms (None where none is known), and the
-    share ``closed``; ``kind`` is base, effect, smooth or noise."""
+    """A step of the ladder."""
 
     label: str
-    rms: float
-    error: float | None
+    rms: float  # [N] on data left out
+    error: float | None  # standard, of the gain over the step before, as that of an rms
     closed: float | None
-    kind: str
+    kind: str  # base, effect, smooth or noise
 
 
 class ChanceBar(NamedTuple):
-    """The probability that an effect is there: ``kind`` is verdict, other or unknown,
-    that of something unlisted."""
+    """The probability that an effect is there."""
 
     label: str
     probability: float
-    kind: str
+    kind: str  # verdict, other or unknown (something unlisted)
 
 
 def ladder_bars(result: Diagnosis) -> list[LadderBar]:

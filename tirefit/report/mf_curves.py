@@ -28,12 +28,11 @@ _AXIS = {
 
 
 class Panel(NamedTuple):
-    """One set of axes: title, points and curves; ``ticks`` (place, label) where the
-    abscissa is not a quantity."""
+    """One set of axes."""
 
     title: str
     curve: FitCurve
-    ticks: tuple[tuple[float, str], ...] = ()
+    ticks: tuple[tuple[float, str], ...] = ()  # place, label of categories
 
 
 def _fitted(fit: MagicFormulaFit, force: str, inputs: Sequence[TireInputs]):

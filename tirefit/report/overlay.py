@@ -25,15 +25,14 @@ _SAME_LOAD = 0.02  # relative spread of the loads up to which forces compare in 
 
 
 class OverlayCurve(NamedTuple):
-    """The curve (m,) of one file with the ends of its 95 % band, over the slips of its
-    own rows, and some of its points (n,)."""
+    """The curve (m,) of one file over the slips of its own rows."""
 
     name: str
     slip: np.ndarray
     force: np.ndarray
-    low: np.ndarray
+    low: np.ndarray  # ends of its 95 % band
     high: np.ndarray
-    at_slip: np.ndarray
+    at_slip: np.ndarray  # some of its points (n,)
     at_force: np.ndarray
 
 

@@ -35,14 +35,13 @@ _POINTS = 1500
 
 
 class Panel(NamedTuple):
-    """One channel over time: ``label`` with its unit, ``time`` and ``value`` (m,) of
-    the line, ``settings`` (k,) the rig had for it."""
+    """One channel over time."""
 
     name: str
-    label: str
-    time: np.ndarray
+    label: str  # with its unit
+    time: np.ndarray  # (m,) of the line
     value: np.ndarray
-    settings: np.ndarray
+    settings: np.ndarray  # (k,) the rig had for it
 
 
 class Strip(NamedTuple):

@@ -56,15 +56,14 @@ class Motion(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """What a state does on the road: slips, loads ``fz`` [N], friction ``mu`` of the
-    road, forces ``fx``, ``fy`` [N], all (w,); ``v_x`` (w,) [m/s] along the wheels."""
+    """What a state does on the road, (w,) each."""
 
     slips: Slips
-    v_x: Wheels
-    mu: Wheels
-    fz: Wheels
-    fx: Wheels
-    fy: Wheels
+    v_x: Wheels  # [m/s] along the wheels
+    mu: Wheels  # friction of the road
+    fz: Wheels  # [N]
+    fx: Wheels  # [N]
+    fy: Wheels  # [N]
 
 
 class Drive(NamedTuple):

@@ -21,12 +21,11 @@ _PATCH = 0.2  # length [m] of the contact patch, which comes onto a new road bit
 
 
 class Road(NamedTuple):
-    """``before``, ``after`` (2,): friction on the left and on the right; ``jump`` [m]
-    from where the braking begins, infinite if there is none."""
+    """Friction on the left and on the right."""
 
     before: Float[Array | np.ndarray, " 2"]
     after: Float[Array | np.ndarray, " 2"]
-    jump: Float[Array | np.ndarray, ""] | float
+    jump: Float[Array | np.ndarray, ""] | float  # [m] from where the braking begins
 
     def mu(
         self, distance: Float[Array, " w"], y: Float[Array | np.ndarray, " w"]

@@ -32,12 +32,11 @@ _HALVINGS = 60
 
 
 class Slips(NamedTuple):
-    """``kappa``, ``alpha`` (w,): practical slip and slip angle [rad]; ``speed`` (w,)
-    [m/s]: that by which the sliding speed was divided."""
+    """Slips of the wheels."""
 
-    kappa: Float[Array, " w"]
-    alpha: Float[Array, " w"]
-    speed: Float[Array, " w"]
+    kappa: Float[Array, " w"]  # practical slip
+    alpha: Float[Array, " w"]  # [rad]
+    speed: Float[Array, " w"]  # [m/s] that divided the sliding speed
 
 
 def wheel_slips(v_x, v_y, turning) -> Slips:

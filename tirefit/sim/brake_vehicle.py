@@ -122,16 +122,14 @@ class Hydraulics(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """``speed_std`` [m/s]: noise of a wheel's circumferential speed; ``speed_step``
-    [m/s], in which it is told; ``deceleration_std`` [m/s2]; ``pressure_std`` [Pa];
-    ``road_std``: of the force d over the static load; ``road_corner`` [Hz]: of d."""
+    """Noise of the sensors and unevenness of the road."""
 
-    speed_std: float = 0.005
-    speed_step: float = 0.01
-    deceleration_std: float = 0.1
-    pressure_std: float = 2e4
-    road_std: float = 0.01
-    road_corner: float = 1.0
+    speed_std: float = 0.005  # [m/s] of a wheel's circumferential speed
+    speed_step: float = 0.01  # [m/s] in which it is told
+    deceleration_std: float = 0.1  # [m/s2]
+    pressure_std: float = 2e4  # [Pa]
+    road_std: float = 0.01  # of the force d over the static load
+    road_corner: float = 1.0  # [Hz] of d
 
 
 class Noise(NamedTuple):

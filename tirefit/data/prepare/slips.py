@@ -25,13 +25,12 @@ _HURRY = 2.5
 
 
 class Leg(NamedTuple):
-    """Rows ``begin`` to ``end`` (exclusive) in which a slip was ``how`` (held, swept or
-    moved); ``direction`` is +1 or -1 of a sweep, else 0."""
+    """Rows ``begin`` to ``end`` (exclusive) in which a slip did one thing."""
 
     begin: int
     end: int
-    how: str
-    direction: int = 0
+    how: str  # held, swept or moved
+    direction: int = 0  # +1 or -1 of a sweep, else 0
 
     @property
     def rows(self) -> int:

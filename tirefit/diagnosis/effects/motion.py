@@ -35,12 +35,11 @@ _FEW_WAYS = 1e-4
 
 
 class _Quantity(NamedTuple):
-    """A quantity by its ``key`` in vehicle.toml, and its standard error where that file
-    states the quantity, and where it does not."""
+    """A quantity of the vehicle."""
 
-    key: str
-    stated: float
-    guessed: float
+    key: str  # in vehicle.toml
+    stated: float  # standard error where that file states it
+    guessed: float  # and where it does not
     words: str
 
 

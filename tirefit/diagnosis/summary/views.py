@@ -37,20 +37,18 @@ _SHOWN_OVER = ("fz", "v", "time", "direction", "gamma")
 
 
 class ShownRows(NamedTuple):
-    """The used rows of the first channel, (n,) each: ``slip`` is sigma_x, or alpha
-    [rad] where ``slip_name`` says so; ``covariates`` are those that vary, loads first;
-    ``base``, ``extended`` and ``gap`` [N] are both fits and the located gap."""
+    """The used rows of the first channel, (n,) each."""
 
     channel: str
     slip_name: str
-    slip: np.ndarray
+    slip: np.ndarray  # sigma_x, or alpha [rad] where ``slip_name`` says so
     slip_fraction: np.ndarray
     load: np.ndarray
-    covariates: dict[str, np.ndarray]
+    covariates: dict[str, np.ndarray]  # those that vary, loads first
     observed: np.ndarray
-    base: np.ndarray
-    extended: np.ndarray
-    gap: np.ndarray
+    base: np.ndarray  # [N]
+    extended: np.ndarray  # [N]
+    gap: np.ndarray  # [N], located
 
 
 class ResidualMap(NamedTuple):
@@ -66,27 +64,26 @@ class ResidualMap(NamedTuple):
 
 
 class LoadCurve(NamedTuple):
-    """One level of load [N], from and to: measured points ``slip``, ``force`` (n,), and
-    both fits as means over bins of slip (k,); between ``low`` and ``high`` (k,) the
-    extended force lies for 80 % of the rows of a bin."""
+    """One level of load: measured points (n,), both fits as means over bins of slip
+    (k,)."""
 
-    load: tuple[float, float]
-    slip: np.ndarray
-    force: np.ndarray
+    load: tuple[float, float]  # [N] from and to
+    slip: np.ndarray  # (n,)
+    force: np.ndarray  # (n,)
     center: np.ndarray
     base: np.ndarray
     extended: np.ndarray
-    low: np.ndarray
+    low: np.ndarray  # ends of 80 % of the extended forces of a bin
     high: np.ndarray
 
 
 class Comparison(NamedTuple):
-    """Before and after: curves by load; rms residuals [N], noise included, in bins of
-    slip fraction. ``named``: ``after`` is the extension, else the located gap is."""
+    """Before and after: curves by load; rms residuals [N], noise included, by slip
+    fraction."""
 
     channel: str
     slip_name: str
-    named: bool
+    named: bool  # ``after`` is the extension, else the located gap is
     curves: tuple[LoadCurve, ...]
     center: np.ndarray
     before: np.ndarray

@@ -29,14 +29,11 @@ from tirefit.params import parameter_values, with_values
 
 
 class Prior(NamedTuple):
-    """Centre and standard deviation of a Gaussian prior, and the published values.
-
-    With ``log`` the logarithm is Gaussian, and ``spread`` is relative to the centre.
-    """
+    """Centre and standard deviation of a Gaussian prior, and the published values."""
 
     centre: float
-    spread: float
-    log: bool = False
+    spread: float  # relative to the centre with ``log``
+    log: bool = False  # the logarithm is Gaussian
     published: tuple[float, ...] = ()
 
     @property

@@ -42,13 +42,12 @@ ten of them the map to the unconstrained space is linear to one part in a thousa
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One coefficient: value, standard error (0 if given), ``origin`` (a key of
-    :data:`ORIGINS`), the part that estimates it, and its prior."""
+    """One coefficient and its prior."""
 
     value: float
-    std: float
-    origin: str
-    part: str
+    std: float  # standard error, 0 if given
+    origin: str  # a key of :data:`ORIGINS`
+    part: str  # that estimates it
     prior_mean: float
     prior_std: float
 

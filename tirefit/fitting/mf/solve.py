@@ -47,13 +47,12 @@ draws the same curve, whether it limits E to one or not."""
 
 
 class Block(NamedTuple):
-    """Rows of one force: inputs, measured force and 1 / noise, which is zero in padding
-    rows; each (n,), n one of ``_ROWS``."""
+    """Rows of one force; each (n,), n one of ``_ROWS``."""
 
     force: str
     inputs: TireInputs
     observed: np.ndarray
-    weight: np.ndarray
+    weight: np.ndarray  # 1 / noise, zero in padding rows
 
 
 @dataclass(frozen=True)
@@ -107,13 +106,12 @@ class Problem:
 
 
 class Minimum(NamedTuple):
-    """The end of a search: u (p,), the sum of squares of rows and priors, whether it
-    converged, and the number of passes over the rows."""
+    """The end of a search."""
 
-    u: np.ndarray
-    cost: float
+    u: np.ndarray  # (p,)
+    cost: float  # sum of squares of rows and priors
     converged: bool
-    steps: int
+    steps: int  # passes over the rows
 
 
 def blocks_of(force: str, inputs: TireInputs, observed, std) -> tuple[Block, ...]:

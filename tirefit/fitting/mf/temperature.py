@@ -37,12 +37,11 @@ Rows = Mapping[str, ForceRows]
 
 
 class FrictionTemperature(NamedTuple):
-    """Relative change of friction b [1/K] with its standard error; it is zero at
-    ``reference`` [degC]."""
+    """Relative change of friction with temperature; zero at ``reference``."""
 
-    b: float
-    std: float
-    reference: float
+    b: float  # [1/K]
+    std: float  # standard error
+    reference: float  # [degC]
 
     def text(self) -> str:
         """The result as one sentence."""

@@ -41,11 +41,10 @@ class Point(NamedTuple):
 
 
 class Curve(NamedTuple):
-    """Argument ``x`` = B (slip + shift) and curvature factor ``curvature`` = E of the
-    function :func:`~tirefit.models.magic_formula.bent` of one curve."""
+    """Arguments of :func:`~tirefit.models.magic_formula.bent` of one curve."""
 
-    x: Any
-    curvature: Any
+    x: Any  # B (slip + shift)
+    curvature: Any  # E
 
 
 class Weight(NamedTuple):
