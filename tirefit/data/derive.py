@@ -38,13 +38,12 @@ from tirefit.data.motion import (
     road_wheel,
     slip_and_force,
 )
-from tirefit.data.point import PointCheck, check_point
+from tirefit.data.point import PointCheck, check_point, zero_of_alpha
 from tirefit.data.remote import Place, file_at
 from tirefit.data.stated import found_in, stated_of
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
-from tirefit.data.zero import zero_of_alpha
 from tirefit.files import write_texts
 from tirefit.results import DataError, InputProblem, UsageError
 

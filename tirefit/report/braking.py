@@ -13,8 +13,8 @@ from tirefit.report.numbers import format_number, plain_text
 from tirefit.report.text import table
 from tirefit.sim.brake_request import tire_curve
 from tirefit.sim.brake_result import Braking, Stop
-from tirefit.sim.brake_road import road_of
 from tirefit.sim.brake_summary import MEANINGS, UNITS
+from tirefit.sim.brake_vehicle import road_of
 
 _SHORT = {
     "stopping_distance": "distance", "mean_friction_used": "friction used",

@@ -21,9 +21,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tirefit.sim.brake_road import Road
 from tirefit.sim.brake_tire import RoadTire, Slips, wheel_slips
-from tirefit.sim.brake_vehicle import Hydraulics, Vehicle
+from tirefit.sim.brake_vehicle import Hydraulics, Road, Vehicle
 
 Wheels = Float[Array, " w"]
 Number = Float[Array, ""]

@@ -13,7 +13,6 @@ from tirefit.models import AbstractTire, TireInputs, modelled
 from tirefit.params import parameter_values
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.brake_plant import Plant
-from tirefit.sim.brake_road import road_of
 from tirefit.sim.brake_tire import on_road, wheel_slips
 from tirefit.sim.brake_vehicle import (
     GRAVITY,
@@ -22,6 +21,7 @@ from tirefit.sim.brake_vehicle import (
     Vehicle,
     four_wheels,
     quarter_car,
+    road_of,
 )
 
 VEHICLES = {"car": four_wheels, "quarter": quarter_car}
@@ -38,7 +38,7 @@ class Request:
 
     tire: AbstractTire  # with its parameter values
     tire_name: str  # how it is called
-    road: str = "mu=0.3"  # as in :data:`tirefit.sim.brake_road.ROADS`
+    road: str = "mu=0.3"  # as in :data:`tirefit.sim.brake_vehicle.ROADS`
     speed: float = 15.0  # [m/s] at which the braking begins
     vehicle: str = "car"  # a key of :data:`VEHICLES`
     steer: float = 0.0  # angle [rad] of the front wheels, to the left; constant
