@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-LATEST = 0.4
-"""Longest delay that is looked for [s]: of the recorders of vehicles."""
+LATEST = 0.4  # longest delay that is looked for [s]: of the recorders of vehicles
 
 _NO_DELAY = 0.02
 """Least gain in R² of the longest delay: half a wave late the other sign fits too."""
@@ -30,11 +29,9 @@ _AROUND = (-2.0, -1.5, -1.0, 1.0, 1.5, 2.0)
 """Where the instruments lie, over the time after which noise is another."""
 
 _ROUNDS = 4
-EACH = 10
-"""Rows that are used per correlation time of the noise."""
+EACH = 10  # rows that are used per correlation time of the noise
 
-FEWEST = 50
-"""Fewest rows that are compared: 5 s of a log with the default filter."""
+FEWEST = 50  # fewest rows that are compared: 5 s of a log with the default filter
 
 
 class Term(NamedTuple):

@@ -18,8 +18,7 @@ from tirefit.data.evidence import evidence_of, fitting_conventions
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
 
-SHOWN = 5
-"""Rows of one fault that are listed one by one before the rest is summed up."""
+SHOWN = 5  # rows of one fault that are listed one by one before the rest is summed up
 
 _NEARLY_ONE = 1 + 1e-6
 _LOWEST_SIGMA = -1.05

@@ -23,8 +23,7 @@ from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.door import DATA, too_large
 from tirefit.results import DataError, did_you_mean
 
-SPACED = "columns separated by white space"
-"""The note of a text that is."""
+SPACED = "columns separated by white space"  # the note of a text that is
 
 _DELIMITERS = "\t;|,"
 _END = "\0"

@@ -29,8 +29,7 @@ from tirefit.fitting.solve import Solved
 from tirefit.padding import pad_rows
 from tirefit.params import unconstrain
 
-FEWEST = 4096
-"""Rows of a file that is condensed: fewer take no longer than their cells."""
+FEWEST = 4096  # rows of a file that is condensed: fewer take no longer than their cells
 
 _REACH = 2.5  # standard deviations at which the change of the force is looked at
 

@@ -82,8 +82,7 @@ all 200 trials from two of eight starts, and takes 51 to 80 from each."""
 LEAST_DAMPING = 1e-9
 """Below it a step is undamped to rounding; it also keeps a singular matrix solvable."""
 
-STUCK = 1e9
-"""Damping at which steps are too small to change anything: the search ends."""
+STUCK = 1e9  # damping at which steps are too small to change anything: the search ends
 
 LONGEST_STEP = 3.0
 """In z a parameter crosses its whole range within ten; longer steps are wild."""

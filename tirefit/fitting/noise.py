@@ -84,8 +84,7 @@ def law_shares(residual, terms, known=0.0) -> np.ndarray:
     return shares * scale / size
 
 
-MAD = 1.4826
-"""Standard deviation of a normal law over its median absolute deviation."""
+MAD = 1.4826  # standard deviation of a normal law over its median absolute deviation
 
 _CHANCE = 5e-5  # level of significance of a difference in noise
 

@@ -15,8 +15,7 @@ from tirefit.params import parameter_values
 from tirefit.results import DataError, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS, kappa_from_sigma
 
-TIR_SIGNS = "iso-w"
-"""Convention of ``.tir`` files: that of the axes TYDEX W."""
+TIR_SIGNS = "iso-w"  # convention of ``.tir`` files: that of the axes TYDEX W
 
 _SYMBOLS = {"fx": "F_x", "fy": "F_y", "mz": "M_z"}
 _NEEDED = {

@@ -26,8 +26,7 @@ from tirefit.sim.brake_vehicle import Noise, Sensors, draw_noise, wheel_speeds
 
 STANDS = 0.1
 """Speed [m/s] below which the car has stopped: 1.3 cm before the end at mu 0.04."""
-SPUN = 1.5708
-"""Angle [rad] from which on a car has spun: across the way that it had."""
+SPUN = 1.5708  # angle [rad] from which on a car has spun: across the way that it had
 _RUN_IN = 2.0  # time [s] for which a car turns at a constant speed before it is braked
 
 

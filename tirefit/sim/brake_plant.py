@@ -149,8 +149,7 @@ def _rate(since, s: Motion, args) -> Motion:
     return jax.tree.map(lambda value: value * drive.moving, rate)
 
 
-TOLERANCE = 1e-6
-"""Largest error of a step, in the scales below."""
+TOLERANCE = 1e-6  # largest error of a step, in the scales below
 _SCALES = {"heading": 0.1, "yaw_rate": 0.1, "pressure": 1e6}
 """Of states, by which their errors are judged; 1 in SI units of the others."""
 

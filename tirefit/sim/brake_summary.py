@@ -10,8 +10,7 @@ from scipy import stats
 from tirefit.sim.brake import SPUN, STANDS, Log
 from tirefit.sim.brake_plant import Plant
 
-LOCKED_SLIP = 0.9
-"""Slip from which on a wheel counts as locked."""
+LOCKED_SLIP = 0.9  # slip from which on a wheel counts as locked
 RECOVERED = 0.8
 """Share of the friction there is, at which a controller has found a new road."""
 _SLOW = 2.0

@@ -37,8 +37,7 @@ WAVES, ROWS_OF_A_WAVE = 96, 5
 """Largest number of waves in a record (half as many for patterns in time or distance,
 an eighth for others), and smallest number of rows of a wave."""
 
-PHASES = 4
-"""Phases of each wave."""
+PHASES = 4  # phases of each wave
 
 
 class Pattern(NamedTuple):

@@ -15,8 +15,7 @@ _WINDOWS = (5, 9, 13, 19, 27, 41)  # rows of the local parabolas
 _REACH, _PIECE = _WINDOWS[-1] - 1, 4_000
 """Rows beside a row that its path uses; rows at once, which bounds the memory."""
 
-AHEAD = 4
-"""Columns of the past that lie after its row."""
+AHEAD = 4  # columns of the past that lie after its row
 
 AGES = np.append(np.arange(-AHEAD, 7), np.geomspace(8, 34, 6).round().astype(int))
 """How many intervals ago each column was: each row, then a third more each time."""

@@ -18,14 +18,11 @@ from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.records import HeldOut, Shrinkage
 
-DRAWS = 400
-"""Draws, and bootstrap samples: twenty beyond either end of a 90 % interval."""
-INTERVAL = (0.05, 0.95)
-"""Quantiles at the ends of a 90 % interval."""
+DRAWS = 400  # draws, and bootstrap samples: twenty beyond either end of a 90 % interval
+INTERVAL = (0.05, 0.95)  # quantiles at the ends of a 90 % interval
 _RESOLVED = 3.0
 """Standard deviations of the energy of noise from which a gap is resolved."""
-WORST = -1.0
-"""Closure that counts as the worst there is: the gap doubled."""
+WORST = -1.0  # closure that counts as the worst there is: the gap doubled
 _BLOCKS = 60  # blocks of a record, at most
 _WIDER = 1.2
 """Factor on the errors of parameters: those of a fit whose form is not quite right."""

@@ -17,8 +17,7 @@ from tirefit.diagnosis.summary.records import Forecast, NextMeasurement
 from tirefit.diagnosis.summary.where import LEVEL
 from tirefit.models import modelled
 
-DRAWS = 2000
-"""Draws of noise: a probability of 5 % is known to half a percent."""
+DRAWS = 2000  # draws of noise: a probability of 5 % is known to half a percent
 _FACTORS, _SMALL = (0.5, 2.0), 0.1
 """Loads, speeds and slips of further measurements over those of the file."""
 _FEW = 3  # pairs of effects that are compared, and additions that are listed, at most

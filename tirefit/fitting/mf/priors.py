@@ -94,8 +94,7 @@ def published_priors() -> dict[str, Prior]:
         }
 
 
-ALIKE = 0.25
-"""Spread of a borrowed prior over that of all published tires: a judgement."""
+ALIKE = 0.25  # spread of a borrowed prior over that of all published tires: a judgement
 
 _LOWEST, _HIGHEST = 0.2, 0.8
 """Quantiles of slip below which the rows of a force give the scale of stiffness, and
