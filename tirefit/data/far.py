@@ -136,7 +136,7 @@ def why_far(value: FarValue) -> str:
 def _rules(data: TireData, column: str, values):
     """(who the others are, (far rows, ends of what the others have)), rule by rule."""
     if column == "fz":
-        scales = (_identity, np.log) if np.all(values > 0) else (_identity,)
+        scales = (np.positive, np.log) if np.all(values > 0) else (np.positive,)
         for far, low, high in (_beyond_all(values, scale) for scale in scales):
             other = (values > _OTHER_LOAD * high) | (values < low / _OTHER_LOAD)
             yield _ALL, (far & other, low, high)
@@ -156,11 +156,7 @@ def _rules(data: TireData, column: str, values):
             yield among, _against(values, data.usable(slip))
 
 
-def _identity(values):
-    return values
-
-
-def _beyond_all(values, shape=_identity, locked=np.inf):
+def _beyond_all(values, shape=np.positive, locked=np.inf):
     """Rows that a wide gap parts from all others, at either end.
 
     Args:

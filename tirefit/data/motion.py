@@ -146,8 +146,7 @@ drive (and how much each) is stated; of an even split that is assumed; and of wh
 where one axle drives: cars brake with both."""
 
 _ROLLING = (0.02, 0.005)
-"""Error of drag and rolling resistance over the weight, without and with a drag that is
-stated."""
+"""Error of drag and rolling resistance over weight, without and with stated drag."""
 
 _MOST_SAMPLES = 3_000_000  # samples on the grid of one log: 8 h at 100 Hz
 

@@ -1,5 +1,4 @@
-"""What the first line of a derived file states: of its vehicle, and as found in the
-logs."""
+"""What a derived file's first line states: of its vehicle, and found in the logs."""
 
 from collections.abc import Sequence
 

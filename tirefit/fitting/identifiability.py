@@ -40,8 +40,7 @@ _FRICTION = ("mu", "mu_peak", "mu_s", "D", "Dx", "Dy")
 _HIGHEST, _FRICTIONS = 2.0, 7
 """Friction that no tire has, and how many up to it are tried."""
 _AS_WELL = 9.0
-"""Rise of -2 log likelihood up to which a friction describes the rows as well (three
-standard deviations)."""
+"""Rise of -2 log likelihood up to which a friction fits too (3 standard deviations)."""
 _REACHED = {"sigma_x": (-0.9, 2.0), "alpha": (-1.2, 1.2)}  # slips that a test can go to
 _INSIDE = 4.0
 """Unconstrained values that are looked at: to 2 % of the range from either bound, where

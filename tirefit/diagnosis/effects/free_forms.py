@@ -122,12 +122,6 @@ def _other_slip(rows, u):
 SHAPE_OF_THE_CURVE = (Form("force", 0.01, _of_shape),)
 
 
-def moved_by(forms: tuple[Form, ...]) -> frozenset[str]:
-    """Fields of the state that effects of these forms move, or {"curve"}."""
-    fields = frozenset(form.field for form in forms)
-    return frozenset({"curve"}) if forms == SHAPE_OF_THE_CURVE else fields
-
-
 FRICTION_BY_SPEED = tuple(
     Form(field, 0.06, _of_sliding, "speeds") for field in ("friction", "kinetic")
 )

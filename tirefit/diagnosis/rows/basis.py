@@ -121,8 +121,7 @@ def wave_basis(prepared, scale) -> np.ndarray:
 
 
 def orthogonal(basis, against) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal directions (n, q) of the basis orthogonal to ``against`` (n, p), and
-    their singular values (q,)."""
+    """Orthonormal directions (n, q) of a basis less ``against`` (n, p), sizes (q,)."""
     left = without(basis, against)
     turned, size = _principal(left.T @ left)
     return left @ turned, size

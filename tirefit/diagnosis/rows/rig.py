@@ -53,8 +53,6 @@ class _Vehicle(Section):
 
 _TABLES: dict[str, type[Section]] = {"noise": _Noise, "vehicle": _Vehicle}
 
-VEHICLE = tuple(_Vehicle.model_fields)  # keys of ``[vehicle]``
-
 
 class _RigFile(Section):
     rolling_radius: _Length = None

@@ -164,9 +164,8 @@ def closure_elsewhere(before, after, variance, run, inflation, generator) -> Shr
 
     Args:
         before, after: (n,) residuals [N] of the base and of the extension.
-        variance: (n,) noise variance [N^2].
+        variance, inflation: as in :func:`closure_on_rows`.
         run: (n,) runs, which the blocks of the bootstrap do not cross.
-        inflation: rows per independent row.
     """
     terms = np.stack([before**2 - after**2, after**2 - variance], axis=1)
     gained, left = terms.mean(axis=0)

@@ -24,8 +24,7 @@ from tirefit.diagnosis.rows.patterns import (
 from tirefit.diagnosis.summary.where import FEWEST_ROWS, LEVEL, binned, covariates_of
 
 _BANDS, _BINS, _STEPS = 5, 13, 60
-"""Bands of a swept covariate, bins of a map or of what is left, and bins of a curve, at
-most."""
+"""Most bands of a swept covariate, bins of a map or remainder, and bins of a curve."""
 
 _FEWEST = 4  # rows of a cell from which its scatter is known
 _TENTHS = (0.1, 0.9)  # quantiles that hold 80 % of the rows of a bin
