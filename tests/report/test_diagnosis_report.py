@@ -419,6 +419,24 @@ def test_the_ladder_stands_first_in_text_and_page():
     assert document["ladder"][2]["gain"] == 27500.0
 
 
+def test_each_step_of_the_ladder_shows_what_files_held_out_say():
+    rms = (520.0, 310.0, 410.0)
+    closed = (0.0, 0.75, 0.4)
+    steps = [
+        step._replace(rms_held_out=r, closed_held_out=c)
+        for step, r, c in zip(LADDER.steps, rms, closed, strict=False)
+    ]
+    ladder = LADDER._replace(steps=(*steps, *LADDER.steps[3:]))
+    settings = replace(diagnosis().settings, holdout=("sha",))
+    found = diagnosis(ladder=ladder, settings=settings)
+    text = flat(found)
+    assert "closed held out [N]" in text
+    assert "+ slip offset 300 80.0 ± 5.0 % 310 (75%)" in text
+    assert "load friction: predicts the files held out worse (310 to 410 N" in text
+    assert "slip offset: predicts the files held out worse" not in text
+    assert [bar.held_out for bar in ladder_bars(found)] == [*rms, None, None, None]
+
+
 def test_where_nothing_can_be_left_out_the_rows_fitted_are_shown():
     found = diagnosis(ladder=Ladder())
     assert "no part of these rows can be left out" in flat(found)

@@ -96,6 +96,9 @@ class Step(NamedTuple):
         gain: what the step takes from the mean square [N^2]; the two last steps are
             compared with the last set of effects.
         gain_std: its standard error.
+        rms_held_out: rms on the files held out [N]; None without such files, for a set
+            that was not refitted, and for the two last steps.
+        closed_held_out: share of the gap closed there, beyond the noise.
     """
 
     effects: Key
@@ -104,6 +107,8 @@ class Step(NamedTuple):
     closed_std: float
     gain: float
     gain_std: float
+    rms_held_out: float | None = None
+    closed_held_out: float | None = None
 
 
 class Ladder(NamedTuple):

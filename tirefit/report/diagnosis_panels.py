@@ -30,6 +30,7 @@ class LadderBar(NamedTuple):
     error: float | None  # standard, of the gain over the step before, as that of an rms
     closed: float | None
     kind: str  # base, effect, smooth or noise
+    held_out: float | None = None  # rms on the files held out
 
 
 class ChanceBar(NamedTuple):
@@ -55,6 +56,7 @@ def ladder_bars(result: Diagnosis) -> list[LadderBar]:
             # d(rms) = d(rms^2) / (2 rms)
             step.gain_std / (2 * step.rms_left_out) if step.effects else None,
             step.closed if step.effects else None, kinds.get(step.effects, "effect"),
+            step.rms_held_out,
         )
         for k, step in enumerate(result.ladder.steps)
     ]  # fmt: skip

@@ -1,10 +1,11 @@
 """The first screen of a diagnosis: the answer, and what a reader acts on."""
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 from tirefit.diagnosis.decide.remainder import LEAST_P, LEVEL
-from tirefit.diagnosis.left_out import NOISE, SMOOTH
+from tirefit.diagnosis.left_out import NOISE, SMOOTH, Step
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.records import Each, NextMeasurement, Shrinkage, Status
 from tirefit.diagnosis.summary.result import Diagnosis
@@ -40,6 +41,10 @@ _MOST_STEPS = 3  # measurements that the first screen proposes, at most
 _TELLS_MORE = 0.1
 """Rise of the probability of telling two effects apart from which a measurement is
 proposed: less is not worth another day at the rig."""
+
+_CLOSED = (
+    "closed: share of what the first row leaves beyond the noise, ± standard error"
+)
 
 TESTS = {
     "time": "neighbours in time miss alike",
@@ -153,6 +158,27 @@ def _percent(share: float | None, std: float | None) -> str:
     return f"{format_estimate(100 * share, None if std is None else 100 * std)} %"
 
 
+def _held_out(step: Step) -> str:
+    """The rms of a step on the files held out, and the share closed there."""
+    if step.rms_held_out is None:
+        return "-"
+    rms, closed = format_number(step.rms_held_out, 3), step.closed_held_out
+    return rms if closed is None or not step.effects else f"{rms} ({closed:.0%})"
+
+
+def _worse_held_out(result: Diagnosis, unit: str) -> Iterator[str]:
+    """A sentence on each step that predicts the files held out worse than before it."""
+    steps = result.ladder.steps
+    for k, (before, after) in enumerate(pairwise(steps), 1):
+        old, new = before.rms_held_out, after.rms_held_out
+        if old is not None and new is not None and new > old:
+            yield (
+                f"{step_label(result, k)}: predicts the files held out worse"
+                f" ({format_number(old, 3)} to {format_number(new, 3)} {unit} rms): do"
+                " not carry it over to other data"
+            )
+
+
 def _ladder(result: Diagnosis) -> Section:
     ladder, unit = result.ladder, FORCE_UNIT[result.data.channels[0]]
     on = f" ({ladder.on}; {result.n} rows)" if ladder.on else ""
@@ -165,10 +191,13 @@ def _ladder(result: Diagnosis) -> Section:
          format_estimate(step.gain, step.gain_std) if step.effects else "-")
         for k, step in enumerate(ladder.steps)
     ]  # fmt: skip
-    lines = [
-        "closed: share of what the first row leaves beyond the noise; gain: fall of the"
-        " mean square from the row above; ± standard error"
-    ]
+    lines = [_CLOSED + "; gain: fall of the mean square from the row above"]
+    if result.settings.holdout:
+        held = [f"held out [{unit}]", *map(_held_out, ladder.steps)]
+        # In place of the gain, for which a line has no room.
+        table = [(*row[:3], cell) for row, cell in zip(table, held, strict=True)]
+        lines = [_CLOSED + "; held out: rms on the files held out (closed there)"]
+        lines += _worse_held_out(result, unit)
     if not ladder.steps:
         table, lines = [], ["no part of these rows can be left out"]
         lines += [gap_line(result, result.gap, "the rows fitted")]

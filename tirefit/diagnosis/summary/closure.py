@@ -222,12 +222,17 @@ def of_so_few_runs(value, low, high, one_less):
 
 
 def held_out(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
-    """Closure on other files where there are some, else that of the ladder's last set
-    of effects; None where no effect is named and no file is given."""
+    """Closure on data left out by the named effects, and the ladder with what each of
+    its steps closes there.
+
+    Args:
+        holdout: other files; without them the closure is that of the ladder's last set
+            of effects, and None where no effect is named.
+    """
     if holdout:
-        return _on_files(case, holdout, rig, generator)
+        return _on_files(case, holdout, rig, ladder, generator)
     if not case.verdict.status.names or len(ladder.steps) < 4:
-        return None
+        return None, ladder
     base, step, floor = ladder.steps[0], ladder.steps[-3], ladder.steps[-1]
     rms = np.sqrt(max(base.rms_left_out**2 - floor.rms_left_out**2, 0.0))
     reach = _NINETY * step.closed_std
@@ -235,22 +240,43 @@ def held_out(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
         rms=float(rms), resolvable=True, closed=step.closed,
         closed_ci=(max(step.closed - reach, WORST), min(step.closed + reach, 1.0)),
         remaining_rms=float((1 - step.closed) * rms), on=ladder.on,
-    )  # fmt: skip
+    ), ladder  # fmt: skip
 
 
-def _on_files(case: Case, holdout: Sequence, rig, generator) -> HeldOut:
-    base, chosen, rows = case.base, case.chosen, case.base.rows
-    main, runs, parts = rows.channels[0], 0, []
+def _on_files(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
+    base, rows = case.base, case.base.rows
+    main, runs = rows.channels[0], 0
     scale = np.median(base.noise[main].std / rows.inputs.fz)
+    keys = [tuple(sorted(step.effects)) for step in ladder.steps]
+    steps = {k: case.weighed.best_of[k] for k in keys if k in case.weighed.best_of}
+    sets = [(base.as_given, base.amplitudes())]
+    sets += [(h.z, amplitudes_of(base, h)) for h in (case.chosen, *steps.values())]
+    parts = []
     for data in holdout:
         other = on_rows(base, prepare(data, rig, rows.channels, rows.slip_scatter), rig)
         observed = other.rows.observed[main]
-        before = other.forces(base.as_given, base.amplitudes())[main]
-        after = other.forces(chosen.z, amplitudes_of(base, chosen))[main]
+        missed = [observed - other.forces(*one)[main] for one in sets]
         variance, run = (scale * other.rows.inputs.fz) ** 2, other.rows.run + runs
-        parts.append((observed - before, observed - after, variance, run))
+        parts.append((variance, run, *missed))
         runs += len(data.runs)
-    before, after, variance, run = map(np.concatenate, zip(*parts, strict=True))
+    variance, run, before, after, *others = map(
+        np.concatenate, zip(*parts, strict=True)
+    )
     inflation = base.noise[main].inflation
     closure = closure_elsewhere(before, after, variance, run, inflation, generator)
-    return HeldOut(**vars(closure), on=", ".join(data.name for data in holdout))
+    gap = max(np.mean(before**2 - variance), NONZERO)
+
+    def beside(step, missed):
+        left = max(np.mean(missed**2 - variance), 0.0)
+        share = max(1 - float(np.sqrt(left / gap)), WORST)
+        rms = float(np.sqrt(np.mean(missed**2)))
+        closed = share if closure.resolvable else None
+        return step._replace(rms_held_out=rms, closed_held_out=closed)
+
+    missed_by = dict(zip(steps, others, strict=True)) | {(): before}
+    added = [
+        beside(step, missed_by[key]) if key in missed_by else step
+        for step, key in zip(ladder.steps, keys, strict=True)
+    ]
+    on = ", ".join(data.name for data in holdout)
+    return HeldOut(**vars(closure), on=on), ladder._replace(steps=tuple(added))

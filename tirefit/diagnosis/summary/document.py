@@ -84,7 +84,7 @@ def document_of(
     believed, main = rows_of(case, base), prepared.channels[0]
     truth = plausible_forces(case, generator)
     ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base))
-    held = held_out(case, holdout, rig, ladder, generator)
+    held, ladder = held_out(case, holdout, rig, ladder, generator)
     verdict, gaps = case.verdict, _gaps(case, rows, truth)
     candidates = _candidates(case, rows[main]["base"], truth[main])
     shares = closed_by_each(base, case.chosen) if verdict.status.names else {}
