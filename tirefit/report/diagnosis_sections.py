@@ -193,9 +193,9 @@ def _ladder(result: Diagnosis) -> Section:
     ]  # fmt: skip
     lines = [_CLOSED + "; gain: fall of the mean square from the row above"]
     if result.settings.holdout:
-        held = [f"held out [{unit}]", *map(_held_out, ladder.steps)]
+        column = [f"held out [{unit}]", *map(_held_out, ladder.steps)]
         # In place of the gain, for which a line has no room.
-        table = [(*row[:3], cell) for row, cell in zip(table, held, strict=True)]
+        table = [(*row[:3], cell) for row, cell in zip(table, column, strict=True)]
         lines = [_CLOSED + "; held out: rms on the files held out (closed there)"]
         lines += _worse_held_out(result, unit)
     if not ladder.steps:

@@ -88,6 +88,10 @@ def _settled(rows, constants):
     return blend(constants, rows.time, late)
 
 
+def _force_drift(drift, constants, rows):
+    return PER_MILLE * drift * rows.load * _settled(rows, constants)
+
+
 def _force_hysteresis(size, constants, rows):
     plain, grown = constants
     way = rows.turning * rows.side * (plain + grown * rows.usage)
@@ -176,9 +180,7 @@ SENSORS = (
     ),
     Effect(
         id="force_zero_drift", family="force x time", scale=35.0, parameter="drift",
-        change=adds(
-            "force", lambda a, c, rows: PER_MILLE * a * rows.load * _settled(rows, c)
-        ), unit="1e-3 mean F_z per record",
+        change=adds("force", _force_drift), unit="1e-3 mean F_z per record",
         formula="force + amplitude t; zero drift of strain gauges, Hoffmann 1989",
         means="the zero of the force sensor moves over the record", odds=seldom,
         remedy="tare between runs; subtract the zeros before and after, shared by time",
