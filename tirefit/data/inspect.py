@@ -71,11 +71,7 @@ class Support:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What :func:`inspect` found; :meth:`text` prints it, :meth:`as_dict` is JSON.
-
-    ``combined_rows`` counts rows with fx, fy and both slips beyond 0.01; ``far_rows``
-    names values that are far from those of their file and their neighbours.
-    """
+    """What :func:`inspect` found; :meth:`text` prints it, :meth:`as_dict` is JSON."""
 
     file: str
     sha256: str
@@ -86,11 +82,11 @@ class Inspection:
     columns: tuple[ColumnSummary, ...]
     runs: tuple[RunSummary, ...]
     supports: tuple[Support, ...]
-    combined_rows: int
+    combined_rows: int  # with fx, fy and both slips beyond 0.01
     warnings: tuple[str, ...]
     assumptions: tuple[str, ...]
     masked: tuple[str, ...]
-    far_rows: tuple[str, ...] = ()
+    far_rows: tuple[str, ...] = ()  # far from those of their file and neighbours
 
     def as_dict(self) -> dict:
         """Plain values only, fit for JSON: numbers that are not finite are None."""

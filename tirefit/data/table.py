@@ -98,34 +98,24 @@ class SlipCheck:
 
 @dataclass(frozen=True)
 class Source:
-    """Where data came from and what was assumed in reading them.
-
-    ``columns`` maps a canonical column to the file's own header; ``units`` to the
-    unit it was read in, ``units_beside`` those columns whose unit is not in the header;
-    ``convention_from`` is the source of the convention, in words;
-    ``slip_definition`` is the definition of the file's slip
-    column (a key of ``slip.SLIP_DEFINITIONS``); ``line`` holds each row's line.
-    ``warnings`` are sentences on what may mean something else than it was read as.
-    ``slip_check`` is there where a slip, omega, v and a rolling radius are. ``paths``
-    names the file of each run where several files were joined. ``constants`` are the
+    """Where data came from and what was assumed in reading them. ``constants`` are the
     dimensions and nominal values of the tire that the file states [SI], by .tir key,
-    and in small letters what ``tirefit derive`` states of the vehicle and found.
-    """
+    and in small letters what ``tirefit derive`` states of the vehicle and found."""
 
     path: str = ""
     sha256: str = ""
     convention: str = "braking"
-    convention_from: str = ""
-    slip_definition: str = "sigma_x"
-    columns: Mapping[str, str] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    units_beside: tuple[str, ...] = ()
+    convention_from: str = ""  # its source, in words
+    slip_definition: str = "sigma_x"  # a key of ``slip.SLIP_DEFINITIONS``
+    columns: Mapping[str, str] = field(default_factory=dict)  # canonical -> header
+    units: Mapping[str, str] = field(default_factory=dict)  # in which it was read
+    units_beside: tuple[str, ...] = ()  # columns whose unit is not in the header
     assumptions: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # what may mean something else than it was read as
     masked: tuple[InputProblem, ...] = ()
-    slip_check: SlipCheck | None = None
-    line: np.ndarray | None = None
-    paths: tuple[str, ...] = ()
+    slip_check: SlipCheck | None = None  # if slip, omega, v and radius are there
+    line: np.ndarray | None = None  # of each row
+    paths: tuple[str, ...] = ()  # file of each run where several were joined
     constants: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -26,21 +26,15 @@ from tirefit.results import DataError, InputProblem, UsageError
 
 @dataclass(frozen=True)
 class FitTask:
-    """A problem and what only the host knows of it, which names no program.
-
-    ``guess`` holds a first value of every free parameter by name; ``slip_density`` the
-    distribution (knots, density) of the true values of each noisy slip; ``time`` (n,)
-    orders the rows; ``notes`` says what was assumed; the used rows of ``data`` are
-    those of the problem.
-    """
+    """A problem and what only the host knows of it, which names no program."""
 
     name: str
     problem: FitProblem
-    guess: Mapping[str, float]
-    slip_density: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    time: np.ndarray | None
-    notes: tuple[str, ...]
-    data: TireData
+    guess: Mapping[str, float]  # first value of every free parameter
+    slip_density: Mapping[str, tuple[np.ndarray, np.ndarray]]  # knots, density
+    time: np.ndarray | None  # (n,) orders the rows
+    notes: tuple[str, ...]  # what was assumed
+    data: TireData  # its used rows are those of the problem
 
 
 def find_model(name: str) -> AbstractTire:

@@ -53,9 +53,9 @@ class Estimate:
 
 @dataclass(frozen=True)
 class FitStatistics:
-    """How well the model describes the data; ``rmse`` in the first force's unit."""
+    """How well the model describes the data."""
 
-    rmse: float
+    rmse: float  # in the first force's unit
     r2: float
     chi2_dof: float | None
     aicc: float

@@ -126,16 +126,13 @@ def speed_spectrum(angle, pole, corner, period):
 
 class Relation(NamedTuple):
     """What least squares give for each pole: arrays (nodes,), by rising pole.
+    ``variance``, ``mixed``, ``alone``: N times the variance of the estimate [1/s2] of N
+    samples, by the square of the signal, signal times noise of the sensor, square of
+    the noise, each over its own power; ``noise0``, ``noise1``: of white noise of
+    variance one, the mean square of an increment and mean product of two."""
 
-    ``square``: p^2 [1/s2]; ``printed``: the estimate O(3)-(7) [1/s]; ``variance``,
-    ``mixed``, ``alone``: N times the variance of it [1/s2] of N samples, by the square
-    of the signal, by signal times noise of the sensor and by the square of the noise,
-    each over its own power; ``noise0``, ``noise1``: of white noise of variance one, the
-    mean square of an increment and mean product of two.
-    """
-
-    square: np.ndarray
-    printed: np.ndarray
+    square: np.ndarray  # p^2 [1/s2]
+    printed: np.ndarray  # the estimate O(3)-(7) [1/s]
     variance: np.ndarray
     mixed: np.ndarray
     alone: np.ndarray
