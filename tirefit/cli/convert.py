@@ -94,7 +94,8 @@ def convert(
 ) -> None:
     """Brush parameters of a Magic Formula by a refit, or a .tir of brush parameters.
 
-    Error bars are of the misfit over these slips and loads: the curve has no noise.
+    The error bars are of the systematic misfit over the stated slips and loads: the
+    curve has no noise.
     """
     brush = {"cpa2": cpa2, "mu": mu, "fz": fz, "radius": radius}
     refit = {
