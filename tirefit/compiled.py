@@ -193,8 +193,7 @@ def compiled(
     """Decorator: compile a function of arrays, and keep its programs between runs.
 
     Args:
-        static: names of the arguments that are part of the program: hashable, and
-            equal where the program is.
+        static: names of hashable arguments that are part of the program.
         brief: whether compiling the program takes longer than it will ever run.
     """
     return lambda function: Compiled(function, static, brief)

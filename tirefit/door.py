@@ -20,8 +20,7 @@ SETTINGS, TIRE, RECORD, CHAIN, DATA = (
 )  # fmt: skip
 """Largest files: settings, ``.tir``, JSON, kept chains, data (unpacked as well)."""
 
-_DEEPEST = 16
-"""Tables and lists in each other: settings and records have up to 6."""
+_DEEPEST = 16  # tables and lists in each other: settings and records have up to 6
 
 _LARGEST, _SMALLEST = 1e20, 1e-20
 """Size of numbers in settings, beyond which squares and products leave the floats."""

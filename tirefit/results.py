@@ -59,15 +59,12 @@ class Outcome(enum.Enum):
 
 @dataclass(frozen=True)
 class InputProblem:
-    """One problem with an input: where, why, and what to do about it.
-
-    ``row`` counts lines of the file as an editor does (the header is line 1).
-    """
+    """One problem with an input: where, why, and what to do about it."""
 
     reason: str
     remedy: str = ""
     file: str = ""
-    row: int | None = None
+    row: int | None = None  # line of the file as in an editor (the header is line 1)
     column: str | None = None
 
     def __str__(self) -> str:

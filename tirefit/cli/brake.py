@@ -7,10 +7,11 @@ from typing import Annotated
 import typer
 
 from tirefit.cli.options import (
+    Folder,
+    SetOption,
     SignsOption,
     complain,
     errors_to_exit,
-    named_path,
     numbers,
     progress_bar,
     say,
@@ -35,9 +36,7 @@ class Vehicle(StrEnum):
 
 
 def brake(
-    out: Annotated[
-        Path, typer.Option(metavar="FOLDER", parser=named_path, help="of the results")
-    ],
+    out: Folder,
     controller: Annotated[
         str, typer.Option(metavar="NAME[,NAME...]", help="xbs-servo, abs, slip, none")
     ] = "xbs-servo,abs",
@@ -57,10 +56,7 @@ def brake(
         typer.Option(metavar="MODEL|FIT.json|FILE.tir", help="brush-m if not given"),
     ] = None,
     signs: SignsOption = None,
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model"),
-    ] = None,
+    parameter: SetOption = None,
     tune: Annotated[
         list[str] | None,
         typer.Option(

@@ -21,6 +21,7 @@ from tirefit.cli.options import (
     DataOptions,
     Files,
     JsonOption,
+    SetOption,
     SideOption,
     SignsOption,
     complain,
@@ -74,10 +75,7 @@ def models(json: JsonOption = False) -> None:
     from tirefit.models import MODELS
     from tirefit.report.model_tables import models_dict, models_table
 
-    if json:
-        say(dumps(models_dict(MODELS), indent=1))
-    else:
-        say(models_table(MODELS))
+    say(dumps(models_dict(MODELS), indent=1) if json else models_table(MODELS))
 
 
 @app.command()
@@ -86,12 +84,7 @@ def methods(json: JsonOption = False) -> None:
     from tirefit.online.methods import METHODS
     from tirefit.report.model_tables import methods_dict, methods_table
 
-    if json:
-        from json import dumps
-
-        say(dumps(methods_dict(METHODS), indent=1))
-    else:
-        say(methods_table(METHODS))
+    say(dumps(methods_dict(METHODS), indent=1) if json else methods_table(METHODS))
 
 
 @app.command()
@@ -198,10 +191,7 @@ def predict(
     data: Annotated[Path, typer.Argument(metavar="DATA.csv")],
     out: OutFile,
     options: DataOptions,
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="parameter of a named model"),
-    ] = None,
+    parameter: SetOption = None,
     starred_angles: Annotated[
         bool,
         typer.Option(

@@ -25,8 +25,7 @@ from tirefit.cli.options import (
 from tirefit.cli.output import check_directories
 from tirefit.results import InputProblem, TirefitError, UsageError
 
-_SLIPS = 61
-"""Slips of the grid, both ends included."""
+_SLIPS = 61  # slips of the grid, both ends included
 
 _SLIP_MAX = 0.3
 _SHARES_OF_NOMINAL = (0.5, 1.0, 1.5)

@@ -15,13 +15,13 @@ from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
+    Folder,
     SideOption,
     SignsOption,
     complain,
     completed,
     errors_to_exit,
     forces_named,
-    named_path,
     numbers,
     progress_bar,
     read_config,
@@ -87,10 +87,7 @@ def _check_replaced(
 def diagnose(
     files: Files,
     options: DataOptions,
-    out: Annotated[
-        Path,
-        typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
-    ],
+    out: Folder,
     model: Annotated[
         str | None,
         typer.Option(
@@ -183,8 +180,7 @@ def diagnose(
         raise typer.Exit(worst)
 
 
-_PLAIN = "brush"
-"""The base model where none is asked for."""
+_PLAIN = "brush"  # the base model where none is asked for
 
 _INSTEAD = {"model": "--model", "seed": "--seed", "noise": "[noise] in --rig"}
 """Key or section of fit.toml -> where a diagnosis takes it from."""
@@ -279,13 +275,12 @@ def _simulator(
 
 @dataclass(frozen=True)
 class _Task:
-    """What all files share: the folder of the results, arguments of
-    ``tirefit.diagnose`` and of ``tirefit.read``, tables held out, and the options."""
+    """What all files share."""
 
-    out: Path
-    settings: dict
-    kept: list
-    how: dict
+    out: Path  # folder of the results
+    settings: dict  # arguments of ``tirefit.diagnose``
+    kept: list  # tables held out
+    how: dict  # arguments of ``tirefit.read``
     figures: bool
     resume: bool
     seed: int

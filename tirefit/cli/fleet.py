@@ -113,7 +113,8 @@ def fleet(
     """
     from tirefit.data.records import records_into
 
-    work = partial(_apart, _Packed.of(attempt, task))
+    packed = _Packed(os.getcwd(), __version__, pickle.dumps((attempt, task)))
+    work = partial(_apart, packed)
     out.mkdir(parents=True, exist_ok=True)
     left = set(range(len(pieces)))
     try:
@@ -124,7 +125,7 @@ def fleet(
             closing(shared(work, pieces, client, _alike)) as results,
             merged_notes(len(pieces) > 1) as notes,
         ):
-            for outcome in _in_order(_followed(results, pieces, progress, left)):
+            for outcome in _in_order(results, pieces, progress, left):
                 typer.echo(outcome.said, nl=False)
                 typer.echo(outcome.complained, nl=False, err=True)
                 if outcome.last:
@@ -141,31 +142,25 @@ def fleet(
     say(f"all results: {out / TABLE}, {out / PAGE}")
 
 
-def _followed(results, pieces, progress, left) -> Iterator[tuple[int, Outcome]]:
-    """(number, outcome) as they come; and how far it is."""
-    n = len(pieces)
+def _in_order(results, pieces, progress, left) -> Iterator[Outcome]:
+    """Outcomes in the order of the pieces; shows how far it is."""
+    waiting: dict[int, Outcome] = {}
+    following, n = 0, len(pieces)
     for number, result in results:
         left.discard(number)
         progress(1 - len(left) / n, f"{n - len(left)} of {n} files")
         if isinstance(result, Ended):
             _sweep(pieces[number])
             result = _lost(pieces[number], result)
-        yield number, result
+        waiting[number] = result
+        while following in waiting:
+            yield waiting.pop(following)
+            following += 1
 
 
 def _sweep(piece: Piece) -> None:
     if isinstance(piece.to, Path):  # a folder of this file's own
         swept(piece.to)
-
-
-def _in_order(results: Iterator[tuple[int, Outcome]]) -> Iterator[Outcome]:
-    waiting: dict[int, Outcome] = {}
-    number = 0
-    for came, result in results:
-        waiting[came] = result
-        while number in waiting:
-            yield waiting.pop(number)
-            number += 1
 
 
 def _lost(piece: Piece, ended: Ended) -> Outcome:
@@ -198,19 +193,12 @@ def _alike(piece: Piece) -> int:
 
 
 class _Packed(NamedTuple):
-    """What a worker needs beside the file: where the command runs, its version, and
-    the attempt with what all files share.
+    """What a worker needs beside the file, as bytes: JAX's arrays are of 64 bits only
+    once it has been told."""
 
-    As bytes: JAX's arrays are of 64 bits only once it has been told.
-    """
-
-    folder: str
-    version: str
-    content: bytes
-
-    @classmethod
-    def of(cls, attempt: Attempt, task: Any) -> "_Packed":
-        return cls(os.getcwd(), __version__, pickle.dumps((attempt, task)))
+    folder: str  # where the command runs
+    version: str  # of the command
+    content: bytes  # the attempt with what all files share
 
 
 @lru_cache(maxsize=2)

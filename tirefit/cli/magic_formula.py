@@ -123,8 +123,7 @@ _ADVICE = "give starting values in fit.toml or fix a parameter"
 
 
 def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -> None:
-    """Prints the result and writes it into the claimed folder, with figures if
-    ``also`` is given."""
+    """Print the result and write it into the claimed folder; ``also``: figures."""
     from tirefit.fitting.mf.store import save_magic_formula
     from tirefit.fitting.result import SCHEMA
     from tirefit.report.draw import FIGURE_FILES

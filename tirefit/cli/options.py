@@ -49,6 +49,14 @@ Files = Annotated[
         " paths, addresses (s3://...), or patterns of them in quotes",
     ),
 ]
+Folder = Annotated[
+    Path,
+    typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model"),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
 
 

@@ -189,8 +189,7 @@ def _move(folder: Path, directory: Path, known: Collection[str]) -> None:
 
 
 def _of(directory: Path, folder: Path, error: OSError) -> OSError:
-    """The error as one of the directory, or of its file: a temporary name would mean
-    nothing to the user."""
+    """The error with the name of the directory or its file, not a temporary one."""
     path = Path(error.filename or folder)
     if path.is_relative_to(folder):
         path = directory / path.relative_to(folder)
@@ -211,8 +210,7 @@ def _of(directory: Path, folder: Path, error: OSError) -> OSError:
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C and a request to end wait for the end of the block: they cannot come
-    between two files."""
+    """Delay Ctrl-C and requests to end to the end of the block, between files."""
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread is interrupted
         return

@@ -12,6 +12,7 @@ from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
 from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,
+    Folder,
     complain,
     completed,
     error_text,
@@ -45,10 +46,7 @@ def prepare(
         typer.Argument(metavar="FILE...", parser=file_at, help="recordings of a rig"),
     ] = None,
     *,
-    out: Annotated[
-        Path,
-        typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
-    ],
+    out: Folder,
     options: DataOptions,
     bandwidth: Annotated[
         float | None,

@@ -5,7 +5,14 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import errors_to_exit, named_path, numbers, say, start_jax
+from tirefit.cli.options import (
+    SetOption,
+    errors_to_exit,
+    named_path,
+    numbers,
+    say,
+    start_jax,
+)
 from tirefit.results import InputProblem, UsageError
 
 app = typer.Typer(
@@ -131,10 +138,7 @@ def rig(
     out: Out,
     truth: Truth = None,
     model: Annotated[str, typer.Option(help="model of `tirefit models`")] = "brush",
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model"),
-    ] = None,
+    parameter: SetOption = None,
     load: Annotated[
         list[float] | None, typer.Option(help="[N], may be repeated")
     ] = None,
@@ -192,8 +196,7 @@ def _drop(text: str | None) -> tuple[float, float] | None:
     return time, friction
 
 
-_ROWS, _MOST_ROWS = "number of rows", 1e7
-"""What all of them need some GB of memory for."""
+_ROWS, _MOST_ROWS = "number of rows", 1e7  # what all of them need some GB of memory for
 
 
 def _of_log(rate: float, duration: float, drop) -> list[tuple]:

@@ -38,39 +38,35 @@ LARGE = 2**21
 _HEAD = 2**17
 _PIECE = 2**21
 
-_LONGEST = 2**16
-"""Bytes of a line; a longer one is of another kind of file."""
+_LONGEST = 2**16  # bytes of a line; a longer one is of another kind of file
 
 _PLAIN = bytes([*range(0x20, 0x7F), *b"\n\r\t"])
 """What the bytes below the head must be: nothing there needs an encoding."""
 
 
 class _Piece(NamedTuple):
-    """Rows of a part of the file: their lines, the bytes at which they start, whether
-    they are ragged (n,), and their numbers (columns, n)."""
+    """Rows of a part of the file."""
 
     lines: np.ndarray
-    starts: np.ndarray
-    ragged: np.ndarray
-    numbers: np.ndarray
+    starts: np.ndarray  # bytes at which they start
+    ragged: np.ndarray  # (n,)
+    numbers: np.ndarray  # (columns, n)
     faults: tuple[BadRows, ...] = ()
 
 
 class _Layout(NamedTuple):
-    """How the lines below the head are split: ``kind`` is the type of a row, ``S1``
-    for a column of text; ``commas`` whether a comma is the decimal point."""
+    """How the lines below the head are split."""
 
     path: Place
     width: int
     delimiter: str
     spaced: bool
-    kind: np.dtype
-    commas: bool
+    kind: np.dtype  # type of a row, ``S1`` for a column of text
+    commas: bool  # whether a comma is the decimal point
 
 
 class _Rows:
-    """Rows of the head, then those of the pieces; ``commas``: whether numbers were read
-    with a decimal comma."""
+    """Rows of the head, then of the pieces; ``commas``: decimal ones."""
 
     def __init__(self, content: bytes, head: Table, layout: _Layout):
         self._content, self._layout = content, layout

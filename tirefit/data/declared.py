@@ -38,16 +38,12 @@ def stated_convention(above: Sequence[str], file: str) -> tuple[Layout, tuple]:
 
 
 class Signs(NamedTuple):
-    """The sign convention in which a file is read.
-
-    ``whose`` is the source of the convention, in words; ``is_declared`` is False if it
-    was assumed; ``problems`` are declarations that contradict each other.
-    """
+    """The sign convention in which a file is read."""
 
     convention: str
-    whose: str
-    is_declared: bool = True
-    problems: tuple[InputProblem, ...] = ()
+    whose: str  # source of the convention, in words
+    is_declared: bool = True  # False if it was assumed
+    problems: tuple[InputProblem, ...] = ()  # contradictory declarations
 
     def __str__(self) -> str:
         if self.is_declared:

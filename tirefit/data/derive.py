@@ -38,13 +38,12 @@ from tirefit.data.motion import (
     road_wheel,
     slip_and_force,
 )
-from tirefit.data.point import PointCheck, check_point
+from tirefit.data.point import PointCheck, check_point, zero_of_alpha
 from tirefit.data.remote import Place, file_at
 from tirefit.data.stated import found_in, stated_of
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
-from tirefit.data.zero import zero_of_alpha
 from tirefit.files import write_texts
 from tirefit.results import DataError, InputProblem, UsageError
 
@@ -67,47 +66,31 @@ _SIGNS = (
 class DerivedLog:
     """What :func:`derive` found in one log.
 
-    Attributes:
-        name: The log's name without its endings; it becomes the run.
-        columns: Arrays (n,) of the kept samples: time [s from the first sample],
-            alpha [rad], fy, fz [N] with the canonical signs, v [m/s, forward at the
-            axle], alpha_rate [rad/s] at the full sample rate, and the motion of the
-            centre of gravity by ISO 8855: a_x, a_y [m/s2], yaw_rate [rad/s],
-            yaw_acceleration [rad/s2]; heading [rad], x, y [m] of a log of poses;
-            steering [rad], the road wheel angle, and steering_rate [rad/s] where the
-            map is given; fx, fx_std [N] of an axle that drives.
-        rows: Rows in the file.
-        dropped_rows: Reason -> rows of the file that were not used.
-        samples: Samples on the uniform grid.
-        dropped_samples: Reason -> grid samples that were not kept (first reason that
-            applies, so these and the kept ones add up to ``samples``).
-        gaps: Number of gaps that were not interpolated.
-        bandwidth: Frequency [Hz] at which the filter's gain is -3 dB.
-        heading: Sentence on the offset of heading or sideslip: applied, assumed none,
-            left over.
-        zero: alpha at no side force [rad]; None where the log does not show it.
-        point: Position of the tracked point, estimated from force against slip.
-        compared: What the redundancy of the log's channels says.
-        warnings: Sentences on what in the columns is hardly the tire's.
-        assumptions: Sentences: the bandwidth and everything that was assumed.
-        source: Path, sha256 and epoch (the log's time [s] at time 0).
+    ``columns`` are arrays (n,) of the kept samples: time [s from the first sample],
+    alpha [rad], fy, fz [N] with the canonical signs, v [m/s, forward at the axle],
+    alpha_rate [rad/s] at the full sample rate, and the motion of the centre of gravity
+    by ISO 8855: a_x, a_y [m/s2], yaw_rate [rad/s], yaw_acceleration [rad/s2]; heading
+    [rad], x, y [m] of a log of poses; steering [rad], the road wheel angle, and
+    steering_rate [rad/s] where the map is given; fx, fx_std [N] of an axle that drives.
+    ``dropped_samples`` has the first reason that applies to each grid sample: these and
+    the kept ones add up to ``samples``. Texts are sentences.
     """
 
-    name: str
+    name: str  # of the log without its endings; it becomes the run
     columns: Mapping[str, np.ndarray]
-    rows: int
-    dropped_rows: Mapping[str, int]
-    samples: int
-    dropped_samples: Mapping[str, int]
-    gaps: int
-    bandwidth: float
-    heading: str
-    zero: float | None
-    point: PointCheck
-    compared: Comparison
-    warnings: tuple[str, ...]
-    assumptions: tuple[str, ...]
-    source: Mapping[str, str | float]
+    rows: int  # in the file
+    dropped_rows: Mapping[str, int]  # reason -> rows of the file that were not used
+    samples: int  # on the uniform grid
+    dropped_samples: Mapping[str, int]  # reason -> grid samples that were not kept
+    gaps: int  # that were not interpolated
+    bandwidth: float  # frequency [Hz] at which the filter's gain is -3 dB
+    heading: str  # offset of heading or sideslip: applied, assumed none, left over
+    zero: float | None  # alpha at no side force [rad], where the log shows it
+    point: PointCheck  # position of the tracked point, by force against slip
+    compared: Comparison  # what the redundancy of the log's channels says
+    warnings: tuple[str, ...]  # what in the columns is hardly the tire's
+    assumptions: tuple[str, ...]  # the bandwidth and everything that was assumed
+    source: Mapping[str, str | float]  # path, sha256, epoch (log's time [s] at time 0)
 
     def __len__(self) -> int:
         return len(self.columns["time"])

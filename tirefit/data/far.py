@@ -35,29 +35,22 @@ _SHARE = 0.25
 _AGAINST, _SMALL_SLIPS = 0.5, 0.25
 """A force of so much of the largest with a slip of the other sign is absurd, but for
 the smallest slips by size, which may have an offset."""
-_LOAD_STEP = 0.1
-"""Loads that differ by less in their logarithm are alike, ..."""
-_SLIP_STEP = 0.02
-"""... and slips across that of the force."""
-_CHUNK = 1 << 16
-"""Rows whose neighbours are sorted at once."""
+_LOAD_STEP = 0.1  # loads that differ by less in their logarithm are alike, ...
+_SLIP_STEP = 0.02  # ... and slips across that of the force.
+_CHUNK = 1 << 16  # rows whose neighbours are sorted at once
 _ALL = "all other rows"
 _SLIP_OF = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
 
 
 class FarValue(NamedTuple):
-    """A value far from all of its like.
+    """A value far from all of its like."""
 
-    ``row`` counts from 0; ``low`` and ``high`` are the ends of what the others have,
-    and ``among`` says which others.
-    """
-
-    row: int
+    row: int  # counted from 0
     column: str
     value: float
-    low: float
+    low: float  # ends of what the others have
     high: float
-    among: str
+    among: str  # which others
 
 
 def far_values(
@@ -143,7 +136,7 @@ def why_far(value: FarValue) -> str:
 def _rules(data: TireData, column: str, values):
     """(who the others are, (far rows, ends of what the others have)), rule by rule."""
     if column == "fz":
-        scales = (_identity, np.log) if np.all(values > 0) else (_identity,)
+        scales = (np.positive, np.log) if np.all(values > 0) else (np.positive,)
         for far, low, high in (_beyond_all(values, scale) for scale in scales):
             other = (values > _OTHER_LOAD * high) | (values < low / _OTHER_LOAD)
             yield _ALL, (far & other, low, high)
@@ -163,11 +156,7 @@ def _rules(data: TireData, column: str, values):
             yield among, _against(values, data.usable(slip))
 
 
-def _identity(values):
-    return values
-
-
-def _beyond_all(values, shape=_identity, locked=np.inf):
+def _beyond_all(values, shape=np.positive, locked=np.inf):
     """Rows that a wide gap parts from all others, at either end.
 
     Args:

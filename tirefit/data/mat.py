@@ -28,14 +28,11 @@ _HOW_TO_SAVE = (
 
 
 class Channels(NamedTuple):
-    """Columns of a file that has no lines: name -> (n,) numbers or n texts.
+    """Columns of a file that has no lines."""
 
-    ``units`` holds those stated, by name; ``notes`` what was assumed and left out.
-    """
-
-    columns: dict[str, Any]
-    units: dict[str, str]
-    notes: tuple[str, ...]
+    columns: dict[str, Any]  # name -> (n,) numbers or n texts
+    units: dict[str, str]  # those stated, by name
+    notes: tuple[str, ...]  # what was assumed and left out
 
 
 class _Opaque(NamedTuple):

@@ -81,8 +81,7 @@ def read(
 
     Raises:
         UsageError: an option has an unknown name or value.
-        DataError: the file cannot be used, or its convention contradicts the argument;
-            holds all problems found.
+        DataError: unusable file or contradicted convention; all problems.
     """
     options = Options(
         columns or {}, units or {}, convention, slip, constants or {},

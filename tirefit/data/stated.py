@@ -1,5 +1,4 @@
-"""What the first line of a derived file states: of its vehicle, and as found in the
-logs."""
+"""What a derived file's first line states: of its vehicle, and found in the logs."""
 
 from collections.abc import Sequence
 
@@ -10,8 +9,7 @@ from tirefit.data.vehicle import POSE, Vehicle
 _POSE_CLOCK = 0.005
 """Standard error [s] of the time between x, y and yaw, which one instrument gives."""
 
-_DELAYED = 3.0
-"""Standard errors from which a delay between two channels is reported."""
+_DELAYED = 3.0  # standard errors from which a delay between two channels is reported
 
 
 def stated_of(vehicle: Vehicle) -> dict[str, float]:

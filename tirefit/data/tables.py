@@ -14,8 +14,7 @@ from tirefit.results import DataError
 
 _PARQUET, _ARROW = b"PAR1", b"ARROW1"
 _UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
-_SEARCHED = 60
-"""Rows of a sheet in which the header must stand."""
+_SEARCHED = 60  # rows of a sheet in which the header must stand
 
 
 class Sheet(NamedTuple):

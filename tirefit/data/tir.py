@@ -117,8 +117,7 @@ QCZ1                     = 1
 QDZ1                     = 0
 """
 
-_CURVATURE = -0.44
-"""E that follows the brush best where C = 1, see :func:`reduced_tir`."""
+_CURVATURE = -0.44  # E that follows the brush best where C = 1, see :func:`reduced_tir`
 
 
 def reduced_tir(cpa2: float, mu: float, fz: float, radius: float) -> TirFile:

@@ -114,8 +114,7 @@ _SPELLING = str.maketrans(
 
 
 def base_column(column: str) -> str:
-    """The column that a ``<column>_std`` or ``<column>_sim`` belongs to; other names
-    unchanged."""
+    """The column that ``<column>_std``, ``<column>_sim`` belongs to; else the name."""
     return column.removesuffix("_std").removesuffix("_sim")
 
 

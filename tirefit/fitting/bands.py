@@ -14,13 +14,11 @@ from tirefit.padding import pad_rows, padded_size
 from tirefit.params import unconstrain
 
 _DRAWS = 400
-_ROOM = 8192
-"""Rows that 400 evaluations of which take as long as compiling a program."""
+_ROOM = 8192  # rows that 400 evaluations of which take as long as compiling a program
 
 
 class Band(NamedTuple):
-    """A fitted force (m,), the ends of its 95 % band (m,), and those of the band that
-    holds 95 % of measurements."""
+    """A fitted force (m,), ends of its 95 % band and of that of measurements (m,)."""
 
     force: np.ndarray
     low: np.ndarray

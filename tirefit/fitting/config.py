@@ -173,8 +173,7 @@ def parse_config(content: dict, source: str = "config") -> FitConfig:
     """Check the content of a ``fit.toml``; ``source`` says where it came from.
 
     Raises:
-        UsageError: unknown keys, wrong types or values, keys that contradict each
-            other; every one of them.
+        UsageError: unknown keys, wrong types or values, contradictions; all.
     """
     if isinstance(table := content.get("model"), dict):
         # [model] with its name, and what it depends on beside it.

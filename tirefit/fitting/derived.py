@@ -33,8 +33,7 @@ _AT_ONCE = 8
 _GRID = np.append(0.0, np.geomspace(1e-5, _LARGEST_SLIP, 199))
 """Slips among which the peak is looked for, a whole number of times so many at once."""
 
-_NARROWED = 16
-"""Rounds that narrow it to 1e-15 of the distance of two of them."""
+_NARROWED = 16  # rounds that narrow it to 1e-15 of the distance of two of them
 
 
 def quantity_of(label: str) -> str:
@@ -106,8 +105,7 @@ def _curve(model, values, channel: str, fz, v):
 
 
 def _start_and_peak(force):
-    """Slope at zero slip, and (slip, force) of the first largest force: a grid, then
-    where the slope ends.
+    """Slope at zero slip; (slip, force) of the first maximum, by a grid, then slope.
 
     A plateau is flat to the third order where it begins, so values alone would give
     its slip to 1e-4; the sign of the slope gives it to rounding. One loop serves both,

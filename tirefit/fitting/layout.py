@@ -154,8 +154,7 @@ def choose_layout(
         The model that holds the fixed values, the layout, and what was narrowed.
 
     Raises:
-        UsageError: unknown parameters, impossible bounds, values, priors or ties;
-            every one of them.
+        UsageError: unknown names, impossible bounds, values, priors, ties.
     """
     known = specs(model)
     asked = {name: config.parameters.get(name, ParameterConfig()) for name in known}
@@ -229,8 +228,7 @@ def _bounded(name: str, spec: Spec, asked: ParameterConfig):
 
 
 def _narrowed(tie: Tie, bounded: Mapping[str, Spec]):
-    """Spec of the other parameter, narrowed to where the tied one is within its bounds;
-    problems; and what to say."""
+    """Spec of the other parameter within the tied one's bounds; problems; a note."""
     own, other = bounded[tie.name], bounded[tie.other]
     low, high = sorted((own.lower / tie.factor, own.upper / tie.factor))
     narrow = other._replace(lower=max(other.lower, low), upper=min(other.upper, high))

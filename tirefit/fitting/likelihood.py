@@ -63,14 +63,11 @@ LOSSES = {
 
 @dataclass(frozen=True)
 class Channel:
-    """One fitted force: its name and whether its noise scale is estimated.
-
-    ``slip`` is the slip whose noise, if any, is integrated out: its own if pure.
-    """
+    """One fitted force: its name and whether its noise scale is estimated."""
 
     name: str
     noise_estimated: bool = True
-    slip: str = ""
+    slip: str = ""  # whose noise, if any, is integrated out: its own if pure
 
     def __post_init__(self):
         object.__setattr__(self, "slip", self.slip or CHANNEL_SLIP[self.name])
@@ -84,35 +81,25 @@ class SlipNodes(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """The used rows of a data set, padded so that few shapes are ever compiled.
-
-    ``weight`` (n,) is 0 for padding; ``observed`` and ``scale`` hold an array (n,) per
-    channel, ``slip_std`` the noise of each slip that has one, ``nodes`` its latent
-    values, by slip name, once they are laid out.
-    """
+    """The used rows of a data set, padded so that few shapes are ever compiled."""
 
     inputs: TireInputs
     run: Int[Array, " n"]
-    weight: Float[Array, " n"]
-    observed: dict[str, Float[Array, " n"]]
-    scale: dict[str, Float[Array, " n"]]
-    slip_std: dict[str, Float[Array, " n"]]
-    nodes: dict[str, SlipNodes]
+    weight: Float[Array, " n"]  # 0 for padding
+    observed: dict[str, Float[Array, " n"]]  # by channel
+    scale: dict[str, Float[Array, " n"]]  # by channel
+    slip_std: dict[str, Float[Array, " n"]]  # noise of each slip that has one
+    nodes: dict[str, SlipNodes]  # its latent values, once they are laid out
 
 
 class Rule(NamedTuple):
-    """How one block of residuals enters the deviance.
+    """How one block of residuals enters the deviance; by default squares stay as they
+    are."""
 
-    ``inflation``: rows per independent row (times chi2/dof where applied);
-    ``effective``: effective number of rows; ``smallest``: sum of squares at the best
-    fit, zero where the noise was given; ``within``: sum of squares beside that of the
-    rows (of cells, that within them). The first values leave squares as they are.
-    """
-
-    inflation: Float[Array, ""] | float = 1.0
-    effective: Float[Array, ""] | float = 1.0
-    smallest: Float[Array, ""] | float = 0.0
-    within: Float[Array, ""] | float = 0.0
+    inflation: Float[Array, ""] | float = 1.0  # rows per independent row (x chi2/dof)
+    effective: Float[Array, ""] | float = 1.0  # number of rows
+    smallest: Float[Array, ""] | float = 0.0  # sum of squares at best, 0: noise given
+    within: Float[Array, ""] | float = 0.0  # sum of squares beside: within cells
 
 
 class FitProblem(eqx.Module):

@@ -33,8 +33,7 @@ from tirefit.fitting.verdict import judge
 from tirefit.precision import require_x64
 from tirefit.results import Outcome, UsageError
 
-CHUNK = 100
-"""Steps between two checks of convergence."""
+CHUNK = 100  # steps between two checks of convergence
 
 _WALKERS = {"emcee": 64, "nuts": 8}
 _RHAT = 1.01

@@ -109,8 +109,7 @@ def predict(
         Masked rows are NaN.
 
     Raises:
-        UsageError: unknown model or parameter, or a value outside its bounds; or
-            32-bit floats in use.
+        UsageError: unknown model or parameter, value out of bounds, 32-bit floats.
         DataError: the data lack an input, or have runs the fit does not know.
     """
     require_x64("a prediction")
@@ -158,7 +157,7 @@ def predict(
         std = _noise_std(data, channel, known, force[channel], reference)
         spread = np.sqrt(np.maximum(variance[channel], 0.0))  # by rounding below it
         out[f"{channel}_std"] = np.hypot(spread, std)
-    return _masked(data, out)
+    return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
 
 
 def _signs_of(source) -> tuple[str, str] | None:
@@ -193,10 +192,6 @@ def _all_rows(data: TireData, out: Mapping) -> dict[str, np.ndarray]:
     for name, values in out.items():
         full[name][data.used] = values
     return full
-
-
-def _masked(data: TireData, out: dict) -> dict[str, np.ndarray]:
-    return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
 
 
 def tire_with(

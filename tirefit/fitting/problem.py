@@ -26,21 +26,15 @@ from tirefit.results import DataError, InputProblem, UsageError
 
 @dataclass(frozen=True)
 class FitTask:
-    """A problem and what only the host knows of it, which names no program.
-
-    ``guess`` holds a first value of every free parameter by name; ``slip_density`` the
-    distribution (knots, density) of the true values of each noisy slip; ``time`` (n,)
-    orders the rows; ``notes`` says what was assumed; the used rows of ``data`` are
-    those of the problem.
-    """
+    """A problem and what only the host knows of it, which names no program."""
 
     name: str
     problem: FitProblem
-    guess: Mapping[str, float]
-    slip_density: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    time: np.ndarray | None
-    notes: tuple[str, ...]
-    data: TireData
+    guess: Mapping[str, float]  # first value of every free parameter
+    slip_density: Mapping[str, tuple[np.ndarray, np.ndarray]]  # knots, density
+    time: np.ndarray | None  # (n,) orders the rows
+    notes: tuple[str, ...]  # what was assumed
+    data: TireData  # its used rows are those of the problem
 
 
 def find_model(name: str) -> AbstractTire:
@@ -141,8 +135,7 @@ def _slip_scale(data: TireData, slip: str, noise: NoiseConfig):
 
 
 def _noise_problems(data: TireData, forces, config: FitConfig):
-    """Noise beside which squares of residuals overflow or vanish: in columns, and in
-    the settings."""
+    """Noise, in columns or settings, at which squared residuals overflow or vanish."""
     given = {name: force_scale(data, name, config.noise) for name in forces}
     stds = {name: std for name, (std, estimated, _) in given.items() if not estimated}
     for slip in dict.fromkeys(CHANNEL_SLIP[name] for name in forces):

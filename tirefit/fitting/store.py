@@ -30,18 +30,15 @@ from tirefit.slip import CONVENTIONS
 
 @dataclass(frozen=True)
 class StoredFit:
-    """What a prediction needs of a fit: the tire, the estimate and the noise.
-
-    ``noise`` holds the noise record of each fitted force, ``content`` the whole file.
-    """
+    """What a prediction needs of a fit: the tire, the estimate and the noise."""
 
     model: str
     tire: AbstractTire
     layout: Layout
     z: np.ndarray
     covariance: np.ndarray
-    noise: Mapping[str, Mapping]
-    content: Mapping
+    noise: Mapping[str, Mapping]  # record of each fitted force
+    content: Mapping  # the whole file
 
     def at_estimate(self) -> AbstractTire:
         """The tire with its fitted values.
@@ -200,9 +197,10 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
     ensembles, walkers, steps, _ = draws.shape
     coords = {"chain": np.arange(ensembles * walkers), "draw": np.arange(steps)}
     flat = draws.reshape(ensembles * walkers, steps, -1)
+    estimates = result.least_squares
     posterior = xr.Dataset(
         {
-            label: (("chain", "draw"), flat[..., i], {"unit": _unit(result, label)})
+            label: (("chain", "draw"), flat[..., i], {"unit": estimates[label].unit})
             for i, label in enumerate(result.labels)
         },
         coords | {"ensemble": ("chain", np.repeat(np.arange(ensembles), walkers))},
@@ -228,10 +226,6 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
     content = tree.to_netcdf(None, engine="h5netcdf")
     with replacing(path) as temporary:
         temporary.write_bytes(content)
-
-
-def _unit(result: FitResult, label: str) -> str:
-    return result.least_squares[label].unit
 
 
 def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:

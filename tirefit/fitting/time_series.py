@@ -7,10 +7,6 @@ from tirefit.fitting.config import FitConfig
 from tirefit.results import DataError, InputProblem, UsageError
 
 
-def _line(data: TireData, row: int) -> int | None:
-    return None if data.source.line is None else int(data.source.line[row])
-
-
 def check_time_series(data: TireData, name: str) -> None:
     """Raises DataError unless the used rows of each run stand together, time rising.
 
@@ -34,13 +30,14 @@ def check_time_series(data: TireData, name: str) -> None:
             continue
         at = int(np.argmax(wrong)) + 1
         text = reason.format(run=data.runs[run[at]], time=time[at], before=time[at - 1])
-        several = int(wrong.sum())
+        several, lines = int(wrong.sum()), data.source.line
+        line = None if lines is None else int(lines[rows[at]])
         more = f" ({several} such rows)" if several > 1 else ""
         problems.append(
             InputProblem(
                 f"{text}{more}; {name} follows the slip through time",
                 "sort the rows by run and time, and name the runs by a column run",
-                file, _line(data, rows[at]), column or "time",
+                file, line, column or "time",
             )
         )  # fmt: skip
     DataError.raise_for(problems)

@@ -15,8 +15,7 @@ from tirefit.params import parameter_values
 from tirefit.results import DataError, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS, kappa_from_sigma
 
-TIR_SIGNS = "iso-w"
-"""Convention of ``.tir`` files: that of the axes TYDEX W."""
+TIR_SIGNS = "iso-w"  # convention of ``.tir`` files: that of the axes TYDEX W
 
 _SYMBOLS = {"fx": "F_x", "fy": "F_y", "mz": "M_z"}
 _NEEDED = {
@@ -65,8 +64,7 @@ def tire_of(
         how: keywords of :func:`own_tire`.
 
     Raises:
-        UsageError: ``side`` is given but the file does not state its side; or there is
-            no such convention.
+        UsageError: ``side`` given but not stated in the file; unknown signs.
     """
     tire = own_tire(tir, **how)
     turned = turned_by(signs)

@@ -9,8 +9,7 @@ from tirefit.data.run_names import label_of_run
 from tirefit.fitting.result import FitResult
 from tirefit.results import Outcome
 
-_EXACT = 1e-9
-"""RMSE over the range of the force below which residuals are rounding."""
+_EXACT = 1e-9  # RMSE over the range of the force below which residuals are rounding
 
 _POOR_CHI2 = 2.0
 _POOR_R2 = 0.8

@@ -15,8 +15,7 @@ from tirefit.params import par
 
 
 class AbstractFrictionLaw(eqx.Module):
-    """One dependence of the kinetic friction; with ``static_too`` the static friction
-    follows the same law."""
+    """One law of the kinetic friction; of the static too with ``static_too``."""
 
     static_too: bool = eqx.field(static=True, default=False, kw_only=True)
 

@@ -25,8 +25,7 @@ _NODES = np.cos(np.pi * (np.arange(_TERMS) + 0.5) / _TERMS)
 _TO_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, _TERMS - 1))
 _NARROWEST = 1e-12
 _MOST_PANELS = 2000
-_ROUNDING = 1e-13
-"""Share of the load that a panel may leave unresolved."""
+_ROUNDING = 1e-13  # share of the load that a panel may leave unresolved
 
 _LEADING = np.pi - 1e-5
 """Angle from which the patch counts as sliding entirely: its last 5e-11."""

@@ -79,7 +79,7 @@ def estimate(
         value, std, flag, surprise = map(np.asarray, rows)
         done[name] = MethodEstimates(
             name, estimator.method.parameters, value, std, flag, surprise,
-            _numbers(parameter_values(estimator)),
+            {key: float(x) for key, x in parameter_values(estimator).items()},
         )  # fmt: skip
     return _estimates(data, columns, done, seed)
 
@@ -91,10 +91,6 @@ def _rate(name: str, data: TireData, chosen) -> dict[str, float]:
     steps = np.diff(data.columns["time"])
     steps = steps[np.isfinite(steps) & (steps > 0)]
     return {"rate": float(1 / np.median(steps))} if len(steps) else {}
-
-
-def _numbers(values: Mapping[str, Any]) -> dict[str, float]:
-    return {name: float(value) for name, value in values.items()}
 
 
 def _usual_load(data: TireData, columns: Mapping[str, np.ndarray]) -> float:

@@ -63,17 +63,14 @@ from tirefit.params import par
 from tirefit.results import InputProblem
 
 _SUBSTEPS = 4
-_LONGEST = 0.5
-"""Time [s] without samples after which the motion starts anew."""
+_LONGEST = 0.5  # time [s] without samples after which the motion starts anew
 _JUMP = 0.03
 """Jump of the torque over R F_z between samples after which the motion starts anew."""
-_SUMMED = 10.0
-"""Surprises that are told as one."""
+_SUMMED = 10.0  # surprises that are told as one
 _SPUN = 0.015
 """Time [s] after which a wheel follows a torque that jumped: three times J v / R^2 C_x
 of the wheel of S section 5."""
-_LEAST, _MOST = 0.05, 4.0
-"""theta is kept between them."""
+_LEAST, _MOST = 0.05, 4.0  # theta is kept between them
 _SLIPS = np.geomspace(0.01, 3.0, 64)
 """Where the peak of the steady force is looked for: a step of 9 %, on a flat peak."""
 _SPEEDS, _SLIDING = np.geomspace(2.0, 60.0, 12), np.r_[0.0, np.geomspace(1e-4, 1, 40)]
@@ -106,18 +103,15 @@ class Course(NamedTuple):
 
 
 class ObserverState(NamedTuple):
-    """``x`` (7,): z [m], omega [rad/s] and p [-] of the observer, then the last omega,
-    v, fz and torque; ``covariance`` (7, 7) of their errors; ``waited`` [s] since then,
-    ``smooth`` [s] since the torque jumped until then; ``sum`` of the ``summed``
-    latest surprises; ``peak`` (2,): mu and its slope by theta, there."""
+    """Estimates, their covariance and what they were made from."""
 
-    x: Float[Array, "7"]
-    covariance: Float[Array, "7 7"]
-    waited: Float[Array, ""]
-    smooth: Float[Array, ""]
-    sum: Float[Array, ""]
-    summed: Float[Array, ""]
-    peak: Float[Array, "2"]
+    x: Float[Array, "7"]  # z [m], omega [rad/s], p [-]; last omega, v, fz, torque
+    covariance: Float[Array, "7 7"]  # of their errors
+    waited: Float[Array, ""]  # [s] since then
+    smooth: Float[Array, ""]  # [s] from the last jump of the torque until then
+    sum: Float[Array, ""]  # of the latest surprises
+    summed: Float[Array, ""]  # how many
+    peak: Float[Array, "2"]  # mu and its slope by theta, there
 
 
 class LuGreObserver(AbstractEstimator):

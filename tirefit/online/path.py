@@ -126,8 +126,7 @@ def observer_step(state: Observer, omega, torque, dt, radius, inertia, pole):
 def observer_std(omega_std, torque_std, dt, radius, inertia, pole):
     """Standard deviation [N] of the observer's force, from that of white noise.
 
-    ``omega_std`` [rad/s] and ``torque_std`` [N m] of one sample, ``dt`` [s] apart; for
-    pole dt well below one.
+    ``omega_std`` [rad/s], ``torque_std`` [N m] of a sample, ``dt`` [s]; pole dt << 1.
     """
     of_speed = inertia * omega_std * jnp.sqrt(dt * pole**3 / 4)
     return jnp.hypot(of_speed, torque_std * jnp.sqrt(dt * pole / 4)) / radius
@@ -159,12 +158,9 @@ def wheel_rls_step(
     return WheelRls(omega, state.force + gain * error, grown * (1 - gain * lever))
 
 
-_LONGEST = 0.5
-"""Time [s] without samples after which the motion starts anew."""
-_USUAL = 0.02
-"""Time [s] between samples for which the noise of the forces is stated."""
-_FARTHEST = 0.1
-"""Largest step of the logarithm of mu a sample."""
+_LONGEST = 0.5  # time [s] without samples after which the motion starts anew
+_USUAL = 0.02  # time [s] between samples for which the noise of the forces is stated
+_FARTHEST = 0.1  # largest step of the logarithm of mu a sample
 _FIRST = (0.5, 0.5, 0.05, 0.1)
 """Std of the first y [m], dy/dt [m/s], heading [rad] and yaw rate [rad/s]."""
 

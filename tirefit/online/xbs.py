@@ -48,10 +48,8 @@ _SLOWEST, _FASTEST = 0.02, 8.0
 """Poles of the relation over the lower and the upper edge of the band."""
 _SETTLING = 0.8
 """Periods of the lower edge until the band-pass has forgotten a step to 4 %."""
-_RECENT = 0.1
-"""Time [s] of the mean square that is compared with that of the memory."""
-_QUICKLY = 0.9
-"""Forgetting factor while the wheel shakes so much less than before."""
+_RECENT = 0.1  # time [s] of the mean square that is compared with that of the memory
+_QUICKLY = 0.9  # forgetting factor while the wheel shakes so much less than before
 _INTERVAL_OFF = 0.2
 """Relative difference of an interval from the rate's, beyond which it is a gap."""
 
@@ -128,16 +126,13 @@ def speed_spectrum(angle, pole, corner, period):
 
 class Relation(NamedTuple):
     """What least squares give for each pole: arrays (nodes,), by rising pole.
+    ``variance``, ``mixed``, ``alone``: N times the variance of the estimate [1/s2] of N
+    samples, by the square of the signal, signal times noise of the sensor, square of
+    the noise, each over its own power; ``noise0``, ``noise1``: of white noise of
+    variance one, the mean square of an increment and mean product of two."""
 
-    ``square``: p^2 [1/s2]; ``printed``: the estimate O(3)-(7) [1/s]; ``variance``,
-    ``mixed``, ``alone``: N times the variance of it [1/s2] of N samples, by the square
-    of the signal, by signal times noise of the sensor and by the square of the noise,
-    each over its own power; ``noise0``, ``noise1``: of white noise of variance one, the
-    mean square of an increment and mean product of two.
-    """
-
-    square: np.ndarray
-    printed: np.ndarray
+    square: np.ndarray  # p^2 [1/s2]
+    printed: np.ndarray  # the estimate O(3)-(7) [1/s]
     variance: np.ndarray
     mixed: np.ndarray
     alone: np.ndarray

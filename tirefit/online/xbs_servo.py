@@ -43,12 +43,10 @@ from tirefit.results import UsageError
 
 Wheels = Float[Array, " w"]
 
-_STEADY = 0.05
-"""Time [s] over which the deceleration of the vehicle is averaged."""
+_STEADY = 0.05  # time [s] over which the deceleration of the vehicle is averaged
 _SLOWEST = 2.0
 """Speed [m/s] of the vehicle below which the pressures are held: k goes with 1/v."""
-_FOLLOWED = 3e5
-"""Error of the pressure [Pa] up to which the servo acts as O(8) has it."""
+_FOLLOWED = 3e5  # error of the pressure [Pa] up to which the servo acts as O(8) has it
 _LEAST_SLIP = 0.01
 _LEAST_FLOW = 1e5
 
@@ -121,17 +119,15 @@ def refuse_unstable(
 
 
 class XbsServoState(NamedTuple):
-    """Estimators' states; wheel speeds before and their references [m/s]; target
-    pressures [Pa]; changes of pressure on their way (delay, w) [Pa]; deceleration of
-    the vehicle, filtered [m/s2]; its speed [m/s]."""
+    """State of the servo and its estimators."""
 
     xbs: XbsState
-    speed: Wheels
-    reference: Wheels
-    target: Wheels
-    coming: Float[Array, "d w"]
-    slowing: Float[Array, ""]
-    vehicle: Float[Array, ""]
+    speed: Wheels  # [m/s] before
+    reference: Wheels  # [m/s]
+    target: Wheels  # [Pa]
+    coming: Float[Array, "d w"]  # changes on their way [Pa]
+    slowing: Float[Array, ""]  # filtered [m/s2]
+    vehicle: Float[Array, ""]  # speed [m/s]
 
 
 class XbsServo(AbstractController):
@@ -251,9 +247,8 @@ class XbsServo(AbstractController):
 
     def step(self, state: XbsServoState, measurement: Measurement) -> Any:
         s, m = state, measurement
-        slowing = s.slowing + _share(self.period, _STEADY) * (
-            m.deceleration - s.slowing
-        )
+        weight = self.period / (self.period + _STEADY)  # in a mean over that time
+        slowing = s.slowing + weight * (m.deceleration - s.slowing)
         vehicle = jnp.maximum(s.vehicle - self.period * slowing, 0.0)
         ready = m.pressure + jnp.sum(s.coming, axis=0)
         follows = jnp.abs(s.target - ready) < _FOLLOWED
@@ -316,8 +311,3 @@ class XbsServo(AbstractController):
         share = jnp.clip(self.response * error / full, -1.0, 1.0)
         share = jnp.where(jnp.abs(error) > self.dead_band, share, 0.0)
         return share, share * full
-
-
-def _share(period, time):
-    """Weight of a new sample in a mean over a time [s]."""
-    return period / (period + time)

@@ -24,15 +24,11 @@ from tirefit.report.diagnosis_words import (
 )
 from tirefit.report.numbers import format_estimate, format_number
 
-_LEAST = 0.005
-"""Probability from which a candidate has a line."""
-
-_MOST = 10
-"""Parameters of the map, at most."""
+_LEAST = 0.005  # probability from which a candidate has a line
+_MOST = 10  # parameters of the map, at most
 
 
-_SEEN = 0.5
-"""Probability of being seen below which an effect may be there and not show."""
+_SEEN = 0.5  # probability of being seen below which an effect may be there and not show
 
 
 def details(result: Diagnosis) -> list[Section]:

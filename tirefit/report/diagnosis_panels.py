@@ -24,25 +24,22 @@ from tirefit.report.numbers import format_number
 
 
 class LadderBar(NamedTuple):
-    """A step of the ladder: ``rms`` [N] on data left out, its standard ``error`` (None
-    of the first), and the share ``closed``; ``kind`` is base, effect, smooth or noise;
-    ``held_out`` is the rms on the files held out."""
+    """A step of the ladder."""
 
     label: str
-    rms: float
-    error: float | None
+    rms: float  # [N] on data left out
+    error: float | None  # standard error; None of the first
     closed: float | None
-    kind: str
-    held_out: float | None = None
+    kind: str  # base, effect, smooth or noise
+    held_out: float | None = None  # rms on the files held out
 
 
 class ChanceBar(NamedTuple):
-    """The probability that an effect is there: ``kind`` is verdict, other or unknown,
-    that of something unlisted."""
+    """The probability that an effect is there."""
 
     label: str
     probability: float
-    kind: str
+    kind: str  # verdict, other or unknown (something unlisted)
 
 
 def _error(step: Step, steps: Sequence[Step]) -> float:
@@ -126,8 +123,7 @@ _ALONG = {
     "slip": "added slip, in its own direction [-]",
     "force": "added force, towards the slip [% of $F_z$]",
 }
-_LETTERS = 66
-"""Of a line of the title."""
+_LETTERS = 66  # of a line of the title
 
 
 def look_title(panel: LookCurve) -> str:

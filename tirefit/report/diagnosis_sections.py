@@ -44,8 +44,7 @@ _OF_SIGNS = ("signs read as", "sign convention declared", "warning: the simulato
 _BEYOND = 1.5
 """Noise over the stated noise from which the report says how many times that it is."""
 
-_MOST_STEPS = 3
-"""Measurements that the first screen proposes, at most."""
+_MOST_STEPS = 3  # measurements that the first screen proposes, at most
 
 _TELLS_MORE = 0.1
 """Rise of the probability of telling two effects apart from which a measurement is

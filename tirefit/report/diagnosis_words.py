@@ -61,8 +61,7 @@ _COVARIATES = {
     "pressure": "inflation pressure",
 }
 _OF_FULL_SLIDING = ("slip_fraction", "slip")
-_FAR = 100.0
-"""Slips of full sliding beyond which a number says no more than "far"."""
+_FAR = 100.0  # slips of full sliding beyond which a number says no more than "far"
 
 _SHAPES = {
     "wave": "goes up and down with {covariate}, period {at}, by ± {size}",
@@ -197,8 +196,7 @@ def amplitude_text(amplitude: Amplitude) -> str:
     return f"{text}, {amplitude.formula}" if amplitude.formula else text
 
 
-_THOUSANDTH = "1e-3 "
-"""How the unit of a share of something begins."""
+_THOUSANDTH = "1e-3 "  # how the unit of a share of something begins
 
 
 def said_unit(unit: str) -> tuple[float, str]:

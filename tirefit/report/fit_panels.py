@@ -26,8 +26,7 @@ from tirefit.report.uncertainty import has_trace, profile_data
 
 WIDE = 4.6
 _SMALL = 2.3
-_MOST_PAIRED = 40
-"""Parameters that the page, which scrolls, draws all pairs of."""
+_MOST_PAIRED = 40  # parameters that the page, which scrolls, draws all pairs of
 _PIXELS = 100
 """Of the page for an inch of a picture that is too wide for a phone, and scrolls."""
 

@@ -18,13 +18,7 @@ from tirefit.report.numbers import format_number
 from tirefit.report.overlay import draw_overlay, overlay_of
 from tirefit.results import UsageError
 
-_TOGETHER = 3
-"""Quantities by file in one picture."""
-
-
-def _short(fits: Mapping[str, FitResult]) -> dict[str, FitResult]:
-    """The fits by what tells their names apart."""
-    return dict(zip(run_names(list(fits)).short, fits.values(), strict=True))
+_TOGETHER = 3  # quantities by file in one picture
 
 
 def _columns(fits: Mapping[str, FitResult], part: str) -> dict[str, str]:
@@ -176,7 +170,7 @@ def fits_page(
         raise UsageError("no fit for the page", "give fits by name: {'dry': fit, ...}")
     names = list(fits)
     pattern = [name_pattern(names)] if run_names(names).pattern else []
-    by_name = _short(fits)
+    by_name = dict(zip(run_names(names).short, fits.values(), strict=True))
     results = list(fits.values())
     return rendered(
         "fits_page.html",

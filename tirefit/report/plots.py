@@ -83,13 +83,10 @@ def plot_runs(result: FitResult):
 
 @dataclass(frozen=True)
 class Comparison:
-    """Several models on the same data, lowest AICc first; prints as a table.
+    """Several models on the same data, lowest AICc first; prints as a table."""
 
-    ``rows`` are the cells of the table, header first; ``notes`` what to mind.
-    """
-
-    rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]  # cells, header first
+    notes: tuple[str, ...]  # what to mind
 
     def __str__(self) -> str:
         right = tuple(range(1, len(self.rows[0]) - 1))

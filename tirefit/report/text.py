@@ -25,8 +25,7 @@ from tirefit.report.labels import fit_files, run_lines
 from tirefit.report.numbers import format_estimate, format_number
 
 WIDTH = 88
-_FAR_ROWS = 8
-"""Far rows that are named one by one."""
+_FAR_ROWS = 8  # far rows that are named one by one
 
 
 def table(rows: list[list[str]], right: tuple[int, ...] = ()) -> list[str]:

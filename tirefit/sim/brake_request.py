@@ -13,7 +13,6 @@ from tirefit.models import AbstractTire, TireInputs, modelled
 from tirefit.params import parameter_values
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.brake_plant import Plant
-from tirefit.sim.brake_road import road_of
 from tirefit.sim.brake_tire import on_road, wheel_slips
 from tirefit.sim.brake_vehicle import (
     GRAVITY,
@@ -22,40 +21,30 @@ from tirefit.sim.brake_vehicle import (
     Vehicle,
     four_wheels,
     quarter_car,
+    road_of,
 )
 
 VEHICLES = {"car": four_wheels, "quarter": quarter_car}
 """Name of a vehicle -> what makes it."""
 
-_LEAST_SHARE = 0.4
-"""Share of the least friction with which the time limit reckons."""
+_LEAST_SHARE = 0.4  # share of the least friction with which the time limit reckons
 _GRACE = 3.0
 _FASTEST, _SHARPEST = 100.0, 0.6
 
 
 @dataclass(frozen=True)
 class Request:
-    """A manoeuvre: which tire, where, how fast.
+    """A manoeuvre: which tire, where, how fast."""
 
-    Attributes:
-        tire: with its parameter values; ``tire_name``: how it is called.
-        road: as in :data:`tirefit.sim.brake_road.ROADS`.
-        speed: [m/s] at which the braking begins.
-        vehicle: a key of :data:`VEHICLES`.
-        steer: angle [rad] of the front wheels, to the left; constant.
-        hydraulics, sensors: with the driver's demand and the unevenness of the road.
-        time_limit: [s]; by speed and friction if None.
-    """
-
-    tire: AbstractTire
-    tire_name: str
-    road: str = "mu=0.3"
-    speed: float = 15.0
-    vehicle: str = "car"
-    steer: float = 0.0
-    hydraulics: Hydraulics = field(default_factory=Hydraulics)
-    sensors: Sensors = field(default_factory=Sensors)
-    time_limit: float | None = None
+    tire: AbstractTire  # with its parameter values
+    tire_name: str  # how it is called
+    road: str = "mu=0.3"  # as in :data:`tirefit.sim.brake_vehicle.ROADS`
+    speed: float = 15.0  # [m/s] at which the braking begins
+    vehicle: str = "car"  # a key of :data:`VEHICLES`
+    steer: float = 0.0  # angle [rad] of the front wheels, to the left; constant
+    hydraulics: Hydraulics = field(default_factory=Hydraulics)  # the driver's demand
+    sensors: Sensors = field(default_factory=Sensors)  # and unevenness of the road
+    time_limit: float | None = None  # [s]; by speed and friction if None
 
     @property
     def limit(self) -> float:
@@ -103,8 +92,7 @@ def plant_of(request: Request) -> Plant:
 _USUAL_SLOPE = (3.0, 150.0)
 """Slope of the braking force at rest over the load: 10 to 40 of car tires."""
 
-_LONGEST = 300.0
-"""Longest manoeuvre [s]."""
+_LONGEST = 300.0  # longest manoeuvre [s]
 
 _NUMBERS = {
     "demand": (1e3, 5e7, "Pa"), "ramp": (1e3, 1e10, "Pa/s"),

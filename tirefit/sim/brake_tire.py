@@ -23,8 +23,7 @@ from tirefit.slip import sigma_from_kappa
 LOW_SPEED = 0.3
 """Speed [m/s] below which slip is taken over this speed, lest it be infinitely stiff at
 a standstill; a locked wheel's force fades at a tenth of it, 0.1 m before the end."""
-_LOCKED = 0.99
-"""Largest kappa: of a wheel that stands (sigma 99)."""
+_LOCKED = 0.99  # largest kappa: of a wheel that stands (sigma 99)
 _LEAST_KAPPA = -5.0
 _LEAST_LOAD = 1.0
 _SPEEDS, _LOADS, _SLIPS = 16, 5, 200
@@ -33,12 +32,11 @@ _HALVINGS = 60
 
 
 class Slips(NamedTuple):
-    """``kappa``, ``alpha`` (w,): practical slip and slip angle [rad]; ``speed`` (w,)
-    [m/s]: that by which the sliding speed was divided."""
+    """Slips of the wheels."""
 
-    kappa: Float[Array, " w"]
-    alpha: Float[Array, " w"]
-    speed: Float[Array, " w"]
+    kappa: Float[Array, " w"]  # practical slip
+    alpha: Float[Array, " w"]  # [rad]
+    speed: Float[Array, " w"]  # [m/s] that divided the sliding speed
 
 
 def wheel_slips(v_x, v_y, turning) -> Slips:

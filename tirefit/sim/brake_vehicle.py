@@ -1,10 +1,11 @@
-"""The braked vehicle (a quarter car, or a car on four wheels), its brakes and sensors.
+"""The braked vehicle (a quarter car or four wheels), its brakes, sensors and road.
 
 Axes of ISO 8855 (x forward, y left) at the centre of gravity. Per-wheel values come
 along one axis of length w: one wheel, or four in the order of
 :data:`tirefit.data.table.WHEELS`.
 """
 
+import re
 from typing import NamedTuple
 
 import jax
@@ -13,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tirefit.data.table import WHEELS
+from tirefit.results import UsageError
 from tirefit.sim.drive import Car
 
 GRAVITY = 9.81
@@ -22,28 +24,20 @@ Number = Float[Array | np.ndarray, ""] | float
 
 
 class Vehicle(NamedTuple):
-    """Masses, geometry and brakes.
+    """Masses, geometry and brakes."""
 
-    ``mass`` [kg], ``yaw_inertia`` [kg m2]; ``x``, ``y`` (w,) [m]: wheels from the
-    centre of gravity; ``fz`` (w,) [N]: static loads; ``pitch``, ``roll`` (w,) [kg]:
-    load gained by each m/s2 of deceleration, of acceleration to the left;
-    ``transfer_time`` [s] in which they follow; ``radius`` (w,) [m], effective;
-    ``inertia`` (w,) [kg m2] of a wheel; ``brake_gain`` (w,) [N m/Pa]: torque by
-    pressure; ``steered`` (w,): 1 where the wheel is steered.
-    """
-
-    mass: Number
-    yaw_inertia: Number
-    x: Wheels
-    y: Wheels
-    fz: Wheels
-    pitch: Wheels
-    roll: Wheels
-    transfer_time: Number
-    radius: Wheels
-    inertia: Wheels
-    brake_gain: Wheels
-    steered: Wheels
+    mass: Number  # [kg]
+    yaw_inertia: Number  # [kg m2]
+    x: Wheels  # [m] of the wheels, ahead of the centre of gravity
+    y: Wheels  # [m] to its left
+    fz: Wheels  # [N] static loads
+    pitch: Wheels  # [kg] load gained by each m/s2 of deceleration
+    roll: Wheels  # [kg] and of acceleration to the left
+    transfer_time: Number  # [s] in which they follow
+    radius: Wheels  # [m], effective
+    inertia: Wheels  # [kg m2] of a wheel
+    brake_gain: Wheels  # [N m/Pa] torque by pressure
+    steered: Wheels  # 1 where the wheel is steered
 
     @property
     def wheels(self) -> tuple[str, ...]:
@@ -130,16 +124,14 @@ class Hydraulics(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """``speed_std`` [m/s]: noise of a wheel's circumferential speed; ``speed_step``
-    [m/s], in which it is told; ``deceleration_std`` [m/s2]; ``pressure_std`` [Pa];
-    ``road_std``: of the force d over the static load; ``road_corner`` [Hz]: of d."""
+    """Noise of the sensors and unevenness of the road."""
 
-    speed_std: float = 0.005
-    speed_step: float = 0.01
-    deceleration_std: float = 0.1
-    pressure_std: float = 2e4
-    road_std: float = 0.01
-    road_corner: float = 1.0
+    speed_std: float = 0.005  # [m/s] of a wheel's circumferential speed
+    speed_step: float = 0.01  # [m/s] in which it is told
+    deceleration_std: float = 0.1  # [m/s2]
+    pressure_std: float = 2e4  # [Pa]
+    road_std: float = 0.01  # of the force d over the static load
+    road_corner: float = 1.0  # [Hz] of d
 
 
 class Noise(NamedTuple):
@@ -181,3 +173,69 @@ def wheel_speeds(sensors: Sensors, turning, noise):
     safe = jnp.where(step > 0, step, 1.0)
     told = jnp.where(step > 0, jnp.round(noisy / safe) * step, noisy)
     return jnp.maximum(told, 0.0)
+
+
+ROADS = ("mu=0.4", "mu=0.3:0.8@20", "left=0.3,right=0.8")
+"""How a road is written: constant; another friction from 20 m on; split."""
+
+_LEAST, _MOST = 0.05, 2.0
+_PATCH = 0.2  # length [m] of the contact patch, which comes onto a new road bit by bit
+
+
+class Road(NamedTuple):
+    """Friction on the left and on the right: the largest force over load that the tire
+    has there, at its static load and the speed at which the braking begins."""
+
+    before: Float[Array | np.ndarray, " 2"]
+    after: Float[Array | np.ndarray, " 2"]
+    jump: Float[Array | np.ndarray, ""] | float  # [m] from where the braking begins
+
+    def mu(
+        self, distance: Float[Array, " w"], y: Float[Array | np.ndarray, " w"]
+    ) -> Float[Array, " w"]:
+        """Friction under wheels that are ``distance`` [m] on, and ``y`` [m] left."""
+        share = jnp.clip((distance - self.jump) / _PATCH + 0.5, 0.0, 1.0)
+        side = (jnp.asarray(y) < 0).astype(int)
+        before, after = jnp.asarray(self.before)[side], jnp.asarray(self.after)[side]
+        return before + share * (after - before)
+
+    @property
+    def split(self) -> bool:
+        """Whether left and right differ."""
+        sides = (self.before, self.after)
+        return any(float(side[0]) != float(side[1]) for side in sides)
+
+    @property
+    def jumps(self) -> bool:
+        """Whether the friction changes on the way."""
+        return bool(np.isfinite(self.jump))
+
+
+def road_of(text: str) -> Road:
+    """The road that is written as in :data:`ROADS`.
+
+    Raises:
+        UsageError: it is written otherwise, or a friction is out of range.
+    """
+    number = r"(\d*\.?\d+)"
+    constant = re.fullmatch(rf"mu={number}(?::{number}@{number})?", text.strip())
+    sides = re.fullmatch(rf"left={number},\s*right={number}", text.strip())
+    if constant is None and sides is None:
+        remedy = (
+            f"write it as {', '.join(ROADS)}; friction from {_LEAST:g} to {_MOST:g}"
+        )
+        raise UsageError(f"--road {text!r} is not a road", remedy)
+    if sides is not None:
+        both = np.array([float(sides[1]), float(sides[2])])
+        road = Road(both, both, np.inf)
+    else:
+        assert constant is not None
+        before = float(constant[1])
+        after = before if constant[2] is None else float(constant[2])
+        jump = np.inf if constant[3] is None else float(constant[3])
+        road = Road(np.full(2, before), np.full(2, after), jump)
+    for mu in {*road.before.tolist(), *road.after.tolist()}:
+        if not _LEAST <= mu <= _MOST:
+            reason = f"--road {text!r}: friction {mu:g} is out of range"
+            raise UsageError(reason, f"give {_LEAST:g} (ice) to {_MOST:g}")
+    return road

@@ -29,16 +29,12 @@ _POINTS = 4
 
 
 class Bristles(NamedTuple):
-    """Where the bristles sit and how the tread carries them.
+    """Where the bristles sit and how the tread carries them, with z = 0 at the leading
+    edge."""
 
-    ``place`` (n,): distance from the leading edge over the length of the patch;
-    ``weight`` (n,) of each in the mean over the patch; ``transport`` (n, n): the
-    derivative along the patch times its length, with z = 0 at the leading edge.
-    """
-
-    place: np.ndarray
-    weight: np.ndarray
-    transport: np.ndarray
+    place: np.ndarray  # (n,) from the leading edge, over the length of the patch
+    weight: np.ndarray  # (n,) of each in the mean over the patch
+    transport: np.ndarray  # (n, n) derivative along the patch times its length
 
 
 def _radau():
@@ -70,15 +66,11 @@ def distributed(elements: int = 4) -> Bristles:
 
 
 class Contact(NamedTuple):
-    """Motion and load of the patch at one instant, or at n of them.
+    """Motion and load of the patch at one instant, or at n of them."""
 
-    ``sliding`` (2,) [m/s]: velocity v_s of the patch over the road along x and y;
-    ``rolling`` [m/s]: speed |Omega R_e| of the tread through the patch; ``fz`` [N].
-    """
-
-    sliding: Float[Array, "*n 2"]
-    rolling: Float[Array, "*n"]
-    fz: Float[Array, "*n"]
+    sliding: Float[Array, "*n 2"]  # [m/s] v_s of the patch over the road, x and y
+    rolling: Float[Array, "*n"]  # [m/s] |Omega R_e| of the tread through the patch
+    fz: Float[Array, "*n"]  # [N]
 
 
 def _give(tire: LuGre, z, now: Contact):

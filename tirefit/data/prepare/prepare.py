@@ -37,8 +37,7 @@ FORCE_OF = {"alpha": "fy", "sigma_x": "fx"}
 _LOOK = 5.0
 """Bandwidth [Hz] in which segments are looked for: rigs move slower than that."""
 _SHARE_OF_RATE = 0.2
-_WINDOW = 1.0
-"""Seconds of a hold in which a setting is looked for at a time."""
+_WINDOW = 1.0  # seconds of a hold in which a setting is looked for at a time
 _LEAST_ROWS = 4
 """Rows in the shortest time that is held: sampled slower, rows are points, no series;
 and rows of the shortest sweep among points."""
@@ -46,34 +45,25 @@ _CYCLES = 40.0
 """Bandwidth times the time of a fast sweep. A brush that slides from a fifth of the
 largest slip on is then kept to 0.2 % of its peak by sweeps of one speed from end to
 end, to 0.5 % by sines."""
-_STANDING = 0.02
-"""Of the highest speed: slower, the wheel does not roll."""
-_FASTEST = 0.1
-"""Quantile of the times of the sweeps that counts as fast."""
-_LOWEST, _HIGHEST = 2.0, 25.0
-"""Bandwidths [Hz] that are chosen at least and at most."""
+_STANDING = 0.02  # of the highest speed: slower, the wheel does not roll
+_FASTEST = 0.1  # quantile of the times of the sweeps that counts as fast
+_LOWEST, _HIGHEST = 2.0, 25.0  # bandwidths [Hz] that are chosen at least and at most
 
 
 @dataclass(frozen=True, repr=False)
 class Prepared:
-    """What :func:`prepare` made of a file.
-
-    ``segments`` cover all rows in order; ``settings`` hold what each condition was set
-    to, ``names`` its settings as bins have them. ``columns`` (n,) are the canonical
-    channels after the filter, of all rows; ``kept`` (n,) bool the rows to be written.
-    ``series`` has the clock; ``notes`` say what was done and assumed.
-    """
+    """What :func:`prepare` made of a file."""
 
     data: TireData
     config: PrepareConfig
-    series: Series
-    settings: dict[str, Settings]
-    names: dict[str, list[str]]
-    segments: tuple[Segment, ...]
-    columns: dict[str, np.ndarray]
-    kept: np.ndarray
+    series: Series  # the clock
+    settings: dict[str, Settings]  # what each condition was set to
+    names: dict[str, list[str]]  # of its settings, as in bins
+    segments: tuple[Segment, ...]  # all rows in order
+    columns: dict[str, np.ndarray]  # (n,) canonical channels after the filter, all rows
+    kept: np.ndarray  # (n,) bool, rows to be written
     filter: ZeroPhase | None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = field(default=())  # what was done and assumed
 
     def __repr__(self) -> str:
         kept, bins = int(self.kept.sum()), {p.bin for p in self.segments if p.bin}
@@ -247,7 +237,9 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
     smooth = {name: _smoothed(raw[name], series, look) for name in raw}
     its_legs = {}
     for name in slips:
-        noise = _noise(raw[name] - smooth[name]) * np.sqrt(2 * look.bandwidth / rate)
+        rest = raw[name] - smooth[name]
+        noise = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
+        noise *= np.sqrt(2 * look.bandwidth / rate)
         its_legs[name] = legs(smooth[name], series.pieces, noise, LEAST[name], shortest)
     windows = _windows(its_legs, len(data), round(_WINDOW * rate))
     settings = {
@@ -285,11 +277,6 @@ def _smoothed(values, series: Series, look: ZeroPhase) -> np.ndarray:
     for piece in series.pieces:
         out[piece] = look(values[piece], series.time[piece])
     return out
-
-
-def _noise(rest: np.ndarray) -> float:
-    """Standard deviation of noise by the median of its size."""
-    return float(1.4826 * np.median(np.abs(rest - np.median(rest))))
 
 
 def _windows(its_legs, n: int, second: int) -> list[Window]:

@@ -13,20 +13,15 @@ from scipy.signal import butter, sosfiltfilt
 
 from tirefit.data.table import TireData
 
-_GAP = 3.5
-"""Sampling steps without a row from which on a series is cut in two."""
+_GAP = 3.5  # sampling steps without a row from which on a series is cut in two
 
 
 class Series(NamedTuple):
-    """The clock of a file and its unbroken pieces.
+    """The clock of a file and its unbroken pieces."""
 
-    ``time`` (n,) is in seconds, or counts rows where the file has no time: then
-    ``rate`` is None. ``pieces`` are slices of rows, in order.
-    """
-
-    time: np.ndarray
-    rate: float | None
-    pieces: tuple[slice, ...]
+    time: np.ndarray  # (n,) [s], or number of the row where the file has no time
+    rate: float | None  # None then
+    pieces: tuple[slice, ...]  # slices of rows, in order
 
     @property
     def hertz(self) -> float:
@@ -77,24 +72,19 @@ def bridged(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.interp(at, at[good], values[good])
 
 
-_ORDER = 2
-"""Of one pass: the two together fall by 80 dB a decade."""
-_HIGHEST = 0.4
-"""Of the sampling rate: above, there is nothing to filter."""
+_ORDER = 2  # of one pass: the two together fall by 80 dB a decade
+_HIGHEST = 0.4  # of the sampling rate: above, there is nothing to filter
 _UNEVEN = 0.1
 """Of a sampling step that a time stamp may be off its place on an even grid."""
 
 
 class ZeroPhase(NamedTuple):
-    """A filter of ``bandwidth`` [Hz] (-3 dB) for series of ``rate`` samples a second.
+    """A low-pass filter for series of ``rate`` samples a second."""
 
-    ``sections`` (s, 6) are those of one pass, ``corner`` [Hz] its own -3 dB.
-    """
-
-    bandwidth: float
+    bandwidth: float  # [Hz] at -3 dB
     rate: float
-    corner: float
-    sections: np.ndarray
+    corner: float  # [Hz] of one pass at -3 dB
+    sections: np.ndarray  # (s, 6) of one pass
 
     @property
     def reach(self) -> float:

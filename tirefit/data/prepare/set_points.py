@@ -13,22 +13,19 @@ import numpy as np
 
 from tirefit.data.prepare.series import runs_of
 
-_LEAST = 0.03
-"""Of the largest value: settings are further apart than that."""
+_LEAST = 0.03  # of the largest value: settings are further apart than that
 _SHARE = 0.02
 """Of the range of a channel: what moves by so much in a second is on its way, and
 settings are further apart than that."""
 _SCATTERS = 3.0
 """Scatters of a channel about a setting that two settings are apart at least."""
-_RESTLESS = 3.0
-"""A window so many times as restless as the usual one holds no setting."""
+_RESTLESS = 3.0  # A window so many times as restless as the usual one holds no setting
 _ROOM = 1.3
 """Of how far a channel strays from its setting in most windows, while it is held."""
 _WIDER = 2.5
 """Times as far it may stray now and then, where no other setting is near: a row is at
 a setting rather than on its way, as long as it goes nowhere."""
-_MOST = 0.25
-"""Of the distance of two settings that one of them may take."""
+_MOST = 0.25  # of the distance of two settings that one of them may take
 
 
 class Window(NamedTuple):
@@ -40,17 +37,12 @@ class Window(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """The settings of one channel.
-
-    ``center`` and ``width`` (k,): the median, and how far the channel usually strays.
-    ``code`` (n,): the setting of each row, -1 where it is at none. A channel that was
-    never held has no center, and no row of it is at a setting.
-    """
+    """The settings of one channel; one that was never held has none."""
 
     name: str
-    center: np.ndarray
-    width: np.ndarray
-    code: np.ndarray
+    center: np.ndarray  # (k,) medians
+    width: np.ndarray  # (k,) how far the channel usually strays
+    code: np.ndarray  # (n,) setting of each row, -1 where it is at none
 
     @property
     def is_held(self) -> bool:
@@ -96,8 +88,7 @@ def settings_of(
 
 
 def _candidates(values, windows: list[Window]):
-    """The windows in which the channel is held: its median in each, how far it strays
-    there, and the windows."""
+    """Medians of the channel in windows where it is held, its strays, the windows."""
     middle, stray, scatter, trend = [], [], [], []
     for begin, end, _ in windows:
         part = values[begin:end]

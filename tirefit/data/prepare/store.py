@@ -15,8 +15,7 @@ from tirefit.files import json_safe
 
 SCHEMA = "tirefit.prepare/1"
 
-_DIGITS = 9
-"""More than any sensor has, and the same on every machine."""
+_DIGITS = 9  # more than any sensor has, and the same on every machine
 
 
 def _number(value: float) -> float:

@@ -35,12 +35,11 @@ _FEW_WAYS = 1e-4
 
 
 class _Quantity(NamedTuple):
-    """A quantity by its ``key`` in vehicle.toml, and its standard error where that file
-    states the quantity, and where it does not."""
+    """A quantity of the vehicle."""
 
-    key: str
-    stated: float
-    guessed: float
+    key: str  # in vehicle.toml
+    stated: float  # standard error where that file states it
+    guessed: float  # and where it does not
     words: str
 
 
@@ -127,8 +126,7 @@ def _within_the_past(prior, prepared, rig):
 
 
 def said_of_motion(base, rig) -> tuple[str, ...]:
-    """Sentences about the force of a base fit that was derived from the motion; none
-    for a measured one."""
+    """Sentences about a base fit's force if it was derived from the motion."""
     rows, derived = base.rows, base.rows.derived
     if derived is None:
         return ()

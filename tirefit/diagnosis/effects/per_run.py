@@ -20,14 +20,12 @@ RELATIVE = "relative"
 
 
 class Offset(NamedTuple):
-    """What each run may have of its own: the ``field`` of the state that moves, the
-    covariate with the ``pattern`` of the runs, its unit, and whether its amplitude is
-    in thousandths of the mean load."""
+    """What each run may have of its own."""
 
-    field: str
-    pattern: str
+    field: str  # of the state, that moves
+    pattern: str  # covariate with the pattern of the runs
     unit: str
-    of_load: bool = False
+    of_load: bool = False  # the amplitude is in thousandths of the mean load
 
 
 OFFSETS = {

@@ -120,14 +120,11 @@ class Effect:
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseEffect:
-    """A law of the noise, named where no effect on the mean is.
-
-    ``flag`` is the one of :class:`noise.level.NoiseLevel` on which it is named, empty
-    where it is reported as a figure only; the others are as for :class:`Effect`.
-    """
+    """A law of the noise, named where no effect on the mean is; fields as of
+    :class:`Effect`."""
 
     id: str
-    flag: str = ""
+    flag: str = ""  # of :class:`noise.level.NoiseLevel` that names it; "": none
     means: str
     remedy: str
     family: str = "noise"

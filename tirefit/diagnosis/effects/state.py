@@ -126,8 +126,7 @@ divides by: they leave at most 3e-5 of the demand at any d and share of the effe
 _PEAKS = (1e-3, 2.0, 60)
 """Slips at which the largest force is looked for: from, to and how many, 14 % apart."""
 
-_AT_REST = 1e-60
-"""Square of a slip that keeps its size differentiable at zero."""
+_AT_REST = 1e-60  # square of a slip that keeps its size differentiable at zero
 
 
 def _holding(u, skew, flat):

@@ -22,8 +22,7 @@ PARAMETERS = {
     "stiffness": ("stiffness", 0.06), "friction": ("friction", 0.03),
     "slip": ("shift", 0.002), "force": ("force", 0.01),
 }  # fmt: skip
-"""Field of the state and usual size of a change (relative, a slip, or force over load)
-of each parameter."""
+"""Field of each parameter; usual change (relative, a slip, or force over load)."""
 
 USUAL_SIZES = 0.5 * 4.0 ** np.arange(3)
 """Multiples of the usual size that the evidence is averaged over."""
@@ -38,8 +37,7 @@ WAVES, ROWS_OF_A_WAVE = 96, 5
 """Largest number of waves in a record (half as many for patterns in time or distance,
 an eighth for others), and smallest number of rows of a wave."""
 
-PHASES = 4
-"""Phases of each wave."""
+PHASES = 4  # phases of each wave
 
 
 class Pattern(NamedTuple):

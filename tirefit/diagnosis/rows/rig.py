@@ -53,9 +53,6 @@ class _Vehicle(Section):
 
 _TABLES: dict[str, type[Section]] = {"noise": _Noise, "vehicle": _Vehicle}
 
-VEHICLE = tuple(_Vehicle.model_fields)
-"""Keys of ``[vehicle]``."""
-
 
 class _RigFile(Section):
     rolling_radius: _Length = None
@@ -71,8 +68,7 @@ _OWN_COLUMNS = {
 }  # fmt: skip
 """Columns that hold the same as a key of ``[noise]``; others are named KEY_std."""
 
-STANDS = 0.03
-"""Share of the median speed below which a wheel counts as standing."""
+STANDS = 0.03  # share of the median speed below which a wheel counts as standing
 
 LEAST_ROWS = 20
 """Smallest number of rows of a diagnosis, and of a run with an offset of its own."""

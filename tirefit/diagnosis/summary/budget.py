@@ -180,8 +180,7 @@ def parameter_changes(case, widening: float) -> Mapping[str, Change]:
 
 
 def simulator_summary(base: Base, model: str, gap: float) -> SimulatorSummary | None:
-    """What was given, and how well the ``model`` that stands in for it follows it, also
-    over the whole gap [N]."""
+    """What was given; how well ``model`` follows it, also over the whole gap [N]."""
     if base.simulator is None:
         return None
     given, main, n = base.simulator.given, base.rows.channels[0], base.rows.n

@@ -18,31 +18,23 @@ from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.records import HeldOut, Shrinkage
 
-DRAWS = 400
-"""Draws, and bootstrap samples: twenty beyond either end of a 90 % interval."""
-INTERVAL = (0.05, 0.95)
-"""Quantiles at the ends of a 90 % interval."""
+DRAWS = 400  # draws, and bootstrap samples: twenty beyond either end of a 90 % interval
+INTERVAL = (0.05, 0.95)  # quantiles at the ends of a 90 % interval
 _RESOLVED = 3.0
 """Standard deviations of the energy of noise from which a gap is resolved."""
-WORST = -1.0
-"""Closure that counts as the worst there is: the gap doubled."""
-_BLOCKS = 60
-"""Blocks of a record, at most."""
+WORST = -1.0  # closure that counts as the worst there is: the gap doubled
+_BLOCKS = 60  # blocks of a record, at most
 _WIDER = 1.2
 """Factor on the errors of parameters: those of a fit whose form is not quite right."""
-_SETS = 3
-"""Sets of effects that are drawn from, the most probable ones."""
+_SETS = 3  # sets of effects that are drawn from, the most probable ones
 _SIZES = np.geomspace(0.03, 300, 20)
 """Sizes of a discrepancy's coefficients over the noise; all are as likely."""
-_SHAPES = 30
-"""Sharp shapes of a discrepancy that are drawn, the most probable ones."""
-_FAR = 6.0
-"""Standard errors within which an energy is looked for."""
+_SHAPES = 30  # sharp shapes of a discrepancy that are drawn, the most probable ones
+_FAR = 6.0  # standard errors within which an energy is looked for
 _UNDRAWN, _FACTOR = 0.4, 1.5
 """Discrepancy of other shapes, as a share of what is drawn: its median, and standard
 deviation of its logarithm. Development trials have .2 to .6."""
-_NINETY = 1.645
-"""Standard errors on both sides of a 90 % interval."""
+_NINETY = 1.645  # standard errors on both sides of a 90 % interval
 
 
 def plausible_forces(case, generator) -> dict[str, np.ndarray]:
@@ -168,14 +160,12 @@ def closure_on_rows(truth, before, after, variance, run, inflation) -> Shrinkage
 
 def closure_elsewhere(before, after, variance, run, inflation, generator) -> Shrinkage:
     """Closure on rows that neither fit has seen. The energy left, that of the residuals
-    less that of the noise, has a normal error; its root is zero or more, all values as
-    likely beforehand.
+    less that of the noise, has a normal error; its root is >= 0, with a flat prior.
 
     Args:
         before, after: (n,) residuals [N] of the base and of the extension.
-        variance: (n,) noise variance [N^2].
+        variance, inflation: as in :func:`closure_on_rows`.
         run: (n,) runs, which the blocks of the bootstrap do not cross.
-        inflation: rows per independent row.
     """
     terms = np.stack([before**2 - after**2, after**2 - variance], axis=1)
     gained, left = terms.mean(axis=0)

@@ -54,8 +54,7 @@ from tirefit.diagnosis.summary.where import data_summary, parameter_map, regions
 _LISTED, _MENTIONED = 10, 1e-3
 """Candidates that are listed, at most; probability from which the unknown is one."""
 
-_SHOWN = 0.05
-"""Probability of a shape of the remainder from which it is reported."""
+_SHOWN = 0.05  # probability of a shape of the remainder from which it is reported
 
 _SEEN = 3.3
 """Standard errors of an amplitude that is seen four times in five: 0.84 beyond 2.46,
@@ -66,8 +65,7 @@ _SEEN_ENERGY = 2.5
 noise: 0.84 beyond 1.65, which noise exceeds once in 20 files."""
 
 _DIRECTIONS = 40
-"""Smooth directions that share the noise's energy, at most: a remainder of a force over
-slip has no more."""
+"""Most smooth directions that share the noise's energy; a force over slip has fewer."""
 
 
 def document_of(
@@ -270,8 +268,7 @@ def _chances(case: Case) -> dict:
 
 
 def _widening(base: Base, hypothesis: Hypothesis) -> float:
-    """Of the formulas alone: where an effect has another form, no size of its formula
-    is surer than that."""
+    """Of the formulas alone: where another form is used, no size is surer than that."""
     return widening(base, base.residual(hypothesis.z, amplitudes_of(base, hypothesis)))
 
 

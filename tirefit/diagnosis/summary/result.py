@@ -1,5 +1,4 @@
-"""What a diagnosis found: :class:`Diagnosis`, and its files ``NAME.json`` and
-``NAME.rows.csv``."""
+"""What a diagnosis found (:class:`Diagnosis`), as ``NAME.json``, ``NAME.rows.csv``."""
 
 import json
 from collections.abc import Mapping

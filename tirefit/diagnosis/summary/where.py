@@ -31,10 +31,8 @@ _PARTS, _STRETCHES = 4, 32
 FEWEST_ROWS = 8
 """Fewest rows of a region, and of a bin on average; and rows over the slip whose
 misfits are summed: a smooth misfit adds up, noise does not."""
-_DENSE = 4.0
-"""Share of the gap over that of the rows from which a stretch is a spot."""
-_FUNCTIONS = 6
-"""Smooth functions of a covariate that a parameter may follow."""
+_DENSE = 4.0  # share of the gap over that of the rows from which a stretch is a spot
+_FUNCTIONS = 6  # smooth functions of a covariate that a parameter may follow
 _TOGETHER = 0.9
 """Rank correlation from which two conditions are reported to move together."""
 

@@ -88,8 +88,7 @@ def fit_magic_formula(
             prior of coefficients; ``friction_temperature`` for a friction that changes
             with temperature (the coefficients then hold at its median).
         first: coefficients of a tire that may be similar, as an additional start.
-        like: a ``.tir`` file whose coefficients are the means of the priors, except
-            those that ``config`` sets.
+        like: a ``.tir`` whose coefficients are prior means, if not in config.
         leave_out: ``three`` leaves out the bins of three loads in turn, ``load`` those
             of each load, ``bin`` each bin, ``none`` nothing.
         progress: called with the share done and the name of the next step.

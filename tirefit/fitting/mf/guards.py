@@ -23,8 +23,7 @@ GUARDS = {
 }
 """Name -> what holds."""
 
-_BEYOND = 2.0
-"""Largest load of the grid over that of the data."""
+_BEYOND = 2.0  # largest load of the grid over that of the data
 
 _LOADS = 9
 _SMALL, _CLEAR = 0.004, 0.06
@@ -38,29 +37,26 @@ _LEAST_PEAK = 0.1
 
 
 class Guard(NamedTuple):
-    """One guard: whether it holds, its definition or the first failure (``text``), and
-    whether it holds at the loads and slips of the data (``holds_inside``)."""
+    """One guard."""
 
     name: str
     holds: bool
-    text: str
-    holds_inside: bool
+    text: str  # its definition or the first failure
+    holds_inside: bool  # at the loads and slips of the data
 
 
 @dataclass(frozen=True)
 class _Grid:
-    """Forces per load of a tire; ``pure`` and ``both`` are (states, slips), the slips
-    of ``pure`` those of one force, ascending; ``fz`` (states,); ``inside`` (states,) is
-    whether the load is one of the data's."""
+    """Forces per load of a tire."""
 
-    pure: Mapping[str, np.ndarray]
-    slips: Mapping[str, np.ndarray]
-    both: Mapping[str, np.ndarray]
+    pure: Mapping[str, np.ndarray]  # (states, slips)
+    slips: Mapping[str, np.ndarray]  # of ``pure``, ascending
+    both: Mapping[str, np.ndarray]  # (states, slips)
     signs: Mapping[str, np.ndarray]
-    fz: np.ndarray
+    fz: np.ndarray  # (states,)
     gamma: np.ndarray
     pressure: np.ndarray
-    inside: np.ndarray
+    inside: np.ndarray  # (states,) whether the load is one of the data's
 
 
 def _states(ranges: Mapping[str, tuple[float, float]], inside: bool):

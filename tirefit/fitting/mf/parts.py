@@ -31,14 +31,11 @@ functions are within 1 % of one there."""
 
 
 class Part(NamedTuple):
-    """One part of the formula.
-
-    ``forces`` are those whose rows it uses; ``meaning`` is its name in reports.
-    """
+    """One part of the formula."""
 
     name: str
-    forces: tuple[str, ...]
-    meaning: str
+    forces: tuple[str, ...]  # whose rows it uses
+    meaning: str  # its name in reports
 
 
 PARTS = {

@@ -29,14 +29,11 @@ from tirefit.params import parameter_values, with_values
 
 
 class Prior(NamedTuple):
-    """Centre and standard deviation of a Gaussian prior, and the published values.
-
-    With ``log`` the logarithm is Gaussian, and ``spread`` is relative to the centre.
-    """
+    """Centre and standard deviation of a Gaussian prior, and the published values."""
 
     centre: float
-    spread: float
-    log: bool = False
+    spread: float  # relative to the centre with ``log``
+    log: bool = False  # the logarithm is Gaussian
     published: tuple[float, ...] = ()
 
     @property
@@ -97,9 +94,7 @@ def published_priors() -> dict[str, Prior]:
         }
 
 
-ALIKE = 0.25
-"""Spread of a borrowed prior over that of the published tires, which are of all kinds.
-It is a judgement."""
+ALIKE = 0.25  # spread of a borrowed prior over that of all published tires: a judgement
 
 _LOWEST, _HIGHEST = 0.2, 0.8
 """Quantiles of slip below which the rows of a force give the scale of stiffness, and

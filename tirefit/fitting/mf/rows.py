@@ -27,20 +27,15 @@ _ASIDE = {
 
 @dataclass(frozen=True)
 class ForceRows:
-    """The rows of one force.
-
-    ``std`` (n,) is the standard deviation of the noise, which is given unless
-    ``estimated``. ``run`` (n,) is the number of the run. ``pure`` (n,) marks rows of
-    pure slip; none is marked if they are too few to be fitted alone.
-    """
+    """The rows of one force."""
 
     force: str
     inputs: TireInputs
     observed: np.ndarray
-    std: np.ndarray
+    std: np.ndarray  # (n,) of the noise, which is given unless ``estimated``
     estimated: bool
-    run: np.ndarray
-    pure: np.ndarray
+    run: np.ndarray  # (n,) number of the run
+    pure: np.ndarray  # (n,) rows of pure slip; none if too few to be fitted alone
 
     def column(self, name: str) -> np.ndarray:
         """One of the inputs, (n,)."""
@@ -136,8 +131,7 @@ def rows_of_part(
 def rows_of_forces(
     data: TireData, forces: Sequence[str], config: FitConfig
 ) -> dict[str, ForceRows]:
-    """The rows of every force that the data hold with its slip; of M_x only beside F_y,
-    on which it depends.
+    """The rows of every force that has its slip; of M_x only beside F_y.
 
     Raises:
         DataError: a force has fewer than 30 rows, or none is there with its slip.

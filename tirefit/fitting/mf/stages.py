@@ -27,8 +27,7 @@ from tirefit.fitting.mf.solve import (
     row_gradients,
     row_values,
 )
-from tirefit.fitting.noise import autocorrelation_time, design_effect
-from tirefit.fitting.noise_law import noise_law
+from tirefit.fitting.noise import autocorrelation_time, design_effect, noise_law
 from tirefit.models import TireInputs
 
 _ENOUGH = 2048
@@ -39,12 +38,10 @@ _TRIES, _ROUGHLY = 60, 0.01
 
 _ROUNDS = 10
 _SETTLED = 0.02
-"""Limit of rounds of search and noise estimation, and the relative change of the noise
-below which they end."""
+"""Most rounds of search and noise estimation; change of the noise that ends them."""
 
 _DETERMINED = 0.5
-"""Posterior over prior variance below which the rows determine a coefficient: later
-stages do not move it."""
+"""Posterior over prior variance below which later stages keep a coefficient."""
 
 _HELD = 0.98
 """Posterior over prior variance above which the rows do not identify a coefficient."""
@@ -53,26 +50,19 @@ Progress = Callable[[str], None]
 
 
 class Stage(NamedTuple):
-    """The record of one stage.
-
-    ``rows`` and ``cells`` are counts, ``moved`` is the number of coefficients that the
-    stage moved, ``chi2`` its weighted sum of squares, ``steps`` its passes over the
-    rows, and ``converged`` tells whether it ended before its limit of passes. ``rmse``
-    [N, N m] is the root mean square residual of the means of its cells at the end of
-    the stage, ``rmse_at_end`` at the end of the fit.
-    """
+    """The record of one stage."""
 
     name: str
     force: str
     pure: bool
     rows: int
     cells: int
-    moved: int
-    chi2: float
-    steps: int
-    converged: bool
-    rmse: float
-    rmse_at_end: float
+    moved: int  # number of coefficients that it moved
+    chi2: float  # weighted sum of squares
+    steps: int  # passes over the rows
+    converged: bool  # whether it ended before its limit of passes
+    rmse: float  # [N, N m] of the means of its cells at the end of the stage
+    rmse_at_end: float  # and at the end of the fit
 
     @property
     def part(self) -> str:
@@ -82,21 +72,16 @@ class Stage(NamedTuple):
 
 @dataclass
 class Search:
-    """The state of the search: u (p,), its covariance (p, p), and the stages done.
-
-    ``groups`` holds the cells of each force. ``near`` tells whether u started from the
-    coefficients of a tire that may be similar. ``moved`` are the coefficients that some
-    stage moved; ``held`` are those of them that the data do not identify.
-    """
+    """The state of the search: u (p,), its covariance (p, p), and the stages done."""
 
     problem: Problem
-    groups: dict[str, list[Group]]
+    groups: dict[str, list[Group]]  # cells of each force
     u: np.ndarray
     covariance: np.ndarray
-    near: bool = False
+    near: bool = False  # u started from a tire that may be similar
     stages: list[Stage] = field(default_factory=list)
-    moved: set[str] = field(default_factory=set)
-    held: set[str] = field(default_factory=set)
+    moved: set[str] = field(default_factory=set)  # coefficients that some stage moved
+    held: set[str] = field(default_factory=set)  # those that the data do not identify
 
     def rmse(self, group: Group) -> float:
         """Rms residual [N, N m] of the means of cells, weighted by rows."""

@@ -13,8 +13,7 @@ from tirefit.params import parameter_values, specs
 
 
 def tir_of(fit: MagicFormulaFit) -> TirFile:
-    """The tire property file of a fit; each coefficient has a comment with its origin
-    and standard error."""
+    """The tire property file of a fit; comments give origin and standard error."""
     version = VERSIONS[fit.model]
     known = specs(fit.tire)
     notes = {}

@@ -24,8 +24,7 @@ _ROUNDS = 6
 _SETTLED = 0.1
 """Limit of fits, and the change of b in standard errors below which they end."""
 
-_STEP = 0.05
-"""Relative change of friction for the derivatives of a force."""
+_STEP = 0.05  # relative change of friction for the derivatives of a force
 
 UNUSED = "the friction is not fitted over temperature (friction_temperature = true)"
 _LEAST = 1.0
@@ -38,12 +37,11 @@ Rows = Mapping[str, ForceRows]
 
 
 class FrictionTemperature(NamedTuple):
-    """Relative change of friction b [1/K] with its standard error; it is zero at
-    ``reference`` [degC]."""
+    """Relative change of friction with temperature; zero at ``reference``."""
 
-    b: float
-    std: float
-    reference: float
+    b: float  # [1/K]
+    std: float  # standard error
+    reference: float  # [degC]
 
     def text(self) -> str:
         """The result as one sentence."""
