@@ -48,6 +48,10 @@ def export(
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="of the wheel, in SI units (--list)"),
     ] = None,
+    forces: Annotated[
+        str,
+        typer.Option(metavar="F,F,...", help="of fx, fy, mz, mx, my; all by default"),
+    ] = "",
     convention: Annotated[
         str, typer.Option(help="signs of the file: iso-w, sae, adapted-sae, braking")
     ] = "iso-w",
@@ -88,11 +92,12 @@ def export(
             raise UsageError(problems)
         assert source and to and out
         name = out.stem if name is None else name
-        check(source, to, out, convention, name, force, model, of_wheel)
+        check(source, to, out, convention, name, force, model, of_wheel, forces)
         start_jax()
         done = export(
             source, to, out, values=values, diagnosis=diagnosis,
-            model=model, wheel=of_wheel, convention=convention, name=name, force=force,
+            model=model, wheel=of_wheel, forces=forces, convention=convention,
+            name=name, force=force,
         )  # fmt: skip
         for note in done.notes:
             complain(f"note: {note}")

@@ -3,7 +3,7 @@
 import keyword
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -123,6 +123,7 @@ def export(
     diagnosis: "Diagnosis | str | os.PathLike | None" = None,
     model: str | None = None,
     wheel: Mapping[str, float] | None = None,
+    forces: Sequence[str] | str = (),
     convention: str = "iso-w",
     name: str | None = None,
     force: bool = False,
@@ -139,6 +140,8 @@ def export(
         values: parameter values of a model or a ``.tir`` file; a fit has its own.
         diagnosis: of the same model, or its ``NAME.json``: the effects that it names
             change the tire where the target can hold them.
+        forces: of source code, of fx, fy, mz, mx, my those that are wanted; all if
+            empty. Fewer are computed faster.
         convention: signs of the file's inputs and forces.
         name: of the function in the file; the file's own name by default.
         model: version of the Magic Formula of a ``.tir``: ``mf52``, ``mf61``, ``mf62``.
@@ -168,20 +171,23 @@ def export(
     path = Path(path)
     if name is None or target in TARGETS and TARGETS[target].prepare:
         name = path.stem
-    check(source, target, path, convention, name, force, model, wheel)
+    check(source, target, path, convention, name, force, model, wheel, forces)
     tire, chosen = tire_of(source, values, diagnosis), TARGETS[target]
     if chosen.prepare is not None:
         held = chosen.prepare(tire, model, wheel or {})
         missed = check_loss(tire, held, target, force)
         tire = replace(held, notes=held.notes + missed)
+    if forces:
+        asked = forces.split(",") if isinstance(forces, str) else forces
+        tire = replace(tire, asked=tuple(asked))
     first = f"{MARK}, tirefit {__version__}: {tire.name} for {target}"
     try:
-        forces = tire.program(convention)
-        shape = shape_of(tire, forces, convention)
-        above = [first, *header(tire, forces, convention), *shape.sentences]
+        program = tire.program(convention)
+        shape = shape_of(tire, program, convention)
+        above = [first, *header(tire, program, convention), *shape.sentences]
         # A line of a file's name or text must not end the comment.
         above = [_NEW_LINE.sub(" ", line) for line in above]
-        draft = Draft(tire, forces, convention, above, name, wheel or {})
+        draft = Draft(tire, program, convention, above, name, wheel or {})
         text = chosen.write(draft)
     except NotImplementedError as error:
         reason = f"{tire.name} cannot be written for {target}: {error}"
@@ -201,6 +207,7 @@ def check(
     force: bool,
     model: str | None = None,
     wheel: Mapping[str, float] | None = None,
+    forces: Sequence[str] | str = (),
 ) -> None:
     """Raises UsageError for all that is wrong with a request, before the work."""
     problems = []
@@ -214,6 +221,9 @@ def check(
     asked = {"--model": model, "--wheel": wheel}
     for option in [option for option, given in asked.items() if given and is_code]:
         reason = f"{option} with --to {target}, which has no use for it"
+        problems.append(InputProblem(reason, "leave it out"))
+    if not is_code and forces:
+        reason = f"--forces with --to {target}, which has them all"
         problems.append(InputProblem(reason, "leave it out"))
     if not is_code and convention != TIR_SIGNS:
         reason = f"--convention {convention} with --to {target}"
