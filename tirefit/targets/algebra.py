@@ -1,19 +1,20 @@
 """Rules by which operations become fewer or cheaper, to the last digits the same."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 _COMMUTE = frozenset({"add", "mul", "min", "max", "eq"})
 
 
-def in_order(op: str, args: tuple, is_term) -> tuple:
+def in_order(op: str, args: tuple, is_term: Callable[..., bool]) -> tuple:
     """Arguments of an operation that may be exchanged in one order: constants first."""
     if op not in _COMMUTE:
         return args
     return tuple(sorted(args, key=lambda one: (is_term(one), one)))
 
 
-def simplified(graph, op: str, args: tuple) -> Any:
+def simplified(graph: Any, op: str, args: tuple) -> Any:
     """What an operation is instead; None where it stays as it is.
 
     A product with an exact zero is zero: that is the derivative by an input that does
@@ -63,8 +64,6 @@ def _mul(graph, x, y):
         op, args = graph.parts(one)
         if op == "neg":
             return graph.apply("neg", graph.apply("mul", args[0], other))
-        if op == "mul" and _constant(graph, args[0]):
-            return graph.apply("mul", args[0], graph.apply("mul", args[1], other))
     return None
 
 
@@ -113,7 +112,7 @@ def _where(graph, condition, yes, no):
     return yes if yes == no else None
 
 
-_RULES = {
+_RULES: dict[str, Callable] = {
     "add": _add, "sub": _sub, "mul": _mul, "div": _div, "neg": _neg, "pow": _pow,
     "where": _where,
 }  # fmt: skip

@@ -18,6 +18,11 @@ from tirefit.targets.algebra import in_order, simplified
 MOST_OPERATIONS = 20_000
 """Operations from which a program is too long to be compiled by others."""
 
+_MOST_TRIED = 10 * MOST_OPERATIONS
+"""The same with those that no result needs."""
+
+_TOO_LONG = f"it takes over {MOST_OPERATIONS} operations"
+
 LEAST = 1e-36
 """The smallest positive constant of a program."""
 
@@ -58,8 +63,8 @@ class Graph:
         """The term of an operation."""
         key = Operation(op, args)
         if key not in self._known:
-            if len(self.operations) >= MOST_OPERATIONS:
-                raise NotImplementedError(f"it takes over {MOST_OPERATIONS} operations")
+            if len(self.operations) >= _MOST_TRIED:
+                raise NotImplementedError(_TOO_LONG)
             self._known[key] = Term(len(self.operations))
             self.operations.append(key)
         return self._known[key]
@@ -135,7 +140,10 @@ def traced(
         }
     results = {name: value.item() for name, value in found.items()}
     program = _pruned(Program(tuple(inputs), results, graph.operations))
-    return _pruned(_with_reciprocals(program))
+    program = _pruned(_with_reciprocals(program))
+    if len(program.operations) > MOST_OPERATIONS:
+        raise NotImplementedError(_TOO_LONG)
+    return program
 
 
 def _array(value) -> np.ndarray:

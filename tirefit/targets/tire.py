@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from tirefit.fitting.result import FitResult
     from tirefit.fitting.store import StoredFit
 
-    Source = FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike
+    Fit = FitResult | MagicFormulaFit | StoredFit
 
     Source = AbstractTire | FitResult | MagicFormulaFit | StoredFit | str | os.PathLike
 
@@ -175,7 +175,7 @@ def turned_range(
 
 
 def tire_of(
-    source: "Source",
+    source: "Fit | AbstractTire | str | os.PathLike",
     values: Mapping[str, float] | None = None,
     diagnosis: "Diagnosis | str | os.PathLike | None" = None,
 ) -> Tire:
@@ -295,6 +295,7 @@ def _with_effects(tire: Tire, diagnosis) -> Tire:
     return replace(
         tire, model=report.tire, bare=report.bare if report.names else None,
         spread={k: std for k, std in tire.spread.items() if k not in own}, notes=notes,
+        tir=tire.tir and tire.tir.with_values(own),
     )  # fmt: skip
 
 
