@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 import tirefit
 from tirefit.cli.commands import app
+from tirefit.data.tir import read_tir
 from tirefit.models import CombinedMagicFormula, MagicFormula
 from tirefit.params import parameter_values
 from tirefit.results import DataError, UsageError
@@ -122,6 +123,25 @@ def test_a_fit_takes_the_parameters_beside_the_effects(tmp_path):
     done = tirefit.export(fit, "numpy", path, diagnosis=said)
     assert "mu = 0.9 -" in path.read_text()
     assert any("without standard error" in note for note in done.notes)
+
+
+def test_a_tir_holds_the_parameters_and_says_what_its_effects_lose(tmp_path):
+    source = "tests/data/tir/mfeval_julia/MagicFormula61_Parameters.tir"
+    given = read_tir(source)
+    said = document(
+        tmp_path / "run.json", ("load_friction", "power", -0.03),
+        parameters={"LMUX": 0.8}, simulator={"kind": "tir"},
+    )  # fmt: skip
+    path = tmp_path / "t.tir"
+    done = tirefit.export(source, "tir", path, diagnosis=said)
+    assert read_tir(path).numbers["LMUX"] == 0.8
+    told = "\n".join(done.notes)
+    assert "not in this file: load_friction" in told and "in the forces" not in told
+    miss = float(told.split("largest miss of the file in F_z: fx ")[1].split("%")[0])
+    # Friction times (F_z / F_z0)^-0.03 at the ends of 0.5 to 1.5 times the load.
+    most = (1.5 * given.numbers["FNOMIN"] / F0) ** -0.03 - 1
+    peak = 1.23 * 0.8
+    assert 0.5 < miss / 100 / (abs(most) * peak) < 1.1
 
 
 def test_bad_documents_are_refused_and_nothing_is_written(tmp_path):

@@ -69,6 +69,10 @@ def export(
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="of the wheel, in SI units (--list)"),
     ] = None,
+    forces: Annotated[
+        str,
+        typer.Option(metavar="F,F,...", help="of fx, fy, mz, mx, my; all by default"),
+    ] = "",
     convention: Annotated[
         str, typer.Option(help="signs of the file: iso-w, sae, adapted-sae, braking")
     ] = "iso-w",
@@ -116,7 +120,7 @@ def export(
         done = export(
             source, to, out, front=front, rear=rear, vehicle=vehicle, over=ranges,
             values=values, diagnosis=diagnosis, model=model, wheel=of_wheel,
-            convention=convention, name=name, force=force,
+            forces=forces, convention=convention, name=name, force=force,
         )  # fmt: skip
         for note in done.notes:
             complain(note if note.startswith("warning") else f"note: {note}")

@@ -103,7 +103,8 @@ def convert_whole(
     tir = read_tir(file)
     check_directories([out])
     start_jax()
-    from tirefit.fitting.mf.convert import USUAL_SHARES, converted
+    from tirefit.fitting.mf.convert import converted
+    from tirefit.fitting.tir import USUAL_SHARES
 
     loads = loads or [share * tir.numbers["FNOMIN"] for share in USUAL_SHARES]
     with claimed(out):

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Atom, effects_by_id
 from tirefit.diagnosis.effects.state import (
@@ -31,9 +31,10 @@ from tirefit.diagnosis.effects.state import (
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.search import Hypothesis
 from tirefit.diagnosis.rows.covariates import column, slowest
-from tirefit.door import RECORD, content_of
+from tirefit.diagnosis.rows.prepared import MODES
+from tirefit.door import RECORD, content_of, outrageous
 from tirefit.models import AbstractTire, TireForces, TireInputs
-from tirefit.params import specs, with_values
+from tirefit.params import check_values, specs, with_values
 from tirefit.results import DataError, InputProblem, UsageError
 
 SCHEMA = "tirefit.diagnosis/3"
@@ -226,7 +227,7 @@ class Document(_Part):
     candidates: list[_Candidate]
     base_parameters: dict[str, float]
     extended_parameters: dict[str, float]
-    extension: Extension = Field()
+    extension: Extension
 
 
 def read_document(path: str | PathLike) -> Document:
@@ -251,7 +252,16 @@ def document_of(text: str) -> Document:
     content = json.loads(text)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise ValueError(f"its schema is not {SCHEMA}")
-    return Document.model_validate(content)
+    if odd := outrageous(content, 0.0):
+        raise ValueError(": ".join(odd))
+    document = Document.model_validate(content)
+    to = document.extension
+    for name in ("fz", "load", "slowest", "brisk", "cruise", "rise", "peak", "used"):
+        if not getattr(to, name) > 0:
+            raise ValueError(f"extension.{name} is not positive")
+    if to.mode not in MODES:
+        raise ValueError(f"extension.mode is {to.mode!r}")
+    return document
 
 
 class Report(NamedTuple):
@@ -270,7 +280,9 @@ class Report(NamedTuple):
     sentences: tuple[str, ...]
 
 
-def extend(tire: AbstractTire, name: str, document: Document, finish: Callable):
+def extend(
+    tire: AbstractTire, name: str, document: Document, finish: Callable
+) -> Report:
     """A tire with the named effects of a diagnosis.
 
     Args:
@@ -279,12 +291,9 @@ def extend(tire: AbstractTire, name: str, document: Document, finish: Callable):
         name: of its model.
         finish: what is done to a tire before the effects change it.
 
-    Returns:
-        The :class:`Report`.
-
     Raises:
         UsageError: the diagnosis is of another model, or of a simulator that is known
-            by its forces alone.
+            by its forces alone; or its parameters are outside their bounds.
     """
     verdict, remedy = document.verdict, f"diagnose with --model {name}"
     known = specs(tire)
@@ -294,6 +303,8 @@ def extend(tire: AbstractTire, name: str, document: Document, finish: Callable):
         what = "a simulator's columns" if columns else document.model
         reason = f"the diagnosis is of {what}, the tire is a {name}"
         raise UsageError(InputProblem(reason, remedy))
+    for values in (document.extended_parameters, document.base_parameters):
+        check_values(tire, name, values)
     sentences = [
         f"diagnosis of {document.data.name} (sha256 {document.data.sha256[:12]}):"
         f" {verdict.status.replace('_', ' ')}, probability {verdict.probability:.2f}"
@@ -341,7 +352,8 @@ def _judged(id: str, document: Document) -> _Judged:
     amplitudes = next(sets, _Candidate(effects=[], parameters={})).parameters
     whole = next((key for key in amplitudes if key.startswith(prefix)), None)
     variant = document.extension.variants.get(id)
-    if whole is None or variant is None or variant >= len(effect.variants):
+    known = range(len(effect.variants))
+    if whole is None or variant is None or variant not in known:
         return _Judged(None, 0.0, f"not in the forces: {id}: it has no amplitude")
     size, atom = amplitudes[whole], Atom(effect, variant)
     said = f"{id} {whole.removeprefix(prefix)} = {size.value:.5g} +- {size.std:.2g}"

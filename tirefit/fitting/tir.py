@@ -17,6 +17,12 @@ from tirefit.slip import CONVENTIONS, kappa_from_sigma
 
 TIR_SIGNS = "iso-w"  # convention of ``.tir`` files: that of the axes TYDEX W
 
+USUAL_SLIP = 0.3
+"""Largest kappa and slip angle [rad] of a conversion where none is asked for."""
+
+USUAL_SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)
+"""Its loads over the nominal load."""
+
 _SYMBOLS = {"fx": "F_x", "fy": "F_y", "mz": "M_z"}
 _NEEDED = {
     "camber": "PDY3 PKY3 PKY6 PKY7 PHY3 PVY3 PVY4 PEY4 PEY5",

@@ -11,8 +11,7 @@ import numpy as np
 
 from tirefit.data.tir_file import TirFile
 from tirefit.files import json_text
-from tirefit.fitting.mf.convert import USUAL_SHARES, USUAL_SLIP
-from tirefit.fitting.tir import own_tire
+from tirefit.fitting.tir import USUAL_SHARES, USUAL_SLIP, own_tire
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import WEIGHTS, MFTire, frictions
 from tirefit.results import InputProblem, UsageError

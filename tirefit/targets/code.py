@@ -138,6 +138,16 @@ typedef double tirefit_real;
 #define TIREFIT_F(name) name
 #endif
 #define TIREFIT_C(number) ((tirefit_real)(number))
+/* Define TIREFIT_LOOP before the first header where a loop over arrays calls it: gcc
+   -O3 -march=native -ffast-math then computes several at once, which it cannot for a
+   sine and a cosine of one angle. */
+#ifdef TIREFIT_LOOP
+#define TIREFIT_COS(angle) TIREFIT_F(sin)((angle) + TIREFIT_C(1.5707963267948966))
+#define TIREFIT_INLINE static inline __attribute__((always_inline))
+#else
+#define TIREFIT_COS(angle) TIREFIT_F(cos)(angle)
+#define TIREFIT_INLINE static inline
+#endif
 #endif
 """
 
@@ -170,5 +180,5 @@ def _c_function(program: Program, name: str, given, count: int) -> list[str]:
         by, force = divmod(k - count, count)
         place = f"force[{k}]" if k < count else f"slope[{force}][{by}]"
         lines.append(f"    {place} = {result};")
-    head = f"static inline void {name}({', '.join([*inputs, *given])})"
+    head = f"TIREFIT_INLINE void {name}({', '.join([*inputs, *given])})"
     return [head, "{", *lines, "}"]

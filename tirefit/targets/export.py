@@ -2,7 +2,7 @@
 
 import keyword
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -135,6 +135,7 @@ def export(
     diagnosis: "Diagnosis | str | os.PathLike | None" = None,
     model: str | None = None,
     wheel: Mapping[str, float] | None = None,
+    forces: Sequence[str] | str = (),
     convention: str = "iso-w",
     name: str | None = None,
     force: bool = False,
@@ -158,6 +159,8 @@ def export(
         values: parameter values of a model or a ``.tir`` file; a fit has its own.
         diagnosis: of the same model, or its ``NAME.json``: the effects that it names
             change the tire where the target can hold them.
+        forces: of source code, of fx, fy, mz, mx, my those that are wanted; all if
+            empty. Fewer are computed faster.
         convention: signs of the file's inputs and forces.
         name: of the function in the file; the file's own name by default.
         model: version of the Magic Formula of a ``.tir``: ``mf52``, ``mf61``, ``mf62``.
@@ -190,7 +193,7 @@ def export(
         name = path.stem
     given = {"": source, "front": front, "rear": rear}
     given = {axle: one for axle, one in given.items() if one is not None}
-    check(given, target, path, convention, name, force, model, wheel)
+    check(given, target, path, convention, name, force, model, wheel, forces)
     if isinstance(chosen, Target) and (vehicle is not None or over or "" not in given):
         reason = f"{target} holds one tire as it is: no axles, vehicle or range"
         raise UsageError(InputProblem(reason, "leave them out, or see --list"))
@@ -207,11 +210,14 @@ def export(
         held = chosen.prepare(tire, model, wheel or {})
         missed = check_loss(tire, held, target, force)
         tire = replace(held, notes=held.notes + missed)
+    if forces:
+        asked = forces.split(",") if isinstance(forces, str) else forces
+        tire = replace(tire, asked=tuple(asked))
     try:
-        forces = tire.program(convention)
-        shape = shape_of(tire, forces, convention)
-        above = [first, *header(tire, forces, convention), *shape.sentences]
-        draft = Draft(tire, forces, convention, one_line(above), name, wheel or {})
+        program = tire.program(convention)
+        shape = shape_of(tire, program, convention)
+        above = [first, *header(tire, program, convention), *shape.sentences]
+        draft = Draft(tire, program, convention, one_line(above), name, wheel or {})
         text = chosen.write(draft)
     except NotImplementedError as error:
         reason = f"{tire.name} cannot be written for {target}: {error}"
@@ -231,6 +237,7 @@ def check(
     force: bool,
     model: str | None = None,
     wheel: Mapping[str, float] | None = None,
+    forces: Sequence[str] | str = (),
 ) -> None:
     """Raises UsageError for all that is wrong with a request, before the work.
 
@@ -254,6 +261,9 @@ def check(
             problems.append(InputProblem(reason, "leave it out"))
     if not _is_code(chosen) and convention != TIR_SIGNS:
         reason = f"--convention {convention}: {target} has signs of its own"
+        problems.append(InputProblem(reason, "leave it out"))
+    if forces and not _is_code(chosen):
+        reason = f"--forces with --to {target}, which has them all"
         problems.append(InputProblem(reason, "leave it out"))
     if _is_code(chosen) and not _function_name(name):
         remedy = "name the function with --name: letters, digits and _, no keyword"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tirefit.fitting.mf.convert import USUAL_SHARES, USUAL_SLIP
+from tirefit.fitting.tir import USUAL_SHARES, USUAL_SLIP
 from tirefit.results import InputProblem, UsageError
 from tirefit.targets.code import compiled
 from tirefit.targets.tire import UNITS, Tire, turned_range

@@ -7,11 +7,15 @@ from dataclasses import replace
 from tirefit.data.tir import new_tir, parse_tir, reduced_tir
 from tirefit.data.tir_file import TirFile
 from tirefit.data.tir_keys import LIMITS, ONLY_IN
-from tirefit.fitting.mf.convert import USUAL_SHARES, USUAL_SLIP, converted
-from tirefit.fitting.mf.parts import VERSIONS
-from tirefit.fitting.tir import TIR_SIGNS, own_tire, remarks
+from tirefit.fitting.tir import (
+    TIR_SIGNS,
+    USUAL_SHARES,
+    USUAL_SLIP,
+    own_tire,
+    remarks,
+)
 from tirefit.models import AbstractTire
-from tirefit.models.mf import MFTire
+from tirefit.models.mf import MAGIC_FORMULAS, MFTire
 from tirefit.params import parameter_values, specs
 from tirefit.results import InputProblem, UsageError, did_you_mean
 from tirefit.targets.code import PARAMETERS, Draft
@@ -53,10 +57,12 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
             "a Magic Formula has no curve of a brush: its slope 2 c_p a^2 and its"
             f" largest force mu F_z are kept at F_z = {tire.load:.4g} N"
         )
-    if model and VERSIONS[model] != tir.version:
+    if model and MAGIC_FORMULAS[model].version != tir.version:
+        from tirefit.fitting.mf.convert import converted  # slow to import
+
         loads = [share * tir.numbers["FNOMIN"] for share in USUAL_SHARES]
         fit = converted(tir, model, USUAL_SLIP, loads)
-        notes.append(f"refitted from Magic Formula {tir.version} to {VERSIONS[model]}")
+        notes.append(f"refitted from Magic Formula {tir.version} to {fit.tire.version}")
         spread = {k: one.std for k, one in fit.coefficients.items() if one.std}
         tir = new_file(replace(tire, model=fit.tire, spread=spread))
     held = own_tire(tir)
@@ -68,8 +74,9 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
 
 def _check(model: str | None, wheel: Mapping[str, float], keys) -> None:
     problems = []
-    if model is not None and model not in VERSIONS:
-        remedy = f"{did_you_mean(model, VERSIONS)}valid: {', '.join(VERSIONS)}"
+    if model is not None and model not in MAGIC_FORMULAS:
+        known = ", ".join(MAGIC_FORMULAS)
+        remedy = f"{did_you_mean(model, MAGIC_FORMULAS)}valid: {known}"
         problems.append(InputProblem(f"--model: {model!r} is not known", remedy))
     for name, value in wheel.items():
         if name not in keys:

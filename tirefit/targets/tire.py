@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,12 +11,9 @@ import jax.numpy as jnp
 
 from tirefit.data.tir import TirFile, read_tir
 from tirefit.data.tir_keys import LIMITS
-from tirefit.fitting.mf.result import MagicFormulaFit
-from tirefit.fitting.problem import find_model
-from tirefit.fitting.result import FitResult
-from tirefit.fitting.store import StoredFit, at_estimate, load_fit
 from tirefit.fitting.tir import TIR_SIGNS, own_tire, remarks
 from tirefit.models import (
+    MODELS,
     AbstractTire,
     CombinedMagicFormula,
     MagicFormula,
@@ -24,14 +22,28 @@ from tirefit.models import (
 )
 from tirefit.models.mf import MFTire
 from tirefit.models.relaxation import Relaxed
-from tirefit.params import check_values, parameter_values, specs, with_values
+from tirefit.params import (
+    check_names,
+    check_values,
+    parameter_values,
+    specs,
+    with_values,
+)
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 from tirefit.slip import CONVENTIONS, LOCKED, kappa_from_sigma
-from tirefit.targets.program import Program, traced, with_derivatives
+from tirefit.targets.program import Program, traced
 
+# What reads fits and diagnoses takes longer to import than an export of a .tir file.
 if TYPE_CHECKING:
     from tirefit.diagnosis.summary.result import Diagnosis
+    from tirefit.fitting.mf.result import MagicFormulaFit
+    from tirefit.fitting.result import FitResult
+    from tirefit.fitting.store import StoredFit
+
+    Fit = FitResult | MagicFormulaFit | StoredFit
+
+    Source = AbstractTire | FitResult | MagicFormulaFit | StoredFit | str | os.PathLike
 
 INPUTS = ("kappa", "alpha", "fz", "v", "gamma", "pressure")
 """Arguments of an exported tire, in order: practical slip [-], slip angle [rad], load
@@ -65,6 +77,7 @@ class Tire:
         bare: the model without the effects of a diagnosis; None where it has none.
         tir: the file that states the model, for targets that write one.
         relaxation: relaxation length [m], which is not in the forces; None without.
+        asked: forces and moments that are wanted; empty for all.
     """
 
     model: AbstractTire
@@ -77,6 +90,7 @@ class Tire:
     bare: AbstractTire | None = None
     tir: TirFile | None = None
     relaxation: float | None = None
+    asked: tuple[str, ...] = ()
 
     @property
     def largest_load(self) -> float:
@@ -104,6 +118,16 @@ class Tire:
         known = "; beyond it the model extrapolates" if told else "not known"
         return ", ".join(told) + known
 
+    @cached_property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the forces and moments.
+
+        Raises:
+            UsageError: one that is asked for, and that the model does not give.
+        """
+        given = modelled(self.model)
+        return check_names("force", self.asked, given) if self.asked else given
+
     def function(self, convention: str) -> tuple[Callable, tuple[str, ...]]:
         """The forces as a JAX function of the scalars :data:`INPUTS`, and their names.
 
@@ -112,7 +136,7 @@ class Tire:
                 the forces have its signs.
         """
         require_x64("an export")
-        signs, outputs = CONVENTIONS[convention], modelled(self.model)
+        signs, outputs = CONVENTIONS[convention], self.outputs
 
         def forces(kappa, alpha, fz, v, gamma, pressure):
             kappa = signs.slip * kappa
@@ -134,12 +158,7 @@ class Tire:
             jacobian: with the derivatives by kappa, alpha and fz, named ``fx_kappa``.
         """
         function, outputs = self.function(convention)
-        names = list(outputs)
-        if jacobian:
-            by = range(ALWAYS)
-            function = with_derivatives(function, len(INPUTS), by)
-            names += [f"{out}_{INPUTS[k]}" for k in by for out in outputs]
-        program = traced(function, INPUTS, names)
+        program = traced(function, INPUTS, outputs, range(ALWAYS) if jacobian else ())
         used = {args[0] for op, args in program.operations if op == "input"}
         keep = [k for k in range(len(INPUTS)) if k < ALWAYS or k in used]
         operations = [
@@ -164,7 +183,7 @@ def turned_range(
 
 
 def tire_of(
-    source: FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike,
+    source: "Fit | AbstractTire | str | os.PathLike",
     values: Mapping[str, float] | None = None,
     diagnosis: "Diagnosis | str | os.PathLike | None" = None,
 ) -> Tire:
@@ -189,9 +208,8 @@ def _given(source, values: Mapping[str, float] | None) -> Tire:
     text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
     if text.lower().endswith(".tir"):
         return _of_tir(text, values or {})
-    if text.endswith(".json") or text and Path(text).is_file():
-        source = load_fit(text)
-    if isinstance(source, FitResult | MagicFormulaFit | StoredFit):
+    is_file = text.endswith(".json") or text and Path(text).is_file()
+    if is_file or not isinstance(source, str | os.PathLike | AbstractTire):
         if values:
             reason = "parameter values beside a fit, which has its own"
             raise UsageError(InputProblem(reason, "leave out --set, or name a model"))
@@ -199,14 +217,27 @@ def _given(source, values: Mapping[str, float] | None) -> Tire:
     if isinstance(source, AbstractTire):
         tire, name = source, type(source).__name__
     else:
-        tire, name = find_model(text), text
+        tire, name = _model(text), text
     check_values(tire, name, values or {})
     tire = with_values(tire, dict(values or {}))
     load = tire.nominal.FNOMIN if isinstance(tire, MFTire) else _USUAL_LOAD
     return Tire(tire, name, f"model {name}, no data", float(load))
 
 
-def _of_fit(fit: FitResult | MagicFormulaFit | StoredFit, path: str) -> Tire:
+def _model(name: str) -> AbstractTire:
+    if name in MODELS:
+        return MODELS[name]
+    from tirefit.fitting.problem import find_model
+
+    return find_model(name)
+
+
+def _of_fit(source, path: str) -> Tire:
+    """Of a fit, or of its file if ``path`` is not empty."""
+    from tirefit.fitting.mf.result import MagicFormulaFit
+    from tirefit.fitting.store import StoredFit, at_estimate, load_fit
+
+    fit = load_fit(path) if path else source
     content = fit.content if isinstance(fit, StoredFit) else fit.to_dict()
     if isinstance(fit, MagicFormulaFit):
         tire: AbstractTire = fit.tire
@@ -273,6 +304,7 @@ def _with_effects(tire: Tire, diagnosis) -> Tire:
     return replace(
         tire, model=report.tire, bare=report.bare if report.names else None,
         spread={k: std for k, std in tire.spread.items() if k not in own}, notes=notes,
+        tir=tire.tir and tire.tir.with_values(own),
     )  # fmt: skip
 
 

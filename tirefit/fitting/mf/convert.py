@@ -21,12 +21,6 @@ from tirefit.params import specs
 _CAMBER, _PRESSURE = 0.08, 0.2
 """Largest camber [rad] and relative change of pressure, if the file allows them."""
 
-USUAL_SLIP = 0.3
-"""Largest kappa and slip angle [rad] of a conversion where none is asked for."""
-
-USUAL_SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)
-"""Its loads over the nominal load."""
-
 _OTHER_SLIPS = (-0.4, -0.15, 0.15, 0.4)
 """Slip angles of combined sweeps, relative to the largest."""
 
