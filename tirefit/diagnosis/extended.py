@@ -296,7 +296,7 @@ def extend(
         UsageError: the diagnosis is of another model, or of a simulator that is known
             by its forces alone; or its parameters are outside their bounds.
     """
-    verdict, remedy = document.verdict, f"diagnose with --model {name}"
+    verdict, remedy = document.verdict, "diagnose the model, fit or .tir of this tire"
     known = specs(tire)
     columns = document.simulator is not None and document.simulator.kind == "columns"
     other = document.simulator is None and document.model != name
