@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tests.bench.exported import exported_tire
 from tests.bench.magic_formula_fit import whole_magic_formula
 
 HERE = Path(__file__).parent
@@ -586,7 +587,7 @@ def braking_stops(stops: int = 1000, peers: int = 2) -> None:
 
 ENTRIES = (
     help_text, cold_fit, batch, magic_formula, brush_with_gradient, posterior, online,
-    braking_stops, whole_magic_formula,
+    braking_stops, whole_magic_formula, exported_tire,
 )  # fmt: skip
 
 OF_DIAGNOSIS = (

@@ -120,6 +120,33 @@ def test_what_a_tir_cannot_hold_is_refused_and_nothing_is_written(tmp_path):
     assert brush_of(read_tir(path)) is not None
 
 
+@pytest.mark.parametrize("model", ["mf52", "mf61", "mf62"])
+def test_the_reduced_form_has_the_slopes_and_the_limit_in_every_version(
+    model, tmp_path
+):
+    path, values = tmp_path / "t.tir", {"cpa2": 3e4, "mu": 0.4}
+    wheel = {"radius": 0.3}
+    tirefit.export(
+        "brush", "tir", path, values=values, model=model, wheel=wheel, force=True
+    )
+    read = read_tir(path)
+    tire, fz = own_tire(read), read.numbers["FNOMIN"]
+    assert read.version == f"{model[2]}.{model[3]}"
+    for slip, name in (("sigma_x", "fx"), ("alpha", "fy")):
+        for at, wanted in ((1e-6, 2 * 3e4 * 1e-6), (0.9, 0.4 * fz)):
+            given = TireInputs(fz=fz)._replace(**{slip: at})
+            found = float(getattr(forces(tire, given), name))
+            assert found == pytest.approx(wanted, rel=1e-2 if at > 0.1 else 1e-4)
+
+
+def test_chrono_takes_a_brush(tmp_path):
+    path, wheel = tmp_path / "wheel.json", WHEEL | {"radius": 0.3, "friction": 0.9}
+    tirefit.export("brush", "chrono", path, wheel=wheel, force=True)
+    values = chrono_values(path.with_suffix(".tir"))
+    assert values["MODEL", "FITTYP"] == "6" and values["MODEL", "FE_METHOD"] == "NO"
+    assert json.loads(path.read_text())["Coefficient of Friction"] == 0.9
+
+
 def test_a_version_is_converted(tmp_path):
     path = tmp_path / "t.tir"
     source = TIR / "MagicFormula62_Parameters.tir"

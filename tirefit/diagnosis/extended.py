@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from tirefit.diagnosis.decide.verdict import UNKNOWN
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Atom, effects_by_id
 from tirefit.diagnosis.effects.state import (
     Covariates,
@@ -295,7 +296,7 @@ def extend(
         UsageError: the diagnosis is of another model, or of a simulator that is known
             by its forces alone; or its parameters are outside their bounds.
     """
-    verdict, remedy = document.verdict, f"diagnose with --model {name}"
+    verdict, remedy = document.verdict, "diagnose the model, fit or .tir of this tire"
     known = specs(tire)
     columns = document.simulator is not None and document.simulator.kind == "columns"
     other = document.simulator is None and document.model != name
@@ -345,7 +346,8 @@ class _Judged(NamedTuple):
 def _judged(id: str, document: Document) -> _Judged:
     effect = effects_by_id((*EFFECTS, *NOISE_EFFECTS)).get(id)
     if effect is None or not hasattr(effect, "change"):
-        what = "of the noise" if effect else "not in the library of this version"
+        what = "of the noise" if effect else "not in the library of effects"
+        what = "no listed effect explains it" if id == UNKNOWN else what
         return _Judged(None, 0.0, f"not in the forces: {id}: {what}")
     prefix, named = f"{id}: ", set(document.verdict.effects)
     sets = (one for one in document.candidates if set(one.effects) == named)
@@ -357,7 +359,8 @@ def _judged(id: str, document: Document) -> _Judged:
         return _Judged(None, 0.0, f"not in the forces: {id}: it has no amplitude")
     size, atom = amplitudes[whole], Atom(effect, variant)
     said = f"{id} {whole.removeprefix(prefix)} = {size.value:.5g} +- {size.std:.2g}"
-    said += f" {size.unit}: {effect.means} ({effect.formula})"
+    unit = size.unit.removeprefix("-").strip()
+    said += f"{' ' if unit else ''}{unit}: {effect.means} ({effect.formula})"
     if effect.of == "measurement":
         reason = f"of the measurement, not in the forces: {said}; {effect.remedy}"
         return _Judged(None, 0.0, reason)

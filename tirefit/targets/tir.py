@@ -52,7 +52,7 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
     if isinstance(own, MFTire):
         tir = tire.tir or new_file(replace(tire, model=own))
     else:
-        tir = _reduced(own, tire, wheel)
+        tir = _reduced(own, tire, wheel, model)
         notes.append(
             "a Magic Formula has no curve of a brush: its slope 2 c_p a^2 and its"
             f" largest force mu F_z are kept at F_z = {tire.load:.4g} N"
@@ -89,8 +89,10 @@ def _check(model: str | None, wheel: Mapping[str, float], keys) -> None:
         raise UsageError(problems)
 
 
-def _reduced(model: AbstractTire, tire: Tire, wheel: Mapping[str, float]) -> TirFile:
-    values = parameter_values(model)
+def _reduced(
+    own: AbstractTire, tire: Tire, wheel: Mapping[str, float], model: str | None
+) -> TirFile:
+    values = parameter_values(own)
     if not {"cpa2", "mu"} <= values.keys():
         reason = f"a .tir holds a Magic Formula, or c_p a^2 and mu; not a {tire.name}"
         remedy = "fit mf52, mf61 or mf62 to the data, or a brush"
@@ -99,7 +101,12 @@ def _reduced(model: AbstractTire, tire: Tire, wheel: Mapping[str, float]) -> Tir
         reason = f"a .tir needs the radius of the free tire, which a {tire.name} lacks"
         raise UsageError(InputProblem(reason, "give it in m: --wheel radius=0.3"))
     given = {k: float(values[k]) for k in ("cpa2", "mu")}
-    return reduced_tir(**given, fz=tire.load, radius=wheel["radius"])
+    tir = reduced_tir(**given, fz=tire.load, radius=wheel["radius"])
+    version = MAGIC_FORMULAS[model].version if model else tir.version
+    if version == "5.2":
+        # It has no stiffness that is the same at every load: stationary at FNOMIN.
+        return new_tir(version, tir.numbers | {"PKY2": 1.0}, {}, {})
+    return tir if version == tir.version else tir.with_values({"FITTYP": 62.0})
 
 
 def new_file(tire: Tire) -> TirFile:
