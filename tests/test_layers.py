@@ -27,8 +27,8 @@ FLOORS = {
     "online": 3,
     "diagnosis": 4,
     "sim": 4,
-    "targets": 4,
     "report": 5,
+    "targets": 5,
     "cli": 6,
 }
 

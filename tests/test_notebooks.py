@@ -17,6 +17,8 @@ DATA = (
     Path("diagnosis_measured", "held_out.csv"),
     Path("dart_simulator", "circles.csv"),
     Path("dart_simulator", "free_driving.csv"),
+    *(Path("export", f"{t}_{axle}.csv") for t in "ad" for axle in ("front", "rear")),
+    Path("export", "avoidance.py"),
 )
 NAMES = [path.stem for path in NOTEBOOKS]
 
@@ -55,12 +57,13 @@ def rich(notebook, kind: str) -> list:
     return [content for content in found if content is not None]
 
 
-def test_there_are_four():
+def test_there_are_five():
     assert NAMES == [
         "brush_against_magic_formula",
         "diagnose_a_measured_case",
         "diagnose_a_simulator",
         "explore_a_fit",
+        "export_a_tire",
     ]
 
 

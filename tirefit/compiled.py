@@ -1,25 +1,27 @@
 """Programs that outlive the process: ``jax.jit`` whose traced program is kept on disk.
 
 JAX's own cache keeps what XLA compiled, but a new process still traces every function
-in Python first. Here the traced program (``jax.export``) is kept too, named by
-everything it depends on: the sources of the package, the versions of its libraries, the
-platform and the kind of device, the static arguments, and the structure, shapes and
-types of the others. A file that cannot be read is made anew; the programs that were
-used least recently go.
+in Python first. Here the traced program (``jax.export``) is kept too, under a digest of
+everything that it depends on: the sources of the package, the versions of its
+libraries, the platform and kind of device, the pickled static arguments, and the
+structure, shapes and types of the others. An unreadable file is made anew; the programs
+used least recently are removed.
 
-A program that runs a few times in a process, and so takes longer to compile than ever
-to run, says so (``brief``): it is compiled by the plainer of XLA's two ways.
+``brief`` marks a program that runs a few times in a process, and so takes longer to
+compile than it ever runs: it is compiled by the plainer of XLA's two ways.
 
-What it buys: a whole process ``tirefit fit --no-posterior`` of the simplest model (the
-brush, 400 rows, figures included), both caches warm, takes 2.4 s of processor time
-instead of 2.9 s with JAX's cache alone (medians of five alternating pairs on two shared
-cores); more where a model takes longer to trace.
+A whole process ``tirefit fit --no-posterior`` of the brush (400 rows, figures included,
+both caches warm) takes 5.3 s of processor time instead of 6.8 s with JAX's cache alone,
+``tirefit diagnose`` of 900 rows 10.8 s instead of 11.4 s (medians of five and of three
+alternating pairs on two shared, busy cores).
 """
 
 import contextlib
 import hashlib
 import inspect
+import io
 import os
+import pickle
 from collections.abc import Callable
 from functools import cache, update_wrapper
 from importlib.metadata import version
@@ -100,10 +102,9 @@ class Compiled:
         update_wrapper(self, function)
         self._options = _PLAINLY if brief else None
         self._function, self._static = function, static
-        self._name, self._qualname = function.__name__, function.__qualname__
         self._signature = inspect.signature(function)
         self._jitted = jax.jit(function, static_argnames=static)
-        self._programs: dict[str, Callable] = {}
+        self._programs: dict[tuple, Callable] = {}
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         if _directory is None:
@@ -116,32 +117,50 @@ class Compiled:
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return self._jitted(*args, **kwargs)
         shapes = [jax.typeof(leaf).str_short() for leaf in leaves]
-        description = f"{_device()} {self._qualname} {static} {structure} {shapes}"
-        key = hashlib.sha256(_sources() + description.encode()).hexdigest()
+        key = (*static.values(), structure, *shapes)
         if key not in self._programs:
-            path = _directory / f"{self._name}-{key[:32]}.program"
-            self._programs[key] = self._program(path, static, structure, leaves)
+            self._programs[key] = self._program(static, structure, leaves, shapes)
         return self._programs[key](leaves)
 
-    def _program(self, path: Path, static: dict, structure, leaves: list) -> Callable:
+    def _program(self, static: dict, structure, leaves: list, shapes) -> Callable:
         def flat(leaves):
             return self._function(**jax.tree.unflatten(structure, leaves), **static)
 
         try:
-            exported = jax.export.deserialize(bytearray(path.read_bytes()))
-            with contextlib.suppress(OSError):  # a directory of someone else
-                os.utime(path)  # used now
-        except Exception:
-            # Absent, torn or of another JAX: trace it, and keep it for next time.
-            try:
-                exported = jax.export.export(jax.jit(flat), disabled_checks=_SAFE)(
-                    leaves
-                )
+            given = jax.tree.unflatten(structure, shapes), static
+            path = _path(self._function, given)
+            exported = _kept(path)
+            if exported is None:
+                traced = jax.export.export(jax.jit(flat), disabled_checks=_SAFE)
+                exported = traced(leaves)
                 _write(path, bytes(exported.serialize()))
-            except (ValueError, NotImplementedError):
-                # A program that cannot be written down still runs.
-                return jax.jit(flat, compiler_options=self._options)
+        except (ValueError, NotImplementedError, pickle.PicklingError, AttributeError):
+            # A program that cannot be written down still runs.
+            return jax.jit(flat, compiler_options=self._options)
         return jax.jit(exported.call, compiler_options=self._options)
+
+
+def _path(function: Callable, given: Any) -> Path:
+    """The file of a function's program for these arguments."""
+    assert _directory is not None  # or nothing is kept
+    content = io.BytesIO(_sources())
+    content.seek(0, io.SEEK_END)
+    pickler = pickle.Pickler(content)
+    pickler.fast = True  # equal arguments in equal bytes, whatever objects they share
+    pickler.dump((_device(), function.__qualname__, given))
+    key = hashlib.sha256(content.getvalue()).hexdigest()
+    return _directory / f"{function.__name__}-{key[:32]}.program"
+
+
+def _kept(path: Path) -> jax.export.Exported | None:
+    """The program of a file; None where it is absent, torn or of another JAX."""
+    try:
+        exported = jax.export.deserialize(bytearray(path.read_bytes()))
+    except Exception:
+        return None
+    with contextlib.suppress(OSError):  # a directory of someone else
+        os.utime(path)  # used now
+    return exported
 
 
 def _evict(directory: Path) -> None:
@@ -174,8 +193,7 @@ def compiled(
     """Decorator: compile a function of arrays, and keep its programs between runs.
 
     Args:
-        static: names of the arguments that are part of the program; each must have a
-            ``repr`` that says all that the program depends on.
+        static: names of hashable arguments that are part of the program.
         brief: whether compiling the program takes longer than it will ever run.
     """
     return lambda function: Compiled(function, static, brief)

@@ -20,8 +20,7 @@ SETTINGS, TIRE, RECORD, CHAIN, DATA = (
 )  # fmt: skip
 """Largest files: settings, ``.tir``, JSON, kept chains, data (unpacked as well)."""
 
-_DEEPEST = 16
-"""Tables and lists in each other: settings and records have up to 6."""
+_DEEPEST = 16  # tables and lists in each other: settings and records have up to 6
 
 _LARGEST, _SMALLEST = 1e20, 1e-20
 """Size of numbers in settings, beyond which squares and products leave the floats."""
@@ -112,7 +111,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         if odd is None:
             return content
         reason = f"{odd[0]}: {odd[1]}"
-    raise UsageError(InputProblem(reason, "correct the file", str(path)))
+    raise UsageError(reason, "correct the file", str(path))
 
 
 # --- our own files --------------------------------------------------------------
@@ -137,7 +136,7 @@ def read_record(path: str | Path, schema: str, remedy: str) -> dict:
     """
 
     def refused(reason: str) -> DataError:
-        return DataError(InputProblem(reason, remedy, str(path)))
+        return DataError(reason, remedy, str(path))
 
     raw = content_of(path, RECORD, DataError, remedy)
     try:

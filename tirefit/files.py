@@ -53,8 +53,7 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     If the block fails or is interrupted, ``path`` holds what it held before.
 
     Raises:
-        OSError: naming ``path``, where it could not be written; with a note of what
-            is there.
+        OSError: naming ``path``, if not written; a note says what is there.
     """
     path = Path(path)
     try:

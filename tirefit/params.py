@@ -133,8 +133,7 @@ def check_values(
             problems.append(InputProblem(reason, f"it has {', '.join(known)}"))
         else:
             problems += _out_of_bounds(key, value, known[key])
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _out_of_bounds(key: str, value: float, spec: Spec) -> list[InputProblem]:
@@ -144,8 +143,7 @@ def _out_of_bounds(key: str, value: float, spec: Spec) -> list[InputProblem]:
         return []
     reason = f"{key} = {value} is outside its bounds [{low:.6g}, {high:.6g}]"
     unit = "" if spec.unit == "-" else f" {spec.unit}"
-    remedy = f"{spec.meaning}: {low:.6g} to {high:.6g}{unit}"
-    return [InputProblem(reason, remedy)]
+    return [InputProblem(reason, f"{spec.meaning}: {low:.6g} to {high:.6g}{unit}")]
 
 
 def check_names(
@@ -170,11 +168,9 @@ def check_names(
         if asked.count(name) > 1:
             problems.append(InputProblem(f"{noun} {name!r} is given twice", "once"))
         if name not in there:
-            reason = f"there is no {noun} {name!r}"
             remedy = f"{did_you_mean(name, there)}known: {all_known}"
-            problems.append(InputProblem(reason, remedy))
-    if problems:
-        raise UsageError(problems)
+            problems.append(InputProblem(f"there is no {noun} {name!r}", remedy))
+    UsageError.raise_for(problems)
     return tuple(asked)
 
 
@@ -208,8 +204,7 @@ def by_owner(
         for name in takers:
             problems += _out_of_bounds(f"{name}.{setting}", value, known[name][setting])
             chosen[name][setting] = value
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return chosen
 
 

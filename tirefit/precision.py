@@ -6,7 +6,7 @@ digit. Models alone evaluate in either precision.
 
 import jax.numpy as jnp
 
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 
 
 def require_x64(task: str) -> None:
@@ -20,9 +20,7 @@ def require_x64(task: str) -> None:
     """
     if jnp.result_type(float) != jnp.float64:
         raise UsageError(
-            InputProblem(
-                f"{task} needs 64-bit floats, and JAX computes in 32 bits",
-                "jax.config.update('jax_enable_x64', True) before the first array, or"
-                " JAX_ENABLE_X64=1 in the environment",
-            )
+            f"{task} needs 64-bit floats, and JAX computes in 32 bits",
+            "jax.config.update('jax_enable_x64', True) before the first array, or"
+            " JAX_ENABLE_X64=1 in the environment",
         )

@@ -59,15 +59,12 @@ class Outcome(enum.Enum):
 
 @dataclass(frozen=True)
 class InputProblem:
-    """One problem with an input: where, why, and what to do about it.
-
-    ``row`` counts lines of the file as an editor does (the header is line 1).
-    """
+    """One problem with an input: where, why, and what to do about it."""
 
     reason: str
     remedy: str = ""
     file: str = ""
-    row: int | None = None
+    row: int | None = None  # line of the file as in an editor (the header is line 1)
     column: str | None = None
 
     def __str__(self) -> str:
@@ -123,17 +120,29 @@ class TirefitError(Exception):
 
     Its own text is for who called a function: it names arguments where a problem names
     options of the command line.
+
+    Args:
+        problems: all of them, or the reason of the only one.
+        more: the other fields of that :class:`InputProblem`.
     """
 
     exit_code = ExitCode.USAGE
 
-    def __init__(self, problems: Sequence[InputProblem] | InputProblem | str):
+    def __init__(
+        self, problems: Sequence[InputProblem] | InputProblem | str, *more, **named
+    ):
         if isinstance(problems, str):
-            problems = InputProblem(problems)
+            problems = InputProblem(problems, *more, **named)
         if isinstance(problems, InputProblem):
             problems = [problems]
         self.problems = tuple(problems)
         super().__init__(in_python("\n".join(map(str, self.problems))))
+
+    @classmethod
+    def raise_for(cls, problems: Sequence[InputProblem]) -> None:
+        """Raise this error with all the problems, if there are any."""
+        if problems:
+            raise cls(problems)
 
 
 class DataError(TirefitError):

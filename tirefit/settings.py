@@ -73,8 +73,7 @@ def parse_settings(kind: type[S], content: dict, source: str) -> S:
         source: where it came from, named by every problem.
 
     Raises:
-        UsageError: unknown or missing keys, wrong types or values, contradictions;
-            every one of them.
+        UsageError: unknown or missing keys, types, values, contradictions; all.
     """
     try:
         return kind.model_validate(content)

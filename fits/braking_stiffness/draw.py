@@ -34,9 +34,8 @@ from tirefit.online.xbs import Xbs
 from tirefit.params import with_values
 from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
 from tirefit.sim.brake import simulate_stop
-from tirefit.sim.brake_hydraulics import Hydraulics
 from tirefit.sim.brake_request import Request, arrays, plant_of
-from tirefit.sim.brake_sensors import Sensors
+from tirefit.sim.brake_vehicle import Hydraulics, Sensors
 
 jax.config.update("jax_enable_x64", True)
 HERE = Path(__file__).parent

@@ -38,7 +38,8 @@ def of_ladder(found) -> tuple[float, float] | None:
         return None
     inside = [s for s in ladder.steps[:-2] if set(s.effects) <= named]
     own = max(inside, key=lambda step: len(step.effects))
-    return ladder.steps[0].rms_left_out, own.rms_left_out
+    base = next(step for step in ladder.steps if not step.effects)
+    return base.rms_left_out, own.rms_left_out
 
 
 def closes(found, case: Case, rows: Table) -> tuple[float, float, str]:

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tirefit.data.tir import write_tir
-from tirefit.data.tir_new import new_tir
+from tirefit.data.tir import new_tir, write_tir
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MFTire, mf_tire
 

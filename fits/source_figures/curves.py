@@ -11,6 +11,11 @@ from scipy.optimize import least_squares
 import tirefit
 from fits.formulas import magic_formula
 from fits.magic_formula_curve.make_data import FIGURE10, SPEED, truck
+from fits.source_figures.taylor import (
+    asymmetric_coefficients,
+    coefficients,
+    truncated_force,
+)
 from tirefit.models import (
     Asymmetric,
     Brush,
@@ -19,11 +24,6 @@ from tirefit.models import (
     MagicFormula,
     Parabolic,
     Quartic,
-)
-from tirefit.models.taylor import (
-    asymmetric_coefficients,
-    coefficients,
-    truncated_force,
 )
 
 jax.config.update("jax_enable_x64", True)

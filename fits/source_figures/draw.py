@@ -29,7 +29,7 @@ from fits.source_figures.curves import (
     pressure_effect,
     pressures,
 )
-from tirefit.models.taylor import radius
+from fits.source_figures.taylor import radius
 from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
 
 HERE = Path(__file__).parent

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tests.bench.exported import exported_tire
 from tests.bench.magic_formula_fit import whole_magic_formula
 
 HERE = Path(__file__).parent
@@ -536,7 +537,7 @@ def braking_stops(stops: int = 1000, peers: int = 2) -> None:
     from tirefit.params import parameter_values, with_values
     from tirefit.sim.brake_request import Request, arrays, plant_of
     from tirefit.sim.brake_result import many_stops
-    from tirefit.sim.brake_sensors import draw_noise
+    from tirefit.sim.brake_vehicle import draw_noise
 
     speed, rate, samples, edge = 8.0, 200.0, 900, round(stops ** (1 / 3))
     tires = [(4e4 * (1 + 0.05 * k), 0.5 + 0.03 * k) for k in range(edge)]
@@ -586,7 +587,7 @@ def braking_stops(stops: int = 1000, peers: int = 2) -> None:
 
 ENTRIES = (
     help_text, cold_fit, batch, magic_formula, brush_with_gradient, posterior, online,
-    braking_stops, whole_magic_formula,
+    braking_stops, whole_magic_formula, exported_tire,
 )  # fmt: skip
 
 OF_DIAGNOSIS = (

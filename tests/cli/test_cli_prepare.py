@@ -127,4 +127,4 @@ def test_one_file_that_fails_does_not_stop_the_others(run, recording, tmp_path):
     said = run("prepare", "no.csv", "--out", ".", exit_code=2).stderr
     assert "an input file" in said and (tmp_path / "no.csv").exists()
     said = run("prepare", path, path, "--out", "out", exit_code=2).stderr
-    assert "several files are named run7" in said
+    assert "several input files are named run7" in said

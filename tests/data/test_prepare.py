@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from rig_script import DEG, Script, combined, cornering, drum, flat, measured
 
-from tirefit.data.prepare.bins import setting_names
 from tirefit.data.prepare.prepare import prepare
-from tirefit.data.prepare.set_points import Settings
-from tirefit.data.prepare.zero_phase import zero_phase
+from tirefit.data.prepare.series import zero_phase
+from tirefit.data.prepare.set_points import Settings, setting_names
 from tirefit.data.read import read_frame
 from tirefit.results import DataError, UsageError
 

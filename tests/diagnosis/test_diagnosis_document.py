@@ -26,8 +26,8 @@ KEYS = {
         "budget", "budgets", "where", "spots", "map", "verdict", "ladder",
         "candidates", "untestable", "resolution", "forecast", "next_measurement",
         "next_measurement_reason",
-        "slip_check", "runs", "base_parameters", "extended_parameters", "settings",
-        "seed", "version", "ladder_on",
+        "slip_check", "runs", "base_parameters", "extended_parameters", "extension",
+        "settings", "seed", "version", "ladder_on",
     ],
     "data": [
         "name", "path", "sha256", "convention", "channels", "assumptions", "set_aside",
@@ -52,7 +52,8 @@ KEYS = {
     "verdict left": ["rms", "share", "unlisted", "tests", "looks_like"],
     "verdict left tests": ["time", "slip_order", "line", "pure_error", "local"],
     "ladder 0": [
-        "effects", "rms_left_out", "closed", "closed_std", "gain", "gain_std"
+        "effects", "rms_left_out", "closed", "closed_std", "gain", "gain_std",
+        "rms_held_out", "closed_held_out",
     ],
     "candidates 0": [
         "effects", "family", "probability", "parameters", "z", "z_given_rivals",

@@ -33,6 +33,23 @@ def test_names_the_effect_and_how_far_it_closes(diagnosed, name):
     assert gap.holdout.closed > 0.5
 
 
+def test_files_held_out_judge_each_step_of_the_ladder():
+    frame, other = (record(TRUTHS["load_friction"], seed=k)[0] for k in (3, 4))
+    held_out = read_frame(other, "other")
+    found = diagnose(read_frame(frame, "one"), rig=RIG, holdout=held_out)
+    first, last = (s for s in found.ladder.steps if s.rms_held_out is not None)
+    assert (first.effects, last.effects) == ((), ("load_friction",))
+    # The first step is the base fit, here by the brush's closed formula.
+    cpa2, mu = (found.base_parameters[name] for name in ("cpa2", "mu"))
+    missed = other["fx"] - brush(other["sigma_x"], cpa2, mu, other["fz"])
+    rms = np.sqrt(np.mean(missed**2))
+    assert first.rms_held_out == pytest.approx(rms, rel=0.02)
+    held = found.gap.holdout
+    assert first.closed_held_out == 0.0 and held.on == "other"
+    assert last.closed_held_out == pytest.approx(held.closed, abs=0.1)
+    assert last.closed_held_out > 0.5
+
+
 def test_amplitudes_are_those_of_the_truth(diagnosed):
     for name, key, truth in (
         ("slip_offset", "slip_offset: amplitude", 0.004),

@@ -10,8 +10,8 @@ import pytest
 
 import tirefit
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.arguments import a_model, a_rig, a_seed, names, the_effects
 from tirefit.diagnosis.effects import EFFECTS, Effect
+from tirefit.diagnosis.engine import a_model, a_rig, a_seed, names, the_effects
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.models import MODELS, Brush
 from tirefit.report.diagnosis_text import diagnosis_text

@@ -22,7 +22,7 @@ from tirefit.fitting.mf.parts import (
 )
 from tirefit.fitting.mf.priors import normal_form, published_priors
 from tirefit.fitting.mf.solve import Problem, blocks_of, minimise, row_gradients
-from tirefit.fitting.noise_law import NoiseLaw, noise_law
+from tirefit.fitting.noise import NoiseLaw, noise_law
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.params import with_values

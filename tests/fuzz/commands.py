@@ -46,6 +46,11 @@ LINES = {
     "convert": ("tire.tir", "convert INPUT --out o"),
     "brake": ("tire.tir", f"brake --tire INPUT {_QUICK}"),
     "brake of a fit": ("fit.json", f"brake --tire INPUT {_QUICK}"),
+    "export": ("tire.tir", "export INPUT --to c --out tire.h"),
+    "export with a diagnosis": (
+        "run.json",
+        "export brush --diagnosis INPUT --to numpy --out tire.py",
+    ),
     "diagnose": ("data.csv", "diagnose INPUT --out o WITHOUT"),
     "diagnose a fit": ("fit.json", "diagnose rig.csv --model INPUT --out o WITHOUT"),
     "diagnose a rig": ("rig.toml", "diagnose rig.csv --rig INPUT --out o WITHOUT"),

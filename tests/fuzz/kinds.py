@@ -1,6 +1,7 @@
 """Sound files of every kind that is read, and what reads them."""
 
 import gzip
+import json
 import tempfile
 from collections.abc import Callable
 from functools import cache
@@ -129,6 +130,35 @@ def fit_json() -> bytes:
     return fit(read_frame(frame, convention="braking")).to_json().encode()
 
 
+def _diagnosis() -> bytes:
+    """What an export reads of a diagnosis that names an effect."""
+    values, id = {"cpa2": 5e4, "mu": 0.9}, "load_friction"
+    size = {"value": -0.1, "std": 0.01, "unit": "-", "formula": "a power of the load"}
+    content = {
+        "schema": "tirefit.diagnosis/3", "data": {"name": "run", "sha256": "ab" * 32},
+        "model": "brush", "simulator": None, "gap": {"closed": 0.9, "shares": {}},
+        "verdict": {
+            "status": "named", "effects": [id], "probability": 0.9, "also_possible": [],
+        },
+        "candidates": [{"effects": [id], "parameters": {f"{id}: power": size}}],
+        "base_parameters": values, "extended_parameters": values,
+        "extension": {
+            "mode": "x", "variants": {id: 0}, "other_form": False, "fz": 3600.0,
+            "load": 4e3, "at": [4e3, 12.0], "slowest": 0.4, "brisk": 5.0,
+            "cruise": 12.0, "rise": 0.04, "peak": 0.9, "used": 0.9,
+            "pressure": [2e5, 4e4],
+        },
+    }  # fmt: skip
+    return json.dumps(content, indent=1).encode()
+
+
+def _read_diagnosis(path: Path):
+    from tirefit.diagnosis.extended import extend, read_document
+    from tirefit.models import MODELS
+
+    return extend(MODELS["brush"], "brush", read_document(path), lambda tire: tire)
+
+
 @cache
 def _chain() -> bytes:
     from tirefit.fitting.chains import Chain, save_chain
@@ -228,4 +258,5 @@ KINDS = {
     "log.csv": Kind(".csv", lambda: [short_log()], _read_log),
     "fit.json": Kind(".json", lambda: [fit_json()], _read_fit),
     "chain.npz": Kind(".npz", lambda: [_chain()], _read_chain),
+    "run.json": Kind(".json", lambda: [_diagnosis()], _read_diagnosis),
 }

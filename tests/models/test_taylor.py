@@ -5,6 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fits.source_figures.taylor import (
+    asymmetric_coefficients,
+    coefficients,
+    radius,
+    speed_coefficients,
+    truncated_force,
+)
 from tirefit.models import (
     Asymmetric,
     Brush,
@@ -12,13 +19,6 @@ from tirefit.models import (
     Kinetic,
     LinearInSpeed,
     Quartic,
-)
-from tirefit.models.taylor import (
-    asymmetric_coefficients,
-    coefficients,
-    radius,
-    speed_coefficients,
-    truncated_force,
 )
 
 C, MU, FZ, V = 5e4, 0.9, 4000.0, 25.0

@@ -24,7 +24,7 @@ def last(estimate, k=0):
 
 @pytest.mark.parametrize("d", [-0.2, 0.0, 0.3])
 def test_regressors_are_the_taylor_terms_of_the_force(d):
-    from tirefit.models.taylor import asymmetric_coefficients
+    from fits.source_figures.taylor import asymmetric_coefficients
 
     sample = {"sigma_x": 0.03, "fx": 8e3, "fz": LOAD}
     x = regressors(sample, CPA2, 0.9, d)

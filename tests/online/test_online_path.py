@@ -7,16 +7,17 @@ from drives import STIFFNESS, drive, estimated
 from scipy.integrate import solve_ivp
 
 from tirefit.online.base import FLAGS, Flag, code
-from tirefit.online.bicycle import bicycle, lane_crossing
 from tirefit.online.methods import estimator_of
-from tirefit.online.run import Stream
-from tirefit.online.wheel_force import (
+from tirefit.online.path import (
     Observer,
     WheelRls,
+    bicycle,
+    lane_crossing,
     observer_std,
     observer_step,
     wheel_rls_step,
 )
+from tirefit.online.run import Stream
 
 C_F, C_R, MASS, INERTIA, L_F, L_R, U = 9e4, 8e4, 1500.0, 2500.0, 1.2, 1.4, 25.0
 MATRICES = bicycle(C_F, C_R, MASS, INERTIA, L_F, L_R, jnp.asarray(U))

@@ -18,8 +18,7 @@ from tirefit.report.braking import (
     paths_figure,
     stop_figure,
 )
-from tirefit.sim.brake_curve import tire_curve
-from tirefit.sim.brake_request import Request, known_to_controllers
+from tirefit.sim.brake_request import Request, known_to_controllers, tire_curve
 from tirefit.sim.brake_result import brake
 
 

@@ -21,8 +21,7 @@ from tirefit.report.by_name import run_points
 from tirefit.report.draw_corner import corner_figure
 from tirefit.report.draw_uncertainty import profile_figure, trace_figure
 from tirefit.report.html import fit_fragment
-from tirefit.report.summary import summary_table
-from tirefit.report.text import fit_report
+from tirefit.report.text import fit_report, summary_table
 from tirefit.report.uncertainty import corner_data, trace_data
 from tirefit.results import Outcome, UsageError
 

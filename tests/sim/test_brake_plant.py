@@ -11,11 +11,9 @@ from tirefit.online.abs import ConventionalABS
 from tirefit.online.controller import NoController
 from tirefit.params import parameter_values, with_values
 from tirefit.sim.brake import simulate_stop, xbs_true
-from tirefit.sim.brake_hydraulics import Hydraulics
 from tirefit.sim.brake_plant import contacts, rolling
 from tirefit.sim.brake_request import Request, arrays, plant_of
-from tirefit.sim.brake_sensors import Sensors, draw_noise
-from tirefit.sim.brake_vehicle import GRAVITY
+from tirefit.sim.brake_vehicle import GRAVITY, Hydraulics, Sensors, draw_noise
 
 VALUES = {"cpa2": 4e4, "m": 0.5}
 SMOOTH = Sensors(0.0, 0.0, 0.0, 0.0, 0.0)

@@ -10,10 +10,10 @@ from tirefit.online.abs import ConventionalABS
 from tirefit.online.controller import NoController
 from tirefit.params import with_values
 from tirefit.sim.brake import simulate_stop
-from tirefit.sim.brake_hydraulics import Hydraulics
 from tirefit.sim.brake_request import Request, arrays, plant_of
 from tirefit.sim.brake_result import brake, many_stops
 from tirefit.sim.brake_summary import UNITS, summarise
+from tirefit.sim.brake_vehicle import Hydraulics
 
 TIRE = with_values(MODELS["brush-m"], {"cpa2": 4e4, "m": 0.5})
 SAMPLES, STOPS = 600, 4

@@ -5,18 +5,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from lugre_response import LUMPED, contact, simulate
 from scipy.integrate import solve_ivp
 
 from tirefit.models import LuGre, TireInputs, forces
-from tirefit.sim.lugre import (
-    LUMPED,
-    Contact,
-    bristle_forces,
-    bristle_rate,
-    contact,
-    distributed,
-    simulate,
-)
+from tirefit.sim.lugre import Contact, bristle_forces, bristle_rate, distributed
 
 TIRE = LuGre(sigma0=150.0, sigma1=0.08, sigma2=0.002, length=0.25)
 LOAD = 4000.0

@@ -15,10 +15,9 @@ from tirefit.online.controllers import CONTROLLERS, controller_of
 from tirefit.online.xbs import Xbs
 from tirefit.params import with_values
 from tirefit.sim.brake import simulate_stop
-from tirefit.sim.brake_hydraulics import Hydraulics
 from tirefit.sim.brake_request import Request, arrays, known_to_controllers, plant_of
 from tirefit.sim.brake_result import many_stops
-from tirefit.sim.brake_sensors import Sensors
+from tirefit.sim.brake_vehicle import Hydraulics, Sensors
 
 RATE, STOPS = 200.0, 50
 SPEED = 18.0

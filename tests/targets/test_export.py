@@ -24,7 +24,7 @@ from tirefit.params import parameter_values
 from tirefit.results import UsageError
 from tirefit.slip import CONVENTIONS, sigma_from_kappa
 from tirefit.targets.code import Draft, c_source
-from tirefit.targets.program import traced, with_derivatives
+from tirefit.targets.program import traced
 from tirefit.targets.shape import shape_of
 from tirefit.targets.tire import tire_of
 
@@ -111,12 +111,12 @@ def test_casadi_gives_our_forces_and_slopes(source, tmp_path):
     assert slopes[1, 1] == pytest.approx(wanted, rel=1e-4, abs=1e-2)
 
 
-def built(path, folder, single):
+def built(path, folder, single, *flags):
     """The header's functions in a shared library."""
     source = folder / f"use{single}.c"
     args = [
         line.split("(")[1].split(", tirefit_real force")[0]
-        for line in path.read_text().splitlines() if "inline void tire(" in line
+        for line in path.read_text().splitlines() if "INLINE void tire(" in line
     ][0]  # fmt: skip
     names = [one.split()[-1] for one in args.split(", ")]
     given = ", ".join(names)
@@ -129,7 +129,7 @@ def built(path, folder, single):
     )
     library = folder / f"lib{single}.so"
     command = ["cc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-shared"]
-    command += ["-fPIC", *(["-DTIREFIT_SINGLE"] if single else [])]
+    command += ["-fPIC", *(["-DTIREFIT_SINGLE"] if single else []), *flags]
     subprocess.run(
         [*command, "-o", library, source, "-lm"], check=True, capture_output=True
     )
@@ -139,10 +139,11 @@ def built(path, folder, single):
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 @pytest.mark.parametrize("source", ["brush-dmh", "brush-d-force", "lugre", MF61])
 @pytest.mark.parametrize("single", [False, True])
-def test_c_gives_our_forces_and_slopes(source, single, tmp_path):
+@pytest.mark.parametrize("flags", [(), ("-DTIREFIT_LOOP",)], ids=["plain", "loop"])
+def test_c_gives_our_forces_and_slopes(source, single, flags, tmp_path):
     path = tmp_path / "tire.h"
     tirefit.export(source, "c", path)
-    library, count = built(path, tmp_path, single)
+    library, count = built(path, tmp_path, single, *flags)
     kind = ctypes.c_float if single else ctypes.c_double
     found, slopes = [], []
     for row in np.array(inputs_of(source)).T:
@@ -211,6 +212,19 @@ def test_a_pure_formula_is_exported_with_combined_slip(tmp_path):
     assert np.hypot(fx, fy) < 1.03 * pure
     alone = forces(MODELS["magic-formula"], TireInputs(sigma_from_kappa(-0.3), 0, 4e3))
     assert pure == pytest.approx(-float(alone.fx), rel=1e-9)
+
+
+def test_forces_that_are_asked_for_are_the_only_ones(tmp_path):
+    whole, part = tmp_path / "whole.py", tmp_path / "part.py"
+    tirefit.export(MF61, "numpy", whole)
+    tirefit.export(MF61, "numpy", part, forces="fy,fx")
+    found = loaded(part).part(0.02, 0.01, 4000.0, 0.0, 0.0)
+    wanted = loaded(whole).whole(0.02, 0.01, 4000.0, 12.0, 0.0, 0.0)
+    assert found == pytest.approx((wanted[1], wanted[0]))
+    with pytest.raises(UsageError, match="no force 'mx'"):
+        tirefit.export("brush", "numpy", part, forces="fx,mx")
+    done = ran(MF61, "--to", "tir", "--out", tmp_path / "t.tir", "--forces", "fx")
+    assert done.exit_code == 2 and "which has them all" in done.stderr
 
 
 def test_shape_finds_a_square_tire_and_wrong_signs():
@@ -289,9 +303,10 @@ def test_a_program_folds_and_differentiates():
     def cubic(x, y):
         return (x**3 + 2 * y, y / 1.0 + 0.0 * x)
 
-    program = traced(with_derivatives(cubic, 2, (0, 1)), ("x", "y"), tuple("abcdef"))
-    assert program.outputs["e"] == 2.0 and program.outputs["d"] == 0.0
-    assert program.outputs["f"] == 1.0
+    program = traced(cubic, ("x", "y"), ("a", "b"), (0, 1))
+    assert list(program.outputs) == ["a", "b", "a_x", "b_x", "a_y", "b_y"]
+    assert program.outputs["a_y"] == 2.0 and program.outputs["b_x"] == 0.0
+    assert program.outputs["b_y"] == 1.0
     assert sum(op == "mul" for op, _ in program.operations) <= 5
 
 

@@ -13,13 +13,11 @@ from typing import NoReturn
 
 __all__ = ["main"]
 
-_OVER = 0.01
-"""Seconds after which a callback of the garbage collector is over."""
+_OVER = 0.01  # seconds after which a callback of the garbage collector is over
 
 
 def main() -> None:
-    """Entry point of the ``tirefit`` command; Ctrl-C, or a request to end (SIGTERM),
-    ends it with exit code 130."""
+    """Run the ``tirefit`` command; Ctrl-C or SIGTERM ends it with exit code 130."""
     came = []
 
     def interrupt(number, _):

@@ -7,10 +7,11 @@ from typing import Annotated
 import typer
 
 from tirefit.cli.options import (
+    Folder,
+    SetOption,
     SignsOption,
     complain,
     errors_to_exit,
-    named_path,
     numbers,
     progress_bar,
     say,
@@ -35,9 +36,7 @@ class Vehicle(StrEnum):
 
 
 def brake(
-    out: Annotated[
-        Path, typer.Option(metavar="FOLDER", parser=named_path, help="of the results")
-    ],
+    out: Folder,
     controller: Annotated[
         str, typer.Option(metavar="NAME[,NAME...]", help="xbs-servo, abs, slip, none")
     ] = "xbs-servo,abs",
@@ -57,10 +56,7 @@ def brake(
         typer.Option(metavar="MODEL|FIT.json|FILE.tir", help="brush-m if not given"),
     ] = None,
     signs: SignsOption = None,
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model"),
-    ] = None,
+    parameter: SetOption = None,
     tune: Annotated[
         list[str] | None,
         typer.Option(
@@ -94,8 +90,7 @@ def brake(
         values = numbers("--set", parameter, problems)
         settings = numbers("--tune", tune, problems)
         plant_values = numbers("--plant", plant, problems)
-        if problems:
-            raise UsageError(problems)
+        UsageError.raise_for(problems)
         check_directories([out])
         start_jax()
         from tirefit.online.controllers import CONTROLLERS
@@ -123,8 +118,7 @@ def _tire(source: str | None, values: dict[str, float], signs: str | None):
     from tirefit.fitting.problem import find_model
 
     if signs and not (source or "").lower().endswith(".tir"):
-        reason = "--signs applies to .tir files only"
-        raise UsageError(InputProblem(reason, "leave it out"))
+        raise UsageError("--signs applies to .tir files only", "leave it out")
     if source is None:
         return DEFAULT_TIRE, tire_with(find_model(DEFAULT_TIRE), DEFAULT_TIRE,
                                        DEFAULT_VALUES | values)  # fmt: skip
@@ -132,8 +126,7 @@ def _tire(source: str | None, values: dict[str, float], signs: str | None):
         from tirefit.fitting.store import load_fit
 
         if values:
-            reason = "--set with a fit.json"
-            raise UsageError(InputProblem(reason, "use it with a model name"))
+            raise UsageError("--set with a fit.json", "use it with a model name")
         fitted = load_fit(source)
         return source, fitted.at_estimate()
     if source.lower().endswith(".tir"):

@@ -27,12 +27,10 @@ _BATCH, _RATE = 5.0, 100.0
 """Seconds that a batch of several pieces is to take, at least, and batches a second of
 all workers, at most: one costs scheduler and client 4 ms."""
 
-_AHEAD = 2
-"""Batches at a time for each worker: one at work and one that waits for it."""
+_AHEAD = 2  # batches at a time for each worker: one at work and one that waits for it
 
 _CONNECT, _ABSENT = 30.0, 60.0
-"""Seconds to wait for a scheduler and its first worker, and for workers that are all
-gone to come back."""
+"""Seconds to wait for a scheduler and its first worker, and for lost ones to return."""
 
 _LOCAL = {
     # One worker's death may be another's doing; twice is taken for the batch's.
@@ -69,8 +67,7 @@ def cluster(jobs: int, scheduler: str | None = None) -> Iterator[Any]:
     Those of this machine end with the block, whatever they are at.
 
     Raises:
-        UsageError: ``distributed`` is not installed, or no scheduler or no worker
-            answers at the address.
+        UsageError: no ``distributed``, or no scheduler or worker at the address.
     """
     distributed = _library("distributed")
     # Its own words are for who runs a cluster; what matters is said here.
@@ -97,14 +94,14 @@ def _connected(distributed: ModuleType, address: str) -> Any:
     try:
         client = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        raise UsageError(InputProblem(f"--scheduler: {reason}", remedy)) from error
+        raise UsageError(f"--scheduler: {reason}", remedy) from error
     try:
         client.wait_for_workers(1, timeout=_CONNECT)
     except TimeoutError:
         client.close()
         reason = f"the scheduler at {address} has no worker"
         remedy = f"start some: dask worker {address} --nthreads 1 --nworkers auto"
-        raise UsageError(InputProblem(f"--scheduler: {reason}", remedy)) from None
+        raise UsageError(f"--scheduler: {reason}", remedy) from None
     return client
 
 
@@ -248,7 +245,7 @@ class _Sharing:
 
 
 def _gone(reason: str) -> UsageError:
-    return UsageError(InputProblem(reason, "start it again, then --resume"))
+    return UsageError(reason, "start it again, then --resume")
 
 
 _ALONE = threading.Lock()

@@ -21,6 +21,7 @@ from tirefit.cli.options import (
     DataOptions,
     Files,
     JsonOption,
+    SetOption,
     SideOption,
     SignsOption,
     complain,
@@ -74,24 +75,16 @@ def models(json: JsonOption = False) -> None:
     from tirefit.models import MODELS
     from tirefit.report.model_tables import models_dict, models_table
 
-    if json:
-        say(dumps(models_dict(MODELS), indent=1))
-    else:
-        say(models_table(MODELS))
+    say(dumps(models_dict(MODELS), indent=1) if json else models_table(MODELS))
 
 
 @app.command()
 def methods(json: JsonOption = False) -> None:
     """List the online methods: inputs, estimates, valid use of friction, source."""
     from tirefit.online.methods import METHODS
-    from tirefit.report.method_tables import methods_dict, methods_table
+    from tirefit.report.model_tables import methods_dict, methods_table
 
-    if json:
-        from json import dumps
-
-        say(dumps(methods_dict(METHODS), indent=1))
-    else:
-        say(methods_table(METHODS))
+    say(dumps(methods_dict(METHODS), indent=1) if json else methods_table(METHODS))
 
 
 @app.command()
@@ -198,10 +191,7 @@ def predict(
     data: Annotated[Path, typer.Argument(metavar="DATA.csv")],
     out: OutFile,
     options: DataOptions,
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="parameter of a named model"),
-    ] = None,
+    parameter: SetOption = None,
     starred_angles: Annotated[
         bool,
         typer.Option(
@@ -232,7 +222,7 @@ def predict(
         if any(of_file.values()):
             own = "--starred-angles, --side, --signs and --combination"
             reason = f"{own} apply to .tir files only"
-            raise UsageError(InputProblem(reason, f"leave them out with {source}"))
+            raise UsageError(reason, f"leave them out with {source}")
         is_file = source.endswith(".json") or Path(source).is_file()
         values = _checked_request(source, is_file, data, out, parameter)
         start_jax()
@@ -309,8 +299,7 @@ def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
         problems.append(
             InputProblem("--set with a fit.json", "use it with a model name")
         )
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return values
 
 

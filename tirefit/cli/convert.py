@@ -25,8 +25,7 @@ from tirefit.cli.options import (
 from tirefit.cli.output import check_directories
 from tirefit.results import InputProblem, TirefitError, UsageError
 
-_SLIPS = 61
-"""Slips of the grid, both ends included."""
+_SLIPS = 61  # slips of the grid, both ends included
 
 _SLIP_MAX = 0.3
 _SHARES_OF_NOMINAL = (0.5, 1.0, 1.5)
@@ -113,8 +112,7 @@ def convert(
             file, magic_formula, slip_min, slip_max, loads, out
         )
         if signs and file is None:
-            reason = "--signs applies to .tir files only"
-            raise UsageError(InputProblem(reason, "leave it out"))
+            raise UsageError("--signs applies to .tir files only", "leave it out")
         if model in MAGIC_FORMULA_NAMES:
             asked = {
                 "--magic-formula": magic_formula, "--force": force,
@@ -126,9 +124,8 @@ def convert(
             found = convert_whole(file, model, float(slips[-1]), chosen, out, of_file)
             raise typer.Exit(found)
         if combination:
-            reason = f"--combination with --model {model or 'brush'}"
             remedy = "leave it out: a brush is fitted to one force in pure slip"
-            raise UsageError(InputProblem(reason, remedy))
+            raise UsageError(f"--combination with --model {model or 'brush'}", remedy)
         result = _refit(
             file, coefficients, model or "brush", force or Force.fx, slips, chosen,
             seed, out, signs,
@@ -154,8 +151,7 @@ def _write_reduced(brush: dict, mixed: list[str], out: Path) -> None:
         tir = reduced_tir(**given)
     except TirefitError as error:
         problems += error.problems
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     write_tir(tir, out)
     start_jax()
     from tirefit.fitting.convert import reduced_misfit
@@ -206,8 +202,7 @@ def _checked(file, magic_formula, slip_min, slip_max, loads, out):
         check_directories([out])
     except UsageError as error:
         problems += error.problems
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return coefficients, np.linspace(low, high, _SLIPS), chosen
 
 

@@ -1,7 +1,6 @@
 """``tirefit diagnose``: where a model misses, which effect causes it, how far."""
 
 import json
-from collections import Counter
 from dataclasses import asdict, dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -16,13 +15,13 @@ from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
+    Folder,
     SideOption,
     SignsOption,
     complain,
     completed,
     errors_to_exit,
     forces_named,
-    named_path,
     numbers,
     progress_bar,
     read_config,
@@ -33,6 +32,7 @@ from tirefit.cli.options import (
 )
 from tirefit.cli.output import (
     check_directories,
+    check_distinct,
     check_replaced,
     claimed,
     is_page,
@@ -65,16 +65,6 @@ class ManyHoldouts(TyperCommand):
         return super().parse_args(ctx, spread)
 
 
-def _names(files: list[Path]) -> list[str]:
-    names = [Path(file.name.removesuffix(".gz")).stem for file in files]
-    twice = sorted(name for name, count in Counter(names).items() if count > 1)
-    if twice:
-        reason = f"several input files are named {', '.join(twice)}"
-        remedy = "rename one: their results would overwrite each other"
-        raise UsageError(InputProblem(reason, remedy))
-    return names
-
-
 def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
     """What a case writes: always, and as figures."""
     drawn = [f"{name}.png", f"{name}.html"]
@@ -97,10 +87,7 @@ def _check_replaced(
 def diagnose(
     files: Files,
     options: DataOptions,
-    out: Annotated[
-        Path,
-        typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
-    ],
+    out: Folder,
     model: Annotated[
         str | None,
         typer.Option(
@@ -119,8 +106,7 @@ def diagnose(
     sim: Annotated[
         bool,
         typer.Option(
-            "--sim",
-            help="the simulator's forces stand in FILE: fx_sim, fy_sim, mz_sim",
+            "--sim", help="the simulator's forces stand in FILE: fx_sim, fy_sim, mz_sim"
         ),
     ] = False,
     side: SideOption = None,
@@ -136,13 +122,15 @@ def diagnose(
     ] = None,
     holdout: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE...", help="data to check the closure on, not used"),
+        typer.Option(
+            metavar="FILE...", help="other files, only to check the answer on"
+        ),
     ] = None,
     without: Annotated[
         list[str] | None,
         typer.Option(
             metavar="ID",
-            help="leave this effect out of the library",
+            help="do not look for this effect",
             autocompletion=completed(*EFFECT_NAMES),
         ),
     ] = None,
@@ -158,13 +146,14 @@ def diagnose(
     jobs: Jobs = None,
     scheduler: Scheduler = None,
     seed: Annotated[
-        int, typer.Option(min=0, max=2**32 - 1, help="of everything random")
+        int, typer.Option(min=0, max=2**32 - 1, help="of the random numbers")
     ] = 0,
 ) -> None:
     """Diagnose the gap between a model and data: where, which effect, how far."""
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files)
-        names = _names(files)
+        names = [Path(file.name.removesuffix(".gz")).stem for file in files]
+        check_distinct(names, "rename one: their results would overwrite each other")
         check_directories([out])
         config = read_config(options.config)
         how, plain = read_options(options, config), _PLAIN if model is None else model
@@ -191,8 +180,7 @@ def diagnose(
         raise typer.Exit(worst)
 
 
-_PLAIN = "brush"
-"""The base model where none is asked for."""
+_PLAIN = "brush"  # the base model where none is asked for
 
 _INSTEAD = {"model": "--model", "seed": "--seed", "noise": "[noise] in --rig"}
 """Key or section of fit.toml -> where a diagnosis takes it from."""
@@ -263,7 +251,8 @@ def _simulator(
     problems: list[InputProblem] = []
     values = numbers("--set", parameter, problems)
     if sim and (values or (model and _is_file(model))):
-        reason = f"--sim with {'--set' if values else f'--model {model}'}"
+        other = "--set" if values else f"--model {model}"
+        reason = f"--sim together with {other}"
         remedy = "with --sim, --model names the form that stands in for the simulator"
         problems.append(InputProblem(reason, remedy))
     of_columns = {"side", "combination"} if sim else set(of_tir)
@@ -271,8 +260,7 @@ def _simulator(
     if wrong and not (model or "").lower().endswith(".tir"):
         reason = f"{' and '.join(sorted(wrong))} without --model FILE.tir"
         problems.append(InputProblem(reason, "leave it out"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     if sim:
         return {"sim": True, "signs": of_tir["signs"]}
     assert model is not None, "the plain one, where no simulator's forces are given"
@@ -287,13 +275,12 @@ def _simulator(
 
 @dataclass(frozen=True)
 class _Task:
-    """What all files share: the folder of the results, arguments of
-    ``tirefit.diagnose`` and of ``tirefit.read``, tables held out, and the options."""
+    """What all files share."""
 
-    out: Path
-    settings: dict
-    kept: list
-    how: dict
+    out: Path  # folder of the results
+    settings: dict  # arguments of ``tirefit.diagnose``
+    kept: list  # tables held out
+    how: dict  # arguments of ``tirefit.read``
     figures: bool
     resume: bool
     seed: int
@@ -382,8 +369,7 @@ def _is_whole(path: Path, rows: int) -> bool:
 
 
 def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
-    """Whether the document there is of this file as read now, of these settings, this
-    seed and version."""
+    """Whether the document is of this file, these settings, this seed and version."""
     from importlib.metadata import version
 
     from tirefit.diagnosis.effects import EFFECTS

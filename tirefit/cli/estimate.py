@@ -90,8 +90,7 @@ def _checked(log, out, follow, setting) -> dict[str, float]:
     if not follow and out is None:
         reason = "no folder for the results"
         problems.append(InputProblem(reason, "name one with --out"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     if out is not None:
         check_directories([out])
     return values
@@ -134,12 +133,11 @@ def _say_masked(table) -> None:
 def _follow(names, chosen, how) -> None:
     """Estimates as CSV rows, one for every row that comes, at once."""
     from tirefit.data.stream import RowReader
-    from tirefit.online.stream import Streams
+    from tirefit.online.estimate import Streams
 
     how = {key: value for key, value in how.items() if key != "mask_bad_rows"}
     if sys.stdin is None:
-        reason = "standard input is closed"
-        raise UsageError(InputProblem(reason, "give rows on it, or a file"))
+        raise UsageError("standard input is closed", "give rows on it, or a file")
     # What is not text is in no number: its row is flagged, and the next one is read.
     sys.stdin.reconfigure(errors="replace")  # type: ignore[union-attr]
     rows = RowReader(sys.stdin, **how)

@@ -1,6 +1,5 @@
 """``tirefit fit``: from files to directories of results."""
 
-from collections import Counter
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -31,10 +30,10 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_directories, is_page
+from tirefit.cli.output import check_directories, check_distinct, is_page
 from tirefit.data.remote import expanded
 from tirefit.names import MODEL_NAMES
-from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.results import ExitCode, TirefitError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -59,17 +58,10 @@ model_names = completed(*MODEL_NAMES)
 
 def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:
     stems = [_stem(file) for file in files]
-    twice = sorted(stem for stem, count in Counter(stems).items() if count > 1)
-    if twice and not joint:
-        raise UsageError(
-            InputProblem(
-                f"several input files are named {', '.join(twice)}: their results would"
-                " overwrite each other",
-                "rename a file, or fit them one by one with different --out",
-            )
-        )
     if len(files) == 1 or joint:
         return [out if out is not None else Path(stems[0])]
+    remedy = "rename one, or fit them one by one with different --out"
+    check_distinct(stems, f"{remedy}: their results would overwrite each other")
     return [(out or Path()) / stem for stem in stems]
 
 
@@ -282,6 +274,6 @@ def _page_of_all(folder: Path, rows, failed: dict[str, str], asked: bool) -> Non
 
 
 def _summary(records: list["FileRecord"]) -> str:
-    from tirefit.report.summary import summary_table
+    from tirefit.report.text import summary_table
 
     return summary_table(records)

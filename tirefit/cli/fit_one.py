@@ -29,14 +29,13 @@ class Also(NamedTuple):
 
 @dataclass(frozen=True)
 class FitTask:
-    """What all files share: settings of the fit, arguments of ``tirefit.read``, and
-    the options; ``keep``: fits that are done."""
+    """What all files share."""
 
-    settings: Any
-    how: dict
+    settings: Any  # of the fit
+    how: dict  # arguments of ``tirefit.read``
     posterior: bool
     resume: bool
-    keep: bool
+    keep: bool  # fits that are done
     also: Also
     strict: bool
 

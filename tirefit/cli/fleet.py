@@ -28,7 +28,7 @@ from tirefit.cli.options import (
     start_jax,
 )
 from tirefit.cli.output import check_replaced, swept
-from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -57,7 +57,7 @@ class Sharing:
     def __post_init__(self):
         if self.jobs is not None and self.scheduler is not None:
             remedy = "give one: --jobs starts a cluster of its own on this machine"
-            raise UsageError(InputProblem("--jobs beside --scheduler", remedy))
+            raise UsageError("--jobs beside --scheduler", remedy)
 
     @property
     def apart(self) -> bool:
@@ -73,7 +73,7 @@ class Sharing:
         if both := sorted(set(ours) & set(made)):
             reason = "it would be the result of one file and that of all"
             remedy = "rename the file, or leave out --jobs and --scheduler"
-            raise UsageError(InputProblem(reason, remedy, str(both[0])))
+            raise UsageError(reason, remedy, str(both[0]))
 
 
 class Piece(NamedTuple):
@@ -113,7 +113,8 @@ def fleet(
     """
     from tirefit.data.records import records_into
 
-    work = partial(_apart, _Packed.of(attempt, task))
+    packed = _Packed(os.getcwd(), __version__, pickle.dumps((attempt, task)))
+    work = partial(_apart, packed)
     out.mkdir(parents=True, exist_ok=True)
     left = set(range(len(pieces)))
     try:
@@ -124,7 +125,7 @@ def fleet(
             closing(shared(work, pieces, client, _alike)) as results,
             merged_notes(len(pieces) > 1) as notes,
         ):
-            for outcome in _in_order(_followed(results, pieces, progress, left)):
+            for outcome in _in_order(results, pieces, progress, left):
                 typer.echo(outcome.said, nl=False)
                 typer.echo(outcome.complained, nl=False, err=True)
                 if outcome.last:
@@ -141,16 +142,20 @@ def fleet(
     say(f"all results: {out / TABLE}, {out / PAGE}")
 
 
-def _followed(results, pieces, progress, left) -> Iterator[tuple[int, Outcome]]:
-    """(number, outcome) as they come; and how far it is."""
-    n = len(pieces)
+def _in_order(results, pieces, progress, left) -> Iterator[Outcome]:
+    """Outcomes in the order of the pieces; shows how far it is."""
+    waiting: dict[int, Outcome] = {}
+    following, n = 0, len(pieces)
     for number, result in results:
         left.discard(number)
         progress(1 - len(left) / n, f"{n - len(left)} of {n} files")
         if isinstance(result, Ended):
             _sweep(pieces[number])
             result = _lost(pieces[number], result)
-        yield number, result
+        waiting[number] = result
+        while following in waiting:
+            yield waiting.pop(following)
+            following += 1
 
 
 def _sweep(piece: Piece) -> None:
@@ -158,20 +163,10 @@ def _sweep(piece: Piece) -> None:
         swept(piece.to)
 
 
-def _in_order(results: Iterator[tuple[int, Outcome]]) -> Iterator[Outcome]:
-    waiting: dict[int, Outcome] = {}
-    number = 0
-    for came, result in results:
-        waiting[came] = result
-        while number in waiting:
-            yield waiting.pop(number)
-            number += 1
-
-
 def _lost(piece: Piece, ended: Ended) -> Outcome:
     reason = f"each of {ended.workers} workers that were given this file alone died"
     remedy = "where memory is short, give fewer --jobs; then --resume"
-    error = DataError(InputProblem(reason, remedy, str(piece.file)))
+    error = DataError(reason, remedy, str(piece.file))
     return _failed(piece, ExitCode.DATA, error_text(error) + "\n")
 
 
@@ -198,19 +193,12 @@ def _alike(piece: Piece) -> int:
 
 
 class _Packed(NamedTuple):
-    """What a worker needs beside the file: where the command runs, its version, and
-    the attempt with what all files share.
+    """What a worker needs beside the file, as bytes: JAX's arrays are of 64 bits only
+    once it has been told."""
 
-    As bytes: JAX's arrays are of 64 bits only once it has been told.
-    """
-
-    folder: str
-    version: str
-    content: bytes
-
-    @classmethod
-    def of(cls, attempt: Attempt, task: Any) -> "_Packed":
-        return cls(os.getcwd(), __version__, pickle.dumps((attempt, task)))
+    folder: str  # where the command runs
+    version: str  # of the command
+    content: bytes  # the attempt with what all files share
 
 
 @lru_cache(maxsize=2)
@@ -240,11 +228,11 @@ def _apart(packed: _Packed, piece: Piece) -> Outcome:
 def _where_the_command_runs(packed: _Packed) -> chdir:
     if packed.version != __version__:
         reason = f"a worker runs tirefit {__version__}, the command {packed.version}"
-        raise UsageError(InputProblem(reason, "install the same for all workers"))
+        raise UsageError(reason, "install the same for all workers")
     if not os.path.isdir(packed.folder):
         reason = f"a worker does not see the folder of the command, {packed.folder}"
         remedy = "run workers where it is mounted: they read files and write results"
-        raise UsageError(InputProblem(reason, remedy))
+        raise UsageError(reason, remedy)
     return chdir(packed.folder)
 
 
@@ -267,5 +255,5 @@ def attempted(
     except Exception as error:
         reason = f"a fault of the program: {type(error).__name__}: {error}"
         remedy = "the command on this file alone says where; please report it"
-        complain(error_text(DataError(InputProblem(reason, remedy, str(piece.file)))))
+        complain(error_text(DataError(reason, remedy, str(piece.file))))
         return ExitCode.DATA, None

@@ -31,9 +31,6 @@ CombinationOption = Annotated[
     ),
 ]
 
-_SHARES_OF_NOMINAL = (0.5, 0.75, 1.0, 1.25, 1.5)
-"""Loads at which a file is tested to convert it."""
-
 
 def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
     """Whether the model is a whole Magic Formula.
@@ -57,8 +54,7 @@ def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
         reason = f"{given} without --model {', '.join(MAGIC_FORMULA_NAMES)}"
         remedy = "leave it out: other models have no such stages"
         problems.append(InputProblem(reason, remedy))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return whole
 
 
@@ -108,8 +104,9 @@ def convert_whole(
     check_directories([out])
     start_jax()
     from tirefit.fitting.mf.convert import converted
+    from tirefit.fitting.tir import USUAL_SHARES
 
-    loads = loads or [share * tir.numbers["FNOMIN"] for share in _SHARES_OF_NOMINAL]
+    loads = loads or [share * tir.numbers["FNOMIN"] for share in USUAL_SHARES]
     with claimed(out):
         result = converted(tir, model, slip_max, loads, **of_file)
         _write(result, out, advice="try other --loads or a smaller --slip-max")
@@ -127,8 +124,7 @@ _ADVICE = "give starting values in fit.toml or fix a parameter"
 
 
 def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -> None:
-    """Prints the result and writes it into the claimed folder, with figures if
-    ``also`` is given."""
+    """Print the result and write it into the claimed folder; ``also``: figures."""
     from tirefit.fitting.mf.store import save_magic_formula
     from tirefit.fitting.result import SCHEMA
     from tirefit.report.draw import FIGURE_FILES

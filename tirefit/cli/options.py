@@ -49,6 +49,14 @@ Files = Annotated[
         " paths, addresses (s3://...), or patterns of them in quotes",
     ),
 ]
+Folder = Annotated[
+    Path,
+    typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model"),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
 
 
@@ -80,8 +88,7 @@ class DataOptions:
         typer.Option(metavar="FIT.TOML", parser=named_path, help="configuration"),
     ] = None
     column: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=HEADER", help="header of a column"),
+        list[str] | None, typer.Option(metavar="NAME=HEADER", help="header of a column")
     ] = None
     unit: Annotated[
         list[str] | None,
@@ -112,8 +119,7 @@ class DataOptions:
         float | None, typer.Option(help="effective radius [m]")
     ] = None
     mask_bad_rows: Annotated[
-        bool,
-        typer.Option("--mask-bad-rows", help="mask and list bad rows, go on"),
+        bool, typer.Option("--mask-bad-rows", help="mask and list bad rows, go on")
     ] = False
 
 
@@ -173,8 +179,7 @@ def pairs(option: str, items: list[str] | None) -> dict[str, str]:
     """
     problems: list[InputProblem] = []
     given = _pairs(option, items, problems)
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return given
 
 
@@ -204,7 +209,7 @@ def forces_named(force: list[str] | None) -> list[str] | None:
     """
     wrong = [name for name in force or [] if name not in ("fx", "fy", "mz")]
     if wrong:
-        raise UsageError(InputProblem(f"--force {wrong[0]!r}", "one of fx, fy, mz"))
+        raise UsageError(f"--force {wrong[0]!r} is no force", "one of fx, fy, mz")
     return force or None
 
 
@@ -225,8 +230,7 @@ def read_options(given: DataOptions, config) -> dict[str, Any]:
         "units": _pairs("--unit", given.unit, problems),
         "constants": numbers("--constant", given.constant, problems),
     }
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     below = {} if config is None else config.data.model_dump()
     single = {}
     for name in ("convention", "slip", "rolling_radius"):

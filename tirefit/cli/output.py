@@ -31,8 +31,14 @@ def check_directories(directories: Sequence[Path]) -> None:
             reason = f"no permission to write into the folder {there.absolute()}"
         if reason:
             problems.append(InputProblem(reason, remedy, str(directory)))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
+
+
+def check_distinct(names: Sequence[str], remedy: str) -> None:
+    """Raises UsageError where files have one name, and so would their results."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise UsageError(f"several input files are named {', '.join(twice)}", remedy)
 
 
 def check_replaced(
@@ -42,8 +48,7 @@ def check_replaced(
     file that is no earlier result; before the work.
 
     Args:
-        schema: what every earlier result says of itself; any file may be replaced where
-            it is empty.
+        schema: what every earlier result says of itself; empty files may be replaced.
     """
     problems, inputs = [], [path for path in inputs if _is(path)]
     for path in filter(_is, made):
@@ -55,8 +60,7 @@ def check_replaced(
             continue
         remedy = "choose another folder with --out"
         problems.append(InputProblem(reason, remedy, str(path)))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _is_of_others(path: Path, schema: str) -> bool:
@@ -95,7 +99,7 @@ def claimed(directory: Path) -> Iterator[None]:
         if handle is not None and not took_lock(handle):
             reason = "another tirefit is writing its results into this folder"
             remedy = "wait until it has ended, or choose another folder with --out"
-            raise UsageError(InputProblem(reason, remedy, str(directory)))
+            raise UsageError(reason, remedy, str(directory))
         _remove_what_a_kill_left(directory)
         yield
     finally:
@@ -134,8 +138,7 @@ def staged(
         apart: end of the folder's name, where processes write at the same time.
 
     Raises:
-        OSError: naming the file that could not be written; with a note of what the
-            directory holds.
+        OSError: naming the file that was not written; a note says what is there.
     """
     folder = directory / f"{_WRITING}{apart}"
     shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed
@@ -186,8 +189,7 @@ def _move(folder: Path, directory: Path, known: Collection[str]) -> None:
 
 
 def _of(directory: Path, folder: Path, error: OSError) -> OSError:
-    """The error as one of the directory, or of its file: a temporary name would mean
-    nothing to the user."""
+    """The error with the name of the directory or its file, not a temporary one."""
     path = Path(error.filename or folder)
     if path.is_relative_to(folder):
         path = directory / path.relative_to(folder)
@@ -208,8 +210,7 @@ def _of(directory: Path, folder: Path, error: OSError) -> OSError:
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C and a request to end wait for the end of the block: they cannot come
-    between two files."""
+    """Delay Ctrl-C and requests to end to the end of the block, between files."""
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread is interrupted
         return

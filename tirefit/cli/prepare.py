@@ -12,6 +12,7 @@ from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
 from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,
+    Folder,
     complain,
     completed,
     error_text,
@@ -22,9 +23,15 @@ from tirefit.cli.options import (
     say,
     takes_data_options,
 )
-from tirefit.cli.output import check_directories, check_replaced, claimed, staged
+from tirefit.cli.output import (
+    check_directories,
+    check_distinct,
+    check_replaced,
+    claimed,
+    staged,
+)
 from tirefit.data.remote import expanded, file_at
-from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -39,10 +46,7 @@ def prepare(
         typer.Argument(metavar="FILE...", parser=file_at, help="recordings of a rig"),
     ] = None,
     *,
-    out: Annotated[
-        Path,
-        typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
-    ],
+    out: Folder,
     options: DataOptions,
     bandwidth: Annotated[
         float | None,
@@ -104,8 +108,9 @@ def prepare(
             how = read_options(options, base)
             config = _settings(base, changes)
         if not files:
-            raise UsageError(InputProblem("no FILE given", "name one, or --repeat"))
-        names = _names(files)
+            raise UsageError("no FILE given", "name one, or --repeat")
+        names = [Path(file.name.removesuffix(".gz")).stem for file in files]
+        check_distinct(names, "prepare them into different --out")
         check_directories([out])
         ends = (".csv", ".segments.csv", ".png", ".prepare.json")
         made = [out / f"{name}{end}" for name in names for end in ends]
@@ -132,14 +137,13 @@ def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]
     """Files, reading options and settings of a record; nothing may contradict it."""
     if changes or options != DataOptions():
         reason = "--repeat with other settings"
-        raise UsageError(InputProblem(reason, "give the files alone, or no --repeat"))
+        raise UsageError(reason, "give the files alone, or no --repeat")
     from tirefit.data.prepare.settings import PrepareConfig
     from tirefit.data.prepare.store import SCHEMA
     from tirefit.door import read_record
     from tirefit.settings import parse_settings
 
-    remedy = "give a NAME.prepare.json of tirefit prepare"
-    content = read_record(record, SCHEMA, remedy)
+    content = read_record(record, SCHEMA, "give a NAME.prepare.json of tirefit prepare")
     config = parse_settings(PrepareConfig, content["config"], str(record))
     if files:
         return files, content["read"], config
@@ -147,29 +151,17 @@ def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]
     if not file.is_file():
         reason = f"{file}, which it was made from, is not there"
         remedy = "name the file: tirefit prepare FILE --repeat ..."
-        raise DataError(InputProblem(reason, remedy, str(record)))
+        raise DataError(reason, remedy, str(record))
     if hashlib.sha256(file.read_bytes()).hexdigest() != content["input"]["sha256"]:
         reason = f"{file} is not what it was made from: its sha256 differs"
         remedy = f"to prepare it all the same: tirefit prepare {file} --repeat {record}"
-        raise DataError(InputProblem(reason, remedy, str(record)))
+        raise DataError(reason, remedy, str(record))
     return [file], content["read"], config
-
-
-def _names(files: list[Path]) -> list[str]:
-    from tirefit.data.text import stem_of
-
-    names = [stem_of(file) for file in files]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        reason = f"several files are named {', '.join(twice)}"
-        raise UsageError(InputProblem(reason, "prepare them into different --out"))
-    return names
 
 
 @dataclass(frozen=True)
 class _Task:
-    """What all files share: the folder of the results, arguments of ``tirefit.read``,
-    and the settings."""
+    """What all files share: results' folder, ``tirefit.read`` arguments, settings."""
 
     out: Path
     how: dict[str, Any]

@@ -5,7 +5,14 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import errors_to_exit, named_path, numbers, say, start_jax
+from tirefit.cli.options import (
+    SetOption,
+    errors_to_exit,
+    named_path,
+    numbers,
+    say,
+    start_jax,
+)
 from tirefit.results import InputProblem, UsageError
 
 app = typer.Typer(
@@ -67,8 +74,7 @@ def braking(
         ]  # fmt: skip
         _check(out, truth, limits)
         if tire not in ("magic-formula", "lugre"):
-            reason = f"--tire {tire!r} is not known"
-            raise UsageError(InputProblem(reason, "magic-formula or lugre"))
+            raise UsageError(f"--tire {tire!r} is not known", "magic-formula or lugre")
         start_jax()
         from tirefit.sim.braking import Braking, simulate_braking
 
@@ -132,10 +138,7 @@ def rig(
     out: Out,
     truth: Truth = None,
     model: Annotated[str, typer.Option(help="model of `tirefit models`")] = "brush",
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model"),
-    ] = None,
+    parameter: SetOption = None,
     load: Annotated[
         list[float] | None, typer.Option(help="[N], may be repeated")
     ] = None,
@@ -155,8 +158,7 @@ def rig(
     with errors_to_exit():
         problems: list[InputProblem] = []
         values = numbers("--set", parameter, problems)
-        if problems:
-            raise UsageError(problems)
+        UsageError.raise_for(problems)
         loads, speeds = load or [4000.0], speed or [20.0]
         limits = [("--load", x, 0.0, 1e9) for x in loads]
         limits += [("--speed", x, 0.0, 1e3) for x in speeds]
@@ -187,15 +189,14 @@ def _drop(text: str | None) -> tuple[float, float] | None:
         time, friction = map(float, text.split("="))
     except ValueError:
         reason = f"--drop {text!r} is not TIME=FRICTION"
-        raise UsageError(InputProblem(reason, "as in --drop 5=0.4")) from None
+        raise UsageError(reason, "as in --drop 5=0.4") from None
     if not (time > 0 and 0.05 <= friction <= 5):
         reason = f"--drop {text!r} is out of range"
-        raise UsageError(InputProblem(reason, "a time > 0 s, a friction 0.05 to 5"))
+        raise UsageError(reason, "a time > 0 s, a friction 0.05 to 5")
     return time, friction
 
 
-_ROWS, _MOST_ROWS = "number of rows", 1e7
-"""What all of them need some GB of memory for."""
+_ROWS, _MOST_ROWS = "number of rows", 1e7  # what all of them need some GB of memory for
 
 
 def _of_log(rate: float, duration: float, drop) -> list[tuple]:
@@ -218,8 +219,7 @@ def _check(out: Path, truth: Path | None, limits) -> None:
             reason = f"{option} {value:g} is out of range"
             least = "from 0" if low < 0 else f"above {low:g}, up"
             problems.append(InputProblem(reason, f"{least} to {high:g}"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _write(made, out: Path, truth: Path | None, seed: int) -> None:

@@ -20,9 +20,8 @@ def as_data(data: Any, **how: Any) -> TireData:
     """The data, read with the defaults where they are not read yet.
 
     Args:
-        data: what ``tirefit.read`` gave, the path of a file, a frame (pandas, polars or
-            any with ``columns``), a structured array, or a mapping of name to (n,)
-            array.
+        data: what ``tirefit.read`` gave, a path, a frame (pandas, polars or any with
+            ``columns``), a structured array, or a mapping of name to (n,) array.
         how: arguments of ``tirefit.read`` for data that are not read yet. ``otherwise``
             applies to files only; arrays without a convention are canonical.
 

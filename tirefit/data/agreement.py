@@ -15,15 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-LATEST = 0.4
-"""Longest delay that is looked for [s]: of the recorders of vehicles."""
+LATEST = 0.4  # longest delay that is looked for [s]: of the recorders of vehicles
 
 _NO_DELAY = 0.02
-"""What the longest delay must add to R² beyond no delay: half a wave later, a wave of
-the other sign is as good."""
+"""Least gain in R² of the longest delay: half a wave late the other sign fits too."""
 
-_GLITCH = 3.0
-"""Multiple of the 99th percentile beyond which a sample is a glitch."""
+_GLITCH = 3.0  # multiple of the 99th percentile beyond which a sample is a glitch
 
 _OUTLIER = 5.0
 """Standard deviations of the remainder, by its median size, that no noise reaches."""
@@ -32,11 +29,9 @@ _AROUND = (-2.0, -1.5, -1.0, 1.0, 1.5, 2.0)
 """Where the instruments lie, over the time after which noise is another."""
 
 _ROUNDS = 4
-EACH = 10
-"""Rows that are used per correlation time of the noise."""
+EACH = 10  # rows that are used per correlation time of the noise
 
-FEWEST = 50
-"""Fewest rows that are compared: 5 s of a log with the default filter."""
+FEWEST = 50  # fewest rows that are compared: 5 s of a log with the default filter
 
 
 class Term(NamedTuple):
@@ -49,27 +44,16 @@ class Term(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """A channel (n,) and what others say of it.
-
-    Attributes:
-        channel: the channel's name; words: the other side, for the user.
-        values: the channel, (n,) on the grid, NaN where it is not known.
-        terms: the other side's summands.
-        zero: standard deviation of the zero error that a sound sensor may have, in
-            the channel's unit.
-        floor: rms from which the channel or the other side says anything.
-        level: whether the level itself is compared, as of a speed, and not only how it
-            varies.
-        exact: whether the two are the same at every moment, or but for the car's own
-            dynamics, which look like a delay.
-    """
+    """A channel (n,) and what others say of it; ``level``: the level is compared too,
+    as of a speed; ``exact``: both are the same at every moment, not but for the car's
+    own dynamics, which look like a delay."""
 
     channel: str
-    words: str
-    values: np.ndarray
-    terms: tuple[Term, ...]
-    zero: float
-    floor: float
+    words: str  # the other side, for the user
+    values: np.ndarray  # (n,) on the grid, NaN where the channel is not known
+    terms: tuple[Term, ...]  # summands of the other side
+    zero: float  # standard deviation of a sound sensor's zero, unit of the channel
+    floor: float  # rms from which either side says anything
     level: bool = False
     exact: bool = True
 
@@ -77,44 +61,36 @@ class Pair(NamedTuple):
 class Agreement(NamedTuple):
     """A pair as estimated: standard errors by the effective number of samples.
 
-    Attributes:
-        gains, gain_stds: one a term, 1 where the two sides agree.
-        delay, delay_std: by which the channel is later than the others [s].
-        offset, offset_std: what the channel shows beyond, in its unit.
-        seen: share of what only this term has that is there a while before and after
-            as well, so is no noise; delay_seen, own_seen: likewise of the terms' rate,
-            which shows the delay, and of the channel itself.
-        size, own_size: rms of the other side's variation and the channel's.
-        correlation: of the two sides at that delay.
-        samples, effective: rows that were compared, and how many they count as.
+    ``seen``: share of what only this term has that is there a while before and after as
+    well, so is no noise; ``delay_seen``, ``own_seen``: the same of the terms' rate,
+    which shows the delay, and of the channel itself.
     """
 
     pair: Pair
-    gains: tuple[float, ...]
+    gains: tuple[float, ...]  # one a term, 1 where the two sides agree
     gain_stds: tuple[float, ...]
-    delay: float
+    delay: float  # [s] by which the channel is later than the others
     delay_std: float
-    offset: float
+    offset: float  # what the channel shows beyond, in its unit
     offset_std: float
     seen: tuple[float, ...]
     delay_seen: float
     own_seen: float
-    size: float
-    own_size: float
-    correlation: float
-    samples: int
-    effective: float
+    size: float  # rms of the other side's variation
+    own_size: float  # and of the channel's
+    correlation: float  # of the two sides at that delay
+    samples: int  # rows that were compared
+    effective: float  # independent rows that they count as
 
 
 class _Fit(NamedTuple):
-    """Of the terms, the rate of their sum, and 1: (k + 2,) factors, their standard
-    errors, shares seen, effective number of samples, and the (n,) remainder."""
+    """Of the terms, the rate of their sum, and 1."""
 
-    theta: np.ndarray
-    std: np.ndarray
-    seen: np.ndarray
-    effective: float
-    error: np.ndarray
+    theta: np.ndarray  # (k + 2,) factors
+    std: np.ndarray  # their standard errors
+    seen: np.ndarray  # shares seen
+    effective: float  # number of samples
+    error: np.ndarray  # (n,) remainder
 
 
 def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement | None:
@@ -185,8 +161,7 @@ def _seen_around(values, around) -> float:
 
 
 def _no_outlier(error: np.ndarray) -> np.ndarray:
-    """Rows (n,) bool whose remainder is of the size of the others'; all of them where
-    too few would be left."""
+    """Rows (n,) bool with remainders of common size; all where too few would be."""
     about = np.abs(error - np.median(error))
     good = about <= _OUTLIER * 1.4826 * np.median(about)
     return good if good.sum() >= FEWEST else np.ones(len(error), bool)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.cells import Body, TextColumn
+from tirefit.data.cells import TextColumn
 from tirefit.data.check import BadRows, parsed
 from tirefit.data.columns import is_number
 from tirefit.data.remote import Place
@@ -38,38 +38,35 @@ LARGE = 2**21
 _HEAD = 2**17
 _PIECE = 2**21
 
-_LONGEST = 2**16
-"""Bytes of a line; a longer one is of another kind of file."""
+_LONGEST = 2**16  # bytes of a line; a longer one is of another kind of file
 
 _PLAIN = bytes([*range(0x20, 0x7F), *b"\n\r\t"])
 """What the bytes below the head must be: nothing there needs an encoding."""
 
 
 class _Piece(NamedTuple):
-    """Rows of a part of the file: their lines, the bytes at which they start, whether
-    they are ragged (n,), and their numbers (columns, n)."""
+    """Rows of a part of the file."""
 
     lines: np.ndarray
-    starts: np.ndarray
-    ragged: np.ndarray
-    numbers: np.ndarray
+    starts: np.ndarray  # bytes at which they start
+    ragged: np.ndarray  # (n,)
+    numbers: np.ndarray  # (columns, n)
     faults: tuple[BadRows, ...] = ()
 
 
 class _Layout(NamedTuple):
-    """How the lines below the head are split: ``kind`` is the type of a row, ``S1``
-    for a column of text; ``commas`` whether a comma is the decimal point."""
+    """How the lines below the head are split."""
 
     path: Place
     width: int
     delimiter: str
     spaced: bool
-    kind: np.dtype
-    commas: bool
+    kind: np.dtype  # type of a row, ``S1`` for a column of text
+    commas: bool  # whether a comma is the decimal point
 
 
-class _Rows(Body):
-    """Rows of the head, then those of the pieces."""
+class _Rows:
+    """Rows of the head, then of the pieces; ``commas``: decimal ones."""
 
     def __init__(self, content: bytes, head: Table, layout: _Layout):
         self._content, self._layout = content, layout
@@ -96,6 +93,7 @@ class _Rows(Body):
         return len(self._all.lines)
 
     def numbers(self, column: int) -> np.ndarray:
+        """The numbers of a column (n,), NaN for a cell that is none."""
         return self._all.numbers[column]
 
     def may_hold(self, mark: str) -> bool:
@@ -191,8 +189,9 @@ def _pieces(content: bytes, first: int) -> Iterator[tuple[int, int]]:
 def _layout(content: bytes, head: Table, first: int, path: Place) -> _Layout:
     apart = head.delimiter not in ("", ",")
     commas = apart and b"," in content and content.find(b".", first) < 0
+    mark = "," if commas else "."
     is_text = [
-        not any(is_number(_pointed(cell, commas)) for cell in column)
+        not any(is_number(cell.replace(mark, ".")) for cell in column)
         for column in head.cells
     ]
     kind = np.dtype(
@@ -200,10 +199,6 @@ def _layout(content: bytes, head: Table, first: int, path: Place) -> _Layout:
     )
     spaced = SPACED in head.notes
     return _Layout(path, len(is_text), head.delimiter, spaced, kind, commas)
-
-
-def _pointed(cell: str, commas: bool) -> str:
-    return cell.replace(",", ".") if commas else cell
 
 
 def _read(piece: bytes, start: int, number: int, layout: _Layout) -> _Piece | None:

@@ -1,44 +1,16 @@
 """One column of a large text: numbers at hand, the text of a cell on demand."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 
-class Body(ABC):
-    """The rows of a large text, however they are kept.
-
-    ``commas``: whether its numbers were read with a decimal comma.
-    """
-
-    commas: bool
-
-    @abstractmethod
-    def __len__(self) -> int:
-        """Number of rows."""
-
-    @abstractmethod
-    def row(self, index: int) -> Sequence[str]:
-        """The cells of one row."""
-
-    @abstractmethod
-    def rows(self) -> Iterator[Sequence[str]]:
-        """The cells of every row, in order."""
-
-    @abstractmethod
-    def numbers(self, column: int) -> np.ndarray:
-        """The numbers of a column (n,), NaN for a cell that is none."""
-
-    @abstractmethod
-    def may_hold(self, mark: str) -> bool:
-        """False where no cell holds this character."""
-
-
 class TextColumn(Sequence[str]):
-    """Cells of one column as they stand in the file, and their numbers."""
+    """Cells of one column as they stand in the file, and their numbers; ``body`` holds
+    the rows of all columns (``tirefit.data.bulk``)."""
 
-    def __init__(self, body: Body, index: int):
+    def __init__(self, body: Any, index: int):
         self._body, self._index = body, index
 
     def __len__(self) -> int:

@@ -18,8 +18,7 @@ from tirefit.data.evidence import evidence_of, fitting_conventions
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
 
-SHOWN = 5
-"""Rows of one fault that are listed one by one before the rest is summed up."""
+SHOWN = 5  # rows of one fault that are listed one by one before the rest is summed up
 
 _NEARLY_ONE = 1 + 1e-6
 _LOWEST_SIGMA = -1.05
@@ -49,18 +48,14 @@ _LEAST_SLIP = (("fx", "sigma_x", 0.01), ("fy", "alpha", np.radians(0.5)))
 
 
 class BadRows(NamedTuple):
-    """Rows that break one rule in one column.
-
-    ``values`` holds, per row, what stands there; value and ``rule`` make the reason.
-    ``is_systematic``: where most rows break it the column is wrong, not its rows.
-    """
+    """Rows that break one rule in one column."""
 
     column: str | None
     rows: Sequence[int] | np.ndarray
-    values: Sequence[str]
+    values: Sequence[str]  # what stands in each row; with the rule it makes the reason
     rule: str
     remedy: str = _CORRECT
-    is_systematic: bool = False
+    is_systematic: bool = False  # most rows break it: the column is wrong, not its rows
 
 
 class Rule(NamedTuple):
@@ -190,8 +185,7 @@ def list_problems(
         file: named in the problems.
 
     Returns:
-        Problems of single rows, and problems of whole columns (most rows are bad),
-        which masking cannot cure.
+        Problems of single rows, and of whole columns, which no mask cures.
     """
     of_rows, of_columns = [], []
     for fault in faults:
@@ -309,8 +303,7 @@ def doubt_units(
 def doubt_time(
     time: np.ndarray, run: np.ndarray, lines: np.ndarray, header: str
 ) -> list[str]:
-    """A time that goes back within a run, as a sentence with a remedy; none where it
-    does not.
+    """A time that goes back within a run, as a sentence with a remedy; else none.
 
     Args:
         time, run, lines: (n,) time [s], run and line in the file of the used rows.

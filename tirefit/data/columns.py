@@ -82,18 +82,14 @@ class Guess(NamedTuple):
 
 @dataclass(frozen=True)
 class Column:
-    """One column to read: canonical ``name`` (or a slip definition), place, unit.
+    """One column to read."""
 
-    ``unit`` is None for ``run`` and where the stated unit was refused; ``beside`` says
-    that it stands in a row of units, or another place that is not the header's.
-    """
-
-    name: str
+    name: str  # canonical, or a slip definition
     header: str
     index: int
     unit_text: str = ""
-    unit: Unit | None = None
-    beside: bool = False
+    unit: Unit | None = None  # None for ``run`` and where the stated one was refused
+    beside: bool = False  # stands in a row of units, or another place than the header
 
 
 @dataclass
@@ -278,8 +274,7 @@ def _inferred(headers, declared, plan, file, names) -> dict[str, int]:
 
 
 def _places(indices: Sequence[int]) -> str:
-    """Where columns stand, from 1: of headers that are alike, all that tells them
-    apart."""
+    """Places of columns, from 1; of headers that are alike nothing else differs."""
     return f"columns {' and '.join(str(index + 1) for index in indices)}"
 
 

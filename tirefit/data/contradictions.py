@@ -32,19 +32,12 @@ _OFFSET = 0.3
 
 @dataclass(frozen=True)
 class Comparison:
-    """What the redundancy of a log says.
+    """What the redundancy of a log says."""
 
-    Attributes:
-        pairs: every pair that was compared.
-        problems: contradictions, with channel, unit or sign, and remedy.
-        warnings: sentences on what differs by more than it should.
-        line: one line for the summary.
-    """
-
-    pairs: tuple[Agreement, ...]
-    problems: tuple[InputProblem, ...]
-    warnings: tuple[str, ...]
-    line: str
+    pairs: tuple[Agreement, ...]  # every pair that was compared
+    problems: tuple[InputProblem, ...]  # contradictions: channel, unit or sign, remedy
+    warnings: tuple[str, ...]  # sentences on what differs by more than it should
+    line: str  # for the summary
 
     def as_dicts(self) -> list[dict]:
         """Each pair with what was estimated of it, for the companion file."""

@@ -31,23 +31,19 @@ def stated_convention(above: Sequence[str], file: str) -> tuple[Layout, tuple]:
         elif layout.convention not in (None, name):
             before = f"contradicts {layout.convention!r} in line {layout.stated_in}"
             reason = f"the convention {name!r} {before}"
-            raise DataError(InputProblem(reason, "correct one of them", file, row))
+            raise DataError(reason, "correct one of them", file, row)
         else:
             layout = Layout(convention=name, stated_in=layout.stated_in or row)
     return layout, tuple(doubts)
 
 
 class Signs(NamedTuple):
-    """The sign convention in which a file is read.
-
-    ``whose`` is the source of the convention, in words; ``is_declared`` is False if it
-    was assumed; ``problems`` are declarations that contradict each other.
-    """
+    """The sign convention in which a file is read."""
 
     convention: str
-    whose: str
-    is_declared: bool = True
-    problems: tuple[InputProblem, ...] = ()
+    whose: str  # source of the convention, in words
+    is_declared: bool = True  # False if it was assumed
+    problems: tuple[InputProblem, ...] = ()  # contradictory declarations
 
     def __str__(self) -> str:
         if self.is_declared:
@@ -73,8 +69,7 @@ class Options(NamedTuple):
     otherwise: tuple[str, str] | None = None
 
     def signs(self, layout: Layout, columns: Iterable[str], file: str) -> Signs:
-        """The convention: the user's, else the file's, else that of a model, else
-        "braking".
+        """The convention: the user's, the file's, a model's, or "braking".
 
         Args:
             layout: of the file. A convention that a line of the file states must agree
@@ -127,8 +122,7 @@ class Options(NamedTuple):
                 kind = "a positive" if is_size else "a finite"
                 reason = f"--constant {name}={value:g} is not {kind} number"
                 problems.append(InputProblem(reason, "give it in SI units and signs"))
-        if problems:
-            raise UsageError(problems)
+        UsageError.raise_for(problems)
 
 
 def _unknown(option: str, given, known) -> list[InputProblem]:

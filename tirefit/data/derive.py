@@ -38,13 +38,12 @@ from tirefit.data.motion import (
     road_wheel,
     slip_and_force,
 )
-from tirefit.data.point import PointCheck, check_point
+from tirefit.data.point import PointCheck, check_point, zero_of_alpha
 from tirefit.data.remote import Place, file_at
 from tirefit.data.stated import found_in, stated_of
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
-from tirefit.data.zero import zero_of_alpha
 from tirefit.files import write_texts
 from tirefit.results import DataError, InputProblem, UsageError
 
@@ -67,47 +66,31 @@ _SIGNS = (
 class DerivedLog:
     """What :func:`derive` found in one log.
 
-    Attributes:
-        name: The log's name without its endings; it becomes the run.
-        columns: Arrays (n,) of the kept samples: time [s from the first sample],
-            alpha [rad], fy, fz [N] with the canonical signs, v [m/s, forward at the
-            axle], alpha_rate [rad/s] at the full sample rate, and the motion of the
-            centre of gravity by ISO 8855: a_x, a_y [m/s2], yaw_rate [rad/s],
-            yaw_acceleration [rad/s2]; heading [rad], x, y [m] of a log of poses;
-            steering [rad], the road wheel angle, and steering_rate [rad/s] where the
-            map is given; fx, fx_std [N] of an axle that drives.
-        rows: Rows in the file.
-        dropped_rows: Reason -> rows of the file that were not used.
-        samples: Samples on the uniform grid.
-        dropped_samples: Reason -> grid samples that were not kept (first reason that
-            applies, so these and the kept ones add up to ``samples``).
-        gaps: Number of gaps that were not interpolated.
-        bandwidth: Frequency [Hz] at which the filter's gain is -3 dB.
-        heading: Sentence on the offset of heading or sideslip: applied, assumed none,
-            left over.
-        zero: alpha at no side force [rad]; None where the log does not show it.
-        point: Position of the tracked point, estimated from force against slip.
-        compared: What the redundancy of the log's channels says.
-        warnings: Sentences on what in the columns is hardly the tire's.
-        assumptions: Sentences: the bandwidth and everything that was assumed.
-        source: Path, sha256 and epoch (the log's time [s] at time 0).
+    ``columns`` are arrays (n,) of the kept samples: time [s from the first sample],
+    alpha [rad], fy, fz [N] with the canonical signs, v [m/s, forward at the axle],
+    alpha_rate [rad/s] at the full sample rate, and the motion of the centre of gravity
+    by ISO 8855: a_x, a_y [m/s2], yaw_rate [rad/s], yaw_acceleration [rad/s2]; heading
+    [rad], x, y [m] of a log of poses; steering [rad], the road wheel angle, and
+    steering_rate [rad/s] where the map is given; fx, fx_std [N] of an axle that drives.
+    ``dropped_samples`` has the first reason that applies to each grid sample: these and
+    the kept ones add up to ``samples``. Texts are sentences.
     """
 
-    name: str
+    name: str  # of the log without its endings; it becomes the run
     columns: Mapping[str, np.ndarray]
-    rows: int
-    dropped_rows: Mapping[str, int]
-    samples: int
-    dropped_samples: Mapping[str, int]
-    gaps: int
-    bandwidth: float
-    heading: str
-    zero: float | None
-    point: PointCheck
-    compared: Comparison
-    warnings: tuple[str, ...]
-    assumptions: tuple[str, ...]
-    source: Mapping[str, str | float]
+    rows: int  # in the file
+    dropped_rows: Mapping[str, int]  # reason -> rows of the file that were not used
+    samples: int  # on the uniform grid
+    dropped_samples: Mapping[str, int]  # reason -> grid samples that were not kept
+    gaps: int  # that were not interpolated
+    bandwidth: float  # frequency [Hz] at which the filter's gain is -3 dB
+    heading: str  # offset of heading or sideslip: applied, assumed none, left over
+    zero: float | None  # alpha at no side force [rad], where the log shows it
+    point: PointCheck  # position of the tracked point, by force against slip
+    compared: Comparison  # what the redundancy of the log's channels says
+    warnings: tuple[str, ...]  # what in the columns is hardly the tire's
+    assumptions: tuple[str, ...]  # the bandwidth and everything that was assumed
+    source: Mapping[str, str | float]  # path, sha256, epoch (log's time [s] at time 0)
 
     def __len__(self) -> int:
         return len(self.columns["time"])
@@ -171,14 +154,12 @@ def derive(
     """
     file = file_at(path)
     if axle not in ("rear", "front"):
-        raise UsageError(InputProblem(f"unknown axle {axle!r}", "say rear or front"))
+        raise UsageError(f"unknown axle {axle!r}", "say rear or front")
     if axle == "front" and vehicle.steering is None:
         raise UsageError(
-            InputProblem(
-                "the front slip angle needs the road wheel angle",
-                "name columns.steering and give [steering] in vehicle.toml, or derive"
-                " the rear axle, which needs neither",
-            )
+            "the front slip angle needs the road wheel angle",
+            "name columns.steering and give [steering] in vehicle.toml, or derive"
+            " the rear axle, which needs neither",
         )
     track, motion, gaps = read_motion(file, vehicle)
     compared = compare(track, motion, vehicle, str(file))
@@ -187,11 +168,9 @@ def derive(
     kept, dropped = _kept(motion, track, vehicle, axle)
     if not kept.any():
         raise DataError(
-            InputProblem(
-                f"no sample is left of {len(kept)}: {_counts(dropped)}",
-                "check the units and [keep] of vehicle.toml",
-                str(file),
-            )
+            f"no sample is left of {len(kept)}: {_counts(dropped)}",
+            "check the units and [keep] of vehicle.toml",
+            str(file),
         )
     warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
     warnings = _hardly_any(kept, dropped) + warnings
@@ -242,8 +221,7 @@ def derive_files(
         paths: The logs; their names become the runs.
         vehicle_toml: See :mod:`tirefit.data.vehicle`.
         out: CSV to write, in canonical columns and SI units; ``NAME.derive.json``
-            beside ``NAME.csv`` states the vehicle, the bandwidth, the assumptions and
-            the sources.
+            beside it states vehicle, bandwidth, assumptions and sources.
         axle: "rear" or "front".
         units: Unit of a quantity, over ``[units]`` of the vehicle.
         believe: Only warn of channels that contradict each other.
@@ -251,8 +229,7 @@ def derive_files(
 
     Raises:
         DataError: With the problems of all logs; then nothing is written.
-        UsageError: If the configuration, the axle or ``out`` is wrong, or two logs
-            have one name.
+        UsageError: wrong configuration, axle or ``out``, or two logs of one name.
         OSError: If a file cannot be written; then neither is.
     """
     out = Path(out)
@@ -266,8 +243,7 @@ def derive_files(
             logs.append(derive(path, vehicle, axle, believe))
         except DataError as error:
             problems += error.problems
-    if problems:
-        raise DataError(problems)
+    DataError.raise_for(problems)
     columns = {
         name: np.concatenate([log.columns[name] for log in logs])
         for name in logs[0].columns
@@ -467,5 +443,4 @@ def _check_names(
                 f"two logs are named {name!r}", "rename one: the name is the run"
             )
         )
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)

@@ -12,11 +12,8 @@ _CUT, _MUCH_CUT = 0.7, 0.05
 """Share of the bandwidth above which the filter takes part of what is there, and the
 share of a column's variance from which that is said."""
 
-_GRIP = 1.5
-"""Largest |F_y| / F_z of racing tires on dry asphalt, without downforce."""
-
-_SILENT = 1e-300
-"""Variance of a column that never changes."""
+_GRIP = 1.5  # largest |F_y| / F_z of racing tires on dry asphalt, without downforce
+_SILENT = 1e-300  # variance of a column that never changes
 
 _LONGEST = 2.0
 """Longest wave that is looked for, in wheelbases: wheels of cars turn once in 0.6 to 1,
@@ -25,8 +22,7 @@ of model cars in 1 to 1.5; a slalom is longer."""
 _TURNS = 16
 """Waves of the longest kind in a window: wavelengths are told apart to 1 / 16."""
 
-_WINDOWS = 4
-"""Windows that a log must have, at least."""
+_WINDOWS = 4  # windows that a log must have, at least
 
 _CHANCE = 1e-4
 """Probability that the highest of all peaks is chance, below which it is said."""
@@ -42,12 +38,11 @@ _SHOWN_IN = {"alpha": ("mrad", 1e3), "fy": ("N", 1.0)}
 
 
 class Wave(NamedTuple):
-    """A wave that comes once in ``length`` [m] of the road, of so much ``size`` (half
-    of its height), by chance with probability ``p_value``."""
+    """A wave along the road."""
 
-    length: float
-    size: float
-    p_value: float
+    length: float  # [m]
+    size: float  # half of its height
+    p_value: float  # probability by chance
 
 
 def doubts(columns, motion: Motion, kept, vehicle: Vehicle) -> tuple[str, ...]:
@@ -138,17 +133,15 @@ def _repeating(columns, stretches, way, vehicle: Vehicle) -> list[str]:
         if wave is None:
             continue
         as_well = ", or in time: the speed hardly varies" if steady else ""
+        least = wave.p_value < _LEAST
+        chance = f"< {_LEAST:.0e}" if least else f"{wave.p_value:.0e}"
         said.append(
             f"{name} repeats every {wave.length:.3g} m of the road (a wave of"
-            f" {factor * wave.size:.2g} {unit}, p {_chance(wave)}){as_well}: a wheel"
+            f" {factor * wave.size:.2g} {unit}, p {chance}){as_well}: a wheel"
             f" of {1e3 * wave.length / (2 * np.pi):.3g} mm turns once in that; look for"
             " run-out, imbalance or a worn patch"
         )
     return said
-
-
-def _chance(wave: Wave) -> str:
-    return f"< {_LEAST:.0e}" if wave.p_value < _LEAST else f"{wave.p_value:.0e}"
 
 
 def repeats_with_distance(values, way, shortest: float, longest: float) -> Wave | None:

@@ -16,29 +16,20 @@ from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 _SMALL_ANGLE = np.radians(4.0)
 """Slip angle up to which the aligning moment has one sign."""
 
-_SMALL_SLIP = 0.03
-"""Longitudinal slip up to which a test of the slip angle is one."""
+_SMALL_SLIP = 0.03  # longitudinal slip up to which a test of the slip angle is one
 
 _LEAST_CAMBER = np.radians(1.0)
-_LEAST_BRAKING = 0.5
-"""Acceleration [m/s2] that is more than the noise of one."""
+_LEAST_BRAKING = 0.5  # acceleration [m/s2] that is more than the noise of one
 
 
 class Evidence(NamedTuple):
-    """Two columns that must go together, and whether they do.
+    """Two columns that must go together, and whether they do: ``trend`` is 1 if they go
+    as they must in canonical signs, -1 the other way, 0 if the data do not say."""
 
-    Attributes:
-        fields: of a convention whose signs multiply in it.
-        columns: the canonical columns.
-        trend: 1 if they go together as they must in canonical signs, -1 if they go the
-            other way, 0 if the data do not say.
-        rule: what must hold, for the user.
-    """
-
-    fields: tuple[str, ...]
-    columns: tuple[str, str]
+    fields: tuple[str, ...]  # of a convention whose signs multiply in it
+    columns: tuple[str, str]  # the canonical columns
     trend: int
-    rule: str
+    rule: str  # what must hold, for the user
 
 
 def trend(x: np.ndarray, y: np.ndarray, least: float) -> int:

@@ -3,7 +3,7 @@
 import importlib
 from types import ModuleType
 
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 
 def extra(
@@ -20,4 +20,4 @@ def extra(
         library = module.split(".")[0]
         reason = f"{doing} {kind} needs {library}, which is not installed"
         remedy = f"pip install 'tirefit[{group}]' (or: pip install {library})"
-        raise DataError(InputProblem(reason, remedy, file)) from error
+        raise DataError(reason, remedy, file) from error

@@ -1,6 +1,5 @@
-"""Rows far from everything: values that lie neither among those of their file nor among
-those of their neighbours, as a wrong unit or a faulty channel leaves them in single
-rows."""
+"""Rows far from everything: values that lie neither among those of their file nor of
+their neighbours, as a wrong unit or a faulty channel leaves them in single rows."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -20,8 +19,7 @@ FAR_COLUMNS = (
 _GAP = 3.0
 """Gap between a value and all others, in ranges of those others, that is no setting."""
 _FEW = 0.05
-"""Share of the rows, at most, that can be single ones: more are part of what was
-measured."""
+"""Largest share of rows that are single ones: more are part of what was measured."""
 _LEAST_RANGE = 0.3
 """A column that hardly varies counts as if it varied by so much of its median."""
 _OTHER_LOAD = 3.0
@@ -37,29 +35,22 @@ _SHARE = 0.25
 _AGAINST, _SMALL_SLIPS = 0.5, 0.25
 """A force of so much of the largest with a slip of the other sign is absurd, but for
 the smallest slips by size, which may have an offset."""
-_LOAD_STEP = 0.1
-"""Loads that differ by less in their logarithm are alike, ..."""
-_SLIP_STEP = 0.02
-"""... and slips across that of the force."""
-_CHUNK = 1 << 16
-"""Rows whose neighbours are sorted at once."""
+_LOAD_STEP = 0.1  # loads that differ by less in their logarithm are alike, ...
+_SLIP_STEP = 0.02  # ... and slips across that of the force.
+_CHUNK = 1 << 16  # rows whose neighbours are sorted at once
 _ALL = "all other rows"
 _SLIP_OF = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
 
 
 class FarValue(NamedTuple):
-    """A value far from all of its like.
+    """A value far from all of its like."""
 
-    ``row`` counts from 0; ``low`` and ``high`` are the ends of what the others have,
-    and ``among`` says which others.
-    """
-
-    row: int
+    row: int  # counted from 0
     column: str
     value: float
-    low: float
+    low: float  # ends of what the others have
     high: float
-    among: str
+    among: str  # which others
 
 
 def far_values(
@@ -127,7 +118,7 @@ def problem_at(
     """A problem with one row (counted from 0), placed in its own file."""
     source = data.source
     paths = source.paths
-    file = paths[data.run[row]] if paths else source.path or data.name
+    file = paths[data.run[row]] if paths else data.file
     line = row if source.line is None else int(source.line[row])
     header = source.columns.get(column, column)
     return InputProblem(reason, remedy, file, line, header)
@@ -145,7 +136,7 @@ def why_far(value: FarValue) -> str:
 def _rules(data: TireData, column: str, values):
     """(who the others are, (far rows, ends of what the others have)), rule by rule."""
     if column == "fz":
-        scales = (_identity, np.log) if np.all(values > 0) else (_identity,)
+        scales = (np.positive, np.log) if np.all(values > 0) else (np.positive,)
         for far, low, high in (_beyond_all(values, scale) for scale in scales):
             other = (values > _OTHER_LOAD * high) | (values < low / _OTHER_LOAD)
             yield _ALL, (far & other, low, high)
@@ -165,11 +156,7 @@ def _rules(data: TireData, column: str, values):
             yield among, _against(values, data.usable(slip))
 
 
-def _identity(values):
-    return values
-
-
-def _beyond_all(values, shape=_identity, locked=np.inf):
+def _beyond_all(values, shape=np.positive, locked=np.inf):
     """Rows that a wide gap parts from all others, at either end.
 
     Args:

@@ -21,23 +21,19 @@ wrong point, that is a fault: as large as that by a gain of ``ALIKE``."""
 _NEAR_UNIT, _NEAR, _FARTHEST = math.log(1.2), 2.5, 0.4
 """Largest |log gain| off a unit: this, or so many standard errors, but never more."""
 
-SURE = 4.0
-"""Standard errors from which an estimate differs from its stated value."""
+SURE = 4.0  # standard errors from which an estimate differs from its stated value
 
 _STEERING = (0.4, 8.0)
 """Steering over that of a car that rolls: understeer makes it up to some times more."""
 
-_CLEAR = 5.0
-"""A gain is known where it is so many standard errors from 0."""
+_CLEAR = 5.0  # A gain is known where it is so many standard errors from 0
 
 SEEN = 0.5
 """Share of a term's variation that must be no noise for its gain to be judged."""
 
-RELATED = 0.6
-"""Correlation from which two channels follow each other."""
+RELATED = 0.6  # correlation from which two channels follow each other
 
-_SHARED = 0.9
-"""Correlation that noise of two sensors does not have."""
+_SHARED = 0.9  # correlation that noise of two sensors does not have
 
 _UNRELATED, _SURELY = 0.7, 2.5
 """They do not where the correlation and so many of its standard errors stay below."""
@@ -60,16 +56,12 @@ _AS_LIKELY = 0.02
 
 
 class Fault(NamedTuple):
-    """Channels that were read with a wrong factor.
-
-    ``factor``: what was read over what is true; ``unit``: what it is in, None where
-    only the sign is wrong; ``rarity``: as a distance [log gain].
-    """
+    """Channels that were read with a wrong factor."""
 
     channels: tuple[str, ...]
-    factor: float
-    unit: str | None
-    rarity: float
+    factor: float  # what was read over what is true
+    unit: str | None  # what it is in, None where only the sign is wrong
+    rarity: float  # as a distance [log gain]
 
 
 # --- what is judged -------------------------------------------------------------

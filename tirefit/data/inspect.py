@@ -17,10 +17,8 @@ from tirefit.files import json_safe
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
 _WIDTH = 80
-_COMBINED = 10
-"""Rows of combined slip from which it is no accident."""
-_FAR_ROWS = 8
-"""Far rows that the text names one by one."""
+_COMBINED = 10  # rows of combined slip from which it is no accident
+_FAR_ROWS = 8  # far rows that the text names one by one
 _VARIES = 0.2
 """Relative spread from which a load or speed dependence can be told from noise."""
 
@@ -50,20 +48,16 @@ class Level:
 
 @dataclass(frozen=True)
 class RunSummary:
-    """One run: its used rows, levels, slips and sampling.
-
-    ``slip`` maps sigma_x and alpha to (min, max); ``replicates`` is the number of
-    operating points measured more than once, 0 in a continuous sweep.
-    """
+    """One run: its used rows, levels, slips and sampling."""
 
     name: str
     n: int
     loads: tuple[Level, ...]
     speeds: tuple[Level, ...]
-    slip: dict[str, tuple[float, float]]
+    slip: dict[str, tuple[float, float]]  # sigma_x and alpha -> (min, max)
     directions: tuple[str, ...]
     sampling_rate: float | None
-    replicates: int
+    replicates: int  # operating points measured more than once, 0 in a continuous sweep
 
 
 @dataclass(frozen=True)
@@ -77,11 +71,7 @@ class Support:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What :func:`inspect` found; :meth:`text` prints it, :meth:`as_dict` is JSON.
-
-    ``combined_rows`` counts rows with fx, fy and both slips beyond 0.01; ``far_rows``
-    names values that are far from those of their file and their neighbours.
-    """
+    """What :func:`inspect` found; :meth:`text` prints it, :meth:`as_dict` is JSON."""
 
     file: str
     sha256: str
@@ -92,11 +82,11 @@ class Inspection:
     columns: tuple[ColumnSummary, ...]
     runs: tuple[RunSummary, ...]
     supports: tuple[Support, ...]
-    combined_rows: int
+    combined_rows: int  # with fx, fy and both slips beyond 0.01
     warnings: tuple[str, ...]
     assumptions: tuple[str, ...]
     masked: tuple[str, ...]
-    far_rows: tuple[str, ...] = ()
+    far_rows: tuple[str, ...] = ()  # far from those of their file and neighbours
 
     def as_dict(self) -> dict:
         """Plain values only, fit for JSON: numbers that are not finite are None."""
@@ -148,7 +138,7 @@ def inspect(data: Any) -> Inspection:
     data = as_data(data)
     source = data.source
     return Inspection(
-        file=source.path or data.name,
+        file=data.file,
         sha256=source.sha256,
         rows=len(data),
         used=data.n,
@@ -346,10 +336,7 @@ def _run_lines(run: RunSummary) -> list[str]:
     if run.replicates:
         parts.append(f"{run.replicates} operating points replicated")
     lines = _wrap(f"{run.name}: {', '.join(parts)}")
-    for word, held, unit in (
-        ("loads", run.loads, "N"),
-        ("speeds", run.speeds, "m/s"),
-    ):
+    for word, held, unit in (("loads", run.loads, "N"), ("speeds", run.speeds, "m/s")):
         if held:
             lines += _wrap(f"  {word}: {', '.join(_level_text(x, unit) for x in held)}")
     return lines

@@ -62,8 +62,7 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
     for start, (kind, remedy) in _UNREADABLE.items():
         if re.match(start, content):
             reason = f"this is {kind}, which is not read"
-            remedy = remedy.replace("{file}", Path(file).name)
-            raise DataError(InputProblem(reason, remedy, file))
+            raise DataError(reason, remedy.replace("{file}", Path(file).name), file)
     if _JSON.match(content):
         raise DataError(_of_json(content, file))
     digest = hashlib.sha256(raw).hexdigest()
@@ -129,8 +128,7 @@ def _of_channels(
     n = len(cells[0]) if cells else 0
     if not n:
         reason = "the file has no columns" if not cells else "there are no data rows"
-        remedy = "give at least as many rows as parameters"
-        raise DataError(InputProblem(reason, remedy, str(path)))
+        raise DataError(reason, "give at least as many rows as parameters", str(path))
     units = [channels.units.get(header, "") for header in headers]
     return Table(
         str(path), stem_of(path), headers, cells,

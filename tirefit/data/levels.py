@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 FEW_SETTINGS = 6
-"""Levels of a column up to so many are settings of the rig, each looked at by itself;
-more are a range."""
+"""Most levels of a column that are settings, each looked at alone; more are a range."""
 
 _LEAST = 0.005
 """Part of the range, and of the largest value, that counts as no gap at all: steps of
@@ -26,18 +25,13 @@ _REMEMBERED = 16
 
 
 class Levels(NamedTuple):
-    """Levels of a column in increasing order.
+    """Levels of a column in increasing order."""
 
-    ``center``, ``low`` and ``high`` (k,) are the median and the ends of each level,
-    ``code`` (n,) numbers the level of each row. ``is_swept``: the values gather
-    nowhere, and the only level is their range.
-    """
-
-    center: np.ndarray
-    low: np.ndarray
+    center: np.ndarray  # (k,) medians
+    low: np.ndarray  # (k,) ends
     high: np.ndarray
-    code: np.ndarray
-    is_swept: bool
+    code: np.ndarray  # (n,) level of each row
+    is_swept: bool  # values gather nowhere, and the only level is their range
 
     def few(self, most: int = FEW_SETTINGS) -> bool:
         """Whether these are settings, and at most so many."""
@@ -131,8 +125,7 @@ def cells(codes, size: int, values) -> tuple[np.ndarray, np.ndarray, np.ndarray]
         values: (n,).
 
     Returns:
-        (size,) each; the mean of an empty cell is zero, and so is the deviation of one
-        with a single value.
+        (size,) each; zero for an empty cell, and its deviation for one value.
     """
     count = np.bincount(codes, minlength=size)
     mean = np.bincount(codes, values, size) / np.maximum(count, 1)

@@ -18,7 +18,7 @@ from tirefit.data.extras import extra
 from tirefit.data.mat import Channels
 from tirefit.data.quaternion import heading
 from tirefit.data.remote import Place
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 _BAGS = {b"\x89MCAP0": ".mcap", b"SQLite format 3": ".db3", b"#ROSBAG": ".bag"}
 _LARGEST_MESSAGE = 4096
@@ -129,7 +129,7 @@ def channels_of_bag(
 def _damaged(kind: str, path: Place, error: Exception) -> DataError:
     reason = f"the {kind} cannot be read: {type(error).__name__}: {error}"
     remedy = "close the recording properly, or export it as CSV"
-    return DataError(InputProblem(reason, remedy, str(path)))
+    return DataError(reason, remedy, str(path))
 
 
 def _signals_of(reader) -> tuple[dict[str, Signal], list[str]]:
@@ -200,7 +200,7 @@ def on_one_clock(
     """
     if not signals:
         reason, remedy = "the log holds no channels of numbers", "record some"
-        raise DataError(InputProblem(reason, remedy, file))
+        raise DataError(reason, remedy, file)
     clocks: dict[bytes, float] = {}
     for name, signal in signals.items():
         weight = 1 + 1000 * is_known(name) + 1e-9 * len(signal.time)

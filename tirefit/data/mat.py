@@ -28,14 +28,11 @@ _HOW_TO_SAVE = (
 
 
 class Channels(NamedTuple):
-    """Columns of a file that has no lines: name -> (n,) numbers or n texts.
+    """Columns of a file that has no lines."""
 
-    ``units`` holds those stated, by name; ``notes`` what was assumed and left out.
-    """
-
-    columns: dict[str, Any]
-    units: dict[str, str]
-    notes: tuple[str, ...]
+    columns: dict[str, Any]  # name -> (n,) numbers or n texts
+    units: dict[str, str]  # those stated, by name
+    notes: tuple[str, ...]  # what was assumed and left out
 
 
 class _Opaque(NamedTuple):
@@ -71,7 +68,7 @@ def channels_of_mat(
     except Exception as error:  # the readers raise many kinds on damaged files
         reason = f"the MATLAB file cannot be read: {error}"
         remedy = "save it again, or as version 7: save('file.mat', ..., '-v7')"
-        raise DataError(InputProblem(reason, remedy, file)) from error
+        raise DataError(reason, remedy, file) from error
     place, channels = _best(contents, file, is_known)
     version = "7.3" if is_hdf5 else "5"
     where = f", struct {place!r}" if place else ""
@@ -168,7 +165,7 @@ def _best(contents, file: str, is_known) -> tuple[str, Channels]:
         listed = ", ".join(map(repr, best))
         reason = f"several structs hold columns that are known: {listed}"
         remedy = "save each to a file of its own: save('one.mat', '-struct', 'one')"
-        raise DataError(InputProblem(reason, remedy, file))
+        raise DataError(reason, remedy, file)
     others = [p for p in best[1:] + [p for p in read if p not in best] if p]
     others = [place for place in others if place != "channel"]
     channels = read[best[0]]

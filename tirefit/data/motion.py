@@ -14,20 +14,13 @@ import numpy as np
 from tirefit.data.remote import Place, file_at
 from tirefit.data.track import Track, read_track
 from tirefit.data.vehicle import POSE, RATES, Vehicle
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of the centre of gravity on the grid, (n,) each, SI, ISO 8855 axes.
-
-    ``heading`` [rad, not wrapped], ``x`` and ``y`` [m] over the floor are NaN of a log
-    of rates; ``command`` is the steering command (0 without one); ``part`` (n,) int
-    counts the stretches between gaps, ``within`` (n,) [s] is the time to the nearer end
-    of the sample's own; ``settled`` (n,) bool is False where an edge or a gap is too
-    near, there the others may be NaN. ``logged`` (n, k) are the log's own channels as
-    :class:`tirefit.data.track.Track` has them, through the same filter.
-    """
+    """Motion of the centre of gravity on the grid, (n,) each, SI, ISO 8855 axes;
+    ``heading``, ``x`` and ``y`` are NaN of a log of rates."""
 
     time: np.ndarray
     v_x: np.ndarray
@@ -36,14 +29,14 @@ class Motion:
     a_y: np.ndarray
     yaw_rate: np.ndarray
     yaw_acceleration: np.ndarray
-    heading: np.ndarray
-    x: np.ndarray
+    heading: np.ndarray  # [rad, not wrapped]
+    x: np.ndarray  # [m] over the floor
     y: np.ndarray
-    command: np.ndarray
-    part: np.ndarray
-    within: np.ndarray
-    settled: np.ndarray
-    logged: np.ndarray
+    command: np.ndarray  # of the steering, 0 without one
+    part: np.ndarray  # int, counts the stretches between gaps
+    within: np.ndarray  # [s] to the nearer end of the sample's own stretch
+    settled: np.ndarray  # bool, False near an edge or gap, where others may be NaN
+    logged: np.ndarray  # (n, k) the channels of a ``Track``, through the same filter
 
     def rate_of(self, values: np.ndarray) -> np.ndarray:
         """Time derivative (n,) of values (n,), by central differences within each
@@ -60,8 +53,7 @@ def read_motion(path: str | Place, vehicle: Vehicle) -> tuple[Track, Motion, int
     """The usable samples of a log, the motion on the grid, and the number of gaps.
 
     Raises:
-        DataError: If the file cannot be read, lacks a column, holds text or is slower
-            than the filter needs.
+        DataError: unreadable file, missing column, text, or too low a rate.
     """
     track = read_track(file_at(path), vehicle)
     return track, *_motion(track, vehicle)
@@ -154,11 +146,9 @@ drive (and how much each) is stated; of an even split that is assumed; and of wh
 where one axle drives: cars brake with both."""
 
 _ROLLING = (0.02, 0.005)
-"""Error of drag and rolling resistance over the weight, without and with a drag that is
-stated."""
+"""Error of drag and rolling resistance over weight, without and with stated drag."""
 
-_MOST_SAMPLES = 3_000_000
-"""Samples on the grid of one log: 8 h at 100 Hz."""
+_MOST_SAMPLES = 3_000_000  # samples on the grid of one log: 8 h at 100 Hz
 
 _LOST = 3.5
 """Periods of a channel that has blanks between its samples, beyond which it is lost."""
@@ -212,17 +202,14 @@ def _check_size(track: Track, splits: np.ndarray, rate: float) -> None:
     count = float(steps.sum()) * rate
     if count > _MOST_SAMPLES:
         raise DataError(
-            InputProblem(
-                f"at {rate:g} Hz the log has {count:.2g} samples, more than"
-                f" {_MOST_SAMPLES:,}",
-                "lower filter.sample_rate, split the log, or check the unit of time",
-            )
+            f"at {rate:g} Hz the log has {count:.2g} samples, more than"
+            f" {_MOST_SAMPLES:,}",
+            "lower filter.sample_rate, split the log, or check the unit of time",
         )
 
 
 def _on_grid(time, signals, grid, max_gap: float, vehicle: Vehicle):
-    """Signals (n, k) on the grid, low-passed; None if too short. One that is missing
-    for long is NaN there."""
+    """Signals (n, k) on the grid, low-passed, NaN in long gaps; None if too short."""
     from scipy.interpolate import CubicSpline  # slow, and no other reader needs it
 
     # Cubic: a straight line would cut the corners of a turn.
@@ -270,8 +257,7 @@ def _from_pose(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:
 
 
 def _from_rates(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:
-    """As :func:`_from_pose`, from v_x, v_y, yaw rate, a_y at the tracked point, and a_x
-    where it is logged."""
+    """As :func:`_from_pose`, from v_x, v_y, yaw rate, a_y at the point, and any a_x."""
     rate = vehicle.filter.sample_rate
     v_x, v_y, yaw_rate, a_y = (of[name] for name in RATES)
     cos, sin = np.cos(vehicle.sideslip_offset), np.sin(vehicle.sideslip_offset)

@@ -20,8 +20,74 @@ from tirefit.data.agreement import EACH, FEWEST, around, instrumented, surrounde
 from tirefit.data.faults import ALIKE, CHANGED, SURE
 from tirefit.data.motion import Motion, slip_and_force
 from tirefit.data.vehicle import POSE, Vehicle
-from tirefit.data.zero import turns_both_ways
 from tirefit.results import InputProblem
+
+
+def zero_of_alpha(
+    vehicle: Vehicle, axle: str, alpha: np.ndarray, fy: np.ndarray
+) -> tuple[str, float | None]:
+    """What was done about the zero of the slip angle, and what is left by the result:
+    a sentence, and alpha at no side force [rad], None where that is not known.
+
+    A symmetric axle has no side force at no slip angle, so alpha where fy = 0 is what
+    the heading exceeds the yaw that was used; at the front the steering adds its own.
+    """
+    pose = vehicle.columns.motion == POSE
+    key = "yaw_offset" if pose else "sideslip_offset"
+    given = getattr(vehicle, key)
+    if given and pose:
+        said = (
+            f"heading offset: {given:g} rad were added to the logged yaw, as declared,"
+            " which lowers alpha by as much"
+        )
+    elif given:
+        said = (
+            f"sideslip offset: {given:g} rad were added to the logged sideslip, as"
+            " declared, which raises alpha by as much"
+        )
+    elif pose:
+        said = (
+            "heading offset: none assumed, the logged yaw is the car's heading; alpha"
+            " is too large by as much as the heading exceeds it"
+        )
+    else:
+        said = (
+            "sideslip offset: none assumed, the speeds are along the car's axes; alpha"
+            " is too large by as much as their sensor is turned to the right"
+        )
+    left = _alpha_at_rest(alpha, fy) if axle == "rear" else None
+    if left is None:
+        return said, None
+    takes_out = given + left if pose else given - left
+    return (
+        f"{said}; estimated from these data: alpha is {left:+.4f} rad where fy = 0,"
+        f" which for a symmetric tire {key} = {takes_out:.4f} takes out"
+    ), left
+
+
+def _alpha_at_rest(alpha: np.ndarray, fy: np.ndarray) -> float | None:
+    """Slip angle [rad] at no side force, by an odd cubic through the weak half of fy.
+
+    None unless left and right turns both hold a tenth of those samples.
+    """
+    strong = np.percentile(abs(fy), 95)
+    weak = abs(fy) < 0.5 * strong
+    share = fy[weak] / strong
+    if not turns_both_ways(share):
+        return None
+    terms = np.column_stack([np.ones(len(share)), share, share**3])
+    return float(np.linalg.lstsq(terms, alpha[weak])[0][0])
+
+
+def turns_both_ways(share: np.ndarray) -> bool:
+    """Whether more than a tenth of the samples turns to the rarer side.
+
+    Args:
+        share: (n,) lateral force over the strong force.
+    """
+    rarer = min(np.count_nonzero(share > 0.05), np.count_nonzero(share < -0.05))
+    return bool(rarer > 0.1 * len(share))
+
 
 _MODERATE = 0.5
 """Largest force of the fit over the strong force (95th percentile): the cubic holds."""
@@ -47,26 +113,23 @@ _Change = Callable[[Motion, Vehicle, float], tuple[Motion, Vehicle]]
 
 
 class PointCheck(NamedTuple):
-    """``line``: sentence for the summary. ``estimate``: position [m ahead of the rear
-    axle] and its standard error, None if the log does not determine it."""
+    """What was found of the tracked point."""
 
-    line: str
-    estimate: tuple[float, float] | None
+    line: str  # sentence for the summary
+    estimate: tuple[float, float] | None  # [m ahead of the rear axle], standard error
     problems: tuple[InputProblem, ...] = ()
     warnings: tuple[str, ...] = ()
 
 
 class _Fit(NamedTuple):
-    """Amount of a change, its standard error, the rms residual of the slip angle [rad],
-    the effect of the change on the slip angle (rms over rms), the slope with the change
-    (:func:`_slope`), and the F statistic of the instruments."""
+    """A change, fitted."""
 
-    amount: float = 0.0
-    std: float = math.inf
-    misfit: float = math.inf
-    effect: float = 0.0
-    slope: float = 0.0
-    strength: float = 0.0
+    amount: float = 0.0  # of the change
+    std: float = math.inf  # its standard error
+    misfit: float = math.inf  # rms residual of the slip angle [rad]
+    effect: float = 0.0  # of the change on the slip angle (rms over rms)
+    slope: float = 0.0  # with the change (:func:`_slope`)
+    strength: float = 0.0  # F statistic of the instruments
 
 
 class _Rows(NamedTuple):
@@ -182,9 +245,8 @@ def _others(motion, vehicle: Vehicle, rows: _Rows) -> list[tuple[float, str, str
     changed = _more_inertia(motion, vehicle, fit.amount)[1]
     if _sure(fit) and set(changed.doubts()) <= set(vehicle.doubts()):
         share = f"{1 + fit.amount:.2g} ± {fit.std:.1g}"
-        reason = f"yaw_inertia is {share} of the stated one"
         remedy = f"set yaw_inertia = {changed.yaw_inertia:.3g}"
-        found.append((fit.misfit, reason, remedy))
+        found.append((fit.misfit, f"yaw_inertia is {share} of the stated one", remedy))
     for name in ("yaw",) if pose else ("v_y", "a_y"):
         small = 1 / vehicle.filter.sample_rate
         fit = _fitted(_earlier(name), small, motion, vehicle, rows)

@@ -81,8 +81,7 @@ def read(
 
     Raises:
         UsageError: an option has an unknown name or value.
-        DataError: the file cannot be used, or its convention contradicts the argument;
-            holds all problems found.
+        DataError: unusable file or contradicted convention; all problems.
     """
     options = Options(
         columns or {}, units or {}, convention, slip, constants or {},
@@ -117,9 +116,8 @@ def require(data: TireData, columns: Sequence[str], why: str) -> None:
         if column == "sigma_x":
             remedy += " (also kappa, s), or give omega, v and --rolling-radius"
         reason = f"{why} needs {column} ({meaning}), which the data do not have"
-        problems.append(InputProblem(reason, remedy, data.source.path or data.name))
-    if problems:
-        raise DataError(problems)
+        problems.append(InputProblem(reason, remedy, data.file))
+    DataError.raise_for(problems)
 
 
 @dataclass

@@ -22,8 +22,7 @@ from tirefit.files import replacing
 
 FAILED = "failed"
 
-_GROUP = 100_000
-"""Rows that are held before they go to the disk."""
+_GROUP = 100_000  # rows that are held before they go to the disk
 
 
 class Row(NamedTuple):
@@ -160,8 +159,7 @@ _DATE = re.compile(
 
 
 def dates_of(files: Sequence[str]) -> np.ndarray | None:
-    """Dates (n,) datetime64[s] in the names of the files; None unless all have one, and
-    they are not all the same."""
+    """Dates (n,) datetime64[s] in file names; None unless all have one and differ."""
     dates = []
     for file in files:
         date = _DATE.search(file.replace("\\", "/").rsplit("/", 1)[-1])

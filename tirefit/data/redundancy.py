@@ -24,8 +24,7 @@ _SLOWER = 5.0
 _STANDING = 0.1
 """Share of the high speeds (95th percentile) below which nothing is compared."""
 
-SIDEWAYS = 0.6
-"""Heading off the path, on average, that no car drives with [rad]."""
+SIDEWAYS = 0.6  # heading off the path, on average, that no car drives with [rad]
 
 _ZEROS = {"yaw": 0.01, "yaw_rate": 0.03, "a_y": 0.5, "a_x": 0.5, "steering": 0.05}
 """Channel -> zero error of a sound sensor: 2 deg/s of a gyro, 3 deg of tilt; of a speed
@@ -83,8 +82,7 @@ def agreements(
 def heading_off_path(
     track: Track, motion: Motion, vehicle: Vehicle, sign: int
 ) -> float:
-    """Mean of ``sign`` times the direction of the path, less the yaw [rad], in ±pi; NaN
-    where the log has no pose."""
+    """Mean of ``sign`` x path direction less yaw [rad], in ±pi; NaN without a pose."""
     if not motion.settled.any():
         return np.nan
     of = _slowly(track, motion, vehicle)

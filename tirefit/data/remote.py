@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from tirefit.data.extras import extra
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+(::[a-z][a-z0-9+.-]+)*://", re.IGNORECASE)
 _PATTERN = re.compile(r"[*?\[]")
@@ -113,14 +113,14 @@ def _listed(file: RemoteFile) -> list[Place]:
         raise _lacks(file.address, error) from error
     except Exception as error:  # each server has errors of its own
         reason = f"the addresses cannot be listed: {type(error).__name__}: {error}"
-        raise DataError(InputProblem(reason, "name the files", file.address)) from error
+        raise DataError(reason, "name the files", file.address) from error
     return _some([file_at(system.unstrip_protocol(n)) for n in names], file.address)
 
 
 def _some(files: Sequence[Place], pattern: str) -> list[Place]:
     if not files:
         reason, remedy = "no file fits this pattern", "check the path"
-        raise DataError(InputProblem(reason, remedy, pattern))
+        raise DataError(reason, remedy, pattern)
     return list(files)
 
 
@@ -131,4 +131,4 @@ def _fsspec(address: str) -> ModuleType:
 def _lacks(address: str, error: ImportError) -> DataError:
     scheme = address.split("://")[0]
     reason = f"files at {scheme}:// need a library that is not installed: {error}"
-    return DataError(InputProblem(reason, "install it beside fsspec", address))
+    return DataError(reason, "install it beside fsspec", address)

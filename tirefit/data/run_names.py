@@ -66,8 +66,7 @@ def _parts(names: Sequence[str]) -> tuple[str, list[str], str]:
 
 
 def _of_bins(names: tuple[str, ...]) -> RunNames | None:
-    """The numbers in which the names differ (222 N 0 deg 83 kPa); None if other words
-    differ."""
+    """Numbers in which the names differ (222 N 0 deg 83 kPa); None if words differ."""
     words = [name.split(" ") for name in names]
     if len(set(map(len, words))) > 1:
         return None

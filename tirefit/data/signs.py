@@ -171,9 +171,7 @@ def doubt_convention(
     wheel and vehicle confirm them: omega / v falls as the braking slip rises.
 
     Args:
-        columns: (n,) canonical columns, used rows only.
-        headers: the file's own name of each column.
-        definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
+        columns, headers, definition: as in :func:`check_signs`.
         signs: convention in which the file was read.
     """
     if "sigma_x" not in headers or "sigma_x" not in columns:
@@ -233,9 +231,7 @@ def doubt_signs(
     """What else speaks against the signs: moment, camber, brakes, the locked wheel.
 
     Args:
-        columns: (n,) canonical columns, used rows only.
-        headers: the file's own name of each column.
-        definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
+        columns, headers, definition: as in :func:`check_signs`.
         signs: convention in which the file was read. If it was not declared,
             :func:`doubt_convention` checks the slip.
         units: the unit in which each column was read.

@@ -1,5 +1,4 @@
-"""What the first line of a derived file states: of its vehicle, and as found in the
-logs."""
+"""What a derived file's first line states: of its vehicle, and found in the logs."""
 
 from collections.abc import Sequence
 
@@ -10,8 +9,7 @@ from tirefit.data.vehicle import POSE, Vehicle
 _POSE_CLOCK = 0.005
 """Standard error [s] of the time between x, y and yaw, which one instrument gives."""
 
-_DELAYED = 3.0
-"""Standard errors from which a delay between two channels is reported."""
+_DELAYED = 3.0  # standard errors from which a delay between two channels is reported
 
 
 def stated_of(vehicle: Vehicle) -> dict[str, float]:
@@ -28,8 +26,7 @@ def stated_of(vehicle: Vehicle) -> dict[str, float]:
 
 def found_in(logs: Sequence) -> dict[str, float]:
     """What the logs show of their own errors, as means over the logs: alpha_zero [rad],
-    found_point [m ahead of the rear axle], late_CHANNEL [s], the latter two with their
-    standard errors.
+    found_point [m ahead of the rear axle] and late_CHANNEL [s] with standard errors.
 
     Args:
         logs: what :func:`tirefit.data.derive.derive` found in each.

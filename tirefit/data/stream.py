@@ -14,7 +14,7 @@ import numpy as np
 from tirefit.data.columns import is_number, plan_columns
 from tirefit.data.declared import Options, stated_convention
 from tirefit.data.units import sign_of, slip_from_speeds, slip_to_sigma
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 from tirefit.slip import SLIP_DEFINITIONS
 
 
@@ -47,11 +47,10 @@ class RowReader:
             header = [cell.strip() for cell in next(self._rows, [])]
         except csv.Error as error:
             reason = f"the first line is no header: {error}"
-            raise DataError(InputProblem(reason, "give CSV", name, 1)) from None
+            raise DataError(reason, "give CSV", name, 1) from None
         if not header or all(is_number(cell) for cell in header):
-            reason = "the first line is no header"
             remedy = "begin with a line such as time,sigma_x,fx,fz"
-            raise DataError(InputProblem(reason, remedy, name, 1))
+            raise DataError("the first line is no header", remedy, name, 1)
         plan = plan_columns(header, None, self._options, name)
         signs = self._options.signs(layout, plan.columns, name)
         if problems := [*plan.problems, *signs.problems]:

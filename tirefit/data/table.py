@@ -88,51 +88,34 @@ SIMULATED = ("fx_sim", "fy_sim", "mz_sim")
 
 @dataclass(frozen=True)
 class SlipCheck:
-    """A slip column against the slip of the speeds, (v - omega R) / (omega R).
+    """A slip column against the slip of the speeds, (v - omega R) / (omega R)."""
 
-    Attributes:
-        radius: the rolling radius R that was given [m].
-        difference: median size of the difference of the two, as slip ratios [-].
-        contradicts: whether that is more than noise of the slip could be.
-        text: what it may come from, for the user; empty where the two agree.
-    """
-
-    radius: float
-    difference: float
-    contradicts: bool
-    text: str = ""
+    radius: float  # the rolling radius R that was given [m]
+    difference: float  # median size of the difference of the two, as slip ratios [-]
+    contradicts: bool  # whether that is more than noise of the slip could be
+    text: str = ""  # what it may come from, for the user; empty where the two agree
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where data came from and what was assumed in reading them.
-
-    ``columns`` maps a canonical column to the file's own header; ``units`` to the
-    unit it was read in, ``units_beside`` those columns whose unit is not in the header;
-    ``convention_from`` is the source of the convention, in words;
-    ``slip_definition`` is the definition of the file's slip
-    column (a key of ``slip.SLIP_DEFINITIONS``); ``line`` holds each row's line.
-    ``warnings`` are sentences on what may mean something else than it was read as.
-    ``slip_check`` is there where a slip, omega, v and a rolling radius are. ``paths``
-    names the file of each run where several files were joined. ``constants`` are the
+    """Where data came from and what was assumed in reading them. ``constants`` are the
     dimensions and nominal values of the tire that the file states [SI], by .tir key,
-    and in small letters what ``tirefit derive`` states of the vehicle and found.
-    """
+    and in small letters what ``tirefit derive`` states of the vehicle and found."""
 
     path: str = ""
     sha256: str = ""
     convention: str = "braking"
-    convention_from: str = ""
-    slip_definition: str = "sigma_x"
-    columns: Mapping[str, str] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    units_beside: tuple[str, ...] = ()
+    convention_from: str = ""  # its source, in words
+    slip_definition: str = "sigma_x"  # a key of ``slip.SLIP_DEFINITIONS``
+    columns: Mapping[str, str] = field(default_factory=dict)  # canonical -> header
+    units: Mapping[str, str] = field(default_factory=dict)  # in which it was read
+    units_beside: tuple[str, ...] = ()  # columns whose unit is not in the header
     assumptions: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # what may mean something else than it was read as
     masked: tuple[InputProblem, ...] = ()
-    slip_check: SlipCheck | None = None
-    line: np.ndarray | None = None
-    paths: tuple[str, ...] = ()
+    slip_check: SlipCheck | None = None  # if slip, omega, v and radius are there
+    line: np.ndarray | None = None  # of each row
+    paths: tuple[str, ...] = ()  # file of each run where several were joined
     constants: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -177,9 +160,13 @@ class TireData(Displayed):
         """Number of used rows."""
         return int(np.count_nonzero(self.used))
 
+    @property
+    def file(self) -> str:
+        """Path of the file, or the name of data that come from none."""
+        return self.source.path or self.name
+
     def first_masked(self, most: int = 3) -> tuple[str, ...]:
-        """The first rows that are not used, with their reasons; how many there are
-        where those are not all."""
+        """The first unused rows with reasons; their number if there are more."""
         masked = self.source.masked
         first = [replace(at, remedy="", file="") for at in masked[:most]]
         rest = [f"{len(self) - self.n} rows in all"] if len(masked) > most else []
@@ -221,17 +208,14 @@ def join(tables: Sequence[TireData]) -> TireData:
     """
     names: dict[str, str] = {}
     for table in tables:
-        twin = names.setdefault(table.source.sha256, table.source.path or table.name)
-        if table.source.sha256 and twin != (table.source.path or table.name):
+        twin = names.setdefault(table.source.sha256, table.file)
+        if table.source.sha256 and twin != table.file:
             reason = f"the same content as {twin}: its rows would count twice"
-            raise DataError(
-                InputProblem(reason, "give each file once", table.source.path)
-            )
+            raise DataError(reason, "give each file once", table.source.path)
     paths = [table.source.path for table in tables if table.source.path]
     if twice := {path for path in paths if paths.count(path) > 1}:
-        reason = f"{', '.join(map(str, sorted(twice)))} is given twice"
         remedy = "give each file once, and each frame a name=... of its own"
-        raise DataError(InputProblem(reason, remedy))
+        raise DataError(f"{', '.join(map(str, sorted(twice)))} is given twice", remedy)
     shared = [c for c in tables[0].columns if all(c in table for table in tables)]
     runs: list[str] = []
     codes = []
@@ -268,7 +252,7 @@ def join(tables: Sequence[TireData]) -> TireData:
         warnings=(*merged((name, s.warnings) for name, s in sources), *differing),
         masked=tuple(problem for table in tables for problem in table.source.masked),
         line=np.concatenate(lines) if len(lines) == len(tables) else None,
-        paths=tuple(t.source.path or t.name for t in tables for _ in t.runs),
+        paths=tuple(t.file for t in tables for _ in t.runs),
     )
     return TireData(
         "+".join(table.name for table in tables),

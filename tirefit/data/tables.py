@@ -10,12 +10,11 @@ import numpy as np
 
 from tirefit.data.extras import extra
 from tirefit.data.mat import Channels
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 _PARQUET, _ARROW = b"PAR1", b"ARROW1"
 _UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
-_SEARCHED = 60
-"""Rows of a sheet in which the header must stand."""
+_SEARCHED = 60  # rows of a sheet in which the header must stand
 
 
 class Sheet(NamedTuple):
@@ -60,7 +59,7 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
         }
     except Exception as error:  # pyarrow raises many kinds on damaged files
         reason = f"the {kind} file cannot be read: {error}"
-        raise DataError(InputProblem(reason, "write it again", file)) from error
+        raise DataError(reason, "write it again", file) from error
     if left:
         notes.append(f"columns not read: {', '.join(left)}")
     return Channels(columns, units, (f"read as a file of {kind}", *notes))
@@ -131,15 +130,12 @@ def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -
     sheets = _sheets(content, file)
     filled = {title: rows for title, rows in sheets.items() if rows}
     if not filled:
-        raise DataError(
-            InputProblem("the workbook is empty", "give a header and rows", file)
-        )
+        raise DataError("the workbook is empty", "give a header and rows", file)
     headers = {title: _header(rows, is_known) for title, rows in filled.items()}
     known = [title for title, (_, count) in headers.items() if count >= 2]
     if len(known) > 1:
         reason = f"several sheets hold columns: {', '.join(map(repr, known))}"
-        remedy = "save each as a workbook of its own, or as CSV"
-        raise DataError(InputProblem(reason, remedy, file))
+        raise DataError(reason, "save each as a workbook of its own, or as CSV", file)
     title = known[0] if known else next(iter(filled))
     start = headers[title][0]
     notes = [f"read from the sheet {title!r}"]
@@ -165,7 +161,7 @@ def _sheets(content: bytes, file: str) -> dict[str, list[tuple[int, list[str]]]]
     except Exception as error:  # both raise many kinds on damaged files
         reason = f"the Excel file{age} cannot be read: {error}"
         remedy = "save it again, as .xlsx and without a password"
-        raise DataError(InputProblem(reason, remedy, file)) from error
+        raise DataError(reason, remedy, file) from error
 
 
 def _cells_of_xlsx(library, content: bytes) -> Iterator[tuple[str, Iterable]]:

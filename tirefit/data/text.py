@@ -21,10 +21,9 @@ from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
 from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.door import DATA, too_large
-from tirefit.results import DataError, InputProblem, did_you_mean
+from tirefit.results import DataError, did_you_mean
 
-SPACED = "columns separated by white space"
-"""The note of a text that is."""
+SPACED = "columns separated by white space"  # the note of a text that is
 
 _DELIMITERS = "\t;|,"
 _END = "\0"
@@ -33,38 +32,30 @@ _CONSTANT = re.compile(r"([A-Za-z_]+)=(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)\b")
 _AIM = re.compile(r'"?Format"?\s*[,;\t]\s*"?AiM CSV File', re.IGNORECASE)
 """First line of an export of AiM RaceStudio. Keys and values, a blank line, names,
 units and, in some versions, channel numbers follow."""
-_SEARCHED = 60
-"""Lines with content in which the header must stand."""
-_LONGEST = 10
-"""Lines that a header with quoted line ends may take."""
+_SEARCHED = 60  # lines with content in which the header must stand
+_LONGEST = 10  # lines that a header with quoted line ends may take
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of a file or frame before their meaning is known.
-
-    ``cells`` holds per column n strings or an (n,) number array; ``ragged`` (n,) bool
-    marks rows without the header's number of fields, ``lines`` (n,) their lines;
-    ``notes`` say what was assumed, ``doubts`` what may mean something else;
-    ``constants``: see ``Source``.
-    """
+    """Cells of a file or frame before their meaning is known."""
 
     file: str
     name: str
     headers: list[str]
-    cells: list
-    lines: np.ndarray
-    ragged: np.ndarray
+    cells: list  # per column n strings or an (n,) number array
+    lines: np.ndarray  # (n,) lines of the rows
+    ragged: np.ndarray  # (n,) bool, rows without the header's number of fields
     header_line: int | None = None
     delimiter: str = ""
     units_row: list[str] | None = None
     units_line: int | None = None
     sha256: str = ""
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what was assumed
     faults: tuple[BadRows, ...] = ()
     layout: Layout = field(default_factory=Layout)
-    doubts: tuple[str, ...] = ()
-    constants: Mapping[str, float] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()  # what may mean something else
+    constants: Mapping[str, float] = field(default_factory=dict)  # see ``Source``
 
 
 def read_bytes(path: Place) -> bytes:
@@ -92,7 +83,7 @@ def read_bytes(path: Place) -> bytes:
 
 
 def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataError:
-    return DataError(InputProblem(reason, remedy, str(path), row))
+    return DataError(reason, remedy, str(path), row)
 
 
 def gunzipped(raw: bytes, path: Place) -> bytes:

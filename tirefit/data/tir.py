@@ -1,4 +1,4 @@
-"""Tire property files (``.tir``): :func:`read_tir`, :func:`write_tir`.
+"""Tire property files (``.tir``): :func:`read_tir`, :func:`new_tir`.
 
 A file is kept as the text it is: sections, order, comments and keys that are not known
 here stay; only a value that is changed is written anew. Numbers are converted to SI on
@@ -8,12 +8,13 @@ reading and back to the units of the file on writing.
 import math
 import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tirefit.data.text import decoded
 from tirefit.data.tir_check import notes_on, problems_of
 from tirefit.data.tir_file import TirFile, parsed, shortest
+from tirefit.data.tir_keys import COEFFICIENTS, LIMITS, ONLY_IN
 from tirefit.door import TIRE, content_of, control_character
 from tirefit.files import write_text_atomic
 from tirefit.results import DataError, InputProblem, UsageError
@@ -33,8 +34,7 @@ def parse_tir(text: str, path: str = "", notes: Sequence[str] = ()) -> TirFile:
     """
     tir, problems = parsed(text, path, notes)
     problems += problems_of(tir)
-    if problems:
-        raise DataError(problems)
+    DataError.raise_for(problems)
     return tir
 
 
@@ -59,7 +59,7 @@ def read_tir(path) -> TirFile:
     if odd is not None:
         row, name = odd
         reason = f"not a text file: it holds the control character {name}"
-        raise DataError(InputProblem(reason, "remove it", str(path), row))
+        raise DataError(reason, "remove it", str(path), row)
     return parse_tir(text, str(path), notes)
 
 
@@ -117,8 +117,7 @@ QCZ1                     = 1
 QDZ1                     = 0
 """
 
-_CURVATURE = -0.44
-"""E that follows the brush best where C = 1, see :func:`reduced_tir`."""
+_CURVATURE = -0.44  # E that follows the brush best where C = 1, see :func:`reduced_tir`
 
 
 def reduced_tir(cpa2: float, mu: float, fz: float, radius: float) -> TirFile:
@@ -188,3 +187,68 @@ def brush_of(tir: TirFile) -> dict[str, float] | None:
         return None
     alike = (math.isclose(numbers[k], ours[k], rel_tol=1e-12) for k in ours)
     return {"cpa2": cpa2, "mu": mu} if all(alike) else None
+
+
+_FITTYP = {"5.2": 6, "6.1": 61, "6.2": 62}
+_RANGES = {
+    "kappa": "LONG_SLIP_RANGE", "alpha": "SLIP_ANGLE_RANGE",
+    "gamma": "INCLINATION_ANGLE_RANGE", "fz": "VERTICAL_FORCE_RANGE",
+    "pressure": "INFLATION_PRESSURE_RANGE",
+}  # fmt: skip
+_HEAD = """\
+[MDI_HEADER]
+FILE_TYPE                = 'tir'
+FILE_VERSION             = 3.0
+FILE_FORMAT              = 'ASCII'
+{comment}[UNITS]
+LENGTH                   = 'meter'
+FORCE                    = 'newton'
+ANGLE                    = 'radians'
+MASS                     = 'kg'
+TIME                     = 'second'
+[MODEL]
+PROPERTY_FILE_FORMAT     = 'MF{format}'
+FITTYP                   = {fittyp}
+TYRESIDE                 = 'UNKNOWN'
+"""
+
+
+def new_tir(
+    version: str,
+    values: Mapping[str, float],
+    ranges: Mapping[str, tuple[float, float]],
+    notes: Mapping[str, str],
+    comment: Sequence[str] = (),
+) -> TirFile:
+    """A file of this version with these coefficients, in SI units.
+
+    Args:
+        version: 5.2, 6.1 or 6.2; keys of another one are left out.
+        values: SI values by key, those that a tire needs among them.
+        ranges: (least, largest) value by input of :data:`tir_keys.LIMITS`, in ISO-W.
+        notes: comment behind the value of a key.
+        comment: lines above the first section of values.
+
+    Raises:
+        DataError: values that make no tire.
+    """
+    above = "".join(f"$ {line}\n" for line in comment)
+    kind = "-Tyre" if version == "5.2" else version.replace(".", "")
+    text = _HEAD.format(comment=above, fittyp=_FITTYP[version], format=kind)
+    lines = text.splitlines()
+    section = "MODEL"
+    of_version = [k for k in COEFFICIENTS if ONLY_IN.get(k, version[0]) == version[0]]
+    # [MODEL] is open already.
+    for key in sorted(of_version, key=lambda key: COEFFICIENTS[key] != "MODEL"):
+        if key not in values:
+            continue
+        if COEFFICIENTS[key] != section:
+            section = COEFFICIENTS[key]
+            lines.append(f"[{section}]")
+        said = f"          ${notes[key]}" if key in notes else ""
+        lines.append(f"{key:<24} = {shortest(float(values[key]))}{said}")
+    for name, (low, high) in ranges.items():
+        lines.append(f"[{_RANGES[name]}]")
+        for key, value in zip(LIMITS[name], (low, high), strict=True):
+            lines.append(f"{key:<24} = {shortest(value)}")
+    return parse_tir("\n".join(lines) + "\n", "fit.tir")

@@ -87,10 +87,8 @@ def notes_on(tir: TirFile) -> list[str]:
     return said
 
 
-def _problem(
-    tir: TirFile, key: str, reason: str, remedy: str, section=None
-) -> InputProblem:
-    entry = tir.find(key, section)
+def _problem(tir: TirFile, key: str, reason: str, remedy: str) -> InputProblem:
+    entry = tir.find(key)
     return InputProblem(reason, remedy, tir.path, entry.row if entry else None)
 
 

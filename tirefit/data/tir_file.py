@@ -66,16 +66,12 @@ class Entry:
 
 @dataclass(frozen=True)
 class TirFile:
-    """A tire property file.
+    """A tire property file."""
 
-    ``lines`` are those of the file with their ends, ``entries`` its keys in order;
-    ``path`` names it in messages; ``notes`` are assumptions made on reading.
-    """
-
-    path: str
-    lines: tuple[str, ...]
-    entries: tuple[Entry, ...]
-    notes: tuple[str, ...] = ()
+    path: str  # named in messages
+    lines: tuple[str, ...]  # of the file, with their ends
+    entries: tuple[Entry, ...]  # keys in order
+    notes: tuple[str, ...] = ()  # assumptions made on reading
 
     @property
     def text(self) -> str:
@@ -234,8 +230,7 @@ class TirFile:
             else:
                 reason = f"{key} is no key of the file and no coefficient"
                 problems.append(InputProblem(reason, "correct its name", self.path))
-        if problems:
-            raise UsageError(problems)
+        UsageError.raise_for(problems)
         return parsed("".join(_with_new(lines, new)), self.path)[0]
 
 

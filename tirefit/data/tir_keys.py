@@ -47,7 +47,12 @@ COEFFICIENTS = {
 }
 """Key that the steady-state forces and moments use -> section it stands in."""
 
-SECTIONS = COEFFICIENTS | {"FITTYP": "MODEL", "TYRESIDE": "MODEL"}
+SECTIONS = COEFFICIENTS | {
+    **dict.fromkeys("FITTYP TYRESIDE USE_MODE FE_METHOD".split(), "MODEL"),
+    "WIDTH": "DIMENSION",
+    **dict.fromkeys(("VERTICAL_STIFFNESS", "VERTICAL_DAMPING"), "VERTICAL"),
+    **dict.fromkeys(("MASS", "IXX", "IYY"), "INERTIA"),
+}
 """Key that can be added to a file -> section it goes to."""
 
 ONLY_IN = {

@@ -33,58 +33,37 @@ _MEANT = {"yaw": "heading", "v_x": "v"}
 
 @dataclass(frozen=True)
 class Channel:
-    """A column of a log, and the unit that it is read in.
+    """A column of a log, and the unit that it is read in."""
 
-    Attributes:
-        quantity: of :data:`tirefit.data.vehicle.QUANTITIES`, or ``steering``.
-        unit: as written; "" of the steering command, which the map gives a meaning.
-        factor: from that unit to SI, negative for a channel of the other sign.
-        named: whether ``[columns]`` names it, or its header alone says what it is.
-    """
-
-    quantity: str
+    quantity: str  # of :data:`tirefit.data.vehicle.QUANTITIES`, or ``steering``
     header: str
-    unit: str
-    factor: float
-    named: bool
+    unit: str  # as written; "" of the steering command, which the map gives a meaning
+    factor: float  # from that unit to SI, negative for a channel of the other sign
+    named: bool  # whether ``[columns]`` names it, or its header alone says what it is
 
 
 @dataclass(frozen=True)
 class Track:
-    """Usable samples of a log.
+    """Usable samples of a log; ``signals`` (n, k) in SI are what the motion needs, then
+    the steering command if any, then what can be compared, which may be NaN."""
 
-    Attributes:
-        time: Increasing, (n,) [s] from the first one.
-        signals: (n, k) in SI: what the motion needs, then the steering command if any,
-            then what can be compared, which may be NaN.
-        channels: The column that each signal comes from.
-        active: (n,) bool, whether the vehicle was driven.
-        max_gap: Longest time between two samples that is interpolated [s].
-        epoch: The log's time [s] at time 0.
-        rows: Rows in the file.
-        dropped: Reason -> rows that were not used.
-        sha256: Of the file.
-        notes: What was assumed to read the file.
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # increasing, (n,) [s] from the first one
     signals: np.ndarray
-    channels: tuple[Channel, ...]
-    active: np.ndarray
-    max_gap: float
-    epoch: float
-    rows: int
-    dropped: Mapping[str, int]
-    sha256: str
-    notes: tuple[str, ...]
+    channels: tuple[Channel, ...]  # the column that each signal comes from
+    active: np.ndarray  # (n,) bool, whether the vehicle was driven
+    max_gap: float  # longest time between two samples that is interpolated [s]
+    epoch: float  # the log's time [s] at time 0
+    rows: int  # in the file
+    dropped: Mapping[str, int]  # reason -> rows that were not used
+    sha256: str  # of the file
+    notes: tuple[str, ...]  # what was assumed to read the file
 
 
 def read_track(path: Place, vehicle: Vehicle) -> Track:
     """Rows with finite values, a later stamp than all before, and a new pose.
 
     Raises:
-        DataError: If the file cannot be read, lacks a column, holds text or is slower
-            than the filter needs.
+        DataError: unreadable file, missing column, text, or too low a rate.
     """
     table, vehicle = _read(path, vehicle)
     notes = list(table.notes)
@@ -169,8 +148,7 @@ def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]
     for quantity in names.beyond:
         header = getattr(names, quantity)
         channels.append(_channel(table, quantity, header, vehicle, notes, problems))
-    if problems:
-        raise DataError(problems)
+    DataError.raise_for(problems)
     taken = {channel.header for channel in channels}
     for quantity in CHECKS:
         if quantity in (channel.quantity for channel in channels):
@@ -206,7 +184,8 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
     unit = unit_of(text, quantity) if text else None
     # Round brackets may hold anything, as in ``W (IMU)``.
     label = f"({in_header})" in header and text == in_header
-    if text and text != "-" and unit is None and not (label and not _is_unit(text)):
+    label = label and known_unit(text.removeprefix("-")) is None
+    if text and text != "-" and unit is None and not label:
         problems.append(
             InputProblem(
                 f"unit {text!r} is no unit of {dimension}, which {quantity} is of",
@@ -223,10 +202,6 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
     if named or text != _SI[dimension]:
         notes.append(f"column {header!r} read as {quantity} in {text}{where}")
     return Channel(quantity, header, text, scale, named)
-
-
-def _is_unit(text: str) -> bool:
-    return known_unit(text.removeprefix("-")) is not None
 
 
 def _numbers(table: Table, channels, active: str | None) -> dict[str, np.ndarray]:
@@ -288,16 +263,14 @@ def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
         if len(time) > 1:
             reason = "time does not rise from any sample to the next"
             remedy = "sort the log by time, or name the right column"
-        raise DataError(InputProblem(reason, remedy, file, column=column))
+        raise DataError(reason, remedy, file, column=column)
     period = float(np.median(steps))
     if period > 1 / (4 * cutoff):
         raise DataError(
-            InputProblem(
-                f"is sampled at {1 / period:.3g} Hz only",
-                f"give {needed}, lower filter.cutoff, or check the unit of time",
-                file,
-                column=vehicle.columns.time,
-            )
+            f"is sampled at {1 / period:.3g} Hz only",
+            f"give {needed}, lower filter.cutoff, or check the unit of time",
+            file,
+            column=vehicle.columns.time,
         )
     return period
 

@@ -98,13 +98,13 @@ def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Tab
         if not sections.get(keyword):
             reason = f"the TYDEX file has no **{keyword}"
             remedy = "give a file of measurements: tire models are read from .tir files"
-            raise DataError(InputProblem(reason, remedy, file))
+            raise DataError(reason, remedy, file)
     channels = _entries(sections["MEASURCHANNELS"], file)
     conversions = [_conversion(channel, file) for channel in channels]
     rows, lines, faults = _records(sections["MEASURDATA"], len(channels))
     if not rows:
         reason, remedy = "there are no data rows below **MEASURDATA", "give some"
-        raise DataError(InputProblem(reason, remedy, file))
+        raise DataError(reason, remedy, file)
     columns = list(zip(*rows, strict=True))
     cells = [
         _converted(column, conversion)
@@ -156,10 +156,10 @@ def _entries(lines, file: str) -> list[_Entry]:
         if entry is None:
             reason = f"this is no channel of TYDEX: {text.strip()!r}"
             remedy = "give name, comment, unit and conversion factor in columns of 10"
-            raise DataError(InputProblem(reason, remedy, file, line))
+            raise DataError(reason, remedy, file, line)
         if entry.name in [other.name for other in entries]:
             reason, remedy = f"the channel {entry.name} is there twice", "rename one"
-            raise DataError(InputProblem(reason, remedy, file, line, entry.name))
+            raise DataError(reason, remedy, file, line, entry.name)
         entries.append(entry)
     return entries
 

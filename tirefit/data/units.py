@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.table import WHEELS
-from tirefit.results import DataError, InputProblem, did_you_mean
+from tirefit.results import DataError, did_you_mean
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS, kappa_from_sigma
 
 MEANING_OF_SLIP = {
@@ -114,8 +114,7 @@ _SPELLING = str.maketrans(
 
 
 def base_column(column: str) -> str:
-    """The column that a ``<column>_std`` or ``<column>_sim`` belongs to; other names
-    unchanged."""
+    """The column that ``<column>_std``, ``<column>_sim`` belongs to; else the name."""
     return column.removesuffix("_std").removesuffix("_sim")
 
 
@@ -148,11 +147,9 @@ def resolve_unit(text: str, column: str) -> Unit:
     unit = known_unit(text) or _ask_pint(text, column, wanted)
     if unit.dimension != wanted:
         raise DataError(
-            InputProblem(
-                f"unit {text!r} is a unit of {unit.dimension}, but {column} is of"
-                f" dimension {wanted}",
-                _unit_remedy(text, column, wanted),
-            )
+            f"unit {text!r} is a unit of {unit.dimension}, but {column} is of"
+            f" dimension {wanted}",
+            _unit_remedy(text, column, wanted),
         )
     return unit
 
@@ -183,9 +180,9 @@ def _ask_pint(text: str, column: str, dimension: str) -> Unit:
         )
     except pint.DimensionalityError as error:
         reason = f"unit {text!r} is not a unit of {dimension}, which {column} needs"
-        raise DataError(InputProblem(reason, remedy)) from error
+        raise DataError(reason, remedy) from error
     except Exception as error:  # pint raises its own, tokenizer and syntax errors
-        raise DataError(InputProblem(f"unknown unit {text!r}", remedy)) from error
+        raise DataError(f"unknown unit {text!r}", remedy) from error
     return Unit(dimension, one - zero, zero)
 
 

@@ -87,14 +87,13 @@ class Filter(Section):
     Attributes:
         cutoff: Cutoff of one Butterworth pass [Hz]; the filter runs both ways, so the
             gain here is 1/2.
-        order: Order of one pass.
         sample_rate: Rate of the uniform grid [Hz].
         max_gap: Longest time between two samples that is interpolated [s]; None takes
             3.5 of the log's own periods.
     """
 
     cutoff: Annotated[float, Field(ge=1e-3, le=1e4)] = 5.0
-    order: Annotated[int, Field(ge=1, le=8)] = 2
+    order: Annotated[int, Field(ge=1, le=8)] = 2  # of one pass
     sample_rate: Annotated[float, Field(gt=0, le=1e5)] = 100.0
     max_gap: PositiveFloat | None = None
 
@@ -130,16 +129,14 @@ class Keep(Section):
         v_min: Lowest forward speed of the centre of gravity [m/s]; None takes
             sqrt(g L) / 2, with L the wheelbase.
         a_y_max: Largest lateral acceleration [m/s2]; beyond it the track has glitched.
-        active: Header of a column that must equal ``active_value``, if any.
-        active_value: Its value while the vehicle is driven.
         margin: Time dropped beside every edge, gap and glitch [s]; None takes the
             settling time of the filter.
     """
 
     v_min: PositiveFloat | None = None
     a_y_max: PositiveFloat | None = None
-    active: str | None = None
-    active_value: float = 1.0
+    active: str | None = None  # header of a column that must equal ``active_value``
+    active_value: float = 1.0  # while the vehicle is driven
     margin: NonNegativeFloat | None = None
 
 
@@ -176,13 +173,6 @@ class Vehicle(Section):
     """A single-track vehicle and how its log is read; SI units, ISO 8855 axes.
 
     Attributes:
-        mass: Total mass [kg].
-        l_f: Distance of the front axle ahead of the centre of gravity [m].
-        l_r: Distance of the rear axle behind the centre of gravity [m].
-        mass_front: Mass on the front axle [kg]; a check, or instead of l_f and l_r.
-        mass_rear: Mass on the rear axle [kg]; likewise.
-        wheelbase: l_f + l_r [m]; needed where the axle masses replace l_f and l_r.
-        yaw_inertia: Yaw moment of inertia about the centre of gravity [kg m2].
         tracked_point: The point the log describes: ahead of the rear axle and to the
             left of the centre line [m]; None for the centre of gravity.
         yaw_offset: Heading of the car minus the logged yaw [rad]: it is added to the
@@ -190,35 +180,31 @@ class Vehicle(Section):
         sideslip_offset: Sideslip of the car minus the logged one [rad], of a sensor
             that is mounted askew: the logged speeds are turned by it, which raises
             alpha by as much; logs of rates only.
-        h_cg: Height of the centre of gravity [m]; None keeps the load static.
-        gravity: [m/s2].
         driven: Axles that drive and brake; with it derived files have fx of the axle.
         rear_share: Part of the force along that acts on the rear axle, of a vehicle
             that all wheels drive [-]; None for half of it, hardly known.
-        drag: Drag over the speed squared [kg/m]; None for none, hardly known.
-        wheel_radius: Of the tires [m]; the diagnosis compares lengths with it.
         clock: Standard error of the time between the log's channels [s]; those of a
             pose are from one instrument.
     """
 
-    mass: PositiveFloat
-    l_f: _Arm
-    l_r: _Arm
-    mass_front: PositiveFloat | None = None
-    mass_rear: PositiveFloat | None = None
-    wheelbase: _Arm
-    yaw_inertia: PositiveFloat
+    mass: PositiveFloat  # total [kg]
+    l_f: _Arm  # of the front axle ahead of the centre of gravity [m]
+    l_r: _Arm  # of the rear axle behind the centre of gravity [m]
+    mass_front: PositiveFloat | None = None  # [kg]; a check, or instead of l_f, l_r
+    mass_rear: PositiveFloat | None = None  # likewise
+    wheelbase: _Arm  # l_f + l_r [m]; needed where axle masses replace l_f and l_r
+    yaw_inertia: PositiveFloat  # about the centre of gravity [kg m2]
     tracked_point: Annotated[list[float], Field(min_length=2, max_length=2)] | None = (
         None
     )
     yaw_offset: float = 0.0
     sideslip_offset: float = 0.0
-    h_cg: NonNegativeFloat | None = None
-    gravity: PositiveFloat = 9.80665
+    h_cg: NonNegativeFloat | None = None  # [m]; None keeps the load static
+    gravity: PositiveFloat = 9.80665  # [m/s2]
     driven: Literal["rear", "front", "all"] | None = None
     rear_share: Annotated[float, Field(ge=0, le=1)] | None = None
-    drag: NonNegativeFloat | None = None
-    wheel_radius: PositiveFloat | None = None
+    drag: NonNegativeFloat | None = None  # over v^2 [kg/m]; None: none, hardly known
+    wheel_radius: PositiveFloat | None = None  # [m]; lengths are compared with it
     clock: PositiveFloat | None = None
     columns: Columns
     units: dict[str, str] = {}
@@ -251,7 +237,7 @@ class Vehicle(Section):
         for name, text in self.units.items():
             if name in QUANTITIES and unit_of(text, name) is not None:
                 continue
-            units = _units_of(name)
+            units = units_of(QUANTITIES[name]) if name in QUANTITIES else []
             what = f"units.{name} = {text!r}" if units else f"units.{name}: {name}"
             known = ", ".join(units or QUANTITIES)
             yield InputProblem(f"{what} is not one of {known}", "choose one of them")
@@ -351,10 +337,6 @@ def unit_of(text: str, quantity: str) -> Unit | None:
         return unit and unit._replace(scale=-unit.scale)
     unit = known_unit(text) if text else None
     return unit if unit and unit.dimension == QUANTITIES[quantity] else None
-
-
-def _units_of(quantity: str) -> list[str]:
-    return units_of(QUANTITIES[quantity]) if quantity in QUANTITIES else []
 
 
 def load_vehicle(path: str | Path, units: Mapping[str, str] | None = None) -> Vehicle:

@@ -54,8 +54,7 @@ def output_problems(
 
 
 def write_csv(path, columns: Mapping[str, object], above: str = "") -> None:
-    """Writes columns as CSV below the line ``above``, whole or not at all; see
-    :func:`csv_text`."""
+    """Write columns as CSV below the line ``above``, whole or not: :func:`csv_text`."""
     write_text_atomic(path, above + csv_text(columns))
 
 

@@ -1,6 +1,6 @@
 """One file diagnosed: noise first, then where, which, how far, and what to measure."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from typing import Any
 
@@ -12,7 +12,6 @@ from tirefit.data.accept import as_data
 from tirefit.data.far import without_far
 from tirefit.data.read import require
 from tirefit.data.table import TireData
-from tirefit.diagnosis import arguments as args
 from tirefit.diagnosis.decide.findings import findings_of, predictions
 from tirefit.diagnosis.decide.verdict import decide
 from tirefit.diagnosis.effects import EFFECTS, Effect
@@ -37,7 +36,7 @@ from tirefit.diagnosis.rows.prepared import (
     prepare,
     thinned,
 )
-from tirefit.diagnosis.rows.rig import Rig, unfit
+from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
 from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.document import document_of
 from tirefit.diagnosis.summary.records import Settings, Untestable
@@ -65,7 +64,7 @@ def diagnose(
     signs: str | None = None,
     rig: Rig | str | PathLike | None = None,
     forces: str | Sequence[str] | None = None,
-    effects: Sequence[Effect] = EFFECTS,
+    effects: Sequence[Effect] | None = None,
     without: str | Sequence[str] = (),
     holdout: Any = (),
     seed: int = 0,
@@ -89,8 +88,7 @@ def diagnose(
         >>> found.verdict.status.value, found.verdict.effects
         ('named', ('slip_offset',))
 
-    ``print(found)`` shows the report on one screen; ``tirefit.plot_diagnosis(found)``
-    draws it.
+    ``print(found)`` shows one screen; ``tirefit.plot_diagnosis(found)`` draws it.
 
     Args:
         data: what ``tirefit.read`` gave, or anything that it reads with its defaults: a
@@ -104,16 +102,13 @@ def diagnose(
             signs. Where only its forces are known, ``model``, fitted to them, stands in
             for what a hypothesis changes: the brush by default, or mf61 where that does
             not follow them closely.
-        signs: convention in which the ``.tir`` file ``sim`` was written ("iso-w" if
-            None), or the columns ``fx_sim``, ... (that of the data if None), a key of
-            ``slip.CONVENTIONS``.
-        rig: what is known of the rig (noise, rolling radius, wheel inertia), or the
-            path of its ``rig.toml``.
+        signs: convention, a key of ``slip.CONVENTIONS``, of the ``.tir`` file ``sim``
+            ("iso-w" if None), or of the columns ``fx_sim``, ... (the data's if None).
+        rig: what is known (noise, radius, inertia), or a path of ``rig.toml``.
         forces: of fx, fy, mz, those that matter; None for all that were measured.
-        effects: the library to search; add your own to :data:`EFFECTS`.
+        effects: the library to search, :data:`EFFECTS` if None; add your own to it.
         without: ids of effects that are not looked for.
-        holdout: data of the same kinds, or a list of such, not used for the search, to
-            check the closure on.
+        holdout: data of the same kinds, or a list of such, to check closure on.
         seed: of the simulated null distributions and bootstraps.
 
     Returns:
@@ -133,21 +128,20 @@ def diagnose(
     Raises:
         UsageError: no such model, no such force, or no such effect to leave out; an
             argument that is none of the above; or 32-bit floats in use.
-        DataError: no force with a slip that varies, no load, too few rows, no
-            simulated forces, a model that does not follow them, or ``data`` among what
-            is held out.
+        DataError: no force with a slip that varies, no load, too few rows, no simulated
+            forces, a model that does not follow them, ``data`` held out too.
     """
     require_x64("a diagnosis")
     release_programs()
-    model, effects = args.a_model(model), args.the_effects(effects)
-    without = args.names(without, "without")
-    asked = None if forces is None else args.names(forces, "forces")
+    effects = the_effects(EFFECTS if effects is None else effects)
+    model, without = a_model(model), names(without, "without")
+    asked = None if forces is None else names(forces, "forces")
     if isinstance(sim, str | PathLike):
         sim = simulator_at(str(sim), signs=signs)
     otherwise = sim.otherwise if isinstance(sim, Given) else None
-    every = [data, *args.several(holdout)]
+    every = [data, *several(holdout)]
     data, *holdout = (as_data(one, otherwise=otherwise) for one in every)
-    rig, generator = args.a_rig(rig), np.random.default_rng(args.a_seed(seed))
+    rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
     _are_others(data, holdout)
     data, holdout = without_far(data), [without_far(other) for other in holdout]
     _are_known(without, {effect.id for effect in effects})
@@ -187,6 +181,61 @@ def diagnose(
         return document_of(case, whole, *made)
 
 
+# --- arguments: one of a kind stands for a list of it; all raise UsageError -----------
+
+
+def names(given: Any, argument: str) -> tuple[str, ...]:
+    """Names; a single one is no sequence of letters."""
+    several = (given,) if isinstance(given, str) else given
+    if isinstance(several, Iterable):
+        several = tuple(several)
+        if all(isinstance(one, str) for one in several):
+            return several
+    raise UsageError(f"{argument} = {given!r}", "give a name, or several")
+
+
+def the_effects(given: Any) -> tuple[Effect, ...]:
+    """Effects to look for, at least one."""
+    several = tuple(given) if isinstance(given, Iterable) else ()
+    if several and all(isinstance(one, Effect) for one in several):
+        return several
+    reason = f"effects = {given!r}" if several else "effects: none to look for"
+    remedy = "leave the argument out for all of the library, or give Effect records: "
+    remedy += "(*EFFECTS, mine) adds one, without=... leaves single ones out"
+    raise UsageError(reason, remedy)
+
+
+def a_model(given: Any) -> str | None:
+    """Name of a model, or none."""
+    if given is None or isinstance(given, str):
+        return given
+    remedy = "give a model's name; a tire model with its values is a simulator: sim=..."
+    raise UsageError(f"model is of type {type(given).__name__}", remedy)
+
+
+def several(given: Any) -> list:
+    """Data of each of several, of one, or of none."""
+    every = given if isinstance(given, list | tuple) else [given]
+    return [one for one in every if one is not None]
+
+
+def a_rig(given: Any) -> Rig:
+    """What is known of the rig: nothing, a record of it, or a file ``rig.toml``."""
+    if given is None or isinstance(given, Rig):
+        return given or Rig()
+    if isinstance(given, str | PathLike):
+        return load_rig(str(given))
+    remedy = "give a Rig(...), or the path of a rig.toml"
+    raise UsageError(f"rig is of type {type(given).__name__}", remedy)
+
+
+def a_seed(given: Any) -> int:
+    """A seed of everything random."""
+    if isinstance(given, int | np.integer) and 0 <= given < 2**32:
+        return int(given)
+    raise UsageError(f"seed = {given!r}", "give a whole number from 0 to 2^32 - 1")
+
+
 def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
     """Raises DataError where rows held out are among those that are diagnosed."""
     for other in holdout:
@@ -204,8 +253,7 @@ def _are_known(without: Sequence[str], known: set[str]) -> None:
     for name in sorted(set(without) - known):
         remedy = f"{did_you_mean(name, known)}known effects: {every}"
         problems.append(InputProblem(f"--without: no effect {name!r}", remedy))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _asked_for(forces, data: TireData, gives, in_columns) -> tuple[str, ...]:
@@ -218,8 +266,7 @@ def _asked_for(forces, data: TireData, gives, in_columns) -> tuple[str, ...]:
             reason = f"the simulator's {name} is missing: there is no {name}_sim"
             remedy = f"add it, or ask for {' or '.join(gives)} alone"
         problems.append(InputProblem(reason, remedy))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     require(data, forces, "a diagnosis of them")
     return tuple(name for name in gives if name in forces)
 
@@ -283,7 +330,7 @@ def _are_smooth(base: Base, testable: Sequence[int]) -> None:
     if wrong := sorted({base.atoms[k].effect.id for k in testable if not finite[k]}):
         reason = f"effect {wrong[0]!r}: its change at amplitude 0 is not finite"
         remedy = "give a change that is smooth there, and finite for all rows"
-        raise UsageError(InputProblem(reason, remedy))
+        raise UsageError(reason, remedy)
 
 
 def _with_change(base: Base, searched: Search) -> Base | None:

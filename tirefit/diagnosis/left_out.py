@@ -31,6 +31,9 @@ _UNRESOLVED = 0.01
 _SINGLES, _SETS = 8, 12
 """Single effects, and sets, the most probable of each, whose effects a climb tries."""
 
+AS_GIVEN: Key = ("as given",)
+"""``Step.effects`` of a simulator as it is, the first step of its ladder."""
+
 SMOOTH: Key = ("anything smooth",)
 NOISE: Key = ("noise",)
 """``Step.effects`` of the last two steps of a ladder: what the discrepancy closes, and
@@ -58,7 +61,8 @@ class Predicted(NamedTuple):
     (F, S) the sum of squares of all channels over the noise, ``rows`` (F,) of the fold,
     ``amplitude`` the refitted amplitudes by set: (F, k), in prior scales. ``smooth``
     (F,) is the loss of anything smooth, ``climbed`` the set that a climb over whole
-    runs ends at.
+    runs ends at, ``as_given`` (F,) the loss of a simulator whose parameters are not
+    refitted.
     """
 
     on: str
@@ -70,6 +74,7 @@ class Predicted(NamedTuple):
     amplitude: tuple[np.ndarray, ...]
     smooth: np.ndarray
     climbed: Key = ()
+    as_given: np.ndarray | None = None
 
 
 class Gain(NamedTuple):
@@ -89,13 +94,18 @@ class Step(NamedTuple):
     """One step of the ladder.
 
     Attributes:
-        effects: ids of the set; ("anything smooth",) and ("noise",) at the end.
+        effects: ids of the set; ("as given",) first, of a simulator whose parameters
+            are not refitted; ("anything smooth",) and ("noise",) at the end.
         rms_left_out: of observed minus predicted on the rows left out [N].
-        closed: share of what no effect leaves beyond the noise that is closed there.
+        closed: share of what the first step leaves beyond the noise that is closed
+            there.
         closed_std: its standard error over the parts left out.
         gain: what the step takes from the mean square [N^2]; the two last steps are
             compared with the last set of effects.
         gain_std: its standard error.
+        rms_held_out: rms on the files held out [N]; None without such files, for a set
+            that was not refitted, and for the two last steps.
+        closed_held_out: share of the gap closed there, beyond the noise.
     """
 
     effects: Key
@@ -104,6 +114,8 @@ class Step(NamedTuple):
     closed_std: float
     gain: float
     gain_std: float
+    rms_held_out: float | None = None
+    closed_held_out: float | None = None
 
 
 class Ladder(NamedTuple):
@@ -131,7 +143,11 @@ def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> 
         return Folds(code, f"{len(runs)} runs left out in turn", True)
     most = int(prepared.n // max(_LEAST_ROWS, 4 * rows_each))
     count = max(min(_BLOCKS, most), 2)
-    if prepared.time is not None and not prepared.random_order:
+    if (
+        prepared.time is not None
+        and np.ptp(prepared.time)
+        and not prepared.random_order
+    ):
         # By the names of the runs: their codes follow the order of the rows.
         place = np.argsort(np.argsort(prepared.data.runs))
         code = _in_parts(np.lexsort((prepared.time, place[prepared.run])), count)
@@ -172,6 +188,10 @@ def predicted(base: Base, sets: Sequence[Hypothesis], folds: Folds) -> Predicted
     refit = base.refit_folds(starts, atoms, [~out for out in outs])
     loss = np.empty((folds.number, len(sets)))
     whitened, rows = np.empty_like(loss), np.empty(folds.number, int)
+    as_given = np.empty(folds.number)
+    given = (
+        base.rows.observed[main] - base.forces(base.as_given, base.amplitudes())[main]
+    )
     for f, out in enumerate(outs):
         good = _judged_on(base, out)
         rows[f] = good.sum()
@@ -182,12 +202,14 @@ def predicted(base: Base, sets: Sequence[Hypothesis], folds: Folds) -> Predicted
         missed = (observed - base.forces_each(fits))[:, :, good]
         loss[f] = np.mean(missed[:, names.index(main)] ** 2, axis=1)
         whitened[f] = np.sum((missed / scale[:, good]) ** 2, axis=(1, 2))
+        as_given[f] = np.mean(given[good] ** 2)
     sizes = tuple(refit.amplitude[:, k, : len(own)] for k, own in enumerate(atoms))
     keys = tuple(tuple(sorted(h.effects)) for h in sets)
     smooth = np.array([_smooth_loss(base, out) for out in outs])
     return Predicted(
-        folds.on, folds.across_runs, keys, loss, whitened, rows, sizes, smooth
-    )
+        folds.on, folds.across_runs, keys, loss, whitened, rows, sizes, smooth,
+        as_given=as_given if base.simulator else None,
+    )  # fmt: skip
 
 
 def _smooth_loss(base: Base, out: np.ndarray) -> float:
@@ -254,16 +276,20 @@ def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
     loss = dict(zip(out.effects, out.loss.T, strict=True))
     total = dict(zip(out.effects, out.whitened.sum(axis=0), strict=True))
 
+    first = loss[()] if out.as_given is None else out.as_given
+
     def step(effects: Key, after, before) -> Step:
         parts, rms = share * (before - after), float(np.sqrt(share @ after))
         closed = (1.0, 0.0)
         if effects != NOISE:
-            closed = _closed(out.rows, after, loss[()], floor)
+            closed = _closed(out.rows, after, first, floor)
         return Step(effects, rms, *closed, float(parts.sum()), _error(parts))
 
     now: Key = ()
     order: Key = ()
-    steps = [step((), loss[()], loss[()])]
+    steps = [step((), loss[()], first)]
+    if out.as_given is not None:
+        steps.insert(0, step(AS_GIVEN, first, first))
     for size in range(1, len(key) + 1):
         larger = [k for k in loss if len(k) == size and {*now} < {*k} <= {*key}]
         if larger:

@@ -2,8 +2,7 @@
 that are whitened or relative, and so of order one."""
 
 NONZERO = 1e-300
-"""Divisor in place of zero, where nothing over nothing is nothing; its reciprocal is
-still finite."""
+"""Divisor in place of zero, where 0/0 counts as 0; its reciprocal is still finite."""
 
 ROUNDING = 1e-12
 """Smaller values are what 64-bit sums over ten thousand rows leave of zero."""

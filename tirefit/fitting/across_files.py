@@ -2,9 +2,8 @@
 
 Each file's value y_i has its own standard deviation s_i; beside it, files differ among
 themselves by a scatter tau. The line over time is fitted by Huber's weights (that of
-wild files is bounded), and tau is where half of
-the files lie within 0.6745 of their own sqrt(s_i^2 + tau^2): a few wild files move
-neither.
+wild files is bounded); tau is where half of the files lie within 0.6745 of their own
+sqrt(s_i^2 + tau^2): a few wild files move neither.
 """
 
 from typing import NamedTuple
@@ -28,17 +27,15 @@ _LEAST_SCALE = 1e-12
 
 
 class AcrossFiles(NamedTuple):
-    """``middle`` at the mean time, ``scatter`` of the files beyond their own standard
-    deviations, ``change`` from the first to the last time with its standard deviation;
-    ``pulls`` (n,): distances from the line in standard deviations, ``outlier`` (n,)."""
+    """One quantity over many files."""
 
-    middle: float
-    scatter: float
-    change: float
-    change_std: float
+    middle: float  # at the mean time
+    scatter: float  # of the files beyond their own standard deviations
+    change: float  # from the first to the last time
+    change_std: float  # standard deviation
     drifts: bool
-    pulls: np.ndarray
-    outlier: np.ndarray
+    pulls: np.ndarray  # (n,) distances from the line in standard deviations
+    outlier: np.ndarray  # (n,)
 
 
 def across_files(value, std, when) -> AcrossFiles:
@@ -57,10 +54,11 @@ def across_files(value, std, when) -> AcrossFiles:
     # What is fitted takes its share of the scatter.
     widened = np.sqrt(len(value) / max(len(value) - design.shape[1], 1))
     at = np.array([np.median(value), 0.0])[: design.shape[1]]
+    least = 1e-12 * float(np.max(np.abs(value))) + 1e-300  # of a scale, without scatter
     for _ in range(_ROUNDS):
         residual = value - design @ at
         scatter = _scatter(residual * widened, std)
-        scale = np.hypot(std, scatter) + _tiny(value)
+        scale = np.hypot(std, scatter) + least
         root = np.sqrt(np.minimum(1.0, HUBER / np.abs(residual / scale).clip(1e-9)))
         left = design * (root / scale)[:, None]
         before, at = at, np.linalg.lstsq(left, value * root / scale, rcond=None)[0]
@@ -77,11 +75,6 @@ def across_files(value, std, when) -> AcrossFiles:
         bool(abs(change) > limit * change_std > 0), pulls,
         np.abs(pulls) > t.isf(_ERROR / (2 * len(value)), freedom),
     )  # fmt: skip
-
-
-def _tiny(value: np.ndarray) -> float:
-    """So that values without any scatter have a scale."""
-    return 1e-12 * float(np.max(np.abs(value))) + 1e-300
 
 
 def _scatter(residual: np.ndarray, std: np.ndarray) -> float:

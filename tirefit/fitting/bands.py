@@ -1,5 +1,4 @@
-"""The fitted curve at any inputs, with the 95 % bands of the curve and of a
-measurement."""
+"""The fitted curve at any inputs, with 95 % bands of the curve and of a measurement."""
 
 from typing import NamedTuple
 
@@ -15,13 +14,11 @@ from tirefit.padding import pad_rows, padded_size
 from tirefit.params import unconstrain
 
 _DRAWS = 400
-_ROOM = 8192
-"""Rows that 400 evaluations of which take as long as compiling a program."""
+_ROOM = 8192  # rows that 400 evaluations of which take as long as compiling a program
 
 
 class Band(NamedTuple):
-    """A fitted force (m,), the ends of its 95 % band (m,), and those of the band that
-    holds 95 % of measurements."""
+    """A fitted force (m,), ends of its 95 % band and of that of measurements (m,)."""
 
     force: np.ndarray
     low: np.ndarray
@@ -130,8 +127,7 @@ def force_band(
 
     Args:
         inputs: (m,) each; ``run`` (m,) the run that each belongs to.
-        noise: (m,) standard deviation of the force as measured there, without that of
-            the slip.
+        noise: (m,) standard deviation of a measured force, without the slip's.
     """
     force, low, high = _curve_band(result, channel, inputs, run)
     std = np.hypot(noise, _slip_part(result, channel, inputs, run, force))

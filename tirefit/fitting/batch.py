@@ -14,7 +14,7 @@ from tirefit.fitting.problem import find_model, guess_from_curve
 from tirefit.models import TireInputs
 from tirefit.params import Values, specs, with_values
 from tirefit.precision import require_x64
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 
 
 class BatchFit(NamedTuple):
@@ -65,7 +65,7 @@ def fit_many(
     template = find_model(model)
     if template.transient:
         reason = f"{model} follows the slip through time, which fit_many does not have"
-        raise UsageError(InputProblem(reason, "fit each data set by tirefit.fit"))
+        raise UsageError(reason, "fit each data set by tirefit.fit")
     layout = Layout(
         tuple(FreeParameter(k, s) for k, s in specs(template).items() if s.free)
     )

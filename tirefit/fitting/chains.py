@@ -24,16 +24,13 @@ _SECONDS_BETWEEN = 5.0
 
 
 class Chain(NamedTuple):
-    """Samples of all ensembles and what the next chunk starts from.
+    """Samples of all ensembles in the whitened space, and what the next chunk starts
+    from."""
 
-    ``samples`` (ensembles, steps, walkers, p) and ``log_density`` (ensembles, steps,
-    walkers) are in the whitened space; ``state`` is the sampler's own record of arrays.
-    """
-
-    samples: np.ndarray
-    log_density: np.ndarray
+    samples: np.ndarray  # (ensembles, steps, walkers, p)
+    log_density: np.ndarray  # (ensembles, steps, walkers)
     accepted: float
-    state: dict[str, np.ndarray]
+    state: dict[str, np.ndarray]  # the sampler's own record of arrays
 
 
 def identity_of(result: FitResult, sampler: str, seed: int, shape) -> str:
@@ -61,8 +58,7 @@ def save_chain(path: Path, chain: Chain, identity: str) -> None:
 class Keeper:
     """Keeps a chain in its file while it is drawn: every few seconds, and at the end.
 
-    A disk that is full does not end the drawing: ``fault`` says what was wrong at the
-    last time.
+    A full disk does not end the drawing: ``fault`` says what was wrong at last.
     """
 
     def __init__(self, path: Path | None, identity: str):

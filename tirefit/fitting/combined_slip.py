@@ -7,7 +7,7 @@ import numpy as np
 from tirefit.data.table import TireData
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.models import AbstractTire, TireInputs
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 
 def slip_of_forces(
@@ -32,13 +32,11 @@ def slip_of_forces(
         return own
     if len(noisy) > 1:
         raise DataError(
-            InputProblem(
-                "noise of both sigma_x and alpha in combined slip: every force depends"
-                " on both slips, and only one noisy slip can be integrated out",
-                "give the noise of the slip that matters more, and count that of the"
-                " other as noise of the forces; or fit rows of pure slip",
-                data.source.path or data.name,
-            )
+            "noise of both sigma_x and alpha in combined slip: every force depends"
+            " on both slips, and only one noisy slip can be integrated out",
+            "give the noise of the slip that matters more, and count that of the"
+            " other as noise of the forces; or fit rows of pure slip",
+            data.file,
         )
     (slip,) = noisy
     return dict.fromkeys(forces, slip)

@@ -29,11 +29,9 @@ from tirefit.fitting.solve import Solved
 from tirefit.padding import pad_rows
 from tirefit.params import unconstrain
 
-FEWEST = 4096
-"""Rows of a file that is condensed: fewer take no longer than their cells."""
+FEWEST = 4096  # rows of a file that is condensed: fewer take no longer than their cells
 
-_REACH = 2.5
-"""Standard deviations at which the change of the force is looked at."""
+_REACH = 2.5  # standard deviations at which the change of the force is looked at
 
 _TRIES = ((512, 1e-3), (2048, 2.5e-4), (8192, 6e-5))
 """Cells, at most, and the share of the squared change that may be lost in them: of the
@@ -48,8 +46,7 @@ _MOVES = 3
 
 _COMPARED = 64
 
-_SAMPLED = 2**16
-"""Rows that the cells are cut by."""
+_SAMPLED = 2**16  # rows that the cells are cut by
 
 
 def condensed(solved: Solved, root: Float[np.ndarray, "p p"]) -> FitProblem | None:
@@ -118,8 +115,7 @@ def _is_plain(problem: FitProblem) -> bool:
 
 
 def _places(solved: Solved) -> Float[np.ndarray, "n d"]:
-    """What rows of one cell must have alike: inputs, and residuals where a row's
-    deviance is no square."""
+    """What rows of a cell share: inputs, and residuals if the deviance is no square."""
     problem = solved.problem
     columns = [problem.used(column) for column in problem.rows.inputs]
     columns += [problem.used(std) for std in problem.rows.slip_std.values()]
@@ -157,14 +153,12 @@ def _changes(solved: Solved, points, sample) -> Float[np.ndarray, "s m"]:
 
 
 class _Tree(NamedTuple):
-    """Cuts of the rows' places: by node its axis (-1 of a leaf), where it cuts, and the
-    first of the two nodes below it (or the number of the leaf). The roots come first,
-    one for each of ``groups``."""
+    """Cuts of the rows' places by node, roots first."""
 
-    groups: np.ndarray
-    axis: np.ndarray
-    cut: np.ndarray
-    below: np.ndarray
+    groups: np.ndarray  # one root for each
+    axis: np.ndarray  # -1 of a leaf
+    cut: np.ndarray  # where it cuts
+    below: np.ndarray  # first of the two nodes below, or number of the leaf
 
     def leaf_of(self, place: np.ndarray, group: np.ndarray) -> Int[np.ndarray, " n"]:
         """Number of the leaf that each row falls into."""

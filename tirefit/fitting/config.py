@@ -4,12 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    PositiveFloat,
-    PrivateAttr,
-)
+from pydantic import BeforeValidator, Field, PositiveFloat, PrivateAttr
 
 from tirefit.data.prepare.settings import PrepareConfig
 from tirefit.door import read_toml
@@ -22,8 +17,7 @@ Force = Literal["fx", "fy", "mz"]
 def _out_of_order(section, low: str, high: str, remedy: str) -> Iterator[InputProblem]:
     lower, upper = getattr(section, low), getattr(section, high)
     if None not in (lower, upper) and lower >= upper:
-        reason = f"{low} = {lower:g} is not below {high} = {upper:g}"
-        yield InputProblem(reason, remedy)
+        yield InputProblem(f"{low} = {lower:g} is not below {high} = {upper:g}", remedy)
 
 
 class Prior(Section):
@@ -179,8 +173,7 @@ def parse_config(content: dict, source: str = "config") -> FitConfig:
     """Check the content of a ``fit.toml``; ``source`` says where it came from.
 
     Raises:
-        UsageError: unknown keys, wrong types or values, keys that contradict each
-            other; every one of them.
+        UsageError: unknown keys, wrong types or values, contradictions; all.
     """
     if isinstance(table := content.get("model"), dict):
         # [model] with its name, and what it depends on beside it.

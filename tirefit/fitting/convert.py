@@ -43,8 +43,7 @@ def curve(
         len(loads) n rows.
 
     Raises:
-        UsageError: unknown model or parameter, or a value outside its bounds; or
-            32-bit floats in use.
+        UsageError: unknown model or parameter, value out of bounds, 32-bit floats.
         DataError: the tire needs a speed.
     """
     columns = {

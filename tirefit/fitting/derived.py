@@ -33,8 +33,7 @@ _AT_ONCE = 8
 _GRID = np.append(0.0, np.geomspace(1e-5, _LARGEST_SLIP, 199))
 """Slips among which the peak is looked for, a whole number of times so many at once."""
 
-_NARROWED = 16
-"""Rounds that narrow it to 1e-15 of the distance of two of them."""
+_NARROWED = 16  # rounds that narrow it to 1e-15 of the distance of two of them
 
 
 def quantity_of(label: str) -> str:
@@ -106,13 +105,11 @@ def _curve(model, values, channel: str, fz, v):
 
 
 def _start_and_peak(force):
-    """Slope at zero slip, and (slip, force) of the first largest force: a grid, then
-    where the slope ends.
+    """Slope at zero slip; (slip, force) of the first maximum, by a grid, then slope.
 
     A plateau is flat to the third order where it begins, so values alone would give
     its slip to 1e-4; the sign of the slope gives it to rounding. One loop serves both,
-    a few slips at a time: the force is what takes time to compile, and stands in the
-    program once.
+    a few slips at a time: the force takes time to compile and stands there once.
     """
 
     def with_slope(slip):
@@ -358,8 +355,7 @@ def derived_from_draws(
 
     Args:
         z_draws: draws of the unconstrained parameters, shape (m, p).
-        least_squares: the same at the least-squares estimate, which says what the data
-            identify.
+        least_squares: those of least squares, which say what the data identify.
     """
     channel = derived_channel([c.name for c in problem.channels])
     if channel is None or not least_squares:

@@ -181,7 +181,7 @@ def data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str,
     """What ``fit.json`` says of the rows: so many were used, these lie far off."""
     source = data.source
     return {
-        "file": source.path or data.name,
+        "file": data.file,
         "sha256": source.sha256,
         "rows": len(data),
         "used": used,

@@ -26,8 +26,7 @@ def _bowl(solved: Solved, z):
 
 _NEXT_TO_BOUND = 1e-9
 
-_LONGEST_SHARE = 0.3
-"""Share of an element's range that one step may cross."""
+_LONGEST_SHARE = 0.3  # share of an element's range that one step may cross
 
 
 def _step(slope, pull, curvature, room: float, share):
@@ -98,16 +97,13 @@ _STRIDES = 30
 """Steps of a walk, each twice as long as the one before, from a third of a standard
 error: more than any quantity can go."""
 
-_ENDLESS = 1e3
-"""Times the estimate from which a quantity has no end."""
+_ENDLESS = 1e3  # times the estimate from which a quantity has no end
 
 _NARROWED_ENDS = 12
-_ON_LEVEL = 2e-3
-"""Distance from the level, in standard errors, that counts as there."""
+_ON_LEVEL = 2e-3  # distance from the level, in standard errors, that counts as there
 
 _ROUNDS = 100
-_FLATTEST = 1e-9
-"""Curvature, and damping of it, below which a direction is flat."""
+_FLATTEST = 1e-9  # curvature, and damping of it, below which a direction is flat
 
 _SETTLED = 1e-7
 """Change of the deviance, in shares of the level, from which a place has settled."""

@@ -44,8 +44,7 @@ from tirefit.fitting.problem import FitTask, build
 from tirefit.fitting.solve import Solved, on_rows, solve_problem
 from tirefit.results import InputProblem
 
-_CHANCE = 0.005
-"""Share of clean data sets that lose a row, were their noise ..."""
+_CHANCE = 0.005  # share of clean data sets that lose a row, were their noise ...
 _TAILS = 30
 """... Student's t of so many degrees of freedom at most: measured noise has tails a
 little heavier than normal, and in a long log a row of six standard deviations is no
@@ -69,30 +68,23 @@ _NEVER = 1e-9
 slip a force says nothing of its load, and such a row would rule the slope."""
 _REMEMBERED = 30
 """Rows, to either side, over which a transient tire spreads what is wrong in one."""
-_ROUNDING = 1e-6
-"""Share of a force's range below which nothing is far."""
+_ROUNDING = 1e-6  # share of a force's range below which nothing is far
 _RESTS = 0.7
 """Share of what is known of some parameter from which the fit rests on one row."""
-_MANY = 10
-"""Rows for each free parameter from which that is worth saying."""
+_MANY = 10  # rows for each free parameter from which that is worth saying
 
 
 @dataclass(frozen=True)
 class FarRow:
-    """A row far from everything, and what became of it.
-
-    ``row`` counts the lines of the file; ``distance`` is that from what the other rows
-    ``predicted`` of ``force``, in standard deviations; ``column`` with its ``value`` is
-    where to look first.
-    """
+    """A row far from everything, and what became of it."""
 
     file: str
-    row: int
-    column: str
+    row: int  # line of the file
+    column: str  # where to look first
     value: float
     force: str
-    predicted: float
-    distance: float
+    predicted: float  # ``force`` by the other rows
+    distance: float  # from that, in standard deviations
     set_aside: bool
     reason: str
     remedy: str
@@ -114,18 +106,12 @@ class Settled(NamedTuple):
 
 
 class _Judged(NamedTuple):
-    """How far the rows lie: by channel (k, n), but for the leverage.
+    """How far the rows lie: by channel (k, n), but for the leverage."""
 
-    ``distance`` from what the other rows predict, in standard deviations of a
-    measurement; ``ratio`` that distance over the one from which a row is set aside;
-    ``predicted`` the force. ``leverage`` (n,) is the largest share that a row has in
-    what is known of a parameter.
-    """
-
-    distance: np.ndarray
-    ratio: np.ndarray
-    predicted: np.ndarray
-    leverage: np.ndarray
+    distance: np.ndarray  # from what the others predict, in standard deviations
+    ratio: np.ndarray  # over the distance from which a row is set aside
+    predicted: np.ndarray  # force
+    leverage: np.ndarray  # (n,) largest share in what is known of a parameter
 
 
 def settle(data: TireData, name: str, config: FitConfig) -> Settled:

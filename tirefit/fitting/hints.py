@@ -20,15 +20,13 @@ _COLUMNS = {
 }
 """Input that a test varies -> its name, its unit, and the models that depend on it."""
 
-_VARIES = 0.2
-"""Smallest relative range (central 95 %) of a column that is tested."""
+_VARIES = 0.2  # smallest relative range (central 95 %) of a column that is tested
 
 _LEAST, _CHANCE = 0.1, 5e-5
 """A trend counts if it explains this share of the residuals' variance, and if its
 chi-square at the effective number of residuals has less than this probability."""
 
-_ROWS = 4096
-"""Largest number of rows, evenly taken: enough to find a share of 0.1."""
+_ROWS = 4096  # largest number of rows, evenly taken: enough to find a share of 0.1
 
 
 class Followed(NamedTuple):
@@ -54,14 +52,10 @@ class Followed(NamedTuple):
 
 
 class Misfit(NamedTuple):
-    """The columns that the residuals depend on, in the order of selection.
-
-    ``rows_per_one`` is the number of rows per independent row of the residuals without
-    these trends, scaled to their variance with the trends.
-    """
+    """The columns that the residuals depend on, in the order of selection."""
 
     columns: tuple[Followed, ...] = ()
-    rows_per_one: float = 1.0
+    rows_per_one: float = 1.0  # independent row, without trends at their variance
 
 
 def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
@@ -113,8 +107,7 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
 
 
 def _explained(values, known, more) -> float:
-    """Sum of squares that the columns ``more`` explain beyond ``known``; zero if it is
-    not significant."""
+    """Sum of squares that ``more`` explains beyond ``known``; 0 if not significant."""
     (before, fewer), (rest, rank) = _remainder(values, known), _remainder(values, more)
     explained, left = float(before @ before - rest @ rest), float(rest @ rest)
     effective = len(rest) / autocorrelation_time([rest])

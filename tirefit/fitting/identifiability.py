@@ -40,10 +40,8 @@ _FRICTION = ("mu", "mu_peak", "mu_s", "D", "Dx", "Dy")
 _HIGHEST, _FRICTIONS = 2.0, 7
 """Friction that no tire has, and how many up to it are tried."""
 _AS_WELL = 9.0
-"""Rise of -2 log likelihood up to which a friction describes the rows as well (three
-standard deviations)."""
-_REACHED = {"sigma_x": (-0.9, 2.0), "alpha": (-1.2, 1.2)}
-"""Slips that a test can go to."""
+"""Rise of -2 log likelihood up to which a friction fits too (3 standard deviations)."""
+_REACHED = {"sigma_x": (-0.9, 2.0), "alpha": (-1.2, 1.2)}  # slips that a test can go to
 _INSIDE = 4.0
 """Unconstrained values that are looked at: to 2 % of the range from either bound, where
 a step of the parameter would be none of the force."""
@@ -51,8 +49,7 @@ _STEPS = 12
 _TIMES_TOLD, _TIMES_KNOWN = 10.0, 3.0
 """Ends of a 95 % interval, one over the other, from which on ``fit`` calls a scale or
 a positive coefficient not identified."""
-_SHARE_TOLD = 0.8
-"""Of the allowed range, the same for any other parameter."""
+_SHARE_TOLD = 0.8  # of the allowed range, the same for any other parameter
 _WELL = 0.15
 """Half of the interval over the value, or over a quarter of the range: told well."""
 _STEEPEST = 20.0
@@ -62,22 +59,16 @@ WELL, ROUGHLY, NOT = "well", "roughly", "not"
 
 
 class ParameterGate(NamedTuple):
-    """What the file would tell of one parameter.
-
-    ``value`` is the guess that it was looked at, ``std`` the standard deviation that a
-    fit would have; ``told`` is "well", "roughly" or "not". ``beside`` names the
-    parameter it trades places with, ``remedy`` the rows that would tell it.
-    ``is_size``: it is positive by nature, so that its std is a share of it.
-    """
+    """What the file would tell of one parameter."""
 
     name: str
     unit: str
-    value: float
-    std: float
-    told: str
-    is_size: bool
-    beside: str = ""
-    remedy: str = ""
+    value: float  # guess that it was looked at
+    std: float  # standard deviation that a fit would have
+    told: str  # "well", "roughly" or "not"
+    is_size: bool  # positive by nature, so that its std is a share of it
+    beside: str = ""  # the parameter it trades places with
+    remedy: str = ""  # rows that would tell it
 
 
 class ModelGate(NamedTuple):

@@ -23,28 +23,21 @@ LARGEST_K_HAT = 0.7
 """Above it weighted means do not converge at any practical size (Vehtari et al.)."""
 
 _DEGREES_OF_FREEDOM = 5.0
-_WIDE = 0.1
-"""Share of the points from anywhere within the bounds."""
+_WIDE = 0.1  # share of the points from anywhere within the bounds
 _BLOCK = 512
-_FEWEST = 4096
-"""Points of the first round: k-hat of fewer is too noisy to refuse by."""
+_FEWEST = 4096  # points of the first round: k-hat of fewer is too noisy to refuse by
 _LEAST_SHARE = 0.02
 """Effective samples per point below which an ensemble is as cheap, and safer."""
 
 
 class Weighted(NamedTuple):
-    """What weighting came to.
+    """What weighting came to."""
 
-    ``draws`` (m, p) in the whitened space are worth as many independent ones, in random
-    order; ``points`` were evaluated. ``refused`` says why the draws must not be used;
-    empty where they may. ``interrupted``: by the user, with fewer draws than asked.
-    """
-
-    draws: np.ndarray
+    draws: np.ndarray  # (m, p) in the whitened space, worth m independent ones
     k_hat: float
-    points: int
-    refused: str
-    interrupted: bool
+    points: int  # evaluated
+    refused: str  # why the draws must not be used, "" where they may
+    interrupted: bool  # by the user, with fewer draws than asked
 
 
 def _pareto_fit(tail: np.ndarray) -> tuple[float, float]:
@@ -150,8 +143,7 @@ def draw_weighted(
     Args:
         density: log posterior density (n,) of points (n, p) of the whitened space, up
             to a constant; -inf where there is none.
-        center, root: (p,) and (p, p); z = center + root u are coordinates in which the
-            bounds are at infinity.
+        center, root: (p,), (p, p); z = center + root u is unbounded in u.
         seed: the same seed draws the same samples.
         target: draws wanted; refused where they would take 50 times as many points.
         progress: called with (share done, message).

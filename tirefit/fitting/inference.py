@@ -173,16 +173,13 @@ def deviance(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""]:
 
 
 class Linearised(NamedTuple):
-    """Residuals of every row at z, their slopes, and the moments of the forces.
+    """Residuals of every row at z, slopes, moments of the forces given the measured
+    slip."""
 
-    ``values`` (n,) and ``slopes`` (n, p) by block, the Gaussian priors as the block
-    ``prior``; ``mean`` and ``variance`` (n,) of each force given the measured slip.
-    """
-
-    values: dict[str, Array]
-    slopes: dict[str, Array]
-    mean: dict[str, Array]
-    variance: dict[str, Array]
+    values: dict[str, Array]  # (n,) by block; Gaussian priors are the block ``prior``
+    slopes: dict[str, Array]  # (n, p) by block
+    mean: dict[str, Array]  # (n,) by force
+    variance: dict[str, Array]  # (n,) by force
 
 
 jax.export.register_namedtuple_serialization(

@@ -83,8 +83,7 @@ class Layout:
         return any(parameter.per_run for parameter in self.free)
 
     def elements_of(self, run):
-        """Indices (n, q) of the elements of z that each row depends on, one per free
-        parameter."""
+        """Indices (n, q) of each row's elements of z, one per free parameter."""
         count = [len(self.runs) if p.per_run else 1 for p in self.free]
         first = np.cumsum([0, *count[:-1]])
         own = np.array([p.per_run for p in self.free])
@@ -155,8 +154,7 @@ def choose_layout(
         The model that holds the fixed values, the layout, and what was narrowed.
 
     Raises:
-        UsageError: unknown parameters, impossible bounds, values, priors or ties;
-            every one of them.
+        UsageError: unknown names, impossible bounds, values, priors, ties.
     """
     known = specs(model)
     asked = {name: config.parameters.get(name, ParameterConfig()) for name in known}
@@ -230,8 +228,7 @@ def _bounded(name: str, spec: Spec, asked: ParameterConfig):
 
 
 def _narrowed(tie: Tie, bounded: Mapping[str, Spec]):
-    """Spec of the other parameter, narrowed to where the tied one is within its bounds;
-    problems; and what to say."""
+    """Spec of the other parameter within the tied one's bounds; problems; a note."""
     own, other = bounded[tie.name], bounded[tie.other]
     low, high = sorted((own.lower / tie.factor, own.upper / tie.factor))
     narrow = other._replace(lower=max(other.lower, low), upper=min(other.upper, high))

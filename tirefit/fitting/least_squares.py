@@ -14,7 +14,7 @@ import jax.export
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-TOLERANCE = 1e-9
+TOLERANCE = 1e-9  # share of the cost that a step could change, at the end of a search
 MAX_STEPS = 200
 
 
@@ -82,8 +82,7 @@ all 200 trials from two of eight starts, and takes 51 to 80 from each."""
 LEAST_DAMPING = 1e-9
 """Below it a step is undamped to rounding; it also keeps a singular matrix solvable."""
 
-STUCK = 1e9
-"""Damping at which steps are too small to change anything: the search ends."""
+STUCK = 1e9  # damping at which steps are too small to change anything: the search ends
 
 LONGEST_STEP = 3.0
 """In z a parameter crosses its whole range within ten; longer steps are wild."""
@@ -159,8 +158,6 @@ def damped_gauss_newton(
     elements: Int[Array, "n q"] | None = None,
     allowed: Callable = _anywhere,
     max_steps: int = MAX_STEPS,
-    relative: float = TOLERANCE,
-    absolute: float = TOLERANCE**2,
 ) -> Minimum:
     """Levenberg-Marquardt on the normal equations of a handful of parameters.
 
@@ -175,12 +172,9 @@ def damped_gauss_newton(
     Args:
         residual: residuals and scoring weights; p up to about ten.
         start: first z.
-        elements: indices of the elements of z that each residual depends on; None if
-            it depends on all.
+        elements: those of z that each residual depends on, or None for all.
         allowed: takes a trial z to the nearest one that may be tried.
         max_steps: limit of trials, the start included.
-        relative, absolute: the search ends where one undamped step could change the
-            cost by no more than ``relative * cost + absolute``.
 
     A trial is accepted only if its cost is lower, so NaN loses. The residuals stand in
     the loop once, the start being the first trial: half the program to compile.
@@ -204,7 +198,7 @@ def damped_gauss_newton(
         ahead = z, normal, gradient
         whole = _after_step(*ahead, LEAST_DAMPING, allowed, jnp.inf)
         settled = jnp.abs(_gain(whole - z, normal, gradient)) <= (
-            relative * cost + absolute
+            TOLERANCE * cost + TOLERANCE**2
         )
         trial = _after_step(*ahead, damping, allowed, LONGEST_STEP)
         promised = _gain(trial - z, normal, gradient)
@@ -226,8 +220,7 @@ def _ordinary(residual: Residual, start) -> Callable:
     """Residuals that a least-squares library can take, with the same minimum.
 
     The rows of noisy slip become sqrt(1 + r^2 - r(start)^2): the sum of squares changes
-    by a constant, and near the start, where it must be, Gauss-Newton's curvature is
-    that of scoring.
+    by a constant, and near the start Gauss-Newton's curvature is that of scoring.
     """
     first, weights = residual(start)
     deviance_row = weights != 1.0
@@ -289,11 +282,7 @@ def _gauss_newton(residual: Residual, start) -> Solution:
     return Solution(end.z, end.cost, end.converged, end.steps)
 
 
-SOLVERS = {
-    "gauss-newton": _gauss_newton,
-    "optimistix": _optimistix,
-    "jaxopt": _jaxopt,
-}
+SOLVERS = {"gauss-newton": _gauss_newton, "optimistix": _optimistix, "jaxopt": _jaxopt}
 """Solver name -> (residual, start) -> Solution; each can be vmapped over starts."""
 
 

@@ -4,8 +4,7 @@ A problem is one pytree, :class:`FitProblem`: every function of a fit is a funct
 it and of the unconstrained parameters z (p,). Every solver, the profile and the
 samplers use the one function :func:`root_deviance`. Without slip noise its entries are
 the whitened residuals. With slip noise of standard deviation :math:`\tau` the true slip
-of a row is latent, and is integrated over the distribution that the slips of this file
-come from:
+of a row is latent, integrated over the distribution of this file's slips:
 
 .. math::
    L_i = \int N(F_i \mid f(s), \sigma)\, N(s_i \mid s, \tau)\, g(s)\, ds
@@ -64,15 +63,11 @@ LOSSES = {
 
 @dataclass(frozen=True)
 class Channel:
-    """One fitted force: its name and whether its noise scale is estimated.
-
-    ``slip`` is the slip whose noise, if any, is integrated out for it: its own in pure
-    slip.
-    """
+    """One fitted force: its name and whether its noise scale is estimated."""
 
     name: str
     noise_estimated: bool = True
-    slip: str = ""
+    slip: str = ""  # whose noise, if any, is integrated out: its own if pure
 
     def __post_init__(self):
         object.__setattr__(self, "slip", self.slip or CHANNEL_SLIP[self.name])
@@ -86,35 +81,25 @@ class SlipNodes(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """The used rows of a data set, padded so that few shapes are ever compiled.
-
-    ``weight`` (n,) is 0 for padding; ``observed`` and ``scale`` hold an array (n,) per
-    channel, ``slip_std`` the noise of each slip that has one, ``nodes`` its latent
-    values, by slip name, once they are laid out.
-    """
+    """The used rows of a data set, padded so that few shapes are ever compiled."""
 
     inputs: TireInputs
     run: Int[Array, " n"]
-    weight: Float[Array, " n"]
-    observed: dict[str, Float[Array, " n"]]
-    scale: dict[str, Float[Array, " n"]]
-    slip_std: dict[str, Float[Array, " n"]]
-    nodes: dict[str, SlipNodes]
+    weight: Float[Array, " n"]  # 0 for padding
+    observed: dict[str, Float[Array, " n"]]  # by channel
+    scale: dict[str, Float[Array, " n"]]  # by channel
+    slip_std: dict[str, Float[Array, " n"]]  # noise of each slip that has one
+    nodes: dict[str, SlipNodes]  # its latent values, once they are laid out
 
 
 class Rule(NamedTuple):
-    """How one block of residuals enters the deviance.
+    """How one block of residuals enters the deviance; by default squares stay as they
+    are."""
 
-    ``inflation``: rows per independent row (times chi2/dof where applied);
-    ``effective``: effective number of rows; ``smallest``: sum of squares at the best
-    fit, zero where the noise was given; ``within``: sum of squares beside that of the
-    rows (of cells, that within them). The first values leave squares as they are.
-    """
-
-    inflation: Float[Array, ""] | float = 1.0
-    effective: Float[Array, ""] | float = 1.0
-    smallest: Float[Array, ""] | float = 0.0
-    within: Float[Array, ""] | float = 0.0
+    inflation: Float[Array, ""] | float = 1.0  # rows per independent row (x chi2/dof)
+    effective: Float[Array, ""] | float = 1.0  # number of rows
+    smallest: Float[Array, ""] | float = 0.0  # sum of squares at best, 0: noise given
+    within: Float[Array, ""] | float = 0.0  # sum of squares beside: within cells
 
 
 class FitProblem(eqx.Module):
@@ -226,8 +211,7 @@ def _at_nodes(problem: FitProblem, z, slip: str) -> dict[str, Float[Array, "n q"
 
 
 def _channel_forces(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Array]:
-    """Forces by channel: (n,), or (n, q) at its latent slips where those are laid
-    out."""
+    """Forces by channel: (n,), or (n, q) at the latent slips where there are some."""
     nodes = problem.rows.nodes
     plain = [c.name for c in problem.channels if c.slip not in nodes]
     predicted = predict(problem, z) if plain else {}

@@ -13,8 +13,7 @@ _KERNEL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
 """Binomial: one standard deviation of one bin."""
 _NARROW = 1e-6
 """Width over size below which an axis is widened, to a hundredth to either side."""
-_ABOVE = 2.5
-"""Deviance over its level up to which a profile is worth drawing."""
+_ABOVE = 2.5  # deviance over its level up to which a profile is worth drawing
 _POINTS = 300
 
 

@@ -15,9 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 _MANY = 20
-"""Number of parameters above which NUTS is the default sampler. With 20 parameters (10
-runs of 300 rows) it takes 24 s of processor time, emcee 100 s; with 90 parameters emcee
-did not finish in 600 s."""
+"""Parameters above which NUTS is the default. With 20 (10 runs of 300 rows) it takes 24
+s of processor time, emcee 100 s; with 90 emcee did not finish in 600 s."""
 
 
 _ACCEPTANCE = 0.8
@@ -71,8 +70,7 @@ def _arrays(density: Callable) -> Callable:
 def _scan(density, position, key, step_size, covariance, adapt, steps: int):
     """(position, key, step size, positions, values, acceptance, divergences).
 
-    ``adapt`` is an array, so that warm-up and sampling are one program: its compilation
-    is most of a short run.
+    ``adapt`` is an array: one program, costly to compile, for warm-up and sampling.
     """
     # Slow to import, and for NUTS alone.
     from blackjax.adaptation.step_size import dual_averaging_adaptation

@@ -5,8 +5,7 @@ least-squares fit, where a well-identified posterior is nearly a unit Gaussian; 
 prior is flat within the bounds of the natural parameters, or what ``fit.toml`` gives.
 
 A chain is a sequence of chunks of steps. After each chunk the random state is part of
-the record, so an interrupted run that is resumed draws exactly the same samples as one
-that was not.
+the record: a resumed run draws exactly the samples of one without interruption.
 """
 
 import os
@@ -34,8 +33,7 @@ from tirefit.fitting.verdict import judge
 from tirefit.precision import require_x64
 from tirefit.results import Outcome, UsageError
 
-CHUNK = 100
-"""Steps between two checks of convergence."""
+CHUNK = 100  # steps between two checks of convergence
 
 _WALKERS = {"emcee": 64, "nuts": 8}
 _RHAT = 1.01

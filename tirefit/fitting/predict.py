@@ -26,7 +26,7 @@ from tirefit.models import AbstractTire, TireInputs, forces, modelled
 from tirefit.models.mf import MFTire
 from tirefit.params import Values, check_values, parameter_values, with_values
 from tirefit.precision import require_x64
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 
 @compiled(static=("layout",), brief=True)
@@ -80,11 +80,9 @@ def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
     unknown = [run for run in data.runs if run not in layout.runs]
     if unknown:
         raise DataError(
-            InputProblem(
-                f"the fit has no parameters for the runs {', '.join(unknown)}",
-                f"it knows {', '.join(layout.runs)}",
-                data.source.path or data.name,
-            )
+            f"the fit has no parameters for the runs {', '.join(unknown)}",
+            f"it knows {', '.join(layout.runs)}",
+            data.file,
         )
     return np.array([layout.runs.index(run) for run in data.runs])[data.run[data.used]]
 
@@ -111,8 +109,7 @@ def predict(
         Masked rows are NaN.
 
     Raises:
-        UsageError: unknown model or parameter, or a value outside its bounds; or
-            32-bit floats in use.
+        UsageError: unknown model or parameter, value out of bounds, 32-bit floats.
         DataError: the data lack an input, or have runs the fit does not know.
     """
     require_x64("a prediction")
@@ -150,11 +147,9 @@ def predict(
     if not fitted:
         needs = " and ".join(dict.fromkeys(SLIPS_OF[channel][0] for channel in noise))
         raise DataError(
-            InputProblem(
-                f"the fit is of {', '.join(noise)}: the data need {needs}",
-                "name the column with --column",
-                data.source.path or data.name,
-            )
+            f"the fit is of {', '.join(noise)}: the data need {needs}",
+            "name the column with --column",
+            data.file,
         )
     for channel in fitted:
         out[channel] = force[channel]
@@ -162,7 +157,7 @@ def predict(
         std = _noise_std(data, channel, known, force[channel], reference)
         spread = np.sqrt(np.maximum(variance[channel], 0.0))  # by rounding below it
         out[f"{channel}_std"] = np.hypot(spread, std)
-    return _masked(data, out)
+    return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
 
 
 def _signs_of(source) -> tuple[str, str] | None:
@@ -199,10 +194,6 @@ def _all_rows(data: TireData, out: Mapping) -> dict[str, np.ndarray]:
     return full
 
 
-def _masked(data: TireData, out: dict) -> dict[str, np.ndarray]:
-    return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
-
-
 def tire_with(
     template: AbstractTire, name: str, values: Mapping[str, float]
 ) -> AbstractTire:
@@ -228,5 +219,5 @@ def _of_model(
         has = " and ".join(modelled(tire))
         reason = f"{name} gives {has} alone, whose slip the data do not have"
         remedy = "name the column with --column, or choose another tire"
-        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+        raise DataError(reason, remedy, data.file)
     return _all_rows(data, {c: given[c] for c in channels})

@@ -26,21 +26,15 @@ from tirefit.results import DataError, InputProblem, UsageError
 
 @dataclass(frozen=True)
 class FitTask:
-    """A problem and what only the host knows of it, which names no program.
-
-    ``guess`` holds a first value of every free parameter by name; ``slip_density`` the
-    distribution (knots, density) of the true values of each noisy slip; ``time`` (n,)
-    orders the rows; ``notes`` says what was assumed; the used rows of ``data`` are
-    those of the problem.
-    """
+    """A problem and what only the host knows of it, which names no program."""
 
     name: str
     problem: FitProblem
-    guess: Mapping[str, float]
-    slip_density: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    time: np.ndarray | None
-    notes: tuple[str, ...]
-    data: TireData
+    guess: Mapping[str, float]  # first value of every free parameter
+    slip_density: Mapping[str, tuple[np.ndarray, np.ndarray]]  # knots, density
+    time: np.ndarray | None  # (n,) orders the rows
+    notes: tuple[str, ...]  # what was assumed
+    data: TireData  # its used rows are those of the problem
 
 
 def find_model(name: str) -> AbstractTire:
@@ -55,18 +49,16 @@ def find_model(name: str) -> AbstractTire:
         reason = f"{name} is a whole Magic Formula, which is fitted in stages"
         remedy = f"`tirefit fit --model {name}`, fit_magic_formula in Python; what it"
         remedy += " writes, fit.json and fit.tir, is a tire"
-        raise UsageError(InputProblem(reason, remedy))
+        raise UsageError(reason, remedy)
     if os.path.isfile(name):
         reason = f"{name!r} is a file, and no name of a model"
         remedy = (
             "a tire of a file ends in .json (a fit) or .tir; `tirefit models` lists"
         )
-        raise UsageError(InputProblem(reason, f"{remedy} the names"))
+        raise UsageError(reason, f"{remedy} the names")
     close = difflib.get_close_matches(name, MODELS, 3)
     hint = f"did you mean {', '.join(close)}? " if close else ""
-    raise UsageError(
-        InputProblem(f"unknown model {name!r}", f"{hint}`tirefit models` lists them")
-    )
+    raise UsageError(f"unknown model {name!r}", f"{hint}`tirefit models` lists them")
 
 
 def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], list]:
@@ -82,12 +74,10 @@ def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], 
     varied = [c for c in possible if np.ptp(data.usable(CHANNEL_SLIP[c])) > 1e-9]
     if not varied:
         raise DataError(
-            InputProblem(
-                "no force with a slip that varies: a fit needs fx with sigma_x (or"
-                " kappa, s), or fy with alpha",
-                "see `tirefit inspect`",
-                data.source.path or data.name,
-            )
+            "no force with a slip that varies: a fit needs fx with sigma_x (or"
+            " kappa, s), or fy with alpha",
+            "see `tirefit inspect`",
+            data.file,
         )
     chosen = varied[0]
     rest = [name for name in varied if name != chosen]
@@ -145,8 +135,7 @@ def _slip_scale(data: TireData, slip: str, noise: NoiseConfig):
 
 
 def _noise_problems(data: TireData, forces, config: FitConfig):
-    """Noise beside which squares of residuals overflow or vanish: in columns, and in
-    the settings."""
+    """Noise, in columns or settings, at which squared residuals overflow or vanish."""
     given = {name: force_scale(data, name, config.noise) for name in forces}
     stds = {name: std for name, (std, estimated, _) in given.items() if not estimated}
     for slip in dict.fromkeys(CHANNEL_SLIP[name] for name in forces):
@@ -180,7 +169,7 @@ def _noise_column(data: TireData, column: str, wrong, beside: str) -> InputProbl
     return InputProblem(
         f"{data[column][row]:.3g} {beside}{rows}",
         "correct the column or its unit, or leave it out",
-        source.path or data.name,
+        data.file,
         None if source.line is None else int(source.line[row]),
         source.columns.get(column, column),
     )
@@ -207,14 +196,12 @@ def check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
     if noise > 0.7 * spread:
         column = f"{slip}_std" if f"{slip}_std" in data else None
         raise DataError(
-            InputProblem(
-                f"the noise of {slip} ({noise:.3g}) is as large as the spread of the"
-                f" measured slips (standard deviation {spread:.3g}): they say nothing"
-                " about where on the curve a row lies",
-                f"check the unit of the noise, {column or f'noise.{slip}'}",
-                data.source.path or data.name,
-                column=column,
-            )
+            f"the noise of {slip} ({noise:.3g}) is as large as the spread of the"
+            f" measured slips (standard deviation {spread:.3g}): they say nothing"
+            " about where on the curve a row lies",
+            f"check the unit of the noise, {column or f'noise.{slip}'}",
+            data.file,
+            column=column,
         )
 
 
@@ -275,13 +262,11 @@ def _check_size(data: TireData, layout: Layout, channels, n_values: int) -> None
     unknowns = layout.size + sum(c.noise_estimated for c in channels)
     if n_values <= unknowns:
         raise DataError(
-            InputProblem(
-                f"{n_values} measured values for {unknowns} unknowns"
-                f" ({', '.join(layout.labels)}"
-                + (" and the noise level)" if unknowns > layout.size else ")"),
-                "measure more points, or fix parameters in fit.toml",
-                data.source.path or data.name,
-            )
+            f"{n_values} measured values for {unknowns} unknowns"
+            f" ({', '.join(layout.labels)}"
+            + (" and the noise level)" if unknowns > layout.size else ")"),
+            "measure more points, or fix parameters in fit.toml",
+            data.file,
         )
 
 
@@ -304,8 +289,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
 
     Raises:
         UsageError: unknown model or parameter, impossible bounds, ties or noise.
-        DataError: columns the model needs are missing, noise in a column that is none,
-            or too few rows.
+        DataError: columns or rows are missing, or noise in a column is none.
     """
     template = find_model(name)
     forces, notes = _chosen_forces(data, config)
@@ -362,11 +346,9 @@ def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
     if config.friction_temperature:
         reason = f"friction_temperature with the model {name}"
         remedy = "it is of mf52, mf61 and mf62: leave it out of [model]"
-        raise UsageError(InputProblem(reason, remedy, config.source))
+        raise UsageError(reason, remedy, config.source)
     if "mz" in forces and "mz" not in modelled(model):
-        raise UsageError(
-            InputProblem(f"{name} has no aligning moment", "fit fy, or a brush model")
-        )
+        raise UsageError(f"{name} has no aligning moment", "fit fy, or a brush model")
     require(data, ("fz", *model.needs), f"the model {name}")
     if model.transient:
         slips = dict.fromkeys(CHANNEL_SLIP[force] for force in forces)
@@ -382,7 +364,7 @@ def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
         if limits:
             reason += f" within {' and '.join(limits)} of {config.source}"
             remedy = "widen these limits"
-        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+        raise DataError(reason, remedy, data.file)
 
 
 def _with_reference_load(data: TireData, model: AbstractTire, config: FitConfig):

@@ -11,18 +11,14 @@ from tirefit.fitting.likelihood import FitProblem
 
 
 class Profile(NamedTuple):
-    """Profile of one element of z: points (m,), their deviance, and the 95 % interval.
+    """Profile of one element of z, and its 95 % interval."""
 
-    ``open_low`` / ``open_high``: the deviance does not reach the threshold before the
-    bound, so the data do not limit the parameter on that side.
-    """
-
-    z: np.ndarray
-    deviance: np.ndarray
+    z: np.ndarray  # (m,) points
+    deviance: np.ndarray  # (m,)
     low: float
     high: float
-    open_low: bool
-    open_high: bool
+    open_low: bool  # the data do not limit it before the bound
+    open_high: bool  # the same above
 
 
 class _Side:

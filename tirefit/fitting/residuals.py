@@ -11,21 +11,17 @@ from tirefit.fitting.result import FitResult
 
 _BINS = 12
 """Settings up to so many have a mean each; more are bins of as many rows each."""
-_FEWEST = 3
-"""Rows of a bin from which its scatter gives its mean an error."""
-_HALF_95 = 1.96
-"""Standard errors to the end of a 95 % interval of a normal law."""
-_LAGS = 40
-"""Lags, at most, and those of a quarter of the longest run."""
+_FEWEST = 3  # rows of a bin from which its scatter gives its mean an error
+_HALF_95 = 1.96  # standard errors to the end of a 95 % interval of a normal law
+_LAGS = 40  # lags, at most, and those of a quarter of the longest run
 
 
 class Means(NamedTuple):
-    """Means over bins: ``center`` of the input and ``mean`` of the residuals, with the
-    half-width ``half`` of the mean's 95 % interval, (k,) each."""
+    """Means over bins, (k,) each."""
 
-    center: np.ndarray
-    mean: np.ndarray
-    half: np.ndarray
+    center: np.ndarray  # of the input
+    mean: np.ndarray  # of the residuals
+    half: np.ndarray  # half-width of the mean's 95 % interval
 
 
 def standardised(result: FitResult, channel: str) -> np.ndarray:

@@ -17,8 +17,7 @@ from tirefit.results import Outcome
 
 SCHEMA = "tirefit.fit/1"
 
-_MOST_ROWS = 1000
-"""Far rows in ``fit.json``, at most; ``data.set_aside`` counts all."""
+_MOST_ROWS = 1000  # far rows in ``fit.json``, at most; ``data.set_aside`` counts all
 
 _BELOW_MINUS_ONE = math.erfc(1 / math.sqrt(2)) / 2
 """Share of a Gaussian below its mean less one standard deviation."""
@@ -54,9 +53,9 @@ class Estimate:
 
 @dataclass(frozen=True)
 class FitStatistics:
-    """How well the model describes the data; ``rmse`` in the first force's unit."""
+    """How well the model describes the data."""
 
-    rmse: float
+    rmse: float  # in the first force's unit
     r2: float
     chi2_dof: float | None
     aicc: float
@@ -89,28 +88,23 @@ def information(
 
 @dataclass(frozen=True)
 class PosteriorSummary:
-    """What a sampler did; effective samples, R-hat and tau (in steps) by label.
-
-    Of ``importance`` there is no chain, no R-hat and no tau: ``steps`` are points that
-    were evaluated, and ``acceptance`` is the share of them that the draws are worth.
-    ``k_hat`` is the shape of its weights, of emcee that of the weights which were
-    refused before it; ``divergences`` are those of ``nuts``; ``note`` says the rest.
-    """
+    """What a sampler did; effective samples, R-hat and tau (in steps) by label. Of
+    ``importance`` there is no chain, no R-hat and no tau."""
 
     sampler: str
     seed: int
     ensembles: int
     walkers: int
-    steps: int
+    steps: int  # of ``importance`` the points that were evaluated
     discarded: int
     ess: Mapping[str, float]
     rhat: Mapping[str, float]
     tau: Mapping[str, float]
-    acceptance: float
+    acceptance: float  # of ``importance`` the share of points that draws are worth
     outcome: Outcome
-    k_hat: float | None = None
-    divergences: int | None = None
-    note: str = ""
+    k_hat: float | None = None  # of the weights, for emcee of those refused before
+    divergences: int | None = None  # of ``nuts``
+    note: str = ""  # what else is to be said
 
 
 @dataclass(frozen=True, repr=False)

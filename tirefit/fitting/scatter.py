@@ -10,17 +10,12 @@ from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.noise import autocorrelation_time
 
 ROWS = 512
-"""Rows that stand for all, spread evenly over loads and slips: one program for all
-files."""
-_LEAST_NOISE = 1e-3
-"""Of the load: no rig measures better."""
+"""Rows that stand for all, evenly over loads and slips: one program for all files."""
+_LEAST_NOISE = 1e-3  # of the load: no rig measures better
 _GUESSED_NOISE = 0.01
-_SPINNING = -0.95
-"""Slip below which a wheel spins all but on the spot."""
-_SETTINGS = 12
-"""Levels of a channel that are settings of the rig at most."""
-_CHUNK = 12
-"""Parts of a slip curve in which it is a parabola, and the rest is noise."""
+_SPINNING = -0.95  # slip below which a wheel spins all but on the spot
+_SETTINGS = 12  # levels of a channel that are settings of the rig at most
+_CHUNK = 12  # parts of a slip curve in which it is a parabola, and the rest is noise
 
 
 class Scatter(NamedTuple):

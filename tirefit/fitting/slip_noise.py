@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 _REACH = 4.0
 """Nodes span this many slip standard deviations on both sides of the measured slip."""
@@ -32,7 +32,7 @@ def speed_of(data: TireData) -> np.ndarray:
         return data.usable("v")
     reason = "the noise of the slip is stated as one of a speed, and v is not there"
     remedy = "name its column with --column v=HEADER, or --constant v=10"
-    raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+    raise DataError(reason, remedy, data.file)
 
 
 def std_with_speed(plain: float, of_speed: float, v) -> np.ndarray:
@@ -47,35 +47,35 @@ def std_with_speed(plain: float, of_speed: float, v) -> np.ndarray:
     return np.hypot(plain, of_speed / np.maximum(size, _STANDS * np.median(size)))
 
 
-def slip_density(slip, std, hats: int = 20, iterations: int = 200):
-    """Density of the true slips.
+_HATS = 20
+"""Triangular functions of a density, fewer where their spacing would fall below the
+slip noise: what is finer cannot be seen, and only draws rows to where others lie."""
+_STEPS, _STEPS_AFTER = 200, 60
+"""Steps of expectation maximisation, and those after each standing slip."""
+_MOST_STANDING = 40
 
-    Args:
-        slip: measured slips, shape (n,).
-        std: their standard deviations, shape (n,).
-        hats: number of triangular functions the density is made of, fewer where their
-            spacing would fall below the slip noise: what is finer cannot be seen, and
-            a rougher density would only draw rows to where other rows happen to lie.
-        iterations: steps of expectation maximisation.
+
+def slip_density(slip, std):
+    """Density of the true slips of measured ones (n,) with standard deviations (n,).
 
     Returns:
         (grid, density): knots of a piecewise linear density, shape (hats + 2,), which
         is zero at the first and last and integrates to one.
     """
     slip, std = _some(slip, std)
-    knots, spacing, hat = _hats(slip, std, hats)
-    weight = _weights(hat, np.full(hat.shape[1], 1 / hat.shape[1]), iterations)
+    knots, spacing, hat = _hats(slip, std, _HATS)
+    weight = _weights(hat, np.full(hat.shape[1], 1 / hat.shape[1]), _STEPS)
     return knots, np.concatenate([[0.0], weight / spacing, [0.0]])
 
 
 class SlipDistribution(NamedTuple):
-    """A piecewise linear density (``knots``, ``density``) and slips that many rows
-    have: ``standing`` (k,) with their ``shares`` (k,). All of it integrates to one."""
+    """A piecewise linear density, and slips that many rows have; all integrates to
+    one."""
 
     knots: np.ndarray
     density: np.ndarray
-    standing: np.ndarray
-    shares: np.ndarray
+    standing: np.ndarray  # (k,)
+    shares: np.ndarray  # (k,)
 
     def moments(self, slip, std):
         """Mean and standard deviation (n,) of each latent slip, given the measured, and
@@ -105,28 +105,22 @@ class SlipDistribution(NamedTuple):
         return slip + mean, np.sqrt(square), common / np.maximum(square, 1e-300)
 
 
-_NEW_SHARE = 0.05
-"""Share that new standing slips begin with, together."""
+_NEW_SHARE = 0.05  # share that new standing slips begin with, together
 
 
-def slip_distribution(slip, std, most: int = 40, iterations: int = 60):
-    """Distribution of the true slips: a density, and the slips that rows stand at.
+def slip_distribution(slip, std):
+    """Distribution of the true slips of measured ones (n,) with standard deviations
+    (n,): a density, and the slips that rows stand at.
 
     A wheel that rolls freely between two pulses of the brake, or a rig that steps
     through set points, has many rows of one slip, which no smooth density can show.
     They are added where the likelihood rises most, at once where each is sure, else one
     by one, while it rises by more than a place, found by search, and a share are worth.
-
-    Args:
-        slip: measured slips, shape (n,).
-        std: their standard deviations, shape (n,).
-        most: standing slips, at most.
-        iterations: steps of expectation maximisation after each.
     """
     slip, std = _some(slip, std)
-    knots, spacing, smooth = _hats(slip, std, 20)
+    knots, spacing, smooth = _hats(slip, std, _HATS)
     columns, hats = smooth, smooth.shape[1]
-    weight = _weights(columns, np.full(hats, 1 / hats), 3 * iterations)
+    weight = _weights(columns, np.full(hats, 1 / hats), 3 * _STEPS_AFTER)
     noise = float(np.median(std))
     places = np.linspace(
         slip.min(), slip.max(), int(np.clip(2 * np.ptp(slip) / noise, 2, 2000))
@@ -138,17 +132,18 @@ def slip_distribution(slip, std, most: int = 40, iterations: int = 60):
     def beside(more):
         """Parts with more places, None where they are not worth it."""
         wider = np.append(standing, places[more])
-        found = _with_more(slip, std, smooth, wider, weight, iterations)
+        found = _with_more(slip, std, smooth, wider, weight, _STEPS_AFTER)
         rise = _log_likelihood(*found[:2]) - likely
         return found if rise >= worth * len(more) else None
 
-    while len(standing) < most:
+    while len(standing) < _MOST_STANDING:
         together = columns @ weight
         peaks = _peaks(1 / np.maximum(together, 1e-300) @ near)
         gains = np.array([_first_gain(near[:, k], together) for k in peaks])
         # Each of these is worth its place by itself; the others, one by one, may be.
         sure = gains > worth
-        tries = [peaks[sure][: most - len(standing)]] if np.sum(sure) > 1 else []
+        room = _MOST_STANDING - len(standing)
+        tries = [peaks[sure][:room]] if np.sum(sure) > 1 else []
         order = np.argsort(-gains, kind="stable")[:4]
         tries += [peaks[[k]] for k in order if gains[k] > 0.2 * worth]
         best = next((found for found in map(beside, tries) if found is not None), None)

@@ -33,26 +33,20 @@ from tirefit.fitting.problem import FitTask
 from tirefit.fitting.slip_noise import latent_nodes
 
 _SETTLED = 1e-3
-"""Deviance left to gain at which an estimate counts as settled: 3 % of a standard
-deviation."""
+"""Deviance left to gain at which an estimate is settled: 0.03 standard deviations."""
 
 _DOUBLED = 6.0
 """Number of degrees of freedom that equals its 95 % quantile of t^2: the interval then
 ends where the sum of squares has doubled."""
 
-_ONE_MINIMUM = 1e-5
-"""Distance in z below which two estimates are one."""
+_ONE_MINIMUM = 1e-5  # distance in z below which two estimates are one
 
 
 class Solved(NamedTuple):
-    """A problem with its noise settled and judged: estimate, covariance.
-
-    ``at`` holds residuals, slopes and moments of the used rows at the estimate,
-    ``independent`` the covariance if every row were independent of the others.
-    """
+    """A problem with its noise settled and judged: estimate, covariance."""
 
     problem: FitProblem
-    at: Linearised
+    at: Linearised  # residuals, slopes and moments of the used rows at the estimate
     z: np.ndarray
     covariance: np.ndarray
     level: float
@@ -62,7 +56,7 @@ class Solved(NamedTuple):
     ambiguous: bool
     chi2_dof: float | None
     n_effective: float
-    independent: np.ndarray
+    independent: np.ndarray  # covariance if rows were independent of each other
     misfit: Misfit = Misfit()
 
     @property
@@ -104,18 +98,15 @@ def with_scale(
     for slip, std in rows.slip_std.items():
         forces = [c.name for c in problem.channels if c.slip == slip]
         force_std = min(float(np.median(problem.used(scale[k]))) for k in forces)
-        steep = _bucket(slope * float(np.max(std)) / force_std)
+        # A power of sqrt(2), rounded up, so that few shapes are compiled.
+        power = np.log2(max(slope * float(np.max(std)) / force_std, 1.0))
+        steep = float(2 ** (np.ceil(2 * power) / 2))
         # A padded row is the first one again: it has nodes like any other.
         values = np.asarray(getattr(rows.inputs, slip))
         nodes[slip] = SlipNodes(
             *latent_nodes(values, np.asarray(std), slip_density[slip], steep)
         )
     return problem.with_rows(scale=scale, nodes=nodes)
-
-
-def _bucket(steepness: float) -> float:
-    """Round up to a power of sqrt(2), so that few shapes are compiled."""
-    return float(2 ** (np.ceil(2 * np.log2(max(steepness, 1.0))) / 2))
 
 
 def _scale_updates(problem: FitProblem, z) -> dict[str, float]:

@@ -24,24 +24,21 @@ from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.params import specs, with_values
-from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.results import DataError, UsageError
 from tirefit.slip import CONVENTIONS
 
 
 @dataclass(frozen=True)
 class StoredFit:
-    """What a prediction needs of a fit: the tire, the estimate and the noise.
-
-    ``noise`` holds the noise record of each fitted force, ``content`` the whole file.
-    """
+    """What a prediction needs of a fit: the tire, the estimate and the noise."""
 
     model: str
     tire: AbstractTire
     layout: Layout
     z: np.ndarray
     covariance: np.ndarray
-    noise: Mapping[str, Mapping]
-    content: Mapping
+    noise: Mapping[str, Mapping]  # record of each fitted force
+    content: Mapping  # the whole file
 
     def at_estimate(self) -> AbstractTire:
         """The tire with its fitted values.
@@ -62,7 +59,7 @@ def at_estimate(template: AbstractTire, layout: Layout, z) -> AbstractTire:
     several = [name for name, value in values.items() if np.ndim(value)]
     if several:
         reason = f"the fit has a {several[0]} for each run: it is not one tire"
-        raise UsageError(InputProblem(reason, "fit it with one for all runs"))
+        raise UsageError(reason, "fit it with one for all runs")
     return with_values(template, {k: float(v) for k, v in values.items()})
 
 
@@ -180,7 +177,7 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
     except (ValueError, KeyError, UsageError) as error:
         # Its checksum holds: it is of another version, or was made by hand.
         reason = f"it does not hold a fit: {str(error).splitlines()[0][:200]}"
-        raise DataError(InputProblem(reason, remedy, str(path))) from None
+        raise DataError(reason, remedy, str(path)) from None
     return StoredFit(
         record.model, tire, layout, np.array(record.prediction.z),
         np.array(record.prediction.covariance), noise, content,
@@ -200,9 +197,10 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
     ensembles, walkers, steps, _ = draws.shape
     coords = {"chain": np.arange(ensembles * walkers), "draw": np.arange(steps)}
     flat = draws.reshape(ensembles * walkers, steps, -1)
+    estimates = result.least_squares
     posterior = xr.Dataset(
         {
-            label: (("chain", "draw"), flat[..., i], {"unit": _unit(result, label)})
+            label: (("chain", "draw"), flat[..., i], {"unit": estimates[label].unit})
             for i, label in enumerate(result.labels)
         },
         coords | {"ensemble": ("chain", np.repeat(np.arange(ensembles), walkers))},
@@ -228,10 +226,6 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
     content = tree.to_netcdf(None, engine="h5netcdf")
     with replacing(path) as temporary:
         temporary.write_bytes(content)
-
-
-def _unit(result: FitResult, label: str) -> str:
-    return result.least_squares[label].unit
 
 
 def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:

@@ -7,10 +7,6 @@ from tirefit.fitting.config import FitConfig
 from tirefit.results import DataError, InputProblem, UsageError
 
 
-def _line(data: TireData, row: int) -> int | None:
-    return None if data.source.line is None else int(data.source.line[row])
-
-
 def check_time_series(data: TireData, name: str) -> None:
     """Raises DataError unless the used rows of each run stand together, time rising.
 
@@ -20,7 +16,7 @@ def check_time_series(data: TireData, name: str) -> None:
     """
     rows = np.flatnonzero(data.used)
     run, time = data.run[rows], data["time"][rows]
-    file, column = data.source.path or data.name, data.source.columns.get("time")
+    file, column = data.file, data.source.columns.get("time")
     same = run[1:] == run[:-1]
     # A run begins once, where the run before it ended.
     first = np.unique(run, return_index=True)[1]
@@ -34,17 +30,17 @@ def check_time_series(data: TireData, name: str) -> None:
             continue
         at = int(np.argmax(wrong)) + 1
         text = reason.format(run=data.runs[run[at]], time=time[at], before=time[at - 1])
-        several = int(wrong.sum())
+        several, lines = int(wrong.sum()), data.source.line
+        line = None if lines is None else int(lines[rows[at]])
         more = f" ({several} such rows)" if several > 1 else ""
         problems.append(
             InputProblem(
                 f"{text}{more}; {name} follows the slip through time",
                 "sort the rows by run and time, and name the runs by a column run",
-                file, _line(data, rows[at]), column or "time",
+                file, line, column or "time",
             )
         )  # fmt: skip
-    if problems:
-        raise DataError(problems)
+    DataError.raise_for(problems)
 
 
 def check_whole_series(data: TireData, name: str, slips, config: FitConfig) -> None:
@@ -69,8 +65,7 @@ def check_whole_series(data: TireData, name: str, slips, config: FitConfig) -> N
             reason = f"noise.{slip}: {reason}"
             problems.append(InputProblem(reason, remedy, config.source))
         elif f"{slip}_std" in data:
-            file = data.source.path or data.name
+            file = data.file
             column = data.source.columns.get(f"{slip}_std", f"{slip}_std")
             problems.append(InputProblem(reason, remedy, file, column=column))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)

@@ -8,22 +8,20 @@ from tirefit.data.table import TireData
 from tirefit.data.tir import TirFile, notes_on
 from tirefit.data.tir_keys import LIMITS, PRESSURE_TERMS
 from tirefit.models.base import AbstractTire, TireInputs
-from tirefit.models.mf import (
-    OTHER_SIDE,
-    WEIGHTS,
-    MFTire,
-    Mirrored,
-    curvatures,
-    mf_tire,
-)
+from tirefit.models.mf import OTHER_SIDE, WEIGHTS, MFTire, Mirrored, curvatures, mf_tire
 from tirefit.models.mf.fields import Nominal
 from tirefit.models.mf.tire import turned_inputs
 from tirefit.params import parameter_values
-from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
+from tirefit.results import DataError, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS, kappa_from_sigma
 
-TIR_SIGNS = "iso-w"
-"""Convention of ``.tir`` files: that of the axes TYDEX W."""
+TIR_SIGNS = "iso-w"  # convention of ``.tir`` files: that of the axes TYDEX W
+
+USUAL_SLIP = 0.3
+"""Largest kappa and slip angle [rad] of a conversion where none is asked for."""
+
+USUAL_SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)
+"""Its loads over the nominal load."""
 
 _SYMBOLS = {"fx": "F_x", "fy": "F_y", "mz": "M_z"}
 _NEEDED = {
@@ -72,8 +70,7 @@ def tire_of(
         how: keywords of :func:`own_tire`.
 
     Raises:
-        UsageError: ``side`` is given but the file does not state its side; or there is
-            no such convention.
+        UsageError: ``side`` given but not stated in the file; unknown signs.
     """
     tire = own_tire(tir, **how)
     turned = turned_by(signs)
@@ -81,7 +78,7 @@ def tire_of(
         if tir.side == "UNKNOWN":
             reason = "TYRESIDE is not stated: no side to mirror the tire from"
             remedy = "write TYRESIDE = 'LEFT' or 'RIGHT' into [MODEL], or omit --side"
-            raise UsageError(InputProblem(reason, remedy, tir.path))
+            raise UsageError(reason, remedy, tir.path)
         turned ^= OTHER_SIDE
     return Mirrored(tire, turned) if turned else tire
 
@@ -112,7 +109,7 @@ def turned_by(signs: str | None) -> frozenset[str]:
     """
     if signs is not None and signs not in CONVENTIONS:
         remedy = f"{did_you_mean(signs, CONVENTIONS)}valid: {', '.join(CONVENTIONS)}"
-        raise UsageError(InputProblem(f"--signs: {signs!r} is not known", remedy))
+        raise UsageError(f"--signs: {signs!r} is not known", remedy)
     own = CONVENTIONS[TIR_SIGNS]
     return own.turned(CONVENTIONS[signs or TIR_SIGNS]) - {"fz"}
 
@@ -124,8 +121,7 @@ def check_gives(tir: TirFile, force: str) -> None:
         reason = f"no {symbol} in this file: {tir.lacks[symbol]}"
         other = {"fx": "fy", "fy": "fx"}[force]
         instead = f", or ask for {other}" if _SYMBOLS[other] not in tir.lacks else ""
-        remedy = f"add the coefficients{instead}"
-        raise DataError(InputProblem(reason, remedy, tir.path))
+        raise DataError(reason, f"add the coefficients{instead}", tir.path)
 
 
 def remarks(

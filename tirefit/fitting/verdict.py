@@ -9,8 +9,7 @@ from tirefit.data.run_names import label_of_run
 from tirefit.fitting.result import FitResult
 from tirefit.results import Outcome
 
-_EXACT = 1e-9
-"""RMSE over the range of the force below which residuals are rounding."""
+_EXACT = 1e-9  # RMSE over the range of the force below which residuals are rounding
 
 _POOR_CHI2 = 2.0
 _POOR_R2 = 0.8
@@ -22,9 +21,8 @@ _SYSTEMATIC = 0.5
 def disagreements(result: FitResult) -> dict[str, str]:
     """Where the routes to an interval differ, by label.
 
-    An end that differs from the profile's by more than 30 % of its half-width is named;
-    a parameter that is not identified has no interval to agree on, and rounding makes
-    none.
+    An end that differs from the profile's by more than 30 % of its half-width is named.
+    A parameter that is not identified has no interval; rounding makes none.
     """
     apart: dict[str, str] = {}
     if _exactness(result):

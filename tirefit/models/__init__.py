@@ -10,6 +10,7 @@ from tirefit.models.brush import (
     AnisotropicBrush,
     Brush,
     BrushAtPeak,
+    LoadDependent,
     mu_from_peak,
     peak_from_mu,
 )
@@ -22,7 +23,6 @@ from tirefit.models.friction import (
     LinearInSpeed,
     Stribeck,
 )
-from tirefit.models.load import LoadDependent
 from tirefit.models.lugre import LuGre, LuGreLumped
 from tirefit.models.magic_formula import MagicFormula
 from tirefit.models.pressure import (

@@ -44,12 +44,11 @@ from tirefit.slip import lateral_slip
 
 
 class Patch(NamedTuple):
-    """A patch that slides behind u, over mu F_z: ``stress`` of the first bristle that
-    sticks [-], ``force`` [-], and ``moment`` about the centre in half-lengths [-]."""
+    """A patch that slides behind u, over mu F_z."""
 
-    stress: jax.Array
-    force: jax.Array
-    moment: jax.Array
+    stress: jax.Array  # of the first bristle that sticks [-]
+    force: jax.Array  # [-]
+    moment: jax.Array  # about the centre in half-lengths [-]
 
 
 def _flexibility(default, largest, meaning, symbol):

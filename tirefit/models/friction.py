@@ -2,9 +2,8 @@ r"""Friction laws: kinetic and static coefficient as functions of sliding speed.
 
 A law turns the static friction :math:`\mu` of the brush into the coefficient of the
 sliding bristles, :math:`\mu_k(v_s)`. Laws compose: each takes the level that the one
-before it left (``Friction``). A law with ``static_too`` lowers the static friction in
-the same way; that hardly changes the force (S §4.2) but removes the hook before full
-sliding.
+before it left (``Friction``). A law with ``static_too`` lowers the static friction too;
+that hardly changes the force (S §4.2) but removes the hook before full sliding.
 """
 
 import abc
@@ -16,8 +15,7 @@ from tirefit.params import par
 
 
 class AbstractFrictionLaw(eqx.Module):
-    """One dependence of the kinetic friction; with ``static_too`` the static friction
-    follows the same law."""
+    """One law of the kinetic friction; of the static too with ``static_too``."""
 
     static_too: bool = eqx.field(static=True, default=False, kw_only=True)
 

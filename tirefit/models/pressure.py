@@ -241,8 +241,7 @@ class ForceAsymmetric(Asymmetric):
 class LoadAsymmetric(Asymmetric):
     r""":math:`d + d_z (F_z - F_{z0}) / F_{z0}`, kept within the range of S(24).
 
-    The load changes how far the tread flattens, and with it the lean of the pressure
-    (S §2.1, §4.1).
+    The load changes how far the tread flattens, and so the lean (S §2.1, §4.1).
     """
 
     d_load: float = par(

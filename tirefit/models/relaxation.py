@@ -20,8 +20,7 @@ from tirefit.params import par
 def _recursion(keep, add):
     """All y_i = keep_i y_(i-1) + add_i from y = 0, (n,), by doubling the steps joined.
 
-    As ``jax.lax.associative_scan``, whose unrolled stages take minutes to compile into
-    a fit.
+    As ``jax.lax.associative_scan``, whose unrolled stages compile for minutes in a fit.
     """
     rows = jnp.arange(len(keep))
 

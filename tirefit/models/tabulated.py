@@ -25,8 +25,7 @@ _NODES = np.cos(np.pi * (np.arange(_TERMS) + 0.5) / _TERMS)
 _TO_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, _TERMS - 1))
 _NARROWEST = 1e-12
 _MOST_PANELS = 2000
-_ROUNDING = 1e-13
-"""Share of the load that a panel may leave unresolved."""
+_ROUNDING = 1e-13  # share of the load that a panel may leave unresolved
 
 _LEADING = np.pi - 1e-5
 """Angle from which the patch counts as sliding entirely: its last 5e-11."""
@@ -80,8 +79,7 @@ class Tabulated(AbstractPressure):
             file: where they came from, for messages.
 
         Raises:
-            UsageError: as for :meth:`from_function`, or the points do not increase from
-                -1 to 1.
+            UsageError: as :meth:`from_function`; points not rising from -1 to 1.
         """
         xi, density = np.asarray(xi, float), np.asarray(density, float)
         _check_points(xi, density, file)
@@ -230,9 +228,7 @@ def _panels(density, edges: np.ndarray, file: str) -> list[_Panel]:
             panels.append(_Panel(low, high, angles, values, series))
         elif len(panels) + len(waiting) > _MOST_PANELS:
             reason = "the pressure density jumps or bends at too many places"
-            raise UsageError(
-                InputProblem(reason, "give a table of it, or smooth it", file)
-            )
+            raise UsageError(reason, "give a table of it, or smooth it", file)
         else:
             waiting += [(low + half, high), (low, low + half)]
     return panels
@@ -249,7 +245,7 @@ def _valid(values, angles, file: str) -> np.ndarray:
             xi = -np.cos(angles[wrong][0])
             reason = f"the pressure density {what} at xi = {xi:.4g}"
             remedy = "give a finite density >= 0 over all xi from -1 to 1"
-            raise UsageError(InputProblem(reason, remedy, file))
+            raise UsageError(reason, remedy, file)
     return values
 
 
@@ -266,13 +262,11 @@ def _check_one_breakaway(panels: list[_Panel], file: str) -> None:
     if falls.any():
         xi = -np.cos(angles[falls][0])
         raise UsageError(
-            InputProblem(
-                f"the pressure density over (1 - xi) falls at xi = {xi:.4g}: bristles"
-                " nearer to the leading edge slide first, and one breakaway point"
-                " does not describe the patch (as for d < -1/3 in S(24))",
-                "let the density fall less early or less steeply towards xi = 1",
-                file,
-            )
+            f"the pressure density over (1 - xi) falls at xi = {xi:.4g}: bristles"
+            " nearer to the leading edge slide first, and one breakaway point"
+            " does not describe the patch (as for d < -1/3 in S(24))",
+            "let the density fall less early or less steeply towards xi = 1",
+            file,
         )
 
 
@@ -294,7 +288,7 @@ def _law(cls, density, kinks: np.ndarray, file: str) -> Tabulated:
         load, moment = (chebyshev.chebval(1.0, x[-1]) for x in (loads, moments))
     if not load > 0:
         reason = "the pressure density is nowhere positive"
-        raise UsageError(InputProblem(reason, "give one that carries a load", file))
+        raise UsageError(reason, "give one that carries a load", file)
     _check_one_breakaway(panels, file)
     edges = np.array([panel.low for panel in panels] + [np.pi])
     series = np.array([panel.series for panel in panels])
@@ -324,9 +318,7 @@ def _check_points(xi: np.ndarray, density: np.ndarray, file: str) -> None:
 
     if xi.ndim != 1 or xi.shape != density.shape or len(xi) < 2:
         reason = f"xi {xi.shape} and density {density.shape} are no two columns"
-        raise UsageError(
-            InputProblem(reason, "give two columns of at least two rows", file)
-        )
+        raise UsageError(reason, "give two columns of at least two rows", file)
     bad = ~(np.isfinite(xi) & np.isfinite(density))
     if bad.any():
         add("xi or density is not finite", "give a number in every row", bad)
@@ -339,8 +331,7 @@ def _check_points(xi: np.ndarray, density: np.ndarray, file: str) -> None:
     if not (abs(xi[0] + 1) < 1e-9 and abs(xi[-1] - 1) < 1e-9):
         remedy = "divide the position by the contact half-length; +1 is the front"
         add(f"xi goes from {xi[0]:g} to {xi[-1]:g}, not from -1 to 1", remedy)
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _read(path: Path) -> tuple[list[float], list[float]]:
@@ -350,7 +341,7 @@ def _read(path: Path) -> tuple[list[float], list[float]]:
             rows = list(csv.DictReader(file, skipinitialspace=True))
     except (OSError, UnicodeDecodeError) as error:
         reason = f"cannot read it: {error}"
-        raise UsageError(InputProblem(reason, "check the path", str(path))) from None
+        raise UsageError(reason, "check the path", str(path)) from None
     columns: dict[str, list[float]] = {"xi": [], "density": []}
     problems = []
     for row, record in enumerate(rows, start=2):
@@ -361,6 +352,5 @@ def _read(path: Path) -> tuple[list[float], list[float]]:
                 reason = f"{record.get(name)!r} is no number"
                 remedy = "give numbers under the header xi,density"
                 problems.append(InputProblem(reason, remedy, str(path), row, name))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return columns["xi"], columns["density"]

@@ -3,8 +3,7 @@ r"""Conventional anti-lock braking by rules on wheel acceleration and slip.
 The cycle is the textbook's, Bosch (2014): a wheel that slows faster than the car ever
 could is held; if it slips as well, its pressure falls until it slows no more; it is
 held while it speeds up; then the pressure rises, quickly to a share of the pressure at
-which the wheel was last seen to lock, and in small steps from there until it tends to
-lock again.
+which the wheel last tended to lock, and in small steps from there until it does again.
 
 ====== ======== ==============================================================
 phase  valve    left for, when
@@ -47,18 +46,15 @@ BUILD, HELD, DUMP, WAIT, STEP = range(len(PHASES))
 
 
 class _State(NamedTuple):
-    """``reference`` [m/s]; ``wheel``, ``acceleration`` (w,): speed at the sample before
-    and its filtered rate; ``phase`` (w,); ``since`` (w,) [s] in it; ``fast`` (w,): 1
-    once the wheel sped up in this wait; ``lock`` (w,) [Pa]: pressure at the last
-    tendency to lock."""
+    """State of the cycle, by wheel (w,)."""
 
-    reference: Float[Array, ""]
-    wheel: Float[Array, " w"]
-    acceleration: Float[Array, " w"]
+    reference: Float[Array, ""]  # [m/s]
+    wheel: Float[Array, " w"]  # speed at the sample before
+    acceleration: Float[Array, " w"]  # its filtered rate
     phase: Int[Array, " w"]
-    since: Float[Array, " w"]
-    fast: Float[Array, " w"]
-    lock: Float[Array, " w"]
+    since: Float[Array, " w"]  # [s] in the phase
+    fast: Float[Array, " w"]  # 1 once the wheel sped up in this wait
+    lock: Float[Array, " w"]  # [Pa] at the last tendency to lock
 
 
 class ConventionalABS(AbstractController):

@@ -63,17 +63,12 @@ def flag_of(*reasons: tuple[Any, Flag]) -> Int[Array, ""]:
 
 
 class Estimate(NamedTuple):
-    """What is known after one sample (scan: after each).
+    """What is known after one sample (scan: after each)."""
 
-    ``value`` (p,) of the method's parameters in SI units, NaN where there is none yet;
-    ``std`` (p,) of each; ``flag``: code of a :class:`Flag`; ``surprise``: the error of
-    the sample's prediction over its standard deviation [-], NaN where none was made.
-    """
-
-    value: Float[Array | np.ndarray, "*n p"]
-    std: Float[Array | np.ndarray, "*n p"]
-    flag: Int[Array | np.ndarray, "*n"]
-    surprise: Float[Array | np.ndarray, "*n"]
+    value: Float[Array | np.ndarray, "*n p"]  # SI units, NaN where none
+    std: Float[Array | np.ndarray, "*n p"]  # of each
+    flag: Int[Array | np.ndarray, "*n"]  # code of a :class:`Flag`
+    surprise: Float[Array | np.ndarray, "*n"]  # error of prediction / its std
 
 
 class Parameter(NamedTuple):

@@ -19,46 +19,34 @@ INCREASE, HOLD, DECREASE = 1.0, 0.0, -1.0
 
 
 class Truth(NamedTuple):
-    """What no sensor tells; only a controller that is an upper limit may read it.
+    """What no sensor tells; only a controller that is an upper limit may read it."""
 
-    ``speed`` (w,) [m/s] of the wheel's centre along the wheel; ``slip`` (w,): kappa;
-    ``peak`` (w,): the slip kappa at which the tire's force is largest on the road that
-    the wheel is on; ``mu`` (w,): that force over the load; ``fz`` (w,) [N].
-    """
-
-    speed: Float[Array, " w"]
-    slip: Float[Array, " w"]
-    peak: Float[Array, " w"]
-    mu: Float[Array, " w"]
-    fz: Float[Array, " w"]
+    speed: Float[Array, " w"]  # [m/s] of the wheel's centre along the wheel
+    slip: Float[Array, " w"]  # kappa
+    peak: Float[Array, " w"]  # kappa of the largest force on the wheel's road
+    mu: Float[Array, " w"]  # that force over the load
+    fz: Float[Array, " w"]  # [N]
 
 
 class Measurement(NamedTuple):
-    """One sample of the sensors; SI units, braking positive.
+    """One sample of the sensors; SI units, braking positive. ``demand``, the pressure
+    of the master cylinder, is the driver's wish and the most that a valve can give."""
 
-    ``time`` [s]; ``wheel_speed`` (w,) [m/s]: circumferential, R omega, with the
-    sensor's noise and steps; ``pressure`` (w,) [Pa] of the wheel cylinders;
-    ``deceleration`` [m/s2] of the vehicle along its axis; ``demand`` [Pa]: pressure of
-    the master cylinder, the driver's wish and the most that a valve can give;
-    ``steering`` [rad]: road wheel angle; ``yaw_rate`` [rad/s]; ``truth``: see there.
-    """
-
-    time: Float[Array, ""]
-    wheel_speed: Float[Array, " w"]
-    pressure: Float[Array, " w"]
-    deceleration: Float[Array, ""]
-    demand: Float[Array, ""]
-    steering: Float[Array, ""]
-    yaw_rate: Float[Array, ""]
+    time: Float[Array, ""]  # [s]
+    wheel_speed: Float[Array, " w"]  # [m/s] R omega, with noise and steps
+    pressure: Float[Array, " w"]  # [Pa] of the wheel cylinders
+    deceleration: Float[Array, ""]  # [m/s2] of the vehicle along its axis
+    demand: Float[Array, ""]  # [Pa]
+    steering: Float[Array, ""]  # [rad] road wheel angle
+    yaw_rate: Float[Array, ""]  # [rad/s]
     truth: Truth
 
 
 class Command(NamedTuple):
     """What the valves do until the next sample.
 
-    ``valve`` (w,) in [-1, 1]: the share of the interval for which the inlet (positive)
-    or the outlet (negative) is open; an on-off valve takes ``INCREASE``, ``HOLD`` or
-    ``DECREASE``.
+    ``valve`` (w,) in [-1, 1]: share of the interval for which the inlet (positive) or
+    outlet (negative) is open; ``INCREASE``, ``HOLD`` or ``DECREASE`` if on-off.
     """
 
     valve: Float[Array, " w"]

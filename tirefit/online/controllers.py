@@ -11,7 +11,7 @@ from tirefit.online.abs import ConventionalABS
 from tirefit.online.controller import AbstractController, NoController
 from tirefit.online.slip_control import SlipControl
 from tirefit.online.xbs_servo import XbsServo
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 
 CONTROLLERS: dict[str, type[AbstractController]] = {
     each.name: each for each in (XbsServo, ConventionalABS, SlipControl, NoController)
@@ -38,6 +38,5 @@ def controller_of(
     try:
         made = dataclasses.replace(template, **values | dict(settings or {}))
     except ValueError as error:
-        remedy = f"choose other settings of {name}"
-        raise UsageError(InputProblem(str(error), remedy)) from None
+        raise UsageError(str(error), f"choose other settings of {name}") from None
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), made)

@@ -34,8 +34,7 @@ from tirefit.params import par
 
 _MEMORY = 0.98
 """Weight of the mean square of the surprises a step before: some 50 steps."""
-_FARTHEST = 1.0
-"""Largest step of a logarithm a sample: the slope holds no farther."""
+_FARTHEST = 1.0  # largest step of a logarithm a sample: the slope holds no farther
 
 
 class EkfState(NamedTuple):

@@ -1,5 +1,6 @@
-"""Online estimates over a log that is there whole: :func:`estimate`."""
+"""Online estimates over a whole log, and on rows as they come."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -7,10 +8,11 @@ import numpy as np
 
 from tirefit.data.accept import as_data
 from tirefit.data.read import require
-from tirefit.data.table import TireData
+from tirefit.data.table import CANONICAL, TireData
+from tirefit.online.base import FLAGS, Estimate, Flag
 from tirefit.online.methods import METHODS, estimator_of
 from tirefit.online.result import Estimates, MethodEstimates
-from tirefit.online.run import run
+from tirefit.online.run import Stream, run
 from tirefit.params import by_owner, check_names, parameter_values, specs
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem
@@ -36,8 +38,8 @@ def _check_time(data: TireData) -> None:
     if len(steps) and not np.any(steps > 0):
         reason = "the time never goes on from one row to the next"
         remedy = "sort the rows by time, or name its column: --column time=HEADER"
-        file = data.source.path or data.name
-        raise DataError(InputProblem(reason, remedy, file, column="time"))
+        file = data.file
+        raise DataError(reason, remedy, file, column="time")
 
 
 def estimate(
@@ -59,8 +61,7 @@ def estimate(
 
     Raises:
         UsageError: an unknown method or setting; 32-bit floats.
-        DataError: a column that a method needs is missing, no row is usable, or the
-            time never goes on.
+        DataError: a needed column is missing, no row is usable, or time stands still.
     """
     require_x64("an online estimate")
     data = as_data(data, mask_bad_rows=True, curve=False)
@@ -78,7 +79,7 @@ def estimate(
         value, std, flag, surprise = map(np.asarray, rows)
         done[name] = MethodEstimates(
             name, estimator.method.parameters, value, std, flag, surprise,
-            _numbers(parameter_values(estimator)),
+            {key: float(x) for key, x in parameter_values(estimator).items()},
         )  # fmt: skip
     return _estimates(data, columns, done, seed)
 
@@ -92,17 +93,13 @@ def _rate(name: str, data: TireData, chosen) -> dict[str, float]:
     return {"rate": float(1 / np.median(steps))} if len(steps) else {}
 
 
-def _numbers(values: Mapping[str, Any]) -> dict[str, float]:
-    return {name: float(value) for name, value in values.items()}
-
-
 def _usual_load(data: TireData, columns: Mapping[str, np.ndarray]) -> float:
     """The first load [N] that is there: a stream knows no other."""
     loads = columns.get("fz", np.ones(1))
     there = loads[np.isfinite(loads) & (loads > 0)]
     if not len(there):
         reason = "no row can be used: none has a load"
-        raise DataError(InputProblem(reason, "check fz", data.source.path or data.name))
+        raise DataError(reason, "check fz", data.file)
     return float(there[0])
 
 
@@ -119,3 +116,74 @@ def _estimates(data, columns, done, seed) -> Estimates:
     if "fx" in columns and "fz" in columns:
         use = columns["fx"] / columns["fz"]
     return Estimates(columns["time"], use, done, about, seed, __version__)
+
+
+class Streams:
+    """Methods beside each other; ``header`` is that of ``estimates.csv``.
+
+    The expected stiffness comes from the first load, so nothing starts before it.
+
+    Args:
+        names: methods.
+        settings: of each method, by its name.
+        columns: canonical columns that every row has.
+
+    Raises:
+        DataError: a column that a method needs is missing.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        settings: Mapping[str, Mapping[str, float]],
+        columns: Sequence[str],
+    ):
+        problems = [
+            InputProblem(
+                f"method {name!r} needs {column} ({CANONICAL[column][1]}), which the"
+                " rows do not have",
+                f"name its column with --column {column}=HEADER",
+            )
+            for name in names
+            for column in ("time", *METHODS[name].method.inputs)
+            if column not in columns
+        ]
+        DataError.raise_for(problems)
+        self._settings = {name: settings.get(name, {}) for name in names}
+        self._streams: dict[str, Stream] = {}
+
+    @property
+    def header(self) -> list[str]:
+        head = ["time"]
+        for name in self._settings:
+            for parameter in METHODS[name].method.parameters:
+                head += [f"{name}_{parameter}", f"{name}_{parameter}_std"]
+            head.append(f"{name}_flag")
+        return head
+
+    def push(self, row: Mapping[str, float]) -> list[str]:
+        """The cells of one more row."""
+        if not self._streams and row.get("fz", 1.0) > 0:
+            load = row.get("fz", 1.0)
+            self._streams = {
+                name: Stream(estimator_of(name, load, settings))
+                for name, settings in self._settings.items()
+            }
+        cells = [_cell(row["time"])]
+        for name in self._settings:
+            if self._streams:
+                cells += _cells(self._streams[name].push(row))
+            else:
+                nothing = [""] * (2 * len(METHODS[name].method.parameters))
+                cells += [*nothing, Flag.MISSING.value]
+        return cells
+
+
+def _cells(estimate: Estimate) -> list[str]:
+    pairs = zip(np.asarray(estimate.value), np.asarray(estimate.std), strict=True)
+    numbers = [_cell(float(number)) for pair in pairs for number in pair]
+    return [*numbers, FLAGS[int(estimate.flag)].value]
+
+
+def _cell(number: float) -> str:
+    return "" if math.isnan(number) else repr(float(number))

@@ -35,8 +35,7 @@ from tirefit.params import par
 
 HYPOTHESES = tuple(0.05 * k for k in range(2, 27))
 """Friction 0.1 to 1.3 [-]; each is as likely at first."""
-_LONGEST = 0.5
-"""Time [s] without samples after which the motion starts anew."""
+_LONGEST = 0.5  # time [s] without samples after which the motion starts anew
 _MEMORY, _LEAST_SQUARE = 0.9, 0.02
 """Weight of the mean square surprise before, and the least that is taken for it."""
 _STATES, _FORCES = 8, 6
@@ -46,19 +45,17 @@ _SEEN = ("yaw_rate", *_OMEGAS, "a_x", "a_y", "roll_rate", "v")
 
 
 class ForceState(NamedTuple):
-    """States and forces, their covariance; ln of the hypotheses' weights; the last
-    torques and steering angle, and the time [s] since then; the sum of ``seconds`` [s]
-    of surprises, times dt, that are still to be told, and the mean square of those told
-    of late."""
+    """States and forces, their covariance, and what surprises are still to be
+    reported."""
 
     x: Float[Array, "14"]
     covariance: Float[Array, "14 14"]
-    log_weight: Float[Array, " j"]
-    inputs: Float[Array, "5"]
-    waited: Float[Array, ""]
-    surprises: Float[Array, ""]
-    seconds: Float[Array, ""]
-    square: Float[Array, ""]
+    log_weight: Float[Array, " j"]  # ln of the hypotheses' weights
+    inputs: Float[Array, "5"]  # the last torques and steering angle
+    waited: Float[Array, ""]  # [s] since then
+    surprises: Float[Array, ""]  # sum over ``seconds``, times dt
+    seconds: Float[Array, ""]  # [s] not reported yet
+    square: Float[Array, ""]  # mean of those reported of late
 
 
 class ForceFilter(AbstractVehicleMethod):

@@ -1,8 +1,7 @@
 r"""An observer of the friction by the LuGre tire from the wheel's speed, S section 3.4.
 
-The level of friction is :math:`\theta g`, and :math:`p = 1/\theta` is what is adapted.
-Of the patch the observer knows the mean deflection, which the tread carries out at the
-rate c:
+The level of friction is :math:`\theta g`; :math:`p = 1/\theta` is adapted. Of the patch
+the observer knows the mean deflection, which the tread carries out at the rate c:
 
 .. math::
    \dot z &= v_s - p a z - c z, \quad a = \sigma_0 |v_s| / g(|v_s|),
@@ -31,10 +30,9 @@ every :math:`\varrho > (\tau - pa)^2 / 4 (c + pa)(\tau + c)`. Gains for which no
 fast bristles do not have the sampling make it diverge.
 
 That takes c for known. Unless ``kappa`` is given, it is that of the patch at the
-present :math:`\hat p`, :math:`\kappa = \varphi_1(x)/\varphi_2(x)` at
-:math:`x = \hat p a L/|\omega R|`, 2 at rest and 1 in full sliding, with which the mean
-has the steady force of S(18); it then depends on what is adapted, at most a third as
-much as pa does.
+present :math:`\hat p`, :math:`\kappa = \varphi_1(x)/\varphi_2(x)` at :math:`x = \hat p
+a L/|\omega R|`, 2 at rest and 1 in full sliding, with which the mean has the steady
+force of S(18); it depends on the adapted p at most a third as much as pa.
 
 V says that the error vanishes, not how large noise leaves it: the covariance of the
 observer's own error, by the slopes of its step, does.
@@ -65,17 +63,14 @@ from tirefit.params import par
 from tirefit.results import InputProblem
 
 _SUBSTEPS = 4
-_LONGEST = 0.5
-"""Time [s] without samples after which the motion starts anew."""
+_LONGEST = 0.5  # time [s] without samples after which the motion starts anew
 _JUMP = 0.03
 """Jump of the torque over R F_z between samples after which the motion starts anew."""
-_SUMMED = 10.0
-"""Surprises that are told as one."""
+_SUMMED = 10.0  # surprises that are told as one
 _SPUN = 0.015
 """Time [s] after which a wheel follows a torque that jumped: three times J v / R^2 C_x
 of the wheel of S section 5."""
-_LEAST, _MOST = 0.05, 4.0
-"""theta is kept between them."""
+_LEAST, _MOST = 0.05, 4.0  # theta is kept between them
 _SLIPS = np.geomspace(0.01, 3.0, 64)
 """Where the peak of the steady force is looked for: a step of 9 %, on a flat peak."""
 _SPEEDS, _SLIDING = np.geomspace(2.0, 60.0, 12), np.r_[0.0, np.geomspace(1e-4, 1, 40)]
@@ -108,18 +103,15 @@ class Course(NamedTuple):
 
 
 class ObserverState(NamedTuple):
-    """``x`` (7,): z [m], omega [rad/s] and p [-] of the observer, then the last omega,
-    v, fz and torque; ``covariance`` (7, 7) of their errors; ``waited`` [s] since then,
-    ``smooth`` [s] since the torque jumped until then; ``sum`` of the ``summed``
-    latest surprises; ``peak`` (2,): mu and its slope by theta, there."""
+    """Estimates, their covariance and what they were made from."""
 
-    x: Float[Array, "7"]
-    covariance: Float[Array, "7 7"]
-    waited: Float[Array, ""]
-    smooth: Float[Array, ""]
-    sum: Float[Array, ""]
-    summed: Float[Array, ""]
-    peak: Float[Array, "2"]
+    x: Float[Array, "7"]  # z [m], omega [rad/s], p [-]; last omega, v, fz, torque
+    covariance: Float[Array, "7 7"]  # of their errors
+    waited: Float[Array, ""]  # [s] since then
+    smooth: Float[Array, ""]  # [s] from the last jump of the torque until then
+    sum: Float[Array, ""]  # of the latest surprises
+    summed: Float[Array, ""]  # how many
+    peak: Float[Array, "2"]  # mu and its slope by theta, there
 
 
 class LuGreObserver(AbstractEstimator):
@@ -328,8 +320,7 @@ def _summed(state: ObserverState, surprise):
     """The state with one more surprise; the standardised sum of ten, else NaN.
 
     Noise of an input enters the intervals before and after it: their errors correlate,
-    by a quarter with slip noise of S section 5.1, and the variance of a sum of n is
-    1.5 n then.
+    by a quarter with slip noise of S section 5.1; a sum of n has variance 1.5 n.
     """
     count = state.summed + 1
     total = state.sum + jnp.clip(surprise, -4.0, 4.0)

@@ -7,10 +7,9 @@ from tirefit.online.cubic import Cubic
 from tirefit.online.ekf import Ekf
 from tirefit.online.force_filter import ForceFilter
 from tirefit.online.lugre_observer import LuGreObserver
-from tirefit.online.mit import Mit
 from tirefit.online.path import Path
 from tirefit.online.position import Position
-from tirefit.online.rls import Rls
+from tirefit.online.rls import Mit, Rls
 from tirefit.online.slip_slope import SlipSlope, SlipSlopeBraking
 from tirefit.online.tire_sensor import TireSensor
 from tirefit.online.xbs import Xbs, XbsBraking

@@ -2,8 +2,11 @@ r"""Path prediction with the friction in use, S section 3.8 (Liu and Peng).
 
 Four parts, each after the source:
 
-* the braking force of the front wheels from their speed and torque, by least squares
-  and by an adaptive observer (:mod:`tirefit.online.wheel_force`);
+* the braking force F of the front wheels from their speed and torque,
+  :math:`J \dot\omega = R F - T`, by recursive least squares with forgetting on
+  :math:`\omega_i - \omega_{i-1} + T \Delta t / J = (R \Delta t / J) F` and by an
+  adaptive observer, :math:`\dot{\hat\omega} = (R \hat F - T)/J + 2 p \tilde\omega,
+  \; \dot{\hat F} = p^2 (J / R) \tilde\omega`, whose error dies as :math:`e^{-pt}`;
 * friction from S(21): the brush on the resultant slip, whose force along and across is
   compared with that force and with :math:`m a_y l_r / (l_f + l_r)`;
 * the bicycle S(22), whose :math:`C_f, C_r` are corrected by what the driven path has
@@ -15,7 +18,7 @@ Four parts, each after the source:
 Where the front axle uses more of the friction than ``warn`` the row is flagged.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +26,6 @@ from jaxtyping import Array, Float
 
 from tirefit.data.table import WHEELS
 from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of, floats
-from tirefit.online.bicycle import bicycle, lane_crossing
 from tirefit.online.regression import RESOLVED
 from tirefit.online.vehicle import (
     AbstractVehicleMethod,
@@ -33,21 +35,132 @@ from tirefit.online.vehicle import (
     kalman_update,
     wrapped,
 )
-from tirefit.online.wheel_force import (
-    Observer,
-    WheelRls,
-    observer_std,
-    observer_step,
-    wheel_rls_step,
-)
 from tirefit.params import par
 
-_LONGEST = 0.5
-"""Time [s] without samples after which the motion starts anew."""
-_USUAL = 0.02
-"""Time [s] between samples for which the noise of the forces is stated."""
-_FARTHEST = 0.1
-"""Largest step of the logarithm of mu a sample."""
+
+def bicycle(c_f, c_r, mass, yaw_inertia, l_f, l_r, u):
+    """S(22), corrected: matrices of (y, dy/dt, heading off the road, its rate).
+
+    Args:
+        c_f, c_r: cornering stiffness of the axles [N/rad], positive: 2 |C_f| of S(22),
+            whose C is that of one tire, and negative.
+        l_f, l_r: a and b of S(22) [m]; u: speed [m/s].
+
+    Returns:
+        A (4, 4), and the columns (4,) of the steering angle and the road's yaw rate.
+    """
+    both, turned = c_f + c_r, l_f * c_f - l_r * c_r
+    damped = l_f**2 * c_f + l_r**2 * c_r
+    zero, one = jnp.zeros_like(u), jnp.ones_like(u)
+    a = jnp.stack(
+        [
+            jnp.stack([zero, one, zero, zero]),
+            jnp.stack([zero, -both / u, both, -turned / u]) / mass,
+            jnp.stack([zero, zero, zero, one]),
+            jnp.stack([zero, -turned / u, turned, -damped / u]) / yaw_inertia,
+        ]
+    )
+    steered = jnp.stack([zero, c_f / mass, zero, l_f * c_f / yaw_inertia])
+    return a, steered, jnp.stack([zero, -u, -one, zero])
+
+
+def lane_crossing(state, a, drive, edge, horizon, steps=40):
+    """Time [s] at which ``|y|`` reaches ``edge`` [m] on the predicted path.
+
+    Args:
+        state: (4,) as of :func:`bicycle`; drive: (4,) what the inputs add, held.
+        horizon: time [s] that is looked ahead, in ``steps``.
+
+    Returns:
+        the time, NaN where the vehicle stays in its lane.
+    """
+    h = horizon / steps
+
+    def rate(x):
+        return a @ x + drive
+
+    def step(x, _):
+        # Classical Runge-Kutta; h is a tenth of a second.
+        k1 = rate(x)
+        k2 = rate(x + h / 2 * k1)
+        k3 = rate(x + h / 2 * k2)
+        k4 = rate(x + h * k3)
+        after = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return after, after[0]
+
+    _, path = jax.lax.scan(step, state, length=steps)
+    path = jnp.concatenate([state[:1], path])
+    beyond = jnp.abs(path) >= edge
+    k = jnp.maximum(jnp.argmax(beyond), 1)
+    before, after = jnp.abs(path[k - 1]), jnp.abs(path[k])
+    rise = jnp.where(after > before, after - before, 1.0)
+    share = jnp.clip((edge - before) / rise, 0.0, 1.0)
+    return jnp.where(jnp.any(beyond), h * (k - 1 + share), jnp.nan)
+
+
+class Observer(NamedTuple):
+    """Wheel speed [rad/s] and force [N] of the adaptive observer."""
+
+    omega: Any
+    force: Any
+
+
+def observer_step(state: Observer, omega, torque, dt, radius, inertia, pole):
+    """The observer after ``dt`` [s] with a torque [N m], corrected by a wheel speed.
+
+    The gains are those with which both errors of the discrete loop shrink by
+    exp(-pole dt) a sample, at any dt.
+
+    Args:
+        omega: measured wheel speed [rad/s]; pole: p [1/s].
+        radius: [m]; inertia: J [kg m2] of the wheel.
+    """
+    lever = radius * dt / inertia
+    ahead = state.omega + lever * state.force - dt * torque / inertia
+    error = omega - ahead
+    keep = jnp.exp(-pole * dt)
+    gain = (1 - keep) ** 2 / jnp.maximum(lever, 1e-12)
+    return Observer(ahead + (1 - keep * keep) * error, state.force + gain * error)
+
+
+def observer_std(omega_std, torque_std, dt, radius, inertia, pole):
+    """Standard deviation [N] of the observer's force, from that of white noise.
+
+    ``omega_std`` [rad/s], ``torque_std`` [N m] of a sample, ``dt`` [s]; pole dt << 1.
+    """
+    of_speed = inertia * omega_std * jnp.sqrt(dt * pole**3 / 4)
+    return jnp.hypot(of_speed, torque_std * jnp.sqrt(dt * pole / 4)) / radius
+
+
+class WheelRls(NamedTuple):
+    """Wheel speed [rad/s] of the last sample; force [N] and P [N2]."""
+
+    omega: Any
+    force: Any
+    spread: Any
+
+
+def wheel_rls_step(
+    state: WheelRls, omega, torque, dt, radius, inertia, memory, omega_std
+):
+    """Least squares with forgetting after one more sample.
+
+    Args:
+        omega: measured [rad/s], with noise of ``omega_std``; torque [N m] since then.
+        memory: time [s] in which the weight of a sample falls to 1/e.
+    """
+    lever = radius * dt / inertia
+    # A difference of two speeds has the noise of both.
+    noise = 2 * omega_std**2
+    grown = state.spread * jnp.exp(dt / memory)
+    gain = grown * lever / (lever * lever * grown + noise)
+    error = omega - state.omega + torque * dt / inertia - lever * state.force
+    return WheelRls(omega, state.force + gain * error, grown * (1 - gain * lever))
+
+
+_LONGEST = 0.5  # time [s] without samples after which the motion starts anew
+_USUAL = 0.02  # time [s] between samples for which the noise of the forces is stated
+_FARTHEST = 0.1  # largest step of the logarithm of mu a sample
 _FIRST = (0.5, 0.5, 0.05, 0.1)
 """Std of the first y [m], dy/dt [m/s], heading [rad] and yaw rate [rad/s]."""
 

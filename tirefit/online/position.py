@@ -14,8 +14,7 @@ without a difference being taken. The brush is linear in
 :math:`\Phi = [|\tan\alpha|, -|\tan\alpha|^2/(3F_z), |\tan\alpha|^3/(27F_z^2)]`; force
 and :math:`\Phi`, with their signs, pass the source's filter :math:`(s + a)^{-2}`. One
 filter before :math:`\Phi` alone would have to be as slow as a, and the brush of a
-filtered slip is not the filtered brush: at a = 3/s and a use of 60 % mu came out 60 %
-too large.
+filtered slip is not the filtered brush: at a = 3/s and 60 % use mu was 60 % high.
 
 The adaptive law, which the source leaves to its reference [7], is here least squares
 with forgetting on :math:`\ln C` and :math:`1/\mu`, so that the third part of
@@ -40,22 +39,17 @@ _SIGNALS = ("offset", "aside", "road_heading", "yaw_rate", "steering")
 """What is filtered first; aside: heading less that of the road."""
 _SETTLED = 8.0
 """Filter times 1/a after a start: the filter has forgotten all but 0.3 % of it."""
-_LONGEST = 1.0
-"""Filter times between samples from which the filter starts anew."""
+_LONGEST = 1.0  # filter times between samples from which the filter starts anew
 _SAMPLES_OF_NOISE = 20.0
 """Samples for which the stated noise counts beside the errors that are seen."""
-_FARTHEST = 0.5
-"""Largest step a sample: the slope holds no farther."""
-_LEAST_INVERSE = 0.1
-"""Least of the expected mu over mu: ten times the friction is none."""
+_FARTHEST = 0.5  # largest step a sample: the slope holds no farther
+_LEAST_INVERSE = 0.1  # least of the expected mu over mu: ten times the friction is none
 _SLIDING = 0.37
 """Force over that without sliding, with nine tenths of the patch sliding; S(49) as a
 polynomial goes wild behind it."""
 _EXPECTED = (0.0, 1.0)
-_KEPT = 0.02
-"""Share of what was seen that is kept at a change."""
-_STIFFEST = 2.0
-"""Of that expected; no estimate beyond it may say that a tire slides."""
+_KEPT = 0.02  # share of what was seen that is kept at a change
+_STIFFEST = 2.0  # of that expected; no estimate beyond it may say that a tire slides
 
 
 class Filtered(NamedTuple):

@@ -30,16 +30,15 @@ class Change:
 
 @dataclass(frozen=True)
 class MethodEstimates:
-    """One method over a log: ``value`` and ``std`` (n, p), ``flag`` (n,) codes,
-    ``surprise`` (n,) [-]; ``settings``: the values of its fields."""
+    """One method over a log."""
 
     name: str
     parameters: tuple[str, ...]
-    value: np.ndarray
-    std: np.ndarray
-    flag: np.ndarray
-    surprise: np.ndarray
-    settings: Mapping[str, float]
+    value: np.ndarray  # (n, p)
+    std: np.ndarray  # (n, p)
+    flag: np.ndarray  # (n,) codes
+    surprise: np.ndarray  # (n,) [-]
+    settings: Mapping[str, float]  # values of its fields
 
     def __getitem__(self, parameter: str) -> np.ndarray:
         """Estimates (n,) of one parameter."""

@@ -4,11 +4,7 @@ Whatever the method, a sample passes the same guard first. What is missing, out 
 order, without load, of a locked wheel or at standstill does not reach the method: it
 holds its state, whose covariance grows by the time that passes, and the row is flagged.
 What is usable is averaged over a few samples before the method steps, as noise of slip
-does not average out of a curve: S section 5.1's, taken sample by sample, makes mu
-a fifth too small.
-A state that is not finite is thrown away and begun anew, flagged too. A cumulative sum
-of the surprises (Page's test, as S section 3.1 has it) detects changes and has the
-method open up for them.
+does not average out of a curve: sample by sample mu is a fifth low in S section 5.1.
 """
 
 from collections.abc import Mapping
@@ -36,12 +32,9 @@ STANDSTILL = 0.5
 """Speed [m/s] below which wheel speeds give no slip: 1 % of slip is 5 mm/s."""
 LOCKED_SLIP = 5.0
 """Physical slip of a wheel that turns at a sixth of its free speed, and locks."""
-_IMPLAUSIBLE = 5.0
-"""Force over load that no tire has: a wrong unit, or a spike."""
-_GAP = 3.0
-"""Usual intervals after which samples are taken to be missing."""
-_USUAL = 0.1
-"""Weight of a new interval in the usual one."""
+_IMPLAUSIBLE = 5.0  # force over load that no tire has: a wrong unit, or a spike
+_GAP = 3.0  # usual intervals after which samples are taken to be missing
+_USUAL = 0.1  # weight of a new interval in the usual one
 _JUMP = 0.02
 """Slips that far apart are not averaged: the mean of their forces lies off the curve by
 F'' 0.02^2 / 8, 1 % of the load for the tire of S section 5."""
@@ -53,22 +46,17 @@ _MOST_SURPRISING = 4.0
 
 
 class Guarded(NamedTuple):
-    """State of a run: the method's own, and what the guard remembers.
-
-    ``time`` [s] of the last sample that had one; ``interval`` [s], the usual one;
-    ``sums`` of the inputs over the ``gathered`` samples since the last step, ``flag``
-    of that step; ``rise``, ``fall``: the two cumulative sums; ``run``: code of it.
-    """
+    """State of a run: the method's own, and what the guard remembers."""
 
     inner: Any
-    time: Float[Array, ""]
-    interval: Float[Array, ""]
-    sums: dict[str, Float[Array, ""]]
-    gathered: Float[Array, ""]
-    flag: Int[Array, ""]
-    rise: Float[Array, ""]
-    fall: Float[Array, ""]
-    run: Float[Array, ""]
+    time: Float[Array, ""]  # [s] of the last sample that had one
+    interval: Float[Array, ""]  # [s], the usual one
+    sums: dict[str, Float[Array, ""]]  # of the inputs since the last step
+    gathered: Float[Array, ""]  # samples in them
+    flag: Int[Array, ""]  # of the last step
+    rise: Float[Array, ""]  # cumulative sum
+    fall: Float[Array, ""]  # likewise
+    run: Float[Array, ""]  # its code
 
 
 def start(estimator: AbstractEstimator) -> Guarded:

@@ -36,8 +36,7 @@ ROADS = ("asphalt", "gravel", "snow", "ice")
 
 STIFF, SOFT = 0.75, 0.45
 """Slopes over that of asphalt between asphalt, snow and ice on a smooth road."""
-_MEMORY = 0.98
-"""Weight of the mean square error a step before: some 50 steps."""
+_MEMORY = 0.98  # weight of the mean square error a step before: some 50 steps
 _STEPS = 1 / (1 - _MEMORY)
 
 

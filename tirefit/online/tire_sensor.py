@@ -39,10 +39,8 @@ from tirefit.params import par
 WEIGHTS = Path(__file__).with_name("tire_sensor.json")
 LEAST_FRICTION, MOST_FRICTION, LEAST_FORCE = 0.1, 1.2, 0.03
 """What the network was trained on: friction [-] and least force over load."""
-SCALE = (1.2, 0.13)
-"""Largest force and moment of it; the network sees both over these."""
-_STDS = 3.0
-"""Standard deviations outside before an input is flagged."""
+SCALE = (1.2, 0.13)  # largest force and moment of it; the network sees both over these
+_STDS = 3.0  # standard deviations outside before an input is flagged
 
 
 def gough(sliding, mu):

@@ -14,16 +14,14 @@ leaves inside the band: with 2 to 20 Hz at 200 samples a second it runs from 3.7
 1/s for every p from zero to infinity. But it rises with p, and of a white disturbance w
 it can be written down: the sampled speed has the spectrum of :func:`speed_spectrum`,
 the filter is known, so :math:`\hat p` is a ratio of two integrals over frequency. The
-record holds that relation, made once, and turns it around. The same integrals give the
-variance of the estimate; the recursion's own P is that of white errors, which these are
-not.
+record holds that relation, made once, and inverts it. The same integrals give the
+variance of the estimate; the recursion's own P is that of white errors.
 
 Seen is the square of p: far below the band all poles look alike, and beyond it too.
 
 A loud past hides a calm present, as a wheel that nears its peak shakes ten times as
 much: half of a fall of k is seen within 0.2 s, half of a rise only after 1.6 s, with a
-memory of 1 s. ``quiet`` above zero lets the past go where the wheel is that much
-calmer.
+memory of 1 s. ``quiet`` above zero drops the past where the wheel is so much calmer.
 """
 
 from functools import lru_cache
@@ -50,10 +48,8 @@ _SLOWEST, _FASTEST = 0.02, 8.0
 """Poles of the relation over the lower and the upper edge of the band."""
 _SETTLING = 0.8
 """Periods of the lower edge until the band-pass has forgotten a step to 4 %."""
-_RECENT = 0.1
-"""Time [s] of the mean square that is compared with that of the memory."""
-_QUICKLY = 0.9
-"""Forgetting factor while the wheel shakes so much less than before."""
+_RECENT = 0.1  # time [s] of the mean square that is compared with that of the memory
+_QUICKLY = 0.9  # forgetting factor while the wheel shakes so much less than before
 _INTERVAL_OFF = 0.2
 """Relative difference of an interval from the rate's, beyond which it is a gap."""
 
@@ -130,16 +126,13 @@ def speed_spectrum(angle, pole, corner, period):
 
 class Relation(NamedTuple):
     """What least squares give for each pole: arrays (nodes,), by rising pole.
+    ``variance``, ``mixed``, ``alone``: N times the variance of the estimate [1/s2] of N
+    samples, by the square of the signal, signal times noise of the sensor, square of
+    the noise, each over its own power; ``noise0``, ``noise1``: of white noise of
+    variance one, the mean square of an increment and mean product of two."""
 
-    ``square``: p^2 [1/s2]; ``printed``: the estimate O(3)-(7) [1/s]; ``variance``,
-    ``mixed``, ``alone``: N times the variance of it [1/s2] of N samples, by the square
-    of the signal, by signal times noise of the sensor and by the square of the noise,
-    each over its own power; ``noise0``, ``noise1``: of white noise of variance one, the
-    mean square of an increment and mean product of two.
-    """
-
-    square: np.ndarray
-    printed: np.ndarray
+    square: np.ndarray  # p^2 [1/s2]
+    printed: np.ndarray  # the estimate O(3)-(7) [1/s]
     variance: np.ndarray
     mixed: np.ndarray
     alone: np.ndarray
@@ -220,8 +213,7 @@ def rate_in_use(slope, stiffness, direction=0.0):
 
 
 class Sums(NamedTuple):
-    """Weighted by age: squares and products of increments [m2/s2], the weights, and by
-    their squares."""
+    """Weighted by age: squares, products of increments [m2/s2]; weights, squares of."""
 
     square: Float[Array, ""]
     product: Float[Array, ""]
@@ -260,8 +252,7 @@ class Xbs(AbstractEstimator):
 
     A sample's ``omega`` is all that is needed. ``reference``: speed [m/s] that a
     deceleration servo follows, :math:`v_0` of O(9), taken off; ``use``: 1, or 0 for a
-    sample that moves the filter and is kept from the regression, as while the brake's
-    pressure is ramped.
+    sample that moves the filter but not the regression, as while a pressure is ramped.
     """
 
     method: ClassVar[Method] = Method(

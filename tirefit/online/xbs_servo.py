@@ -39,16 +39,14 @@ from tirefit.online.base import Flag, code
 from tirefit.online.controller import AbstractController, Command, Measurement
 from tirefit.online.xbs import Xbs, XbsState
 from tirefit.params import par
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 
 Wheels = Float[Array, " w"]
 
-_STEADY = 0.05
-"""Time [s] over which the deceleration of the vehicle is averaged."""
+_STEADY = 0.05  # time [s] over which the deceleration of the vehicle is averaged
 _SLOWEST = 2.0
 """Speed [m/s] of the vehicle below which the pressures are held: k goes with 1/v."""
-_FOLLOWED = 3e5
-"""Error of the pressure [Pa] up to which the servo acts as O(8) has it."""
+_FOLLOWED = 3e5  # error of the pressure [Pa] up to which the servo acts as O(8) has it
 _LEAST_SLIP = 0.01
 _LEAST_FLOW = 1e5
 
@@ -101,12 +99,10 @@ def refuse_unstable(
     bound = -poles[least_slope]
     if not gain > bound:
         raise UsageError(
-            InputProblem(
-                f"the gain of the deceleration servo breaks O(11), a > -k_min r^2/J:"
-                f" {gain:g} is not above {bound:g} 1/s (k_min = {least_slope:g} N s/m,"
-                f" r = {radius:g} m, J = {inertia:g} kg m2)",
-                f"give servo_gain more than {bound:.3g}, or a least_slope nearer zero",
-            )
+            f"the gain of the deceleration servo breaks O(11), a > -k_min r^2/J:"
+            f" {gain:g} is not above {bound:g} 1/s (k_min = {least_slope:g} N s/m,"
+            f" r = {radius:g} m, J = {inertia:g} kg m2)",
+            f"give servo_gain more than {bound:.3g}, or a least_slope nearer zero",
         )
     for slope, pole in poles.items():
         largest = np.abs(
@@ -114,28 +110,24 @@ def refuse_unstable(
         ).max()
         if largest >= 1:
             raise UsageError(
-                InputProblem(
-                    f"the deceleration servo is unstable at k = {slope:g} N s/m: with a"
-                    f" gain of {gain:g} 1/s, a delay of {1e3 * delay / rate:g} ms and a"
-                    f" lag of {1e3 * lag:g} ms, sampled {rate:g} times a second, the"
-                    f" largest eigenvalue of the loop is {largest:.4g}, not below 1",
-                    "O(11) bounds the gain from below only: give a smaller servo_gain",
-                )
+                f"the deceleration servo is unstable at k = {slope:g} N s/m: with a"
+                f" gain of {gain:g} 1/s, a delay of {1e3 * delay / rate:g} ms and a"
+                f" lag of {1e3 * lag:g} ms, sampled {rate:g} times a second, the"
+                f" largest eigenvalue of the loop is {largest:.4g}, not below 1",
+                "O(11) bounds the gain from below only: give a smaller servo_gain",
             )
 
 
 class XbsServoState(NamedTuple):
-    """Estimators' states; wheel speeds before and their references [m/s]; target
-    pressures [Pa]; changes of pressure on their way (delay, w) [Pa]; deceleration of
-    the vehicle, filtered [m/s2]; its speed [m/s]."""
+    """State of the servo and its estimators."""
 
     xbs: XbsState
-    speed: Wheels
-    reference: Wheels
-    target: Wheels
-    coming: Float[Array, "d w"]
-    slowing: Float[Array, ""]
-    vehicle: Float[Array, ""]
+    speed: Wheels  # [m/s] before
+    reference: Wheels  # [m/s]
+    target: Wheels  # [Pa]
+    coming: Float[Array, "d w"]  # changes on their way [Pa]
+    slowing: Float[Array, ""]  # filtered [m/s2]
+    vehicle: Float[Array, ""]  # speed [m/s]
 
 
 class XbsServo(AbstractController):
@@ -255,9 +247,8 @@ class XbsServo(AbstractController):
 
     def step(self, state: XbsServoState, measurement: Measurement) -> Any:
         s, m = state, measurement
-        slowing = s.slowing + _share(self.period, _STEADY) * (
-            m.deceleration - s.slowing
-        )
+        weight = self.period / (self.period + _STEADY)  # in a mean over that time
+        slowing = s.slowing + weight * (m.deceleration - s.slowing)
         vehicle = jnp.maximum(s.vehicle - self.period * slowing, 0.0)
         ready = m.pressure + jnp.sum(s.coming, axis=0)
         follows = jnp.abs(s.target - ready) < _FOLLOWED
@@ -320,8 +311,3 @@ class XbsServo(AbstractController):
         share = jnp.clip(self.response * error / full, -1.0, 1.0)
         share = jnp.where(jnp.abs(error) > self.dead_band, share, 0.0)
         return share, share * full
-
-
-def _share(period, time):
-    """Weight of a new sample in a mean over a time [s]."""
-    return period / (period + time)

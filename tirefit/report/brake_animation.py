@@ -13,10 +13,9 @@ from tirefit.report.canvas import COLORS, DARK, GREY, RED, Picture, tidy
 from tirefit.report.numbers import plain_text
 from tirefit.sim.brake_request import VEHICLES
 from tirefit.sim.brake_result import Braking, Stop
-from tirefit.sim.brake_road import road_of
+from tirefit.sim.brake_vehicle import road_of
 
-_RATE = 20
-"""Pictures a second of simulated time; shown as fast as it happened."""
+_RATE = 20  # pictures a second of simulated time; shown as fast as it happened
 _WHEEL = (0.6, 0.22)
 _BODY = (4.2, 1.7)
 

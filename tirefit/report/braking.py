@@ -11,10 +11,10 @@ from tirefit.report.canvas import COLORS, DARK, GREY, Picture, panel_title, tidy
 from tirefit.report.html import table_fragment
 from tirefit.report.numbers import format_number, plain_text
 from tirefit.report.text import table
-from tirefit.sim.brake_curve import tire_curve
+from tirefit.sim.brake_request import tire_curve
 from tirefit.sim.brake_result import Braking, Stop
-from tirefit.sim.brake_road import road_of
 from tirefit.sim.brake_summary import MEANINGS, UNITS
+from tirefit.sim.brake_vehicle import road_of
 
 _SHORT = {
     "stopping_distance": "distance", "mean_friction_used": "friction used",
@@ -25,8 +25,7 @@ _SHORT = {
 _LEGEND: dict[str, Any] = {"facecolor": "white", "edgecolor": "none"}
 _SLOWEST_SHOWN = 2.0
 """Speed [m/s] above which a path of slip is shown: below it controllers switch off."""
-_PEAKS_SHOWN = 8.0
-"""Slip up to which it is shown, over that of the highest peak."""
+_PEAKS_SHOWN = 8.0  # slip up to which it is shown, over that of the highest peak
 
 
 def _cell(value: float, scale: float = 1.0) -> str:
@@ -270,12 +269,11 @@ def compare_figure(result: Braking) -> Picture:
 
 
 class Path(NamedTuple):
-    """Slip and use of one wheel's stop: ``kappa``, ``force`` (n,) [-] over the load;
-    ``mean``: of both, the operational point of O Figure 10."""
+    """Slip and use of one wheel's stop."""
 
     kappa: np.ndarray
-    force: np.ndarray
-    mean: tuple[float, float]
+    force: np.ndarray  # (n,) over the load
+    mean: tuple[float, float]  # of both, the operational point of O Figure 10
 
 
 def path_of(stop: Stop, wheel: int = 0) -> Path:

@@ -16,22 +16,18 @@ from tirefit.report.numbers import plain_text
 _SAME = 1e-6
 """Relative spread of a ratio from which two quantities are not one in other units."""
 _MOST_NAMES = 40
-_LEFT = 0.88
-"""Inches for a label and its numbers."""
+_LEFT = 0.88  # inches for a label and its numbers
 
 
 class Points(NamedTuple):
-    """One quantity of n runs or files: values, 95 % intervals (n,), NaN where open.
-
-    ``known`` (n,) says which ones the data identify.
-    """
+    """One quantity of n runs or files: values, 95 % intervals (n,), NaN where open."""
 
     label: str
     names: tuple[str, ...]
     value: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    known: np.ndarray
+    known: np.ndarray  # (n,) which ones the data identify
 
 
 def points_of(

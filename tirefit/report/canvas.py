@@ -1,7 +1,6 @@
 """The look of all figures: colours, sizes, title, footnote, files; no global state.
 
-Only matplotlib's object API is used: pyplot is slow to import and keeps figures in
-global lists.
+Only matplotlib's object API is used: pyplot imports slowly and keeps global lists.
 """
 
 import io
@@ -26,8 +25,7 @@ COLORS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
 """Okabe and Ito's palette: told apart with any colour vision."""
 DARK, GREY = "#222222", "#8a8a8a"
 
-MOST_DRAWN = 20_000
-"""Points of one panel: more hide each other, and take their time."""
+MOST_DRAWN = 20_000  # points of one panel: more hide each other, and take their time
 _FARTHEST = 20
 
 WIDTH = 7.0
@@ -93,8 +91,7 @@ def _rows(count: int) -> str:
 
 
 def drawn(values: np.ndarray, among: int | None = None) -> np.ndarray:
-    """Which points to draw (m,), in order: of very many some at random, and those that
-    lie farthest out.
+    """Which points to draw (m,), in order: of very many, random and extreme ones.
 
     Args:
         values: (n,) of the points.

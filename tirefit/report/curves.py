@@ -55,10 +55,7 @@ class Group(NamedTuple):
 
 
 class Curve(NamedTuple):
-    """A fitted curve (m,) with its 95 % band and the 95 % band of a measurement.
-
-    ``limit`` is the friction limit, None where there is none or the data do not tell.
-    """
+    """A fitted curve (m,) with its 95 % band and the 95 % band of a measurement."""
 
     label: str
     slip: np.ndarray
@@ -67,7 +64,7 @@ class Curve(NamedTuple):
     high: np.ndarray
     noise_low: np.ndarray
     noise_high: np.ndarray
-    limit: float | None
+    limit: float | None  # of friction, None where the data do not tell
 
 
 class FitCurve(NamedTuple):

@@ -20,16 +20,13 @@ _MANY_TIMES = 4.0
 
 
 class WaterfallBar(NamedTuple):
-    """One bar of the waterfall, from the share of the simulator's squared error that is
-    left ``before`` a part to the share left ``after`` it. ``kind`` is whole,
-    parameters, effect, unexplained or noise; ``text`` is the size of the part.
-    """
+    """One bar of the waterfall, a part of the simulator's squared error."""
 
     label: str
-    before: float
-    after: float
-    kind: str
-    text: str
+    before: float  # share that is left before the part
+    after: float  # share that is left after it
+    kind: str  # whole, parameters, effect, unexplained or noise
+    text: str  # size of the part
 
 
 def change_texts(result: Diagnosis) -> list[str]:
@@ -84,8 +81,7 @@ what followed them."""
 
 
 def stand_in_line(result: Diagnosis) -> str:
-    """How well the tire that stands in for a simulator follows it; empty where nothing
-    has to."""
+    """How well the stand-in of a simulator follows it; empty where there is none."""
     if result.simulator is None or result.simulator.surrogate.of_force <= 1e-6:
         return ""
     followed, resolvable = result.simulator.surrogate, result.gap.resolvable
@@ -103,8 +99,7 @@ def stand_in_line(result: Diagnosis) -> str:
     return line
 
 
-_KINDS = ("parameters", "unexplained", "noise")
-"""Parts of a budget that are no effect."""
+_KINDS = ("parameters", "unexplained", "noise")  # parts of a budget that are no effect
 
 
 def _label(part: Part) -> str:

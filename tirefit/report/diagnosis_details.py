@@ -24,26 +24,22 @@ from tirefit.report.diagnosis_words import (
 )
 from tirefit.report.numbers import format_estimate, format_number
 
-_LEAST = 0.005
-"""Probability from which a candidate has a line."""
-
-_MOST = 10
-"""Parameters of the map, at most."""
+_LEAST = 0.005  # probability from which a candidate has a line
+_MOST = 10  # parameters of the map, at most
 
 
-_SEEN = 0.5
-"""Probability of being seen below which an effect may be there and not show."""
+_SEEN = 0.5  # probability of being seen below which an effect may be there and not show
 
 
 def details(result: Diagnosis) -> list[Section]:
     """Sections on the gap, where it lies, all candidates, forecast, noise, settings."""
     sections = [
         Section("Gap on the rows fitted", list(_gap_lines(result))),
-        Section("Runs (an offset of its own for each)", list(run_lines(result))),
+        Section("Runs (each fitted with its own offset)", list(run_lines(result))),
         Section("Where the gap lies", _spot_lines(result), _where(result)),
         Section("A parameter that varies freely", (), _map(result)),
         Section(
-            "Candidates (probability of exactly this set and nothing unlisted)",
+            "Candidates (probability of exactly this set, by the evidence)",
             list(_candidate_lines(result)),
         ),
         Section("Tests of what is left", (), _tests(result)),
@@ -63,7 +59,7 @@ def _gap_lines(result: Diagnosis) -> Iterator[str]:
         yield gap_line(result, gap.holdout, gap.holdout.on)
     if gap.shares:
         parts = (f"{name_of(k)} {share_text(share)}" for k, share in gap.shares.items())
-        yield f"shares of the energy closed, in any order: {', '.join(parts)}"
+        yield f"shares of the gap's mean square, whatever the order: {', '.join(parts)}"
 
 
 def run_lines(result: Diagnosis) -> Iterator[str]:

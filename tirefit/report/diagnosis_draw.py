@@ -26,18 +26,14 @@ from tirefit.report.canvas import (
     tidy,
 )
 from tirefit.report.curves import SlipAxis, slip_axis
-from tirefit.report.diagnosis_budget import (
-    WaterfallBar,
-    channel_name,
-    waterfall_steps,
-)
-from tirefit.report.diagnosis_look import draw_look
+from tirefit.report.diagnosis_budget import WaterfallBar, channel_name, waterfall_steps
 from tirefit.report.diagnosis_panels import (
     ChanceBar,
     LadderBar,
     after_label,
     chance_bars,
     covariate_label,
+    draw_look,
     ladder_bars,
     level_labels,
     load_label,
@@ -73,13 +69,16 @@ def draw_ladder(figure, bars: Sequence[LadderBar], unit: str, on: str) -> None:
         on: what is left out; empty where the rms is that of the rows fitted.
     """
     axes = figure.subplots()
-    reach = 1.05 * max((bar.rms + (bar.error or 0.0) for bar in bars), default=1.0)
+    longest = [max(b.rms + (b.error or 0.0), b.held_out or 0.0) for b in bars]
+    reach = 1.05 * max(longest, default=1.0)
     for place, bar in zip(range(len(bars))[::-1], bars, strict=True):
         axes.barh(place, bar.rms, 0.34, color=_KIND[bar.kind])
         if bar.error is not None and bar.kind != "noise":
             axes.errorbar(
                 bar.rms, place, xerr=bar.error, fmt="none", ecolor=DARK, capsize=2
             )
+        if bar.held_out is not None:
+            axes.plot(bar.held_out, place, "D", ms=6, mfc="white", mec=DARK)
         if bar.kind in ("smooth", "noise"):
             axes.axvline(
                 bar.rms, color=_KIND[bar.kind], lw=1.2, ls=(0, (4, 2)), zorder=0
@@ -102,6 +101,7 @@ def draw_ladder(figure, bars: Sequence[LadderBar], unit: str, on: str) -> None:
     note = "no part of these rows can be left out"
     if on:
         note = f"{on}; bar: standard error"
+        note += "; diamond: files held out" * any(b.held_out is not None for b in bars)
     panel_title(axes, "How far the gap shrinks", note)
 
 

@@ -52,8 +52,7 @@ def _shown(sections: Sequence[Section], pictures: Mapping) -> list[Mapping]:
 
 
 def diagnosis_page(result: Diagnosis) -> str:
-    """The whole diagnosis as one HTML document: pictures and figures inside, no script,
-    nothing to fetch."""
+    """The whole diagnosis as one HTML document, without script or external files."""
     pictures = panel_pictures(result)
     return rendered(
         "diagnosis_page.html",

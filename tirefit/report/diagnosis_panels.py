@@ -1,46 +1,58 @@
-"""What the figure of a diagnosis shows beside its arrays: bars and labels."""
+"""What the figure of a diagnosis shows beside its arrays: bars, labels, remainder."""
 
 import math
+import textwrap
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from tirefit.diagnosis.left_out import NOISE, SMOOTH
+import numpy as np
+
+from tirefit.diagnosis.left_out import AS_GIVEN, NOISE, SMOOTH, Step
 from tirefit.diagnosis.summary.result import Diagnosis
-from tirefit.diagnosis.summary.views import LoadCurve, ResidualMap
+from tirefit.diagnosis.summary.views import LoadCurve, LookCurve, ResidualMap
+from tirefit.report.canvas import BLUE, DARK, GREY, panel_title, tidy
 from tirefit.report.diagnosis_sections import step_label
 from tirefit.report.diagnosis_words import (
     NAMED_VALUES,
     covariate_text,
     covariate_unit,
+    look_place,
+    look_text,
     name_of,
 )
 from tirefit.report.numbers import format_number
 
 
 class LadderBar(NamedTuple):
-    """A step of the ladder: ``rms`` [N] on data left out, the standard ``error`` of its
-    gain over the step before, as that of an rms (None where none is known), and the
-    share ``closed``; ``kind`` is base, effect, smooth or noise."""
+    """A step of the ladder."""
 
     label: str
-    rms: float
-    error: float | None
+    rms: float  # [N] on data left out
+    error: float | None  # standard error; None of the first
     closed: float | None
-    kind: str
+    kind: str  # base, effect, smooth or noise
+    held_out: float | None = None  # rms on the files held out
 
 
 class ChanceBar(NamedTuple):
-    """The probability that an effect is there: ``kind`` is verdict, other or unknown,
-    that of something unlisted."""
+    """The probability that an effect is there."""
 
     label: str
     probability: float
-    kind: str
+    kind: str  # verdict, other or unknown (something unlisted)
+
+
+def _error(step: Step, steps: Sequence[Step]) -> float:
+    """Standard error of the rms of a step by that of the share it closes: of the gap g
+    beyond the noise n, rms^2 = n^2 + g^2 (1 - closed)^2."""
+    gap = max(steps[0].rms_left_out ** 2 - steps[-1].rms_left_out ** 2, 0.0)
+    return gap * abs(1 - step.closed) * step.closed_std / step.rms_left_out
 
 
 def ladder_bars(result: Diagnosis) -> list[LadderBar]:
     """The steps of the ladder, in order; where nothing could be left out, the model
     alone and the noise on the rows fitted."""
-    kinds = {(): "base", SMOOTH: "smooth", NOISE: "noise"}
+    kinds = {AS_GIVEN: "base", (): "base", SMOOTH: "smooth", NOISE: "noise"}
     if not result.ladder.steps:
         noise = result.noise.forces[result.data.channels[0]]
         before = math.hypot(result.gap.rms, noise)
@@ -49,17 +61,16 @@ def ladder_bars(result: Diagnosis) -> list[LadderBar]:
     return [
         LadderBar(
             step_label(result, k), step.rms_left_out,
-            # d(rms) = d(rms^2) / (2 rms)
-            step.gain_std / (2 * step.rms_left_out) if step.effects else None,
-            step.closed if step.effects else None, kinds.get(step.effects, "effect"),
+            _error(step, result.ladder.steps) if k else None,
+            step.closed if k else None, kinds.get(step.effects, "effect"),
+            step.rms_held_out,
         )
         for k, step in enumerate(result.ladder.steps)
     ]  # fmt: skip
 
 
 def chance_bars(result: Diagnosis) -> list[ChanceBar]:
-    """Every effect of the verdict with its own probability, named ones first; last
-    something unlisted."""
+    """Probability of every effect of the verdict, named ones first, unlisted last."""
     verdict = result.verdict
     kinds = dict.fromkeys(verdict.also_possible, "other")
     kinds |= dict.fromkeys(verdict.effects, "verdict")
@@ -100,3 +111,62 @@ def after_label(result: Diagnosis) -> str:
         return "base + located gap"
     named = map(name_of, result.effects) if result.verdict.names_an_effect else ()
     return " + ".join((*(["parameters"] if result.simulator else []), *named))
+
+
+_CHANGES = {
+    "stiffness": "change of stiffness [%]",
+    "friction": "change of friction [%]",
+    "slip": "added slip [-]",
+    "force": "added force [% of $F_z$]",
+}
+_ALONG = {
+    "slip": "added slip, in its own direction [-]",
+    "force": "added force, towards the slip [% of $F_z$]",
+}
+_LETTERS = 66  # of a line of the title
+
+
+def look_title(panel: LookCurve) -> str:
+    """``What is left: friction steps at a load F_z of 5000 N by -4.9 %``."""
+    return f"What is left: {look_text(panel.look)}"
+
+
+def _axis_label(panel: LookCurve) -> str:
+    look = panel.look
+    unit = covariate_unit(look.covariate)
+    tail = f" [{unit}]" if unit else ""
+    words = covariate_text(look.covariate)
+    if panel.is_folded:
+        return f"{words}, folded over the period of {look_place(look)}{tail}"
+    return f"{words}{tail}"
+
+
+def draw_look(figure, panel: LookCurve, beside: str) -> None:
+    """The local change of a parameter in bins ± standard error, and the fitted shape.
+
+    Args:
+        beside: what the change comes on top of.
+    """
+    axes = figure.subplots()
+    scale = 1.0 if panel.look.parameter == "slip" else 100.0
+    axes.axhline(0.0, color=GREY, lw=0.8, zorder=1)
+    if panel.at_settings:
+        # Between settings nothing was measured.
+        half = 0.25 * np.min(np.diff(np.sort(panel.x)))
+        axes.hlines(
+            scale * panel.shape, panel.x - half, panel.x + half, color=BLUE, lw=2.0,
+            zorder=2,
+        )  # fmt: skip
+        axes.set_xticks(panel.x)
+    else:
+        axes.plot(panel.x, scale * panel.shape, color=BLUE, lw=1.6, zorder=2)
+    axes.errorbar(
+        panel.center, scale * panel.change, scale * panel.std, fmt="o", ms=3.5,
+        color=DARK, ecolor=GREY, elinewidth=1.0, zorder=3,
+    )  # fmt: skip
+    labels = _ALONG if panel.is_mirrored else _CHANGES
+    tidy(axes, _axis_label(panel), labels[panel.look.parameter])
+    panel_title(
+        axes, textwrap.fill(look_title(panel).replace(" %", "\u00a0%"), _LETTERS),
+        f"points: bins of the data ± standard error; line: fitted; on top of {beside}",
+    )  # fmt: skip

@@ -1,12 +1,14 @@
 """The first screen of a diagnosis: the answer, and what a reader acts on."""
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 from tirefit.diagnosis.decide.remainder import LEAST_P, LEVEL
-from tirefit.diagnosis.left_out import NOISE, SMOOTH
+from tirefit.diagnosis.left_out import AS_GIVEN, NOISE, SMOOTH, Step
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.records import (
+    Amplitude,
     Each,
     NextMeasurement,
     Shrinkage,
@@ -20,6 +22,7 @@ from tirefit.report.diagnosis_budget import (
     stand_in_line,
 )
 from tirefit.report.diagnosis_words import (
+    amount_text,
     amplitude_text,
     closed_text,
     listing,
@@ -33,6 +36,7 @@ from tirefit.report.diagnosis_words import (
 )
 from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number
+from tirefit.slip import CONVENTIONS
 
 _OF_SIGNS = ("signs read as", "sign convention declared", "warning: the simulator")
 """Parts of the notes on the signs of the data, or of a simulator."""
@@ -40,12 +44,13 @@ _OF_SIGNS = ("signs read as", "sign convention declared", "warning: the simulato
 _BEYOND = 1.5
 """Noise over the stated noise from which the report says how many times that it is."""
 
-_MOST_STEPS = 3
-"""Measurements that the first screen proposes, at most."""
+_MOST_STEPS = 3  # measurements that the first screen proposes, at most
 
 _TELLS_MORE = 0.1
 """Rise of the probability of telling two effects apart from which a measurement is
 proposed: less is not worth another day at the rig."""
+
+_CLOSED = "closed: share of the first row's misfit beyond the noise, ± standard error"
 
 TESTS = {
     "time": "neighbours in time miss alike",
@@ -78,7 +83,33 @@ def answer(result: Diagnosis) -> str:
     """The answer: a sentence on the effects; of a simulator, its parameters first."""
     changes = change_texts(result)
     said = _on_effects(result, beyond="its parameters and " if changes else "")
-    return f"The simulator has {listing(changes)}. {said}" if changes else said
+    said = f"The simulator has {listing(changes)}. {said}" if changes else said
+    return " ".join([said, *_how_much(result), *_no_help(result)])
+
+
+def _how_much(result: Diagnosis) -> Iterator[str]:
+    """How large the gap is with the named effects, and without."""
+    gap, unit = result.gap, FORCE_UNIT[result.data.channels[0]]
+    if result.verdict.names_an_effect and gap.resolvable:
+        before, after = (format_number(x, 2) for x in (gap.rms, gap.remaining_rms))
+        takes = "This takes" if len(result.verdict.effects) == 1 else "These take"
+        yield f"{takes} the gap from {before} to {after} {unit} (rms)."
+
+
+def _no_help(result: Diagnosis) -> Iterator[str]:
+    """A sentence where the named effects predict the files held out worse."""
+    steps = [s for s in result.ladder.steps if s.rms_held_out is not None]
+    plain = next((s for s in steps if not s.effects), None)
+    if plain is None or not result.verdict.names_an_effect:
+        return
+    before, after = plain.rms_held_out, steps[-1].rms_held_out
+    if before is not None and after is not None and after > before:
+        unit = FORCE_UNIT[result.data.channels[0]]
+        old, new = (format_number(x, 3) for x in (before, after))
+        yield (
+            f"On the files held out it does not help ({old} to {new} {unit} rms): the"
+            " answer is of the diagnosed files alone."
+        )
 
 
 def _on_effects(result: Diagnosis, beyond: str) -> str:
@@ -141,8 +172,10 @@ def step_label(result: Diagnosis, number: int) -> str:
     """What a step of the ladder adds to the one before."""
     steps = result.ladder.steps
     effects = steps[number].effects
+    if effects == AS_GIVEN:
+        return "the simulator"
     if not effects:
-        return "the simulator" if result.simulator else f"{result.model}, no effect"
+        return "+ its parameters" if number else f"{result.model}, no effect"
     if effects in (SMOOTH, NOISE):
         return "noise floor" if effects == NOISE else SMOOTH[0]
     before = set(steps[number - 1].effects)
@@ -159,6 +192,27 @@ def _percent(share: float | None, std: float | None) -> str:
     return f"{format_estimate(100 * share, None if std is None else 100 * std)} %"
 
 
+def _held_out(step: Step) -> str:
+    """The rms of a step on the files held out, and the share closed there."""
+    if step.rms_held_out is None:
+        return "-"
+    rms, closed = format_number(step.rms_held_out, 3), step.closed_held_out
+    return f"{rms} ({closed:.0%})" if closed else rms
+
+
+def _worse_held_out(result: Diagnosis, unit: str) -> Iterator[str]:
+    """A sentence on each step that predicts the files held out worse than before it."""
+    steps = result.ladder.steps
+    for k, (before, after) in enumerate(pairwise(steps), 1):
+        old, new = before.rms_held_out, after.rms_held_out
+        if old is not None and new is not None and new > old:
+            yield (
+                f"{step_label(result, k)}: predicts the files held out worse"
+                f" ({format_number(old, 3)} to {format_number(new, 3)} {unit} rms): do"
+                " not carry it over to other data"
+            )
+
+
 def _ladder(result: Diagnosis) -> Section:
     ladder, unit = result.ladder, FORCE_UNIT[result.data.channels[0]]
     on = f" ({ladder.on}; {result.n} rows)" if ladder.on else ""
@@ -167,14 +221,17 @@ def _ladder(result: Diagnosis) -> Section:
     table = [("model", f"rms left out [{unit}]", "closed", f"gain [{square}]")]
     table += [
         (step_label(result, k), format_number(step.rms_left_out, 3),
-         _percent(step.closed if step.effects else None, step.closed_std or None),
-         format_estimate(step.gain, step.gain_std) if step.effects else "-")
+         _percent(step.closed if k else None, step.closed_std or None),
+         format_estimate(step.gain, step.gain_std) if k else "-")
         for k, step in enumerate(ladder.steps)
     ]  # fmt: skip
-    lines = [
-        "closed: share of what the first row leaves beyond the noise; gain: fall of the"
-        " mean square from the row above; ± standard error"
-    ]
+    lines = [_CLOSED + "; gain: what the row takes from the mean square"]
+    if result.settings.holdout:
+        cells = [f"held out [{unit}]", *map(_held_out, ladder.steps)]
+        # In place of the gain, for which a line has no room.
+        table = [(*row[:3], cell) for row, cell in zip(table, cells, strict=True)]
+        lines = [_CLOSED + "; held out: rms on those files (share closed there)"]
+        lines += _worse_held_out(result, unit)
     if not ladder.steps:
         table, lines = [], ["no part of these rows can be left out"]
         lines += [gap_line(result, result.gap, "the rows fitted")]
@@ -226,7 +283,7 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
     for effect in (*verdict.effects, *verdict.also_possible):
         named, means = effect in verdict.effects, words_on(effect, result.library)
         amounts = [
-            amplitude_text(amplitude)
+            amplitude_text(amplitude) + _in_the_file(result, amplitude)
             for name, amplitude in parameters.items()
             if name.startswith(f"{effect}: ")
         ]
@@ -237,7 +294,18 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
         if means[0]:
             yield f"    {means[0]}" + (f"; to do: {means[1]}" if named else "")
     if verdict.names_an_effect and result.simulator:
-        yield "amplitudes are measurement minus simulator: either may be off"
+        yield "amplitudes are measurement minus simulator: the fault may be in either"
+
+
+def _in_the_file(result: Diagnosis, amplitude: Amplitude) -> str:
+    """The amplitude of a slip or a force in the file's signs, where these differ."""
+    channel, signs = result.data.channels[0], CONVENTIONS[result.data.convention]
+    kinds = {"of slip": "slip" if channel == "fx" else "alpha", "F_z": channel}
+    kind = next((kind for of, kind in kinds.items() if of in amplitude.unit), None)
+    if getattr(signs, kind or "", 1) > 0:
+        return ""
+    text = amount_text(-amplitude.value, None, amplitude.unit)
+    return f" ({text} in the file's signs, {result.data.convention})"
 
 
 def _each_text(each: Each) -> str:
@@ -254,7 +322,9 @@ def _each_text(each: Each) -> str:
 def left_lines(result: Diagnosis) -> Iterator[str]:
     """What remains: its size, the tests that see it, what it resembles."""
     left, unit = result.verdict.left, FORCE_UNIT[result.data.channels[0]]
-    of_gap = f", {100 * left.share:.0f} % of the gap's energy" * result.gap.resolvable
+    of_gap = (
+        f", {100 * left.share:.0f} % of the gap's mean square" * result.gap.resolvable
+    )
     yield (
         f"{format_number(left.rms, 3)} {unit} rms beyond the noise{of_gap}; probability"
         f" {left.unlisted:.2f} that something unlisted is there"
@@ -268,14 +338,14 @@ def left_lines(result: Diagnosis) -> Iterator[str]:
     ]
     if seen:
         seen_by = f"{len(seen)} of {len(tested)} tests see it"
-        yield f"{seen_by} (p: probability by noise): {'; '.join(seen)}"
+        yield f"{seen_by} (p: probability of this by noise alone): {'; '.join(seen)}"
     elif tested:
-        yield f"none of {len(tested)} tests tells it from noise (p >= {LEVEL:g})"
+        yield f"no test of {len(tested)} tells it from noise (p >= {LEVEL:g})"
     for look in left.looks_like[:1]:
         yield (
             f"it resembles this: {look_text(look)} (probability {look.probability:.2f}"
-            f" among simple shapes; takes {100 * look.explains:.0f} % of its mean"
-            " square)"
+            " among simple shapes; explains"
+            f" {100 * look.explains:.0f} % of its mean square)"
         )
     if not result.verdict.names_an_effect:
         smallest = format_number(result.resolution.remainder, 3)
@@ -327,5 +397,7 @@ def first_screen(result: Diagnosis) -> list[Section]:
         Section("Effects", effects, (), ("which", "before and after")),
         Section("What is left", left, (), ("what is left", "where")),
         Section("Next measurement", steps[:_MOST_STEPS]),
-        Section("Not testable on this data (what is missing: effects)", missing),
+        Section(
+            "Not testable on this data (needed: effects that it would test)", missing
+        ),
     ]

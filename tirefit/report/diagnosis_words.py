@@ -8,12 +8,7 @@ from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by
 from tirefit.diagnosis.rows.patterns import Look
 from tirefit.diagnosis.rows.rig import SlipCheck
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.records import (
-    Amplitude,
-    Region,
-    Spot,
-    Untestable,
-)
+from tirefit.diagnosis.summary.records import Amplitude, Region, Spot, Untestable
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.numbers import format_estimate, format_number
 
@@ -66,8 +61,7 @@ _COVARIATES = {
     "pressure": "inflation pressure",
 }
 _OF_FULL_SLIDING = ("slip_fraction", "slip")
-_FAR = 100.0
-"""Slips of full sliding beyond which a number says no more than "far"."""
+_FAR = 100.0  # slips of full sliding beyond which a number says no more than "far"
 
 _SHAPES = {
     "wave": "goes up and down with {covariate}, period {at}, by ± {size}",
@@ -202,8 +196,7 @@ def amplitude_text(amplitude: Amplitude) -> str:
     return f"{text}, {amplitude.formula}" if amplitude.formula else text
 
 
-_THOUSANDTH = "1e-3 "
-"""How the unit of a share of something begins."""
+_THOUSANDTH = "1e-3 "  # how the unit of a share of something begins
 
 
 def said_unit(unit: str) -> tuple[float, str]:

@@ -105,9 +105,7 @@ def _legend(axes, curve: FitCurve, limit: str, beside: bool) -> None:
         Line2D([], [], ls="none", marker="o", ms=4, color=_color(i), label=group.label)
         for i, group in enumerate(curve.groups)
     ]
-    handles += [
-        Line2D([], [], color=DARK, lw=1.4, label="fit"),
-    ]
+    handles += [Line2D([], [], color=DARK, lw=1.4, label="fit")]
     fitted = any(np.any(c.high > c.low) for c in curve.curves)
     noisy = any(np.any(c.noise_high > c.noise_low) for c in curve.curves)
     bands = (

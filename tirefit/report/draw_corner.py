@@ -12,8 +12,7 @@ from tirefit.report.uncertainty import Corner, corner_data
 
 _MOST_PANELS = 8
 """Parameters whose pairs have a panel with scales each: more would be too small."""
-_WORTH_SAYING = 0.3
-"""Correlations that are written out."""
+_WORTH_SAYING = 0.3  # correlations that are written out
 
 
 def _centers(edges):

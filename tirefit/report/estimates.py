@@ -9,8 +9,7 @@ from tirefit.report.html import table_fragment
 from tirefit.report.numbers import format_estimate, format_number, plain_text
 from tirefit.report.text import table
 
-_ROOM = 0.15
-"""Of the range of the estimates, beside it."""
+_ROOM = 0.15  # of the range of the estimates, beside it
 
 
 def _cells(result: Estimates) -> list[list[str]]:

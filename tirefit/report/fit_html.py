@@ -85,8 +85,7 @@ def _provenance(result: FitResult) -> list[str]:
 
 
 def fit_page(result: FitResult) -> str:
-    """The whole fit as one HTML document: pictures and figures inside, no script,
-    nothing to fetch."""
+    """The whole fit as one HTML document with its pictures, no script or resource."""
     runs = run_lines(result)
     return rendered(
         "fit_page.html",

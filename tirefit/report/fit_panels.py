@@ -1,7 +1,6 @@
 """The pictures of a fit's page: one message each, made to be read on a phone too.
 
-They are narrow: on a phone's screen, 375 pixels of the page, print of 8.5 points is 9.6
-pixels high.
+They are narrow: on a phone's screen, 375 pixels wide, 8.5 points are 9.6 pixels high.
 """
 
 from collections.abc import Mapping
@@ -27,8 +26,7 @@ from tirefit.report.uncertainty import has_trace, profile_data
 
 WIDE = 4.6
 _SMALL = 2.3
-_MOST_PAIRED = 40
-"""Parameters that the page, which scrolls, draws all pairs of."""
+_MOST_PAIRED = 40  # parameters that the page, which scrolls, draws all pairs of
 _PIXELS = 100
 """Of the page for an inch of a picture that is too wide for a phone, and scrolls."""
 

@@ -16,15 +16,9 @@ from tirefit.report.fit_tables import FORCE_UNIT, Rows, rows_text, value_text
 from tirefit.report.html import GOOD, OPEN, image_of, rendered
 from tirefit.report.numbers import format_number
 from tirefit.report.overlay import draw_overlay, overlay_of
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 
-_TOGETHER = 3
-"""Quantities by file in one picture."""
-
-
-def _short(fits: Mapping[str, FitResult]) -> dict[str, FitResult]:
-    """The fits by what tells their names apart."""
-    return dict(zip(run_names(list(fits)).short, fits.values(), strict=True))
+_TOGETHER = 3  # quantities by file in one picture
 
 
 def _columns(fits: Mapping[str, FitResult], part: str) -> dict[str, str]:
@@ -173,11 +167,10 @@ def fits_page(
         UsageError: there is no fit.
     """
     if not fits:
-        reason = "no fit for the page"
-        raise UsageError(InputProblem(reason, "give fits by name: {'dry': fit, ...}"))
+        raise UsageError("no fit for the page", "give fits by name: {'dry': fit, ...}")
     names = list(fits)
     pattern = [name_pattern(names)] if run_names(names).pattern else []
-    by_name = _short(fits)
+    by_name = dict(zip(run_names(names).short, fits.values(), strict=True))
     results = list(fits.values())
     return rendered(
         "fits_page.html",

@@ -17,25 +17,21 @@ _KINDS = ("parameter", "effect", "gap", "derived", "statistic")
 _OWN_STD = ("parameter", "effect", "derived")
 """Kinds whose numbers say how sure they are: one that does not is not known."""
 
-_FEW = 3
-"""Files from which on a quantity of some of them is shown."""
-
-_MOST = 300
-"""Files that are drawn one by one; of more, as many bins of neighbours."""
+_FEW = 3  # files from which on a quantity of some of them is shown
+_MOST = 300  # files that are drawn one by one; of more, as many bins of neighbours
 
 
 class Quantity(NamedTuple):
-    """A quantity of n files: ``number`` of each, ``when``, ``value``, ``std`` (n,);
-    ``untold``: files that have it but do not tell it."""
+    """A quantity of n files, (n,) each."""
 
     kind: str
     name: str
     unit: str
-    number: np.ndarray
+    number: np.ndarray  # of the file
     when: np.ndarray
     value: np.ndarray
     std: np.ndarray
-    untold: int
+    untold: int  # files that have it but do not tell it
     across: AcrossFiles
 
     @property
@@ -50,11 +46,10 @@ class Quantity(NamedTuple):
 
 
 class Fleet(NamedTuple):
-    """All files and their quantities; ``dates`` (files,) where their names have some,
-    else their order stands for time."""
+    """All files and their quantities."""
 
     files: dict[str, list]
-    dates: np.ndarray | None
+    dates: np.ndarray | None  # (files,) in their names; None: the order is the time
     quantities: list[Quantity]
 
 

@@ -110,7 +110,7 @@ def data_fragment(data: TireData) -> str:
     rows += [_range_row(data, name) for name in data.columns]
     return rendered(
         "data_fragment.html",
-        name=source.path or data.name,
+        name=data.file,
         rows_used=used,
         rows=rows,
         notes=[*source.notes, *(str(problem) for problem in source.masked[:5])],

@@ -21,8 +21,7 @@ def short_run(result: FitResult, run: str) -> str:
 
 
 def short_label(result: FitResult, label: str) -> str:
-    """``mu[run01]``: a parameter or a derived quantity, with the short name of its
-    run."""
+    """``mu[run01]``: a parameter or derived quantity, with its run's short name."""
     return label_of_run(label, result.data["runs"])
 
 

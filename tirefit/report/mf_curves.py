@@ -13,8 +13,7 @@ from tirefit.models import TireInputs
 from tirefit.report.curves import FORCE_LABEL, Curve, FitCurve, Group, even
 from tirefit.results import UsageError
 
-_POINTS = 80
-"""Points of a curve between the first and the last bin."""
+_POINTS = 80  # points of a curve between the first and the last bin
 _IN_95 = 1.96
 _BY = {
     "fz": "load",
@@ -29,17 +28,15 @@ _AXIS = {
 
 
 class Panel(NamedTuple):
-    """One set of axes: title, points and curves; ``ticks`` (place, label) where the
-    abscissa is not a quantity."""
+    """One set of axes."""
 
     title: str
     curve: FitCurve
-    ticks: tuple[tuple[float, str], ...] = ()
+    ticks: tuple[tuple[float, str], ...] = ()  # place, label of categories
 
 
 def _fitted(fit: MagicFormulaFit, force: str, inputs: Sequence[TireInputs]):
-    """For each of the inputs, the predicted force (n,) and its standard deviation (n,)
-    as a measurement."""
+    """Predicted force (n,) at the inputs, standard deviation (n,) of a measurement."""
     joined = TireInputs(*map(np.concatenate, zip(*inputs, strict=True)))
     columns = {
         name: column

@@ -21,8 +21,7 @@ MAGIC_FORMULA_FILES = tuple(
 )
 """Every file that :func:`save_pictures` may write."""
 
-_HEIGHT = 3.5
-"""Height of a panel with its legend [in]."""
+_HEIGHT = 3.5  # height of a panel with its legend [in]
 
 
 def _draw(axes, panel: Panel) -> None:

@@ -3,8 +3,7 @@
 import math
 from typing import TypeGuard
 
-_MOST_DIGITS = 7
-"""No measurement has more, and the rest would be rounding."""
+_MOST_DIGITS = 7  # no measurement has more, and the rest would be rounding
 _TOO_LARGE = 1e7
 _TOO_SMALL = 1e-4
 

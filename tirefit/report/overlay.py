@@ -17,25 +17,22 @@ from tirefit.report.numbers import plain_text
 
 _POINTS = 160
 _MOST_POINTS = 300
-_MOST_NAMED = 12
-"""Files that the legend names; of more, the first and the last."""
+_MOST_NAMED = 12  # files that the legend names; of more, the first and the last
 _OTHER = {"sigma_x": "alpha", "alpha": "sigma_x"}
 _NEAR_LOAD, _NEAR_SLIP = 0.1, 0.01
 """Share of the load, and slip, by which a point may be off its curve's."""
-_SAME_LOAD = 0.02
-"""Relative spread of the loads up to which forces compare in newtons."""
+_SAME_LOAD = 0.02  # relative spread of the loads up to which forces compare in newtons
 
 
 class OverlayCurve(NamedTuple):
-    """The curve (m,) of one file with the ends of its 95 % band, over the slips of its
-    own rows, and some of its points (n,)."""
+    """The curve (m,) of one file over the slips of its own rows."""
 
     name: str
     slip: np.ndarray
     force: np.ndarray
-    low: np.ndarray
+    low: np.ndarray  # ends of its 95 % band
     high: np.ndarray
-    at_slip: np.ndarray
+    at_slip: np.ndarray  # some of its points (n,)
     at_force: np.ndarray
 
 
@@ -91,8 +88,7 @@ def _curve(result: FitResult, name: str, channel: str, axis: SlipAxis, over_load
 
 
 def _near(result: FitResult, slip: str, middle: Mapping[str, float]) -> np.ndarray:
-    """The rows (n,) at about the load and the other slip of the curve: others would lie
-    beside it."""
+    """The rows (n,) at about the load and the other slip of the curve."""
     problem = result.problem
     inputs, other = problem.rows.inputs, _OTHER[slip]
     load, aside = problem.used(inputs.fz), problem.used(getattr(inputs, other))

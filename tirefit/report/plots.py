@@ -26,8 +26,7 @@ def plot_fit(result: FitResult | MagicFormulaFit, ax=None):
 
     Args:
         result: a fit from this process.
-        ax: axes to draw the first force on, of a figure of your own: nothing of it
-            lies beside them.
+        ax: axes to draw the first force on, and nothing else, in your own figure.
     """
     if isinstance(result, MagicFormulaFit):
         return plot_magic_formula(result, ax)
@@ -61,8 +60,7 @@ def plot_trace(result: FitResult, parameters: Sequence[str] | None = None):
 
     Args:
         result: a fit with its posterior.
-        parameters: as of :func:`plot_corner`; without them all, or the ten whose chains
-            agree least.
+        parameters: as of :func:`plot_corner`; by default all or ten of worst R-hat.
     """
     _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
     remedy = "chain: its posterior is of independent points (plot_corner draws it)"
@@ -85,13 +83,10 @@ def plot_runs(result: FitResult):
 
 @dataclass(frozen=True)
 class Comparison:
-    """Several models on the same data, lowest AICc first; prints as a table.
+    """Several models on the same data, lowest AICc first; prints as a table."""
 
-    ``rows`` are the cells of the table, header first; ``notes`` what to mind.
-    """
-
-    rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]  # cells, header first
+    notes: tuple[str, ...]  # what to mind
 
     def __str__(self) -> str:
         right = tuple(range(1, len(self.rows[0]) - 1))

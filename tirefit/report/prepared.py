@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.patches import Patch
 
 from tirefit import __version__
-from tirefit.data.prepare.bins import SHOWN
 from tirefit.data.prepare.prepare import Prepared
+from tirefit.data.prepare.set_points import SHOWN
 from tirefit.data.prepare.slips import LEAST, swept_range
 from tirefit.data.units import slip_from_sigma
 from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, RED, Picture, tidy
@@ -29,21 +29,19 @@ _PANELS = {
 _ALSO = {"fx": (1.0, "N"), "fy": (1.0, "N"), "temperature": (1.0, "°C")}
 _LEAST_FORCE = 0.1
 """Of the largest load: a force that changes less is not worth a panel."""
-_KILO = 2000.0
-"""Newtons from which on forces are shown in kN."""
+_KILO = 2000.0  # Newtons from which on forces are shown in kN
 _POINTS = 1500
 """Columns of the picture in which a line shows its lowest and highest value."""
 
 
 class Panel(NamedTuple):
-    """One channel over time: ``label`` with its unit, ``time`` and ``value`` (m,) of
-    the line, ``settings`` (k,) the rig had for it."""
+    """One channel over time."""
 
     name: str
-    label: str
-    time: np.ndarray
+    label: str  # with its unit
+    time: np.ndarray  # (m,) of the line
     value: np.ndarray
-    settings: np.ndarray
+    settings: np.ndarray  # (k,) the rig had for it
 
 
 class Strip(NamedTuple):

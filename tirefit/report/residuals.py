@@ -20,10 +20,8 @@ from tirefit.report.numbers import plain_text
 
 _INDEPENDENT = 0.9
 """Effective share of the rows from which their order in the file is moot."""
-_MOST_RUNS = 30
-"""Runs that have a panel of their own, at most."""
-_TICK = 12
-"""Characters of a run's name below an axis."""
+_MOST_RUNS = 30  # runs that have a panel of their own, at most
+_TICK = 12  # characters of a run's name below an axis
 _LABEL = {
     "fz": ("load $F_z$", "N"),
     "v": ("speed $v$", "m/s"),
@@ -36,38 +34,30 @@ _SHOWN = {"gamma": 180 / np.pi, "pressure": 1e-3}
 
 
 class Scatter(NamedTuple):
-    """Standardised residuals against one input: points (n,), and means over bins (k,).
-
-    ``half`` is the half-width of the 95 % interval of a bin's mean; ``ticks`` names
-    the values of a categorical input, and is empty for a number.
-    """
+    """Standardised residuals against one input: points (n,), and means over bins
+    (k,)."""
 
     label: str
     x: np.ndarray
     residual: np.ndarray
     center: np.ndarray
     mean: np.ndarray
-    half: np.ndarray
-    ticks: tuple[str, ...]
+    half: np.ndarray  # half-width of the 95 % interval of a bin's mean
+    ticks: tuple[str, ...]  # values of a categorical input, empty for a number
 
 
 class Residuals(NamedTuple):
-    """All panels of one force.
-
-    ``normal`` (n,) are the quantiles of a standard normal that belong to ``ordered``
-    (n,), the sorted residuals; ``lags``, ``correlation`` and ``limit`` (95 % under
-    independence) are None where the rows have no order.
-    """
+    """All panels of one force; what has an order is None where the rows have none."""
 
     channel: str
     scatters: tuple[Scatter, ...]
     edges: np.ndarray
     density: np.ndarray
-    normal: np.ndarray
-    ordered: np.ndarray
+    normal: np.ndarray  # (n,) quantiles of a standard normal for ``ordered``
+    ordered: np.ndarray  # (n,) sorted residuals
     lags: np.ndarray | None
     correlation: np.ndarray | None
-    limit: float
+    limit: float  # of the correlation, 95 % under independence
 
 
 def _fitted_rows(problem, data: TireData | None) -> np.ndarray | None:

@@ -1,7 +1,10 @@
 """The report of a fit as plain text, at most 88 columns wide."""
 
 import textwrap
+from collections.abc import Sequence
 
+from tirefit.data.records import FileRecord, Row
+from tirefit.data.run_names import run_names
 from tirefit.fitting.result import FitResult
 from tirefit.report.fit_tables import (
     FORCE_UNIT,
@@ -19,11 +22,10 @@ from tirefit.report.fit_tables import (
     run_rows,
 )
 from tirefit.report.labels import fit_files, run_lines
-from tirefit.report.numbers import format_number
+from tirefit.report.numbers import format_estimate, format_number
 
 WIDTH = 88
-_FAR_ROWS = 8
-"""Far rows that are named one by one."""
+_FAR_ROWS = 8  # far rows that are named one by one
 
 
 def table(rows: list[list[str]], right: tuple[int, ...] = ()) -> list[str]:
@@ -198,3 +200,23 @@ def fit_report(result: FitResult) -> str:
         _correlations, _verdict,
     )  # fmt: skip
     return "\n".join(line for part in parts for line in part(result)) + "\n"
+
+
+def summary_table(fits: Sequence[FileRecord]) -> str:
+    """Directory, parameters with standard deviations, RMSE and verdict of every fit."""
+    if not fits:
+        return "no file could be fitted"
+    parameters = [fit.of_kind("parameter") for fit in fits]
+    names = list(dict.fromkeys(name for one in parameters for name in one))
+    rows = [["fit", *names, "RMSE", "verdict"]]
+    directories = run_names([fit.result for fit in fits])
+    for name, fit, known in zip(directories.short, fits, parameters, strict=True):
+        cells = [_estimate(known[one]) if one in known else "" for one in names]
+        rmse = f"{fit.of_kind('statistic')['rmse'].value:.4g}"
+        rows.append([name, *cells, rmse, fit.status])
+    of = f" of {directories.pattern}" if directories.pattern else ""
+    return "\n".join(["", f"SUMMARY{of}", *table_parts(rows)])
+
+
+def _estimate(row: Row) -> str:
+    return "-" if row.value is None else format_estimate(row.value, row.std)

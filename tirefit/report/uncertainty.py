@@ -18,7 +18,7 @@ from tirefit.params import Spec
 from tirefit.report.fit_tables import value_text
 from tirefit.report.labels import short_label, short_run
 from tirefit.report.numbers import plain_text
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 
 _MOST_PAIRS = 20
 _MOST_TRACES = 10
@@ -27,67 +27,49 @@ _TRACE_POINTS = 600
 
 
 class Corner(NamedTuple):
-    """Marginal and joint posterior densities of p parameters.
-
-    ``edges`` (p, bins + 1); ``density`` (p, bins) peaks at 1; ``joint`` maps (row,
-    column), row > column, to a density (bins, bins) over (row, column), and ``levels``
-    the same key to the densities that enclose 95 % and 50 %. ``interval`` (p, 2) and
-    ``median`` (p,) are of the posterior, ``estimate`` (p,) is least squares;
-    ``correlation`` (p, p) of the draws is NaN where one is constant; ``values`` are
-    texts.
-    """
+    """Marginal and joint posterior densities of p parameters."""
 
     labels: tuple[str, ...]
-    edges: np.ndarray
-    density: np.ndarray
-    joint: dict[tuple[int, int], np.ndarray]
-    levels: dict[tuple[int, int], tuple[float, float]]
-    interval: np.ndarray
-    median: np.ndarray
-    estimate: np.ndarray
+    edges: np.ndarray  # (p, bins + 1)
+    density: np.ndarray  # (p, bins), peaks at 1
+    joint: dict[tuple[int, int], np.ndarray]  # (row > column) -> (bins, bins)
+    levels: dict[tuple[int, int], tuple[float, float]]  # that enclose 95 %, 50 %
+    interval: np.ndarray  # (p, 2) of the posterior
+    median: np.ndarray  # (p,) of the posterior
+    estimate: np.ndarray  # (p,) least squares
     identified: tuple[bool, ...]
-    correlation: np.ndarray
-    values: tuple[str, ...]
+    correlation: np.ndarray  # (p, p), NaN where a draw is constant
+    values: tuple[str, ...]  # texts
     note: str
 
 
 class Trace(NamedTuple):
-    """Draws of every ensemble over the length of the chain.
-
-    ``position`` (m,) from 0 to 1; ``draws`` (ensembles, m, p); ``edges``
-    (p, bins + 1) and ``density`` (ensembles, p, bins) of all draws; ``rhat`` and
-    ``ess`` (p,) or None; ``note`` says what is not shown.
-    """
+    """Draws of every ensemble over the length of the chain."""
 
     labels: tuple[str, ...]
-    position: np.ndarray
-    draws: np.ndarray
-    edges: np.ndarray
-    density: np.ndarray
-    rhat: np.ndarray | None
-    ess: np.ndarray | None
-    note: str
+    position: np.ndarray  # (m,) from 0 to 1
+    draws: np.ndarray  # (ensembles, m, p)
+    edges: np.ndarray  # (p, bins + 1)
+    density: np.ndarray  # (ensembles, p, bins) of all draws
+    rhat: np.ndarray | None  # (p,)
+    ess: np.ndarray | None  # (p,)
+    note: str  # what is not shown
 
 
 class ProfilePanel(NamedTuple):
-    """Profile of one parameter: deviance (m,) over its values (m,), and 95 % level.
-
-    ``parabola`` (m,) is what the covariance alone would give; ``edges`` and
-    ``density`` are the posterior's, peaking at 1, or None; ``interval`` is the
-    profile's; ``logarithmic`` says how the values are to be drawn.
-    """
+    """Profile of one parameter: deviance (m,) over its values (m,), and 95 % level."""
 
     label: str
     value: np.ndarray
     deviance: np.ndarray
-    parabola: np.ndarray
+    parabola: np.ndarray  # (m,) by the covariance alone
     level: float
     best: float
-    interval: tuple[float | None, float | None]
-    edges: np.ndarray | None
-    density: np.ndarray | None
+    interval: tuple[float | None, float | None]  # of the profile
+    edges: np.ndarray | None  # of the posterior
+    density: np.ndarray | None  # of the posterior, peaking at 1
     identified: bool
-    logarithmic: bool
+    logarithmic: bool  # how the values are to be drawn
 
 
 def _spec(result: FitResult, label: str) -> Spec | None:
@@ -131,13 +113,12 @@ def named_labels(result: FitResult, parameters: Sequence[str]) -> tuple[str, ...
     if wrong or not parameters:
         reason = f"this fit has no free parameter {', '.join(wrong) or '(none given)'}"
         shown = ", ".join(short_label(result, label) for label in result.labels)
-        raise UsageError(InputProblem(reason, f"it has {shown}"))
+        raise UsageError(reason, f"it has {shown}")
     return tuple(k for k, names in known.items() if names & set(parameters))
 
 
 def _chosen(result: FitResult, most: int, rank: Sequence[float]) -> tuple[str, ...]:
-    """At most so many labels, in order: those that are not identified, then those of
-    highest rank."""
+    """At most so many labels, in order: not identified ones first, then by rank."""
     if len(result.labels) <= most:
         return result.labels
     vague = np.array([not result.least_squares[k].identified for k in result.labels])
@@ -167,8 +148,7 @@ def corner_data(result: FitResult, parameters: Sequence[str] | None = None) -> C
     """Marginal and pairwise posterior densities.
 
     Args:
-        parameters: as of :func:`named_labels`; without them all, or the twenty that are
-            correlated most.
+        parameters: as of :func:`named_labels`; by default the twenty most correlated.
     """
     if parameters is None:
         labels = _telling_pairs(result)
@@ -237,8 +217,7 @@ def trace_data(result: FitResult, parameters: Sequence[str] | None = None) -> Tr
     """Draws of every ensemble in order, thinned for drawing, and their densities.
 
     Args:
-        parameters: as of :func:`named_labels`; without them all, or the ten whose
-            chains agree least.
+        parameters: as of :func:`named_labels`; by default the ten of worst R-hat.
     """
     if parameters is None:
         labels = _least_mixed(result)

@@ -22,35 +22,26 @@ from tirefit.sim.brake_plant import (
     contacts,
     rolling,
 )
-from tirefit.sim.brake_sensors import Noise, Sensors, draw_noise, wheel_speeds
+from tirefit.sim.brake_vehicle import Noise, Sensors, draw_noise, wheel_speeds
 
 STANDS = 0.1
 """Speed [m/s] below which the car has stopped: 1.3 cm before the end at mu 0.04."""
-SPUN = 1.5708
-"""Angle [rad] from which on a car has spun: across the way that it had."""
-_RUN_IN = 2.0
-"""Time [s] for which a car turns at a constant speed before it is braked."""
+SPUN = 1.5708  # angle [rad] from which on a car has spun: across the way that it had
+_RUN_IN = 2.0  # time [s] for which a car turns at a constant speed before it is braked
 
 
 class Log(NamedTuple):
-    """What happened, sample by sample (n,) or (n, w); SI, braking positive.
+    """What happened, sample by sample (n,) or (n, w); SI, braking positive."""
 
-    ``moving``: 1 while the car moves; ``motion``, ``contacts``: see there; ``xbs_true``
-    (n, w) [N s/m]: slope of each force over its slip velocity; ``valve`` (n, w): as it
-    works, after its delay; ``d`` (n, w) [N] of the road; ``reading``: of the sensors,
-    with the true peaks; ``info``: of the controller; ``fine``: 1 where the integration
-    that follows the sample went well.
-    """
-
-    moving: Float[Array, "*n"]
+    moving: Float[Array, "*n"]  # 1 while the car moves
     motion: Motion
     contacts: Contacts
-    xbs_true: Float[Array, "*n w"]
-    valve: Float[Array, "*n w"]
-    d: Float[Array, "*n w"]
-    reading: Measurement
-    info: dict[str, Float[Array, "*n w"]]
-    fine: Float[Array, "*n"]
+    xbs_true: Float[Array, "*n w"]  # [N s/m] slope of force by slip velocity
+    valve: Float[Array, "*n w"]  # as it works, after its delay
+    d: Float[Array, "*n w"]  # [N] of the road
+    reading: Measurement  # of the sensors, with the true peaks
+    info: dict[str, Float[Array, "*n w"]]  # of the controller
+    fine: Float[Array, "*n"]  # 1 where the integration after the sample went well
 
 
 def xbs_true(plant: Plant, s: Motion) -> Float[Array, " w"]:

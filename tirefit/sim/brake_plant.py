@@ -21,10 +21,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tirefit.sim.brake_hydraulics import Hydraulics
-from tirefit.sim.brake_road import Road
 from tirefit.sim.brake_tire import RoadTire, Slips, wheel_slips
-from tirefit.sim.brake_vehicle import Vehicle
+from tirefit.sim.brake_vehicle import Hydraulics, Road, Vehicle
 
 Wheels = Float[Array, " w"]
 Number = Float[Array, ""]
@@ -41,47 +39,40 @@ class Plant(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """State: ``distance`` [m] along the way, position ``x``, ``y`` [m] and ``heading``
-    [rad] on the ground, ``v_x``, ``v_y`` [m/s], ``yaw_rate`` [rad/s], ``slowing`` and
-    ``aside`` [m/s2]: accelerations that the loads have followed, backward and to the
-    left; ``omega`` (w,) [rad/s], ``pressure`` (w,) [Pa]."""
+    """State of the vehicle."""
 
-    distance: Number
-    x: Number
-    y: Number
-    heading: Number
-    v_x: Number
-    v_y: Number
-    yaw_rate: Number
-    slowing: Number
-    aside: Number
-    omega: Wheels
-    pressure: Wheels
+    distance: Number  # [m] along the way
+    x: Number  # [m] on the ground
+    y: Number  # [m]
+    heading: Number  # [rad]
+    v_x: Number  # [m/s]
+    v_y: Number  # [m/s]
+    yaw_rate: Number  # [rad/s]
+    slowing: Number  # [m/s2] backward, that the loads have followed
+    aside: Number  # [m/s2] to the left, likewise
+    omega: Wheels  # [rad/s]
+    pressure: Wheels  # [Pa]
 
 
 class Contacts(NamedTuple):
-    """What a state does on the road: slips, loads ``fz`` [N], friction ``mu`` of the
-    road, forces ``fx``, ``fy`` [N], all (w,); ``v_x`` (w,) [m/s] along the wheels."""
+    """What a state does on the road, (w,) each."""
 
     slips: Slips
-    v_x: Wheels
-    mu: Wheels
-    fz: Wheels
-    fx: Wheels
-    fy: Wheels
+    v_x: Wheels  # [m/s] along the wheels
+    mu: Wheels  # friction of the road
+    fz: Wheels  # [N]
+    fx: Wheels  # [N]
+    fy: Wheels  # [N]
 
 
 class Drive(NamedTuple):
-    """What acts between two samples: ``valve`` (w,); ``begin``, ``end`` (w,) [N]:
-    forces d of the uneven road at both, linear between them; ``free``: 1 where the car
-    rolls unbraked at a speed that it keeps, before a manoeuvre; ``moving``: 0 where it
-    stands, and nothing changes."""
+    """What acts between two samples."""
 
     valve: Wheels
-    begin: Wheels
-    end: Wheels
-    free: Number
-    moving: Number
+    begin: Wheels  # [N] force d of the uneven road at the first, linear between
+    end: Wheels  # [N] at the second
+    free: Number  # 1 where the car rolls unbraked at constant speed, before a manoeuvre
+    moving: Number  # 0 where it stands, and nothing changes
 
 
 def rolling(plant: Plant, speed: Number) -> Motion:
@@ -158,8 +149,7 @@ def _rate(since, s: Motion, args) -> Motion:
     return jax.tree.map(lambda value: value * drive.moving, rate)
 
 
-TOLERANCE = 1e-6
-"""Largest error of a step, in the scales below."""
+TOLERANCE = 1e-6  # largest error of a step, in the scales below
 _SCALES = {"heading": 0.1, "yaw_rate": 0.1, "pressure": 1e6}
 """Of states, by which their errors are judged; 1 in SI units of the others."""
 

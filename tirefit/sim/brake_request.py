@@ -12,45 +12,39 @@ import numpy as np
 from tirefit.models import AbstractTire, TireInputs, modelled
 from tirefit.params import parameter_values
 from tirefit.results import InputProblem, UsageError
-from tirefit.sim.brake_hydraulics import Hydraulics
 from tirefit.sim.brake_plant import Plant
-from tirefit.sim.brake_road import road_of
-from tirefit.sim.brake_sensors import Sensors
-from tirefit.sim.brake_tire import on_road
-from tirefit.sim.brake_vehicle import GRAVITY, Vehicle, four_wheels, quarter_car
+from tirefit.sim.brake_tire import on_road, wheel_slips
+from tirefit.sim.brake_vehicle import (
+    GRAVITY,
+    Hydraulics,
+    Sensors,
+    Vehicle,
+    four_wheels,
+    quarter_car,
+    road_of,
+)
 
 VEHICLES = {"car": four_wheels, "quarter": quarter_car}
 """Name of a vehicle -> what makes it."""
 
-_LEAST_SHARE = 0.4
-"""Share of the least friction with which the time limit reckons."""
+_LEAST_SHARE = 0.4  # share of the least friction with which the time limit reckons
 _GRACE = 3.0
 _FASTEST, _SHARPEST = 100.0, 0.6
 
 
 @dataclass(frozen=True)
 class Request:
-    """A manoeuvre: which tire, where, how fast.
+    """A manoeuvre: which tire, where, how fast."""
 
-    Attributes:
-        tire: with its parameter values; ``tire_name``: how it is called.
-        road: as in :data:`tirefit.sim.brake_road.ROADS`.
-        speed: [m/s] at which the braking begins.
-        vehicle: a key of :data:`VEHICLES`.
-        steer: angle [rad] of the front wheels, to the left; constant.
-        hydraulics, sensors: with the driver's demand and the unevenness of the road.
-        time_limit: [s]; by speed and friction if None.
-    """
-
-    tire: AbstractTire
-    tire_name: str
-    road: str = "mu=0.3"
-    speed: float = 15.0
-    vehicle: str = "car"
-    steer: float = 0.0
-    hydraulics: Hydraulics = field(default_factory=Hydraulics)
-    sensors: Sensors = field(default_factory=Sensors)
-    time_limit: float | None = None
+    tire: AbstractTire  # with its parameter values
+    tire_name: str  # how it is called
+    road: str = "mu=0.3"  # as in :data:`tirefit.sim.brake_vehicle.ROADS`
+    speed: float = 15.0  # [m/s] at which the braking begins
+    vehicle: str = "car"  # a key of :data:`VEHICLES`
+    steer: float = 0.0  # angle [rad] of the front wheels, to the left; constant
+    hydraulics: Hydraulics = field(default_factory=Hydraulics)  # the driver's demand
+    sensors: Sensors = field(default_factory=Sensors)  # and unevenness of the road
+    time_limit: float | None = None  # [s]; by speed and friction if None
 
     @property
     def limit(self) -> float:
@@ -98,8 +92,7 @@ def plant_of(request: Request) -> Plant:
 _USUAL_SLOPE = (3.0, 150.0)
 """Slope of the braking force at rest over the load: 10 to 40 of car tires."""
 
-_LONGEST = 300.0
-"""Longest manoeuvre [s]."""
+_LONGEST = 300.0  # longest manoeuvre [s]
 
 _NUMBERS = {
     "demand": (1e3, 5e7, "Pa"), "ramp": (1e3, 1e10, "Pa/s"),
@@ -171,8 +164,7 @@ def check(request: Request) -> None:
         what = "steer" if request.steer else "have a left and a right"
         reason = f"a quarter car cannot {what}"
         problems.append(InputProblem(reason, "brake the whole one: --vehicle car"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _tire_problems(request: Request) -> list[InputProblem]:
@@ -216,6 +208,31 @@ def with_numbers(request: Request, values: Mapping[str, float]) -> Request:
             known = ", ".join((*Hydraulics._fields, *Sensors._fields))
             reason = f"--plant {name}: there is no such number"
             problems.append(InputProblem(reason, f"there are {known}"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return replace(request, hydraulics=hydraulics, sensors=sensors)
+
+
+def tire_curve(
+    request: Request, most: float, points: int = 200
+) -> dict[float, tuple[np.ndarray, np.ndarray]]:
+    """Friction of the road -> (kappa, F_x / F_z), each (points,).
+
+    Args:
+        request: whose tire and roads are meant; at the static load of the first wheel
+            and half the speed of the manoeuvre.
+        most: largest kappa.
+    """
+    plant = plant_of(request)
+    kappa = jnp.linspace(0.0, min(most, 0.99), points)
+    speed = 0.5 * jnp.asarray(request.speed, float)
+    fz = plant.vehicle.fz[0]
+    curves = {}
+    for mu in np.unique(np.r_[plant.road.before, plant.road.after]):
+
+        def one(k, mu=mu):
+            slips = wheel_slips(speed[None], jnp.zeros(1), speed * (1 - k)[None])
+            fx, _ = plant.tire.forces(jnp.full(1, mu), slips, fz[None])
+            return fx[0] / fz
+
+        curves[float(mu)] = (np.asarray(kappa), np.asarray(jax.vmap(one)(kappa)))
+    return curves

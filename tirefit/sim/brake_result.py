@@ -27,8 +27,7 @@ from tirefit.sim.brake_summary import (
 SCHEMA = "tirefit.brake/1"
 
 _TOGETHER = 50
-"""Stops that run side by side: their logs fit into memory, and none waits long for the
-shortest steps of another."""
+"""Stops side by side: logs fit into memory, none waits long for others' short steps."""
 
 
 @dataclass(frozen=True)

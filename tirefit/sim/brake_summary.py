@@ -10,19 +10,15 @@ from scipy import stats
 from tirefit.sim.brake import SPUN, STANDS, Log
 from tirefit.sim.brake_plant import Plant
 
-LOCKED_SLIP = 0.9
-"""Slip from which on a wheel counts as locked."""
+LOCKED_SLIP = 0.9  # slip from which on a wheel counts as locked
 RECOVERED = 0.8
 """Share of the friction there is, at which a controller has found a new road."""
 _SLOW = 2.0
 """Speed [m/s] below which locking and pressure are no longer judged: controllers of
 their kind switch off there."""
-_WINDOW = 1.0
-"""Time [s] over which the mean runs about which a pressure fluctuates."""
-_BUILT_UP = 0.5
-"""Time [s] after which the first rise of the pressure is over."""
-_HELD = 0.1
-"""Time [s] over which a recovered friction is averaged."""
+_WINDOW = 1.0  # time [s] over which the mean runs about which a pressure fluctuates
+_BUILT_UP = 0.5  # time [s] after which the first rise of the pressure is over
+_HELD = 0.1  # time [s] over which a recovered friction is averaged
 
 
 class Summary(NamedTuple):

@@ -1,7 +1,6 @@
 r"""Any tire of the library on any road, and where its peak is.
 
-The road scales the tire by similarity, which keeps its stiffness and makes its peak
-that of the road:
+The road scales the tire by similarity: same stiffness, and the peak is the road's:
 
 .. math:: F(\sigma) = \lambda F_0(\sigma / \lambda), \qquad
     \lambda = \mu_{road} / \mu_0
@@ -22,26 +21,22 @@ from tirefit.models import AbstractTire, TireInputs
 from tirefit.slip import sigma_from_kappa
 
 LOW_SPEED = 0.3
-"""Speed [m/s] below which slip is taken over this speed, lest it be infinitely stiff
-at a standstill; a locked wheel's force fades at a tenth of it, a hand's breadth of way
-before the end."""
-_LOCKED = 0.99
-"""Largest kappa: of a wheel that stands (sigma 99)."""
+"""Speed [m/s] below which slip is taken over this speed, lest it be infinitely stiff at
+a standstill; a locked wheel's force fades at a tenth of it, 0.1 m before the end."""
+_LOCKED = 0.99  # largest kappa: of a wheel that stands (sigma 99)
 _LEAST_KAPPA = -5.0
 _LEAST_LOAD = 1.0
 _SPEEDS, _LOADS, _SLIPS = 16, 5, 200
 _HALVINGS = 60
-"""Of the interval around the best of the slips, by the golden section: a peak is then
-exact to rounding."""
+"""Golden-section steps about the best of the slips: the peak is exact to rounding."""
 
 
 class Slips(NamedTuple):
-    """``kappa``, ``alpha`` (w,): practical slip and slip angle [rad]; ``speed`` (w,)
-    [m/s]: that by which the sliding speed was divided."""
+    """Slips of the wheels."""
 
-    kappa: Float[Array, " w"]
-    alpha: Float[Array, " w"]
-    speed: Float[Array, " w"]
+    kappa: Float[Array, " w"]  # practical slip
+    alpha: Float[Array, " w"]  # [rad]
+    speed: Float[Array, " w"]  # [m/s] that divided the sliding speed
 
 
 def wheel_slips(v_x, v_y, turning) -> Slips:
@@ -56,9 +51,8 @@ class RoadTire(eqx.Module):
     """A tire with a table of its peaks.
 
     ``peak`` (roads, speeds, loads): largest force over load; ``at``: the kappa where it
-    lies, at the frictions ``roads`` of the roads there are, in order, at ``speeds``
-    [m/s] and ``loads`` [N]; ``usual``: the tire's own peak, on which a road's friction
-    is put.
+    lies, at the frictions ``roads`` in order, at ``speeds`` [m/s] and ``loads`` [N];
+    ``usual``: the tire's own peak, on which a road's friction is put.
     """
 
     tire: AbstractTire

@@ -1,16 +1,20 @@
-"""The vehicle that is braked: a quarter car, or a car on four wheels.
+"""The braked vehicle (a quarter car or four wheels), its brakes, sensors and road.
 
 Axes of ISO 8855 (x forward, y left) at the centre of gravity. Per-wheel values come
 along one axis of length w: one wheel, or four in the order of
 :data:`tirefit.data.table.WHEELS`.
 """
 
+import re
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from tirefit.data.table import WHEELS
+from tirefit.results import UsageError
 from tirefit.sim.drive import Car
 
 GRAVITY = 9.81
@@ -20,28 +24,20 @@ Number = Float[Array | np.ndarray, ""] | float
 
 
 class Vehicle(NamedTuple):
-    """Masses, geometry and brakes.
+    """Masses, geometry and brakes."""
 
-    ``mass`` [kg], ``yaw_inertia`` [kg m2]; ``x``, ``y`` (w,) [m]: wheels from the
-    centre of gravity; ``fz`` (w,) [N]: static loads; ``pitch``, ``roll`` (w,) [kg]:
-    load gained by each m/s2 of deceleration, of acceleration to the left;
-    ``transfer_time`` [s] in which they follow; ``radius`` (w,) [m], effective;
-    ``inertia`` (w,) [kg m2] of a wheel; ``brake_gain`` (w,) [N m/Pa]: torque by
-    pressure; ``steered`` (w,): 1 where the wheel is steered.
-    """
-
-    mass: Number
-    yaw_inertia: Number
-    x: Wheels
-    y: Wheels
-    fz: Wheels
-    pitch: Wheels
-    roll: Wheels
-    transfer_time: Number
-    radius: Wheels
-    inertia: Wheels
-    brake_gain: Wheels
-    steered: Wheels
+    mass: Number  # [kg]
+    yaw_inertia: Number  # [kg m2]
+    x: Wheels  # [m] of the wheels, ahead of the centre of gravity
+    y: Wheels  # [m] to its left
+    fz: Wheels  # [N] static loads
+    pitch: Wheels  # [kg] load gained by each m/s2 of deceleration
+    roll: Wheels  # [kg] and of acceleration to the left
+    transfer_time: Number  # [s] in which they follow
+    radius: Wheels  # [m], effective
+    inertia: Wheels  # [kg m2] of a wheel
+    brake_gain: Wheels  # [N m/Pa] torque by pressure
+    steered: Wheels  # 1 where the wheel is steered
 
     @property
     def wheels(self) -> tuple[str, ...]:
@@ -87,3 +83,159 @@ def quarter_car() -> Vehicle:
         radius=np.array([car.radius]), inertia=np.array([car.wheel_inertia]),
         brake_gain=np.array([_FRONT_GAIN]), steered=zero,
     )  # fmt: skip
+
+
+class Hydraulics(NamedTuple):
+    r"""A master cylinder, and an inlet and an outlet valve at each wheel.
+
+    The driver's pressure :math:`p_m` rises at a constant rate. An open inlet lets the
+    wheel's pressure p follow it, an open outlet lets p fall; the command is the share u
+    of an interval for which the one (positive) or the other (negative) is open:
+
+    .. math:: \dot p = u^+ \min\{(p_m - p)/T, R_+\} - u^- \min\{p/T, R_-\}
+
+    ``demand`` [Pa] of the driver, reached at ``ramp`` [Pa/s]; ``rise``, ``fall``
+    [Pa/s]: fastest change through an open valve; ``lag`` T [s] of an orifice; ``delay``
+    [s] of a command, rounded to whole samples of the controller."""
+
+    demand: float = 12e6
+    ramp: float = 60e6
+    rise: float = 40e6
+    fall: float = 80e6
+    lag: float = 0.02
+    delay: float = 0.01
+
+    def master(self, t):
+        """Pressure [Pa] of the master cylinder ``t`` [s] after the braking begins."""
+        return jnp.minimum(self.demand, self.ramp * jnp.maximum(t, 0.0))
+
+    def flow(self, t, pressure, valve):
+        """Rate of the wheels' pressure (w,) [Pa/s] under commands (w,) in [-1, 1]."""
+        up = jnp.clip((self.master(t) - pressure) / self.lag, 0.0, self.rise)
+        down = jnp.clip(pressure / self.lag, 0.0, self.fall)
+        # A driver who asks for less has it at once, past the valve (check valve).
+        back = jnp.minimum((self.master(t) - pressure) / self.lag, 0.0)
+        turned = jnp.maximum(valve, 0.0) * up - jnp.maximum(-valve, 0.0) * down
+        return turned + jnp.maximum(back, -self.fall)
+
+    def queue(self, rate: float) -> int:
+        """Samples that a command waits, at ``rate`` a second."""
+        return round(self.delay * rate)
+
+
+class Sensors(NamedTuple):
+    """Noise of the sensors and unevenness of the road."""
+
+    speed_std: float = 0.005  # [m/s] of a wheel's circumferential speed
+    speed_step: float = 0.01  # [m/s] in which it is told
+    deceleration_std: float = 0.1  # [m/s2]
+    pressure_std: float = 2e4  # [Pa]
+    road_std: float = 0.01  # of the force d over the static load
+    road_corner: float = 1.0  # [Hz] of d
+
+
+class Noise(NamedTuple):
+    """Standard normal numbers of a stop of n samples on w wheels, except ``road`` (n +
+    1, w): the force d over the static load, a stationary process of first order below
+    whose corner, under O's 2-20 Hz, its rate is white: the w of O(2)."""
+
+    speed: Float[Array, "n w"]
+    pressure: Float[Array, "n w"]
+    deceleration: Float[Array, " n"]
+    road: Float[Array, "m w"]
+
+
+def draw_noise(key, sensors: Sensors, samples: int, wheels: int, rate: float) -> Noise:
+    """The noise of one stop; the same for every controller that has the key."""
+    keys = jax.random.split(key, 4)
+    shape = (samples, wheels)
+    kept = jnp.exp(-2 * np.pi * sensors.road_corner / rate)
+    pushes = jax.random.normal(keys[3], (samples + 1, wheels))
+
+    def move(d, push):
+        d = kept * d + jnp.sqrt(1 - kept**2) * push
+        return d, d
+
+    first, rest = pushes[0], pushes[1:]
+    _, later = jax.lax.scan(move, first, rest)
+    road = sensors.road_std * jnp.concatenate([first[None], later])
+    return Noise(
+        jax.random.normal(keys[0], shape), jax.random.normal(keys[1], shape),
+        jax.random.normal(keys[2], (samples,)), road,
+    )  # fmt: skip
+
+
+def wheel_speeds(sensors: Sensors, turning, noise):
+    """Circumferential speeds (w,) [m/s] as they are told: noise, then steps; a wheel
+    that stands gives no pulses."""
+    step = sensors.speed_step
+    noisy = turning + sensors.speed_std * noise * (turning > 0)
+    safe = jnp.where(step > 0, step, 1.0)
+    told = jnp.where(step > 0, jnp.round(noisy / safe) * step, noisy)
+    return jnp.maximum(told, 0.0)
+
+
+ROADS = ("mu=0.4", "mu=0.3:0.8@20", "left=0.3,right=0.8")
+"""How a road is written: constant; another friction from 20 m on; split."""
+
+_LEAST, _MOST = 0.05, 2.0
+_PATCH = 0.2  # length [m] of the contact patch, which comes onto a new road bit by bit
+
+
+class Road(NamedTuple):
+    """Friction on the left and on the right: the largest force over load that the tire
+    has there, at its static load and the speed at which the braking begins."""
+
+    before: Float[Array | np.ndarray, " 2"]
+    after: Float[Array | np.ndarray, " 2"]
+    jump: Float[Array | np.ndarray, ""] | float  # [m] from where the braking begins
+
+    def mu(
+        self, distance: Float[Array, " w"], y: Float[Array | np.ndarray, " w"]
+    ) -> Float[Array, " w"]:
+        """Friction under wheels that are ``distance`` [m] on, and ``y`` [m] left."""
+        share = jnp.clip((distance - self.jump) / _PATCH + 0.5, 0.0, 1.0)
+        side = (jnp.asarray(y) < 0).astype(int)
+        before, after = jnp.asarray(self.before)[side], jnp.asarray(self.after)[side]
+        return before + share * (after - before)
+
+    @property
+    def split(self) -> bool:
+        """Whether left and right differ."""
+        sides = (self.before, self.after)
+        return any(float(side[0]) != float(side[1]) for side in sides)
+
+    @property
+    def jumps(self) -> bool:
+        """Whether the friction changes on the way."""
+        return bool(np.isfinite(self.jump))
+
+
+def road_of(text: str) -> Road:
+    """The road that is written as in :data:`ROADS`.
+
+    Raises:
+        UsageError: it is written otherwise, or a friction is out of range.
+    """
+    number = r"(\d*\.?\d+)"
+    constant = re.fullmatch(rf"mu={number}(?::{number}@{number})?", text.strip())
+    sides = re.fullmatch(rf"left={number},\s*right={number}", text.strip())
+    if constant is None and sides is None:
+        remedy = (
+            f"write it as {', '.join(ROADS)}; friction from {_LEAST:g} to {_MOST:g}"
+        )
+        raise UsageError(f"--road {text!r} is not a road", remedy)
+    if sides is not None:
+        both = np.array([float(sides[1]), float(sides[2])])
+        road = Road(both, both, np.inf)
+    else:
+        assert constant is not None
+        before = float(constant[1])
+        after = before if constant[2] is None else float(constant[2])
+        jump = np.inf if constant[3] is None else float(constant[3])
+        road = Road(np.full(2, before), np.full(2, after), jump)
+    for mu in {*road.before.tolist(), *road.after.tolist()}:
+        if not _LEAST <= mu <= _MOST:
+            reason = f"--road {text!r}: friction {mu:g} is out of range"
+            raise UsageError(reason, f"give {_LEAST:g} (ice) to {_MOST:g}")
+    return road

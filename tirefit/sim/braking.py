@@ -44,8 +44,7 @@ def source_tire(peak: float = PEAK) -> MagicFormula:
     slip kappa of 4 %, as S section 5.4 has it, the one whose peak comes first.
 
     Args:
-        peak: peak force over load D [-]; another friction changes the peak, not the
-            stiffness.
+        peak: peak force over load D [-]; the stiffness does not depend on it.
     """
     x = 0.04 * STIFFNESS / (_SHAPE * PEAK * LOAD)
     bent = np.tan(np.arcsin(0.6) / _SHAPE)
@@ -57,39 +56,22 @@ def source_tire(peak: float = PEAK) -> MagicFormula:
 @dataclass(frozen=True)
 class Braking:
     """How a wheel is braked and measured; the values are those of S section 5.1, and
-    where it says nothing those of a truck wheel sampled as a brake controller does.
+    where it says nothing those of a truck wheel sampled as a brake controller does."""
 
-    Attributes:
-        amplitude: largest torque over R D F_z, the share of the first tire's peak.
-        teeth: number of saw-teeth.
-        period: of one [s].
-        rate: samples a second.
-        v: speed [m/s] of the vehicle, constant.
-        fz: load [N], constant.
-        friction: D of the tire, its largest steady force over the load.
-        tire: one of :data:`TIRES`.
-        drop: (time [s], friction from then on), or None.
-        radius: effective rolling radius R [m].
-        inertia: J [kg m2] of the wheel.
-        slip_variance: of the noise on the slip sigma.
-        force_variance: of the noise on the force, over F_z^2.
-        seed: of the noise.
-    """
-
-    amplitude: float = 0.75
-    teeth: int = 5
-    period: float = 2.0
-    rate: float = 100.0
-    v: float = 20.0
-    fz: float = LOAD
-    friction: float = PEAK
-    tire: str = "magic-formula"
-    drop: tuple[float, float] | None = None
-    radius: float = 0.5
-    inertia: float = 15.0
-    slip_variance: float = 0.2e-4
-    force_variance: float = 0.2e-2
-    seed: int = 0
+    amplitude: float = 0.75  # largest torque over R D F_z of the first tire's peak
+    teeth: int = 5  # number of saw-teeth
+    period: float = 2.0  # of one [s]
+    rate: float = 100.0  # samples a second
+    v: float = 20.0  # speed [m/s] of the vehicle, constant
+    fz: float = LOAD  # load [N], constant
+    friction: float = PEAK  # D of the tire, its largest steady force over the load
+    tire: str = "magic-formula"  # one of :data:`TIRES`
+    drop: tuple[float, float] | None = None  # time [s], friction from then on
+    radius: float = 0.5  # effective rolling radius R [m]
+    inertia: float = 15.0  # J [kg m2] of the wheel
+    slip_variance: float = 0.2e-4  # of the noise on the slip sigma
+    force_variance: float = 0.2e-2  # of the noise on the force, over F_z^2
+    seed: int = 0  # of the noise
 
 
 @dataclass(frozen=True)

@@ -24,19 +24,17 @@ import numpy as np
 
 from tirefit.data.table import WHEELS
 from tirefit.online.vehicle import GRAVITY, axle_angles, brush_share, clipped
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 from tirefit.sim.braking import SimulatedLog
 
 _SLOWEST = 0.01
 """Wheel speed over that of free rolling below which a brake only holds a wheel."""
 _LEAST_LOAD = 1.0
-_PREVIEW = 15.0
-"""Distance [m] at which the driver looks at the lane."""
+_PREVIEW = 15.0  # distance [m] at which the driver looks at the lane
 _LEAD = 0.15
 """Time [s] by which the driver turns in before a bend, as the car follows that late."""
 _FRONT_BRAKES = 0.6
-_PITCH_TIME = 0.1
-"""Time [s] in which the loads of the axles follow the deceleration."""
+_PITCH_TIME = 0.1  # time [s] in which the loads of the axles follow the deceleration
 
 
 @dataclass(frozen=True)
@@ -60,39 +58,26 @@ class Car:
 
 @dataclass(frozen=True)
 class Drive:
-    """How it is driven and measured.
+    """How it is driven and measured. The driver holds a ``bend`` up to some 0.75, less
+    with brakes, of the least friction."""
 
-    Attributes:
-        duration: [s]; rate: rows a second; v: speed [m/s] that the driver keeps.
-        bend: largest lateral acceleration of the road over mu g of the first road; the
-            driver holds up to some 0.75, less with brakes, of the least friction.
-        bend_period: [s] of the road's curvature.
-        brake: largest deceleration asked for over mu g, in saw-teeth of half the time.
-        brake_period: [s].
-        friction: mu; drop: (time [s], friction from then on), or None.
-        gps_std: noise of positions [m]; v_std: of the speed [m/s].
-        heading_std: [rad]; gyro_std: of yaw and roll rate [rad/s].
-        acceleration_std: [m/s2]; omega_std: of wheel speeds [rad/s].
-        torque_std: [N m]; seed: of the noise.
-    """
-
-    duration: float = 30.0
-    rate: float = 50.0
-    v: float = 25.0
-    bend: float = 0.6
-    bend_period: float = 5.0
-    brake: float = 0.0
-    brake_period: float = 4.0
-    friction: float = 0.9
-    drop: tuple[float, float] | None = None
-    gps_std: float = 0.02
-    v_std: float = 0.03
-    heading_std: float = 0.002
-    gyro_std: float = 0.002
-    acceleration_std: float = 0.05
-    omega_std: float = 0.05
-    torque_std: float = 10.0
-    seed: int = 0
+    duration: float = 30.0  # [s]
+    rate: float = 50.0  # rows a second
+    v: float = 25.0  # speed [m/s] that the driver keeps
+    bend: float = 0.6  # largest lateral acceleration over mu g of the first road
+    bend_period: float = 5.0  # [s] of the road's curvature
+    brake: float = 0.0  # largest deceleration over mu g, in saw-teeth of half the time
+    brake_period: float = 4.0  # [s]
+    friction: float = 0.9  # mu
+    drop: tuple[float, float] | None = None  # time [s], friction from then on
+    gps_std: float = 0.02  # noise of positions [m]
+    v_std: float = 0.03  # of the speed [m/s]
+    heading_std: float = 0.002  # [rad]
+    gyro_std: float = 0.002  # of yaw and roll rate [rad/s]
+    acceleration_std: float = 0.05  # [m/s2]
+    omega_std: float = 0.05  # of wheel speeds [rad/s]
+    torque_std: float = 10.0  # [N m]
+    seed: int = 0  # of the noise
 
 
 class _State(NamedTuple):
@@ -145,8 +130,7 @@ def _steering(numbers: _Numbers, t, s: _State):
 
 
 def _torques(numbers: _Numbers, t, s: _State):
-    """Brake less drive torque (4,) [N m]: saw-teeth, and the speed regained by rear
-    wheel drive in between."""
+    """Brake less drive torque (4,) [N m]: saw-teeth; rear wheels drive in between."""
     car, how = numbers.car, numbers.how
     phase = (t % how["brake_period"]) / how["brake_period"]
     braking = (phase < 0.5) & (how["brake"] > 0)
@@ -311,11 +295,9 @@ def simulate_drive(
     states, followed = _integrate(numbers, time, max_steps)
     if not followed:
         raise UsageError(
-            InputProblem(
-                f"the drive cannot be followed in {max_steps} steps: a car spins where"
-                " braking and bends together ask for more than the grip",
-                "ask for less lateral acceleration or braking, or more friction",
-            )
+            f"the drive cannot be followed in {max_steps} steps: a car spins where"
+            " braking and bends together ask for more than the grip",
+            "ask for less lateral acceleration or braking, or more friction",
         )
     truth = {k: np.asarray(v) for k, v in _measured(numbers, time, states).items()}
     random = np.random.default_rng(how.seed)

@@ -18,35 +18,23 @@ in z, which diffrax integrates.
 from functools import cache
 from typing import NamedTuple
 
-import diffrax
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tirefit.models import LuGre, TireForces, TireInputs
+from tirefit.models import LuGre, TireForces
 from tirefit.models.brush import resultant
-from tirefit.slip import lateral_slip
 
 _POINTS = 4
 
 
 class Bristles(NamedTuple):
-    """Where the bristles sit and how the tread carries them.
+    """Where the bristles sit and how the tread carries them, with z = 0 at the leading
+    edge."""
 
-    ``place`` (n,): distance from the leading edge over the length of the patch;
-    ``weight`` (n,) of each in the mean over the patch; ``transport`` (n, n): the
-    derivative along the patch times its length, with z = 0 at the leading edge.
-    """
-
-    place: np.ndarray
-    weight: np.ndarray
-    transport: np.ndarray
-
-
-LUMPED = Bristles(np.ones(1), np.ones(1), np.zeros((1, 1)))
-"""One bristle for the whole patch, never carried out of it: S(17)."""
+    place: np.ndarray  # (n,) from the leading edge, over the length of the patch
+    weight: np.ndarray  # (n,) of each in the mean over the patch
+    transport: np.ndarray  # (n, n) derivative along the patch times its length
 
 
 def _radau():
@@ -78,24 +66,11 @@ def distributed(elements: int = 4) -> Bristles:
 
 
 class Contact(NamedTuple):
-    """Motion and load of the patch at one instant, or at n of them.
+    """Motion and load of the patch at one instant, or at n of them."""
 
-    ``sliding`` (2,) [m/s]: velocity v_s of the patch over the road along x and y;
-    ``rolling`` [m/s]: speed |Omega R_e| of the tread through the patch; ``fz`` [N].
-    """
-
-    sliding: Float[Array, "*n 2"]
-    rolling: Float[Array, "*n"]
-    fz: Float[Array, "*n"]
-
-
-def contact(inputs: TireInputs) -> Contact:
-    """The motion that slips and speed of steady-state inputs (n,) stand for."""
-    arrays = [jnp.asarray(value, float) for value in inputs]
-    slip_x, alpha, fz, v, *_ = jnp.broadcast_arrays(*arrays)
-    rolling = v / (1 + slip_x)
-    slip = jnp.stack([slip_x, lateral_slip(jnp.tan(alpha), slip_x)], axis=-1)
-    return Contact(slip * rolling[..., None], rolling, fz)
+    sliding: Float[Array, "*n 2"]  # [m/s] v_s of the patch over the road, x and y
+    rolling: Float[Array, "*n"]  # [m/s] |Omega R_e| of the tread through the patch
+    fz: Float[Array, "*n"]  # [N]
 
 
 def _give(tire: LuGre, z, now: Contact):
@@ -116,70 +91,3 @@ def bristle_forces(tire: LuGre, bristles: Bristles, z, now: Contact) -> TireForc
     mean = jnp.asarray(bristles.weight) @ each + tire.sigma2 * now.sliding
     force = (now.fz > 0) * now.fz * mean
     return TireForces(force[0], force[1], None)
-
-
-class Response(NamedTuple):
-    """Forces (t,) [N] and deflections (t, n, 2) [m] at the times asked for."""
-
-    forces: TireForces
-    deflection: Float[Array, "t n 2"]
-
-
-def simulate(
-    tire: LuGre,
-    bristles: Bristles,
-    time: Float[Array | np.ndarray, " t"],
-    motion: Contact,
-    *,
-    initial: Float[Array, "n 2"] | None = None,
-    rtol: float = 1e-8,
-    adjoint: diffrax.AbstractAdjoint = diffrax.RecursiveCheckpointAdjoint(),
-) -> Response:
-    """The tire's response to a given motion.
-
-    Args:
-        tire: parameters; differentiable, as are ``motion`` and ``initial``.
-        bristles: ``LUMPED`` or ``distributed(elements)``.
-        time: increasing instants [s]; a jump takes two of them close together.
-        motion: the patch at these instants (t,), linear between them.
-        initial: deflections at the first instant [m]; none unless given.
-        rtol: relative tolerance of the integration; the absolute one is a thousandth
-            of it in m, a deflection being of the order of 1 mm.
-        adjoint: how diffrax differentiates: by default in reverse mode,
-            ``diffrax.ForwardMode()`` for ``jax.jvp`` and ``jax.jacfwd``.
-
-    Raises:
-        ValueError: ``time`` is not a vector of at least two increasing instants.
-    """
-    time = jnp.asarray(time, float)
-    if time.ndim != 1 or len(time) < 2 or not _increases(time):
-        raise ValueError("time must be a vector of at least two increasing instants")
-    start = jnp.zeros((len(bristles.weight), 2)) if initial is None else initial
-    # As arrays, lest every new value be compiled anew.
-    tire, rtol = jax.tree.map(jnp.asarray, (tire, rtol))
-    deflection = _integrate(tire, bristles, time, motion, start, rtol, adjoint)
-    forces = jax.vmap(lambda z, now: bristle_forces(tire, bristles, z, now))
-    return Response(forces(deflection, motion), deflection)
-
-
-def _increases(time) -> bool:
-    """Whether a known time increases; that of a trace is not known."""
-    return isinstance(time, jax.core.Tracer) or bool(np.all(np.diff(time) > 0))
-
-
-@eqx.filter_jit
-def _integrate(tire, bristles, time, motion, start, rtol, adjoint):
-    course = diffrax.LinearInterpolation(time, motion)
-    term = diffrax.ODETerm(
-        lambda t, z, tire: bristle_rate(tire, bristles, z, course.evaluate(t))
-    )
-    # A step across a sample could miss a short pulse.
-    controller = diffrax.ClipStepSizeController(
-        diffrax.PIDController(rtol=rtol, atol=1e-3 * rtol), step_ts=time
-    )
-    solution = diffrax.diffeqsolve(
-        term, diffrax.Tsit5(), time[0], time[-1], None, start, tire,
-        saveat=diffrax.SaveAt(ts=time), stepsize_controller=controller,
-        adjoint=adjoint, max_steps=2**20,
-    )  # fmt: skip
-    return solution.ys

@@ -36,8 +36,7 @@ def simulate_rig(
         seed: of the noise.
 
     Returns:
-        measured and true columns time, sigma_x, alpha, fx, fy, mz (as the model has
-        them), fz, v.
+        measured and true time, sigma_x, alpha, fz, v and the model's fx, fy, mz.
     """
     tire = with_values(MODELS[model], values or {})
     slip = largest * np.arange(1, points + 1) / points

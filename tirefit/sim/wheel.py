@@ -27,8 +27,7 @@ SLOWEST = 0.01
 only holds, cannot turn it backwards."""
 
 
-PATCH = distributed(1)
-"""Four bristles: S(18) to 1e-4 of the load."""
+PATCH = distributed(1)  # four bristles: S(18) to 1e-4 of the load
 STEADY = Bristles(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
 """No bristle: the force of a steady tire follows the slip at once."""
 

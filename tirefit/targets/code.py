@@ -1,6 +1,7 @@
 """Source code of a tire's forces: C, NumPy and CasADi."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,9 @@ MEANING = {
     "mx": "overturning moment", "my": "rolling resistance moment",
 }  # fmt: skip
 
+PARAMETERS = "parameters (+- standard error):"
+"""Line above those of the parameters in a head."""
+
 _VECTORS = ((0.02, 0.01, 1.0), (-0.1, 0.05, 0.5), (0.0, -0.2, 1.5), (-0.9, 0.3, 2.0))
 """Slip, slip angle and share of the middle load of the test vectors."""
 
@@ -31,7 +35,7 @@ def header(tire: Tire, program: Program, convention: str) -> list[str]:
         *(f"{name} [{UNITS[name]}]: {MEANING[name]}" for name in names),
         "at low speed compute kappa with max(speed, a few tenths of a m/s)",
         f"measured range: {tire.ranges(convention)}",
-        "parameters (+- standard error):",
+        PARAMETERS,
         *(f"  {line}" for line in tire.parameters()),
         *tire.notes,
     ]
@@ -43,7 +47,8 @@ class Draft(NamedTuple):
     Attributes:
         tire: the tire; ``forces`` is its program in the signs of ``convention``.
         above: lines that stand first in the file.
-        name: of the function.
+        name: of the function, or of the file without its ending.
+        wheel: what was given of the wheel, in SI units.
     """
 
     tire: Tire
@@ -51,6 +56,7 @@ class Draft(NamedTuple):
     convention: str
     above: Sequence[str]
     name: str
+    wheel: Mapping[str, float] = MappingProxyType({})
 
 
 def numpy_source(draft: Draft) -> str:
@@ -132,6 +138,16 @@ typedef double tirefit_real;
 #define TIREFIT_F(name) name
 #endif
 #define TIREFIT_C(number) ((tirefit_real)(number))
+/* Define TIREFIT_LOOP before the first header where a loop over arrays calls it: gcc
+   -O3 -march=native -ffast-math then computes several at once, which it cannot for a
+   sine and a cosine of one angle. */
+#ifdef TIREFIT_LOOP
+#define TIREFIT_COS(angle) TIREFIT_F(sin)((angle) + TIREFIT_C(1.5707963267948966))
+#define TIREFIT_INLINE static inline __attribute__((always_inline))
+#else
+#define TIREFIT_COS(angle) TIREFIT_F(cos)(angle)
+#define TIREFIT_INLINE static inline
+#endif
 #endif
 """
 
@@ -164,5 +180,5 @@ def _c_function(program: Program, name: str, given, count: int) -> list[str]:
         by, force = divmod(k - count, count)
         place = f"force[{k}]" if k < count else f"slope[{force}][{by}]"
         lines.append(f"    {place} = {result};")
-    head = f"static inline void {name}({', '.join([*inputs, *given])})"
+    head = f"TIREFIT_INLINE void {name}({', '.join([*inputs, *given])})"
     return [head, "{", *lines, "}"]

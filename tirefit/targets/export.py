@@ -2,16 +2,18 @@
 
 import keyword
 import os
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from tirefit import __version__
 from tirefit.data.write import output_problems
-from tirefit.files import write_text_atomic
+from tirefit.files import write_texts
+from tirefit.fitting.tir import TIR_SIGNS
 from tirefit.results import InputProblem, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS
+from tirefit.targets.chrono import chrono_source, held_by_chrono
 from tirefit.targets.code import (
     Draft,
     c_source,
@@ -19,8 +21,21 @@ from tirefit.targets.code import (
     header,
     numpy_source,
 )
+from tirefit.targets.loss import check_loss
+from tirefit.targets.mujoco import mujoco_source
+from tirefit.targets.parameters import (
+    PARAMETER_FILES,
+    ParameterFile,
+    one_line,
+    parameter_text,
+)
 from tirefit.targets.shape import Shape, shape_of
-from tirefit.targets.tire import tire_of
+from tirefit.targets.stablehlo import jax_source
+from tirefit.targets.tir import held_as_tir, tir_source
+from tirefit.targets.tire import Tire, tire_of
+
+if TYPE_CHECKING:
+    from tirefit.diagnosis.summary.result import Diagnosis
 
 MARK = "written by tirefit export"
 """What the first line of every exported file says."""
@@ -28,12 +43,9 @@ MARK = "written by tirefit export"
 _TAKEN = frozenset(
     "auto case char const default do double enum extern float goto inline int long"
     " register restrict short signed sizeof static struct switch typedef union unsigned"
-    " void volatile np ca".split()
+    " void volatile np ca jax jnp base64 sysid_parameters".split()
 )
-"""Words of C that are none of Python, and what the Python files import."""
-
-_NEW_LINE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
-"""Characters that may end a line."""
+"""Words of C that are none of Python, and other names in the Python files."""
 
 
 class Target(NamedTuple):
@@ -43,16 +55,21 @@ class Target(NamedTuple):
         ending: of the file.
         what: what the file is, and what it needs.
         holds: the models that it holds, and how exactly.
-        write: the text of the file.
+        write: the text of the file, or of several by their endings.
+        prepare: (tire, version of the Magic Formula, values of the wheel) -> the tire
+            that the file holds; None where it holds every tire and has a function.
+        beside: endings of other files that are written beside it.
     """
 
     ending: str
     what: str
     holds: str
-    write: Callable[[Draft], str]
+    write: Callable[[Draft], str | dict[str, str]]
+    prepare: Callable[..., Tire] | None = None
+    beside: tuple[str, ...] = ()
 
 
-TARGETS: dict[str, Target] = {
+TARGETS: dict[str, Target | ParameterFile] = {
     "casadi": Target(
         ".py", "Python module with a casadi.Function and its Jacobian; needs casadi",
         "every model, exactly", casadi_source,
@@ -65,6 +82,28 @@ TARGETS: dict[str, Target] = {
         ".py", "Python module with one function of arrays; needs numpy",
         "every model, exactly", numpy_source,
     ),
+    "jax": Target(
+        ".py", "Python module with a compiled program (StableHLO) of arrays, for jit"
+        " and grad; needs jax",
+        "every model, exactly", jax_source,
+    ),
+    "tir": Target(
+        ".tir", "tire property file, Magic Formula 5.2, 6.1 or 6.2 (--model)",
+        "a Magic Formula, exactly in its own version; of a brush c_p a^2 and mu (needs"
+        " --wheel radius=)", tir_source, held_as_tir,
+    ),
+    "chrono": Target(
+        ".json", "tire of Project Chrono (Pac02Tire), with its .tir beside it; needs"
+        " --wheel mass= ixx= iyy= vertical_stiffness= vertical_damping= width=, one"
+        " each, as far as no .tir states them",
+        "what a .tir of Magic Formula 5.2 holds", chrono_source, held_by_chrono,
+        (".tir",),
+    ),
+    "mujoco": Target(
+        ".py", "Python module as for numpy, and its friction for mujoco.sysid",
+        "every model, exactly; peak friction for sysid", mujoco_source,
+    ),
+    **PARAMETER_FILES,
 }  # fmt: skip
 """Target -> how it is written."""
 
@@ -88,24 +127,46 @@ def export(
     target: str,
     path: str | os.PathLike,
     *,
+    front=None,
+    rear=None,
+    vehicle: str | os.PathLike | None = None,
+    over: Mapping[str, tuple[float, float]] | None = None,
     values: Mapping[str, float] | None = None,
+    diagnosis: "Diagnosis | str | os.PathLike | None" = None,
+    model: str | None = None,
+    wheel: Mapping[str, float] | None = None,
+    forces: Sequence[str] | str = (),
     convention: str = "iso-w",
     name: str | None = None,
     force: bool = False,
 ) -> Exported:
     """Write a tire as a file that another program reads or compiles.
 
-    The file holds the model itself, operation by operation, so it gives the forces of
-    :func:`tirefit.predict` to rounding.
+    Source code holds the model itself, operation by operation, so it gives the forces
+    of :func:`tirefit.predict` to rounding. Parameters of a simulator's own formula are
+    converted by formula where it holds the tire, else refitted. ``notes`` say what the
+    file misses.
 
     Args:
-        source: a fit, a ``fit.json``, a ``.tir`` file, a tire, or the name of a model.
-        target: ``c``, ``casadi`` or ``numpy``; see :data:`TARGETS`.
+        source: a fit, a ``fit.json``, a ``.tir`` file, a tire, or the name of a model;
+            None with ``front`` or ``rear``.
+        target: a key of :data:`TARGETS`.
         path: the file to write.
+        front, rear: tires of the axles, in place of ``source``.
+        vehicle: a ``vehicle.toml``, for targets that hold a car.
+        over: kappa, alpha [rad] and fz [N] of a refit, least and largest, in the signs
+            of iso-w; what was measured by default.
         values: parameter values of a model or a ``.tir`` file; a fit has its own.
+        diagnosis: of the same model, or its ``NAME.json``: the effects that it names
+            change the tire where the target can hold them.
+        forces: of source code, of fx, fy, mz, mx, my those that are wanted; all if
+            empty. Fewer are computed faster.
         convention: signs of the file's inputs and forces.
         name: of the function in the file; the file's own name by default.
-        force: replace a file that is no export.
+        model: version of the Magic Formula of a ``.tir``: ``mf52``, ``mf61``, ``mf62``.
+        wheel: what a target needs beside the tire, in SI units, see :data:`TARGETS`.
+        force: replace a file that is no export, and write one that misses the tire by
+            more than :data:`~tirefit.targets.loss.MOST` of the load.
 
     Returns:
         The file, and how the tire behaves at rest, at large slip and at twice the
@@ -115,8 +176,9 @@ def export(
     Raises:
         UsageError: unknown target, convention or parameter; values beside a fit; a name
             that no function can have; a file that cannot be written, or that is there
-            and no export; or a model that the target cannot hold.
-        DataError: the source cannot be read.
+            and no export; a model that the target cannot hold; a diagnosis of another
+            model; or data of the vehicle that are missing.
+        DataError: the source or the diagnosis cannot be read.
 
     Example:
         >>> import tempfile, jax
@@ -126,51 +188,109 @@ def export(
         True
     """
     path = Path(path)
-    name = path.stem if name is None else name
-    check(source, target, path, convention, name, force)
-    tire = tire_of(source, values)
-    first = f"{MARK}, tirefit {__version__}: {tire.name} for {target}"
+    chosen = TARGETS.get(target)
+    if name is None or not _is_code(chosen):
+        name = path.stem
+    given = {"": source, "front": front, "rear": rear}
+    given = {axle: one for axle, one in given.items() if one is not None}
+    check(given, target, path, convention, name, force, model, wheel, forces)
+    if isinstance(chosen, Target) and (vehicle is not None or over or "" not in given):
+        reason = f"{target} holds one tire as it is: no axles, vehicle or range"
+        raise UsageError(InputProblem(reason, "leave them out, or see --list"))
+    tires = {axle: tire_of(one, values, diagnosis) for axle, one in given.items()}
+    first = f"{MARK}, tirefit {__version__}: "
+    first += f"{' and '.join(tire.name for tire in tires.values())} for {target}"
+    if isinstance(chosen, ParameterFile):
+        done = parameter_text(target, tires, path, first, vehicle, over, force)
+        write_texts({path: done.text})
+        return Exported(path, done.shape, done.notes)
+    assert chosen is not None
+    (tire,) = tires.values()
+    if chosen.prepare is not None:
+        held = chosen.prepare(tire, model, wheel or {})
+        missed = check_loss(tire, held, target, force)
+        tire = replace(held, notes=held.notes + missed)
+    if forces:
+        asked = forces.split(",") if isinstance(forces, str) else forces
+        tire = replace(tire, asked=tuple(asked))
     try:
-        forces = tire.program(convention)
-        shape = shape_of(tire, forces, convention)
-        above = [first, *header(tire, forces, convention), *shape.sentences]
-        # A line of a file's name or text must not end the comment.
-        above = [_NEW_LINE.sub(" ", line) for line in above]
-        draft = Draft(tire, forces, convention, above, name)
-        text = TARGETS[target].write(draft)
+        program = tire.program(convention)
+        shape = shape_of(tire, program, convention)
+        above = [first, *header(tire, program, convention), *shape.sentences]
+        draft = Draft(tire, program, convention, one_line(above), name, wheel or {})
+        text = chosen.write(draft)
     except NotImplementedError as error:
         reason = f"{tire.name} cannot be written for {target}: {error}"
         remedy = "export another model, fitted to its curve by `tirefit convert`"
         raise UsageError(InputProblem(reason, remedy)) from None
-    write_text_atomic(path, text)
+    texts = {chosen.ending: text} if isinstance(text, str) else text
+    write_texts({path.with_suffix(end): each for end, each in texts.items()})
     return Exported(path, shape, tire.notes)
 
 
 def check(
-    source, target: str, path: Path, convention: str, name: str, force: bool
+    given: Mapping,
+    target: str,
+    path: Path,
+    convention: str,
+    name: str,
+    force: bool,
+    model: str | None = None,
+    wheel: Mapping[str, float] | None = None,
+    forces: Sequence[str] | str = (),
 ) -> None:
-    """Raises UsageError for all that is wrong with a request, before the work."""
+    """Raises UsageError for all that is wrong with a request, before the work.
+
+    ``given``: the tires, under the name of their axle or under none.
+    """
     problems = []
-    for what, given, known in (
+    for what, named, known in (
         ("--to", target, TARGETS), ("--convention", convention, CONVENTIONS),
     ):  # fmt: skip
-        if given not in known:
-            remedy = f"{did_you_mean(given, known)}valid: {', '.join(known)}"
-            problems.append(InputProblem(f"{what}: {given!r} is not known", remedy))
-    plain = name.isidentifier() and name.isascii()
-    if not plain or keyword.iskeyword(name) or name in _TAKEN:
+        if named not in known:
+            remedy = f"{did_you_mean(named, known)}valid: {', '.join(known)}"
+            problems.append(InputProblem(f"{what}: {named!r} is not known", remedy))
+    if not given or "" in given and len(given) > 1:
+        remedy = "give one tire, or those of --front and --rear"
+        problems.append(InputProblem("which tire is to be written?", remedy))
+    chosen = TARGETS.get(target)
+    asked = {"--model": model, "--wheel": wheel}
+    if not (isinstance(chosen, Target) and chosen.prepare):
+        for option in [option for option, value in asked.items() if value]:
+            reason = f"{option} with --to {target}, which has no use for it"
+            problems.append(InputProblem(reason, "leave it out"))
+    if not _is_code(chosen) and convention != TIR_SIGNS:
+        reason = f"--convention {convention}: {target} has signs of its own"
+        problems.append(InputProblem(reason, "leave it out"))
+    if forces and not _is_code(chosen):
+        reason = f"--forces with --to {target}, which has them all"
+        problems.append(InputProblem(reason, "leave it out"))
+    if _is_code(chosen) and not _function_name(name):
         remedy = "name the function with --name: letters, digits and _, no keyword"
         problems.append(InputProblem(f"{name!r} is no name of a function", remedy))
-    inputs = [source] if isinstance(source, str | os.PathLike) else []
-    ending = TARGETS[target].ending if target in TARGETS else ""
-    if unwritable := output_problems(path, inputs, ending):
-        problems += unwritable
-    elif path.exists() and not force and not _exported(path):
-        reason = "the file is there and was not written by an export"
-        remedy = "choose another file, or replace it with --force"
-        problems.append(InputProblem(reason, remedy, str(path)))
+    files = [one for one in given.values() if isinstance(one, str | os.PathLike)]
+    ending = chosen.ending if chosen else ""
+    others = chosen.beside if isinstance(chosen, Target) else ()
+    for one, end in [(path, ending), *((path.with_suffix(e), e) for e in others)]:
+        if unwritable := output_problems(one, files, end):
+            problems += unwritable
+        elif one.exists() and not force and not _exported(one):
+            reason = "the file is there and was not written by an export"
+            remedy = "choose another file, or replace it with --force"
+            problems.append(InputProblem(reason, remedy, str(one)))
     if problems:
         raise UsageError(problems)
+
+
+def _is_code(chosen: Target | ParameterFile | None) -> bool:
+    """Whether a target is source code: a function with a name, in any signs."""
+    return chosen is None or isinstance(chosen, Target) and chosen.prepare is None
+
+
+def _function_name(name: str) -> bool:
+    """Whether a function of C and Python may have a name."""
+    plain = name.isidentifier() and name.isascii()
+    return plain and not keyword.iskeyword(name) and name not in _TAKEN
 
 
 def _exported(path: Path) -> bool:

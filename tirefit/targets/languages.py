@@ -14,11 +14,14 @@ class Language(NamedTuple):
         calls: operation -> name of a function, or a format of the arguments.
         number: a constant.
         line: a statement that gives a value a name.
+        within: operations that are written where they are used: loops with variables
+            that are true or false are not vectorised.
     """
 
     calls: Mapping[str, str]
     number: Callable[[float], str]
     line: str
+    within: frozenset[str] = frozenset()
 
 
 _SIGNS = {
@@ -42,6 +45,9 @@ def _functions(prefix: str, names: Iterable[str]) -> dict[str, str]:
     return {name: prefix.format(name) for name in names}
 
 
+TRUTHS = frozenset({"lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not"})
+"""Operations whose result is true or false."""
+
 _COMMON = (
     "sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "sinh", "cosh", "tanh",
 )  # fmt: skip
@@ -54,9 +60,9 @@ C = Language(
         "min": "({0} < {1} ? {0} : {1})",
         "sign": "(tirefit_real)(({0} > 0) - ({0} < 0))",
         "where": "({0} ? {1} : {2})", "and": "({0} && {1})", "or": "({0} || {1})",
-        "not": "!{}",
+        "not": "!{}", "cos": "TIREFIT_COS",
     },
-    _in_c, "const {type} {name} = {value};",
+    _in_c, "const tirefit_real {name} = {value};", TRUTHS,
 )  # fmt: skip
 
 NUMPY = Language(
@@ -80,22 +86,19 @@ CASADI = Language(
     _in_python, "{name} = {value}",
 )  # fmt: skip
 
-_TRUTHS = frozenset({"lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not"})
-
 
 def body(program: Program, language: Language, indent: str = "    ") -> list[str]:
     """Statements that compute a program's operations, one a line.
 
-    The inputs have their own names; the k-th operation is named ``t{k}``.
+    The inputs have their own names; the k-th operation is named ``t{k}``, or written
+    where it is used if it is a condition of C.
     """
     lines = []
     for k, (op, args) in enumerate(program.operations):
-        if op == "input":
+        if op == "input" or op in language.within:
             continue
-        lines.append(indent + language.line.format(
-            type="int" if op in _TRUTHS else "tirefit_real", name=f"t{k}",
-            value=_expression(program, language, op, args),
-        ))  # fmt: skip
+        value = _expression(program, language, op, args)
+        lines.append(indent + language.line.format(name=f"t{k}", value=value))
     return lines
 
 
@@ -109,6 +112,8 @@ def _argument(program: Program, language: Language, arg) -> str:
         text = language.number(arg)
         return f"({text})" if text.startswith("-") else text
     op, args = program.operations[arg]
+    if op in language.within:
+        return f"({_expression(program, language, op, args)})"
     return program.inputs[args[0]] if op == "input" else f"t{arg}"
 
 

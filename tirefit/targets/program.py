@@ -5,6 +5,7 @@ values in it, into a list of scalar operations that :mod:`tirefit.targets.langua
 prints in other languages: no formula is written twice.
 """
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -12,8 +13,15 @@ import jax
 import numpy as np
 from jax.extend import core
 
+from tirefit.targets.algebra import in_order, simplified
+
 MOST_OPERATIONS = 20_000
 """Operations from which a program is too long to be compiled by others."""
+
+_MOST_TRIED = 10 * MOST_OPERATIONS
+"""The same with those that no result needs."""
+
+_TOO_LONG = f"it takes over {MOST_OPERATIONS} operations"
 
 LEAST = 1e-36
 """The smallest positive constant of a program."""
@@ -40,6 +48,9 @@ class Term:
     def __eq__(self, other):
         return isinstance(other, Term) and other.place == self.place
 
+    def __lt__(self, other):
+        return self.place < other.place
+
 
 class Graph:
     """Operations in order; equal ones are shared, and constants are folded."""
@@ -52,24 +63,23 @@ class Graph:
         """The term of an operation."""
         key = Operation(op, args)
         if key not in self._known:
-            if len(self.operations) >= MOST_OPERATIONS:
-                raise NotImplementedError(f"it takes over {MOST_OPERATIONS} operations")
+            if len(self.operations) >= _MOST_TRIED:
+                raise NotImplementedError(_TOO_LONG)
             self._known[key] = Term(len(self.operations))
             self.operations.append(key)
         return self._known[key]
+
+    def parts(self, value) -> tuple[str, tuple]:
+        """Operation and arguments of a term; ("", ()) of a constant."""
+        return self.operations[value.place] if isinstance(value, Term) else ("", ())
 
     def apply(self, op: str, *args):
         """An operation on terms and constants; a constant where it is one."""
         if not any(isinstance(arg, Term) for arg in args):
             with np.errstate(all="ignore"):
                 return _OPERATIONS[op](*args).item()
-        if op == "where":
-            condition, yes, no = args
-            if not isinstance(condition, Term):
-                return yes if condition else no
-            if yes == no:
-                return yes
-        if (simpler := _simplified(self, op, args)) is not None:
+        args = in_order(op, args, lambda one: isinstance(one, Term))
+        if (simpler := simplified(self, op, args)) is not None:
             return simpler
         return self.term(op, *args)
 
@@ -89,39 +99,51 @@ class Program(NamedTuple):
 
 
 def traced(
-    function: Callable, inputs: Sequence[str], outputs: Sequence[str]
+    function: Callable,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    by: Sequence[int] = (),
 ) -> Program:
     """The program of a JAX function of scalars.
 
     Args:
         function: of ``len(inputs)`` scalars, to a tuple of ``len(outputs)`` scalars.
         inputs, outputs: names.
+        by: numbers of inputs by which the results are differentiated: behind them stand
+            their derivatives by each of these inputs in turn, named ``fx_kappa``.
 
     Raises:
         NotImplementedError: the function has a loop of unknown length, an operation
             that other languages lack, or too many operations.
     """
-    graph = Graph()
-    closed = jax.make_jaxpr(function)(*[1.0] * len(inputs))
-    given = [_array(graph.term("input", k)) for k in range(len(inputs))]
-    values = _evaluate(graph, closed.jaxpr, closed.consts, given)
-    found = {name: value.item() for name, value in zip(outputs, values, strict=True)}
-    return _pruned(Program(tuple(inputs), found, graph.operations))
+    graph, count = Graph(), len(inputs)
+    given = [_array(graph.term("input", k)) for k in range(count)]
+    if not by:
+        closed = jax.make_jaxpr(function)(*[1.0] * count)
+        values = _evaluate(graph, closed.jaxpr, closed.consts, given)
+        found = dict(zip(outputs, values, strict=True))
+    else:
+        # Traced once, with the direction as further inputs.
+        def both(at, along):
+            return jax.jvp(function, tuple(at), tuple(along))
 
-
-def with_derivatives(function: Callable, count: int, by: Sequence[int]) -> Callable:
-    """The function's results, then their derivatives by the inputs ``by``, each input
-    for all results in turn."""
-
-    def both(*at):
-        values = tuple(function(*at))
-        slopes: list = []
+        ones = [1.0] * count
+        closed, found = jax.make_jaxpr(both)(ones, ones), {}
         for k in by:
-            along = tuple(1.0 if j == k else 0.0 for j in range(count))
-            slopes += jax.jvp(function, at, along)[1]
-        return (*values, *slopes)
-
-    return both
+            along = [_array(float(j == k)) for j in range(count)]
+            values = _evaluate(graph, closed.jaxpr, closed.consts, given + along)
+            found |= dict(zip(outputs, values[: len(outputs)], strict=True))
+            names = (f"{name}_{inputs[k]}" for name in outputs)
+            found |= dict(zip(names, values[len(outputs) :], strict=True))
+        found = {
+            n: found[n] for n in (*outputs, *(n for n in found if n not in outputs))
+        }
+    results = {name: value.item() for name, value in found.items()}
+    program = _pruned(Program(tuple(inputs), results, graph.operations))
+    program = _pruned(_with_reciprocals(program))
+    if len(program.operations) > MOST_OPERATIONS:
+        raise NotImplementedError(_TOO_LONG)
+    return program
 
 
 def _array(value) -> np.ndarray:
@@ -218,7 +240,7 @@ def _plain(value):
 def _power(graph: Graph, x, y: int):
     """An integer power as products."""
     if y < 0:
-        return graph.apply("div", 1.0, _power(graph, x, -y))
+        return _power(graph, graph.apply("div", 1.0, x), -y)
     result, square = 1.0, x
     while y:
         if y & 1:
@@ -228,26 +250,24 @@ def _power(graph: Graph, x, y: int):
     return result
 
 
-def _simplified(graph: Graph, op: str, args):
-    """What an operation with a neutral constant is; None where it has none. A product
-    with an exact zero is zero: that is the derivative by an input that does not act."""
-    if op == "mul":
-        x, y = args if isinstance(args[0], Term) else args[::-1]
-        if isinstance(y, Term) or y not in (0.0, 1.0, -1.0):
-            return None
-        return 0.0 if y == 0.0 else x if y == 1.0 else graph.apply("neg", x)
-    if op in ("add", "sub") and not isinstance(args[1], Term) and args[1] == 0.0:
-        return args[0]
-    if op == "add" and not isinstance(args[0], Term) and args[0] == 0.0:
-        return args[1]
-    if op == "div" and not isinstance(args[0], Term) and args[0] == 0.0:
-        return 0.0
-    if op == "div" and not isinstance(args[1], Term) and args[1] == 1.0:
-        return args[0]
-    if op == "neg" and isinstance(args[0], Term):
-        inner = graph.operations[args[0].place]
-        return inner.args[0] if inner.op == "neg" else None
-    return None
+def _with_reciprocals(program: Program) -> Program:
+    """Several quotients of one denominator as products with its reciprocal."""
+    graph, terms = Graph(), list[Any]()
+    count = Counter(args[1] for op, args in program.operations if op == "div")
+
+    def read(value):
+        return terms[value] if isinstance(value, Place) else value
+
+    for op, args in program.operations:
+        if op == "div" and isinstance(args[1], Place) and count[args[1]] > 1:
+            one = graph.term("div", 1.0, read(args[1]))
+            terms.append(graph.apply("mul", read(args[0]), one))
+        elif op == "input":
+            terms.append(graph.term(op, *args))
+        else:
+            terms.append(graph.apply(op, *map(read, args)))
+    outputs = {name: read(value) for name, value in program.outputs.items()}
+    return Program(program.inputs, outputs, graph.operations)
 
 
 def _pruned(program: Program) -> Program:

@@ -22,6 +22,8 @@ _SQUARE = 1.05
 
 _SLIPS = np.linspace(-0.99, 0.99, 397)
 _ANGLES = np.linspace(-1.2, 1.2, 241)
+_FEW = _SLIPS[::4, None], _ANGLES[::4]
+"""The same for both slips at once."""
 
 
 class Shape(NamedTuple):
@@ -77,8 +79,9 @@ def _at_rest(at: Callable, names, load) -> tuple[str, bool]:
 
 
 def _standing(at: Callable, names, speed: bool) -> tuple[str, bool]:
-    slips = np.concatenate([_SLIPS, [-1.0, 1.0]])
-    forces = at(kappa=slips[:, None], alpha=_ANGLES, v=0.0)
+    slips, angles = _FEW
+    slips = np.concatenate([slips, [[-1.0], [1.0]]])
+    forces = at(kappa=slips, alpha=angles, v=0.0)
     sound = all(np.all(np.isfinite(forces[name])) for name in names)
     how = "finite" if sound else "NOT finite"
     what = "speed zero and a locked wheel" if speed else "a locked wheel"
@@ -117,7 +120,7 @@ def _ellipse(at: Callable, names, most) -> tuple[str, bool]:
         return "combined slip: one force alone", True
     worst = 0.0
     for fz in (0.5 * most, most):
-        grid = at(kappa=_SLIPS[:, None], alpha=_ANGLES, fz=fz)
+        grid = at(kappa=_FEW[0], alpha=_FEW[1], fz=fz)
         pure_x = np.max(np.abs(at(kappa=_SLIPS, fz=fz)["fx"]))
         pure_y = np.max(np.abs(at(alpha=_ANGLES, fz=fz)["fy"]))
         size = np.hypot(grid["fx"] / pure_x, grid["fy"] / pure_y)

@@ -1,32 +1,49 @@
 """The tire that is exported: its function, where it comes from, what was measured."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 
-from tirefit.data.tir import read_tir
+from tirefit.data.tir import TirFile, read_tir
 from tirefit.data.tir_keys import LIMITS
-from tirefit.fitting.mf.result import MagicFormulaFit
-from tirefit.fitting.problem import find_model
-from tirefit.fitting.result import FitResult
-from tirefit.fitting.store import StoredFit, at_estimate, load_fit
 from tirefit.fitting.tir import TIR_SIGNS, own_tire, remarks
 from tirefit.models import (
+    MODELS,
     AbstractTire,
     CombinedMagicFormula,
     MagicFormula,
     TireInputs,
     modelled,
 )
+from tirefit.models.mf import MFTire
 from tirefit.models.relaxation import Relaxed
-from tirefit.params import check_values, parameter_values, specs, with_values
+from tirefit.params import (
+    check_names,
+    check_values,
+    parameter_values,
+    specs,
+    with_values,
+)
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 from tirefit.slip import CONVENTIONS, LOCKED, kappa_from_sigma
-from tirefit.targets.program import Program, traced, with_derivatives
+from tirefit.targets.program import Program, traced
+
+# What reads fits and diagnoses takes longer to import than an export of a .tir file.
+if TYPE_CHECKING:
+    from tirefit.diagnosis.summary.result import Diagnosis
+    from tirefit.fitting.mf.result import MagicFormulaFit
+    from tirefit.fitting.result import FitResult
+    from tirefit.fitting.store import StoredFit
+
+    Fit = FitResult | MagicFormulaFit | StoredFit
+
+    Source = AbstractTire | FitResult | MagicFormulaFit | StoredFit | str | os.PathLike
 
 INPUTS = ("kappa", "alpha", "fz", "v", "gamma", "pressure")
 """Arguments of an exported tire, in order: practical slip [-], slip angle [rad], load
@@ -57,6 +74,10 @@ class Tire:
         measured: (least, largest) value by input of :data:`INPUTS`, in canonical signs;
             of those that are known.
         notes: sentences on what was assumed.
+        bare: the model without the effects of a diagnosis; None where it has none.
+        tir: the file that states the model, for targets that write one.
+        relaxation: relaxation length [m], which is not in the forces; None without.
+        asked: forces and moments that are wanted; empty for all.
     """
 
     model: AbstractTire
@@ -66,11 +87,20 @@ class Tire:
     spread: Mapping[str, float] = field(default_factory=dict)
     measured: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    bare: AbstractTire | None = None
+    tir: TirFile | None = None
+    relaxation: float | None = None
+    asked: tuple[str, ...] = ()
 
     @property
     def largest_load(self) -> float:
         """The largest load that was measured [N]."""
         return max(self.load, self.measured.get("fz", (0.0, 0.0))[1])
+
+    @property
+    def modelled(self) -> tuple[str, ...]:
+        """The forces and moments that the tire gives."""
+        return modelled(self.model)
 
     def parameters(self) -> list[str]:
         """Name, value, standard error and unit of every parameter, a line each."""
@@ -88,16 +118,25 @@ class Tire:
         known = "; beyond it the model extrapolates" if told else "not known"
         return ", ".join(told) + known
 
-    def program(self, convention: str, jacobian: bool = False) -> Program:
-        """The forces as a program in a sign convention.
+    @cached_property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the forces and moments.
+
+        Raises:
+            UsageError: one that is asked for, and that the model does not give.
+        """
+        given = modelled(self.model)
+        return check_names("force", self.asked, given) if self.asked else given
+
+    def function(self, convention: str) -> tuple[Callable, tuple[str, ...]]:
+        """The forces as a JAX function of the scalars :data:`INPUTS`, and their names.
 
         Args:
             convention: a key of ``slip.CONVENTIONS``; kappa, alpha, camber, load and
                 the forces have its signs.
-            jacobian: with the derivatives by kappa, alpha and fz, named ``fx_kappa``.
         """
         require_x64("an export")
-        signs, outputs = CONVENTIONS[convention], modelled(self.model)
+        signs, outputs = CONVENTIONS[convention], self.outputs
 
         def forces(kappa, alpha, fz, v, gamma, pressure):
             kappa = signs.slip * kappa
@@ -110,13 +149,16 @@ class Tire:
             found = self.model(given)._asdict()
             return tuple(getattr(signs, name) * found[name] for name in outputs)
 
-        names = list(outputs)
-        function = forces
-        if jacobian:
-            by = range(ALWAYS)
-            function = with_derivatives(forces, len(INPUTS), by)
-            names += [f"{out}_{INPUTS[k]}" for k in by for out in outputs]
-        program = traced(function, INPUTS, names)
+        return forces, outputs
+
+    def program(self, convention: str, jacobian: bool = False) -> Program:
+        """The same as a program of the inputs that change a force.
+
+        Args:
+            jacobian: with the derivatives by kappa, alpha and fz, named ``fx_kappa``.
+        """
+        function, outputs = self.function(convention)
+        program = traced(function, INPUTS, outputs, range(ALWAYS) if jacobian else ())
         used = {args[0] for op, args in program.operations if op == "input"}
         keep = [k for k in range(len(INPUTS)) if k < ALWAYS or k in used]
         operations = [
@@ -141,25 +183,33 @@ def turned_range(
 
 
 def tire_of(
-    source: FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike,
+    source: "Fit | AbstractTire | str | os.PathLike",
     values: Mapping[str, float] | None = None,
+    diagnosis: "Diagnosis | str | os.PathLike | None" = None,
 ) -> Tire:
-    """The tire of a fit, a ``fit.json``, a ``.tir`` file, or a model.
+    """The tire of a fit, a ``fit.json``, a ``.tir`` file, or a model, in steady state
+    and with both slips combined.
 
     Args:
         values: parameter values of a model or a ``.tir`` file.
+        diagnosis: names the effects that change the tire; the parameters that it
+            estimated beside them replace those of the tire.
 
     Raises:
-        UsageError: an unknown model or parameter; values beside a fit; or a fit with
-            values by run.
+        UsageError: an unknown model or parameter; values beside a fit; a fit with
+            values by run; or a diagnosis of another model.
         DataError: a file that cannot be read.
     """
+    tire = _given(source, values)
+    return _exportable(tire) if diagnosis is None else _with_effects(tire, diagnosis)
+
+
+def _given(source, values: Mapping[str, float] | None) -> Tire:
     text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
     if text.lower().endswith(".tir"):
         return _of_tir(text, values or {})
-    if text.endswith(".json") or text and Path(text).is_file():
-        source = load_fit(text)
-    if isinstance(source, FitResult | MagicFormulaFit | StoredFit):
+    is_file = text.endswith(".json") or text and Path(text).is_file()
+    if is_file or not isinstance(source, str | os.PathLike | AbstractTire):
         if values:
             reason = "parameter values beside a fit, which has its own"
             raise UsageError(InputProblem(reason, "leave out --set, or name a model"))
@@ -167,13 +217,27 @@ def tire_of(
     if isinstance(source, AbstractTire):
         tire, name = source, type(source).__name__
     else:
-        tire, name = find_model(text), text
+        tire, name = _model(text), text
     check_values(tire, name, values or {})
     tire = with_values(tire, dict(values or {}))
-    return _exportable(Tire(tire, name, f"model {name}, no data", _USUAL_LOAD))
+    load = tire.nominal.FNOMIN if isinstance(tire, MFTire) else _USUAL_LOAD
+    return Tire(tire, name, f"model {name}, no data", float(load))
 
 
-def _of_fit(fit: FitResult | MagicFormulaFit | StoredFit, path: str) -> Tire:
+def _model(name: str) -> AbstractTire:
+    if name in MODELS:
+        return MODELS[name]
+    from tirefit.fitting.problem import find_model
+
+    return find_model(name)
+
+
+def _of_fit(source, path: str) -> Tire:
+    """Of a fit, or of its file if ``path`` is not empty."""
+    from tirefit.fitting.mf.result import MagicFormulaFit
+    from tirefit.fitting.store import StoredFit, at_estimate, load_fit
+
+    fit = load_fit(path) if path else source
     content = fit.content if isinstance(fit, StoredFit) else fit.to_dict()
     if isinstance(fit, MagicFormulaFit):
         tire: AbstractTire = fit.tire
@@ -198,7 +262,7 @@ def _of_fit(fit: FitResult | MagicFormulaFit | StoredFit, path: str) -> Tire:
     absent = [f for f in modelled(tire) if f not in content["forces"]]
     notes = tuple(f"{f} was not fitted: it is the model's" for f in absent)
     load = content["reference"]["fz"]
-    return _exportable(Tire(tire, model, origin, load, spread, ranges, notes))
+    return Tire(tire, model, origin, load, spread, ranges, notes)
 
 
 def _of_tir(path: str, values: Mapping[str, float]) -> Tire:
@@ -214,17 +278,44 @@ def _of_tir(path: str, values: Mapping[str, float]) -> Tire:
         f"Magic Formula {tir.version} of {path}, TYRESIDE {tir.side}",
         tire.nominal.FNOMIN, measured=turned_range(stated, TIR_SIGNS),
         notes=tuple(remarks(tir, tire)),
+        tir=tir.with_values(values) if values else tir,
+    )  # fmt: skip
+
+
+def _with_effects(tire: Tire, diagnosis) -> Tire:
+    """With the effects that a diagnosis names and that a tire can hold."""
+    from tirefit.diagnosis.extended import document_of, extend, read_document
+    from tirefit.diagnosis.summary.result import Diagnosis
+
+    if isinstance(diagnosis, Diagnosis):
+        document = document_of(diagnosis.to_json())
+    else:
+        document = read_document(diagnosis)
+    require_x64("an export")
+    report = extend(
+        tire.model, tire.name, document,
+        lambda model: _exportable(replace(tire, model=model)).model,
+    )  # fmt: skip
+    own = document.extended_parameters
+    notes = _exportable(tire).notes + report.sentences
+    if tire.spread:
+        changed = ", ".join(own)
+        notes += (f"{changed}: estimates beside the effects, without standard error",)
+    return replace(
+        tire, model=report.tire, bare=report.bare if report.names else None,
+        spread={k: std for k, std in tire.spread.items() if k not in own}, notes=notes,
+        tir=tire.tir and tire.tir.with_values(own),
     )  # fmt: skip
 
 
 def _exportable(tire: Tire) -> Tire:
     """In steady state, and with both slips combined."""
-    notes, model = list(tire.notes), tire.model
+    notes, model, length = list(tire.notes), tire.model, None
     if isinstance(model, Relaxed):
         length = float(model.relaxation_length)
         notes.append(
-            f"steady state: the relaxation length {length:.4g} m has no place here: lag"
-            " the slips by it before the call"
+            f"steady state: the relaxation length {length:.4g} m is not in the forces:"
+            " lag the slips by it before the call"
         )
         model = model.tire
     if isinstance(model, MagicFormula):
@@ -235,4 +326,4 @@ def _exportable(tire: Tire) -> Tire:
             "the formula is of pure slip: both slips are combined by the method of"
             " Gaefvert and Svendenius (2005), with the same curve along both axes"
         )
-    return replace(tire, model=model, notes=tuple(notes))
+    return replace(tire, model=model, notes=tuple(notes), relaxation=length)

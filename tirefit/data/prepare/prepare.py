@@ -7,17 +7,28 @@ import numpy as np
 
 from tirefit.data.accept import as_data
 from tirefit.data.levels import levels
-from tirefit.data.prepare.bins import bin_name, setting_names
 from tirefit.data.prepare.segments import Segment, segments_of, trimmed
-from tirefit.data.prepare.series import Series, bridged, runs_of, series_of
-from tirefit.data.prepare.set_points import Settings, Window, settings_of
+from tirefit.data.prepare.series import (
+    Series,
+    ZeroPhase,
+    bridged,
+    runs_of,
+    series_of,
+    zero_phase,
+)
+from tirefit.data.prepare.set_points import (
+    Settings,
+    Window,
+    bin_name,
+    setting_names,
+    settings_of,
+)
 from tirefit.data.prepare.settings import PrepareConfig
 from tirefit.data.prepare.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs
 from tirefit.data.prepare.warmth import last_sweeps_kept, with_warmth
-from tirefit.data.prepare.zero_phase import ZeroPhase, zero_phase
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
-from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.results import DataError, UsageError
 from tirefit.settings import parse_settings
 
 CONDITIONS = ("fz", "gamma", "pressure", "v")
@@ -26,8 +37,7 @@ FORCE_OF = {"alpha": "fy", "sigma_x": "fx"}
 _LOOK = 5.0
 """Bandwidth [Hz] in which segments are looked for: rigs move slower than that."""
 _SHARE_OF_RATE = 0.2
-_WINDOW = 1.0
-"""Seconds of a hold in which a setting is looked for at a time."""
+_WINDOW = 1.0  # seconds of a hold in which a setting is looked for at a time
 _LEAST_ROWS = 4
 """Rows in the shortest time that is held: sampled slower, rows are points, no series;
 and rows of the shortest sweep among points."""
@@ -35,34 +45,25 @@ _CYCLES = 40.0
 """Bandwidth times the time of a fast sweep. A brush that slides from a fifth of the
 largest slip on is then kept to 0.2 % of its peak by sweeps of one speed from end to
 end, to 0.5 % by sines."""
-_STANDING = 0.02
-"""Of the highest speed: slower, the wheel does not roll."""
-_FASTEST = 0.1
-"""Quantile of the times of the sweeps that counts as fast."""
-_LOWEST, _HIGHEST = 2.0, 25.0
-"""Bandwidths [Hz] that are chosen at least and at most."""
+_STANDING = 0.02  # of the highest speed: slower, the wheel does not roll
+_FASTEST = 0.1  # quantile of the times of the sweeps that counts as fast
+_LOWEST, _HIGHEST = 2.0, 25.0  # bandwidths [Hz] that are chosen at least and at most
 
 
 @dataclass(frozen=True, repr=False)
 class Prepared:
-    """What :func:`prepare` made of a file.
-
-    ``segments`` cover all rows in order; ``settings`` hold what each condition was set
-    to, ``names`` its settings as bins have them. ``columns`` (n,) are the canonical
-    channels after the filter, of all rows; ``kept`` (n,) bool the rows to be written.
-    ``series`` has the clock; ``notes`` say what was done and assumed.
-    """
+    """What :func:`prepare` made of a file."""
 
     data: TireData
     config: PrepareConfig
-    series: Series
-    settings: dict[str, Settings]
-    names: dict[str, list[str]]
-    segments: tuple[Segment, ...]
-    columns: dict[str, np.ndarray]
-    kept: np.ndarray
+    series: Series  # the clock
+    settings: dict[str, Settings]  # what each condition was set to
+    names: dict[str, list[str]]  # of its settings, as in bins
+    segments: tuple[Segment, ...]  # all rows in order
+    columns: dict[str, np.ndarray]  # (n,) canonical channels after the filter, all rows
+    kept: np.ndarray  # (n,) bool, rows to be written
     filter: ZeroPhase | None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = field(default=())  # what was done and assumed
 
     def __repr__(self) -> str:
         kept, bins = int(self.kept.sum()), {p.bin for p in self.segments if p.bin}
@@ -85,7 +86,7 @@ class Prepared:
         if by == "run":
             return data
         if by not in ("segment", "bin"):
-            raise UsageError(InputProblem(f"by = {by!r}", "run, segment or bin"))
+            raise UsageError(f"by = {by!r}", "run, segment or bin")
         run, codes = np.zeros(len(data), int), dict[str, int]()
         for number, part in enumerate(self.segments):
             if self.kept[part.begin : part.end].any():
@@ -121,7 +122,7 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
     if not slips:
         reason = "no slip and no slip angle: there is nothing to cut the test by"
         remedy = "name one, as in --column alpha=HEADER; see `tirefit inspect`"
-        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+        raise DataError(reason, remedy, data.file)
     series = series_of(data, config.rate)
     raw = _channels(data, series)
     is_series = series.rate is not None and series.rate * config.shortest >= _LEAST_ROWS
@@ -146,7 +147,7 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
     if not kept.any():
         reason = f"nothing is left: {', '.join(dict.fromkeys(p.kind for p in parts))}"
         remedy = "see the segments in the figure, or keep other kinds"
-        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+        raise DataError(reason, remedy, data.file)
     notes = [*said, how] if how else list(said)
     notes += _conditions_at_risk(parts, kept)
     unusable = len(data) - data.n
@@ -236,7 +237,9 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
     smooth = {name: _smoothed(raw[name], series, look) for name in raw}
     its_legs = {}
     for name in slips:
-        noise = _noise(raw[name] - smooth[name]) * np.sqrt(2 * look.bandwidth / rate)
+        rest = raw[name] - smooth[name]
+        noise = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
+        noise *= np.sqrt(2 * look.bandwidth / rate)
         its_legs[name] = legs(smooth[name], series.pieces, noise, LEAST[name], shortest)
     windows = _windows(its_legs, len(data), round(_WINDOW * rate))
     settings = {
@@ -274,11 +277,6 @@ def _smoothed(values, series: Series, look: ZeroPhase) -> np.ndarray:
     for piece in series.pieces:
         out[piece] = look(values[piece], series.time[piece])
     return out
-
-
-def _noise(rest: np.ndarray) -> float:
-    """Standard deviation of noise by the median of its size."""
-    return float(1.4826 * np.median(np.abs(rest - np.median(rest))))
 
 
 def _windows(its_legs, n: int, second: int) -> list[Window]:

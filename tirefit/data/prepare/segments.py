@@ -9,34 +9,26 @@ from tirefit.data.prepare.series import Series, runs_of
 from tirefit.data.prepare.set_points import Settings
 from tirefit.data.prepare.slips import SWEPT, Leg
 
-_PART = 0.25
-"""Of a whole sweep that is left of it at least where a change cuts into it."""
-_SLOW = 3.0
-"""Seconds from which on a load on its way measures the spring rate."""
-_FAR = 0.3
-"""Of the largest load: a spring rate is measured over so much at least."""
+_PART = 0.25  # of a whole sweep that is left of it at least where a change cuts into it
+_SLOW = 3.0  # seconds from which on a load on its way measures the spring rate
+_FAR = 0.3  # of the largest load: a spring rate is measured over so much at least
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Rows ``begin`` to ``end`` (exclusive) in which the rig did one thing.
+    """Rows ``begin`` to ``end`` (exclusive) in which the rig did one thing. ``early``
+    marks a sweep before the tire was warm, kept because its condition has no later
+    one."""
 
-    ``kind`` is a key of ``settings.KINDS``; ``channel`` what was swept or on its way,
-    ``direction`` "up" or "down" of a sweep. ``level`` numbers the setting of each
-    condition that is held. ``first`` to ``last`` (exclusive) are the rows without what
-    settles at the ends; ``bin`` names the settings. ``early`` marks a sweep before the
-    tire was warm that is kept because its condition has no later one.
-    """
-
-    kind: str
+    kind: str  # a key of ``settings.KINDS``
     begin: int
     end: int
-    channel: str = ""
-    direction: str = ""
-    level: Mapping[str, int] = field(default_factory=dict)
-    first: int = 0
+    channel: str = ""  # what was swept or on its way
+    direction: str = ""  # "up" or "down" of a sweep
+    level: Mapping[str, int] = field(default_factory=dict)  # of held conditions
+    first: int = 0  # to ``last`` (exclusive): without what settles at the ends
     last: int = 0
-    bin: str = ""
+    bin: str = ""  # names the settings
     early: bool = False
 
     @property

@@ -1,25 +1,27 @@
-"""Rows as series: which of them follow each other evenly in time."""
+"""Rows as series, evenly spaced in time, and one low-pass filter for all channels.
+
+A Butterworth filter run forwards and then backwards over the series has the gain
+``1 / (1 + (f/f_c)^4)`` and no phase at all. The corner ``f_c`` of one pass is set so
+that both together are down by 3 dB at the bandwidth. A constant and a ramp come through
+unchanged, and so does a parabola: a sweep is not flattened at its peak to second order.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import butter, sosfiltfilt
 
 from tirefit.data.table import TireData
 
-_GAP = 3.5
-"""Sampling steps without a row from which on a series is cut in two."""
+_GAP = 3.5  # sampling steps without a row from which on a series is cut in two
 
 
 class Series(NamedTuple):
-    """The clock of a file and its unbroken pieces.
+    """The clock of a file and its unbroken pieces."""
 
-    ``time`` (n,) is in seconds, or counts rows where the file has no time: then
-    ``rate`` is None. ``pieces`` are slices of rows, in order.
-    """
-
-    time: np.ndarray
-    rate: float | None
-    pieces: tuple[slice, ...]
+    time: np.ndarray  # (n,) [s], or number of the row where the file has no time
+    rate: float | None  # None then
+    pieces: tuple[slice, ...]  # slices of rows, in order
 
     @property
     def hertz(self) -> float:
@@ -29,8 +31,7 @@ class Series(NamedTuple):
 
 
 def runs_of(code: np.ndarray) -> list[tuple[int, int]]:
-    """(begin, end) of the stretches of equal values of an (n,) array, or of equal rows
-    of an (n, k) one."""
+    """(begin, end) of stretches of equal values of an (n,) array or rows of (n, k)."""
     if not len(code):
         return []
     table = np.asarray(code).reshape(len(code), -1)
@@ -69,3 +70,70 @@ def bridged(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     if good.all() or not good.any():
         return np.array(values, float)
     return np.interp(at, at[good], values[good])
+
+
+_ORDER = 2  # of one pass: the two together fall by 80 dB a decade
+_HIGHEST = 0.4  # of the sampling rate: above, there is nothing to filter
+_UNEVEN = 0.1
+"""Of a sampling step that a time stamp may be off its place on an even grid."""
+
+
+class ZeroPhase(NamedTuple):
+    """A low-pass filter for series of ``rate`` samples a second."""
+
+    bandwidth: float  # [Hz] at -3 dB
+    rate: float
+    corner: float  # [Hz] of one pass at -3 dB
+    sections: np.ndarray  # (s, 6) of one pass
+
+    @property
+    def reach(self) -> float:
+        """Time [s] to either side within which a sample takes a noticeable part: the
+        response to a step is within 1 % of its ends beyond."""
+        return 0.7 / self.bandwidth
+
+    def gain(self, frequency):
+        """Gain (a plain factor) at frequencies [Hz], by the formula of the filter."""
+        prewarped = np.tan(np.pi * np.asarray(frequency, float) / self.rate)
+        ratio = prewarped / np.tan(np.pi * self.corner / self.rate)
+        return 1 / (1 + ratio ** (2 * _ORDER))
+
+    def __call__(self, values: np.ndarray, time: np.ndarray | None = None):
+        """The filtered series.
+
+        Args:
+            values: (n,) of one channel, finite, even in time unless ``time`` says not.
+            time: (n,) [s]; where it is uneven the series is put on an even grid by
+                straight lines, filtered there, and read off at its own times.
+        """
+        if len(values) < 3:
+            return np.array(values, float)
+        if time is None:
+            return self._even(values)
+        grid = np.linspace(time[0], time[-1], len(time))
+        if np.max(np.abs(grid - time)) <= _UNEVEN / self.rate:
+            return self._even(values)
+        count = max(len(time), round((time[-1] - time[0]) * self.rate) + 1)
+        grid = np.linspace(time[0], time[-1], count)
+        return np.interp(time, grid, self._even(np.interp(grid, time, values)))
+
+    def _even(self, values: np.ndarray) -> np.ndarray:
+        # Beyond its ends the series goes on as its point reflection there.
+        room = min(len(values) - 1, int(np.ceil(2 * self.rate / self.bandwidth)))
+        return sosfiltfilt(self.sections, values, padtype="odd", padlen=room)
+
+
+def zero_phase(bandwidth: float, rate: float) -> ZeroPhase | None:
+    """The filter, or None where the sampling is too slow for the bandwidth.
+
+    Args:
+        bandwidth: frequency [Hz] at which the gain of both passes is -3 dB.
+        rate: samples a second.
+    """
+    if not 0 < bandwidth <= _HIGHEST * rate:
+        return None
+    # Both passes: 1 / (1 + x^(2 N)) = 1 / sqrt(2), in the prewarped frequency.
+    share = (np.sqrt(2) - 1) ** (1 / (2 * _ORDER))
+    corner = np.arctan(np.tan(np.pi * bandwidth / rate) / share) * rate / np.pi
+    sections = butter(_ORDER, corner, fs=rate, output="sos")
+    return ZeroPhase(bandwidth, rate, float(corner), sections)

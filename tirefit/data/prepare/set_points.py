@@ -2,33 +2,30 @@
 
 A setting is where a channel stays while a slip is swept or held, not a bin of equal
 width: candidates are the medians of whole sweeps, and of a second here and there where
-all is held; what is on its way is none. Candidates closer than their own scatter are
-one setting. A row belongs to a setting while the channel is as near it as it was during
-those sweeps.
+all is held, not on the way. Candidates closer than their own scatter are one setting. A
+row belongs to a setting while the channel is as near it as during those sweeps.
 """
 
+from collections.abc import Mapping, Set
 from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.data.prepare.series import runs_of
 
-_LEAST = 0.03
-"""Of the largest value: settings are further apart than that."""
+_LEAST = 0.03  # of the largest value: settings are further apart than that
 _SHARE = 0.02
 """Of the range of a channel: what moves by so much in a second is on its way, and
 settings are further apart than that."""
 _SCATTERS = 3.0
 """Scatters of a channel about a setting that two settings are apart at least."""
-_RESTLESS = 3.0
-"""A window so many times as restless as the usual one holds no setting."""
+_RESTLESS = 3.0  # A window so many times as restless as the usual one holds no setting
 _ROOM = 1.3
 """Of how far a channel strays from its setting in most windows, while it is held."""
 _WIDER = 2.5
 """Times as far it may stray now and then, where no other setting is near: a row is at
 a setting rather than on its way, as long as it goes nowhere."""
-_MOST = 0.25
-"""Of the distance of two settings that one of them may take."""
+_MOST = 0.25  # of the distance of two settings that one of them may take
 
 
 class Window(NamedTuple):
@@ -40,17 +37,12 @@ class Window(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """The settings of one channel.
-
-    ``center`` and ``width`` (k,): the median, and how far the channel usually strays.
-    ``code`` (n,): the setting of each row, -1 where it is at none. A channel that was
-    never held has no center, and no row of it is at a setting.
-    """
+    """The settings of one channel; one that was never held has none."""
 
     name: str
-    center: np.ndarray
-    width: np.ndarray
-    code: np.ndarray
+    center: np.ndarray  # (k,) medians
+    width: np.ndarray  # (k,) how far the channel usually strays
+    code: np.ndarray  # (n,) setting of each row, -1 where it is at none
 
     @property
     def is_held(self) -> bool:
@@ -64,11 +56,7 @@ def whole(name: str, values: np.ndarray) -> Settings:
 
 
 def settings_of(
-    name: str,
-    values: np.ndarray,
-    windows: list[Window],
-    pieces,
-    shortest: int,
+    name: str, values: np.ndarray, windows: list[Window], pieces, shortest: int
 ) -> Settings:
     """The settings of a channel, and the rows at each.
 
@@ -100,8 +88,7 @@ def settings_of(
 
 
 def _candidates(values, windows: list[Window]):
-    """The windows in which the channel is held: its median in each, how far it strays
-    there, and the windows."""
+    """Medians of the channel in windows where it is held, its strays, the windows."""
     middle, stray, scatter, trend = [], [], [], []
     for begin, end, _ in windows:
         part = values[begin:end]
@@ -206,3 +193,48 @@ def _fill(code: np.ndarray, longest: int) -> None:
     for (_, a), (b, c), (d, _) in zip(runs, runs[1:], runs[2:], strict=False):
         if code[b] < 0 and c - b <= longest and code[a - 1] == code[d]:
             code[b:c] = code[d]
+
+
+SHOWN = {
+    "fz": (1.0, "N"),
+    "gamma": (180 / np.pi, "deg"),
+    "alpha": (180 / np.pi, "deg"),
+    "pressure": (1e-3, "kPa"),
+    "v": (1.0, "m/s"),
+    "sigma_x": (100.0, "%"),
+}
+"""Channel -> factor from SI and unit in the names of bins."""
+
+_ANGLES = {"gamma": " camber", "alpha": " slip angle"}
+
+_FINE = 0.02
+"""Of a setting, and of its distance to others, by which its name may be off; and in the
+unit of the name: nothing is set to a hundredth of a degree or of a newton."""
+
+
+def setting_names(settings: Settings) -> list[str]:
+    """Each setting with its unit, in as few digits as tell it from its neighbours."""
+    scale, unit = SHOWN[settings.name]
+    center = settings.center * scale
+    apart = np.diff(center).min() if len(center) > 1 else np.max(np.abs(center))
+    # Nothing is set to a twentieth of a step: that is zero.
+    size = min([apart, *(abs(c) for c in center if abs(c) > 0.05 * apart)])
+    for places in range(-5, 7):
+        # + 0.0: no setting is called -0.
+        rounded = [round(float(value), places) + 0.0 for value in center]
+        off = float(np.max(np.abs(np.array(rounded) - center)))
+        if off <= _FINE * max(size, 1.0) and len(set(rounded)) == len(rounded):
+            break
+    return [f"{value:.{max(places, 0)}f} {unit}" for value in rounded]
+
+
+def bin_name(
+    level: Mapping[str, int], names: Mapping[str, list[str]], varied: Set[str]
+) -> str:
+    """The name of a bin: its settings of the channels ``varied``.
+
+    If camber and slip angle both varied, their names follow the values in degrees.
+    """
+    words = _ANGLES if varied >= _ANGLES.keys() else {}
+    shown = ((c, k) for c, k in level.items() if c in varied and k >= 0)
+    return " ".join(names[c][k] + words.get(c, "") for c, k in shown) or "all"

@@ -10,32 +10,27 @@ HELD, SWEPT, MOVED = "held", "swept", "moved"
 LEAST = {"alpha": np.radians(0.5), "sigma_x": 0.01}
 """Range of a slip below which it was not swept but held, give or take."""
 
-_REVERSAL = 0.02
-"""Of the range of the slip: going back by so much turns a sweep."""
-_STILL = 0.008
-"""Of the range of the slip: within so much it is held."""
+_REVERSAL = 0.02  # of the range of the slip: going back by so much turns a sweep
+_STILL = 0.008  # of the range of the slip: within so much it is held
 _LONGER = 3
 """Times as long as it was looked at, where that is not enough to see it move."""
-_NOISES = 8.0
-"""Standard deviations of the noise that are no movement."""
+_NOISES = 8.0  # standard deviations of the noise that are no movement
 _PAUSE = 0.3
 """A stop shorter than this share of the sweeps beside it is their turning point: a sine
 is within ``_STILL`` of its end for 0.11 of the way from end to end."""
 _STEP = 0.4
-"""A movement shorter than this share of both stops beside it leads from one to the
-other."""
+"""A movement shorter than this share of both stops beside it leads between them."""
 _HURRY = 2.5
 """A movement so many times as fast as the sweep beside it takes the slip back."""
 
 
 class Leg(NamedTuple):
-    """Rows ``begin`` to ``end`` (exclusive) in which a slip was ``how`` (held, swept or
-    moved); ``direction`` is +1 or -1 of a sweep, else 0."""
+    """Rows ``begin`` to ``end`` (exclusive) in which a slip did one thing."""
 
     begin: int
     end: int
-    how: str
-    direction: int = 0
+    how: str  # held, swept or moved
+    direction: int = 0  # +1 or -1 of a sweep, else 0
 
     @property
     def rows(self) -> int:

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from tirefit.data.prepare.bins import SHOWN
 from tirefit.data.prepare.prepare import Prepared
 from tirefit.data.prepare.segments import Segment
+from tirefit.data.prepare.set_points import SHOWN
 from tirefit.data.table import CANONICAL
 from tirefit.data.write import csv_text
 from tirefit.door import sealed
@@ -15,8 +15,7 @@ from tirefit.files import json_safe
 
 SCHEMA = "tirefit.prepare/1"
 
-_DIGITS = 9
-"""More than any sensor has, and the same on every machine."""
+_DIGITS = 9  # more than any sensor has, and the same on every machine
 
 
 def _number(value: float) -> float:
@@ -47,7 +46,7 @@ def prepared_csv(prepared: Prepared, version: str) -> str:
     for name in CANONICAL:
         if name in prepared.columns:
             columns[name] = [_number(v) for v in prepared.columns[name][kept]]
-    name = data.source.path or data.name
+    name = data.file
     stated = [f"{key}={value:.6g}" for key, value in data.source.constants.items()]
     constants = f", constants {' '.join(stated)}" if stated else ""
     name = name.replace("\n", " ")

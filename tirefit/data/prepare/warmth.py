@@ -8,8 +8,7 @@ import numpy as np
 
 from tirefit.data.prepare.segments import Segment
 
-_RISE = 5.0
-"""Kelvin that a tire gets warmer by at least, if its warming is to be told."""
+_RISE = 5.0  # kelvin that a tire gets warmer by at least, if its warming is to be told
 _WARM, _COLD = 0.8, 0.33
 """Of the rise of its temperature: warm from there on; a sweep below that is cold."""
 _STILL_WARMING = 0.1
@@ -82,8 +81,7 @@ def last_sweeps_kept(
 
 
 def _cut(parts, time, until: float, cold_until: float | None) -> list[Segment]:
-    """Held segments that begin before ``until`` are warm-up, sweeps before
-    ``cold_until`` cold."""
+    """Mark segments before ``until`` warm-up, sweeps before ``cold_until`` cold."""
     out = []
     for part in parts:
         if part.is_held and time[part.begin] < until:

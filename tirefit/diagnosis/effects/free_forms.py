@@ -17,8 +17,7 @@ _OF_THE_CURVE, _OF_SPEED, _OF_RATE = 9, 8, 6
 """The same for force over slip, friction over sliding speed and friction over the rate
 of the slip, which vary within a part of the range."""
 
-_QUICKEST = 3.0
-"""Rates over the usual one that count as this one: a jump."""
+_QUICKEST = 3.0  # rates over the usual one that count as this one: a jump
 
 _CERTAIN, _TURNS = 0.99, 0.1
 """Size of ``turning`` from which the direction is certain; largest share of uncertain
@@ -31,8 +30,7 @@ class Form(NamedTuple):
 
     A form is left out where the data lack ``needs`` (at one speed, any function of the
     sliding speed is one of the slip), or where the covariate ``by`` follows the slip:
-    it would fit any remainder. A form may add an eighth to a half of what the formula
-    may."""
+    it would fit any remainder. A form may add 1/8 to 1/2 of what the formula may."""
 
     field: str
     size: float
@@ -52,8 +50,7 @@ _UNITS = {"shift": "rise", "force": "load"}
 def over(
     field: str, size: float, covariate: str, count: int = ONE_WAY
 ) -> tuple[Form, ...]:
-    """A field as ``count`` smooth functions of one covariate about their means: the
-    mean is no change."""
+    """A field as ``count`` smooth functions of a covariate, about their means."""
 
     def shapes(rows, u):
         free = _about_mean(functions_of(getattr(rows, covariate), count))
@@ -123,12 +120,6 @@ def _other_slip(rows, u):
 
 
 SHAPE_OF_THE_CURVE = (Form("force", 0.01, _of_shape),)
-
-
-def moved_by(forms: tuple[Form, ...]) -> frozenset[str]:
-    """Fields of the state that effects of these forms move, or {"curve"}."""
-    fields = frozenset(form.field for form in forms)
-    return frozenset({"curve"}) if forms == SHAPE_OF_THE_CURVE else fields
 
 
 FRICTION_BY_SPEED = tuple(

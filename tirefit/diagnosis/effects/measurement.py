@@ -22,8 +22,7 @@ _INERTIA_STATED = 0.3
 """Standard deviation of a stated inertia over it: hub, disc and shaft turn too."""
 
 _CORNERING = 10.0
-"""Usual cornering stiffness over load [1/rad]: the same amplitude for both forms of
-camber thrust."""
+"""Usual cornering stiffness over load [1/rad]: one amplitude for both camber forms."""
 
 _WARMING = 0.2
 """Time constant of a zero that settles with its warm amplifier, over the record."""
@@ -112,7 +111,8 @@ def _in_proportion(id: str, family: str, formula: str, remedy: str, **given) -> 
 
 OFFSETS = (
     Effect(
-        id="slip_offset", family="measurement", scale=0.2, per=("slip",),
+        id="slip_offset", of="measurement",
+        family="measurement", scale=0.2, per=("slip",),
         change=adds("shift", lambda a, _, rows: a), unit="- of slip", odds=_offset_odds,
         formula="slip + amplitude", means="the slip is off by a constant",
         remedy="add it to the slip; check the rolling radius, or the zero of heading or"
@@ -121,7 +121,8 @@ OFFSETS = (
         told_apart_by="both signs",
     ),
     Effect(
-        id="force_offset", family="measurement", scale=25.0, unit="1e-3 mean F_z",
+        id="force_offset", of="measurement",
+        family="measurement", scale=25.0, unit="1e-3 mean F_z",
         change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load),
         formula="force + amplitude", means="the force is off by a constant",
         remedy="subtract it; check the zero of the force sensor", told_apart_by="loads",
@@ -129,7 +130,8 @@ OFFSETS = (
         looks_like=("slip_offset",),
     ),
     Effect(
-        id="slip_definition", family="measurement", scale=0.3, bounds=((-6.0, 6.0),),
+        id="slip_definition", of="measurement",
+        family="measurement", scale=0.3, bounds=((-6.0, 6.0),),
         change=adds("curvature", lambda a, constants, _: constants[0] * a), center=1.0,
         formula="slip / (1 - amplitude slip)", prior=_as_it_was_read, channels=("fx",),
         means="the slip follows another definition than it was read by",
@@ -139,7 +141,8 @@ OFFSETS = (
         looks_like=("pressure_asymmetry",),
     ),
     Effect(
-        id="wheel_inertia", family="measurement", scale=0.03, per=("inertia",),
+        id="wheel_inertia", of="measurement",
+        family="measurement", scale=0.03, per=("inertia",),
         change=adds("force", lambda a, _, rows: -a * rows.spin), unit="kg m^2",
         formula="force - amplitude (d omega / dt) / r",
         means="the force lacks the torque that spins the wheel up",
@@ -170,7 +173,8 @@ OFFSETS = (
 
 SENSORS = (
     Effect(
-        id="slip_zero_drift", family="slip x time", scale=0.3, per=("slip",),
+        id="slip_zero_drift", of="measurement",
+        family="slip x time", scale=0.3, per=("slip",),
         change=adds("shift", lambda a, which, rows: a * _settled(rows, which)),
         unit="- of slip per record", formula="slip + amplitude t", parameter="drift",
         means="the zero of the slip moves over the record", bounds=((-6.0, 6.0),),
@@ -180,7 +184,8 @@ SENSORS = (
         looks_like=("force_zero_drift", "stiffness_drift", "friction_drift"),
     ),
     Effect(
-        id="force_zero_drift", family="force x time", scale=35.0, parameter="drift",
+        id="force_zero_drift", of="measurement",
+        family="force x time", scale=35.0, parameter="drift",
         change=adds("force", _force_drift), unit="1e-3 mean F_z per record",
         formula="force + amplitude t; zero drift of strain gauges, Hoffmann 1989",
         means="the zero of the force sensor moves over the record", odds=seldom,
@@ -193,10 +198,12 @@ SENSORS = (
         "load_crosstalk", "force x load",
         "F_x + amplitude F_z; crosstalk of a balance, or rolling resistance",
         "calibrate the crosstalk of F_z; subtract the rolling resistance", odds=seldom,
+        of="measurement",
         channels=("fx",), forms=free.FORCE_BY_LOAD, told_apart_by="both signs",
     ),
     Effect(
-        id="load_offset", family="friction x load", scale=60.0, unit="1e-3 mean F_z",
+        id="load_offset", of="measurement",
+        family="friction x load", scale=60.0, unit="1e-3 mean F_z",
         # A brush under another load is one of another friction: exact where the
         # stiffness does not follow the load.
         change=multiplies(
@@ -209,7 +216,8 @@ SENSORS = (
         told_apart_by="loads",
     ),
     Effect(
-        id="force_crosstalk", family="force x force", scale=0.04, parameter="share",
+        id="force_crosstalk", of="measurement",
+        family="force x force", scale=0.04, parameter="share",
         change=adds("force", lambda a, _, rows: a * rows.across), bounds=((-0.8, 0.8),),
         formula="force + amplitude (force across); crosstalk of a balance", odds=seldom,
         means="the force across leaks into the force", needs=("other force",),
@@ -217,7 +225,8 @@ SENSORS = (
         looks_like=("combined_slip", "friction_ellipse"), told_apart_by="pure slip",
     ),
     Effect(
-        id="force_hysteresis", family="force x direction", scale=20.0, odds=seldom,
+        id="force_hysteresis", of="measurement",
+        family="force x direction", scale=20.0, odds=seldom,
         change=adds("force", _force_hysteresis), unit="1e-3 mean F_z",
         formula="force + amplitude sign(d slip / dt): dry friction in the rig",
         means="the force sensor reads differently on the way up and on the way down",

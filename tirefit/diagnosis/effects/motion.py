@@ -35,12 +35,11 @@ _FEW_WAYS = 1e-4
 
 
 class _Quantity(NamedTuple):
-    """A quantity by its ``key`` in vehicle.toml, and its standard error where that file
-    states the quantity, and where it does not."""
+    """A quantity of the vehicle."""
 
-    key: str
-    stated: float
-    guessed: float
+    key: str  # in vehicle.toml
+    stated: float  # standard error where that file states it
+    guessed: float  # and where it does not
     words: str
 
 
@@ -127,8 +126,7 @@ def _within_the_past(prior, prepared, rig):
 
 
 def said_of_motion(base, rig) -> tuple[str, ...]:
-    """Sentences about the force of a base fit that was derived from the motion; none
-    for a measured one."""
+    """Sentences about a base fit's force if it was derived from the motion."""
     rows, derived = base.rows, base.rows.derived
     if derived is None:
         return ()
@@ -291,7 +289,8 @@ def _of_a_known_clock(prior, prepared, rig):
 
 EFFECTS = (
     Effect(
-        id="channel_delay", family="measurement", change=_delay, scale=0.15, unit="s",
+        id="channel_delay", of="measurement",
+        family="measurement", change=_delay, scale=0.15, unit="s",
         per=("period",), formula="force(t) belongs to slip(t - amplitude)",
         means="force and slip are shifted in time", parameter="delay", doubts=_too_late,
         remedy="measure the delay (clock in vehicle.toml) and shift the force by it",
@@ -308,7 +307,8 @@ EFFECTS = (
         looks_like=("channel_delay", "friction_hysteresis"), told_apart_by="speeds",
     ),
     Effect(
-        id="steering_delay", family="slip x steering", change=_steer(_late), scale=0.08,
+        id="steering_delay", of="measurement",
+        family="slip x steering", change=_steer(_late), scale=0.08,
         unit="s", formula="road wheel angle(t) = steering(t - amplitude)",
         means="the road wheels steer later than was logged: the servo, or its clock",
         remedy="measure the road wheel angle, or shift the steering by the delay",
@@ -317,7 +317,8 @@ EFFECTS = (
         looks_like=("relaxation_length", "channel_delay", "steering_lag"),
     ),
     Effect(
-        id="steering_lag", family="slip x steering", scale=0.08, unit="s",
+        id="steering_lag", of="vehicle",
+        family="slip x steering", scale=0.08, unit="s",
         change=_steer(lambda past, a, rows: lagged(past, a, rows.interval)),
         formula="amplitude d(angle)/dt = steering - angle, of the road wheels",
         means="the road wheels follow the steering slowly: a servo, soft linkage",

@@ -20,14 +20,12 @@ RELATIVE = "relative"
 
 
 class Offset(NamedTuple):
-    """What each run may have of its own: the ``field`` of the state that moves, the
-    covariate with the ``pattern`` of the runs, its unit, and whether its amplitude is
-    in thousandths of the mean load."""
+    """What each run may have of its own."""
 
-    field: str
-    pattern: str
+    field: str  # of the state, that moves
+    pattern: str  # covariate with the pattern of the runs
     unit: str
-    of_load: bool = False
+    of_load: bool = False  # the amplitude is in thousandths of the mean load
 
 
 OFFSETS = {
@@ -72,7 +70,8 @@ def _parameter_of_runs(name: str, fitted: str, scale: float, *looks_like: str):
 
 EFFECTS = (
     _run(
-        "slip_offset_run", "slip", "both signs", scale=0.1, per=("slip",),
+        "slip_offset_run", "slip", "both signs", of="measurement",
+        scale=0.1, per=("slip",),
         change=adds("shift", lambda a, _, rows: a * rows.run_slip), unit="- of slip",
         formula="slip + offset of the run, spread by amplitude: a random effect",
         means="the zero of the slip differs from run to run", bounds=((0.0, 4.0),),
@@ -81,7 +80,8 @@ EFFECTS = (
         looks_like=("slip_offset", "slip_zero_drift", "force_offset_run"),
     ),
     _run(
-        "force_offset_run", "force", "loads", scale=15.0, unit="1e-3 mean F_z",
+        "force_offset_run", "force", "loads", of="measurement",
+        scale=15.0, unit="1e-3 mean F_z",
         change=adds(
             "force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force
         ), formula="force + offset of the run, spread by amplitude: a random effect",

@@ -48,6 +48,7 @@ class Effect:
     Attributes:
         id: its name in every output.
         family: which parameter varies with which quantity.
+        of: what it is a property of: tire, vehicle or measurement.
         change: (state, amplitude, constants, covariates) -> state; amplitude 0
             changes nothing.
         scale: prior standard deviation of the amplitude, a judgement: twice as wide
@@ -86,6 +87,7 @@ class Effect:
     means: str = ""
     remedy: str = ""
     parameter: str = "amplitude"
+    of: str = "tire"
     per: tuple[str, ...] = ("plain",)
     bounds: tuple[tuple[float, float], ...] = ((-float("inf"), float("inf")),)
     center: float = 0.0
@@ -118,14 +120,11 @@ class Effect:
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseEffect:
-    """A law of the noise, named where no effect on the mean is.
-
-    ``flag`` is the one of :class:`noise.level.NoiseLevel` on which it is named, empty
-    where it is reported as a figure only; the others are as for :class:`Effect`.
-    """
+    """A law of the noise, named where no effect on the mean is; fields as of
+    :class:`Effect`."""
 
     id: str
-    flag: str = ""
+    flag: str = ""  # of :class:`noise.level.NoiseLevel` that names it; "": none
     means: str
     remedy: str
     family: str = "noise"

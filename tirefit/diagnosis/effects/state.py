@@ -121,14 +121,12 @@ class _Shaped(AbstractPressure):
 
 _NEWTON, _LEAST_SLOPE = 7, 0.05
 """Newton's steps from the breakaway of the parabola, and the least slope that one
-divides by: they leave 3e-5 of the demand at the most, over all d and shares that the
-effects allow."""
+divides by: they leave at most 3e-5 of the demand at any d and share of the effects."""
 
 _PEAKS = (1e-3, 2.0, 60)
 """Slips at which the largest force is looked for: from, to and how many, 14 % apart."""
 
-_AT_REST = 1e-60
-"""Square of a slip that keeps its size differentiable at zero."""
+_AT_REST = 1e-60  # square of a slip that keeps its size differentiable at zero
 
 
 def _holding(u, skew, flat):
@@ -183,6 +181,18 @@ class _TwoFrictions(Friction):
         return mu * self.factor
 
 
+def is_plain(model) -> bool:
+    """Whether a model is the plain brush, which carries changes of shape itself."""
+    brush = type(model) is Brush and type(model.pressure) is Parabolic
+    return brush and not model.friction.laws
+
+
+def arm_of(model):
+    """Half-length of the contact patch [m]; a car's for models that state none: it
+    scales the aligning moment alone."""
+    return getattr(model, "half_length", 0.1)
+
+
 def peak_ratio(base, fz, v):
     """Largest force over load of the base model at one load and speed."""
     slips = jnp.geomspace(*_PEAKS)
@@ -194,6 +204,31 @@ def peak_ratio(base, fz, v):
         return base(TireInputs(alpha=jnp.arctan(slip), fz=fz, v=v)).fy
 
     return jnp.max(jax.vmap(force)(slips)) / fz
+
+
+def slope_at_rest(base, inputs: TireInputs, mode: str):
+    """Slope of the force that the slip of a mode drives, over that slip [N]."""
+    driven, name = ("alpha", "fy") if mode == "y" else ("sigma_x", "fx")
+
+    def force(slip):
+        return getattr(base(inputs._replace(**{driven: slip})), name)
+
+    # Not at zero itself, where some laws have half a slope.
+    return jax.jvp(force, (1e-6,), (1.0,))[1]
+
+
+def slip_of_state(state: State, slip):
+    """The true slip behind a measured one."""
+    moved = slip + state.shift
+    # x / (1 - w x) has a pole at 1 / w: it grows twentyfold at most.
+    return moved / jnp.maximum(1 - state.curvature * moved, 0.05)
+
+
+def with_offsets(found, state: State, mode: str):
+    """(fx, fy, mz) with what the state adds to the force that the slip drives."""
+    fx, fy, mz = found
+    extra = (0.0, state.force) if mode == "y" else (state.force, 0.0)
+    return fx + extra[0], fy + extra[1], mz + state.moment
 
 
 def _shape_change(state: State, stiffness, mu, arm, slip, fz, bare: bool):

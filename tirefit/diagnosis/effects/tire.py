@@ -36,16 +36,14 @@ that are tried: exponential, S(37), and with exponent 0 by log(1 + v_s / v_st)."
 STEPS = tuple(float(t) for t in np.linspace(-0.42, 0.42, 15))
 """Times of a sudden change that are tried, as shares of the record about its middle."""
 
-_NO_END = 1.0
-"""End, outside the record, of a change that lasts."""
+_NO_END = 1.0  # end, outside the record, of a change that lasts
 
 _STRETCHES = tuple(
     (begin / 20, (begin + length) / 20)
     for length, begins in ((3, range(-8, 8, 2)), (7, range(-8, 4, 2)))
     for begin in begins
 )
-"""Begin and end of a stretch of another road, in the same unit: a seventh and a third
-of the record."""
+"""Begin and end of a stretch of another road, same unit: 1/7 and 1/3 of the record."""
 
 _DRIFTS = ((1.0, 1.0), (0.0, 0.12), (0.0, 0.35))
 """(1 for an even drift, else 0; time constant of a drift that is quick at first, as a
@@ -58,8 +56,7 @@ _OF_FRICTION = 0.62
 """Force by the stiffness alone over the friction, at the slip of half the largest
 force: 3 (1 - 2^(-1/3)) of a brush."""
 
-_LEAST_KINETIC = 1e-3
-"""Smallest kinetic friction over its usual value."""
+_LEAST_KINETIC = 1e-3  # smallest kinetic friction over its usual value
 
 
 def _skewed(state, change):
@@ -69,10 +66,6 @@ def _skewed(state, change):
 def _skew_with(state, d, constants, rows):
     moving = blend(constants, rows.force, rows.usage, jnp.log(rows.fz))
     return _skewed(state, d * moving)
-
-
-def _flatness(state, share, constants, rows):
-    return state._replace(flat=jnp.clip(state.flat + share, *_FLATNESSES))
 
 
 def _kinetic_times(state, factor):
@@ -153,11 +146,6 @@ def _step(share, constants, rows):
     return 1 + share * blend((1 - shaped, shaped), sudden, rows.change)
 
 
-def _worked(share, constants, rows):
-    """With the work of sliding so far, under one of its coolings."""
-    return 1 + share * rows.work @ jnp.asarray(constants)
-
-
 def _other(state, share, constants, rows):
     """The slips share the friction as in the patch, or the force falls with the other
     slip by a weight of its own, cos(arctan B alpha), Pacejka 4.3.2."""
@@ -180,7 +168,7 @@ def _by_condition(
     name: str, fitted: str, scales, by_load, by_time, sizes, like_load, like_time
 ) -> tuple[Effect, ...]:
     """Effects of friction or stiffness with load, temperature, time, pressure, work."""
-    symbol, range_of_file = SYMBOLS[name], "over the range of the file"
+    symbol, range_of_file = SYMBOLS[name], "over its range in the file"
     heat, inflation, work = sizes
 
     def effect(id, covariate, scale, change, bounds=SHARE, **given: Any) -> Effect:
@@ -224,7 +212,8 @@ def _by_condition(
             forms=free.over(name, inflation, "inflation"),
         ),
         effect(
-            f"{name}_warming", "work", scales[4], multiplies(name, _worked),
+            f"{name}_warming", "work", scales[4],
+            multiplies(name, lambda a, c, rows: 1 + a * rows.work @ jnp.asarray(c)),
             unit=range_of_file, odds=seldom, needs=("work", "v"), variants=choices(3),
             formula=f"{symbol} (1 + amplitude W), dW/dt = |F| v_s - W / cooling",
             means=f"{name} follows the work of sliding: the tire warms up or wears",
@@ -257,7 +246,10 @@ PATCH = (
         told_apart_by="mz",
     ),
     Effect(
-        id="pressure_flatness", family="pressure", change=_flatness, scale=0.6,
+        id="pressure_flatness", family="pressure", scale=0.6,
+        change=lambda state, share, constants, rows: state._replace(
+            flat=jnp.clip(state.flat + share, *_FLATNESSES)
+        ),
         formula="p from the parabola towards 5/8 (1 - xi^4), S(25)", parameter="share",
         means="the contact pressure is flatter or sharper than a parabola",
         remedy="fit quartic or elliptic", bounds=(_FLATNESSES,), told_apart_by="mz",

@@ -39,8 +39,7 @@ _OF_BOTH = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
 
 
 def _slip_speed(share, constants, rows):
-    """A radius that grows with the speed, or with its square; zero at rest, or at the
-    usual speed."""
+    """Slip of a radius that grows with v or v^2; zero at rest or at the usual speed."""
     even, square, about = constants
     grown = blend((even, square), rows.v, rows.v**2 / rows.cruise)
     return share * (grown - about * rows.cruise)
@@ -98,7 +97,8 @@ def _of_the_axle(id: str, factor, **given) -> Effect:
         )
 
     return Effect(
-        id=id, family="friction x lateral acceleration", change=change, odds=seldom,
+        id=id, of="vehicle", family="friction x lateral acceleration", change=change,
+        odds=seldom,
         needs=("a_y",), channels=("fy", "mz"), variants=_OF_BOTH,
         forms=free.over("friction", 0.02, "lean"), **given,
     )  # fmt: skip
@@ -106,7 +106,8 @@ def _of_the_axle(id: str, factor, **given) -> Effect:
 
 SPEEDS = (
     Effect(
-        id="slip_offset_load", family="slip x load", scale=0.2, per=("slip",),
+        id="slip_offset_load", of="measurement",
+        family="slip x load", scale=0.2, per=("slip",),
         # About the usual load, or from none on.
         change=adds("shift", lambda a, about, rows: a * (rows.fz - about[0])),
         unit="- of slip",
@@ -120,7 +121,8 @@ SPEEDS = (
         told_apart_by="both signs",
     ),
     Effect(
-        id="slip_offset_speed", family="slip x speed", scale=0.3, per=("growth",),
+        id="slip_offset_speed", of="measurement",
+        family="slip x speed", scale=0.3, per=("growth",),
         change=adds("shift", _slip_speed), unit="s/m", bounds=((-6.0, 6.0),),
         formula="slip + amplitude v: a tire that grows with its speed",
         means="the zero of the slip moves with speed", odds=_one_speed_of_the_slip,
@@ -131,7 +133,8 @@ SPEEDS = (
         told_apart_by="both signs",
     ),
     Effect(
-        id="speed_zero", family="slip x speed", scale=0.3, per=("inverse_speed",),
+        id="speed_zero", of="measurement",
+        family="slip x speed", scale=0.3, per=("inverse_speed",),
         change=adds("shift", lambda a, _, rows: a / rows.pace), unit="m/s",
         formula="slip + amplitude / v", parameter="zero", bounds=((-6.0, 6.0),),
         means="a speed is off by a constant, so the slip is off at low speed",
@@ -141,7 +144,8 @@ SPEEDS = (
         told_apart_by="both signs",
     ),
     Effect(
-        id="speed_drag", family="force x speed", change=adds("force", _drag),
+        id="speed_drag", of="vehicle",
+        family="force x speed", change=adds("force", _drag),
         scale=25.0, unit="1e-3 mean F_z", bounds=((-500.0, 500.0),), needs=("speeds",),
         formula="force + amplitude v / v0, or amplitude (v / v0)^2", channels=("fx",),
         means="the tire force contains a force that follows the speed: drag, bearings",
@@ -162,7 +166,8 @@ SPEEDS = (
         ), looks_like=("combined_slip", "force_crosstalk"), told_apart_by="pure slip",
     ),
     Effect(
-        id="tracked_point", family="slip x yaw", scale=0.3, per=("lever",), unit="m",
+        id="tracked_point", of="measurement",
+        family="slip x yaw", scale=0.3, per=("lever",), unit="m",
         change=adds("shift", lambda a, _, rows: a * rows.yaw), parameter="distance",
         formula="slip angle + amplitude (yaw rate) / v", bounds=((-6.0, 6.0),),
         means="the slip angle is that of another point than the axle",
@@ -172,9 +177,10 @@ SPEEDS = (
         looks_like=("slip_offset", "carcass_flexibility"),
     ),
     Effect(
-        id="load_transfer", family="friction x acceleration", scale=0.15,
+        id="load_transfer", of="measurement",
+        family="friction x acceleration", scale=0.15,
         change=multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
-        unit="over the range of the file", remedy="add m h a_x / wheelbase to fz",
+        unit="over its range in the file", remedy="add m h a_x / wheelbase to fz",
         formula="F_z + amplitude (geometric mean F_z) a_x: m h a_x / wheelbase",
         means="the load moves between the axles with the acceleration, and fz does not",
         parameter="share", bounds=(SHARE,), prior=of_a_known_height, needs=("a_x",),
@@ -185,7 +191,8 @@ SPEEDS = (
 
 CHASSIS = (
     Effect(
-        id="yaw_inertia", family="force x yaw acceleration", scale=0.03, per=("swing",),
+        id="yaw_inertia", of="measurement",
+        family="force x yaw acceleration", scale=0.03, per=("swing",),
         unit="kg m", change=adds("force", lambda a, _, rows: a * rows.swing),
         formula="F_y + amplitude r', r' the yaw acceleration; Milliken 1995, 5.3",
         means="the yaw inertia over the wheelbase or the position of the centre of"
@@ -196,7 +203,8 @@ CHASSIS = (
         looks_like=("channel_delay", "relaxation_length", "tracked_point"),
     ),
     Effect(
-        id="floor_slope", family="force x heading", change=adds("force", _slope),
+        id="floor_slope", of="measurement",
+        family="force x heading", change=adds("force", _slope),
         scale=0.01, parameter="slope", bounds=((-0.1, 0.1),), odds=seldom,
         formula="F_y + amplitude F_z cos(heading - direction): m g sin(slope)",
         means="the floor or road is not level: the weight pulls the vehicle one way",
@@ -207,7 +215,8 @@ CHASSIS = (
         looks_like=("slip_offset", "force_offset"), told_apart_by="random order",
     ),
     Effect(
-        id="toe", family="slip x lateral acceleration", scale=0.01, unit="rad / g",
+        id="toe", of="vehicle",
+        family="slip x lateral acceleration", scale=0.01, unit="rad / g",
         change=adds("shift", lambda a, _, rows: a * rows.lean), parameter="steer",
         formula="slip angle + amplitude a_y / g; roll steer, Gillespie 1992, 6",
         means="the wheels steer as the axle rolls: toe of the outer wheel, roll steer,"
@@ -233,7 +242,8 @@ CHASSIS = (
         told_apart_by="both signs", looks_like=("drive_brake_asymmetry", "slip_offset"),
     ),
     Effect(
-        id="steering_gain", family="slip x steering", scale=0.1, bounds=((-0.6, 0.6),),
+        id="steering_gain", of="measurement",
+        family="slip x steering", scale=0.1, bounds=((-0.6, 0.6),),
         change=adds("shift", lambda a, _, rows: a * rows.steering), odds=seldom,
         formula="slip angle + amplitude (road wheel angle)", needs=("steering",),
         means="the steering ratio is wrong, or the steering yields under load",

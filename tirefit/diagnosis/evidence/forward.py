@@ -13,13 +13,18 @@ from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.effects.state import (
     Covariates,
     State,
+    arm_of,
     force_of_state,
+    is_plain,
     peak_ratio,
+    slip_of_state,
+    slope_at_rest,
+    with_offsets,
 )
 from tirefit.diagnosis.evidence.changes import Library, library_of
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.fitting.layout import Layout
-from tirefit.models import AbstractTire, Brush, Parabolic, TireInputs
+from tirefit.models import AbstractTire, TireInputs
 from tirefit.padding import pad_rows
 from tirefit.params import Values, with_values
 
@@ -96,19 +101,8 @@ class _Where(NamedTuple):
 
 def _reference(tire, where: _Where, mode: str):
     """(c_p a^2 (n,), mu, half-length) of the brush with the base's slope and peak."""
-    driven, name = ("alpha", "fy") if mode == "y" else ("sigma_x", "fx")
-
-    def slope(sample):
-        def force(slip):
-            return getattr(tire(sample._replace(**{driven: slip})), name)
-
-        # Not at zero itself, where some laws have half a slope.
-        return jax.jvp(force, (1e-6,), (1.0,))[1]
-
-    stiffness = jax.vmap(slope)(where.inputs) / 2
-    # A car's for models that state none: it scales the aligning moment alone.
-    arm = getattr(tire, "half_length", 0.1)
-    return stiffness, peak_ratio(tire, *where.reference), arm
+    stiffness = jax.vmap(lambda one: slope_at_rest(tire, one, mode))(where.inputs) / 2
+    return stiffness, peak_ratio(tire, *where.reference), arm_of(tire)
 
 
 def _mean_and_spread(model, layout, mode: str, where: _Where) -> Callable:
@@ -119,15 +113,13 @@ def _mean_and_spread(model, layout, mode: str, where: _Where) -> Callable:
         tire = with_values(model, layout.natural(z))
 
         def at(slip):
-            moved = slip + state.shift
-            # x / (1 - w x) has a pole at 1 / w: it grows twentyfold at most.
-            moved = moved / jnp.maximum(1 - state.curvature * moved, 0.05)
+            moved = slip_of_state(state, slip)
             pair = (state.other, moved) if mode == "y" else (moved, state.other)
             if mode == "xy":
                 pair = (moved, second * (1 + moved))
-            fx, fy, mz = force_of_state(tire, reference, state, *pair, inputs)
-            extra = (0.0, state.force) if mode == "y" else (state.force, 0.0)
-            forces = {"fx": fx + extra[0], "fy": fy + extra[1], "mz": mz + state.moment}
+            found = force_of_state(tire, reference, state, *pair, inputs)
+            found = with_offsets(found, state, mode)
+            forces = dict(zip(("fx", "fy", "mz"), found, strict=True))
             return tuple(forces[channel] for channel in where.offset)
 
         forces = jax.vmap(at)(slips)
@@ -140,8 +132,7 @@ def _mean_and_spread(model, layout, mode: str, where: _Where) -> Callable:
 
 def _carrier(model, layout, mode: str, z, where: _Where):
     """:func:`_reference` for changes of shape, each (n,); None for the plain brush."""
-    brush = type(model) is Brush and type(model.pressure) is Parabolic
-    if brush and not model.friction.laws:
+    if is_plain(model):
         return None
     found = _reference(with_values(model, layout.natural(z)), where, mode)
     return tuple(jnp.broadcast_to(value, where.second.shape) for value in found)

@@ -20,11 +20,8 @@ from tirefit.diagnosis.rows.patterns import (
 SCALES = 2.0 * 3.0 ** np.arange(4)
 """Standard deviations of a basis function's coefficient that are averaged over."""
 
-_BUMPS = (4, 8)
-"""Fewest and most functions of the slip for each sign."""
-
-_LEVELS = 4
-"""Largest number of settings of a covariate with a coefficient each."""
+_BUMPS = (4, 8)  # fewest and most functions of the slip for each sign
+_LEVELS = 4  # largest number of settings of a covariate with a coefficient each
 
 
 def bumps(values, count: int) -> np.ndarray:
@@ -124,8 +121,7 @@ def wave_basis(prepared, scale) -> np.ndarray:
 
 
 def orthogonal(basis, against) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal directions (n, q) of the basis orthogonal to ``against`` (n, p), and
-    their singular values (q,)."""
+    """Orthonormal directions (n, q) of a basis less ``against`` (n, p), sizes (q,)."""
     left = without(basis, against)
     turned, size = _principal(left.T @ left)
     return left @ turned, size
@@ -188,8 +184,7 @@ def _in_pairs(gram, score, ridge):
 
 
 def _pairs(columns) -> np.ndarray:
-    """Products of sine and sine, sine and cosine, cosine and cosine of waves (m, 2 K):
-    (K, 3)."""
+    """Products sine-sine, sine-cosine, cosine-cosine of waves (m, 2 K): (K, 3)."""
     sine, cosine = columns[:, ::2], columns[:, 1::2]
     each = ((sine, sine), (sine, cosine), (cosine, cosine))
     return np.stack([np.einsum("mk,mk->k", *pair) for pair in each], axis=1)
@@ -205,8 +200,7 @@ def waves_within(waves, against, residual):
 
 @dataclass(frozen=True, eq=False)
 class Generic:
-    """Whitened remainders: smooth functions (m, b), one of many waves (m, 2 x waves),
-    one of many patterns."""
+    """Whitened: smooth functions (m, b), many waves (m, 2 x waves), many patterns."""
 
     smooth: np.ndarray
     waves: np.ndarray
@@ -256,8 +250,7 @@ def of_any_kind(kinds: Mapping[str, float]) -> float:
 
 
 def located(bases: Generic, against, residual):
-    """Smooth part of the residual and its variance, (m,) each, by the smooth functions
-    and the significant waves."""
+    """Smooth part of the residual, by smooth functions and waves; its variance (m,)."""
     _, gram, of_waves = bases.left(against, residual)
     chi2, _ = _in_pairs(gram, of_waves, FLAT)
     # 8 over the largest of as many waves of noise: 55 to 1.

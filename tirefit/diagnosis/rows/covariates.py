@@ -159,6 +159,12 @@ def _force_of(data: TireData, mode: str) -> np.ndarray:
     return column(data, f"f{mode}")
 
 
+def slowest(v) -> float:
+    """Speed [m/s] below which a wheel counts as standing; of the speeds (n,)."""
+    usual = float(np.median(np.abs(v)))
+    return STANDS * usual if usual else 1.0
+
+
 def _over_range(values) -> np.ndarray:
     """About their mean, over their range; zero where nothing varies."""
     span = np.ptp(values)
@@ -176,8 +182,7 @@ def covariates_of(
     sigma, tan_alpha = column(data, "sigma_x"), np.tan(column(data, "alpha"))
     spin = slip_rate(omega, time, run).rate if "omega" in data else zero
     interval = np.full(data.n, sweeps.past.interval)
-    usual = float(np.median(np.abs(v)))
-    pace = np.maximum(np.abs(v), STANDS * usual if usual else 1.0)
+    pace = np.maximum(np.abs(v), slowest(v))
     way, temperature = sweeps.rate / pace, column(data, "temperature")
     sliding = np.abs(v * (size if mode == "y" else size / (1 + sigma)))
     work = work_of_sliding(np.abs(force) * sliding, time, run)

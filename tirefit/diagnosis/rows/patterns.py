@@ -22,8 +22,7 @@ PARAMETERS = {
     "stiffness": ("stiffness", 0.06), "friction": ("friction", 0.03),
     "slip": ("shift", 0.002), "force": ("force", 0.01),
 }  # fmt: skip
-"""Field of the state and usual size of a change (relative, a slip, or force over load)
-of each parameter."""
+"""Field of each parameter; usual change (relative, a slip, or force over load)."""
 
 USUAL_SIZES = 0.5 * 4.0 ** np.arange(3)
 """Multiples of the usual size that the evidence is averaged over."""
@@ -32,15 +31,13 @@ _SET_BY_RIG = ("fz", "v", "temperature", "gamma", "pressure")
 """Covariates that may have few settings, with shapes of their own."""
 
 _PLACES = np.arange(1, 20) / 20
-"""Places as shares of the range: a bump between two loses at most a tenth of its
-square."""
+"""Places as shares of the range: a bump between two loses at most 0.1 of its square."""
 
 WAVES, ROWS_OF_A_WAVE = 96, 5
 """Largest number of waves in a record (half as many for patterns in time or distance,
 an eighth for others), and smallest number of rows of a wave."""
 
-PHASES = 4
-"""Phases of each wave."""
+PHASES = 4  # phases of each wave
 
 
 class Pattern(NamedTuple):

@@ -13,7 +13,7 @@ from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_from_speeds
 from tirefit.diagnosis.negligible import UNSEEN
 from tirefit.door import read_toml
-from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.results import DataError, UsageError
 from tirefit.settings import Section, parse_settings
 
 # Optional numbers with the range of plausible values.
@@ -53,16 +53,12 @@ class _Vehicle(Section):
 
 _TABLES: dict[str, type[Section]] = {"noise": _Noise, "vehicle": _Vehicle}
 
-VEHICLE = tuple(_Vehicle.model_fields)
-"""Keys of ``[vehicle]``."""
-
 
 class _RigFile(Section):
     rolling_radius: _Length = None
     wheel_inertia: _Inertia = None
     noise: _Noise = _Noise()
     vehicle: _Vehicle = _Vehicle()
-    commanded_slip: str | None = None
     run_order: Literal["random", "sequential"] | None = None
 
 
@@ -72,8 +68,7 @@ _OWN_COLUMNS = {
 }  # fmt: skip
 """Columns that hold the same as a key of ``[noise]``; others are named KEY_std."""
 
-STANDS = 0.03
-"""Share of the median speed below which a wheel counts as standing."""
+STANDS = 0.03  # share of the median speed below which a wheel counts as standing
 
 LEAST_ROWS = 20
 """Smallest number of rows of a diagnosis, and of a run with an offset of its own."""
@@ -87,14 +82,13 @@ class Rig:
     of the tracked point, ``clock`` [s] between channels, ``yaw_inertia`` (relative).
     ``noise`` holds standard deviations: of a force [N] or over the load
     (``fx_relative``), of the slip [-] or slip angle [rad], of the sliding speed [m/s]
-    (``sigma_x_speed``). ``commanded_slip`` (a column) is not used.
+    (``sigma_x_speed``).
     """
 
     rolling_radius: float | None = None
     wheel_inertia: float | None = None
     noise: Mapping[str, float] = field(default_factory=dict)
     vehicle: Mapping[str, float] = field(default_factory=dict)
-    commanded_slip: str | None = None
     run_order: str | None = None
     notes: tuple[str, ...] = ()
 
@@ -104,11 +98,11 @@ class Rig:
             for name, value in getattr(self, kind).items():
                 if not 0 < value < np.inf:
                     reason = f"{kind}: {name} = {value:g}"
-                    raise UsageError(InputProblem(reason, "give a positive number"))
+                    raise UsageError(reason, "give a positive number")
         for name in self.noise:
             if f"{name}_relative" in self.noise:
                 reason = f"noise: {name} and {name}_relative are both stated"
-                raise UsageError(InputProblem(reason, "state one of them"))
+                raise UsageError(reason, "state one of them")
 
     def radius_for(self, data: TireData) -> float | None:
         """Rolling radius [m]: stated, or the median of v / (omega (1 + slip))."""
@@ -159,9 +153,8 @@ def load_rig(path: str | Path | None) -> Rig:
         return Rig()
     content, others = _of_others(read_toml(path), _RigFile)
     stated = parse_settings(_RigFile, content, str(path))
-    notes = [f"{key} of {path} is not used" for key in others]
-    if stated.commanded_slip is not None:
-        notes.append(f"commanded_slip of {path} is noted, not used")
+    keys = ", ".join(_RigFile.model_fields)
+    notes = [f"{key} of {path} is not used: rig.toml has {keys}" for key in others]
     try:
         return Rig(**stated.model_dump(exclude_none=True), notes=tuple(notes))
     except UsageError as error:
@@ -186,17 +179,15 @@ def _of_others(content: dict, kind: type[Section]) -> tuple[dict, list[str]]:
 
 def unfit(data: TireData, reason: str, remedy: str, column: str = "") -> DataError:
     """The error of data that cannot be diagnosed."""
-    file = data.source.path or data.name
-    return DataError(InputProblem(reason, remedy, file, column=column or None))
+    return DataError(reason, remedy, data.file, column=column or None)
 
 
 def check_data(data: TireData, channels: tuple[str, ...], rig: Rig) -> None:
     """Raises DataError for no load, too few rows, or a force or a stated noise of the
     channels far beyond all loads."""
     if "fz" not in data:
-        reason = "a diagnosis needs fz (load, N) for every row"
         remedy = "name its column with --column fz=HEADER, or --constant fz=4000"
-        raise unfit(data, reason, remedy)
+        raise unfit(data, "a diagnosis needs fz (load, N) for every row", remedy)
     if data.n < LEAST_ROWS:
         reason = f"{data.n} usable rows: a diagnosis needs {LEAST_ROWS} or more"
         raise unfit(data, reason, "measure more points")

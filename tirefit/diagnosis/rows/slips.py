@@ -10,14 +10,12 @@ from tirefit.diagnosis.rows.rig import LEAST_ROWS
 from tirefit.fitting.noise import MAD
 from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
 
-_WINDOWS = (5, 9, 13, 19, 27, 41)
-"""Rows of the local parabolas."""
+_WINDOWS = (5, 9, 13, 19, 27, 41)  # rows of the local parabolas
 
 _REACH, _PIECE = _WINDOWS[-1] - 1, 4_000
 """Rows beside a row that its path uses; rows at once, which bounds the memory."""
 
-AHEAD = 4
-"""Columns of the past that lie after its row."""
+AHEAD = 4  # columns of the past that lie after its row
 
 AGES = np.append(np.arange(-AHEAD, 7), np.geomspace(8, 34, 6).round().astype(int))
 """How many intervals ago each column was: each row, then a third more each time."""
@@ -30,8 +28,7 @@ _WORTH, _MORE = 0.7, 1.25
 """Log probability of each row that a parabola explains, calibrated on saw-tooth and
 sine sweeps; ratio of two estimates of the noise above which they disagree."""
 
-_NOISY = 17
-"""Rows over which a well sampled slip is a parabola."""
+_NOISY = 17  # rows over which a well sampled slip is a parabola
 
 
 def segments(time, run) -> list[np.ndarray]:
@@ -251,8 +248,7 @@ def _steep(slip, std) -> bool:
 
 
 def slip_law(slip, std) -> SlipDistribution | None:
-    """Distribution of the true slips, from measured ones and their noise (n,); None
-    without noise."""
+    """Distribution of the true slips by measured ones and noise (n,); None if zero."""
     return slip_distribution(slip, np.maximum(std, FLAT)) if np.any(std > 0) else None
 
 

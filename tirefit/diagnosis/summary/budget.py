@@ -124,9 +124,8 @@ def _energies(means):
 
 
 def _missed(base: Base, chosen: Hypothesis) -> dict[str, dict[tuple, np.ndarray]]:
-    """Residual (n,) of every channel where only a subset of the players is allowed;
-    every subset is refitted, with the simulator's parameters held unless they are among
-    it."""
+    """Residual (n,) of every channel where only a subset of the players is allowed; all
+    subsets are refitted, the simulator's parameters held unless they are in it."""
     atoms, sets = chosen.atoms, subsets(chosen.atoms)
     guess = [chosen.amplitude[[atoms.index(k) for k in s]] for s in sets]
     refit = base.refit([(chosen.z, a) for a in guess], sets)
@@ -181,8 +180,7 @@ def parameter_changes(case, widening: float) -> Mapping[str, Change]:
 
 
 def simulator_summary(base: Base, model: str, gap: float) -> SimulatorSummary | None:
-    """What was given, and how well the ``model`` that stands in for it follows it, also
-    over the whole gap [N]."""
+    """What was given; how well ``model`` follows it, also over the whole gap [N]."""
     if base.simulator is None:
         return None
     given, main, n = base.simulator.given, base.rows.channels[0], base.rows.n

@@ -18,13 +18,12 @@ from tirefit.diagnosis.summary.records import Untestable
 
 @dataclass(frozen=True)
 class Case:
-    """Everything known of one file when its verdict stands; ``predicted`` is what the
-    leading sets predict of data left out."""
+    """Everything known of one file when its verdict stands."""
 
     base: Base
     search: Search
     weighed: Weighed
-    predicted: Predicted
+    predicted: Predicted  # by the leading sets, of data left out
     verdict: Verdict
     untestable: list[Untestable]
 

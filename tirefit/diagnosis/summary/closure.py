@@ -10,7 +10,7 @@ from scipy.stats import norm
 from tirefit.diagnosis.evidence.base import on_rows
 from tirefit.diagnosis.evidence.posterior import linear_at
 from tirefit.diagnosis.evidence.search import amplitudes_of
-from tirefit.diagnosis.left_out import Ladder
+from tirefit.diagnosis.left_out import AS_GIVEN, Ladder
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 from tirefit.diagnosis.rows.basis import gain, orthogonal, without
 from tirefit.diagnosis.rows.patterns import weights_of_sizes
@@ -18,31 +18,23 @@ from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.records import HeldOut, Shrinkage
 
-DRAWS = 400
-"""Draws, and bootstrap samples: twenty beyond either end of a 90 % interval."""
-INTERVAL = (0.05, 0.95)
-"""Quantiles at the ends of a 90 % interval."""
+DRAWS = 400  # draws, and bootstrap samples: twenty beyond either end of a 90 % interval
+INTERVAL = (0.05, 0.95)  # quantiles at the ends of a 90 % interval
 _RESOLVED = 3.0
 """Standard deviations of the energy of noise from which a gap is resolved."""
-WORST = -1.0
-"""Closure that counts as the worst there is: the gap doubled."""
-_BLOCKS = 60
-"""Blocks of a record, at most."""
+WORST = -1.0  # closure that counts as the worst there is: the gap doubled
+_BLOCKS = 60  # blocks of a record, at most
 _WIDER = 1.2
 """Factor on the errors of parameters: those of a fit whose form is not quite right."""
-_SETS = 3
-"""Sets of effects that are drawn from, the most probable ones."""
+_SETS = 3  # sets of effects that are drawn from, the most probable ones
 _SIZES = np.geomspace(0.03, 300, 20)
 """Sizes of a discrepancy's coefficients over the noise; all are as likely."""
-_SHAPES = 30
-"""Sharp shapes of a discrepancy that are drawn, the most probable ones."""
-_FAR = 6.0
-"""Standard errors within which an energy is looked for."""
+_SHAPES = 30  # sharp shapes of a discrepancy that are drawn, the most probable ones
+_FAR = 6.0  # standard errors within which an energy is looked for
 _UNDRAWN, _FACTOR = 0.4, 1.5
 """Discrepancy of other shapes, as a share of what is drawn: its median, and standard
 deviation of its logarithm. Development trials have .2 to .6."""
-_NINETY = 1.645
-"""Standard errors on both sides of a 90 % interval."""
+_NINETY = 1.645  # standard errors on both sides of a 90 % interval
 
 
 def plausible_forces(case, generator) -> dict[str, np.ndarray]:
@@ -168,14 +160,12 @@ def closure_on_rows(truth, before, after, variance, run, inflation) -> Shrinkage
 
 def closure_elsewhere(before, after, variance, run, inflation, generator) -> Shrinkage:
     """Closure on rows that neither fit has seen. The energy left, that of the residuals
-    less that of the noise, has a normal error; its root is zero or more, all values as
-    likely beforehand.
+    less that of the noise, has a normal error; its root is >= 0, with a flat prior.
 
     Args:
         before, after: (n,) residuals [N] of the base and of the extension.
-        variance: (n,) noise variance [N^2].
+        variance, inflation: as in :func:`closure_on_rows`.
         run: (n,) runs, which the blocks of the bootstrap do not cross.
-        inflation: rows per independent row.
     """
     terms = np.stack([before**2 - after**2, after**2 - variance], axis=1)
     gained, left = terms.mean(axis=0)
@@ -232,35 +222,63 @@ def of_so_few_runs(value, low, high, one_less):
 
 
 def held_out(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
-    """Closure on other files where there are some, else that of the ladder's last set
-    of effects; None where no effect is named and no file is given."""
+    """Closure on data left out by the named effects, and the ladder with what each of
+    its steps closes there.
+
+    Args:
+        holdout: other files; without them the closure is that of the ladder's last set
+            of effects, and None where no effect is named.
+    """
     if holdout:
-        return _on_files(case, holdout, rig, generator)
-    if not case.verdict.status.names or len(ladder.steps) < 4:
-        return None
-    base, step, floor = ladder.steps[0], ladder.steps[-3], ladder.steps[-1]
+        return _on_files(case, holdout, rig, ladder, generator)
+    steps = ladder.steps[:-2]
+    if not case.verdict.status.names or not steps or not steps[-1].effects:
+        return None, ladder
+    base, step, floor = steps[0], steps[-1], ladder.steps[-1]
     rms = np.sqrt(max(base.rms_left_out**2 - floor.rms_left_out**2, 0.0))
     reach = _NINETY * step.closed_std
     return HeldOut(
         rms=float(rms), resolvable=True, closed=step.closed,
         closed_ci=(max(step.closed - reach, WORST), min(step.closed + reach, 1.0)),
         remaining_rms=float((1 - step.closed) * rms), on=ladder.on,
-    )  # fmt: skip
+    ), ladder  # fmt: skip
 
 
-def _on_files(case: Case, holdout: Sequence, rig, generator) -> HeldOut:
-    base, chosen, rows = case.base, case.chosen, case.base.rows
-    main, runs, parts = rows.channels[0], 0, []
+def _on_files(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
+    base, rows = case.base, case.base.rows
+    main, runs = rows.channels[0], 0
     scale = np.median(base.noise[main].std / rows.inputs.fz)
+    keys = [tuple(sorted(step.effects)) for step in ladder.steps]
+    steps = {k: case.weighed.best_of[k] for k in keys if k in case.weighed.best_of}
+    sets = [(base.as_given, base.amplitudes())]
+    sets += [(h.z, amplitudes_of(base, h)) for h in (case.chosen, *steps.values())]
+    parts = []
     for data in holdout:
         other = on_rows(base, prepare(data, rig, rows.channels, rows.slip_scatter), rig)
         observed = other.rows.observed[main]
-        before = other.forces(base.as_given, base.amplitudes())[main]
-        after = other.forces(chosen.z, amplitudes_of(base, chosen))[main]
+        missed = [observed - other.forces(*one)[main] for one in sets]
         variance, run = (scale * other.rows.inputs.fz) ** 2, other.rows.run + runs
-        parts.append((observed - before, observed - after, variance, run))
+        parts.append((variance, run, *missed))
         runs += len(data.runs)
-    before, after, variance, run = map(np.concatenate, zip(*parts, strict=True))
+    variance, run, before, after, *others = map(
+        np.concatenate, zip(*parts, strict=True)
+    )
     inflation = base.noise[main].inflation
     closure = closure_elsewhere(before, after, variance, run, inflation, generator)
-    return HeldOut(**vars(closure), on=", ".join(data.name for data in holdout))
+    gap = max(np.mean(before**2 - variance), NONZERO)
+
+    def beside(step, missed):
+        left = max(np.mean(missed**2 - variance), 0.0)
+        share = max(1 - float(np.sqrt(left / gap)), WORST)
+        rms = float(np.sqrt(np.mean(missed**2)))
+        closed = share if closure.resolvable else None
+        return step._replace(rms_held_out=rms, closed_held_out=closed)
+
+    missed_by = {(): before, AS_GIVEN: before}
+    missed_by |= dict(zip(steps, others, strict=True))
+    added = [
+        beside(step, missed_by[key]) if key in missed_by else step
+        for step, key in zip(ladder.steps, keys, strict=True)
+    ]
+    on = ", ".join(data.name for data in holdout)
+    return HeldOut(**vars(closure), on=on), ladder._replace(steps=tuple(added))

@@ -12,6 +12,7 @@ from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.forms import offsets_of_runs, with_fast_waves
 from tirefit.diagnosis.evidence.posterior import linear_at
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
+from tirefit.diagnosis.extended import Extension, extension_of
 from tirefit.diagnosis.left_out import ladder_of
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.basis import without
@@ -53,8 +54,7 @@ from tirefit.diagnosis.summary.where import data_summary, parameter_map, regions
 _LISTED, _MENTIONED = 10, 1e-3
 """Candidates that are listed, at most; probability from which the unknown is one."""
 
-_SHOWN = 0.05
-"""Probability of a shape of the remainder from which it is reported."""
+_SHOWN = 0.05  # probability of a shape of the remainder from which it is reported
 
 _SEEN = 3.3
 """Standard errors of an amplitude that is seen four times in five: 0.84 beyond 2.46,
@@ -65,8 +65,7 @@ _SEEN_ENERGY = 2.5
 noise: 0.84 beyond 1.65, which noise exceeds once in 20 files."""
 
 _DIRECTIONS = 40
-"""Smooth directions that share the noise's energy, at most: a remainder of a force over
-slip has no more."""
+"""Most smooth directions that share the noise's energy; a force over slip has fewer."""
 
 
 def document_of(
@@ -86,7 +85,7 @@ def document_of(
     believed, main = rows_of(case, base), prepared.channels[0]
     truth = plausible_forces(case, generator)
     ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base))
-    held = held_out(case, holdout, rig, ladder, generator)
+    held, ladder = held_out(case, holdout, rig, ladder, generator)
     verdict, gaps = case.verdict, _gaps(case, rows, truth)
     candidates = _candidates(case, rows[main]["base"], truth[main])
     shares = closed_by_each(base, case.chosen) if verdict.status.names else {}
@@ -123,6 +122,7 @@ def document_of(
         runs=offsets_of_runs(base, case.chosen),
         base_parameters=_base_parameters(base, base.as_given),
         extended_parameters=_base_parameters(base, case.chosen.z),
+        extension=_extension(case),
         settings=settings,
         seed=seed,
         version=importlib.metadata.version("tirefit"),
@@ -206,16 +206,23 @@ def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSumm
     where no effect on the mean is found, what its noise shows."""
     verdict, noise = case.verdict, case.on_the_noise
     status = "noise" if noise else verdict.status
+    probability = as_often_right(status, verdict.probability)
+    # "Nothing unlisted" is part of what one of the two is the probability of.
+    unlisted = verdict.unlisted
+    if verdict.status == Status.INCOMPLETE:
+        unlisted = max(unlisted, probability)
+    elif verdict.status != Status.UNKNOWN:
+        unlisted = min(unlisted, 1 - probability)
     return VerdictSummary(
         status=Status.NAMED if noise else verdict.status,
         effects=noise or verdict.effects,
-        probability=as_often_right(status, verdict.probability),
+        probability=probability,
         each=verdict.each,
         also_possible=verdict.also_possible,
         left=Left(
             rms=gap.remaining_rms,
             share=(gap.remaining_rms / max(gap.rms, ROUNDING)) ** 2,
-            unlisted=verdict.unlisted,
+            unlisted=unlisted,
             tests=verdict.tests._asdict(),
             looks_like=tuple(curve.look for curve in curves),
         ),
@@ -227,8 +234,7 @@ def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
     """The most probable sets of effects, and the unknown.
 
     Args:
-        before, truth: (n,) force of the base and (n, draws) what it may truly be, first
-            channel.
+        before, truth: (n,) base force, (n, draws) possible true one, first channel.
     """
     total, verdict = _chances(case), case.verdict
     ranked = sorted(total, key=lambda k: (k == verdict.key, total[k]), reverse=True)
@@ -262,8 +268,7 @@ def _chances(case: Case) -> dict:
 
 
 def _widening(base: Base, hypothesis: Hypothesis) -> float:
-    """Of the formulas alone: where an effect has another form, no size of its formula
-    is surer than that."""
+    """Of the formulas alone: where another form is used, no size is surer than that."""
     return widening(base, base.residual(hypothesis.z, amplitudes_of(base, hypothesis)))
 
 
@@ -323,6 +328,11 @@ def _resolution(case: Case) -> Resolution:
             smallest[effect.id] = _SEEN * abs(std)
     remainder = float(np.median(scale) * needed)
     return Resolution(remainder=remainder, smallest_effects=smallest)
+
+
+def _extension(case: Case) -> Extension:
+    other_form = case.verdict.key in case.weighed.other_form
+    return extension_of(case.base, case.chosen, other_form)
 
 
 def _base_parameters(base: Base, z) -> dict[str, float]:

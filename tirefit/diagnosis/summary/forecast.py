@@ -17,12 +17,10 @@ from tirefit.diagnosis.summary.records import Forecast, NextMeasurement
 from tirefit.diagnosis.summary.where import LEVEL
 from tirefit.models import modelled
 
-DRAWS = 2000
-"""Draws of noise: a probability of 5 % is known to half a percent."""
+DRAWS = 2000  # draws of noise: a probability of 5 % is known to half a percent
 _FACTORS, _SMALL = (0.5, 2.0), 0.1
 """Loads, speeds and slips of further measurements over those of the file."""
-_FEW = 3
-"""Pairs of effects that are compared, and additions that are listed, at most."""
+_FEW = 3  # pairs of effects that are compared, and additions that are listed, at most
 _WORTHWHILE = 0.02
 """Rise of the probability to tell two effects apart that is worth an addition."""
 _SAME_AGAIN = "the same again"
@@ -75,8 +73,7 @@ def recognition(directions, names: Sequence[str], truth: int, size: float, noise
 
 
 def confusion(search) -> list[Forecast]:
-    """For each testable effect at its usual size: would these rows show it, and what
-    would it be taken for?"""
+    """For each testable effect at its usual size: is it seen, or taken for another?"""
     base, left = search.base, search.projected
     length = np.linalg.norm(left, axis=0)
     use = [k for k in search.testable if length[k] > UNSEEN]
@@ -133,8 +130,7 @@ def _changed(base: Base, change: dict) -> Base:
 
 
 _Block = tuple[np.ndarray, np.ndarray]
-"""Whitened rows of one measurement: by the base parameters (m, p) and by the amplitudes
-of the effects (m, K)."""
+"""Whitened rows of one measurement, by base parameters (m, p) and amplitudes (m, K)."""
 
 
 def _block(base: Base, z) -> _Block:

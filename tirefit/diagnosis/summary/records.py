@@ -16,9 +16,7 @@ from tirefit.diagnosis.rows.rig import Rig
 
 @dataclass(frozen=True, kw_only=True)
 class DataSummary:
-    """The file and how it was read; ``set_aside`` names the first excluded rows with
-    their reasons and counts the others; ``motion`` are notes on a force derived from
-    the motion of a vehicle, ``together`` on conditions that move together."""
+    """The file and how it was read."""
 
     name: str
     path: str
@@ -26,26 +24,24 @@ class DataSummary:
     convention: str
     channels: tuple[str, ...]
     assumptions: tuple[str, ...]
-    set_aside: tuple[str, ...] = ()
-    motion: tuple[str, ...] = ()
-    together: tuple[str, ...] = ()
+    set_aside: tuple[str, ...] = ()  # the first excluded rows with reasons, and a count
+    motion: tuple[str, ...] = ()  # notes on a force derived from it
+    together: tuple[str, ...] = ()  # on conditions that move together
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseSummary:
-    """Standard deviations of the noise of the forces (median over the rows) and of the
-    slip; ``inflation`` is rows per independent row, ``outliers`` the number of excluded
-    rows, ``excess`` the noise over the stated noise, 1 where none was stated."""
+    """Standard deviations of the noise."""
 
-    forces: Mapping[str, float]
+    forces: Mapping[str, float]  # median over the rows
     slip_name: str
     slip: float
     slip_source: str
     source: str
     flags: tuple[str, ...]
-    inflation: float
-    outliers: int
-    excess: float = 1.0
+    inflation: float  # rows per independent row
+    outliers: int  # number of excluded rows
+    excess: float = 1.0  # over the stated noise, 1 where none was stated
 
     def as_json(self) -> Mapping:
         """Each level under the name of its column."""
@@ -114,14 +110,13 @@ class Spot(NamedTuple):
 
 
 class Region(NamedTuple):
-    """One bin of one covariate: its share of the gap's energy, and the p-value of its
-    misfit, corrected for the number of regions (Benjamini-Yekutieli)."""
+    """One bin of one covariate."""
 
     covariate: str
     low: float
     high: float
-    share: float
-    p_value: float
+    share: float  # of the gap's energy
+    p_value: float  # of its misfit, Benjamini-Yekutieli
 
 
 class Cell(NamedTuple):
@@ -135,16 +130,13 @@ class Cell(NamedTuple):
 
 
 class Left(NamedTuple):
-    """What remains of the gap beyond the noise: ``rms`` and ``share`` of its energy;
-    the probability that something ``unlisted`` is there; p-values of the ``tests`` of
-    the remainder, None where the rows have no such order; the shapes that it resembles,
-    the most probable first."""
+    """What remains of the gap beyond the noise."""
 
     rms: float
-    share: float
-    unlisted: float
-    tests: Mapping[str, float | None]
-    looks_like: tuple[Look, ...] = ()
+    share: float  # of the gap's energy
+    unlisted: float  # probability that something unlisted is there
+    tests: Mapping[str, float | None]  # p-values, None if rows have no such order
+    looks_like: tuple[Look, ...] = ()  # shapes it resembles, the most probable first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,24 +163,22 @@ class VerdictSummary:
 
 
 class Change(NamedTuple):
-    """A parameter as simulated and as measured, with the standard error of the latter;
-    ``differs`` where the two are more than two standard errors apart."""
+    """A parameter as simulated and as measured."""
 
     simulated: float
     measured: float
-    std: float
-    differs: bool
+    std: float  # standard error of ``measured``
+    differs: bool  # by more than two standard errors
 
 
 class Part(NamedTuple):
-    """A part of the distance from a base to the measurement of a channel: parameters,
-    the id of an effect, unexplained or noise. ``share`` is that of the mean square,
-    with its 90 % interval, ``rms`` its root; the shares add to one."""
+    """A part of the distance from a base to the measurement of a channel; shares add to
+    one."""
 
-    part: str
-    rms: float
-    share: float
-    closed_ci: tuple[float, float]
+    part: str  # parameters, the id of an effect, unexplained or noise
+    rms: float  # root of its mean square
+    share: float  # of the mean square
+    closed_ci: tuple[float, float]  # 90 % interval of the share
 
 
 class Surrogate(NamedTuple):
@@ -211,27 +201,24 @@ class SimulatorSummary(NamedTuple):
 
 
 class Amplitude(NamedTuple):
-    """Amplitude of an effect with its standard error, in its own unit; ``formula`` says
-    in words which of the effect's formulas it is of, empty where there is one."""
+    """Amplitude of an effect with its standard error, in its own unit."""
 
     value: float
     std: float
     unit: str
-    formula: str = ""
+    formula: str = ""  # which of the effect's, in words; "" where there is one
 
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A set of effects that may explain the gap. ``parameters`` are keyed ``effect:
-    parameter``; ``z`` is the score at the base fit, ``z_given_rivals`` the smallest
-    amplitude over its error beside the others of the set; None for the unknown."""
+    """A set of effects that may explain the gap; scores are None for the unknown."""
 
     effects: tuple[str, ...]
     family: str
     probability: float
-    parameters: Mapping[str, Amplitude]
-    z: float | None
-    z_given_rivals: float | None
+    parameters: Mapping[str, Amplitude]  # ``effect: parameter`` -> size
+    z: float | None  # score at the base fit
+    z_given_rivals: float | None  # least amplitude over error in the set
     closed: float | None
     closed_ci: tuple[float | None, float | None]
 
@@ -245,8 +232,7 @@ class Untestable(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Resolution:
-    """What would have been seen: the smallest unlisted remainder, rms, and amplitudes
-    of effects."""
+    """Smallest unlisted remainder (rms) and amplitudes that would have been seen."""
 
     remainder: float
     smallest_effects: Mapping[str, float]
@@ -260,15 +246,14 @@ class Resolution:
 
 
 class Forecast(NamedTuple):
-    """An effect of its usual size on these rows: the probabilities that it is seen, and
-    seen and recognised, and what it is taken for else (None: hardly ever anything)."""
+    """An effect of its usual size on these rows, and probabilities."""
 
     effect: str
     amplitude: float
     unit: str
     seen: float
-    recognised: float
-    taken_for: str | None
+    recognised: float  # seen and recognised
+    taken_for: str | None  # else; None: hardly ever anything
 
 
 class NextMeasurement(NamedTuple):
@@ -283,10 +268,9 @@ class NextMeasurement(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What was known and asked for: rig, ids looked for, files held out (sha256), and
-    the forces that matter, None for all."""
+    """What was known and asked for."""
 
     rig: Rig
-    effects: tuple[str, ...]
-    holdout: tuple[str, ...]
-    forces: tuple[str, ...] | None = None
+    effects: tuple[str, ...]  # ids looked for
+    holdout: tuple[str, ...]  # sha256 of files held out
+    forces: tuple[str, ...] | None = None  # that matter, None for all

@@ -1,5 +1,4 @@
-"""What a diagnosis found: :class:`Diagnosis`, and its files ``NAME.json`` and
-``NAME.rows.csv``."""
+"""What a diagnosis found (:class:`Diagnosis`), as ``NAME.json``, ``NAME.rows.csv``."""
 
 import json
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ from tirefit.data.table import TireData
 from tirefit.data.write import to_convention, write_csv
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.evidence.forms import RunOffsets
+from tirefit.diagnosis.extended import SCHEMA, Extension
 from tirefit.diagnosis.left_out import Ladder
 from tirefit.diagnosis.rows.rig import SlipCheck
 from tirefit.diagnosis.summary.records import (
@@ -38,8 +38,6 @@ from tirefit.display import Displayed
 from tirefit.files import json_text, write_text_atomic
 from tirefit.models import MODELS
 from tirefit.params import specs
-
-SCHEMA = "tirefit.diagnosis/3"
 
 _NOT_WRITTEN = {"written": False}
 
@@ -91,6 +89,7 @@ class Diagnosis(Displayed):
     runs: Mapping[str, RunOffsets] = field(default_factory=dict)
     base_parameters: Mapping[str, float]
     extended_parameters: Mapping[str, float]
+    extension: Extension
     settings: Settings
     seed: int
     version: str

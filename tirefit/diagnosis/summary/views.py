@@ -24,77 +24,65 @@ from tirefit.diagnosis.rows.patterns import (
 from tirefit.diagnosis.summary.where import FEWEST_ROWS, LEVEL, binned, covariates_of
 
 _BANDS, _BINS, _STEPS = 5, 13, 60
-"""Bands of a swept covariate, bins of a map or of what is left, and bins of a curve, at
-most."""
+"""Most bands of a swept covariate, bins of a map or remainder, and bins of a curve."""
 
-_FEWEST = 4
-"""Rows of a cell from which its scatter is known."""
-_TENTHS = (0.1, 0.9)
-"""Quantiles that hold 80 % of the rows of a bin."""
+_FEWEST = 4  # rows of a cell from which its scatter is known
+_TENTHS = (0.1, 0.9)  # quantiles that hold 80 % of the rows of a bin
 _BETTER = 0.05
 """Share of its energy by which another map must show more than that over the load."""
-_POINTS, _CURVES = 300, 3
-"""Points and curves that a figure shows, at most."""
+_POINTS, _CURVES = 300, 3  # points and curves that a figure shows, at most
 _SHOWN_OVER = ("fz", "v", "time", "direction", "gamma")
 """Covariates that the map is drawn over, the usual one first."""
 
 
 class ShownRows(NamedTuple):
-    """The used rows of the first channel, (n,) each: ``slip`` is sigma_x, or alpha
-    [rad] where ``slip_name`` says so; ``covariates`` are those that vary, loads first;
-    ``base``, ``extended`` and ``gap`` [N] are both fits and the located gap."""
+    """The used rows of the first channel, (n,) each."""
 
     channel: str
     slip_name: str
-    slip: np.ndarray
+    slip: np.ndarray  # sigma_x, or alpha [rad] where ``slip_name`` says so
     slip_fraction: np.ndarray
     load: np.ndarray
-    covariates: dict[str, np.ndarray]
+    covariates: dict[str, np.ndarray]  # those that vary, loads first
     observed: np.ndarray
-    base: np.ndarray
-    extended: np.ndarray
-    gap: np.ndarray
+    base: np.ndarray  # [N]
+    extended: np.ndarray  # [N]
+    gap: np.ndarray  # [N], located
 
 
 class ResidualMap(NamedTuple):
-    """Mean residual of the base fit in cells of slip fraction x another covariate.
-
-    ``edges`` (k+1,) of the signed slip fraction; ``levels`` (m, 2) of the other one,
-    from and to; ``mean`` (m, k) in % of F_z, NaN for empty cells; ``beyond`` (m, k):
-    it is not noise (Benjamini-Hochberg, 5 %); ``energy`` (m, k): share of the located
-    gap's energy, 0 where no gap can be resolved."""
+    """Mean residual of the base fit in cells of slip fraction x another covariate."""
 
     channel: str
     covariate: str
-    levels: np.ndarray
-    edges: np.ndarray
-    mean: np.ndarray
-    beyond: np.ndarray
-    energy: np.ndarray
+    levels: np.ndarray  # (m, 2) of the covariate, from and to
+    edges: np.ndarray  # (k+1,) of the signed slip fraction
+    mean: np.ndarray  # (m, k) in % of F_z, NaN for empty cells
+    beyond: np.ndarray  # (m, k) it is not noise (Benjamini-Hochberg, 5 %)
+    energy: np.ndarray  # (m, k) share of the gap's energy, 0 if it cannot be resolved
 
 
 class LoadCurve(NamedTuple):
-    """One level of load [N], from and to: measured points ``slip``, ``force`` (n,), and
-    both fits as means over bins of slip (k,); between ``low`` and ``high`` (k,) the
-    extended force lies for 80 % of the rows of a bin."""
+    """One level of load: measured points (n,), both fits as means over bins of slip
+    (k,)."""
 
-    load: tuple[float, float]
-    slip: np.ndarray
-    force: np.ndarray
+    load: tuple[float, float]  # [N] from and to
+    slip: np.ndarray  # (n,)
+    force: np.ndarray  # (n,)
     center: np.ndarray
     base: np.ndarray
     extended: np.ndarray
-    low: np.ndarray
+    low: np.ndarray  # ends of 80 % of the extended forces of a bin
     high: np.ndarray
 
 
 class Comparison(NamedTuple):
-    """Before and after: curves by load; rms residuals [N], noise included, in bins of
-    slip fraction. ``named``: ``after`` is the extension, else the located gap is."""
+    """Before and after: curves by load; rms residuals [N], noise included, by slip
+    fraction."""
 
     channel: str
     slip_name: str
-    named: bool
+    named: bool  # ``after`` is the extension, else the located gap is
     curves: tuple[LoadCurve, ...]
     center: np.ndarray
     before: np.ndarray
@@ -209,24 +197,18 @@ def compared(rows: ShownRows, named: bool) -> Comparison:
 
 
 class LookCurve(NamedTuple):
-    """The local change of the parameter of a :class:`Look` over its covariate.
-
-    ``center``, ``change``, ``std`` (k,) are bins: the covariate, the estimate and its
-    standard error; ``x``, ``shape`` (p,) the fitted shape, whose size is that of the
-    look: of a wave the amplitude, of a kink its value at the end. Changes are in the
-    units of :class:`Look`, in the direction of the slip where ``is_mirrored``;
-    ``is_folded``: a wave, shown within one period; ``at_settings``: bins are settings.
-    """
+    """The local change of the parameter of a :class:`Look` over its covariate, in the
+    units of the look."""
 
     look: Look
-    center: np.ndarray
-    change: np.ndarray
-    std: np.ndarray
-    x: np.ndarray
-    shape: np.ndarray
-    is_mirrored: bool
-    is_folded: bool
-    at_settings: bool
+    center: np.ndarray  # (k,) bins of the covariate
+    change: np.ndarray  # (k,) estimates
+    std: np.ndarray  # (k,) standard errors
+    x: np.ndarray  # (p,) of the shape
+    shape: np.ndarray  # (p,) fitted; its size: a wave's amplitude, a kink's end
+    is_mirrored: bool  # changes in the direction of the slip
+    is_folded: bool  # a wave, shown within one period
+    at_settings: bool  # bins are settings
 
 
 def shape_of(one: Pattern | Look, values, low: float, span: float) -> np.ndarray:

@@ -31,10 +31,8 @@ _PARTS, _STRETCHES = 4, 32
 FEWEST_ROWS = 8
 """Fewest rows of a region, and of a bin on average; and rows over the slip whose
 misfits are summed: a smooth misfit adds up, noise does not."""
-_DENSE = 4.0
-"""Share of the gap over that of the rows from which a stretch is a spot."""
-_FUNCTIONS = 6
-"""Smooth functions of a covariate that a parameter may follow."""
+_DENSE = 4.0  # share of the gap over that of the rows from which a stretch is a spot
+_FUNCTIONS = 6  # smooth functions of a covariate that a parameter may follow
 _TOGETHER = 0.9
 """Rank correlation from which two conditions are reported to move together."""
 
@@ -91,8 +89,7 @@ def _chance(base: Base, residual, rows) -> float:
 
 
 def binned(values, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Bin (n,) of each value, and the edges (k + 1,) of ``count`` bins at most, of as
-    many values each."""
+    """Bin (n,) of each value, edges (k + 1,) of at most ``count`` equally full bins."""
     edges = np.unique(np.quantile(values, np.linspace(0, 1, max(count, 1) + 1)))
     if len(edges) == 1:  # one value alone would be a bin without width
         edges = edges[0] + np.array([-0.5, 0.5])

@@ -18,10 +18,8 @@ _HELD = {"fz": 0.03, "pressure": 0.01, "sigma_x": 0.01}
 _HELD |= {"gamma": 0.2 * _DEG, "alpha": 0.3 * _DEG}
 """Scatter of a channel that a rig holds constant, at one slip: relative for load and
 pressure, rad for angles, kappa for ``sigma_x``."""
-_SWEPT = 10.0
-"""Width, in units of :data:`_HELD`, above which a level is a range."""
-_MOST = 12
-"""Largest number of levels of a channel; a channel with more is a range."""
+_SWEPT = 10.0  # width, in units of :data:`_HELD`, above which a level is a range
+_MOST = 12  # largest number of levels of a channel; a channel with more is a range
 _VALLEY = 0.5
 """Two levels are separate if the density of rows between them falls below this share of
 the lower of their two peaks."""
@@ -29,26 +27,19 @@ _LEAST_SHARE = 0.01
 """Smallest share of the rows in a level; fewer rows are on the way between levels."""
 _SUPPORT = 0.1
 """Smallest share of the rows that must show a number of levels for it to be used."""
-_STEPS = 4
-"""Cells of the density estimate per unit of :data:`_HELD`."""
-_CELLS = 32
-"""Number of slip bins between the ends of all sweeps."""
+_STEPS = 4  # cells of the density estimate per unit of :data:`_HELD`
+_CELLS = 32  # number of slip bins between the ends of all sweeps
 
 
 class Setting(NamedTuple):
-    """The conditions at which a rig swept one slip.
+    """The conditions at which a rig swept one slip: medians of their levels."""
 
-    ``fz`` [N], ``gamma`` [rad] and ``pressure`` [Pa] are the medians of their levels.
-    ``swept`` is the slip that varies, ``alpha`` or ``sigma_x``. ``held`` is the median
-    of the other slip (rad, or kappa). ``run`` is the number of the run.
-    """
-
-    fz: float
-    gamma: float
-    pressure: float
-    swept: str
-    held: float
-    run: int
+    fz: float  # [N]
+    gamma: float  # [rad]
+    pressure: float  # [Pa]
+    swept: str  # slip that varies, ``alpha`` or ``sigma_x``
+    held: float  # median of the other slip (rad, or kappa)
+    run: int  # its number
 
     def text(self, name: str) -> str:
         """One condition with its unit, for labels; empty for an unknown pressure."""
@@ -67,20 +58,16 @@ class Setting(NamedTuple):
 
 
 class SlipBins(NamedTuple):
-    """The rows of one setting, of all runs, in m bins of the swept slip; arrays (m,).
-
-    ``slip`` (rad, or kappa), ``inputs`` and ``force`` are medians of the rows of a bin.
-    ``low`` and ``high`` bound the central 95 % of its forces. ``rows`` is the number of
-    its rows.
-    """
+    """The rows of one setting, of all runs, in m bins of the swept slip; arrays
+    (m,)."""
 
     setting: Setting
-    slip: np.ndarray
-    inputs: TireInputs
-    force: np.ndarray
-    low: np.ndarray
+    slip: np.ndarray  # median (rad, or kappa)
+    inputs: TireInputs  # medians
+    force: np.ndarray  # median
+    low: np.ndarray  # ends of the central 95 % of the forces
     high: np.ndarray
-    rows: np.ndarray
+    rows: np.ndarray  # number in the bin
 
 
 def settings_of(rows: ForceRows) -> tuple[tuple[str, ...], np.ndarray]:
@@ -105,8 +92,7 @@ def rig_settings(rows: ForceRows) -> tuple[tuple[Setting, ...], np.ndarray]:
 
     Rows share a setting if they share the levels of load, camber, pressure and held
     slip, and the run. The load of a rig varies with the slip, so levels are searched
-    within classes of similar slip. A channel without levels is cut into thirds of its
-    rows.
+    within classes of similar slip. A channel without levels is cut into thirds.
 
     Args:
         rows: (n,) in the order in which they were measured.
@@ -178,8 +164,7 @@ def _levels(name: str, values: np.ndarray, alike) -> tuple[np.ndarray, bool]:
     """The level of each value (n,), and whether the levels are thirds of a range.
 
     Args:
-        alike: class of similar slip of each row (n,), 0 at rest; a level scatters less
-            within a class.
+        alike: class of similar slip of each row (n,), 0 at rest, of less scatter.
     """
     found = levels(values)
     if found.few(_MOST):

@@ -13,20 +13,18 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.fitting.mf.rows import ForceRows
-from tirefit.fitting.noise_law import NoiseLaw, noise_law
+from tirefit.fitting.noise import NoiseLaw, noise_law
 from tirefit.models import TireInputs
 
 _WIDTH = {"sigma_x": 0.005, "alpha": 0.005, "gamma": 0.005}
 """Width of a cell at small slip [-], [rad]. The force at the mean input of a cell
-differs from the mean force by (B width)^2 / 24 of it: 0.1 % at a stiffness factor
-B = 30."""
+differs from the mean force by (B width)^2 / 24 of it: 0.1 % at B = 30."""
 
 _FEWEST = 4096
 """Number of rows below which every row is a cell: so few take no longer to fit."""
 
 _WIDENS = 0.1
-"""Slip above which the width of a cell grows with the slip: the curves are nearly
-straight there."""
+"""Slip above which cells widen with the slip: the curves are nearly straight there."""
 
 _SHARE = {"fz": 0.05, "pressure": 0.02, "v": 0.05}
 """Relative width of a cell in load, pressure and speed."""
@@ -36,17 +34,13 @@ _AT_FIRST = 0.05
 
 
 class Cells(NamedTuple):
-    """m cells of the n rows of one force, in the order of their setting and slips.
+    """m cells of the n rows of one force, in the order of their setting and slips."""
 
-    ``inputs`` and ``observed`` (m,) are means over the ``rows`` (m,) of each cell.
-    ``code`` (n,) is the cell of each row. ``setting`` (m,) is the setting of the rig.
-    """
-
-    inputs: TireInputs
-    observed: np.ndarray
-    rows: np.ndarray
-    code: np.ndarray
-    setting: np.ndarray
+    inputs: TireInputs  # (m,) means
+    observed: np.ndarray  # (m,) means
+    rows: np.ndarray  # (m,) number in the cell
+    code: np.ndarray  # (n,) cell of each row
+    setting: np.ndarray  # (m,) of the rig
 
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Mean of the values (n,) over the rows of each cell: (m,)."""
@@ -100,21 +94,15 @@ def _place(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Group:
-    """Cells of one force in pure or in combined slip, with their noise.
-
-    ``white`` is the noise law of one row. ``misfit`` is the law of the difference
-    between a cell's mean and the formula. ``given`` (m,) is the variance of each cell's
-    mean where the noise is given. ``each`` is the number of cells per independent cell,
-    as neighbouring cells have similar misfit.
-    """
+    """Cells of one force in pure or in combined slip, with their noise."""
 
     force: str
     pure: bool
     cells: Cells
-    given: np.ndarray | None
-    white: NoiseLaw = NoiseLaw(0.0, 0.0)
-    misfit: NoiseLaw | None = None
-    each: float = 1.0
+    given: np.ndarray | None  # (m,) variance of each mean where noise is given
+    white: NoiseLaw = NoiseLaw(0.0, 0.0)  # of one row
+    misfit: NoiseLaw | None = None  # of a cell's mean less the formula
+    each: float = 1.0  # cells per independent cell, as neighbours have similar misfit
 
     def variance(self, predicted: np.ndarray) -> np.ndarray:
         """Variance (m,) of each cell's mean about the formula.

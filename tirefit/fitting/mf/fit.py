@@ -18,7 +18,6 @@ from tirefit.fitting.mf.bins import binned, settings_of
 from tirefit.fitting.mf.cells import groups_of
 from tirefit.fitting.mf.guards import check_guards
 from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, LeftOut, cross_validated
-from tirefit.fitting.mf.like import Borrowed, borrowed_from, with_dimensions
 from tirefit.fitting.mf.parts import (
     HELD,
     MOMENTS,
@@ -30,7 +29,15 @@ from tirefit.fitting.mf.parts import (
     own_coefficients,
     parts_named,
 )
-from tirefit.fitting.mf.priors import Prior, normal_form, prior_given, published_priors
+from tirefit.fitting.mf.priors import (
+    Borrowed,
+    Prior,
+    borrowed_from,
+    normal_form,
+    prior_given,
+    published_priors,
+    with_dimensions,
+)
 from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
 from tirefit.fitting.mf.rows import ForceRows, joined, rows_of_part
 from tirefit.fitting.mf.solve import Problem, row_values
@@ -81,8 +88,7 @@ def fit_magic_formula(
             prior of coefficients; ``friction_temperature`` for a friction that changes
             with temperature (the coefficients then hold at its median).
         first: coefficients of a tire that may be similar, as an additional start.
-        like: a ``.tir`` file whose coefficients are the means of the priors, except
-            those that ``config`` sets.
+        like: a ``.tir`` whose coefficients are prior means, if not in config.
         leave_out: ``three`` leaves out the bins of three loads in turn, ``load`` those
             of each load, ``bin`` each bin, ``none`` nothing.
         progress: called with the share done and the name of the next step.
@@ -187,8 +193,7 @@ def _check_settings(model: str, config: FitConfig) -> None:
     if config.noise.loss not in ("squares", FitConfig().noise.loss):
         reason = f"noise.loss = {config.noise.loss!r} in a Magic Formula"
         problems.append(InputProblem(reason, "leave it out", config.source))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def nominal_of(
@@ -200,8 +205,7 @@ def nominal_of(
 ):
     """The tire with its nominal state and the given values, and notes on assumptions.
 
-    It has M_x or M_y if the data measure it, or if ``config`` or ``also`` name one of
-    its coefficients.
+    It has M_x or M_y if the data do, or ``config`` or ``also`` name a coefficient.
 
     Args:
         constants: ``Source.constants`` of the data file, which replace assumptions; the

@@ -1,8 +1,7 @@
 """Guards: whether the curves of a fitted Magic Formula are those of a tire.
 
 Each guard is a property of the force on a grid: loads from the smallest of the data to
-twice the largest, cambers and pressures of the data, slips to a locked wheel and 30
-degrees.
+twice the largest, cambers and pressures of the data, slips to lock and to 30 degrees.
 """
 
 from collections.abc import Mapping
@@ -24,8 +23,7 @@ GUARDS = {
 }
 """Name -> what holds."""
 
-_BEYOND = 2.0
-"""Largest load of the grid over that of the data."""
+_BEYOND = 2.0  # largest load of the grid over that of the data
 
 _LOADS = 9
 _SMALL, _CLEAR = 0.004, 0.06
@@ -39,29 +37,26 @@ _LEAST_PEAK = 0.1
 
 
 class Guard(NamedTuple):
-    """One guard: whether it holds, its definition or the first failure (``text``), and
-    whether it holds at the loads and slips of the data (``holds_inside``)."""
+    """One guard."""
 
     name: str
     holds: bool
-    text: str
-    holds_inside: bool
+    text: str  # its definition or the first failure
+    holds_inside: bool  # at the loads and slips of the data
 
 
 @dataclass(frozen=True)
 class _Grid:
-    """Forces per load of a tire; ``pure`` and ``both`` are (states, slips), the slips
-    of ``pure`` those of one force, ascending; ``fz`` (states,); ``inside`` (states,) is
-    whether the load is one of the data's."""
+    """Forces per load of a tire."""
 
-    pure: Mapping[str, np.ndarray]
-    slips: Mapping[str, np.ndarray]
-    both: Mapping[str, np.ndarray]
+    pure: Mapping[str, np.ndarray]  # (states, slips)
+    slips: Mapping[str, np.ndarray]  # of ``pure``, ascending
+    both: Mapping[str, np.ndarray]  # (states, slips)
     signs: Mapping[str, np.ndarray]
-    fz: np.ndarray
+    fz: np.ndarray  # (states,)
     gamma: np.ndarray
     pressure: np.ndarray
-    inside: np.ndarray
+    inside: np.ndarray  # (states,) whether the load is one of the data's
 
 
 def _states(ranges: Mapping[str, tuple[float, float]], inside: bool):
@@ -167,8 +162,7 @@ def _failures(
 
 
 def _falls(grid: _Grid, force: str) -> np.ndarray:
-    """States within the data whose largest force is below that at the next smaller
-    load."""
+    """States within the data whose largest force is below that at a smaller load."""
     falls = np.zeros(len(grid.fz), bool)
     for peak in _peaks(grid, force):
         # Of a state and the one before, which has the next smaller load.

@@ -11,7 +11,7 @@ from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import blocks_of, propagated
 from tirefit.fitting.mf.stages import Search, without
-from tirefit.fitting.noise_law import NoiseLaw, noise_law
+from tirefit.fitting.noise import NoiseLaw, noise_law
 
 LEAVE_OUT = ("three", "load", "bin", "none")
 """What is left out in turn: the bins of three loads (the smallest, a middle one, the
@@ -22,8 +22,7 @@ _ROWS = 1500
 
 _IN_95 = 1.96
 
-_CHANCE = 0.05
-"""Level of the test for shifts that are larger than the standard errors."""
+_CHANCE = 0.05  # level of the test for shifts that are larger than the standard errors
 
 _DETERMINED = 0.1
 """Smallest relative growth of a variance without the part, in a direction of the
@@ -34,19 +33,14 @@ _FEWEST_LOADS = 3
 
 
 class LeftOut(NamedTuple):
-    """One part of the data of a force, predicted by a fit to the other parts.
-
-    ``rmse`` [N, N m] is the root mean square residual of its ``rows`` under that fit,
-    ``rmse_of_all`` under the fit to all rows. ``within`` is the share of its rows in
-    the 95 % band, which is made without this part.
-    """
+    """One part of the data of a force, predicted by a fit to the other parts."""
 
     label: str
     force: str
-    rows: int
-    rmse: float
-    rmse_of_all: float
-    within: float
+    rows: int  # of the part
+    rmse: float  # [N, N m] under that fit
+    rmse_of_all: float  # under the fit to all rows
+    within: float  # share of rows in the 95 % band, which is made without this part
 
 
 class Band(NamedTuple):
@@ -58,20 +52,15 @@ class Band(NamedTuple):
 
 
 class _Sample(NamedTuple):
-    """A sample of n rows of one part under one fit.
+    """A sample of n rows of one part under one fit."""
 
-    ``residual`` (n,) is predicted - measured, ``variance`` (n,) that of the predicted
-    force from the errors of the coefficients. The sample was taken from ``rows`` rows;
-    ``each`` of its rows count as one. ``shift``: see :func:`_shift`.
-    """
-
-    residual: np.ndarray
+    residual: np.ndarray  # (n,) predicted - measured
     fz: np.ndarray
     predicted: np.ndarray
-    variance: np.ndarray
-    rows: int
-    each: float
-    shift: tuple[float, int]
+    variance: np.ndarray  # (n,) of the prediction, from the errors of the coefficients
+    rows: int  # that it was taken from
+    each: float  # rows that count as one
+    shift: tuple[float, int]  # see :func:`_shift`
 
     @property
     def rmse(self) -> float:

@@ -31,14 +31,11 @@ functions are within 1 % of one there."""
 
 
 class Part(NamedTuple):
-    """One part of the formula.
-
-    ``forces`` are those whose rows it uses; ``meaning`` is its name in reports.
-    """
+    """One part of the formula."""
 
     name: str
-    forces: tuple[str, ...]
-    meaning: str
+    forces: tuple[str, ...]  # whose rows it uses
+    meaning: str  # its name in reports
 
 
 PARTS = {
@@ -85,8 +82,7 @@ def parts_named(part: str) -> tuple[str, ...]:
 
 
 def coefficients_of(version: str) -> dict[str, str]:
-    """Coefficient of this version -> the part that estimates it, in the order of the
-    equations.
+    """Coefficient of this version -> part that estimates it, in equation order.
 
     Scaling factors and the nominal state are given, so they are not included.
     """

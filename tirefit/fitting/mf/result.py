@@ -15,7 +15,7 @@ from tirefit.fitting.mf.guards import Guard
 from tirefit.fitting.mf.left_out import LeftOut
 from tirefit.fitting.mf.stages import Stage
 from tirefit.fitting.mf.temperature import FrictionTemperature
-from tirefit.fitting.noise_law import NoiseLaw
+from tirefit.fitting.noise import NoiseLaw
 from tirefit.fitting.result import SCHEMA, layout_record
 from tirefit.fitting.store import StoredFit
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire
@@ -42,60 +42,45 @@ ten of them the map to the unconstrained space is linear to one part in a thousa
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One coefficient: value, standard error (0 if given), ``origin`` (a key of
-    :data:`ORIGINS`), the part that estimates it, and its prior."""
+    """One coefficient and its prior."""
 
     value: float
-    std: float
-    origin: str
-    part: str
+    std: float  # standard error, 0 if given
+    origin: str  # a key of :data:`ORIGINS`
+    part: str  # that estimates it
     prior_mean: float
     prior_std: float
 
 
 @dataclass(frozen=True, repr=False)
 class MagicFormulaFit(Displayed):
-    """A Magic Formula fitted to measured rows.
-
-    ``coefficients`` are in the order of the equations, with their ``covariance``
-    (p, p). ``forces`` are the fitted ones, ``parts`` the stages.
-
-    By force: ``noise`` is the noise law of a measurement, from rows that were left out;
-    ``wider`` the factor of the standard errors, which ``covariance`` includes;
-    ``inflation`` the number of rows per independent row; ``fitted`` the root mean
-    square residual [N, N m] and the number of rows; ``binned`` the rows by setting and
-    slip for figures, empty in a fit read from a file.
-
-    ``left_out`` holds the predictions of parts that were left out, ``ranges`` the
-    (least, largest) value of each input in ISO-W axes, ``guards`` the checks of the
-    curves within and beyond these ranges, and ``warmth`` the change of friction of a
-    fit with ``friction_temperature``.
-    """
+    """A Magic Formula fitted to measured rows; mappings are by force unless noted.
+    ``binned`` holds the rows by setting and slip, for figures of a fresh fit."""
 
     html_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_fragment"
     text_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_report"
 
     model: str
-    parts: tuple[str, ...]
-    forces: tuple[str, ...]
-    coefficients: Mapping[str, Coefficient]
-    covariance: np.ndarray
+    parts: tuple[str, ...]  # the stages
+    forces: tuple[str, ...]  # fitted ones
+    coefficients: Mapping[str, Coefficient]  # in the order of the equations
+    covariance: np.ndarray  # (p, p), with ``wider``
     tire: MFTire
-    noise: Mapping[str, NoiseLaw]
+    noise: Mapping[str, NoiseLaw]  # of a measurement, from rows left out
     noise_estimated: Mapping[str, bool]
-    wider: Mapping[str, float]
-    inflation: Mapping[str, float]
-    fitted: Mapping[str, tuple[float, int]]
+    wider: Mapping[str, float]  # factor of the standard errors
+    inflation: Mapping[str, float]  # rows per independent row
+    fitted: Mapping[str, tuple[float, int]]  # rms residual [N, N m], number of rows
     stages: tuple[Stage, ...]
-    left_out: tuple[LeftOut, ...]
-    guards: tuple[Guard, ...]
-    ranges: Mapping[str, tuple[float, float]]
+    left_out: tuple[LeftOut, ...]  # predictions of parts that were left out
+    guards: tuple[Guard, ...]  # checks of the curves within and beyond ``ranges``
+    ranges: Mapping[str, tuple[float, float]]  # (least, largest) input, ISO-W axes
     reference: Mapping[str, float]
     data: Mapping[str, Any]
     notes: tuple[str, ...]
     version: str
     binned: Mapping[str, tuple[SlipBins, ...]] = field(default_factory=dict)
-    warmth: FrictionTemperature | None = None
+    warmth: FrictionTemperature | None = None  # with ``friction_temperature``
 
     def __repr__(self) -> str:
         return f"MagicFormulaFit({self.model!r}, {self.data['file']!r})"

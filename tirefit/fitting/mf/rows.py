@@ -11,7 +11,7 @@ from tirefit.fitting.config import FitConfig
 from tirefit.fitting.mf.parts import MOMENTS, PARTS, SLIPS_OF, is_pure, parts_named
 from tirefit.fitting.problem import force_scale
 from tirefit.models import TireInputs
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 _FEWEST = 30
 """Smallest number of rows of a force, which has some 20 coefficients in pure slip."""
@@ -27,20 +27,15 @@ _ASIDE = {
 
 @dataclass(frozen=True)
 class ForceRows:
-    """The rows of one force.
-
-    ``std`` (n,) is the standard deviation of the noise, which is given unless
-    ``estimated``. ``run`` (n,) is the number of the run. ``pure`` (n,) marks rows of
-    pure slip; none is marked if they are too few to be fitted alone.
-    """
+    """The rows of one force."""
 
     force: str
     inputs: TireInputs
     observed: np.ndarray
-    std: np.ndarray
+    std: np.ndarray  # (n,) of the noise, which is given unless ``estimated``
     estimated: bool
-    run: np.ndarray
-    pure: np.ndarray
+    run: np.ndarray  # (n,) number of the run
+    pure: np.ndarray  # (n,) rows of pure slip; none if too few to be fitted alone
 
     def column(self, name: str) -> np.ndarray:
         """One of the inputs, (n,)."""
@@ -108,22 +103,22 @@ def rows_of_part(
     forces = list(dict.fromkeys(f for name in parts for f in PARTS[name].forces))
     forces = [force for force in forces if force != "mz" or part not in MOMENTS]
     rows = rows_of_forces(whole, forces, config)
-    source = whole.source.path or whole.name
+    source = whole.file
     pressures = next(iter(rows.values())).column("pressure")
     typical = np.median(pressures[pressures > 0]) if np.any(pressures > 0) else None
     if typical is not None and not PRESSURES[0] <= typical <= PRESSURES[1]:
         reason = f"a median pressure of {typical:g} Pa, which no tire has"
         remedy = "name the unit of its column, as in --unit pressure=bar"
-        raise DataError(InputProblem(reason, remedy, source))
+        raise DataError(reason, remedy, source)
     if "combined" not in parts and not np.any(rows[part].pure):
         reason = f"--part {part}: the data have too few rows of {part} in pure slip"
         remedy = "leave out --part: its rows of combined slip are fitted too"
-        raise DataError(InputProblem(reason, remedy, source))
+        raise DataError(reason, remedy, source)
     lacking = "mx is not fitted: the data have no fy, of which the model makes it"
     if part in MOMENTS and part not in rows:
         reason = lacking if part in whole else f"the data have no {part}"
         remedy = f"leave out --part {part}, or see `tirefit inspect`"
-        raise DataError(InputProblem(reason, remedy, source))
+        raise DataError(reason, remedy, source)
     notes = [lacking] if "mx" in {*parts} & {*whole.columns} - {*rows} else []
     if "mz" in rows and "fy" not in rows:
         notes.append(
@@ -136,8 +131,7 @@ def rows_of_part(
 def rows_of_forces(
     data: TireData, forces: Sequence[str], config: FitConfig
 ) -> dict[str, ForceRows]:
-    """The rows of every force that the data hold with its slip; of M_x only beside F_y,
-    on which it depends.
+    """The rows of every force that has its slip; of M_x only beside F_y.
 
     Raises:
         DataError: a force has fewer than 30 rows, or none is there with its slip.
@@ -153,22 +147,18 @@ def rows_of_forces(
             continue
         if np.count_nonzero(there) < _FEWEST:
             raise DataError(
-                InputProblem(
-                    f"{np.count_nonzero(there)} rows of {force}: a Magic Formula needs"
-                    f" at least {_FEWEST}",
-                    "measure more, or fit a brush model",
-                    data.source.path or data.name,
-                )
+                f"{np.count_nonzero(there)} rows of {force}: a Magic Formula needs"
+                f" at least {_FEWEST}",
+                "measure more, or fit a brush model",
+                data.file,
             )
         rows[force] = _rows_of(replace(data, used=there), force, config)
     if not rows:
         raise DataError(
-            InputProblem(
-                f"no {' or '.join(forces)} with its slip: a fit needs fx with sigma_x"
-                " (or kappa, s), fy and mz with alpha, mx with alpha and fy",
-                "check with `tirefit inspect` how the columns were read",
-                data.source.path or data.name,
-            )
+            f"no {' or '.join(forces)} with its slip: a fit needs fx with sigma_x"
+            " (or kappa, s), fy and mz with alpha, mx with alpha and fy",
+            "check with `tirefit inspect` how the columns were read",
+            data.file,
         )
     return rows
 

@@ -32,15 +32,13 @@ _MAX_STEPS = 200
 _FIRST_DAMPING, _LEAST_DAMPING, _STUCK = 1.0, 1e-6, 1e10
 _GOOD, _FAIR = 0.75, 0.25
 _SETTLED = 1e-6
-"""Deviance that one more undamped step must gain for the search to go on: a thousandth
-of a standard error."""
+"""Least gain in deviance of one more undamped step: 0.001 of a standard error."""
 
 _RESTS, _GAINED = 15, 1e-3
 """The search ends if this number of passes gained less than this deviance (a thirtieth
 of a standard error) in all: at a kink of the formula every step stays damped."""
 
-_LIMITED = 256
-"""Number of points at which the curvature factors of a force are limited."""
+_LIMITED = 256  # number of points at which the curvature factors of a force are limited
 
 _LARGEST_E, _OVER = 0.98, 0.005
 """Curvature factor above which a penalty applies, and the excess that costs one of
@@ -49,34 +47,26 @@ draws the same curve, whether it limits E to one or not."""
 
 
 class Block(NamedTuple):
-    """Rows of one force: inputs, measured force and 1 / noise, which is zero in padding
-    rows; each (n,), n one of ``_ROWS``."""
+    """Rows of one force; each (n,), n one of ``_ROWS``."""
 
     force: str
     inputs: TireInputs
     observed: np.ndarray
-    weight: np.ndarray
+    weight: np.ndarray  # 1 / noise, zero in padding rows
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A least-squares problem: the rows, and the coefficients that may move.
+    """A least-squares problem: the rows, and the coefficients that may move."""
 
-    ``tire`` holds the nominal state, the scaling factors and the fixed coefficients.
-    ``names`` gives the order of u; ``centre`` and ``spread`` (p,) are those of the
-    priors. Where ``log`` (p,), u is the logarithm of the coefficient over its centre.
-    ``free`` (p,) marks the coefficients that this stage moves. ``limits``: force ->
-    inputs at which its curvature factors must stay below one.
-    """
-
-    tire: MFTire
-    names: tuple[str, ...]
-    centre: np.ndarray
-    spread: np.ndarray
-    log: np.ndarray
-    free: np.ndarray
+    tire: MFTire  # nominal state, scaling factors, fixed coefficients
+    names: tuple[str, ...]  # order of u
+    centre: np.ndarray  # (p,) of the priors
+    spread: np.ndarray  # (p,) of the priors
+    log: np.ndarray  # (p,) where u is log(coefficient / centre)
+    free: np.ndarray  # (p,) coefficients that this stage moves
     blocks: tuple[Block, ...]
-    limits: Mapping[str, TireInputs] = field(default_factory=dict)
+    limits: Mapping[str, TireInputs] = field(default_factory=dict)  # keep E < 1 there
 
     def values(self, u) -> dict[str, float]:
         """Coefficient -> value at u (p,)."""
@@ -116,13 +106,12 @@ class Problem:
 
 
 class Minimum(NamedTuple):
-    """The end of a search: u (p,), the sum of squares of rows and priors, whether it
-    converged, and the number of passes over the rows."""
+    """The end of a search."""
 
-    u: np.ndarray
-    cost: float
+    u: np.ndarray  # (p,)
+    cost: float  # sum of squares of rows and priors
     converged: bool
-    steps: int
+    steps: int  # passes over the rows
 
 
 def blocks_of(force: str, inputs: TireInputs, observed, std) -> tuple[Block, ...]:

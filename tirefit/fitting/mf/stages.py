@@ -27,9 +27,7 @@ from tirefit.fitting.mf.solve import (
     row_gradients,
     row_values,
 )
-from tirefit.fitting.mf.starts import first_values
-from tirefit.fitting.noise import autocorrelation_time, design_effect
-from tirefit.fitting.noise_law import noise_law
+from tirefit.fitting.noise import autocorrelation_time, design_effect, noise_law
 from tirefit.models import TireInputs
 
 _ENOUGH = 2048
@@ -40,12 +38,10 @@ _TRIES, _ROUGHLY = 60, 0.01
 
 _ROUNDS = 10
 _SETTLED = 0.02
-"""Limit of rounds of search and noise estimation, and the relative change of the noise
-below which they end."""
+"""Most rounds of search and noise estimation; change of the noise that ends them."""
 
 _DETERMINED = 0.5
-"""Posterior over prior variance below which the rows determine a coefficient: later
-stages do not move it."""
+"""Posterior over prior variance below which later stages keep a coefficient."""
 
 _HELD = 0.98
 """Posterior over prior variance above which the rows do not identify a coefficient."""
@@ -54,26 +50,19 @@ Progress = Callable[[str], None]
 
 
 class Stage(NamedTuple):
-    """The record of one stage.
-
-    ``rows`` and ``cells`` are counts, ``moved`` is the number of coefficients that the
-    stage moved, ``chi2`` its weighted sum of squares, ``steps`` its passes over the
-    rows, and ``converged`` tells whether it ended before its limit of passes. ``rmse``
-    [N, N m] is the root mean square residual of the means of its cells at the end of
-    the stage, ``rmse_at_end`` at the end of the fit.
-    """
+    """The record of one stage."""
 
     name: str
     force: str
     pure: bool
     rows: int
     cells: int
-    moved: int
-    chi2: float
-    steps: int
-    converged: bool
-    rmse: float
-    rmse_at_end: float
+    moved: int  # number of coefficients that it moved
+    chi2: float  # weighted sum of squares
+    steps: int  # passes over the rows
+    converged: bool  # whether it ended before its limit of passes
+    rmse: float  # [N, N m] of the means of its cells at the end of the stage
+    rmse_at_end: float  # and at the end of the fit
 
     @property
     def part(self) -> str:
@@ -83,25 +72,19 @@ class Stage(NamedTuple):
 
 @dataclass
 class Search:
-    """The state of the search: u (p,), its covariance (p, p), and the stages done.
-
-    ``groups`` holds the cells of each force. ``near`` tells whether u started from the
-    coefficients of a tire that may be similar. ``moved`` are the coefficients that some
-    stage moved; ``held`` are those of them that the data do not identify.
-    """
+    """The state of the search: u (p,), its covariance (p, p), and the stages done."""
 
     problem: Problem
-    groups: dict[str, list[Group]]
+    groups: dict[str, list[Group]]  # cells of each force
     u: np.ndarray
     covariance: np.ndarray
-    near: bool = False
+    near: bool = False  # u started from a tire that may be similar
     stages: list[Stage] = field(default_factory=list)
-    moved: set[str] = field(default_factory=set)
-    held: set[str] = field(default_factory=set)
+    moved: set[str] = field(default_factory=set)  # coefficients that some stage moved
+    held: set[str] = field(default_factory=set)  # those that the data do not identify
 
     def rmse(self, group: Group) -> float:
-        """Root mean square residual [N, N m] of the means of cells, weighted by their
-        numbers of rows."""
+        """Rms residual [N, N m] of the means of cells, weighted by rows."""
         cells = group.cells
         predicted = row_values(self.problem, self.u, group.force, cells.inputs)
         squares = (predicted - cells.observed) ** 2
@@ -181,8 +164,7 @@ def _one_stage(work: Search, force: str, count: int, rows: ForceRows | None) -> 
     """Fit the first ``count`` groups of a force; the last of them is new.
 
     Args:
-        rows: rows of the force, for the starts and the noise of single rows; None in a
-            continued search.
+        rows: of the force, for starts and noise; None in a continued search.
     """
     is_last = count == len(work.groups[force])
     names = _to_move(work, force, is_last)
@@ -240,8 +222,7 @@ def problem_of(work: Search, force: str, count: int, names, most=None) -> Proble
 
 
 def _learn_noise(work: Search, force: str, count: int, rows) -> float:
-    """Estimate the noise of the newest group from its residuals; returns its largest
-    relative change."""
+    """Estimate the newest group's noise from its residuals; largest relative change."""
     group = work.groups[force][count - 1]
     cells = group.cells
     predicted = row_values(work.problem, work.u, force, cells.inputs)
@@ -297,8 +278,7 @@ def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarr
     """The covariance (p, p) of u after a stage.
 
     The known coefficients k keep their covariance. The moved ones m have the covariance
-    H_mm^-1 given k, and change with k by -H_mm^-1 H_mk; H is the curvature of rows and
-    priors.
+    H_mm^-1 given k and change by -H_mm^-1 H_mk; H: curvature of rows and priors.
     """
     moved, known = np.flatnonzero(problem.free), np.flatnonzero(~problem.free)
     curvature = curvature_at(problem, u)
@@ -345,3 +325,41 @@ def _starts(work: Search, group: Group) -> list[np.ndarray]:
                 u[i] = problem.unit(name, values[name])
         starts.append(u)
     return starts
+
+
+_SHAPES: dict[str, tuple[dict[str, float], ...]] = {
+    "fx": ({}, {"PCX1": 1.2}, {"PCX1": 1.8}),
+    "fy": ({}, {"PCY1": 1.1}, {"PCY1": 1.8}),
+    "mz": ({"QEZ1": -0.5}, {"QCZ1": 1.1, "QEZ1": -3.0}, {"QCZ1": 1.5, "QEZ1": -1.0}),
+    "mx": (
+        {},
+        {"QSX2": -1.0, "QSX3": 0.5, "QSX4": -1.0},
+        {"QSX2": 1.0, "QSX3": -0.5, "QSX4": 1.0},
+    ),
+}
+"""Shapes of the curves to start from. Curves with a peak, without a peak and with a
+sharp peak belong to different local minima."""
+
+
+def first_values(group: Group) -> list[dict[str, float]]:
+    """Coefficients to start from, one set per shape."""
+    return [_look(group) | shape for shape in _SHAPES.get(group.force, ({},))]
+
+
+def _look(group: Group) -> dict[str, float]:
+    """Friction from the largest forces, and stiffness from the slope at small slips."""
+    if group.force not in ("fx", "fy"):
+        return {}
+    inputs, force = group.cells.inputs, group.cells.observed
+    slip = np.asarray(inputs.sigma_x if group.force == "fx" else inputs.alpha)
+    fz, size = np.asarray(inputs.fz), np.abs(slip)
+    low = size <= max(np.quantile(size, 0.2), 0.1 * size.max())
+    peak = float(np.clip(np.quantile(np.abs(force) / fz, 0.98), 0.1, 3.0))
+    share = slip[low] * fz[low]
+    slope = 1.2 * float(share @ force[low] / max(share @ share, 1e-12))
+    slope = max(slope, peak / max(size.max(), 1e-6))
+    if group.force == "fx":
+        return {"PDX1": peak, "PKX1": slope}
+    # K = PKY1 F_z0 sin(2 arctan(F_z / (PKY2 F_z0))) at F_z = F_z0.
+    at_nominal = np.sin(2 * np.arctan(1 / 2.5))
+    return {"PDY1": peak, "PKY1": -slope / at_nominal, "PKY2": 2.5}

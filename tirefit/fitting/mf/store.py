@@ -3,10 +3,9 @@
 import os
 from pathlib import Path
 
-from tirefit.data.tir import write_tir
+from tirefit.data.tir import new_tir, write_tir
 from tirefit.data.tir_file import TirFile
 from tirefit.data.tir_keys import ONLY_IN
-from tirefit.data.tir_new import new_tir
 from tirefit.files import write_text_atomic
 from tirefit.fitting.mf.parts import VERSIONS
 from tirefit.fitting.mf.result import MagicFormulaFit
@@ -14,8 +13,7 @@ from tirefit.params import parameter_values, specs
 
 
 def tir_of(fit: MagicFormulaFit) -> TirFile:
-    """The tire property file of a fit; each coefficient has a comment with its origin
-    and standard error."""
+    """The tire property file of a fit; comments give origin and standard error."""
     version = VERSIONS[fit.model]
     known = specs(fit.tire)
     notes = {}

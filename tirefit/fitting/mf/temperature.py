@@ -18,14 +18,13 @@ from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import row_gradients, row_values
 from tirefit.fitting.mf.stages import Search, problem_of
 from tirefit.params import parameter_values, with_values
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 _ROUNDS = 6
 _SETTLED = 0.1
 """Limit of fits, and the change of b in standard errors below which they end."""
 
-_STEP = 0.05
-"""Relative change of friction for the derivatives of a force."""
+_STEP = 0.05  # relative change of friction for the derivatives of a force
 
 UNUSED = "the friction is not fitted over temperature (friction_temperature = true)"
 _LEAST = 1.0
@@ -38,12 +37,11 @@ Rows = Mapping[str, ForceRows]
 
 
 class FrictionTemperature(NamedTuple):
-    """Relative change of friction b [1/K] with its standard error; it is zero at
-    ``reference`` [degC]."""
+    """Relative change of friction with temperature; zero at ``reference``."""
 
-    b: float
-    std: float
-    reference: float
+    b: float  # [1/K]
+    std: float  # standard error
+    reference: float  # [degC]
 
     def text(self) -> str:
         """The result as one sentence."""
@@ -71,7 +69,7 @@ def at_reference(
     if np.ptp(column[data.used]) < _LEAST:
         reason = f"temperature varies by less than {_LEAST:g} K, too little to fit"
         remedy = "leave out friction_temperature"
-        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+        raise DataError(reason, remedy, data.file)
     reference = float(np.round(np.median(column[data.used])))
     warmth = {
         force: column[np.isfinite(data.columns[force]) & data.used] - reference

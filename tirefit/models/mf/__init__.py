@@ -6,13 +6,13 @@ Equation numbers (4.E1 ...) are those of Pacejka, *Tire and Vehicle Dynamics*, 3
 supplement (2010) 337-352, where it differs from the book.
 """
 
-from tirefit.models.mf.curvature import curvatures
 from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.models.mf.tire import (
     OTHER_SIDE,
     WEIGHTS,
     MFTire,
     Mirrored,
+    curvatures,
     frictions,
     mf_tire,
 )

@@ -12,31 +12,22 @@ _TINY = 1e-12
 
 
 class Point(NamedTuple):
-    """Where the formulas are evaluated, all in ISO-W axes.
+    """Where the formulas are evaluated, all in ISO-W axes."""
 
-    ``kappa`` > 0 driving; ``alpha`` and ``gamma`` are alpha* and gamma* (the angles
-    themselves, or tan alpha and sin gamma), ``camber`` is the angle gamma; ``fz`` > 0;
-    ``dfz`` and ``dpi`` are the normalised changes of load and pressure (4.E2);
-    ``friction_*`` scales the friction, lambda*_mu (4.E7), and ``shift_*`` the vertical
-    shifts, lambda'_mu (4.E8).
-    ``camber_stiffness``: whether camber acts as in MF 6 (PKY6) or as in 5.2 (PHY3);
-    ``starred``: whether alpha* is tan alpha.
-    """
-
-    kappa: Any
-    alpha: Any
+    kappa: Any  # > 0 driving
+    alpha: Any  # alpha*: the angle or its tangent
     cos_alpha: Any
-    gamma: Any
-    camber: Any
-    fz: Any
-    dfz: Any
-    dpi: Any
-    friction_x: Any
+    gamma: Any  # gamma*: the angle or its sine
+    camber: Any  # the angle gamma
+    fz: Any  # > 0
+    dfz: Any  # normalised change of load (4.E2)
+    dpi: Any  # and of pressure (4.E2)
+    friction_x: Any  # scales the friction, lambda*_mu (4.E7)
     friction_y: Any
-    shift_x: Any
+    shift_x: Any  # scales the vertical shift, lambda'_mu (4.E8)
     shift_y: Any
-    camber_stiffness: bool
-    starred: bool
+    camber_stiffness: bool  # camber acts as in MF 6 (PKY6), or as in 5.2 (PHY3)
+    starred: bool  # alpha* is tan alpha
 
     @property
     def tan_alpha(self):
@@ -50,16 +41,14 @@ class Point(NamedTuple):
 
 
 class Curve(NamedTuple):
-    """Argument ``x`` = B (slip + shift) and curvature factor ``curvature`` = E of the
-    function :func:`~tirefit.models.magic_formula.bent` of one curve."""
+    """Arguments of :func:`~tirefit.models.magic_formula.bent` of one curve."""
 
-    x: Any
-    curvature: Any
+    x: Any  # B (slip + shift)
+    curvature: Any  # E
 
 
 class Weight(NamedTuple):
-    """Curve of a weighting function at a slip, and ``x`` of it where the slip is zero;
-    ``shape``: C."""
+    """Weighting curve at a slip; ``x`` of it at zero slip; ``shape`` C."""
 
     curve: Curve
     x_at_rest: Any

@@ -18,19 +18,15 @@ from tirefit.models.mf.fields import (
 
 
 class PureLateral(NamedTuple):
-    """F_y at zero kappa, and what the aligning moment needs of it.
+    """F_y at zero kappa, and what the aligning moment needs of it."""
 
-    ``force``, ``stiffness`` K_ya and ``shift`` S_Vy are per unit of load; ``slope`` is
-    B_y C_y, ``offset`` S_Hy, ``mu`` the friction and ``curve`` B_y alpha_y with E_y.
-    """
-
-    force: Any
-    stiffness: Any
-    slope: Any
-    offset: Any
-    shift: Any
-    mu: Any
-    curve: Curve
+    force: Any  # per unit of load
+    stiffness: Any  # K_ya, per unit of load
+    slope: Any  # B_y C_y
+    offset: Any  # S_Hy
+    shift: Any  # S_Vy, per unit of load
+    mu: Any  # friction
+    curve: Curve  # B_y alpha_y with E_y
 
 
 class Lateral(eqx.Module):

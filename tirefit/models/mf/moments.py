@@ -2,8 +2,7 @@
 
 Both follow the equation manual of MF-Tyre 6.1; MF 5.2 has fewer of the coefficients.
 M_y has the form of Besselink et al. (2010), (A48). P(4.E70) differs: it has the load in
-place of FNOMIN, and the opposite sign. Loads are normalised by FNOMIN, not by
-LFZO FNOMIN.
+place of FNOMIN, and the opposite sign. FNOMIN, not LFZO FNOMIN, normalises loads.
 """
 
 import equinox as eqx

@@ -1,0 +1,147 @@
+"""Effects written into a tire, against the forces of the diagnosis itself."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest_diagnosis import bare, brush
+
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.effects import EFFECTS, Atom
+from tirefit.diagnosis.evidence.base import fit_base
+from tirefit.diagnosis.extended import Document, document_of, extend, extension_of
+from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.rig import Rig
+from tirefit.models import MODELS, TireInputs, forces, modelled
+from tirefit.results import UsageError
+
+RIG = Rig(noise={"fx_relative": 0.01, "fy_relative": 0.01})
+"""The slip is exact: a force is that at the slip, not the mean over its noise."""
+
+HELD = {
+    "pressure_asymmetry", "pressure_flatness", "kinetic_friction",
+    "pressure_shift_load", "carcass_flexibility", "friction_speed_linear",
+    "friction_speed_exponential", "load_stiffness", "load_friction",
+    "drive_brake_asymmetry", "friction_pressure", "stiffness_pressure",
+    "stiffness_speed",
+}  # fmt: skip
+LATERAL = {"camber_thrust", "conicity"}
+
+
+def table(mode, rows=240):
+    """Slips of one kind over loads, speeds, camber and pressure, in no order."""
+    generator = np.random.default_rng(2)
+    slip = generator.uniform(-0.2, 0.2, rows)
+    fz = generator.choice([2000.0, 4000.0, 6000.0], rows)
+    force = brush(slip, 5e4, 0.9, fz) + 30 * generator.standard_normal(rows)
+    frame = {
+        "fz": fz, "v": generator.choice([6.0, 24.0], rows), "time": np.arange(rows),
+        "gamma": generator.uniform(-0.05, 0.05, rows),
+        "pressure": generator.choice([1.8e5, 2.2e5], rows),
+    }  # fmt: skip
+    along = {"sigma_x": slip, "fx": force}
+    across = {"alpha": np.arctan(slip), "fy": force}
+    return read_frame(frame | (along if mode == "x" else across))
+
+
+def document(base, atom, size, to, **known):
+    """The part of a document that names one effect."""
+    effect = atom.effect
+    amplitude = {"value": size, "std": abs(size) / 10, "unit": effect.unit}
+    values = {k: float(v) for k, v in base.layout.natural(base.z).items()}
+    return Document.model_validate({
+        "data": {"name": "data", "sha256": "0" * 64}, "model": "brush",
+        "simulator": None, "gap": {"closed": 0.8, "shares": {}},
+        "verdict": {
+            "status": "named", "effects": [effect.id], "probability": 0.9,
+            "also_possible": [],
+        },
+        "candidates": [{
+            "effects": [effect.id],
+            "parameters": {f"{effect.id}: {effect.parameter}": amplitude},
+        }],
+        "base_parameters": values, "extended_parameters": values,
+        "extension": to._asdict(),
+    } | known)  # fmt: skip
+
+
+def based(mode, model):
+    data = table(mode)
+    return fit_base(
+        prepare(data, RIG, modelled(MODELS[model])), model, EFFECTS, RIG
+    ).measured
+
+
+def only(base, k):
+    """The hypothesis of one atom; what it explains does not matter."""
+    return bare((base.atoms[k].effect.id,), atoms=(k,), z=base.z)
+
+
+@pytest.mark.parametrize(
+    ("mode", "model"), [("x", "brush"), ("y", "brush"), ("x", "brush-d-force")]
+)
+def test_each_effect_of_the_tire_gives_the_forces_of_the_diagnosis(mode, model):
+    base, held = based(mode, model), set()
+    rows, name = base.prepared, f"f{mode}"
+    given = {"alpha": np.arctan(rows.slip)} if mode == "y" else {"sigma_x": rows.slip}
+    inputs = rows.inputs._replace(**given)
+    for k, atom in enumerate(base.atoms):
+        effect, scale = atom.effect, float(base.design.prior_scale[k])
+        if effect.channels and name not in effect.channels:
+            continue
+        if model != "brush" and atom.variant:
+            continue
+        size = (-0.5 if effect.sign < 0 else 0.5) * scale
+        to = extension_of(base, only(base, k), False)
+        found = extend(
+            MODELS[model], model, document(base, atom, size, to, model=model),
+            lambda tire: tire,
+        )  # fmt: skip
+        if not found.names:
+            assert found.tire is found.bare
+            continue
+        held.add(effect.id)
+        wanted = base.forces(base.z, base.amplitudes((k,), (size / scale,)))[name]
+        ours = np.asarray(getattr(forces(found.tire, inputs), name))
+        assert np.max(np.abs(ours - wanted) / rows.inputs.fz) < 1e-9, effect.id
+        without = np.asarray(getattr(forces(found.bare, inputs), name))
+        assert np.max(np.abs(ours - without) / rows.inputs.fz) > 1e-4, effect.id
+    assert held == HELD | (LATERAL if mode == "y" else set())
+
+
+def test_effects_of_measurement_vehicle_and_past_are_only_reported():
+    base = based("x", "brush")
+    every = {effect.id: effect for effect in EFFECTS}
+    for id, words in (
+        ("slip_offset", "of the measurement, not in the forces: slip_offset"),
+        ("relaxation_length", "not in the forces: relaxation_length length = 0.3 +-"),
+        ("speed_drag", "not in the forces, of the vehicle: speed_drag"),
+        ("friction_drift", "it closes 80% of the gap"),
+    ):
+        k = [atom.effect.id for atom in base.atoms].index(id)
+        to = extension_of(base, only(base, k), False)
+        at = document(base, Atom(every[id]), 0.3, to)
+        found = extend(MODELS["brush"], "brush", at, lambda tire: tire)
+        assert found.names == () and words in found.sentences[1]
+
+
+def test_a_tire_with_effects_is_finite_at_rest_and_without_load():
+    base = based("y", "brush")
+    k = [atom.effect.id for atom in base.atoms].index("load_friction")
+    at = document(base, base.atoms[k], -0.3, extension_of(base, only(base, k), False))
+    found = extend(MODELS["brush"], "brush", at, lambda tire: tire)
+    still = forces(found.tire, TireInputs(0.0, 0.0, np.array([0.0, 4000.0]), 0.0))
+    assert np.all(np.asarray(still.fy) == 0)
+
+
+def test_a_diagnosis_of_another_model_or_of_columns_is_refused():
+    base = based("x", "brush")
+    at = document(base, base.atoms[0], 0.1, extension_of(base, only(base, 0), False))
+    for changes in ({"model": "brush-d"}, {"simulator": {"kind": "columns"}}):
+        text = at.model_dump_json()
+        content = json.loads(text) | changes | {"schema": "tirefit.diagnosis/3"}
+        other = document_of(json.dumps(content))
+        with pytest.raises(UsageError, match="the tire is a brush"):
+            extend(MODELS["brush"], "brush", other, lambda tire: tire)
+    with pytest.raises(ValueError, match="schema"):
+        document_of(json.dumps({"schema": "tirefit.diagnosis/2"}))

@@ -1,0 +1,382 @@
+"""A tire with the effects that a diagnosis names: :func:`extend`.
+
+The effects change the tire by their own formulas (:mod:`tirefit.diagnosis.effects`), at
+the amplitudes of the document. What they need beside slip, load, speed, camber and
+pressure no tire has, so such effects are only reported.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from tirefit.diagnosis.decide.verdict import UNKNOWN
+from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Atom, effects_by_id
+from tirefit.diagnosis.effects.state import (
+    Covariates,
+    arm_of,
+    force_of_state,
+    is_plain,
+    null_state,
+    peak_ratio,
+    slip_of_state,
+    slope_at_rest,
+    with_offsets,
+)
+from tirefit.diagnosis.evidence.base import Base
+from tirefit.diagnosis.evidence.search import Hypothesis
+from tirefit.diagnosis.rows.covariates import column, slowest
+from tirefit.diagnosis.rows.prepared import MODES
+from tirefit.door import RECORD, content_of, outrageous
+from tirefit.models import AbstractTire, TireForces, TireInputs
+from tirefit.params import check_values, specs, with_values
+from tirefit.results import DataError, InputProblem, UsageError
+
+SCHEMA = "tirefit.diagnosis/3"
+
+_NO_LOAD = 1e-6
+"""Share of the mean load below which laws of the load stay as they are there: powers
+of it have no value at zero."""
+
+
+class Extension(NamedTuple):
+    """What the amplitudes of a file refer to.
+
+    Attributes:
+        mode: slip that drives the forces: x, y or xy.
+        variants: number of the formula of each fitted effect, by its id.
+        other_form: whether the data prefer another form to these formulas.
+        fz: geometric mean of the load [N].
+        load: mean load [N].
+        at: median load [N] and speed [m/s].
+        slowest: speed below which a wheel counts as standing [m/s].
+        brisk, cruise, rise, peak: as in :class:`effects.state.Covariates`.
+        used: largest force over load of the base fit.
+        pressure: mean and range of the inflation pressure [Pa].
+    """
+
+    mode: str
+    variants: Mapping[str, int]
+    other_form: bool
+    fz: float
+    load: float
+    at: tuple[float, float]
+    slowest: float
+    brisk: float
+    cruise: float
+    rise: float
+    peak: float
+    used: float
+    pressure: tuple[float, float]
+
+
+def extension_of(base: Base, chosen: Hypothesis, other_form: bool) -> Extension:
+    """The extension of a file, for the effects of a refitted set."""
+    rows, prepared = base.design.rows, base.prepared
+    inflation = column(prepared.data, "pressure")
+    atoms = [base.atoms[k] for k in chosen.atoms]
+    first = {
+        name: float(np.asarray(getattr(rows, name))[0])
+        for name in ("load", "brisk", "cruise", "rise", "peak")
+    }
+    fz = np.asarray(prepared.inputs.fz)
+    share = np.abs(np.asarray(rows.traction)[: prepared.n]) * first["load"] / fz
+    return Extension(
+        mode=prepared.mode, variants={a.effect.id: a.variant for a in atoms},
+        other_form=other_form, fz=float(fz[0] / prepared.covariates.fz[0]),
+        at=(float(base.design.reference[0]), float(base.design.reference[1])),
+        slowest=slowest(column(prepared.data, "v")), used=float(np.max(share)),
+        pressure=(float(np.mean(inflation)), float(np.ptp(inflation))), **first,
+    )  # fmt: skip
+
+
+class _Absent:
+    """A covariate that no tire has: using it raises :class:`_Needed`."""
+
+    def _refuse(self, *_: Any) -> Any:
+        raise _Needed
+
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = _refuse
+    __truediv__ = __rtruediv__ = __pow__ = __neg__ = __matmul__ = _refuse
+    __getitem__ = __jax_array__ = __gt__ = __lt__ = _refuse
+
+
+class _Needed(Exception):
+    pass
+
+
+def _covariates(to: Extension, given: TireInputs, force) -> Covariates:
+    """What effects may depend on, of one sample.
+
+    Args:
+        force: force of the base fit that the slip drives [N].
+    """
+    slip, across = given.sigma_x, jnp.tan(given.alpha)
+    own = across if to.mode == "y" else slip
+    mean, span = to.pressure
+    pressure = jnp.where(given.pressure == 0, mean, given.pressure)
+    absent = dict.fromkeys(Covariates._fields, _Absent())
+    known = {name: getattr(to, name) for name in ("brisk", "cruise", "rise", "peak")}
+    load = jnp.maximum(given.fz, _NO_LOAD * to.fz)
+    share = force / (to.used * load)
+    # The square of a slip keeps its size differentiable at zero.
+    size = jnp.sqrt(slip**2 + across**2 + 1e-30)
+    return Covariates(**absent | known | {
+        "fz": load / to.fz, "load": to.load, "v": given.v, "gamma": given.gamma,
+        "inflation": (pressure - mean) / span if span else 0.0, "side": jnp.sign(own),
+        "force": share, "usage": jnp.abs(share), "traction": force / to.load,
+        "pace": jnp.maximum(jnp.abs(given.v), to.slowest),
+        "sliding": jnp.abs(given.v * size / (1 + slip)),
+    })  # fmt: skip
+
+
+class Extended(AbstractTire):
+    """A tire with effects, in steady state.
+
+    Attributes:
+        tire: the tire with the parameters that were fitted beside the effects.
+        effects: variants of effects, and their amplitudes.
+        to: what the amplitudes refer to.
+        usual: forces of the base fit, for effects that follow them.
+        peak: largest force over load of ``tire``.
+    """
+
+    tire: AbstractTire
+    effects: tuple[tuple[Atom, float], ...] = eqx.field(static=True)
+    to: Extension = eqx.field(static=True)
+    usual: Callable = eqx.field(static=True)
+    peak: float = eqx.field(static=True)
+
+    def __call__(self, inputs: TireInputs) -> TireForces:
+        to, tire, inputs = self.to, self.tire, TireInputs(*map(jnp.asarray, inputs))
+        usual = self.usual(inputs)
+        force = usual.fy if to.mode == "y" else usual.fx
+        rows, state = _covariates(to, inputs, force), null_state()
+        for atom, amplitude in self.effects:
+            state = atom.change(state, amplitude, rows)
+        along, across = inputs.sigma_x, jnp.tan(inputs.alpha)
+        if to.mode == "y":
+            across = slip_of_state(state, across)
+        else:
+            along = slip_of_state(state, along)
+        carrier = None
+        if not is_plain(tire):
+            at_rest = inputs._replace(sigma_x=0.0, alpha=0.0)
+            stiffness = slope_at_rest(tire, at_rest, to.mode) / 2
+            carrier = stiffness, self.peak, arm_of(tire)
+        pair = along, across * (1 + along)
+        found = force_of_state(tire, carrier, state, *pair, inputs)
+        found = with_offsets(found, state, to.mode)
+        whole = dict(zip(("fx", "fy", "mz"), found, strict=True))
+        own = tire(inputs)
+        given = {k: v for k, v in whole.items() if getattr(own, k) is not None}
+        return own._replace(**given)
+
+
+class _Part(BaseModel):
+    """What is read of a document."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
+class _Amplitude(_Part):
+    value: float
+    std: float
+    unit: str
+
+
+class _Candidate(_Part):
+    effects: list[str]
+    parameters: dict[str, _Amplitude]
+
+
+class _Verdict(_Part):
+    status: str
+    effects: list[str]
+    probability: float
+    also_possible: list[str]
+
+
+class _Gap(_Part):
+    closed: float | None
+    shares: dict[str, float]
+
+
+class _Data(_Part):
+    name: str
+    sha256: str
+
+
+class _Simulator(_Part):
+    kind: str
+
+
+class Document(_Part):
+    """What an extension needs of ``NAME.json``."""
+
+    data: _Data
+    model: str
+    simulator: _Simulator | None
+    gap: _Gap
+    verdict: _Verdict
+    candidates: list[_Candidate]
+    base_parameters: dict[str, float]
+    extended_parameters: dict[str, float]
+    extension: Extension
+
+
+def read_document(path: str | PathLike) -> Document:
+    """The document of a diagnosis.
+
+    Raises:
+        DataError: no such file, no document of a diagnosis, or one of an earlier
+            version that lacks what the amplitudes refer to.
+    """
+    remedy = "give NAME.json of `tirefit diagnose`; run it again for an older file"
+    raw = content_of(Path(path), RECORD, DataError, remedy)
+    try:
+        return document_of(raw.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        said = ": ".join(str(error).split("\n")[:2]) or "it is nested too deeply"
+        reason = f"not the document of a diagnosis: {said[:200]}"
+        raise DataError(InputProblem(reason, remedy, str(path))) from None
+
+
+def document_of(text: str) -> Document:
+    """The same from its text; ValueError where it is none."""
+    content = json.loads(text)
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise ValueError(f"its schema is not {SCHEMA}")
+    if odd := outrageous(content, 0.0):
+        raise ValueError(": ".join(odd))
+    document = Document.model_validate(content)
+    to = document.extension
+    for name in ("fz", "load", "slowest", "brisk", "cruise", "rise", "peak", "used"):
+        if not getattr(to, name) > 0:
+            raise ValueError(f"extension.{name} is not positive")
+    if to.mode not in MODES:
+        raise ValueError(f"extension.mode is {to.mode!r}")
+    return document
+
+
+class Report(NamedTuple):
+    """A tire with effects.
+
+    Attributes:
+        tire: with the effects that it can hold; the given one where there are none.
+        bare: the same without them.
+        names: of the effects that it holds.
+        sentences: on the verdict and on each effect.
+    """
+
+    tire: AbstractTire
+    bare: AbstractTire
+    names: tuple[str, ...]
+    sentences: tuple[str, ...]
+
+
+def extend(
+    tire: AbstractTire, name: str, document: Document, finish: Callable
+) -> Report:
+    """A tire with the named effects of a diagnosis.
+
+    Args:
+        tire: the tire that was diagnosed; the parameters that were fitted beside the
+            effects replace its own.
+        name: of its model.
+        finish: what is done to a tire before the effects change it.
+
+    Raises:
+        UsageError: the diagnosis is of another model, or of a simulator that is known
+            by its forces alone; or its parameters are outside their bounds.
+    """
+    verdict, remedy = document.verdict, "diagnose the model, fit or .tir of this tire"
+    known = specs(tire)
+    columns = document.simulator is not None and document.simulator.kind == "columns"
+    other = document.simulator is None and document.model != name
+    if columns or other or not known.keys() >= document.extended_parameters.keys():
+        what = "a simulator's columns" if columns else document.model
+        reason = f"the diagnosis is of {what}, the tire is a {name}"
+        raise UsageError(InputProblem(reason, remedy))
+    for values in (document.extended_parameters, document.base_parameters):
+        check_values(tire, name, values)
+    sentences = [
+        f"diagnosis of {document.data.name} (sha256 {document.data.sha256[:12]}):"
+        f" {verdict.status.replace('_', ' ')}, probability {verdict.probability:.2f}"
+    ]
+    if verdict.also_possible:
+        others = ", ".join(verdict.also_possible)
+        sentences.append(f"these data cannot rule out {others} instead")
+    if document.extension.other_form:
+        sentences.append("the data prefer another shape to the formulas of the effects")
+    found = [_judged(effect, document) for effect in verdict.effects]
+    sentences += [one.sentence for one in found]
+    held = [(one.atom, one.amplitude) for one in found if one.atom is not None]
+    bare = finish(with_values(tire, document.extended_parameters))
+    if not held:
+        return Report(bare, bare, (), tuple(sentences))
+    plain = finish(with_values(tire, document.base_parameters))
+    to = document.extension
+    sentences.append(
+        f"in these formulas F_z0 = {to.fz:.5g} N, mean F_z = {to.load:.5g} N and"
+        f" v0 = {to.cruise:.4g} m/s"
+    )
+    extended = Extended(
+        tire=bare, effects=tuple(held), to=to, usual=lambda given: plain(given),
+        peak=float(peak_ratio(bare, *to.at)),
+    )  # fmt: skip
+    names = tuple(atom.effect.id for atom, _ in held)
+    return Report(extended, bare, names, tuple(sentences))
+
+
+class _Judged(NamedTuple):
+    """An effect: its formula where a tire can hold it, amplitude, and a sentence."""
+
+    atom: Atom | None
+    amplitude: float
+    sentence: str
+
+
+def _judged(id: str, document: Document) -> _Judged:
+    effect = effects_by_id((*EFFECTS, *NOISE_EFFECTS)).get(id)
+    if effect is None or not hasattr(effect, "change"):
+        what = "of the noise" if effect else "not in the library of effects"
+        what = "no listed effect explains it" if id == UNKNOWN else what
+        return _Judged(None, 0.0, f"not in the forces: {id}: {what}")
+    prefix, named = f"{id}: ", set(document.verdict.effects)
+    sets = (one for one in document.candidates if set(one.effects) == named)
+    amplitudes = next(sets, _Candidate(effects=[], parameters={})).parameters
+    whole = next((key for key in amplitudes if key.startswith(prefix)), None)
+    variant = document.extension.variants.get(id)
+    known = range(len(effect.variants))
+    if whole is None or variant is None or variant not in known:
+        return _Judged(None, 0.0, f"not in the forces: {id}: it has no amplitude")
+    size, atom = amplitudes[whole], Atom(effect, variant)
+    said = f"{id} {whole.removeprefix(prefix)} = {size.value:.5g} +- {size.std:.2g}"
+    unit = size.unit.removeprefix("-").strip()
+    said += f"{' ' if unit else ''}{unit}: {effect.means} ({effect.formula})"
+    if effect.of == "measurement":
+        reason = f"of the measurement, not in the forces: {said}; {effect.remedy}"
+        return _Judged(None, 0.0, reason)
+    if effect.of == "tire" and _has_inputs(atom, size.value, document.extension):
+        return _Judged(atom, size.value, f"in the forces: {said}")
+    closed = document.gap.shares.get(id, document.gap.closed)
+    lost = "" if closed is None else f"; it closes {closed:.0%} of the gap"
+    whose = "" if effect.of == "tire" else f", of the {effect.of}"
+    return _Judged(None, 0.0, f"not in the forces{whose}: {said}{lost}")
+
+
+def _has_inputs(atom: Atom, amplitude: float, to: Extension) -> bool:
+    """Whether an effect depends on inputs of a tire alone."""
+    given = TireInputs(0.01, 0.01, to.fz, to.cruise)
+    try:
+        atom.change(null_state(), amplitude, _covariates(to, given, to.load))
+    except _Needed:
+        return False
+    return True

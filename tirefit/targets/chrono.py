@@ -1,0 +1,166 @@
+"""A tire for Project Chrono: the JSON of its ``Pac02Tire``, and the ``.tir`` beside it.
+
+What Chrono reads and computes follows its ``Pac02Tire.cpp`` and ``ChPac02Tire.cpp``
+(release 8): equations of Magic Formula 5.2, less some coefficients.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from tirefit.data.tir_file import TirFile
+from tirefit.files import json_text
+from tirefit.fitting.tir import USUAL_SHARES, USUAL_SLIP, own_tire
+from tirefit.models import TireInputs, forces
+from tirefit.models.mf import WEIGHTS, MFTire, frictions
+from tirefit.results import InputProblem, UsageError
+from tirefit.targets.code import Draft
+from tirefit.targets.tir import head_of, held_as_tir, new_file, tir_source
+from tirefit.targets.tire import Tire
+
+_VERSION = "mf52"
+
+_UNREAD = "PDX3 REX1 REX2 REY1 REY2 RHY2 QBZ10".split()
+"""Coefficients of MF 5.2 that Chrono does not read."""
+
+_LIMIT = np.pi / 2 - 0.01
+"""To which Chrono limits B times the slip, in pure slip."""
+
+_SMALL, _SEEN = 1e-4, 1e-3
+"""Slip by which the slope at rest is taken; share of the load that is mentioned."""
+
+_WHEEL = {
+    "mass": "MASS", "ixx": "IXX", "iyy": "IYY",
+    "vertical_stiffness": "VERTICAL_STIFFNESS", "vertical_damping": "VERTICAL_DAMPING",
+    "width": "WIDTH",
+}  # fmt: skip
+"""What Chrono needs beside the forces -> key of a ``.tir`` that states it."""
+
+FRICTION = 0.8
+"""Friction coefficient of the road of the tests; Chrono scales the force by that of its
+terrain over it."""
+
+
+def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Tire:
+    """The tire that Chrono has in place of ``tire``, in version 5.2.
+
+    Args:
+        model: None or ``mf52``.
+        wheel: SI values by :data:`_WHEEL` that the tire's own file does not state,
+            ``radius`` of a model without one, and ``friction`` of the road, 0.8 if not
+            given.
+
+    Raises:
+        UsageError: another version, a value of the wheel that is missing, or a tire
+            that no ``.tir`` holds.
+    """
+    problems = []
+    if model not in (None, _VERSION):
+        reason = f"--model {model} with --to chrono, which reads {_VERSION} alone"
+        problems.append(InputProblem(reason, "leave it out"))
+    whole = {"friction": FRICTION, **_stated(tire.tir), **wheel}
+    if missing := [name for name in _WHEEL if name not in whole]:
+        asked = " ".join(f"--wheel {name}=..." for name in missing)
+        reason = f"Chrono needs {', '.join(missing)} of the wheel, in SI units"
+        problems.append(InputProblem(reason, f"give {asked}"))
+    if problems:
+        raise UsageError(problems)
+    of_tir = {k: v for k, v in wheel.items() if k not in {*_WHEEL, "friction"}}
+    held = held_as_tir(tire, _VERSION, of_tir)
+    assert held.tir is not None and isinstance(held.model, MFTire)
+    tir = new_file(held)
+    unread = [k for k in _UNREAD if tir.numbers.get(k)]
+    combined = all(tir.numbers.get(k) for keys in WEIGHTS.values() for k in keys)
+    added: dict[str, float | str] = {
+        "PROPERTY_FILE_FORMAT": "PAC2002", "USE_MODE": 4.0, "TYRESIDE": held.tir.side,
+        "FE_METHOD": "NO" if combined else "YES",
+    }  # fmt: skip
+    added |= {key: whole[name] for name, key in _WHEEL.items()}
+    tir = tir.with_values(added)
+    notes = [
+        "Chrono looks for the .tir in its folder of vehicle data: put both files there,"
+        " or call chrono::vehicle::SetDataPath with their folder",
+        f"its forces are those of the file on a road of friction {whole['friction']:g}",
+    ]  # fmt: skip
+    if unread:
+        notes.append(f"Chrono 8 does not read {', '.join(unread)}: zero there")
+    if not combined:
+        notes.append("without coefficients of combined slip Chrono takes its ellipse")
+    if tir.numbers.get("LKY", 1.0) != tir.numbers.get("LMUY", 1.0):
+        notes.append("Chrono scales the cornering stiffness by LMUY, not by LKY")
+    model_there = held.model
+    if unread:
+        model_there = own_tire(tir.with_values(dict.fromkeys(unread, 0.0)))
+    found = replace(held, model=model_there, tir=tir)
+    notes += _limited(found)
+    return replace(found, notes=held.notes + tuple(notes))
+
+
+def _stated(tir: TirFile | None) -> dict[str, float]:
+    """What a file states of the wheel, in SI units."""
+    if tir is None:
+        return {}
+    length, force, mass = (tir.unit(key) for key in ("LENGTH", "FORCE", "MASS"))
+    sizes = {
+        "mass": mass, "ixx": mass * length**2, "iyy": mass * length**2,
+        "vertical_stiffness": force / length,
+        "vertical_damping": force / length * tir.unit("TIME"), "width": 1.0,
+    }  # fmt: skip
+    numbers = tir.numbers
+    return {
+        name: numbers[key] * sizes[name]
+        for name, key in _WHEEL.items() if numbers.get(key, 0.0) > 0
+    }  # fmt: skip
+
+
+def _limited(tire: Tire) -> list[str]:
+    """What the limit of B times the slip costs, in pure slip to a usual size."""
+    model, loads = tire.model, np.array(USUAL_SHARES) * tire.load
+    assert isinstance(model, MFTire)
+    alone = TireInputs(*np.zeros((len(TireInputs._fields), len(loads))))
+    peaks = frictions(model, alone._replace(fz=loads))
+    shapes = {
+        "fx": model.longitudinal.PCX1 * model.scaling.LCX,
+        "fy": model.lateral.PCY1 * model.scaling.LCY,
+    }
+    slips = np.linspace(-USUAL_SLIP, USUAL_SLIP, 121)[:, None]
+    missed = [(0.0, "", 0.0)]
+    for name, slip in (("fx", "sigma_x"), ("fy", "alpha")):
+        if name in model.lacks:
+            continue
+
+        def share(at, name=name, slip=slip):
+            """Force over load (n, loads) at slips that broadcast to it."""
+            at, fz = np.broadcast_arrays(at, loads)
+            given = TireInputs(fz=fz.ravel())._replace(**{slip: at.ravel()})
+            found = np.asarray(getattr(forces(model, given), name))
+            return found.reshape(at.shape) / fz
+
+        rise = np.abs(share([[_SMALL]])[0] - share([[-_SMALL]])[0]) / (2 * _SMALL)
+        most = _LIMIT * float(shapes[name]) * peaks[name] / rise
+        lost = np.max(np.abs(share(slips) - share(np.clip(slips, -most, most))), 0)
+        missed.append((float(lost.max()), name, float(most[lost.argmax()])))
+    size, name, most = max(missed)
+    if size < _SEEN:
+        return []
+    return [
+        f"Chrono limits the slip: its {name} stays the same beyond {most:.3g}, where"
+        f" that of the file differs by up to {size:.1%} of F_z (to {USUAL_SLIP:g})"
+    ]
+
+
+def chrono_source(draft: Draft) -> dict[str, str]:
+    """The JSON and the ``.tir``, by their endings."""
+    tir = draft.tire.tir
+    assert tir is not None
+    given = {name: tir.numbers[key] for name, key in _WHEEL.items()}
+    content = {
+        "Name": draft.above[0], "Type": "Tire", "Template": "Pac02Tire",
+        "Mass": given["mass"], "Inertia": [given[k] for k in ("ixx", "iyy", "ixx")],
+        "Coefficient of Friction": draft.wheel.get("friction", FRICTION),
+        "TIR Specification File": f"{draft.name}.tir",
+        "Visualization": {"Width": given["width"]},
+        "Notes": head_of(draft)[1:],
+    }  # fmt: skip
+    return {".json": json_text(content), ".tir": tir_source(draft)}

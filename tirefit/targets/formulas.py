@@ -1,0 +1,321 @@
+"""Tire formulas of simulators, each once, in the simulator's own signs.
+
+A :class:`Formula` is what a simulator computes from the parameters of its file.
+:mod:`tirefit.targets.refit` fits these parameters to an exported tire.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from tirefit.models import AbstractTire, CombinedMagicFormula, TireInputs
+from tirefit.models.magic_formula import bent
+from tirefit.models.mf import MFTire
+from tirefit.slip import CONVENTIONS, Convention, sigma_from_kappa
+
+ISO = CONVENTIONS["iso-w"]
+
+Values = Mapping[str, Any]
+"""Parameter -> value."""
+
+
+class Curves(NamedTuple):
+    """What a formula starts from: a tire at a load, forces over load.
+
+    Attributes:
+        x, y: B, C, D, E of the Magic Formula of the two pure slips; exact where the
+            tire is a Magic Formula.
+        load: the load [N].
+        fall: exponent by which the friction of F_y falls with load.
+        weights: coefficients of combined slip of a Magic Formula 5.2 or 6, by name.
+    """
+
+    x: tuple[float, float, float, float]
+    y: tuple[float, float, float, float]
+    load: float
+    fall: float
+    weights: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Formula:
+    """The tire formula of a simulator.
+
+    Attributes:
+        outputs: the forces that it gives.
+        signs: those of its slips and forces, as in :data:`tirefit.slip.CONVENTIONS`.
+        forces: parameters, kappa, alpha [rad] and load [N] to the forces [N].
+        start: parameters for a tire, by formula.
+        stages: which forces of which slips determine which parameters, in order:
+            ``fx`` and ``fy`` of pure slip, ``both`` of combined slip. A force without a
+            stage is determined by ``start`` alone.
+        bounds: of each parameter that is refitted.
+        of_load: parameters of a stage that one load does not determine.
+        loss: sentences on what the formula cannot hold of any tire.
+    """
+
+    outputs: tuple[str, ...]
+    signs: Convention
+    forces: Callable[[Values, Any, Any, Any], tuple]
+    start: Callable[[Curves], dict[str, float]]
+    stages: tuple[tuple[str, tuple[str, ...]], ...]
+    bounds: Mapping[str, tuple[float, float]]
+    of_load: tuple[str, ...] = ()
+    loss: tuple[str, ...] = ()
+
+    def canonical(self, values: Values, kappa, alpha, fz) -> tuple:
+        """Forces [N] at canonical slips, in canonical signs."""
+        signs = self.signs
+        found = self.forces(values, signs.slip * kappa, signs.alpha * alpha, fz)
+        pairs = zip(self.outputs, found, strict=True)
+        return tuple(getattr(signs, name) * force for name, force in pairs)
+
+
+Coefficients = tuple[float, float, float, float]
+"""B, C, D, E."""
+
+
+def magic_formula_of(
+    model: AbstractTire,
+) -> tuple[Coefficients, Coefficients, dict[str, float]] | None:
+    """B, C, D, E of both pure slips and the weights of a Magic Formula tire at its
+    nominal load, upright and at nominal pressure; None of another tire."""
+    if isinstance(model, CombinedMagicFormula):
+        along = _floats(model.Bx, model.Cx, model.Dx, model.Ex)
+        return along, _floats(model.By, model.Cy, model.Dy, model.Ey), {}
+    if not isinstance(model, MFTire) or model.lacks or model.similarity:
+        return None
+    scale, fz0 = model.scaling, model.nominal.FNOMIN * model.scaling.LFZO
+    at = model.point(TireInputs(0.0, 0.0, fz0))
+    x, y = model.longitudinal, model.lateral
+    mu, shape = x.friction(at, scale), x.PCX1 * scale.LCX
+    along = _floats(
+        x.stiffness(at, scale) / (shape * mu), shape, mu, x.PEX1 * scale.LEX
+    )
+    side, shape = y.pure(at, scale, fz0), y.PCY1 * scale.LCY
+    # In ISO-W axes the cornering stiffness is negative.
+    slope = abs(side.stiffness) / (shape * side.mu)
+    names = "RBX1 RBX2 RCX1 REX1 RHX1 RBY1 RBY2 RBY3 RCY1 REY1 RHY1"
+    names += " RVY1 RVY4 RVY5 RVY6"
+    weights = {n: float(getattr(y if n[2] == "Y" else x, n)) for n in names.split()}
+    weights["PHX1"] = float(x.PHX1 * scale.LHX)
+    return along, _floats(slope, shape, side.mu, y.PEY1 * scale.LEY), weights
+
+
+def _floats(b, c, d, e) -> Coefficients:
+    # As `bent` does; simulators take E as it is.
+    return float(b), float(c), float(d), min(float(e), 1.0)
+
+
+# --- CommonRoad ---------------------------------------------------------------------
+
+
+def _commonroad_forces(p: Values, kappa, alpha, fz):
+    """``tire_model.py`` of commonroad-vehicle-models 3.0.2 without camber: kappa is
+    positive when braking, which the formula of pure slip negates and that of combined
+    slip does not."""
+    drive = -kappa + p["p_hx1"]
+    slope = p["p_kx1"] / (p["p_cx1"] * p["p_dx1"])
+    angle = p["p_cx1"] * bent(slope * drive, p["p_ex1"]) + fz * p["p_vx1"]
+    along = p["p_dx1"] * fz * jnp.sin(angle)
+    slope = p["p_ky1"] / (p["p_cy1"] * p["p_dy1"])
+    across = p["p_dy1"] * fz * jnp.sin(p["p_cy1"] * bent(slope * alpha, p["p_ey1"]))
+
+    def weight(axis, slope, slip, shift):
+        shape, curvature = p[f"r_c{axis}1"], p[f"r_e{axis}1"]
+        both = (bent(slope * s, curvature) for s in (slip + shift, shift))
+        top, bottom = (jnp.cos(shape * one) for one in both)
+        return top / bottom
+
+    slope = p["r_bx1"] * jnp.cos(jnp.arctan(p["r_bx2"] * kappa))
+    along = along * weight("x", slope, alpha, p["r_hx1"])
+    slope = p["r_by1"] * jnp.cos(jnp.arctan(p["r_by2"] * (alpha - p["r_by3"])))
+    across = across * weight("y", slope, kappa, p["r_hy1"])
+    induced = p["p_dy1"] * fz * p["r_vy1"] * jnp.cos(jnp.arctan(p["r_vy4"] * alpha))
+    induced = induced * jnp.sin(p["r_vy5"] * jnp.arctan(p["r_vy6"] * kappa))
+    return along, across + induced
+
+
+CAMBER = ("p_dx3", "p_dy3", "p_hy1", "p_hy3", "p_vy1", "p_vy3", "r_vy3")
+"""Parameters of CommonRoad's formula that act with camber alone."""
+
+
+def _commonroad_start(curves: Curves) -> dict[str, float]:
+    (bx, cx, dx, ex), (by, cy, dy, ey) = curves.x, curves.y
+    given = curves.weights
+    found = {
+        "p_cx1": cx, "p_dx1": dx, "p_ex1": ex, "p_kx1": bx * cx * dx,
+        "p_hx1": given.get("PHX1", 0.0), "p_vx1": 0.0,
+        "p_cy1": cy, "p_dy1": dy, "p_ey1": ey, "p_ky1": -by * cy * dy,
+        # Without own weights: those of CommonRoad's tire, over the slips of both peaks.
+        "r_bx1": 0.6 * by * cy, "r_bx2": -0.7 * bx * cx, "r_cx1": 1.1, "r_ex1": 0.0,
+        "r_hx1": 0.0, "r_by1": 0.4 * bx * cx, "r_by2": 0.4 * by * cy, "r_by3": 0.0,
+        "r_cy1": 1.1, "r_ey1": 0.0, "r_hy1": 0.0, "r_vy1": 0.0, "r_vy4": 10.0,
+        "r_vy5": 1.9, "r_vy6": 10.0,
+    }  # fmt: skip
+    # Its combined slip takes kappa positive when braking: odd terms change their sign.
+    turned = {"RHY1": -1.0, "RVY6": -1.0}
+    for name, value in given.items():
+        value = min(value, 1.0) if name in ("REX1", "REY1") else value
+        if name[0] == "R":
+            found[f"{name[0].lower()}_{name[1:].lower()}"] = (
+                turned.get(name, 1.0) * value
+            )
+    return found | dict.fromkeys(CAMBER, 0.0)
+
+
+_SHAPE, _CURVATURE = (0.3, 3.0), (-20.0, 1.0)
+_WEIGHT = (-200.0, 200.0)
+
+COMMONROAD = Formula(
+    outputs=("fx", "fy"),
+    signs=ISO._replace(
+        slip=1,
+        description="kappa = 1 - R omega / u, positive when braking; F_x positive when"
+        " driving; ISO 8855 alpha: F_y < 0 for alpha > 0, p_ky1 < 0; F_z > 0",
+    ),
+    forces=_commonroad_forces,
+    start=_commonroad_start,
+    stages=(
+        ("fx", ("p_cx1", "p_dx1", "p_ex1", "p_kx1")),
+        ("fy", ("p_cy1", "p_dy1", "p_ey1", "p_ky1")),
+        (
+            "both",
+            # Shifts are those of a Magic Formula or zero: no force at rest.
+            ("r_bx1", "r_bx2", "r_cx1", "r_ex1", "r_by1", "r_by2", "r_cy1", "r_ey1"),
+        ),
+    ),
+    bounds={
+        "p_cx1": _SHAPE, "p_dx1": (0.01, 5.0), "p_ex1": _CURVATURE,
+        "p_kx1": (0.01, 1000.0), "p_cy1": _SHAPE,
+        "p_dy1": (0.01, 5.0), "p_ey1": _CURVATURE, "p_ky1": (-1000.0, -0.01),
+        "r_bx1": _WEIGHT, "r_bx2": _WEIGHT, "r_cx1": _SHAPE, "r_ex1": _CURVATURE,
+        "r_by1": _WEIGHT, "r_by2": _WEIGHT, "r_cy1": _SHAPE, "r_ey1": _CURVATURE,
+    },
+    loss=(
+        "its forces are proportional to F_z; offsets of F_y and the vertical one of F_x"
+        " have no place (p_vx1 stands inside the sine), and camber is left out",
+    ),
+)  # fmt: skip
+"""CommonRoad's reduced PAC2002, also that of Gym-Khana's STD and MB."""
+
+
+# --- four coefficients --------------------------------------------------------------
+
+
+def _pacejka_forces(p: Values, kappa, alpha, fz):
+    del kappa
+    return (p["D"] * fz * jnp.sin(p["C"] * bent(p["B"] * alpha, p["E"])),)
+
+
+def _pacejka_start(curves: Curves) -> dict[str, float]:
+    return dict(zip("BCDE", curves.y, strict=True))
+
+
+PACEJKA = Formula(
+    outputs=("fy",),
+    signs=CONVENTIONS["braking"]._replace(
+        description="alpha = delta - atan(v_y / v_x), so F_y > 0 for alpha > 0"
+    ),
+    forces=_pacejka_forces,
+    start=_pacejka_start,
+    stages=(("fy", ("B", "C", "D", "E")),),
+    bounds={
+        "B": (0.01, 500.0), "C": (0.3, 3.0), "D": (0.01, 5.0), "E": _CURVATURE,
+    },
+    loss=("F_x has no place: it is the command; F_y is proportional to F_z",),
+)  # fmt: skip
+"""F_y = F_z D sin(C arctan(B alpha - E (B alpha - arctan B alpha)))."""
+
+
+# --- SlipX --------------------------------------------------------------------------
+
+
+def _slipx_forces(p: Values, kappa, alpha, fz):
+    """``tyre.hpp`` of slipx 0.2.0; along the wheel its tier L2 takes a demanded force
+    and reports kappa = F_x / c_kappa."""
+    fz0 = p["nominal_load"]
+    share = jnp.power(jnp.maximum(fz, 1e-9 * fz0) / fz0, 1 - p["k_mu"])
+    most_x, most_y = p["mu_x0"] * fz0 * share, p["mu_y0"] * fz0 * share
+    slope = p["c_alpha"] / (p["C"] * p["mu_y0"] * fz0)
+    along = p["c_kappa"] * share * kappa / most_x
+    across = -jnp.sin(p["C"] * bent(slope * alpha, p["E"]))
+    size = jnp.sqrt(jnp.maximum(along**2 + across**2, 1.0))
+    return most_x * along / size, most_y * across / size
+
+
+def _slipx_start(curves: Curves) -> dict[str, float]:
+    (bx, cx, dx, _), (by, cy, dy, ey) = curves.x, curves.y
+    load = curves.load
+    return {
+        "nominal_load": load, "c_alpha": by * cy * dy * load, "mu_y0": dy, "C": cy,
+        "E": ey, "k_mu": curves.fall, "c_kappa": bx * cx * dx * load, "mu_x0": dx,
+    }  # fmt: skip
+
+
+SLIPX = Formula(
+    outputs=("fx", "fy"),
+    signs=ISO,
+    forces=_slipx_forces,
+    start=_slipx_start,
+    stages=(("fy", ("c_alpha", "mu_y0", "C", "E", "k_mu")),),
+    bounds={
+        "c_alpha": (1e-3, 1e6), "mu_y0": (0.01, 3.0), "C": (1.001, 2.5),
+        "E": (-5.0, 1.0), "k_mu": (0.0, 1.0),
+    },
+    of_load=("k_mu",),
+    loss=(
+        "along the wheel SlipX takes a demanded force and limits both forces by an"
+        " ellipse: c_kappa is the slope at zero slip and mu_x0 the peak of F_x at the"
+        " nominal load, and the curves of F_x and of combined slip have no place",
+        "tier L2 of SlipX needs relaxation.sigma, which a tire with relaxation gives",
+    ),
+)  # fmt: skip
+"""MF-lite of SlipX: F_y of pure slip, friction that falls with load, an ellipse."""
+
+
+# --- Gazebo -------------------------------------------------------------------------
+
+
+def _gazebo_forces(p: Values, kappa, alpha, fz):
+    """Gazebo's WheelSlip with a friction pyramid: the slip velocity over R omega is the
+    slip compliance times force over the normal force of the plugin."""
+    slip_x = sigma_from_kappa(jnp.minimum(kappa, 0.999))
+    slip_y = jnp.tan(alpha) * (1 + slip_x)
+    return tuple(
+        jnp.clip(
+            slip * p["wheel_normal_force"] / p[compliance], -p[mu] * fz, p[mu] * fz
+        )
+        for slip, compliance, mu in (
+            (slip_x, "slip_compliance_longitudinal", "mu2"),
+            (slip_y, "slip_compliance_lateral", "mu"),
+        )
+    )
+
+
+def _gazebo_start(curves: Curves) -> dict[str, float]:
+    (bx, cx, dx, _), (by, cy, dy, _) = curves.x, curves.y
+    return {
+        "slip_compliance_lateral": 1 / (by * cy * dy),
+        "slip_compliance_longitudinal": 1 / (bx * cx * dx),
+        "wheel_normal_force": curves.load, "mu": dy, "mu2": dx,
+    }  # fmt: skip
+
+
+GAZEBO = Formula(
+    outputs=("fx", "fy"),
+    signs=CONVENTIONS["braking"]._replace(description="its numbers have none"),
+    forces=_gazebo_forces,
+    start=_gazebo_start,
+    stages=(),
+    bounds={},
+    loss=(
+        "the force is linear in slip up to Coulomb friction, each direction by itself:"
+        " slip_compliance is one over the slope at zero slip, mu the peak, at the"
+        " normal force of the file",
+        "WHEEL stands for the name of each wheel's link",
+    ),
+)
+"""Force-dependent slip of ODE as Gazebo's WheelSlip system sets it."""

@@ -1,0 +1,57 @@
+"""A Python module for MuJoCo: the tire as a function, and its friction."""
+
+import numpy as np
+
+from tirefit.params import parameter_values
+from tirefit.slip import CONVENTIONS
+from tirefit.targets.code import Draft, compiled, numpy_source
+
+_WIDE = 0.2
+"""Share of the friction by which ``mujoco.sysid`` may change it where no standard error
+is known: a bound, not an estimate."""
+
+_MANY = 3.0
+"""Standard errors by which it may change it where they are known."""
+
+_SNIPPET = '''
+
+def sysid_parameters(geoms):
+    """Sliding friction of the geoms of the wheels as a mujoco.sysid.ParameterDict.
+
+    It stands for the tire where MuJoCo's contact makes the forces. Where the function
+    above makes them (data.xfrc_applied), the geoms have no friction of their own.
+    """
+    from mujoco import sysid
+
+    def write(spec, parameter):
+        for name in geoms:
+            geom = spec.geom(name)
+            geom.friction = [parameter.value[0], *geom.friction[1:]]
+
+    found = sysid.ParameterDict()
+    found.add(
+        sysid.Parameter(
+            "tire_friction", nominal={peak!r}, min_value={low!r}, max_value={high!r},
+            modifier=write,
+        )
+    )
+    return found
+'''
+
+
+def mujoco_source(draft: Draft) -> str:
+    """A Python module: the forces by NumPy, and the parameter of ``mujoco.sysid``."""
+    tire, names = draft.tire, list(draft.forces.outputs)
+    at = {"fz": CONVENTIONS[draft.convention].fz * tire.load, "v": 10.0}
+    slip, peak = np.linspace(0.0, 0.95, 191), 0.0
+    for force, own in (("fx", "kappa"), ("fy", "alpha")):
+        if force in names:
+            given = [slip if k == own else at.get(k, 0.0) for k in draft.forces.inputs]
+            found = compiled(draft.forces)(*given)[names.index(force)]
+            peak = max(peak, float(np.max(np.abs(found))) / tire.load)
+    share = _WIDE
+    if "mu" in tire.spread:
+        share = _MANY * tire.spread["mu"] / parameter_values(tire.model)["mu"]
+    low, high = (float(f"{(1 + k * share) * peak:.6g}") for k in (-1, 1))
+    peak = float(f"{peak:.6g}")
+    return numpy_source(draft) + _SNIPPET.format(peak=peak, low=low, high=high)

@@ -1,0 +1,162 @@
+"""A tire as a tire property file (``.tir``)."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+from tirefit.data.tir import new_tir, parse_tir, reduced_tir
+from tirefit.data.tir_file import TirFile
+from tirefit.data.tir_keys import LIMITS, ONLY_IN
+from tirefit.fitting.tir import (
+    TIR_SIGNS,
+    USUAL_SHARES,
+    USUAL_SLIP,
+    own_tire,
+    remarks,
+)
+from tirefit.models import AbstractTire
+from tirefit.models.mf import MAGIC_FORMULAS, MFTire
+from tirefit.params import parameter_values, specs
+from tirefit.results import InputProblem, UsageError, did_you_mean
+from tirefit.targets.code import PARAMETERS, Draft
+from tirefit.targets.tire import Tire, turned_range
+
+_WIDEST = 180
+"""Characters of a comment line, at most: some programs read lines of 200."""
+
+_PARTS = {"fx": "longitudinal", "fy": "lateral", "mz": "aligning"}
+"""Force -> the part of a Magic Formula that gives it."""
+
+
+def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Tire:
+    """The tire that a ``.tir`` file holds in place of ``tire``.
+
+    A Magic Formula is held as it is, or refitted to another version; of other models
+    the reduced form holds c_p a^2 and mu.
+
+    Args:
+        model: ``mf52``, ``mf61`` or ``mf62``; None for the version of the tire.
+        wheel: ``radius`` of the free tire [m], for a model that has none.
+
+    Raises:
+        UsageError: unknown version or key of the wheel, a missing radius, or a model
+            that is no Magic Formula and has no c_p a^2 and mu.
+    """
+    _check(model, wheel, ("radius",))
+    own = tire.model if tire.bare is None else tire.bare
+    notes = [
+        note.replace("in the forces:", "not in this file:", 1)
+        if note.startswith("in the forces:") else note
+        for note in tire.notes
+    ]  # fmt: skip
+    if isinstance(own, MFTire):
+        tir = tire.tir or new_file(replace(tire, model=own))
+    else:
+        tir = _reduced(own, tire, wheel, model)
+        notes.append(
+            "a Magic Formula has no curve of a brush: its slope 2 c_p a^2 and its"
+            f" largest force mu F_z are kept at F_z = {tire.load:.4g} N"
+        )
+    if model and MAGIC_FORMULAS[model].version != tir.version:
+        from tirefit.fitting.mf.convert import converted  # slow to import
+
+        loads = [share * tir.numbers["FNOMIN"] for share in USUAL_SHARES]
+        fit = converted(tir, model, USUAL_SLIP, loads)
+        notes.append(f"refitted from Magic Formula {tir.version} to {fit.tire.version}")
+        spread = {k: one.std for k, one in fit.coefficients.items() if one.std}
+        tir = new_file(replace(tire, model=fit.tire, spread=spread))
+    held = own_tire(tir)
+    if isinstance(own, MFTire) and _alike(held, own):
+        held = own
+    notes += [note for note in remarks(tir, held) if note not in notes]
+    return replace(tire, model=held, bare=None, tir=tir, notes=tuple(notes))
+
+
+def _check(model: str | None, wheel: Mapping[str, float], keys) -> None:
+    problems = []
+    if model is not None and model not in MAGIC_FORMULAS:
+        known = ", ".join(MAGIC_FORMULAS)
+        remedy = f"{did_you_mean(model, MAGIC_FORMULAS)}valid: {known}"
+        problems.append(InputProblem(f"--model: {model!r} is not known", remedy))
+    for name, value in wheel.items():
+        if name not in keys:
+            remedy = f"{did_you_mean(name, keys)}valid: {', '.join(keys)}"
+            problems.append(InputProblem(f"--wheel: {name!r} is not known", remedy))
+        elif not 0 < value < math.inf:
+            reason = f"--wheel {name}={value:g} is not positive"
+            problems.append(InputProblem(reason, "give it in SI units"))
+    if problems:
+        raise UsageError(problems)
+
+
+def _reduced(
+    own: AbstractTire, tire: Tire, wheel: Mapping[str, float], model: str | None
+) -> TirFile:
+    values = parameter_values(own)
+    if not {"cpa2", "mu"} <= values.keys():
+        reason = f"a .tir holds a Magic Formula, or c_p a^2 and mu; not a {tire.name}"
+        remedy = "fit mf52, mf61 or mf62 to the data, or a brush"
+        raise UsageError(InputProblem(reason, remedy))
+    if "radius" not in wheel:
+        reason = f"a .tir needs the radius of the free tire, which a {tire.name} lacks"
+        raise UsageError(InputProblem(reason, "give it in m: --wheel radius=0.3"))
+    given = {k: float(values[k]) for k in ("cpa2", "mu")}
+    tir = reduced_tir(**given, fz=tire.load, radius=wheel["radius"])
+    version = MAGIC_FORMULAS[model].version if model else tir.version
+    if version == "5.2":
+        # It has no stiffness that is the same at every load: stationary at FNOMIN.
+        return new_tir(version, tir.numbers | {"PKY2": 1.0}, {}, {})
+    return tir if version == tir.version else tir.with_values({"FITTYP": 62.0})
+
+
+def new_file(tire: Tire) -> TirFile:
+    """A file of the tire's coefficients, with their standard errors."""
+    model, known = tire.model, specs(tire.model)
+    assert isinstance(model, MFTire)
+    lost = {k for force in model.lacks for k in specs(getattr(model, _PARTS[force]))}
+    values = {
+        k: float(v) for k, v in parameter_values(model).items()
+        if ONLY_IN.get(k, model.version[0]) == model.version[0] and k not in lost
+    }  # fmt: skip
+    notes = {k: f"{known[k].meaning} +- {std:.3g}" for k, std in tire.spread.items()}
+    notes = {k: note for k, note in notes.items() if k in values}
+    ranges = turned_range(tire.measured, TIR_SIGNS)
+    ranges = {k: ends for k, ends in ranges.items() if k in LIMITS}
+    return new_tir(model.version, values, ranges, notes)
+
+
+def _alike(one: MFTire, other: MFTire) -> bool:
+    """Whether two tires differ by the digits of a file alone."""
+    same = ("version", "similarity", "lacks", "starred", "digression")
+    if any(getattr(one, name) != getattr(other, name) for name in same):
+        return False
+    values, others = parameter_values(one), parameter_values(other)
+    near = (math.isclose(values[k], others[k], rel_tol=1e-12) for k in values)
+    return values.keys() == others.keys() and all(near)
+
+
+def comments(lines) -> str:
+    """Lines as comments of a ``.tir`` file, none longer than programs read."""
+    short: list[str] = []
+    for line in lines:
+        while len(line) > _WIDEST:
+            end = line.rfind(" ", 0, _WIDEST)
+            end = _WIDEST if end < 1 else end
+            short.append(line[:end])
+            line = f"  {line[end:].lstrip()}"
+        short.append(line)
+    return "".join(f"$ {line}\n" for line in short)
+
+
+def head_of(draft: Draft) -> list[str]:
+    """The head without the parameters, which a file lists itself."""
+    listed = {f"  {line}" for line in draft.tire.parameters()} | {PARAMETERS}
+    return [line for line in draft.above if line not in listed]
+
+
+def tir_source(draft: Draft) -> str:
+    """The text of the file, the head as comments above it."""
+    assert draft.tire.tir is not None
+    text = comments(head_of(draft)) + draft.tire.tir.text
+    parse_tir(text)
+    return text
