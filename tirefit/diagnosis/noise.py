@@ -145,11 +145,6 @@ _CLIPPED = float(chdtr(3, _CLIP**2) + _CLIP**2 * chdtrc(1, _CLIP**2))
 _OUTLIER = 4.5
 """Standard deviations from which a row is excluded: one normal row in 1.5e5."""
 
-_TWO_LAWS = 6.0
-"""Log likelihood that a second, wider normal law must add to the noise: none of 4,500
-normal noises of 200 to 2,000 rows reaches it, one with 5 % of its rows three times as
-wide in most of 200 rows."""
-
 _FEW, _FLAGGED = 3, 0.004
 """Number and share of excluded rows above which outliers are reported: so many may lie
 at a sharp edge of the force."""
@@ -222,7 +217,7 @@ def judge_noise(
 
     for _ in range(_ROUNDS if refine else 0):
         shares = _shares(rest / std, fz, force, keep)
-        good = _no_outlier(np.abs(rest) / np.maximum(level(), floor))
+        good = np.abs(rest) < _OUTLIER * np.maximum(level(), floor)
         if np.array_equal(good, keep):
             break
         keep, smooth = good, _Smooth(smooth.basis, good)
@@ -297,24 +292,6 @@ def _stray(residual, groups) -> np.ndarray:
     unit = MAD * np.median(np.abs(off[:, seen]), axis=1, keepdims=True)
     stray = np.all(np.abs(off) > _OUTLIER * unit, axis=0) & seen
     return stray & (stray.sum() > max(_FEW, 2 * _FLAGGED * len(residual)))
-
-
-def _no_outlier(off) -> np.ndarray:
-    """Rows (n,) bool that are likelier not an outlier, from their standard deviations
-    ``off`` (n,).
-
-    Two normal laws are fitted by expectation maximisation, the wider one that of the
-    outliers. Where one law is enough, rows count up to :data:`_OUTLIER`.
-    """
-    square, share, wide = np.minimum(off, 1 / ROUNDING) ** 2, 0.05, 4.0
-    for _ in range(5 * _ROUNDS):
-        wider = np.log(share / wide) - 0.5 * square / wide**2
-        both = np.logaddexp(wider, np.log1p(-share) - 0.5 * square)
-        chance = np.exp(wider - both)
-        share = float(np.clip(np.mean(chance), ROUNDING, 0.5))
-        wide = max(float(np.sqrt(chance @ square / np.sum(chance))), 2.0)
-    enough = np.sum(both + 0.5 * square) < _TWO_LAWS
-    return (off < _OUTLIER) & (enough | (chance < 0.5))
 
 
 def _scale(white, smooth: "_Smooth") -> float:
