@@ -62,8 +62,7 @@ class Fitted(Base):
 
 def judged(residual, seed=0, rows=PREPARED, columns=COLUMNS, **given):
     """The tests of what columns leave of a residual."""
-    none = columns[:, :0]
-    linear = LinearFit(residual, columns, none, np.zeros(0), none, none)
+    linear = LinearFit(residual, columns, columns[:, :0], columns[:, :0])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(remainder, "linear_at", lambda base, fit: linear)
         generator = np.random.default_rng(seed)

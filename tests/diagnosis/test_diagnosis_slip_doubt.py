@@ -1,7 +1,5 @@
 """What is not known of the true slips, against repeated measurements of known ones."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from conftest_diagnosis import brush
@@ -225,7 +223,7 @@ def test_doubt_around_a_fit_is_one_more_noise(doubted):
             return misfit + np.linalg.slogdet(normal)[1]
 
         wanted = 0.5 * (cost(np.eye(len(residual))) - cost(covariance))
-        assert due_to_doubt(base, linear) == pytest.approx(wanted, abs=1e-3)
+        assert due_to_doubt(base, fit, linear) == pytest.approx(wanted, abs=1e-3)
 
 
 def test_doubt_is_one_more_noise_to_what_is_not_listed(doubted):
@@ -262,31 +260,3 @@ def test_doubt_is_one_more_noise_to_what_is_not_listed(doubted):
         assert sure > 5
         found[kind] = wanted / sure
     assert found["doubt"] < 0.3 < found["smooth"]
-
-
-def test_an_effect_is_of_its_expected_size_beside_what_is_not_listed(doubted):
-    """The density of a normal law with the effect at its prior: no smooth function is
-    there because an effect of any size could make up for it."""
-    base, searcher = doubted
-    searcher.refit([(atom,) for atom in searcher.testable], {})
-    fit = searcher.tried[(searcher.testable[1],)]
-    linear = linear_at(base, fit)
-    free = np.concatenate([linear.jacobian, linear.proxies], axis=1)
-    flat = free / np.linalg.norm(free, axis=0) * 1e4
-    # A remainder that the effect hides at 30 times its usual size.
-    smooth = without(base.generic.smooth, linear.explained)
-    change = 30 * linear.own[:, 0] + 25 * smooth[:, -1]
-    linear = linear._replace(residual=linear.residual + change)
-
-    def evidence(more):
-        parts = np.concatenate([flat, linear.own, more], axis=1)
-        law = multivariate_normal(cov=np.eye(len(parts)) + parts @ parts.T)
-        return law.logpdf(linear.residual + linear.own @ linear.off)
-
-    nothing = evidence(base.generic.smooth[:, :0])
-    each = [evidence(scale * base.generic.smooth) - nothing for scale in SCALES]
-    wanted = np.logaddexp.reduce(each) - np.log(len(each))
-    certain = replace(base)
-    certain.__dict__["doubt"] = base.doubt[:, :0]
-    found = gains_beside(certain, linear, False)["smooth"]
-    assert found == pytest.approx(wanted, abs=0.02)

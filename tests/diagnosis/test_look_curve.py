@@ -20,8 +20,7 @@ def left_of(truth, field, known, generator):
     residual = np.ravel(truth) + generator.standard_normal(field.size)
     fitted = np.linalg.lstsq(known, residual, rcond=None)[0]
     none = np.zeros((field.size, 0))
-    left = residual - known @ fitted
-    return LinearFit(left, known, none, np.zeros(0), none, none)
+    return LinearFit(residual - known @ fitted, known, none, none)
 
 
 @pytest.mark.parametrize(

@@ -157,7 +157,8 @@ def _errors(base: Base, weighed: Weighed, out: Predicted, key: Key):
     p, size = len(best.z), np.abs(best.amplitude)
     left = base.residual(best.z, amplitudes_of(base, best))
     variance = np.diag(best.covariance)[p:] * widening(base, left)
-    own = without(linear.own, linear.jacobian)
+    jacobian, own = linear.used_up[:, :p], linear.used_up[:, p:]
+    own = without(own, jacobian)
     moved = np.linalg.solve(own.T @ own + np.eye(len(size)), own.T @ base.doubt)
     variance = np.maximum(variance, 0.0) + np.sum(moved**2, axis=1)
     if key in out.effects:

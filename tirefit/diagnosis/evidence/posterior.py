@@ -18,14 +18,7 @@ from tirefit.diagnosis.evidence.search import (
     amplitudes_of,
 )
 from tirefit.diagnosis.negligible import FLAT, NONZERO
-from tirefit.diagnosis.rows.basis import (
-    beside,
-    gain,
-    gains,
-    of_any_kind,
-    orthogonal,
-    taken_out,
-)
+from tirefit.diagnosis.rows.basis import gain, gains, of_any_kind, orthogonal
 
 _PRIOR_OF_FORM = 0.4
 """Probability that a listed effect has another form than its formula."""
@@ -42,36 +35,23 @@ Key = tuple[str, ...]
 
 
 class LinearFit(NamedTuple):
-    """A refitted hypothesis: residual (m,), columns of its parameters (m, p), of its
-    effects (m, e), which are ``off`` (e,) from their expected amplitudes, of other
-    forms of its effects (m, k), and of the slip noise by other measurements (m, j)."""
+    """A refitted hypothesis: residual (m,), its columns (m, p), those of other forms of
+    its effects (m, k), and those of the slip noise by other measurements (m, j)."""
 
     residual: np.ndarray
-    jacobian: np.ndarray
-    own: np.ndarray
-    off: np.ndarray
+    used_up: np.ndarray
     forms: np.ndarray
     proxies: np.ndarray
 
     @property
-    def used_up(self) -> np.ndarray:
-        """Columns (m, p + e) of all that was fitted."""
-        return np.concatenate([self.jacobian, self.own], axis=1)
-
-    @property
     def explained(self) -> np.ndarray:
-        """Columns (m, p + e + j) that a remainder is orthogonal to."""
+        """Columns (m, p + j) that a remainder is orthogonal to."""
         return np.concatenate([self.used_up, self.proxies], axis=1)
-
-    @property
-    def expected(self) -> np.ndarray:
-        """Residual (m,) with the effects at their expected amplitudes: what weighs
-        something beside them must not let them be of any size."""
-        return self.residual + self.own @ self.off
 
     def in_other_form(self) -> "LinearFit":
         """The same with the columns of the other forms used up too."""
-        return self._replace(jacobian=np.concatenate([self.jacobian, self.forms], 1))
+        whole = np.concatenate([self.used_up, self.forms], axis=1)
+        return self._replace(used_up=whole)
 
 
 def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
@@ -81,16 +61,17 @@ def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
     effects = [base.atoms[k].effect for k in atoms]
     forms = form_columns(effects, fields, base.prepared, base.slip_fraction)
     keep = np.tile(base.design.keep[: base.prepared.n], len(base.prepared.channels))
-    off = hypothesis.amplitude - np.asarray(base.design.prior_center)[atoms]
-    forms *= keep[:, None]
-    return LinearFit(residual, jacobian, columns[:, atoms], off, forms, base.proxies)
+    used_up = np.concatenate([jacobian, columns[:, atoms]], axis=1)
+    return LinearFit(residual, used_up, forms * keep[:, None], base.proxies)
 
 
-def due_to_doubt(base, linear: LinearFit) -> float:
+def due_to_doubt(base, hypothesis: Hypothesis, linear: LinearFit) -> float:
     """Change of the log evidence of a set by the shared slip uncertainty, at its fit. A
     refit ignores it and is not repeated: sets that miss much would end elsewhere, and
     their evidence would change by tens of units."""
-    off, p = linear.off, linear.jacobian.shape[1]
+    center = np.asarray(base.design.prior_center)[list(hypothesis.atoms)]
+    off = hypothesis.amplitude - center
+    p = linear.used_up.shape[1] - len(off)
     prior = np.diag(np.concatenate([np.full(p, FLAT), np.ones(len(off))]))
 
     def log_evidence(used_up, residual):
@@ -105,17 +86,14 @@ def gains_beside(base, linear: LinearFit, in_other_form: bool) -> dict[str, floa
     """Log evidence of each kind of remainder beside a set of effects, in the formulas'
     form or in another. The slip uncertainty can only reduce it."""
 
-    free = np.concatenate([linear.jacobian, linear.proxies], axis=1)
-    own = [linear.own, linear.forms] if in_other_form else [linear.own]
+    def found(expected):
+        return gains(base.generic, linear.explained, linear.residual, expected)
 
-    def found(*more):
-        expected = np.concatenate([*own, *more], axis=1)
-        return gains(base.generic, free, linear.expected, expected)
-
-    sure = found()
+    forms = linear.forms if in_other_form else linear.forms[:, :0]
+    sure = found(forms)
     if not base.doubt.shape[1] or max(sure.values()) <= 0:
         return sure
-    doubting = found(base.doubt)
+    doubting = found(np.concatenate([forms, base.doubt], axis=1))
     return {kind: min(value, doubting[kind]) for kind, value in sure.items()}
 
 
@@ -211,7 +189,7 @@ def weigh(search: Search) -> Weighed:
     total = {key: float(logsumexp(values)) for key, values in logs.items()}
     evidence = {key: hypothesis.log_evidence for key, hypothesis in best.items()}
     others, remainder = set(), {}
-    of_nothing = due_to_doubt(base, linear_at(base, best[()]))
+    of_nothing = due_to_doubt(base, best[()], linear_at(base, best[()]))
     ranked = sorted(total, key=lambda key: total[key], reverse=True)
     singles = [key for key in ranked if len(key) == 1][:_SINGLES]
     for key in dict.fromkeys([*ranked[:_FREED], *singles, ()]):
@@ -219,7 +197,7 @@ def weigh(search: Search) -> Weighed:
         if linear.forms.shape[1] and len(key) < MOST_EFFECTS:
             formula = float(np.log(1 - _PRIOR_OF_FORM))
             # Without effects, the slip uncertainty explains what a form is for.
-            due = min(due_to_doubt(base, linear) - of_nothing, 0.0)
+            due = min(due_to_doubt(base, best[key], linear) - of_nothing, 0.0)
             form = _gain_of_form(base, linear) + due - best[key].due_to_doubt
             total[key] += float(np.logaddexp(formula, form))
             evidence[key] += float(np.logaddexp(formula, form))
@@ -243,8 +221,6 @@ def weigh(search: Search) -> Weighed:
 
 def _gain_of_form(base, linear: LinearFit) -> float:
     """Log evidence of the other forms over the formulas, with their prior."""
-    forms, free, own, residual = map(
-        base.sure, (linear.forms, linear.jacobian, linear.own, linear.expected)
-    )
-    there = gain(*beside(forms, taken_out(free, own), residual))
+    left, size = orthogonal(base.sure(linear.forms), base.sure(linear.used_up))
+    there = gain(left.T @ base.sure(linear.residual), size)
     return there + float(np.log(_PRIOR_OF_FORM))

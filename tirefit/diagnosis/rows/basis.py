@@ -136,14 +136,6 @@ def _principal(gram) -> tuple[np.ndarray, np.ndarray]:
     return vectors[:, good] / size, size
 
 
-def beside(basis, unit, residual) -> tuple[np.ndarray, np.ndarray]:
-    """Scores and sizes (q,), see :func:`gain`, of the columns of a basis (m, b) in the
-    remainder of a fit, by its :func:`taken_out` columns (m, p)."""
-    left = basis - unit @ (unit.T @ basis)
-    turned, size = _principal(basis.T @ left)
-    return turned.T @ (left.T @ residual), size
-
-
 def without(basis, against):
     """Part of columns, or one (m,), that is orthogonal to ``against`` (m, p)."""
     unit, _ = np.linalg.qr(against)
