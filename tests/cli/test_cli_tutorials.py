@@ -1,0 +1,99 @@
+"""The commands of the manual run as printed, and print what the manual shows."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from tirefit.cli.commands import app
+
+ROOT = Path(__file__).parents[2]
+PAGES = [
+    ROOT / "docs" / "getting-started.md",
+    *sorted((ROOT / "docs" / "tutorials").glob("*.md")),
+]
+BLOCK = re.compile(r"^```console\n(.*?)^```", re.MULTILINE | re.DOTALL)
+PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def steps(text):
+    """(command, lines of output that the page shows) of each command of a page."""
+    found = []
+    for line in "".join(BLOCK.findall(text)).splitlines():
+        if line.startswith("$ "):
+            found.append((line[2:], []))
+        elif found[-1][0].endswith("\\"):
+            found[-1] = (found[-1][0][:-1] + line.strip(), [])
+        else:
+            found[-1][1].append(line)
+    return found
+
+
+def missing(shown, printed):
+    """The first line that a page shows and the command did not print, in this order.
+    A line `...` stands for any lines; without it, the next line must follow at once."""
+    printed = [" ".join(line.split()) for line in printed.splitlines()]
+    at, anywhere = 0, True
+    for line in (" ".join(line.split()) for line in shown):
+        if line == "...":
+            anywhere = True
+            continue
+        rest = printed[at:] if anywhere else printed[at : at + 1]
+        if line not in rest:
+            return line
+        at, anywhere = at + rest.index(line) + 1, False
+    return None
+
+
+def run(command):
+    program, *words = shlex.split(command)
+    if program == "tirefit":
+        result = CliRunner().invoke(app, words)
+        assert result.exit_code == 0, result.output
+        return result.output
+    assert program == "python"
+    done = subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, check=True
+    )
+    return done.stdout
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_commands_of_a_page_print_what_it_shows(page, tmp_path, monkeypatch):
+    text = page.read_text(encoding="utf-8")
+    large = shutil.ignore_patterns("*.png", "*.ipynb")
+    shutil.copytree(ROOT / "fits", tmp_path / "fits", ignore=large)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("COLUMNS", "88")
+    assert steps(text)
+    for command, shown in steps(text):
+        printed = run(command)
+        assert missing(shown, printed) is None, (command, printed)
+    for code in PYTHON.findall(text):
+        exec(code, {})
+
+
+@pytest.mark.parametrize(
+    ("shown", "absent"),
+    [
+        ("a\nb", None),
+        ("...\nb\n...\nd", None),
+        ("b  \nc", None),
+        ("a\nc", "c"),
+        ("...\nx", "x"),
+        ("d\n...\na", "a"),
+    ],
+)
+def test_a_line_that_is_not_printed_is_found(shown, absent):
+    assert missing(shown.splitlines(), "a\nb\nc\n d\n") == absent
+
+
+def test_commands_and_their_output_are_taken_from_a_page():
+    page = "Text\n\n```console\n$ tirefit fit a \\\n    --out b\nout\n...\n$ c\n```\n"
+    assert steps(page) == [("tirefit fit a --out b", ["out", "..."]), ("c", [])]

@@ -1,0 +1,87 @@
+"""The manual builds strictly, needs no network, and describes what is there."""
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+import tirefit
+from tirefit.names import EFFECT_NAMES
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.rglob("*.md"))
+LOADED = re.compile(r"<(?:link|script|img|iframe)\b[^>]*?(?:href|src)=\"?(https?:)?//")
+
+
+def build(site, *more):
+    return subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", site, *more],
+        cwd=ROOT, capture_output=True, text=True,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    site = tmp_path_factory.mktemp("site")
+    done = build(site)
+    assert done.returncode == 0, done.stderr
+    return site
+
+
+def test_the_manual_builds_without_a_warning(site):
+    for page in ("index.html", "getting-started/index.html", "fits/index.html"):
+        assert (site / page).exists()
+
+
+def test_nothing_is_loaded_from_the_network(site):
+    for page in site.rglob("*.html"):
+        assert not LOADED.search(page.read_text(encoding="utf-8")), page
+
+
+def test_every_effect_has_a_page_and_a_figure(site):
+    for effect in EFFECT_NAMES:
+        page = (site / "effects" / effect / "index.html").read_text(encoding="utf-8")
+        assert f"{effect}.png" in page
+        assert (site / "effects" / f"{effect}.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_every_public_name_and_command_is_in_the_reference(site):
+    api = (site / "reference" / "api" / "index.html").read_text(encoding="utf-8")
+    assert [name for name in tirefit.__all__ if f'id="{name.lower()}"' not in api] == []
+    commands = (site / "reference" / "commands" / "index.html").read_text("utf-8")
+    for command in ("tirefit-fit", "tirefit-diagnose", "tirefit-simulate-rig"):
+        assert f'id="{command}"' in commands
+
+
+def test_a_broken_link_fails(tmp_path):
+    """The same check on a page with a link to nothing."""
+    page = DOCS / "broken-link-of-a-test.md"
+    page.write_text("# Broken\n\n[nothing](nowhere.md)\n", encoding="utf-8")
+    try:
+        done = build(tmp_path / "site")
+    finally:
+        page.unlink()
+    assert done.returncode != 0 and "nowhere.md" in done.stderr
+
+
+def test_every_page_is_in_the_navigation_and_says_what_the_reader_gets():
+    settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    listed = " ".join(map(str, settings["nav"]))
+    for page in PAGES:
+        assert str(page.relative_to(ROOT)) in listed
+        head, _, text = page.read_text(encoding="utf-8").partition("\n\n")
+        assert head.startswith("# ") and re.match(r"[A-Z`]", text), page
+
+
+def test_the_site_is_pinned():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8").lower()
+    for need in project["dependency-groups"]["docs"]:
+        assert f"\n{re.split('[><=]', need)[0]}==" in lock
