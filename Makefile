@@ -34,7 +34,7 @@ statistics: install
 # The manual as a site, in site/; a broken link or reference fails.
 docs: export NO_MKDOCS_2_WARNING = 1
 docs: install
-	$(BIN)/python -m mkdocs build --quiet
+	$(BIN)/python -m mkdocs build
 
 notebooks: install
 	$(BIN)/python fits/run_notebooks.py
