@@ -11,6 +11,9 @@ import pytest
 import yaml
 
 import tirefit
+from tirefit.data.vehicle import load_vehicle
+from tirefit.diagnosis.rows.rig import load_rig
+from tirefit.fitting.config import load_config
 from tirefit.names import EFFECT_NAMES
 
 ROOT = Path(__file__).parents[1]
@@ -91,6 +94,20 @@ def test_every_page_is_in_the_navigation_and_says_what_the_reader_gets():
         assert str(page.relative_to(ROOT)) in listed
         head, _, text = page.read_text(encoding="utf-8").partition("\n\n")
         assert head.startswith("# ") and re.match(r"[A-Z`]", text), page
+
+
+SETTINGS = re.compile(r'^```toml title="(.*?)"\n(.*?)^```', re.MULTILINE | re.DOTALL)
+READERS = {"fit.toml": load_config, "rig.toml": load_rig, "vehicle.toml": load_vehicle}
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [found for page in PAGES for found in SETTINGS.findall(page.read_text("utf-8"))],
+)
+def test_the_settings_that_the_manual_shows_are_valid(name, text, tmp_path):
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    READERS[name](path)
 
 
 def test_the_site_is_pinned():

@@ -1,5 +1,6 @@
 """The commands of the manual run as printed, and print what the manual shows."""
 
+import json
 import re
 import shlex
 import shutil
@@ -17,6 +18,7 @@ PAGES = [
     ROOT / "docs" / "getting-started.md",
     *sorted((ROOT / "docs" / "tutorials").glob("*.md")),
 ]
+FILES = (ROOT / "docs" / "reference" / "files.md").read_text(encoding="utf-8")
 BLOCK = re.compile(r"^```console\n(.*?)^```", re.MULTILINE | re.DOTALL)
 PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
@@ -50,6 +52,15 @@ def missing(shown, printed):
     return None
 
 
+def undocumented(path):
+    """Keys of a JSON file that the reference of its schema does not list."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    section = FILES.partition(f"## {content['schema']}\n")[2].partition("\n## ")[0]
+    keys = {key for row in re.findall(r"^\| (`.*?) \|", section, re.MULTILINE)
+            for key in re.findall(r"`(\w+)`", row)}  # fmt: skip
+    return sorted(set(content) - keys)
+
+
 def run(command):
     program, *words = shlex.split(command)
     if program == "tirefit":
@@ -77,6 +88,10 @@ def test_the_commands_of_a_page_print_what_it_shows(page, tmp_path, monkeypatch)
         assert missing(shown, printed) is None, (command, printed)
     for code in PYTHON.findall(text):
         exec(code, {})
+    written = [*tmp_path.glob("*.json"), *tmp_path.glob("[!f]*/**/*.json")]
+    assert {
+        str(path): undocumented(path) for path in written if undocumented(path)
+    } == {}
 
 
 @pytest.mark.parametrize(
