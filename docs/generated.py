@@ -36,7 +36,9 @@ def _api():
     """A section for each public name, with the docstring by mkdocstrings."""
     names = sorted(tirefit.__all__, key=str.lower)
     return "\n\n".join(
-        f"## {name}\n\n::: tirefit.{_module_of(name)}.{name}" for name in names
+        f"## {name}\n\n::: tirefit.{_module_of(name)}.{name}\n"
+        f"    options:\n      heading: tirefit.{name}"
+        for name in names
     )
 
 

@@ -19,7 +19,8 @@ ALONE = ("*.md", "LICENSE", "CITATION.cff", "tests/bench/README.md",
          "tirefit/diagnosis/calibration.json")  # fmt: skip
 FOLDERS = ("docs", "fits")
 KINDS = {".md", ".png", ".csv", ".toml", ".json", ".ipynb", ".py"}
-"""Files of the folders that a page may link to."""
+KINDS |= {".dat", ".tdx", ".mat", ".parquet", ".xlsx", ".mf4", ".mcap"}
+"""Files of the folders that a page may link to, samples among them."""
 
 
 def on_files(files, config):
