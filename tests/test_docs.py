@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -15,6 +16,7 @@ from tirefit.data.vehicle import load_vehicle
 from tirefit.diagnosis.rows.rig import load_rig
 from tirefit.fitting.config import load_config
 from tirefit.names import EFFECT_NAMES
+from tirefit.sim.brake_summary import UNITS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -79,6 +81,7 @@ def test_a_broken_link_or_reference_fails(tmp_path, text, fault):
     settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
     del settings["hooks"], settings["nav"]
     (tmp_path / "docs").mkdir()
+    shutil.copy(DOCS / "rst_roles.py", tmp_path / "docs")
     page = f"# Page\n\n## Here\n\n{text}\n"
     (tmp_path / "docs" / "index.md").write_text(page, encoding="utf-8")
     (tmp_path / "mkdocs.yml").write_text(yaml.safe_dump(settings), encoding="utf-8")
@@ -108,6 +111,69 @@ def test_the_settings_that_the_manual_shows_are_valid(name, text, tmp_path):
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
     READERS[name](path)
+
+
+def test_every_number_of_a_braking_is_described():
+    text = (DOCS / "reference" / "files.md").read_text(encoding="utf-8")
+    assert [name for name in UNITS if f"`{name}`" not in text] == []
+
+
+CASES = ROOT / "fits"
+SCORES = {
+    "listed, strong: exact": "named exactly in {:.0%} of strong cases ({}",
+    "listed, weak: exact": "{:.0%} of weak ones ({}",
+    "pairs: exact": "both named in {:.0%} ({}",
+    "strangers: strong": "flagged in {:.0%} of strong cases ({}",
+    "false names beside something unlisted": "{:.2f} false names a case on trials ({}",
+    "false alarms": "a false alarm in {:.0%} ({}",
+}
+"""Row of the sealed trials -> what the limits say of its first score."""
+
+
+@pytest.mark.parametrize("row", SCORES)
+def test_the_limits_are_those_of_the_sealed_trials(row):
+    trials = (CASES / "withheld" / "README.md").read_text(encoding="utf-8")
+    limits = (DOCS / "how-it-works" / "limits.md").read_text(encoding="utf-8")
+    line = next(x for x in trials.splitlines() if x.startswith(f"| {row}"))
+    newest = line.split("|")[3]
+    score, count = re.search(r"(\.\d+).*?\((\d+)\)", newest).groups()
+    said = " ".join(limits.split()).replace(" %", "%")
+    assert SCORES[row].format(float(score), count) in said
+
+
+SWITCHED_OFF = {
+    "none: as shipped": "the product",
+    "other formulas of an effect": "other forms off",
+    "each effect likelier than not": "each effect likelier than not: off",
+    "data left out": "gain: no data left out",
+    "climb (adding effects one by one to the best sets)": "climb off",
+    "discrepancy: patterns": "discrepancy: patterns off",
+    "discrepancy: waves": "discrepancy: waves off",
+    "tests of the remainder": "tests of the remainder off",
+    "uncertainty of the slips": "doubt of the slips off",
+}
+"""Row of the manual -> row of the ablation."""
+
+
+def _cells(text, row):
+    line = next(x for x in text.splitlines() if x.startswith(f"| {row} |"))
+    return [cell.strip().partition(" of ")[0] for cell in line.split("|")[2:-1]]
+
+
+@pytest.mark.parametrize("row", SWITCHED_OFF)
+def test_what_each_step_buys_is_that_of_the_ablation(row):
+    page = (DOCS / "how-it-works" / "diagnosis.md").read_text(encoding="utf-8")
+    ablation = (CASES / "withheld" / "README.md").read_text(encoding="utf-8")
+    every = _cells(ablation, SWITCHED_OFF[row])
+    # Strong and weak effects, strong strangers, false names, measured cases.
+    assert _cells(page, row) == [every[k] for k in (0, 2, 6, 12, 16)]
+
+
+def test_the_version_is_the_same_everywhere():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == tirefit.__version__
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.search(r"^## (\S+)", changes, re.MULTILINE)[1] == tirefit.__version__
 
 
 def test_the_site_is_pinned():
