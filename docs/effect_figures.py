@@ -1,7 +1,7 @@
 """A figure for each effect: the curve without and with it, and the change.
 
-The forces are those of the diagnosis itself, on simulated records: sweeps of a rig at
-three loads and two speeds, the same with a slip angle beside, and a drive of a car.
+The forces are those of the diagnosis itself, on two simulated records: sweeps of a
+rig at three loads and two speeds, and a drive of a car.
 """
 
 import io
@@ -44,26 +44,24 @@ OVER = {
 """Quantity of a family -> column and label that its change is drawn over; else slip."""
 
 
-def _rig_record(across=False):
+def _rig_record():
     generator, count = np.random.default_rng(0), len(SWEEPS)
     time = np.arange(ROWS * count) * STEP
     fz, v = (np.repeat(x, ROWS) for x in zip(*SWEEPS, strict=True))
     slip = 0.2 * np.sin(2 * np.pi * time / PERIOD)
     force = forces(MODELS["brush"], TireInputs(sigma_x=slip, fz=fz)).fx
     sideways = np.sin(0.9 * time)
-    frame = {
+    return {
         "time": time, "sigma_x": slip, "fz": fz, "v": v,
         "fx": np.asarray(force) + 0.003 * fz * generator.standard_normal(len(time)),
         "omega": v / (1 + slip) / RIG.rolling_radius,
-    }  # fmt: skip
-    if across:
-        return frame | {"alpha": 0.06 * sideways}
-    return frame | {
+        # Less than a tenth of the slip: a disturbance, and not combined slip.
+        "alpha": 0.018 * sideways,
         "fy": 0.25 * fz * sideways,
         "temperature": 40 + 10 * np.sin(0.4 * time),
         "pressure": np.repeat(np.resize([2.0e5, 2.4e5], count), ROWS),
         "run": np.repeat(np.arange(count) // 2, ROWS),
-    }
+    }  # fmt: skip
 
 
 def _car_record():
@@ -73,8 +71,7 @@ def _car_record():
 
 def _bases():
     """(columns of the record, force, base fit) of each record."""
-    records = (_rig_record(), "fx"), (_car_record(), "fy"), (_rig_record(True), "fx")
-    for frame, channel in records:
+    for frame, channel in ((_rig_record(), "fx"), (_car_record(), "fy")):
         base = fit_base(
             prepare(read_frame(frame), RIG, (channel,)), "brush", EFFECTS, RIG
         )

@@ -29,7 +29,9 @@ def on_files(files, config):
     paths = [path for pattern in ALONE for path in ROOT.glob(pattern)]
     for folder in FOLDERS:
         paths += [p for p in (ROOT / folder).rglob("*") if p.suffix in KINDS]
-    names = sorted(str(p.relative_to(ROOT)) for p in paths if p.parent.name[0] != "_")
+    shown = [p for p in paths if p.parent.name[0] != "_" and p.parent != HERE]
+    shown += HERE.glob("*.md")
+    names = sorted(str(path.relative_to(ROOT)) for path in shown)
     made = [File.generated(config, name, content=content)
             for name, content in generated.pages().items()]  # fmt: skip
     stored = [File(name, str(ROOT), config.site_dir, True) for name in names]
