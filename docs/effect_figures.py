@@ -26,7 +26,8 @@ RIG = Rig(
 SWEEPS = [(fz, v) for v in (10.0, 20.0) for fz in (2000.0, 4000.0, 6000.0)]
 """Load [N] and speed [m/s] of each sweep of the rig."""
 ROWS, STEP, PERIOD = 160, 0.0125, 2.0
-"""Rows of a sweep; time between two, and length of a sweep [s]."""
+"""Rows of a sweep; time between two rows [s]; length of a sweep, and of the pause
+after it [s]."""
 SHOWN, LARGEST = 0.12, 3.0
 """Change of the force (rms, over that of the force) that a figure aims at, and its
 largest amplitude in standard deviations of the prior."""
@@ -46,7 +47,7 @@ OVER = {
 
 def _rig_record():
     generator, count = np.random.default_rng(0), len(SWEEPS)
-    time = np.arange(ROWS * count) * STEP
+    time = np.arange(ROWS * count) * STEP + np.repeat(np.arange(count), ROWS) * PERIOD
     fz, v = (np.repeat(x, ROWS) for x in zip(*SWEEPS, strict=True))
     slip = 0.2 * np.sin(2 * np.pi * time / PERIOD)
     force = forces(MODELS["brush"], TireInputs(sigma_x=slip, fz=fz)).fx
@@ -90,7 +91,7 @@ def _with_unlike_runs(design, run):
 
 
 def figures():
-    """Effect id -> (PNG, text below it), of every effect."""
+    """Effect id -> (PNG, amplitude that it shows), of every effect."""
     jax.config.update("jax_enable_x64", True)
     found = {}
     for frame, channel, base in _bases():
@@ -115,9 +116,7 @@ def _figure(frame, channel, base, k):
     size = min(max(SHOWN / change, 1.0), LARGEST, atom.prior(rows, RIG).high / scale)
     changed, kept = force(size), rows.kept
     columns = {name: np.asarray(column)[kept] for name, column in frame.items()}
-    unit = "" if atom.effect.unit == "-" else f" {atom.effect.unit}"
-    text = f"amplitude {size * scale:.3g}{unit}"
-    return _draw(atom.effect, columns, rows.slip, plain, changed), text
+    return _draw(atom.effect, columns, rows.slip, plain, changed), size * scale
 
 
 def _draw(effect, columns, slip, plain, changed):

@@ -60,7 +60,8 @@ def _link(effect):
 
 
 def _page(effect, amplitude):
-    name, unit = name_of(effect.id), "" if effect.unit == "-" else f" {effect.unit}"
+    name, unit = name_of(effect.id), effect.unit.removeprefix("-")
+    unit = f" {unit.strip()}" if unit else ""
     free = f" and {len(effect.forms)} free shapes" if effect.forms else ""
     rows = {
         "id": f"`{effect.id}`",
@@ -84,7 +85,7 @@ What it means that `tirefit diagnose` names **{name}**, and what to do.
 ![force without and with {name}]({effect.id}.png)
 
 Left: force over load against slip, without (grey) and with the effect (blue), on a
-simulated record; {amplitude}. Right: the change that it makes.
+simulated record; the amplitude is {amplitude:.3g}{unit}. Right: the change that it makes.
 
 | | |
 |---|---|
