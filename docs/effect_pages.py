@@ -37,6 +37,22 @@ NEEDS = {
 }  # fmt: skip
 """What the data must have, by the name of a need."""
 
+PER = {
+    "slip": "times the slip at half of the largest force",
+    "sliding": "over the range of the sliding speed",
+    "rolling": "over the range of the speed",
+    "growth": "times the slip at half of the largest force over the range of the speed",
+    "inverse_speed": "times the slip at half of the largest force over the range of 1/v",
+    "period": "times the time in which the slip changes by its standard deviation",
+    "way": "times the distance in which the slip changes by its standard deviation",
+    "temperature": "over the range of the temperature in 20 K",
+    "lever": "times the length that changes the slip by the slip at half of the largest"
+    " force, at the usual yaw rate over speed",
+    "inertia": "times the inertia of the carried mass at the rolling radius",
+    "swing": "times what changes the force by the load at the usual yaw acceleration",
+}
+"""What a prior is relative to, by the name of the size of the file that is its unit."""
+
 
 def pages():
     """Path -> content of every page and figure."""
@@ -62,12 +78,13 @@ def _link(effect):
 def _page(effect, amplitude):
     name, unit = name_of(effect.id), effect.unit.removeprefix("-")
     unit = f" {unit.strip()}" if unit else ""
-    free = f" and {len(effect.forms)} free shapes" if effect.forms else ""
+    relative = PER.get(effect.per[0], unit.strip())
+    free = " and smooth free shapes" if effect.forms else ""
     rows = {
         "id": f"`{effect.id}`",
         "family": effect.family,
         "formula": f"`{effect.formula}`",
-        "prior of the amplitude": f"standard deviation {effect.scale:g}{unit}",
+        "prior of the amplitude": f"standard deviation {effect.scale:g} {relative}",
         "variants tried": f"{len(effect.variants)} of the formula{free}",
         "forces that change": ", ".join(f"`{c}`" for c in effect.channels) or "all",
         "needs": ", ".join(NEEDS[need] for need in effect.needs) or "slip, force, load",
@@ -85,7 +102,8 @@ What it means that `tirefit diagnose` names **{name}**, and what to do.
 ![force without and with {name}]({effect.id}.png)
 
 Left: force over load against slip, without (grey) and with the effect (blue), on a
-simulated record; the amplitude is {amplitude:.3g}{unit}. Right: the change that it makes.
+simulated record; the amplitude is {amplitude:.3g}{unit}. Right: the change that it
+makes.
 
 | | |
 |---|---|
