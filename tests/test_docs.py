@@ -90,6 +90,14 @@ def test_a_broken_link_or_reference_fails(tmp_path, text, fault):
     assert fault in done.stderr
 
 
+def test_links_work_where_the_markdown_is_read():
+    """Without a build: no link leads to a page that is generated."""
+    for page in (*PAGES, *ROOT.glob("*.md")):
+        text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.M | re.S)
+        links = re.findall(r"\]\(([^)#: ]+)[^)]*\)", text)
+        assert [x for x in links if not (page.parent / x).exists()] == [], page
+
+
 def test_every_page_is_in_the_navigation_and_says_what_the_reader_gets():
     settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
     listed = " ".join(map(str, settings["nav"]))
