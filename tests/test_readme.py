@@ -32,7 +32,7 @@ def test_the_example_runs_and_prints_what_it_says(page, tmp_path, monkeypatch, c
     case.mkdir(parents=True)
     shutil.copy(ROOT / "fits" / "dart_rear_axle" / "free_driving.csv", case)
     monkeypatch.chdir(tmp_path)
-    # The example of a model adds it for the session: it is taken out again.
+    # The example of a model adds it for good: it is taken out again.
     monkeypatch.setitem(tirefit.MODELS, "saturating", None)
     exec(code, {})
     assert capsys.readouterr().out == textwrap.dedent(said)
