@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: install demo test statistics notebooks bench withheld withheld-full measured ablate calibration friction-benchmark fuzz braking posterior-peers lint types clean
+.PHONY: install demo docs test statistics notebooks bench withheld withheld-full measured ablate calibration friction-benchmark fuzz braking posterior-peers lint types clean
 
 install: $(STAMP)
 
@@ -30,6 +30,11 @@ test: install
 # The long statistical runs: 1,600 data sets for each model and noise level.
 statistics: install
 	$(BIN)/python -m pytest -q -n 2 -m statistics --override-ini addopts="" tests
+
+# The manual as a site, in site/; a broken link or reference fails.
+docs: export NO_MKDOCS_2_WARNING = 1
+docs: install
+	$(BIN)/python -m mkdocs build
 
 notebooks: install
 	$(BIN)/python fits/run_notebooks.py
@@ -94,4 +99,4 @@ types: install
 	$(BIN)/mypy
 
 clean:
-	rm -rf $(VENV) out build dist
+	rm -rf $(VENV) out build dist site

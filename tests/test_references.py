@@ -12,7 +12,7 @@ import tirefit
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "tirefit").rglob("*.py"))
 TESTS = [*ROOT.glob("tests/**/*.py"), *ROOT.glob("fits/**/*.py")]
-TEXTS = [ROOT / "README.md", *ROOT.glob("fits/**/README.md")]
+TEXTS = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("fits/**/*.md")]
 
 CITED = re.compile(r"(?<![A-Za-z0-9_\\{])([SO])\((\d+)([a-z]?|\.\d+)\)(?:-\((\d+)\))?")
 # "S(10), (24)" and "S(45) and (46)": the letter stands once.

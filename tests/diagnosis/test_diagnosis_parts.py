@@ -295,10 +295,11 @@ def test_no_form_of_the_speed_at_one_speed(base):
     assert not _forms(base, "friction x speed", without=["speeds"]).size
 
 
-def test_an_effect_of_ones_own_as_in_the_readme(tmp_path, monkeypatch, capsys):
+def test_the_effect_of_the_manual_runs_and_is_found(tmp_path, monkeypatch, capsys):
     """Its lines run as printed, and find a ripple that is there."""
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "effect.md"
+    text = page.read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     (printed,) = (block for block in blocks if "mine = Effect(" in block)
     span = record(None)[0]["time"]
     middle, whole = span.mean(), np.ptp(span)

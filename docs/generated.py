@@ -1,0 +1,69 @@
+"""What the manual takes from the package: effects, models, commands, the API."""
+
+import re
+from pathlib import Path
+
+import effect_pages
+import typer
+
+import tirefit
+from tirefit.cli.commands import app
+from tirefit.models import MODELS
+from tirefit.report.method_tables import methods_table
+from tirefit.report.model_tables import models_table
+
+MARKER = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
+
+
+def pages():
+    """Path in the repository -> content, of every page and figure that is generated."""
+    return effect_pages.pages()
+
+
+def fill(markdown):
+    """The Markdown with every marker replaced by the text that it names."""
+    return MARKER.sub(lambda found: TEXTS[found[1]](), markdown)
+
+
+def _module_of(name):
+    """Module of a public name, as `tirefit/__init__.py` has it."""
+    source = Path(tirefit.__file__).read_text(encoding="utf-8")
+    of_modules = re.findall(r'"([\w.]+)": \[([^\]]*)\]', source)
+    return next(module for module, names in of_modules if f'"{name}"' in names)
+
+
+def _api():
+    """A section for each public name, with the docstring by mkdocstrings."""
+    names = sorted(tirefit.__all__, key=str.lower)
+    return "\n\n".join(
+        f"## {name}\n\n::: tirefit.{_module_of(name)}.{name}\n"
+        f"    options:\n      heading: tirefit.{name}"
+        for name in names
+    )
+
+
+def _commands():
+    """The help of every command."""
+    return "\n\n".join(_help("tirefit", typer.main.get_command(app)))
+
+
+def _help(name, command):
+    level = "##" if name.count(" ") < 2 else "###"
+    context = typer.Context(command, info_name=name, terminal_width=88)
+    yield f"{level} {name}\n\n```text\n{command.get_help(context)}\n```"
+    for part, below in getattr(command, "commands", {}).items():
+        yield from _help(f"{name} {part}", below)
+
+
+def _literal(text):
+    return f"```text\n{text}\n```"
+
+
+TEXTS = {
+    "api": _api,
+    "commands": _commands,
+    "effects": effect_pages.table,
+    "models": lambda: _literal(models_table(MODELS)),
+    "methods": lambda: _literal(methods_table(tirefit.METHODS)),
+    "sources": lambda: tirefit.__doc__.partition("Cited elsewhere:\n")[2],
+}
