@@ -27,6 +27,7 @@ FLOORS = {
     "online": 3,
     "diagnosis": 4,
     "sim": 4,
+    "vehicle": 4,
     "report": 5,
     "targets": 5,
     "cli": 6,

@@ -111,6 +111,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
             "plot_trace",
         ],
         "results": ["DataError", "UsageError"],
+        "vehicle.replay": ["replay"],
     },
 )
 

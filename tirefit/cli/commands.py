@@ -37,6 +37,7 @@ from tirefit.cli.options import (
     takes_data_options,
 )
 from tirefit.cli.prepare import prepare
+from tirefit.cli.replay import replay
 from tirefit.cli.simulate import app as simulate
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
@@ -62,6 +63,7 @@ class Axle(StrEnum):
 app.command()(fit)
 app.command()(convert)
 app.command()(export)
+app.command()(replay)
 app.command(cls=ManyHoldouts)(diagnose)
 app.command()(estimate)
 app.command()(brake)

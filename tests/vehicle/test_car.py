@@ -1,0 +1,105 @@
+"""The single-track car against SciPy, against steady cornering, and against derive."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from fits.formulas import brush
+from tirefit.models import Brush
+from tirefit.vehicle.car import Car, State, accelerations, predicted, stiffest
+from tirefit.vehicle.replay import LinearTire
+
+MASS, INERTIA, L_F, L_R, GRAVITY = 5.1, 0.12, 0.17, 0.16, 9.81
+TIRES = {"front": (40.0, 0.9), "rear": (120.0, 0.75)}
+STEP, COUNT = 0.01, 101
+
+
+def car():
+    tires = (Brush(cpa2=cpa2, mu=mu) for cpa2, mu in TIRES.values())
+    return Car(*tires, MASS, INERTIA, L_F, L_R, GRAVITY)
+
+
+def slopes(time, state, speed, angle):
+    """Newton and Euler, forces by S(12) in NumPy, to the left."""
+    v_y, turn, heading, _, _ = state
+    v_x, delta = speed(time), angle(time)
+    wheelbase = L_F + L_R
+    forces = []
+    for (c, mu), arm, steer, other in (
+        (TIRES["front"], L_F, delta, L_R), (TIRES["rear"], -L_R, 0.0, L_F),
+    ):  # fmt: skip
+        slip = np.arctan2(v_y + arm * turn, v_x) - steer
+        fz = MASS * GRAVITY * other / wheelbase
+        size = brush(np.tan(abs(slip)), fz, v_x, c, mu)
+        forces.append(-np.sign(slip) * size)
+    front, rear = forces[0] * np.cos(delta), forces[1]
+    return [
+        (front + rear) / MASS - v_x * turn, (L_F * front - L_R * rear) / INERTIA, turn,
+        v_x * np.cos(heading) - v_y * np.sin(heading),
+        v_x * np.sin(heading) + v_y * np.cos(heading),
+    ]  # fmt: skip
+
+
+def test_a_second_ahead_is_that_of_scipy():
+    time = STEP * np.arange(COUNT)
+    v_x, steering = 3.0 + 0.5 * time, 0.5 * np.sin(4 * time)
+    start = (-0.9, 1.0, 0.4, 1.0, 2.0)
+    found = jax.jit(predicted, static_argnums=5)(
+        car(), State(*start), jnp.asarray(v_x), jnp.asarray(steering), STEP, 4
+    )
+    true = solve_ivp(
+        slopes, (0, time[-1]), start, t_eval=time, rtol=1e-10, atol=1e-10,
+        max_step=STEP / 4,
+        args=[lambda t, of=of: np.interp(t, time, of) for of in (v_x, steering)],
+    )  # fmt: skip
+    # At first the rear slides.
+    full = (
+        1.5 * TIRES["rear"][1] * MASS * GRAVITY * L_F / (L_F + L_R) / TIRES["rear"][0]
+    )
+    assert abs(start[0] - L_R * start[1]) / v_x[0] > full
+    np.testing.assert_allclose(np.stack(found), true.y, atol=2e-5)
+
+
+def test_steady_cornering_of_linear_tires_is_the_understeer_gradient():
+    front, rear = 5.0, 7.0  # 1/rad
+    linear = Car(LinearTire(front), LinearTire(rear), MASS, INERTIA, L_F, L_R, GRAVITY)
+    speed, angle = 3.0, 1e-4
+    given = jnp.full(500, speed), jnp.full(500, angle)
+    end = predicted(linear, State(0, 0, 0, 0, 0), *given, 0.01, 4)
+    gradient = (1 / front - 1 / rear) / GRAVITY
+    steady = speed / (L_F + L_R + gradient * speed**2)
+    assert float(end.yaw_rate[-1]) / angle == pytest.approx(steady, rel=1e-6)
+
+
+def test_the_fastest_rate_is_that_of_the_linear_car():
+    front, rear, speed = 5.0, 7.0, 1.5
+    linear = Car(LinearTire(front), LinearTire(rear), MASS, INERTIA, L_F, L_R, GRAVITY)
+    ahead, behind = (
+        load * s for load, s in zip(linear.loads, (front, rear), strict=True)
+    )
+    matrix = -np.array([
+        [(ahead + behind) / MASS, (L_F * ahead - L_R * behind) / MASS],
+        [(L_F * ahead - L_R * behind) / INERTIA,
+         (L_F**2 * ahead + L_R**2 * behind) / INERTIA],
+    ]) / speed - np.array([[0, speed], [0, 0]])  # fmt: skip
+    assert stiffest(linear, speed) == pytest.approx(
+        np.abs(np.linalg.eigvals(matrix)).max()
+    )
+
+
+def test_the_forces_are_those_that_derive_finds():
+    v_x, steering, v_y, turn = 3.0, 0.1, -0.2, 1.0
+    lateral, yaw = accelerations(car(), v_x, steering, v_y, turn)
+    # The formulas of derive, positive to the right.
+    wheelbase = L_F + L_R
+    rear = -(MASS * L_F * lateral - INERTIA * yaw) / wheelbase
+    front = -(MASS * L_R * lateral + INERTIA * yaw) / wheelbase / np.cos(steering)
+    for force, (c, mu), slip, other in (
+        (front, TIRES["front"], np.arctan2(v_y + L_F * turn, v_x) - steering, L_R),
+        (rear, TIRES["rear"], np.arctan2(v_y - L_R * turn, v_x), L_F),
+    ):
+        fz = MASS * GRAVITY * other / wheelbase
+        size = brush(np.tan(abs(slip)), fz, v_x, c, mu)
+        assert float(force) == pytest.approx(np.sign(slip) * size, rel=1e-9)

@@ -1,0 +1,156 @@
+"""Replays of logs whose car is known."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from test_car import GRAVITY, INERTIA, L_F, L_R, MASS, TIRES, slopes
+
+import tirefit
+from tirefit.models import Brush
+from tirefit.results import DataError, UsageError
+from tirefit.vehicle.replay import HORIZONS, QUANTITIES, replay
+
+FRONT, REAR = (Brush(cpa2=cpa2, mu=mu) for cpa2, mu in TIRES.values())
+LATE = 0.08  # s
+TOML = f"""
+mass = {MASS}
+l_f = {L_F}
+l_r = {L_R}
+yaw_inertia = {INERTIA}
+gravity = {GRAVITY}
+[columns]
+time = "t"
+x = "x"
+y = "y"
+yaw = "yaw"
+steering = "steer"
+[steering]
+command = [-1.0, 1.0]
+angle = [-1.0, 1.0]
+[filter]
+cutoff = 15.0
+sample_rate = 100.0
+[keep]
+v_min = 1.0
+"""
+
+
+def steer(time):
+    return 0.1 * np.sin(2.0 * time) + 0.04 * np.sin(5.1 * time)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    """A vehicle file, and logs of a car whose wheels follow at once, and late."""
+    folder = tmp_path_factory.mktemp("drive")
+    (folder / "vehicle.toml").write_text(TOML)
+    time = np.arange(0, 14, 0.01)
+    for name, delay in (("exact", 0.0), ("late", LATE)):
+        true = solve_ivp(
+            slopes, (0, time[-1]), np.zeros(5), t_eval=time, rtol=1e-9, atol=1e-9,
+            max_step=0.01, args=[lambda t: 2.5, lambda t, d=delay: steer(t - d)],
+        )  # fmt: skip
+        _, _, yaw, x, y = true.y
+        rows = np.stack([time, x, y, yaw, steer(time)], axis=1)
+        np.savetxt(
+            folder / f"{name}.csv", rows, "%.9g", ",", header="t,x,y,yaw,steer",
+            comments="",
+        )  # fmt: skip
+    return folder
+
+
+@pytest.fixture(scope="module")
+def exact(drive):
+    return replay([drive / "exact.csv"], drive / "vehicle.toml", FRONT, REAR)
+
+
+def test_the_true_car_predicts_its_log(exact):
+    rms = exact.models["tire"].rms()
+    # The filter takes a little of the fastest steering.
+    assert max(rms["yaw_rate"]) < 0.01 and max(rms["sideslip"]) < 0.002
+    assert rms["lateral"][2] < 0.005 and rms["a_y"][2] < 0.05
+    linear, without = (exact.models[m].rms() for m in ("linear tire", "no slip"))
+    assert without["lateral"][2] > linear["lateral"][2] > 5 * rms["lateral"][2]
+    assert exact.horizons == HORIZONS and list(rms) == list(QUANTITIES)
+    # 14 s, 0.1 s lost at either end, a start every quarter of a second.
+    assert exact.windows == (55, 54, 52, 48, 36)
+
+
+def test_a_car_without_slip_follows_its_wheels(exact, drive):
+    # By hand: r = v tan(delta) / L, of one start.
+    log = np.loadtxt(drive / "exact.csv", delimiter=",", skiprows=1)
+    time, yaw = log[:, 0], log[:, 3]
+    start = int(round((exact_start(exact)) * 100))
+    rate = 2.5 * np.tan(log[:, 4]) / (L_F + L_R)
+    turned = np.trapezoid(rate[start : start + 101], time[start : start + 101])
+    missed = turned - (yaw[start + 100] - yaw[start])
+    assert exact.models["no slip"].of["heading"][0, 2] == pytest.approx(
+        missed, abs=0.02
+    )
+
+
+def exact_start(result):
+    """Time of the first start: the filter's settling."""
+    return tirefit.data.vehicle.Filter(cutoff=15.0).settling
+
+
+def test_a_late_steering_is_seen_and_can_be_stated(drive):
+    given = [drive / "late.csv"], drive / "vehicle.toml", FRONT, REAR
+    as_logged = replay(*given, horizons=(0.5,)).models["tire"].rms()
+    stated = replay(*given, horizons=(0.5,), steering_delay=LATE).models["tire"].rms()
+    assert stated["yaw_rate"][0] < 0.2 * as_logged["yaw_rate"][0]
+    assert stated["lateral"][0] < 0.2 * as_logged["lateral"][0]
+
+
+def test_the_band_of_a_fit_holds_what_its_own_car_does(drive):
+    """Tires fitted to the derived axles of the same log, with their uncertainty."""
+    fits = {}
+    for axle in ("front", "rear"):
+        out = drive / f"{axle}.csv"
+        tirefit.derive_files([drive / "exact.csv"], drive / "vehicle.toml", out, axle)
+        fits[axle] = tirefit.fit(tirefit.read(out), "brush")
+    found = replay(
+        [drive / "exact.csv", drive / "late.csv"], drive / "vehicle.toml",
+        fits["front"], fits["rear"], horizons=(0.25, 0.5),
+    )  # fmt: skip
+    assert found.logs == {"exact": True, "late": False}
+    assert found.held.keys() == QUANTITIES.keys()
+    assert all(0 <= share <= 1 for each in found.held.values() for share in each)
+
+
+def test_the_command_writes_numbers_and_picture(drive, tmp_path):
+    line = [
+        sys.executable, "-m", "tirefit", "replay", str(drive / "exact.csv"),
+        "--vehicle", str(drive / "vehicle.toml"), "--front", "brush", "--rear", "brush",
+        "--horizon", "0.5", "--out", str(tmp_path / "out"),
+    ]  # fmt: skip
+    done = subprocess.run(line, capture_output=True, text=True, check=True)
+    assert "0.5 s ahead the car on these tires is off by" in done.stdout
+    content = json.loads((tmp_path / "out" / "replay.json").read_text())
+    assert content["schema"] == "tirefit.replay/1" and content["horizons"] == [0.5]
+    assert set(content["rms"]) == {"tire", "linear tire", "no slip"}
+    assert (tmp_path / "out" / "replay.png").stat().st_size > 10_000
+
+
+def test_what_cannot_be_predicted_is_refused(drive, tmp_path):
+    log, toml = drive / "exact.csv", drive / "vehicle.toml"
+    with pytest.raises(UsageError, match="horizons 1, 0.5 do not rise"):
+        replay([log], toml, FRONT, REAR, horizons=(1.0, 0.5))
+    with pytest.raises(DataError, match="no stretch above 1 m/s is as long"):
+        replay([log], toml, FRONT, REAR, horizons=(60.0,))
+    with pytest.raises(UsageError, match="nosuch"):
+        replay([log], toml, "nosuch", REAR)
+    bare = TOML.split("[steering]")[0].replace('steering = "steer"\n', "")
+    (tmp_path / "bare.toml").write_text(bare)
+    with pytest.raises(UsageError, match="needs the road wheel angle"):
+        replay([log], tmp_path / "bare.toml", FRONT, REAR)
+
+
+def test_a_tire_without_a_steady_lateral_force_is_refused(drive):
+    given = [drive / "exact.csv"], drive / "vehicle.toml"
+    with pytest.raises(UsageError, match="brush-relaxation has no lateral force in"):
+        replay(*given, FRONT, "brush-relaxation")

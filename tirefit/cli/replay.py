@@ -1,0 +1,73 @@
+"""``tirefit replay``: measured logs, predicted from measured states."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tirefit.cli.options import errors_to_exit, named_path, say, start_jax
+from tirefit.cli.output import claimed, staged
+from tirefit.data.remote import file_at
+from tirefit.results import InputProblem, UsageError
+
+RECORD, FIGURE = "replay.json", "replay.png"
+
+
+def replay(
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="LOG...", parser=file_at, help="vehicle logs"),
+    ] = None,
+    *,
+    vehicle: Annotated[
+        Path, typer.Option(metavar="VEHICLE.toml", help="the car and its log")
+    ],
+    front: Annotated[
+        str, typer.Option(metavar="FIT.json|MODEL", help="tire of the front axle")
+    ],
+    rear: Annotated[
+        str, typer.Option(metavar="FIT.json|MODEL", help="tire of the rear axle")
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
+    ],
+    horizon: Annotated[
+        list[float] | None,
+        typer.Option(
+            metavar="S",
+            help="seconds after a start (repeat for more): 0.25, 0.5, 1, 2, 5 if none",
+        ),
+    ] = None,
+    steering_delay: Annotated[
+        float, typer.Option(metavar="S", help="by which the wheels follow the log")
+    ] = 0.0,
+    seed: Annotated[int, typer.Option(help="of the draws of the tires")] = 0,
+) -> None:
+    """Predict measured vehicle logs and show how the error grows with the horizon.
+
+    The car starts every quarter of a second from the measured state and is predicted
+    for up to five seconds, with the speed and the steering as measured. Beside it stand
+    the same car on linear tires, and a car without slip.
+    """
+    with errors_to_exit():
+        if not logs:
+            reason, remedy = "a log is missing", "name one log or more"
+            raise UsageError(InputProblem(reason, remedy))
+        start_jax()
+        from tirefit.files import write_text_atomic
+        from tirefit.report.canvas import save_picture
+        from tirefit.report.replay import replay_figure, replay_text
+        from tirefit.vehicle.replay import HORIZONS
+        from tirefit.vehicle.replay import replay as predicted
+
+        with claimed(out):
+            result = predicted(
+                logs, vehicle, front, rear, horizons=horizon or HORIZONS,
+                steering_delay=steering_delay, seed=seed,
+            )  # fmt: skip
+            with staged(out, (RECORD, FIGURE), result) as folder:
+                write_text_atomic(folder / RECORD, result.to_json())
+                save_picture(replay_figure(result), folder / FIGURE)
+        say(replay_text(result))
+        say(f"wrote {out / RECORD}, {out / FIGURE}")

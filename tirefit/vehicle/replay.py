@@ -1,0 +1,462 @@
+"""Measured logs, predicted from measured states: :func:`replay`.
+
+Every quarter of a second the car starts from the measured state and is predicted for
+up to five seconds, with the speed and the steering as measured and no correction. What
+the prediction misses at each horizon is compared with that of a car without slip, and
+of one whose tires are linear.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit import __version__
+from tirefit.data.motion import Motion, read_motion, road_wheel
+from tirefit.data.remote import file_at
+from tirefit.data.vehicle import Vehicle, load_vehicle
+from tirefit.fitting.axle import axle_tire
+from tirefit.models import AbstractTire, TireForces, TireInputs
+from tirefit.precision import require_x64
+from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.vehicle.car import Car, State, accelerations, predicted, stiffest
+
+SCHEMA = "tirefit.replay/1"
+
+HORIZONS = (0.25, 0.5, 1.0, 2.0, 5.0)
+"""Times [s] after the start at which the prediction is compared."""
+
+EVERY = 0.25
+"""Time [s] from one start to the next."""
+
+QUANTITIES = {
+    "yaw_rate": "rad/s", "sideslip": "rad", "a_y": "m/s2", "heading": "rad",
+    "lateral": "m",
+}  # fmt: skip
+"""What is compared, with its unit; ``lateral`` is the place across the measured one."""
+
+_STABLE = 0.5
+"""Largest step of the integration over the car's shortest time constant."""
+_MOST_PARTS = 50
+DRAWS = 24
+"""Draws of the tires' parameters, for the band."""
+_NORMAL_95 = 1.96
+
+
+class Errors(NamedTuple):
+    """Predicted less measured at each horizon: {quantity: (windows, horizons)}, NaN
+    where the log ends before."""
+
+    of: Mapping[str, np.ndarray]
+
+    def rms(self) -> dict[str, list[float | None]]:
+        """Root mean square by quantity, a number a horizon; None of no window."""
+        found = {}
+        for name, values in self.of.items():
+            count = np.isfinite(values).sum(axis=0)
+            squares = np.nansum(values**2, axis=0)
+            rms = np.sqrt(squares / np.maximum(count, 1))
+            found[name] = [
+                float(x) if n else None for x, n in zip(rms, count, strict=True)
+            ]
+        return found
+
+
+class Fans(NamedTuple):
+    """The measured and the predicted path of each window of a log, (w, k, 2) [m], NaN
+    beyond its end; ``rate`` is that of the samples [Hz]."""
+
+    measured: np.ndarray
+    predicted: np.ndarray
+    rate: float
+
+    def steps_of(self, span: float) -> int:
+        """Samples in a time [s]."""
+        return round(span * self.rate)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What :func:`replay` found in some logs.
+
+    Attributes:
+        logs: name of each log -> whether a tire was fitted to it.
+        windows: predictions that reach each of ``horizons`` [s].
+        models: model -> errors; ``tire``, ``linear tire`` and ``no slip``.
+        held: quantity -> share of the windows, by horizon, whose measured value lies
+            in the 95 % band of the tires' parameters; empty where both have none.
+        paths: the predictions of each log, for pictures.
+        notes: what was assumed.
+    """
+
+    logs: Mapping[str, bool]
+    horizons: tuple[float, ...]
+    windows: tuple[int, ...]
+    models: Mapping[str, Errors]
+    held: Mapping[str, list[float]]
+    paths: Mapping[str, Fans]
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict:
+        """The numbers, as ``replay.json`` has them."""
+        return {
+            "schema": SCHEMA, "version": __version__,
+            "logs": {k: {"fitted": v} for k, v in self.logs.items()},
+            "horizons": self.horizons, "windows": self.windows,
+            "units": QUANTITIES,
+            "rms": {name: errors.rms() for name, errors in self.models.items()},
+            "held": self.held, "notes": self.notes,
+        }  # fmt: skip
+
+    def to_json(self) -> str:
+        """The text of ``replay.json``."""
+        return json.dumps(self.to_dict(), indent=2) + "\n"
+
+
+class _Windows(NamedTuple):
+    """Windows of one log: samples (w, k) of what is measured, NaN beyond the end of
+    each; ``start`` are the states (w,) they begin at."""
+
+    start: State
+    v_x: np.ndarray
+    steering: np.ndarray
+    measured: State
+    a_y: np.ndarray
+
+
+class LinearTire(AbstractTire):
+    """A lateral force in proportion to the slip angle.
+
+    Attributes:
+        stiffness: force over slip angle and load [1/rad].
+    """
+
+    stiffness: float
+
+    def __call__(self, inputs: TireInputs) -> TireForces:
+        force = jnp.asarray(self.stiffness * inputs.fz * inputs.alpha)
+        return TireForces(None, force, None)
+
+
+def linear(tire: AbstractTire, fz: float, v: float) -> LinearTire:
+    """The linear tire of the same slope at zero slip."""
+    force = lambda alpha: tire(TireInputs(alpha=alpha, fz=fz, v=v)).fy  # noqa: E731
+    return LinearTire(float(jax.grad(force)(0.0)) / fz)
+
+
+def replay(
+    logs: Sequence[str | Path],
+    vehicle: Vehicle | str | Path,
+    front,
+    rear,
+    *,
+    horizons: Sequence[float] = HORIZONS,
+    steering_delay: float = 0.0,
+    seed: int = 0,
+) -> Replay:
+    """Predict measured logs from their measured states, and compare by horizon.
+
+    Args:
+        logs: vehicle logs, as for :func:`tirefit.derive_files`.
+        vehicle: a vehicle or its ``vehicle.toml``, with a steering map.
+        front, rear: the tire of each axle, at the load of the axle: a fit, a
+            ``fit.json``, a tire, or the name of a model.
+        horizons: times [s] after a start at which the prediction is compared.
+        steering_delay: time [s] by which the wheels follow the logged steering.
+        seed: of the draws of the tires' parameters.
+
+    Returns:
+        Errors by horizon of the car, of the same with linear tires, and of a car
+        without slip.
+
+    Raises:
+        UsageError: a vehicle without a steering map, horizons that do not rise, or a
+            tire that cannot be found.
+        DataError: a log that cannot be read, or none of whose stretches is as long as
+            the shortest horizon.
+    """
+    require_x64("a replay")
+    if not isinstance(vehicle, Vehicle):
+        vehicle = load_vehicle(vehicle)
+    horizons = _checked(vehicle, horizons)
+    tires = axle_tire(front), axle_tire(rear)
+    fitted = {run for tire in tires for run in tire.runs}
+    rate, found = vehicle.filter.sample_rate, {}
+    problems: list[InputProblem] = []
+    for path in logs:
+        file = file_at(path)
+        name = file.name.removesuffix(".gz").rsplit(".", 1)[0]
+        try:
+            _, motion, _ = read_motion(file, vehicle)
+            windows = _windows(motion, vehicle, horizons, steering_delay)
+        except DataError as error:
+            problems += error.problems
+            continue
+        if windows is None:
+            reason = (
+                f"no stretch above {vehicle.v_min:.3g} m/s is as long as the shortest"
+                f" horizon, {horizons[0]:g} s"
+            )
+            remedy = "ask for shorter horizons, or lower keep.v_min of vehicle.toml"
+            problems.append(InputProblem(reason, remedy, str(file)))
+        else:
+            found[name] = motion, windows
+    if problems:
+        raise DataError(problems)
+    joined = jax.tree.map(
+        lambda *each: np.concatenate(each), *(w for _, w in found.values())
+    )
+    steps = [round(h * rate) for h in horizons]
+    car = _car(vehicle, tires[0].tire, tires[1].tire)
+    speed = float(np.nanmedian(joined.v_x))
+    axles = zip((car.front, car.rear), car.loads, strict=True)
+    straight = replace_tires(car, *(linear(t, fz, speed) for t, fz in axles))
+    parts = _parts(car, joined, rate)
+    tire, states = _compared(car, joined, steps, rate, parts)
+    models = {
+        "tire": tire,
+        "linear tire": _compared(straight, joined, steps, rate, parts)[0],
+        "no slip": _without_slip(vehicle, joined, steps),
+    }
+    held = _held(car, tires, joined, steps, rate, parts, seed)
+    counts = np.isfinite(tire.of["yaw_rate"]).sum(axis=0)
+    return Replay(
+        {name: name in fitted for name in found}, tuple(horizons),
+        tuple(int(n) for n in counts), models, held,
+        _fans(found, states, rate), _notes(vehicle, motion),
+    )  # fmt: skip
+
+
+def _checked(vehicle: Vehicle, horizons: Sequence[float]) -> list[float]:
+    problems = []
+    if vehicle.steering is None:
+        reason = "a prediction needs the road wheel angle"
+        remedy = "name columns.steering and give [steering] in vehicle.toml"
+        problems.append(InputProblem(reason, remedy))
+    given = [float(h) for h in horizons]
+    least = 1 / vehicle.filter.sample_rate
+    if (
+        not given
+        or sorted(set(given)) != given
+        or not all(math.isfinite(h) and h >= least for h in given)
+    ):
+        reason = f"horizons {', '.join(f'{h:g}' for h in given)} do not rise"
+        remedy = f"give times from {least:g} s on, in order, such as 0.5 1 2"
+        problems.append(InputProblem(reason, remedy))
+    if problems:
+        raise UsageError(problems)
+    return given
+
+
+def _notes(vehicle: Vehicle, motion: Motion) -> tuple[str, ...]:
+    notes = [
+        "speed and steering are those of the log; starts are the log's, low-passed at"
+        f" {vehicle.filter.bandwidth:.3g} Hz, without phase",
+        "axle loads are static; the tires carry no drive or brake force",
+    ]
+    if np.isnan(motion.x).all():
+        notes.append(
+            "the log holds no pose: heading and place are the integrals of its yaw rate"
+            " and speeds"
+        )
+    return tuple(notes)
+
+
+def _car(vehicle: Vehicle, front: AbstractTire, rear: AbstractTire) -> Car:
+    car = Car(
+        front, rear, vehicle.mass, vehicle.yaw_inertia, vehicle.l_f, vehicle.l_r,
+        vehicle.gravity,
+    )  # fmt: skip
+    return _traced(car)
+
+
+def _traced(module):
+    """The module with its numbers as arrays: other numbers compile nothing anew."""
+    return jax.tree.map(lambda x: jnp.asarray(x, float), module)
+
+
+def replace_tires(car: Car, front: AbstractTire, rear: AbstractTire) -> Car:
+    """The same car on other tires."""
+    return eqx.tree_at(lambda c: (c.front, c.rear), car, _traced((front, rear)))
+
+
+def _windows(motion: Motion, vehicle: Vehicle, horizons, delay) -> _Windows | None:
+    """The windows of a log, from a start every :data:`EVERY` seconds where the log is
+    settled and the car fast enough, to the longest horizon; None of none."""
+    rate = vehicle.filter.sample_rate
+    most, least = round(horizons[-1] * rate) + 1, round(horizons[0] * rate) + 1
+    good = motion.settled & (motion.v_x > vehicle.v_min)
+    steer = _late(road_wheel(motion, vehicle), motion, delay)
+    heading, x, y = motion.heading, motion.x, motion.y
+    if np.isnan(x).all():
+        heading, x, y = _integrated(motion, rate)
+    state = State(motion.v_y, motion.yaw_rate, heading, x, y)
+    good &= np.isfinite(np.stack([*state, motion.v_x, motion.a_y, steer])).all(axis=0)
+    # Where each unbroken stretch of good samples ends.
+    broken = np.flatnonzero(~good[1:] | ~good[:-1] | (np.diff(motion.part) != 0)) + 1
+    ends = np.append(broken, len(good))
+    end = ends[np.searchsorted(ends, np.arange(len(good)), side="right")]
+    starts = [
+        k
+        for first, last in zip([0, *broken], ends, strict=True)
+        for k in range(first, last, max(round(EVERY * rate), 1))
+        if good[k] and last - k >= least
+    ]
+    if not starts:
+        return None
+    rows = np.array(starts)[:, None] + np.arange(most)
+    there = rows < end[np.array(starts)][:, None]
+    rows = np.minimum(rows, len(good) - 1)
+
+    def cut(values):
+        return np.where(there, values[rows], np.nan)
+
+    return _Windows(
+        State(*(values[np.array(starts)] for values in state)),
+        cut(motion.v_x), cut(steer), State(*map(cut, state)), cut(motion.a_y),
+    )  # fmt: skip
+
+
+def _late(values: np.ndarray, motion: Motion, delay: float) -> np.ndarray:
+    """Values (n,) of a time [s] ago; NaN before each stretch begins."""
+    if not delay:
+        return values
+    found = np.full(len(values), np.nan)
+    for number in np.unique(motion.part):
+        rows = motion.part == number
+        time = motion.time[rows]
+        found[rows] = np.interp(time - delay, time, values[rows], left=np.nan)
+    return found
+
+
+def _integrated(motion: Motion, rate: float):
+    """Heading and place (n,) of a log of rates, from its first sample on."""
+    yaw, v_x, v_y = (
+        np.nan_to_num(v) for v in (motion.yaw_rate, motion.v_x, motion.v_y)
+    )
+    heading = _summed(yaw) / rate
+    cos, sin = np.cos(heading), np.sin(heading)
+    return (
+        heading,
+        _summed(v_x * cos - v_y * sin) / rate,
+        _summed(v_x * sin + v_y * cos) / rate,
+    )
+
+
+def _summed(values: np.ndarray) -> np.ndarray:
+    """Running sum by trapezes, from zero."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))])
+
+
+def _parts(car: Car, windows: _Windows, rate: float) -> int:
+    """Steps of the integration from one sample to the next."""
+    slowest = float(np.nanmin(windows.v_x))
+    return int(
+        np.clip(math.ceil(stiffest(car, slowest) / rate / _STABLE), 1, _MOST_PARTS)
+    )
+
+
+@partial(jax.jit, static_argnames=("step", "parts"))
+def _states(car: Car, start: State, v_x, steering, step: float, parts: int):
+    """States (w, k) of every window, and the lateral acceleration (w, k)."""
+
+    def one(start, v_x, steering):
+        states = predicted(car, start, v_x, steering, step, parts)
+        lateral, _ = jax.vmap(lambda *at: accelerations(car, *at))(
+            v_x, steering, states.v_y, states.yaw_rate
+        )
+        return states, lateral
+
+    return jax.vmap(one)(start, v_x, steering)
+
+
+def _given(windows: _Windows):
+    """Speed and steering without the missing samples, which nothing asks for."""
+    missing = np.isnan(windows.v_x)
+    last = np.maximum.accumulate(
+        np.where(missing, 0, np.arange(missing.shape[1])), axis=1
+    )
+    rows = np.arange(len(missing))[:, None]
+    return windows.v_x[rows, last], windows.steering[rows, last]
+
+
+def _compared(car: Car, windows: _Windows, steps, rate: float, parts: int):
+    """Errors at the horizons, and the predicted states (w, k)."""
+    states, lateral = _states(car, windows.start, *_given(windows), 1 / rate, parts)
+    states = State(*map(np.asarray, states))
+    return _errors(states, np.asarray(lateral), windows, steps), states
+
+
+def _errors(states: State, a_y, windows: _Windows, steps) -> Errors:
+    """Of predicted states (w, k)."""
+    at, true = np.asarray(steps), windows.measured
+
+    def missed(name):
+        return (getattr(states, name) - getattr(true, name))[:, at]
+
+    cos, sin = np.cos(true.heading[:, at]), np.sin(true.heading[:, at])
+    v_x = windows.v_x[:, at]
+    slip = np.arctan2(states.v_y[:, at], v_x) - np.arctan2(true.v_y[:, at], v_x)
+    return Errors({
+        "yaw_rate": missed("yaw_rate"), "sideslip": slip,
+        "a_y": (a_y - windows.a_y)[:, at], "heading": missed("heading"),
+        "lateral": cos * missed("y") - sin * missed("x"),
+    })  # fmt: skip
+
+
+def _without_slip(vehicle: Vehicle, windows: _Windows, steps) -> Errors:
+    """Of a car whose axles follow their wheels: r = v_x tan(delta) / (l_f + l_r)."""
+    v_x, steering = _given(windows)
+    yaw = v_x * np.tan(steering) / (vehicle.l_f + vehicle.l_r)
+    sideways, rate = vehicle.l_r * yaw, vehicle.filter.sample_rate
+
+    def summed(values, start):
+        mean = 0.5 * (values[:, 1:] + values[:, :-1]) / rate
+        return start[:, None] + np.cumsum(np.pad(mean, ((0, 0), (1, 0))), axis=1)
+
+    heading = summed(yaw, windows.start.heading)
+    cos, sin = np.cos(heading), np.sin(heading)
+    x = summed(v_x * cos - sideways * sin, windows.start.x)
+    y = summed(v_x * sin + sideways * cos, windows.start.y)
+    a_y = np.gradient(sideways, 1 / rate, axis=1) + v_x * yaw
+    return _errors(State(sideways, yaw, heading, x, y), a_y, windows, steps)
+
+
+def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, seed: int):
+    """Share of the windows within the band of the tires' parameters, by horizon."""
+    if all(tire.fit is None for tire in tires):
+        return {}
+    generator = np.random.default_rng(seed)
+    drawn = zip(*(tire.drawn(generator, DRAWS) for tire in tires), strict=True)
+    each = [
+        _compared(replace_tires(car, *pair), windows, steps, rate, parts)[0]
+        for pair in drawn
+    ]
+    held = {}
+    for name in QUANTITIES:
+        missed = np.stack([errors.of[name] for errors in each])
+        inside = np.abs(missed.mean(axis=0)) <= _NORMAL_95 * missed.std(axis=0)
+        there = np.isfinite(missed[0])
+        held[name] = [float(inside[t, k].mean()) for k, t in enumerate(there.T)]
+    return held
+
+
+def _fans(found, states: State, rate: float) -> dict[str, Fans]:
+    """The pictures' paths, log by log."""
+    fans, first = {}, 0
+    for name, (_, windows) in found.items():
+        rows = slice(first, first + len(windows.v_x))
+        first = rows.stop
+        there = np.isfinite(windows.v_x)[..., None]
+        each = np.stack([states.x[rows], states.y[rows]], axis=-1)
+        true = np.stack([windows.measured.x, windows.measured.y], axis=-1)
+        fans[name] = Fans(true, np.where(there, each, np.nan), rate)
+    return fans

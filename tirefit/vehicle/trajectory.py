@@ -1,0 +1,425 @@
+"""The tires of a car, and what is not known of the car, from its trajectories:
+:func:`fit_trajectory`.
+
+A log is cut into windows. In each the car of :mod:`tirefit.vehicle.car` runs freely
+from a start state of its own; the tires of both axles, the unknowns of the car and all
+start states together minimise the squares of predicted less logged. Nothing is
+differentiated and nothing but the speed ahead is filtered, so that slow, noisy and
+quantised channels are as good as they are. The start states are eliminated window by
+window (a Schur complement); the covariance of the rest is the sandwich of the scores of
+blocks of windows, which holds where residuals are correlated within a block.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import t as student
+
+from tirefit.data.motion import Motion, read_motion
+from tirefit.data.remote import file_at
+from tirefit.data.track import Track
+from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
+from tirefit.fitting.axle import axle_tire
+from tirefit.fitting.layout import Layout
+from tirefit.models import AbstractTire
+from tirefit.params import with_values
+from tirefit.precision import require_x64
+from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
+from tirefit.vehicle.car import Car, State, predicted, stiffest
+
+
+class Unknown(NamedTuple):
+    """An unknown of the car: unit, and the standard error of a weak prior at zero (of a
+    factor: of its logarithm)."""
+
+    unit: str
+    prior: float
+    is_factor: bool
+    meaning: str
+
+
+UNKNOWNS = {
+    "yaw_inertia": Unknown("kg m2", 0.5, True, "yaw inertia"),
+    "steering_ratio": Unknown("-", 0.3, True, "wheel angle over that of the map"),
+    "steering_offset": Unknown("rad", 0.1, False, "added to the wheel angle"),
+    "steering_delay": Unknown("s", 0.1, False, "of the wheels behind the log"),
+    "sideslip_zero": Unknown(
+        "rad", 0.05, False, "logged sideslip less that of the car"
+    ),
+}
+"""What may be estimated beside the tires."""
+
+WINDOW = 0.5
+"""Length [s] of a window."""
+_LEAD = 0.3
+"""Time [s] of steering before a window, for its delay."""
+_ROUNDS = 3
+"""Times that the noise of the channels is estimated anew."""
+_ITERATIONS = 40
+_BLOCKS = 40
+"""Blocks of windows of the sandwich, at most: their scores count as independent."""
+_STABLE = 0.5
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter: its value, standard error and 95 % interval."""
+
+    value: float
+    std: float
+    ci95: tuple[float, float]
+    unit: str
+
+
+@dataclass(frozen=True)
+class TrajectoryFit:
+    """What :func:`fit_trajectory` found.
+
+    Attributes:
+        front, rear: the tires of the axles.
+        parameters: ``front.cpa2``, ``yaw_inertia``, ... -> estimate.
+        noise: channel -> rms of predicted less logged, which counts as its noise.
+        windows: number of windows; ``blocks`` of them are independent.
+        vehicle: with the yaw inertia that was found.
+        converged: whether the last step changed the cost by less than a millionth.
+    """
+
+    front: AbstractTire
+    rear: AbstractTire
+    parameters: Mapping[str, Estimate]
+    noise: Mapping[str, float]
+    windows: int
+    blocks: int
+    vehicle: Vehicle
+    converged: bool
+
+
+class _Data(NamedTuple):
+    """Windows: speed (w, k), steering (w, l + k) with its lead, logged channels
+    (w, k, c), NaN where they are not known, and start states (w, s)."""
+
+    v_x: jax.Array
+    steering: jax.Array
+    logged: jax.Array
+    start: jax.Array
+
+
+def fit_trajectory(
+    logs: Sequence,
+    vehicle: Vehicle | str,
+    front="brush",
+    rear="brush",
+    *,
+    unknowns: Sequence[str] = ("steering_delay", "steering_offset"),
+    window: float = WINDOW,
+) -> TrajectoryFit:
+    """Fit both axles' tires, and unknowns of the car, to windows of its logs.
+
+    Args:
+        logs: vehicle logs, as for :func:`tirefit.derive_files`.
+        vehicle: a vehicle or its ``vehicle.toml``, with a steering map.
+        front, rear: where the fit begins: a fit of the axle or its ``fit.json``, whose
+            free parameters are estimated.
+        unknowns: of :data:`UNKNOWNS`, estimated beside the tires.
+        window: length of a window [s].
+
+    Raises:
+        UsageError: an unknown that is not known, a vehicle without a steering map, or
+            a tire that is no fit.
+        DataError: a log that cannot be read, or no window in it.
+    """
+    require_x64("a fit by trajectory")
+    if not isinstance(vehicle, Vehicle):
+        vehicle = load_vehicle(vehicle)
+    tires = axle_tire(front), axle_tire(rear)
+    _check(vehicle, unknowns, tires)
+    rate, parts = vehicle.filter.sample_rate, []
+    for path in logs:
+        file = file_at(path)
+        track, motion, _ = read_motion(file, vehicle)
+        found = _windows(track, motion, vehicle, window)
+        if found is None:
+            reason = f"no stretch above {vehicle.v_min:.3g} m/s is {window:g} s long"
+            remedy = "ask for a shorter window, or lower keep.v_min of vehicle.toml"
+            raise DataError(InputProblem(reason, remedy, str(file)))
+        parts.append(found)
+    data = _Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
+    problem = _Problem(vehicle, tires, tuple(unknowns), rate, data)
+    return problem.solved()
+
+
+def _check(vehicle: Vehicle, unknowns, tires) -> None:
+    problems = []
+    for name in unknowns:
+        if name not in UNKNOWNS:
+            remedy = f"{did_you_mean(name, UNKNOWNS)}valid: {', '.join(UNKNOWNS)}"
+            problems.append(InputProblem(f"{name!r} is no unknown of a car", remedy))
+    if vehicle.steering is None:
+        reason = "a fit by trajectory needs the road wheel angle"
+        remedy = "name columns.steering and give [steering] in vehicle.toml"
+        problems.append(InputProblem(reason, remedy))
+    for axle, tire in zip(("front", "rear"), tires, strict=True):
+        if tire.fit is None:
+            reason = f"the {axle} tire {tire.name} is no fit: nothing is free in it"
+            remedy = f"fit it first: tirefit derive --axle {axle}, then tirefit fit"
+            problems.append(InputProblem(reason, remedy))
+    if problems:
+        raise UsageError(problems)
+
+
+def _windows(track: Track, motion: Motion, vehicle: Vehicle, window: float):
+    """:class:`_Data` of a log; None of no window."""
+    rate = vehicle.filter.sample_rate
+    count, lead = round(window * rate) + 1, round(_LEAD * rate)
+    logged, state, command = _logged(track, motion, vehicle)
+    assert vehicle.steering is not None
+    steering = np.interp(command, vehicle.steering.command, vehicle.steering.angle)
+    good = motion.settled & (motion.v_x > vehicle.v_min)
+    good &= np.isfinite(np.column_stack([motion.v_x, logged, steering])).all(axis=1)
+    broken = np.flatnonzero(~good[1:] | ~good[:-1] | (np.diff(motion.part) != 0)) + 1
+    starts = [
+        k
+        for first, last in zip([0, *broken], [*broken, len(good)], strict=True)
+        for k in range(first + lead, last - count + 1, count - 1)
+        if good[first]
+    ]
+    if not starts:
+        return None
+    rows = np.array(starts)[:, None] + np.arange(-lead, count)
+    own = rows[:, lead:]
+    cut = motion.v_x[own], steering[rows], logged[own], state[own[:, 0]]
+    return _Data(*map(jnp.asarray, cut))
+
+
+def _logged(track: Track, motion: Motion, vehicle: Vehicle):
+    """What the log holds of the centre of gravity, on the grid, not filtered: channels
+    (n, c), start states (n, s), and the steering command (n,)."""
+    names = [channel.quantity for channel in track.channels]
+    raw = {
+        name: np.interp(motion.time, track.time, track.signals[:, k])
+        for k, name in enumerate(names)
+        if np.isfinite(track.signals[:, k]).all()
+    }
+    ahead, left = vehicle.cg_from_tracked
+    command = raw.get("steering", motion.command)
+    if vehicle.columns.motion == POSE:
+        yaw = raw["yaw"]
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        place = raw["x"] + ahead * cos - left * sin, raw["y"] + ahead * sin + left * cos
+        logged = np.column_stack([yaw, *place])
+        state = np.column_stack([motion.v_y, motion.yaw_rate, logged])
+        return logged, state, command
+    cos, sin = np.cos(vehicle.sideslip_offset), np.sin(vehicle.sideslip_offset)
+    v_y = cos * raw["v_y"] + sin * raw["v_x"] + ahead * raw["yaw_rate"]
+    logged = np.column_stack([v_y, raw["yaw_rate"]])
+    return logged, np.column_stack([motion.v_y, motion.yaw_rate]), command
+
+
+CHANNELS = {2: ("v_y", "yaw_rate"), 3: ("heading", "x", "y")}
+"""Names of the logged channels, of a log of rates and of one of poses."""
+
+
+class _Problem:
+    """Squares of predicted less logged over all windows.
+
+    z holds the tires' parameters in their unconstrained space, then the unknowns.
+    """
+
+    def __init__(self, vehicle, tires, unknowns, rate, data: _Data):
+        self.vehicle, self.tires, self.unknowns = vehicle, tires, unknowns
+        self.rate, self.data = rate, data
+        self.layouts: list[Layout] = [tire.fit[0] for tire in tires]
+        self.first = np.cumsum([0, *(layout.size for layout in self.layouts)])
+        self.z = np.concatenate([*(t.fit[1] for t in tires), np.zeros(len(unknowns))])
+        self.names = CHANNELS[data.logged.shape[-1]]
+        slowest = float(np.min(data.v_x))
+        parts = int(np.ceil(stiffest(self.car(self.z), slowest) / rate / _STABLE))
+        self.run = _linearised(self.missed, min(max(parts, 1), 50))
+
+    def unknown(self, z, name: str, default: float = 0.0):
+        """The value of an unknown, in its unit; a factor of one without it."""
+        if name not in self.unknowns:
+            return default
+        value = z[self.first[-1] + self.unknowns.index(name)]
+        return jnp.exp(value) if UNKNOWNS[name].is_factor else value
+
+    def tire(self, z, axle: int) -> AbstractTire:
+        first, last = self.first[axle : axle + 2]
+        values = self.layouts[axle].natural(z[first:last])
+        return with_values(self.tires[axle].tire, values)
+
+    def car(self, z) -> Car:
+        v = self.vehicle
+        inertia = v.yaw_inertia * self.unknown(z, "yaw_inertia", 1.0)
+        return Car(
+            self.tire(z, 0), self.tire(z, 1), v.mass, inertia, v.l_f, v.l_r, v.gravity
+        )
+
+    def missed(self, z, start, window: _Data, parts: int):
+        """Predicted less logged (k, c) of one window."""
+        step, count = 1 / self.rate, window.v_x.shape[0]
+        lead = window.steering.shape[0] - count
+        time = step * jnp.arange(-lead, count)
+        late = time[lead:] - self.unknown(z, "steering_delay")
+        steering = jnp.interp(late, time, window.steering)
+        steering = steering * self.unknown(z, "steering_ratio", 1.0)
+        steering = steering + self.unknown(z, "steering_offset")
+        whole = jnp.concatenate([start, jnp.zeros(5 - len(start))])
+        states = predicted(
+            self.car(z), State(*whole), window.v_x, steering, step, parts
+        )
+        zero = self.unknown(z, "sideslip_zero")
+        if len(self.names) == 2:
+            found = [states.v_y + zero * window.v_x, states.yaw_rate]
+        else:
+            found = [states.heading - zero, states.x, states.y]
+        return jnp.stack(found, axis=1) - window.logged
+
+    def solved(self) -> TrajectoryFit:
+        z, starts = jnp.asarray(self.z), jnp.asarray(self.data.start)
+        pull = self.pulls()
+        for _ in range(_ROUNDS):
+            missed, *_ = self.run(z, starts, self.data)
+            noise = jnp.sqrt(jnp.mean(missed**2, axis=(0, 1)))
+            z, starts, converged = _minimised(
+                self.run, z, starts, self.data, noise, pull
+            )
+        missed, by_z, by_start = self.run(z, starts, self.data)
+        free = self.data.start.size + len(self.z)
+        count = missed.shape[0] * missed.shape[1]
+        noise = jnp.sqrt(
+            jnp.sum(missed**2, axis=(0, 1)) / max(count - free / len(self.names), 1)
+        )
+        covariance, blocks = _sandwich(missed, by_z, by_start, noise, pull)
+        return self.told(
+            np.asarray(z), covariance, blocks, np.asarray(noise), converged
+        )
+
+    def pulls(self) -> np.ndarray:
+        """Precision (p,) of the weak priors of the unknowns at zero."""
+        priors = [1 / UNKNOWNS[name].prior ** 2 for name in self.unknowns]
+        return np.concatenate([np.zeros(self.first[-1]), priors])
+
+    def told(self, z, covariance, blocks: int, noise, converged) -> TrajectoryFit:
+        reach = student.ppf(0.975, max(blocks - 1, 1))
+        std, found = np.sqrt(np.diag(covariance)), {}
+
+        def add(name, unit, k, natural: Callable):
+            sides = z[k] - reach * std[k], z[k] + reach * std[k]
+            low, high = sorted(float(natural(side)) for side in sides)
+            slope = abs(natural(z[k] + 1e-6) - natural(z[k] - 1e-6)) / 2e-6
+            value = float(natural(z[k]))
+            found[name] = Estimate(value, float(slope * std[k]), (low, high), unit)
+
+        for axle, layout in enumerate(self.layouts):
+            for k, (label, free) in enumerate(layout.elements):
+
+                def natural(value, k=k, layout=layout, axle=axle):
+                    own = np.array(z[self.first[axle] : self.first[axle + 1]])
+                    own[k] = value
+                    return layout.vector(own)[k]
+
+                name = f"{('front', 'rear')[axle]}.{label}"
+                add(name, free.spec.unit, self.first[axle] + k, natural)
+        for k, name in enumerate(self.unknowns):
+            one = UNKNOWNS[name]
+            scale = self.vehicle.yaw_inertia if name == "yaw_inertia" else 1.0
+            by = partial(_factor, scale) if one.is_factor else float
+            add(name, one.unit, self.first[-1] + k, by)
+        car = self.car(z)
+        vehicle = self.vehicle.model_copy(
+            update={"yaw_inertia": float(car.yaw_inertia)}
+        )
+        return TrajectoryFit(
+            car.front, car.rear, found,
+            {c: float(s) for c, s in zip(self.names, noise, strict=True)},
+            len(self.data.v_x), blocks, vehicle, bool(converged),
+        )  # fmt: skip
+
+
+def _factor(scale: float, logarithm) -> float:
+    return scale * float(np.exp(logarithm))
+
+
+def _linearised(missed, parts: int):
+    """Residuals (w, k, c) and their derivatives by z (w, k, c, p) and by the start of
+    the own window (w, k, c, s), compiled."""
+
+    def one(z, start, window):
+        def both(z, start):
+            found = missed(z, start, window, parts)
+            return found, found
+
+        slopes, found = jax.jacfwd(both, (0, 1), has_aux=True)(z, start)
+        return found, *slopes
+
+    return jax.jit(jax.vmap(one, (None, 0, 0)))
+
+
+def _eliminated(missed, by_z, by_start, noise):
+    """The normal equations of z without the start states: score (w, p), information
+    (w, p, p), and what gives each start its step: (w, s) and (w, s, p)."""
+    w = len(missed)
+    weight = 1 / noise[None, None]
+    r = (missed * weight).reshape(w, -1)
+    a = (by_z * weight[..., None]).reshape(w, r.shape[1], -1)
+    b = (by_start * weight[..., None]).reshape(w, r.shape[1], -1)
+    own = jnp.einsum("wms,wmt->wst", b, b)
+    trace = jnp.trace(own, axis1=1, axis2=2)[:, None, None]
+    own = own + 1e-9 * trace * jnp.eye(own.shape[1])[None]
+    step = -jnp.linalg.solve(own, jnp.einsum("wms,wm->ws", b, r)[..., None])[..., 0]
+    tied = -jnp.linalg.solve(own, jnp.einsum("wms,wmp->wsp", b, a))
+    rest = a + jnp.einsum("wms,wsp->wmp", b, tied)
+    score = jnp.einsum("wmp,wm->wp", rest, r)
+    return score, jnp.einsum("wmp,wmq->wpq", rest, a), step, tied
+
+
+_eliminate = jax.jit(_eliminated)
+
+
+def _minimised(run, z, starts, data, noise, pull):
+    """Levenberg and Marquardt on z and all start states."""
+
+    def cost_of(missed, z):
+        return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
+
+    damping, converged = 1e-3, False
+    now = run(z, starts, data)
+    cost = cost_of(now[0], z)
+    for _ in range(_ITERATIONS):
+        score, information, step, tied = _eliminate(*now, noise)
+        gradient = score.sum(axis=0) + pull * z
+        matrix = np.asarray(information.sum(axis=0)) + np.diag(pull)
+        while damping < 1e9:
+            damped = matrix + damping * np.diag(np.diag(matrix) + 1e-12)
+            move = jnp.asarray(-np.linalg.solve(damped, np.asarray(gradient)))
+            new_z, new_starts = z + move, starts + step + tied @ move
+            trial = run(new_z, new_starts, data)
+            new_cost = cost_of(trial[0], new_z)
+            if np.isfinite(new_cost) and new_cost < cost:
+                break
+            damping *= 10
+        else:
+            return z, starts, True
+        gained, damping = cost - new_cost, max(damping / 10, 1e-9)
+        z, starts, now, cost = new_z, new_starts, trial, new_cost
+        if gained < 1e-6 * cost:
+            converged = True
+            break
+    return z, starts, converged
+
+
+def _sandwich(missed, by_z, by_start, noise, pull):
+    """Covariance (p, p) of z from the scores of blocks of windows, and their number."""
+    score, information, *_ = _eliminate(missed, by_z, by_start, noise)
+    inverse = np.linalg.inv(np.asarray(information.sum(axis=0)) + np.diag(pull))
+    blocks = np.array_split(np.asarray(score), min(_BLOCKS, len(score)))
+    sums = np.array([block.sum(axis=0) for block in blocks])
+    count = len(blocks)
+    middle = count / max(count - 1, 1) * sums.T @ sums
+    return inverse @ (middle + np.diag(pull)) @ inverse, count
