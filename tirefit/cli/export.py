@@ -27,7 +27,9 @@ def _path(metavar: str, help: str):
     return Option(metavar=metavar, parser=named_path, help=help)
 
 
-Text, Texts, File = str | None, list[str] | None, Path | None
+Text = str | None
+Texts = list[str] | None
+File = Path | None
 
 
 def export(

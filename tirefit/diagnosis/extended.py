@@ -9,12 +9,12 @@ import json
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from pydantic import BaseModel, ConfigDict, PositiveFloat
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
 
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Atom, effects_by_id
 from tirefit.diagnosis.effects.state import (
@@ -59,7 +59,7 @@ class Extension(NamedTuple):
         pressure: mean and range of the inflation pressure [Pa].
     """
 
-    mode: Literal["x", "y", "xy"]
+    mode: Annotated[str, Field(pattern="^(x|y|xy)$")]
     variants: Mapping[str, int]
     other_form: bool
     fz: PositiveFloat
@@ -117,7 +117,8 @@ def _covariates(to: Extension, given: TireInputs, force) -> Covariates:
         pace=jnp.maximum(jnp.abs(given.v), to.slowest),
         sliding=jnp.abs(given.v * size / (1 + slip)),
     )  # fmt: skip
-    return Covariates(**dict.fromkeys(Covariates._fields) | known)
+    absent: dict[str, Any] = dict.fromkeys(Covariates._fields)
+    return Covariates(**absent | known)
 
 
 class Extended(AbstractTire):
@@ -195,16 +196,12 @@ class _Data(_Part):
     sha256: str
 
 
-class _Simulator(_Part):
-    kind: str
-
-
 class Document(_Part):
     """What an extension needs of ``NAME.json``."""
 
     data: _Data
     model: str
-    simulator: _Simulator | None
+    simulator: dict[str, Any] | None
     gap: _Gap
     verdict: _Verdict
     candidates: list[_Candidate]
@@ -273,7 +270,7 @@ def extend(
     """
     verdict, remedy = document.verdict, f"diagnose with --model {name}"
     known = specs(tire)
-    columns = document.simulator is not None and document.simulator.kind == "columns"
+    columns = (document.simulator or {}).get("kind") == "columns"
     other = document.simulator is None and document.model != name
     if columns or other or not known.keys() >= document.extended_parameters.keys():
         what = "a simulator's columns" if columns else document.model
@@ -323,7 +320,7 @@ def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]
     sets = (one.parameters for one in document.candidates if set(one.effects) == named)
     amplitudes = next(sets, {})
     whole = next((key for key in amplitudes if key.startswith(prefix)), None)
-    variant = document.extension.variants.get(id)
+    variant = document.extension.variants.get(id, -1)
     if whole is None or variant not in range(len(effect.variants)):
         return [], f"not in the forces: {id}: it has no amplitude"
     size, atom = amplitudes[whole], Atom(effect, variant)

@@ -187,21 +187,18 @@ def export(
         name = path.stem
     given = {"": source, "front": front, "rear": rear}
     given = {axle: one for axle, one in given.items() if one is not None}
-    UsageError.raise_for([
-        *_unknown(target, given, convention),
-        *_useless(
-            target, model=model, wheel=wheel, forces=forces, convention=convention,
-            car=vehicle is not None or over or "" not in given,
-        ),
-        *_unwritable(chosen, path, name, given.values(), force),
-    ])  # fmt: skip
+    car = vehicle is not None or over or "" not in given
+    problems = [*_unknown(target, given, convention)]
+    problems += _useless(target, model, wheel, forces, convention, car)
+    problems += _unwritable(chosen, path, name, given.values(), force)
+    UsageError.raise_for(problems)
     tires = {axle: tire_of(one, values, diagnosis) for axle, one in given.items()}
     first = f"{MARK}, tirefit {__version__}: "
     first += f"{' and '.join(tire.name for tire in tires.values())} for {target}"
     if isinstance(chosen, ParameterFile):
-        text, *done = parameter_text(target, tires, path, first, vehicle, over, force)
-        write_texts({path: text})
-        return Exported(path, *done)
+        done = parameter_text(target, tires, path, first, vehicle, over, force)
+        write_texts({path: done[0]})
+        return Exported(path, done[1], done[2])
     assert chosen is not None
     (tire,) = tires.values()
     if chosen.prepare is not None:
@@ -238,7 +235,7 @@ def _unknown(target: str, given: Mapping, convention: str) -> Iterator[InputProb
         yield InputProblem("which tire is to be written?", remedy)
 
 
-def _useless(target: str, *, model, wheel, forces, convention, car):
+def _useless(target: str, model, wheel, forces, convention, car):
     """Options that a target has no use for."""
     chosen, leave_out = TARGETS.get(target), "leave it out"
     for option, value in (("--model", model), ("--wheel", wheel)):
@@ -259,10 +256,8 @@ def _useless(target: str, *, model, wheel, forces, convention, car):
 
 def _unwritable(chosen: Target | ParameterFile | None, path: Path, name, given, force):
     """Why the function has no such name, or a file cannot be written."""
-    if _is_code(chosen) and not (
-        name.isidentifier() and name.isascii()
-        and not keyword.iskeyword(name) and name not in _TAKEN
-    ):  # fmt: skip
+    taken = keyword.iskeyword(name) or name in _TAKEN
+    if _is_code(chosen) and (taken or not (name.isidentifier() and name.isascii())):
         remedy = "name the function with --name: letters, digits and _, no keyword"
         yield InputProblem(f"{name!r} is no name of a function", remedy)
     files = [one for one in given if isinstance(one, str | os.PathLike)]

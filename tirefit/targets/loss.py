@@ -1,5 +1,7 @@
 """How far the tire that a file holds misses the one that was to be exported."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from tirefit.fitting.tir import USUAL_SHARES, USUAL_SLIP
@@ -17,7 +19,9 @@ SPEED = 10.0
 _SLIPS = ("kappa", "alpha")
 
 
-def grid_of(ranges, kappa: int, alpha: int, fz: int) -> np.ndarray:
+def grid_of(
+    ranges: Mapping[str, tuple[float, float]], kappa: int, alpha: int, fz: int
+) -> np.ndarray:
     """Slips and loads (3, n) on a grid of so many points of each; a count of 0 leaves a
     slip at zero."""
     counts = {"kappa": kappa, "alpha": alpha, "fz": fz}
@@ -39,7 +43,8 @@ def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, .
     for name, ends in ranges.items():
         low, high = np.clip(ends, *tire.measured.get(name, (-np.inf, np.inf)))
         ranges[name] = float(low), float(high)
-    kappa, alpha, fz = grid_of(ranges, *(31 * (k in slips) for k in _SLIPS), 5)
+    along, across = (31 if k in slips else 0 for k in _SLIPS)
+    kappa, alpha, fz = grid_of(ranges, along, across, 5)
     at = TireInputs(sigma_from_kappa(kappa), alpha, fz, SPEED)
     both = [forces(one.model, at)._asdict() for one in (tire, held)]
     pure, missed, sizes = kappa * alpha == 0, [0.0], []

@@ -1,19 +1,14 @@
 """A tire as a tire property file (``.tir``)."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 
 from tirefit.data.tir import new_tir, parse_tir, reduced_tir
 from tirefit.data.tir_file import TirFile
 from tirefit.data.tir_keys import LIMITS, ONLY_IN
-from tirefit.fitting.tir import (
-    TIR_SIGNS,
-    USUAL_SHARES,
-    USUAL_SLIP,
-    own_tire,
-    remarks,
-)
+from tirefit.fitting.tir import TIR_SIGNS, USUAL_SHARES, USUAL_SLIP, own_tire, remarks
 from tirefit.models import AbstractTire
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire
 from tirefit.params import parameter_values, specs
@@ -44,11 +39,7 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
     """
     _check(model, wheel, ("radius",))
     own = tire.model if tire.bare is None else tire.bare
-    notes = [
-        note.replace("in the forces:", "not in this file:", 1)
-        if note.startswith("in the forces:") else note
-        for note in tire.notes
-    ]  # fmt: skip
+    notes = [re.sub("^in the forces:", "not in this file:", one) for one in tire.notes]
     if isinstance(own, MFTire):
         tir = tire.tir or new_file(replace(tire, model=own))
     else:
@@ -85,8 +76,7 @@ def _check(model: str | None, wheel: Mapping[str, float], keys) -> None:
         elif not 0 < value < math.inf:
             reason = f"--wheel {name}={value:g} is not positive"
             problems.append(InputProblem(reason, "give it in SI units"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _reduced(model: AbstractTire, tire: Tire, wheel: Mapping[str, float]) -> TirFile:
