@@ -66,11 +66,10 @@ def export(
 ) -> None:
     """Write a fitted tire as a file of another program.
 
-    C, CasADi and NumPy hold the model operation by operation. A simulator with a
-    formula of its own gets its parameters, refitted where the formula does not hold the
-    model, and the largest miss. Each file holds the parameters with their standard
-    errors, the range that was measured, and how the tire behaves at rest, at large
-    slip and at twice the largest load.
+    Source code holds the model itself. A simulator with a formula of its own gets its
+    parameters, refitted where the formula does not hold the model, and the largest
+    miss. Each file states the parameters with standard errors, the measured range, and
+    how the tire behaves at rest, at large slip and at twice the largest load.
     """
     with errors_to_exit():
         from tirefit.targets.export import TARGETS, Target, export

@@ -42,6 +42,9 @@ _NO_LOAD = 1e-6
 """Share of the mean load below which laws of the load stay as they are there: powers
 of it have no value at zero."""
 
+_OF_RUN = ("brisk", "cruise", "rise", "peak")
+"""Covariates with one value for all rows."""
+
 
 class Extension(NamedTuple):
     """What the amplitudes of a file refer to.
@@ -79,10 +82,7 @@ def extension_of(base: Base, chosen: Hypothesis, other_form: bool) -> Extension:
     rows, prepared = base.design.rows, base.prepared
     inflation = column(prepared.data, "pressure")
     atoms = [base.atoms[k] for k in chosen.atoms]
-    first = {
-        name: float(np.asarray(getattr(rows, name))[0])
-        for name in ("load", "brisk", "cruise", "rise", "peak")
-    }
+    first = {name: float(getattr(rows, name)[0]) for name in ("load", *_OF_RUN)}
     fz = np.asarray(prepared.inputs.fz)
     share = np.abs(np.asarray(rows.traction)[: prepared.n]) * first["load"] / fz
     return Extension(
@@ -109,7 +109,7 @@ def _covariates(to: Extension, given: TireInputs, force) -> Covariates:
     share = force / (to.used * load)
     # The square of a slip keeps its size differentiable at zero.
     size = jnp.sqrt(slip**2 + across**2 + 1e-30)
-    known = {name: getattr(to, name) for name in ("brisk", "cruise", "rise", "peak")}
+    known = {name: getattr(to, name) for name in _OF_RUN}
     known |= dict(
         fz=load / to.fz, load=to.load, v=given.v, gamma=given.gamma,
         inflation=(pressure - mean) / span if span else 0.0, side=jnp.sign(own),

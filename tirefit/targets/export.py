@@ -136,10 +136,9 @@ def export(
 ) -> Exported:
     """Write a tire as a file that another program reads or compiles.
 
-    Source code holds the model itself, operation by operation, so it gives the forces
-    of :func:`tirefit.predict` to rounding. Parameters of a simulator's own formula are
-    converted by formula where it holds the tire, else refitted. ``notes`` say what the
-    file misses.
+    Source code holds the model itself, so it gives the forces of
+    :func:`tirefit.predict` to rounding. Parameters of a simulator's own formula are
+    converted by formula where it holds the tire, else refitted.
 
     Args:
         source: a fit, a ``fit.json``, a ``.tir`` file, a tire, or the name of a model;
@@ -163,15 +162,13 @@ def export(
             more than :data:`~tirefit.targets.loss.MOST` of the load.
 
     Returns:
-        The file, and how the tire behaves at rest, at large slip and at twice the
-        largest load; ``shape.sound`` is False where it jumps, is not finite, has wrong
-        signs, or exceeds the ellipse of its pure forces.
+        The file, what it misses, and how the tire behaves; ``shape.sound`` is False
+        where it jumps, is not finite, has wrong signs, or exceeds its friction ellipse.
 
     Raises:
-        UsageError: unknown target, convention or parameter; values beside a fit; a name
-            that no function can have; a file that cannot be written, or that is there
-            and no export; a model that the target cannot hold; a diagnosis of another
-            model; or data of the vehicle that are missing.
+        UsageError: unknown names, or options that the target has no use for; a file
+            that cannot be written, or that is there and no export; a model that the
+            target cannot hold; a diagnosis of another model; missing data of the car.
         DataError: the source or the diagnosis cannot be read.
 
     Example:

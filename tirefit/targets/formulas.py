@@ -14,6 +14,8 @@ from tirefit.models import AbstractTire, CombinedMagicFormula, TireInputs
 from tirefit.models.magic_formula import MagicFormula, bent
 from tirefit.models.mf import MFTire
 from tirefit.slip import CONVENTIONS, Convention, sigma_from_kappa
+from tirefit.targets.program import Program, traced
+from tirefit.targets.tire import ALWAYS, INPUTS
 
 Values = Mapping[str, Any]
 """Parameter -> value."""
@@ -65,8 +67,21 @@ class Formula:
         """Forces [N] at canonical slips, in canonical signs."""
         signs = self.signs
         found = self.forces(values, signs.slip * kappa, signs.alpha * alpha, fz)
+        return self._signed(found, signs)
+
+    def _signed(self, found, signs: Convention) -> tuple:
         pairs = zip(self.outputs, found, strict=True)
         return tuple(getattr(signs, name) * force for name, force in pairs)
+
+    def program(self, values: Values, convention: str) -> Program:
+        """The formula with these values as a program in a sign convention."""
+        signs = CONVENTIONS[convention]
+
+        def function(kappa, alpha, fz):
+            at = signs.slip * kappa, signs.alpha * alpha, signs.fz * fz
+            return self._signed(self.canonical(values, *at), signs)
+
+        return traced(function, INPUTS[:ALWAYS], self.outputs)
 
 
 def magic_formula_of(model: AbstractTire):

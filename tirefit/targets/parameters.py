@@ -123,7 +123,7 @@ def parameter_text(
         if not axle.static and not low <= tire.load <= high:
             tire = replace(tire, load=(low + high) / 2)
         fit = refit(tire, kind.formula, ranges_of(tire, narrowed, axle.static))
-        shape = shape_of(tire, fit.program(SIGNS), SIGNS)
+        shape = shape_of(tire, kind.formula.program(fit.values, SIGNS), SIGNS)
         told = [fit.sentence(SIGNS), *fit.other_loads(), *axle.notes]
         notes += axle.named(told + _lost(tire, kind.formula))
         sentences += axle.named(shape.sentences)

@@ -12,12 +12,11 @@ from scipy.optimize import least_squares
 
 from tirefit.models import TireInputs, forces
 from tirefit.results import InputProblem, UsageError
-from tirefit.slip import CONVENTIONS, sigma_from_kappa
+from tirefit.slip import sigma_from_kappa
 from tirefit.targets.code import compiled
 from tirefit.targets.formulas import Curves, Formula, magic_formula_of
 from tirefit.targets.loss import SPEED, grid_of
-from tirefit.targets.program import Program, traced
-from tirefit.targets.tire import ALWAYS, INPUTS, UNITS, Tire, turned_range
+from tirefit.targets.tire import UNITS, Tire, turned_range
 
 EXACT = 1e-9
 """Miss over load below which a formula holds a tire exactly."""
@@ -88,10 +87,6 @@ class Refit(NamedTuple):
         """The largest miss, over load, of the forces that were refitted."""
         return max([self.miss[key] for key in self.refitted], default=0.0)
 
-    def program(self, convention: str) -> Program:
-        """The formula with these values as a program in a sign convention."""
-        return _program(self.formula, self.values, convention)
-
     def sentence(self, convention: str) -> str:
         """The largest misses and where, in words."""
         exact = [k for k, miss in self.miss.items() if miss < EXACT]
@@ -117,17 +112,6 @@ class Refit(NamedTuple):
             f"at {less:g} and {more:g} times this load pure slip misses by up to"
             f" {percent(self.loads)} % of F_z; --over fz=LOW:HIGH refits over loads"
         ]
-
-
-def _program(formula: Formula, values, convention: str) -> Program:
-    signs = CONVENTIONS[convention]
-
-    def function(kappa, alpha, fz):
-        at = signs.slip * kappa, signs.alpha * alpha, signs.fz * fz
-        pairs = zip(formula.outputs, formula.canonical(values, *at), strict=True)
-        return tuple(getattr(signs, name) * force for name, force in pairs)
-
-    return traced(function, INPUTS[:ALWAYS], formula.outputs)
 
 
 def percent(share: float) -> str:
@@ -161,13 +145,12 @@ def ranges_of(tire: Tire, over: Ranges, static: bool = False) -> Ranges:
 def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     """Fit a formula's parameters to the forces of a tire.
 
-    A Magic Formula is converted by formula; where that is not exact, and for other
-    tires, least squares determines the parameters: first those of the two pure slips,
-    each by its own force, then those of combined slip.
+    A Magic Formula is converted by formula. Where that is not exact, and for other
+    tires, least squares fits the parameters of each stage of the formula.
 
     Args:
-        tire: the tire; camber zero, nominal pressure, speed :data:`SPEED`. Its load is
-            the nominal load of the formula.
+        tire: upright, at nominal pressure and :data:`~tirefit.targets.loss.SPEED`. Its
+            load is the nominal load of the formula.
         formula: the formula.
         ranges: as from :func:`ranges_of`.
 
@@ -246,7 +229,7 @@ def _off(formula: Formula, kind: str, found, grid, wanted):
 
 def _miss(formula: Formula, values, kind: str, grid, wanted) -> float:
     """Largest miss, with the program that is checked, which needs no compiler."""
-    found = compiled(_program(formula, values, "braking"))(*grid)
+    found = compiled(formula.program(values, "braking"))(*grid)
     off = _off(formula, kind, found, grid, wanted)
     return float(np.max(np.linalg.norm(off, axis=0)))
 
