@@ -35,6 +35,7 @@ from tirefit.door import RECORD, content_of, outrageous
 from tirefit.models import AbstractTire, TireForces, TireInputs
 from tirefit.params import check_values, specs, with_values
 from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.slip import lateral_slip
 
 SCHEMA = "tirefit.diagnosis/3"
 
@@ -155,8 +156,8 @@ class Extended(AbstractTire):
             at_rest = inputs._replace(sigma_x=0.0, alpha=0.0)
             stiffness = slope_at_rest(tire, at_rest, to.mode) / 2
             carrier = stiffness, self.peak, arm_of(tire)
-        pair = along, across * (1 + along)
-        found = force_of_state(tire, carrier, state, *pair, inputs)
+        across = lateral_slip(across, along)
+        found = force_of_state(tire, carrier, state, along, across, inputs)
         found = with_offsets(found, state, to.mode)
         own, whole = tire(inputs), zip(("fx", "fy", "mz"), found, strict=True)
         return own._replace(**{k: v for k, v in whole if getattr(own, k) is not None})

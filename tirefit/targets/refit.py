@@ -64,8 +64,7 @@ class Refit(NamedTuple):
     """A formula's parameters for a tire.
 
     Attributes:
-        formula: the formula.
-        values: its parameters.
+        values: the parameters.
         ranges: where it was compared with the tire.
         miss: largest difference of a force over load, ``fx`` and ``fy`` of pure slip
             and ``both`` of combined slip; of those that the tire and the formula have.
@@ -75,7 +74,6 @@ class Refit(NamedTuple):
             were converted by formula.
     """
 
-    formula: Formula
     values: dict[str, float]
     ranges: Ranges
     miss: dict[str, float]
@@ -202,7 +200,7 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     misses = [_miss(formula, values, *case) for case in cases[len(kinds) :]]
     miss = dict(zip(kinds, misses, strict=False))
     loads = max(misses[len(kinds) :], default=None) if low == high else None
-    return Refit(formula, values, ranges, miss, loads, tuple(fitted))
+    return Refit(values, ranges, miss, loads, tuple(fitted))
 
 
 def _forces(tire: Tire, kinds: Sequence[str], grids) -> list[np.ndarray]:

@@ -4,10 +4,11 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from textwrap import wrap
 
 from tirefit.data.tir import new_tir, parse_tir, reduced_tir
 from tirefit.data.tir_file import TirFile
-from tirefit.data.tir_keys import LIMITS, ONLY_IN
+from tirefit.data.tir_keys import LIMITS
 from tirefit.fitting.tir import TIR_SIGNS, USUAL_SHARES, USUAL_SLIP, own_tire, remarks
 from tirefit.models import AbstractTire
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire
@@ -97,12 +98,8 @@ def new_file(tire: Tire) -> TirFile:
     model, known = tire.model, specs(tire.model)
     assert isinstance(model, MFTire)
     lost = {k for force in model.lacks for k in specs(getattr(model, _PARTS[force]))}
-    values = {
-        k: float(v) for k, v in parameter_values(model).items()
-        if ONLY_IN.get(k, model.version[0]) == model.version[0] and k not in lost
-    }  # fmt: skip
+    values = {k: v for k, v in parameter_values(model).items() if k not in lost}
     notes = {k: f"{known[k].meaning} +- {std:.3g}" for k, std in tire.spread.items()}
-    notes = {k: note for k, note in notes.items() if k in values}
     ranges = turned_range(tire.measured, TIR_SIGNS)
     ranges = {k: ends for k, ends in ranges.items() if k in LIMITS}
     return new_tir(model.version, values, ranges, notes)
@@ -122,12 +119,7 @@ def comments(lines) -> str:
     """Lines as comments of a ``.tir`` file, none longer than programs read."""
     short: list[str] = []
     for line in lines:
-        while len(line) > _WIDEST:
-            end = line.rfind(" ", 0, _WIDEST)
-            end = _WIDEST if end < 1 else end
-            short.append(line[:end])
-            line = f"  {line[end:].lstrip()}"
-        short.append(line)
+        short += wrap(line, _WIDEST, subsequent_indent="  ", break_on_hyphens=False)
     return "".join(f"$ {line}\n" for line in short)
 
 
