@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from tirefit.cli.options import (
     complain,
@@ -19,80 +19,57 @@ from tirefit.results import InputProblem, UsageError
 RANGES = ("kappa", "alpha", "fz")
 """Inputs of a tire whose range --over states."""
 
+_OVER = "range of a refit: kappa, alpha [rad], fz [N]; signs of iso-w"
+_DIAGNOSIS = "of `tirefit diagnose`: the effects that it names change the tire"
+
+
+def _path(metavar: str, help: str):
+    return Option(metavar=metavar, parser=named_path, help=help)
+
+
+Text = str | None
+Texts = list[str] | None
+File = Path | None
+
 
 def export(
-    source: Annotated[
-        str | None, typer.Argument(metavar="[FIT.json|FILE.tir|MODEL]")
-    ] = None,
+    source: Annotated[Text, Argument(metavar="[FIT.json|FILE.tir|MODEL]")] = None,
     *,
-    to: Annotated[str | None, typer.Option(metavar="TARGET", help="see --list")] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", parser=named_path, help="file to write"),
-    ] = None,
-    front: Annotated[
-        str | None, typer.Option(metavar="FIT", help="tire of the front axle")
-    ] = None,
-    rear: Annotated[
-        str | None, typer.Option(metavar="FIT", help="tire of the rear axle")
-    ] = None,
-    vehicle: Annotated[
-        Path | None,
-        typer.Option(metavar="TOML", parser=named_path, help="the car: vehicle.toml"),
-    ] = None,
-    over: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=LOW:HIGH",
-            help="range of a refit: kappa, alpha [rad], fz [N]; signs of iso-w",
-        ),
-    ] = None,
+    to: Annotated[Text, Option(metavar="TARGET", help="see --list")] = None,
+    out: Annotated[File, _path("FILE", "file to write")] = None,
+    front: Annotated[Text, Option(metavar="FIT", help="tire of the front axle")] = None,
+    rear: Annotated[Text, Option(metavar="FIT", help="tire of the rear axle")] = None,
+    vehicle: Annotated[File, _path("TOML", "the car: vehicle.toml")] = None,
+    over: Annotated[Texts, Option(metavar="NAME=LOW:HIGH", help=_OVER)] = None,
     parameter: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="NAME=VALUE", help="parameter of a model or a .tir file"
-        ),
+        Texts,
+        Option("--set", metavar="NAME=VALUE", help="parameter of a model or .tir"),
     ] = None,
-    diagnosis: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="NAME.json",
-            parser=named_path,
-            help="of `tirefit diagnose`: the effects that it names change the tire",
-        ),
-    ] = None,
-    model: Annotated[
-        str | None,
-        typer.Option(help="version of the Magic Formula of a .tir: mf52, mf61, mf62"),
-    ] = None,
+    diagnosis: Annotated[File, _path("NAME.json", _DIAGNOSIS)] = None,
+    model: Annotated[Text, Option(help="of a .tir: mf52, mf61 or mf62")] = None,
     wheel: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="of the wheel, in SI units (--list)"),
+        Texts, Option(metavar="NAME=VALUE", help="of the wheel, in SI units (--list)")
     ] = None,
     forces: Annotated[
-        str,
-        typer.Option(metavar="F,F,...", help="of fx, fy, mz, mx, my; all by default"),
+        str, Option(metavar="F,F,...", help="of fx, fy, mz, mx, my; all by default")
     ] = "",
     convention: Annotated[
-        str, typer.Option(help="signs of the file: iso-w, sae, adapted-sae, braking")
+        str, Option(help="signs of the file: iso-w, sae, adapted-sae, braking")
     ] = "iso-w",
     name: Annotated[
-        str | None, typer.Option(help="of the function; the file's name by default")
+        Text, Option(help="of the function; that of the file if none")
     ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="replace any file; accept a large miss")
+        bool, Option("--force", help="replace any file; accept a large miss")
     ] = False,
-    list_: Annotated[
-        bool, typer.Option("--list", help="list the targets and exit")
-    ] = False,
+    list_: Annotated[bool, Option("--list", help="list the targets and exit")] = False,
 ) -> None:
     """Write a fitted tire as a file of another program.
 
-    C, CasADi and NumPy hold the model operation by operation. A simulator with a
-    formula of its own gets its parameters, refitted where the formula does not hold the
-    model, and the largest miss. Each file holds the parameters with their standard
-    errors, the range that was measured, and how the tire behaves at rest, at large
-    slip and at twice the largest load.
+    Source code holds the model itself. A simulator with a formula of its own gets its
+    parameters, refitted where the formula does not hold the model, and the largest
+    miss. Each file states the parameters with standard errors, the measured range, and
+    how the tire behaves at rest, at large slip and at twice the largest load.
     """
     with errors_to_exit():
         from tirefit.targets.export import TARGETS, Target, export

@@ -9,12 +9,12 @@ import json
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
 
 from tirefit.diagnosis.decide.verdict import UNKNOWN
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Atom, effects_by_id
@@ -32,17 +32,20 @@ from tirefit.diagnosis.effects.state import (
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.search import Hypothesis
 from tirefit.diagnosis.rows.covariates import column, slowest
-from tirefit.diagnosis.rows.prepared import MODES
 from tirefit.door import RECORD, content_of, outrageous
 from tirefit.models import AbstractTire, TireForces, TireInputs
 from tirefit.params import check_values, specs, with_values
 from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.slip import lateral_slip
 
 SCHEMA = "tirefit.diagnosis/3"
 
 _NO_LOAD = 1e-6
 """Share of the mean load below which laws of the load stay as they are there: powers
 of it have no value at zero."""
+
+_OF_RUN = ("brisk", "cruise", "rise", "peak")
+"""Covariates with one value for all rows."""
 
 
 class Extension(NamedTuple):
@@ -61,18 +64,18 @@ class Extension(NamedTuple):
         pressure: mean and range of the inflation pressure [Pa].
     """
 
-    mode: str
+    mode: Annotated[str, Field(pattern="^(x|y|xy)$")]
     variants: Mapping[str, int]
     other_form: bool
-    fz: float
-    load: float
+    fz: PositiveFloat
+    load: PositiveFloat
     at: tuple[float, float]
-    slowest: float
-    brisk: float
-    cruise: float
-    rise: float
-    peak: float
-    used: float
+    slowest: PositiveFloat
+    brisk: PositiveFloat
+    cruise: PositiveFloat
+    rise: PositiveFloat
+    peak: PositiveFloat
+    used: PositiveFloat
     pressure: tuple[float, float]
 
 
@@ -81,10 +84,7 @@ def extension_of(base: Base, chosen: Hypothesis, other_form: bool) -> Extension:
     rows, prepared = base.design.rows, base.prepared
     inflation = column(prepared.data, "pressure")
     atoms = [base.atoms[k] for k in chosen.atoms]
-    first = {
-        name: float(np.asarray(getattr(rows, name))[0])
-        for name in ("load", "brisk", "cruise", "rise", "peak")
-    }
+    first = {name: float(getattr(rows, name)[0]) for name in ("load", *_OF_RUN)}
     fz = np.asarray(prepared.inputs.fz)
     share = np.abs(np.asarray(rows.traction)[: prepared.n]) * first["load"] / fz
     return Extension(
@@ -96,23 +96,9 @@ def extension_of(base: Base, chosen: Hypothesis, other_form: bool) -> Extension:
     )  # fmt: skip
 
 
-class _Absent:
-    """A covariate that no tire has: using it raises :class:`_Needed`."""
-
-    def _refuse(self, *_: Any) -> Any:
-        raise _Needed
-
-    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = _refuse
-    __truediv__ = __rtruediv__ = __pow__ = __neg__ = __matmul__ = _refuse
-    __getitem__ = __jax_array__ = __gt__ = __lt__ = _refuse
-
-
-class _Needed(Exception):
-    pass
-
-
 def _covariates(to: Extension, given: TireInputs, force) -> Covariates:
-    """What effects may depend on, of one sample.
+    """What effects may depend on, of one sample. What no tire has is None, with which
+    no effect can compute.
 
     Args:
         force: force of the base fit that the slip drives [N].
@@ -121,19 +107,20 @@ def _covariates(to: Extension, given: TireInputs, force) -> Covariates:
     own = across if to.mode == "y" else slip
     mean, span = to.pressure
     pressure = jnp.where(given.pressure == 0, mean, given.pressure)
-    absent = dict.fromkeys(Covariates._fields, _Absent())
-    known = {name: getattr(to, name) for name in ("brisk", "cruise", "rise", "peak")}
     load = jnp.maximum(given.fz, _NO_LOAD * to.fz)
     share = force / (to.used * load)
     # The square of a slip keeps its size differentiable at zero.
     size = jnp.sqrt(slip**2 + across**2 + 1e-30)
-    return Covariates(**absent | known | {
-        "fz": load / to.fz, "load": to.load, "v": given.v, "gamma": given.gamma,
-        "inflation": (pressure - mean) / span if span else 0.0, "side": jnp.sign(own),
-        "force": share, "usage": jnp.abs(share), "traction": force / to.load,
-        "pace": jnp.maximum(jnp.abs(given.v), to.slowest),
-        "sliding": jnp.abs(given.v * size / (1 + slip)),
-    })  # fmt: skip
+    known = {name: getattr(to, name) for name in _OF_RUN}
+    known |= dict(
+        fz=load / to.fz, load=to.load, v=given.v, gamma=given.gamma,
+        inflation=(pressure - mean) / span if span else 0.0, side=jnp.sign(own),
+        force=share, usage=jnp.abs(share), traction=force / to.load,
+        pace=jnp.maximum(jnp.abs(given.v), to.slowest),
+        sliding=jnp.abs(given.v * size / (1 + slip)),
+    )  # fmt: skip
+    absent: dict[str, Any] = dict.fromkeys(Covariates._fields)
+    return Covariates(**absent | known)
 
 
 class Extended(AbstractTire):
@@ -170,13 +157,11 @@ class Extended(AbstractTire):
             at_rest = inputs._replace(sigma_x=0.0, alpha=0.0)
             stiffness = slope_at_rest(tire, at_rest, to.mode) / 2
             carrier = stiffness, self.peak, arm_of(tire)
-        pair = along, across * (1 + along)
-        found = force_of_state(tire, carrier, state, *pair, inputs)
+        across = lateral_slip(across, along)
+        found = force_of_state(tire, carrier, state, along, across, inputs)
         found = with_offsets(found, state, to.mode)
-        whole = dict(zip(("fx", "fy", "mz"), found, strict=True))
-        own = tire(inputs)
-        given = {k: v for k, v in whole.items() if getattr(own, k) is not None}
-        return own._replace(**given)
+        own, whole = tire(inputs), zip(("fx", "fy", "mz"), found, strict=True)
+        return own._replace(**{k: v for k, v in whole if getattr(own, k) is not None})
 
 
 class _Part(BaseModel):
@@ -213,16 +198,12 @@ class _Data(_Part):
     sha256: str
 
 
-class _Simulator(_Part):
-    kind: str
-
-
 class Document(_Part):
     """What an extension needs of ``NAME.json``."""
 
     data: _Data
     model: str
-    simulator: _Simulator | None
+    simulator: dict[str, Any] | None
     gap: _Gap
     verdict: _Verdict
     candidates: list[_Candidate]
@@ -255,14 +236,7 @@ def document_of(text: str) -> Document:
         raise ValueError(f"its schema is not {SCHEMA}")
     if odd := outrageous(content, 0.0):
         raise ValueError(": ".join(odd))
-    document = Document.model_validate(content)
-    to = document.extension
-    for name in ("fz", "load", "slowest", "brisk", "cruise", "rise", "peak", "used"):
-        if not getattr(to, name) > 0:
-            raise ValueError(f"extension.{name} is not positive")
-    if to.mode not in MODES:
-        raise ValueError(f"extension.mode is {to.mode!r}")
-    return document
+    return Document.model_validate(content)
 
 
 class Report(NamedTuple):
@@ -298,7 +272,7 @@ def extend(
     """
     verdict, remedy = document.verdict, "diagnose the model, fit or .tir of this tire"
     known = specs(tire)
-    columns = document.simulator is not None and document.simulator.kind == "columns"
+    columns = (document.simulator or {}).get("kind") == "columns"
     other = document.simulator is None and document.model != name
     if columns or other or not known.keys() >= document.extended_parameters.keys():
         what = "a simulator's columns" if columns else document.model
@@ -315,9 +289,11 @@ def extend(
         sentences.append(f"these data cannot rule out {others} instead")
     if document.extension.other_form:
         sentences.append("the data prefer another shape to the formulas of the effects")
-    found = [_judged(effect, document) for effect in verdict.effects]
-    sentences += [one.sentence for one in found]
-    held = [(one.atom, one.amplitude) for one in found if one.atom is not None]
+    held = []
+    for effect in verdict.effects:
+        atom, sentence = _judged(effect, document)
+        held += atom
+        sentences.append(sentence)
     bare = finish(with_values(tire, document.extended_parameters))
     if not held:
         return Report(bare, bare, (), tuple(sentences))
@@ -335,41 +311,33 @@ def extend(
     return Report(extended, bare, names, tuple(sentences))
 
 
-class _Judged(NamedTuple):
-    """An effect: its formula where a tire can hold it, amplitude, and a sentence."""
-
-    atom: Atom | None
-    amplitude: float
-    sentence: str
-
-
-def _judged(id: str, document: Document) -> _Judged:
+def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]:
+    """The formula of an effect and its amplitude where a tire can hold it, and a
+    sentence."""
     effect = effects_by_id((*EFFECTS, *NOISE_EFFECTS)).get(id)
     if effect is None or not hasattr(effect, "change"):
         what = "of the noise" if effect else "not in the library of effects"
         what = "no listed effect explains it" if id == UNKNOWN else what
-        return _Judged(None, 0.0, f"not in the forces: {id}: {what}")
+        return [], f"not in the forces: {id}: {what}"
     prefix, named = f"{id}: ", set(document.verdict.effects)
-    sets = (one for one in document.candidates if set(one.effects) == named)
-    amplitudes = next(sets, _Candidate(effects=[], parameters={})).parameters
+    sets = (one.parameters for one in document.candidates if set(one.effects) == named)
+    amplitudes = next(sets, {})
     whole = next((key for key in amplitudes if key.startswith(prefix)), None)
-    variant = document.extension.variants.get(id)
-    known = range(len(effect.variants))
-    if whole is None or variant is None or variant not in known:
-        return _Judged(None, 0.0, f"not in the forces: {id}: it has no amplitude")
+    variant = document.extension.variants.get(id, -1)
+    if whole is None or variant not in range(len(effect.variants)):
+        return [], f"not in the forces: {id}: it has no amplitude"
     size, atom = amplitudes[whole], Atom(effect, variant)
     said = f"{id} {whole.removeprefix(prefix)} = {size.value:.5g} +- {size.std:.2g}"
     unit = size.unit.removeprefix("-").strip()
     said += f"{' ' if unit else ''}{unit}: {effect.means} ({effect.formula})"
     if effect.of == "measurement":
-        reason = f"of the measurement, not in the forces: {said}; {effect.remedy}"
-        return _Judged(None, 0.0, reason)
+        return [], f"of the measurement, not in the forces: {said}; {effect.remedy}"
     if effect.of == "tire" and _has_inputs(atom, size.value, document.extension):
-        return _Judged(atom, size.value, f"in the forces: {said}")
+        return [(atom, size.value)], f"in the forces: {said}"
     closed = document.gap.shares.get(id, document.gap.closed)
     lost = "" if closed is None else f"; it closes {closed:.0%} of the gap"
     whose = "" if effect.of == "tire" else f", of the {effect.of}"
-    return _Judged(None, 0.0, f"not in the forces{whose}: {said}{lost}")
+    return [], f"not in the forces{whose}: {said}{lost}"
 
 
 def _has_inputs(atom: Atom, amplitude: float, to: Extension) -> bool:
@@ -377,6 +345,6 @@ def _has_inputs(atom: Atom, amplitude: float, to: Extension) -> bool:
     given = TireInputs(0.01, 0.01, to.fz, to.cruise)
     try:
         atom.change(null_state(), amplitude, _covariates(to, given, to.load))
-    except _Needed:
+    except TypeError:  # it needs a covariate that is None
         return False
     return True

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 from tirefit.data.vehicle import Vehicle
@@ -36,12 +35,12 @@ class Axle(NamedTuple):
     static: bool = False
     notes: tuple[str, ...] = ()
 
-    def named(self, line: str) -> str:
-        """A sentence with the name of the axle before it."""
-        return f"{self.name}: {line}" if self.name else line
+    def named(self, lines: Sequence[str]) -> list[str]:
+        """Sentences with the name of the axle before them."""
+        return [f"{self.name}: {line}" if self.name else line for line in lines]
 
 
-def vehicle_of(path: str | Path, target: str, needs: Sequence[str]) -> Vehicle:
+def vehicle_of(path, target: str, needs: Sequence[str]) -> Vehicle:
     """The car of a ``vehicle.toml``; it needs no ``[columns]`` here.
 
     Raises:
@@ -50,15 +49,12 @@ def vehicle_of(path: str | Path, target: str, needs: Sequence[str]) -> Vehicle:
     content = read_toml(path)
     content.setdefault("columns", _NO_LOG)
     vehicle = parse_settings(Vehicle, content, str(path))
-    missing = [key for key in needs if getattr(vehicle, key) is None]
-    if missing:
-        raise UsageError([
-            InputProblem(
-                f"missing key {key!r}, which {target} needs",
-                f"add {key} = ..., {_MEANING[key]}", str(path),
-            )
-            for key in missing
-        ])  # fmt: skip
+    problems = []
+    for key in [key for key in needs if getattr(vehicle, key) is None]:
+        reason = f"missing key {key!r}, which {target} needs"
+        remedy = f"add {key} = ..., {_MEANING[key]}"
+        problems.append(InputProblem(reason, remedy, str(path)))
+    UsageError.raise_for(problems)
     return vehicle
 
 
@@ -74,30 +70,27 @@ def axles_of(
     Raises:
         UsageError: two tires for a target with one; one axle for a target with two.
     """
-    if count == 1:
-        if len(tires) > 1:
-            reason = f"{target} has one tire for all wheels in a file"
-            remedy = "give one of --front and --rear; export the other to its own file"
-            raise UsageError(InputProblem(reason, remedy))
-        return tuple(_placed(name, tire, vehicle) for name, tire in tires.items())
-    if "" in tires:
+    alike: tuple[str, ...] = ()
+    if count < len(tires):
+        reason = f"{target} has one tire for all wheels in a file"
+        remedy = "give one of --front and --rear; export the other to its own file"
+        raise UsageError(InputProblem(reason, remedy))
+    if count == 2 and "" in tires:
         tires = {"front": tires[""], "rear": tires[""]}
-        note = "one tire was given: front and rear are alike"
-        both = [_placed(name, tire, vehicle) for name, tire in tires.items()]
-        return tuple(one._replace(notes=(*one.notes, note)) for one in both)
-    if len(tires) < 2:
-        given = next(iter(tires))
+        alike = ("one tire was given: front and rear are alike",)
+    if len(tires) < count:
+        (given,) = tires
         other = "rear" if given == "front" else "front"
         reason = f"{target} has a tire for each axle, and only the {given} one is given"
         remedy = f"give --{other} as well, or one tire without --{given} for both axles"
         raise UsageError(InputProblem(reason, remedy))
-    return tuple(_placed(name, tires[name], vehicle) for name in ("front", "rear"))
+    return tuple(_placed(*item, vehicle, alike) for item in tires.items())
 
 
-def _placed(name: str, tire: Tire, vehicle: Vehicle | None) -> Axle:
+def _placed(name: str, tire: Tire, vehicle: Vehicle | None, notes) -> Axle:
     """The tire with the static load of its place."""
     if vehicle is None:
-        return Axle(name, tire)
+        return Axle(name, tire, notes=notes)
     arms = {"front": vehicle.l_r, "rear": vehicle.l_f}
     share = arms[name] / vehicle.wheelbase if name else 0.5
     static = vehicle.mass * vehicle.gravity * share
@@ -106,4 +99,4 @@ def _placed(name: str, tire: Tire, vehicle: Vehicle | None) -> Axle:
     load = static * wheels / 2
     what = "one tire" if wheels == 1 else "an axle of two tires"
     note = f"taken as a fit of {what}, whose static load is {load:.4g} N"
-    return Axle(name, replace(tire, load=load), wheels, True, (note,))
+    return Axle(name, replace(tire, load=load), wheels, True, (note, *notes))

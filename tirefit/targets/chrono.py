@@ -64,8 +64,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
         asked = " ".join(f"--wheel {name}=..." for name in missing)
         reason = f"Chrono needs {', '.join(missing)} of the wheel, in SI units"
         problems.append(InputProblem(reason, f"give {asked}"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     of_tir = {k: v for k, v in wheel.items() if k not in {*_WHEEL, "friction"}}
     held = held_as_tir(tire, _VERSION, of_tir)
     assert held.tir is not None and isinstance(held.model, MFTire)
@@ -89,12 +88,11 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
         notes.append("without coefficients of combined slip Chrono takes its ellipse")
     if tir.numbers.get("LKY", 1.0) != tir.numbers.get("LMUY", 1.0):
         notes.append("Chrono scales the cornering stiffness by LMUY, not by LKY")
-    model_there = held.model
+    own = held.model
     if unread:
-        model_there = own_tire(tir.with_values(dict.fromkeys(unread, 0.0)))
-    found = replace(held, model=model_there, tir=tir)
-    notes += _limited(found)
-    return replace(found, notes=held.notes + tuple(notes))
+        own = own_tire(tir.with_values(dict.fromkeys(unread, 0.0)))
+    notes += _limited(own, held.load)
+    return replace(held, model=own, tir=tir, notes=held.notes + tuple(notes))
 
 
 def _stated(tir: TirFile | None) -> dict[str, float]:
@@ -102,28 +100,23 @@ def _stated(tir: TirFile | None) -> dict[str, float]:
     if tir is None:
         return {}
     length, force, mass = (tir.unit(key) for key in ("LENGTH", "FORCE", "MASS"))
-    sizes = {
-        "mass": mass, "ixx": mass * length**2, "iyy": mass * length**2,
-        "vertical_stiffness": force / length,
-        "vertical_damping": force / length * tir.unit("TIME"), "width": 1.0,
-    }  # fmt: skip
-    numbers = tir.numbers
+    inertia, stiffness = mass * length**2, force / length
+    # WIDTH is read in SI; other sizes of the wheel are as they are written.
+    sizes = mass, inertia, inertia, stiffness, stiffness * tir.unit("TIME"), 1.0
     return {
-        name: numbers[key] * sizes[name]
-        for name, key in _WHEEL.items() if numbers.get(key, 0.0) > 0
-    }  # fmt: skip
+        name: tir.numbers[key] * size
+        for (name, key), size in zip(_WHEEL.items(), sizes, strict=True)
+        if tir.numbers.get(key, 0.0) > 0
+    }
 
 
-def _limited(tire: Tire) -> list[str]:
+def _limited(model: MFTire, load: float) -> list[str]:
     """What the limit of B times the slip costs, in pure slip to a usual size."""
-    model, loads = tire.model, np.array(USUAL_SHARES) * tire.load
-    assert isinstance(model, MFTire)
+    loads = np.array(USUAL_SHARES) * load
     alone = TireInputs(*np.zeros((len(TireInputs._fields), len(loads))))
     peaks = frictions(model, alone._replace(fz=loads))
-    shapes = {
-        "fx": model.longitudinal.PCX1 * model.scaling.LCX,
-        "fy": model.lateral.PCY1 * model.scaling.LCY,
-    }
+    x, y, scale = model.longitudinal, model.lateral, model.scaling
+    shapes = {"fx": x.PCX1 * scale.LCX, "fy": y.PCY1 * scale.LCY}
     slips = np.linspace(-USUAL_SLIP, USUAL_SLIP, 121)[:, None]
     missed = [(0.0, "", 0.0)]
     for name, slip in (("fx", "sigma_x"), ("fy", "alpha")):
@@ -137,8 +130,15 @@ def _limited(tire: Tire) -> list[str]:
             found = np.asarray(getattr(forces(model, given), name))
             return found.reshape(at.shape) / fz
 
-        rise = np.abs(share([[_SMALL]])[0] - share([[-_SMALL]])[0]) / (2 * _SMALL)
-        most = _LIMIT * float(shapes[name]) * peaks[name] / rise
+        less, more = share([[-_SMALL], [_SMALL]])
+        most = (
+            _LIMIT
+            * float(shapes[name])
+            * peaks[name]
+            * 2
+            * _SMALL
+            / np.abs(more - less)
+        )
         lost = np.max(np.abs(share(slips) - share(np.clip(slips, -most, most))), 0)
         missed.append((float(lost.max()), name, float(most[lost.argmax()])))
     size, name, most = max(missed)

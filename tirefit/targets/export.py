@@ -2,7 +2,7 @@
 
 import keyword
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -14,13 +14,7 @@ from tirefit.fitting.tir import TIR_SIGNS
 from tirefit.results import InputProblem, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS
 from tirefit.targets.chrono import chrono_source, held_by_chrono
-from tirefit.targets.code import (
-    Draft,
-    c_source,
-    casadi_source,
-    header,
-    numpy_source,
-)
+from tirefit.targets.code import Draft, c_source, casadi_source, header, numpy_source
 from tirefit.targets.loss import check_loss
 from tirefit.targets.mujoco import mujoco_source
 from tirefit.targets.parameters import (
@@ -142,10 +136,9 @@ def export(
 ) -> Exported:
     """Write a tire as a file that another program reads or compiles.
 
-    Source code holds the model itself, operation by operation, so it gives the forces
-    of :func:`tirefit.predict` to rounding. Parameters of a simulator's own formula are
-    converted by formula where it holds the tire, else refitted. ``notes`` say what the
-    file misses.
+    Source code holds the model itself, so it gives the forces of
+    :func:`tirefit.predict` to rounding. Parameters of a simulator's own formula are
+    converted by formula where it holds the tire, else refitted.
 
     Args:
         source: a fit, a ``fit.json``, a ``.tir`` file, a tire, or the name of a model;
@@ -169,15 +162,13 @@ def export(
             more than :data:`~tirefit.targets.loss.MOST` of the load.
 
     Returns:
-        The file, and how the tire behaves at rest, at large slip and at twice the
-        largest load; ``shape.sound`` is False where it jumps, is not finite, has wrong
-        signs, or exceeds the ellipse of its pure forces.
+        The file, what it misses, and how the tire behaves; ``shape.sound`` is False
+        where it jumps, is not finite, has wrong signs, or exceeds its friction ellipse.
 
     Raises:
-        UsageError: unknown target, convention or parameter; values beside a fit; a name
-            that no function can have; a file that cannot be written, or that is there
-            and no export; a model that the target cannot hold; a diagnosis of another
-            model; or data of the vehicle that are missing.
+        UsageError: unknown names, or options that the target has no use for; a file
+            that cannot be written, or that is there and no export; a model that the
+            target cannot hold; a diagnosis of another model; missing data of the car.
         DataError: the source or the diagnosis cannot be read.
 
     Example:
@@ -193,17 +184,18 @@ def export(
         name = path.stem
     given = {"": source, "front": front, "rear": rear}
     given = {axle: one for axle, one in given.items() if one is not None}
-    check(given, target, path, convention, name, force, model, wheel, forces)
-    if isinstance(chosen, Target) and (vehicle is not None or over or "" not in given):
-        reason = f"{target} holds one tire as it is: no axles, vehicle or range"
-        raise UsageError(InputProblem(reason, "leave them out, or see --list"))
+    car = vehicle is not None or over or "" not in given
+    problems = [*_unknown(target, given, convention)]
+    problems += _useless(target, model, wheel, forces, convention, car)
+    problems += _unwritable(chosen, path, name, given.values(), force)
+    UsageError.raise_for(problems)
     tires = {axle: tire_of(one, values, diagnosis) for axle, one in given.items()}
     first = f"{MARK}, tirefit {__version__}: "
     first += f"{' and '.join(tire.name for tire in tires.values())} for {target}"
     if isinstance(chosen, ParameterFile):
         done = parameter_text(target, tires, path, first, vehicle, over, force)
-        write_texts({path: done.text})
-        return Exported(path, done.shape, done.notes)
+        write_texts({path: done[0]})
+        return Exported(path, done[1], done[2])
     assert chosen is not None
     (tire,) = tires.values()
     if chosen.prepare is not None:
@@ -228,69 +220,58 @@ def export(
     return Exported(path, shape, tire.notes)
 
 
-def check(
-    given: Mapping,
-    target: str,
-    path: Path,
-    convention: str,
-    name: str,
-    force: bool,
-    model: str | None = None,
-    wheel: Mapping[str, float] | None = None,
-    forces: Sequence[str] | str = (),
-) -> None:
-    """Raises UsageError for all that is wrong with a request, before the work.
-
-    ``given``: the tires, under the name of their axle or under none.
-    """
-    problems = []
+def _unknown(target: str, given: Mapping, convention: str) -> Iterator[InputProblem]:
     for what, named, known in (
         ("--to", target, TARGETS), ("--convention", convention, CONVENTIONS),
     ):  # fmt: skip
         if named not in known:
             remedy = f"{did_you_mean(named, known)}valid: {', '.join(known)}"
-            problems.append(InputProblem(f"{what}: {named!r} is not known", remedy))
+            yield InputProblem(f"{what}: {named!r} is not known", remedy)
     if not given or "" in given and len(given) > 1:
         remedy = "give one tire, or those of --front and --rear"
-        problems.append(InputProblem("which tire is to be written?", remedy))
-    chosen = TARGETS.get(target)
-    asked = {"--model": model, "--wheel": wheel}
-    if not (isinstance(chosen, Target) and chosen.prepare):
-        for option in [option for option, value in asked.items() if value]:
+        yield InputProblem("which tire is to be written?", remedy)
+
+
+def _useless(target: str, model, wheel, forces, convention, car):
+    """Options that a target has no use for."""
+    chosen, leave_out = TARGETS.get(target), "leave it out"
+    for option, value in (("--model", model), ("--wheel", wheel)):
+        if value and not (isinstance(chosen, Target) and chosen.prepare):
             reason = f"{option} with --to {target}, which has no use for it"
-            problems.append(InputProblem(reason, "leave it out"))
-    if not _is_code(chosen) and convention != TIR_SIGNS:
+            yield InputProblem(reason, leave_out)
+    if convention != TIR_SIGNS and not _is_code(chosen):
         reason = f"--convention {convention}: {target} has signs of its own"
-        problems.append(InputProblem(reason, "leave it out"))
+        yield InputProblem(reason, leave_out)
     if forces and not _is_code(chosen):
-        reason = f"--forces with --to {target}, which has them all"
-        problems.append(InputProblem(reason, "leave it out"))
-    if _is_code(chosen) and not _function_name(name):
+        yield InputProblem(
+            f"--forces with --to {target}, which has them all", leave_out
+        )
+    if car and isinstance(chosen, Target):
+        reason = f"{target} holds one tire as it is: no axles, vehicle or range"
+        yield InputProblem(reason, "leave them out, or see --list")
+
+
+def _unwritable(chosen: Target | ParameterFile | None, path: Path, name, given, force):
+    """Why the function has no such name, or a file cannot be written."""
+    taken = keyword.iskeyword(name) or name in _TAKEN
+    if _is_code(chosen) and (taken or not (name.isidentifier() and name.isascii())):
         remedy = "name the function with --name: letters, digits and _, no keyword"
-        problems.append(InputProblem(f"{name!r} is no name of a function", remedy))
-    files = [one for one in given.values() if isinstance(one, str | os.PathLike)]
+        yield InputProblem(f"{name!r} is no name of a function", remedy)
+    files = [one for one in given if isinstance(one, str | os.PathLike)]
     ending = chosen.ending if chosen else ""
-    others = chosen.beside if isinstance(chosen, Target) else ()
-    for one, end in [(path, ending), *((path.with_suffix(e), e) for e in others)]:
-        if unwritable := output_problems(one, files, end):
-            problems += unwritable
+    beside = chosen.beside if isinstance(chosen, Target) else ()
+    for one, end in [(path, ending), *((path.with_suffix(e), e) for e in beside)]:
+        if problems := output_problems(one, files, end):
+            yield from problems
         elif one.exists() and not force and not _exported(one):
             reason = "the file is there and was not written by an export"
             remedy = "choose another file, or replace it with --force"
-            problems.append(InputProblem(reason, remedy, str(one)))
-    if problems:
-        raise UsageError(problems)
+            yield InputProblem(reason, remedy, str(one))
 
 
 def _is_code(chosen: Target | ParameterFile | None) -> bool:
     """Whether a target is source code: a function with a name, in any signs."""
     return chosen is None or isinstance(chosen, Target) and chosen.prepare is None
-
-
-def _function_name(name: str) -> bool:
-    """Whether a function of C and Python may have a name."""
-    plain = name.isidentifier() and name.isascii()
-    return plain and not keyword.iskeyword(name) and name not in _TAKEN
 
 
 def _exported(path: Path) -> bool:

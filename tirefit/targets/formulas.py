@@ -11,18 +11,18 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from tirefit.models import AbstractTire, CombinedMagicFormula, TireInputs
-from tirefit.models.magic_formula import bent
+from tirefit.models.magic_formula import MagicFormula, bent
 from tirefit.models.mf import MFTire
 from tirefit.slip import CONVENTIONS, Convention, sigma_from_kappa
-
-ISO = CONVENTIONS["iso-w"]
+from tirefit.targets.program import Program, traced
+from tirefit.targets.tire import ALWAYS, INPUTS
 
 Values = Mapping[str, Any]
 """Parameter -> value."""
 
 
 class Curves(NamedTuple):
-    """What a formula starts from: a tire at a load, forces over load.
+    """A tire at a load, from which the parameters of a formula start.
 
     Attributes:
         x, y: B, C, D, E of the Magic Formula of the two pure slips; exact where the
@@ -32,8 +32,8 @@ class Curves(NamedTuple):
         weights: coefficients of combined slip of a Magic Formula 5.2 or 6, by name.
     """
 
-    x: tuple[float, float, float, float]
-    y: tuple[float, float, float, float]
+    x: tuple[float, ...]
+    y: tuple[float, ...]
     load: float
     fall: float
     weights: Mapping[str, float]
@@ -48,10 +48,9 @@ class Formula:
         signs: those of its slips and forces, as in :data:`tirefit.slip.CONVENTIONS`.
         forces: parameters, kappa, alpha [rad] and load [N] to the forces [N].
         start: parameters for a tire, by formula.
-        stages: which forces of which slips determine which parameters, in order:
-            ``fx`` and ``fy`` of pure slip, ``both`` of combined slip. A force without a
-            stage is determined by ``start`` alone.
-        bounds: of each parameter that is refitted.
+        stages: in order, ``fx`` and ``fy`` of pure slip and ``both`` of combined slip,
+            each with the bounds of the parameters that least squares fits to it. A
+            force without a stage keeps the parameters of ``start``.
         of_load: parameters of a stage that one load does not determine.
         loss: sentences on what the formula cannot hold of any tire.
     """
@@ -60,8 +59,7 @@ class Formula:
     signs: Convention
     forces: Callable[[Values, Any, Any, Any], tuple]
     start: Callable[[Curves], dict[str, float]]
-    stages: tuple[tuple[str, tuple[str, ...]], ...]
-    bounds: Mapping[str, tuple[float, float]]
+    stages: Mapping[str, Mapping[str, tuple[float, float]]]
     of_load: tuple[str, ...] = ()
     loss: tuple[str, ...] = ()
 
@@ -69,17 +67,24 @@ class Formula:
         """Forces [N] at canonical slips, in canonical signs."""
         signs = self.signs
         found = self.forces(values, signs.slip * kappa, signs.alpha * alpha, fz)
+        return self._signed(found, signs)
+
+    def _signed(self, found, signs: Convention) -> tuple:
         pairs = zip(self.outputs, found, strict=True)
         return tuple(getattr(signs, name) * force for name, force in pairs)
 
+    def program(self, values: Values, convention: str) -> Program:
+        """The formula with these values as a program in a sign convention."""
+        signs = CONVENTIONS[convention]
 
-Coefficients = tuple[float, float, float, float]
-"""B, C, D, E."""
+        def function(kappa, alpha, fz):
+            at = signs.slip * kappa, signs.alpha * alpha, signs.fz * fz
+            return self._signed(self.canonical(values, *at), signs)
+
+        return traced(function, INPUTS[:ALWAYS], self.outputs)
 
 
-def magic_formula_of(
-    model: AbstractTire,
-) -> tuple[Coefficients, Coefficients, dict[str, float]] | None:
+def magic_formula_of(model: AbstractTire):
     """B, C, D, E of both pure slips and the weights of a Magic Formula tire at its
     nominal load, upright and at nominal pressure; None of another tire."""
     if isinstance(model, CombinedMagicFormula):
@@ -91,9 +96,8 @@ def magic_formula_of(
     at = model.point(TireInputs(0.0, 0.0, fz0))
     x, y = model.longitudinal, model.lateral
     mu, shape = x.friction(at, scale), x.PCX1 * scale.LCX
-    along = _floats(
-        x.stiffness(at, scale) / (shape * mu), shape, mu, x.PEX1 * scale.LEX
-    )
+    slope = x.stiffness(at, scale) / (shape * mu)
+    along = _floats(slope, shape, mu, x.PEX1 * scale.LEX)
     side, shape = y.pure(at, scale, fz0), y.PCY1 * scale.LCY
     # In ISO-W axes the cornering stiffness is negative.
     slope = abs(side.stiffness) / (shape * side.mu)
@@ -104,9 +108,14 @@ def magic_formula_of(
     return along, _floats(slope, shape, side.mu, y.PEY1 * scale.LEY), weights
 
 
-def _floats(b, c, d, e) -> Coefficients:
+def _floats(b, c, d, e) -> tuple[float, ...]:
     # As `bent` does; simulators take E as it is.
     return float(b), float(c), float(d), min(float(e), 1.0)
+
+
+_SHAPE, _CURVATURE, _WEIGHT = (0.3, 3.0), (-20.0, 1.0), (-200.0, 200.0)
+_FRICTION, _SLOPE = (0.01, 5.0), (0.01, 1000.0)
+"""Bounds of C, E, weights of combined slip, friction and slope over load."""
 
 
 # --- CommonRoad ---------------------------------------------------------------------
@@ -114,12 +123,11 @@ def _floats(b, c, d, e) -> Coefficients:
 
 def _commonroad_forces(p: Values, kappa, alpha, fz):
     """``tire_model.py`` of commonroad-vehicle-models 3.0.2 without camber: kappa is
-    positive when braking, which the formula of pure slip negates and that of combined
-    slip does not."""
+    positive when braking, which pure slip negates and combined slip does not. p_vx1,
+    which is zero, stands inside the sine."""
     drive = -kappa + p["p_hx1"]
     slope = p["p_kx1"] / (p["p_cx1"] * p["p_dx1"])
-    angle = p["p_cx1"] * bent(slope * drive, p["p_ex1"]) + fz * p["p_vx1"]
-    along = p["p_dx1"] * fz * jnp.sin(angle)
+    along = p["p_dx1"] * fz * jnp.sin(p["p_cx1"] * bent(slope * drive, p["p_ex1"]))
     slope = p["p_ky1"] / (p["p_cy1"] * p["p_dy1"])
     across = p["p_dy1"] * fz * jnp.sin(p["p_cy1"] * bent(slope * alpha, p["p_ey1"]))
 
@@ -136,10 +144,6 @@ def _commonroad_forces(p: Values, kappa, alpha, fz):
     induced = p["p_dy1"] * fz * p["r_vy1"] * jnp.cos(jnp.arctan(p["r_vy4"] * alpha))
     induced = induced * jnp.sin(p["r_vy5"] * jnp.arctan(p["r_vy6"] * kappa))
     return along, across + induced
-
-
-CAMBER = ("p_dx3", "p_dy3", "p_hy1", "p_hy3", "p_vy1", "p_vy3", "r_vy3")
-"""Parameters of CommonRoad's formula that act with camber alone."""
 
 
 def _commonroad_start(curves: Curves) -> dict[str, float]:
@@ -160,39 +164,34 @@ def _commonroad_start(curves: Curves) -> dict[str, float]:
     for name, value in given.items():
         value = min(value, 1.0) if name in ("REX1", "REY1") else value
         if name[0] == "R":
-            found[f"{name[0].lower()}_{name[1:].lower()}"] = (
-                turned.get(name, 1.0) * value
-            )
-    return found | dict.fromkeys(CAMBER, 0.0)
+            found[f"r_{name[1:].lower()}"] = turned.get(name, 1.0) * value
+    # Those that act with camber alone.
+    names = "p_dx3 p_dy3 p_hy1 p_hy3 p_vy1 p_vy3 r_vy3"
+    return found | dict.fromkeys(names.split(), 0.0)
 
-
-_SHAPE, _CURVATURE = (0.3, 3.0), (-20.0, 1.0)
-_WEIGHT = (-200.0, 200.0)
 
 COMMONROAD = Formula(
     outputs=("fx", "fy"),
-    signs=ISO._replace(
+    signs=CONVENTIONS["iso-w"]._replace(
         slip=1,
         description="kappa = 1 - R omega / u, positive when braking; F_x positive when"
         " driving; ISO 8855 alpha: F_y < 0 for alpha > 0, p_ky1 < 0; F_z > 0",
     ),
     forces=_commonroad_forces,
     start=_commonroad_start,
-    stages=(
-        ("fx", ("p_cx1", "p_dx1", "p_ex1", "p_kx1")),
-        ("fy", ("p_cy1", "p_dy1", "p_ey1", "p_ky1")),
-        (
-            "both",
-            # Shifts are those of a Magic Formula or zero: no force at rest.
-            ("r_bx1", "r_bx2", "r_cx1", "r_ex1", "r_by1", "r_by2", "r_cy1", "r_ey1"),
-        ),
-    ),
-    bounds={
-        "p_cx1": _SHAPE, "p_dx1": (0.01, 5.0), "p_ex1": _CURVATURE,
-        "p_kx1": (0.01, 1000.0), "p_cy1": _SHAPE,
-        "p_dy1": (0.01, 5.0), "p_ey1": _CURVATURE, "p_ky1": (-1000.0, -0.01),
-        "r_bx1": _WEIGHT, "r_bx2": _WEIGHT, "r_cx1": _SHAPE, "r_ex1": _CURVATURE,
-        "r_by1": _WEIGHT, "r_by2": _WEIGHT, "r_cy1": _SHAPE, "r_ey1": _CURVATURE,
+    stages={
+        "fx": {
+            "p_cx1": _SHAPE, "p_dx1": _FRICTION, "p_ex1": _CURVATURE, "p_kx1": _SLOPE,
+        },
+        "fy": {
+            "p_cy1": _SHAPE, "p_dy1": _FRICTION, "p_ey1": _CURVATURE,
+            "p_ky1": (-1000.0, -0.01),
+        },
+        # Shifts are those of a Magic Formula or zero: no force at rest.
+        "both": {
+            "r_bx1": _WEIGHT, "r_bx2": _WEIGHT, "r_cx1": _SHAPE, "r_ex1": _CURVATURE,
+            "r_by1": _WEIGHT, "r_by2": _WEIGHT, "r_cy1": _SHAPE, "r_ey1": _CURVATURE,
+        },
     },
     loss=(
         "its forces are proportional to F_z; offsets of F_y and the vertical one of F_x"
@@ -204,29 +203,16 @@ COMMONROAD = Formula(
 
 # --- four coefficients --------------------------------------------------------------
 
-
-def _pacejka_forces(p: Values, kappa, alpha, fz):
-    del kappa
-    return (p["D"] * fz * jnp.sin(p["C"] * bent(p["B"] * alpha, p["E"])),)
-
-
-def _pacejka_start(curves: Curves) -> dict[str, float]:
-    return dict(zip("BCDE", curves.y, strict=True))
-
-
 PACEJKA = Formula(
     outputs=("fy",),
     signs=CONVENTIONS["braking"]._replace(
         description="alpha = delta - atan(v_y / v_x), so F_y > 0 for alpha > 0"
     ),
-    forces=_pacejka_forces,
-    start=_pacejka_start,
-    stages=(("fy", ("B", "C", "D", "E")),),
-    bounds={
-        "B": (0.01, 500.0), "C": (0.3, 3.0), "D": (0.01, 5.0), "E": _CURVATURE,
-    },
+    forces=lambda p, kappa, alpha, fz: (MagicFormula(**p).pure(alpha, fz),),
+    start=lambda curves: dict(zip("BCDE", curves.y, strict=True)),
+    stages={"fy": {"B": (0.01, 500.0), "C": _SHAPE, "D": _FRICTION, "E": _CURVATURE}},
     loss=("F_x has no place: it is the command; F_y is proportional to F_z",),
-)  # fmt: skip
+)
 """F_y = F_z D sin(C arctan(B alpha - E (B alpha - arctan B alpha)))."""
 
 
@@ -257,14 +243,13 @@ def _slipx_start(curves: Curves) -> dict[str, float]:
 
 SLIPX = Formula(
     outputs=("fx", "fy"),
-    signs=ISO,
+    signs=CONVENTIONS["iso-w"],
     forces=_slipx_forces,
     start=_slipx_start,
-    stages=(("fy", ("c_alpha", "mu_y0", "C", "E", "k_mu")),),
-    bounds={
+    stages={"fy": {
         "c_alpha": (1e-3, 1e6), "mu_y0": (0.01, 3.0), "C": (1.001, 2.5),
         "E": (-5.0, 1.0), "k_mu": (0.0, 1.0),
-    },
+    }},
     of_load=("k_mu",),
     loss=(
         "along the wheel SlipX takes a demanded force and limits both forces by an"
@@ -309,8 +294,7 @@ GAZEBO = Formula(
     signs=CONVENTIONS["braking"]._replace(description="its numbers have none"),
     forces=_gazebo_forces,
     start=_gazebo_start,
-    stages=(),
-    bounds={},
+    stages={},
     loss=(
         "the force is linear in slip up to Coulomb friction, each direction by itself:"
         " slip_compliance is one over the slope at zero slip, mu the peak, at the"

@@ -1,16 +1,32 @@
 """How far the tire that a file holds misses the one that was to be exported."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from tirefit.fitting.tir import USUAL_SHARES, USUAL_SLIP
+from tirefit.models import TireInputs, forces
 from tirefit.results import InputProblem, UsageError
-from tirefit.targets.code import compiled
+from tirefit.slip import sigma_from_kappa
 from tirefit.targets.tire import UNITS, Tire, turned_range
 
 MOST = 0.05
 """Largest miss over the load that is written without being asked for."""
 
-_SIGNS = "iso-w"
+SPEED = 10.0
+"""Speed [m/s] at which tires are compared."""
+
+_SLIPS = ("kappa", "alpha")
+
+
+def grid_of(
+    ranges: Mapping[str, tuple[float, float]], kappa: int, alpha: int, fz: int
+) -> np.ndarray:
+    """Slips and loads (3, n) on a grid of so many points of each; a count of 0 leaves a
+    slip at zero."""
+    counts = {"kappa": kappa, "alpha": alpha, "fz": fz}
+    axes = [np.linspace(*ranges[k], n) if n else [0.0] for k, n in counts.items()]
+    return np.stack([one.ravel() for one in np.meshgrid(*axes, indexing="ij")])
 
 
 def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, ...]:
@@ -21,46 +37,30 @@ def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, .
     """
     if held.model is tire.model:
         return ()
-    grid, told = _grid(tire)
-    both = []
-    for one in (tire, held):
-        program = one.program(_SIGNS)
-        found = compiled(program)(*(grid[name] for name in program.inputs))
-        both.append(dict(zip(program.outputs, found, strict=True)))
-    pure, missed, sizes = grid["kappa"] * grid["alpha"] == 0, [0.0], []
+    slips = [k for k in _SLIPS if k in tire.measured] or _SLIPS
+    ranges = dict.fromkeys(slips, (-USUAL_SLIP, USUAL_SLIP))
+    ranges["fz"] = USUAL_SHARES[0] * tire.load, USUAL_SHARES[-1] * tire.load
+    for name, ends in ranges.items():
+        low, high = np.clip(ends, *tire.measured.get(name, (-np.inf, np.inf)))
+        ranges[name] = float(low), float(high)
+    along, across = (31 if k in slips else 0 for k in _SLIPS)
+    kappa, alpha, fz = grid_of(ranges, along, across, 5)
+    at = TireInputs(sigma_from_kappa(kappa), alpha, fz, SPEED)
+    both = [forces(one.model, at)._asdict() for one in (tire, held)]
+    pure, missed, sizes = kappa * alpha == 0, [0.0], []
     for name in ("fx", "fy"):
-        if all(name in found for found in both):
-            off = np.abs(both[0][name] - both[1][name]) / grid["fz"]
+        if all(found[name] is not None for found in both):
+            off = np.abs(both[0][name] - both[1][name]) / fz
             missed.append(float(np.max(off)))
             alone = float(np.max(off[pure]))
             sizes.append(f"{name} {missed[-1]:.2%} (in pure slip {alone:.2%})")
+    told = ", ".join(
+        f"{k} {a:.3g} to {b:.3g} {UNITS[k]}"
+        for k, (a, b) in turned_range(ranges, "iso-w").items()
+    )
     sentence = f"largest miss of the file in F_z: {', '.join(sizes)}, over {told}"
     if max(missed) > MOST and not force:
         remedy = "export to c, casadi or numpy, which hold it, or accept it by --force"
         reason = f"{tire.name} for {target}: {sentence}; the limit is {MOST:.0%}"
         raise UsageError(InputProblem(reason, remedy))
     return (sentence,)
-
-
-def _grid(tire: Tire) -> tuple[dict[str, np.ndarray], str]:
-    """Slips and loads of usual size within the measured range, each (n,), and their
-    range in words."""
-    ends = turned_range(tire.measured, _SIGNS)
-    sizes = {"kappa": 31, "alpha": 31, "fz": 5}
-    usual = {"kappa": (-USUAL_SLIP, USUAL_SLIP), "alpha": (-USUAL_SLIP, USUAL_SLIP)}
-    usual = {k: usual[k] for k in usual if k in ends} or usual
-    usual["fz"] = USUAL_SHARES[0] * tire.load, USUAL_SHARES[-1] * tire.load
-    within = {k: (0.0, 0.0) for k in sizes}
-    for k, each in usual.items():
-        low, high = np.clip(each, *ends.get(k, (-np.inf, np.inf)))
-        within[k] = float(low), float(high)
-    axes = [np.linspace(*within[k], n) for k, n in sizes.items()]
-    kappa, alpha, fz = (x.ravel() for x in np.meshgrid(*axes, indexing="ij"))
-    still = np.zeros(len(fz))
-    told = [
-        f"{k} {a:.3g} to {b:.3g} {UNITS[k]}"
-        for k, (a, b) in within.items()
-        if k in usual
-    ]
-    grid = {"kappa": kappa, "alpha": alpha, "fz": fz, "v": still + 10.0}
-    return grid | {"gamma": still, "pressure": still}, ", ".join(told)

@@ -6,12 +6,9 @@ from tirefit.params import parameter_values
 from tirefit.slip import CONVENTIONS
 from tirefit.targets.code import Draft, compiled, numpy_source
 
-_WIDE = 0.2
-"""Share of the friction by which ``mujoco.sysid`` may change it where no standard error
-is known: a bound, not an estimate."""
-
-_MANY = 3.0
-"""Standard errors by which it may change it where they are known."""
+_WIDE, _MANY = 0.2, 3.0
+"""Bounds of the friction for ``mujoco.sysid``: its share where no standard error is
+known, and standard errors where they are."""
 
 _SNIPPET = '''
 

@@ -1,31 +1,26 @@
 """Parameter files of simulators that have a tire formula of their own."""
 
+import json
+import math
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from tirefit.data.vehicle import Vehicle
 from tirefit.results import InputProblem, UsageError
 from tirefit.targets.car import Axle, axles_of, vehicle_of
-from tirefit.targets.formulas import (
-    COMMONROAD,
-    GAZEBO,
-    PACEJKA,
-    SLIPX,
-    Formula,
-)
-from tirefit.targets.loss import MOST
-from tirefit.targets.refit import SPEED, Ranges, Refit, percent, ranges_of, refit
+from tirefit.targets.formulas import COMMONROAD, GAZEBO, PACEJKA, SLIPX, Formula
+from tirefit.targets.loss import MOST, SPEED
+from tirefit.targets.refit import Ranges, Refit, percent, ranges_of, refit
 from tirefit.targets.shape import Shape, shape_of
 from tirefit.targets.tire import Tire, turned_range
 
 SIGNS = "iso-w"
 """Signs in which ranges and checks are stated; a file's own are in its head."""
-
 
 _NEW_LINE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 """Characters that may end a line."""
@@ -53,6 +48,22 @@ class Sheet(NamedTuple):
     vehicle: Vehicle | None
     path: Path
 
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters of the first axle."""
+        return self.fits[0].values
+
+    def by_axle(self, name: str) -> dict[str, dict[str, float]]:
+        """Parameters of front and rear, under ``name`` with f and r behind it."""
+        return {f"{name}{k}": f.values for k, f in zip("fr", self.fits, strict=True)}
+
+    def car(self, names: str) -> dict[str, float]:
+        """Numbers of the vehicle under the target's names, as ``m=mass lf=l_f``; none
+        without a vehicle."""
+        pairs = dict(pair.split("=") for pair in names.split())
+        found = {k: getattr(self.vehicle, ours, None) for k, ours in pairs.items()}
+        return {key: value for key, value in found.items() if value is not None}
+
 
 class ParameterFile(NamedTuple):
     """A target with a tire formula of its own.
@@ -62,7 +73,7 @@ class ParameterFile(NamedTuple):
         what: what the file is, and what it needs.
         holds: the models that it holds, and how exactly.
         formula: the formula.
-        write: the text of the file.
+        write: the text of the file, or the content of a YAML file.
         tires: 2 where front and rear have parameters of their own.
         needs: keys of ``vehicle.toml`` that the car needs beside mass, yaw inertia and
             the axles.
@@ -73,18 +84,10 @@ class ParameterFile(NamedTuple):
     what: str
     holds: str
     formula: Formula
-    write: Callable[[Sheet], str]
+    write: Callable[[Sheet], str | Mapping[str, Any]]
     tires: int = 1
     needs: tuple[str, ...] = ()
     check: Callable[[Sheet], None] = lambda sheet: None
-
-
-class Written(NamedTuple):
-    """A file's text, how the tire behaves, and what it does not hold."""
-
-    text: str
-    shape: Shape
-    notes: tuple[str, ...]
 
 
 def parameter_text(
@@ -95,8 +98,8 @@ def parameter_text(
     vehicle: str | os.PathLike | None = None,
     over: Ranges | None = None,
     force: bool = False,
-) -> Written:
-    """The text of a parameter file.
+) -> tuple[str, Shape, tuple[str, ...]]:
+    """The text of a parameter file, how the tire behaves, and what the file loses.
 
     Args:
         target: a key of :data:`PARAMETER_FILES`.
@@ -112,59 +115,49 @@ def parameter_text(
             that are missing.
     """
     kind = PARAMETER_FILES[target]
-    car = None if vehicle is None else vehicle_of(Path(vehicle), target, kind.needs)
+    car = None if vehicle is None else vehicle_of(vehicle, target, kind.needs)
     narrowed = turned_range(over or {}, SIGNS)
-    axles = tuple(
-        _within(axle, narrowed) for axle in axles_of(target, kind.tires, tires, car)
-    )
-    fits = tuple(
-        refit(one.tire, kind.formula, ranges_of(one.tire, narrowed, one.static))
-        for one in axles
-    )
-    shapes = [
-        shape_of(one.tire, fit.program(SIGNS), SIGNS)
-        for one, fit in zip(axles, fits, strict=True)
-    ]
-    notes, sentences = [], []
-    for axle, fit, behaviour in zip(axles, fits, shapes, strict=True):
+    fits, axles, notes, sentences, sound = [], [], [], [], True
+    for axle in axles_of(target, kind.tires, tires, car):
+        tire, (low, high) = axle.tire, narrowed.get("fz", (0.0, math.inf))
+        if not axle.static and not low <= tire.load <= high:
+            tire = replace(tire, load=(low + high) / 2)
+        fit = refit(tire, kind.formula, ranges_of(tire, narrowed, axle.static))
+        shape = shape_of(tire, kind.formula.program(fit.values, SIGNS), SIGNS)
         told = [fit.sentence(SIGNS), *fit.other_loads(), *axle.notes]
-        told += _lost(axle.tire, kind.formula)
-        notes += [axle.named(line) for line in told]
-        sentences += [axle.named(line) for line in behaviour.sentences]
+        notes += axle.named(told + _lost(tire, kind.formula))
+        sentences += axle.named(shape.sentences)
+        sound &= shape.sound
+        fits.append(fit)
+        axles.append(axle._replace(tire=tire))
     notes += [note for tire in tires.values() for note in tire.notes]
     notes += kind.formula.loss
-    signs = f"SI units; signs of the file: {kind.formula.signs.description}"
-    about = [line for name, tire in tires.items() for line in _about(name, tire)]
-    checks = f"checks of the written formula, in the signs of {SIGNS}:"
-    above = one_line([first, *notes, signs, *about, checks, *sentences])
-    sheet = Sheet(above, axles, fits, car, path)
+    above = [first, *notes]
+    above.append(f"SI units; signs of the file: {kind.formula.signs.description}")
+    for name, tire in tires.items():
+        above += [
+            f"{name or 'tire'}: {tire.origin}",
+            f"measured range ({SIGNS}): {tire.ranges(SIGNS)}",
+            "parameters of the tire (+- standard error):",
+            *(f"  {line}" for line in tire.parameters()),
+        ]
+    above += [f"checks of the written formula, in the signs of {SIGNS}:", *sentences]
+    sheet = Sheet(one_line(above), tuple(axles), tuple(fits), car, path)
     kind.check(sheet)
-    worst = max(fit.largest for fit in fits)
-    if worst > MOST:
+    if (worst := max(fit.largest for fit in fits)) > MOST:
+        missed = f"{target} misses this tire by up to {percent(worst)} % of F_z"
         if not force:
-            raise _refused(target, worst, fits)
-        notes.append(
-            f"warning: {target} misses this tire by up to {percent(worst)} % of F_z"
-        )
-    shape = Shape(tuple(sentences), all(one.sound for one in shapes))
-    return Written(kind.write(sheet), shape, tuple(notes))
-
-
-def _within(axle: Axle, over: Ranges) -> Axle:
-    """The axle with a nominal load within the loads that were asked for."""
-    low, high = over.get("fz", (axle.tire.load, axle.tire.load))
-    if axle.static or low <= axle.tire.load <= high:
-        return axle
-    return axle._replace(tire=replace(axle.tire, load=(low + high) / 2))
-
-
-def _about(name: str, tire: Tire) -> list[str]:
-    return [
-        f"{name or 'tire'}: {tire.origin}",
-        f"measured range ({SIGNS}): {tire.ranges(SIGNS)}",
-        "parameters of the tire (+- standard error):",
-        *(f"  {line}" for line in tire.parameters()),
-    ]
+            where = " / ".join(fit.sentence(SIGNS) for fit in fits)
+            remedy = "narrow the range, as with --over fz=LOW:HIGH or --over"
+            remedy += " alpha=LOW:HIGH, or write it with --force"
+            reason = f"{missed}, above {percent(MOST)} %: {where}"
+            raise UsageError(InputProblem(reason, remedy))
+        notes.append(f"warning: {missed}")
+    text = kind.write(sheet)
+    if not isinstance(text, str):
+        lines = [*(f"# {line}" for line in sheet.above), *_yaml(text)]
+        text = "\n".join(lines) + "\n"
+    return text, Shape(tuple(sentences), sound), tuple(notes)
 
 
 _TAKEN_AT = {
@@ -179,20 +172,7 @@ def _lost(tire: Tire, formula: Formula) -> list[str]:
     absent = [name for name in formula.outputs if name not in tire.modelled]
     lost = [f"{', '.join(beyond)} of the tire has no place"] if beyond else []
     lost += [f"{name} has no place: forces at {_TAKEN_AT[name]}" for name in needs]
-    lost += [f"the tire has no {name}: that of the other axis" for name in absent]
-    return lost
-
-
-def _refused(target: str, worst: float, fits: tuple[Refit, ...]) -> UsageError:
-    reason = (
-        f"{target} misses this tire by up to {percent(worst)} % of F_z, above"
-        f" {percent(MOST)} %: {' / '.join(fit.sentence(SIGNS) for fit in fits)}"
-    )
-    remedy = (
-        "narrow the range, as with --over fz=LOW:HIGH or --over alpha=LOW:HIGH, or"
-        " write it with --force"
-    )
-    return UsageError(InputProblem(reason, remedy))
+    return lost + [f"the tire has no {name}: that of the other axis" for name in absent]
 
 
 # --- texts --------------------------------------------------------------------------
@@ -204,101 +184,64 @@ def _number(value: float) -> str:
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
 
-def _yaml(above: list[str], content: Mapping, indent: str = "") -> str:
-    lines = [f"# {line}" for line in above]
+def _yaml(content: Mapping[str, Any], indent: str = "") -> list[str]:
+    lines = []
     for key, value in content.items():
         if isinstance(value, Mapping):
-            lines += [f"{indent}{key}:", _yaml([], value, indent + "  ").rstrip("\n")]
-        elif isinstance(value, str):
-            quoted = value.replace("\\", "\\\\").replace('"', '\\"')
-            lines.append(f'{indent}{key}: "{quoted}"')
-        elif isinstance(value, list | tuple):
-            lines.append(f"{indent}{key}: [{', '.join(map(_number, value))}]")
+            lines += [f"{indent}{key}:", *_yaml(value, f"{indent}  ")]
         else:
-            lines.append(f"{indent}{key}: {_number(value)}")
-    return "\n".join(lines) + "\n"
+            if isinstance(value, str):
+                text = json.dumps(value, ensure_ascii=False)
+            elif isinstance(value, list):
+                text = f"[{', '.join(map(_number, value))}]"
+            else:
+                text = _number(value)
+            lines.append(f"{indent}{key}: {text}")
+    return lines
 
 
-def _car(sheet: Sheet, names: Mapping[str, str]) -> dict[str, float]:
-    """Numbers of the vehicle under the target's names; none without a vehicle."""
-    if sheet.vehicle is None:
-        return {}
-    found = {key: getattr(sheet.vehicle, ours) for key, ours in names.items()}
-    return {key: value for key, value in found.items() if value is not None}
+_CAR = "m=mass lf=l_f lr=l_r I_z=yaw_inertia h_s=h_cg"
 
 
-def _commonroad(sheet: Sheet) -> str:
-    names = {
-        "m": "mass", "a": "l_f", "b": "l_r", "I_z": "yaw_inertia", "h_s": "h_cg",
-        "h_cg": "h_cg", "R_w": "wheel_radius",
-    }  # fmt: skip
-    return _yaml(sheet.above, {"tire": sheet.fits[0].values, **_car(sheet, names)})
+def _gymkhana_stp(sheet: Sheet) -> dict[str, Any]:
+    axles = sheet.by_axle("_").items()
+    tire = {f"{k}{axle}": value for axle, one in axles for k, value in one.items()}
+    return {"mu": 1.0, **tire, **sheet.car(_CAR)}
 
 
-def _gymkhana(sheet: Sheet) -> str:
-    tire = {f"tire_{name}": value for name, value in sheet.fits[0].values.items()}
-    names = {
-        "m": "mass", "lf": "l_f", "lr": "l_r", "I_z": "yaw_inertia", "h_s": "h_cg",
-        "R_w": "wheel_radius",
-    }  # fmt: skip
-    return _yaml(sheet.above, tire | _car(sheet, names))
+def _forzaeth(sheet: Sheet) -> dict[str, Any]:
+    tire = {key: list(one.values()) for key, one in sheet.by_axle("C_P").items()}
+    car = sheet.car("m=mass I_z=yaw_inertia l_f=l_f l_r=l_r l_wb=wheelbase h_cg=h_cg")
+    return {**tire, **car, "tire_model": "pacejka", "mu": 1.0}
 
 
-def _gymkhana_stp(sheet: Sheet) -> str:
-    tire = {
-        f"{name}_{axle}": fit.values[name]
-        for axle, fit in zip("fr", sheet.fits, strict=True)
-        for name in "BCDE"
-    }
-    names = {"m": "mass", "lf": "l_f", "lr": "l_r", "I_z": "yaw_inertia", "h_s": "h_cg"}
-    return _yaml(sheet.above, {"mu": 1.0, **tire, **_car(sheet, names)})
-
-
-def _forzaeth(sheet: Sheet) -> str:
-    tire = {
-        f"C_P{axle}": [fit.values[name] for name in "BCDE"]
-        for axle, fit in zip("fr", sheet.fits, strict=True)
-    }
-    names = {
-        "m": "mass", "I_z": "yaw_inertia", "l_f": "l_f", "l_r": "l_r",
-        "l_wb": "wheelbase", "h_cg": "h_cg",
-    }  # fmt: skip
-    head = {"tire_model": "pacejka", "mu": 1.0}
-    return _yaml(sheet.above, {**tire, **_car(sheet, names), **head})
-
-
-def _slipx(sheet: Sheet) -> str:
-    (axle,), values = sheet.axles, sheet.fits[0].values
-    length = axle.tire.relaxation
+def _slipx(sheet: Sheet) -> dict[str, Any]:
+    (axle,), values = sheet.axles, sheet.values
     compound, _, surface = sheet.path.stem.partition("_")
     version = {"schema_version": "0.2.0"}
-    provenance = {
-        # Its "identified" is for fits by its own tool, with an error of each parameter.
-        "label": "provisional",
-        "source": axle.tire.origin[:500],
-        "method": f"{sheet.above[0]}: {sheet.fits[0].sentence(SIGNS)}"[:2000],
-        "date": date.today().isoformat(),
-    }
-    content = {
+    slopes = {name: values[name] / axle.wheels for name in ("c_alpha", "c_kappa")}
+    length = axle.tire.relaxation
+    return {
         **version, "compound": compound, "surface": surface,
-        "nominal_load": values["nominal_load"] / axle.wheels,
-        "linear": {
-            name: values[name] / axle.wheels for name in ("c_alpha", "c_kappa")
-        },
+        "nominal_load": values["nominal_load"] / axle.wheels, "linear": slopes,
         "friction": {name: values[name] for name in ("mu_y0", "mu_x0", "k_mu")},
         "mf_lite": {name: values[name] for name in "CE"},
         **({"relaxation": {"sigma": length}} if length else {}),
-        "provenance": version | provenance,
+        "provenance": {
+            **version,
+            # Its "identified" is for fits by its own tool, with an error of each
+            # parameter.
+            "label": "provisional",
+            "source": axle.tire.origin[:500],
+            "method": f"{sheet.above[0]}: {sheet.fits[0].sentence(SIGNS)}"[:2000],
+            "date": date.today().isoformat(),
+        },
     }  # fmt: skip
-    return _yaml(sheet.above, content)
 
 
 _SLIPX_MOST = {
-    "nominal_load": 200.0,
-    "c_alpha": 2000.0,
-    "c_kappa": 5000.0,
-    "mu_x0": 3.0,
-}
+    "nominal_load": 200.0, "c_alpha": 2000.0, "c_kappa": 5000.0, "mu_x0": 3.0,
+}  # fmt: skip
 """Largest values of the schema of slipx 0.2.0, per tire."""
 
 
@@ -309,15 +252,13 @@ def _slipx_check(sheet: Sheet) -> None:
         reason = "SlipX reads compound and surface from the name of the file"
         remedy = "name it sponge_SURFACE.yaml or rubber_SURFACE.yaml"
         problems.append(InputProblem(reason, remedy, str(sheet.path)))
-    values = sheet.fits[0].values
     for name, most in _SLIPX_MOST.items():
-        value = values[name] / (1 if name == "mu_x0" else sheet.axles[0].wheels)
-        if value > most:
+        wheels = 1 if name == "mu_x0" else sheet.axles[0].wheels
+        if (value := sheet.values[name] / wheels) > most:
             reason = f"{name} is {value:.4g}, and SlipX allows up to {most:g}"
             remedy = "SlipX is for cars of 1:10: export to another target, see --list"
             problems.append(InputProblem(reason, remedy))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 _GAZEBO = """\
@@ -345,38 +286,40 @@ _GAZEBO = """\
 
 
 def _gazebo(sheet: Sheet) -> str:
-    (axle,), values = sheet.axles, dict(sheet.fits[0].values)
-    values["wheel_normal_force"] /= axle.wheels
-    radius = "RADIUS in m"
-    if sheet.vehicle is not None and sheet.vehicle.wheel_radius is not None:
-        radius = _number(sheet.vehicle.wheel_radius)
+    values = sheet.values | sheet.car("radius=wheel_radius")
+    values["wheel_normal_force"] /= sheet.axles[0].wheels
+    numbers = {name: _number(value) for name, value in values.items()}
     # No comment of XML may hold two hyphens.
     above = "\n".join(sheet.above).replace("--", "- -")
-    numbers = {name: _number(value) for name, value in values.items()}
-    return f"<!--\n{above}\n-->\n" + _GAZEBO.format(radius=radius, **numbers)
+    text = _GAZEBO.format(**{"radius": "RADIUS in m", **numbers})
+    return f"<!--\n{above}\n-->\n{text}"
 
 
-_REFITTED = "a Magic Formula of pure slip exactly; other models refitted"
+_EXACT = "a Magic Formula of pure slip exactly; other models refitted"
+_ONE, _TWO = f"{_EXACT}, one tire for all wheels", f"F_y of {_EXACT}, front and rear"
 
 PARAMETER_FILES: dict[str, ParameterFile] = {
     "commonroad": ParameterFile(
-        ".yaml", "parameters_tire.yaml of CommonRoad's STD and MB models",
-        f"{_REFITTED}, one tire for all wheels", COMMONROAD, _commonroad,
+        ".yaml", "parameters_tire.yaml of CommonRoad's STD and MB models", _ONE,
+        COMMONROAD,
+        lambda sheet: {"tire": sheet.values} | sheet.car(
+            "m=mass a=l_f b=l_r I_z=yaw_inertia h_s=h_cg h_cg=h_cg R_w=wheel_radius"
+        ),
         needs=("h_cg", "wheel_radius"),
     ),
     "gymkhana": ParameterFile(
         ".yaml", "parameters of Gym-Khana's STD and MB models, tire_p_cx1 and others",
-        f"{_REFITTED}, one tire for all wheels", COMMONROAD, _gymkhana,
+        _ONE, COMMONROAD,
+        lambda sheet: {f"tire_{name}": value for name, value in sheet.values.items()}
+        | sheet.car(f"{_CAR} R_w=wheel_radius"),
         needs=("h_cg", "wheel_radius"),
     ),
     "gymkhana-stp": ParameterFile(
-        ".yaml", "parameters of Gym-Khana's STP model, B_f to E_r",
-        f"F_y of {_REFITTED}, front and rear",
-        PACEJKA, _gymkhana_stp, tires=2, needs=("h_cg",),
+        ".yaml", "parameters of Gym-Khana's STP model, B_f to E_r", _TWO, PACEJKA,
+        _gymkhana_stp, tires=2, needs=("h_cg",),
     ),
     "forzaeth": ParameterFile(
-        ".yaml", "ForzaETH's NAME_pacejka: C_Pf, C_Pr = [B, C, D, E] and the car",
-        f"F_y of {_REFITTED}, front and rear",
+        ".yaml", "ForzaETH's NAME_pacejka: C_Pf, C_Pr = [B, C, D, E] and the car", _TWO,
         PACEJKA, _forzaeth, tires=2, needs=("h_cg",),
     ),
     "slipx": ParameterFile(

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
-from tirefit.models import TireInputs, forces, modelled
+from tirefit.models import TireInputs, forces
 from tirefit.results import InputProblem, UsageError
-from tirefit.slip import CONVENTIONS, sigma_from_kappa
+from tirefit.slip import sigma_from_kappa
 from tirefit.targets.code import compiled
 from tirefit.targets.formulas import Curves, Formula, magic_formula_of
-from tirefit.targets.program import Program, traced
-from tirefit.targets.tire import ALWAYS, INPUTS, UNITS, Tire, turned_range
+from tirefit.targets.loss import SPEED, grid_of
+from tirefit.targets.tire import UNITS, Tire, turned_range
 
 EXACT = 1e-9
 """Miss over load below which a formula holds a tire exactly."""
@@ -24,9 +24,6 @@ EXACT = 1e-9
 OTHER_LOADS = 0.75, 1.25
 """Shares of a load at which the miss is stated as well: with a track of 1.5 m and the
 centre of gravity 0.55 m high, a car shifts a quarter of a wheel's load at 0.34 g."""
-
-SPEED = 10.0
-"""Speed [m/s] at which a tire is refitted: the formulas have none."""
 
 _USUAL_SLIP = 0.2
 """Largest |kappa| and |alpha| [rad] of the refit where no range was measured."""
@@ -37,16 +34,37 @@ _NARROW = 0.01
 _LOCKED, _SPIN = 0.95, -2.0
 """Canonical kappa up to which a range is used: a locked wheel has no sigma_x."""
 
+_SHAPES = 1.4, 1.1, 1.9
+"""C from which a refit starts: that of a brush is 1.3. From the first alone, one of 60
+random Magic Formulas ended 120 % of F_z beside itself."""
+
 Ranges = Mapping[str, tuple[float, float]]
 """Canonical kappa, alpha [rad] and fz [N], least and largest."""
+
+
+class _Kind(NamedTuple):
+    """A kind of slip: its name, the forces that it compares, the slips that vary, and
+    how many of kappa and alpha a fit and its check compare."""
+
+    words: str
+    forces: tuple[str, ...]
+    slips: tuple[str, ...]
+    rough: tuple[int, int]
+    fine: tuple[int, int]
+
+
+_KINDS = {
+    "fx": _Kind("F_x of pure slip", ("fx",), ("kappa",), (81, 0), (201, 0)),
+    "fy": _Kind("F_y of pure slip", ("fy",), ("alpha",), (0, 81), (0, 201)),
+    "both": _Kind("combined slip", ("fx", "fy"), ("kappa", "alpha"), (9, 9), (31, 31)),
+}
 
 
 class Refit(NamedTuple):
     """A formula's parameters for a tire.
 
     Attributes:
-        formula: the formula.
-        values: its parameters.
+        values: the parameters.
         ranges: where it was compared with the tire.
         miss: largest difference of a force over load, ``fx`` and ``fy`` of pure slip
             and ``both`` of combined slip; of those that the tire and the formula have.
@@ -56,7 +74,6 @@ class Refit(NamedTuple):
             were converted by formula.
     """
 
-    formula: Formula
     values: dict[str, float]
     ranges: Ranges
     miss: dict[str, float]
@@ -68,29 +85,20 @@ class Refit(NamedTuple):
         """The largest miss, over load, of the forces that were refitted."""
         return max([self.miss[key] for key in self.refitted], default=0.0)
 
-    def program(self, convention: str) -> Program:
-        """The formula with these values as a program in a sign convention."""
-        return _program(self.formula, self.values, convention)
-
     def sentence(self, convention: str) -> str:
         """The largest misses and where, in words."""
         exact = [k for k, miss in self.miss.items() if miss < EXACT]
-        told = [f"{_NAMES[k]} exactly, by formula" for k in exact]
-        for key, miss in self.miss.items():
-            if key not in exact:
-                how = "refitted" if key in self.refitted else "by formula"
-                told.append(
-                    f"{_NAMES[key]} {how}: largest miss {percent(miss)} % of F_z"
-                )
-        where = []
-        seen = {"fx": {"kappa"}, "fy": {"alpha"}, "both": {"kappa", "alpha"}}
-        used = set().union({"fz"}, *(seen[kind] for kind in self.miss))
+        told = [f"{_KINDS[k].words} exactly, by formula" for k in exact]
+        for kind in [k for k in self.miss if k not in exact]:
+            how = "refitted" if kind in self.refitted else "by formula"
+            size = f"largest miss {percent(self.miss[kind])} % of F_z"
+            told.append(f"{_KINDS[kind].words} {how}: {size}")
+        used, where = {"fz"}.union(*(_KINDS[kind].slips for kind in self.miss)), []
         for name, (low, high) in turned_range(self.ranges, convention).items():
-            if name not in used:
-                continue
-            unit = f" {UNITS[name]}" if UNITS[name] != "-" else ""
-            ends = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-            where.append(f"{name} {ends}{unit}")
+            if name in used:
+                unit = f" {UNITS[name]}".removesuffix(" -")
+                ends = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
+                where.append(f"{name} {ends}{unit}")
         return f"{'; '.join(told)}; over {', '.join(where)} ({convention})"
 
     def other_loads(self) -> list[str]:
@@ -104,23 +112,6 @@ class Refit(NamedTuple):
         ]
 
 
-def _program(formula: Formula, values, convention: str) -> Program:
-    signs = CONVENTIONS[convention]
-
-    def function(kappa, alpha, fz):
-        at = signs.slip * kappa, signs.alpha * alpha, signs.fz * fz
-        found = formula.canonical(values, *at)
-        pairs = zip(formula.outputs, found, strict=True)
-        return tuple(getattr(signs, name) * force for name, force in pairs)
-
-    return traced(function, INPUTS[:ALWAYS], formula.outputs)
-
-
-_NAMES = {
-    "fx": "F_x of pure slip", "fy": "F_y of pure slip", "both": "combined slip",
-}  # fmt: skip
-
-
 def percent(share: float) -> str:
     """A share in percent, rounded up to two digits."""
     size = 10.0 ** (math.floor(math.log10(100 * share)) - 1)
@@ -128,19 +119,15 @@ def percent(share: float) -> str:
 
 
 def ranges_of(tire: Tire, over: Ranges, static: bool = False) -> Ranges:
-    """Where a formula is compared with a tire, in canonical signs.
+    """Where a formula is compared with a tire, in canonical signs: what was measured;
+    usual slips and the tire's load where nothing was.
 
     Args:
         over: ranges that replace those of the tire.
         static: whether the load of the tire is that of a car, whatever was measured.
-
-    Returns:
-        What was measured; usual slips and the tire's load where nothing was.
     """
-    found = {
-        "kappa": (-_USUAL_SLIP, _USUAL_SLIP), "alpha": (-_USUAL_SLIP, _USUAL_SLIP),
-        "fz": (tire.load, tire.load),
-    }  # fmt: skip
+    found = dict.fromkeys(("kappa", "alpha"), (-_USUAL_SLIP, _USUAL_SLIP))
+    found["fz"] = tire.load, tire.load
     for name in ("kappa", "alpha", *([] if static else ["fz"])):
         low, high = tire.measured.get(name, (0.0, 0.0))
         if high - low > _NARROW or name == "fz" and high > 0:
@@ -156,13 +143,12 @@ def ranges_of(tire: Tire, over: Ranges, static: bool = False) -> Ranges:
 def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     """Fit a formula's parameters to the forces of a tire.
 
-    A Magic Formula is converted by formula; where that is not exact, and for other
-    tires, least squares determines the parameters: first those of the two pure slips,
-    each by its own force, then those of combined slip.
+    A Magic Formula is converted by formula. Where that is not exact, and for other
+    tires, least squares fits the parameters of each stage of the formula.
 
     Args:
-        tire: the tire; camber zero, nominal pressure, speed :data:`SPEED`. Its load is
-            the nominal load of the formula.
+        tire: upright, at nominal pressure and :data:`~tirefit.targets.loss.SPEED`. Its
+            load is the nominal load of the formula.
         formula: the formula.
         ranges: as from :func:`ranges_of`.
 
@@ -183,86 +169,67 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
         >>> found.largest < 0.02
         True
     """
-    has = [name for name in formula.outputs if name in modelled(tire.model)]
+    stages = formula.stages
+    has = [name for name in formula.outputs if name in tire.modelled]
     if not has:
         reason = f"{tire.name} has no {' or '.join(formula.outputs)} to be written"
         raise UsageError(InputProblem(reason, "export a tire that has"))
-    starts = [formula.start(curves) for curves in _curves(tire)]
-    values = dict(starts[0])
-    stages = dict(formula.stages)
     kinds = [*has, *(["both"] if len(has) == 2 else [])]
     kinds = [kind for kind in kinds if kind in stages or not stages]
-    rough = {kind: _grid(kind, ranges, 81, 9, 5) for kind in kinds}
-    fine = {kind: _grid(kind, ranges, 201, 31, 7) for kind in kinds}
+    pure = [kind for kind in has if kind in stages]
     low, high = ranges["fz"]
-    other = {"fz": (OTHER_LOADS[0] * low, OTHER_LOADS[1] * high)}
-    beyond = {
-        kind: _grid(kind, {**ranges, **other}, 201, 0, 2)
-        for kind in has if kind in stages
-    }  # fmt: skip
-    found = _forces(tire, [*rough.values(), *fine.values(), *beyond.values()])
+    wide = {**ranges, "fz": (OTHER_LOADS[0] * low, OTHER_LOADS[1] * high)}
+    every = [*kinds, *kinds, *pure]
+    grids = [grid_of(ranges, *_KINDS[kind].rough, 5) for kind in kinds]
+    grids += [grid_of(ranges, *_KINDS[kind].fine, 7) for kind in kinds]
+    grids += [grid_of(wide, *_KINDS[kind].fine, 2) for kind in pure]
+    found = _forces(tire, every, grids)
     if not all(np.isfinite(one).all() for one in found):
         reason = f"a force of {tire.name} is not finite within the range of the refit"
         raise UsageError(InputProblem(reason, "narrow it, as with --over fz=LOW:HIGH"))
-    wanted = dict(zip(kinds, found, strict=False))
-    fitted = []
-    for kind, names in formula.stages:
-        if kind in kinds:
-            at = rough[kind], wanted[kind][_rows(kind)]
-            if low == high:
-                names = tuple(name for name in names if name not in formula.of_load)
-            if _largest(formula, values, kind, *at) > EXACT:
-                values |= _solved(formula, values, starts, kind, names, *at)
-                fitted.append(kind)
-    grids = [*fine.items(), *beyond.items()]
-    misses = [
-        _largest(formula, values, kind, grid, one[_rows(kind)])
-        for (kind, grid), one in zip(grids, found[len(kinds) :], strict=True)
-    ]
+    cases = list(zip(every, grids, found, strict=True))
+    starts = [formula.start(curves) for curves in _curves(tire)]
+    values, fitted = dict(starts[0]), []
+    rough = {kind: case for kind, *case in cases[: len(kinds)]}
+    for kind in [kind for kind in stages if kind in kinds]:
+        if _miss(formula, values, kind, *rough[kind]) > EXACT:
+            lost = formula.of_load if low == high else ()
+            names = tuple(name for name in stages[kind] if name not in lost)
+            values |= _solved(formula, values, starts, kind, names, *rough[kind])
+            fitted.append(kind)
+    misses = [_miss(formula, values, *case) for case in cases[len(kinds) :]]
     miss = dict(zip(kinds, misses, strict=False))
     loads = max(misses[len(kinds) :], default=None) if low == high else None
-    return Refit(formula, values, ranges, miss, loads, tuple(fitted))
+    return Refit(values, ranges, miss, loads, tuple(fitted))
 
 
-def _rows(kind: str) -> slice:
-    """Places of the forces that a kind of slip compares."""
-    return {"fx": slice(0, 1), "fy": slice(1, 2), "both": slice(0, 2)}[kind]
-
-
-def _grid(kind: str, ranges: Ranges, pure: int, both: int, loads: int) -> np.ndarray:
-    """Canonical kappa, alpha and load (3, n)."""
-    count = {"kappa": both, "alpha": both}
-    if kind != "both":
-        count = {"kappa": pure * (kind == "fx"), "alpha": pure * (kind == "fy")}
-    axes = [
-        np.linspace(*ranges[name], n) if n else np.zeros(1)
-        for name, n in (count | {"fz": loads}).items()
-    ]
-    return np.stack([one.ravel() for one in np.meshgrid(*axes, indexing="ij")])
-
-
-def _forces(tire: Tire, grids: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Canonical F_x and F_y of a tire over load (2, n) on each grid; zero where the
-    tire has none."""
+def _forces(tire: Tire, kinds: Sequence[str], grids) -> list[np.ndarray]:
+    """Canonical forces of a tire over load (rows, n) on each grid: those that its kind
+    of slip compares; zero where the tire has none."""
     kappa, alpha, fz = np.concatenate(grids, axis=1)
-    found = forces(tire.model, TireInputs(sigma_from_kappa(kappa), alpha, fz, SPEED))
-    both = np.zeros((2, len(fz)))
-    for k, force in enumerate((found.fx, found.fy)):
-        if force is not None:
-            both[k] = np.asarray(force) / fz
-    return np.split(both, np.cumsum([grid.shape[1] for grid in grids])[:-1], axis=1)
+    given = forces(tire.model, TireInputs(sigma_from_kappa(kappa), alpha, fz, SPEED))
+    ends, found = np.cumsum([grid.shape[1] for grid in grids])[:-1], {}
+    for name in ("fx", "fy"):
+        force = getattr(given, name)
+        share = np.zeros_like(fz) if force is None else np.asarray(force) / fz
+        found[name] = np.split(share, ends)
+    return [
+        np.stack([found[name][k] for name in _KINDS[kind].forces])
+        for k, kind in enumerate(kinds)
+    ]
 
 
-def _places(formula: Formula, kind: str) -> list[int]:
-    """Places of these forces among the outputs of a formula."""
-    return [formula.outputs.index(name) for name in ("fx", "fy")[_rows(kind)]]
+def _off(formula: Formula, kind: str, found, grid, wanted):
+    """Forces of a formula, less those of the tire, over load: a list of rows."""
+    places = [formula.outputs.index(name) for name in _KINDS[kind].forces]
+    return [found[k] / grid[2] - row for k, row in zip(places, wanted, strict=True)]
 
 
-def _largest(formula: Formula, values, kind: str, grid, wanted) -> float:
+def _miss(formula: Formula, values, kind: str, grid, wanted) -> float:
     """Largest miss, with the program that is checked, which needs no compiler."""
-    found = compiled(_program(formula, values, "braking"))(*grid)
-    got = np.stack([found[k] / grid[2] for k in _places(formula, kind)])
-    return float(np.max(np.linalg.norm(got - wanted, axis=0)))
+    found = compiled(formula.program(values, "braking"))(*grid)
+    off = _off(formula, kind, found, grid, wanted)
+    return float(np.max(np.linalg.norm(off, axis=0)))
 
 
 @cache
@@ -272,23 +239,22 @@ def _compiled(formula: Formula, kind: str, names: tuple[str, ...]):
     def residuals(z, others, grid, wanted):
         values = {**others, **{name: z[k] for k, name in enumerate(names)}}
         found = formula.canonical(values, *grid)
-        got = jnp.stack([found[k] / grid[2] for k in _places(formula, kind)])
-        return (got - wanted).ravel()
+        return jnp.concatenate(_off(formula, kind, found, grid, wanted))
 
     return jax.jit(residuals), jax.jit(jax.jacfwd(residuals))
 
 
-def _solved(formula, values, starts, kind, names, grid, wanted) -> dict[str, float]:
+def _solved(formula, values, starts, kind, names, *at) -> dict[str, float]:
     """Least squares of the parameters ``names``: the best from all starts."""
     residuals, jacobian = _compiled(formula, kind, names)
-    low, high = np.array([formula.bounds[name] for name in names]).T
+    low, high = np.array([formula.stages[kind][name] for name in names]).T
     # The solver starts within the bounds, not on them.
     edge = 1e-3 * (high - low)
     found = [
         least_squares(
-            lambda z: np.asarray(residuals(z, values, grid, wanted)),
+            lambda z: np.asarray(residuals(z, values, *at)),
             np.clip(start, low + edge, high - edge),
-            lambda z: np.asarray(jacobian(z, values, grid, wanted)),
+            lambda z: np.asarray(jacobian(z, values, *at)),
             bounds=(low, high),
             x_scale="jac",
         )
@@ -304,26 +270,19 @@ def _curves(tire: Tire) -> list[Curves]:
     slips = np.concatenate([[1e-4, -1e-4], np.linspace(0.01, 0.9, 90)])
     zero, load = np.zeros_like(slips), np.full_like(slips, tire.load)
     pure = [(slips, zero, load), *((zero, slips, k * load) for k in (1.0, 0.9, 1.1))]
-    found = _forces(tire, [np.stack(one) for one in pure])
-    along, across, less, more = (
-        _slope_and_peak(one[k]) for one, k in zip(found, (0, 1, 1, 1), strict=True)
-    )
+    found = _forces(tire, ("fx", "fy", "fy", "fy"), [np.stack(one) for one in pure])
+    along, across, less, more = (_slope_and_peak(one[0]) for one in found)
     fall = -np.log(more[1] / less[1]) / np.log(1.1 / 0.9)
     fall = float(np.clip(fall, 0.0, 1.0))
-    has = modelled(tire.model)
-    pair = along if "fx" in has else across, across if "fy" in has else along
+    along = along if "fx" in tire.modelled else across
+    across = across if "fy" in tire.modelled else along
     own = magic_formula_of(tire.model)
     weights = own[2] if own else {}
     begun = [Curves(own[0], own[1], tire.load, fall, weights)] if own else []
     for shape in _SHAPES:
-        x, y = ((k / (shape * peak), shape, peak, 0.0) for k, peak in pair)
+        x, y = ((k / (shape * top), shape, top, 0.0) for k, top in (along, across))
         begun.append(Curves(x, y, tire.load, fall, weights))
     return begun
-
-
-_SHAPES = 1.4, 1.1, 1.9
-"""C from which a refit starts: that of a brush is 1.3. From the first alone, one of 60
-random Magic Formulas ended 120 % of F_z beside itself."""
 
 
 def _slope_and_peak(force) -> tuple[float, float]:

@@ -1,19 +1,15 @@
 """A tire as a tire property file (``.tir``)."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
+from textwrap import wrap
 
 from tirefit.data.tir import new_tir, parse_tir, reduced_tir
 from tirefit.data.tir_file import TirFile
-from tirefit.data.tir_keys import LIMITS, ONLY_IN
-from tirefit.fitting.tir import (
-    TIR_SIGNS,
-    USUAL_SHARES,
-    USUAL_SLIP,
-    own_tire,
-    remarks,
-)
+from tirefit.data.tir_keys import LIMITS
+from tirefit.fitting.tir import TIR_SIGNS, USUAL_SHARES, USUAL_SLIP, own_tire, remarks
 from tirefit.models import AbstractTire
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire
 from tirefit.params import parameter_values, specs
@@ -44,11 +40,7 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
     """
     _check(model, wheel, ("radius",))
     own = tire.model if tire.bare is None else tire.bare
-    notes = [
-        note.replace("in the forces:", "not in this file:", 1)
-        if note.startswith("in the forces:") else note
-        for note in tire.notes
-    ]  # fmt: skip
+    notes = [re.sub("^in the forces:", "not in this file:", one) for one in tire.notes]
     if isinstance(own, MFTire):
         tir = tire.tir or new_file(replace(tire, model=own))
     else:
@@ -85,8 +77,7 @@ def _check(model: str | None, wheel: Mapping[str, float], keys) -> None:
         elif not 0 < value < math.inf:
             reason = f"--wheel {name}={value:g} is not positive"
             problems.append(InputProblem(reason, "give it in SI units"))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _reduced(
@@ -114,12 +105,8 @@ def new_file(tire: Tire) -> TirFile:
     model, known = tire.model, specs(tire.model)
     assert isinstance(model, MFTire)
     lost = {k for force in model.lacks for k in specs(getattr(model, _PARTS[force]))}
-    values = {
-        k: float(v) for k, v in parameter_values(model).items()
-        if ONLY_IN.get(k, model.version[0]) == model.version[0] and k not in lost
-    }  # fmt: skip
+    values = {k: v for k, v in parameter_values(model).items() if k not in lost}
     notes = {k: f"{known[k].meaning} +- {std:.3g}" for k, std in tire.spread.items()}
-    notes = {k: note for k, note in notes.items() if k in values}
     ranges = turned_range(tire.measured, TIR_SIGNS)
     ranges = {k: ends for k, ends in ranges.items() if k in LIMITS}
     return new_tir(model.version, values, ranges, notes)
@@ -139,12 +126,7 @@ def comments(lines) -> str:
     """Lines as comments of a ``.tir`` file, none longer than programs read."""
     short: list[str] = []
     for line in lines:
-        while len(line) > _WIDEST:
-            end = line.rfind(" ", 0, _WIDEST)
-            end = _WIDEST if end < 1 else end
-            short.append(line[:end])
-            line = f"  {line[end:].lstrip()}"
-        short.append(line)
+        short += wrap(line, _WIDEST, subsequent_indent="  ", break_on_hyphens=False)
     return "".join(f"$ {line}\n" for line in short)
 
 

@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
     Fit = FitResult | MagicFormulaFit | StoredFit
 
-    Source = AbstractTire | FitResult | MagicFormulaFit | StoredFit | str | os.PathLike
-
 INPUTS = ("kappa", "alpha", "fz", "v", "gamma", "pressure")
 """Arguments of an exported tire, in order: practical slip [-], slip angle [rad], load
 [N]; then, where they change a force, speed [m/s], camber [rad], pressure [Pa]."""
@@ -175,10 +173,9 @@ def turned_range(
     """Ranges of inputs from canonical signs to those of a convention, or back."""
     signs = CONVENTIONS[convention]
     found = {}
-    for name, ends in measured.items():
+    for name, (low, high) in measured.items():
         sign = getattr(signs, {"kappa": "slip"}.get(name, name), 1)
-        low, high = sorted(sign * end for end in ends)
-        found[name] = low, high
+        found[name] = (low, high) if sign > 0 else (-high, -low)
     return found
 
 
@@ -214,22 +211,16 @@ def _given(source, values: Mapping[str, float] | None) -> Tire:
             reason = "parameter values beside a fit, which has its own"
             raise UsageError(InputProblem(reason, "leave out --set, or name a model"))
         return _of_fit(source, text)
-    if isinstance(source, AbstractTire):
-        tire, name = source, type(source).__name__
-    else:
-        tire, name = _model(text), text
+    name = text or type(source).__name__
+    tire = source if isinstance(source, AbstractTire) else MODELS.get(name)
+    if tire is None:
+        from tirefit.fitting.problem import find_model
+
+        tire = find_model(name)
     check_values(tire, name, values or {})
     tire = with_values(tire, dict(values or {}))
     load = tire.nominal.FNOMIN if isinstance(tire, MFTire) else _USUAL_LOAD
     return Tire(tire, name, f"model {name}, no data", float(load))
-
-
-def _model(name: str) -> AbstractTire:
-    if name in MODELS:
-        return MODELS[name]
-    from tirefit.fitting.problem import find_model
-
-    return find_model(name)
 
 
 def _of_fit(source, path: str) -> Tire:
@@ -256,7 +247,7 @@ def _of_fit(source, path: str) -> Tire:
         for name, one in fitted.items()
         if one.get("std") and not one.get("fixed")
     }
-    ranges = {k: tuple(ends) for k, ends in data.get("range", {}).items()}
+    ranges = {k: (low, high) for k, (low, high) in data.get("range", {}).items()}
     if "sigma_x" in ranges:
         ranges["kappa"] = tuple(map(kappa_from_sigma, ranges.pop("sigma_x")))
     absent = [f for f in modelled(tire) if f not in content["forces"]]
@@ -267,11 +258,11 @@ def _of_fit(source, path: str) -> Tire:
 
 def _of_tir(path: str, values: Mapping[str, float]) -> Tire:
     tir = read_tir(path)
-    tire = own_tire(tir, values=values)
+    tire, numbers = own_tire(tir, values=values), tir.numbers
     stated = {
-        name: (tir.numbers[least], tir.numbers[most])
+        name: (numbers[least], numbers[most])
         for name, (least, most) in LIMITS.items()
-        if least in tir.numbers and most in tir.numbers
+        if least in numbers and most in numbers
     }
     return Tire(
         tire, f"MF {tir.version}",
@@ -287,10 +278,8 @@ def _with_effects(tire: Tire, diagnosis) -> Tire:
     from tirefit.diagnosis.extended import document_of, extend, read_document
     from tirefit.diagnosis.summary.result import Diagnosis
 
-    if isinstance(diagnosis, Diagnosis):
-        document = document_of(diagnosis.to_json())
-    else:
-        document = read_document(diagnosis)
+    known = isinstance(diagnosis, Diagnosis)
+    document = document_of(diagnosis.to_json()) if known else read_document(diagnosis)
     require_x64("an export")
     report = extend(
         tire.model, tire.name, document,

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from tirefit.data.tir import new_tir, write_tir
 from tirefit.data.tir_file import TirFile
-from tirefit.data.tir_keys import ONLY_IN
 from tirefit.files import write_text_atomic
 from tirefit.fitting.mf.parts import VERSIONS
 from tirefit.fitting.mf.result import MagicFormulaFit
@@ -31,13 +30,8 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
         other = " or borrowed" if "borrowed" in of else ""
         said = f"not fitted: {', '.join(sorted(missing))}; values of priors{other}"
         comment.append(said)
-    values = parameter_values(fit.tire)
     lost = {k for k, one in fit.coefficients.items() if one.part in fit.tire.lacks}
-    values = {
-        k: v
-        for k, v in values.items()
-        if ONLY_IN.get(k, version[0]) == version[0] and k not in lost
-    }
+    values = {k: v for k, v in parameter_values(fit.tire).items() if k not in lost}
     return new_tir(version, values, fit.ranges, notes, comment)
 
 
