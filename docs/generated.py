@@ -5,12 +5,11 @@ from pathlib import Path
 
 import effect_pages
 import typer
-from tirefit.report.method_tables import methods_table
 
 import tirefit
 from tirefit.cli.commands import app
 from tirefit.models import MODELS
-from tirefit.report.model_tables import models_table
+from tirefit.report.model_tables import methods_table, models_table
 
 MARKER = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
 

@@ -1,8 +1,10 @@
 """The exported JAX program, loaded in a process without tirefit."""
 
+import base64
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -63,3 +65,13 @@ def test_a_process_without_tirefit_has_our_forces_and_slopes(source, tmp_path):
         return -tire(TireInputs(slip, angle, LOAD, 12.0, 0.03, 2.1e5)).fy
 
     assert slope == pytest.approx(float(jax.grad(fy)(0.02)), rel=1e-10)
+
+
+def test_the_file_names_no_file_of_this_machine(tmp_path):
+    tirefit.export("brush", "jax", tmp_path / "tire.py")
+    text = (tmp_path / "tire.py").read_text()
+    program = text.split('"""')[1]
+    content = base64.b64decode("".join(program.split()))
+    assert len(content) > 1000
+    for folder in (Path.cwd(), Path(tirefit.__file__).parent, sys.prefix):
+        assert str(folder).encode() not in content

@@ -145,7 +145,8 @@ def export(
             None with ``front`` or ``rear``.
         target: a key of :data:`TARGETS`.
         path: the file to write.
-        front, rear: tires of the axles, in place of ``source``.
+        front: tire of the front axle; it and ``rear`` take the place of ``source``.
+        rear: tire of the rear axle.
         vehicle: a ``vehicle.toml``, for targets that hold a car.
         over: kappa, alpha [rad] and fz [N] of a refit, least and largest, in the signs
             of iso-w; what was measured by default.

@@ -2,6 +2,8 @@
 
 import base64
 import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +39,18 @@ def {name}({inputs}):
 '''
 
 
+@contextmanager
+def _without_paths() -> Iterator[None]:
+    """Leaves the names of this machine's files out of a program's source locations."""
+    option = "jax_hlo_source_file_canonicalization_regex"
+    before = getattr(jax.config, option)
+    jax.config.update(option, ".*")
+    try:
+        yield
+    finally:
+        jax.config.update(option, before)
+
+
 def jax_source(draft: Draft) -> str:
     """A Python module with a function of arrays; it needs JAX alone."""
     names, (forces, _) = draft.forces.inputs, draft.tire.function(draft.convention)
@@ -48,8 +62,9 @@ def jax_source(draft: Draft) -> str:
 
     shape = export.symbolic_shape("n")
     arrays = [jax.ShapeDtypeStruct(shape, jnp.float64)] * len(names)
-    program = export.export(jax.jit(jax.vmap(one)), platforms=_PLATFORMS)(*arrays)
-    text = base64.b64encode(program.serialize(vjp_order=1)).decode()
+    with _without_paths():
+        program = export.export(jax.jit(jax.vmap(one)), platforms=_PLATFORMS)(*arrays)
+        text = base64.b64encode(program.serialize(vjp_order=1)).decode()
     above = [*draft.above, f"StableHLO of jax {jax.__version__}, for {_PLATFORMS}"]
     loader = _LOADER.format(
         program="\n".join(textwrap.wrap(text, 88)), name=draft.name,

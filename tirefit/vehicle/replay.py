@@ -167,8 +167,9 @@ def replay(
     Args:
         logs: vehicle logs, as for :func:`tirefit.derive_files`.
         vehicle: a vehicle or its ``vehicle.toml``, with a steering map.
-        front, rear: the tire of each axle, at the load of the axle: a fit, a
-            ``fit.json``, a tire, or the name of a model.
+        front: tire of the front axle, at the load of the axle: a fit, a ``fit.json``, a
+            tire, or the name of a model.
+        rear: likewise, of the rear axle.
         horizons: times [s] after a start at which the prediction is compared.
         steering_delay: time [s] by which the wheels follow the logged steering.
         seed: of the draws of the tires' parameters.
