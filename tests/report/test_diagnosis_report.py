@@ -1241,3 +1241,11 @@ def test_an_offset_is_told_in_the_signs_of_the_file_too():
     assert "0.0060 ± 0.0010 of slip (-0.006 of slip in the file's signs" in flat(found)
     braking = replace(found.data, convention="braking")
     assert "in the file's signs" not in flat(replace(found, data=braking))
+
+
+def test_a_model_that_explains_next_to_nothing_is_doubted():
+    found = diagnosis()
+    assert "warning: brush explains" not in str(found)
+    none = {name: 0 * values for name, values in found.rows["fx"].items()}
+    poor = flat(replace(found, rows={"fx": none}))
+    assert "warning: brush explains 0% of the mean square of F_x: check columns" in poor

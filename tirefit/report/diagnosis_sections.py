@@ -4,8 +4,11 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
+import numpy as np
+
 from tirefit.diagnosis.decide.remainder import LEAST_P, LEVEL
 from tirefit.diagnosis.left_out import AS_GIVEN, NOISE, SMOOTH, Step
+from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.records import (
     Amplitude,
@@ -44,6 +47,7 @@ _OF_SIGNS = ("signs read as", "sign convention declared", "warning: the simulato
 _BEYOND = 1.5
 """Noise over the stated noise from which the report says how many times that it is."""
 
+_HALF = 0.5  # share of a mean square below which the base model is doubted
 _MOST_STEPS = 3  # measurements that the first screen proposes, at most
 
 _TELLS_MORE = 0.1
@@ -155,9 +159,24 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
     if noise.excess > _BEYOND:
         yield f"the noise is {noise.excess:.2g} times what is stated"
     yield from (s for s in data.assumptions if any(part in s for part in _OF_SIGNS))
+    yield from _hardly_a_model(result)
     check = result.slip_check
     if check is not None and check.fits != check.read_as:
         yield slip_check_line(check)
+
+
+def _hardly_a_model(result: Diagnosis) -> Iterator[str]:
+    """A warning where the base explains less than half of a force's mean square."""
+    for channel, forces in result.rows.items():
+        force = np.asarray(result.table[channel])
+        missed = np.nanmean((force - forces["base"]) ** 2)
+        explained = 1 - missed / max(np.nanmean(force**2), NONZERO)
+        if explained < _HALF:
+            yield (
+                f"warning: {result.model} explains {max(explained, 0.0):.0%} of the mean"
+                f" square of {channel_name(channel)}: check columns, units and signs"
+                " before you read on"
+            )
 
 
 def foot_line(result: Diagnosis) -> str:
