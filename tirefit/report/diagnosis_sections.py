@@ -173,9 +173,9 @@ def _hardly_a_model(result: Diagnosis) -> Iterator[str]:
         explained = 1 - missed / max(np.nanmean(force**2), NONZERO)
         if explained < _HALF:
             yield (
-                f"warning: {result.model} explains {max(explained, 0.0):.0%} of the mean"
-                f" square of {channel_name(channel)}: check columns, units and signs"
-                " before you read on"
+                f"warning: {result.model} explains {max(explained, 0.0):.0%} of the"
+                f" mean square of {channel_name(channel)}: check columns, units and"
+                " signs before you read on"
             )
 
 
