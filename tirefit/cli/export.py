@@ -1,5 +1,6 @@
 """``tirefit export``: a fitted tire as a file of another program."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -117,12 +118,13 @@ def _ranges(items: list[str] | None, problems: list[InputProblem]):
         low, _, high = text.partition(":")
         try:
             ends = float(low), float(high)
-            usable = name in RANGES and ends[0] <= ends[1]
+            usable = name in RANGES and -math.inf < ends[0] <= ends[1] < math.inf
+            usable &= name != "fz" or ends[0] > 0
         except ValueError:
             usable = False
         if usable:
             found[name] = ends
         else:
-            remedy = f"give {', '.join(RANGES)} as NAME=LOW:HIGH"
-            problems.append(InputProblem(f"--over {name}={text}", remedy))
+            remedy = f"give {', '.join(RANGES)} as NAME=LOW:HIGH, fz above zero"
+            problems.append(InputProblem(f"--over {name}={text} is no range", remedy))
     return found

@@ -16,7 +16,13 @@ from tirefit.models import TireInputs, forces
 from tirefit.models.mf import WEIGHTS, MFTire, frictions
 from tirefit.results import InputProblem, UsageError
 from tirefit.targets.code import Draft
-from tirefit.targets.tir import head_of, held_as_tir, new_file, tir_source
+from tirefit.targets.tir import (
+    head_of,
+    held_as_tir,
+    new_file,
+    tir_source,
+    wheel_problems,
+)
 from tirefit.targets.tire import Tire
 
 _VERSION = "mf52"
@@ -55,7 +61,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
         UsageError: another version, a value of the wheel that is missing, or a tire
             that no ``.tir`` holds.
     """
-    problems = []
+    problems = wheel_problems(wheel, (*_WHEEL, "friction", "radius"))
     if model not in (None, _VERSION):
         reason = f"--model {model} with --to chrono, which reads {_VERSION} alone"
         problems.append(InputProblem(reason, "leave it out"))
@@ -139,6 +145,7 @@ def _limited(model: MFTire, load: float) -> list[str]:
             * _SMALL
             / np.abs(more - less)
         )
+        most = np.abs(most)
         lost = np.max(np.abs(share(slips) - share(np.clip(slips, -most, most))), 0)
         missed.append((float(lost.max()), name, float(most[lost.argmax()])))
     size, name, most = max(missed)

@@ -37,9 +37,13 @@ MARK = "written by tirefit export"
 _TAKEN = frozenset(
     "auto case char const default do double enum extern float goto inline int long"
     " register restrict short signed sizeof static struct switch typedef union unsigned"
-    " void volatile np ca jax jnp base64 sysid_parameters".split()
+    " void volatile np ca jax jnp base64 sysid_parameters main _Bool _Complex"
+    " _Imaginary tirefit_real acos asin atan atan2 ceil cos cosh erf exp expm1 fabs"
+    " floor fmax fmin fmod hypot log log1p log10 pow round sin sinh sqrt tan tanh"
+    " trunc".split()
 )
-"""Words of C that are none of Python, and other names in the Python files."""
+"""Words of C that are none of Python, functions of its math.h, and other names in the
+exported files."""
 
 
 class Target(NamedTuple):

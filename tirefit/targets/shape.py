@@ -20,6 +20,9 @@ _JUMP = 0.01
 _SQUARE = 1.05
 """Resultant over the ellipse of the pure forces from which a tire is square."""
 
+_PLATEAU = 0.999
+"""Share of the largest force from which the peak is reached."""
+
 _SLIPS = np.linspace(-0.99, 0.99, 397)
 _ANGLES = np.linspace(-1.2, 1.2, 241)
 _FEW = _SLIPS[::4, None], _ANGLES[::4]
@@ -110,7 +113,9 @@ def _peaks(at: Callable, names, load, most) -> tuple[str, bool]:
             f = np.abs(at(**{slip: grid}, fz=fz)[name]) / fz
             place = int(np.argmax(f))
             sound &= bool(np.isfinite(f).all() and f[place] < 5)
-            each.append(f"{f[place]:.3g} F_z at {abs(grid[place]):.2g}")
+            # On a plateau the peak is where it begins.
+            first = np.abs(grid)[f >= _PLATEAU * f[place]].min(initial=np.inf)
+            each.append(f"{f[place]:.3g} F_z at {first:.2g}")
         told.append(f"{name} {each[0]} (twice the largest load: {each[1]})")
     return "peak: " + "; ".join(told), sound
 

@@ -65,11 +65,17 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
 
 
 def _check(model: str | None, wheel: Mapping[str, float], keys) -> None:
-    problems = []
+    problems = wheel_problems(wheel, keys)
     if model is not None and model not in MAGIC_FORMULAS:
         known = ", ".join(MAGIC_FORMULAS)
         remedy = f"{did_you_mean(model, MAGIC_FORMULAS)}valid: {known}"
         problems.append(InputProblem(f"--model: {model!r} is not known", remedy))
+    UsageError.raise_for(problems)
+
+
+def wheel_problems(wheel: Mapping[str, float], keys) -> list[InputProblem]:
+    """What is wrong with the values of a wheel, of which these keys are known."""
+    problems = []
     for name, value in wheel.items():
         if name not in keys:
             remedy = f"{did_you_mean(name, keys)}valid: {', '.join(keys)}"
@@ -77,7 +83,7 @@ def _check(model: str | None, wheel: Mapping[str, float], keys) -> None:
         elif not 0 < value < math.inf:
             reason = f"--wheel {name}={value:g} is not positive"
             problems.append(InputProblem(reason, "give it in SI units"))
-    UsageError.raise_for(problems)
+    return problems
 
 
 def _reduced(

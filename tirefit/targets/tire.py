@@ -285,8 +285,14 @@ def _with_effects(tire: Tire, diagnosis) -> Tire:
         tire.model, tire.name, document,
         lambda model: _exportable(replace(tire, model=model)).model,
     )  # fmt: skip
-    own = document.extended_parameters
+    own, before = document.extended_parameters, parameter_values(tire.model)
     notes = _exportable(tire).notes + report.sentences
+    far = [k for k, x in own.items() if abs(x - before[k]) > abs(before[k])]
+    if far:
+        changes = ", ".join(f"{k} {before[k]:.4g} to {own[k]:.4g}" for k in far)
+        notes = (
+            f"warning: the diagnosis changes {changes}: is it of this tire?", *notes,
+        )  # fmt: skip
     if tire.spread:
         changed = ", ".join(own)
         notes += (f"{changed}: estimates beside the effects, without standard error",)
