@@ -626,8 +626,11 @@ def test_resume_knows_the_simulator(run, tmp_path, monkeypatch):
 
 
 WRONG = {
-    "sim and set": (["--sim", "--set", "mu=0.9"], "--sim with --set"),
-    "sim and file": (["--sim", "--model", "a.tir"], "--sim with --model a.tir"),
+    "sim and set": (["--sim", "--set", "mu=0.9"], "--sim together with --set"),
+    "sim and file": (
+        ["--sim", "--model", "a.tir"],
+        "--sim together with --model a.tir",
+    ),
     "no such parameter": (["--set", "nu=1"], "no parameter 'nu'"),
     "model": (["--model", "brsh"], "did you mean"),
     "effect": (["--without", "slip_ofset"], "known effects"),

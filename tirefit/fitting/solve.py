@@ -98,15 +98,18 @@ def with_scale(
     for slip, std in rows.slip_std.items():
         forces = [c.name for c in problem.channels if c.slip == slip]
         force_std = min(float(np.median(problem.used(scale[k]))) for k in forces)
-        # A power of sqrt(2), rounded up, so that few shapes are compiled.
-        power = np.log2(max(slope * float(np.max(std)) / force_std, 1.0))
-        steep = float(2 ** (np.ceil(2 * power) / 2))
+        steep = _bucket(slope * float(np.max(std)) / force_std)
         # A padded row is the first one again: it has nodes like any other.
         values = np.asarray(getattr(rows.inputs, slip))
         nodes[slip] = SlipNodes(
             *latent_nodes(values, np.asarray(std), slip_density[slip], steep)
         )
     return problem.with_rows(scale=scale, nodes=nodes)
+
+
+def _bucket(steepness: float) -> float:
+    """Round up to a power of sqrt(2), so that few shapes are compiled."""
+    return float(2 ** (np.ceil(2 * np.log2(max(steepness, 1.0))) / 2))
 
 
 def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
