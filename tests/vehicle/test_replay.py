@@ -11,6 +11,7 @@ from test_car import GRAVITY, INERTIA, L_F, L_R, MASS, TIRES, slopes
 
 import tirefit
 from tirefit.models import Brush
+from tirefit.report.replay import replay_text
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle.replay import HORIZONS, QUANTITIES, replay
 
@@ -154,3 +155,11 @@ def test_a_tire_without_a_steady_lateral_force_is_refused(drive):
     given = [drive / "exact.csv"], drive / "vehicle.toml"
     with pytest.raises(UsageError, match="brush-relaxation has no lateral force in"):
         replay(*given, FRONT, "brush-relaxation")
+
+
+def test_a_horizon_that_no_stretch_reaches_has_no_number(drive):
+    log, toml = drive / "exact.csv", drive / "vehicle.toml"
+    found = replay([log], toml, FRONT, REAR, horizons=(0.1, 60.0))
+    assert found.windows[1] == 0 and found.models["tire"].rms()["heading"][1] is None
+    assert "0.1 s ahead the car on these tires" in replay_text(found)
+    json.loads(found.to_json(), parse_constant=pytest.fail)  # no NaN

@@ -23,7 +23,8 @@ _SHOWN = 40
 
 def answer(result: Replay) -> str:
     """How far the car is off, and how far the baselines are."""
-    place = int(np.argmin([abs(h - _AHEAD) for h in result.horizons]))
+    reached = result.horizons[: sum(count > 0 for count in result.windows)]
+    place = int(np.argmin([abs(h - _AHEAD) for h in reached]))
     rms = {name: errors.rms() for name, errors in result.models.items()}
 
     def size(model, quantity):

@@ -101,7 +101,7 @@ class Replay:
     horizons: tuple[float, ...]
     windows: tuple[int, ...]
     models: Mapping[str, Errors]
-    held: Mapping[str, list[float]]
+    held: Mapping[str, list[float | None]]
     paths: Mapping[str, Fans]
     notes: tuple[str, ...]
 
@@ -446,7 +446,10 @@ def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, seed: int
         missed = np.stack([errors.of[name] for errors in each])
         inside = np.abs(missed.mean(axis=0)) <= _NORMAL_95 * missed.std(axis=0)
         there = np.isfinite(missed[0])
-        held[name] = [float(inside[t, k].mean()) for k, t in enumerate(there.T)]
+        held[name] = [
+            float(inside[t, k].mean()) if t.any() else None
+            for k, t in enumerate(there.T)
+        ]
     return held
 
 
