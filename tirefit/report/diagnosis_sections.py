@@ -11,7 +11,6 @@ from tirefit.diagnosis.left_out import AS_GIVEN, NOISE, SMOOTH, Step
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.records import (
-    Amplitude,
     Each,
     NextMeasurement,
     Shrinkage,
@@ -25,9 +24,9 @@ from tirefit.report.diagnosis_budget import (
     stand_in_line,
 )
 from tirefit.report.diagnosis_words import (
-    amount_text,
     amplitude_text,
     closed_text,
+    in_the_file,
     listing,
     look_text,
     name_of,
@@ -39,7 +38,6 @@ from tirefit.report.diagnosis_words import (
 )
 from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number
-from tirefit.slip import CONVENTIONS
 
 _OF_SIGNS = ("signs read as", "sign convention declared", "warning: the simulator")
 """Parts of the notes on the signs of the data, or of a simulator."""
@@ -302,7 +300,7 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
     for effect in (*verdict.effects, *verdict.also_possible):
         named, means = effect in verdict.effects, words_on(effect, result.library)
         amounts = [
-            amplitude_text(amplitude) + _in_the_file(result, amplitude)
+            amplitude_text(amplitude) + in_the_file(result, amplitude)
             for name, amplitude in parameters.items()
             if name.startswith(f"{effect}: ")
         ]
@@ -314,17 +312,6 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
             yield f"    {means[0]}" + (f"; to do: {means[1]}" if named else "")
     if verdict.names_an_effect and result.simulator:
         yield "amplitudes are measurement minus simulator: the fault may be in either"
-
-
-def _in_the_file(result: Diagnosis, amplitude: Amplitude) -> str:
-    """The amplitude of a slip or a force in the file's signs, where these differ."""
-    channel, signs = result.data.channels[0], CONVENTIONS[result.data.convention]
-    kinds = {"of slip": "slip" if channel == "fx" else "alpha", "F_z": channel}
-    kind = next((kind for of, kind in kinds.items() if of in amplitude.unit), None)
-    if getattr(signs, kind or "", 1) > 0:
-        return ""
-    text = amount_text(-amplitude.value, None, amplitude.unit)
-    return f" ({text} in the file's signs, {result.data.convention})"
 
 
 def _each_text(each: Each) -> str:

@@ -11,6 +11,7 @@ from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.records import Amplitude, Region, Spot, Untestable
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.numbers import format_estimate, format_number
+from tirefit.slip import CONVENTIONS
 
 _NEEDS = {
     "loads": "more than one load",
@@ -194,6 +195,17 @@ def amplitude_text(amplitude: Amplitude) -> str:
     """``value ± std unit``, and the formula that it is of where there are several."""
     text = amount_text(amplitude.value, amplitude.std, amplitude.unit)
     return f"{text}, {amplitude.formula}" if amplitude.formula else text
+
+
+def in_the_file(result: Diagnosis, amplitude: Amplitude) -> str:
+    """The amplitude of a slip or a force in the file's signs, where these differ."""
+    channel, signs = result.data.channels[0], CONVENTIONS[result.data.convention]
+    kinds = {"of slip": "slip" if channel == "fx" else "alpha", "F_z": channel}
+    kind = next((kind for of, kind in kinds.items() if of in amplitude.unit), None)
+    if getattr(signs, kind or "", 1) > 0:
+        return ""
+    text = amount_text(-amplitude.value, None, amplitude.unit)
+    return f" ({text} in the file's signs, {result.data.convention})"
 
 
 _THOUSANDTH = "1e-3 "  # how the unit of a share of something begins
