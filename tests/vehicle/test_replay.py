@@ -163,3 +163,16 @@ def test_a_horizon_that_no_stretch_reaches_has_no_number(drive):
     assert found.windows[1] == 0 and found.models["tire"].rms()["heading"][1] is None
     assert "0.1 s ahead the car on these tires" in replay_text(found)
     json.loads(found.to_json(), parse_constant=pytest.fail)  # no NaN
+
+
+def test_all_that_is_wrong_with_a_replay_is_told_at_once(drive):
+    toml, missing = drive / "vehicle.toml", drive / "missing.csv"
+    with pytest.raises(UsageError, match="(?s)delay of -1 s.*horizons 2, 1 do not"):
+        replay([missing], toml, FRONT, REAR, horizons=(2, 1), steering_delay=-1.0)
+    with pytest.raises(UsageError, match="two logs are named 'exact'"):
+        replay([drive / "exact.csv"] * 2, toml, FRONT, REAR)
+    with pytest.raises(UsageError, match="no log given"):
+        replay([], toml, FRONT, REAR)
+    with pytest.raises(DataError) as error:
+        replay([missing, drive / "other.csv"], toml, FRONT, REAR)
+    assert len(error.value.problems) == 2

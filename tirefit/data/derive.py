@@ -183,7 +183,7 @@ def derive(
     columns = {name: values[kept] for name, values in columns.items()}
     heading, zero = zero_of_alpha(vehicle, axle, alpha, force)
     return DerivedLog(
-        name=_run_name(file),
+        name=run_name(file),
         columns=columns,
         rows=track.rows,
         dropped_rows=track.dropped,
@@ -422,8 +422,21 @@ def _counts(counts: Mapping[str, int]) -> str:
     return ", ".join(counted) or "none"
 
 
-def _run_name(path: Place) -> str:
+def run_name(path: Place) -> str:
+    """The name of the run of a log: that of its file."""
     return path.name.removesuffix(".gz").removesuffix(".csv")
+
+
+def name_problems(paths: Sequence[str | Place]) -> list[InputProblem]:
+    """That there is no log, or that two logs have one name."""
+    names = [run_name(file_at(path)) for path in paths]
+    if not names:
+        return [InputProblem("no log given", "name at least one")]
+    remedy = "rename one: the name is the run"
+    return [
+        InputProblem(f"two logs are named {name!r}", remedy)
+        for name in sorted({name for name in names if names.count(name) > 1})
+    ]
 
 
 def _check_names(
@@ -434,13 +447,5 @@ def _check_names(
     given = [str(path) for path in (*paths, vehicle_toml)]
     out, beside = made
     problems = output_problems(out, given, ".csv") or output_problems(beside, given)
-    names = [_run_name(file_at(path)) for path in paths]
-    if not names:
-        problems.append(InputProblem("no log given", "name at least one"))
-    for name in sorted({name for name in names if names.count(name) > 1}):
-        problems.append(
-            InputProblem(
-                f"two logs are named {name!r}", "rename one: the name is the run"
-            )
-        )
+    problems += name_problems(paths)
     UsageError.raise_for(problems)

@@ -57,8 +57,9 @@ def replay_text(result: Replay) -> str:
     lines += table(rows, tuple(range(2, len(rows[0]))))
     if result.held:
         each = ", ".join(
-            f"{_NAMES[name]} {100 * shares[0]:.0f} %"
-            for name, shares in result.held.items()
+            f"{_NAMES[name]} {share:.0%}"
+            for name, (share, *_) in result.held.items()
+            if share is not None
         )
         lines += _wrapped(
             "the 95 % band of the tires' parameters holds, of the measured values"

@@ -13,6 +13,7 @@ angles, in the axes of ISO 8855 (x forward, y left, yaw counter-clockwise),
 for the forces, are those of :mod:`tirefit.data.derive`.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -20,7 +21,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from tirefit.data.vehicle import Vehicle
 from tirefit.models import AbstractTire, TireInputs
+
+_STABLE, _MOST_PARTS = 0.5, 50
+"""Largest step of the integration over the car's shortest time constant; most steps
+from one sample to the next."""
 
 
 class Car(eqx.Module):
@@ -49,6 +55,16 @@ class Car(eqx.Module):
         return weight * self.l_r, weight * self.l_f
 
 
+def car_of(
+    vehicle: Vehicle, front: AbstractTire, rear: AbstractTire, inertia=1.0
+) -> Car:
+    """The car of a vehicle on two tires; ``inertia`` is a factor on its yaw inertia."""
+    return Car(
+        front, rear, vehicle.mass, inertia * vehicle.yaw_inertia, vehicle.l_f,
+        vehicle.l_r, vehicle.gravity,
+    )  # fmt: skip
+
+
 class State(NamedTuple):
     """What is predicted: speed to the left [m/s] of the centre of gravity, yaw rate
     [rad/s], heading [rad] and place [m]."""
@@ -74,6 +90,11 @@ def accelerations(car: Car, v_x, steering, v_y, yaw_rate):
     assert f is not None and r is not None  # axle_tire has checked it
     f = f * jnp.cos(steering)
     return -(f + r) / car.mass, -(car.l_f * f - car.l_r * r) / car.yaw_inertia
+
+
+def steps_a_sample(car: Car, slowest: float, rate: float) -> int:
+    """Steps of the integration from one sample to the next, at a rate [Hz]."""
+    return min(max(math.ceil(stiffest(car, slowest) / rate / _STABLE), 1), _MOST_PARTS)
 
 
 def stiffest(car: Car, slowest: float) -> float:

@@ -20,14 +20,26 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit import __version__
-from tirefit.data.motion import Motion, read_motion, road_wheel
-from tirefit.data.remote import file_at
-from tirefit.data.vehicle import Vehicle, load_vehicle
+from tirefit.data.motion import Motion, road_wheel
+from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.fitting.axle import axle_tire
 from tirefit.models import AbstractTire, TireForces, TireInputs
 from tirefit.precision import require_x64
-from tirefit.results import DataError, InputProblem, UsageError
-from tirefit.vehicle.car import Car, State, accelerations, predicted, stiffest
+from tirefit.results import InputProblem, UsageError
+from tirefit.vehicle.car import (
+    Car,
+    State,
+    accelerations,
+    car_of,
+    predicted,
+    steps_a_sample,
+)
+from tirefit.vehicle.windows import (
+    cut_logs,
+    known_vehicle,
+    steering_problems,
+    stretches,
+)
 
 SCHEMA = "tirefit.replay/1"
 
@@ -43,9 +55,6 @@ QUANTITIES = {
 }  # fmt: skip
 """What is compared, with its unit; ``lateral`` is the place across the measured one."""
 
-_STABLE = 0.5
-"""Largest step of the integration over the car's shortest time constant."""
-_MOST_PARTS = 50
 DRAWS = 24
 """Draws of the tires' parameters, for the band."""
 _NORMAL_95 = 1.96
@@ -122,8 +131,8 @@ class Replay:
 
 
 class _Windows(NamedTuple):
-    """Windows of one log: samples (w, k) of what is measured, NaN beyond the end of
-    each; ``start`` are the states (w,) they begin at."""
+    """Windows of one log: the states (w,) that they start from; speed and steering
+    (w, k); and what is measured (w, k), NaN beyond the end of each."""
 
     start: State
     v_x: np.ndarray
@@ -185,42 +194,25 @@ def replay(
             the shortest horizon.
     """
     require_x64("a replay")
-    if not isinstance(vehicle, Vehicle):
-        vehicle = load_vehicle(vehicle)
-    horizons = _checked(vehicle, horizons)
+    vehicle = known_vehicle(vehicle)
+    horizons = _checked(vehicle, horizons, steering_delay)
     tires = axle_tire(front), axle_tire(rear)
     fitted = {run for tire in tires for run in tire.runs}
-    rate, found = vehicle.filter.sample_rate, {}
-    problems: list[InputProblem] = []
-    for path in logs:
-        file = file_at(path)
-        name = file.name.removesuffix(".gz").rsplit(".", 1)[0]
-        try:
-            _, motion, _ = read_motion(file, vehicle)
-            windows = _windows(motion, vehicle, horizons, steering_delay)
-        except DataError as error:
-            problems += error.problems
-            continue
-        if windows is None:
-            reason = (
-                f"no stretch above {vehicle.v_min:.3g} m/s is as long as the shortest"
-                f" horizon, {horizons[0]:g} s"
-            )
-            remedy = "ask for shorter horizons, or lower keep.v_min of vehicle.toml"
-            problems.append(InputProblem(reason, remedy, str(file)))
-        else:
-            found[name] = motion, windows
-    if problems:
-        raise DataError(problems)
+    rate = vehicle.filter.sample_rate
+    found = cut_logs(
+        logs, vehicle,
+        lambda _, motion: _windows(motion, vehicle, horizons, steering_delay),
+        f"as long as the shortest horizon, {horizons[0]:g} s", "shorter horizons",
+    )  # fmt: skip
     joined = jax.tree.map(
         lambda *each: np.concatenate(each), *(w for _, w in found.values())
     )
     steps = [round(h * rate) for h in horizons]
-    car = _car(vehicle, tires[0].tire, tires[1].tire)
-    speed = float(np.nanmedian(joined.v_x))
+    car = _traced(car_of(vehicle, tires[0].tire, tires[1].tire))
+    speed = float(np.median(joined.v_x[np.isfinite(joined.a_y)]))
     axles = zip((car.front, car.rear), car.loads, strict=True)
     straight = replace_tires(car, *(linear(t, fz, speed) for t, fz in axles))
-    parts = _parts(car, joined, rate)
+    parts = steps_a_sample(car, float(joined.v_x.min()), rate)
     tire, states = _compared(car, joined, steps, rate, parts)
     models = {
         "tire": tire,
@@ -232,16 +224,15 @@ def replay(
     return Replay(
         {name: name in fitted for name in found}, tuple(horizons),
         tuple(int(n) for n in counts), models, held,
-        _fans(found, states, rate), _notes(vehicle, motion),
+        _fans(found, states, rate), _notes(vehicle),
     )  # fmt: skip
 
 
-def _checked(vehicle: Vehicle, horizons: Sequence[float]) -> list[float]:
-    problems = []
-    if vehicle.steering is None:
-        reason = "a prediction needs the road wheel angle"
-        remedy = "name columns.steering and give [steering] in vehicle.toml"
-        problems.append(InputProblem(reason, remedy))
+def _checked(vehicle: Vehicle, horizons: Sequence[float], delay: float) -> list[float]:
+    problems = steering_problems(vehicle, "a prediction")
+    if not 0 <= delay < math.inf:
+        reason = f"a steering delay of {delay:g} s"
+        problems.append(InputProblem(reason, "give seconds, zero or more"))
     given = [float(h) for h in horizons]
     least = 1 / vehicle.filter.sample_rate
     if (
@@ -252,31 +243,22 @@ def _checked(vehicle: Vehicle, horizons: Sequence[float]) -> list[float]:
         reason = f"horizons {', '.join(f'{h:g}' for h in given)} do not rise"
         remedy = f"give times from {least:g} s on, in order, such as 0.5 1 2"
         problems.append(InputProblem(reason, remedy))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
     return given
 
 
-def _notes(vehicle: Vehicle, motion: Motion) -> tuple[str, ...]:
+def _notes(vehicle: Vehicle) -> tuple[str, ...]:
     notes = [
         "speed and steering are those of the log; starts are the log's, low-passed at"
         f" {vehicle.filter.bandwidth:.3g} Hz, without phase",
         "axle loads are static; the tires carry no drive or brake force",
     ]
-    if np.isnan(motion.x).all():
+    if vehicle.columns.motion != POSE:
         notes.append(
             "the log holds no pose: heading and place are the integrals of its yaw rate"
             " and speeds"
         )
     return tuple(notes)
-
-
-def _car(vehicle: Vehicle, front: AbstractTire, rear: AbstractTire) -> Car:
-    car = Car(
-        front, rear, vehicle.mass, vehicle.yaw_inertia, vehicle.l_f, vehicle.l_r,
-        vehicle.gravity,
-    )  # fmt: skip
-    return _traced(car)
 
 
 def _traced(module):
@@ -297,32 +279,29 @@ def _windows(motion: Motion, vehicle: Vehicle, horizons, delay) -> _Windows | No
     good = motion.settled & (motion.v_x > vehicle.v_min)
     steer = _late(road_wheel(motion, vehicle), motion, delay)
     heading, x, y = motion.heading, motion.x, motion.y
-    if np.isnan(x).all():
+    if vehicle.columns.motion != POSE:
         heading, x, y = _integrated(motion, rate)
     state = State(motion.v_y, motion.yaw_rate, heading, x, y)
     good &= np.isfinite(np.stack([*state, motion.v_x, motion.a_y, steer])).all(axis=0)
-    # Where each unbroken stretch of good samples ends.
-    broken = np.flatnonzero(~good[1:] | ~good[:-1] | (np.diff(motion.part) != 0)) + 1
-    ends = np.append(broken, len(good))
-    end = ends[np.searchsorted(ends, np.arange(len(good)), side="right")]
-    starts = [
-        k
-        for first, last in zip([0, *broken], ends, strict=True)
-        for k in range(first, last, max(round(EVERY * rate), 1))
-        if good[k] and last - k >= least
+    each = stretches(good, motion.part)
+    step = max(round(EVERY * rate), 1)
+    begun = [
+        (k, last) for first, last in each for k in range(first, last - least + 1, step)
     ]
-    if not starts:
+    if not begun:
         return None
-    rows = np.array(starts)[:, None] + np.arange(most)
-    there = rows < end[np.array(starts)][:, None]
-    rows = np.minimum(rows, len(good) - 1)
+    starts, ends = np.array(begun).T
+    rows = starts[:, None] + np.arange(most)
+    there = rows < ends[:, None]
+    # The last sample stands for those beyond the end, which nothing is compared with.
+    rows = np.minimum(rows, ends[:, None] - 1)
 
     def cut(values):
         return np.where(there, values[rows], np.nan)
 
     return _Windows(
-        State(*(values[np.array(starts)] for values in state)),
-        cut(motion.v_x), cut(steer), State(*map(cut, state)), cut(motion.a_y),
+        State(*(values[starts] for values in state)),
+        motion.v_x[rows], steer[rows], State(*map(cut, state)), cut(motion.a_y),
     )  # fmt: skip
 
 
@@ -357,14 +336,6 @@ def _summed(values: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))])
 
 
-def _parts(car: Car, windows: _Windows, rate: float) -> int:
-    """Steps of the integration from one sample to the next."""
-    slowest = float(np.nanmin(windows.v_x))
-    return int(
-        np.clip(math.ceil(stiffest(car, slowest) / rate / _STABLE), 1, _MOST_PARTS)
-    )
-
-
 @partial(jax.jit, static_argnames=("step", "parts"))
 def _states(car: Car, start: State, v_x, steering, step: float, parts: int):
     """States (w, k) of every window, and the lateral acceleration (w, k)."""
@@ -379,19 +350,10 @@ def _states(car: Car, start: State, v_x, steering, step: float, parts: int):
     return jax.vmap(one)(start, v_x, steering)
 
 
-def _given(windows: _Windows):
-    """Speed and steering without the missing samples, which nothing asks for."""
-    missing = np.isnan(windows.v_x)
-    last = np.maximum.accumulate(
-        np.where(missing, 0, np.arange(missing.shape[1])), axis=1
-    )
-    rows = np.arange(len(missing))[:, None]
-    return windows.v_x[rows, last], windows.steering[rows, last]
-
-
 def _compared(car: Car, windows: _Windows, steps, rate: float, parts: int):
     """Errors at the horizons, and the predicted states (w, k)."""
-    states, lateral = _states(car, windows.start, *_given(windows), 1 / rate, parts)
+    given = windows.start, windows.v_x, windows.steering
+    states, lateral = _states(car, *given, 1 / rate, parts)
     states = State(*map(np.asarray, states))
     return _errors(states, np.asarray(lateral), windows, steps), states
 
@@ -415,7 +377,7 @@ def _errors(states: State, a_y, windows: _Windows, steps) -> Errors:
 
 def _without_slip(vehicle: Vehicle, windows: _Windows, steps) -> Errors:
     """Of a car whose axles follow their wheels: r = v_x tan(delta) / (l_f + l_r)."""
-    v_x, steering = _given(windows)
+    v_x, steering = windows.v_x, windows.steering
     yaw = v_x * np.tan(steering) / (vehicle.l_f + vehicle.l_r)
     sideways, rate = vehicle.l_r * yaw, vehicle.filter.sample_rate
 
@@ -459,7 +421,7 @@ def _fans(found, states: State, rate: float) -> dict[str, Fans]:
     for name, (_, windows) in found.items():
         rows = slice(first, first + len(windows.v_x))
         first = rows.stop
-        there = np.isfinite(windows.v_x)[..., None]
+        there = np.isfinite(windows.a_y)[..., None]
         each = np.stack([states.x[rows], states.y[rows]], axis=-1)
         true = np.stack([windows.measured.x, windows.measured.y], axis=-1)
         fans[name] = Fans(true, np.where(there, each, np.nan), rate)

@@ -11,7 +11,7 @@ blocks of windows, which holds where residuals are correlated within a block.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -20,17 +20,28 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import t as student
 
-from tirefit.data.motion import Motion, read_motion
-from tirefit.data.remote import file_at
+from tirefit.data.motion import Motion, road_wheel
 from tirefit.data.track import Track
-from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
+from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.fitting.axle import axle_tire
 from tirefit.fitting.layout import Layout
 from tirefit.models import AbstractTire
 from tirefit.params import with_values
 from tirefit.precision import require_x64
-from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
-from tirefit.vehicle.car import Car, State, predicted, stiffest
+from tirefit.results import InputProblem, UsageError, did_you_mean
+from tirefit.vehicle.car import (
+    Car,
+    State,
+    car_of,
+    predicted,
+    steps_a_sample,
+)
+from tirefit.vehicle.windows import (
+    cut_logs,
+    known_vehicle,
+    steering_problems,
+    stretches,
+)
 
 
 class Unknown(NamedTuple):
@@ -63,7 +74,6 @@ _ROUNDS = 3
 _ITERATIONS = 40
 _BLOCKS = 40
 """Blocks of windows of the sandwich, at most: their scores count as independent."""
-_STABLE = 0.5
 
 
 @dataclass(frozen=True)
@@ -134,42 +144,33 @@ def fit_trajectory(
         DataError: a log that cannot be read, or no window in it.
     """
     require_x64("a fit by trajectory")
-    if not isinstance(vehicle, Vehicle):
-        vehicle = load_vehicle(vehicle)
+    vehicle = known_vehicle(vehicle)
     tires = axle_tire(front), axle_tire(rear)
     _check(vehicle, unknowns, tires)
-    rate, parts = vehicle.filter.sample_rate, []
-    for path in logs:
-        file = file_at(path)
-        track, motion, _ = read_motion(file, vehicle)
-        found = _windows(track, motion, vehicle, window)
-        if found is None:
-            reason = f"no stretch above {vehicle.v_min:.3g} m/s is {window:g} s long"
-            remedy = "ask for a shorter window, or lower keep.v_min of vehicle.toml"
-            raise DataError(InputProblem(reason, remedy, str(file)))
-        parts.append(found)
+    rate = vehicle.filter.sample_rate
+    found = cut_logs(
+        logs, vehicle,
+        lambda track, motion: _windows(track, motion, vehicle, window),
+        f"{window:g} s long", "a shorter window",
+    )  # fmt: skip
+    parts = [windows for _, windows in found.values()]
     data = _Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
     problem = _Problem(vehicle, tires, tuple(unknowns), rate, data)
     return problem.solved()
 
 
 def _check(vehicle: Vehicle, unknowns, tires) -> None:
-    problems = []
+    problems = steering_problems(vehicle, "a fit by trajectory")
     for name in unknowns:
         if name not in UNKNOWNS:
             remedy = f"{did_you_mean(name, UNKNOWNS)}valid: {', '.join(UNKNOWNS)}"
             problems.append(InputProblem(f"{name!r} is no unknown of a car", remedy))
-    if vehicle.steering is None:
-        reason = "a fit by trajectory needs the road wheel angle"
-        remedy = "name columns.steering and give [steering] in vehicle.toml"
-        problems.append(InputProblem(reason, remedy))
     for axle, tire in zip(("front", "rear"), tires, strict=True):
         if tire.fit is None:
             reason = f"the {axle} tire {tire.name} is no fit: nothing is free in it"
             remedy = f"fit it first: tirefit derive --axle {axle}, then tirefit fit"
             problems.append(InputProblem(reason, remedy))
-    if problems:
-        raise UsageError(problems)
+    UsageError.raise_for(problems)
 
 
 def _windows(track: Track, motion: Motion, vehicle: Vehicle, window: float):
@@ -177,16 +178,13 @@ def _windows(track: Track, motion: Motion, vehicle: Vehicle, window: float):
     rate = vehicle.filter.sample_rate
     count, lead = round(window * rate) + 1, round(_LEAD * rate)
     logged, state, command = _logged(track, motion, vehicle)
-    assert vehicle.steering is not None
-    steering = np.interp(command, vehicle.steering.command, vehicle.steering.angle)
+    steering = road_wheel(replace(motion, command=command), vehicle)
     good = motion.settled & (motion.v_x > vehicle.v_min)
     good &= np.isfinite(np.column_stack([motion.v_x, logged, steering])).all(axis=1)
-    broken = np.flatnonzero(~good[1:] | ~good[:-1] | (np.diff(motion.part) != 0)) + 1
     starts = [
         k
-        for first, last in zip([0, *broken], [*broken, len(good)], strict=True)
+        for first, last in stretches(good, motion.part)
         for k in range(first + lead, last - count + 1, count - 1)
-        if good[first]
     ]
     if not starts:
         return None
@@ -238,8 +236,8 @@ class _Problem:
         self.z = np.concatenate([*(t.fit[1] for t in tires), np.zeros(len(unknowns))])
         self.names = CHANNELS[data.logged.shape[-1]]
         slowest = float(np.min(data.v_x))
-        parts = int(np.ceil(stiffest(self.car(self.z), slowest) / rate / _STABLE))
-        self.run = _linearised(self.missed, min(max(parts, 1), 50))
+        parts = steps_a_sample(self.car(self.z), slowest, rate)
+        self.run = _linearised(self.missed, parts)
 
     def unknown(self, z, name: str, default: float = 0.0):
         """The value of an unknown, in its unit; a factor of one without it."""
@@ -254,11 +252,8 @@ class _Problem:
         return with_values(self.tires[axle].tire, values)
 
     def car(self, z) -> Car:
-        v = self.vehicle
-        inertia = v.yaw_inertia * self.unknown(z, "yaw_inertia", 1.0)
-        return Car(
-            self.tire(z, 0), self.tire(z, 1), v.mass, inertia, v.l_f, v.l_r, v.gravity
-        )
+        inertia = self.unknown(z, "yaw_inertia", 1.0)
+        return car_of(self.vehicle, self.tire(z, 0), self.tire(z, 1), inertia)
 
     def missed(self, z, start, window: _Data, parts: int):
         """Predicted less logged (k, c) of one window."""
