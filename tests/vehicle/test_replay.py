@@ -151,6 +151,16 @@ def test_what_cannot_be_predicted_is_refused(drive, tmp_path):
         replay([log], tmp_path / "bare.toml", FRONT, REAR)
 
 
+def test_a_log_in_another_unit_is_refused_as_derive_does(drive, tmp_path):
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text(TOML.replace("[filter]", '[units]\nyaw = "deg"\n[filter]'))
+    with pytest.raises(DataError) as by_derive:
+        tirefit.derive_files([drive / "exact.csv"], wrong, tmp_path / "axle.csv")
+    with pytest.raises(DataError) as error:
+        replay([drive / "exact.csv"], wrong, FRONT, REAR)
+    assert error.value.problems == by_derive.value.problems
+
+
 def test_a_tire_without_a_steady_lateral_force_is_refused(drive):
     given = [drive / "exact.csv"], drive / "vehicle.toml"
     with pytest.raises(UsageError, match="brush-relaxation has no lateral force in"):

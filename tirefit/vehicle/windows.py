@@ -6,6 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from tirefit.data.contradictions import compare
 from tirefit.data.derive import name_problems, run_name
 from tirefit.data.motion import Motion, read_motion
 from tirefit.data.remote import file_at
@@ -45,7 +46,8 @@ def cut_logs(
 
     Raises:
         UsageError: no log, or two logs of one name.
-        DataError: with the problems of all logs.
+        DataError: with the problems of all logs: one that cannot be read, whose
+            channels contradict each other, or without a stretch that is long enough.
     """
     UsageError.raise_for(name_problems(logs))
     found: dict[str, tuple[Motion, Cut]] = {}
@@ -56,6 +58,9 @@ def cut_logs(
             track, motion, _ = read_motion(file, vehicle)
         except DataError as error:
             problems += error.problems
+            continue
+        if faults := compare(track, motion, vehicle, str(file)).problems:
+            problems += faults
             continue
         windows = cut(track, motion)
         if windows is None:
