@@ -3,7 +3,7 @@
 from effect_figures import figures
 
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, effects_by_id
-from tirefit.report.diagnosis_words import name_of
+from tirefit.report.diagnosis_words import name_of, needs_text
 
 FOLDER = "docs/effects"
 KNOWN = effects_by_id(EFFECTS)
@@ -18,25 +18,6 @@ DECIDES = {
     "opposite camber": "the opposite camber",
 }
 """Measurement that separates an effect from those that it resembles."""
-NEEDS = {
-    "v": "speed (`v`)", "speeds": "several speeds (`v`)",
-    "loads": "several loads (`fz`)", "time": "time (`time`)",
-    "temperature": "temperatures that differ (`temperature`)",
-    "pressure": "several inflation pressures (`pressure`)",
-    "gamma": "camber that varies (`gamma`)", "signs": "both signs of the slip",
-    "sweeps": "rows in order of time that sweep the slip",
-    "omega": "wheel speed (`omega`)", "rolling_radius": "the rolling radius",
-    "other slip": "the slip in the other direction",
-    "other force": "the force in the other direction", "yaw_rate": "`yaw_rate`",
-    "a_x": "longitudinal acceleration (`a_x`)",
-    "heading": "several headings (`heading`)",
-    "work": "force, slip, speed and time", "runs": "several runs (`run`)",
-    "derived force": "a force that `tirefit derive` took from the motion",
-    "yaw_acceleration": "`yaw_acceleration`", "a_y": "lateral acceleration (`a_y`)",
-    "steering": "road wheel angle (`steering`)",
-}  # fmt: skip
-"""What the data must have, by the name of a need."""
-
 PER = {
     "slip": "times the slip at half of the largest force",
     "sliding": "over the range of the sliding speed",
@@ -89,7 +70,7 @@ def _page(effect, amplitude):
         "prior of the amplitude": f"standard deviation {effect.scale:g} {relative}",
         "variants tried": f"{len(effect.variants)} of the formula{free}",
         "forces that change": ", ".join(f"`{c}`" for c in effect.channels) or "all",
-        "needs": ", ".join(NEEDS[need] for need in effect.needs) or "slip, force, load",
+        "needs": needs_text(effect.needs) or "slip, force, load",
         "resembles": ", ".join(map(_link, effect.looks_like)) or "none of the others",
         "measure to decide": DECIDES.get(effect.told_apart_by, "no single measurement"),
     }

@@ -68,6 +68,15 @@ def write_tir(tir: TirFile, path) -> None:
     write_text_atomic(path, tir.text)
 
 
+_UNITS = """\
+[UNITS]
+LENGTH                   = 'meter'
+FORCE                    = 'newton'
+ANGLE                    = 'radians'
+MASS                     = 'kg'
+TIME                     = 'second'
+"""
+
 _REDUCED = """\
 [MDI_HEADER]
 FILE_TYPE                = 'tir'
@@ -79,13 +88,7 @@ $ before (C = 1); E follows the curve of the brush, which no Magic Formula has. 
 $ lateral stiffness is that of the brush at every load, the longitudinal one stationary
 $ at FNOMIN. Combined slip keeps to the friction circle there. No aligning moment.
 $ c_p a^2 = PKX1 FNOMIN / 2 and mu = PDX1, exactly: tirefit reads them back.
-[UNITS]
-LENGTH                   = 'meter'
-FORCE                    = 'newton'
-ANGLE                    = 'radians'
-MASS                     = 'kg'
-TIME                     = 'second'
-[MODEL]
+{units}[MODEL]
 FITTYP                   = 61
 TYRESIDE                 = 'SYMMETRIC'
 [DIMENSION]
@@ -154,6 +157,7 @@ def reduced_tir(cpa2: float, mu: float, fz: float, radius: float) -> TirFile:
             ]
         )
     text = _REDUCED.format(
+        units=_UNITS,
         radius=_exact(radius),
         fz=_exact(fz),
         mu=_exact(mu),
@@ -200,13 +204,7 @@ _HEAD = """\
 FILE_TYPE                = 'tir'
 FILE_VERSION             = 3.0
 FILE_FORMAT              = 'ASCII'
-{comment}[UNITS]
-LENGTH                   = 'meter'
-FORCE                    = 'newton'
-ANGLE                    = 'radians'
-MASS                     = 'kg'
-TIME                     = 'second'
-[MODEL]
+{comment}{units}[MODEL]
 PROPERTY_FILE_FORMAT     = 'MF{format}'
 FITTYP                   = {fittyp}
 TYRESIDE                 = 'UNKNOWN'
@@ -234,7 +232,9 @@ def new_tir(
     """
     above = "".join(f"$ {line}\n" for line in comment)
     kind = "-Tyre" if version == "5.2" else version.replace(".", "")
-    text = _HEAD.format(comment=above, fittyp=_FITTYP[version], format=kind)
+    text = _HEAD.format(
+        units=_UNITS, comment=above, fittyp=_FITTYP[version], format=kind
+    )
     lines = text.splitlines()
     section = "MODEL"
     of_version = [k for k in COEFFICIENTS if ONLY_IN.get(k, version[0]) == version[0]]
