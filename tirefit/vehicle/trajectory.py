@@ -45,23 +45,19 @@ from tirefit.vehicle.windows import (
 
 
 class Unknown(NamedTuple):
-    """An unknown of the car: unit, and the standard error of a weak prior at zero (of a
-    factor: of its logarithm)."""
+    """An unknown of the car."""
 
     unit: str
-    prior: float
+    prior: float  # standard error of a weak prior at zero; of a factor's logarithm
     is_factor: bool
-    meaning: str
 
 
 UNKNOWNS = {
-    "yaw_inertia": Unknown("kg m2", 0.5, True, "yaw inertia"),
-    "steering_ratio": Unknown("-", 0.3, True, "wheel angle over that of the map"),
-    "steering_offset": Unknown("rad", 0.1, False, "added to the wheel angle"),
-    "steering_delay": Unknown("s", 0.1, False, "of the wheels behind the log"),
-    "sideslip_zero": Unknown(
-        "rad", 0.05, False, "logged sideslip less that of the car"
-    ),
+    "yaw_inertia": Unknown("kg m2", 0.5, True),
+    "steering_ratio": Unknown("-", 0.3, True),  # wheel angle over that of the map
+    "steering_offset": Unknown("rad", 0.1, False),  # added to the wheel angle
+    "steering_delay": Unknown("s", 0.1, False),  # of the wheels behind the log
+    "sideslip_zero": Unknown("rad", 0.05, False),  # logged sideslip less the car's
 }
 """What may be estimated beside the tires."""
 
@@ -277,14 +273,13 @@ class _Problem:
 
     def solved(self) -> TrajectoryFit:
         z, starts = jnp.asarray(self.z), jnp.asarray(self.data.start)
-        pull = self.pulls()
+        pull, now = self.pulls(), self.run(z, starts, self.data)
         for _ in range(_ROUNDS):
-            missed, *_ = self.run(z, starts, self.data)
-            noise = jnp.sqrt(jnp.mean(missed**2, axis=(0, 1)))
-            z, starts, converged = _minimised(
-                self.run, z, starts, self.data, noise, pull
+            noise = jnp.sqrt(jnp.mean(now[0] ** 2, axis=(0, 1)))
+            z, starts, now, converged = _minimised(
+                self.run, z, starts, now, self.data, noise, pull
             )
-        missed, by_z, by_start = self.run(z, starts, self.data)
+        missed, by_z, by_start = now
         free = self.data.start.size + len(self.z)
         count = missed.shape[0] * missed.shape[1]
         noise = jnp.sqrt(
@@ -377,14 +372,14 @@ def _eliminated(missed, by_z, by_start, noise):
 _eliminate = jax.jit(_eliminated)
 
 
-def _minimised(run, z, starts, data, noise, pull):
-    """Levenberg and Marquardt on z and all start states."""
+def _minimised(run, z, starts, now, data, noise, pull):
+    """Levenberg and Marquardt on z and all start states; ``now`` is what ``run`` gives
+    there. Returns them at the end, and whether it converged."""
 
     def cost_of(missed, z):
         return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
 
     damping, converged = 1e-3, False
-    now = run(z, starts, data)
     cost = cost_of(now[0], z)
     for _ in range(_ITERATIONS):
         score, information, step, tied = _eliminate(*now, noise)
@@ -400,13 +395,13 @@ def _minimised(run, z, starts, data, noise, pull):
                 break
             damping *= 10
         else:
-            return z, starts, True
+            return z, starts, now, True
         gained, damping = cost - new_cost, max(damping / 10, 1e-9)
         z, starts, now, cost = new_z, new_starts, trial, new_cost
         if gained < 1e-6 * cost:
             converged = True
             break
-    return z, starts, converged
+    return z, starts, now, converged
 
 
 def _sandwich(missed, by_z, by_start, noise, pull):

@@ -265,11 +265,11 @@ def _on_files(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
     )
     inflation = base.noise[main].inflation
     closure = closure_elsewhere(before, after, variance, run, inflation, generator)
-    gap = max(np.mean(before**2 - variance), NONZERO)
+    gap = np.mean(before**2 - variance)
 
     def beside(step, missed):
-        left = max(np.mean(missed**2 - variance), 0.0)
-        share = max(1 - float(np.sqrt(left / gap)), WORST)
+        left = np.array([max(np.mean(missed**2 - variance), 0.0)])
+        share = float(_closed(gap, left)[0])
         rms = float(np.sqrt(np.mean(missed**2)))
         closed = share if closure.resolvable else None
         return step._replace(rms_held_out=rms, closed_held_out=closed)
