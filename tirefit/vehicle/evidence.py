@@ -20,7 +20,7 @@ from scipy.special import log_ndtr
 from tirefit.diagnosis.effects.record import Atom
 from tirefit.diagnosis.negligible import FLAT, NONZERO, UNSEEN
 from tirefit.diagnosis.rows.basis import SCALES, bumps, mean_gain
-from tirefit.padding import padded_size
+from tirefit.padding import pad_rows, padded_size
 from tirefit.vehicle.car import Car, State, lagged, predicted, steps_a_sample
 from tirefit.vehicle.effects import Samples, Setting, scaled_axles
 from tirefit.vehicle.shooting import Data, minimised
@@ -205,13 +205,10 @@ class Fit:
 
 
 def _filled(windows):
-    """Arrays (w, ...) padded by copies of the last window to one of few sizes."""
-
-    def fill(part):
-        more = padded_size(len(part), _LEAST_WINDOWS) - len(part)
-        return jnp.concatenate([part, jnp.repeat(part[-1:], more, axis=0)])
-
-    return jax.tree.map(fill, windows)
+    """Arrays (w, ...) padded by copies of the first window to one of few sizes."""
+    return jax.tree.map(
+        lambda part: pad_rows(part, padded_size(len(part), _LEAST_WINDOWS)), windows
+    )
 
 
 class Base:

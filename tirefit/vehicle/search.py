@@ -5,14 +5,14 @@ from collections.abc import Mapping
 from math import factorial
 
 import numpy as np
-from scipy.special import logsumexp, softmax
+from scipy.special import logsumexp, softmax, stdtr
 
 from tirefit.diagnosis.decide.findings import parts_of
 from tirefit.diagnosis.decide.verdict import Findings, Fitted, Tests, no_gap_shows
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
 from tirefit.diagnosis.evidence.search import PRIOR_OF_SIZE, PRIOR_OF_UNKNOWN
 from tirefit.diagnosis.left_out import LEAST_RUNS, Predicted, gained
-from tirefit.diagnosis.negligible import FLAT
+from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.diagnosis.rows.basis import SCALES
 from tirefit.vehicle.evidence import (
     MOST,
@@ -27,6 +27,9 @@ the most probable sets of a size, and how many of these sets."""
 
 _WEAK = 3.0
 """Log evidence that data must show an effect with: 20 to 1."""
+
+_LOST = 10.0
+"""Log evidence that no further effect can cost where its fit has found the minimum."""
 
 _BLOCKS = 8
 """Parts of the time that are left out in turn."""
@@ -74,8 +77,11 @@ class _Search:
         z[own] += total.step(pull, z[own])
         z[first + more] = np.clip(z[first + more], base.low[more], base.high[more])
         fit = base.fitted(atoms, z, parent.starts)
-        other = base.fitted(atoms, parent.z, parent.starts)
-        self.fits[atoms] = max(fit, other, key=lambda one: one.log_evidence)
+        if fit.log_evidence < parent.log_evidence - _LOST:
+            # The linearisation leads astray.
+            other = base.fitted(atoms, parent.z, parent.starts)
+            fit = max(fit, other, key=lambda one: one.log_evidence)
+        self.fits[atoms] = fit
 
     def best(self, size: int, count: int) -> list[Fit]:
         """The most probable fits of a size, one for each set of effects."""
@@ -205,7 +211,7 @@ def _predicted(search: _Search, weighed: Weighed) -> Predicted:
             amplitude[f] = (own + step)[len(PARAMETERS) :]
         sizes.append(amplitude)
     given = base.products(_as_given(base)).square
-    smooth = _smooth(search, folds, number)
+    smooth = _smooth(search, weighed.best_of[ranked[0]], folds)
     return Predicted(
         on, len(set(base.cut.log)) >= LEAST_RUNS, tuple(keys),
         loss / rows[:, None], loss, rows, tuple(sizes), smooth / rows,
@@ -233,26 +239,26 @@ def _as_given(base: Base):
     return base.linearised(np.zeros(base.model.size), starts, [0])
 
 
-def _smooth(search: _Search, folds: np.ndarray, number: int) -> np.ndarray:
-    """Sum of squares (F,) that unlisted forces beside the car leave of each part, of
-    each size by its evidence on the other parts."""
-    base, null = search.base, search.fits[()]
+def _smooth(search: _Search, fit: Fit, folds: np.ndarray) -> np.ndarray:
+    """Sum of squares (F,) that unlisted forces beside a fit leave of each part, of each
+    size by its evidence on the other parts."""
+    base, count = search.base, len(fit.own)
     first = base.model.size - 2 * base.model.shapes
-    own = [*null.own, *range(first, base.model.size)]
-    whole, z = search.whole[()].some(own), null.z[own]
-    found = np.empty(number)
-    for f in range(number):
+    own = [*fit.own, *range(first, base.model.size)]
+    whole, z = search.whole[fit.atoms].some(own), fit.z[own]
+    found = np.empty(int(folds.max()) + 1)
+    for f in range(len(found)):
         others = whole.of(folds != f)
-        norm = np.maximum(np.diag(others.gram)[len(null.own) :], FLAT)
+        norm = np.maximum(np.diag(others.gram)[count:], FLAT)
         steps, logs = [], []
         for size in SCALES:
-            pull = np.concatenate([null.pull, norm / size**2])
+            pull = np.concatenate([fit.pull, norm / size**2])
             step = others.step(pull, z)
-            sign, curvature = np.linalg.slogdet(others.gram + np.diag(pull))
+            curvature = np.linalg.slogdet(others.gram + np.diag(pull))[1]
             steps.append(step)
             logs.append(
                 -0.5 * (others.square_after(step) + pull @ (z + step) ** 2)
-                - 0.5 * (curvature - np.sum(np.log(pull[len(null.own) :])))
+                - 0.5 * (curvature - np.sum(np.log(pull[count:])))
             )
         step = np.tensordot(softmax(logs), steps, 1)
         found[f] = whole.of(folds == f).square_after(step)
@@ -260,10 +266,18 @@ def _smooth(search: _Search, folds: np.ndarray, number: int) -> np.ndarray:
 
 
 def findings(weighed: Weighed, out: Predicted) -> Findings:
-    """What the search and the data left out say."""
+    """What the search and the data left out say.
+
+    Something unlisted is as probable as its evidence and its prediction of the parts
+    left out both allow.
+    """
     key = () if no_gap_shows(weighed) else weighed.best
     parts = [part for part in parts_of(key) if part in weighed.log_weight]
     ordered = sorted(parts, key=lambda k: (-len(k), -weighed.log_weight[k]))
+    best = out.effects.index(weighed.best)
+    gains = out.whitened[:, best] - out.smooth * out.rows
+    error = np.sqrt(len(gains)) * np.std(gains, ddof=1)
+    predicts = float(stdtr(len(gains) - 1, gains.sum() / max(error, NONZERO)))
     return Findings(
         weighed=weighed,
         sets={
@@ -271,7 +285,7 @@ def findings(weighed: Weighed, out: Predicted) -> Findings:
             for part in ordered
         },
         across_runs=out.across_runs,
-        unlisted=weighed.unlisted,
+        unlisted=min(weighed.unlisted, predicts),
         tests=Tests(),
     )
 
