@@ -30,6 +30,7 @@ from tirefit.vehicle.car import (
     Car,
     State,
     car_of,
+    delayed,
     predicted,
     steps_a_sample,
 )
@@ -191,9 +192,8 @@ class _Problem:
         """Predicted less logged (k, c) of one window."""
         step, count = 1 / self.rate, window.v_x.shape[0]
         lead = window.steering.shape[0] - count
-        time = step * jnp.arange(-lead, count)
-        late = time[lead:] - self.unknown(z, "steering_delay")
-        steering = jnp.interp(late, time, window.steering)
+        steering = delayed(window.steering, self.unknown(z, "steering_delay") / step)
+        steering = steering[lead:]
         steering = steering * self.unknown(z, "steering_ratio", 1.0)
         steering = steering + self.unknown(z, "steering_offset")
         whole = jnp.concatenate([start, jnp.zeros(5 - len(start))])
