@@ -127,6 +127,7 @@ def _read(path: Place, vehicle: Vehicle) -> tuple[Table, Vehicle]:
     if absent:
         known = ", ".join(table.headers)
         remedy = f"correct [columns] of vehicle.toml; the file has: {known}"
+        remedy += "".join(f"; {note}" for note in table.notes if "not read" in note)
         raise DataError(
             [
                 InputProblem("the column is missing", remedy, table.file, column=name)
