@@ -93,7 +93,9 @@ def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Compar
         problems += _sideways(track, motion, vehicle, file)
         problems += _another_clock(pairs, track, vehicle, file)
     warnings += [] if problems else _late_or_off(pairs, vehicle)
-    return Comparison(tuple(pairs), tuple(problems), tuple(warnings), _line(pairs))
+    return Comparison(
+        tuple(pairs), tuple(problems), tuple(warnings), _line(pairs, vehicle)
+    )
 
 
 _SWAPPED = ("v_x", "v_y", "a_x", "a_y", "yaw_rate")
@@ -327,20 +329,23 @@ def _has_delay(a: Agreement) -> bool:
     return any(judged(a)) and a.pair.exact and a.delay_seen > SEEN
 
 
-def _line(pairs) -> str:
+def _line(pairs, vehicle: Vehicle) -> str:
     """One line on how far the channels agree."""
     gains, late = [], [0.0]
     for a in pairs:
-        gains += [g for g, known in zip(a.gains, judged(a), strict=True) if known]
+        several = len(a.gains) > 1
+        gains += [
+            f"{a.pair.channel} {gain:.2f} of {term.words if several else a.pair.words}"
+            for gain, term, known in zip(a.gains, a.pair.terms, judged(a), strict=True)
+            if known
+        ]
         if _has_delay(a) and a.delay_std < _LATE / 3:
             late.append(abs(a.delay))
-    if not gains:
-        return "channels: too little motion, or too few of them, to compare any"
-    those = "gain" if len(gains) == 1 else f"{len(gains)} gains"
-    span = (
-        f"{min(gains):.2f}"
-        if len(gains) == 1
-        else f"{min(gains):.2f} to {max(gains):.2f}"
-    )
-    delay = f", delays up to {max(late):.2f} s" if max(late) >= 0.005 else ""
-    return f"channels compared: {those} {span} (1 where they agree){delay}"
+    said = "channels: too little motion, or too few of them, to compare any"
+    if gains:
+        said = f"channels compared: {', '.join(gains)} (1 where they agree"
+        steers = any(gain.startswith("steering") for gain in gains)
+        said += "; steering: more of a car that understeers)" if steers else ")"
+        said += f", delays up to {max(late):.2f} s" if max(late) >= 0.005 else ""
+    follows = "; a_y follows from the speeds: no measurement, it checks nothing"
+    return said + (follows if vehicle.columns.a_y_follows else "")

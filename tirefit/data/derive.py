@@ -87,6 +87,9 @@ class DerivedLog:
     heading: str  # offset of heading or sideslip: applied, assumed none, left over
     zero: float | None  # alpha at no side force [rad], where the log shows it
     point: PointCheck  # position of the tracked point, by force against slip
+    run: (
+        np.ndarray
+    )  # (n,) str, the run of each kept sample: that of the log, or its own
     compared: Comparison  # what the redundancy of the log's channels says
     warnings: tuple[str, ...]  # what in the columns is hardly the tire's
     assumptions: tuple[str, ...]  # the bandwidth and everything that was assumed
@@ -98,19 +101,21 @@ class DerivedLog:
     def summary(self) -> str:
         """Rows in, samples kept, why the others were dropped, ranges, bandwidth."""
         alpha, force = self.columns["alpha"], self.columns["fy"]
+        count = len(set(self.run.tolist()))
+        runs = f"runs: {count}, " if count > 1 else ""
         return "\n".join(
             [
                 f"{self.name}: {len(self)} of {self.samples} samples kept"
-                f" (rows: {self.rows}, gaps: {self.gaps})",
+                f" (rows: {self.rows}, {runs}gaps: {self.gaps})",
                 f"    rows not used: {_counts(self.dropped_rows)}",
                 f"    samples not kept: {_counts(self.dropped_samples)}",
                 f"    alpha {alpha.min():+.4f} to {alpha.max():+.4f} rad,"
                 f" fy {force.min():+.4g} to {force.max():+.4g} N,"
                 f" bandwidth {self.bandwidth:.3g} Hz (-3 dB)",
-                f"    {self.compared.line}",
                 *(
                     line
                     for said in (
+                        self.compared.line,
                         self.heading,
                         self.point.line,
                         *(f"warning: {w}" for w in self.warnings),
@@ -179,6 +184,8 @@ def derive(
     checked = kept & (not compared.problems)
     point = check_point(motion, vehicle, checked, str(file))
     _refuse(point.problems, believe)
+    runs = np.array(names_of_runs(file, track))
+    last_row = np.searchsorted(track.time, motion.time[kept], side="right") - 1
     contradictions = (*compared.problems, *point.problems)
     columns = {name: values[kept] for name, values in columns.items()}
     heading, zero = zero_of_alpha(vehicle, axle, alpha, force)
@@ -194,6 +201,7 @@ def derive(
         heading=heading,
         zero=zero,
         point=point,
+        run=runs[track.run[last_row]],
         compared=compared,
         warnings=(
             *(f"{p.reason}; {p.remedy}" for p in contradictions),
@@ -248,7 +256,7 @@ def derive_files(
         name: np.concatenate([log.columns[name] for log in logs])
         for name in logs[0].columns
     }
-    columns["run"] = np.repeat([log.name for log in logs], [len(log) for log in logs])
+    columns["run"] = np.concatenate([log.run for log in logs])
     stated = {**stated_of(vehicle), **found_in(logs)}
     first = _FIRST.format(" ".join(f"{k}={v:.4g}" for k, v in stated.items()))
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
@@ -377,7 +385,7 @@ def _assumptions(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
         said.append(f"the {axle} axle neither drives nor brakes")
     elif vehicle.driven == "all" and vehicle.rear_share is None:
         said.append("the rear axle has half of the drive force (no rear_share)")
-    return (*said, *track.notes)
+    return (*said, *vehicle.columns.notes, *track.notes)
 
 
 def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
@@ -390,6 +398,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
         "runs": [
             {
                 "run": log.name,
+                "runs": list(dict.fromkeys(log.run.tolist())),
                 **log.source,
                 "bandwidth": log.bandwidth,
                 "rows": log.rows,
@@ -425,6 +434,12 @@ def _counts(counts: Mapping[str, int]) -> str:
 def run_name(path: Place) -> str:
     """The name of the run of a log: that of its file."""
     return path.name.removesuffix(".gz").removesuffix(".csv")
+
+
+def names_of_runs(path: Place, track: Track) -> tuple[str, ...]:
+    """The names of the runs of a log: that of its file, and their own of several."""
+    name = run_name(path)
+    return tuple(f"{name}_{run}" if run else name for run in track.runs)
 
 
 def name_problems(paths: Sequence[str | Place]) -> list[InputProblem]:

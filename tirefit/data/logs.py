@@ -110,7 +110,7 @@ def channels_of_bag(
     extra("rosbags.highlevel", "MCAP and ROS bags", str(path), "logs")
     try:
         with tempfile.TemporaryDirectory() as folder:
-            place = path
+            place = Path(str(path))
             if content:
                 place = Path(folder) / f"log{bag_suffix(content)}"
                 place.write_bytes(content)
@@ -187,7 +187,7 @@ def _decoder(connection, is_ros1: bool) -> Callable[[bytes], Any]:
     if text:
         store = typesys.get_typestore(typesys.Stores.EMPTY)
         if connection.msgdef.format.name == "IDL":
-            types = {}
+            types: dict[str, Any] = {}
             for part in re.split(r"=+\nIDL: .*\n", text):
                 types |= typesys.get_types_from_idl(part)
         else:

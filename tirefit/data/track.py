@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tirefit.data.cells import TextColumn
+from tirefit.data.cells import TextColumn, words_of
 from tirefit.data.columns import guess, stated_unit
 from tirefit.data.quaternion import with_headings
 from tirefit.data.read import Table, read_table
@@ -19,6 +19,10 @@ _MISSING = {"", "nan", "na", "null", "none"}
 _MOST_PROBLEMS = 10
 _CLOSEST = 0.3
 """Samples nearer than this part of the log's period are one sample (a repeat)."""
+
+_LASTING = 1.0
+"""Time [s] for which the stamps must stay back where a run starts anew: rows that a
+recorder wrote late come back sooner."""
 
 _LARGEST = 1e20
 """Size of a value whose square still is a number; infinity counts as missing."""
@@ -57,6 +61,8 @@ class Track:
     dropped: Mapping[str, int]  # reason -> rows that were not used
     sha256: str  # of the file
     notes: tuple[str, ...]  # what was assumed to read the file
+    run: np.ndarray  # (n,) int, number of the run of each sample
+    runs: tuple[str, ...]  # names of the runs; "" of a log that is one run
 
 
 def read_track(path: Place, vehicle: Vehicle) -> Track:
@@ -74,10 +80,13 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     active = np.ones(len(time), bool)
     if vehicle.keep.active:
         active = columns[vehicle.keep.active] == vehicle.keep.active_value
+    label = _labels(table, vehicle, notes)
     needed = len(vehicle.columns.motion) + (vehicle.steering is not None)
     finite = np.isfinite(time) & np.isfinite(signals[:, :needed]).all(axis=1)
     time, signals, active = time[finite], signals[finite], active[finite]
     period = _period(time, vehicle, table.file)
+    max_gap = vehicle.filter.max_gap or 3.5 * period
+    time, run, runs = _in_runs(time, label[finite], period, max_gap, notes)
     later = _later(time, period)
     fresh = later.copy()
     if vehicle.columns.motion == POSE:
@@ -94,9 +103,46 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
             signals[:, place] = _unwrapped(signals[:, place]) + vehicle.yaw_offset
     return Track(
         time[fresh] - time[fresh][0], signals, tuple(channels), active[fresh],
-        vehicle.filter.max_gap or 3.5 * period, float(time[fresh][0]),
-        len(table.lines), dropped, table.sha256, tuple(notes),
+        max_gap, float(time[fresh][0]), len(table.lines), dropped, table.sha256,
+        tuple(notes), run[fresh], runs,
     )  # fmt: skip
+
+
+def _labels(table: Table, vehicle: Vehicle, notes: list[str]) -> np.ndarray:
+    """The run of each row (n,) as text: of the column that is named, or whose header
+    alone says so; all "" without one."""
+    headers = [h for h in table.headers if (g := guess(h)) and g.name == "run"]
+    header = vehicle.columns.run or (headers[0] if len(headers) == 1 else None)
+    if header is None:
+        return np.full(len(table.lines), "")
+    notes.append(f"column {header!r} read as the run")
+    return np.array(words_of(table.cells[table.headers.index(header)]))
+
+
+def _in_runs(time, label, period: float, max_gap: float, notes: list[str]):
+    """Time (n,) that goes on where it starts anew, the number of the run of each row
+    (n,), and the names of the runs.
+
+    Args:
+        label: (n,) the names; where they are all the same, time alone tells the runs.
+    """
+    time, lasting = time.copy(), round(_LASTING / period)
+    again = np.zeros(len(time), int)
+    for k in np.flatnonzero(np.diff(time) < -max_gap) + 1:
+        if k + lasting <= len(time) and np.all(time[k : k + lasting] < time[k - 1]):
+            time[k:] += np.max(time[:k]) - time[k] + 2 * max_gap
+            again[k] = 1
+    if again.any():
+        notes.append(
+            f"time starts anew {again.sum()} times: it goes on {2 * max_gap:.3g} s"
+            " after the sample before, as a gap"
+        )
+    if len(set(label)) < 2:
+        label = (1 + np.cumsum(again)).astype(str)
+    names = tuple(dict.fromkeys(label.tolist()))
+    codes = {name: code for code, name in enumerate(names)}
+    run = np.array([codes[name] for name in label.tolist()], int)
+    return time, run, names if len(names) > 1 else ("",)
 
 
 def _unwrapped(yaw: np.ndarray) -> np.ndarray:

@@ -222,7 +222,8 @@ def replay(
     held = _held(car, tires, joined, steps, rate, parts, seed)
     counts = np.isfinite(tire.of["yaw_rate"]).sum(axis=0)
     return Replay(
-        {name: name in fitted for name in found}, tuple(horizons),
+        {k: not fitted.isdisjoint(runs) for k, (runs, _) in found.items()},
+        tuple(horizons),
         tuple(int(n) for n in counts), models, held,
         _fans(found, states, rate), _notes(vehicle),
     )  # fmt: skip
@@ -252,6 +253,7 @@ def _notes(vehicle: Vehicle) -> tuple[str, ...]:
         "speed and steering are those of the log; starts are the log's, low-passed at"
         f" {vehicle.filter.bandwidth:.3g} Hz, without phase",
         "axle loads are static; the tires carry no drive or brake force",
+        *vehicle.columns.notes,
     ]
     if vehicle.columns.motion != POSE:
         notes.append(

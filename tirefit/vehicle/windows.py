@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 
 from tirefit.data.contradictions import compare
-from tirefit.data.derive import name_problems, run_name
+from tirefit.data.derive import name_problems, names_of_runs, run_name
 from tirefit.data.motion import Motion, read_motion
 from tirefit.data.remote import file_at
 from tirefit.data.track import Track
@@ -36,8 +36,8 @@ def cut_logs(
     cut: Callable[[Track, Motion], Cut | None],
     long_enough: str,
     shorter: str,
-) -> dict[str, tuple[Motion, Cut]]:
-    """Motion and windows of each log, under the name of its run.
+) -> dict[str, tuple[tuple[str, ...], Cut]]:
+    """Names of the runs and windows of each log, under the name of the log.
 
     Args:
         cut: the windows of a log; None where it has none.
@@ -50,7 +50,7 @@ def cut_logs(
             channels contradict each other, or without a stretch that is long enough.
     """
     UsageError.raise_for(name_problems(logs))
-    found: dict[str, tuple[Motion, Cut]] = {}
+    found: dict[str, tuple[tuple[str, ...], Cut]] = {}
     problems: list[InputProblem] = []
     for path in logs:
         file = file_at(path)
@@ -68,7 +68,7 @@ def cut_logs(
             remedy = f"ask for {shorter}, or lower keep.v_min of vehicle.toml"
             problems.append(InputProblem(reason, remedy, str(file)))
         else:
-            found[run_name(file)] = motion, windows
+            found[run_name(file)] = names_of_runs(file, track), windows
     DataError.raise_for(problems)
     return found
 

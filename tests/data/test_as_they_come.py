@@ -1,0 +1,116 @@
+"""Vehicle logs as people have them: no a_y, several runs, slow or coarse channels."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_derive import rates_log
+from test_motion import CAR, KEEP, RATES, pose_log, pose_vehicle, truth, vehicle
+from test_motion import write_log as write
+
+from tirefit.data.derive import derive, derive_files
+from tirefit.data.read import read
+from tirefit.data.track import read_track
+
+NO_A_Y = RATES.replace('a_y = "ay"\n', "")
+F1TENTH = Path(__file__).parents[2] / "fits" / "measured_changes" / "f1tenth"
+
+# --- a_y that follows ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reach", [0.0, 0.04])
+def test_without_a_y_it_follows_from_the_speeds(tmp_path, reach):
+    """Held against the true force, and against the same log with a_y."""
+    columns = rates_log()
+    tilt = np.cos(reach), np.sin(reach)
+    v_x, v_y = columns["vx"], columns["vy"]
+    columns |= {
+        "vx": tilt[0] * v_x + tilt[1] * v_y,
+        "vy": tilt[0] * v_y - tilt[1] * v_x,
+    }
+    path = write(tmp_path / "a.csv", columns)
+    settings = vehicle(tmp_path, f"sideslip_offset = {reach}\n" + CAR + NO_A_Y + KEEP)
+    log = derive(path, settings)
+    true = truth(log.columns["time"] + columns["t"][0])
+    np.testing.assert_allclose(log.columns["alpha"], true.alpha_rear, atol=1e-4)
+    np.testing.assert_allclose(log.columns["a_y"], true.a_y, atol=5e-3)
+    np.testing.assert_allclose(log.columns["fy"], true.force_rear, atol=1e-2)
+    assert "a_y follows from the speeds: no measurement" in log.summary()
+    assert any("no independent measurement" in said for said in log.assumptions)
+    measured = derive(path, vehicle(tmp_path, CAR + RATES + KEEP))
+    assert not any("independent" in said for said in measured.assumptions)
+
+
+def test_without_a_y_a_v_y_to_the_right_is_named_with_the_yaw_rate(tmp_path):
+    columns = rates_log()
+    columns["vy"] = -columns["vy"]
+    del columns["ay"]  # its header says what it is: it would be compared
+    path = write(tmp_path / "a.csv", columns)
+    log = derive(path, vehicle(tmp_path, CAR + NO_A_Y + KEEP), believe=True)
+    assert any("v_y or yaw_rate has the other sign" in said for said in log.warnings)
+
+
+# --- runs ---------------------------------------------------------------------------
+
+
+def in_three(columns, anew):
+    """The log in three runs of the same car, each from its own time if ``anew``."""
+    n = len(columns["t"])
+    rows = np.split(np.arange(n), [800, 1600])
+    time = [columns["t"][r] - anew * columns["t"][r[0]] for r in rows]
+    return columns | {"t": np.concatenate(time)}, rows
+
+
+@pytest.mark.parametrize("anew", [False, True])
+@pytest.mark.parametrize("header", ["run_id", "tire set"])
+def test_a_column_of_runs_cuts_the_log_and_names_its_parts(tmp_path, anew, header):
+    columns, rows = in_three(pose_log(), anew)
+    ids = np.concatenate([np.full(len(r), k + 3) for k, r in enumerate(rows)])
+    path = write(tmp_path / "log.csv", columns | {header: ids})
+    named = "" if header == "run_id" else f'[columns]\nrun = "{header}"\n'
+    settings = pose_vehicle(tmp_path)
+    text = (tmp_path / "vehicle.toml").read_text().replace("[columns]\n", named, 1)
+    settings = vehicle(tmp_path, text) if named else settings
+    log = derive(path, settings)
+    assert log.gaps == 2 and "runs: 3, gaps: 2" in log.summary()
+    assert list(dict.fromkeys(log.run)) == ["log_3.0", "log_4.0", "log_5.0"]
+    for k, part in enumerate(rows):
+        alone = {name: values[part] for name, values in columns.items()}
+        alone[header] = ids[part]
+        own = derive(write(tmp_path / f"{k}.csv", alone), settings)
+        both = log.run == f"log_{k + 3}.0"
+        assert np.count_nonzero(both) == pytest.approx(len(own), abs=2)
+        for name in ("alpha", "fy"):
+            middle = log.columns[name][both][200], own.columns[name][200]
+            assert middle[0] == pytest.approx(middle[1], rel=0.1)
+    done = derive_files([path], tmp_path / "vehicle.toml", tmp_path / "out.csv")
+    assert read(done.data).runs == ("log_3.0", "log_4.0", "log_5.0")
+
+
+def test_time_that_starts_anew_is_a_new_run(tmp_path):
+    columns, rows = in_three(pose_log(), True)
+    path = write(tmp_path / "log.csv", columns)
+    log = derive(path, pose_vehicle(tmp_path))
+    assert set(log.run) == {"log_1", "log_2", "log_3"} and log.gaps == 2
+    assert sum(log.dropped_rows.values()) == 0 and log.rows == sum(map(len, rows))
+    assert any("time starts anew 2 times" in said for said in log.assumptions)
+    track = read_track(path, pose_vehicle(tmp_path))
+    assert np.all(np.diff(track.time) > 0)
+
+
+def test_rows_that_come_late_start_no_run(tmp_path):
+    columns = pose_log()
+    columns["t"][1200:1220] -= 0.5
+    log = derive(write(tmp_path / "log.csv", columns), pose_vehicle(tmp_path))
+    assert set(log.run) == {"log"}
+    assert log.dropped_rows["repeated or backward time"] == 20
+
+
+def test_the_measured_sets_of_one_file_are_runs(tmp_path):
+    """One file of a 1:10 car: seven runs, speeds and yaw rate, no a_y."""
+    text = (F1TENTH / "vehicle.toml").read_text().replace('a_y = "a_y"\n', "")
+    text = "tracked_point = [0.17, 0.0]\n" + text
+    log = derive(F1TENTH / "a.csv.gz", vehicle(tmp_path, text))
+    assert len(set(log.run)) == 7 and log.gaps == 6 and log.warnings == ()
+    at, std = log.point.estimate
+    assert at == pytest.approx(0.17, abs=2 * std) and std < 0.01
