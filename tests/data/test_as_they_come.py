@@ -11,6 +11,7 @@ from test_motion import write_log as write
 from tirefit.data.derive import derive, derive_files
 from tirefit.data.read import read
 from tirefit.data.track import read_track
+from tirefit.results import DataError
 
 NO_A_Y = RATES.replace('a_y = "ay"\n', "")
 F1TENTH = Path(__file__).parents[2] / "fits" / "measured_changes" / "f1tenth"
@@ -114,3 +115,41 @@ def test_the_measured_sets_of_one_file_are_runs(tmp_path):
     assert len(set(log.run)) == 7 and log.gaps == 6 and log.warnings == ()
     at, std = log.point.estimate
     assert at == pytest.approx(0.17, abs=2 * std) and std < 0.01
+
+
+# --- slow and coarse channels -------------------------------------------------------
+
+STEPS = {"vx": 0.02, "vy": 0.005, "r": 0.01, "ay": 0.05}
+
+
+def coarse_log(rate, steps=STEPS):
+    """The rates at a whole number of samples a second, rounded to steps."""
+    fine = rates_log()
+    time = np.arange(fine["t"][0], fine["t"][-1], 1 / rate)
+    slow = {name: np.interp(time, fine["t"], values) for name, values in fine.items()}
+    return slow | {k: step * np.round(slow[k] / step) for k, step in steps.items()}
+
+
+def test_quantised_channels_at_20_hz_work_by_default(tmp_path):
+    settings = vehicle(tmp_path, CAR + RATES + KEEP)
+    log = derive(write(tmp_path / "can.csv", coarse_log(20)), settings)
+    true = truth(log.columns["time"] + rates_log()["t"][0])
+    # Half a step of v_y and of r at the rear axle, over the speed, is the most; what
+    # varies as noise does is filtered to less.
+    half = 0.5 * (STEPS["vy"] + 0.115 * STEPS["r"]) / true.v_x
+    assert np.all(np.abs(log.columns["alpha"] - true.alpha_rear) < half)
+    (said,) = (note for note in log.assumptions if "in steps" in note)
+    assert "v_y 0.005 m/s" in said and "a_y 0.05 m/s2" in said
+    assert log.warnings == ()
+    fine = derive(write(tmp_path / "fine.csv", rates_log()), settings)
+    assert not any("in steps" in note for note in fine.assumptions)
+
+
+def test_too_slow_a_log_is_told_the_cutoff_that_works(tmp_path):
+    path = write(tmp_path / "slow.csv", coarse_log(10, {}))
+    with pytest.raises(DataError, match=r"10 Hz only\n.*cutoff = 2\.5 in \[filter\]"):
+        derive(path, vehicle(tmp_path, CAR + RATES + KEEP))
+    settings = vehicle(tmp_path, CAR + RATES + KEEP + "[filter]\ncutoff = 2.5\n")
+    log = derive(path, settings)
+    true = truth(log.columns["time"] + rates_log()["t"][0])
+    np.testing.assert_allclose(log.columns["alpha"], true.alpha_rear, atol=1e-3)

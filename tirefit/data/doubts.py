@@ -21,6 +21,8 @@ _LONGEST = 2.0
 """Longest wave that is looked for, in wheelbases: wheels of cars turn once in 0.6 to 1,
 of model cars in 1 to 1.5; a slalom is longer."""
 
+_SMALLEST = 0.01  # of a wave over the strong values (95th percentile) of its column
+
 _TURNS = 16
 """Waves of the longest kind in a window: wavelengths are told apart to 1 / 16."""
 
@@ -144,7 +146,8 @@ def _repeating(columns, stretches, way, vehicle: Vehicle) -> list[str]:
     for name, (unit, factor) in _SHOWN_IN.items():
         parts = [columns[name][rows] for rows in stretches]
         wave = repeats_with_distance(parts, way, shortest, longest)
-        if wave is None:
+        strong = float(np.percentile(np.abs(np.concatenate(parts)), 95))
+        if wave is None or wave.size < _SMALLEST * strong:
             continue
         as_well = ", or in time: the speed hardly varies" if steady else ""
         least = wave.p_value < _LEAST

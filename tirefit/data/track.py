@@ -24,6 +24,12 @@ _LASTING = 1.0
 """Time [s] for which the stamps must stay back where a run starts anew: rows that a
 recorder wrote late come back sooner."""
 
+_HELD, _COARSE = 0.02, 1e-3
+"""Share of the samples that repeat the one before, and error of half a step over the
+standard deviation of a channel, from which its steps are noted."""
+
+_JITTER = 1.05  # of a period: 20 Hz by the clock of a bus is 19.9 Hz
+
 _LARGEST = 1e20
 """Size of a value whose square still is a number; infinity counts as missing."""
 
@@ -98,6 +104,7 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
         "repeated pose": int(np.count_nonzero(later & ~fresh)),
     }
     signals = signals[fresh]
+    notes += _steps(channels, signals)
     for place, channel in enumerate(channels):
         if channel.quantity == "yaw":
             signals[:, place] = _unwrapped(signals[:, place]) + vehicle.yaw_offset
@@ -312,14 +319,33 @@ def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
             remedy = "sort the log by time, or name the right column"
         raise DataError(reason, remedy, file, column=column)
     period = float(np.median(steps))
-    if period > 1 / (4 * cutoff):
+    if period > _JITTER / (4 * cutoff):
+        lower = math.floor(100 / (4 * period)) / 100
         raise DataError(
             f"is sampled at {1 / period:.3g} Hz only",
-            f"give {needed}, lower filter.cutoff, or check the unit of time",
+            f"give {needed}, say cutoff = {max(lower, 0.001):g} in [filter] of"
+            " vehicle.toml, or check the unit of time",
             file,
             column=vehicle.columns.time,
         )
     return period
+
+
+def _steps(channels, signals: np.ndarray) -> list[str]:
+    """A note on the channels that are quantised more coarsely than they change."""
+    coarse = []
+    for channel, values in zip(channels, signals.T, strict=True):
+        values = values[np.isfinite(values)]
+        levels = np.unique(values)
+        if len(levels) < 3 or np.mean(np.diff(values) == 0) < _HELD:
+            continue
+        step = float(np.min(np.diff(levels)))
+        if step > _COARSE * math.sqrt(12) * float(np.std(values)):
+            text = f"{step / abs(channel.factor):.3g} {channel.unit.removeprefix('-')}"
+            coarse.append(f"{channel.quantity} {text.strip()}")
+    if not coarse:
+        return []
+    return [f"channels in steps, an error of 0.29 step (rms) each: {', '.join(coarse)}"]
 
 
 def _later(time: np.ndarray, period: float) -> np.ndarray:
