@@ -5,13 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_derive import rates_log
-from test_motion import CAR, KEEP, RATES, pose_log, pose_vehicle, truth, vehicle
+from test_motion import CAR, KEEP, RATES, pose_log, pose_vehicle, steer, truth, vehicle
 from test_motion import write_log as write
 
 from tirefit.data.derive import derive, derive_files
 from tirefit.data.read import read
 from tirefit.data.track import read_track
-from tirefit.results import DataError
+from tirefit.results import DataError, UsageError
+from tirefit.vehicle.replay import replay
 
 NO_A_Y = RATES.replace('a_y = "ay"\n', "")
 F1TENTH = Path(__file__).parents[2] / "fits" / "measured_changes" / "f1tenth"
@@ -153,3 +154,86 @@ def test_too_slow_a_log_is_told_the_cutoff_that_works(tmp_path):
     log = derive(path, settings)
     true = truth(log.columns["time"] + rates_log()["t"][0])
     np.testing.assert_allclose(log.columns["alpha"], true.alpha_rear, atol=1e-3)
+
+
+# --- outside of what a single track describes ---------------------------------------
+
+
+def changed(name, rows=slice(None)):
+    """The log of rates with a manoeuvre that no single track describes."""
+    log = rates_log()
+    if name == "stands":
+        log |= {k: 0 * log[k] for k in ("vx", "vy", "r", "ay")}
+    if name == "reverses":
+        log["vx"][rows] *= -1
+    if name == "spins":
+        turned = np.linspace(0, 2 * np.pi, len(log["t"][rows]))
+        log["vx"][rows], log["vy"][rows] = 2 * np.cos(turned), -2 * np.sin(turned)
+    return log
+
+
+@pytest.mark.parametrize(
+    ("log", "said"),
+    [
+        (changed("stands"), r"slower than 0.8 m/s 2\d+ \(at most 0 m/s ahead\)"),
+        (changed("reverses"), r"drives backwards for 100% .*\n.*say v_x = \"-m/s\""),
+        (
+            {name: values[:40] for name, values in rates_log().items()},
+            r"longest stretch without a gap is 0.3\d s\n.*record more than 0.6 s",
+        ),
+    ],
+)
+def test_a_log_that_leaves_nothing_says_why_and_what_would(tmp_path, log, said):
+    path = write(tmp_path / "a.csv", log)
+    with pytest.raises(DataError, match=said):
+        derive(path, vehicle(tmp_path, CAR + RATES + KEEP))
+
+
+@pytest.mark.parametrize("name", ["spins", "reverses"])
+def test_where_the_car_spins_or_reverses_is_left_out_and_counted(tmp_path, name):
+    rows = slice(900, 1100)
+    log = changed(name, rows)
+    path, settings = write(tmp_path / "a.csv", log), CAR + RATES + KEEP
+    result = derive(path, vehicle(tmp_path, settings), believe=True)
+    ahead = np.count_nonzero(log["vx"][rows] <= 0.8)
+    count = result.dropped_samples["spinning or reversing"]
+    assert count == pytest.approx(ahead, abs=40)
+    assert np.all(np.abs(result.columns["alpha"]) < np.pi / 2)
+
+
+@pytest.mark.parametrize("horizon", [60.0])
+def test_a_replay_longer_than_its_log_says_how_long_it_is(tmp_path, horizon):
+    log = rates_log()
+    log["wheel"] = steer(log["t"])
+    text = CAR + RATES.replace("[columns]\n", '[columns]\nsteering = "wheel"\n') + KEEP
+    text += "[steering]\ncommand = [-1, 1]\nangle = [-1, 1]\n"
+    path = write(tmp_path / "a.csv", log)
+    with pytest.raises(
+        DataError, match="shortest horizon, 60 s: the longest is 2[23] s"
+    ):
+        replay([path], vehicle(tmp_path, text), "brush", "brush", horizons=[horizon])
+    with pytest.raises(UsageError, match="--axle rear gives the rear axle's slip"):
+        replay([path], vehicle(tmp_path, CAR + RATES + KEEP), "brush", "brush")
+
+
+def test_a_heavy_yaw_inertia_is_doubted_with_its_ratio(tmp_path):
+    """The 1:10 car on other tires with four times its yaw inertia."""
+    text = (F1TENTH / "vehicle.toml").read_text().replace('a_y = "a_y"\n', "")
+    text = text.replace("yaw_inertia = 0.12 ", "yaw_inertia = 0.48 ")
+    path = F1TENTH / "a.csv.gz"
+    log = derive(path, vehicle(tmp_path, "tracked_point = [0.17, 0.0]\n" + text))
+    (said,) = (one for one in log.warnings if "friction" in one)
+    arms = 5.1 * 0.165**2
+    assert f"yaw_inertia {0.48 / arms:.2g} mass l_f l_r" in said
+    turning = 0.48 * log.columns["yaw_acceleration"] / 0.33 / log.columns["fz"]
+    reaches = np.percentile(np.abs(turning), 99)
+    assert f"dr/dt / wheelbase alone is {reaches:.2g} fz" in said
+
+
+def test_a_wrong_point_is_not_taken_for_a_wrong_sign(tmp_path):
+    """The same car on worn tires, at 0.19 m, with its point stated elsewhere."""
+    text = (F1TENTH / "vehicle.toml").read_text().replace('a_y = "a_y"\n', "")
+    for at in (0.0, 0.05, 0.33):
+        settings = vehicle(tmp_path, f"tracked_point = [{at}, 0.0]\n" + text)
+        (said,) = derive(F1TENTH / "d.csv.gz", settings).warnings
+        assert "tracked_point = [0.19" in said and "sign" not in said

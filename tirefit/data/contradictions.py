@@ -65,7 +65,9 @@ class Comparison:
 
 
 def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Comparison:
-    """Hold every channel against the others."""
+    """Hold every channel against the others, of a car that drives ahead."""
+    if backwards := _backwards(track, motion, vehicle, file):
+        return Comparison((), (backwards,), (), "channels: not compared")
     pairs = agreements(track, motion, vehicle)
     off = not_explained(pairs, ())
     stray = [a for a in pairs if strays(a)]
@@ -97,6 +99,28 @@ def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Compar
         tuple(pairs), tuple(problems), tuple(warnings), _line(pairs, vehicle)
     )
 
+
+def _backwards(track, motion, vehicle: Vehicle, file: str) -> InputProblem | None:
+    """That the car mostly drives backwards, or its axes point there."""
+    fast = motion.settled & (np.hypot(motion.v_x, motion.v_y) > vehicle.v_min)
+    share = float(np.mean(motion.v_x[fast] < 0)) if fast.any() else 0.0
+    if share < _MOSTLY:
+        return None
+    pose = vehicle.columns.motion == POSE
+    turned = vehicle.yaw_offset + math.pi
+    unit = f"-{vehicle.units.get('v_x', 'm/s')}".removeprefix("--")
+    how = f"yaw_offset = {turned:.5g}" if pose else f'v_x = "{unit}" in [units]'
+    beside = "" if pose else " (and v_y, a_x, a_y of a sensor that is turned around)"
+    return InputProblem(
+        f"the car drives backwards for {share:.0%} of the time in motion",
+        f"if it drove ahead, say {how} of vehicle.toml{beside}; a single track that"
+        " reverses is not described: cut it from the log",
+        file,
+        column=_column(track, "yaw" if pose else "v_x").header,
+    )
+
+
+_MOSTLY = 0.9  # share of the time in motion: more is no manoeuvre
 
 _SWAPPED = ("v_x", "v_y", "a_x", "a_y", "yaw_rate")
 

@@ -34,13 +34,14 @@ from tirefit.data.motion import (
     Motion,
     error_along,
     force_along,
+    not_ahead,
     read_motion,
     road_wheel,
     slip_and_force,
 )
 from tirefit.data.point import PointCheck, check_point, zero_of_alpha
 from tirefit.data.remote import Place, file_at
-from tirefit.data.stated import found_in, stated_of
+from tirefit.data.stated import assumptions_of, found_in, stated_of
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
@@ -55,11 +56,6 @@ _FIRST = (
 
 _NEARLY_ALL = 0.9
 """Share of the samples that one reason drops, from which the units are doubted."""
-
-_SIGNS = (
-    "alpha > 0 where the axle slides to the left; fy > 0 to the right, as the force"
-    " then acts: alpha and fy are negative in a left turn (the canonical convention)"
-)
 
 
 @dataclass(frozen=True)
@@ -172,11 +168,7 @@ def derive(
     columns = _axle(motion, vehicle, axle)
     kept, dropped = _kept(motion, track, vehicle, axle)
     if not kept.any():
-        raise DataError(
-            f"no sample is left of {len(kept)}: {_counts(dropped)}",
-            "check the units and [keep] of vehicle.toml",
-            str(file),
-        )
+        raise DataError(_none_left(motion, vehicle, dropped, str(file)))
     warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
     warnings = _hardly_any(kept, dropped) + warnings
     alpha, force = columns["alpha"][kept], columns["fy"][kept]
@@ -209,7 +201,7 @@ def derive(
             *point.warnings,
             *warnings,
         ),
-        assumptions=_assumptions(track, vehicle, axle),
+        assumptions=assumptions_of(track, vehicle, axle),
         source={"path": file.name, "sha256": track.sha256, "epoch": track.epoch},
     )
 
@@ -323,7 +315,7 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
     reasons = {
         "beside an edge or a gap": ~motion.settled,
         "not active": ~track.active[last_row],
-        f"slower than {vehicle.v_min:g} m/s": motion.v_x <= vehicle.v_min,
+        **not_ahead(motion, vehicle),
     }
     if keep.a_y_max is not None:
         # The filter smears a glitch over its settling time: that goes with it.
@@ -346,6 +338,21 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
     return kept, dropped
 
 
+def _none_left(motion, vehicle: Vehicle, dropped, file: str) -> InputProblem:
+    """That no sample is kept, and what would keep some."""
+    reason = f"no sample is left of {len(motion.time)}: {_counts(dropped)}"
+    remedy = "check the units and [keep] of vehicle.toml"
+    if motion.settled.any():
+        fastest = float(np.max(motion.v_x[motion.settled]))
+        reason += f" (at most {fastest:.3g} m/s ahead)"
+    else:
+        longest = 2 * float(np.max(motion.within))
+        reason += f"; the longest stretch without a gap is {longest:.2g} s"
+        remedy = f"record more than {2 * vehicle.margin:.2g} s without a gap, or raise"
+        remedy += " cutoff in [filter] of vehicle.toml, which shortens keep.margin"
+    return InputProblem(reason, remedy, file)
+
+
 def _hardly_any(kept: np.ndarray, dropped: Mapping[str, int]) -> tuple[str, ...]:
     """A warning where one reason takes nearly all samples."""
     reason = max(dropped, key=lambda name: dropped[name])
@@ -358,34 +365,6 @@ def _hardly_any(kept: np.ndarray, dropped: Mapping[str, int]) -> tuple[str, ...]
 
 
 # --- words ----------------------------------------------------------------------
-
-
-def _assumptions(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
-    settings = vehicle.filter
-    said = [
-        f"bandwidth {settings.bandwidth:.3g} Hz (-3 dB): Butterworth of order"
-        f" {settings.order}, {settings.cutoff:g} Hz, run both ways, then central"
-        f" differences at {settings.sample_rate:g} Hz; neighbouring samples are"
-        " correlated, so n samples are not n facts",
-        f"gaps over {track.max_gap:.3g} s are not interpolated; shorter ones and uneven"
-        " sampling are bridged by a cubic spline",
-        "one rigid body on a flat floor, one wheel per axle: no roll, pitch, lateral"
-        " load transfer or drag, and no yaw moment but that of the axles' side forces",
-        _SIGNS,
-    ]
-    if vehicle.h_cg is None:
-        said.append("fz is the static axle load (h_cg is not given)")
-    else:
-        said.append("fz is the axle load with the load transfer m a_x h_cg / L")
-    if vehicle.tracked_point is None:
-        said.append("the log describes the centre of gravity (no tracked_point)")
-    if axle == "front":
-        said.append("the road wheels follow the steering command at once")
-    if vehicle.driven not in (axle, "all"):
-        said.append(f"the {axle} axle neither drives nor brakes")
-    elif vehicle.driven == "all" and vehicle.rear_share is None:
-        said.append("the rear axle has half of the drive force (no rear_share)")
-    return (*said, *vehicle.columns.notes, *track.notes)
 
 
 def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:

@@ -59,6 +59,16 @@ def read_motion(path: str | Place, vehicle: Vehicle) -> tuple[Track, Motion, int
     return track, *_motion(track, vehicle)
 
 
+def not_ahead(motion: Motion, vehicle: Vehicle) -> dict[str, np.ndarray]:
+    """Reason -> samples (n,) bool of which a single track that drives ahead says
+    nothing; the first reason counts."""
+    speed = np.hypot(motion.v_x, motion.v_y)
+    return {
+        f"slower than {vehicle.v_min:g} m/s": speed <= vehicle.v_min,
+        "spinning or reversing": motion.v_x <= vehicle.v_min,
+    }
+
+
 def slip_and_force(motion: Motion, vehicle: Vehicle, axle: str = "rear"):
     """Slip angle [rad], lateral force [N] and forward speed [m/s] of an axle, (n,)
     each, in canonical signs; formulas: :mod:`tirefit.data.derive`.

@@ -26,7 +26,8 @@ def steering_problems(vehicle: Vehicle, what: str) -> list[InputProblem]:
     """That a vehicle has no steering map, which ``what`` needs."""
     if vehicle.steering is not None:
         return []
-    remedy = "name columns.steering and give [steering] in vehicle.toml"
+    remedy = "name columns.steering and give [steering] in vehicle.toml; without,"
+    remedy += " tirefit derive --axle rear gives the rear axle's slip and force"
     return [InputProblem(f"{what} needs the road wheel angle", remedy)]
 
 
@@ -65,12 +66,20 @@ def cut_logs(
         windows = cut(track, motion)
         if windows is None:
             reason = f"no stretch above {vehicle.v_min:.3g} m/s is {long_enough}"
+            reason += f": the longest is {_longest(motion, vehicle):.2g} s"
             remedy = f"ask for {shorter}, or lower keep.v_min of vehicle.toml"
             problems.append(InputProblem(reason, remedy, str(file)))
         else:
             found[run_name(file)] = names_of_runs(file, track), windows
     DataError.raise_for(problems)
     return found
+
+
+def _longest(motion: Motion, vehicle: Vehicle) -> float:
+    """Length [s] of the longest stretch of a log in which the car drives ahead."""
+    good = motion.settled & (motion.v_x > vehicle.v_min)
+    rows = [last - first for first, last in stretches(good, motion.part)]
+    return max(rows, default=0) / vehicle.filter.sample_rate
 
 
 def stretches(good: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
