@@ -48,13 +48,14 @@ class Columns(Section):
     are named are compared with them; of both, the pose is used.
 
     Attributes:
+        yaw: a heading, or the components x, y, z, w of a quaternion.
         run: names or numbers of runs; nothing is joined from one run to the next.
     """
 
     time: str
     x: str | None = None
     y: str | None = None
-    yaw: str | None = None
+    yaw: str | Annotated[list[str], Field(min_length=4, max_length=4)] | None = None
     v_x: str | None = None
     v_y: str | None = None
     yaw_rate: str | None = None
