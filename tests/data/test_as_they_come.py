@@ -1,5 +1,6 @@
 """Vehicle logs as people have them: no a_y, several runs, slow or coarse channels."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -237,3 +238,20 @@ def test_a_wrong_point_is_not_taken_for_a_wrong_sign(tmp_path):
         settings = vehicle(tmp_path, f"tracked_point = [{at}, 0.0]\n" + text)
         (said,) = derive(F1TENTH / "d.csv.gz", settings).warnings
         assert "tracked_point = [0.19" in said and "sign" not in said
+
+
+def test_a_replay_states_how_long_the_car_did_not_drive_ahead(tmp_path):
+    log = rates_log()
+    del log["ay"]
+    log["wheel"] = steer(log["t"])
+    log["vx"][300:400] = -1.0
+    log["vx"][900:1000], log["vy"][900:1000] = 0.0, 0.0
+    text = CAR + NO_A_Y.replace("[columns]\n", '[columns]\nsteering = "wheel"\n')
+    text += KEEP + "[steering]\ncommand = [-1, 1]\nangle = [-1, 1]\n"
+    path = write(tmp_path / "a.csv", log)
+    found = replay([path], vehicle(tmp_path, text), "brush", "brush", horizons=[0.5])
+    notes = "\n".join(found.notes)
+    assert "a_y follows from the speeds" in notes
+    for why in ("spinning or reversing", "slower than 0.8 m/s"):
+        span = float(re.search(rf"([\d.]+) s are left out as {why}", notes)[1])
+        assert span == pytest.approx(1.0, abs=0.3)

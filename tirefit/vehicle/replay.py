@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit import __version__
+from tirefit.data.merged import merged
 from tirefit.data.motion import Motion, road_wheel
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.fitting.axle import axle_tire
@@ -205,7 +206,7 @@ def replay(
         f"as long as the shortest horizon, {horizons[0]:g} s", "shorter horizons",
     )  # fmt: skip
     joined = jax.tree.map(
-        lambda *each: np.concatenate(each), *(w for _, w in found.values())
+        lambda *each: np.concatenate(each), *(log.windows for log in found.values())
     )
     steps = [round(h * rate) for h in horizons]
     car = _traced(car_of(vehicle, tires[0].tire, tires[1].tire))
@@ -222,10 +223,11 @@ def replay(
     held = _held(car, tires, joined, steps, rate, parts, seed)
     counts = np.isfinite(tire.of["yaw_rate"]).sum(axis=0)
     return Replay(
-        {k: not fitted.isdisjoint(runs) for k, (runs, _) in found.items()},
+        {k: not fitted.isdisjoint(log.runs) for k, log in found.items()},
         tuple(horizons),
         tuple(int(n) for n in counts), models, held,
-        _fans(found, states, rate), _notes(vehicle),
+        _fans(found, states, rate),
+        (*_notes(vehicle), *merged((k, log.left_out) for k, log in found.items())),
     )  # fmt: skip
 
 
@@ -420,7 +422,7 @@ def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, seed: int
 def _fans(found, states: State, rate: float) -> dict[str, Fans]:
     """The pictures' paths, log by log."""
     fans, first = {}, 0
-    for name, (_, windows) in found.items():
+    for name, (_, windows, _) in found.items():
         rows = slice(first, first + len(windows.v_x))
         first = rows.stop
         there = np.isfinite(windows.a_y)[..., None]

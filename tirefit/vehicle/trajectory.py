@@ -149,7 +149,7 @@ def fit_trajectory(
         lambda track, motion: _windows(track, motion, vehicle, window),
         f"{window:g} s long", "a shorter window",
     )  # fmt: skip
-    parts = [windows for _, windows in found.values()]
+    parts = [log.windows for log in found.values()]
     data = _Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
     problem = _Problem(vehicle, tires, tuple(unknowns), rate, data)
     return problem.solved()

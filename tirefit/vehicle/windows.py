@@ -2,19 +2,28 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from tirefit.data.contradictions import compare
 from tirefit.data.derive import name_problems, names_of_runs, run_name
-from tirefit.data.motion import Motion, read_motion
+from tirefit.data.motion import Motion, not_ahead, read_motion
 from tirefit.data.remote import file_at
 from tirefit.data.track import Track
 from tirefit.data.vehicle import Vehicle, load_vehicle
 from tirefit.results import DataError, InputProblem, UsageError
 
 Cut = TypeVar("Cut")
+
+
+class CutLog(NamedTuple, Generic[Cut]):
+    """A log, cut up: the names of its runs, its windows, and sentences on what no
+    window holds."""
+
+    runs: tuple[str, ...]
+    windows: Cut
+    left_out: tuple[str, ...]
 
 
 def known_vehicle(vehicle: Vehicle | str | Path) -> Vehicle:
@@ -37,8 +46,8 @@ def cut_logs(
     cut: Callable[[Track, Motion], Cut | None],
     long_enough: str,
     shorter: str,
-) -> dict[str, tuple[tuple[str, ...], Cut]]:
-    """Names of the runs and windows of each log, under the name of the log.
+) -> dict[str, CutLog[Cut]]:
+    """The windows of each log, under the name of the log.
 
     Args:
         cut: the windows of a log; None where it has none.
@@ -51,7 +60,7 @@ def cut_logs(
             channels contradict each other, or without a stretch that is long enough.
     """
     UsageError.raise_for(name_problems(logs))
-    found: dict[str, tuple[tuple[str, ...], Cut]] = {}
+    found: dict[str, CutLog[Cut]] = {}
     problems: list[InputProblem] = []
     for path in logs:
         file = file_at(path)
@@ -70,9 +79,20 @@ def cut_logs(
             remedy = f"ask for {shorter}, or lower keep.v_min of vehicle.toml"
             problems.append(InputProblem(reason, remedy, str(file)))
         else:
-            found[run_name(file)] = names_of_runs(file, track), windows
+            runs, left = names_of_runs(file, track), _left_out(motion, vehicle)
+            found[run_name(file)] = CutLog(runs, windows, left)
     DataError.raise_for(problems)
     return found
+
+
+def _left_out(motion: Motion, vehicle: Vehicle) -> tuple[str, ...]:
+    """How long the car does not drive ahead, by reason."""
+    there, said = motion.settled, []
+    for reason, rows in not_ahead(motion, vehicle).items():
+        if span := np.count_nonzero(there & rows) / vehicle.filter.sample_rate:
+            said.append(f"{span:.3g} s are left out as {reason}")
+        there = there & ~rows
+    return tuple(said)
 
 
 def _longest(motion: Motion, vehicle: Vehicle) -> float:
