@@ -38,6 +38,7 @@ from tirefit.vehicle.car import (
 from tirefit.vehicle.windows import (
     cut_logs,
     known_vehicle,
+    left_out,
     steering_problems,
     stretches,
 )
@@ -220,6 +221,7 @@ def replay(
         "linear tire": _compared(straight, joined, steps, rate, parts)[0],
         "no slip": _without_slip(vehicle, joined, steps),
     }
+    left = merged((k, left_out(log.motion, vehicle)) for k, log in found.items())
     held = _held(car, tires, joined, steps, rate, parts, seed)
     counts = np.isfinite(tire.of["yaw_rate"]).sum(axis=0)
     return Replay(
@@ -227,7 +229,7 @@ def replay(
         tuple(horizons),
         tuple(int(n) for n in counts), models, held,
         _fans(found, states, rate),
-        (*_notes(vehicle), *merged((k, log.left_out) for k, log in found.items())),
+        (*_notes(vehicle), *left),
     )  # fmt: skip
 
 

@@ -18,12 +18,11 @@ Cut = TypeVar("Cut")
 
 
 class CutLog(NamedTuple, Generic[Cut]):
-    """A log, cut up: the names of its runs, its windows, and sentences on what no
-    window holds."""
+    """A log, cut up, and the names of its runs."""
 
-    runs: tuple[str, ...]
+    motion: Motion
     windows: Cut
-    left_out: tuple[str, ...]
+    runs: tuple[str, ...]
 
 
 def known_vehicle(vehicle: Vehicle | str | Path) -> Vehicle:
@@ -47,7 +46,7 @@ def cut_logs(
     long_enough: str,
     shorter: str,
 ) -> dict[str, CutLog[Cut]]:
-    """The windows of each log, under the name of the log.
+    """Motion and windows of each log, under the name of the log.
 
     Args:
         cut: the windows of a log; None where it has none.
@@ -79,13 +78,12 @@ def cut_logs(
             remedy = f"ask for {shorter}, or lower keep.v_min of vehicle.toml"
             problems.append(InputProblem(reason, remedy, str(file)))
         else:
-            runs, left = names_of_runs(file, track), _left_out(motion, vehicle)
-            found[run_name(file)] = CutLog(runs, windows, left)
+            found[run_name(file)] = CutLog(motion, windows, names_of_runs(file, track))
     DataError.raise_for(problems)
     return found
 
 
-def _left_out(motion: Motion, vehicle: Vehicle) -> tuple[str, ...]:
+def left_out(motion: Motion, vehicle: Vehicle) -> tuple[str, ...]:
     """How long the car does not drive ahead, by reason."""
     there, said = motion.settled, []
     for reason, rows in not_ahead(motion, vehicle).items():
