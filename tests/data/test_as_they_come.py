@@ -180,7 +180,7 @@ def changed(name, rows=slice(None)):
         (changed("reverses"), r"drives backwards for 100% .*\n.*say v_x = \"-m/s\""),
         (
             {name: values[:40] for name, values in rates_log().items()},
-            r"longest stretch without a gap is 0.3\d s\n.*record more than 0.6 s",
+            r"longest stretch is 0.3\d s\n.*record more than 0.6 s",
         ),
     ],
 )

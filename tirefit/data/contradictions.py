@@ -106,18 +106,17 @@ def _backwards(track, motion, vehicle: Vehicle, file: str) -> InputProblem | Non
     share = float(np.mean(motion.v_x[fast] < 0)) if fast.any() else 0.0
     if share < _MOSTLY:
         return None
-    pose = vehicle.columns.motion == POSE
-    turned = vehicle.yaw_offset + math.pi
-    unit = f"-{vehicle.units.get('v_x', 'm/s')}".removeprefix("--")
-    how = f"yaw_offset = {turned:.5g}" if pose else f'v_x = "{unit}" in [units]'
-    beside = "" if pose else " (and v_y, a_x, a_y of a sensor that is turned around)"
-    return InputProblem(
-        f"the car drives backwards for {share:.0%} of the time in motion",
-        f"if it drove ahead, say {how} of vehicle.toml{beside}; a single track that"
-        " reverses is not described: cut it from the log",
-        file,
-        column=_column(track, "yaw" if pose else "v_x").header,
+    if vehicle.columns.motion == POSE:
+        name, how = "yaw", f"yaw_offset = {vehicle.yaw_offset + math.pi:.5g}"
+    else:
+        unit = f"-{vehicle.units.get('v_x', 'm/s')}".removeprefix("--")
+        name, how = "v_x", f'v_x = "{unit}" (and v_y, a_x, a_y alike) in [units]'
+    reason = f"the car drives backwards for {share:.0%} of the time in motion"
+    remedy = (
+        f"if it drove ahead, say {how} of vehicle.toml; else cut that from the log:"
     )
+    remedy += " only driving ahead is described"
+    return InputProblem(reason, remedy, file, column=_column(track, name).header)
 
 
 _MOSTLY = 0.9  # share of the time in motion: more is no manoeuvre

@@ -168,7 +168,7 @@ def derive(
     columns = _axle(motion, vehicle, axle)
     kept, dropped = _kept(motion, track, vehicle, axle)
     if not kept.any():
-        raise DataError(_none_left(motion, vehicle, dropped, str(file)))
+        raise DataError(_none_left(track, motion, vehicle, dropped, str(file)))
     warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
     warnings = _hardly_any(kept, dropped) + warnings
     alpha, force = columns["alpha"][kept], columns["fy"][kept]
@@ -338,16 +338,17 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
     return kept, dropped
 
 
-def _none_left(motion, vehicle: Vehicle, dropped, file: str) -> InputProblem:
+def _none_left(
+    track: Track, motion, vehicle: Vehicle, dropped, file: str
+) -> InputProblem:
     """That no sample is kept, and what would keep some."""
     reason = f"no sample is left of {len(motion.time)}: {_counts(dropped)}"
-    remedy = "check the units and [keep] of vehicle.toml"
     if motion.settled.any():
-        fastest = float(np.max(motion.v_x[motion.settled]))
-        reason += f" (at most {fastest:.3g} m/s ahead)"
+        reason += f" (at most {np.max(motion.v_x[motion.settled]):.3g} m/s ahead)"
+        remedy = "check the units and [keep] of vehicle.toml"
     else:
-        longest = 2 * float(np.max(motion.within))
-        reason += f"; the longest stretch without a gap is {longest:.2g} s"
+        reason += f"; the longest stretch is {2 * np.max(motion.within):.2g} s"
+        reason += f" of {len(track.runs)} runs" if len(track.runs) > 1 else ""
         remedy = f"record more than {2 * vehicle.margin:.2g} s without a gap, or raise"
         remedy += " cutoff in [filter] of vehicle.toml, which shortens keep.margin"
     return InputProblem(reason, remedy, file)

@@ -35,26 +35,17 @@ def zero_of_alpha(
     pose = vehicle.columns.motion == POSE
     key = "yaw_offset" if pose else "sideslip_offset"
     given = getattr(vehicle, key)
-    if given and pose:
-        said = (
-            f"heading offset: {given:g} rad were added to the logged yaw, as declared,"
-            " which lowers alpha by as much"
-        )
-    elif given:
-        said = (
-            f"sideslip offset: {given:g} rad were added to the logged sideslip, as"
-            " declared, which raises alpha by as much"
-        )
-    elif pose:
-        said = (
-            "heading offset: none assumed, the logged yaw is the car's heading; alpha"
-            " is too large by as much as the heading exceeds it"
-        )
-    else:
-        said = (
-            "sideslip offset: none assumed, the speeds are along the car's axes; alpha"
-            " is too large by as much as their sensor is turned to the right"
-        )
+    what, logged, turns = "sideslip", "sideslip", "raises"
+    assumed = "the speeds are along the car's axes; alpha is too large by as much as"
+    assumed += " their sensor is turned to the right"
+    if pose:
+        what, logged, turns = "heading", "yaw", "lowers"
+        assumed = "the logged yaw is the car's heading; alpha is too large by as much"
+        assumed += " as the heading exceeds it"
+    said = f"{what} offset: none assumed, {assumed}"
+    if given:
+        said = f"{what} offset: {given:g} rad were added to the logged {logged}, as"
+        said += f" declared, which {turns} alpha by as much"
     left = _alpha_at_rest(alpha, fy) if axle == "rear" else None
     if left is None:
         return said, None

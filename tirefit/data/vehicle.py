@@ -35,6 +35,11 @@ RATES = ("v_x", "v_y", "yaw_rate")
 CHECKS = (*POSE, *RATES, "a_y", "a_x")
 """Quantities that are compared with the motion where it does not need them."""
 
+_FOLLOWS = (
+    "a_y follows from the speeds (dv_y/dt + v_x r at the centre of gravity, of the"
+    " filtered channels): it is no independent measurement and checks none of them; a"
+    " channel that a filter or a model computed is no measurement"
+)
 _FROUDE = 0.5
 """Lowest speed that is kept unless told, over sqrt(g L): 0.65 m/s for a model car of
 0.17 m, 2.6 m/s for a car of 2.7 m. Below, noise of the speeds turns the slip angle."""
@@ -90,13 +95,7 @@ class Columns(Section):
     @property
     def notes(self) -> tuple[str, ...]:
         """What the columns leave open, in words."""
-        if not self.a_y_follows:
-            return ()
-        return (
-            "a_y follows from the speeds (dv_y/dt + v_x r at the centre of gravity, of"
-            " the filtered channels): it is no independent measurement and checks none"
-            " of them; a channel that a filter or a model computed is no measurement",
-        )
+        return (_FOLLOWS,) if self.a_y_follows else ()
 
     @property
     def beyond(self) -> tuple[str, ...]:

@@ -20,6 +20,18 @@ _ENDS = {
 }
 """Quantity of a log -> how headers of it end, without separators."""
 
+_CAR = (
+    "mass = 1500         # kg",
+    "l_f = 1.2           # m, front axle ahead of the centre of gravity",
+    "l_r = 1.4           # m, rear axle behind it",
+    "yaw_inertia = 2500  # kg m2",
+    "[columns]",
+)
+_MAP = (
+    "[steering]  # from the column to the road wheel angle [rad]",
+    "command = [-1.0, 1.0]",
+    "angle = [-1.0, 1.0]",
+)
 _NO_PLACE = re.compile(
     "^v$|acc|imu|mag|gyro|twist|linear|angular|vel|orientation|rotation"
 )
@@ -46,21 +58,16 @@ def vehicle_log(headers: Sequence[str], file: str) -> InputProblem | None:
     motion = POSE if found.keys() >= {*POSE} else RATES
     if not found.keys() >= {*motion}:
         return None
-    names = ("time", *motion, *(() if motion == POSE else ("a_y",)), "steering")
-    lines = [f'{k} = "{found[k]}"' for k in names if k in found]
-    if "time" not in found:
-        lines.insert(0, 'time = "HEADER"')
-    if "steering" in found:
-        lines.append("[steering]  # from the column to the road wheel angle [rad]")
-        lines += ["command = [-1.0, 1.0]", "angle = [-1.0, 1.0]"]
+    found.setdefault("time", "HEADER")
+    names = ("time", *motion, *(("a_y",) if motion == RATES else ()), "steering")
+    lines = [f'{name} = "{found[name]}"' for name in names if name in found]
     return InputProblem(
         "this is the log of a vehicle, which holds no slip and no force of a tire",
         f"tirefit derive {file} --vehicle vehicle.toml --out axle.csv computes those of"
-        " an axle. vehicle.toml (VEHICLE.md), with the numbers of your car:\n"
-        "      mass = 1500         # kg\n"
-        "      l_f = 1.2           # m, front axle ahead of the centre of gravity\n"
-        "      l_r = 1.4           # m, rear axle behind it\n"
-        "      yaw_inertia = 2500  # kg m2\n"
-        "      [columns]\n      " + "\n      ".join(lines),
+        " an axle. vehicle.toml (VEHICLE.md), with the numbers of your car:"
+        + "".join(
+            f"\n      {line}"
+            for line in (*_CAR, *lines, *(_MAP if "steering" in found else ()))
+        ),
         file,
     )
