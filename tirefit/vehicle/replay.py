@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit import __version__
+from tirefit.data.merged import merged
 from tirefit.data.motion import Motion, road_wheel
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.fitting.axle import axle_tire
@@ -37,6 +38,7 @@ from tirefit.vehicle.car import (
 from tirefit.vehicle.windows import (
     cut_logs,
     known_vehicle,
+    left_out,
     steering_problems,
     stretches,
 )
@@ -205,7 +207,7 @@ def replay(
         f"as long as the shortest horizon, {horizons[0]:g} s", "shorter horizons",
     )  # fmt: skip
     joined = jax.tree.map(
-        lambda *each: np.concatenate(each), *(w for _, w in found.values())
+        lambda *each: np.concatenate(each), *(log.windows for log in found.values())
     )
     steps = [round(h * rate) for h in horizons]
     car = _traced(car_of(vehicle, tires[0].tire, tires[1].tire))
@@ -219,12 +221,15 @@ def replay(
         "linear tire": _compared(straight, joined, steps, rate, parts)[0],
         "no slip": _without_slip(vehicle, joined, steps),
     }
+    left = merged((k, left_out(log.motion, vehicle)) for k, log in found.items())
     held = _held(car, tires, joined, steps, rate, parts, seed)
     counts = np.isfinite(tire.of["yaw_rate"]).sum(axis=0)
     return Replay(
-        {name: name in fitted for name in found}, tuple(horizons),
+        {k: not fitted.isdisjoint(log.runs) for k, log in found.items()},
+        tuple(horizons),
         tuple(int(n) for n in counts), models, held,
-        _fans(found, states, rate), _notes(vehicle),
+        _fans(found, states, rate),
+        (*_notes(vehicle), *left),
     )  # fmt: skip
 
 
@@ -252,6 +257,7 @@ def _notes(vehicle: Vehicle) -> tuple[str, ...]:
         "speed and steering are those of the log; starts are the log's, low-passed at"
         f" {vehicle.filter.bandwidth:.3g} Hz, without phase",
         "axle loads are static; the tires carry no drive or brake force",
+        *vehicle.columns.notes,
     ]
     if vehicle.columns.motion != POSE:
         notes.append(
@@ -418,7 +424,7 @@ def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, seed: int
 def _fans(found, states: State, rate: float) -> dict[str, Fans]:
     """The pictures' paths, log by log."""
     fans, first = {}, 0
-    for name, (_, windows) in found.items():
+    for name, (_, windows, _) in found.items():
         rows = slice(first, first + len(windows.v_x))
         first = rows.stop
         there = np.isfinite(windows.a_y)[..., None]

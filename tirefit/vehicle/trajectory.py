@@ -135,7 +135,7 @@ def fit_trajectory(
         lambda track, motion: windows_of(track, motion, vehicle, window),
         f"{window:g} s long", "a shorter window",
     )  # fmt: skip
-    parts = [windows for _, (windows, _) in found.values()]
+    parts = [log.windows[0] for log in found.values()]
     data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
     problem = _Problem(vehicle, tires, tuple(unknowns), rate, data)
     return problem.solved()
