@@ -23,8 +23,8 @@ from scipy.stats import t as student
 from tirefit.data.motion import Motion, road_wheel
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
-from tirefit.fitting.axle import axle_tire
 from tirefit.fitting.layout import Layout
+from tirefit.fitting.source import axle_tire
 from tirefit.models import AbstractTire
 from tirefit.params import with_values
 from tirefit.precision import require_x64
