@@ -105,15 +105,15 @@ def _of_fit(fit, path: str) -> GivenTire:
 
     fit = load_fit(path) if path else fit
     if isinstance(fit, MagicFormulaFit):
-        stored, content, tire = fit.stored, fit.to_dict(), fit.tire
+        stored = fit.stored
         known = stored.layout, stored.z, stored.covariance
-    elif isinstance(fit, StoredFit):
-        content, tire = fit.content, fit.at_estimate()
+        return GivenTire(fit.model, fit.tire, known, fit.to_dict())
+    if isinstance(fit, StoredFit):
         known = fit.layout, fit.z, fit.covariance
-    else:
-        known = fit.problem.layout, fit.z, fit.covariance
-        content, tire = fit.to_dict(), at_estimate(fit.problem.model, *known[:2])
-    return GivenTire(fit.model, tire, known, content)
+        return GivenTire(fit.model, fit.at_estimate(), known, fit.content)
+    known = fit.problem.layout, fit.z, fit.covariance
+    tire = at_estimate(fit.problem.model, *known[:2])
+    return GivenTire(fit.model, tire, known, fit.to_dict())
 
 
 def axle_tire(source: "Source") -> GivenTire:

@@ -97,7 +97,10 @@ def replay_text(result: Replay) -> str:
     """The report: the answer, the errors by horizon, what was assumed."""
     rows = _error_rows(result)
     lines = [_head(result), "ANSWER", *_wrapped(answer(result))]
-    lines += ["ERROR BY TIME AFTER THE START", *table(rows, range(2, len(rows[0])))]
+    lines += [
+        "ERROR BY TIME AFTER THE START",
+        *table(rows, tuple(range(2, len(rows[0])))),
+    ]
     for title, said in _sections(result).items():
         if said:
             lines += [title, *(line for one in said for line in _wrapped(one))]
