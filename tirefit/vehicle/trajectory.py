@@ -11,18 +11,15 @@ blocks of windows, which holds where residuals are correlated within a block.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.stats import t as student
 
-from tirefit.data.motion import Motion, road_wheel
-from tirefit.data.track import Track
-from tirefit.data.vehicle import POSE, Vehicle
+from tirefit.data.vehicle import Vehicle
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.source import axle_tire
 from tirefit.models import AbstractTire
@@ -36,12 +33,15 @@ from tirefit.vehicle.car import (
     predicted,
     steps_a_sample,
 )
-from tirefit.vehicle.windows import (
-    cut_logs,
-    known_vehicle,
-    steering_problems,
-    stretches,
+from tirefit.vehicle.shooting import (
+    CHANNELS,
+    Data,
+    linearised,
+    minimised,
+    sandwich,
+    windows_of,
 )
+from tirefit.vehicle.windows import cut_logs, known_vehicle, steering_problems
 
 
 class Unknown(NamedTuple):
@@ -63,13 +63,8 @@ UNKNOWNS = {
 
 WINDOW = 0.5
 """Length [s] of a window."""
-_LEAD = 0.3
-"""Time [s] of steering before a window, for its delay."""
 _ROUNDS = 3
 """Times that the noise of the channels is estimated anew."""
-_ITERATIONS = 40
-_BLOCKS = 40
-"""Blocks of windows of the sandwich, at most: their scores count as independent."""
 
 
 @dataclass(frozen=True)
@@ -105,16 +100,6 @@ class TrajectoryFit:
     converged: bool
 
 
-class _Data(NamedTuple):
-    """Windows: speed (w, k), steering (w, l + k) with its lead, logged channels
-    (w, k, c), NaN where they are not known, and start states (w, s)."""
-
-    v_x: jax.Array
-    steering: jax.Array
-    logged: jax.Array
-    start: jax.Array
-
-
 def fit_trajectory(
     logs: Sequence,
     vehicle: Vehicle | str,
@@ -146,11 +131,11 @@ def fit_trajectory(
     rate = vehicle.filter.sample_rate
     found = cut_logs(
         logs, vehicle,
-        lambda track, motion: _windows(track, motion, vehicle, window),
+        lambda track, motion: windows_of(track, motion, vehicle, window),
         f"{window:g} s long", "a shorter window",
     )  # fmt: skip
     parts = [windows for _, windows in found.values()]
-    data = _Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
+    data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
     problem = _Problem(vehicle, tires, tuple(unknowns), rate, data)
     return problem.solved()
 
@@ -169,62 +154,13 @@ def _check(vehicle: Vehicle, unknowns, tires) -> None:
     UsageError.raise_for(problems)
 
 
-def _windows(track: Track, motion: Motion, vehicle: Vehicle, window: float):
-    """:class:`_Data` of a log; None of no window."""
-    rate = vehicle.filter.sample_rate
-    count, lead = round(window * rate) + 1, round(_LEAD * rate)
-    logged, state, command = _logged(track, motion, vehicle)
-    steering = road_wheel(replace(motion, command=command), vehicle)
-    good = motion.settled & (motion.v_x > vehicle.v_min)
-    good &= np.isfinite(np.column_stack([motion.v_x, logged, steering])).all(axis=1)
-    starts = [
-        k
-        for first, last in stretches(good, motion.part)
-        for k in range(first + lead, last - count + 1, count - 1)
-    ]
-    if not starts:
-        return None
-    rows = np.array(starts)[:, None] + np.arange(-lead, count)
-    own = rows[:, lead:]
-    cut = motion.v_x[own], steering[rows], logged[own], state[own[:, 0]]
-    return _Data(*map(jnp.asarray, cut))
-
-
-def _logged(track: Track, motion: Motion, vehicle: Vehicle):
-    """What the log holds of the centre of gravity, on the grid, not filtered: channels
-    (n, c), start states (n, s), and the steering command (n,)."""
-    names = [channel.quantity for channel in track.channels]
-    raw = {
-        name: np.interp(motion.time, track.time, track.signals[:, k])
-        for k, name in enumerate(names)
-        if np.isfinite(track.signals[:, k]).all()
-    }
-    ahead, left = vehicle.cg_from_tracked
-    command = raw.get("steering", motion.command)
-    if vehicle.columns.motion == POSE:
-        yaw = raw["yaw"]
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        place = raw["x"] + ahead * cos - left * sin, raw["y"] + ahead * sin + left * cos
-        logged = np.column_stack([yaw, *place])
-        state = np.column_stack([motion.v_y, motion.yaw_rate, logged])
-        return logged, state, command
-    cos, sin = np.cos(vehicle.sideslip_offset), np.sin(vehicle.sideslip_offset)
-    v_y = cos * raw["v_y"] + sin * raw["v_x"] + ahead * raw["yaw_rate"]
-    logged = np.column_stack([v_y, raw["yaw_rate"]])
-    return logged, np.column_stack([motion.v_y, motion.yaw_rate]), command
-
-
-CHANNELS = {2: ("v_y", "yaw_rate"), 3: ("heading", "x", "y")}
-"""Names of the logged channels, of a log of rates and of one of poses."""
-
-
 class _Problem:
     """Squares of predicted less logged over all windows.
 
     z holds the tires' parameters in their unconstrained space, then the unknowns.
     """
 
-    def __init__(self, vehicle, tires, unknowns, rate, data: _Data):
+    def __init__(self, vehicle, tires, unknowns, rate, data: Data):
         self.vehicle, self.tires, self.unknowns = vehicle, tires, unknowns
         self.rate, self.data = rate, data
         self.layouts: list[Layout] = [tire.fit[0] for tire in tires]
@@ -233,7 +169,7 @@ class _Problem:
         self.names = CHANNELS[data.logged.shape[-1]]
         slowest = float(np.min(data.v_x))
         parts = steps_a_sample(self.car(self.z), slowest, rate)
-        self.run = _linearised(self.missed, parts)
+        self.run = linearised(self.missed, parts)
 
     def unknown(self, z, name: str, default: float = 0.0):
         """The value of an unknown, in its unit; a factor of one without it."""
@@ -251,7 +187,7 @@ class _Problem:
         inertia = self.unknown(z, "yaw_inertia", 1.0)
         return car_of(self.vehicle, self.tire(z, 0), self.tire(z, 1), inertia)
 
-    def missed(self, z, start, window: _Data, parts: int):
+    def missed(self, z, start, window: Data, parts: int):
         """Predicted less logged (k, c) of one window."""
         step, count = 1 / self.rate, window.v_x.shape[0]
         lead = window.steering.shape[0] - count
@@ -276,7 +212,7 @@ class _Problem:
         pull, now = self.pulls(), self.run(z, starts, self.data)
         for _ in range(_ROUNDS):
             noise = jnp.sqrt(jnp.mean(now[0] ** 2, axis=(0, 1)))
-            z, starts, now, converged = _minimised(
+            z, starts, now, converged = minimised(
                 self.run, z, starts, now, self.data, noise, pull
             )
         missed, by_z, by_start = now
@@ -285,7 +221,7 @@ class _Problem:
         noise = jnp.sqrt(
             jnp.sum(missed**2, axis=(0, 1)) / max(count - free / len(self.names), 1)
         )
-        covariance, blocks = _sandwich(missed, by_z, by_start, noise, pull)
+        covariance, blocks = sandwich(missed, by_z, by_start, noise, pull)
         return self.told(
             np.asarray(z), covariance, blocks, np.asarray(noise), converged
         )
@@ -334,82 +270,3 @@ class _Problem:
 
 def _factor(scale: float, logarithm) -> float:
     return scale * float(np.exp(logarithm))
-
-
-def _linearised(missed, parts: int):
-    """Residuals (w, k, c) and their derivatives by z (w, k, c, p) and by the start of
-    the own window (w, k, c, s), compiled."""
-
-    def one(z, start, window):
-        def both(z, start):
-            found = missed(z, start, window, parts)
-            return found, found
-
-        slopes, found = jax.jacfwd(both, (0, 1), has_aux=True)(z, start)
-        return found, *slopes
-
-    return jax.jit(jax.vmap(one, (None, 0, 0)))
-
-
-def _eliminated(missed, by_z, by_start, noise):
-    """The normal equations of z without the start states: score (w, p), information
-    (w, p, p), and what gives each start its step: (w, s) and (w, s, p)."""
-    w = len(missed)
-    weight = 1 / noise[None, None]
-    r = (missed * weight).reshape(w, -1)
-    a = (by_z * weight[..., None]).reshape(w, r.shape[1], -1)
-    b = (by_start * weight[..., None]).reshape(w, r.shape[1], -1)
-    own = jnp.einsum("wms,wmt->wst", b, b)
-    trace = jnp.trace(own, axis1=1, axis2=2)[:, None, None]
-    own = own + 1e-9 * trace * jnp.eye(own.shape[1])[None]
-    step = -jnp.linalg.solve(own, jnp.einsum("wms,wm->ws", b, r)[..., None])[..., 0]
-    tied = -jnp.linalg.solve(own, jnp.einsum("wms,wmp->wsp", b, a))
-    rest = a + jnp.einsum("wms,wsp->wmp", b, tied)
-    score = jnp.einsum("wmp,wm->wp", rest, r)
-    return score, jnp.einsum("wmp,wmq->wpq", rest, a), step, tied
-
-
-_eliminate = jax.jit(_eliminated)
-
-
-def _minimised(run, z, starts, now, data, noise, pull):
-    """Levenberg and Marquardt on z and all start states; ``now`` is what ``run`` gives
-    there. Returns them at the end, and whether it converged."""
-
-    def cost_of(missed, z):
-        return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
-
-    damping, converged = 1e-3, False
-    cost = cost_of(now[0], z)
-    for _ in range(_ITERATIONS):
-        score, information, step, tied = _eliminate(*now, noise)
-        gradient = score.sum(axis=0) + pull * z
-        matrix = np.asarray(information.sum(axis=0)) + np.diag(pull)
-        while damping < 1e9:
-            damped = matrix + damping * np.diag(np.diag(matrix) + 1e-12)
-            move = jnp.asarray(-np.linalg.solve(damped, np.asarray(gradient)))
-            new_z, new_starts = z + move, starts + step + tied @ move
-            trial = run(new_z, new_starts, data)
-            new_cost = cost_of(trial[0], new_z)
-            if np.isfinite(new_cost) and new_cost < cost:
-                break
-            damping *= 10
-        else:
-            return z, starts, now, True
-        gained, damping = cost - new_cost, max(damping / 10, 1e-9)
-        z, starts, now, cost = new_z, new_starts, trial, new_cost
-        if gained < 1e-6 * cost:
-            converged = True
-            break
-    return z, starts, now, converged
-
-
-def _sandwich(missed, by_z, by_start, noise, pull):
-    """Covariance (p, p) of z from the scores of blocks of windows, and their number."""
-    score, information, *_ = _eliminate(missed, by_z, by_start, noise)
-    inverse = np.linalg.inv(np.asarray(information.sum(axis=0)) + np.diag(pull))
-    blocks = np.array_split(np.asarray(score), min(_BLOCKS, len(score)))
-    sums = np.array([block.sum(axis=0) for block in blocks])
-    count = len(blocks)
-    middle = count / max(count - 1, 1) * sums.T @ sums
-    return inverse @ (middle + np.diag(pull)) @ inverse, count

@@ -1,0 +1,157 @@
+"""Windows of logs in which a car runs freely from start states of their own, and least
+squares over all of them with the start states eliminated."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.data.motion import Motion, road_wheel
+from tirefit.data.track import Track
+from tirefit.data.vehicle import POSE, Vehicle
+from tirefit.vehicle.windows import stretches
+
+_LEAD = 0.3
+"""Time [s] of steering before a window, for its delay."""
+_ITERATIONS = 40
+_BLOCKS = 40
+"""Blocks of windows of the sandwich, at most: their scores count as independent."""
+
+CHANNELS = {2: ("v_y", "yaw_rate"), 3: ("heading", "x", "y")}
+"""Names of the logged channels, of a log of rates and of one of poses."""
+
+
+class Data(NamedTuple):
+    """Windows: speed (w, k), steering (w, l + k) with its lead, logged channels
+    (w, k, c), NaN where they are not known, and start states (w, s)."""
+
+    v_x: jax.Array
+    steering: jax.Array
+    logged: jax.Array
+    start: jax.Array
+
+
+def windows_of(track: Track, motion: Motion, vehicle: Vehicle, window: float):
+    """:class:`Data` of a log; None of no window."""
+    rate = vehicle.filter.sample_rate
+    count, lead = round(window * rate) + 1, round(_LEAD * rate)
+    logged, state, command = logged_channels(track, motion, vehicle)
+    steering = road_wheel(replace(motion, command=command), vehicle)
+    good = motion.settled & (motion.v_x > vehicle.v_min)
+    good &= np.isfinite(np.column_stack([motion.v_x, logged, steering])).all(axis=1)
+    starts = [
+        k
+        for first, last in stretches(good, motion.part)
+        for k in range(first + lead, last - count + 1, count - 1)
+    ]
+    if not starts:
+        return None
+    rows = np.array(starts)[:, None] + np.arange(-lead, count)
+    own = rows[:, lead:]
+    cut = motion.v_x[own], steering[rows], logged[own], state[own[:, 0]]
+    return Data(*map(jnp.asarray, cut))
+
+
+def logged_channels(track: Track, motion: Motion, vehicle: Vehicle):
+    """What the log holds of the centre of gravity, on the grid, not filtered: channels
+    (n, c), start states (n, s), and the steering command (n,)."""
+    names = [channel.quantity for channel in track.channels]
+    raw = {
+        name: np.interp(motion.time, track.time, track.signals[:, k])
+        for k, name in enumerate(names)
+        if np.isfinite(track.signals[:, k]).all()
+    }
+    ahead, left = vehicle.cg_from_tracked
+    command = raw.get("steering", motion.command)
+    if vehicle.columns.motion == POSE:
+        yaw = raw["yaw"]
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        place = raw["x"] + ahead * cos - left * sin, raw["y"] + ahead * sin + left * cos
+        logged = np.column_stack([yaw, *place])
+        state = np.column_stack([motion.v_y, motion.yaw_rate, logged])
+        return logged, state, command
+    cos, sin = np.cos(vehicle.sideslip_offset), np.sin(vehicle.sideslip_offset)
+    v_y = cos * raw["v_y"] + sin * raw["v_x"] + ahead * raw["yaw_rate"]
+    logged = np.column_stack([v_y, raw["yaw_rate"]])
+    return logged, np.column_stack([motion.v_y, motion.yaw_rate]), command
+
+
+def linearised(missed, parts: int):
+    """Residuals (w, k, c) and their derivatives by z (w, k, c, p) and by the start of
+    the own window (w, k, c, s), compiled."""
+
+    def one(z, start, window):
+        def both(z, start):
+            found = missed(z, start, window, parts)
+            return found, found
+
+        slopes, found = jax.jacfwd(both, (0, 1), has_aux=True)(z, start)
+        return found, *slopes
+
+    return jax.jit(jax.vmap(one, (None, 0, 0)))
+
+
+def eliminated(missed, by_z, by_start, noise):
+    """The normal equations of z without the start states: score (w, p), information
+    (w, p, p), and what gives each start its step: (w, s) and (w, s, p)."""
+    w = len(missed)
+    weight = 1 / noise[None, None]
+    r = (missed * weight).reshape(w, -1)
+    a = (by_z * weight[..., None]).reshape(w, r.shape[1], -1)
+    b = (by_start * weight[..., None]).reshape(w, r.shape[1], -1)
+    own = jnp.einsum("wms,wmt->wst", b, b)
+    trace = jnp.trace(own, axis1=1, axis2=2)[:, None, None]
+    own = own + 1e-9 * trace * jnp.eye(own.shape[1])[None]
+    step = -jnp.linalg.solve(own, jnp.einsum("wms,wm->ws", b, r)[..., None])[..., 0]
+    tied = -jnp.linalg.solve(own, jnp.einsum("wms,wmp->wsp", b, a))
+    rest = a + jnp.einsum("wms,wsp->wmp", b, tied)
+    score = jnp.einsum("wmp,wm->wp", rest, r)
+    return score, jnp.einsum("wmp,wmq->wpq", rest, a), step, tied
+
+
+eliminate = jax.jit(eliminated)
+
+
+def minimised(run, z, starts, now, data, noise, pull):
+    """Levenberg and Marquardt on z and all start states; ``now`` is what ``run`` gives
+    there. Returns them at the end, and whether it converged."""
+
+    def cost_of(missed, z):
+        return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
+
+    damping, converged = 1e-3, False
+    cost = cost_of(now[0], z)
+    for _ in range(_ITERATIONS):
+        score, information, step, tied = eliminate(*now, noise)
+        gradient = score.sum(axis=0) + pull * z
+        matrix = np.asarray(information.sum(axis=0)) + np.diag(pull)
+        while damping < 1e9:
+            damped = matrix + damping * np.diag(np.diag(matrix) + 1e-12)
+            move = jnp.asarray(-np.linalg.solve(damped, np.asarray(gradient)))
+            new_z, new_starts = z + move, starts + step + tied @ move
+            trial = run(new_z, new_starts, data)
+            new_cost = cost_of(trial[0], new_z)
+            if np.isfinite(new_cost) and new_cost < cost:
+                break
+            damping *= 10
+        else:
+            return z, starts, now, True
+        gained, damping = cost - new_cost, max(damping / 10, 1e-9)
+        z, starts, now, cost = new_z, new_starts, trial, new_cost
+        if gained < 1e-6 * cost:
+            converged = True
+            break
+    return z, starts, now, converged
+
+
+def sandwich(missed, by_z, by_start, noise, pull):
+    """Covariance (p, p) of z from the scores of blocks of windows, and their number."""
+    score, information, *_ = eliminate(missed, by_z, by_start, noise)
+    inverse = np.linalg.inv(np.asarray(information.sum(axis=0)) + np.diag(pull))
+    blocks = np.array_split(np.asarray(score), min(_BLOCKS, len(score)))
+    sums = np.array([block.sum(axis=0) for block in blocks])
+    count = len(blocks)
+    middle = count / max(count - 1, 1) * sums.T @ sums
+    return inverse @ (middle + np.diag(pull)) @ inverse, count
