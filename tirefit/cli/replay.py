@@ -42,8 +42,12 @@ def replay(
         ),
     ] = None,
     steering_delay: Annotated[
-        float, typer.Option(metavar="S", help="by which the wheels follow the log")
-    ] = 0.0,
+        float | None,
+        typer.Option(
+            metavar="S",
+            help="by which the wheels follow the log, instead of steering.delay",
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="of the draws of tires and noise")] = 0,
     html: Annotated[
         bool, typer.Option("--html", help="write replay.html, one page of all")

@@ -327,9 +327,8 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
     if axle == "front":
         assert vehicle.steering is not None  # :func:`derive` refused it without
         command = vehicle.steering.command
-        reasons["steering command outside the map"] = (motion.command < command[0]) | (
-            motion.command > command[-1]
-        )
+        inside = (motion.command >= command[0]) & (motion.command <= command[-1])
+        reasons["steering command outside the map"] = ~inside
     kept = np.ones(len(motion.time), bool)
     dropped = {}
     for reason, rows in reasons.items():
@@ -372,7 +371,13 @@ def _assumptions(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
     if vehicle.tracked_point is None:
         said.append("the log describes the centre of gravity (no tracked_point)")
     if axle == "front":
-        said.append("the road wheels follow the steering command at once")
+        assert vehicle.steering is not None
+        late = (
+            f"{vehicle.steering.delay:g} s later"
+            if vehicle.steering.delay
+            else "at once"
+        )
+        said.append(f"the road wheels follow the steering command {late}")
     if vehicle.driven not in (axle, "all"):
         said.append(f"the {axle} axle neither drives nor brakes")
     elif vehicle.driven == "all" and vehicle.rear_share is None:

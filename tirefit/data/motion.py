@@ -207,6 +207,9 @@ def motion_of(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
             continue
         of = dict(zip(names, signals.T, strict=True))
         command = of.get("steering", np.zeros(len(grid)))
+        if vehicle.steering is not None:
+            late = grid - vehicle.steering.delay
+            command = np.interp(late, grid, command, left=np.nan, right=np.nan)
         rates = convert(of, vehicle)
         parts.append(_stretch(grid, *rates, command, part, within, inside, signals))
     fields = Motion.__dataclass_fields__

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tirefit.fitting.result import FitResult
     from tirefit.fitting.store import StoredFit
 
-    Source = FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike
+    Fit = FitResult | MagicFormulaFit | StoredFit
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class GivenTire:
 
 
 def given_tire(
-    source: "Source",
+    source: "Fit | GivenTire | AbstractTire | str | os.PathLike",
     values: Mapping[str, float] | None = None,
     signs: str | None = None,
 ) -> GivenTire:
@@ -76,6 +76,8 @@ def given_tire(
             ``.tir`` file, or a fit with values by run.
         DataError: a file that is no fit or no ``.tir`` file.
     """
+    if isinstance(source, GivenTire):
+        return source
     text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
     values = dict(values or {})
     if text.lower().endswith(".tir"):
@@ -116,7 +118,9 @@ def _of_fit(fit, path: str) -> GivenTire:
     return GivenTire(fit.model, tire, known, fit.to_dict())
 
 
-def axle_tire(source: "Source") -> GivenTire:
+def axle_tire(
+    source: "Fit | GivenTire | AbstractTire | str | os.PathLike",
+) -> GivenTire:
     """The tire of an axle, at the load of the axle.
 
     A Magic Formula is of one tire: the axle has two, mirror images, each at half its

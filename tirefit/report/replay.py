@@ -1,7 +1,5 @@
 """A replay as text, as pictures and as a page."""
 
-import textwrap
-
 import numpy as np
 
 from tirefit.report.canvas import (
@@ -16,7 +14,7 @@ from tirefit.report.canvas import (
 )
 from tirefit.report.html import image_of, rendered
 from tirefit.report.numbers import format_number
-from tirefit.report.text import WIDTH, table
+from tirefit.report.text import indented, table
 from tirefit.vehicle.replay import QUANTITIES, Fans, Replay
 
 _NAMES = {
@@ -55,7 +53,10 @@ def answer(result: Replay) -> str:
     )
 
 
-def _error_rows(result: Replay) -> list[list[str]]:
+def replay_text(result: Replay) -> str:
+    """The report: the answer, the errors by horizon, what was assumed."""
+    fitted = [name for name, is_fitted in result.logs.items() if is_fitted]
+    others = [name for name, is_fitted in result.logs.items() if not is_fitted]
     rows = [["rms of", "model", *(f"{h:g} s" for h in result.horizons)]]
     for name, unit in QUANTITIES.items():
         for model, errors in result.models.items():
@@ -63,52 +64,32 @@ def _error_rows(result: Replay) -> list[list[str]]:
             cells = ["-" if x is None else format_number(x, 3) for x in values]
             what = f"{_NAMES[name]} [{unit}]" if model == "tire" else ""
             rows.append([what, _LABELS[model], *cells])
-    return [*rows, ["starts", "", *map(str, result.windows)]]
-
-
-def _sections(result: Replay) -> dict[str, list[str]]:
-    """Sentences below the table, by title."""
-    fitted = [name for name, is_fitted in result.logs.items() if is_fitted]
-    others = [name for name, is_fitted in result.logs.items() if not is_fitted]
-    band, logs = [], ["the tires were fitted to: "]
+    rows.append(["starts", "", *map(str, result.windows)])
+    lines = [_head(result), "ANSWER", *indented(answer(result))]
+    lines += ["ERROR BY TIME AFTER THE START"]
+    lines += table(rows, tuple(range(2, len(rows[0]))))
     if result.held:
         each = ", ".join(
             f"{_NAMES[name]} {share:.0%}"
             for name, (share, *_) in result.held.items()
             if share is not None
         )
-        band = [
+        lines += indented(
             "the 95 % band of the tires' parameters holds, of the measured values"
             f" {result.horizons[0]:g} s ahead: {each}; the rest of the error does not"
             " come from the parameters' uncertainty"
-        ]
-    logs[0] += ", ".join(fitted) or "none of these logs"
+        )
+    told = "the tires were fitted to: " + (", ".join(fitted) or "none of these logs")
+    lines += ["LOGS", *indented(told)]
     if fitted and others:
-        logs.append(f"not fitted to: {', '.join(others)}")
-    return {"BAND": band, "LOGS": logs, "ASSUMED": list(result.notes)}
+        lines += indented(f"not fitted to: {', '.join(others)}")
+    lines += ["ASSUMED", *(line for note in result.notes for line in indented(note))]
+    return "\n".join(lines)
 
 
 def _head(result: Replay) -> str:
     logs = "1 log" if len(result.logs) == 1 else f"{len(result.logs)} logs"
     return f"REPLAY of {logs}, {result.windows[0]} starts"
-
-
-def replay_text(result: Replay) -> str:
-    """The report: the answer, the errors by horizon, what was assumed."""
-    rows = _error_rows(result)
-    lines = [_head(result), "ANSWER", *_wrapped(answer(result))]
-    lines += [
-        "ERROR BY TIME AFTER THE START",
-        *table(rows, tuple(range(2, len(rows[0])))),
-    ]
-    for title, said in _sections(result).items():
-        if said:
-            lines += [title, *(line for one in said for line in _wrapped(one))]
-    return "\n".join(lines)
-
-
-def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent="  ", subsequent_indent=" " * 6)
 
 
 def replay_page(result: Replay) -> str:
@@ -120,20 +101,8 @@ def replay_page(result: Replay) -> str:
         image_of(series_figure(result), "yaw rate and lateral acceleration over time"),
     ]
     return rendered(
-        "sections_page.html", title=_head(result),
-        answer={"sentence": answer(result), "lines": [], "color": BLUE},
-        sections=[
-            {"title": "Figures", "table": [], "lines": [], "pictures": pictures},
-            {
-                "title": "Error by time after the start", "table": _error_rows(result),
-                "lines": [], "pictures": [],
-            },
-            *(
-                {"title": k.capitalize(), "table": [], "lines": v, "pictures": []}
-                for k, v in _sections(result).items()
-            ),
-        ],
-        record=result.to_json(),
+        "report_page.html", title=_head(result), pictures=pictures,
+        report=replay_text(result), record=result.to_json(),
     )  # fmt: skip
 
 

@@ -171,7 +171,7 @@ def replay(
     rear,
     *,
     horizons: Sequence[float] = HORIZONS,
-    steering_delay: float = 0.0,
+    steering_delay: float | None = None,
     seed: int = 0,
 ) -> Replay:
     """Predict measured logs from their measured states, and compare by horizon.
@@ -183,7 +183,8 @@ def replay(
             the name of a model; or a ``.tir`` file, of each of its two tires.
         rear: likewise, of the rear axle.
         horizons: times [s] after a start at which the prediction is compared.
-        steering_delay: time [s] by which the wheels follow the logged steering.
+        steering_delay: time [s] by which the wheels follow the logged steering; that of
+            the vehicle if None.
         seed: of the draws of the tires' parameters.
 
     Returns:
@@ -198,14 +199,17 @@ def replay(
     """
     require_x64("a replay")
     vehicle = known_vehicle(vehicle)
-    horizons = _checked(vehicle, horizons, steering_delay)
+    horizons = _checked(vehicle, horizons, steering_delay or 0.0)
+    if steering_delay is not None and vehicle.steering is not None:
+        late = vehicle.steering.model_copy(update={"delay": steering_delay})
+        vehicle = vehicle.model_copy(update={"steering": late})
     tires = axle_tire(front), axle_tire(rear)
     fitted = {run for tire in tires for run in tire.runs}
     rate = vehicle.filter.sample_rate
     generator = np.random.default_rng(seed)
     found = cut_logs(
         logs, vehicle,
-        partial(_windows, vehicle, horizons, steering_delay, generator),
+        partial(_windows, vehicle, horizons, generator),
         f"as long as the shortest horizon, {horizons[0]:g} s", "shorter horizons",
     )  # fmt: skip
     joined, *noisy = (
@@ -285,7 +289,7 @@ def replace_tires(car: Car, front: AbstractTire, rear: AbstractTire) -> Car:
 
 
 def _windows(
-    vehicle: Vehicle, horizons, delay, generator, track: Track, motion: Motion
+    vehicle: Vehicle, horizons, generator, track: Track, motion: Motion
 ) -> list[_Windows] | None:
     """The windows of a log, from a start every :data:`EVERY` seconds where the log is
     settled and the car fast enough, to the longest horizon; None of none. Behind them
@@ -293,7 +297,7 @@ def _windows(
     rate = vehicle.filter.sample_rate
     most, least = round(horizons[-1] * rate) + 1, round(horizons[0] * rate) + 1
     good = motion.settled & (motion.v_x > vehicle.v_min)
-    good &= np.isfinite(_channels(motion, vehicle, delay)).all(axis=0)
+    good &= np.isfinite(_channels(motion, vehicle)).all(axis=0)
     each = stretches(good, motion.part)
     step = max(round(EVERY * rate), 1)
     begun = [
@@ -308,7 +312,7 @@ def _windows(
     rows = np.minimum(rows, ends[:, None] - 1)
 
     def cut(motion: Motion) -> _Windows:
-        v_x, a_y, steer, *state = _channels(motion, vehicle, delay)
+        v_x, a_y, steer, *state = _channels(motion, vehicle)
         *measured, a_y = (np.where(there, one[rows], np.nan) for one in (*state, a_y))
         return _Windows(
             motion.time[rows], State(*(one[starts] for one in state)), v_x[rows],
@@ -319,27 +323,13 @@ def _windows(
     return [cut(motion), *map(cut, noisy)]
 
 
-def _channels(motion: Motion, vehicle: Vehicle, delay: float) -> tuple:
+def _channels(motion: Motion, vehicle: Vehicle) -> tuple:
     """Speed, lateral acceleration, road wheel angle and the state, (n,) each."""
     heading, x, y = motion.heading, motion.x, motion.y
     if vehicle.columns.motion != POSE:
         heading, x, y = _integrated(motion, vehicle.filter.sample_rate)
-    steer = _late(road_wheel(motion, vehicle), motion, delay)
-    return (
-        motion.v_x, motion.a_y, steer, motion.v_y, motion.yaw_rate, heading, x, y,
-    )  # fmt: skip
-
-
-def _late(values: np.ndarray, motion: Motion, delay: float) -> np.ndarray:
-    """Values (n,) of a time [s] ago; NaN before each stretch begins."""
-    if not delay:
-        return values
-    found = np.full(len(values), np.nan)
-    for number in np.unique(motion.part):
-        rows = motion.part == number
-        time = motion.time[rows]
-        found[rows] = np.interp(time - delay, time, values[rows], left=np.nan)
-    return found
+    steer = road_wheel(motion, vehicle)
+    return motion.v_x, motion.a_y, steer, motion.v_y, motion.yaw_rate, heading, x, y
 
 
 def _integrated(motion: Motion, rate: float):
