@@ -220,8 +220,10 @@ def _rows(found, vehicle: Vehicle, axle: str) -> TireData:
     """Slip angle and force of an axle by the equations of ``derive``, of all logs."""
     columns: dict[str, list] = {"alpha": [], "fy": [], "v": [], "run": []}
     for name, (motion, _) in found.items():
+        alpha, force, speed = slip_and_force(motion, vehicle, axle)
         good = motion.settled & (motion.v_x > vehicle.v_min)
-        each = [values[good] for values in slip_and_force(motion, vehicle, axle)]
+        good &= (np.abs(alpha) < np.pi / 2) & (speed > 0)  # not of a car that spins
+        each = alpha[good], force[good], speed[good]
         for key, values in zip(columns, (*each, [name] * good.sum()), strict=True):
             columns[key].extend(values)
     step = max(len(columns["run"]) // _START_ROWS, 1)
