@@ -28,6 +28,8 @@ _STABLE, _MOST_PARTS = 0.5, 50
 """Largest step of the integration over the car's shortest time constant; most steps
 from one sample to the next."""
 
+_AT_ONCE = 1e-9  # time constant [s] of what follows at once
+
 
 class Car(eqx.Module):
     """A car: front and rear tire of a whole axle, and what moves on them.
@@ -76,20 +78,69 @@ class State(NamedTuple):
     y: Any
 
 
-def accelerations(car: Car, v_x, steering, v_y, yaw_rate):
+class Axle(NamedTuple):
+    """What may be other at an axle than its tire says; a number for each sample."""
+
+    stiffness: Any = 1.0  # factor
+    friction: Any = 1.0  # factor
+    load: Any = 1.0  # factor
+    slip: Any = 0.0  # added to the slip angle [rad]
+    fall: Any = 0.0  # share of the friction that is lost while the tire slides
+    sliding: Any = 1.0  # slip at which half of that is lost
+    force: Any = 0.0  # added, to the right [N]
+
+
+class Changes(NamedTuple):
+    """What may be other in the car; a number for each sample."""
+
+    front: Axle = Axle()
+    rear: Axle = Axle()
+    inertia: Any = 1.0  # factor
+    ahead: Any = 0.0  # of the centre of gravity, forward [m]
+    force: Any = 0.0  # to the left [N]
+    moment: Any = 0.0  # counter-clockwise [N m]
+    relaxation: Any = 0.0  # distance [m] by which the slip angles lag
+
+
+NO_CHANGES = Changes()
+
+
+def slip_angles(car: Car, v_x, steering, v_y, yaw_rate, ahead=0.0):
+    """Slip angle [rad] of the front and the rear axle."""
+    front = jnp.arctan2(v_y + (car.l_f - ahead) * yaw_rate, v_x) - steering
+    return front, jnp.arctan2(v_y - (car.l_r + ahead) * yaw_rate, v_x)
+
+
+def _across(tire: AbstractTire, slip, fz, v, axle: Axle):
+    """Force of an axle to the right [N]: stiffness times s and friction times g give
+    g F(slip s / g), exact for a brush."""
+    ratio = axle.stiffness / axle.friction
+    angle = jnp.arctan(ratio * jnp.tan(slip + axle.slip))
+    force = tire(TireInputs(alpha=angle, fz=fz * axle.load, v=v)).fy
+    assert force is not None  # axle_tire has checked it
+    far = (jnp.tan(angle) / axle.sliding) ** 2
+    return axle.friction * (1 - axle.fall * far / (1 + far)) * force + axle.force
+
+
+def accelerations(
+    car: Car, v_x, steering, v_y, yaw_rate, changes: Changes = NO_CHANGES, late=(0, 0)
+):
     """Lateral acceleration [m/s2] to the left, and yaw acceleration [rad/s2].
 
     Args:
         v_x: forward speed [m/s]; steering: road wheel angle [rad], left positive.
+        changes: of this sample.
+        late: what is added to the slip angles [rad].
     """
-    ahead, behind = car.loads
-    front = jnp.arctan2(v_y + car.l_f * yaw_rate, v_x) - steering
-    rear = jnp.arctan2(v_y - car.l_r * yaw_rate, v_x)
-    f = car.front(TireInputs(alpha=front, fz=ahead, v=v_x)).fy
-    r = car.rear(TireInputs(alpha=rear, fz=behind, v=v_x)).fy
-    assert f is not None and r is not None  # axle_tire has checked it
+    l_f, l_r = car.l_f - changes.ahead, car.l_r + changes.ahead
+    weight = car.mass * car.gravity / (l_f + l_r)
+    front, rear = slip_angles(car, v_x, steering, v_y, yaw_rate, changes.ahead)
+    f = _across(car.front, front + late[0], weight * l_r, v_x, changes.front)
+    r = _across(car.rear, rear + late[1], weight * l_f, v_x, changes.rear)
     f = f * jnp.cos(steering)
-    return -(f + r) / car.mass, -(car.l_f * f - car.l_r * r) / car.yaw_inertia
+    moment = changes.moment - (l_f * f - l_r * r)
+    lateral = (changes.force - (f + r)) / car.mass
+    return lateral, moment / (changes.inertia * car.yaw_inertia)
 
 
 def steps_a_sample(car: Car, slowest: float, rate: float) -> int:
@@ -108,7 +159,10 @@ def stiffest(car: Car, slowest: float) -> float:
     return float(jnp.max(jnp.abs(jnp.linalg.eigvals(slopes))))
 
 
-def predicted(car: Car, start: State, v_x, steering, step: float, parts: int) -> State:
+def predicted(
+    car: Car, start: State, v_x, steering, step: float, parts: int,
+    changes: Changes | None = None,
+) -> State:  # fmt: skip
     """The states at every sample from a start on: (n,) each.
 
     Args:
@@ -116,39 +170,82 @@ def predicted(car: Car, start: State, v_x, steering, step: float, parts: int) ->
         v_x, steering: (n,) at the samples, linear between them.
         step: time between samples [s].
         parts: steps of Runge-Kutta of the fourth order from one sample to the next.
+        changes: numbers or (n,), each held until the next sample; None of none.
     """
-    width = step / parts
+    width, count = step / parts, len(v_x) - 1
+    lags = changes is not None
+    held = NO_CHANGES
+    if changes is not None:
+        held = jax.tree.map(
+            lambda x: jnp.broadcast_to(jnp.asarray(x, float), count + 1)[:-1], changes
+        )
 
-    def slope(state: State, speed, angle) -> State:
-        lateral, yaw = accelerations(car, speed, angle, state.v_y, state.yaw_rate)
+    def slope(state: State, speed, angle, change, late) -> State:
+        motion = state.v_y, state.yaw_rate
+        lateral, yaw = accelerations(car, speed, angle, *motion, change, late)
         cos, sin = jnp.cos(state.heading), jnp.sin(state.heading)
         return State(
             lateral - speed * state.yaw_rate, yaw, state.yaw_rate,
             speed * cos - state.v_y * sin, speed * sin + state.v_y * cos,
         )  # fmt: skip
 
-    def onward(state: State, given):
-        speed, angle, faster, turned = given
+    def onward(carried, given):
+        speed, angle, faster, turned, *own = given
+        change = own[0] if lags else held
 
-        def at(part, now, move):
+        def steered(part):
             share = part / parts
-            moved = jax.tree.map(lambda s, m: s + m, now, move)
-            return slope(moved, speed + share * faster, angle + share * turned)
+            return speed + share * faster, angle + share * turned
 
-        def small(k, now):
-            k1 = at(k, now, jax.tree.map(jnp.zeros_like, now))
-            k2 = at(k + 0.5, now, jax.tree.map(lambda d: width / 2 * d, k1))
-            k3 = at(k + 0.5, now, jax.tree.map(lambda d: width / 2 * d, k2))
-            k4 = at(k + 1.0, now, jax.tree.map(lambda d: width * d, k3))
-            return jax.tree.map(
+        def slips(part, state):
+            motion = state.v_y, state.yaw_rate
+            return jnp.stack(slip_angles(car, *steered(part), *motion, change.ahead))
+
+        def small(k, carried):
+            now, late = carried
+
+            def at(part, move):
+                moved = jax.tree.map(lambda s, m: s + m, now, move)
+                return slope(moved, *steered(part), change, late)
+
+            k1 = at(k, jax.tree.map(jnp.zeros_like, now))
+            k2 = at(k + 0.5, jax.tree.map(lambda d: width / 2 * d, k1))
+            k3 = at(k + 0.5, jax.tree.map(lambda d: width / 2 * d, k2))
+            k4 = at(k + 1.0, jax.tree.map(lambda d: width * d, k3))
+            then = jax.tree.map(
                 lambda s, a, b, c, d: s + width / 6 * (a + 2 * b + 2 * c + d),
                 now, k1, k2, k3, k4,
             )  # fmt: skip
+            if lags:
+                moved = slips(k + 1.0, then) - slips(k, now)
+                late = _later(late, moved / width, change.relaxation / speed, width)
+            return then, late
 
-        state = jax.lax.fori_loop(0, parts, small, state)
-        return state, state
+        carried = jax.lax.fori_loop(0, parts, small, carried)
+        return carried, carried[0]
 
     start = State(*(jnp.asarray(s, float) for s in start))
     given = (v_x[:-1], steering[:-1], jnp.diff(v_x), jnp.diff(steering))
-    _, states = jax.lax.scan(onward, start, given)
+    given += (held,) if lags else ()
+    _, states = jax.lax.scan(onward, (start, jnp.zeros(2)), given)
     return jax.tree.map(lambda first, rest: jnp.append(first, rest), start, states)
+
+
+def _later(late, rate, time, step: float):
+    """How far a value that follows another one after a time constant [s] is from it, a
+    step later, exact where the other moves at an even rate; smooth at no time."""
+    kept = jnp.exp(-step / jnp.maximum(time, _AT_ONCE))
+    return late * kept - time * rate * (1 - kept)
+
+
+def lagged(values, time, step: float):
+    """Values (n,) that follow these after a time constant [s]; the first is in step."""
+    rates = jnp.diff(values) / step
+
+    def onward(late, rate):
+        late = _later(late, rate, time, step)
+        return late, late
+
+    first = -time * rates[0]
+    _, late = jax.lax.scan(onward, first, rates)
+    return values + jnp.append(first, late)

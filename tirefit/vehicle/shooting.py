@@ -34,7 +34,8 @@ class Data(NamedTuple):
 
 
 def windows_of(track: Track, motion: Motion, vehicle: Vehicle, window: float):
-    """:class:`Data` of a log; None of no window."""
+    """:class:`Data` of a log and the rows (w, k) of its motion that they are; None of
+    no window."""
     rate = vehicle.filter.sample_rate
     count, lead = round(window * rate) + 1, round(_LEAD * rate)
     logged, state, command = logged_channels(track, motion, vehicle)
@@ -51,7 +52,7 @@ def windows_of(track: Track, motion: Motion, vehicle: Vehicle, window: float):
     rows = np.array(starts)[:, None] + np.arange(-lead, count)
     own = rows[:, lead:]
     cut = motion.v_x[own], steering[rows], logged[own], state[own[:, 0]]
-    return Data(*map(jnp.asarray, cut))
+    return Data(*map(jnp.asarray, cut)), own
 
 
 def logged_channels(track: Track, motion: Motion, vehicle: Vehicle):
@@ -118,9 +119,9 @@ def eliminated(missed, by_z, by_start, noise, damping=0.0):
 eliminate = jax.jit(eliminated)
 
 
-def minimised(run, z, starts, now, data, noise, pull):
-    """Levenberg and Marquardt on z and all start states; ``now`` is what ``run`` gives
-    there. Returns them at the end, and whether it converged."""
+def minimised(run, z, starts, now, data, noise, pull, bounds=(-np.inf, np.inf)):
+    """Levenberg and Marquardt on z within its bounds and on all start states; ``now``
+    is what ``run`` gives there. Returns them at the end, and whether it converged."""
 
     def cost_of(missed, z):
         return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
@@ -130,11 +131,17 @@ def minimised(run, z, starts, now, data, noise, pull):
     for _ in range(_ITERATIONS):
         while damping < 1e9:
             score, information, step, tied = eliminate(*now, noise, damping)
-            gradient = score.sum(axis=0) + pull * z
+            gradient = np.asarray(score.sum(axis=0) + pull * z)
             matrix = np.asarray(information.sum(axis=0)) + np.diag(pull)
+            # What lies on a bound and is drawn across it stays.
+            still = (z <= bounds[0]) & (gradient > 0)
+            still |= (z >= bounds[1]) & (gradient < 0)
+            free = np.flatnonzero(~np.asarray(still))
             damped = matrix + damping * np.diag(np.diag(matrix) + 1e-12)
-            move = jnp.asarray(-np.linalg.solve(damped, np.asarray(gradient)))
-            new_z, new_starts = z + move, starts + step + tied @ move
+            move = np.zeros(len(z))
+            move[free] = -np.linalg.solve(damped[np.ix_(free, free)], gradient[free])
+            new_z = jnp.clip(z + move, *bounds)
+            new_starts = starts + step + tied @ (new_z - z)
             trial = run(new_z, new_starts, data)
             new_cost = cost_of(trial[0], new_z)
             if np.isfinite(new_cost) and new_cost < cost:

@@ -192,7 +192,7 @@ def fit_trajectory(
         lambda track, motion: windows_of(track, motion, vehicle, window),
         f"{window:g} s long", "a shorter window",
     )  # fmt: skip
-    parts = [windows for _, windows in found.values()]
+    parts = [windows for _, (windows, _) in found.values()]
     data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
     rows = {axle: _rows(found, vehicle, axle) for axle in given}
     tires = [_started(tire, rows[axle]) for axle, tire in given.items()]

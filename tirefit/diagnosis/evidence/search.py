@@ -15,7 +15,7 @@ from tirefit.diagnosis.evidence.fits import one_of
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.basis import without
 
-_PRIOR_OF_SIZE = (0.4, 0.4, 0.1, 0.015)
+PRIOR_OF_SIZE = (0.4, 0.4, 0.1, 0.015)
 """Probability of so many effects at once; nothing and one are as likely, and every
 further one is four to seven times rarer."""
 
@@ -143,7 +143,7 @@ class Search:
 
     def log_prior(self, atoms: tuple[int, ...]) -> float:
         """Split evenly over families, then forms, then variants."""
-        total = np.log(_PRIOR_OF_SIZE[len(atoms)])
+        total = np.log(PRIOR_OF_SIZE[len(atoms)])
         for k in atoms:
             total -= np.log(len(self.forms) * self.forms[self.effects[k].family])
             total += self.odds[k] - np.log(self.variants[self.ids[k]])

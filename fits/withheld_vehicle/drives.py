@@ -1,0 +1,280 @@
+"""Simulated drives of cars with one withheld effect, in plain NumPy: another program than
+the one that is judged, with other forms of the effects.
+
+Every trial is a car, a drive, sensors and one withheld effect (listed, unlisted or none), drawn
+from its number.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from fits.formulas import brush
+
+G = 9.81
+STEP = 0.002  # s, of the simulation
+LISTED = (
+    "steering_ratio", "steering_offset", "steering_delay", "steering_lag",
+    "compliance_steer", "yaw_inertia", "centre_of_gravity", "lateral_load_transfer",
+    "longitudinal_load_transfer", "aerodynamic_load", "friction_speed",
+    "sliding_friction", "friction_drift", "relaxation_length", "drive_force",
+    "yaw_resistance", "bank", "sideslip_zero", "yaw_rate_zero", "tracked_point",
+)  # fmt: skip
+UNLISTED = ("steering_play", "gusts", "friction_patches", "bump_steer", "roll")
+
+
+@dataclass
+class Trial:
+    """What is simulated; ``size`` of the effect in its own unit."""
+
+    number: int
+    effect: str = ""
+    size: float = 0.0
+    car: dict = field(default_factory=dict)
+    seconds: float = 40.0
+    rate: float = 50.0
+
+
+def trial(number: int, kind: str) -> Trial:
+    """The trial of a number; kind: listed, unlisted or none."""
+    rng = np.random.default_rng([number, 4343])
+    small = rng.random() < 0.4
+    if small:
+        mass = rng.uniform(2.5, 6.0)
+        wheelbase = rng.uniform(0.25, 0.36)
+        speed = rng.uniform(2.0, 3.5)
+    else:
+        mass = rng.uniform(900, 2100)
+        wheelbase = rng.uniform(2.3, 3.0)
+        speed = rng.uniform(12.0, 25.0)
+    share = rng.uniform(0.42, 0.58)
+    l_f = share * wheelbase
+    l_r = wheelbase - l_f
+    mu = rng.uniform(0.6, 1.0)
+    inertia = mass * l_f * l_r * rng.uniform(0.8, 1.2)
+    loads = mass * G * l_r / wheelbase, mass * G * l_f / wheelbase
+    # Slip at which the axles slide; the rear is the stiffer one.
+    slides = rng.uniform(0.15, 0.3), rng.uniform(0.1, 0.16)
+    tires = [(1.5 * mu * f / s, mu) for f, s in zip(loads, slides)]
+    effect, size = "", 0.0
+    if kind == "listed":
+        effect = LISTED[int(rng.integers(len(LISTED)))]
+        size = _size(effect, rng)
+    elif kind == "unlisted":
+        effect = UNLISTED[int(rng.integers(len(UNLISTED)))]
+    car = dict(
+        mass=mass, l_f=l_f, l_r=l_r, inertia=inertia, loads=loads, tires=tires, mu=mu,
+        speed=speed, small=small, grip=rng.uniform(0.6, 0.85),
+        pace=rng.uniform(0.6, 1.4), seed=int(rng.integers(1 << 31)),
+    )  # fmt: skip
+    return Trial(number, effect, size, car, seconds=float(rng.uniform(30, 50)))
+
+
+def _size(effect: str, rng) -> float:
+    low, high = {
+        "steering_ratio": (0.08, 0.25), "steering_offset": (0.01, 0.03),
+        "steering_delay": (0.04, 0.12), "steering_lag": (0.05, 0.15),
+        "compliance_steer": (0.01, 0.03), "yaw_inertia": (0.25, 0.6),
+        "centre_of_gravity": (0.04, 0.1), "lateral_load_transfer": (0.3, 0.6),
+        "longitudinal_load_transfer": (0.15, 0.4), "aerodynamic_load": (0.1, 0.3),
+        "friction_speed": (0.2, 0.5), "sliding_friction": (0.2, 0.5),
+        "friction_drift": (0.15, 0.4), "relaxation_length": (0.15, 0.4),
+        "drive_force": (1.0, 2.5), "yaw_resistance": (0.1, 0.3), "bank": (0.02, 0.06),
+        "sideslip_zero": (0.01, 0.04), "yaw_rate_zero": (0.01, 0.05),
+        "tracked_point": (0.1, 0.4),
+    }[effect]  # fmt: skip
+    sign = 1.0
+    if effect in (
+        "steering_ratio", "steering_offset", "yaw_inertia", "centre_of_gravity", "bank",
+        "sideslip_zero", "yaw_rate_zero", "tracked_point", "friction_drift",
+    ):  # fmt: skip
+        sign = rng.choice([-1.0, 1.0])
+    return float(sign * rng.uniform(low, high))
+
+
+def drive(one: Trial):
+    """Time, and the logged v_x, v_y, yaw rate, a_y and steering of a trial."""
+    car, size = one.car, one.size
+    is_ = one.effect.__eq__
+    rng = np.random.default_rng(car["seed"])
+    count = int(one.seconds / STEP)
+    time = STEP * np.arange(count)
+    wheelbase = car["l_f"] + car["l_r"]
+    scale = 1.0 if car["small"] else 0.6  # pace of the driver [Hz]
+    slow = sum(
+        a * np.sin(2 * np.pi * f * time + p)
+        for a, f, p in zip((1, 0.7), (0.05, 0.11), rng.uniform(0, 6.3, 2))
+    )
+    v_x = car["speed"] * (1 + 0.18 * slow / 1.7)
+    a_x = np.gradient(v_x, STEP)
+    a_x = a_x + 0.12 * car["mu"] * G * np.sin(2 * np.pi * 0.23 * scale * time)
+    v_x = v_x[0] + np.cumsum(a_x) * STEP
+    wish = sum(
+        a * np.sin(2 * np.pi * f * car["pace"] * scale * time + p)
+        for a, f, p in zip((1, 0.6, 0.35), (0.13, 0.41, 1.1), rng.uniform(0, 6.3, 3))
+    )
+    wish *= car["grip"] * car["mu"] * G / 1.6
+    # Steering of a driver who knows the car without its effect, roughly.
+    curvature = wish / v_x**2
+    angle = np.arctan(wheelbase * curvature) + 0.02 * wish / G
+    logged = angle.copy()
+    if is_("steering_delay"):
+        angle = np.interp(time - size, time, angle)
+    if is_("steering_lag"):
+        angle = _lag(angle, size)
+    if is_("steering_ratio"):
+        angle = angle * (1 + size)
+    if is_("steering_offset"):
+        angle = angle + size
+    if is_("steering_play"):
+        angle = _play(angle, 0.25 * np.std(angle))
+    gust = np.zeros(count)
+    if is_("gusts"):
+        noise = _lag(rng.standard_normal(count) / np.sqrt(STEP), 0.5)
+        gust = 0.12 * car["mu"] * G * noise / np.std(noise)
+    patch = np.ones(count)
+    if is_("friction_patches"):
+        distance = np.cumsum(v_x) * STEP / wheelbase
+        patch = 1 - 0.35 * (np.sin(2 * np.pi * distance / 25 + 1) > 0.3)
+    states = np.zeros((count, 2))
+    lateral = np.zeros(count)
+    late = np.zeros(2)
+    before = np.zeros(2)
+    roll = np.zeros(2)
+    l_f, l_r = car["l_f"], car["l_r"]
+    if is_("centre_of_gravity"):
+        l_f, l_r = l_f - size * wheelbase, l_r + size * wheelbase
+    inertia = car["inertia"] * (np.exp(size) if is_("yaw_inertia") else 1.0)
+    mass = car["mass"]
+    a_y = 0.0
+    # A step by the midpoint rule: the first half is a guess of the state there alone.
+    middle = 0.5 * (angle[1:] + angle[:-1])
+    for k in range(count - 1):
+        v, delta = 0.5 * (v_x[k] + v_x[k + 1]), middle[k]
+        if is_("compliance_steer"):
+            delta = delta - size * a_y / G
+        if is_("bump_steer"):
+            delta = delta + 0.35 * roll[0]
+        loads = np.array([l_r, l_f]) * mass * G / wheelbase
+        if is_("longitudinal_load_transfer"):
+            loads = loads + np.array([-1, 1]) * size * mass * a_x[k]
+        if is_("aerodynamic_load"):
+            loads = loads * (1 + size * ((v / car["speed"]) ** 2 - 1))
+        friction = np.array([t[1] for t in car["tires"]]) * patch[k]
+        stiffness = np.array([t[0] for t in car["tires"]])
+        if is_("lateral_load_transfer"):
+            friction = friction * (1 - size * (a_y / G) ** 2)
+        if is_("friction_speed"):
+            friction = friction * (1 - size * (v / car["speed"] - 1))
+        if is_("friction_drift"):
+            friction = friction * (1 + size * (time[k] / one.seconds - 0.5))
+        if is_("drive_force"):
+            friction = friction * np.sqrt(1 - min(size * (a_x[k] / G) ** 2, 0.8))
+
+        def slope(state, late):
+            v_y, r = state
+            slip = np.array([
+                np.arctan2(v_y + l_f * r, v) - delta, np.arctan2(v_y - l_r * r, v)
+            ])  # fmt: skip
+            used = slip + late
+            forces = np.empty(2)
+            for j in (0, 1):
+                s = abs(np.tan(used[j]))
+                mu = friction[j]
+                if is_("sliding_friction"):
+                    wide = 1.5 * mu * loads[j] / stiffness[j]
+                    mu = mu * (1 - size * (1 - np.exp(-((s / wide) ** 2))))
+                forces[j] = -np.sign(used[j]) * float(
+                    brush(s, loads[j], v, stiffness[j], mu)
+                )
+            front = forces[0] * np.cos(delta)
+            moment = l_f * front - l_r * forces[1]
+            if is_("yaw_resistance"):
+                moment = moment - size * mass * G * wheelbase**2 * r / v
+            across = (front + forces[1]) / mass + gust[k]
+            if is_("bank"):
+                across = across + size * G
+            return np.array([across - v * r, moment / inertia]), across, slip
+
+        state = states[k]
+        k1, a_y, slip = slope(state, late)
+        if is_("relaxation_length"):
+            if k:
+                rate = (slip - before) / STEP
+                time_constant = size * wheelbase / v
+                kept = np.exp(-STEP / time_constant)
+                late = late * kept - time_constant * rate * (1 - kept)
+            before = slip
+        k2, _, _ = slope(state + 0.5 * STEP * k1, late)
+        states[k + 1] = state + STEP * k2
+        lateral[k] = a_y
+        if is_("roll") or is_("bump_steer"):
+            pull = 30.0 if car["small"] else 12.0
+            bend = -(pull**2) * roll[0] - 0.4 * pull * roll[1] + 0.15 * pull**2 * a_y / G
+            roll = roll + STEP * np.array([roll[1], bend])
+        if is_("roll"):
+            # The body sways beside the axles: the sensor sees it.
+            states[k + 1, 0] += 0.0
+            lateral[k] += 0.0
+    lateral[-1] = lateral[-2]
+    v_y, r = states.T
+    if is_("roll"):
+        sway = _lag(lateral, 0.15) * (0.012 if not car["small"] else 0.002)
+        v_y = v_y + np.gradient(sway, STEP) * 4
+    if is_("sideslip_zero"):
+        v_y = v_y + size * v_x
+    if is_("tracked_point"):
+        v_y = v_y + size * wheelbase * r
+    if is_("yaw_rate_zero"):
+        r = r + size
+    return time, v_x, v_y, r, lateral, logged
+
+
+def _lag(values, time_constant: float):
+    kept = np.exp(-STEP / time_constant)
+    found, now = np.empty_like(values), values[0]
+    for k, value in enumerate(values):
+        now = now * kept + value * (1 - kept)
+        found[k] = now
+    return found
+
+
+def _play(values, width: float):
+    found, now = np.empty_like(values), 0.0
+    for k, value in enumerate(values):
+        now = min(max(now, value - width), value + width)
+        found[k] = now
+    return found
+
+
+def written(one: Trial, folder: Path) -> tuple[Path, Path]:
+    """The log and the vehicle file of a trial."""
+    time, v_x, v_y, r, a_y, steer = drive(one)
+    car, rng = one.car, np.random.default_rng(car_seed(one))
+    every = round(1 / one.rate / STEP)
+    scale = 0.3 if car["small"] else 1.0
+    columns = [time[::every]]
+    for values, std in (
+        (v_x, 0.02 * scale), (v_y, 0.02 * scale), (r, 0.004 / scale), (a_y, 0.05),
+        (steer, 0.0),
+    ):  # fmt: skip
+        values = values[::every]
+        columns.append(values + std * rng.standard_normal(len(values)))
+    folder.mkdir(parents=True, exist_ok=True)
+    log, vehicle = folder / f"drive_{one.number}.csv", folder / "vehicle.toml"
+    head = "t,v_x,v_y,yaw_rate,a_y,steer"
+    np.savetxt(log, np.stack(columns, axis=1), "%.7g", ",", header=head, comments="")
+    vehicle.write_text(
+        f"mass = {car['mass']}\nl_f = {car['l_f']}\nl_r = {car['l_r']}\n"
+        f"yaw_inertia = {car['inertia']}\ngravity = {G}\n"
+        '[columns]\ntime = "t"\nv_x = "v_x"\nv_y = "v_y"\nyaw_rate = "yaw_rate"\n'
+        'a_y = "a_y"\nsteering = "steer"\n'
+        "[steering]\ncommand = [-1.0, 1.0]\nangle = [-1.0, 1.0]\n"
+        f"[filter]\ncutoff = 8.0\nsample_rate = {one.rate:g}\n"
+    )
+    return log, vehicle
+
+
+def car_seed(one: Trial) -> int:
+    return one.car["seed"] + 1

@@ -1,0 +1,240 @@
+"""Which effects a car's model lacks: :func:`diagnose_vehicle`.
+
+The car runs freely over windows of measured logs. What it misses there is explained by
+sets of effects of steering, masses, ground, drive, tires and of the log, beside factors
+on the stiffness and the friction of both axles' tires; evidence, data left out and
+decision are those of a diagnosis of forces.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from tirefit.data.motion import Motion, slip_and_force
+from tirefit.data.vehicle import POSE, Vehicle
+from tirefit.diagnosis.decide.verdict import Verdict, decide
+from tirefit.diagnosis.effects import Effect, atoms_of
+from tirefit.diagnosis.effects.state import peak_ratio, slope_at_rest
+from tirefit.diagnosis.left_out import Ladder, ladder_of
+from tirefit.fitting.source import GivenTire, axle_tire
+from tirefit.models import TireInputs
+from tirefit.precision import require_x64
+from tirefit.results import InputProblem, UsageError, did_you_mean
+from tirefit.vehicle.car import car_of
+from tirefit.vehicle.effects import CAR_EFFECTS, Samples
+from tirefit.vehicle.evidence import PARAMETERS, Base, Cut, Fit, Model, shapes_of
+from tirefit.vehicle.search import findings, searched
+from tirefit.vehicle.shooting import CHANNELS, Data, windows_of
+from tirefit.vehicle.windows import cut_logs, known_vehicle, steering_problems
+
+WINDOW = 1.0
+"""Length [s] of a window."""
+
+_MOST_SAMPLES = 6000
+"""Samples of all windows, evenly spread, that are looked at."""
+
+_LEAST_WINDOWS = 8
+"""Fewest windows that are kept of them."""
+
+_VARIES = 0.02
+"""Spread of the acceleration forward over g, and of the speed over its mean, below
+which nothing that follows them shows."""
+
+
+class Amplitude(NamedTuple):
+    """A size with its standard error."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class VehicleDiagnosis:
+    """What :func:`diagnose_vehicle` found.
+
+    Attributes:
+        logs: names of the logs; windows: number of windows of ``WINDOW`` seconds.
+        verdict: which effects are there, and what is left.
+        ladder: how the rms over the noise shrinks on windows left out.
+        amplitudes: of each named effect; which: words on its form.
+        parameters: factor on each number of the tires in the fit of the named effects.
+        noise: channel -> noise of the log as the best explanation leaves it, larger
+            where it is correlated.
+        untestable: effect -> what the logs lack.
+        effects: the records that were looked for, by id.
+    """
+
+    logs: tuple[str, ...]
+    windows: int
+    verdict: Verdict
+    ladder: Ladder
+    amplitudes: Mapping[str, Amplitude]
+    which: Mapping[str, str]
+    parameters: Mapping[str, Amplitude]
+    noise: Mapping[str, float]
+    untestable: Mapping[str, tuple[str, ...]]
+    effects: Mapping[str, Effect]
+
+
+def diagnose_vehicle(
+    logs: Sequence[str | Path],
+    vehicle: Vehicle | str | Path,
+    front: Any,
+    rear: Any,
+    *,
+    effects: Sequence[Effect] = CAR_EFFECTS,
+    without: Sequence[str] = (),
+    window: float = WINDOW,
+) -> VehicleDiagnosis:
+    """Which effects a car on these tires lacks, by what it misses of measured logs.
+
+    Args:
+        logs: vehicle logs, as for :func:`tirefit.derive_files`.
+        vehicle: a vehicle or its ``vehicle.toml``, with a steering map.
+        front, rear: tire of each axle, as for :func:`tirefit.replay`.
+        effects: to look for.
+        without: ids of effects that are not looked for.
+        window: length [s] of the stretches that are predicted.
+
+    Raises:
+        UsageError: a vehicle without a steering map, an id that is none.
+        DataError: a log that cannot be read, or none whose stretches are long enough.
+    """
+    require_x64("a diagnosis")
+    vehicle = known_vehicle(vehicle)
+    _check(vehicle, effects, without)
+    tires = axle_tire(front), axle_tire(rear)
+    found = cut_logs(
+        logs, vehicle, lambda track, motion: windows_of(track, motion, vehicle, window),
+        f"{window:g} s long", "a shorter window",
+    )  # fmt: skip
+    cut, has = _joined(found, vehicle, tires)
+    library = [e for e in effects if e.id not in without]
+    untestable = {e.id: tuple(n for n in e.needs if n not in has) for e in library}
+    base = _base(cut, vehicle, tires, library, untestable)
+    weighed, out = searched(base)
+    verdict = decide(findings(weighed, out))
+    best = weighed.best_of[verdict.key]
+    return VehicleDiagnosis(
+        tuple(found), len(cut.log), verdict, ladder_of(out, verdict.key, 1.0),
+        _amplitudes(base, best), _words(base, best), _parameters(best),
+        dict(zip(CHANNELS[base.model.channels], base.noise.tolist(), strict=True)),
+        {name: lacks for name, lacks in untestable.items() if lacks},
+        {effect.id: effect for effect in effects},
+    )  # fmt: skip
+
+
+def _check(vehicle: Vehicle, effects, without) -> None:
+    problems = steering_problems(vehicle, "a diagnosis of a vehicle")
+    known = [effect.id for effect in effects]
+    for name in sorted({*without} - {*known}):
+        remedy = f"{did_you_mean(name, known)}known effects: {', '.join(known)}"
+        problems.append(InputProblem(f"no effect {name!r} of a vehicle", remedy))
+    UsageError.raise_for(problems)
+
+
+def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
+    """The windows of all logs, and what they have of what effects need."""
+    data, rows, each, log = [], [], [], []
+    passed = 0.0
+    for number, (motion, (windows, own)) in enumerate(found.values()):
+        data.append(windows)
+        rows.append(_samples(motion, own, vehicle, tires, passed))
+        each.append(_nominal(motion, vehicle, own))
+        log.append(np.full(len(own), number))
+        passed += float(motion.time[-1] - motion.time[0])
+    joined = Data(*(np.concatenate(part) for part in zip(*data, strict=True)))
+    joint = Samples(*(np.concatenate(part) for part in zip(*rows, strict=True)))
+    speed = joint.speed / np.mean(joint.speed)
+    joint = joint._replace(speed=speed, time=joint.time / passed - 0.5)
+    slips = np.concatenate(each)
+    has = {"heading"} if vehicle.columns.motion == POSE else {"rates"}
+    has |= {"acceleration"} if np.std(joint.along) > _VARIES else set()
+    has |= {"speeds"} if np.std(speed) > _VARIES else set()
+    shape = speed.shape
+    shapes = shapes_of(
+        [slips[..., k].ravel() for k in range(2)],
+        [part.ravel() for part in (speed, joint.along, joint.time)],
+    ).reshape(*shape, -1)
+    cut = Cut(joined, joint, shapes, np.concatenate(log))
+    most = max(_MOST_SAMPLES // shape[1], _LEAST_WINDOWS)
+    if len(cut.log) > most:
+        kept = np.linspace(0, len(cut.log) - 1, most).round().astype(int)
+        cut = jax.tree.map(lambda part: part[kept], cut)
+    return cut, has
+
+
+def _samples(motion: Motion, own, vehicle: Vehicle, tires, passed: float) -> Samples:
+    """What effects may depend on, at the rows (w, k) of a log."""
+    g, count = vehicle.gravity, len(own)
+    weight, wheelbase = vehicle.mass * g, vehicle.l_f + vehicle.l_r
+    loads = weight * vehicle.l_r / wheelbase, weight * vehicle.l_f / wheelbase
+    v_x = motion.v_x[own]
+    sliding = [
+        _sliding(one, load, float(v_x.mean()))
+        for one, load in zip(tires, loads, strict=True)
+    ]
+    heading = motion.heading if vehicle.columns.motion == POSE else 0 * motion.time
+    return Samples(
+        speed=v_x, along=motion.a_x[own] / g, across=motion.a_y[own] / g,
+        turn=motion.yaw_rate[own] / v_x,
+        time=passed + motion.time[own] - motion.time[0], heading=heading[own],
+        weight=np.full(count, weight), wheelbase=np.full(count, wheelbase),
+        sliding=np.tile(sliding, (count, 1)),
+    )  # fmt: skip
+
+
+def _sliding(axle: GivenTire, load: float, speed: float) -> float:
+    """Slip from which a brush of the tire's slope and peak slides."""
+    at_rest = TireInputs(fz=load, v=speed)
+    slope = slope_at_rest(axle.tire, at_rest, "y")
+    return float(3 * peak_ratio(axle.tire, load, speed) * load / slope)
+
+
+def _nominal(motion: Motion, vehicle: Vehicle, own) -> np.ndarray:
+    """Slip angles of both axles, as derived from the log: (w, k, 2)."""
+    axles = (slip_and_force(motion, vehicle, axle)[0] for axle in ("front", "rear"))
+    return np.stack([angle[own] for angle in axles], axis=-1)
+
+
+def _base(cut: Cut, vehicle: Vehicle, tires, library, untestable) -> Base:
+    atoms = atoms_of(library)
+    scales = tuple(a.effect.scale for a in atoms)
+    model = Model(atoms, scales, cut.data.logged.shape[-1], cut.shapes.shape[-1])
+    testable = [k for k, a in enumerate(atoms) if not untestable[a.effect.id]]
+    car = car_of(vehicle, tires[0].tire, tires[1].tire)
+    return Base(model, car, cut, 1 / vehicle.filter.sample_rate, testable)
+
+
+def _amplitudes(base: Base, fit: Fit) -> dict[str, Amplitude]:
+    errors = np.sqrt(np.diag(fit.covariance))[len(PARAMETERS) :]
+    found = {}
+    for k, size, error in zip(fit.atoms, fit.amplitude, errors, strict=True):
+        effect, scale = base.model.atoms[k].effect, base.model.scales[k]
+        found[effect.id] = Amplitude(
+            float(scale * size), float(scale * error), effect.unit
+        )
+    return found
+
+
+def _words(base: Base, fit: Fit) -> dict[str, str]:
+    atoms = [base.model.atoms[k] for k in fit.atoms]
+    return {
+        atom.effect.id: atom.effect.which(atom.constants, base.cut.rows, None)
+        for atom in atoms
+        if atom.effect.which
+    }
+
+
+def _parameters(fit: Fit) -> dict[str, Amplitude]:
+    errors = np.sqrt(np.diag(fit.covariance))
+    factors = np.exp(fit.z[: len(PARAMETERS)])
+    return {
+        name: Amplitude(float(factor), float(factor * error), "-")
+        for name, factor, error in zip(PARAMETERS, factors, errors, strict=False)
+    }

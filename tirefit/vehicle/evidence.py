@@ -1,0 +1,382 @@
+"""The car over windows of its logs with any effects, linearised; sets of effects
+refitted and weighed by their evidence.
+
+Everything that is asked of a fit (evidence of further effects, of something unlisted,
+prediction of windows left out) follows from one thing: the products of the columns of
+its linearisation, window by window, orthogonal to the start states.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import product
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import log_ndtr
+
+from tirefit.diagnosis.effects.record import Atom
+from tirefit.diagnosis.negligible import FLAT, NONZERO, UNSEEN
+from tirefit.diagnosis.rows.basis import SCALES, bumps, mean_gain
+from tirefit.padding import pad_rows, padded_size
+from tirefit.vehicle.car import Car, State, lagged, predicted, steps_a_sample
+from tirefit.vehicle.effects import Samples, Setting, scaled_axles
+from tirefit.vehicle.shooting import Data, minimised
+
+PARAMETERS = tuple(
+    f"{axle}.{name}"
+    for axle, name in product(("front", "rear"), ("stiffness", "friction"))
+)
+"""What is fitted whatever the effects: factors on the tires, by their logarithms."""
+
+MOST = 3
+"""Most effects of a set."""
+
+_TIRES = len(PARAMETERS)
+_LEAST_WINDOWS = 48
+"""Number of windows that a diagnosis is compiled for: few windows share it."""
+
+_SHAPES = 6
+"""Functions of each quantity that an unlisted force of an axle may follow."""
+
+
+class Cut(NamedTuple):
+    """Windows (w, k) of all logs: :class:`Data`, what effects may depend on, what an
+    unlisted force may follow (w, k, g), and the log (w,) that each is of."""
+
+    data: Data
+    rows: Samples
+    shapes: np.ndarray
+    log: np.ndarray
+
+
+class Products(NamedTuple):
+    """Products of the whitened columns of a linearisation with each other and with the
+    residual, predicted less logged: of each window (w, q, q), (w, q) and (w,)."""
+
+    gram: np.ndarray
+    score: np.ndarray
+    square: np.ndarray
+
+    def of(self, windows) -> "Products":
+        """Summed over some windows."""
+        return Products(*(part[windows].sum(axis=0) for part in self))
+
+    def some(self, columns) -> "Products":
+        """Of some columns."""
+        columns = np.asarray(columns)
+        gram = self.gram[..., columns[:, None], columns]
+        return Products(gram, self.score[..., columns], self.square)
+
+    def step(self, pull, at) -> np.ndarray:
+        """Change (q,) of the coefficients to their best, from coefficients ``at`` that
+        springs of stiffness ``pull`` draw to zero."""
+        return -np.linalg.solve(self.gram + np.diag(pull), self.score + pull * at)
+
+    def square_after(self, step) -> float:
+        """Sum of squares after a change of the coefficients."""
+        return float(self.square + 2 * step @ self.score + step @ self.gram @ step)
+
+
+class Model(NamedTuple):
+    """A car's model with all atoms; its coefficients z hold the logarithms of the
+    factors on the tires, the amplitudes of the atoms in prior scales, unlisted forces.
+
+    Attributes:
+        scales: of the priors.
+        channels: 2 of a log of rates, 3 of one of poses.
+        shapes: number of functions that an unlisted force of an axle may follow.
+    """
+
+    atoms: tuple[Atom, ...]
+    scales: tuple[float, ...]
+    channels: int
+    shapes: int
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return _TIRES + len(self.atoms) + 2 * self.shapes
+
+    def setting(self, z, rows: Samples, shapes) -> Setting:
+        """What the coefficients change, sample by sample."""
+        factors = jnp.exp(z[:_TIRES]).reshape(2, 2)
+        setting = Setting()
+        for k, name in enumerate(("stiffness", "friction")):
+            setting = scaled_axles(setting, name, factors[:, k])
+        for k, atom in enumerate(self.atoms):
+            amplitude = self.scales[k] * z[_TIRES + k]
+            setting = atom.change(setting, amplitude, rows)  # type: ignore[arg-type]
+        own = z[_TIRES + len(self.atoms) :].reshape(2, -1)
+        front, rear = (shapes @ one * rows.weight for one in own)
+        car = setting.car
+        return setting._replace(
+            car=car._replace(
+                front=car.front._replace(force=front),
+                rear=car.rear._replace(force=rear),
+            )
+        )
+
+    def missed(self, car: Car, grid, z, start, window: Data, rows: Samples, shapes):
+        """Predicted less logged (k, c) of one window."""
+        setting = self.setting(z, rows, shapes)
+        steer, reading = setting.steering, setting.reading
+        count = len(window.v_x)
+        lead = len(window.steering) - count
+        step, parts = grid
+        time = step * jnp.arange(-lead, count)
+        angle = jnp.interp(time - steer.delay, time, window.steering)
+        angle = lagged(angle, steer.lag, step)[lead:]
+        angle = angle * steer.ratio + steer.offset - steer.yields * rows.across
+        whole = State(*start, *jnp.zeros(5 - len(start)))
+        states = predicted(car, whole, window.v_x, angle, step, parts, setting.car)
+        if self.channels == 2:
+            v_y = states.v_y + reading.sideslip * window.v_x
+            v_y = v_y + reading.ahead * states.yaw_rate
+            found = [v_y, states.yaw_rate + reading.yaw_rate]
+        else:
+            cos, sin = jnp.cos(states.heading), jnp.sin(states.heading)
+            place = states.x + reading.ahead * cos, states.y + reading.ahead * sin
+            found = [states.heading - reading.sideslip, *place]
+        return jnp.stack(found, axis=1) - window.logged
+
+
+@partial(jax.jit, static_argnums=0)
+def _linearised(
+    model: Model, car, grid, z, ways, start, data: Data, rows: Samples, shapes
+):
+    """Residuals (w, k, c) at z, and their derivatives along ``ways`` (P, q) and by the
+    start of the own window: (w, k, c, q) and (w, k, c, s). ``grid`` is the time between
+    samples and the number of steps of the integration from one to the next."""
+
+    def one(start, window, rows, shapes):
+        def both(along, start):
+            found = model.missed(
+                car, grid, z + ways @ along, start, window, rows, shapes
+            )
+            return found, found
+
+        nowhere = jnp.zeros(ways.shape[1])
+        slopes, found = jax.jacfwd(both, (0, 1), has_aux=True)(nowhere, start)
+        return found, *slopes
+
+    return jax.vmap(one)(start, data, rows, shapes)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A refitted set of atoms.
+
+    Attributes:
+        atoms: their numbers, in order.
+        z: all coefficients; starts: (w, s).
+        products: of its own columns: the factors on the tires, then its atoms.
+        log_evidence: plus a constant that is the same for all sets.
+    """
+
+    atoms: tuple[int, ...]
+    effects: tuple[str, ...]
+    z: np.ndarray
+    starts: jax.Array
+    products: Products
+    log_evidence: float
+
+    @property
+    def own(self) -> list[int]:
+        """Places of its coefficients in z."""
+        return [*range(_TIRES), *(_TIRES + k for k in self.atoms)]
+
+    @property
+    def amplitude(self) -> np.ndarray:
+        """In prior scales."""
+        return self.z[[_TIRES + k for k in self.atoms]]
+
+    @property
+    def pull(self) -> np.ndarray:
+        """Precisions of the priors of its coefficients."""
+        return np.array([FLAT] * _TIRES + [1.0] * len(self.atoms))
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Of its coefficients."""
+        return np.linalg.inv(self.products.of(slice(None)).gram + np.diag(self.pull))
+
+
+def _filled(windows):
+    """Arrays (w, ...) padded by copies of the first window to one of few sizes."""
+    return jax.tree.map(
+        lambda part: pad_rows(part, padded_size(len(part), _LEAST_WINDOWS)), windows
+    )
+
+
+class Base:
+    """A model on windows, with the noise of the channels. ``testable`` are the numbers
+    of the atoms that the logs can show."""
+
+    def __init__(self, model: Model, car: Car, cut: Cut, step: float, testable):
+        self.model, self.cut, self.testable = model, cut, tuple(testable)
+        slowest = float(np.min(cut.data.v_x))
+        self.grid = jnp.asarray(step), steps_a_sample(car, slowest, 1 / step)
+        # As arrays: another car compiles nothing anew.
+        self.car = jax.tree.map(lambda x: jnp.asarray(x, float), car)
+        self.windows = _filled((cut.data, cut.rows, cut.shapes))
+        self.noise = np.ones(model.channels)
+        bounds = np.array([
+            np.array(a.effect.bounds[0]) / s
+            for a, s in zip(model.atoms, model.scales, strict=True)
+        ]).reshape(-1, 2)  # fmt: skip
+        self.low, self.high = bounds.T
+        self.one_sided = (self.low >= 0) | (self.high <= 0)
+
+    def linearised(self, z, starts, columns):
+        """:func:`_linearised` along coefficients (q,) of these numbers."""
+        # Of few columns all programs are one.
+        ways = np.zeros((self.model.size, max(len(columns), _TIRES + MOST)))
+        ways[columns, range(len(columns))] = 1.0
+        found = _linearised(
+            self.model, self.car, self.grid, z, ways, _filled(starts), *self.windows
+        )
+        return tuple(part[: len(self.cut.log)] for part in found)
+
+    def columns(self, now) -> np.ndarray:
+        """Whitened columns of what :meth:`linearised` gave, then the residual,
+        orthogonal to the start states: (w, m, q + 1)."""
+        missed, by, by_start = (np.asarray(part) for part in now)
+        weight, w = (1 / self.noise)[:, None], len(missed)
+        each = np.concatenate([by, missed[..., None]], axis=3) * weight
+        each = each.reshape(w, -1, each.shape[3])
+        unit, _ = np.linalg.qr((by_start * weight).reshape(w, each.shape[1], -1))
+        return each - unit @ (np.swapaxes(unit, 1, 2) @ each)
+
+    def products(self, now) -> Products:
+        """Of what :meth:`linearised` gave."""
+        each = self.columns(now)
+        gram = np.swapaxes(each, 1, 2) @ each
+        return Products(gram[:, :-1, :-1], gram[:, :-1, -1], gram[:, -1, -1])
+
+    def start_step(self, now):
+        """Change (w, s) of the start states to their best for the rest as it is."""
+        missed, _, by_start = now
+        weight = 1 / jnp.asarray(self.noise)
+        own = (by_start * weight[:, None]).reshape(len(missed), -1, by_start.shape[-1])
+        rest = (missed * weight).reshape(len(missed), -1)
+        return -jax.vmap(lambda a, b: jnp.linalg.lstsq(a, b)[0])(own, rest)
+
+    def judge_noise(self, fit: Fit) -> None:
+        """Set the noise to what everything listed and unlisted together leaves of a
+        fit, larger by how much more the sums over windows scatter than independent
+        samples would."""
+        now = self.linearised(fit.z, fit.starts, [*range(self.model.size)])
+        each, free = self.columns(now), _TIRES + len(self.model.atoms)
+        columns, residual = each[..., :-1], each[..., -1]
+        own = np.swapaxes(columns, 1, 2) @ columns
+        gram = own.sum(axis=0)
+        pull = np.ones(self.model.size)
+        pull[:_TIRES] = FLAT
+        pull[free:] = np.maximum(np.diag(gram)[free:], FLAT) / SCALES[1] ** 2
+        inverse = np.linalg.inv(gram + np.diag(pull))
+        score = np.einsum("wmp,wm->p", columns, residual)
+        left = residual - columns @ (inverse @ (score + pull * fit.z))
+        count = left.size - fit.starts.size - np.sum(inverse * gram)
+        squares = left.reshape(*now[0].shape) ** 2
+        level = squares.sum(axis=(0, 1)) * len(self.noise) / max(count, 1)
+        # The sums of white noise over windows, of which the fit has taken its share.
+        sums = np.einsum("wmp,wm->wp", columns[..., :free], left) ** 2
+        white = np.einsum("wpp->wp", own - own @ inverse @ own)[:, :free]
+        there = white.sum(axis=0) > UNSEEN * np.diag(gram)[:free]
+        scatter = np.median(sums.sum(axis=0)[there] / white.sum(axis=0)[there])
+        self.noise = self.noise * np.sqrt(level * max(scatter / level.mean(), 1.0))
+
+    def fitted(self, atoms: tuple[int, ...], z, starts) -> Fit:
+        """A set of atoms refitted from coefficients z and start states."""
+        size, fill = _TIRES + len(atoms), MOST - len(atoms)
+        places = np.array([*range(_TIRES), *(_TIRES + k for k in atoms)])
+        origin, begin = np.zeros(self.model.size), np.zeros(_TIRES + MOST)
+        begin[:size] = z[places]
+
+        def run(own, starts, _):
+            at = origin.copy()
+            at[places] = np.asarray(own)[:size]
+            return self.linearised(at, starts, places)
+
+        pull = np.array([FLAT] * _TIRES + [1.0] * MOST)
+        sides = [
+            np.concatenate([[side] * _TIRES, own[list(atoms)], [0.0] * fill])
+            for side, own in ((-np.inf, self.low), (np.inf, self.high))
+        ]
+        own, starts, now, _ = minimised(
+            run, jnp.asarray(begin), starts, run(begin, starts, None), None,
+            jnp.asarray(self.noise), pull, sides,
+        )  # fmt: skip
+        found = origin.copy()
+        found[places] = np.asarray(own)[:size]
+        products = self.products(now).some(range(size))
+        ids = tuple(self.model.atoms[k].effect.id for k in atoms)
+        fit = Fit(atoms, ids, found, starts, products, 0.0)
+        return replace(fit, log_evidence=self._log_evidence(fit))
+
+    def _log_evidence(self, fit: Fit) -> float:
+        off = fit.amplitude
+        square = fit.products.square.sum() + off @ off
+        curvature = np.linalg.slogdet(np.linalg.inv(fit.covariance))[1]
+        error = np.sqrt(np.diag(fit.covariance)[_TIRES:])
+        # Half of the prior is gone where one sign alone is physical.
+        sided = np.where(self.one_sided[list(fit.atoms)], np.log(2), 0.0)
+        side = sided + np.where(sided > 0, log_ndtr(np.abs(off) / error), 0.0)
+        return float(-0.5 * (square + curvature) + side.sum())
+
+    def everything(self, fit: Fit) -> Products:
+        """Products of all columns at a fit."""
+        columns = [*range(self.model.size)]
+        return self.products(self.linearised(fit.z, fit.starts, columns))
+
+    def one_more(self, fit: Fit, whole: Products) -> np.ndarray:
+        """Log evidence (K,) that each atom adds to a fit, in closed form."""
+        left = _beside(whole, fit, [_TIRES + k for k in range(len(self.model.atoms))])
+        size, score = np.maximum(np.diag(left.gram), 0.0), left.score
+        z = score / np.sqrt(1 + size)
+        value = 0.5 * z**2 - 0.5 * np.log1p(size)
+        # The score is the slope of the squares: its sign is against the amplitude.
+        sign = np.where(self.low >= 0, -1.0, np.where(self.high <= 0, 1.0, 0.0))
+        return value + np.where(sign != 0, np.log(2) + log_ndtr(sign * z), 0.0)
+
+    def unlisted(self, fit: Fit, whole: Products) -> float:
+        """Log evidence that an unlisted force of the axles adds to a fit."""
+        first = self.model.size - 2 * self.model.shapes
+        left = _beside(whole, fit, [*range(first, self.model.size)])
+        return mean_gain(*directions(left))
+
+
+def directions(left: Products) -> tuple[np.ndarray, np.ndarray]:
+    """Scores (d,) and sizes (d,) of the orthonormal directions of some columns, each
+    of unit size before."""
+    norm = np.sqrt(np.maximum(np.diag(left.gram), NONZERO))
+    values, vectors = np.linalg.eigh(left.gram / np.outer(norm, norm))
+    kept = values > UNSEEN * values.max()
+    size = np.sqrt(values[kept])
+    return (left.score / norm) @ vectors[:, kept] / size, size
+
+
+def _beside(whole: Products, fit: Fit, columns: Sequence[int]) -> Products:
+    """Products of columns orthogonal to those of a fit."""
+    total = whole.of(slice(None))
+    own, pull = fit.own, fit.pull
+    gram = total.gram[np.ix_(own, own)] + np.diag(pull)
+    across = total.gram[np.ix_(own, columns)]
+    used = np.linalg.solve(gram, across)
+    score = total.score[own] + pull * fit.z[own]
+    return Products(
+        total.gram[np.ix_(columns, columns)] - across.T @ used,
+        total.score[columns] - used.T @ score,
+        np.asarray(total.square),
+    )
+
+
+def shapes_of(angles: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> np.ndarray:
+    """Functions (n, g) that an unlisted force over the car's weight may follow: smooth
+    ones of the slip angles and of the other quantities, (n,) each."""
+    each = [bumps(np.clip(a, *np.quantile(a, [0.01, 0.99])), _SHAPES) for a in angles]
+    each += [bumps(o, _SHAPES) for o in others if np.ptp(o) > 0]
+    return np.concatenate(each, axis=1)

@@ -1,0 +1,312 @@
+"""The search for sets of effects of a car, and what a verdict rests on."""
+
+from collections import Counter
+from collections.abc import Mapping
+from math import factorial
+
+import numpy as np
+from scipy.special import logsumexp, softmax, stdtr
+
+from tirefit.diagnosis.decide.findings import parts_of
+from tirefit.diagnosis.decide.verdict import Findings, Fitted, Tests, no_gap_shows
+from tirefit.diagnosis.evidence.posterior import Key, Weighed
+from tirefit.diagnosis.evidence.search import PRIOR_OF_SIZE, PRIOR_OF_UNKNOWN
+from tirefit.diagnosis.left_out import LEAST_RUNS, Predicted, gained
+from tirefit.diagnosis.negligible import FLAT, NONZERO
+from tirefit.diagnosis.rows.basis import SCALES
+from tirefit.vehicle.evidence import (
+    MOST,
+    PARAMETERS,
+    Base,
+    Fit,
+)
+
+_SINGLES, _WIDE, _DEEP = 8, 4, 3
+"""Single effects that are refitted first; further effects that are tried beside each of
+the most probable sets of a size, and how many of these sets."""
+
+_WEAK = 3.0
+"""Log evidence that data must show an effect with: 20 to 1."""
+
+_LOST = 10.0
+"""Log evidence that no further effect can cost where its fit has found the minimum."""
+
+_BLOCKS = 8
+"""Parts of the time that are left out in turn."""
+
+_LEADING = 6
+"""Sets, and single effects, the most probable of each, that are judged on them."""
+
+_ROUNDS = 2
+"""Times that the noise is judged anew beside the car without effects."""
+
+_OTHER_NOISE = 0.1
+"""Change of the logarithm of the noise from which the search is made once more."""
+
+
+class _Search:
+    """Fits of sets of atoms so far, with the products of all columns at some."""
+
+    def __init__(self, base: Base, null: Fit):
+        self.base, self.fits = base, {(): null}
+        self.whole = {(): base.everything(null)}
+        self.ids = [atom.effect.id for atom in base.model.atoms]
+        self.variants = Counter(self.ids[k] for k in base.testable)
+        self.alone = base.one_more(null, self.whole[()])
+
+    def prior(self, atoms: tuple[int, ...]) -> float:
+        """Logarithm of the prior of a set, split over effects and their variants."""
+        size, every = len(atoms), max(len(self.variants), 1)
+        shared = sum(np.log(self.variants[self.ids[k]] * every) for k in atoms)
+        return float(np.log(PRIOR_OF_SIZE[size] * factorial(size)) - shared)
+
+    def weight(self, fit: Fit) -> float:
+        """Log evidence over no effect plus log prior."""
+        more = fit.log_evidence - self.fits[()].log_evidence
+        return more + self.prior(fit.atoms)
+
+    def refit(self, parent: Fit, more: int) -> None:
+        """A fit and one more atom, from where the linearisation of the fit leads."""
+        atoms = tuple(sorted((*parent.atoms, more)))
+        if atoms in self.fits:
+            return
+        base, first = self.base, len(PARAMETERS)
+        own = [*parent.own, first + more]
+        z, pull = parent.z.copy(), np.append(parent.pull, 1.0)
+        total = self.whole[parent.atoms].of(slice(None)).some(own)
+        z[own] += total.step(pull, z[own])
+        z[first + more] = np.clip(z[first + more], base.low[more], base.high[more])
+        fit = base.fitted(atoms, z, parent.starts)
+        if fit.log_evidence < parent.log_evidence - _LOST:
+            # The linearisation leads astray.
+            other = base.fitted(atoms, parent.z, parent.starts)
+            fit = max(fit, other, key=lambda one: one.log_evidence)
+        self.fits[atoms] = fit
+
+    def best(self, size: int, count: int) -> list[Fit]:
+        """The most probable fits of a size, one for each set of effects."""
+        fits = [fit for fit in self.fits.values() if len(fit.atoms) == size]
+        found: dict[Key, Fit] = {}
+        for fit in sorted(fits, key=self.weight, reverse=True):
+            found.setdefault(_key(fit), fit)
+        return [*found.values()][:count]
+
+    def beside(self, parent: Fit, count: int) -> list[int]:
+        """Atoms of further effects that add most, one of each effect."""
+        if parent.atoms not in self.whole:
+            self.whole[parent.atoms] = self.base.everything(parent)
+        more = self.base.one_more(parent, self.whole[parent.atoms])
+        order = sorted(
+            self.base.testable,
+            key=lambda k: np.log(self.variants[self.ids[k]]) - more[k],
+        )
+        found: dict[str, int] = {}
+        for k in order:
+            if self.ids[k] not in parent.effects:
+                found.setdefault(self.ids[k], k)
+        return [*found.values()][:count]
+
+    def climb(self) -> None:
+        """Refit single effects, then what adds most to the best sets of each size."""
+        for more in self.beside(self.fits[()], _SINGLES):
+            self.refit(self.fits[()], more)
+        for size in range(1, MOST):
+            before = self.best(size, _DEEP)
+            for parent in before:
+                for more in self.beside(parent, _WIDE):
+                    self.refit(parent, more)
+            after = self.best(size + 1, 1)
+            if not after or self.weight(after[0]) < self.weight(before[0]):
+                break
+
+    def parts(self, whole: Fit) -> None:
+        """Refit the sets of some of a fit's effects."""
+        for part in parts_of(whole.atoms)[1:]:
+            if part not in self.fits:
+                fit = self.base.fitted(tuple(part), whole.z, whole.starts)
+                self.fits[tuple(part)] = fit
+
+
+def _key(fit: Fit) -> Key:
+    return tuple(sorted(fit.effects))
+
+
+def searched(base: Base) -> tuple[Weighed, Predicted]:
+    """Sets of effects refitted and weighed, and what they predict of windows left out.
+
+    The noise is what everything leaves beside the best set: the search is made once
+    more where that is another than what is left beside none.
+    """
+    fit = base.fitted((), np.zeros(base.model.size), base.cut.data.start)
+    for _ in range(_ROUNDS):
+        base.judge_noise(fit)
+        fit = base.fitted((), fit.z, fit.starts)
+    search = _Search(base, fit)
+    search.climb()
+    before = base.noise
+    best = max(search.fits.values(), key=search.weight)
+    base.judge_noise(best)
+    if np.any(np.abs(np.log(base.noise / before)) > _OTHER_NOISE):
+        search = _Search(base, base.fitted((), fit.z, fit.starts))
+        search.climb()
+    else:
+        base.noise = before
+    for best in sorted(search.fits.values(), key=search.weight)[-2:]:
+        search.parts(best)
+    weighed = _weighed(search)
+    return weighed, _predicted(search, weighed)
+
+
+def _weighed(search: _Search) -> Weighed:
+    """Posterior probabilities of all sets, with and without something unlisted."""
+    base, none = search.base, search.fits[()].log_evidence
+    logs: dict[Key, list[float]] = {}
+    best_of: dict[Key, Fit] = {}
+    for fit in sorted(search.fits.values(), key=search.weight, reverse=True):
+        logs.setdefault(_key(fit), []).append(search.weight(fit))
+        best_of.setdefault(_key(fit), fit)
+    total = {key: float(logsumexp(values)) for key, values in logs.items()}
+    ranked = sorted(total, key=total.__getitem__, reverse=True)[:_LEADING]
+    beside = {}
+    for key in dict.fromkeys([*ranked, ()]):
+        fit = best_of[key]
+        if fit.atoms not in search.whole:
+            search.whole[fit.atoms] = base.everything(fit)
+        more = base.unlisted(fit, search.whole[fit.atoms])
+        beside[key] = total[key] + more + float(np.log(PRIOR_OF_UNKNOWN))
+    tried = {fit.atoms for fit in search.fits.values()}
+    untried = [k for k in base.testable if (k,) not in tried]
+    rest = np.array([search.alone[k] + search.prior((k,)) for k in untried])
+    everything = float(logsumexp([*total.values(), *beside.values(), *rest]))
+    weak = search.alone[untried] < _WEAK
+    return Weighed(
+        best_of=best_of, log_weight=total, log_beside=beside,
+        evidence={k: f.log_evidence - none for k, f in best_of.items()},
+        other_form=frozenset(), gains={}, log_total=everything,
+        hidden=float(np.exp(rest[weak] - everything).sum()),
+    )  # fmt: skip
+
+
+def _predicted(search: _Search, weighed: Weighed) -> Predicted:
+    """What the leading sets predict of logs, or parts of the time, left out."""
+    base, log = search.base, weighed.log_weight
+    ranked = sorted((k for k in log if k), key=log.__getitem__, reverse=True)
+    singles = [key for key in ranked if len(key) == 1]
+    wanted = [(), *ranked[:_LEADING], *singles[:_LEADING]]
+    wanted += [part for key in ranked[:2] for part in parts_of(key)[1:]]
+    keys = [key for key in dict.fromkeys(map(tuple, wanted)) if key in weighed.best_of]
+    folds, on = _folds(base.cut.log)
+    fits = [weighed.best_of[key] for key in keys]
+    number = int(folds.max()) + 1
+    rows = np.array([np.sum(folds == f) for f in range(number)])
+    each = base.cut.data.logged[0].size - base.cut.data.start.shape[1]
+    rows = rows * each
+    loss, sizes = np.empty((number, len(keys))), []
+    for s, fit in enumerate(fits):
+        own = fit.z[fit.own]
+        amplitude = np.empty((number, len(fit.atoms)))
+        for f in range(number):
+            step = fit.products.of(folds != f).step(fit.pull, own)
+            loss[f, s] = fit.products.of(folds == f).square_after(step)
+            amplitude[f] = (own + step)[len(PARAMETERS) :]
+        sizes.append(amplitude)
+    given = base.products(_as_given(base)).square
+    smooth = _smooth(search, weighed.best_of[ranked[0]], folds)
+    return Predicted(
+        on, len(set(base.cut.log)) >= LEAST_RUNS, tuple(keys),
+        loss / rows[:, None], loss, rows, tuple(sizes), smooth / rows,
+        as_given=np.array([given[folds == f].sum() for f in range(number)]) / rows,
+    )  # fmt: skip
+
+
+def _folds(log: np.ndarray) -> tuple[np.ndarray, str]:
+    """The part of each window (w,): its log where there are enough, else its block of
+    the time."""
+    count = int(log.max()) + 1
+    if count >= LEAST_RUNS:
+        return log, f"{count} logs left out in turn"
+    count = min(_BLOCKS, len(log))
+    part = np.arange(len(log)) * count // len(log)
+    return part, f"{count} blocks of time left out in turn"
+
+
+def _as_given(base: Base):
+    """The car as it is, from its best start states."""
+    starts = base.cut.data.start
+    for _ in range(3):
+        now = base.linearised(np.zeros(base.model.size), starts, [0])
+        starts = starts + base.start_step(now)
+    return base.linearised(np.zeros(base.model.size), starts, [0])
+
+
+def _smooth(search: _Search, fit: Fit, folds: np.ndarray) -> np.ndarray:
+    """Sum of squares (F,) that unlisted forces beside a fit leave of each part, of each
+    size by its evidence on the other parts."""
+    base, count = search.base, len(fit.own)
+    first = base.model.size - 2 * base.model.shapes
+    own = [*fit.own, *range(first, base.model.size)]
+    whole, z = search.whole[fit.atoms].some(own), fit.z[own]
+    found = np.empty(int(folds.max()) + 1)
+    for f in range(len(found)):
+        others = whole.of(folds != f)
+        norm = np.maximum(np.diag(others.gram)[count:], FLAT)
+        steps, logs = [], []
+        for size in SCALES:
+            pull = np.concatenate([fit.pull, norm / size**2])
+            step = others.step(pull, z)
+            curvature = np.linalg.slogdet(others.gram + np.diag(pull))[1]
+            steps.append(step)
+            logs.append(
+                -0.5 * (others.square_after(step) + pull @ (z + step) ** 2)
+                - 0.5 * (curvature - np.sum(np.log(pull[count:])))
+            )
+        step = np.tensordot(softmax(logs), steps, 1)
+        found[f] = whole.of(folds == f).square_after(step)
+    return found
+
+
+def findings(weighed: Weighed, out: Predicted) -> Findings:
+    """What the search and the data left out say.
+
+    Something unlisted is as probable as its evidence and its prediction of the parts
+    left out both allow.
+    """
+    key = () if no_gap_shows(weighed) else weighed.best
+    parts = [part for part in parts_of(key) if part in weighed.log_weight]
+    ordered = sorted(parts, key=lambda k: (-len(k), -weighed.log_weight[k]))
+    best = out.effects.index(weighed.best)
+    gains = out.whitened[:, best] - out.smooth * out.rows
+    error = np.sqrt(len(gains)) * np.std(gains, ddof=1)
+    predicts = float(stdtr(len(gains) - 1, gains.sum() / max(error, NONZERO)))
+    return Findings(
+        weighed=weighed,
+        sets={
+            tuple(part): Fitted(_errors(weighed, out, part), _gains(out, part))
+            for part in ordered
+        },
+        across_runs=out.across_runs,
+        unlisted=min(weighed.unlisted, predicts),
+        tests=Tests(),
+    )
+
+
+def _gains(out: Predicted, key: Key):
+    at, gains = {one: k for k, one in enumerate(out.effects)}, {}
+    for effect in key:
+        less = tuple(sorted({*key} - {effect}))
+        if key in at and less in at:
+            gains[effect] = gained(out, at[key], at[less], 1.0)
+    return gains
+
+
+def _errors(weighed: Weighed, out: Predicted, key: Key) -> Mapping[str, float]:
+    """Amplitude over its standard error, by effect: by the curvature, or by the
+    jackknife over the parts left out where that is larger."""
+    fit = weighed.best_of[key]
+    variance = np.diag(fit.covariance)[len(PARAMETERS) :]
+    if key in out.effects:
+        each = out.amplitude[out.effects.index(key)]
+        off = each - each.mean(axis=0)
+        variance = np.maximum(variance, (1 - 1 / len(each)) * np.sum(off**2, axis=0))
+    ratio = np.abs(fit.amplitude) / np.sqrt(variance)
+    return dict(zip(fit.effects, ratio.tolist(), strict=True))
