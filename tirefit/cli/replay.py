@@ -69,7 +69,6 @@ def replay(
         from tirefit.report.replay import (
             replay_figure,
             replay_page,
-            replay_text,
             series_figure,
         )
         from tirefit.vehicle.replay import HORIZONS
@@ -89,5 +88,5 @@ def replay(
                     save_picture(draw(result), folder / name)
                 if html:
                     write_text_atomic(folder / PAGE, replay_page(result))
-        say(replay_text(result))
+        say(str(result))
         say("wrote " + ", ".join(str(out / name) for name in written))

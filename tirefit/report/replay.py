@@ -1,5 +1,7 @@
 """A replay as text, as pictures and as a page."""
 
+import html
+
 import numpy as np
 
 from tirefit.report.canvas import (
@@ -12,7 +14,7 @@ from tirefit.report.canvas import (
     panel_title,
     tidy,
 )
-from tirefit.report.html import image_of, rendered
+from tirefit.report.html import image_of, png_text, rendered
 from tirefit.report.numbers import format_number
 from tirefit.report.text import indented, table
 from tirefit.vehicle.replay import QUANTITIES, Fans, Replay
@@ -90,6 +92,13 @@ def replay_text(result: Replay) -> str:
 def _head(result: Replay) -> str:
     logs = "1 log" if len(result.logs) == 1 else f"{len(result.logs)} logs"
     return f"REPLAY of {logs}, {result.windows[0]} starts"
+
+
+def replay_fragment(result: Replay) -> str:
+    """The report as HTML for a notebook, with the figure."""
+    png = png_text(replay_figure(result))
+    picture = f'<img alt="error and path" src="data:image/png;base64,{png}">'
+    return f"<pre>{html.escape(replay_text(result))}</pre>{picture}"
 
 
 def replay_page(result: Replay) -> str:

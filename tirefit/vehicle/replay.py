@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,6 +24,7 @@ from tirefit import __version__
 from tirefit.data.motion import Motion, road_wheel, with_noise
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
+from tirefit.display import Displayed
 from tirefit.fitting.source import axle_tire
 from tirefit.models import AbstractTire, TireForces, TireInputs
 from tirefit.models.mf import Pair
@@ -93,8 +94,8 @@ class Fans(NamedTuple):
     predicted: Mapping[str, np.ndarray]
 
 
-@dataclass(frozen=True)
-class Replay:
+@dataclass(frozen=True, repr=False)
+class Replay(Displayed):
     """What :func:`replay` found in some logs.
 
     Attributes:
@@ -107,6 +108,9 @@ class Replay:
         fans: the predictions of each log, for pictures.
         notes: what was assumed.
     """
+
+    html_by: ClassVar[str] = "tirefit.report.replay:replay_fragment"
+    text_by: ClassVar[str] = "tirefit.report.replay:replay_text"
 
     logs: Mapping[str, bool]
     horizons: tuple[float, ...]
