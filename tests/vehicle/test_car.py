@@ -52,7 +52,7 @@ def test_a_second_ahead_is_that_of_scipy():
     true = solve_ivp(
         slopes, (0, time[-1]), start, t_eval=time, rtol=1e-10, atol=1e-10,
         max_step=STEP / 4,
-        args=[lambda t, of=of: np.interp(t, time, of) for of in (v_x, steering)],
+        args=[lambda t: 3.0 + 0.5 * t, lambda t: 0.5 * np.sin(4 * t)],
     )  # fmt: skip
     # At first the rear slides.
     full = (

@@ -167,7 +167,7 @@ def predicted(
 
     Args:
         start: the state at the first sample, scalars.
-        v_x, steering: (n,) at the samples, linear between them.
+        v_x, steering: (n,) at the samples, between them by :func:`cubic`.
         step: time between samples [s].
         parts: steps of Runge-Kutta of the fourth order from one sample to the next.
         changes: numbers or (n,), each held until the next sample; None of none.
@@ -190,12 +190,11 @@ def predicted(
         )  # fmt: skip
 
     def onward(carried, given):
-        speed, angle, faster, turned, *own = given
-        change = own[0] if lags else held
+        (speed, *_), (angle, *_) = along = given[:2]
+        change = given[2] if lags else held
 
         def steered(part):
-            share = part / parts
-            return speed + share * faster, angle + share * turned
+            return [cubic(part / parts, *four) for four in along]
 
         def slips(part, state):
             motion = state.v_y, state.yaw_rate
@@ -225,10 +224,32 @@ def predicted(
         return carried, carried[0]
 
     start = State(*(jnp.asarray(s, float) for s in start))
-    given = (v_x[:-1], steering[:-1], jnp.diff(v_x), jnp.diff(steering))
-    given += (held,) if lags else ()
+    given = (_with_bends(v_x), _with_bends(steering), *((held,) if lags else ()))
     _, states = jax.lax.scan(onward, (start, jnp.zeros(2)), given)
     return jax.tree.map(lambda first, rest: jnp.append(first, rest), start, states)
+
+
+def cubic(share, first, last, bend, next_bend):
+    """Value at a share of the way from one sample to the next, on the cubic through
+    four samples; ``bend`` are their second differences."""
+    pull = (2 - share) * bend + (1 + share) * next_bend
+    return first + share * (last - first) - share * (1 - share) / 6 * pull
+
+
+def _with_bends(values):
+    """What :func:`cubic` takes, for each sample but the last: four of (n - 1,)."""
+    if len(values) < 3:
+        return values[:-1], values[1:], jnp.zeros(1), jnp.zeros(1)
+    bends = jnp.pad(jnp.diff(values, 2), 1, mode="edge")
+    return values[:-1], values[1:], bends[:-1], bends[1:]
+
+
+def delayed(values, samples):
+    """Values (n,) of a number of samples ago; before the first, the first."""
+    count = len(values) - 1
+    place = jnp.clip(jnp.arange(count + 1) - samples, 0, count)
+    whole = jnp.clip(jnp.floor(place).astype(int), 0, count - 1)
+    return cubic(place - whole, *(part[whole] for part in _with_bends(values)))
 
 
 def _later(late, rate, time, step: float):

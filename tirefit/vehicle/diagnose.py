@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from tirefit.data.motion import Motion, slip_and_force
+from tirefit.data.motion import Motion
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.diagnosis.decide.verdict import Verdict, decide
 from tirefit.diagnosis.effects import Effect, atoms_of
@@ -26,7 +26,7 @@ from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError, did_you_mean
 from tirefit.vehicle.car import car_of
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
-from tirefit.vehicle.evidence import PARAMETERS, Base, Cut, Fit, Model, shapes_of
+from tirefit.vehicle.evidence import PARAMETERS, SHAPES, Base, Cut, Fit, Model
 from tirefit.vehicle.search import findings, searched
 from tirefit.vehicle.shooting import CHANNELS, Data, windows_of
 from tirefit.vehicle.windows import cut_logs, known_vehicle, steering_problems
@@ -117,8 +117,8 @@ def diagnose_vehicle(
     library = [e for e in effects if e.id not in without]
     untestable = {e.id: tuple(n for n in e.needs if n not in has) for e in library}
     base = _base(cut, vehicle, tires, library, untestable)
-    weighed, out = searched(base)
-    verdict = decide(findings(weighed, out))
+    weighed, out, tests = searched(base)
+    verdict = decide(findings(weighed, out, tests))
     best = weighed.best_of[verdict.key]
     return VehicleDiagnosis(
         tuple(found), len(cut.log), verdict, ladder_of(out, verdict.key, 1.0),
@@ -140,29 +140,23 @@ def _check(vehicle: Vehicle, effects, without) -> None:
 
 def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
     """The windows of all logs, and what they have of what effects need."""
-    data, rows, each, log = [], [], [], []
+    data, rows, log = [], [], []
     passed = 0.0
     for number, (motion, (windows, own)) in enumerate(found.values()):
         data.append(windows)
         rows.append(_samples(motion, own, vehicle, tires, passed))
-        each.append(_nominal(motion, vehicle, own))
         log.append(np.full(len(own), number))
         passed += float(motion.time[-1] - motion.time[0])
     joined = Data(*(np.concatenate(part) for part in zip(*data, strict=True)))
     joint = Samples(*(np.concatenate(part) for part in zip(*rows, strict=True)))
     speed = joint.speed / np.mean(joint.speed)
     joint = joint._replace(speed=speed, time=joint.time / passed - 0.5)
-    slips = np.concatenate(each)
     has = {"heading"} if vehicle.columns.motion == POSE else {"rates"}
     has |= {"acceleration"} if np.std(joint.along) > _VARIES else set()
     has |= {"speeds"} if np.std(speed) > _VARIES else set()
-    shape = speed.shape
-    shapes = shapes_of(
-        [slips[..., k].ravel() for k in range(2)],
-        [part.ravel() for part in (speed, joint.along, joint.time)],
-    ).reshape(*shape, -1)
+    shapes = np.zeros((*speed.shape, SHAPES))  # until a fit is followed
     cut = Cut(joined, joint, shapes, np.concatenate(log))
-    most = max(_MOST_SAMPLES // shape[1], _LEAST_WINDOWS)
+    most = max(_MOST_SAMPLES // speed.shape[1], _LEAST_WINDOWS)
     if len(cut.log) > most:
         kept = np.linspace(0, len(cut.log) - 1, most).round().astype(int)
         cut = jax.tree.map(lambda part: part[kept], cut)
@@ -181,8 +175,7 @@ def _samples(motion: Motion, own, vehicle: Vehicle, tires, passed: float) -> Sam
     ]
     heading = motion.heading if vehicle.columns.motion == POSE else 0 * motion.time
     return Samples(
-        speed=v_x, along=motion.a_x[own] / g, across=motion.a_y[own] / g,
-        turn=motion.yaw_rate[own] / v_x,
+        speed=v_x, along=motion.a_x[own] / g, across=0 * v_x, turn=0 * v_x,
         time=passed + motion.time[own] - motion.time[0], heading=heading[own],
         weight=np.full(count, weight), wheelbase=np.full(count, wheelbase),
         sliding=np.tile(sliding, (count, 1)),
@@ -196,16 +189,10 @@ def _sliding(axle: GivenTire, load: float, speed: float) -> float:
     return float(3 * peak_ratio(axle.tire, load, speed) * load / slope)
 
 
-def _nominal(motion: Motion, vehicle: Vehicle, own) -> np.ndarray:
-    """Slip angles of both axles, as derived from the log: (w, k, 2)."""
-    axles = (slip_and_force(motion, vehicle, axle)[0] for axle in ("front", "rear"))
-    return np.stack([angle[own] for angle in axles], axis=-1)
-
-
 def _base(cut: Cut, vehicle: Vehicle, tires, library, untestable) -> Base:
     atoms = atoms_of(library)
     scales = tuple(a.effect.scale for a in atoms)
-    model = Model(atoms, scales, cut.data.logged.shape[-1], cut.shapes.shape[-1])
+    model = Model(atoms, scales, cut.data.logged.shape[-1])
     testable = [k for k, a in enumerate(atoms) if not untestable[a.effect.id]]
     car = car_of(vehicle, tires[0].tire, tires[1].tire)
     return Base(model, car, cut, 1 / vehicle.filter.sample_rate, testable)

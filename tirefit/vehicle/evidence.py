@@ -15,13 +15,22 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import log_ndtr
+from scipy.special import chdtrc, log_ndtr
 
 from tirefit.diagnosis.effects.record import Atom
-from tirefit.diagnosis.negligible import FLAT, NONZERO, UNSEEN
+from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.basis import SCALES, bumps, mean_gain
 from tirefit.padding import pad_rows, padded_size
-from tirefit.vehicle.car import Car, State, lagged, predicted, steps_a_sample
+from tirefit.vehicle.car import (
+    Car,
+    State,
+    accelerations,
+    delayed,
+    lagged,
+    predicted,
+    slip_angles,
+    steps_a_sample,
+)
 from tirefit.vehicle.effects import Samples, Setting, scaled_axles
 from tirefit.vehicle.shooting import Data, minimised
 
@@ -38,13 +47,15 @@ _TIRES = len(PARAMETERS)
 _LEAST_WINDOWS = 48
 """Number of windows that a diagnosis is compiled for: few windows share it."""
 
-_SHAPES = 6
-"""Functions of each quantity that an unlisted force of an axle may follow."""
+_EACH = 6
+SHAPES = 5 * _EACH
+"""Functions of each quantity, and of all, that an unlisted force of an axle may
+follow."""
 
 
 class Cut(NamedTuple):
     """Windows (w, k) of all logs: :class:`Data`, what effects may depend on, what an
-    unlisted force may follow (w, k, g), and the log (w,) that each is of."""
+    unlisted force may follow (w, k, SHAPES), and the log (w,) that each is of."""
 
     data: Data
     rows: Samples
@@ -87,18 +98,16 @@ class Model(NamedTuple):
     Attributes:
         scales: of the priors.
         channels: 2 of a log of rates, 3 of one of poses.
-        shapes: number of functions that an unlisted force of an axle may follow.
     """
 
     atoms: tuple[Atom, ...]
     scales: tuple[float, ...]
     channels: int
-    shapes: int
 
     @property
     def size(self) -> int:
         """Number of coefficients."""
-        return _TIRES + len(self.atoms) + 2 * self.shapes
+        return _TIRES + len(self.atoms) + 2 * SHAPES
 
     def setting(self, z, rows: Samples, shapes) -> Setting:
         """What the coefficients change, sample by sample."""
@@ -119,19 +128,22 @@ class Model(NamedTuple):
             )
         )
 
-    def missed(self, car: Car, grid, z, start, window: Data, rows: Samples, shapes):
-        """Predicted less logged (k, c) of one window."""
+    def states(self, car: Car, grid, z, start, window: Data, rows: Samples, shapes):
+        """Predicted states (k,) of one window, the wheel angle (k,), what is set."""
         setting = self.setting(z, rows, shapes)
-        steer, reading = setting.steering, setting.reading
-        count = len(window.v_x)
-        lead = len(window.steering) - count
+        steer = setting.steering
         step, parts = grid
-        time = step * jnp.arange(-lead, count)
-        angle = jnp.interp(time - steer.delay, time, window.steering)
-        angle = lagged(angle, steer.lag, step)[lead:]
+        angle = delayed(window.steering, steer.delay / step)
+        angle = lagged(angle, steer.lag, step)[-len(window.v_x) :]
         angle = angle * steer.ratio + steer.offset - steer.yields * rows.across
         whole = State(*start, *jnp.zeros(5 - len(start)))
-        states = predicted(car, whole, window.v_x, angle, step, parts, setting.car)
+        found = predicted(car, whole, window.v_x, angle, step, parts, setting.car)
+        return found, angle, setting
+
+    def missed(self, car: Car, grid, z, start, window: Data, rows: Samples, shapes):
+        """Predicted less logged (k, c) of one window."""
+        states, _, setting = self.states(car, grid, z, start, window, rows, shapes)
+        reading = setting.reading
         if self.channels == 2:
             v_y = states.v_y + reading.sideslip * window.v_x
             v_y = v_y + reading.ahead * states.yaw_rate
@@ -141,6 +153,20 @@ class Model(NamedTuple):
             place = states.x + reading.ahead * cos, states.y + reading.ahead * sin
             found = [states.heading - reading.sideslip, *place]
         return jnp.stack(found, axis=1) - window.logged
+
+
+@partial(jax.jit, static_argnums=0)
+def _followed(model: Model, car: Car, grid, z, start, data: Data, rows, shapes):
+    """Lateral acceleration, yaw rate and both slip angles (w, k) of the car itself."""
+
+    def one(start, window, rows, shapes):
+        states, angle, setting = model.states(car, grid, z, start, window, rows, shapes)
+        motion = window.v_x, angle, states.v_y, states.yaw_rate
+        changes = jax.tree.map(lambda x: jnp.broadcast_to(x, len(angle)), setting.car)
+        lateral, _ = jax.vmap(partial(accelerations, car))(*motion, changes)
+        return lateral, states.yaw_rate, *slip_angles(car, *motion)
+
+    return jax.vmap(one)(start, data, rows, shapes)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -221,8 +247,7 @@ class Base:
         self.grid = jnp.asarray(step), steps_a_sample(car, slowest, 1 / step)
         # As arrays: another car compiles nothing anew.
         self.car = jax.tree.map(lambda x: jnp.asarray(x, float), car)
-        self.windows = _filled((cut.data, cut.rows, cut.shapes))
-        self.noise = np.ones(model.channels)
+        self.noise, self.scatter = np.ones(model.channels), 1.0
         bounds = np.array([
             np.array(a.effect.bounds[0]) / s
             for a, s in zip(model.atoms, model.scales, strict=True)
@@ -230,14 +255,35 @@ class Base:
         self.low, self.high = bounds.T
         self.one_sided = (self.low >= 0) | (self.high <= 0)
 
+    @cached_property
+    def windows(self):
+        """The windows of a :class:`Cut`, of few numbers."""
+        return _filled((self.cut.data, self.cut.rows, self.cut.shapes))
+
+    def follow(self, fit: Fit) -> None:
+        """Let effects and unlisted forces depend on the motion of a fit: that of the
+        log has the noise of the channels that they are to explain."""
+        found = _followed(
+            self.model, self.car, self.grid, fit.z, _filled(fit.starts), *self.windows
+        )
+        lateral, turn, *slips = (np.asarray(x)[: len(self.cut.log)] for x in found)
+        rows = self.cut.rows
+        rows = rows._replace(
+            across=lateral / float(self.car.gravity), turn=turn / self.cut.data.v_x
+        )
+        others = rows.speed, rows.along, rows.time
+        shapes = shapes_of(*([x.ravel() for x in part] for part in (slips, others)))
+        shapes = shapes.reshape(*turn.shape, -1)
+        self.cut = self.cut._replace(rows=rows, shapes=shapes)
+        del self.windows
+
     def linearised(self, z, starts, columns):
         """:func:`_linearised` along coefficients (q,) of these numbers."""
         # Of few columns all programs are one.
         ways = np.zeros((self.model.size, max(len(columns), _TIRES + MOST)))
         ways[columns, range(len(columns))] = 1.0
-        found = _linearised(
-            self.model, self.car, self.grid, z, ways, _filled(starts), *self.windows
-        )
+        given = self.model, self.car, self.grid, z
+        found = _linearised(*given, ways, _filled(starts), *self.windows)
         return tuple(part[: len(self.cut.log)] for part in found)
 
     def columns(self, now) -> np.ndarray:
@@ -287,7 +333,14 @@ class Base:
         white = np.einsum("wpp->wp", own - own @ inverse @ own)[:, :free]
         there = white.sum(axis=0) > UNSEEN * np.diag(gram)[:free]
         scatter = np.median(sums.sum(axis=0)[there] / white.sum(axis=0)[there])
-        self.noise = self.noise * np.sqrt(level * max(scatter / level.mean(), 1.0))
+        self.scatter = float(scatter / level.mean())
+        self.noise = self.noise * np.sqrt(level * max(self.scatter, 1.0))
+
+    @property
+    def p_white(self) -> float:
+        """p-value of the scatter of the sums over windows, were the rest white."""
+        count = len(self.cut.log)
+        return max(float(chdtrc(count, count * self.scatter)), ROUNDING)
 
     def fitted(self, atoms: tuple[int, ...], z, starts) -> Fit:
         """A set of atoms refitted from coefficients z and start states."""
@@ -344,7 +397,7 @@ class Base:
 
     def unlisted(self, fit: Fit, whole: Products) -> float:
         """Log evidence that an unlisted force of the axles adds to a fit."""
-        first = self.model.size - 2 * self.model.shapes
+        first = self.model.size - 2 * SHAPES
         left = _beside(whole, fit, [*range(first, self.model.size)])
         return mean_gain(*directions(left))
 
@@ -375,8 +428,7 @@ def _beside(whole: Products, fit: Fit, columns: Sequence[int]) -> Products:
 
 
 def shapes_of(angles: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> np.ndarray:
-    """Functions (n, g) that an unlisted force over the car's weight may follow: smooth
-    ones of the slip angles and of the other quantities, (n,) each."""
-    each = [bumps(np.clip(a, *np.quantile(a, [0.01, 0.99])), _SHAPES) for a in angles]
-    each += [bumps(o, _SHAPES) for o in others if np.ptp(o) > 0]
-    return np.concatenate(each, axis=1)
+    """Functions (n, SHAPES) that an unlisted force over the car's weight may follow:
+    smooth ones of both slip angles and of three other quantities, (n,) each."""
+    each = [np.clip(a, *np.quantile(a, [0.01, 0.99])) for a in angles]
+    return np.concatenate([bumps(x, _EACH) for x in (*each, *others)], axis=1)

@@ -7,7 +7,7 @@ from math import factorial
 import numpy as np
 from scipy.special import logsumexp, softmax, stdtr
 
-from tirefit.diagnosis.decide.findings import parts_of
+from tirefit.diagnosis.decide.findings import parts_of, probability_by_tests
 from tirefit.diagnosis.decide.verdict import Findings, Fitted, Tests, no_gap_shows
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
 from tirefit.diagnosis.evidence.search import PRIOR_OF_SIZE, PRIOR_OF_UNKNOWN
@@ -17,6 +17,7 @@ from tirefit.diagnosis.rows.basis import SCALES
 from tirefit.vehicle.evidence import (
     MOST,
     PARAMETERS,
+    SHAPES,
     Base,
     Fit,
 )
@@ -131,14 +132,16 @@ def _key(fit: Fit) -> Key:
     return tuple(sorted(fit.effects))
 
 
-def searched(base: Base) -> tuple[Weighed, Predicted]:
-    """Sets of effects refitted and weighed, and what they predict of windows left out.
+def searched(base: Base) -> tuple[Weighed, Predicted, Tests]:
+    """Sets of effects refitted and weighed, what they predict of windows left out, and
+    a test of what is left of the noise.
 
     The noise is what everything leaves beside the best set: the search is made once
     more where that is another than what is left beside none.
     """
     fit = base.fitted((), np.zeros(base.model.size), base.cut.data.start)
     for _ in range(_ROUNDS):
+        base.follow(fit)
         base.judge_noise(fit)
         fit = base.fitted((), fit.z, fit.starts)
     search = _Search(base, fit)
@@ -154,7 +157,7 @@ def searched(base: Base) -> tuple[Weighed, Predicted]:
     for best in sorted(search.fits.values(), key=search.weight)[-2:]:
         search.parts(best)
     weighed = _weighed(search)
-    return weighed, _predicted(search, weighed)
+    return weighed, _predicted(search, weighed), Tests(time=base.p_white)
 
 
 def _weighed(search: _Search) -> Weighed:
@@ -243,7 +246,7 @@ def _smooth(search: _Search, fit: Fit, folds: np.ndarray) -> np.ndarray:
     """Sum of squares (F,) that unlisted forces beside a fit leave of each part, of each
     size by its evidence on the other parts."""
     base, count = search.base, len(fit.own)
-    first = base.model.size - 2 * base.model.shapes
+    first = base.model.size - 2 * SHAPES
     own = [*fit.own, *range(first, base.model.size)]
     whole, z = search.whole[fit.atoms].some(own), fit.z[own]
     found = np.empty(int(folds.max()) + 1)
@@ -265,11 +268,11 @@ def _smooth(search: _Search, fit: Fit, folds: np.ndarray) -> np.ndarray:
     return found
 
 
-def findings(weighed: Weighed, out: Predicted) -> Findings:
+def findings(weighed: Weighed, out: Predicted, tests: Tests) -> Findings:
     """What the search and the data left out say.
 
     Something unlisted is as probable as its evidence and its prediction of the parts
-    left out both allow.
+    left out both allow, or as what is left is unlike white noise.
     """
     key = () if no_gap_shows(weighed) else weighed.best
     parts = [part for part in parts_of(key) if part in weighed.log_weight]
@@ -285,8 +288,8 @@ def findings(weighed: Weighed, out: Predicted) -> Findings:
             for part in ordered
         },
         across_runs=out.across_runs,
-        unlisted=min(weighed.unlisted, predicts),
-        tests=Tests(),
+        unlisted=max(min(weighed.unlisted, predicts), probability_by_tests(tests)),
+        tests=tests,
     )
 
 

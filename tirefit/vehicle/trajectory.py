@@ -42,7 +42,14 @@ from tirefit.models import MODELS, AbstractTire
 from tirefit.params import constrain, with_values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError, did_you_mean
-from tirefit.vehicle.car import Car, State, car_of, predicted, steps_a_sample
+from tirefit.vehicle.car import (
+    Car,
+    State,
+    car_of,
+    delayed,
+    predicted,
+    steps_a_sample,
+)
 from tirefit.vehicle.intervals import INTERVALS, Optimum, ends_by
 from tirefit.vehicle.shooting import (
     CHANNELS,
@@ -165,8 +172,9 @@ def fit_trajectory(
     Args:
         logs: vehicle logs, as for :func:`tirefit.derive_files`.
         vehicle: a vehicle or its ``vehicle.toml``, with a steering map.
-        front, rear: the model of the axle's tire; or a fit of the axle, or its
-            ``fit.json``, where the search begins.
+        front: the model of the axle's tire; or a fit of the axle, or its ``fit.json``,
+            where the search begins.
+        rear: likewise.
         unknowns: of :data:`UNKNOWNS`, estimated beside the tires.
         window: length of a window [s].
         intervals: ``covariance``, ``profile`` or ``importance``: how the 95 % intervals
@@ -286,11 +294,8 @@ class _Problem:
         """Predicted less logged (k, c) of one window."""
         step, count = 1 / self.rate, window.v_x.shape[0]
         lead = window.steering.shape[0] - count
-        time = step * jnp.arange(-lead, count)
-        late = time[lead:] - self.unknown(
-            z, "steering_delay", self.vehicle.steering.delay
-        )
-        steering = jnp.interp(late, time, window.steering)
+        delay = self.unknown(z, "steering_delay", self.vehicle.steering.delay)
+        steering = delayed(window.steering, delay / step)[lead:]
         steering = steering * self.unknown(z, "steering_ratio", 1.0)
         steering = steering + self.unknown(z, "steering_offset")
         whole = jnp.concatenate([start, jnp.zeros(5 - len(start))])
