@@ -19,6 +19,9 @@ DATA = (
     Path("dart_simulator", "free_driving.csv"),
     *(Path("export", f"{t}_{axle}.csv") for t in "ad" for axle in ("front", "rear")),
     Path("export", "avoidance.py"),
+    Path("replay", "cars.py"),
+    *(Path("measured_changes", "f1tenth", f"{tires}.csv.gz") for tires in "ad"),
+    Path("measured_changes", "f1tenth", "vehicle.toml"),
 )
 NAMES = [path.stem for path in NOTEBOOKS]
 
@@ -57,13 +60,14 @@ def rich(notebook, kind: str) -> list:
     return [content for content in found if content is not None]
 
 
-def test_there_are_five():
+def test_there_are_six():
     assert NAMES == [
         "brush_against_magic_formula",
         "diagnose_a_measured_case",
         "diagnose_a_simulator",
         "explore_a_fit",
         "export_a_tire",
+        "predict_a_car",
     ]
 
 

@@ -112,6 +112,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         ],
         "results": ["DataError", "UsageError"],
         "vehicle.replay": ["replay"],
+        "vehicle.trajectory": ["fit_trajectory"],
     },
 )
 

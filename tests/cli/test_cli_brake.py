@@ -69,7 +69,7 @@ def test_tires_of_fits_and_files(run, tmp_path):
     )
     result = run("brake", "--tire", "f/fit.json", "--set", "mu=1", "--out", "q",
                  exit_code=2)  # fmt: skip
-    assert "--set with a fit.json" in result.stderr
+    assert "(--set) beside a fit" in result.stderr
 
 
 def test_a_tire_of_a_tir_file_brakes(run, tmp_path):

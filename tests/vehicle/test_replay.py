@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +11,16 @@ from scipy.integrate import solve_ivp
 from test_car import GRAVITY, INERTIA, L_F, L_R, MASS, TIRES, slopes
 
 import tirefit
-from tirefit.models import Brush
+from tirefit.data.tir import read_tir
+from tirefit.fitting.source import axle_tire
+from tirefit.fitting.tir import tire_of
+from tirefit.models import Brush, TireInputs
 from tirefit.report.replay import replay_text
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle.replay import HORIZONS, QUANTITIES, replay
 
 FRONT, REAR = (Brush(cpa2=cpa2, mu=mu) for cpa2, mu in TIRES.values())
+ROOT = Path(__file__).parents[2]
 LATE = 0.08  # s
 TOML = f"""
 mass = {MASS}
@@ -127,14 +132,46 @@ def test_the_command_writes_numbers_and_picture(drive, tmp_path):
     line = [
         sys.executable, "-m", "tirefit", "replay", str(drive / "exact.csv"),
         "--vehicle", str(drive / "vehicle.toml"), "--front", "brush", "--rear", "brush",
-        "--horizon", "0.5", "--out", str(tmp_path / "out"),
+        "--horizon", "0.5", "--html", "--out", str(tmp_path / "out"),
     ]  # fmt: skip
     done = subprocess.run(line, capture_output=True, text=True, check=True)
     assert "0.5 s ahead the car on these tires is off by" in done.stdout
     content = json.loads((tmp_path / "out" / "replay.json").read_text())
     assert content["schema"] == "tirefit.replay/1" and content["horizons"] == [0.5]
-    assert set(content["rms"]) == {"tire", "linear tire", "no slip"}
-    assert (tmp_path / "out" / "replay.png").stat().st_size > 10_000
+    assert set(content["rms"]) == {"tire", "linear tire", "no slip", "floor"}
+    for name in ("replay.png", "series.png"):
+        assert (tmp_path / "out" / name).stat().st_size > 10_000
+    page = (tmp_path / "out" / "replay.html").read_text()
+    assert page.count("data:image/png;base64,") == 2 and "http:" not in page
+    assert "0.5 s ahead the car on these tires is off by" in page
+
+
+def test_the_true_car_misses_a_noisy_log_by_the_floor(drive, tmp_path):
+    log = np.loadtxt(drive / "exact.csv", delimiter=",", skiprows=1)
+    generator = np.random.default_rng(5)
+    log[:, 1:4] += [2e-3, 2e-3, 4e-3] * generator.standard_normal((len(log), 3))
+    noisy = tmp_path / "noisy.csv"
+    np.savetxt(noisy, log, "%.9g", ",", header="t,x,y,yaw,steer", comments="")
+    found = replay([noisy], drive / "vehicle.toml", FRONT, REAR)
+    tire, floor = (found.models[name].rms() for name in ("tire", "floor"))
+    for name in QUANTITIES:
+        # 36 windows at 5 s, which overlap: a rms of some twenty independent numbers.
+        np.testing.assert_allclose(tire[name], floor[name], rtol=0.35, err_msg=name)
+
+
+def test_the_axle_of_a_tir_file_has_two_tires():
+    path = ROOT / "tests/data/tir/mfeval_julia/MagicFormula61_Parameters.tir"
+    alpha, fz, v = 0.05, 6000.0, 20.0
+
+    def one(slip):
+        columns = {"alpha": [slip], "fz": [fz / 2], "v": [v]}
+        data = tirefit.read_frame(columns, forces=False)
+        return tirefit.predict(tire_of(read_tir(path)), data)["fy"][0]
+
+    found = axle_tire(path).tire(TireInputs(alpha=alpha, fz=fz, v=v)).fy
+    # The other tire is the mirror image: its force is that of the reverse slip.
+    assert one(alpha) != pytest.approx(-one(-alpha), rel=1e-3)
+    assert float(found) == pytest.approx(one(alpha) - one(-alpha), rel=1e-9)
 
 
 def test_what_cannot_be_predicted_is_refused(drive, tmp_path):

@@ -1,14 +1,22 @@
 """Fits by trajectory of simulated drives whose tires and unknowns are known."""
 
+import json
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from test_car import TIRES, slopes
+from test_car import GRAVITY, INERTIA, L_F, L_R, MASS, TIRES, slopes
 from test_replay import TOML
 
 import tirefit
+from fits.formulas import brush
+from tirefit import fit_trajectory, replay
+from tirefit.data.vehicle import load_vehicle
+from tirefit.models import Brush
 from tirefit.results import DataError, UsageError
-from tirefit.vehicle.trajectory import fit_trajectory
+from tirefit.targets.tire import tire_of
 
 DELAY, OFFSET = 0.06, 0.012  # s, rad
 TRUE = {
@@ -24,8 +32,7 @@ def steer(time):
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    """A vehicle file, a log of poses with noise, and brushes fitted to what derive
-    makes of it, with the steering as logged."""
+    """A folder with a vehicle file and a log of poses with noise."""
     folder = tmp_path_factory.mktemp("trajectory")
     (folder / "vehicle.toml").write_text(TOML)
     time, generator = np.arange(0, 24, 0.01), np.random.default_rng(3)
@@ -41,35 +48,117 @@ def drive(tmp_path_factory):
     rows = np.stack([time, *noisy, steer(time)], axis=1)
     path = folder / "drive.csv"
     np.savetxt(path, rows, "%.9g", ",", header="t,x,y,yaw,steer", comments="")
-    fits = {}
-    for axle in ("front", "rear"):
-        out = folder / f"{axle}.csv"
-        tirefit.derive_files([path], folder / "vehicle.toml", out, axle)
-        fits[axle] = tirefit.fit(tirefit.read(out), "brush")
-    return folder, fits
+    return folder
 
 
-def test_the_tires_and_the_steering_come_back(drive):
-    folder, fits = drive
-    found = fit_trajectory(
-        [folder / "drive.csv"], folder / "vehicle.toml", fits["front"], fits["rear"]
-    )
+@pytest.fixture(scope="module")
+def found(drive):
+    return fit_trajectory([drive / "drive.csv"], drive / "vehicle.toml")
+
+
+def test_the_tires_and_the_steering_come_back(found):
     assert found.converged and found.windows > 40
     for name, true in TRUE.items():
         one = found.parameters[name]
         assert abs(one.value - true) < 3 * one.std, (name, one)
         assert one.std < 0.1 * true and one.ci95[0] < one.value < one.ci95[1]
+        assert one.identified
     # The noise of each channel is that of the log.
     assert found.noise["heading"] == pytest.approx(2e-3, rel=0.15)
     assert found.noise["x"] == pytest.approx(1e-3, rel=0.15)
+    text = found.summary()
+    assert "steering_delay" in text and "NOT IDENTIFIED" not in text
 
 
-def test_what_cannot_be_fitted_is_refused(drive, tmp_path):
-    folder, fits = drive
-    given = [folder / "drive.csv"], folder / "vehicle.toml"
-    with pytest.raises(UsageError, match="the front tire brush is no fit"):
-        fit_trajectory(*given, "brush", fits["rear"])
+def test_what_is_saved_predicts_the_log(found, drive, tmp_path):
+    names = {path.name for path in found.save(tmp_path)}
+    assert names == {"front.json", "rear.json", "vehicle.toml", "trajectory.json"}
+    saved = (tmp_path / f"{axle}.json" for axle in ("front", "rear"))
+    again = replay([drive / "drive.csv"], tmp_path / "vehicle.toml", *saved)
+    assert again.logs == {"drive": True} and again.held
+    true = (Brush(cpa2=cpa2, mu=mu) for cpa2, mu in TIRES.values())
+    steering = {"delay": DELAY, "angle": [-1 + OFFSET, 1 + OFFSET]}
+    vehicle = load_vehicle(drive / "vehicle.toml")
+    known = vehicle.steering.model_copy(update=steering)
+    vehicle = vehicle.model_copy(update={"steering": known})
+    best = replay([drive / "drive.csv"], vehicle, *true)
+    for name in ("yaw_rate", "lateral"):
+        own, least = (r.models["tire"].rms()[name][1] for r in (again, best))
+        assert own < 1.1 * least, name
+
+
+def test_what_is_saved_is_a_fit_for_the_other_commands(found, tmp_path):
+    found.save(tmp_path)
+    alpha = np.linspace(-0.2, 0.2, 9)
+    load = MASS * GRAVITY * L_R / (L_F + L_R)
+    rows = {"alpha": alpha, "fz": np.full(9, load), "v": np.full(9, 3.0)}
+    predicted = tirefit.predict(
+        tirefit.load_fit(tmp_path / "front.json"),
+        tirefit.read_frame(rows, forces=False),
+    )
+    cpa2, mu = (found.parameters[f"front.{name}"].value for name in ("cpa2", "mu"))
+    force = np.sign(alpha) * [brush(np.tan(abs(a)), load, 3.0, cpa2, mu) for a in alpha]
+    np.testing.assert_allclose(predicted["fy"], force, rtol=1e-9, atol=1e-9)
+    assert tire_of(tmp_path / "front.json").spread["mu"] > 0
+
+
+def test_the_intervals_of_a_likelihood_that_is_nearly_normal_agree(found, drive):
+    for how in ("profile", "importance"):
+        other = fit_trajectory(
+            [drive / "drive.csv"], drive / "vehicle.toml", intervals=how
+        )
+        assert other.intervals == how
+        for name, one in found.parameters.items():
+            # Draws of importance sampling: the end of an interval is good to a tenth.
+            np.testing.assert_allclose(
+                other.parameters[name].ci95, one.ci95, atol=0.5 * one.std, err_msg=name
+            )
+            assert other.parameters[name].ci95 != one.ci95
+
+
+def test_a_wrong_inertia_and_centre_of_gravity_are_found_or_said_to_be_open(drive):
+    vehicle = load_vehicle(drive / "vehicle.toml")
+    moved = {"l_f": L_F + 0.01, "l_r": L_R - 0.01, "yaw_inertia": 1.3 * INERTIA}
+    # The log's point stays where it was: at the true centre of gravity.
+    moved |= {"tracked_point": [L_R, 0.0]}
+    found = fit_trajectory(
+        [drive / "drive.csv"], vehicle.model_copy(update=moved),
+        unknowns=("steering_delay", "steering_offset", "yaw_inertia", "cg_ahead"),
+    )  # fmt: skip
+    inertia, ahead = (found.parameters[k] for k in ("yaw_inertia", "cg_ahead"))
+    assert abs(inertia.value - INERTIA) < 3 * inertia.std < 0.5 * INERTIA
+    # Load-proportional tires with other friction make the same of another centre.
+    assert abs(ahead.value - 0.01) < 3 * ahead.std and not ahead.identified
+    assert found.vehicle.l_f == pytest.approx(L_F + 0.01 - ahead.value)
+    assert "do not determine cg_ahead" in " ".join(found.summary().split())
+
+
+def test_the_command_writes_what_the_others_read(drive, tmp_path):
+    line = [
+        sys.executable, "-m", "tirefit", "fit", f"{drive}/drive.csv", "--out", "out",
+        "--vehicle", str(drive / "vehicle.toml"), "--model", "front=brush,rear=brush",
+    ]  # fmt: skip
+    done = subprocess.run(
+        line, capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert "FIT BY TRAJECTORY: front brush, rear brush" in done.stdout
+    content = json.loads((tmp_path / "out" / "trajectory.json").read_text())
+    assert content["schema"] == "tirefit.trajectory/1"
+    assert set(content["parameters"]) == set(TRUE)
+    assert (tmp_path / "out" / "trajectory.png").stat().st_size > 10_000
+    bad = subprocess.run([*line, "--joint"], capture_output=True, text=True)
+    assert bad.returncode == 2 and "--joint with --vehicle" in bad.stderr
+    bad = subprocess.run([*line[:7], "--window", "1"], capture_output=True, text=True)
+    assert bad.returncode == 2 and "without --vehicle" in bad.stderr
+
+
+def test_what_cannot_be_fitted_is_refused(drive):
+    given = [drive / "drive.csv"], drive / "vehicle.toml"
+    with pytest.raises(UsageError, match="the front tire Brush is no fit"):
+        fit_trajectory(*given, Brush())
     with pytest.raises(UsageError, match="(?s)no unknown of a car.*steering_delay"):
-        fit_trajectory(*given, *fits.values(), unknowns=["steering_dela"])
+        fit_trajectory(*given, unknowns=["steering_dela"])
+    with pytest.raises(UsageError, match="(?s)no kind of interval.*did you mean"):
+        fit_trajectory(*given, intervals="profil")
     with pytest.raises(DataError, match="no stretch above 1 m/s is 60 s long"):
-        fit_trajectory(*given, *fits.values(), window=60.0)
+        fit_trajectory(*given, window=60.0)

@@ -114,31 +114,15 @@ def brake(
 
 def _tire(source: str | None, values: dict[str, float], signs: str | None):
     """Name and record of the tire of a model, a fit or a ``.tir`` file."""
-    from tirefit.fitting.predict import tire_with
-    from tirefit.fitting.problem import find_model
+    from tirefit.fitting.source import given_tire
+    from tirefit.fitting.tir import remarks
 
-    if signs and not (source or "").lower().endswith(".tir"):
-        raise UsageError("--signs applies to .tir files only", "leave it out")
     if source is None:
-        return DEFAULT_TIRE, tire_with(find_model(DEFAULT_TIRE), DEFAULT_TIRE,
-                                       DEFAULT_VALUES | values)  # fmt: skip
-    if source.endswith(".json"):
-        from tirefit.fitting.store import load_fit
-
-        if values:
-            raise UsageError("--set with a fit.json", "use it with a model name")
-        fitted = load_fit(source)
-        return source, fitted.at_estimate()
-    if source.lower().endswith(".tir"):
-        from tirefit.data.tir import read_tir
-        from tirefit.fitting.tir import remarks, tire_of
-
-        tir = read_tir(source)
-        tire = tire_of(tir, values=values, signs=signs)
-        for text in remarks(tir, tire):
-            complain(f"warning: {source}: {text}")
-        return source, tire_with(tire, source, values)
-    return source, tire_with(find_model(source), source, values)
+        source, values = DEFAULT_TIRE, DEFAULT_VALUES | values
+    given = given_tire(source, values, signs)
+    for text in remarks(given.tir, given.tire) if given.tir else ():
+        complain(f"warning: {source}: {text}")
+    return source, given.tire
 
 
 def _run(request, chosen, seed: int, stops: int, animate: bool, out: Path) -> None:

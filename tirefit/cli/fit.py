@@ -2,11 +2,12 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_one
+from tirefit.cli.fit_vehicle import Intervals, fit_vehicle
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
 from tirefit.cli.magic_formula import (
     MAGIC_FORMULA_NAMES,
@@ -33,7 +34,7 @@ from tirefit.cli.options import (
 from tirefit.cli.output import check_directories, check_distinct, is_page
 from tirefit.data.remote import expanded
 from tirefit.names import MODEL_NAMES
-from tirefit.results import ExitCode, TirefitError
+from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -78,7 +79,7 @@ def fit(
         str | None,
         typer.Option(
             help="a name of `tirefit models`, brush by default; mf52, mf61 or mf62 is a"
-            " whole Magic Formula, of all files together",
+            " whole Magic Formula, of all files; with --vehicle front=NAME,rear=NAME",
             autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES),
         ),
     ] = None,
@@ -123,6 +124,29 @@ def fit(
             " bands; by default the bins of three loads",
         ),
     ] = None,
+    vehicle: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="VEHICLE.toml",
+            help="the files are logs of this car: fit both axles by its trajectories",
+        ),
+    ] = None,
+    unknown: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="--vehicle: fitted beside the tires (repeat for more): yaw_inertia,"
+            " cg_ahead, steering_ratio, steering_offset, steering_delay, sideslip_zero;"
+            " steering_offset and steering_delay if none",
+        ),
+    ] = None,
+    window: Annotated[
+        float | None,
+        typer.Option(min=0.05, help="--vehicle: length of a window [s], 0.5"),
+    ] = None,
+    intervals: Annotated[
+        Intervals | None, typer.Option(help="--vehicle: of 95 %, by covariance if none")
+    ] = None,
     joint: Annotated[
         bool, typer.Option("--joint", help="one fit of all files, each file a run")
     ] = False,
@@ -152,6 +176,25 @@ def fit(
         sharing, files = Sharing(jobs, scheduler), expanded(files)
         from tirefit.fitting.config import FitConfig
 
+        whole = {"part": part, "like": like, "leave_out": leave_out}
+        whole = {name: value for name, value in whole.items() if value is not None}
+        unused: dict[str, Any] = {
+            "--solver": solver, "--sampler": sampler, "--force": force,
+            "--resume": resume, "--jobs": jobs, "--scheduler": scheduler,
+        }  # fmt: skip
+        own = {"unknowns": unknown, "window": window, "intervals": intervals}
+        if vehicle is not None:
+            more: dict[str, Any] = {
+                f"--{k.replace('_', '-')}": v for k, v in whole.items()
+            }
+            more |= {"--joint": joint, "--html": html, "--svg": svg, "--strict": strict}
+            own |= {"seed": seed}
+            raise typer.Exit(
+                fit_vehicle(files, vehicle, model, out, unused | more, **own)
+            )
+        if any(own.values()):
+            reason = "--unknown, --window or --intervals without --vehicle"
+            raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))
         base = read_config(options.config) or FitConfig()
         how = read_options(options, base)
         changes = {
@@ -164,12 +207,6 @@ def fit(
         if sampler is not None:
             chosen = settings.posterior.model_copy(update={"sampler": sampler.value})
             settings = settings.model_copy(update={"posterior": chosen})
-        unused = {
-            "--solver": solver, "--sampler": sampler, "--force": force,
-            "--resume": resume, "--jobs": jobs, "--scheduler": scheduler,
-        }  # fmt: skip
-        whole = {"part": part, "like": like, "leave_out": leave_out}
-        whole = {name: value for name, value in whole.items() if value is not None}
         if only_of_magic_formula(settings.model, whole, unused):
             (directory,) = _output_directories(files, out, joint=True)
             also = Also(svg, html)

@@ -10,7 +10,7 @@ from tirefit.cli.output import claimed, staged
 from tirefit.data.remote import file_at
 from tirefit.results import InputProblem, UsageError
 
-RECORD, FIGURE = "replay.json", "replay.png"
+RECORD, FIGURES, PAGE = "replay.json", ("replay.png", "series.png"), "replay.html"
 
 
 def replay(
@@ -23,10 +23,12 @@ def replay(
         Path, typer.Option(metavar="VEHICLE.toml", help="the car and its log")
     ],
     front: Annotated[
-        str, typer.Option(metavar="FIT.json|MODEL", help="tire of the front axle")
+        str,
+        typer.Option(metavar="FIT.json|FILE.tir|MODEL", help="tire of the front axle"),
     ],
     rear: Annotated[
-        str, typer.Option(metavar="FIT.json|MODEL", help="tire of the rear axle")
+        str,
+        typer.Option(metavar="FIT.json|FILE.tir|MODEL", help="tire of the rear axle"),
     ],
     out: Annotated[
         Path,
@@ -40,9 +42,16 @@ def replay(
         ),
     ] = None,
     steering_delay: Annotated[
-        float, typer.Option(metavar="S", help="by which the wheels follow the log")
-    ] = 0.0,
-    seed: Annotated[int, typer.Option(help="of the draws of the tires")] = 0,
+        float | None,
+        typer.Option(
+            metavar="S",
+            help="by which the wheels follow the log, instead of steering.delay",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="of the draws of tires and noise")] = 0,
+    html: Annotated[
+        bool, typer.Option("--html", help="write replay.html, one page of all")
+    ] = False,
 ) -> None:
     """Predict measured vehicle logs and show how the error grows with the horizon.
 
@@ -57,17 +66,27 @@ def replay(
         start_jax()
         from tirefit.files import write_text_atomic
         from tirefit.report.canvas import save_picture
-        from tirefit.report.replay import replay_figure, replay_text
+        from tirefit.report.replay import (
+            replay_figure,
+            replay_page,
+            series_figure,
+        )
         from tirefit.vehicle.replay import HORIZONS
         from tirefit.vehicle.replay import replay as predicted
 
+        written = [RECORD, *FIGURES, *([PAGE] if html else [])]
         with claimed(out):
             result = predicted(
                 logs, vehicle, front, rear, horizons=horizon or HORIZONS,
                 steering_delay=steering_delay, seed=seed,
             )  # fmt: skip
-            with staged(out, (RECORD, FIGURE), result) as folder:
+            with staged(out, (RECORD, *FIGURES, PAGE), result) as folder:
                 write_text_atomic(folder / RECORD, result.to_json())
-                save_picture(replay_figure(result), folder / FIGURE)
-        say(replay_text(result))
-        say(f"wrote {out / RECORD}, {out / FIGURE}")
+                for draw, name in zip(
+                    (replay_figure, series_figure), FIGURES, strict=True
+                ):
+                    save_picture(draw(result), folder / name)
+                if html:
+                    write_text_atomic(folder / PAGE, replay_page(result))
+        say(str(result))
+        say("wrote " + ", ".join(str(out / name) for name in written))

@@ -327,9 +327,8 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
     if axle == "front":
         assert vehicle.steering is not None  # :func:`derive` refused it without
         command = vehicle.steering.command
-        reasons["steering command outside the map"] = (motion.command < command[0]) | (
-            motion.command > command[-1]
-        )
+        inside = (motion.command >= command[0]) & (motion.command <= command[-1])
+        reasons["steering command outside the map"] = ~inside
     kept = np.ones(len(motion.time), bool)
     dropped = {}
     for reason, rows in reasons.items():

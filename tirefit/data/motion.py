@@ -7,7 +7,7 @@ x forward, y left, yaw counter-clockwise.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,7 +56,28 @@ def read_motion(path: str | Place, vehicle: Vehicle) -> tuple[Track, Motion, int
         DataError: unreadable file, missing column, text, or too low a rate.
     """
     track = read_track(file_at(path), vehicle)
-    return track, *_motion(track, vehicle)
+    return track, *motion_of(track, vehicle)
+
+
+def with_noise(
+    track: Track, motion: Motion, vehicle: Vehicle, generator: np.random.Generator
+) -> Motion:
+    """The motion of the same track with as much noise again in each channel but the
+    steering, as if it were white.
+
+    The noise is what the filter takes out of a channel at settled times, more by the
+    share of a white noise that passes the filter.
+    """
+    settled = np.interp(track.time, motion.time, motion.settled.astype(float)) == 1
+    smooth = [np.interp(track.time, motion.time, one) for one in motion.logged.T]
+    rest = np.nan_to_num(track.signals - np.transpose(smooth))[settled]
+    frequency = np.linspace(0, 0.5 / np.median(np.diff(track.time)), 200)
+    settings = vehicle.filter
+    passed = 1 / (1 + (frequency / settings.cutoff) ** (2 * settings.order))
+    std = np.sqrt(np.mean(rest**2, axis=0) / np.mean((1 - passed) ** 2))
+    std *= [channel.quantity != "steering" for channel in track.channels]
+    noise = std * generator.standard_normal(track.signals.shape)
+    return motion_of(replace(track, signals=track.signals + noise), vehicle)[0]
 
 
 def not_ahead(motion: Motion, vehicle: Vehicle) -> dict[str, np.ndarray]:
@@ -172,7 +193,7 @@ def _stretch(*fields) -> Motion:
     return Motion(**dict(zip(Motion.__dataclass_fields__, fields, strict=True)))
 
 
-def _motion(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
+def motion_of(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
     """Motion on one uniform grid that leaves out the gaps, and their number."""
     rate = vehicle.filter.sample_rate
     broken = (np.diff(track.time) > track.max_gap) | (np.diff(track.run) != 0)
@@ -197,6 +218,9 @@ def _motion(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
             continue
         of = dict(zip(names, signals.T, strict=True))
         command = of.get("steering", np.zeros(len(grid)))
+        if vehicle.steering is not None:
+            late = grid - vehicle.steering.delay
+            command = np.interp(late, grid, command, left=np.nan, right=np.nan)
         rates = convert(of, vehicle)
         parts.append(_stretch(grid, *rates, command, part, within, inside, signals))
     fields = Motion.__dataclass_fields__

@@ -75,7 +75,10 @@ def assumptions_of(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]
     if vehicle.tracked_point is None:
         said.append("the log describes the centre of gravity (no tracked_point)")
     if axle == "front":
-        said.append("the road wheels follow the steering command at once")
+        assert vehicle.steering is not None
+        delay = vehicle.steering.delay
+        late = f"{delay:g} s later" if delay else "at once"
+        said.append(f"the road wheels follow the steering command {late}")
     if vehicle.driven not in (axle, "all"):
         said.append(f"the {axle} axle neither drives nor brakes")
     elif vehicle.driven == "all" and vehicle.rear_share is None:

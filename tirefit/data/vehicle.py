@@ -5,6 +5,7 @@ VEHICLE.md has its keys, units and defaults, with an example.
 The log's axes are those of ISO 8855: x forward, y left, yaw counter-clockwise.
 """
 
+import json
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -164,10 +165,15 @@ class Keep(Section):
 
 
 class Steering(Section):
-    """Road wheel angle [rad], left positive, at increasing steering commands."""
+    """Road wheel angle [rad], left positive, at increasing steering commands.
+
+    Attributes:
+        delay: Time [s] by which the road wheels follow the logged command.
+    """
 
     command: Annotated[list[float], Field(min_length=2)]
     angle: Annotated[list[float], Field(min_length=2)]
+    delay: Annotated[float, Field(ge=-1, le=1)] = 0.0
 
     def contradictions(self) -> Iterator[InputProblem]:
         if len(self.command) != len(self.angle):
@@ -352,6 +358,19 @@ class Vehicle(Section):
             if given is None
             else given
         )
+
+
+def vehicle_toml(vehicle: Vehicle, note: str) -> str:
+    """The text of the ``vehicle.toml`` of a vehicle, below a comment."""
+    content = vehicle.model_dump(exclude_defaults=True)
+    sections = {k: v for k, v in content.items() if isinstance(v, dict)}
+    lines = [f"# {note}"]
+    for name, values in {"": content, **sections}.items():
+        lines += ["", f"[{name}]"] if name else []
+        for key, value in values.items():
+            if not isinstance(value, dict):
+                lines.append(f"{key} = {json.dumps(value)}")
+    return "\n".join(lines) + "\n"
 
 
 def unit_of(text: str, quantity: str) -> Unit | None:

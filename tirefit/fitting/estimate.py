@@ -26,6 +26,12 @@ from tirefit.params import constrain, log_jacobian, parameter_values, specs
 from tirefit.precision import require_x64
 
 
+def limited(spec, low: float, high: float) -> bool:
+    """Whether an interval within the bounds identifies the parameter."""
+    ends = low <= spec.lower, high >= spec.upper
+    return not _not_identified(spec, low, high, *ends)
+
+
 def _not_identified(spec, low, high, open_low: bool, open_high: bool) -> bool:
     """Whether an interval leaves the parameter essentially free.
 

@@ -74,7 +74,7 @@ def magic_formula_page(fit: MagicFormulaFit) -> str:
     panels = [panel for named in panels_of(fit).values() for panel in named]
     pictures = [Shown(stacked([panel]), panel.title) for panel in panels]
     return rendered(
-        "magic_formula_page.html",
+        "report_page.html",
         title=_title(fit),
         pictures=[image_of(*one) for one in pictures],
         report=magic_formula_report(fit),

@@ -1,42 +1,57 @@
-"""A replay as text and as a picture."""
+"""A replay as text, as pictures and as a page."""
 
-import textwrap
+import html
 
 import numpy as np
 
-from tirefit.report.canvas import BLUE, DARK, GREY, ORANGE, Picture
+from tirefit.report.canvas import (
+    BLUE,
+    DARK,
+    GREEN,
+    GREY,
+    ORANGE,
+    Picture,
+    panel_title,
+    tidy,
+)
+from tirefit.report.html import image_of, png_text, rendered
 from tirefit.report.numbers import format_number
-from tirefit.report.text import WIDTH, table
-from tirefit.vehicle.replay import QUANTITIES, Replay
+from tirefit.report.text import indented, table
+from tirefit.vehicle.replay import QUANTITIES, Fans, Replay
 
 _NAMES = {
     "yaw_rate": "yaw rate", "sideslip": "sideslip", "a_y": "lateral acceleration",
     "heading": "heading", "lateral": "lateral position",
 }  # fmt: skip
-_COLORS = {"tire": BLUE, "linear tire": ORANGE, "no slip": GREY}
-_LABELS = {"tire": "these tires", "linear tire": "linear tires", "no slip": "no slip"}
+_COLORS = {"tire": BLUE, "linear tire": ORANGE, "no slip": GREY, "floor": GREEN}
+_LABELS = {
+    "tire": "these tires", "linear tire": "linear tires", "no slip": "no slip",
+    "floor": "floor (noise)",
+}  # fmt: skip
 _AHEAD = 0.5
 """Horizon [s] of the answer, or the nearest."""
 _SHOWN = 40
 """Windows drawn as fans, at most: some ten seconds of driving."""
+_FAN = 1.0
+"""Time [s] that a drawn prediction lasts."""
 
 
 def answer(result: Replay) -> str:
-    """How far the car is off, and how far the baselines are."""
+    """How far the car is off, how far the noise of the log alone and the baselines."""
     reached = result.horizons[: sum(count > 0 for count in result.windows)]
     place = int(np.argmin([abs(h - _AHEAD) for h in reached]))
     rms = {name: errors.rms() for name, errors in result.models.items()}
 
-    def size(model, quantity):
+    def size(model, quantity="lateral"):
         value = rms[model][quantity][place]
         return f"{format_number(value, 2)} {QUANTITIES[quantity]}"
 
     return (
         f"{result.horizons[place]:g} s ahead the car on these tires is off by"
-        f" {size('tire', 'lateral')} to the side and {size('tire', 'yaw_rate')} in yaw"
-        f" rate (rms); on linear tires by {size('linear tire', 'lateral')} and"
-        f" {size('linear tire', 'yaw_rate')}, without slip by"
-        f" {size('no slip', 'lateral')} and {size('no slip', 'yaw_rate')}."
+        f" {size('tire')} to the side and {size('tire', 'yaw_rate')} in yaw rate (rms);"
+        f" the noise of the log alone makes {size('floor')} and"
+        f" {size('floor', 'yaw_rate')}. To the side, linear tires are off by"
+        f" {size('linear tire')}, a car without slip by {size('no slip')}."
     )
 
 
@@ -44,7 +59,6 @@ def replay_text(result: Replay) -> str:
     """The report: the answer, the errors by horizon, what was assumed."""
     fitted = [name for name, is_fitted in result.logs.items() if is_fitted]
     others = [name for name, is_fitted in result.logs.items() if not is_fitted]
-    head = f"REPLAY of {len(result.logs)} logs, {result.windows[0]} starts"
     rows = [["rms of", "model", *(f"{h:g} s" for h in result.horizons)]]
     for name, unit in QUANTITIES.items():
         for model, errors in result.models.items():
@@ -53,7 +67,8 @@ def replay_text(result: Replay) -> str:
             what = f"{_NAMES[name]} [{unit}]" if model == "tire" else ""
             rows.append([what, _LABELS[model], *cells])
     rows.append(["starts", "", *map(str, result.windows)])
-    lines = [head, "ANSWER", *_wrapped(answer(result)), "ERROR BY TIME AFTER THE START"]
+    lines = [_head(result), "ANSWER", *indented(answer(result))]
+    lines += ["ERROR BY TIME AFTER THE START"]
     lines += table(rows, tuple(range(2, len(rows[0]))))
     if result.held:
         each = ", ".join(
@@ -61,48 +76,112 @@ def replay_text(result: Replay) -> str:
             for name, (share, *_) in result.held.items()
             if share is not None
         )
-        lines += _wrapped(
+        lines += indented(
             "the 95 % band of the tires' parameters holds, of the measured values"
-            f" {result.horizons[0]:g} s ahead: {each}; the rest of the error is none of"
-            " the parameters' uncertainty"
+            f" {result.horizons[0]:g} s ahead: {each}; the rest of the error does not"
+            " come from the parameters' uncertainty"
         )
     told = "the tires were fitted to: " + (", ".join(fitted) or "none of these logs")
-    lines += ["LOGS", *_wrapped(told)]
+    lines += ["LOGS", *indented(told)]
     if fitted and others:
-        lines += _wrapped(f"not fitted to: {', '.join(others)}")
-    lines += ["ASSUMED", *(line for note in result.notes for line in _wrapped(note))]
+        lines += indented(f"not fitted to: {', '.join(others)}")
+    lines += ["ASSUMED", *(line for note in result.notes for line in indented(note))]
     return "\n".join(lines)
 
 
-def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent="  ", subsequent_indent=" " * 6)
+def _head(result: Replay) -> str:
+    logs = "1 log" if len(result.logs) == 1 else f"{len(result.logs)} logs"
+    return f"REPLAY of {logs}, {result.windows[0]} starts"
+
+
+def replay_fragment(result: Replay) -> str:
+    """The report as HTML for a notebook, with the figure."""
+    png = png_text(replay_figure(result))
+    picture = f'<img alt="error and path" src="data:image/png;base64,{png}">'
+    return f"<pre>{html.escape(replay_text(result))}</pre>{picture}"
+
+
+def replay_page(result: Replay) -> str:
+    """The replay as one HTML document with its pictures, no script or resource."""
+    pictures = [
+        image_of(
+            replay_figure(result), "error over the horizon, path with predictions"
+        ),
+        image_of(series_figure(result), "yaw rate and lateral acceleration over time"),
+    ]
+    return rendered(
+        "report_page.html", title=_head(result), pictures=pictures,
+        report=replay_text(result), record=result.to_json(),
+    )  # fmt: skip
+
+
+_HELD = {"lateral": "lateral position [m]", "yaw_rate": "yaw rate [rad/s]"}
 
 
 def replay_figure(result: Replay) -> Picture:
-    """Error of the lateral position over the horizon, and a stretch of the path with
-    its predictions."""
-    picture = Picture(figsize=(9.0, 4.0), layout="constrained")
-    left, right = picture.subplots(1, 2)
-    for model, errors in result.models.items():
-        values = errors.rms()["lateral"]
-        left.plot(
-            result.horizons, [np.nan if v is None else v for v in values], "o-",
-            color=_COLORS[model], label=_LABELS[model],
-        )  # fmt: skip
-    left.set(xscale="log", yscale="log", xlabel="time after the start [s]")
-    left.set_xticks(result.horizons, [f"{h:g}" for h in result.horizons])
-    left.minorticks_off()
-    left.set_ylabel("rms of the lateral position [m]")
-    left.set_title("How far the car is off", loc="left", fontsize=10)
-    left.legend(frameon=False, fontsize=9)
-    name, fans = max(result.paths.items(), key=lambda item: len(item[1].measured))
-    ahead = min(fans.measured.shape[1], 1 + fans.steps_of(1.0))
-    measured, predicted = (p[:_SHOWN, :ahead] for p in fans[:2])
-    for k, (true, found) in enumerate(zip(measured, predicted, strict=True)):
-        right.plot(*true.T, color=DARK, lw=1.2, label="measured" * (k == 0))
-        right.plot(*found.T, color=BLUE, lw=0.9, label="predicted, 1 s" * (k == 0))
-    right.set_aspect("equal", "datalim")
-    right.set(xlabel="x [m]", ylabel="y [m]")
-    right.set_title(f"A stretch of {name}", loc="left", fontsize=10)
-    right.legend(frameon=False, fontsize=9)
+    """Errors of lateral position and yaw rate over the horizon, and a stretch of the
+    path with its predictions."""
+    picture = Picture(figsize=(11.0, 3.8), layout="constrained")
+    *axes, path = picture.subplots(1, 3, width_ratios=(1, 1, 1.5))
+    for ax, (name, label) in zip(axes, _HELD.items(), strict=True):
+        for model, errors in result.models.items():
+            values = [np.nan if v is None else v for v in errors.rms()[name]]
+            ax.plot(
+                result.horizons, values, ".:" if model == "floor" else ".-",
+                color=_COLORS[model], label=_LABELS[model],
+            )  # fmt: skip
+        ax.set(xscale="log", yscale="log")
+        ax.set_xticks(result.horizons, [f"{h:g}" for h in result.horizons])
+        ax.minorticks_off()
+        tidy(ax, "time after the start [s]", f"rms error of the {label}")
+    panel_title(axes[0], "Error over the horizon")
+    axes[0].legend(frameon=False, fontsize=7.5)
+    name, fans = _longest(result)
+    rows = _stretch(fans)
+    near = fans.time[rows] <= fans.time[rows, :1] + _FAN
+    for k, (row, there) in enumerate(zip(rows, near, strict=True)):
+        for of, color, width, label in (
+            (fans.measured, DARK, 1.4, "measured"),
+            (fans.predicted, BLUE, 0.9, f"predicted, {_FAN:g} s"),
+        ):
+            path.plot(
+                of["x"][row][there], of["y"][row][there], color=color, lw=width,
+                label=label * (k == 0),
+            )  # fmt: skip
+    path.set_aspect("equal", "datalim")
+    tidy(path, "x [m]", "y [m]")
+    panel_title(path, f"A stretch of {name}, with predictions")
+    path.legend(frameon=False, fontsize=7.5)
     return picture
+
+
+def series_figure(result: Replay) -> Picture:
+    """Yaw rate and lateral acceleration of the same stretch, measured and predicted."""
+    picture = Picture(figsize=(11.0, 4.2), layout="constrained")
+    name, fans = _longest(result)
+    axes = picture.subplots(2, 1, sharex=True)
+    labels = {"yaw_rate": "yaw rate [rad/s]", "a_y": "lateral acceleration [m/s²]"}
+    for ax, (key, label) in zip(axes, labels.items(), strict=True):
+        for k, row in enumerate(_stretch(fans)):
+            time = fans.time[row]
+            near = time <= time[0] + _FAN
+            ax.plot(time[near], fans.measured[key][row][near], color=DARK, lw=1.4,
+                    label="measured" * (k == 0))  # fmt: skip
+            ax.plot(time[near], fans.predicted[key][row][near], color=BLUE, lw=0.9,
+                    label=f"predicted, {_FAN:g} s" * (k == 0))  # fmt: skip
+            ax.plot(time[0], fans.predicted[key][row][0], ".", color=BLUE, ms=4)
+        tidy(ax, "", label)
+    axes[1].set_xlabel("time [s]", fontsize=8.5)
+    panel_title(axes[0], f"The same stretch of {name}", "dots: starts of a prediction")
+    axes[0].legend(frameon=False, fontsize=7.5)
+    return picture
+
+
+def _longest(result: Replay) -> tuple[str, Fans]:
+    return max(result.fans.items(), key=lambda item: len(item[1].time))
+
+
+def _stretch(fans: Fans) -> np.ndarray:
+    """The windows that are drawn, of the middle of the log: their numbers."""
+    first = max((len(fans.time) - _SHOWN) // 2, 0)
+    return np.arange(first, min(first + _SHOWN, len(fans.time)))

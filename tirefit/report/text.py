@@ -60,6 +60,11 @@ def table_parts(rows: list[list[str]]) -> list[str]:
     return lines[1:]
 
 
+def indented(text: str) -> list[str]:
+    """A sentence as lines of a section."""
+    return textwrap.wrap(text, WIDTH, initial_indent="  ", subsequent_indent=" " * 6)
+
+
 def wrapped(name: str, text: str) -> list[str]:
     """Lines of a text behind its name, within the width."""
     lead = f"  {name:<13}"

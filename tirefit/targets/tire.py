@@ -4,16 +4,15 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 
-from tirefit.data.tir import TirFile, read_tir
+from tirefit.data.tir import TirFile
 from tirefit.data.tir_keys import LIMITS
-from tirefit.fitting.tir import TIR_SIGNS, own_tire, remarks
+from tirefit.fitting.source import GivenTire, given_tire
+from tirefit.fitting.tir import TIR_SIGNS, remarks
 from tirefit.models import (
-    MODELS,
     AbstractTire,
     CombinedMagicFormula,
     MagicFormula,
@@ -24,13 +23,11 @@ from tirefit.models.mf import MFTire
 from tirefit.models.relaxation import Relaxed
 from tirefit.params import (
     check_names,
-    check_values,
     parameter_values,
     specs,
     with_values,
 )
 from tirefit.precision import require_x64
-from tirefit.results import InputProblem, UsageError
 from tirefit.slip import CONVENTIONS, LOCKED, kappa_from_sigma
 from tirefit.targets.program import Program, traced
 
@@ -202,41 +199,20 @@ def tire_of(
 
 
 def _given(source, values: Mapping[str, float] | None) -> Tire:
-    text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
-    if text.lower().endswith(".tir"):
-        return _of_tir(text, values or {})
-    is_file = text.endswith(".json") or text and Path(text).is_file()
-    if is_file or not isinstance(source, str | os.PathLike | AbstractTire):
-        if values:
-            reason = "parameter values beside a fit, which has its own"
-            raise UsageError(InputProblem(reason, "leave out --set, or name a model"))
-        return _of_fit(source, text)
-    name = text or type(source).__name__
-    tire = source if isinstance(source, AbstractTire) else MODELS.get(name)
-    if tire is None:
-        from tirefit.fitting.problem import find_model
-
-        tire = find_model(name)
-    check_values(tire, name, values or {})
-    tire = with_values(tire, dict(values or {}))
-    load = tire.nominal.FNOMIN if isinstance(tire, MFTire) else _USUAL_LOAD
-    return Tire(tire, name, f"model {name}, no data", float(load))
+    path = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
+    given = given_tire(source, values)
+    if given.tir is not None:
+        return _of_tir(given, path, values or {})
+    if given.content:
+        return _of_fit(given, path)
+    load = given.tire.nominal.FNOMIN if isinstance(given.tire, MFTire) else _USUAL_LOAD
+    return Tire(given.tire, given.name, f"model {given.name}, no data", float(load))
 
 
-def _of_fit(source, path: str) -> Tire:
-    """Of a fit, or of its file if ``path`` is not empty."""
-    from tirefit.fitting.mf.result import MagicFormulaFit
-    from tirefit.fitting.store import StoredFit, at_estimate, load_fit
-
-    fit = load_fit(path) if path else source
-    content = fit.content if isinstance(fit, StoredFit) else fit.to_dict()
-    if isinstance(fit, MagicFormulaFit):
-        tire: AbstractTire = fit.tire
-    elif isinstance(fit, StoredFit):
-        tire = fit.at_estimate()
-    else:
-        tire = at_estimate(fit.problem.model, fit.problem.layout, fit.z)
-    data, model = content["data"], fit.model
+def _of_fit(given: GivenTire, path: str) -> Tire:
+    """Of a fit, from its file if ``path`` is not empty."""
+    content = given.content
+    data, model = content["data"], given.name
     origin = f"fit of {model} to {data['file']} (sha256 {str(data['sha256'])[:12]}),"
     origin += f" {data['used']} rows"
     origin += f", seed {content['seed']}" if "seed" in content else ""
@@ -250,23 +226,23 @@ def _of_fit(source, path: str) -> Tire:
     ranges = {k: (low, high) for k, (low, high) in data.get("range", {}).items()}
     if "sigma_x" in ranges:
         ranges["kappa"] = tuple(map(kappa_from_sigma, ranges.pop("sigma_x")))
-    absent = [f for f in modelled(tire) if f not in content["forces"]]
+    absent = [f for f in modelled(given.tire) if f not in content["forces"]]
     notes = tuple(f"{f} was not fitted: it is the model's" for f in absent)
     load = content["reference"]["fz"]
-    return Tire(tire, model, origin, load, spread, ranges, notes)
+    return Tire(given.tire, model, origin, load, spread, ranges, notes)
 
 
-def _of_tir(path: str, values: Mapping[str, float]) -> Tire:
-    tir = read_tir(path)
-    tire, numbers = own_tire(tir, values=values), tir.numbers
+def _of_tir(given: GivenTire, path: str, values: Mapping[str, float]) -> Tire:
+    tir, tire = given.tir, given.tire
+    assert tir is not None and isinstance(tire, MFTire)  # in the signs of the file
+    numbers = tir.numbers
     stated = {
         name: (numbers[least], numbers[most])
         for name, (least, most) in LIMITS.items()
         if least in numbers and most in numbers
     }
     return Tire(
-        tire, f"MF {tir.version}",
-        f"Magic Formula {tir.version} of {path}, TYRESIDE {tir.side}",
+        tire, given.name, f"Magic Formula {tir.version} of {path}, TYRESIDE {tir.side}",
         tire.nominal.FNOMIN, measured=turned_range(stated, TIR_SIGNS),
         notes=tuple(remarks(tir, tire)),
         tir=tir.with_values(values) if values else tir,

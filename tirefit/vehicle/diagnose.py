@@ -20,7 +20,7 @@ from tirefit.diagnosis.decide.verdict import Verdict, decide
 from tirefit.diagnosis.effects import Effect, atoms_of
 from tirefit.diagnosis.effects.state import peak_ratio, slope_at_rest
 from tirefit.diagnosis.left_out import Ladder, ladder_of
-from tirefit.fitting.axle import AxleTire, axle_tire
+from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.models import TireInputs
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError, did_you_mean
@@ -182,7 +182,7 @@ def _samples(motion: Motion, own, vehicle: Vehicle, tires, passed: float) -> Sam
     )  # fmt: skip
 
 
-def _sliding(axle: AxleTire, load: float, speed: float) -> float:
+def _sliding(axle: GivenTire, load: float, speed: float) -> float:
     """Slip from which a brush of the tire's slope and peak slides."""
     at_rest = TireInputs(fz=load, v=speed)
     slope = slope_at_rest(axle.tire, at_rest, "y")

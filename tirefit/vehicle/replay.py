@@ -2,8 +2,9 @@
 
 Every quarter of a second the car starts from the measured state and is predicted for
 up to five seconds, with the speed and the steering as measured and no correction. What
-the prediction misses at each horizon is compared with that of a car without slip, and
-of one whose tires are linear.
+the prediction misses at each horizon is compared with that of a car without slip, of
+one whose tires are linear, and with the floor that the noise of the log sets: how much
+the error changes when the log gets as much noise again.
 """
 
 import json
@@ -12,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,10 +22,13 @@ import numpy as np
 
 from tirefit import __version__
 from tirefit.data.merged import merged
-from tirefit.data.motion import Motion, road_wheel
+from tirefit.data.motion import Motion, road_wheel, with_noise
+from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
-from tirefit.fitting.axle import axle_tire
+from tirefit.display import Displayed
+from tirefit.fitting.source import axle_tire
 from tirefit.models import AbstractTire, TireForces, TireInputs
+from tirefit.models.mf import Pair
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 from tirefit.vehicle.car import (
@@ -59,6 +63,8 @@ QUANTITIES = {
 
 DRAWS = 24
 """Draws of the tires' parameters, for the band."""
+NOISES = 4
+"""Draws of the log's noise, for the floor."""
 _NORMAL_95 = 1.96
 
 
@@ -82,38 +88,38 @@ class Errors(NamedTuple):
 
 
 class Fans(NamedTuple):
-    """The measured and the predicted path of each window of a log, (w, k, 2) [m], NaN
-    beyond its end; ``rate`` is that of the samples [Hz]."""
+    """Measured and predicted ``x``, ``y`` [m], ``yaw_rate`` [rad/s] and ``a_y`` [m/s2]
+    of each window of a log, (w, k) at times (w, k) [s], NaN beyond its end."""
 
-    measured: np.ndarray
-    predicted: np.ndarray
-    rate: float
-
-    def steps_of(self, span: float) -> int:
-        """Samples in a time [s]."""
-        return round(span * self.rate)
+    time: np.ndarray
+    measured: Mapping[str, np.ndarray]
+    predicted: Mapping[str, np.ndarray]
 
 
-@dataclass(frozen=True)
-class Replay:
+@dataclass(frozen=True, repr=False)
+class Replay(Displayed):
     """What :func:`replay` found in some logs.
 
     Attributes:
         logs: name of each log -> whether a tire was fitted to it.
         windows: predictions that reach each of ``horizons`` [s].
-        models: model -> errors; ``tire``, ``linear tire`` and ``no slip``.
+        models: model -> errors; ``tire``, ``linear tire``, ``no slip``; ``floor``: by
+            how much those of ``tire`` change with as much noise again in the log.
         held: quantity -> share of the windows, by horizon, whose measured value lies
             in the 95 % band of the tires' parameters; empty where both have none.
-        paths: the predictions of each log, for pictures.
+        fans: the predictions of each log, for pictures.
         notes: what was assumed.
     """
+
+    html_by: ClassVar[str] = "tirefit.report.replay:replay_fragment"
+    text_by: ClassVar[str] = "tirefit.report.replay:replay_text"
 
     logs: Mapping[str, bool]
     horizons: tuple[float, ...]
     windows: tuple[int, ...]
     models: Mapping[str, Errors]
     held: Mapping[str, list[float | None]]
-    paths: Mapping[str, Fans]
+    fans: Mapping[str, Fans]
     notes: tuple[str, ...]
 
     def to_dict(self) -> dict:
@@ -133,9 +139,10 @@ class Replay:
 
 
 class _Windows(NamedTuple):
-    """Windows of one log: the states (w,) that they start from; speed and steering
-    (w, k); and what is measured (w, k), NaN beyond the end of each."""
+    """Windows of one log: times (w, k); the states (w,) that they start from; speed and
+    steering (w, k); and what is measured (w, k), NaN beyond the end of each."""
 
+    time: np.ndarray
     start: State
     v_x: np.ndarray
     steering: np.ndarray
@@ -170,7 +177,7 @@ def replay(
     rear,
     *,
     horizons: Sequence[float] = HORIZONS,
-    steering_delay: float = 0.0,
+    steering_delay: float | None = None,
     seed: int = 0,
 ) -> Replay:
     """Predict measured logs from their measured states, and compare by horizon.
@@ -178,16 +185,17 @@ def replay(
     Args:
         logs: vehicle logs, as for :func:`tirefit.derive_files`.
         vehicle: a vehicle or its ``vehicle.toml``, with a steering map.
-        front: tire of the front axle, at the load of the axle: a fit, a ``fit.json``, a
-            tire, or the name of a model.
+        front: tire of the front axle: a fit of the axle or its ``fit.json``, a tire, or
+            the name of a model; or a ``.tir`` file, of each of its two tires.
         rear: likewise, of the rear axle.
         horizons: times [s] after a start at which the prediction is compared.
-        steering_delay: time [s] by which the wheels follow the logged steering.
+        steering_delay: time [s] by which the wheels follow the logged steering; that of
+            the vehicle if None.
         seed: of the draws of the tires' parameters.
 
     Returns:
-        Errors by horizon of the car, of the same with linear tires, and of a car
-        without slip.
+        Errors by horizon of the car, of the same with linear tires, of a car without
+        slip, and the floor that the noise of the log sets.
 
     Raises:
         UsageError: a vehicle without a steering map, horizons that do not rise, or a
@@ -197,17 +205,22 @@ def replay(
     """
     require_x64("a replay")
     vehicle = known_vehicle(vehicle)
-    horizons = _checked(vehicle, horizons, steering_delay)
+    horizons = _checked(vehicle, horizons, steering_delay or 0.0)
+    if steering_delay is not None and vehicle.steering is not None:
+        late = vehicle.steering.model_copy(update={"delay": steering_delay})
+        vehicle = vehicle.model_copy(update={"steering": late})
     tires = axle_tire(front), axle_tire(rear)
     fitted = {run for tire in tires for run in tire.runs}
     rate = vehicle.filter.sample_rate
+    generator = np.random.default_rng(seed)
     found = cut_logs(
         logs, vehicle,
-        lambda _, motion: _windows(motion, vehicle, horizons, steering_delay),
+        partial(_windows, vehicle, horizons, generator),
         f"as long as the shortest horizon, {horizons[0]:g} s", "shorter horizons",
     )  # fmt: skip
-    joined = jax.tree.map(
-        lambda *each: np.concatenate(each), *(log.windows for log in found.values())
+    joined, *noisy = (
+        jax.tree.map(lambda *each: np.concatenate(each), *same)
+        for same in zip(*(log.windows for log in found.values()), strict=True)
     )
     steps = [round(h * rate) for h in horizons]
     car = _traced(car_of(vehicle, tires[0].tire, tires[1].tire))
@@ -221,15 +234,16 @@ def replay(
         "linear tire": _compared(straight, joined, steps, rate, parts)[0],
         "no slip": _without_slip(vehicle, joined, steps),
     }
+    again = [_compared(car, each, steps, rate, parts)[0] for each in noisy]
+    models["floor"] = _floor(tire, again)
     left = merged((k, left_out(log.motion, vehicle)) for k, log in found.items())
-    held = _held(car, tires, joined, steps, rate, parts, seed)
+    held = _held(car, tires, joined, steps, rate, parts, generator)
     counts = np.isfinite(tire.of["yaw_rate"]).sum(axis=0)
     return Replay(
         {k: not fitted.isdisjoint(log.runs) for k, log in found.items()},
         tuple(horizons),
         tuple(int(n) for n in counts), models, held,
-        _fans(found, states, rate),
-        (*_notes(vehicle), *left),
+        _fans(found, states), (*_notes(vehicle, tires), *left),
     )  # fmt: skip
 
 
@@ -252,12 +266,18 @@ def _checked(vehicle: Vehicle, horizons: Sequence[float], delay: float) -> list[
     return given
 
 
-def _notes(vehicle: Vehicle) -> tuple[str, ...]:
+def _notes(vehicle: Vehicle, tires) -> tuple[str, ...]:
     notes = [
         "speed and steering are those of the log; starts are the log's, low-passed at"
         f" {vehicle.filter.bandwidth:.3g} Hz, without phase",
         "axle loads are static; the tires carry no drive or brake force",
         *vehicle.columns.notes,
+    ]
+    notes += [
+        f"{axle} axle: the Magic Formula is of one tire; the axle has two, mirror"
+        " images, each at half of its load"
+        for axle, tire in zip(("front", "rear"), tires, strict=True)
+        if isinstance(tire.tire, Pair)
     ]
     if vehicle.columns.motion != POSE:
         notes.append(
@@ -277,18 +297,16 @@ def replace_tires(car: Car, front: AbstractTire, rear: AbstractTire) -> Car:
     return eqx.tree_at(lambda c: (c.front, c.rear), car, _traced((front, rear)))
 
 
-def _windows(motion: Motion, vehicle: Vehicle, horizons, delay) -> _Windows | None:
+def _windows(
+    vehicle: Vehicle, horizons, generator, track: Track, motion: Motion
+) -> list[_Windows] | None:
     """The windows of a log, from a start every :data:`EVERY` seconds where the log is
-    settled and the car fast enough, to the longest horizon; None of none."""
+    settled and the car fast enough, to the longest horizon; None of none. Behind them
+    the same windows of the log with noise, :data:`NOISES` times."""
     rate = vehicle.filter.sample_rate
     most, least = round(horizons[-1] * rate) + 1, round(horizons[0] * rate) + 1
     good = motion.settled & (motion.v_x > vehicle.v_min)
-    steer = _late(road_wheel(motion, vehicle), motion, delay)
-    heading, x, y = motion.heading, motion.x, motion.y
-    if vehicle.columns.motion != POSE:
-        heading, x, y = _integrated(motion, rate)
-    state = State(motion.v_y, motion.yaw_rate, heading, x, y)
-    good &= np.isfinite(np.stack([*state, motion.v_x, motion.a_y, steer])).all(axis=0)
+    good &= np.isfinite(_channels(motion, vehicle)).all(axis=0)
     each = stretches(good, motion.part)
     step = max(round(EVERY * rate), 1)
     begun = [
@@ -302,25 +320,25 @@ def _windows(motion: Motion, vehicle: Vehicle, horizons, delay) -> _Windows | No
     # The last sample stands for those beyond the end, which nothing is compared with.
     rows = np.minimum(rows, ends[:, None] - 1)
 
-    def cut(values):
-        return np.where(there, values[rows], np.nan)
+    def cut(motion: Motion) -> _Windows:
+        v_x, a_y, steer, *state = _channels(motion, vehicle)
+        *measured, a_y = (np.where(there, one[rows], np.nan) for one in (*state, a_y))
+        return _Windows(
+            motion.time[rows], State(*(one[starts] for one in state)), v_x[rows],
+            steer[rows], State(*measured), a_y,
+        )  # fmt: skip
 
-    return _Windows(
-        State(*(values[starts] for values in state)),
-        motion.v_x[rows], steer[rows], State(*map(cut, state)), cut(motion.a_y),
-    )  # fmt: skip
+    noisy = (with_noise(track, motion, vehicle, generator) for _ in range(NOISES))
+    return [cut(motion), *map(cut, noisy)]
 
 
-def _late(values: np.ndarray, motion: Motion, delay: float) -> np.ndarray:
-    """Values (n,) of a time [s] ago; NaN before each stretch begins."""
-    if not delay:
-        return values
-    found = np.full(len(values), np.nan)
-    for number in np.unique(motion.part):
-        rows = motion.part == number
-        time = motion.time[rows]
-        found[rows] = np.interp(time - delay, time, values[rows], left=np.nan)
-    return found
+def _channels(motion: Motion, vehicle: Vehicle) -> tuple:
+    """Speed, lateral acceleration, road wheel angle and the state, (n,) each."""
+    heading, x, y = motion.heading, motion.x, motion.y
+    if vehicle.columns.motion != POSE:
+        heading, x, y = _integrated(motion, vehicle.filter.sample_rate)
+    steer = road_wheel(motion, vehicle)
+    return motion.v_x, motion.a_y, steer, motion.v_y, motion.yaw_rate, heading, x, y
 
 
 def _integrated(motion: Motion, rate: float):
@@ -360,8 +378,17 @@ def _compared(car: Car, windows: _Windows, steps, rate: float, parts: int):
     """Errors at the horizons, and the predicted states (w, k)."""
     given = windows.start, windows.v_x, windows.steering
     states, lateral = _states(car, *given, 1 / rate, parts)
-    states = State(*map(np.asarray, states))
-    return _errors(states, np.asarray(lateral), windows, steps), states
+    states, lateral = State(*map(np.asarray, states)), np.asarray(lateral)
+    return _errors(states, lateral, windows, steps), (states, lateral)
+
+
+def _floor(tire: Errors, noisy: Sequence[Errors]) -> Errors:
+    """What the noise of the log alone does to the errors: their change by more of it,
+    at the start of a window and where it is compared."""
+    return Errors({
+        name: np.concatenate([one.of[name] - missed for one in noisy])
+        for name, missed in tire.of.items()
+    })  # fmt: skip
 
 
 def _errors(states: State, a_y, windows: _Windows, steps) -> Errors:
@@ -399,11 +426,10 @@ def _without_slip(vehicle: Vehicle, windows: _Windows, steps) -> Errors:
     return _errors(State(sideways, yaw, heading, x, y), a_y, windows, steps)
 
 
-def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, seed: int):
+def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, generator):
     """Share of the windows within the band of the tires' parameters, by horizon."""
     if all(tire.fit is None for tire in tires):
         return {}
-    generator = np.random.default_rng(seed)
     drawn = zip(*(tire.drawn(generator, DRAWS) for tire in tires), strict=True)
     each = [
         _compared(replace_tires(car, *pair), windows, steps, rate, parts)[0]
@@ -421,14 +447,19 @@ def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, seed: int
     return held
 
 
-def _fans(found, states: State, rate: float) -> dict[str, Fans]:
-    """The pictures' paths, log by log."""
-    fans, first = {}, 0
-    for name, (_, windows, _) in found.items():
+def _fans(found, predictions) -> dict[str, Fans]:
+    """The pictures' windows, log by log."""
+    (states, lateral), fans, first = predictions, {}, 0
+    for name, (_, (windows, *_), _) in found.items():
         rows = slice(first, first + len(windows.v_x))
         first = rows.stop
-        there = np.isfinite(windows.a_y)[..., None]
-        each = np.stack([states.x[rows], states.y[rows]], axis=-1)
-        true = np.stack([windows.measured.x, windows.measured.y], axis=-1)
-        fans[name] = Fans(true, np.where(there, each, np.nan), rate)
+        measured = windows.measured._asdict() | {"a_y": windows.a_y}
+        there = np.isfinite(windows.a_y)
+        fans[name] = Fans(
+            np.where(there, windows.time, np.nan), measured,
+            {
+                k: np.where(there, one[rows], np.nan)
+                for k, one in (states._asdict() | {"a_y": lateral}).items()
+            },
+        )  # fmt: skip
     return fans

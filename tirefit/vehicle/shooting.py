@@ -94,9 +94,12 @@ def linearised(missed, parts: int):
     return jax.jit(jax.vmap(one, (None, 0, 0)))
 
 
-def eliminated(missed, by_z, by_start, noise):
+def eliminated(missed, by_z, by_start, noise, damping=0.0):
     """The normal equations of z without the start states: score (w, p), information
-    (w, p, p), and what gives each start its step: (w, s) and (w, s, p)."""
+    (w, p, p), and what gives each start its step: (w, s) and (w, s, p).
+
+    A window hardly tells a start that the car forgets at once: its steps are damped.
+    """
     w = len(missed)
     weight = 1 / noise[None, None]
     r = (missed * weight).reshape(w, -1)
@@ -104,7 +107,8 @@ def eliminated(missed, by_z, by_start, noise):
     b = (by_start * weight[..., None]).reshape(w, r.shape[1], -1)
     own = jnp.einsum("wms,wmt->wst", b, b)
     trace = jnp.trace(own, axis1=1, axis2=2)[:, None, None]
-    own = own + 1e-9 * trace * jnp.eye(own.shape[1])[None]
+    eye = jnp.eye(own.shape[1])[None]
+    own = own + damping * own * eye + 1e-9 * trace * eye
     step = -jnp.linalg.solve(own, jnp.einsum("wms,wm->ws", b, r)[..., None])[..., 0]
     tied = -jnp.linalg.solve(own, jnp.einsum("wms,wmp->wsp", b, a))
     rest = a + jnp.einsum("wms,wsp->wmp", b, tied)
@@ -125,13 +129,14 @@ def minimised(run, z, starts, now, data, noise, pull, bounds=(-np.inf, np.inf)):
     damping, converged = 1e-3, False
     cost = cost_of(now[0], z)
     for _ in range(_ITERATIONS):
-        score, information, step, tied = eliminate(*now, noise)
-        gradient = np.asarray(score.sum(axis=0) + pull * z)
-        matrix = np.asarray(information.sum(axis=0)) + np.diag(pull)
-        # What lies on a bound and is drawn across it stays.
-        still = (z <= bounds[0]) & (gradient > 0) | (z >= bounds[1]) & (gradient < 0)
-        free = np.flatnonzero(~np.asarray(still))
         while damping < 1e9:
+            score, information, step, tied = eliminate(*now, noise, damping)
+            gradient = np.asarray(score.sum(axis=0) + pull * z)
+            matrix = np.asarray(information.sum(axis=0)) + np.diag(pull)
+            # What lies on a bound and is drawn across it stays.
+            still = (z <= bounds[0]) & (gradient > 0)
+            still |= (z >= bounds[1]) & (gradient < 0)
+            free = np.flatnonzero(~np.asarray(still))
             damped = matrix + damping * np.diag(np.diag(matrix) + 1e-12)
             move = np.zeros(len(z))
             move[free] = -np.linalg.solve(damped[np.ix_(free, free)], gradient[free])

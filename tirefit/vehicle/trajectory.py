@@ -10,20 +10,36 @@ window (a Schur complement); the covariance of the rest is the sandwich of the s
 blocks of windows, which holds where residuals are correlated within a block.
 """
 
+import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
+from pathlib import Path
+from typing import ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.stats import t as student
 
-from tirefit.data.vehicle import Vehicle
-from tirefit.fitting.axle import axle_tire
+from tirefit import __version__
+from tirefit.data.motion import slip_and_force
+from tirefit.data.read import read_frame
+from tirefit.data.table import TireData
+from tirefit.data.vehicle import Vehicle, vehicle_toml
+from tirefit.display import Displayed
+from tirefit.door import sealed
+from tirefit.files import json_safe, json_text, write_texts
+from tirefit.fitting.config import FitConfig
+from tirefit.fitting.estimate import data_record, limited
 from tirefit.fitting.layout import Layout
-from tirefit.models import AbstractTire
-from tirefit.params import with_values
+from tirefit.fitting.problem import build
+from tirefit.fitting.result import SCHEMA as FIT_SCHEMA
+from tirefit.fitting.result import Estimate, layout_record
+from tirefit.fitting.solve import solve_problem
+from tirefit.fitting.source import GivenTire, axle_tire
+from tirefit.models import MODELS, AbstractTire
+from tirefit.params import constrain, with_values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError, did_you_mean
 from tirefit.vehicle.car import (
@@ -34,6 +50,7 @@ from tirefit.vehicle.car import (
     predicted,
     steps_a_sample,
 )
+from tirefit.vehicle.intervals import INTERVALS, Optimum, ends_by
 from tirefit.vehicle.shooting import (
     CHANNELS,
     Data,
@@ -51,35 +68,31 @@ class Unknown(NamedTuple):
     unit: str
     prior: float  # standard error of a weak prior at zero; of a factor's logarithm
     is_factor: bool
+    meaning: str
 
 
 UNKNOWNS = {
-    "yaw_inertia": Unknown("kg m2", 0.5, True),
-    "steering_ratio": Unknown("-", 0.3, True),  # wheel angle over that of the map
-    "steering_offset": Unknown("rad", 0.1, False),  # added to the wheel angle
-    "steering_delay": Unknown("s", 0.1, False),  # of the wheels behind the log
-    "sideslip_zero": Unknown("rad", 0.05, False),  # logged sideslip less the car's
+    "yaw_inertia": Unknown("kg m2", 0.5, True, "about the cg"),
+    "cg_ahead": Unknown("m", 0.05, False, "than in vehicle.toml"),
+    "steering_ratio": Unknown("-", 0.3, True, "of wheel to map"),
+    "steering_offset": Unknown("rad", 0.1, False, "added to the angle"),
+    "steering_delay": Unknown("s", 0.1, False, "wheels after the log"),
+    "sideslip_zero": Unknown("rad", 0.05, False, "logged less the car's"),
 }
-"""What may be estimated beside the tires."""
+"""What may be estimated beside the tires; the prior of ``cg_ahead`` is a share of the
+wheelbase."""
 
 WINDOW = 0.5
 """Length [s] of a window."""
 _ROUNDS = 3
 """Times that the noise of the channels is estimated anew."""
+_START_ROWS = 4000
+"""Rows of an axle that its first tire is fitted to, about."""
+SCHEMA = "tirefit.trajectory/1"
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """A parameter: its value, standard error and 95 % interval."""
-
-    value: float
-    std: float
-    ci95: tuple[float, float]
-    unit: str
-
-
-@dataclass(frozen=True)
-class TrajectoryFit:
+@dataclass(frozen=True, repr=False)
+class TrajectoryFit(Displayed):
     """What :func:`fit_trajectory` found.
 
     Attributes:
@@ -87,9 +100,16 @@ class TrajectoryFit:
         parameters: ``front.cpa2``, ``yaw_inertia``, ... -> estimate.
         noise: channel -> rms of predicted less logged, which counts as its noise.
         windows: number of windows; ``blocks`` of them are independent.
-        vehicle: with the yaw inertia that was found.
+        vehicle: with what was found of it.
         converged: whether the last step changed the cost by less than a millionth.
+        intervals: how the 95 % intervals were found.
+        axles: ``front``, ``rear`` -> the tire with its uncertainty and the content of a
+            ``fit.json``; :func:`tirefit.replay` takes it.
+        rows: ``front``, ``rear`` -> slip angle and force as derived, for comparison.
     """
+
+    html_by: ClassVar[str] = "tirefit.report.trajectory:trajectory_fragment"
+    text_by: ClassVar[str] = "tirefit.report.trajectory:trajectory_text"
 
     front: AbstractTire
     rear: AbstractTire
@@ -99,36 +119,81 @@ class TrajectoryFit:
     blocks: int
     vehicle: Vehicle
     converged: bool
+    intervals: str = "covariance"
+    axles: Mapping[str, GivenTire] = field(default_factory=dict)
+    rows: Mapping[str, TireData] = field(default_factory=dict)
+
+    @property
+    def logs(self) -> tuple[str, ...]:
+        """Names of the logs."""
+        return tuple(self.rows["front"].runs)
+
+    def summary(self) -> str:
+        """The report as text."""
+        return str(self)
+
+    def to_dict(self) -> dict:
+        """The numbers, as ``trajectory.json`` has them."""
+        return json_safe({
+            "schema": SCHEMA, "version": __version__, "logs": self.logs,
+            "windows": self.windows, "blocks": self.blocks,
+            "converged": self.converged, "intervals": self.intervals,
+            "parameters": {k: asdict(v) for k, v in self.parameters.items()},
+            "noise": dict(self.noise), "vehicle": self.vehicle.model_dump(),
+        })  # fmt: skip
+
+    def save(self, folder: str | os.PathLike) -> list[Path]:
+        """Write ``front.json`` and ``rear.json`` (each a ``fit.json``),
+        ``vehicle.toml`` with what was found, and ``trajectory.json``; the paths."""
+        note = "as tirefit fit found it from the car's trajectories"
+        texts = {
+            f"{axle}.json": json_text(sealed(dict(tire.content)))
+            for axle, tire in self.axles.items()
+        }
+        texts["vehicle.toml"] = vehicle_toml(self.vehicle, note)
+        texts["trajectory.json"] = json_text(self.to_dict())
+        write_texts({Path(folder, name): text for name, text in texts.items()})
+        return [Path(folder, name) for name in texts]
 
 
 def fit_trajectory(
     logs: Sequence,
-    vehicle: Vehicle | str,
+    vehicle: Vehicle | str | Path,
     front="brush",
     rear="brush",
     *,
     unknowns: Sequence[str] = ("steering_delay", "steering_offset"),
     window: float = WINDOW,
+    intervals: str = "covariance",
+    seed: int = 0,
 ) -> TrajectoryFit:
     """Fit both axles' tires, and unknowns of the car, to windows of its logs.
 
     Args:
         logs: vehicle logs, as for :func:`tirefit.derive_files`.
         vehicle: a vehicle or its ``vehicle.toml``, with a steering map.
-        front, rear: where the fit begins: a fit of the axle or its ``fit.json``, whose
-            free parameters are estimated.
+        front: the model of the axle's tire; or a fit of the axle, or its ``fit.json``,
+            where the search begins.
+        rear: likewise.
         unknowns: of :data:`UNKNOWNS`, estimated beside the tires.
         window: length of a window [s].
+        intervals: ``covariance``, ``profile`` or ``importance``: how the 95 % intervals
+            are found, see :mod:`tirefit.vehicle.intervals`.
+        seed: of the draws of ``importance``.
+
+    Returns:
+        Tires and unknowns with standard errors and intervals; its ``save`` writes what
+        ``tirefit replay`` reads.
 
     Raises:
-        UsageError: an unknown that is not known, a vehicle without a steering map, or
-            a tire that is no fit.
+        UsageError: an unknown or a kind of interval that is not known, a vehicle
+            without a steering map, or a tire without a free parameter.
         DataError: a log that cannot be read, or no window in it.
     """
     require_x64("a fit by trajectory")
     vehicle = known_vehicle(vehicle)
-    tires = axle_tire(front), axle_tire(rear)
-    _check(vehicle, unknowns, tires)
+    given = {"front": axle_tire(front), "rear": axle_tire(rear)}
+    _check(vehicle, unknowns, given, intervals)
     rate = vehicle.filter.sample_rate
     found = cut_logs(
         logs, vehicle,
@@ -137,22 +202,55 @@ def fit_trajectory(
     )  # fmt: skip
     parts = [log.windows[0] for log in found.values()]
     data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
+    rows = {axle: _rows(found, vehicle, axle) for axle in given}
+    tires = [_started(tire, rows[axle]) for axle, tire in given.items()]
     problem = _Problem(vehicle, tires, tuple(unknowns), rate, data)
-    return problem.solved()
+    return replace(problem.solved(intervals, seed, rows), rows=rows)
 
 
-def _check(vehicle: Vehicle, unknowns, tires) -> None:
+def _check(vehicle: Vehicle, unknowns, given, intervals: str) -> None:
     problems = steering_problems(vehicle, "a fit by trajectory")
-    for name in unknowns:
-        if name not in UNKNOWNS:
-            remedy = f"{did_you_mean(name, UNKNOWNS)}valid: {', '.join(UNKNOWNS)}"
-            problems.append(InputProblem(f"{name!r} is no unknown of a car", remedy))
-    for axle, tire in zip(("front", "rear"), tires, strict=True):
-        if tire.fit is None:
+    for name, known, what in (
+        *((name, UNKNOWNS, "unknown of a car") for name in unknowns),
+        (intervals, INTERVALS, "kind of interval"),
+    ):
+        if name not in known:
+            remedy = f"{did_you_mean(name, known)}valid: {', '.join(known)}"
+            problems.append(InputProblem(f"{name!r} is no {what}", remedy))
+    for axle, tire in given.items():
+        if tire.fit is None and tire.name not in MODELS:
             reason = f"the {axle} tire {tire.name} is no fit: nothing is free in it"
-            remedy = f"fit it first: tirefit derive --axle {axle}, then tirefit fit"
-            problems.append(InputProblem(reason, remedy))
+            problems.append(InputProblem(reason, "name a model, such as brush"))
     UsageError.raise_for(problems)
+
+
+def _rows(found, vehicle: Vehicle, axle: str) -> TireData:
+    """Slip angle and force of an axle by the equations of ``derive``, of all logs."""
+    columns: dict[str, list] = {"alpha": [], "fy": [], "v": [], "run": []}
+    for motion, _, (name, *_) in found.values():
+        alpha, force, speed = slip_and_force(motion, vehicle, axle)
+        good = motion.settled & (motion.v_x > vehicle.v_min)
+        good &= (np.abs(alpha) < np.pi / 2) & (speed > 0)  # not of a car that spins
+        each = alpha[good], force[good], speed[good]
+        for key, values in zip(columns, (*each, [name] * good.sum()), strict=True):
+            columns[key].extend(values)
+    step = max(len(columns["run"]) // _START_ROWS, 1)
+    cells = {k: np.array(v)[::step] for k, v in columns.items()}
+    arm = vehicle.l_r if axle == "front" else vehicle.l_f
+    load = vehicle.mass * vehicle.gravity * arm / (vehicle.l_f + vehicle.l_r)
+    return read_frame(
+        cells | {"fz": np.full(len(cells["run"]), load)}, ", ".join(found)
+    )
+
+
+def _started(tire: GivenTire, rows: TireData) -> GivenTire:
+    """The tire of a fit; of a model as fitted to these rows."""
+    if tire.fit is not None:
+        return tire
+    solved = solve_problem(build(rows, tire.name, FitConfig()), FitConfig())
+    problem = solved.problem
+    fit = problem.layout, solved.z, solved.covariance
+    return replace(tire, tire=problem.model, fit=fit)
 
 
 class _Problem:
@@ -166,11 +264,13 @@ class _Problem:
         self.rate, self.data = rate, data
         self.layouts: list[Layout] = [tire.fit[0] for tire in tires]
         self.first = np.cumsum([0, *(layout.size for layout in self.layouts)])
-        self.z = np.concatenate([*(t.fit[1] for t in tires), np.zeros(len(unknowns))])
+        first = {"steering_delay": vehicle.steering.delay}
+        own = [first.get(name, 0.0) for name in unknowns]
+        self.z = np.concatenate([*(t.fit[1] for t in tires), own])
         self.names = CHANNELS[data.logged.shape[-1]]
         slowest = float(np.min(data.v_x))
-        parts = steps_a_sample(self.car(self.z), slowest, rate)
-        self.run = linearised(self.missed, parts)
+        self.parts = steps_a_sample(self.car(self.z), slowest, rate)
+        self.run = linearised(self.missed, self.parts)
 
     def unknown(self, z, name: str, default: float = 0.0):
         """The value of an unknown, in its unit; a factor of one without it."""
@@ -186,28 +286,34 @@ class _Problem:
 
     def car(self, z) -> Car:
         inertia = self.unknown(z, "yaw_inertia", 1.0)
-        return car_of(self.vehicle, self.tire(z, 0), self.tire(z, 1), inertia)
+        car = car_of(self.vehicle, self.tire(z, 0), self.tire(z, 1), inertia)
+        ahead = self.unknown(z, "cg_ahead")
+        return replace(car, l_f=car.l_f - ahead, l_r=car.l_r + ahead)
 
     def missed(self, z, start, window: Data, parts: int):
         """Predicted less logged (k, c) of one window."""
         step, count = 1 / self.rate, window.v_x.shape[0]
         lead = window.steering.shape[0] - count
-        steering = delayed(window.steering, self.unknown(z, "steering_delay") / step)
-        steering = steering[lead:]
+        delay = self.unknown(z, "steering_delay", self.vehicle.steering.delay)
+        steering = delayed(window.steering, delay / step)[lead:]
         steering = steering * self.unknown(z, "steering_ratio", 1.0)
         steering = steering + self.unknown(z, "steering_offset")
         whole = jnp.concatenate([start, jnp.zeros(5 - len(start))])
         states = predicted(
             self.car(z), State(*whole), window.v_x, steering, step, parts
         )
-        zero = self.unknown(z, "sideslip_zero")
+        zero, ahead = self.unknown(z, "sideslip_zero"), self.unknown(z, "cg_ahead")
+        # The log is of the point where the centre of gravity was thought to be.
         if len(self.names) == 2:
-            found = [states.v_y + zero * window.v_x, states.yaw_rate]
+            v_y = states.v_y - ahead * states.yaw_rate
+            found = [v_y + zero * window.v_x, states.yaw_rate]
         else:
-            found = [states.heading - zero, states.x, states.y]
+            x = states.x - ahead * jnp.cos(states.heading)
+            y = states.y - ahead * jnp.sin(states.heading)
+            found = [states.heading - zero, x, y]
         return jnp.stack(found, axis=1) - window.logged
 
-    def solved(self) -> TrajectoryFit:
+    def solved(self, intervals: str, seed: int, rows) -> TrajectoryFit:
         z, starts = jnp.asarray(self.z), jnp.asarray(self.data.start)
         pull, now = self.pulls(), self.run(z, starts, self.data)
         for _ in range(_ROUNDS):
@@ -222,50 +328,111 @@ class _Problem:
             jnp.sum(missed**2, axis=(0, 1)) / max(count - free / len(self.names), 1)
         )
         covariance, blocks = sandwich(missed, by_z, by_start, noise, pull)
-        return self.told(
-            np.asarray(z), covariance, blocks, np.asarray(noise), converged
-        )
-
-    def pulls(self) -> np.ndarray:
-        """Precision (p,) of the weak priors of the unknowns at zero."""
-        priors = [1 / UNKNOWNS[name].prior ** 2 for name in self.unknowns]
-        return np.concatenate([np.zeros(self.first[-1]), priors])
-
-    def told(self, z, covariance, blocks: int, noise, converged) -> TrajectoryFit:
+        optimum = Optimum(
+            partial(self.missed, parts=self.parts), z, starts, now, noise, pull,
+            self.data,
+        )  # fmt: skip
+        std = np.sqrt(np.diag(covariance))
         reach = student.ppf(0.975, max(blocks - 1, 1))
-        std, found = np.sqrt(np.diag(covariance)), {}
-
-        def add(name, unit, k, natural: Callable):
-            sides = z[k] - reach * std[k], z[k] + reach * std[k]
-            low, high = sorted(float(natural(side)) for side in sides)
-            slope = abs(natural(z[k] + 1e-6) - natural(z[k] - 1e-6)) / 2e-6
-            value = float(natural(z[k]))
-            found[name] = Estimate(value, float(slope * std[k]), (low, high), unit)
-
-        for axle, layout in enumerate(self.layouts):
-            for k, (label, free) in enumerate(layout.elements):
-
-                def natural(value, k=k, layout=layout, axle=axle):
-                    own = np.array(z[self.first[axle] : self.first[axle + 1]])
-                    own[k] = value
-                    return layout.vector(own)[k]
-
-                name = f"{('front', 'rear')[axle]}.{label}"
-                add(name, free.spec.unit, self.first[axle] + k, natural)
-        for k, name in enumerate(self.unknowns):
-            one = UNKNOWNS[name]
-            scale = self.vehicle.yaw_inertia if name == "yaw_inertia" else 1.0
-            by = partial(_factor, scale) if one.is_factor else float
-            add(name, one.unit, self.first[-1] + k, by)
-        car = self.car(z)
-        vehicle = self.vehicle.model_copy(
-            update={"yaw_inertia": float(car.yaw_inertia)}
-        )
+        ends = ends_by(intervals, optimum, std, reach, seed)
+        at = np.asarray(z)
+        found, car = self.estimates(at, std, ends), self.car(at)
+        axles = {
+            axle: self.axle(k, axle, at, covariance, found, rows[axle])
+            for k, axle in enumerate(("front", "rear"))
+        }
         return TrajectoryFit(
             car.front, car.rear, found,
             {c: float(s) for c, s in zip(self.names, noise, strict=True)},
-            len(self.data.v_x), blocks, vehicle, bool(converged),
+            len(self.data.v_x), blocks, self.found_vehicle(found), bool(converged),
+            intervals, axles,
         )  # fmt: skip
+
+    def pulls(self) -> jax.Array:
+        """Precision (p,) of the weak priors of the unknowns at zero."""
+        scale = {"cg_ahead": self.vehicle.l_f + self.vehicle.l_r}
+        priors = [
+            (UNKNOWNS[name].prior * scale.get(name, 1.0)) ** -2
+            for name in self.unknowns
+        ]
+        return jnp.asarray([*np.zeros(self.first[-1]), *priors])
+
+    def estimates(self, z, std, ends) -> dict[str, Estimate]:
+        """Estimates of all parameters, from z with its standard errors (p,) and the
+        ends (2, p) of the intervals."""
+        found = {}
+
+        def add(name, unit, k, natural: Callable, identified):
+            low, high = sorted(float(natural(end)) for end in ends[:, k])
+            slope = abs(natural(z[k] + 1e-6) - natural(z[k] - 1e-6)) / 2e-6
+            value, error = float(natural(z[k])), float(slope * std[k])
+            known = bool(identified(low, high))
+            found[name] = Estimate(value, error, unit, (low, high), known)
+
+        for axle, layout in enumerate(self.layouts):
+            for k, (label, free) in enumerate(layout.elements):
+                add(
+                    f"{('front', 'rear')[axle]}.{label}", free.spec.unit,
+                    self.first[axle] + k, partial(constrain, spec=free.spec),
+                    partial(limited, free.spec),
+                )  # fmt: skip
+        for k, name in enumerate(self.unknowns):
+            one, at = UNKNOWNS[name], self.first[-1] + k
+            scale = self.vehicle.yaw_inertia if name == "yaw_inertia" else 1.0
+            by = partial(_factor, scale) if one.is_factor else float
+            # Half of its prior's, or it is the prior that speaks.
+            wide = 0.5 / np.sqrt(self.pulls()[at])
+            add(name, one.unit, at, by, lambda *_, k=at, wide=wide: std[k] < wide)
+        return found
+
+    def found_vehicle(self, found: Mapping[str, Estimate]) -> Vehicle:
+        """The vehicle with what was found of it."""
+        vehicle, steering = self.vehicle, self.vehicle.steering
+
+        def value(name, default=0.0):
+            return found[name].value if name in found else default
+
+        ratio, offset = value("steering_ratio", 1.0), value("steering_offset")
+        steering = steering.model_copy(update={
+            "angle": [ratio * angle + offset for angle in steering.angle],
+            "delay": value("steering_delay", steering.delay),
+        })  # fmt: skip
+        zero, ahead = value("sideslip_zero"), value("cg_ahead")
+        pose = len(self.names) == 3
+        name, turned = ("yaw_offset", zero) if pose else ("sideslip_offset", -zero)
+        changed = {
+            "yaw_inertia": value("yaw_inertia", vehicle.yaw_inertia),
+            "l_f": vehicle.l_f - ahead, "l_r": vehicle.l_r + ahead,
+            "steering": steering, name: getattr(vehicle, name) + turned,
+        }  # fmt: skip
+        if ahead:
+            changed |= {"mass_front": None, "mass_rear": None}
+        return vehicle.model_copy(update=changed)
+
+    def axle(self, k: int, axle: str, z, covariance, found, rows) -> GivenTire:
+        """The tire of an axle, with the content of its ``fit.json``."""
+        layout, own = self.layouts[k], slice(*self.first[k : k + 2])
+        fit = layout, z[own], covariance[own, own]
+        parameters = {
+            name.removeprefix(f"{axle}."): asdict(one)
+            for name, one in found.items()
+            if name.startswith(f"{axle}.")
+        }
+        content = {
+            "schema": FIT_SCHEMA, "version": __version__, "model": self.tires[k].name,
+            "forces": ["fy"], "source": "trajectories of the car",
+            "data": data_record(rows, rows.n, ()),
+            # No force was measured: a prediction has the parameters' uncertainty alone.
+            "noise": {"fy": {"median_std": 0.0}},
+            "parameters": parameters, "reference": {"fz": float(rows["fz"][0])},
+            "prediction": {
+                "labels": layout.labels, "z": fit[1], "covariance": fit[2],
+                "layout": layout_record(layout, self.tires[k].tire),
+            },
+        }  # fmt: skip
+        return replace(
+            self.tires[k], tire=self.tire(z, k), fit=fit, content=json_safe(content)
+        )
 
 
 def _factor(scale: float, logarithm) -> float:

@@ -178,6 +178,21 @@ class Mirrored(AbstractTire):
         return turned_forces(forces, self.turned)
 
 
+class Pair(AbstractTire):
+    """The two tires of an axle, as one: each carries half of the load, and one is the
+    mirror image of the other, so that conicity and ply steer cancel."""
+
+    tire: AbstractTire
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return self.tire.needs
+
+    def __call__(self, inputs: TireInputs) -> TireForces:
+        half = inputs._replace(fz=inputs.fz / 2)
+        return jax.tree.map(jnp.add, self.tire(half), Mirrored(self.tire)(half))
+
+
 def turned_inputs(inputs: TireInputs, turned: Set[str]) -> TireInputs:
     """Inputs with the sign of ``turned`` (``slip``, ``alpha``, ``gamma``) reversed; a
     wheel that spins at kappa = -1 or faster becomes a locked one."""

@@ -1,0 +1,68 @@
+"""``tirefit fit --vehicle``: both axles' tires and unknowns of a car from its logs."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from tirefit.cli.options import say, start_jax
+from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.results import ExitCode, InputProblem, UsageError
+
+FIGURE = "trajectory.png"
+FILES = ("trajectory.json", "front.json", "rear.json", "vehicle.toml", FIGURE)
+
+
+class Intervals(StrEnum):
+    covariance = "covariance"
+    profile = "profile"
+    importance = "importance"
+
+
+def models_of(text: str | None) -> dict[str, Any]:
+    """The models in ``front=brush,rear=brush``, or in the name of one of both axles."""
+    if text is None or "=" not in text:
+        return dict.fromkeys(("front", "rear"), text or "brush")
+    found = dict(part.strip().partition("=")[::2] for part in text.split(","))
+    if set(found) != {"front", "rear"}:
+        reason = f"--model {text} with --vehicle"
+        raise UsageError(InputProblem(reason, "write front=brush,rear=brush"))
+    return found
+
+
+def fit_vehicle(
+    logs: list[Path],
+    vehicle: Path,
+    model: str | None,
+    out: Path | None,
+    unused: dict,
+    **how: Any,
+) -> ExitCode:
+    """Fits, prints and writes.
+
+    Args:
+        unused: option that does not go with ``--vehicle`` -> its value.
+        how: keywords of :func:`~tirefit.vehicle.trajectory.fit_trajectory`; None for
+            its own.
+    """
+    wrong = [option for option, given in unused.items() if given]
+    if wrong:
+        reason = f"{', '.join(wrong)} with --vehicle"
+        raise UsageError(
+            InputProblem(reason, "leave it out: it is not for vehicle logs")
+        )
+    models, out = models_of(model), out or Path(f"{vehicle.stem}.fit")
+    check_directories([out])
+    start_jax()
+    from tirefit.report.canvas import save_picture
+    from tirefit.report.trajectory import trajectory_figure
+    from tirefit.vehicle.trajectory import fit_trajectory
+
+    with claimed(out):
+        how = {k: v for k, v in how.items() if v is not None}
+        result = fit_trajectory(logs, vehicle, **(models | how))
+        with staged(out, FILES, result) as folder:
+            result.save(folder)
+            save_picture(trajectory_figure(result), folder / FIGURE)
+    say(str(result))
+    say("wrote " + ", ".join(str(out / name) for name in FILES))
+    return ExitCode.OK if result.converged else ExitCode.NOT_CONVERGED

@@ -1,0 +1,139 @@
+"""The tire of a fit, a ``fit.json``, a ``.tir`` file or a model: :func:`given_tire`."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tirefit.data.tir import TirFile, read_tir
+from tirefit.fitting.layout import Layout
+from tirefit.fitting.tir import tire_of
+from tirefit.models import AbstractTire, modelled
+from tirefit.models.mf import MFTire, Mirrored, Pair
+from tirefit.params import check_values, with_values
+from tirefit.results import InputProblem, UsageError
+
+# What reads fits takes longer to import than a .tir file.
+if TYPE_CHECKING:
+    from tirefit.fitting.mf.result import MagicFormulaFit
+    from tirefit.fitting.result import FitResult
+    from tirefit.fitting.store import StoredFit
+
+    Fit = FitResult | MagicFormulaFit | StoredFit
+
+
+@dataclass(frozen=True)
+class GivenTire:
+    """A tire with what its source states of it.
+
+    Attributes:
+        name: of the model.
+        tire: with its values.
+        fit: layout, estimate (p,) and covariance (p, p) in the unconstrained space;
+            None of a tire without a fit.
+        content: of the fit, as its ``fit.json`` has it; empty without one.
+        tir: the ``.tir`` file; None of another source.
+    """
+
+    name: str
+    tire: AbstractTire
+    fit: tuple[Layout, np.ndarray, np.ndarray] | None = None
+    content: Mapping = field(default_factory=dict)
+    tir: TirFile | None = None
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """The runs that it was fitted to."""
+        return tuple(self.content.get("data", {}).get("runs", ()))
+
+    def drawn(self, generator: np.random.Generator, count: int) -> list[AbstractTire]:
+        """Tires with parameters drawn from the fit's normal distribution."""
+        if self.fit is None:
+            return [self.tire] * count
+        from tirefit.fitting.store import at_estimate
+
+        layout, z, covariance = self.fit
+        each = generator.multivariate_normal(z, covariance, count, method="eigh")
+        return [at_estimate(self.tire, layout, one) for one in each]
+
+
+def given_tire(
+    source: "Fit | GivenTire | AbstractTire | str | os.PathLike",
+    values: Mapping[str, float] | None = None,
+    signs: str | None = None,
+) -> GivenTire:
+    """The tire of a fit, of a ``fit.json``, of a ``.tir`` file, or of a model.
+
+    Args:
+        values: parameter values of a model or a ``.tir`` file.
+        signs: convention in which a ``.tir`` file was written, see
+            :func:`tirefit.fitting.tir.tire_of`.
+
+    Raises:
+        UsageError: an unknown model or parameter, values beside a fit, signs without a
+            ``.tir`` file, or a fit with values by run.
+        DataError: a file that is no fit or no ``.tir`` file.
+    """
+    if isinstance(source, GivenTire):
+        return source
+    text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
+    values = dict(values or {})
+    if text.lower().endswith(".tir"):
+        tir = read_tir(text)
+        tire = tire_of(tir, values=values, signs=signs)
+        check_values(tire, text, values)
+        return GivenTire(f"MF {tir.version}", tire, tir=tir)
+    if signs:
+        raise UsageError("--signs applies to .tir files only", "leave it out")
+    if isinstance(source, AbstractTire) or text and not text.endswith(".json"):
+        from tirefit.fitting.problem import find_model
+
+        name = text or type(source).__name__
+        tire = source if isinstance(source, AbstractTire) else find_model(text)
+        check_values(tire, name, values)
+        return GivenTire(name, with_values(tire, values))
+    if values:
+        reason = "parameter values (--set) beside a fit, which has its own"
+        raise UsageError(InputProblem(reason, "leave them out, or name a model"))
+    return _of_fit(source, text)
+
+
+def _of_fit(fit, path: str) -> GivenTire:
+    """Of a fit, or of its file if ``path`` is not empty."""
+    from tirefit.fitting.mf.result import MagicFormulaFit
+    from tirefit.fitting.store import StoredFit, at_estimate, load_fit
+
+    fit = load_fit(path) if path else fit
+    if isinstance(fit, MagicFormulaFit):
+        stored = fit.stored
+        known = stored.layout, stored.z, stored.covariance
+        return GivenTire(fit.model, fit.tire, known, fit.to_dict())
+    if isinstance(fit, StoredFit):
+        known = fit.layout, fit.z, fit.covariance
+        return GivenTire(fit.model, fit.at_estimate(), known, fit.content)
+    known = fit.problem.layout, fit.z, fit.covariance
+    tire = at_estimate(fit.problem.model, *known[:2])
+    return GivenTire(fit.model, tire, known, fit.to_dict())
+
+
+def axle_tire(
+    source: "Fit | GivenTire | AbstractTire | str | os.PathLike",
+) -> GivenTire:
+    """The tire of an axle, at the load of the axle.
+
+    A Magic Formula is of one tire: the axle has two, mirror images, each at half its
+    load. Every other source is taken for what ``tirefit derive`` gives, a whole axle.
+
+    Raises:
+        UsageError, DataError: as :func:`given_tire`; or a tire without a lateral force
+            in steady state.
+    """
+    given = given_tire(source)
+    if "fy" not in modelled(given.tire) or given.tire.transient:
+        reason = f"{given.name} has no lateral force in steady state"
+        raise UsageError(reason, "choose a tire such as brush")
+    if isinstance(given.tire, MFTire | Mirrored):
+        return replace(given, tire=Pair(given.tire), fit=None)
+    return given

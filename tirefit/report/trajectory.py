@@ -1,0 +1,91 @@
+"""A fit by trajectory as text and as a picture."""
+
+import jax
+import numpy as np
+
+from tirefit.models import TireInputs
+from tirefit.report.canvas import BLUE, GREY, Picture, panel_title, tidy
+from tirefit.report.html import table_fragment
+from tirefit.report.numbers import format_estimate, format_number
+from tirefit.report.text import indented, table
+from tirefit.vehicle.trajectory import UNKNOWNS, TrajectoryFit
+
+_DRAWN, _POINTS, _REACH = 60, 1500, 99.5
+"""Draws of a band; derived points shown; percentile of |slip angle| drawn."""
+_CHANNELS = {"v_y": "m/s", "yaw_rate": "rad/s", "heading": "rad", "x": "m", "y": "m"}
+
+
+def _rows(fit: TrajectoryFit) -> list[list[str]]:
+    rows = [["parameter", "value ± std", "95 % interval", "unit", ""]]
+    for name, one in fit.parameters.items():
+        low, high = (format_number(end, 3) for end in one.ci95)
+        note = UNKNOWNS[name].meaning if name in UNKNOWNS else ""
+        note = note if one.identified else "NOT IDENTIFIED"
+        value = format_estimate(one.value, one.std)
+        rows.append([name, value, f"{low} to {high}", one.unit, note])
+    return rows
+
+
+def _notes(fit: TrajectoryFit) -> list[str]:
+    loose = [name for name, one in fit.parameters.items() if not one.identified]
+    notes = [
+        "" if fit.converged else "the search did not converge",
+        f"these logs do not determine {', '.join(loose)}" if loose else "",
+        f"95 % by {fit.intervals}; {fit.blocks} blocks of windows count as independent",
+        "speed and steering are the log's; axle loads are static; no drive force",
+    ]
+    return [note for note in notes if note]
+
+
+def _head(fit: TrajectoryFit) -> str:
+    models = ", ".join(f"{axle} {tire.name}" for axle, tire in fit.axles.items())
+    logs = ", ".join(fit.logs)
+    return f"FIT BY TRAJECTORY: {models}; {fit.windows} windows of {logs}"
+
+
+def _answer(fit: TrajectoryFit) -> str:
+    noise = ", ".join(
+        f"{name} {format_number(std, 2)} {_CHANNELS[name]}"
+        for name, std in fit.noise.items()
+    )
+    return f"within a window the car on these tires is off by (rms): {noise}"
+
+
+def trajectory_text(fit: TrajectoryFit) -> str:
+    """The report: tires and unknowns of the car, noise, what was assumed."""
+    said = [line for note in _notes(fit) for line in indented(note)]
+    answer = ["ANSWER", *indented(_answer(fit)), "FOUND", *table(_rows(fit))]
+    return "\n".join([_head(fit), *answer, "NOTES", *said])
+
+
+def trajectory_fragment(fit: TrajectoryFit) -> str:
+    """The same as HTML for a notebook, with the picture."""
+    rows, notes = _rows(fit), [_head(fit), _answer(fit), *_notes(fit)]
+    return table_fragment(rows, notes, trajectory_figure(fit), "force of both axles")
+
+
+def trajectory_figure(fit: TrajectoryFit) -> Picture:
+    """Lateral force of both axles with its 95 % band, over the points that ``derive``
+    gives, with the steering as it was logged."""
+    picture = Picture(figsize=(9.0, 3.8), layout="constrained")
+    generator = np.random.default_rng(0)
+    for ax, (axle, tire) in zip(picture.subplots(1, 2), fit.axles.items(), strict=True):
+        rows = fit.rows[axle]
+        some = generator.permutation(len(rows))[:_POINTS]
+        ax.plot(rows["alpha"][some], rows["fy"][some], ".", color=GREY, ms=2,
+                label="derived from the log", rasterized=True)  # fmt: skip
+        reach = np.percentile(np.abs(rows["alpha"]), _REACH)
+        alpha, fz, v = np.linspace(-reach, reach, 121), rows["fz"][0], rows["v"].mean()
+
+        def curve(tire, alpha=alpha, fz=fz, v=v):
+            one = lambda a: tire(TireInputs(alpha=a, fz=fz, v=v)).fy  # noqa: E731
+            return np.asarray(jax.vmap(one)(alpha))
+
+        drawn = [curve(one) for one in tire.drawn(generator, _DRAWN)]
+        low, high = np.percentile(drawn, (2.5, 97.5), axis=0)
+        ax.fill_between(alpha, low, high, color=BLUE, alpha=0.3, lw=0, label="95 %")
+        ax.plot(alpha, curve(tire.tire), color=BLUE, lw=1.4, label=tire.name)
+        tidy(ax, "slip angle [rad]", "lateral force of the axle [N]")
+        panel_title(ax, f"{axle.capitalize()} axle, by trajectory")
+        ax.legend(frameon=False, fontsize=7.5)
+    return picture
