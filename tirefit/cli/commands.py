@@ -11,6 +11,7 @@ import typer
 from tirefit import __version__
 from tirefit.cli.brake import brake
 from tirefit.cli.convert import convert
+from tirefit.cli.demo import demo
 from tirefit.cli.diagnose import ManyHoldouts, diagnose
 from tirefit.cli.estimate import estimate
 from tirefit.cli.export import export
@@ -60,6 +61,7 @@ class Axle(StrEnum):
     front = "front"
 
 
+app.command()(demo)
 app.command()(fit)
 app.command()(convert)
 app.command()(export)
