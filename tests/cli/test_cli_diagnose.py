@@ -424,11 +424,10 @@ def test_data_not_used_check_the_closure(again, tmp_path):
 def test_nothing_is_half_written(again, tmp_path, monkeypatch):
     before = contents(tmp_path / "out")
 
-    def full(result, path):
-        path.write_text("<html>")
+    def full(result):
         raise OSError(28, "disk full")
 
-    monkeypatch.setattr("tirefit.report.diagnosis_html.write_page", full)
+    monkeypatch.setattr("tirefit.report.diagnosis_html.diagnosis_page", full)
     result = again("load.csv", "--figures", "--seed", "5", exit_code=2)
     assert "disk full" in result.stderr
     assert contents(tmp_path / "out") == before
@@ -439,11 +438,12 @@ def test_a_first_result_is_not_half_written(again, tmp_path, monkeypatch):
     shutil.copy(tmp_path / "load.csv", tmp_path / "new.csv")
     before = contents(tmp_path / "out")
 
-    def full(path, text):
+    def full(texts):
+        path, text = next(iter(texts.items()))
         path.write_text(text[:10])
         raise OSError(28, "disk full")
 
-    monkeypatch.setattr("tirefit.diagnosis.summary.result.write_text_atomic", full)
+    monkeypatch.setattr("tirefit.display.write_texts", full)
     again("new.csv", exit_code=2)
     assert contents(tmp_path / "out") == before
 

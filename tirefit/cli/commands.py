@@ -133,12 +133,12 @@ def inspect(
                 complain(error_text(error))
                 worst = max(worst, error.exit_code)
                 continue
-            content = inspection.as_dict()
-            content |= {"identifiability": told.as_dict()} if told else {}
+            content = inspection.to_dict()
+            content |= {"identifiability": told.to_dict()} if told else {}
             if len(files) > 1 and not json:
                 warn(data, assumed=data.source.assumptions)
                 inspection = replace(inspection, warnings=(), assumptions=())
-            text = inspection.text() + (told.text() if told else "")
+            text = inspection.summary() + (told.summary() if told else "")
             say(dumps(json_safe(content), indent=1) if json else text)
         raise typer.Exit(worst)
 

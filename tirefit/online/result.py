@@ -6,7 +6,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tirefit.display import Displayed
+from tirefit.data.write import csv_text
+from tirefit.display import Record
 from tirefit.online.base import FLAGS, PARAMETERS, Flag, code
 from tirefit.online.methods import METHODS
 
@@ -63,7 +64,7 @@ class MethodEstimates:
 
 
 @dataclass(frozen=True, repr=False)
-class Estimates(Displayed):
+class Estimates(Record):
     """Online estimates of one or more methods over one log.
 
     ``time`` (n,) [s]; ``use`` (n,): force over load; ``data``: name, file, sha256,
@@ -71,7 +72,8 @@ class Estimates(Displayed):
     """
 
     html_by: ClassVar[str] = "tirefit.report.estimates:estimates_html"
-    text_by: ClassVar[str | None] = "tirefit.report.estimates:estimates_text"
+    text_by: ClassVar[str] = "tirefit.report.estimates:estimates_text"
+    plot_by: ClassVar[str] = "tirefit.report.estimates:estimates_figure"
 
     time: np.ndarray
     use: np.ndarray | None
@@ -92,6 +94,11 @@ class Estimates(Displayed):
                 table[f"{name}_{parameter}_std"] = method.std_of(parameter)
             table[f"{name}_flag"] = method.reasons
         return table
+
+    def files(self, name: str = "") -> dict[str, str]:
+        """``estimates.csv`` and ``summary.json``."""
+        rows = csv_text(self.columns())
+        return {"estimates.csv": rows, "summary.json": self.to_json()}
 
     def to_dict(self) -> dict[str, Any]:
         """``summary.json``."""

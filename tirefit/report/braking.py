@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tirefit.data.table import WHEELS
+from tirefit.params import check_names
 from tirefit.report.canvas import COLORS, DARK, GREY, Picture, panel_title, tidy
 from tirefit.report.html import table_fragment
 from tirefit.report.numbers import format_number, plain_text
@@ -95,6 +96,17 @@ def braking_text(result: Braking) -> str:
 def braking_html(result: Braking) -> str:
     """The same as a fragment of HTML, with the figure; for notebooks."""
     return table_fragment(_rows(result), _notes(result), stop_figure(result), "braking")
+
+
+def plot_braking(result: Braking, what: str = "stop") -> Picture:
+    """The ``stop`` over time, ``compare`` of the controllers, or the ``slip`` paths.
+
+    Raises:
+        UsageError: no such figure.
+    """
+    figures = {"stop": stop_figure, "compare": compare_figure, "slip": paths_figure}
+    check_names("figure", [what], figures)
+    return figures[what](result)
 
 
 def _foot(result: Braking) -> str:

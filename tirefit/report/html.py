@@ -8,6 +8,7 @@ import jinja2
 import numpy as np
 
 from tirefit.data.table import CANONICAL, TireData
+from tirefit.display import Record
 from tirefit.fitting.result import FitResult
 from tirefit.report.fit_tables import parameter_rows
 from tirefit.report.labels import fit_files
@@ -48,6 +49,18 @@ def table_fragment(rows, notes, picture, alternative: str) -> str:
     fragment = rendered("table_fragment.html", rows=rows, notes=notes)
     source = f"data:image/png;base64,{png_text(picture)}"
     return f'{fragment}\n<img alt="{alternative}" src="{source}">'
+
+
+def record_fragment(record: Record) -> str:
+    """The text and the figure of any record as a fragment of HTML, for notebooks."""
+    title, png = type(record).__name__, png_text(record.plot())
+    return rendered("record_fragment.html", title=title, text=record.summary(), png=png)
+
+
+def record_page(record: Record) -> str:
+    """The notebook form of a record as a page that needs no other file."""
+    title, fragment = type(record).__name__, record._repr_html_()
+    return rendered("record_page.html", title=title, fragment=fragment)
 
 
 def _figure(result: FitResult) -> str:

@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.display import Displayed
+from tirefit.data.write import csv_text
+from tirefit.display import Record
 from tirefit.precision import require_x64
 from tirefit.sim.brake import Log, simulate_stop
 from tirefit.sim.brake_plant import Plant
@@ -77,7 +78,7 @@ class Stop:
 
 
 @dataclass(frozen=True, repr=False)
-class Braking(Displayed):
+class Braking(Record):
     """Stops of controllers on one road, with the same noise.
 
     ``stops``: of the first seed, by controller; ``many``: numbers (k,) of all seeds by
@@ -85,7 +86,8 @@ class Braking(Displayed):
     """
 
     html_by: ClassVar[str] = "tirefit.report.braking:braking_html"
-    text_by: ClassVar[str | None] = "tirefit.report.braking:braking_text"
+    text_by: ClassVar[str] = "tirefit.report.braking:braking_text"
+    plot_by: ClassVar[str] = "tirefit.report.braking:plot_braking"
 
     request: Request
     stops: Mapping[str, Stop]
@@ -117,6 +119,13 @@ class Braking(Displayed):
             "controllers": each,
         }  # fmt: skip
         return head | ({"seeds": self.table()} if self.many else {})
+
+    def files(self, name: str = "") -> dict[str, str]:
+        """``summary.json``, ``series.csv``; of several seeds ``stops.csv``."""
+        tables = {"series.csv": self.columns()}
+        tables |= {"stops.csv": self.stops_columns()} if self.many else {}
+        texts = {file: csv_text(columns) for file, columns in tables.items()}
+        return texts | {"summary.json": self.to_json()}
 
     def columns(self) -> dict[str, Any]:
         """``series.csv``: of one controller as it is; of several below each other, with
