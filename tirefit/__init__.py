@@ -101,6 +101,8 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "report.fits_html": ["write_fits_page"],
         "report.plots": ["compare"],
         "results": ["DataError", "UsageError"],
+        "sim.manoeuvre": ["brake"],
+        "sim.simulate": ["simulate"],
         "vehicle.replay": ["replay"],
     },
 )

@@ -36,7 +36,7 @@ DRIVES = {
     "hardly turns": {"bend": 0.05},
     "straight": {"bend": 1e-6},
     "gently": {"bend": 0.15, "bend_period": 8.0},
-    "slow": {"bend": 0.5, "v": 10.0, "bend_period": 8.0},
+    "slow": {"bend": 0.5, "speed": 10.0, "bend_period": 8.0},
 }
 
 

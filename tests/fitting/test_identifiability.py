@@ -88,7 +88,7 @@ def test_loads_that_it_asks_for_tell_what_depends_on_load():
     (gate,) = identifiability(swept(0.15), ["brush-load"]).gates
     asked = {p.remedy for p in gate.parameters if p.told == "not"}
     assert asked == {"loads from half to one and a half times as large"}
-    wider = swept(0.15, loads=(2000.0, 4000.0, 6000.0))
+    wider = swept(0.15, load=(2000.0, 4000.0, 6000.0))
     assert "not" not in answers(wider, "brush-load").values()
 
 

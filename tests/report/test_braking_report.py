@@ -19,7 +19,7 @@ from tirefit.report.braking import (
     stop_figure,
 )
 from tirefit.sim.brake_request import Request, known_to_controllers, tire_curve
-from tirefit.sim.brake_result import brake
+from tirefit.sim.brake_result import braked
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def result():
     request = Request(tire, "brush-m", speed=7.0, road="mu=0.3:0.7@4", time_limit=12.0)
     car = known_to_controllers(request)
     controllers = {name: controller_of(name, car) for name in ("abs", "slip", "none")}
-    return brake(request, controllers, seed=1)
+    return braked(request, controllers, seed=1)
 
 
 def test_text_says_the_numbers_and_why(result):

@@ -42,7 +42,21 @@ class AxleTire:
         return [at_estimate(self.tire, layout, one) for one in each]
 
 
-def axle_tire(
+def axle_tire(source, values: Mapping[str, float] | None = None) -> AxleTire:
+    """The same as :func:`known_tire`, of a tire with a lateral force.
+
+    Raises:
+        UsageError: it has none in steady state, or as of :func:`known_tire`.
+        DataError: a file that is no fit.
+    """
+    axle = known_tire(source, values)
+    if "fy" not in modelled(axle.tire) or axle.tire.transient:
+        reason = f"{axle.name} has no lateral force in steady state"
+        raise UsageError(reason, "choose a tire such as brush")
+    return axle
+
+
+def known_tire(
     source: FitResult | StoredFit | AbstractTire | str | os.PathLike,
     values: Mapping[str, float] | None = None,
 ) -> AxleTire:
@@ -52,8 +66,7 @@ def axle_tire(
         values: parameter values of a model.
 
     Raises:
-        UsageError: an unknown model or parameter, a fit with values by run, or a tire
-            without a lateral force in steady state.
+        UsageError: an unknown model or parameter, or a fit with values by run.
         DataError: a file that is no fit.
     """
     text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
@@ -69,14 +82,6 @@ def axle_tire(
         tire = source if isinstance(source, AbstractTire) else find_model(text)
         name = text or type(tire).__name__
         check_values(tire, name, values or {})
-        return _lateral(AxleTire(name, with_values(tire, dict(values or {}))))
+        return AxleTire(name, with_values(tire, dict(values or {})))
     runs = tuple(content["data"].get("runs", ()))
-    return _lateral(AxleTire(source.model, tire, (layout, z, covariance), runs))
-
-
-def _lateral(axle: AxleTire) -> AxleTire:
-    """The same, once it is known to have a lateral force in steady state."""
-    if "fy" not in modelled(axle.tire) or axle.tire.transient:
-        reason = f"{axle.name} has no lateral force in steady state"
-        raise UsageError(reason, "choose a tire such as brush")
-    return axle
+    return AxleTire(source.model, tire, (layout, z, covariance), runs)

@@ -8,6 +8,7 @@ import numpy as np
 
 from tirefit.data.write import csv_text
 from tirefit.display import Record
+from tirefit.files import json_safe
 from tirefit.online.base import FLAGS, PARAMETERS, Flag, code
 from tirefit.online.methods import METHODS
 
@@ -102,7 +103,7 @@ class Estimates(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """``summary.json``."""
-        return {
+        content = {
             "schema": SCHEMA,
             "version": self.version,
             "seed": self.seed,
@@ -132,6 +133,7 @@ class Estimates(Record):
                 for name, method in self.methods.items()
             },
         }
+        return json_safe(content)
 
 
 def changes(time: np.ndarray, method: MethodEstimates) -> list[Change]:

@@ -10,8 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from tirefit import __version__
 from tirefit.data.write import csv_text
 from tirefit.display import Record
+from tirefit.files import json_safe
 from tirefit.precision import require_x64
 from tirefit.sim.brake import Log, simulate_stop
 from tirefit.sim.brake_plant import Plant
@@ -94,6 +96,7 @@ class Braking(Record):
     many: Mapping[str, Summary]
     seed: int
     version: str
+    notes: tuple[str, ...] = ()  # what may be meant otherwise
 
     def table(self) -> dict[str, dict[str, Any]]:
         """Controller -> number -> its mean and 95 % interval over the seeds."""
@@ -118,7 +121,7 @@ class Braking(Record):
             "units": UNITS, "meanings": MEANINGS, "manoeuvre": self.request.about(),
             "controllers": each,
         }  # fmt: skip
-        return head | ({"seeds": self.table()} if self.many else {})
+        return json_safe(head | ({"seeds": self.table()} if self.many else {}))
 
     def files(self, name: str = "") -> dict[str, str]:
         """``summary.json``, ``series.csv``; of several seeds ``stops.csv``."""
@@ -179,7 +182,7 @@ def many_stops(
     return jax.lax.map(one, (plants, keys), batch_size=_TOGETHER)
 
 
-def brake(
+def braked(
     request: Request,
     controllers: Mapping[str, Any],
     *,
@@ -201,8 +204,6 @@ def brake(
     """
     require_x64("a simulated stop")
     check(request)
-    from tirefit import __version__
-
     plant, sensors = plant_of(request), arrays(request.sensors)
     speed, wheels = jnp.asarray(request.speed, float), plant.vehicle.wheels
     done, many = {}, {}
