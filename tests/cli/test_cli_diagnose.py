@@ -22,9 +22,7 @@ NOISE, OFFSET, POWER = 20.0, 0.006, -0.3
 LOADS = (2000.0, 4000.0, 6000.0)
 # A small library compiles and searches in a fraction of the time.
 KEPT = ("slip_offset", "force_offset", "load_friction", "pressure_asymmetry")
-WITHOUT = [
-    word for e in EFFECTS if e.id not in KEPT for word in ("--without", e.id)
-]  # fmt: skip
+WITHOUT = [word for e in EFFECTS if e.id not in KEPT for word in ("--without", e.id)]
 READ = ["--convention", "iso-w", "--unit", "fx=kN", "--mask-bad-rows"]
 
 
@@ -222,9 +220,7 @@ def test_rows_match_the_file_in_its_own_convention(studied):
     given, rows = (
         rows_of(folder / name) for name in ("offset.csv", "out/offset.rows.csv")
     )
-    assert list(rows[0]) == [
-        "base_fx", "extended_fx", "gap_fx", "gap_fx_std", "masked"
-    ]  # fmt: skip
+    assert list(rows[0]) == ["base_fx", "extended_fx", "gap_fx", "gap_fx_std", "masked"]
     assert len(rows) == len(given) == 96
     masked = column(rows, "masked").astype(bool)
     assert np.flatnonzero(masked).tolist() == [3, 40]

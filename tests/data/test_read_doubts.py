@@ -53,7 +53,7 @@ def test_a_declared_convention_is_not_doubted(convention):
     "kappa",
     [np.linspace(*ends, 50) for ends in ((0, 0.4), (-8e-3, 0.4), (-2e-3, 2e-3))],
     ids=["braking", "braking with noise about zero", "hardly any slip"],
-)  # fmt: skip
+)
 def test_braking_slips_are_not_doubted(kappa):
     assert warned(frame(kappa)) == ()
 

@@ -143,9 +143,8 @@ def _draw_stop(all_axes, stop: Stop) -> None:
     if "reference_speed" in log.info:
         reference = log.info["reference_speed"][:, 0]
         all_axes[0].plot(
-            time, reference, color=DARK, linewidth=0.7, linestyle=":",
-            label="reference",
-        )  # fmt: skip
+            time, reference, color=DARK, linewidth=0.7, linestyle=":", label="reference"
+        )
     all_axes[3].plot(time, log.reading.deceleration, color=DARK, **lines)
     peak = {"color": GREY, "linewidth": 0.9, "linestyle": "--"}
     truth, of = log.reading.truth, f" ({names[0]})" if len(names) > 1 else ""

@@ -255,7 +255,7 @@ def draw_waterfall(figure, steps: list[WaterfallBar], channel: str = "") -> None
         axes,
         f"Budget{channel}: from the simulator's error to the noise",
         "parts add in squares; a bar is a share of their sum [90 % interval]",
-    )  # fmt: skip
+    )
 
 
 def panels_of(result: Diagnosis) -> dict[str, Callable]:

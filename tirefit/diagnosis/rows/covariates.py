@@ -252,5 +252,5 @@ def needs_met(
         "heading": np.std(np.cos(heading)) + np.std(np.sin(heading)) > 0.5,
         "a_y": varies("a_y"),
         "steering": varies("steering", _ANGLE) and (not derived or derived.steered),
-    }  # fmt: skip
+    }
     return frozenset(name for name, here in met.items() if here)
