@@ -72,7 +72,6 @@ class Estimates(Record):
     rows, convention, assumptions of the log.
     """
 
-    html_by: ClassVar[str] = "tirefit.report.estimates:estimates_html"
     text_by: ClassVar[str] = "tirefit.report.estimates:estimates_text"
     plot_by: ClassVar[str] = "tirefit.report.estimates:estimates_figure"
 

@@ -9,7 +9,6 @@ import numpy as np
 from tirefit.data.table import WHEELS
 from tirefit.params import check_names
 from tirefit.report.canvas import COLORS, DARK, GREY, Picture, panel_title, tidy
-from tirefit.report.html import table_fragment
 from tirefit.report.numbers import format_number, plain_text
 from tirefit.report.text import table
 from tirefit.sim.brake_request import tire_curve
@@ -91,11 +90,6 @@ def braking_text(result: Braking) -> str:
     notes = [f"  {note}" for note in _notes(result)]
     right = tuple(range(1, len(_asked(result)) + 1))
     return "\n".join([f"BRAKING {_head(result)}", *table(_rows(result), right), *notes])
-
-
-def braking_html(result: Braking) -> str:
-    """The same as a fragment of HTML, with the figure; for notebooks."""
-    return table_fragment(_rows(result), _notes(result), stop_figure(result), "braking")
 
 
 def plot_braking(result: Braking, what: str = "stop") -> Picture:

@@ -87,7 +87,6 @@ class Braking(Record):
     controller, empty for one stop; ``peak`` of the tire's curve: see the figures.
     """
 
-    html_by: ClassVar[str] = "tirefit.report.braking:braking_html"
     text_by: ClassVar[str] = "tirefit.report.braking:braking_text"
     plot_by: ClassVar[str] = "tirefit.report.braking:plot_braking"
 

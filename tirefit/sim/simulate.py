@@ -10,7 +10,7 @@ from tirefit.results import InputProblem, UsageError, did_you_mean
 from tirefit.sim.braking import SimulatedLog, simulate_braking
 from tirefit.sim.drive import simulate_drive
 from tirefit.sim.rig import simulate_rig
-from tirefit.sim.settings import KINDS, Settings
+from tirefit.sim.settings import KINDS
 
 _MADE: dict[str, Any] = {
     "braking": simulate_braking,
@@ -45,31 +45,18 @@ def simulate(kind: str = "braking", **settings) -> SimulatedLog:
     """
     require_x64("simulate")
     check_names("simulation", [kind], KINDS)
-    how = settings_of(kind, settings)
+    known = [one.name for one in fields(KINDS[kind])]
+    unknown = [
+        InputProblem(
+            f"{kind} has no setting {name!r}",
+            f"{did_you_mean(name, known)}it has {', '.join(known)}",
+        )
+        for name in settings
+        if name not in known
+    ]
+    UsageError.raise_for(unknown)
+    how = KINDS[kind](**settings)
+    UsageError.raise_for(how.problems())
     if kind == "rig":
         check_values(find_model(how.model), how.model, how.values)
     return _MADE[kind](how)
-
-
-def settings_of(kind: str, settings) -> Any:
-    """The settings of a kind, checked.
-
-    Raises:
-        UsageError: an unknown one, or a number out of its limits.
-    """
-    record = KINDS[kind]
-    known = [one.name for one in fields(record)]
-    unknown = [name for name in settings if name not in known]
-    if not unknown:
-        how: Settings = record(**settings)
-        UsageError.raise_for(how.problems())
-        return how
-    raise UsageError(
-        [
-            InputProblem(
-                f"{kind} has no setting {name!r}",
-                f"{did_you_mean(name, known)}it has {', '.join(known)}",
-            )
-            for name in unknown
-        ]
-    )

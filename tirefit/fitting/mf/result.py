@@ -57,7 +57,6 @@ class MagicFormulaFit(Record):
     """A Magic Formula fitted to measured rows; mappings are by force unless noted.
     ``binned`` holds the rows by setting and slip, for figures of a fresh fit."""
 
-    html_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_fragment"
     text_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_report"
     plot_by: ClassVar[str] = "tirefit.report.mf_draw:plot_magic_formula"
     page_by: ClassVar[str] = "tirefit.report.mf_draw:magic_formula_page"
