@@ -40,6 +40,8 @@ from tirefit.cli.options import (
 from tirefit.cli.prepare import prepare
 from tirefit.cli.replay import replay
 from tirefit.cli.simulate import app as simulate
+from tirefit.data.remote import expanded
+from tirefit.files import json_safe
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
 app = typer.Typer(
@@ -116,8 +118,6 @@ def inspect(
     parameters of which models it can tell."""
     from tirefit.data.inspect import inspect as look
     from tirefit.data.read import read
-    from tirefit.data.remote import expanded
-    from tirefit.files import json_safe
 
     with errors_to_exit(), merged_notes():
         how = read_options(options, read_config(options.config))

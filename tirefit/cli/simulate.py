@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from tirefit.cli.options import errors_to_exit, named_path, numbers, say, start_jax
+from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.settings import KINDS
 
@@ -99,8 +100,6 @@ def _file_problems(out: Path, truth: Path | None) -> list[InputProblem]:
 
 
 def _write(made, out: Path, truth: Path | None, seed: int) -> None:
-    from tirefit.files import write_texts
-
     measured, without_noise = made.files().values()
     write_texts({out: measured} | ({} if truth is None else {truth: without_noise}))
     rows = len(made.columns["time"])
