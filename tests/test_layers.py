@@ -14,7 +14,7 @@ FLOORS = {
     "files": 0,
     "padding": 0,
     "compiled": 1,
-    "display": 0,
+    "display": 1,
     "door": 1,
     "names": 0,
     "params": 1,

@@ -42,7 +42,7 @@ def test_inspect_counts_loads_runs_and_directions():
     assert report.runs[0].directions == ("sigma_x both signs",)
     assert report.runs[0].replicates == 11
     assert inspect(read_frame(sweep(repeats=1))).runs[0].replicates == 0
-    assert "2.0 kN (n=22)" in report.text()
+    assert "2.0 kN (n=22)" in report.summary()
     assert support(report, "fx from sigma_x").possible
     assert support(report, "load dependence").possible
     assert not support(report, "speed-dependent friction").possible
@@ -68,11 +68,11 @@ def test_combined_slip_is_described_and_not_promised():
     beyond = (abs(kappa / (1 - kappa)) > 0.01) & (abs(alpha) > 0.01)
     assert report.combined_rows == beyond.sum() > 10
     said = "combined slip: fx, fy with sigma_x and alpha varying together in"
-    text = " ".join(report.text().split())
+    text = " ".join(report.summary().split())
     assert f"{said} {beyond.sum()} rows fits these" in text
     assert "yes combined" not in text and "no combined" not in text
     pure = inspect(read_frame(frame | {"alpha": np.where(kappa > 0.09, alpha, 0)}))
-    assert 0 < pure.combined_rows < 10 and "combined" not in pure.text()
+    assert 0 < pure.combined_rows < 10 and "combined" not in pure.summary()
     assert inspect(read_frame(sweep())).combined_rows == 0
 
 
@@ -92,10 +92,10 @@ def test_the_report_fits_the_page_and_json(tmp_path):
     with path.open("a") as file:
         file.write("0.1,x,4000,1,1\n")
     report = inspect(read(path, mask_bad_rows=True))
-    assert max(map(len, report.text().splitlines())) <= 80
-    assert "row 24, column 'fx': 'x' is text" in report.text()
-    assert "22 used, 1 masked" in report.text()
-    loaded = json.loads(json.dumps(report.as_dict(), allow_nan=False))
+    assert max(map(len, report.summary().splitlines())) <= 80
+    assert "row 24, column 'fx': 'x' is text" in report.summary()
+    assert "22 used, 1 masked" in report.summary()
+    loaded = json.loads(json.dumps(report.to_dict(), allow_nan=False))
     assert loaded["rows"] == 23 and loaded["columns"][0]["name"] == "sigma_x"
     assert support(report, "a noise level that is known").possible
 

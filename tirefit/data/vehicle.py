@@ -17,6 +17,7 @@ from tirefit.data.units import Unit, known_unit, units_of
 from tirefit.door import read_toml
 from tirefit.results import InputProblem
 from tirefit.settings import Section, parse_settings
+from tirefit.slip import GRAVITY
 
 QUANTITIES = {
     "time": "time",
@@ -229,7 +230,7 @@ class Vehicle(Section):
     yaw_offset: float = 0.0
     sideslip_offset: float = 0.0
     h_cg: NonNegativeFloat | None = None  # [m]; None keeps the load static
-    gravity: PositiveFloat = 9.80665  # [m/s2]
+    gravity: PositiveFloat = GRAVITY  # [m/s2]
     driven: Literal["rear", "front", "all"] | None = None
     rear_share: Annotated[float, Field(ge=0, le=1)] | None = None
     drag: NonNegativeFloat | None = None  # over v^2 [kg/m]; None: none, hardly known
