@@ -29,6 +29,7 @@ _STABLE, _MOST_PARTS = 0.5, 50
 from one sample to the next."""
 
 _AT_ONCE = 1e-9  # time constant [s] of what follows at once
+_TOUCH = 1e-9  # play [rad] of none: both sides of the gap stay apart
 
 
 class Car(eqx.Module):
@@ -190,11 +191,12 @@ def predicted(
         )  # fmt: skip
 
     def onward(carried, given):
-        (speed, *_), (angle, *_) = along = given[:2]
-        change = given[2] if lags else held
+        speeds, angles, change = given
+        speed, change = speeds[0], change if lags else held
 
-        def steered(part):
-            return [cubic(part / parts, *four) for four in along]
+        def steered(part) -> tuple[Any, Any]:
+            share = part / parts
+            return cubic(share, *speeds), cubic(share, *angles)
 
         def slips(part, state):
             motion = state.v_y, state.yaw_rate
@@ -224,7 +226,7 @@ def predicted(
         return carried, carried[0]
 
     start = State(*(jnp.asarray(s, float) for s in start))
-    given = (_with_bends(v_x), _with_bends(steering), *((held,) if lags else ()))
+    given = _with_bends(v_x), _with_bends(steering), held if lags else None
     _, states = jax.lax.scan(onward, (start, jnp.zeros(2)), given)
     return jax.tree.map(lambda first, rest: jnp.append(first, rest), start, states)
 
@@ -270,3 +272,14 @@ def lagged(values, time, step: float):
     first = -time * rates[0]
     _, late = jax.lax.scan(onward, first, rates)
     return values + jnp.append(first, late)
+
+
+def with_play(values, half: float):
+    """Values (n,) of what stays until these have left it by more than ``half``."""
+    half = half + _TOUCH
+
+    def onward(held, value):
+        held = jnp.clip(held, value - half, value + half)
+        return held, held
+
+    return jax.lax.scan(onward, values[0], values)[1]

@@ -28,7 +28,7 @@ from tirefit.vehicle.car import car_of
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
 from tirefit.vehicle.evidence import PARAMETERS, SHAPES, Base, Cut, Fit, Model
 from tirefit.vehicle.search import findings, searched
-from tirefit.vehicle.shooting import CHANNELS, Data, windows_of
+from tirefit.vehicle.shooting import CHANNELS, windows_of
 from tirefit.vehicle.windows import cut_logs, known_vehicle, steering_problems
 
 WINDOW = 1.0
@@ -147,8 +147,8 @@ def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
         rows.append(_samples(motion, own, vehicle, tires, passed))
         log.append(np.full(len(own), number))
         passed += float(motion.time[-1] - motion.time[0])
-    joined = Data(*(np.concatenate(part) for part in zip(*data, strict=True)))
-    joint = Samples(*(np.concatenate(part) for part in zip(*rows, strict=True)))
+    joined = jax.tree.map(lambda *part: np.concatenate(part), *data)
+    joint = jax.tree.map(lambda *part: np.concatenate(part), *rows)
     speed = joint.speed / np.mean(joint.speed)
     joint = joint._replace(speed=speed, time=joint.time / passed - 0.5)
     has = {"heading"} if vehicle.columns.motion == POSE else {"rates"}
@@ -212,7 +212,7 @@ def _amplitudes(base: Base, fit: Fit) -> dict[str, Amplitude]:
 def _words(base: Base, fit: Fit) -> dict[str, str]:
     atoms = [base.model.atoms[k] for k in fit.atoms]
     return {
-        atom.effect.id: atom.effect.which(atom.constants, base.cut.rows, None)
+        atom.effect.id: atom.effect.which(atom.constants, base.cut.rows, None)  # type: ignore
         for atom in atoms
         if atom.effect.which
     }

@@ -21,6 +21,7 @@ class Steering(NamedTuple):
     offset: Any = 0.0  # added to the wheel angle [rad]
     delay: Any = 0.0  # [s]
     lag: Any = 0.0  # time constant [s]
+    play: Any = 0.0  # half of the gap [rad]
     yields: Any = 0.0  # wheel angle lost per g of lateral acceleration [rad]
 
 
@@ -168,6 +169,16 @@ STEERING = (
         remedy="put a first-order lag before the wheels in the simulator",
         looks_like=("steering_delay", "relaxation_length"),
         told_apart_by="steering steps: a delay moves the whole answer, a lag rounds it",
+    ),
+    Effect(
+        id="steering_play", of="vehicle", family="steering play", scale=0.01,
+        unit="rad", change=_adds("steering", "play", lambda a, c, rows: a),
+        formula="the wheels stay until the steering has moved by amplitude",
+        bounds=((0.0, 0.2),), means="the steering has play, or sticks",
+        remedy="add play (backlash) between steering and wheels to the simulator",
+        looks_like=("steering_delay", "steering_lag"),
+        told_apart_by="slow steering to and fro: a delay shrinks with the pace, play"
+        " does not",
     ),
     Effect(
         id="compliance_steer", of="vehicle", family="steering compliance", scale=0.02,

@@ -30,6 +30,7 @@ from tirefit.vehicle.car import (
     predicted,
     slip_angles,
     steps_a_sample,
+    with_play,
 )
 from tirefit.vehicle.effects import Samples, Setting, scaled_axles
 from tirefit.vehicle.shooting import Data, minimised
@@ -44,6 +45,9 @@ MOST = 3
 """Most effects of a set."""
 
 _TIRES = len(PARAMETERS)
+_MOST_OFF = 1.5
+"""Largest logarithm of a factor on a tire."""
+
 _LEAST_WINDOWS = 48
 """Number of windows that a diagnosis is compiled for: few windows share it."""
 
@@ -117,7 +121,8 @@ class Model(NamedTuple):
             setting = scaled_axles(setting, name, factors[:, k])
         for k, atom in enumerate(self.atoms):
             amplitude = self.scales[k] * z[_TIRES + k]
-            setting = atom.change(setting, amplitude, rows)  # type: ignore[arg-type]
+            # A library of its own has a state of its own.
+            setting = atom.change(setting, amplitude, rows)  # type: ignore
         own = z[_TIRES + len(self.atoms) :].reshape(2, -1)
         front, rear = (shapes @ one * rows.weight for one in own)
         car = setting.car
@@ -134,7 +139,8 @@ class Model(NamedTuple):
         steer = setting.steering
         step, parts = grid
         angle = delayed(window.steering, steer.delay / step)
-        angle = lagged(angle, steer.lag, step)[-len(window.v_x) :]
+        angle = with_play(lagged(angle, steer.lag, step), steer.play)
+        angle = angle[-len(window.v_x) :]
         angle = angle * steer.ratio + steer.offset - steer.yields * rows.across
         whole = State(*start, *jnp.zeros(5 - len(start)))
         found = predicted(car, whole, window.v_x, angle, step, parts, setting.car)
@@ -357,7 +363,7 @@ class Base:
         pull = np.array([FLAT] * _TIRES + [1.0] * MOST)
         sides = [
             np.concatenate([[side] * _TIRES, own[list(atoms)], [0.0] * fill])
-            for side, own in ((-np.inf, self.low), (np.inf, self.high))
+            for side, own in ((-_MOST_OFF, self.low), (_MOST_OFF, self.high))
         ]
         own, starts, now, _ = minimised(
             run, jnp.asarray(begin), starts, run(begin, starts, None), None,
@@ -378,7 +384,8 @@ class Base:
         # Half of the prior is gone where one sign alone is physical.
         sided = np.where(self.one_sided[list(fit.atoms)], np.log(2), 0.0)
         side = sided + np.where(sided > 0, log_ndtr(np.abs(off) / error), 0.0)
-        return float(-0.5 * (square + curvature) + side.sum())
+        found = float(-0.5 * (square + curvature) + side.sum())
+        return found if np.isfinite(found) else -np.inf
 
     def everything(self, fit: Fit) -> Products:
         """Products of all columns at a fit."""

@@ -32,6 +32,10 @@ _WEAK = 3.0
 _LOST = 10.0
 """Log evidence that no further effect can cost where its fit has found the minimum."""
 
+_FAR = 0.3
+"""Logarithm of a factor on the tires from which a fit with one effect more is tried
+from the tires as given, too."""
+
 _BLOCKS = 8
 """Parts of the time that are left out in turn."""
 
@@ -49,8 +53,9 @@ class _Search:
     """Fits of sets of atoms so far, with the products of all columns at some."""
 
     def __init__(self, base: Base, null: Fit):
-        self.base, self.fits = base, {(): null}
-        self.whole = {(): base.everything(null)}
+        self.base = base
+        self.fits: dict[tuple[int, ...], Fit] = {(): null}
+        self.whole = {null.atoms: base.everything(null)}
         self.ids = [atom.effect.id for atom in base.model.atoms]
         self.variants = Counter(self.ids[k] for k in base.testable)
         self.alone = base.one_more(null, self.whole[()])
@@ -77,12 +82,15 @@ class _Search:
         total = self.whole[parent.atoms].of(slice(None)).some(own)
         z[own] += total.step(pull, z[own])
         z[first + more] = np.clip(z[first + more], base.low[more], base.high[more])
-        fit = base.fitted(atoms, z, parent.starts)
-        if fit.log_evidence < parent.log_evidence - _LOST:
+        fits = [base.fitted(atoms, z, parent.starts)]
+        if fits[0].log_evidence < parent.log_evidence - _LOST:
             # The linearisation leads astray.
-            other = base.fitted(atoms, parent.z, parent.starts)
-            fit = max(fit, other, key=lambda one: one.log_evidence)
-        self.fits[atoms] = fit
+            fits.append(base.fitted(atoms, parent.z, parent.starts))
+        if np.max(np.abs(parent.z[:first])) > _FAR:
+            # The tires of a fit without the effect bend to stand in for it.
+            z = np.where(np.arange(len(z)) < first, 0.0, parent.z)
+            fits.append(base.fitted(atoms, z, self.base.cut.data.start))
+        self.fits[atoms] = max(fits, key=lambda one: one.log_evidence)
 
     def best(self, size: int, count: int) -> list[Fit]:
         """The most probable fits of a size, one for each set of effects."""

@@ -81,7 +81,7 @@ def predictions(
     return weighed, out._replace(climbed=climb)
 
 
-def parts_of(key: Key) -> list[Key]:
+def parts_of(key: tuple) -> list[tuple]:
     """A set of effects and the sets of some of them, the largest first."""
     sizes = range(len(key), 0, -1)
     return list(chain.from_iterable(combinations(key, size) for size in sizes))

@@ -4,7 +4,7 @@ and weighed alone and beside a discrepancy, which no listed effect explains."""
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp, softmax
@@ -112,7 +112,7 @@ class Weighed:
     another form; ``hidden`` is the probability of sets that are too improbable to be
     refitted and that these data could not show."""
 
-    best_of: Mapping[Key, Hypothesis]
+    best_of: Mapping[Key, Any]
     log_weight: Mapping[Key, float]
     log_beside: Mapping[Key, float]
     evidence: Mapping[Key, float]
