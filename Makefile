@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: install demo docs test statistics notebooks bench withheld withheld-full measured ablate calibration friction-benchmark fuzz braking posterior-peers lint types clean
+.PHONY: install demo docs dist test statistics notebooks bench withheld withheld-full measured ablate calibration friction-benchmark fuzz braking posterior-peers lint types clean
 
 install: $(STAMP)
 
@@ -35,6 +35,12 @@ statistics: install
 docs: export NO_MKDOCS_2_WARNING = 1
 docs: install
 	$(BIN)/python -m mkdocs build
+
+# The wheel and the source archive, in dist/, and whether an index would take them.
+dist: install
+	rm -rf dist
+	$(BIN)/python -m build --no-isolation
+	$(BIN)/twine check --strict dist/*
 
 notebooks: install
 	$(BIN)/python fits/run_notebooks.py

@@ -14,7 +14,7 @@ FLOORS = {
     "files": 0,
     "padding": 0,
     "compiled": 1,
-    "display": 0,
+    "display": 1,
     "door": 1,
     "names": 0,
     "params": 1,
@@ -27,10 +27,10 @@ FLOORS = {
     "online": 3,
     "diagnosis": 4,
     "sim": 4,
-    "vehicle": 4,
-    "report": 5,
-    "targets": 5,
-    "cli": 6,
+    "vehicle": 5,
+    "report": 6,
+    "targets": 6,
+    "cli": 7,
 }
 
 # Third party -> where it may be imported, at the top or inside a function.

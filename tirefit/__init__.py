@@ -7,7 +7,7 @@ import tirefit
 data = tirefit.read("sweep.csv")
 fit = tirefit.sample(tirefit.fit(data, "brush-d"))
 print(fit)
-tirefit.plot_fit(fit)
+fit.plot()
 
 Sources
 -------
@@ -92,25 +92,17 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "fitting.mf.fit": ["fit_magic_formula"],
         "fitting.posterior": ["sample"],
         "fitting.predict": ["predict"],
-        "fitting.store": ["load_fit", "save_fit"],
+        "fitting.store": ["load_fit"],
         "online.estimate": ["estimate"],
         "online.methods": ["METHODS"],
         "models": ["MODELS", "TireInputs", "forces"],
         "params": ["parameter_values", "with_values"],
         "targets.export": ["export"],
-        "report.diagnosis_draw": ["plot_diagnosis"],
-        "report.fit_html": ["write_fit_page"],
         "report.fits_html": ["write_fits_page"],
-        "report.plots": [
-            "compare",
-            "plot_corner",
-            "plot_fit",
-            "plot_profile",
-            "plot_residuals",
-            "plot_runs",
-            "plot_trace",
-        ],
+        "report.plots": ["compare"],
         "results": ["DataError", "UsageError"],
+        "sim.manoeuvre": ["brake"],
+        "sim.simulate": ["simulate"],
         "vehicle.replay": ["replay"],
         "vehicle.trajectory": ["fit_trajectory"],
     },

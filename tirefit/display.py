@@ -1,26 +1,92 @@
-"""How a record finds its picture without its room knowing the report room.
+"""What every result can do: print, be drawn, be saved, show itself in a notebook.
 
-Records live on low floors, their text and HTML are made on the report floor. A record
-names the functions; they are looked up when a notebook or ``print`` asks.
+Records live on low floors, their text and figures are made on the report floor. A
+record names the functions; they are looked up when a notebook, ``print`` or a caller
+asks.
 """
 
 import importlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, ClassVar
 
+from tirefit.files import json_text, write_texts
 
-def _made_by(place: str, record: Any) -> str:
+
+def _made_by(place: str, *given, **named) -> Any:
     module, _, function = place.partition(":")
-    return getattr(importlib.import_module(module), function)(record)
+    return getattr(importlib.import_module(module), function)(*given, **named)
 
 
 class Displayed:
-    """A record with a rich notebook form, and a text form where one is named."""
+    """A record with a rich notebook form."""
 
-    html_by: ClassVar[str]
-    text_by: ClassVar[str | None] = None
+    html_by: ClassVar[str] = "tirefit.report.html:record_fragment"
 
     def _repr_html_(self) -> str:
         return _made_by(self.html_by, self)
 
+
+class Record(Displayed):
+    """A result: its text, numbers, files and figures, by the same names in all."""
+
+    text_by: ClassVar[str]
+    plot_by: ClassVar[str]
+    page_by: ClassVar[str] = "tirefit.report.html:record_page"
+    save_by: ClassVar[str] = "tirefit.display:save_files"
+
     def __str__(self) -> str:
-        return _made_by(self.text_by, self) if self.text_by else repr(self)
+        return self.summary()
+
+    def summary(self, **how) -> str:
+        """The report as text, as the command prints it."""
+        return _made_by(self.text_by, self, **how)
+
+    def plot(self, *what, **how):
+        """The figure; ``what`` names one of several, where there are several."""
+        return _made_by(self.plot_by, self, *what, **how)
+
+    def to_dict(self) -> dict[str, Any]:
+        """All numbers, as the JSON document has them."""
+        raise NotImplementedError
+
+    def to_json(self) -> str:
+        """The text of the JSON document; numbers that are not finite become null."""
+        return json_text(self.to_dict())
+
+    def files(self, name: str) -> Mapping[str, str]:
+        """File name -> content, of all that :meth:`save` writes into a folder.
+
+        Args:
+            name: how files that carry the name of the data begin.
+        """
+        raise NotImplementedError
+
+    def save(self, path: str | os.PathLike, name: str = "") -> list[Path]:
+        """Write the files of the command, or one page; each whole or not at all.
+
+        Args:
+            path: a folder, which is made; or the page, a name that ends in ``.html``.
+            name: how files that carry the name of the data begin; that of the data by
+                default.
+
+        Returns:
+            the files written.
+
+        Raises:
+            OSError: a file cannot be written.
+        """
+        path = Path(path)
+        if path.suffix == ".html":
+            write_texts({path: _made_by(self.page_by, self)})
+            return [path]
+        path.mkdir(parents=True, exist_ok=True)
+        return _made_by(self.save_by, self, path, *([name] if name else []))
+
+
+def save_files(record: Record, folder: Path, name: str = "") -> list[Path]:
+    """Write :meth:`Record.files` into a folder."""
+    texts = {folder / file: text for file, text in record.files(name).items()}
+    write_texts(texts)
+    return list(texts)

@@ -98,5 +98,5 @@ EFFECT_NAMES = (
     "force_offset_run",
     "friction_run",
     "stiffness_run",
-)  # fmt: skip
+)
 """The id of every effect of ``tirefit diagnose``."""

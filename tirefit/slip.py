@@ -25,6 +25,8 @@ converted at the border only, by the signs of :data:`CONVENTIONS`.
 
 from typing import NamedTuple
 
+GRAVITY = 9.80665  # standard acceleration of free fall [m/s2]
+
 LOCKED = 1e6
 """Physical slip that stands for a locked wheel (kappa = 1, where sigma is infinite)."""
 

@@ -99,11 +99,11 @@ def stops(case: str, asked) -> list[dict]:
     """Numbers of ``tirefit brake`` by controller and road; figures of seed 0."""
     from tirefit.report.braking import compare_figure, paths_figure, stop_figure
     from tirefit.report.canvas import save_picture
-    from tirefit.sim.brake_result import Braking, brake
+    from tirefit.sim.brake_result import Braking, braked
 
     road, speed, tire, limit = CASES[case][0]
     request, controllers = made(road, speed, tire, limit)
-    result = brake(request, controllers, stops=asked.stops)
+    result = braked(request, controllers, stops=asked.stops)
     two = {name: result.stops[name] for name in ("xbs-servo", "abs")}
     shown = Braking(request, two, {}, result.seed, result.version)
     for draw in (stop_figure, compare_figure, paths_figure):

@@ -4,7 +4,7 @@
 Hz, with the vehicle file of ``dart_rear_axle`` that corrects the heading: what the
 simulator was fitted to. ``free_driving.csv``: the two logs of 16 September as they
 were logged, heading and all. Every twentieth row is written, rounded to 0.01 mrad and
-0.1 mN.
+0.1 mN. Fewer of these rows are the samples of ``tirefit demo``.
 """
 
 import csv
@@ -23,6 +23,9 @@ DAYS = {
 """Table -> folder of its logs, and folder of the vehicle file."""
 EVERY = 20
 """Rows of 0.01 s from one written row to the next."""
+SAMPLED = {"circles": 4, "free_driving": 2}
+"""Written rows from one row of a sample to the next."""
+SAMPLES = HERE.parents[1] / "tirefit" / "samples"
 
 
 def main() -> None:
@@ -34,7 +37,10 @@ def main() -> None:
             with whole.open() as file:
                 next(file)  # it states the convention
                 rows = list(csv.DictReader(file))
-        (HERE / f"{name}.csv").write_text("\n".join(thinned(rows, EVERY)) + "\n")
+        header, *lines = thinned(rows, EVERY)
+        (HERE / f"{name}.csv").write_text("\n".join([header, *lines]) + "\n")
+        few = ["# convention: braking", header, *lines[:: SAMPLED[name]]]
+        (SAMPLES / f"{name}.csv").write_text("\n".join(few) + "\n")
 
 
 if __name__ == "__main__":

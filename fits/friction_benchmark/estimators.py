@@ -16,9 +16,7 @@ from tirefit.online.run import run
 from tirefit.params import parameter_values, with_values
 from tirefit.sim.braking import LOAD, STIFFNESS, source_tire
 
-__all__ = [
-    "Answer", "lacking", "matched_lugre", "settings_of", "surprises", "traces",
-]  # fmt: skip
+__all__ = ["Answer", "lacking", "matched_lugre", "settings_of", "surprises", "traces"]
 
 
 class Answer(NamedTuple):

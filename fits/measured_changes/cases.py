@@ -79,8 +79,7 @@ def _of_dart():
                "slip zero +10 mrad put in", ("slip_offset",))  # fmt: skip
     yield Case("dart_yaw_late", "f", CHOOSING, _dart(**right, late={"vicon yaw": 0.01}),
                "yaw read 10 ms late", (".*delay.*|tracked_point",))  # fmt: skip
-    yield Case("dart_halves", "b", CHOOSING, odd, CONTROL, fitted_on=even,
-               change=SAME)  # fmt: skip
+    yield Case("dart_halves", "b", CHOOSING, odd, CONTROL, fitted_on=even, change=SAME)
     yield Case("dart_floor", "d", CHOOSING, free, "another floor and day",
                fitted_on=circles, change={"mu": True})  # fmt: skip
     yield Case("dart_floors", "d", CHOOSING, _dart(**right, runs="set"),
@@ -107,8 +106,7 @@ def _of_one_set(s: str):
     light = _car(s, part="odd", scaled={"fz": 0.8})
     yield Case(f"{s}_load", "g", use, light, "load 20 % too low, on the odd tenths",
                fitted_on=even, change={"mu": True, "cpa2": False})  # fmt: skip
-    yield Case(f"{s}_halves", "b", use, odd, CONTROL, fitted_on=even,
-               change=SAME)  # fmt: skip
+    yield Case(f"{s}_halves", "b", use, odd, CONTROL, fitted_on=even, change=SAME)
 
 
 def _of_both():

@@ -34,13 +34,13 @@ _MAGIC = {"B": 10.0, "C": 1.6, "D": 0.9, "E": -0.5}
 CASES = {
     "brush": Case("brush", _BRUSH, 0.3, "brush, to full sliding"),
     "brush-low": Case(
-        "brush", _BRUSH, largest_slip(0.6, _BRUSH["cpa2"], _BRUSH["mu"], FZ.min()),
+        "brush",
+        _BRUSH,
+        largest_slip(0.6, _BRUSH["cpa2"], _BRUSH["mu"], FZ.min()),
         "brush, 60 % of the friction used",
     ),
-    "magic-formula": Case(
-        "magic-formula", _MAGIC, 0.3, "Magic Formula, past the peak"
-    ),
-}  # fmt: skip
+    "magic-formula": Case("magic-formula", _MAGIC, 0.3, "Magic Formula, past the peak"),
+}
 
 
 def synthetic(case: Case, seed: int) -> TireData:

@@ -70,7 +70,7 @@ def _settled(lines: list[dict[str, str]], method: str) -> str:
             int(line["set"]): float(line["said"])
             for line in lines
             if line["method"] == name
-        }  # fmt: skip
+        }
 
     longer, once = elbo(f"{method}, 3 x"), elbo(method)
     gain = [longer[k] - once[k] for k in longer]

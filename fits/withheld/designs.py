@@ -122,9 +122,7 @@ def _slalom(design: Design, n: int, generator):
     return time, np.zeros(n, int), design.highest * wave, fz, v
 
 
-_ORDERS = {
-    "random": _steady, "sweeps": _sweeps, "pulses": _pulses, "slalom": _slalom,
-}  # fmt: skip
+_ORDERS = {"random": _steady, "sweeps": _sweeps, "pulses": _pulses, "slalom": _slalom}
 
 
 def make_world(design: Design, n: int, c: float, mu: float, generator) -> World:

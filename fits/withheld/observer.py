@@ -215,9 +215,7 @@ def beliefs(x: Inputs, evidences: dict[tuple[str, ...], float]) -> dict:
     two = sum(a != b for k, a in enumerate(families) for b in families[:k])
     sets = {0: 1, 1: len(families), 2: max(two, 1)}
     keys = list(evidences)
-    logs = [
-        evidences[k] + np.log(DRAWN[len(k)] / sets[len(k)]) for k in keys
-    ]  # fmt: skip
+    logs = [evidences[k] + np.log(DRAWN[len(k)] / sets[len(k)]) for k in keys]
     return dict(zip(keys, softmax(logs).tolist(), strict=True))
 
 

@@ -22,9 +22,7 @@ NOISE, OFFSET, POWER = 20.0, 0.006, -0.3
 LOADS = (2000.0, 4000.0, 6000.0)
 # A small library compiles and searches in a fraction of the time.
 KEPT = ("slip_offset", "force_offset", "load_friction", "pressure_asymmetry")
-WITHOUT = [
-    word for e in EFFECTS if e.id not in KEPT for word in ("--without", e.id)
-]  # fmt: skip
+WITHOUT = [word for e in EFFECTS if e.id not in KEPT for word in ("--without", e.id)]
 READ = ["--convention", "iso-w", "--unit", "fx=kN", "--mask-bad-rows"]
 
 
@@ -222,9 +220,7 @@ def test_rows_match_the_file_in_its_own_convention(studied):
     given, rows = (
         rows_of(folder / name) for name in ("offset.csv", "out/offset.rows.csv")
     )
-    assert list(rows[0]) == [
-        "base_fx", "extended_fx", "gap_fx", "gap_fx_std", "masked"
-    ]  # fmt: skip
+    assert list(rows[0]) == ["base_fx", "extended_fx", "gap_fx", "gap_fx_std", "masked"]
     assert len(rows) == len(given) == 96
     masked = column(rows, "masked").astype(bool)
     assert np.flatnonzero(masked).tolist() == [3, 40]
@@ -424,11 +420,10 @@ def test_data_not_used_check_the_closure(again, tmp_path):
 def test_nothing_is_half_written(again, tmp_path, monkeypatch):
     before = contents(tmp_path / "out")
 
-    def full(result, path):
-        path.write_text("<html>")
+    def full(result):
         raise OSError(28, "disk full")
 
-    monkeypatch.setattr("tirefit.report.diagnosis_html.write_page", full)
+    monkeypatch.setattr("tirefit.report.diagnosis_html.diagnosis_page", full)
     result = again("load.csv", "--figures", "--seed", "5", exit_code=2)
     assert "disk full" in result.stderr
     assert contents(tmp_path / "out") == before
@@ -439,11 +434,12 @@ def test_a_first_result_is_not_half_written(again, tmp_path, monkeypatch):
     shutil.copy(tmp_path / "load.csv", tmp_path / "new.csv")
     before = contents(tmp_path / "out")
 
-    def full(path, text):
+    def full(texts):
+        path, text = next(iter(texts.items()))
         path.write_text(text[:10])
         raise OSError(28, "disk full")
 
-    monkeypatch.setattr("tirefit.diagnosis.summary.result.write_text_atomic", full)
+    monkeypatch.setattr("tirefit.display.write_texts", full)
     again("new.csv", exit_code=2)
     assert contents(tmp_path / "out") == before
 

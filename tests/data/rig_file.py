@@ -81,9 +81,7 @@ TYDEX_CHANNELS = [  # name, comment, unit, column, factor, offset, physical offs
     ("TYRETEMP", "Temperature of the tread", "deg C", "temperature", 1, 0, 0),
 ]
 _ISO = {"fx": -1, "fy": -1, "mz": -1}
-_TYDEX_UNITS = {
-    "v": 1 / 3.6, "omega": 2 * np.pi / 60, "alpha": DEG, "fy": 1e3,
-}  # fmt: skip
+_TYDEX_UNITS = {"v": 1 / 3.6, "omega": 2 * np.pi / 60, "alpha": DEG, "fy": 1e3}
 
 
 def tydex(columns, per_line=8, missing=()):

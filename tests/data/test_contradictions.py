@@ -36,7 +36,7 @@ DRIVES = {
     "hardly turns": {"bend": 0.05},
     "straight": {"bend": 1e-6},
     "gently": {"bend": 0.15, "bend_period": 8.0},
-    "slow": {"bend": 0.5, "v": 10.0, "bend_period": 8.0},
+    "slow": {"bend": 0.5, "speed": 10.0, "bend_period": 8.0},
 }
 
 
@@ -44,9 +44,7 @@ DRIVES = {
 def driven(name="turns and brakes"):
     """Columns of the car's true motion."""
     truth = simulate_drive(Drive(duration=40.0, **DRIVES[name])).truth
-    order = (
-        "v", "v_y", "yaw_rate", "a_y", "a_x", "steering", "x", "y", "heading",
-    )  # fmt: skip
+    order = ("v", "v_y", "yaw_rate", "a_y", "a_x", "steering", "x", "y", "heading")
     return {"time": truth["time"]} | {
         f"c{k + 1}": np.array(truth[quantity]) for k, quantity in enumerate(order)
     }
@@ -117,15 +115,15 @@ IN_RATES = {
     "a_y for the yaw rate": (exchange("c3", "c4"), "a_y and yaw_rate stand for each"),
     "dead a_y": (times(c4=0), "a_y does not follow v_x r + dv_y/dt"),
     "odd scale": (times(c4=6), "times v_x r, which no unit explains"),
-}  # fmt: skip
+}
 REMEDIES = {
-    "speeds in km/h": '--unit v_x=km/h --unit v_y=km/h',
+    "speeds in km/h": "--unit v_x=km/h --unit v_y=km/h",
     "a_y in g": 'say a_y = "g" in [units] of vehicle.toml, or --unit a_y=g',
     "both": 'yaw_rate = "-deg/s"',
     "yaw rate clockwise": 'yaw_rate = "-rad/s"',
     "speeds exchanged": 'v_x = "c2", v_y = "c1"',
     "dead a_y": "derive with --believe",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("fault", IN_RATES)
@@ -156,7 +154,7 @@ IN_POSES = {
     "accelerations in g": (times(c4=0.10197, c5=0.10197), "a_x and a_y are in g"),
     "yaw rate clockwise": (times(c3=-1), "yaw_rate has the other sign"),
     "accelerations exchanged": (exchange("c4", "c5"), "a_x and a_y stand for each"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("fault", IN_POSES)

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from tirefit import slip
+from tirefit.data.derive import derive
 from tirefit.data.inspect import inspect
 from tirefit.data.read import read, read_frame
+from tirefit.data.vehicle import load_vehicle
 from tirefit.data.write import (
     output_problems,
     prediction_table,
@@ -16,6 +18,7 @@ from tirefit.data.write import (
     to_convention,
     write_csv,
 )
+from tirefit.results import DataError
 
 RNG = np.random.default_rng(11)
 
@@ -39,7 +42,7 @@ def test_inspect_counts_loads_runs_and_directions():
     assert report.runs[0].directions == ("sigma_x both signs",)
     assert report.runs[0].replicates == 11
     assert inspect(read_frame(sweep(repeats=1))).runs[0].replicates == 0
-    assert "2.0 kN (n=22)" in report.text()
+    assert "2.0 kN (n=22)" in report.summary()
     assert support(report, "fx from sigma_x").possible
     assert support(report, "load dependence").possible
     assert not support(report, "speed-dependent friction").possible
@@ -65,11 +68,11 @@ def test_combined_slip_is_described_and_not_promised():
     beyond = (abs(kappa / (1 - kappa)) > 0.01) & (abs(alpha) > 0.01)
     assert report.combined_rows == beyond.sum() > 10
     said = "combined slip: fx, fy with sigma_x and alpha varying together in"
-    text = " ".join(report.text().split())
+    text = " ".join(report.summary().split())
     assert f"{said} {beyond.sum()} rows fits these" in text
     assert "yes combined" not in text and "no combined" not in text
     pure = inspect(read_frame(frame | {"alpha": np.where(kappa > 0.09, alpha, 0)}))
-    assert 0 < pure.combined_rows < 10 and "combined" not in pure.text()
+    assert 0 < pure.combined_rows < 10 and "combined" not in pure.summary()
     assert inspect(read_frame(sweep())).combined_rows == 0
 
 
@@ -89,10 +92,10 @@ def test_the_report_fits_the_page_and_json(tmp_path):
     with path.open("a") as file:
         file.write("0.1,x,4000,1,1\n")
     report = inspect(read(path, mask_bad_rows=True))
-    assert max(map(len, report.text().splitlines())) <= 80
-    assert "row 24, column 'fx': 'x' is text" in report.text()
-    assert "22 used, 1 masked" in report.text()
-    loaded = json.loads(json.dumps(report.as_dict(), allow_nan=False))
+    assert max(map(len, report.summary().splitlines())) <= 80
+    assert "row 24, column 'fx': 'x' is text" in report.summary()
+    assert "22 used, 1 masked" in report.summary()
+    loaded = json.loads(json.dumps(report.to_dict(), allow_nan=False))
     assert loaded["rows"] == 23 and loaded["columns"][0]["name"] == "sigma_x"
     assert support(report, "a noise level that is known").possible
 
@@ -193,3 +196,44 @@ def test_a_prediction_table_returns_a_locked_wheel_and_every_digit():
     assert list(table) == ["kappa", "alpha", "fz", "fx"]
     assert table["kappa"] == kappa.tolist() and table["fz"] == [4.1] * 4
     np.testing.assert_allclose(table["alpha"], kappa / 7, rtol=1e-11)
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"t": "time", "vx [km/h]": "v_x", "vy": "v_y", "gyro_z": "yaw_rate"},
+        {"car time": "time", "car x": "x", "car y": "y", "car yaw": "yaw"},
+        {"time": "time", "v_x": "v_x", "v_y": "v_y", "r": "yaw_rate", "ay": "a_y"},
+    ],
+)
+def test_the_log_of_a_vehicle_is_told_the_next_command(tmp_path, columns):
+    """The vehicle file that the message shows derives the log, as it stands."""
+    time = np.arange(0, 20, 0.01)
+    turn = 0.3 * np.sin(0.7 * time)
+    of = {
+        "time": time, "v_x": 10 + 0 * time, "v_y": 0.1 * turn, "yaw_rate": turn,
+        "a_y": 10 * turn + np.gradient(0.1 * turn, time), "yaw": 0 * time,
+        "x": 10 * time, "y": 0.01 * np.sin(time),
+    }  # fmt: skip
+    path = tmp_path / "log.csv"
+    of["v_x"] = of["v_x"] * (3.6 if "vx [km/h]" in columns else 1)
+    rows = np.column_stack([of[name] for name in columns.values()])
+    np.savetxt(path, rows, "%.6f", ",", header=",".join(columns), comments="")
+    with pytest.raises(DataError) as caught:
+        read(path)
+    (problem,) = caught.value.problems
+    assert "this is the log of a vehicle" in problem.reason
+    assert problem.remedy.startswith(f"tirefit derive {path} --vehicle vehicle.toml")
+    toml = tmp_path / "vehicle.toml"
+    toml.write_text(problem.remedy.partition("\n")[2])
+    vehicle = load_vehicle(toml)
+    given = vehicle.columns.model_dump(exclude_none=True)
+    assert given == {name: header for header, name in columns.items()}
+    assert len(derive(path, vehicle)) > 1000
+
+
+def test_a_rig_without_a_force_is_no_vehicle(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text("t,alpha,x,y,yaw\n0,1,2,3,4\n1,1,2,3,4\n")
+    with pytest.raises(DataError, match="no force: one of fx, fy, mz is needed"):
+        read(path)

@@ -12,9 +12,7 @@ from tirefit.data.table import join
 def test_one_sentence_for_all_files_and_names_for_few():
     said = [(f"run{i:02d}", ["no column gamma"]) for i in range(72)]
     said[4] = ("run04", ["no column gamma", "row 3 read as units"])
-    assert merged(said) == [
-        "72 files: no column gamma", "run04: row 3 read as units",
-    ]  # fmt: skip
+    assert merged(said) == ["72 files: no column gamma", "run04: row 3 read as units"]
     half = [(name, texts if i % 2 else []) for i, (name, texts) in enumerate(said)]
     assert merged(half) == ["36 of 72 files: no column gamma"]
 

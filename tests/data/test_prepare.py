@@ -10,9 +10,7 @@ from tirefit.data.prepare.set_points import Settings, setting_names
 from tirefit.data.read import read_frame
 from tirefit.results import DataError, UsageError
 
-OF_A_CAR = {
-    "alpha": -0.2, "fz": 3000.0, "gamma": 0.0, "pressure": 2e5, "v": 20.0,
-}  # fmt: skip
+OF_A_CAR = {"alpha": -0.2, "fz": 3000.0, "gamma": 0.0, "pressure": 2e5, "v": 20.0}
 
 
 def prepared(columns, **config):

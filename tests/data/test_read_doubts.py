@@ -53,7 +53,7 @@ def test_a_declared_convention_is_not_doubted(convention):
     "kappa",
     [np.linspace(*ends, 50) for ends in ((0, 0.4), (-8e-3, 0.4), (-2e-3, 2e-3))],
     ids=["braking", "braking with noise about zero", "hardly any slip"],
-)  # fmt: skip
+)
 def test_braking_slips_are_not_doubted(kappa):
     assert warned(frame(kappa)) == ()
 
@@ -254,14 +254,14 @@ def test_warnings_stand_in_the_inspection_and_in_the_notes():
     data = read_frame(frame(KAPPA) | {"fx": force(KAPPA) / 1000})
     report = inspect(data)
     assert report.warnings == data.source.warnings and len(report.warnings) == 2
-    text = " ".join(report.text().split())
+    text = " ".join(report.summary().split())
     assert "warnings no convention declared" in text and "--unit fx=kN" in text
-    assert report.as_dict()["warnings"] == list(report.warnings)
+    assert report.to_dict()["warnings"] == list(report.warnings)
     first, second, *rest = data.source.notes
     assert first.startswith("warning: no convention") and "fx=kN" in second
     assert tuple(rest) == data.source.assumptions
     quiet = inspect(read_frame(frame(KAPPA), **BRAKING))
-    assert quiet.warnings == () and "warnings" not in quiet.text()
+    assert quiet.warnings == () and "warnings" not in quiet.summary()
 
 
 def test_joined_files_keep_their_warnings_by_name():

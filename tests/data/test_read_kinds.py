@@ -471,7 +471,6 @@ def test_any_kind_may_be_gzipped(tmp_path):
         ("pyarrow", lambda path: save_parquet(path, arrow_table(PLAIN))),
         ("openpyxl", lambda path: save_excel(path, {"one": SHEET})),
         ("xlrd", lambda path: path.write_bytes(OLD.read_bytes())),
-        ("h5py", lambda path: save_73(path, PLAIN)),
     ],
 )
 def test_a_missing_library_is_an_error_with_the_line_that_installs_it(

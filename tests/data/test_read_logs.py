@@ -1,14 +1,15 @@
 """Logs of MDF, MCAP and ROS: channels of several clocks become one table."""
 
 import gc
+import sqlite3
 
 import numpy as np
 import pytest
-from test_motion import pose_log, pose_vehicle, write_log
+from test_motion import CAR, KEEP, POSE, pose_log, pose_vehicle, vehicle, write_log
 
 from tirefit.data.derive import derive
 from tirefit.data.logs import Signal, on_one_clock
-from tirefit.data.read import read
+from tirefit.data.read import read, read_table
 from tirefit.results import DataError
 
 KAPPA = np.array([-0.08, -0.04, -0.01, 0.01, 0.03, 0.06, 0.1])
@@ -184,8 +185,6 @@ yaw = "/car.pose.orientation.yaw"
 @pytest.mark.parametrize("stamped", [True, False])
 @pytest.mark.parametrize("storage", ["MCAP", "SQLITE3"])
 def test_a_bag_of_ros_is_derived_as_its_text_is(tmp_path, storage, stamped):
-    from test_motion import CAR, KEEP, POSE, vehicle
-
     columns = pose_log()
     first = columns["t"][0]
     columns["t"] = columns["t"] - first
@@ -204,6 +203,86 @@ def test_a_bag_of_ros_is_derived_as_its_text_is(tmp_path, storage, stamped):
             np.testing.assert_allclose(
                 log.columns[name], from_text.columns[name], rtol=1e-4, atol=1e-4
             )
+
+
+OWN = """std_msgs/Header header
+float64 x
+float64 y
+team_msgs/Turn turn
+================================================================================
+MSG: team_msgs/Turn
+geometry_msgs/Quaternion orientation
+================================================================================
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+"""
+
+
+def save_own(path, columns, with_definition=True):
+    """A ROS 2 bag with a message type of the user's own beside a standard one."""
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store, name = get_typestore(Stores.ROS2_HUMBLE), "team_msgs/msg/State"
+    store.register(get_types_from_msg(OWN, name))
+    types, number = store.types, "std_msgs/msg/Float64"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        own = writer.add_connection("/car", name, typestore=store)
+        other = writer.add_connection("/speed", number, typestore=store)
+        for t, x, y, psi in zip(*columns.values(), strict=True):
+            stamp = divmod(round(1e9 * (1000 + t)), 10**9)
+            header = types["std_msgs/msg/Header"](
+                types["builtin_interfaces/msg/Time"](*stamp), "world"
+            )
+            turned = types["geometry_msgs/msg/Quaternion"](
+                0.0, 0.0, np.sin(psi / 2), np.cos(psi / 2)
+            )
+            turn = types["team_msgs/msg/Turn"](turned)
+            raw = store.serialize_cdr(types[name](header, x, y, turn), name)
+            late = round(1e9 * (1000.02 + t))
+            writer.write(own, late, raw)
+            raw = store.serialize_cdr(types[number](2 * t), number)
+            writer.write(other, late, raw)
+    if not with_definition:  # as of releases of ROS 2 before 2023, all or some
+        with sqlite3.connect(next(path.glob("*.db3"))) as base:
+            base.execute(
+                "delete from message_definitions where topic_type = ?", (name,)
+            )
+
+
+OWN_OF_ROS = """
+[columns]
+time = "/car.header.stamp"
+x = "/car.x"
+y = "/car.y"
+yaw = "/car.turn.orientation"
+"""
+
+
+def test_a_message_type_is_read_by_its_definition_in_the_bag(tmp_path):
+    columns = pose_log()
+    save_own(tmp_path / "bag", columns)
+    log = derive(tmp_path / "bag", vehicle(tmp_path, CAR + OWN_OF_ROS + KEEP))
+    path = write_log(tmp_path / "log.csv", columns)
+    from_text = derive(path, pose_vehicle(tmp_path))
+    for name in ("time", "alpha", "fy"):
+        np.testing.assert_allclose(
+            log.columns[name], from_text.columns[name], rtol=1e-4, atol=1e-4
+        )
+    assert log.source["epoch"] == pytest.approx(1000 + columns["t"][0])
+
+
+def test_a_topic_of_an_unknown_type_is_left_out_and_named(tmp_path):
+    save_own(tmp_path / "bag", pose_log(), with_definition=False)
+    table = read_table(tmp_path / "bag", [])
+    assert "/speed.data" in table.headers and "/car.x" not in table.headers
+    assert said(table.notes, "topics not read: '/car' (no team_msgs/msg/State by its")
+    with pytest.raises(DataError, match="'/car.x': .*\n.*topics not read: '/car'"):
+        derive(tmp_path / "bag", vehicle(tmp_path, CAR + OWN_OF_ROS + KEEP))
 
 
 def test_a_damaged_bag_is_said_to_be_so(tmp_path):

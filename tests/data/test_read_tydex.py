@@ -203,7 +203,7 @@ def test_constants_go_on_with_what_is_prepared(tmp_path):
 
     data = stating(tmp_path, *(constant(*line) for line in NOMINAL))
     path = tmp_path / "prepared.csv"
-    path.write_text(prepared_csv(prepare(data), "1"))
+    path.write_text(prepared_csv(prepare(data)))
     assert read(path).source.constants == pytest.approx(data.source.constants)
     assert read(path).source.convention == "braking"
 

@@ -219,7 +219,7 @@ def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
                 float(tire(TireInputs(0.0, np.arctan(slip), fz, 10.0)).mz)
                 for slip, fz in zip(slips, loads, strict=True)
             ]
-        )  # fmt: skip
+        )
 
     slope = (moment(1e-4) - moment(-1e-4)) / 2e-4
     ours = columns[n : 2 * n, k]

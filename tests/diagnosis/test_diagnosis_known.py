@@ -195,9 +195,7 @@ def test_a_lag_that_no_tire_has_is_doubted(driven):
 def test_a_front_force_that_drives_is_derived_as_well():
     frame = drive(Car(), "front")
     pull = 300 * np.sin(np.arange(700))
-    steered = frame | {
-        "fx": pull, "fy": frame["fy"] - pull * np.tan(frame["steering"])
-    }  # fmt: skip
+    steered = frame | {"fx": pull, "fy": frame["fy"] - pull * np.tan(frame["steering"])}
     found = derived_from(read_frame(steered), "fy")
     assert found is not None and found.steered
     assert found.mass == pytest.approx(1400 * 1.4 / 2.6)

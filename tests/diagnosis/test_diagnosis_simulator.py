@@ -23,7 +23,7 @@ from tirefit.diagnosis.summary.closure import block_means
 from tirefit.diagnosis.summary.result import rows_in_file_terms
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.predict import predict
-from tirefit.fitting.store import load_fit, save_fit
+from tirefit.fitting.store import load_fit
 from tirefit.params import with_values
 from tirefit.results import DataError, UsageError
 
@@ -145,7 +145,7 @@ def test_a_fit_of_other_data_is_a_simulator(tmp_path, frame):
     other = rows(offset=0.0, seed=1)[0]
     other["fx"] = TOO_HIGH * other["fx"]
     stored = fit(read_frame(other, "b"), "brush")
-    save_fit(stored, tmp_path)
+    stored.save(tmp_path)
     found = studied(frame, str(tmp_path / "fit.json"))
     assert found.effects == ("slip_offset",) and found.simulator.kind == "fit"
     mu = found.verdict.parameters["mu"]

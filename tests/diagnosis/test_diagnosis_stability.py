@@ -37,7 +37,7 @@ def moved(columns):
         if values.dtype.kind == "f" and name != "time"
         else values
         for name, values in columns.items()
-    }  # fmt: skip
+    }
 
 
 def only(columns, count):
@@ -81,7 +81,7 @@ CHANGES = {"order": (shuffled, 0), "digits": (moved, 0), "seed": (None, 5)}
         *(("synthetic", change) for change in CHANGES),
         *(("measured", change) for change in CHANGES),
     ],
-)  # fmt: skip
+)
 def test_a_verdict_stays_as_it_is(found, name, change):
     plain, other = found(name), found(name, *CHANGES[change])
     assert other.verdict.status == plain.verdict.status

@@ -95,9 +95,7 @@ def interrupt_at(count):
 
 @pytest.mark.parametrize("sampler", ["emcee", "nuts"])
 def test_interrupted_and_resumed_is_uninterrupted(given, tmp_path, sampler):
-    settings = {
-        "sampler": sampler, "effective_samples": 10**9, "max_steps": 3 * CHUNK
-    }  # fmt: skip
+    settings = {"sampler": sampler, "effective_samples": 10**9, "max_steps": 3 * CHUNK}
     whole = sample(given, **settings)
     path = tmp_path / "chain.npz"
     broken = sample(given, **settings, checkpoint=path, progress=interrupt_at(1))

@@ -14,7 +14,6 @@ from tirefit.fitting.nuts import nuts_chunk, nuts_start
 from tirefit.fitting.posterior import _density, sample
 from tirefit.fitting.store import write_posterior
 from tirefit.report.draw import save_figures
-from tirefit.report.plots import plot_trace
 from tirefit.report.text import fit_report
 from tirefit.results import Outcome, UsageError
 
@@ -205,7 +204,7 @@ def test_importance_has_no_trace_and_says_so(weighted, tmp_path):
     written = {path.name for path in save_figures(weighted, tmp_path)}
     assert "corner.png" in written and "trace.png" not in written
     with pytest.raises(UsageError, match="no chain"):
-        plot_trace(weighted)
+        weighted.plot("trace")
     text = " ".join(fit_report(weighted).split())
     assert "k-hat" in text and "no chain" in text and "R-hat" not in text
 

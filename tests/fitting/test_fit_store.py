@@ -9,7 +9,7 @@ from recipes import FZ, STD, TRUTH, brush_force, curve, table
 
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.predict import predict
-from tirefit.fitting.store import load_fit, save_fit
+from tirefit.fitting.store import load_fit
 from tirefit.results import DataError, UsageError
 
 NEW = table({"sigma_x": np.linspace(-0.15, 0.2, 36), "fz": np.full(36, 3500.0)}, "new")
@@ -20,7 +20,7 @@ def no_constant(text):
 
 
 def test_json_is_json_and_has_what_the_schema_promises(sampled, tmp_path):
-    written = save_fit(sampled, tmp_path / "out")
+    written = sampled.save(tmp_path / "out")
     assert sorted(p.name for p in written) == ["fit.json", "posterior.nc"]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         "fit.json", "posterior.nc"
@@ -69,7 +69,7 @@ def test_information_criteria_by_hand(given, estimated):
 
 
 def test_stored_fit_predicts_as_the_live_one(given, tmp_path):
-    save_fit(given, tmp_path)
+    given.save(tmp_path)
     assert not (tmp_path / "posterior.nc").exists()
     stored, live = predict(load_fit(tmp_path / "fit.json"), NEW), predict(given, NEW)
     assert set(stored) == set(live) == {"fx", "fx_std"}
@@ -175,7 +175,7 @@ def test_joint_fit_recovers_both_frictions(joint):
 
 
 def test_fit_per_run_survives_the_file(joint, two_runs, tmp_path):
-    save_fit(joint, tmp_path)
+    joint.save(tmp_path)
     stored = load_fit(tmp_path / "fit.json")
     found, live = predict(stored, two_runs), predict(joint, two_runs)
     np.testing.assert_allclose(found["fx"], live["fx"], rtol=1e-12)
@@ -216,7 +216,7 @@ def test_tied_parameter_carries_its_uncertainty(tied):
 
 
 def test_tied_fit_with_other_bounds_survives_the_file(tied, tmp_path):
-    save_fit(tied, tmp_path)
+    tied.save(tmp_path)
     stored = predict(load_fit(tmp_path / "fit.json"), NEW)
     for name, values in predict(tied, NEW).items():
         np.testing.assert_allclose(stored[name], values, rtol=1e-12)

@@ -290,7 +290,7 @@ def test_residuals_that_follow_the_load_hint_at_brush_load(
 
     values = {"cpa2": 5e4, "mu": 0.9, "stiffness_power": stiffness_power,
               "mu_load": mu_load, "fz0": 4000.0}  # fmt: skip
-    made = simulate_rig("brush-load", values, loads=[2000.0, 4000.0, 6000.0], seed=1)
+    made = simulate_rig("brush-load", values, load=[2000.0, 4000.0, 6000.0], seed=1)
     data = read_frame(dict(made.columns), convention="braking")
     said = " ".join(fit(data, "brush").verdict["sentences"])
     assert ("brush-load lets stiffness and friction change" in said) is hinted
@@ -305,7 +305,7 @@ def test_a_fit_with_slip_noise_over_loads_has_a_verdict():
     from tirefit.sim.rig import simulate_rig
 
     values = {"cpa2": 5e4, "mu": 0.9, "stiffness_power": 1.6, "fz0": 4000.0}
-    made = simulate_rig("brush-load", values, loads=[2000.0, 6000.0], seed=1)
+    made = simulate_rig("brush-load", values, load=[2000.0, 6000.0], seed=1)
     data = read_frame(dict(made.columns), convention="braking")
     result = fit(data, "brush", config={"noise": {"sigma_x": 0.001}})
     assert result.verdict["status"] != "ok"

@@ -88,7 +88,7 @@ def test_loads_that_it_asks_for_tell_what_depends_on_load():
     (gate,) = identifiability(swept(0.15), ["brush-load"]).gates
     asked = {p.remedy for p in gate.parameters if p.told == "not"}
     assert asked == {"loads from half to one and a half times as large"}
-    wider = swept(0.15, loads=(2000.0, 4000.0, 6000.0))
+    wider = swept(0.15, load=(2000.0, 4000.0, 6000.0))
     assert "not" not in answers(wider, "brush-load").values()
 
 
@@ -144,7 +144,7 @@ def test_the_models_that_are_asked_unless_told():
 
 def test_the_text_names_what_is_missing():
     data = swept(0.004)
-    text = identifiability(data, ["brush", "brush-n"]).text()
+    text = identifiability(data, ["brush", "brush-n"]).summary()
     assert "not mu" in text and "slips" in text and "100 rows that count as" in text
     assert all(len(line) <= 110 for line in text.splitlines())
     frame = {name: data[name] for name in ("sigma_x", "fx", "fz")}
@@ -154,4 +154,4 @@ def test_the_text_names_what_is_missing():
         identifiability(data, ["brusch"])
     still = {"alpha": np.zeros(30), "fy": np.ones(30), "fz": np.full(30, 1e3)}
     nothing = identifiability(read_frame(still, curve=False))
-    assert nothing.gates == () and nothing.text() == ""
+    assert nothing.gates == () and nothing.summary() == ""

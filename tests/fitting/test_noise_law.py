@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from recipes import TRUTH, brush_force, curve, table
+from scipy.optimize import nnls
 
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.noise import noise_std
+from tirefit.fitting.noise import noise_std, non_negative
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit
 
@@ -65,3 +66,12 @@ def test_noise_of_a_record_by_hand():
     std = noise_std(record, fz, force, ["a", "other"])
     np.testing.assert_allclose(std, [26.0, 13.0])
     np.testing.assert_allclose(noise_std({"median_std": 9.0}, fz, force), 9.0)
+
+
+def testnon_negative_least_squares_is_that_of_scipy():
+    generator = np.random.default_rng(0)
+    for k in (2, 3):
+        for _ in range(100):
+            rows, wanted = generator.normal(size=(6, k)), generator.normal(size=6)
+            found = non_negative(rows.T @ rows, rows.T @ wanted)
+            np.testing.assert_allclose(found, nnls(rows, wanted)[0], atol=1e-9)

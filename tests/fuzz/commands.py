@@ -24,9 +24,7 @@ max_steps = 50
 """
 # A small library compiles and searches in a fraction of the time.
 _KEPT = ("slip_offset", "force_offset")
-_WITHOUT = [
-    word for e in EFFECTS if e.id not in _KEPT for word in ("--without", e.id)
-]  # fmt: skip
+_WITHOUT = [word for e in EFFECTS if e.id not in _KEPT for word in ("--without", e.id)]
 
 _QUICK = "--controller none --speed 3 --vehicle quarter --time-limit 1 --out o"
 

@@ -220,7 +220,7 @@ def _read_table(path: Path):
     from tirefit.data.inspect import inspect
     from tirefit.data.read import read
 
-    return inspect(read(path, convention="braking")).text()
+    return inspect(read(path, convention="braking")).summary()
 
 
 def _read_fit(path: Path):

@@ -413,9 +413,7 @@ def test_no_friction_shape_or_stiffness_is_finite(keys):
 def test_absent_coefficients_have_no_effect():
     known = specs(MAGIC_FORMULAS["mf61"])
     assert set(known) == set(COEFFICIENTS)
-    essential = {
-        "PCX1", "PDX1", "PKX1", "PCY1", "PDY1", "PKY1", "PKY2", "QBZ1", "QCZ1"
-    }  # fmt: skip
+    essential = {"PCX1", "PDX1", "PKX1", "PCY1", "PDY1", "PKY1", "PKY2", "QBZ1", "QCZ1"}
     for key, spec in known.items():
         if key in essential or spec.unit != "-":
             continue

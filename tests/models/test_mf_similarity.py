@@ -46,9 +46,7 @@ def test_an_isotropic_tire_pulls_against_its_slip():
     x = 20.0 / (1.5 * 1.1) * slip
     # The lateral curve is over alpha, the longitudinal one over kappa.
     angle = 20.0 / (1.5 * 1.1) * np.arctan(slip)
-    for force, b, part in (
-        (found.fx, x, KAPPA), (found.fy, angle, -np.tan(ALPHA)),
-    ):  # fmt: skip
+    for force, b, part in ((found.fx, x, KAPPA), (found.fy, angle, -np.tan(ALPHA))):
         curve = np.sin(1.5 * np.arctan(b + 0.5 * (b - np.arctan(b))))
         np.testing.assert_allclose(force, 4400.0 * curve * part / slip, atol=1e-3)
 

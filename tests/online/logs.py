@@ -48,6 +48,4 @@ def side(slip, mu, random):
     force = LOAD * theta / mu**2 * (3 * mu**2 - 3 * mu * theta + theta**2)
     moment = -LOAD * 0.1 * theta / mu**3 * (mu - theta) ** 3
     noise = random.normal(size=(2, len(slip)))
-    return {
-        "fy": force + 0.01 * LOAD * noise[0], "mz": moment + 5e-5 * LOAD * noise[1],
-    }  # fmt: skip
+    return {"fy": force + 0.01 * LOAD * noise[0], "mz": moment + 5e-5 * LOAD * noise[1]}

@@ -23,7 +23,7 @@ def test_a_fit_stays_inside_the_axes_of_the_user():
     fx = fz * np.tanh(20 * slip) + np.random.default_rng(0).normal(0, 20, 90)
     result = tirefit.fit({"sigma_x": slip, "fx": fx, "fz": fz})
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4))
-    assert tirefit.plot_fit(result, ax=left) is figure
+    assert result.plot(ax=left) is figure
     figure.canvas.draw()
     legend, inside = left.get_legend().get_window_extent(), left.get_window_extent()
     assert inside.x0 <= legend.x0 and legend.x1 <= inside.x1

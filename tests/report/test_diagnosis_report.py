@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from pages import PHONE, Page, browse, in_browser, width_on_phone
 
-import tirefit
 from tirefit.data.table import Source, TireData
 from tirefit.diagnosis.decide.verdict import Each, Status
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect
@@ -47,7 +46,7 @@ from tirefit.diagnosis.summary.records import (
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.diagnosis.summary.views import LookCurve, ShownRows, compared, residual_map
 from tirefit.models import MODELS
-from tirefit.report.canvas import Picture
+from tirefit.report.canvas import Picture, save_picture
 from tirefit.report.diagnosis_budget import (
     budget_table,
     change_texts,
@@ -63,9 +62,8 @@ from tirefit.report.diagnosis_draw import (
     draw_waterfall,
     draw_where,
     panel_pictures,
-    write_figure,
 )
-from tirefit.report.diagnosis_html import diagnosis_page, write_page
+from tirefit.report.diagnosis_html import diagnosis_page
 from tirefit.report.diagnosis_panels import (
     after_label,
     chance_bars,
@@ -869,7 +867,7 @@ def _finite(values):
 
 def test_the_figure_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     path = tmp_path / "drum.png"
-    assert write_figure(diagnosis(), path) == path
+    assert save_picture(diagnosis().plot(), path) == path
     picture = matplotlib.image.imread(path)
     assert picture.shape[:2] == (1170, 1430)
     assert picture[:, :, :3].std() > 0.05
@@ -881,7 +879,7 @@ def test_the_figure_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Picture, "savefig", broken)
     with pytest.raises(OSError, match="disk full"):
-        write_figure(diagnosis(), path)
+        save_picture(diagnosis().plot(), path)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 
@@ -1174,7 +1172,7 @@ def test_panels_stand_by_themselves():
 @in_browser
 def test_chromium_shows_the_page_and_fetches_nothing(tmp_path):
     page = tmp_path / "drum.html"
-    write_page(diagnosis(), page)
+    diagnosis().save(page)
     assert list(tmp_path.iterdir()) == [page]
     document, asked = browse(page, tmp_path, "--dump-dom")
     assert '<title>drum &lt;b&gt;$1 &amp; "x" against brush:' in document
@@ -1211,12 +1209,12 @@ def test_the_page_fits_a_phone(page_text, tmp_path, wide):
 
 def test_a_diagnosis_is_drawn_for_whoever_saves_it(tmp_path):
     result = diagnosis()
-    whole = tirefit.plot_diagnosis(result)
+    whole = result.plot()
     whole.savefig(tmp_path / "all.png")
-    tirefit.plot_diagnosis(result, "where").savefig(tmp_path / "where.svg")
+    result.plot("where").savefig(tmp_path / "where.svg")
     assert {path.name for path in tmp_path.iterdir()} == {"all.png", "where.svg"}
     with pytest.raises(UsageError, match="there is no panel 'were'\n.*'where'"):
-        tirefit.plot_diagnosis(result, "were")
+        result.plot("were")
 
 
 def test_an_answer_that_other_files_contradict_says_so():

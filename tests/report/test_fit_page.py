@@ -134,7 +134,7 @@ def test_the_page_says_what_the_data_do_not_tell(plain):
 @in_browser
 def test_chromium_shows_the_page_of_a_fit(sampled, text, tmp_path):
     page = tmp_path / "fit.html"
-    tirefit.write_fit_page(sampled, page)
+    assert sampled.save(page) == [page]
     assert page.read_text() == text and list(tmp_path.iterdir()) == [page]
     shot = tmp_path / "shot.png"
     _, asked = browse(page, tmp_path, f"--screenshot={shot}")

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from pages import Page
 
-import tirefit
 from tirefit.data.read import read_frame
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.models import TireInputs, forces
@@ -116,9 +115,9 @@ def test_figures_and_page_are_written_whole(fit, tmp_path):
 
 
 def test_plot_fit_draws_a_fit_of_this_process(fit):
-    figure = tirefit.plot_fit(fit)
+    figure = fit.plot()
     assert len(figure.axes) == 2
     axes = figure.axes[0]
-    assert tirefit.plot_fit(fit, ax=axes) is axes.figure
+    assert fit.plot(ax=axes) is axes.figure
     with pytest.raises(UsageError, match="fit again"):
-        tirefit.plot_fit(replace(fit, binned={}))
+        replace(fit, binned={}).plot()

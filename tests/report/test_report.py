@@ -353,7 +353,7 @@ def test_model_tables_name_every_model_and_parameter():
 
 def test_draws_on_given_axes(plain):
     axes = Figure().subplots()
-    assert plots.plot_fit(plain, ax=axes) is axes.figure
+    assert plain.plot(ax=axes) is axes.figure
     assert axes.get_xlabel() == r"slip $\sigma_x$ [-]"
     assert len(axes.lines) >= 4
 
@@ -409,7 +409,7 @@ def test_without_a_posterior_there_is_no_corner(plain, tmp_path):
     names = {path.name for path in draw.save_figures(plain, tmp_path)}
     assert names == {"fit.png", "residuals.png", "profile.png"}
     with pytest.raises(UsageError, match="posterior"):
-        plots.plot_corner(plain)
+        plain.plot("corner")
 
 
 @pytest.mark.parametrize("size", [1, 2, 7])
@@ -461,9 +461,9 @@ def test_corner_labels_stand_beside_their_numbers(plain, size):
 
 
 def test_figures_say_what_is_not_identified(plain, sampled):
-    labels = [axes.get_xlabel() for axes in plots.plot_profile(vague(plain)).axes]
+    labels = [axes.get_xlabel() for axes in vague(plain).plot("profile").axes]
     assert any("not identified" in label for label in labels)
-    texts = [text.get_text() for text in plots.plot_corner(vague(sampled)).texts]
+    texts = [text.get_text() for text in vague(sampled).plot("corner").texts]
     assert any("not identified: $m$" in text for text in texts)
     curve = fit_curve(vague(plain, "mu"))
     assert curve.curves[0].limit is None and "not identified" in curve.limit_label
@@ -476,11 +476,11 @@ def test_a_dollar_in_a_run_name_is_no_mathematics(plain):
     problem = replace(plain.problem, layout=layout)
     result = replace(plain, table=table, problem=problem)
     assert residual_panels(result).scatters[-1].ticks == (r"\$1 a", r"b\$")
-    assert plots.plot_residuals(result)._repr_png_()[:4] == b"\x89PNG"
+    assert result.plot("residuals")._repr_png_()[:4] == b"\x89PNG"
 
 
 def test_title_names_model_file_and_verdict(plain):
-    texts = [text.get_text() for text in plots.plot_residuals(plain).texts]
+    texts = [text.get_text() for text in plain.plot("residuals").texts]
     assert texts[0] == "brush-m fitted to " + NAME.replace("$", r"\$")
     assert texts[1].startswith("ok: RMSE")
     assert "braking positive, SI · seed 0" in texts[2]

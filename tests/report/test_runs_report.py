@@ -16,7 +16,6 @@ from tirefit.fitting.result import PosteriorSummary
 from tirefit.fitting.store import record_of_fit
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
-from tirefit.report import plots
 from tirefit.report.by_name import run_points
 from tirefit.report.draw_corner import corner_figure
 from tirefit.report.draw_uncertainty import profile_figure, trace_figure
@@ -179,10 +178,10 @@ def test_corner_and_trace_draw_what_is_asked_for(by_run):
     assert [label.split(" [")[0] for label in corner.labels] == [
         "$c_p a^2$ (run02)", r"$\mu$ (run02)",
     ]  # fmt: skip
-    assert len(plots.plot_corner(by_run, ["mu[run02]", "mu[run03]"]).axes) == 3
-    assert len(plots.plot_trace(by_run, parameters=["mu"]).axes) == 28
+    assert len(by_run.plot("corner", parameters=["mu[run02]", "mu[run03]"]).axes) == 3
+    assert len(by_run.plot("trace", parameters=["mu"]).axes) == 28
     with pytest.raises(UsageError, match=r"no free parameter d, mu\[x\]") as caught:
-        plots.plot_corner(by_run, ["mu", "d", "mu[x]"])
+        by_run.plot("corner", parameters=["mu", "d", "mu[x]"])
     assert "it has cpa2[run01]" in str(caught.value)
 
 
@@ -244,7 +243,7 @@ def test_runs_are_drawn_side_by_side(by_run):
     np.testing.assert_array_equal(
         np.stack([mu.low, mu.high], 1), [one.ci95 for one in expected]
     )
-    picture = plots.plot_runs(by_run)
+    picture = by_run.plot("runs")
     assert overlapping(drawn_texts(picture)) == []
 
 
@@ -255,11 +254,11 @@ def test_a_run_that_tells_nothing_does_not_set_the_scale(by_run):
         identified=False,
     )  # fmt: skip
     result = replace(by_run, parameters=by_run.parameters | {label: free})
-    picture = plots.plot_runs(result)
+    picture = result.plot("runs")
     assert max(axes.get_ylim()[1] for axes in picture.axes[1:2]) < 1.2
     assert any("grey: not identified" in text.get_text() for text in picture.texts)
 
 
 def test_one_run_has_no_such_picture(by_run):
     with pytest.raises(UsageError, match="no parameter for each run"):
-        plots.plot_runs(replace(by_run, labels=("cpa2", "mu")))
+        replace(by_run, labels=("cpa2", "mu")).plot("runs")

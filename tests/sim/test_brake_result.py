@@ -11,7 +11,7 @@ from tirefit.online.controller import NoController
 from tirefit.params import with_values
 from tirefit.sim.brake import simulate_stop
 from tirefit.sim.brake_request import Request, arrays, plant_of
-from tirefit.sim.brake_result import brake, many_stops
+from tirefit.sim.brake_result import braked, many_stops
 from tirefit.sim.brake_summary import UNITS, summarise
 from tirefit.sim.brake_vehicle import Hydraulics
 
@@ -29,7 +29,7 @@ def request(**given):
 @pytest.fixture(scope="module")
 def result():
     controllers = {"abs": arrays(ConventionalABS()), "none": NoController()}
-    return brake(request(), controllers, seed=3, stops=STOPS)
+    return braked(request(), controllers, seed=3, stops=STOPS)
 
 
 def test_batch_is_each_stop_alone(result):
@@ -37,7 +37,7 @@ def test_batch_is_each_stop_alone(result):
     asked = request()
     controller = arrays(ConventionalABS())
     for k in (0, 3):
-        alone = brake(asked, {"abs": controller}, seed=3 + k)
+        alone = braked(asked, {"abs": controller}, seed=3 + k)
         for name in UNITS:
             one = getattr(alone.stops["abs"].summary, name)
             np.testing.assert_allclose(
@@ -113,14 +113,14 @@ def test_recovery_counts_from_all_wheels_on_the_new_road():
 
 def test_a_car_that_does_not_stop_says_why(result):
     weak = request(hydraulics=Hydraulics(demand=2e5))
-    stop = brake(weak, {"none": NoController()}).stops["none"]
+    stop = braked(weak, {"none": NoController()}).stops["none"]
     numbers = stop.to_dict()
     assert not numbers["stopped"] and np.isnan(numbers["stopping_distance"])
     assert "did not stop: still" in stop.reason and "--time-limit" in stop.reason
     spinning = request(
         road="left=0.1,right=0.9", speed=25.0, vehicle="car", time_limit=12.0
     )
-    stop = brake(spinning, {"none": NoController()}).stops["none"]
+    stop = braked(spinning, {"none": NoController()}).stops["none"]
     assert stop.reason.startswith("spun"), stop.reason
 
 

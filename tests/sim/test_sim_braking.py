@@ -32,7 +32,7 @@ def test_the_wheel_moves_as_scipy_integrates_it():
     truth, tire = simulate_braking(how).truth, source_tire()
 
     def rate(t, omega):
-        force = float(tire.pure(1 - omega[0] * how.radius / how.v, how.fz))
+        force = float(tire.pure(1 - omega[0] * how.radius / how.speed, how.load))
         torque = 0.6 * how.radius * PEAK * LOAD * t / 2
         return [(how.radius * force - torque) / how.inertia]
 
@@ -41,7 +41,7 @@ def test_the_wheel_moves_as_scipy_integrates_it():
     )
     np.testing.assert_allclose(truth["omega"], peer.y[0], rtol=1e-6)
     np.testing.assert_allclose(
-        truth["sigma_x"], how.v / (truth["omega"] * how.radius) - 1, rtol=1e-9
+        truth["sigma_x"], how.speed / (truth["omega"] * how.radius) - 1, rtol=1e-9
     )
 
 
@@ -76,7 +76,7 @@ def test_a_lugre_wheel_keeps_the_balance_and_its_steady_force():
         how.inertia * slope[start:end], balance[start:end], atol=1e-3 * 0.5 * LOAD
     )
     # Two seconds are slow for bristles that pass the patch in 10 ms.
-    tire = lugre_tire(0.7, how.v)
+    tire = lugre_tire(0.7, how.speed)
     at = TireInputs(
         sigma_x=truth["sigma_x"], fz=np.full(2000, LOAD), v=np.full(2000, 20.0)
     )
@@ -105,7 +105,7 @@ def test_the_pressure_of_the_brake_makes_its_torque():
 @pytest.mark.parametrize("lateral", [False, True])
 def test_a_rig_sweep_is_fitted_back(lateral):
     values = {"cpa2": 6e4, "mu": 0.8}
-    made = simulate_rig("brush", values, lateral=lateral, loads=[3e3, 5e3])
+    made = simulate_rig("brush", values, lateral=lateral, load=[3e3, 5e3])
     data = tirefit.read_frame(made.columns)
     fit = tirefit.fit(data, "brush", config={"force": "fy" if lateral else "fx"})
     for name, truth in values.items():

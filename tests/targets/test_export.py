@@ -243,7 +243,7 @@ def test_a_fit_is_exported_with_its_errors_and_range(tmp_path):
     force = force + 20 * np.random.default_rng(1).standard_normal(60)
     data = {"alpha": angle, "fz": np.full(60, 4000.0), "fy": force}
     fit = tirefit.fit(data, "brush")
-    tirefit.save_fit(fit, tmp_path)
+    fit.save(tmp_path)
     for source in (fit, tmp_path / "fit.json"):
         done = tirefit.export(source, "numpy", tmp_path / "tire.py")
         text = done.path.read_text()

@@ -447,7 +447,7 @@ def test_of_strangers_only_what_no_listed_effect_imitates_can_be_flagged():
         "c": label("procedural", mimic_free=4.0, gap_over_noise=0.3),
         "d": label("leave_out", mimic_free=2.0, gap_over_noise=0.6),
         "e": label("singles", "slip_offset"),
-    }  # fmt: skip
+    }
     told = {"a": said("unknown", "unknown"), "b": said("named", "conicity"),
             "c": said("none"), "d": said("incomplete", "conicity"),
             "e": said("named", "slip_offset")}  # fmt: skip

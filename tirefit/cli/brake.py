@@ -20,14 +20,11 @@ from tirefit.cli.options import (
 from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.results import InputProblem, UsageError
 
-SUMMARY, SERIES, STOPS = "summary.json", "series.csv", "stops.csv"
-FIGURES = ("stop.png", "compare.png", "slip.png")
 ANIMATION = "stop.gif"
-FILES = (SUMMARY, SERIES, STOPS, *FIGURES, ANIMATION)
-
-DEFAULT_TIRE = "brush-m"
-DEFAULT_VALUES = {"cpa2": 4e4, "m": 0.5}
-"""A tire with a peak: sliding, it has four fifths of it, S(33)."""
+FILES = (
+    "summary.json", "series.csv", "stops.csv", "stop.png", "compare.png", "slip.png",
+    ANIMATION,
+)  # fmt: skip
 
 
 class Vehicle(StrEnum):
@@ -93,69 +90,31 @@ def brake(
         UsageError.raise_for(problems)
         check_directories([out])
         start_jax()
-        from tirefit.online.controllers import CONTROLLERS
-        from tirefit.params import by_owner, check_names
-        from tirefit.sim.brake_request import Request, check, doubts, with_numbers
+        from tirefit.sim.manoeuvre import brake as braked
 
-        names = check_names("controller", controller, CONTROLLERS)
-        chosen = by_owner(settings, {name: CONTROLLERS[name]() for name in names})
-        named, made = _tire(tire, values, signs)
-        request = Request(
-            made, named, road=road, speed=speed, vehicle=vehicle.value, steer=steer,
-            time_limit=time_limit,
-        )  # fmt: skip
-        request = with_numbers(request, plant_values)
-        check(request)
-        for text in doubts(request):
-            complain(f"warning: {text}")
-        with claimed(out):
-            _run(request, chosen, seed, stops, animate, out)
+        with claimed(out), progress_bar("braking") as progress:
+            result = braked(
+                tire, controller, road=road, speed=speed, steer=steer, values=values,
+                vehicle=vehicle.value, signs=signs, tune=settings, plant=plant_values,
+                time_limit=time_limit, stops=stops, seed=seed, progress=progress,
+            )  # fmt: skip
+            for text in result.notes:
+                complain(f"warning: {text}")
+            _write(result, animate, out)
 
 
-def _tire(source: str | None, values: dict[str, float], signs: str | None):
-    """Name and record of the tire of a model, a fit or a ``.tir`` file."""
-    from tirefit.fitting.source import given_tire
-    from tirefit.fitting.tir import remarks
-
-    if source is None:
-        source, values = DEFAULT_TIRE, DEFAULT_VALUES | values
-    given = given_tire(source, values, signs)
-    for text in remarks(given.tir, given.tire) if given.tir else ():
-        complain(f"warning: {source}: {text}")
-    return source, given.tire
-
-
-def _run(request, chosen, seed: int, stops: int, animate: bool, out: Path) -> None:
-    from tirefit.data.write import write_csv
-    from tirefit.files import json_text, write_text_atomic
-    from tirefit.online.controllers import controller_of
-    from tirefit.report.braking import compare_figure, paths_figure, stop_figure
+def _write(result, animate: bool, out: Path) -> None:
     from tirefit.report.canvas import save_picture
-    from tirefit.sim.brake_request import known_to_controllers
-    from tirefit.sim.brake_result import brake as simulate
 
-    car = known_to_controllers(request)
-    controllers = {n: controller_of(n, car, own) for n, own in chosen.items()}
-    with progress_bar("braking") as progress:
-        result = simulate(
-            request, controllers, seed=seed, stops=stops, progress=progress
-        )
-    written = [SUMMARY, SERIES, FIGURES[0], FIGURES[2]]
+    figures = {"stop.png": "stop", "slip.png": "slip"}
+    figures |= {"compare.png": "compare"} if len(result.stops) > 1 else {}
     with staged(out, FILES, result) as folder:
-        write_text_atomic(folder / SUMMARY, json_text(result.to_dict()))
-        write_csv(folder / SERIES, result.columns())
-        save_picture(stop_figure(result), folder / FIGURES[0])
-        save_picture(paths_figure(result), folder / FIGURES[2])
-        if len(chosen) > 1:
-            save_picture(compare_figure(result), folder / FIGURES[1])
-            written.append(FIGURES[1])
-        if stops > 1:
-            write_csv(folder / STOPS, result.stops_columns())
-            written.append(STOPS)
+        written = result.save(folder)
+        for name, what in figures.items():
+            written.append(save_picture(result.plot(what), folder / name))
         if animate:
             from tirefit.report.brake_animation import save_animation
 
-            save_animation(result, folder / ANIMATION)
-            written.append(ANIMATION)
+            written.append(save_animation(result, folder / ANIMATION))
     say(str(result))
-    say("wrote " + ", ".join(str(out / name) for name in written))
+    say("wrote " + ", ".join(str(out / path.name) for path in written))

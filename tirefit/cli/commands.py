@@ -11,6 +11,7 @@ import typer
 from tirefit import __version__
 from tirefit.cli.brake import brake
 from tirefit.cli.convert import convert
+from tirefit.cli.demo import demo
 from tirefit.cli.diagnose import ManyHoldouts, diagnose
 from tirefit.cli.estimate import estimate
 from tirefit.cli.export import export
@@ -39,6 +40,8 @@ from tirefit.cli.options import (
 from tirefit.cli.prepare import prepare
 from tirefit.cli.replay import replay
 from tirefit.cli.simulate import app as simulate
+from tirefit.data.remote import expanded
+from tirefit.files import json_safe
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
 app = typer.Typer(
@@ -60,6 +63,7 @@ class Axle(StrEnum):
     front = "front"
 
 
+app.command()(demo)
 app.command()(fit)
 app.command()(convert)
 app.command()(export)
@@ -114,8 +118,6 @@ def inspect(
     parameters of which models it can tell."""
     from tirefit.data.inspect import inspect as look
     from tirefit.data.read import read
-    from tirefit.data.remote import expanded
-    from tirefit.files import json_safe
 
     with errors_to_exit(), merged_notes():
         how = read_options(options, read_config(options.config))
@@ -131,12 +133,12 @@ def inspect(
                 complain(error_text(error))
                 worst = max(worst, error.exit_code)
                 continue
-            content = inspection.as_dict()
-            content |= {"identifiability": told.as_dict()} if told else {}
+            content = inspection.to_dict()
+            content |= {"identifiability": told.to_dict()} if told else {}
             if len(files) > 1 and not json:
                 warn(data, assumed=data.source.assumptions)
                 inspection = replace(inspection, warnings=(), assumptions=())
-            text = inspection.text() + (told.text() if told else "")
+            text = inspection.summary() + (told.summary() if told else "")
             say(dumps(json_safe(content), indent=1) if json else text)
         raise typer.Exit(worst)
 

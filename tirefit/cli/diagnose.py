@@ -316,12 +316,7 @@ def _one_by_one(pieces: list[Piece], task: _Task) -> list[ExitCode]:
 def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     """One file, unless it is done before."""
     from tirefit.diagnosis.engine import diagnose as study
-    from tirefit.diagnosis.summary.result import (
-        SCHEMA,
-        record_of_document,
-        save_diagnosis,
-    )
-    from tirefit.report.diagnosis_text import diagnosis_text
+    from tirefit.diagnosis.summary.result import SCHEMA, record_of_document
 
     file, name = piece
     out, seed, kept, figures = task.out, task.seed, task.kept, task.figures
@@ -337,14 +332,13 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     result = study(table, holdout=kept, seed=seed, **task.settings)
     earlier = drawn if is_page(out / f"{name}.html", SCHEMA) else []
     with staged(out, written + earlier, result, f".{name}") as folder:
-        save_diagnosis(result, folder, name)
+        result.save(folder, name)
         if figures:
-            from tirefit.report.diagnosis_draw import write_figure
-            from tirefit.report.diagnosis_html import write_page
+            from tirefit.report.canvas import save_picture
 
-            write_figure(result, folder / f"{name}.png")
-            write_page(result, folder / f"{name}.html")
-    say(diagnosis_text(result, task.full))
+            save_picture(result.plot(), folder / f"{name}.png")
+            result.save(folder / f"{name}.html")
+    say(result.summary(full=task.full))
     return ExitCode.OK, record_of_document(document)
 
 

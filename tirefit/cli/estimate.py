@@ -98,11 +98,8 @@ def _checked(log, out, follow, setting) -> dict[str, float]:
 
 def _whole(log: Path, names, values, how, out: Path, seed: int) -> None:
     from tirefit.data.read import read
-    from tirefit.data.write import write_csv
-    from tirefit.files import json_text, write_text_atomic
     from tirefit.online.estimate import estimate as estimate_log
     from tirefit.report.canvas import save_picture
-    from tirefit.report.estimates import estimates_figure
 
     # A log is never whole: a row that cannot be used is flagged, not refused.
     table = read(log, **(how | {"mask_bad_rows": True, "curve": False}))
@@ -110,9 +107,8 @@ def _whole(log: Path, names, values, how, out: Path, seed: int) -> None:
     _say_masked(table)
     result = estimate_log(table, names, values, seed=seed)
     with staged(out, FILES, result) as folder:
-        write_csv(folder / FILES[0], result.columns())
-        write_text_atomic(folder / FILES[1], json_text(result.to_dict()))
-        save_picture(estimates_figure(result), folder / FILES[2])
+        result.save(folder)
+        save_picture(result.plot(), folder / FILES[2])
     say(str(result))
     say("wrote " + ", ".join(str(out / name) for name in FILES))
 

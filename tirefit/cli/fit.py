@@ -86,7 +86,10 @@ def fit(
     posterior: Annotated[
         bool, typer.Option("--posterior/--no-posterior", help="sample the posterior")
     ] = True,
-    solver: Annotated[Solver | None, typer.Option(help="least-squares solver")] = None,
+    solver: Annotated[
+        Solver | None,
+        typer.Option(help="least-squares solver; jaxopt is no longer maintained"),
+    ] = None,
     sampler: Annotated[Sampler | None, typer.Option(help="posterior sampler")] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, max=2**32 - 1, help="of everything random")

@@ -127,17 +127,12 @@ def _first_words(result, directory: Path) -> str:
 
 def _save(result, directory: Path, also: Also) -> list[Path]:
     from tirefit.fitting.result import SCHEMA
-    from tirefit.fitting.store import save_fit
     from tirefit.report.draw import FIGURE_FILES, save_figures
 
     earlier = [PAGE] if is_page(directory / PAGE, SCHEMA) else []
     with staged(directory, ["posterior.nc", *FIGURE_FILES, *earlier], result) as folder:
-        written = save_fit(result, folder) + save_figures(result, folder, svg=also.svg)
-        if also.html:
-            from tirefit.report.fit_html import write_fit_page
-
-            write_fit_page(result, folder / PAGE)
-            written.append(folder / PAGE)
+        written = result.save(folder) + save_figures(result, folder, svg=also.svg)
+        written += result.save(folder / PAGE) if also.html else []
     return [directory / path.name for path in written]
 
 

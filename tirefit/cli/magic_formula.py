@@ -10,7 +10,6 @@ from tirefit.cli.fit_one import PAGE, Also, exit_code
 from tirefit.cli.notes import warn
 from tirefit.cli.options import complain, progress_bar, say, start_jax
 from tirefit.cli.output import check_directories, claimed, is_page, staged
-from tirefit.files import write_text_atomic
 from tirefit.results import ExitCode, InputProblem, UsageError
 
 MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
@@ -125,24 +124,17 @@ _ADVICE = "give starting values in fit.toml or fix a parameter"
 
 def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -> None:
     """Print the result and write it into the claimed folder; ``also``: figures."""
-    from tirefit.fitting.mf.store import save_magic_formula
     from tirefit.fitting.result import SCHEMA
     from tirefit.report.draw import FIGURE_FILES
-    from tirefit.report.mf_draw import (
-        MAGIC_FORMULA_FILES,
-        magic_formula_page,
-        save_pictures,
-    )
+    from tirefit.report.mf_draw import MAGIC_FORMULA_FILES, save_pictures
 
     # Figures and draws of an earlier fit would be taken for this one's.
     earlier = ["posterior.nc", *FIGURE_FILES, *MAGIC_FORMULA_FILES]
     earlier += [PAGE] if is_page(out / PAGE, SCHEMA) else []
     with staged(out, earlier, result) as folder:
-        written = save_magic_formula(result, folder)
+        written = result.save(folder)
         if also is not None:
             written += save_pictures(result, folder, also.svg)
-            if also.html:
-                write_text_atomic(folder / PAGE, magic_formula_page(result))
-                written.append(folder / PAGE)
+            written += result.save(folder / PAGE) if also.html else []
     say(str(result).replace(_ADVICE, advice))
     say("wrote " + ", ".join(str(out / path.name) for path in written))

@@ -1,7 +1,7 @@
 """``tirefit prepare``: from a rig's recording to data that a fit can use."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -184,38 +184,20 @@ def _all(pieces: list[Piece], task: _Task) -> ExitCode:
 
 def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     from tirefit.data.prepare.prepare import prepare as prepare_data
-    from tirefit.data.prepare.store import (
-        prepared_csv,
-        record_of,
-        segment_columns,
-        summary,
-    )
     from tirefit.data.read import read
-    from tirefit.data.write import csv_text
-    from tirefit.files import json_text, write_texts
     from tirefit.report.canvas import save_picture
-    from tirefit.report.prepared import prepared_figure
 
     (file, name), out, how = piece, task.out, task.how
     # A recording is never whole: rows that cannot be used are cut out.
     data = read(file, **(how | {"mask_bad_rows": True, "curve": False}))
     warn(data)
-    prepared = prepare_data(data, task.config)
-    texts = {
-        f"{name}.csv": prepared_csv(prepared, __version__),
-        f"{name}.segments.csv": csv_text(segment_columns(prepared)),
-    }
-    digests = {
-        key: hashlib.sha256(text.encode()).hexdigest() for key, text in texts.items()
-    }
-    record = record_of(prepared, how, digests, __version__)
-    picture, json = f"{name}.png", f"{name}.prepare.json"
-    with staged(out, [*texts, picture, json], summary(prepared), f".{name}") as folder:
-        save_picture(prepared_figure(prepared), folder / picture)
-        texts[json] = json_text(record)
-        write_texts({folder / key: text for key, text in texts.items()})
-    say(summary(prepared))
-    say("wrote " + ", ".join(str(out / key) for key in (*texts, picture)))
+    prepared = replace(prepare_data(data, task.config), read=how)
+    names = [f"{name}.{end}" for end in ("csv", "segments.csv", "prepare.json", "png")]
+    with staged(out, names, prepared, f".{name}") as folder:
+        save_picture(prepared.plot(), folder / names[-1])
+        prepared.save(folder, name)
+    say(str(prepared))
+    say("wrote " + ", ".join(str(out / key) for key in names))
     return ExitCode.OK, _record(prepared, str(file), str(out / f"{name}.csv"))
 
 

@@ -45,6 +45,15 @@ class TextColumn(Sequence[str]):
         return np.repeat(texts, np.diff(first, append=len(self))).tolist()
 
 
+def words_of(cells: Any) -> list[str]:
+    """The cells of a column as text, without blanks around them; 1.0 of a column of
+    numbers is 1."""
+    if isinstance(cells, np.ndarray) and cells.dtype.kind == "f":
+        return [f"{cell:.15g}" for cell in cells]
+    words = cells.words() if isinstance(cells, TextColumn) else cells
+    return [str(word).strip() for word in words]
+
+
 def may_hold(cells: Sequence[str], mark: str) -> bool:
     """Whether some cell holds a character; of a large text, of any column."""
     if isinstance(cells, TextColumn):

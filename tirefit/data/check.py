@@ -15,6 +15,7 @@ import numpy as np
 from tirefit.data.cells import TextColumn, may_hold
 from tirefit.data.columns import is_number
 from tirefit.data.evidence import evidence_of, fitting_conventions
+from tirefit.data.vehicle_log import vehicle_log
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
 
@@ -223,17 +224,21 @@ def check_columns(
     ``columns`` are those there, ``headers`` the file's own; ``idle`` are the headers
     of forces that are zero throughout.
     """
-    problems = []
+    problems: list[InputProblem] = []
+    has_slip = {"alpha", *SLIP_DEFINITIONS} & set(columns)
+    has_force = {"fx", "fy", "mz"} & set(columns)
+    if not (has_slip or has_force or idle) and (log := vehicle_log(headers, file)):
+        return [log]
     header_list = ", ".join(repr(header) for header in headers)
     if len(headers) == 1:
         header_list += " only; separate columns by comma, semicolon, tab, | or spaces"
-    if "alpha" not in columns and not set(SLIP_DEFINITIONS) & set(columns):
+    if not has_slip:
         remedy = f"name one, as in --column kappa=HEADER; columns found: {header_list}"
         if {"omega", "v"} <= set(columns):
             remedy = "give --rolling-radius R [m] to compute it from omega and v"
         reason = "no slip: one of sigma_x, kappa, s, slip_ratio, alpha is needed"
         problems.append(InputProblem(reason, remedy, file))
-    if forces and not {"fx", "fy", "mz"} & set(columns):
+    if forces and not has_force:
         remedy = f"name one, as in --column fx=HEADER; columns found: {header_list}"
         reason = "no force: one of fx, fy, mz is needed"
         if idle:

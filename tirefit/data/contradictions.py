@@ -65,7 +65,9 @@ class Comparison:
 
 
 def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Comparison:
-    """Hold every channel against the others."""
+    """Hold every channel against the others, of a car that drives ahead."""
+    if backwards := _backwards(track, motion, vehicle, file):
+        return Comparison((), (backwards,), (), "channels: not compared")
     pairs = agreements(track, motion, vehicle)
     off = not_explained(pairs, ())
     stray = [a for a in pairs if strays(a)]
@@ -93,8 +95,31 @@ def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Compar
         problems += _sideways(track, motion, vehicle, file)
         problems += _another_clock(pairs, track, vehicle, file)
     warnings += [] if problems else _late_or_off(pairs, vehicle)
-    return Comparison(tuple(pairs), tuple(problems), tuple(warnings), _line(pairs))
+    return Comparison(
+        tuple(pairs), tuple(problems), tuple(warnings), _line(pairs, vehicle)
+    )
 
+
+def _backwards(track, motion, vehicle: Vehicle, file: str) -> InputProblem | None:
+    """That the car mostly drives backwards, or its axes point there."""
+    fast = motion.settled & (np.hypot(motion.v_x, motion.v_y) > vehicle.v_min)
+    share = float(np.mean(motion.v_x[fast] < 0)) if fast.any() else 0.0
+    if share < _MOSTLY:
+        return None
+    if vehicle.columns.motion == POSE:
+        name, how = "yaw", f"yaw_offset = {vehicle.yaw_offset + math.pi:.5g}"
+    else:
+        unit = f"-{vehicle.units.get('v_x', 'm/s')}".removeprefix("--")
+        name, how = "v_x", f'v_x = "{unit}" (and v_y, a_x, a_y alike) in [units]'
+    reason = f"the car drives backwards for {share:.0%} of the time in motion"
+    remedy = (
+        f"if it drove ahead, say {how} of vehicle.toml; else cut that from the log:"
+    )
+    remedy += " only driving ahead is described"
+    return InputProblem(reason, remedy, file, column=_column(track, name).header)
+
+
+_MOSTLY = 0.9  # share of the time in motion: more is no manoeuvre
 
 _SWAPPED = ("v_x", "v_y", "a_x", "a_y", "yaw_rate")
 
@@ -327,20 +352,23 @@ def _has_delay(a: Agreement) -> bool:
     return any(judged(a)) and a.pair.exact and a.delay_seen > SEEN
 
 
-def _line(pairs) -> str:
+def _line(pairs, vehicle: Vehicle) -> str:
     """One line on how far the channels agree."""
     gains, late = [], [0.0]
     for a in pairs:
-        gains += [g for g, known in zip(a.gains, judged(a), strict=True) if known]
+        several = len(a.gains) > 1
+        gains += [
+            f"{a.pair.channel} {gain:.2f} of {term.words if several else a.pair.words}"
+            for gain, term, known in zip(a.gains, a.pair.terms, judged(a), strict=True)
+            if known
+        ]
         if _has_delay(a) and a.delay_std < _LATE / 3:
             late.append(abs(a.delay))
-    if not gains:
-        return "channels: too little motion, or too few of them, to compare any"
-    those = "gain" if len(gains) == 1 else f"{len(gains)} gains"
-    span = (
-        f"{min(gains):.2f}"
-        if len(gains) == 1
-        else f"{min(gains):.2f} to {max(gains):.2f}"
-    )
-    delay = f", delays up to {max(late):.2f} s" if max(late) >= 0.005 else ""
-    return f"channels compared: {those} {span} (1 where they agree){delay}"
+    said = "channels: too little motion, or too few of them, to compare any"
+    if gains:
+        said = f"channels compared: {', '.join(gains)} (1 where they agree"
+        steers = any(gain.startswith("steering") for gain in gains)
+        said += "; steering: more of a car that understeers)" if steers else ")"
+        said += f", delays up to {max(late):.2f} s" if max(late) >= 0.005 else ""
+    follows = "; a_y follows from the speeds: no measurement, it checks nothing"
+    return said + (follows if vehicle.columns.a_y_follows else "")

@@ -34,13 +34,14 @@ from tirefit.data.motion import (
     Motion,
     error_along,
     force_along,
+    not_ahead,
     read_motion,
     road_wheel,
     slip_and_force,
 )
 from tirefit.data.point import PointCheck, check_point, zero_of_alpha
 from tirefit.data.remote import Place, file_at
-from tirefit.data.stated import found_in, stated_of
+from tirefit.data.stated import assumptions_of, found_in, stated_of
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
@@ -55,11 +56,6 @@ _FIRST = (
 
 _NEARLY_ALL = 0.9
 """Share of the samples that one reason drops, from which the units are doubted."""
-
-_SIGNS = (
-    "alpha > 0 where the axle slides to the left; fy > 0 to the right, as the force"
-    " then acts: alpha and fy are negative in a left turn (the canonical convention)"
-)
 
 
 @dataclass(frozen=True)
@@ -87,6 +83,9 @@ class DerivedLog:
     heading: str  # offset of heading or sideslip: applied, assumed none, left over
     zero: float | None  # alpha at no side force [rad], where the log shows it
     point: PointCheck  # position of the tracked point, by force against slip
+    run: (
+        np.ndarray
+    )  # (n,) str, the run of each kept sample: that of the log, or its own
     compared: Comparison  # what the redundancy of the log's channels says
     warnings: tuple[str, ...]  # what in the columns is hardly the tire's
     assumptions: tuple[str, ...]  # the bandwidth and everything that was assumed
@@ -98,19 +97,21 @@ class DerivedLog:
     def summary(self) -> str:
         """Rows in, samples kept, why the others were dropped, ranges, bandwidth."""
         alpha, force = self.columns["alpha"], self.columns["fy"]
+        count = len(set(self.run.tolist()))
+        runs = f"runs: {count}, " if count > 1 else ""
         return "\n".join(
             [
                 f"{self.name}: {len(self)} of {self.samples} samples kept"
-                f" (rows: {self.rows}, gaps: {self.gaps})",
+                f" (rows: {self.rows}, {runs}gaps: {self.gaps})",
                 f"    rows not used: {_counts(self.dropped_rows)}",
                 f"    samples not kept: {_counts(self.dropped_samples)}",
                 f"    alpha {alpha.min():+.4f} to {alpha.max():+.4f} rad,"
                 f" fy {force.min():+.4g} to {force.max():+.4g} N,"
                 f" bandwidth {self.bandwidth:.3g} Hz (-3 dB)",
-                f"    {self.compared.line}",
                 *(
                     line
                     for said in (
+                        self.compared.line,
                         self.heading,
                         self.point.line,
                         *(f"warning: {w}" for w in self.warnings),
@@ -167,11 +168,7 @@ def derive(
     columns = _axle(motion, vehicle, axle)
     kept, dropped = _kept(motion, track, vehicle, axle)
     if not kept.any():
-        raise DataError(
-            f"no sample is left of {len(kept)}: {_counts(dropped)}",
-            "check the units and [keep] of vehicle.toml",
-            str(file),
-        )
+        raise DataError(_none_left(track, motion, vehicle, dropped, str(file)))
     warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
     warnings = _hardly_any(kept, dropped) + warnings
     alpha, force = columns["alpha"][kept], columns["fy"][kept]
@@ -179,6 +176,8 @@ def derive(
     checked = kept & (not compared.problems)
     point = check_point(motion, vehicle, checked, str(file))
     _refuse(point.problems, believe)
+    runs = np.array(names_of_runs(file, track))
+    last_row = np.searchsorted(track.time, motion.time[kept], side="right") - 1
     contradictions = (*compared.problems, *point.problems)
     columns = {name: values[kept] for name, values in columns.items()}
     heading, zero = zero_of_alpha(vehicle, axle, alpha, force)
@@ -194,6 +193,7 @@ def derive(
         heading=heading,
         zero=zero,
         point=point,
+        run=runs[track.run[last_row]],
         compared=compared,
         warnings=(
             *(f"{p.reason}; {p.remedy}" for p in contradictions),
@@ -201,7 +201,7 @@ def derive(
             *point.warnings,
             *warnings,
         ),
-        assumptions=_assumptions(track, vehicle, axle),
+        assumptions=assumptions_of(track, vehicle, axle),
         source={"path": file.name, "sha256": track.sha256, "epoch": track.epoch},
     )
 
@@ -248,7 +248,7 @@ def derive_files(
         name: np.concatenate([log.columns[name] for log in logs])
         for name in logs[0].columns
     }
-    columns["run"] = np.repeat([log.name for log in logs], [len(log) for log in logs])
+    columns["run"] = np.concatenate([log.run for log in logs])
     stated = {**stated_of(vehicle), **found_in(logs)}
     first = _FIRST.format(" ".join(f"{k}={v:.4g}" for k, v in stated.items()))
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
@@ -315,7 +315,7 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
     reasons = {
         "beside an edge or a gap": ~motion.settled,
         "not active": ~track.active[last_row],
-        f"slower than {vehicle.v_min:g} m/s": motion.v_x <= vehicle.v_min,
+        **not_ahead(motion, vehicle),
     }
     if keep.a_y_max is not None:
         # The filter smears a glitch over its settling time: that goes with it.
@@ -337,6 +337,22 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
     return kept, dropped
 
 
+def _none_left(
+    track: Track, motion, vehicle: Vehicle, dropped, file: str
+) -> InputProblem:
+    """That no sample is kept, and what would keep some."""
+    reason = f"no sample is left of {len(motion.time)}: {_counts(dropped)}"
+    if motion.settled.any():
+        reason += f" (at most {np.max(motion.v_x[motion.settled]):.3g} m/s ahead)"
+        remedy = "check the units and [keep] of vehicle.toml"
+    else:
+        reason += f"; the longest stretch is {2 * np.max(motion.within):.2g} s"
+        reason += f" of {len(track.runs)} runs" if len(track.runs) > 1 else ""
+        remedy = f"record more than {2 * vehicle.margin:.2g} s without a gap, or raise"
+        remedy += " cutoff in [filter] of vehicle.toml, which shortens keep.margin"
+    return InputProblem(reason, remedy, file)
+
+
 def _hardly_any(kept: np.ndarray, dropped: Mapping[str, int]) -> tuple[str, ...]:
     """A warning where one reason takes nearly all samples."""
     reason = max(dropped, key=lambda name: dropped[name])
@@ -351,40 +367,6 @@ def _hardly_any(kept: np.ndarray, dropped: Mapping[str, int]) -> tuple[str, ...]
 # --- words ----------------------------------------------------------------------
 
 
-def _assumptions(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
-    settings = vehicle.filter
-    said = [
-        f"bandwidth {settings.bandwidth:.3g} Hz (-3 dB): Butterworth of order"
-        f" {settings.order}, {settings.cutoff:g} Hz, run both ways, then central"
-        f" differences at {settings.sample_rate:g} Hz; neighbouring samples are"
-        " correlated, so n samples are not n facts",
-        f"gaps over {track.max_gap:.3g} s are not interpolated; shorter ones and uneven"
-        " sampling are bridged by a cubic spline",
-        "one rigid body on a flat floor, one wheel per axle: no roll, pitch, lateral"
-        " load transfer or drag, and no yaw moment but that of the axles' side forces",
-        _SIGNS,
-    ]
-    if vehicle.h_cg is None:
-        said.append("fz is the static axle load (h_cg is not given)")
-    else:
-        said.append("fz is the axle load with the load transfer m a_x h_cg / L")
-    if vehicle.tracked_point is None:
-        said.append("the log describes the centre of gravity (no tracked_point)")
-    if axle == "front":
-        assert vehicle.steering is not None
-        late = (
-            f"{vehicle.steering.delay:g} s later"
-            if vehicle.steering.delay
-            else "at once"
-        )
-        said.append(f"the road wheels follow the steering command {late}")
-    if vehicle.driven not in (axle, "all"):
-        said.append(f"the {axle} axle neither drives nor brakes")
-    elif vehicle.driven == "all" and vehicle.rear_share is None:
-        said.append("the rear axle has half of the drive force (no rear_share)")
-    return (*said, *track.notes)
-
-
 def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
     return {
         "schema": SCHEMA,
@@ -395,6 +377,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
         "runs": [
             {
                 "run": log.name,
+                "runs": list(dict.fromkeys(log.run.tolist())),
                 **log.source,
                 "bandwidth": log.bandwidth,
                 "rows": log.rows,
@@ -430,6 +413,12 @@ def _counts(counts: Mapping[str, int]) -> str:
 def run_name(path: Place) -> str:
     """The name of the run of a log: that of its file."""
     return path.name.removesuffix(".gz").removesuffix(".csv")
+
+
+def names_of_runs(path: Place, track: Track) -> tuple[str, ...]:
+    """The names of the runs of a log: that of its file, and their own of several."""
+    name = run_name(path)
+    return tuple(f"{name}_{run}" if run else name for run in track.runs)
 
 
 def name_problems(paths: Sequence[str | Place]) -> list[InputProblem]:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.data.faults import ALIKE
 from tirefit.data.motion import Motion
 from tirefit.data.vehicle import Vehicle
 
@@ -13,11 +14,14 @@ _CUT, _MUCH_CUT = 0.7, 0.05
 share of a column's variance from which that is said."""
 
 _GRIP = 1.5  # largest |F_y| / F_z of racing tires on dry asphalt, without downforce
+_DRY = 1.0  # largest |F_y| / F_z of road tires on dry asphalt
 _SILENT = 1e-300  # variance of a column that never changes
 
 _LONGEST = 2.0
 """Longest wave that is looked for, in wheelbases: wheels of cars turn once in 0.6 to 1,
 of model cars in 1 to 1.5; a slalom is longer."""
+
+_SMALLEST = 0.01  # of a wave over the strong values (95th percentile) of its column
 
 _TURNS = 16
 """Waves of the longest kind in a window: wavelengths are told apart to 1 / 16."""
@@ -55,22 +59,34 @@ def doubts(columns, motion: Motion, kept, vehicle: Vehicle) -> tuple[str, ...]:
     stretches = _stretches(motion, kept)
     way = [_way(columns["v"][rows], motion.time[rows]) for rows in stretches]
     return (
-        *_beyond_grip(columns, kept),
+        *_beyond_grip(columns, kept, vehicle),
         *_at_edges(motion, kept, vehicle),
         *_cut_by_filter(columns, stretches, vehicle),
         *_repeating(columns, stretches, way, vehicle),
     )
 
 
-def _beyond_grip(columns, kept) -> list[str]:
-    """Warning of a lateral force that no tire transmits without downforce."""
-    share = float(np.percentile(np.abs(columns["fy"] / columns["fz"])[kept], 99))
-    if share < _GRIP:
+def _beyond_grip(columns, kept, vehicle: Vehicle) -> list[str]:
+    """Warning of a lateral force that no tire transmits without downforce, or that is
+    mostly the yaw inertia's: at the limit the axles slide at |a_y| / g, about."""
+
+    def high(values) -> float:
+        return float(np.percentile(np.abs(values[kept]), 99))
+
+    share = high(columns["fy"] / columns["fz"])
+    level = high(columns["a_y"]) / vehicle.gravity
+    by_inertia = share > max(_DRY, ALIKE * level)
+    if share < _GRIP and not by_inertia:
         return []
-    return [
-        f"|fy| reaches {share:.2g} fz (99th percentile), more than a tire's friction:"
-        " check mass, yaw_inertia and the unit of a_y or of the positions"
-    ]
+    said = f"|fy| reaches {share:.2g} fz (99th percentile), more than a tire's friction"
+    if by_inertia:
+        moment = vehicle.yaw_inertia * columns["yaw_acceleration"] / vehicle.wheelbase
+        said += (
+            f", while |a_y| reaches {level:.2g} g: yaw_inertia dr/dt / wheelbase alone"
+            f" is {high(moment / columns['fz']):.2g} fz, and yaw_inertia"
+            f" {vehicle.inertia_ratio:.2g} mass l_f l_r (about 1 of cars)"
+        )
+    return [f"{said}: check mass, yaw_inertia and the unit of a_y or of the positions"]
 
 
 def _stretches(motion: Motion, kept) -> list[np.ndarray]:
@@ -130,7 +146,8 @@ def _repeating(columns, stretches, way, vehicle: Vehicle) -> list[str]:
     for name, (unit, factor) in _SHOWN_IN.items():
         parts = [columns[name][rows] for rows in stretches]
         wave = repeats_with_distance(parts, way, shortest, longest)
-        if wave is None:
+        strong = float(np.percentile(np.abs(np.concatenate(parts)), 95))
+        if wave is None or wave.size < _SMALLEST * strong:
             continue
         as_well = ", or in time: the speed hardly varies" if steady else ""
         least = wave.p_value < _LEAST

@@ -71,7 +71,7 @@ class Support:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What :func:`inspect` found; :meth:`text` prints it, :meth:`as_dict` is JSON."""
+    """What :func:`inspect` found."""
 
     file: str
     sha256: str
@@ -88,11 +88,11 @@ class Inspection:
     masked: tuple[str, ...]
     far_rows: tuple[str, ...] = ()  # far from those of their file and neighbours
 
-    def as_dict(self) -> dict:
+    def to_dict(self) -> dict:
         """Plain values only, fit for JSON: numbers that are not finite are None."""
         return json_safe(dataclasses.asdict(self))
 
-    def text(self) -> str:
+    def summary(self) -> str:
         """A plain-text report of at most 80 columns."""
         hidden = self.rows - self.used
         meaning = CONVENTIONS[self.convention].description

@@ -6,6 +6,7 @@ their ends, where they are NaN. A column ``time`` [s] counts from its first samp
 """
 
 import logging
+import re
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -16,7 +17,6 @@ import numpy as np
 
 from tirefit.data.extras import extra
 from tirefit.data.mat import Channels
-from tirefit.data.quaternion import heading
 from tirefit.data.remote import Place
 from tirefit.results import DataError
 
@@ -101,28 +101,29 @@ def channels_of_bag(
         is_known: whether a name is a column's.
 
     A topic's clock is that of its headers' stamps, where it has them, else that of the
-    recording. Of an orientation there is the ``yaw`` as well [rad].
+    recording. Messages are decoded by the definitions in the bag; a topic that cannot
+    be decoded is left out, with a note.
 
     Raises:
         DataError: rosbags is missing, or the bag is damaged or empty.
     """
-    highlevel = extra("rosbags.highlevel", "MCAP and ROS bags", str(path), "logs")
-    typesys = extra("rosbags.typesys", "MCAP and ROS bags", str(path), "logs")
-    store = typesys.get_typestore(typesys.Stores.LATEST)
+    extra("rosbags.highlevel", "MCAP and ROS bags", str(path), "logs")
     try:
         with tempfile.TemporaryDirectory() as folder:
-            place = path
+            place = Path(str(path))
             if content:
                 place = Path(folder) / f"log{bag_suffix(content)}"
                 place.write_bytes(content)
-            with highlevel.AnyReader([place], default_typestore=store) as reader:
-                signals, left = _signals_of(reader)
+            signals, left = _signals_of(place)
     except Exception as error:  # rosbags raises many kinds on damaged files
         raise _damaged("bag", path, error) from error
+    unread = f"topics not read: {', '.join(left)}"
+    if left and not signals:
+        raise DataError(unread, "record the message definitions", str(path))
     channels = on_one_clock(signals, is_known, str(path))
     notes = ["read as a bag of ROS messages", *channels.notes]
     if left:
-        notes.append(f"topics not read: {', '.join(left)}")
+        notes.append(unread)
     return channels._replace(notes=tuple(notes))
 
 
@@ -132,40 +133,74 @@ def _damaged(kind: str, path: Place, error: Exception) -> DataError:
     return DataError(reason, remedy, str(path))
 
 
-def _signals_of(reader) -> tuple[dict[str, Signal], list[str]]:
-    """Fields of all topics, and the topics that have no numbers, with the reason."""
+def _signals_of(place: Path) -> tuple[dict[str, Signal], list[str]]:
+    """Fields of all topics of a bag, and the topics that are not read, with why."""
+    from rosbags import rosbag1, rosbag2
+
+    is_ros1 = place.suffix == ".bag"
     signals: dict[str, Signal] = {}
     left = []
-    for topic in sorted(reader.topics):
-        connections = [c for c in reader.connections if c.topic == topic]
-        recorded: list[float] = []
-        stamped: list[float] = []
-        rows: list[dict[str, float]] = []
-        for connection, nanoseconds, raw in reader.messages(connections=connections):
-            if len(raw) > _LARGEST_MESSAGE:
-                left.append(f"{topic!r} (messages of {len(raw)} bytes)")
-                break
-            message = reader.deserialize(raw, connection.msgtype)
-            recorded.append(nanoseconds / 1e9)
-            stamped.append(_stamp(message))
-            rows.append(dict(_fields(message)))
-        else:
-            names = list(dict.fromkeys(name for row in rows for name in row))
-            if not names:
-                left.append(f"{topic!r} (no numbers)")
-            time = np.array(stamped if min(stamped, default=0) > 0 else recorded)
-            for name in names:
-                values = np.array([row.get(name, np.nan) for row in rows])
-                signals[f"{topic}.{name}"] = Signal(time, values)
+    with (rosbag1 if is_ros1 else rosbag2).Reader(place) as reader:
+        for topic in sorted({connection.topic for connection in reader.connections}):
+            connections = [c for c in reader.connections if c.topic == topic]
+            try:
+                found = _topic(reader.messages(connections), topic, is_ros1)
+            except Exception as error:  # rosbags raises many kinds
+                kinds = " or ".join({c.msgtype for c in connections})
+                why = f"{type(error).__name__}: {error}"
+                left.append(f"{topic!r} (no {kinds} by its definition: {why})")
+                continue
+            signals |= found if isinstance(found, dict) else {}
+            left += [f"{topic!r} ({found})"] if isinstance(found, str) else []
     return signals, left
 
 
+def _topic(messages, topic: str, is_ros1: bool) -> dict[str, Signal] | str:
+    """Fields of the messages of a topic, or why it holds none to read."""
+    decoders: dict[int, Callable[[bytes], Any]] = {}
+    recorded: list[float] = []
+    stamped: list[float] = []
+    rows: list[dict[str, float]] = []
+    for connection, nanoseconds, raw in messages:
+        if len(raw) > _LARGEST_MESSAGE:
+            return f"messages of {len(raw)} bytes"
+        if connection.id not in decoders:
+            decoders[connection.id] = _decoder(connection, is_ros1)
+        message = decoders[connection.id](raw)
+        recorded.append(nanoseconds / 1e9)
+        stamped.append(_stamp(message))
+        rows.append(dict(_fields(message)))
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    time = np.array(stamped if min(stamped, default=0) > 0 else recorded)
+    columns = {n: np.array([row.get(n, np.nan) for row in rows]) for n in names}
+    named = {f"{topic}.{name}": Signal(time, x) for name, x in columns.items()}
+    return named or "no numbers"
+
+
+def _decoder(connection, is_ros1: bool) -> Callable[[bytes], Any]:
+    """Function from bytes to the message, by the definition that the bag has of its
+    type, or by that of ROS 2 where it has none."""
+    from rosbags import typesys
+
+    text, name = connection.msgdef.data, connection.msgtype
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    if text:
+        store = typesys.get_typestore(typesys.Stores.EMPTY)
+        if connection.msgdef.format.name == "IDL":
+            types: dict[str, Any] = {}
+            for part in re.split(r"=+\nIDL: .*\n", text):
+                types |= typesys.get_types_from_idl(part)
+        else:
+            types = typesys.get_types_from_msg(text, name)
+        store.register(types)
+    decode = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
+    return lambda raw: decode(raw, name)
+
+
 def _stamp(message) -> float:
-    """Time of a message's own header [s]; 0 without one."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    if stamp is None:
-        return 0.0
-    return stamp.sec + stamp.nanosec / 1e9
+    """Time of a header, or of a message's own header [s]; 0 without one."""
+    stamp = getattr(getattr(message, "header", message), "stamp", None)
+    return 0.0 if stamp is None else stamp.sec + stamp.nanosec / 1e9
 
 
 def _fields(message, place: str = "") -> Iterator[tuple[str, float]]:
@@ -173,7 +208,9 @@ def _fields(message, place: str = "") -> Iterator[tuple[str, float]]:
     for name in getattr(message, "__dataclass_fields__", {}):
         value: Any = getattr(message, name)
         path = f"{place}.{name}" if place else name
-        if isinstance(value, bool | int | float | np.number):
+        if path == "header.stamp":
+            yield path, _stamp(message)
+        elif isinstance(value, bool | int | float | np.number):
             yield path, float(value)
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
             if value.size <= _LONGEST_ARRAY:
@@ -181,8 +218,6 @@ def _fields(message, place: str = "") -> Iterator[tuple[str, float]]:
                 yield from ((f"{path}[{i}]", float(one)) for i, one in flat)
         elif hasattr(value, "__dataclass_fields__") and name != "stamp":
             yield from _fields(value, path)
-            if {"x", "y", "z", "w"} <= set(value.__dataclass_fields__):
-                yield f"{path}.yaw", float(heading(value.x, value.y, value.z, value.w))
 
 
 def on_one_clock(

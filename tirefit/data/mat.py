@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tirefit.data.extras import extra
 from tirefit.data.mat_sound import check_sound
 from tirefit.results import DataError, InputProblem
 
@@ -57,14 +56,12 @@ def channels_of_mat(
         is_known: whether a name is a column's; the struct with the most is read.
 
     Raises:
-        DataError: the file is damaged, h5py is missing, no vectors are there, or it
-            cannot be told which of several structs is meant.
+        DataError: the file is damaged, no vectors are there, or it cannot be told
+            which of several structs is meant.
     """
     is_hdf5 = content.startswith(_V73)
-    if is_hdf5:
-        h5py = extra("h5py", "MATLAB files of version 7.3", file)
     try:
-        contents = _of_hdf5(content, h5py) if is_hdf5 else _of_v5(content)
+        contents = _of_hdf5(content) if is_hdf5 else _of_v5(content)
     except Exception as error:  # the readers raise many kinds on damaged files
         reason = f"the MATLAB file cannot be read: {error}"
         remedy = "save it again, or as version 7: save('file.mat', ..., '-v7')"
@@ -119,28 +116,30 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _of_hdf5(content: bytes, h5py) -> dict[str, Any]:
+def _of_hdf5(content: bytes) -> dict[str, Any]:
+    import h5py  # 0.1 s
+
     with h5py.File(io.BytesIO(content), "r") as file:
         return {
-            key: _of_item(item, file, h5py)
+            key: _of_item(item, file)
             for key, item in file.items()
             if not key.startswith("#")
         }
 
 
-def _of_item(item, file, h5py) -> Any:
+def _of_item(item, file) -> Any:
     """A variable of version 7.3 as :func:`_plain` gives it; arrays are transposed."""
     kind = item.attrs.get("MATLAB_class", b"")
     kind = kind.decode() if isinstance(kind, bytes) else str(kind)
-    if isinstance(item, h5py.Group):
-        return {key: _of_item(part, file, h5py) for key, part in item.items()}
+    if hasattr(item, "items"):
+        return {key: _of_item(part, file) for key, part in item.items()}
     if "MATLAB_object_decode" in item.attrs and kind not in ("char", "logical"):
         return _Opaque(kind)
     if "MATLAB_empty" in item.attrs:
         return np.empty(0)
     values = item[()]
-    if values.dtype == h5py.ref_dtype:
-        return [_of_item(file[ref], file, h5py) for ref in values.T.reshape(-1)]
+    if values.dtype == object:  # of references
+        return [_of_item(file[ref], file) for ref in values.T.reshape(-1)]
     if kind == "char":
         rows = ["".join(map(chr, row)).rstrip() for row in np.atleast_2d(values.T)]
         return rows[0] if len(rows) == 1 else rows

@@ -80,6 +80,16 @@ def with_noise(
     return motion_of(replace(track, signals=track.signals + noise), vehicle)[0]
 
 
+def not_ahead(motion: Motion, vehicle: Vehicle) -> dict[str, np.ndarray]:
+    """Reason -> samples (n,) bool of which a single track that drives ahead says
+    nothing; the first reason counts."""
+    speed = np.hypot(motion.v_x, motion.v_y)
+    return {
+        f"slower than {vehicle.v_min:g} m/s": speed <= vehicle.v_min,
+        "spinning or reversing": motion.v_x <= vehicle.v_min,
+    }
+
+
 def slip_and_force(motion: Motion, vehicle: Vehicle, axle: str = "rear"):
     """Slip angle [rad], lateral force [N] and forward speed [m/s] of an axle, (n,)
     each, in canonical signs; formulas: :mod:`tirefit.data.derive`.
@@ -186,7 +196,8 @@ def _stretch(*fields) -> Motion:
 def motion_of(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
     """Motion on one uniform grid that leaves out the gaps, and their number."""
     rate = vehicle.filter.sample_rate
-    splits = np.flatnonzero(np.diff(track.time) > track.max_gap) + 1
+    broken = (np.diff(track.time) > track.max_gap) | (np.diff(track.run) != 0)
+    splits = np.flatnonzero(broken) + 1
     _check_size(track, splits, rate)
     margin = vehicle.margin
     convert = _from_pose if vehicle.columns.motion == POSE else _from_rates
@@ -281,22 +292,27 @@ def _from_pose(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:
 
 
 def _from_rates(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:
-    """As :func:`_from_pose`, from v_x, v_y, yaw rate, a_y at the point, and any a_x."""
+    """As :func:`_from_pose`, from v_x, v_y, yaw rate at the point, any a_y and a_x."""
     rate = vehicle.filter.sample_rate
-    v_x, v_y, yaw_rate, a_y = (of[name] for name in RATES)
+    v_x, v_y, yaw_rate = (of[name] for name in RATES)
     cos, sin = np.cos(vehicle.sideslip_offset), np.sin(vehicle.sideslip_offset)
     v_x, v_y = cos * v_x - sin * v_y, cos * v_y + sin * v_x
     yaw_acceleration = np.gradient(yaw_rate, 1 / rate)
     ahead, left = vehicle.cg_from_tracked
+    v_x, v_y = v_x - yaw_rate * left, v_y + yaw_rate * ahead
     if "a_x" in vehicle.columns.motion:
-        a_x = of["a_x"]
+        a_x = of["a_x"] - yaw_acceleration * left - yaw_rate**2 * ahead
     else:
         a_x = np.gradient(v_x, 1 / rate) - yaw_rate * v_y
+    if vehicle.columns.a_y_follows:
+        a_y = np.gradient(v_y, 1 / rate) + yaw_rate * v_x
+    else:
+        a_y = of["a_y"] + yaw_acceleration * ahead - yaw_rate**2 * left
     return (
-        v_x - yaw_rate * left,
-        v_y + yaw_rate * ahead,
-        a_x - yaw_acceleration * left - yaw_rate**2 * ahead,
-        a_y + yaw_acceleration * ahead - yaw_rate**2 * left,
+        v_x,
+        v_y,
+        a_x,
+        a_y,
         yaw_rate,
         yaw_acceleration,
         *[np.full(len(v_x), np.nan)] * 3,

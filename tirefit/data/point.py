@@ -35,26 +35,17 @@ def zero_of_alpha(
     pose = vehicle.columns.motion == POSE
     key = "yaw_offset" if pose else "sideslip_offset"
     given = getattr(vehicle, key)
-    if given and pose:
-        said = (
-            f"heading offset: {given:g} rad were added to the logged yaw, as declared,"
-            " which lowers alpha by as much"
-        )
-    elif given:
-        said = (
-            f"sideslip offset: {given:g} rad were added to the logged sideslip, as"
-            " declared, which raises alpha by as much"
-        )
-    elif pose:
-        said = (
-            "heading offset: none assumed, the logged yaw is the car's heading; alpha"
-            " is too large by as much as the heading exceeds it"
-        )
-    else:
-        said = (
-            "sideslip offset: none assumed, the speeds are along the car's axes; alpha"
-            " is too large by as much as their sensor is turned to the right"
-        )
+    what, logged, turns = "sideslip", "sideslip", "raises"
+    assumed = "the speeds are along the car's axes; alpha is too large by as much as"
+    assumed += " their sensor is turned to the right"
+    if pose:
+        what, logged, turns = "heading", "yaw", "lowers"
+        assumed = "the logged yaw is the car's heading; alpha is too large by as much"
+        assumed += " as the heading exceeds it"
+    said = f"{what} offset: none assumed, {assumed}"
+    if given:
+        said = f"{what} offset: {given:g} rad were added to the logged {logged}, as"
+        said += f" declared, which {turns} alpha by as much"
     left = _alpha_at_rest(alpha, fy) if axle == "rear" else None
     if left is None:
         return said, None
@@ -171,17 +162,19 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
             f" {fit.std:.1g} m {side} the stated one",
             (stated + fit.amount, fit.std),
         )
-    off = found and _sure(fit) and fit.effect > CHANGED
+    off = found and _is_off(fit)
     flipped = not found and _fits_flipped(motion, vehicle, free)
     if not (off or flipped) and slope > -SURE:
         return check
-    others = _others(motion, vehicle, rows)
+    may_flip = _may_flip(motion, vehicle, every, step, found)
+    others = _others(motion, vehicle, rows, may_flip)
     best = fit.misfit if off else min((misfit for misfit, *_ in others), default=0.0)
     named = [(reason, remedy) for m, reason, remedy in others if m <= best * ALIKE]
     named = [_words(fit, stated, vehicle), *named] if off and on_car else named
     if not named and slope > -SURE and not flipped:
         return check
-    named = [_flipped(vehicle)] if flipped or not named else named
+    if flipped or not named:
+        named = [(_flipped if flipped or may_flip else _nothing_fits)(vehicle)]
     reasons, remedies = (", or ".join(words) for words in zip(*named, strict=True))
     if slope > -SURE:
         said = f"lateral force against slip angle: {reasons}; {remedies}"
@@ -189,6 +182,10 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     reason = "channels contradict each other: the lateral force acts in the direction"
     reason += f" of the axle's slip ({-slope:.0f} standard errors): {reasons}"
     return check._replace(problems=(InputProblem(reason, remedies, file),))
+
+
+def _is_off(fit: _Fit) -> bool:
+    return _sure(fit) and fit.effect > CHANGED
 
 
 def _sure(fit: _Fit) -> bool:
@@ -218,7 +215,10 @@ def _earlier(name: str) -> _Change:
             v_y = motion.v_y - x * motion.v_x * motion.yaw_rate
             return replace(motion, v_y=v_y), vehicle
         values = getattr(motion, name)
-        return replace(motion, **{name: values + x * motion.rate_of(values)}), vehicle
+        values = values + x * motion.rate_of(values)
+        if name == "v_y":
+            return _with_v_y(motion, vehicle, values), vehicle
+        return replace(motion, **{name: values}), vehicle
 
     return change
 
@@ -226,7 +226,15 @@ def _earlier(name: str) -> _Change:
 def _mirrored(motion: Motion, vehicle: Vehicle, x: float):
     """Flip v_y of the tracked point."""
     moved = 2 * vehicle.cg_from_tracked[0] * motion.yaw_rate
-    return replace(motion, v_y=moved - motion.v_y), vehicle
+    return _with_v_y(motion, vehicle, moved - motion.v_y), vehicle
+
+
+def _with_v_y(motion: Motion, vehicle: Vehicle, v_y: np.ndarray) -> Motion:
+    """Another v_y, with the a_y that follows from it where none is logged."""
+    a_y = motion.a_y
+    if vehicle.columns.a_y_follows:
+        a_y = a_y + motion.rate_of(v_y - motion.v_y)
+    return replace(motion, v_y=v_y, a_y=a_y)
 
 
 def _words(fit: _Fit, stated: float, vehicle: Vehicle) -> tuple[str, str]:
@@ -238,26 +246,38 @@ def _words(fit: _Fit, stated: float, vehicle: Vehicle) -> tuple[str, str]:
     return reason, remedy + ("" if vehicle.tracked_point else " (or correct l_r)")
 
 
-def _others(motion, vehicle: Vehicle, rows: _Rows) -> list[tuple[float, str, str]]:
+def _may_flip(motion, vehicle: Vehicle, every, step: int, found: bool) -> bool:
+    """Whether the stated point fits the flipped v_y, or neither v_y determines one;
+    else the point alone is wrong."""
+    if vehicle.columns.motion == POSE:
+        return False
+    again, _ = _point(_mirrored(motion, vehicle, 0.0)[0], vehicle, every, step)
+    if again.std > _KNOWN * vehicle.wheelbase:
+        return not found
+    return again.slope > 0 and not _is_off(again)
+
+
+def _others(motion, vehicle: Vehicle, rows: _Rows, may_flip: bool):
     """Misfit [rad], reason and remedy of each other fault that explains the force."""
-    pose, found = vehicle.columns.motion == POSE, []
+    pose, others = vehicle.columns.motion == POSE, []
     fit = _fitted(_more_inertia, 0.1, motion, vehicle, rows)
     changed = _more_inertia(motion, vehicle, fit.amount)[1]
     if _sure(fit) and set(changed.doubts()) <= set(vehicle.doubts()):
         share = f"{1 + fit.amount:.2g} ± {fit.std:.1g}"
         remedy = f"set yaw_inertia = {changed.yaw_inertia:.3g}"
-        found.append((fit.misfit, f"yaw_inertia is {share} of the stated one", remedy))
-    for name in ("yaw",) if pose else ("v_y", "a_y"):
+        others.append((fit.misfit, f"yaw_inertia is {share} of the stated one", remedy))
+    follows = vehicle.columns.a_y_follows
+    for name in ("yaw",) if pose else ("v_y",) if follows else ("v_y", "a_y"):
         small = 1 / vehicle.filter.sample_rate
         fit = _fitted(_earlier(name), small, motion, vehicle, rows)
         if _sure(fit):
             how = "late" if fit.amount > 0 else "early"
             reason = f"{name} is {abs(fit.amount):.2g} ± {fit.std:.1g} s {how}"
-            found.append((fit.misfit, reason, f"shift {name} in the log"))
+            others.append((fit.misfit, reason, f"shift {name} in the log"))
     fit = _fitted(_mirrored, 0.0, motion, vehicle, rows)
-    if not pose and fit.slope > 0:
-        found.append((fit.misfit, *_flipped(vehicle)))
-    return found
+    if may_flip and fit.slope > 0:
+        others.append((fit.misfit, *_flipped(vehicle)))
+    return others
 
 
 def _fits_flipped(motion, vehicle: Vehicle, rows: _Rows) -> bool:
@@ -271,11 +291,17 @@ def _fits_flipped(motion, vehicle: Vehicle, rows: _Rows) -> bool:
 
 def _flipped(vehicle: Vehicle) -> tuple[str, str]:
     """Reason and remedy of a wrong sign."""
-    pose = vehicle.columns.motion == POSE
-    name, other, unit = ("yaw", "y", "rad") if pose else ("v_y", "a_y", "m/s")
-    unit = f"-{vehicle.units.get(name, unit)}".removeprefix("--")
-    remedy = f'set {name} = "{unit}" in [units] of vehicle.toml'
-    return f"{name} or {other} has the other sign", remedy
+    other = "yaw_rate" if vehicle.columns.a_y_follows else "a_y"
+    unit = f"-{vehicle.units.get('v_y', 'm/s')}".removeprefix("--")
+    remedy = f'set v_y = "{unit}" in [units] of vehicle.toml'
+    return f"v_y or {other} has the other sign", remedy
+
+
+def _nothing_fits(vehicle: Vehicle) -> tuple[str, str]:
+    """Reason and remedy where no single change explains the force."""
+    remedy = "check tracked_point, the signs of the channels and yaw_inertia, which is"
+    remedy += f" {vehicle.inertia_ratio:.2g} mass l_f l_r (about 1 of cars)"
+    return "no point on the car explains it", remedy
 
 
 # --- fit ------------------------------------------------------------------------

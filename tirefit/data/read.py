@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tirefit.data import check, signs
-from tirefit.data.cells import TextColumn
+from tirefit.data.cells import words_of
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Plan, plan_columns
 from tirefit.data.declared import Options, Signs
@@ -214,11 +214,7 @@ def _runs(reading: _Reading) -> tuple[np.ndarray, tuple[str, ...]]:
     n = len(reading.table.lines)
     if column is None:
         return np.zeros(n, int), (reading.table.name,)
-    cells = reading.table.cells[column.index]
-    words = cells.words() if isinstance(cells, TextColumn) else cells
-    names = [str(word).strip() for word in words]
-    if isinstance(cells, np.ndarray) and cells.dtype.kind == "f":
-        names = [f"{cell:.15g}" for cell in cells]
+    names = words_of(reading.table.cells[column.index])
     skip = reading.table.ragged
     empty = [i for i, name in enumerate(names) if name in ("", "nan") and not skip[i]]
     if empty:

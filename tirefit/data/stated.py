@@ -1,15 +1,21 @@
-"""What a derived file's first line states: of its vehicle, and found in the logs."""
+"""What a derived file states: of its vehicle, found in the logs, and assumed."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
 
 _POSE_CLOCK = 0.005
 """Standard error [s] of the time between x, y and yaw, which one instrument gives."""
 
 _DELAYED = 3.0  # standard errors from which a delay between two channels is reported
+
+_SIGNS = (
+    "alpha > 0 where the axle slides to the left; fy > 0 to the right, as the force"
+    " then acts: alpha and fy are negative in a left turn (the canonical convention)"
+)
 
 
 def stated_of(vehicle: Vehicle) -> dict[str, float]:
@@ -46,3 +52,35 @@ def found_in(logs: Sequence) -> dict[str, float]:
             if name == "found_point" or abs(mean) > _DELAYED * std:
                 found |= {name: float(mean), f"{name}_std": float(std)}
     return found
+
+
+def assumptions_of(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
+    """Bandwidth, model and everything that was assumed of a log, in sentences."""
+    settings = vehicle.filter
+    said = [
+        f"bandwidth {settings.bandwidth:.3g} Hz (-3 dB): Butterworth of order"
+        f" {settings.order}, {settings.cutoff:g} Hz, run both ways, then central"
+        f" differences at {settings.sample_rate:g} Hz; neighbouring samples are"
+        " correlated, so n samples are not n facts",
+        f"gaps over {track.max_gap:.3g} s are not interpolated; shorter ones and uneven"
+        " sampling are bridged by a cubic spline",
+        "one rigid body on a flat floor, one wheel per axle: no roll, pitch, lateral"
+        " load transfer or drag, and no yaw moment but that of the axles' side forces",
+        _SIGNS,
+    ]
+    if vehicle.h_cg is None:
+        said.append("fz is the static axle load (h_cg is not given)")
+    else:
+        said.append("fz is the axle load with the load transfer m a_x h_cg / L")
+    if vehicle.tracked_point is None:
+        said.append("the log describes the centre of gravity (no tracked_point)")
+    if axle == "front":
+        assert vehicle.steering is not None
+        delay = vehicle.steering.delay
+        late = f"{delay:g} s later" if delay else "at once"
+        said.append(f"the road wheels follow the steering command {late}")
+    if vehicle.driven not in (axle, "all"):
+        said.append(f"the {axle} axle neither drives nor brakes")
+    elif vehicle.driven == "all" and vehicle.rear_share is None:
+        said.append("the rear axle has half of the drive force (no rear_share)")
+    return (*said, *vehicle.columns.notes, *track.notes)

@@ -2,16 +2,10 @@
 
 from math import pi
 
-FITTYP: dict[float, str] = {
-    5: "5.2",
-    6: "5.2",
-    21: "5.2",
-    51: "5.2",
-    52: "5.2",
-    60: "6.1",
-    61: "6.1",
-    62: "6.2",
-}
+from tirefit.slip import GRAVITY
+
+FITTYP: dict[float, str] = dict.fromkeys((5, 6, 21, 51, 52), "5.2")
+FITTYP |= {60: "6.1", 61: "6.1", 62: "6.2"}
 """Value of FITTYP -> version of the Magic Formula whose equations are used."""
 
 FORMATS_REFUSED = {
@@ -126,7 +120,7 @@ _SPELLINGS = {
     },
     "FORCE": {
         1.0: "newton newtons n", 1e3: "kilonewton knewton kn", 10.0: "dekanewton dan",
-        9.80665: "kilogram_force kg_force kgf",
+        GRAVITY: "kilogram_force kg_force kgf",
         4.4482216152605: "pound_force poundforce lbf",
     },
     "ANGLE": {1.0: "radians radian rad", pi / 180: "degrees degree deg"},

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tirefit.data.cells import TextColumn
+from tirefit.data.cells import TextColumn, words_of
 from tirefit.data.columns import guess, stated_unit
 from tirefit.data.quaternion import with_headings
 from tirefit.data.read import Table, read_table
@@ -19,6 +19,16 @@ _MISSING = {"", "nan", "na", "null", "none"}
 _MOST_PROBLEMS = 10
 _CLOSEST = 0.3
 """Samples nearer than this part of the log's period are one sample (a repeat)."""
+
+_LASTING = 1.0
+"""Time [s] for which the stamps must stay back where a run starts anew: rows that a
+recorder wrote late come back sooner."""
+
+_HELD, _COARSE = 0.02, 1e-3
+"""Share of the samples that repeat the one before, and error of half a step over the
+standard deviation of a channel, from which its steps are noted."""
+
+_JITTER = 1.05  # of a period: 20 Hz by the clock of a bus is 19.9 Hz
 
 _LARGEST = 1e20
 """Size of a value whose square still is a number; infinity counts as missing."""
@@ -57,6 +67,8 @@ class Track:
     dropped: Mapping[str, int]  # reason -> rows that were not used
     sha256: str  # of the file
     notes: tuple[str, ...]  # what was assumed to read the file
+    run: np.ndarray  # (n,) int, number of the run of each sample
+    runs: tuple[str, ...]  # names of the runs; "" of a log that is one run
 
 
 def read_track(path: Place, vehicle: Vehicle) -> Track:
@@ -74,10 +86,13 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     active = np.ones(len(time), bool)
     if vehicle.keep.active:
         active = columns[vehicle.keep.active] == vehicle.keep.active_value
+    label = _labels(table, vehicle, notes)
     needed = len(vehicle.columns.motion) + (vehicle.steering is not None)
     finite = np.isfinite(time) & np.isfinite(signals[:, :needed]).all(axis=1)
     time, signals, active = time[finite], signals[finite], active[finite]
     period = _period(time, vehicle, table.file)
+    max_gap = vehicle.filter.max_gap or 3.5 * period
+    time, run, runs = _in_runs(time, label[finite], period, max_gap, notes)
     later = _later(time, period)
     fresh = later.copy()
     if vehicle.columns.motion == POSE:
@@ -89,14 +104,52 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
         "repeated pose": int(np.count_nonzero(later & ~fresh)),
     }
     signals = signals[fresh]
+    notes += _steps(channels, signals)
     for place, channel in enumerate(channels):
         if channel.quantity == "yaw":
             signals[:, place] = _unwrapped(signals[:, place]) + vehicle.yaw_offset
     return Track(
         time[fresh] - time[fresh][0], signals, tuple(channels), active[fresh],
-        vehicle.filter.max_gap or 3.5 * period, float(time[fresh][0]),
-        len(table.lines), dropped, table.sha256, tuple(notes),
+        max_gap, float(time[fresh][0]), len(table.lines), dropped, table.sha256,
+        tuple(notes), run[fresh], runs,
     )  # fmt: skip
+
+
+def _labels(table: Table, vehicle: Vehicle, notes: list[str]) -> np.ndarray:
+    """The run of each row (n,) as text: of the column that is named, or whose header
+    alone says so; all "" without one."""
+    headers = [h for h in table.headers if (g := guess(h)) and g.name == "run"]
+    header = vehicle.columns.run or (headers[0] if len(headers) == 1 else None)
+    if header is None:
+        return np.full(len(table.lines), "")
+    notes.append(f"column {header!r} read as the run")
+    return np.array(words_of(table.cells[table.headers.index(header)]))
+
+
+def _in_runs(time, label, period: float, max_gap: float, notes: list[str]):
+    """Time (n,) that goes on where it starts anew, the number of the run of each row
+    (n,), and the names of the runs.
+
+    Args:
+        label: (n,) the names; where they are all the same, time alone tells the runs.
+    """
+    time, lasting = time.copy(), round(_LASTING / period)
+    again = np.zeros(len(time), int)
+    for k in np.flatnonzero(np.diff(time) < -max_gap) + 1:
+        if k + lasting <= len(time) and np.all(time[k : k + lasting] < time[k - 1]):
+            time[k:] += np.max(time[:k]) - time[k] + 2 * max_gap
+            again[k] = 1
+    if again.any():
+        notes.append(
+            f"time starts anew {again.sum()} times: it goes on {2 * max_gap:.3g} s"
+            " after the sample before, as a gap"
+        )
+    if len(set(label)) < 2:
+        label = (1 + np.cumsum(again)).astype(str)
+    names = tuple(dict.fromkeys(label.tolist()))
+    codes = {name: code for code, name in enumerate(names)}
+    run = np.array([codes[name] for name in label.tolist()], int)
+    return time, run, names if len(names) > 1 else ("",)
 
 
 def _unwrapped(yaw: np.ndarray) -> np.ndarray:
@@ -115,10 +168,12 @@ def _read(path: Place, vehicle: Vehicle) -> tuple[Table, Vehicle]:
 
     If the yaw of the vehicle is a quaternion, it becomes the column of its heading.
     """
-    given = vehicle.columns.model_dump().values()
-    wanted = [name for name in (*given, vehicle.keep.active) if name]
-    table, headings = with_headings(read_table(path, wanted))
-    yaw = vehicle.columns.yaw or ""
+    given = vehicle.columns.model_dump(exclude={"yaw"}).values()
+    stated = vehicle.columns.yaw or ""
+    parts = stated if isinstance(stated, list) else []
+    yaw = stated if isinstance(stated, str) else stated[0]
+    wanted = [n for n in (*given, *(parts or [yaw]), vehicle.keep.active) if n]
+    table, headings = with_headings(read_table(path, wanted), parts)
     if yaw in headings:
         columns = vehicle.columns.model_copy(update={"yaw": headings[yaw]})
         vehicle = vehicle.model_copy(update={"columns": columns})
@@ -127,6 +182,7 @@ def _read(path: Place, vehicle: Vehicle) -> tuple[Table, Vehicle]:
     if absent:
         known = ", ".join(table.headers)
         remedy = f"correct [columns] of vehicle.toml; the file has: {known}"
+        remedy += "".join(f"; {note}" for note in table.notes if "not read" in note)
         raise DataError(
             [
                 InputProblem("the column is missing", remedy, table.file, column=name)
@@ -265,14 +321,33 @@ def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
             remedy = "sort the log by time, or name the right column"
         raise DataError(reason, remedy, file, column=column)
     period = float(np.median(steps))
-    if period > 1 / (4 * cutoff):
+    if period > _JITTER / (4 * cutoff):
+        lower = math.floor(100 / (4 * period)) / 100
         raise DataError(
             f"is sampled at {1 / period:.3g} Hz only",
-            f"give {needed}, lower filter.cutoff, or check the unit of time",
+            f"give {needed}, say cutoff = {max(lower, 0.001):g} in [filter] of"
+            " vehicle.toml, or check the unit of time",
             file,
             column=vehicle.columns.time,
         )
     return period
+
+
+def _steps(channels, signals: np.ndarray) -> list[str]:
+    """A note on the channels that are quantised more coarsely than they change."""
+    coarse = []
+    for channel, values in zip(channels, signals.T, strict=True):
+        values = values[np.isfinite(values)]
+        levels = np.unique(values)
+        if len(levels) < 3 or np.mean(np.diff(values) == 0) < _HELD:
+            continue
+        step = float(np.min(np.diff(levels)))
+        if step > _COARSE * math.sqrt(12) * float(np.std(values)):
+            text = f"{step / abs(channel.factor):.3g} {channel.unit.removeprefix('-')}"
+            coarse.append(f"{channel.quantity} {text.strip()}")
+    if not coarse:
+        return []
+    return [f"channels in steps, an error of 0.29 step (rms) each: {', '.join(coarse)}"]
 
 
 def _later(time: np.ndarray, period: float) -> np.ndarray:

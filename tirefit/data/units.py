@@ -11,7 +11,13 @@ import numpy as np
 
 from tirefit.data.table import WHEELS
 from tirefit.results import DataError, did_you_mean
-from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS, kappa_from_sigma
+from tirefit.slip import (
+    CONVENTIONS,
+    GRAVITY,
+    LOCKED,
+    SLIP_DEFINITIONS,
+    kappa_from_sigma,
+)
 
 MEANING_OF_SLIP = {
     "sigma_x": "v_sx / (Omega R_e)",
@@ -79,7 +85,7 @@ _FACTORS = {
     "angular speed": {"rad/s": 1, "radps": 1, "rads": 1, "1/s": 1, "deg/s": np.pi / 180,
                       "degps": np.pi / 180, "rpm": _TURN / 60, "1/min": _TURN / 60,
                       "rev/min": _TURN / 60, "rev/s": _TURN, "Hz": _TURN},
-    "force": {"N": 1, "kN": 1e3, "daN": 10, "kgf": 9.80665,
+    "force": {"N": 1, "kN": 1e3, "daN": 10, "kgf": GRAVITY,
               **dict.fromkeys(("lbf", "lb", "lbs"), 4.4482216152605)},
     "moment": {"Nm": 1, "N-m": 1, "kNm": 1e3, "Nmm": 1e-3,
                **dict.fromkeys(("lbfft", "ftlbf", "ft-lb", "ft-lbs", "ft-lbf", "lb-ft"),
@@ -89,7 +95,7 @@ _FACTORS = {
               "knot": 1852 / 3600},
     "pressure": {"Pa": 1, "hPa": 100, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 100,
                  "psi": 6894.757293168361},
-    "acceleration": {"m/s2": 1, "m/s^2": 1, "m/s²": 1, "g": 9.80665, "mm/s2": 1e-3,
+    "acceleration": {"m/s2": 1, "m/s^2": 1, "m/s²": 1, "g": GRAVITY, "mm/s2": 1e-3,
                      "ft/s2": 0.3048},
     "angular acceleration": {"rad/s2": 1, "rad/s^2": 1, "rad/s²": 1,
                              "deg/s2": np.pi / 180, "deg/s^2": np.pi / 180},

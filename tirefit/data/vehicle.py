@@ -17,6 +17,7 @@ from tirefit.data.units import Unit, known_unit, units_of
 from tirefit.door import read_toml
 from tirefit.results import InputProblem
 from tirefit.settings import Section, parse_settings
+from tirefit.slip import GRAVITY
 
 QUANTITIES = {
     "time": "time",
@@ -32,10 +33,15 @@ QUANTITIES = {
 """Quantity of a log -> its dimension, whose units :mod:`tirefit.data.units` lists."""
 
 POSE = ("x", "y", "yaw")
-RATES = ("v_x", "v_y", "yaw_rate", "a_y")
-CHECKS = (*POSE, *RATES, "a_x")
+RATES = ("v_x", "v_y", "yaw_rate")
+CHECKS = (*POSE, *RATES, "a_y", "a_x")
 """Quantities that are compared with the motion where it does not need them."""
 
+_FOLLOWS = (
+    "a_y follows from the speeds (dv_y/dt + v_x r at the centre of gravity, of the"
+    " filtered channels): it is no independent measurement and checks none of them; a"
+    " channel that a filter or a model computed is no measurement"
+)
 _FROUDE = 0.5
 """Lowest speed that is kept unless told, over sqrt(g L): 0.65 m/s for a model car of
 0.17 m, 2.6 m/s for a car of 2.7 m. Below, noise of the speeds turns the slip angle."""
@@ -44,20 +50,26 @@ _AXLE_TOLERANCE = 0.01
 
 
 class Columns(Section):
-    """Headers of the log's columns: a pose (x, y, yaw) or rates (v_x, v_y, yaw_rate,
-    a_y), whole. What is named beyond is compared with them; of both, the pose is used.
+    """Headers of the log's columns: a pose (x, y, yaw) or rates (v_x, v_y, yaw_rate),
+    whole. A log of rates uses a_y and a_x where they are named. All other columns that
+    are named are compared with them; of both, the pose is used.
+
+    Attributes:
+        yaw: a heading, or the components x, y, z, w of a quaternion.
+        run: names or numbers of runs; nothing is joined from one run to the next.
     """
 
     time: str
     x: str | None = None
     y: str | None = None
-    yaw: str | None = None
+    yaw: str | Annotated[list[str], Field(min_length=4, max_length=4)] | None = None
     v_x: str | None = None
     v_y: str | None = None
     yaw_rate: str | None = None
     a_y: str | None = None
     a_x: str | None = None
     steering: str | None = None
+    run: str | None = None
 
     def contradictions(self) -> Iterator[InputProblem]:
         given = [name for name in CHECKS if getattr(self, name) is not None]
@@ -65,7 +77,8 @@ class Columns(Section):
             yield InputProblem(
                 f"neither a pose log nor a log of rates: named are"
                 f" {', '.join(given) or 'none of their columns'}",
-                f"name {', '.join(POSE)} (a pose log) or {', '.join(RATES)} (rates)",
+                f"name {', '.join(POSE)} (a pose log) or {', '.join(RATES)} (rates;"
+                " a_y as well where it is measured)",
             )
 
     @property
@@ -73,7 +86,18 @@ class Columns(Section):
         """The quantities the motion is derived from."""
         if all(getattr(self, name) is not None for name in POSE):
             return POSE
-        return RATES if self.a_x is None else (*RATES, "a_x")
+        measured = (name for name in ("a_y", "a_x") if getattr(self, name) is not None)
+        return (*RATES, *measured)
+
+    @property
+    def a_y_follows(self) -> bool:
+        """Whether the lateral acceleration is that of the speeds."""
+        return not {*POSE, "a_y"} & {*self.motion}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the columns leave open, in words."""
+        return (_FOLLOWS,) if self.a_y_follows else ()
 
     @property
     def beyond(self) -> tuple[str, ...]:
@@ -206,7 +230,7 @@ class Vehicle(Section):
     yaw_offset: float = 0.0
     sideslip_offset: float = 0.0
     h_cg: NonNegativeFloat | None = None  # [m]; None keeps the load static
-    gravity: PositiveFloat = 9.80665  # [m/s2]
+    gravity: PositiveFloat = GRAVITY  # [m/s2]
     driven: Literal["rear", "front", "all"] | None = None
     rear_share: Annotated[float, Field(ge=0, le=1)] | None = None
     drag: NonNegativeFloat | None = None  # over v^2 [kg/m]; None: none, hardly known
@@ -294,10 +318,9 @@ class Vehicle(Section):
         Lengths are compared with the wheelbase, masses with its third power, so that
         what holds for a car holds for a model of a tenth.
         """
-        arms = self.mass * self.l_f * self.l_r
         compared = (
             ("mass / wheelbase^3", self.mass / self.wheelbase**3, _DENSITIES, "kg/m3"),
-            ("yaw_inertia / (mass l_f l_r)", self.yaw_inertia / arms, _INERTIAS, ""),
+            ("yaw_inertia / (mass l_f l_r)", self.inertia_ratio, _INERTIAS, ""),
             ("l_f / l_r", self.l_f / self.l_r, _ARMS, ""),
             ("h_cg / wheelbase", (self.h_cg or 0.0) / self.wheelbase, _HEIGHTS, ""),
             ("gravity", self.gravity, _GRAVITIES, "m/s2"),
@@ -308,6 +331,11 @@ class Vehicle(Section):
             for what, value, (low, high), unit in compared
             if not low <= value <= high
         )
+
+    @property
+    def inertia_ratio(self) -> float:
+        """Yaw inertia over that of both axle masses at their axles: about 1 of cars."""
+        return self.yaw_inertia / (self.mass * self.l_f * self.l_r)
 
     @property
     def cg_from_tracked(self) -> tuple[float, float]:

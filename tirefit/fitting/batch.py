@@ -1,13 +1,17 @@
 """Many fits of one model at once: least squares under vmap, in cache-sized batches."""
 
+from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from tirefit.data.write import csv_text
+from tirefit.display import Record
+from tirefit.files import json_safe
 from tirefit.fitting.layout import FreeParameter, Layout
 from tirefit.fitting.least_squares import damped_gauss_newton
 from tirefit.fitting.problem import find_model, guess_from_curve
@@ -17,13 +21,32 @@ from tirefit.precision import require_x64
 from tirefit.results import UsageError
 
 
-class BatchFit(NamedTuple):
+@dataclass(frozen=True, repr=False)
+class BatchFit(Record):
     """Estimates of B fits: values and standard deviations (B, p) by ``names``."""
+
+    text_by: ClassVar[str] = "tirefit.report.records:batch_text"
+    plot_by: ClassVar[str] = "tirefit.report.records:batch_figure"
 
     names: tuple[str, ...]
     values: np.ndarray
     std: np.ndarray
-    converged: np.ndarray
+    converged: np.ndarray  # (B,) bool
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """``fits.csv``: estimate and standard deviation of each parameter, by fit."""
+        found = {"converged": self.converged.astype(int)}
+        for name, value, std in zip(self.names, self.values.T, self.std.T, strict=True):
+            found |= {name: value, f"{name}_std": std}
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """The columns as lists."""
+        return json_safe(self.columns())
+
+    def files(self, name: str = "") -> dict[str, str]:
+        """``fits.csv``."""
+        return {"fits.csv": csv_text(self.columns())}
 
 
 def fit_many(

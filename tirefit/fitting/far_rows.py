@@ -24,7 +24,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import maximum_filter1d
 from scipy.special import ndtri, stdtrit
 
 from tirefit.data.far import (
@@ -190,6 +189,8 @@ def _leaving_runs(aside, task: FitTask) -> Bool[np.ndarray, " n"]:
 def _worst_in_time(ratio, kept):
     """The ratios (n,) but, of kept rows close in time, of the worst alone: a transient
     tire feels one absurd slip for as long as it remembers."""
+    from scipy.ndimage import maximum_filter1d  # for transient tires alone
+
     worst = maximum_filter1d(np.where(kept, ratio, 0.0), 2 * _REMEMBERED + 1)
     return np.where(kept & (ratio < worst), np.minimum(ratio, 1.0), ratio)
 

@@ -90,7 +90,7 @@ class Identifiability:
     effective_rows: Mapping[str, float]
     how: str
 
-    def as_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Plain values, fit for JSON."""
         content = asdict(self)
         content["gates"] = [
@@ -99,7 +99,7 @@ class Identifiability:
         ]
         return content
 
-    def text(self) -> str:
+    def summary(self) -> str:
         """A few lines a model, at most 88 columns."""
         if not self.gates:
             return ""

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tirefit.display import Displayed
+from tirefit.display import Record
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.fitting.layout import Layout
@@ -108,7 +108,7 @@ class PosteriorSummary:
 
 
 @dataclass(frozen=True, repr=False)
-class FitResult(Displayed):
+class FitResult(Record):
     """One fit: what went in, what came out, how sure it is.
 
     ``parameters`` and ``derived`` come from the posterior where it ran, else from
@@ -124,6 +124,9 @@ class FitResult(Displayed):
 
     html_by: ClassVar[str] = "tirefit.report.html:fit_fragment"
     text_by: ClassVar[str] = "tirefit.report.text:fit_report"
+    plot_by: ClassVar[str] = "tirefit.report.plots:plot_fit"
+    page_by: ClassVar[str] = "tirefit.report.fit_html:fit_page"
+    save_by: ClassVar[str] = "tirefit.fitting.store:save_fit"
 
     model: str
     forces: tuple[str, ...]
@@ -176,6 +179,19 @@ class FitResult(Displayed):
     @property
     def identified(self) -> bool:
         return Outcome.NOT_IDENTIFIED not in self.outcomes
+
+    def plot(self, what: str = "fit", **how):
+        """The measured points with the fitted curve, or another figure.
+
+        Args:
+            what: ``fit``, ``residuals``, ``profile``, ``corner``, ``trace``, ``runs``.
+            how: ``ax`` of ``fit``: axes of your own figure; ``parameters`` of
+                ``corner`` and ``trace``: those to draw, by label or by name.
+
+        Raises:
+            UsageError: no such figure, or the fit does not have what it shows.
+        """
+        return super().plot(what, **how)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able content of ``fit.json``; no NaN, no infinity (they become null)."""

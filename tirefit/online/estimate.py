@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tirefit import __version__
 from tirefit.data.accept import as_data
 from tirefit.data.read import require
 from tirefit.data.table import CANONICAL, TireData
@@ -104,8 +105,6 @@ def _usual_load(data: TireData, columns: Mapping[str, np.ndarray]) -> float:
 
 
 def _estimates(data, columns, done, seed) -> Estimates:
-    from tirefit import __version__
-
     source = data.source
     about = {
         "name": data.name, "file": source.path, "sha256": source.sha256,

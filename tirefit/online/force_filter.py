@@ -25,6 +25,7 @@ from tirefit.data.table import WHEELS
 from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of, floats
 from tirefit.online.regression import RESOLVED
 from tirefit.online.vehicle import (
+    GRAVITY,
     AbstractVehicleMethod,
     axle_angles,
     brush_share,
@@ -142,7 +143,7 @@ class ForceFilter(AbstractVehicleMethod):
         return after, self._estimate(after, jnp.where(due, told, jnp.nan))
 
     def _first(self):
-        load = self.mass * 9.81
+        load = self.mass * GRAVITY
         stds = [0.1, 0.02, 0.05, 0.1, *[0.5] * 4]
         forces = [0.1 * load] * 4 + [0.3 * load] * 2
         return jnp.diag(floats(*stds, *forces) ** 2)
@@ -190,7 +191,7 @@ class ForceFilter(AbstractVehicleMethod):
             return x + dt * self.rates(half, state.inputs)
 
         slope = jax.jacfwd(ahead)(state.x)
-        load = self.force_drift * self.mass * 9.81
+        load = self.force_drift * self.mass * GRAVITY
         q = [self.speed_drift] * 2 + [0.01, 1.0] + [0.1] * 4
         q += [load / 4] * 4 + [0.15 * load] * 2
         grown = jnp.diag(floats(*q) ** 2)
@@ -226,7 +227,7 @@ class ForceFilter(AbstractVehicleMethod):
 
     def _weighed(self, state: ForceState, dt):
         """ln of the weights after one sample, and the surprise of the expected mu."""
-        load = self.mass * 9.81
+        load = self.mass * GRAVITY
         model = self.tire_error * load * jnp.array([0.25] * 4 + [0.5] * 2)
 
         def missed(x, mu):

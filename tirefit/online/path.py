@@ -28,6 +28,7 @@ from tirefit.data.table import WHEELS
 from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of, floats
 from tirefit.online.regression import RESOLVED
 from tirefit.online.vehicle import (
+    GRAVITY,
     AbstractVehicleMethod,
     axle_angles,
     brush_share,
@@ -282,7 +283,7 @@ class Path(AbstractVehicleMethod):
         return jnp.diag(floats(*_FIRST, *[self.prior_stiffness] * 2) ** 2)
 
     def _widest(self):
-        return jnp.asarray(self.mass * 9.81, float) ** 2
+        return jnp.asarray(self.mass * GRAVITY, float) ** 2
 
     def _begun(self, state: PathState, sample: Sample, omega, torque) -> PathState:
         """The motion from one sample alone; what is known of the tires stays."""

@@ -6,7 +6,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tirefit.display import Displayed
+from tirefit.data.write import csv_text
+from tirefit.display import Record
+from tirefit.files import json_safe
 from tirefit.online.base import FLAGS, PARAMETERS, Flag, code
 from tirefit.online.methods import METHODS
 
@@ -63,15 +65,15 @@ class MethodEstimates:
 
 
 @dataclass(frozen=True, repr=False)
-class Estimates(Displayed):
+class Estimates(Record):
     """Online estimates of one or more methods over one log.
 
     ``time`` (n,) [s]; ``use`` (n,): force over load; ``data``: name, file, sha256,
     rows, convention, assumptions of the log.
     """
 
-    html_by: ClassVar[str] = "tirefit.report.estimates:estimates_html"
-    text_by: ClassVar[str | None] = "tirefit.report.estimates:estimates_text"
+    text_by: ClassVar[str] = "tirefit.report.estimates:estimates_text"
+    plot_by: ClassVar[str] = "tirefit.report.estimates:estimates_figure"
 
     time: np.ndarray
     use: np.ndarray | None
@@ -93,9 +95,14 @@ class Estimates(Displayed):
             table[f"{name}_flag"] = method.reasons
         return table
 
+    def files(self, name: str = "") -> dict[str, str]:
+        """``estimates.csv`` and ``summary.json``."""
+        rows = csv_text(self.columns())
+        return {"estimates.csv": rows, "summary.json": self.to_json()}
+
     def to_dict(self) -> dict[str, Any]:
         """``summary.json``."""
-        return {
+        content = {
             "schema": SCHEMA,
             "version": self.version,
             "seed": self.seed,
@@ -125,6 +132,7 @@ class Estimates(Displayed):
                 for name, method in self.methods.items()
             },
         }
+        return json_safe(content)
 
 
 def changes(time: np.ndarray, method: MethodEstimates) -> list[Change]:

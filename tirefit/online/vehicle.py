@@ -14,6 +14,8 @@ from tirefit.online.base import AbstractEstimator
 from tirefit.params import par
 
 GRAVITY = 9.81
+"""Of the methods and the simulated cars [m/s2], rounded as in their sources; files and
+logs have :data:`tirefit.slip.GRAVITY`."""
 
 
 class AbstractVehicleMethod(AbstractEstimator):

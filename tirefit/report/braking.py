@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tirefit.data.table import WHEELS
+from tirefit.params import check_names
 from tirefit.report.canvas import COLORS, DARK, GREY, Picture, panel_title, tidy
-from tirefit.report.html import table_fragment
 from tirefit.report.numbers import format_number, plain_text
 from tirefit.report.text import table
 from tirefit.sim.brake_request import tire_curve
@@ -92,9 +92,15 @@ def braking_text(result: Braking) -> str:
     return "\n".join([f"BRAKING {_head(result)}", *table(_rows(result), right), *notes])
 
 
-def braking_html(result: Braking) -> str:
-    """The same as a fragment of HTML, with the figure; for notebooks."""
-    return table_fragment(_rows(result), _notes(result), stop_figure(result), "braking")
+def plot_braking(result: Braking, what: str = "stop") -> Picture:
+    """The ``stop`` over time, ``compare`` of the controllers, or the ``slip`` paths.
+
+    Raises:
+        UsageError: no such figure.
+    """
+    figures = {"stop": stop_figure, "compare": compare_figure, "slip": paths_figure}
+    check_names("figure", [what], figures)
+    return figures[what](result)
 
 
 def _foot(result: Braking) -> str:
@@ -131,9 +137,8 @@ def _draw_stop(all_axes, stop: Stop) -> None:
     if "reference_speed" in log.info:
         reference = log.info["reference_speed"][:, 0]
         all_axes[0].plot(
-            time, reference, color=DARK, linewidth=0.7, linestyle=":",
-            label="reference",
-        )  # fmt: skip
+            time, reference, color=DARK, linewidth=0.7, linestyle=":", label="reference"
+        )
     all_axes[3].plot(time, log.reading.deceleration, color=DARK, **lines)
     peak = {"color": GREY, "linewidth": 0.9, "linestyle": "--"}
     truth, of = log.reading.truth, f" ({names[0]})" if len(names) > 1 else ""

@@ -3,7 +3,6 @@
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -22,7 +21,6 @@ from tirefit.report.canvas import (
     PURPLE,
     Picture,
     panel_title,
-    save_picture,
     tidy,
 )
 from tirefit.report.curves import SlipAxis, slip_axis
@@ -257,7 +255,7 @@ def draw_waterfall(figure, steps: list[WaterfallBar], channel: str = "") -> None
         axes,
         f"Budget{channel}: from the simulator's error to the noise",
         "parts add in squares; a bar is a share of their sum [90 % interval]",
-    )  # fmt: skip
+    )
 
 
 def panels_of(result: Diagnosis) -> dict[str, Callable]:
@@ -325,7 +323,7 @@ def diagnosis_figure(result: Diagnosis) -> Picture:
 def plot_diagnosis(result: Diagnosis, panel: str | None = None):
     """The ladder, the effects, before and after, and where the gap lies: the Figure.
 
-    ``plot_diagnosis(result).savefig("why.pdf")`` saves it.
+    ``result.plot().savefig("why.pdf")`` saves it.
 
     Args:
         result: of ``tirefit.diagnose``.
@@ -338,12 +336,3 @@ def plot_diagnosis(result: Diagnosis, panel: str | None = None):
         return diagnosis_figure(result)
     check_names("panel", [panel], panels_of(result))
     return panel_pictures(result)[panel]
-
-
-def write_figure(result: Diagnosis, path) -> Path:
-    """Write the figure of a diagnosis, whole or not at all; its suffix says the kind.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    return save_picture(diagnosis_figure(result), Path(path))

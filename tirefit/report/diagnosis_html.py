@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 
 from tirefit.diagnosis.summary.records import Status
 from tirefit.diagnosis.summary.result import Diagnosis
-from tirefit.files import write_text_atomic
 from tirefit.report.diagnosis_details import details
 from tirefit.report.diagnosis_draw import diagnosis_figure, panel_pictures, panels_of
 from tirefit.report.diagnosis_sections import (
@@ -63,15 +62,6 @@ def diagnosis_page(result: Diagnosis) -> str:
         foot=foot_line(result),
         record=result.to_json(),
     )
-
-
-def write_page(result: Diagnosis, path) -> None:
-    """Write the page of a diagnosis, whole or not at all.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    write_text_atomic(path, diagnosis_page(result))
 
 
 def diagnosis_fragment(result: Diagnosis) -> str:

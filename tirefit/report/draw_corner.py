@@ -173,9 +173,8 @@ def _grid_key(picture: Picture, corner: Corner, top: float) -> None:
         corner.note,
     ]
     picture.text(
-        0.02, top, "\n".join(filter(None, lines)), va="top", fontsize=7.5,
-        color=DARK,
-    )  # fmt: skip
+        0.02, top, "\n".join(filter(None, lines)), va="top", fontsize=7.5, color=DARK
+    )
 
 
 def _corner_labels(axes, corner: Corner, i, j, size: float, label: float) -> None:

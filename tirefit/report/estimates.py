@@ -5,7 +5,6 @@ import numpy as np
 from tirefit.online.base import PARAMETERS, Flag, code
 from tirefit.online.result import Estimates, changes
 from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
-from tirefit.report.html import table_fragment
 from tirefit.report.numbers import format_estimate, format_number, plain_text
 from tirefit.report.text import table
 
@@ -47,12 +46,6 @@ def estimates_text(result: Estimates) -> str:
     head = f"ONLINE ESTIMATES of {result.data['name']}, {result.data['rows']} rows"
     notes = [f"  {note}" for note in _notes(result)]
     return "\n".join([head, *table(_cells(result), right=(2,)), *notes])
-
-
-def estimates_html(result: Estimates) -> str:
-    """The same as a fragment of HTML, with the figure; for notebooks."""
-    picture = estimates_figure(result)
-    return table_fragment(_cells(result), _notes(result), picture, "online estimates")
 
 
 def shaded_spans(time: np.ndarray, flag: np.ndarray) -> list[tuple[float, float]]:

@@ -1,8 +1,5 @@
 """A fit as one page that needs nothing else."""
 
-import os
-
-from tirefit.files import write_text_atomic
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.report.fit_panels import page_pictures
 from tirefit.report.fit_tables import (
@@ -113,16 +110,3 @@ def fit_page(result: FitResult) -> str:
         provenance=_provenance(result),
         record=result.to_json(),
     )
-
-
-def write_fit_page(result: FitResult, path: str | os.PathLike) -> None:
-    """Write the page of a fit, whole or not at all.
-
-    Args:
-        result: a fit of this process; with its posterior, its corner too.
-        path: of the page, ``fit.html`` say.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    write_text_atomic(path, fit_page(result))

@@ -1,6 +1,7 @@
 """Fits and data as self-contained fragments of HTML for notebooks."""
 
 import base64
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -8,11 +9,13 @@ import jinja2
 import numpy as np
 
 from tirefit.data.table import CANONICAL, TireData
+from tirefit.display import Record
 from tirefit.fitting.result import FitResult
 from tirefit.report.fit_tables import parameter_rows
 from tirefit.report.labels import fit_files
 from tirefit.report.numbers import format_number
 from tirefit.report.text import verdict_line
+from tirefit.results import UsageError
 
 GOOD, OPEN = "#009E73", "#D55E00"
 """Colours of a verdict that holds, and of one that leaves something open."""
@@ -43,11 +46,18 @@ def image_of(picture, alternative: str, least: int = 0) -> dict:
     return {"png": png_text(picture), "alternative": alternative, "least": least}
 
 
-def table_fragment(rows, notes, picture, alternative: str) -> str:
-    """A table with notes and a picture as a fragment of HTML, for notebooks."""
-    fragment = rendered("table_fragment.html", rows=rows, notes=notes)
-    source = f"data:image/png;base64,{png_text(picture)}"
-    return f'{fragment}\n<img alt="{alternative}" src="{source}">'
+def record_fragment(record: Record) -> str:
+    """The text and the figure of any record as a fragment of HTML, for notebooks."""
+    png = ""
+    with suppress(UsageError):  # a fit of another process has no data to draw
+        png = png_text(record.plot())
+    return rendered("record_fragment.html", text=record.summary(), png=png)
+
+
+def record_page(record: Record) -> str:
+    """The notebook form of a record as a page that needs no other file."""
+    title, fragment = type(record).__name__, record._repr_html_()
+    return rendered("record_page.html", title=title, fragment=fragment)
 
 
 def _figure(result: FitResult) -> str:

@@ -4,10 +4,13 @@
 """
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from tirefit.data.run_names import clipped, label_of_run, name_pattern, run_names
-from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.result import FitResult
+
+if TYPE_CHECKING:  # which imports much that other fits do not need
+    from tirefit.fitting.mf.result import MagicFormulaFit
 
 
 def _short(result: FitResult) -> Mapping[str, str]:
@@ -37,7 +40,7 @@ def run_lines(result: FitResult) -> list[str]:
     return [f"{i}: {run}" for i, run in enumerate(runs, 1)]
 
 
-def fit_files(result: FitResult | MagicFormulaFit, most: int = 1000) -> str:
+def fit_files(result: "FitResult | MagicFormulaFit", most: int = 1000) -> str:
     """The file of a fit without its folder; of several their number and pattern."""
     files = result.data["file"].replace("\\", "/").split(", ")
     if not 1 < len(files) <= len(result.data["runs"]):

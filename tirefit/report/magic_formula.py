@@ -1,6 +1,5 @@
 """The report of a fitted Magic Formula as text and as HTML."""
 
-import html
 from collections.abc import Callable
 from math import isnan
 
@@ -8,7 +7,6 @@ from tirefit.data.table import CANONICAL, FORCES
 from tirefit.fitting.mf.parts import PARTS
 from tirefit.fitting.mf.result import ORIGINS, MagicFormulaFit
 from tirefit.params import specs
-from tirefit.report.html import png_text
 from tirefit.report.labels import fit_files
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.text import table, wrapped
@@ -145,14 +143,3 @@ _REASONS: dict[Outcome, Callable[[MagicFormulaFit], list[str]]] = {
     Outcome.WORSENED: lambda fit: fit.worsened,
 }
 """Outcome against the use of a fit -> names of the stages or guards concerned."""
-
-
-def magic_formula_fragment(fit: MagicFormulaFit) -> str:
-    """The report as HTML for a notebook, with a figure if the fit has its data."""
-    picture = ""
-    if fit.binned:
-        from tirefit.report.mf_draw import plot_magic_formula  # Matplotlib
-
-        png = png_text(plot_magic_formula(fit))
-        picture = f'<img alt="forces by load" src="data:image/png;base64,{png}">'
-    return f"<pre>{html.escape(magic_formula_report(fit))}</pre>{picture}"

@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.result import FitResult, information
+from tirefit.params import check_names
 from tirefit.report import draw
 from tirefit.report.by_name import has_runs
 from tirefit.report.fit_tables import value_text
 from tirefit.report.html import rendered
-from tirefit.report.mf_draw import plot_magic_formula
 from tirefit.report.numbers import format_number
 from tirefit.report.text import table
 from tirefit.report.uncertainty import has_trace
@@ -21,15 +20,23 @@ def _needs(result: FitResult, what: str, there: bool) -> None:
         raise UsageError(f"this fit has no {what}")
 
 
-def plot_fit(result: FitResult | MagicFormulaFit, ax=None):
-    """Measured points and the fitted curve with its bands; the Figure.
+def plot_fit(result: FitResult, what: str = "fit", **how):
+    """A figure of a fit, as :meth:`FitResult.plot` has it; the Figure.
+
+    Raises:
+        UsageError: no such figure, or the fit does not have what it shows.
+    """
+    check_names("figure", [what], _FIGURES)
+    return _FIGURES[what](result, **how)
+
+
+def _plot_curve(result: FitResult, ax=None):
+    """Measured points and the fitted curve with its bands.
 
     Args:
         result: a fit from this process.
         ax: axes to draw the first force on, and nothing else, in your own figure.
     """
-    if isinstance(result, MagicFormulaFit):
-        return plot_magic_formula(result, ax)
     _needs(result, "data in memory (fit again to draw it)", result.problem is not None)
     if ax is None:
         return draw.fit_figure(result)
@@ -37,14 +44,14 @@ def plot_fit(result: FitResult | MagicFormulaFit, ax=None):
     return ax.figure
 
 
-def plot_residuals(result: FitResult):
-    """Residuals against every input, their distribution and order; the Figure."""
+def _plot_residuals(result: FitResult):
+    """Residuals against every input, their distribution and order."""
     _needs(result, "data in memory (fit again to draw it)", result.problem is not None)
     return draw.residual_figure(result)
 
 
-def plot_corner(result: FitResult, parameters: Sequence[str] | None = None):
-    """Posterior of every parameter and every pair; the Figure.
+def _plot_corner(result: FitResult, parameters: Sequence[str] | None = None):
+    """Posterior of every parameter and every pair.
 
     Args:
         result: a fit with its posterior.
@@ -55,30 +62,36 @@ def plot_corner(result: FitResult, parameters: Sequence[str] | None = None):
     return draw.corner_figure(result, parameters)
 
 
-def plot_trace(result: FitResult, parameters: Sequence[str] | None = None):
-    """Posterior draws in order, by ensemble; the Figure.
+def _plot_trace(result: FitResult, parameters: Sequence[str] | None = None):
+    """Posterior draws in order, by ensemble.
 
     Args:
         result: a fit with its posterior.
-        parameters: as of :func:`plot_corner`; by default all or ten of worst R-hat.
+        parameters: as of the corner; by default all or ten of worst R-hat.
     """
     _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
-    remedy = "chain: its posterior is of independent points (plot_corner draws it)"
+    remedy = "chain: its posterior is of independent points (plot('corner') draws it)"
     _needs(result, remedy, has_trace(result))
     return draw.trace_figure(result, parameters)
 
 
-def plot_profile(result: FitResult):
-    """Profile likelihood, covariance and posterior of every parameter; the Figure."""
+def _plot_profile(result: FitResult):
+    """Profile likelihood, covariance and posterior of every parameter."""
     _needs(result, "profile likelihood", bool(result.profiles))
     return draw.profile_figure(result)
 
 
-def plot_runs(result: FitResult):
-    """Parameters and derived quantities run by run, with 95 % intervals; the Figure."""
+def _plot_runs(result: FitResult):
+    """Parameters and derived quantities run by run, with 95 % intervals."""
     remedy = "parameter for each run (per_run = true under [parameters.NAME])"
     _needs(result, remedy, has_runs(result))
     return draw.runs_figure(result)
+
+
+_FIGURES = {
+    "fit": _plot_curve, "residuals": _plot_residuals, "profile": _plot_profile,
+    "corner": _plot_corner, "trace": _plot_trace, "runs": _plot_runs,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -108,9 +108,7 @@ def _loop(plant: Plant, controller, sensors, start: Motion, noise, queue, period
         return (later, memory, waiting), row
 
     n = len(noise.deceleration)
-    given = (
-        jnp.arange(n, dtype=float), at_samples, forces[:-1], forces[1:]
-    )  # fmt: skip
+    given = (jnp.arange(n, dtype=float), at_samples, forces[:-1], forces[1:])
     carry = (start, memory, jnp.zeros((queue, *wheels)))
     _, log = jax.lax.scan(sample, carry, given)
     return log

@@ -10,7 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.display import Displayed
+from tirefit import __version__
+from tirefit.data.write import csv_text
+from tirefit.display import Record
+from tirefit.files import json_safe
 from tirefit.precision import require_x64
 from tirefit.sim.brake import Log, simulate_stop
 from tirefit.sim.brake_plant import Plant
@@ -77,21 +80,22 @@ class Stop:
 
 
 @dataclass(frozen=True, repr=False)
-class Braking(Displayed):
+class Braking(Record):
     """Stops of controllers on one road, with the same noise.
 
     ``stops``: of the first seed, by controller; ``many``: numbers (k,) of all seeds by
     controller, empty for one stop; ``peak`` of the tire's curve: see the figures.
     """
 
-    html_by: ClassVar[str] = "tirefit.report.braking:braking_html"
-    text_by: ClassVar[str | None] = "tirefit.report.braking:braking_text"
+    text_by: ClassVar[str] = "tirefit.report.braking:braking_text"
+    plot_by: ClassVar[str] = "tirefit.report.braking:plot_braking"
 
     request: Request
     stops: Mapping[str, Stop]
     many: Mapping[str, Summary]
     seed: int
     version: str
+    notes: tuple[str, ...] = ()  # what may be meant otherwise
 
     def table(self) -> dict[str, dict[str, Any]]:
         """Controller -> number -> its mean and 95 % interval over the seeds."""
@@ -116,7 +120,14 @@ class Braking(Displayed):
             "units": UNITS, "meanings": MEANINGS, "manoeuvre": self.request.about(),
             "controllers": each,
         }  # fmt: skip
-        return head | ({"seeds": self.table()} if self.many else {})
+        return json_safe(head | ({"seeds": self.table()} if self.many else {}))
+
+    def files(self, name: str = "") -> dict[str, str]:
+        """``summary.json``, ``series.csv``; of several seeds ``stops.csv``."""
+        tables = {"series.csv": self.columns()}
+        tables |= {"stops.csv": self.stops_columns()} if self.many else {}
+        texts = {file: csv_text(columns) for file, columns in tables.items()}
+        return texts | {"summary.json": self.to_json()}
 
     def columns(self) -> dict[str, Any]:
         """``series.csv``: of one controller as it is; of several below each other, with
@@ -170,7 +181,7 @@ def many_stops(
     return jax.lax.map(one, (plants, keys), batch_size=_TOGETHER)
 
 
-def brake(
+def braked(
     request: Request,
     controllers: Mapping[str, Any],
     *,
@@ -192,8 +203,6 @@ def brake(
     """
     require_x64("a simulated stop")
     check(request)
-    from tirefit import __version__
-
     plant, sensors = plant_of(request), arrays(request.sensors)
     speed, wheels = jnp.asarray(request.speed, float), plant.vehicle.wheels
     done, many = {}, {}

@@ -14,10 +14,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tirefit.data.table import WHEELS
+from tirefit.online.vehicle import GRAVITY
 from tirefit.results import UsageError
 from tirefit.sim.drive import Car
-
-GRAVITY = 9.81
 
 Wheels = Float[Array | np.ndarray, " w"]
 Number = Float[Array | np.ndarray, ""] | float

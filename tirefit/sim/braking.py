@@ -14,10 +14,15 @@ on slip and force afterwards, so that the truth is known.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 
+from tirefit.data.write import csv_text
+from tirefit.display import Record
+from tirefit.files import json_safe
 from tirefit.models import LuGre, MagicFormula
+from tirefit.sim.settings import LOAD, PEAK, STIFFNESS, TIRES, Braking
 from tirefit.sim.wheel import (
     PATCH,
     SLOWEST,
@@ -28,13 +33,9 @@ from tirefit.sim.wheel import (
 )
 from tirefit.slip import LOCKED
 
-PEAK, STIFFNESS, LOAD = 0.98, 5e5, 27e3
-"""D [-], C_x [N] and F_z [N] of S section 5; the load is not printed, but follows."""
 _SHAPE = 1.22
 BRAKE_GAIN = 0.04
 """Brake force over brake pressure [N/Pa]: some 5 MPa brake the wheel of S section 5."""
-TIRES = ("magic-formula", "lugre")
-"""Tires of the wheel: that of S section 5, and LuGre with its bristles in time."""
 
 
 def source_tire(peak: float = PEAK) -> MagicFormula:
@@ -54,32 +55,24 @@ def source_tire(peak: float = PEAK) -> MagicFormula:
 
 
 @dataclass(frozen=True)
-class Braking:
-    """How a wheel is braked and measured; the values are those of S section 5.1, and
-    where it says nothing those of a truck wheel sampled as a brake controller does."""
-
-    amplitude: float = 0.75  # largest torque over R D F_z of the first tire's peak
-    teeth: int = 5  # number of saw-teeth
-    period: float = 2.0  # of one [s]
-    rate: float = 100.0  # samples a second
-    v: float = 20.0  # speed [m/s] of the vehicle, constant
-    fz: float = LOAD  # load [N], constant
-    friction: float = PEAK  # D of the tire, its largest steady force over the load
-    tire: str = "magic-formula"  # one of :data:`TIRES`
-    drop: tuple[float, float] | None = None  # time [s], friction from then on
-    radius: float = 0.5  # effective rolling radius R [m]
-    inertia: float = 15.0  # J [kg m2] of the wheel
-    slip_variance: float = 0.2e-4  # of the noise on the slip sigma
-    force_variance: float = 0.2e-2  # of the noise on the force, over F_z^2
-    seed: int = 0  # of the noise
-
-
-@dataclass(frozen=True)
-class SimulatedLog:
+class SimulatedLog(Record):
     """What would have been measured, and the truth; canonical columns (n,)."""
+
+    text_by: ClassVar[str] = "tirefit.report.records:log_text"
+    plot_by: ClassVar[str] = "tirefit.report.records:log_figure"
 
     columns: Mapping[str, np.ndarray]
     truth: Mapping[str, np.ndarray] = field(repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The columns as lists."""
+        return json_safe({"columns": self.columns, "truth": self.truth})
+
+    def files(self, name: str = "log") -> dict[str, str]:
+        """``NAME.csv``, and ``NAME.truth.csv`` without noise."""
+        name = name or "log"
+        texts = csv_text(self.columns), csv_text(self.truth)
+        return dict(zip((f"{name}.csv", f"{name}.truth.csv"), texts, strict=True))
 
 
 def simulate_braking(how: Braking | None = None) -> SimulatedLog:
@@ -98,29 +91,30 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
         raise ValueError(f"there is no tire {how.tire!r}; choose of {', '.join(TIRES)}")
     n = round(how.teeth * how.period * how.rate)
     time = np.arange(n) / how.rate
-    full = how.amplitude * how.radius * how.friction * how.fz
+    full = how.amplitude * how.radius * how.friction * how.load
     mu = np.full(n, how.friction)
     if how.drop is not None:
         mu = np.where(time < how.drop[0], how.friction, how.drop[1])
     change = np.inf if how.drop is None else how.drop[0]
     numbers = WheelNumbers(
-        full, how.period, how.radius, how.inertia, how.v, how.fz, change, 1 / how.rate
-    )
+        full, how.period, how.radius, how.inertia, how.speed, how.load, change,
+        1 / how.rate,
+    )  # fmt: skip
     ends, extra = (mu[0], mu[-1]), {}
     if how.tire == "lugre":
-        soft = tuple(lugre_tire(peak, how.v) for peak in ends)
+        soft = tuple(lugre_tire(peak, how.speed) for peak in ends)
         omega, fx, bent = braked_wheel(numbers, soft, PATCH, time, how.teeth)
-        slope, extra = _slope_at_rest(soft[0], how.v), {"deflection": bent}
+        slope, extra = _slope_at_rest(soft[0], how.speed), {"deflection": bent}
     else:
         stiff = tuple(map(source_tire, ends))
         omega, fx, _ = braked_wheel(numbers, stiff, STEADY, time, how.teeth)
         slope = STIFFNESS / LOAD
     torque = full * (time % how.period) / how.period
     steady = {
-        "fz": np.full(n, how.fz), "v": np.full(n, how.v), "torque": torque,
+        "fz": np.full(n, how.load), "v": np.full(n, how.speed), "torque": torque,
         "brake_pressure": torque / how.radius / BRAKE_GAIN,
     }  # fmt: skip
-    free = how.v / how.radius
+    free = how.speed / how.radius
     stands = omega <= 1.001 * SLOWEST * free
     sigma = np.where(stands, LOCKED, free / omega - 1)
     truth = {
@@ -130,13 +124,13 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     random = np.random.default_rng(how.seed)
     seen = sigma + np.sqrt(how.slip_variance) * random.standard_normal(n)
     seen = np.where(stands, LOCKED, seen)
-    noise = np.sqrt(how.force_variance) * how.fz * random.standard_normal(n)
+    noise = np.sqrt(how.force_variance) * how.load * random.standard_normal(n)
     # The wheel speed that a measured slip is derived from.
     columns = truth | {
         "sigma_x": seen, "fx": fx + noise,
         "omega": np.where(stands, 0.0, free / (1 + seen)),
     }  # fmt: skip
-    known = {"mu": mu, "cpa2": np.full(n, slope * how.fz / 2), **extra}
+    known = {"mu": mu, "cpa2": np.full(n, slope * how.load / 2), **extra}
     return SimulatedLog(columns, truth | known)
 
 

@@ -26,6 +26,7 @@ from tirefit.data.table import WHEELS
 from tirefit.online.vehicle import GRAVITY, axle_angles, brush_share, clipped
 from tirefit.results import UsageError
 from tirefit.sim.braking import SimulatedLog
+from tirefit.sim.settings import Drive
 
 _SLOWEST = 0.01
 """Wheel speed over that of free rolling below which a brake only holds a wheel."""
@@ -54,30 +55,6 @@ class Car:
     roll_damping: float = 5e3
     stiffness_f: float = 11.0
     stiffness_r: float = 13.0
-
-
-@dataclass(frozen=True)
-class Drive:
-    """How it is driven and measured. The driver holds a ``bend`` up to some 0.75, less
-    with brakes, of the least friction."""
-
-    duration: float = 30.0  # [s]
-    rate: float = 50.0  # rows a second
-    v: float = 25.0  # speed [m/s] that the driver keeps
-    bend: float = 0.6  # largest lateral acceleration over mu g of the first road
-    bend_period: float = 5.0  # [s] of the road's curvature
-    brake: float = 0.0  # largest deceleration over mu g, in saw-teeth of half the time
-    brake_period: float = 4.0  # [s]
-    friction: float = 0.9  # mu
-    drop: tuple[float, float] | None = None  # time [s], friction from then on
-    gps_std: float = 0.02  # noise of positions [m]
-    v_std: float = 0.03  # of the speed [m/s]
-    heading_std: float = 0.002  # [rad]
-    gyro_std: float = 0.002  # of yaw and roll rate [rad/s]
-    acceleration_std: float = 0.05  # [m/s2]
-    omega_std: float = 0.05  # of wheel speeds [rad/s]
-    torque_std: float = 10.0  # [N m]
-    seed: int = 0  # of the noise
 
 
 class _State(NamedTuple):
@@ -113,7 +90,7 @@ def _mu(numbers: _Numbers, t):
 def _road_rate(numbers: _Numbers, t, v_x):
     """Yaw rate [rad/s] of the road under the car: curvature times speed."""
     how, grip = numbers.how, numbers.mu[0] * GRAVITY
-    curvature = how["bend"] * grip / how["v"] ** 2
+    curvature = how["bend"] * grip / how["speed"] ** 2
     return v_x * curvature * jnp.sin(2 * jnp.pi * t / how["bend_period"])
 
 
@@ -138,7 +115,7 @@ def _torques(numbers: _Numbers, t, s: _State):
     asked = 2 * phase * how["brake"] * grip
     rear = 1 - _FRONT_BRAKES
     share = jnp.array([_FRONT_BRAKES, _FRONT_BRAKES, rear, rear]) / 2
-    wanted = jnp.clip(0.5 * (how["v"] - s.v_x), -0.1 * grip, 0.2 * grip)
+    wanted = jnp.clip(0.5 * (how["speed"] - s.v_x), -0.1 * grip, 0.2 * grip)
     driven = -wanted * jnp.array([0.0, 0.0, 0.5, 0.5])
     full = car["mass"] * car["radius"]
     return full * jnp.where(braking, asked * share, driven)
@@ -212,7 +189,7 @@ def _rate(t, s: _State, numbers: _Numbers) -> _State:
 @eqx.filter_jit
 def _integrate(numbers: _Numbers, time, max_steps: int):
     """States (n, ...) at the times, and whether they are there."""
-    v = numbers.how["v"]
+    v = numbers.how["speed"]
     zero = jnp.zeros(())
     rolling = jnp.full(4, v / numbers.car["radius"])
     still = dict.fromkeys(_State._fields, zero)
@@ -256,7 +233,7 @@ def _measured(numbers: _Numbers, time, states: _State) -> dict[str, jax.Array]:
 def _noise_stds(how: Drive) -> dict[str, float]:
     """Measured column -> standard deviation of its noise."""
     stds = dict.fromkeys(("offset", "x", "y"), how.gps_std)
-    stds |= {"heading": how.heading_std, "v": how.v_std}
+    stds |= {"heading": how.heading_std, "v": how.speed_std}
     stds |= dict.fromkeys(("yaw_rate", "roll_rate"), how.gyro_std)
     stds |= dict.fromkeys(("a_x", "a_y"), how.acceleration_std)
     for wheel in WHEELS:

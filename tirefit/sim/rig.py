@@ -13,8 +13,8 @@ def simulate_rig(
     model: str = "brush",
     values: Mapping[str, float] | None = None,
     *,
-    loads: Sequence[float] = (4000.0,),
-    speeds: Sequence[float] = (20.0,),
+    load: Sequence[float] = (4000.0,),
+    speed: Sequence[float] = (20.0,),
     largest: float = 0.2,
     points: int = 100,
     lateral: bool = False,
@@ -27,7 +27,7 @@ def simulate_rig(
 
     Args:
         model: a key of ``tirefit.MODELS``; ``values`` of its parameters.
-        loads: F_z [N]; ``speeds``: v [m/s].
+        load: F_z [N]; ``speed``: v [m/s].
         largest: last slip sigma_x [-], or slip angle [rad] where ``lateral``.
         points: rows of one sweep, the first one point above zero slip.
         rate: rows a second.
@@ -41,7 +41,7 @@ def simulate_rig(
     tire = with_values(MODELS[model], values or {})
     slip = largest * np.arange(1, points + 1) / points
     fz, v, slip = (
-        part.ravel() for part in np.meshgrid(loads, speeds, slip, indexing="ij")
+        part.ravel() for part in np.meshgrid(load, speed, slip, indexing="ij")
     )
     n = len(slip)
     name, force_names = ("alpha", ("fy", "mz")) if lateral else ("sigma_x", ("fx",))

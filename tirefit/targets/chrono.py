@@ -87,7 +87,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
         "Chrono looks for the .tir in its folder of vehicle data: put both files there,"
         " or call chrono::vehicle::SetDataPath with their folder",
         f"its forces are those of the file on a road of friction {whole['friction']:g}",
-    ]  # fmt: skip
+    ]
     if unread:
         notes.append(f"Chrono 8 does not read {', '.join(unread)}: zero there")
     if not combined:

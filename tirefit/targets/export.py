@@ -3,12 +3,13 @@
 import keyword
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from tirefit import __version__
 from tirefit.data.write import output_problems
+from tirefit.display import Record
 from tirefit.files import write_texts
 from tirefit.fitting.tir import TIR_SIGNS
 from tirefit.results import InputProblem, UsageError, did_you_mean
@@ -106,18 +107,38 @@ TARGETS: dict[str, Target | ParameterFile] = {
 """Target -> how it is written."""
 
 
-class Exported(NamedTuple):
+@dataclass(frozen=True)
+class Exported(Record):
     """What :func:`export` wrote.
 
     Attributes:
+        target: the key of :data:`TARGETS`.
         path: the file.
         shape: how the tire behaves where simulators fail.
         notes: what was assumed, and what the file does not hold.
+        texts: file name -> content.
     """
 
+    text_by: ClassVar[str] = "tirefit.report.records:export_text"
+    plot_by: ClassVar[str] = "tirefit.report.records:export_figure"
+
+    target: str
     path: Path
     shape: Shape
     notes: tuple[str, ...]
+    texts: Mapping[str, str] = field(repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Target, files, checks and notes."""
+        return {
+            "target": self.target, "path": str(self.path), "files": [*self.texts],
+            "sound": self.shape.sound, "checks": [*self.shape.sentences],
+            "notes": [*self.notes],
+        }  # fmt: skip
+
+    def files(self, name: str = "") -> Mapping[str, str]:
+        """The exported files, by the names that they were written under."""
+        return self.texts
 
 
 def export(
@@ -198,9 +219,8 @@ def export(
     first = f"{MARK}, tirefit {__version__}: "
     first += f"{' and '.join(tire.name for tire in tires.values())} for {target}"
     if isinstance(chosen, ParameterFile):
-        done = parameter_text(target, tires, path, first, vehicle, over, force)
-        write_texts({path: done[0]})
-        return Exported(path, done[1], done[2])
+        found = parameter_text(target, tires, path, first, vehicle, over, force)
+        return _written(target, path, *found[1:], {path: found[0]})
     assert chosen is not None
     (tire,) = tires.values()
     if chosen.prepare is not None:
@@ -221,8 +241,14 @@ def export(
         remedy = "export another model, fitted to its curve by `tirefit convert`"
         raise UsageError(InputProblem(reason, remedy)) from None
     texts = {chosen.ending: text} if isinstance(text, str) else text
-    write_texts({path.with_suffix(end): each for end, each in texts.items()})
-    return Exported(path, shape, tire.notes)
+    files = {path.with_suffix(end): each for end, each in texts.items()}
+    return _written(target, path, shape, tire.notes, files)
+
+
+def _written(target, path: Path, shape: Shape, notes, texts) -> Exported:
+    write_texts(texts)
+    named = {path.name: text for path, text in texts.items()}
+    return Exported(target, path, shape, notes, named)
 
 
 def _unknown(target: str, given: Mapping, convention: str) -> Iterator[InputProblem]:

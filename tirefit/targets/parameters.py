@@ -118,6 +118,7 @@ def parameter_text(
     car = None if vehicle is None else vehicle_of(vehicle, target, kind.needs)
     narrowed = turned_range(over or {}, SIGNS)
     fits, axles, notes, sentences, sound = [], [], [], [], True
+    curves: dict[str, tuple] = {}
     for axle in axles_of(target, kind.tires, tires, car):
         tire, (low, high) = axle.tire, narrowed.get("fz", (0.0, math.inf))
         if not axle.static and not low <= tire.load <= high:
@@ -127,6 +128,8 @@ def parameter_text(
         told = [fit.sentence(SIGNS), *fit.other_loads(), *axle.notes]
         notes += axle.named(told + _lost(tire, kind.formula))
         sentences += axle.named(shape.sentences)
+        named = axle.named([*shape.curves])
+        curves |= dict(zip(named, shape.curves.values(), strict=True))
         sound &= shape.sound
         fits.append(fit)
         axles.append(axle._replace(tire=tire))
@@ -157,7 +160,7 @@ def parameter_text(
     if not isinstance(text, str):
         lines = [*(f"# {line}" for line in sheet.above), *_yaml(text)]
         text = "\n".join(lines) + "\n"
-    return text, Shape(tuple(sentences), sound), tuple(notes)
+    return text, Shape(tuple(sentences), sound, curves), tuple(notes)
 
 
 _TAKEN_AT = {

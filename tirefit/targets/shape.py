@@ -1,7 +1,7 @@
 """Checks of an exported tire at rest, at large slip and at large load, where simulators
 fail."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -30,10 +30,12 @@ _FEW = _SLIPS[::4, None], _ANGLES[::4]
 
 
 class Shape(NamedTuple):
-    """Five sentences on a tire; ``sound`` is False where one of them is a warning."""
+    """Five sentences on a tire; ``sound`` is False where one of them is a warning.
+    ``curves``: force -> slip and pure force [N] at the usual load, of the file."""
 
     sentences: tuple[str, ...]
     sound: bool
+    curves: Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
 def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
@@ -54,7 +56,9 @@ def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
     found = [_at_rest(at, names, load), _standing(at, names, "v" in program.inputs)]
     found += [_signs(at, names, signs, load), _peaks(at, names, load, most)]
     found.append(_ellipse(at, names, most))
-    return Shape(tuple(s for s, _ in found), all(sound for _, sound in found))
+    grids = {"fx": _SLIPS, "fy": _ANGLES}
+    pure = {n: (grids[n], at(**{_SLIP_OF[n]: grids[n]})[n]) for n in _forces(names)}
+    return Shape(tuple(s for s, _ in found), all(sound for _, sound in found), pure)
 
 
 _SLIP_OF = {"fx": "kappa", "fy": "alpha"}

@@ -142,7 +142,7 @@ def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
     """The windows of all logs, and what they have of what effects need."""
     data, rows, log = [], [], []
     passed = 0.0
-    for number, (motion, (windows, own)) in enumerate(found.values()):
+    for number, (motion, (windows, own), _) in enumerate(found.values()):
         data.append(windows)
         rows.append(_samples(motion, own, vehicle, tires, passed))
         log.append(np.full(len(own), number))

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit import __version__
+from tirefit.data.merged import merged
 from tirefit.data.motion import Motion, road_wheel, with_noise
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
@@ -41,6 +42,7 @@ from tirefit.vehicle.car import (
 from tirefit.vehicle.windows import (
     cut_logs,
     known_vehicle,
+    left_out,
     steering_problems,
     stretches,
 )
@@ -218,7 +220,7 @@ def replay(
     )  # fmt: skip
     joined, *noisy = (
         jax.tree.map(lambda *each: np.concatenate(each), *same)
-        for same in zip(*(windows for _, windows in found.values()), strict=True)
+        for same in zip(*(log.windows for log in found.values()), strict=True)
     )
     steps = [round(h * rate) for h in horizons]
     car = _traced(car_of(vehicle, tires[0].tire, tires[1].tire))
@@ -234,12 +236,14 @@ def replay(
     }
     again = [_compared(car, each, steps, rate, parts)[0] for each in noisy]
     models["floor"] = _floor(tire, again)
+    left = merged((k, left_out(log.motion, vehicle)) for k, log in found.items())
     held = _held(car, tires, joined, steps, rate, parts, generator)
     counts = np.isfinite(tire.of["yaw_rate"]).sum(axis=0)
     return Replay(
-        {name: name in fitted for name in found}, tuple(horizons),
+        {k: not fitted.isdisjoint(log.runs) for k, log in found.items()},
+        tuple(horizons),
         tuple(int(n) for n in counts), models, held,
-        _fans(found, states), _notes(vehicle, tires),
+        _fans(found, states), (*_notes(vehicle, tires), *left),
     )  # fmt: skip
 
 
@@ -267,6 +271,7 @@ def _notes(vehicle: Vehicle, tires) -> tuple[str, ...]:
         "speed and steering are those of the log; starts are the log's, low-passed at"
         f" {vehicle.filter.bandwidth:.3g} Hz, without phase",
         "axle loads are static; the tires carry no drive or brake force",
+        *vehicle.columns.notes,
     ]
     notes += [
         f"{axle} axle: the Magic Formula is of one tire; the axle has two, mirror"
@@ -445,7 +450,7 @@ def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, generator
 def _fans(found, predictions) -> dict[str, Fans]:
     """The pictures' windows, log by log."""
     (states, lateral), fans, first = predictions, {}, 0
-    for name, (_, (windows, *_)) in found.items():
+    for name, (_, (windows, *_), _) in found.items():
         rows = slice(first, first + len(windows.v_x))
         first = rows.stop
         measured = windows.measured._asdict() | {"a_y": windows.a_y}

@@ -200,7 +200,7 @@ def fit_trajectory(
         lambda track, motion: windows_of(track, motion, vehicle, window),
         f"{window:g} s long", "a shorter window",
     )  # fmt: skip
-    parts = [windows for _, (windows, _) in found.values()]
+    parts = [log.windows[0] for log in found.values()]
     data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
     rows = {axle: _rows(found, vehicle, axle) for axle in given}
     tires = [_started(tire, rows[axle]) for axle, tire in given.items()]
@@ -227,7 +227,7 @@ def _check(vehicle: Vehicle, unknowns, given, intervals: str) -> None:
 def _rows(found, vehicle: Vehicle, axle: str) -> TireData:
     """Slip angle and force of an axle by the equations of ``derive``, of all logs."""
     columns: dict[str, list] = {"alpha": [], "fy": [], "v": [], "run": []}
-    for name, (motion, _) in found.items():
+    for motion, _, (name, *_) in found.values():
         alpha, force, speed = slip_and_force(motion, vehicle, axle)
         good = motion.settled & (motion.v_x > vehicle.v_min)
         good &= (np.abs(alpha) < np.pi / 2) & (speed > 0)  # not of a car that spins

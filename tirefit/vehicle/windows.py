@@ -4,19 +4,27 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from tirefit.data.contradictions import compare
-from tirefit.data.derive import name_problems, run_name
-from tirefit.data.motion import Motion, read_motion
+from tirefit.data.derive import name_problems, names_of_runs, run_name
+from tirefit.data.motion import Motion, not_ahead, read_motion
 from tirefit.data.remote import file_at
 from tirefit.data.track import Track
 from tirefit.data.vehicle import Vehicle, load_vehicle
 from tirefit.results import DataError, InputProblem, UsageError
 
 Cut = TypeVar("Cut")
+
+
+class CutLog(NamedTuple, Generic[Cut]):
+    """A log, cut up, and the names of its runs."""
+
+    motion: Motion
+    windows: Cut
+    runs: tuple[str, ...]
 
 
 def known_vehicle(vehicle: Vehicle | str | Path) -> Vehicle:
@@ -28,7 +36,8 @@ def steering_problems(vehicle: Vehicle, what: str) -> list[InputProblem]:
     """That a vehicle has no steering map, which ``what`` needs."""
     if vehicle.steering is not None:
         return []
-    remedy = "name columns.steering and give [steering] in vehicle.toml"
+    remedy = "name columns.steering and give [steering] in vehicle.toml; without,"
+    remedy += " tirefit derive --axle rear gives the rear axle's slip and force"
     return [InputProblem(f"{what} needs the road wheel angle", remedy)]
 
 
@@ -38,8 +47,8 @@ def cut_logs(
     cut: Callable[[Track, Motion], Cut | None],
     long_enough: str,
     shorter: str,
-) -> dict[str, tuple[Motion, Cut]]:
-    """Motion and windows of each log, under the name of its run.
+) -> dict[str, CutLog[Cut]]:
+    """Motion and windows of each log, under the name of the log.
 
     Args:
         cut: the windows of a log; None where it has none.
@@ -52,7 +61,7 @@ def cut_logs(
             channels contradict each other, or without a stretch that is long enough.
     """
     UsageError.raise_for(name_problems(logs))
-    found: dict[str, tuple[Motion, Cut]] = {}
+    found: dict[str, CutLog[Cut]] = {}
     problems: list[InputProblem] = []
     for path in logs:
         file = file_at(path)
@@ -71,12 +80,30 @@ def cut_logs(
         windows = cut(track, motion)
         if windows is None:
             reason = f"no stretch above {vehicle.v_min:.3g} m/s is {long_enough}"
+            reason += f": the longest is {_longest(motion, vehicle):.2g} s"
             remedy = f"ask for {shorter}, or lower keep.v_min of vehicle.toml"
             problems.append(InputProblem(reason, remedy, str(file)))
         else:
-            found[run_name(file)] = motion, windows
+            found[run_name(file)] = CutLog(motion, windows, names_of_runs(file, track))
     DataError.raise_for(problems)
     return found
+
+
+def left_out(motion: Motion, vehicle: Vehicle) -> tuple[str, ...]:
+    """How long the car does not drive ahead, by reason."""
+    there, said = motion.settled, []
+    for reason, rows in not_ahead(motion, vehicle).items():
+        if span := np.count_nonzero(there & rows) / vehicle.filter.sample_rate:
+            said.append(f"{span:.3g} s are left out as {reason}")
+        there = there & ~rows
+    return tuple(said)
+
+
+def _longest(motion: Motion, vehicle: Vehicle) -> float:
+    """Length [s] of the longest stretch of a log in which the car drives ahead."""
+    good = motion.settled & (motion.v_x > vehicle.v_min)
+    rows = [last - first for first, last in stretches(good, motion.part)]
+    return max(rows, default=0) / vehicle.filter.sample_rate
 
 
 def stretches(good: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:

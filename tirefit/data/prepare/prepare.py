@@ -1,7 +1,8 @@
 """A rig's test, as recorded, cut up, binned and filtered: :func:`prepare`."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from tirefit.data.prepare.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs
 from tirefit.data.prepare.warmth import last_sweeps_kept, with_warmth
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
+from tirefit.display import Record
 from tirefit.results import DataError, UsageError
 from tirefit.settings import parse_settings
 
@@ -51,8 +53,13 @@ _LOWEST, _HIGHEST = 2.0, 25.0  # bandwidths [Hz] that are chosen at least and at
 
 
 @dataclass(frozen=True, repr=False)
-class Prepared:
-    """What :func:`prepare` made of a file."""
+class Prepared(Record):
+    """What :func:`prepare` made of a file; ``read`` are the arguments of
+    ``tirefit.read``, for the record of what was done."""
+
+    text_by: ClassVar[str] = "tirefit.data.prepare.store:summary"
+    plot_by: ClassVar[str] = "tirefit.report.prepared:prepared_figure"
+    save_by: ClassVar[str] = "tirefit.data.prepare.store:save_prepared"
 
     data: TireData
     config: PrepareConfig
@@ -64,6 +71,7 @@ class Prepared:
     kept: np.ndarray  # (n,) bool, rows to be written
     filter: ZeroPhase | None
     notes: tuple[str, ...] = field(default=())  # what was done and assumed
+    read: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         kept, bins = int(self.kept.sum()), {p.bin for p in self.segments if p.bin}
@@ -93,6 +101,12 @@ class Prepared:
                 name = str(number + 1) if by == "segment" else part.bin or "none"
                 run[part.begin : part.end] = codes.setdefault(name, len(codes))
         return replace(data, run=run, runs=tuple(codes))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Content of ``NAME.prepare.json``, without the digests of the tables."""
+        from tirefit.data.prepare.store import record_of  # imports this module
+
+        return record_of(self, {})
 
     def rows_by_kind(self) -> dict[str, int]:
         """Rows of each kind of segment, in order of appearance."""

@@ -1,17 +1,20 @@
 """What is written of a prepared test: a table to fit, one of segments, and a record."""
 
+import hashlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tirefit import __version__
 from tirefit.data.prepare.prepare import Prepared
 from tirefit.data.prepare.segments import Segment
 from tirefit.data.prepare.set_points import SHOWN
 from tirefit.data.table import CANONICAL
 from tirefit.data.write import csv_text
 from tirefit.door import sealed
-from tirefit.files import json_safe
+from tirefit.files import json_safe, json_text, write_texts
 
 SCHEMA = "tirefit.prepare/1"
 
@@ -22,7 +25,7 @@ def _number(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
 
 
-def prepared_csv(prepared: Prepared, version: str) -> str:
+def prepared_csv(prepared: Prepared) -> str:
     """The kept rows: run, segment, bin, kind, direction, then the canonical channels.
 
     ``segment`` numbers the segments of the file from 1. ``tirefit.read`` takes the
@@ -50,7 +53,7 @@ def prepared_csv(prepared: Prepared, version: str) -> str:
     stated = [f"{key}={value:.6g}" for key, value in data.source.constants.items()]
     constants = f", constants {' '.join(stated)}" if stated else ""
     name = name.replace("\n", " ")
-    first = f"# tirefit {version}: prepared from {name}, SI units{constants},"
+    first = f"# tirefit {__version__}: prepared from {name}, SI units{constants},"
     first += " convention braking\n"
     return first + csv_text(columns)
 
@@ -88,22 +91,34 @@ def _segment(prepared: Prepared, k: int, part: Segment) -> dict[str, Any]:
     return row
 
 
-def record_of(
-    prepared: Prepared, how: Mapping[str, Any], files: Mapping[str, str], version: str
-) -> dict:
+def save_prepared(prepared: Prepared, folder: Path, name: str = "") -> list[Path]:
+    """Write ``NAME.csv``, ``NAME.segments.csv`` and ``NAME.prepare.json``."""
+    name = name or prepared.data.name
+    texts = {
+        f"{name}.csv": prepared_csv(prepared),
+        f"{name}.segments.csv": csv_text(segment_columns(prepared)),
+    }
+    digests = {
+        key: hashlib.sha256(text.encode()).hexdigest() for key, text in texts.items()
+    }
+    texts[f"{name}.prepare.json"] = json_text(record_of(prepared, digests))
+    write_texts({folder / key: text for key, text in texts.items()})
+    return [folder / key for key in texts]
+
+
+def record_of(prepared: Prepared, files: Mapping[str, str]) -> dict:
     """Everything that was done to a file, sealed; ``--repeat`` does it again.
 
     Args:
-        how: the arguments of ``tirefit.read``.
         files: name to sha256 of what was written.
     """
     source, config = prepared.data.source, prepared.config
     chosen = prepared.filter
     content = {
         "schema": SCHEMA,
-        "version": version,
+        "version": __version__,
         "input": {"path": source.path, "sha256": source.sha256},
-        "read": dict(how),
+        "read": dict(prepared.read),
         "config": config.model_dump(),
         "convention": {
             "input": source.convention,

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.constants import g as GRAVITY
 
 from tirefit.diagnosis.effects.free_forms import SHIFT_BY_DELAY, SHIFT_BY_LAG
 from tirefit.diagnosis.effects.record import Effect, choices, scaled
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.covariates import wheelbase
 from tirefit.diagnosis.rows.slips import AGES, AHEAD
+from tirefit.slip import GRAVITY
 
 _HEIGHT, _FAR = 0.4, 6.0
 """Height of the centre of gravity over the arm of an axle (cars have 0.3 to 0.6);

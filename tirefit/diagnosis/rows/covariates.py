@@ -4,13 +4,13 @@ so that one library of effects serves a truck and a model car."""
 from typing import NamedTuple
 
 import numpy as np
-from scipy.constants import g
 
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
 from tirefit.diagnosis.rows.rig import STANDS
 from tirefit.diagnosis.rows.slips import Sweeps, segments, shown_runs, slip_rate
+from tirefit.slip import GRAVITY
 
 LOADS, _ANGLE = 0.03, 1e-3
 """Spread above which a quantity varies: relative (loads, speeds, pressures, forces
@@ -72,7 +72,7 @@ def sizes_of(rows: Covariates, slip, mean_load: float, radius: float | None) -> 
         way=per(spread, rms(rows.rate / rows.pace)),
         temperature=per(1.0, np.ptp(rows.temperature)),
         lever=per(rise, np.std(rows.yaw)), swing=per(mean_load, np.std(rows.swing)),
-        inertia=mean_load / g * radius**2 if radius else 1.0,
+        inertia=mean_load / GRAVITY * radius**2 if radius else 1.0,
     )  # fmt: skip
 
 
@@ -209,7 +209,7 @@ def covariates_of(
         across=column(data, {"x": "fy", "y": "fx"}.get(mode, "")),
         yaw=column(data, "yaw_rate") / pace, ahead=_over_range(column(data, "a_x")),
         swing=column(data, "yaw_acceleration"), heading=column(data, "heading"),
-        lean=column(data, "a_y") / g, steering=steering, pivot=zero,
+        lean=column(data, "a_y") / GRAVITY, steering=steering, pivot=zero,
         steered=past.of(steering, steering_rate, time),
         **dict.fromkeys(of_the_fit, zero),
     )  # fmt: skip
@@ -252,5 +252,5 @@ def needs_met(
         "heading": np.std(np.cos(heading)) + np.std(np.sin(heading)) > 0.5,
         "a_y": varies("a_y"),
         "steering": varies("steering", _ANGLE) and (not derived or derived.steered),
-    }  # fmt: skip
+    }
     return frozenset(name for name, here in met.items() if here)

@@ -134,7 +134,7 @@ def document_of(
         look=next(iter(curves), None),
         library=library,
         meanings={p.name: p.spec.meaning for p in base.layout.free},
-    )  # fmt: skip
+    )
 
 
 def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
@@ -157,9 +157,8 @@ def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
         gaps[channel] = replace(found, resolvable=shows)
         if not status.names and not is_simulator:
             gaps[channel] = replace(
-                gaps[channel], closed=0.0, closed_ci=(0.0, 0.0),
-                remaining_rms=found.rms,
-            )  # fmt: skip
+                gaps[channel], closed=0.0, closed_ci=(0.0, 0.0), remaining_rms=found.rms
+            )
         elif found.closed is not None:
             closed = float(np.clip(found.closed, 0.0, 1.0))
             gaps[channel] = replace(gaps[channel], closed=closed)
@@ -227,7 +226,7 @@ def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSumm
             looks_like=tuple(curve.look for curve in curves),
         ),
         parameters=parameter_changes(case, _widening(case.base, case.chosen)),
-    )  # fmt: skip
+    )
 
 
 def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from tirefit.data.records import FileRecord, Row
 from tirefit.data.table import TireData
-from tirefit.data.write import to_convention, write_csv
+from tirefit.data.write import csv_text, to_convention
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.evidence.forms import RunOffsets
 from tirefit.diagnosis.extended import SCHEMA, Extension
@@ -34,8 +34,8 @@ from tirefit.diagnosis.summary.records import (
     VerdictSummary,
 )
 from tirefit.diagnosis.summary.views import Comparison, LookCurve, ResidualMap
-from tirefit.display import Displayed
-from tirefit.files import json_text, write_text_atomic
+from tirefit.display import Record
+from tirefit.files import json_safe
 from tirefit.models import MODELS
 from tirefit.params import specs
 
@@ -43,7 +43,7 @@ _NOT_WRITTEN = {"written": False}
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class Diagnosis(Displayed):
+class Diagnosis(Record):
     """One file diagnosed: the records of the document, in its order, then arrays.
 
     ``budget`` is that of the first channel, ``budgets`` those of all.
@@ -64,6 +64,8 @@ class Diagnosis(Displayed):
 
     text_by: ClassVar[str] = "tirefit.report.diagnosis_text:diagnosis_text"
     html_by: ClassVar[str] = "tirefit.report.diagnosis_html:diagnosis_fragment"
+    page_by: ClassVar[str] = "tirefit.report.diagnosis_html:diagnosis_page"
+    plot_by: ClassVar[str] = "tirefit.report.diagnosis_draw:plot_diagnosis"
 
     data: DataSummary
     model: str
@@ -107,11 +109,18 @@ class Diagnosis(Displayed):
         """Ids of the verdict: empty for none, ``("unknown",)`` for not listed."""
         return self.verdict.effects
 
-    def to_json(self) -> str:
-        """The document; not-a-number and infinite become null."""
+    def to_dict(self) -> dict[str, Any]:
+        """Content of ``NAME.json``."""
         content = {"schema": SCHEMA} | _mappings(self)
         on, steps = content["ladder"].values()
-        return json_text(content | {"ladder": steps, "ladder_on": on})
+        return json_safe(content | {"ladder": steps, "ladder_on": on})
+
+    def files(self, name: str = "") -> dict[str, str]:
+        """``NAME.json`` and ``NAME.rows.csv``."""
+        name = name or self.table.name
+        # The document comes last: where it stands, the rows beside it are its own.
+        rows = csv_text(rows_in_file_terms(self))
+        return {f"{name}.rows.csv": rows, f"{name}.json": self.to_json()}
 
 
 def _mappings(value: Any) -> Any:
@@ -142,16 +151,6 @@ def rows_in_file_terms(result: Diagnosis) -> dict[str, np.ndarray]:
                 out[f"{name}_{channel}"] = own[name]
         out[f"gap_{channel}_std"] = np.abs(own["gap_std"])
     return out | {"masked": (~data.used).astype(int)}
-
-
-def save_diagnosis(result: Diagnosis, directory, name: str) -> list[Path]:
-    """Write ``name.json`` and ``name.rows.csv`` into an existing directory."""
-    directory = Path(directory)
-    rows, document = directory / f"{name}.rows.csv", directory / f"{name}.json"
-    write_csv(rows, rows_in_file_terms(result))
-    # The document comes last: where it stands, the rows beside it are its own.
-    write_text_atomic(document, result.to_json())
-    return [document, rows]
 
 
 def record_of_document(path: Path) -> FileRecord:

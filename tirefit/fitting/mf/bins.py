@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
 
 from tirefit.data.levels import levels
 from tirefit.fitting.mf.parts import NEARLY_PURE, SLIPS_OF
@@ -202,6 +201,8 @@ def _nearest(center: np.ndarray, x: np.ndarray) -> np.ndarray:
 def _modes(x: np.ndarray) -> np.ndarray:
     """The modes (k,) of x (n,): the median of the rows about each peak of the density,
     which is smoothed over one unit."""
+    from scipy.signal import find_peaks  # 1 s, and other fits need the records here
+
     cell = ((x - x.min() + 4) * _STEPS).astype(int)
     rows = np.bincount(cell, minlength=cell.max() + 4 * _STEPS).astype(float)
     density = np.log(gaussian_filter1d(rows, _STEPS) + 1e-9)

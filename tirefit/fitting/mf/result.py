@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tirefit.display import Displayed
+from tirefit.display import Record
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.fitting.layout import FreeParameter, Layout
@@ -53,12 +53,14 @@ class Coefficient:
 
 
 @dataclass(frozen=True, repr=False)
-class MagicFormulaFit(Displayed):
+class MagicFormulaFit(Record):
     """A Magic Formula fitted to measured rows; mappings are by force unless noted.
     ``binned`` holds the rows by setting and slip, for figures of a fresh fit."""
 
-    html_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_fragment"
     text_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_report"
+    plot_by: ClassVar[str] = "tirefit.report.mf_draw:plot_magic_formula"
+    page_by: ClassVar[str] = "tirefit.report.mf_draw:magic_formula_page"
+    save_by: ClassVar[str] = "tirefit.fitting.mf.store:save_magic_formula"
 
     model: str
     parts: tuple[str, ...]  # the stages

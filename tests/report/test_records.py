@@ -1,0 +1,172 @@
+"""Every result prints, displays itself, is drawn and saved by the same names."""
+
+import doctest
+import json
+from functools import cache
+
+import jax
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import tirefit
+from tirefit.display import Record
+
+RIG = {"largest": 0.15, "points": 120, "force_std": 0.01, "seed": 4}
+
+
+@cache
+def rig():
+    log = tirefit.simulate("rig", values={"cpa2": 4e4, "mu": 0.9}, **RIG)
+    return tirefit.read_frame(dict(log.columns), "rig")
+
+
+def recording():
+    """Three sweeps of the slip angle at one load, as a rig records them."""
+    time = np.arange(0.0, 30.0, 0.02)
+    alpha = 0.15 * np.sin(2 * np.pi * time / 10.0)
+    fy = 4000.0 * np.tanh(12 * alpha)
+    fy += np.random.default_rng(0).normal(0.0, 20.0, len(time))
+    frame = {"time": time, "alpha": alpha, "fy": fy, "fz": np.full_like(time, 4000.0)}
+    return tirefit.read_frame(frame, "drum", curve=False, mask_bad_rows=True)
+
+
+def many():
+    slip = np.stack([rig()["sigma_x"]] * 2)
+    force = np.stack([rig()["fx"], 0.9 * rig()["fx"]])
+    return tirefit.fit_many("brush", slip, force, 4000.0)
+
+
+def exported(folder):
+    return tirefit.export("brush", "numpy", folder / "tire.py")
+
+
+RECORDS = {
+    "fit": (lambda _: tirefit.fit(rig(), "brush"), {"fit.json"}),
+    "fit_many": (lambda _: many(), {"fits.csv"}),
+    "diagnose": (lambda _: tirefit.diagnose(rig()), {"rig.json", "rig.rows.csv"}),
+    "prepare": (
+        lambda _: tirefit.prepare(recording()),
+        {"drum.csv", "drum.segments.csv", "drum.prepare.json"},
+    ),
+    "estimate": (
+        lambda _: tirefit.estimate(tirefit.simulate(teeth=2).columns),
+        {"estimates.csv", "summary.json"},
+    ),
+    "simulate": (lambda _: tirefit.simulate(teeth=1), {"log.csv", "log.truth.csv"}),
+    "brake": (
+        lambda _: tirefit.brake(controller="none", speed=3.0, vehicle="quarter"),
+        {"summary.json", "series.csv"},
+    ),
+    "export": (exported, {"tire.py"}),
+}
+"""Function -> a result of it, and the files that it saves."""
+
+
+@pytest.fixture(scope="module", params=RECORDS, ids=str)
+def made(request, tmp_path_factory):
+    make, files = RECORDS[request.param]
+    return make(tmp_path_factory.mktemp(request.param)), files
+
+
+def test_a_record_prints_its_summary(made):
+    record, _ = made
+    assert isinstance(record, Record)
+    assert str(record) == record.summary() and len(record.summary().splitlines()) > 2
+
+
+def test_the_numbers_are_json_and_finite(made):
+    record, _ = made
+    content = record.to_dict()
+    assert json.loads(json.dumps(content, allow_nan=False)) and content
+    assert json.loads(record.to_json()).keys() >= content.keys()
+
+
+def test_the_figure_is_drawn(made):
+    record, _ = made
+    figure = record.plot()
+    assert isinstance(figure, Figure) and figure.axes
+    assert figure._repr_png_().startswith(b"\x89PNG")
+
+
+def test_the_notebook_form_shows_a_picture_and_loads_nothing(made):
+    record, _ = made
+    fragment = record._repr_html_()
+    assert "data:image/png;base64," in fragment
+    assert "http" not in fragment.replace("http-equiv", "")
+
+
+def test_it_is_saved_as_files_and_as_a_page(made, tmp_path):
+    record, files = made
+    written = record.save(tmp_path / "out")
+    assert {path.name for path in written} == files
+    assert {path.name for path in (tmp_path / "out").iterdir()} == files
+    (page,) = record.save(tmp_path / "page.html")
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith("<!DOCTYPE html>") and text.rstrip().endswith("</html>")
+
+
+def test_every_function_of_the_family_is_here():
+    assert jax.config.read("jax_enable_x64")
+    family = set("fit fit_many diagnose prepare estimate simulate brake export".split())
+    assert set(RECORDS) == family <= set(tirefit.__all__)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"kind": "ride"}, "there is no simulation 'ride'"),
+        ({"teth": 3}, "did you mean 'teeth'"),
+        ({"period": np.inf, "friction": -1.0}, "friction -1 is out of range"),
+        ({"kind": "rig", "values": {"nu": 1.0}}, "brush has no parameter 'nu'"),
+        ({"kind": "drive", "drop": (99.0, 0.4)}, "time of the drop 99"),
+    ],
+)
+def test_a_wrong_setting_of_a_simulation_is_named(asked, said):
+    with pytest.raises(tirefit.UsageError, match=said):
+        tirefit.simulate(**asked)
+
+
+def test_a_simulation_with_the_settings_of_the_command_gives_its_file(tmp_path):
+    from typer.testing import CliRunner
+
+    from tirefit.cli.commands import app
+
+    out = tmp_path / "d.csv"
+    words = [
+        "simulate",
+        "drive",
+        "--duration",
+        "2",
+        "--gps-std",
+        "0.1",
+        "--drop",
+        "1=0.4",
+    ]
+    assert CliRunner().invoke(app, [*words, "--out", str(out)]).exit_code == 0
+    log = tirefit.simulate("drive", duration=2.0, gps_std=0.1, drop=(1.0, 0.4))
+    assert out.read_text() == log.files()["log.csv"]
+
+
+def test_a_fitted_tire_brakes_as_its_model_with_its_values():
+    fit = tirefit.fit(rig(), "brush")
+    how = {"controller": "none", "speed": 3.0, "vehicle": "quarter"}
+    values = {k: fit.parameters[k].value for k in ("cpa2", "mu")}
+    one, other = tirefit.brake(fit, **how), tirefit.brake("brush", values=values, **how)
+    distance = [float(x.stops["none"].summary.stopping_distance) for x in (one, other)]
+    assert distance[0] == pytest.approx(distance[1], rel=1e-6)
+    with pytest.raises(tirefit.UsageError, match="use it with a model name"):
+        tirefit.brake(fit, values={"mu": 1.0}, **how)
+
+
+EXAMPLES = [n for n in tirefit.__all__ if ">>> " in (getattr(tirefit, n).__doc__ or "")]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_example_of_a_public_name_prints_what_it_shows(name):
+    shown = getattr(tirefit, name)
+    names = dict(vars(tirefit), tirefit=tirefit, **{name: shown})
+    tests = doctest.DocTestFinder(recurse=False).find(shown, name, globs=names)
+    found = [doctest.DocTestRunner().run(test) for test in tests]
+    assert sum(one.attempted for one in found) > 1
+    assert [one.failed for one in found] == [0] * len(found)

@@ -1,0 +1,69 @@
+"""The wheel holds what the package needs, and its demo runs on what it holds."""
+
+import zipfile
+from pathlib import Path
+
+import pytest
+from hatchling.builders.wheel import WheelBuilder
+from typer.testing import CliRunner
+
+from tirefit.cli.commands import app
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "tirefit"
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    (built,) = WheelBuilder(str(ROOT)).build(
+        directory=str(tmp_path_factory.mktemp("d"))
+    )
+    with zipfile.ZipFile(built) as archive:
+        yield archive
+
+
+def test_the_wheel_holds_every_file_of_the_package(wheel):
+    ours = {
+        path.relative_to(ROOT).as_posix()
+        for path in PACKAGE.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    held = {name for name in wheel.namelist() if not name.startswith("tirefit-")}
+    assert held == ours
+    kinds = {".json", ".csv", ".html", ".typed"}
+    assert kinds <= {Path(name).suffix for name in held}
+
+
+def test_the_licence_of_the_samples_goes_with_the_wheel(wheel):
+    (licence,) = [
+        n for n in wheel.namelist() if n.endswith("licenses/tirefit/samples/LICENSE")
+    ]
+    source = ROOT / "fits" / "dart_jetracer" / "LICENSE"
+    assert wheel.read(licence) == source.read_bytes()
+
+
+@pytest.mark.parametrize("name", ["circles.csv", "free_driving.csv"])
+def test_samples_are_rows_of_the_measured_case(name):
+    convention, header, *rows = (PACKAGE / "samples" / name).read_text().splitlines()
+    case = (ROOT / "fits" / "dart_simulator" / name).read_text().splitlines()
+    assert convention == "# convention: braking" and header == case[0]
+    assert len(rows) > 300 and set(rows) <= set(case)
+
+
+def test_the_demo_prints_its_commands_and_where_the_results_are(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, ["demo", "--out", "first"])
+    assert result.exit_code == 0, result.output
+    commands = [line for line in result.stdout.splitlines() if line.startswith("$ ")]
+    assert [line.split()[2] for line in commands] == ["fit", "diagnose"]
+    named = [word.rstrip(":") for word in result.stdout.split() if "first/" in word]
+    assert {"first/samples", "first/fit/fit.png"} <= set(named)
+    assert "first/gap/free_driving.html" in named
+    assert [path for path in named if not Path(path.rstrip(",")).exists()] == []
+
+
+def test_the_demo_ends_where_it_cannot_write(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("taken").touch()
+    result = CliRunner().invoke(app, ["demo", "--out", "taken"])
+    assert result.exit_code == 2 and "taken" in result.stderr

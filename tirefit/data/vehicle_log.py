@@ -1,0 +1,73 @@
+"""Recognise the log of a vehicle by its headers: :func:`vehicle_log`."""
+
+import re
+from collections.abc import Sequence
+
+from tirefit.data.vehicle import POSE, RATES
+from tirefit.results import InputProblem
+
+_ENDS = {
+    "time": "time t timestamp stamp",
+    "x": "x",
+    "y": "y",
+    "yaw": "yaw psi heading theta",
+    "v_x": "vx speedx velx velocityx vlong vlon linearx",
+    "v_y": "vy speedy vely velocityy vlat lineary",
+    "yaw_rate": "r yawrate yawvelocity psidot gyroz angularz",
+    "a_y": "ay accy accely latacc lateralacceleration",
+    "steering": "steering steer delta steeringangle steeringwheelangle swa"
+    " roadwheelangle",
+}
+"""Quantity of a log -> how headers of it end, without separators."""
+
+_CAR = (
+    "mass = 1500         # kg",
+    "l_f = 1.2           # m, front axle ahead of the centre of gravity",
+    "l_r = 1.4           # m, rear axle behind it",
+    "yaw_inertia = 2500  # kg m2",
+    "[columns]",
+)
+_MAP = (
+    "[steering]  # from the column to the road wheel angle [rad]",
+    "command = [-1.0, 1.0]",
+    "angle = [-1.0, 1.0]",
+)
+_NO_PLACE = re.compile(
+    "^v$|acc|imu|mag|gyro|twist|linear|angular|vel|orientation|rotation"
+)
+
+
+def vehicle_log(headers: Sequence[str], file: str) -> InputProblem | None:
+    """That a file without slip and force is the log of a vehicle, with the command
+    that makes forces of it; None where neither a pose nor rates are there.
+
+    Example:
+        >>> found = vehicle_log(["t", "vx", "vy", "yaw_rate [deg/s]"], "log.csv")
+        >>> found.remedy.startswith("tirefit derive log.csv --vehicle vehicle.toml")
+        True
+    """
+    found: dict[str, str] = {}
+    for header in headers:
+        words = re.findall("[a-z0-9]+", re.sub(r"[\[(].*", "", header.casefold()))
+        ends = {"".join(words[-count:]) for count in (1, 2, 3)}
+        for name, known in _ENDS.items():
+            if name in ("x", "y") and _NO_PLACE.search("".join(words[:-1])):
+                continue
+            if ends & set(known.split()):
+                found.setdefault(name, header)
+    motion = POSE if found.keys() >= {*POSE} else RATES
+    if not found.keys() >= {*motion}:
+        return None
+    found.setdefault("time", "HEADER")
+    names = ("time", *motion, *(("a_y",) if motion == RATES else ()), "steering")
+    lines = [f'{name} = "{found[name]}"' for name in names if name in found]
+    return InputProblem(
+        "this is the log of a vehicle, which holds no slip and no force of a tire",
+        f"tirefit derive {file} --vehicle vehicle.toml --out axle.csv computes those of"
+        " an axle. vehicle.toml (VEHICLE.md), with the numbers of your car:"
+        + "".join(
+            f"\n      {line}"
+            for line in (*_CAR, *lines, *(_MAP if "steering" in found else ()))
+        ),
+        file,
+    )

@@ -1,0 +1,100 @@
+"""A braking manoeuvre of a car with controllers by name: :func:`brake`."""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+from tirefit.fitting.result import FitResult
+from tirefit.fitting.source import given_tire
+from tirefit.fitting.store import StoredFit
+from tirefit.fitting.tir import remarks
+from tirefit.models import AbstractTire
+from tirefit.online.controllers import CONTROLLERS, controller_of
+from tirefit.params import by_owner, check_names
+from tirefit.precision import require_x64
+from tirefit.sim.brake_request import (
+    Request,
+    check,
+    doubts,
+    known_to_controllers,
+    with_numbers,
+)
+from tirefit.sim.brake_result import Braking, braked
+
+_DEFAULT, _VALUES = "brush-m", {"cpa2": 4e4, "m": 0.5}
+"""A tire with a peak: sliding, it has four fifths of it, S(33)."""
+
+
+def brake(
+    tire: FitResult | StoredFit | AbstractTire | str | os.PathLike | None = None,
+    controller: str | Sequence[str] = "xbs-servo,abs",
+    *,
+    road: str = "mu=0.3",
+    speed: float = 15.0,
+    steer: float = 0.0,
+    vehicle: str = "car",
+    values: Mapping[str, float] | None = None,
+    signs: str | None = None,
+    tune: Mapping[str, float] | None = None,
+    plant: Mapping[str, float] | None = None,
+    time_limit: float | None = None,
+    stops: int = 1,
+    seed: int = 0,
+    progress: Callable[[float, str], None] | None = None,
+) -> Braking:
+    """Brake a car with one controller or several, under the same noise.
+
+    Args:
+        tire: a fit, a ``fit.json``, a ``.tir`` file, a tire, or the name of a model;
+            brush-m with a peak by default.
+        controller: names of the controllers: xbs-servo, abs, slip, none.
+        road: ``mu=0.4``; ``mu=0.3:0.8@20`` changes after 20 m; ``left=0.3,right=0.8``.
+        speed: at which braking begins [m/s].
+        steer: angle of the front wheels, to the left [rad].
+        vehicle: ``car``, or ``quarter``: one wheel with its mass.
+        values: parameters of a model or of a ``.tir`` file.
+        signs: sign convention of a ``.tir`` file.
+        tune: settings of the controllers, by ``name`` or ``controller.name``.
+        plant: numbers of hydraulics, sensors and road: demand [Pa], delay [s], ...
+        time_limit: [s]; by speed and road if None.
+        stops: number of seeds, from ``seed`` on.
+        progress: called with the share done and what comes next.
+
+    Returns:
+        the stops by controller; ``notes`` of what may be meant otherwise.
+
+    Raises:
+        UsageError: something unknown or out of its limits; 32-bit floats.
+        DataError: the tire's file cannot be read.
+
+    Example:
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> stop = brake(controller="none", speed=3.0, vehicle="quarter")
+        >>> stop.stops["none"].reason
+        'stopped: slower than 0.1 m/s'
+    """
+    require_x64("a simulated stop")
+    names = check_names("controller", controller, CONTROLLERS)
+    chosen = by_owner(tune or {}, {name: CONTROLLERS[name]() for name in names})
+    named, made, notes = _tire(tire, dict(values or {}), signs)
+    request = Request(
+        made, named, road=road, speed=speed, vehicle=vehicle, steer=steer,
+        time_limit=time_limit,
+    )  # fmt: skip
+    request = with_numbers(request, plant or {})
+    check(request)
+    car = known_to_controllers(request)
+    controllers = {n: controller_of(n, car, own) for n, own in chosen.items()}
+    done = braked(request, controllers, seed=seed, stops=stops, progress=progress)
+    return replace(done, notes=(*notes, *doubts(request)))
+
+
+def _tire(source, values: dict[str, float], signs: str | None):
+    """Name and record of the tire, and remarks on its file."""
+    if source is None:
+        source, values = _DEFAULT, _VALUES | values
+    given = given_tire(source, values, signs)
+    said = remarks(given.tir, given.tire) if given.tir else ()
+    name = os.fspath(source) if isinstance(source, str | os.PathLike) else given.name
+    return name, given.tire, [f"{name}: {text}" for text in said]
