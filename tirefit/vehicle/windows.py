@@ -1,6 +1,8 @@
 """Windows of vehicle logs, over which a car is predicted."""
 
+import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Generic, NamedTuple, TypeVar
 
@@ -69,7 +71,11 @@ def cut_logs(
             problems += error.problems
             continue
         if faults := compare(track, motion, vehicle, str(file)).problems:
-            problems += faults
+            # An option of derive is none of the commands that cut windows.
+            problems += [
+                replace(one, remedy=re.sub(r",? or [^,]*--.*", "", one.remedy))
+                for one in faults
+            ]
             continue
         windows = cut(track, motion)
         if windows is None:
