@@ -54,7 +54,6 @@ def fit_vehicle(
     check_directories([out])
     start_jax()
     from tirefit.report.canvas import save_picture
-    from tirefit.report.trajectory import trajectory_figure
     from tirefit.vehicle.trajectory import fit_trajectory
 
     with claimed(out):
@@ -62,7 +61,7 @@ def fit_vehicle(
         result = fit_trajectory(logs, vehicle, **(models | how))
         with staged(out, FILES, result) as folder:
             result.save(folder)
-            save_picture(trajectory_figure(result), folder / FIGURE)
+            save_picture(result.plot(), folder / FIGURE)
     say(str(result))
     say("wrote " + ", ".join(str(out / name) for name in FILES))
     return ExitCode.OK if result.converged else ExitCode.NOT_CONVERGED

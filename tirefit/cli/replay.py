@@ -64,13 +64,7 @@ def replay(
             reason, remedy = "a log is missing", "name one log or more"
             raise UsageError(InputProblem(reason, remedy))
         start_jax()
-        from tirefit.files import write_text_atomic
         from tirefit.report.canvas import save_picture
-        from tirefit.report.replay import (
-            replay_figure,
-            replay_page,
-            series_figure,
-        )
         from tirefit.vehicle.replay import HORIZONS
         from tirefit.vehicle.replay import replay as predicted
 
@@ -81,12 +75,10 @@ def replay(
                 steering_delay=steering_delay, seed=seed,
             )  # fmt: skip
             with staged(out, (RECORD, *FIGURES, PAGE), result) as folder:
-                write_text_atomic(folder / RECORD, result.to_json())
-                for draw, name in zip(
-                    (replay_figure, series_figure), FIGURES, strict=True
-                ):
-                    save_picture(draw(result), folder / name)
+                result.save(folder)
+                for what, name in zip(("path", "series"), FIGURES, strict=True):
+                    save_picture(result.plot(what), folder / name)
                 if html:
-                    write_text_atomic(folder / PAGE, replay_page(result))
+                    result.save(folder / PAGE)
         say(str(result))
         say("wrote " + ", ".join(str(out / name) for name in written))

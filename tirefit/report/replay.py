@@ -1,6 +1,5 @@
 """A replay as text, as pictures and as a page."""
 
-import html
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from tirefit.report.canvas import (
     panel_title,
     tidy,
 )
-from tirefit.report.html import image_of, png_text, rendered
+from tirefit.report.html import image_of, rendered
 from tirefit.report.numbers import format_number
 from tirefit.report.text import indented, table
 from tirefit.vehicle.replay import QUANTITIES, Fans, Replay
@@ -94,11 +93,10 @@ def _head(result: Replay) -> str:
     return f"REPLAY of {logs}, {result.windows[0]} starts"
 
 
-def replay_fragment(result: Replay) -> str:
-    """The report as HTML for a notebook, with the figure."""
-    png = png_text(replay_figure(result))
-    picture = f'<img alt="error and path" src="data:image/png;base64,{png}">'
-    return f"<pre>{html.escape(replay_text(result))}</pre>{picture}"
+def plotted(result: Replay, what: str = "path") -> Picture:
+    """Error over the horizon and the ``path``; or the ``series`` of yaw rate and
+    lateral acceleration."""
+    return {"path": replay_figure, "series": series_figure}[what](result)
 
 
 def replay_page(result: Replay) -> str:

@@ -5,7 +5,6 @@ import numpy as np
 
 from tirefit.models import TireInputs
 from tirefit.report.canvas import BLUE, GREY, Picture, panel_title, tidy
-from tirefit.report.html import table_fragment
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.text import indented, table
 from tirefit.vehicle.trajectory import UNKNOWNS, TrajectoryFit
@@ -56,12 +55,6 @@ def trajectory_text(fit: TrajectoryFit) -> str:
     said = [line for note in _notes(fit) for line in indented(note)]
     answer = ["ANSWER", *indented(_answer(fit)), "FOUND", *table(_rows(fit))]
     return "\n".join([_head(fit), *answer, "NOTES", *said])
-
-
-def trajectory_fragment(fit: TrajectoryFit) -> str:
-    """The same as HTML for a notebook, with the picture."""
-    rows, notes = _rows(fit), [_head(fit), _answer(fit), *_notes(fit)]
-    return table_fragment(rows, notes, trajectory_figure(fit), "force of both axles")
 
 
 def trajectory_figure(fit: TrajectoryFit) -> Picture:

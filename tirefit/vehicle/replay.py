@@ -7,7 +7,6 @@ one whose tires are linear, and with the floor that the noise of the log sets: h
 the error changes when the log gets as much noise again.
 """
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from tirefit.data.merged import merged
 from tirefit.data.motion import Motion, road_wheel, with_noise
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
-from tirefit.display import Displayed
+from tirefit.display import Record
 from tirefit.fitting.source import axle_tire
 from tirefit.models import AbstractTire, TireForces, TireInputs
 from tirefit.models.mf import Pair
@@ -97,7 +96,7 @@ class Fans(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class Replay(Displayed):
+class Replay(Record):
     """What :func:`replay` found in some logs.
 
     Attributes:
@@ -111,8 +110,9 @@ class Replay(Displayed):
         notes: what was assumed.
     """
 
-    html_by: ClassVar[str] = "tirefit.report.replay:replay_fragment"
     text_by: ClassVar[str] = "tirefit.report.replay:replay_text"
+    plot_by: ClassVar[str] = "tirefit.report.replay:plotted"
+    page_by: ClassVar[str] = "tirefit.report.replay:replay_page"
 
     logs: Mapping[str, bool]
     horizons: tuple[float, ...]
@@ -133,9 +133,9 @@ class Replay(Displayed):
             "held": self.held, "notes": self.notes,
         }  # fmt: skip
 
-    def to_json(self) -> str:
-        """The text of ``replay.json``."""
-        return json.dumps(self.to_dict(), indent=2) + "\n"
+    def files(self, name: str = "") -> dict[str, str]:
+        """``replay.json``."""
+        return {"replay.json": self.to_json()}
 
 
 class _Windows(NamedTuple):

@@ -10,7 +10,6 @@ window (a Schur complement); the covariance of the rest is the sandwich of the s
 blocks of windows, which holds where residuals are correlated within a block.
 """
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -27,9 +26,9 @@ from tirefit.data.motion import slip_and_force
 from tirefit.data.read import read_frame
 from tirefit.data.table import TireData
 from tirefit.data.vehicle import Vehicle, vehicle_toml
-from tirefit.display import Displayed
+from tirefit.display import Record
 from tirefit.door import sealed
-from tirefit.files import json_safe, json_text, write_texts
+from tirefit.files import json_safe, json_text
 from tirefit.fitting.config import FitConfig
 from tirefit.fitting.estimate import data_record, limited
 from tirefit.fitting.layout import Layout
@@ -92,7 +91,7 @@ SCHEMA = "tirefit.trajectory/1"
 
 
 @dataclass(frozen=True, repr=False)
-class TrajectoryFit(Displayed):
+class TrajectoryFit(Record):
     """What :func:`fit_trajectory` found.
 
     Attributes:
@@ -108,8 +107,8 @@ class TrajectoryFit(Displayed):
         rows: ``front``, ``rear`` -> slip angle and force as derived, for comparison.
     """
 
-    html_by: ClassVar[str] = "tirefit.report.trajectory:trajectory_fragment"
     text_by: ClassVar[str] = "tirefit.report.trajectory:trajectory_text"
+    plot_by: ClassVar[str] = "tirefit.report.trajectory:trajectory_figure"
 
     front: AbstractTire
     rear: AbstractTire
@@ -128,10 +127,6 @@ class TrajectoryFit(Displayed):
         """Names of the logs."""
         return tuple(self.rows["front"].runs)
 
-    def summary(self) -> str:
-        """The report as text."""
-        return str(self)
-
     def to_dict(self) -> dict:
         """The numbers, as ``trajectory.json`` has them."""
         return json_safe({
@@ -142,18 +137,18 @@ class TrajectoryFit(Displayed):
             "noise": dict(self.noise), "vehicle": self.vehicle.model_dump(),
         })  # fmt: skip
 
-    def save(self, folder: str | os.PathLike) -> list[Path]:
-        """Write ``front.json`` and ``rear.json`` (each a ``fit.json``),
-        ``vehicle.toml`` with what was found, and ``trajectory.json``; the paths."""
+    def files(self, name: str = "") -> dict[str, str]:
+        """``front.json`` and ``rear.json`` (each a ``fit.json``), ``vehicle.toml`` with
+        what was found, and ``trajectory.json``."""
         note = "as tirefit fit found it from the car's trajectories"
-        texts = {
-            f"{axle}.json": json_text(sealed(dict(tire.content)))
-            for axle, tire in self.axles.items()
+        return {
+            **{
+                f"{axle}.json": json_text(sealed(dict(tire.content)))
+                for axle, tire in self.axles.items()
+            },
+            "vehicle.toml": vehicle_toml(self.vehicle, note),
+            "trajectory.json": self.to_json(),
         }
-        texts["vehicle.toml"] = vehicle_toml(self.vehicle, note)
-        texts["trajectory.json"] = json_text(self.to_dict())
-        write_texts({Path(folder, name): text for name, text in texts.items()})
-        return [Path(folder, name) for name in texts]
 
 
 def fit_trajectory(
