@@ -121,19 +121,21 @@ def _figure(frame, channel, base, k):
 
 def _draw(effect, columns, slip, plain, changed):
     side = "tan(alpha)" if "alpha" in columns and "sigma_x" not in columns else "slip"
-    figure = Figure(figsize=(7.2, 2.9), layout="constrained")
+    figure = Figure(figsize=(7.2, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     for force, color, label in (
         (plain, "0.6", "without"), (changed, "tab:blue", f"with {name_of(effect.id)}")
     ):  # fmt: skip
         left.plot(slip, force / columns["fz"], ".", ms=2, color=color, label=label)
     left.set(xlabel=f"{side} [-]", ylabel="force / load [-]")
-    left.legend(markerscale=4, frameon=False, fontsize="small")
+    figure.legend(loc="outside upper center", ncols=2, markerscale=4, frameon=False)
     column, label = OVER.get(effect.family.rpartition(" x ")[2], (None, f"{side} [-]"))
     over = slip if column is None else columns[column]
     right.plot(over, changed - plain, ".", ms=2, color="tab:blue")
     right.axhline(0, color="0.6", lw=0.8)
     right.set(xlabel=label, ylabel="change of the force [N]")
+    for axes in (left, right):
+        axes.margins(0.06, 0.08)
     file = io.BytesIO()
     figure.savefig(file, dpi=110)
     return file.getvalue()
