@@ -237,3 +237,12 @@ def test_a_rig_without_a_force_is_no_vehicle(tmp_path):
     path.write_text("t,alpha,x,y,yaw\n0,1,2,3,4\n1,1,2,3,4\n")
     with pytest.raises(DataError, match="no force: one of fx, fy, mz is needed"):
         read(path)
+
+
+def test_a_log_of_rates_with_a_slip_angle_is_a_vehicle(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(",v_x,v_y,r,slip_angle\n0,9,0.1,0.2,1.7\n0.01,9,0.2,0.2,0.1\n")
+    with pytest.raises(DataError) as caught:
+        read(path)
+    (problem,) = caught.value.problems
+    assert "tirefit derive" in problem.remedy and 'time = ""' in problem.remedy

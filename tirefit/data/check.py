@@ -227,8 +227,12 @@ def check_columns(
     problems: list[InputProblem] = []
     has_slip = {"alpha", *SLIP_DEFINITIONS} & set(columns)
     has_force = {"fx", "fy", "mz"} & set(columns)
-    if not (has_slip or has_force or idle) and (log := vehicle_log(headers, file)):
-        return [log]
+    # A log may hold a sideslip angle, which reads as alpha: the force decides.
+    no_tire = not has_slip or (forces and "fz" not in columns)
+    if no_tire and not (has_force or idle):
+        log = vehicle_log(headers, file, by_pose=not has_slip)
+        if log is not None:
+            return [log]
     header_list = ", ".join(repr(header) for header in headers)
     if len(headers) == 1:
         header_list += " only; separate columns by comma, semicolon, tab, | or spaces"

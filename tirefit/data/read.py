@@ -28,6 +28,7 @@ from tirefit.data.units import (
     slip_from_speeds,
     slip_to_sigma,
 )
+from tirefit.data.vehicle_log import IS_VEHICLE_LOG
 from tirefit.results import DataError, InputProblem
 from tirefit.slip import LOCKED, SLIP_DEFINITIONS
 
@@ -403,6 +404,8 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
         elif reading.options.mask_bad_rows:
             remedy = "see the rows' problems without --mask-bad-rows"
             whole.append(InputProblem("no usable rows are left", remedy, reading.file))
+    if any(one.reason == IS_VEHICLE_LOG for one in whole):
+        of_rows = []  # its columns are not slip and force, and are not checked
     if whole or (of_rows and not reading.options.mask_bad_rows):
         raise DataError([*whole, *of_rows])
     return tuple(check.without_masking(problem) for problem in of_rows)

@@ -32,14 +32,18 @@ _MAP = (
     "command = [-1.0, 1.0]",
     "angle = [-1.0, 1.0]",
 )
+IS_VEHICLE_LOG = "this is the log of a vehicle: it holds no slip and force of a tire"
 _NO_PLACE = re.compile(
     "^v$|acc|imu|mag|gyro|twist|linear|angular|vel|orientation|rotation"
 )
 
 
-def vehicle_log(headers: Sequence[str], file: str) -> InputProblem | None:
-    """That a file without slip and force is the log of a vehicle, with the command
-    that makes forces of it; None where neither a pose nor rates are there.
+def vehicle_log(
+    headers: Sequence[str], file: str, by_pose: bool = True
+) -> InputProblem | None:
+    """The problem that a file is the log of a vehicle, with the command that computes
+    forces from it; None if the file has neither a pose nor rates. A file with a slip
+    may name other things x, y and yaw: ``by_pose=False`` asks for rates.
 
     Example:
         >>> found = vehicle_log(["t", "vx", "vy", "yaw_rate [deg/s]"], "log.csv")
@@ -55,16 +59,17 @@ def vehicle_log(headers: Sequence[str], file: str) -> InputProblem | None:
                 continue
             if ends & set(known.split()):
                 found.setdefault(name, header)
-    motion = POSE if found.keys() >= {*POSE} else RATES
+    motion = POSE if by_pose and found.keys() >= {*POSE} else RATES
     if not found.keys() >= {*motion}:
         return None
-    found.setdefault("time", "HEADER")
+    # A data frame's index often has no header; it holds the time of such logs.
+    found.setdefault("time", "" if "" in headers else "HEADER")
     names = ("time", *motion, *(("a_y",) if motion == RATES else ()), "steering")
     lines = [f'{name} = "{found[name]}"' for name in names if name in found]
     return InputProblem(
-        "this is the log of a vehicle, which holds no slip and no force of a tire",
+        IS_VEHICLE_LOG,
         f"tirefit derive {file} --vehicle vehicle.toml --out axle.csv computes those of"
-        " an axle. vehicle.toml (VEHICLE.md), with the numbers of your car:"
+        " an axle. Write vehicle.toml (VEHICLE.md) with the numbers of your car:"
         + "".join(
             f"\n      {line}"
             for line in (*_CAR, *lines, *(_MAP if "steering" in found else ()))
