@@ -139,7 +139,7 @@ def test_the_command_writes_numbers_and_picture(drive, tmp_path):
         "--horizon", "0.5", "--html", "--out", str(tmp_path / "out"),
     ]  # fmt: skip
     done = subprocess.run(line, capture_output=True, text=True, check=True)
-    assert "0.5 s ahead the car on these tires is off by" in done.stdout
+    assert "0.5 s after a start, the predicted car has an rms error of" in done.stdout
     content = json.loads((tmp_path / "out" / "replay.json").read_text())
     assert content["schema"] == "tirefit.replay/1" and content["horizons"] == [0.5]
     assert set(content["rms"]) == {"tire", "linear tire", "no slip", "floor"}
@@ -147,7 +147,7 @@ def test_the_command_writes_numbers_and_picture(drive, tmp_path):
         assert (tmp_path / "out" / name).stat().st_size > 10_000
     page = (tmp_path / "out" / "replay.html").read_text()
     assert page.count("data:image/png;base64,") == 2 and "http:" not in page
-    assert "0.5 s ahead the car on these tires is off by" in page
+    assert "0.5 s after a start, the predicted car has an rms error of" in page
 
 
 def test_the_true_car_misses_a_noisy_log_by_the_floor(drive, tmp_path):
@@ -217,7 +217,7 @@ def test_a_horizon_that_no_stretch_reaches_has_no_number(drive):
     log, toml = drive / "exact.csv", drive / "vehicle.toml"
     found = replay([log], toml, FRONT, REAR, horizons=(0.1, 60.0))
     assert found.windows[1] == 0 and found.models["tire"].rms()["heading"][1] is None
-    assert "0.1 s ahead the car on these tires" in replay_text(found)
+    assert "0.1 s after a start, the predicted car" in replay_text(found)
     json.loads(found.to_json(), parse_constant=pytest.fail)  # no NaN
 
 

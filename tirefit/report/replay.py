@@ -1,6 +1,5 @@
 """A replay as text, as pictures and as a page."""
 
-
 import numpy as np
 
 from tirefit.report.canvas import (
@@ -25,7 +24,7 @@ _NAMES = {
 _COLORS = {"tire": BLUE, "linear tire": ORANGE, "no slip": GREY, "floor": GREEN}
 _LABELS = {
     "tire": "these tires", "linear tire": "linear tires", "no slip": "no slip",
-    "floor": "floor (noise)",
+    "floor": "noise floor",
 }  # fmt: skip
 _AHEAD = 0.5
 """Horizon [s] of the answer, or the nearest."""
@@ -46,11 +45,12 @@ def answer(result: Replay) -> str:
         return f"{format_number(value, 2)} {QUANTITIES[quantity]}"
 
     return (
-        f"{result.horizons[place]:g} s ahead the car on these tires is off by"
-        f" {size('tire')} to the side and {size('tire', 'yaw_rate')} in yaw rate (rms);"
-        f" the noise of the log alone makes {size('floor')} and"
-        f" {size('floor', 'yaw_rate')}. To the side, linear tires are off by"
-        f" {size('linear tire')}, a car without slip by {size('no slip')}."
+        f"{result.horizons[place]:g} s after a start, the predicted car has an rms"
+        f" error of {size('tire')} in lateral position and"
+        f" {size('tire', 'yaw_rate')} in yaw rate. The noise of the log causes"
+        f" {size('floor')} and {size('floor', 'yaw_rate')} of it. The lateral position"
+        f" is wrong by {size('linear tire')} with linear tires and by"
+        f" {size('no slip')} for a car without slip."
     )
 
 
@@ -62,7 +62,7 @@ def replay_text(result: Replay) -> str:
     for name, unit in QUANTITIES.items():
         for model, errors in result.models.items():
             values = errors.rms()[name]
-            cells = ["-" if x is None else format_number(x, 3) for x in values]
+            cells = ["-" if x is None else format_number(x, 2) for x in values]
             what = f"{_NAMES[name]} [{unit}]" if model == "tire" else ""
             rows.append([what, _LABELS[model], *cells])
     rows.append(["starts", "", *map(str, result.windows)])
@@ -76,14 +76,14 @@ def replay_text(result: Replay) -> str:
             if share is not None
         )
         lines += indented(
-            "the 95 % band of the tires' parameters holds, of the measured values"
-            f" {result.horizons[0]:g} s ahead: {each}; the rest of the error does not"
-            " come from the parameters' uncertainty"
+            "share of the measured values within the 95 % band of the tires' parameters"
+            f" {result.horizons[0]:g} s ahead: {each}; the uncertainty of the"
+            " parameters explains no more of the error"
         )
-    told = "the tires were fitted to: " + (", ".join(fitted) or "none of these logs")
+    told = "the tires were fitted to " + (", ".join(fitted) or "none of these logs")
     lines += ["LOGS", *indented(told)]
     if fitted and others:
-        lines += indented(f"not fitted to: {', '.join(others)}")
+        lines += indented(f"the tires were not fitted to {', '.join(others)}")
     lines += ["ASSUMED", *(line for note in result.notes for line in indented(note))]
     return "\n".join(lines)
 

@@ -47,7 +47,7 @@ def _answer(fit: TrajectoryFit) -> str:
         f"{name} {format_number(std, 2)} {_CHANNELS[name]}"
         for name, std in fit.noise.items()
     )
-    return f"within a window the car on these tires is off by (rms): {noise}"
+    return f"rms error of the car within a window, on these tires: {noise}"
 
 
 def trajectory_text(fit: TrajectoryFit) -> str:
