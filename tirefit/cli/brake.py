@@ -35,53 +35,62 @@ class Vehicle(StrEnum):
 def brake(
     out: Folder,
     controller: Annotated[
-        str, typer.Option(metavar="NAME[,NAME...]", help="xbs-servo, abs, slip, none")
+        str,
+        typer.Option(
+            metavar="NAME[,NAME...]", help="controllers: xbs-servo, abs, slip, none"
+        ),
     ] = "xbs-servo,abs",
     road: Annotated[
         str,
         typer.Option(
             metavar="ROAD",
-            help="mu=0.4; mu=0.3:0.8@20 changes after 20 m; left=0.3,right=0.8",
+            help="friction: mu=0.4; mu=0.3:0.8@20 (changes after 20 m);"
+            " left=0.3,right=0.8 (split)",
         ),
     ] = "mu=0.3",
-    speed: Annotated[float, typer.Option(help="at which braking begins [m/s]")] = 15.0,
+    speed: Annotated[float, typer.Option(help="initial speed [m/s]")] = 15.0,
     steer: Annotated[
-        float, typer.Option(help="angle of the front wheels, to the left [rad]")
+        float,
+        typer.Option(help="steering angle of the front wheels, left positive [rad]"),
     ] = 0.0,
     tire: Annotated[
         str | None,
-        typer.Option(metavar="MODEL|FIT.json|FILE.tir", help="brush-m if not given"),
+        typer.Option(metavar="MODEL|FIT.json|FILE.tir", help="tire (default: brush-m)"),
     ] = None,
     signs: SignsOption = None,
     parameter: SetOption = None,
     tune: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="[CONTROLLER.]NAME=VALUE", help="setting of the controllers"
-        ),
+        typer.Option(metavar="[CONTROLLER.]NAME=VALUE", help="setting of a controller"),
     ] = None,
     plant: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=VALUE",
-            help="number of hydraulics, sensors, road: demand [Pa], delay [s], ...",
+            help="parameter of hydraulics, sensors, road: demand [Pa], delay [s], ...",
         ),
     ] = None,
     vehicle: Annotated[
-        Vehicle, typer.Option(help="four wheels, or one with its mass")
+        Vehicle, typer.Option(help="whole car, or one wheel with its mass")
     ] = Vehicle.car,
     time_limit: Annotated[
-        float | None, typer.Option(help="[s]; by speed and road if not given")
+        float | None,
+        typer.Option(help="end of the simulation [s] (default: by speed and road)"),
     ] = None,
     stops: Annotated[
-        int, typer.Option(min=1, max=100_000, help="seeds to brake with")
+        int,
+        typer.Option(
+            min=1, max=100_000, help="number of stops, each with its own seed"
+        ),
     ] = 1,
     animate: Annotated[
-        bool, typer.Option("--animate", help="write stop.gif too")
+        bool, typer.Option("--animate", help="write the animation stop.gif")
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, max=2**31, help="of noise and road")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**31, help="seed of noise and road")
+    ] = 0,
 ) -> None:
-    """Brake a car with a controller: stopping distance, friction used, figures."""
+    """Simulate braking with a controller: stopping distance, friction used, figures."""
     with errors_to_exit():
         problems: list[InputProblem] = []
         values = numbers("--set", parameter, problems)

@@ -101,21 +101,22 @@ def inspect(
     model: Annotated[
         list[str] | None,
         typer.Option(
-            help="model whose parameters the file may tell (repeat for more); some"
-            " brushes and the Magic Formula if none",
+            help="model whose parameters are checked (repeat for more; default: some"
+            " brush models and the Magic Formula)",
             autocompletion=model_names,
         ),
     ] = None,
     gate: Annotated[
         bool,
         typer.Option(
-            "--gate/--no-gate", help="say which parameters of models it can tell"
+            "--gate/--no-gate",
+            help="compute how well the file determines the parameters of models",
         ),
     ] = True,
     json: JsonOption = False,
 ) -> None:
-    """Say what a file holds, what was assumed, which fits it supports, and which
-    parameters of which models it can tell."""
+    """Show how a file was read, which fits it supports, and how well it determines the
+    parameters of models."""
     from tirefit.data.inspect import inspect as look
     from tirefit.data.read import read
 
@@ -144,7 +145,7 @@ def inspect(
 
 
 def _told(data, models):
-    """Which parameters of which models the data can tell."""
+    """How well the data determine the parameters of the models."""
     start_jax()
     from tirefit.fitting.identifiability import identifiability
 
@@ -159,27 +160,28 @@ def derive(
         typer.Option(
             metavar="VEHICLE.TOML",
             parser=named_path,
-            help="vehicle.toml: mass, geometry, inertia, driven axles (VEHICLE.md)",
+            help="mass, geometry, inertia and columns of the log (see VEHICLE.md)",
         ),
     ],
     out: OutFile,
-    axle: Annotated[Axle, typer.Option(help="which axle")] = Axle.rear,
+    axle: Annotated[Axle, typer.Option(help="axle to derive")] = Axle.rear,
     unit: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=UNIT",
-            help="unit of a quantity of the log, e.g. v_x=km/h; -rad/s has the other"
-            " sign",
+            help="unit of a quantity of the log, e.g. v_x=km/h; a minus (-rad/s)"
+            " reverses the sign",
         ),
     ] = None,
     believe: Annotated[
         bool,
         typer.Option(
-            "--believe", help="only warn of channels that contradict each other"
+            "--believe",
+            help="warn, instead of stopping, if channels contradict each other",
         ),
     ] = False,
 ) -> None:
-    """Turn vehicle logs into axle slip angle and force (single-track dynamics)."""
+    """Compute slip angle and lateral force of an axle from vehicle logs."""
     from tirefit.data.derive import derive_files
 
     with errors_to_exit():
@@ -200,7 +202,7 @@ def predict(
         bool,
         typer.Option(
             "--starred-angles",
-            help="FILE.tir: tan(alpha) and sin(gamma) instead of the angles",
+            help="FILE.tir: use tan(alpha) and sin(gamma) in place of the angles",
         ),
     ] = False,
     side: SideOption = None,
@@ -210,12 +212,12 @@ def predict(
         bool,
         typer.Option(
             "--beside",
-            help="write DATA's columns with these forces beside them as fx_sim, ...,"
-            " for `tirefit diagnose --sim`",
+            help="write the columns of DATA.csv and these forces as fx_sim, ..., for"
+            " `tirefit diagnose --sim`",
         ),
     ] = False,
 ) -> None:
-    """Forces of a fit or a model, row by row, in the data file's own convention."""
+    """Compute the forces of a fit or a model for each row of a data file."""
     with errors_to_exit():
         how = read_options(options, read_config(options.config))
         of_file: dict = {"side": side, "signs": signs, "combination": combination}
@@ -335,7 +337,7 @@ def options(
         ),
     ] = False,
 ) -> None:
-    """Fit tire models to measured force-slip data with honest uncertainty."""
+    """Fit tire models to measured slip and force, and find what they miss."""
     del version  # its callback has printed it
 
 

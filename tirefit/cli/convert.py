@@ -47,54 +47,62 @@ def convert(
         typer.Option(
             metavar="FOLDER|FILE.tir",
             parser=named_path,
-            help="folder of the fit; with --cpa2 the .tir file to write",
+            help="folder of the results; with --cpa2: .tir file to write",
         ),
     ],
     magic_formula: Annotated[
         str | None,
-        typer.Option(metavar="B,C,D,E", help="this curve in place of a .tir file"),
+        typer.Option(
+            metavar="B,C,D,E", help="coefficients of one curve, instead of a .tir file"
+        ),
     ] = None,
     model: Annotated[
         str | None,
         typer.Option(
-            help="brush model to fit, brush by default, or another version of the Magic"
-            " Formula: mf52, mf61, mf62",
+            help="model to fit: a brush model (default: brush), or another version of"
+            " the Magic Formula: mf52, mf61, mf62",
             autocompletion=model_names,
         ),
     ] = None,
     force: Annotated[
-        Force | None, typer.Option(help="force to convert; fx by default")
+        Force | None, typer.Option(help="force to convert (default: fx)")
     ] = None,
     slip_max: Annotated[
         float | None,
-        typer.Option(help=f"largest sigma_x or alpha [rad]; {_SLIP_MAX} by default"),
+        typer.Option(help=f"largest sigma_x or alpha [rad] (default: {_SLIP_MAX})"),
     ] = None,
     slip_min: Annotated[
-        float | None, typer.Option(help="the smallest; minus the largest by default")
+        float | None, typer.Option(help="smallest slip (default: minus the largest)")
     ] = None,
     loads: Annotated[
         str | None,
         typer.Option(
-            metavar="N,N,...", help="loads [N]; 0.5, 1 and 1.5 FNOMIN by default"
+            metavar="N,N,...", help="loads [N] (default: 0.5, 1 and 1.5 FNOMIN)"
         ),
     ] = None,
     signs: SignsOption = None,
     combination: CombinationOption = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, max=2**32 - 1, help="of everything random")
+        int | None,
+        typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers"),
     ] = None,
     cpa2: Annotated[
-        float | None, typer.Option(help="write a reduced .tir: c_p a^2 [N]")
+        float | None,
+        typer.Option(help="write a reduced .tir of a brush with this c_p a^2 [N]"),
     ] = None,
-    mu: Annotated[float | None, typer.Option(help="its friction coefficient")] = None,
-    fz: Annotated[float | None, typer.Option(help="its nominal load [N]")] = None,
+    mu: Annotated[
+        float | None, typer.Option(help="with --cpa2: friction coefficient")
+    ] = None,
+    fz: Annotated[
+        float | None, typer.Option(help="with --cpa2: nominal load [N]")
+    ] = None,
     radius: Annotated[
-        float | None, typer.Option(help="its radius of the free tire [m]")
+        float | None, typer.Option(help="with --cpa2: unloaded radius [m]")
     ] = None,
 ) -> None:
-    """Brush parameters of a Magic Formula by a refit, or a .tir of brush parameters.
+    """Convert a Magic Formula to a brush or another version, or a brush to a .tir.
 
-    The error bars are of the systematic misfit over the stated slips and loads: the
+    The standard errors are those of the systematic misfit over the slips and loads: the
     curve has no noise.
     """
     brush = {"cpa2": cpa2, "mu": mu, "fz": fz, "radius": radius}

@@ -19,7 +19,7 @@ def demo(
         typer.Option(metavar="FOLDER", parser=named_path, help="samples and results"),
     ] = Path("tirefit-demo"),
 ) -> None:
-    """Fit and diagnose measured samples that ship with tirefit: your first minute."""
+    """Fit and diagnose measured samples that ship with tirefit."""
     with errors_to_exit():
         check_directories([out])
         samples = out / "samples"

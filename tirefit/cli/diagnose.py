@@ -92,21 +92,22 @@ def diagnose(
         str | None,
         typer.Option(
             metavar="MODEL|FIT.json|FILE.tir",
-            help="base model (brush); a file is a simulator that is taken as it is;"
-            " with --sim what stands in for the simulator (brush or mf61, as it needs)",
+            help="model to fit first (default: brush), or a file: a simulator's tire,"
+            " used unchanged; with --sim: the model that represents the simulator"
+            " (default: brush, or mf61 if the brush does not follow it)",
             autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES),
         ),
     ] = None,
     parameter: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="NAME=VALUE", help="take MODEL as it is, with this value"
+            "--set", metavar="NAME=VALUE", help="use MODEL unchanged, with this value"
         ),
     ] = None,
     sim: Annotated[
         bool,
         typer.Option(
-            "--sim", help="the simulator's forces stand in FILE: fx_sim, fy_sim, mz_sim"
+            "--sim", help="FILE has the forces of the simulator: fx_sim, fy_sim, mz_sim"
         ),
     ] = False,
     side: SideOption = None,
@@ -114,16 +115,18 @@ def diagnose(
     combination: CombinationOption = None,
     force: Annotated[
         list[str] | None,
-        typer.Option(help="force that matters: fx, fy, mz (repeat; all if not given)"),
+        typer.Option(
+            help="force to diagnose: fx, fy, mz (repeat for more; default: all)"
+        ),
     ] = None,
     rig: Annotated[
         Path | None,
-        typer.Option(metavar="RIG.TOML", help="what is known of the rig, noise too"),
+        typer.Option(metavar="RIG.TOML", help="known noise and properties of the rig"),
     ] = None,
     holdout: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="FILE...", help="other files, only to check the answer on"
+            metavar="FILE...", help="files on which the result is checked only"
         ),
     ] = None,
     without: Annotated[
@@ -138,18 +141,18 @@ def diagnose(
         bool, typer.Option("--figures", help="write NAME.png and NAME.html")
     ] = False,
     full: Annotated[
-        bool, typer.Option("--full", help="print all details, not one screen")
+        bool, typer.Option("--full", help="print the report with all details")
     ] = False,
     resume: Annotated[
-        bool, typer.Option("--resume", help="keep cases that are done")
+        bool, typer.Option("--resume", help="skip finished files")
     ] = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
     seed: Annotated[
-        int, typer.Option(min=0, max=2**32 - 1, help="of the random numbers")
+        int, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
     ] = 0,
 ) -> None:
-    """Diagnose the gap between a model and data: where, which effect, how far."""
+    """Find the effects that explain the gap between a model or simulator and data."""
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files)
         names = [Path(file.name.removesuffix(".gz")).stem for file in files]

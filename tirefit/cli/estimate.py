@@ -29,35 +29,41 @@ FILES = ("estimates.csv", "summary.json", "estimates.png")
 @takes_data_options
 def estimate(
     log: Annotated[
-        str, typer.Argument(metavar="LOG.csv|-", help="a log in time order, or -")
+        str,
+        typer.Argument(
+            metavar="LOG.csv|-", help="log in time order, or - (standard input)"
+        ),
     ],
     options: DataOptions,
     method: Annotated[
-        str, typer.Option(metavar="NAME[,NAME...]", help="methods of `tirefit methods`")
+        str,
+        typer.Option(metavar="NAME[,NAME...]", help="methods (see `tirefit methods`)"),
     ] = "rls",
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="FOLDER",
             parser=named_path,
-            help="folder of the results; required without --follow",
+            help="folder of the results (required without --follow)",
         ),
     ] = None,
     follow: Annotated[
         bool,
-        typer.Option("--follow", help="LOG is -: rows on standard input as they come"),
+        typer.Option(
+            "--follow", help="read rows from standard input as they come (LOG is -)"
+        ),
     ] = False,
     setting: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="[METHOD.]NAME=VALUE", help="setting of the methods"
+            "--set", metavar="[METHOD.]NAME=VALUE", help="setting of a method"
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, max=2**32 - 1, help="of everything random")
+        int, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
     ] = 0,
 ) -> None:
-    """Estimate friction while driving: row by row, with uncertainty and flags."""
+    """Estimate friction and stiffness row by row, as known while driving."""
     with errors_to_exit():
         values = _checked(log, out, follow, setting)
         from tirefit.online.methods import METHODS

@@ -20,7 +20,7 @@ from tirefit.results import InputProblem, UsageError
 RANGES = ("kappa", "alpha", "fz")
 """Inputs of a tire whose range --over states."""
 
-_OVER = "range of a refit: kappa, alpha [rad], fz [N]; signs of iso-w"
+_OVER = "range of a refit: kappa, alpha [rad], fz [N], iso-w signs"
 _DIAGNOSIS = "of `tirefit diagnose`: the effects that it names change the tire"
 
 
@@ -36,7 +36,9 @@ File = Path | None
 def export(
     source: Annotated[Text, Argument(metavar="[FIT.json|FILE.tir|MODEL]")] = None,
     *,
-    to: Annotated[Text, Option(metavar="TARGET", help="see --list")] = None,
+    to: Annotated[
+        Text, Option(metavar="TARGET", help="target program (--list)")
+    ] = None,
     out: Annotated[File, _path("FILE", "file to write")] = None,
     front: Annotated[Text, Option(metavar="FIT", help="tire of the front axle")] = None,
     rear: Annotated[Text, Option(metavar="FIT", help="tire of the rear axle")] = None,
@@ -47,25 +49,31 @@ def export(
         Option("--set", metavar="NAME=VALUE", help="parameter of a model or .tir"),
     ] = None,
     diagnosis: Annotated[File, _path("NAME.json", _DIAGNOSIS)] = None,
-    model: Annotated[Text, Option(help="of a .tir: mf52, mf61 or mf62")] = None,
+    model: Annotated[
+        Text, Option(help="version of a .tir to write: mf52, mf61, mf62")
+    ] = None,
     wheel: Annotated[
-        Texts, Option(metavar="NAME=VALUE", help="of the wheel, in SI units (--list)")
+        Texts,
+        Option(metavar="NAME=VALUE", help="property of the wheel, SI units (--list)"),
     ] = None,
     forces: Annotated[
-        str, Option(metavar="F,F,...", help="of fx, fy, mz, mx, my; all by default")
+        str,
+        Option(
+            metavar="F,F,...", help="forces to write: fx, fy, mz, mx, my (default: all)"
+        ),
     ] = "",
     convention: Annotated[
         str, Option(help="signs of the file: iso-w, sae, adapted-sae, braking")
     ] = "iso-w",
     name: Annotated[
-        Text, Option(help="of the function; that of the file if none")
+        Text, Option(help="name of the function (default: that of the file)")
     ] = None,
     force: Annotated[
-        bool, Option("--force", help="replace any file; accept a large miss")
+        bool, Option("--force", help="replace any file; accept errors above 5 %")
     ] = False,
     list_: Annotated[bool, Option("--list", help="list the targets and exit")] = False,
 ) -> None:
-    """Write a fitted tire as a file of another program.
+    """Write a tire as source code or as a file of another program.
 
     Source code holds the model itself. A simulator with a formula of its own gets its
     parameters, refitted where the formula does not hold the model, and the largest

@@ -25,7 +25,7 @@ from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
 
 def named_path(text: str) -> Path:
-    """A path option: an empty name, as of an unset variable, is not the folder here."""
+    """The path of an option. An empty name (an unset shell variable) is an error."""
     if not text:
         raise typer.BadParameter("it is empty: give a name")
     return Path(text)
@@ -67,13 +67,13 @@ class Side(StrEnum):
 
 SideOption = Annotated[
     Side | None,
-    typer.Option(help="FILE.tir: side of the vehicle; as TYRESIDE if not given"),
+    typer.Option(help="FILE.tir: side of the vehicle (default: TYRESIDE of the file)"),
 ]
 SignsOption = Annotated[
     str | None,
     typer.Option(
-        help="sign convention of FILE.tir (in diagnose also of fx_sim, ...), as in"
-        " --convention; iso-w if not given",
+        help="sign convention of FILE.tir, and of fx_sim, ... in diagnose; values as"
+        " for --convention (default: iso-w)",
         autocompletion=completed(*CONVENTIONS),
     ),
 ]
@@ -81,45 +81,51 @@ SignsOption = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class DataOptions:
-    """What the command line declares of the files; every field is an option."""
+    """Options that describe the data files; every field is an option."""
 
     config: Annotated[
         Path | None,
-        typer.Option(metavar="FIT.TOML", parser=named_path, help="configuration"),
+        typer.Option(metavar="FIT.TOML", parser=named_path, help="settings file"),
     ] = None
     column: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=HEADER", help="header of a column")
+        list[str] | None,
+        typer.Option(metavar="NAME=HEADER", help="header of a quantity, e.g. fx=Force"),
     ] = None
     unit: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=UNIT", help="unit of a column, e.g. fx=kN"),
+        typer.Option(metavar="NAME=UNIT", help="unit of a quantity, e.g. fx=kN"),
     ] = None
     constant: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="column constant in SI units"),
+        typer.Option(
+            metavar="NAME=VALUE", help="a quantity without a column, in SI units"
+        ),
     ] = None
     convention: Annotated[
         str | None,
         typer.Option(
             help="signs of the file: braking (slip and force positive when braking),"
             " iso-w (driving positive, z up), sae (driving positive, z down),"
-            " adapted-sae (driving positive, F_y > 0 for alpha > 0); braking if not"
-            " given",
+            " adapted-sae (driving positive, F_y > 0 for alpha > 0); default: as the"
+            " file states, else braking",
             autocompletion=completed(*CONVENTIONS),
         ),
     ] = None
     slip: Annotated[
         str | None,
         typer.Option(
-            help="slip definition: sigma_x, kappa, s, slip_ratio",
+            help="definition of the slip column: sigma_x, kappa, s, slip_ratio",
             autocompletion=completed(*SLIP_DEFINITIONS),
         ),
     ] = None
     rolling_radius: Annotated[
-        float | None, typer.Option(help="effective radius [m]")
+        float | None, typer.Option(help="effective rolling radius [m]")
     ] = None
     mask_bad_rows: Annotated[
-        bool, typer.Option("--mask-bad-rows", help="mask and list bad rows, go on")
+        bool,
+        typer.Option(
+            "--mask-bad-rows", help="exclude and list invalid rows, and continue"
+        ),
     ] = False
 
 

@@ -51,30 +51,35 @@ def prepare(
     bandwidth: Annotated[
         float | None,
         typer.Option(
-            metavar="HZ", help="of the zero-phase filter (-3 dB); by the sweeps if none"
+            metavar="HZ", help="-3 dB bandwidth of the filter (default: by the sweeps)"
         ),
     ] = None,
     unfiltered: Annotated[
-        bool, typer.Option("--no-filter", help="leave the samples as they are")
+        bool, typer.Option("--no-filter", help="do not filter")
     ] = False,
     rate: Annotated[
         float | None,
-        typer.Option(metavar="HZ", help="rows a second, of a file without time"),
+        typer.Option(metavar="HZ", help="sample rate of a file without time"),
     ] = None,
     warm_up: Annotated[
         float | None,
-        typer.Option(metavar="S", help="seconds until the tire was warm, if known"),
+        typer.Option(
+            metavar="S", help="duration of the warm-up [s] (default: found in the data)"
+        ),
     ] = None,
     cut_last: Annotated[
         bool | None,
-        typer.Option("--cut-last", help="cut warm-up sweeps without a later sweep too"),
+        typer.Option(
+            "--cut-last",
+            help="also cut warm-up sweeps of conditions without a later sweep",
+        ),
     ] = None,
     keep: Annotated[
         list[str] | None,
         typer.Option(
             metavar="KIND",
             help=f"kind of segment to write (repeat for more): {', '.join(_KEPT)};"
-            " sweep and steady if none",
+            " default: sweep and steady",
             autocompletion=completed(*_KEPT),
         ),
     ] = None,
@@ -83,15 +88,16 @@ def prepare(
         typer.Option(
             metavar="PREPARE.JSON",
             parser=named_path,
-            help="do again what this record says, to its file or to others",
+            help="repeat the steps of this record on its file or on others",
         ),
     ] = None,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
 ) -> None:
-    """Cut a rig's test into segments and bins, filter it, and write what can be fitted.
+    """Cut the recording of a test rig into sweeps and bins, filter it, and write the
+    rows to fit.
 
-    Of each FILE: NAME.csv (rows to fit, with run, segment, bin), NAME.segments.csv,
+    For each FILE: NAME.csv (rows to fit, with run, segment, bin), NAME.segments.csv,
     NAME.png (the whole test), NAME.prepare.json (all that was done).
     """
     with errors_to_exit():

@@ -20,7 +20,10 @@ def replay(
     ] = None,
     *,
     vehicle: Annotated[
-        Path, typer.Option(metavar="VEHICLE.toml", help="the car and its log")
+        Path,
+        typer.Option(
+            metavar="VEHICLE.toml", help="vehicle.toml of the car and its log"
+        ),
     ],
     front: Annotated[
         str,
@@ -38,22 +41,22 @@ def replay(
         list[float] | None,
         typer.Option(
             metavar="S",
-            help="seconds after a start (repeat for more): 0.25, 0.5, 1, 2, 5 if none",
+            help="prediction time [s] (repeat for more; default: 0.25, 0.5, 1, 2, 5)",
         ),
     ] = None,
     steering_delay: Annotated[
         float | None,
         typer.Option(
             metavar="S",
-            help="by which the wheels follow the log, instead of steering.delay",
+            help="delay of the road wheels after the log [s]; default steering.delay",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="of the draws of tires and noise")] = 0,
+    seed: Annotated[int, typer.Option(help="seed of the random numbers")] = 0,
     html: Annotated[
-        bool, typer.Option("--html", help="write replay.html, one page of all")
+        bool, typer.Option("--html", help="write the report as one page, replay.html")
     ] = False,
 ) -> None:
-    """Predict measured vehicle logs and show how the error grows with the horizon.
+    """Predict measured drives of a car from its tires; report the error over time.
 
     The car starts every quarter of a second from the measured state and is predicted
     for up to five seconds, with the speed and the steering as measured. Beside it stand

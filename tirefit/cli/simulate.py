@@ -14,7 +14,7 @@ from tirefit.results import InputProblem, UsageError
 from tirefit.sim.settings import KINDS
 
 app = typer.Typer(
-    help="Simulate logs and rig sweeps that fit and estimate read.",
+    help="Simulate logs and rig sweeps whose true tire is known.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
