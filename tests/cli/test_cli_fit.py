@@ -50,8 +50,8 @@ def test_one_file_with_its_posterior(run, rig, tmp_path):
     # No terminal, no bar: at most lines, where it takes long.
     said = result.stderr.splitlines()
     assert all(line.startswith("posterior: ") for line in said)
-    assert "VERDICT: ok" in result.stdout and "profile" in result.stdout
-    assert "posterior" in result.stdout and "covariance" in result.stdout
+    assert "VERDICT: ok" in result.stdout and "posterior" in result.stdout
+    assert len(result.stdout.splitlines()) <= 45 and "covariance" not in result.stdout
 
 
 def test_out_names_the_directory_and_svg_doubles_the_figures(run, rig, tmp_path):
@@ -245,7 +245,7 @@ def test_a_page_of_the_fit_where_it_is_asked_for(run, rig, tmp_path):
     (tmp_path / "quick.toml").write_text(FAST)
     result = run(*quick, "--html")
     page = tmp_path / "out" / "fit.html"
-    assert "out/fit.html" in result.stdout
+    assert "wrote to out: " in result.stdout and ", fit.html" in result.stdout
     assert content(tmp_path / "out")["data"]["sha256"] in page.read_text()
     # That of an earlier fit would be taken for this one's.
     run(*quick)

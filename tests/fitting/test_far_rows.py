@@ -177,11 +177,9 @@ def test_the_result_names_them_everywhere():
     assert abs(first["predicted"]) < 4200 and first["distance"] > 1000
     assert "far from all other rows" in first["reason"]
     assert "noise.loss = 'squares'" in first["remedy"]
-    (said,) = (
-        text for text in result.verdict["sentences"] if "beyond all noise" in text
-    )
+    (said,) = (text for text in result.verdict["sentences"] if "as outliers" in text)
     assert "2 of 400 rows" in said and "row 11, row 240" in said
-    text = " ".join(fit_report(result).split())
-    assert "398 used of 400 (2 set aside)" in text
-    assert "set aside: r, row 11, column 'fx': 400000 N is far from" in text
+    text = " ".join(fit_report(result, full=True).split())
+    assert "398 used of 400 (2 excluded as outliers)" in text
+    assert "excluded: r, row 11, column 'fx': 400000 N is far from" in text
     assert "normal; rows further than 5.2 standard deviations" in text

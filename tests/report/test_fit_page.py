@@ -125,7 +125,7 @@ def test_the_page_says_what_the_data_do_not_tell(plain):
     assert "slip_at_peak: not defined for this model and estimate" in shown
     assert "cpa2 and mu: -0.970" in shown
     said = html.unescape(shown)
-    assert "set aside: <x>.csv, row 7, column 'fx': 99 std away" in said
+    assert "excluded: <x>.csv, row 7, column 'fx': 99 std away" in said
     assert "every parameter and derived quantity is identified" not in shown
     # Without a posterior there is none to show.
     assert "Posterior" not in shown and "ensembles" not in shown

@@ -78,8 +78,8 @@ def fit(
     model: Annotated[
         str | None,
         typer.Option(
-            help="a name of `tirefit models`, brush by default; mf52, mf61 or mf62 is a"
-            " whole Magic Formula, of all files; with --vehicle front=NAME,rear=NAME",
+            help="model of `tirefit models` (default: brush); mf52, mf61, mf62: a whole"
+            " Magic Formula to all files; with --vehicle: front=NAME,rear=NAME",
             autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES),
         ),
     ] = None,
@@ -92,13 +92,12 @@ def fit(
     ] = None,
     sampler: Annotated[Sampler | None, typer.Option(help="posterior sampler")] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, max=2**32 - 1, help="of everything random")
+        int | None,
+        typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers"),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FOLDER", parser=named_path, help="directory of the results"
-        ),
+        typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
     ] = None,
     force: Annotated[
         list[str] | None,
@@ -108,7 +107,8 @@ def fit(
         str | None,
         typer.Option(
             metavar="fx|fy|mz|mx|my|combined|all",
-            help="of mf52, mf61, mf62: this part, or all that the files tell",
+            help="mf52, mf61, mf62: fit this part only (default: all that the files"
+            " determine)",
         ),
     ] = None,
     like: Annotated[
@@ -123,35 +123,39 @@ def fit(
         str | None,
         typer.Option(
             metavar="three|load|bin|none",
-            help="mf52, mf61, mf62: what is left out, one after another, to check the"
-            " bands; by default the bins of three loads",
+            help="mf52, mf61, mf62: rows left out in turn to check the bands (default:"
+            " the bins of three loads)",
         ),
     ] = None,
     vehicle: Annotated[
         Path | None,
         typer.Option(
             metavar="VEHICLE.toml",
-            help="the files are logs of this car: fit both axles by its trajectories",
+            help="the files are logs of this car: fit the tires of both axles to its"
+            " trajectories",
         ),
     ] = None,
     unknown: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="--vehicle: fitted beside the tires (repeat for more): yaw_inertia,"
-            " cg_ahead, steering_ratio, steering_offset, steering_delay, sideslip_zero;"
-            " steering_offset and steering_delay if none",
+            help="--vehicle: also fit this (repeat for more): yaw_inertia, cg_ahead,"
+            " steering_ratio, steering_offset, steering_delay, sideslip_zero (default:"
+            " steering_offset and steering_delay)",
         ),
     ] = None,
     window: Annotated[
         float | None,
-        typer.Option(min=0.05, help="--vehicle: length of a window [s], 0.5"),
+        typer.Option(min=0.05, help="--vehicle: length of a window [s] (default: 0.5)"),
     ] = None,
     intervals: Annotated[
-        Intervals | None, typer.Option(help="--vehicle: of 95 %, by covariance if none")
+        Intervals | None,
+        typer.Option(
+            help="--vehicle: method of the 95 % intervals (default: covariance)"
+        ),
     ] = None,
     joint: Annotated[
-        bool, typer.Option("--joint", help="one fit of all files, each file a run")
+        bool, typer.Option("--joint", help="fit all files together, each file as a run")
     ] = False,
     strict: Annotated[
         bool, typer.Option("--strict", help="exit 5 if a parameter is not identified")
@@ -159,7 +163,7 @@ def fit(
     resume: Annotated[
         bool,
         typer.Option(
-            "--resume", help="keep fits that are done; continue the chain of others"
+            "--resume", help="skip finished fits; continue interrupted chains"
         ),
     ] = False,
     svg: Annotated[
@@ -168,13 +172,17 @@ def fit(
     html: Annotated[
         bool,
         typer.Option(
-            "--html", help="write fit.html, one page of all; of several files fits.html"
+            "--html",
+            help="write the report as one page: fit.html (several files: fits.html)",
         ),
+    ] = False,
+    full: Annotated[
+        bool, typer.Option("--full", help="print the report with all details")
     ] = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
 ) -> None:
-    """Fit a model: parameters, uncertainties, figures and a report."""
+    """Fit a model to measurements: parameters with intervals, figures, report."""
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files)
         from tirefit.fitting.config import FitConfig
@@ -212,7 +220,7 @@ def fit(
             settings = settings.model_copy(update={"posterior": chosen})
         if only_of_magic_formula(settings.model, whole, unused):
             (directory,) = _output_directories(files, out, joint=True)
-            also = Also(svg, html)
+            also = Also(svg, html, full)
             code = fit_whole(files, directory, settings, how, whole, strict, also)
             raise typer.Exit(code)
         directories = _output_directories(files, out, joint)
@@ -224,7 +232,7 @@ def fit(
         # The page of several fits needs each of them, done before or not.
         apart = sharing.apart and not joint
         keep = resume and (apart or not html or len(files) == 1)
-        also = Also(svg, html)
+        also = Also(svg, html, full)
         task = FitTask(settings, how, posterior, resume, keep, also, strict)
         if apart:
             known = [] if options.config is None else [options.config]

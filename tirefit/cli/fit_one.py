@@ -21,15 +21,16 @@ PAGE, CHAIN = "fit.html", "chain.npz"
 
 
 class Also(NamedTuple):
-    """What is written beside the result and its figures."""
+    """What is written and printed beside the result and its figures."""
 
     svg: bool = False
     html: bool = False
+    full: bool = False  # the report with all details
 
 
 @dataclass(frozen=True)
 class FitTask:
-    """What all files share."""
+    """Settings that all files of a command share."""
 
     settings: Any  # of the fit
     how: dict  # arguments of ``tirefit.read``
@@ -40,7 +41,7 @@ class FitTask:
     strict: bool
 
     def digest(self, tables) -> str:
-        """Of all that the numbers of a fit of these tables depend on."""
+        """Digest of everything that the result of a fit of these tables depends on."""
         asked = [
             self.settings.model_dump(mode="json"), self.how, self.posterior,
             [table.source.sha256 for table in tables], __version__,
@@ -112,17 +113,23 @@ def fit_into(
             raise
     # The assumptions of several files are printed once, merged, at the end.
     record = result.data | ({"assumptions": []} if holds_notes() else {})
-    say(str(replace(result, data=record)))
-    say("wrote " + ", ".join(str(path) for path in written))
+    say(replace(result, data=record).summary(full=also.full))
+    say(wrote(directory, written))
     return result
 
 
 def _first_words(result, directory: Path) -> str:
-    """Of the least squares, which are there before the posterior is."""
-    from tirefit.report.text import parameter_lines
+    """The least-squares estimates, which are there before the posterior is sampled."""
+    from tirefit.report.fit_tables import parameter_rows
 
-    said = f"written to {directory}; now the posterior is sampled\n"
-    return "\n".join([*parameter_lines(result)[1:], said])
+    rows = parameter_rows(result)[1:]
+    found = ", ".join(" ".join(row[:3]).removesuffix(" -") for row in rows)
+    return f"least squares: {found}; written to {directory}; sampling the posterior\n"
+
+
+def wrote(directory: Path, written: Collection[Path]) -> str:
+    """The line that lists the files written."""
+    return f"wrote to {directory}: " + ", ".join(path.name for path in written)
 
 
 def _save(result, directory: Path, also: Also) -> list[Path]:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.fit_one import PAGE, Also, exit_code
+from tirefit.cli.fit_one import PAGE, Also, exit_code, wrote
 from tirefit.cli.notes import warn
 from tirefit.cli.options import complain, progress_bar, say, start_jax
 from tirefit.cli.output import check_directories, claimed, is_page, staged
@@ -24,9 +24,9 @@ CombinationOption = Annotated[
     Combination | None,
     typer.Option(
         "--combination",
-        help="FILE.tir: combined slip by its weighting functions, which are one if it"
-        " has none (none), or by the method of similarity; by default similarity for"
-        " forces without coefficients of combined slip",
+        help="FILE.tir, combined slip: by its weighting functions only (none), or by"
+        " the method of similarity (default: similarity for forces without coefficients"
+        " of combined slip)",
     ),
 ]
 
@@ -136,5 +136,6 @@ def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -
         if also is not None:
             written += save_pictures(result, folder, also.svg)
             written += result.save(folder / PAGE) if also.html else []
-    say(str(result).replace(_ADVICE, advice))
-    say("wrote " + ", ".join(str(out / path.name) for path in written))
+    full = also is not None and also.full
+    say(result.summary(full=full).replace(_ADVICE, advice))
+    say(wrote(out, written))

@@ -1,4 +1,4 @@
-"""What a fit amounts to, in sentences a user can act on."""
+"""The verdict on a fit: outcomes, and sentences that a user can act on."""
 
 import math
 from dataclasses import replace
@@ -15,7 +15,7 @@ _POOR_CHI2 = 2.0
 _POOR_R2 = 0.8
 _STRUCTURE_SIGMAS = 6.0
 _SYSTEMATIC = 0.5
-"""Correlation of neighbours above which half the residual is a miss, not noise."""
+"""Correlation of neighbours above which half of the residual variance is misfit."""
 
 
 def disagreements(result: FitResult) -> dict[str, str]:
@@ -122,16 +122,16 @@ def _correlated(result: FitResult) -> list[tuple[Outcome | None, str]]:
         return []
     text = (
         f"residuals of neighbouring rows are correlated: {statistics.n} rows count as"
-        f" {statistics.n_effective:.0f} independent ones in every interval; the column"
-        " `independent` has the intervals of independent rows"
+        f" {statistics.n_effective:.0f} in every interval (intervals of independent"
+        " rows: --full)"
     )
     if result.solved is not None and result.solved.misfit.columns:
-        text += "; the correlation comes from misfit of the model more than from noise"
+        text += "; the misfit of the model causes more of it than the noise"
     return [(None, text)]
 
 
 def _contradiction(result: FitResult) -> list[tuple[Outcome | None, str]]:
-    """Data that contradict themselves: no quality of the fit makes up for it."""
+    """A sentence if the slip column contradicts the measured speeds."""
     check = result.data.get("slip_check")
     if check is None or not check["contradicts"]:
         return []
@@ -144,18 +144,18 @@ def _short(result: FitResult, label: str) -> str:
 
 
 def _far_rows(result: FitResult) -> list[str]:
-    """On rows that are far from everything, and what was done about them."""
+    """Sentences on the outliers that were excluded or kept."""
     aside = [row for row in result.far_rows if row.set_aside]
     kept = [row for row in result.far_rows if not row.set_aside]
     said = [result.noise["too_many"]] if result.noise.get("too_many") else []
     if aside:
         said.append(
-            f"{len(aside)} of {result.statistics.n + len(aside)} rows lie beyond all"
-            f" noise and had no part in this fit: {_row_numbers(aside)}; correct or"
-            " delete them, or fit them as they are by noise.loss = 'squares'"
+            f"{len(aside)} of {result.statistics.n + len(aside)} rows were excluded as"
+            f" outliers: {_row_numbers(aside)}; correct or delete them, or fit all rows"
+            " with noise.loss = 'squares'"
         )
     if kept:
-        said.append(f"make sure of rows that are far but kept: {_row_numbers(kept)}")
+        said.append(f"check these outliers, which were kept: {_row_numbers(kept)}")
     return said
 
 
@@ -169,7 +169,7 @@ def _row_numbers(rows, most: int = 8) -> str:
 
 
 def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
-    """All there is to say, each with the outcome it stands for."""
+    """All sentences of the verdict, each with its outcome."""
     statistics = result.statistics
     findings: list[tuple[Outcome | None, str]] = []
     if not statistics.converged:

@@ -1,4 +1,4 @@
-"""What a fit found as cells and sentences: for the text report, and for its page."""
+"""Results of a fit as table cells and sentences, for the text report and the page."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ _STRONG = 0.9
 
 
 def value_text(estimate: Estimate) -> str:
-    """``value ± std``, or that it is fixed or not identified."""
+    """``value ± std``, ``value (fixed)`` or ``not identified``."""
     if estimate.fixed:
         return f"{format_number(estimate.value)} (fixed)"
     if not estimate.identified:
@@ -26,7 +26,7 @@ def value_text(estimate: Estimate) -> str:
 
 
 def note_on(result: FitResult, name: str) -> str:
-    """What a reader must know about one parameter; empty for most."""
+    """Warnings on one parameter (at its bound, routes differ); empty for most."""
     estimate = result.parameters[name]
     notes = []
     if name in result.statistics.at_bound:
@@ -53,8 +53,8 @@ def parameter_rows(result: FitResult) -> Rows:
 
 
 def route_rows(result: FitResult) -> Rows:
-    """The 95 % interval of every free parameter by each route, and beside them that of
-    independent rows where the rows count as fewer than half."""
+    """The 95 % interval of each free parameter by each route; also for independent rows
+    if the effective number of rows is below half of their number."""
     routes = [route for route in _ROUTES if result.intervals.get(route)]
     if result.statistics.n_effective >= 0.5 * result.statistics.n:
         routes = [route for route in routes if route != "independent"]
@@ -69,12 +69,12 @@ def route_rows(result: FitResult) -> Rows:
 
 
 def reference_text(result: FitResult) -> str:
-    """Load and speed that the derived quantities are at."""
+    """Load and speed at which the derived quantities are computed."""
     at = f"F_z = {format_number(result.reference['fz'])} N"
     if result.reference.get("v"):
         at += f", v = {result.reference['v']:.3g} m/s"
     if any("[" in key for key in result.reference):
-        at += ", of runs held elsewhere at their own"
+        at += "; for runs at another load or speed, at their own"
     return at
 
 
@@ -83,7 +83,7 @@ def _derived_value(estimate: Estimate) -> str:
 
 
 def derived_rows(result: FitResult) -> Rows:
-    """The derived quantities that all runs have in common."""
+    """The derived quantities that are the same for all runs."""
     channel = derived_channel(result.forces)
     rows = [["quantity", "value ± std", "unit", "95 % interval", ""]]
     for name, estimate in result.derived.items():
@@ -99,8 +99,8 @@ def derived_rows(result: FitResult) -> Rows:
 
 
 def derived_by_run(result: FitResult) -> Rows:
-    """Those that runs differ in: a row per run, a column per quantity, and its load and
-    speed where runs were held at different ones."""
+    """Derived quantities that differ by run: a row per run, a column per quantity, and
+    the load and speed of the run where these differ."""
     own = {k: v for k, v in result.derived.items() if k != quantity_of(k)}
     names = {quantity_of(k): v.unit for k, v in own.items()}
     head = [name if unit == "-" else f"{name} [{unit}]" for name, unit in names.items()]
@@ -116,7 +116,7 @@ def derived_by_run(result: FitResult) -> Rows:
 
 
 def _noise_model(result: FitResult) -> str:
-    """What the likelihood takes the noise for."""
+    """The distribution that the likelihood assumes for the noise."""
     loss = result.noise.get("loss", "squares")
     if loss == "squares":
         return "normal in every row"
@@ -125,18 +125,18 @@ def _noise_model(result: FitResult) -> str:
     aside = result.data.get("set_aside", 0)
     return (
         f"normal; rows further than {result.noise['limit']:.1f} standard deviations"
-        f" from what the others predict are set aside ({aside or 'none'})"
+        f" from the prediction of the others are excluded ({aside or 'none'})"
     )
 
 
 def _differs(record: dict) -> str:
-    """How the noise of a force differs among rows; empty where it does not."""
+    """How the noise of a force varies between rows; empty if it is constant."""
     text = ""
     if "share_of_force" in record:
         text = (
             f"; by row {format_number(record['constant'], 3)} N,"
             f" {100 * record['share_of_load']:.2g} % of the load and"
-            f" {100 * record['share_of_force']:.2g} % of the force, added in square"
+            f" {100 * record['share_of_force']:.2g} % of the force, added in quadrature"
         )
     if "by_run" in record:
         least, most = min(record["by_run"].values()), max(record["by_run"].values())
@@ -145,7 +145,7 @@ def _differs(record: dict) -> str:
 
 
 def noise_text(result: FitResult) -> str:
-    """Standard deviation of every noise, where it is from, and its model."""
+    """Standard deviation of each noise, its source, and the distribution assumed."""
     parts = []
     for name, record in result.noise.items():
         if isinstance(record, dict) and "median_std" in record:
@@ -157,7 +157,7 @@ def noise_text(result: FitResult) -> str:
 
 
 def run_rows(result: FitResult) -> Rows:
-    """Rows, RMSE and bias of every run, where there are several."""
+    """Rows, RMSE and bias of every run, if there are several."""
     problem, name = result.problem, result.forces[0]
     rows = [["run", "rows", f"RMSE [{FORCE_UNIT[name]}]", "bias"]]
     if problem is None or len(result.data["runs"]) < 2:
@@ -178,7 +178,7 @@ def run_rows(result: FitResult) -> Rows:
 
 
 def chain_rows(result: FitResult) -> Rows:
-    """Effective samples, R-hat and tau of every parameter, where there are chains."""
+    """Effective samples, R-hat and tau of every parameter, if chains were sampled."""
     p = result.posterior
     rows = [["parameter", "ESS", "R-hat", "τ [steps]"]]
     for label in result.labels:
@@ -193,7 +193,7 @@ def chain_rows(result: FitResult) -> Rows:
 
 
 def posterior_lines(result: FitResult) -> list[str]:
-    """What the sampler did; empty without a posterior."""
+    """Settings and result of the sampler; empty without a posterior."""
     p = result.posterior
     if p is None:
         return []
@@ -201,7 +201,7 @@ def posterior_lines(result: FitResult) -> list[str]:
 
 
 def _posterior_head(p: PosteriorSummary) -> str:
-    """One sentence on what the sampler did."""
+    """Sampler, number of samples, acceptance and seed."""
     if p.sampler == "importance":
         draws = round(p.acceptance * p.steps)
         return (
@@ -218,12 +218,12 @@ def _posterior_head(p: PosteriorSummary) -> str:
 
 
 def rows_text(result: FitResult) -> str:
-    """How many rows count, and why the others do not."""
+    """Number of rows used, and why the others are not."""
     data = result.data
     aside = data.get("set_aside", 0)
     masked = data["rows"] - data["used"] - aside
     text = f"{data['used']} used of {data['rows']}"
-    left_out = {"masked": masked, "set aside": aside}
+    left_out = {"masked": masked, "excluded as outliers": aside}
     if any(left_out.values()):
         said = [f"{count} {why}" for why, count in left_out.items() if count]
         text += f" ({', '.join(said)})"
@@ -231,9 +231,9 @@ def rows_text(result: FitResult) -> str:
 
 
 def far_lines(result: FitResult, most: int = 20) -> list[str]:
-    """Rows far from everything, by number, and what became of them."""
+    """Outliers: file, row, reason, and whether they were excluded."""
     lines = [
-        f"{'set aside' if row.set_aside else 'kept'}: {row.file}, row {row.row}, column"
+        f"{'excluded' if row.set_aside else 'kept'}: {row.file}, row {row.row}, column"
         f" {row.column!r}: {row.reason}"
         for row in result.far_rows[:most]
     ]
@@ -257,7 +257,7 @@ def correlation_lines(result: FitResult, most: int = 10) -> list[str]:
 
 
 def open_lines(result: FitResult) -> list[str]:
-    """Parameters and derived quantities that the data do not tell, and within what."""
+    """Quantities that the data do not determine, each with its possible range."""
     lines = []
     for name, estimate in (result.parameters | result.derived).items():
         if estimate.identified or estimate.fixed:

@@ -9,26 +9,50 @@ from tirefit.fitting.mf.result import ORIGINS, MagicFormulaFit
 from tirefit.params import specs
 from tirefit.report.labels import fit_files
 from tirefit.report.numbers import format_estimate, format_number
-from tirefit.report.text import table, wrapped
+from tirefit.report.text import column_texts, table, wrapped
 from tirefit.results import Outcome
 
 _UNIT = {force: CANONICAL[force][0] for force in FORCES}
 
 
-def magic_formula_report(fit: MagicFormulaFit) -> str:
-    """Stages, noise, parts left out, guards, coefficients and verdict of a fit."""
+def magic_formula_report(fit: MagicFormulaFit, full: bool = False) -> str:
+    """Residuals, noise, predictions of rows left out, guards and verdict of a fit.
+
+    Args:
+        full: with the stages, every guard and every coefficient.
+    """
     lines = [f"MAGIC FORMULA {fit.model}, tirefit {fit.version}"]
     several = ", " in fit.data["file"]
     lines += wrapped("file", fit_files(fit) if several else fit.data["file"])
     lines += wrapped("convention", f"{fit.data['convention']} read; SI, ISO-W in .tir")
-    for note in (*fit.data["assumptions"], *fit.notes):
-        lines += wrapped("assumed", note)
-    lines += _stages(fit)
+    columns, others = column_texts(fit.data["assumptions"])
+    lines += wrapped("columns", columns) if columns else []
+    for i, note in enumerate((*others, *fit.notes)):
+        lines += wrapped("assumptions" if i == 0 else "", note)
+    lines += _stages(fit) if full else []
     lines += _forces(fit)
     lines += _left_out(fit)
-    lines += _guards(fit)
-    for part in fit.parts:
-        lines += _coefficients(fit, part)
+    lines += _guards(fit, full)
+    lines += _tables(fit) if full else _undetermined(fit)
+    return "\n".join([*lines, "", *_verdict(fit)])
+
+
+def _undetermined(fit: MagicFormulaFit) -> list[str]:
+    """The names of the coefficients that the data determine less than their priors."""
+    lines = ["", "COEFFICIENTS (values and standard errors: --full, fit.json)"]
+    for origin in ORIGINS:
+        names = [name for name, one in fit.coefficients.items() if one.origin == origin]
+        if names:
+            said = (
+                f"{len(names)} coefficients" if origin == "fitted" else ", ".join(names)
+            )
+            lines += wrapped(origin, f"{said}: {ORIGINS[origin]}")
+    return lines
+
+
+def _tables(fit: MagicFormulaFit) -> list[str]:
+    """Every coefficient, by part of the tire, and what the origins mean."""
+    lines = [line for part in fit.parts for line in _coefficients(fit, part)]
     there = {one.part for one in fit.coefficients.values()} - {*fit.parts}
     origins = {one.origin for one in fit.coefficients.values()}
     if left_out := [PARTS[part].meaning for part in PARTS if part in there]:
@@ -37,8 +61,7 @@ def magic_formula_report(fit: MagicFormulaFit) -> str:
     lines.append("")
     for origin in (o for o in ORIGINS if o in origins):
         lines += wrapped(origin, ORIGINS[origin])
-    lines += ["", *_verdict(fit)]
-    return "\n".join(lines)
+    return lines
 
 
 def _stages(fit: MagicFormulaFit) -> list[str]:
@@ -80,8 +103,8 @@ def _forces(fit: MagicFormulaFit) -> list[str]:
 def _left_out(fit: MagicFormulaFit) -> list[str]:
     """The predictions of the parts that were left out."""
     if not fit.left_out:
-        said = "nothing, as asked or with fewer than three loads: the bands follow from"
-        said += " the fitted rows and are not checked"
+        said = "nothing (--leave-out none, or fewer than three loads): the bands are"
+        said += " not checked against rows left out"
         return ["", *wrapped("left out", said)]
     head = ["left out", "force", "rows", "RMSE", "RMSE if fitted", "rows in 95 % band"]
     rows = [head]
@@ -95,13 +118,18 @@ def _left_out(fit: MagicFormulaFit) -> list[str]:
     return [*lines, *table(rows, right=(2, 3, 4, 5))]
 
 
-def _guards(fit: MagicFormulaFit) -> list[str]:
-    """Which guards hold within the data and beyond."""
+def _guards(fit: MagicFormulaFit, full: bool) -> list[str]:
+    """Which guards hold within the data and beyond; in short, those that fail."""
     if not fit.guards:
         return []
     low, high = fit.ranges["fz"]
     lines = ["", f"GUARDS (F_z of the data: {low:.4g} to {high:.4g} N)"]
+    holding = [guard.name for guard in fit.guards if guard.holds]
+    if holding and not full:
+        lines += wrapped("hold", ", ".join(holding))
     for guard in fit.guards:
+        if guard.name in holding and not full:
+            continue
         said = "holds" if guard.holds else "FAILS beyond the data"
         said = said if guard.holds_inside else "FAILS WITHIN THE DATA"
         lines += wrapped(guard.name, f"{said}: {guard.text}")

@@ -77,7 +77,7 @@ def magic_formula_page(fit: MagicFormulaFit) -> str:
         "report_page.html",
         title=_title(fit),
         pictures=[image_of(*one) for one in pictures],
-        report=magic_formula_report(fit),
+        report=magic_formula_report(fit, full=True),
         record=fit.to_json(),
     )
 

@@ -1,5 +1,6 @@
 """The report of a fit as plain text, at most 88 columns wide."""
 
+import re
 import textwrap
 from collections.abc import Sequence
 
@@ -25,7 +26,11 @@ from tirefit.report.labels import fit_files, run_lines
 from tirefit.report.numbers import format_estimate, format_number
 
 WIDTH = 88
-_FAR_ROWS = 8  # far rows that are named one by one
+_FAR_ROWS = 8  # outliers that the full report lists one by one
+_AS_NAMED = re.compile(
+    r"(?:\d+ files: )?column '(.+)' read as (\w+)( in (.+?))?( \(stated in the file\))?"
+)
+"""Assumption on one column: header, quantity and unit."""
 
 
 def table(rows: list[list[str]], right: tuple[int, ...] = ()) -> list[str]:
@@ -79,29 +84,46 @@ def _files(result: FitResult) -> str:
     return fit_files(result) if several else result.data["file"]
 
 
-def _header(result: FitResult) -> list[str]:
-    data = result.data
-    lines = [f"tirefit {result.version}: {result.model} fitted to {_files(result)}"]
-    lines = textwrap.wrap(lines[0], WIDTH)
-    lines += ["", *wrapped("rows", rows_text(result))]
+def column_texts(notes: Sequence[str]) -> tuple[str, list[str]]:
+    """One line for all columns that were read, and the other assumptions."""
+    found = [(note, _AS_NAMED.fullmatch(note)) for note in notes]
+    columns = [
+        m[2] + f" [{m[4]}]" * bool(m[4]) + f" from {m[1]!r}" * (m[1] != m[2])
+        for _, m in found
+        if m
+    ]
+    return ", ".join(columns), [note for note, m in found if not m]
+
+
+def _noise_notes(result: FitResult, full: bool) -> list[str]:
+    """Notes on the noise; in short, without its sources, which QUALITY states."""
+    notes = result.noise.get("notes", ())
+    return [note for note in notes if full or not note.startswith("noise of")]
+
+
+def _header(result: FitResult, full: bool) -> list[str]:
+    data, forces = result.data, " and ".join(result.forces)
+    title = f"tirefit {result.version}: {result.model} fitted to {forces} of"
+    lines = textwrap.wrap(f"{title} {_files(result)}", WIDTH)
+    lines += wrapped("rows", rows_text(result))
     for i, line in enumerate(run_lines(result)):
         lines += wrapped("runs" if i == 0 else "", line)
-    lines += wrapped("force", ", ".join(result.forces))
+    columns, others = column_texts(data["assumptions"])
+    lines += wrapped("columns", columns) if columns else []
     lines += wrapped(
         "convention",
         f"braking positive, SI (file: {data['convention']}, slip"
         f" {data['slip_definition']})",
     )
-    notes = [*data["assumptions"], *result.noise.get("notes", ())]
-    for i, note in enumerate(notes):
+    for i, note in enumerate([*others, *_noise_notes(result, full)]):
         lines += wrapped("assumptions" if i == 0 else "", note)
     for i, problem in enumerate(data["masked"][:5]):
         lines += wrapped("masked" if i == 0 else "", str(problem).replace("\n", " "))
     if len(data["masked"]) > 5:
         lines += wrapped("", f"and {len(data['masked']) - 5} more")
-    for i, line in enumerate(far_lines(result, _FAR_ROWS)):
-        lines += wrapped("far rows" if i == 0 else "", line)
-    return lines + wrapped("solver", f"{result.solver}, seed {result.seed}")
+    for i, line in enumerate(far_lines(result, _FAR_ROWS) if full else ()):
+        lines += wrapped("outliers" if i == 0 else "", line)
+    return lines
 
 
 def parameter_lines(result: FitResult) -> list[str]:
@@ -110,6 +132,7 @@ def parameter_lines(result: FitResult) -> list[str]:
 
 
 def _routes(result: FitResult) -> list[str]:
+    """The intervals by each route; the short report has them where they disagree."""
     return ["", "INTERVALS BY ROUTE", *table(route_rows(result))]
 
 
@@ -127,20 +150,24 @@ def _derived(result: FitResult) -> list[str]:
     return lines
 
 
-def _quality(result: FitResult) -> list[str]:
+def _quality(result: FitResult, full: bool) -> list[str]:
     s = result.statistics
     unit = FORCE_UNIT[result.forces[0]]
     lines = ["", "QUALITY"]
-    lines += wrapped("RMSE", f"{format_number(s.rmse)} {unit}   R² {s.r2:.5f}")
+    count = f"{s.n} rows count as {s.n_effective:.0f}"
+    lines += wrapped(
+        "RMSE", f"{format_number(s.rmse)} {unit}   R² {s.r2:.5f}   {count}"
+    )
     if s.chi2_dof is not None:
         lines += wrapped("χ²/dof", format_number(s.chi2_dof, 3))
-    lines += wrapped("information", f"AICc {s.aicc:.2f}   BIC {s.bic:.2f}")
-    lines += wrapped(
-        "rows", f"n {s.n}   n_effective {s.n_effective:.0f}   dof {s.dof:.0f}"
-    )
+    criteria = f"AICc {s.aicc:.2f}   BIC {s.bic:.2f}   dof {s.dof:.0f}"
+    lines += wrapped("information", criteria) if full else []
     lines += wrapped("noise", noise_text(result))
     ending = "converged" if s.converged else "NOT CONVERGED"
-    lines += wrapped("solution", f"{ending}, {s.starts_agreeing} of {s.starts} starts")
+    how = f"{s.starts_agreeing} of {s.starts} starts ({result.solver})"
+    lines += wrapped("solution", f"{ending}, {how}, seed {result.seed}")
+    for i, text in enumerate(posterior_lines(result) if not full else ()):
+        lines += wrapped("posterior" if i == 0 else "", text)
     return lines
 
 
@@ -198,13 +225,19 @@ def _verdict(result: FitResult) -> list[str]:
     return ["", *lines]
 
 
-def fit_report(result: FitResult) -> str:
-    """Everything a reader needs of one fit; the verdict stands last."""
-    parts = (
-        _header, parameter_lines, _routes, _derived, _quality, _by_run, _posterior,
-        _correlations, _verdict,
-    )  # fmt: skip
-    return "\n".join(line for part in parts for line in part(result)) + "\n"
+def fit_report(result: FitResult, full: bool = False) -> str:
+    """The report of one fit; the verdict stands last.
+
+    Args:
+        full: with the intervals by every route, the misfit by run, the chains and the
+            information criteria.
+    """
+    differ = bool(result.verdict.get("disagreements"))
+    lines = [*_header(result, full), *parameter_lines(result)]
+    lines += _routes(result) if full or differ else []
+    lines += [*_derived(result), *_quality(result, full)]
+    lines += [*_by_run(result), *_posterior(result)] if full else []
+    return "\n".join([*lines, *_correlations(result), *_verdict(result)]) + "\n"
 
 
 def summary_table(fits: Sequence[FileRecord]) -> str:
