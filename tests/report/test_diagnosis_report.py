@@ -461,7 +461,7 @@ def test_probabilities_are_those_of_each_effect():
     assert [tuple(bar) for bar in chance_bars(found)] == [
         ("load friction", 0.91, "verdict"),
         ("slip offset", 0.2, "other"),
-        ("something unlisted", 0.13, "unknown"),
+        ("an unlisted effect", 0.13, "unknown"),
     ]
 
 
@@ -651,7 +651,11 @@ def test_a_simulators_error_is_told_part_by_part():
 @pytest.mark.parametrize(
     ("status", "effects", "sentence"),
     [
-        ("none", (), "No gap shows beyond its parameters and the noise. Probability"),
+        (
+            "none",
+            (),
+            "There is no gap beyond its parameters and the noise. Probability",
+        ),
         ("named", ("slip_offset",), "The gap comes from slip offset. Probability 0.90"),
     ],
 )
@@ -849,16 +853,17 @@ def test_a_p_value_at_its_floor_is_said_as_a_bound():
     both = replace(found, data=replace(found.data, channels=("fx", "fy")))
     for said in (str(found), html.unescape(diagnosis_page(found))):
         assert (
-            "2 of 4 tests see it (p: probability of this by noise alone): neighbours in"
-            " time miss alike (p < 1e-06); neighbours in slip miss alike (p 2e-06)"
+            "detected by 2 of 4 tests (p: probability under noise alone): residuals of"
+            " neighbouring rows in time agree (p < 1e-06); residuals of neighbouring"
+            " slips agree (p 2e-06)"
         ) in flat(said)
-    assert "in slip miss alike (p < 2e-06)" in flat(both)
+    assert "slips agree (p < 2e-06)" in flat(both)
     # The document keeps the number.
     left = json.loads(both.to_json())["verdict"]["left"]
     assert left["tests"]["slip_order"] == 2e-6 and left["unlisted"] == 0.13
     calm = LEFT._replace(tests={"time": 0.2, "line": 0.6})
     said = flat(judged("named", ["load_friction"], left=calm))
-    assert "no test of 2 tells it from noise (p >= 0.005)" in said
+    assert "detected by none of 2 tests (p >= 0.005)" in said
 
 
 def _finite(values):
@@ -888,34 +893,34 @@ STATUSES = {
     "named": (
         ("named", ["load_friction"]),
         "The gap comes from load friction. Probability 0.60 of exactly this effect and"
-        " nothing unlisted. This takes the gap from 125 to 25 N (rms).",
+        " no unlisted effect. This takes the gap from 125 to 25 N (rms).",
     ),
     "noise": (
         ("named", ["outliers"]),
-        "No gap shows beyond the noise. Probability 0.60 of no effect, listed or"
+        "There is no gap beyond the noise. Probability 0.60 of no effect, listed or"
         " unlisted. The noise shows outliers.",
     ),
     "none": (
         ("none", []),
-        "No gap shows beyond the noise. Probability 0.60 of no effect, listed or"
+        "There is no gap beyond the noise. Probability 0.60 of no effect, listed or"
         " unlisted.",
     ),
     "incomplete": (
         ("incomplete", ["load_friction", "slip_offset"]),
-        "The gap comes in part from load friction and slip offset; something unlisted"
-        " is likely there as well. Probability 0.60 of exactly these effects and"
-        " something unlisted. These take the gap from 125 to 25 N (rms).",
+        "The gap comes in part from load friction and slip offset; an unlisted effect"
+        " is likely as well. Probability 0.60 of exactly these effects and"
+        " an unlisted effect. These take the gap from 125 to 25 N (rms).",
     ),
     "unknown": (
         ("unknown", [], 0.6, ["friction_drift"]),
-        "A gap shows beyond the noise, and no listed effect earns a name. Probability"
-        " 0.13 that something unlisted is there.",
+        "There is a gap beyond the noise, and no listed effect explains it. Probability"
+        " 0.13 of an unlisted effect.",
     ),
     "cannot_tell": (
         ("cannot_tell", ["load_friction"], 0.6, ["friction_drift"], ["friction_drift"]),
         "The gap comes from load friction (or friction drift, which this data cannot"
-        " tell from it). Probability 0.60 of exactly this effect and nothing unlisted."
-        " This takes the gap from 125 to 25 N (rms).",
+        " tell from it). Probability 0.60 of exactly this effect and no unlisted"
+        " effect. This takes the gap from 125 to 25 N (rms).",
     ),
 }
 
@@ -935,7 +940,7 @@ def test_every_verdict_has_its_sentence(verdict, sentence):
         assert f"{name_with_id(effect)}: not named" in text
         assert words_on(effect)[0] in text
     named = verdict[0] != "none" and verdict[1][:1] == ["load_friction"]
-    assert ("remainder that would be seen: 6.3 N rms" in text) == (not named)
+    assert ("effect that would be detected: 6.3 N rms" in text) == (not named)
     assert len(str(found).splitlines()) <= 60
 
 
@@ -957,11 +962,12 @@ def test_a_measurement_that_hardly_tells_more_is_not_proposed():
     much = NextMeasurement("other speeds", pair, 0.71, 0.95)
     (said,) = step_lines(diagnosis(next_measurement=(little, more)))
     assert said == (
-        "no single listed measurement would tell much more: at best two more loads,"
-        " which tells load friction from d with probability 0.80, instead of 0.71 now"
+        "no single listed measurement would decide it: at best two more loads,"
+        " which separates load friction from d with probability 0.80, instead of"
+        " 0.71 now"
     )
     (said,) = step_lines(diagnosis(next_measurement=(much, more, little)))
-    assert said.startswith("measure other speeds: it tells load friction")
+    assert said.startswith("measure other speeds: it separates load friction")
     open_one = judged(
         "cannot_tell", ["slip_offset"], 0.6, ["force_offset"], next_measurement=(),
         next_measurement_reason="no addition tells slip_offset from force_offset",
@@ -975,12 +981,13 @@ def test_the_text_is_one_screen_and_full_says_all():
     assert len(text.splitlines()) <= 60 and text == diagnosis_text(diagnosis())
     assert "360 rows; noise F_x 19.7 N (standard deviation, given)" in text
     assert (
-        "measure small slips (a tenth): it tells load friction from d with probability"
-        " 0.96, instead of 0.71 now"
+        "measure small slips (a tenth): it separates load friction from d with"
+        " probability 0.96, instead of 0.71 now"
     ) in flat(text)
     assert "a temperature that varies: friction temperature, stiffness" in flat(text)
-    assert "several columns: 1 more effects (--full)" in text
-    assert "25 N rms beyond the noise, 4 % of the gap's energy; probability 0.13 that"
+    assert (
+        "25 N rms beyond the noise, 4 % of the gap's mean square; probability 0.13 of"
+    )
     assert "log evidence" not in text and "rival" not in text
     assert "details: --full" in flat(text) and "the file: iso-w" in flat(text)
     full = diagnosis_text(diagnosis(), full=True)

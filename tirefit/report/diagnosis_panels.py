@@ -39,7 +39,7 @@ class ChanceBar(NamedTuple):
 
     label: str
     probability: float
-    kind: str  # verdict, other or unknown (something unlisted)
+    kind: str  # verdict, other or unknown (an unlisted effect)
 
 
 def _error(step: Step, steps: Sequence[Step]) -> float:
@@ -79,7 +79,7 @@ def chance_bars(result: Diagnosis) -> list[ChanceBar]:
         ChanceBar(name_of(e), verdict.each[e].probability, kinds.get(e, "other"))
         for e in named_first
     ]
-    return [*bars, ChanceBar("something unlisted", verdict.left.unlisted, "unknown")]
+    return [*bars, ChanceBar("an unlisted effect", verdict.left.unlisted, "unknown")]
 
 
 def covariate_label(panel: ResidualMap) -> str:

@@ -48,20 +48,22 @@ _BEYOND = 1.5
 _HALF = 0.5  # share of a mean square below which the base model is doubted
 _MOST_STEPS = 3  # measurements that the first screen proposes, at most
 
+_MOST_NEEDS = 8  # columns that the first screen lists, at most
+
 _TELLS_MORE = 0.1
-"""Rise of the probability of telling two effects apart from which a measurement is
+"""Least gain in the probability of separating two effects from which a measurement is
 proposed: less is not worth another day at the rig."""
 
-_CLOSED = "closed: share of the first row's misfit beyond the noise, ± standard error"
+_CLOSED = "closed: removed share of the first row's mean square beyond the noise, ± std"
 
 TESTS = {
-    "time": "neighbours in time miss alike",
-    "slip_order": "neighbours in slip miss alike",
-    "line": "one frequency stands out",
+    "time": "residuals of neighbouring rows in time agree",
+    "slip_order": "residuals of neighbouring slips agree",
+    "line": "one frequency dominates the residuals",
     "pure_error": "the misfit exceeds the scatter of repeated settings",
-    "local": "one region is missed",
+    "local": "the misfit lies in one region",
 }
-"""Tests of the remainder -> what each of them sees."""
+"""Test of the remainder -> what it detects."""
 
 
 class Section(NamedTuple):
@@ -90,7 +92,7 @@ def answer(result: Diagnosis) -> str:
 
 
 def _how_much(result: Diagnosis) -> Iterator[str]:
-    """How large the gap is with the named effects, and without."""
+    """The rms of the gap without and with the named effects."""
     gap, unit = result.gap, FORCE_UNIT[result.data.channels[0]]
     if result.verdict.names_an_effect and gap.resolvable:
         before, after = (format_number(x, 2) for x in (gap.rms, gap.remaining_rms))
@@ -119,23 +121,22 @@ def _on_effects(result: Diagnosis, beyond: str) -> str:
     chance = f"Probability {verdict.probability:.2f} of"
     if verdict.status == Status.UNKNOWN:
         return (
-            f"A gap shows beyond {beyond}the noise, and no listed effect earns a name."
-            f" Probability {verdict.left.unlisted:.2f} that something unlisted is"
-            " there."
+            f"There is a gap beyond {beyond}the noise, and no listed effect explains"
+            f" it. Probability {verdict.left.unlisted:.2f} of an unlisted effect."
         )
     if not verdict.names_an_effect:
         of_noise = [name_of(e) for e in verdict.effects if e != "unknown"]
         tail = f" The noise shows {listing(of_noise)}." if of_noise else ""
         none = "no effect, listed or unlisted."
-        return f"No gap shows beyond {beyond}the noise. {chance} {none}{tail}"
+        return f"There is no gap beyond {beyond}the noise. {chance} {none}{tail}"
     parts = [name_of(effect) + _or_twins(result, effect) for effect in verdict.effects]
     these = f"exactly {'this effect' if len(parts) == 1 else 'these effects'} and"
     if verdict.status == Status.INCOMPLETE:
         return (
-            f"The gap comes in part from {listing(parts)}; something unlisted is likely"
-            f" there as well. {chance} {these} something unlisted."
+            f"The gap comes in part from {listing(parts)}; an unlisted effect is likely"
+            f" as well. {chance} {these} an unlisted effect."
         )
-    return f"The gap comes from {listing(parts)}. {chance} {these} nothing unlisted."
+    return f"The gap comes from {listing(parts)}. {chance} {these} no unlisted effect."
 
 
 def _or_twins(result: Diagnosis, effect: str) -> str:
@@ -147,7 +148,7 @@ def _or_twins(result: Diagnosis, effect: str) -> str:
 
 
 def head_lines(result: Diagnosis) -> Iterator[str]:
-    """The rows and their noise, and what a reader must know before the answer."""
+    """Number of rows, noise, and warnings that come before the answer."""
     data, noise = result.data, result.noise
     levels = ", ".join(
         f"{channel_name(name)} {format_number(level, 3)} {FORCE_UNIT[name]}"
@@ -178,7 +179,7 @@ def _hardly_a_model(result: Diagnosis) -> Iterator[str]:
 
 
 def foot_line(result: Diagnosis) -> str:
-    """Signs and units of the report, and what it takes to make it again."""
+    """Signs, units, seed and version of the report."""
     return (
         f"braking positive, SI units (the file: {result.data.convention}); seed"
         f" {result.seed}, tirefit {result.version}"
@@ -186,7 +187,7 @@ def foot_line(result: Diagnosis) -> str:
 
 
 def step_label(result: Diagnosis, number: int) -> str:
-    """What a step of the ladder adds to the one before."""
+    """Label of a step of the ladder: what it adds to the step before."""
     steps = result.ladder.steps
     effects = steps[number].effects
     if effects == AS_GIVEN:
@@ -242,7 +243,7 @@ def _ladder(result: Diagnosis) -> Section:
          format_estimate(step.gain, step.gain_std) if k else "-")
         for k, step in enumerate(ladder.steps)
     ]  # fmt: skip
-    lines = [_CLOSED + "; gain: what the row takes from the mean square"]
+    lines = [_CLOSED + "; gain: reduction of the mean square"]
     if result.settings.holdout:
         cells = [f"held out [{unit}]", *map(_held_out, ladder.steps)]
         # In place of the gain, for which a line has no room.
@@ -311,7 +312,7 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
         if means[0]:
             yield f"    {means[0]}" + (f"; to do: {means[1]}" if named else "")
     if verdict.names_an_effect and result.simulator:
-        yield "amplitudes are measurement minus simulator: the fault may be in either"
+        yield "amplitudes are measurement minus simulator; either may be wrong"
 
 
 def _each_text(each: Each) -> str:
@@ -326,14 +327,14 @@ def _each_text(each: Each) -> str:
 
 
 def left_lines(result: Diagnosis) -> Iterator[str]:
-    """What remains: its size, the tests that see it, what it resembles."""
+    """The remainder: its rms, the tests that detect it, the closest simple shape."""
     left, unit = result.verdict.left, FORCE_UNIT[result.data.channels[0]]
     of_gap = (
         f", {100 * left.share:.0f} % of the gap's mean square" * result.gap.resolvable
     )
     yield (
         f"{format_number(left.rms, 3)} {unit} rms beyond the noise{of_gap}; probability"
-        f" {left.unlisted:.2f} that something unlisted is there"
+        f" {left.unlisted:.2f} of an unlisted effect"
     )
     tested = {name: p for name, p in left.tests.items() if p is not None}
     least = LEAST_P * len(result.data.channels)
@@ -343,24 +344,24 @@ def left_lines(result: Diagnosis) -> Iterator[str]:
         if p < LEVEL
     ]
     if seen:
-        seen_by = f"{len(seen)} of {len(tested)} tests see it"
-        yield f"{seen_by} (p: probability of this by noise alone): {'; '.join(seen)}"
+        seen_by = f"detected by {len(seen)} of {len(tested)} tests"
+        yield f"{seen_by} (p: probability under noise alone): {'; '.join(seen)}"
     elif tested:
-        yield f"no test of {len(tested)} tells it from noise (p >= {LEVEL:g})"
+        yield f"detected by none of {len(tested)} tests (p >= {LEVEL:g})"
     for look in left.looks_like[:1]:
         yield (
-            f"it resembles this: {look_text(look)} (probability {look.probability:.2f}"
-            " among simple shapes; explains"
+            f"closest simple shape: {look_text(look)} (probability"
+            f" {look.probability:.2f} among such shapes; explains"
             f" {100 * look.explains:.0f} % of its mean square)"
         )
     if not result.verdict.names_an_effect:
         smallest = format_number(result.resolution.remainder, 3)
-        yield f"smallest unlisted remainder that would be seen: {smallest} {unit} rms"
+        yield f"smallest unlisted effect that would be detected: {smallest} {unit} rms"
 
 
 def step_lines(result: Diagnosis) -> list[str]:
-    """Next measurements, each with its reason; where none tells much more, which would
-    tell most, or, of an open verdict, why none would."""
+    """Next measurements with their reasons; if none decides, the best one, or why none
+    would."""
     why, steps = result.next_measurement_reason, result.next_measurement
     if not steps:
         if result.verdict.status != Status.CANNOT_TELL or why is None:
@@ -372,7 +373,7 @@ def step_lines(result: Diagnosis) -> list[str]:
     if not worth:
         best = max(steps, key=lambda step: step.p_after - step.p_now)
         return [
-            f"no single listed measurement would tell much more: at best {best.add},"
+            f"no single listed measurement would decide it: at best {best.add},"
             f" which {_tells_apart(best)}"
         ]
     return [f"measure {step.add}: it {_tells_apart(step)}" for step in worth]
@@ -381,29 +382,27 @@ def step_lines(result: Diagnosis) -> list[str]:
 def _tells_apart(step: NextMeasurement) -> str:
     one, other = map(name_of, step.separates)
     return (
-        f"tells {one} from {other} with probability {step.p_after:.2f}, instead of"
+        f"separates {one} from {other} with probability {step.p_after:.2f}, instead of"
         f" {step.p_now:.2f} now"
     )
 
 
 def first_screen(result: Diagnosis) -> list[Section]:
-    """What a reader acts on, in order: ladder, budget of a simulator, effects, what is
-    left, the next measurement, what cannot be tested."""
+    """Sections of the short report: ladder, budget of a simulator, effects, remainder,
+    next measurement, effects that cannot be tested."""
     sections = [_ladder(result)]
     if result.simulator:
         sections += [_budget(result, channel) for channel in result.budgets]
     steps = step_lines(result) if result.verdict.status != Status.NONE else []
-    single = [one for one in result.untestable if len(one.needs) == 1]
-    missing = untestable_lines(result, single)
-    if several := sum(len(one.needs) > 1 for one in result.untestable):
-        missing.append(f"several columns: {several} more effects (--full)")
+    missing = untestable_lines(result, result.untestable)
+    missing.sort(key=lambda text: -text.rpartition(": ")[2].count(","))
+    if (more := len(missing) - _MOST_NEEDS) > 0:
+        missing[_MOST_NEEDS:] = [f"and {more} more (--full)"]
     effects, left = list(_effect_lines(result)), list(left_lines(result))
     return [
         *sections,
         Section("Effects", effects, (), ("which", "before and after")),
         Section("What is left", left, (), ("what is left", "where")),
         Section("Next measurement", steps[:_MOST_STEPS]),
-        Section(
-            "Not testable on this data (needed: effects that it would test)", missing
-        ),
+        Section("Not testable on this data (missing: effects that need it)", missing),
     ]

@@ -187,7 +187,7 @@ def listing(words: Sequence[str], last: str = "and") -> str:
 
 def set_name(effects: Sequence[str]) -> str:
     """Readable name of a set of effects, the empty set and the unlisted included."""
-    names = ["something unlisted" if e == "unknown" else name_of(e) for e in effects]
+    names = ["an unlisted effect" if e == "unknown" else name_of(e) for e in effects]
     return " + ".join(names) or "no effect"
 
 
