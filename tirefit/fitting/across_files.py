@@ -1,9 +1,8 @@
-"""One quantity over many files: its middle, scatter, drift, and the files that differ.
+"""Statistics of one quantity over many files: median, scatter, drift, outlying files.
 
-Each file's value y_i has its own standard deviation s_i; beside it, files differ among
-themselves by a scatter tau. The line over time is fitted by Huber's weights (that of
-wild files is bounded); tau is where half of the files lie within 0.6745 of their own
-sqrt(s_i^2 + tau^2): a few wild files move neither.
+The value y_i of a file has the standard deviation s_i; in addition, files scatter by
+tau. The line over time is fitted with Huber's weights; tau is such that half of the
+files lie within 0.6745 sqrt(s_i^2 + tau^2). A few outlying files change neither.
 """
 
 from typing import NamedTuple
@@ -12,13 +11,13 @@ import numpy as np
 from scipy.stats import norm, t
 
 HUBER = 1.345
-"""Standard deviations from which on a file weighs less (95 % efficient; Huber 1964)."""
+"""Standard deviations beyond which a file gets a lower weight (95 % efficient; Huber
+1964)."""
 
 _MEDIAN = float(norm.ppf(0.75))
 
 _ERROR = 0.01
-"""Chance that among files that do not differ one is called an outlier, or that a
-quantity which stays is said to drift."""
+"""False alarm probability of an outlier among all files, and of a drift."""
 
 _ROUNDS = 30
 
@@ -51,7 +50,7 @@ def across_files(value, std, when) -> AcrossFiles:
     x = (when - when.mean()) / span if span else np.zeros_like(when)
     is_line = len(value) > 3 and span > 0
     design = np.column_stack([np.ones_like(x), x] if is_line else [np.ones_like(x)])
-    # What is fitted takes its share of the scatter.
+    # The fitted line removes part of the scatter: correct for its degrees of freedom.
     widened = np.sqrt(len(value) / max(len(value) - design.shape[1], 1))
     at = np.array([np.median(value), 0.0])[: design.shape[1]]
     least = 1e-12 * float(np.max(np.abs(value))) + 1e-300  # of a scale, without scatter
@@ -94,13 +93,13 @@ def _scatter(residual: np.ndarray, std: np.ndarray) -> float:
 
 
 def _std(design: np.ndarray, pulls: np.ndarray, scale: np.ndarray) -> float:
-    """Of the slope: Huber's second moment with his correction for few files (Robust
-    Statistics, 1981, eq. 7.6.2)."""
+    """Standard error of the slope: Huber's second moment with his small-sample
+    correction (Robust Statistics, 1981, eq. 7.6.2)."""
     n, p = design.shape
     psi = np.clip(pulls, -HUBER, HUBER)
     share = max(float(np.mean(np.abs(pulls) < HUBER)), 0.5)
     correction = 1 + p / n * (1 - share) / share
     variance = correction**2 * float(psi @ psi) / (n - p) / share**2
-    # Files that agree to the last digit have no scale of their own.
+    # Files that agree exactly have no scatter.
     rows = design / np.maximum(scale, _LEAST_SCALE * np.max(scale))[:, None]
     return float(np.sqrt(variance * np.linalg.pinv(rows.T @ rows)[1, 1]))

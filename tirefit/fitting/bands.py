@@ -78,15 +78,15 @@ def _z_draws(result: FitResult) -> np.ndarray:
 
 
 def _quantile(result: FitResult) -> float:
-    """Standard deviations to the end of a 95 % interval: Student's t where needed."""
+    """Half-width of a 95 % interval in standard deviations: Student's t, or normal."""
     return half_width_95(result.problem.noise_estimated, result.statistics.dof)
 
 
 def _curve_band(result: FitResult, channel: str, inputs: TireInputs, run):
     """(force, low, high) of the fitted curve, each (m,).
 
-    The band holds the posterior's draws where there are any, else it is linearised in
-    z around the estimate, with the slopes from central differences.
+    The band is that of the posterior draws if there are any, else it is linearised in z
+    around the estimate, with slopes by central differences.
     """
 
     blocks = _elsewhere(result.problem, inputs, run)
@@ -107,7 +107,7 @@ def _curve_band(result: FitResult, channel: str, inputs: TireInputs, run):
 
 
 def _slip_part(result: FitResult, channel: str, inputs: TireInputs, run, force):
-    """What noise of the slip adds to that of a force, (m,); zero where it is exact."""
+    """Contribution of the slip noise to the noise of a force, (m,); zero without it."""
     problem = result.problem
     name = next(c.slip for c in problem.channels if c.name == channel)
     if name not in problem.slip_noise:
@@ -132,6 +132,6 @@ def force_band(
     force, low, high = _curve_band(result, channel, inputs, run)
     std = np.hypot(noise, _slip_part(result, channel, inputs, run, force))
     half = _quantile(result) * std
-    # Noise and parameter uncertainty are independent: half-widths add in square.
+    # Noise and parameter uncertainty are independent: half-widths add in quadrature.
     below, above = np.hypot(force - low, half), np.hypot(high - force, half)
     return Band(force, low, high, force - below, force + above)

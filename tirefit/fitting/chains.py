@@ -1,4 +1,4 @@
-"""A chain under way: its samples, what the next chunk starts from, and its file.
+"""An unfinished chain: its samples, the state to continue from, and its file.
 
 The file is our own and not emcee's HDF backend, which was tried: that opens its file at
 every step, 3.1 ms of processor time against 0.18 ms of the step itself (64 walkers, two
@@ -24,7 +24,7 @@ _SECONDS_BETWEEN = 5.0
 
 
 class Chain(NamedTuple):
-    """Samples of all ensembles in the whitened space, and what the next chunk starts
+    """Samples of all ensembles in the whitened space, and the state to continue
     from."""
 
     samples: np.ndarray  # (ensembles, steps, walkers, p)
@@ -44,7 +44,7 @@ def identity_of(result: FitResult, sampler: str, seed: int, shape) -> str:
 
 
 def save_chain(path: Path, chain: Chain, identity: str) -> None:
-    """Write the chain, whole or not at all."""
+    """Write the chain atomically."""
     state: dict[str, Any] = {f"state_{k}": value for k, value in chain.state.items()}
     packed = io.BytesIO()
     np.savez(
@@ -58,7 +58,7 @@ def save_chain(path: Path, chain: Chain, identity: str) -> None:
 class Keeper:
     """Keeps a chain in its file while it is drawn: every few seconds, and at the end.
 
-    A full disk does not end the drawing: ``fault`` says what was wrong at last.
+    A full disk does not stop the sampling: ``fault`` holds the last error.
     """
 
     def __init__(self, path: Path | None, identity: str):

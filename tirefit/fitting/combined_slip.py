@@ -1,4 +1,4 @@
-"""Which slip's noise each force shares, in pure and in combined slip."""
+"""Selection of the slip whose noise is integrated out, for each force."""
 
 from collections.abc import Collection, Sequence
 
@@ -47,7 +47,7 @@ def _has_combined_rows(data: TireData) -> bool:
     if "sigma_x" not in data or "alpha" not in data:
         return False
     slips = np.nan_to_num([data.usable("sigma_x"), np.tan(data.usable("alpha"))])
-    # A locked wheel's slip stands for infinity.
+    # The slip of a locked wheel stands for infinity.
     sizes = np.minimum(np.abs(slips), 1.0)
     smaller, largest = sizes.min(axis=0), np.hypot(*sizes).max(initial=0.0)
     return bool(np.mean(smaller > 0.05 * largest) > 0.05)

@@ -1,7 +1,7 @@
-r"""Few rows in place of many: cells of like rows, for the evaluations of a sampler.
+r"""Groups of similar rows (cells) that replace the rows while a posterior is sampled.
 
-Where the model is smooth, rows of nearly the same inputs say the same of the
-parameters. A cell stands for its rows at their mean input, with their mean residual
+If the model is smooth, rows with nearly the same inputs hold the same information on
+the parameters. A cell replaces its rows at their mean input, with their mean residual
 :math:`\bar r` at the estimate and their number n as its weight. With :math:`\Delta`,
 the change of the force from the estimate to z in standard deviations,
 
@@ -50,7 +50,7 @@ _SAMPLED = 2**16  # rows that the cells are cut by
 
 
 def condensed(solved: Solved, root: Float[np.ndarray, "p p"]) -> FitProblem | None:
-    """The problem with cells for rows; None where the rows themselves are needed.
+    """The problem with cells instead of rows; None if cells are not accurate enough.
 
     Args:
         solved: the least-squares fit.
@@ -115,7 +115,8 @@ def _is_plain(problem: FitProblem) -> bool:
 
 
 def _places(solved: Solved) -> Float[np.ndarray, "n d"]:
-    """What rows of a cell share: inputs, and residuals if the deviance is no square."""
+    """Coordinates by which rows are grouped: inputs, and residuals if they have slip
+    noise."""
     problem = solved.problem
     columns = [problem.used(column) for column in problem.rows.inputs]
     columns += [problem.used(std) for std in problem.rows.slip_std.values()]
@@ -173,7 +174,7 @@ class _Tree(NamedTuple):
 
 
 def _grown(place, change, group, most: int, share: float) -> _Tree:
-    """Cells cut one by one, always the one in which most is lost."""
+    """Cells, cut one by one: always the cell with the largest loss."""
     groups = np.unique(group)
     rows = [np.flatnonzero(group == code) for code in groups]
     axis, cut, below = ([-1] * len(rows), [0.0] * len(rows), [0] * len(rows))

@@ -1,4 +1,4 @@
-"""``fit.toml``: everything a fit can be told, in one file, checked at once."""
+"""``fit.toml``: all settings of a fit, checked together."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,11 +28,11 @@ class Prior(Section):
 
 
 _OF_FREE = {"lower", "upper", "prior", "per_run"}
-"""What only a parameter that is estimated can have."""
+"""Keys that only an estimated parameter can have."""
 
 
 class ParameterConfig(Section):
-    """What a fit does with one parameter.
+    """Settings of one parameter.
 
     ``value`` starts a free parameter and holds a fixed one; ``free = false`` fixes it;
     ``per_run`` estimates one value per run; ``tied`` names the parameter that it equals
@@ -61,7 +61,7 @@ class ParameterConfig(Section):
         yield from _out_of_order(self, "lower", "upper", remedy)
 
     def _idle_keys(self) -> Iterator[InputProblem]:
-        """Keys that a tied or fixed parameter has no use for."""
+        """Keys that have no effect on a tied or fixed parameter."""
         if self.tied is not None:
             rule, remedy = f"tied = {self.tied!r}", "only factor goes with tied"
             idle = {"free", "value", *_OF_FREE}

@@ -27,8 +27,9 @@ def curve(
 ) -> TireData:
     """The pure-slip curve of a tire over slip and load, as if measured.
 
-    The loads are the runs and the slips of each are in order: what another model misses
-    is then an autocorrelated residual, which counts at its effective number of rows.
+    The loads are the runs and the slips of each are ascending: the misfit of another
+    model is then an autocorrelated residual, which reduces the effective number of
+    rows.
 
     Args:
         tire: the tire, or the name of a model.
@@ -64,7 +65,7 @@ def curve(
 
 
 def misfit_by_load(result: FitResult) -> dict[float, float]:
-    """Load [N] -> root mean square of what the fitted curve misses there [N]."""
+    """Load [N] -> rms misfit of the fitted curve [N]."""
     problem = result.problem
     (force,) = result.forces
     mean, _ = row_moments(problem, result.z)

@@ -31,13 +31,14 @@ from tirefit.params import with_values
 _LARGEST_SLIP = 3.0
 _AT_ONCE = 8
 _GRID = np.append(0.0, np.geomspace(1e-5, _LARGEST_SLIP, 199))
-"""Slips among which the peak is looked for, a whole number of times so many at once."""
+"""Number of slips at which the peak is searched, and how many are evaluated
+together."""
 
 _NARROWED = 16  # rounds that narrow it to 1e-15 of the distance of two of them
 
 
 def quantity_of(label: str) -> str:
-    """The derived quantity of a label: ``F_max`` of ``F_max[run]``."""
+    """The derived quantity of a label: ``F_max`` for ``F_max[run]``."""
     return label.partition("[")[0]
 
 
@@ -220,7 +221,7 @@ def _slope_of(evaluate: Callable, name: str, z, std):
 
 
 def _ends(*values: float) -> tuple[float | None, float | None]:
-    """The smallest and the largest; None where an end is not known."""
+    """The smallest and the largest value; None if an end is unknown."""
     low, high = sorted(values) if np.all(np.isfinite(values)) else values
     return _known(low), _known(high)
 
@@ -292,7 +293,7 @@ def _of_run(
     z, (low, high) = solved.z, ends
     evaluate = _evaluator(solved.problem, channel, run)
     mapped = _moved(evaluate, z, low, high)
-    # Ends at rounding level would hide which elements a quantity depends on.
+    # Intervals at rounding level would hide the elements that a quantity depends on.
     apart = _moved(evaluate, z, np.minimum(low, z - 0.01), np.maximum(high, z + 0.01))
     for name, (value, moved) in apart.items():
         value, unit = float(value), quantities(channel)[name][0]
@@ -331,7 +332,7 @@ def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Es
         identified = _says_something(ci95) or _by_noise(solved, value, slope)
     low, high = ci95
     if low is not None and high is not None and any(one.std is None for one in known):
-        # The covariance says nothing of it: the profile's own width does.
+        # The covariance does not determine it: use the width of the profile.
         std = (high - low) / (2 * float(np.sqrt(solved.level)))
     return Estimate(float(value), std if identified else None, unit, ci95, identified)
 

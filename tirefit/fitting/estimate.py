@@ -162,7 +162,7 @@ def _slip_structure(problem: FitProblem, residual) -> float:
     slip = problem.used(getattr(inputs, problem.slip_name))
     run, load = problem.used(problem.rows.run), problem.used(inputs.fz)
     # Neighbours of one run and about one load: rows of other conditions lie between
-    # them in slip, and a miss that alternates with them would look like noise.
+    # them in slip, and a misfit that alternates with them would look like noise.
     orders = [
         np.argsort(slip, kind="stable"),
         np.lexsort((slip, np.round(np.log(load) / 0.1), run)),
@@ -184,7 +184,7 @@ def _versions() -> dict[str, str]:
 
 
 def data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str, Any]:
-    """What ``fit.json`` says of the rows: so many were used, these lie far off."""
+    """Content of ``fit.json`` on the rows: number used, and the outliers."""
     source = data.source
     return {
         "file": data.file,

@@ -32,7 +32,7 @@ _LONGEST_SHARE = 0.3  # share of an element's range that one step may cross
 def _step(slope, pull, curvature, room: float, share):
     """The step (p,) of :func:`_stepped` from shares at (p,).
 
-    An element at its bound that would go on is held there.
+    An element that would leave its bound is held there.
     """
     free, step = np.ones(len(share), bool), np.zeros(len(share))
     for _ in range(2):
@@ -55,8 +55,8 @@ def _stepped(solved: Solved, quantity: Callable, sign: int) -> float:
 
     Venzon and Moolgavkar's iteration (Applied Statistics 37, 1988) for a function of
     the parameters: where the deviance is a parabola and the quantity straight, one
-    step is exact. Taken in shares of each element's range, where a bound is a place
-    and not infinity. NaN where it does not settle.
+    step is exact. Elements are expressed as shares of their range, so that bounds are
+    finite. NaN if it does not converge.
     """
     level, fixed = solved.level, np.linalg.inv(solved.covariance)
     share = _inside(expit(solved.z))
@@ -66,7 +66,8 @@ def _stepped(solved: Solved, quantity: Callable, sign: int) -> float:
         total, slope, curvature = here
         scale = share * (1 - share)
         value, pull = quantity(logit(share))
-        # Rows with slip noise are no squares: their curvature is the estimate's.
+        # The deviance of rows with slip noise is not a square: use the curvature at the
+        # estimate.
         curvature = fixed if solved.problem.rows.nodes else curvature
         step = _step(
             slope / scale, sign * pull / scale, curvature / np.outer(scale, scale),
@@ -81,7 +82,7 @@ def _stepped(solved: Solved, quantity: Callable, sign: int) -> float:
         step *= min(1.0, _LONGEST_SHARE / max(np.max(np.abs(step)), 1e-300))
         damping = damping / 2 if length > before else min(1.0, 1.5 * damping)
         before, start = length, share
-        # Never far outside the region: beyond it lie other valleys.
+        # Stay near the region: there are other valleys beyond it.
         while damping > 1e-4:
             share = _inside(start + damping * step)
             here = _bowl(solved, logit(share))
@@ -161,17 +162,17 @@ def _damped(share, slope, curvature, damping: float):
 
 
 def _walked(solved: Solved, quantity: Callable, sign: int) -> float:
-    """The same as :func:`_stepped`, along the places of least deviance for each value
-    of the quantity: slower, and sure where a valley of the deviance is bent, as that of
-    a redundant form is. NaN where the quantity goes on without end."""
+    """As :func:`_stepped`, along the points of least deviance for each value of the
+    quantity: slower, but reliable if the valley of the deviance is curved (redundant
+    parameters). NaN if the quantity is unbounded."""
     base = _bowl(solved, solved.z)[0]
     first, pull = quantity(solved.z)
     std = float(np.sqrt(pull @ solved.covariance @ pull))
     spread = float(np.clip(std, 1e-3 * abs(first), 0.1 * abs(first)))
 
     def reached(share, target):
-        """Where it settles, the value there, and how far above the level it is, which
-        is straight in the target where the deviance is a parabola."""
+        """The point of convergence, its value, and the excess over the level, which is
+        linear in the target if the deviance is quadratic."""
         share, value, total = _settled(solved, quantity, share, target, spread)
         return share, value, np.sqrt(max(total - base, 0.0)) - np.sqrt(solved.level)
 

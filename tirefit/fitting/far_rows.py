@@ -1,4 +1,4 @@
-r"""Rows that a fit sets aside: those that the other rows predict beyond all noise.
+r"""Outliers: rows far outside the noise about the prediction of the other rows.
 
 The noise of a fit is normal but for a few rows in a hundred, which may be anything: a
 wrong unit, a slipped sign, a stuck channel. The deviance of a row is then
@@ -6,8 +6,8 @@ wrong unit, a slipped sign, a stuck channel. The deviance of a row is then
 .. math::
    \min(r^2, c^2)
 
-of its standardised residual r: squares up to the distance c, and nothing to be learnt
-beyond. The rows beyond are set aside, and named; the others are fitted as if they were
+of its standardised residual r: squares up to the distance c, and constant beyond. The
+rows beyond c are excluded and listed; the others are fitted as if they were
 all, so that intervals, profiles and posteriors are those of normal noise. The distance
 c grows with the number of rows so that of 200 clean files less than one loses a row:
 clean data are fitted by plain least squares.
@@ -49,7 +49,7 @@ _TAILS = 30
 little heavier than normal, and in a long log a row of six standard deviations is no
 absurd one. The distance is 4.7 at 80 rows, 7 at 50,000."""
 _MOST = 0.1
-"""Share of the rows, at most, that are set aside: more are no few absurd rows."""
+"""Largest share of rows that are excluded; more rows than this are not outliers."""
 _ROUNDS = 8
 _NEAR, _MISSED = 6, 2.0
 """A row is judged from the median residual of so many neighbours where that is so many
@@ -75,7 +75,7 @@ _MANY = 10  # rows for each free parameter from which that is worth saying
 
 @dataclass(frozen=True)
 class FarRow:
-    """A row far from everything, and what became of it."""
+    """An outlier, and whether it was excluded."""
 
     file: str
     row: int  # line of the file
@@ -94,7 +94,7 @@ class FarRow:
 
 
 class Settled(NamedTuple):
-    """A fit without the rows that are set aside: ``data`` are those left."""
+    """A fit without the excluded rows; ``data`` are the rows that remain."""
 
     task: FitTask
     solved: Solved
@@ -114,11 +114,12 @@ class _Judged(NamedTuple):
 
 
 def settle(data: TireData, name: str, config: FitConfig) -> Settled:
-    """Solve a fit without the rows that the others predict beyond all noise.
+    """Solve a fit without outliers.
 
-    Values that are far in their column begin aside, so that none of them decides what
-    the others predict; rows leave and come back until their set rests. A loss other
-    than ``trimmed`` keeps all rows, and they are named all the same.
+    Values far from the others of their column are excluded at first, so that they do
+    not affect the prediction; rows are then excluded and restored until the set is
+    stable. With a loss other than ``trimmed`` all rows are kept, and the outliers are
+    only listed.
 
     Raises:
         UsageError, DataError: as ``problem.build``.
@@ -156,7 +157,7 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
 
 
 def _suspects(task: FitTask) -> dict[int, FarValue]:
-    """Values that are far in a column that the fit uses, by position of the row.
+    """Values far from the others in a column that the fit uses, by position of the row.
 
     Of a row with several the first of ``FAR_COLUMNS``: a force beside a wrong load is
     far from its like because of the load.
@@ -180,7 +181,7 @@ def _limit(problem: FitProblem) -> float:
 
 
 def _leaving_runs(aside, task: FitTask) -> Bool[np.ndarray, " n"]:
-    """Rows to set aside, but for those of runs that would lose half of theirs."""
+    """Rows to exclude, except in runs that would lose half of their rows."""
     run = task.problem.used(task.problem.rows.run)
     share = np.bincount(run, aside) / np.maximum(np.bincount(run), 1)
     return aside & (share <= 0.5)[run]
@@ -196,7 +197,7 @@ def _worst_in_time(ratio, kept):
 
 
 def _farthest(ratio, beyond, most: int) -> Bool[np.ndarray, " n"]:
-    """Of the rows beyond at most so many, the farthest."""
+    """The farthest of the rows beyond the limit, at most so many."""
     if beyond.sum() <= most:
         return beyond
     chosen = np.zeros_like(beyond)
@@ -318,7 +319,7 @@ _KEEP = f"{_REMEDY}, or fit it as it is by noise.loss = 'squares'"
 
 
 def _named(whole: FitTask, judged: _Judged, kept, beyond, suspects):
-    """The rows that are far, in the order of the file."""
+    """The outliers, in the order of the file."""
     many = whole.problem.n >= _MANY * whole.problem.layout.size
     resting = kept & (judged.leverage > _RESTS) & many
     rows = {*np.flatnonzero(beyond | ~kept | resting).tolist(), *suspects}

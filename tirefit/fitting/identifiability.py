@@ -1,4 +1,4 @@
-"""Which parameters of which models a file can tell, before any fit.
+"""How well a file determines the parameters of models, before any fit.
 
 The information matrix of a model is summed over the file's own slips, loads and speeds,
 by the model's slopes in its parameters and the scatter of the file's own rows. Its
@@ -34,7 +34,7 @@ from tirefit.results import DataError
 MODELS_ASKED = (
     "brush", "brush-d", "brush-m", "brush-n", "brush-h", "brush-load", "magic-formula",
 )  # fmt: skip
-"""Models that are looked at unless others are named."""
+"""Models that are evaluated by default."""
 
 _FRICTION = ("mu", "mu_peak", "mu_s", "D", "Dx", "Dy")
 _HIGHEST, _FRICTIONS = 2.0, 7
@@ -51,7 +51,8 @@ _TIMES_TOLD, _TIMES_KNOWN = 10.0, 3.0
 a positive coefficient not identified."""
 _SHARE_TOLD = 0.8  # of the allowed range, the same for any other parameter
 _WELL = 0.15
-"""Half of the interval over the value, or over a quarter of the range: told well."""
+"""Half of the interval over the value, or over a quarter of the range, up to which a
+parameter counts as well determined."""
 _STEEPEST = 20.0
 """Loads that a force changes by at most, with one unit of an unconstrained parameter: a
 quarter of its range, or as much on a scale. More is a law beyond where it holds."""
@@ -59,7 +60,7 @@ WELL, ROUGHLY, NOT = "well", "roughly", "not"
 
 
 class ParameterGate(NamedTuple):
-    """What the file would tell of one parameter."""
+    """How well the file determines one parameter."""
 
     name: str
     unit: str
@@ -72,7 +73,7 @@ class ParameterGate(NamedTuple):
 
 
 class ModelGate(NamedTuple):
-    """What the file would tell of one model; ``reason`` where it cannot be asked."""
+    """How well the file determines one model; ``reason`` if it cannot be evaluated."""
 
     model: str
     force: str
@@ -141,7 +142,7 @@ def _unknown_text(p: ParameterGate) -> str:
 def identifiability(
     data: Any, models: Sequence[str] | None = None, seed: int = 0
 ) -> Identifiability:
-    """Which parameters of which models the data can tell, before any fit.
+    """How well the data determine the parameters of models, before any fit.
 
     Args:
         data: what ``tirefit.read`` gave, or a path, a frame, a mapping of arrays.
@@ -183,7 +184,7 @@ def identifiability(
 def _gate(
     some: TireData, rows: int, curve, force: str, name: str, scatter: Scatter
 ) -> ModelGate:
-    """What a model's parameters can be told by so many rows as ``some`` of them."""
+    """Standard errors of a model's parameters, from ``some`` rows of so many."""
     config = parse_config({"force": force})
     try:
         task = build(some, name, config, least_rows=ROWS)
@@ -276,7 +277,7 @@ def _is_size(spec: Spec) -> bool:
 
 
 def _told(spec: Spec, value: float, std: float) -> str:
-    """How well an interval tells a parameter, by the rules of a fit."""
+    """How well an interval determines a parameter, by the rules of a fit."""
     half = 1.96 * std
     if _is_size(spec):
         if spec.scale == "log":
@@ -337,7 +338,8 @@ def _judged(problem: FitProblem, k: int, z, information) -> ParameterGate:
 
 
 def _remedy(problem: FitProblem, k: int, likely, weight) -> str:
-    """The first wider test that would tell the parameter, in words; none if none."""
+    """The first wider test that would determine the parameter, in words; empty if
+    none."""
     slip = problem.slip_name
     for words, name, times in (
         (f"slips twice as large ({slip})", slip, (2.0,)),

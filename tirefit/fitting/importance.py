@@ -31,7 +31,7 @@ _LEAST_SHARE = 0.02
 
 
 class Weighted(NamedTuple):
-    """What weighting came to."""
+    """Result of the weighting."""
 
     draws: np.ndarray  # (m, p) in the whitened space, worth m independent ones
     k_hat: float
@@ -121,7 +121,7 @@ def _proposed(points: int, center, root, generator):
 def _evaluated(density, points: int, center, root, generator):
     """Points (n, p) of the proposal and their log weights (n,), in whole blocks."""
     u, proposal = _proposed(points, center, root, generator)
-    # Handed over before any is waited for: the device never idles.
+    # All blocks are submitted before the first result is awaited.
     parts = [density(block) for block in np.split(u, points // _BLOCK)]
     return u, np.concatenate([np.asarray(part) for part in parts]) - proposal
 
@@ -174,7 +174,7 @@ def draw_weighted(
 
 
 def _reason(k_hat: float, effective: float, points: int) -> str:
-    """Why the draws must not be used; empty where they may."""
+    """The reason not to use the draws; empty if they can be used."""
     if points == 0:
         return "no point was evaluated"
     if k_hat > LARGEST_K_HAT:

@@ -34,7 +34,7 @@ from tirefit.fitting.likelihood import (
 from tirefit.params import Values
 
 REACH = 12.0
-"""|z| at which a parameter has all but reached its bound (6e-6 of the range away)."""
+"""|z| at which a parameter counts as at its bound (6e-6 of the range away)."""
 
 
 def residuals(
@@ -54,7 +54,7 @@ def residuals(
 
 
 def _within_reach(z: Float[Values, " p"]) -> Float[Array, " p"]:
-    """At a bound the bijection runs to infinity, and nothing is left to gain there."""
+    """Clip z near a bound, where the bijection goes to infinity."""
     return jnp.clip(z, -REACH, REACH)
 
 
@@ -106,14 +106,14 @@ def minima(
     index: Int[np.ndarray, " m"] | None = None,
     values: Float[np.ndarray, " m"] | None = None,
 ) -> Minima:
-    """Least squares from several starts, one element of each held where it is asked.
+    """Least squares from several starts, with one element of each held if requested.
 
     The starts of a fit, its rounds of noise and its profiles are this one program.
 
     Args:
         starts: first z of every search.
-        index: element that a search holds; None holds none.
-        values: what it is held at.
+        index: element that a search holds; None: none.
+        values: value at which it is held.
     """
     count, size = np.shape(starts)
     index = np.full(count, size) if index is None else index
@@ -189,7 +189,7 @@ jax.export.register_namedtuple_serialization(
 
 @compiled(brief=True)
 def linearise(problem: FitProblem, z: Float[Values, " p"]) -> Linearised:
-    """All that the analysis of an estimate needs of the model, in one program."""
+    """Residuals, slopes and moments at z, from one compiled program."""
 
     def everything(z):
         values, mean, variance = blocks_and_moments(problem, z)
@@ -205,7 +205,7 @@ def linearise(problem: FitProblem, z: Float[Values, " p"]) -> Linearised:
     layout = problem.layout
     elements = layout.elements_of(problem.rows.run)
     each = directions(elements, z.size) if layout.is_sparse else jnp.eye(z.size)
-    # One pass of forward tangents: the model stands in the program once.
+    # One pass of forward tangents, so that the model is compiled once.
     values, slopes, (mean, variance) = jax.vmap(push, out_axes=(None, -1, None))(each)
     if layout.is_sparse:
         slopes = {
@@ -259,8 +259,8 @@ def inflation(problem: FitProblem, block: str) -> Array | float:
 
 
 def half_width_95(estimated: bool, dof: float) -> float:
-    """Standard deviations to either end of a 95 % interval: the normal distribution's
-    where the noise is given, Student's t where it is estimated."""
+    """Half-width of a 95 % interval in standard deviations: normal if the noise is
+    given, Student's t if it is estimated."""
     return float(stdtrit(max(dof, 1.0), 0.975) if estimated else ndtri(0.975))
 
 

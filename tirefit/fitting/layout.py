@@ -1,4 +1,4 @@
-"""Which parameters a fit estimates, and how a vector of real numbers names them all.
+"""The parameters that a fit estimates, and their map from an unconstrained vector z.
 
 A parameter is free (shared by all runs, or one per run), fixed at a value, or tied to
 another one. The solver and the samplers see one unconstrained vector z; ``natural``
@@ -140,13 +140,13 @@ class Layout:
 def choose_layout(
     model: AbstractTire, config: FitConfig, runs: tuple[str, ...], forces: Sequence[str]
 ) -> tuple[AbstractTire, Layout, list[str]]:
-    """Which parameters a fit estimates, and within which bounds.
+    """Choose the parameters that a fit estimates, and their bounds.
 
-    A tied parameter is held to its own bounds: they narrow those of the other one.
+    The bounds of a tied parameter narrow those of the other one.
 
     Args:
         model: template of the fit.
-        config: what was asked for.
+        config: settings of the fit.
         runs: names of the runs of the data.
         forces: fitted forces; only ``mz`` lets the half-length be estimated.
 
@@ -214,7 +214,8 @@ def _interval(spec: Spec) -> str:
 
 
 def _bounded(name: str, spec: Spec, asked: ParameterConfig):
-    """The spec within the bounds asked for, and what is wrong with them."""
+    """The spec with the bounds of the configuration, and the problems of these
+    bounds."""
     lower = spec.lower if asked.lower is None else asked.lower
     upper = spec.upper if asked.upper is None else asked.upper
     if spec.lower <= lower < upper <= spec.upper:
@@ -268,7 +269,8 @@ def _wrong_tie(
 def _misplaced(
     name: str, spec: Spec, asked: ParameterConfig, free: bool
 ) -> Iterator[InputProblem]:
-    """Values and priors outside the bounds, and what has no effect when it is fixed."""
+    """Problems: values and priors outside the bounds, keys without effect when
+    fixed."""
     key, prior = f"parameters.{name}", asked.prior
     if asked.value is not None and not spec.lower <= asked.value <= spec.upper:
         reason = f"value {asked.value:g} outside its bounds {_interval(spec)}"

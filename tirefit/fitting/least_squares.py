@@ -1,4 +1,4 @@
-"""Least squares: one Gauss-Newton, with optimistix and jaxopt as second opinions.
+"""Least squares: our Gauss-Newton, and optimistix and jaxopt to check it.
 
 The only importer of optimistix and jaxopt. All three minimise the sum of squares of a
 residual function and return the same record; :func:`damped_gauss_newton` also serves
@@ -72,7 +72,7 @@ curved valley: of eight starts on ``fits/lugre_figure_11`` one arrived in 200 tr
 with 0.1 four do. With 0.3 all do, but d of a brush-d creeps to its bound."""
 
 GOOD, FAIR = 0.75, 0.25
-"""Shares of the promised gain from which on a trial was good, or fair."""
+"""Shares of the predicted decrease above which a trial is good, or fair."""
 
 EASE, EASE_A_LITTLE, STIFFEN = 1 / 10, 1 / 3, 2.0
 """Factors of the damping after a good, a fair and any other trial. A factor of ten both
@@ -85,7 +85,7 @@ LEAST_DAMPING = 1e-9
 STUCK = 1e9  # damping at which steps are too small to change anything: the search ends
 
 LONGEST_STEP = 3.0
-"""In z a parameter crosses its whole range within ten; longer steps are wild."""
+"""A parameter crosses its whole range within ten in z; longer steps are useless."""
 
 NO_CURVATURE = 1e-9
 """Added to the diagonal: an element that no row informs about stays where it is."""
@@ -106,7 +106,7 @@ def _linearise(residual: Residual, z: Float[Array, " p"], elements=None):
         return jax.jvp(residual, (z,), (direction,), has_aux=True)
 
     values, rows, weights = jax.vmap(push, out_axes=(None, 0, None))(each)
-    # Else the compiler works every tangent out anew for each product.
+    # Else the compiler recomputes every tangent for each product.
     values, rows = jax.lax.optimization_barrier((values, rows))
     weighted = rows * weights[None]
     if elements is None:
@@ -125,9 +125,9 @@ def _anywhere(z: Float[Array, " p"]) -> Float[Array, " p"]:
 def _after_step(z, normal, gradient, damping, allowed: Callable, longest: float):
     """z (p,) after one damped step in which no element moves by more than longest.
 
-    Elements that would go further, or past what is allowed, go as far as they may, and
-    the others take the step that is best beside that: near its bound an element has
-    next to no slope and a step without end, and the others' steps count on all of it.
+    Elements that would go further, or beyond their range, are limited, and the step of
+    the others is recomputed: near its bound an element has almost no slope and a very
+    large step, which the steps of the others would rely on.
     """
 
     def limited(move):
@@ -147,7 +147,7 @@ def _after_step(z, normal, gradient, damping, allowed: Callable, longest: float)
 
 
 def _gain(move, normal, gradient):
-    """By how much the cost would fall, were the residuals straight."""
+    """Predicted decrease of the cost if the residuals are linear."""
     return -move @ (2 * gradient + normal @ move)
 
 
@@ -190,7 +190,7 @@ def damped_gauss_newton(
 
         z, cost = keep(state.trial, best.z), keep(cost, best.cost)
         normal, gradient = keep(normal, best.normal), keep(gradient, state.gradient)
-        # The start, which nothing promised, is a share of infinity.
+        # The start has no predicted decrease: its share is infinite.
         eased = jnp.where(share > GOOD, EASE, EASE_A_LITTLE)
         fair = better & (share > FAIR)
         damping = state.damping * jnp.where(fair, eased, STIFFEN)

@@ -81,7 +81,7 @@ class SlipNodes(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """The used rows of a data set, padded so that few shapes are ever compiled."""
+    """The used rows of a data set, padded so that few shapes are compiled."""
 
     inputs: TireInputs
     run: Int[Array, " n"]
@@ -105,8 +105,8 @@ class Rule(NamedTuple):
 class FitProblem(eqx.Module):
     """A fit ready to solve, as one pytree; its rows are on the device.
 
-    What is static names a program, so nothing of a single file is: neither the names
-    of its runs nor how many rows it has.
+    Static fields identify a compiled program, so they hold nothing of a single file,
+    such as the names of its runs or its number of rows.
     """
 
     model: AbstractTire
@@ -151,11 +151,11 @@ class FitProblem(eqx.Module):
         return np.asarray(array)[: self.n]
 
     def with_rules(self, rules: Mapping[str, Rule]) -> "FitProblem":
-        """The same problem with the rules that its residuals were judged by."""
+        """The problem with other rules for its residuals."""
         return replace(self, rules=dict(rules))
 
     def with_rows(self, **changes) -> "FitProblem":
-        """The same problem with other rows, which have not been judged."""
+        """The problem with other rows."""
         changed = replace(self, rows=jax.device_put(self.rows._replace(**changes)))
         blocks = dict.fromkeys(changed.block_of(channel) for channel in self.channels)
         return changed.with_rules({block: Rule() for block in blocks})
@@ -193,7 +193,7 @@ def row_forces(
 def predict(
     problem: FitProblem, z: Float[Values, " p"], inputs: TireInputs | None = None
 ) -> dict[str, Float[Array, " n"] | None]:
-    """Forces of a problem's rows by channel, at other inputs where they are given."""
+    """Forces of a problem's rows by channel, at other inputs if given."""
     inputs = problem.rows.inputs if inputs is None else inputs
     return row_forces(problem.model, problem.layout, z, inputs, problem.rows.run)
 
@@ -215,7 +215,7 @@ def _channel_forces(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Ar
     nodes = problem.rows.nodes
     plain = [c.name for c in problem.channels if c.slip not in nodes]
     predicted = predict(problem, z) if plain else {}
-    # Only what the model gives is ever a channel.
+    # Channels are always forces that the model computes.
     forces = {k: v for k, v in predicted.items() if k in plain and v is not None}
     for slip in nodes:
         forces |= _at_nodes(problem, z, slip)
@@ -301,8 +301,9 @@ def row_moments(problem: FitProblem, z) -> tuple[dict, dict]:
 def noise_factor(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""]:
     """Factor on all force scales that maximises the likelihood of rows with noisy slip.
 
-    There the size of the residuals does not give the noise: the slip's share depends
-    on where each row lies. Newton's method on the logarithm of the factor.
+    With slip noise, the rms of the residuals does not give the force noise, because the
+    contribution of the slip differs by row. Newton's method on the logarithm of the
+    factor.
     """
     rows = problem.rows
 

@@ -1,4 +1,4 @@
-"""Densities of posterior draws, and profiles, on grids fine enough to be drawn."""
+"""Densities of posterior draws, and profiles, on grids for figures."""
 
 import numpy as np
 
@@ -55,7 +55,8 @@ def enclosing(density: np.ndarray, shares: tuple[float, float]) -> tuple[float, 
 
 
 def near_level(deviance, level: float) -> np.ndarray:
-    """The points (m,) bool of a profile worth drawing: up to some way above a level."""
+    """The points (m,) bool of a profile that are drawn: up to a margin above a
+    level."""
     near = np.flatnonzero(deviance <= _ABOVE * level)
     rows = np.zeros(len(deviance), bool)
     rows[max(near[0] - 1, 0) : near[-1] + 2] = True
@@ -63,7 +64,8 @@ def near_level(deviance, level: float) -> np.ndarray:
 
 
 def dense_profile(value, deviance, best: float, logarithmic: bool):
-    """A profile on a dense grid, by its signed root: straight for a parabola."""
+    """A profile on a dense grid, interpolated by its signed root (linear if
+    quadratic)."""
     value, first = np.unique(value, return_index=True)
     root = np.sign(value - best) * np.sqrt(np.maximum(deviance[first], 0.0))
     space = np.geomspace if logarithmic else np.linspace

@@ -85,7 +85,8 @@ def law_shares(residual, terms, known=0.0) -> np.ndarray:
 
 def non_negative(normal, aim) -> np.ndarray:
     """The x >= 0 (k,) of the least x' normal x / 2 - aim' x, by all 2^k sets of entries
-    that are not zero: of three it takes less time than importing ``scipy.optimize``."""
+    that are not zero: for three entries this is faster than importing
+    ``scipy.optimize``."""
     best, least = np.zeros(len(aim)), 0.0
     for free in itertools.product((False, True), repeat=len(aim)):
         at = np.flatnonzero(free)
@@ -160,8 +161,8 @@ def effective_inflation(scores, run, time) -> float:
     """Rows per independent row: by how much autocorrelation raises the variance.
 
     The largest autocorrelation time of the rows' contributions to the gradient, over
-    orthonormal directions of the parameters. The residuals alone would mislead: a
-    constant bias has an endless autocorrelation but cancels in the gradient of a
+    orthonormal directions of the parameters. The residuals alone are not enough: a
+    constant bias has an infinite autocorrelation time but cancels in the gradient of a
     parameter whose sensitivity changes sign.
 
     Args:
@@ -172,7 +173,8 @@ def effective_inflation(scores, run, time) -> float:
     # A parameter that no row informs about has no direction of its own.
     left, size, _ = np.linalg.svd(scores, full_matrices=False)
     known = size > 1e-8 * max(size.max(), 1e-300)
-    # The parameters' own directions too: those of equal size are arbitrary in the SVD.
+    # Also the directions of the parameters: the SVD is arbitrary for equal singular
+    # values.
     directions = np.concatenate([left[:, known], scores], axis=1)
     order = np.arange(len(run)) if time is None else np.lexsort((time, run))
     parts = [order[run[order] == code] for code in np.unique(run)]
@@ -183,10 +185,11 @@ def effective_inflation(scores, run, time) -> float:
 
 
 def _inflation(parts: list[np.ndarray]) -> float:
-    """Autocorrelation time within the runs, raised where the runs disagree by more.
+    """Autocorrelation time within the runs, raised if the runs differ by more.
 
-    Runs measured on other days or floors differ as wholes, which no autocorrelation
-    within a run can show. Their sums then scatter more than chi-squared allows (0.1 %).
+    Runs measured on other days or floors differ as a whole, which the autocorrelation
+    within a run does not show. Their sums then scatter more than chi-squared allows
+    (0.1 %).
     """
     time = autocorrelation_time(parts)
     freedom = len(parts) - 1

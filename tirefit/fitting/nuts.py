@@ -1,8 +1,8 @@
 """The No-U-Turn sampler of blackjax in the whitened space, every chain at once.
 
 The only importer of blackjax. Hoffman and Gelman (Journal of Machine Learning Research
-15, 2014): trajectories of the length that the posterior asks for, whose cost grows
-slowly with the number of parameters, where an ensemble's grows fast. Step size and mass
+15, 2014): trajectories of adapted length, whose cost grows slowly with the number of
+parameters; that of an ensemble sampler grows fast. Step size and mass
 come from steps that are not kept, pooled over all chains, and are then left alone.
 """
 
@@ -72,7 +72,7 @@ def _scan(density, position, key, step_size, covariance, adapt, steps: int):
 
     ``adapt`` is an array: one program, costly to compile, for warm-up and sampling.
     """
-    # Slow to import, and for NUTS alone.
+    # Imported here, because it is slow to import and only NUTS needs it.
     from blackjax.adaptation.step_size import dual_averaging_adaptation
     from blackjax.mcmc import nuts
 
@@ -143,7 +143,7 @@ def nuts_chunk(density, state: dict, steps: int):
     """Advance every chain: (samples, log density, acceptance, state), as emcee's.
 
     The state counts the divergent transitions among the samples; those of the warm-up,
-    which comes first and is not among the samples, say nothing.
+    which is not among the samples, are not counted.
     """
     state, positions, values, rate = _advanced(
         density, _warmed_up(density, state, steps), steps, adapt=False

@@ -49,7 +49,7 @@ def _log_density(u, problem: FitProblem, center, root, base):
         z = center + root @ u
         value = deviance(problem, z) - base
         density = -value / 2 + problem.layout.log_volume(z)
-        # NaN loses: a point where the model is undefined is never accepted.
+        # A point where the model is undefined (NaN) is never accepted.
         return jnp.where(jnp.isfinite(density), density, -jnp.inf)
 
     return jax.vmap(one)(u)
@@ -154,7 +154,7 @@ def split_rhat(samples: np.ndarray) -> np.ndarray:
     """Split R-hat of ensembles, shape (ensembles, steps, walkers, p) -> (p,).
 
     Each ensemble's first and second half count as one chain each, walkers pooled:
-    walkers of one ensemble depend on each other and prove nothing alone.
+    walkers of one ensemble depend on each other and are no independent check.
     """
     half = samples.shape[1] // 2
     parts = np.concatenate([samples[:, :half], samples[:, half : 2 * half]])
@@ -168,7 +168,7 @@ def _autocorrelation_times(samples: np.ndarray) -> np.ndarray:
     """Integrated autocorrelation time in steps, worst ensemble, (p,)."""
     import emcee
 
-    # Of a short chain a walker may not have moved at all: no number, which is infinity.
+    # In a short chain a walker may not have moved: NaN, treated as infinity.
     with np.errstate(invalid="ignore"):
         times = [
             emcee.autocorr.integrated_time(chain, quiet=True, has_walkers=True, tol=0)
@@ -189,7 +189,7 @@ class _Health(NamedTuple):
 def _health(samples: np.ndarray, target: int, independent: bool = False) -> _Health:
     """Burn-in, autocorrelation, agreement and effective samples of a chain.
 
-    ``independent``: the walkers know nothing of each other, and each must agree.
+    ``independent``: the walkers are independent chains, and each must agree.
     """
     steps = samples.shape[1]
     tau = _autocorrelation_times(samples[:, steps // 5 :])
@@ -223,8 +223,8 @@ def sample(
         result: a fit from this process (``tirefit.fit``).
         sampler: ``emcee``, the default to 20 parameters; ``nuts`` (gradients), that of
             more; ``importance`` (no chain: independent points, weighted; by far the
-            fastest where the posterior is compact), which hands over to the default
-            where its weights are not to be trusted, and says so.
+            fastest where the posterior is compact), which falls back to the default if
+            its weights are unreliable, with a note.
         ensembles: independent ensembles, at least 4.
         walkers: walkers per ensemble. Of emcee even, by default 64, more for many
             parameters; of nuts chains of their own, by default 8.
@@ -335,7 +335,7 @@ def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):
 def _draw(
     density, sampler, size, run: _Run, chain, keeper: Keeper
 ) -> tuple[Chain | None, Outcome]:
-    """Chunks until the chain is good, the limit is reached or the user interrupts."""
+    """Sample chunks until the chain converged, reached its limit or was interrupted."""
     begin, advance = SAMPLERS[sampler]
     outcome = Outcome.CHAIN_TOO_SHORT
     try:
@@ -378,7 +378,8 @@ def _of_chain(
     weighted,
     notes: list[str],
 ) -> FitResult:
-    """The posterior of a chain; ``weighted`` is what was refused before it, if any."""
+    """The posterior of a chain; ``weighted`` is the rejected weighted sample, if
+    any."""
     health = _health(chain.samples, run.target, sampler == "nuts")
     labels = result.labels
     divergences = chain.state.get("divergences")
@@ -398,7 +399,7 @@ def _of_chain(
         None if divergences is None else int(divergences), "; ".join(notes),
     )  # fmt: skip
     # Nearly independent draws; parameters and derived quantities are of the same ones.
-    # A walker that never moved has no time: one draw of each is left.
+    # A walker that never moved has no autocorrelation time: keep one draw of each.
     slowest = min(health.tau.max() / 2, health.kept.shape[1])
     thin = max(int(np.ceil(slowest)), 1)
     return _with_posterior(result, health.kept[:, ::thin], summary)

@@ -1,4 +1,4 @@
-"""Forces that a fit or a model predicts, row by row, with their spread."""
+"""Forces that a fit or a model predicts, row by row, with standard deviations."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -47,7 +47,7 @@ def predict_forces(
     inputs: TireInputs,
     run: Int[Values, " n"],
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Forces and the variance that the parameters' uncertainty gives them.
+    """Forces and their variance due to the uncertainty of the parameters.
 
     Args:
         model: template with the fixed parameters.
@@ -68,7 +68,7 @@ def predict_forces(
 
 
 def _inputs(data: TireData) -> TireInputs:
-    """The used rows: the slip of a masked one is no part of a time series."""
+    """Inputs of the used rows: masked rows are not part of a time series."""
     zeros = np.zeros(len(data))
     columns = (data.columns.get(name, zeros) for name in TireInputs._fields)
     return TireInputs(*(np.nan_to_num(c[data.used].astype(float)) for c in columns))
@@ -161,7 +161,7 @@ def predict(
 
 
 def _signs_of(source) -> tuple[str, str] | None:
-    """The convention of a fit's data, and whose it is."""
+    """The convention of a fit's data, and the name of the fit."""
     if isinstance(source, AbstractTire | str):
         return None
     content = source.content if isinstance(source, StoredFit) else vars(source)
@@ -169,7 +169,7 @@ def _signs_of(source) -> tuple[str, str] | None:
 
 
 def _noise_std(data: TireData, channel: str, record: Mapping | None, force, reference):
-    """Noise of one measurement: the rows' own where they state it, else the fit's."""
+    """Noise of one measurement: from a column of the data, else from the fit."""
     if f"{channel}_std" in data:
         return data[f"{channel}_std"]
     if record is None:

@@ -26,7 +26,7 @@ from tirefit.results import DataError, InputProblem, UsageError
 
 @dataclass(frozen=True)
 class FitTask:
-    """A problem and what only the host knows of it, which names no program."""
+    """A problem, and the data about it that do not enter the compiled program."""
 
     name: str
     problem: FitProblem
@@ -88,8 +88,7 @@ def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], 
 
 
 def _column_wins(name: str, noise: NoiseConfig) -> str:
-    """The sentence on noise from a column, with the settings that it overrules: the
-    column knows every row, they know one number."""
+    """The note on noise from a column, with the settings that the column overrides."""
     keys = (name, f"{name}_relative", f"{name}_speed")
     given = {key: getattr(noise, key, None) for key in keys}
     overruled = [f"noise.{k} = {v:g}" for k, v in given.items() if v is not None]
@@ -176,7 +175,8 @@ def _noise_column(data: TireData, column: str, wrong, beside: str) -> InputProbl
 
 
 def _settled(data: TireData, model: AbstractTire, forces, config: FitConfig):
-    """What ``choose_layout`` gives; wrong settings of the noise are said with its."""
+    """Result of ``choose_layout``; its problems are raised together with those of the
+    noise."""
     of_columns, of_settings = _noise_problems(data, forces, config)
     try:
         chosen = choose_layout(model, config, data.runs, forces)
@@ -190,8 +190,8 @@ def _settled(data: TireData, model: AbstractTire, forces, config: FitConfig):
 
 
 def check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
-    """Raises DataError where the stated noise (n,) of a slip is what the measured slips
-    vary by, which vary by at least their noise: it places no row."""
+    """Raises DataError if the stated noise (n,) of a slip is as large as the variation
+    of the measured slips: then no row has a known slip."""
     noise, spread = float(np.median(std)), float(np.std(data.usable(slip)))
     if noise > 0.7 * spread:
         column = f"{slip}_std" if f"{slip}_std" in data else None
@@ -238,7 +238,7 @@ def _first_guess(model, data: TireData, forces, layout: Layout) -> dict[str, flo
 
 
 def guess_from_curve(stiffness, peak, load) -> dict:
-    """First values of the parameters that a look at the curve gives.
+    """Start values of the parameters, from slope and peak of the curve.
 
     Args:
         stiffness: slope of the force at small slip [N].
@@ -368,7 +368,7 @@ def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
 
 
 def _with_reference_load(data: TireData, model: AbstractTire, config: FitConfig):
-    """The configuration with a reference load where none is given, and what to say."""
+    """The configuration with a reference load if none is given, and a note."""
     asked = config.parameters.get("fz0", ParameterConfig())
     if "fz0" not in specs(model) or asked.value is not None:
         return config, []

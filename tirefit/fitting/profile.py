@@ -1,4 +1,4 @@
-"""Profile likelihood: how far each parameter can go, the others following."""
+"""Profile likelihood of each parameter, maximized over the others."""
 
 from typing import NamedTuple
 
@@ -37,7 +37,7 @@ class _Side:
         if count < 2:
             return min((0.8, 1.5)[count] * self.std, self.reach)
         if self.done:
-            # One point beyond the interval, for the eye.
+            # One point beyond the interval, for the figure.
             return min(1.3 * self.end, self.reach)
         above = [
             d for d, r in zip(self.distances, self.roots, strict=True) if r > self.goal
@@ -67,8 +67,8 @@ class _Side:
         self.done = self.done or close or exhausted
 
     def doubts(self, distance: float, deviance: float) -> bool:
-        """Whether a point beyond the level is higher than the points before it, whose
-        root is nearly straight, let expect: another minimum, or none reached."""
+        """Whether a point beyond the level is higher than extrapolated from the points
+        before it (their root is nearly linear): another minimum, or no convergence."""
         inner = [
             (d, r)
             for d, r in zip(self.distances, self.roots, strict=True)
@@ -86,7 +86,7 @@ class _Side:
 
     @property
     def end(self) -> float:
-        """Distance of the crossing, or the reach where there is none."""
+        """Distance of the crossing, or the reach if there is none."""
         if self.open:
             return self.reach
         roots, distances = self._rising()
@@ -139,7 +139,7 @@ def profile_all(
 
 
 def _searched_again(problem, sides, ends: Minima, base, distance, inner, index, values):
-    """The ends, those in doubt from the point before them, where that is lower."""
+    """The ends; doubtful ones are searched again from the point before them."""
     rise = np.nan_to_num(ends.deviance - base, nan=1e9, posinf=1e9)
     every = zip(sides, distance, rise, strict=True)
     doubtful = np.flatnonzero([side.doubts(d, value) for side, d, value in every])

@@ -10,7 +10,8 @@ from tirefit.fitting.noise import autocorrelation
 from tirefit.fitting.result import FitResult
 
 _BINS = 12
-"""Settings up to so many have a mean each; more are bins of as many rows each."""
+"""Largest number of settings with a mean each; more are grouped into bins of equal
+size."""
 _FEWEST = 3  # rows of a bin from which its scatter gives its mean an error
 _HALF_95 = 1.96  # standard errors to the end of a 95 % interval of a normal law
 _LAGS = 40  # lags, at most, and those of a quarter of the longest run

@@ -1,4 +1,4 @@
-"""Inputs and outputs of a tire model, and the one place that batches it."""
+"""Inputs and outputs of a tire model, and the function that batches it."""
 
 from typing import NamedTuple
 
@@ -53,16 +53,17 @@ class AbstractTire(eqx.Module):
 
     @property
     def transient(self) -> bool:
-        """Whether the force depends on the slips before: ``felt`` does something."""
+        """Whether the force depends on earlier slips (``felt`` changes the inputs)."""
         return False
 
     def static_friction(self, fz):
-        """Static friction coefficient [-] at load fz [N]; None where there is none."""
+        """Static friction coefficient [-] at load fz [N]; None if the model has
+        none."""
         del fz
         return getattr(self, "mu", None)
 
     def felt(self, inputs: TireInputs, run) -> TireInputs:
-        """Inputs as the contact patch feels them, rows in time order: arrays (n,).
+        """Inputs at the contact patch, after any lag; rows in time order, arrays (n,).
 
         A steady-state model feels them at once; a transient one lags behind them,
         starting anew with each ``run`` (n,).
@@ -72,7 +73,7 @@ class AbstractTire(eqx.Module):
 
 
 def modelled(model: AbstractTire) -> tuple[str, ...]:
-    """Which of the forces and moments the model gives."""
+    """Names of the forces and moments that the model computes."""
     outputs = jax.eval_shape(lambda: model(TireInputs()))
     return tuple(name for name, value in outputs._asdict().items() if value is not None)
 

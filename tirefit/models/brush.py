@@ -110,7 +110,7 @@ class Brush(AbstractTire):
 
 
 class AnisotropicBrush(Brush):
-    r"""Brush whose bristles are not as stiff sideways as along, O(12)-(20).
+    r"""Brush with different longitudinal and lateral bristle stiffness, O(12)-(20).
 
     .. math::
        \kappa_y = \frac{K_\beta}{K_s} \sigma_y, \quad
@@ -131,7 +131,7 @@ class AnisotropicBrush(Brush):
 
 
 def resultant(x, y):
-    """Length of (x, y); not quite zero at rest, where its direction has no slope."""
+    """Length of (x, y), kept above zero so that its gradient is finite at rest."""
     return polar(jnp.asarray(x), jnp.asarray(y))[0]
 
 
@@ -190,7 +190,7 @@ class BrushAtPeak(AbstractTire):
 
 
 class LoadDependent(AbstractTire):
-    r"""A brush whose stiffness, contact length and friction follow the load.
+    r"""A brush whose stiffness, contact length and friction depend on the load.
 
     .. math::
        c_p a^2 = (c_p a^2)_0 \left(\frac{F_z}{F_{z0}}\right)^k, \quad
@@ -233,6 +233,6 @@ class LoadDependent(AbstractTire):
         return self.at(fz).static_friction(fz)
 
     def __call__(self, inputs: TireInputs) -> TireForces:
-        # No load, no force: the tire sees to that, at any finite parameters.
+        # At zero load the tire makes the force zero for any finite parameters.
         loaded = inputs.fz > 0
         return self.at(jnp.where(loaded, inputs.fz, self.fz0))(inputs)

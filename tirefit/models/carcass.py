@@ -56,7 +56,7 @@ def _flexibility(default, largest, meaning, symbol):
 
 
 class AbstractCarcass(AbstractTire):
-    """Lateral brush on a carcass that gives way; no longitudinal force.
+    """Lateral brush on a flexible carcass; no longitudinal force.
 
     The slip is taken as purely lateral, and the friction as constant: kinetic friction
     below the static one can leave more than one breakaway point.
@@ -116,8 +116,8 @@ class AbstractCarcass(AbstractTire):
             u = u - value / jnp.where(partly, slope, 1.0)
             return jnp.where(partly, u, end), patch
 
-        # One step, then the patch that it leads to. As a loop, because what compiling
-        # takes grows with how often the patch stands in the program.
+        # One step, then the patch that it leads to. As a loop, because the compile time
+        # grows with the number of copies of the patch.
         nothing = Patch(*(jnp.zeros_like(low) for _ in Patch._fields))
         return jax.lax.fori_loop(0, 2, newton, ((low + high) / 2, nothing))[1]
 

@@ -114,7 +114,8 @@ class LiuPeng(AbstractTire):
 
 
 _FASTEST_SPIN = 1 - 1e-6
-"""Driving slip -sigma up to which a curve is asked: it ends at 1, no travel at all."""
+"""Largest driving slip -sigma at which a curve is evaluated; 1 is a spinning wheel at
+standstill."""
 
 _GRID = np.geomspace(1e-4, 3.0, 400)
 
@@ -220,7 +221,7 @@ def _both_sides(tire, channel, inputs: TireInputs, positive, negative) -> TireFo
 
 
 def blend(cosine, force):
-    """Size of a force (2,) of the two sides: of the first, the second, or between."""
+    """Magnitude of a force (2,) between those of the two sides."""
     return ((1 + cosine) * force[0] - (1 - cosine) * force[1]) / 2
 
 

@@ -1,4 +1,5 @@
-r"""The LuGre tire in its steady states: S(18) over the patch, and that of S(17).
+r"""The LuGre tire in steady state: distributed over the patch, S(18), and lumped,
+S(17).
 
 A bristle that has rolled a distance :math:`\zeta` from the leading edge is deflected by
 :math:`z = \frac{g}{\sigma_0} (1 - e^{-\sigma_0 |\lambda| \zeta / g})` along the sliding
@@ -52,7 +53,7 @@ def patch_means(x):
 
 
 class AbstractLuGre(AbstractTire):
-    """What sliding is in both forms: the friction level g of S(17c) and sigma_2."""
+    """Sliding friction of both forms: the friction level g of S(17c) and sigma_2."""
 
     mu_s: float = par(
         1.2, (0.01, 5.0), "-", "level of g at rest (static friction)",

@@ -1,4 +1,4 @@
-r"""Pressure laws: how the load is spread over the contact patch.
+r"""Pressure laws: distribution of the load over the contact patch.
 
 The patch coordinate is :math:`\xi = x/a \in [-1, 1]`, +1 the leading edge; a law gives
 the density :math:`p(\xi)` with :math:`\int p = 1`. All formulas are written in
@@ -85,7 +85,7 @@ def _elliptic_cdf(u):
     square = x**2
     terms = 1 - square / 110 * (1 - square / 156 * (1 - square / 210))
     small = x**3 / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72 * terms)))
-    # The difference loses its digits where u is small.
+    # The difference loses precision at small u.
     return jnp.where(x < 1, small, x - jnp.sin(x)) / (2 * jnp.pi)
 
 

@@ -1,4 +1,4 @@
-r"""First-order lag of the slip, for time series: a transient tire of a steady one.
+r"""First-order lag of the slip: makes a transient tire of a steady-state one.
 
 The contact patch feels a slip :math:`\sigma'` that follows the slip of the wheel over a
 relaxation length L of travel,
@@ -38,7 +38,7 @@ def _recursion(keep, add):
 
 
 def lag(slip: Float[Array, " n"], travel, length, starts) -> Float[Array, " n"]:
-    """Slip felt less slip of the wheel, row by row.
+    """Lagged slip minus slip of the wheel, row by row.
 
     Exact for a slip that is linear in the distance travelled between two rows.
 
@@ -51,7 +51,7 @@ def lag(slip: Float[Array, " n"], travel, length, starts) -> Float[Array, " n"]:
     share = jnp.where(starts, 0.0, travel) / length
     moving = share > 0
     safe = jnp.where(moving, share, 1.0)
-    # Mean over the step of what is left of a change made within it.
+    # Mean remaining part of a slip change within the step.
     left = jnp.where(moving, -jnp.expm1(-safe) / safe, 1.0)
     change = jnp.diff(slip, prepend=slip[:1])
     keep = jnp.where(starts, 0.0, jnp.exp(-share))
@@ -60,7 +60,7 @@ def lag(slip: Float[Array, " n"], travel, length, starts) -> Float[Array, " n"]:
 
 
 class Relaxed(AbstractTire):
-    """A steady tire behind a relaxation length.
+    """A steady-state tire with a relaxation length.
 
     ``__call__`` gives the steady force; ``felt`` the slips that a time series leads to.
     A row that does not come after the one before it (another run, or a time that does
@@ -87,7 +87,7 @@ class Relaxed(AbstractTire):
     def felt(self, inputs: TireInputs, run) -> TireInputs:
         time = jnp.asarray(inputs.time)
         step = jnp.diff(time, prepend=time[:1])
-        # The first row is one of them: it has no step.
+        # The first row has no time step.
         starts = (step <= 0) | (jnp.diff(run, prepend=run[:1]) != 0)
         speed = jnp.abs(inputs.v)
         before = jnp.concatenate([speed[:1], speed[:-1]])

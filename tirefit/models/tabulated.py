@@ -28,7 +28,7 @@ _MOST_PANELS = 2000
 _ROUNDING = 1e-13  # share of the load that a panel may leave unresolved
 
 _LEADING = np.pi - 1e-5
-"""Angle from which the patch counts as sliding entirely: its last 5e-11."""
+"""Angle from which the whole patch counts as sliding (all but 5e-11 of it)."""
 
 
 class Tabulated(AbstractPressure):
@@ -120,7 +120,7 @@ class Tabulated(AbstractPressure):
         series = jnp.asarray(self.series)[panel]
 
         def excess(angle):
-            """What the road can hold over what the bristle demands."""
+            """Available friction over the demand of the bristle."""
             local = (2 * angle - low - high) / (high - low)
             return _sum(series, local) - rho * (1 + jnp.cos(angle))
 
@@ -235,7 +235,7 @@ def _panels(density, edges: np.ndarray, file: str) -> list[_Panel]:
 
 
 def _valid(values, angles, file: str) -> np.ndarray:
-    """Values of a density, (n,), refused where they cannot be a pressure."""
+    """Values of a density, (n,); negative or non-finite values are refused."""
     values = np.broadcast_to(np.asarray(values, float), angles.shape)
     for wrong, what in (
         (~np.isfinite(values), "is not finite"),
@@ -257,7 +257,7 @@ def _check_one_breakaway(panels: list[_Panel], file: str) -> None:
     angles, values, need = (x[need > 1e-12] for x in (angles, values, need))
     ratio = values / need
     best = np.maximum.accumulate(ratio)
-    # Rounding of the density counts for much where the need is small.
+    # Rounding errors of the density matter if the demand is small.
     falls = best - ratio > 1e-9 * best + 1e-14 * values.max() / need
     if falls.any():
         xi = -np.cos(angles[falls][0])
