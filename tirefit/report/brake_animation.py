@@ -1,4 +1,4 @@
-"""A stop as a moving picture: the car from above, its wheels, and their slip."""
+"""Animation of a stop: the car from above, its wheels, and their slip."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -78,7 +78,8 @@ def save_animation(result: Braking, path: Path) -> Path:
 
 
 def _scene(axes, stop: Stop, vehicle, result: Braking, period: float):
-    """Draws what stays of one controller; returns what draws sample k."""
+    """Draw the fixed parts of one controller; return the function that draws sample
+    k."""
     road, bars = axes
     s = stop.log.motion
     reach = max(float(np.ptp(s.x)), 5.0)

@@ -21,7 +21,7 @@ _SHORT = {
     "locked_time": "locked", "pressure_rms_fluctuation": "p rms",
     "recovery_time": "recovery",
 }  # fmt: skip
-"""Numbers that the terminal has room for."""
+"""Numbers shown in the terminal."""
 _LEGEND: dict[str, Any] = {"facecolor": "white", "edgecolor": "none"}
 _SLOWEST_SHOWN = 2.0
 """Speed [m/s] above which a path of slip is shown: below it controllers switch off."""
@@ -127,7 +127,7 @@ def _draw_stop(all_axes, stop: Stop) -> None:
         style = lines | {"color": colors[k], "label": names[k]}
         all_axes[0].plot(time, log.reading.wheel_speed[:, k], **style)
         all_axes[1].plot(time, log.motion.pressure[:, k] / 1e6, **style)
-        # Every wheel on a line of its own; they would hide each other.
+        # One line per wheel, because the wheels would hide each other.
         lane = 0.4 * np.clip(log.valve[:, k], -1, 1) - k
         all_axes[2].plot(time, lane, **style)
         force = log.contacts.fx[:, k] / log.contacts.fz[:, k]
@@ -164,7 +164,7 @@ def _draw_stiffness(axes, stop: Stop) -> None:
 
 
 def _stiffness_limit(stop: Stop) -> float:
-    """What estimate and truth [kN s/m] hardly exceed while the car is fast."""
+    """Upper axis limit [kN s/m] of estimate and truth while the car is fast."""
     fast = stop.log.motion.v_x > 0.3 * stop.log.motion.v_x[0]
     known = [np.asarray(stop.log.xbs_true)[fast, 0]]
     known += (
@@ -174,7 +174,8 @@ def _stiffness_limit(stop: Stop) -> float:
 
 
 def _slip_limit(stop: Stop) -> float:
-    """What the slips hardly exceed while the car is fast, at least thrice the peak."""
+    """Upper axis limit of the slips while the car is fast, at least three times the
+    peak."""
     fast = stop.log.motion.v_x > 0.3 * stop.log.motion.v_x[0]
     kappa = stop.log.contacts.slips.kappa[fast]
     least = 3 * float(np.max(stop.log.reading.truth.peak))
@@ -182,7 +183,7 @@ def _slip_limit(stop: Stop) -> float:
 
 
 def _slowest_shown(stop: Stop) -> float:
-    """Speed [m/s] below which a wheel's slip says little."""
+    """Speed [m/s] below which the slip of a wheel is not shown."""
     return min(_SLOWEST_SHOWN, 0.5 * float(stop.log.motion.v_x[0]))
 
 

@@ -61,8 +61,8 @@ def _by_run(estimates: Mapping[str, Estimate], result: FitResult) -> list[Points
 
 
 def run_points(result: FitResult) -> list[Points]:
-    """Parameters and derived quantities that each run has its own of; a derived
-    quantity that is a parameter in other units is left out."""
+    """Parameters and derived quantities with a value per run, without derived
+    quantities that are proportional to a parameter."""
     return distinct(_by_run(result.parameters, result), _by_run(result.derived, result))
 
 
@@ -83,7 +83,7 @@ def _is_same(values: np.ndarray, others: np.ndarray) -> bool:
 
 
 def _reach(points: Points) -> tuple[float, float]:
-    """Lower and upper end of the axis: what is known decides."""
+    """Lower and upper end of the axis, by the identified values."""
     rows = points.known & np.isfinite(points.value)
     rows = rows if rows.any() else np.isfinite(points.value)
     ends = np.concatenate([points.value[rows], points.low[rows], points.high[rows]])
@@ -140,7 +140,7 @@ def place_points(picture: Picture, panels: Sequence[Points], bottom, top) -> Non
 
 
 def runs_figure(result: FitResult) -> Picture:
-    """Every parameter and derived quantity that runs differ in, run by run."""
+    """Every parameter and derived quantity that differs by run, run by run."""
     panels = run_points(result)
     picture, (bottom, top) = frame(result, 2.0 + 1.45 * len(panels))
     height = picture.get_figheight()

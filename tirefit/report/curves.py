@@ -80,7 +80,7 @@ class FitCurve(NamedTuple):
 
 
 def slip_axis(name: str, values: np.ndarray) -> SlipAxis:
-    """How a slip is drawn: angles in degrees, near-locked wheels by their slip ratio.
+    """Axis of a slip: angles in degrees, slips of nearly locked wheels as slip ratio.
 
     Args:
         name: ``sigma_x`` or ``alpha``.
@@ -204,11 +204,11 @@ def _conditions(problem, members) -> list[dict[str, float]]:
 
 
 def _carried(result: FitResult, channel: str, members, keys, middle):
-    """Measured forces (n,) as they are at the other slip of their curve, and a note.
+    """Measured forces (n,), moved to the other slip of their curve, and a note.
 
-    In combined slip no two rows have the same other slip, and the points would lie
-    beside every curve. They are moved by what the fit says the difference makes, if
-    that is more than the noise; ``middle`` then takes up a slip common to all groups.
+    In combined slip each row has another value of the other slip, so the points would
+    lie off the curves. They are moved by the difference that the fit predicts, if it
+    exceeds the noise; ``middle`` then takes up a slip common to all groups.
     """
     problem = result.problem
     inputs, run = problem.rows.inputs, problem.rows.run
@@ -223,7 +223,7 @@ def _carried(result: FitResult, channel: str, members, keys, middle):
         moved[: problem.n][rows] = at[name] if grouped else target
     target_inputs = inputs._replace(**{name: jnp.asarray(moved)})
     if problem.model.transient:
-        # A time that stands still is a steady state, as that of the curves.
+        # Constant time means steady state, as in the curves.
         target_inputs = target_inputs._replace(time=jnp.zeros_like(inputs.time))
     there, here = (
         problem.used(fitted_force(result, channel, at, run))

@@ -12,11 +12,12 @@ from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number
 
 _SHORT = {"mu": "friction", "cpa2": "stiffness", "mu_peak": "peak friction"}
-"""Parameters whose meaning in the tables is longer than a sentence can carry."""
+"""Short names of parameters for sentences."""
 
 
 _MANY_TIMES = 4.0
-"""Simulated over measured value from which it is said as such, not in per cent."""
+"""Ratio of simulated to measured value above which it is stated as a factor, not in per
+cent."""
 
 
 class WaterfallBar(NamedTuple):
@@ -30,8 +31,8 @@ class WaterfallBar(NamedTuple):
 
 
 def change_texts(result: Diagnosis) -> list[str]:
-    """What is wrong with the simulator's parameters: ``friction 9 ± 1 % too high``, the
-    surest first; only those that differ from the measurement."""
+    """Errors of the simulator's parameters, such as ``friction 9 ± 1 % too high``, most
+    significant first; only those that differ from the measurement."""
     wrong = [(k, c) for k, c in result.verdict.parameters.items() if c.differs]
     wrong.sort(key=lambda kc: kc[1].std / abs(kc[1].simulated - kc[1].measured))
     words = {**result.meanings, **_SHORT}
@@ -57,7 +58,7 @@ def channel_name(channel: str) -> str:
 
 
 def _rms(parts: Sequence[Part]) -> str:
-    """Error of the simulator, noise and all, rms."""
+    """Rms error of the simulator, noise included."""
     sure = max(parts, key=lambda part: part.share)
     return format_number(sure.rms / np.sqrt(sure.share), 3)
 

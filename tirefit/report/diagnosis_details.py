@@ -63,7 +63,7 @@ def _gap_lines(result: Diagnosis) -> Iterator[str]:
 
 
 def run_lines(result: Diagnosis) -> Iterator[str]:
-    """How far the runs of the file differ, one line for each kind of offset."""
+    """Differences between the runs of the file, one line for each kind of offset."""
     for kind, runs in result.runs.items():
         factor, unit = said_unit(runs.unit)
         common = f"{amount_text(runs.common, runs.std, runs.unit)} for all "
@@ -153,8 +153,8 @@ def _parameters(result: Diagnosis) -> list[tuple[str, ...]]:
 
 
 def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
-    """Effects that these rows would show and yet take for others, as sentences, and
-    those that they would not show at their usual size."""
+    """Sentences on effects that these rows would confuse with others, and on effects
+    that they would not detect at their usual amplitude."""
     lines = [
         f"{name_of(chance.effect)} of"
         f" {amount_text(chance.amplitude, None, chance.unit, 2)}: recognised with"
@@ -173,7 +173,7 @@ def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
 
 
 def smallest_lines(result: Diagnosis) -> list[str]:
-    """The smallest amplitudes that would have been seen four times in five."""
+    """The smallest amplitudes that would be detected with probability 0.8."""
     units = {effect.id: effect.unit for effect in result.library}
     parts = (
         f"{name_of(effect)} {amount_text(value, None, units.get(effect, ''), 2)}"

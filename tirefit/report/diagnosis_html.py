@@ -1,4 +1,4 @@
-"""A diagnosis as one page that needs nothing else, and as a fragment for notebooks."""
+"""A diagnosis as one self-contained page, and as a fragment for notebooks."""
 
 from collections.abc import Mapping, Sequence
 

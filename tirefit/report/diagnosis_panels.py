@@ -1,4 +1,4 @@
-"""What the figure of a diagnosis shows beside its arrays: bars, labels, remainder."""
+"""Contents of the figure of a diagnosis: bars, labels, remainder."""
 
 import math
 import textwrap
@@ -83,7 +83,7 @@ def chance_bars(result: Diagnosis) -> list[ChanceBar]:
 
 
 def covariate_label(panel: ResidualMap) -> str:
-    """Axis label of what the map is drawn over beside the slip."""
+    """Axis label of the second axis of the map, besides the slip."""
     unit = covariate_unit(panel.covariate)
     return covariate_text(panel.covariate) + f" [{unit}]" * bool(unit)
 
@@ -145,7 +145,7 @@ def draw_look(figure, panel: LookCurve, beside: str) -> None:
     """The local change of a parameter in bins ± standard error, and the fitted shape.
 
     Args:
-        beside: what the change comes on top of.
+        beside: the model to which the change is added.
     """
     axes = figure.subplots()
     scale = 1.0 if panel.look.parameter == "slip" else 100.0

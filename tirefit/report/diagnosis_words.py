@@ -77,7 +77,7 @@ NAMED_VALUES = {
 
 
 def words_on(effect: str, library: Sequence[Effect] = ()) -> tuple[str, str]:
-    """What an effect means and what to do about it; empty where nobody says.
+    """Meaning and remedy of an effect; empty for an unknown one.
 
     Args:
         effect: its id.
@@ -99,7 +99,7 @@ def needs_text(needs: Sequence[str], derived: bool = False) -> str:
 
 
 def untestable_lines(result: Diagnosis, untestable: Sequence[Untestable]) -> list[str]:
-    """What is needed and the effects that need it, a line for each need."""
+    """A line for each missing need, with the effects that need it."""
     groups: dict[str, list[str]] = {}
     for item in untestable:
         needs = needs_text(item.needs, bool(result.data.motion))
@@ -116,7 +116,7 @@ def range_text(region: Region | Spot) -> str:
     """Where a region, or a spot, lies: one value, or from - to, with its unit."""
     name, low, high = region.covariate, region.low, region.high
     if name in NAMED_VALUES:
-        # The few steady rows beside those that grow or shrink do not name the region.
+        # The few steady rows among growing or shrinking ones do not determine the name.
         return NAMED_VALUES[name][round(high if abs(high) > abs(low) else low)]
     unit = CANONICAL.get(name, ("", ""))[0]
     tail = f" {unit}" if unit not in ("", "-") else ""
@@ -164,7 +164,7 @@ def look_text(look: Look) -> str:
 
 
 def _end(value: float, largest: float) -> str:
-    """Three digits of the larger end are enough for both."""
+    """An end of a range, to three digits of the larger end."""
     return format_number(0.0 if abs(value) < 5e-4 * abs(largest) else value, 3)
 
 
@@ -212,8 +212,8 @@ _THOUSANDTH = "1e-3 "  # how the unit of a share of something begins
 
 
 def said_unit(unit: str) -> tuple[float, str]:
-    """A factor on amplitudes in the unit of an effect, and the unit that they then have
-    as one says it: ``% of the mean F_z`` of ``1e-3 mean F_z``, ``per record`` of
+    """A factor on amplitudes in the unit of an effect, and their readable unit: ``% of
+    the mean F_z`` of ``1e-3 mean F_z``, ``per record`` of
     ``- per record``, ``/ g`` of ``1 / g``; empty of none."""
     if unit.startswith(_THOUSANDTH):
         of_what = unit.removeprefix(_THOUSANDTH).replace("mean", "the mean")
@@ -238,7 +238,7 @@ def amount_text(value: float, std: float | None, unit: str, digits: int = 4) -> 
 
 
 def share_text(share: float | None, ends=None) -> str:
-    """``95 % [80 %, 96 %]``; ``-`` for a share that cannot be told."""
+    """``95 % [80 %, 96 %]``; ``-`` for an unknown share."""
     if share is None:
         return "-"
     tail = "" if ends is None or ends[0] is None else "{:.0%}, {:.0%}".format(*ends)
@@ -263,7 +263,7 @@ def _closed(share: float) -> str:
 
 
 def p_text(p: float, least: float = 1e-12) -> str:
-    """A p-value with two digits, or ``< least``, the smallest that is known."""
+    """A p-value with two digits, or ``< least``, the smallest possible one."""
     return f"< {least:.2g}" if p <= least or math.isnan(p) else f"{p:.2g}"
 
 

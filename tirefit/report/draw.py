@@ -80,13 +80,13 @@ def _color(i: int) -> str:
 
 
 def _draw_limits(axes, curve: FitCurve, single: bool) -> str:
-    """The friction limits that measurements come near to; what to say in the legend."""
+    """Draw the friction limits near the measurements; return their legend text."""
     lowest = min(float(np.min(group.force, initial=0.0)) for group in curve.groups)
     highest = max(float(np.max(group.force, initial=0.0)) for group in curve.groups)
     shown = False
     for i, one in enumerate(curve.curves):
         for sign, reached in ((1, highest), (-1, -lowest)):
-            # A limit far above all measurements would press them to the axis.
+            # A limit far above all measurements would compress them at the axis.
             if one.limit is not None and reached > 0.6 * one.limit:
                 shown = True
                 axes.axhline(
@@ -293,7 +293,7 @@ def save_figures(
         picture = figure(result)
         for suffix in (".png", ".svg") if svg else (".png",):
             written.append(save_picture(picture, directory / f"{name}{suffix}"))
-    # Figures of an earlier fit would be taken for this one's.
+    # Remove figures of an earlier fit, which would be mistaken for new ones.
     for name in FIGURE_FILES:
         if directory / name not in written:
             (directory / name).unlink(missing_ok=True)

@@ -41,7 +41,7 @@ def draw_trace(left, right, trace: Trace, i: int) -> None:
 
 
 def trace_figure(result: FitResult, parameters: Sequence[str] | None = None) -> Picture:
-    """One row per parameter: the ensembles must look alike from end to end."""
+    """One row per parameter; converged ensembles look alike from end to end."""
     trace = trace_data(result, parameters)
     count = len(trace.labels)
     picture, (bottom, top) = frame(result, 1.2 + 1.1 * count)
@@ -90,7 +90,7 @@ def draw_profile(axes, panel: ProfilePanel) -> None:
 
 
 def profile_figure(result: FitResult) -> Picture:
-    """One panel per parameter; where the three routes agree, any of them will do."""
+    """One panel per parameter: profile, covariance and posterior."""
     panels = profile_data(result)
     columns = len(panels) if len(panels) < 4 else 2 if len(panels) == 4 else 3
     rows = -(-len(panels) // columns)

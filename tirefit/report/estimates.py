@@ -12,17 +12,17 @@ _ROOM = 0.15  # of the range of the estimates, beside it
 
 
 def _cells(result: Estimates) -> list[list[str]]:
-    rows = [["method", "parameter", "at the end", "unit", "supported", "flagged rows"]]
+    rows = [["method", "parameter", "at the end", "unit", "flagged rows", "last flag"]]
     for name, method in result.methods.items():
         flagged = int(np.count_nonzero(method.flag))
-        last = method.reasons[-1] or "yes"
+        last = method.reasons[-1] or "none"
         for parameter in method.parameters:
             value, std = method[parameter][-1], method.std_of(parameter)[-1]
             rows.append(
                 [
                     name, parameter, format_estimate(value, std),
-                    PARAMETERS[parameter].unit, last,
-                    f"{flagged} of {len(method.flag)}",
+                    PARAMETERS[parameter].unit,
+                    f"{flagged} of {len(method.flag)}", last,
                 ]
             )  # fmt: skip
     return rows
@@ -115,7 +115,7 @@ def _shade(axes, result: Estimates) -> None:
 
 
 def estimates_figure(result: Estimates) -> Picture:
-    """The methods over each other: each parameter, and the friction used below.
+    """All methods in one panel per parameter; the friction used is shown below.
 
     Bands are one standard deviation; grey spans are flagged by every method, the strips
     at the foot by the method of their colour.

@@ -1,4 +1,4 @@
-"""A fit as one page that needs nothing else."""
+"""A fit as one self-contained page."""
 
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.report.fit_panels import page_pictures

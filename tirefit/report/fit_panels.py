@@ -1,4 +1,4 @@
-"""The pictures of a fit's page: one message each, made to be read on a phone too.
+"""The pictures of a fit's page, one message each, readable on a phone.
 
 They are narrow: on a phone's screen, 375 pixels wide, 8.5 points are 9.6 pixels high.
 """
@@ -45,7 +45,7 @@ def _empty(height: float, width: float = WIDE) -> Picture:
 
 
 def below(picture: Picture, legend: Legend | None, columns: int = 2) -> None:
-    """Moves the legend of axes below them, where it takes no width."""
+    """Move the legend of axes below them."""
     if legend is None:
         return
     handles = [handle for handle in legend.legend_handles if handle is not None]

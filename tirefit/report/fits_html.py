@@ -111,12 +111,12 @@ def _overlays(fits: Mapping[str, FitResult]) -> list[Shown]:
 
 
 def _one_of(values) -> str:
-    """What all share, or every one of what they have."""
+    """The common value, or all values if they differ."""
     return ", ".join(dict.fromkeys(str(value) for value in values))
 
 
 def _said(results: Sequence[FitResult]) -> list[str]:
-    """What every output states."""
+    """The statement of signs, units and version of every output."""
     return [
         _one_of(", ".join(r.forces) for r in results),
         "braking positive, SI",

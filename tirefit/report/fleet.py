@@ -1,4 +1,4 @@
-"""Quantities over many files: what a page shows of them, as arrays, and on axes."""
+"""Quantities over many files for a page: as arrays, and on axes."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +15,8 @@ _KINDS = ("parameter", "effect", "gap", "derived", "statistic")
 """In the order of the page; what a fit was told (``base``) is not among them."""
 
 _OWN_STD = ("parameter", "effect", "derived")
-"""Kinds whose numbers say how sure they are: one that does not is not known."""
+"""Kinds whose numbers have a standard deviation; without one a number counts as
+unknown."""
 
 _FEW = 3  # files from which on a quantity of some of them is shown
 _MOST = 300  # files that are drawn one by one; of more, as many bins of neighbours
@@ -54,7 +55,7 @@ class Fleet(NamedTuple):
 
 
 def fleet_of(path: Path) -> Fleet:
-    """What a table of all results (``tirefit.data.records``) holds."""
+    """Files and quantities of a table of all results (``tirefit.data.records``)."""
     table = ResultsTable(path)
     files = table.files()
     dates = dates_of(files["file"])

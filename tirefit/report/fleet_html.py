@@ -1,4 +1,4 @@
-"""All results of many files as one page that needs nothing else and stays small."""
+"""All results of many files as one small self-contained page."""
 
 from collections import Counter
 from pathlib import Path

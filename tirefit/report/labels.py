@@ -1,6 +1,6 @@
-"""What parameters, runs and files are called in reports and figures.
+"""Short names of parameters, runs and files in reports and figures.
 
-``fit.json`` keeps the whole names; for readers they are as short as tells them apart.
+``fit.json`` keeps the whole names; reports use the shortest names that are distinct.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ def _short(result: FitResult) -> Mapping[str, str]:
 
 
 def short_run(result: FitResult, run: str) -> str:
-    """A run by what tells it from the others."""
+    """The part of a run's name that differs from the others."""
     return _short(result).get(run, run)
 
 
@@ -29,7 +29,7 @@ def short_label(result: FitResult, label: str) -> str:
 
 
 def run_lines(result: FitResult) -> list[str]:
-    """What the short names stand for; empty where they are the names themselves."""
+    """Lines that explain the short names; empty if they are the full names."""
     runs = [str(run) for run in result.data["runs"]]
     names = run_names(runs)
     if names.short == tuple(runs):

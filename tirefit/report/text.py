@@ -88,7 +88,9 @@ def column_texts(notes: Sequence[str]) -> tuple[str, list[str]]:
     """One line for all columns that were read, and the other assumptions."""
     found = [(note, _AS_NAMED.fullmatch(note)) for note in notes]
     columns = [
-        m[2] + f" [{m[4]}]" * bool(m[4]) + f" from {m[1]!r}" * (m[1] != m[2])
+        m[2]
+        + f" [{m[4]}]" * bool(m[4])
+        + f" from {m[1]!r}" * (m[1].partition(" [")[0] != m[2])
         for _, m in found
         if m
     ]
