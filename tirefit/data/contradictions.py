@@ -364,11 +364,11 @@ def _line(pairs, vehicle: Vehicle) -> str:
         ]
         if _has_delay(a) and a.delay_std < _LATE / 3:
             late.append(abs(a.delay))
-    said = "channels: too little motion, or too few of them, to compare any"
+    said = "channels: not compared, too little motion or too few channels"
     if gains:
-        said = f"channels compared: {', '.join(gains)} (1 where they agree"
+        said = f"channels compared: {', '.join(gains)} (1: they agree"
         steers = any(gain.startswith("steering") for gain in gains)
-        said += "; steering: more of a car that understeers)" if steers else ")"
+        said += "; steering: above 1 if the car understeers)" if steers else ")"
         said += f", delays up to {max(late):.2f} s" if max(late) >= 0.005 else ""
-    follows = "; a_y follows from the speeds: no measurement, it checks nothing"
+    follows = "; a_y is computed from the speeds and checks nothing"
     return said + (follows if vehicle.columns.a_y_follows else "")

@@ -26,8 +26,8 @@ from tirefit.results import InputProblem
 def zero_of_alpha(
     vehicle: Vehicle, axle: str, alpha: np.ndarray, fy: np.ndarray
 ) -> tuple[str, float | None]:
-    """What was done about the zero of the slip angle, and what is left by the result:
-    a sentence, and alpha at no side force [rad], None where that is not known.
+    """A sentence on the offset of the slip angle, and alpha at zero side force [rad],
+    None if it is not known.
 
     A symmetric axle has no side force at no slip angle, so alpha where fy = 0 is what
     the heading exceeds the yaw that was used; at the front the steering adds its own.
@@ -36,12 +36,16 @@ def zero_of_alpha(
     key = "yaw_offset" if pose else "sideslip_offset"
     given = getattr(vehicle, key)
     what, logged, turns = "sideslip", "sideslip", "raises"
-    assumed = "the speeds are along the car's axes; alpha is too large by as much as"
-    assumed += " their sensor is turned to the right"
+    assumed = (
+        "the speeds are taken as along the car's axes; a sensor that is rotated to"
+    )
+    assumed += " the right by an angle makes alpha too large by this angle"
     if pose:
         what, logged, turns = "heading", "yaw", "lowers"
-        assumed = "the logged yaw is the car's heading; alpha is too large by as much"
-        assumed += " as the heading exceeds it"
+        assumed = (
+            "the logged yaw is taken as the heading; if the heading is larger, alpha"
+        )
+        assumed += " is too large by the difference"
     said = f"{what} offset: none assumed, {assumed}"
     if given:
         said = f"{what} offset: {given:g} rad were added to the logged {logged}, as"
@@ -51,8 +55,8 @@ def zero_of_alpha(
         return said, None
     takes_out = given + left if pose else given - left
     return (
-        f"{said}; estimated from these data: alpha is {left:+.4f} rad where fy = 0,"
-        f" which for a symmetric tire {key} = {takes_out:.4f} takes out"
+        f"{said}; estimated from these data: alpha is {left:+.4f} rad where fy = 0;"
+        f" for a symmetric tire, {key} = {takes_out:.4f} corrects it"
     ), left
 
 
