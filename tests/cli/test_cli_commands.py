@@ -329,10 +329,11 @@ def test_derive_refuses_a_wrong_unit_and_its_remedy_works(run, tmp_path):
 def test_inspect_says_which_parameters_it_can_tell(run, tmp_path):
     run("simulate", "rig", "--out", "rig.csv", "--largest", "0.004")
     said = run("inspect", "rig.csv", "--model", "brush").stdout
-    assert "fx brush" in said and "not mu: would need slips" in said
+    assert "fx brush" in said and "not mu: needs slips" in said
     content = json.loads(run("inspect", "rig.csv", "--model", "brush", "--json").stdout)
     (gate,) = content["identifiability"]["gates"]
     told = {p["name"]: p["told"] for p in gate["parameters"]}
     assert told == {"cpa2": "well", "mu": "not"}
-    assert "what a fit could tell" not in run("inspect", "rig.csv", "--no-gate").stdout
+    plain = run("inspect", "rig.csv", "--no-gate").stdout
+    assert "expected standard errors" not in plain
     run("inspect", "rig.csv", "--model", "brusch", exit_code=2)

@@ -110,7 +110,7 @@ def test_inspect_names_file_lines_and_says_what_to_do(tmp_path):
     (said,) = report.far_rows
     assert said.startswith("row 19, column 'fx': 400000 N is far from all other rows")
     assert said.endswith("remedy: correct or delete the row")
-    assert "rows far from everything" in report.summary()
+    assert "outliers (a fit" in report.summary()
     assert json.loads(json.dumps(report.to_dict()))["far_rows"] == [said]
     assert "far from" not in inspect(read_frame(sweep())).summary()
 

@@ -119,7 +119,7 @@ class Inspection:
         lines += ["", "what was assumed"] if self.assumptions else []
         lines += [line for said in self.assumptions for line in _wrap(said)]
         if self.far_rows:
-            lines += ["", "rows far from everything (a fit judges them itself)"]
+            lines += ["", "outliers (a fit decides itself which of them to exclude)"]
             lines += [line for why in self.far_rows[:_FAR_ROWS] for line in _wrap(why)]
             more = len(self.far_rows) - _FAR_ROWS
             lines += [f"  and {more} more: --json lists them"] if more > 0 else []

@@ -68,7 +68,7 @@ class ParameterGate(NamedTuple):
     std: float  # standard deviation that a fit would have
     told: str  # "well", "roughly" or "not"
     is_size: bool  # positive by nature, so that its std is a share of it
-    beside: str = ""  # the parameter it trades places with
+    beside: str = ""  # the parameter it is most correlated with
     remedy: str = ""  # rows that would tell it
 
 
@@ -104,7 +104,7 @@ class Identifiability:
         """A few lines a model, at most 88 columns."""
         if not self.gates:
             return ""
-        lines = ["", "", "what a fit could tell (if the model is right)"]
+        lines = ["", "", "expected standard errors of a fit (if the model is right)"]
         for force, share in self.noise.items():
             rows = f"{self.rows} rows that count as {self.effective_rows[force]:.0f}"
             lines.append(f"  {force}: noise {100 * share:.2g} % of the load, {rows}")
@@ -114,7 +114,7 @@ class Identifiability:
                 lines.append(f"{start}{gate.reason}")
                 continue
             known = [_known_text(p) for p in gate.parameters if p.told != NOT]
-            lines.append(f"{start}{', '.join(known) or 'nothing'}")
+            lines.append(f"{start}{', '.join(known) or 'none'}")
             lines += [
                 f"{'':<{len(start)}}not {_unknown_text(p)}"
                 for p in gate.parameters
@@ -134,8 +134,8 @@ def _known_text(p: ParameterGate) -> str:
 def _unknown_text(p: ParameterGate) -> str:
     parts = [p.name]
     if p.beside:
-        parts.append(f"it trades places with {p.beside}")
-    parts.append(f"would need {p.remedy}" if p.remedy else "nor in a wider test")
+        parts.append(f"correlated with {p.beside}")
+    parts.append(f"needs {p.remedy}" if p.remedy else "not in a wider test either")
     return ": ".join([parts[0], "; ".join(parts[1:])])
 
 
