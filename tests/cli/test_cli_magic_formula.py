@@ -33,8 +33,11 @@ def sweeps(tmp_path_factory):
 
 
 def test_a_file_becomes_a_tir_and_a_prediction(run, sweeps):
-    said = run("fit", sweeps, "--model", "mf61", "--part", "fx", "--out", "out").stdout
+    command = ("fit", sweeps, "--model", "mf61", "--part", "fx", "--out", "out")
+    said = run(*command).stdout
     assert "VERDICT: converged" in said and "GUARDS" in said
+    assert "camber squared" not in said and len(said.splitlines()) <= 45
+    said = run(*command, "--full").stdout
     assert "camber squared" in said and "held" in said
     written = read_tir("out/fit.tir")
     assert written.version == "6.1" and written.numbers["FNOMIN"] == 5000.0
