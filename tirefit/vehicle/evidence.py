@@ -45,6 +45,9 @@ MOST = 3
 """Most effects of a set."""
 
 _TIRES = len(PARAMETERS)
+_STARTS = 3
+"""Steps to the best start states of a car as it is."""
+
 _MOST_OFF = 1.5
 """Largest logarithm of a factor on a tire."""
 
@@ -308,13 +311,22 @@ class Base:
         gram = np.swapaxes(each, 1, 2) @ each
         return Products(gram[:, :-1, :-1], gram[:, :-1, -1], gram[:, -1, -1])
 
-    def start_step(self, now):
-        """Change (w, s) of the start states to their best for the rest as it is."""
-        missed, _, by_start = now
-        weight = 1 / jnp.asarray(self.noise)
-        own = (by_start * weight[:, None]).reshape(len(missed), -1, by_start.shape[-1])
-        rest = (missed * weight).reshape(len(missed), -1)
-        return -jax.vmap(lambda a, b: jnp.linalg.lstsq(a, b)[0])(own, rest)
+    def at_best_starts(self, z):
+        """:meth:`linearised` of a car as it is, from its best start states."""
+        starts = np.asarray(self.cut.data.start)
+        for _ in range(_STARTS):
+            missed, _, by_start = self.linearised(z, starts, [0])
+            weight = 1 / self.noise
+            own = (by_start * weight[:, None]).reshape(len(missed), -1, starts.shape[1])
+            rest = (missed * weight).reshape(len(missed), -1)
+            best = jax.vmap(lambda a, b: jnp.linalg.lstsq(a, b)[0])(own, rest)
+            starts = starts - np.asarray(best)
+        return self.linearised(z, starts, [0])
+
+    def rms(self, z) -> np.ndarray:
+        """Rms of predicted less logged by channel, from the best start states."""
+        missed, *_ = self.at_best_starts(z)
+        return np.sqrt(np.mean(np.asarray(missed) ** 2, axis=(0, 1)))
 
     def judge_noise(self, fit: Fit) -> None:
         """Set the noise to what everything listed and unlisted together leaves of a

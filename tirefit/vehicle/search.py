@@ -221,7 +221,7 @@ def _predicted(search: _Search, weighed: Weighed) -> Predicted:
             loss[f, s] = fit.products.of(folds == f).square_after(step)
             amplitude[f] = (own + step)[len(PARAMETERS) :]
         sizes.append(amplitude)
-    given = base.products(_as_given(base)).square
+    given = base.products(base.at_best_starts(np.zeros(base.model.size))).square
     smooth = _smooth(search, weighed.best_of[ranked[0]], folds)
     return Predicted(
         on, len(set(base.cut.log)) >= LEAST_RUNS, tuple(keys),
@@ -239,15 +239,6 @@ def _folds(log: np.ndarray) -> tuple[np.ndarray, str]:
     count = min(_BLOCKS, len(log))
     part = np.arange(len(log)) * count // len(log)
     return part, f"{count} blocks of time left out in turn"
-
-
-def _as_given(base: Base):
-    """The car as it is, from its best start states."""
-    starts = base.cut.data.start
-    for _ in range(3):
-        now = base.linearised(np.zeros(base.model.size), starts, [0])
-        starts = starts + base.start_step(now)
-    return base.linearised(np.zeros(base.model.size), starts, [0])
 
 
 def _smooth(search: _Search, fit: Fit, folds: np.ndarray) -> np.ndarray:
