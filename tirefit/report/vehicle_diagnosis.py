@@ -60,12 +60,11 @@ def answer(result: VehicleDiagnosis) -> str:
 
 
 def _effects(result: VehicleDiagnosis) -> list[str]:
-    rows = [["effect", "size", "probability", "closes of the rest", "means"]]
+    rows = [["effect", "size", "probability", "closes of the rest"]]
     for effect, each in result.verdict.each.items():
         rows.append([
             effect, amount_text(*result.amplitudes[effect]),
             f"{each.probability:.2f}", share_text(each.closed_left_out),
-            result.effects[effect].means,
         ])  # fmt: skip
     return table(rows, (2, 3))
 
@@ -73,7 +72,8 @@ def _effects(result: VehicleDiagnosis) -> list[str]:
 def _remedies(result: VehicleDiagnosis) -> list[str]:
     lines = []
     for effect in result.verdict.each:
-        lines += indented(f"{effect}: {result.effects[effect].remedy}")
+        record = result.effects[effect]
+        lines += indented(f"{effect}: {record.means}; {record.remedy}")
     twins = {*result.verdict.also_possible} & {*result.effects}
     for effect in (e for e in result.verdict.each if twins):
         told = result.effects[effect].told_apart_by

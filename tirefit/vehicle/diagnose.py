@@ -40,7 +40,7 @@ SCHEMA = "tirefit.vehicle_diagnosis/1"
 WINDOW = 1.0
 """Length [s] of a window."""
 
-_MOST_SAMPLES = 6000
+_MOST_SAMPLES = 4000
 """Samples of all windows, evenly spread, that are looked at."""
 
 _LEAST_WINDOWS = 8
@@ -78,8 +78,7 @@ class VehicleDiagnosis(Record):
         ladder: how the rms over the noise shrinks on windows left out.
         amplitudes: of each named effect; which: words on its form.
         parameters: factor on each number of the tires in the fit of the named effects.
-        noise: channel -> noise of the log as the best explanation leaves it, larger
-            where it is correlated.
+        noise: channel -> noise of the log, as all effects together leave it.
         miss: on these logs; held_out: on those held out, None without.
         untestable: effect -> what the logs lack.
         effects: the records that were looked for, by id.
@@ -203,8 +202,9 @@ def diagnose_vehicle(
     return VehicleDiagnosis(
         tuple(found), len(windows.log), window, verdict,
         ladder_of(out, verdict.key, 1.0), _amplitudes(base, best), _words(base, best),
-        _parameters(best), _by_channel(base, base.noise), _miss(base, null, best),
-        held_out, {name: lacks for name, lacks in untestable.items() if lacks},
+        _parameters(best), _by_channel(base, base.noise / np.sqrt(base.inflation)),
+        _miss(base, null, best), held_out,
+        {name: lacks for name, lacks in untestable.items() if lacks},
         {effect.id: effect for effect in effects}, _notes(given, tires),
     )  # fmt: skip
 

@@ -37,6 +37,7 @@ from tirefit.fitting.result import SCHEMA as FIT_SCHEMA
 from tirefit.fitting.result import Estimate, layout_record
 from tirefit.fitting.solve import solve_problem
 from tirefit.fitting.source import GivenTire, axle_tire
+from tirefit.fitting.store import at_estimate
 from tirefit.models import MODELS, AbstractTire
 from tirefit.params import constrain, with_values
 from tirefit.precision import require_x64
@@ -245,7 +246,8 @@ def started(tire: GivenTire, rows: TireData) -> GivenTire:
     solved = solve_problem(build(rows, tire.name, FitConfig()), FitConfig())
     problem = solved.problem
     fit = problem.layout, solved.z, solved.covariance
-    return replace(tire, tire=problem.model, fit=fit)
+    made = at_estimate(problem.model, problem.layout, solved.z)
+    return replace(tire, tire=made, fit=fit)
 
 
 class _Problem:
