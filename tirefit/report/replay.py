@@ -1,6 +1,5 @@
 """A replay as text, as pictures and as a page."""
 
-
 import numpy as np
 
 from tirefit.report.canvas import (
