@@ -110,6 +110,8 @@ def test_a_record_prints_its_summary(made):
     record, _ = made
     assert isinstance(record, Record)
     assert str(record) == record.summary() and len(record.summary().splitlines()) > 2
+    assert repr(record).lstrip("<").startswith(type(record).__name__)
+    assert " object at 0x" not in repr(record)
 
 
 def test_the_numbers_are_json_and_finite(made):
