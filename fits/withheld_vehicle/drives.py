@@ -1,9 +1,11 @@
-"""Simulated drives of cars with one withheld effect, in plain NumPy: another program than
-the one that is judged, with other forms of the effects.
+"""Simulated drives of cars with one withheld effect, in plain NumPy: another program
+than the one that is judged, with other forms of the effects.
 
-Every trial is a car, a drive, sensors and one withheld effect (listed, unlisted or none), drawn
-from its number.
+Every trial is a car, a drive, sensors and one withheld effect (listed, unlisted or
+none), drawn from its number.
 """
+
+# ruff: noqa: B023  # ``slope`` is called in its own turn of the loop only
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -56,7 +58,7 @@ def trial(number: int, kind: str) -> Trial:
     loads = mass * G * l_r / wheelbase, mass * G * l_f / wheelbase
     # Slip at which the axles slide; the rear is the stiffer one.
     slides = rng.uniform(0.15, 0.3), rng.uniform(0.1, 0.16)
-    tires = [(1.5 * mu * f / s, mu) for f, s in zip(loads, slides)]
+    tires = [(1.5 * mu * f / s, mu) for f, s in zip(loads, slides, strict=True)]
     effect, size = "", 0.0
     if kind == "listed":
         effect = LISTED[int(rng.integers(len(LISTED)))]
@@ -104,15 +106,16 @@ def drive(one: Trial):
     scale = 1.0 if car["small"] else 0.6  # pace of the driver [Hz]
     slow = sum(
         a * np.sin(2 * np.pi * f * time + p)
-        for a, f, p in zip((1, 0.7), (0.05, 0.11), rng.uniform(0, 6.3, 2))
+        for a, f, p in zip((1, 0.7), (0.05, 0.11), rng.uniform(0, 6.3, 2), strict=True)
     )
     v_x = car["speed"] * (1 + 0.18 * slow / 1.7)
     a_x = np.gradient(v_x, STEP)
     a_x = a_x + 0.3 * car["mu"] * G * np.sin(2 * np.pi * 0.23 * scale * time)
     v_x = v_x[0] + np.cumsum(a_x) * STEP
+    waves = (1, 0.6, 0.35), (0.13, 0.41, 1.1), rng.uniform(0, 6.3, 3)
     wish = sum(
         a * np.sin(2 * np.pi * f * car["pace"] * scale * time + p)
-        for a, f, p in zip((1, 0.6, 0.35), (0.13, 0.41, 1.1), rng.uniform(0, 6.3, 3))
+        for a, f, p in zip(*waves, strict=True)
     )
     wish *= car["grip"] * car["mu"] * G / 1.6
     # Steering of a driver who knows the car without its effect, roughly.
