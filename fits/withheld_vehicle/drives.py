@@ -18,12 +18,13 @@ G = 9.81
 STEP = 0.002  # s, of the simulation
 LISTED = (
     "steering_ratio", "steering_offset", "steering_delay", "steering_lag",
+    "steering_play",
     "compliance_steer", "yaw_inertia", "centre_of_gravity", "lateral_load_transfer",
     "longitudinal_load_transfer", "aerodynamic_load", "friction_speed",
     "sliding_friction", "friction_drift", "relaxation_length", "drive_force",
     "yaw_resistance", "bank", "sideslip_zero", "yaw_rate_zero", "tracked_point",
 )  # fmt: skip
-UNLISTED = ("steering_play", "gusts", "friction_patches", "sway")
+UNLISTED = ("gusts", "friction_patches", "sway")
 
 
 @dataclass
@@ -84,7 +85,7 @@ def _size(effect: str, rng) -> float:
         "friction_drift": (0.15, 0.4), "relaxation_length": (0.15, 0.4),
         "drive_force": (1.0, 2.5), "yaw_resistance": (0.1, 0.3), "bank": (0.02, 0.06),
         "sideslip_zero": (0.01, 0.04), "yaw_rate_zero": (0.01, 0.05),
-        "tracked_point": (0.1, 0.4),
+        "tracked_point": (0.1, 0.4), "steering_play": (0.1, 0.3),
     }[effect]  # fmt: skip
     sign = 1.0
     if effect in (
@@ -131,7 +132,7 @@ def drive(one: Trial):
     if is_("steering_offset"):
         angle = angle + size
     if is_("steering_play"):
-        angle = _play(angle, 0.25 * np.std(angle))
+        angle = _play(angle, size * np.std(angle))
     gust = np.zeros(count)
     if is_("gusts"):
         noise = _lag(rng.standard_normal(count) / np.sqrt(STEP), 0.5)
