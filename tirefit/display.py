@@ -39,6 +39,9 @@ class Record(Displayed):
     def __str__(self) -> str:
         return self.summary()
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.summary().partition(chr(10))[0]}>"
+
     def summary(self, **how) -> str:
         """The report as text, as the command prints it."""
         return _made_by(self.text_by, self, **how)

@@ -31,7 +31,7 @@ def drive(seed: int, wheels: bool):
     random = np.random.default_rng([17, seed])
     car = Car(stiffness_f=random.uniform(9, 13), stiffness_r=random.uniform(12, 16))
     how = Drive(
-        duration=DURATION, rate=FINE, v=random.uniform(18, 26),
+        duration=DURATION, rate=FINE, speed=random.uniform(18, 26),
         bend=random.uniform(0.55, 0.7), bend_period=random.uniform(4, 6),
         friction=random.uniform(0.7, 1.0), seed=seed,
     )  # fmt: skip
@@ -58,11 +58,11 @@ def single_track(car: Car, how: Drive, truth, random) -> dict[str, np.ndarray]:
     fast = random.uniform(0.5, 1.0)  # Hz
 
     def v_x(t):
-        return how.v + 2 * np.sin(2 * np.pi * t / 15 + phases[0])
+        return how.speed + 2 * np.sin(2 * np.pi * t / 15 + phases[0])
 
     softer = 1 / car.stiffness_f - 1 / car.stiffness_r
     full = 1.2 * how.bend * how.friction * GRAVITY
-    full = full * (base / how.v**2 + softer / GRAVITY)
+    full = full * (base / how.speed**2 + softer / GRAVITY)
 
     def delta(t):
         slow = np.sin(2 * np.pi * t / how.bend_period + phases[1])
@@ -76,7 +76,7 @@ def single_track(car: Car, how: Drive, truth, random) -> dict[str, np.ndarray]:
         ):
             slip = np.arctan2(v_y + arm * turn, v_x(t)) - turned
             cpa2, mu = truth[f"{name}.cpa2"], truth[f"{name}.mu"]
-            size = brush(np.tan(abs(slip)), load, how.v, cpa2, mu)
+            size = brush(np.tan(abs(slip)), load, how.speed, cpa2, mu)
             found.append(-np.sign(slip) * float(size))
         front = found[0] * np.cos(delta(t))
         lateral = (front + found[1]) / car.mass

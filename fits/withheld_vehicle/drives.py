@@ -1,9 +1,11 @@
-"""Simulated drives of cars with one withheld effect, in plain NumPy: another program than
-the one that is judged, with other forms of the effects.
+"""Simulated drives of cars with one withheld effect, in plain NumPy: another program
+than the one that is judged, with other forms of the effects.
 
-Every trial is a car, a drive, sensors and one withheld effect (listed, unlisted or none), drawn
-from its number.
+Every trial is a car, a drive, sensors and one withheld effect (listed, unlisted or
+none), drawn from its number.
 """
+
+# ruff: noqa: B023  # ``slope`` is called in its own turn of the loop only
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,12 +18,13 @@ G = 9.81
 STEP = 0.002  # s, of the simulation
 LISTED = (
     "steering_ratio", "steering_offset", "steering_delay", "steering_lag",
+    "steering_play",
     "compliance_steer", "yaw_inertia", "centre_of_gravity", "lateral_load_transfer",
     "longitudinal_load_transfer", "aerodynamic_load", "friction_speed",
     "sliding_friction", "friction_drift", "relaxation_length", "drive_force",
     "yaw_resistance", "bank", "sideslip_zero", "yaw_rate_zero", "tracked_point",
 )  # fmt: skip
-UNLISTED = ("steering_play", "gusts", "friction_patches", "sway")
+UNLISTED = ("gusts", "friction_patches", "sway")
 
 
 @dataclass
@@ -56,7 +59,7 @@ def trial(number: int, kind: str) -> Trial:
     loads = mass * G * l_r / wheelbase, mass * G * l_f / wheelbase
     # Slip at which the axles slide; the rear is the stiffer one.
     slides = rng.uniform(0.15, 0.3), rng.uniform(0.1, 0.16)
-    tires = [(1.5 * mu * f / s, mu) for f, s in zip(loads, slides)]
+    tires = [(1.5 * mu * f / s, mu) for f, s in zip(loads, slides, strict=True)]
     effect, size = "", 0.0
     if kind == "listed":
         effect = LISTED[int(rng.integers(len(LISTED)))]
@@ -82,7 +85,7 @@ def _size(effect: str, rng) -> float:
         "friction_drift": (0.15, 0.4), "relaxation_length": (0.15, 0.4),
         "drive_force": (1.0, 2.5), "yaw_resistance": (0.1, 0.3), "bank": (0.02, 0.06),
         "sideslip_zero": (0.01, 0.04), "yaw_rate_zero": (0.01, 0.05),
-        "tracked_point": (0.1, 0.4),
+        "tracked_point": (0.1, 0.4), "steering_play": (0.1, 0.3),
     }[effect]  # fmt: skip
     sign = 1.0
     if effect in (
@@ -104,15 +107,16 @@ def drive(one: Trial):
     scale = 1.0 if car["small"] else 0.6  # pace of the driver [Hz]
     slow = sum(
         a * np.sin(2 * np.pi * f * time + p)
-        for a, f, p in zip((1, 0.7), (0.05, 0.11), rng.uniform(0, 6.3, 2))
+        for a, f, p in zip((1, 0.7), (0.05, 0.11), rng.uniform(0, 6.3, 2), strict=True)
     )
     v_x = car["speed"] * (1 + 0.18 * slow / 1.7)
     a_x = np.gradient(v_x, STEP)
     a_x = a_x + 0.3 * car["mu"] * G * np.sin(2 * np.pi * 0.23 * scale * time)
     v_x = v_x[0] + np.cumsum(a_x) * STEP
+    waves = (1, 0.6, 0.35), (0.13, 0.41, 1.1), rng.uniform(0, 6.3, 3)
     wish = sum(
         a * np.sin(2 * np.pi * f * car["pace"] * scale * time + p)
-        for a, f, p in zip((1, 0.6, 0.35), (0.13, 0.41, 1.1), rng.uniform(0, 6.3, 3))
+        for a, f, p in zip(*waves, strict=True)
     )
     wish *= car["grip"] * car["mu"] * G / 1.6
     # Steering of a driver who knows the car without its effect, roughly.
@@ -128,7 +132,7 @@ def drive(one: Trial):
     if is_("steering_offset"):
         angle = angle + size
     if is_("steering_play"):
-        angle = _play(angle, 0.25 * np.std(angle))
+        angle = _play(angle, size * np.std(angle))
     gust = np.zeros(count)
     if is_("gusts"):
         noise = _lag(rng.standard_normal(count) / np.sqrt(STEP), 0.5)

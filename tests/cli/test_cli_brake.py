@@ -90,7 +90,7 @@ def test_a_tire_of_a_tir_file_brakes(run, tmp_path):
         (("--road", "ice"), 2, "write it as mu=0.4"),
         (("--tire", "magic-formula", "--steer", "0.1"), 2, "no combined slip"),
         (("--tire", "brsh"), 2, "did you mean"),
-        (("--tire", __file__), 3, "give a fit.json"),
+        (("--tire", __file__), 2, "ends in .json (a fit) or .tir"),
         (("--tire", "none.tir"), 3, "none.tir"),
         (("--set", "mu=99"), 2, "outside its bounds"),
         (("--set", "mu=nan"), 2, "give a finite value in SI units"),

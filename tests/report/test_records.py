@@ -10,7 +10,11 @@ import pytest
 from matplotlib.figure import Figure
 
 import tirefit
+from tirefit.data.vehicle import Filter, Keep, Steering, Vehicle
 from tirefit.display import Record
+from tirefit.fitting.source import given_tire
+from tirefit.models import Brush
+from tirefit.vehicle.car import State, car_of, predicted
 
 RIG = {"largest": 0.15, "points": 120, "force_std": 0.01, "seed": 4}
 
@@ -41,6 +45,31 @@ def exported(folder):
     return tirefit.export("brush", "numpy", folder / "tire.py")
 
 
+CAR = Vehicle(
+    mass=5.1, l_f=0.17, l_r=0.16, yaw_inertia=0.12,
+    columns={k: k for k in ("time", "x", "y", "yaw", "steering")},
+    steering=Steering(command=[-1, 1], angle=[-1, 1]),
+    filter=Filter(cutoff=15, sample_rate=100), keep=Keep(v_min=1),
+)  # fmt: skip
+AXLES = Brush(cpa2=40.0, mu=0.9), Brush(cpa2=120.0, mu=0.75)
+
+
+def drive(folder):
+    """A car's log of 8 s with noise, as a file."""
+    step, generator = 0.01, np.random.default_rng(3)
+    time = np.arange(0.0, 8.0, step)
+    steering = 0.2 * np.sin(1.7 * time) + 0.1 * np.sin(6.1 * time)
+    given = np.full_like(time, 3.0), steering
+    path = predicted(car_of(CAR, *AXLES), State(0, 0, 0, 0, 0), *given, step, 2)
+    columns = {"time": time, "x": path.x, "y": path.y, "yaw": path.heading}
+    noisy = {k: v + 1e-3 * generator.standard_normal(800) for k, v in columns.items()}
+    rows = noisy | {"time": time, "steering": steering}
+    out = folder / "drive.csv"
+    values = np.stack(list(rows.values()), axis=1)
+    np.savetxt(out, values, "%.9g", ",", header=",".join(rows), comments="")
+    return [out]
+
+
 RECORDS = {
     "fit": (lambda _: tirefit.fit(rig(), "brush"), {"fit.json"}),
     "fit_many": (lambda _: many(), {"fits.csv"}),
@@ -59,6 +88,14 @@ RECORDS = {
         {"summary.json", "series.csv"},
     ),
     "export": (exported, {"tire.py"}),
+    "replay": (
+        lambda folder: tirefit.replay(drive(folder), CAR, *AXLES, horizons=(0.5,)),
+        {"replay.json"},
+    ),
+    "fit_trajectory": (
+        lambda folder: tirefit.fit_trajectory(drive(folder), CAR),
+        {"front.json", "rear.json", "vehicle.toml", "trajectory.json"},
+    ),
 }
 """Function -> a result of it, and the files that it saves."""
 
@@ -73,6 +110,8 @@ def test_a_record_prints_its_summary(made):
     record, _ = made
     assert isinstance(record, Record)
     assert str(record) == record.summary() and len(record.summary().splitlines()) > 2
+    assert repr(record).lstrip("<").startswith(type(record).__name__)
+    assert " object at 0x" not in repr(record)
 
 
 def test_the_numbers_are_json_and_finite(made):
@@ -108,8 +147,9 @@ def test_it_is_saved_as_files_and_as_a_page(made, tmp_path):
 
 def test_every_function_of_the_family_is_here():
     assert jax.config.read("jax_enable_x64")
-    family = set("fit fit_many diagnose prepare estimate simulate brake export".split())
-    assert set(RECORDS) == family <= set(tirefit.__all__)
+    family = "fit fit_many diagnose prepare estimate simulate brake export"
+    family += " replay fit_trajectory"
+    assert set(RECORDS) == set(family.split()) <= set(tirefit.__all__)
 
 
 @pytest.mark.parametrize(
@@ -155,8 +195,10 @@ def test_a_fitted_tire_brakes_as_its_model_with_its_values():
     one, other = tirefit.brake(fit, **how), tirefit.brake("brush", values=values, **how)
     distance = [float(x.stops["none"].summary.stopping_distance) for x in (one, other)]
     assert distance[0] == pytest.approx(distance[1], rel=1e-6)
-    with pytest.raises(tirefit.UsageError, match="use it with a model name"):
+    with pytest.raises(tirefit.UsageError, match="leave them out, or name a model"):
         tirefit.brake(fit, values={"mu": 1.0}, **how)
+    with pytest.raises(tirefit.UsageError, match="leave them out, or name a model"):
+        given_tire(given_tire(fit), values={"mu": 1.0})
 
 
 EXAMPLES = [n for n in tirefit.__all__ if ">>> " in (getattr(tirefit, n).__doc__ or "")]

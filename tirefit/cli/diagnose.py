@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.core import TyperCommand
 
+from tirefit.cli.diagnose_vehicle import diagnose_car
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, attempted, fleet
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import merged_notes, warn
@@ -137,6 +138,27 @@ def diagnose(
             autocompletion=completed(*EFFECT_NAMES),
         ),
     ] = None,
+    vehicle: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="VEHICLE.TOML",
+            help="FILE are logs of this car: which effects of car and tires it lacks",
+        ),
+    ] = None,
+    front: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FIT.json|FILE.tir|MODEL",
+            help="--vehicle: tire of the front axle (brush)",
+        ),
+    ] = None,
+    rear: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FIT.json|FILE.tir|MODEL",
+            help="--vehicle: tire of the rear axle (brush)",
+        ),
+    ] = None,
     figures: Annotated[
         bool, typer.Option("--figures", help="write NAME.png and NAME.html")
     ] = False,
@@ -155,6 +177,20 @@ def diagnose(
     """Find the effects that explain the gap between a model or simulator and data."""
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files)
+        if vehicle is not None:
+            unused = {
+                "--model": model, "--set": parameter, "--sim": sim, "--rig": rig,
+                "--force": force, "--jobs": jobs, "--scheduler": scheduler,
+                "--resume": resume, "--side": side, "--signs": signs,
+                "--combination": combination,
+            }  # fmt: skip
+            return diagnose_car(
+                files, vehicle, front, rear, out, unused, holdout=holdout or (),
+                without=without or (), figures=figures,
+            )  # fmt: skip
+        if front or rear:
+            reason = "--front or --rear without --vehicle"
+            raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))
         names = [Path(file.name.removesuffix(".gz")).stem for file in files]
         check_distinct(names, "rename one: their results would overwrite each other")
         check_directories([out])

@@ -76,7 +76,7 @@ def given_tire(
             ``.tir`` file, or a fit with values by run.
         DataError: a file that is no fit or no ``.tir`` file.
     """
-    if isinstance(source, GivenTire):
+    if isinstance(source, GivenTire) and not (values or signs):
         return source
     text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
     values = dict(values or {})

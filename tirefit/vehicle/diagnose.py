@@ -7,19 +7,22 @@ decision are those of a diagnosis of forces.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import numpy as np
 
+from tirefit import __version__
 from tirefit.data.motion import Motion
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.diagnosis.decide.verdict import Verdict, decide
 from tirefit.diagnosis.effects import Effect, atoms_of
 from tirefit.diagnosis.effects.state import peak_ratio, slope_at_rest
 from tirefit.diagnosis.left_out import Ladder, ladder_of
+from tirefit.display import Record
+from tirefit.files import json_safe
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.models import TireInputs
 from tirefit.precision import require_x64
@@ -29,12 +32,15 @@ from tirefit.vehicle.effects import CAR_EFFECTS, Samples
 from tirefit.vehicle.evidence import PARAMETERS, SHAPES, Base, Cut, Fit, Model
 from tirefit.vehicle.search import findings, searched
 from tirefit.vehicle.shooting import CHANNELS, windows_of
+from tirefit.vehicle.trajectory import derived_rows, started
 from tirefit.vehicle.windows import cut_logs, known_vehicle, steering_problems
+
+SCHEMA = "tirefit.vehicle_diagnosis/1"
 
 WINDOW = 1.0
 """Length [s] of a window."""
 
-_MOST_SAMPLES = 6000
+_MOST_SAMPLES = 4000
 """Samples of all windows, evenly spread, that are looked at."""
 
 _LEAST_WINDOWS = 8
@@ -53,53 +59,111 @@ class Amplitude(NamedTuple):
     unit: str
 
 
-@dataclass(frozen=True)
-class VehicleDiagnosis:
+class Miss(NamedTuple):
+    """Rms of predicted less logged over windows of some logs, each from its best start
+    state, by channel: of the car as given, with its tires fitted, with the effects."""
+
+    as_given: Mapping[str, float]
+    fitted: Mapping[str, float]
+    with_effects: Mapping[str, float]
+
+
+@dataclass(frozen=True, repr=False)
+class VehicleDiagnosis(Record):
     """What :func:`diagnose_vehicle` found.
 
     Attributes:
-        logs: names of the logs; windows: number of windows of ``WINDOW`` seconds.
+        logs: names of the logs; windows: number of windows of ``window`` seconds.
         verdict: which effects are there, and what is left.
         ladder: how the rms over the noise shrinks on windows left out.
         amplitudes: of each named effect; which: words on its form.
         parameters: factor on each number of the tires in the fit of the named effects.
-        noise: channel -> noise of the log as the best explanation leaves it, larger
-            where it is correlated.
+        noise: channel -> noise of the log, as all effects together leave it.
+        miss: on these logs; held_out: on those held out, None without.
         untestable: effect -> what the logs lack.
         effects: the records that were looked for, by id.
+        notes: what was assumed.
     """
+
+    text_by: ClassVar[str] = "tirefit.report.vehicle_diagnosis:vehicle_diagnosis_text"
+    plot_by: ClassVar[str] = "tirefit.report.vehicle_diagnosis:vehicle_diagnosis_figure"
 
     logs: tuple[str, ...]
     windows: int
+    window: float
     verdict: Verdict
     ladder: Ladder
     amplitudes: Mapping[str, Amplitude]
     which: Mapping[str, str]
     parameters: Mapping[str, Amplitude]
     noise: Mapping[str, float]
+    miss: Miss
+    held_out: Miss | None
     untestable: Mapping[str, tuple[str, ...]]
     effects: Mapping[str, Effect]
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """All numbers, as ``vehicle_diagnosis.json`` has them."""
+        verdict = self.verdict
+        return json_safe({
+            "schema": SCHEMA, "version": __version__, "logs": self.logs,
+            "windows": self.windows, "window": self.window,
+            "verdict": {
+                "status": verdict.status.value, "effects": verdict.effects,
+                "probability": verdict.probability,
+                "each": {k: v._asdict() for k, v in verdict.each.items()},
+                "also_possible": verdict.also_possible, "unlisted": verdict.unlisted,
+            },
+            "amplitudes": {k: v._asdict() for k, v in self.amplitudes.items()},
+            "forms": dict(self.which),
+            "parameters": {k: v._asdict() for k, v in self.parameters.items()},
+            "noise": dict(self.noise),
+            "ladder": {
+                "left_out": self.ladder.on,
+                "steps": [step._asdict() for step in self.ladder.steps],
+            },
+            "miss": self.miss._asdict(),
+            "held_out": self.held_out._asdict() if self.held_out else None,
+            "untestable": dict(self.untestable), "notes": self.notes,
+        })  # fmt: skip
+
+    def files(self, name: str = "") -> dict[str, str]:
+        """``vehicle_diagnosis.json``."""
+        return {"vehicle_diagnosis.json": self.to_json()}
 
 
 def diagnose_vehicle(
     logs: Sequence[str | Path],
     vehicle: Vehicle | str | Path,
-    front: Any,
-    rear: Any,
+    front: Any = "brush",
+    rear: Any = "brush",
     *,
     effects: Sequence[Effect] = CAR_EFFECTS,
     without: Sequence[str] = (),
+    holdout: Sequence[str | Path] = (),
     window: float = WINDOW,
 ) -> VehicleDiagnosis:
     """Which effects a car on these tires lacks, by what it misses of measured logs.
 
+    The car is predicted over windows of the logs, with speed and steering as measured.
+    Sets of effects are fitted to what it misses, beside factors on the stiffness and
+    the friction of both axles' tires, and weighed as by :func:`tirefit.diagnose`.
+
     Args:
         logs: vehicle logs, as for :func:`tirefit.derive_files`.
         vehicle: a vehicle or its ``vehicle.toml``, with a steering map.
-        front, rear: tire of each axle, as for :func:`tirefit.replay`.
+        front: tire of the axle, as for :func:`tirefit.replay`; a model by its name is
+            first fitted to the forces that ``derive`` gives.
+        rear: likewise.
         effects: to look for.
         without: ids of effects that are not looked for.
+        holdout: logs that only check the answer.
         window: length [s] of the stretches that are predicted.
+
+    Returns:
+        ``verdict`` as in :class:`tirefit.Diagnosis`; ``amplitudes``; ``miss``: how far
+        the car is off as given, with fitted tires, and with the effects.
 
     Raises:
         UsageError: a vehicle without a steering map, an id that is none.
@@ -108,25 +172,61 @@ def diagnose_vehicle(
     require_x64("a diagnosis")
     vehicle = known_vehicle(vehicle)
     _check(vehicle, effects, without)
-    tires = axle_tire(front), axle_tire(rear)
-    found = cut_logs(
-        logs, vehicle, lambda track, motion: windows_of(track, motion, vehicle, window),
-        f"{window:g} s long", "a shorter window",
-    )  # fmt: skip
-    cut, has = _joined(found, vehicle, tires)
+    given = axle_tire(front), axle_tire(rear)
+
+    def cut(some):
+        return cut_logs(
+            some, vehicle,
+            lambda track, motion: windows_of(track, motion, vehicle, window),
+            f"{window:g} s long", "a shorter window",
+        )  # fmt: skip
+
+    found, others = cut(logs), cut(holdout) if holdout else None
+    tires = [
+        started(tire, derived_rows(found, vehicle, axle))
+        for axle, tire in zip(("front", "rear"), given, strict=True)
+    ]
+    windows, has = _joined(found, vehicle, tires)
     library = [e for e in effects if e.id not in without]
     untestable = {e.id: tuple(n for n in e.needs if n not in has) for e in library}
-    base = _base(cut, vehicle, tires, library, untestable)
+    base = _base(windows, vehicle, tires, library, untestable)
     weighed, out, tests = searched(base)
     verdict = decide(findings(weighed, out, tests))
-    best = weighed.best_of[verdict.key]
+    null, best = weighed.best_of[()], weighed.best_of[verdict.key]
+    held_out = None
+    if others is not None:
+        other = _base(_joined(others, vehicle, tires)[0], vehicle, tires, library, {})
+        other.noise = base.noise
+        other.follow(replace(null, starts=other.cut.data.start))
+        held_out = _miss(other, null, best)
     return VehicleDiagnosis(
-        tuple(found), len(cut.log), verdict, ladder_of(out, verdict.key, 1.0),
-        _amplitudes(base, best), _words(base, best), _parameters(best),
-        dict(zip(CHANNELS[base.model.channels], base.noise.tolist(), strict=True)),
+        tuple(found), len(windows.log), window, verdict,
+        ladder_of(out, verdict.key, 1.0), _amplitudes(base, best), _words(base, best),
+        _parameters(best), _by_channel(base, base.noise / np.sqrt(base.inflation)),
+        _miss(base, null, best), held_out,
         {name: lacks for name, lacks in untestable.items() if lacks},
-        {effect.id: effect for effect in effects},
+        {effect.id: effect for effect in effects}, _notes(given, tires),
     )  # fmt: skip
+
+
+def _by_channel(base: Base, values) -> dict[str, float]:
+    names = CHANNELS[base.model.channels]
+    return dict(zip(names, map(float, values), strict=True))
+
+
+def _miss(base: Base, null: Fit, best: Fit) -> Miss:
+    each = np.zeros(base.model.size), null.z, best.z
+    return Miss(*(_by_channel(base, base.rms(z)) for z in each))
+
+
+def _notes(given, tires) -> tuple[str, ...]:
+    notes = ["speed and steering are those of the log; axle loads are static"]
+    notes += [
+        f"the {axle} tire, {tire.name}, begins as fitted to the forces of derive"
+        for axle, tire, of in zip(("front", "rear"), tires, given, strict=True)
+        if tire is not of
+    ]
+    return tuple(notes)
 
 
 def _check(vehicle: Vehicle, effects, without) -> None:
@@ -193,7 +293,7 @@ def _base(cut: Cut, vehicle: Vehicle, tires, library, untestable) -> Base:
     atoms = atoms_of(library)
     scales = tuple(a.effect.scale for a in atoms)
     model = Model(atoms, scales, cut.data.logged.shape[-1])
-    testable = [k for k, a in enumerate(atoms) if not untestable[a.effect.id]]
+    testable = [k for k, a in enumerate(atoms) if not untestable.get(a.effect.id)]
     car = car_of(vehicle, tires[0].tire, tires[1].tire)
     return Base(model, car, cut, 1 / vehicle.filter.sample_rate, testable)
 

@@ -39,12 +39,19 @@ PARAMETERS = tuple(
     f"{axle}.{name}"
     for axle, name in product(("front", "rear"), ("stiffness", "friction"))
 )
-"""What is fitted whatever the effects: factors on the tires, by their logarithms."""
+"""What is fitted whatever the effects: factors on the tires, by their logarithms, each
+with a prior of one."""
 
 MOST = 3
 """Most effects of a set."""
 
 _TIRES = len(PARAMETERS)
+_TOLERANCE = 1e-5
+"""Share of the cost that one more step of a refit may gain."""
+
+_STARTS = 3
+"""Steps to the best start states of a car as it is."""
+
 _MOST_OFF = 1.5
 """Largest logarithm of a factor on a tire."""
 
@@ -228,7 +235,7 @@ class Fit:
     @property
     def pull(self) -> np.ndarray:
         """Precisions of the priors of its coefficients."""
-        return np.array([FLAT] * _TIRES + [1.0] * len(self.atoms))
+        return np.ones(_TIRES + len(self.atoms))
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -244,8 +251,9 @@ def _filled(windows):
 
 
 class Base:
-    """A model on windows, with the noise of the channels. ``testable`` are the numbers
-    of the atoms that the logs can show."""
+    """A model on windows, with the noise of the channels: larger by the square root of
+    ``inflation`` than what is left, as its samples are correlated. ``testable`` are the
+    numbers of the atoms that the logs can show."""
 
     def __init__(self, model: Model, car: Car, cut: Cut, step: float, testable):
         self.model, self.cut, self.testable = model, cut, tuple(testable)
@@ -253,7 +261,7 @@ class Base:
         self.grid = jnp.asarray(step), steps_a_sample(car, slowest, 1 / step)
         # As arrays: another car compiles nothing anew.
         self.car = jax.tree.map(lambda x: jnp.asarray(x, float), car)
-        self.noise, self.scatter = np.ones(model.channels), 1.0
+        self.noise, self.scatter, self.inflation = np.ones(model.channels), 1.0, 1.0
         bounds = np.array([
             np.array(a.effect.bounds[0]) / s
             for a, s in zip(model.atoms, model.scales, strict=True)
@@ -308,13 +316,22 @@ class Base:
         gram = np.swapaxes(each, 1, 2) @ each
         return Products(gram[:, :-1, :-1], gram[:, :-1, -1], gram[:, -1, -1])
 
-    def start_step(self, now):
-        """Change (w, s) of the start states to their best for the rest as it is."""
-        missed, _, by_start = now
-        weight = 1 / jnp.asarray(self.noise)
-        own = (by_start * weight[:, None]).reshape(len(missed), -1, by_start.shape[-1])
-        rest = (missed * weight).reshape(len(missed), -1)
-        return -jax.vmap(lambda a, b: jnp.linalg.lstsq(a, b)[0])(own, rest)
+    def at_best_starts(self, z):
+        """:meth:`linearised` of a car as it is, from its best start states."""
+        starts = np.asarray(self.cut.data.start)
+        for _ in range(_STARTS):
+            missed, _, by_start = self.linearised(z, starts, [0])
+            weight = 1 / self.noise
+            own = (by_start * weight[:, None]).reshape(len(missed), -1, starts.shape[1])
+            rest = (missed * weight).reshape(len(missed), -1)
+            best = jax.vmap(lambda a, b: jnp.linalg.lstsq(a, b)[0])(own, rest)
+            starts = starts - np.asarray(best)
+        return self.linearised(z, starts, [0])
+
+    def rms(self, z) -> np.ndarray:
+        """Rms of predicted less logged by channel, from the best start states."""
+        missed, *_ = self.at_best_starts(z)
+        return np.sqrt(np.mean(np.asarray(missed) ** 2, axis=(0, 1)))
 
     def judge_noise(self, fit: Fit) -> None:
         """Set the noise to what everything listed and unlisted together leaves of a
@@ -326,7 +343,6 @@ class Base:
         own = np.swapaxes(columns, 1, 2) @ columns
         gram = own.sum(axis=0)
         pull = np.ones(self.model.size)
-        pull[:_TIRES] = FLAT
         pull[free:] = np.maximum(np.diag(gram)[free:], FLAT) / SCALES[1] ** 2
         inverse = np.linalg.inv(gram + np.diag(pull))
         score = np.einsum("wmp,wm->p", columns, residual)
@@ -340,7 +356,8 @@ class Base:
         there = white.sum(axis=0) > UNSEEN * np.diag(gram)[:free]
         scatter = np.median(sums.sum(axis=0)[there] / white.sum(axis=0)[there])
         self.scatter = float(scatter / level.mean())
-        self.noise = self.noise * np.sqrt(level * max(self.scatter, 1.0))
+        self.inflation = max(self.scatter, 1.0)
+        self.noise = self.noise * np.sqrt(level * self.inflation)
 
     @property
     def p_white(self) -> float:
@@ -360,14 +377,14 @@ class Base:
             at[places] = np.asarray(own)[:size]
             return self.linearised(at, starts, places)
 
-        pull = np.array([FLAT] * _TIRES + [1.0] * MOST)
+        pull = np.ones(_TIRES + MOST)
         sides = [
             np.concatenate([[side] * _TIRES, own[list(atoms)], [0.0] * fill])
             for side, own in ((-_MOST_OFF, self.low), (_MOST_OFF, self.high))
         ]
         own, starts, now, _ = minimised(
             run, jnp.asarray(begin), starts, run(begin, starts, None), None,
-            jnp.asarray(self.noise), pull, sides,
+            jnp.asarray(self.noise), pull, sides, _TOLERANCE,
         )  # fmt: skip
         found = origin.copy()
         found[places] = np.asarray(own)[:size]
@@ -377,8 +394,8 @@ class Base:
         return replace(fit, log_evidence=self._log_evidence(fit))
 
     def _log_evidence(self, fit: Fit) -> float:
-        off = fit.amplitude
-        square = fit.products.square.sum() + off @ off
+        own, off = fit.z[fit.own], fit.amplitude
+        square = fit.products.square.sum() + own @ own
         curvature = np.linalg.slogdet(np.linalg.inv(fit.covariance))[1]
         error = np.sqrt(np.diag(fit.covariance)[_TIRES:])
         # Half of the prior is gone where one sign alone is physical.

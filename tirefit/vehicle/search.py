@@ -22,7 +22,7 @@ from tirefit.vehicle.evidence import (
     Fit,
 )
 
-_SINGLES, _WIDE, _DEEP = 8, 4, 3
+_SINGLES, _WIDE, _DEEP = 8, 3, 2
 """Single effects that are refitted first; further effects that are tried beside each of
 the most probable sets of a size, and how many of these sets."""
 
@@ -32,7 +32,7 @@ _WEAK = 3.0
 _LOST = 10.0
 """Log evidence that no further effect can cost where its fit has found the minimum."""
 
-_FAR = 0.3
+_FAR = 0.7
 """Logarithm of a factor on the tires from which a fit with one effect more is tried
 from the tires as given, too."""
 
@@ -45,7 +45,7 @@ _LEADING = 6
 _ROUNDS = 2
 """Times that the noise is judged anew beside the car without effects."""
 
-_OTHER_NOISE = 0.1
+_OTHER_NOISE = 0.25
 """Change of the logarithm of the noise from which the search is made once more."""
 
 
@@ -147,21 +147,23 @@ def searched(base: Base) -> tuple[Weighed, Predicted, Tests]:
     The noise is what everything leaves beside the best set: the search is made once
     more where that is another than what is left beside none.
     """
-    fit = base.fitted((), np.zeros(base.model.size), base.cut.data.start)
+    given = np.zeros(base.model.size)
+    base.noise = base.rms(given)
+    fit = base.fitted((), given, base.cut.data.start)
     for _ in range(_ROUNDS):
         base.follow(fit)
         base.judge_noise(fit)
         fit = base.fitted((), fit.z, fit.starts)
     search = _Search(base, fit)
     search.climb()
-    before = base.noise
+    before = base.noise, base.inflation
     best = max(search.fits.values(), key=search.weight)
     base.judge_noise(best)
-    if np.any(np.abs(np.log(base.noise / before)) > _OTHER_NOISE):
+    if np.any(np.abs(np.log(base.noise / before[0])) > _OTHER_NOISE):
         search = _Search(base, base.fitted((), fit.z, fit.starts))
         search.climb()
     else:
-        base.noise = before
+        base.noise, base.inflation = before
     for best in sorted(search.fits.values(), key=search.weight)[-2:]:
         search.parts(best)
     weighed = _weighed(search)
@@ -210,8 +212,8 @@ def _predicted(search: _Search, weighed: Weighed) -> Predicted:
     fits = [weighed.best_of[key] for key in keys]
     number = int(folds.max()) + 1
     rows = np.array([np.sum(folds == f) for f in range(number)])
-    each = base.cut.data.logged[0].size - base.cut.data.start.shape[1]
-    rows = rows * each
+    rows = rows * (base.cut.data.logged[0].size - base.cut.data.start.shape[1])
+    each = base.inflation / rows  # to the mean over what the noise leaves
     loss, sizes = np.empty((number, len(keys))), []
     for s, fit in enumerate(fits):
         own = fit.z[fit.own]
@@ -221,12 +223,12 @@ def _predicted(search: _Search, weighed: Weighed) -> Predicted:
             loss[f, s] = fit.products.of(folds == f).square_after(step)
             amplitude[f] = (own + step)[len(PARAMETERS) :]
         sizes.append(amplitude)
-    given = base.products(_as_given(base)).square
+    given = base.products(base.at_best_starts(np.zeros(base.model.size))).square
     smooth = _smooth(search, weighed.best_of[ranked[0]], folds)
     return Predicted(
         on, len(set(base.cut.log)) >= LEAST_RUNS, tuple(keys),
-        loss / rows[:, None], loss, rows, tuple(sizes), smooth / rows,
-        as_given=np.array([given[folds == f].sum() for f in range(number)]) / rows,
+        loss * each[:, None], loss, rows, tuple(sizes), smooth * each,
+        as_given=np.array([given[folds == f].sum() for f in range(number)]) * each,
     )  # fmt: skip
 
 
@@ -239,15 +241,6 @@ def _folds(log: np.ndarray) -> tuple[np.ndarray, str]:
     count = min(_BLOCKS, len(log))
     part = np.arange(len(log)) * count // len(log)
     return part, f"{count} blocks of time left out in turn"
-
-
-def _as_given(base: Base):
-    """The car as it is, from its best start states."""
-    starts = base.cut.data.start
-    for _ in range(3):
-        now = base.linearised(np.zeros(base.model.size), starts, [0])
-        starts = starts + base.start_step(now)
-    return base.linearised(np.zeros(base.model.size), starts, [0])
 
 
 def _smooth(search: _Search, fit: Fit, folds: np.ndarray) -> np.ndarray:
@@ -286,7 +279,7 @@ def findings(weighed: Weighed, out: Predicted, tests: Tests) -> Findings:
     parts = [part for part in parts_of(key) if part in weighed.log_weight]
     ordered = sorted(parts, key=lambda k: (-len(k), -weighed.log_weight[k]))
     best = out.effects.index(weighed.best)
-    gains = out.whitened[:, best] - out.smooth * out.rows
+    gains = (out.loss[:, best] - out.smooth) * out.rows
     error = np.sqrt(len(gains)) * np.std(gains, ddof=1)
     predicts = float(stdtr(len(gains) - 1, gains.sum() / max(error, NONZERO)))
     return Findings(

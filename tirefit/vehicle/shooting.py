@@ -119,9 +119,12 @@ def eliminated(missed, by_z, by_start, noise, damping=0.0):
 eliminate = jax.jit(eliminated)
 
 
-def minimised(run, z, starts, now, data, noise, pull, bounds=(-np.inf, np.inf)):
+def minimised(
+    run, z, starts, now, data, noise, pull, bounds=(-np.inf, np.inf), tolerance=1e-6
+):
     """Levenberg and Marquardt on z within its bounds and on all start states; ``now``
-    is what ``run`` gives there. Returns them at the end, and whether it converged."""
+    is what ``run`` gives there. Returns them at the end, and whether it converged: a
+    step changed the cost by less than ``tolerance`` of it."""
 
     def cost_of(missed, z):
         return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
@@ -146,12 +149,14 @@ def minimised(run, z, starts, now, data, noise, pull, bounds=(-np.inf, np.inf)):
             new_cost = cost_of(trial[0], new_z)
             if np.isfinite(new_cost) and new_cost < cost:
                 break
+            if abs(new_cost - cost) < tolerance * cost:
+                return z, starts, now, True
             damping *= 10
         else:
             return z, starts, now, True
         gained, damping = cost - new_cost, max(damping / 10, 1e-9)
         z, starts, now, cost = new_z, new_starts, trial, new_cost
-        if gained < 1e-6 * cost:
+        if gained < tolerance * cost:
             converged = True
             break
     return z, starts, now, converged

@@ -37,6 +37,7 @@ from tirefit.fitting.result import SCHEMA as FIT_SCHEMA
 from tirefit.fitting.result import Estimate, layout_record
 from tirefit.fitting.solve import solve_problem
 from tirefit.fitting.source import GivenTire, axle_tire
+from tirefit.fitting.store import at_estimate
 from tirefit.models import MODELS, AbstractTire
 from tirefit.params import constrain, with_values
 from tirefit.precision import require_x64
@@ -197,8 +198,8 @@ def fit_trajectory(
     )  # fmt: skip
     parts = [log.windows[0] for log in found.values()]
     data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
-    rows = {axle: _rows(found, vehicle, axle) for axle in given}
-    tires = [_started(tire, rows[axle]) for axle, tire in given.items()]
+    rows = {axle: derived_rows(found, vehicle, axle) for axle in given}
+    tires = [started(tire, rows[axle]) for axle, tire in given.items()]
     problem = _Problem(vehicle, tires, tuple(unknowns), rate, data)
     return replace(problem.solved(intervals, seed, rows), rows=rows)
 
@@ -219,7 +220,7 @@ def _check(vehicle: Vehicle, unknowns, given, intervals: str) -> None:
     UsageError.raise_for(problems)
 
 
-def _rows(found, vehicle: Vehicle, axle: str) -> TireData:
+def derived_rows(found, vehicle: Vehicle, axle: str) -> TireData:
     """Slip angle and force of an axle by the equations of ``derive``, of all logs."""
     columns: dict[str, list] = {"alpha": [], "fy": [], "v": [], "run": []}
     for motion, _, (name, *_) in found.values():
@@ -238,14 +239,15 @@ def _rows(found, vehicle: Vehicle, axle: str) -> TireData:
     )
 
 
-def _started(tire: GivenTire, rows: TireData) -> GivenTire:
-    """The tire of a fit; of a model as fitted to these rows."""
-    if tire.fit is not None:
+def started(tire: GivenTire, rows: TireData) -> GivenTire:
+    """The tire of a fit; of a model by name as fitted to these rows."""
+    if tire.fit is not None or tire.name not in MODELS:
         return tire
     solved = solve_problem(build(rows, tire.name, FitConfig()), FitConfig())
     problem = solved.problem
     fit = problem.layout, solved.z, solved.covariance
-    return replace(tire, tire=problem.model, fit=fit)
+    made = at_estimate(problem.model, problem.layout, solved.z)
+    return replace(tire, tire=made, fit=fit)
 
 
 class _Problem:

@@ -1,0 +1,52 @@
+"""``tirefit diagnose --vehicle``: which effects a car's model lacks."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from tirefit.cli.options import say, start_jax
+from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.results import InputProblem, UsageError
+
+FILES = ("vehicle_diagnosis.json", "vehicle_diagnosis.png", "vehicle_diagnosis.html")
+
+
+def diagnose_car(
+    logs: list[Path],
+    vehicle: Path,
+    front: str | None,
+    rear: str | None,
+    out: Path,
+    unused: dict,
+    *,
+    holdout: Sequence[Path],
+    without: Sequence[str],
+    figures: bool,
+) -> None:
+    """Diagnoses, prints and writes.
+
+    Args:
+        unused: option that does not go with ``--vehicle`` -> its value.
+    """
+    wrong = [option for option, given in unused.items() if given]
+    if wrong:
+        reason = f"{', '.join(wrong)} with --vehicle"
+        remedy = "leave it out: the tires are --front and --rear"
+        raise UsageError(InputProblem(reason, remedy))
+    check_directories([out])
+    start_jax()
+    from tirefit.report.canvas import save_picture
+    from tirefit.vehicle.diagnose import diagnose_vehicle
+
+    with claimed(out):
+        result = diagnose_vehicle(
+            logs, vehicle, front or "brush", rear or "brush", holdout=holdout,
+            without=without,
+        )  # fmt: skip
+        with staged(out, FILES, result) as folder:
+            result.save(folder)
+            if figures:
+                save_picture(result.plot(), folder / FILES[1])
+                result.save(folder / FILES[2])
+    say(str(result))
+    written = FILES if figures else FILES[:1]
+    say("wrote " + ", ".join(str(out / name) for name in written))

@@ -1,0 +1,159 @@
+"""A diagnosis of a car as text and as a picture."""
+
+import numpy as np
+
+from tirefit.diagnosis.decide.verdict import Status
+from tirefit.report.canvas import BLUE, GREY, ORANGE, Picture, panel_title, tidy
+from tirefit.report.diagnosis_words import (
+    amount_text,
+    listing,
+    name_with_id,
+    set_name,
+    share_text,
+)
+from tirefit.report.numbers import format_number
+from tirefit.report.text import indented, table
+from tirefit.vehicle.diagnose import Miss, VehicleDiagnosis
+
+_UNITS = {"v_y": "m/s", "yaw_rate": "rad/s", "heading": "rad", "x": "m", "y": "m"}
+_CHANNELS = {
+    "v_y": "lateral speed", "yaw_rate": "yaw rate", "heading": "heading", "x": "x",
+    "y": "y",
+}  # fmt: skip
+_STATES = ("as given", "tires fitted", "with the effects")
+
+
+def _effect_text(result: VehicleDiagnosis, effect: str) -> str:
+    amplitude, form = result.amplitudes[effect], result.which.get(effect)
+    amount = amount_text(*amplitude)
+    return f"{name_with_id(effect)}, {amount}" + (f" {form}" if form else "")
+
+
+def answer(result: VehicleDiagnosis) -> str:
+    """Which effects the car lacks, and how far its error falls with them."""
+    verdict = result.verdict
+    if verdict.status == Status.NONE:
+        return (
+            "With fitted tires the car leaves nothing beyond the noise of these logs:"
+            " no effect is missing that they could show."
+        )
+    if not verdict.status.names:
+        return (
+            "The car misses something that no listed effect explains well enough to be"
+            " named."
+        )
+    names = [_effect_text(result, effect) for effect in verdict.effects]
+    channel = next(c for c in ("yaw_rate", "heading") if c in result.noise)
+    before, after = (
+        f"{format_number(part[channel], 2)}"
+        for part in (result.miss.fitted, result.miss.with_effects)
+    )
+    told = f"The car lacks {listing(names)}. "
+    told += f"Over {result.window:g} s its {_CHANNELS[channel]} is off by {after}"
+    told += f" {_UNITS[channel]} (rms, noise included) instead of {before}."
+    if verdict.status == Status.INCOMPLETE:
+        told += " Something else is left that no listed effect explains."
+    if verdict.also_possible:
+        others = listing([*map(name_with_id, verdict.also_possible)], "or")
+        told += f" These logs do not rule out {others}."
+    return told
+
+
+def _effects(result: VehicleDiagnosis) -> list[str]:
+    rows = [["effect", "size", "probability", "closes of the rest"]]
+    for effect, each in result.verdict.each.items():
+        rows.append([
+            effect, amount_text(*result.amplitudes[effect]),
+            f"{each.probability:.2f}", share_text(each.closed_left_out),
+        ])  # fmt: skip
+    return table(rows, (2, 3))
+
+
+def _remedies(result: VehicleDiagnosis) -> list[str]:
+    lines = []
+    for effect in result.verdict.each:
+        record = result.effects[effect]
+        lines += indented(f"{effect}: {record.means}; {record.remedy}")
+    twins = {*result.verdict.also_possible} & {*result.effects}
+    for effect in (e for e in result.verdict.each if twins):
+        told = result.effects[effect].told_apart_by
+        lines += indented(f"to tell {effect} from what it looks like: {told}")
+    return lines
+
+
+def _miss_rows(result: VehicleDiagnosis, miss: Miss) -> list[str]:
+    rows = [["rms over a window", *_STATES, "noise"]]
+    for channel, noise in result.noise.items():
+        values = (part[channel] for part in miss)
+        cells = [format_number(value, 3) for value in (*values, noise)]
+        rows.append([f"{_CHANNELS[channel]} [{_UNITS[channel]}]", *cells])
+    return table(rows, (1, 2, 3, 4))
+
+
+def _ladder(result: VehicleDiagnosis) -> list[str]:
+    rows = [["step", "rms over the noise", "closed"]]
+    for step in result.ladder.steps:
+        name = set_name(step.effects) if step.effects else "tires fitted"
+        closed = share_text(step.closed) if step.effects != ("noise",) else "-"
+        rows.append([name, format_number(step.rms_left_out, 3), closed])
+    return table(rows, (1, 2))
+
+
+def vehicle_diagnosis_text(result: VehicleDiagnosis) -> str:
+    """The report: the answer, the effects, what to do, how far the error falls."""
+    logs = ", ".join(result.logs)
+    lines = [f"DIAGNOSIS OF A CAR: {result.windows} windows of {logs}"]
+    lines += ["ANSWER", *indented(answer(result))]
+    if result.verdict.each:
+        lines += ["EFFECTS", *_effects(result)]
+        lines += ["WHAT TO DO", *_remedies(result)]
+    lines += ["HOW FAR THE CAR IS OFF", *_miss_rows(result, result.miss)]
+    if result.held_out:
+        lines += ["ON THE LOGS HELD OUT", *_miss_rows(result, result.held_out)]
+    lines += [f"STEP BY STEP, {result.ladder.on}", *_ladder(result)]
+    rows = [["factor on", "value"]]
+    rows += [[name, amount_text(*one)] for name, one in result.parameters.items()]
+    lines += ["TIRES, FITTED BESIDE THE EFFECTS", *table(rows)]
+    left = f"something unlisted is there with probability {result.verdict.unlisted:.2f}"
+    lines += ["LEFT", *indented(left), "NOTES"]
+    if result.untestable:
+        lacks = (f"{e} ({', '.join(n)})" for e, n in result.untestable.items())
+        lines += indented(f"these logs cannot show: {', '.join(lacks)}")
+    return "\n".join([*lines, *(x for note in result.notes for x in indented(note))])
+
+
+def vehicle_diagnosis_figure(result: VehicleDiagnosis) -> Picture:
+    """How the rms over the noise shrinks step by step on data left out, and how far
+    the car is off by channel."""
+    picture = Picture(figsize=(10.0, 3.6), layout="constrained")
+    left, right = picture.subplots(1, 2, width_ratios=(1.5, 1))
+    steps = result.ladder.steps
+    names = [set_name(s.effects) if s.effects else "tires fitted" for s in steps]
+    values = [step.rms_left_out for step in steps]
+    colors = [GREY if n in ("noise", "anything smooth") else BLUE for n in names]
+    places = np.arange(len(steps))[::-1]
+    left.barh(places, values, color=colors, height=0.6)
+    left.set_yticks(places, names)
+    for place, value in zip(places, values, strict=True):
+        left.annotate(
+            format_number(value, 2), (value, place), (3, 0),
+            textcoords="offset points", va="center", fontsize=8,
+        )  # fmt: skip
+    left.margins(x=0.12)
+    tidy(left, "rms of data left out, over the noise", "")
+    panel_title(left, "What is left, step by step")
+    miss, width = result.held_out or result.miss, 0.25
+    for k, (label, part, color) in enumerate(
+        zip(_STATES, miss, (GREY, ORANGE, BLUE), strict=True)
+    ):
+        values = [part[c] / result.noise[c] for c in result.noise]
+        right.bar(np.arange(len(values)) + (k - 1) * width, values, width,
+                  color=color, label=label)  # fmt: skip
+    right.set_xticks(range(len(result.noise)), [_CHANNELS[c] for c in result.noise])
+    right.set_yscale("log")
+    right.axhline(1.0, color=GREY, lw=0.8, ls=":")
+    tidy(right, "", f"rms over {result.window:g} s, over the noise")
+    on = "logs held out" if result.held_out else "these logs"
+    panel_title(right, "How far the car is off", on)
+    right.legend(frameon=False, fontsize=8)
+    return picture
