@@ -103,6 +103,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "results": ["DataError", "UsageError"],
         "sim.manoeuvre": ["brake"],
         "sim.simulate": ["simulate"],
+        "vehicle.diagnose": ["diagnose_vehicle"],
         "vehicle.replay": ["replay"],
         "vehicle.trajectory": ["fit_trajectory"],
     },

@@ -274,3 +274,47 @@ def written(one: Trial, folder: Path) -> tuple[Path, Path]:
 
 def car_seed(one: Trial) -> int:
     return one.car["seed"] + 1
+
+
+KINDS = ("listed", "none", "unlisted")
+
+
+def kind_of(number: int) -> str:
+    """Two of four trials have a listed effect, one has none, one an unlisted one."""
+    return ("listed", "listed", "none", "unlisted")[(number // 16 + number) % 4]
+
+
+def judged(number: int, folder: Path) -> dict:
+    """What the diagnosis says of a trial."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import tirefit
+
+    kind = kind_of(number)
+    one = trial(number, kind)
+    log, vehicle = written(one, folder / f"{number}")
+    rng = np.random.default_rng(number)
+    tires = [
+        tirefit.MODELS["brush"](
+            cpa2=c * np.exp(rng.normal(0, 0.15)), mu=m * np.exp(rng.normal(0, 0.1))
+        )
+        for c, m in one.car["tires"]
+    ]
+    told = {"number": number, "kind": kind, "effect": one.effect, "size": one.size}
+    try:
+        found = tirefit.diagnose_vehicle([log], vehicle, *tires)
+    except tirefit.DataError as error:
+        return told | {"outcome": "refused", "reason": str(error)}
+    verdict = found.verdict
+    outcome = verdict.status.value
+    if one.effect in verdict.effects:
+        outcome = "right"
+    elif one.effect in verdict.also_possible:
+        outcome = "twin"
+    return told | {
+        "outcome": outcome, "status": verdict.status.value,
+        "effects": verdict.effects, "also_possible": verdict.also_possible,
+        "unlisted": verdict.unlisted,
+        "amplitudes": {k: list(v) for k, v in found.amplitudes.items()},
+    }  # fmt: skip

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.core import TyperCommand
 
-from tirefit.cli.diagnose_vehicle import diagnose_car
+from tirefit.cli.diagnose_vehicle import TireOption, diagnose_car, refuse_tires
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, attempted, fleet
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import merged_notes, warn
@@ -145,20 +145,8 @@ def diagnose(
             help="FILE are logs of this car: which effects of car and tires it lacks",
         ),
     ] = None,
-    front: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FIT.json|FILE.tir|MODEL",
-            help="--vehicle: tire of the front axle (brush)",
-        ),
-    ] = None,
-    rear: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FIT.json|FILE.tir|MODEL",
-            help="--vehicle: tire of the rear axle (brush)",
-        ),
-    ] = None,
+    front: TireOption = None,
+    rear: TireOption = None,
     figures: Annotated[
         bool, typer.Option("--figures", help="write NAME.png and NAME.html")
     ] = False,
@@ -178,19 +166,14 @@ def diagnose(
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files)
         if vehicle is not None:
-            unused = {
-                "--model": model, "--set": parameter, "--sim": sim, "--rig": rig,
-                "--force": force, "--jobs": jobs, "--scheduler": scheduler,
-                "--resume": resume, "--side": side, "--signs": signs,
-                "--combination": combination,
-            }  # fmt: skip
+            alone = {"model": model, "set": parameter, "sim": sim, "rig": rig}
+            alone |= {"force": force, "jobs": jobs, "scheduler": scheduler}
+            alone |= {"resume": resume, "side": side, "signs": signs}
             return diagnose_car(
-                files, vehicle, front, rear, out, unused, holdout=holdout or (),
-                without=without or (), figures=figures,
+                files, vehicle, front, rear, out, alone | {"combination": combination},
+                holdout=holdout or (), without=without or (), figures=figures,
             )  # fmt: skip
-        if front or rear:
-            reason = "--front or --rear without --vehicle"
-            raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))
+        refuse_tires(front, rear)
         names = [Path(file.name.removesuffix(".gz")).stem for file in files]
         check_distinct(names, "rename one: their results would overwrite each other")
         check_directories([out])

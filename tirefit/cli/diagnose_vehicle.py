@@ -2,12 +2,30 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from tirefit.cli.options import say, start_jax
 from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.results import InputProblem, UsageError
 
 FILES = ("vehicle_diagnosis.json", "vehicle_diagnosis.png", "vehicle_diagnosis.html")
+
+
+TireOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FIT.json|FILE.tir|MODEL", help="--vehicle: tire of the axle (brush)"
+    ),
+]
+
+
+def refuse_tires(front: str | None, rear: str | None) -> None:
+    """Raises UsageError where an axle's tire is given without a vehicle."""
+    if front or rear:
+        reason = "--front or --rear without --vehicle"
+        raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))
 
 
 def diagnose_car(
@@ -27,7 +45,7 @@ def diagnose_car(
     Args:
         unused: option that does not go with ``--vehicle`` -> its value.
     """
-    wrong = [option for option, given in unused.items() if given]
+    wrong = [f"--{option}" for option, given in unused.items() if given]
     if wrong:
         reason = f"{', '.join(wrong)} with --vehicle"
         remedy = "leave it out: the tires are --front and --rear"

@@ -30,7 +30,7 @@ from tirefit.results import InputProblem, UsageError, did_you_mean
 from tirefit.vehicle.car import car_of
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
 from tirefit.vehicle.evidence import PARAMETERS, SHAPES, Base, Cut, Fit, Model
-from tirefit.vehicle.search import findings, searched
+from tirefit.vehicle.search import errors, findings, searched
 from tirefit.vehicle.shooting import CHANNELS, windows_of
 from tirefit.vehicle.trajectory import derived_rows, started
 from tirefit.vehicle.windows import cut_logs, known_vehicle, steering_problems
@@ -193,6 +193,7 @@ def diagnose_vehicle(
     weighed, out, tests = searched(base)
     verdict = decide(findings(weighed, out, tests))
     null, best = weighed.best_of[()], weighed.best_of[verdict.key]
+    std = errors(weighed, out, verdict.key)
     held_out = None
     if others is not None:
         other = _base(_joined(others, vehicle, tires)[0], vehicle, tires, library, {})
@@ -201,7 +202,8 @@ def diagnose_vehicle(
         held_out = _miss(other, null, best)
     return VehicleDiagnosis(
         tuple(found), len(windows.log), window, verdict,
-        ladder_of(out, verdict.key, 1.0), _amplitudes(base, best), _words(base, best),
+        ladder_of(out, verdict.key, 1.0), _amplitudes(base, best, std),
+        _words(base, best),
         _parameters(best), _by_channel(base, base.noise / np.sqrt(base.inflation)),
         _miss(base, null, best), held_out,
         {name: lacks for name, lacks in untestable.items() if lacks},
@@ -298,10 +300,9 @@ def _base(cut: Cut, vehicle: Vehicle, tires, library, untestable) -> Base:
     return Base(model, car, cut, 1 / vehicle.filter.sample_rate, testable)
 
 
-def _amplitudes(base: Base, fit: Fit) -> dict[str, Amplitude]:
-    errors = np.sqrt(np.diag(fit.covariance))[len(PARAMETERS) :]
+def _amplitudes(base: Base, fit: Fit, std: np.ndarray) -> dict[str, Amplitude]:
     found = {}
-    for k, size, error in zip(fit.atoms, fit.amplitude, errors, strict=True):
+    for k, size, error in zip(fit.atoms, fit.amplitude, std, strict=True):
         effect, scale = base.model.atoms[k].effect, base.model.scales[k]
         found[effect.id] = Amplitude(
             float(scale * size), float(scale * error), effect.unit
@@ -319,9 +320,9 @@ def _words(base: Base, fit: Fit) -> dict[str, str]:
 
 
 def _parameters(fit: Fit) -> dict[str, Amplitude]:
-    errors = np.sqrt(np.diag(fit.covariance))
+    std = np.sqrt(np.diag(fit.covariance))
     factors = np.exp(fit.z[: len(PARAMETERS)])
     return {
         name: Amplitude(float(factor), float(factor * error), "-")
-        for name, factor, error in zip(PARAMETERS, factors, errors, strict=False)
+        for name, factor, error in zip(PARAMETERS, factors, std, strict=False)
     }

@@ -285,7 +285,7 @@ def findings(weighed: Weighed, out: Predicted, tests: Tests) -> Findings:
     return Findings(
         weighed=weighed,
         sets={
-            tuple(part): Fitted(_errors(weighed, out, part), _gains(out, part))
+            tuple(part): Fitted(_ratios(weighed, out, part), _gains(out, part))
             for part in ordered
         },
         across_runs=out.across_runs,
@@ -303,14 +303,20 @@ def _gains(out: Predicted, key: Key):
     return gains
 
 
-def _errors(weighed: Weighed, out: Predicted, key: Key) -> Mapping[str, float]:
-    """Amplitude over its standard error, by effect: by the curvature, or by the
-    jackknife over the parts left out where that is larger."""
+def errors(weighed: Weighed, out: Predicted, key: Key) -> np.ndarray:
+    """Standard errors of the amplitudes of a set, in prior scales: by the curvature, or
+    by the jackknife over the parts left out where that is larger."""
     fit = weighed.best_of[key]
     variance = np.diag(fit.covariance)[len(PARAMETERS) :]
     if key in out.effects:
         each = out.amplitude[out.effects.index(key)]
         off = each - each.mean(axis=0)
         variance = np.maximum(variance, (1 - 1 / len(each)) * np.sum(off**2, axis=0))
-    ratio = np.abs(fit.amplitude) / np.sqrt(variance)
+    return np.sqrt(variance)
+
+
+def _ratios(weighed: Weighed, out: Predicted, key: Key) -> Mapping[str, float]:
+    """Amplitude over its standard error, by effect."""
+    fit = weighed.best_of[key]
+    ratio = np.abs(fit.amplitude) / errors(weighed, out, key)
     return dict(zip(fit.effects, ratio.tolist(), strict=True))

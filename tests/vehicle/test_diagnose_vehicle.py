@@ -1,0 +1,157 @@
+"""Diagnoses of simulated cars whose missing effect is known; the simulator is another
+program (fits/withheld_vehicle/drives.py)."""
+
+import json
+import subprocess
+import sys
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import tirefit
+from fits.withheld_vehicle.drives import LISTED, Trial, trial, written
+from tirefit.models import Brush
+from tirefit.results import DataError, UsageError
+from tirefit.vehicle.car import cubic, delayed, lagged, with_play
+from tirefit.vehicle.effects import CAR_EFFECTS, Samples, Setting
+
+FEW = (
+    "steering_ratio", "steering_delay", "yaw_inertia", "bank", "steering_offset",
+    "relaxation_length",
+)  # fmt: skip
+LIBRARY = tuple(effect for effect in CAR_EFFECTS if effect.id in FEW)
+DELAY = 0.08
+
+
+def logged(folder, effect, size, number=5, off=1.1):
+    """Log, vehicle and tires (stiffness off by a factor) of a drive."""
+    one = trial(number, "none")
+    one = Trial(number, effect, size, one.car, seconds=24.0)
+    log, vehicle = written(one, folder)
+    tires = [Brush(cpa2=off * c, mu=mu) for c, mu in one.car["tires"]]
+    return log, vehicle, tires
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory):
+    log, vehicle, tires = logged(
+        tmp_path_factory.mktemp("late"), "steering_delay", DELAY
+    )
+    return log, vehicle, tires
+
+
+@pytest.fixture(scope="module")
+def found(late):
+    log, vehicle, tires = late
+    return tirefit.diagnose_vehicle([log], vehicle, *tires, effects=LIBRARY)
+
+
+def test_a_late_steering_is_named_with_its_size(found):
+    assert found.verdict.effects == ("steering_delay",)
+    value, std, unit = found.amplitudes["steering_delay"]
+    assert unit == "s" and abs(value - DELAY) < 4 * std + 1e-3
+
+
+def test_the_error_falls_to_the_noise_once_the_effect_is_in(found):
+    for channel, noise in found.noise.items():
+        before, after = (part[channel] for part in found.miss[1:])
+        assert before > 1.5 * noise
+        assert after < 1.15 * noise
+
+
+def test_the_tires_come_back_beside_the_effect(found):
+    for axle in ("front", "rear"):
+        factor, std, _ = found.parameters[f"{axle}.stiffness"]
+        assert abs(factor - 1 / 1.1) < 5 * std
+
+
+def test_the_record_prints_draws_and_saves(found, tmp_path):
+    assert "steering delay" in found.summary().splitlines()[2]
+    assert len(found.summary().splitlines()) < 60
+    paths = found.save(tmp_path)
+    content = json.loads(paths[0].read_text())
+    assert content["verdict"]["effects"] == ["steering_delay"]
+    assert found.plot().axes
+
+
+def test_nothing_is_named_where_nothing_is_missing(tmp_path):
+    log, vehicle, tires = logged(tmp_path, "", 0.0, number=6)
+    found = tirefit.diagnose_vehicle([log], vehicle, *tires, effects=LIBRARY)
+    assert found.verdict.status.value == "none" and not found.verdict.effects
+
+
+def test_command(late, tmp_path):
+    log, vehicle, _ = late
+    command = [
+        sys.executable, "-m", "tirefit", "diagnose", log, "--vehicle", vehicle,
+        "--holdout", log.parent / "none.csv", "--out", tmp_path / "out",
+    ]  # fmt: skip
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True)
+    assert done.returncode == 3 and "none.csv" in done.stderr
+    command[8:10] = ["--rig", "rig.toml"]
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True)
+    assert done.returncode == 2 and "--rig with --vehicle" in done.stderr
+
+
+def test_an_unknown_effect_and_a_log_without_windows_are_told(late):
+    log, vehicle, tires = late
+    with pytest.raises(UsageError, match="steering_dely"):
+        tirefit.diagnose_vehicle([log], vehicle, *tires, without=["steering_dely"])
+    with pytest.raises(DataError, match="shorter window"):
+        tirefit.diagnose_vehicle([log], vehicle, *tires, window=100.0)
+
+
+@pytest.mark.parametrize("effect", CAR_EFFECTS, ids=lambda effect: effect.id)
+def test_an_amplitude_of_zero_changes_nothing_and_another_does(effect):
+    rows = Samples(
+        speed=1.1, along=0.2, across=0.4, turn=0.3, time=0.25, heading=0.7,
+        weight=1e4, wheelbase=2.5, sliding=jnp.array([0.2, 0.1]),
+    )  # fmt: skip
+    for constants in effect.variants:
+        numbers = [
+            np.hstack([*map(np.ravel, np.atleast_1d(part))])
+            for size in (0.0, effect.scale)
+            for part in [
+                [
+                    float(x)
+                    for name, x in _leaves(
+                        effect.change(Setting(), size, constants, rows)
+                    )
+                    if "sliding" not in name
+                ]
+            ]
+        ]
+        null = [float(x) for name, x in _leaves(Setting()) if "sliding" not in name]
+        np.testing.assert_allclose(numbers[0], null)
+        assert np.abs(numbers[1] - numbers[0]).max() > 0
+
+
+def _leaves(setting, name=""):
+    for key, value in setting._asdict().items():
+        if hasattr(value, "_asdict"):
+            yield from _leaves(value, f"{name}.{key}")
+        else:
+            yield f"{name}.{key}", value
+
+
+def test_every_withheld_effect_is_one_of_the_library():
+    assert {*LISTED} <= {effect.id for effect in CAR_EFFECTS}
+
+
+def test_a_cubic_is_met_exactly():
+    time = np.arange(9.0)
+    curve = np.poly1d([0.3, -1.0, 0.5, 2.0])
+    shifted = delayed(jnp.asarray(curve(time)), 0.3)
+    np.testing.assert_allclose(shifted[2:-1], curve(time[2:-1] - 0.3), rtol=1e-12)
+    assert float(cubic(0.5, 0.0, 1.0, 0.0, 0.0)) == 0.5
+
+
+def test_a_lag_of_a_ramp_is_its_time_and_play_holds_still():
+    ramp = jnp.asarray(0.01 * np.arange(400.0))
+    np.testing.assert_allclose(lagged(ramp, 0.2, 0.01), ramp - 0.2, atol=1e-9)
+    np.testing.assert_allclose(lagged(ramp, 0.0, 0.01), ramp)
+    wave = np.sin(np.linspace(0, 20, 2000))
+    held = np.asarray(with_play(jnp.asarray(wave), 0.3))
+    assert np.max(held[400:]) == pytest.approx(0.7, abs=1e-5)
+    assert np.abs(held - wave).max() < 0.3 + 1e-6
