@@ -142,21 +142,21 @@ def diagnose(
         Path | None,
         typer.Option(
             metavar="VEHICLE.TOML",
-            help="FILE are logs of this car: which effects of car and tires it lacks",
+            help="FILE are logs of this car: find the effects that its model lacks",
         ),
     ] = None,
     front: Annotated[
         str | None,
         typer.Option(
             metavar="FIT.json|FILE.tir|MODEL",
-            help="--vehicle: tire of the front axle (brush)",
+            help="--vehicle: tire of the front axle (default: brush)",
         ),
     ] = None,
     rear: Annotated[
         str | None,
         typer.Option(
             metavar="FIT.json|FILE.tir|MODEL",
-            help="--vehicle: tire of the rear axle (brush)",
+            help="--vehicle: tire of the rear axle (default: brush)",
         ),
     ] = None,
     figures: Annotated[
