@@ -142,7 +142,7 @@ def diagnose(
         Path | None,
         typer.Option(
             metavar="VEHICLE.TOML",
-            help="FILE are logs of this car: which effects of car and tires it lacks",
+            help="FILE are logs of this car: find the effects that its model lacks",
         ),
     ] = None,
     front: TireOption = None,

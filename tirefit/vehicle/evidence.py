@@ -6,7 +6,7 @@ prediction of windows left out) follows from one thing: the products of the colu
 its linearisation, window by window, orthogonal to the start states.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import product
@@ -128,8 +128,8 @@ class Model(NamedTuple):
             setting = scaled_axles(setting, name, factors[:, k])
         for k, atom in enumerate(self.atoms):
             amplitude = self.scales[k] * z[_TIRES + k]
-            # A library of its own has a state of its own.
-            setting = atom.change(setting, amplitude, rows)  # type: ignore
+            change: Callable = atom.effect.change
+            setting = change(setting, amplitude, atom.constants, rows)
         own = z[_TIRES + len(self.atoms) :].reshape(2, -1)
         front, rear = (shapes @ one * rows.weight for one in own)
         car = setting.car
