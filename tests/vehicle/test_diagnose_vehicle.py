@@ -89,7 +89,7 @@ def test_command(late, tmp_path):
     ]  # fmt: skip
     done = subprocess.run([*map(str, command)], capture_output=True, text=True)
     assert done.returncode == 3 and "none.csv" in done.stderr
-    command[8:10] = ["--rig", "rig.toml"]
+    command[7:9] = ["--rig", "rig.toml"]
     done = subprocess.run([*map(str, command)], capture_output=True, text=True)
     assert done.returncode == 2 and "--rig with --vehicle" in done.stderr
 

@@ -4,7 +4,7 @@ import json
 from dataclasses import asdict, dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand
@@ -166,7 +166,12 @@ def diagnose(
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files)
         if vehicle is not None:
-            alone = {"model": model, "set": parameter, "sim": sim, "rig": rig}
+            alone: dict[str, Any] = {
+                "model": model,
+                "set": parameter,
+                "sim": sim,
+                "rig": rig,
+            }
             alone |= {"force": force, "jobs": jobs, "scheduler": scheduler}
             alone |= {"resume": resume, "side": side, "signs": signs}
             return diagnose_car(

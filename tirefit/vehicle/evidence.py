@@ -320,12 +320,12 @@ class Base:
         """:meth:`linearised` of a car as it is, from its best start states."""
         starts = np.asarray(self.cut.data.start)
         for _ in range(_STARTS):
-            missed, _, by_start = self.linearised(z, starts, [0])
-            weight = 1 / self.noise
-            own = (by_start * weight[:, None]).reshape(len(missed), -1, starts.shape[1])
-            rest = (missed * weight).reshape(len(missed), -1)
-            best = jax.vmap(lambda a, b: jnp.linalg.lstsq(a, b)[0])(own, rest)
-            starts = starts - np.asarray(best)
+            missed, _, slopes = map(np.asarray, self.linearised(z, starts, [0]))
+            w, weight = len(missed), (1 / self.noise)[:, None]
+            unit, size = np.linalg.qr((slopes * weight).reshape(w, -1, starts.shape[1]))
+            rest = (missed * weight[:, 0]).reshape(w, -1, 1)
+            best = np.linalg.solve(size, np.swapaxes(unit, 1, 2) @ rest)
+            starts = starts - best[..., 0]
         return self.linearised(z, starts, [0])
 
     def rms(self, z) -> np.ndarray:
