@@ -75,6 +75,26 @@ def test_the_record_prints_draws_and_saves(found, tmp_path):
     assert found.plot().axes
 
 
+def test_a_replay_with_the_effects_comes_to_the_noise(late, found, tmp_path):
+    log, vehicle, tires = late
+    found.save(tmp_path)
+    given = tmp_path / "vehicle_diagnosis.json"
+    replayed = tirefit.replay(
+        [log], vehicle, *tires, horizons=(0.5, 1.0), effects=given
+    )
+    rms = {name: errors.rms() for name, errors in replayed.models.items()}
+    for quantity in ("yaw_rate", "lateral"):
+        for k in (0, 1):
+            before, after, floor = (
+                rms[name][quantity][k] for name in ("tire", "with the effects", "floor")
+            )
+            assert after < 0.6 * before and after < 2 * floor, quantity
+    assert "with the effects" in replayed.summary()
+    given.write_text('{"schema": "tirefit.vehicle_diagnosis/1"}')
+    with pytest.raises(DataError, match="not the document of a diagnosis of a car"):
+        tirefit.replay([log], vehicle, *tires, effects=given)
+
+
 def test_nothing_is_named_where_nothing_is_missing(tmp_path):
     log, vehicle, tires = logged(tmp_path, "", 0.0, number=6)
     found = tirefit.diagnose_vehicle([log], vehicle, *tires, effects=LIBRARY)

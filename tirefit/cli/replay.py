@@ -44,6 +44,13 @@ def replay(
             help="prediction time [s] (repeat for more; default: 0.25, 0.5, 1, 2, 5)",
         ),
     ] = None,
+    effects: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="VEHICLE_DIAGNOSIS.json",
+            help="predict with the effects that tirefit diagnose --vehicle named, too",
+        ),
+    ] = None,
     steering_delay: Annotated[
         float | None,
         typer.Option(
@@ -75,7 +82,7 @@ def replay(
         with claimed(out):
             result = predicted(
                 logs, vehicle, front, rear, horizons=horizon or HORIZONS,
-                steering_delay=steering_delay, seed=seed,
+                steering_delay=steering_delay, effects=effects, seed=seed,
             )  # fmt: skip
             with staged(out, (RECORD, *FIGURES, PAGE), result) as folder:
                 result.save(folder)

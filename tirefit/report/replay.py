@@ -8,6 +8,7 @@ from tirefit.report.canvas import (
     GREEN,
     GREY,
     ORANGE,
+    RED,
     Picture,
     panel_title,
     tidy,
@@ -21,10 +22,16 @@ _NAMES = {
     "yaw_rate": "yaw rate", "sideslip": "sideslip", "a_y": "lateral acceleration",
     "heading": "heading", "lateral": "lateral position",
 }  # fmt: skip
-_COLORS = {"tire": BLUE, "linear tire": ORANGE, "no slip": GREY, "floor": GREEN}
+_COLORS = {
+    "tire": BLUE,
+    "linear tire": ORANGE,
+    "no slip": GREY,
+    "floor": GREEN,
+    "with the effects": RED,
+}
 _LABELS = {
     "tire": "these tires", "linear tire": "linear tires", "no slip": "no slip",
-    "floor": "noise floor",
+    "floor": "noise floor", "with the effects": "with the effects",
 }  # fmt: skip
 _AHEAD = 0.5
 """Horizon [s] of the answer, or the nearest."""
@@ -44,10 +51,14 @@ def answer(result: Replay) -> str:
         value = rms[model][quantity][place]
         return f"{format_number(value, 2)} {QUANTITIES[quantity]}"
 
+    more = ""
+    if (name := "with the effects") in rms:
+        more = f" With the effects these errors are {size(name)} and"
+        more += f" {size(name, 'yaw_rate')}."
     return (
         f"{result.horizons[place]:g} s after a start, the predicted car has an rms"
         f" error of {size('tire')} in lateral position and"
-        f" {size('tire', 'yaw_rate')} in yaw rate. The noise of the log causes"
+        f" {size('tire', 'yaw_rate')} in yaw rate.{more} The noise of the log causes"
         f" {size('floor')} and {size('floor', 'yaw_rate')} of it. The lateral position"
         f" is wrong by {size('linear tire')} with linear tires and by"
         f" {size('no slip')} for a car without slip."

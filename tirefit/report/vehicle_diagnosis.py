@@ -150,7 +150,6 @@ def vehicle_diagnosis_figure(result: VehicleDiagnosis) -> Picture:
         right.bar(np.arange(len(values)) + (k - 1) * width, values, width,
                   color=color, label=label)  # fmt: skip
     right.set_xticks(range(len(result.noise)), [_CHANNELS[c] for c in result.noise])
-    right.set_yscale("log")
     right.axhline(1.0, color=GREY, lw=0.8, ls=":")
     tidy(right, "", f"rms over {result.window:g} s, over the noise")
     on = "logs held out" if result.held_out else "these logs"

@@ -76,7 +76,8 @@ class VehicleDiagnosis(Record):
         logs: names of the logs; windows: number of windows of ``window`` seconds.
         verdict: which effects are there, and what is left.
         ladder: how the rms over the noise shrinks on windows left out.
-        amplitudes: of each named effect; which: words on its form.
+        amplitudes: of each named effect; which: words on its form; variants: the number
+            of its form; speed: mean speed [m/s], which effects of the speed refer to.
         parameters: factor on each number of the tires in the fit of the named effects.
         noise: channel -> noise of the log, as all effects together leave it.
         miss: on these logs; held_out: on those held out, None without.
@@ -95,6 +96,8 @@ class VehicleDiagnosis(Record):
     ladder: Ladder
     amplitudes: Mapping[str, Amplitude]
     which: Mapping[str, str]
+    variants: Mapping[str, int]
+    speed: float
     parameters: Mapping[str, Amplitude]
     noise: Mapping[str, float]
     miss: Miss
@@ -116,7 +119,8 @@ class VehicleDiagnosis(Record):
                 "also_possible": verdict.also_possible, "unlisted": verdict.unlisted,
             },
             "amplitudes": {k: v._asdict() for k, v in self.amplitudes.items()},
-            "forms": dict(self.which),
+            "forms": dict(self.which), "variants": dict(self.variants),
+            "speed": self.speed,
             "parameters": {k: v._asdict() for k, v in self.parameters.items()},
             "noise": dict(self.noise),
             "ladder": {
@@ -204,7 +208,9 @@ def diagnose_vehicle(
         tuple(found), len(windows.log), window, verdict,
         ladder_of(out, verdict.key, 1.0), _amplitudes(base, best, std),
         _words(base, best),
-        _parameters(best), _by_channel(base, base.noise / np.sqrt(base.inflation)),
+        {a.effect.id: a.variant for a in (base.model.atoms[k] for k in best.atoms)},
+        float(np.mean(windows.data.v_x)), _parameters(best),
+        _by_channel(base, base.noise / np.sqrt(base.inflation)),
         _miss(base, null, best), held_out,
         {name: lacks for name, lacks in untestable.items() if lacks},
         {effect.id: effect for effect in effects}, _notes(given, tires),
@@ -246,7 +252,7 @@ def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
     passed = 0.0
     for number, (motion, (windows, own), _) in enumerate(found.values()):
         data.append(windows)
-        rows.append(_samples(motion, own, vehicle, tires, passed))
+        rows.append(samples_of(motion, own, vehicle, tires, passed))
         log.append(np.full(len(own), number))
         passed += float(motion.time[-1] - motion.time[0])
     joined = jax.tree.map(lambda *part: np.concatenate(part), *data)
@@ -265,8 +271,11 @@ def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
     return cut, has
 
 
-def _samples(motion: Motion, own, vehicle: Vehicle, tires, passed: float) -> Samples:
-    """What effects may depend on, at the rows (w, k) of a log."""
+def samples_of(
+    motion: Motion, own, vehicle: Vehicle, tires, passed: float = 0.0
+) -> Samples:
+    """What effects may depend on, at the rows (w, k) of a log; ``across`` and ``turn``
+    are zero until a fit is followed, ``passed`` [s] is the time of the logs before."""
     g, count = vehicle.gravity, len(own)
     weight, wheelbase = vehicle.mass * g, vehicle.l_f + vehicle.l_r
     loads = weight * vehicle.l_r / wheelbase, weight * vehicle.l_f / wheelbase

@@ -32,7 +32,7 @@ from tirefit.vehicle.car import (
     steps_a_sample,
     with_play,
 )
-from tirefit.vehicle.effects import Samples, Setting, scaled_axles
+from tirefit.vehicle.effects import Samples, Setting, Steering, scaled_axles
 from tirefit.vehicle.shooting import Data, minimised
 
 PARAMETERS = tuple(
@@ -102,6 +102,18 @@ class Products(NamedTuple):
         return float(self.square + 2 * step @ self.score + step @ self.gram @ step)
 
 
+def steered(steering: Steering, command, across, step: float):
+    """Wheel angle (n,) behind a logged one (l + n,) that begins l samples before.
+
+    Args:
+        across: (n,) lateral acceleration over g.
+        step: time between samples [s].
+    """
+    angle = lagged(delayed(command, steering.delay / step), steering.lag, step)
+    angle = with_play(angle, steering.play)[-len(across) :]
+    return angle * steering.ratio + steering.offset - steering.yields * across
+
+
 class Model(NamedTuple):
     """A car's model with all atoms; its coefficients z hold the logarithms of the
     factors on the tires, the amplitudes of the atoms in prior scales, unlisted forces.
@@ -143,12 +155,8 @@ class Model(NamedTuple):
     def states(self, car: Car, grid, z, start, window: Data, rows: Samples, shapes):
         """Predicted states (k,) of one window, the wheel angle (k,), what is set."""
         setting = self.setting(z, rows, shapes)
-        steer = setting.steering
         step, parts = grid
-        angle = delayed(window.steering, steer.delay / step)
-        angle = with_play(lagged(angle, steer.lag, step), steer.play)
-        angle = angle[-len(window.v_x) :]
-        angle = angle * steer.ratio + steer.offset - steer.yields * rows.across
+        angle = steered(setting.steering, window.steering, rows.across, step)
         whole = State(*start, *jnp.zeros(5 - len(start)))
         found = predicted(car, whole, window.v_x, angle, step, parts, setting.car)
         return found, angle, setting

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -30,6 +30,7 @@ from tirefit.models import AbstractTire, TireForces, TireInputs
 from tirefit.models.mf import Pair
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
+from tirefit.vehicle.applied import Applied, applied
 from tirefit.vehicle.car import (
     Car,
     State,
@@ -38,6 +39,7 @@ from tirefit.vehicle.car import (
     predicted,
     steps_a_sample,
 )
+from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.windows import (
     cut_logs,
     known_vehicle,
@@ -102,7 +104,8 @@ class Replay(Record):
     Attributes:
         logs: name of each log -> whether a tire was fitted to it.
         windows: predictions that reach each of ``horizons`` [s].
-        models: model -> errors; ``tire``, ``linear tire``, ``no slip``; ``floor``: by
+        models: model -> errors; ``tire``, ``linear tire``, ``no slip``, and ``with the
+            effects`` where effects were given; ``floor``: by
             how much those of ``tire`` change with as much noise again in the log.
         held: quantity -> share of the windows, by horizon, whose measured value lies
             in the 95 % band of the tires' parameters; empty where both have none.
@@ -140,7 +143,8 @@ class Replay(Record):
 
 class _Windows(NamedTuple):
     """Windows of one log: times (w, k); the states (w,) that they start from; speed and
-    steering (w, k); and what is measured (w, k), NaN beyond the end of each."""
+    steering (w, k); what is measured (w, k), NaN beyond the end of each; and what
+    effects may depend on."""
 
     time: np.ndarray
     start: State
@@ -148,6 +152,7 @@ class _Windows(NamedTuple):
     steering: np.ndarray
     measured: State
     a_y: np.ndarray
+    samples: Samples | None = None
 
 
 class LinearTire(AbstractTire):
@@ -177,6 +182,7 @@ def replay(
     rear,
     *,
     horizons: Sequence[float] = HORIZONS,
+    effects: Any = None,
     steering_delay: float | None = None,
     seed: int = 0,
 ) -> Replay:
@@ -189,6 +195,8 @@ def replay(
             the name of a model; or a ``.tir`` file, of each of its two tires.
         rear: likewise, of the rear axle.
         horizons: times [s] after a start at which the prediction is compared.
+        effects: a diagnosis of the car, or its ``vehicle_diagnosis.json``: the car is
+            predicted with its effects, too.
         steering_delay: time [s] by which the wheels follow the logged steering; that of
             the vehicle if None.
         seed: of the draws of the tires' parameters.
@@ -213,12 +221,14 @@ def replay(
     fitted = {run for tire in tires for run in tire.runs}
     rate = vehicle.filter.sample_rate
     generator = np.random.default_rng(seed)
+    named = None if effects is None else applied(effects)
+    apply = named and partial(_with_effects, named, vehicle, tires)
     found = cut_logs(
         logs, vehicle,
-        partial(_windows, vehicle, horizons, generator),
+        partial(_windows, vehicle, horizons, generator, apply),
         f"as long as the shortest horizon, {horizons[0]:g} s", "shorter horizons",
     )  # fmt: skip
-    joined, *noisy = (
+    joined, *noisy, changed = (
         jax.tree.map(lambda *each: np.concatenate(each), *same)
         for same in zip(*(log.windows for log in found.values()), strict=True)
     )
@@ -234,6 +244,10 @@ def replay(
         "linear tire": _compared(straight, joined, steps, rate, parts)[0],
         "no slip": _without_slip(vehicle, joined, steps),
     }
+    if named is not None:
+        models["with the effects"], _ = _compared(
+            car, changed, steps, rate, 2 * parts, named.changes(changed.samples)
+        )
     again = [_compared(car, each, steps, rate, parts)[0] for each in noisy]
     models["floor"] = _floor(tire, again)
     left = merged((k, left_out(log.motion, vehicle)) for k, log in found.items())
@@ -298,11 +312,12 @@ def replace_tires(car: Car, front: AbstractTire, rear: AbstractTire) -> Car:
 
 
 def _windows(
-    vehicle: Vehicle, horizons, generator, track: Track, motion: Motion
+    vehicle: Vehicle, horizons, generator, apply, track: Track, motion: Motion
 ) -> list[_Windows] | None:
     """The windows of a log, from a start every :data:`EVERY` seconds where the log is
     settled and the car fast enough, to the longest horizon; None of none. Behind them
-    the same windows of the log with noise, :data:`NOISES` times."""
+    the same windows of the log with noise, :data:`NOISES` times, and with what
+    ``apply`` makes of the channels and the rows."""
     rate = vehicle.filter.sample_rate
     most, least = round(horizons[-1] * rate) + 1, round(horizons[0] * rate) + 1
     good = motion.settled & (motion.v_x > vehicle.v_min)
@@ -320,16 +335,30 @@ def _windows(
     # The last sample stands for those beyond the end, which nothing is compared with.
     rows = np.minimum(rows, ends[:, None] - 1)
 
-    def cut(motion: Motion) -> _Windows:
-        v_x, a_y, steer, *state = _channels(motion, vehicle)
+    def cut(motion: Motion, apply=None) -> _Windows:
+        channels, samples = _channels(motion, vehicle), None
+        if apply is not None:
+            channels, samples = apply(motion, channels, rows)
+        v_x, a_y, steer, *state = channels
         *measured, a_y = (np.where(there, one[rows], np.nan) for one in (*state, a_y))
         return _Windows(
             motion.time[rows], State(*(one[starts] for one in state)), v_x[rows],
-            steer[rows], State(*measured), a_y,
+            steer[rows], State(*measured), a_y, samples,
         )  # fmt: skip
 
     noisy = (with_noise(track, motion, vehicle, generator) for _ in range(NOISES))
-    return [cut(motion), *map(cut, noisy)]
+    return [cut(motion), *map(cut, noisy), cut(motion, apply)]
+
+
+def _with_effects(
+    named: Applied, vehicle: Vehicle, tires, motion: Motion, channels, rows
+):
+    """The channels of a log with the effects of steering and log; samples (w, k)."""
+    v_x, a_y, steer, *state = channels
+    steer = named.wheel_angle(steer, motion, vehicle, tires)
+    state = named.corrected(dict(zip(State._fields, state, strict=True)), v_x, vehicle)
+    samples = named.samples(motion, rows, vehicle, tires)
+    return (v_x, a_y, steer, *state.values()), samples
 
 
 def _channels(motion: Motion, vehicle: Vehicle) -> tuple:
@@ -361,22 +390,24 @@ def _summed(values: np.ndarray) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnames=("step", "parts"))
-def _states(car: Car, start: State, v_x, steering, step: float, parts: int):
+def _states(car: Car, start: State, v_x, steering, changes, step: float, parts: int):
     """States (w, k) of every window, and the lateral acceleration (w, k)."""
 
-    def one(start, v_x, steering):
-        states = predicted(car, start, v_x, steering, step, parts)
-        lateral, _ = jax.vmap(lambda *at: accelerations(car, *at))(
-            v_x, steering, states.v_y, states.yaw_rate
-        )
-        return states, lateral
+    def one(start, v_x, steering, changes):
+        states = predicted(car, start, v_x, steering, step, parts, changes)
+        motion = v_x, steering, states.v_y, states.yaw_rate
+        if changes is None:
+            return states, jax.vmap(partial(accelerations, car))(*motion)[0]
+        return states, jax.vmap(partial(accelerations, car))(*motion, changes)[0]
 
-    return jax.vmap(one)(start, v_x, steering)
+    return jax.vmap(one)(start, v_x, steering, changes)
 
 
-def _compared(car: Car, windows: _Windows, steps, rate: float, parts: int):
+def _compared(
+    car: Car, windows: _Windows, steps, rate: float, parts: int, changes=None
+):
     """Errors at the horizons, and the predicted states (w, k)."""
-    given = windows.start, windows.v_x, windows.steering
+    given = windows.start, windows.v_x, windows.steering, changes
     states, lateral = _states(car, *given, 1 / rate, parts)
     states, lateral = State(*map(np.asarray, states)), np.asarray(lateral)
     return _errors(states, lateral, windows, steps), (states, lateral)

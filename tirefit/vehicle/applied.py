@@ -1,0 +1,138 @@
+"""The effects that a diagnosis of a car names, applied to its prediction."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.data.motion import Motion
+from tirefit.data.vehicle import POSE, Vehicle
+from tirefit.diagnosis.effects import effects_by_id
+from tirefit.diagnosis.effects.record import Atom
+from tirefit.door import RECORD, content_of
+from tirefit.results import DataError, InputProblem
+from tirefit.vehicle.car import Changes
+from tirefit.vehicle.diagnose import SCHEMA, VehicleDiagnosis, samples_of
+from tirefit.vehicle.effects import CAR_EFFECTS, Samples
+from tirefit.vehicle.evidence import PARAMETERS, SHAPES, Model, steered
+
+
+@dataclass(frozen=True)
+class Applied:
+    """Named effects with their sizes.
+
+    Attributes:
+        model: with their atoms; z: its coefficients.
+        speed: mean speed [m/s] of the logs that were diagnosed.
+    """
+
+    model: Model
+    z: np.ndarray
+    speed: float
+
+    def at(self, samples: Samples) -> Any:
+        """What is set at samples (n,)."""
+        return self.model.setting(self.z, samples, jnp.zeros((1, SHAPES)))
+
+    def samples(self, motion: Motion, rows, vehicle: Vehicle, tires) -> Samples:
+        """What effects may depend on, at rows (w, k) of a log's motion; the middle of
+        the time that was diagnosed."""
+        found = samples_of(motion, rows, vehicle, tires)
+        g = vehicle.gravity
+        return found._replace(
+            speed=found.speed / self.speed, time=0 * found.time,
+            across=motion.a_y[rows] / g, turn=motion.yaw_rate[rows] / motion.v_x[rows],
+        )  # fmt: skip
+
+    def wheel_angle(self, steering, motion: Motion, vehicle: Vehicle, tires):
+        """Road wheel angle (n,) of a log, with the effects of the steering."""
+        rows = np.arange(len(motion.time))[None]
+        samples = jax.tree.map(
+            lambda x: x[0], self.samples(motion, rows, vehicle, tires)
+        )
+        of = self.at(samples).steering
+        found = np.full(len(steering), np.nan)
+        for number in np.unique(motion.part):
+            own = np.flatnonzero((motion.part == number) & np.isfinite(steering))
+            if len(own) > 2:
+                step = 1 / vehicle.filter.sample_rate
+                across = np.nan_to_num(samples.across[own])
+                found[own] = steered(of, jnp.asarray(steering[own]), across, step)
+        return found
+
+    def changes(self, samples: Samples) -> Changes:
+        """What changes in the car at samples (w, k)."""
+
+        def one(samples: Samples):
+            count = len(samples.speed)
+            return jax.tree.map(
+                lambda x: jnp.broadcast_to(jnp.asarray(x, float), count),
+                self.at(samples).car,
+            )
+
+        return jax.vmap(one)(jax.tree.map(jnp.asarray, samples))
+
+    def corrected(self, state: Mapping, v_x, vehicle: Vehicle) -> dict:
+        """The states of a log (n,) without the errors of its channels."""
+        wheelbase = vehicle.l_f + vehicle.l_r
+        none = Samples(*[0.0] * len(Samples._fields))._replace(wheelbase=wheelbase)
+        reading = self.at(none._replace(sliding=np.ones(2))).reading
+        ahead = float(reading.ahead)
+        found = dict(state)
+        if vehicle.columns.motion == POSE:
+            heading = found["heading"] + float(reading.sideslip)
+            found |= {
+                "heading": heading, "x": found["x"] - ahead * np.cos(heading),
+                "y": found["y"] - ahead * np.sin(heading),
+            }  # fmt: skip
+            turned = float(reading.sideslip)
+            found["v_y"] = found["v_y"] - turned * v_x - ahead * found["yaw_rate"]
+            return found
+        found["yaw_rate"] = found["yaw_rate"] - float(reading.yaw_rate)
+        found["v_y"] = found["v_y"] - float(reading.sideslip) * v_x
+        found["v_y"] = found["v_y"] - ahead * found["yaw_rate"]
+        return found
+
+
+def applied(source: VehicleDiagnosis | str | os.PathLike) -> Applied:
+    """The effects that a diagnosis names, or its ``vehicle_diagnosis.json``.
+
+    Raises:
+        DataError: a file that is no diagnosis of a car, or of another version.
+    """
+    if isinstance(source, VehicleDiagnosis):
+        return _applied(source.to_dict())
+    remedy = "give vehicle_diagnosis.json of tirefit diagnose --vehicle"
+    raw = content_of(Path(source), RECORD, DataError, remedy)
+    try:
+        content = json.loads(raw.decode("utf-8"))
+        if content["schema"] != SCHEMA:
+            raise ValueError(f"its schema is not {SCHEMA}")
+        return _applied(content)
+    except (
+        ValueError,
+        TypeError,
+        LookupError,
+        AttributeError,
+        RecursionError,
+    ) as error:
+        reason = f"not the document of a diagnosis of a car: {str(error)[:200]}"
+        raise DataError(InputProblem(reason, remedy, str(source))) from None
+
+
+def _applied(content: dict) -> Applied:
+    library, sizes = effects_by_id(CAR_EFFECTS), content["amplitudes"]
+    atoms = tuple(Atom(library[k], int(content["variants"][k])) for k in sizes)
+    scales = tuple(atom.effect.scale for atom in atoms)
+    of_tires = [np.log(content["parameters"][name]["value"]) for name in PARAMETERS]
+    own = [one["value"] / s for one, s in zip(sizes.values(), scales, strict=True)]
+    z = np.array([*of_tires, *own, *[0.0] * (2 * SHAPES)], float)
+    if not np.isfinite(z).all():
+        raise ValueError("a number is not finite")
+    return Applied(Model(atoms, scales, 2), z, float(content["speed"]))
