@@ -89,7 +89,7 @@ def test_a_replay_with_the_effects_comes_to_the_noise(late, found, tmp_path):
                 rms[name][quantity][k] for name in ("tire", "with the effects", "floor")
             )
             assert after < 0.6 * before and after < 2 * floor, quantity
-    assert "with the effects" in replayed.summary()
+    assert "With the effects" in replayed.summary()
     given.write_text('{"schema": "tirefit.vehicle_diagnosis/1"}')
     with pytest.raises(DataError, match="not the document of a diagnosis of a car"):
         tirefit.replay([log], vehicle, *tires, effects=given)

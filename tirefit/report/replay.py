@@ -31,7 +31,7 @@ _COLORS = {
 }
 _LABELS = {
     "tire": "these tires", "linear tire": "linear tires", "no slip": "no slip",
-    "floor": "noise floor", "with the effects": "with the effects",
+    "floor": "noise floor", "with the effects": "with effects",
 }  # fmt: skip
 _AHEAD = 0.5
 """Horizon [s] of the answer, or the nearest."""
