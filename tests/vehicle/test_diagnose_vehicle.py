@@ -4,6 +4,7 @@ program (fits/withheld_vehicle/drives.py)."""
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -157,6 +158,13 @@ def _leaves(setting, name=""):
 
 def test_every_withheld_effect_is_one_of_the_library():
     assert {*LISTED} <= {effect.id for effect in CAR_EFFECTS}
+
+
+def test_the_manual_lists_every_effect():
+    page = Path(__file__).parents[2] / "docs/how-to/diagnose-a-car.md"
+    text = page.read_text(encoding="utf-8")
+    for effect in CAR_EFFECTS:
+        assert f"| `{effect.id}` | {effect.means} |" in text, effect.id
 
 
 def test_a_cubic_is_met_exactly():
