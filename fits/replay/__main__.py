@@ -126,10 +126,22 @@ def other_tires(folder: Path, pictures: Path) -> tuple[list[dict], list[str]]:
     return found, said
 
 
+def diagnosed(folder: Path, pictures: Path) -> list[str]:
+    """What the car of set A lacks by three of its logs, and the other two predicted
+    with and without it, on tires of ``derive`` and ``fit``."""
+    logs, toml = write_logs("a", folder)
+    tires = derived(logs[:3], toml, folder)
+    found = tirefit.diagnose_vehicle(logs[:3], toml, *tires, holdout=logs[3:])
+    save_picture(found.plot(), pictures / "diagnosis.png")
+    result = tirefit.replay(logs[3:], toml, *tires, horizons=HORIZONS, effects=found)
+    save_picture(result.plot(), pictures / "with_effects.png")
+    return [found.summary(), result.summary()]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--only", choices=("a", "d", "dart", "tires"))
+    parser.add_argument("--only", choices=("a", "d", "dart", "tires", "diagnosis"))
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
     found, said = [], []
@@ -140,7 +152,9 @@ def main() -> None:
         if asked.only in (None, "tires"):
             more, said = other_tires(Path(folder), asked.out)
             found += more
-    text = HEAD + "\n".join(map(line, found)) + "\n\n" + "; ".join(said) + "\n"
+        if asked.only in (None, "diagnosis"):
+            said += diagnosed(Path(folder), asked.out)
+    text = HEAD + "\n".join(map(line, found)) + "\n\n" + "\n\n".join(said) + "\n"
     (asked.out / "table.json").write_text(json.dumps(found, indent=1) + "\n")
     (asked.out / "table.md").write_text(text)
     print(text)
