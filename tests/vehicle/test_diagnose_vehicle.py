@@ -121,6 +121,8 @@ def test_an_unknown_effect_and_a_log_without_windows_are_told(late):
         tirefit.diagnose_vehicle([log], vehicle, *tires, without=["steering_dely"])
     with pytest.raises(DataError, match="shorter window"):
         tirefit.diagnose_vehicle([log], vehicle, *tires, window=100.0)
+    with pytest.raises(DataError, match="4 windows of 5 s; a diagnosis needs 8"):
+        tirefit.diagnose_vehicle([log], vehicle, *tires, window=5.0)
 
 
 @pytest.mark.parametrize("effect", CAR_EFFECTS, ids=lambda effect: effect.id)

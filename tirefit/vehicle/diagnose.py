@@ -26,7 +26,7 @@ from tirefit.files import json_safe
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.models import TireInputs
 from tirefit.precision import require_x64
-from tirefit.results import InputProblem, UsageError, did_you_mean
+from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
 from tirefit.vehicle.car import car_of
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
 from tirefit.vehicle.evidence import PARAMETERS, SHAPES, Base, Cut, Fit, Model
@@ -44,7 +44,7 @@ _MOST_SAMPLES = 4000
 """Samples of all windows, evenly spread, that are looked at."""
 
 _LEAST_WINDOWS = 8
-"""Fewest windows that are kept of them."""
+"""Fewest windows of a diagnosis."""
 
 _VARIES = 0.02
 """Spread of the acceleration forward over g, and of the speed over its mean, below
@@ -191,6 +191,7 @@ def diagnose_vehicle(
         for axle, tire in zip(("front", "rear"), given, strict=True)
     ]
     windows, has = _joined(found, vehicle, tires)
+    _enough(windows, window)
     library = [e for e in effects if e.id not in without]
     untestable = {e.id: tuple(n for n in e.needs if n not in has) for e in library}
     base = _base(windows, vehicle, tires, library, untestable)
@@ -215,6 +216,13 @@ def diagnose_vehicle(
         {name: lacks for name, lacks in untestable.items() if lacks},
         {effect.id: effect for effect in effects}, _notes(given, tires),
     )  # fmt: skip
+
+
+def _enough(windows: Cut, window: float) -> None:
+    count = len(windows.log)
+    if count < _LEAST_WINDOWS:
+        reason = f"{count} windows of {window:g} s; a diagnosis needs {_LEAST_WINDOWS}"
+        raise DataError(InputProblem(reason, "give longer logs, or more of them"))
 
 
 def _by_channel(base: Base, values) -> dict[str, float]:
