@@ -4,7 +4,7 @@ import json
 from dataclasses import asdict, dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer.core import TyperCommand
@@ -166,14 +166,9 @@ def diagnose(
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files)
         if vehicle is not None:
-            alone: dict[str, Any] = {
-                "model": model,
-                "set": parameter,
-                "sim": sim,
-                "rig": rig,
-            }
-            alone |= {"force": force, "jobs": jobs, "scheduler": scheduler}
-            alone |= {"resume": resume, "side": side, "signs": signs}
+            alone: dict = dict(model=model, set=parameter, sim=sim, rig=rig)
+            alone |= dict(jobs=jobs, scheduler=scheduler, resume=resume, side=side)
+            alone |= {"signs": signs, "force": force}
             return diagnose_car(
                 files, vehicle, front, rear, out, alone | {"combination": combination},
                 holdout=holdout or (), without=without or (), figures=figures,

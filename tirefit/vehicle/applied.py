@@ -17,7 +17,7 @@ from tirefit.diagnosis.effects import effects_by_id
 from tirefit.diagnosis.effects.record import Atom
 from tirefit.door import RECORD, content_of
 from tirefit.results import DataError, InputProblem
-from tirefit.vehicle.car import Changes
+from tirefit.vehicle.car import Changes, State
 from tirefit.vehicle.diagnose import SCHEMA, VehicleDiagnosis, samples_of
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
 from tirefit.vehicle.evidence import PARAMETERS, SHAPES, Model, steered
@@ -49,6 +49,16 @@ class Applied:
             speed=found.speed / self.speed, time=0 * found.time,
             across=motion.a_y[rows] / g, turn=motion.yaw_rate[rows] / motion.v_x[rows],
         )  # fmt: skip
+
+    def channels(self, vehicle: Vehicle, tires, motion: Motion, channels, rows):
+        """Speed, lateral acceleration, wheel angle and state (n,) of a log with the
+        effects of steering and log; and samples at rows (w, k)."""
+        v_x, a_y, steer, *state = channels
+        steer = self.wheel_angle(steer, motion, vehicle, tires)
+        named = dict(zip(State._fields, state, strict=True))
+        named = self.corrected(named, v_x, vehicle)
+        samples = self.samples(motion, rows, vehicle, tires)
+        return (v_x, a_y, steer, *named.values()), samples
 
     def wheel_angle(self, steering, motion: Motion, vehicle: Vehicle, tires):
         """Road wheel angle (n,) of a log, with the effects of the steering."""

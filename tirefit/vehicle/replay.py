@@ -30,7 +30,7 @@ from tirefit.models import AbstractTire, TireForces, TireInputs
 from tirefit.models.mf import Pair
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
-from tirefit.vehicle.applied import Applied, applied
+from tirefit.vehicle.applied import applied
 from tirefit.vehicle.car import (
     Car,
     State,
@@ -42,6 +42,7 @@ from tirefit.vehicle.car import (
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.windows import (
     cut_logs,
+    integrated,
     known_vehicle,
     left_out,
     steering_problems,
@@ -222,7 +223,7 @@ def replay(
     rate = vehicle.filter.sample_rate
     generator = np.random.default_rng(seed)
     named = None if effects is None else applied(effects)
-    apply = named and partial(_with_effects, named, vehicle, tires)
+    apply = named and partial(named.channels, vehicle, tires)
     found = cut_logs(
         logs, vehicle,
         partial(_windows, vehicle, horizons, generator, apply),
@@ -350,43 +351,13 @@ def _windows(
     return [cut(motion), *map(cut, noisy), cut(motion, apply)]
 
 
-def _with_effects(
-    named: Applied, vehicle: Vehicle, tires, motion: Motion, channels, rows
-):
-    """The channels of a log with the effects of steering and log; samples (w, k)."""
-    v_x, a_y, steer, *state = channels
-    steer = named.wheel_angle(steer, motion, vehicle, tires)
-    state = named.corrected(dict(zip(State._fields, state, strict=True)), v_x, vehicle)
-    samples = named.samples(motion, rows, vehicle, tires)
-    return (v_x, a_y, steer, *state.values()), samples
-
-
 def _channels(motion: Motion, vehicle: Vehicle) -> tuple:
     """Speed, lateral acceleration, road wheel angle and the state, (n,) each."""
     heading, x, y = motion.heading, motion.x, motion.y
     if vehicle.columns.motion != POSE:
-        heading, x, y = _integrated(motion, vehicle.filter.sample_rate)
+        heading, x, y = integrated(motion, vehicle.filter.sample_rate)
     steer = road_wheel(motion, vehicle)
     return motion.v_x, motion.a_y, steer, motion.v_y, motion.yaw_rate, heading, x, y
-
-
-def _integrated(motion: Motion, rate: float):
-    """Heading and place (n,) of a log of rates, from its first sample on."""
-    yaw, v_x, v_y = (
-        np.nan_to_num(v) for v in (motion.yaw_rate, motion.v_x, motion.v_y)
-    )
-    heading = _summed(yaw) / rate
-    cos, sin = np.cos(heading), np.sin(heading)
-    return (
-        heading,
-        _summed(v_x * cos - v_y * sin) / rate,
-        _summed(v_x * sin + v_y * cos) / rate,
-    )
-
-
-def _summed(values: np.ndarray) -> np.ndarray:
-    """Running sum by trapezes, from zero."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))])
 
 
 @partial(jax.jit, static_argnames=("step", "parts"))

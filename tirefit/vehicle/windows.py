@@ -112,3 +112,22 @@ def stretches(good: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
     broken = np.flatnonzero(~good[1:] | ~good[:-1] | (np.diff(part) != 0)) + 1
     ends = zip([0, *broken], [*broken, len(good)], strict=True)
     return [(int(first), int(last)) for first, last in ends if good[first]]
+
+
+def integrated(motion: Motion, rate: float):
+    """Heading and place (n,) of a log of rates, from its first sample on."""
+    yaw, v_x, v_y = (
+        np.nan_to_num(v) for v in (motion.yaw_rate, motion.v_x, motion.v_y)
+    )
+    heading = _summed(yaw) / rate
+    cos, sin = np.cos(heading), np.sin(heading)
+    return (
+        heading,
+        _summed(v_x * cos - v_y * sin) / rate,
+        _summed(v_x * sin + v_y * cos) / rate,
+    )
+
+
+def _summed(values: np.ndarray) -> np.ndarray:
+    """Running sum by trapezes, from zero."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))])
