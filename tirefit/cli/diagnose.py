@@ -168,7 +168,7 @@ def diagnose(
         if vehicle is not None:
             alone: dict = dict(model=model, set=parameter, sim=sim, rig=rig)
             alone |= dict(jobs=jobs, scheduler=scheduler, resume=resume, side=side)
-            alone |= {"signs": signs, "force": force}
+            alone |= {"signs": signs, "force": force, "full": full, "seed": seed}
             return diagnose_car(
                 files, vehicle, front, rear, out, alone | {"combination": combination},
                 holdout=holdout or (), without=without or (), figures=figures,

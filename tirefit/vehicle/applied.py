@@ -93,20 +93,14 @@ class Applied:
         wheelbase = vehicle.l_f + vehicle.l_r
         none = Samples(*[0.0] * len(Samples._fields))._replace(wheelbase=wheelbase)
         reading = self.at(none._replace(sliding=np.ones(2))).reading
-        ahead = float(reading.ahead)
+        ahead, turned = float(reading.ahead), float(reading.sideslip)
         found = dict(state)
-        if vehicle.columns.motion == POSE:
-            heading = found["heading"] + float(reading.sideslip)
-            found |= {
-                "heading": heading, "x": found["x"] - ahead * np.cos(heading),
-                "y": found["y"] - ahead * np.sin(heading),
-            }  # fmt: skip
-            turned = float(reading.sideslip)
-            found["v_y"] = found["v_y"] - turned * v_x - ahead * found["yaw_rate"]
-            return found
         found["yaw_rate"] = found["yaw_rate"] - float(reading.yaw_rate)
-        found["v_y"] = found["v_y"] - float(reading.sideslip) * v_x
-        found["v_y"] = found["v_y"] - ahead * found["yaw_rate"]
+        found["v_y"] = found["v_y"] - turned * v_x - ahead * found["yaw_rate"]
+        if vehicle.columns.motion == POSE:
+            found["heading"] = heading = found["heading"] + turned
+            found["x"] = found["x"] - ahead * np.cos(heading)
+            found["y"] = found["y"] - ahead * np.sin(heading)
         return found
 
 

@@ -404,7 +404,7 @@ class Base:
     def _log_evidence(self, fit: Fit) -> float:
         own, off = fit.z[fit.own], fit.amplitude
         square = fit.products.square.sum() + own @ own
-        curvature = np.linalg.slogdet(np.linalg.inv(fit.covariance))[1]
+        curvature = -np.linalg.slogdet(fit.covariance)[1]
         error = np.sqrt(np.diag(fit.covariance)[_TIRES:])
         # Half of the prior is gone where one sign alone is physical.
         sided = np.where(self.one_sided[list(fit.atoms)], np.log(2), 0.0)

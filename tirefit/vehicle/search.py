@@ -7,11 +7,15 @@ from math import factorial
 import numpy as np
 from scipy.special import logsumexp, softmax, stdtr
 
-from tirefit.diagnosis.decide.findings import parts_of, probability_by_tests
+from tirefit.diagnosis.decide.findings import (
+    gains_of,
+    parts_of,
+    probability_by_tests,
+)
 from tirefit.diagnosis.decide.verdict import Findings, Fitted, Tests, no_gap_shows
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
 from tirefit.diagnosis.evidence.search import PRIOR_OF_SIZE, PRIOR_OF_UNKNOWN
-from tirefit.diagnosis.left_out import LEAST_RUNS, Predicted, gained
+from tirefit.diagnosis.left_out import LEAST_RUNS, Predicted
 from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.diagnosis.rows.basis import SCALES
 from tirefit.vehicle.evidence import (
@@ -285,22 +289,13 @@ def findings(weighed: Weighed, out: Predicted, tests: Tests) -> Findings:
     return Findings(
         weighed=weighed,
         sets={
-            tuple(part): Fitted(_ratios(weighed, out, part), _gains(out, part))
+            tuple(part): Fitted(_ratios(weighed, out, part), gains_of(out, part, 1.0))
             for part in ordered
         },
         across_runs=out.across_runs,
         unlisted=max(min(weighed.unlisted, predicts), probability_by_tests(tests)),
         tests=tests,
     )
-
-
-def _gains(out: Predicted, key: Key):
-    at, gains = {one: k for k, one in enumerate(out.effects)}, {}
-    for effect in key:
-        less = tuple(sorted({*key} - {effect}))
-        if key in at and less in at:
-            gains[effect] = gained(out, at[key], at[less], 1.0)
-    return gains
 
 
 def errors(weighed: Weighed, out: Predicted, key: Key) -> np.ndarray:

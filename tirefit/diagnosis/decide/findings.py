@@ -129,7 +129,7 @@ def findings_of(
     return Findings(
         weighed=weighed,
         sets={
-            part: Fitted(_errors(base, weighed, out, part), _gains(out, part, floor))
+            part: Fitted(_errors(base, weighed, out, part), gains_of(out, part, floor))
             for part in sorted(parts, key=lambda k: (-len(k), -weighed.log_weight[k]))
         },
         across_runs=out.across_runs,
@@ -138,7 +138,7 @@ def findings_of(
     )
 
 
-def _gains(out: Predicted, key: Key, floor: float) -> dict[str, Gain]:
+def gains_of(out: Predicted, key: Key, floor: float) -> dict[str, Gain]:
     """What each effect of a set gains beside the others."""
     at, gains = {one: k for k, one in enumerate(out.effects)}, {}
     for effect in key:
