@@ -32,16 +32,20 @@ SHOWN, LARGEST = 0.12, 3.0
 """Change of the force (rms, over that of the force) that a figure aims at, and its
 largest amplitude in standard deviations of the prior."""
 OVER = {
-    "load": ("fz", "load [N]"), "speed": ("v", "speed [m/s]"),
-    "temperature": ("temperature", "temperature [°C]"), "time": ("time", "time [s]"),
-    "inflation": ("pressure", "pressure [Pa]"), "work": ("time", "time [s]"),
-    "run": ("run", "run"), "yaw": ("yaw_rate", "yaw rate [rad/s]"),
+    "load": ("fz", "load [N]"),
+    "speed": ("v", "speed [m/s]"),
+    "temperature": ("temperature", "temperature [°C]"),
+    "time": ("time", "time [s]"),
+    "inflation": ("pressure", "pressure [Pa]"),
+    "work": ("time", "time [s]"),
+    "run": ("run", "run"),
+    "yaw": ("yaw_rate", "yaw rate [rad/s]"),
     "yaw acceleration": ("yaw_acceleration", "yaw acceleration [rad/s²]"),
     "heading": ("heading", "heading [rad]"),
     "steering": ("steering", "road wheel angle [rad]"),
     "lateral acceleration": ("a_y", "lateral acceleration [m/s²]"),
     "acceleration": ("a_x", "longitudinal acceleration [m/s²]"),
-}  # fmt: skip
+}
 """Quantity of a family -> column and label that its change is drawn over; else slip."""
 
 
@@ -53,7 +57,10 @@ def _rig_record():
     force = forces(MODELS["brush"], TireInputs(sigma_x=slip, fz=fz)).fx
     sideways = np.sin(0.9 * time)
     return {
-        "time": time, "sigma_x": slip, "fz": fz, "v": v,
+        "time": time,
+        "sigma_x": slip,
+        "fz": fz,
+        "v": v,
         "fx": np.asarray(force) + 0.003 * fz * generator.standard_normal(len(time)),
         "omega": v / (1 + slip) / RIG.rolling_radius,
         # Less than a tenth of the slip: a disturbance, and not combined slip.
@@ -62,7 +69,7 @@ def _rig_record():
         "temperature": 40 + 10 * np.sin(0.4 * time),
         "pressure": np.repeat(np.resize([2.0e5, 2.4e5], count), ROWS),
         "run": np.repeat(np.arange(count) // 2, ROWS),
-    }  # fmt: skip
+    }
 
 
 def _car_record():
@@ -73,9 +80,7 @@ def _car_record():
 def _bases():
     """(columns of the record, force, base fit) of each record."""
     for frame, channel in ((_rig_record(), "fx"), (_car_record(), "fy")):
-        base = fit_base(
-            prepare(read_frame(frame), RIG, (channel,)), "brush", EFFECTS, RIG
-        )
+        base = fit_base(prepare(read_frame(frame), RIG, (channel,)), "brush", EFFECTS, RIG)
         if "run" in frame:
             base = base.on(_with_unlike_runs(base.design, frame["run"]))
         yield frame, channel, base
@@ -124,8 +129,9 @@ def _draw(effect, columns, slip, plain, changed):
     figure = Figure(figsize=(7.2, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     for force, color, label in (
-        (plain, "0.6", "without"), (changed, "tab:blue", f"with {name_of(effect.id)}")
-    ):  # fmt: skip
+        (plain, "0.6", "without"),
+        (changed, "tab:blue", f"with {name_of(effect.id)}"),
+    ):
         left.plot(slip, force / columns["fz"], ".", ms=2, color=color, label=label)
     left.set(xlabel=f"{side} [-]", ylabel="force / load [-]")
     figure.legend(loc="outside upper center", ncols=2, markerscale=4, frameon=False)

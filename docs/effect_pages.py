@@ -22,10 +22,8 @@ PER = {
     "slip": "times the slip at half of the largest force",
     "sliding": "over the range of the sliding speed",
     "rolling": "over the range of the speed",
-    "growth": "times the slip at half of the largest force,"
-    " over the range of the speed",
-    "inverse_speed": "times the slip at half of the largest force,"
-    " over the range of 1/v",
+    "growth": "times the slip at half of the largest force, over the range of the speed",
+    "inverse_speed": "times the slip at half of the largest force, over the range of 1/v",
     "period": "times the time in which the slip changes by its standard deviation",
     "way": "times the distance in which the slip changes by its standard deviation",
     "temperature": "over the range of the temperature in 20 K",

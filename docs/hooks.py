@@ -15,8 +15,13 @@ sys.path.insert(0, str(HERE))
 import generated  # noqa: E402  a file beside this one
 
 ROOT = HERE.parent
-ALONE = ("*.md", "LICENSE", "CITATION.cff", "tests/bench/README.md",
-         "tirefit/diagnosis/calibration.json")  # fmt: skip
+ALONE = (
+    "*.md",
+    "LICENSE",
+    "CITATION.cff",
+    "tests/bench/README.md",
+    "tirefit/diagnosis/calibration.json",
+)
 FOLDERS = ("docs", "fits")
 KINDS = {".md", ".png", ".csv", ".toml", ".json", ".ipynb", ".py"}
 KINDS |= {".dat", ".tdx", ".mat", ".parquet", ".xlsx", ".mf4", ".mcap"}
@@ -32,8 +37,9 @@ def on_files(files, config):
     shown = [p for p in paths if p.parent.name[0] != "_" and p.parent != HERE]
     shown += HERE.glob("*.md")
     names = sorted(str(path.relative_to(ROOT)) for path in shown)
-    made = [File.generated(config, name, content=content)
-            for name, content in generated.pages().items()]  # fmt: skip
+    made = [
+        File.generated(config, name, content=content) for name, content in generated.pages().items()
+    ]
     stored = [File(name, str(ROOT), config.site_dir, True) for name in names]
     for file in (*stored, *made):
         file.dest_uri = file.dest_uri.removeprefix("docs/")

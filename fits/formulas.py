@@ -78,9 +78,7 @@ def brush_d(sigma, fz, v, c, mu, d):
         top / (32 * d**3) * (1 - d) ** 3 * (3 * d + 1)
         + c / (4 * d**2) * (2 * d + 5 * d**2 + 1) * sigma
         + (c * sigma) ** 2 / (3 * top * d)
-        - (top / (32 * d**3) * (d - 1) ** 2 + c * sigma / (6 * d**2))
-        * (3 * d + 1)
-        * root
+        - (top / (32 * d**3) * (d - 1) ** 2 + c * sigma / (6 * d**2)) * (3 * d + 1) * root
     )
     return np.where(c * sigma < 1.5 * top * (1 + d), force, top)
 
@@ -105,11 +103,16 @@ def fit_scipy(function, observed, starts, lower, upper):
     """
     found = [
         least_squares(
-            lambda p: function(*p) - observed, start, bounds=(lower, upper),
-            x_scale=np.abs(start) + 0.1, xtol=1e-14, ftol=1e-14, gtol=1e-14,
+            lambda p: function(*p) - observed,
+            start,
+            bounds=(lower, upper),
+            x_scale=np.abs(start) + 0.1,
+            xtol=1e-14,
+            ftol=1e-14,
+            gtol=1e-14,
         )
         for start in starts
-    ]  # fmt: skip
+    ]
     best = min(found, key=lambda result: result.cost)
     squares = 2 * best.cost
     variance = squares / (len(observed) - len(best.x))

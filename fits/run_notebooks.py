@@ -23,10 +23,7 @@ from tirefit.files import replacing
 NOTEBOOKS = Path(__file__).parent / "notebooks"
 
 _KERNEL = {"display_name": "Python 3 (ipykernel)", "language": "python"}
-_METADATA = {
-    "kernelspec": {**_KERNEL, "name": "python3"},
-    "language_info": {"name": "python"},
-}
+_METADATA = {"kernelspec": {**_KERNEL, "name": "python3"}, "language_info": {"name": "python"}}
 
 
 def execute(path: Path, **environment: str) -> nbformat.NotebookNode:
@@ -50,9 +47,7 @@ def execute(path: Path, **environment: str) -> nbformat.NotebookNode:
         # No start-up files and no history of the user's; inline figures.
         inherited = {k: v for k, v in os.environ.items() if k != "MPLBACKEND"}
         environment = inherited | {"IPYTHONDIR": scratch} | environment
-        specs = KernelSpecManager(
-            kernel_dirs=[str(kernel.parent)], ensure_native_kernel=False
-        )
+        specs = KernelSpecManager(kernel_dirs=[str(kernel.parent)], ensure_native_kernel=False)
         manager = AsyncKernelManager(
             kernel_name="python3",
             kernel_spec_manager=specs,

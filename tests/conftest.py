@@ -45,10 +45,7 @@ for _name, _value in _SETTINGS.items():
 # a test run once. A program in one piece is the same code in 0.85 to 0.9 of the time,
 # and takes 24 instead of 39 mappings (see below): pieces are for cores that idle. XLA
 # reads them when the first program is compiled.
-_QUICKER = [
-    "--xla_cpu_use_fusion_emitters=false",
-    "--xla_cpu_parallel_codegen_split_count=1",
-]
+_QUICKER = ["--xla_cpu_use_fusion_emitters=false", "--xla_cpu_parallel_codegen_split_count=1"]
 _FLAGS = os.environ.get("XLA_FLAGS", "").split()
 os.environ["XLA_FLAGS"] = " ".join(dict.fromkeys([*_FLAGS, *_QUICKER]))
 # Commands and kernels choose their precision themselves, which is tested.

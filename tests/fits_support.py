@@ -86,9 +86,7 @@ def config_of(case: Path, fit: dict[str, Any]) -> FitConfig:
 def derive_all(case: Path, expected: dict[str, Any], folder: Path) -> None:
     for step in expected.get("derive", []):
         logs = sorted(path for glob in step["logs"] for path in case.glob(glob))
-        tirefit.derive_files(
-            logs, case / step["vehicle"], folder / f"{step['name']}.csv"
-        )
+        tirefit.derive_files(logs, case / step["vehicle"], folder / f"{step['name']}.csv")
 
 
 def run_fit(case: Path, fit: dict[str, Any], folder: Path):
@@ -98,10 +96,14 @@ def run_fit(case: Path, fit: dict[str, Any], folder: Path):
     declared = config.data
     data = tirefit.read(
         derived if derived.exists() else case / fit["file"],
-        columns=declared.columns, units=declared.units, slip=declared.slip,
-        constants=declared.constants, convention=declared.convention,
-        rolling_radius=declared.rolling_radius, mask_bad_rows=declared.mask_bad_rows,
-    )  # fmt: skip
+        columns=declared.columns,
+        units=declared.units,
+        slip=declared.slip,
+        constants=declared.constants,
+        convention=declared.convention,
+        rolling_radius=declared.rolling_radius,
+        mask_bad_rows=declared.mask_bad_rows,
+    )
     result = tirefit.fit(data, fit.get("model"), config=config)
     return tirefit.sample(result) if fit.get("posterior") else result
 
@@ -118,14 +120,10 @@ def broken(check: dict[str, Any], found: Any, reference: dict[str, float]) -> li
     if "per" in check:
         found = found / reference[check["per"]]
     if "value" in check:
-        allowed = check.get("within", 0) + check.get("relative", 0) * abs(
-            check["value"]
-        )
+        allowed = check.get("within", 0) + check.get("relative", 0) * abs(check["value"])
         if found is None or not abs(found - check["value"]) <= allowed:
             wrong.append(f"{of} = {found}, expected {check['value']} +- {allowed}")
-        if "ref" in check and not abs(reference[check["ref"]] - check["value"]) <= (
-            allowed
-        ):
+        if "ref" in check and not abs(reference[check["ref"]] - check["value"]) <= (allowed):
             wrong.append(f"{check['ref']} is {reference[check['ref']]} by reference.py")
     if "min" in check and not (found is not None and found >= check["min"]):
         wrong.append(f"{of} = {found}, expected at least {check['min']}")

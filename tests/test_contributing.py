@@ -23,6 +23,9 @@ def test_what_it_names_is_there():
     assert [path for path in paths if not (ROOT / path).exists()] == []
     targets = set(re.findall(r"`make ([a-z-]+)`", TEXT))
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    made = {name for line in re.findall(r"^([a-z -]+):", makefile, re.MULTILINE)
-            for name in line.split()}  # fmt: skip
+    made = {
+        name
+        for line in re.findall(r"^([a-z -]+):", makefile, re.MULTILINE)
+        for name in line.split()
+    }
     assert len(targets) > 5 and targets <= made

@@ -28,9 +28,11 @@ def build(config, site):
     """The build as `make docs` runs it; with --quiet, mkdocs counts no warnings."""
     return subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "-f", config, "-d", site],
-        cwd=ROOT, capture_output=True, text=True,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
         env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")

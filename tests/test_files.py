@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from tirefit.data.write import write_csv
-from tirefit.files import (
-    json_safe,
-    json_text,
-    replacing,
-    write_text_atomic,
-    write_texts,
-)
+from tirefit.files import json_safe, json_text, replacing, write_text_atomic, write_texts
 from tirefit.results import Outcome
 
 

@@ -39,9 +39,7 @@ def compare(case, fit, folder):
     derive_all(case, load(case), folder)
     result = run_fit(case, fit | {"posterior": False}, folder)
     # Where it is refused its steps are emcee's own: few, there is nothing to compare.
-    weighted = tirefit.sample(
-        result, sampler="importance", effective_samples=8000, max_steps=100
-    )
+    weighted = tirefit.sample(result, sampler="importance", effective_samples=8000, max_steps=100)
     if weighted.posterior.sampler == "emcee":
         assert "importance sampling refused" in weighted.posterior.note
         return "emcee"
@@ -67,9 +65,7 @@ def compare(case, fit, folder):
     return "importance"
 
 
-@pytest.mark.parametrize(
-    ("case", "fit"), [x for x in FITS if (x[0].name, x[1]["name"]) in QUICK]
-)
+@pytest.mark.parametrize(("case", "fit"), [x for x in FITS if (x[0].name, x[1]["name"]) in QUICK])
 def test_intervals_are_those_of_emcee(case, fit, tmp_path):
     assert compare(case, fit, tmp_path) == QUICK[case.name, fit["name"]]
 

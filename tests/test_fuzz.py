@@ -160,8 +160,7 @@ def test_a_record_that_was_changed_is_refused(tmp_path):
     path = tmp_path / "r.json"
     record = sealed({"schema": "x/1", "values": [0.1, None, "µ"], "n": 3})
     path.write_text(json.dumps(record, indent=3))
-    assert read_record(path, "x/1", "") == {"schema": "x/1", "values": [0.1, None, "µ"],
-                                            "n": 3}  # fmt: skip
+    assert read_record(path, "x/1", "") == {"schema": "x/1", "values": [0.1, None, "µ"], "n": 3}
     with pytest.raises(DataError, match="its schema is not y/1"):
         read_record(path, "y/1", "")
     path.write_text(json.dumps(record | {"n": 4}))

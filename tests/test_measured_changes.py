@@ -46,9 +46,7 @@ def test_six_logs_by_hand(six):
     assert sum(part.sum() for part in parts) == len(six["fy"])
     for names in ((), ("slip_offset",), ("slip_offset", "friction_speed_linear")):
         found = by_hand.rms_left_out(names, six, parts)
-        assert found == pytest.approx(
-            HAND["dart_six"]["rms"]["+".join(names)], rel=1e-3
-        )
+        assert found == pytest.approx(HAND["dart_six"]["rms"]["+".join(names)], rel=1e-3)
     assert by_hand.fitted(("slip_offset",), six)[2] == pytest.approx(-9.7e-3, abs=2e-4)
     assert data(six, "six").n == 2389
 

@@ -38,10 +38,7 @@ KERNEL = {"PYTHONWARNINGS": "ignore:Error reading persistent compilation cache"}
 
 def outputs(notebook):
     return [
-        output
-        for cell in notebook.cells
-        if cell.cell_type == "code"
-        for output in cell.outputs
+        output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs
     ]
 
 
@@ -83,9 +80,7 @@ def test_committed_is_clean(path):
     kinds = {output.output_type for output in outputs(notebook)}
     assert kinds <= {"stream", "execute_result", "display_data"}
     assert all(output.get("name", "stdout") == "stdout" for output in outputs(notebook))
-    content = re.sub(
-        r'"image/png": "[^"]*"|base64,[^"\\]*', "", path.read_text("utf-8")
-    )
+    content = re.sub(r'"image/png": "[^"]*"|base64,[^"\\]*', "", path.read_text("utf-8"))
     machine = re.search(r"/home|/root|/tmp|/work|/Users|[A-Z]:\\\\| at 0x", content)
     assert machine is None, content[machine.start() - 40 : machine.end() + 40]
 
@@ -102,9 +97,7 @@ def test_runs_and_shows_the_same(path, tmp_path):
     committed = nbformat.read(path, as_version=4)
     new = execute(place, **KERNEL)
 
-    assert [o.output_type for o in outputs(new)] == [
-        o.output_type for o in outputs(committed)
-    ]
+    assert [o.output_type for o in outputs(new)] == [o.output_type for o in outputs(committed)]
     pictures = rich(new, "image/png")
     assert pictures
     assert all(base64.b64decode(one).startswith(b"\x89PNG") for one in pictures)

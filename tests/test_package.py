@@ -15,9 +15,7 @@ PACKAGE = ROOT / "tirefit"
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    (built,) = WheelBuilder(str(ROOT)).build(
-        directory=str(tmp_path_factory.mktemp("d"))
-    )
+    (built,) = WheelBuilder(str(ROOT)).build(directory=str(tmp_path_factory.mktemp("d")))
     with zipfile.ZipFile(built) as archive:
         yield archive
 
@@ -35,9 +33,7 @@ def test_the_wheel_holds_every_file_of_the_package(wheel):
 
 
 def test_the_licence_of_the_samples_goes_with_the_wheel(wheel):
-    (licence,) = [
-        n for n in wheel.namelist() if n.endswith("licenses/tirefit/samples/LICENSE")
-    ]
+    (licence,) = [n for n in wheel.namelist() if n.endswith("licenses/tirefit/samples/LICENSE")]
     source = ROOT / "fits" / "dart_jetracer" / "LICENSE"
     assert wheel.read(licence) == source.read_bytes()
 

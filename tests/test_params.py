@@ -104,12 +104,7 @@ def test_nested_order_is_that_of_the_fields():
     names = ["cpa2", "mu", "half_length", "d", "m", "h", "v_st", "exponent"]
     assert list(specs(NESTED)) == names
     assert list(parameter_values(NESTED)) == names
-    assert list(specs(MODELS["brush-m-peak"])) == [
-        "cpa2",
-        "mu_peak",
-        "half_length",
-        "m",
-    ]
+    assert list(specs(MODELS["brush-m-peak"])) == ["cpa2", "mu_peak", "half_length", "m"]
     free = [name for name, spec in specs(NESTED).items() if spec.free]
     assert free == ["cpa2", "mu", "d", "m", "h"]
 

@@ -41,9 +41,14 @@ def test_the_joint_density_of_numpyro_is_ours(name):
 def test_the_summary_counts_and_compares():
     def line(method, k, low, high):
         return {
-            "method": method, "set": str(k), "parameter": "mu", "truth": "1.0",
-            "low": str(low), "high": str(high), "said": "",
-        }  # fmt: skip
+            "method": method,
+            "set": str(k),
+            "parameter": "mu",
+            "truth": "1.0",
+            "low": str(low),
+            "high": str(high),
+            "said": "",
+        }
 
     lines = [line("emcee", k, 0.5, 1.5) for k in range(2)]
     lines += [line("mean-field", 0, 0.9, 1.1), line("mean-field", 1, 1.1, 1.3)]

@@ -15,9 +15,7 @@ from tirefit.results import ExitCode
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 # The code, then its output, indented.
-EXAMPLE = re.compile(
-    r"```python\n(import jax\n.*?)```\n\n((?:    [^\n]*\n)+)", re.DOTALL
-)
+EXAMPLE = re.compile(r"```python\n(import jax\n.*?)```\n\n((?:    [^\n]*\n)+)", re.DOTALL)
 
 
 def test_the_readme_is_short():

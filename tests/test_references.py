@@ -51,13 +51,10 @@ LISTED = listed()
 
 
 def unknown(text):
-    return [f"{s}({n}{letter})" for s, n, letter in equations(text)
-            if (s, n, letter) not in LISTED]  # fmt: skip
+    return [f"{s}({n}{letter})" for s, n, letter in equations(text) if (s, n, letter) not in LISTED]
 
 
-@pytest.mark.parametrize(
-    "files", [PACKAGE, TESTS, TEXTS], ids=["package", "tests", "texts"]
-)
+@pytest.mark.parametrize("files", [PACKAGE, TESTS, TEXTS], ids=["package", "tests", "texts"])
 def test_every_equation_that_is_cited_has_a_line(files):
     here = Path(__file__).resolve()
     cited = {
@@ -125,8 +122,7 @@ def without_reference(text):
         f"{before}{year})"
         for before, year in papers(text)
         if not any(
-            year in entry and any(name in before for name in names)
-            for names, entry in known
+            year in entry and any(name in before for name in names) for names, entry in known
         )
     ]
 

@@ -9,9 +9,7 @@ from tirefit.settings import Section, parse_settings
 
 
 def test_the_known_name_that_is_meant():
-    assert did_you_mean("frction", {"friction", "stiffness"}) == (
-        "did you mean 'friction'? "
-    )
+    assert did_you_mean("frction", {"friction", "stiffness"}) == ("did you mean 'friction'? ")
     assert did_you_mean("qqq", ("friction", "stiffness")) == ""
 
 
@@ -26,9 +24,8 @@ def _options():
 SAID = {
     "name": (lambda: check_names("method", "rsl", ("rls", "ekf")), "rsl", "rls"),
     "option": (_options, "kapa", "kappa"),
-    "key": (lambda: parse_settings(_File, {"frction": 1.0}, "a.toml"), "frction",
-            "friction"),
-}  # fmt: skip
+    "key": (lambda: parse_settings(_File, {"frction": 1.0}, "a.toml"), "frction", "friction"),
+}
 
 
 @pytest.mark.parametrize(("use", "given", "meant"), SAID.values(), ids=SAID)

@@ -102,9 +102,7 @@ EVENT = {
 @pytest.mark.parametrize("name", sorted(CONVENTIONS))
 def test_one_event_has_one_canonical_form(name):
     signs = CONVENTIONS[name]
-    canonical = {
-        field: value * getattr(signs, field) for field, value in EVENT[name].items()
-    }
+    canonical = {field: value * getattr(signs, field) for field, value in EVENT[name].items()}
     assert canonical == EVENT["braking"]
 
 

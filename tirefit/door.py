@@ -15,9 +15,7 @@ from typing import Any
 from tirefit.results import DataError, InputProblem, TirefitError, UsageError
 
 MIB = 2**20
-SETTINGS, TIRE, RECORD, CHAIN, DATA = (
-    1 * MIB, 8 * MIB, 256 * MIB, 1024 * MIB, 1024 * MIB,
-)  # fmt: skip
+SETTINGS, TIRE, RECORD, CHAIN, DATA = (1 * MIB, 8 * MIB, 256 * MIB, 1024 * MIB, 1024 * MIB)
 """Largest files: settings, ``.tir``, JSON, kept chains, data (unpacked as well)."""
 
 _DEEPEST = 16  # tables and lists in each other: settings and records have up to 6

@@ -9,9 +9,7 @@ def padded_size(n: int, least: int = 8) -> int:
     ``least`` is larger where a program takes long to compile and short to run.
     """
     power = 2 ** int(np.floor(np.log2(max(n, least))))
-    return next(
-        size for size in (power, power * 3 // 2, power * 2) if size >= max(n, least)
-    )
+    return next(size for size in (power, power * 3 // 2, power * 2) if size >= max(n, least))
 
 
 def pad_rows(array, size: int) -> np.ndarray:

@@ -111,11 +111,7 @@ def parameter_values(model: eqx.Module) -> dict[str, Any]:
 
 
 def check_values(
-    model: eqx.Module,
-    owner: str,
-    values: Mapping[str, float],
-    *,
-    noun: str = "parameter",
+    model: eqx.Module, owner: str, values: Mapping[str, float], *, noun: str = "parameter"
 ) -> None:
     """Whether a user's values are of this model and within its bounds.
 
@@ -146,9 +142,7 @@ def _out_of_bounds(key: str, value: float, spec: Spec) -> list[InputProblem]:
     return [InputProblem(reason, f"{spec.meaning}: {low:.6g} to {high:.6g}{unit}")]
 
 
-def check_names(
-    noun: str, names: str | Sequence[str], known: Iterable[str]
-) -> tuple[str, ...]:
+def check_names(noun: str, names: str | Sequence[str], known: Iterable[str]) -> tuple[str, ...]:
     """Names that a user chose, given as one text with commas or one by one.
 
     Args:

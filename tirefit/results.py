@@ -36,8 +36,7 @@ class Outcome(enum.Enum):
         " wrong, and if it is the slip, every number of this fit is"
     )
     STARTS_DISAGREE = (
-        "the starts ended in different minima of the same depth: the estimate is not"
-        " unique"
+        "the starts ended in different minima of the same depth: the estimate is not unique"
     )
     AT_BOUND = "a parameter ended at its bound"
     NOT_IDENTIFIED = "the data do not identify this parameter"
@@ -46,9 +45,7 @@ class Outcome(enum.Enum):
         " ensembles disagree: continue it with --resume"
     )
     INTERRUPTED = "interrupted: the samples drawn so far are kept; --resume continues"
-    GUARD_FAILED = (
-        "within the loads and slips of the data the fitted curve is not that of a tire"
-    )
+    GUARD_FAILED = "within the loads and slips of the data the fitted curve is not that of a tire"
     WORSENED = "rows of combined slip worsened the curve of pure slip"
     SYSTEMATIC_MISFIT = "the residuals are mostly a systematic miss of the curve"
     POOR_FIT = (
@@ -128,9 +125,7 @@ class TirefitError(Exception):
 
     exit_code = ExitCode.USAGE
 
-    def __init__(
-        self, problems: Sequence[InputProblem] | InputProblem | str, *more, **named
-    ):
+    def __init__(self, problems: Sequence[InputProblem] | InputProblem | str, *more, **named):
         if isinstance(problems, str):
             problems = InputProblem(problems, *more, **named)
         if isinstance(problems, InputProblem):

@@ -14,13 +14,7 @@ from dataclasses import replace
 from typing import Any, TypeVar, get_args
 
 import numpy as np
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator, model_validator
 
 from tirefit.results import InputProblem, UsageError, did_you_mean
 
@@ -39,9 +33,7 @@ class Section(BaseModel):
     A field's ``description`` is the remedy where it is missing.
     """
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
     def contradictions(self) -> Iterable[InputProblem]:
         """Keys that do not go together, each right by itself; none unless said."""
@@ -92,11 +84,7 @@ def parse_settings(kind: type[S], content: dict, source: str) -> S:
             if detail["type"] == "value_error" and detail["loc"] not in seen
         ]
     raise UsageError(
-        [
-            replace(problem, file=source)
-            for detail in details
-            for problem in _problems(kind, detail)
-        ]
+        [replace(problem, file=source) for detail in details for problem in _problems(kind, detail)]
     )
 
 

@@ -30,9 +30,11 @@ def text(path, frame, separator, *above):
 def in_kn(columns):
     """The quantities that a lateral fit uses; forces in kN, angles in degrees."""
     return {
-        "time": columns["time"], "alpha": columns["alpha"] / DEG,
-        "fy": columns["fy"] / 1e3, "fz": columns["fz"] / 1e3,
-    }  # fmt: skip
+        "time": columns["time"],
+        "alpha": columns["alpha"] / DEG,
+        "fy": columns["fy"] / 1e3,
+        "fz": columns["fz"] / 1e3,
+    }
 
 
 def make():
@@ -48,8 +50,7 @@ def make():
     (HERE / "sweep.tdx").write_text("\n".join(tydex(columns)) + "\n")
     savemat(HERE / "sweep.mat", short, do_compression=True)
     fields = [
-        pyarrow.field(name, pyarrow.float64(), metadata={"unit": units[name]})
-        for name in named
+        pyarrow.field(name, pyarrow.float64(), metadata={"unit": units[name]}) for name in named
     ]
     arrays = [pyarrow.array(x) for x in named.values()]
     table = pyarrow.Table.from_arrays(arrays, schema=pyarrow.schema(fields))
@@ -61,10 +62,13 @@ def make():
         book.active.append([float(x) for x in row])
     book.save(HERE / "sweep.xlsx")
     with asammdf.MDF(version="4.10") as mdf:
-        mdf.append([
-            asammdf.Signal(x, columns["time"], name=name, unit=units[name])
-            for name, x in named.items() if name != "time"
-        ])  # fmt: skip
+        mdf.append(
+            [
+                asammdf.Signal(x, columns["time"], name=name, unit=units[name])
+                for name, x in named.items()
+                if name != "time"
+            ]
+        )
         mdf.save(HERE / "sweep.mf4", overwrite=True)
     bag(HERE / "bag", short)
 
@@ -76,8 +80,9 @@ def bag(path, frame):
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         topics = {
             name: writer.add_connection(f"/{name}", number.__msgtype__, typestore=store)
-            for name in frame if name != "time"
-        }  # fmt: skip
+            for name in frame
+            if name != "time"
+        }
         for row, time in enumerate(frame["time"]):
             for name, topic in topics.items():
                 raw = store.serialize_cdr(number(frame[name][row]), number.__msgtype__)

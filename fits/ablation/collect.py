@@ -139,9 +139,7 @@ def diagnosed(data, **given) -> dict:
         except _Stopped as stopped:
             case = stopped.case
     spent["in all"] = time.process_time() - began
-    record = record_of(
-        case.base, case.search, case.weighed, case.predicted, told[-1], case.verdict
-    )
+    record = record_of(case.base, case.search, case.weighed, case.predicted, told[-1], case.verdict)
     return record | {"seconds": spent}
 
 
@@ -160,9 +158,12 @@ def _trial(folder: Path, name: str, label: dict, without, sim: bool, at: Path) -
 
     path = folder / "trials" / label["file"]
     record = diagnosed(
-        tirefit.read(str(path)), model="brush", rig=path.parent / "rig.toml",
-        without=without, sim=True if sim else None,
-    )  # fmt: skip
+        tirefit.read(str(path)),
+        model="brush",
+        rig=path.parent / "rig.toml",
+        without=without,
+        sim=True if sim else None,
+    )
     return _write(at, record | {"name": f"{folder.name}/{name}", "label": label})
 
 
@@ -180,8 +181,14 @@ def _measured(name: str, at: Path) -> str:
     if case.fitted_on is not None:
         sim = tirefit.fit(data(table(case.fitted_on), "fitted"), "brush")
     record = diagnosed(data(table(case.logs), case.name), sim=sim)
-    label = {"set": "measured", "named": case.named, "never": case.never,
-             "effects": [], "families": [], "kind": case.letter}  # fmt: skip
+    label = {
+        "set": "measured",
+        "named": case.named,
+        "never": case.never,
+        "effects": [],
+        "families": [],
+        "kind": case.letter,
+    }
     return _write(at, record | {"name": f"measured/{case.name}", "label": label})
 
 
@@ -221,16 +228,12 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("folders", type=Path, nargs="*")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument(
-        "--measured", action="store_true", help="the measured cases as well"
-    )
+    parser.add_argument("--measured", action="store_true", help="the measured cases as well")
     given = parser.parse_args(arguments)
     compiled = str((given.out / "compiled").absolute())
     work = _work(given.folders, given.out, given.measured)
     print(f"{len(work)} files", flush=True)
-    with ProcessPoolExecutor(
-        given.jobs, get_context("spawn"), _begin, (compiled,)
-    ) as pool:
+    with ProcessPoolExecutor(given.jobs, get_context("spawn"), _begin, (compiled,)) as pool:
         waiting = [(one, pool.submit(*one)) for one in work]
         for number, (one, done) in enumerate(waiting):
             try:

@@ -59,9 +59,7 @@ def _false_names(s: Scores) -> tuple:
 
 
 def _alarms(s: Scores) -> tuple:
-    return share(
-        o.flagged for name, o in s.outcomes.items() if kind_of(s.labels[name]) == "null"
-    )
+    return share(o.flagged for name, o in s.outcomes.items() if kind_of(s.labels[name]) == "null")
 
 
 def _brier(s: Scores) -> tuple:
@@ -89,8 +87,11 @@ COLUMNS: dict[str, Callable[[Scores], tuple]] = {
 }
 """Column -> (value, count) of the scores."""
 
-SAVED = {"climb off": ("climbed",), "gain: no data left out": ("predicted",),
-         "plain decision": ("climbed", "predicted", "remainder_tests")}  # fmt: skip
+SAVED = {
+    "climb off": ("climbed",),
+    "gain: no data left out": ("predicted",),
+    "plain decision": ("climbed", "predicted", "remainder_tests"),
+}
 """Stages of the record that a row does not need."""
 
 
@@ -136,8 +137,7 @@ def _measured(records: Sequence[Mapping], answers: Mapping[str, Answer]) -> list
         label, answer = record["label"], answers[record["name"]]
         if label["named"] or label["never"]:
             found = all(
-                any(re.fullmatch(pattern, e) for e in answer.effects)
-                for pattern in label["named"]
+                any(re.fullmatch(pattern, e) for e in answer.effects) for pattern in label["named"]
             )
             false = [e for e in answer.effects if re.fullmatch(label["never"], e)]
             right.append(found and not false)
@@ -200,9 +200,7 @@ def table(
     for name, rules in VARIANTS.items():
         answers = answered(first, [*second, *measured], rules)
         outcomes = {
-            _bare(r["name"]): judge(
-                _bare(r["name"]), r["label"], answers[r["name"]].document
-            )
+            _bare(r["name"]): judge(_bare(r["name"]), r["label"], answers[r["name"]].document)
             for r in second
         }
         seconds = _seconds(second, SAVED.get(name, ()))

@@ -31,15 +31,7 @@ from tirefit.diagnosis.evidence.search import PRIOR_OF_UNKNOWN
 from tirefit.diagnosis.left_out import Gain
 from tirefit.diagnosis.rows.basis import of_any_kind
 
-__all__ = [
-    "VARIANTS",
-    "Answer",
-    "Rules",
-    "decided",
-    "reproduced",
-    "taught",
-    "weighed_of",
-]
+__all__ = ["VARIANTS", "Answer", "Rules", "decided", "reproduced", "taught", "weighed_of"]
 
 ALWAYS = 1e9
 """Standard errors by which no effect is refused."""
@@ -111,10 +103,14 @@ class Answer(NamedTuple):
     @property
     def document(self) -> dict:
         """The same as the part of a document that the check judges."""
-        return {"verdict": {
-            "status": self.status, "effects": self.effects,
-            "probability": self.probability, "also_possible": self.also,
-        }}  # fmt: skip
+        return {
+            "verdict": {
+                "status": self.status,
+                "effects": self.effects,
+                "probability": self.probability,
+                "also_possible": self.also,
+            }
+        }
 
     @property
     def kind(self) -> str:
@@ -156,11 +152,15 @@ def weighed_of(record: Mapping, rules: Rules) -> Weighed:
     }
     everything = _sum([*total.values(), *beside.values(), *rest])
     return Weighed(
-        best_of={}, log_weight=total, log_beside=beside, evidence=evidence,
-        other_form=frozenset(told["other_form"] if rules.forms else ()), gains=gains,
+        best_of={},
+        log_weight=total,
+        log_beside=beside,
+        evidence=evidence,
+        other_form=frozenset(told["other_form"] if rules.forms else ()),
+        gains=gains,
         log_total=everything,
         hidden=float(np.sum(np.exp(np.array(hidden) - everything))),
-    )  # fmt: skip
+    )
 
 
 def _sum(logs: Sequence[float]) -> float:
@@ -201,23 +201,21 @@ def taught(records: Sequence[Mapping], rules: Rules) -> list[said.Said]:
     return found
 
 
-def findings_of(
-    record: Mapping, weighed: Weighed, unlisted: float, rules: Rules
-) -> Findings:
+def findings_of(record: Mapping, weighed: Weighed, unlisted: float, rules: Rules) -> Findings:
     """What the decision is told of a record."""
     out = record["out"]
     key = () if no_gap_shows(weighed, rules.policy) else weighed.best
     if key and unlisted > rules.policy.likely and out["across_runs"] and rules.climb:
         key = tuple(out["climbed"]) or key
-    sets = {
-        part: _fitted(record, part)
-        for part in parts_of(key)
-        if part in weighed.log_weight
-    }
+    sets = {part: _fitted(record, part) for part in parts_of(key) if part in weighed.log_weight}
     return _Asked(
-        weighed=weighed, sets=sets, across_runs=out["across_runs"], unlisted=unlisted,
-        tests=Tests(), rules=rules,
-    )  # fmt: skip
+        weighed=weighed,
+        sets=sets,
+        across_runs=out["across_runs"],
+        unlisted=unlisted,
+        tests=Tests(),
+        rules=rules,
+    )
 
 
 def _fitted(record: Mapping, key: Key) -> Fitted:
@@ -246,9 +244,8 @@ def decided(record: Mapping, rules: Rules, lines: Mapping) -> Answer:
         found = findings_of(record, weighed, unlisted, rules)
         verdict = decide(found, rules.policy)
         answer = Answer(
-            str(verdict.status), verdict.effects, verdict.probability,
-            verdict.also_possible,
-        )  # fmt: skip
+            str(verdict.status), verdict.effects, verdict.probability, verdict.also_possible
+        )
     named = {effect.flag: effect.id for effect in NOISE_EFFECTS if effect.flag}
     odd = tuple(named[flag] for flag in record["flags"] if flag in named)
     if answer.status == Status.NONE and odd:

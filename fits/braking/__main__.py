@@ -70,9 +70,13 @@ def made(road: str, speed: float, tire, limit: float, steer: float = 0.0):
 
     name, values = tire
     request = Request(
-        with_values(MODELS[name], values), name, road=road, speed=speed, steer=steer,
+        with_values(MODELS[name], values),
+        name,
+        road=road,
+        speed=speed,
+        steer=steer,
         time_limit=limit,
-    )  # fmt: skip
+    )
     check(request)
     car = known_to_controllers(request)
     return request, {name: controller_of(name, car) for name in CONTROLLERS}
@@ -88,11 +92,16 @@ def numbers(controller: str, key: str, values, against) -> dict:
         return f"{value:.4g}"
 
     return {
-        "controller": controller, "number": key, "mean": shown(whole.mean),
-        "low": shown(whole.low), "high": shown(whole.high), "seeds": whole.k,
-        "less_abs": shown(apart.mean), "less_abs_low": shown(apart.low),
+        "controller": controller,
+        "number": key,
+        "mean": shown(whole.mean),
+        "low": shown(whole.low),
+        "high": shown(whole.high),
+        "seeds": whole.k,
+        "less_abs": shown(apart.mean),
+        "less_abs_low": shown(apart.low),
         "less_abs_high": shown(apart.high),
-    }  # fmt: skip
+    }
 
 
 def stops(case: str, asked) -> list[dict]:
@@ -147,9 +156,14 @@ def tires(asked) -> list[dict]:
         for name in ("xbs-servo", "abs"):
             rate = controllers[name].rate
             numbers_of = many_stops(
-                plants, controllers[name], arrays(request.sensors), jnp.asarray(speed),
-                keys, request.samples(rate), request.hydraulics.queue(rate),
-            )  # fmt: skip
+                plants,
+                controllers[name],
+                arrays(request.sensors),
+                jnp.asarray(speed),
+                keys,
+                request.samples(rate),
+                request.hydraulics.queue(rate),
+            )
             many[name] = jax.tree.map(np.asarray, numbers_of)
             print(road, tire[0], name, many[name].stopping_distance.mean(), flush=True)
         rows += rows_of(road, tire[0], many)
@@ -184,9 +198,11 @@ def turn(asked) -> list[dict]:
         along, across, heading = jax.jit(jax.vmap(one))(keys)
         along, across = np.asarray(along), np.asarray(across)
         points[name] = {
-            "mu_x": along, "mu_y": across, "mu": np.hypot(along, across),
+            "mu_x": along,
+            "mu_y": across,
+            "mu": np.hypot(along, across),
             "heading": np.asarray(heading),
-        }  # fmt: skip
+        }
     draw_turn(points, asked.into / "turn.png")
     return [
         numbers(name, key, values, points["abs"][key])
@@ -205,18 +221,13 @@ def draw_turn(points, path: Path) -> None:
     angle = np.linspace(0, np.pi / 2, 100)
     axes.plot(0.3 * np.cos(angle), 0.3 * np.sin(angle), color=GREY, linewidth=1)
     for color, (name, each) in zip(COLORS, points.items(), strict=False):
-        axes.plot(
-            each["mu_y"], each["mu_x"], ".", color=color, markersize=5, label=name,
-            alpha=0.6,
-        )  # fmt: skip
+        axes.plot(each["mu_y"], each["mu_x"], ".", color=color, markersize=5, label=name, alpha=0.6)
     axes.set_xlim(-0.02, 0.32)
     axes.set_ylim(0.0, 0.32)
     axes.set_aspect("equal")
     tidy(axes, "$\\mu_y$, mean of the front wheels [–]", "$\\mu_x$ [–]")
     axes.legend(fontsize=8, frameon=False, loc="lower left")
-    axes.set_title(
-        "braking in a turn, first 2 s (O Figure 11)", loc="left", fontsize=9.5
-    )
+    axes.set_title("braking in a turn, first 2 s (O Figure 11)", loc="left", fontsize=9.5)
     picture.supxlabel("grey: the friction there is; a point: one seed", fontsize=7)
     save_picture(picture, path)
 

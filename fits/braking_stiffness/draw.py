@@ -68,9 +68,13 @@ def estimator() -> Xbs:
     """O's band; the noise of the sensor and the corner of the road are known."""
     noise = np.hypot(SENSORS.speed_std, SENSORS.speed_step / np.sqrt(12))
     return Xbs(
-        rate=RATE, radius=RADIUS, wheel_inertia=INERTIA, speed_noise=float(noise),
-        road_corner=SENSORS.road_corner, stiffness=2 * STIFFNESS,
-    )  # fmt: skip
+        rate=RATE,
+        radius=RADIUS,
+        wheel_inertia=INERTIA,
+        speed_noise=float(noise),
+        road_corner=SENSORS.road_corner,
+        stiffness=2 * STIFFNESS,
+    )
 
 
 @eqx.filter_jit
@@ -99,17 +103,28 @@ def stops(pressure: float, friction: float = FRICTION) -> Stops:
     """All stops under one pressure."""
     tire = with_values(MODELS["brush"], {"cpa2": STIFFNESS})
     request = Request(
-        tire, "brush", road=f"mu={friction}", speed=SPEED, vehicle="quarter",
-        hydraulics=Hydraulics(demand=pressure, ramp=2e7), sensors=SENSORS,
-    )  # fmt: skip
+        tire,
+        "brush",
+        road=f"mu={friction}",
+        speed=SPEED,
+        vehicle="quarter",
+        hydraulics=Hydraulics(demand=pressure, ramp=2e7),
+        sensors=SENSORS,
+    )
     keys = jax.vmap(jax.random.key)(jnp.arange(STOPS))
     log = _many(plant_of(request), arrays(request.sensors), keys)
     wheel = log.reading.wheel_speed[..., 0]
     xbs, std, printed = _estimates(estimator(), wheel)
     kept = (
-        log.motion.v_x, wheel, log.reading.deceleration, log.motion.pressure[..., 0],
-        log.xbs_true[..., 0], xbs, std, printed * INERTIA / RADIUS**2,
-    )  # fmt: skip
+        log.motion.v_x,
+        wheel,
+        log.reading.deceleration,
+        log.motion.pressure[..., 0],
+        log.xbs_true[..., 0],
+        xbs,
+        std,
+        printed * INERTIA / RADIUS**2,
+    )
     return Stops(*(np.asarray(part) for part in kept))
 
 
@@ -170,9 +185,7 @@ def properties() -> dict[str, float]:
     soft, hard = ("1 MPa", "3 MPa")
     for at in ("2 Hz", "40 Hz"):
         key = f"power at {at}"
-        numbers[f"{key}, 3 over 1 MPa"] = (
-            numbers[f"{hard}: {key}"] / numbers[f"{soft}: {key}"]
-        )
+        numbers[f"{key}, 3 over 1 MPa"] = numbers[f"{hard}: {key}"] / numbers[f"{soft}: {key}"]
     for friction, name in ((FRICTION, "snow"), (ICE, "ice")):
         means = [mean_of(p, friction)[0] for p in MORE[friction]]
         numbers[f"{name}: largest rise of k with pressure"] = np.max(np.diff(means))
@@ -198,9 +211,7 @@ def draw_stops() -> None:
     for column, pressure in zip(axes.T, (PRESSURES[0], PRESSURES[-1]), strict=True):
         made, first = stops(pressure), column[0] is axes[0, 0]
         column[0].plot(TIME, made.v[0], color=DARK, linewidth=1, label="car")
-        column[0].plot(
-            TIME, made.wheel[0], color=COLORS[0], linewidth=0.8, label="wheel"
-        )
+        column[0].plot(TIME, made.wheel[0], color=COLORS[0], linewidth=0.8, label="wheel")
         column[0].set_title(f"{pressure / 1e6:.0f} MPa", fontsize=9)
         column[1].plot(TIME, made.deceleration[0], color=COLORS[0], linewidth=0.5)
         column[2].plot(TIME, made.pressure[0] / 1e6, color=COLORS[0])
@@ -220,13 +231,13 @@ def draw_spectrum() -> None:
         frequency, power = spectrum(pressure)
         fitted = break_frequency(pressure)
         axes.loglog(
-            frequency[1:], power[1:], color=color,
+            frequency[1:],
+            power[1:],
+            color=color,
             label=f"{pressure / 1e6:.0f} MPa: break at {fitted[1]:.1f} Hz,"
             f" true {_true_break(pressure):.1f} Hz",
-        )  # fmt: skip
-        axes.loglog(
-            frequency[1:], shape(frequency[1:], *fitted), color=color, linestyle=":"
         )
+        axes.loglog(frequency[1:], shape(frequency[1:], *fitted), color=color, linestyle=":")
         axes.axvline(fitted[1], color=color, linewidth=0.6)
     axes.axvspan(2, 20, color=GREY, alpha=0.12, linewidth=0)
     axes.text(2.1, axes.get_ylim()[0] * 1.5, "2–20 Hz", fontsize=7.5, color=GREY)
@@ -246,9 +257,7 @@ def draw_estimate() -> None:
     left, right = picture.subplots(1, 2, sharey=True)
     made = stops(PRESSURES[-1])
     one, std = made.xbs[0], made.std[0]
-    left.fill_between(
-        TIME, one - std, one + std, color=COLORS[0], alpha=0.2, linewidth=0
-    )
+    left.fill_between(TIME, one - std, one + std, color=COLORS[0], alpha=0.2, linewidth=0)
     left.plot(TIME, one, color=COLORS[0], label="estimate of one stop, ± std")
     left.plot(TIME, made.printed[0], color=COLORS[1], label="O(3)–(7) as printed")
     left.plot(TIME, made.true[0], color=DARK, linewidth=0.5, label="true")
@@ -274,9 +283,15 @@ def draw_means() -> None:
         # Beside each other, not on top.
         beside = pressures / 1e6 + 0.03 * (friction == ICE)
         axes.errorbar(
-            beside, middle, (middle - low, high - middle), color=color, fmt="o",
-            markersize=4, linewidth=1, label=f"estimate (line: true), µ = {friction:g}",
-        )  # fmt: skip
+            beside,
+            middle,
+            (middle - low, high - middle),
+            color=color,
+            fmt="o",
+            markersize=4,
+            linewidth=1,
+            label=f"estimate (line: true), µ = {friction:g}",
+        )
         axes.plot(pressures / 1e6, true, color=color, linewidth=1)
     axes.set_ylim(0, 3000)
     axes.legend(fontsize=7.5, frameon=False)

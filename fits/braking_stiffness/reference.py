@@ -35,8 +35,7 @@ def stiffness(pressure: float, time, friction: float = FRICTION):
     v = SPEED - force / mass * np.asarray(time, float)
     wheel, step = v / (1 + sigma), 1e-4
     ahead, behind = (
-        brush(v / (wheel - move) - 1, LOAD, 0.0, STIFFNESS, friction)
-        for move in (step, -step)
+        brush(v / (wheel - move) - 1, LOAD, 0.0, STIFFNESS, friction) for move in (step, -step)
     )
     return (ahead - behind) / (2 * step), sigma / (1 + sigma), v
 
@@ -48,9 +47,7 @@ def reference() -> dict[str, float]:
         name = f"{pressure / 1e6:.0f} MPa"
         k, kappa, _ = stiffness(pressure, time)
         numbers[f"{name}: k"] = float(np.mean(k))
-        numbers[f"{name}: break frequency"] = float(
-            np.mean(k) * RADIUS**2 / (2 * np.pi * INERTIA)
-        )
+        numbers[f"{name}: break frequency"] = float(np.mean(k) * RADIUS**2 / (2 * np.pi * INERTIA))
         numbers[f"{name}: slip"] = float(kappa)
     return numbers
 

@@ -55,10 +55,12 @@ def checked(verdicts: Sequence[Said], halves: Sequence[int]) -> dict[str, float]
         lines_of([v for v, half in zip(verdicts, halves, strict=True) if half != own])
         for own in (0, 1)
     ]
-    after = np.array([
-        as_said(lines[half], status, said)
-        for (status, said, _), half in zip(verdicts, halves, strict=True)
-    ])  # fmt: skip
+    after = np.array(
+        [
+            as_said(lines[half], status, said)
+            for (status, said, _), half in zip(verdicts, halves, strict=True)
+        ]
+    )
     return {
         "verdicts": len(verdicts),
         "Brier score before": float(np.mean((before - right) ** 2)),

@@ -42,13 +42,20 @@ def left_out(data) -> list[dict]:
         held = replace(held, name=name)
         found = tirefit.diagnose(rest, holdout=[held])
         gap = found.gap.holdout
-        lines.append({
-            "log": name, "status": found.verdict.status, "effects": found.effects,
-            "probability": found.verdict.probability,
-            "here": found.gap.closed, "gap": gap and gap.rms,
-            "left": gap and gap.remaining_rms, "closed": gap and gap.closed,
-            "parameters": found.candidates[0].parameters, "runs": found.runs,
-        })  # fmt: skip
+        lines.append(
+            {
+                "log": name,
+                "status": found.verdict.status,
+                "effects": found.effects,
+                "probability": found.verdict.probability,
+                "here": found.gap.closed,
+                "gap": gap and gap.rms,
+                "left": gap and gap.remaining_rms,
+                "closed": gap and gap.closed,
+                "parameters": found.candidates[0].parameters,
+                "runs": found.runs,
+            }
+        )
         print(lines[-1], flush=True)
     return lines
 
@@ -68,8 +75,7 @@ def tracker_noise() -> dict[str, float]:
         position.append(steps[:, :2].ravel())
         heading.append(steps[:, 2])
     xy, yaw = (
-        1.4826 * np.median(np.abs(np.concatenate(x))) / np.sqrt(2)
-        for x in (position, heading)
+        1.4826 * np.median(np.abs(np.concatenate(x))) / np.sqrt(2) for x in (position, heading)
     )
     rate, cutoff = vehicle.filter.sample_rate, vehicle.filter.cutoff
     frequency = np.linspace(0, rate / 2, 20001)
@@ -81,12 +87,11 @@ def tracker_noise() -> dict[str, float]:
     sideways = np.hypot(xy, arm * yaw) * gain[1] / 2.0
     mass = vehicle.mass * vehicle.l_f / wheelbase
     return {
-        "position": xy, "heading": yaw,
+        "position": xy,
+        "heading": yaw,
         "alpha": float(np.hypot(sideways, yaw * gain[0])),
-        "fy": float(
-            np.hypot(mass * xy, vehicle.yaw_inertia / wheelbase * yaw) * gain[2]
-        ),
-    }  # fmt: skip
+        "fy": float(np.hypot(mass * xy, vehicle.yaw_inertia / wheelbase * yaw) * gain[2]),
+    }
 
 
 def repeats(alike=ALIKE, every: int = 10) -> dict[str, float]:

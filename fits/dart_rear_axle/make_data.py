@@ -32,10 +32,9 @@ def six_logs() -> None:
         for row in [row for row in rows if row["run"] == run][::100]:
             row["run"] = run.removeprefix("car_1_Datarecording_")
             cells = (
-                text if DIGITS.get(name, 6) is None
-                else f"{float(text):.{DIGITS.get(name, 6)}f}"
+                text if DIGITS.get(name, 6) is None else f"{float(text):.{DIGITS.get(name, 6)}f}"
                 for name, text in row.items()
-            )  # fmt: skip
+            )
             lines.append(",".join(cells))
     (HERE / "six_logs.csv").write_text("\n".join(lines) + "\n")
 
@@ -52,10 +51,12 @@ def main() -> None:
     for run in dict.fromkeys(row["run"] for row in rows):
         for row in [row for row in rows if row["run"] == run][::5]:
             numbers = [
-                f"{float(row['time']):.2f}", f"{float(row['alpha']):.5f}",
-                f"{float(row['fy']):.4f}", f"{float(row['fz']):.4f}",
+                f"{float(row['time']):.2f}",
+                f"{float(row['alpha']):.5f}",
+                f"{float(row['fy']):.4f}",
+                f"{float(row['fz']):.4f}",
                 f"{float(row['v']):.4f}",
-            ]  # fmt: skip
+            ]
             lines.append(",".join([*numbers, run.removeprefix("car_1_Datarecording_")]))
     (HERE / "free_driving.csv").write_text("\n".join(lines) + "\n")
 

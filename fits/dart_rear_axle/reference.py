@@ -20,18 +20,23 @@ def brush_fit(alpha, fy, fz):
     """((c_p a^2, mu), standard errors as if rows were independent, RMSE)."""
     slip, side = np.tan(np.abs(alpha)), np.sign(alpha)
     return fit_scipy(
-        lambda c, mu: side * brush(slip, fz, 0.0, c, mu), fy,
-        [np.array([30.0, 0.7])], [1.0, 0.01], [1e4, 5.0],
-    )  # fmt: skip
+        lambda c, mu: side * brush(slip, fz, 0.0, c, mu),
+        fy,
+        [np.array([30.0, 0.7])],
+        [1.0, 0.01],
+        [1e4, 5.0],
+    )
 
 
 def magic_rmse(alpha, fy, fz, shape: float) -> float:
     """RMSE [N] of the Magic Formula with C held."""
     return fit_scipy(
-        lambda b, d, e: magic_formula(alpha, fz, b, shape, d, e), fy,
+        lambda b, d, e: magic_formula(alpha, fz, b, shape, d, e),
+        fy,
         [np.array([10 / shape, d, e]) for d in (0.7, 1.2) for e in (-1.0, 0.5)],
-        [0.1, 0.01, -20.0], [200.0, 5.0, 1.0],
-    )[2]  # fmt: skip
+        [0.1, 0.01, -20.0],
+        [200.0, 5.0, 1.0],
+    )[2]
 
 
 def six_logs(vehicle: Path) -> dict[str, np.ndarray]:
@@ -62,10 +67,7 @@ def jackknife(logs: dict[str, np.ndarray]) -> np.ndarray:
 
 def reference() -> dict[str, float]:
     found = {}
-    vehicles = {
-        "all": HERE / "vehicle.toml",
-        "no_offset": LOGS / "vehicle.toml",
-    }
+    vehicles = {"all": HERE / "vehicle.toml", "no_offset": LOGS / "vehicle.toml"}
     for name, vehicle in vehicles.items():
         logs = six_logs(vehicle)
         values, naive, rmse = brush_fit(*np.hstack(list(logs.values())))
@@ -75,9 +77,7 @@ def reference() -> dict[str, float]:
             found[f"{name} {parameter} naive std"] = float(naive[i])
             found[f"{name} {parameter} jackknife std"] = float(spread[i])
         found[f"{name} rmse"] = rmse
-    demo = np.loadtxt(
-        HERE / "free_driving.csv", delimiter=",", skiprows=1, usecols=(1, 2, 3)
-    )
+    demo = np.loadtxt(HERE / "free_driving.csv", delimiter=",", skiprows=1, usecols=(1, 2, 3))
     values, naive, rmse = brush_fit(*demo.T)
     found |= {"demo cpa2": float(values[0]), "demo mu": float(values[1])}
     found |= {"demo rmse": rmse}

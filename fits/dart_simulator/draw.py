@@ -38,9 +38,7 @@ def properties() -> dict:
     values = {
         "effects": list(found.effects),
         "sum of the shares": sum(part.share for part in found.budget),
-        "noise and what has no name": float(
-            np.hypot(parts["noise"].rms, parts["unexplained"].rms)
-        ),
+        "noise and what has no name": float(np.hypot(parts["noise"].rms, parts["unexplained"].rms)),
     }
     for name in ("sim", "tuned"):
         missed = fy - found.rows["fy"][name]
@@ -49,8 +47,9 @@ def properties() -> dict:
         values[f"{name}: simulated"] = change.simulated
         values[f"{name}: measured"] = change.measured
         values[f"{name}: interval"] = [
-            change.measured - 2 * change.std, change.measured + 2 * change.std
-        ]  # fmt: skip
+            change.measured - 2 * change.std,
+            change.measured + 2 * change.std,
+        ]
         values[f"{name}: differs"] = change.differs
     for name in ("parameters", "slip_offset"):
         values[f"share of {name}"] = parts[name].share if name in parts else 0.0

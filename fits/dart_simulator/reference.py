@@ -37,18 +37,22 @@ def reference() -> dict[str, float]:
     plain, both = fitted(rows, False), fitted(rows, True)
     shift = shift_alone(rows, *given)
     whole, tuned, shifted, left = (
-        rmse(rows, *parameters) ** 2
-        for parameters in (given, plain, (*given, shift), both)
+        rmse(rows, *parameters) ** 2 for parameters in (given, plain, (*given, shift), both)
     )
     parameters = (whole - tuned + shifted - left) / 2
     offset = (whole - shifted + tuned - left) / 2
     found = {
-        "simulated cpa2": given[0], "simulated mu": given[1],
-        "measured cpa2": both[0], "measured mu": both[1], "shift": both[2],
-        "error": whole**0.5, "tuned": tuned**0.5, "left": left**0.5,
+        "simulated cpa2": given[0],
+        "simulated mu": given[1],
+        "measured cpa2": both[0],
+        "measured mu": both[1],
+        "shift": both[2],
+        "error": whole**0.5,
+        "tuned": tuned**0.5,
+        "left": left**0.5,
         "share of the parameters": parameters / whole,
         "share of the shift": offset / whole,
-    }  # fmt: skip
+    }
     return {key: float(value) for key, value in found.items()}
 
 

@@ -67,15 +67,13 @@ def main() -> None:
     curve = np.stack([angle, angle, np.full(300, others[2].mean())])
     left.plot(np.degrees(others[0]), others[1], ".", ms=1.5, color=GREY)
     left.plot(np.degrees(angle), force(curve, *plain), "--", color=DARK, label="brush")
-    left.plot(np.degrees(angle), force(curve, *shifted), color=BLUE,
-              label="brush at α - 8.8 mrad")  # fmt: skip
+    left.plot(np.degrees(angle), force(curve, *shifted), color=BLUE, label="brush at α - 8.8 mrad")
     left.set_title("held-out logs, nothing fitted to them", fontsize=9)
     tidy(left, "slip angle α [°]", "side force $F_y$ [N]")
     logs = [*seen.values(), *held.values()]
     place = np.arange(len(logs))
     for step, parameters, color in ((-0.2, plain, DARK), (0.2, shifted, BLUE)):
-        right.bar(place + step, [rmse(log, *parameters) for log in logs], 0.38,
-                  color=color)  # fmt: skip
+        right.bar(place + step, [rmse(log, *parameters) for log in logs], 0.38, color=color)
     right.axvline(2.5, color=GREY, lw=0.8, ls=":")
     right.set_xticks(place, [str(k + 1) for k in place])
     right.set_title("left of the line: diagnosed; right: held out", fontsize=9)

@@ -25,10 +25,12 @@ def thinned(rows: list[dict], every: int) -> list[str]:
     for run in dict.fromkeys(row["run"] for row in rows):
         for row in [row for row in rows if row["run"] == run][::every]:
             numbers = [
-                f"{float(row['time']):.2f}", f"{float(row['alpha']):.5f}",
-                f"{float(row['fy']):.4f}", f"{float(row['fz']):.4f}",
+                f"{float(row['time']):.2f}",
+                f"{float(row['alpha']):.5f}",
+                f"{float(row['fy']):.4f}",
+                f"{float(row['fz']):.4f}",
                 f"{float(row['v']):.4f}",
-            ]  # fmt: skip
+            ]
             short = run.removeprefix("car_1_Datarecording_")
             lines.append(",".join([*numbers, short]))
     return lines

@@ -47,21 +47,26 @@ def reference() -> dict[str, float]:
     rows, others = (np.hstack(list(logs.values())) for logs in (seen, held))
     plain, shifted = fitted(rows, False), fitted(rows, True)
     found = {
-        "cpa2": plain[0], "mu": plain[1], "shift": shifted[2],
-        "cpa2 with shift": shifted[0], "mu with shift": shifted[1],
-        "rmse": rmse(rows, *plain), "rmse with shift": rmse(rows, *shifted),
+        "cpa2": plain[0],
+        "mu": plain[1],
+        "shift": shifted[2],
+        "cpa2 with shift": shifted[0],
+        "mu with shift": shifted[1],
+        "rmse": rmse(rows, *plain),
+        "rmse with shift": rmse(rows, *shifted),
         "held-out rmse": rmse(others, *plain),
         "held-out rmse with shift": rmse(others, *shifted),
         "held-out rmse of a brush fitted there": rmse(others, *fitted(others, False)),
-        "held-out rmse of a shifted brush fitted there": rmse(
-            others, *fitted(others, True)
-        ),
+        "held-out rmse of a shifted brush fitted there": rmse(others, *fitted(others, True)),
         "shift of the held-out logs": fitted(others, True)[2],
-    }  # fmt: skip
+    }
     lifted = fit_scipy(
-        lambda c, mu, lift: force(rows, c, mu) + lift, rows[1],
-        [np.array([30.0, 0.7, 0.0])], [1.0, 0.01, -2.0], [1e4, 5.0, 2.0],
-    )[0]  # fmt: skip
+        lambda c, mu, lift: force(rows, c, mu) + lift,
+        rows[1],
+        [np.array([30.0, 0.7, 0.0])],
+        [1.0, 0.01, -2.0],
+        [1e4, 5.0, 2.0],
+    )[0]
     missed = others[1] - force(others, *lifted[:2]) - lifted[2]
     found["held-out rmse with force offset"] = np.sqrt(np.mean(missed**2))
     left_out = [

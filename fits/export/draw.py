@@ -23,9 +23,10 @@ HERE = Path(__file__).parent
 ANGLES = np.linspace(-0.5, 0.5, 201)
 """Slip angles [rad] of the measured range."""
 ENDINGS = {
-    "casadi": "rear.py", "commonroad": "parameters_tire.yaml",
+    "casadi": "rear.py",
+    "commonroad": "parameters_tire.yaml",
     "forzaeth": "rear_pacejka.yaml",
-}  # fmt: skip
+}
 """Target -> name of the file."""
 
 
@@ -130,16 +131,26 @@ def main() -> None:
     left, right = picture.subplots(1, 2)
     data = tirefit.read(HERE / "a_rear.csv")
     left.plot(
-        np.degrees(data["alpha"]), -data["fy"] / data["fz"], ".", ms=2, color="#bbbbbb",
+        np.degrees(data["alpha"]),
+        -data["fy"] / data["fz"],
+        ".",
+        ms=2,
+        color="#bbbbbb",
         label="measured",
-    )  # fmt: skip
+    )
     left.plot(np.degrees(ANGLES), own("a_rear"), color=DARK, label="fitted brush")
     styles = zip(compared().items(), (BLUE, ORANGE, GREEN), "osD", strict=True)
     for (target, force), color, marker in styles:
         left.plot(
-            np.degrees(ANGLES), force, marker, color=color, ms=5, mfc="none",
-            markevery=12, label=target,
-        )  # fmt: skip
+            np.degrees(ANGLES),
+            force,
+            marker,
+            color=color,
+            ms=5,
+            mfc="none",
+            markevery=12,
+            label=target,
+        )
     left.set(xlabel="slip angle [deg]", ylabel="$F_y / F_z$")
     left.set_title("One tire in three programs", loc="left", fontsize=10)
     left.legend(frameon=False, fontsize=8)

@@ -21,9 +21,7 @@ def fitted(name: str) -> np.ndarray:
     with (HERE / f"{name}.csv").open() as file:
         next(file)  # it states the convention
         rows = list(csv.DictReader(file))
-    alpha, fy, fz = (
-        np.array([float(row[name]) for row in rows]) for name in ("alpha", "fy", "fz")
-    )
+    alpha, fy, fz = (np.array([float(row[name]) for row in rows]) for name in ("alpha", "fy", "fz"))
 
     def missed(z):
         return np.sign(alpha) * brush(np.tan(np.abs(alpha)), fz, 0.0, *z) - fy
@@ -57,9 +55,7 @@ def driven(front, rear, time, steering) -> np.ndarray:
             AHEAD * (f - r) / INERTIA,
         ]
 
-    found = solve_ivp(
-        slope, (0, time[-1]), np.zeros(5), rtol=1e-9, atol=1e-10, max_step=0.01
-    )
+    found = solve_ivp(slope, (0, time[-1]), np.zeros(5), rtol=1e-9, atol=1e-10, max_step=0.01)
     return found.y[:2, -1]
 
 

@@ -40,9 +40,12 @@ def held_fit(curve, kind, flexibility):
     share = slopes_at_rest(kind, flexibility)[0] if flexibility else 1.0
     start = [observed[0] / alpha[0] / 2 / share, observed.max() / fz]
     return least_squares(
-        lambda p: force(kind, alpha, fz, *p, flexibility) - observed, start,
-        x_scale=start, xtol=1e-10, ftol=1e-13,
-    ).fun  # fmt: skip
+        lambda p: force(kind, alpha, fz, *p, flexibility) - observed,
+        start,
+        x_scale=start,
+        xtol=1e-10,
+        ftol=1e-13,
+    ).fun
 
 
 def rmse(misfit) -> float:
@@ -94,8 +97,13 @@ def main() -> None:
     for i, (name, (kind, held)) in enumerate(cases.items()):
         misfit = 100 * held_fit("g275_70psi", kind, held) / observed.max()
         label = f"{name}, λ = {held:g}" if held else "brush"
-        right.plot(np.rad2deg(alpha), misfit, LINES[kind], label=label,
-                   color=DARK if name == "brush" else COLORS[3 + i % 3])  # fmt: skip
+        right.plot(
+            np.rad2deg(alpha),
+            misfit,
+            LINES[kind],
+            label=label,
+            color=DARK if name == "brush" else COLORS[3 + i % 3],
+        )
     right.margins(x=0)
     right.legend(fontsize=7, frameon=False)
     right.set_title("g275_70psi, best $c_p a^2$ and µ", fontsize=9)

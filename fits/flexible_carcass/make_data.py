@@ -42,9 +42,7 @@ def main() -> None:
         force = magic_formula(alpha, **coefficients)
         fz = coefficients["fz"]
         lines = ["alpha,fy,fz"]
-        lines += [
-            f"{a:.8f},{f:.4f},{fz:.0f}" for a, f in zip(alpha, force, strict=True)
-        ]
+        lines += [f"{a:.8f},{f:.4f},{fz:.0f}" for a, f in zip(alpha, force, strict=True)]
         (HERE / f"{name}.csv").write_text("\n".join(lines) + "\n")
 
 

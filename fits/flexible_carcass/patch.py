@@ -51,8 +51,9 @@ def _slid_nodes(start, end):
 def _integrals(order, t):
     """(order + 1, len(t), TERMS): the basis at t in [0, 1], integrated 0, 1, ... times
     from 0, last the basis itself."""
-    levels = [np.array([p.integ(m, lbnd=0)(t) if m else p(t) for p in _BASIS]).T
-              for m in range(order + 1)]  # fmt: skip
+    levels = [
+        np.array([p.integ(m, lbnd=0)(t) if m else p(t) for p in _BASIS]).T for m in range(order + 1)
+    ]
     return np.array(levels[::-1])
 
 
@@ -103,9 +104,7 @@ def _stuck_part(tire: Tire, slip, edge):
         powers = rest**steps / np.cumprod(np.maximum(steps, 1))
         rows.append(powers @ edge_state[derivative:])
         last = len(steps) - 1
-        right.append(
-            [-(slid @ (2 * tire.half - nodes) ** last) / np.prod(np.maximum(steps, 1))]
-        )
+        right.append([-(slid @ (2 * tire.half - nodes) ** last) / np.prod(np.maximum(steps, 1))])
     found = np.linalg.solve(np.vstack(rows), np.concatenate(right))
     return found[:TERMS], found[TERMS:], edge_state @ found
 
@@ -145,9 +144,7 @@ def free_boundary(tire: Tire, slip) -> Solution:
     behind, weights = _slid_nodes(edge, length)
     held = tire.held(behind)
     force = edge * WEIGHTS @ stress + weights @ held
-    moment = edge * WEIGHTS @ (stress * (tire.half - z)) + weights @ (
-        held * (tire.half - behind)
-    )
+    moment = edge * WEIGHTS @ (stress * (tire.half - z)) + weights @ (held * (tire.half - behind))
     stuck = _largest_share(stress, tire.held(z), edge, length)
     lag = _lag(tire, slip, edge, state)
     return Solution(force, moment, stuck, *_least(lag, edge, length))
@@ -184,8 +181,7 @@ def assumed_shape(tire: Tire, slip) -> Solution:
 
     # More than the friction could hold, so that the signs differ in full sliding too.
     largest = 1.01 * tire.limit / tire.carcass
-    height = brentq(lambda h: solve(h)[1] - tire.carcass * h, 0, largest,
-                    xtol=1e-16, rtol=1e-14)  # fmt: skip
+    height = brentq(lambda h: solve(h)[1] - tire.carcass * h, 0, largest, xtol=1e-16, rtol=1e-14)
     edge, force, moment = solve(height)
     ahead, behind = edge * NODES, np.linspace(edge, length, 61)[1:]
     lag = wanted(behind, height) - tire.held(behind)

@@ -30,17 +30,20 @@ def force(kind, alpha, fz, cpa2, mu, flexibility):
 
 def read(curve):
     """alpha [rad], F_y [N], F_z [N] of a curve."""
-    alpha, fy, fz = np.loadtxt(
-        HERE / f"{curve}.csv", delimiter=",", skiprows=1, unpack=True
-    )
+    alpha, fy, fz = np.loadtxt(HERE / f"{curve}.csv", delimiter=",", skiprows=1, unpack=True)
     return alpha, fy, fz[0]
 
 
 def _least(function, observed, start, lower):
     found = least_squares(
-        lambda p: (function(*p) - observed) / observed.max(), start,
-        bounds=(lower, np.inf), x_scale=start, xtol=1e-9, ftol=1e-13, gtol=1e-9,
-    )  # fmt: skip
+        lambda p: (function(*p) - observed) / observed.max(),
+        start,
+        bounds=(lower, np.inf),
+        x_scale=start,
+        xtol=1e-9,
+        ftol=1e-13,
+        gtol=1e-9,
+    )
     return found.x, float(np.sqrt(np.mean(found.fun**2)) * observed.max())
 
 
@@ -53,31 +56,34 @@ def reference() -> dict[str, float]:
         first = np.array([observed[0] / alpha[0] / 2, observed.max() / fz])
         (cpa2, mu), rmse = _least(
             lambda c, m, s=np.tan(alpha), z=fz: formulas.brush(s, z, 0.0, c, m),
-            observed, first, [1.0, 0.01],
-        )  # fmt: skip
-        found |= {f"{curve} brush {k}": v for k, v in
-                  (("cpa2", cpa2), ("mu", mu), ("rmse", rmse))}  # fmt: skip
+            observed,
+            first,
+            [1.0, 0.01],
+        )
+        found |= {f"{curve} brush {k}": v for k, v in (("cpa2", cpa2), ("mu", mu), ("rmse", rmse))}
         for kind, held in HELD.items():
             start = np.array([cpa2 / slopes_at_rest(kind, held)[0], mu])
             _, rmse = _least(
                 lambda c, m, k=kind, a=alpha, z=fz, h=held: force(k, a, z, c, m, h),
-                observed, start, [1.0, 0.01],
-            )  # fmt: skip
+                observed,
+                start,
+                [1.0, 0.01],
+            )
             found[f"{curve} {kind} held rmse"] = rmse
     alpha, observed, fz = read("g275_95psi")
     for kind, held in HELD.items():
         start = [found["g275_95psi brush cpa2"] * 1.15, found["g275_95psi brush mu"]]
         values, rmse = _least(
             lambda c, m, x, k=kind: force(k, alpha, fz, c, m, x),
-            observed, np.array([*start, held / 2]), [1.0, 0.01, 1e-4],
-        )  # fmt: skip
+            observed,
+            np.array([*start, held / 2]),
+            [1.0, 0.01, 1e-4],
+        )
         for name, value in zip(("cpa2", "mu", "flexibility"), values, strict=True):
             found[f"g275_95psi {kind} {name}"] = value
         found[f"g275_95psi {kind} rmse"] = rmse
     for kind, held in HELD.items():
-        found[f"bend {kind}"] = bend(
-            lambda a, k=kind, h=held: force(k, a, 1.0, 1.0, 1.0, h)
-        )
+        found[f"bend {kind}"] = bend(lambda a, k=kind, h=held: force(k, a, 1.0, 1.0, 1.0, h))
     return {name: float(value) for name, value in found.items()}
 
 

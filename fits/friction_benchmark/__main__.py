@@ -40,9 +40,7 @@ def main(argv: list[str] | None = None) -> None:
         from fits.friction_benchmark.run import run_all
 
         names = [name for name in asked.method.split(",") if name]
-        tables = run_all(
-            logs, names=names, peers=not asked.no_peers, foreign=asked.traces
-        )
+        tables = run_all(logs, names=names, peers=not asked.no_peers, foreign=asked.traces)
         for name, lines in tables.items():
             _write(asked.out / f"{name}.csv", lines)
     if asked.what in ("table", "all"):

@@ -26,25 +26,27 @@ def draw(lines: list[dict[str, str]], path: Path) -> None:
         for k, detector in enumerate(dict.fromkeys(one["detector"] for one in here)):
             for method, style in STYLES.items():
                 rows = [
-                    line for line in here
+                    line
+                    for line in here
                     if (line["detector"], line["surprise_of"]) == (detector, method)
-                ]  # fmt: skip
+                ]
                 if not rows:
                     continue
                 # None in T hours is drawn at half an alarm in them.
-                false = [
-                    max(float(r["false_per_hour"]), 0.5 / float(r["hours"]))
-                    for r in rows
-                ]
+                false = [max(float(r["false_per_hour"]), 0.5 / float(r["hours"])) for r in rows]
                 delay = [float(r["delay_60"]) for r in rows]
                 color = colors[k]
                 axes.plot(false, delay, style, color=color, linewidth=0.8)
                 for x, y, row in zip(false, delay, rows, strict=True):
                     whole = float(row["found_60"]) == 1
                     axes.plot(
-                        x, y, _MARKS[k], color=color, markersize=4,
+                        x,
+                        y,
+                        _MARKS[k],
+                        color=color,
+                        markersize=4,
                         markerfacecolor=color if whole else "white",
-                    )  # fmt: skip
+                    )
                 if method == "ekf":
                     axes.plot([], [], _MARKS[k], color=color, label=detector)
         axes.set_xscale("log")

@@ -74,9 +74,7 @@ def _closed(name: str, load: float):
     return with_values(Closed(), {k: float(v) for k, v in values.items()})
 
 
-def traces(
-    name: str, logs: Sequence[Log], settings=None, *, deaf=False
-) -> list[Answer]:
+def traces(name: str, logs: Sequence[Log], settings=None, *, deaf=False) -> list[Answer]:
     """One method over logs, each from its start.
 
     Args:
@@ -86,10 +84,7 @@ def traces(
         deaf: to its own alarms.
     """
     columns = set.intersection(*(set(log.columns) for log in logs))
-    joined = {
-        key: np.concatenate([log.columns[key] for log in logs])
-        for key in sorted(columns)
-    }
+    joined = {key: np.concatenate([log.columns[key] for log in logs]) for key in sorted(columns)}
     sizes = [len(log.columns["time"]) for log in logs]
     joined["run"] = np.repeat(np.arange(len(logs), dtype=float), sizes)
     load = float(joined["fz"][0]) if "fz" in joined else 1.0

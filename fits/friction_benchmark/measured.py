@@ -90,7 +90,13 @@ def _line(title, name, fitted, logs: Sequence[Log], found: Sequence[Trace]) -> d
     at = np.flatnonzero(whole.supported & np.isfinite(whole.mu))
     last = (whole.mu[at[-1]], whole.mu_std[at[-1]]) if len(at) else (np.nan, np.nan)
     return {
-        "log": title, "estimator": name, "offline": fitted.value,
-        "offline_std": fitted.std, "last": last[0], "last_std": last[1],
-        **error._asdict(), "alarms": int(np.count_nonzero(whole.alarm)), "note": "",
-    }  # fmt: skip
+        "log": title,
+        "estimator": name,
+        "offline": fitted.value,
+        "offline_std": fitted.std,
+        "last": last[0],
+        "last_std": last[1],
+        **error._asdict(),
+        "alarms": int(np.count_nonzero(whole.alarm)),
+        "note": "",
+    }

@@ -108,10 +108,7 @@ def filterpy_ekf(columns) -> Trace:
     def slopes(x, slip, fz, size=1e-5):
         steps = size * np.eye(2)[:, :, None]
         return np.hstack(
-            [
-                (force(x + d, slip, fz) - force(x - d, slip, fz)) / 2 / size
-                for d in steps
-            ]
+            [(force(x + d, slip, fz) - force(x - d, slip, fz)) / 2 / size for d in steps]
         )
 
     for k in range(len(rows)):

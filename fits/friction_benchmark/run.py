@@ -10,21 +10,8 @@ from fits.friction_benchmark.estimators import lacking, settings_of, surprises, 
 from fits.friction_benchmark.metrics import Trace, detection
 from fits.friction_benchmark.page import DETECTORS
 from fits.friction_benchmark.peers import PEERS
-from fits.friction_benchmark.scenarios import (
-    DROPS,
-    KINDS,
-    Log,
-    read_columns,
-    read_index,
-    read_log,
-)
-from fits.friction_benchmark.scoring import (
-    COLUMNS,
-    closest_brush,
-    detections_of,
-    pooled,
-    score,
-)
+from fits.friction_benchmark.scenarios import DROPS, KINDS, Log, read_columns, read_index, read_log
+from fits.friction_benchmark.scoring import COLUMNS, closest_brush, detections_of, pooled, score
 from tirefit.online.methods import METHODS
 
 __all__ = ["run_all"]
@@ -34,11 +21,7 @@ SURPRISED = ("rls", "ekf")
 
 
 def run_all(
-    folder: Path,
-    *,
-    names: Sequence[str] = (),
-    peers: bool = True,
-    foreign: Path | None = None,
+    folder: Path, *, names: Sequence[str] = (), peers: bool = True, foreign: Path | None = None
 ) -> dict[str, list[dict]]:
     """Tables by name, as lists of lines.
 
@@ -96,10 +79,7 @@ def _lines(name: str, logs: Sequence[Log], found: Sequence[Trace]) -> list[dict]
 
 
 def _skipped(name: str, reason: str) -> dict:
-    return dict.fromkeys(COLUMNS, "") | {
-        "estimator": name,
-        "note": f"skipped: {reason}",
-    }
+    return dict.fromkeys(COLUMNS, "") | {"estimator": name, "note": f"skipped: {reason}"}
 
 
 def _of_peer(name: str, estimate: Callable, logs: Sequence[Log]) -> list[dict]:

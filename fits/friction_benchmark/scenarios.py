@@ -12,14 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fits.formulas import brush
-from tirefit.sim.braking import (
-    LOAD,
-    PEAK,
-    STIFFNESS,
-    Braking,
-    SimulatedLog,
-    simulate_braking,
-)
+from tirefit.sim.braking import LOAD, PEAK, STIFFNESS, Braking, SimulatedLog, simulate_braking
 from tirefit.sim.drive import Drive, simulate_drive
 
 DROPS = (0.6, 0.8)
@@ -94,9 +87,13 @@ def _braking(scenario: Scenario) -> SimulatedLog:
 
 def _drive(scenario: Scenario) -> SimulatedLog:
     how = Drive(
-        duration=scenario.duration, bend=scenario.use, bend_period=BEND, friction=PEAK,
-        drop=_drop(scenario), seed=scenario.seed,
-    )  # fmt: skip
+        duration=scenario.duration,
+        bend=scenario.use,
+        bend_period=BEND,
+        friction=PEAK,
+        drop=_drop(scenario),
+        seed=scenario.seed,
+    )
     return simulate_drive(how)
 
 
@@ -116,9 +113,13 @@ def _cornering(scenario: Scenario) -> SimulatedLog:
     mz = -LOAD * HALF_LENGTH * mu * sliding * (1 - sliding) ** 3
     one = np.ones(n)
     truth = {
-        "time": time, "alpha": np.arctan(slip), "fy": fy, "mz": mz, "fz": LOAD * one,
+        "time": time,
+        "alpha": np.arctan(slip),
+        "fy": fy,
+        "mz": mz,
+        "fz": LOAD * one,
         "v": 20.0 * one,
-    }  # fmt: skip
+    }
     noise = random.standard_normal((2, n))
     columns = truth | {
         "fy": fy + 0.0447 * LOAD * noise[0],
@@ -163,11 +164,14 @@ def read_index(folder: Path) -> list[Scenario]:
         rows = list(csv.DictReader(file))
     return [
         Scenario(
-            row["name"], row["kind"], float(row["use"]), int(row["seed"]),
+            row["name"],
+            row["kind"],
+            float(row["use"]),
+            int(row["seed"]),
             *(float(row[key]) for key in ("duration", "drop", "after")),
         )
         for row in rows
-    ]  # fmt: skip
+    ]
 
 
 def read_log(folder: Path, scenario: Scenario) -> Log:

@@ -6,13 +6,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from fits.formulas import brush
-from fits.friction_benchmark.metrics import (
-    SETTLE,
-    Trace,
-    accuracy,
-    crossings,
-    detection,
-)
+from fits.friction_benchmark.metrics import SETTLE, Trace, accuracy, crossings, detection
 from fits.friction_benchmark.scenarios import DROPS, Log, Scenario
 
 __all__ = ["BEFORE", "COLUMNS", "closest_brush", "detections_of", "pooled", "score"]
@@ -97,8 +91,7 @@ def pooled(
     """
     steady = [row for scenario, row in scored if np.isnan(scenario.drop)]
     by_drop = {
-        after: [row for scenario, row in scored if scenario.after == after]
-        for after in DROPS
+        after: [row for scenario, row in scored if scenario.after == after] for after in DROPS
     }
     deep = by_drop[DROPS[0]]
     bias = _mean(steady, "bias")
@@ -106,13 +99,17 @@ def pooled(
     finite = np.isfinite(spread)
     hours = sum(row["seconds"] for _, row in scored) / 3600
     line: dict[str, float | str] = {
-        "estimator": name, "log": kind, "use": use, "bias": bias,
+        "estimator": name,
+        "log": kind,
+        "use": use,
+        "bias": bias,
         "bias_brush": bias + BEFORE - brush_mu,
-        "std": float(np.sqrt(np.mean(np.array(spread)[finite]))) if any(finite)
-        else np.nan,
-        "covered": _mean(steady, "covered"), "supported": _mean(steady, "supported"),
-        "bias_after": _mean(deep, "bias"), "covered_after": _mean(deep, "covered"),
-    }  # fmt: skip
+        "std": float(np.sqrt(np.mean(np.array(spread)[finite]))) if any(finite) else np.nan,
+        "covered": _mean(steady, "covered"),
+        "supported": _mean(steady, "supported"),
+        "bias_after": _mean(deep, "bias"),
+        "covered_after": _mean(deep, "covered"),
+    }
     for after, rows in by_drop.items():
         share, delay = detections_of([row["delay"] for row in rows])
         line |= {f"found_{100 * after:.0f}": share, f"delay_{100 * after:.0f}": delay}

@@ -7,33 +7,55 @@ from pathlib import Path
 __all__ = ["markdown", "publish"]
 
 _SCORES = {
-    "estimator": "estimator", "log": "log", "use": "use", "bias": "bias",
-    "bias_brush": "bias against the closest brush", "std": "std",
-    "covered": "95 % interval holds the truth", "supported": "rows supported",
-    "bias_after": "bias after a drop", "covered_after": "interval after a drop",
+    "estimator": "estimator",
+    "log": "log",
+    "use": "use",
+    "bias": "bias",
+    "bias_brush": "bias against the closest brush",
+    "std": "std",
+    "covered": "95 % interval holds the truth",
+    "supported": "rows supported",
+    "bias_after": "bias after a drop",
+    "covered_after": "interval after a drop",
     "note": "",
-}  # fmt: skip
+}
 _CHANGES = {
-    "estimator": "estimator", "log": "log", "use": "use",
-    "found_60": "drop to 0.6 found", "delay_60": "delay [s]",
-    "found_80": "drop to 0.8 found", "delay_80": "delay [s]",
+    "estimator": "estimator",
+    "log": "log",
+    "use": "use",
+    "found_60": "drop to 0.6 found",
+    "delay_60": "delay [s]",
+    "found_80": "drop to 0.8 found",
+    "delay_80": "delay [s]",
     "false_per_hour": "false alarms an hour",
     "below_found": "below 0.79 after a drop to 0.6",
     "below_delay": "delay [s]",
     "below_false_per_hour": "below 0.79 for nothing, an hour",
-}  # fmt: skip
+}
 _MEASURED = {
-    "log": "log", "estimator": "estimator", "offline": "offline", "last": "at the end",
-    "last_std": "± std", "bias": "bias", "std": "std",
-    "covered": "interval holds the offline value", "supported": "rows supported",
-    "alarms": "alarms", "note": "",
-}  # fmt: skip
+    "log": "log",
+    "estimator": "estimator",
+    "offline": "offline",
+    "last": "at the end",
+    "last_std": "± std",
+    "bias": "bias",
+    "std": "std",
+    "covered": "interval holds the offline value",
+    "supported": "rows supported",
+    "alarms": "alarms",
+    "note": "",
+}
 _DETECTORS = {
-    "detector": "detector", "surprise_of": "surprises of", "use": "use",
-    "threshold": "threshold", "found_60": "drop to 0.6 found", "delay_60": "delay [s]",
-    "found_80": "drop to 0.8 found", "delay_80": "delay [s]",
+    "detector": "detector",
+    "surprise_of": "surprises of",
+    "use": "use",
+    "threshold": "threshold",
+    "found_60": "drop to 0.6 found",
+    "delay_60": "delay [s]",
+    "found_80": "drop to 0.8 found",
+    "delay_80": "delay [s]",
     "false_per_hour": "false alarms an hour",
-}  # fmt: skip
+}
 _SHARES = ("use", "covered", "supported", "covered_after", "found_", "below_found")
 _SIGNED = ("bias",)
 

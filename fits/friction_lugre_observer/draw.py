@@ -29,9 +29,7 @@ DROP = (10.5, 0.6)
 @cache
 def observed(friction: float, seed: int = 0, drop=None):
     """A log and the estimates of it, that begin at theta = 1."""
-    how = Braking(
-        AMPLITUDE, TEETH, TOOTH, friction=friction, seed=seed, drop=drop, tire="lugre"
-    )
+    how = Braking(AMPLITUDE, TEETH, TOOTH, friction=friction, seed=seed, drop=drop, tire="lugre")
     log = simulate_braking(how)
     return log, run(estimator_of("lugre-observer", LOAD), log.columns)[1]
 
@@ -53,11 +51,12 @@ def properties() -> dict[str, float]:
         near = np.abs(seen.value[:, 0] - DROP[1]) < 0.05
         waits.append(np.argmax(near & (log.columns["time"] >= DROP[0])) / 100 - DROP[0])
     numbers |= {
-        "drop: longest until within 0.05": max(waits), "drop: alarms before it": early,
+        "drop: longest until within 0.05": max(waits),
+        "drop: alarms before it": early,
         "drop: mu at the end": np.mean(
             [observed(0.9, seed, DROP)[1].value[-1, 0] for seed in SEEDS]
         ),
-    }  # fmt: skip
+    }
     return {key: float(value) for key, value in numbers.items()}
 
 
@@ -69,9 +68,8 @@ def _panel(axes, log, seen, title: str) -> None:
     )
     axes.plot(time, mu, color=GREY, linewidth=0.8, label="flagged")
     axes.plot(
-        time, np.where(sure, mu, np.nan), color=COLORS[0], linewidth=1.2,
-        label="estimate, 95 %",
-    )  # fmt: skip
+        time, np.where(sure, mu, np.nan), color=COLORS[0], linewidth=1.2, label="estimate, 95 %"
+    )
     axes.plot(time, log.truth["mu"], color=DARK, linestyle="--", label="truth")
     alarms = seen.flag == code(Flag.CHANGED)
     axes.plot(time[alarms], mu[alarms], "v", color="red", markersize=5, label="alarm")

@@ -29,9 +29,8 @@ def share(slip, theta):
 
 def peak(theta):
     best = minimize_scalar(
-        lambda slip: -share(np.exp(slip), theta), bounds=(-5.0, 1.0),
-        options={"xatol": 1e-9},
-    )  # fmt: skip
+        lambda slip: -share(np.exp(slip), theta), bounds=(-5.0, 1.0), options={"xatol": 1e-9}
+    )
     return -best.fun
 
 

@@ -18,17 +18,11 @@ def reference() -> dict[str, float]:
     curve = truck()
     load = curve["fz"]
     share = np.linspace(0.001, USE, 400) * curve["D"]
-    kappa = [
-        brentq(lambda k, f=f * load: magic_formula(k, **curve) - f, 0.0, 0.1)
-        for f in share
-    ]
+    kappa = [brentq(lambda k, f=f * load: magic_formula(k, **curve) - f, 0.0, 0.1) for f in share]
     sigma = np.array(kappa) / (1 - np.array(kappa))
     inverse, offset = np.linalg.lstsq(np.c_[share, np.ones(400)], sigma)[0]
     at_rest = magic_formula(1e-6, **curve) / load / 1e-6
-    return {
-        "slope": float(1 / inverse), "offset": float(offset),
-        "slope at rest": float(at_rest),
-    }  # fmt: skip
+    return {"slope": float(1 / inverse), "offset": float(offset), "slope at rest": float(at_rest)}
 
 
 if __name__ == "__main__":

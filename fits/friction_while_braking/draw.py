@@ -14,12 +14,7 @@ import jax
 import numpy as np
 
 import tirefit
-from fits.friction_while_braking.reference import (
-    AMPLITUDES,
-    ASYMMETRIES,
-    LESS,
-    reference,
-)
+from fits.friction_while_braking.reference import AMPLITUDES, ASYMMETRIES, LESS, reference
 from tirefit.data.read import read_frame
 from tirefit.online.base import Flag, code
 from tirefit.online.result import changes
@@ -31,10 +26,13 @@ HERE = Path(__file__).parent
 SEEDS = range(5)
 TEETH = 10
 SOURCE = {
-    "rls.average": 1, "rls.least_use": 0, "rls.cpa2": 2.5e5,
+    "rls.average": 1,
+    "rls.least_use": 0,
+    "rls.cpa2": 2.5e5,
     # P0 = diag(2, 10) 1e-10 F_z^2 = prior^2 / noise^2.
-    "rls.prior0": 0.0171, "rls.prior1": 0.0382,
-}  # fmt: skip
+    "rls.prior0": 0.0171,
+    "rls.prior1": 0.0382,
+}
 """S section 5.3: every sample and the near-zero force too, its P0, lambda, theta_0."""
 TOOTH = 2.0
 PEAK = 0.98
@@ -90,10 +88,7 @@ def finals(seeds=SEEDS) -> dict[str, list[float]]:
             other = second_tire(amplitude, seed)["rls"]["mu"][-1]
             put(f"{name}: rls mu, second tire", other)
         for d in ASYMMETRIES:
-            put(
-                f"60 %: rls mu, two terms, d = {d:g}",
-                two_terms(d, seed)["rls"]["mu"][-1],
-            )
+            put(f"60 %: rls mu, two terms, d = {d:g}", two_terms(d, seed)["rls"]["mu"][-1])
     return ends
 
 
@@ -112,9 +107,7 @@ def properties() -> dict[str, float]:
             numbers[key] = np.mean(ends)
     for amplitude in AMPLITUDES:
         name = f"{100 * amplitude:.0f} %"
-        numbers[f"{name}: largest sigma"] = (
-            estimates(amplitude)[0].truth["sigma_x"].max()
-        )
+        numbers[f"{name}: largest sigma"] = estimates(amplitude)[0].truth["sigma_x"].max()
     pulls = [value for key, value in numbers.items() if key.endswith("rms pull")]
     numbers["largest rms pull"] = max(pulls)
     return {key: float(value) for key, value in (numbers | start() | drops()).items()}
@@ -126,10 +119,7 @@ def start() -> dict[str, float]:
     early = ours.time < 2 * TOOTH
     target = reference_of("75 %: mu")
     supported = ours["rls"].flag == 0
-    pulls = [
-        abs(run["rls"]["mu"] - target) / run["rls"].std_of("mu")
-        for run in (ours, source)
-    ]
+    pulls = [abs(run["rls"]["mu"] - target) / run["rls"].std_of("mu") for run in (ours, source)]
     return {
         "75 %: share of the first second that is flagged": np.mean(
             ours["rls"].flag[ours.time < 1] > 0
@@ -178,13 +168,10 @@ def main() -> None:
         for color, name in zip(COLORS, ours.methods, strict=False):
             mu, std = ours[name]["mu"], ours[name].std_of("mu")
             below.plot(time, mu, color=color, linewidth=1, label=name)
-            below.fill_between(
-                time, mu - std, mu + std, color=color, alpha=0.15, linewidth=0
-            )
+            below.fill_between(time, mu - std, mu + std, color=color, alpha=0.15, linewidth=0)
         below.plot(
-            time, source["rls"]["mu"], color=COLORS[3], linewidth=0.8,
-            label="rls, settings of S",
-        )  # fmt: skip
+            time, source["rls"]["mu"], color=COLORS[3], linewidth=0.8, label="rls, settings of S"
+        )
         below.set_ylim(0.2, 1.8)
         tidy(below, "time [s]", "$\\mu$ [–]" if amplitude == AMPLITUDES[0] else "")
     axes[1, 2].legend(fontsize=7, frameon=False, ncols=2)
@@ -198,10 +185,7 @@ def draw_tires() -> None:
     for axes, amplitude in ((left, 0.5), (middle, 0.75)):
         _, ours, _ = estimates(amplitude)
         other = second_tire(amplitude)
-        for color, run, name in (
-            (COLORS[0], ours, "0.98"),
-            (COLORS[1], other, "0.875"),
-        ):
+        for color, run, name in ((COLORS[0], ours, "0.98"), (COLORS[1], other, "0.875")):
             axes.plot(run.time, run["rls"]["mu"], color=color, label=f"peak {name}")
         axes.set_title(f"rls, {100 * amplitude:.0f} % of the first peak", fontsize=9)
         tidy(axes, "time [s]", "$\\mu$ [–]" if axes is left else "")

@@ -31,9 +31,7 @@ def reference() -> dict[str, float]:
 def rows(curve, force):
     """Slips sigma even in force, as the torque rises evenly, and the forces."""
     forces = np.linspace(0.1, 1, 200) * force
-    kappas = [
-        brentq(lambda k, f=f: magic_formula(k, **curve) - f, 1e-6, 0.4) for f in forces
-    ]
+    kappas = [brentq(lambda k, f=f: magic_formula(k, **curve) - f, 1e-6, 0.4) for f in forces]
     return np.array(kappas) / (1 - np.array(kappas)), forces
 
 
@@ -44,9 +42,7 @@ def two_terms(curve) -> dict[str, float]:
     linear, square = np.linalg.lstsq(np.c_[sigma, sigma**2], force)[0]
     # Second term: C^2 / (3 (d - 1) mu F_z).
     return {
-        f"60 %: mu of two terms, d = {d:g}": float(
-            -(linear**2) / (3 * (1 - d) * load * square)
-        )
+        f"60 %: mu of two terms, d = {d:g}": float(-(linear**2) / (3 * (1 - d) * load * square))
         for d in ASYMMETRIES
     }
 

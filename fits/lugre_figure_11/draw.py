@@ -24,9 +24,7 @@ LOAD = FIGURE10["fz"]
 def curves(kappa):
     """F_x / F_z of the Magic Formula and of the LuGre tire fitted to it, (n,) each."""
     found = reference()
-    tire = tirefit.with_values(
-        tirefit.MODELS["lugre"], {name: found[name] for name in TRUTH}
-    )
+    tire = tirefit.with_values(tirefit.MODELS["lugre"], {name: found[name] for name in TRUTH})
     inputs = tirefit.TireInputs(kappa / (1 - kappa), 0.0, LOAD, SPEED)
     fitted = np.asarray(tirefit.forces(tire, inputs).fx)
     return magic_formula(kappa, **FIGURE10) / LOAD, fitted / LOAD
@@ -50,9 +48,7 @@ def main() -> None:
     kappa = np.linspace(0, 1, 1001)[1:-1]
     formula, lugre = curves(kappa)
     picture = Picture(figsize=(5.2, 4.2), layout="constrained")
-    above, below = picture.subplots(
-        2, 1, sharex=True, gridspec_kw={"height_ratios": [3, 1]}
-    )
+    above, below = picture.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3, 1]})
     above.plot(100 * kappa, formula, color=DARK, label="Magic Formula (S Figure 10)")
     above.plot(100 * kappa, lugre, "--", color=COLORS[1], label="LuGre, S(18), fitted")
     above.set_ylim(0, 0.8)

@@ -14,10 +14,7 @@ from fits.formulas import magic_formula
 from fits.magic_formula_curve.make_data import FIGURE10, SPEED
 
 HERE = Path(__file__).parent
-TRUTH = {
-    "sigma0": 180.0, "sigma1": 0.05, "sigma2": 0.003,
-    "mu_s": 1.4, "mu_c": 0.6, "v_st": 6.0,
-}  # fmt: skip
+TRUTH = {"sigma0": 180.0, "sigma1": 0.05, "sigma2": 0.003, "mu_s": 1.4, "mu_c": 0.6, "v_st": 6.0}
 SPEEDS = (5.0, 15.0, 30.0)
 
 

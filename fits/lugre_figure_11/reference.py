@@ -17,9 +17,12 @@ ALMOST_ZERO = 6.1441746e-6
 def almost_zero(kappa, force, fz, v, best) -> float:
     """sigma1 of the best fit with sigma2 as near zero as a fit of tirefit gets."""
     values, _, _ = fit_scipy(
-        lambda s0, s1, *rest: lugre(kappa, fz, v, s0, s1, ALMOST_ZERO, *rest), force,
-        [np.delete(best, 2)], [0.1, 0, 0.01, 0.01, 0.1], [1e6, 10, 5, 5, 1000],
-    )  # fmt: skip
+        lambda s0, s1, *rest: lugre(kappa, fz, v, s0, s1, ALMOST_ZERO, *rest),
+        force,
+        [np.delete(best, 2)],
+        [0.1, 0, 0.01, 0.01, 0.1],
+        [1e6, 10, 5, 5, 1000],
+    )
     return float(values[1])
 
 
@@ -31,9 +34,12 @@ def held_friction(kappa, force, fz, v, best) -> dict[str, float]:
     for mu_c in (0.44, 0.4, 0.35, 0.3, 0.25, 0.2, 0.15, 0.1, 0.05):
         inside = np.maximum(last, [0.11, 1e-6, 1e-6, 0.011, 0.11])
         last, _, rmse = fit_scipy(
-            lambda *p, m=mu_c: lugre(kappa, fz, v, *p[:4], m, p[4]), force, [inside],
-            [0.1, 0, 0, 0.01, 0.1], [1e6, 10, 1, 5, 1000],
-        )  # fmt: skip
+            lambda *p, m=mu_c: lugre(kappa, fz, v, *p[:4], m, p[4]),
+            force,
+            [inside],
+            [0.1, 0, 0, 0.01, 0.1],
+            [1e6, 10, 1, 5, 1000],
+        )
         name = f"log(S / S_min), mu_c = {mu_c}"
         found[name] = float(np.log(rmse**2 * len(force) / smallest))
     return found
@@ -41,18 +47,17 @@ def held_friction(kappa, force, fz, v, best) -> dict[str, float]:
 
 def reference() -> dict[str, float]:
     """Parameters, ``rmse`` [N], ``gap`` (largest miss over F_z) of figure10's fit."""
-    kappa, force, fz, v = np.loadtxt(
-        HERE / "figure10.csv", delimiter=",", skiprows=1, unpack=True
-    )
+    kappa, force, fz, v = np.loadtxt(HERE / "figure10.csv", delimiter=",", skiprows=1, unpack=True)
     starts = [
-        np.array([140.0, 0.1, 0.001, 3 * mu, 0.5, v_st])
-        for mu in (0.3, 0.9)
-        for v_st in (0.5, 5.0)
+        np.array([140.0, 0.1, 0.001, 3 * mu, 0.5, v_st]) for mu in (0.3, 0.9) for v_st in (0.5, 5.0)
     ]
     values, _, rmse = fit_scipy(
-        lambda *p: lugre(kappa, fz, v, *p), force, starts,
-        [0.1, 0, 0, 0.01, 0.01, 0.1], [1e6, 10, 1, 5, 5, 1000],
-    )  # fmt: skip
+        lambda *p: lugre(kappa, fz, v, *p),
+        force,
+        starts,
+        [0.1, 0, 0, 0.01, 0.01, 0.1],
+        [1e6, 10, 1, 5, 5, 1000],
+    )
     found = dict(zip(TRUTH, map(float, values), strict=True))
     found["sigma1, sigma2 almost 0"] = almost_zero(kappa, force, fz, v, values)
     found |= held_friction(kappa, force, fz, v, values)

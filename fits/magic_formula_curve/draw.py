@@ -42,19 +42,32 @@ def figure_13(picture: Picture) -> None:
     left, right = picture.subplots(1, 2)
     for i, ratio in enumerate((1.0, 0.5)):
         level = f"µ = {PEAK * ratio:.2f}"
-        left.plot(100 * KAPPA, _similar(KAPPA, ratio) / 1e3, color=COLORS[i],
-                  label=f"Magic Formula, {level}")  # fmt: skip
-        left.plot(100 * KAPPA, brush("brush", KAPPA, mu=PEAK * ratio) / 1e3, "--",
-                  color=COLORS[i], label=f"brush, {level}")  # fmt: skip
+        left.plot(
+            100 * KAPPA,
+            _similar(KAPPA, ratio) / 1e3,
+            color=COLORS[i],
+            label=f"Magic Formula, {level}",
+        )
+        left.plot(
+            100 * KAPPA,
+            brush("brush", KAPPA, mu=PEAK * ratio) / 1e3,
+            "--",
+            color=COLORS[i],
+            label=f"brush, {level}",
+        )
     tidy(left, "slip κ [%]", "brake force $F_x$ [kN]")
     angle = np.deg2rad(np.linspace(0, 16, 400))
     slope = FIGURE10["B"] * FIGURE10["C"] * FIGURE10["D"] * FIGURE10["fz"]
-    right.plot(np.rad2deg(angle), magic_formula(angle, **FIGURE10) / 1e3, color=DARK,
-               label="Magic Formula (S Figure 10)")  # fmt: skip
-    lateral = brush("brush", np.tan(angle), FIGURE10["fz"], "fy", cpa2=slope / 2,
-                    mu=FIGURE10["D"])  # fmt: skip
-    right.plot(np.rad2deg(angle), lateral / 1e3, "--", color=COLORS[0],
-               label="brush, same slope and peak")  # fmt: skip
+    right.plot(
+        np.rad2deg(angle),
+        magic_formula(angle, **FIGURE10) / 1e3,
+        color=DARK,
+        label="Magic Formula (S Figure 10)",
+    )
+    lateral = brush("brush", np.tan(angle), FIGURE10["fz"], "fy", cpa2=slope / 2, mu=FIGURE10["D"])
+    right.plot(
+        np.rad2deg(angle), lateral / 1e3, "--", color=COLORS[0], label="brush, same slope and peak"
+    )
     tidy(right, "slip angle α [°]", "side force $F_y$ [kN]")
     left.set_title("longitudinal, $F_z$ = 27 kN", fontsize=9)
     right.set_title("lateral, $F_z$ = 4 kN", fontsize=9)
@@ -64,17 +77,26 @@ def figure_15(picture: Picture) -> None:
     axes = _with_truck(picture)
     named = {"−1/3": -1 / 3, "−0.15": -0.15, "0": 0.0, "0.4": 0.4, "1": 1.0}
     for i, (name, d) in enumerate(named.items()):
-        axes.plot(100 * KAPPA, brush("brush-d", KAPPA, mu=PEAK, d=d) / 1e3,
-                  linestyle=LINES[i % 4], color=COLORS[i],
-                  label=f"brush-d, d = {name}")  # fmt: skip
+        axes.plot(
+            100 * KAPPA,
+            brush("brush-d", KAPPA, mu=PEAK, d=d) / 1e3,
+            linestyle=LINES[i % 4],
+            color=COLORS[i],
+            label=f"brush-d, d = {name}",
+        )
 
 
 def figure_17(picture: Picture) -> None:
     axes = _with_truck(picture)
     for i, m in enumerate((1.0, 0.8, 0.6)):
         force = brush("brush-m-peak", KAPPA, mu_peak=PEAK, m=m)
-        axes.plot(100 * KAPPA, force / 1e3, linestyle=LINES[i], color=COLORS[i],
-                  label=f"brush-m-peak, m = {m:g}, peak held")  # fmt: skip
+        axes.plot(
+            100 * KAPPA,
+            force / 1e3,
+            linestyle=LINES[i],
+            color=COLORS[i],
+            label=f"brush-m-peak, m = {m:g}, peak held",
+        )
 
 
 def figure_18(picture: Picture) -> None:
@@ -85,21 +107,33 @@ def figure_18(picture: Picture) -> None:
         axes.set_title(f"{title}, v = {SPEED:g} m/s", fontsize=9)
     for i, n in enumerate((0.0075, 0.015)):
         for model, line, said in (
-            ("brush-n", "-", "$µ_s = µ_0$"), ("brush-ns", "o", "$µ_s = µ_k$"),
-        ):  # fmt: skip
-            left.plot(100 * KAPPA, brush(model, KAPPA, mu=1.05, n=n) / 1e3, line,
-                      color=COLORS[i], markevery=30, markersize=3.5, mfc="none",
-                      label=f"n = {n:g} s/m, {said}")  # fmt: skip
-    for i, (model, said) in enumerate(
-        (("brush-h", "$µ_s = µ_0$"), ("brush-hs", "$µ_s = µ_k$"))
-    ):
-        right.plot(100 * KAPPA, brush(model, KAPPA, mu=1.3, h=0.4) / 1e3, LINES[i],
-                   color=COLORS[i], label=f"h = 0.4, µ = 1.3, {said}")  # fmt: skip
+            ("brush-n", "-", "$µ_s = µ_0$"),
+            ("brush-ns", "o", "$µ_s = µ_k$"),
+        ):
+            left.plot(
+                100 * KAPPA,
+                brush(model, KAPPA, mu=1.05, n=n) / 1e3,
+                line,
+                color=COLORS[i],
+                markevery=30,
+                markersize=3.5,
+                mfc="none",
+                label=f"n = {n:g} s/m, {said}",
+            )
+    for i, (model, said) in enumerate((("brush-h", "$µ_s = µ_0$"), ("brush-hs", "$µ_s = µ_k$"))):
+        right.plot(
+            100 * KAPPA,
+            brush(model, KAPPA, mu=1.3, h=0.4) / 1e3,
+            LINES[i],
+            color=COLORS[i],
+            label=f"h = 0.4, µ = 1.3, {said}",
+        )
 
 
 def _truck_line(axes) -> None:
-    axes.plot(100 * KAPPA, magic_formula(KAPPA, **TRUCK) / 1e3, color=DARK,
-              label="Magic Formula (truck)")  # fmt: skip
+    axes.plot(
+        100 * KAPPA, magic_formula(KAPPA, **TRUCK) / 1e3, color=DARK, label="Magic Formula (truck)"
+    )
 
 
 def _with_truck(picture: Picture):
@@ -130,8 +164,7 @@ def properties() -> dict[str, float]:
     curve, small = magic_formula(fine, **TRUCK), np.array([1e-6])
     car = magic_formula(fine, **FIGURE10)
     found = {
-        "truck: share of the peak at kappa 4 %": magic_formula(0.04, **TRUCK)
-        / curve.max(),
+        "truck: share of the peak at kappa 4 %": magic_formula(0.04, **TRUCK) / curve.max(),
         "truck: slope [N]": magic_formula(1e-6, **TRUCK) / 1e-6,
         "truck: kappa of the peak": fine[np.argmax(curve)],
         "figure 10: kappa of the peak": fine[np.argmax(car)],

@@ -39,8 +39,7 @@ def main() -> None:
         fz = coefficients["fz"]
         lines = ["sigma_x,fx,fz,v"]
         lines += [
-            f"{s:.6f},{f:.4f},{fz:.0f},{SPEED:.0f}"
-            for s, f in zip(sigma, force, strict=True)
+            f"{s:.6f},{f:.4f},{fz:.0f},{SPEED:.0f}" for s, f in zip(sigma, force, strict=True)
         ]
         (HERE / f"{name}.csv").write_text("\n".join(lines) + "\n")
 

@@ -14,12 +14,10 @@ MODELS = {
     "brush": (formulas.brush, ("cpa2", "mu"), None, [None]),
     "brush-d": (formulas.brush_d, ("cpa2", "mu", "d"), (-1 / 3, 1), [-0.2, 0.1, 0.6]),
     "brush-m": (formulas.brush_m, ("cpa2", "mu", "m"), (0, 1), [0.5, 0.9]),
-    "brush-m-peak": (
-        formulas.brush_m_peak, ("cpa2", "mu_peak", "m"), (0, 1), [0.5, 0.9],
-    ),
+    "brush-m-peak": (formulas.brush_m_peak, ("cpa2", "mu_peak", "m"), (0, 1), [0.5, 0.9]),
     "brush-n": (formulas.brush_n, ("cpa2", "mu", "n"), (-0.2, 0.2), [0.0, 0.02]),
     "brush-h": (formulas.brush_h, ("cpa2", "mu", "h"), (0, 1), [0.3, 0.8]),
-}  # fmt: skip
+}
 
 
 def curve_numbers() -> dict[str, float]:

@@ -67,9 +67,7 @@ AMONG_TIRES = 2.0
 """Spread over the root mean square of the published values about the centre."""
 
 
-def priors_of(
-    families: Mapping[str, Sequence[Mapping[str, float]]],
-) -> dict[str, Prior]:
+def priors_of(families: Mapping[str, Sequence[Mapping[str, float]]]) -> dict[str, Prior]:
     """The prior of every coefficient from published tires.
 
     Args:
@@ -92,8 +90,7 @@ def _prior(name: str, published: list[float]) -> Prior:
     centre, least = CENTRED.get(name, (0.0, FLOORS.get(name, 0.0)))
     log = name in LOGARITHMIC
     squares = [
-        math.log(value / centre) ** 2 if log else (value - centre) ** 2
-        for value in published
+        math.log(value / centre) ** 2 if log else (value - centre) ** 2 for value in published
     ]
     size = math.sqrt(sum(squares) / len(squares)) if squares else 0.0
     spread = max(least, AMONG_TIRES * size)
@@ -124,9 +121,7 @@ def main(path: Path = TABLE) -> None:
             prior = priors[name]
             scale = "log" if prior.log else "linear"
             values = " ".join(f"{value:.6g}" for value in prior.published)
-            table.writerow(
-                [name, f"{prior.centre:g}", f"{prior.spread:g}", scale, values]
-            )
+            table.writerow([name, f"{prior.centre:g}", f"{prior.spread:g}", scale, values])
 
 
 if __name__ == "__main__":

@@ -64,20 +64,8 @@ def _each(rows: Table, *values: float) -> np.ndarray:
 
 
 _STEERED = {
-    "steering_delay": (
-        "alpha",
-        lambda r, u, t: -_late(r, "steering", t),
-        0.1,
-        -0.1,
-        0.3,
-    ),
-    "steering_lag": (
-        "alpha",
-        lambda r, u, t: -_slow(r, "steering", t),
-        0.05,
-        0.001,
-        0.5,
-    ),
+    "steering_delay": ("alpha", lambda r, u, t: -_late(r, "steering", t), 0.1, -0.1, 0.3),
+    "steering_lag": ("alpha", lambda r, u, t: -_slow(r, "steering", t), 0.05, 0.001, 0.5),
     "steering_gain": ("alpha", lambda r, u, a: a * r["steering"], 0, -0.6, 0.6),
 }
 _OF_RUNS = {
@@ -148,8 +136,11 @@ def fitted(effects: Sequence[str], rows: Table, use=slice(None), start=None):
     found = least_squares(
         lambda p: (predicted(p, effects, rows) - rows["fy"])[use],
         usual if start is None else start,
-        bounds=(low, high), x_scale=np.abs(usual) + 0.05, ftol=1e-6, max_nfev=30,
-    )  # fmt: skip
+        bounds=(low, high),
+        x_scale=np.abs(usual) + 0.05,
+        ftol=1e-6,
+        max_nfev=30,
+    )
     return found.x
 
 
@@ -163,9 +154,7 @@ def folds(rows: Table, in_time: bool = False) -> tuple[str, list[np.ndarray]]:
     """How the kept rows are left out, and which (bool) in each fold."""
     count = rows.codes.max() + 1
     if count >= 3 and not in_time:
-        return f"{count} runs, each left out in turn", [
-            rows.codes == k for k in range(count)
-        ]
+        return f"{count} runs, each left out in turn", [rows.codes == k for k in range(count)]
     block = np.empty(len(rows.codes), int)
     for k in range(count):
         own = np.flatnonzero(rows.codes == k)
@@ -206,10 +195,11 @@ def by_hand(case) -> dict:
     rows = table(case.logs)
     on, parts = folds(rows, case.in_time)
     library = [
-        *_OF_ALL, *(_STEERED if case.logs.axle == "front" else ()),
+        *_OF_ALL,
+        *(_STEERED if case.logs.axle == "front" else ()),
         *_TRIED.get(case.letter, ()),
         *(_OF_RUNS if rows.codes.max() > 0 and not on.endswith("turn") else ()),
-    ]  # fmt: skip
+    ]
     values = best(rows, parts, library)
     found: dict = {"n": len(rows["fy"]), "on": on}
     if case.fitted_on is not None:
@@ -224,8 +214,7 @@ def by_hand(case) -> dict:
     if case.held_out is not None:
         other = table(case.held_out)
         found["held_out"] = {
-            "+".join(s): rms(fitted(s, rows), s, other)
-            for s in ((), *((n,) for n in names), names)
+            "+".join(s): rms(fitted(s, rows), s, other) for s in ((), *((n,) for n in names), names)
         }
     return found
 

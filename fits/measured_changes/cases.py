@@ -67,26 +67,63 @@ def _of_dart():
     right = {"vehicle": STRAIGHT}
     even, odd = _dart(**right, part="even"), _dart(**right, part="odd")
     free, circles = _dart("free", **right), _dart("circles", **right)
-    yield Case("dart_six", "a", CHOOSING, _dart(), SIX,
-               ("slip_offset", RISING), held_out=_dart("later"))  # fmt: skip
     yield Case(
-        "dart_circles", "a", CHOOSING, _dart("circles"), ZEROED, ("slip_offset",)
+        "dart_six", "a", CHOOSING, _dart(), SIX, ("slip_offset", RISING), held_out=_dart("later")
     )
-    yield Case("dart_heading_out", "e", CHOOSING, _dart(**right),
-               "that zero taken out; rising friction", (RISING,), ZERO)  # fmt: skip
-    yield Case("dart_heading_in", "e", CHOOSING,
-               _dart(vehicle={"yaw_offset": 0.0196}),
-               "slip zero +10 mrad put in", ("slip_offset",))  # fmt: skip
-    yield Case("dart_yaw_late", "f", CHOOSING, _dart(**right, late={"vicon yaw": 0.01}),
-               "yaw read 10 ms late", (".*delay.*|tracked_point",))  # fmt: skip
+    yield Case("dart_circles", "a", CHOOSING, _dart("circles"), ZEROED, ("slip_offset",))
+    yield Case(
+        "dart_heading_out",
+        "e",
+        CHOOSING,
+        _dart(**right),
+        "that zero taken out; rising friction",
+        (RISING,),
+        ZERO,
+    )
+    yield Case(
+        "dart_heading_in",
+        "e",
+        CHOOSING,
+        _dart(vehicle={"yaw_offset": 0.0196}),
+        "slip zero +10 mrad put in",
+        ("slip_offset",),
+    )
+    yield Case(
+        "dart_yaw_late",
+        "f",
+        CHOOSING,
+        _dart(**right, late={"vicon yaw": 0.01}),
+        "yaw read 10 ms late",
+        (".*delay.*|tracked_point",),
+    )
     yield Case("dart_halves", "b", CHOOSING, odd, CONTROL, fitted_on=even, change=SAME)
-    yield Case("dart_floor", "d", CHOOSING, free, "another floor and day",
-               fitted_on=circles, change={"mu": True})  # fmt: skip
-    yield Case("dart_floors", "d", CHOOSING, _dart(**right, runs="set"),
-               "two floors as two runs; rising friction", (RISING,), ZERO)  # fmt: skip
-    yield Case("dart_later", "d", JUDGING, _dart("later", **right),
-               "27 September: by hand the same friction",
-               fitted_on=_dart(**right), change={"mu": False})  # fmt: skip
+    yield Case(
+        "dart_floor",
+        "d",
+        CHOOSING,
+        free,
+        "another floor and day",
+        fitted_on=circles,
+        change={"mu": True},
+    )
+    yield Case(
+        "dart_floors",
+        "d",
+        CHOOSING,
+        _dart(**right, runs="set"),
+        "two floors as two runs; rising friction",
+        (RISING,),
+        ZERO,
+    )
+    yield Case(
+        "dart_later",
+        "d",
+        JUDGING,
+        _dart("later", **right),
+        "27 September: by hand the same friction",
+        fitted_on=_dart(**right),
+        change={"mu": False},
+    )
 
 
 def _of_one_set(s: str):
@@ -96,16 +133,36 @@ def _of_one_set(s: str):
     yield Case(f"{s}_steering", "i", use, _car(s, "front"), LATE, (STEERING,))
     if s == "others":
         return
-    yield Case(f"{s}_heading", "e", use, _car(s, vehicle={"sideslip_offset": 0.02}),
-               "slip zero -20 mrad put in", ("slip_offset",))  # fmt: skip
-    yield Case(f"{s}_force_late", "f", use, _car(s, late={"fy": 0.06}),
-               "side force read 60 ms late", ("channel_delay",))  # fmt: skip
-    yield Case(f"{s}_inertia", "h", use, _car(s, vehicle={"yaw_inertia": 0.24}),
-               DOUBLED, (INERTIA,))  # fmt: skip
+    yield Case(
+        f"{s}_heading",
+        "e",
+        use,
+        _car(s, vehicle={"sideslip_offset": 0.02}),
+        "slip zero -20 mrad put in",
+        ("slip_offset",),
+    )
+    yield Case(
+        f"{s}_force_late",
+        "f",
+        use,
+        _car(s, late={"fy": 0.06}),
+        "side force read 60 ms late",
+        ("channel_delay",),
+    )
+    yield Case(
+        f"{s}_inertia", "h", use, _car(s, vehicle={"yaw_inertia": 0.24}), DOUBLED, (INERTIA,)
+    )
     even, odd = _car(s, part="even"), _car(s, part="odd")
     light = _car(s, part="odd", scaled={"fz": 0.8})
-    yield Case(f"{s}_load", "g", use, light, "load 20 % too low, on the odd tenths",
-               fitted_on=even, change={"mu": True, "cpa2": False})  # fmt: skip
+    yield Case(
+        f"{s}_load",
+        "g",
+        use,
+        light,
+        "load 20 % too low, on the odd tenths",
+        fitted_on=even,
+        change={"mu": True, "cpa2": False},
+    )
     yield Case(f"{s}_halves", "b", use, odd, CONTROL, fitted_on=even, change=SAME)
 
 
@@ -113,22 +170,48 @@ def _of_both():
     """Two sets of tires, the one fitted, the other diagnosed, or joined; more of A."""
     for one, other in ("ad", "da"):
         for axle in ("rear", "front"):
-            yield Case(f"{one}_to_{other}_{axle}", "b", JUDGING, _car(other, axle),
-                       f"tires {other.upper()}, simulated as {one.upper()}",
-                       fitted_on=_car(one, axle), change={"mu": True})  # fmt: skip
+            yield Case(
+                f"{one}_to_{other}_{axle}",
+                "b",
+                JUDGING,
+                _car(other, axle),
+                f"tires {other.upper()}, simulated as {one.upper()}",
+                fitted_on=_car(one, axle),
+                change={"mu": True},
+            )
     both = {"of": ("a", "d"), "every": 20}
     six = ("a_0", "a_2", "a_5", "d_0", "d_7", "d_24")
     truth = "tires A and D as two runs: friction and stiffness differ"
     yield Case("two_tires", "c", JUDGING, Logs(runs="set", **both), truth, (BY_RUN,))
-    yield Case("two_tires_front", "c", JUDGING,
-               Logs(axle="front", runs="set", **both), truth, (BY_RUN,))  # fmt: skip
-    yield Case("two_tires_six_runs", "c", JUDGING, Logs(only=six, **both),
-               "three runs of A, three of D", (BY_RUN,), in_time=True)  # fmt: skip
-    yield Case("a_steering_out", "i", CHOOSING,
-               _car("a", "front", late={"delta": 0.097}), "those 97 ms taken out",
-               never=f"{STEERING}|channel_delay|relaxation_length")  # fmt: skip
-    yield Case("a_halves_front", "b", CHOOSING, _car("a", "front", "odd"), CONTROL,
-               fitted_on=_car("a", "front", "even"), change=SAME)  # fmt: skip
+    yield Case(
+        "two_tires_front", "c", JUDGING, Logs(axle="front", runs="set", **both), truth, (BY_RUN,)
+    )
+    yield Case(
+        "two_tires_six_runs",
+        "c",
+        JUDGING,
+        Logs(only=six, **both),
+        "three runs of A, three of D",
+        (BY_RUN,),
+        in_time=True,
+    )
+    yield Case(
+        "a_steering_out",
+        "i",
+        CHOOSING,
+        _car("a", "front", late={"delta": 0.097}),
+        "those 97 ms taken out",
+        never=f"{STEERING}|channel_delay|relaxation_length",
+    )
+    yield Case(
+        "a_halves_front",
+        "b",
+        CHOOSING,
+        _car("a", "front", "odd"),
+        CONTROL,
+        fitted_on=_car("a", "front", "even"),
+        change=SAME,
+    )
 
 
 _SETS = [case for s in ("a", "d", "others") for case in _of_one_set(s)]

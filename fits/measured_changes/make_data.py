@@ -14,11 +14,7 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
-CARS = {
-    "a": "iros_hoons_1_with_friction",
-    "d": "xray_duck_all_test",
-    "others": "different_tires",
-}
+CARS = {"a": "iros_hoons_1_with_friction", "d": "xray_duck_all_test", "others": "different_tires"}
 """Name of a set of tires here -> the table of the source."""
 FAST_RAMP = "circles_27_sept_2024_fast_ramp/car_1_Datarecording_09_27_2024_18_18_37"
 

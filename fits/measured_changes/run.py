@@ -75,9 +75,7 @@ def judged(line: dict, case: Case, hand: dict) -> tuple[str, list[str]]:
             why.append(f"{name} {at:.3g} ± {std:.2g}, by hand {truth[0]:.3g}")
         elif not changed and tool["differs"]:
             why.append(f"false: {name} differs")
-    only_said = len(why) == len(missing) and all(
-        one_of(line["said"], p) for p in missing
-    )
+    only_said = len(why) == len(missing) and all(one_of(line["said"], p) for p in missing)
     return ("said" if only_said else "wrong") if why else "right", why
 
 
@@ -95,14 +93,21 @@ def diagnosed(case: Case, out: Path) -> dict:
     nothing, tool, on = closes(found, case, rows)
     verdict, gap = found.verdict, found.gap.holdout if held else None
     twins = [t for each in getattr(verdict, "each", {}).values() for t in each.twins]
-    return by_hand.rounded({
-        "case": case.name, "named": list(verdict.effects),
-        "status": str(verdict.status), "probability": verdict.probability,
-        "said": [*verdict.also_possible, *twins],
-        "parameters": {k: p._asdict() for k, p in verdict.parameters.items()},
-        "tool_nothing": nothing, "tool": tool, "tool_on": on,
-        "held_out": gap and [gap.rms, gap.remaining_rms], "seconds": seconds,
-    })  # fmt: skip
+    return by_hand.rounded(
+        {
+            "case": case.name,
+            "named": list(verdict.effects),
+            "status": str(verdict.status),
+            "probability": verdict.probability,
+            "said": [*verdict.also_possible, *twins],
+            "parameters": {k: p._asdict() for k, p in verdict.parameters.items()},
+            "tool_nothing": nothing,
+            "tool": tool,
+            "tool_on": on,
+            "held_out": gap and [gap.rms, gap.remaining_rms],
+            "seconds": seconds,
+        }
+    )
 
 
 def scored(line: dict, case: Case, hand: dict) -> dict:
@@ -111,11 +116,18 @@ def scored(line: dict, case: Case, hand: dict) -> dict:
     before, best = hand["rms"][""], hand["rms"][hand["best"]]
     closed = 1 - line["tool"] / line["tool_nothing"]
     return line | {
-        "letter": case.letter, "use": case.use, "truth": case.truth, "on": hand["on"],
-        "nothing": before, "by_hand": best, "best": hand["best"],
+        "letter": case.letter,
+        "use": case.use,
+        "truth": case.truth,
+        "on": hand["on"],
+        "nothing": before,
+        "by_hand": best,
+        "best": hand["best"],
         "of_possible": closed / (1 - best / before) if best < 0.97 * before else None,
-        "held_out_by_hand": hand.get("held_out"), "right": right, "why": why,
-    }  # fmt: skip
+        "held_out_by_hand": hand.get("held_out"),
+        "right": right,
+        "why": why,
+    }
 
 
 def markdown(lines: list[dict]) -> str:
@@ -124,7 +136,10 @@ def markdown(lines: list[dict]) -> str:
     for line in lines:
         share, star = line["of_possible"], "*" * (line["tool_on"] == "rows diagnosed")
         cells = (
-            line["case"], line["use"], line["truth"], f"{line['nothing']:.3f}",
+            line["case"],
+            line["use"],
+            line["truth"],
+            f"{line['nothing']:.3f}",
             f"{line['by_hand']:.3f} {line['best'].replace('+', ' + ')}",
             f"{line['tool_nothing']:.3f} → {line['tool']:.3f}{star}",
             "-" if share is None else f"{100 * share:.0f} %",
@@ -132,7 +147,7 @@ def markdown(lines: list[dict]) -> str:
             f"{line['status']} {line['probability']:.2f}",
             ": ".join(filter(None, (line["right"], "; ".join(line["why"])))),
             f"{line['seconds']:.0f}",
-        )  # fmt: skip
+        )
         text += f"| {' | '.join(cell.replace('|', ' or ') for cell in cells)} |\n"
     said = [f"{name} {n}" for name, n in Counter(x["right"] for x in lines).items()]
     shares = [x["of_possible"] for x in lines if x["of_possible"] is not None]
@@ -156,9 +171,7 @@ def main() -> None:
     def write(new: dict) -> None:
         lines.update(new)
         hand = json.loads(by_hand.FILE.read_text())
-        done = [
-            scored(lines[c.name], c, hand[c.name]) for c in CASES if c.name in lines
-        ]
+        done = [scored(lines[c.name], c, hand[c.name]) for c in CASES if c.name in lines]
         at.write_text(json.dumps(done, indent=1) + "\n")
         (asked.out / "table.md").write_text(markdown(done))
         for line in done:

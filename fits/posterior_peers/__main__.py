@@ -89,17 +89,20 @@ def _longer(method: str, case: Case, results) -> list[dict]:
 def _lines(method: str, case: Case, results, intervals, said) -> list[dict]:
     return [
         {
-            "method": method, "set": k, "parameter": label, "truth": case.truth[label],
-            "low": f"{low:.7g}", "high": f"{high:.7g}", "said": said[k],
+            "method": method,
+            "set": k,
+            "parameter": label,
+            "truth": case.truth[label],
+            "low": f"{low:.7g}",
+            "high": f"{high:.7g}",
+            "said": said[k],
         }
         for k, result in enumerate(results)
         for label, (low, high) in zip(result.labels, intervals[k], strict=True)
-    ]  # fmt: skip
+    ]
 
 
-METHODS_TIMED = (
-    "fit", "importance", "emcee", "nuts", "mean-field", "full-rank", "lmfit",
-)  # fmt: skip
+METHODS_TIMED = ("fit", "importance", "emcee", "nuts", "mean-field", "full-rank", "lmfit")
 
 
 def timed(method: str, name: str = "magic-formula") -> dict:

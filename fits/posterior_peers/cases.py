@@ -54,6 +54,9 @@ def synthetic(case: Case, seed: int) -> TireData:
         force = formulas.magic_formula(sigma / (1 + sigma), fz, **case.truth)
     force = force + NOISE * fz * generator.standard_normal(ROWS)
     return TireData(
-        "synthetic", {"sigma_x": sigma, "fx": force, "fz": fz},
-        np.ones(ROWS, bool), np.zeros(ROWS, int), ("r",),
-    )  # fmt: skip
+        "synthetic",
+        {"sigma_x": sigma, "fx": force, "fz": fz},
+        np.ones(ROWS, bool),
+        np.zeros(ROWS, int),
+        ("r",),
+    )

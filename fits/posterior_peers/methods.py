@@ -20,9 +20,15 @@ MOST_STEPS = 1000
 """Of a chain; one that is too short by then is used as it is, and counted."""
 
 METHODS = (
-    "profile", "covariance", "lmfit", "mean-field", "full-rank", "importance", "emcee",
+    "profile",
+    "covariance",
+    "lmfit",
+    "mean-field",
+    "full-rank",
+    "importance",
+    "emcee",
     "nuts",
-)  # fmt: skip
+)
 """The slow ones last: what is there can be read before they are done."""
 
 

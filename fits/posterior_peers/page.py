@@ -11,11 +11,15 @@ from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
 __all__ = ["summary", "write_page"]
 
 METHODS = {
-    "profile": "tirefit, profile", "importance": "tirefit, importance",
-    "emcee": "tirefit, emcee", "nuts": "tirefit, NUTS",
-    "full-rank": "NumPyro SVI, full rank", "mean-field": "NumPyro SVI, mean field",
-    "covariance": "tirefit, covariance", "lmfit": "lmfit, standard errors",
-}  # fmt: skip
+    "profile": "tirefit, profile",
+    "importance": "tirefit, importance",
+    "emcee": "tirefit, emcee",
+    "nuts": "tirefit, NUTS",
+    "full-rank": "NumPyro SVI, full rank",
+    "mean-field": "NumPyro SVI, mean field",
+    "covariance": "tirefit, covariance",
+    "lmfit": "lmfit, standard errors",
+}
 """In the order of the tables, with the words for them."""
 
 _REFERENCE = "emcee"
@@ -52,13 +56,15 @@ def summary(lines: list[dict[str, str]]) -> list[dict]:
         ratio = [np.ptp(known[k]) / np.ptp(by_emcee[k]) for k in known if k in by_emcee]
         rows.append(
             {
-                "method": method, "parameter": parameter, "sets": len(known),
+                "method": method,
+                "parameter": parameter,
+                "sets": len(known),
                 "coverage": share,
                 "error": _error(sum(inside), len(known)),
                 "width": float(np.median(ratio)) if ratio else np.nan,
                 "said": said[method, parameter],
             }
-        )  # fmt: skip
+        )
     return rows
 
 
@@ -66,18 +72,12 @@ def _settled(lines: list[dict[str, str]], method: str) -> str:
     """What three times the steps bring, on the same data sets."""
 
     def elbo(name):
-        return {
-            int(line["set"]): float(line["said"])
-            for line in lines
-            if line["method"] == name
-        }
+        return {int(line["set"]): float(line["said"]) for line in lines if line["method"] == name}
 
     longer, once = elbo(f"{method}, 3 x"), elbo(method)
     gain = [longer[k] - once[k] for k in longer]
     by = {(r["method"], r["parameter"]): r["width"] for r in summary(lines)}
-    wider = [
-        f"{p} {by[f'{method}, 3 x', p]:.2f}" for m, p in by if m == f"{method}, 3 x"
-    ]
+    wider = [f"{p} {by[f'{method}, 3 x', p]:.2f}" for m, p in by if m == f"{method}, 3 x"]
     return (
         f"{METHODS[method]}: ELBO higher by {np.median(gain):.3f} (at most"
         f" {max(gain):.3f}), widths over emcee's {', '.join(wider)}"
@@ -88,8 +88,7 @@ def _of_case(name: str, lines: list[dict[str, str]]) -> list[str]:
     rows = {(r["method"], r["parameter"]): r for r in summary(lines)}
     parameters = list(dict.fromkeys(line["parameter"] for line in lines))
     text = [f"## {CASES[name].words}", ""]
-    text += ["| | data sets | " + " | ".join(
-        f"{p}: coverage | width" for p in parameters) + " |"]  # fmt: skip
+    text += ["| | data sets | " + " | ".join(f"{p}: coverage | width" for p in parameters) + " |"]
     text += ["|---|---|" + "---|---|" * len(parameters)]
     for method, words in METHODS.items():
         if (method, parameters[0]) not in rows:
@@ -97,9 +96,7 @@ def _of_case(name: str, lines: list[dict[str, str]]) -> list[str]:
         cells = [words, str(rows[method, parameters[0]]["sets"])]
         for parameter in parameters:
             row = rows[method, parameter]
-            cells += [
-                f"{row['coverage']:.0%} ± {row['error']:.0%}", f"{row['width']:.2f}"
-            ]  # fmt: skip
+            cells += [f"{row['coverage']:.0%} ± {row['error']:.0%}", f"{row['width']:.2f}"]
         text.append("| " + " | ".join(cells) + " |")
     text += ["", "Three times as many steps, on the first data sets:", ""]
     text += [
@@ -110,9 +107,7 @@ def _of_case(name: str, lines: list[dict[str, str]]) -> list[str]:
     for method in ("importance", "emcee", "nuts"):
         said = rows.get((method, parameters[0]), {"said": []})["said"]
         for word in sorted({one for one in said if one}):
-            text.append(
-                f"- {METHODS[method]}: {said.count(word)} of {len(said)} {word}"
-            )
+            text.append(f"- {METHODS[method]}: {said.count(word)} of {len(said)} {word}")
     return [*text, ""]
 
 
@@ -123,16 +118,12 @@ def write_page(folder: Path, into: Path) -> None:
     text = [
         "Written by `python -m fits.posterior_peers`. Coverage of 95 % intervals with",
         "its binomial standard error (Jeffreys'); median width over emcee's interval",
-        "on the same data sets.", "",
-    ]  # fmt: skip
+        "on the same data sets.",
+        "",
+    ]
     for name, lines in there.items():
         text += _of_case(name, lines)
-    text += [
-        "## Processor seconds a data set",
-        "",
-        "| | first | then |",
-        "|---|---|---|",
-    ]
+    text += ["## Processor seconds a data set", "", "| | first | then |", "|---|---|---|"]
     for row in _read(folder / "times.csv"):
         words = METHODS.get(row["method"], "tirefit, fit with profiles")
         text.append(f"| {words} | {row['cold_s']} | {row['warm_s']} |")
@@ -157,9 +148,13 @@ def draw(cases: dict[str, list[dict]], folder: Path) -> None:
             at = np.arange(len(own)) + 0.1 * (k - len(METHODS) / 2 + 0.5)
             style = {"color": colors[k], "ms": 4, "label": METHODS[method]}
             top.errorbar(
-                at, [100 * r["coverage"] for r in own],
-                [100 * r["error"] for r in own], fmt="o", lw=1, **style,
-            )  # fmt: skip
+                at,
+                [100 * r["coverage"] for r in own],
+                [100 * r["error"] for r in own],
+                fmt="o",
+                lw=1,
+                **style,
+            )
             bottom.plot(at, [row["width"] for row in own], "o", **style)
         top.axhline(95, color=GREY, lw=0.8)
         bottom.axhline(1, color=GREY, lw=0.8)

@@ -75,9 +75,7 @@ def tire_model(problem: FitProblem, data: Given) -> None:
         for parameter in problem.layout.free
     }
     tire = with_values(problem.model, values)
-    force = jax.vmap(lambda slip, fz: tire(TireInputs(slip, 0.0, fz)).fx)(
-        data.slip, data.fz
-    )
+    force = jax.vmap(lambda slip, fz: tire(TireInputs(slip, 0.0, fz)).fx)(data.slip, data.fz)
     numpyro.sample("fx", dist.Normal(force, data.noise), obs=data.force)
 
 
@@ -128,18 +126,14 @@ def _run(problem, batch: Given, name: str, steps: int, seed, particles: int = 20
     one = jax.tree.map(lambda part: part[0], batch)
     specs = {parameter.name: parameter.spec for parameter in problem.layout.free}
     model = partial(tire_model, problem)
-    guide = GUIDES[name](
-        model, init_loc_fn=init_to_value(values=one.first), init_scale=WIDTH
-    )
+    guide = GUIDES[name](model, init_loc_fn=init_to_value(values=one.first), init_scale=WIDTH)
     svi = SVI(model, guide, optimizer, Trace_ELBO())
     key = jax.random.key(seed)
     own = svi.get_params(svi.init(key, one))
 
     def fitted(data, key):
         begin, draw, end = jax.random.split(key, 3)
-        state = svi.init(
-            begin, data, init_params=own | _starting(name, data.first, specs)
-        )
+        state = svi.init(begin, data, init_params=own | _starting(name, data.first, specs))
         state = state._replace(rng_key=draw)
         state, _ = jax.lax.scan(
             lambda state, _: (svi.update(state, data)[0], None), state, None, steps

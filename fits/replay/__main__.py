@@ -26,10 +26,7 @@ from tirefit.report.trajectory import trajectory_figure  # noqa: E402
 
 HORIZONS = (0.25, 0.5, 1.0, 2.0)
 STEERING = ("steering_delay", "steering_offset")
-UNKNOWNS = {
-    "a": STEERING, "d": STEERING,
-    "dart": (*STEERING, "steering_ratio", "sideslip_zero"),
-}  # fmt: skip
+UNKNOWNS = {"a": STEERING, "d": STEERING, "dart": (*STEERING, "steering_ratio", "sideslip_zero")}
 WAYS = ("derive + fit", "derive + fit, steering found", "trajectory")
 
 
@@ -72,10 +69,7 @@ def halves(source: str, folder: Path) -> list[dict]:
     for k in (0, 1):
         own, other = logs[k::2], logs[1 - k :: 2]
         tires = tires_of(source, own, toml, folder)
-        found += [
-            {"car": source, "half": k, "way": way, **rms(other, *tires[way])}
-            for way in WAYS
-        ]
+        found += [{"car": source, "half": k, "way": way, **rms(other, *tires[way])} for way in WAYS]
     return found
 
 
@@ -104,9 +98,7 @@ def other_tires(folder: Path, pictures: Path) -> tuple[list[dict], list[str]]:
         fits[source] = tirefit.fit_trajectory(logs, toml)
     logs, toml = write_logs("d", folder / "d")
     for source, fit in fits.items():
-        result = tirefit.replay(
-            logs, fits["d"].vehicle, *fit.axles.values(), horizons=HORIZONS
-        )
+        result = tirefit.replay(logs, fits["d"].vehicle, *fit.axles.values(), horizons=HORIZONS)
         errors = {k: v.rms() for k, v in result.models.items()}
         way = f"tires {source.upper()} on logs D"
         found.append({"car": "d", "half": "all", "way": way, **errors})
@@ -119,9 +111,10 @@ def other_tires(folder: Path, pictures: Path) -> tuple[list[dict], list[str]]:
     logs, _ = write_logs("a", folder / "a")
     result = tirefit.replay(logs, fits["a"].vehicle, *fits["a"].axles.values())
     for name, picture in (
-        ("replay", replay_figure(result)), ("series", series_figure(result)),
+        ("replay", replay_figure(result)),
+        ("series", series_figure(result)),
         ("tires", trajectory_figure(fits["a"])),
-    ):  # fmt: skip
+    ):
         save_picture(picture, pictures / f"{name}.png")
     return found, said
 

@@ -25,9 +25,7 @@ def write_logs(source: str, folder: Path) -> tuple[list[Path], Path]:
     toml, paths = folder / f"{source}.toml", []
     if source == "dart":
         text = (FITS / "dart_jetracer/vehicle.toml").read_text()
-        text = text.replace(
-            "[filter]", 'steering = "steering"\n' + STEERING + "[filter]"
-        )
+        text = text.replace("[filter]", 'steering = "steering"\n' + STEERING + "[filter]")
         toml.write_text(text)
         for k, path in enumerate(sorted(FITS.glob("dart_jetracer/*/*.csv.gz"))):
             paths.append(folder / f"dart_{k}.csv")

@@ -20,10 +20,7 @@ DURATION, FINE = 40.0, 200.0  # s, Hz of the drive that the logs are taken from
 V_STD, YAW_STD, A_Y_STD = 0.03, 0.002, 0.05  # m/s, rad/s, m/s2
 GRAVITY = 9.81  # m/s2
 YAW_STEP, STEERING_STEP = 0.005, 0.002  # rad/s, rad
-NAMES = (
-    "front.cpa2", "front.mu", "rear.cpa2", "rear.mu", "steering_delay",
-    "steering_offset",
-)  # fmt: skip
+NAMES = ("front.cpa2", "front.mu", "rear.cpa2", "rear.mu", "steering_delay", "steering_offset")
 
 
 def drive(seed: int, wheels: bool):
@@ -31,18 +28,23 @@ def drive(seed: int, wheels: bool):
     random = np.random.default_rng([17, seed])
     car = Car(stiffness_f=random.uniform(9, 13), stiffness_r=random.uniform(12, 16))
     how = Drive(
-        duration=DURATION, rate=FINE, speed=random.uniform(18, 26),
-        bend=random.uniform(0.55, 0.7), bend_period=random.uniform(4, 6),
-        friction=random.uniform(0.7, 1.0), seed=seed,
-    )  # fmt: skip
+        duration=DURATION,
+        rate=FINE,
+        speed=random.uniform(18, 26),
+        bend=random.uniform(0.55, 0.7),
+        bend_period=random.uniform(4, 6),
+        friction=random.uniform(0.7, 1.0),
+        seed=seed,
+    )
     weight = car.mass * GRAVITY / (car.l_f + car.l_r)
     truth = {
         "front.cpa2": car.stiffness_f * weight * car.l_r / 2,
         "rear.cpa2": car.stiffness_r * weight * car.l_f / 2,
-        "front.mu": how.friction, "rear.mu": how.friction,
+        "front.mu": how.friction,
+        "rear.mu": how.friction,
         "steering_delay": random.uniform(0.03, 0.12),
         "steering_offset": random.uniform(-0.01, 0.01),
-    }  # fmt: skip
+    }
     if wheels:
         log = simulate_drive(how, car)
         return log.truth | {"steering": log.columns["steering"]}, car, truth
@@ -97,9 +99,13 @@ def single_track(car: Car, how: Drive, truth, random) -> dict[str, np.ndarray]:
     v_y, turn = np.array(states).T
     a_y = np.array([forces(*each)[0] for each in zip(time, v_y, turn, strict=True)])
     return {
-        "time": time, "v": v_x(time), "v_y": v_y, "yaw_rate": turn, "a_y": a_y,
+        "time": time,
+        "v": v_x(time),
+        "v_y": v_y,
+        "yaw_rate": turn,
+        "a_y": a_y,
         "steering": delta(time),
-    }  # fmt: skip
+    }
 
 
 def log_of(log, truth, rate: int, seed: int, path: Path) -> None:
@@ -115,10 +121,13 @@ def log_of(log, truth, rate: int, seed: int, path: Path) -> None:
     steering = steering - truth["steering_offset"]
     yaw = noisy("yaw_rate", YAW_STD)
     cells = {
-        "t": time, "v_x": noisy("v", V_STD), "a_y": noisy("a_y", A_Y_STD),
-        "v_y": noisy("v_y", V_STD), "r": YAW_STEP * np.round(yaw / YAW_STEP),
+        "t": time,
+        "v_x": noisy("v", V_STD),
+        "a_y": noisy("a_y", A_Y_STD),
+        "v_y": noisy("v_y", V_STD),
+        "r": YAW_STEP * np.round(yaw / YAW_STEP),
         "delta": STEERING_STEP * np.round(steering / STEERING_STEP),
-    }  # fmt: skip
+    }
     table = np.stack([values[rows] for values in cells.values()], axis=1)
     np.savetxt(path, table, "%.6f", ",", header=",".join(cells), comments="")
 
@@ -149,9 +158,7 @@ def trial(seed: int, wheels: bool = False) -> list[dict]:
             begun = time.process_time()
             fit = tirefit.fit_trajectory([path], vehicle)
             one["seconds"] = time.process_time() - begun
-            one["trajectory"] = {
-                k: (e.value, *e.ci95) for k, e in fit.parameters.items()
-            }
+            one["trajectory"] = {k: (e.value, *e.ci95) for k, e in fit.parameters.items()}
             one["converged"] = fit.converged
             begun = time.process_time()
             one["derived"] = {}
@@ -170,8 +177,7 @@ def trial(seed: int, wheels: bool = False) -> list[dict]:
 def table(trials: list[dict]) -> str:
     """Coverage, bias and spread of each parameter by rate, both ways, in Markdown."""
     lines = [
-        "| rate | parameter | holds | bias | spread |"
-        " derive + fit: holds | bias | spread |",
+        "| rate | parameter | holds | bias | spread | derive + fit: holds | bias | spread |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for rate in RATES:
@@ -192,8 +198,9 @@ def table(trials: list[dict]) -> str:
                 unit = unit.get(name, " %")
                 middle = 1.4826 * np.median(np.abs(error - np.median(error)))
                 cells += [
-                    f"{100 * share:.1f} %", f"{np.median(error):+.2g}{unit}",
+                    f"{100 * share:.1f} %",
+                    f"{np.median(error):+.2g}{unit}",
                     f"{middle:.2g}{unit}",
-                ]  # fmt: skip
+                ]
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"

@@ -58,18 +58,14 @@ class RigRows(NamedTuple):
         """The inputs as measured, arrays (n,)."""
         zero = np.zeros(self.data.n)
         names = TireInputs._fields
-        return TireInputs(
-            *(self.data.usable(k) if k in self.data else zero for k in names)
-        )
+        return TireInputs(*(self.data.usable(k) if k in self.data else zero for k in names))
 
     def truth(self) -> dict[str, np.ndarray]:
         """Noise-free forces (n,) at the measured inputs, in the state of each row."""
         return true_forces(self.inputs, self.friction, self.stiffness)
 
 
-def rig_rows(
-    folder: Path, seed: int, thin: int, loads: Sequence[float] = LOADS
-) -> list[RigRows]:
+def rig_rows(folder: Path, seed: int, thin: int, loads: Sequence[float] = LOADS) -> list[RigRows]:
     """Write both recordings as files, read and prepare them."""
     made = recordings(seed, thin, loads)
     paths = write(folder, seed, thin, loads=loads)
@@ -99,9 +95,7 @@ def fit_of(rows: Sequence[RigRows]):
 
 def band(fit, rows: RigRows) -> dict[str, np.ndarray]:
     """Predicted forces of the rows, and their standard deviations."""
-    columns = {
-        name: column for name, column in rows.inputs._asdict().items() if name != "time"
-    }
+    columns = {name: column for name, column in rows.inputs._asdict().items() if name != "time"}
     return tirefit.predict(fit, columns)
 
 
@@ -194,13 +188,9 @@ def main() -> None:
         _print_residuals(
             "SciPy, stage by stage", residuals(rows, [peer(one.inputs) for one in rows])
         )
-    _print_coverage(
-        f"{BEYOND:g} N, 1.3 x the largest load", coverage(fit, everything, BEYOND)
-    )
+    _print_coverage(f"{BEYOND:g} N, 1.3 x the largest load", coverage(fit, everything, BEYOND))
     less = fit_of(left_out(rows, given.leave_out))
-    _print_coverage(
-        f"{given.leave_out:g} N left out", coverage(less, rows, given.leave_out)
-    )
+    _print_coverage(f"{given.leave_out:g} N left out", coverage(less, rows, given.leave_out))
 
 
 if __name__ == "__main__":

@@ -96,9 +96,7 @@ class _Script:
         if new:
             n = round(max(MOVES[name] for name in new) / STEP)
             way = (1 - np.cos(np.pi * np.arange(1, n + 1) / n)) / 2
-            self._append(
-                n, **{k: self.now[k] + way * (v - self.now[k]) for k, v in new.items()}
-            )
+            self._append(n, **{k: self.now[k] + way * (v - self.now[k]) for k, v in new.items()})
         self._append(round(0.5 / STEP))
 
     def sweep(self, name: str, most: float, rate: float) -> None:
@@ -161,9 +159,7 @@ def _exposed(command: dict[str, np.ndarray], rng) -> dict[str, np.ndarray]:
     n = len(command["fz"])
     angle, slip = command["alpha"] / ANGLE, command["kappa"] / SLIP
     pushed = 0.035 * angle + 0.04 * np.abs(angle) - 0.05 * np.abs(slip) - 0.02 * slip
-    fz = _lagged(command["fz"], 0.08) * (
-        1 + _lagged(pushed, 0.3) + _wander(rng, n, 0.01, 0.8)
-    )
+    fz = _lagged(command["fz"], 0.08) * (1 + _lagged(pushed, 0.3) + _wander(rng, n, 0.01, 0.8))
     return {
         "alpha": command["alpha"] + _wander(rng, n, 0.01 * DEG, 0.2),
         "kappa": command["kappa"] + _wander(rng, n, 4e-4, 0.2),
@@ -176,9 +172,7 @@ def _exposed(command: dict[str, np.ndarray], rng) -> dict[str, np.ndarray]:
 
 def _inputs(exposed: dict[str, np.ndarray]) -> TireInputs:
     """Canonical inputs; the slips are delayed by their relaxation lengths."""
-    alpha, kappa = (
-        _lagged(exposed[name], RELAXATION[name] / SPEED) for name in ("alpha", "kappa")
-    )
+    alpha, kappa = (_lagged(exposed[name], RELAXATION[name] / SPEED) for name in ("alpha", "kappa"))
     rest = {name: exposed[name] for name in ("fz", "v", "gamma", "pressure")}
     return TireInputs(kappa / (1 - kappa), alpha, **rest, time=np.zeros(len(alpha)))
 
@@ -351,9 +345,7 @@ def table_of(recording: Recording) -> tuple[dict[str, np.ndarray], list[str]]:
     return table, [unit for _, _, unit in _COLUMNS.values()]
 
 
-def write(
-    directory: Path, seed: int, thin: int = 1, loads: Sequence[float] = LOADS
-) -> list[Path]:
+def write(directory: Path, seed: int, thin: int = 1, loads: Sequence[float] = LOADS) -> list[Path]:
     """Write both recordings and the true tire; returns the paths."""
     directory.mkdir(parents=True, exist_ok=True)
     paths = []

@@ -39,8 +39,7 @@ _COEFFICIENTS = """
 """
 
 TRUE = NOMINAL | {
-    name: float(value)
-    for name, value in (pair.split() for pair in _COEFFICIENTS.split(","))
+    name: float(value) for name, value in (pair.split() for pair in _COEFFICIENTS.split(","))
 }
 """Coefficients of MF 6.1, in ISO-W axes."""
 
@@ -78,9 +77,7 @@ def true_forces(
     """
     share = np.asarray(stiffness / friction)
     kappa = share * np.asarray(inputs.sigma_x) / (1 + np.asarray(inputs.sigma_x))
-    scaled = inputs._replace(
-        sigma_x=kappa / (1 - kappa), alpha=share * np.asarray(inputs.alpha)
-    )
+    scaled = inputs._replace(sigma_x=kappa / (1 - kappa), alpha=share * np.asarray(inputs.alpha))
     of_forces = forces(true_tire(), scaled)
     of_moment = forces(true_tire(moment=True), scaled)
     fx, fy = friction * np.asarray(of_forces.fx), friction * np.asarray(of_forces.fy)

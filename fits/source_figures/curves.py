@@ -11,11 +11,7 @@ from scipy.optimize import least_squares
 import tirefit
 from fits.formulas import magic_formula
 from fits.magic_formula_curve.make_data import FIGURE10, SPEED, truck
-from fits.source_figures.taylor import (
-    asymmetric_coefficients,
-    coefficients,
-    truncated_force,
-)
+from fits.source_figures.taylor import asymmetric_coefficients, coefficients, truncated_force
 from tirefit.models import (
     Asymmetric,
     Brush,
@@ -69,9 +65,7 @@ def gough(mu, alpha):
     """(-M_z / F_z [m], F_y / F_z [-]) of Figure 12; mu or alpha [rad] is (n,)."""
 
     def at(mu, alpha):
-        found = Brush(5e4, mu, HALF_LENGTH)(
-            tirefit.TireInputs(0.0, alpha, CAR_LOAD, 0.0)
-        )
+        found = Brush(5e4, mu, HALF_LENGTH)(tirefit.TireInputs(0.0, alpha, CAR_LOAD, 0.0))
         return -found.mz / CAR_LOAD, found.fy / CAR_LOAD
 
     moment, force = jax.vmap(at)(*np.broadcast_arrays(mu, alpha))

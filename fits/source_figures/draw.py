@@ -49,16 +49,24 @@ def figure_9(picture: Picture) -> None:
         pair, ("brush", "uniform"), ("parabolic", "uniform"), strict=True
     ):
         for i, (mu, cpa2) in enumerate(TIRES):
-            axes.plot(SIGMA, force_slip(family, mu, cpa2, SIGMA), color=COLORS[i],
-                      label=f"µ = {mu:g}, $c_p a^2$ = {cpa2 / 1e3:g} kN")  # fmt: skip
+            axes.plot(
+                SIGMA,
+                force_slip(family, mu, cpa2, SIGMA),
+                color=COLORS[i],
+                label=f"µ = {mu:g}, $c_p a^2$ = {cpa2 / 1e3:g} kN",
+            )
         axes.set_title(f"{said} pressure, $F_z$ = 4 kN", fontsize=9)
         tidy(axes, "slip σ [–]", "$F_x / F_z$ [–]" if axes is pair[0] else "")
 
 
 def figure_10(picture: Picture) -> None:
     axes = picture.subplots()
-    axes.plot(100 * KAPPA, friction_curve(KAPPA), color=DARK,
-              label="Magic Formula, D = 0.7, C = 2.5, B = 8, E = 1")  # fmt: skip
+    axes.plot(
+        100 * KAPPA,
+        friction_curve(KAPPA),
+        color=DARK,
+        label="Magic Formula, D = 0.7, C = 2.5, B = 8, E = 1",
+    )
     tidy(axes, "slip κ [%]", "$F / F_z$ [–]")
 
 
@@ -80,8 +88,9 @@ def figure_14(picture: Picture) -> None:
     axes = picture.subplots()
     curves = pressures(XI)
     for i, (name, density) in enumerate(curves.items()):
-        axes.plot(XI, density, ("-", "--", "-.", "-.")[i], color=COLORS[i],
-                  label=name.replace("-", "−"))  # fmt: skip
+        axes.plot(
+            XI, density, ("-", "--", "-.", "-.")[i], color=COLORS[i], label=name.replace("-", "−")
+        )
     tidy(axes, "x / a [–]: trailing edge −1, leading edge +1", "$a\\, q_z / F_z$ [–]")
 
 
@@ -89,9 +98,10 @@ def figure_16(picture: Picture) -> None:
     axes = picture.subplots()
     curves = pressure_effect(TO_PEAK)
     for name, line, color in (
-        ("Magic Formula", "-", DARK), ("fourth order", "--", COLORS[0]),
+        ("Magic Formula", "-", DARK),
+        ("fourth order", "--", COLORS[0]),
         ("parabolic", "-.", COLORS[1]),
-    ):  # fmt: skip
+    ):
         said = "Magic Formula (truck)" if color == DARK else f"brush, {name} pressure"
         axes.plot(100 * TO_PEAK, curves[name], line, color=color, label=said)
     tidy(axes, "slip κ [%]", "$F_x / F_z$ [–]")
@@ -113,8 +123,7 @@ def figure_20(picture: Picture) -> None:
 
 def _converging(axes, name: str) -> None:
     curves = convergence(name, TO_SLIDING)
-    styles = {"exact": ("-", DARK), "4 terms": ("--", COLORS[0]),
-              "3 terms": ("-.", COLORS[1])}  # fmt: skip
+    styles = {"exact": ("-", DARK), "4 terms": ("--", COLORS[0]), "3 terms": ("-.", COLORS[1])}
     for label, (line, color) in styles.items():
         # Past full sliding a polynomial means nothing.
         end = _sliding(name) if label != "exact" else len(TO_SLIDING)
@@ -125,17 +134,29 @@ def _converging(axes, name: str) -> None:
 
 def figure_25(picture: Picture) -> None:
     axes = picture.subplots()
-    axes.plot(100 * TO_PEAK, magic_formula(TO_PEAK, **TRUCK) / LOAD, color=DARK,
-              linewidth=1.2, label="Magic Formula (truck)")  # fmt: skip
-    axes.plot(100 * INTERVAL, magic_formula(INTERVAL, **TRUCK) / LOAD, color=DARK,
-              linewidth=3.5, label="optimised over")  # fmt: skip
+    axes.plot(
+        100 * TO_PEAK,
+        magic_formula(TO_PEAK, **TRUCK) / LOAD,
+        color=DARK,
+        linewidth=1.2,
+        label="Magic Formula (truck)",
+    )
+    axes.plot(
+        100 * INTERVAL,
+        magic_formula(INTERVAL, **TRUCK) / LOAD,
+        color=DARK,
+        linewidth=3.5,
+        label="optimised over",
+    )
     for i, d in enumerate(OPTIMISED):
         for order, line in ((2, "-."), (3, ":")):
             axes.plot(
-                100 * TO_PEAK, optimised_curve(d, order, TO_PEAK), line,
+                100 * TO_PEAK,
+                optimised_curve(d, order, TO_PEAK),
+                line,
                 color=COLORS[i],
                 label=f"d = {d:g}, {order} terms".replace("-", "−"),
-            )  # fmt: skip
+            )
     tidy(axes, "slip κ [%]", "$F_x / F_z$ [–]")
 
 
@@ -182,9 +203,7 @@ def _of_12() -> dict[str, float]:
         found[f"12: F_y / F_z there, mu = {mu:g}"] = force[best]
         gone = np.tan(ALPHA[np.argmax(moment[1:] <= 1e-15) + 1])
         found[f"12: tan alpha where M_z is gone, mu = {mu:g}"] = gone
-        found[f"12: trail over a at rest, mu = {mu:g}"] = (
-            moment[1] / force[1] / HALF_LENGTH
-        )
+        found[f"12: trail over a at rest, mu = {mu:g}"] = moment[1] / force[1] / HALF_LENGTH
     return found
 
 
@@ -227,9 +246,7 @@ def _of_19_20() -> dict[str, float]:
         found[f"{name}: sigma of full sliding"] = TO_SLIDING[end]
         for order in (3, 4):
             miss = curves[f"{order} terms"] - curves["exact"]
-            found[f"{name}: miss of {order} terms at sigma 0.1"] = np.interp(
-                0.1, TO_SLIDING, miss
-            )
+            found[f"{name}: miss of {order} terms at sigma 0.1"] = np.interp(0.1, TO_SLIDING, miss)
             found[f"{name}: sigma where {order} terms miss by 1 %"] = radius(
                 expanded(name), LOAD, SPEED, order
             )
@@ -259,9 +276,15 @@ def properties() -> dict[str, float]:
 
 
 FIGURES = {
-    9: figure_9, 10: figure_10, 12: figure_12, 14: figure_14, 16: figure_16,
-    19: figure_19, 20: figure_20, 25: figure_25,
-}  # fmt: skip
+    9: figure_9,
+    10: figure_10,
+    12: figure_12,
+    14: figure_14,
+    16: figure_16,
+    19: figure_19,
+    20: figure_20,
+    25: figure_25,
+}
 
 
 def main() -> None:

@@ -71,8 +71,9 @@ def of_12() -> dict[str, float]:
     for mu in (0.4, 1.0):
         best = minimize_scalar(
             lambda ratio, mu=mu: patch(parabolic, ratio, mu, 1),
-            bounds=(0, 1.5 * mu), options={"xatol": 1e-9},
-        )  # fmt: skip
+            bounds=(0, 1.5 * mu),
+            options={"xatol": 1e-9},
+        )
         found[f"12 moment {mu:g}"] = -best.fun
         found[f"12 force {mu:g}"] = patch(parabolic, best.x, mu)
     return found
@@ -155,9 +156,7 @@ def of_19_20() -> dict[str, float]:
             sigma = np.linspace(0.01, 0.3, 30_000)
             over = np.abs(series(sigma, order) / exact(sigma) - 1) > 0.01
             found[f"{name} radius {order}"] = sigma[np.argmax(over)]
-    sliding = brentq(
-        lambda s: STIFFNESS * s / LOAD - 1.5 * (1.05 - 0.15 * s / (1 + s)), 0.1, 0.3
-    )
+    sliding = brentq(lambda s: STIFFNESS * s / LOAD - 1.5 * (1.05 - 0.15 * s / (1 + s)), 0.1, 0.3)
     top = minimize_scalar(lambda s: -falling(s) / LOAD, bounds=(0.1, sliding))
     found |= {"20 sliding": sliding, "20 peak": -top.fun, "20 sigma": top.x}
     return found
@@ -178,13 +177,9 @@ def of_25() -> dict[str, float]:
                 c = shape @ force / (shape @ shape)
                 return c, np.sum((c * shape - force) ** 2)
 
-            r = minimize_scalar(lambda r: linear(r)[1], bounds=(2, 40),
-                                options={"xatol": 1e-10}).x  # fmt: skip
+            r = minimize_scalar(lambda r: linear(r)[1], bounds=(2, 40), options={"xatol": 1e-10}).x
             c, name = linear(r)[0], f"{d:g} {order}"
-            found[f"25 stiffness {name}"], found[f"25 mu {name}"] = (
-                c / 1e3,
-                c / r / LOAD,
-            )
+            found[f"25 stiffness {name}"], found[f"25 mu {name}"] = (c / 1e3, c / r / LOAD)
             found[f"25 force {name}"] = (
                 formulas.brush_d(at_5, LOAD, SPEED, c, c / r / LOAD, d) / LOAD
             )

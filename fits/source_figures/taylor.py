@@ -24,9 +24,7 @@ def _check_order(order: int) -> None:
         raise ValueError(f"order {order}: the Taylor forms go from 1 to {_HIGHEST}")
 
 
-def asymmetric_coefficients(
-    cpa2, mu_fz, d=0.0, order: int = 5
-) -> Float[Array, "k ..."]:
+def asymmetric_coefficients(cpa2, mu_fz, d=0.0, order: int = 5) -> Float[Array, "k ..."]:
     """Coefficients of sigma, sigma^2, ... for the asymmetric pressure, S(38).
 
     With ``order`` 3 and C_x = 2 c_p a^2 that is S(41).
@@ -51,9 +49,7 @@ def asymmetric_coefficients(
     )
     ratio = cpa2 / mu_fz
     return jnp.stack(
-        jnp.broadcast_arrays(
-            *(term * cpa2 * ratio**k for k, term in enumerate(terms[:order]))
-        )
+        jnp.broadcast_arrays(*(term * cpa2 * ratio**k for k, term in enumerate(terms[:order])))
     )
 
 
@@ -107,9 +103,7 @@ def coefficients(tire: Brush, fz, v=0.0, order: int = 5) -> Float[Array, "k ..."
     law = laws[0] if len(laws) == 1 else None
     if isinstance(law, LinearInSpeed) and type(tire.pressure) is Parabolic:
         loss = law.n * v / tire.mu
-        return speed_coefficients(
-            tire.cpa2, mu_fz, loss, order, static_too=law.static_too
-        )
+        return speed_coefficients(tire.cpa2, mu_fz, loss, order, static_too=law.static_too)
     raise ValueError(
         "no Taylor form of this brush: S(38) has constant friction and the asymmetric"
         " pressure, S(39) the parabolic one and friction falling linearly with speed"

@@ -45,16 +45,17 @@ def rows(model: str, noise: str, largest: float = 0.3) -> np.ndarray:
         [
             sigma + slip_std * generator.normal(size=400),
             force + relative * fz * generator.normal(size=400),
-            fz, v, np.full(400, slip_std), relative * fz,
+            fz,
+            v,
+            np.full(400, slip_std),
+            relative * fz,
         ]
-    )  # fmt: skip
+    )
 
 
 def write(name: str, table: np.ndarray) -> None:
     lines = ["sigma_x,fx,fz,v,sigma_x_std,fx_std"]
-    lines += [
-        f"{s:.7f},{f:.3f},{z:.0f},{v:.0f},{a:.7f},{b:.3f}" for s, f, z, v, a, b in table
-    ]
+    lines += [f"{s:.7f},{f:.3f},{z:.0f},{v:.0f},{a:.7f},{b:.3f}" for s, f, z, v, a, b in table]
     (HERE / f"{name}.csv").write_text("\n".join(lines) + "\n")
 
 

@@ -66,9 +66,7 @@ def main() -> None:
     panels = picture.subplots(1, 2, sharey=True)
     names = ("used friction $\\mu_u$", "$\\theta / (F_y / F_z)$")
     for axes, values, name in zip(panels, (error, theta_error), names, strict=True):
-        dots = axes.scatter(
-            m, y, c=values, s=5, cmap="RdBu", vmin=-0.03, vmax=0.03, linewidths=0
-        )
+        dots = axes.scatter(m, y, c=values, s=5, cmap="RdBu", vmin=-0.03, vmax=0.03, linewidths=0)
         for mu in FRICTIONS:
             curve = gough(np.linspace(0, 1, 100), mu)
             axes.plot(curve[1], curve[0], color=DARK, linewidth=0.6)
@@ -77,9 +75,7 @@ def main() -> None:
             line = gough(theta / mus, mus)
             axes.plot(line[1], line[0], color=GREY, linewidth=0.6, linestyle=":")
         axes.set_title(f"error of {name}", fontsize=9)
-        tidy(
-            axes, "$-M_z / (a F_z)$ [–]", "$F_y / F_z$ [–]" if axes is panels[0] else ""
-        )
+        tidy(axes, "$-M_z / (a F_z)$ [–]", "$F_y / F_z$ [–]" if axes is panels[0] else "")
     picture.colorbar(dots, ax=panels, shrink=0.9)
     picture.savefig(HERE / "gough.png", dpi=70)
 

@@ -15,13 +15,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.optimize import minimize
 
 from tirefit.models import Brush
-from tirefit.online.tire_sensor import (
-    LEAST_FORCE,
-    LEAST_FRICTION,
-    MOST_FRICTION,
-    WEIGHTS,
-    network,
-)
+from tirefit.online.tire_sensor import LEAST_FORCE, LEAST_FRICTION, MOST_FRICTION, WEIGHTS, network
 
 WIDTHS = (2, 16, 16, 2)
 STEPS = 3000
@@ -59,10 +53,12 @@ def train(steps: int = STEPS, seed: int = 0):
         return jnp.mean((u - used) ** 2 + ((t - theta) / y) ** 2)
 
     done = minimize(
-        lambda x: [np.asarray(part, float) for part in loss(x)], flat, jac=True,
+        lambda x: [np.asarray(part, float) for part in loss(x)],
+        flat,
+        jac=True,
         method="L-BFGS-B",
         options={"maxiter": steps, "maxfun": 2 * steps, "maxcor": 30},
-    )  # fmt: skip
+    )
     return unravel(done.x), float(done.fun)
 
 
@@ -70,8 +66,7 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     layers, error = train()
     rounded = [
-        {"matrix": np.round(a, 5).tolist(), "offset": np.round(b, 5).tolist()}
-        for a, b in layers
+        {"matrix": np.round(a, 5).tolist(), "offset": np.round(b, 5).tolist()} for a, b in layers
     ]
     WEIGHTS.write_text(json.dumps({"layers": rounded}) + "\n")
     print(f"root mean square error {error**0.5:.4f}")

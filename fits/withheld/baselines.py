@@ -37,14 +37,7 @@ from scipy.signal import savgol_filter
 from fits.withheld.effects import EFFECTS
 from fits.withheld.forest import Forest, by_forest, trained
 from fits.withheld.lack_of_fit import lack_of_fit
-from fits.withheld.library import (
-    STEP_TIMES,
-    Inputs,
-    base_fit,
-    directions,
-    predict,
-    shapes,
-)
+from fits.withheld.library import STEP_TIMES, Inputs, base_fit, directions, predict, shapes
 from fits.withheld.run import end_with_parent, largest_first
 
 __all__ = [
@@ -68,9 +61,7 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
     """Columns of a table, NaN where nothing stands."""
     with path.open() as lines:
         rows = list(csv.DictReader(lines))
-    return {
-        key: np.array([float(row[key] or "nan") for row in rows]) for key in rows[0]
-    }
+    return {key: np.array([float(row[key] or "nan") for row in rows]) for key in rows[0]}
 
 
 def read_trial(path: Path, rig: dict) -> tuple[Inputs, np.ndarray]:
@@ -90,15 +81,21 @@ def from_columns(columns: dict, rig: dict) -> tuple[Inputs, np.ndarray]:
     slip, slip_std = smoothed(slip, run, slip_std)
     moment = "mz" in columns
     x = Inputs(
-        time, run, slip, fz, columns["v"], force,
-        (slip_std, noise.get(f"{force}_relative", 0.01) * fz,
-         noise.get("mz_relative", 0.001) * fz),
+        time,
+        run,
+        slip,
+        fz,
+        columns["v"],
+        force,
+        (slip_std, noise.get(f"{force}_relative", 0.01) * fz, noise.get("mz_relative", 0.001) * fz),
         cross=np.tan(columns["alpha"]) if {"fx", "alpha"} <= columns.keys() else None,
-        gamma=columns.get("gamma"), temperature=columns.get("temperature"),
+        gamma=columns.get("gamma"),
+        temperature=columns.get("temperature"),
         inflation=columns.get("pressure"),
         across=columns.get("fy" if force == "fx" else "fx"),
-        omega="omega" in columns, moment=moment,
-    )  # fmt: skip
+        omega="omega" in columns,
+        moment=moment,
+    )
     observed = [columns[force], *([columns["mz"]] if moment else [])]
     return x, np.concatenate(observed)
 
@@ -141,9 +138,7 @@ def by_bic(x: Inputs, observed: np.ndarray) -> dict:
     return _bic(x, observed, Plain.of(x, observed))[0]
 
 
-def checked(
-    x: Inputs, observed: np.ndarray, plain: Plain | None = None
-) -> tuple[dict, dict]:
+def checked(x: Inputs, observed: np.ndarray, plain: Plain | None = None) -> tuple[dict, dict]:
     """The diagnosis by BIC, and the same with a check of what its best leaves."""
     found, left = _bic(x, observed, plain or Plain.of(x, observed))
     p = lack_of_fit(x, left)
@@ -180,9 +175,13 @@ def _bic(x: Inputs, observed: np.ndarray, plain: Plain) -> tuple[dict, np.ndarra
             return np.nan_to_num((observed - force) / std, nan=1e3)
 
         found = least_squares(
-            rest, start, bounds=([-1, -1, low], [1, 1, high]), max_nfev=8,
-            loss="linear", diff_step=1e-4,
-        )  # fmt: skip
+            rest,
+            start,
+            bounds=([-1, -1, low], [1, 1, high]),
+            max_nfev=8,
+            loss="linear",
+            diff_step=1e-4,
+        )
         squares[effect, k] = 2 * found.cost, found.x[2]
         left[effect, k] = found.fun
     criterion, rests = {(): n * np.log(float(misses @ misses) / n)}, {(): misses}
@@ -219,17 +218,21 @@ def document(values: dict, factor: float) -> dict:
     best = ranked[0]
     return {
         "verdict": {
-            "status": "named" if best else "none", "effects": list(best),
-            "probability": float(weights[best] / total), "also_possible": [],
+            "status": "named" if best else "none",
+            "effects": list(best),
+            "probability": float(weights[best] / total),
+            "also_possible": [],
         },
         "candidates": [
             {
-                "effects": list(key), "probability": float(weights[key] / total),
+                "effects": list(key),
+                "probability": float(weights[key] / total),
                 "family": EFFECTS[key[0]].family,
             }
-            for key in ranked if key
+            for key in ranked
+            if key
         ][:10],
-    }  # fmt: skip
+    }
 
 
 def ridge(x: Inputs, observed: np.ndarray) -> dict[str, np.ndarray]:
@@ -368,9 +371,7 @@ def main(arguments: list[str] | None = None) -> None:
     apart = get_context("spawn")
     with ProcessPoolExecutor(given.jobs, apart, _begin, (forest,)) as pool:
         waiting = [
-            pool.submit(
-                run_group, group, told[group.name], set(names), out / group.name
-            )
+            pool.submit(run_group, group, told[group.name], set(names), out / group.name)
             for group in largest_first(given.folder)
         ]
         for one in waiting:

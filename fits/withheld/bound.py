@@ -63,19 +63,18 @@ def strangers_that_show(labels: dict, outcomes: dict) -> list[list[str]]:
     rows = []
     for of, (sets, low, high) in groups.items():
         inside = [
-            k for k in outcomes
+            k
+            for k in outcomes
             if labels[k]["set"] in sets and low <= labels[k]["gap_over_noise"] <= high
-        ]  # fmt: skip
+        ]
         if inside:
             size = np.array([labels[k]["mimic_free"] for k in inside])
             flagged = np.mean([outcomes[k].unknown for k in inside])
             found = norm.cdf(size - norm.isf(_ALARMS / 2 / SHAPES))
             rows += [
                 [name, str(len(inside)), f"{np.mean(share):.3f}", f"{flagged:.3f}"]
-                for name, share in (
-                    (of, size >= SHOWS), (f"{of}, one of {SHAPES} shapes", found)
-                )
-            ]  # fmt: skip
+                for name, share in ((of, size >= SHOWS), (f"{of}, one of {SHAPES} shapes", found))
+            ]
     return rows
 
 
@@ -151,10 +150,16 @@ def _observed(folder: Path, label: dict, outcome: Outcome, answer: Path) -> _Obs
     found = beliefs(trial.x, evidence(trial.x, trial.observed, truth, pairs=True))
     best = max(found, key=found.get)
     seen = _Observed(
-        len(truth), label["root_lambda"], label["gap_over_noise"], best == truth,
-        found[best], outcome.exact if truth else not outcome.flagged,
-        outcome.exact_or_alias, outcome.right, outcome.probability,
-    )  # fmt: skip
+        len(truth),
+        label["root_lambda"],
+        label["gap_over_noise"],
+        best == truth,
+        found[best],
+        outcome.exact if truth else not outcome.flagged,
+        outcome.exact_or_alias,
+        outcome.right,
+        outcome.probability,
+    )
     if not truth:
         return seen
     forms = dict(zip(label["effects"], label["forms"], strict=True))
@@ -164,8 +169,7 @@ def _observed(folder: Path, label: dict, outcome: Outcome, answer: Path) -> _Obs
         return seen
     rows, channel, n = read_columns(answer), trial.x.force, len(trial.more)
     closed = [
-        true_closure(rows, {channel: forces[:n] + trial.more}, channel)
-        for forces in known.forces
+        true_closure(rows, {channel: forces[:n] + trial.more}, channel) for forces in known.forces
     ]
     missed = abs(np.median(closed) - outcome.closed)
     return seen._replace(off=(missed, abs(outcome.claimed - outcome.closed)))
@@ -181,51 +185,65 @@ def observer_rows(
     each = []
     for of in ("null", "singles", "pairs"):
         names = [
-            k for k in sorted(outcomes)
+            k
+            for k in sorted(outcomes)
             if labels[k]["set"] == of and (of != "null" or labels[k]["kind"] in _STATED)
-        ]  # fmt: skip
+        ]
         each += [
             _observed(
-                folder, labels[k], outcomes[k],
+                folder,
+                labels[k],
+                outcomes[k],
                 (answers / labels[k]["file"]).with_suffix(".rows.csv"),
             )
             for k in names[:count]
-        ]  # fmt: skip
+        ]
     groups = {
         "nothing": [o for o in each if o.size == 0],
         "one effect, any gap": [o for o in each if o.size == 1],
         **{
             f"one effect, {of}": [
-                o for o in each if o.size == 1
-                and low <= (o.strength if by == "root_lambda" else o.gap) <= high
+                o
+                for o in each
+                if o.size == 1 and low <= (o.strength if by == "root_lambda" else o.gap) <= high
             ]
             for of, low, high, by in _SIZES[1:]
         },
         "pairs": [o for o in each if o.size == 2],
-    }  # fmt: skip
+    }
     rows = [
-        [of, str(len(one)), f"{np.mean([o.right for o in one]):.3f}",
-         f"{np.mean([o.exact for o in one]):.3f}"]
-        for of, one in groups.items() if one
-    ]  # fmt: skip
+        [
+            of,
+            str(len(one)),
+            f"{np.mean([o.right for o in one]):.3f}",
+            f"{np.mean([o.exact for o in one]):.3f}",
+        ]
+        for of, one in groups.items()
+        if one
+    ]
     rows += [
-        [f"{of}, told which; or said so", str(len(one)),
-         f"{np.mean([o.shows for o in one]):.3f}",
-         f"{np.mean([o.said for o in one]):.3f}"]
-        for of, one in groups.items() if one and one[0].size
-    ]  # fmt: skip
+        [
+            f"{of}, told which; or said so",
+            str(len(one)),
+            f"{np.mean([o.shows for o in one]):.3f}",
+            f"{np.mean([o.said for o in one]):.3f}",
+        ]
+        for of, one in groups.items()
+        if one and one[0].size
+    ]
     if each:
         mine = np.mean([(o.chance - o.right) ** 2 for o in each])
         said = np.mean([(o.answered_chance - o.answered_right) ** 2 for o in each])
-        rows.append(
-            ["Brier score of all these", str(len(each)), f"{mine:.3f}", f"{said:.3f}"]
-        )
+        rows.append(["Brier score of all these", str(len(each)), f"{mine:.3f}", f"{said:.3f}"])
     if off := [o.off for o in each if o.off]:
         rows += [
-            [f"closure, told which: {name}", str(len(off)),
-             *(f"{value:.3f}" for value in np.quantile(off, level, axis=0))]
+            [
+                f"closure, told which: {name}",
+                str(len(off)),
+                *(f"{value:.3f}" for value in np.quantile(off, level, axis=0)),
+            ]
             for name, level in (("median error", 0.5), ("90 %", 0.9))
-        ]  # fmt: skip
+        ]
     return rows
 
 

@@ -127,9 +127,7 @@ def drive(
         a_y, turn, _ = _accelerations(car, t, yaw, v_y, yaw_rate)
         return [yaw_rate, a_y - speed(t) * yaw_rate, turn]
 
-    found = solve_ivp(
-        rates, (0, time[-1]), [0.0, 0.0, 0.0], t_eval=time, max_step=0.1, rtol=1e-7
-    )
+    found = solve_ivp(rates, (0, time[-1]), [0.0, 0.0, 0.0], t_eval=time, max_step=0.1, rtol=1e-7)
     yaw, v_y, yaw_rate = found.y
     a_y, turn, forces = _accelerations(car, time, yaw, v_y, yaw_rate)
     a_x = speed_rate(time) - v_y * yaw_rate
@@ -154,9 +152,13 @@ def drive(
         "fy": force,
         "fz": car.load(axle, a_x) if car.logged_load else np.full(rows, static),
         "v": speed(time),
-        "a_x": a_x, "a_y": a_y, "yaw_rate": yaw_rate, "yaw_acceleration": turn,
-        "heading": yaw, "steering": logged,
-    }  # fmt: skip
+        "a_x": a_x,
+        "a_y": a_y,
+        "yaw_rate": yaw_rate,
+        "yaw_acceleration": turn,
+        "heading": yaw,
+        "steering": logged,
+    }
 
 
 FAULTS = {

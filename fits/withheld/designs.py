@@ -51,14 +51,12 @@ DESIGNS = {
     "E": Design(LOADS, SPEEDS, 0, 0.3),
     "F": Design(LOADS, SPEEDS, -0.3, 0.3, shuffled=True),
     "G": Design(LOADS, SPEEDS, -0.3, 0.3, "sweeps"),
-    "S": Design((2500.0, 3500.0, 5500.0), (8.0, 22.0), -0.2, 0.2, "sweeps",
-                sealed=True),
+    "S": Design((2500.0, 3500.0, 5500.0), (8.0, 22.0), -0.2, 0.2, "sweeps", sealed=True),
     "V": Design((4000.0,), (20.0,), 0, 0.15, "pulses"),
     "H": Design(LOADS, SPEEDS, -0.25, 0.25, "sweeps", force="fy", moment=True),
     "L": Design(LOADS, (15.0,), -0.25, 0.25, shuffled=True, force="fy"),
-    "T": Design((4000.0,), (20.0,), -0.15, 0.15, "slalom", force="fy", moment=True,
-                sealed=True),
-}  # fmt: skip
+    "T": Design((4000.0,), (20.0,), -0.15, 0.15, "slalom", force="fy", moment=True, sealed=True),
+}
 
 POINT = 0.5  # s, one steady point
 SWEEP, PAUSE = 4.0, 2.0  # s

@@ -11,12 +11,7 @@ from fits.withheld import forms, forms_rig
 
 __all__ = ["EFFECTS", "Effect", "NOISE_EFFECTS", "family_of"]
 
-NOISE_EFFECTS = (
-    "outliers",
-    "noise_heteroscedastic",
-    "noise_autocorrelated",
-    "slip_noise",
-)
+NOISE_EFFECTS = ("outliers", "noise_heteroscedastic", "noise_autocorrelated", "slip_noise")
 
 
 class Effect(NamedTuple):
@@ -31,9 +26,12 @@ class Effect(NamedTuple):
 
 def _effect(family, typical, sign, needs, *choices):
     return Effect(
-        family, typical, sign, frozenset(needs.split()),
+        family,
+        typical,
+        sign,
+        frozenset(needs.split()),
         {choice.__name__: choice for choice in choices},
-    )  # fmt: skip
+    )
 
 
 EFFECTS = {

@@ -77,8 +77,7 @@ def features(x: Inputs, observed: np.ndarray) -> np.ndarray:
         out += [_correlation(values[lag:], values[:-lag]) for lag in LAGS]
     out += [float(np.std(e)), float(np.mean(e**4) / np.mean(e**2) ** 2)]
     size = _parts(np.abs(u), 3)
-    out += [float(np.std(e[size == k])) if np.sum(size == k) > 2 else 1.0
-            for k in range(3)]  # fmt: skip
+    out += [float(np.std(e[size == k])) if np.sum(size == k) > 2 else 1.0 for k in range(3)]
     rate = np.gradient(x.slip)
     columns = [x.fz, x.v, x.time, x.temperature, x.gamma, x.inflation, x.across,
                x.cross, rate, x.slip]  # fmt: skip
@@ -141,17 +140,17 @@ def by_forest(forest: Forest, x: Inputs, observed: np.ndarray) -> dict:
     status = {"none": "none", "unknown": "unknown"}.get(best, "named")
     return {
         "verdict": {
-            "status": status, "effects": [] if best == "none" else [best],
-            "probability": found[best] / total, "also_possible": [],
+            "status": status,
+            "effects": [] if best == "none" else [best],
+            "probability": found[best] / total,
+            "also_possible": [],
         },
         "candidates": [
-            {
-                "effects": [name], "probability": found[name] / total,
-                "family": EFFECTS[name].family,
-            }
-            for name in ranked if name in EFFECTS
+            {"effects": [name], "probability": found[name] / total, "family": EFFECTS[name].family}
+            for name in ranked
+            if name in EFFECTS
         ][:10],
-    }  # fmt: skip
+    }
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -164,9 +163,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args(arguments)
     table, classes = [], []
-    for trial in draw(
-        SEED, given.trials, SETS, [], ("rig", "seed"), (200, 900, 2000), False
-    ):
+    for trial in draw(SEED, given.trials, SETS, [], ("rig", "seed"), (200, 900, 2000), False):
         x, observed = from_columns(trial.columns, tomllib.loads(rig_text(trial)))
         table.append(features(x, observed))
         classes.append(class_of(trial.label))

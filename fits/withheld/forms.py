@@ -40,9 +40,7 @@ def skewed_warp(world, d, _):
 
 def quartic_mix(world, w, _):
     w = min(w, 1.0)
-    world.pressure = lambda xi, used: (
-        (1 - w) * 0.75 * (1 - xi**2) + w * 0.625 * (1 - xi**4)
-    )
+    world.pressure = lambda xi, used: (1 - w) * 0.75 * (1 - xi**2) + w * 0.625 * (1 - xi**4)
 
 
 def power_pressure(world, w, _):
@@ -53,9 +51,7 @@ def power_pressure(world, w, _):
 
 def sixth_order(world, w, _):
     w = 0.7 * min(w, 1.0)
-    world.pressure = lambda xi, used: (
-        (1 - w) * 0.75 * (1 - xi**2) + w * 7 / 12 * (1 - xi**6)
-    )
+    world.pressure = lambda xi, used: (1 - w) * 0.75 * (1 - xi**2) + w * 7 / 12 * (1 - xi**6)
 
 
 def trapezoid(world, w, _):
@@ -144,9 +140,7 @@ def stiffness_affine(world, e, _):
 def stiffness_saturating(world, e, _):
     top = 1 + 2 / e
     arc = np.sin(2 * np.arctan(_load(world) / top))
-    world.stiffness = world.stiffness * (
-        (1 - e) + e * arc / np.sin(2 * np.arctan(1 / top))
-    )
+    world.stiffness = world.stiffness * ((1 - e) + e * arc / np.sin(2 * np.arctan(1 / top)))
 
 
 def friction_power(world, e, _):
@@ -213,9 +207,7 @@ def stiffness_drift(world, a, _):
 
 
 def stiffness_settling(world, a, _):
-    world.stiffness = world.stiffness * (
-        1 + 1.2 * a * (1 - np.exp(-3 * _elapsed(world)) - 0.6)
-    )
+    world.stiffness = world.stiffness * (1 + 1.2 * a * (1 - np.exp(-3 * _elapsed(world)) - 0.6))
 
 
 def road_step(world, a, generator):
@@ -321,9 +313,7 @@ def force_lag(world, a, _):
 def shortening_lag(world, a, _):
     """The relaxation length falls as more of the patch slides."""
     u = np.minimum(np.abs(world.slip) * world.c / (1.5 * world.mu * world.fz), 1)
-    world.late.append(
-        lambda w, force: lagged(w, force, w.v / (1.4 * a * (1 - 0.8 * u)))
-    )
+    world.late.append(lambda w, force: lagged(w, force, w.v / (1.4 * a * (1 - 0.8 * u))))
 
 
 def _spin_up(world):
@@ -381,8 +371,7 @@ def camber_angle(world, a, _):
 def camber_half(world, a, _):
     world.after.append(
         lambda w, force: (
-            force
-            + a * w.gamma * w.fz * (1 + 0.5 * np.exp(-((w.slip / 0.06) ** 2))) / 1.2
+            force + a * w.gamma * w.fz * (1 + 0.5 * np.exp(-((w.slip / 0.06) ** 2))) / 1.2
         )
     )
 

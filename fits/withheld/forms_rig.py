@@ -27,9 +27,7 @@ def slip_zero_creeps(world, a, _):
 
 
 def slip_zero_settles(world, a, _):
-    world.logged.append(
-        lambda w, slip: slip + 1.2 * a * (0.6 - np.exp(-3.5 * _elapsed(w)))
-    )
+    world.logged.append(lambda w, slip: slip + 1.2 * a * (0.6 - np.exp(-3.5 * _elapsed(w))))
 
 
 def slip_zero_turns(world, a, _):
@@ -43,16 +41,12 @@ def force_zero_creeps(world, a, _):
 
 def force_zero_settles(world, a, _):
     world.after.append(
-        lambda w, force: (
-            force + 1.2 * a * NOMINAL_LOAD * (0.6 - np.exp(-3.5 * _elapsed(w)))
-        )
+        lambda w, force: force + 1.2 * a * NOMINAL_LOAD * (0.6 - np.exp(-3.5 * _elapsed(w)))
     )
 
 
 def force_zero_root(world, a, _):
-    world.after.append(
-        lambda w, force: force + a * NOMINAL_LOAD * (np.sqrt(_elapsed(w)) - 0.6)
-    )
+    world.after.append(lambda w, force: force + a * NOMINAL_LOAD * (np.sqrt(_elapsed(w)) - 0.6))
 
 
 # --- channels that leak -----------------------------------------------------
@@ -130,15 +124,11 @@ def slip_follows_load(world, a, _):
 
 def radius_under_load(world, a, _):
     """The radius of the slip is that of the usual load."""
-    world.logged.append(
-        lambda w, slip: (1 + slip) * (1 + a * (w.fz / NOMINAL_LOAD - 1)) - 1
-    )
+    world.logged.append(lambda w, slip: (1 + slip) * (1 + a * (w.fz / NOMINAL_LOAD - 1)) - 1)
 
 
 def radius_root_of_load(world, a, _):
-    world.logged.append(
-        lambda w, slip: slip + 2 * a * (np.sqrt(w.fz / NOMINAL_LOAD) - 1)
-    )
+    world.logged.append(lambda w, slip: slip + 2 * a * (np.sqrt(w.fz / NOMINAL_LOAD) - 1))
 
 
 def slip_follows_speed(world, a, _):
@@ -151,9 +141,7 @@ def radius_by_spinning(world, a, _):
 
 
 def radius_saturating(world, a, _):
-    world.logged.append(
-        lambda w, slip: slip + 2 * a * (np.tanh(w.v / (2 * SPEED)) - 0.46)
-    )
+    world.logged.append(lambda w, slip: slip + 2 * a * (np.tanh(w.v / (2 * SPEED)) - 0.46))
 
 
 def speed_is_off(world, a, _):
@@ -174,15 +162,11 @@ def drag_of_bearings(world, a, _):
 
 
 def drag_of_air(world, a, _):
-    world.after.append(
-        lambda w, force: force + 0.5 * a * NOMINAL_LOAD * (w.v / SPEED) ** 2
-    )
+    world.after.append(lambda w, force: force + 0.5 * a * NOMINAL_LOAD * (w.v / SPEED) ** 2)
 
 
 def drag_of_both(world, a, _):
-    world.after.append(
-        lambda w, force: force + 0.7 * a * NOMINAL_LOAD * (w.v / SPEED) ** 1.5
-    )
+    world.after.append(lambda w, force: force + 0.7 * a * NOMINAL_LOAD * (w.v / SPEED) ** 1.5)
 
 
 def _taken(world: World) -> np.ndarray:

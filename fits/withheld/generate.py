@@ -54,9 +54,7 @@ def rig_text(trial: Trial) -> str:
 
 def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
     table = np.column_stack(list(columns.values()))
-    np.savetxt(
-        path, table, fmt="%.8g", delimiter=",", header=",".join(columns), comments=""
-    )
+    np.savetxt(path, table, fmt="%.8g", delimiter=",", header=",".join(columns), comments="")
 
 
 def write_all(trials: list[Trial], out: Path) -> str:
@@ -105,9 +103,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--design", default="", help=f"of {', '.join(DESIGNS)}")
     parser.add_argument("--noise", default="rig,seed")
     parser.add_argument("--rows", default="200,900,2000")
-    parser.add_argument(
-        "--sealed", action="store_true", help="sealed designs and forms"
-    )
+    parser.add_argument("--sealed", action="store_true", help="sealed designs and forms")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args(arguments)
     if given.sealed != (given.seed >= FIRST_SEALED_SEED):
@@ -118,18 +114,24 @@ def main(arguments: list[str] | None = None) -> None:
     designs = given.design.split(",") if given.design else []
     open_to = DESIGNS if given.sealed else DEVELOPMENT
     for option, asked, known in (
-        ("--set", sets, SETS), ("--design", designs, open_to),
+        ("--set", sets, SETS),
+        ("--design", designs, open_to),
         ("--noise", given.noise.split(","), NOISE),
-    ):  # fmt: skip
+    ):
         if unknown := [name for name in asked if name not in known]:
             listed = ", ".join(known)
             parser.error(f"{option}: no {', '.join(map(repr, unknown))} of {listed}")
     if not all(n.isdecimal() and int(n) > 0 for n in given.rows.split(",")):
         parser.error("--rows: numbers of rows, as 200,900")
     trials = draw(
-        given.seed, given.trials, sets, designs, given.noise.split(","),
-        [int(n) for n in given.rows.split(",")], given.sealed,
-    )  # fmt: skip
+        given.seed,
+        given.trials,
+        sets,
+        designs,
+        given.noise.split(","),
+        [int(n) for n in given.rows.split(",")],
+        given.sealed,
+    )
     digest = write_all(trials, given.out)
     print(f"{len(trials)} trials in {given.out}; labels sealed, SHA-256 {digest}")
 

@@ -41,11 +41,15 @@ def _hidden(s: Scored) -> list[Check]:
     ):
         of = _between(s, bounds, *strangers)
         out += [
-            check(1, f"not listed, {size}: flagged", limit, False,
-                  share(o.unknown for o in of)),
-            check(1, f"not listed, {size}: surely misnamed", 0.03, True,
-                  share(o.sure_wrong for o in of)),
-        ]  # fmt: skip
+            check(1, f"not listed, {size}: flagged", limit, False, share(o.unknown for o in of)),
+            check(
+                1,
+                f"not listed, {size}: surely misnamed",
+                0.03,
+                True,
+                share(o.sure_wrong for o in of),
+            ),
+        ]
     return out
 
 
@@ -97,12 +101,16 @@ def _simulators(s: Scored) -> list[Check]:
     held = share(inside for o in beside for inside in o.within)
     off = [part for o in beside for part in o.shares_off]
     return [
-        check(8, "simulator: 90 % intervals hold the true parameter", 0.85, False,
-              held),
+        check(8, "simulator: 90 % intervals hold the true parameter", 0.85, False, held),
         check(8, "simulator: the same, no more than", 0.95, True, held),
-        check(8, "simulator: shares of the budget, median error of a part", 0.05, True,
-              _quantile(off, 0.5)),
-    ]  # fmt: skip
+        check(
+            8,
+            "simulator: shares of the budget, median error of a part",
+            0.05,
+            True,
+            _quantile(off, 0.5),
+        ),
+    ]
 
 
 def _closure(s: Scored) -> list[Check]:
@@ -110,17 +118,12 @@ def _closure(s: Scored) -> list[Check]:
     told = s.that(lambda x, o: o.claimed and o.closed is not None)
     off = [abs(o.claimed - o.closed) for o in told]
     return [
-        check(9, "closure, claimed against true, median", 0.02, True,
-              _quantile(off, 0.5)),
-        check(9, "closure, claimed against true, 90 %", 0.09, True,
-              _quantile(off, 0.9)),
-    ]  # fmt: skip
+        check(9, "closure, claimed against true, median", 0.02, True, _quantile(off, 0.5)),
+        check(9, "closure, claimed against true, 90 %", 0.09, True, _quantile(off, 0.9)),
+    ]
 
 
 def goals(labels: dict, outcomes: dict) -> list[Check]:
     """Every goal that the trials can answer; n stands behind each number."""
     s = Scored(labels, outcomes)
-    return [
-        *_hidden(s), *_listed(s), *_others(s, labels, outcomes), *_simulators(s),
-        *_closure(s),
-    ]  # fmt: skip
+    return [*_hidden(s), *_listed(s), *_others(s, labels, outcomes), *_simulators(s), *_closure(s)]

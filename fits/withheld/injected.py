@@ -95,8 +95,12 @@ def injected(g) -> tuple[dict, dict, str]:
     changed = data | change(data, size, g)
     moved = {name: changed[name] - data[name] for name in ("fy", "alpha")}
     label = _label(which, len(data["time"])) | {
-        "set": "injected", "effects": [effect], "families": [family_of(effect)],
-        "forms": [effect], "amplitudes": [size], "kind": effect,
+        "set": "injected",
+        "effects": [effect],
+        "families": [family_of(effect)],
+        "forms": [effect],
+        "amplitudes": [size],
+        "kind": effect,
         "changed_rms": {k: float(np.sqrt(np.mean(x**2))) for k, x in moved.items()},
-    }  # fmt: skip
+    }
     return changed, label, RIG

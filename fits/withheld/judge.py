@@ -55,8 +55,7 @@ def families(effects, listed=None) -> frozenset:
     """Families of ids; of an id not in the table, as the answer calls it."""
     listed = listed or {}
     return frozenset(
-        family_of(e) if e in EFFECTS or e in NOISE_EFFECTS else listed.get(e, e)
-        for e in effects
+        family_of(e) if e in EFFECTS or e in NOISE_EFFECTS else listed.get(e, e) for e in effects
     )
 
 
@@ -75,14 +74,17 @@ def answer_of(result: dict) -> Answer:
     effects = tuple(verdict["effects"])
     mean = frozenset(e for e in effects if e not in (*NOISE_EFFECTS, "unknown"))
     candidates = result.get("candidates", [])
-    ranked = [
-        (frozenset(c["effects"]), float(c["probability"] or 0)) for c in candidates
-    ]
+    ranked = [(frozenset(c["effects"]), float(c["probability"] or 0)) for c in candidates]
     names = {c["effects"][0]: c["family"] for c in candidates if len(c["effects"]) == 1}
     return Answer(
-        verdict["status"], effects, mean, tuple(verdict["also_possible"]),
-        float(verdict["probability"] or 0.0), ranked, names,
-    )  # fmt: skip
+        verdict["status"],
+        effects,
+        mean,
+        tuple(verdict["also_possible"]),
+        float(verdict["probability"] or 0.0),
+        ranked,
+        names,
+    )
 
 
 def _credible(ranked, level=0.9) -> list:

@@ -12,8 +12,7 @@ from scipy.optimize import least_squares
 from fits.withheld.effects import EFFECTS
 from fits.withheld.patch import World, forces, plain_brush
 
-__all__ = ["Inputs", "STEP_TIMES", "base_fit", "mimic_free", "predict", "shapes",
-           "spread"]  # fmt: skip
+__all__ = ["Inputs", "STEP_TIMES", "base_fit", "mimic_free", "predict", "shapes", "spread"]
 
 STEP_TIMES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the stretch in which a road may change
 
@@ -174,9 +173,7 @@ def base_fit(x: Inputs, observed: np.ndarray, c=5e4, mu=0.9, loss="linear"):
     start = np.log([c, mu])
     for _ in range(2):
         std = spread(x, *np.exp(start))
-        found = least_squares(
-            lambda p, std=std: (observed - model(p)) / std, start, loss=loss
-        )
+        found = least_squares(lambda p, std=std: (observed - model(p)) / std, start, loss=loss)
         start = found.x
     return np.exp(start), (observed - model(start)) / std, std
 
@@ -186,12 +183,16 @@ def directions(x: Inputs, c: float, mu: float) -> np.ndarray:
     step = 1e-4
     return np.column_stack(
         [
-            (predict(x, None, 0, c * np.exp(step), mu)
-             - predict(x, None, 0, c * np.exp(-step), mu)),
-            (predict(x, None, 0, c, mu * np.exp(step))
-             - predict(x, None, 0, c, mu * np.exp(-step))),
+            (
+                predict(x, None, 0, c * np.exp(step), mu)
+                - predict(x, None, 0, c * np.exp(-step), mu)
+            ),
+            (
+                predict(x, None, 0, c, mu * np.exp(step))
+                - predict(x, None, 0, c, mu * np.exp(-step))
+            ),
         ]
-    ) / (2 * step)  # fmt: skip
+    ) / (2 * step)
 
 
 def shapes(x: Inputs, effects, c: float, mu: float) -> dict[str, list[np.ndarray]]:

@@ -74,15 +74,21 @@ def _gap(world, clean, logged, noise, extras) -> dict:
     in standard deviations of the noise (that of the slip within)."""
     slip_std, share, moment = NOISE[noise]
     x = Inputs(
-        world.time, world.run, logged, world.fz, world.v, world.force,
+        world.time,
+        world.run,
+        logged,
+        world.fz,
+        world.v,
+        world.force,
         (slip_std, share * world.fz, moment * world.fz),
         cross=world.cross if "alpha" in extras else None,
         gamma=world.gamma if "gamma" in extras else None,
         temperature=world.temperature if "temperature" in extras else None,
         inflation=world.inflation if "pressure" in extras else None,
         across=world.across if "across" in extras else None,
-        omega="omega" in extras, moment=world.moment,
-    )  # fmt: skip
+        omega="omega" in extras,
+        moment=world.moment,
+    )
     parts = [clean[world.force], *([clean["mz"]] if world.moment else [])]
     best, misses, std = base_fit(x, np.concatenate(parts), world.c, world.mu)
     n = len(logged)

@@ -14,13 +14,7 @@ from scipy.optimize import least_squares
 from scipy.special import softmax
 
 from fits.withheld.effects import EFFECTS
-from fits.withheld.library import (
-    Inputs,
-    base_fit,
-    directions,
-    predict,
-    predict_together,
-)
+from fits.withheld.library import Inputs, base_fit, directions, predict, predict_together
 
 __all__ = ["Told", "beliefs", "evidence", "told"]
 
@@ -66,9 +60,7 @@ class _Fit(NamedTuple):
     def drawn(self, generator) -> np.ndarray:
         """One draw of the posterior, normal about the fit and held within bounds."""
         square = self.jacobian.T @ self.jacobian + 1e-9 * np.eye(len(self.p))
-        step = np.linalg.solve(
-            np.linalg.cholesky(square).T, generator.standard_normal(len(self.p))
-        )
+        step = np.linalg.solve(np.linalg.cholesky(square).T, generator.standard_normal(len(self.p)))
         return np.clip(self.p + step, self.low, self.high)
 
 
@@ -83,9 +75,13 @@ def _refitted(x, observed, std, keys: Sequence[tuple], c, mu) -> _Fit:
     n = len(keys)
     low, high = [-9, -9, *[np.log(LOW)] * n], [9, 9, *[np.log(HIGH)] * n]
     fit = least_squares(
-        rest, np.zeros(2 + n), bounds=(low, high), max_nfev=4 + 4 * n, diff_step=1e-3,
+        rest,
+        np.zeros(2 + n),
+        bounds=(low, high),
+        max_nfev=4 + 4 * n,
+        diff_step=1e-3,
         x_scale=[0.1, 0.1, *[0.3] * n],
-    )  # fmt: skip
+    )
     value = -fit.cost + _laplace(fit.jac[:, 2:], fit.jac[:, :2])
     return _Fit(fit.x, np.array(low), np.array(high), fit.jac, value)
 
@@ -164,9 +160,7 @@ def _first_of_two(seen: _Screen) -> dict[tuple[tuple, tuple], float]:
     gained += np.log(np.minimum(widths / np.log(HIGH / LOW), 1.0)).sum(axis=0)
     gained -= 0.5 * rest @ rest
     keys = seen.keys
-    return {
-        (keys[i], keys[j]): float(v) for i, j, v in zip(one, two, gained, strict=True)
-    }
+    return {(keys[i], keys[j]): float(v) for i, j, v in zip(one, two, gained, strict=True)}
 
 
 def _draws(key: tuple) -> int:

@@ -115,9 +115,7 @@ def _sum(world: World, slip: np.ndarray, used: np.ndarray, bow: np.ndarray):
 def _stress(world: World, rows: slice, xi, density, slip, bow) -> np.ndarray:
     """What every bristle of these rows bears [N], (rows, BRISTLES)."""
     step = 2 / BRISTLES
-    demand = world.stiffness[rows, None] * (
-        slip[:, None] * (1 - xi) - bow[:, None] * (1 - xi**2)
-    )
+    demand = world.stiffness[rows, None] * (slip[:, None] * (1 - xi) - bow[:, None] * (1 - xi**2))
     carried = world.load[rows, None] * density
     excess = demand - world.mu_s[rows, None] * carried
     sliding = excess > 0
@@ -204,9 +202,7 @@ def lagged(world: World, values: np.ndarray, rate: np.ndarray) -> np.ndarray:
         rows = np.flatnonzero(world.run == run)
         time = world.time[rows]
         fine = np.interp(
-            np.arange((len(rows) - 1) * LAG_STEPS + 1) / LAG_STEPS,
-            np.arange(len(rows)),
-            time,
+            np.arange((len(rows) - 1) * LAG_STEPS + 1) / LAG_STEPS, np.arange(len(rows)), time
         )
         drive = np.interp(fine, time, values[rows]).tolist()
         half = (np.interp(fine, time, rate[rows])[1:] * np.diff(fine) / 2).tolist()

@@ -45,9 +45,8 @@ def draw_reliability(methods: Mapping[str, Sequence[Bin]], path: Path) -> None:
     from matplotlib import pyplot as plt
 
     figure, (above, below) = plt.subplots(
-        2, 1, figsize=(5.2, 6.2), sharex=True, height_ratios=[4, 1],
-        layout="constrained",
-    )  # fmt: skip
+        2, 1, figsize=(5.2, 6.2), sharex=True, height_ratios=[4, 1], layout="constrained"
+    )
     above.plot([0, 1], [0, 1], color="0.6", linewidth=1, zorder=0)
     above.annotate("as often right as said", (0.02, 0.02), rotation=45, color="0.45",
                    rotation_mode="anchor", transform_rotates_text=True, fontsize=8,
@@ -57,20 +56,17 @@ def draw_reliability(methods: Mapping[str, Sequence[Bin]], path: Path) -> None:
         colour, x = colours[number % len(colours)], [b.probability for b in bins]
         y = [b.right for b in bins]
         if number:
-            above.plot(x, y, color=colour, marker=".", linewidth=0.8, alpha=0.8,
-                       label=name)  # fmt: skip
+            above.plot(x, y, color=colour, marker=".", linewidth=0.8, alpha=0.8, label=name)
             continue
         bars = [[b.right - b.low for b in bins], [b.high - b.right for b in bins]]
-        above.errorbar(x, y, yerr=bars, color=colour, marker="o", capsize=3,
-                       zorder=3, label=name)  # fmt: skip
+        above.errorbar(x, y, yerr=bars, color=colour, marker="o", capsize=3, zorder=3, label=name)
         below.bar(x, [b.count for b in bins], width=0.06, color=colour)
         for b in bins:
-            below.annotate(str(b.count), (b.probability, b.count), ha="center",
-                           va="bottom", fontsize=8)  # fmt: skip
+            below.annotate(
+                str(b.count), (b.probability, b.count), ha="center", va="bottom", fontsize=8
+            )
     above.set(ylabel="share right (bars: 90 %)", ylim=(-0.03, 1.03))
-    below.set(
-        xlabel="probability of the verdict", ylabel="verdicts", xlim=(-0.03, 1.03)
-    )
+    below.set(xlabel="probability of the verdict", ylabel="verdicts", xlim=(-0.03, 1.03))
     below.margins(y=0.3)
     handles, names = above.get_legend_handles_labels()
     order = sorted(range(len(names)), key=lambda k: list(methods).index(names[k]))

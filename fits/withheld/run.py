@@ -25,14 +25,7 @@ from multiprocessing import get_context, parent_process
 from pathlib import Path
 from threading import Thread
 
-__all__ = [
-    "command",
-    "end_with_parent",
-    "largest_first",
-    "main",
-    "more_words",
-    "simulated",
-]
+__all__ = ["command", "end_with_parent", "largest_first", "main", "more_words", "simulated"]
 
 
 def command(group: Path, without: list[str], out: Path, *more: str) -> list[str]:
@@ -112,17 +105,12 @@ def run_group(group: Path, without: list[str], out: Path, *more: str) -> float:
     out.mkdir(parents=True, exist_ok=True)
     begun = time.perf_counter()
     line = command(group, without, out, *more)
-    with (
-        (out / "run.log").open("w") as log,
-        redirect_stdout(log),
-        redirect_stderr(log),
-    ):
+    with (out / "run.log").open("w") as log, redirect_stdout(log), redirect_stderr(log):
         code = _in_this_process(line)
     spent = time.perf_counter() - begun
     files = len(list(group.glob("*.csv")))
     answered = len(list(out.glob("*.rows.csv")))
-    print(f"{group.name}: {answered} of {files} files, {spent:.0f} s, "
-          f"exit {code}", flush=True)  # fmt: skip
+    print(f"{group.name}: {answered} of {files} files, {spent:.0f} s, exit {code}", flush=True)
     return spent
 
 
@@ -144,13 +132,7 @@ def main(arguments: list[str] | None = None) -> None:
     apart = get_context("spawn")
     with ProcessPoolExecutor(given.jobs, apart, _begin, (compiled,)) as pool:
         waiting = [
-            pool.submit(
-                run_group,
-                group,
-                told[group.name],
-                answers / group.name,
-                *more[group.name],
-            )
+            pool.submit(run_group, group, told[group.name], answers / group.name, *more[group.name])
             for group in groups
         ]
         spent = sum(one.result() for one in waiting)

@@ -18,13 +18,7 @@ from fits.withheld.bound import bound_rows
 from fits.withheld.goals import goals
 from fits.withheld.judge import Outcome, judge, true_closure
 from fits.withheld.reliability import draw_reliability, reliability
-from fits.withheld.thresholds import (
-    brier,
-    check_all,
-    expected_calibration_error,
-    share,
-    telling,
-)
+from fits.withheld.thresholds import brier, check_all, expected_calibration_error, share, telling
 
 __all__ = ["load", "main", "summary", "tables"]
 
@@ -78,8 +72,7 @@ def summary(labels: dict, outcomes: dict[str, Outcome]) -> dict:
         return [
             o
             for name, o in outcomes.items()
-            if labels[name]["set"] in kinds
-            and all(labels[name][k] == v for k, v in wanted.items())
+            if labels[name]["set"] in kinds and all(labels[name][k] == v for k, v in wanted.items())
         ]
 
     singles, pairs, unlisted = of("singles"), of("pairs"), of("unlisted")
@@ -103,9 +96,7 @@ def summary(labels: dict, outcomes: dict[str, Outcome]) -> dict:
         "exact or said so (cannot_tell)": share(o.exact_or_alias for o in singles),
         "unlisted called unknown or incomplete": share(o.unknown for o in unlisted),
         "unlisted named at > .9": share(o.sure_wrong for o in unlisted),
-        "procedural called unknown or incomplete": share(
-            o.unknown for o in of("procedural")
-        ),
+        "procedural called unknown or incomplete": share(o.unknown for o in of("procedural")),
         "procedural, mimic-free >= 5, flagged": share(
             o.unknown for o in of("procedural") if labels[o.name]["mimic_free"] >= 5
         ),
@@ -113,9 +104,7 @@ def summary(labels: dict, outcomes: dict[str, Outcome]) -> dict:
         "family left out, flagged": share(o.unknown for o in of("leave_out")),
         "family left out, named at > .9": share(o.sure_wrong for o in of("leave_out")),
         "foreign truth, flagged": share(o.unknown for o in of("foreign")),
-        "beside a listed one: said, and only it named": share(
-            o.right for o in of("beside")
-        ),
+        "beside a listed one: said, and only it named": share(o.right for o in of("beside")),
         "beside, the listed one named": share(o.named for o in of("beside")),
         "beside, named at > .9": share(o.sure_wrong for o in of("beside")),
         "injected, named": share(o.exact for o in telling(labels, outcomes)),
@@ -140,16 +129,12 @@ def simulator_numbers(of) -> dict:
     return {
         "simulator, no effect: false alarm": share(o.flagged for o in alone),
         "simulator, one effect: exact": share(o.exact for o in named),
-        "simulator, one effect: exact or said so": share(
-            o.exact_or_alias for o in named
-        ),
+        "simulator, one effect: exact or said so": share(o.exact_or_alias for o in named),
         "simulator, stranger: flagged": share(o.unknown for o in strangers),
         "simulator, intervals hold the parameter": share(
             inside for o in every for inside in o.within
         ),
-        "simulator, no effect: intervals hold": share(
-            inside for o in alone for inside in o.within
-        ),
+        "simulator, no effect: intervals hold": share(inside for o in alone for inside in o.within),
         "simulator, median error of a share": (_median(parts), len(parts)),
         "simulator, median of a trial's worst share": (_median(worst), len(worst)),
     }
@@ -160,9 +145,7 @@ def closure_numbers(outcomes: list[Outcome], large: list[Outcome]) -> dict:
     both = [o for o in outcomes if o.claimed is not None and o.closed is not None]
     kept = [o.holdout for o in large if o.holdout is not None]
     off = [abs(o.claimed - o.closed) for o in both]
-    held = [
-        o.claimed_ci[0] <= o.closed <= o.claimed_ci[1] for o in both if o.claimed_ci
-    ]
+    held = [o.claimed_ci[0] <= o.closed <= o.claimed_ci[1] for o in both if o.claimed_ci]
     return {
         "closure, median |claimed - true|": (_median(off), len(off)),
         "true closure inside the interval": share(held),
@@ -182,9 +165,7 @@ def discrepancy_numbers(folder: Path, labels: dict, outcomes: dict) -> dict:
         label = labels[name]
         if label["set"] != "singles" or label["root_lambda"] < 5:
             continue
-        base, extended, held = (
-            found[f"{name}_{part}"] for part in ("base", "extended", "held")
-        )
+        base, extended, held = (found[f"{name}_{part}"] for part in ("base", "extended", "held"))
         force = truth[f"{name}_{label['force']}"]
         for rows, closures in ((~held, inside), (held, outside)):
             before, after = (force - base)[rows], (force - extended)[rows]
@@ -234,8 +215,7 @@ def confusions(labels, outcomes) -> list[list[str]]:
             key = (label["effects"][0], said)
             counts.setdefault(key, []).append(o.status)
     ranked = sorted(counts.items(), key=lambda item: -len(item[1]))
-    return [[*key, str(len(found)), ", ".join(sorted(set(found)))]
-            for key, found in ranked[:25]]  # fmt: skip
+    return [[*key, str(len(found)), ", ".join(sorted(set(found)))] for key, found in ranked[:25]]
 
 
 def by_kind(labels, outcomes) -> list[list[str]]:
@@ -247,21 +227,22 @@ def by_kind(labels, outcomes) -> list[list[str]]:
             kind = label["kind"].split(" of ")[0]
             groups.setdefault(f"{label['set']}: {kind}", []).append(o)
     return [
-        [kind, str(len(of)), f"{np.mean([o.unknown for o in of]):.2f}",
-         f"{np.mean([o.sure_wrong for o in of]):.2f}"]
+        [
+            kind,
+            str(len(of)),
+            f"{np.mean([o.unknown for o in of]):.2f}",
+            f"{np.mean([o.sure_wrong for o in of]):.2f}",
+        ]
         for kind, of in sorted(groups.items())
-    ]  # fmt: skip
+    ]
 
 
-def tables(
-    labels: dict, outcomes: dict, summaries: dict, seconds=None, bound=()
-) -> str:
+def tables(labels: dict, outcomes: dict, summaries: dict, seconds=None, bound=()) -> str:
     """All tables in Markdown; ``summaries``: method -> its numbers, tirefit first;
     ``bound``: rows of what was possible, if it was asked for."""
     keys = {key: None for found in summaries.values() for key in found}
     rows = [
-        [key, *(shown(found.get(key, (None, 0))) for found in summaries.values())]
-        for key in keys
+        [key, *(shown(found.get(key, (None, 0))) for found in summaries.values())] for key in keys
     ]
     columns = ["n", "detected", "top-1", "family", "top-3", "or said so", "sure, wrong"]
     asked, wanted = (
@@ -270,36 +251,45 @@ def tables(
     )
     told = [o for name, o in outcomes.items() if labels[name]["set"] != "raw"]
     tenths = [
-        [f"{b.probability:.2f}", f"{b.right:.2f}", f"{b.low:.2f}-{b.high:.2f}",
-         str(b.count)]
+        [f"{b.probability:.2f}", f"{b.right:.2f}", f"{b.low:.2f}-{b.high:.2f}", str(b.count)]
         for b in reliability(told)
-    ]  # fmt: skip
-    possible = {
-        "What was possible: exact evidence with the generator's own forms": table(
-            ["", "n", "possible", "answered"], bound)
-    } if bound else {}  # fmt: skip
+    ]
+    possible = (
+        {
+            "What was possible: exact evidence with the generator's own forms": table(
+                ["", "n", "possible", "answered"], bound
+            )
+        }
+        if bound
+        else {}
+    )
     parts = {
         "Results: share (number of trials)": table(["", *summaries], rows),
         "Goals": table(["#", "goal", "pass", "found", ""], wanted),
         "Thresholds": table(["#", "requirement", "pass", "found", ""], asked),
         **possible,
         "Reliability (reliability.png)": table(
-            ["probability", "share right", "90 % of it", "n"], tenths),
+            ["probability", "share right", "90 % of it", "n"], tenths
+        ),
         "Strangers by kind": table(
-            ["kind", "n", "flagged", "sure, wrong"], by_kind(labels, outcomes)),
+            ["kind", "n", "flagged", "sure, wrong"], by_kind(labels, outcomes)
+        ),
         "By effect": table(
-            ["effect", *columns], cells(labels, outcomes, lambda x: x["effects"][0])),
+            ["effect", *columns], cells(labels, outcomes, lambda x: x["effects"][0])
+        ),
         "By form": table(
             ["form", *columns],
-            cells(labels, outcomes, lambda x: f"{x['effects'][0]}: {x['forms'][0]}")),
+            cells(labels, outcomes, lambda x: f"{x['effects'][0]}: {x['forms'][0]}"),
+        ),
         "By design and noise": table(
             ["design, noise", *columns],
-            cells(labels, outcomes, lambda x: f"{x['design']} {x['noise']}")),
-        "By rows": table(
-            ["rows", *columns], cells(labels, outcomes, lambda x: f"{x['n']:5d}")),
+            cells(labels, outcomes, lambda x: f"{x['design']} {x['noise']}"),
+        ),
+        "By rows": table(["rows", *columns], cells(labels, outcomes, lambda x: f"{x['n']:5d}")),
         "Wrong answers where sqrt(lambda) >= 5": table(
-            ["truth", "answer", "n", "status"], confusions(labels, outcomes)),
-    }  # fmt: skip
+            ["truth", "answer", "n", "status"], confusions(labels, outcomes)
+        ),
+    }
     return "\n\n".join(f"## {title}\n\n{text}" for title, text in parts.items()) + "\n"
 
 
@@ -307,9 +297,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Score answers against sealed labels")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--answers", type=Path)
-    parser.add_argument(
-        "--bound", type=int, default=0, help="trials to say what was possible of"
-    )
+    parser.add_argument("--bound", type=int, default=0, help="trials to say what was possible of")
     given = parser.parse_args(arguments)
     answers = given.answers or given.folder / "answers"
     labels = opened(given.folder)
@@ -322,9 +310,7 @@ def main(arguments: list[str] | None = None) -> None:
     for path in sorted(given.folder.glob("baseline_*.json")):
         found = json.loads(path.read_text())
         judged = {
-            name: judge(name, labels[name], found[name])
-            for name in outcomes
-            if name in found
+            name: judge(name, labels[name], found[name]) for name in outcomes if name in found
         }
         method = path.stem.removeprefix("baseline_")
         summaries[method] = summary(labels, judged)
@@ -336,9 +322,7 @@ def main(arguments: list[str] | None = None) -> None:
     bound = bound_rows(given.folder, answers, labels, outcomes, given.bound)
     text = tables(labels, outcomes, summaries, seconds, bound)
     if missing:
-        text = (
-            f"{len(missing)} trials without an answer: {', '.join(missing)}\n\n{text}"
-        )
+        text = f"{len(missing)} trials without an answer: {', '.join(missing)}\n\n{text}"
     (given.folder / "score.md").write_text(text)
     document = {
         "missing": missing,

@@ -45,10 +45,7 @@ def at_other_values(plain: World, changes: list[tuple]) -> Callable:
 def with_simulator(trial, draw):
     """The trial (of ``trials.py``) with a simulator's forces in its file."""
     label, columns, g = trial.label, dict(trial.columns), draw.generator
-    c, mu = (
-        label[name] * (1 + g.choice([-1, 1]) * g.uniform(LEAST, MOST))
-        for name in ("c", "mu")
-    )
+    c, mu = (label[name] * (1 + g.choice([-1, 1]) * g.uniform(LEAST, MOST)) for name in ("c", "mu"))
     force = label["force"]
     slip = columns["sigma_x"] if force == "fx" else np.tan(columns["alpha"])
     along, moment = plain_brush(slip, columns["fz"], c, mu)
@@ -56,10 +53,11 @@ def with_simulator(trial, draw):
     if "mz" in columns:
         columns["mz_sim"] = moment
     label = label | {
-        "set": "simulators", "of": label["set"],
+        "set": "simulators",
+        "of": label["set"],
         "parameters": _parameters(label, float(c), float(mu)),
         "budget": true_budget(trial, slip, along, float(c), float(mu)),
-    }  # fmt: skip
+    }
     return replace(trial, columns=columns, label=label)
 
 
@@ -75,15 +73,9 @@ def _parameters(label: dict, c: float, mu: float) -> dict:
     if "force x load" in label["families"]:  # a share of the load is friction, too
         scales.append("friction")
     return {
-        "cpa2": {
-            "simulated": c, "true": label["c"],
-            "scored": known and "stiffness" not in scales,
-        },
-        "mu": {
-            "simulated": mu, "true": label["mu"],
-            "scored": known and "friction" not in scales,
-        },
-    }  # fmt: skip
+        "cpa2": {"simulated": c, "true": label["c"], "scored": known and "stiffness" not in scales},
+        "mu": {"simulated": mu, "true": label["mu"], "scored": known and "friction" not in scales},
+    }
 
 
 def true_budget(trial, slip, simulated, c: float, mu: float) -> dict[str, float]:
@@ -102,9 +94,15 @@ def true_budget(trial, slip, simulated, c: float, mu: float) -> dict[str, float]
     truth, fz, n = trial.truth[force], trial.columns["fz"], len(slip)
     slip_std, share, moment = NOISE[label["noise"]]
     x = Inputs(
-        trial.columns["time"], np.zeros(n, int), slip, fz, trial.columns["v"], force,
-        (slip_std, share * fz, moment * fz), moment="mz" in trial.truth,
-    )  # fmt: skip
+        trial.columns["time"],
+        np.zeros(n, int),
+        slip,
+        fz,
+        trial.columns["v"],
+        force,
+        (slip_std, share * fz, moment * fz),
+        moment="mz" in trial.truth,
+    )
     whole = [truth, *([trial.truth["mz"]] if x.moment else [])]
     _, misses, std = base_fit(x, np.concatenate(whole), label["c"], label["mu"])
     nothing = float(np.mean((truth - simulated) ** 2))
@@ -133,7 +131,9 @@ def _by_effects_alone(trial, x: Inputs, std, c: float, mu: float) -> float:
 
     either = all(EFFECTS[effect].sign == 0 for effect in trial.label["effects"])
     found = minimize_scalar(
-        lambda factor: np.mean((left(factor) / std) ** 2), method="bounded",
-        bounds=(-2 if either else 0.02, 3), options={"maxiter": TRIED},
-    )  # fmt: skip
+        lambda factor: np.mean((left(factor) / std) ** 2),
+        method="bounded",
+        bounds=(-2 if either else 0.02, 3),
+        options={"maxiter": TRIED},
+    )
     return float(np.mean(left(found.x) ** 2))

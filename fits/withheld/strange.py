@@ -39,10 +39,7 @@ def gated(world, size, g):
     """A step of the force beyond a slip and, where there are several, beyond a load."""
     gate = np.median(world.fz) * 1.01 if np.ptp(world.fz) > 0 else 0.0
     from_slip = g.uniform(0.3, 0.6) * np.abs(world.slip).max()
-    _add(
-        world,
-        lambda w: size * (w.fz > gate) * (np.abs(w.slip) > from_slip) * np.sign(w.slip),
-    )
+    _add(world, lambda w: size * (w.fz > gate) * (np.abs(w.slip) > from_slip) * np.sign(w.slip))
 
 
 def magic_formula(world, _, g):
@@ -77,9 +74,7 @@ def lugre(world, _, g):
     world.after.append(replace)
 
 
-UNLISTED = {
-    "ripple": ripple, "periodic": periodic, "bump": bump, "gated": gated, **RIG_KINDS,
-}  # fmt: skip
+UNLISTED = {"ripple": ripple, "periodic": periodic, "bump": bump, "gated": gated, **RIG_KINDS}
 SEALED = ("dead_zone", "joints", "amplifier_limit", "uneven_lag", "gated_cross")
 """Kinds that no development ever sees."""
 

@@ -87,10 +87,7 @@ def resonance(world, size, g):
     speed = g.choice(np.unique(world.v))
     at = g.uniform(0.1, 0.5) * np.abs(world.slip).max()
     near = np.exp(-(((world.v / speed - 1) / 0.15) ** 2) / 2)
-    _add(
-        world,
-        lambda w: 1.5 * size * near * np.exp(-(((np.abs(w.slip) - at) / at) ** 2)),
-    )
+    _add(world, lambda w: 1.5 * size * near * np.exp(-(((np.abs(w.slip) - at) / at) ** 2)))
 
 
 def gated_cross(world, size, g):
@@ -132,16 +129,25 @@ def joints(world, size, g):
 
 
 RIG_KINDS = {
-    "after_turn": after_turn, "tread_blocks": tread_blocks, "chatter": chatter,
-    "resonance": resonance, "quantised": quantised, "uneven_lag": uneven_lag,
-    "gated_cross": gated_cross, "amplifier_limit": amplifier_limit,
-    "dead_zone": dead_zone, "joints": joints,
-}  # fmt: skip
+    "after_turn": after_turn,
+    "tread_blocks": tread_blocks,
+    "chatter": chatter,
+    "resonance": resonance,
+    "quantised": quantised,
+    "uneven_lag": uneven_lag,
+    "gated_cross": gated_cross,
+    "amplifier_limit": amplifier_limit,
+    "dead_zone": dead_zone,
+    "joints": joints,
+}
 
 NEEDS = {
-    "after_turn": frozenset({"sweeps"}), "uneven_lag": frozenset({"sweeps"}),
-    "chatter": frozenset({"sweeps"}), "resonance": frozenset({"speeds"}),
-    "gated_cross": frozenset({"speeds"}), "joints": frozenset({"knee"}),
+    "after_turn": frozenset({"sweeps"}),
+    "uneven_lag": frozenset({"sweeps"}),
+    "chatter": frozenset({"sweeps"}),
+    "resonance": frozenset({"speeds"}),
+    "gated_cross": frozenset({"speeds"}),
+    "joints": frozenset({"knee"}),
     "amplifier_limit": frozenset({"loads", "knee"}),
-}  # fmt: skip
+}
 """Properties of a design (``Design.properties``) without which a kind cannot show."""

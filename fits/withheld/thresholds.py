@@ -20,10 +20,7 @@ __all__ = [
 
 STRESS = ("ar1", "outliers", "misstated", "heteroscedastic")
 # Told apart by nothing to first order with one load and one sign.
-CONFOUNDED = (
-    {"slip_offset", "force_offset"},
-    {"slip_definition", "pressure_asymmetry"},
-)
+CONFOUNDED = ({"slip_offset", "force_offset"}, {"slip_definition", "pressure_asymmetry"})
 
 
 class Check(NamedTuple):
@@ -110,9 +107,7 @@ def check(number, requirement, limit: float, upper: bool, found: tuple) -> Check
         return Check(number, requirement, f"{sign} {limit:g}", "-", "not measured")
     passes = value <= limit if upper else value >= limit
     text = f"{value:.3f} ({count})"
-    return Check(
-        number, requirement, f"{sign} {limit:g}", text, "pass" if passes else "FAIL"
-    )
+    return Check(number, requirement, f"{sign} {limit:g}", text, "pass" if passes else "FAIL")
 
 
 def _new(label: dict) -> bool:
@@ -136,44 +131,45 @@ def check_all(labels: dict, outcomes: dict, seconds: float | None) -> list[Check
 def _alarms(s: Scored) -> list[Check]:
     def alarms(*kinds):
         return share(
-            o.flagged
-            for o in s.that(lambda x, o: x["set"] == "null" and x["kind"] in kinds)
+            o.flagged for o in s.that(lambda x, o: x["set"] == "null" and x["kind"] in kinds)
         )
 
     large = s.that(lambda x, o: x["set"] == "singles" and x["root_lambda"] >= 5)
     return [
         check(1, "false alarm, iid", 0.07, True, alarms("iid")),
         check(1, "false alarm, stressed noise", 0.08, True, alarms(*STRESS)),
-        check(1, "false alarm, slip noise, slip to .05", 0.10, True,
-               alarms("slip_classical")),
-        check(2, "detection, sqrt(lambda) >= 5", 0.95, False,
-               share(o.flagged for o in large)),
-    ]  # fmt: skip
+        check(1, "false alarm, slip noise, slip to .05", 0.10, True, alarms("slip_classical")),
+        check(2, "detection, sqrt(lambda) >= 5", 0.95, False, share(o.flagged for o in large)),
+    ]
 
 
 def _singles(s: Scored) -> list[Check]:
     sure = [o for o in s.where("singles") if o.probability >= 0.9 and o.flagged]
     out = [
-        check(3, "top-1 where said at >= .9", 0.95, False,
-               share(o.exact for o in sure)),
-        check(3, "family where said at >= .9", 0.97, False,
-               share(o.family for o in sure)),
-        check(5, "confident and wrong, listed effects", 0.02, True,
-               share(o.sure_wrong for o in s.where("singles"))),
-    ]  # fmt: skip
+        check(3, "top-1 where said at >= .9", 0.95, False, share(o.exact for o in sure)),
+        check(3, "family where said at >= .9", 0.97, False, share(o.family for o in sure)),
+        check(
+            5,
+            "confident and wrong, listed effects",
+            0.02,
+            True,
+            share(o.sure_wrong for o in s.where("singles")),
+        ),
+    ]
     for noise, first, third in (("rig", 0.96, 0.99), ("seed", 0.89, 0.97)):
         rich = s.where("singles", design="G", noise=noise, n=900)
         out += [
-            check(4, f"design G, {noise}, 900 rows: top-1", first, False,
-                   share(o.exact for o in rich)),
-            check(4, f"design G, {noise}, 900 rows: top-3", third, False,
-                   share(o.top3 for o in rich)),
-        ]  # fmt: skip
+            check(
+                4, f"design G, {noise}, 900 rows: top-1", first, False, share(o.exact for o in rich)
+            ),
+            check(
+                4, f"design G, {noise}, 900 rows: top-3", third, False, share(o.top3 for o in rich)
+            ),
+        ]
     named = [o for o in s.where("singles") if o.exact]
     out.append(
-        check(12, "right, yet called incomplete", 0.03, True,
-               share(o.unknown for o in named))
-    )  # fmt: skip
+        check(12, "right, yet called incomplete", 0.03, True, share(o.unknown for o in named))
+    )
     return out
 
 
@@ -185,15 +181,25 @@ def _independent(s: Scored) -> list[Check]:
 
     found = s.that(lambda x, o: other(x))
     out = [
-        check(6, "other forms, design G: confident and wrong", 0.03, True,
-               share(o.sure_wrong for o in found)),
-    ]  # fmt: skip
+        check(
+            6,
+            "other forms, design G: confident and wrong",
+            0.03,
+            True,
+            share(o.sure_wrong for o in found),
+        )
+    ]
     for noise, limit in (("rig", 0.94), ("seed", 0.88)):
         of = s.that(lambda x, o, noise=noise: other(x) and x["noise"] == noise)
         out.append(
-            check(6, f"other forms, design G, {noise}: family", limit, False,
-                   share(o.family for o in of))
-        )  # fmt: skip
+            check(
+                6,
+                f"other forms, design G, {noise}: family",
+                limit,
+                False,
+                share(o.family for o in of),
+            )
+        )
     return out
 
 
@@ -203,13 +209,16 @@ def _calibration(s: Scored) -> list[Check]:
     sizes = [o.set_size for o in rich]
     mean_size = float(np.mean(sizes)) if sizes else None
     out = [
-        check(7, "calibration error of families", 0.05, True,
-               (expected_calibration_error(listed, family=True), len(listed))),
-        check(8, "90 % set holds the truth, design G", 0.88, False,
-               share(o.covered for o in rich)),
-        check(8, "mean size of the 90 % set, design G", 3.0, True,
-               (mean_size, len(sizes))),
-    ]  # fmt: skip
+        check(
+            7,
+            "calibration error of families",
+            0.05,
+            True,
+            (expected_calibration_error(listed, family=True), len(listed)),
+        ),
+        check(8, "90 % set holds the truth, design G", 0.88, False, share(o.covered for o in rich)),
+        check(8, "mean size of the 90 % set, design G", 3.0, True, (mean_size, len(sizes))),
+    ]
     for noise, limit in (("rig", 0.10), ("seed", 0.25)):
         of = s.where("singles", "null", "pairs", noise=noise)
         out.append(check(7, f"Brier, {noise}", limit, True, (brier(of), len(of))))
@@ -218,9 +227,7 @@ def _calibration(s: Scored) -> list[Check]:
 
 def _hidden(s: Scored) -> list[Check]:
     def free(low, high):
-        return s.that(
-            lambda x, o: x["set"] == "leave_out" and low <= x["mimic_free"] < high
-        )
+        return s.that(lambda x, o: x["set"] == "leave_out" and low <= x["mimic_free"] < high)
 
     seen = s.that(lambda x, o: x["set"] == "unlisted" and x["mimic_free"] >= 10)
     return [
@@ -239,15 +246,21 @@ def _hidden(s: Scored) -> list[Check]:
 
 def _pairs(s: Scored) -> list[Check]:
     out = [
-        check(13, "pairs in the top 5", 0.95, False,
-               share(o.top5 for o in s.where("pairs", design="G"))),
-    ]  # fmt: skip
+        check(
+            13,
+            "pairs in the top 5",
+            0.95,
+            False,
+            share(o.top5 for o in s.where("pairs", design="G")),
+        )
+    ]
     for noise, limit in (("rig", 0.90), ("seed", 0.68)):
         found = s.where("pairs", design="G", noise=noise)
         out.append(
-            check(13, f"pairs exact, design G, {noise}", limit, False,
-                   share(o.exact for o in found))
-        )  # fmt: skip
+            check(
+                13, f"pairs exact, design G, {noise}", limit, False, share(o.exact for o in found)
+            )
+        )
     return out
 
 
@@ -259,8 +272,7 @@ def _closure(s: Scored) -> list[Check]:
     energy = [1 - (1 - o.holdout) ** 2 for o in kept if o.exact]
     small = s.that(
         lambda x, o: (
-            "root_lambda" in x
-            and x["root_lambda"] ** 2 / x["n"] < 0.5 * 3 * np.sqrt(2 / x["n"])
+            "root_lambda" in x and x["root_lambda"] ** 2 / x["n"] < 0.5 * 3 * np.sqrt(2 / x["n"])
         )
     )
     return [
@@ -290,6 +302,4 @@ def _confounded(s: Scored) -> list[Check]:
         return pair <= {*o.effects, *o.also} or o.status == "cannot_tell"
 
     found = [says(label, o) for label, o in s.pairs if asks(label, o)]
-    return [
-        check(16, "one load, one sign: exact confusion said", 0.95, False, share(found))
-    ]
+    return [check(16, "one load, one sign: exact confusion said", 0.95, False, share(found))]

@@ -106,9 +106,7 @@ class Draw:
 
 def trial(draw: Draw, world: World, law: str, effects=(), **label) -> Trial:
     """A world measured, with its label."""
-    columns, truth, size = measure(
-        world, draw.noise, law, draw.extras(effects), draw.generator
-    )
+    columns, truth, size = measure(world, draw.noise, law, draw.extras(effects), draw.generator)
     free = size.pop("free")
     label = {
         "effects": list(effects), "families": [family_of(e) for e in effects],
@@ -181,9 +179,7 @@ def by_chance(draw: Draw) -> Trial:
     size = draw.generator.uniform(0.4, 1.6)
     world = draw.tire()
     kind = procedural(world, size, draw.generator)
-    return trial(
-        draw, world, "iid", set="procedural", kind=kind, amplitudes=[float(size)]
-    )
+    return trial(draw, world, "iid", set="procedural", kind=kind, amplitudes=[float(size)])
 
 
 def beside(draw: Draw) -> Trial:
@@ -194,9 +190,8 @@ def beside(draw: Draw) -> Trial:
     EFFECTS[effect].forms[form](world, size, draw.generator)
     kind = procedural(world, draw.generator.uniform(0.4, 1.6), draw.generator)
     return trial(
-        draw, world, "iid", [effect], forms=[form], amplitudes=[size], kind=kind,
-        set="beside",
-    )  # fmt: skip
+        draw, world, "iid", [effect], forms=[form], amplitudes=[size], kind=kind, set="beside"
+    )
 
 
 def foreign(draw: Draw) -> Trial:
@@ -237,9 +232,15 @@ SETS = {
 MIXTURE = (
     *("singles", "simulators", "null", "unlisted", "procedural") * 2,
     *("singles", "simulators", "null") * 2,
-    "singles", "simulators", "foreign", "leave_out", "pairs", "simulators", "beside",
+    "singles",
+    "simulators",
+    "foreign",
+    "leave_out",
+    "pairs",
+    "simulators",
+    "beside",
     "injected",
-)  # fmt: skip
+)
 """Sets in turn when all are asked for: a quarter simulators, more strangers."""
 
 

@@ -89,9 +89,16 @@ def _size(effect: str, rng) -> float:
     }[effect]  # fmt: skip
     sign = 1.0
     if effect in (
-        "steering_ratio", "steering_offset", "yaw_inertia", "centre_of_gravity", "bank",
-        "sideslip_zero", "yaw_rate_zero", "tracked_point", "friction_drift",
-    ):  # fmt: skip
+        "steering_ratio",
+        "steering_offset",
+        "yaw_inertia",
+        "centre_of_gravity",
+        "bank",
+        "sideslip_zero",
+        "yaw_rate_zero",
+        "tracked_point",
+        "friction_drift",
+    ):
         sign = rng.choice([-1.0, 1.0])
     return float(sign * rng.uniform(low, high))
 
@@ -175,9 +182,7 @@ def drive(one: Trial):
             v_y, r = state
             v = v_x[k] + part * (v_x[k + 1] - v_x[k])
             delta = angle[k] + part * (angle[k + 1] - angle[k]) + yields
-            slip = np.array([
-                np.arctan2(v_y + l_f * r, v) - delta, np.arctan2(v_y - l_r * r, v)
-            ])  # fmt: skip
+            slip = np.array([np.arctan2(v_y + l_f * r, v) - delta, np.arctan2(v_y - l_r * r, v)])
             used = slip + late
             forces = np.empty(2)
             for j in (0, 1):
@@ -186,9 +191,7 @@ def drive(one: Trial):
                 if is_("sliding_friction"):
                     wide = 1.5 * mu * loads[j] / stiffness[j]
                     mu = mu * (1 - size * (1 - np.exp(-((s / wide) ** 2))))
-                forces[j] = -np.sign(used[j]) * float(
-                    brush(s, loads[j], v, stiffness[j], mu)
-                )
+                forces[j] = -np.sign(used[j]) * float(brush(s, loads[j], v, stiffness[j], mu))
             front = forces[0] * np.cos(delta)
             moment = l_f * front - l_r * forces[1]
             if is_("yaw_resistance"):
@@ -252,9 +255,12 @@ def written(one: Trial, folder: Path) -> tuple[Path, Path]:
     scale = 0.3 if car["small"] else 1.0
     columns = [time[::every]]
     for values, std in (
-        (v_x, 0.02 * scale), (v_y, 0.02 * scale), (r, 0.004 / scale), (a_y, 0.05),
+        (v_x, 0.02 * scale),
+        (v_y, 0.02 * scale),
+        (r, 0.004 / scale),
+        (a_y, 0.05),
         (steer, 0.0),
-    ):  # fmt: skip
+    ):
         values = values[::every]
         columns.append(values + std * rng.standard_normal(len(values)))
     folder.mkdir(parents=True, exist_ok=True)
@@ -313,8 +319,10 @@ def judged(number: int, folder: Path) -> dict:
     elif one.effect in verdict.also_possible:
         outcome = "twin"
     return told | {
-        "outcome": outcome, "status": verdict.status.value,
-        "effects": verdict.effects, "also_possible": verdict.also_possible,
+        "outcome": outcome,
+        "status": verdict.status.value,
+        "effects": verdict.effects,
+        "also_possible": verdict.also_possible,
         "unlisted": verdict.unlisted,
         "amplitudes": {k: list(v) for k, v in found.amplitudes.items()},
-    }  # fmt: skip
+    }

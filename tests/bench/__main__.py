@@ -107,9 +107,7 @@ def batch(fits: int = 10_000, peers: int = 500) -> None:
     ours()
     times = [(seconds(ours) / fits, seconds(peer) / peers) for _ in range(3)]
     mine, other = medians(times)
-    say(
-        f"{fits} fits of {ROWS} points, per fit", mine * 1e6, other * 1e6, "us", "lower"
-    )
+    say(f"{fits} fits of {ROWS} points, per fit", mine * 1e6, other * 1e6, "us", "lower")
     share_of_limit(mine)
 
 
@@ -189,9 +187,7 @@ def magic_formula() -> None:
     tire, coefficients = tire_of(tir), defaultdict(float, tir.numbers)
     generator = np.random.default_rng(0)
     limits = ((-0.3, 0.3), (-0.3, 0.3), (2e3, 1e4), (-0.05, 0.05), (2e5, 2.6e5))
-    kappa, alpha, fz, gamma, pressure = (
-        generator.uniform(*ends, MILLION) for ends in limits
-    )
+    kappa, alpha, fz, gamma, pressure = (generator.uniform(*ends, MILLION) for ends in limits)
 
     def one(sigma_x, alpha, fz, gamma, pressure):
         found = tire(TireInputs(sigma_x, alpha, fz, 0.0, gamma, pressure))
@@ -332,10 +328,7 @@ def diagnosis(cases: int = 8) -> None:
 
         ours()
         times = [
-            (
-                processor_seconds(ours) / cases,
-                processor_seconds(by_plain_bic, files) / cases,
-            )
+            (processor_seconds(ours) / cases, processor_seconds(by_plain_bic, files) / cases)
             for _ in range(3)
         ]
     name = "diagnose, 900 rows, processor (BIC, singles)"
@@ -353,9 +346,13 @@ def patterns_of_a_remainder(rows: int = 1000, columns: int = 12) -> None:
 
     generator = np.random.default_rng(0)
     prepared = SimpleNamespace(
-        n=rows, channels=("fx",), has=frozenset(("time", "signs")), covariates=None,
-        time=np.linspace(0, 60, rows), inputs=SimpleNamespace(fz=np.full(rows, FZ)),
-    )  # fmt: skip
+        n=rows,
+        channels=("fx",),
+        has=frozenset(("time", "signs")),
+        covariates=None,
+        time=np.linspace(0, 60, rows),
+        inputs=SimpleNamespace(fz=np.full(rows, FZ)),
+    )
     fields = {name: generator.standard_normal(rows) for name in PARAMETERS}
     among = patterns(prepared, generator.uniform(-1.5, 1.5, rows), fields)
     against = generator.standard_normal((rows, columns))
@@ -434,9 +431,7 @@ def fleet(files: int = 1000) -> None:
         for k in range(files):
             names.append(Path(directory) / f"run{k:04d}.csv")
             table = np.c_[slip[k], force[k], np.full(ROWS, FZ)]
-            np.savetxt(
-                names[-1], table, delimiter=",", header="sigma_x,fx,fz", comments=""
-            )
+            np.savetxt(names[-1], table, delimiter=",", header="sigma_x,fx,fz", comments="")
         begin = [sys.executable, "-m", "tirefit", "fit", "--no-posterior"]
         begin += ["--convention", "braking"]
 
@@ -446,9 +441,7 @@ def fleet(files: int = 1000) -> None:
             return process(line, os.environ)
 
         run(min(2, files))  # compiles
-        loop, one, two = (
-            run(files, *how) for how in ((), ("--jobs", "1"), ("--jobs", "2"))
-        )
+        loop, one, two = (run(files, *how) for how in ((), ("--jobs", "1"), ("--jobs", "2")))
     print(
         f"fit, {files} files: loop {loop.wall:.0f} s ({loop.processor:.0f} s of"
         f" processor), one worker {one.wall:.0f} s ({one.processor:.0f} s), two"
@@ -474,15 +467,20 @@ def diagnosis_of_a_log(rows: int = 100_000) -> None:
     with tempfile.TemporaryDirectory() as directory:
         file, rig = Path(directory) / "log.csv", Path(directory) / "rig.toml"
         np.savetxt(
-            file, np.c_[world.time, slip, force, world.fz, world.v], delimiter=",",
-            header="time,sigma_x,fx,fz,v", comments="", fmt="%.8g",
-        )  # fmt: skip
+            file,
+            np.c_[world.time, slip, force, world.fz, world.v],
+            delimiter=",",
+            header="time,sigma_x,fx,fz,v",
+            comments="",
+            fmt="%.8g",
+        )
         rig.write_text("[noise]\nsigma_x = 0.001\nfx_relative = 0.01\n")
         found = diagnose_process([file], Path(directory) / "out")
     print(
         f"diagnose, {rows} rows, cold: {found.wall:.0f} s, {found.processor:.0f} s of"
-        f" processor, {found.peak:.1f} GiB", flush=True,
-    )  # fmt: skip
+        f" processor, {found.peak:.1f} GiB",
+        flush=True,
+    )
 
 
 def online(rows: int = 200_000) -> None:
@@ -545,9 +543,7 @@ def braking_stops(stops: int = 1000, peers: int = 2) -> None:
 
     def asked(cpa2, m, mu):
         tire = with_values(MODELS["brush-m"], {"cpa2": cpa2, "m": m})
-        return Request(
-            tire, "brush-m", road=f"mu={mu:.4f}", speed=speed, vehicle="quarter"
-        )
+        return Request(tire, "brush-m", road=f"mu={mu:.4f}", speed=speed, vehicle="quarter")
 
     plants = [plant_of(asked(*tire, mu)) for tire in tires for mu in roads]
     kept = [plant for plant in plants for _ in range(edge)]
@@ -575,8 +571,13 @@ def braking_stops(stops: int = 1000, peers: int = 2) -> None:
                 QuarterCar(load, 0.3, 1.2, 1.35e-4, cpa2, m, mu),
                 Valves(**hydraulics),
                 PlainABS(parameter_values(ConventionalABS()), 1 / rate, speed),
-                request.sensors._asdict(), noise, speed, rate, samples, 2,
-            )  # fmt: skip
+                request.sensors._asdict(),
+                noise,
+                speed,
+                rate,
+                samples,
+                2,
+            )
 
     ours()
     pairs = [(seconds(ours) / len(kept), seconds(peer) / peers) for _ in range(3)]
@@ -590,9 +591,7 @@ ENTRIES = (
     braking_stops, whole_magic_formula, exported_tire,
 )  # fmt: skip
 
-OF_DIAGNOSIS = (
-    diagnosis, patterns_of_a_remainder, diagnosis_of_many, diagnosis_of_a_log, fleet,
-)  # fmt: skip
+OF_DIAGNOSIS = (diagnosis, patterns_of_a_remainder, diagnosis_of_many, diagnosis_of_a_log, fleet)
 """In a process of their own, with one thread of OpenBLAS, as the command line has: the
 other one spins while it waits, and its processor time would be counted. The peak that
 other entries are measured against is that of all cores."""

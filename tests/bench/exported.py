@@ -61,9 +61,8 @@ def _in_c(folder: Path, inputs, outputs, flags: str) -> float:
     count = len(outputs)
     stores = [f"out[{j} * N + i] = f[{j}];" for j in range(count)]
     stores += [
-        f"out[{count + 3 * j + k} * N + i] = s[{j}][{k}];"
-        for j in range(count) for k in range(3)
-    ]  # fmt: skip
+        f"out[{count + 3 * j + k} * N + i] = s[{j}][{k}];" for j in range(count) for k in range(3)
+    ]
     known = {"v": "16.0", "gamma": "0.01", "pressure": "0.0"}
     more = "".join(f", {known[name]}" for name in inputs[3:])
     code = _DRIVER.format(
@@ -72,10 +71,7 @@ def _in_c(folder: Path, inputs, outputs, flags: str) -> float:
     (folder / "drive.c").write_text(code)
     command = ["cc", "-std=c99", *flags.split(), "-o", "drive", "drive.c", "-lm"]
     subprocess.run(command, cwd=folder, check=True)
-    runs = (
-        subprocess.run([folder / "drive"], capture_output=True, check=True)
-        for _ in range(3)
-    )
+    runs = (subprocess.run([folder / "drive"], capture_output=True, check=True) for _ in range(3))
     return min(float(run.stdout) for run in runs)
 
 

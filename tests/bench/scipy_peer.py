@@ -68,9 +68,7 @@ def main(file, directory):
             fixed = (cpa2, mu)[i] + offset
 
             def held(slip, other, fixed=fixed, i=i):
-                return (
-                    brush(slip, fixed, other) if i == 0 else brush(slip, other, fixed)
-                )
+                return brush(slip, fixed, other) if i == 0 else brush(slip, other, fixed)
 
             best, _ = curve_fit(held, slip, force, p0=[(cpa2, mu)[1 - i]])
             rest = force - held(slip, *best)

@@ -21,9 +21,14 @@ def test_controllers_over_each_other(run, tmp_path):
     assert "means of 3 seeds from 4" in said and "recovery" not in said
     made = {path.name for path in (tmp_path / "o").iterdir()}
     assert made == {
-        "summary.json", "series.csv", "stops.csv", "stop.png", "compare.png",
-        "slip.png", "stop.gif",
-    }  # fmt: skip
+        "summary.json",
+        "series.csv",
+        "stops.csv",
+        "stop.png",
+        "compare.png",
+        "slip.png",
+        "stop.gif",
+    }
     summary = json.loads((tmp_path / "o" / "summary.json").read_text())
     assert summary["schema"] == "tirefit.brake/1" and summary["seed"] == 4
     assert summary["convention"] == "braking, SI"
@@ -59,16 +64,11 @@ def test_tires_of_fits_and_files(run, tmp_path):
     braked = ("brake", *QUICK, "--controller", "abs", "--tire")
     run(*braked, "f/fit.json", "--out", "o")
     run(*braked, "brush", "--set", "cpa2=4e4", "--out", "p")
-    fitted, named = (
-        json.loads((tmp_path / name / "summary.json").read_text()) for name in "op"
-    )
+    fitted, named = (json.loads((tmp_path / name / "summary.json").read_text()) for name in "op")
     assert fitted["manoeuvre"]["tire"] == "f/fit.json"
     assert fitted["manoeuvre"]["parameters"]["mu"] == pytest.approx(0.8, rel=0.01)
-    assert fitted["stopping_distance"] == pytest.approx(
-        named["stopping_distance"], rel=0.02
-    )
-    result = run("brake", "--tire", "f/fit.json", "--set", "mu=1", "--out", "q",
-                 exit_code=2)  # fmt: skip
+    assert fitted["stopping_distance"] == pytest.approx(named["stopping_distance"], rel=0.02)
+    result = run("brake", "--tire", "f/fit.json", "--set", "mu=1", "--out", "q", exit_code=2)
     assert "(--set) beside a fit" in result.stderr
 
 

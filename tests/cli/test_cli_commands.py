@@ -30,10 +30,7 @@ def rows_of(path):
 
 
 def write(path, header, *columns):
-    lines = [
-        header,
-        *(",".join(f"{v:.12g}" for v in row) for row in zip(*columns, strict=True)),
-    ]
+    lines = [header, *(",".join(f"{v:.12g}" for v in row) for row in zip(*columns, strict=True))]
     path.write_text("\n".join(lines) + "\n")
 
 
@@ -52,12 +49,9 @@ def test_forces_come_in_the_convention_and_unit_of_the_file(run, tmp_path):
     # ISO-W: driving positive, so slip and force both turn around; kappa in per cent.
     kappa = SLIP / (1 + SLIP)
     write(tmp_path / "iso.csv", "kappa,fz", -100 * kappa, np.full(31, FZ / 1000))
-    options = ("--convention", "iso-w", "--unit", "kappa=%", "--unit", "fz=kN",
-               "--unit", "fx=kN")  # fmt: skip
+    options = ("--convention", "iso-w", "--unit", "kappa=%", "--unit", "fz=kN", "--unit", "fx=kN")
     run("predict", "brush", "iso.csv", *SETS, *options, "--out", "f.csv")
-    np.testing.assert_allclose(
-        rows_of("f.csv")["fx"], -parabolic(SLIP) / 1000, atol=1e-9
-    )
+    np.testing.assert_allclose(rows_of("f.csv")["fx"], -parabolic(SLIP) / 1000, atol=1e-9)
 
 
 def test_fit_of_an_iso_file_predicts_it_back(run, tmp_path):
@@ -265,8 +259,10 @@ def test_completion_knows_every_effect_without_importing_one():
 @pytest.mark.parametrize(
     ("begun", "offered"),
     [
-        ("fit --model brush-dm", {"brush-dm", "brush-dmn", "brush-dmns", "brush-dmh",
-                                  "brush-dmhs"}),
+        (
+            "fit --model brush-dm",
+            {"brush-dm", "brush-dmn", "brush-dmns", "brush-dmh", "brush-dmhs"},
+        ),
         ("diagnose d.csv --model lug", {"lugre", "lugre-lumped"}),
         ("fit d.csv --convention i", {"iso-w"}),
         ("inspect d.csv --convention s", {"sae"}),
@@ -275,7 +271,7 @@ def test_completion_knows_every_effect_without_importing_one():
         ("diagnose d.csv --without yaw", {"yaw_inertia"}),
         ("--vers", {"--version"}),
     ],
-)  # fmt: skip
+)
 def test_completing_imports_no_jax(begun, offered):
     program = (
         "import sys\n"
@@ -291,9 +287,8 @@ def test_completing_imports_no_jax(begun, offered):
         "COMP_CWORD": str(len(begun.split())),
     }
     done = subprocess.run(
-        [sys.executable, "-c", program],
-        env=environment, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
     *said, heavy = done.stdout.splitlines()
     assert set(said) == offered and heavy == "False False"
 
@@ -301,15 +296,10 @@ def test_completing_imports_no_jax(begun, offered):
 def test_derive_refuses_a_wrong_unit_and_its_remedy_works(run, tmp_path):
     time = np.arange(0, 30, 0.02)
     rng = np.random.default_rng(0)
-    v, r = (
-        20 + 2 * np.sin(0.3 * time),
-        0.2 * np.sin(1.1 * time) + 0.1 * np.sin(0.4 * time),
-    )
+    v, r = (20 + 2 * np.sin(0.3 * time), 0.2 * np.sin(1.1 * time) + 0.1 * np.sin(0.4 * time))
     v_y = 0.5 * r - 0.008 * v**2 * r
     a_y = v * r + np.gradient(v_y, time)
-    signals = (
-        x + 0.01 * rng.standard_normal(len(time)) for x in (3.6 * v, v_y, r, a_y)
-    )
+    signals = (x + 0.01 * rng.standard_normal(len(time)) for x in (3.6 * v, v_y, r, a_y))
     write(tmp_path / "log.csv", "t,vx,vy,r,ay", time, *signals)
     (tmp_path / "v.toml").write_text(
         "mass = 1500\nyaw_inertia = 2500\nl_f = 1.2\nl_r = 1.4\n[columns]\n"

@@ -50,9 +50,7 @@ def assert_converted(stdout, values, loads, rmse):
     # 61 neighbours on a smooth curve tell far less than 61 measurements.
     assert content["fit"]["n_effective"] < len(loads) * SLIPS / 4
     found = re.findall(r"F_z (\S+) N: RMSE (\S+) N, (\S+)% of F_z", stdout)
-    expected = [
-        (fz, miss, 100 * miss / fz) for fz, miss in zip(loads, rmse, strict=True)
-    ]
+    expected = [(fz, miss, 100 * miss / fz) for fz, miss in zip(loads, rmse, strict=True)]
     np.testing.assert_allclose(np.array(found, float), expected, rtol=2e-3, atol=0.006)
     assert "error bars are of the systematic misfit" in " ".join(stdout.split())
     return content
@@ -106,9 +104,7 @@ def test_a_reduced_tir_has_the_slope_and_the_peak_of_the_brush(run):
     Path("points.csv").write_text("\n".join(["kappa,alpha,fz", *rows]) + "\n")
     run("predict", "reduced.tir", "points.csv", "--out", "out.csv")
     with open("out.csv") as file:
-        found = np.array(
-            [(row["fx"], row["fy"]) for row in csv.DictReader(file)], float
-        )
+        found = np.array([(row["fx"], row["fy"]) for row in csv.DictReader(file)], float)
     slope = 2 * 50000
     np.testing.assert_allclose(found[:2, 0], [-slope * small, slope * small], rtol=1e-4)
     np.testing.assert_allclose(found[2:, 1], [slope * small, -slope * small], rtol=1e-4)
@@ -169,9 +165,12 @@ def test_the_two_directions_are_not_mixed_and_all_problems_are_named(run):
     options = ("--cpa2", -1, "--fz", 4000, "--radius", 0.3, "--model", "brush")
     result = run("convert", *options, "--out", "none/r.tir", exit_code=2)
     for text in (
-        "4 problems", "the folder none does not exist", "--model with --cpa2",
-        "needs --mu too", "cpa2 = -1 is not positive",
-    ):  # fmt: skip
+        "4 problems",
+        "the folder none does not exist",
+        "--model with --cpa2",
+        "needs --mu too",
+        "cpa2 = -1 is not positive",
+    ):
         assert text in result.stderr
     result = run("convert", MF52, *REDUCED, "--out", "r.tir", exit_code=2)
     assert "FILE.tir with --cpa2" in result.stderr and not Path("r.tir").exists()

@@ -29,8 +29,7 @@ from tirefit.cli.options import _cache_folder, complain, say
 from tirefit.cli.output import claimed, staged
 from tirefit.files import write_texts
 
-LOG = ("sigma_x,fx,fz,v,time", *(f"{0.0005 * k},{50 * k},4000,20,{k / 100}"
-                                 for k in range(60)))  # fmt: skip
+LOG = ("sigma_x,fx,fz,v,time", *(f"{0.0005 * k},{50 * k},4000,20,{k / 100}" for k in range(60)))
 
 INTO_FOLDERS = {
     "fit": ("fit", "rig.csv", "--config", "fit.toml", "--no-posterior"),
@@ -41,23 +40,23 @@ INTO_FOLDERS = {
 }
 """Commands that write folders, their modules, and a word of their reports."""
 MODULES = {
-    name: import_module(
-        f"tirefit.cli.{'fit_one' if name in ('fit', 'convert') else name}"
-    )
+    name: import_module(f"tirefit.cli.{'fit_one' if name in ('fit', 'convert') else name}")
     for name in INTO_FOLDERS
 }
 REPORTS = {
-    "fit": "VERDICT", "convert": "VERDICT", "diagnose": "HOW FAR THE GAP SHRINKS",
-    "estimate": "ESTIMATES", "brake": "BRAKING",
-}  # fmt: skip
+    "fit": "VERDICT",
+    "convert": "VERDICT",
+    "diagnose": "HOW FAR THE GAP SHRINKS",
+    "estimate": "ESTIMATES",
+    "brake": "BRAKING",
+}
 
 INTO_FILES = {
     "predict": ("predict", "brush", "rig.csv"),
-    "convert": ("convert", "--cpa2", "5e4", "--mu", "1", "--fz", "4000", "--radius",
-                "0.3"),
+    "convert": ("convert", "--cpa2", "5e4", "--mu", "1", "--fz", "4000", "--radius", "0.3"),
     "simulate": ("simulate", "rig", "--truth", "truth.csv"),
     "derive": ("derive", "drive.csv", "--vehicle", "car.toml"),
-}  # fmt: skip
+}
 
 
 @pytest.fixture
@@ -210,9 +209,7 @@ def test_a_read_only_folder_is_said_before_the_work(run, inputs, read_only, name
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="root writes anyway")
-def test_a_folder_that_turns_read_only_keeps_what_it_has(
-    run, inputs, tmp_path, monkeypatch
-):
+def test_a_folder_that_turns_read_only_keeps_what_it_has(run, inputs, tmp_path, monkeypatch):
     """As a disk that is mounted anew, read-only, while the command works."""
     run(*INTO_FOLDERS["fit"], "--out", "o")
     before = there(tmp_path / "o")

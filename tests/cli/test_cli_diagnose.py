@@ -27,9 +27,8 @@ READ = ["--convention", "iso-w", "--unit", "fx=kN", "--mask-bad-rows"]
 
 
 def write(
-    path, offset=0.0, power=0.0, seed=0, rows=32, spoiled=(), low=-0.2, loads=LOADS,
-    logged=None,
-):  # fmt: skip
+    path, offset=0.0, power=0.0, seed=0, rows=32, spoiled=(), low=-0.2, loads=LOADS, logged=None
+):
     """Sweeps of both signs at three loads; driving positive, forces in kN.
 
     ``logged`` gives what stands as slip beside the speeds of a wheel of 0.3 m.
@@ -70,13 +69,9 @@ def studied(tmp_path_factory):
     write(folder / "one.csv", offset=0.002, seed=4, low=0.002, loads=LOADS[1:2])
     (folder / "bad.csv").write_text("sigma_x,fx\n0.1,-2\n0.2,-3\n")
     (folder / "rig.toml").write_text(f"[noise]\nfx = {NOISE}\n")
-    files = [
-        str(folder / name) for name in ("offset.csv", "bad.csv", "load.csv", "one.csv")
-    ]
+    files = [str(folder / name) for name in ("offset.csv", "bad.csv", "load.csv", "one.csv")]
     settings = ["--rig", str(folder / "rig.toml"), "--out", str(folder / "out")]
-    result = CliRunner().invoke(
-        app, ["diagnose", *files, *READ, *WITHOUT, *settings, "--figures"]
-    )
+    result = CliRunner().invoke(app, ["diagnose", *files, *READ, *WITHOUT, *settings, "--figures"])
     return folder, result
 
 
@@ -190,17 +185,14 @@ def test_the_document_is_of_the_schema(studied):
 
 
 @pytest.mark.xfail(
-    strict=True,
-    reason="'unknown': no effect predicts the parts of the slip that are left out",
+    strict=True, reason="'unknown': no effect predicts the parts of the slip that are left out"
 )
 def test_what_the_data_cannot_tell_is_said(studied):
     """One load and one sign: a slip offset is a force offset, exactly."""
     document = json.loads((studied[0] / "out" / "one.json").read_text())
     verdict, best = document["verdict"], document["next_measurement"][0]
     assert verdict["status"] == "cannot_tell"
-    assert {*verdict["effects"], *verdict["also_possible"]} == {
-        "slip_offset", "force_offset"
-    }  # fmt: skip
+    assert {*verdict["effects"], *verdict["also_possible"]} == {"slip_offset", "force_offset"}
     assert document["untestable"] == [{"effect": "load_friction", "needs": ["loads"]}]
     assert set(best["separates"]) == {"slip_offset", "force_offset"}
     assert best["p_now"] == pytest.approx(0.5, abs=0.01) and best["p_after"] > 0.95
@@ -217,9 +209,7 @@ def test_exact_confusions_are_a_toss_up(noise):
 
 def test_rows_match_the_file_in_its_own_convention(studied):
     folder, _ = studied
-    given, rows = (
-        rows_of(folder / name) for name in ("offset.csv", "out/offset.rows.csv")
-    )
+    given, rows = (rows_of(folder / name) for name in ("offset.csv", "out/offset.rows.csv"))
     assert list(rows[0]) == ["base_fx", "extended_fx", "gap_fx", "gap_fx_std", "masked"]
     assert len(rows) == len(given) == 96
     masked = column(rows, "masked").astype(bool)
@@ -228,10 +218,13 @@ def test_rows_match_the_file_in_its_own_convention(studied):
     fx, base, extended, gap, std = (
         column(part, name)[~masked]
         for part, name in (
-            (given, "fx"), (rows, "base_fx"), (rows, "extended_fx"), (rows, "gap_fx"),
+            (given, "fx"),
+            (rows, "base_fx"),
+            (rows, "extended_fx"),
+            (rows, "gap_fx"),
             (rows, "gap_fx_std"),
         )
-    )  # fmt: skip
+    )
     text = (folder / "out" / "offset.rows.csv").read_text("utf-8")
     assert "#" not in text and len(text.splitlines()) == 97
     sliding = abs(fx) > 1  # kN: far from zero, in the file's own signs
@@ -313,11 +306,16 @@ def test_a_fault_of_the_program_stops_no_other_file(again, monkeypatch):
 @pytest.mark.parametrize(
     "change",
     [
-        ["--seed", "7"], ["--model", "brush-m"], ["--constant", "v=20"], ["--figures"],
-        ["--without", "slip_offset"], ["--holdout", "offset.csv"], ["--force", "fx"],
+        ["--seed", "7"],
+        ["--model", "brush-m"],
+        ["--constant", "v=20"],
+        ["--figures"],
+        ["--without", "slip_offset"],
+        ["--holdout", "offset.csv"],
+        ["--force", "fx"],
     ],
     ids=lambda change: change[0],
-)  # fmt: skip
+)
 def test_resume_does_a_case_of_other_settings_again(again, calls, tmp_path, change):
     (tmp_path / "out" / "load.png").unlink()
     again("load.csv", "--resume")
@@ -460,9 +458,7 @@ def test_the_slip_is_checked_against_the_speeds(again, calls, tmp_path, logged, 
     write(tmp_path / "run.csv", logged=logged)
     text = " ".join(again("run.csv", exit_code=3).stderr.split())
     assert calls == ["run"] and said in text
-    assert ("column 'sigma_x': the slip differs from (v - omega R)" in text) == bool(
-        said
-    )
+    assert ("column 'sigma_x': the slip differs from (v - omega R)" in text) == bool(said)
 
 
 def test_a_slip_far_from_the_speeds_is_diagnosed(again, calls, tmp_path):
@@ -583,8 +579,7 @@ def test_a_simulator_is_its_parameters_or_its_forces(run, tmp_path):
         np.testing.assert_allclose(here, wanted, rtol=1e-9)
     run("diagnose", "beside.csv", "--sim", *options, "--out", "o")
     given, forces = (
-        json.loads((tmp_path / "o" / f"{name}.json").read_text())
-        for name in ("offset", "beside")
+        json.loads((tmp_path / "o" / f"{name}.json").read_text()) for name in ("offset", "beside")
     )
     for document in (given, forces):
         mu = document["verdict"]["parameters"]["mu"]
@@ -593,9 +588,7 @@ def test_a_simulator_is_its_parameters_or_its_forces(run, tmp_path):
         parts = [part["part"] for part in document["budget"]]
         assert parts == ["parameters", "slip_offset", "unexplained", "noise"]
     assert given["model"] == "brush, cpa2 = 50000, mu = 0.99"
-    assert (given["simulator"]["kind"], forces["simulator"]["kind"]) == (
-        "model", "columns"
-    )  # fmt: skip
+    assert (given["simulator"]["kind"], forces["simulator"]["kind"]) == ("model", "columns")
     assert forces["gap"]["rms"] == pytest.approx(given["gap"]["rms"], rel=1e-6)
     row = rows_of(tmp_path / "o" / "beside.rows.csv")[20]
     assert float(row["sim_fx"]) == pytest.approx(float(there[20]["fx_sim"]), rel=1e-6)
@@ -623,18 +616,12 @@ def test_resume_knows_the_simulator(run, tmp_path, monkeypatch):
 
 WRONG = {
     "sim and set": (["--sim", "--set", "mu=0.9"], "--sim together with --set"),
-    "sim and file": (
-        ["--sim", "--model", "a.tir"],
-        "--sim together with --model a.tir",
-    ),
+    "sim and file": (["--sim", "--model", "a.tir"], "--sim together with --model a.tir"),
     "no such parameter": (["--set", "nu=1"], "no parameter 'nu'"),
     "model": (["--model", "brsh"], "did you mean"),
     "effect": (["--without", "slip_ofset"], "known effects"),
     "rig": (["--rig", "none.toml"], "none.toml"),
-    "rig value": (
-        ["--rig", "rig.toml"],
-        "wheel_inertia = -1: must be greater",
-    ),
+    "rig value": (["--rig", "rig.toml"], "wheel_inertia = -1: must be greater"),
     "convention": (["--convention", "iso"], "iso"),
     "out": (["--out", "run.csv"], "run.csv: no folder for the results"),
 }
@@ -695,9 +682,7 @@ def test_a_noise_of_the_rig_that_the_file_states_itself_is_said(run, tmp_path):
     assert "[noise] fy" not in result.stderr
 
 
-@pytest.mark.parametrize(
-    "arguments", [["no.csv"], ["run.csv", "--holdout", "no.csv"]], ids=len
-)
+@pytest.mark.parametrize("arguments", [["no.csv"], ["run.csv", "--holdout", "no.csv"]], ids=len)
 def test_data_that_cannot_be_read_make_nothing(run, tmp_path, arguments):
     write(tmp_path / "run.csv")
     result = run("diagnose", *arguments, "--out", "o", exit_code=3)

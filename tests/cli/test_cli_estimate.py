@@ -56,9 +56,7 @@ def test_rows_as_they_come_give_the_rows_of_the_file(run, tmp_path, log):
     run("estimate", log, "--method", NAMES, "--out", "out")
     lines = log.read_text().splitlines(keepends=True)[:200]
     text = "".join(lines)
-    result = CliRunner().invoke(
-        app, ["estimate", "-", "--follow", "--method", NAMES], input=text
-    )
+    result = CliRunner().invoke(app, ["estimate", "-", "--follow", "--method", NAMES], input=text)
     assert result.exit_code == 0, result.stderr
     streamed = rows_of(result.stdout)
     whole = rows_of((tmp_path / "out" / "estimates.csv").read_text())[:199]
@@ -106,9 +104,7 @@ def test_bad_rows_are_said_flagged_and_survived(run, tmp_path, log):
     ],
 )
 def test_mistakes_are_named_with_a_remedy(run, tmp_path, arguments, code, said):
-    (tmp_path / "log.csv").write_text(
-        "time,sigma_x,fx,fz\n0,.01,4e3,3e4\n1,.02,8e3,3e4\n"
-    )
+    (tmp_path / "log.csv").write_text("time,sigma_x,fx,fz\n0,.01,4e3,3e4\n1,.02,8e3,3e4\n")
     (tmp_path / "bare.csv").write_text("sigma_x,fx,fz\n.01,4e3,27e3\n.02,8e3,27e3\n")
     result = run("estimate", *arguments, exit_code=code)
     assert said in result.stderr
@@ -161,9 +157,7 @@ def test_methods_lists_all(run):
             row = rows.get(f"{name}.{key}", rows[key])
             bounds = row[row.index("[") + 1 : row.index("]")].split(", ")
             assert [float(b) for b in bounds] == pytest.approx([low, high], rel=1e-2)
-            assert float(row[row.index("]") + 1 :].split()[0]) == pytest.approx(
-                default, rel=1e-2
-            )
+            assert float(row[row.index("]") + 1 :].split()[0]) == pytest.approx(default, rel=1e-2)
 
 
 def test_a_wheel_that_locks_is_flagged_as_locked(run, tmp_path):
@@ -185,13 +179,12 @@ def test_a_lugre_wheel_is_simulated_and_observed(run, tmp_path):
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     final = summary["methods"]["lugre-observer"]["final"]
     assert abs(final["mu"]["value"] - 0.8) < 3 * final["mu"]["std"] < 0.15
-    result = run(
-        "simulate", "braking", "--out", "m.csv", "--tire", "brush", exit_code=2
-    )
+    result = run("simulate", "braking", "--out", "m.csv", "--tire", "brush", exit_code=2)
     assert "magic-formula or lugre" in result.stderr
     for setting, said in (
-        ("gain=0.5", "l1 <= sigma0/sigma1"), ("theta=9", "theta at first: 0.05 to 4\n"),
-    ):  # fmt: skip
+        ("gain=0.5", "l1 <= sigma0/sigma1"),
+        ("theta=9", "theta at first: 0.05 to 4\n"),
+    ):
         arguments = ("--method", "lugre-observer", "--set", setting, "--out", "o")
         assert said in run("estimate", "l.csv", *arguments, exit_code=2).stderr
     arguments = ("--method", "lugre-observer", "--set", "sigma0=90", "--out", "o")

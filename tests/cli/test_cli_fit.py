@@ -7,9 +7,7 @@ import pytest
 
 STIFFNESS, FZ = 5e4, 4000.0
 # The same static choices in every test, so that one compilation serves them all.
-FAST = (
-    "solver = 'gauss-newton'\n[noise]\nfx = 40\n[posterior]\neffective_samples = 500\n"
-)
+FAST = "solver = 'gauss-newton'\n[noise]\nfx = 40\n[posterior]\neffective_samples = 500\n"
 
 
 def write(path, mu=1.0, reach=0.2, n=400, seed=1, header="sigma_x,fx,fz", noise=40.0):
@@ -41,11 +39,7 @@ def test_one_file_with_its_posterior(run, rig, tmp_path):
     assert not any(name.endswith(".svg") or name.startswith(".") for name in names)
     record = content(found)
     assert record["posterior"]["outcome"] == "converged"
-    assert (
-        record["parameters"]["mu"]["ci95"][0]
-        < 1.0
-        < record["parameters"]["mu"]["ci95"][1]
-    )
+    assert record["parameters"]["mu"]["ci95"][0] < 1.0 < record["parameters"]["mu"]["ci95"][1]
     assert record["data"]["sha256"] and record["data"]["file"].endswith("rig.csv")
     # No terminal, no bar: at most lines, where it takes long.
     said = result.stderr.splitlines()
@@ -69,9 +63,7 @@ def test_several_files_fill_a_directory_each(run, rig, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
     (tmp_path / "all").mkdir()
     (tmp_path / "all" / "fits.html").write_text("an earlier page, tirefit.fit/1")
-    result = run(
-        "fit", rig, "wet.csv", "--config", "fit.toml", "--no-posterior", "--out", "all"
-    )
+    result = run("fit", rig, "wet.csv", "--config", "fit.toml", "--no-posterior", "--out", "all")
     assert sorted(p.name for p in (tmp_path / "all").iterdir()) == ["rig", "wet"]
     for name, mu in (("rig", 1.0), ("wet", 0.7)):
         found = content(tmp_path / "all" / name)["parameters"]["mu"]["value"]
@@ -91,9 +83,8 @@ def test_several_files_without_out(run, rig, tmp_path):
 def test_one_bad_file_does_not_stop_the_others(run, rig, tmp_path):
     (tmp_path / "bad.csv").write_text("sigma_x,fx,fz\n0.1,oops,4000\n")
     result = run(
-        "fit", "bad.csv", rig, "--config", "fit.toml", "--no-posterior", "--html",
-        exit_code=3,
-    )  # fmt: skip
+        "fit", "bad.csv", rig, "--config", "fit.toml", "--no-posterior", "--html", exit_code=3
+    )
     assert "bad.csv" in result.stderr and "remedy" in result.stderr
     assert (tmp_path / "rig" / "fit.json").exists()
     assert not (tmp_path / "bad").exists()  # nothing half-written
@@ -131,10 +122,7 @@ USAGE = {
     "no config": (["--config", ""], "'--config': it is empty"),
     "no convention": (["--convention", ""], "--convention: '' is not known"),
     "twice": (["--unit", "fx=N", "--unit", "fx=kN"], "fx is given twice: 'N' and 'kN'"),
-    "all at once": (
-        ["--unit", "fx", "--constant", "v=x"],
-        "error: 2 problems:\n  --unit 'fx'\n",
-    ),
+    "all at once": (["--unit", "fx", "--constant", "v=x"], "error: 2 problems:\n  --unit 'fx'\n"),
     "column": (["--column", "fx"], "--column NAME=VALUE"),
     "constant": (["--constant", "v=fast"], "not a number"),
     "convention": (["--convention", "iso"], "iso"),
@@ -179,10 +167,7 @@ def test_unknown_key_of_the_configuration(run, rig, tmp_path):
 
 def test_command_line_overrides_the_configuration(run, rig, tmp_path):
     (tmp_path / "other.toml").write_text("model = 'brush-d'\nseed = 4\n" + FAST)
-    run(
-        "fit", rig, "--config", "other.toml", "--model", "brush", "--seed", "7",
-        "--no-posterior",
-    )  # fmt: skip
+    run("fit", rig, "--config", "other.toml", "--model", "brush", "--seed", "7", "--no-posterior")
     record = content(tmp_path / "rig")
     assert record["model"] == "brush" and record["seed"] == 7
     assert record["solver"] == "gauss-newton"  # what was not overridden stays
@@ -228,9 +213,16 @@ def test_joint_fit_shares_the_tire_and_not_the_road(run, rig, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
     (tmp_path / "joint.toml").write_text(FAST + "[parameters.mu]\nper_run = true\n")
     run(
-        "fit", rig, "wet.csv", "--joint", "--config", "joint.toml", "--no-posterior",
-        "--out", "both",
-    )  # fmt: skip
+        "fit",
+        rig,
+        "wet.csv",
+        "--joint",
+        "--config",
+        "joint.toml",
+        "--no-posterior",
+        "--out",
+        "both",
+    )
     record = content(tmp_path / "both")
     assert record["data"]["runs"] == ["rig", "wet"]
     found = record["parameters"]
@@ -256,14 +248,19 @@ def test_force_chooses_the_lateral_one(run, tmp_path):
     write(tmp_path / "both.csv", header="alpha,fy,fz")
     text = (tmp_path / "both.csv").read_text().splitlines()
     rows = [f"{row},0.01,500" for row in text[1:]]
-    (tmp_path / "both.csv").write_text(
-        "\n".join(["alpha,fy,fz,sigma_x,fx", *rows]) + "\n"
-    )
+    (tmp_path / "both.csv").write_text("\n".join(["alpha,fy,fz,sigma_x,fx", *rows]) + "\n")
     (tmp_path / "fit.toml").write_text(FAST.replace("fx", "fy"))
     run(
-        "fit", "both.csv", "--force", "fy", "--unit", "alpha=rad",
-        "--config", "fit.toml", "--no-posterior",
-    )  # fmt: skip
+        "fit",
+        "both.csv",
+        "--force",
+        "fy",
+        "--unit",
+        "alpha=rad",
+        "--config",
+        "fit.toml",
+        "--no-posterior",
+    )
     assert content(tmp_path / "both")["forces"] == ["fy"]
 
 

@@ -105,17 +105,13 @@ def test_a_dead_worker_and_a_bad_file_change_no_result(run, files, scheduler, tm
     alone = run("fit", *files, *HOW, "--out", "one", exit_code=3)
     killer = Killer(tmp_path / "c.csv", times=1)
     killer.start()
-    shared = run(
-        "fit", *files, *HOW, "--out", "two", "--scheduler", scheduler, exit_code=3
-    )
+    shared = run("fit", *files, *HOW, "--out", "two", "--scheduler", scheduler, exit_code=3)
     killer.join(10)
     assert killer.killed == 1
     expected = results(tmp_path / "one")
     assert {path.parts[0] for path in expected} == set(NAMES)
     assert results(tmp_path / "two") == expected
-    said = [
-        line for line in shared.stdout.splitlines() if not line.startswith("all res")
-    ]
+    said = [line for line in shared.stdout.splitlines() if not line.startswith("all res")]
     assert said == alone.stdout.replace("one/", "two/").splitlines()
     assert "bad.csv" in shared.stderr and "remedy" in shared.stderr
     table = ResultsTable(tmp_path / "two" / "results.parquet")

@@ -54,9 +54,7 @@ def test_a_file_becomes_a_tir_and_a_prediction(run, sweeps):
         rows = list(csv.DictReader(file))
     with open(sweeps) as file:
         measured = np.array([float(row["fx"]) for row in csv.DictReader(file)])
-    predicted, std = (
-        np.array([float(row[name]) for row in rows]) for name in ("fx", "fx_std")
-    )
+    predicted, std = (np.array([float(row[name]) for row in rows]) for name in ("fx", "fx_std"))
     assert 0.9 < np.mean(np.abs(measured - predicted) < 1.96 * std) <= 1.0
     # The band of a measurement: noise of 1 % of the load, and the coefficients'.
     share = std / np.repeat(LOADS, 60)
@@ -99,11 +97,7 @@ def test_a_tire_without_combined_coefficients_is_converted(run):
     slip = TireInputs(0.25, np.array([-0.2, 0.2]), 6000.0)
     wanted, alone, found = (
         np.stack(forces(own_tire(read_tir(path), combination=how), slip)[:2])
-        for path, how in (
-            ("plain.tir", None),
-            ("plain.tir", "none"),
-            ("out/fit.tir", None),
-        )
+        for path, how in (("plain.tir", None), ("plain.tir", "none"), ("out/fit.tir", None))
     )
     miss, gap = (np.max(np.abs(given - wanted)) for given in (found, alone))
     assert miss < 0.15 * 6000.0 and gap > 0.2 * 6000.0

@@ -12,13 +12,7 @@ from test_cli_fit import FAST, content, write
 
 from tirefit.cli import options
 from tirefit.cli.commands import app
-from tirefit.cli.output import (
-    _interrupts_held,
-    check_directories,
-    claimed,
-    is_page,
-    staged,
-)
+from tirefit.cli.output import _interrupts_held, check_directories, claimed, is_page, staged
 from tirefit.fitting.result import SCHEMA
 from tirefit.results import UsageError
 
@@ -78,9 +72,7 @@ def test_a_claim_that_is_not_used_leaves_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "disk full", "x")])
-def test_a_failed_writing_leaves_the_earlier_result(
-    run, rig, tmp_path, monkeypatch, error
-):
+def test_a_failed_writing_leaves_the_earlier_result(run, rig, tmp_path, monkeypatch, error):
     run(*ARGUMENTS)
     before = files_of(tmp_path / "o")
 
@@ -167,9 +159,7 @@ main()
 def ended(name, *arguments, ignored=False, by="SIGINT"):
     """The command in a process that is interrupted where it imports ``name``."""
     program = PROGRAM.format(name=name, arguments=arguments, ignored=ignored, signal=by)
-    return subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True
-    )
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
 
 
 @pytest.mark.parametrize("name", ["typer", "numpy.linalg", "jax._src.core"])
@@ -202,10 +192,7 @@ main()
 def test_an_interrupt_within_garbage_collection_is_not_lost(rig, by):
     program = UNHEARD.format(signal=by, file=str(rig))
     done = subprocess.run(
-        [sys.executable, "-c", program],
-        capture_output=True,
-        text=True,
-        cwd=rig.parent,
+        [sys.executable, "-c", program], capture_output=True, text=True, cwd=rig.parent
     )
     assert done.returncode == 130
     assert done.stderr == "interrupted: files written before are whole\n"

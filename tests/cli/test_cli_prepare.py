@@ -36,8 +36,11 @@ def test_a_recording_becomes_a_file_to_fit(run, recording, tmp_path):
     assert "convention braking, SI units" in said and "zero-phase" in said
     out = tmp_path / "out"
     assert {p.name for p in out.iterdir()} == {
-        "run7.csv", "run7.segments.csv", "run7.prepare.json", "run7.png",
-    }  # fmt: skip
+        "run7.csv",
+        "run7.segments.csv",
+        "run7.prepare.json",
+        "run7.png",
+    }
     data = read(out / "run7.csv")
     assert data.source.convention == "braking" and not data.source.warnings
     assert data.runs == ("run7",)
@@ -54,9 +57,7 @@ def test_a_recording_becomes_a_file_to_fit(run, recording, tmp_path):
     for code, name in enumerate(binned.runs):
         load, unit, camber, _ = name.split()
         here = binned.run == code
-        assert unit == "N" and float(load) == pytest.approx(
-            np.median(binned["fz"][here]), rel=0.03
-        )
+        assert unit == "N" and float(load) == pytest.approx(np.median(binned["fz"][here]), rel=0.03)
         assert float(camber) == pytest.approx(
             np.degrees(np.median(binned["gamma"][here])), abs=0.05
         )
@@ -76,8 +77,7 @@ def test_workers_prepare_as_the_command_does(run, recording, two, tmp_path):
     address = two.scheduler.address
     shared = run("prepare", *files, "--out", "two", "--scheduler", address, exit_code=3)
     one, both = (
-        {p.name: p.read_bytes() for p in (tmp_path / name).iterdir()}
-        for name in ("one", "two")
+        {p.name: p.read_bytes() for p in (tmp_path / name).iterdir()} for name in ("one", "two")
     )
     assert {name: both.pop(name) for name in ("results.parquet", "fleet.html")}
     assert both == one and len(one) == 4

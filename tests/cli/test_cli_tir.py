@@ -10,9 +10,7 @@ import pytest
 from tirefit.slip import CONVENTIONS
 
 FOLDER = Path(__file__).parents[1] / "data" / "tir"
-MF52, MF61 = (
-    FOLDER / f"mfeval_julia/MagicFormula{number}_Parameters.tir" for number in (52, 61)
-)
+MF52, MF61 = (FOLDER / f"mfeval_julia/MagicFormula{number}_Parameters.tir" for number in (52, 61))
 TRUCK = FOLDER / "chrono/335_65R22_5_G275MSA_60psi.tir"
 ISO = ("--convention", "iso-w", "--out", "out.csv")
 
@@ -27,18 +25,14 @@ def points_of(tir, angles="raw"):
         ]
     names = ["kappa", "alpha", "gamma", "fz", "v", "p"]
     lines = [",".join(row[name] for name in names) for row in rows]
-    Path("points.csv").write_text(
-        "\n".join(["kappa,alpha,gamma,fz,v,pressure", *lines]) + "\n"
-    )
+    Path("points.csv").write_text("\n".join(["kappa,alpha,gamma,fz,v,pressure", *lines]) + "\n")
     return rows
 
 
 def predicted():
     with open("out.csv") as file:
         rows = list(csv.DictReader(file))
-    return {
-        key: np.array([float(row[key] or "nan") for row in rows]) for key in rows[0]
-    }
+    return {key: np.array([float(row[key] or "nan") for row in rows]) for key in rows[0]}
 
 
 def assert_reference(rows):
@@ -115,13 +109,7 @@ def test_bad_files_and_options(run, tmp_path):
     text = re.sub(r"(?m)^FNOMIN .*\n", "", text)
     Path("bad.tir").write_text(text)
     result = run("predict", "bad.tir", "points.csv", *ISO, exit_code=3)
-    for word in (
-        "error",
-        "bad.tir",
-        "FITTYP = 99",
-        "FNOMIN is missing",
-        "remedy: add it",
-    ):
+    for word in ("error", "bad.tir", "FITTYP = 99", "FNOMIN is missing", "remedy: add it"):
         assert word in result.stderr
     assert not Path("out.csv").exists()
     result = run("predict", "none.tir", "points.csv", *ISO, exit_code=3)
@@ -134,9 +122,7 @@ def test_bad_files_and_options(run, tmp_path):
     assert "--out is an input file" in result.stderr
     # The friction falls with the slip speed: the speed of every row is needed.
     Path("slow.tir").write_text(
-        MF61.read_text().replace(
-            "[SCALING_COEFFICIENTS]", "[SCALING_COEFFICIENTS]\nLMUV = 0.1"
-        )
+        MF61.read_text().replace("[SCALING_COEFFICIENTS]", "[SCALING_COEFFICIENTS]\nLMUV = 0.1")
     )
     Path("points.csv").write_text("kappa,alpha,fz\n0.1,0.1,4000\n")
     result = run("predict", "slow.tir", "points.csv", *ISO, exit_code=3)
@@ -201,9 +187,7 @@ def test_what_a_file_says_of_its_signs_goes_before_the_tires(run):
 
 def without_combined(path):
     """A file as truck makers write them: PAC2002, no FITTYP, no combined slip."""
-    text = re.sub(
-        r"(?m)^(R[BCEHV][XY]\d|FITTYP|PROPERTY_FILE_FORMAT) .*\n", "", path.read_text()
-    )
+    text = re.sub(r"(?m)^(R[BCEHV][XY]\d|FITTYP|PROPERTY_FILE_FORMAT) .*\n", "", path.read_text())
     new = "[MODEL]\nPROPERTY_FILE_FORMAT ='PAC2002'\n"
     Path("plain.tir").write_text(text.replace("[MODEL]\n", new))
     lines = ["-0.1,0,4000", "0,0.1,4000", "-0.1,0.1,4000", "-0.1,-0.1,4000"]
@@ -214,14 +198,10 @@ def test_absent_coefficients_of_combined_slip_are_reported_and_stood_in_for(run)
     without_combined(MF52)
     said = run("predict", "plain.tir", "points.csv", *ISO).stderr
     assert "PROPERTY_FILE_FORMAT = 'PAC2002', and no FITTYP" in said
-    assert (
-        "2 of 4 rows with both slips: F_x and F_y by the method of similarity" in said
-    )
+    assert "2 of 4 rows with both slips: F_x and F_y by the method of similarity" in said
     similar = predicted()
     size = np.hypot(similar["fx"], similar["fy"])
-    said = run(
-        "predict", "plain.tir", "points.csv", "--combination", "none", *ISO
-    ).stderr
+    said = run("predict", "plain.tir", "points.csv", "--combination", "none", *ISO).stderr
     assert "F_x and F_y as in pure slip: the weighting function is one" in said
     alone = predicted()
     np.testing.assert_allclose(alone["fx"][2:], alone["fx"][0], rtol=1e-12)
@@ -237,9 +217,7 @@ def test_absent_coefficients_of_combined_slip_are_reported_and_stood_in_for(run)
     without_combined(MF52)
     said = run("predict", "plain.tir", "points.csv", *values, *ISO).stderr
     assert "both slips: F_y by the method" in said
-    given = run(
-        "predict", "brush", "points.csv", "--combination", "none", *ISO, exit_code=2
-    )
+    given = run("predict", "brush", "points.csv", "--combination", "none", *ISO, exit_code=2)
     assert "--combination apply to .tir files only" in given.stderr
 
 
@@ -280,15 +258,12 @@ def test_columns_that_no_coefficient_uses_and_the_limit_of_e_are_reported(run):
     text = re.sub(r"(?m)^PEX1 .*", "PEX1 = 1.5", text)
     Path("own.tir").write_text(re.sub(r"(?m)^PEX[234] .*\n", "", text))
     lines = ["0.1,0,0.03,4000,2e5", "0.1,0,0,6000,3e5", "0,0.1,0,4000,2e5"]
-    Path("points.csv").write_text(
-        "\n".join(["kappa,alpha,gamma,fz,pressure", *lines]) + "\n"
-    )
+    Path("points.csv").write_text("\n".join(["kappa,alpha,gamma,fz,pressure", *lines]) + "\n")
     said = run("predict", "own.tir", "points.csv", *ISO).stderr
     assert "1 of 3 rows with camber, which changes no F_y" in said
     assert "1 of 3 rows with pressure, which changes no force" in said
     found = re.search(
-        r"E of F_x exceeds 1 in (\d) of 3 rows \(F_z (\d+) to (\d+) N, up to 1.5\)",
-        said,
+        r"E of F_x exceeds 1 in (\d) of 3 rows \(F_z (\d+) to (\d+) N, up to 1.5\)", said
     )
     assert found and found.groups()[1:] == ("4000", "6000")
 

@@ -14,10 +14,7 @@ from typer.testing import CliRunner
 from tirefit.cli.commands import app
 
 ROOT = Path(__file__).parents[2]
-PAGES = [
-    ROOT / "docs" / "getting-started.md",
-    *sorted((ROOT / "docs" / "tutorials").glob("*.md")),
-]
+PAGES = [ROOT / "docs" / "getting-started.md", *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
 FILES = (ROOT / "docs" / "reference" / "files.md").read_text(encoding="utf-8")
 BLOCK = re.compile(r"^```console\n(.*?)^```", re.MULTILINE | re.DOTALL)
 PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -54,8 +51,11 @@ def undocumented(path):
     """Keys of a JSON file that the reference of its schema does not list."""
     content = json.loads(path.read_text(encoding="utf-8"))
     section = FILES.partition(f"## {content['schema']}\n")[2].partition("\n## ")[0]
-    keys = {key for row in re.findall(r"^\| (`.*?) \|", section, re.MULTILINE)
-            for key in re.findall(r"`(\w+)`", row)}  # fmt: skip
+    keys = {
+        key
+        for row in re.findall(r"^\| (`.*?) \|", section, re.MULTILINE)
+        for key in re.findall(r"`(\w+)`", row)
+    }
     return sorted(set(content) - keys)
 
 
@@ -66,9 +66,7 @@ def run(command):
         assert result.exit_code == 0, result.output
         return result.output
     assert program == "python"
-    done = subprocess.run(
-        [sys.executable, *words], capture_output=True, text=True, check=True
-    )
+    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True)
     return done.stdout
 
 
@@ -87,9 +85,7 @@ def test_the_commands_of_a_page_print_what_it_shows(page, tmp_path, monkeypatch)
     for code in PYTHON.findall(text):
         exec(code, {})
     written = [*tmp_path.glob("*.json"), *tmp_path.glob("[!f]*/**/*.json")]
-    assert {
-        str(path): undocumented(path) for path in written if undocumented(path)
-    } == {}
+    assert {str(path): undocumented(path) for path in written if undocumented(path)} == {}
 
 
 @pytest.mark.parametrize(

@@ -41,15 +41,10 @@ TTC_COLUMNS = {
 
 _SAE = {"alpha": -1, "fx": -1, "fz": -1}
 _METRIC = {"v": 1 / 3.6, "pressure": 1e3, "fx": 1, "fy": 1, "fz": 1, "mz": 1}
-_IMPERIAL = {
-    "v": MPH, "pressure": PSI, "fx": LBF, "fy": LBF, "fz": LBF, "mz": FOOT * LBF,
-}  # fmt: skip
-METRIC_UNITS = (
-    "sec kph rpm deg deg cm cm kPa N N N N-m N-m none none".split() + ["deg C"] * 5
-)
+_IMPERIAL = {"v": MPH, "pressure": PSI, "fx": LBF, "fy": LBF, "fz": LBF, "mz": FOOT * LBF}
+METRIC_UNITS = "sec kph rpm deg deg cm cm kPa N N N N-m N-m none none".split() + ["deg C"] * 5
 IMPERIAL_UNITS = (
-    "sec mph rpm deg deg in in psi lb lb lb ft-lb ft-lb none none".split()
-    + ["deg F"] * 5
+    "sec mph rpm deg deg in in psi lb lb lb ft-lb ft-lb none none".split() + ["deg F"] * 5
 )
 
 

@@ -40,9 +40,7 @@ class Script:
         if channel:
             self.now[channel] = to
         settings = dict(self.now)
-        event = Event(
-            kind, self.rows, self.rows + rows, channel, direction, note, settings
-        )
+        event = Event(kind, self.rows, self.rows + rows, channel, direction, note, settings)
         self.events.append(event)
         self.rows += rows
 
@@ -88,31 +86,39 @@ def measured(script, rng, *, noise=1.0, wander=1.0, mu=1.5, stiffness=20.0, tau=
     alpha, kappa = (truth.get(name, np.zeros(n)) for name in ("alpha", "kappa"))
     cold = 40 * np.exp(-np.cumsum(truth["v"] > 1) / rate / tau)
     temperature = 60 - cold
-    fz = truth["fz"] * (
-        1 + wander * (0.008 * _wander(rng, n, rate, 5) + 0.01 * np.sin(20 * alpha))
-    )
+    fz = truth["fz"] * (1 + wander * (0.008 * _wander(rng, n, rate, 5) + 0.01 * np.sin(20 * alpha)))
     grip = mu * (1 - 0.003 * cold) * (1 - 0.1 * fz / np.max(fz))
     slide = np.hypot(np.tan(alpha), kappa) + 1e-12
     force = grip * fz * np.tanh(stiffness / mu * slide) / slide
     gamma = truth["gamma"]
     pressure = truth["pressure"] * (1 + 0.004 * wander * _wander(rng, n, rate, 30))
     clean = {
-        "time": time, "v": truth["v"], "alpha": alpha, "gamma": gamma,
-        "pressure": pressure, "fz": fz, "fy": force * np.tan(alpha) + 0.5 * gamma * fz,
+        "time": time,
+        "v": truth["v"],
+        "alpha": alpha,
+        "gamma": gamma,
+        "pressure": pressure,
+        "fz": fz,
+        "fy": force * np.tan(alpha) + 0.5 * gamma * fz,
         "temperature": temperature,
-    }  # fmt: skip
+    }
     if "kappa" in truth:
         clean |= {"kappa": kappa, "fx": force * kappa}
     size = {
-        "v": 0.03, "alpha": 0.02 * DEG, "gamma": 0.01 * DEG, "pressure": 200.0,
-        "fz": 0.01 * truth["fz"].max(), "fy": 0.01 * truth["fz"].max(),
-        "fx": 0.01 * truth["fz"].max(), "kappa": 0.001, "temperature": 0.3,
-    }  # fmt: skip
+        "v": 0.03,
+        "alpha": 0.02 * DEG,
+        "gamma": 0.01 * DEG,
+        "pressure": 200.0,
+        "fz": 0.01 * truth["fz"].max(),
+        "fy": 0.01 * truth["fz"].max(),
+        "fx": 0.01 * truth["fz"].max(),
+        "kappa": 0.001,
+        "temperature": 0.3,
+    }
     seen = {
-        name: values + noise * size[name] * rng.normal(size=n) if name in size
-        else values
+        name: values + noise * size[name] * rng.normal(size=n) if name in size else values
         for name, values in clean.items()
-    }  # fmt: skip
+    }
     return seen, clean
 
 
@@ -126,9 +132,7 @@ def cornering(seed=0, *, rate=100, loads=5, cambers=3, pressures=2, shape="line"
     pressures = 1e3 * (rng.uniform(55, 180) + 14 * np.arange(pressures))
     angle = rng.uniform(6, 13) * DEG
     leg = rng.uniform(2.0, 4.0)
-    script = Script(
-        rate, alpha=0.0, fz=loads[0], gamma=0.0, pressure=pressures[0], v=0.0
-    )
+    script = Script(rate, alpha=0.0, fz=loads[0], gamma=0.0, pressure=pressures[0], v=0.0)
     script.hold(2)
     script.move("v", 11.0, 3)
     script.hold(2)
@@ -168,9 +172,7 @@ def drum(seed=0, *, rate=200, loads=3, speeds=2):
     loads = rng.uniform(2000, 3000) * np.arange(1, loads + 1)
     speeds = 15.0 + 12.0 * np.arange(speeds)
     peak, leg = rng.uniform(0.3, 0.6), rng.uniform(0.8, 2.0)
-    script = Script(
-        rate, kappa=0.0, alpha=0.0, fz=loads[0], gamma=0.0, pressure=2.2e5, v=speeds[0]
-    )
+    script = Script(rate, kappa=0.0, alpha=0.0, fz=loads[0], gamma=0.0, pressure=2.2e5, v=speeds[0])
     script.hold(2)
     for speed in speeds:
         script.move("v", speed, 4)
@@ -188,9 +190,7 @@ def drum(seed=0, *, rate=200, loads=3, speeds=2):
 def combined(seed=0, *, rate=100):
     """Slip angles held in turn while the slip is swept both ways."""
     rng = np.random.default_rng(seed)
-    script = Script(
-        rate, kappa=0.0, alpha=0.0, fz=2000.0, gamma=0.0, pressure=2e5, v=20.0
-    )
+    script = Script(rate, kappa=0.0, alpha=0.0, fz=2000.0, gamma=0.0, pressure=2e5, v=20.0)
     script.hold(2)
     for load in (2000.0, 4000.0):
         script.move("fz", load, 0.6)

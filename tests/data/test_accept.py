@@ -31,9 +31,13 @@ def given(request, tmp_path):
     frame, path = pd.DataFrame(COLUMNS), tmp_path / "rig.csv"
     frame.to_csv(path, index=False, float_format="%.17g")
     return {
-        "table": tirefit.read(path), "path": path, "text": str(path), "pandas": frame,
-        "frame": Frame(), "mapping": COLUMNS,
-    }[request.param]  # fmt: skip
+        "table": tirefit.read(path),
+        "path": path,
+        "text": str(path),
+        "pandas": frame,
+        "frame": Frame(),
+        "mapping": COLUMNS,
+    }[request.param]
 
 
 def test_the_same_data_in_every_kind(given):

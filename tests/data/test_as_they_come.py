@@ -27,10 +27,7 @@ def test_without_a_y_it_follows_from_the_speeds(tmp_path, reach):
     columns = rates_log()
     tilt = np.cos(reach), np.sin(reach)
     v_x, v_y = columns["vx"], columns["vy"]
-    columns |= {
-        "vx": tilt[0] * v_x + tilt[1] * v_y,
-        "vy": tilt[0] * v_y - tilt[1] * v_x,
-    }
+    columns |= {"vx": tilt[0] * v_x + tilt[1] * v_y, "vy": tilt[0] * v_y - tilt[1] * v_x}
     path = write(tmp_path / "a.csv", columns)
     settings = vehicle(tmp_path, f"sideslip_offset = {reach}\n" + CAR + NO_A_Y + KEEP)
     log = derive(path, settings)
@@ -209,9 +206,7 @@ def test_a_replay_longer_than_its_log_says_how_long_it_is(tmp_path, horizon):
     text = CAR + RATES.replace("[columns]\n", '[columns]\nsteering = "wheel"\n') + KEEP
     text += "[steering]\ncommand = [-1, 1]\nangle = [-1, 1]\n"
     path = write(tmp_path / "a.csv", log)
-    with pytest.raises(
-        DataError, match="shortest horizon, 60 s: the longest is 2[23] s"
-    ):
+    with pytest.raises(DataError, match="shortest horizon, 60 s: the longest is 2[23] s"):
         replay([path], vehicle(tmp_path, text), "brush", "brush", horizons=[horizon])
     with pytest.raises(UsageError, match="--axle rear gives the rear axle's slip"):
         replay([path], vehicle(tmp_path, CAR + RATES + KEEP), "brush", "brush")

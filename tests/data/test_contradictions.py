@@ -24,9 +24,16 @@ RATES = {"v_x": "c1", "v_y": "c2", "yaw_rate": "c3", "a_y": "c4"}
 POSE = {"x": "c7", "y": "c8", "yaw": "c9"}
 BESIDE = {"v_x": "c1", "yaw_rate": "c3", "a_y": "c4", "a_x": "c5"}
 NOISE = {
-    "c1": 0.03, "c2": 0.03, "c3": 0.002, "c4": 0.05, "c5": 0.05, "c6": 0.0,
-    "c7": 0.02, "c8": 0.02, "c9": 0.002,
-}  # fmt: skip
+    "c1": 0.03,
+    "c2": 0.03,
+    "c3": 0.002,
+    "c4": 0.05,
+    "c5": 0.05,
+    "c6": 0.0,
+    "c7": 0.02,
+    "c8": 0.02,
+    "c9": 0.002,
+}
 """Column -> noise: v_x, v_y, yaw rate, a_y, a_x, steering, x, y, heading. The headers
 say nothing: what is not named is not read."""
 
@@ -53,9 +60,7 @@ def driven(name="turns and brakes"):
 def log_of(seed=0, name="turns and brakes"):
     rng = np.random.default_rng(seed)
     true = driven(name)
-    noisy = {
-        c: true[c] + s * rng.standard_normal(len(true[c])) for c, s in NOISE.items()
-    }
+    noisy = {c: true[c] + s * rng.standard_normal(len(true[c])) for c, s in NOISE.items()}
     return {"time": true["time"]} | noisy
 
 
@@ -177,10 +182,7 @@ def test_a_pose_alone_cannot_say_which_axis_is_mirrored(tmp_path):
 
 @pytest.mark.parametrize(
     ("factor", "said"),
-    [
-        (DEG, "steering is in deg, and read in rad by the map"),
-        (-1, "steering has the other sign"),
-    ],
+    [(DEG, "steering is in deg, and read in rad by the map"), (-1, "steering has the other sign")],
 )
 @pytest.mark.parametrize("columns", [RATES, POSE])
 def test_steering_against_the_curvature_of_the_path(tmp_path, columns, factor, said):
@@ -200,9 +202,7 @@ def test_the_remedy_is_right(tmp_path):
     units = '[units]\nv_x = "km/h"\nv_y = "km/h"\nyaw_rate = "-deg/s"\na_y = "g"\n'
     again = derived(tmp_path, log, RATES, units)
     for name in ("alpha", "fy", "v"):
-        np.testing.assert_allclose(
-            again.columns[name], sound.columns[name], rtol=1e-5, atol=1e-6
-        )
+        np.testing.assert_allclose(again.columns[name], sound.columns[name], rtol=1e-5, atol=1e-6)
     compass = log_of()
     compass["c9"] = np.pi / 2 - compass["c9"]
     how = '[units]\nyaw = "-rad"\n'
@@ -213,9 +213,7 @@ def test_the_remedy_is_right(tmp_path):
     (tmp_path / "vehicle.toml").write_text(text)
     turned = derive(path, load_vehicle(tmp_path / "vehicle.toml"))
     sound = derived(tmp_path, log_of(), POSE)
-    np.testing.assert_allclose(
-        turned.columns["alpha"], sound.columns["alpha"], atol=1e-6
-    )
+    np.testing.assert_allclose(turned.columns["alpha"], sound.columns["alpha"], atol=1e-6)
 
 
 def test_a_contradiction_is_believed_when_asked_to(tmp_path):
@@ -230,10 +228,14 @@ def test_a_contradiction_is_believed_when_asked_to(tmp_path):
 @pytest.mark.parametrize("name", DRIVES)
 @pytest.mark.parametrize(
     ("columns", "extra"),
-    [(RATES, ""), (RATES | {"a_x": "c5", "steering": "c6"}, STEER), (POSE, ""),
-     (POSE | BESIDE, "")],
+    [
+        (RATES, ""),
+        (RATES | {"a_x": "c5", "steering": "c6"}, STEER),
+        (POSE, ""),
+        (POSE | BESIDE, ""),
+    ],
     ids=["rates", "all rates", "pose", "pose and rates"],
-)  # fmt: skip
+)
 def test_a_sound_log_is_silent_but_for_one_line(tmp_path, name, columns, extra):
     many = name == "turns and brakes" and "a_x" in columns
     for seed in range(50 if many else 3):
@@ -245,9 +247,8 @@ def test_a_sound_log_is_silent_but_for_one_line(tmp_path, name, columns, extra):
 
 def pair(result, channel, against):
     (found,) = [
-        p for p in result.compared.as_dicts()
-        if (p["channel"], p["against"]) == (channel, against)
-    ]  # fmt: skip
+        p for p in result.compared.as_dicts() if (p["channel"], p["against"]) == (channel, against)
+    ]
     return found
 
 
@@ -260,11 +261,13 @@ def test_gain_delay_and_offset_are_found_as_put_in_with_their_errors(tmp_path):
         log["c4"] = 1.1 * np.r_[np.repeat(log["c4"][0], 3), log["c4"][:-3]] + 0.3
         found = pair(derived(tmp_path, log, RATES), "a_y", "v_x r + dv_y/dt")
         (gain, _), delay, offset = found["gains"], found["delay"], found["offset"]
-        off.append([
-            (gain["value"] - 1.1) / gain["std"],
-            (delay - 0.06) / found["delay_std"],
-            (offset - 0.3) / found["offset_std"],
-        ])  # fmt: skip
+        off.append(
+            [
+                (gain["value"] - 1.1) / gain["std"],
+                (delay - 0.06) / found["delay_std"],
+                (offset - 0.3) / found["offset_std"],
+            ]
+        )
         assert gain["std"] < 0.02 and found["delay_std"] < 0.03
     off = np.array(off)
     # The mean of 30 has a standard deviation of 0.18; what is stated is conservative.
@@ -361,8 +364,7 @@ def test_a_steady_circle_with_a_mirrored_v_y_is_refused(tmp_path):
     time = np.arange(0, 40, 0.02)
     rng = np.random.default_rng(1)
     v, r = 10 + 2 * np.sin(0.1 * time), 0.3 + 0 * time
-    columns = {"t": time, "vx": v, "vy": 0.05 * v * r - 0.004 * v**2 * r * 3, "r": r,
-               "ay": v * r}  # fmt: skip
+    columns = {"t": time, "vx": v, "vy": 0.05 * v * r - 0.004 * v**2 * r * 3, "r": r, "ay": v * r}
     columns |= {n: columns[n] + 0.002 * rng.standard_normal(2000) for n in ("vx", "vy")}
     columns["vy"] = columns["vy"] + 0.093 * r
     path = tmp_path / "vehicle.toml"

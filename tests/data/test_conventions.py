@@ -76,9 +76,7 @@ def test_two_statements_that_differ_are_an_error_where_a_sign_differs(tmp_path):
     assert "leave out --convention" in problem.remedy
     # The same statement twice is none, nor one that turns nothing that is there.
     same(read(path, convention="iso-w"), canonical())
-    path = written(
-        tmp_path / "b.csv", in_signs(longitudinal(), "iso-w"), "# convention iso-w"
-    )
+    path = written(tmp_path / "b.csv", in_signs(longitudinal(), "iso-w"), "# convention iso-w")
     data = read(path, convention="adapted-sae")
     same(data, longitudinal())
     assert any("not 'iso-w' (stated in line 1)" in note for note in data.source.notes)
@@ -106,10 +104,7 @@ def test_a_layout_gives_way_to_the_user_and_to_the_files_own_words(tmp_path):
     layout = read(path).source.convention
     assert layout == "adapted-sae"
     data = read(path, convention="braking")
-    assert (
-        data.source.convention_from
-        == f"as declared, not {layout!r} (by the layout of the file)"
-    )
+    assert data.source.convention_from == f"as declared, not {layout!r} (by the layout of the file)"
 
 
 def test_files_of_several_conventions_are_joined_each_in_its_own(tmp_path):

@@ -120,8 +120,7 @@ def test_a_heading_offset_is_estimated_and_said(tmp_path):
     one_way = derive(path, load_vehicle(DART / "vehicle.toml"))
     assert "none assumed" in one_way.heading and "estimated" not in one_way.heading
     rates = derive(
-        write_log(tmp_path / "a.csv", rates_log()),
-        vehicle(tmp_path, CAR + RATES + KEEP),
+        write_log(tmp_path / "a.csv", rates_log()), vehicle(tmp_path, CAR + RATES + KEEP)
     )
     assert rates.heading.startswith("sideslip offset: none assumed")
 
@@ -162,10 +161,15 @@ def test_a_log_carries_the_motion_that_effects_of_a_vehicle_need(tmp_path):
     early = truth(time - 0.005)
     right = {
         "alpha_rate": (late.alpha_rear - early.alpha_rear) / 0.01,
-        "a_x": true.a_x, "a_y": true.a_y, "yaw_rate": true.yaw_rate,
-        "yaw_acceleration": true.yaw_acceleration, "heading": true.yaw,
-        "x": true.x, "y": true.y, "steering": steer(time),
-    }  # fmt: skip
+        "a_x": true.a_x,
+        "a_y": true.a_y,
+        "yaw_rate": true.yaw_rate,
+        "yaw_acceleration": true.yaw_acceleration,
+        "heading": true.yaw,
+        "x": true.x,
+        "y": true.y,
+        "steering": steer(time),
+    }
     for name, values in right.items():
         error = np.abs(log.columns[name] - values).max()
         assert error < 0.01 * np.ptp(values), name
@@ -287,10 +291,7 @@ def test_bad_vehicle_reports_every_problem(tmp_path):
         (CAR + POSE + KEEP + "[filter]\nmax_gap = 0.5\n", "above 1/cutoff"),
         (CAR + POSE + 'steering = "s"\n' + KEEP, "need each other"),
         ("yaw_offset = 0.1\n" + CAR + RATES + KEEP, "pose log only"),
-        (
-            CAR + POSE + KEEP + "[steering]\ncommand = [0, 0]\nangle = [0, 1]\n",
-            "does not increase",
-        ),
+        (CAR + POSE + KEEP + "[steering]\ncommand = [0, 0]\nangle = [0, 1]\n", "does not increase"),
     ],
 )
 def test_inconsistent_vehicle_is_refused(tmp_path, text, message):
@@ -305,18 +306,25 @@ def test_missing_vehicle_file_is_refused(tmp_path):
 
 def test_every_contradiction_of_a_vehicle_is_said_with_its_remedy(tmp_path):
     text = (
-        "mass_rear = 9\nwheelbase = 1\nyaw_offset = 0.1\n" + CAR + RATES + KEEP
+        "mass_rear = 9\nwheelbase = 1\nyaw_offset = 0.1\n"
+        + CAR
+        + RATES
+        + KEEP
         + "[units]\nv_x = 'furlong'\nroll = 'rad'\n"
         + "[steering]\ncommand = [0, 1]\nangle = [0, 0.1]\n"
-    )  # fmt: skip
+    )
     with pytest.raises(UsageError) as caught:
         vehicle(tmp_path, text)
     problems = caught.value.problems
     said = [problem.reason.split()[0] for problem in problems]
     assert sorted(said) == [
-        "[steering]", "mass_rear", "units.roll:", "units.v_x", "wheelbase",
+        "[steering]",
+        "mass_rear",
+        "units.roll:",
+        "units.v_x",
+        "wheelbase",
         "yaw_offset",
-    ]  # fmt: skip
+    ]
     assert all(problem.file.endswith("vehicle.toml") for problem in problems)
     assert all(problem.remedy for problem in problems)
 
@@ -359,8 +367,10 @@ def test_files_are_written_with_a_run_each_and_a_companion(tmp_path):
     pytest.importorskip("tirefit.data.write")
     from tirefit.data.read import read
 
-    logs = [write_log(tmp_path / f"{name}.csv", pose_log(seed))
-            for seed, name in enumerate(("one", "two"))]  # fmt: skip
+    logs = [
+        write_log(tmp_path / f"{name}.csv", pose_log(seed))
+        for seed, name in enumerate(("one", "two"))
+    ]
     done = derive_files(logs, toml_file(tmp_path), tmp_path / "axle.csv")
     # Beside a tire of ISO-W the file keeps the signs that it states.
     data = read(done.data, otherwise=("iso-w", ".tir files"))
@@ -382,8 +392,7 @@ def test_files_are_written_with_a_run_each_and_a_companion(tmp_path):
     assert done.metadata == tmp_path / "axle.derive.json"
     assert [run["run"] for run in companion["runs"]] == ["one", "two"]
     assert companion["vehicle"]["mass"] == MASS
-    assert any("bandwidth 4.01 Hz" in said
-               for said in companion["runs"][0]["assumptions"])  # fmt: skip
+    assert any("bandwidth 4.01 Hz" in said for said in companion["runs"][0]["assumptions"])
     assert companion["runs"][0]["warnings"] == []
     assert "one: " in done.summary() and "axle.csv" in done.summary()
 
@@ -392,8 +401,7 @@ def test_nothing_is_written_when_a_log_fails(tmp_path):
     good = write_log(tmp_path / "good.csv", pose_log())
     out = tmp_path / "axle.csv"
     with pytest.raises(DataError) as caught:
-        derive_files([tmp_path / "n1.csv", good, tmp_path / "n2.csv"],
-                     toml_file(tmp_path), out)  # fmt: skip
+        derive_files([tmp_path / "n1.csv", good, tmp_path / "n2.csv"], toml_file(tmp_path), out)
     assert len(caught.value.problems) == 2
     assert not out.exists() and not (tmp_path / "axle.derive.json").exists()
 
@@ -444,10 +452,11 @@ def test_dart_log_bends_like_a_brush_with_a_heading_offset(tmp_path):
 @pytest.mark.parametrize(
     ("name", "factor", "said"),
     [
-        ("mass", 1e3, "mass / wheelbase^3"), ("yaw_inertia", 1e3, "yaw_inertia / (m"),
+        ("mass", 1e3, "mass / wheelbase^3"),
+        ("yaw_inertia", 1e3, "yaw_inertia / (m"),
         ("gravity", 0.1, "gravity = 0.981 m/s2"),
     ],
-)  # fmt: skip
+)
 def test_a_vehicle_that_nothing_is_like_is_doubted(name, factor, said):
     vehicle = load_vehicle(DART / "vehicle.toml")
     assert vehicle.doubts() == ()

@@ -51,8 +51,7 @@ def test_forces_of_both_axles_balance_the_acceleration(tmp_path, stated, rear, d
     back, front = (derive(path, car, axle).columns for axle in ("rear", "front"))
     time = np.intersect1d(back["time"], front["time"])
     back, front = (
-        {name: x[np.isin(of["time"], time)] for name, x in of.items()}
-        for of in (back, front)
+        {name: x[np.isin(of["time"], time)] for name, x in of.items()} for of in (back, front)
     )
     none = np.zeros(len(time))
     # Canonical forces: fx > 0 brakes, fy > 0 acts to the right.

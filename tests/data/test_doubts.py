@@ -33,9 +33,7 @@ def test_a_wave_of_the_road_is_found_with_its_length_and_size():
 
 def test_no_wave_is_seen_in_noise_nor_in_a_wave_of_time():
     way, time = drive(), np.arange(6000) / 100
-    assert not any(
-        repeats_with_distance([noise(seed)], [way], 0.5, 1.4) for seed in range(20)
-    )
+    assert not any(repeats_with_distance([noise(seed)], [way], 0.5, 1.4) for seed in range(20))
     # 2.5 Hz is spread over 0.6 to 1 m of the road.
     slalom = noise(1) + 0.004 * np.sin(2 * np.pi * 2.5 * time)
     assert repeats_with_distance([slalom], [way], 0.5, 1.4) is None
@@ -70,9 +68,7 @@ def test_noise_that_the_filter_cuts_is_said(tmp_path):
 def test_a_wheel_out_of_round_is_said(tmp_path):
     """The car sways once a turn of a wheel of 45 mm."""
     columns, turn = pose_log(noise=0.3), 2 * np.pi * 0.045
-    way = np.concatenate(
-        [[0.0], np.cumsum(np.hypot(np.diff(columns["x"]), np.diff(columns["y"])))]
-    )
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(columns["x"]), np.diff(columns["y"])))])
     columns["psi"] = columns["psi"] + 0.006 * np.sin(2 * np.pi * way / turn)
     path = write_log(tmp_path / "a.csv", columns)
     config = settings(tmp_path, wide="[filter]\ncutoff = 15.0\n")

@@ -33,11 +33,8 @@ def named(columns, **how):
 
 
 @pytest.mark.parametrize(
-    ("column", "value"),
-    [
-        ("fx", 4e5), ("fx", -4e6), ("fz", 9e9), ("fz", 4.0), ("fz", 4000 * 4.448),
-    ],
-)  # fmt: skip
+    ("column", "value"), [("fx", 4e5), ("fx", -4e6), ("fz", 9e9), ("fz", 4.0), ("fz", 4000 * 4.448)]
+)
 def test_a_value_far_from_its_file_is_named(column, value):
     assert named(sweep(**{column: {17: value}})) == {(17, column)}
 
@@ -75,8 +72,13 @@ def test_a_force_unlike_those_of_its_slip_is_named():
 def test_a_spike_of_a_log_is_named():
     time = np.arange(500) / 100
     slip = 0.05 + 0.04 * np.sin(time)
-    columns = {"time": time, "sigma_x": slip, "fx": 4e4 * slip, "v": 20 - time,
-               "fz": np.full(500, 4e3)}  # fmt: skip
+    columns = {
+        "time": time,
+        "sigma_x": slip,
+        "fx": 4e4 * slip,
+        "v": 20 - time,
+        "fz": np.full(500, 4e3),
+    }
     assert named(columns) == set()
     columns["v"][250] = 9.0
     assert named(columns) == {(250, "v")}

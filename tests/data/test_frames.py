@@ -14,9 +14,11 @@ from tirefit.results import DataError
 N = 40
 SLIP = np.linspace(0.002, 0.12, N)
 COLUMNS = {
-    "time": np.arange(N) / 100, "sigma_x": SLIP, "fx": 3500 * np.tanh(20 * SLIP),
+    "time": np.arange(N) / 100,
+    "sigma_x": SLIP,
+    "fx": 3500 * np.tanh(20 * SLIP),
     "fz": np.full(N, 4e3),
-}  # fmt: skip
+}
 RUNS = ["dry"] * 20 + ["wet"] * 20
 
 
@@ -33,8 +35,10 @@ def test_polars_in_every_form():
     same(as_data(frame.cast(pl.String)))
     with_runs = frame.with_columns(pl.Series("run", RUNS).cast(pl.Categorical))
     same(as_data(with_runs), ["dry", "wet"])
-    stamps = [datetime.datetime(2026, 1, 1) + datetime.timedelta(seconds=float(t))
-              for t in COLUMNS["time"]]  # fmt: skip
+    stamps = [
+        datetime.datetime(2026, 1, 1) + datetime.timedelta(seconds=float(t))
+        for t in COLUMNS["time"]
+    ]
     same(as_data(frame.with_columns(pl.Series("time", stamps))))
     since = [stamp - stamps[0] for stamp in stamps]
     same(as_data(frame.with_columns(pl.Series("time", since))))
@@ -76,8 +80,7 @@ def test_a_masked_value_is_none():
     with pytest.raises(DataError, match="row 3, column 'fx'"):
         as_data(COLUMNS | {"fx": fx})
     np.testing.assert_array_equal(
-        tirefit.read_frame(COLUMNS | {"fx": fx}, mask_bad_rows=True).used,
-        np.arange(N) != 3,
+        tirefit.read_frame(COLUMNS | {"fx": fx}, mask_bad_rows=True).used, np.arange(N) != 3
     )
 
 

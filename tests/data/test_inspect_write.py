@@ -62,8 +62,13 @@ def test_a_sweep_is_not_replicated_at_any_load():
 def test_combined_slip_is_described_and_not_promised():
     kappa = np.linspace(-0.1, 0.1, 41)
     alpha = 0.2 * np.cos(kappa * 50)
-    frame = {"kappa": kappa, "alpha": alpha, "fx": 3e4 * kappa, "fy": 3e4 * alpha,
-             "fz": np.full(41, 4e3)}  # fmt: skip
+    frame = {
+        "kappa": kappa,
+        "alpha": alpha,
+        "fx": 3e4 * kappa,
+        "fy": 3e4 * alpha,
+        "fz": np.full(41, 4e3),
+    }
     report = inspect(read_frame(frame))
     beyond = (abs(kappa / (1 - kappa)) > 0.01) & (abs(alpha) > 0.01)
     assert report.combined_rows == beyond.sum() > 10
@@ -78,8 +83,7 @@ def test_combined_slip_is_described_and_not_promised():
 
 def test_a_continuous_sweep_is_not_replicated():
     kappa = np.sort(RNG.uniform(0, 0.2, 2000))
-    frame = {"kappa": kappa, "fx": kappa, "fz": np.full(2000, 4e3),
-             "time": np.arange(2000) / 50}  # fmt: skip
+    frame = {"kappa": kappa, "fx": kappa, "fz": np.full(2000, 4e3), "time": np.arange(2000) / 50}
     run = inspect(read_frame(frame)).runs[0]
     assert run.replicates == 0
     assert run.directions == ("sigma_x braking only",)
@@ -145,9 +149,7 @@ def test_canonical_columns_survive_a_file_exactly(tmp_path):
 def test_predicted_std_takes_the_unit_of_its_force():
     data = read_frame({**sweep(), "fx": sweep()["fx"] / 1000}, units={"fx": "kN"})
     out = to_convention(data, {"fx": np.array([2000.0]), "fx_std": np.array([500.0])})
-    assert {name: values.tolist() for name, values in out.items()} == {
-        "fx": [2.0], "fx_std": [0.5],
-    }  # fmt: skip
+    assert {name: values.tolist() for name, values in out.items()} == {"fx": [2.0], "fx_std": [0.5]}
 
 
 def test_csv_keeps_every_digit_and_leaves_nan_empty(tmp_path):
@@ -211,10 +213,15 @@ def test_the_log_of_a_vehicle_is_told_the_next_command(tmp_path, columns):
     time = np.arange(0, 20, 0.01)
     turn = 0.3 * np.sin(0.7 * time)
     of = {
-        "time": time, "v_x": 10 + 0 * time, "v_y": 0.1 * turn, "yaw_rate": turn,
-        "a_y": 10 * turn + np.gradient(0.1 * turn, time), "yaw": 0 * time,
-        "x": 10 * time, "y": 0.01 * np.sin(time),
-    }  # fmt: skip
+        "time": time,
+        "v_x": 10 + 0 * time,
+        "v_y": 0.1 * turn,
+        "yaw_rate": turn,
+        "a_y": 10 * turn + np.gradient(0.1 * turn, time),
+        "yaw": 0 * time,
+        "x": 10 * time,
+        "y": 0.01 * np.sin(time),
+    }
     path = tmp_path / "log.csv"
     of["v_x"] = of["v_x"] * (3.6 if "vx [km/h]" in columns else 1)
     rows = np.column_stack([of[name] for name in columns.values()])

@@ -55,9 +55,7 @@ class Truth(NamedTuple):
 
 
 def steer(time):
-    return 0.10 * np.sin(2 * np.pi * 0.3 * time) + 0.06 * np.sin(
-        2 * np.pi * 0.11 * time
-    )
+    return 0.10 * np.sin(2 * np.pi * 0.3 * time) + 0.06 * np.sin(2 * np.pi * 0.11 * time)
 
 
 def speed(time):
@@ -86,9 +84,7 @@ def accelerations(time, v_y, yaw_rate):
     """Lateral and yaw acceleration by the forces' balance, derived apart from ours."""
     _, rear, _, front = slip_and_force(time, v_y, yaw_rate)
     rear_left, front_left = -rear, -front * np.cos(steer(time))
-    return (rear_left + front_left) / MASS, (
-        L_F * front_left - L_R * rear_left
-    ) / INERTIA
+    return (rear_left + front_left) / MASS, (L_F * front_left - L_R * rear_left) / INERTIA
 
 
 @cache
@@ -106,9 +102,7 @@ def solution():
         ]
 
     start = [1.0, -2.0, 0.0, 0.0, 0.0]
-    return solve_ivp(
-        rates, (0, 30), start, "LSODA", rtol=1e-9, atol=1e-10, dense_output=True
-    ).sol
+    return solve_ivp(rates, (0, 30), start, "LSODA", rtol=1e-9, atol=1e-10, dense_output=True).sol
 
 
 def truth(time) -> Truth:
@@ -123,9 +117,7 @@ def truth(time) -> Truth:
 
 def stamps(rng, length=24.0):
     """Jittered 100 Hz stamps that stay in order."""
-    return np.arange(0.5, length, 0.01) + rng.uniform(
-        -3e-4, 3e-4, int(length * 100) - 50
-    )
+    return np.arange(0.5, length, 0.01) + rng.uniform(-3e-4, 3e-4, int(length * 100) - 50)
 
 
 def pose_log(seed=1, noise=1.0) -> dict[str, np.ndarray]:
@@ -135,18 +127,8 @@ def pose_log(seed=1, noise=1.0) -> dict[str, np.ndarray]:
     true = truth(time)
     ahead, left = TRACKED[0] - L_R, TRACKED[1]
     cos, sin = np.cos(true.yaw), np.sin(true.yaw)
-    x = (
-        true.x
-        + ahead * cos
-        - left * sin
-        + rng.normal(0, noise * POSITION_NOISE, len(time))
-    )
-    y = (
-        true.y
-        + ahead * sin
-        + left * cos
-        + rng.normal(0, noise * POSITION_NOISE, len(time))
-    )
+    x = true.x + ahead * cos - left * sin + rng.normal(0, noise * POSITION_NOISE, len(time))
+    y = true.y + ahead * sin + left * cos + rng.normal(0, noise * POSITION_NOISE, len(time))
     yaw = true.yaw + rng.normal(0, noise * YAW_NOISE, len(time))
     return {"t": time, "x": x, "y": y, "psi": (yaw + np.pi) % (2 * np.pi) - np.pi}
 
@@ -260,9 +242,7 @@ def test_units_gzip_and_backward_column_order_change_nothing(tmp_path):
         "t": columns["t"] * 1e3,
     }
     packed = tmp_path / "b.csv.gz"
-    packed.write_bytes(
-        gzip.compress(write_log(tmp_path / "b.csv", scaled).read_bytes())
-    )
+    packed.write_bytes(gzip.compress(write_log(tmp_path / "b.csv", scaled).read_bytes()))
     units = '[units]\ntime = "ms"\nx = "mm"\ny = "mm"\nyaw = "deg"\n'
     log = derive(packed, pose_vehicle(tmp_path, after=units))
     assert log.name == "b"
@@ -313,10 +293,7 @@ def test_absent_columns_are_all_named(tmp_path):
         ("t,x,y,psi\n", "no data rows"),
         ("t,x,y,psi\n0,0,0,0\n", "fewer than two samples"),
         ("t,x,y,psi\n1,0,0,0\n1,0,0,0\n0,1,0,0\n", "time does not rise"),
-        (
-            "t,x,y,psi\ns,mm,mm,kg\n0,0,0,0\n0.01,1,0,0\n",
-            "unit 'kg' is no unit of angle",
-        ),
+        ("t,x,y,psi\ns,mm,mm,kg\n0,0,0,0\n0.01,1,0,0\n", "unit 'kg' is no unit of angle"),
         ("t,x,y,psi\n0,0,0,0\n0.01,oops,0,0\n", "'oops' is not a number"),
         ("t,x,y,psi\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "1 Hz only"),
     ],

@@ -4,15 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from test_contradictions import (
-    BESIDE,
-    DART,
-    POSE,
-    RATES,
-    derived,
-    log_of,
-    vehicle_text,
-)
+from test_contradictions import BESIDE, DART, POSE, RATES, derived, log_of, vehicle_text
 
 from tirefit.data.derive import derive
 from tirefit.data.vehicle import load_vehicle
@@ -58,10 +50,7 @@ def test_free_driving_with_the_point_too_far_behind_is_refused(tmp_path):
 def moved(log, ahead):
     """Rates of a point so far ahead of the centre of gravity [m]."""
     turning = np.gradient(log["c3"], log["time"])
-    return log | {
-        "c2": log["c2"] + ahead * log["c3"],
-        "c4": log["c4"] + ahead * turning,
-    }
+    return log | {"c2": log["c2"] + ahead * log["c3"], "c4": log["c4"] + ahead * turning}
 
 
 @pytest.mark.parametrize("ahead", [-0.5, 0.0, 1.2])
@@ -89,9 +78,7 @@ def test_gps_at_the_front_axle_is_refused_and_the_remedy_is_right(tmp_path):
     again = derive(tmp_path / "log.csv", load_vehicle(path))
     sound = derived(tmp_path, log_of(name="slow"), RATES)
     assert again.warnings == ()
-    np.testing.assert_allclose(
-        again.columns["alpha"], sound.columns["alpha"], atol=2e-3
-    )
+    np.testing.assert_allclose(again.columns["alpha"], sound.columns["alpha"], atol=2e-3)
 
 
 def test_a_point_is_doubted_where_the_force_still_opposes_the_slip(tmp_path):
@@ -105,9 +92,7 @@ def test_a_force_beyond_any_friction_is_doubted(tmp_path):
     log = log_of(name="turns")
     log = log | {"c4": 2.2 * log["c4"]}
     derived(tmp_path, log, RATES, believe=True)
-    result = derive(
-        tmp_path / "log.csv", load_vehicle(tmp_path / "heavy.toml"), believe=True
-    )
+    result = derive(tmp_path / "log.csv", load_vehicle(tmp_path / "heavy.toml"), believe=True)
     (said,) = (text for text in result.warnings if "friction" in text)
     share = float(said.split("reaches ")[1].split()[0])
     force = np.abs(result.columns["fy"] / result.columns["fz"])

@@ -39,9 +39,7 @@ def unlike(script, prepared, channel, tolerance):
                 continue
             center = prepared.settings[name].center[level]
             true = sorted({e.settings[name] for e in script.events})
-            if np.argmin(np.abs(np.array(true) - center)) != true.index(
-                event.settings[name]
-            ):
+            if np.argmin(np.abs(np.array(true) - center)) != true.index(event.settings[name]):
                 faults.append(f"{name} {center:.4g} is not {event.settings[name]:.4g}")
     return faults + on_the_way(script, prepared)
 
@@ -76,13 +74,14 @@ def test_a_cornering_test_of_any_design(seed):
     rng = np.random.default_rng(seed)
     shape = str(rng.choice(["line", "sine"]))
     script, rng = cornering(
-        seed, rate=float(rng.choice([50, 100])), shape=shape,
-        loads=int(rng.integers(2, 6)), cambers=int(rng.integers(1, 4)),
+        seed,
+        rate=float(rng.choice([50, 100])),
+        shape=shape,
+        loads=int(rng.integers(2, 6)),
+        cambers=int(rng.integers(1, 4)),
         pressures=int(rng.integers(1, 3)),
-    )  # fmt: skip
-    seen, _ = measured(
-        script, rng, noise=rng.uniform(0, 1.5), wander=rng.uniform(0, 1.5)
     )
+    seen, _ = measured(script, rng, noise=rng.uniform(0, 1.5), wander=rng.uniform(0, 1.5))
     result = prepared(seen)
     # A sine begins so slowly that its first tenth is no movement yet.
     assert unlike(script, result, "alpha", 0.12 if shape == "sine" else 0.04) == []
@@ -115,9 +114,7 @@ def test_a_drum_test_leaves_out_the_returns(seed):
     assert unlike(script, result, "kappa", 0.05) == []
     speeds, loads = (result.settings[name].center for name in ("v", "fz"))
     assert len(speeds) == 2 and len(loads) == 3
-    assert {part.direction for part in result.segments if part.kind == "sweep"} == {
-        "up"
-    }
+    assert {part.direction for part in result.segments if part.kind == "sweep"} == {"up"}
 
 
 def test_a_slip_angle_that_is_held_is_part_of_the_bin():
@@ -303,15 +300,17 @@ def test_the_warm_up_keeps_the_last_sweeps_of_a_condition_and_names_it():
 def test_bins_show_every_setting_that_differs():
     """A camber and a slip angle of the same degrees, and a pressure of the warm-up
     alone: no two conditions have one label."""
-    script = Script(
-        50, alpha=0.0, kappa=0.0, fz=3000.0, gamma=0.0, pressure=1.8e5, v=20.0
-    )
+    script = Script(50, alpha=0.0, kappa=0.0, fz=3000.0, gamma=0.0, pressure=1.8e5, v=20.0)
     for pressure, camber, angle in (
-        (1.8e5, 0.0, 0.0), (2.2e5, 0.0, 0.0), (2.2e5, 0.0, 3 * DEG),
-        (2.2e5, 3 * DEG, 0.0), (2.2e5, 3 * DEG, 3 * DEG),
-    ):  # fmt: skip
-        for name, value in zip(("pressure", "gamma", "alpha"),
-                               (pressure, camber, angle), strict=True):  # fmt: skip
+        (1.8e5, 0.0, 0.0),
+        (2.2e5, 0.0, 0.0),
+        (2.2e5, 0.0, 3 * DEG),
+        (2.2e5, 3 * DEG, 0.0),
+        (2.2e5, 3 * DEG, 3 * DEG),
+    ):
+        for name, value in zip(
+            ("pressure", "gamma", "alpha"), (pressure, camber, angle), strict=True
+        ):
             script.move(name, value, 1.0)
         script.hold(2)
         for _ in range(3):
@@ -467,9 +466,7 @@ def anything(rng):
     n = int(rng.choice([1, 2, 5, 20, 60, 300, 1000]))
     wild = rng.normal(size=n)
     columns = {
-        "alpha": np.clip(
-            rng.choice([0, 0.01, 0.1]) * wild.cumsum() / n**0.5, -1.5, 1.5
-        ),
+        "alpha": np.clip(rng.choice([0, 0.01, 0.1]) * wild.cumsum() / n**0.5, -1.5, 1.5),
         "fz": 1000 + rng.choice([0, 1, 300]) * np.abs(rng.normal(size=n)),
         "fy": rng.normal(size=n) * rng.choice([0, 1, 500]),
         "time": np.arange(n) * rng.choice([0, 1e-3, 0.01, 100.0]),
@@ -477,9 +474,7 @@ def anything(rng):
         "v": np.abs(rng.normal(size=n)) * rng.choice([0, 10]),
         "temperature": 20 + rng.normal(size=n).cumsum(),
     }
-    kept = {
-        k: v for k, v in columns.items() if k in ("alpha", "fz") or rng.random() < 0.6
-    }
+    kept = {k: v for k, v in columns.items() if k in ("alpha", "fz") or rng.random() < 0.6}
     spoilt = str(rng.choice(list(kept)))
     rows = rng.integers(0, n, size=n // 10)
     kept[spoilt] = np.array(kept[spoilt], float)

@@ -82,9 +82,7 @@ def test_components_of_any_header_are_named_in_their_order(tmp_path):
     text = CAR + POSE.replace('"psi"', '["euler 1", "euler 2", "euler 3", "euler 0"]')
     found = derive(path, vehicle(tmp_path, text + KEEP))
     sound = derive(write_log(tmp_path / "b.csv", pose_log()), settings(tmp_path, "psi"))
-    np.testing.assert_allclose(
-        found.columns["alpha"], sound.columns["alpha"], atol=1e-6
-    )
+    np.testing.assert_allclose(found.columns["alpha"], sound.columns["alpha"], atol=1e-6)
     text = text.replace("euler 3", "euler 9")
     with pytest.raises(DataError, match="'euler 9': the column is missing"):
         derive(path, vehicle(tmp_path, text + KEEP))

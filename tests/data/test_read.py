@@ -17,9 +17,7 @@ from tirefit.results import DataError
 RNG = np.random.default_rng(7)
 KAPPA = np.array([-0.08, -0.04, -0.01, 0.01, 0.03, 0.06, 0.1])
 FX = 40000 * KAPPA
-TEXT = "kappa;fx;fz\n" + "".join(
-    f"{k};{f:.1f};4000.5\n" for k, f in zip(KAPPA, FX, strict=True)
-)
+TEXT = "kappa;fx;fz\n" + "".join(f"{k};{f:.1f};4000.5\n" for k, f in zip(KAPPA, FX, strict=True))
 
 
 def write(tmp_path, content, name="test.csv"):
@@ -44,10 +42,13 @@ def said(data, fragment):
         (TEXT.encode("utf-16"), "a.csv", "UTF-16"),
         (TEXT.replace(".", ",").encode(), "a.csv", "decimal comma"),
         (gzip.compress(TEXT.encode(), mtime=0), "a.csv.gz", ""),
-        (b"# a comment; \"\n\n" + TEXT.encode().replace(b"\n", b"\n\n"), "a.csv", ""),
+        (b'# a comment; "\n\n' + TEXT.encode().replace(b"\n", b"\n\n"), "a.csv", ""),
         (TEXT.replace("fz\n", "fz\n-;N;N\n").encode(), "a.csv", "row 2 read as units"),
-        (TEXT.replace("fz", "fz;Stra\xdfe").replace(".5\n", ".5;1\n").encode("latin-1"),
-         "a.csv", "Latin-1"),
+        (
+            TEXT.replace("fz", "fz;Stra\xdfe").replace(".5\n", ".5;1\n").encode("latin-1"),
+            "a.csv",
+            "Latin-1",
+        ),
         (b"A test of a tire\n" + TEXT.encode(), "a.csv", "before the header in line 2"),
         (TEXT.replace(".5\n", ".5;\n").encode(), "a.csv", ""),
         (TEXT.replace("\n", ";\n").encode(), "a.csv", ""),
@@ -61,12 +62,14 @@ def said(data, fragment):
         (gzip.compress(TEXT.encode(), mtime=0), "a.csv", ""),
         (TEXT.encode(), "a.csv.gz", ""),
         (b"sep=;\n" + TEXT.encode(), "a.csv", "before the header in line 2"),
-        (TEXT.replace("fz\n", "fz;x;x\n").replace(".5\n", ".5;1;\n").encode(),
-         "a.csv", "columns not read: 'x', 'x'"),
-        (TEXT.replace("fz\n", "fz\n\n[-];[N];[N]\n").encode(), "a.csv",
-         "row 3 read as units"),
+        (
+            TEXT.replace("fz\n", "fz;x;x\n").replace(".5\n", ".5;1;\n").encode(),
+            "a.csv",
+            "columns not read: 'x', 'x'",
+        ),
+        (TEXT.replace("fz\n", "fz\n\n[-];[N];[N]\n").encode(), "a.csv", "row 3 read as units"),
     ],
-)  # fmt: skip
+)
 def test_text_of_every_kind_gives_the_same_numbers(tmp_path, content, name, fragment):
     path = write(tmp_path, content, name)
     data = read(path)
@@ -176,8 +179,7 @@ def test_conventions_come_out_canonical(convention, signs):
     canonical = (KAPPA, KAPPA / 2, FX, FX / 3, np.full(7, 4e3), -FX / 90)
     names = ("kappa", "alpha", "fx", "fy", "fz", "mz")
     frame = {
-        name: sign * values
-        for name, sign, values in zip(names, signs, canonical, strict=True)
+        name: sign * values for name, sign, values in zip(names, signs, canonical, strict=True)
     }
     data = read_frame(frame, convention=convention)
     np.testing.assert_allclose(data["sigma_x"], slip.sigma_from_kappa(KAPPA))
@@ -210,8 +212,7 @@ def test_slip_definitions_and_their_std_become_sigma(definition):
     slope = (to_sigma(own + 1e-6) - to_sigma(own - 1e-6)) / 2e-6
     np.testing.assert_allclose(data["sigma_x_std"], 1e-3 * slope, rtol=1e-6)
     assert data.source.slip_definition == definition
-    overridden = read_frame(frame_of("slip", own, slip_std=std.popitem()[1]),
-                            slip=definition)  # fmt: skip
+    overridden = read_frame(frame_of("slip", own, slip_std=std.popitem()[1]), slip=definition)
     np.testing.assert_array_equal(overridden["sigma_x"], data["sigma_x"])
     np.testing.assert_array_equal(overridden["sigma_x_std"], data["sigma_x_std"])
 
@@ -228,9 +229,7 @@ def test_a_unit_may_name_the_slip_by_any_definition(definition, key):
 def test_rows_to_predict_need_no_force_and_no_sweep(n):
     frame = {"kappa": np.full(n, -5.0), "fz": np.full(n, -4.0), "v": np.full(n, 20.0)}
     units = {"kappa": "%", "fz": "kN", "fx": "-kN", "fx_std": "N"}
-    data = read_frame(
-        frame, forces=False, units=units, columns={"fx": "F"}, convention="sae"
-    )
+    data = read_frame(frame, forces=False, units=units, columns={"fx": "F"}, convention="sae")
     assert list(data.columns) == ["sigma_x", "fz", "v"]
     np.testing.assert_allclose(data["sigma_x"], 0.05 / 0.95)
     np.testing.assert_allclose(data["fz"], 4000)
@@ -253,8 +252,7 @@ def test_forces_that_are_there_are_still_checked():
 
 
 def test_a_std_whose_column_is_missing_is_in_si():
-    data = read_frame(frame_of("kappa", KAPPA, noise=np.ones(7)),
-                      columns={"fy_std": "noise"})  # fmt: skip
+    data = read_frame(frame_of("kappa", KAPPA, noise=np.ones(7)), columns={"fy_std": "noise"})
     np.testing.assert_array_equal(data["fy_std"], 1)
 
 
@@ -294,8 +292,7 @@ def test_slip_from_wheel_speed_and_a_check_of_it():
 
 def test_declared_columns_units_and_constants(tmp_path):
     content = "run;Schlupf;Kraft;Tempo\n" + "".join(
-        f"{run};{100 * k};{f / 1000};72\n"
-        for run, k, f in zip("aabbbac", KAPPA, FX, strict=True)
+        f"{run};{100 * k};{f / 1000};72\n" for run, k, f in zip("aabbbac", KAPPA, FX, strict=True)
     )
     data = read(
         write(tmp_path, content),
@@ -316,8 +313,7 @@ def test_declared_columns_units_and_constants(tmp_path):
 
 
 def test_a_std_takes_the_unit_of_its_column():
-    data = read_frame({**frame_of("kappa", KAPPA), "fx_std": np.full(7, 0.1)},
-                      units={"fx": "kN"})  # fmt: skip
+    data = read_frame({**frame_of("kappa", KAPPA), "fx_std": np.full(7, 0.1)}, units={"fx": "kN"})
     np.testing.assert_allclose(data["fx_std"], 100)
     assert said(data, "'fx_std' read as fx_std in kN (the unit of fx)")
 

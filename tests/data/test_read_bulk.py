@@ -38,9 +38,14 @@ def told(path, **options):
     columns = {name: values.tolist() for name, values in data.columns.items()}
     said = [str(problem) for problem in data.source.masked]
     return (
-        repr(columns), data.used.tolist(), data.run.tolist(), data.runs,
-        data.source.line.tolist(), data.source.notes, said,
-    )  # fmt: skip
+        repr(columns),
+        data.used.tolist(),
+        data.run.tolist(),
+        data.runs,
+        data.source.line.tolist(),
+        data.source.notes,
+        said,
+    )
 
 
 @pytest.fixture
@@ -87,9 +92,7 @@ TEXTS = {
     "decimal comma": text_of(rows(), delimiter=";").replace(".", ","),
     "a decimal comma and points": changed(cell(50, 2, "1,5"), delimiter=";"),
     "grouped": changed(cell(50, 3, "4,000"), delimiter=";").replace(".", ""),
-    "numbers of runs": text_of(
-        [[*row[:4], f"{i // 20}"] for i, row in enumerate(rows())]
-    ),
+    "numbers of runs": text_of([[*row[:4], f"{i // 20}"] for i, row in enumerate(rows())]),
     "names of runs": text_of([[*row[:4], "run " + row[4]] for row in rows()]),
     "blank lines": changed(line(40, "")),
     "a comment": changed(line(40, "# here the rig stopped")),
@@ -141,11 +144,18 @@ def cells_of(path):
         return str(error)
     columns = [(list(c), *read_numbers(c, "", table.ragged)) for c in table.cells]
     faults = [(list(f.rows), list(f.values), f.rule) for f in table.faults]
-    return repr((
-        [(text, values.tolist(), wrong) for text, values, wrong in columns],
-        faults, table.headers, table.lines.tolist(), table.ragged.tolist(),
-        table.delimiter, table.units_row, table.notes,
-    ))  # fmt: skip
+    return repr(
+        (
+            [(text, values.tolist(), wrong) for text, values, wrong in columns],
+            faults,
+            table.headers,
+            table.lines.tolist(),
+            table.ragged.tolist(),
+            table.delimiter,
+            table.units_row,
+            table.notes,
+        )
+    )
 
 
 def test_damaged_texts_hold_the_same_cells(tmp_path, in_pieces):

@@ -23,9 +23,7 @@ from tirefit.results import DataError
 def save_text(path):
     frame = ttc(truth(40))
     rows = [" ".join(f"{v:.6g}" for v in row) for row in zip(*frame.values(), strict=1)]
-    path.write_text(
-        "\n".join(["title", " ".join(frame), " ".join(METRIC_UNITS), *rows])
-    )
+    path.write_text("\n".join(["title", " ".join(frame), " ".join(METRIC_UNITS), *rows]))
 
 
 def save_tydex(path):

@@ -64,9 +64,7 @@ def test_a_braking_test_in_driving_positive_signs_is_doubted():
     assert "'kappa' (down to -0.4) is taken as driving" in text
 
 
-@pytest.mark.parametrize(
-    ("equal", "conventions"), [(1, "adapted-sae;"), (-1, "iso-w;")]
-)
+@pytest.mark.parametrize(("equal", "conventions"), [(1, "adapted-sae;"), (-1, "iso-w;")])
 def test_the_lateral_signs_narrow_the_conventions(equal, conventions):
     alpha = np.linspace(-0.1, 0.1, len(KAPPA))
     columns = frame(KAPPA) | {"alpha": alpha, "fy": equal * 3e4 * alpha}
@@ -106,9 +104,10 @@ def test_a_locked_wheel_at_minus_one_is_evidence():
     (text,) = warned(frame(locked[:-2], sign=-1))
     assert "locks" not in text
     columns = {
-        "kappa": -locked, "fx": -np.append(force(KAPPA), [LOAD, LOAD]),
+        "kappa": -locked,
+        "fx": -np.append(force(KAPPA), [LOAD, LOAD]),
         "fz": np.full(64, LOAD),
-    }  # fmt: skip
+    }
     (text,) = warned(columns)
     assert "but -1 is where a wheel locks if driving is positive" in text
 
@@ -128,16 +127,16 @@ def test_a_slip_from_the_speeds_has_no_doubtful_sign():
 
 LOGGED_WRONG = {
     "speeds of another wheel": (
-        lambda kappa: kappa, {"omega": 40.0, "v": 12.0}, "check the rolling radius"
+        lambda kappa: kappa,
+        {"omega": 40.0, "v": 12.0},
+        "check the rolling radius",
     ),
     "mirrored": (lambda kappa: -kappa, {}, "the opposite sign: declare the file's"),
     "twice": (lambda kappa: 2 * kappa, {}, "it agrees if divided by 2:"),
-}  # fmt: skip
+}
 
 
-@pytest.mark.parametrize(
-    ("logged", "others", "said"), LOGGED_WRONG.values(), ids=LOGGED_WRONG
-)
+@pytest.mark.parametrize(("logged", "others", "said"), LOGGED_WRONG.values(), ids=LOGGED_WRONG)
 def test_a_slip_against_the_speeds_is_read_and_said(logged, others, said):
     kappa = np.linspace(-0.2, 0.3, 60)
     turning = speeds(kappa) | {k: np.full(60, x) for k, x in others.items()}
@@ -167,9 +166,7 @@ BRAKING = {"convention": "braking"}
 
 
 @pytest.mark.parametrize("last", [0.05, 0.3])
-def test_a_time_that_goes_back_within_a_run_is_told_with_place_and_remedy(
-    tmp_path, last
-):
+def test_a_time_that_goes_back_within_a_run_is_told_with_place_and_remedy(tmp_path, last):
     time, kappa = [0.0, 0.1, 0.0, 0.2, last, 0.1], np.linspace(0.01, 0.2, 6)
     rows = zip(time, kappa, force(kappa), "aabaab", strict=True)
     path = tmp_path / "a.csv"
@@ -179,9 +176,7 @@ def test_a_time_that_goes_back_within_a_run_is_told_with_place_and_remedy(
     # Another run may begin at zero again.
     assert bool(said) == (last < 0.2)
     for text in said:
-        assert text.startswith(
-            "row 6, column 'Time': the time goes back, from 0.2 s to 0.05 s"
-        )
+        assert text.startswith("row 6, column 'Time': the time goes back, from 0.2 s to 0.05 s")
         assert "run of its own (--column run=HEADER), or correct the time" in text
 
 
@@ -191,19 +186,25 @@ def test_a_time_that_goes_back_within_a_run_is_told_with_place_and_remedy(
 @pytest.mark.parametrize(
     ("factors", "remedy"),
     [
-        ({"fx": 1e-3}, "'fx' reaches only 0.001 of the load, too little at these slips:"
-         " one of the two is probably in another unit than it was read in (kN for N?);"
-         " if 'fx' is in kN, pass --unit fx=kN"),
-        ({"fz": 1e-3}, "'fx' reaches 1000 times the load, which no tire has: one of the"
-         " two is probably in another unit than it was read in (kN for N?); if 'fz' is"
-         " in kN, pass --unit fz=kN"),
+        (
+            {"fx": 1e-3},
+            "'fx' reaches only 0.001 of the load, too little at these slips:"
+            " one of the two is probably in another unit than it was read in (kN for N?);"
+            " if 'fx' is in kN, pass --unit fx=kN",
+        ),
+        (
+            {"fz": 1e-3},
+            "'fx' reaches 1000 times the load, which no tire has: one of the"
+            " two is probably in another unit than it was read in (kN for N?); if 'fz' is"
+            " in kN, pass --unit fz=kN",
+        ),
         ({"fz": 1e-1}, "'fx' reaches 10 times the load, which no tire has"),
         ({"fz": 1e-1}, "; check the units of fx and fz"),
         ({"fx": 1e-6}, "; check the units of fx and fz"),
         # A load of 4 kN is none of 4 MN: it is not fz that was misread.
         ({"fx": 1e3}, "; check the units of fx and fz"),
     ],
-)  # fmt: skip
+)
 def test_implausible_forces_get_the_unit_that_would_mend_them(factors, remedy):
     columns = frame(KAPPA)
     columns |= {name: columns[name] * factor for name, factor in factors.items()}
@@ -291,8 +292,7 @@ def test_percent_gets_no_other_remedy(largest, sign):
 
 def test_a_mirrored_slip_gets_no_percent():
     sigma = np.linspace(-0.5, 3, 50)  # hard braking, file driving positive
-    columns = {"sigma_x": -sigma, "fx": -force(sigma / (1 + sigma)),
-               "fz": np.full(50, LOAD)}  # fmt: skip
+    columns = {"sigma_x": -sigma, "fx": -force(sigma / (1 + sigma)), "fz": np.full(50, LOAD)}
     with pytest.raises(DataError) as caught:
         read_frame(columns)
     message = "\n".join(map(str, caught.value.problems))
@@ -306,8 +306,9 @@ def test_a_force_of_zeros_is_not_read():
     said = "column 'fy' not used: it is zero in all rows"
     assert said in data.source.assumptions
     with pytest.raises(DataError, match="no force: .*; 'F' is zero in all rows"):
-        read_frame({"kappa": KAPPA, "F": 0 * KAPPA, "fz": 0 * KAPPA + LOAD},
-                   columns={"fx": "F"}, **BRAKING)  # fmt: skip
+        read_frame(
+            {"kappa": KAPPA, "F": 0 * KAPPA, "fz": 0 * KAPPA + LOAD}, columns={"fx": "F"}, **BRAKING
+        )
     assert "fy" in read_frame(columns, forces=False, **BRAKING)
 
 

@@ -26,10 +26,13 @@ def frame(**changes):
 def test_a_log_of_a_vehicle_is_read_in_its_units_and_iso_axes():
     data = read_frame(frame(), curve=False, convention="sae")
     expected = {
-        "yaw_rate": [0, np.pi / 2, -np.pi / 2], "offset": [0.1, 0.2, 0.3],
-        "a_y": np.array([0.1, 0.2, 0.3]) * 9.80665, "omega_fl": [80] * 3,
-        "torque_rr": [500] * 3, "y": [1, 2, 3],
-    }  # fmt: skip
+        "yaw_rate": [0, np.pi / 2, -np.pi / 2],
+        "offset": [0.1, 0.2, 0.3],
+        "a_y": np.array([0.1, 0.2, 0.3]) * 9.80665,
+        "omega_fl": [80] * 3,
+        "torque_rr": [500] * 3,
+        "y": [1, 2, 3],
+    }
     for name, values in expected.items():
         np.testing.assert_allclose(data[name], values, rtol=1e-12)
     with pytest.raises(DataError, match="needs steering .*road wheel angle"):

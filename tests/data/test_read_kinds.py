@@ -65,9 +65,7 @@ def _put(file, group, variables):
             _put(file, inner, value)
         elif isinstance(value, str):
             codes = np.array([[ord(letter)] for letter in value], np.uint16)
-            group.create_dataset(name, data=codes).attrs["MATLAB_class"] = np.bytes_(
-                "char"
-            )
+            group.create_dataset(name, data=codes).attrs["MATLAB_class"] = np.bytes_("char")
         elif value.dtype == object:
             refs = file.require_group("#refs#")
             cells = np.empty((len(value), 1), h5py.ref_dtype)
@@ -144,10 +142,7 @@ PLAIN = {"kappa": KAPPA, "fx": 40000 * KAPPA, "fz": np.full(7, 4000.0)}
             },
             "version",
         ),
-        (
-            {"test": PLAIN | {"units": {"kappa": "-", "fx": "N", "fz": "N"}}},
-            "stated in the file",
-        ),
+        ({"test": PLAIN | {"units": {"kappa": "-", "fx": "N", "fz": "N"}}}, "stated in the file"),
     ],
 )
 def test_columns_of_matlab_are_found(tmp_path, version, variables, fragment):
@@ -162,9 +157,13 @@ def test_columns_of_matlab_are_found(tmp_path, version, variables, fragment):
 
 
 def test_what_else_a_matlab_file_holds_is_named(tmp_path):
-    others = {"sparse": csc_array(np.eye(3)), "cells": np.array([[1.0, "a"]], object),
-              "complex": np.ones((7, 1)) * 1j, "empty": np.empty((0, 0)),
-              "structs": np.array([{"a": 1.0}, {"a": 2.0}], object)}  # fmt: skip
+    others = {
+        "sparse": csc_array(np.eye(3)),
+        "cells": np.array([[1.0, "a"]], object),
+        "complex": np.ones((7, 1)) * 1j,
+        "empty": np.empty((0, 0)),
+        "structs": np.array([{"a": 1.0}, {"a": 2.0}], object),
+    }
     savemat(tmp_path / "run.mat", column(PLAIN) | others, do_compression=True)
     data = read(tmp_path / "run.mat")
     for name in others:
@@ -176,10 +175,13 @@ def test_what_else_a_matlab_file_holds_is_named(tmp_path):
 def test_channels_of_a_logger_have_time_value_and_units(tmp_path, version):
     time = np.arange(7) / 100
     logged = {
-        name: {"Time": time, "Value": values / (1000 if name == "fx" else 1),
-               "Units": "kN" if name == "fx" else "N" if name == "fz" else "-"}
+        name: {
+            "Time": time,
+            "Value": values / (1000 if name == "fx" else 1),
+            "Units": "kN" if name == "fx" else "N" if name == "fz" else "-",
+        }
         for name, values in PLAIN.items()
-    }  # fmt: skip
+    }
     logged["gps"] = {"Time": np.arange(3.0), "Value": np.arange(3.0), "Units": "m/s"}
     SAVE[version](tmp_path / "log.mat", logged)
     data = read(tmp_path / "log.mat")
@@ -263,11 +265,7 @@ def arrow_table(columns, units=()):
     units = dict(units)
     arrays = [pyarrow.array(values) for values in columns.values()]
     fields = [
-        pyarrow.field(
-            name,
-            array.type,
-            metadata={"unit": units[name]} if name in units else None,
-        )
+        pyarrow.field(name, array.type, metadata={"unit": units[name]} if name in units else None)
         for name, array in zip(columns, arrays, strict=True)
     ]
     return pyarrow.Table.from_arrays(arrays, schema=pyarrow.schema(fields))
@@ -278,12 +276,15 @@ def arrow_table(columns, units=()):
 def test_parquet_and_arrow_have_typed_columns(tmp_path, save, name):
     pytest.importorskip("pyarrow")
     columns = {
-        "kappa": 100 * KAPPA, "fx": (40000 * KAPPA).astype(np.float32),
-        "fz": np.full(7, 4), "on": KAPPA > 0, "run": ["a"] * 3 + ["b"] * 4,
+        "kappa": 100 * KAPPA,
+        "fx": (40000 * KAPPA).astype(np.float32),
+        "fz": np.full(7, 4),
+        "on": KAPPA > 0,
+        "run": ["a"] * 3 + ["b"] * 4,
         "time": np.arange(7).astype("timedelta64[ms]"),
         "day": np.datetime64("2020-01-01") + np.arange(7).astype("timedelta64[s]"),
         "list": [[1.0]] * 7,
-    }  # fmt: skip
+    }
     units = {"kappa": "%", "fz": "kN"}
     save(tmp_path / name, arrow_table(columns, units.items()))
     data = read(tmp_path / name)
@@ -486,9 +487,12 @@ def test_a_missing_library_is_an_error_with_the_line_that_installs_it(
 
 @pytest.mark.parametrize(
     ("start", "module"),
-    [(b"MDF     4.10", "asammdf"), (b"\x89MCAP0\r\n", "rosbags.highlevel"),
-     (b"SQLite format 3\x00", "rosbags.highlevel")],
-)  # fmt: skip
+    [
+        (b"MDF     4.10", "asammdf"),
+        (b"\x89MCAP0\r\n", "rosbags.highlevel"),
+        (b"SQLite format 3\x00", "rosbags.highlevel"),
+    ],
+)
 def test_logs_need_an_extra_of_their_own(tmp_path, monkeypatch, start, module):
     path = tmp_path / "a.csv"
     path.write_bytes(start + bytes(200))

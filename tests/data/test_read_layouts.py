@@ -151,11 +151,17 @@ AIM_UNITS = dict(zip(AIM_NAMES, ("s", "%", "kN", "N", "l"), strict=True))
 def aim(rows, *, mark=",", quoted=True, numbered=True, comma=False, gap=2):
     """Lines of an export of RaceStudio: keys and values, names, units, numbers."""
     head = [
-        ["Format", "AiM CSV File"], ["Venue", "Drum"], ["Comment", "kappa, fx"],
-        ["Date", "Monday, May 5, 2025"], ["Time", "10:00 AM"], ["Sample Rate", "20"],
-        ["Segment Times", "0:01.0", "0:01.5"], *[[]] * gap, list(AIM_UNITS),
+        ["Format", "AiM CSV File"],
+        ["Venue", "Drum"],
+        ["Comment", "kappa, fx"],
+        ["Date", "Monday, May 5, 2025"],
+        ["Time", "10:00 AM"],
+        ["Sample Rate", "20"],
+        ["Segment Times", "0:01.0", "0:01.5"],
+        *[[]] * gap,
+        list(AIM_UNITS),
         list(AIM_UNITS.values()),
-    ]  # fmt: skip
+    ]
     head += [[str(k + 1) for k in range(len(AIM_UNITS))]] if numbered else []
     body = [[f"{x:.6g}" for x in row] for row in rows]
     if comma:
@@ -167,11 +173,16 @@ def aim(rows, *, mark=",", quoted=True, numbered=True, comma=False, gap=2):
 @pytest.mark.parametrize(
     "how",
     [
-        {}, {"mark": ";"}, {"mark": ";", "quoted": False}, {"numbered": False},
-        {"mark": ";", "comma": True}, {"gap": 0}, {"mark": "\t", "gap": 1},
+        {},
+        {"mark": ";"},
+        {"mark": ";", "quoted": False},
+        {"numbered": False},
+        {"mark": ";", "comma": True},
+        {"gap": 0},
+        {"mark": "\t", "gap": 1},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_an_export_of_aim_is_read_as_its_twin(tmp_path, how):
     slip = np.linspace(-5, 20, 50)
     rows = [(k / 20, x, np.tanh(x / 8), 4000, 1.5) for k, x in enumerate(slip)]

@@ -69,9 +69,7 @@ def save_mdf(path, groups):
         for time, channels in groups:
             mdf.append(
                 [
-                    asammdf.Signal(
-                        np.asarray(values), time, name=name, unit=unit, encoding="utf-8"
-                    )
+                    asammdf.Signal(np.asarray(values), time, name=name, unit=unit, encoding="utf-8")
                     for name, (values, unit) in channels.items()
                 ]
             )
@@ -85,13 +83,17 @@ def test_channels_of_mdf_keep_their_units(tmp_path, name):
         tmp_path / "made.mf4",
         [
             (np.arange(9) / 10, {"gps": (np.arange(9.0), "m/s")}),
-            (time + 5, {
-                "kappa": (100 * KAPPA, "%"), "fx": (40 * KAPPA, "kN"),
-                "fz": (np.full(7, 4000, np.int16), "N"),
-                "mode": (np.array([b"a"] * 7), ""),
-            }),
+            (
+                time + 5,
+                {
+                    "kappa": (100 * KAPPA, "%"),
+                    "fx": (40 * KAPPA, "kN"),
+                    "fz": (np.full(7, 4000, np.int16), "N"),
+                    "mode": (np.array([b"a"] * 7), ""),
+                },
+            ),
         ],
-    )  # fmt: skip
+    )
     (tmp_path / "made.mf4").rename(tmp_path / name)
     data = read(tmp_path / name)
     np.testing.assert_allclose(data["sigma_x"], KAPPA / (1 - KAPPA))
@@ -159,10 +161,7 @@ def save_bag(path, storage, columns, stamped=True):
             nanoseconds = round(1e9 * (1000 + t)) if stamped else 0
             seconds, rest = divmod(nanoseconds, 10**9)
             turned = quaternion(x=0.0, y=0.0, z=np.sin(psi / 2), w=np.cos(psi / 2))
-            message = posed(
-                header(stamp(seconds, rest), "world"),
-                pose(point(x, y, 0.0), turned),
-            )
+            message = posed(header(stamp(seconds, rest), "world"), pose(point(x, y, 0.0), turned))
             recorded = round(1e9 * (1000 + t + (0.02 if stamped else 0)))
             raw = store.serialize_cdr(message, posed.__msgtype__)
             writer.write(tracked, recorded, raw)
@@ -249,9 +248,7 @@ def save_own(path, columns, with_definition=True):
             writer.write(other, late, raw)
     if not with_definition:  # as of releases of ROS 2 before 2023, all or some
         with sqlite3.connect(next(path.glob("*.db3"))) as base:
-            base.execute(
-                "delete from message_definitions where topic_type = ?", (name,)
-            )
+            base.execute("delete from message_definitions where topic_type = ?", (name,))
 
 
 OWN_OF_ROS = """
@@ -270,9 +267,7 @@ def test_a_message_type_is_read_by_its_definition_in_the_bag(tmp_path):
     path = write_log(tmp_path / "log.csv", columns)
     from_text = derive(path, pose_vehicle(tmp_path))
     for name in ("time", "alpha", "fy"):
-        np.testing.assert_allclose(
-            log.columns[name], from_text.columns[name], rtol=1e-4, atol=1e-4
-        )
+        np.testing.assert_allclose(log.columns[name], from_text.columns[name], rtol=1e-4, atol=1e-4)
     assert log.source["epoch"] == pytest.approx(1000 + columns["t"][0])
 
 

@@ -13,19 +13,26 @@ def columns():
     known = truth()
     angle = known["alpha"]
     return {
-        "alpha": angle, "fz": known["fz"], "fy": -known["fy"],
-        "MX [N m]": -0.02 * known["fy"], "rolling resistance [Nm]": -9 + 0 * angle,
-    }  # fmt: skip
+        "alpha": angle,
+        "fz": known["fz"],
+        "fy": -known["fy"],
+        "MX [N m]": -0.02 * known["fy"],
+        "rolling resistance [Nm]": -9 + 0 * angle,
+    }
 
 
 @pytest.mark.parametrize(
     ("header", "name", "unit"),
     [
-        ("MX", "mx", None), ("Mx_Nm", "mx", "Nm"), ("overturning moment", "mx", None),
-        ("Overturning Couple [ft-lb]", "mx", "ft-lb"), ("My (Nm)", "my", "Nm"),
-        ("rolling resistance", "my", None), ("mx std", "mx_std", None),
+        ("MX", "mx", None),
+        ("Mx_Nm", "mx", "Nm"),
+        ("overturning moment", "mx", None),
+        ("Overturning Couple [ft-lb]", "mx", "ft-lb"),
+        ("My (Nm)", "my", "Nm"),
+        ("rolling resistance", "my", None),
+        ("mx std", "mx_std", None),
     ],
-)  # fmt: skip
+)
 def test_headers_of_the_moments(header, name, unit):
     assert guess(header) == (name, unit)
 
@@ -71,6 +78,4 @@ def test_tydex_has_them_in_the_axes_w(tmp_path):
         assert "mz" not in data and ("mx" in data) == there
     text = "\n".join(tydex(known)).replace("MZW", "MYW")
     (tmp_path / "test.tdx").write_text(text)
-    np.testing.assert_allclose(
-        read(tmp_path / "test.tdx")["my"], known["mz"], atol=1e-3
-    )
+    np.testing.assert_allclose(read(tmp_path / "test.tdx")["my"], known["mz"], atol=1e-3)

@@ -25,18 +25,22 @@ def canonical(**left_out):
     fy = load * lateral + rng.normal(0, 30, N)
     fx = 1.1 * load * np.sin(1.5 * np.arctan(14 * sigma)) + rng.normal(0, 30, N)
     columns = {
-        "sigma_x": sigma, "alpha": alpha, "gamma": gamma, "fx": fx, "fy": fy,
-        "fz": np.full(N, load), "mz": -0.03 * fy * np.exp(-((alpha / 0.06) ** 2)),
-        "v": np.full(N, speed), "omega": speed / (0.3 * (1 + sigma)),
-    }  # fmt: skip
+        "sigma_x": sigma,
+        "alpha": alpha,
+        "gamma": gamma,
+        "fx": fx,
+        "fy": fy,
+        "fz": np.full(N, load),
+        "mz": -0.03 * fy * np.exp(-((alpha / 0.06) ** 2)),
+        "v": np.full(N, speed),
+        "omega": speed / (0.3 * (1 + sigma)),
+    }
     return {name: values for name, values in columns.items() if name not in left_out}
 
 
 def in_signs(columns, convention):
     """Canonical columns in the signs of a convention, as a file has them."""
-    signs = CONVENTIONS[convention]._asdict() | {
-        "sigma_x": CONVENTIONS[convention].slip
-    }
+    signs = CONVENTIONS[convention]._asdict() | {"sigma_x": CONVENTIONS[convention].slip}
     return {name: signs.get(name, 1) * values for name, values in columns.items()}
 
 
@@ -142,10 +146,15 @@ def test_loads_of_the_other_sign_name_the_convention_that_fits(bad):
 def test_noise_says_nothing_of_signs():
     rng = np.random.default_rng(5)
     columns = {
-        "alpha": rng.normal(0, 0.03, 400), "fy": rng.normal(0, 900, 400),
-        "fz": np.full(400, 4e3), "mz": rng.normal(0, 30, 400),
-        "gamma": rng.normal(0, 0.05, 400), "sigma_x": rng.normal(0, 0.01, 400),
-        "fx": rng.normal(0, 900, 400), "a_x": rng.normal(0, 3, 400),
-        "omega": rng.uniform(50, 60, 400), "v": np.full(400, 15.0),
-    }  # fmt: skip
+        "alpha": rng.normal(0, 0.03, 400),
+        "fy": rng.normal(0, 900, 400),
+        "fz": np.full(400, 4e3),
+        "mz": rng.normal(0, 30, 400),
+        "gamma": rng.normal(0, 0.05, 400),
+        "sigma_x": rng.normal(0, 0.01, 400),
+        "fx": rng.normal(0, 900, 400),
+        "a_x": rng.normal(0, 3, 400),
+        "omega": rng.uniform(50, 60, 400),
+        "v": np.full(400, 15.0),
+    }
     assert [item.trend for item in evidence_of(columns)] == [0] * 7

@@ -50,8 +50,6 @@ def test_only_forces_are_simulated(tmp_path):
 
 
 def test_from_a_frame():
-    columns = dict(
-        zip(("sigma_x", "fx", "fx_sim", "fz"), zip(*ROWS, strict=True), strict=True)
-    )
+    columns = dict(zip(("sigma_x", "fx", "fx_sim", "fz"), zip(*ROWS, strict=True), strict=True))
     data = read_frame(columns, convention="braking")
     assert list(data.columns) == ["sigma_x", "fx", "fx_sim", "fz"]

@@ -145,15 +145,21 @@ def stating(tmp_path, *constants, name="test.tdx", seed=3):
         ([("TYRESIZE", "Size", "-", "205/470R13")], 0.235),
         ([("TYRESIZE", "Size", "-", "18.0x6.0-10")], 0.2286),
         ([("OVALLDIA", "", "m", "0.64"), ("SIZE", "", "-", "205/60 R15")], 0.32),
-        ([("NOMWIDTH", "", "mm", "205"), ("ASPRATIO", "", "-", "60"),
-          ("RIMDIAME", "", "inch", "15")], 0.1905 + 0.123),
+        (
+            [
+                ("NOMWIDTH", "", "mm", "205"),
+                ("ASPRATIO", "", "-", "60"),
+                ("RIMDIAME", "", "inch", "15"),
+            ],
+            0.1905 + 0.123,
+        ),
         ([("RIMDIAME", "Nominal rim diameter", "inch", "15")], None),
         ([("OVALLDIA", "Overall diameter", "m", "634")], None),
         ([("OVALLDIA", "Overall diameter", "N", "0.634")], None),
         ([("OVALLDIA", "Overall diameter", "m", "NOTAVAIL")], None),
         ([("TESTDATE", "Date", "-", "2019/11/12")], None),
     ],
-)  # fmt: skip
+)
 def test_the_radius_is_that_of_the_constants(tmp_path, lines, radius):
     data = stating(tmp_path, *(constant(*line) for line in lines))
     assert data.source.constants.get("UNLOADED_RADIUS") == (
@@ -210,11 +216,15 @@ def test_constants_go_on_with_what_is_prepared(tmp_path):
 
 def test_constants_of_files_that_differ_are_not_used(tmp_path):
     one, two = (
-        stating(tmp_path, constant("OVALLDIA", "", unit, value),
-                constant("FNOMIN", "", "N", load), name=f"{load}.tdx", seed=seed)
-        for unit, value, load, seed in (("m", "0.634", "4000", 1),
-                                        ("mm", "634", "5000", 2))
-    )  # fmt: skip
+        stating(
+            tmp_path,
+            constant("OVALLDIA", "", unit, value),
+            constant("FNOMIN", "", "N", load),
+            name=f"{load}.tdx",
+            seed=seed,
+        )
+        for unit, value, load, seed in (("m", "0.634", "4000", 1), ("mm", "634", "5000", 2))
+    )
     both = join([one, two]).source
     assert both.constants == {"UNLOADED_RADIUS": pytest.approx(0.317)}
     (text,) = [text for text in both.warnings if "FNOMIN" in text]

@@ -25,8 +25,7 @@ def memory():
 def test_an_address_is_read_as_the_file(memory, tmp_path):
     (tmp_path / "a.csv").write_text(TEXT)
     local, remote = (
-        read(place, convention="braking")
-        for place in (tmp_path / "a.csv", "memory://rig/a.csv")
+        read(place, convention="braking") for place in (tmp_path / "a.csv", "memory://rig/a.csv")
     )
     assert remote.name == local.name == "a"
     assert remote.source.sha256 == local.source.sha256

@@ -66,8 +66,11 @@ def test_clipping_keeps_both_ends():
 def test_bins_are_told_by_the_words_that_differ():
     bins = [
         f"{fz} N {gamma} deg {p} kPa {v} m/s"
-        for fz in (222, 1112) for gamma in (-2, 0) for p in (82.6, 96.6) for v in (11,)
-    ]  # fmt: skip
+        for fz in (222, 1112)
+        for gamma in (-2, 0)
+        for p in (82.6, 96.6)
+        for v in (11,)
+    ]
     short, pattern = run_names(bins)
     assert short[0] == "222 -2 82.6" and short[-1] == "1112 0 96.6"
     assert len(set(short)) == len(bins) and pattern == "* N * deg * kPa 11 m/s"

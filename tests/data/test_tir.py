@@ -7,14 +7,7 @@ import numpy as np
 import pytest
 
 from tirefit.data.read import read
-from tirefit.data.tir import (
-    brush_of,
-    notes_on,
-    parse_tir,
-    read_tir,
-    reduced_tir,
-    write_tir,
-)
+from tirefit.data.tir import brush_of, notes_on, parse_tir, read_tir, reduced_tir, write_tir
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.models.mf import mf_tire
 from tirefit.params import with_values
@@ -22,9 +15,7 @@ from tirefit.results import DataError, UsageError
 
 FOLDER = Path(__file__).parent / "tir"
 FILES = sorted(FOLDER.glob("*/*.tir"))
-MF52, MF61 = (
-    FOLDER / f"mfeval_julia/MagicFormula{number}_Parameters.tir" for number in (52, 61)
-)
+MF52, MF61 = (FOLDER / f"mfeval_julia/MagicFormula{number}_Parameters.tir" for number in (52, 61))
 TRUCK = FOLDER / "chrono/335_65R22_5_G275MSA_60psi.tir"
 
 
@@ -57,9 +48,15 @@ def test_values_version_and_side():
     tir = read_tir(MF61)
     assert (tir.version, tir.side) == ("6.1", "RIGHT")
     known = {
-        "FNOMIN": 6752, "NOMPRES": 260000, "RBY4": 1747.3832, "DAMP_VLOW": 0.001,
-        "LFZO": 1, "PKY1": -28.3155, "QSY4": 4e-5, "MASS": 17.451,
-    }  # fmt: skip
+        "FNOMIN": 6752,
+        "NOMPRES": 260000,
+        "RBY4": 1747.3832,
+        "DAMP_VLOW": 0.001,
+        "LFZO": 1,
+        "PKY1": -28.3155,
+        "QSY4": 4e-5,
+        "MASS": 17.451,
+    }
     assert {key: tir.numbers[key] for key in known} == known
     assert tir.find("MASS", "UNITS").text == "kg"
     assert "PDX3" not in read_tir(TRUCK).numbers
@@ -73,13 +70,19 @@ def test_values_version_and_side():
 
 
 IN_OTHER_UNITS = (
-    ("'meter'", "'mm'"), ("'newton'", "'kN'"), ("'second'", "'ms'"),
+    ("'meter'", "'mm'"),
+    ("'newton'", "'kN'"),
+    ("'second'", "'ms'"),
     ("^UNLOADED_RADIUS.*", "UNLOADED_RADIUS = 394.3 $ mm"),
-    ("^FNOMIN.*", "FNOMIN = 6.752"), ("^FZMAX.*", "FZMAX = 18.0"),
-    ("^LONGVL.*", "LONGVL = 16.6"), ("^NOMPRES.*", "NOMPRES = 0.00026"),
-    ("^INFLPRES.*", "INFLPRES = 0.00026"), ("^PRESMIN.*", "PRESMIN = 0.0002"),
-    ("^PRESMAX.*", "PRESMAX = 0.0004"), ("^VXLOW.*", "VXLOW = 1"),
-)  # fmt: skip
+    ("^FNOMIN.*", "FNOMIN = 6.752"),
+    ("^FZMAX.*", "FZMAX = 18.0"),
+    ("^LONGVL.*", "LONGVL = 16.6"),
+    ("^NOMPRES.*", "NOMPRES = 0.00026"),
+    ("^INFLPRES.*", "INFLPRES = 0.00026"),
+    ("^PRESMIN.*", "PRESMIN = 0.0002"),
+    ("^PRESMAX.*", "PRESMAX = 0.0004"),
+    ("^VXLOW.*", "VXLOW = 1"),
+)
 
 
 def test_units_are_converted_in_and_out():
@@ -94,8 +97,10 @@ def test_units_are_converted_in_and_out():
     lines = zip(tir.lines, new.lines, strict=True)
     differing = [after for before, after in lines if before != after]
     assert [line.split("$")[0].split("=")[1].strip() for line in differing] == [
-        "400", "0.00025", "1.2",
-    ]  # fmt: skip
+        "400",
+        "0.00025",
+        "1.2",
+    ]
     assert differing[0] == "UNLOADED_RADIUS = 400 $ mm\n"
 
 
@@ -115,9 +120,7 @@ def test_changed_files_keep_all_the_rest():
     differing = [(a.split("$"), b.split("$")) for a, b in lines if a != b]
     assert len(differing) == 2
     for before, after in differing:
-        assert (
-            before[1] == after[1] and before[0].split("=")[0] == after[0].split("=")[0]
-        )
+        assert before[1] == after[1] and before[0].split("=")[0] == after[0].split("=")[0]
 
 
 def test_new_coefficients_go_to_their_sections():
@@ -142,9 +145,7 @@ def test_a_side_is_written_as_text(tmp_path):
 
 
 def test_encodings_and_spellings(tmp_path):
-    text = changed(
-        MF61, ("^PDX1 .*", "pdx1=1.25!na\N{LATIN SMALL LETTER I WITH DIAERESIS}ve")
-    )
+    text = changed(MF61, ("^PDX1 .*", "pdx1=1.25!na\N{LATIN SMALL LETTER I WITH DIAERESIS}ve"))
     for encoding in ("latin-1", "utf-8-sig"):
         (tmp_path / "a.tir").write_text(text, encoding=encoding)
         assert read_tir(tmp_path / "a.tir").numbers["PDX1"] == 1.25
@@ -158,29 +159,32 @@ def test_encodings_and_spellings(tmp_path):
 
 BAD = {
     "version": ("^FITTYP.*", "FITTYP = 70", "FITTYP = 70 is not a", "61 (MF 6.1)"),
-    "other model": (
-        "= +'USER'", "= 'FIALA'", "PROPERTY_FILE_FORMAT = 'FIALA': the Fiala", "5.2",
-    ),
+    "other model": ("= +'USER'", "= 'FIALA'", "PROPERTY_FILE_FORMAT = 'FIALA': the Fiala", "5.2"),
     "file type": ("'tir'", "'rdf'", "FILE_TYPE = 'rdf'", "tire property file"),
     "no load": ("^FNOMIN .*", "", "FNOMIN is missing", "[VERTICAL]"),
-    "no pressure": ("^NOMPRES .*", "", "to which PPX1 refers",
-                    "PPMX1, QSY8 to 0"),
-    "twice": ("^PDX2 .*", "PDX2 = 1\nPDX2 = 2", "PDX2 = 2 contradicts PDX2 = 1 in row",
-              "remove one"),
-    "in two sections": ("^QSX1 .*", "PDX1 = 2", "PDX1 = 2 contradicts PDX1 = 1.1632",
-                        "remove one"),
-    "range": ("^FZMIN .*", "FZMIN = 2e4", "FZMIN = 20000 contradicts FZMAX = 18000",
-              "correct one"),
+    "no pressure": ("^NOMPRES .*", "", "to which PPX1 refers", "PPMX1, QSY8 to 0"),
+    "twice": (
+        "^PDX2 .*",
+        "PDX2 = 1\nPDX2 = 2",
+        "PDX2 = 2 contradicts PDX2 = 1 in row",
+        "remove one",
+    ),
+    "in two sections": ("^QSX1 .*", "PDX1 = 2", "PDX1 = 2 contradicts PDX1 = 1.1632", "remove one"),
+    "range": ("^FZMIN .*", "FZMIN = 2e4", "FZMIN = 20000 contradicts FZMAX = 18000", "correct one"),
     "text": ("^PDX2 .*", "PDX2 = 0,5", "PDX2 = 0,5 is not a number", "changes the"),
     "unit": ("'newton'", "'stone'", "FORCE = 'stone'", "newton"),
     "side": ("'RIGHT'", "'TOP'", "TYRESIDE = 'TOP'", "LEFT, RIGHT"),
     "mirrored": ("^USE_MODE .*", "USE_MODE = -12", "USE_MODE = -12 mirrors", "--side"),
-    "negative": ("^UNLOADED_RADIUS .*", "UNLOADED_RADIUS = -1", "is not positive",
-                 "correct UNLOADED_RADIUS"),
+    "negative": (
+        "^UNLOADED_RADIUS .*",
+        "UNLOADED_RADIUS = -1",
+        "is not positive",
+        "correct UNLOADED_RADIUS",
+    ),
     "pressure unit": ("^NOMPRES .*", "NOMPRES = 2.6", "NOMPRES is 2.6 Pa", "'bar'"),
     "quote": ("'RIGHT'", "'RIGHT", "is no section, KEY = VALUE or comment", "quotes"),
     "bracket": (r"^\[LATERAL_C.*", "[LATERAL", "'[LATERAL' is no section", "brackets"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -203,9 +207,13 @@ def test_speed_is_needed_where_friction_falls_with_it():
 
 def test_all_problems_are_said_at_once_in_the_order_of_the_file():
     text = changed(
-        MF61, ("'newton'", "'stone'"), ("^FITTYP.*", "FITTYP = 7"), ("^FNOMIN .*", ""),
-        ("^PCY1 .*", "PCY1 = x"), ("^FZMIN .*", "FZMIN = 2e4"),
-    )  # fmt: skip
+        MF61,
+        ("'newton'", "'stone'"),
+        ("^FITTYP.*", "FITTYP = 7"),
+        ("^FNOMIN .*", ""),
+        ("^PCY1 .*", "PCY1 = x"),
+        ("^FZMIN .*", "FZMIN = 2e4"),
+    )
     found = problems(text)
     rows = [problem.row or 0 for problem in found]
     assert len(found) == 5 and rows == sorted(rows)
@@ -260,11 +268,7 @@ def test_reduced_file_has_the_slope_and_friction_of_the_brush(tmp_path):
 def test_a_brush_comes_back_to_the_last_digit():
     rng = np.random.default_rng(3)
     for _ in range(100):
-        cpa2, mu, fz = (
-            np.exp(rng.normal(10, 1)),
-            rng.uniform(0.1, 1.5),
-            rng.uniform(1, 9e3),
-        )
+        cpa2, mu, fz = (np.exp(rng.normal(10, 1)), rng.uniform(0.1, 1.5), rng.uniform(1, 9e3))
         values = brush_of(parse_tir(reduced_tir(cpa2, mu, fz, 0.3).text))
         assert values["mu"] == mu
         np.testing.assert_allclose(values["cpa2"], cpa2, rtol=3e-16)

@@ -14,12 +14,8 @@ from tirefit.results import DataError
 
 FOLDER = Path(__file__).parent / "tir"
 FILES = sorted(FOLDER.glob("*/*.tir"))
-MF52, MF61 = (
-    FOLDER / f"mfeval_julia/MagicFormula{number}_Parameters.tir" for number in (52, 61)
-)
-VALUE = re.compile(
-    r"(?m)^(\w+[ \t]*=[ \t]*)([-+]?[\d.]+(?:[eEdD][-+]?\d+)?)(?=[ \t\r$]|$)"
-)
+MF52, MF61 = (FOLDER / f"mfeval_julia/MagicFormula{number}_Parameters.tir" for number in (52, 61))
+VALUE = re.compile(r"(?m)^(\w+[ \t]*=[ \t]*)([-+]?[\d.]+(?:[eEdD][-+]?\d+)?)(?=[ \t\r$]|$)")
 
 
 def text_of(path):
@@ -44,9 +40,7 @@ def shuffled(text, random):
         header, *lines = sections[k].splitlines(keepends=True)
         if not re.match(r"\[(SHAPE|UNITS)", header):
             lines = [lines[i] for i in random.permutation(len(lines))]
-        parts.append(
-            "".join([header, *(x if x.endswith("\n") else x + "\n" for x in lines)])
-        )
+        parts.append("".join([header, *(x if x.endswith("\n") else x + "\n" for x in lines)]))
     return head + "".join(parts)
 
 
@@ -172,9 +166,7 @@ def test_whole_blocks_may_be_missing(lost, given, mode):
     ],
 )
 def test_the_version_is_told_by_the_file_or_its_keys(edits, version, because):
-    text = re.sub(
-        r"(?m)^(FITTYP|PROPERTY_FILE_FORMAT|PHY3|LGA[XYZ]) .*\n", "", text_of(MF52)
-    )
+    text = re.sub(r"(?m)^(FITTYP|PROPERTY_FILE_FORMAT|PHY3|LGA[XYZ]) .*\n", "", text_of(MF52))
     tir = parse_tir(text.replace("[MODEL]\n", "\n".join(["[MODEL]", *edits, ""])))
     assert tir.version == version
     (said,) = [note for note in notes_on(tir) if "taken as Magic Formula" in note]
@@ -197,9 +189,7 @@ def test_keys_of_another_version_are_reported_once_and_not_used():
     lost = read_tir(MF61).numbers.keys() - tir.numbers.keys()
     assert {"PPX1", "PKY6", "RBY4"} <= lost and "PHY1" not in lost
     # A factor of one or a zero has no effect, and no note.
-    quiet = parse_tir(
-        re.sub(r"(?m)^LGAX .*", "LGAX = 1\nLKYC = 1\nPPX1 = 0", text_of(MF52))
-    )
+    quiet = parse_tir(re.sub(r"(?m)^LGAX .*", "LGAX = 1\nLKYC = 1\nPPX1 = 0", text_of(MF52)))
     assert not any("has no" in note for note in notes_on(quiet))
 
 

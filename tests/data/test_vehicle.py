@@ -52,9 +52,7 @@ def test_every_key_is_documented_and_nothing_else(section, kind):
 
 
 def test_the_documented_dimensions_and_defaults_are_those_that_hold():
-    rows = re.findall(
-        r"\| `(\w+)` \| (time|length|angle|speed|angular speed|accel\w+) ", TEXT
-    )
+    rows = re.findall(r"\| `(\w+)` \| (time|length|angle|speed|angular speed|accel\w+) ", TEXT)
     assert dict(rows) == QUANTITIES
     default = Filter()
     for name, value in (("cutoff", 5), ("order", 2), ("sample_rate", 100)):

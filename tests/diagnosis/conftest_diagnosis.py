@@ -25,10 +25,12 @@ def patterns_of(columns):
     """Patterns of these columns, all as likely."""
     rows, count = columns.shape
     over = Over(
-        "time", columns.astype(np.float32),
+        "time",
+        columns.astype(np.float32),
         [("local", k, 1) for k in range(count)],
-        np.full(count, -np.log(max(count, 1))), {"force": 0},
-    )  # fmt: skip
+        np.full(count, -np.log(max(count, 1))),
+        {"force": 0},
+    )
     return Patterns(np.ones((1, rows, 1)), [over])
 
 
@@ -47,17 +49,17 @@ def refitted(base, *effects):
     refit = base.refit([(base.z, np.ones(len(atoms)))], [atoms])
     p, size = len(refit.z[0]), len(atoms)
     return bare(
-        tuple(names[k] for k in atoms), atoms=atoms, z=refit.z[0],
+        tuple(names[k] for k in atoms),
+        atoms=atoms,
+        z=refit.z[0],
         amplitude=refit.amplitude[0][:size],
         covariance=refit.covariance[0][: p + size, : p + size],
-    )  # fmt: skip
+    )
 
 
 def weighed_of(alone, beside=None, **known):
     """A posterior by hand: probabilities of sets, and of sets beside a discrepancy."""
-    log, more = (
-        {key: float(np.log(p)) for key, p in of.items()} for of in (alone, beside or {})
-    )
+    log, more = ({key: float(np.log(p)) for key, p in of.items()} for of in (alone, beside or {}))
     given = {"best_of": {key: bare(key) for key in log}, "log_weight": log}
     given |= {"log_beside": more, "evidence": {key: 9.0 * len(key) for key in log}}
     given |= {"other_form": frozenset(), "gains": {}, "log_total": 0.0, "hidden": 0.0}
@@ -80,9 +82,7 @@ def record(change=None, seed=0, rows=40):
             truth = change or (lambda s, t, fz, v: brush(s, 5e4, 0.9, fz))
             force = truth(slip, time + start, fz, v)
             blocks.append(
-                np.stack(
-                    [time + start, slip, force, 0 * time + fz, 0 * time + v], axis=1
-                )
+                np.stack([time + start, slip, force, 0 * time + fz, 0 * time + v], axis=1)
             )
             start += rows * 0.05 + 2.0
     time, slip, force, fz, v = np.concatenate(blocks).T
@@ -100,9 +100,13 @@ def lagging(slip, time, fz, v, length=0.5):
         return np.interp(t, time, slip)
 
     found = solve_ivp(
-        lambda t, y: v / length * (slip_at(t) - y), (time[0], time[-1]), [slip[0]],
-        t_eval=time, max_step=0.005, rtol=1e-8,
-    )  # fmt: skip
+        lambda t, y: v / length * (slip_at(t) - y),
+        (time[0], time[-1]),
+        [slip[0]],
+        t_eval=time,
+        max_step=0.005,
+        rtol=1e-8,
+    )
     return brush(found.y[0], 5e4, 0.9, fz)
 
 

@@ -73,16 +73,19 @@ class Straight(Base):
         design = nothing._replace(
             keep=np.ones(ROWS), scale={"fx": np.ones(ROWS)}, prior_scale=np.ones(1)
         )
-        rows = SimpleNamespace(
-            channels=("fx",), n=ROWS, observed=observed, covariates=None
-        )
+        rows = SimpleNamespace(channels=("fx",), n=ROWS, observed=observed, covariates=None)
         sharp = patterns_of(smooth)
         self.__dict__ |= {
-            "columns": columns, "truth": truth, "atoms": (one,), "rows": rows,
-            "design": design, "slip_fraction": x,
+            "columns": columns,
+            "truth": truth,
+            "atoms": (one,),
+            "rows": rows,
+            "design": design,
+            "slip_fraction": x,
             "generic": Generic(smooth, smooth, sharp),
-            "doubt": np.zeros((ROWS, 1)), "proxies": np.zeros((ROWS, 0)),
-        }  # fmt: skip
+            "doubt": np.zeros((ROWS, 1)),
+            "proxies": np.zeros((ROWS, 0)),
+        }
 
     prepared = property(lambda self: self.rows)
     measured = property(lambda self: self)
@@ -172,17 +175,13 @@ def test_closure_elsewhere_of_known_energies():
     n = 4000
     noise, run = 10 * generator.standard_normal(n), np.zeros(4000, int)
     gap, variance = 40 * np.sin(np.arange(n)), np.full(n, 100.0)
-    found = closure_elsewhere(
-        gap + noise, 0.2 * gap + noise, variance, run, 1.0, generator
-    )
+    found = closure_elsewhere(gap + noise, 0.2 * gap + noise, variance, run, 1.0, generator)
     assert found.rms == pytest.approx(40 / np.sqrt(2), rel=0.02)
     assert found.closed == pytest.approx(0.8, abs=0.02)
     assert found.closed_ci[0] < 0.8 < found.closed_ci[1]
     tiny = closure_elsewhere(noise, noise, variance, run, 1.0, generator)
     assert tiny.closed is None and not tiny.resolvable
-    worse = closure_elsewhere(
-        gap + noise, 3 * gap + noise, variance, run, 1.0, generator
-    )
+    worse = closure_elsewhere(gap + noise, 3 * gap + noise, variance, run, 1.0, generator)
     assert worse.closed == -1
 
 

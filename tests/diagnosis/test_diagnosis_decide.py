@@ -105,9 +105,10 @@ def test_the_parts_of_one_run_share_what_is_unlisted():
 
 def test_of_a_set_that_does_not_stand_its_largest_part_that_does_is_named():
     sets = {
-        AB: Fitted({"a": 9.0, "b": 1.2}, {"a": gain(), "b": gain()}), A: fitted(A),
+        AB: Fitted({"a": 9.0, "b": 1.2}, {"a": gain(), "b": gain()}),
+        A: fitted(A),
         B: fitted(B),
-    }  # fmt: skip
+    }
     verdict = decide(findings({AB: 0.8, A: 0.02, B: 0.01}, sets))
     assert (verdict.effects, verdict.also_possible) == (A, B)
     # As likely as all sets that hold it.
@@ -132,8 +133,7 @@ STANDS = {
 
 
 @pytest.mark.parametrize(
-    ("rule", "passes", "fails", "strict"),
-    [("known", 2.0, 1.99, False), ("gain", 1.01, 1.0, True)],
+    ("rule", "passes", "fails", "strict"), [("known", 2.0, 1.99, False), ("gain", 1.01, 1.0, True)]
 )
 def test_each_threshold_of_a_name(rule, passes, fails, strict):
     def named(value, policy=POLICY):
@@ -203,9 +203,7 @@ def test_across_runs_something_unlisted_takes_no_name_away():
     generator = np.random.default_rng(0)
     for _ in range(400):
         found = random_findings(generator, 0.2)
-        before, after = (
-            decide(replace(found, unlisted=chance)) for chance in (0.2, 0.95)
-        )
+        before, after = (decide(replace(found, unlisted=chance)) for chance in (0.2, 0.95))
         if before.key == next(iter(found.sets)):
             assert after.key == before.key and after.status == Status.INCOMPLETE
         assert len(after.key) >= len(before.key)

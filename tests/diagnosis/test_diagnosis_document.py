@@ -102,8 +102,9 @@ def test_every_record_is_written_as_it_is_read(diagnosed):
     assert written | {"schema", "ladder_on"} == set(document)
     # Keyed by what the file and the model have.
     free = ("parameters", "budgets", "runs")
-    assert all(not isinstance(getattr(found, name), dict) or name.endswith(free)
-               for name in written)  # fmt: skip
+    assert all(
+        not isinstance(getattr(found, name), dict) or name.endswith(free) for name in written
+    )
     assert is_dataclass(found.gap)
     lost = replace(found, n_effective=np.float64("nan"), seed=np.int64(3))
     assert json.loads(lost.to_json())["n_effective"] is None
@@ -126,9 +127,7 @@ def rich():
 DESIGNS = {
     "one load, one sign": lambda: sweep([4e3], np.linspace(0.004, 0.2, 120)),
     "two loads, both signs": lambda: sweep([2e3, 5e3], np.linspace(-0.2, 0.2, 60)),
-    "lateral, no M_z": lambda: sweep(
-        [2e3, 5e3], np.linspace(-0.2, 0.2, 60), channel="fy"
-    ),
+    "lateral, no M_z": lambda: sweep([2e3, 5e3], np.linspace(-0.2, 0.2, 60), channel="fy"),
     "sweeps at three loads and two speeds": rich,
 }
 
@@ -164,10 +163,7 @@ def test_what_cannot_be_told_has_a_next_measurement_or_a_reason(studied, design)
     pairs = list(combinations(ids, 2))[::7]
     for one, other in pairs:
         verdict = replace(
-            case.verdict,
-            status=Status.CANNOT_TELL,
-            effects=(one,),
-            also_possible=(other,),
+            case.verdict, status=Status.CANNOT_TELL, effects=(one,), also_possible=(other,)
         )
         steps, reason = next_measurements(case.base, case.search, case.weighed, verdict)
         assert (reason is None) == bool(steps)
@@ -187,13 +183,9 @@ def test_what_cannot_be_told_has_a_next_measurement_or_a_reason(studied, design)
 )
 def test_one_load_and_one_sign_ask_for_the_other_sign_or_load():
     data = read_frame(sweep([4e3], np.linspace(0.004, 0.2, 120)), "one sign")
-    found = engine.diagnose(
-        data, rig=Rig(noise={"fx_relative": 0.01, **ALMOST_NO_NOISE})
-    )
+    found = engine.diagnose(data, rig=Rig(noise={"fx_relative": 0.01, **ALMOST_NO_NOISE}))
     assert found.verdict.status == "cannot_tell"
-    assert {"slip_offset", "force_offset"} <= {
-        *found.effects, *found.verdict.also_possible
-    }  # fmt: skip
+    assert {"slip_offset", "force_offset"} <= {*found.effects, *found.verdict.also_possible}
     first = found.next_measurement[0]
     assert set(first.separates) == {"slip_offset", "force_offset"}
     assert first.p_now < 0.6 and first.p_after > 0.9
@@ -211,9 +203,7 @@ def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
     slips, loads = base.prepared.slip, base.prepared.inputs.fz
 
     def moment(d):
-        tire = Brush(
-            cpa2=float(values["cpa2"]), mu=float(values["mu"]), pressure=Asymmetric(d)
-        )
+        tire = Brush(cpa2=float(values["cpa2"]), mu=float(values["mu"]), pressure=Asymmetric(d))
         return np.array(
             [
                 float(tire(TireInputs(0.0, np.arctan(slip), fz, 10.0)).mz)
@@ -228,25 +218,23 @@ def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
         rows = loads == fz
         ratio = ours[rows] @ slope[rows] / (slope[rows] @ slope[rows])
         assert ratio > 0
-        np.testing.assert_allclose(
-            ours[rows], ratio * slope[rows], atol=3e-3 * np.abs(ours).max()
-        )
+        np.testing.assert_allclose(ours[rows], ratio * slope[rows], atol=3e-3 * np.abs(ours).max())
 
 
 def test_the_moment_is_forecast_by_the_rows_not_promised(studied):
     case = studied("lateral, no M_z")
     verdict = replace(
-        case.verdict, status=Status.CANNOT_TELL, effects=("pressure_asymmetry",),
+        case.verdict,
+        status=Status.CANNOT_TELL,
+        effects=("pressure_asymmetry",),
         also_possible=("carcass_flexibility",),
-    )  # fmt: skip
+    )
 
     def chances(base):
         search = copy(case.search)
         search.base = base
         steps, _ = next_measurements(base, search, case.weighed, verdict, most=99)
-        return {
-            step.separates[1]: step.p_after for step in steps if step.add == _MOMENT
-        }
+        return {step.separates[1]: step.p_after for step in steps if step.add == _MOMENT}
 
     sure = chances(case.base)["carcass_flexibility"]
     scale = {c: 4 * v for c, v in case.base.design.scale.items()}

@@ -39,8 +39,7 @@ def _slips(draw, n, order):
     time = np.arange(n) * draw.choice([0.01, 0.05])
     if order == "sweeps":
         turns = draw.uniform(1.0, 4.0)
-        return low + (size - low) * (0.5 - 0.5 * np.cos(
-            2 * np.pi * turns * np.arange(n) / n)), time  # fmt: skip
+        return low + (size - low) * (0.5 - 0.5 * np.cos(2 * np.pi * turns * np.arange(n) / n)), time
     slip = np.linspace(low, size, n)
     return (draw.permutation(slip) if order == "random" else slip), time
 
@@ -122,9 +121,10 @@ def _together(document):
         return 0.0
     beside = verdict["effects"] if verdict["status"] == "incomplete" else None
     alone = (
-        one["probability"] for one in document["candidates"]
+        one["probability"]
+        for one in document["candidates"]
         if one["effects"] not in (["unknown"], beside)
-    )  # fmt: skip
+    )
     return verdict["left"]["unlisted"] + sum(alone)
 
 

@@ -50,9 +50,7 @@ def test_a_prior_follows_the_size_of_the_tire():
         for atom in atoms_of(EFFECTS):
             if not set(atom.effect.needs) <= plain.has:
                 continue
-            expected = np.array(atom.prior(plain, RIG)) * factor.get(
-                atom.effect.unit, 1.0
-            )
+            expected = np.array(atom.prior(plain, RIG)) * factor.get(atom.effect.unit, 1.0)
             np.testing.assert_allclose(
                 atom.prior(other, RIG), expected, rtol=1e-6, err_msg=atom.effect.id
             )
@@ -91,9 +89,7 @@ FORMULAS = {
 @pytest.mark.parametrize("said", FORMULAS)
 def test_a_named_effect_says_of_which_formula_its_amplitude_is(said):
     effect, friction, amplitude, rel = FORMULAS[said]
-    frame, _ = record(
-        lambda s, t, fz, v: brush(s, 5e4, 0.9 * friction(s, t, fz, v), fz), 5, 80
-    )
+    frame, _ = record(lambda s, t, fz, v: brush(s, 5e4, 0.9 * friction(s, t, fz, v), fz), 5, 80)
     found = diagnose(read_frame(frame), rig=RIG)
     assert found.effects == (effect,)
     named = next(c for c in found.candidates if c.effects == (effect,))
@@ -104,10 +100,7 @@ def test_a_named_effect_says_of_which_formula_its_amplitude_is(said):
 
 @pytest.mark.parametrize(
     ("truth", "effect"),
-    [
-        (_of_the_sliding_speed, "friction_speed_linear"),
-        (_with_an_offset, "slip_offset"),
-    ],
+    [(_of_the_sliding_speed, "friction_speed_linear"), (_with_an_offset, "slip_offset")],
 )
 def test_the_verdict_is_the_same_at_any_size(truth, effect):
     frame, _ = record(truth, seed=3)
@@ -117,9 +110,7 @@ def test_the_verdict_is_the_same_at_any_size(truth, effect):
         found = diagnose(read_frame(at_size(frame, **size)), rig=RIG)
         assert found.verdict.status == first.verdict.status
         assert found.effects == first.effects
-        assert found.verdict.probability == pytest.approx(
-            first.verdict.probability, abs=0.01
-        )
+        assert found.verdict.probability == pytest.approx(first.verdict.probability, abs=0.01)
         for one, other in zip(first.candidates[:2], found.candidates[:2], strict=True):
             assert one.effects == other.effects
 
@@ -164,9 +155,7 @@ def test_a_load_off_by_a_constant_is_another_load():
     # Friction at the load of reference stays: it is the base model's to fit.
     for load, factor in zip(4000 * rows.fz, friction, strict=True):
         state = null_state()._replace(friction=factor * (1 + 0.06))
-        ours = force_of_state(
-            Brush(), None, state, 0.06, 0.0, TireInputs(0.06, 0.0, load)
-        )[0]
+        ours = force_of_state(Brush(), None, state, 0.06, 0.0, TireInputs(0.06, 0.0, load))[0]
         right = float(Brush()(TireInputs(0.06, 0.0, load + 240.0)).fx)
         assert float(ours) == pytest.approx(right, rel=5e-3)
 
@@ -214,9 +203,7 @@ def test_constants_of_an_effect_are_those_of_the_rows_fitted():
 
 
 TRUTHS = {
-    "slip_zero_drift": lambda s, t, fz, v: brush(
-        s - 0.012 * (t / t.max() - 0.5), 5e4, 0.9, fz
-    ),
+    "slip_zero_drift": lambda s, t, fz, v: brush(s - 0.012 * (t / t.max() - 0.5), 5e4, 0.9, fz),
     "load_crosstalk": lambda s, t, fz, v: brush(s, 5e4, 0.9, fz) + 0.03 * fz,
     "speed_zero": lambda s, t, fz, v: brush(s + 0.08 / v, 5e4, 0.9, fz),
     "stiffness_speed": lambda s, t, fz, v: brush(s, 5e4 * (v / 12) ** 0.2, 0.9, fz),
@@ -230,9 +217,7 @@ def test_effects_of_rigs_are_named(effect):
 
 
 OTHER_FORMS = {
-    "friction_step": lambda s, t, fz, v: brush(
-        s, 5e4, 0.9 * (1 - 0.12 * ((t > 6) & (t < 13))), fz
-    ),
+    "friction_step": lambda s, t, fz, v: brush(s, 5e4, 0.9 * (1 - 0.12 * ((t > 6) & (t < 13))), fz),
     "drive_brake_asymmetry": lambda s, t, fz, v: brush(
         s, 5e4 * (1 + 0.03 * np.sign(s)), 0.9 * (1 + 0.05 * np.sign(s)), fz
     ),

@@ -226,11 +226,12 @@ FALSE_ALARM = pytest.mark.xfail(
 @pytest.mark.parametrize(
     ("fade", "seed"),
     [
-        pytest.param(0.6, 1, marks=FALSE_ALARM), (0.6, 2),
+        pytest.param(0.6, 1, marks=FALSE_ALARM),
+        (0.6, 2),
         pytest.param(0.85, 2, marks=FALSE_ALARM),
         pytest.param(0.85, 3, marks=FALSE_ALARM),
     ],
-)  # fmt: skip
+)
 def test_a_force_through_a_filter_has_no_gap_whatever_is_stated_of_it(fade, seed):
     """Two slow sweeps through ramps of the slip: noise of which neighbours in slip
     have much in common, and a level that nobody stated."""
@@ -298,9 +299,7 @@ def test_bad_data_are_refused():
 
 def test_an_effect_that_is_not_known_is_told_with_the_one_that_is_meant():
     frame, _ = record(None)
-    with pytest.raises(
-        UsageError, match="(?s)no effect 'slip_ofset'.*mean 'slip_offset'"
-    ):
+    with pytest.raises(UsageError, match="(?s)no effect 'slip_ofset'.*mean 'slip_offset'"):
         diagnose(read_frame(frame), without=["slip_ofset"])
 
 

@@ -19,9 +19,13 @@ def record_of(time):
     """Patterns of a record whose slip goes to and fro."""
     slip_fraction = 1.2 * np.sin(2 * np.pi * np.arange(len(time)) / 90)
     prepared = SimpleNamespace(
-        n=len(time), channels=("fx",), has=frozenset(("time", "signs")), time=time,
-        inputs=SimpleNamespace(fz=np.full(len(time), 4e3)), covariates=None,
-    )  # fmt: skip
+        n=len(time),
+        channels=("fx",),
+        has=frozenset(("time", "signs")),
+        time=time,
+        inputs=SimpleNamespace(fz=np.full(len(time), 4e3)),
+        covariates=None,
+    )
     fields = {name: np.full(len(time), 1 / 40.0) for name in PARAMETERS}
     return patterns(prepared, slip_fraction, fields)
 
@@ -73,9 +77,7 @@ def test_hum_stands_in_the_report():
         return brush(slip, 5e4, 0.9, fz) + 0.02 * fz * np.sin(2 * np.pi * time / 0.13)
 
     columns, _ = record(humming, seed=5, rows=100)
-    found = diagnose(
-        read_frame(columns, "hum", convention="braking"), rig=RIG, holdout=()
-    )
+    found = diagnose(read_frame(columns, "hum", convention="braking"), rig=RIG, holdout=())
     first = found.verdict.left.looks_like[0]
     assert found.verdict.status == "unknown"
     assert first.covariate == "time" and first.at == pytest.approx(0.13, rel=2e-3)

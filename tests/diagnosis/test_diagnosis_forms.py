@@ -25,8 +25,7 @@ def shapes_of(effect, frame):
 
 
 @pytest.mark.parametrize(
-    "effect",
-    ["force_zero_drift", "slip_zero_drift", "slip_offset_load", "slip_offset_speed"],
+    "effect", ["force_zero_drift", "slip_zero_drift", "slip_offset_load", "slip_offset_speed"]
 )
 def test_what_stays_is_no_form_of_what_moves(effect):
     """Else a drift is called what is an offset, which is there in all that drifts."""
@@ -112,9 +111,7 @@ def test_one_speed_tells_no_filter_from_a_relaxation():
     usual."""
     time, slip, fz, force, moment = slalom()
     share = 1 - np.exp(-0.01 / 0.03)
-    force, moment = (
-        lfilter([share], [1, share - 1], values) for values in (force, moment)
-    )
+    force, moment = (lfilter([share], [1, share - 1], values) for values in (force, moment))
     verdict = diagnose(measured(time, slip, fz, force, moment), rig=LATERAL).verdict
     said = {*verdict.effects, *verdict.also_possible}
     assert verdict.status == "cannot_tell"

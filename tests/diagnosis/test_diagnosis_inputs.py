@@ -31,8 +31,7 @@ def rig_data(seed=1, noise=30.0):
 
 
 @pytest.mark.parametrize(
-    ("column", "value", "has"),
-    [("fz", 40000.0, "3000 to 5000 N"), ("fx", 3e9, "N")],
+    ("column", "value", "has"), [("fz", 40000.0, "3000 to 5000 N"), ("fx", 3e9, "N")]
 )
 def test_one_mistyped_cell_is_set_aside_and_said(column, value, has):
     data = rig_data()
@@ -146,10 +145,7 @@ def test_a_force_that_no_tire_has_is_an_error():
 
 @pytest.mark.parametrize(
     ("noise", "reason"),
-    [
-        ({"sigma_x": 10.0}, "where on the curve"),
-        ({"fx": 1e7}, "beyond the largest load"),
-    ],
+    [({"sigma_x": 10.0}, "where on the curve"), ({"fx": 1e7}, "beyond the largest load")],
 )
 def test_more_noise_than_values_vary_by_is_an_error(noise, reason):
     with pytest.raises(DataError, match=reason):
@@ -205,19 +201,19 @@ BROKEN = {
         "effect 'mine': ValueError",
     ),
     "no slope at zero": (
-        lambda state, a, constants, rows: state._replace(friction=jnp.sqrt(1 + 0 * a)
-                                                         + jnp.sqrt(jnp.abs(a))),
+        lambda state, a, constants, rows: state._replace(
+            friction=jnp.sqrt(1 + 0 * a) + jnp.sqrt(jnp.abs(a))
+        ),
         "effect 'mine': its change at amplitude 0 is not finite",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("change", "said"), BROKEN.values(), ids=BROKEN)
 def test_an_effect_that_cannot_be_worked_out_is_said(change, said):
     mine = Effect(
-        id="mine", family="friction x time", change=change, scale=0.1, unit="-",
-        formula="none",
-    )  # fmt: skip
+        id="mine", family="friction x time", change=change, scale=0.1, unit="-", formula="none"
+    )
     with pytest.raises(UsageError, match=re.escape(said)):
         tirefit.diagnose(read_frame(rig_data()), effects=(*EFFECTS, mine))
 
@@ -241,13 +237,11 @@ def test_one_of_a_kind_stands_for_a_list_of_it(tmp_path):
     data, other = read_frame(rig_data()), read_frame(rig_data(seed=2))
     (tmp_path / "rig.toml").write_text("[noise]\nfx = 30\n")
     one = tirefit.diagnose(
-        data, rig=tmp_path / "rig.toml", forces="fx", without="friction_step",
-        holdout=other,
-    )  # fmt: skip
+        data, rig=tmp_path / "rig.toml", forces="fx", without="friction_step", holdout=other
+    )
     several = tirefit.diagnose(
-        data, rig=Rig(noise={"fx": 30.0}), forces=["fx"], without=["friction_step"],
-        holdout=[other],
-    )  # fmt: skip
+        data, rig=Rig(noise={"fx": 30.0}), forces=["fx"], without=["friction_step"], holdout=[other]
+    )
     assert one.verdict == several.verdict
     assert one.settings == several.settings
     assert "friction_step" not in one.settings.effects

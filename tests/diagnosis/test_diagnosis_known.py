@@ -91,9 +91,12 @@ def test_a_point_that_nobody_stated_is_found_and_to_be_measured():
 
 def test_what_derive_found_stands_beside_the_verdict(driven):
     shown = {
-        "alpha_zero": -0.0098, "found_point": 0.11, "found_point_std": 0.002,
-        "late_steering": -0.127, "late_steering_std": 0.015,
-    }  # fmt: skip
+        "alpha_zero": -0.0098,
+        "found_point": 0.11,
+        "found_point_std": 0.002,
+        "late_steering": -0.127,
+        "late_steering_std": 0.015,
+    }
     data = stating(driven, **STATED, **shown)
     said = diagnose(data, rig=RIG, effects=LIBRARY).data.motion[-1]
     assert "alpha is -0.0098 rad where fy = 0 (slip_offset)" in said
@@ -125,9 +128,7 @@ def front(logged):
 def lagging(time, constant=0.15):
     """What a first-order lag turns into :func:`steer`: the command ahead of it."""
     step = 1e-4
-    return steer(time) + constant * (steer(time + step) - steer(time - step)) / (
-        2 * step
-    )
+    return steer(time) + constant * (steer(time + step) - steer(time - step)) / (2 * step)
 
 
 def shifted(effect, frame, amplitude):
@@ -139,10 +140,7 @@ def shifted(effect, frame, amplitude):
 
 @pytest.mark.parametrize(
     ("effect", "logged", "amplitude"),
-    [
-        ("steering_delay", lambda time: steer(time + DELAY), DELAY),
-        ("steering_lag", lagging, 0.15),
-    ],
+    [("steering_delay", lambda time: steer(time + DELAY), DELAY), ("steering_lag", lagging, 0.15)],
 )
 def test_late_steering_moves_the_slip_by_its_angle(effect, logged, amplitude):
     """Rows 0.1 s apart: between them the angle is known by its rate."""
@@ -159,10 +157,7 @@ def test_late_steering_moves_the_slip_by_its_angle(effect, logged, amplitude):
 
 @pytest.mark.parametrize(
     ("effect", "logged", "amplitude"),
-    [
-        ("steering_delay", lambda time: steer(time + DELAY), DELAY),
-        ("steering_lag", lagging, 0.15),
-    ],
+    [("steering_delay", lambda time: steer(time + DELAY), DELAY), ("steering_lag", lagging, 0.15)],
 )
 def test_late_steering_is_named(effect, logged, amplitude):
     found = diagnose(read_frame(front(logged)), rig=RIG, effects=LIBRARY)
@@ -263,6 +258,4 @@ def test_a_step_between_two_runs_is_theirs():
     frame = two_tires((0.9, 0.6), (5e4, 5e4))
     frame["time"] = frame["time"] + 30.0 * (frame["run"] == "r1")
     rig = Rig(noise={"fy": 20.0, "alpha": 1e-4})
-    assert diagnose(read_frame(frame), rig=rig, effects=LIBRARY).effects == (
-        "friction_run",
-    )
+    assert diagnose(read_frame(frame), rig=rig, effects=LIBRARY).effects == ("friction_run",)

@@ -19,11 +19,7 @@ from tirefit.diagnosis.rows.covariates import derived_from
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig, load_rig
 from tirefit.diagnosis.rows.slips import AHEAD, slip_rate
-from tirefit.diagnosis.summary.closure import (
-    closure_elsewhere,
-    of_so_few_runs,
-    without_each,
-)
+from tirefit.diagnosis.summary.closure import closure_elsewhere, of_so_few_runs, without_each
 from tirefit.report.diagnosis_text import diagnosis_text
 from tirefit.results import UsageError
 
@@ -171,9 +167,7 @@ def test_the_past_of_a_slip_without_noise_is_what_was_measured(interval):
     ways = interval / 50 / 0.03
     behind = np.zeros(len(fine))
     for k, (before, now) in enumerate(itertools.pairwise(slip(fine))):
-        behind[k + 1] = behind[k] + (1 - np.exp(-ways)) * (
-            (before + now) / 2 - behind[k]
-        )
+        behind[k + 1] = behind[k] + (1 - np.exp(-ways)) * ((before + now) / 2 - behind[k])
     found = slip_rate(slip(time), time, np.zeros(len(time), int))
     steps = jnp.full(len(time), found.past.interval)
     late = lagged(jnp.asarray(found.past.path), 0.03, steps)
@@ -198,9 +192,12 @@ def test_a_relaxation_in_fast_sweeps_is_named_alone(rate):
         late[row] = behind
     noise = 80 * np.random.default_rng(4).standard_normal(len(time))
     frame = {
-        "time": time, "alpha": np.arctan(slip), "fz": np.full(len(time), 4000.0),
-        "fy": brush(late, 4e4, 0.9, 4000.0) + noise, "v": v,
-    }  # fmt: skip
+        "time": time,
+        "alpha": np.arctan(slip),
+        "fz": np.full(len(time), 4000.0),
+        "fy": brush(late, 4e4, 0.9, 4000.0) + noise,
+        "v": v,
+    }
     found = diagnose(read_frame(frame), rig=Rig(noise={"fy": 80.0}))
     assert found.effects == ("relaxation_length",)
     (value,) = found.candidates[0].parameters.values()
@@ -235,9 +232,7 @@ def test_a_relaxation_of_ten_milliseconds_is_named_from_thinned_rows():
     (length,) = found.candidates[0].parameters.values()
     assert length.value == pytest.approx(0.02, rel=0.05)
     blind = {name: x for name, x in frame.items() if name != "alpha_rate"}
-    needs = diagnose(
-        read_frame(blind), rig=RIG, effects=[KNOWN[name] for name in kept]
-    ).untestable
+    needs = diagnose(read_frame(blind), rig=RIG, effects=[KNOWN[name] for name in kept]).untestable
     assert [lacking.effect for lacking in needs] == ["relaxation_length"]
 
 
@@ -350,9 +345,7 @@ REAR = pytest.mark.xfail(
 )
 
 
-@pytest.mark.parametrize(
-    ("axle", "seed"), [("front", 2), pytest.param("rear", 3, marks=REAR)]
-)
+@pytest.mark.parametrize(("axle", "seed"), [("front", 2), pytest.param("rear", 3, marks=REAR)])
 def test_a_motion_that_knows_the_slip_better_is_no_effect(axle, seed):
     """Nothing is wrong but a noise of the slip angle, 3 mrad, that the rig states; yaw
     rate and accelerations are exact, and together tell the slip nearly as they do."""

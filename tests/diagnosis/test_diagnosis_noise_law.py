@@ -29,9 +29,8 @@ def judged(std, given=40.0, seed=1):
     order = [np.argsort(SLIP)]
     level = None if given is None else np.full(ROWS, given)
     return judge_noise(
-        residual, SPREAD, LOAD, FORCE, level, basis, waves, order,
-        np.arange(float(ROWS)), zero,
-    )  # fmt: skip
+        residual, SPREAD, LOAD, FORCE, level, basis, waves, order, np.arange(float(ROWS)), zero
+    )
 
 
 @pytest.mark.parametrize("given", [40.0, None])
@@ -111,15 +110,19 @@ def test_no_noise_is_larger_than_all_that_a_fit_leaves():
     generator = np.random.default_rng(63)
     time = 0.02 * np.arange(600)
     swings = zip(
-        generator.uniform(0.01, 0.03, 4), generator.uniform(0.3, 4, 4),
-        generator.uniform(0, 6, 4), strict=True,
-    )  # fmt: skip
+        generator.uniform(0.01, 0.03, 4),
+        generator.uniform(0.3, 4, 4),
+        generator.uniform(0, 6, 4),
+        strict=True,
+    )
     slip = sum(size * np.sin(turn * time + phase) for size, turn, phase in swings)
     frame = {
-        "time": time, "v": np.full(600, 15.0), "fz": np.full(600, 6540.0),
+        "time": time,
+        "v": np.full(600, 15.0),
+        "fz": np.full(600, 6540.0),
         "alpha": np.arctan(slip + 0.002 * generator.normal(size=600)),
         "fy": brush(slip, 1.2e5, 0.95, 6540.0) + 130 * generator.normal(size=600),
-    }  # fmt: skip
+    }
     base = fit_base(prepare(read_frame(frame), Rig(), ("fy",)), "brush", EFFECTS, Rig())
     force = base.forces(base.z, np.zeros(len(base.atoms)))["fy"]
     left = np.sqrt(np.mean((frame["fy"] - force) ** 2))
@@ -133,10 +136,12 @@ def test_scatter_beyond_the_stated_noise_is_said(times):
     generator = np.random.default_rng(2)
     slip = generator.uniform(0.0, 0.05, 300)
     frame = {
-        "time": np.arange(300.0), "sigma_x": slip, "v": np.full(300, 15.0),
+        "time": np.arange(300.0),
+        "sigma_x": slip,
+        "v": np.full(300, 15.0),
         "fz": np.full(300, 4000.0),
         "fx": brush(slip, 5e4, 0.9, 4000.0) + times * 40 * generator.normal(size=300),
-    }  # fmt: skip
+    }
     found = diagnose(read_frame(frame), rig=Rig(noise={"fx": 40.0}))
     assert not set(found.verdict.effects) - {"noise_misstated"}
     assert "noise_misstated" in found.noise.flags

@@ -28,11 +28,7 @@ from tirefit.diagnosis.rows.prepared import blocks_of_settings, coincides, prepa
 from tirefit.diagnosis.rows.rig import Rig, load_rig
 from tirefit.diagnosis.rows.slips import AGES, AHEAD, segments, slip_rate
 from tirefit.diagnosis.summary.budget import shapley
-from tirefit.diagnosis.summary.forecast import (
-    recognition,
-    scores_of_nothing,
-    separability,
-)
+from tirefit.diagnosis.summary.forecast import recognition, scores_of_nothing, separability
 from tirefit.diagnosis.summary.where import regions, spots
 from tirefit.models import Brush, TireInputs
 from tirefit.results import UsageError
@@ -63,9 +59,7 @@ def test_shape_against_the_patch(skew, flat):
         return (1 - flat) * skewed + flat * 0.625 * (1 - xi**4)
 
     c, mu, fz, excess, slip = 5e4, 1.0, 4000.0, 0.25, 0.05
-    edge = brentq(
-        lambda x: c * slip * (1 - x) - mu * (1 + excess) * fz * density(x), -1, 0.999
-    )
+    edge = brentq(lambda x: c * slip * (1 - x) - mu * (1 + excess) * fz * density(x), -1, 0.999)
     sliding = quad(lambda x: mu * fz * density(x), -1, edge)[0]
     sticking = c * slip * (1 - edge) ** 2 / 2
     state = null_state()._replace(
@@ -154,9 +148,7 @@ def test_tangents_are_central_differences(base):
             continue  # one-sided at zero, tested by their own truths
         slope = (force(base.z, step) - force(base.z, -step)) / 2e-4
         size = max(np.abs(slope).max(), 1e-6)
-        np.testing.assert_allclose(
-            tangent[:, k], slope, atol=2e-3 * size, err_msg=atom.effect.id
-        )
+        np.testing.assert_allclose(tangent[:, k], slope, atol=2e-3 * size, err_msg=atom.effect.id)
 
 
 def test_fields_are_central_differences(base):
@@ -172,9 +164,10 @@ def test_fields_are_central_differences(base):
     ):
         k = next(k for k, a in enumerate(base.atoms) if a.effect.id == name)
         np.testing.assert_allclose(
-            linear.columns[:, k], scale[k] * factor * linear.fields[:, PLACE[field]],
+            linear.columns[:, k],
+            scale[k] * factor * linear.fields[:, PLACE[field]],
             atol=1e-9 * np.abs(linear.columns[:, k]).max() + 1e-12,
-        )  # fmt: skip
+        )
 
 
 def test_shape_of_a_change_is_found():
@@ -232,9 +225,7 @@ def test_forms_belong_to_the_families(base):
     friction = fields[:, PLACE["friction"]]
     # What they have in common is the friction itself.
     np.testing.assert_allclose(both[:, :3].sum(1), 0.0, atol=1e-12)
-    assert np.ptp(both[friction != 0, 0] / friction[friction != 0]) == pytest.approx(
-        0.03
-    )
+    assert np.ptp(both[friction != 0, 0] / friction[friction != 0]) == pytest.approx(0.03)
 
 
 def _history(base, values, interval, step):
@@ -242,10 +233,13 @@ def _history(base, values, interval, step):
     back = np.arange(40)[:, None] - AGES
     past = jnp.asarray(values(back.astype(float)))
     return base.design.rows._replace(
-        past=past, pull=1e3 * past, twist=10 * past,
+        past=past,
+        pull=1e3 * past,
+        twist=10 * past,
         burden=(1 + past) / (1 + past[:, [AHEAD]]),
-        interval=jnp.full(40, interval), step=jnp.full(40, step),
-    )  # fmt: skip
+        interval=jnp.full(40, interval),
+        step=jnp.full(40, step),
+    )
 
 
 def _change(base, effect, variant, amplitude, rows):
@@ -264,9 +258,7 @@ def test_relaxation_follows_the_equation(base):
     np.testing.assert_allclose(shift[known], right[known], atol=1e-12)
     np.testing.assert_allclose(shift, right, atol=2e-5)
     # A filter lags over time what a carcass lags over way.
-    for effect, variant, size in (
-        ("relaxation_length", 1, 0.4), ("channel_delay", 2, 0.04)
-    ):  # fmt: skip
+    for effect, variant, size in (("relaxation_length", 1, 0.4), ("channel_delay", 2, 0.04)):
         found = _change(base, effect, variant, size, rows)
         np.testing.assert_allclose(found.force, 1e3 * shift, atol=1e-12)
         np.testing.assert_allclose(found.moment, 10 * shift, atol=1e-12)
@@ -305,9 +297,7 @@ def test_the_effect_of_the_manual_runs_and_is_found(tmp_path, monkeypatch, capsy
     middle, whole = span.mean(), np.ptp(span)
 
     def truth(slip, time, fz, v):
-        return brush(
-            slip, 5e4, 0.9 * (1 + 0.1 * np.sin(25 * (time - middle) / whole)), fz
-        )
+        return brush(slip, 5e4, 0.9 * (1 + 0.1 * np.sin(25 * (time - middle) / whole)), fz)
 
     frame, _ = record(truth, seed=4)
     known = "".join(f"{name} = {value}\n" for name, value in RIG.noise.items())
@@ -427,9 +417,7 @@ def test_evidence_gain_of_gaussian_coefficients():
 
     def in_plane(b, a, scale):
         fit = np.sum((residual - flat @ [a, b]) ** 2 - residual**2)
-        return (
-            np.exp(-0.5 * fit - 0.5 * (a**2 + b**2) / scale**2) / scale**2 / 2 / np.pi
-        )
+        return np.exp(-0.5 * fit - 0.5 * (a**2 + b**2) / scale**2) / scale**2 / 2 / np.pi
 
     two = np.mean([dblquad(in_plane, -12, 12, -12, 12, args=(s,))[0] for s in scales])
     np.testing.assert_allclose(kinds["smooth"], np.log(one), rtol=1e-4)
@@ -457,9 +445,10 @@ def test_a_remainder_beside_forms_of_an_expected_size_is_that_of_dense_normal_la
         return -0.5 * (fit + np.linalg.slogdet(covariance)[1])
 
     for kind, more, scales in (
-        ("smooth", column[:, None], (2, 6, 18, 54)), ("waves", wave, (2, 6, 18, 54)),
+        ("smooth", column[:, None], (2, 6, 18, 54)),
+        ("waves", wave, (2, 6, 18, 54)),
         ("patterns", column[:, None], (0.5, 2, 8)),
-    ):  # fmt: skip
+    ):
         each = [log_density(more, scale) - log_density(more, 0.0) for scale in scales]
         mean = np.logaddexp.reduce(each) - np.log(len(each))
         assert found[kind] == pytest.approx(mean, abs=1e-3)
@@ -507,14 +496,10 @@ def test_recognition_of_one_of_two_directions(correlation):
     other = np.sqrt(1 - correlation**2)
     directions = np.array([[1.0, correlation], [0.0, other]])
     noise = scores_of_nothing(directions, 40000, generator)
-    np.testing.assert_allclose(
-        np.cov(noise), [[1, correlation], [correlation, 1]], atol=0.03
-    )
+    np.testing.assert_allclose(np.cov(noise), [[1, correlation], [correlation, 1]], atol=0.03)
     size = 6.0
     seen, recognised, taken_for = recognition(directions, ("a", "b"), 0, size, noise)
-    apart, along = ndtr(
-        np.sqrt([size**2 * (1 - correlation) / 2, size**2 * (1 + correlation) / 2])
-    )
+    apart, along = ndtr(np.sqrt([size**2 * (1 - correlation) / 2, size**2 * (1 + correlation) / 2]))
     right = apart * along + (1 - apart) * (1 - along)
     assert seen > 0.999
     assert recognised == pytest.approx(right, abs=0.01)
@@ -541,9 +526,7 @@ def test_noise_is_found_under_a_gap():
     order = (np.arange(1500.0), zero.astype(int))
 
     def judged(residual, given, force=zero + 1.0):
-        return judge_noise(
-            residual, zero, fz, force, given, basis, waves, groups, *order
-        )
+        return judge_noise(residual, zero, fz, force, given, basis, waves, groups, *order)
 
     found = judged(residual, None)
     np.testing.assert_allclose(found.std, level, rtol=0.1)
@@ -652,9 +635,7 @@ def test_no_effect_leaves_its_bounds(base):
         assert prior.low == pytest.approx(low[k] * scale[k])
         assert prior.low < prior.high == pytest.approx(high[k] * scale[k])
     filtered = next(
-        k
-        for k, a in enumerate(base.atoms)
-        if a.effect.id == "channel_delay" and a.variant == 2
+        k for k, a in enumerate(base.atoms) if a.effect.id == "channel_delay" and a.variant == 2
     )
     assert low[filtered] == 0
 
@@ -687,9 +668,7 @@ def test_a_wrong_radius_shows_as_an_offset():
     assert found.offset == pytest.approx(0.01, abs=1e-9)
     assert found.gain == pytest.approx(1.01, abs=1e-9)
     assert found.fits == "sigma_x" and found.shifted and not found.agrees
-    noisy = frame | {
-        "omega": frame["omega"] + np.random.default_rng(1).normal(0, 0.02, len(data))
-    }
+    noisy = frame | {"omega": frame["omega"] + np.random.default_rng(1).normal(0, 0.02, len(data))}
     found = prepare(read_frame(noisy), wrong, ("fx",)).slip_check
     assert found.offset == pytest.approx(0.01, abs=5 * found.offset_std)
     # The prior of an offset follows what is seen, its odds say that it may be there.
@@ -704,9 +683,7 @@ def test_a_zero_that_follows_the_load_is_seldom_claimed_where_that_hardly_varies
     effect, odds = next(e for e in EFFECTS if e.id == "slip_offset_load"), []
     for spread in (0.03, 0.3):
         frame, _ = record(None)
-        loads = np.mean(frame["fz"]) * np.exp(
-            spread * np.sin(np.arange(len(frame["fz"])))
-        )
+        loads = np.mean(frame["fz"]) * np.exp(spread * np.sin(np.arange(len(frame["fz"]))))
         data = read_frame(frame | {"fz": loads})
         odds.append(effect.odds(prepare(data, RIG, ("fx",))))
     assert odds[0] == odds[1] - 2
@@ -784,11 +761,5 @@ def test_effects_of_one_family_share_their_free_forms():
         for name in ("pressure_flatness", "kinetic_friction", "carcass_flexibility")
     )
     for effect in EFFECTS:
-        assert {len(constants) for constants in effect.variants} in (
-            {0},
-            {1},
-            {2},
-            {3},
-            {4},
-        )
+        assert {len(constants) for constants in effect.variants} in ({0}, {1}, {2}, {3}, {4})
         assert len(effect.bounds) in (1, len(effect.variants))

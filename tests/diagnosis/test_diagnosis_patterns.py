@@ -16,13 +16,7 @@ from tirefit.diagnosis.decide.findings import as_often_right
 from tirefit.diagnosis.decide.verdict import Status
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.rows.basis import _scaled, taken_out
-from tirefit.diagnosis.rows.patterns import (
-    PARAMETERS,
-    looks,
-    patterns,
-    patterns_gain,
-    turns,
-)
+from tirefit.diagnosis.rows.patterns import PARAMETERS, looks, patterns, patterns_gain, turns
 
 WAVE = 0.7
 
@@ -48,9 +42,7 @@ def test_evidence_of_a_pattern_is_the_integral_over_its_size():
         fit = np.sum((residual - a * lone) ** 2 - residual**2)
         return np.exp(-0.5 * fit - 0.5 * (a / scale) ** 2) / scale / np.sqrt(2 * np.pi)
 
-    one = np.mean(
-        [quad(likelihood, -20, 20, args=(s,), points=[0.7])[0] for s in (0.5, 2, 8)]
-    )
+    one = np.mean([quad(likelihood, -20, 20, args=(s,), points=[0.7])[0] for s in (0.5, 2, 8)])
     # The other one is empty: it has the evidence of nothing.
     gain = patterns_gain(patterns_of(columns), taken_out(against), residual)
     assert gain == pytest.approx(np.log((one + 1) / 2), rel=1e-4)
@@ -71,9 +63,13 @@ def some():
     slip_fraction = generator.uniform(-1.5, 1.5, 90)
     time = np.sort(generator.uniform(2.0, 30.0, 90))
     prepared = SimpleNamespace(
-        n=90, channels=("fx", "fy"), has=frozenset(("time", "signs")), time=time,
-        inputs=SimpleNamespace(fz=np.full(90, 4e3)), covariates=None,
-    )  # fmt: skip
+        n=90,
+        channels=("fx", "fy"),
+        has=frozenset(("time", "signs")),
+        time=time,
+        inputs=SimpleNamespace(fz=np.full(90, 4e3)),
+        covariates=None,
+    )
     fields = {name: generator.standard_normal(180) for name in PARAMETERS}
     return patterns(prepared, slip_fraction, fields), fields, slip_fraction, time
 
@@ -158,9 +154,15 @@ def test_a_wave_in_time_is_told_with_its_period(strange):
 def test_what_is_told_stands_in_the_document(strange):
     verdict = json.loads(strange["wave"].to_json())["verdict"]
     assert set(verdict["left"]["looks_like"][0]) == {
-        "parameter", "covariate", "shape", "at", "width", "size", "probability",
+        "parameter",
+        "covariate",
+        "shape",
+        "at",
+        "width",
+        "size",
+        "probability",
         "explains",
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize("of", ["wave", "middle"])

@@ -32,9 +32,12 @@ LOADS = np.repeat([2.0, 4.0, 6.0], ROWS // 3)
 COLUMNS = np.stack([SLIP, SLIP**3, LOADS * SLIP, np.ones(ROWS)], axis=1)
 NOTHING = np.zeros((ROWS, 0))
 FRAME = {
-    "time": 0.05 * TIME, "sigma_x": SLIP, "fx": 1e3 * LOADS * np.tanh(20 * SLIP),
-    "fz": 1e3 * LOADS, "v": np.full(ROWS, 15.0),
-}  # fmt: skip
+    "time": 0.05 * TIME,
+    "sigma_x": SLIP,
+    "fx": 1e3 * LOADS * np.tanh(20 * SLIP),
+    "fz": 1e3 * LOADS,
+    "v": np.full(ROWS, 15.0),
+}
 
 
 def prepared(frame):
@@ -52,12 +55,7 @@ class Fitted(Base):
         keep = np.ones(rows.n) if keep is None else keep.astype(float)
         noise = {c: SimpleNamespace(memory=(memory,)) for c in rows.channels}
         design = Design(*[None] * len(Design._fields))._replace(keep=keep)
-        self.__dict__ |= {
-            "rows": rows,
-            "noise": noise,
-            "design": design,
-            "doubt": doubt,
-        }
+        self.__dict__ |= {"rows": rows, "noise": noise, "design": design, "doubt": doubt}
 
 
 def judged(residual, seed=0, rows=PREPARED, columns=COLUMNS, **given):
@@ -66,9 +64,7 @@ def judged(residual, seed=0, rows=PREPARED, columns=COLUMNS, **given):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(remainder, "linear_at", lambda base, fit: linear)
         generator = np.random.default_rng(seed)
-        return remainder_tests(
-            Fitted(rows, **given), weighed_of({(): 1.0}), (), generator
-        )
+        return remainder_tests(Fitted(rows, **given), weighed_of({(): 1.0}), (), generator)
 
 
 def noise_of(seed, rows=ROWS):

@@ -46,9 +46,7 @@ def rows(change=lambda slip, fz: 0.0, offset=OFFSET, seed=0, count=60):
 
 
 def studied(frame, sim, **settings):
-    return diagnose(
-        read_frame(frame, "a"), sim=sim, rig=RIG, effects=LIBRARY, **settings
-    )
+    return diagnose(read_frame(frame, "a"), sim=sim, rig=RIG, effects=LIBRARY, **settings)
 
 
 def parts_of(found):
@@ -80,9 +78,7 @@ def scipy_budget(frame):
         x = least_squares(residual, [1.0, 1.0, 0.1], x_scale=[0.1, 0.1, 0.1]).x
         return np.mean((40 * residual(x)) ** 2)
 
-    nothing, parameters, offset, both = (
-        left(*free) for free in ((0, 0), (1, 0), (0, 1), (1, 1))
-    )
+    nothing, parameters, offset, both = (left(*free) for free in ((0, 0), (1, 0), (0, 1), (1, 1)))
     return nothing, {
         "parameters": (nothing - parameters + offset - both) / 2,
         "slip_offset": (nothing - offset + parameters - both) / 2,
@@ -117,10 +113,7 @@ def test_the_gap_is_that_of_the_simulator_as_given(frame, as_given):
     before = np.sqrt(np.mean((truth - given) ** 2))
     assert as_given.gap.rms == pytest.approx(before, rel=0.05)
     assert as_given.gap.closed > 0.95 and as_given.gap.holdout.closed > 0.9
-    errors = [
-        np.sqrt(np.mean((truth - found[name]) ** 2))
-        for name in ("sim", "tuned", "extended")
-    ]
+    errors = [np.sqrt(np.mean((truth - found[name]) ** 2)) for name in ("sim", "tuned", "extended")]
     # Parameters close a part, the effect the rest.
     assert all(after < 0.6 * earlier for earlier, after in pairwise(errors))
     columns = rows_in_file_terms(as_given)
@@ -132,11 +125,7 @@ def test_the_gap_is_that_of_the_simulator_as_given(frame, as_given):
 def test_a_form_that_is_fitted_has_no_parameters_to_blame(frame):
     found = studied(frame, None)
     assert found.simulator is None and found.verdict.parameters == {}
-    assert [part.part for part in found.budget] == [
-        "slip_offset",
-        "unexplained",
-        "noise",
-    ]
+    assert [part.part for part in found.budget] == ["slip_offset", "unexplained", "noise"]
     assert sum(part.share for part in found.budget) == pytest.approx(1.0, abs=1e-12)
     assert "sim_fx" not in rows_in_file_terms(found)
 
@@ -288,12 +277,7 @@ def test_a_refit_that_told_two_effects_apart_binds_what_may_be_meant():
     an offset to first order: its refit explains nothing."""
     slip, fz = (rows(count=100)[0][name] for name in ("sigma_x", "fz"))
     noise = NOISE * np.random.default_rng(4).standard_normal(len(slip))
-    frame = {
-        "sigma_x": slip,
-        "fz": fz,
-        "fx": curved(slip, fz) + noise,
-        "v": 15 + 0 * fz,
-    }
+    frame = {"sigma_x": slip, "fz": fz, "fx": curved(slip, fz) + noise, "v": 15 + 0 * fz}
     found = diagnose(read_frame(frame, "a"), sim=curved(slip + 0.006, fz), rig=RIG)
     assert found.verdict.effects == ("slip_offset",)
     listed = {one.effects: one.probability for one in found.candidates}
@@ -356,9 +340,11 @@ def test_every_channel_of_a_simulator_has_its_budget():
         c: truth[c] + std * generator.standard_normal(180) for c, std in noise.items()
     }
     found = diagnose(
-        read_frame(frame, "y"), sim={c: sim[c] for c in noise}, rig=Rig(noise=noise),
+        read_frame(frame, "y"),
+        sim={c: sim[c] for c in noise},
+        rig=Rig(noise=noise),
         effects=LIBRARY,
-    )  # fmt: skip
+    )
     assert list(found.budgets) == ["fy", "mz"] and found.budget == found.budgets["fy"]
     for channel, std in noise.items():
         parts = {part.part: part for part in found.budgets[channel]}
@@ -381,10 +367,7 @@ def test_a_force_that_nobody_cares_for_takes_no_part():
     fz, alpha = np.repeat((2000.0, 4000.0), 40), np.arctan(slip)
     inputs = read_frame({"alpha": alpha, "fy": fz, "mz": fz, "fz": fz}, "in")
     truth = predict(simulator_at("brush", TRUE).tire, inputs)
-    frame = {
-        "alpha": alpha, "fz": fz,
-        "fy": truth["fy"] + NOISE * generator.standard_normal(80),
-    }  # fmt: skip
+    frame = {"alpha": alpha, "fz": fz, "fy": truth["fy"] + NOISE * generator.standard_normal(80)}
     odd = {"mz": truth["mz"] + 0.02 * fz}
     settings = {"rig": Rig(noise={"fy": NOISE, "mz": 2.0}), "effects": LIBRARY}
     cared = diagnose(read_frame(frame | odd, "y"), forces=["fy"], **settings)
@@ -485,9 +468,11 @@ def test_what_a_file_lacks_is_reported_beside_its_data(tmp_path):
     text = re.sub(r"(?m)^R[BCEHV][XY]\d .*\n", "", TIR.read_text())
     (tmp_path / "plain.tir").write_text(text)
     table = {
-        "sigma_x": np.array([0.1, 0.1]), "alpha": np.array([0.0, 0.1]),
-        "fz": np.array([4000.0, 4000.0]), "fx": np.array([3000.0, 2500.0]),
-    }  # fmt: skip
+        "sigma_x": np.array([0.1, 0.1]),
+        "alpha": np.array([0.0, 0.1]),
+        "fz": np.array([4000.0, 4000.0]),
+        "fx": np.array([3000.0, 2500.0]),
+    }
     data = read_frame(table)
     given = simulator_at(str(tmp_path / "plain.tir"))
     (said,) = [x for x in given.beside(data).source.warnings if "slips" in x]

@@ -14,12 +14,7 @@ from tirefit.diagnosis.evidence.search import Search
 from tirefit.diagnosis.rows.basis import SCALES, without
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
-from tirefit.diagnosis.rows.slips import (
-    slip_doubt,
-    slip_law,
-    slip_nodes,
-    slip_proxies,
-)
+from tirefit.diagnosis.rows.slips import slip_doubt, slip_law, slip_nodes, slip_proxies
 
 ROWS, STD = 300, 0.0045
 
@@ -254,9 +249,7 @@ def test_doubt_is_one_more_noise_to_what_is_not_listed(doubted):
         linear = at_fit._replace(residual=at_fit.residual + change)
         sure = over_nothing(base.doubt[:, :0], linear.residual)
         wanted = min(sure, over_nothing(base.doubt, linear.residual))
-        assert gains_beside(base, linear, False)["smooth"] == pytest.approx(
-            wanted, abs=0.02
-        )
+        assert gains_beside(base, linear, False)["smooth"] == pytest.approx(wanted, abs=0.02)
         assert sure > 5
         found[kind] = wanted / sure
     assert found["doubt"] < 0.3 < found["smooth"]

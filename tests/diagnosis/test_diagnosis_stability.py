@@ -77,10 +77,7 @@ CHANGES = {"order": (shuffled, 0), "digits": (moved, 0), "seed": (None, 5)}
 
 @pytest.mark.parametrize(
     ("name", "change"),
-    [
-        *(("synthetic", change) for change in CHANGES),
-        *(("measured", change) for change in CHANGES),
-    ],
+    [*(("synthetic", change) for change in CHANGES), *(("measured", change) for change in CHANGES)],
 )
 def test_a_verdict_stays_as_it_is(found, name, change):
     plain, other = found(name), found(name, *CHANGES[change])

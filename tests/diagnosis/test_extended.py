@@ -35,10 +35,12 @@ def table(mode, rows=240):
     fz = generator.choice([2000.0, 4000.0, 6000.0], rows)
     force = brush(slip, 5e4, 0.9, fz) + 30 * generator.standard_normal(rows)
     frame = {
-        "fz": fz, "v": generator.choice([6.0, 24.0], rows), "time": np.arange(rows),
+        "fz": fz,
+        "v": generator.choice([6.0, 24.0], rows),
+        "time": np.arange(rows),
         "gamma": generator.uniform(-0.05, 0.05, rows),
         "pressure": generator.choice([1.8e5, 2.2e5], rows),
-    }  # fmt: skip
+    }
     along = {"sigma_x": slip, "fx": force}
     across = {"alpha": np.arctan(slip), "fy": force}
     return read_frame(frame | (along if mode == "x" else across))
@@ -67,9 +69,7 @@ def document(base, atom, size, to, **known):
 
 def based(mode, model):
     data = table(mode)
-    return fit_base(
-        prepare(data, RIG, modelled(MODELS[model])), model, EFFECTS, RIG
-    ).measured
+    return fit_base(prepare(data, RIG, modelled(MODELS[model])), model, EFFECTS, RIG).measured
 
 
 def only(base, k):
@@ -94,9 +94,8 @@ def test_each_effect_of_the_tire_gives_the_forces_of_the_diagnosis(mode, model):
         size = (-0.5 if effect.sign < 0 else 0.5) * scale
         to = extension_of(base, only(base, k), False)
         found = extend(
-            MODELS[model], model, document(base, atom, size, to, model=model),
-            lambda tire: tire,
-        )  # fmt: skip
+            MODELS[model], model, document(base, atom, size, to, model=model), lambda tire: tire
+        )
         if not found.names:
             assert found.tire is found.bare
             continue

@@ -28,9 +28,13 @@ from tirefit.diagnosis.rows.rig import Rig
 
 RIG, STD = Rig(noise={"fy": 20.0, "alpha": 1e-6}), 20.0
 FEW = (
-    "slip_offset", "force_offset", "friction_speed_linear", "friction_drift",
-    "speed_zero", "load_friction",
-)  # fmt: skip
+    "slip_offset",
+    "force_offset",
+    "friction_speed_linear",
+    "friction_drift",
+    "speed_zero",
+    "load_friction",
+)
 LIBRARY = tuple(effect for effect in EFFECTS if effect.id in FEW)
 OFFSET, RISE = 0.006, 0.05
 
@@ -79,9 +83,7 @@ def test_whole_runs_are_left_out_where_there_are_four(count):
     assert set(rows.run[folds.code == -1]) == {count}
 
 
-@pytest.mark.parametrize(
-    ("count", "across_runs"), [(1, True), (3, True), (5, False)], ids=str
-)
+@pytest.mark.parametrize(("count", "across_runs"), [(1, True), (3, True), (5, False)], ids=str)
 def test_blocks_of_time_hold_together(count, across_runs):
     """Of fewer runs, or where an effect belongs to a single one."""
     rows = prepared(logs(count))
@@ -167,9 +169,15 @@ def drawn(seed=0, parts=6):
     loss = truth * generator.uniform(0.7, 1.3, (parts, 4))
     rows = generator.integers(20, 90, parts)
     return Predicted(
-        "6 parts", True, sets, loss, loss * rows[:, None] / 100, rows,
-        tuple(np.ones((parts, len(s))) for s in sets), loss[:, 3] - 20,
-    ), 100.0  # fmt: skip
+        "6 parts",
+        True,
+        sets,
+        loss,
+        loss * rows[:, None] / 100,
+        rows,
+        tuple(np.ones((parts, len(s))) for s in sets),
+        loss[:, 3] - 20,
+    ), 100.0
 
 
 def closed_by_hand(after, before, rows, floor):

@@ -54,9 +54,7 @@ def test_bins_know_the_parameter_equally_well():
     known = np.bincount(codes, information)
     np.testing.assert_allclose(known, information.sum() / 13, rtol=0.02)
     ends = [(place[codes == k].min(), place[codes == k].max()) for k in range(13)]
-    assert all(
-        end < start for (_, end), (start, _) in zip(ends, ends[1:], strict=False)
-    )
+    assert all(end < start for (_, end), (start, _) in zip(ends, ends[1:], strict=False))
 
 
 def test_points_scatter_about_a_truth_as_their_errors_say():

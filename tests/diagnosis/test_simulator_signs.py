@@ -27,15 +27,17 @@ def frame(channels="fy mz", cambers=(0.0,), offset=0.0, mu=1.0, forces_of=None, 
     an offset of the slip that nobody measures, a friction that the file has not."""
     generator, sweep = np.random.default_rng(3), np.linspace(-0.2, 0.2, 61)
     fz, gamma, slip = (
-        part.ravel()
-        for part in np.meshgrid((2e3, 4e3, 6e3), cambers, sweep, indexing="ij")
+        part.ravel() for part in np.meshgrid((2e3, 4e3, 6e3), cambers, sweep, indexing="ij")
     )
     still = 0 * slip
     along = channels == "fx"
     at = TireInputs(
-        slip + offset if along else still, still if along else slip + offset, fz,
-        still + 16.6, gamma,
-    )  # fmt: skip
+        slip + offset if along else still,
+        still if along else slip + offset,
+        fz,
+        still + 16.6,
+        gamma,
+    )
     true = forces(tire_of(read_tir(TIR), **how), at)._asdict()
     columns = {"sigma_x" if along else "alpha": slip, "fz": fz, "gamma": gamma}
     for name in channels.split():
@@ -148,6 +150,4 @@ def test_columns_may_be_in_signs_of_their_own():
     data = read_frame(frame() | {"fy_sim": frame()["fy"]}, **BRAKING)
     for name, convention in CONVENTIONS.items():
         given = Given(kind="columns", source="columns", signs=name)
-        np.testing.assert_array_equal(
-            given.beside(data)["fy_sim"], convention.fy * data["fy_sim"]
-        )
+        np.testing.assert_array_equal(given.beside(data)["fy_sim"], convention.fy * data["fy_sim"])

@@ -68,9 +68,7 @@ def synthetic(model, setting: Setting, rows: int, reach: float, seed: int) -> Ti
         "fz": np.full(rows, setting.fz),
         "v": speed,
     }
-    return TireData(
-        "synthetic", columns, np.ones(rows, bool), np.zeros(rows, int), ("r",)
-    )
+    return TireData("synthetic", columns, np.ones(rows, bool), np.zeros(rows, int), ("r",))
 
 
 def config_of(setting: Setting, estimated: bool):
@@ -116,23 +114,13 @@ def holds_or_says(model: str, setting: Setting, data) -> bool:
     found = fit(data, model, config=config_of(setting, estimated=False))
     return all(
         not found.least_squares[label].identified
-        or found.least_squares[label].ci95[0]
-        <= value
-        <= found.least_squares[label].ci95[1]
+        or found.least_squares[label].ci95[0] <= value <= found.least_squares[label].ci95[1]
         for label, value in truth_of(model, setting).items()
     )
 
 
 def coverage(
-    model,
-    name: str,
-    count: int,
-    *,
-    first=0,
-    rows=400,
-    reach=1.6,
-    estimated=False,
-    posterior=False,
+    model, name: str, count: int, *, first=0, rows=400, reach=1.6, estimated=False, posterior=False
 ):
     """Share of ``count`` data sets, of seeds from ``first`` on, whose intervals hold
     the truth.
@@ -155,9 +143,7 @@ def coverage(
     )
     labels = list(truth_of(model, setting))
     profile, posterior = inside.mean(axis=0)
-    return dict(zip(labels, profile, strict=True)), dict(
-        zip(labels, posterior, strict=True)
-    )
+    return dict(zip(labels, profile, strict=True)), dict(zip(labels, posterior, strict=True))
 
 
 if __name__ == "__main__":
@@ -166,11 +152,5 @@ if __name__ == "__main__":
     print(
         model,
         name,
-        *coverage(
-            model,
-            name,
-            count,
-            estimated="est" in sys.argv,
-            posterior="post" in sys.argv,
-        ),
+        *coverage(model, name, count, estimated="est" in sys.argv, posterior="post" in sys.argv),
     )

@@ -10,9 +10,7 @@ from tirefit.models.mf import mf_tire
 
 FOLDER = Path(__file__).parents[1] / "data" / "tir"
 TIRES = sorted(FOLDER.glob("*/*.tir"))
-MF52, MF61, MF62 = (
-    FOLDER / f"mfeval_julia/MagicFormula{n}_Parameters.tir" for n in (52, 61, 62)
-)
+MF52, MF61, MF62 = (FOLDER / f"mfeval_julia/MagicFormula{n}_Parameters.tir" for n in (52, 61, 62))
 TRUCK = FOLDER / "chrono/335_65R22_5_G275MSA_70psi.tir"
 FAMILY = {"335": "truck", "MagicFormula52": "mf52", "MagicFormula6": "mf6"}
 

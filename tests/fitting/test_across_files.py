@@ -61,8 +61,6 @@ def test_values_that_agree_exactly_have_no_scatter():
 def test_a_file_that_knows_nothing_moves_nothing():
     value, std, when = made(3, n=60)
     sure = across_files(value, std, when)
-    beside = across_files(
-        np.append(value, 7.0), np.append(std, 1e200), np.append(when, 30.0)
-    )
+    beside = across_files(np.append(value, 7.0), np.append(std, 1e200), np.append(when, 30.0))
     assert beside.middle == pytest.approx(sure.middle, abs=0.002)
     assert not beside.outlier[-1]

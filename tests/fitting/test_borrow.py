@@ -38,17 +38,18 @@ def lateral_test():
     fy = np.asarray(forces(tire_of(MF52), inputs).fy)
     noise = 0.01 * inputs.fz * np.random.default_rng(2).standard_normal(len(fy))
     return {
-        "alpha": inputs.alpha, "gamma": inputs.gamma, "fz": inputs.fz, "fy": fy + noise,
+        "alpha": inputs.alpha,
+        "gamma": inputs.gamma,
+        "fz": inputs.fz,
+        "fy": fy + noise,
         "run": run[chosen],
-    }  # fmt: skip
+    }
 
 
 def fitted(like, model="mf52", **more):
     given = {"FNOMIN": {"value": read_tir(MF52).numbers["FNOMIN"]}} | more
     config = {"parameters": given}
-    return fit_magic_formula(
-        read_frame(lateral_test()), model, config=config, like=like
-    )
+    return fit_magic_formula(read_frame(lateral_test()), model, config=config, like=like)
 
 
 @cache
@@ -94,9 +95,10 @@ def test_the_data_move_what_they_tell_away_from_the_other_tire():
 
 def test_what_is_set_wins_over_what_is_borrowed():
     more = {
-        "PCX1": {"value": 1.3}, "PDX1": {"prior": {"mean": 0.5, "std": 0.1}},
+        "PCX1": {"value": 1.3},
+        "PDX1": {"prior": {"mean": 0.5, "std": 0.1}},
         "UNLOADED_RADIUS": {"value": 0.4},
-    }  # fmt: skip
+    }
     fit = fitted(other(), **more)
     assert fit.coefficients["PCX1"].value == 1.3
     assert fit.coefficients["PCX1"].origin == "given"

@@ -65,9 +65,7 @@ def test_little_friction_used_is_covered_or_said(setting):
     # 60 % of the friction: 1 - (1 - u)^3 = 0.6 at u = 0.263 of full sliding.
     outcomes = [
         holds_or_says(
-            "brush",
-            SETTINGS[setting],
-            synthetic("brush", SETTINGS[setting], 400, 0.26, seed),
+            "brush", SETTINGS[setting], synthetic("brush", SETTINGS[setting], 400, 0.26, seed)
         )
         for seed in range(60)
     ]

@@ -97,10 +97,7 @@ def test_intervals_cover_beside_absurd_rows():
         dof = solved.n_effective - len(elements)
         half = half_width_95(True, dof) * np.sqrt(np.diag(solved.covariance))
         low, high = (
-            [
-                float(constrain(end, p.spec))
-                for end, (_, p) in zip(z, elements, strict=True)
-            ]
+            [float(constrain(end, p.spec)) for end, (_, p) in zip(z, elements, strict=True)]
             for z in (solved.z - half, solved.z + half)
         )
         truth = np.array([TRUTH[name] for name, _ in elements])

@@ -124,9 +124,7 @@ def test_one_noisy_slip_is_shared_by_all_forces():
     tau, columns = 0.004, rows(n=40, seed=3, slip_std=0.004, loads=(FZ,))
     task = noisy_task("brush-anisotropic", {"sigma_x": tau}, columns)
     problem = with_scale(task.problem, task.slip_density, {}, 1e5)
-    assert {c.name: c.slip for c in problem.channels} == {
-        "fx": "sigma_x", "fy": "sigma_x"
-    }  # fmt: skip
+    assert {c.name: c.slip for c in problem.channels} == {"fx": "sigma_x", "fy": "sigma_x"}
     z = problem.layout.unconstrained(TRUTH)
     blocks = root_deviance(problem, z)
     assert list(blocks) == ["sigma_x"]
@@ -185,11 +183,17 @@ def test_in_pure_slip_each_force_has_its_own_noisy_slip():
 
 TRUTHS = {
     "magic-formula-combined": {
-        "Bx": 14.0, "Cx": 1.6, "Dx": 1.1, "Ex": 0.4,
-        "By": 9.0, "Cy": 1.4, "Dy": 1.0, "Ey": -0.5,
+        "Bx": 14.0,
+        "Cx": 1.6,
+        "Dx": 1.1,
+        "Ex": 0.4,
+        "By": 9.0,
+        "Cy": 1.4,
+        "Dy": 1.0,
+        "Ey": -0.5,
     },
     "liu-peng": {"cpa2": 5e4, "mu": 0.9, "k_ratio": 0.6},
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", TRUTHS)
@@ -227,9 +231,7 @@ def test_slip_noise_of_combined_rows_is_taken_out():
     for one in fit_curve(result, "fy").curves:
         sigma_x = float(one.label.partition("≈")[2])
         alpha, step = np.radians(one.slip), 1e-6
-        high, low = (
-            combined_force(sigma_x + s, alpha, FZ, **TRUTH)[1] for s in (step, -step)
-        )
+        high, low = (combined_force(sigma_x + s, alpha, FZ, **TRUTH)[1] for s in (step, -step))
         std = np.hypot(NOISE["fy"], (high - low) / (2 * step) * tau)
         band = one.noise_high - one.force
         np.testing.assert_allclose(band, 1.96 * std, rtol=0.1)

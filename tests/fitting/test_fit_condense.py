@@ -50,17 +50,14 @@ def two_runs():
 CASES = {
     "noise given": (curve, GIVEN),
     "noise in a column": (
-        lambda: curve(extra={"fx_std": STD * np.linspace(0.5, 2, 400)}), ESTIMATED,
+        lambda: curve(extra={"fx_std": STD * np.linspace(0.5, 2, 400)}),
+        ESTIMATED,
     ),
     "correlated noise": (correlated, ESTIMATED),
-    "a parameter for each run": (
-        two_runs, GIVEN | {"parameters": {"mu": {"per_run": True}}},
-    ),
+    "a parameter for each run": (two_runs, GIVEN | {"parameters": {"mu": {"per_run": True}}}),
     "a robust loss": (curve, {"noise": {"fx": STD, "loss": "huber"}}),
-    "noisy slip": (
-        lambda: curve(slip_std=2e-3), {"noise": {"fx": STD, "sigma_x": 2e-3}},
-    ),
-}  # fmt: skip
+    "noisy slip": (lambda: curve(slip_std=2e-3), {"noise": {"fx": STD, "sigma_x": 2e-3}}),
+}
 
 
 @pytest.mark.parametrize("case", CASES)

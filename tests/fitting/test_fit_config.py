@@ -106,33 +106,29 @@ def of_mu(**settings):
 PRIOR = {"mean": 1.0, "std": 0.1}
 # content -> the start of every reason
 CONTRADICTIONS = {
-    "tied and free": (
-        of_mu(tied="D", free=True), ["parameters.mu: free contradicts tied = 'D'"],
-    ),
-    "tied and fixed": (
-        of_mu(tied="D", free=False), ["parameters.mu: free contradicts tied = 'D'"],
-    ),
+    "tied and free": (of_mu(tied="D", free=True), ["parameters.mu: free contradicts tied = 'D'"]),
+    "tied and fixed": (of_mu(tied="D", free=False), ["parameters.mu: free contradicts tied = 'D'"]),
     "tied and all else": (
         of_mu(tied="D", value=1, lower=0.1, upper=2, prior=PRIOR, per_run=True),
-        [f"parameters.mu: {key} contradicts tied = 'D'"
-         for key in ("value", "lower", "upper", "prior", "per_run")],
+        [
+            f"parameters.mu: {key} contradicts tied = 'D'"
+            for key in ("value", "lower", "upper", "prior", "per_run")
+        ],
     ),
     "fixed and all else": (
         of_mu(free=False, value=1, lower=0.1, upper=2, prior=PRIOR, per_run=True),
-        [f"parameters.mu: {key} contradicts free = false"
-         for key in ("lower", "upper", "prior", "per_run")],
+        [
+            f"parameters.mu: {key} contradicts free = false"
+            for key in ("lower", "upper", "prior", "per_run")
+        ],
     ),
     "factor without tied": (of_mu(factor=2), ["parameters.mu: factor without tied"]),
     "tied by nothing": (
-        of_mu(tied="D", factor=0), ["parameters.mu: factor = 0 ties it to nothing"],
+        of_mu(tied="D", factor=0),
+        ["parameters.mu: factor = 0 ties it to nothing"],
     ),
-    "bounds": (
-        of_mu(lower=2, upper=1),
-        ["parameters.mu: lower = 2 is not below upper = 1"],
-    ),
-    "equal bounds": (
-        of_mu(lower=1, upper=1), ["parameters.mu: lower = 1 is not below upper = 1"],
-    ),
+    "bounds": (of_mu(lower=2, upper=1), ["parameters.mu: lower = 2 is not below upper = 1"]),
+    "equal bounds": (of_mu(lower=1, upper=1), ["parameters.mu: lower = 1 is not below upper = 1"]),
     "noise": (
         {"noise": {"fx": 40, "fx_relative": 0.01, "fy": 40, "fy_relative": 0.01}},
         ["noise: fx contradicts fx_relative", "noise: fy contradicts fy_relative"],
@@ -146,17 +142,23 @@ CONTRADICTIONS = {
         ["data: slip_min = 0.1 is not below slip_max = 0.1"],
     ),
     "beside wrong keys": (
-        {"noise": {"fx": 40, "fx_relative": 0.01, "loss": "l7"}, "modle": "brush",
-         **of_mu(tied="D", lower=1, value="0.9")},
-        ["noise.loss = ", "parameters.mu.value = ", "unknown key 'modle'",
-         "noise: fx contradicts", "parameters.mu: lower contradicts tied"],
+        {
+            "noise": {"fx": 40, "fx_relative": 0.01, "loss": "l7"},
+            "modle": "brush",
+            **of_mu(tied="D", lower=1, value="0.9"),
+        },
+        [
+            "noise.loss = ",
+            "parameters.mu.value = ",
+            "unknown key 'modle'",
+            "noise: fx contradicts",
+            "parameters.mu: lower contradicts tied",
+        ],
     ),
-}  # fmt: skip
+}
 
 
-@pytest.mark.parametrize(
-    ("content", "reasons"), CONTRADICTIONS.values(), ids=CONTRADICTIONS
-)
+@pytest.mark.parametrize(("content", "reasons"), CONTRADICTIONS.values(), ids=CONTRADICTIONS)
 def test_contradictions_are_refused_naming_both_keys(content, reasons):
     with pytest.raises(UsageError) as caught:
         parse_config(content, "my.toml")
@@ -250,9 +252,7 @@ IMPOSSIBLE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("model", "parameters", "expected"), IMPOSSIBLE.values(), ids=IMPOSSIBLE
-)
+@pytest.mark.parametrize(("model", "parameters", "expected"), IMPOSSIBLE.values(), ids=IMPOSSIBLE)
 def test_impossible_parameters_are_refused(model, parameters, expected):
     config = parse_config({"parameters": parameters}, "my.toml")
     with pytest.raises(UsageError) as caught:
@@ -261,9 +261,7 @@ def test_impossible_parameters_are_refused(model, parameters, expected):
     assert len(problems) == len(expected)
     for reason, remedy in expected.items():
         (problem,) = (
-            p
-            for p in problems
-            if p.reason.removeprefix("parameters.").startswith(reason)
+            p for p in problems if p.reason.removeprefix("parameters.").startswith(reason)
         )
         assert remedy in problem.remedy and problem.file == "my.toml"
 
@@ -326,8 +324,7 @@ def test_noise_columns_that_are_none_name_row_and_column():
         ),
         (
             {"sigma_x": 0.125},
-            "noise of sigma_x: column sigma_x_std; noise.sigma_x = 0.125 not used"
-            " beside it",
+            "noise of sigma_x: column sigma_x_std; noise.sigma_x = 0.125 not used beside it",
         ),
         ({"fy": 7.5}, "noise of fx: column fx_std"),
     ],

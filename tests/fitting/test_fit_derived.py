@@ -10,12 +10,7 @@ from scipy.optimize import brentq, least_squares, minimize_scalar
 from scipy.stats import norm
 
 from tirefit.fitting.config import parse_config
-from tirefit.fitting.derived import (
-    derived_channel,
-    derived_from_draws,
-    derived_values,
-    quantities,
-)
+from tirefit.fitting.derived import derived_channel, derived_from_draws, derived_values, quantities
 from tirefit.fitting.estimate import fit, with_fixed
 from tirefit.fitting.extremes import _bowl
 from tirefit.fitting.inference import deviance
@@ -74,9 +69,7 @@ def test_peak_with_kinetic_friction(m):
     mu, c = TRUTH["mu"], TRUTH["cpa2"]
     # F(u)/(mu F_z) with rho = 3 u/4 is 3u(1 - u/2)^2/2 + m u^2 (3 - u)/4; its slope is
     # zero at u = 2/(3 - 2m) (S(32)), where it is (4 - 3m)/(3 - 2m)^2 (S(33)).
-    np.testing.assert_allclose(
-        found["slip_at_peak"], 1.5 * mu * FZ / c / (3 - 2 * m), rtol=1e-12
-    )
+    np.testing.assert_allclose(found["slip_at_peak"], 1.5 * mu * FZ / c / (3 - 2 * m), rtol=1e-12)
     peak = (4 - 3 * m) / (3 - 2 * m) ** 2
     np.testing.assert_allclose(found["F_max"], mu * FZ * peak, rtol=1e-12)
     np.testing.assert_allclose(found["F_max_over_fz"], mu * peak, rtol=1e-12)
@@ -104,14 +97,14 @@ def test_magic_formula_has_no_static_friction():
 def test_a_quantity_of_one_parameter_has_its_interval(name, request):
     result = request.getfixturevalue(name)
     for quantity, label, factor in (
-        ("C_x", "cpa2", 2.0), ("mu_fz", "mu", FZ), ("F_max", "mu", FZ),
+        ("C_x", "cpa2", 2.0),
+        ("mu_fz", "mu", FZ),
+        ("F_max", "mu", FZ),
         ("F_max_over_fz", "mu", 1.0),
-    ):  # fmt: skip
+    ):
         found, parameter = result.derived[quantity], result.least_squares[label]
         np.testing.assert_allclose(found.value, factor * parameter.value, rtol=1e-9)
-        np.testing.assert_allclose(
-            found.ci95, factor * np.array(parameter.ci95), rtol=1e-9
-        )
+        np.testing.assert_allclose(found.ci95, factor * np.array(parameter.ci95), rtol=1e-9)
         assert found.identified == parameter.identified
         if parameter.std is None:
             assert found.std is None
@@ -141,8 +134,7 @@ def brute_force(data, of, start, bounds, reach):
 
     best = minimize_scalar(misfit, bounds=reach, options={"xatol": 1e-6 * reach[1]})
     return [
-        brentq(lambda t: misfit(t) - best.fun - 3.841459, end, best.x, rtol=1e-5)
-        for end in reach
+        brentq(lambda t: misfit(t) - best.fun - 3.841459, end, best.x, rtol=1e-5) for end in reach
     ]
 
 
@@ -163,9 +155,12 @@ def test_peak_of_three_parameters_against_brute_force():
         return {"cpa2": c, "mu": t / FZ / share(d, m), "d": d, "m": m}
 
     ends = brute_force(
-        data, of, [5e4, 0.2, 0.8], ([1e3, -0.33, 0.0], [1e6, 1.0, 1.0]),
+        data,
+        of,
+        [5e4, 0.2, 0.8],
+        ([1e3, -0.33, 0.0], [1e6, 1.0, 1.0]),
         (0.98 * found.value, 1.02 * found.value),
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(found.ci95, ends, atol=0.01 * np.ptp(ends))
     # Nearly a parabola here: twice 1.96 standard deviations.
     np.testing.assert_allclose(np.ptp(ends), 3.92 * found.std, rtol=0.03)
@@ -174,9 +169,12 @@ def test_peak_of_three_parameters_against_brute_force():
 def test_slip_of_two_parameters_against_brute_force(given):
     found = given.derived["slip_at_peak"]
     ends = brute_force(
-        curve(), lambda t, x: {"cpa2": x[0], "mu": t * x[0] / 1.5 / FZ}, [5e4],
-        ([1e3], [1e6]), (0.9 * found.value, 1.1 * found.value),
-    )  # fmt: skip
+        curve(),
+        lambda t, x: {"cpa2": x[0], "mu": t * x[0] / 1.5 / FZ},
+        [5e4],
+        ([1e3], [1e6]),
+        (0.9 * found.value, 1.1 * found.value),
+    )
     np.testing.assert_allclose(found.ci95, ends, atol=0.01 * np.ptp(ends))
 
 
@@ -191,9 +189,8 @@ def test_peak_beside_a_parameter_at_its_bound():
         return {"cpa2": c, "mu": t / FZ * (3 - 2 * m) ** 2 / (4 - 3 * m), "m": m}
 
     ends = brute_force(
-        data, of, [5e4, 0.99], ([1e3, 0.0], [1e6, 1.0]),
-        (0.97 * found.value, 1.03 * found.value),
-    )  # fmt: skip
+        data, of, [5e4, 0.99], ([1e3, 0.0], [1e6, 1.0]), (0.97 * found.value, 1.03 * found.value)
+    )
     np.testing.assert_allclose(found.ci95, ends, atol=0.02 * np.ptp(ends))
     assert result.least_squares["m"].std is None
     np.testing.assert_allclose(found.std, np.ptp(found.ci95) / 3.92, rtol=1e-3)
@@ -226,8 +223,7 @@ def test_slope_of_a_redundant_form_against_brute_force():
 
         starts = ([1.5, 0.9, 0.3], [0.7, 1.5, -1.0], [2.0, 0.8, 0.5])
         return min(
-            2 * least_squares(residual, x, bounds=(low, high), xtol=1e-12).cost
-            for x in starts
+            2 * least_squares(residual, x, bounds=(low, high), xtol=1e-12).cost for x in starts
         )
 
     best = min(misfit(t) for t in np.linspace(*found.ci95, 9))
@@ -265,8 +261,10 @@ def test_curvature_of_the_deviance_is_that_of_the_covariance(given):
 def test_posterior_quantities_are_of_the_posterior_draws(sampled):
     cpa2, mu = sampled.chains.reshape(-1, 2).T
     for name, draws in (
-        ("C_x", 2 * cpa2), ("F_max", mu * FZ), ("slip_at_peak", 1.5 * mu * FZ / cpa2),
-    ):  # fmt: skip
+        ("C_x", 2 * cpa2),
+        ("F_max", mu * FZ),
+        ("slip_at_peak", 1.5 * mu * FZ / cpa2),
+    ):
         found = sampled.derived[name]
         low, median, high = np.quantile(draws, [0.025, 0.5, 0.975])
         np.testing.assert_allclose(found.value, median, rtol=1e-7)
@@ -373,9 +371,7 @@ def test_what_is_not_defined_has_no_number():
 def test_lateral_fit_with_a_friction_that_is_known():
     data = curve()
     columns = {"alpha": np.arctan(data["sigma_x"]), "fy": data["fx"], "fz": data["fz"]}
-    config = GIVEN | {
-        "noise": {"fy": STD}, "parameters": {"mu": {"value": 1.0, "free": False}}
-    }  # fmt: skip
+    config = GIVEN | {"noise": {"fy": STD}, "parameters": {"mu": {"value": 1.0, "free": False}}}
     result = fit(table(columns), config=config)
     found, stiffness = result.derived, result.least_squares["cpa2"]
     assert list(found) == list(quantities("fy")) and "C_x" not in found

@@ -2,17 +2,7 @@
 
 import numpy as np
 import pytest
-from recipes import (
-    FZ,
-    GIVEN,
-    STD,
-    TRUTH,
-    VAGUE_NOISE,
-    brush_force,
-    curve,
-    solved,
-    table,
-)
+from recipes import FZ, GIVEN, STD, TRUTH, VAGUE_NOISE, brush_force, curve, solved, table
 from scipy import optimize, stats
 
 from tirefit.fitting.estimate import fit
@@ -116,9 +106,7 @@ def test_profile_is_the_covariance_interval_where_noise_is_small():
         covariance = result.intervals["covariance"][label]
         np.testing.assert_allclose(covariance, (low, high), atol=0.02 * (high - low))
         half = (high - low) / 2
-        np.testing.assert_allclose(
-            half, 1.96 * result.least_squares[label].std, rtol=0.01
-        )
+        np.testing.assert_allclose(half, 1.96 * result.least_squares[label].std, rtol=0.01)
     assert result.verdict["disagreements"] == {}
 
 
@@ -142,19 +130,17 @@ def test_autocorrelated_noise_widens_every_interval():
     noise = np.empty(n)
     noise[0] = generator.standard_normal()
     for i in range(1, n):
-        noise[i] = (
-            rho * noise[i - 1] + np.sqrt(1 - rho**2) * generator.standard_normal()
-        )
+        noise[i] = rho * noise[i - 1] + np.sqrt(1 - rho**2) * generator.standard_normal()
     slip = np.linspace(0, 0.19, n)
     columns = {
-        "sigma_x": slip, "fx": brush_force(slip, **TRUTH) + STD * noise,
-        "fz": np.full(n, FZ), "time": np.arange(n) / 100,
-    }  # fmt: skip
+        "sigma_x": slip,
+        "fx": brush_force(slip, **TRUTH) + STD * noise,
+        "fz": np.full(n, FZ),
+        "time": np.arange(n) / 100,
+    }
     data = table(columns)
     wide = fit(data, config=GIVEN)
-    narrow = fit(
-        data, config=GIVEN | {"noise": {"fx": STD, "effective_samples": "all"}}
-    )
+    narrow = fit(data, config=GIVEN | {"noise": {"fx": STD, "effective_samples": "all"}})
     assert wide.statistics.n_effective < 100
     assert narrow.statistics.n_effective == 400
     factor = np.sqrt(400 / wide.statistics.n_effective)

@@ -114,23 +114,19 @@ TIES = {
         {"m": {"tied": "mu", "factor": 0.8}, "mu": {"lower": 0.5, "upper": 2}},
         ("mu", 0.5, 1.25),
     ),
-    "negative factor": (
-        "brush-d", {"d": {"tied": "mu", "factor": -0.2}}, ("mu", 0.01, 5 / 3),
-    ),
+    "negative factor": ("brush-d", {"d": {"tied": "mu", "factor": -0.2}}, ("mu", 0.01, 5 / 3)),
     "lower end, on many decades": (
-        "brush", {"mu": {"tied": "cpa2", "factor": 1e-5}}, ("cpa2", 1e3, 5e5),
+        "brush",
+        {"mu": {"tied": "cpa2", "factor": 1e-5}},
+        ("cpa2", 1e3, 5e5),
     ),
     "two ties": (
         "brush-dm",
         {"m": {"tied": "mu", "factor": 0.8}, "d": {"tied": "mu", "factor": -0.3}},
         ("mu", 0.01, 1 / 0.9),
     ),
-    "per run": (
-        "brush-m",
-        {"m": {"tied": "mu"}, "mu": {"per_run": True}},
-        ("mu", 0.01, 1.0),
-    ),
-}  # fmt: skip
+    "per run": ("brush-m", {"m": {"tied": "mu"}, "mu": {"per_run": True}}, ("mu", 0.01, 1.0)),
+}
 
 
 @pytest.mark.parametrize(("model", "parameters", "bounds"), TIES.values(), ids=TIES)
@@ -194,9 +190,10 @@ def test_free_fixed_and_per_run_as_asked():
 def test_interval_of_a_parameter_tied_by_a_negative_factor_is_in_order():
     truth = {"cpa2": 5e4, "mu": 1.0, "d": -0.2}
     config = {
-        "noise": {"fx": STD}, "solver": "gauss-newton",
+        "noise": {"fx": STD},
+        "solver": "gauss-newton",
         "parameters": {"d": {"tied": "mu", "factor": -0.2}},
-    }  # fmt: skip
+    }
     result = fit(curve(truth, n=100), "brush-d", config=config)
     d, mu = result.parameters["d"], result.parameters["mu"]
     assert d.ci95[0] < d.value < d.ci95[1]
@@ -222,9 +219,7 @@ def test_slopes_by_run_are_those_of_every_element(slip_noise):
     noise = STD * np.random.default_rng(8).standard_normal(len(slip))
     columns = {"sigma_x": slip, "fx": force + noise, "fz": np.full(len(slip), FZ)}
     config = parse_config({"noise": {"fx": STD} | slip_noise, "parameters": PER_RUN})
-    end = solve_problem(
-        build(table(columns, run=run, runs=RUNS), "brush", config), config
-    )
+    end = solve_problem(build(table(columns, run=run, runs=RUNS), "brush", config), config)
     problem, z = end.problem, jnp.asarray(end.z)
     assert problem.layout.is_sparse and problem.layout.size == 4
     slopes = {

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from tirefit.fitting.noise import (
-    autocorrelation_time,
-    effective_inflation,
-    robust_scale,
-)
+from tirefit.fitting.noise import autocorrelation_time, effective_inflation, robust_scale
 from tirefit.fitting.slip_noise import latent_nodes, slip_density, slip_distribution
 
 
@@ -37,9 +33,7 @@ def test_runs_are_pooled_without_joining_their_ends():
 def test_white_noise_counts_every_row():
     # One-sided 3.3 sigma: 0.05 % false alarms, so 0.1 expected in 200.
     generator = np.random.default_rng(0)
-    alarms = sum(
-        autocorrelation_time([generator.standard_normal(400)]) > 1 for _ in range(200)
-    )
+    alarms = sum(autocorrelation_time([generator.standard_normal(400)]) > 1 for _ in range(200))
     assert alarms <= 2
 
 

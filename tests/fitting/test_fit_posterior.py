@@ -40,9 +40,7 @@ def test_well_identified_posterior_is_gaussian(given, sampled):
 
 def test_correlation_of_the_draws_is_that_of_the_fit(given, sampled):
     draws = sampled.walkers.reshape(-1, 2)
-    np.testing.assert_allclose(
-        np.corrcoef(draws.T)[0, 1], given.correlation[0, 1], atol=0.15
-    )
+    np.testing.assert_allclose(np.corrcoef(draws.T)[0, 1], given.correlation[0, 1], atol=0.15)
 
 
 def test_a_rare_part_far_away_is_no_part_of_the_std():
@@ -144,9 +142,7 @@ def test_a_walker_that_never_moved_has_no_time(given, monkeypatch):
     chains = synthetic_chains()
     chains[0, :, 0] = 0
     assert np.all(np.isinf(posterior._autocorrelation_times(chains)))
-    monkeypatch.setattr(
-        posterior, "_autocorrelation_times", lambda s: np.full(s.shape[-1], np.inf)
-    )
+    monkeypatch.setattr(posterior, "_autocorrelation_times", lambda s: np.full(s.shape[-1], np.inf))
     result = sample(given, max_steps=CHUNK)
     assert all(ess == 0 for ess in result.posterior.ess.values())
     assert result.chains.shape[1] == result.posterior.walkers
@@ -214,9 +210,7 @@ def test_arviz_reads_the_posterior(sampled, tmp_path):
     assert posterior.sizes["chain"] == 4 * sampled.posterior.walkers
     assert posterior["cpa2"].attrs["unit"] == "N"
     assert posterior.attrs["model"] == "brush"
-    np.testing.assert_array_equal(
-        posterior["mu"].values.ravel(), sampled.walkers[..., 1].ravel()
-    )
+    np.testing.assert_array_equal(posterior["mu"].values.ravel(), sampled.walkers[..., 1].ravel())
     for label in LABELS:
         ess = arviz.ess(posterior[label].values, method="mean")
         # Ours was counted before every second step or so was dropped.
@@ -229,15 +223,11 @@ def test_arviz_opens_the_file_itself(sampled, tmp_path):
     write_posterior(sampled, path)
     data = arviz.from_netcdf(path, engine="h5netcdf")
     summary = arviz.summary(data, var_names=["mu"], kind="stats", round_to=8)
-    np.testing.assert_allclose(
-        summary.loc["mu", "mean"], sampled.walkers[..., 1].mean(), rtol=1e-6
-    )
+    np.testing.assert_allclose(summary.loc["mu", "mean"], sampled.walkers[..., 1].mean(), rtol=1e-6)
 
 
 def test_posterior_enters_the_record(sampled):
     content = sampled.to_dict()
     assert content["posterior"]["outcome"] == "converged"
-    assert content["intervals"]["posterior"]["mu"] == list(
-        sampled.parameters["mu"].ci95
-    )
+    assert content["intervals"]["posterior"]["mu"] == list(sampled.parameters["mu"].ci95)
     assert replace(sampled, posterior=None).to_dict()["posterior"] is None

@@ -28,8 +28,7 @@ def test_autocorrelation_pools_the_runs():
     parts = [rng.normal(size=n) for n in (50, 31, 1)]
     power = sum(part @ part for part in parts)
     expected = [
-        sum(part[lag:] @ part[: len(part) - lag] for part in parts) / power
-        for lag in range(10)
+        sum(part[lag:] @ part[: len(part) - lag] for part in parts) / power for lag in range(10)
     ]
     np.testing.assert_allclose(autocorrelation(parts)[:10], expected, atol=1e-14)
     assert autocorrelation([np.zeros(9)]).tolist() == [1.0]

@@ -90,9 +90,7 @@ def test_weighted_draws_have_the_moments_of_the_target():
     mean, variance = polygamma(0, 8) - 2.0, polygamma(1, 8)
     error = 4 * np.sqrt(variance / count)
     assert np.all(np.abs(weighted.draws.mean(axis=0) - mean) < error)
-    np.testing.assert_allclose(
-        weighted.draws.var(axis=0), variance, rtol=4 * np.sqrt(3 / count)
-    )
+    np.testing.assert_allclose(weighted.draws.var(axis=0), variance, rtol=4 * np.sqrt(3 / count))
     # In random order: a thinned picture of them is a picture of all.
     half = weighted.draws[: count // 2].mean(axis=0)
     assert np.all(np.abs(half - mean) < np.sqrt(2) * error)
@@ -154,9 +152,7 @@ def test_importance_agrees_with_emcee(given, sampled, weighted):
     assert summary.k_hat < 0.7 and summary.rhat == {} and summary.tau == {}
     assert summary.note == "" and summary.divergences is None
     assert len(flat(weighted)) == min(summary.ess.values()) >= 4000
-    agree(
-        flat(weighted), flat(sampled), stds(given), min(sampled.posterior.ess.values())
-    )
+    agree(flat(weighted), flat(sampled), stds(given), min(sampled.posterior.ess.values()))
     assert weighted.verdict["status"] == sampled.verdict["status"] == "ok"
 
 
@@ -271,10 +267,7 @@ def runs_of(count: int):
         curve({"cpa2": 5e4 * a, "mu": b}, n=60, seed=i, name=f"r{i}")
         for i, (a, b) in enumerate(generator.uniform(0.8, 1.2, (count, 2)))
     ]
-    columns = {
-        k: np.concatenate([p.columns[k] for p in parts])
-        for k in ("sigma_x", "fx", "fz")
-    }
+    columns = {k: np.concatenate([p.columns[k] for p in parts]) for k in ("sigma_x", "fx", "fz")}
     names = tuple(f"r{i}" for i in range(count))
     return table(columns, run=np.repeat(np.arange(count), 60), runs=names)
 

@@ -81,8 +81,7 @@ def test_trial_step_outside_the_domain_does_not_stall(solver):
 
 
 # NIST StRD MGH09 (Kowalik and Osborne), higher level of difficulty, second start.
-MGH09_Y = [0.1957, 0.1947, 0.1735, 0.16, 0.0844, 0.0627, 0.0456, 0.0342, 0.0323,
-           0.0235, 0.0246]  # fmt: skip
+MGH09_Y = [0.1957, 0.1947, 0.1735, 0.16, 0.0844, 0.0627, 0.0456, 0.0342, 0.0323, 0.0235, 0.0246]
 MGH09_X = [4.0, 2.0, 1.0, 0.5, 0.25, 0.167, 0.125, 0.1, 0.0833, 0.0714, 0.0625]
 MGH09 = [0.19280693458, 0.19128232873, 0.12305650693, 0.13606233068]
 
@@ -130,6 +129,4 @@ def test_beside_a_bound_the_others_still_arrive(start):
     assert bool(end.converged) and end.steps < 40
     assert end.z[1] > 7
     np.testing.assert_allclose(end.z[0], a, atol=2e-3)
-    np.testing.assert_allclose(
-        end.cost, 1e4 * np.sum((a * x + x**2 - y) ** 2), rtol=1e-3
-    )
+    np.testing.assert_allclose(end.cost, 1e4 * np.sum((a * x + x**2 - y) ** 2), rtol=1e-3)

@@ -22,9 +22,7 @@ def no_constant(text):
 def test_json_is_json_and_has_what_the_schema_promises(sampled, tmp_path):
     written = sampled.save(tmp_path / "out")
     assert sorted(p.name for p in written) == ["fit.json", "posterior.nc"]
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
-        "fit.json", "posterior.nc"
-    ]  # fmt: skip
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["fit.json", "posterior.nc"]
     text = (tmp_path / "out" / "fit.json").read_text()
     content = json.loads(text, parse_constant=no_constant)
     assert content["schema"] == "tirefit.fit/1"
@@ -33,9 +31,9 @@ def test_json_is_json_and_has_what_the_schema_promises(sampled, tmp_path):
         entry = content["parameters"][name]
         assert {"value", "std", "unit", "ci95"} <= set(entry)
         assert entry["ci95"][0] < entry["value"] < entry["ci95"][1]
-    assert {
-        "rmse", "chi2_dof", "aicc", "bic", "n", "n_effective", "converged", "at_bound"
-    } <= set(content["fit"])  # fmt: skip
+    assert {"rmse", "chi2_dof", "aicc", "bic", "n", "n_effective", "converged", "at_bound"} <= set(
+        content["fit"]
+    )
     assert content["verdict"]["status"] == "ok"
     assert content["data"]["convention"] == "braking" and "sha256" in content["data"]
     assert {"jax", "numpy", "emcee", "python"} <= set(content["versions"])
@@ -56,16 +54,12 @@ def test_information_criteria_by_hand(given, estimated):
         std = STD if result is given else np.sqrt(residual @ residual / 398)
         minus_two_log = np.sum(np.log(2 * np.pi * std**2) + (residual / std) ** 2)
         statistics = result.statistics
-        np.testing.assert_allclose(
-            statistics.bic, minus_two_log + count * np.log(400), rtol=1e-6
-        )
+        np.testing.assert_allclose(statistics.bic, minus_two_log + count * np.log(400), rtol=1e-6)
         correction = 2 * count * (count + 1) / (400 - count - 1)
         np.testing.assert_allclose(
             statistics.aicc, minus_two_log + 2 * count + correction, rtol=1e-6
         )
-        np.testing.assert_allclose(
-            statistics.rmse, np.sqrt(np.mean(residual**2)), rtol=1e-6
-        )
+        np.testing.assert_allclose(statistics.rmse, np.sqrt(np.mean(residual**2)), rtol=1e-6)
 
 
 def test_stored_fit_predicts_as_the_live_one(given, tmp_path):
@@ -146,8 +140,7 @@ FRICTION = {"dry": 1.0, "wet": 0.7}
 def two_runs():
     """One tire on two surfaces, 200 rows each, the friction per run."""
     parts = [
-        curve(TRUTH | {"mu": mu}, n=200, seed=30 + i)
-        for i, mu in enumerate(FRICTION.values())
+        curve(TRUTH | {"mu": mu}, n=200, seed=30 + i) for i, mu in enumerate(FRICTION.values())
     ]
     columns = {k: np.concatenate([p[k] for p in parts]) for k in parts[0].columns}
     return table(columns, "joint", np.repeat([0, 1], 200), tuple(FRICTION))
@@ -200,9 +193,10 @@ def tied():
     """A tire whose kinetic over static friction follows its friction."""
     data = curve(TRUTH | {"m": 0.8}, seed=40)
     config = {
-        "noise": {"fx": STD}, "solver": "gauss-newton",
+        "noise": {"fx": STD},
+        "solver": "gauss-newton",
         "parameters": {"m": {"tied": "mu", "factor": 0.8}, "cpa2": {"upper": 1e6}},
-    }  # fmt: skip
+    }
     return fit(data, "brush-m", config=config)
 
 

@@ -133,8 +133,7 @@ def line_numbers(data):
 def test_time_that_stands_still_names_the_row():
     time = DATA["time"].copy()
     time[20], time[200] = time[19], time[199] - 1
-    data = line_numbers(table({**DATA.columns, "time": time}, run=DATA.run,
-                              runs=DATA.runs))  # fmt: skip
+    data = line_numbers(table({**DATA.columns, "time": time}, run=DATA.run, runs=DATA.runs))
     for use in (
         lambda: build(data, "brush-relaxation", parse_config(CONFIG)),
         lambda: predict("brush-relaxation", data),
@@ -169,8 +168,10 @@ def test_history_with_holes_is_refused():
         build(DATA, "brush-relaxation", parse_config(config))
     reasons = [problem.reason for problem in error.value.problems]
     assert [reason.split()[0] for reason in reasons] == [
-        "data.slip_min", "data.slip_max", "noise.sigma_x:",
-    ]  # fmt: skip
+        "data.slip_min",
+        "data.slip_max",
+        "noise.sigma_x:",
+    ]
     noisy = table({**DATA.columns, "sigma_x_std": 0.01 + 0 * DATA["v"]})
     with pytest.raises(UsageError, match="column 'sigma_x_std'.*cannot have noise"):
         build(noisy, "brush-relaxation", parse_config({}))

@@ -57,9 +57,7 @@ def test_good_fit_says_nothing(given, estimated):
 def test_estimated_noise_is_said_and_right(estimated):
     assert estimated.noise["fx"]["source"] == "estimated"
     assert "noise of fx: estimated from the residuals" in estimated.noise["notes"]
-    np.testing.assert_allclose(
-        estimated.noise["fx"]["median_std"], STD, rtol=4 / np.sqrt(800)
-    )
+    np.testing.assert_allclose(estimated.noise["fx"]["median_std"], STD, rtol=4 / np.sqrt(800))
 
 
 def test_unidentified_parameter_is_named(vague):
@@ -126,8 +124,7 @@ def test_bounds_away_from_the_first_guess_do_not_trap_the_fit():
 
 
 def test_routes_that_differ_are_named(given):
-    moved = {k: (lo, hi + 0.4 * (hi - lo)) for k, (lo, hi) in
-             given.intervals["profile"].items()}  # fmt: skip
+    moved = {k: (lo, hi + 0.4 * (hi - lo)) for k, (lo, hi) in given.intervals["profile"].items()}
     result = replace(given, intervals=given.intervals | {"covariance": moved})
     assert set(disagreements(result)) == {"cpa2", "mu"}
     sentences = judge(result).verdict["sentences"]
@@ -171,10 +168,7 @@ def test_a_noise_of_a_millionth_is_noise():
 def noisy(stds, seed=50):
     slip = curve(seed=seed)["sigma_x"]
     noise = stds * np.random.default_rng(seed).standard_normal(400)
-    return {
-        "sigma_x": slip, "fx": brush_force(slip, **TRUTH) + noise,
-        "fz": np.full(400, FZ),
-    }  # fmt: skip
+    return {"sigma_x": slip, "fx": brush_force(slip, **TRUTH) + noise, "fz": np.full(400, FZ)}
 
 
 def test_std_column_weights_the_rows():
@@ -187,9 +181,7 @@ def test_std_column_weights_the_rows():
     np.testing.assert_allclose(weighted.z, alone.z, atol=1e-4)
     notes = build(data, "brush", parse_config({})).notes
     assert "noise of fx: column fx_std" in notes
-    np.testing.assert_allclose(
-        np.asarray(weighted.problem.rows.scale["fx"])[:400], stds
-    )
+    np.testing.assert_allclose(np.asarray(weighted.problem.rows.scale["fx"])[:400], stds)
 
 
 def test_noise_proportional_to_load():
@@ -204,9 +196,7 @@ def test_noise_proportional_to_load():
     scale = np.asarray(end.problem.rows.scale["fx"])[:400]
     np.testing.assert_allclose(scale, 0.01 * load, rtol=4 / np.sqrt(800))
     given = solved(data, {"noise": {"fx_relative": 0.01}, "solver": "gauss-newton"})
-    np.testing.assert_allclose(
-        np.asarray(given.problem.rows.scale["fx"])[:400], 0.01 * load
-    )
+    np.testing.assert_allclose(np.asarray(given.problem.rows.scale["fx"])[:400], 0.01 * load)
     np.testing.assert_allclose(end.z, given.z, atol=1e-6)
 
 
@@ -238,12 +228,7 @@ def test_as_many_unknowns_as_rows_are_refused(rows, enough):
     [
         ({}, "brush-n", {}, "the model brush-n needs v (forward speed"),
         ({}, "brush", {"force": "fy"}, "a fit of fy needs alpha"),
-        (
-            {"sigma_x": np.full(400, 0.1)},
-            "brush",
-            {},
-            "no force with a slip that varies",
-        ),
+        ({"sigma_x": np.full(400, 0.1)}, "brush", {}, "no force with a slip that varies"),
         (
             {},
             "brush",
@@ -283,21 +268,22 @@ def test_few_slips_with_noise_stay_finite():
     ("stiffness_power", "mu_load", "hinted"),
     [(1.6, 0.0, True), (0.0, -0.3, True), (0.0, 0.0, False)],
 )
-def test_residuals_that_follow_the_load_hint_at_brush_load(
-    stiffness_power, mu_load, hinted
-):
+def test_residuals_that_follow_the_load_hint_at_brush_load(stiffness_power, mu_load, hinted):
     from tirefit.sim.rig import simulate_rig
 
-    values = {"cpa2": 5e4, "mu": 0.9, "stiffness_power": stiffness_power,
-              "mu_load": mu_load, "fz0": 4000.0}  # fmt: skip
+    values = {
+        "cpa2": 5e4,
+        "mu": 0.9,
+        "stiffness_power": stiffness_power,
+        "mu_load": mu_load,
+        "fz0": 4000.0,
+    }
     made = simulate_rig("brush-load", values, load=[2000.0, 4000.0, 6000.0], seed=1)
     data = read_frame(dict(made.columns), convention="braking")
     said = " ".join(fit(data, "brush").verdict["sentences"])
     assert ("brush-load lets stiffness and friction change" in said) is hinted
     assert ("loads from 2000 to 6000 N" in said) is hinted
-    assert "brush-load lets" not in " ".join(
-        fit(data, "brush-load").verdict["sentences"]
-    )
+    assert "brush-load lets" not in " ".join(fit(data, "brush-load").verdict["sentences"])
 
 
 def test_a_fit_with_slip_noise_over_loads_has_a_verdict():

@@ -27,9 +27,7 @@ def test_the_expected_scatter_is_that_of_repeated_fits():
     for _ in range(200):
         seen = force + noise * load * rng.normal(size=len(load))
         end = least_squares(
-            lambda p, seen=seen: (
-                (brush_by_hand(1e4 * p[0], p[1], sigma, load) - seen) / load
-            ),
+            lambda p, seen=seen: (brush_by_hand(1e4 * p[0], p[1], sigma, load) - seen) / load,
             (6.0, 1.1),
         )
         estimates.append(end.x * (1e4, 1.0))
@@ -113,9 +111,7 @@ def test_rows_that_repeat_their_noise_count_once():
 def test_many_rows_are_as_good_as_their_number():
     """Of 5,000 rows 512 stand for all: the answer is that of all."""
     few, many = (
-        identifiability(
-            read_frame(simulate_rig(largest=0.1, points=n, seed=2).columns), ["brush"]
-        )
+        identifiability(read_frame(simulate_rig(largest=0.1, points=n, seed=2).columns), ["brush"])
         for n in (500, 5000)
     )
     for a, b in zip(few.gates[0].parameters, many.gates[0].parameters, strict=True):

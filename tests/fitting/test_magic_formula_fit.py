@@ -13,13 +13,7 @@ from scipy.optimize import least_squares
 from tirefit.data.read import read_frame
 from tirefit.data.tir_keys import COEFFICIENTS, ONLY_IN
 from tirefit.fitting.mf.fit import fit_magic_formula
-from tirefit.fitting.mf.parts import (
-    NEVER_FITTED,
-    PARTS,
-    VERSIONS,
-    coefficients_of,
-    influences,
-)
+from tirefit.fitting.mf.parts import NEVER_FITTED, PARTS, VERSIONS, coefficients_of, influences
 from tirefit.fitting.mf.priors import normal_form, published_priors
 from tirefit.fitting.mf.solve import Problem, blocks_of, minimise, row_gradients
 from tirefit.fitting.noise import NoiseLaw, noise_law
@@ -63,10 +57,7 @@ def test_every_coefficient_has_one_part_and_a_prior(version):
     assert set(own.values()) == set(PARTS)
     moments = {n for n, part in own.items() if part in ("mx", "my")}
     assert set(influences(version, "mz")) == set(own) - moments
-    assert all(
-        own[n] == "mx" or n in influences(version, "fy")
-        for n in influences(version, "mx")
-    )
+    assert all(own[n] == "mx" or n in influences(version, "fy") for n in influences(version, "mx"))
     assert not {n for n in influences(version, "fx") if own[n] in ("fy", "mz")}
     assert all(published_priors()[name].spread > 0 for name in own)
 
@@ -95,9 +86,7 @@ def test_signs_that_say_the_same_give_the_same_forces():
     slip, alpha, gamma = generator.uniform(-0.2, 0.2, (3, 50))
     inputs = TireInputs(slip, alpha, fz, gamma=gamma)
     empty = MAGIC_FORMULAS["mf61"]
-    one, other = (
-        forces(with_values(empty, v), inputs) for v in (values, normal_form(values))
-    )
+    one, other = (forces(with_values(empty, v), inputs) for v in (values, normal_form(values)))
     np.testing.assert_allclose(one.fx, other.fx, rtol=1e-12)
     np.testing.assert_allclose(one.fy, other.fy, rtol=1e-12, atol=1e-9)
     assert normal_form(values)["PDY1"] == 0.9 and normal_form(values)["RVY5"] == 1.9
@@ -132,9 +121,7 @@ def test_slopes_are_those_of_finite_differences():
         step = np.zeros(len(u))
         step[i] = 1e-6
         ahead, behind = (row_gradients(problem, u + s * step)[0] for s in (1, -1))
-        np.testing.assert_allclose(
-            slope[:, i], (ahead - behind) / 2e-6, rtol=1e-5, atol=1e-5
-        )
+        np.testing.assert_allclose(slope[:, i], (ahead - behind) / 2e-6, rtol=1e-5, atol=1e-5)
 
 
 def test_the_optimum_is_no_worse_than_that_of_scipy():
@@ -183,9 +170,7 @@ def test_pure_lateral_rows_give_their_coefficients_back():
 
     table = columns(MF61, ("fy",))
     nominal = {"FNOMIN": {"value": 6752.0}, "NOMPRES": {"value": 2.6e5}}
-    result = fit_magic_formula(
-        read_frame(table), "mf61", part="fy", config={"parameters": nominal}
-    )
+    result = fit_magic_formula(read_frame(table), "mf61", part="fy", config={"parameters": nominal})
     assert result.parts == ("fy",) and result.forces == ("fy",)
     true = normal_form(read_tir(MF61).numbers)
     away = [
@@ -214,21 +199,14 @@ def test_what_was_not_varied_is_held_and_said():
 
 def test_a_given_coefficient_stays_and_a_prior_of_ones_own_is_used():
     table = columns(MF52, ("fx",))
-    asked = {
-        "PEX4": {"value": 0.0, "free": False},
-        "PCX1": {"prior": {"mean": 1.2, "std": 0.001}},
-    }
+    asked = {"PEX4": {"value": 0.0, "free": False}, "PCX1": {"prior": {"mean": 1.2, "std": 0.001}}}
     config = {"parameters": asked, "noise": {"sigma_x": 1e-3}}
     table["fx"][100] += 0.5 * table["fz"][100]
     result = fit_magic_formula(read_frame(table), "mf52", part="fx", config=config)
     assert any(
-        "standard deviations in 1 of" in note and "rows of fx" in note
-        for note in result.notes
+        "standard deviations in 1 of" in note and "rows of fx" in note for note in result.notes
     )
-    assert (
-        "noise.sigma_x: not used, a Magic Formula fit takes the slips as exact"
-        in result.notes
-    )
+    assert "noise.sigma_x: not used, a Magic Formula fit takes the slips as exact" in result.notes
     assert result.coefficients["PEX4"].origin == "given"
     assert result.coefficients["PEX4"].value == 0 == result.coefficients["PEX4"].std
     assert abs(result.coefficients["PCX1"].value - 1.2) < 0.02

@@ -44,9 +44,12 @@ def test_of_a_rig(seed=0, combined=True, friction=0.12, loads=LOADS):
         for gamma in (0.0, 0.05):
             for kappa, alpha, held in plans:
                 columns = np.broadcast_arrays(
-                    -kappa * sweep / (1 + kappa * sweep), alpha * sweep + held,
-                    fz * (1 + 0.02 * sweep), 16.7, gamma,
-                )  # fmt: skip
+                    -kappa * sweep / (1 + kappa * sweep),
+                    alpha * sweep + held,
+                    fz * (1 + 0.02 * sweep),
+                    16.7,
+                    gamma,
+                )
                 inputs = TireInputs(*columns)
                 fx, fy, _ = (np.asarray(f) for f in list(forces(tires[0], inputs))[:3])
                 mz = np.asarray(forces(tires[1], inputs).mz)
@@ -251,9 +254,7 @@ def test_a_force_with_few_rows_of_pure_slip_is_fitted_in_one_stage():
     found = fit_magic_formula(
         read_frame(table), "mf61", config={"parameters": GIVEN}, leave_out="none"
     )
-    assert [stage.name for stage in found.stages] == [
-        "fy in combined slip", "mz in combined slip",
-    ]  # fmt: skip
+    assert [stage.name for stage in found.stages] == ["fy in combined slip", "mz in combined slip"]
     assert found.fitted["fy"][0] < 25 and found.fitted["mz"][0] < 2
 
 
@@ -284,10 +285,7 @@ def test_a_force_whose_slip_was_not_swept_has_no_guards():
     slip, loads = np.linspace(-0.2, 0.2, 60), np.array([1.5e3, 3e3, 4.5e3])
     inputs = TireInputs(np.tile(slip, 3), 0.0, np.repeat(loads, 60))
     noise = np.random.default_rng(0).standard_normal((2, 180))
-    fx = (
-        np.asarray(forces(mf_tire("6.1", TIRE), inputs).fx)
-        + 0.01 * inputs.fz * noise[0]
-    )
+    fx = np.asarray(forces(mf_tire("6.1", TIRE), inputs).fx) + 0.01 * inputs.fz * noise[0]
     table = {"sigma_x": inputs.sigma_x, "alpha": 1e-3 * noise[1], "fz": inputs.fz}
     table |= {"fx": fx, "fy": 20 * noise[1], "run": np.repeat([0, 1, 2], 60)}
     config = {"parameters": GIVEN}

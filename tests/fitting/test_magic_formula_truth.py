@@ -10,19 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rig import (
-    MF52,
-    MF61,
-    MF62,
-    NOISE,
-    TIRES,
-    Plan,
-    family_of,
-    measured,
-    points,
-    sweeps,
-    tire_of,
-)
+from rig import MF52, MF61, MF62, NOISE, TIRES, Plan, family_of, measured, points, sweeps, tire_of
 
 from tirefit.data.read import read_frame
 from tirefit.data.tir import read_tir

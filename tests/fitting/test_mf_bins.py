@@ -30,10 +30,7 @@ def swept(rng, load, wander):
     """Sweeps at one load, as pieces: of alpha alone, of kappa at 0 and at 4 deg."""
     way = triangle()
     noise = 1 + 0.01 * rng.standard_normal(len(way))
-    fz, gamma = (
-        load * noise * (1 + wander(way)),
-        2 * DEG + 1e-4 * rng.standard_normal(200),
-    )
+    fz, gamma = (load * noise * (1 + wander(way)), 2 * DEG + 1e-4 * rng.standard_normal(200))
     kappa = 0.2 * way
     yield 0.0, 0.2 * way, fz, gamma, 83e3
     yield kappa / (1 - kappa), 0.0, fz, gamma, 83e3
@@ -104,7 +101,4 @@ def test_runs_are_settings_of_their_own():
     assert [s.run for s in settings] == [4, 7]
     assert np.array_equal(code, np.repeat([0, 1], 60))
     labels, _ = settings_of(rows_of("fy", [part, part], np.repeat([4, 7], 60)))
-    assert labels == (
-        "1000 N, rolling freely, run 5",
-        "1000 N, rolling freely, run 8",
-    )
+    assert labels == ("1000 N, rolling freely, run 5", "1000 N, rolling freely, run 8")

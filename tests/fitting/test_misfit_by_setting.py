@@ -58,9 +58,8 @@ def test_intervals_of_independent_rows_are_those_of_scipy(five_loads):
     alpha, fz = np.array(data["alpha"]), np.array(data["fz"])
     # All rows alike: the noise of this fit is one number.
     values, covariance = curve_fit(
-        lambda x, *p: four_coefficients(x, *p, fz), alpha, data["fy"],
-        [10.0, 1.5, 1.2, 0.0],
-    )  # fmt: skip
+        lambda x, *p: four_coefficients(x, *p, fz), alpha, data["fy"], [10.0, 1.5, 1.2, 0.0]
+    )
     beside = result.intervals["independent"]
     for i, name in enumerate("BCDE"):
         low, high = beside[name]
@@ -81,19 +80,19 @@ def kinetic(alpha, mu, cpa2=6e4, fz=4000.0):
 @pytest.mark.parametrize(
     ("column", "values", "force", "name", "other"),
     [
-        ("fz", LOADS, lambda a, fz: kinetic(a, 1.3 - 4e-5 * fz, 15 * fz, fz),
-         "load", "brush-load"),
-        ("pressure", (1.6e5, 2.4e5),
-         lambda a, p: kinetic(a, 1.35 - 1e-6 * p, 0.3 * p), "pressure", "mf61"),
-        ("v", (6.0, 28.0), lambda a, v: kinetic(a, 1.25 - 0.01 * v), "speed",
-         "brush-h"),
-        ("gamma", (0.0, 0.07), lambda a, g: kinetic(a + 0.3 * g, 1.1), "camber",
-         "mf61"),
+        ("fz", LOADS, lambda a, fz: kinetic(a, 1.3 - 4e-5 * fz, 15 * fz, fz), "load", "brush-load"),
+        (
+            "pressure",
+            (1.6e5, 2.4e5),
+            lambda a, p: kinetic(a, 1.35 - 1e-6 * p, 0.3 * p),
+            "pressure",
+            "mf61",
+        ),
+        ("v", (6.0, 28.0), lambda a, v: kinetic(a, 1.25 - 0.01 * v), "speed", "brush-h"),
+        ("gamma", (0.0, 0.07), lambda a, g: kinetic(a + 0.3 * g, 1.1), "camber", "mf61"),
     ],
-)  # fmt: skip
-def test_the_setting_that_the_residuals_follow_is_named(
-    column, values, force, name, other
-):
+)
+def test_the_setting_that_the_residuals_follow_is_named(column, values, force, name, other):
     result = fit(over_settings(column, values, force), "brush")
     sentences = result.verdict["sentences"]
     (said,) = [s for s in sentences if s.startswith("the model lacks the")]

@@ -27,9 +27,7 @@ def columns():
     inputs, run = sweeps(Plan(MF52), 0, 24, 4)
     draw = np.random.default_rng(4)
     inputs = inputs._replace(v=draw.uniform(5, 40, len(run)))
-    true = {
-        k: np.asarray(v) for k, v in forces(tire_of(MF52), inputs)._asdict().items()
-    }
+    true = {k: np.asarray(v) for k, v in forces(tire_of(MF52), inputs)._asdict().items()}
     fz = np.asarray(inputs.fz)
     std = {"fx": 0.01 * fz, "fy": 0.01 * fz, "mx": 2.0 + 0 * fz, "my": 0.3 + 0 * fz}
     noisy = {k: true[k] + s * draw.standard_normal(len(fz)) for k, s in std.items()}
@@ -43,9 +41,7 @@ def fitted(without=(), part="all", **more):
     numbers = read_tir(MF52).numbers
     given = {name: {"value": numbers[name]} for name in NOMINAL} | more
     table = {k: v for k, v in table.items() if k not in without}
-    return fit_magic_formula(
-        read_frame(table), "mf52", part=part, config={"parameters": given}
-    )
+    return fit_magic_formula(read_frame(table), "mf52", part=part, config={"parameters": given})
 
 
 @cache
@@ -108,10 +104,7 @@ def test_an_overturning_moment_needs_a_lateral_force():
     fit = fitted(without=("fy",))
     assert "mx" not in fit.forces and "my" in fit.forces
     assert any("mx is not fitted: the data have no fy" in note for note in fit.notes)
-    for name, said in (
-        ("fy", "mx is not fitted: the data have no fy"),
-        ("mx", "no mx"),
-    ):
+    for name, said in (("fy", "mx is not fitted: the data have no fy"), ("mx", "no mx")):
         with pytest.raises(DataError, match=said):
             fitted(without=(name,), part="mx")
 
@@ -129,11 +122,7 @@ def test_another_version_has_the_moments_as_far_as_it_can(path, model):
     nominal = tir.numbers["FNOMIN"]
     fit = converted(tir, model, 0.15, [0.6 * nominal, nominal])
     inputs = {"sigma_x": np.linspace(-0.05, 0.1, 9), "alpha": np.linspace(-0.1, 0.1, 9)}
-    inputs |= {
-        "fz": np.full(9, nominal),
-        "gamma": np.full(9, 0.0),
-        "v": np.full(9, 30.0),
-    }
+    inputs |= {"fz": np.full(9, nominal), "gamma": np.full(9, 0.0), "v": np.full(9, 30.0)}
     found = predict(fit.tire, inputs)
     true = predict(mf_tire(tir.version, tir.numbers), inputs)
     np.testing.assert_allclose(found["my"], true["my"], rtol=1e-3)

@@ -59,8 +59,13 @@ def test_noise_alike_everywhere_stays_one_number():
 
 
 def test_noise_of_a_record_by_hand():
-    record = {"median_std": 9.0, "constant": 3.0, "share_of_load": 0.001,
-              "share_of_force": 0.012, "by_run": {"a": 2.0}}  # fmt: skip
+    record = {
+        "median_std": 9.0,
+        "constant": 3.0,
+        "share_of_load": 0.001,
+        "share_of_force": 0.012,
+        "by_run": {"a": 2.0},
+    }
     fz, force = np.array([4000.0, 4000.0]), np.array([1000.0, -1000.0])
     # 3, 4 and 12 in square are 13.
     std = noise_std(record, fz, force, ["a", "other"])

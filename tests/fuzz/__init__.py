@@ -86,9 +86,7 @@ def _peak() -> float:
     return 0.0
 
 
-def failures(
-    inputs: int, seed: int, kinds=tuple(KINDS), whole: float = 0.0
-) -> Iterator[Failure]:
+def failures(inputs: int, seed: int, kinds=tuple(KINDS), whole: float = 0.0) -> Iterator[Failure]:
     """Each of the damaged inputs that failed; kinds take turns.
 
     Args:

@@ -89,7 +89,8 @@ def _aim() -> bytes:
 def _tydex() -> bytes:
     """A TYDEX file with constants of the tire."""
     lines = [
-        b"**HEADER", b"RELEASE   Release                                 1.3",
+        b"**HEADER",
+        b"RELEASE   Release                                 1.3",
         b"**CONSTANTS",
         b"OVALLDIA  Overall diameter              mm        634",
         b"FNOMIN    Nominal load                  kN        4",
@@ -102,7 +103,7 @@ def _tydex() -> bytes:
         b"**MEASURDATA",
         *(b"%-10g%-10g%-10g" % (k - 9, 100 * (k - 9), 4000) for k in range(30)),
         b"**END",
-    ]  # fmt: skip
+    ]
     return b"\n".join(lines) + b"\n"
 
 

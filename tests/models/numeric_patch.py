@@ -145,15 +145,11 @@ def reference_tire(name, values, sigma_x, alpha, fz, v):
 
     d = values.get("d", 0.0)
     patches = []
-    for slip, v_s in (
-        (sigma_x, v * sigma_x / (1 + sigma_x)),
-        (np.tan(alpha), v * np.tan(alpha)),
-    ):
+    for slip, v_s in ((sigma_x, v * sigma_x / (1 + sigma_x)), (np.tan(alpha), v * np.tan(alpha))):
         mu_s, mu_k = friction(abs(v_s))
         patches.append(
             integrate_patch(
-                family, d, values["cpa2"], mu_s, mu_k, fz, abs(slip),
-                a=values["half_length"],
+                family, d, values["cpa2"], mu_s, mu_k, fz, abs(slip), a=values["half_length"]
             )
-        )  # fmt: skip
+        )
     return tuple(patches)

@@ -231,9 +231,7 @@ def test_slopes_are_those_of_finite_differences(kind):
         step = np.zeros(8)
         step[k] = 1e-5
         difference = (run(rows + step)[0] - run(rows - step)[0]) / 2e-5
-        np.testing.assert_allclose(
-            slopes[:, :, k] / scale.T, difference / scale.T, atol=2e-8
-        )
+        np.testing.assert_allclose(slopes[:, :, k] / scale.T, difference / scale.T, atol=2e-8)
     expected = np.einsum("nok,nk->no", slopes, 1 + np.abs(rows))
     np.testing.assert_allclose(along, expected, rtol=1e-10, atol=1e-10)
 
@@ -241,9 +239,7 @@ def test_slopes_are_those_of_finite_differences(kind):
 @EVERY
 def test_slope_at_rest_in_closed_form(kind):
     shares = np.array([1e-3, 0.1, 1.0])
-    rows = np.array(
-        [[CPA2, MU, HALF, 0.1, s * upper(kind), 0, 0, LOAD] for s in shares]
-    )
+    rows = np.array([[CPA2, MU, HALF, 0.1, s * upper(kind), 0, 0, LOAD] for s in shares])
     values, slopes, _ = differentiated(kind)(rows)
     np.testing.assert_array_equal(values, 0)
     for row, found in zip(rows, slopes[:, :, 6], strict=True):
@@ -254,8 +250,7 @@ def test_slope_at_rest_in_closed_form(kind):
 
 
 @pytest.mark.parametrize(
-    ("kind", "dtype"),
-    [*((kind, np.float64) for kind in CARCASSES), ("beam", np.float32)],
+    ("kind", "dtype"), [*((kind, np.float64) for kind in CARCASSES), ("beam", np.float32)]
 )
 def test_finite_everywhere(kind, dtype):
     alpha = [0.0, 1e-12, 0.02, -0.3, 1.4]
@@ -303,12 +298,15 @@ def test_fit_recovers_the_carcass():
     data = TireData(
         "carcass",
         {
-            "alpha": alpha, "fz": np.full(400, 4e3),
+            "alpha": alpha,
+            "fz": np.full(400, 4e3),
             "fy": np.asarray(exact.fy) + 20 * rng.standard_normal(400),
             "mz": np.asarray(exact.mz) + 0.5 * rng.standard_normal(400),
         },
-        np.ones(400, bool), np.zeros(400, int), ("carcass",),
-    )  # fmt: skip
+        np.ones(400, bool),
+        np.zeros(400, int),
+        ("carcass",),
+    )
     config = {"force": ["fy", "mz"], "noise": {"fy": 20.0, "mz": 0.5}}
     result = fit(data, name, config=config)
     for key, value in truth.items():

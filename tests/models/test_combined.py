@@ -346,12 +346,8 @@ def test_property_3_nothing_is_added_but_two_slips_of_full_sliding():
 def test_property_4_nominal_values_come_from_the_pure_slip_curves():
     inputs = TireInputs(0.1, 0.1, FZ)
     # A Magic Formula whose peak is D: 3 D / (B C D).
-    np.testing.assert_allclose(
-        nominal_sliding_slip(ALONG, "fx", inputs), 3 / (14 * 1.6), rtol=1e-3
-    )
-    np.testing.assert_allclose(
-        nominal_sliding_slip(ACROSS, "fy", inputs), 3 / (9 * 1.4), rtol=1e-3
-    )
+    np.testing.assert_allclose(nominal_sliding_slip(ALONG, "fx", inputs), 3 / (14 * 1.6), rtol=1e-3)
+    np.testing.assert_allclose(nominal_sliding_slip(ACROSS, "fy", inputs), 3 / (9 * 1.4), rtol=1e-3)
     # A brush: the slip from which every bristle slides.
     tire = AnisotropicBrush(C, MU, A, stiffness_ratio=0.6)
     full = 3 * MU * FZ / (2 * C)
@@ -507,7 +503,6 @@ def test_scaling_predicts_the_combined_slip_of_measured_tires(number, least_gain
         axis=1,
     )
     miss, gap = (
-        np.sqrt(np.mean(((x - expected) / inputs.fz[:, None]) ** 2))
-        for x in (found, pure)
+        np.sqrt(np.mean(((x - expected) / inputs.fz[:, None]) ** 2)) for x in (found, pure)
     )
     assert miss < 0.05 and gap > least_gain * miss

@@ -17,9 +17,7 @@ from tirefit.params import parameter_values, specs, with_values
 from tirefit.slip import LOCKED
 
 EVERY = pytest.mark.parametrize("name", sorted(MODELS))
-TURNING = pytest.mark.parametrize(
-    "name", sorted(k for k in MODELS if "mz" in modelled(MODELS[k]))
-)
+TURNING = pytest.mark.parametrize("name", sorted(k for k in MODELS if "mz" in modelled(MODELS[k])))
 """Models with an aligning moment."""
 
 # One of every formula, where visiting all 44 models would cost ten seconds.
@@ -49,9 +47,7 @@ KINETIC = [0.0, 1.0]
 GRID = np.array(
     [
         (*slip, fz, v, d, m)
-        for slip, fz, v, d, m in itertools.product(
-            SLIPS, LOADS, SPEEDS, ASYMMETRIES, KINETIC
-        )
+        for slip, fz, v, d, m in itertools.product(SLIPS, LOADS, SPEEDS, ASYMMETRIES, KINETIC)
     ]
 )
 INPUTS = TireInputs(*GRID.T[:4], *np.zeros((3, len(GRID))))
@@ -109,9 +105,7 @@ def slopes_at_rest(name, fz=4000.0, v=0.0):
     if name.startswith("carcass-"):
         return None, 2 * at["cpa2"] * on_carcass(name)[0]
     if name == "lugre":
-        slope = fz * (
-            at["sigma0"] * at["length"] / 2 + (at["sigma1"] + at["sigma2"]) * v
-        )
+        slope = fz * (at["sigma0"] * at["length"] / 2 + (at["sigma1"] + at["sigma2"]) * v)
         return slope, slope
     if "Bx" in at:
         return tuple(at["B" + i] * at["C" + i] * at["D" + i] * fz for i in "xy")
@@ -174,9 +168,7 @@ def test_forward_gradient_is_the_reverse_one(name):
         return out
 
     forward = jax.vmap(along)(arrays, tangent)
-    parts = jax.tree.map(
-        lambda leaf, step: leaf * step[:, None], grid_gradients(name), tangent
-    )
+    parts = jax.tree.map(lambda leaf, step: leaf * step[:, None], grid_gradients(name), tangent)
     reverse = sum(jax.tree.leaves(parts))
     scale = sum(np.abs(leaf) for leaf in jax.tree.leaves(parts))
     assert np.max(np.abs(forward - reverse) / (scale + 1e-9)) < 1e-12
@@ -214,13 +206,9 @@ def test_speed_matters_where_the_model_says_so(name):
     slip, time = np.array([0.02, 0.02, 0.3, 0.3]), np.array([0.0, 0.0, 0.02, 0.02])
     inputs = TireInputs(slip, slip, 4000.0, 0.0, time=time)
     with briefly(MODELS[name]):
-        slow, fast = (
-            forces(MODELS[name], inputs._replace(v=speed, time=time)) for speed in v
-        )
+        slow, fast = (forces(MODELS[name], inputs._replace(v=speed, time=time)) for speed in v)
     changed = [
-        bool((x != y).any())
-        for x, y in zip(slow[:2], fast[:2], strict=True)
-        if x is not None
+        bool((x != y).any()) for x, y in zip(slow[:2], fast[:2], strict=True) if x is not None
     ]
     assert changed
     assert set(changed) == {"v" in MODELS[name].needs}
@@ -349,9 +337,7 @@ def test_compiled_is_uncompiled(name):
     compiled = forces(MODELS[name], inputs)
     with jax.disable_jit():
         plain = forces(MODELS[name], inputs)
-    for part, same in zip(
-        jax.tree.leaves(compiled), jax.tree.leaves(plain), strict=True
-    ):
+    for part, same in zip(jax.tree.leaves(compiled), jax.tree.leaves(plain), strict=True):
         np.testing.assert_allclose(part, same, rtol=1e-12, atol=1e-9)
 
 
@@ -359,8 +345,7 @@ def test_scalars_broadcast_against_arrays():
     slip = np.linspace(-0.1, 0.1, 3)
     mixed = forces(MODELS["brush"], TireInputs(slip, 0.05, 4000.0))
     full = forces(
-        MODELS["brush"],
-        TireInputs(slip, np.full(3, 0.05), np.full(3, 4000.0), np.zeros(3)),
+        MODELS["brush"], TireInputs(slip, np.full(3, 0.05), np.full(3, 4000.0), np.zeros(3))
     )
     assert eqx.tree_equal(mixed, full)
     assert mixed.fy.shape == (3,)
@@ -379,9 +364,7 @@ def test_wrong_shapes_raise(inputs, message):
 
 
 def in_float32(name):
-    return jax.tree.map(
-        lambda leaf: jnp.asarray(leaf, jnp.float32), (on_grid(name), INPUTS)
-    )
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), (on_grid(name), INPUTS))
 
 
 @EVERY
@@ -403,9 +386,7 @@ def test_float32_gradient_is_finite_and_near(name):
     good = grid_gradients(name)
     with jax.enable_x64(False):
         rounded = gradients(*in_float32(name))
-    for leaf, exact in zip(
-        jax.tree.leaves(rounded), jax.tree.leaves(good), strict=True
-    ):
+    for leaf, exact in zip(jax.tree.leaves(rounded), jax.tree.leaves(good), strict=True):
         assert leaf.dtype == jnp.float32
         bad = ~np.isfinite(leaf).all(axis=-1)
         assert not bad.any(), GRID[bad][:3]
@@ -445,9 +426,7 @@ def test_float32_process(name):
         good = forces(MODELS[name], inputs)
         with jax.enable_x64(False):
             rounded = forces(MODELS[name], inputs)
-    for part, exact in zip(
-        jax.tree.leaves(rounded), jax.tree.leaves(good), strict=True
-    ):
+    for part, exact in zip(jax.tree.leaves(rounded), jax.tree.leaves(good), strict=True):
         assert part.dtype == np.float32
         np.testing.assert_allclose(part, exact, rtol=2e-4, atol=0.05)
 
@@ -468,9 +447,7 @@ def test_full_sliding_is_kinetic_friction(name):
 
 
 def test_registry_has_all_spellings():
-    letters = {
-        level + speed for level in ("", "m") for speed in ("", "n", "ns", "h", "hs")
-    }
+    letters = {level + speed for level in ("", "m") for speed in ("", "n", "ns", "h", "hs")}
     families = ["brush", "brush-d", "uniform", "quartic", "elliptic"]
     spelled = {
         family if not tail else f"{family}{'' if family == 'brush-d' else '-'}{tail}"

@@ -217,9 +217,8 @@ def s34(sigma, mu_peak, m, *, printed):
     return (
         2 * C * sigma
         + 4 * C**2 * (m - 2) * (4 - 3 * m) / (3 * FZ * mu_peak * lost) * sigma**2
-        + 8 * C**3 * (4 - 3 * m) ** 2
-        / (27 * (FZ * mu_peak) ** 2 * (3 - 2 * m) ** 3) * sigma**3
-    )  # fmt: skip
+        + 8 * C**3 * (4 - 3 * m) ** 2 / (27 * (FZ * mu_peak) ** 2 * (3 - 2 * m) ** 3) * sigma**3
+    )
 
 
 @pytest.mark.parametrize("m", [0.2, 0.6, 0.9, 1.0])

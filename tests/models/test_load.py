@@ -24,9 +24,7 @@ def test_reference_load_is_the_plain_brush(name):
         {key: value for key, value in TRUTH.items() if key != "fz0"},
     )
     inputs = TireInputs(SLIPS, 0.03, TRUTH["fz0"], 20.0)
-    for mine, same in zip(
-        forces(tire, inputs)[:3], forces(plain, inputs)[:3], strict=True
-    ):
+    for mine, same in zip(forces(tire, inputs)[:3], forces(plain, inputs)[:3], strict=True):
         np.testing.assert_allclose(mine, same, rtol=1e-13)
     assert tire.needs == plain.needs
 
@@ -44,9 +42,7 @@ def test_parameters_follow_the_load(power, fz):
     at_load = {"cpa2": c_p * length**2, "mu": mu, "half_length": length}
     plain = with_values(MODELS["brush"], at_load)
     inputs = TireInputs(SLIPS, 0.02, fz)
-    for mine, same in zip(
-        forces(tire, inputs)[:3], forces(plain, inputs)[:3], strict=True
-    ):
+    for mine, same in zip(forces(tire, inputs)[:3], forces(plain, inputs)[:3], strict=True):
         np.testing.assert_allclose(mine, same, rtol=1e-12)
     np.testing.assert_allclose(tire.static_friction(fz), mu, rtol=1e-13)
 

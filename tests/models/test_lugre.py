@@ -37,11 +37,7 @@ def by_profile(sliding, rolling):
 
     def per_length(place):
         z = sliding / yields * -np.expm1(-yields * place / rolling)
-        return (
-            TIRE.sigma0 * z
-            + TIRE.sigma1 * (sliding - yields * z)
-            + TIRE.sigma2 * sliding
-        )
+        return TIRE.sigma0 * z + TIRE.sigma1 * (sliding - yields * z) + TIRE.sigma2 * sliding
 
     total, _ = quad_vec(per_length, 0, TIRE.length, epsabs=0, epsrel=1e-13)
     return total / TIRE.length
@@ -130,9 +126,7 @@ def test_lumped_is_the_rest_of_its_own_equation():
     rolling = SPEED / (1 + slip_x)
     sliding = np.array([SPEED - rolling, SPEED * np.tan(alpha)])
     speed = np.hypot(*sliding)
-    held = brentq(
-        lambda z: speed - TIRE.sigma0 * speed / level(speed) * z, 0, 1, xtol=1e-15
-    )
+    held = brentq(lambda z: speed - TIRE.sigma0 * speed / level(speed) * z, 0, 1, xtol=1e-15)
     force = LOAD * (TIRE.sigma0 * held + TIRE.sigma2 * speed) * sliding / speed
     found = forces(TIRE.lumped, TireInputs(slip_x, alpha, LOAD, SPEED))
     np.testing.assert_allclose([found.fx, found.fy], force, rtol=1e-12)
@@ -164,12 +158,8 @@ def sensitivity(v):
     free = [name for name, spec in specs(TIRE).items() if spec.free] + ["length"]
     kappa, speed = (x.ravel() for x in np.meshgrid(np.linspace(0.01, 0.9, 60), v))
     inputs = TireInputs(kappa / (1 - kappa), 0.0, 1.0, speed)
-    slopes = jax.jacfwd(lambda tire: forces(tire, inputs).fx)(
-        jax.tree.map(jnp.asarray, TIRE)
-    )
-    return free, np.stack(
-        [getattr(slopes, name) * getattr(TIRE, name) for name in free], axis=-1
-    )
+    slopes = jax.jacfwd(lambda tire: forces(tire, inputs).fx)(jax.tree.map(jnp.asarray, TIRE))
+    return free, np.stack([getattr(slopes, name) * getattr(TIRE, name) for name in free], axis=-1)
 
 
 def test_length_shows_only_with_sigma0():
@@ -181,7 +171,6 @@ def test_length_shows_only_with_sigma0():
 
 def test_speeds_tell_the_six_apart():
     weakest = [
-        np.linalg.svd(sensitivity(v)[1][:, :-1])[1][-1]
-        for v in ([15.0] * 3, [5.0, 15.0, 30.0])
+        np.linalg.svd(sensitivity(v)[1][:, :-1])[1][-1] for v in ([15.0] * 3, [5.0, 15.0, 30.0])
     ]
     assert 0 < weakest[0] * 20 < weakest[1]

@@ -12,19 +12,12 @@ import pytest
 from tirefit.data.tir import read_tir
 from tirefit.data.tir_keys import COEFFICIENTS, NEUTRAL
 from tirefit.models import TireForces, TireInputs, forces
-from tirefit.models.mf import (
-    MAGIC_FORMULAS,
-    Mirrored,
-    curvatures,
-    mf_tire,
-)
+from tirefit.models.mf import MAGIC_FORMULAS, Mirrored, curvatures, mf_tire
 from tirefit.params import parameter_values, specs, with_values
 from tirefit.slip import LOCKED
 
 FOLDER = Path(__file__).parents[1] / "data" / "tir"
-MF52, MF61, MF62 = (
-    f"mfeval_julia/MagicFormula{number}_Parameters.tir" for number in (52, 61, 62)
-)
+MF52, MF61, MF62 = (f"mfeval_julia/MagicFormula{number}_Parameters.tir" for number in (52, 61, 62))
 TRUCK = "chrono/335_65R22_5_G275MSA_70psi.tir"
 
 
@@ -52,9 +45,7 @@ def iso(tire, kappa=0.0, alpha=0.0, fz=None, gamma=0.0, v=16.6, pressure=0.0):
     found = forces(tire, TireInputs(*rows))
     return TireForces(
         *(
-            None
-            if part is None
-            else -np.asarray(part)[: max(shape, default=1)].reshape(shape)
+            None if part is None else -np.asarray(part)[: max(shape, default=1)].reshape(shape)
             for part in found
         )
     )
@@ -80,9 +71,14 @@ def test_forces_are_those_of_other_implementations(case):
         for key in ("kappa", "alpha", "gamma", "fz", "v", "p", "fx", "fy", "mz")
     }
     found = iso(
-        tire_of(case[0], case[1] == "star"), column["kappa"], column["alpha"],
-        column["fz"], column["gamma"], column["v"], np.nan_to_num(column["p"]),
-    )  # fmt: skip
+        tire_of(case[0], case[1] == "star"),
+        column["kappa"],
+        column["alpha"],
+        column["fz"],
+        column["gamma"],
+        column["v"],
+        np.nan_to_num(column["p"]),
+    )
     compared = 0
     for name, share in (("fx", 2e-8), ("fy", 2e-8), ("mz", 2e-9)):
         given = np.isfinite(column[name])
@@ -135,16 +131,9 @@ def test_pure_slip_is_combined_slip_with_the_other_at_zero(name):
     pure = with_values(tire, dict.fromkeys(combined, 0.0))
     slip = np.linspace(-0.4, 0.4, 17)
     for gamma in (0.0, 0.04):
-        along, across = (
-            iso(tire, slip, 0.0, gamma=gamma),
-            iso(tire, 0.0, slip, gamma=gamma),
-        )
-        np.testing.assert_allclose(
-            along.fx, iso(pure, slip, 0.0, gamma=gamma).fx, rtol=1e-13
-        )
-        np.testing.assert_allclose(
-            across.fy, iso(pure, 0.0, slip, gamma=gamma).fy, rtol=1e-13
-        )
+        along, across = (iso(tire, slip, 0.0, gamma=gamma), iso(tire, 0.0, slip, gamma=gamma))
+        np.testing.assert_allclose(along.fx, iso(pure, slip, 0.0, gamma=gamma).fx, rtol=1e-13)
+        np.testing.assert_allclose(across.fy, iso(pure, 0.0, slip, gamma=gamma).fy, rtol=1e-13)
     if name != TRUCK:  # whose weighting functions are one
         both = abs(iso(tire, slip, 0.2).fy) < abs(iso(pure, slip, 0.2).fy)
         assert both[abs(slip) > 0.1].all()
@@ -152,8 +141,7 @@ def test_pure_slip_is_combined_slip_with_the_other_at_zero(name):
 
 # Coefficients that a mirrored tire has with the other sign: conicity, ply steer.
 ODD = (
-    "PHY1 PHY2 PVY1 PVY2 PEY3 RHX1 RBY3 RVY1 RVY2 QBZ4 QDZ3 QDZ6 QDZ7 QEZ4 QHZ1 QHZ2"
-    " SSZ1 QSX1"
+    "PHY1 PHY2 PVY1 PVY2 PEY3 RHX1 RBY3 RVY1 RVY2 QBZ4 QDZ3 QDZ6 QDZ7 QEZ4 QHZ1 QHZ2 SSZ1 QSX1"
 ).split()
 
 
@@ -174,9 +162,7 @@ def test_the_other_side_is_the_tire_of_mirrored_coefficients(name, starred):
     sigma = -point["kappa"] / (1 + point["kappa"])
     mirrored = forces(
         Mirrored(tire),
-        TireInputs(
-            sigma, point["alpha"], point["fz"], 16.6, point["gamma"], point["pressure"]
-        ),
+        TireInputs(sigma, point["alpha"], point["fz"], 16.6, point["gamma"], point["pressure"]),
     )
     expected = iso(other, **point)
     for got, wanted in zip(mirrored, expected, strict=True):
@@ -260,10 +246,7 @@ SCALES = {
         {"alpha": 0.05, "gamma": 0.03},
     ),
     "LVYKA": (partial(part, key="LVYKA", channel="fy"), {"kappa": 0.1, "alpha": 0.05}),
-    "LS": (
-        partial(part, key="LS", channel="mz"),
-        {"kappa": 0.1, "alpha": 0.05, "gamma": 0.05},
-    ),
+    "LS": (partial(part, key="LS", channel="mz"), {"kappa": 0.1, "alpha": 0.05, "gamma": 0.05}),
 }
 
 
@@ -282,9 +265,7 @@ def test_scaled_nominal_load_is_another_nominal_load():
     tire, c = tire_of(MF61), values_of(MF61)
     slip = np.linspace(-0.2, 0.2, 9)
     scaled = iso(with_values(tire, {"LFZO": 1.25}), slip, 0.1, 5000.0, 0.03)
-    other = iso(
-        with_values(tire, {"FNOMIN": 1.25 * c["FNOMIN"]}), slip, 0.1, 5000.0, 0.03
-    )
+    other = iso(with_values(tire, {"FNOMIN": 1.25 * c["FNOMIN"]}), slip, 0.1, 5000.0, 0.03)
     np.testing.assert_allclose(scaled.fx, other.fx, rtol=1e-13)
     np.testing.assert_allclose(scaled.fy, other.fy, rtol=1e-13)
 
@@ -306,9 +287,7 @@ def test_slip_speed_lowers_the_friction():
 def test_vertical_shifts_fall_as_in_the_software_or_as_in_the_book():
     """(4.E8) with A_mu = 1 of MF-Tyre, or 10 of the book, which 5.2 does not have."""
     book = 10 * 0.1 / (1 + 9 * 0.1)
-    for name, digression, expected in (
-        (MF61, 1.0, 0.1), (MF61, 10.0, book), (MF52, 10.0, 0.1),
-    ):  # fmt: skip
+    for name, digression, expected in ((MF61, 1.0, 0.1), (MF61, 10.0, book), (MF52, 10.0, 0.1)):
         c = values_of(name)
         version = tire_of(name).version
         values = {**c, "LMUX": 0.1}
@@ -403,9 +382,7 @@ def test_gradient_is_the_slope():
 @pytest.mark.parametrize("keys", ["LMUX LMUY", "PCX1 PCY1", "PKY1", "PKY2 LKY"])
 def test_no_friction_shape_or_stiffness_is_finite(keys):
     """They stand in denominators."""
-    value, slopes = jacobian(
-        with_values(tire_of(MF61), dict.fromkeys(keys.split(), 0.0))
-    )
+    value, slopes = jacobian(with_values(tire_of(MF61), dict.fromkeys(keys.split(), 0.0)))
     assert np.isfinite(value).all()
     assert all(np.isfinite(leaf).all() for leaf in slopes)
 
@@ -445,9 +422,7 @@ def test_the_limit_of_curvature_matters_exactly_where_it_is_reported():
     E it does: the limit is seen from outside."""
     rng = np.random.default_rng(40)
     tire = with_values(tire_of(MF61), {"PEY1": 1.5, "PEY2": 1.2, "PEY3": 0.3})
-    inputs = TireInputs(
-        alpha=rng.uniform(-0.3, 0.3, 256), fz=rng.uniform(1500.0, 1e4, 256)
-    )
+    inputs = TireInputs(alpha=rng.uniform(-0.3, 0.3, 256), fz=rng.uniform(1500.0, 1e4, 256))
     limited = np.asarray(curvatures(tire, inputs)["fy"]) > 1
     more = with_values(tire, {"PEY1": 1.5 * 1.001, "PEY2": 1.2 * 1.001})
     same = np.asarray(forces(tire, inputs).fy) == np.asarray(forces(more, inputs).fy)

@@ -30,9 +30,14 @@ def tire_of(number, **changes):
 def inputs():
     draw = np.random.default_rng(11).uniform
     return TireInputs(
-        draw(-0.2, 0.3, N), draw(-0.25, 0.25, N), draw(800, 9000, N), draw(2, 50, N),
-        draw(-0.1, 0.1, N), draw(1.8e5, 3e5, N), np.zeros(N),
-    )  # fmt: skip
+        draw(-0.2, 0.3, N),
+        draw(-0.25, 0.25, N),
+        draw(800, 9000, N),
+        draw(2, 50, N),
+        draw(-0.1, 0.1, N),
+        draw(1.8e5, 3e5, N),
+        np.zeros(N),
+    )
 
 
 def m_x(c, fy, fz, gamma, pressure):
@@ -99,9 +104,7 @@ def test_a_tire_resists_rolling_and_more_so_under_load(number):
 
 def test_rolling_resistance_falls_with_pressure_and_is_of_the_nominal_speed():
     tire, c = tire_of(61), numbers(61)
-    soft, hard = (
-        forces(tire, TireInputs(fz=4e3, v=10.0, pressure=p)).my for p in (2e5, 3e5)
-    )
+    soft, hard = (forces(tire, TireInputs(fz=4e3, v=10.0, pressure=p)).my for p in (2e5, 3e5))
     np.testing.assert_allclose(hard / soft, 1.5 ** c["QSY8"], rtol=1e-9)
     stated = forces(tire, TireInputs(fz=4e3, v=c["LONGVL"])).my
     assert forces(tire, TireInputs(fz=4e3)).my == stated

@@ -54,9 +54,10 @@ def test_an_isotropic_tire_pulls_against_its_slip():
 @pytest.mark.parametrize("name", [MF52, MF61])
 def test_combined_force_keeps_to_the_ellipse_of_the_pure_ones(name):
     tire = similar(name)
-    with_ones = mf_tire(tire.version, values_of(name) | dict.fromkeys(
-        [k for k in specs(tire) if k[:2] in COMBINED], 0.0
-    ))  # fmt: skip
+    with_ones = mf_tire(
+        tire.version,
+        values_of(name) | dict.fromkeys([k for k in specs(tire) if k[:2] in COMBINED], 0.0),
+    )
     grid = np.linspace(-0.99, 3.0, 2000)
     for fz in (2000.0, 4000.0, 8000.0):
         largest_x = np.max(np.abs(iso(tire, grid, 0.0, fz).fx))
@@ -77,11 +78,15 @@ def test_similarity_is_near_the_measured_combined_slip():
         fz = values_of(name)["FNOMIN"]
         kappa, alpha = 0.3 * KAPPA, 0.4 * ALPHA
         true, found = (iso(t, kappa, alpha) for t in (tire_of(name), similar(name)))
-        ones = iso(mf_tire(
-            tire_of(name).version,
-            {k: v for k, v in values_of(name).items() if k[:2] not in COMBINED},
-            combination="none",
-        ), kappa, alpha)  # fmt: skip
+        ones = iso(
+            mf_tire(
+                tire_of(name).version,
+                {k: v for k, v in values_of(name).items() if k[:2] not in COMBINED},
+                combination="none",
+            ),
+            kappa,
+            alpha,
+        )
         misses = [
             np.sqrt(np.mean((x.fx - true.fx) ** 2 + (x.fy - true.fy) ** 2)) / fz
             for x in (found, ones)

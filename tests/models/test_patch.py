@@ -57,10 +57,16 @@ def draw(name, seed, d, m, demand):
         return rng.uniform(low, high, n)
 
     ranges = {
-        "cpa2": (1e5, 3e5), "mu": (0.7, 1.3), "mu_peak": (0.7, 1.3),
-        "half_length": (0.05, 0.15), "n": (-0.003, 0.006), "h": (0.2, 1.0),
-        "v_st": (3.0, 40.0), "exponent": (0.3, 2.5), "mu_c": (0.3, 0.7),
-    }  # fmt: skip
+        "cpa2": (1e5, 3e5),
+        "mu": (0.7, 1.3),
+        "mu_peak": (0.7, 1.3),
+        "half_length": (0.05, 0.15),
+        "n": (-0.003, 0.006),
+        "h": (0.2, 1.0),
+        "v_st": (3.0, 40.0),
+        "exponent": (0.3, 2.5),
+        "mu_c": (0.3, 0.7),
+    }
     values = {}
     for key in parameter_values(MODELS[name]):
         values[key] = {"d": d, "m": m}[key] if key in "dm" else between(*ranges[key])
@@ -75,9 +81,7 @@ def draw(name, seed, d, m, demand):
 
 def evaluate(name, values, inputs):
     """Forces of pure slip, fx of sigma_x and fy, mz of alpha, one sample per value."""
-    model = with_values(
-        MODELS[name], {key: jnp.asarray(val) for key, val in values.items()}
-    )
+    model = with_values(MODELS[name], {key: jnp.asarray(val) for key, val in values.items()})
     still = jnp.zeros(len(inputs[0]))
     samples = TireInputs(*map(jnp.asarray, inputs), still, still, still)
     with jax.disable_jit():  # operation by operation: 43 compilations less
@@ -127,9 +131,7 @@ def test_force_and_moment_of_the_patch(name):
 
 @pytest.mark.parametrize("name", ["brush-d", "brush-dm", "brush-dmns"])
 def test_all_asymmetries(name):
-    demand, d, m = (
-        axis.ravel() for axis in np.meshgrid(DEMAND, ASYMMETRIES, KINETIC[1::2])
-    )
+    demand, d, m = (axis.ravel() for axis in np.meshgrid(DEMAND, ASYMMETRIES, KINETIC[1::2]))
     values, inputs = draw(name, 7, d, m, demand)
     worst, _ = worst_errors(name, values, inputs)
     assert (worst < 1e-9).all(), worst

@@ -40,9 +40,7 @@ LAWS = {
     },
 }
 EACH = pytest.mark.parametrize(("law", "density"), LAWS.values(), ids=LAWS)
-RHO = jnp.asarray(
-    np.concatenate([np.geomspace(1e-9, 0.1, 20), np.linspace(0.1, 4, 67)])
-)
+RHO = jnp.asarray(np.concatenate([np.geomspace(1e-9, 0.1, 20), np.linspace(0.1, 4, 67)]))
 
 
 # Elliptic
@@ -145,9 +143,7 @@ def test_asymmetry_follows_the_load():
     tire = with_values(MODELS["brush-d-load"], values)
     plain = with_values(MODELS["brush-d"], {"cpa2": C, "mu": MU, "d": 0.225})
     inputs = TireInputs(np.array([-0.05, 0.02, 0.2]), 0.03, 5000.0)
-    for mine, same in zip(
-        forces(tire, inputs)[:3], forces(plain, inputs)[:3], strict=True
-    ):
+    for mine, same in zip(forces(tire, inputs)[:3], forces(plain, inputs)[:3], strict=True):
         np.testing.assert_allclose(mine, same, rtol=1e-12)
 
 
@@ -226,9 +222,7 @@ def test_table_and_function_with_kinks_agree_with_quadrature():
         if rho >= 5 / 1.8:
             xi = 1.0
         else:
-            xi = brentq(
-                lambda x, r=rho: trapezoid(x) / 1.8 - r * (1 - x), -1, 0.8 + 1e-12
-            )
+            xi = brentq(lambda x, r=rho: trapezoid(x) / 1.8 - r * (1 - x), -1, 0.8 + 1e-12)
         load, _ = quad(trapezoid, -1, xi, points=KNOTS[1:-1])
         expected = 0.6 * load / 1.8 + rho * (1 - xi) ** 2 / 2
         for law in (table, given, found):
@@ -292,22 +286,21 @@ def test_density_that_is_no_pressure_is_refused(density, message):
     [
         ("xi,density\n-1,0\n0,1\n1,x\n", [(4, "density", "'x' is no number")]),
         ("x,p\n-1,0\n", [(2, "xi", "no number"), (2, "density", "no number")]),
-        ("xi,density\n-1,0\n0,-1\n0,1\n", [
-            (3, None, "negative"), (4, None, "not increase"), (None, None, "-1 to 0"),
-        ]),
+        (
+            "xi,density\n-1,0\n0,-1\n0,1\n",
+            [(3, None, "negative"), (4, None, "not increase"), (None, None, "-1 to 0")],
+        ),
         ("xi,density\n-1,0\n", [(None, None, "no two columns")]),
         ("xi,density\n-1,0\n0.5,1\n0.8,0.1\n1,0.1\n", [(None, None, "falls at xi")]),
     ],
-)  # fmt: skip
+)
 def test_wrong_table_names_file_row_and_column(tmp_path, text, problems):
     file = tmp_path / "patch.csv"
     file.write_text(text)
     with pytest.raises(UsageError) as error:
         Tabulated.from_csv(file)
     assert len(error.value.problems) == len(problems)
-    for found, (row, column, reason) in zip(
-        error.value.problems, problems, strict=True
-    ):
+    for found, (row, column, reason) in zip(error.value.problems, problems, strict=True):
         assert (found.file, found.row, found.column) == (str(file), row, column)
         assert reason in found.reason and found.remedy
 
@@ -315,9 +308,7 @@ def test_wrong_table_names_file_row_and_column(tmp_path, text, problems):
 def test_table_from_a_file(tmp_path):
     file = tmp_path / "patch.csv"
     file.write_text("density, xi\n0.0, -1\n1.0, -0.8\n1.0, 0.8\n0.0, 1\n")
-    from_file, given = Tabulated.from_csv(file), Tabulated.from_table(
-        KNOTS, trapezoid(KNOTS)
-    )  # fmt: skip
+    from_file, given = Tabulated.from_csv(file), Tabulated.from_table(KNOTS, trapezoid(KNOTS))
     np.testing.assert_allclose(from_file.load, given.load, atol=1e-15)
     with pytest.raises(UsageError, match="cannot read it"):
         Tabulated.from_csv(tmp_path / "missing.csv")

@@ -79,9 +79,7 @@ def test_step_decays_over_the_relaxation_length():
         tire = with_values(MODELS["brush-relaxation"], {"relaxation_length": LENGTH})
         expected = 0.1 * -np.expm1(-distance / LENGTH)
         steady = forces(tire.tire, TireInputs(expected, 0.0, FZ, v)).fx
-        np.testing.assert_allclose(
-            forces(tire, inputs).fx, steady, rtol=1e-6, atol=1e-4
-        )
+        np.testing.assert_allclose(forces(tire, inputs).fx, steady, rtol=1e-6, atol=1e-4)
 
 
 def test_ramp_lags_by_the_relaxation_length():
@@ -115,9 +113,7 @@ def test_rows_without_time_are_steady():
     for name in ("brush", "magic-formula"):
         inputs = TireInputs(np.linspace(-0.1, 0.2, 7), 0.05, FZ, 10.0)
         lagging, steady = MODELS[f"{name}-relaxation"], MODELS[name]
-        for mine, same in zip(
-            forces(lagging, inputs), forces(steady, inputs), strict=True
-        ):
+        for mine, same in zip(forces(lagging, inputs), forces(steady, inputs), strict=True):
             assert (mine is None) == (same is None)
             if mine is not None:
                 np.testing.assert_allclose(mine, same, rtol=1e-13)

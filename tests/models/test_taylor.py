@@ -12,14 +12,7 @@ from fits.source_figures.taylor import (
     speed_coefficients,
     truncated_force,
 )
-from tirefit.models import (
-    Asymmetric,
-    Brush,
-    Friction,
-    Kinetic,
-    LinearInSpeed,
-    Quartic,
-)
+from tirefit.models import Asymmetric, Brush, Friction, Kinetic, LinearInSpeed, Quartic
 
 C, MU, FZ, V = 5e4, 0.9, 4000.0, 25.0
 M = MU * FZ

@@ -23,9 +23,7 @@ def brush(slip, cpa2, mu, fz=LOAD):
     return mu * fz * (1 - stuck**3)
 
 
-def log(
-    n=3000, mu=0.9, largest=0.06, force_noise=0.03, slip_noise=0.0, seed=0, drop=None
-):
+def log(n=3000, mu=0.9, largest=0.06, force_noise=0.03, slip_noise=0.0, seed=0, drop=None):
     """Columns of 100 Hz; ``mu`` becomes drop[1] at the time drop[0]."""
     random = np.random.default_rng(seed)
     time = np.arange(n) / 100
@@ -36,10 +34,15 @@ def log(
     force = brush(slip, CPA2, friction) + force_noise * LOAD * random.normal(size=n)
     seen = slip + slip_noise * random.normal(size=n)
     return {
-        "time": time, "sigma_x": seen, "fx": force, "fz": np.full(n, LOAD),
-        "v": np.full(n, 20.0), "omega": 40 / (1 + seen), **side(slip, friction, random),
+        "time": time,
+        "sigma_x": seen,
+        "fx": force,
+        "fz": np.full(n, LOAD),
+        "v": np.full(n, 20.0),
+        "omega": 40 / (1 + seen),
+        **side(slip, friction, random),
         "brake_pressure": brush(slip, CPA2, friction) / 0.04,
-    }  # fmt: skip
+    }
 
 
 def side(slip, mu, random):

@@ -15,11 +15,15 @@ from tirefit.params import by_owner, check_names
 from tirefit.results import UsageError
 
 CAR = {
-    "radius": np.full(4, 0.3), "inertia": np.full(4, 1.2),
+    "radius": np.full(4, 0.3),
+    "inertia": np.full(4, 1.2),
     "brake_gain": np.array([1.35e-4, 1.35e-4, 0.75e-4, 0.75e-4]),
-    "fz": np.full(4, 3700.0), "stiffness": np.full(4, 8e4), "rise": 40e6,
-    "fall": 80e6, "delay": 0.01,
-}  # fmt: skip
+    "fz": np.full(4, 3700.0),
+    "stiffness": np.full(4, 8e4),
+    "rise": 40e6,
+    "fall": 80e6,
+    "delay": 0.01,
+}
 
 
 def measured(k=0, wheel=None, pressure=2e6, slowing=2.5, truth=True, w=4):
@@ -31,9 +35,7 @@ def measured(k=0, wheel=None, pressure=2e6, slowing=2.5, truth=True, w=4):
     if not truth:
         known = [jnp.full(w, jnp.nan)] * 5
     scalars = [jnp.asarray(x) for x in (slowing, 12e6, 0.0, 0.0)]
-    return Measurement(
-        jnp.asarray(time), wheel, jnp.full(w, pressure), *scalars, Truth(*known)
-    )
+    return Measurement(jnp.asarray(time), wheel, jnp.full(w, pressure), *scalars, Truth(*known))
 
 
 def car(w=4):
@@ -50,9 +52,7 @@ def shaken(k, w=4, truth=True):
 @pytest.mark.parametrize("w", [1, 4])
 def test_every_controller_keeps_the_protocol(name, w):
     controller = controller_of(name, car(w))
-    assert list(inspect.signature(controller.step).parameters) == [
-        "state", "measurement",
-    ]  # fmt: skip
+    assert list(inspect.signature(controller.step).parameters) == ["state", "measurement"]
     state = controller.init(measured(w=w))
     step = eqx.filter_jit(controller.step)
     for k in range(30):
@@ -66,9 +66,7 @@ def test_every_controller_keeps_the_protocol(name, w):
         state = after
 
 
-@pytest.mark.parametrize(
-    "name", [n for n, c in CONTROLLERS.items() if not c.reads_truth]
-)
+@pytest.mark.parametrize("name", [n for n, c in CONTROLLERS.items() if not c.reads_truth])
 def test_honest_controllers_do_not_read_the_truth(name):
     controller = controller_of(name, car())
     states = [controller.init(measured(truth=known)) for known in (True, False)]

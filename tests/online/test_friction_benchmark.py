@@ -102,16 +102,13 @@ def benchmark(tmp_path_factory):
         name = path.name.replace(".truth", "")
         (out / "others" / "truth").mkdir(parents=True, exist_ok=True)
         np.savetxt(
-            out / "others" / "truth" / name, np.stack(columns, 1), delimiter=",",
-            header="time,mu,mu_std,supported,alarm", comments="",
-        )  # fmt: skip
-    others = [
-        "--traces",
-        str(out / "others"),
-        "--no-peers",
-        "--method",
-        "ekf,cubic,path",
-    ]
+            out / "others" / "truth" / name,
+            np.stack(columns, 1),
+            delimiter=",",
+            header="time,mu,mu_std,supported,alarm",
+            comments="",
+        )
+    others = ["--traces", str(out / "others"), "--no-peers", "--method", "ekf,cubic,path"]
     main(["run", *small, *others])
     main(["table", *small])
     return out

@@ -35,18 +35,19 @@ def wheel(theta, rate=2000):
     omega, _, z = braked_wheel(numbers, (tire, tire), MEAN, time, 1)
     one = np.ones(len(time))
     columns = {
-        "time": time, "omega": omega, "v": V * one, "fz": LOAD * one,
+        "time": time,
+        "omega": omega,
+        "v": V * one,
+        "fz": LOAD * one,
         "torque": full * time / 2,
-    }  # fmt: skip
+    }
     return columns, z
 
 
 @cache
 def log(mu, seed=0, teeth=6, **how):
     """A noisy log of the wheel on the bristles of the whole patch."""
-    return simulate_braking(
-        Braking(tire="lugre", friction=mu, teeth=teeth, seed=seed, **dict(how))
-    )
+    return simulate_braking(Braking(tire="lugre", friction=mu, teeth=teeth, seed=seed, **dict(how)))
 
 
 def path_of(observer, columns, start, dt):
@@ -186,10 +187,12 @@ def test_scan_is_step_by_step_and_bad_rows_are_survived():
         each = np.stack([getattr(one, part) for one in streamed])
         np.testing.assert_allclose(getattr(scanned, part), each, rtol=1e-9)
     for rows, flag in (
-        (np.r_[300:320], Flag.MISSING), (np.r_[500:520], Flag.LOCKED),
-        (np.r_[700:720], Flag.STANDSTILL), ([1000], Flag.TIME_BACK),
+        (np.r_[300:320], Flag.MISSING),
+        (np.r_[500:520], Flag.LOCKED),
+        (np.r_[700:720], Flag.STANDSTILL),
+        ([1000], Flag.TIME_BACK),
         ([1100], Flag.NO_LOAD),
-    ):  # fmt: skip
+    ):
         np.testing.assert_array_equal(np.flatnonzero(scanned.flag == code(flag)), rows)
     assert abs(scanned.value[-1, 0] - 0.8) < 3 * scanned.std[-1, 0] < 0.3
 

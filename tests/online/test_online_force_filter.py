@@ -83,13 +83,9 @@ def test_the_hypotheses_are_weighed_by_bayes_rule():
             steps = [kind.modelled(x, inputs, mu + s) for s in (1e-5, -1e-5)]
             along = np.linalg.solve(spread, np.array(steps[1] - steps[0]) / 2e-5)
             way = along @ spread @ along
-            np.testing.assert_allclose(
-                surprise, along @ missed / max(way**0.5, 1), rtol=1e-3
-            )
+            np.testing.assert_allclose(surprise, along @ missed / max(way**0.5, 1), rtol=1e-3)
     weights = np.exp(logs - np.max(logs))
-    np.testing.assert_allclose(
-        np.exp(log_weight), weights / weights.sum(), rtol=1e-3, atol=1e-9
-    )
+    np.testing.assert_allclose(np.exp(log_weight), weights / weights.sum(), rtol=1e-3, atol=1e-9)
 
 
 def test_the_truth_lies_within_the_stated_spread():

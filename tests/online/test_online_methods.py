@@ -141,9 +141,7 @@ def test_the_claimed_spread_of_the_mit_rule_is_the_spread_of_many():
 def test_a_kalman_step_is_conditioning_of_a_gaussian(monkeypatch):
     # A force that is linear in the logarithms makes the filter exact.
     slope = np.array([3e3, 5e3])
-    monkeypatch.setattr(
-        Ekf, "force", lambda self, x, sigma, fz: slope @ x + 1e5 * sigma
-    )
+    monkeypatch.setattr(Ekf, "force", lambda self, x, sigma, fz: slope @ x + 1e5 * sigma)
     estimator = estimator_of("ekf", LOAD, KNOWN)
     random = np.random.default_rng(1)
     samples = [(0.02 + 0.01 * random.random(), 9e4 * random.random()) for _ in range(5)]
@@ -161,9 +159,7 @@ def test_a_kalman_step_is_conditioning_of_a_gaussian(monkeypatch):
         sample = {"sigma_x": sigma, "fx": force, "fz": LOAD, "count": 1.0}
         state, _ = estimator.step(state, {k: jnp.asarray(v) for k, v in sample.items()})
     np.testing.assert_allclose(state.x, mean + gain @ (seen - rows @ mean), rtol=1e-9)
-    np.testing.assert_allclose(
-        state.covariance, covariance - gain @ rows @ covariance, rtol=1e-7
-    )
+    np.testing.assert_allclose(state.covariance, covariance - gain @ rows @ covariance, rtol=1e-7)
 
 
 @pytest.mark.parametrize("sliding", [0.01, 0.3, 0.7, 0.99])
@@ -174,9 +170,7 @@ def test_the_cubic_gives_back_the_friction_of_the_brush(sliding):
     # S(19) as printed, with C_s for c_p a^2 and sigma for kappa.
     m, c = float(mu) * LOAD, 2 * CPA2
     force = brush(sigma, CPA2, 0.9)
-    left = (
-        9 * m**2 * (force - c * sigma) + 3 * m * c**2 * sigma**2 - (c * sigma) ** 3 / 3
-    )
+    left = 9 * m**2 * (force - c * sigma) + 3 * m * c**2 * sigma**2 - (c * sigma) ** 3 / 3
     assert abs(left) < 1e-9 * (c * sigma) ** 3
 
 

@@ -52,9 +52,13 @@ def test_the_lane_is_left_when_scipy_says_so():
 
     edge.terminal = True
     peer = solve_ivp(
-        lambda t, x: np.array(a) @ x + np.array(push), (0, 4), state, events=edge,
-        rtol=1e-9, atol=1e-9,
-    )  # fmt: skip
+        lambda t, x: np.array(a) @ x + np.array(push),
+        (0, 4),
+        state,
+        events=edge,
+        rtol=1e-9,
+        atol=1e-9,
+    )
     time = lane_crossing(state, a, push, 0.9, 4.0)
     # Between steps of 0.1 s the path is taken to be straight.
     assert abs(float(time) - peer.t_events[0][0]) < 5e-3
@@ -104,9 +108,7 @@ def test_a_correction_by_the_driven_path_is_conditioning_of_a_gaussian():
     random = np.random.default_rng(0)
     root = random.standard_normal((6, 6))
     mean, covariance = 0.01 * random.standard_normal(6), 1e-4 * root @ root.T
-    state = estimator.init()._replace(
-        z=jnp.array(mean), covariance=jnp.array(covariance)
-    )
+    state = estimator.init()._replace(z=jnp.array(mean), covariance=jnp.array(covariance))
     seen = np.array([0.05, 0.01, -0.02])
     sample = dict(zip(("offset", "heading", "yaw_rate"), seen, strict=True))
     after = estimator._corrected(state, sample | {"road_heading": 0.0})
@@ -127,9 +129,7 @@ def test_the_truth_lies_within_the_stated_spread():
     assert np.mean(abs(mu - 0.9) < 2.5 * mu_std) > 0.9 and mu_std[-1] < 0.3
     force = truth["fx_fl"] + truth["fx_fr"]
     for k in (3, 4):  # the fall of a saw-tooth takes them some samples
-        assert (
-            np.mean(abs(end.value[late, k] - force[late]) < 4 * end.std[late, k]) > 0.85
-        )
+        assert np.mean(abs(end.value[late, k] - force[late]) < 4 * end.std[late, k]) > 0.85
     gentle = estimated("path", drive(bend=0.15, duration=25.0).columns)
     for k, name in ((1, "C_f"), (2, "C_r")):
         pull = (gentle.value[-1, k] - STIFFNESS[name]) / gentle.std[-1, k]
@@ -165,6 +165,4 @@ def test_scan_is_step_by_step():
     scanned, stream = estimated("path", rows), Stream(estimator_of("path", 1.0))
     each = [stream.push({k: v[i] for k, v in rows.items()}) for i in range(120)]
     np.testing.assert_allclose(scanned.value, [e.value for e in each], rtol=1e-6)
-    assert jax.tree.all(
-        jax.tree.map(lambda x: bool(np.all(np.isfinite(x))), each[-1].std)
-    )
+    assert jax.tree.all(jax.tree.map(lambda x: bool(np.all(np.isfinite(x))), each[-1].std))

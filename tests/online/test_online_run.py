@@ -45,9 +45,7 @@ def test_scan_is_step_by_step(name):
     for part in ("value", "std", "flag", "surprise"):
         each = np.stack([getattr(one, part) for one in streamed])
         np.testing.assert_allclose(getattr(scanned, part), each, rtol=1e-9)
-    for one, other in zip(
-        jax.tree.leaves(state), jax.tree.leaves(stream.state), strict=True
-    ):
+    for one, other in zip(jax.tree.leaves(state), jax.tree.leaves(stream.state), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9)
 
 

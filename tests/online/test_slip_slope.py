@@ -18,9 +18,12 @@ def drive(slope, n=4000, offset=0.001, radius=0.0, seed=0, slip_noise=0.001, use
     share = use * np.sin(2 * np.pi * time / 3)
     noise = np.hypot(slip_noise, radius) * random.normal(size=n)
     return {
-        "time": time, "sigma_x": share / slope + offset + noise, "fx": share * LOAD,
-        "fz": np.full(n, LOAD), "brake_pressure": np.maximum(share, 0) * LOAD / 5e-4,
-    }  # fmt: skip
+        "time": time,
+        "sigma_x": share / slope + offset + noise,
+        "fx": share * LOAD,
+        "fz": np.full(n, LOAD),
+        "brake_pressure": np.maximum(share, 0) * LOAD / 5e-4,
+    }
 
 
 SETTINGS = {"force_noise": 1e-5, "slip_noise": 0.001, "slope": 20.0}

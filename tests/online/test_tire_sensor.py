@@ -29,9 +29,11 @@ def samples(alphas, mus):
     forces = np.array([patch(a, m) for a, m in zip(alphas, mus, strict=True)])
     n = len(forces)
     return {
-        "time": np.arange(n) / 100, "fy": forces[:, 0], "fz": np.full(n, LOAD),
+        "time": np.arange(n) / 100,
+        "fy": forces[:, 0],
+        "fz": np.full(n, LOAD),
         "mz": forces[:, 1],
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -57,12 +59,8 @@ def test_force_and_moment_of_the_gough_plot_are_those_of_the_patch():
     sliding = 2 * CPA2 * np.tan(alpha) / (3 * LOAD) / mu
     y, m = gough(sliding, mu)
     force, moment = patch(alpha, mu)
-    np.testing.assert_allclose(
-        [y * LOAD, -m * LOAD * LENGTH], [force, moment], rtol=1e-4
-    )
-    np.testing.assert_allclose(
-        force, brush(np.tan(alpha), LOAD, 0.0, CPA2, mu), rtol=1e-4
-    )
+    np.testing.assert_allclose([y * LOAD, -m * LOAD * LENGTH], [force, moment], rtol=1e-4)
+    np.testing.assert_allclose(force, brush(np.tan(alpha), LOAD, 0.0, CPA2, mu), rtol=1e-4)
 
 
 def test_what_was_not_seen_is_flagged():
@@ -102,18 +100,14 @@ def test_the_stated_spread_is_that_of_many_samples():
     data["mz"] += 0.002 * LOAD * LENGTH * random.normal(size=n)
     _, estimate = run(estimator_of("tire-sensor", LOAD, SETTINGS | noise), data)
     for k in range(3):
-        assert (
-            abs(np.std(estimate.value[:, k]) / np.median(estimate.std[:, k]) - 1) < 0.1
-        )
+        assert abs(np.std(estimate.value[:, k]) / np.median(estimate.std[:, k]) - 1) < 0.1
 
 
 def test_the_network_is_the_inverse_of_the_brush():
     # Used friction by a root of the trail, which depends on nothing else.
     for mu, sliding in ((0.4, 0.3), (0.9, 0.6), (1.1, 0.15)):
         y, m = gough(sliding, mu)
-        root = brentq(
-            lambda r, t=m / y: gough(r, 1.0)[1] / gough(r, 1.0)[0] - t, 1e-6, 0.999
-        )
+        root = brentq(lambda r, t=m / y: gough(r, 1.0)[1] / gough(r, 1.0)[0] - t, 1e-6, 0.999)
         assert abs(root - sliding) < 1e-9
         theta_over_used = TireSensor()._outputs(np.array([y, m]), 1.0)
         np.testing.assert_allclose(theta_over_used[2], 1 - (1 - root) ** 3, atol=0.015)

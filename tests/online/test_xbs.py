@@ -172,9 +172,7 @@ def test_a_slow_pole_is_not_told_from_none():
     assert np.mean(abs(value - 3.0) < 2 * std) > 0.9
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "latest"), [(150, 40, 0.4), (40, 150, 2.0)]
-)
+@pytest.mark.parametrize(("before", "after", "latest"), [(150, 40, 0.4), (40, 150, 2.0)])
 def test_the_delay_is_short_when_the_stiffness_falls(before, after, latest):
     """The louder of two counts more, so that a fall, which is towards locking, is seen
     sooner than a rise: half of it within 0.23 s, with a memory of 1 s."""
@@ -232,9 +230,7 @@ def test_the_reference_of_the_servo_is_taken_off():
     plain = moved = record.init()
     for speed, reference in zip(told, path, strict=True):
         plain, one = step(plain, {"omega": speed / 0.3, "reference": 0.0})
-        moved, two = step(
-            moved, {"omega": (speed + reference) / 0.3, "reference": reference}
-        )
+        moved, two = step(moved, {"omega": (speed + reference) / 0.3, "reference": reference})
     np.testing.assert_allclose(one.value[0], two.value[0], rtol=1e-7)
 
 
@@ -328,8 +324,10 @@ def test_the_delay_of_the_servo_is_in_the_relation(delay):
 def test_the_rate_of_a_log_is_found(rate):
     time = np.arange(round(4 * rate)) / rate
     told = 10 + speeds(np.full(round(4 * RATE), 60.0), 1)[:, 0]
-    columns = {"time": time, "omega": np.interp(time, time[-1] * np.linspace(0, 1, 800),
-                                                told) / 0.3}  # fmt: skip
+    columns = {
+        "time": time,
+        "omega": np.interp(time, time[-1] * np.linspace(0, 1, 800), told) / 0.3,
+    }
     columns |= {"fz": np.full(len(time), LOAD)}
     data = read_frame(columns, curve=False, convention="braking")
     done = tirefit.estimate(data, "xbs")
@@ -390,9 +388,7 @@ def test_at_a_given_vehicle_speed_the_slope_is_one_plus_the_slip_larger():
     k = -jax.grad(lambda w: BRUSH(TireInputs(v / w - 1, 0.0, LOAD)).fx)(turning)
     sigma = v / turning - 1
     rate = mu_rate(sigma, 6e4, 0.35 * LOAD)
-    np.testing.assert_allclose(
-        turning * k, (1 + sigma) * braking_slope(rate, 6e4, 0.0), rtol=1e-9
-    )
+    np.testing.assert_allclose(turning * k, (1 + sigma) * braking_slope(rate, 6e4, 0.0), rtol=1e-9)
 
 
 def test_friction_by_pressure_comes_out_of_the_shaking():
@@ -405,9 +401,7 @@ def test_friction_by_pressure_comes_out_of_the_shaking():
     ends = []
     for column in told.T:
         log = {"time": np.arange(3000) / RATE, "omega": column / 0.3}
-        log |= {
-            "brake_pressure": np.full(3000, force / 4e-4), "fz": np.full(3000, LOAD),
-        }  # fmt: skip
+        log |= {"brake_pressure": np.full(3000, force / 4e-4), "fz": np.full(3000, LOAD)}
         rows = run(record, log)[1]
         ends.append(np.r_[rows.value[-1], rows.std[-1]])
     ends = np.array(ends)

@@ -35,9 +35,7 @@ def test_with_an_ideal_actuator_the_condition_is_that_of_the_eigenvalues(pole):
         np.testing.assert_allclose(moving, -(gain + pole), rtol=1e-9)
         sampled = largest(loop_matrix(gain, pole, 1e5, 0, 1e-6))
         assert (sampled < 1) == (gain > -pole)
-        np.testing.assert_allclose(
-            sampled, np.exp(-(gain + pole) / 1e5), rtol=1e-4, atol=1e-6
-        )
+        np.testing.assert_allclose(sampled, np.exp(-(gain + pole) / 1e5), rtol=1e-4, atol=1e-6)
 
 
 def amplitude(gain, pole, rate, delay, lag, samples=400):
@@ -69,8 +67,13 @@ def test_an_unstable_gain_is_refused_with_the_condition_and_its_numbers():
     with pytest.raises(UsageError) as error:
         XbsServo(servo_gain=15.0, least_slope=-250.0)
     text = str(error.value)
-    for part in ("O(11)", "15 is not above 18.75 1/s", "k_min = -250 N s/m",
-                 "r = 0.3 m", "J = 1.2 kg m2"):  # fmt: skip
+    for part in (
+        "O(11)",
+        "15 is not above 18.75 1/s",
+        "k_min = -250 N s/m",
+        "r = 0.3 m",
+        "J = 1.2 kg m2",
+    ):
         assert part in text
     with pytest.raises(UsageError, match=r"a delay of 10 ms .* eigenvalue .* 1\.0"):
         XbsServo(servo_gain=100.0)
@@ -92,10 +95,15 @@ def measurement(speed, pressure, slowing=3.0, demand=12e6, time=0.0, **more):
     nothing = jnp.full_like(speed, jnp.nan)
     given = {"steering": 0.0, "yaw_rate": 0.0} | more
     return Measurement(
-        jnp.asarray(time), speed, jnp.full_like(speed, pressure), jnp.asarray(slowing),
-        jnp.asarray(demand), jnp.asarray(given["steering"]),
-        jnp.asarray(given["yaw_rate"]), Truth(*[nothing] * 5),
-    )  # fmt: skip
+        jnp.asarray(time),
+        speed,
+        jnp.full_like(speed, pressure),
+        jnp.asarray(slowing),
+        jnp.asarray(demand),
+        jnp.asarray(given["steering"]),
+        jnp.asarray(given["yaw_rate"]),
+        Truth(*[nothing] * 5),
+    )
 
 
 def ready(**settings):
@@ -182,15 +190,19 @@ def drive(n=160, wheels=4, seed=0):
     """Measurements (n, w) of wheels that shake and slow down."""
     random = np.random.default_rng(seed)
     time = np.arange(n) / RATE
-    speed = (
-        15 - 3 * time[:, None] + np.cumsum(0.01 * random.normal(size=(n, wheels)), 0)
-    )
+    speed = 15 - 3 * time[:, None] + np.cumsum(0.01 * random.normal(size=(n, wheels)), 0)
     truth = Truth(*[jnp.full((n, wheels), jnp.nan)] * 5)
     row = np.ones((n, wheels))
     return Measurement(
-        jnp.asarray(time), jnp.asarray(speed), jnp.asarray(2e6 * row),
-        jnp.full(n, 3.0), jnp.full(n, 12e6), jnp.zeros(n), jnp.zeros(n), truth,
-    )  # fmt: skip
+        jnp.asarray(time),
+        jnp.asarray(speed),
+        jnp.asarray(2e6 * row),
+        jnp.full(n, 3.0),
+        jnp.full(n, 12e6),
+        jnp.zeros(n),
+        jnp.zeros(n),
+        truth,
+    )
 
 
 def row_of(rows, i, wheels=slice(None)):
@@ -215,9 +227,7 @@ def test_a_scan_is_step_by_step_and_wheels_do_not_know_each_other():
     for i in range(160):
         state, command, info = alone(state, row_of(rows, i, slice(2, 3)))
         np.testing.assert_allclose(command.valve[0], valve[i, 2], rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(
-            info["target_pressure"][0], target[i, 2], rtol=1e-9, atol=1e-3
-        )
+        np.testing.assert_allclose(info["target_pressure"][0], target[i, 2], rtol=1e-9, atol=1e-3)
     assert set(info) >= {"xbs", "xbs_std", "xbs_wanted", "target_pressure"}
 
 

@@ -10,13 +10,7 @@ from tirefit.models import MODELS
 from tirefit.online.controllers import controller_of
 from tirefit.params import with_values
 from tirefit.report.brake_animation import outline, save_animation
-from tirefit.report.braking import (
-    braking_text,
-    compare_figure,
-    path_of,
-    paths_figure,
-    stop_figure,
-)
+from tirefit.report.braking import braking_text, compare_figure, path_of, paths_figure, stop_figure
 from tirefit.sim.brake_request import Request, known_to_controllers, tire_curve
 from tirefit.sim.brake_result import braked
 

@@ -123,23 +123,34 @@ GAPS = {
 
 def candidate(effects, probability, closed=0.8):
     return Candidate(
-        effects=tuple(effects), family="friction x load", probability=probability,
-        parameters={
-            f"{effect}: amplitude": Amplitude(0.1234, 0.0056, "-") for effect in effects
-        },
-        z=12.3, z_given_rivals=4.5, closed=closed,
+        effects=tuple(effects),
+        family="friction x load",
+        probability=probability,
+        parameters={f"{effect}: amplitude": Amplitude(0.1234, 0.0056, "-") for effect in effects},
+        z=12.3,
+        z_given_rivals=4.5,
+        closed=closed,
         closed_ci=(closed - 0.1, closed + 0.05),
-    )  # fmt: skip
+    )
 
 
 HELD = HeldOut(
-    rms=151.0, resolvable=True, closed=0.7, closed_ci=(0.6, 0.75), remaining_rms=45.3,
+    rms=151.0,
+    resolvable=True,
+    closed=0.7,
+    closed_ci=(0.6, 0.75),
+    remaining_rms=45.3,
     on="highest fz, left out of both fits",
-)  # fmt: skip
+)
 GAP = Gap(
-    rms=125.0, resolvable=True, closed=0.8, closed_ci=(0.7, 0.85), remaining_rms=25.0,
-    channels={}, holdout=HELD,
-)  # fmt: skip
+    rms=125.0,
+    resolvable=True,
+    closed=0.8,
+    closed_ci=(0.7, 0.85),
+    remaining_rms=25.0,
+    channels={},
+    holdout=HELD,
+)
 TESTS = {"time": 1e-6, "slip_order": 2e-6, "line": 0.3, "pure_error": None, "local": 1}
 LEFT = Left(rms=25.0, share=0.04, unlisted=0.13, tests=TESTS)
 LADDER = Ladder(
@@ -168,9 +179,15 @@ UNTESTABLE = (
 
 def noise_of(channel, inflation=1.25):
     return NoiseSummary(
-        forces={channel: 19.7}, slip_name="sigma_x", slip=0.00123, slip_source="given",
-        source="given", flags=("outliers",), inflation=inflation, outliers=2,
-    )  # fmt: skip
+        forces={channel: 19.7},
+        slip_name="sigma_x",
+        slip=0.00123,
+        slip_source="given",
+        source="given",
+        flags=("outliers",),
+        inflation=inflation,
+        outliers=2,
+    )
 
 
 def said(status, effects, probability=0.6, rivals=(), twins=(), left=LEFT, **others):
@@ -178,9 +195,14 @@ def said(status, effects, probability=0.6, rivals=(), twins=(), left=LEFT, **oth
     each = {e: Each(0.2, None, None, ()) for e in (*effects, *rivals)}
     each |= {e: Each(0.91, 0.8, 0.05, tuple(twins)) for e in effects[:1]}
     return VerdictSummary(
-        status=Status(status), effects=tuple(effects), probability=probability,
-        each=each, also_possible=tuple(rivals), left=left, **others,
-    )  # fmt: skip
+        status=Status(status),
+        effects=tuple(effects),
+        probability=probability,
+        each=each,
+        also_possible=tuple(rivals),
+        left=left,
+        **others,
+    )
 
 
 def records(channel):
@@ -248,30 +270,36 @@ def diagnosis(missing="fz", scatter=NOISE, rows=None, channel="fx", **changes):
     told = records(channel) | changes
     named = told["verdict"].names_an_effect
     parts = {
-        "base": base, "extended": base + gap if named else base, "gap": gap,
+        "base": base,
+        "extended": base + gap if named else base,
+        "gap": gap,
         "gap_std": 0 * base,
-    }  # fmt: skip
+    }
     columns = {
-        "sigma_x": np.append(rows.slip, 9.0), "fz": np.append(rows.fz, 9e9),
+        "sigma_x": np.append(rows.slip, 9.0),
+        "fz": np.append(rows.fz, 9e9),
         "fx": np.append(observed, np.nan),
-    }  # fmt: skip
+    }
     used = np.arange(n + 1) < n
     lateral = channel == "fy"
     shown = ShownRows(
-        channel, "alpha" if lateral else "sigma_x",
+        channel,
+        "alpha" if lateral else "sigma_x",
         np.arctan(rows.slip) if lateral else rows.slip,
-        rows.slip * 3e4 / (1.35 * rows.fz), rows.fz,
+        rows.slip * 3e4 / (1.35 * rows.fz),
+        rows.fz,
         {"fz": rows.fz, "v": rows.v, "time": rows.time, "direction": growing(rows)},
-        observed, parts["base"], parts["extended"], gap,
-    )  # fmt: skip
+        observed,
+        parts["base"],
+        parts["extended"],
+        gap,
+    )
     return Diagnosis(
         **told,
         rows={channel: {k: np.append(v, np.nan) for k, v in parts.items()}},
         table=TireData(NAME, columns, used, np.zeros(n + 1, int), ("",), Source()),
         mean_load=float(rows.fz.mean()),
-        residual_map=residual_map(
-            shown, told["noise"].inflation, told["gap"].resolvable
-        ),
+        residual_map=residual_map(shown, told["noise"].inflation, told["gap"].resolvable),
         comparison=compared(shown, named),
     )
 
@@ -339,9 +367,7 @@ def test_residuals_before_and_after_are_the_gap_and_nothing():
 def test_curves_follow_both_fits_at_three_loads():
     loads = (1000.0, 2000.0, 3000.0, 4000.0, 5000.0)
     panel = diagnosis("offset", rows=rows_of(loads)).comparison
-    assert [load_label(c) for c in panel.curves] == [
-        f"$F_z$ = {n} N" for n in (1000, 3000, 5000)
-    ]
+    assert [load_label(c) for c in panel.curves] == [f"$F_z$ = {n} N" for n in (1000, 3000, 5000)]
     for curve, fz in zip(panel.curves, (1000, 3000, 5000), strict=True):
         expected = 0.9 * fz * np.tanh(curve.center * 6e4 / (0.9 * fz))
         # Where it is steep, a mean over a bin is not the force at the mean slip.
@@ -390,17 +416,19 @@ def test_a_wheel_that_locks_is_shown_over_its_slip_ratio():
 def test_steps_of_the_ladder_go_by_what_they_change():
     found = diagnosis()
     assert [step_label(found, k) for k in range(6)] == [
-        "brush, no effect", "+ slip offset", "+ load friction",
-        "instead: load friction + force offset", "anything smooth", "noise floor",
-    ]  # fmt: skip
+        "brush, no effect",
+        "+ slip offset",
+        "+ load friction",
+        "instead: load friction + force offset",
+        "anything smooth",
+        "noise floor",
+    ]
     as_given = LADDER.steps[0]._replace(effects=AS_GIVEN, rms_left_out=700.0)
     sim = simulated(ladder=LADDER._replace(steps=(as_given, *LADDER.steps)))
     labels = [step_label(sim, k) for k in range(3)]
     assert labels == ["the simulator", "+ its parameters", "+ slip offset"]
     bars = ladder_bars(found)
-    assert [bar.kind for bar in bars] == [
-        "base", "effect", "effect", "effect", "smooth", "noise"
-    ]  # fmt: skip
+    assert [bar.kind for bar in bars] == ["base", "effect", "effect", "effect", "smooth", "noise"]
     assert bars[0].error is None and bars[0].closed is None
     # A share of 0.94 +- 0.03 of the gap is closed: the rms at either end.
     gap = 500.0**2 - 223.6**2
@@ -554,23 +582,20 @@ def test_no_unit_of_the_library_is_said_with_a_power_of_ten_or_a_dash():
 
 def test_units_are_said_in_every_part_of_the_report():
     amplitude = {"force_offset: amplitude": Amplitude(2.7, 0.3, "1e-3 mean F_z")}
-    runs = RunOffsets(
-        "1e-3 mean F_z", 3.0, 0.5, 12.0, (8.0, 20.0), 0.01, {"a": (4.0, 1.0)}
-    )
+    runs = RunOffsets("1e-3 mean F_z", 3.0, 0.5, 12.0, (8.0, 20.0), 0.01, {"a": (4.0, 1.0)})
     drift = {"slip_zero_drift": 0.012, "force_offset": 5.0}
     found = judged(
-        "none", [], runs={"force_offset": runs},
+        "none",
+        [],
+        runs={"force_offset": runs},
         candidates=(replace(candidate(["force_offset"], 0.9), parameters=amplitude),),
         resolution=Resolution(remainder=6.3, smallest_effects=drift),
         forecast=(Forecast("force_offset", 25.0, "1e-3 mean F_z", 1.0, 0.1, "toe"),),
-    )  # fmt: skip
+    )
     text = flat(diagnosis_text(found, full=True))
     assert "; force offset 0.270 ± 0.030 % of the mean F_z" in text
     assert "force offset of 2.5 % of the mean F_z: recognised" in text
-    assert (
-        "slip zero drift 0.012 of slip per record, force offset 0.5 % of the mean F_z"
-        in text
-    )
+    assert "slip zero drift 0.012 of slip per record, force offset 0.5 % of the mean F_z" in text
     assert "0.300 ± 0.050 % of the mean F_z for all 1 runs" in text
     assert "between runs 1.2 % of the mean F_z [0.8, 2]" in text
     assert "each run [% of the mean F_z]: a 0.40 ± 0.10" in text
@@ -592,12 +617,12 @@ CHANGES = {
 }
 SIMULATED = {
     "simulator": SimulatorSummary(
-        "columns", "columns", None,
-        Surrogate(model="brush", rms=75.0, of_force=0.019, of_gap=0.23),
+        "columns", "columns", None, Surrogate(model="brush", rms=75.0, of_force=0.019, of_gap=0.23)
     ),
-    "budget": BUDGET, "budgets": {"fx": BUDGET},
+    "budget": BUDGET,
+    "budgets": {"fx": BUDGET},
     "meanings": {"E": "curvature factor"},
-}  # fmt: skip
+}
 
 
 MOMENT = (
@@ -638,12 +663,8 @@ def test_a_simulators_error_is_told_part_by_part():
     far = CHANGES["cpa2"]._replace(simulated=5e4, measured=2.5e4, std=500.0)
     many = far._replace(measured=50.0, std=2.0, differs=True)
     far = far._replace(differs=True)
-    assert change_texts(simulated(changes={"cpa2": far})) == [
-        "stiffness 100.0 ± 4.0 % too high"
-    ]
-    assert change_texts(simulated(changes={"cpa2": many})) == [
-        "stiffness 1000 ± 40 times too high"
-    ]
+    assert change_texts(simulated(changes={"cpa2": far})) == ["stiffness 100.0 ± 4.0 % too high"]
+    assert change_texts(simulated(changes={"cpa2": many})) == ["stiffness 1000 ± 40 times too high"]
     details = flat(diagnosis_text(found, full=True))
     assert "cpa2 [N] 50000 51000 ± 900 no" in details and "mu [-] 0.981" in details
 
@@ -651,17 +672,11 @@ def test_a_simulators_error_is_told_part_by_part():
 @pytest.mark.parametrize(
     ("status", "effects", "sentence"),
     [
-        (
-            "none",
-            (),
-            "There is no gap beyond its parameters and the noise. Probability",
-        ),
+        ("none", (), "There is no gap beyond its parameters and the noise. Probability"),
         ("named", ("slip_offset",), "The gap comes from slip offset. Probability 0.90"),
     ],
 )
-def test_the_answer_on_a_simulator_begins_with_its_parameters(
-    status, effects, sentence
-):
+def test_the_answer_on_a_simulator_begins_with_its_parameters(status, effects, sentence):
     found = simulated(status, effects, {"mu": CHANGES["mu"]})
     first = "The simulator has friction 9.0 ± 1.1 % too high. "
     assert answer(found).startswith(first + sentence)
@@ -671,8 +686,12 @@ def test_the_answer_on_a_simulator_begins_with_its_parameters(
 def test_the_waterfall_ends_at_the_noise():
     steps = waterfall_steps(simulated())
     assert [step.kind for step in steps] == [
-        "whole", "parameters", "effect", "unexplained", "noise",
-    ]  # fmt: skip
+        "whole",
+        "parameters",
+        "effect",
+        "unexplained",
+        "noise",
+    ]
     left = [1.0, 46400 / 206400, 20800 / 206400, 14400 / 206400]
     np.testing.assert_allclose([step.before for step in steps[1:]], left)
     np.testing.assert_allclose([step.after for step in steps[1:]], [*left[1:], 0])
@@ -737,9 +756,7 @@ def test_forces_are_diagnosed_not_the_tire_that_stands_in():
         (fitted, f"{NAME} against brush"),
     ):
         drawn = "".join(texts_of(diagnosis_figure(one))).replace("\\", "")
-        page, fragment = (
-            html.unescape(text) for text in (diagnosis_page(one), one._repr_html_())
-        )
+        page, fragment = (html.unescape(text) for text in (diagnosis_page(one), one._repr_html_()))
         text = re.sub(r"\s+", " ", str(one))
         for where in (drawn, page, fragment, text):
             assert title in where
@@ -749,11 +766,16 @@ def test_forces_are_diagnosed_not_the_tire_that_stands_in():
 
 LOOK = Look("friction", "fz", "threshold", 5000.0, 0.0, -0.049, 0.97, 0.8)
 STEP = LookCurve(
-    LOOK, np.array([2e3, 4e3, 6e3]), np.array([0.025, 0.024, -0.024]),
-    np.array([0.002, 0.001, 0.003]), np.array([2e3, 4e3, 6e3]),
-    np.array([0.0245, 0.0245, -0.0245]), is_mirrored=False, is_folded=False,
+    LOOK,
+    np.array([2e3, 4e3, 6e3]),
+    np.array([0.025, 0.024, -0.024]),
+    np.array([0.002, 0.001, 0.003]),
+    np.array([2e3, 4e3, 6e3]),
+    np.array([0.0245, 0.0245, -0.0245]),
+    is_mirrored=False,
+    is_folded=False,
     at_settings=True,
-)  # fmt: skip
+)
 
 
 def looking(panel, status="unknown"):
@@ -772,26 +794,27 @@ SHAPES = {
     ),
     "local": (
         STEP._replace(
-            look=Look("stiffness", "v", "local", 12.0, 2.0, 0.2, 1, 1),
-            at_settings=False,
+            look=Look("stiffness", "v", "local", 12.0, 2.0, 0.2, 1, 1), at_settings=False
         ),
         "stiffness differs about a speed v of 12 m/s by 20 %",
     ),
     "wave": (
         STEP._replace(
             look=Look("force", "time", "wave", 0.7, 0.0, 0.061, 1, 1),
-            is_folded=True, at_settings=False,
+            is_folded=True,
+            at_settings=False,
         ),
         "force goes up and down with time, period 0.7 s, by ± 6.1 % of F_z",
     ),
     "kink": (
         STEP._replace(
             look=Look("slip", "slip_fraction", "kink", 1.2, 0, 0.002, 1, 1),
-            is_mirrored=True, at_settings=False,
+            is_mirrored=True,
+            at_settings=False,
         ),
         "slip bends at a slip / slip of full sliding of 1.2, by 0.002 from there",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("panel", "said"), SHAPES.values(), ids=SHAPES)
@@ -824,8 +847,9 @@ def test_axes_say_what_changes_and_whether_a_wave_is_folded():
         draw_look(figure, panel, "x")
         labels[name] = (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel())
     assert labels["wave"] == (
-        "time, folded over the period of 0.7 s [s]", "added force [% of $F_z$]"
-    )  # fmt: skip
+        "time, folded over the period of 0.7 s [s]",
+        "added force [% of $F_z$]",
+    )
     assert labels["threshold"] == ("load F_z [N]", "change of friction [%]")
     assert labels["kink"][1] == "added slip, in its own direction [-]"
 
@@ -838,10 +862,7 @@ def test_what_is_left_stands_in_figure_and_page():
     page = Page(diagnosis_page(found))
     assert len(page.links) == 5
     assert any("What the verdict leaves" in one for one in page.alternatives)
-    said = [
-        " ".join(texts_of(panel_pictures(one)["what is left"]))
-        for one in (found, beside)
-    ]
+    said = [" ".join(texts_of(panel_pictures(one)["what is left"])) for one in (found, beside)]
     assert "on top of the base fit" in said[0] and "load" in said[1]
     # It is drawn, not written into the document.
     assert "look" not in json.loads(found.to_json())
@@ -902,8 +923,7 @@ STATUSES = {
     ),
     "none": (
         ("none", []),
-        "There is no gap beyond the noise. Probability 0.60 of no effect, listed or"
-        " unlisted.",
+        "There is no gap beyond the noise. Probability 0.60 of no effect, listed or unlisted.",
     ),
     "incomplete": (
         ("incomplete", ["load_friction", "slip_offset"]),
@@ -969,9 +989,13 @@ def test_a_measurement_that_hardly_tells_more_is_not_proposed():
     (said,) = step_lines(diagnosis(next_measurement=(much, more, little)))
     assert said.startswith("measure other speeds: it separates load friction")
     open_one = judged(
-        "cannot_tell", ["slip_offset"], 0.6, ["force_offset"], next_measurement=(),
+        "cannot_tell",
+        ["slip_offset"],
+        0.6,
+        ["force_offset"],
+        next_measurement=(),
         next_measurement_reason="no addition tells slip_offset from force_offset",
-    )  # fmt: skip
+    )
     assert step_lines(open_one) == ["no addition tells slip offset from force offset"]
     assert step_lines(diagnosis(next_measurement=())) == []
 
@@ -985,9 +1009,7 @@ def test_the_text_is_one_screen_and_full_says_all():
         " probability 0.96, instead of 0.71 now"
     ) in flat(text)
     assert "a temperature that varies: friction temperature, stiffness" in flat(text)
-    assert (
-        "25 N rms beyond the noise, 4 % of the gap's mean square; probability 0.13 of"
-    )
+    assert "25 N rms beyond the noise, 4 % of the gap's mean square; probability 0.13 of"
     assert "log evidence" not in text and "rival" not in text
     assert "details: --full" in flat(text) and "the file: iso-w" in flat(text)
     full = diagnosis_text(diagnosis(), full=True)
@@ -1000,9 +1022,7 @@ def test_the_text_is_one_screen_and_full_says_all():
     assert "load F_z 6000 N 81 % < 1e-12" in full
     assert "size of the slip shrinking 53 % 0.013" in full
     assert "friction load F_z 412 83 %" in full
-    assert (
-        "0.061 friction drift + load friction; closes 80 % [70 %, 85 %] of the gap"
-    ) in full
+    assert ("0.061 friction drift + load friction; closes 80 % [70 %, 85 %] of the gap") in full
     assert (
         "pressure asymmetry of 0.24: recognised with probability 0.50, else taken for"
         " carcass flexibility"
@@ -1014,9 +1034,16 @@ def test_the_text_is_one_screen_and_full_says_all():
 
 def test_a_slip_that_contradicts_the_wheel_speed_is_told():
     check = SlipCheck(
-        read_as="sigma_x", fits="kappa", radius=0.305, rms=0.0123, scatter=0.001,
-        offset=0.0041, offset_std=0.0002, gain=1.0, told_apart=True,
-    )  # fmt: skip
+        read_as="sigma_x",
+        fits="kappa",
+        radius=0.305,
+        rms=0.0123,
+        scatter=0.001,
+        offset=0.0041,
+        offset_std=0.0002,
+        gain=1.0,
+        told_apart=True,
+    )
     found = diagnosis(slip_check=check)
     sentence = (
         "slip, read as sigma_x, against omega, v and a rolling radius of 0.305 m: 0.012"
@@ -1086,24 +1113,25 @@ def test_words_cover_the_library_and_name_models_that_exist():
 
 
 def test_an_effect_of_the_users_own_goes_by_its_id():
-    found = judged(
-        "named", ["road_ripple"], candidates=(candidate(["road_ripple"], 1),)
-    )
+    found = judged("named", ["road_ripple"], candidates=(candidate(["road_ripple"], 1),))
     assert "The gap comes from road ripple. Probability 0.60" in flat(found)
     assert "road ripple (road_ripple)" in diagnosis_page(found)
     mine = Effect(
-        id="road_ripple", family="friction x time", change=lambda state, *_: state,
-        scale=0.1, unit="-", formula="", means="the road has waves",
+        id="road_ripple",
+        family="friction x time",
+        change=lambda state, *_: state,
+        scale=0.1,
+        unit="-",
+        formula="",
+        means="the road has waves",
         remedy="measure elsewhere",
-    )  # fmt: skip
+    )
     verdict = found.verdict
     known = diagnosis(verdict=verdict, library=(*EFFECTS, mine))
     for page in (str(known), diagnosis_page(known)):
         assert "the road has waves; to do: measure elsewhere" in page
     own = Untestable("road_ripple", ("road camera", "omega"))
-    assert untestable_lines(known, [own]) == [
-        "road camera, wheel speed omega: road ripple"
-    ]
+    assert untestable_lines(known, [own]) == ["road camera, wheel speed omega: road ripple"]
 
 
 def test_small_texts():
@@ -1140,8 +1168,7 @@ def test_the_page_stands_alone(page_text):
     assert "://" not in text and "url(" not in text and "@import" not in text
     assert len(page.links) == page.seen.count("img") == 4
     pictures = [
-        base64.b64decode(link.removeprefix("data:image/png;base64,"))
-        for link in page.links
+        base64.b64decode(link.removeprefix("data:image/png;base64,")) for link in page.links
     ]
     assert all(one.startswith(b"\x89PNG") for one in pictures)
     assert len(set(pictures)) == 4 and all(page.alternatives)
@@ -1226,10 +1253,7 @@ def test_a_diagnosis_is_drawn_for_whoever_saves_it(tmp_path):
 
 def test_an_answer_that_other_files_contradict_says_so():
     rms = (520.0, 310.0, 540.0)
-    steps = [
-        step._replace(rms_held_out=r)
-        for step, r in zip(LADDER.steps, rms, strict=False)
-    ]
+    steps = [step._replace(rms_held_out=r) for step, r in zip(LADDER.steps, rms, strict=False)]
     ladder = LADDER._replace(steps=(*steps, *LADDER.steps[3:]))
     settings = replace(diagnosis().settings, holdout=("sha",))
     said = answer(diagnosis(ladder=ladder, settings=settings))

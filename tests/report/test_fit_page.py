@@ -34,16 +34,21 @@ def sweep(name=NAME, mu=1.0, seed=5) -> TireData:
     model = with_values(MODELS["brush"], {"cpa2": 5e4, "mu": mu})
     inputs = TireInputs(sigma_x=slip, fz=4000.0, v=20.0)
     columns = {
-        "sigma_x": slip, "fz": np.full(80, 4000.0), "v": np.full(80, 20.0),
+        "sigma_x": slip,
+        "fz": np.full(80, 4000.0),
+        "v": np.full(80, 20.0),
         "fx": np.asarray(forces(model, inputs).fx) + 30 * generator.normal(size=80),
-    }  # fmt: skip
+    }
     used = np.ones(80, bool)
     used[3] = False
     source = Source(
-        path=f"data/{name}", sha256="ab12", columns={"fx": "Fx <N>"},
-        units={"fx": "N"}, assumptions=("speed 20 m/s: constant, given",),
+        path=f"data/{name}",
+        sha256="ab12",
+        columns={"fx": "Fx <N>"},
+        units={"fx": "N"},
+        assumptions=("speed 20 m/s: constant, given",),
         masked=(InputProblem("load is not finite", row=5),),
-    )  # fmt: skip
+    )
     return TireData("sweep", columns, used, np.zeros(80, int), ("sweep",), source)
 
 
@@ -78,8 +83,7 @@ def test_the_page_stands_alone(text):
     assert "://" not in text and "url(" not in text and "@import" not in text
     assert len(page.links) == page.seen.count("img") >= 7 and all(page.alternatives)
     pictures = [
-        base64.b64decode(link.removeprefix("data:image/png;base64,"))
-        for link in page.links
+        base64.b64decode(link.removeprefix("data:image/png;base64,")) for link in page.links
     ]
     assert all(one.startswith(b"\x89PNG") for one in pictures)
     assert len(set(pictures)) == len(pictures)
@@ -113,11 +117,14 @@ def test_the_page_says_what_the_data_do_not_tell(plain):
     sentences = ["mu is not identified by these data", "a second sentence"]
     far = FarRow("<x>.csv", 7, "fx", 4e5, "fx", 3900.0, 99.0, True, "99 std away", "")
     result = replace(
-        plain, parameters=plain.parameters | {"mu": free}, far_rows=(far,),
-        derived=plain.derived | {"slip_at_peak": nowhere}, correlation=correlation,
+        plain,
+        parameters=plain.parameters | {"mu": free},
+        far_rows=(far,),
+        derived=plain.derived | {"slip_at_peak": nowhere},
+        correlation=correlation,
         outcomes=(Outcome.NOT_IDENTIFIED,),
         verdict={"status": "not identified", "sentences": sentences},
-    )  # fmt: skip
+    )
     shown = re.sub(r"<[^>]*>", " ", fit_page(result).split("<pre>")[0])
     assert "Verdict: not identified: mu is not identified by these data" in shown
     assert "a second sentence" in shown
@@ -151,12 +158,8 @@ def test_chromium_shows_the_page_of_a_fit(sampled, text, tmp_path):
 def several():
     """One tire on roads of four frictions."""
     return {
-        f"drum_2026-03-12_cold_asphalt_{run}": fit(
-            sweep(f"{run}.csv", mu, seed), "brush", seed=3
-        )
-        for seed, (run, mu) in enumerate(
-            {"dry": 1.0, "damp": 0.85, "wet": 0.7, "ice": 0.3}.items()
-        )
+        f"drum_2026-03-12_cold_asphalt_{run}": fit(sweep(f"{run}.csv", mu, seed), "brush", seed=3)
+        for seed, (run, mu) in enumerate({"dry": 1.0, "damp": 0.85, "wet": 0.7, "ice": 0.3}.items())
     }
 
 
@@ -209,17 +212,19 @@ def test_the_page_of_several_has_a_row_for_each(several):
     assert "Verdict: of 5 files: 4 ok, 1 not fitted" in shown
     assert "rig &lt;1&gt;.csv: not fitted: no column of a slip" in shown
     assert "drum_2026-03-12_cold_asphalt_*" in shown
-    for name, result in zip(
-        ("dry", "damp", "wet", "ice"), several.values(), strict=True
-    ):
+    for name, result in zip(("dry", "damp", "wet", "ice"), several.values(), strict=True):
         mu, peak = result.parameters["mu"], result.derived["F_max"]
         row = re.search(rf"<tr[^>]*><td[^>]*>{name}<.*?</tr>", text)[0]
         assert f">{format_estimate(mu.value, mu.std)}<" in row
         assert f">{format_estimate(peak.value, peak.std)}<" in text
     for part in (
-        "braking positive, SI", "seed 3", f"tirefit {tirefit.__version__}",
-        "least squares, profile likelihood", "sha256", "ab12",
-    ):  # fmt: skip
+        "braking positive, SI",
+        "seed 3",
+        f"tirefit {tirefit.__version__}",
+        "least squares, profile likelihood",
+        "sha256",
+        "ab12",
+    ):
         assert part in shown, part
 
 

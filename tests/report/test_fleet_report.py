@@ -27,8 +27,9 @@ def records(n, dated=True, seed=0):
         )
         day = f"2024-{1 + k // 28 % 12:02d}-{1 + k % 28:02d}T08{k % 60:02d}"
         name = f"data/{day}.csv" if dated else f"data/run{k}.csv"
-        yield FileRecord(name, f"out/{k}", "brush", "ok", rows, convention="iso-w",
-                         seed=3, version="1.2")  # fmt: skip
+        yield FileRecord(
+            name, f"out/{k}", "brush", "ok", rows, convention="iso-w", seed=3, version="1.2"
+        )
     evil = "data/<script>2024-12-31.csv"
     yield FileRecord(evil, "out/x", "", "failed", problem="<b>no column & fz</b>")
 
@@ -63,8 +64,10 @@ def test_the_table_holds_a_row_per_number_and_file(table):
 def test_the_table_comes_back_by_quantity(table):
     stored = ResultsTable(table(30))
     assert stored.quantities() == [
-        ("parameter", "mu", "-"), ("parameter", "cpa2", "N"), ("statistic", "rmse", "")
-    ]  # fmt: skip
+        ("parameter", "mu", "-"),
+        ("parameter", "cpa2", "N"),
+        ("statistic", "rmse", ""),
+    ]
     stiffness = stored.of("parameter", "cpa2")
     assert stiffness["number"].tolist() == list(range(1, 30))
     assert np.flatnonzero(np.isnan(stiffness["std"])).tolist() == [0, 10, 20]
@@ -137,9 +140,7 @@ def test_the_page_is_small_whole_and_safe(table, tmp_path):
     page = (tmp_path / "fleet.html").read_text("utf-8")
     assert len(page) < 400_000
     links = re.findall(r"""\b(?:src|href)=['"]?([^'" >]*)""", page)
-    assert len(links) == 3 and all(
-        k.startswith("data:image/png;base64,") for k in links
-    )
+    assert len(links) == 3 and all(k.startswith("data:image/png;base64,") for k in links)
     assert "<script" not in page and "<b>no column" not in page
     assert "599 ok" in page and "1 failed" in page
     assert "no column &amp; fz" in page and "drifts" in page

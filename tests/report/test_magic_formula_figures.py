@@ -23,9 +23,7 @@ ODD = 4000.0, ANGLES[1], 150.0
 def columns():
     """Brake sweeps of both forces at three loads and slip angles, with noise."""
     kappa = np.concatenate([np.linspace(-0.2, 0.2, 60), np.linspace(0.2, -0.2, 60)])
-    fz, alpha = (
-        a.repeat(len(kappa)) for a in map(np.ravel, np.meshgrid(LOADS, ANGLES))
-    )
+    fz, alpha = (a.repeat(len(kappa)) for a in map(np.ravel, np.meshgrid(LOADS, ANGLES)))
     kappa = np.tile(kappa, len(LOADS) * len(ANGLES))
     fz = fz * (1 + 0.2 * kappa)
     values = {"FNOMIN": 4000.0, "PKX1": 25.0, "RBX1": 10.0, "RCX1": 1.0}
@@ -54,31 +52,19 @@ def fit(table):
 
 def test_points_are_medians_of_rows_and_curves_the_tire(fit, table):
     panel = next(p for p in force_panels(fit, "fx") if "load" in p.title)
-    assert [group.label for group in panel.curve.groups] == [
-        "2000 N",
-        "4000 N",
-        "6000 N",
-    ]
-    for load, group, curve in zip(
-        LOADS, panel.curve.groups, panel.curve.curves, strict=True
-    ):
+    assert [group.label for group in panel.curve.groups] == ["2000 N", "4000 N", "6000 N"]
+    for load, group, curve in zip(LOADS, panel.curve.groups, panel.curve.curves, strict=True):
         kappa = table["sigma_x"] / (1 + table["sigma_x"])
         rows = (np.abs(table["fz"] / load - 1) < 0.1) & (table["alpha"] == 0)
-        for x, force, low, high in zip(
-            group.slip, group.force, group.low, group.high, strict=True
-        ):
+        for x, force, low, high in zip(group.slip, group.force, group.low, group.high, strict=True):
             near = rows & (np.abs(kappa - x / 100) < 0.4 / 64)
             assert low <= force <= high
             assert force == pytest.approx(np.median(table["fx"][near]), abs=0.03 * load)
         # The rows' load follows the slip, and so does that of the curve.
         slip = curve.slip / 100
         at = TireInputs(slip / (1 - slip), 0.0, load * (1 + 0.2 * slip))
-        np.testing.assert_allclose(
-            curve.force, forces(fit.tire, at).fx, atol=0.01 * load
-        )
-        assert np.all(curve.noise_low < curve.force) and np.all(
-            curve.force < curve.noise_high
-        )
+        np.testing.assert_allclose(curve.force, forces(fit.tire, at).fx, atol=0.01 * load)
+        assert np.all(curve.noise_low < curve.force) and np.all(curve.force < curve.noise_high)
 
 
 def test_the_setting_that_is_wrong_is_named(fit):
@@ -93,8 +79,10 @@ def test_ellipse_shows_both_forces_of_like_rows(fit, table):
     (panel,) = ellipse_panel(fit)
     assert panel.curve.note == "6000 N, camber 0 deg"
     assert [g.label for g in panel.curve.groups] == [
-        "straight", "slip angle 3 deg", "slip angle 6 deg",
-    ]  # fmt: skip
+        "straight",
+        "slip angle 3 deg",
+        "slip angle 6 deg",
+    ]
     rows = (np.abs(table["fz"] / 6000 - 1) < 0.1) & (table["alpha"] == ANGLES[2])
     ratio = table["fy"][rows] / table["fz"][rows]
     assert np.max(panel.curve.groups[2].force) == pytest.approx(ratio.max(), rel=0.03)

@@ -32,9 +32,7 @@ def test_the_view_says_what_was_kept_and_shows_what_moved(prepared):
     assert "[deg]" in view.panels[0].label and "[s]" in view.clock
     load = view.panels[1]
     factor = 1e-3 if "[kN]" in load.label else 1.0
-    np.testing.assert_allclose(
-        load.settings, factor * prepared.settings["fz"].center, rtol=1e-12
-    )
+    np.testing.assert_allclose(load.settings, factor * prepared.settings["fz"].center, rtol=1e-12)
     assert load.value.max() == pytest.approx(factor * prepared.columns["fz"].max())
     assert sum(strip.rows for strip in view.strips) == len(prepared.data)
     spans = sorted(span for strip in view.strips for span in strip.spans)

@@ -46,11 +46,15 @@ def exported(folder):
 
 
 CAR = Vehicle(
-    mass=5.1, l_f=0.17, l_r=0.16, yaw_inertia=0.12,
+    mass=5.1,
+    l_f=0.17,
+    l_r=0.16,
+    yaw_inertia=0.12,
     columns={k: k for k in ("time", "x", "y", "yaw", "steering")},
     steering=Steering(command=[-1, 1], angle=[-1, 1]),
-    filter=Filter(cutoff=15, sample_rate=100), keep=Keep(v_min=1),
-)  # fmt: skip
+    filter=Filter(cutoff=15, sample_rate=100),
+    keep=Keep(v_min=1),
+)
 AXLES = Brush(cpa2=40.0, mu=0.9), Brush(cpa2=120.0, mu=0.75)
 
 
@@ -173,16 +177,7 @@ def test_a_simulation_with_the_settings_of_the_command_gives_its_file(tmp_path):
     from tirefit.cli.commands import app
 
     out = tmp_path / "d.csv"
-    words = [
-        "simulate",
-        "drive",
-        "--duration",
-        "2",
-        "--gps-std",
-        "0.1",
-        "--drop",
-        "1=0.4",
-    ]
+    words = ["simulate", "drive", "--duration", "2", "--gps-std", "0.1", "--drop", "1=0.4"]
     assert CliRunner().invoke(app, [*words, "--out", str(out)]).exit_code == 0
     log = tirefit.simulate("drive", duration=2.0, gps_std=0.1, drop=(1.0, 0.4))
     assert out.read_text() == log.files()["log.csv"]

@@ -53,9 +53,7 @@ def synthetic(n: int = 120, noise: float = 30.0) -> TireData:
         assumptions=("speed 20 m/s: constant, given",),
         masked=(InputProblem("load is not finite", row=5),),
     )
-    return TireData(
-        "sweep", columns, used, np.arange(n) % 2, ("first", "second"), source
-    )
+    return TireData("sweep", columns, used, np.arange(n) % 2, ("first", "second"), source)
 
 
 @pytest.fixture(scope="module")
@@ -148,9 +146,8 @@ def test_band_agrees_with_automatic_derivatives(plain):
     inputs = jax.tree.map(lambda value: jnp.broadcast_to(value, size), inputs)
     problem = plain.problem
     _, variance = predict_forces(
-        problem.model, problem.layout, plain.z, plain.covariance, inputs,
-        np.zeros(size, int),
-    )  # fmt: skip
+        problem.model, problem.layout, plain.z, plain.covariance, inputs, np.zeros(size, int)
+    )
     half = (one.high - one.low) / 2
     dof = plain.statistics.dof
     quantile = 1.96 * (1 + (1.96**2 + 1) / (4 * dof))
@@ -182,13 +179,14 @@ def test_residuals_are_standardised_and_know_their_inputs(plain):
     data = residual_panels(plain)
     labels = [panel.label for panel in data.scatters]
     assert [label.split(" [")[0] for label in labels] == [
-        r"slip $\sigma_x$", "load $F_z$", "time", "run",
-    ]  # fmt: skip
+        r"slip $\sigma_x$",
+        "load $F_z$",
+        "time",
+        "run",
+    ]
     values = {k: plain.least_squares[k].value for k in plain.labels}
     rows = plain.table
-    inputs = TireInputs(
-        sigma_x=rows.usable("sigma_x"), fz=rows.usable("fz"), v=rows.usable("v")
-    )
+    inputs = TireInputs(sigma_x=rows.usable("sigma_x"), fz=rows.usable("fz"), v=rows.usable("v"))
     fitted = forces(with_values(MODELS["brush-m"], values), inputs).fx
     scale = plain.noise["fx"]["median_std"]
     expected = (rows.usable("fx") - np.asarray(fitted)) / scale
@@ -218,9 +216,7 @@ def test_corner_levels_enclose_their_shares(sampled):
     np.testing.assert_allclose(corner.median, np.median(flat, axis=0))
     for key, joint in corner.joint.items():
         outer, inner = corner.levels[key]
-        assert joint[joint >= outer].sum() / joint.sum() == pytest.approx(
-            0.95, abs=0.02
-        )
+        assert joint[joint >= outer].sum() / joint.sum() == pytest.approx(0.95, abs=0.02)
         assert joint[joint >= inner].sum() / joint.sum() == pytest.approx(0.5, abs=0.02)
 
 
@@ -281,9 +277,7 @@ def test_report_holds_every_number_and_ends_with_the_verdict(sampled):
     assert "\x1b" not in text
     for label in sampled.labels:
         e = sampled.parameters[label]
-        assert re.search(
-            rf"{label} +{re.escape(format_estimate(e.value, e.std))}", text
-        )
+        assert re.search(rf"{label} +{re.escape(format_estimate(e.value, e.std))}", text)
     for expected in (
         "119 used of 120 (1 masked), 2 runs", "braking positive, SI",
         "speed 20 m/s: constant, given", "load is not finite", "covariance", "profile",

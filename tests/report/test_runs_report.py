@@ -42,9 +42,11 @@ def fourteen() -> TireData:
     ]
     force = np.concatenate(parts) + 30 * generator.standard_normal(len(run))
     columns = {
-        "sigma_x": slip, "fx": force, "fz": np.full(len(run), 4000.0),
+        "sigma_x": slip,
+        "fx": force,
+        "fz": np.full(len(run), 4000.0),
         "v": np.full(len(run), 20.0),
-    }  # fmt: skip
+    }
     said = {name: ["column 'fx' read as fx in N"] for name in RUNS}
     said[RUNS[2]].append("speed 20 m/s: constant, given")
     short = run_names(RUNS).short
@@ -73,9 +75,8 @@ def by_run():
     )  # fmt: skip
     ends = result.intervals["covariance"]
     return replace(
-        result, chains=draws, posterior=summary,
-        intervals=result.intervals | {"posterior": ends},
-    )  # fmt: skip
+        result, chains=draws, posterior=summary, intervals=result.intervals | {"posterior": ends}
+    )
 
 
 def test_every_run_is_told_apart_in_the_report(by_run):
@@ -115,9 +116,7 @@ def test_a_summary_holds_every_column_of_every_fit(by_run):
     rows = [line for line in lines if line.startswith("  run02 ")]
     assert sum(line.count("±") for line in rows) == 28
     assert rows[-1].split()[-1] == "ok"
-    assert all(
-        line.startswith(("  run0", "  fit ", "  ---")) for line in lines[2:] if line
-    )
+    assert all(line.startswith(("  run0", "  fit ", "  ---")) for line in lines[2:] if line)
 
 
 def drawn_texts(picture):
@@ -175,8 +174,9 @@ def test_the_grid_holds_what_the_regions_hold(by_run):
 def test_corner_and_trace_draw_what_is_asked_for(by_run):
     corner = corner_data(by_run, ["cpa2[run02]", f"mu[{RUNS[1]}]"])
     assert [label.split(" [")[0] for label in corner.labels] == [
-        "$c_p a^2$ (run02)", r"$\mu$ (run02)",
-    ]  # fmt: skip
+        "$c_p a^2$ (run02)",
+        r"$\mu$ (run02)",
+    ]
     assert len(by_run.plot("corner", parameters=["mu[run02]", "mu[run03]"]).axes) == 3
     assert len(by_run.plot("trace", parameters=["mu"]).axes) == 28
     with pytest.raises(UsageError, match=r"no free parameter d, mu\[x\]") as caught:
@@ -187,12 +187,8 @@ def test_corner_and_trace_draw_what_is_asked_for(by_run):
 def test_a_trace_shows_the_chains_that_agree_least(by_run):
     trace = trace_data(by_run)
     worst = by_run.labels[-10:]
-    np.testing.assert_allclose(
-        trace.rhat, [by_run.posterior.rhat[label] for label in worst]
-    )
-    assert trace.note == (
-        "10 of 28 parameters; the others: R-hat at most 1.018, ESS at least 900"
-    )
+    np.testing.assert_allclose(trace.rhat, [by_run.posterior.rhat[label] for label in worst])
+    assert trace.note == ("10 of 28 parameters; the others: R-hat at most 1.018, ESS at least 900")
     assert overlapping(drawn_texts(trace_figure(by_run))) == []
 
 
@@ -210,10 +206,13 @@ def test_long_names_stay_beside_their_panels(by_run):
         for part in ("parameters", "least_squares", "derived")
     }
     result = replace(
-        by_run, labels=tuple(map(renamed, by_run.labels)),
-        data=by_run.data | {"runs": names}, posterior=None, **parts,
+        by_run,
+        labels=tuple(map(renamed, by_run.labels)),
+        data=by_run.data | {"runs": names},
+        posterior=None,
+        **parts,
         problem=replace(by_run.problem, layout=layout),
-    )  # fmt: skip
+    )
     for count in (4, 6):
         asked = [f"mu[{name}]" for name in names[:count]]
         picture = corner_figure(result, asked)
@@ -239,9 +238,7 @@ def test_runs_are_drawn_side_by_side(by_run):
     assert mu.names == tuple(f"run{i:02d}" for i in range(1, 15))
     expected = [by_run.parameters[f"mu[{run}]"] for run in RUNS]
     np.testing.assert_array_equal(mu.value, [one.value for one in expected])
-    np.testing.assert_array_equal(
-        np.stack([mu.low, mu.high], 1), [one.ci95 for one in expected]
-    )
+    np.testing.assert_array_equal(np.stack([mu.low, mu.high], 1), [one.ci95 for one in expected])
     picture = by_run.plot("runs")
     assert overlapping(drawn_texts(picture)) == []
 
@@ -249,9 +246,8 @@ def test_runs_are_drawn_side_by_side(by_run):
 def test_a_run_that_tells_nothing_does_not_set_the_scale(by_run):
     label = f"mu[{RUNS[5]}]"
     free = replace(
-        by_run.parameters[label], value=2.9, std=None, ci95=(0.1, None),
-        identified=False,
-    )  # fmt: skip
+        by_run.parameters[label], value=2.9, std=None, ci95=(0.1, None), identified=False
+    )
     result = replace(by_run, parameters=by_run.parameters | {label: free})
     picture = result.plot("runs")
     assert max(axes.get_ylim()[1] for axes in picture.axes[1:2]) < 1.2

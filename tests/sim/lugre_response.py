@@ -78,9 +78,7 @@ def _increases(time) -> bool:
 @eqx.filter_jit
 def _integrate(tire, bristles, time, motion, start, rtol, adjoint):
     course = diffrax.LinearInterpolation(time, motion)
-    term = diffrax.ODETerm(
-        lambda t, z, tire: bristle_rate(tire, bristles, z, course.evaluate(t))
-    )
+    term = diffrax.ODETerm(lambda t, z, tire: bristle_rate(tire, bristles, z, course.evaluate(t)))
     # A step across a sample could miss a short pulse.
     controller = diffrax.ClipStepSizeController(
         diffrax.PIDController(rtol=rtol, atol=1e-3 * rtol), step_ts=time

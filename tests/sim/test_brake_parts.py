@@ -162,9 +162,7 @@ def test_numbers_of_the_plant_are_known_by_name():
 
 
 def test_a_fit_with_values_by_run_is_not_one_tire():
-    layout = Layout(
-        (FreeParameter("mu", specs(MODELS["brush"])["mu"], True),), (), ("a", "b")
-    )
+    layout = Layout((FreeParameter("mu", specs(MODELS["brush"])["mu"], True),), (), ("a", "b"))
     rest = (np.zeros(2), np.eye(2), {}, {})
     with pytest.raises(UsageError, match="a mu for each run"):
         StoredFit("brush", MODELS["brush"], layout, *rest).at_estimate()

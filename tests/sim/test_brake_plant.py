@@ -33,10 +33,14 @@ def stopped(asked, controller=None, seed=0):
     controller = NoController() if controller is None else controller
     plant = plant_of(asked)
     log = simulate_stop(
-        plant, arrays(controller), arrays(asked.sensors),
-        jnp.asarray(asked.speed, float), jax.random.key(seed), SAMPLES,
+        plant,
+        arrays(controller),
+        arrays(asked.sensors),
+        jnp.asarray(asked.speed, float),
+        jax.random.key(seed),
+        SAMPLES,
         asked.hydraulics.queue(RATE),
-    )  # fmt: skip
+    )
     end = int(np.sum(log.moving)) + 1
     assert end <= len(log.moving), "it did not stop"
     assert np.all(log.fine == 1)
@@ -53,24 +57,33 @@ def test_closed_loop_is_scipys_step_by_step(mu):
     car = plant.vehicle
     drawn = draw_noise(jax.random.key(1), arrays(noisy), SAMPLES, 1, RATE)
     noise = {
-        "speed": np.asarray(drawn.speed)[:, 0], "road": np.asarray(drawn.road)[:, 0],
+        "speed": np.asarray(drawn.speed)[:, 0],
+        "road": np.asarray(drawn.road)[:, 0],
         "pressure": np.asarray(drawn.pressure)[:, 0],
         "deceleration": np.asarray(drawn.deceleration),
-    }  # fmt: skip
+    }
     numbers = [float(x[0]) for x in (car.fz, car.radius, car.inertia, car.brake_gain)]
     hydraulics = {k: v for k, v in Hydraulics()._asdict().items() if k != "delay"}
     rows = stop(
-        QuarterCar(*numbers, VALUES["cpa2"], VALUES["m"], mu), Valves(**hydraulics),
-        PlainABS(parameter_values(controller), 1 / RATE, 8.0), noisy._asdict(), noise,
-        8.0, RATE, SAMPLES, 2,
-    )  # fmt: skip
+        QuarterCar(*numbers, VALUES["cpa2"], VALUES["m"], mu),
+        Valves(**hydraulics),
+        PlainABS(parameter_values(controller), 1 / RATE, 8.0),
+        noisy._asdict(),
+        noise,
+        8.0,
+        RATE,
+        SAMPLES,
+        2,
+    )
     assert len(rows) == len(log.moving)
     np.testing.assert_allclose(log.valve[:, 0], rows[:, 4], atol=1e-9)
     s = log.motion
     for ours, theirs, scale in (
-        (s.distance, rows[:, 0], 1.0), (s.v_x, rows[:, 1], 1.0),
-        (s.omega[:, 0], rows[:, 2], 30.0), (s.pressure[:, 0], rows[:, 3], 1e6),
-    ):  # fmt: skip
+        (s.distance, rows[:, 0], 1.0),
+        (s.v_x, rows[:, 1], 1.0),
+        (s.omega[:, 0], rows[:, 2], 30.0),
+        (s.pressure[:, 0], rows[:, 3], 1e6),
+    ):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=3e-4 * scale)
     # The stop has what makes it hard: a wheel that dives, and that stands at the end.
     assert rows[:, 2].min() == 0.0 and log.contacts.slips.kappa.max() > 0.2
@@ -101,9 +114,14 @@ def test_its_program_can_be_kept_between_processes():
     """None that calls Python back is, and a stop takes seconds to compile."""
     asked = request()
     program = simulate_stop.lower(
-        plant_of(asked), NoController(), arrays(asked.sensors),
-        jnp.asarray(asked.speed, float), jax.random.key(0), SAMPLES, 2,
-    )  # fmt: skip
+        plant_of(asked),
+        NoController(),
+        arrays(asked.sensors),
+        jnp.asarray(asked.speed, float),
+        jax.random.key(0),
+        SAMPLES,
+        2,
+    )
     assert "while" in program.as_text() and "callback" not in program.as_text()
 
 
@@ -198,9 +216,7 @@ def test_true_stiffness_is_the_slope_of_the_force():
     share = jnp.asarray([1.0, 0.98, 0.96, 0.8])
     s = s._replace(omega=s.omega * share)
     step = 1e-4
-    ahead, behind = (
-        contacts(plant, s._replace(omega=s.omega + h)).fx for h in (step, -step)
-    )
+    ahead, behind = (contacts(plant, s._replace(omega=s.omega + h)).fx for h in (step, -step))
     slope = -(ahead - behind) / (2 * step * plant.vehicle.radius)
     np.testing.assert_allclose(xbs_true(plant, s), slope, rtol=1e-5, atol=1.0)
     # At rest it is C_x / v; in full sliding of a brush nothing.

@@ -74,8 +74,7 @@ def test_numbers_follow_from_the_series(result):
     fast = table["v"] > 0.3
     by_hand = np.minimum(1 - 0.3 * table["omega"] / np.maximum(table["v"], 0.3), 0.99)
     np.testing.assert_allclose(table["slip"][fast], by_hand[fast], atol=1e-12)
-    for name in ("time", "v", "omega", "slip", "fx", "fz", "mu", "pressure", "xbs",
-                 "xbs_true"):  # fmt: skip
+    for name in ("time", "v", "omega", "slip", "fx", "fz", "mu", "pressure", "xbs", "xbs_true"):
         assert len(table[name]) == len(table["time"])
 
 
@@ -96,9 +95,14 @@ def test_recovery_counts_from_all_wheels_on_the_new_road():
     asked = request(road="mu=0.3:0.8@4")
     plant = plant_of(asked)
     log = simulate_stop(
-        plant, NoController(), arrays(asked.sensors), jnp.asarray(8.0, float),
-        jax.random.key(0), SAMPLES, 2,
-    )  # fmt: skip
+        plant,
+        NoController(),
+        arrays(asked.sensors),
+        jnp.asarray(8.0, float),
+        jax.random.key(0),
+        SAMPLES,
+        2,
+    )
     time = np.asarray(log.reading.time)
     crossed = float(time[np.argmax(np.asarray(log.motion.distance) >= 4.0)])
     there = log.reading.truth.mu * log.contacts.fz
@@ -117,9 +121,7 @@ def test_a_car_that_does_not_stop_says_why(result):
     numbers = stop.to_dict()
     assert not numbers["stopped"] and np.isnan(numbers["stopping_distance"])
     assert "did not stop: still" in stop.reason and "--time-limit" in stop.reason
-    spinning = request(
-        road="left=0.1,right=0.9", speed=25.0, vehicle="car", time_limit=12.0
-    )
+    spinning = request(road="left=0.1,right=0.9", speed=25.0, vehicle="car", time_limit=12.0)
     stop = braked(spinning, {"none": NoController()}).stops["none"]
     assert stop.reason.startswith("spun"), stop.reason
 
@@ -127,9 +129,7 @@ def test_a_car_that_does_not_stop_says_why(result):
 def test_summary_holds_all_controllers_and_seeds(result):
     whole = result.to_dict()
     assert whole["schema"] == "tirefit.brake/1" and whole["controller"] == "abs"
-    assert (
-        whole["stopping_distance"] == whole["controllers"]["abs"]["stopping_distance"]
-    )
+    assert whole["stopping_distance"] == whole["controllers"]["abs"]["stopping_distance"]
     seeds = whole["seeds"]["abs"]
     each = result.many["abs"].mean_friction_used
     assert seeds["mean_friction_used"]["mean"] == pytest.approx(np.mean(each))

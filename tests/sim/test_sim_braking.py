@@ -6,14 +6,7 @@ from scipy.integrate import solve_ivp
 
 import tirefit
 from tirefit.models import LuGre, TireInputs
-from tirefit.sim.braking import (
-    BRAKE_GAIN,
-    LOAD,
-    PEAK,
-    Braking,
-    simulate_braking,
-    source_tire,
-)
+from tirefit.sim.braking import BRAKE_GAIN, LOAD, PEAK, Braking, simulate_braking, source_tire
 from tirefit.sim.rig import simulate_rig
 from tirefit.sim.wheel import lugre_tire
 
@@ -36,9 +29,7 @@ def test_the_wheel_moves_as_scipy_integrates_it():
         torque = 0.6 * how.radius * PEAK * LOAD * t / 2
         return [(how.radius * force - torque) / how.inertia]
 
-    peer = solve_ivp(
-        rate, (0, 1.99), [40.0], "LSODA", truth["time"], rtol=1e-8, atol=1e-9
-    )
+    peer = solve_ivp(rate, (0, 1.99), [40.0], "LSODA", truth["time"], rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(truth["omega"], peer.y[0], rtol=1e-6)
     np.testing.assert_allclose(
         truth["sigma_x"], how.speed / (truth["omega"] * how.radius) - 1, rtol=1e-9
@@ -77,9 +68,7 @@ def test_a_lugre_wheel_keeps_the_balance_and_its_steady_force():
     )
     # Two seconds are slow for bristles that pass the patch in 10 ms.
     tire = lugre_tire(0.7, how.speed)
-    at = TireInputs(
-        sigma_x=truth["sigma_x"], fz=np.full(2000, LOAD), v=np.full(2000, 20.0)
-    )
+    at = TireInputs(sigma_x=truth["sigma_x"], fz=np.full(2000, LOAD), v=np.full(2000, 20.0))
     steady = np.asarray(tire(at).fx)
     np.testing.assert_allclose(truth["fx"][200:], steady[200:], rtol=0.02)
     at_rest = TireInputs(sigma_x=1e-6, fz=LOAD, v=20.0)

@@ -54,11 +54,14 @@ def test_the_car_moves_as_scipy_integrates_it():
         spin = CAR.radius * along - np.array([front, front, rear, rear])
         rolled = CAR.height * left.sum() - moment
         return [
-            a_x + v_y * r, a_y - v_x * r,
+            a_x + v_y * r,
+            a_y - v_x * r,
             np.sum(arms * left - tracks * ahead) / CAR.yaw_inertia,
-            *(spin / CAR.wheel_inertia), p, rolled / CAR.roll_inertia,
+            *(spin / CAR.wheel_inertia),
+            p,
+            rolled / CAR.roll_inertia,
             (-a_x - lag) / 0.1,
-        ]  # fmt: skip
+        ]
 
     start = [25.0, 0, 0, *[25 / CAR.radius] * 4, 0, 0, 0]
     peer = solve_ivp(rate, (0, 0.6), start, "LSODA", [0.2, 0.6], rtol=1e-6, atol=1e-8)
@@ -83,8 +86,9 @@ def test_forces_and_motion_balance():
     course = truth["heading"] + np.arctan(truth["v_y"] / truth["v"])
     np.testing.assert_allclose(
         (np.gradient(truth["y"], time) / np.gradient(truth["x"], time))[inner],
-        np.tan(course)[inner], atol=1e-4,
-    )  # fmt: skip
+        np.tan(course)[inner],
+        atol=1e-4,
+    )
 
 
 def test_noise_is_as_stated_and_of_the_seed():

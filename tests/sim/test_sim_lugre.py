@@ -52,9 +52,14 @@ def by_scipy(rate, start, time, **options):
     """States (t, ...) of a SciPy integration, no step longer than 1 ms."""
     options = {"rtol": 1e-9, "atol": 1e-12} | options
     found = solve_ivp(
-        lambda t, z: rate(t, z.reshape(start.shape)).ravel(), (time[0], time[-1]),
-        start.ravel(), "LSODA", time, max_step=1e-3, **options,
-    )  # fmt: skip
+        lambda t, z: rate(t, z.reshape(start.shape)).ravel(),
+        (time[0], time[-1]),
+        start.ravel(),
+        "LSODA",
+        time,
+        max_step=1e-3,
+        **options,
+    )
     assert found.success
     return found.y.T.reshape(-1, *start.shape)
 
@@ -126,9 +131,8 @@ def test_lumped_approaches_exponentially():
 def test_lumped_is_scipy():
     time, motion = course(0.3)
     mean = by_scipy(
-        lambda t, z: give(z, at(time, motion, t)[0]), np.zeros(2), time,
-        rtol=1e-10, atol=1e-13,
-    )  # fmt: skip
+        lambda t, z: give(z, at(time, motion, t)[0]), np.zeros(2), time, rtol=1e-10, atol=1e-13
+    )
     found = stacked(simulate(TIRE, LUMPED, time, motion).forces)
     np.testing.assert_allclose(found, force_of(mean, time, motion), atol=1e-6 * LOAD)
 
@@ -165,9 +169,7 @@ def test_each_bristle_is_followed():
     for k, allowed in {0: 2e-4, 3: 2e-5, 6: 2e-4, 11: 2e-5, 15: 2e-6}.items():
         entry = entry_time(time, motion, time[-1], bristles.place[k])
         inside = np.concatenate([[entry], time[time > entry]])
-        followed = by_scipy(
-            lambda t, z: give(z, at(time, motion, t)[0]), np.zeros(2), inside
-        )[-1]
+        followed = by_scipy(lambda t, z: give(z, at(time, motion, t)[0]), np.zeros(2), inside)[-1]
         np.testing.assert_allclose(found[k], followed, rtol=0, atol=allowed * largest)
 
 
@@ -202,9 +204,7 @@ def test_balance_of_the_patch_is_exact():
     rate = bristles.weight @ bristle_rate(TIRE, bristles, z, now)
     mean = bristles.weight @ z
     carried = 15.0 / TIRE.length * z[-1]
-    np.testing.assert_allclose(
-        rate, give(mean, np.array([0.7, -0.4])) - carried, rtol=1e-11
-    )
+    np.testing.assert_allclose(rate, give(mean, np.array([0.7, -0.4])) - carried, rtol=1e-11)
 
 
 def test_locked_wheel_deflects_evenly():
@@ -235,12 +235,11 @@ def test_goes_on_from_where_it_was():
     fine = np.sort(np.concatenate([time[20:], (time[20:40] + time[21:41]) / 2]))
     rest = Contact(
         np.stack([np.interp(fine, time, x) for x in motion.sliding.T], -1),
-        np.interp(fine, time, motion.rolling), np.interp(fine, time, motion.fz),
-    )  # fmt: skip
-    found = simulate(TIRE, distributed(), fine, rest, initial=start)
-    np.testing.assert_allclose(
-        found.deflection[-1], whole.deflection[-1], rtol=0, atol=1e-9
+        np.interp(fine, time, motion.rolling),
+        np.interp(fine, time, motion.fz),
     )
+    found = simulate(TIRE, distributed(), fine, rest, initial=start)
+    np.testing.assert_allclose(found.deflection[-1], whole.deflection[-1], rtol=0, atol=1e-9)
 
 
 def test_a_short_pulse_is_not_stepped_over():
@@ -248,9 +247,7 @@ def test_a_short_pulse_is_not_stepped_over():
     time[31] = time[30] + 1e-4
     sliding = np.zeros((N, 2))
     sliding[30, 0] = 3.0
-    found = simulate(
-        TIRE, LUMPED, time, Contact(sliding, np.full(N, 20.0), np.full(N, LOAD))
-    )
+    found = simulate(TIRE, LUMPED, time, Contact(sliding, np.full(N, 20.0), np.full(N, LOAD)))
     # The pulse's ramp up is 0.1 s long; its force is that of sliding at 3 m/s.
     assert float(found.forces.fx[30]) > 0.8 * LOAD * float(TIRE.level(3.0))
     assert float(found.forces.fx[29]) == 0
@@ -260,9 +257,7 @@ def test_contact_is_the_kinematics_of_slip():
     found = contact(TireInputs(np.array([0.25, -0.2]), np.array([0.0, 0.1]), LOAD, 20))
     np.testing.assert_allclose(found.rolling, [16.0, 25.0], rtol=1e-15)
     # v_sx = v_x - Omega R_e, v_sy = v_x tan(alpha).
-    np.testing.assert_allclose(
-        found.sliding, [[4.0, 0.0], [-5.0, 20 * np.tan(0.1)]], rtol=1e-14
-    )
+    np.testing.assert_allclose(found.sliding, [[4.0, 0.0], [-5.0, 20 * np.tan(0.1)]], rtol=1e-14)
     np.testing.assert_array_equal(found.fz, [LOAD, LOAD])
 
 
@@ -296,9 +291,7 @@ def test_forward_gradient_in_the_parameters():
     _, found = jax.jvp(lambda x: work(x, LUMPED, **options), (tire,), (tire,))
     expected = sum(
         x * slope
-        for x, slope in zip(
-            jax.tree.leaves(TIRE), central_differences(LUMPED), strict=True
-        )
+        for x, slope in zip(jax.tree.leaves(TIRE), central_differences(LUMPED), strict=True)
     )
     np.testing.assert_allclose(float(found), expected, rtol=1e-5)
 

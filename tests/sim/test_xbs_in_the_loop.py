@@ -31,9 +31,7 @@ def stops(plant, controller, sensors, samples, queue):
     keys = jax.vmap(jax.random.key)(jnp.arange(STOPS))
     speed = jnp.asarray(SPEED)
     return jax.vmap(
-        lambda key: simulate_stop(
-            plant, controller, sensors, speed, key, samples, queue
-        )
+        lambda key: simulate_stop(plant, controller, sensors, speed, key, samples, queue)
     )(keys)
 
 
@@ -69,9 +67,13 @@ def estimates(record, speeds):
 # Near the peak the road moves k itself, and what is soft is loud: the bias grows there.
 @pytest.mark.parametrize(
     ("pressure", "use", "low", "high"),
-    [(0.5e6, 0.14, 0.8, 1.15), (1.5e6, 0.41, 0.8, 1.1), (2.5e6, 0.69, 0.8, 1.1),
-     (3e6, 0.83, 0.75, 1.05)],
-)  # fmt: skip
+    [
+        (0.5e6, 0.14, 0.8, 1.15),
+        (1.5e6, 0.41, 0.8, 1.1),
+        (2.5e6, 0.69, 0.8, 1.1),
+        (3e6, 0.83, 0.75, 1.05),
+    ],
+)
 def test_the_estimate_is_the_slope_of_the_tire_over_the_slip(pressure, use, low, high):
     used, true, value, std = under_pressure(pressure)
     assert abs(used[:, 300:].mean() - use) < 0.03
@@ -92,9 +94,7 @@ def test_under_the_deceleration_servo_the_estimate_is_that_of_the_tire(start, ex
     settings |= {"quiet": 0.0, "low": 2.0, "high": 20.0, "forgetting": 0.99}
     servo = controller_of("xbs-servo", known_to_controllers(asked), settings)
     servo = dataclasses.replace(servo, speed_noise=jnp.asarray(NOISE))
-    log = stops(
-        plant_of(asked), jax.tree.map(jnp.asarray, servo), arrays(SENSORS), 500, 2
-    )
+    log = stops(plant_of(asked), jax.tree.map(jnp.asarray, servo), arrays(SENSORS), 500, 2)
     use = (log.contacts.fx / log.contacts.fz / log.reading.truth.mu)[..., 0]
     late = np.s_[:, 300:]
     true, value = (np.asarray(x)[..., 0] for x in (log.xbs_true, log.info["xbs"]))
@@ -111,9 +111,7 @@ USUAL = with_values(MODELS["brush-m"], {"cpa2": 4e4, "m": 0.5})
 def braked(name, road):
     """Numbers of 24 stops from 15 m/s."""
     # One time limit, so that one program serves all roads.
-    asked = Request(
-        USUAL, "brush-m", road=road, speed=15.0, vehicle="quarter", time_limit=7.0
-    )
+    asked = Request(USUAL, "brush-m", road=road, speed=15.0, vehicle="quarter", time_limit=7.0)
     controller = controller_of(name, known_to_controllers(asked))
     plant = plant_of(asked)
     plants = jax.tree.map(lambda x: jnp.repeat(x[None], 24, 0), plant)

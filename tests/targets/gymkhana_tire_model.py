@@ -62,9 +62,7 @@ def formula_longitudinal(kappa, gamma, F_z, params: dict):
 
     # magic tire formula
     return D_x * np.sin(
-        C_x
-        * np.arctan(B_x * kappa_x - E_x * (B_x * kappa_x - np.arctan(B_x * kappa_x)))
-        + S_vx
+        C_x * np.arctan(B_x * kappa_x - E_x * (B_x * kappa_x - np.arctan(B_x * kappa_x))) + S_vx
     )
 
 
@@ -102,12 +100,7 @@ def formula_lateral(alpha, gamma, F_z, params: dict):
     # magic tire formula
     F_y = (
         D_y
-        * np.sin(
-            C_y
-            * np.arctan(
-                B_y * alpha_y - E_y * (B_y * alpha_y - np.arctan(B_y * alpha_y))
-            )
-        )
+        * np.sin(C_y * np.arctan(B_y * alpha_y - E_y * (B_y * alpha_y - np.arctan(B_y * alpha_y))))
         + S_vy
     )
 
@@ -150,8 +143,7 @@ def formula_longitudinal_comb(kappa, alpha, F0_x, params: dict):
     return D_xalpha * np.cos(
         C_xalpha
         * np.arctan(
-            B_xalpha * alpha_s
-            - E_xalpha * (B_xalpha * alpha_s - np.arctan(B_xalpha * alpha_s))
+            B_xalpha * alpha_s - E_xalpha * (B_xalpha * alpha_s - np.arctan(B_xalpha * alpha_s))
         )
     )
 
@@ -192,10 +184,7 @@ def formula_lateral_comb(kappa, alpha, gamma, mu_y, F_z, F0_y, params: dict):
     )
 
     D_vykappa = (
-        mu_y
-        * F_z
-        * (tire_r_vy1 + tire_r_vy3 * gamma)
-        * np.cos(np.arctan(tire_r_vy4 * alpha))
+        mu_y * F_z * (tire_r_vy1 + tire_r_vy3 * gamma) * np.cos(np.arctan(tire_r_vy4 * alpha))
     )
     S_vykappa = D_vykappa * np.sin(tire_r_vy5 * np.arctan(tire_r_vy6 * kappa))
 
@@ -205,8 +194,7 @@ def formula_lateral_comb(kappa, alpha, gamma, mu_y, F_z, F0_y, params: dict):
         * np.cos(
             C_ykappa
             * np.arctan(
-                B_ykappa * kappa_s
-                - E_ykappa * (B_ykappa * kappa_s - np.arctan(B_ykappa * kappa_s))
+                B_ykappa * kappa_s - E_ykappa * (B_ykappa * kappa_s - np.arctan(B_ykappa * kappa_s))
             )
         )
         + S_vykappa

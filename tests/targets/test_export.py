@@ -35,10 +35,12 @@ SOURCES = ["brush", "brush-dmh", "brush-d-force", "lugre", "liu-peng", MF61]
 KAPPA, ALPHA, LOAD = (
     axis.ravel()
     for axis in np.meshgrid(
-        [-0.95, -0.2, -0.03, 0.0, 0.01, 0.1, 2.0], [-0.4, -0.05, 0.0, 0.02, 0.3],
-        [500.0, 4000.0, 9000.0], indexing="ij",
+        [-0.95, -0.2, -0.03, 0.0, 0.01, 0.1, 2.0],
+        [-0.4, -0.05, 0.0, 0.02, 0.3],
+        [500.0, 4000.0, 9000.0],
+        indexing="ij",
     )
-)  # fmt: skip
+)
 """Grid of slip, angle and load in the signs of ISO-W."""
 SPEED, CAMBER, PRESSURE = 12.0, 0.03, 2.1e5
 
@@ -49,9 +51,7 @@ def model_of(source):
 
 def own(source):
     """Our forces (n, 2) on the grid, in the signs of ISO-W."""
-    given = TireInputs(
-        sigma_from_kappa(-KAPPA), ALPHA, LOAD, SPEED, CAMBER, PRESSURE, 0.0
-    )
+    given = TireInputs(sigma_from_kappa(-KAPPA), ALPHA, LOAD, SPEED, CAMBER, PRESSURE, 0.0)
     found = forces(model_of(source), given)
     return -np.stack([found.fx, found.fy], axis=1)
 
@@ -59,9 +59,13 @@ def own(source):
 def inputs_of(source):
     """The grid's arguments of an exported function."""
     known = {
-        "kappa": KAPPA, "alpha": ALPHA, "fz": LOAD, "v": np.full_like(LOAD, SPEED),
-        "gamma": np.full_like(LOAD, CAMBER), "pressure": np.full_like(LOAD, PRESSURE),
-    }  # fmt: skip
+        "kappa": KAPPA,
+        "alpha": ALPHA,
+        "fz": LOAD,
+        "v": np.full_like(LOAD, SPEED),
+        "gamma": np.full_like(LOAD, CAMBER),
+        "pressure": np.full_like(LOAD, PRESSURE),
+    }
     return [known[name] for name in tire_of(source).program("iso-w").inputs]
 
 
@@ -116,8 +120,9 @@ def built(path, folder, single, *flags):
     source = folder / f"use{single}.c"
     args = [
         line.split("(")[1].split(", tirefit_real force")[0]
-        for line in path.read_text().splitlines() if "INLINE void tire(" in line
-    ][0]  # fmt: skip
+        for line in path.read_text().splitlines()
+        if "INLINE void tire(" in line
+    ][0]
     names = [one.split()[-1] for one in args.split(", ")]
     given = ", ".join(names)
     source.write_text(
@@ -130,9 +135,7 @@ def built(path, folder, single, *flags):
     library = folder / f"lib{single}.so"
     command = ["cc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-shared"]
     command += ["-fPIC", *(["-DTIREFIT_SINGLE"] if single else []), *flags]
-    subprocess.run(
-        [*command, "-o", library, source, "-lm"], check=True, capture_output=True
-    )
+    subprocess.run([*command, "-o", library, source, "-lm"], check=True, capture_output=True)
     return ctypes.CDLL(str(library)), len(names)
 
 
@@ -159,9 +162,7 @@ def test_c_gives_our_forces_and_slopes(source, single, flags, tmp_path):
     tire = model_of(source)
 
     def fy(alpha, k):
-        at = TireInputs(
-            sigma_from_kappa(-KAPPA[k]), alpha, LOAD[k], SPEED, CAMBER, PRESSURE
-        )
+        at = TireInputs(sigma_from_kappa(-KAPPA[k]), alpha, LOAD[k], SPEED, CAMBER, PRESSURE)
         return -tire(at).fy
 
     for k in (10, 40, 77):
@@ -175,15 +176,12 @@ def test_c_gives_our_forces_and_slopes(source, single, flags, tmp_path):
 def test_test_vectors_of_the_header_are_our_forces(convention, tmp_path):
     tirefit.export("brush", "c", tmp_path / "tire.h", convention=convention)
     signs = CONVENTIONS[convention]
-    lines = [
-        line for line in (tmp_path / "tire.h").read_text().splitlines() if "->" in line
-    ]
+    lines = [line for line in (tmp_path / "tire.h").read_text().splitlines() if "->" in line]
     assert len(lines) == 4
     for line in lines:
         told = dict(
-            pair.split("=") for half in line.strip(" *").split(" -> ")
-            for pair in half.split(", ")
-        )  # fmt: skip
+            pair.split("=") for half in line.strip(" *").split(" -> ") for pair in half.split(", ")
+        )
         at = {name: float(x) for name, x in told.items()}
         slip = sigma_from_kappa(-at["kappa"])
         given = TireInputs(slip, signs.alpha * at["alpha"], signs.fz * at["fz"])
@@ -271,10 +269,7 @@ def test_a_fit_of_braking_states_its_range_in_the_signs_of_the_file(tmp_path):
 
 
 def test_a_fitted_magic_formula_is_exported_from_memory_and_from_its_file(tmp_path):
-    angle, load = (
-        np.tile(np.linspace(-0.2, 0.2, 41), 2),
-        np.repeat([3000.0, 6000.0], 41),
-    )
+    angle, load = (np.tile(np.linspace(-0.2, 0.2, 41), 2), np.repeat([3000.0, 6000.0], 41))
     given = TireInputs(0.0, angle, load)
     force = np.asarray(forces(model_of(MF61), given).fy)
     force = force + 20 * np.random.default_rng(1).standard_normal(82)

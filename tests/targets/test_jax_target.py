@@ -45,17 +45,18 @@ def test_a_process_without_tirefit_has_our_forces_and_slopes(source, tmp_path):
     at = known | {"pressure": 2.1e5}
     given = json.dumps([at[name] for name in names.split(", ")])
     done = subprocess.run(
-        [sys.executable, "-c", _USE, given], cwd=tmp_path, capture_output=True,
-        text=True, env={"PATH": "", "JAX_PLATFORMS": "cpu"},
-    )  # fmt: skip
+        [sys.executable, "-c", _USE, given],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        env={"PATH": "", "JAX_PLATFORMS": "cpu"},
+    )
     assert done.returncode == 0, done.stderr
     found, slope = json.loads(done.stdout)
     tir = source.endswith(".tir")
     tire = own_tire(read_tir(source)) if tir else MODELS[source]
     kappa, alpha = np.meshgrid(KAPPA, ALPHA, indexing="ij")
-    inputs = TireInputs(
-        sigma_from_kappa(-kappa.ravel()), alpha.ravel(), LOAD, 12.0, 0.03, 2.1e5
-    )
+    inputs = TireInputs(sigma_from_kappa(-kappa.ravel()), alpha.ravel(), LOAD, 12.0, 0.03, 2.1e5)
     wanted = forces(tire, inputs)
     for ours, theirs in zip((wanted.fx, wanted.fy), found, strict=False):
         assert np.max(np.abs(-np.asarray(ours) - np.ravel(theirs))) < 1e-12 * LOAD

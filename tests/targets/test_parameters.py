@@ -37,10 +37,12 @@ def std_forces(formulas, p, kappa, alpha, load=LOAD):
     for s, angle in zip(-kappa, alpha, strict=True):
         along = formulas.formula_longitudinal(s, 0, load, p)
         across, mu = formulas.formula_lateral(angle, 0, load, p)
-        found.append((
-            formulas.formula_longitudinal_comb(s, angle, along, p),
-            formulas.formula_lateral_comb(s, angle, 0, mu, load, across, p),
-        ))  # fmt: skip
+        found.append(
+            (
+                formulas.formula_longitudinal_comb(s, angle, along, p),
+                formulas.formula_lateral_comb(s, angle, 0, mu, load, across, p),
+            )
+        )
     return np.array(found).T / load
 
 
@@ -54,9 +56,7 @@ def test_commonroad_gives_our_forces_within_the_stated_miss(source, tmp_path):
     tire = commonroad(path).tire
     misses = {}
     for kind, at in grids().items():
-        misses[kind] = largest(
-            std_forces(tire_model, tire, *at) - own(source, *at), kind
-        )
+        misses[kind] = largest(std_forces(tire_model, tire, *at) - own(source, *at), kind)
     exact = ("fx", "fy") if source.startswith("magic") else ()
     held(misses, done.notes, exact)
     assert done.shape.sound
@@ -195,9 +195,7 @@ def test_slipx_has_the_relaxation_length(tmp_path, vehicle):
     slipx, spec, _ = slipx_tyre(path, tmp_path)
     assert spec.sigma == 0.06
     car = slipx.load_car(tmp_path / "car")
-    assert (
-        car.params_for_tier(slipx.Tier.L2_DoubleTrack).tyre_front.relax_length == 0.06
-    )
+    assert car.params_for_tier(slipx.Tier.L2_DoubleTrack).tyre_front.relax_length == 0.06
 
 
 def test_slipx_falls_with_load_as_the_tire_does(tmp_path):
@@ -232,9 +230,10 @@ def test_gazebo_has_slope_and_peak(tmp_path, vehicle):
     done = tirefit.export("brush", "gazebo", path, values=SMALL, vehicle=vehicle)
     root = ElementTree.fromstring(path.read_text())
     number = {
-        one.tag: float(one.text) for one in root.iter()
+        one.tag: float(one.text)
+        for one in root.iter()
         if one.text and one.text.strip() and one.tag != "fdir1"
-    }  # fmt: skip
+    }
     load = number["wheel_normal_force"]
     assert load == pytest.approx(3.5 * 9.80665 / 4)
     assert number["wheel_radius"] == 0.05
@@ -259,9 +258,7 @@ def test_gazebo_has_slope_and_peak(tmp_path, vehicle):
 class Parameter:
     """The interface of ``mujoco.sysid.Parameter`` of mujoco 4.0.0."""
 
-    def __init__(
-        self, name, nominal, min_value, max_value, frozen=False, modifier=None
-    ):
+    def __init__(self, name, nominal, min_value, max_value, frozen=False, modifier=None):
         self.name, self.bounds, self.modifier = name, (min_value, max_value), modifier
         self.value = np.atleast_1d(nominal)
 
@@ -274,9 +271,7 @@ def test_mujoco_has_our_forces_and_a_friction_for_sysid(tmp_path, monkeypatch):
     scope = {}
     exec(path.read_text(), scope)
     found = scope["tire"](np.array([0.02, 0.1]), np.array([0.01, -0.05]), LOAD)[:2]
-    wanted = own(
-        tire_of("brush", {"mu": 0.7}).model, *np.array([[0.02, 0.1], [0.01, -0.05]])
-    )
+    wanted = own(tire_of("brush", {"mu": 0.7}).model, *np.array([[0.02, 0.1], [0.01, -0.05]]))
     assert np.max(np.abs(np.stack(found) / LOAD - wanted)) < 1e-12
     geoms = {"left": SimpleNamespace(friction=[1.0, 0.005, 1e-4])}
     (parameter,) = scope["sysid_parameters"](["left"]).values()

@@ -48,17 +48,13 @@ def test_a_tire_without_the_force_or_with_none_in_the_range_is_refused(tmp_path)
     with pytest.raises(UsageError, match="not finite within the range"):
         tirefit.export(Broken(), "forzaeth", path)
     assert not list(tmp_path.iterdir())
-    done = tirefit.export(
-        Broken(), "commonroad", path, over={"alpha": (-0.1, 0.1)}, force=True
-    )
+    done = tirefit.export(Broken(), "commonroad", path, over={"alpha": (-0.1, 0.1)}, force=True)
     assert any("no fx: that of the other axis" in note for note in done.notes)
 
 
 def test_the_file_states_range_miss_errors_and_loss_first(tmp_path):
     angle = np.linspace(-0.15, 0.15, 60)
-    force = np.asarray(
-        forces(tire_of("brush").model, TireInputs(0.0, angle, 3000.0)).fy
-    )
+    force = np.asarray(forces(tire_of("brush").model, TireInputs(0.0, angle, 3000.0)).fy)
     force = force + 20 * np.random.default_rng(1).standard_normal(60)
     data = {"alpha": angle, "fz": np.full(60, 3000.0), "fy": force}
     fit = tirefit.fit(data, "brush")
@@ -72,11 +68,7 @@ def test_the_file_states_range_miss_errors_and_loss_first(tmp_path):
     line = next(one for one in head if "cpa2 = " in one)
     std = fit.least_squares["cpa2"].std
     assert float(line.split("+-")[1].split()[0]) == pytest.approx(std, rel=0.06)
-    for part in (
-        "mz of the tire has no place",
-        "fx was not fitted",
-        "positive when braking",
-    ):
+    for part in ("mz of the tire has no place", "fx was not fitted", "positive when braking"):
         assert any(part in line for line in head)
 
 
@@ -99,9 +91,7 @@ def test_missing_data_of_the_vehicle_are_named(tmp_path, vehicle):
     for part in ("vehicle.toml", "'h_cg'", "'wheel_radius'", "add h_cg"):
         assert part in done.stderr
     vehicle.write_text(WHOLE)
-    done = ran(
-        "magic-formula", "--to", "commonroad", "--vehicle", vehicle, "--out", path
-    )
+    done = ran("magic-formula", "--to", "commonroad", "--vehicle", vehicle, "--out", path)
     assert done.exit_code == 0
     p = commonroad(path)
     found = (p.m, p.a, p.b, p.I_z, p.h_s, p.R_w)

@@ -19,17 +19,20 @@ from tirefit.slip import sigma_from_kappa
 
 TIR = Path("tests/data/tir/mfeval_julia")
 WHEEL = {
-    "mass": 9.0, "ixx": 0.4, "iyy": 0.7, "vertical_stiffness": 2e5,
-    "vertical_damping": 50.0, "width": 0.2,
-}  # fmt: skip
+    "mass": 9.0,
+    "ixx": 0.4,
+    "iyy": 0.7,
+    "vertical_stiffness": 2e5,
+    "vertical_damping": 50.0,
+    "width": 0.2,
+}
 
 KAPPA, ALPHA, LOAD = (
     axis.ravel()
     for axis in np.meshgrid(
-        [-0.3, -0.02, 0.0, 0.05, 0.4], [-0.2, 0.0, 0.03], [2e3, 5e3, 9e3],
-        indexing="ij",
+        [-0.3, -0.02, 0.0, 0.05, 0.4], [-0.2, 0.0, 0.03], [2e3, 5e3, 9e3], indexing="ij"
     )
-)  # fmt: skip
+)
 
 
 def given_by(tire, kappa=KAPPA, alpha=ALPHA, load=LOAD):
@@ -59,10 +62,7 @@ def test_values_that_are_set_are_in_the_file(tmp_path):
 
 
 def test_a_fitted_magic_formula_keeps_errors_and_range(tmp_path):
-    angle, load = (
-        np.tile(np.linspace(-0.2, 0.2, 41), 2),
-        np.repeat([3000.0, 6000.0], 41),
-    )
+    angle, load = (np.tile(np.linspace(-0.2, 0.2, 41), 2), np.repeat([3000.0, 6000.0], 41))
     source = own_tire(read_tir(TIR / "MagicFormula61_Parameters.tir"))
     force = np.asarray(forces(source, TireInputs(0.0, angle, load)).fy)
     force = force + 20 * np.random.default_rng(1).standard_normal(82)
@@ -121,14 +121,10 @@ def test_what_a_tir_cannot_hold_is_refused_and_nothing_is_written(tmp_path):
 
 
 @pytest.mark.parametrize("model", ["mf52", "mf61", "mf62"])
-def test_the_reduced_form_has_the_slopes_and_the_limit_in_every_version(
-    model, tmp_path
-):
+def test_the_reduced_form_has_the_slopes_and_the_limit_in_every_version(model, tmp_path):
     path, values = tmp_path / "t.tir", {"cpa2": 3e4, "mu": 0.4}
     wheel = {"radius": 0.3}
-    tirefit.export(
-        "brush", "tir", path, values=values, model=model, wheel=wheel, force=True
-    )
+    tirefit.export("brush", "tir", path, values=values, model=model, wheel=wheel, force=True)
     read = read_tir(path)
     tire, fz = own_tire(read), read.numbers["FNOMIN"]
     assert read.version == f"{model[2]}.{model[3]}"
@@ -204,10 +200,8 @@ def of_chrono(values, kappa, alpha, fz):
     byk = p["RBY1"] * np.cos(arctan(p["RBY2"] * (alpha - p["RBY3"])))
     gx, gy = (
         np.cos(c * arctan(b * (s + h))) / np.cos(c * arctan(b * h))
-        for c, b, s, h in (
-            (p["RCX1"], bxa, alpha, p["RHX1"]), (p["RCY1"], byk, kappa, p["RHY1"]),
-        )
-    )  # fmt: skip
+        for c, b, s, h in ((p["RCX1"], bxa, alpha, p["RHX1"]), (p["RCY1"], byk, kappa, p["RHY1"]))
+    )
     induced = dy * (p["RVY1"] + p["RVY2"] * dfz) * np.cos(arctan(p["RVY4"] * alpha))
     return fx * gx, fy * gy + induced * np.sin(p["RVY5"] * arctan(p["RVY6"] * kappa))
 
@@ -234,8 +228,11 @@ def test_chrono_reads_the_pair_and_has_our_forces(tmp_path):
     assert float(values["VERTICAL", "VERTICAL_STIFFNESS"]) == 2e5
     tire = own_tire(read_tir(source), values=unread)
     for kappa, alpha, fz in (
-        (0.02, 0.0, 9e3), (0.0, 0.05, 5e3), (-0.04, 0.03, 12e3), (0.05, -0.1, 9e3),
-    ):  # fmt: skip
+        (0.02, 0.0, 9e3),
+        (0.0, 0.05, 5e3),
+        (-0.04, 0.03, 12e3),
+        (0.05, -0.1, 9e3),
+    ):
         wanted = given_by(tire, np.array([kappa]), np.array([alpha]), np.array([fz]))
         found = of_chrono(values, kappa, alpha, fz)
         assert np.max(np.abs(found - wanted[0])) < 1e-4 * fz

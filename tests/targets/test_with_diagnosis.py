@@ -101,9 +101,11 @@ def test_an_offset_of_a_sensor_and_a_lag_change_no_force(tmp_path):
 def test_a_pure_formula_is_combined_before_its_effects(tmp_path):
     own = parameter_values(MagicFormula())
     said = document(
-        tmp_path / "run.json", ("load_friction", "power", POWER),
-        model="magic-formula", parameters=own,
-    )  # fmt: skip
+        tmp_path / "run.json",
+        ("load_friction", "power", POWER),
+        model="magic-formula",
+        parameters=own,
+    )
     path = tmp_path / "tire.py"
     done = tirefit.export("magic-formula", "numpy", path, diagnosis=said)
     assert any("combined" in note for note in done.notes)
@@ -129,9 +131,11 @@ def test_a_tir_holds_the_parameters_and_says_what_its_effects_lose(tmp_path):
     source = "tests/data/tir/mfeval_julia/MagicFormula61_Parameters.tir"
     given = read_tir(source)
     said = document(
-        tmp_path / "run.json", ("load_friction", "power", -0.03),
-        parameters={"LMUX": 0.8}, simulator={"kind": "tir"},
-    )  # fmt: skip
+        tmp_path / "run.json",
+        ("load_friction", "power", -0.03),
+        parameters={"LMUX": 0.8},
+        simulator={"kind": "tir"},
+    )
     path = tmp_path / "t.tir"
     done = tirefit.export(source, "tir", path, diagnosis=said)
     assert read_tir(path).numbers["LMUX"] == 0.8

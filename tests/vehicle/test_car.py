@@ -28,18 +28,21 @@ def slopes(time, state, speed, angle):
     wheelbase = L_F + L_R
     forces = []
     for (c, mu), arm, steer, other in (
-        (TIRES["front"], L_F, delta, L_R), (TIRES["rear"], -L_R, 0.0, L_F),
-    ):  # fmt: skip
+        (TIRES["front"], L_F, delta, L_R),
+        (TIRES["rear"], -L_R, 0.0, L_F),
+    ):
         slip = np.arctan2(v_y + arm * turn, v_x) - steer
         fz = MASS * GRAVITY * other / wheelbase
         size = brush(np.tan(abs(slip)), fz, v_x, c, mu)
         forces.append(-np.sign(slip) * size)
     front, rear = forces[0] * np.cos(delta), forces[1]
     return [
-        (front + rear) / MASS - v_x * turn, (L_F * front - L_R * rear) / INERTIA, turn,
+        (front + rear) / MASS - v_x * turn,
+        (L_F * front - L_R * rear) / INERTIA,
+        turn,
         v_x * np.cos(heading) - v_y * np.sin(heading),
         v_x * np.sin(heading) + v_y * np.cos(heading),
-    ]  # fmt: skip
+    ]
 
 
 def test_a_second_ahead_is_that_of_scipy():
@@ -50,14 +53,17 @@ def test_a_second_ahead_is_that_of_scipy():
         car(), State(*start), jnp.asarray(v_x), jnp.asarray(steering), STEP, 4
     )
     true = solve_ivp(
-        slopes, (0, time[-1]), start, t_eval=time, rtol=1e-10, atol=1e-10,
+        slopes,
+        (0, time[-1]),
+        start,
+        t_eval=time,
+        rtol=1e-10,
+        atol=1e-10,
         max_step=STEP / 4,
         args=[lambda t: 3.0 + 0.5 * t, lambda t: 0.5 * np.sin(4 * t)],
-    )  # fmt: skip
-    # At first the rear slides.
-    full = (
-        1.5 * TIRES["rear"][1] * MASS * GRAVITY * L_F / (L_F + L_R) / TIRES["rear"][0]
     )
+    # At first the rear slides.
+    full = 1.5 * TIRES["rear"][1] * MASS * GRAVITY * L_F / (L_F + L_R) / TIRES["rear"][0]
     assert abs(start[0] - L_R * start[1]) / v_x[0] > full
     np.testing.assert_allclose(np.stack(found), true.y, atol=2e-5)
 
@@ -76,17 +82,14 @@ def test_steady_cornering_of_linear_tires_is_the_understeer_gradient():
 def test_the_fastest_rate_is_that_of_the_linear_car():
     front, rear, speed = 5.0, 7.0, 1.5
     linear = Car(LinearTire(front), LinearTire(rear), MASS, INERTIA, L_F, L_R, GRAVITY)
-    ahead, behind = (
-        load * s for load, s in zip(linear.loads, (front, rear), strict=True)
-    )
-    matrix = -np.array([
-        [(ahead + behind) / MASS, (L_F * ahead - L_R * behind) / MASS],
-        [(L_F * ahead - L_R * behind) / INERTIA,
-         (L_F**2 * ahead + L_R**2 * behind) / INERTIA],
-    ]) / speed - np.array([[0, speed], [0, 0]])  # fmt: skip
-    assert stiffest(linear, speed) == pytest.approx(
-        np.abs(np.linalg.eigvals(matrix)).max()
-    )
+    ahead, behind = (load * s for load, s in zip(linear.loads, (front, rear), strict=True))
+    matrix = -np.array(
+        [
+            [(ahead + behind) / MASS, (L_F * ahead - L_R * behind) / MASS],
+            [(L_F * ahead - L_R * behind) / INERTIA, (L_F**2 * ahead + L_R**2 * behind) / INERTIA],
+        ]
+    ) / speed - np.array([[0, speed], [0, 0]])
+    assert stiffest(linear, speed) == pytest.approx(np.abs(np.linalg.eigvals(matrix)).max())
 
 
 def test_the_forces_are_those_that_derive_finds():

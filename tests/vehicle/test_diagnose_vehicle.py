@@ -18,9 +18,13 @@ from tirefit.vehicle.car import cubic, delayed, lagged, with_play
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples, Setting
 
 FEW = (
-    "steering_ratio", "steering_delay", "yaw_inertia", "bank", "steering_offset",
+    "steering_ratio",
+    "steering_delay",
+    "yaw_inertia",
+    "bank",
+    "steering_offset",
     "relaxation_length",
-)  # fmt: skip
+)
 LIBRARY = tuple(effect for effect in CAR_EFFECTS if effect.id in FEW)
 DELAY = 0.08
 
@@ -36,9 +40,7 @@ def logged(folder, effect, size, number=5, off=1.1):
 
 @pytest.fixture(scope="module")
 def late(tmp_path_factory):
-    log, vehicle, tires = logged(
-        tmp_path_factory.mktemp("late"), "steering_delay", DELAY
-    )
+    log, vehicle, tires = logged(tmp_path_factory.mktemp("late"), "steering_delay", DELAY)
     return log, vehicle, tires
 
 
@@ -80,9 +82,7 @@ def test_a_replay_with_the_effects_comes_to_the_noise(late, found, tmp_path):
     log, vehicle, tires = late
     found.save(tmp_path)
     given = tmp_path / "vehicle_diagnosis.json"
-    replayed = tirefit.replay(
-        [log], vehicle, *tires, horizons=(0.5, 1.0), effects=given
-    )
+    replayed = tirefit.replay([log], vehicle, *tires, horizons=(0.5, 1.0), effects=given)
     rms = {name: errors.rms() for name, errors in replayed.models.items()}
     for quantity in ("yaw_rate", "lateral"):
         for k in (0, 1):
@@ -128,9 +128,16 @@ def test_an_unknown_effect_and_a_log_without_windows_are_told(late):
 @pytest.mark.parametrize("effect", CAR_EFFECTS, ids=lambda effect: effect.id)
 def test_an_amplitude_of_zero_changes_nothing_and_another_does(effect):
     rows = Samples(
-        speed=1.1, along=0.2, across=0.4, turn=0.3, time=0.25, heading=0.7,
-        weight=1e4, wheelbase=2.5, sliding=jnp.array([0.2, 0.1]),
-    )  # fmt: skip
+        speed=1.1,
+        along=0.2,
+        across=0.4,
+        turn=0.3,
+        time=0.25,
+        heading=0.7,
+        weight=1e4,
+        wheelbase=2.5,
+        sliding=jnp.array([0.2, 0.1]),
+    )
     for constants in effect.variants:
         numbers = [
             np.hstack([*map(np.ravel, np.atleast_1d(part))])
@@ -138,9 +145,7 @@ def test_an_amplitude_of_zero_changes_nothing_and_another_does(effect):
             for part in [
                 [
                     float(x)
-                    for name, x in _leaves(
-                        effect.change(Setting(), size, constants, rows)
-                    )
+                    for name, x in _leaves(effect.change(Setting(), size, constants, rows))
                     if "sliding" not in name
                 ]
             ]

@@ -57,15 +57,18 @@ def drive(tmp_path_factory):
     time = np.arange(0, 14, 0.01)
     for name, delay in (("exact", 0.0), ("late", LATE)):
         true = solve_ivp(
-            slopes, (0, time[-1]), np.zeros(5), t_eval=time, rtol=1e-9, atol=1e-9,
-            max_step=0.01, args=[lambda t: 2.5, lambda t, d=delay: steer(t - d)],
-        )  # fmt: skip
+            slopes,
+            (0, time[-1]),
+            np.zeros(5),
+            t_eval=time,
+            rtol=1e-9,
+            atol=1e-9,
+            max_step=0.01,
+            args=[lambda t: 2.5, lambda t, d=delay: steer(t - d)],
+        )
         _, _, yaw, x, y = true.y
         rows = np.stack([time, x, y, yaw, steer(time)], axis=1)
-        np.savetxt(
-            folder / f"{name}.csv", rows, "%.9g", ",", header="t,x,y,yaw,steer",
-            comments="",
-        )  # fmt: skip
+        np.savetxt(folder / f"{name}.csv", rows, "%.9g", ",", header="t,x,y,yaw,steer", comments="")
     return folder
 
 
@@ -94,9 +97,7 @@ def test_a_car_without_slip_follows_its_wheels(exact, drive):
     rate = 2.5 * np.tan(log[:, 4]) / (L_F + L_R)
     turned = np.trapezoid(rate[start : start + 101], time[start : start + 101])
     missed = turned - (yaw[start + 100] - yaw[start])
-    assert exact.models["no slip"].of["heading"][0, 2] == pytest.approx(
-        missed, abs=0.02
-    )
+    assert exact.models["no slip"].of["heading"][0, 2] == pytest.approx(missed, abs=0.02)
 
 
 def exact_start(result):
@@ -124,9 +125,12 @@ def test_the_band_of_a_fit_holds_what_its_own_car_does(drive):
         tirefit.derive_files([drive / "exact.csv"], drive / "vehicle.toml", out, axle)
         fits[axle] = tirefit.fit(tirefit.read(out), "brush")
     found = replay(
-        [drive / "exact.csv", drive / "late.csv"], drive / "vehicle.toml",
-        fits["front"], fits["rear"], horizons=(0.25, 0.5),
-    )  # fmt: skip
+        [drive / "exact.csv", drive / "late.csv"],
+        drive / "vehicle.toml",
+        fits["front"],
+        fits["rear"],
+        horizons=(0.25, 0.5),
+    )
     assert found.logs == {"exact": True, "late": False}
     assert found.held.keys() == QUANTITIES.keys()
     assert all(0 <= share <= 1 for each in found.held.values() for share in each)

@@ -20,10 +20,13 @@ from tirefit.targets.tire import tire_of
 
 DELAY, OFFSET = 0.06, 0.012  # s, rad
 TRUE = {
-    "front.cpa2": TIRES["front"][0], "front.mu": TIRES["front"][1],
-    "rear.cpa2": TIRES["rear"][0], "rear.mu": TIRES["rear"][1],
-    "steering_delay": DELAY, "steering_offset": OFFSET,
-}  # fmt: skip
+    "front.cpa2": TIRES["front"][0],
+    "front.mu": TIRES["front"][1],
+    "rear.cpa2": TIRES["rear"][0],
+    "rear.mu": TIRES["rear"][1],
+    "steering_delay": DELAY,
+    "steering_offset": OFFSET,
+}
 
 
 def steer(time):
@@ -37,9 +40,15 @@ def drive(tmp_path_factory):
     (folder / "vehicle.toml").write_text(TOML)
     time, generator = np.arange(0, 24, 0.01), np.random.default_rng(3)
     true = solve_ivp(
-        slopes, (0, time[-1]), np.zeros(5), t_eval=time, rtol=1e-8, atol=1e-8,
-        max_step=0.01, args=[lambda t: 3.0, lambda t: steer(t - DELAY) + OFFSET],
-    )  # fmt: skip
+        slopes,
+        (0, time[-1]),
+        np.zeros(5),
+        t_eval=time,
+        rtol=1e-8,
+        atol=1e-8,
+        max_step=0.01,
+        args=[lambda t: 3.0, lambda t: steer(t - DELAY) + OFFSET],
+    )
     _, _, yaw, x, y = true.y
     noisy = [
         values + std * generator.standard_normal(len(time))
@@ -93,8 +102,7 @@ def test_what_is_saved_is_a_fit_for_the_other_commands(found, tmp_path):
     load = MASS * GRAVITY * L_R / (L_F + L_R)
     rows = {"alpha": alpha, "fz": np.full(9, load), "v": np.full(9, 3.0)}
     predicted = tirefit.predict(
-        tirefit.load_fit(tmp_path / "front.json"),
-        tirefit.read_frame(rows, forces=False),
+        tirefit.load_fit(tmp_path / "front.json"), tirefit.read_frame(rows, forces=False)
     )
     cpa2, mu = (found.parameters[f"front.{name}"].value for name in ("cpa2", "mu"))
     force = np.sign(alpha) * [brush(np.tan(abs(a)), load, 3.0, cpa2, mu) for a in alpha]
@@ -104,9 +112,7 @@ def test_what_is_saved_is_a_fit_for_the_other_commands(found, tmp_path):
 
 def test_the_intervals_of_a_likelihood_that_is_nearly_normal_agree(found, drive):
     for how in ("profile", "importance"):
-        other = fit_trajectory(
-            [drive / "drive.csv"], drive / "vehicle.toml", intervals=how
-        )
+        other = fit_trajectory([drive / "drive.csv"], drive / "vehicle.toml", intervals=how)
         assert other.intervals == how
         for name, one in found.parameters.items():
             # Draws of importance sampling: the end of an interval is good to a tenth.
@@ -122,9 +128,10 @@ def test_a_wrong_inertia_and_centre_of_gravity_are_found_or_said_to_be_open(driv
     # The log's point stays where it was: at the true centre of gravity.
     moved |= {"tracked_point": [L_R, 0.0]}
     found = fit_trajectory(
-        [drive / "drive.csv"], vehicle.model_copy(update=moved),
+        [drive / "drive.csv"],
+        vehicle.model_copy(update=moved),
         unknowns=("steering_delay", "steering_offset", "yaw_inertia", "cg_ahead"),
-    )  # fmt: skip
+    )
     inertia, ahead = (found.parameters[k] for k in ("yaw_inertia", "cg_ahead"))
     assert abs(inertia.value - INERTIA) < 3 * inertia.std < 0.5 * INERTIA
     # Load-proportional tires with other friction make the same of another centre.
@@ -138,9 +145,7 @@ def test_the_command_writes_what_the_others_read(drive, tmp_path):
         sys.executable, "-m", "tirefit", "fit", f"{drive}/drive.csv", "--out", "out",
         "--vehicle", str(drive / "vehicle.toml"), "--model", "front=brush,rear=brush",
     ]  # fmt: skip
-    done = subprocess.run(
-        line, capture_output=True, text=True, check=True, cwd=tmp_path
-    )
+    done = subprocess.run(line, capture_output=True, text=True, check=True, cwd=tmp_path)
     assert "FIT BY TRAJECTORY: front brush, rear brush" in done.stdout
     content = json.loads((tmp_path / "out" / "trajectory.json").read_text())
     assert content["schema"] == "tirefit.trajectory/1"

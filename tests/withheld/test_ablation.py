@@ -9,14 +9,7 @@ from scipy.special import expit, logit
 
 from fits.ablation import collect, table
 from fits.ablation.records import loaded
-from fits.ablation.variants import (
-    VARIANTS,
-    Rules,
-    decided,
-    reproduced,
-    taught,
-    weighed_of,
-)
+from fits.ablation.variants import VARIANTS, Rules, decided, reproduced, taught, weighed_of
 from fits.calibration import said
 from fits.withheld import generate
 from tirefit.diagnosis.decide.verdict import POLICY, Policy, Status
@@ -29,9 +22,14 @@ RISING, OFFSET = "friction_speed_linear", "slip_offset"
 
 def label(kind="singles", effects=(RISING,), **given):
     return {
-        "set": kind, "effects": list(effects), "families": [], "kind": "iid",
-        "gap_over_noise": 1.0, "file": "rig00/t0.csv", **given,
-    }  # fmt: skip
+        "set": kind,
+        "effects": list(effects),
+        "families": [],
+        "kind": "iid",
+        "gap_over_noise": 1.0,
+        "file": "rig00/t0.csv",
+        **given,
+    }
 
 
 def record(name="t/t0", *, alone=20.0, beside=0.0, errors=9.0, gain=(30.0, 3.0), **of):
@@ -39,26 +37,34 @@ def record(name="t/t0", *, alone=20.0, beside=0.0, errors=9.0, gain=(30.0, 3.0),
     sharp shape in what it leaves."""
     key, some = (RISING,), {"smooth": -1.0, "waves": beside}
     hypotheses = [
-        ((), 0.0, -1.0, 0.0, True), (key, alone, -4.0, 0.0, True),
+        ((), 0.0, -1.0, 0.0, True),
+        (key, alone, -4.0, 0.0, True),
         ((OFFSET,), 1.0, -4.0, 0.0, True),
         ((OFFSET, RISING), alone + 1.0, -8.0, -0.5, True),
-    ]  # fmt: skip
+    ]
     keys = [hypothesis[0] for hypothesis in hypotheses]
     return {
-        "name": name, "label": label(**of), "hypotheses": hypotheses,
+        "name": name,
+        "label": label(**of),
+        "hypotheses": hypotheses,
         "family": {RISING: "friction x speed", OFFSET: "friction x speed"},
         "weighed": {
-            "evidence": {h[0]: h[1] for h in hypotheses}, "other_form": [],
+            "evidence": {h[0]: h[1] for h in hypotheses},
+            "other_form": [],
             "gains": {k: some | {"patterns": beside} for k in keys},
         },
         "out": {
-            "across_runs": False, "effects": ((), key), "climbed": (),
-            "loss": np.array([[4.0, 1.0], [4.0, 1.0]]), "rows": np.array([5, 5]),
+            "across_runs": False,
+            "effects": ((), key),
+            "climbed": (),
+            "loss": np.array([[4.0, 1.0], [4.0, 1.0]]),
+            "rows": np.array([5, 5]),
         },
         "fitted": {key: ({RISING: errors}, {RISING: (*gain, 0.9, 0.05, 2)})},
-        "found": {"unlisted": 0.1}, "flags": [],
+        "found": {"unlisted": 0.1},
+        "flags": [],
         "seconds": {"in all": 1.0, "climbed": 0.25},
-    }  # fmt: skip
+    }
 
 
 # --- variants -----------------------------------------------------------------------

@@ -37,8 +37,12 @@ def label(kind, *effects, **given):
 
 
 def said(status, *effects, p=0.95, also=()):
-    verdict = {"status": status, "effects": list(effects), "probability": p,
-               "also_possible": list(also)}  # fmt: skip
+    verdict = {
+        "status": status,
+        "effects": list(effects),
+        "probability": p,
+        "also_possible": list(also),
+    }
     return {"verdict": verdict, "candidates": []}
 
 
@@ -46,9 +50,7 @@ def table(*trials_and_answers):
     labels = {str(k): mark for k, (mark, _) in enumerate(trials_and_answers)}
     outcomes = {
         name: judge(name, mark, answer)
-        for (name, mark), (_, answer) in zip(
-            labels.items(), trials_and_answers, strict=True
-        )
+        for (name, mark), (_, answer) in zip(labels.items(), trials_and_answers, strict=True)
     }
     return {c.requirement: c for c in goals(labels, outcomes)}
 
@@ -62,16 +64,10 @@ def test_goals_are_of_the_gap_over_the_noise():
         (label("procedural", gap_over_noise=0.9), said("named", "slip_offset")),
         (label("unlisted", gap_over_noise=0.6), said("named", "slip_offset")),
         (label("unlisted", gap_over_noise=0.3), said("incomplete", "slip_offset")),
-        (
-            label("singles", "slip_offset", gap_over_noise=0.3),
-            said("named", "conicity"),
-        ),
+        (label("singles", "slip_offset", gap_over_noise=0.3), said("named", "conicity")),
         (label("singles", "slip_offset"), said("named", "slip_offset")),
     )
-    strong, weak = (
-        "not listed, gap >= 0.8 of the noise",
-        "not listed, gap 0.15-0.5 of the",
-    )
+    strong, weak = ("not listed, gap >= 0.8 of the noise", "not listed, gap 0.15-0.5 of the")
     assert found[f"{strong}: flagged"].found == "0.500 (2)"
     assert found[f"{strong}: surely misnamed"].found == "0.500 (2)"
     assert found[f"{weak} noise: flagged"].verdict == "pass"
@@ -82,18 +78,10 @@ def test_goals_are_of_the_gap_over_the_noise():
 
 def test_who_claims_nothing_is_no_evidence_of_closure():
     outcomes = {
-        name: judge(name, label("null"), said("none"))._replace(
-            claimed=claimed, closed=closed
-        )
-        for name, claimed, closed in (
-            ("a", 0.0, 0.0),
-            ("b", 0.8, 0.7),
-            ("c", None, None),
-        )
+        name: judge(name, label("null"), said("none"))._replace(claimed=claimed, closed=closed)
+        for name, claimed, closed in (("a", 0.0, 0.0), ("b", 0.8, 0.7), ("c", None, None))
     }
-    found = {
-        c.requirement: c for c in goals(dict.fromkeys("abc", label("null")), outcomes)
-    }
+    found = {c.requirement: c for c in goals(dict.fromkeys("abc", label("null")), outcomes)}
     assert found["closure, claimed against true, median"].found == "0.100 (1)"
 
 
@@ -239,9 +227,14 @@ def test_the_gap_over_the_noise_is_that_of_a_known_offset():
 def inputs(world, slip_std):
     """What an observer of a world knows, its force with noise of 1 % of the load."""
     return library.Inputs(
-        world.time, world.run, world.slip, world.fz, world.v, "fx",
+        world.time,
+        world.run,
+        world.slip,
+        world.fz,
+        world.v,
+        "fx",
         (slip_std, 0.01 * world.fz, 0.001 * world.fz),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")
@@ -297,8 +290,10 @@ def test_the_forest_learns_and_leaves_out(plain):
     for _ in range(12):
         noise = 0.01 * x.fz * g.normal(size=450)
         for name, gap in (
-            ("none", 0), ("drive_brake_asymmetry", np.abs(tilt)), ("unknown", ripple),
-        ):  # fmt: skip
+            ("none", 0),
+            ("drive_brake_asymmetry", np.abs(tilt)),
+            ("unknown", ripple),
+        ):
             table.append(forest.features(x, observed + noise + gap))
             classes.append(name)
     taught = forest.taught(np.array(table), classes)
@@ -419,8 +414,7 @@ def test_who_is_told_the_effect_knows_what_an_answer_closes(tmp_path):
     true = library.predict(x, "force_offset", size, C, MU)
     columns = {"time": world.time, "sigma_x": x.slip, "fz": world.fz, "v": world.v}
     measured = {"fx": true + 0.01 * world.fz * g.normal(size=200)}
-    of_answer = {"masked": np.zeros(200), "base_fx": 0.9 * true,
-                 "extended_fx": 0.97 * true}  # fmt: skip
+    of_answer = {"masked": np.zeros(200), "base_fx": 0.9 * true, "extended_fx": 0.97 * true}
     for folder, name in (("trials", "a.csv"), ("answers", "a.rows.csv")):
         (tmp_path / folder).mkdir()
         written = columns | measured if folder == "trials" else of_answer
@@ -448,9 +442,13 @@ def test_of_strangers_only_what_no_listed_effect_imitates_can_be_flagged():
         "d": label("leave_out", mimic_free=2.0, gap_over_noise=0.6),
         "e": label("singles", "slip_offset"),
     }
-    told = {"a": said("unknown", "unknown"), "b": said("named", "conicity"),
-            "c": said("none"), "d": said("incomplete", "conicity"),
-            "e": said("named", "slip_offset")}  # fmt: skip
+    told = {
+        "a": said("unknown", "unknown"),
+        "b": said("named", "conicity"),
+        "c": said("none"),
+        "d": said("incomplete", "conicity"),
+        "e": said("named", "slip_offset"),
+    }
     outcomes = {k: judge(k, labels[k], told[k]) for k in labels}
     assert bound.strangers_that_show(labels, outcomes) == [
         ["not listed, strong", "2", "0.500", "0.500"],

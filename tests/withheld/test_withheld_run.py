@@ -21,9 +21,11 @@ def test_a_pool_ends_with_the_process_that_began_it(tmp_path):
     script = tmp_path / "pool.py"
     script.write_text(POOL)
     parent = subprocess.Popen(
-        [sys.executable, str(script)], stdout=subprocess.PIPE, text=True,
+        [sys.executable, str(script)],
+        stdout=subprocess.PIPE,
+        text=True,
         env=os.environ | {"PYTHONPATH": os.getcwd()},
-    )  # fmt: skip
+    )
     assert int(parent.stdout.readline()) != parent.pid
     parent.kill()
     # The pipe is open for as long as the worker lives: read to its end.

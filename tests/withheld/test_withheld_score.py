@@ -26,14 +26,14 @@ def answer(status, effects, probability, also=(), candidates=(), gap=None):
     listed = candidates or [(effects, probability)]
     return {
         "verdict": {
-            "status": status, "effects": effects, "probability": probability,
+            "status": status,
+            "effects": effects,
+            "probability": probability,
             "also_possible": list(also),
         },
-        "candidates": [
-            {"effects": e, "family": "?", "probability": p} for e, p in listed if e
-        ],
+        "candidates": [{"effects": e, "family": "?", "probability": p} for e, p in listed if e],
         "gap": gap or {},
-    }  # fmt: skip
+    }
 
 
 def judged(truth, found):
@@ -106,9 +106,11 @@ def test_saying_that_it_cannot_tell():
 def test_candidates_rank_and_cover():
     truth = label("slip_offset")
     ranked = [
-        (["load_friction"], 0.6), (["load_stiffness"], 0.2), (["conicity"], 0.15),
+        (["load_friction"], 0.6),
+        (["load_stiffness"], 0.2),
+        (["conicity"], 0.15),
         (["slip_offset"], 0.05),
-    ]  # fmt: skip
+    ]
     o = judged(truth, answer("named", ["load_friction"], 0.6, candidates=ranked))
     assert (o.top3, o.top5, o.covered, o.set_size) == (False, True, False, 3)
     o = judged(truth, answer("named", ["load_friction"], 0.6, candidates=ranked[2:]))
@@ -148,14 +150,20 @@ def test_injected_counts_where_the_raw_rows_are_not_said_to_have_it():
         return label(*effects, set="injected" if effects else "raw", half=which)
 
     labels = {
-        "raw0": half(0), "raw1": half(1), "a": half(0, "slip_offset"),
-        "b": half(1, "slip_offset"), "c": half(1, "channel_delay"),
-    }  # fmt: skip
+        "raw0": half(0),
+        "raw1": half(1),
+        "a": half(0, "slip_offset"),
+        "b": half(1, "slip_offset"),
+        "c": half(1, "channel_delay"),
+    }
     both = answer("named", ["load_friction", "slip_offset"], 0.7)
     answers = {
-        "raw0": answer("named", ["load_friction"], 0.7), "raw1": both, "a": both,
-        "b": both, "c": both,
-    }  # fmt: skip
+        "raw0": answer("named", ["load_friction"], 0.7),
+        "raw1": both,
+        "a": both,
+        "b": both,
+        "c": both,
+    }
     outcomes = {name: judge(name, labels[name], answers[name]) for name in labels}
     counted = thresholds.telling(labels, outcomes)
     assert {o.name: o.exact for o in counted} == {"a": True, "c": False}
@@ -166,9 +174,7 @@ def written(tmp_path, trials_and_answers, rows=True):
     found = [trial for trial, _ in trials_and_answers]
     generate.write_all(found, tmp_path)
     labels = json.loads((tmp_path / "labels.json").read_text())
-    for (name, mark), (trial, document) in zip(
-        labels.items(), trials_and_answers, strict=True
-    ):
+    for (name, mark), (trial, document) in zip(labels.items(), trials_and_answers, strict=True):
         path = tmp_path / "answers" / mark["file"].replace(".csv", ".json")
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(document))
@@ -191,8 +197,7 @@ def few():
 
 def perfect(trial, probability=1.0):
     effects = trial.label["effects"]
-    gap = {"closed": 0.75, "closed_ci": [0.7, 0.8], "resolvable": True,
-           "holdout": {"closed": 0.8}}  # fmt: skip
+    gap = {"closed": 0.75, "closed_ci": [0.7, 0.8], "resolvable": True, "holdout": {"closed": 0.8}}
     return answer("named" if effects else "none", effects, probability, gap=gap)
 
 
@@ -293,9 +298,7 @@ def test_a_command_runs_in_this_process(capsys):
 
 def as_inputs(world):
     stds = (0.001, 0.01 * world.fz, 0.001 * world.fz)
-    return library.Inputs(
-        world.time, world.run, world.slip, world.fz, world.v, "fx", stds
-    )
+    return library.Inputs(world.time, world.run, world.slip, world.fz, world.v, "fx", stds)
 
 
 @pytest.fixture(scope="module")
@@ -395,9 +398,7 @@ def test_baselines_read_what_was_written(few, tmp_path):
     baselines.main([str(tmp_path)])
     score.main([str(tmp_path)])
     document = json.loads((tmp_path / "score.json").read_text())
-    assert set(document["methods"]) == {
-        "tirefit", "bic", "bic_checked", "residual", "ridge",
-    }  # fmt: skip
+    assert set(document["methods"]) == {"tirefit", "bic", "bic_checked", "residual", "ridge"}
     assert document["methods"]["bic"]["top-1 exact"][1] == 4
     group = next((tmp_path / "trials").iterdir())
     rig = tomllib.loads((group / "rig.toml").read_text())

@@ -90,9 +90,14 @@ def test_shares_are_those_of_shapley_where_both_are_known():
     change = trials.EFFECTS["force_offset"].forms["force_zero"]
     again = trials.at_other_values(world, [(change, size, None)])
     made = trials.trial(
-        draw, again(world.c, world.mu, 1.0), "iid", ["force_offset"],
-        forms=["force_zero"], amplitudes=[size], set="singles",
-    )  # fmt: skip
+        draw,
+        again(world.c, world.mu, 1.0),
+        "iid",
+        ["force_offset"],
+        forms=["force_zero"],
+        amplitudes=[size],
+        set="singles",
+    )
     made = trials.replace(made, again=again)
     found = trials.with_simulator(made, draw)
     x, truth = found.columns, found.truth["fx"]
@@ -113,20 +118,24 @@ def answered(trial, status="named", off=0.0, wrong=0.0, std=1.0):
     label = trial.label
     effects = label["effects"] if status == "named" else []
     shares = label["budget"]
-    parts = [{"part": p, "share": shares[p] + wrong} for p in
-             ("parameters", "unexplained", "noise")]  # fmt: skip
+    parts = [
+        {"part": p, "share": shares[p] + wrong} for p in ("parameters", "unexplained", "noise")
+    ]
     parts += [{"part": e, "share": shares["effects"] + wrong} for e in effects]
     return {
         "verdict": {
-            "status": status, "effects": effects, "probability": 0.9,
+            "status": status,
+            "effects": effects,
+            "probability": 0.9,
             "also_possible": [],
             "parameters": {
                 name: {"measured": about["true"] + off * std, "std": std}
                 for name, about in label["parameters"].items()
             },
         },
-        "candidates": [], "budget": parts,
-    }  # fmt: skip
+        "candidates": [],
+        "budget": parts,
+    }
 
 
 def test_intervals_and_shares_by_hand(beside):
@@ -183,9 +192,7 @@ def test_goals_of_simulators(beside):
 
 
 def _right_status(trial):
-    return {"singles": "named", "null": "none", "procedural": "unknown"}[
-        kind_of(trial.label)
-    ]
+    return {"singles": "named", "null": "none", "procedural": "unknown"}[kind_of(trial.label)]
 
 
 def test_files_of_simulators_are_told_apart(beside, tmp_path):

@@ -37,18 +37,14 @@ def steady(slip, fz=4000.0, v=15.0, force="fx", **given):
     slip = np.asarray(slip, float)
     ones = np.ones(len(slip))
     time = np.arange(len(slip)) * 0.5
-    return World(
-        time, np.zeros(len(slip), int), slip, fz * ones, v * ones, force, C, MU, **given
-    )
+    return World(time, np.zeros(len(slip), int), slip, fz * ones, v * ones, force, C, MU, **given)
 
 
 def sweep(n=2001, speed=10.0):
     """A ramp of the slip, 0 to 0.1 in 2 s."""
     time = np.linspace(0, 2, n)
     ones = np.ones(n)
-    return World(
-        time, np.zeros(n, int), 0.05 * time, 4000 * ones, speed * ones, "fx", C, MU
-    )
+    return World(time, np.zeros(n, int), 0.05 * time, 4000 * ones, speed * ones, "fx", C, MU)
 
 
 def changed(world, effect, form, amplitude):
@@ -84,12 +80,15 @@ def test_patch_is_the_closed_form(effect, form, amplitude, closed, load):
 @pytest.mark.parametrize(
     ("effect", "form", "amplitude", "friction"),
     [
-        ("friction_speed_linear", "speed_linear", 0.01,
-         lambda u: MU - 0.01 * u),
-        ("friction_speed_exponential", "speed_root", 0.15,
-         lambda u: MU * (0.625 + 0.375 * np.exp(-np.sqrt(u / 30)))),
+        ("friction_speed_linear", "speed_linear", 0.01, lambda u: MU - 0.01 * u),
+        (
+            "friction_speed_exponential",
+            "speed_root",
+            0.15,
+            lambda u: MU * (0.625 + 0.375 * np.exp(-np.sqrt(u / 30))),
+        ),
     ],
-)  # fmt: skip
+)
 def test_friction_falls_with_sliding_speed(effect, form, amplitude, friction):
     # Both levels fall, S(35) and S(37): the plain brush at the friction of that speed.
     found = changed(steady(SLIPS, v=30.0), effect, form, amplitude)["fx"]
@@ -123,14 +122,21 @@ def by_quadrature(density, slip, mu_s, mu_k, load=4000.0):
     ("effect", "form", "amplitude", "density"),
     [
         ("pressure_flatness", "quartic_mix", 1.0, lambda x: 0.625 * (1 - x**4)),
-        ("pressure_flatness", "quartic_mix", 0.5,
-         lambda x: 0.375 * (1 - x**2) + 0.3125 * (1 - x**4)),
-        ("pressure_asymmetry", "skewed_beta", 0.5,
-         lambda x: max((1 + x), 0) ** 1.2 * max(1 - x, 0) ** 0.8 / 1.2937),
-        ("pressure_asymmetry", "skewed", 0.4,
-         lambda x: 0.75 * (1 - x**2) * (1 + 0.4 * x)),
+        (
+            "pressure_flatness",
+            "quartic_mix",
+            0.5,
+            lambda x: 0.375 * (1 - x**2) + 0.3125 * (1 - x**4),
+        ),
+        (
+            "pressure_asymmetry",
+            "skewed_beta",
+            0.5,
+            lambda x: max((1 + x), 0) ** 1.2 * max(1 - x, 0) ** 0.8 / 1.2937,
+        ),
+        ("pressure_asymmetry", "skewed", 0.4, lambda x: 0.75 * (1 - x**2) * (1 + 0.4 * x)),
     ],
-)  # fmt: skip
+)
 def test_patch_is_the_integral(effect, form, amplitude, density):
     slips = np.array([0.03, 0.06, 0.1])
     world = steady(slips, force="fy", moment=True)
@@ -245,9 +251,7 @@ def test_lugre_is_the_sum_of_its_bristles():
     for slip, force in zip(world.slip, found, strict=True):
         speed = 15 * slip / (1 + slip)
         level = MU * (1 + (ratio - 1) * np.exp(-np.sqrt(speed / knee)))
-        stress = quad(
-            lambda x, s=slip, n=level: n * -np.expm1(-sigma0 * s * x / n), 0, length
-        )
+        stress = quad(lambda x, s=slip, n=level: n * -np.expm1(-sigma0 * s * x / n), 0, length)
         assert force == pytest.approx(4000 * stress[0] / length, rel=1e-6)
 
 
@@ -272,9 +276,7 @@ def test_a_load_cell_with_a_zero_is_a_brush_under_another_load():
 def test_the_force_across_leaves_what_an_ellipse_leaves():
     world = steady(SLIPS, across=np.full(len(SLIPS), 0.6 * MU * 4000))
     found = changed(world, "friction_ellipse", "friction_ellipse", 1.0)["fx"]
-    assert found == pytest.approx(
-        formulas.brush(SLIPS, 4000.0, 15.0, C, 0.8 * MU), abs=4
-    )
+    assert found == pytest.approx(formulas.brush(SLIPS, 4000.0, 15.0, C, 0.8 * MU), abs=4)
 
 
 def test_a_speed_that_is_off_is_so_in_the_slip_of_the_wheel_speed():
@@ -304,9 +306,7 @@ def test_the_work_of_sliding_is_that_of_the_closed_form():
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_every_form_changes_the_force_or_the_slip(effect):
     about = EFFECTS[effect]
-    design = next(
-        d for d in DESIGNS.values() if about.needs <= d.properties | trials.COLUMNS
-    )
+    design = next(d for d in DESIGNS.values() if about.needs <= d.properties | trials.COLUMNS)
     sizes = []
     for form in about.forms.values():
         g = np.random.default_rng(1)
@@ -351,8 +351,7 @@ def test_development_never_sees_what_is_sealed():
             return True
         pairs = zip(label["effects"], label["forms"], strict=True)
         return any(
-            len(EFFECTS[e].forms) > 1 and form == list(EFFECTS[e].forms)[-1]
-            for e, form in pairs
+            len(EFFECTS[e].forms) > 1 and form == list(EFFECTS[e].forms)[-1] for e, form in pairs
         )
 
     assert not any(unseen(trial) for trial in draws(5, 60, ["singles", "pairs"]))
@@ -467,11 +466,15 @@ def test_other_trials_do_not_go_beside_answers(tmp_path):
 @pytest.mark.parametrize(
     "wrong",
     [
-        ["--design", "T"], ["--set", "nosuch"], ["--noise", "foo"], ["--rows", "0"],
-        ["--trials", "0"], ["--seed", "-1"],
+        ["--design", "T"],
+        ["--set", "nosuch"],
+        ["--noise", "foo"],
+        ["--rows", "0"],
+        ["--trials", "0"],
+        ["--seed", "-1"],
     ],
     ids=lambda words: words[0],
-)  # fmt: skip
+)
 def test_what_cannot_be_drawn_is_said(tmp_path, wrong, capsys):
     words = ["--seed", "5", "--trials", "1", "--out", str(tmp_path)]
     with pytest.raises(SystemExit):

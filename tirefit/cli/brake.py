@@ -22,9 +22,14 @@ from tirefit.results import InputProblem, UsageError
 
 ANIMATION = "stop.gif"
 FILES = (
-    "summary.json", "series.csv", "stops.csv", "stop.png", "compare.png", "slip.png",
+    "summary.json",
+    "series.csv",
+    "stops.csv",
+    "stop.png",
+    "compare.png",
+    "slip.png",
     ANIMATION,
-)  # fmt: skip
+)
 
 
 class Vehicle(StrEnum):
@@ -35,27 +40,21 @@ class Vehicle(StrEnum):
 def brake(
     out: Folder,
     controller: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME[,NAME...]", help="controllers: xbs-servo, abs, slip, none"
-        ),
+        str, typer.Option(metavar="NAME[,NAME...]", help="controllers: xbs-servo, abs, slip, none")
     ] = "xbs-servo,abs",
     road: Annotated[
         str,
         typer.Option(
             metavar="ROAD",
-            help="friction: mu=0.4; mu=0.3:0.8@20 (changes after 20 m);"
-            " left=0.3,right=0.8 (split)",
+            help="friction: mu=0.4; mu=0.3:0.8@20 (changes after 20 m); left=0.3,right=0.8 (split)",
         ),
     ] = "mu=0.3",
     speed: Annotated[float, typer.Option(help="initial speed [m/s]")] = 15.0,
     steer: Annotated[
-        float,
-        typer.Option(help="steering angle of the front wheels, left positive [rad]"),
+        float, typer.Option(help="steering angle of the front wheels, left positive [rad]")
     ] = 0.0,
     tire: Annotated[
-        str | None,
-        typer.Option(metavar="MODEL|FIT.json|FILE.tir", help="tire (default: brush-m)"),
+        str | None, typer.Option(metavar="MODEL|FIT.json|FILE.tir", help="tire (default: brush-m)")
     ] = None,
     signs: SignsOption = None,
     parameter: SetOption = None,
@@ -74,21 +73,15 @@ def brake(
         Vehicle, typer.Option(help="whole car, or one wheel with its mass")
     ] = Vehicle.car,
     time_limit: Annotated[
-        float | None,
-        typer.Option(help="end of the simulation [s] (default: by speed and road)"),
+        float | None, typer.Option(help="end of the simulation [s] (default: by speed and road)")
     ] = None,
     stops: Annotated[
-        int,
-        typer.Option(
-            min=1, max=100_000, help="number of stops, each with its own seed"
-        ),
+        int, typer.Option(min=1, max=100_000, help="number of stops, each with its own seed")
     ] = 1,
     animate: Annotated[
         bool, typer.Option("--animate", help="write the animation stop.gif")
     ] = False,
-    seed: Annotated[
-        int, typer.Option(min=0, max=2**31, help="seed of noise and road")
-    ] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**31, help="seed of noise and road")] = 0,
 ) -> None:
     """Simulate braking with a controller: stopping distance, friction used, figures."""
     with errors_to_exit():

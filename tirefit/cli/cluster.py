@@ -112,9 +112,13 @@ def _local(distributed: ModuleType, jobs: int) -> Iterator[Any]:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with dask.config.set(_LOCAL):
         workers = distributed.LocalCluster(
-            n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
-            dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL,
-        )  # fmt: skip
+            n_workers=jobs,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+        )
     try:
         yield workers
     finally:
@@ -129,10 +133,7 @@ def _local(distributed: ModuleType, jobs: int) -> Iterator[Any]:
 
 
 def shared(
-    work: Callable,
-    pieces: Sequence,
-    client: Any,
-    alike: Callable[[Any], Hashable] = lambda _: None,
+    work: Callable, pieces: Sequence, client: Any, alike: Callable[[Any], Hashable] = lambda _: None
 ) -> Generator[tuple[int, Any], None, None]:
     """(number, ``work(piece)``) of every piece, as they come.
 
@@ -220,9 +221,12 @@ class _Sharing:
 
     def _submit(self, numbers: list[int], alone: bool) -> None:
         future = self.client.submit(
-            _batch, self.work, [self.pieces[number] for number in numbers],
-            pure=False, key=f"tirefit-{id(self)}-{time.monotonic_ns()}",
-        )  # fmt: skip
+            _batch,
+            self.work,
+            [self.pieces[number] for number in numbers],
+            pure=False,
+            key=f"tirefit-{id(self)}-{time.monotonic_ns()}",
+        )
         self.at_work[future.key] = _Batch(future, numbers, alone)
         future.add_done_callback(self.ended.put)
 

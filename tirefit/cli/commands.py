@@ -109,8 +109,7 @@ def inspect(
     gate: Annotated[
         bool,
         typer.Option(
-            "--gate/--no-gate",
-            help="compute how well the file determines the parameters of models",
+            "--gate/--no-gate", help="compute how well the file determines the parameters of models"
         ),
     ] = True,
     json: JsonOption = False,
@@ -169,15 +168,13 @@ def derive(
         list[str] | None,
         typer.Option(
             metavar="NAME=UNIT",
-            help="unit of a quantity of the log, e.g. v_x=km/h; a minus (-rad/s)"
-            " reverses the sign",
+            help="unit of a quantity of the log, e.g. v_x=km/h; a minus (-rad/s) reverses the sign",
         ),
     ] = None,
     believe: Annotated[
         bool,
         typer.Option(
-            "--believe",
-            help="warn, instead of stopping, if channels contradict each other",
+            "--believe", help="warn, instead of stopping, if channels contradict each other"
         ),
     ] = False,
 ) -> None:
@@ -302,9 +299,7 @@ def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
     problems = output_problems(out, inputs=[data, source], ending=".csv")
     values = numbers("--set", parameter, problems)
     if is_file and values:
-        problems.append(
-            InputProblem("--set with a fit.json", "use it with a model name")
-        )
+        problems.append(InputProblem("--set with a fit.json", "use it with a model name"))
     UsageError.raise_for(problems)
     return values
 
@@ -329,12 +324,7 @@ def _print_version(asked: bool) -> None:
 def options(
     version: Annotated[
         bool,
-        typer.Option(
-            "--version",
-            is_eager=True,
-            callback=_print_version,
-            help="print the version",
-        ),
+        typer.Option("--version", is_eager=True, callback=_print_version, help="print the version"),
     ] = False,
 ) -> None:
     """Fit tire models to measured slip and force, and find what they miss."""

@@ -14,14 +14,7 @@ from tirefit.cli.magic_formula import (
     convert_whole,
     only_of_magic_formula,
 )
-from tirefit.cli.options import (
-    SignsOption,
-    complain,
-    errors_to_exit,
-    named_path,
-    say,
-    start_jax,
-)
+from tirefit.cli.options import SignsOption, complain, errors_to_exit, named_path, say, start_jax
 from tirefit.cli.output import check_directories
 from tirefit.results import InputProblem, TirefitError, UsageError
 
@@ -38,8 +31,7 @@ class Force(StrEnum):
 
 def convert(
     file: Annotated[
-        Path | None,
-        typer.Argument(metavar="[FILE.tir]", help="Magic Formula 5.2, 6.1 or 6.2"),
+        Path | None, typer.Argument(metavar="[FILE.tir]", help="Magic Formula 5.2, 6.1 or 6.2")
     ] = None,
     *,
     out: Annotated[
@@ -52,9 +44,7 @@ def convert(
     ],
     magic_formula: Annotated[
         str | None,
-        typer.Option(
-            metavar="B,C,D,E", help="coefficients of one curve, instead of a .tir file"
-        ),
+        typer.Option(metavar="B,C,D,E", help="coefficients of one curve, instead of a .tir file"),
     ] = None,
     model: Annotated[
         str | None,
@@ -64,41 +54,28 @@ def convert(
             autocompletion=model_names,
         ),
     ] = None,
-    force: Annotated[
-        Force | None, typer.Option(help="force to convert (default: fx)")
-    ] = None,
+    force: Annotated[Force | None, typer.Option(help="force to convert (default: fx)")] = None,
     slip_max: Annotated[
-        float | None,
-        typer.Option(help=f"largest sigma_x or alpha [rad] (default: {_SLIP_MAX})"),
+        float | None, typer.Option(help=f"largest sigma_x or alpha [rad] (default: {_SLIP_MAX})")
     ] = None,
     slip_min: Annotated[
         float | None, typer.Option(help="smallest slip (default: minus the largest)")
     ] = None,
     loads: Annotated[
         str | None,
-        typer.Option(
-            metavar="N,N,...", help="loads [N] (default: 0.5, 1 and 1.5 FNOMIN)"
-        ),
+        typer.Option(metavar="N,N,...", help="loads [N] (default: 0.5, 1 and 1.5 FNOMIN)"),
     ] = None,
     signs: SignsOption = None,
     combination: CombinationOption = None,
     seed: Annotated[
-        int | None,
-        typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers"),
+        int | None, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
     ] = None,
     cpa2: Annotated[
-        float | None,
-        typer.Option(help="write a reduced .tir of a brush with this c_p a^2 [N]"),
+        float | None, typer.Option(help="write a reduced .tir of a brush with this c_p a^2 [N]")
     ] = None,
-    mu: Annotated[
-        float | None, typer.Option(help="with --cpa2: friction coefficient")
-    ] = None,
-    fz: Annotated[
-        float | None, typer.Option(help="with --cpa2: nominal load [N]")
-    ] = None,
-    radius: Annotated[
-        float | None, typer.Option(help="with --cpa2: unloaded radius [m]")
-    ] = None,
+    mu: Annotated[float | None, typer.Option(help="with --cpa2: friction coefficient")] = None,
+    fz: Annotated[float | None, typer.Option(help="with --cpa2: nominal load [N]")] = None,
+    radius: Annotated[float | None, typer.Option(help="with --cpa2: unloaded radius [m]")] = None,
 ) -> None:
     """Convert a Magic Formula to a brush or another version, or a brush to a .tir.
 
@@ -107,25 +84,31 @@ def convert(
     """
     brush = {"cpa2": cpa2, "mu": mu, "fz": fz, "radius": radius}
     refit = {
-        "FILE.tir": file, "--magic-formula": magic_formula, "--model": model,
-        "--force": force, "--slip-max": slip_max, "--slip-min": slip_min,
-        "--loads": loads, "--seed": seed, "--signs": signs,
+        "FILE.tir": file,
+        "--magic-formula": magic_formula,
+        "--model": model,
+        "--force": force,
+        "--slip-max": slip_max,
+        "--slip-min": slip_min,
+        "--loads": loads,
+        "--seed": seed,
+        "--signs": signs,
         "--combination": combination,
-    }  # fmt: skip
+    }
     with errors_to_exit():
         if any(value is not None for value in brush.values()):
             _write_reduced(brush, [k for k, v in refit.items() if v is not None], out)
             return
-        coefficients, slips, chosen = _checked(
-            file, magic_formula, slip_min, slip_max, loads, out
-        )
+        coefficients, slips, chosen = _checked(file, magic_formula, slip_min, slip_max, loads, out)
         if signs and file is None:
             raise UsageError("--signs applies to .tir files only", "leave it out")
         if model in MAGIC_FORMULA_NAMES:
             asked = {
-                "--magic-formula": magic_formula, "--force": force,
-                "--slip-min": slip_min, "--seed": seed,
-            }  # fmt: skip
+                "--magic-formula": magic_formula,
+                "--force": force,
+                "--slip-min": slip_min,
+                "--seed": seed,
+            }
             only_of_magic_formula(model, {}, asked)
             assert file is not None  # else --magic-formula would be given
             of_file = {"signs": signs, "combination": combination}
@@ -135,9 +118,8 @@ def convert(
             remedy = "leave it out: a brush is fitted to one force in pure slip"
             raise UsageError(f"--combination with --model {model or 'brush'}", remedy)
         result = _refit(
-            file, coefficients, model or "brush", force or Force.fx, slips, chosen,
-            seed, out, signs,
-        )  # fmt: skip
+            file, coefficients, model or "brush", force or Force.fx, slips, chosen, seed, out, signs
+        )
         raise typer.Exit(exit_code(result))
 
 
@@ -198,9 +180,7 @@ def _checked(file, magic_formula, slip_min, slip_max, loads, out):
             problems.append(InputProblem("--magic-formula has no nominal load", remedy))
     chosen = None if loads is None else _listed("--loads", loads, problems)
     if chosen and (min(chosen) <= 0 or len(set(chosen)) < len(chosen)):
-        problems.append(
-            InputProblem(f"--loads {loads!r}", "positive loads [N], each once")
-        )
+        problems.append(InputProblem(f"--loads {loads!r}", "positive loads [N], each once"))
     high = _SLIP_MAX if slip_max is None else slip_max
     low = -high if slip_min is None else slip_min
     if not -1 < low < high < 1:

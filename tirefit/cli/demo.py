@@ -15,8 +15,7 @@ from tirefit.cli.output import check_directories
 def demo(
     context: typer.Context,
     out: Annotated[
-        Path,
-        typer.Option(metavar="FOLDER", parser=named_path, help="samples and results"),
+        Path, typer.Option(metavar="FOLDER", parser=named_path, help="samples and results")
     ] = Path("tirefit-demo"),
 ) -> None:
     """Fit and diagnose measured samples that ship with tirefit."""

@@ -101,34 +101,25 @@ def diagnose(
     ] = None,
     parameter: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set", metavar="NAME=VALUE", help="use MODEL unchanged, with this value"
-        ),
+        typer.Option("--set", metavar="NAME=VALUE", help="use MODEL unchanged, with this value"),
     ] = None,
     sim: Annotated[
         bool,
-        typer.Option(
-            "--sim", help="FILE has the forces of the simulator: fx_sim, fy_sim, mz_sim"
-        ),
+        typer.Option("--sim", help="FILE has the forces of the simulator: fx_sim, fy_sim, mz_sim"),
     ] = False,
     side: SideOption = None,
     signs: SignsOption = None,
     combination: CombinationOption = None,
     force: Annotated[
         list[str] | None,
-        typer.Option(
-            help="force to diagnose: fx, fy, mz (repeat for more; default: all)"
-        ),
+        typer.Option(help="force to diagnose: fx, fy, mz (repeat for more; default: all)"),
     ] = None,
     rig: Annotated[
-        Path | None,
-        typer.Option(metavar="RIG.TOML", help="known noise and properties of the rig"),
+        Path | None, typer.Option(metavar="RIG.TOML", help="known noise and properties of the rig")
     ] = None,
     holdout: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="FILE...", help="files on which the result is checked only"
-        ),
+        typer.Option(metavar="FILE...", help="files on which the result is checked only"),
     ] = None,
     without: Annotated[
         list[str] | None,
@@ -150,17 +141,11 @@ def diagnose(
     figures: Annotated[
         bool, typer.Option("--figures", help="write NAME.png and NAME.html")
     ] = False,
-    full: Annotated[
-        bool, typer.Option("--full", help="print the report with all details")
-    ] = False,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="skip finished files")
-    ] = False,
+    full: Annotated[bool, typer.Option("--full", help="print the report with all details")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="skip finished files")] = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
-    seed: Annotated[
-        int, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
-    ] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")] = 0,
 ) -> None:
     """Find the effects that explain the gap between a model or simulator and data."""
     with errors_to_exit():
@@ -170,9 +155,16 @@ def diagnose(
             alone |= dict(jobs=jobs, scheduler=scheduler, resume=resume, side=side)
             alone |= {"signs": signs, "force": force, "full": full, "seed": seed}
             return diagnose_car(
-                files, vehicle, front, rear, out, alone | {"combination": combination},
-                holdout=holdout or (), without=without or (), figures=figures,
-            )  # fmt: skip
+                files,
+                vehicle,
+                front,
+                rear,
+                out,
+                alone | {"combination": combination},
+                holdout=holdout or (),
+                without=without or (),
+                figures=figures,
+            )
         refuse_tires(front, rear)
         names = [Path(file.name.removesuffix(".gz")).stem for file in files]
         check_distinct(names, "rename one: their results would overwrite each other")
@@ -261,9 +253,7 @@ def _is_file(model: str) -> bool:
     return model.lower().endswith((".json", ".tir"))
 
 
-def _simulator(
-    model: str | None, parameter, sim: bool, how: dict, of_tir: dict
-) -> dict:
+def _simulator(model: str | None, parameter, sim: bool, how: dict, of_tir: dict) -> dict:
     """Arguments of ``tirefit.diagnose`` for a given simulator; none if a model is
     fitted. Data without a declared convention are read in that of the simulator.
 
@@ -394,10 +384,15 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
         content = json.loads(path.read_text(encoding="utf-8"))
         data, sim = content["data"], content["simulator"]
         there = [
-            data["sha256"], data["convention"], data["assumptions"],
-            content["model"], sim and [sim[k] for k in ("kind", "source", "sha256")],
-            content["seed"], content["version"], content["settings"],
-        ]  # fmt: skip
+            data["sha256"],
+            data["convention"],
+            data["assumptions"],
+            content["model"],
+            sim and [sim[k] for k in ("kind", "source", "sha256")],
+            content["seed"],
+            content["version"],
+            content["settings"],
+        ]
     except (OSError, ValueError, KeyError, TypeError):
         return False
     source, rig, given = table.source, settings["rig"], settings.get("sim")
@@ -407,15 +402,18 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
     if given not in (None, True):
         base = [given.source, [given.kind, given.source, given.sha256]]
     asked = [
-        source.sha256, source.convention,
+        source.sha256,
+        source.convention,
         [*source.notes, *rig.notes, *rig.beside(table)],
-        *base, seed, version("tirefit"),
+        *base,
+        seed,
+        version("tirefit"),
         {
             "rig": asdict(rig),
             "effects": [e.id for e in EFFECTS if e.id not in settings["without"]],
             "holdout": [other.source.sha256 for other in kept],
             "forces": settings["forces"],
         },
-    ]  # fmt: skip
+    ]
     # As the document has it: tuples are lists there.
     return there == json.loads(json.dumps(asked))

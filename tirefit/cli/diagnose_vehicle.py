@@ -15,9 +15,7 @@ FILES = ("vehicle_diagnosis.json", "vehicle_diagnosis.png", "vehicle_diagnosis.h
 
 TireOption = Annotated[
     str | None,
-    typer.Option(
-        metavar="FIT.json|FILE.tir|MODEL", help="--vehicle: tire of the axle (brush)"
-    ),
+    typer.Option(metavar="FIT.json|FILE.tir|MODEL", help="--vehicle: tire of the axle (brush)"),
 ]
 
 
@@ -57,9 +55,8 @@ def diagnose_car(
 
     with claimed(out):
         result = diagnose_vehicle(
-            logs, vehicle, front or "brush", rear or "brush", holdout=holdout,
-            without=without,
-        )  # fmt: skip
+            logs, vehicle, front or "brush", rear or "brush", holdout=holdout, without=without
+        )
         with staged(out, FILES, result) as folder:
             result.save(folder)
             if figures:

@@ -29,15 +29,11 @@ FILES = ("estimates.csv", "summary.json", "estimates.png")
 @takes_data_options
 def estimate(
     log: Annotated[
-        str,
-        typer.Argument(
-            metavar="LOG.csv|-", help="log in time order, or - (standard input)"
-        ),
+        str, typer.Argument(metavar="LOG.csv|-", help="log in time order, or - (standard input)")
     ],
     options: DataOptions,
     method: Annotated[
-        str,
-        typer.Option(metavar="NAME[,NAME...]", help="methods (see `tirefit methods`)"),
+        str, typer.Option(metavar="NAME[,NAME...]", help="methods (see `tirefit methods`)")
     ] = "rls",
     out: Annotated[
         Path | None,
@@ -48,20 +44,13 @@ def estimate(
         ),
     ] = None,
     follow: Annotated[
-        bool,
-        typer.Option(
-            "--follow", help="read rows from standard input as they come (LOG is -)"
-        ),
+        bool, typer.Option("--follow", help="read rows from standard input as they come (LOG is -)")
     ] = False,
     setting: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set", metavar="[METHOD.]NAME=VALUE", help="setting of a method"
-        ),
+        typer.Option("--set", metavar="[METHOD.]NAME=VALUE", help="setting of a method"),
     ] = None,
-    seed: Annotated[
-        int, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
-    ] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")] = 0,
 ) -> None:
     """Estimate friction and stiffness row by row, as known while driving."""
     with errors_to_exit():

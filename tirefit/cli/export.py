@@ -6,15 +6,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from tirefit.cli.options import (
-    complain,
-    errors_to_exit,
-    named_path,
-    numbers,
-    pairs,
-    say,
-    start_jax,
-)
+from tirefit.cli.options import complain, errors_to_exit, named_path, numbers, pairs, say, start_jax
 from tirefit.results import InputProblem, UsageError
 
 RANGES = ("kappa", "alpha", "fz")
@@ -36,38 +28,27 @@ File = Path | None
 def export(
     source: Annotated[Text, Argument(metavar="[FIT.json|FILE.tir|MODEL]")] = None,
     *,
-    to: Annotated[
-        Text, Option(metavar="TARGET", help="target program (--list)")
-    ] = None,
+    to: Annotated[Text, Option(metavar="TARGET", help="target program (--list)")] = None,
     out: Annotated[File, _path("FILE", "file to write")] = None,
     front: Annotated[Text, Option(metavar="FIT", help="tire of the front axle")] = None,
     rear: Annotated[Text, Option(metavar="FIT", help="tire of the rear axle")] = None,
     vehicle: Annotated[File, _path("TOML", "the car: vehicle.toml")] = None,
     over: Annotated[Texts, Option(metavar="NAME=LOW:HIGH", help=_OVER)] = None,
     parameter: Annotated[
-        Texts,
-        Option("--set", metavar="NAME=VALUE", help="parameter of a model or .tir"),
+        Texts, Option("--set", metavar="NAME=VALUE", help="parameter of a model or .tir")
     ] = None,
     diagnosis: Annotated[File, _path("NAME.json", _DIAGNOSIS)] = None,
-    model: Annotated[
-        Text, Option(help="version of a .tir to write: mf52, mf61, mf62")
-    ] = None,
+    model: Annotated[Text, Option(help="version of a .tir to write: mf52, mf61, mf62")] = None,
     wheel: Annotated[
-        Texts,
-        Option(metavar="NAME=VALUE", help="property of the wheel, SI units (--list)"),
+        Texts, Option(metavar="NAME=VALUE", help="property of the wheel, SI units (--list)")
     ] = None,
     forces: Annotated[
-        str,
-        Option(
-            metavar="F,F,...", help="forces to write: fx, fy, mz, mx, my (default: all)"
-        ),
+        str, Option(metavar="F,F,...", help="forces to write: fx, fy, mz, mx, my (default: all)")
     ] = "",
     convention: Annotated[
         str, Option(help="signs of the file: iso-w, sae, adapted-sae, braking")
     ] = "iso-w",
-    name: Annotated[
-        Text, Option(help="name of the function (default: that of the file)")
-    ] = None,
+    name: Annotated[Text, Option(help="name of the function (default: that of the file)")] = None,
     force: Annotated[
         bool, Option("--force", help="replace any file; accept errors above 5 %")
     ] = False,

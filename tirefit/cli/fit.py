@@ -9,11 +9,7 @@ import typer
 from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_one
 from tirefit.cli.fit_vehicle import Intervals, fit_vehicle
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
-from tirefit.cli.magic_formula import (
-    MAGIC_FORMULA_NAMES,
-    fit_whole,
-    only_of_magic_formula,
-)
+from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, only_of_magic_formula
 from tirefit.cli.notes import merged_notes
 from tirefit.cli.options import (
     DataOptions,
@@ -87,28 +83,23 @@ def fit(
         bool, typer.Option("--posterior/--no-posterior", help="sample the posterior")
     ] = True,
     solver: Annotated[
-        Solver | None,
-        typer.Option(help="least-squares solver; jaxopt is no longer maintained"),
+        Solver | None, typer.Option(help="least-squares solver; jaxopt is no longer maintained")
     ] = None,
     sampler: Annotated[Sampler | None, typer.Option(help="posterior sampler")] = None,
     seed: Annotated[
-        int | None,
-        typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers"),
+        int | None, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
+        Path | None, typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results")
     ] = None,
     force: Annotated[
-        list[str] | None,
-        typer.Option(help="force to fit: fx, fy, mz (repeat for more)"),
+        list[str] | None, typer.Option(help="force to fit: fx, fy, mz (repeat for more)")
     ] = None,
     part: Annotated[
         str | None,
         typer.Option(
             metavar="fx|fy|mz|mx|my|combined|all",
-            help="mf52, mf61, mf62: fit this part only (default: all that the files"
-            " determine)",
+            help="mf52, mf61, mf62: fit this part only (default: all that the files determine)",
         ),
     ] = None,
     like: Annotated[
@@ -131,8 +122,7 @@ def fit(
         Path | None,
         typer.Option(
             metavar="VEHICLE.toml",
-            help="the files are logs of this car: fit the tires of both axles to its"
-            " trajectories",
+            help="the files are logs of this car: fit the tires of both axles to its trajectories",
         ),
     ] = None,
     unknown: Annotated[
@@ -150,9 +140,7 @@ def fit(
     ] = None,
     intervals: Annotated[
         Intervals | None,
-        typer.Option(
-            help="--vehicle: method of the 95 % intervals (default: covariance)"
-        ),
+        typer.Option(help="--vehicle: method of the 95 % intervals (default: covariance)"),
     ] = None,
     joint: Annotated[
         bool, typer.Option("--joint", help="fit all files together, each file as a run")
@@ -161,24 +149,16 @@ def fit(
         bool, typer.Option("--strict", help="exit 5 if a parameter is not identified")
     ] = False,
     resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume", help="skip finished fits; continue interrupted chains"
-        ),
+        bool, typer.Option("--resume", help="skip finished fits; continue interrupted chains")
     ] = False,
-    svg: Annotated[
-        bool, typer.Option("--svg", help="write every figure as SVG too")
-    ] = False,
+    svg: Annotated[bool, typer.Option("--svg", help="write every figure as SVG too")] = False,
     html: Annotated[
         bool,
         typer.Option(
-            "--html",
-            help="write the report as one page: fit.html (several files: fits.html)",
+            "--html", help="write the report as one page: fit.html (several files: fits.html)"
         ),
     ] = False,
-    full: Annotated[
-        bool, typer.Option("--full", help="print the report with all details")
-    ] = False,
+    full: Annotated[bool, typer.Option("--full", help="print the report with all details")] = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
 ) -> None:
@@ -190,31 +170,31 @@ def fit(
         whole = {"part": part, "like": like, "leave_out": leave_out}
         whole = {name: value for name, value in whole.items() if value is not None}
         unused: dict[str, Any] = {
-            "--solver": solver, "--sampler": sampler, "--force": force,
-            "--resume": resume, "--jobs": jobs, "--scheduler": scheduler,
-        }  # fmt: skip
+            "--solver": solver,
+            "--sampler": sampler,
+            "--force": force,
+            "--resume": resume,
+            "--jobs": jobs,
+            "--scheduler": scheduler,
+        }
         own = {"unknowns": unknown, "window": window, "intervals": intervals}
         if vehicle is not None:
-            more: dict[str, Any] = {
-                f"--{k.replace('_', '-')}": v for k, v in whole.items()
-            }
+            more: dict[str, Any] = {f"--{k.replace('_', '-')}": v for k, v in whole.items()}
             more |= {"--joint": joint, "--html": html, "--svg": svg, "--strict": strict}
             own |= {"seed": seed}
-            raise typer.Exit(
-                fit_vehicle(files, vehicle, model, out, unused | more, **own)
-            )
+            raise typer.Exit(fit_vehicle(files, vehicle, model, out, unused | more, **own))
         if any(own.values()):
             reason = "--unknown, --window or --intervals without --vehicle"
             raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))
         base = read_config(options.config) or FitConfig()
         how = read_options(options, base)
         changes = {
-            "model": model, "seed": seed, "force": forces_named(force),
+            "model": model,
+            "seed": seed,
+            "force": forces_named(force),
             "solver": solver.value if solver else None,
-        }  # fmt: skip
-        settings = base.model_copy(
-            update={k: v for k, v in changes.items() if v is not None}
-        )
+        }
+        settings = base.model_copy(update={k: v for k, v in changes.items() if v is not None})
         if sampler is not None:
             chosen = settings.posterior.model_copy(update={"sampler": sampler.value})
             settings = settings.model_copy(update={"posterior": chosen})
@@ -273,9 +253,7 @@ def _fit_all(groups, directories, task: FitTask) -> ExitCode:
             if "interrupted" in record.outcomes:
                 left = len(groups) - i - 1
                 if left:
-                    complain(
-                        f"interrupted: the last {left} of {len(groups)} not fitted"
-                    )
+                    complain(f"interrupted: the last {left} of {len(groups)} not fitted")
                 break
     if len(groups) > 1:
         say(_summary(records))

@@ -43,15 +43,16 @@ class FitTask:
     def digest(self, tables) -> str:
         """Digest of everything that the result of a fit of these tables depends on."""
         asked = [
-            self.settings.model_dump(mode="json"), self.how, self.posterior,
-            [table.source.sha256 for table in tables], __version__,
-        ]  # fmt: skip
+            self.settings.model_dump(mode="json"),
+            self.how,
+            self.posterior,
+            [table.source.sha256 for table in tables],
+            __version__,
+        ]
         return hashlib.sha256(json.dumps(asked).encode()).hexdigest()
 
 
-def fit_one(
-    files, directory: Path, task: FitTask
-) -> tuple["FileRecord", "FitResult | None"]:
+def fit_one(files, directory: Path, task: FitTask) -> tuple["FileRecord", "FitResult | None"]:
     """The record of the fit, and the fit itself where it was not done before."""
     from tirefit.data.read import read
     from tirefit.data.table import join
@@ -65,9 +66,7 @@ def fit_one(
         say(f"{files[0]}: done before, kept: {directory}")
         return record_of_fit(content, str(directory)), None
     data = tables[0] if len(tables) == 1 else join(tables)
-    result = fit_into(
-        directory, data, task.settings, task.posterior, task.resume, task.also, asked
-    )
+    result = fit_into(directory, data, task.settings, task.posterior, task.resume, task.also, asked)
     return record_of_fit(result.to_dict(), str(directory)), result
 
 
@@ -91,9 +90,7 @@ def _done(directory: Path, asked: str, task: FitTask) -> dict | None:
     return None if open_ended or content.get("asked") != asked else content
 
 
-def fit_into(
-    directory, data, settings, posterior=False, resume=False, also=Also(), asked=""
-):
+def fit_into(directory, data, settings, posterior=False, resume=False, also=Also(), asked=""):
     """Fits the data, and leaves the result and its figures in the directory."""
     from tirefit.fitting.estimate import fit as fit_data
 

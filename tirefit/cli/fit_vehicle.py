@@ -30,12 +30,7 @@ def models_of(text: str | None) -> dict[str, Any]:
 
 
 def fit_vehicle(
-    logs: list[Path],
-    vehicle: Path,
-    model: str | None,
-    out: Path | None,
-    unused: dict,
-    **how: Any,
+    logs: list[Path], vehicle: Path, model: str | None, out: Path | None, unused: dict, **how: Any
 ) -> ExitCode:
     """Fits, prints and writes.
 
@@ -47,9 +42,7 @@ def fit_vehicle(
     wrong = [option for option, given in unused.items() if given]
     if wrong:
         reason = f"{', '.join(wrong)} with --vehicle"
-        raise UsageError(
-            InputProblem(reason, "leave it out: it is not for vehicle logs")
-        )
+        raise UsageError(InputProblem(reason, "leave it out: it is not for vehicle logs"))
     models, out = models_of(model), out or Path(f"{vehicle.stem}.fit")
     check_directories([out])
     start_jax()

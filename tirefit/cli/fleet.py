@@ -39,8 +39,7 @@ Jobs = Annotated[
 Scheduler = Annotated[
     str | None,
     typer.Option(
-        metavar="ADDRESS",
-        help="Dask scheduler whose workers share the files, e.g. tcp://host:8786",
+        metavar="ADDRESS", help="Dask scheduler whose workers share the files, e.g. tcp://host:8786"
     ),
 ]
 
@@ -100,12 +99,7 @@ Attempt = Callable[[Piece, Any], tuple[ExitCode, "FileRecord"]]
 
 
 def fleet(
-    title: str,
-    pieces: Sequence[Piece],
-    attempt: Attempt,
-    task: Any,
-    sharing: Sharing,
-    out: Path,
+    title: str, pieces: Sequence[Piece], attempt: Attempt, task: Any, sharing: Sharing, out: Path
 ) -> Generator[Outcome, None, None]:
     """Every file by the workers: told, and given on, in the order of the files.
 
@@ -173,9 +167,7 @@ def _lost(piece: Piece, ended: Ended) -> Outcome:
 def _failed(piece: Piece, code: ExitCode, complained: str, **more) -> Outcome:
     from tirefit.data.records import FAILED, FileRecord
 
-    record = FileRecord(
-        str(piece.file), str(piece.to), "", FAILED, problem=complained.strip()
-    )
+    record = FileRecord(str(piece.file), str(piece.to), "", FAILED, problem=complained.strip())
     return Outcome(code, complained=complained, record=record, **more)
 
 
@@ -236,9 +228,7 @@ def _where_the_command_runs(packed: _Packed) -> chdir:
     return chdir(packed.folder)
 
 
-def attempted(
-    attempt: Callable, task: Any, piece: Piece
-) -> tuple[ExitCode, "FileRecord | None"]:
+def attempted(attempt: Callable, task: Any, piece: Piece) -> tuple[ExitCode, "FileRecord | None"]:
     """One bad file does not stop the others, nor does a fault of the program."""
     try:
         return attempt(piece, task)

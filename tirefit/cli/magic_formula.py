@@ -58,13 +58,7 @@ def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
 
 
 def fit_whole(
-    files: list[Path],
-    out: Path,
-    settings,
-    how: dict,
-    options: dict,
-    strict: bool,
-    also: Also,
+    files: list[Path], out: Path, settings, how: dict, options: dict, strict: bool, also: Also
 ) -> ExitCode:
     """Fits all files as runs of one tire; prints and writes the result with figures.
 
@@ -92,9 +86,7 @@ def fit_whole(
     return exit_code(result, strict)
 
 
-def convert_whole(
-    file: Path, model: str, slip_max: float, loads, out: Path, of_file: dict
-):
+def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path, of_file: dict):
     """Fits a version of the Magic Formula to the forces of a file of another one."""
     from tirefit.data.table import CANONICAL
     from tirefit.data.tir import read_tir

@@ -50,12 +50,10 @@ Files = Annotated[
     ),
 ]
 Folder = Annotated[
-    Path,
-    typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
+    Path, typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results")
 ]
 SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model"),
+    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
 
@@ -66,8 +64,7 @@ class Side(StrEnum):
 
 
 SideOption = Annotated[
-    Side | None,
-    typer.Option(help="FILE.tir: side of the vehicle (default: TYRESIDE of the file)"),
+    Side | None, typer.Option(help="FILE.tir: side of the vehicle (default: TYRESIDE of the file)")
 ]
 SignsOption = Annotated[
     str | None,
@@ -84,22 +81,18 @@ class DataOptions:
     """Options that describe the data files; every field is an option."""
 
     config: Annotated[
-        Path | None,
-        typer.Option(metavar="FIT.TOML", parser=named_path, help="settings file"),
+        Path | None, typer.Option(metavar="FIT.TOML", parser=named_path, help="settings file")
     ] = None
     column: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=HEADER", help="header of a quantity, e.g. fx=Force"),
     ] = None
     unit: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=UNIT", help="unit of a quantity, e.g. fx=kN"),
+        list[str] | None, typer.Option(metavar="NAME=UNIT", help="unit of a quantity, e.g. fx=kN")
     ] = None
     constant: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE", help="a quantity without a column, in SI units"
-        ),
+        typer.Option(metavar="NAME=VALUE", help="a quantity without a column, in SI units"),
     ] = None
     convention: Annotated[
         str | None,
@@ -118,14 +111,11 @@ class DataOptions:
             autocompletion=completed(*SLIP_DEFINITIONS),
         ),
     ] = None
-    rolling_radius: Annotated[
-        float | None, typer.Option(help="effective rolling radius [m]")
-    ] = None
+    rolling_radius: Annotated[float | None, typer.Option(help="effective rolling radius [m]")] = (
+        None
+    )
     mask_bad_rows: Annotated[
-        bool,
-        typer.Option(
-            "--mask-bad-rows", help="exclude and list invalid rows, and continue"
-        ),
+        bool, typer.Option("--mask-bad-rows", help="exclude and list invalid rows, and continue")
     ] = False
 
 
@@ -144,10 +134,7 @@ def takes_data_options(command: Callable) -> Callable:
     signature = inspect.signature(command)
     ours = [
         inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=field.default,
-            annotation=field.type,
+            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=field.type
         )
         for field in fields(DataOptions)
     ]
@@ -189,9 +176,7 @@ def pairs(option: str, items: list[str] | None) -> dict[str, str]:
     return given
 
 
-def numbers(
-    option: str, items: list[str] | None, problems: list[InputProblem]
-) -> dict[str, float]:
+def numbers(option: str, items: list[str] | None, problems: list[InputProblem]) -> dict[str, float]:
     """Values of NAME=VALUE options; what is wrong with them goes into ``problems``."""
     value_of = {}
     for name, value in _pairs(option, items, problems).items():
@@ -398,15 +383,15 @@ def progress_bar(title: str) -> Iterator[Any]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (
-        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
         TextColumn("{task.fields[note]}"),
-    )  # fmt: skip
+    )
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(title, total=1.0, note="")
-        yield lambda share, note: bar.update(
-            task, completed=share, note=note + clock.left(share)
-        )
+        yield lambda share, note: bar.update(task, completed=share, note=note + clock.left(share))
 
 
 def read_config(path: Path | None):

@@ -41,9 +41,7 @@ def check_distinct(names: Sequence[str], remedy: str) -> None:
         raise UsageError(f"several input files are named {', '.join(twice)}", remedy)
 
 
-def check_replaced(
-    made: Iterable[Path], inputs: Iterable[Path], schema: str = ""
-) -> None:
+def check_replaced(made: Iterable[Path], inputs: Iterable[Path], schema: str = "") -> None:
     """Raises UsageError for results that would replace a file that is read, or a JSON
     file that is no earlier result; before the work.
 

@@ -23,13 +23,7 @@ from tirefit.cli.options import (
     say,
     takes_data_options,
 )
-from tirefit.cli.output import (
-    check_directories,
-    check_distinct,
-    check_replaced,
-    claimed,
-    staged,
-)
+from tirefit.cli.output import check_directories, check_distinct, check_replaced, claimed, staged
 from tirefit.data.remote import expanded, file_at
 from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
@@ -50,28 +44,20 @@ def prepare(
     options: DataOptions,
     bandwidth: Annotated[
         float | None,
-        typer.Option(
-            metavar="HZ", help="-3 dB bandwidth of the filter (default: by the sweeps)"
-        ),
+        typer.Option(metavar="HZ", help="-3 dB bandwidth of the filter (default: by the sweeps)"),
     ] = None,
-    unfiltered: Annotated[
-        bool, typer.Option("--no-filter", help="do not filter")
-    ] = False,
+    unfiltered: Annotated[bool, typer.Option("--no-filter", help="do not filter")] = False,
     rate: Annotated[
-        float | None,
-        typer.Option(metavar="HZ", help="sample rate of a file without time"),
+        float | None, typer.Option(metavar="HZ", help="sample rate of a file without time")
     ] = None,
     warm_up: Annotated[
         float | None,
-        typer.Option(
-            metavar="S", help="duration of the warm-up [s] (default: found in the data)"
-        ),
+        typer.Option(metavar="S", help="duration of the warm-up [s] (default: found in the data)"),
     ] = None,
     cut_last: Annotated[
         bool | None,
         typer.Option(
-            "--cut-last",
-            help="also cut warm-up sweeps of conditions without a later sweep",
+            "--cut-last", help="also cut warm-up sweeps of conditions without a later sweep"
         ),
     ] = None,
     keep: Annotated[
@@ -103,9 +89,13 @@ def prepare(
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files or [])
         changes = {
-            "bandwidth": bandwidth, "filter": False if unfiltered else None,
-            "rate": rate, "warm_up": warm_up, "cut_last": cut_last, "keep": keep,
-        }  # fmt: skip
+            "bandwidth": bandwidth,
+            "filter": False if unfiltered else None,
+            "rate": rate,
+            "warm_up": warm_up,
+            "cut_last": cut_last,
+            "keep": keep,
+        }
         changes = {key: value for key, value in changes.items() if value is not None}
         if repeat is not None:
             files, how, config = _repeated(repeat, files, options, changes)
@@ -215,6 +205,12 @@ def _record(prepared, file: str, result: str) -> "FileRecord":
     rows = tuple(Row("statistic", name, float(n)) for name, n in counts.items())
     source = prepared.data.source
     return FileRecord(
-        file, result, "", "prepared", rows, convention=source.convention,
-        version=__version__, sha256=source.sha256,
-    )  # fmt: skip
+        file,
+        result,
+        "",
+        "prepared",
+        rows,
+        convention=source.convention,
+        version=__version__,
+        sha256=source.sha256,
+    )

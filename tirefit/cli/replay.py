@@ -15,33 +15,25 @@ RECORD, FIGURES, PAGE = "replay.json", ("replay.png", "series.png"), "replay.htm
 
 def replay(
     logs: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="LOG...", parser=file_at, help="vehicle logs"),
+        list[Path] | None, typer.Argument(metavar="LOG...", parser=file_at, help="vehicle logs")
     ] = None,
     *,
     vehicle: Annotated[
-        Path,
-        typer.Option(
-            metavar="VEHICLE.toml", help="vehicle.toml of the car and its log"
-        ),
+        Path, typer.Option(metavar="VEHICLE.toml", help="vehicle.toml of the car and its log")
     ],
     front: Annotated[
-        str,
-        typer.Option(metavar="FIT.json|FILE.tir|MODEL", help="tire of the front axle"),
+        str, typer.Option(metavar="FIT.json|FILE.tir|MODEL", help="tire of the front axle")
     ],
     rear: Annotated[
-        str,
-        typer.Option(metavar="FIT.json|FILE.tir|MODEL", help="tire of the rear axle"),
+        str, typer.Option(metavar="FIT.json|FILE.tir|MODEL", help="tire of the rear axle")
     ],
     out: Annotated[
-        Path,
-        typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
+        Path, typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results")
     ],
     horizon: Annotated[
         list[float] | None,
         typer.Option(
-            metavar="S",
-            help="prediction time [s] (repeat for more; default: 0.25, 0.5, 1, 2, 5)",
+            metavar="S", help="prediction time [s] (repeat for more; default: 0.25, 0.5, 1, 2, 5)"
         ),
     ] = None,
     effects: Annotated[
@@ -54,8 +46,7 @@ def replay(
     steering_delay: Annotated[
         float | None,
         typer.Option(
-            metavar="S",
-            help="delay of the road wheels after the log [s]; default steering.delay",
+            metavar="S", help="delay of the road wheels after the log [s]; default steering.delay"
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="seed of the random numbers")] = 0,
@@ -81,9 +72,15 @@ def replay(
         written = [RECORD, *FIGURES, *([PAGE] if html else [])]
         with claimed(out):
             result = predicted(
-                logs, vehicle, front, rear, horizons=horizon or HORIZONS,
-                steering_delay=steering_delay, effects=effects, seed=seed,
-            )  # fmt: skip
+                logs,
+                vehicle,
+                front,
+                rear,
+                horizons=horizon or HORIZONS,
+                steering_delay=steering_delay,
+                effects=effects,
+                seed=seed,
+            )
             with staged(out, (RECORD, *FIGURES, PAGE), result) as folder:
                 result.save(folder)
                 for what, name in zip(("path", "series"), FIGURES, strict=True):

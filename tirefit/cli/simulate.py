@@ -20,14 +20,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Out = Annotated[
-    Path, typer.Option(metavar="FILE.csv", parser=named_path, help="CSV file to write")
-]
+Out = Annotated[Path, typer.Option(metavar="FILE.csv", parser=named_path, help="CSV file to write")]
 Truth = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE.csv", parser=named_path, help="CSV of the truth, without noise"
-    ),
+    typer.Option(metavar="FILE.csv", parser=named_path, help="CSV of the truth, without noise"),
 ]
 
 
@@ -43,9 +39,11 @@ def _option(one: Field) -> inspect.Parameter:
         kind, default = list[float], list(default)
     option = typer.Option(*flags, metavar=metavar, help=one.metadata["meaning"])
     return inspect.Parameter(
-        one.name, inspect.Parameter.KEYWORD_ONLY, default=default,
+        one.name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=default,
         annotation=Annotated[kind, option],
-    )  # fmt: skip
+    )
 
 
 def _command(kind: str) -> Callable:

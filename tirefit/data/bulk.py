@@ -83,9 +83,11 @@ class _Rows:
         """All rows, which are complete now."""
         lines, starts, ragged, numbers, _ = zip(*self._pieces, strict=True)
         self._all = _Piece(
-            np.concatenate(lines), np.concatenate(starts), np.concatenate(ragged),
+            np.concatenate(lines),
+            np.concatenate(starts),
+            np.concatenate(ragged),
             np.concatenate(numbers, axis=1),
-        )  # fmt: skip
+        )
         self._pieces = []
         return self._all
 
@@ -150,17 +152,15 @@ def table_of_large(
             return None
         rows.add(piece)
         faults += [
-            fault._replace(rows=[count + row for row in fault.rows])
-            for fault in piece.faults
+            fault._replace(rows=[count + row for row in fault.rows]) for fault in piece.faults
         ]
         number += content.count(b"\n", start, stop)
         count += len(piece.lines)
     whole = rows.joined()
     columns = [TextColumn(rows, i) for i in range(len(head.headers))]
     return replace(
-        head, cells=columns, lines=whole.lines, ragged=whole.ragged,
-        faults=_merged(faults),
-    )  # fmt: skip
+        head, cells=columns, lines=whole.lines, ragged=whole.ragged, faults=_merged(faults)
+    )
 
 
 def _is_plain(content: bytes, first: int) -> bool:
@@ -191,12 +191,9 @@ def _layout(content: bytes, head: Table, first: int, path: Place) -> _Layout:
     commas = apart and b"," in content and content.find(b".", first) < 0
     mark = "," if commas else "."
     is_text = [
-        not any(is_number(cell.replace(mark, ".")) for cell in column)
-        for column in head.cells
+        not any(is_number(cell.replace(mark, ".")) for cell in column) for column in head.cells
     ]
-    kind = np.dtype(
-        [(f"f{i}", "S1" if text else "f8") for i, text in enumerate(is_text)]
-    )
+    kind = np.dtype([(f"f{i}", "S1" if text else "f8") for i, text in enumerate(is_text)])
     spaced = SPACED in head.notes
     return _Layout(path, len(is_text), head.delimiter, spaced, kind, commas)
 
@@ -222,9 +219,7 @@ def _by_numpy(piece: bytes, layout: _Layout) -> np.ndarray | None:
     source = io.BytesIO(piece.replace(b",", b".") if layout.commas else piece)
     delimiter = None if layout.spaced else layout.delimiter
     try:
-        grid = np.loadtxt(
-            source, layout.kind, comments=None, delimiter=delimiter, ndmin=1
-        )
+        grid = np.loadtxt(source, layout.kind, comments=None, delimiter=delimiter, ndmin=1)
     except ValueError:
         return None
     numbers = np.full((layout.width, len(grid)), np.nan)

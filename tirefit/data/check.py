@@ -98,9 +98,7 @@ _RULES = (
     *(_slip_rule(name) for name in SLIP_DEFINITIONS if name != "sigma_x"),
     _angle_rule("alpha"),
     _angle_rule("gamma"),
-    Rule(
-        "fz", lambda load: load < _NO_LOAD, "is not a load: fz > 0 is needed", _CORRECT
-    ),
+    Rule("fz", lambda load: load < _NO_LOAD, "is not a load: fz > 0 is needed", _CORRECT),
     Rule("v", lambda speed: speed < 0, "is a negative speed", _CORRECT),
     Rule("pressure", lambda p: p <= 0, "is not a pressure: > 0 is needed", _CORRECT),
 )
@@ -140,8 +138,7 @@ def range_faults(
 
 _MIRRORED = (
     "is below -1, where the wheel would have to travel backwards",
-    "if driving slip is positive in the file: --convention iso-w, sae or"
-    " adapted-sae; " + _CORRECT,
+    "if driving slip is positive in the file: --convention iso-w, sae or adapted-sae; " + _CORRECT,
 )
 
 
@@ -265,9 +262,7 @@ def check_variation(columns: Mapping[str, np.ndarray], file: str) -> list[InputP
     return [InputProblem(f"constant slip ({value} in all used rows)", remedy, file)]
 
 
-def doubt_units(
-    columns: Mapping[str, np.ndarray], headers: Mapping[str, str]
-) -> list[str]:
+def doubt_units(columns: Mapping[str, np.ndarray], headers: Mapping[str, str]) -> list[str]:
     """Forces that no tire has under its load, in sentences with a remedy.
 
     A tire carries some 5 to 30 times its slip as a share of the load until it slides,
@@ -309,9 +304,7 @@ def doubt_units(
     return said
 
 
-def doubt_time(
-    time: np.ndarray, run: np.ndarray, lines: np.ndarray, header: str
-) -> list[str]:
+def doubt_time(time: np.ndarray, run: np.ndarray, lines: np.ndarray, header: str) -> list[str]:
     """A time that goes back within a run, as a sentence with a remedy; else none.
 
     Args:
@@ -347,9 +340,7 @@ def has_decimal_comma(columns) -> bool:
     return not all(_GROUPED.fullmatch(cell) for cell in with_comma)
 
 
-def read_numbers(
-    cells, header: str, ragged: np.ndarray, commas: bool = False, gaps: bool = False
-):
+def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False, gaps: bool = False):
     """Numbers of a column of cells, and the faulty ones.
 
     Args:
@@ -379,9 +370,7 @@ def read_numbers(
         rows, texts = zip(*there, strict=True)
         remedy = _OF_WHOLE_COLUMN.get(kind) if len(there) == whole else None
         is_systematic = remedy is not None
-        faults.append(
-            BadRows(header, rows, texts, kind, remedy or _CORRECT, is_systematic)
-        )
+        faults.append(BadRows(header, rows, texts, kind, remedy or _CORRECT, is_systematic))
     return np.where(is_sane, values, np.nan), faults
 
 

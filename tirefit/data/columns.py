@@ -29,8 +29,7 @@ _NAMES = {
     "fx": "fx forcex longforce longitudinalforce",
     "fy": "fy forcey latforce lateralforce sideforce",
     "fz": "fz forcez load wheelload verticalload normalload verticalforce normalforce",
-    "mz": "mz momentz aligningmoment aligningtorque selfaligningmoment"
-    " selfaligningtorque",
+    "mz": "mz momentz aligningmoment aligningtorque selfaligningmoment selfaligningtorque",
     "mx": "mx momentx overturningmoment overturningcouple overturningtorque",
     "my": "my momenty rollingresistance rollingresistancemoment"
     " rollingresistancetorque rollingmoment",
@@ -345,9 +344,7 @@ def _with_unit(column: Column, plan: Plan, file: str) -> Column:
     try:
         return replace(column, unit=resolve_unit(column.unit_text, column.name))
     except DataError as error:
-        plan.problems += [
-            replace(p, file=file, column=column.header) for p in error.problems
-        ]
+        plan.problems += [replace(p, file=file, column=column.header) for p in error.problems]
         return column
 
 

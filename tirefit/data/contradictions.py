@@ -47,9 +47,7 @@ class Comparison:
                 "against": a.pair.words,
                 "gains": [
                     {"of": term.words, "value": gain, "std": std}
-                    for term, gain, std in zip(
-                        a.pair.terms, a.gains, a.gain_stds, strict=True
-                    )
+                    for term, gain, std in zip(a.pair.terms, a.gains, a.gain_stds, strict=True)
                 ],
                 "delay": a.delay,
                 "delay_std": a.delay_std,
@@ -95,9 +93,7 @@ def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Compar
         problems += _sideways(track, motion, vehicle, file)
         problems += _another_clock(pairs, track, vehicle, file)
     warnings += [] if problems else _late_or_off(pairs, vehicle)
-    return Comparison(
-        tuple(pairs), tuple(problems), tuple(warnings), _line(pairs, vehicle)
-    )
+    return Comparison(tuple(pairs), tuple(problems), tuple(warnings), _line(pairs, vehicle))
 
 
 def _backwards(track, motion, vehicle: Vehicle, file: str) -> InputProblem | None:
@@ -112,9 +108,7 @@ def _backwards(track, motion, vehicle: Vehicle, file: str) -> InputProblem | Non
         unit = f"-{vehicle.units.get('v_x', 'm/s')}".removeprefix("--")
         name, how = "v_x", f'v_x = "{unit}" (and v_y, a_x, a_y alike) in [units]'
     reason = f"the car drives backwards for {share:.0%} of the time in motion"
-    remedy = (
-        f"if it drove ahead, say {how} of vehicle.toml; else cut that from the log:"
-    )
+    remedy = f"if it drove ahead, say {how} of vehicle.toml; else cut that from the log:"
     remedy += " only driving ahead is described"
     return InputProblem(reason, remedy, file, column=_column(track, name).header)
 
@@ -161,9 +155,7 @@ def _guessed(fault: Fault, track: Track) -> tuple[str, str]:
     said = []
     if fault.unit:
         read_in = read.unit or "rad by the map"
-        said.append(
-            f"{_names(fault)} {is_or_are} in {fault.unit}, and read in {read_in}"
-        )
+        said.append(f"{_names(fault)} {is_or_are} in {fault.unit}, and read in {read_in}")
     if flipped:
         said.append(f"{_names(fault)} {has_or_have} the other sign")
     if read.quantity == "steering":
@@ -236,9 +228,7 @@ def _file_away(said, faults, track, file, problems, warnings) -> None:
         header = next(column.header for column in columns if column.named)
         problems.append(InputProblem(said.reason, said.remedy, file, column=header))
     else:
-        warnings.append(
-            f"{said.reason}; [columns] does not name it, so it changes nothing here"
-        )
+        warnings.append(f"{said.reason}; [columns] does not name it, so it changes nothing here")
 
 
 def _unexplained(a, k, vehicle, track, file, problems, warnings) -> None:
@@ -249,8 +239,7 @@ def _unexplained(a, k, vehicle, track, file, problems, warnings) -> None:
     far = not 0.5 < a.gains[k] < 2 and a.pair.channel != "steering"
     if far and column.named and _used(names, vehicle):
         remedy = (
-            "look which of the columns is wrong in [columns] and [units], or derive"
-            " with --believe"
+            "look which of the columns is wrong in [columns] and [units], or derive with --believe"
         )
         reason = f"channels contradict each other: {said}"
         problems.append(InputProblem(reason, remedy, file, column=column.header))
@@ -275,8 +264,7 @@ def _swap_problem(swap, track, file) -> InputProblem:
     one, other = (_column(track, name) for name in swap)
     return InputProblem(
         f"channels contradict each other: {swap[0]} and {swap[1]} stand for each other",
-        f'exchange them in [columns]: {swap[0]} = "{other.header}",'
-        f' {swap[1]} = "{one.header}"',
+        f'exchange them in [columns]: {swap[0]} = "{other.header}", {swap[1]} = "{one.header}"',
         file,
         column=one.header,
     )

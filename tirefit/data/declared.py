@@ -49,9 +49,7 @@ class Signs(NamedTuple):
         if self.is_declared:
             return f"signs read as {self.convention!r}, {self.whose}"
         meaning = CONVENTIONS[self.convention].description
-        return (
-            f"no sign convention declared: {self.convention!r} {self.whose}: {meaning}"
-        )
+        return f"no sign convention declared: {self.convention!r} {self.whose}: {meaning}"
 
 
 class Options(NamedTuple):

@@ -50,9 +50,7 @@ from tirefit.results import DataError, InputProblem, UsageError
 
 SCHEMA = "tirefit.derive/1"
 
-_FIRST = (
-    "# tirefit: derived from vehicle logs, SI units, convention braking, constants {}\n"
-)
+_FIRST = "# tirefit: derived from vehicle logs, SI units, convention braking, constants {}\n"
 
 _NEARLY_ALL = 0.9
 """Share of the samples that one reason drops, from which the units are doubted."""
@@ -83,9 +81,7 @@ class DerivedLog:
     heading: str  # offset of heading or sideslip: applied, assumed none, left over
     zero: float | None  # alpha at no side force [rad], where the log shows it
     point: PointCheck  # position of the tracked point, by force against slip
-    run: (
-        np.ndarray
-    )  # (n,) str, the run of each kept sample: that of the log, or its own
+    run: np.ndarray  # (n,) str, the run of each kept sample: that of the log, or its own
     compared: Comparison  # what the redundancy of the log's channels says
     warnings: tuple[str, ...]  # what in the columns is hardly the tire's
     assumptions: tuple[str, ...]  # the bandwidth and everything that was assumed
@@ -116,9 +112,7 @@ class DerivedLog:
                         self.point.line,
                         *(f"warning: {w}" for w in self.warnings),
                     )
-                    for line in wrap(
-                        said, 80, initial_indent=" " * 4, subsequent_indent=" " * 6
-                    )
+                    for line in wrap(said, 80, initial_indent=" " * 4, subsequent_indent=" " * 6)
                 ),
             ]
         )
@@ -245,8 +239,7 @@ def derive_files(
             problems += error.problems
     DataError.raise_for(problems)
     columns = {
-        name: np.concatenate([log.columns[name] for log in logs])
-        for name in logs[0].columns
+        name: np.concatenate([log.columns[name] for log in logs]) for name in logs[0].columns
     }
     columns["run"] = np.concatenate([log.run for log in logs])
     stated = {**stated_of(vehicle), **found_in(logs)}
@@ -337,9 +330,7 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
     return kept, dropped
 
 
-def _none_left(
-    track: Track, motion, vehicle: Vehicle, dropped, file: str
-) -> InputProblem:
+def _none_left(track: Track, motion, vehicle: Vehicle, dropped, file: str) -> InputProblem:
     """That no sample is kept, and what would keep some."""
     reason = f"no sample is left of {len(motion.time)}: {_counts(dropped)}"
     if motion.settled.any():

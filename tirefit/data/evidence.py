@@ -46,9 +46,7 @@ def trend(x: np.ndarray, y: np.ndarray, least: float) -> int:
     return int(np.sign(correlation)) if abs(t) > 5 and abs(correlation) > 0.25 else 0
 
 
-def evidence_of(
-    columns: Mapping[str, np.ndarray], definition: str = "kappa"
-) -> list[Evidence]:
+def evidence_of(columns: Mapping[str, np.ndarray], definition: str = "kappa") -> list[Evidence]:
     """All that the columns say of their signs.
 
     Args:
@@ -152,9 +150,7 @@ def turning(columns: Mapping[str, np.ndarray]) -> int:
     return trend(slip - slip.mean(), wheel - wheel.mean(), 0.005)
 
 
-def fitting_conventions(
-    evidence: Sequence[Evidence], convention: str, load: int = 1
-) -> list[str]:
+def fitting_conventions(evidence: Sequence[Evidence], convention: str, load: int = 1) -> list[str]:
     """Conventions in which all evidence, and the load, would come out as it must.
 
     Args:
@@ -167,8 +163,7 @@ def fitting_conventions(
     for name, other in CONVENTIONS.items():
         turned = {f: getattr(read, f) * getattr(other, f) for f in read._fields[1:]}
         signs = [
-            item.trend * int(np.prod([turned[field] for field in item.fields]))
-            for item in evidence
+            item.trend * int(np.prod([turned[field] for field in item.fields])) for item in evidence
         ]
         if turned["fz"] == load and min(signs, default=1) >= 0:
             fitting.append(name)

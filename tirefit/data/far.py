@@ -11,9 +11,7 @@ from tirefit.data.table import CANONICAL, TireData
 from tirefit.results import InputProblem
 from tirefit.slip import LOCKED, slip_ratio_from_sigma
 
-FAR_COLUMNS = (
-    "fz", "sigma_x", "alpha", "fx", "fy", "mz", "v", "gamma", "pressure", "temperature",
-)  # fmt: skip
+FAR_COLUMNS = ("fz", "sigma_x", "alpha", "fx", "fy", "mz", "v", "gamma", "pressure", "temperature")
 """Columns that are looked at."""
 
 _GAP = 3.0
@@ -53,9 +51,7 @@ class FarValue(NamedTuple):
     among: str  # which others
 
 
-def far_values(
-    data: TireData, columns: Iterable[str] = FAR_COLUMNS
-) -> tuple[FarValue, ...]:
+def far_values(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> tuple[FarValue, ...]:
     """Values of single rows that are far from everything, in the order of the rows.
 
     A value is far from its file where a gap of three times the range of all others
@@ -112,9 +108,7 @@ def like_slips(data: TireData, slip: str) -> np.ndarray:
     return np.lexsort((data.usable(slip), alike, load, data.run[data.used]))
 
 
-def problem_at(
-    data: TireData, row: int, column: str, reason: str, remedy: str
-) -> InputProblem:
+def problem_at(data: TireData, row: int, column: str, reason: str, remedy: str) -> InputProblem:
     """A problem with one row (counted from 0), placed in its own file."""
     source = data.source
     paths = source.paths

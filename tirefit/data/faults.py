@@ -201,9 +201,7 @@ def explained(pairs, off, track) -> tuple[tuple[Fault, ...], list[Fault]]:
     for count in (1, 2):
         usual = [f for f in possible if count == 1 or f.rarity < _RARE]
         for faults in itertools.combinations(usual, count):
-            if len({c for f in faults for c in f.channels}) < sum(
-                len(f.channels) for f in faults
-            ):
+            if len({c for f in faults for c in f.channels}) < sum(len(f.channels) for f in faults):
                 continue
             left = not_explained(pairs, faults)
             if len(off) - len(left) < count or _halves(off, left):

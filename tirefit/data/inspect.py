@@ -151,8 +151,7 @@ def inspect(data: Any) -> Inspection:
         warnings=source.warnings,
         assumptions=source.assumptions,
         masked=tuple(
-            str(dataclasses.replace(problem, remedy="", file=""))
-            for problem in source.masked
+            str(dataclasses.replace(problem, remedy="", file="")) for problem in source.masked
         ),
         far_rows=tuple(_far_row(data, value) for value in far_values(data)),
     )
@@ -308,24 +307,18 @@ def _spread_support(data: TireData, name: str, fit: str, model="") -> Support:
 
 
 def _wrap(text: str, indent: str = "    ") -> list[str]:
-    return textwrap.wrap(
-        text, _WIDTH, initial_indent="  ", subsequent_indent=indent
-    ) or [""]
+    return textwrap.wrap(text, _WIDTH, initial_indent="  ", subsequent_indent=indent) or [""]
 
 
 def _column_lines(columns) -> list[str]:
-    lines = [
-        f"{'column':<16}{'unit':<7}{'min':>11}{'median':>11}{'max':>11}  read from"
-    ]
+    lines = [f"{'column':<16}{'unit':<7}{'min':>11}{'median':>11}{'max':>11}  read from"]
     for c in columns:
         header = c.header if c.header is not None else "(declared or computed)"
         if c.file_unit and c.file_unit != c.unit:
             header += f", {c.file_unit}"
         numbers = f"{c.min:>11.4g}{c.median:>11.4g}{c.max:>11.4g}"
         start = f"{c.name:<16}{c.unit:<7}{numbers}  "
-        lines.append(
-            start + textwrap.shorten(header, _WIDTH - len(start), placeholder=".")
-        )
+        lines.append(start + textwrap.shorten(header, _WIDTH - len(start), placeholder="."))
     return lines
 
 

@@ -119,9 +119,7 @@ def _knower(declared: Collection[str]) -> Callable[[str], bool]:
     return is_known
 
 
-def _of_channels(
-    channels: Channels, path: Place, digest: str, units_from: str
-) -> Table:
+def _of_channels(channels: Channels, path: Place, digest: str, units_from: str) -> Table:
     """A table of columns without lines; rows are counted from 1."""
     headers = list(channels.columns)
     cells = list(channels.columns.values())
@@ -131,8 +129,14 @@ def _of_channels(
         raise DataError(reason, "give at least as many rows as parameters", str(path))
     units = [channels.units.get(header, "") for header in headers]
     return Table(
-        str(path), stem_of(path), headers, cells,
-        np.arange(1, n + 1), np.zeros(n, bool),
-        units_row=units if any(units) else None, sha256=digest, notes=channels.notes,
+        str(path),
+        stem_of(path),
+        headers,
+        cells,
+        np.arange(1, n + 1),
+        np.zeros(n, bool),
+        units_row=units if any(units) else None,
+        sha256=digest,
+        notes=channels.notes,
         layout=Layout(units_from=units_from),
-    )  # fmt: skip
+    )

@@ -47,9 +47,7 @@ def bag_suffix(content: bytes) -> str:
     return next(fits, "")
 
 
-def channels_of_mdf(
-    path: Place, content: bytes, is_known: Callable[[str], bool]
-) -> Channels:
+def channels_of_mdf(path: Place, content: bytes, is_known: Callable[[str], bool]) -> Channels:
     """The numeric channels of an MDF file on one clock, conversions applied.
 
     Args:
@@ -90,9 +88,7 @@ def channels_of_mdf(
     return channels._replace(notes=tuple(notes))
 
 
-def channels_of_bag(
-    path: Place, content: bytes, is_known: Callable[[str], bool]
-) -> Channels:
+def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]) -> Channels:
     """The numeric fields of the messages of a bag on one clock, as ``/topic.field``.
 
     Args:

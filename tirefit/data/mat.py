@@ -45,9 +45,7 @@ def is_mat(content: bytes) -> bool:
     return content.startswith((_V5, _V73))
 
 
-def channels_of_mat(
-    content: bytes, file: str, is_known: Callable[[str], bool]
-) -> Channels:
+def channels_of_mat(content: bytes, file: str, is_known: Callable[[str], bool]) -> Channels:
     """The columns of a MATLAB file.
 
     Args:
@@ -104,8 +102,7 @@ def _plain(value: Any) -> Any:
         return value
     if value.dtype.names:
         items = [
-            {name: _plain(one[name]) for name in value.dtype.names}
-            for one in value.reshape(-1)
+            {name: _plain(one[name]) for name in value.dtype.names} for one in value.reshape(-1)
         ]
         return items[0] if len(items) == 1 else items
     if value.dtype.kind == "O":
@@ -120,11 +117,7 @@ def _of_hdf5(content: bytes) -> dict[str, Any]:
     import h5py  # 0.1 s
 
     with h5py.File(io.BytesIO(content), "r") as file:
-        return {
-            key: _of_item(item, file)
-            for key, item in file.items()
-            if not key.startswith("#")
-        }
+        return {key: _of_item(item, file) for key, item in file.items() if not key.startswith("#")}
 
 
 def _of_item(item, file) -> Any:
@@ -290,9 +283,7 @@ def _stated(contents: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _nothing(contents: Mapping[str, Any], file: str) -> DataError:
-    listed = ", ".join(
-        f"{name!r} ({_described(value)})" for name, value in contents.items()
-    )
+    listed = ", ".join(f"{name!r} ({_described(value)})" for name, value in contents.items())
     reason = f"no columns in this MATLAB file: {listed or 'it is empty'}"
     problem = InputProblem(reason, _HOW_TO_SAVE, file)
     objects = [n for n, value in contents.items() if isinstance(value, _Opaque)]

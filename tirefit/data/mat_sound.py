@@ -10,8 +10,7 @@ import zlib
 from typing import NamedTuple
 
 _MATRIX, _COMPRESSED = 14, 15
-_SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8,
-          16: 1, 17: 2, 18: 4}  # fmt: skip
+_SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8, 16: 1, 17: 2, 18: 4}
 """Type of the numbers of an element -> bytes of each."""
 
 _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _FUNCTION, _OPAQUE = 1, 2, 3, 4, 5, 16, 17

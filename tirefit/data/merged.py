@@ -42,9 +42,7 @@ def merged(said: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
 def _files(names: list[str], count: int) -> str:
     if len(names) == count:
         return f"{count} files"
-    return (
-        ", ".join(names) if len(names) <= _NAMED else f"{len(names)} of {count} files"
-    )
+    return ", ".join(names) if len(names) <= _NAMED else f"{len(names)} of {count} files"
 
 
 def _sentence(words: tuple[str, ...], values: list[list[str]]) -> str:

@@ -224,9 +224,7 @@ def motion_of(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
         rates = convert(of, vehicle)
         parts.append(_stretch(grid, *rates, command, part, within, inside, signals))
     fields = Motion.__dataclass_fields__
-    joined = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in fields
-    }
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in fields}
     return Motion(**joined), len(splits)
 
 
@@ -237,8 +235,7 @@ def _check_size(track: Track, splits: np.ndarray, rate: float) -> None:
     count = float(steps.sum()) * rate
     if count > _MOST_SAMPLES:
         raise DataError(
-            f"at {rate:g} Hz the log has {count:.2g} samples, more than"
-            f" {_MOST_SAMPLES:,}",
+            f"at {rate:g} Hz the log has {count:.2g} samples, more than {_MOST_SAMPLES:,}",
             "lower filter.sample_rate, split the log, or check the unit of time",
         )
 
@@ -308,12 +305,4 @@ def _from_rates(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:
         a_y = np.gradient(v_y, 1 / rate) + yaw_rate * v_x
     else:
         a_y = of["a_y"] + yaw_acceleration * ahead - yaw_rate**2 * left
-    return (
-        v_x,
-        v_y,
-        a_x,
-        a_y,
-        yaw_rate,
-        yaw_acceleration,
-        *[np.full(len(v_x), np.nan)] * 3,
-    )
+    return (v_x, v_y, a_x, a_y, yaw_rate, yaw_acceleration, *[np.full(len(v_x), np.nan)] * 3)

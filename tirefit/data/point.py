@@ -36,15 +36,11 @@ def zero_of_alpha(
     key = "yaw_offset" if pose else "sideslip_offset"
     given = getattr(vehicle, key)
     what, logged, turns = "sideslip", "sideslip", "raises"
-    assumed = (
-        "the speeds are taken as along the car's axes; a sensor that is rotated to"
-    )
+    assumed = "the speeds are taken as along the car's axes; a sensor that is rotated to"
     assumed += " the right by an angle makes alpha too large by this angle"
     if pose:
         what, logged, turns = "heading", "yaw", "lowers"
-        assumed = (
-            "the logged yaw is taken as the heading; if the heading is larger, alpha"
-        )
+        assumed = "the logged yaw is taken as the heading; if the heading is larger, alpha"
         assumed += " is too large by the difference"
     said = f"{what} offset: none assumed, {assumed}"
     if given:
@@ -335,9 +331,7 @@ def _point(motion, vehicle, every, step: int) -> tuple[_Fit, _Rows]:
         x = float(share) * vehicle.wheelbase - stated
         moved, _ = _further_ahead(few, vehicle, x)
         rows = _moderate(moved, vehicle, np.arange(len(every)), step)
-        alpha, force = (
-            values[rows.rows] for values in slip_and_force(moved, vehicle)[:2]
-        )
+        alpha, force = (values[rows.rows] for values in slip_and_force(moved, vehicle)[:2])
         one = np.ones((len(alpha), 1 if rows.offset else 0))
         sides = np.hstack([_shape(force, rows), one])
         theta = np.linalg.lstsq(sides, alpha)[0]
@@ -353,9 +347,7 @@ def _point(motion, vehicle, every, step: int) -> tuple[_Fit, _Rows]:
     return fit._replace(std=math.hypot(fit.std, bias)), rows
 
 
-def _fitted(
-    change: _Change, small: float, motion, vehicle, rows: _Rows, x: float = 0.0
-) -> _Fit:
+def _fitted(change: _Change, small: float, motion, vehicle, rows: _Rows, x: float = 0.0) -> _Fit:
     """Fit the amount of a change with which the slip angle follows the force.
 
     Args:

@@ -25,9 +25,7 @@ def heading(x, y, z, w):
     return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
-def with_headings(
-    table: Table, stated: Sequence[str] = ()
-) -> tuple[Table, dict[str, str]]:
+def with_headings(table: Table, stated: Sequence[str] = ()) -> tuple[Table, dict[str, str]]:
     """The table with a column ``...yaw`` [rad] for each quaternion, and a map from the
     headers that name a quaternion (its components, their common beginning) to it.
 
@@ -46,9 +44,7 @@ def with_headings(
     if stated and set(stated) <= set(table.headers):
         places = [table.headers.index(header) for header in stated]
         whole[f"{stated[3]} "] = dict(zip("xyzw", places, strict=True))
-    known = any(
-        (g := guess(header)) and g.name == "heading" for header in table.headers
-    )
+    known = any((g := guess(header)) and g.name == "heading" for header in table.headers)
     named: dict[str, str] = {}
     for stem, parts in whole.items():
         name = re.sub(r"(^|[\W_])q$", r"\1", stem, flags=re.IGNORECASE) + "yaw"
@@ -59,10 +55,13 @@ def with_headings(
         if len(whole) == 1 and not known:
             layout = layout._replace(names={**layout.names, name: "heading"})
         table = replace(
-            table, headers=[*table.headers, name], cells=[*table.cells, values],
+            table,
+            headers=[*table.headers, name],
+            cells=[*table.cells, values],
             units_row=table.units_row and [*table.units_row, "rad"],
-            notes=(*table.notes, f"column {name!r} computed {note}"), layout=layout,
-        )  # fmt: skip
+            notes=(*table.notes, f"column {name!r} computed {note}"),
+            layout=layout,
+        )
         components = [table.headers[place] for place in parts.values()]
         named |= dict.fromkeys([*components, stem, stem.rstrip("_./- ["), name], name)
     return table, named

@@ -154,15 +154,12 @@ class _Reading:
 def _checked(table: Table, options: Options) -> TireData:
     """The whole way from a table of cells to data; raises all problems at once."""
     table, _ = with_headings(recognised(table))
-    plan = plan_columns(
-        table.headers, table.units_row, options, table.file, table.layout
-    )
+    plan = plan_columns(table.headers, table.units_row, options, table.file, table.layout)
     read_as = options.signs(table.layout, plan.columns, table.file)
     reading = _Reading(table, options, plan, read_as)
     lines = table.header_line, table.units_line or table.header_line
     reading.problems = [
-        replace(problem, row=lines[problem in plan.in_units_row])
-        for problem in plan.problems
+        replace(problem, row=lines[problem in plan.in_units_row]) for problem in plan.problems
     ]
     reading.problems += read_as.problems
     reading.faults += table.faults
@@ -187,9 +184,7 @@ def _checked(table: Table, options: Options) -> TireData:
         columns=reading.headers,
         units=plan.units_to_write
         | {_canonical(c.name): c.unit_text for c in plan.columns.values() if c.unit},
-        units_beside=tuple(
-            _canonical(c.name) for c in plan.columns.values() if c.beside
-        ),
+        units_beside=tuple(_canonical(c.name) for c in plan.columns.values() if c.beside),
         assumptions=tuple(_all_assumptions(reading)),
         warnings=_warnings(reading, definition, run),
         masked=masked,
@@ -220,9 +215,7 @@ def _runs(reading: _Reading) -> tuple[np.ndarray, tuple[str, ...]]:
     empty = [i for i, name in enumerate(names) if name in ("", "nan") and not skip[i]]
     if empty:
         values = ["an empty cell"] * len(empty)
-        reading.faults.append(
-            BadRows(column.header, empty, values, "is not a run's name")
-        )
+        reading.faults.append(BadRows(column.header, empty, values, "is not a run's name"))
     codes: dict[str, int] = {}
     run = [codes.setdefault(name, len(codes)) for name in names]
     return np.array(run, int), tuple(codes)
@@ -233,9 +226,7 @@ def _numbers_to_si(reading: _Reading) -> None:
     plan, table = reading.plan, reading.table
     numeric = [column for name, column in plan.columns.items() if name != "run"]
     cells = {column.name: table.cells[column.index] for column in numeric}
-    commas = table.delimiter not in ("", ",") and check.has_decimal_comma(
-        cells.values()
-    )
+    commas = table.delimiter not in ("", ",") and check.has_decimal_comma(cells.values())
     if commas:
         reading.assumptions.append("numbers read with a decimal comma (1,5 is 1.5)")
     for column in numeric:
@@ -326,9 +317,7 @@ def _use_rolling_radius(reading: _Reading, definition: str) -> None:
     if missing:
         if "sigma_x" not in columns and "alpha" in columns:
             without = " and ".join(missing)
-            reading.assumptions.append(
-                f"rolling radius not used: there is no {without}"
-            )
+            reading.assumptions.append(f"rolling radius not used: there is no {without}")
         elif "sigma_x" not in columns:
             reason = f"--rolling-radius needs {' and '.join(missing)} to give a slip"
             remedy = "name them, as in --column omega=HEADER"
@@ -348,10 +337,7 @@ def _use_rolling_radius(reading: _Reading, definition: str) -> None:
     header = reading.headers.get("omega", "omega")
     for rows, rule in (
         (np.flatnonzero(columns["omega"] < 0), "is a wheel turning backwards"),
-        (
-            np.flatnonzero((columns["omega"] == 0) & (columns["v"] == 0)),
-            "at standstill: no slip",
-        ),
+        (np.flatnonzero((columns["omega"] == 0) & (columns["v"] == 0)), "at standstill: no slip"),
     ):
         if len(rows):
             shown = [f"{value:.6g}" for value in reading.shown["omega"][rows]]
@@ -379,9 +365,7 @@ def _drop_idle_forces(reading: _Reading) -> None:
 
 def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
     """Raises DataError with all that stands; else the masked rows as problems."""
-    of_rows, of_columns = check.list_problems(
-        reading.faults, reading.table.lines, reading.file
-    )
+    of_rows, of_columns = check.list_problems(reading.faults, reading.table.lines, reading.file)
     plan = reading.plan.columns.items()
     named = {_canonical(name) for name, c in plan if c.header not in reading.idle}
     there = named | set(reading.columns)
@@ -398,9 +382,12 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
             varied = forces and curve
             whole += check.check_variation(used, reading.file) if varied else []
             whole += signs.check_signs(
-                used, reading.headers, reading.signs.convention, reading.file,
+                used,
+                reading.headers,
+                reading.signs.convention,
+                reading.file,
                 reading.plan.slip or "sigma_x",
-            )  # fmt: skip
+            )
         elif reading.options.mask_bad_rows:
             remedy = "see the rows' problems without --mask-bad-rows"
             whole.append(InputProblem("no usable rows are left", remedy, reading.file))

@@ -83,9 +83,8 @@ class _Writer:
         """The rows of the next file."""
         self.number += 1
         whole = {"number": self.number} | {
-            name: getattr(record, name)
-            for name in (*_TEXTS, "seed") if hasattr(record, name)
-        }  # fmt: skip
+            name: getattr(record, name) for name in (*_TEXTS, "seed") if hasattr(record, name)
+        }
         for row in record.rows or (_NOTHING,):
             for name, value in (whole | row._asdict()).items():
                 self.columns[name].append(value)
@@ -147,8 +146,7 @@ class ResultsTable:
         """What is of a file, not of one of its numbers: a list of n for each column."""
         number = self._table["number"].to_numpy()
         first = np.flatnonzero(np.diff(number, prepend=0))
-        names = ["file", "result", "model", "status", "problem", "convention",
-                 "version", "seed"]  # fmt: skip
+        names = ["file", "result", "model", "status", "problem", "convention", "version", "seed"]
         return self._table.select(names).take(first).to_pydict()
 
 

@@ -32,19 +32,21 @@ it is a share (0.02) of the speed itself. ``yaw`` stands for its rate."""
 
 _SPEED_ZERO = 0.02
 _FLOORS = {
-    "yaw": 0.03, "yaw_rate": 0.03, "a_y": 0.3, "a_x": 0.3, "steering": 0.005,
-    "v_x": 0.3, "v_y": 0.1,
-}  # fmt: skip
+    "yaw": 0.03,
+    "yaw_rate": 0.03,
+    "a_y": 0.3,
+    "a_x": 0.3,
+    "steering": 0.005,
+    "v_x": 0.3,
+    "v_y": 0.1,
+}
 """Channel -> rms below which driving says nothing of it, SI."""
 
 Signals = Mapping[str, np.ndarray]
 
 
 def agreements(
-    track: Track,
-    motion: Motion,
-    vehicle: Vehicle,
-    swapped: tuple[str, str] | None = None,
+    track: Track, motion: Motion, vehicle: Vehicle, swapped: tuple[str, str] | None = None
 ) -> list[Agreement]:
     """Every pair of the log that enough samples are there for.
 
@@ -63,9 +65,7 @@ def agreements(
     rate, cutoff = vehicle.filter.sample_rate, vehicle.filter.cutoff
 
     def held(pairs: list[Pair]) -> list[Agreement]:
-        some = (
-            agreement(p, motion.part, usable, rate, _SLOWER / cutoff) for p in pairs
-        )
+        some = (agreement(p, motion.part, usable, rate, _SLOWER / cutoff) for p in pairs)
         return [result for result in some if result is not None]
 
     compared = []
@@ -79,9 +79,7 @@ def agreements(
     return compared + held(_of_rates(of, rate, vehicle))
 
 
-def heading_off_path(
-    track: Track, motion: Motion, vehicle: Vehicle, sign: int
-) -> float:
+def heading_off_path(track: Track, motion: Motion, vehicle: Vehicle, sign: int) -> float:
     """Mean of ``sign`` x path direction less yaw [rad], in ±pi; NaN without a pose."""
     if not motion.settled.any():
         return np.nan
@@ -109,9 +107,7 @@ def _slowly(track: Track, motion: Motion, vehicle: Vehicle) -> dict[str, np.ndar
     of = dict(zip(names, slow.T.copy(), strict=True))
     if "steering" in of:
         assert vehicle.steering is not None  # they need each other
-        of["steering"] = np.interp(
-            of["steering"], vehicle.steering.command, vehicle.steering.angle
-        )
+        of["steering"] = np.interp(of["steering"], vehicle.steering.command, vehicle.steering.angle)
     return of
 
 
@@ -146,9 +142,14 @@ def _path(of: Signals, rate: float) -> dict[str, np.ndarray]:
     with np.errstate(divide="ignore", invalid="ignore"):
         turning = (v[0] * a[1] - v[1] * a[0]) / speed**2
     return {
-        "v_x": v[0], "v_y": v[1], "a_x": a[0], "a_y": a[1], "speed": speed,
-        "turning": turning, "course": np.arctan2(v[1], v[0]),
-    }  # fmt: skip
+        "v_x": v[0],
+        "v_y": v[1],
+        "a_x": a[0],
+        "a_y": a[1],
+        "speed": speed,
+        "turning": turning,
+        "course": np.arctan2(v[1], v[0]),
+    }
 
 
 def _askew(yaw, course, usable) -> float:
@@ -208,9 +209,7 @@ def _of_path(of: Signals, path: Signals, yaw, rate: float, vehicle) -> list[Pair
     for name in ("v_x", "v_y", "a_x", "a_y"):
         if name in of and name in moved:
             powers = {name: 1, "xy": -1} | ({"y": -1} if name.endswith("y") else {})
-            words = (
-                f"the {'speed' if name[0] == 'v' else 'acceleration'} of the positions"
-            )
+            words = f"the {'speed' if name[0] == 'v' else 'acceleration'} of the positions"
             own = zero if name[0] == "v" else None
             term = Term(moved[name], powers, "positions")
             pairs.append(_pair(name, words, of[name], term, zero=own))

@@ -72,9 +72,7 @@ def check_signs(
         )
         if fitting:
             remedy = f"these signs fit --convention {' or '.join(fitting)}; {remedy}"
-        problems.append(
-            InputProblem(reason, remedy, file, column=headers.get(force, force))
-        )
+        problems.append(InputProblem(reason, remedy, file, column=headers.get(force, force)))
     return problems
 
 
@@ -158,10 +156,7 @@ def _cause(given, computed, definition: str, alpha, radius: float) -> str:
 
 
 def doubt_convention(
-    columns: Mapping[str, np.ndarray],
-    headers: Mapping[str, str],
-    definition: str,
-    signs: Signs,
+    columns: Mapping[str, np.ndarray], headers: Mapping[str, str], definition: str, signs: Signs
 ) -> str | None:
     """What speaks against the sign in which the slip was read; None if nothing does.
 
@@ -185,8 +180,7 @@ def doubt_convention(
         remedy = f"these signs fit --convention {' or '.join(fitting)}"
         return (
             f"the slip contradicts omega / v: the wheel turns slower where it is driven"
-            f" by the signs of {convention!r}; "
-            + (remedy if fitting else "check --convention")
+            f" by the signs of {convention!r}; " + (remedy if fitting else "check --convention")
         )
     header, sign = headers["sigma_x"], CONVENTIONS[convention].slip
     slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
@@ -263,8 +257,7 @@ def _remedy(
     elif turned := _fitting(evidence, convention, load=-1):
         both = " or ".join(turned)
         ways.append(
-            f"if the sign of F_z was turned: --convention {both}"
-            f" --unit fz=-{units.get('fz', 'N')}"
+            f"if the sign of F_z was turned: --convention {both} --unit fz=-{units.get('fz', 'N')}"
         )
     ways += [
         f"if the sign of {name} alone differs: --unit {name}=-{units.get(name, unit)}"

@@ -23,10 +23,12 @@ def stated_of(vehicle: Vehicle) -> dict[str, float]:
     clock = _POSE_CLOCK if vehicle.columns.motion == POSE else None
     point = vehicle.tracked_point
     stated = dict(
-        wheelbase=vehicle.wheelbase, yaw_inertia=vehicle.yaw_inertia,
+        wheelbase=vehicle.wheelbase,
+        yaw_inertia=vehicle.yaw_inertia,
         tracked_point=None if point is None else point[0],
-        clock=vehicle.clock or clock, wheel_radius=vehicle.wheel_radius,
-    )  # fmt: skip
+        clock=vehicle.clock or clock,
+        wheel_radius=vehicle.wheel_radius,
+    )
     return {key: value for key, value in stated.items() if value is not None}
 
 

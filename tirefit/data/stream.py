@@ -31,10 +31,15 @@ class RowReader:
 
     def __init__(self, lines: TextIO, name: str = "standard input", **how):
         self._options = Options(
-            how.get("columns") or {}, how.get("units") or {}, how.get("convention"),
-            how.get("slip"), how.get("constants") or {}, how.get("rolling_radius"),
-            True, True,
-        )  # fmt: skip
+            how.get("columns") or {},
+            how.get("units") or {},
+            how.get("convention"),
+            how.get("slip"),
+            how.get("constants") or {},
+            how.get("rolling_radius"),
+            True,
+            True,
+        )
         self._options.check()
         # Not by iterating over the file itself, which would read ahead.
         above: list[str] = []
@@ -99,9 +104,7 @@ class RowReader:
             if np.isnan(value):
                 self.bad = line, f"column {column.header!r}: {text!r} is not a number"
             is_std = name.endswith("_std")
-            row[name] = sign_of(self._convention, name) * column.unit.to_si(
-                value, is_std
-            )
+            row[name] = sign_of(self._convention, name) * column.unit.to_si(value, is_std)
         if len(cells) != self._width:
             self.bad = line, f"{len(cells)} fields where the header has {self._width}"
         return self._with_sigma(row)

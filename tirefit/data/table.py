@@ -12,12 +12,7 @@ from tirefit.data.run_names import run_names
 from tirefit.display import Displayed
 from tirefit.results import DataError, InputProblem
 
-WHEELS = {
-    "fl": "front left",
-    "fr": "front right",
-    "rl": "rear left",
-    "rr": "rear right",
-}
+WHEELS = {"fl": "front left", "fr": "front right", "rl": "rear left", "rr": "rear right"}
 """Endings of the columns that each wheel of a vehicle has."""
 
 CANONICAL = {
@@ -51,10 +46,7 @@ CANONICAL = {
     "offset": ("m", "distance from the centre line of the lane, to the left"),
     "road_heading": ("rad", "heading of the road there, counter-clockwise"),
     **{f"omega_{w}": ("rad/s", f"wheel speed, {text}") for w, text in WHEELS.items()},
-    **{
-        f"torque_{w}": ("N m", f"brake less drive torque, {text}")
-        for w, text in WHEELS.items()
-    },
+    **{f"torque_{w}": ("N m", f"brake less drive torque, {text}") for w, text in WHEELS.items()},
 }
 """Canonical column -> (unit, meaning); each may have a ``<column>_std`` beside it, each
 force and moment of the tire what a simulator says of it, as ``<column>_sim``.
@@ -228,17 +220,11 @@ def join(tables: Sequence[TireData]) -> TireData:
     sources = [(name, t.source) for name, t in zip(short, tables, strict=True)]
     said = merged((name, source.assumptions) for name, source in sources)
     if dropped:
-        said.append(
-            f"columns that not every file has were left out: {', '.join(dropped)}"
-        )
+        said.append(f"columns that not every file has were left out: {', '.join(dropped)}")
     signs = dict.fromkeys(table.source.convention for table in tables)
     if len(signs) > 1:
-        said.append(
-            f"files in several conventions: {', '.join(signs)}; each is read in its own"
-        )
-    digest = hashlib.sha256(
-        "".join(t.source.sha256 for t in tables).encode()
-    ).hexdigest()
+        said.append(f"files in several conventions: {', '.join(signs)}; each is read in its own")
+    digest = hashlib.sha256("".join(t.source.sha256 for t in tables).encode()).hexdigest()
     lines = [t.source.line for t in tables if t.source.line is not None]
     checks = [t.source.slip_check for t in tables if t.source.slip_check is not None]
     constants, differing = _shared_constants([source for _, source in sources])

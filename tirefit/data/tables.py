@@ -89,9 +89,7 @@ def _columns(table, types) -> tuple[dict[str, Any], list[str], list[str]]:
             columns[name] = (stamps - first) / np.timedelta64(1, "s")
             notes.append(f"column {name!r} in seconds from its first, {first}")
         elif any(is_kind(kind) for is_kind in texts):
-            columns[name] = [
-                "" if text is None else text for text in column.to_pylist()
-            ]
+            columns[name] = ["" if text is None else text for text in column.to_pylist()]
         else:
             left.append(f"{name!r} ({kind})")
     return columns, left, notes

@@ -168,10 +168,7 @@ def table_of_text(
 
 def content_lines(lines: list[str]) -> list[str]:
     """The same lines, those without content, as comments are, as line ends alone."""
-    return [
-        "\n" if line.lstrip().startswith("#") or not line.strip() else line
-        for line in lines
-    ]
+    return ["\n" if line.lstrip().startswith("#") or not line.strip() else line for line in lines]
 
 
 def table_of_rows(
@@ -268,22 +265,14 @@ def table_of_frame(frame, name: str) -> Table:
         values = [frame.iloc[:, i].to_numpy() for i in range(len(headers))]
     else:
         values = [_shown(frame[name]) for name in names]
-    values = [
-        _seconds(value) if value.dtype.kind in "mM" else value for value in values
-    ]
+    values = [_seconds(value) if value.dtype.kind in "mM" else value for value in values]
     lengths = {value.shape for value in values}
     if not values or len(lengths) > 1 or values[0].ndim != 1 or not len(values[0]):
-        shapes = ", ".join(
-            f"{h}: {v.shape}" for h, v in zip(headers, values, strict=True)
-        )
-        reason = (
-            f"columns must be one-dimensional, equally long and not empty ({shapes})"
-        )
+        shapes = ", ".join(f"{h}: {v.shape}" for h, v in zip(headers, values, strict=True))
+        reason = f"columns must be one-dimensional, equally long and not empty ({shapes})"
         raise _refusal(reason, "give arrays of shape (n,)", name)
     cells = [
-        value
-        if value.dtype.kind in "fiub"
-        else ["" if x is None else str(x) for x in value]
+        value if value.dtype.kind in "fiub" else ["" if x is None else str(x) for x in value]
         for value in values
     ]
     n = len(values[0])

@@ -19,10 +19,7 @@ from tirefit.door import TIRE, content_of, control_character
 from tirefit.files import write_text_atomic
 from tirefit.results import DataError, InputProblem, UsageError
 
-__all__ = [
-    "TirFile", "brush_of", "notes_on", "parse_tir", "read_tir", "reduced_tir",
-    "write_tir",
-]  # fmt: skip
+__all__ = ["TirFile", "brush_of", "notes_on", "parse_tir", "read_tir", "reduced_tir", "write_tir"]
 
 
 def parse_tir(text: str, path: str = "", notes: Sequence[str] = ()) -> TirFile:
@@ -51,9 +48,7 @@ def read_tir(path) -> TirFile:
     text, notes = decoded(content, Path(path))
     # Windows-1252 has letters at the control characters of Latin-1.
     text = re.sub(
-        "[\x80-\x9f]",
-        lambda found: found[0].encode("latin-1").decode("cp1252", "replace"),
-        text,
+        "[\x80-\x9f]", lambda found: found[0].encode("latin-1").decode("cp1252", "replace"), text
     )
     odd = control_character(text)
     if odd is not None:
@@ -150,9 +145,7 @@ def reduced_tir(cpa2: float, mu: float, fz: float, radius: float) -> TirFile:
     if wrong:
         raise UsageError(
             [
-                InputProblem(
-                    f"{name} = {given[name]:g} is not positive", "give it in SI"
-                )
+                InputProblem(f"{name} = {given[name]:g} is not positive", "give it in SI")
                 for name in wrong
             ]
         )
@@ -195,10 +188,12 @@ def brush_of(tir: TirFile) -> dict[str, float] | None:
 
 _FITTYP = {"5.2": 6, "6.1": 61, "6.2": 62}
 _RANGES = {
-    "kappa": "LONG_SLIP_RANGE", "alpha": "SLIP_ANGLE_RANGE",
-    "gamma": "INCLINATION_ANGLE_RANGE", "fz": "VERTICAL_FORCE_RANGE",
+    "kappa": "LONG_SLIP_RANGE",
+    "alpha": "SLIP_ANGLE_RANGE",
+    "gamma": "INCLINATION_ANGLE_RANGE",
+    "fz": "VERTICAL_FORCE_RANGE",
     "pressure": "INFLATION_PRESSURE_RANGE",
-}  # fmt: skip
+}
 _HEAD = """\
 [MDI_HEADER]
 FILE_TYPE                = 'tir'
@@ -232,9 +227,7 @@ def new_tir(
     """
     above = "".join(f"$ {line}\n" for line in comment)
     kind = "-Tyre" if version == "5.2" else version.replace(".", "")
-    text = _HEAD.format(
-        units=_UNITS, comment=above, fittyp=_FITTYP[version], format=kind
-    )
+    text = _HEAD.format(units=_UNITS, comment=above, fittyp=_FITTYP[version], format=kind)
     lines = text.splitlines()
     section = "MODEL"
     of_version = [k for k in COEFFICIENTS if ONLY_IN.get(k, version[0]) == version[0]]

@@ -67,17 +67,14 @@ def notes_on(tir: TirFile) -> list[str]:
         )
     use_mode = tir.numbers.get("USE_MODE")
     if use_mode is not None and use_mode % 10 < 4 and not tir.lacks:
-        said.append(
-            f"USE_MODE = {use_mode:g} is not used: all forces, with combined slip"
-        )
+        said.append(f"USE_MODE = {use_mode:g} is not used: all forces, with combined slip")
     if (number := tir.numbers.get("FITTYP")) in _OLDER:
         said.append(f"FITTYP = {number:g}: the equations of MF {tir.version} are used")
     if not any(entry.section == "UNITS" for entry in tir.entries):
         said.append("there is no [UNITS] section: SI units assumed")
     if tir.unit("ANGLE") != 1:
         said.append(
-            "ANGLE applies to the limits of alpha and gamma only: coefficients are per"
-            " radian"
+            "ANGLE applies to the limits of alpha and gamma only: coefficients are per radian"
         )
     if tir.numbers.get("PKY1", 0) > 0 and tir.numbers.get("PDY1", 0) > 0:
         said.append(
@@ -176,9 +173,7 @@ def _missing(tir: TirFile) -> Iterator[InputProblem]:
         yield InputProblem(f"no force is described: {reasons}", remedy, tir.path)
     acting = [key for key in PRESSURE_TERMS if tir.numbers.get(key)]
     if acting and "NOMPRES" not in there:
-        reason = (
-            f"NOMPRES is missing: the nominal pressure, to which {acting[0]} refers"
-        )
+        reason = f"NOMPRES is missing: the nominal pressure, to which {acting[0]} refers"
         remedy = f"add it to [OPERATING_CONDITIONS], or set {', '.join(acting)} to 0"
         yield InputProblem(reason, remedy, tir.path)
     if tir.numbers.get("LMUV") and "LONGVL" not in there:

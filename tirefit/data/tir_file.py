@@ -279,9 +279,7 @@ def _version_in(text: str) -> str | None:
     return "5.2" if found[1] else "6.2" if found[2] == "2" else "6.1"
 
 
-def parsed(
-    text: str, path: str, notes: Iterable[str] = ()
-) -> tuple[TirFile, list[InputProblem]]:
+def parsed(text: str, path: str, notes: Iterable[str] = ()) -> tuple[TirFile, list[InputProblem]]:
     """The file, unchecked, and errors of lines that cannot be parsed.
 
     A value or a comment may continue on the line after its key.
@@ -316,7 +314,5 @@ def parsed(
     said = list(notes)
     if words:
         some = ", ".join(map(str, words[:5])) + (", ..." if len(words) > 5 else "")
-        said.append(
-            f"{len(words)} lines without KEY = VALUE are read as comments: rows {some}"
-        )
+        said.append(f"{len(words)} lines without KEY = VALUE are read as comments: rows {some}")
     return TirFile(path, lines, tuple(entries), tuple(said)), problems

@@ -9,10 +9,16 @@ FITTYP |= {60: "6.1", 61: "6.1", 62: "6.2"}
 """Value of FITTYP -> version of the Magic Formula whose equations are used."""
 
 FORMATS_REFUSED = {
-    "FIALA": "Fiala", "UA": "University of Arizona", "521": "Interpolation",
-    "PAC89": "Pacejka '89", "PAC94": "Pacejka '94", "PAC_MC": "motorcycle PAC MC",
-    "PAC-TIME": "PAC-TIME", "FTIRE": "FTire", "TMEASY": "TMeasy",
-}  # fmt: skip
+    "FIALA": "Fiala",
+    "UA": "University of Arizona",
+    "521": "Interpolation",
+    "PAC89": "Pacejka '89",
+    "PAC94": "Pacejka '94",
+    "PAC_MC": "motorcycle PAC MC",
+    "PAC-TIME": "PAC-TIME",
+    "FTIRE": "FTire",
+    "TMEASY": "TMeasy",
+}
 """PROPERTY_FILE_FORMAT of other tire models -> the model."""
 
 SIDES = ("LEFT", "RIGHT", "SYMMETRIC", "UNKNOWN")
@@ -36,9 +42,7 @@ COEFFICIENTS = {
     " QSX11 QSX12 QSX13 QSX14 PPMX1",
     "ROLLING_COEFFICIENTS": "QSY1 QSY2 QSY3 QSY4 QSY5 QSY6 QSY7 QSY8",
 }
-COEFFICIENTS = {
-    key: section for section, keys in COEFFICIENTS.items() for key in keys.split()
-}
+COEFFICIENTS = {key: section for section, keys in COEFFICIENTS.items() for key in keys.split()}
 """Key that the steady-state forces and moments use -> section it stands in."""
 
 SECTIONS = COEFFICIENTS | {

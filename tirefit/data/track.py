@@ -34,9 +34,13 @@ _LARGEST = 1e20
 """Size of a value whose square still is a number; infinity counts as missing."""
 
 _SI = {
-    "time": "s", "length": "m", "angle": "rad", "speed": "m/s",
-    "angular speed": "rad/s", "acceleration": "m/s2",
-}  # fmt: skip
+    "time": "s",
+    "length": "m",
+    "angle": "rad",
+    "speed": "m/s",
+    "angular speed": "rad/s",
+    "acceleration": "m/s2",
+}
 _MEANT = {"yaw": "heading", "v_x": "v"}
 """Quantity of a log -> its name among the canonical columns, where another."""
 
@@ -245,11 +249,12 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
         problems.append(
             InputProblem(
                 f"unit {text!r} is no unit of {dimension}, which {quantity} is of",
-                f'correct [columns], or say units.{quantity} = "{_SI[dimension]}" in'
-                " vehicle.toml",
-                table.file, table.header_line, header,
+                f'correct [columns], or say units.{quantity} = "{_SI[dimension]}" in vehicle.toml',
+                table.file,
+                table.header_line,
+                header,
             )
-        )  # fmt: skip
+        )
     if unit is None:
         where = f" ({text!r} is no unit)" if label else " (no unit stated)"
         text, scale = _SI[dimension], 1.0
@@ -272,9 +277,7 @@ def _numbers(table: Table, channels, active: str | None) -> dict[str, np.ndarray
         more = len(problems) - _MOST_PROBLEMS
         shown = problems[:_MOST_PROBLEMS]
         if more > 0:
-            shown.append(
-                InputProblem(f"and {more} more cells like these", file=table.file)
-            )
+            shown.append(InputProblem(f"and {more} more cells like these", file=table.file))
         raise DataError(shown)
     return columns
 

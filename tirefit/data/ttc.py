@@ -21,9 +21,15 @@ _METRIC = {
     "TSTC": "degC", "SL": "-", "SR": "-",
 }  # fmt: skip
 _IMPERIAL = _METRIC | {
-    "V": "mph", "P": "psi", "FX": "lbf", "FY": "lbf", "FZ": "lbf",
-    "MX": "ft-lb", "MZ": "ft-lb", "TSTC": "degF",
-}  # fmt: skip
+    "V": "mph",
+    "P": "psi",
+    "FX": "lbf",
+    "FY": "lbf",
+    "FZ": "lbf",
+    "MX": "ft-lb",
+    "MZ": "ft-lb",
+    "TSTC": "degF",
+}
 
 _MOST_PSI = 35.0
 """Pressure that is psi below and kPa above: racing tires are run at 8 to 14 psi."""
@@ -46,9 +52,7 @@ def recognised(table: Table) -> Table:
     meant = {"N": "omega"}
     if {"SL", "SR"} <= names:
         meant |= {"SL": "kappa", "SR": ""}
-        notes.append(
-            "slip from 'SL', which is 0 where FX is; 'SR' is of another radius"
-        )
+        notes.append("slip from 'SL', which is 0 where FX is; 'SR' is of another radius")
     elif "SL" in names:
         meant |= {"SL": "kappa"}
     units, units_from = table.units_row, table.layout.units_from

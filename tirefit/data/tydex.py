@@ -119,15 +119,21 @@ def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Tab
     notes = [*notes, *_said(sections, channels, conversions, constants, unread, meant)]
     notes += origins.values()
     return Table(
-        file, stem_of(path),
+        file,
+        stem_of(path),
         [entry.name for entry in (*channels, *constants)],
         cells + [np.full(len(rows), float(c.values[0])) for c in constants],
-        np.array(lines), ragged, channels[0].line,
+        np.array(lines),
+        ragged,
+        channels[0].line,
         units_row=[entry.unit for entry in (*channels, *constants)],
-        sha256=digest, notes=tuple(notes), faults=faults,
+        sha256=digest,
+        notes=tuple(notes),
+        faults=faults,
         layout=Layout(meant, "unit of the channel", "iso-w"),
-        doubts=_doubts(channels, conversions), constants=of_tire,
-    )  # fmt: skip
+        doubts=_doubts(channels, conversions),
+        constants=of_tire,
+    )
 
 
 # --- sections and their lines -------------------------------------------------------
@@ -365,9 +371,7 @@ def _said(sections, channels, conversions, constants, unread, meant) -> Iterator
         for _, line in sections.get("HEADER", [])
     }
     release = header.get("RELEASE", "of no stated release")
-    yield (
-        f"TYDEX {release}: signs read as 'iso-w' (ISO 8855), slip positive in driving"
-    )
+    yield (f"TYDEX {release}: signs read as 'iso-w' (ISO 8855), slip positive in driving")
     for key in ("SUPPLIER", "MEASID", "DATE"):
         if header.get(key):
             yield f"{key} = {header[key]}"
@@ -391,7 +395,12 @@ def _said(sections, channels, conversions, constants, unread, meant) -> Iterator
     if unread:
         yield f"constants not read: {', '.join(unread)}"
     others = set(sections) - {
-        "HEADER", "COMMENTS", "CONSTANTS", "MEASURCHANNELS", "MEASURDATA", "END",
-    }  # fmt: skip
+        "HEADER",
+        "COMMENTS",
+        "CONSTANTS",
+        "MEASURCHANNELS",
+        "MEASURDATA",
+        "END",
+    }
     if others:
         yield f"sections not read: {', '.join(sorted(others))}"

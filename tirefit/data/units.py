@@ -11,13 +11,7 @@ import numpy as np
 
 from tirefit.data.table import WHEELS
 from tirefit.results import DataError, did_you_mean
-from tirefit.slip import (
-    CONVENTIONS,
-    GRAVITY,
-    LOCKED,
-    SLIP_DEFINITIONS,
-    kappa_from_sigma,
-)
+from tirefit.slip import CONVENTIONS, GRAVITY, LOCKED, SLIP_DEFINITIONS, kappa_from_sigma
 
 MEANING_OF_SLIP = {
     "sigma_x": "v_sx / (Omega R_e)",
@@ -114,9 +108,7 @@ _KNOWN = {
 # MPa is left out: reading mPa as MPa would be wrong by a factor of 1e9.
 _ANY_CASE = {name.casefold(): unit for name, unit in _KNOWN.items() if name != "MPa"}
 
-_SPELLING = str.maketrans(
-    {"°": "deg", "·": "", "⋅": "", "*": "", " ": "", "_": "", "\xa0": ""}
-)
+_SPELLING = str.maketrans({"°": "deg", "·": "", "⋅": "", "*": "", " ": "", "_": "", "\xa0": ""})
 
 
 def base_column(column: str) -> str:
@@ -153,8 +145,7 @@ def resolve_unit(text: str, column: str) -> Unit:
     unit = known_unit(text) or _ask_pint(text, column, wanted)
     if unit.dimension != wanted:
         raise DataError(
-            f"unit {text!r} is a unit of {unit.dimension}, but {column} is of"
-            f" dimension {wanted}",
+            f"unit {text!r} is a unit of {unit.dimension}, but {column} is of dimension {wanted}",
             _unit_remedy(text, column, wanted),
         )
     return unit
@@ -181,9 +172,7 @@ def _ask_pint(text: str, column: str, dimension: str) -> Unit:
     try:
         registry: pint.UnitRegistry = pint.UnitRegistry(on_redefinition="ignore")
         unit = registry.Unit(text)
-        zero, one = (
-            registry.Quantity(x, unit).to(target).magnitude for x in (0.0, 1.0)
-        )
+        zero, one = (registry.Quantity(x, unit).to(target).magnitude for x in (0.0, 1.0))
     except pint.DimensionalityError as error:
         reason = f"unit {text!r} is not a unit of {dimension}, which {column} needs"
         raise DataError(reason, remedy) from error

@@ -194,8 +194,7 @@ _HEIGHTS, _GRAVITIES = (0.0, 1.0), (9.7, 9.9)
 """What road vehicles have, racing cars (17 kg/m3) and scale models (300) included."""
 
 _Arm = Annotated[
-    PositiveFloat,
-    Field(description="give l_f and l_r, or mass_front, mass_rear and wheelbase"),
+    PositiveFloat, Field(description="give l_f and l_r, or mass_front, mass_rear and wheelbase")
 ]
 
 
@@ -224,9 +223,7 @@ class Vehicle(Section):
     mass_rear: PositiveFloat | None = None  # likewise
     wheelbase: _Arm  # l_f + l_r [m]; needed where axle masses replace l_f and l_r
     yaw_inertia: PositiveFloat  # about the centre of gravity [kg m2]
-    tracked_point: Annotated[list[float], Field(min_length=2, max_length=2)] | None = (
-        None
-    )
+    tracked_point: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
     yaw_offset: float = 0.0
     sideslip_offset: float = 0.0
     h_cg: NonNegativeFloat | None = None  # [m]; None keeps the load static
@@ -273,8 +270,7 @@ class Vehicle(Section):
             yield InputProblem(f"{what} is not one of {known}", "choose one of them")
         if (self.steering is None) != (self.columns.steering is None):
             yield InputProblem(
-                "[steering] and columns.steering need each other",
-                "give both, or leave both out",
+                "[steering] and columns.steering need each other", "give both, or leave both out"
             )
         if self.rear_share is not None and self.driven != "all":
             yield InputProblem(
@@ -283,8 +279,7 @@ class Vehicle(Section):
             )
         if self.yaw_offset and self.columns.motion != POSE:
             yield InputProblem(
-                "yaw_offset applies to a pose log only",
-                "leave it out: a log of rates has no yaw",
+                "yaw_offset applies to a pose log only", "leave it out: a log of rates has no yaw"
             )
         if self.sideslip_offset and self.columns.motion == POSE:
             yield InputProblem(
@@ -298,8 +293,7 @@ class Vehicle(Section):
 
         if differ(self.wheelbase, self.l_f + self.l_r):
             yield InputProblem(
-                f"wheelbase {self.wheelbase:g} m is not l_f + l_r ="
-                f" {self.l_f + self.l_r:g} m",
+                f"wheelbase {self.wheelbase:g} m is not l_f + l_r = {self.l_f + self.l_r:g} m",
                 "correct one of them, or leave wheelbase out",
             )
         for name, arm in (("mass_front", self.l_r), ("mass_rear", self.l_f)):
@@ -354,11 +348,7 @@ class Vehicle(Section):
     def v_min(self) -> float:
         """Lowest forward speed that is kept [m/s]."""
         given = self.keep.v_min
-        return (
-            _FROUDE * math.sqrt(self.gravity * self.wheelbase)
-            if given is None
-            else given
-        )
+        return _FROUDE * math.sqrt(self.gravity * self.wheelbase) if given is None else given
 
 
 def vehicle_toml(vehicle: Vehicle, note: str) -> str:

@@ -15,8 +15,7 @@ _ENDS = {
     "v_y": "vy speedy vely velocityy vlat lineary",
     "yaw_rate": "r yawrate yawvelocity psidot gyroz angularz",
     "a_y": "ay accy accely latacc lateralacceleration",
-    "steering": "steering steer delta steeringangle steeringwheelangle swa"
-    " roadwheelangle",
+    "steering": "steering steer delta steeringangle steeringwheelangle swa roadwheelangle",
 }
 """Quantity of a log -> how headers of it end, without separators."""
 
@@ -33,14 +32,10 @@ _MAP = (
     "angle = [-1.0, 1.0]",
 )
 IS_VEHICLE_LOG = "this is the log of a vehicle: it holds no slip and force of a tire"
-_NO_PLACE = re.compile(
-    "^v$|acc|imu|mag|gyro|twist|linear|angular|vel|orientation|rotation"
-)
+_NO_PLACE = re.compile("^v$|acc|imu|mag|gyro|twist|linear|angular|vel|orientation|rotation")
 
 
-def vehicle_log(
-    headers: Sequence[str], file: str, by_pose: bool = True
-) -> InputProblem | None:
+def vehicle_log(headers: Sequence[str], file: str, by_pose: bool = True) -> InputProblem | None:
     """The problem that a file is the log of a vehicle, with the command that computes
     forces from it; None if the file has neither a pose nor rates. A file with a slip
     may name other things x, y and yaw: ``by_pose=False`` asks for rates.
@@ -71,8 +66,7 @@ def vehicle_log(
         f"tirefit derive {file} --vehicle vehicle.toml --out axle.csv computes those of"
         " an axle. Write vehicle.toml (VEHICLE.md) with the numbers of your car:"
         + "".join(
-            f"\n      {line}"
-            for line in (*_CAR, *lines, *(_MAP if "steering" in found else ()))
+            f"\n      {line}" for line in (*_CAR, *lines, *(_MAP if "steering" in found else ()))
         ),
         file,
     )

@@ -9,22 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from tirefit.data.table import CANONICAL, SIMULATED, TireData
-from tirefit.data.units import (
-    base_column,
-    resolve_unit,
-    sigma_derivative,
-    sign_of,
-    slip_from_sigma,
-)
+from tirefit.data.units import base_column, resolve_unit, sigma_derivative, sign_of, slip_from_sigma
 from tirefit.files import write_text_atomic
 from tirefit.results import InputProblem
 
 _PLOTTED = ("time", "sigma_x", "alpha", "gamma", "fz", "v", "pressure")
 
 
-def output_problems(
-    path, inputs: Sequence = (), ending: str = ""
-) -> list[InputProblem]:
+def output_problems(path, inputs: Sequence = (), ending: str = "") -> list[InputProblem]:
     """Why no file can be written at ``path``, asked before the work; none if it can.
 
     A file that is there will be replaced, unless it is one of ``inputs``. ``ending``
@@ -33,9 +25,7 @@ def output_problems(
     path = Path(path)
     folder = path.parent
     remedy = "choose another name with --out"
-    if path.exists() and any(
-        Path(given).exists() and path.samefile(given) for given in inputs
-    ):
+    if path.exists() and any(Path(given).exists() and path.samefile(given) for given in inputs):
         reason = "--out is an input file"
     elif path.is_dir():
         reason = "is a folder, where a file is to be written"
@@ -79,9 +69,7 @@ def csv_text(columns: Mapping[str, object]) -> str:
 def _cells(values) -> list[str]:
     plain = values.tolist() if hasattr(values, "tolist") else list(values)
     return [
-        ("" if value != value else repr(value))
-        if isinstance(value, float)
-        else str(value)
+        ("" if value != value else repr(value)) if isinstance(value, float) else str(value)
         for value in plain
     ]
 
@@ -151,8 +139,7 @@ def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
     columns = {c: force for c, force in columns.items() if c in SIMULATED}
     own = [name for name in data.columns if name not in SIMULATED]
     table = _own_columns(data, own) | {
-        name: _in_unit_of_its_force(data, name, force)
-        for name, force in columns.items()
+        name: _in_unit_of_its_force(data, name, force) for name, force in columns.items()
     }
     return _with_units(data, table)
 

@@ -15,20 +15,10 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.decide.findings import findings_of, predictions
 from tirefit.diagnosis.decide.verdict import decide
 from tirefit.diagnosis.effects import EFFECTS, Effect
-from tirefit.diagnosis.evidence.base import (
-    Base,
-    fit_base,
-    shown_slip_noise,
-    with_noise_judged,
-)
+from tirefit.diagnosis.evidence.base import Base, fit_base, shown_slip_noise, with_noise_judged
 from tirefit.diagnosis.evidence.forms import PLACE, shape_of_change
 from tirefit.diagnosis.evidence.search import Search, amplitudes_of, search
-from tirefit.diagnosis.evidence.simulator import (
-    STAND_INS,
-    Given,
-    given_simulator,
-    simulator_at,
-)
+from tirefit.diagnosis.evidence.simulator import STAND_INS, Given, given_simulator, simulator_at
 from tirefit.diagnosis.rows.prepared import (
     Prepared,
     blocks_of_settings,
@@ -161,9 +151,11 @@ def diagnose(
         gives = _asked_for(asked, data, gives, own)
     library = tuple(effect for effect in effects if effect.id not in without)
     settings = Settings(
-        rig=rig, effects=tuple(effect.id for effect in library), forces=asked,
+        rig=rig,
+        effects=tuple(effect.id for effect in library),
+        forces=asked,
         holdout=tuple(other.source.sha256 for other in holdout),
-    )  # fmt: skip
+    )
     # The matrices are small: a second thread only spins while it waits, and sums in
     # another order move last digits, which can choose another way of a search.
     with ThreadpoolController().limit(limits=1, user_api="blas"):
@@ -302,9 +294,14 @@ def _changed(judged: Base, base: Base) -> bool:
 
 
 def studied(
-    prepared: Prepared, model: str | None, rig: Rig, effects, without, generator,
+    prepared: Prepared,
+    model: str | None,
+    rig: Rig,
+    effects,
+    without,
+    generator,
     given: Given | None = None,
-) -> Case:  # fmt: skip
+) -> Case:
     """Noise, search and verdict of prepared rows; arguments as in :func:`diagnose`."""
     base = fit_base(prepared, model, effects, rig, given)
     testable, untestable = _testable(prepared, base.atoms, without)
@@ -348,9 +345,12 @@ def _with_change(base: Base, searched: Search) -> Base | None:
         residual = residual + (columns[:, k] * size if k in steps else 0.0)
     used_up = np.concatenate([jacobian, columns[:, rest]], axis=1)
     shape = shape_of_change(
-        base.prepared.covariates.time, fields[:, PLACE["friction"]], used_up, residual,
+        base.prepared.covariates.time,
+        fields[:, PLACE["friction"]],
+        used_up,
+        residual,
         blocks_of_settings(base.prepared),
-    )  # fmt: skip
+    )
     padded = np.zeros(len(base.design.keep))
     padded[: len(shape)] = shape
     rows = base.design.rows._replace(change=padded)

@@ -88,12 +88,16 @@ def extension_of(base: Base, chosen: Hypothesis, other_form: bool) -> Extension:
     fz = np.asarray(prepared.inputs.fz)
     share = np.abs(np.asarray(rows.traction)[: prepared.n]) * first["load"] / fz
     return Extension(
-        mode=prepared.mode, variants={a.effect.id: a.variant for a in atoms},
-        other_form=other_form, fz=float(fz[0] / prepared.covariates.fz[0]),
+        mode=prepared.mode,
+        variants={a.effect.id: a.variant for a in atoms},
+        other_form=other_form,
+        fz=float(fz[0] / prepared.covariates.fz[0]),
         at=(float(base.design.reference[0]), float(base.design.reference[1])),
-        slowest=slowest(column(prepared.data, "v")), used=float(np.max(share)),
-        pressure=(float(np.mean(inflation)), float(np.ptp(inflation))), **first,
-    )  # fmt: skip
+        slowest=slowest(column(prepared.data, "v")),
+        used=float(np.max(share)),
+        pressure=(float(np.mean(inflation)), float(np.ptp(inflation))),
+        **first,
+    )
 
 
 def _covariates(to: Extension, given: TireInputs, force) -> Covariates:
@@ -113,12 +117,18 @@ def _covariates(to: Extension, given: TireInputs, force) -> Covariates:
     size = jnp.sqrt(slip**2 + across**2 + 1e-30)
     known = {name: getattr(to, name) for name in _OF_RUN}
     known |= dict(
-        fz=load / to.fz, load=to.load, v=given.v, gamma=given.gamma,
-        inflation=(pressure - mean) / span if span else 0.0, side=jnp.sign(own),
-        force=share, usage=jnp.abs(share), traction=force / to.load,
+        fz=load / to.fz,
+        load=to.load,
+        v=given.v,
+        gamma=given.gamma,
+        inflation=(pressure - mean) / span if span else 0.0,
+        side=jnp.sign(own),
+        force=share,
+        usage=jnp.abs(share),
+        traction=force / to.load,
         pace=jnp.maximum(jnp.abs(given.v), to.slowest),
         sliding=jnp.abs(given.v * size / (1 + slip)),
-    )  # fmt: skip
+    )
     absent: dict[str, Any] = dict.fromkeys(Covariates._fields)
     return Covariates(**absent | known)
 
@@ -255,9 +265,7 @@ class Report(NamedTuple):
     sentences: tuple[str, ...]
 
 
-def extend(
-    tire: AbstractTire, name: str, document: Document, finish: Callable
-) -> Report:
+def extend(tire: AbstractTire, name: str, document: Document, finish: Callable) -> Report:
     """A tire with the named effects of a diagnosis.
 
     Args:
@@ -304,9 +312,12 @@ def extend(
         f" v0 = {to.cruise:.4g} m/s"
     )
     extended = Extended(
-        tire=bare, effects=tuple(held), to=to, usual=lambda given: plain(given),
+        tire=bare,
+        effects=tuple(held),
+        to=to,
+        usual=lambda given: plain(given),
         peak=float(peak_ratio(bare, *to.at)),
-    )  # fmt: skip
+    )
     names = tuple(atom.effect.id for atom, _ in held)
     return Report(extended, bare, names, tuple(sentences))
 

@@ -143,11 +143,7 @@ def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> 
         return Folds(code, f"{len(runs)} runs left out in turn", True)
     most = int(prepared.n // max(_LEAST_ROWS, 4 * rows_each))
     count = max(min(_BLOCKS, most), 2)
-    if (
-        prepared.time is not None
-        and np.ptp(prepared.time)
-        and not prepared.random_order
-    ):
+    if prepared.time is not None and np.ptp(prepared.time) and not prepared.random_order:
         # By the names of the runs: their codes follow the order of the rows.
         place = np.argsort(np.argsort(prepared.data.runs))
         code = _in_parts(np.lexsort((prepared.time, place[prepared.run])), count)
@@ -155,9 +151,7 @@ def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> 
     settings = [levels(prepared.inputs.fz), levels(prepared.covariates.v)]
     each = [found.code for found in settings if found.few()]
     if each:
-        _, code, sizes = np.unique(
-            each, axis=1, return_inverse=True, return_counts=True
-        )
+        _, code, sizes = np.unique(each, axis=1, return_inverse=True, return_counts=True)
         if len(sizes) > 2 and sizes.min() >= _LEAST_ROWS:
             on = f"{len(sizes)} settings of load and speed left out in turn"
             return Folds(code, on)
@@ -189,9 +183,7 @@ def predicted(base: Base, sets: Sequence[Hypothesis], folds: Folds) -> Predicted
     loss = np.empty((folds.number, len(sets)))
     whitened, rows = np.empty_like(loss), np.empty(folds.number, int)
     as_given = np.empty(folds.number)
-    given = (
-        base.rows.observed[main] - base.forces(base.as_given, base.amplitudes())[main]
-    )
+    given = base.rows.observed[main] - base.forces(base.as_given, base.amplitudes())[main]
     for f, out in enumerate(outs):
         good = _judged_on(base, out)
         rows[f] = good.sum()
@@ -207,9 +199,16 @@ def predicted(base: Base, sets: Sequence[Hypothesis], folds: Folds) -> Predicted
     keys = tuple(tuple(sorted(h.effects)) for h in sets)
     smooth = np.array([_smooth_loss(base, out) for out in outs])
     return Predicted(
-        folds.on, folds.across_runs, keys, loss, whitened, rows, sizes, smooth,
+        folds.on,
+        folds.across_runs,
+        keys,
+        loss,
+        whitened,
+        rows,
+        sizes,
+        smooth,
         as_given=as_given if base.simulator else None,
-    )  # fmt: skip
+    )
 
 
 def _smooth_loss(base: Base, out: np.ndarray) -> float:

@@ -79,9 +79,7 @@ def memory_of(
     chance[chance < 0.02 * chance.sum()] = 0.0
     chance /= chance.sum()
     ranked = np.argsort(-chance)[: np.count_nonzero(chance)]
-    return tuple(
-        Memory(float(_FADES[k]), float(_FADES[k] > 0), float(chance[k])) for k in ranked
-    )
+    return tuple(Memory(float(_FADES[k]), float(_FADES[k] > 0), float(chance[k])) for k in ranked)
 
 
 def _log_likelihoods(white, unit, stretches, most: float) -> np.ndarray:

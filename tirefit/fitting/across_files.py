@@ -70,10 +70,14 @@ def across_files(value, std, when) -> AcrossFiles:
     freedom = max(len(value) - 2, 1)
     limit = t.isf(_ERROR / 2, freedom)
     return AcrossFiles(
-        float(at[0]), scatter, change, change_std,
-        bool(abs(change) > limit * change_std > 0), pulls,
+        float(at[0]),
+        scatter,
+        change,
+        change_std,
+        bool(abs(change) > limit * change_std > 0),
+        pulls,
         np.abs(pulls) > t.isf(_ERROR / (2 * len(value)), freedom),
-    )  # fmt: skip
+    )
 
 
 def _scatter(residual: np.ndarray, std: np.ndarray) -> float:

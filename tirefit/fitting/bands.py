@@ -38,9 +38,7 @@ def _elsewhere(problem: FitProblem, inputs: TireInputs, run) -> list[FitProblem]
     room = min(room, padded_size(count, _ROOM))
     if problem.model.transient:
         room = max(room, padded_size(count))
-    rows = jax.tree.map(
-        lambda a: pad_rows(a[:room], room), problem.rows._replace(nodes={})
-    )
+    rows = jax.tree.map(lambda a: pad_rows(a[:room], room), problem.rows._replace(nodes={}))
 
     def block(first: int) -> FitProblem:
         there, of_run = jax.tree.map(
@@ -120,9 +118,7 @@ def _slip_part(result: FitResult, channel: str, inputs: TireInputs, run, force):
     return slope * float(np.median(problem.slip_noise[name]))
 
 
-def force_band(
-    result: FitResult, channel: str, inputs: TireInputs, run, noise: np.ndarray
-) -> Band:
+def force_band(result: FitResult, channel: str, inputs: TireInputs, run, noise: np.ndarray) -> Band:
     """The fitted curve at inputs of its own, with its bands.
 
     Args:

@@ -80,26 +80,18 @@ def fit_many(
     require_x64("fit_many")
     slip, force = jnp.asarray(slip, float), jnp.asarray(force, float)
     if slip.ndim != 2 or slip.shape != force.shape:
-        raise ValueError(
-            f"slip {slip.shape} and force {force.shape} must both be (B, n)"
-        )
+        raise ValueError(f"slip {slip.shape} and force {force.shape} must both be (B, n)")
     if axis not in ("fx", "fy"):
         raise ValueError(f"axis {axis!r} is neither fx nor fy")
     template = find_model(model)
     if template.transient:
         reason = f"{model} follows the slip through time, which fit_many does not have"
         raise UsageError(reason, "fit each data set by tirefit.fit")
-    layout = Layout(
-        tuple(FreeParameter(k, s) for k, s in specs(template).items() if s.free)
-    )
+    layout = Layout(tuple(FreeParameter(k, s) for k, s in specs(template).items() if s.free))
     fz = jnp.broadcast_to(jnp.asarray(fz, float), slip.shape)
     v = jnp.broadcast_to(jnp.asarray(v, float), slip.shape)
-    values, std, converged = _solve_all(
-        template, layout, slip, force, fz, v, axis, batch
-    )
-    return BatchFit(
-        layout.labels, np.asarray(values), np.asarray(std), np.asarray(converged)
-    )
+    values, std, converged = _solve_all(template, layout, slip, force, fz, v, axis, batch)
+    return BatchFit(layout.labels, np.asarray(values), np.asarray(std), np.asarray(converged))
 
 
 @partial(jax.jit, static_argnames=("layout", "axis", "batch"))
@@ -135,6 +127,4 @@ def _guess(template, layout, slip, force, fz, v):
     peak = jnp.max(jnp.abs(force) / fz)
     guessed = guess_from_curve(stiffness, peak, jnp.mean(fz))
     known = {p.name: jnp.asarray(p.spec.default, float) for p in layout.free}
-    return layout.unconstrained(
-        known | {k: x for k, x in guessed.items() if k in known}
-    )
+    return layout.unconstrained(known | {k: x for k, x in guessed.items() if k in known})

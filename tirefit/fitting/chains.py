@@ -36,10 +36,16 @@ class Chain(NamedTuple):
 def identity_of(result: FitResult, sampler: str, seed: int, shape) -> str:
     """Text that two chains share only if one can continue the other."""
     parts = (
-        result.model, result.data["sha256"], str(result.data["used"]), sampler,
-        str(seed), str(shape), *result.labels, *(f"{value:.8g}" for value in result.z),
+        result.model,
+        result.data["sha256"],
+        str(result.data["used"]),
+        sampler,
+        str(seed),
+        str(shape),
+        *result.labels,
+        *(f"{value:.8g}" for value in result.z),
         *(f"{value:.4g}" for value in np.diag(result.covariance)),
-    )  # fmt: skip
+    )
     return "|".join(parts)
 
 
@@ -48,9 +54,13 @@ def save_chain(path: Path, chain: Chain, identity: str) -> None:
     state: dict[str, Any] = {f"state_{k}": value for k, value in chain.state.items()}
     packed = io.BytesIO()
     np.savez(
-        packed, samples=chain.samples, log_density=chain.log_density,
-        accepted=chain.accepted, identity=identity, **state,
-    )  # fmt: skip
+        packed,
+        samples=chain.samples,
+        log_density=chain.log_density,
+        accepted=chain.accepted,
+        identity=identity,
+        **state,
+    )
     with replacing(path) as temporary:
         temporary.write_bytes(sealed_bytes(_KIND, packed.getvalue()))
 
@@ -103,9 +113,7 @@ def load_chain(path: Path, identity: str) -> Chain | None:
                 " settings): resume with the same ones, or remove the file"
             )
         state = {k[6:]: file[k] for k in file.files if k.startswith("state_")}
-        return Chain(
-            file["samples"], file["log_density"], float(file["accepted"]), state
-        )
+        return Chain(file["samples"], file["log_density"], float(file["accepted"]), state)
 
 
 def extended(chain: Chain | None, samples, values, accepted, state) -> Chain:

@@ -60,6 +60,5 @@ def _couples(model: AbstractTire) -> bool:
     across = model(TireInputs(0.0, 0.1, 4000.0, 10.0))
     pairs = ((both.fx, along.fx), (both.fy, across.fy))
     return any(
-        a is not None and b is not None and bool(abs(a - b) > 1e-6 * abs(b))
-        for a, b in pairs
+        a is not None and b is not None and bool(abs(a - b) > 1e-6 * abs(b)) for a, b in pairs
     )

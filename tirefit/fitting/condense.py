@@ -258,13 +258,11 @@ def _of_cells(solved: Solved, code: Int[np.ndarray, " n"], size: int) -> FitProb
         weight=weight,
         observed={name: padded(values) for name, values in residual.items()},
         scale={
-            k: padded(np.sqrt(number / np.bincount(code, v)[given]))
-            for k, v in precision.items()
+            k: padded(np.sqrt(number / np.bincount(code, v)[given])) for k, v in precision.items()
         },
         slip_std={k: padded(mean(v)) for k, v in rows.slip_std.items()},
         nodes={
-            k: jax.tree.map(lambda values: padded(mean(values)), v)
-            for k, v in rows.nodes.items()
+            k: jax.tree.map(lambda values: padded(mean(values)), v) for k, v in rows.nodes.items()
         },
     )
     force = linearise(small, solved.z).mean
@@ -309,9 +307,7 @@ def _force_slopes(problem: FitProblem, solved: Solved) -> dict[str, np.ndarray]:
     steps = np.diag(1e-3 * np.sqrt(np.diag(solved.covariance)))
     slopes: dict[str, list[np.ndarray]] = {name: [] for name in problem.rows.observed}
     for step in steps:
-        (above, _), (below, _) = (
-            moments(problem, solved.z + side * step) for side in (1, -1)
-        )
+        (above, _), (below, _) = (moments(problem, solved.z + side * step) for side in (1, -1))
         for name, parts in slopes.items():
             parts.append((above[name] - below[name]) / (2 * step.sum()))
     return {name: np.stack(parts, axis=1) for name, parts in slopes.items()}

@@ -51,9 +51,7 @@ class ParameterConfig(Section):
     def contradictions(self) -> Iterator[InputProblem]:
         yield from self._idle_keys()
         if self.tied is None and self.factor != 1:
-            yield InputProblem(
-                "factor without tied", "name the other parameter by tied"
-            )
+            yield InputProblem("factor without tied", "name the other parameter by tied")
         if self.factor == 0:
             remedy = "hold it at zero by value = 0 and free = false"
             yield InputProblem("factor = 0 ties it to nothing", remedy)
@@ -72,9 +70,7 @@ class ParameterConfig(Section):
             return
         for key, field in ParameterConfig.model_fields.items():
             if key in idle and getattr(self, key) != field.default:
-                yield InputProblem(
-                    f"{key} contradicts {rule}", f"leave one of them out: {remedy}"
-                )
+                yield InputProblem(f"{key} contradicts {rule}", f"leave one of them out: {remedy}")
 
 
 class NoiseConfig(Section):
@@ -123,9 +119,7 @@ class DataConfig(Section):
     slip_max: float | None = None
 
     def contradictions(self) -> Iterator[InputProblem]:
-        yield from _out_of_order(
-            self, "slip_min", "slip_max", "leave slips between them"
-        )
+        yield from _out_of_order(self, "slip_min", "slip_max", "leave slips between them")
 
 
 class PosteriorConfig(Section):
@@ -150,9 +144,7 @@ class FitConfig(Section):
 
     model: str | None = None
     friction_temperature: bool = False
-    force: (
-        Annotated[list[Force], Field(min_length=1), BeforeValidator(_listed)] | None
-    ) = None
+    force: Annotated[list[Force], Field(min_length=1), BeforeValidator(_listed)] | None = None
     solver: Literal["optimistix", "jaxopt", "gauss-newton"] = "gauss-newton"
     starts: Annotated[int, Field(ge=1, le=10_000)] = 8
     seed: int = Field(default=0, ge=0, lt=2**32)

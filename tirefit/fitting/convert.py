@@ -72,8 +72,7 @@ def misfit_by_load(result: FitResult) -> dict[float, float]:
     residual = problem.used(problem.rows.observed[force]) - mean[force]
     fz = problem.used(problem.rows.inputs.fz)
     return {
-        float(load): float(np.sqrt(np.mean(residual[fz == load] ** 2)))
-        for load in np.unique(fz)
+        float(load): float(np.sqrt(np.mean(residual[fz == load] ** 2))) for load in np.unique(fz)
     }
 
 

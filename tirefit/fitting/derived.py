@@ -49,10 +49,9 @@ def derived_channel(forces: Sequence[str]) -> str | None:
 
 def quantities(channel: str) -> dict[str, tuple[str, str]]:
     """Derived quantity of fx or fy -> (unit, meaning), in the order of the report."""
-    slope, unit, slip = {
-        "fx": ("C_x", "N", "sigma_x"),
-        "fy": ("C_alpha", "N/rad", "tan(alpha)"),
-    }[channel]
+    slope, unit, slip = {"fx": ("C_x", "N", "sigma_x"), "fy": ("C_alpha", "N/rad", "tan(alpha)")}[
+        channel
+    ]
     return {
         slope: (unit, "slope at zero slip"),
         "F_max": ("N", "peak force"),
@@ -127,9 +126,7 @@ def _start_and_peak(force):
         there, slopes = jax.vmap(with_slope)(slips)
         start = jnp.where(k == 0, slopes[0], start)
         values = jnp.where(
-            k < rounds,
-            jax.lax.dynamic_update_slice(values, there, (k * _AT_ONCE,)),
-            values,
+            k < rounds, jax.lax.dynamic_update_slice(values, there, (k * _AT_ONCE,)), values
         )
         first = jnp.argmax(values >= values.max() * (1 - 1e-12))
         end = jnp.minimum(first + 1, last)
@@ -139,16 +136,16 @@ def _start_and_peak(force):
         ends = jnp.argmax(falls)
         lows, highs = jnp.append(low, slips), jnp.append(slips, high)
         narrowed = lows[ends], highs[ends], jnp.append(there, value)[ends]
-        bracket = jax.tree.map(
-            lambda a, b: jnp.where(k < rounds, a, b), around, narrowed
-        )
+        bracket = jax.tree.map(lambda a, b: jnp.where(k < rounds, a, b), around, narrowed)
         return values, start, bracket
 
     nothing = jnp.zeros(())
     _, start, (_, slip, peak) = jax.lax.fori_loop(
-        0, rounds + _NARROWED, look,
+        0,
+        rounds + _NARROWED,
+        look,
         (jnp.full(len(_GRID), -jnp.inf), nothing, (nothing, nothing, nothing)),
-    )  # fmt: skip
+    )
     # A force that still rises at the largest slip has no peak.
     return start, jnp.where(slip < 0.999 * _LARGEST_SLIP, slip, jnp.nan), peak
 
@@ -199,13 +196,16 @@ def _evaluator(problem: FitProblem, channel: str, run: int | None) -> Callable:
     own = problem.layout.elements_of(np.array([run or 0]))[0]
 
     def evaluate(z):
-        _, first, code = np.unique(
-            z[:, own], axis=0, return_index=True, return_inverse=True
-        )
+        _, first, code = np.unique(z[:, own], axis=0, return_index=True, return_inverse=True)
         derived = derived_values(
-            problem.model, problem.layout, pad_rows(z[first], padded_size(len(first))),
-            channel, at["fz"], at["v"], run or 0,
-        )  # fmt: skip
+            problem.model,
+            problem.layout,
+            pad_rows(z[first], padded_size(len(first))),
+            channel,
+            at["fz"],
+            at["v"],
+            run or 0,
+        )
         names = [name for name in quantities(channel) if name in derived]
         return {name: np.asarray(derived[name])[code.ravel()] for name in names}
 
@@ -240,10 +240,12 @@ def _over_load(peak: Estimate, fz: float) -> Estimate:
     """The peak force as a share of the load."""
     low, high = peak.ci95
     return replace(
-        peak, value=peak.value / fz, std=None if peak.std is None else peak.std / fz,
+        peak,
+        value=peak.value / fz,
+        std=None if peak.std is None else peak.std / fz,
         unit="-",
         ci95=(None if low is None else low / fz, None if high is None else high / fz),
-    )  # fmt: skip
+    )
 
 
 def _moved(evaluate: Callable, z, low, high):

@@ -70,15 +70,17 @@ def _profile_estimates(solved: Solved, profiles: list[Profile]):
         if free and ends is not None:
             left, right = ends[:, i]
             free = _not_identified(
-                spec, float(constrain(left, spec)), float(constrain(right, spec)),
-                left <= -REACH, right >= REACH,
-            )  # fmt: skip
+                spec,
+                float(constrain(left, spec)),
+                float(constrain(right, spec)),
+                left <= -REACH,
+                right >= REACH,
+            )
         identified = not free
         at_bound = _at_bound(spec, value)
         estimates[label] = Estimate(
-            value, std if identified and not at_bound else None, spec.unit,
-            (low, high), identified,
-        )  # fmt: skip
+            value, std if identified and not at_bound else None, spec.unit, (low, high), identified
+        )
         by_covariance[label] = (value - quantile * std, value + quantile * std)
     return estimates, by_covariance
 
@@ -218,9 +220,7 @@ def _ranges(data: TireData) -> dict[str, tuple[float, float]]:
 def _follows_load(problem: FitProblem, scale: np.ndarray) -> bool:
     """Whether the noise is a fixed share of a load that varies."""
     ratio = scale / problem.used(problem.rows.inputs.fz)
-    return bool(
-        np.ptp(scale) > 1e-9 * scale.max() and np.ptp(ratio) < 1e-9 * ratio.max()
-    )
+    return bool(np.ptp(scale) > 1e-9 * scale.max() and np.ptp(ratio) < 1e-9 * ratio.max())
 
 
 def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
@@ -240,14 +240,14 @@ def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
             force = settled.solved.at.mean[channel.name]
             record[channel.name] |= noise_by_row(
                 problem.used(problem.rows.observed[channel.name]) - force,
-                problem.used(problem.rows.inputs.fz), force,
-                problem.used(problem.rows.run), problem.layout.runs,
-            )  # fmt: skip
+                problem.used(problem.rows.inputs.fz),
+                force,
+                problem.used(problem.rows.run),
+                problem.layout.runs,
+            )
     for slip, std in problem.slip_noise.items():
         record[slip] = {"median_std": float(np.median(std)), "source": "given"}
-    record["inflation"] = {
-        k: float(rule.inflation) for k, rule in problem.rules.items()
-    }
+    record["inflation"] = {k: float(rule.inflation) for k, rule in problem.rules.items()}
     return record
 
 
@@ -352,9 +352,7 @@ def with_fixed(estimates: dict[str, Estimate], problem: FitProblem):
             everything |= _tied(ties[name], spec.unit, estimates, problem.layout.runs)
         elif name not in free and (spec.free or name != "half_length"):
             value = float(parameter_values(problem.model)[name])
-            everything[name] = Estimate(
-                value, None, spec.unit, (None, None), fixed=True
-            )
+            everything[name] = Estimate(value, None, spec.unit, (None, None), fixed=True)
     return everything
 
 
@@ -364,9 +362,7 @@ def _tied(tie: Tie, unit: str, estimates: dict[str, Estimate], runs: tuple[str, 
     for end in ("", *(f"[{run}]" for run in runs)):
         if f"{tie.other}{end}" in estimates:
             other = estimates[f"{tie.other}{end}"]
-            low, high = (
-                None if end is None else tie.factor * end for end in other.ci95
-            )
+            low, high = (None if end is None else tie.factor * end for end in other.ci95)
             tied[f"{tie.name}{end}"] = Estimate(
                 tie.factor * other.value,
                 None if other.std is None else abs(tie.factor) * other.std,

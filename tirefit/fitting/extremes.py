@@ -70,9 +70,12 @@ def _stepped(solved: Solved, quantity: Callable, sign: int) -> float:
         # estimate.
         curvature = fixed if solved.problem.rows.nodes else curvature
         step = _step(
-            slope / scale, sign * pull / scale, curvature / np.outer(scale, scale),
-            level - total + base, share,
-        )  # fmt: skip
+            slope / scale,
+            sign * pull / scale,
+            curvature / np.outer(scale, scale),
+            level - total + base,
+            share,
+        )
         length = float((step / scale) @ curvature @ (step / scale))
         if not np.isfinite(length):
             break
@@ -121,9 +124,12 @@ def _settled(solved: Solved, quantity: Callable, share, target: float, spread: f
         value, pull = quantity(z)
         miss, pull = (value - target) / spread, pull / spread
         return (
-            total + miss**2, (slope + miss * pull) / scale,
-            (curvature + np.outer(pull, pull)) / np.outer(scale, scale), value, total,
-        )  # fmt: skip
+            total + miss**2,
+            (slope + miss * pull) / scale,
+            (curvature + np.outer(pull, pull)) / np.outer(scale, scale),
+            value,
+            total,
+        )
 
     here, damping = at(share), 1e-3
     for _ in range(_ROUNDS):

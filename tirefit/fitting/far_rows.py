@@ -26,14 +26,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import ndtri, stdtrit
 
-from tirefit.data.far import (
-    FAR_COLUMNS,
-    FarValue,
-    far_values,
-    like_slips,
-    problem_at,
-    why_far,
-)
+from tirefit.data.far import FAR_COLUMNS, FarValue, far_values, like_slips, problem_at, why_far
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.fitting.config import FitConfig
 from tirefit.fitting.inference import REACH, Linearised
@@ -329,9 +322,7 @@ def _named(whole: FitTask, judged: _Judged, kept, beyond, suspects):
     )
 
 
-def _far_row(
-    whole: FitTask, judged: _Judged, i: int, kept: bool, beyond: bool, suspect
-) -> FarRow:
+def _far_row(whole: FitTask, judged: _Judged, i: int, kept: bool, beyond: bool, suspect) -> FarRow:
     problem, channel = whole.problem, int(np.argmax(judged.ratio[:, i]))
     force = problem.channels[channel].name
     measured = float(problem.used(problem.rows.observed[force])[i])

@@ -20,20 +20,11 @@ from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import REACH, linearise
 from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.problem import build, guess_from_curve
-from tirefit.fitting.scatter import (
-    ROWS,
-    Scatter,
-    curve_of,
-    scatter_of,
-    some_rows,
-    stretches,
-)
+from tirefit.fitting.scatter import ROWS, Scatter, curve_of, scatter_of, some_rows, stretches
 from tirefit.params import Spec, constrain, log_jacobian
 from tirefit.results import DataError
 
-MODELS_ASKED = (
-    "brush", "brush-d", "brush-m", "brush-n", "brush-h", "brush-load", "magic-formula",
-)  # fmt: skip
+MODELS_ASKED = ("brush", "brush-d", "brush-m", "brush-n", "brush-h", "brush-load", "magic-formula")
 """Models that are evaluated by default."""
 
 _FRICTION = ("mu", "mu_peak", "mu_s", "D", "Dx", "Dy")
@@ -157,9 +148,13 @@ def identifiability(
     forces = [
         force
         for force, slip in CHANNEL_SLIP.items()
-        if force != "mz" and force in data and slip in data and "fz" in data
-        and data.n and np.ptp(data.usable(slip)) > 1e-9
-    ]  # fmt: skip
+        if force != "mz"
+        and force in data
+        and slip in data
+        and "fz" in data
+        and data.n
+        and np.ptp(data.usable(slip)) > 1e-9
+    ]
     parts = {force: stretches(data, force) for force in forces}
     scatter = {force: scatter_of(data, force, parts[force]) for force in forces}
     some = {force: some_rows(data, parts[force], seed) for force in forces}
@@ -181,9 +176,7 @@ def identifiability(
 # --- the model --------------------------------------------------------------------
 
 
-def _gate(
-    some: TireData, rows: int, curve, force: str, name: str, scatter: Scatter
-) -> ModelGate:
+def _gate(some: TireData, rows: int, curve, force: str, name: str, scatter: Scatter) -> ModelGate:
     """Standard errors of a model's parameters, from ``some`` rows of so many."""
     config = parse_config({"force": force})
     try:
@@ -205,8 +198,7 @@ def _gate(
         if cost - costs.min() <= _AS_WELL * wide
     ]
     parameters = tuple(
-        _parameter(problem, k, likely, weight * np.sqrt(many))
-        for k in range(problem.layout.size)
+        _parameter(problem, k, likely, weight * np.sqrt(many)) for k in range(problem.layout.size)
     )
     return ModelGate(name, force, parameters)
 
@@ -249,9 +241,7 @@ def _settled(problem: FitProblem, z):
     for _ in range(_STEPS if moves.any() else 0):
         inner = slopes[:, moves]
         matrix = inner.T @ inner
-        matrix = (
-            matrix + damping * np.diag(np.diag(matrix)) + 1e-9 * np.eye(len(matrix))
-        )
+        matrix = matrix + damping * np.diag(np.diag(matrix)) + 1e-9 * np.eye(len(matrix))
         step = np.zeros(len(z))
         step[moves] = -np.linalg.solve(matrix, inner.T @ values)
         there = np.clip(z + np.clip(step, -1, 1), -_INSIDE, _INSIDE)

@@ -169,8 +169,11 @@ def draw_weighted(
         interrupted = True
     return Weighted(
         u[_resampled(weights, int(effective), generator)] if len(u) else u,
-        float(k_hat), len(u), _reason(k_hat, effective, len(u)), interrupted,
-    )  # fmt: skip
+        float(k_hat),
+        len(u),
+        _reason(k_hat, effective, len(u)),
+        interrupted,
+    )
 
 
 def _reason(k_hat: float, effective: float, points: int) -> str:

@@ -19,18 +19,8 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.special import ndtri, stdtrit
 
 from tirefit.compiled import compiled
-from tirefit.fitting.least_squares import (
-    Solution,
-    damped_gauss_newton,
-    directions,
-    solve,
-)
-from tirefit.fitting.likelihood import (
-    FitProblem,
-    Rule,
-    blocks_and_moments,
-    root_deviance,
-)
+from tirefit.fitting.least_squares import Solution, damped_gauss_newton, directions, solve
+from tirefit.fitting.likelihood import FitProblem, Rule, blocks_and_moments, root_deviance
 from tirefit.params import Values
 
 REACH = 12.0
@@ -85,18 +75,19 @@ def _minima(problem: FitProblem, starts, index, values, count) -> Minima:
             return z.at[index[k]].set(values[k], mode="drop")
 
         end = damped_gauss_newton(
-            lambda z: residuals(problem, held(z)), starts[k],
-            elements=elements, allowed=_within_reach,
-        )  # fmt: skip
+            lambda z: residuals(problem, held(z)),
+            starts[k],
+            elements=elements,
+            allowed=_within_reach,
+        )
         z = held(end.z)
         here = Minima(z, end.cost, deviance(problem, z), end.converged, end.steps)
         return jax.tree.map(lambda all, new: all.at[k].set(new), ends, here)
 
     m, nowhere = len(starts), jnp.full(len(starts), jnp.nan)
     nothing = Minima(
-        jnp.full_like(starts, jnp.nan), nowhere, nowhere, jnp.zeros(m, bool),
-        jnp.zeros(m, int),
-    )  # fmt: skip
+        jnp.full_like(starts, jnp.nan), nowhere, nowhere, jnp.zeros(m, bool), jnp.zeros(m, int)
+    )
     return jax.lax.fori_loop(0, count, one, nothing)
 
 
@@ -123,9 +114,12 @@ def minima(
         rows = np.arange(first, min(first + room, count))
         filled = np.resize(rows, room)
         ends = _minima(
-            problem, np.asarray(starts)[filled], np.asarray(index)[filled],
-            np.asarray(values)[filled], len(rows),
-        )  # fmt: skip
+            problem,
+            np.asarray(starts)[filled],
+            np.asarray(index)[filled],
+            np.asarray(values)[filled],
+            len(rows),
+        )
         parts.append(jax.tree.map(lambda a, n=len(rows): np.asarray(a)[:n], ends))
     return jax.tree.map(lambda *all: np.concatenate(all), *parts)
 
@@ -182,9 +176,7 @@ class Linearised(NamedTuple):
     variance: dict[str, Array]  # (n,) by force
 
 
-jax.export.register_namedtuple_serialization(
-    Linearised, serialized_name="tirefit.Linearised"
-)
+jax.export.register_namedtuple_serialization(Linearised, serialized_name="tirefit.Linearised")
 
 
 @compiled(brief=True)
@@ -219,8 +211,7 @@ def deviance_at(problem: FitProblem, at: Linearised) -> float:
     """:func:`deviance` where the problem is linearised, on the host."""
     squares = {name: float(np.sum(np.square(v))) for name, v in at.values.items()}
     return squares["prior"] + sum(
-        float(_of_squares(rule, squares[name], np))
-        for name, rule in problem.rules.items()
+        float(_of_squares(rule, squares[name], np)) for name, rule in problem.rules.items()
     )
 
 

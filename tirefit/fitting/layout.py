@@ -14,14 +14,7 @@ import numpy as np
 
 from tirefit.fitting.config import FitConfig, ParameterConfig
 from tirefit.models import AbstractTire
-from tirefit.params import (
-    Spec,
-    constrain,
-    log_jacobian,
-    specs,
-    unconstrain,
-    with_values,
-)
+from tirefit.params import Spec, constrain, log_jacobian, specs, unconstrain, with_values
 from tirefit.results import InputProblem, UsageError
 
 
@@ -65,9 +58,7 @@ class Layout:
         elements = []
         for parameter in self.free:
             if parameter.per_run:
-                elements += [
-                    (f"{parameter.name}[{run}]", parameter) for run in self.runs
-                ]
+                elements += [(f"{parameter.name}[{run}]", parameter) for run in self.runs]
             else:
                 elements.append((parameter.name, parameter))
         return tuple(elements)
@@ -160,8 +151,7 @@ def choose_layout(
     asked = {name: config.parameters.get(name, ParameterConfig()) for name in known}
     problems = [
         InputProblem(
-            f"parameters.{name}: the model has no such parameter",
-            f"it has {', '.join(known)}",
+            f"parameters.{name}: the model has no such parameter", f"it has {', '.join(known)}"
         )
         for name in config.parameters
         if name not in known
@@ -183,9 +173,7 @@ def choose_layout(
     for name in known:
         problems += _misplaced(name, bounded[name], asked[name], name in free)
     if not free:
-        problems.append(
-            InputProblem("no free parameter", "free one under [parameters]")
-        )
+        problems.append(InputProblem("no free parameter", "free one under [parameters]"))
     if problems:
         raise UsageError([replace(p, file=config.source) for p in problems])
     tied = {tie.name for tie in ties}
@@ -251,9 +239,7 @@ def _narrowed(tie: Tie, bounded: Mapping[str, Spec]):
     return narrow, [], [said]
 
 
-def _wrong_tie(
-    tie: Tie, ties: Sequence[Tie], free: Sequence[str], known
-) -> InputProblem:
+def _wrong_tie(tie: Tie, ties: Sequence[Tie], free: Sequence[str], known) -> InputProblem:
     tied = {one.name: one.other for one in ties}
     key, reason = f"parameters.{tie.name}", f"tied to {tie.other!r}, which is not free"
     if tie.other == tie.name:
@@ -266,9 +252,7 @@ def _wrong_tie(
     return InputProblem(f"{key}: {reason}", remedy)
 
 
-def _misplaced(
-    name: str, spec: Spec, asked: ParameterConfig, free: bool
-) -> Iterator[InputProblem]:
+def _misplaced(name: str, spec: Spec, asked: ParameterConfig, free: bool) -> Iterator[InputProblem]:
     """Problems: values and priors outside the bounds, keys without effect when
     fixed."""
     key, prior = f"parameters.{name}", asked.prior

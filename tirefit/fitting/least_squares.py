@@ -27,9 +27,7 @@ class Solution(NamedTuple):
     steps: Int[Array, ""]
 
 
-jax.export.register_namedtuple_serialization(
-    Solution, serialized_name="tirefit.Solution"
-)
+jax.export.register_namedtuple_serialization(Solution, serialized_name="tirefit.Solution")
 
 Residual = Callable[[Float[Array, " p"]], tuple[Float[Array, " n"], Float[Array, " n"]]]
 """z (p,) -> (residuals, scoring weights), each (n,).
@@ -197,9 +195,7 @@ def damped_gauss_newton(
         damping = jnp.maximum(damping, LEAST_DAMPING)
         ahead = z, normal, gradient
         whole = _after_step(*ahead, LEAST_DAMPING, allowed, jnp.inf)
-        settled = jnp.abs(_gain(whole - z, normal, gradient)) <= (
-            TOLERANCE * cost + TOLERANCE**2
-        )
+        settled = jnp.abs(_gain(whole - z, normal, gradient)) <= (TOLERANCE * cost + TOLERANCE**2)
         trial = _after_step(*ahead, damping, allowed, LONGEST_STEP)
         promised = _gain(trial - z, normal, gradient)
         done = settled | (damping > STUCK)

@@ -52,12 +52,7 @@ def _cauchy(square):
     return k**2 * jnp.log1p(square / k**2)
 
 
-LOSSES = {
-    "squares": lambda square: square,
-    "huber": _huber,
-    "soft-l1": _soft_l1,
-    "cauchy": _cauchy,
-}
+LOSSES = {"squares": lambda square: square, "huber": _huber, "soft-l1": _soft_l1, "cauchy": _cauchy}
 """Robust losses: squared whitened residual -> contribution to -2 log likelihood."""
 
 
@@ -178,9 +173,7 @@ def row_forces(
         run: run of each row, shape (n,).
     """
     values = layout.natural(z)
-    rows = {
-        name: value[run] if jnp.ndim(value) else value for name, value in values.items()
-    }
+    rows = {name: value[run] if jnp.ndim(value) else value for name, value in values.items()}
     axes = {name: 0 if jnp.ndim(value) else None for name, value in rows.items()}
     felt = with_values(model, rows).felt(inputs, run)
 
@@ -261,9 +254,7 @@ def _moments(problem: FitProblem, forces):
 
 
 @compiled()
-def root_deviance(
-    problem: FitProblem, z: Float[Values, " p"]
-) -> dict[str, Float[Array, " n"]]:
+def root_deviance(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Float[Array, " n"]]:
     """Residuals whose squares sum to -2 log likelihood, by block.
 
     Returns:
@@ -315,9 +306,7 @@ def noise_factor(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""
 
     def step(_, log_factor):
         slope = jax.grad(objective)(log_factor)
-        curvature = jnp.maximum(
-            jax.hessian(objective)(log_factor), jnp.sum(rows.weight)
-        )
+        curvature = jnp.maximum(jax.hessian(objective)(log_factor), jnp.sum(rows.weight))
         return log_factor - jnp.clip(slope / curvature, -0.7, 0.7)
 
     return jnp.exp(jax.lax.fori_loop(0, 6, step, 0.0))

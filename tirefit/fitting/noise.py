@@ -179,8 +179,7 @@ def effective_inflation(scores, run, time) -> float:
     order = np.arange(len(run)) if time is None else np.lexsort((time, run))
     parts = [order[run[order] == code] for code in np.unique(run)]
     return max(
-        (_inflation([column[part] for part in parts]) for column in directions.T),
-        default=1.0,
+        (_inflation([column[part] for part in parts]) for column in directions.T), default=1.0
     )
 
 

@@ -101,20 +101,20 @@ def _scan(density, position, key, step_size, covariance, adapt, steps: int):
         transition, (states, begin(step_size)), keys[1:]
     )
     size = jnp.where(adapt, final(averaging), step_size)
-    return (
-        states.position, keys[0], size, positions, values, rates.mean(),
-        divergent.sum(),
-    )  # fmt: skip
+    return (states.position, keys[0], size, positions, values, rates.mean(), divergent.sum())
 
 
 def _advanced(density, state: dict, steps: int, adapt: bool):
     """(state, positions (steps, chains, p), values (steps, chains), acceptance)."""
     position, key, size, positions, values, rate, divergences = _scan(
-        _arrays(density), jnp.asarray(state["position"]),
+        _arrays(density),
+        jnp.asarray(state["position"]),
         jax.random.wrap_key_data(jnp.asarray(state["key"])),
-        jnp.asarray(state["step_size"]), jnp.asarray(state["covariance"]),
-        jnp.asarray(adapt), steps,
-    )  # fmt: skip
+        jnp.asarray(state["step_size"]),
+        jnp.asarray(state["covariance"]),
+        jnp.asarray(adapt),
+        steps,
+    )
     after = state | {
         "position": np.asarray(position),
         "key": np.asarray(jax.random.key_data(key)),

@@ -74,9 +74,7 @@ def _density(solved: Solved) -> Callable[[np.ndarray], np.ndarray]:
 def _random_states(seed: int, count: int) -> list[tuple]:
     """Full generator states: emcee silently ignores an integer seed."""
     children = np.random.SeedSequence(seed).spawn(count)
-    return [
-        _state_of(np.random.RandomState(np.random.MT19937(child))) for child in children
-    ]
+    return [_state_of(np.random.RandomState(np.random.MT19937(child))) for child in children]
 
 
 def _state_of(generator: np.random.RandomState) -> tuple:
@@ -131,9 +129,10 @@ def _emcee_chunk(density, state: dict, steps: int):
             walkers, size, lambda u: np.asarray(density(u)), moves=moves, vectorize=True
         )
         start = emcee.State(
-            state["coordinates"][e], log_prob=state["values"][e],
+            state["coordinates"][e],
+            log_prob=state["values"][e],
             random_state=_unpack(state["random"][e]),
-        )  # fmt: skip
+        )
         run = sampler.sample(start, iterations=steps, skip_initial_state_check=True)
         for step, now in enumerate(run):
             samples[e, step], values[e, step] = now.coords, now.log_prob
@@ -251,9 +250,7 @@ def sample(
     sampler = sampler or sampler_of_chains(None, size)
     shape = _shape(sampler_of_chains(sampler, size), size, ensembles, walkers)
     path = None if checkpoint is None else Path(checkpoint)
-    run = _Run(
-        sampler, seed, shape, effective_samples, max_steps, path, resume, progress
-    )
+    run = _Run(sampler, seed, shape, effective_samples, max_steps, path, resume, progress)
     try:
         cells = condensed(solved, _whitening(solved)[1])
     except KeyboardInterrupt:
@@ -288,9 +285,7 @@ def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
     size = solved.problem.layout.size
     chained = sampler_of_chains(run.sampler, size)
     if run.sampler == "importance":
-        weighted = draw_weighted(
-            density, *_whitening(solved), run.seed, run.target, run.progress
-        )
+        weighted = draw_weighted(density, *_whitening(solved), run.seed, run.target, run.progress)
         if weighted.interrupted or not weighted.refused:
             return _of_weighted(result, weighted, run.seed)
     identity = identity_of(result, chained, run.seed, run.shape)
@@ -332,16 +327,12 @@ def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):
     return ensembles, walkers
 
 
-def _draw(
-    density, sampler, size, run: _Run, chain, keeper: Keeper
-) -> tuple[Chain | None, Outcome]:
+def _draw(density, sampler, size, run: _Run, chain, keeper: Keeper) -> tuple[Chain | None, Outcome]:
     """Sample chunks until the chain converged, reached its limit or was interrupted."""
     begin, advance = SAMPLERS[sampler]
     outcome = Outcome.CHAIN_TOO_SHORT
     try:
-        state = (
-            begin(density, size, *run.shape, run.seed) if chain is None else chain.state
-        )
+        state = begin(density, size, *run.shape, run.seed) if chain is None else chain.state
         while True:
             if chain is not None:
                 health = _health(chain.samples, run.target, sampler == "nuts")
@@ -389,15 +380,21 @@ def _of_chain(
             " the sampler could not enter; compare with --sampler emcee"
         )
     summary = PosteriorSummary(
-        sampler, run.seed, chain.samples.shape[0], chain.samples.shape[2],
-        chain.samples.shape[1], health.discarded,
+        sampler,
+        run.seed,
+        chain.samples.shape[0],
+        chain.samples.shape[2],
+        chain.samples.shape[1],
+        health.discarded,
         dict(zip(labels, health.ess.tolist(), strict=True)),
         dict(zip(labels, health.rhat.tolist(), strict=True)),
         dict(zip(labels, health.tau.tolist(), strict=True)),
-        chain.accepted, outcome,
+        chain.accepted,
+        outcome,
         None if weighted is None else weighted.k_hat,
-        None if divergences is None else int(divergences), "; ".join(notes),
-    )  # fmt: skip
+        None if divergences is None else int(divergences),
+        "; ".join(notes),
+    )
     # Nearly independent draws; parameters and derived quantities are of the same ones.
     # A walker that never moved has no autocorrelation time: keep one draw of each.
     slowest = min(health.tau.max() / 2, health.kept.shape[1])
@@ -419,9 +416,7 @@ def _of_weighted(result: FitResult, weighted: Weighted, seed: int) -> FitResult:
     return _with_posterior(result, weighted.draws[None, :, None], summary)
 
 
-def _with_posterior(
-    result: FitResult, u: np.ndarray, summary: PosteriorSummary
-) -> FitResult:
+def _with_posterior(result: FitResult, u: np.ndarray, summary: PosteriorSummary) -> FitResult:
     """The fit with draws u (ensembles, steps, walkers, p) of the whitened space."""
     solved: Solved = result.solved
     center, root = _whitening(solved)

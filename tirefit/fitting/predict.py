@@ -127,9 +127,7 @@ def predict(
         noise = {force: source.noise[force] for force in source.forces}
         reference = source.reference
     else:
-        tire, layout, name, noise = (
-            source.tire, source.layout, source.model, source.noise
-        )  # fmt: skip
+        tire, layout, name, noise = (source.tire, source.layout, source.model, source.noise)
         reference = source.content["reference"]
     require(data, ("fz", *tire.needs), f"the model {name}")
     if tire.transient:
@@ -138,9 +136,8 @@ def predict(
         force, variance = magic_formula_forces(source, tuple(noise), _inputs(data))
     else:
         force, variance = predict_forces(
-            tire, layout, source.z, source.covariance, _inputs(data),
-            _run_codes(data, layout),
-        )  # fmt: skip
+            tire, layout, source.z, source.covariance, _inputs(data), _run_codes(data, layout)
+        )
     force, variance = _all_rows(data, force), _all_rows(data, variance)
     out = {}
     fitted = [channel for channel in _channels(data, force) if channel in noise]
@@ -194,9 +191,7 @@ def _all_rows(data: TireData, out: Mapping) -> dict[str, np.ndarray]:
     return full
 
 
-def tire_with(
-    template: AbstractTire, name: str, values: Mapping[str, float]
-) -> AbstractTire:
+def tire_with(template: AbstractTire, name: str, values: Mapping[str, float]) -> AbstractTire:
     """The tire with other values of its parameters.
 
     Raises:
@@ -206,9 +201,7 @@ def tire_with(
     return with_values(template, parameter_values(template) | dict(values))
 
 
-def _of_model(
-    template: AbstractTire, name: str, data: TireData, values: Mapping[str, float]
-):
+def _of_model(template: AbstractTire, name: str, data: TireData, values: Mapping[str, float]):
     tire = tire_with(template, name, values)
     require(data, ("fz", *tire.needs), f"the model {name}")
     if tire.transient:

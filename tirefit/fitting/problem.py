@@ -52,9 +52,7 @@ def find_model(name: str) -> AbstractTire:
         raise UsageError(reason, remedy)
     if os.path.isfile(name):
         reason = f"{name!r} is a file, and no name of a model"
-        remedy = (
-            "a tire of a file ends in .json (a fit) or .tir; `tirefit models` lists"
-        )
+        remedy = "a tire of a file ends in .json (a fit) or .tir; `tirefit models` lists"
         raise UsageError(reason, f"{remedy} the names")
     close = difflib.get_close_matches(name, MODELS, 3)
     hint = f"did you mean {', '.join(close)}? " if close else ""
@@ -64,12 +62,8 @@ def find_model(name: str) -> AbstractTire:
 def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], list]:
     possible = [c for c, slip in CHANNEL_SLIP.items() if c in data and slip in data]
     if config.force is not None:
-        needed = [
-            column for name in config.force for column in (name, CHANNEL_SLIP[name])
-        ]
-        require(
-            data, list(dict.fromkeys(needed)), f"a fit of {', '.join(config.force)}"
-        )
+        needed = [column for name in config.force for column in (name, CHANNEL_SLIP[name])]
+        require(data, list(dict.fromkeys(needed)), f"a fit of {', '.join(config.force)}")
         return tuple(dict.fromkeys(config.force)), []
     varied = [c for c in possible if np.ptp(data.usable(CHANNEL_SLIP[c])) > 1e-9]
     if not varied:
@@ -106,11 +100,7 @@ def force_scale(data: TireData, name: str, noise: NoiseConfig):
     if absolute is not None:
         return np.full(data.n, absolute), False, f"noise of {name}: {absolute:g} given"
     if relative is not None:
-        return (
-            relative * data.usable("fz"),
-            False,
-            f"noise of {name}: {relative:g} fz given",
-        )
+        return (relative * data.usable("fz"), False, f"noise of {name}: {relative:g} fz given")
     observed = data.usable(name)
     size = 0.05 * float(np.sqrt(np.mean(observed**2))) or 1.0
     if noise.proportional_to_load:

@@ -39,9 +39,7 @@ class _Side:
         if self.done:
             # One point beyond the interval, for the figure.
             return min(1.3 * self.end, self.reach)
-        above = [
-            d for d, r in zip(self.distances, self.roots, strict=True) if r > self.goal
-        ]
+        above = [d for d, r in zip(self.distances, self.roots, strict=True) if r > self.goal]
         if above:
             outer = min(above)
             inner = max(d for d in self.distances if d < outer)
@@ -100,10 +98,7 @@ _JUMP = 2.0
 
 
 def profile_all(
-    problem: FitProblem,
-    z: Float[np.ndarray, " p"],
-    cov: Float[np.ndarray, "p p"],
-    level: float,
+    problem: FitProblem, z: Float[np.ndarray, " p"], cov: Float[np.ndarray, "p p"], level: float
 ) -> list[Profile]:
     """Profile likelihood of every element of z, all sides searched together."""
     std, size = np.sqrt(np.diag(cov)), len(z)
@@ -124,9 +119,7 @@ def profile_all(
         if base is None:
             base = float(np.min(ends.deviance))
         else:
-            ends = _searched_again(
-                problem, sides, ends, base, distance, inner, index, values
-            )
+            ends = _searched_again(problem, sides, ends, base, distance, inner, index, values)
             rise = np.nan_to_num(ends.deviance - base, nan=1e9, posinf=1e9)
             follow = (np.asarray(ends.z) - z) / np.maximum(distance, 1e-9)[:, None]
             inner = np.where((rise < level)[:, None], np.asarray(ends.z), inner)
@@ -158,6 +151,10 @@ def _joined(center: float, low: _Side, high: _Side) -> Profile:
     roots = np.concatenate([low.roots, high.roots[1:]])
     order = np.argsort(distances)
     return Profile(
-        center + distances[order], roots[order] ** 2, center - low.end,
-        center + high.end, low.open, high.open,
-    )  # fmt: skip
+        center + distances[order],
+        roots[order] ** 2,
+        center - low.end,
+        center + high.end,
+        low.open,
+        high.open,
+    )

@@ -249,12 +249,7 @@ def layout_record(layout: Layout, model: AbstractTire) -> dict:
     free = {p.name for p in layout.free}
     return {
         "free": [
-            {
-                "name": p.name,
-                "per_run": p.per_run,
-                "lower": p.spec.lower,
-                "upper": p.spec.upper,
-            }
+            {"name": p.name, "per_run": p.per_run, "lower": p.spec.lower, "upper": p.spec.upper}
             for p in layout.free
         ],
         "ties": [asdict(tie) for tie in layout.ties],

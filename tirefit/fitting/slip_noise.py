@@ -88,9 +88,7 @@ class SlipDistribution(NamedTuple):
         offset = np.linspace(-_REACH, _REACH, 41)
         nodes = slip[:, None] + std[:, None] * offset
         moving = np.interp(nodes, self.knots, self.density, left=0.0, right=0.0)
-        moving = (
-            (moving + 1e-6 * self.density.max()) * _gauss(offset) * np.diff(offset)[0]
-        )
+        moving = (moving + 1e-6 * self.density.max()) * _gauss(offset) * np.diff(offset)[0]
         # A measured slip of no noise is what it is.
         there = _standing_likelihood(slip, np.where(std > 0, std, 1.0), self.standing)
         there = np.where(std[:, None] > 0, self.shares * there, 0.0)
@@ -122,9 +120,7 @@ def slip_distribution(slip, std):
     columns, hats = smooth, smooth.shape[1]
     weight = _weights(columns, np.full(hats, 1 / hats), 3 * _STEPS_AFTER)
     noise = float(np.median(std))
-    places = np.linspace(
-        slip.min(), slip.max(), int(np.clip(2 * np.ptp(slip) / noise, 2, 2000))
-    )
+    places = np.linspace(slip.min(), slip.max(), int(np.clip(2 * np.ptp(slip) / noise, 2, 2000)))
     near = _standing_likelihood(slip, std, places)
     standing, likely = np.zeros(0), _log_likelihood(columns, weight)
     worth = 1.2 * np.log(len(slip))

@@ -21,13 +21,7 @@ from tirefit.fitting.inference import (
     solve_starts,
     threshold,
 )
-from tirefit.fitting.likelihood import (
-    FitProblem,
-    Rule,
-    SlipNodes,
-    noise_factor,
-    row_moments,
-)
+from tirefit.fitting.likelihood import FitProblem, Rule, SlipNodes, noise_factor, row_moments
 from tirefit.fitting.noise import effective_inflation, robust_scale
 from tirefit.fitting.problem import FitTask
 from tirefit.fitting.slip_noise import latent_nodes
@@ -74,9 +68,7 @@ def starting_points(task: FitTask, count: int, seed: int) -> np.ndarray:
     scatter = generator.normal(size=(count - 1, layout.size))
     # The stiffness guess is good; on its log scale over 11 decades a step of 1 in z
     # would be a factor of 500.
-    widths = np.array(
-        [0.1 if p.spec.scale == "log" else 1.0 for _, p in layout.elements]
-    )
+    widths = np.array([0.1 if p.spec.scale == "log" else 1.0 for _, p in layout.elements])
     return np.concatenate([first[None], first + scatter * widths])
 
 
@@ -101,9 +93,7 @@ def with_scale(
         steep = _bucket(slope * float(np.max(std)) / force_std)
         # A padded row is the first one again: it has nodes like any other.
         values = np.asarray(getattr(rows.inputs, slip))
-        nodes[slip] = SlipNodes(
-            *latent_nodes(values, np.asarray(std), slip_density[slip], steep)
-        )
+        nodes[slip] = SlipNodes(*latent_nodes(values, np.asarray(std), slip_density[slip], steep))
     return problem.with_rows(scale=scale, nodes=nodes)
 
 
@@ -173,17 +163,12 @@ def _used(problem: FitProblem, at: Linearised) -> Linearised:
     """Without the padding rows; priors, which are no rows, as they are."""
 
     def cut(arrays):
-        return {
-            k: np.asarray(v) if k == "prior" else problem.used(v)
-            for k, v in arrays.items()
-        }
+        return {k: np.asarray(v) if k == "prior" else problem.used(v) for k, v in arrays.items()}
 
     return Linearised(*(cut(arrays) for arrays in at))
 
 
-def _judged(
-    problem: FitProblem, time, at: Linearised, config: FitConfig, misfit: Misfit
-):
+def _judged(problem: FitProblem, time, at: Linearised, config: FitConfig, misfit: Misfit):
     """The problem with its rules, chi2/dof where the noise was given, n_effective.
 
     Correlated residuals leave few independent rows. With few degrees of freedom, t can
@@ -212,9 +197,7 @@ def _judged(
             ratios.append(ratio)
             if surprising:
                 rows_per_one *= ratio
-        plain = (
-            estimated and problem.loss == "squares" and name not in problem.slip_noise
-        )
+        plain = estimated and problem.loss == "squares" and name not in problem.slip_noise
         smallest = float(values @ values) if plain else 0.0
         rules[name] = Rule(rows_per_one, effective, smallest)
     chi2_dof = float(np.mean(ratios)) if ratios else None
@@ -237,9 +220,7 @@ def _surprise(problem: FitProblem, at: Linearised, channels, rows_per_one: float
     return ratio, ratio > 1 and chdtrc(effective, ratio * effective) < 1e-3
 
 
-def on_rows(
-    whole: FitTask, kept, task: FitTask, solved: Solved
-) -> tuple[FitProblem, Linearised]:
+def on_rows(whole: FitTask, kept, task: FitTask, solved: Solved) -> tuple[FitProblem, Linearised]:
     """All rows of a task as a fit of some of them sees them, and linearised there.
 
     Those that are fitted are as in the fit: a transient model passes over the others.
@@ -276,8 +257,7 @@ def _still_to_gain(problem: FitProblem, at: Linearised, z, cov) -> float:
     """
     free = np.abs(z) < 0.6 * REACH
     blocks = [
-        at.slopes[name].T @ values / inflation(problem, name)
-        for name, values in at.values.items()
+        at.slopes[name].T @ values / inflation(problem, name) for name, values in at.values.items()
     ]
     gradient = np.sum(blocks, axis=0)[free]
     information = np.linalg.inv(cov)[np.ix_(free, free)]

@@ -118,9 +118,7 @@ def _of_fit(fit, path: str) -> GivenTire:
     return GivenTire(fit.model, tire, known, fit.to_dict())
 
 
-def axle_tire(
-    source: "Fit | GivenTire | AbstractTire | str | os.PathLike",
-) -> GivenTire:
+def axle_tire(source: "Fit | GivenTire | AbstractTire | str | os.PathLike") -> GivenTire:
     """The tire of an axle, at the load of the axle.
 
     A Magic Formula is of one tire: the axle has two, mirror images, each at half its

@@ -7,13 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    NonNegativeFloat,
-    PositiveFloat,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat, model_validator
 
 from tirefit.data.records import FileRecord, Row
 from tirefit.door import outrageous, read_record
@@ -179,9 +173,14 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
         reason = f"it does not hold a fit: {str(error).splitlines()[0][:200]}"
         raise DataError(reason, remedy, str(path)) from None
     return StoredFit(
-        record.model, tire, layout, np.array(record.prediction.z),
-        np.array(record.prediction.covariance), noise, content,
-    )  # fmt: skip
+        record.model,
+        tire,
+        layout,
+        np.array(record.prediction.z),
+        np.array(record.prediction.covariance),
+        noise,
+        content,
+    )
 
 
 def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
@@ -205,19 +204,22 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
         },
         coords | {"ensemble": ("chain", np.repeat(np.arange(ensembles), walkers))},
         attrs={
-            "model": result.model, "version": result.version, "seed": summary.seed,
-            "sampler": summary.sampler, "created_by": "tirefit",
-            "data_sha256": result.data["sha256"], "convention": "braking, SI",
+            "model": result.model,
+            "version": result.version,
+            "seed": summary.seed,
+            "sampler": summary.sampler,
+            "created_by": "tirefit",
+            "data_sha256": result.data["sha256"],
+            "convention": "braking, SI",
         },
-    )  # fmt: skip
+    )
     problem = result.problem
     rows = {"row": np.arange(problem.n)}
     observed = xr.Dataset(
         {k: ("row", problem.used(v)) for k, v in problem.rows.observed.items()}, rows
     )
     constant = xr.Dataset(
-        {k: ("row", problem.used(v)) for k, v in problem.rows.inputs._asdict().items()},
-        rows,
+        {k: ("row", problem.used(v)) for k, v in problem.rows.inputs._asdict().items()}, rows
     )
     tree = xr.DataTree.from_dict(
         {"posterior": posterior, "observed_data": observed, "constant_data": constant}
@@ -255,16 +257,28 @@ def record_of_fit(content: Mapping, result: str) -> FileRecord:
     """
     rows = [
         Row(
-            kind, name, one["value"], one["std"], one["ci95"][0], one["ci95"][1],
-            one["unit"], one["identified"],
+            kind,
+            name,
+            one["value"],
+            one["std"],
+            one["ci95"][0],
+            one["ci95"][1],
+            one["unit"],
+            one["identified"],
         )
         for kind, section in (("parameter", "parameters"), ("derived", "derived"))
         for name, one in content[section].items()
-    ]  # fmt: skip
+    ]
     rows += [Row("statistic", name, content["fit"][name]) for name in _STATISTICS]
     return FileRecord(
-        content["data"]["file"], result, content["model"],
-        content["verdict"]["status"], tuple(rows), tuple(content["outcomes"]),
-        convention=content["data"]["convention"], seed=content["seed"],
-        version=content["version"], sha256=content["data"]["sha256"],
-    )  # fmt: skip
+        content["data"]["file"],
+        result,
+        content["model"],
+        content["verdict"]["status"],
+        tuple(rows),
+        tuple(content["outcomes"]),
+        convention=content["data"]["convention"],
+        seed=content["seed"],
+        version=content["version"],
+        sha256=content["data"]["sha256"],
+    )

@@ -37,9 +37,11 @@ def check_time_series(data: TireData, name: str) -> None:
             InputProblem(
                 f"{text}{more}; {name} follows the slip through time",
                 "sort the rows by run and time, and name the runs by a column run",
-                file, line, column or "time",
+                file,
+                line,
+                column or "time",
             )
-        )  # fmt: skip
+        )
     DataError.raise_for(problems)
 
 

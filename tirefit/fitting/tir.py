@@ -94,9 +94,7 @@ def moments_noted(tir: TirFile, data: TireData) -> list[str]:
     ]
     if "v" not in data and any(tir.numbers.get(key) for key in ("QSY3", "QSY4")):
         speed = tir.numbers.get("LONGVL", Nominal().LONGVL)
-        said.append(
-            f"no column v: my is computed at {speed:g} m/s (--constant v=SPEED)"
-        )
+        said.append(f"no column v: my is computed at {speed:g} m/s (--constant v=SPEED)")
     return said
 
 
@@ -125,10 +123,7 @@ def check_gives(tir: TirFile, force: str) -> None:
 
 
 def remarks(
-    tir: TirFile,
-    tire: AbstractTire,
-    data: TireData | None = None,
-    signs: str | None = None,
+    tir: TirFile, tire: AbstractTire, data: TireData | None = None, signs: str | None = None
 ) -> list[str]:
     """Sentences on assumptions about the file, and on rows to which it does not apply.
 
@@ -163,8 +158,7 @@ def _combination(tire: MFTire, where: str) -> list[str]:
     whole = [
         _SYMBOLS[force]
         for force, keys in WEIGHTS.items()
-        if force not in (*tire.similarity, *tire.lacks)
-        and any(values[key] == 0 for key in keys)
+        if force not in (*tire.similarity, *tire.lacks) and any(values[key] == 0 for key in keys)
     ]
     if whole:
         remedy = "; --combination similarity avoids that" if not tire.lacks else ""
@@ -173,9 +167,7 @@ def _combination(tire: MFTire, where: str) -> list[str]:
             f" is one, so the resultant force may exceed the friction limit{remedy}"
         )
     if "fx" in tire.lacks and "mz" not in tire.lacks:
-        said.append(
-            f"{where}: M_z without the part of F_x, which the file does not give"
-        )
+        said.append(f"{where}: M_z without the part of F_x, which the file does not give")
     return said
 
 

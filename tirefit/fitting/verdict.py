@@ -162,8 +162,7 @@ def _far_rows(result: FitResult) -> list[str]:
 def _row_numbers(rows, most: int = 8) -> str:
     """Numbers of rows, with their file where there are several."""
     several = len({row.file for row in rows}) > 1
-    names = [f"{row.file} row {row.row}" if several else f"row {row.row}"
-             for row in rows[:most]]  # fmt: skip
+    names = [f"{row.file} row {row.row}" if several else f"row {row.row}" for row in rows[:most]]
     more = [f"{len(rows) - most} more"] if len(rows) > most else []
     return ", ".join(names + more)
 
@@ -198,9 +197,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
                     " the units, or widen the bound"
                 )
             findings.append((Outcome.NOT_IDENTIFIED, text))
-    at_bound = [
-        label for label in statistics.at_bound if result.least_squares[label].identified
-    ]
+    at_bound = [label for label in statistics.at_bound if result.least_squares[label].identified]
     if at_bound:
         names = ", ".join(_short(result, label) for label in at_bound)
         text = f"at its bound: {names}; the interval is one-sided"
@@ -229,8 +226,7 @@ def judge(result: FitResult) -> FitResult:
         text = f"the routes to an interval disagree for {names}: trust the profile"
         findings.append((None, f"{text} or the posterior, not the covariance"))
     leading, status = next(
-        ((outcome, text) for outcome, text in _STATUS if outcome in outcomes),
-        (None, "ok"),
+        ((outcome, text) for outcome, text in _STATUS if outcome in outcomes), (None, "ok")
     )
     ordered = sorted(findings, key=lambda finding: finding[0] is not leading)
     sentences = [text for _, text in (ordered if leading is not None else findings)]
@@ -247,9 +243,7 @@ def _speed_limit(result: FitResult) -> list[str]:
     slip = problem.used(inputs.sigma_x)
     fastest = np.max(
         np.abs(problem.used(inputs.v))
-        * np.maximum(
-            np.abs(slip / (1 + slip)), np.abs(np.tan(problem.used(inputs.alpha)))
-        )
+        * np.maximum(np.abs(slip / (1 + slip)), np.abs(np.tan(problem.used(inputs.alpha))))
     )
     if n.value * fastest < mu.value:
         return []

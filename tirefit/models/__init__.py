@@ -16,13 +16,7 @@ from tirefit.models.brush import (
 )
 from tirefit.models.carcass import BeamCarcass, ParabolicCarcass, ThreadCarcass
 from tirefit.models.combined import CombinedMagicFormula, LiuPeng
-from tirefit.models.friction import (
-    Exponential,
-    Friction,
-    Kinetic,
-    LinearInSpeed,
-    Stribeck,
-)
+from tirefit.models.friction import Exponential, Friction, Kinetic, LinearInSpeed, Stribeck
 from tirefit.models.lugre import LuGre, LuGreLumped
 from tirefit.models.magic_formula import MagicFormula
 from tirefit.models.pressure import (

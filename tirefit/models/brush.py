@@ -27,24 +27,33 @@ from tirefit.slip import kappa_from_sigma, lateral_slip
 def bristle_stiffness():
     """The field of c_p a^2."""
     return par(
-        5e4, (1e-2, 1e9), "N", "bristle stiffness c_p a^2; C_x = 2 c_p a^2",
-        "S(12)", r"c_p a^2", scale="log",
-    )  # fmt: skip
+        5e4,
+        (1e-2, 1e9),
+        "N",
+        "bristle stiffness c_p a^2; C_x = 2 c_p a^2",
+        "S(12)",
+        r"c_p a^2",
+        scale="log",
+    )
 
 
 def friction_coefficient():
     """The field of mu."""
-    return par(
-        1.0, (0.01, 5.0), "-", "static friction coefficient mu_s", "S(12)", r"\mu"
-    )
+    return par(1.0, (0.01, 5.0), "-", "static friction coefficient mu_s", "S(12)", r"\mu")
 
 
 def half_contact_length():
     """The field of the half-length a of the contact patch."""
     return par(
-        0.1, (1e-3, 1.0), "m", "half the contact length (aligning moment only)",
-        "S(9)", "a", free=False, scale="log",
-    )  # fmt: skip
+        0.1,
+        (1e-3, 1.0),
+        "m",
+        "half the contact length (aligning moment only)",
+        "S(9)",
+        "a",
+        free=False,
+        scale="log",
+    )
 
 
 class Brush(AbstractTire):
@@ -83,9 +92,7 @@ class Brush(AbstractTire):
         u = pressure.breakaway(rho)
         sticking = 2 - u
         force = mu_k * load * pressure.cdf(u) + demand * sticking**2 / 2
-        moment = mu_k * load * pressure.moment(u) + demand * (
-            sticking**2 / 2 - sticking**3 / 3
-        )
+        moment = mu_k * load * pressure.moment(u) + demand * (sticking**2 / 2 - sticking**3 / 3)
         return loaded * force, loaded * moment
 
     @property
@@ -99,9 +106,7 @@ class Brush(AbstractTire):
         slip, along, across = polar(slip_x, slip_y)
         v_s = inputs.v * resultant(kappa_from_sigma(inputs.sigma_x), tan_alpha)
         force, moment = self.pure(slip, inputs.fz, v_s, along)
-        return TireForces(
-            along * force, across * force, self.half_length * across * moment
-        )
+        return TireForces(along * force, across * force, self.half_length * across * moment)
 
     @property
     def stiffness_ratio(self):
@@ -125,9 +130,14 @@ class AnisotropicBrush(Brush):
     """
 
     stiffness_ratio: float = par(
-        0.7, (0.05, 20.0), "-", "lateral over longitudinal stiffness, K_beta / K_s",
-        "O(13)", r"K_\beta / K_s", scale="log",
-    )  # fmt: skip
+        0.7,
+        (0.05, 20.0),
+        "-",
+        "lateral over longitudinal stiffness, K_beta / K_s",
+        "O(13)",
+        r"K_\beta / K_s",
+        scale="log",
+    )
 
 
 def resultant(x, y):
@@ -172,18 +182,14 @@ class BrushAtPeak(AbstractTire):
     """``brush-m`` with the peak F_max / F_z as its parameter, S(34) corrected."""
 
     cpa2: float = bristle_stiffness()
-    mu_peak: float = par(
-        1.0, (0.01, 5.0), "-", "peak friction mu' = F_max / F_z", "S(33)", r"\mu'"
-    )
+    mu_peak: float = par(1.0, (0.01, 5.0), "-", "peak friction mu' = F_max / F_z", "S(33)", r"\mu'")
     half_length: float = half_contact_length()
     kinetic: Kinetic = Kinetic()
 
     def as_brush(self) -> Brush:
         """The same tire in terms of its static friction."""
         mu = mu_from_peak(self.mu_peak, self.kinetic.m)
-        return Brush(
-            self.cpa2, mu, self.half_length, Parabolic(), Friction((self.kinetic,))
-        )
+        return Brush(self.cpa2, mu, self.half_length, Parabolic(), Friction((self.kinetic,)))
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         return self.as_brush()(inputs)
@@ -204,13 +210,16 @@ class LoadDependent(AbstractTire):
 
     tire: AbstractTire = Brush()
     stiffness_power: float = par(
-        1.0, (-1.0, 3.0), "-",
-        "power of the load in c_p a^2: 2 rectangular, 1 elliptic patch", "S §2.1", "k",
-    )  # fmt: skip
+        1.0,
+        (-1.0, 3.0),
+        "-",
+        "power of the load in c_p a^2: 2 rectangular, 1 elliptic patch",
+        "S §2.1",
+        "k",
+    )
     mu_load: float = par(
-        -0.1, (-1.0, 1.0), "-", "change of mu per relative change of the load",
-        "S §2.1", r"\mu_z",
-    )  # fmt: skip
+        -0.1, (-1.0, 1.0), "-", "change of mu per relative change of the load", "S §2.1", r"\mu_z"
+    )
     fz0: float = reference_load()
 
     def at(self, fz) -> AbstractTire:

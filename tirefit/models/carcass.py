@@ -63,10 +63,14 @@ class AbstractCarcass(AbstractTire):
     """
 
     cpa2: float = par(
-        5e4, (1e-2, 1e9), "N",
+        5e4,
+        (1e-2, 1e9),
+        "N",
         "bristle stiffness c_p a^2; with the carcass in series C_alpha < 2 c_p a^2",
-        "S(15)", r"c_p a^2", scale="log",
-    )  # fmt: skip
+        "S(15)",
+        r"c_p a^2",
+        scale="log",
+    )
     mu: float = friction_coefficient()
     half_length: float = half_contact_length()
     pressure: AbstractPressure = Parabolic()
@@ -108,9 +112,7 @@ class AbstractCarcass(AbstractTire):
         def newton(_, state):
             # The slope is that of the implicit function.
             u, _ = state
-            value, slope, patch = jax.jvp(
-                excess_and_patch, (u,), (jnp.ones_like(u),), has_aux=True
-            )
+            value, slope, patch = jax.jvp(excess_and_patch, (u,), (jnp.ones_like(u),), has_aux=True)
             slope = jax.lax.stop_gradient(slope)
             partly = (low > 0) & (high < 2) & (slope < 0)
             u = u - value / jnp.where(partly, slope, 1.0)
@@ -130,9 +132,7 @@ class AbstractCarcass(AbstractTire):
         pressure = self.pressure.under(rho, 0.0, inputs.fz)
         patch = self.settled(rho, pressure)
         scale = loaded * limit * across
-        return TireForces(
-            None, scale * patch.force, self.half_length * scale * patch.moment
-        )
+        return TireForces(None, scale * patch.force, self.half_length * scale * patch.moment)
 
 
 class _Solutions:
@@ -153,10 +153,7 @@ class _Solutions:
         self.order, self.terms, self.largest = order, terms, largest
         self.coefficients = np.array(
             [
-                [
-                    (sign * largest) ** j / math.factorial(order * j + n)
-                    for n in range(count)
-                ]
+                [(sign * largest) ** j / math.factorial(order * j + n) for n in range(count)]
                 for j in reversed(range(terms))
             ]
         )
@@ -164,9 +161,7 @@ class _Solutions:
     def __call__(self, flexibility, s):
         """[y_0, y_1, ...] at the distance s from the leading edge."""
         power = flexibility * s**self.order / self.largest
-        values = jnp.polyval(
-            jnp.asarray(self.coefficients, power.dtype), power, unroll=1
-        )
+        values = jnp.polyval(jnp.asarray(self.coefficients, power.dtype), power, unroll=1)
         return [value * s**n for n, value in enumerate(values)]
 
 
@@ -183,9 +178,8 @@ class ThreadCarcass(AbstractCarcass):
     """
 
     flexibility: float = _flexibility(
-        1.0, _LARGEST_THREAD, "bristle stiffness over thread tension, c_p a^2 / S",
-        "c_p a^2 / S",
-    )  # fmt: skip
+        1.0, _LARGEST_THREAD, "bristle stiffness over thread tension, c_p a^2 / S", "c_p a^2 / S"
+    )
 
     def patch(self, u, rho, pressure: AbstractPressure) -> Patch:
         s, flexibility = 2 - u, self.flexibility
@@ -217,9 +211,8 @@ class BeamCarcass(AbstractCarcass):
     """
 
     flexibility: float = _flexibility(
-        3.0, _LARGEST_BEAM, "bristle stiffness over beam stiffness, c_p a^4 / EI",
-        "c_p a^4 / EI",
-    )  # fmt: skip
+        3.0, _LARGEST_BEAM, "bristle stiffness over beam stiffness, c_p a^4 / EI", "c_p a^4 / EI"
+    )
 
     def patch(self, u, rho, pressure: AbstractPressure) -> Patch:
         s, flexibility = 2 - u, self.flexibility
@@ -251,9 +244,11 @@ class ParabolicCarcass(AbstractCarcass):
     """
 
     flexibility: float = _flexibility(
-        0.3, _LARGEST_PARABOLA, "bristle stiffness over carcass stiffness, c_p a / K_c",
+        0.3,
+        _LARGEST_PARABOLA,
+        "bristle stiffness over carcass stiffness, c_p a / K_c",
         "c_p a / K_c",
-    )  # fmt: skip
+    )
 
     def patch(self, u, rho, pressure: AbstractPressure) -> Patch:
         s, share = 2 - u, pressure.cdf(u)

@@ -13,13 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
-from tirefit.models.brush import (
-    Brush,
-    bristle_stiffness,
-    friction_coefficient,
-    polar,
-    resultant,
-)
+from tirefit.models.brush import Brush, bristle_stiffness, friction_coefficient, polar, resultant
 from tirefit.models.magic_formula import MagicFormula
 from tirefit.params import par, specs
 from tirefit.slip import lateral_slip
@@ -98,9 +92,8 @@ class LiuPeng(AbstractTire):
     cpa2: float = bristle_stiffness()
     mu: float = friction_coefficient()
     k_ratio: float = par(
-        0.7, (0.05, 20.0), "-", "turn of the force, k_y / k_x", "S(21)", "k_y / k_x",
-        scale="log",
-    )  # fmt: skip
+        0.7, (0.05, 20.0), "-", "turn of the force, k_y / k_x", "S(21)", "k_y / k_x", scale="log"
+    )
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         slip_x = inputs.sigma_x
@@ -229,17 +222,28 @@ def _of_axis(name: str, axis: str, words: str):
     """The parameter of the pure-slip Magic Formula, for one axis."""
     spec = specs(MagicFormula())[name]
     return par(
-        spec.default, spec.bounds, spec.unit, f"{spec.meaning}, {words}", spec.source,
-        f"{spec.symbol}_{axis}", free=spec.free, scale=spec.scale,
-    )  # fmt: skip
+        spec.default,
+        spec.bounds,
+        spec.unit,
+        f"{spec.meaning}, {words}",
+        spec.source,
+        f"{spec.symbol}_{axis}",
+        free=spec.free,
+        scale=spec.scale,
+    )
 
 
 def _sliding(axis: str, words: str):
     return par(
-        1.0, (0.2, 5.0), "-",
-        f"slip of full sliding over its nominal 3/(BC), {words}", "S §2.3",
-        rf"\lambda_{axis}", free=False, scale="log",
-    )  # fmt: skip
+        1.0,
+        (0.2, 5.0),
+        "-",
+        f"slip of full sliding over its nominal 3/(BC), {words}",
+        "S §2.3",
+        rf"\lambda_{axis}",
+        free=False,
+        scale="log",
+    )
 
 
 class CombinedMagicFormula(AbstractTire):
@@ -265,8 +269,5 @@ class CombinedMagicFormula(AbstractTire):
             MagicFormula(self.Bx, self.Cx, self.Dx, self.Ex),
             MagicFormula(self.By, self.Cy, self.Dy, self.Ey),
             inputs._replace(fz=jnp.maximum(inputs.fz, 0.0)),
-            (
-                self.sliding_x * 3 / (self.Bx * self.Cx),
-                self.sliding_y * 3 / (self.By * self.Cy),
-            ),
+            (self.sliding_x * 3 / (self.Bx * self.Cx), self.sliding_y * 3 / (self.By * self.Cy)),
         )

@@ -27,9 +27,7 @@ class AbstractFrictionLaw(eqx.Module):
 class Kinetic(AbstractFrictionLaw):
     r""":math:`\mu_k = m \mu_s`, the constant friction of S(31)."""
 
-    m: float = par(
-        0.9, (0.0, 1.0), "-", "kinetic over static friction, mu_k / mu_s", "S(31)", "m"
-    )
+    m: float = par(0.9, (0.0, 1.0), "-", "kinetic over static friction, mu_k / mu_s", "S(31)", "m")
 
     def apply(self, level, v_s):
         return self.m * level
@@ -38,9 +36,7 @@ class Kinetic(AbstractFrictionLaw):
 class LinearInSpeed(AbstractFrictionLaw):
     r""":math:`\mu_k = \mu_0 - n v_s`, S(35); needs n max(v_s) < mu_0."""
 
-    n: float = par(
-        0.005, (-0.2, 0.2), "s/m", "loss of friction per sliding speed", "S(35)", "n"
-    )
+    n: float = par(0.005, (-0.2, 0.2), "s/m", "loss of friction per sliding speed", "S(35)", "n")
 
     def apply(self, level, v_s):
         return level - self.n * v_s
@@ -55,25 +51,35 @@ def _decay(v_s, v_st, exponent):
 
 def _v_st(free: bool):
     return par(
-        30.0, (0.1, 1000.0), "m/s", "sliding speed over which friction falls",
-        "S(36)-(37)", "v_{st}", free=free, scale="log",
-    )  # fmt: skip
+        30.0,
+        (0.1, 1000.0),
+        "m/s",
+        "sliding speed over which friction falls",
+        "S(36)-(37)",
+        "v_{st}",
+        free=free,
+        scale="log",
+    )
 
 
 def _exponent(free: bool):
     return par(
-        0.5, (0.1, 3.0), "-", "exponent of the friction's fall with sliding speed",
-        "S(36)-(37)", r"\varepsilon", free=free,
-    )  # fmt: skip
+        0.5,
+        (0.1, 3.0),
+        "-",
+        "exponent of the friction's fall with sliding speed",
+        "S(36)-(37)",
+        r"\varepsilon",
+        free=free,
+    )
 
 
 class Exponential(AbstractFrictionLaw):
     r""":math:`\mu_k = \mu (h + (1-h) e^{-(v_s/v_{st})^\varepsilon})`, S(37)."""
 
     h: float = par(
-        0.5, (0.0, 1.0), "-", "friction at high sliding speed over that at rest",
-        "S(37)", "h",
-    )  # fmt: skip
+        0.5, (0.0, 1.0), "-", "friction at high sliding speed over that at rest", "S(37)", "h"
+    )
     v_st: float = _v_st(free=False)
     exponent: float = _exponent(free=False)
 
@@ -85,9 +91,7 @@ class Exponential(AbstractFrictionLaw):
 class Stribeck(AbstractFrictionLaw):
     r""":math:`\mu_k = \mu_c + (\mu_s - \mu_c) e^{-(v_s/v_{st})^\varepsilon}`, S(36)."""
 
-    mu_c: float = par(
-        0.6, (0.01, 5.0), "-", "friction at high sliding speed", "S(36)", r"\mu_c"
-    )
+    mu_c: float = par(0.6, (0.01, 5.0), "-", "friction at high sliding speed", "S(36)", r"\mu_c")
     v_st: float = _v_st(free=True)
     exponent: float = _exponent(free=True)
 

@@ -56,20 +56,27 @@ class AbstractLuGre(AbstractTire):
     """Sliding friction of both forms: the friction level g of S(17c) and sigma_2."""
 
     mu_s: float = par(
-        1.2, (0.01, 5.0), "-", "level of g at rest (static friction)",
-        "S(17c)", r"\mu_s",
-    )  # fmt: skip
-    mu_c: float = par(
-        0.6, (0.01, 5.0), "-", "level of g at high sliding speed", "S(17c)", r"\mu_c"
+        1.2, (0.01, 5.0), "-", "level of g at rest (static friction)", "S(17c)", r"\mu_s"
     )
+    mu_c: float = par(0.6, (0.01, 5.0), "-", "level of g at high sliding speed", "S(17c)", r"\mu_c")
     v_st: float = par(
-        10.0, (0.1, 1000.0), "m/s", "sliding speed over which g falls",
-        "S(17c)", "v_{st}", scale="log",
-    )  # fmt: skip
+        10.0,
+        (0.1, 1000.0),
+        "m/s",
+        "sliding speed over which g falls",
+        "S(17c)",
+        "v_{st}",
+        scale="log",
+    )
     exponent: float = par(
-        0.5, (0.1, 3.0), "-", "exponent of the fall of g with sliding speed",
-        "S(17c)", r"\varepsilon", free=False,
-    )  # fmt: skip
+        0.5,
+        (0.1, 3.0),
+        "-",
+        "exponent of the fall of g with sliding speed",
+        "S(17c)",
+        r"\varepsilon",
+        free=False,
+    )
     sigma2: float = par(
         0.001, (0.0, 1.0), "s/m", "viscous friction over load", "S(17b)", r"\sigma_2"
     )
@@ -119,16 +126,19 @@ class LuGre(AbstractLuGre):
     """
 
     sigma0: float = par(
-        100.0, (0.1, 1e6), "1/m", "bristle stiffness over load", "S(17b)",
-        r"\sigma_0", scale="log",
-    )  # fmt: skip
-    sigma1: float = par(
-        0.1, (0.0, 10.0), "s/m", "bristle damping over load", "S(17b)", r"\sigma_1"
+        100.0, (0.1, 1e6), "1/m", "bristle stiffness over load", "S(17b)", r"\sigma_0", scale="log"
     )
+    sigma1: float = par(0.1, (0.0, 10.0), "s/m", "bristle damping over load", "S(17b)", r"\sigma_1")
     length: float = par(
-        0.2, (1e-3, 2.0), "m", "length 2a of the contact patch", "S(18)", "2a",
-        free=False, scale="log",
-    )  # fmt: skip
+        0.2,
+        (1e-3, 2.0),
+        "m",
+        "length 2a of the contact patch",
+        "S(18)",
+        "2a",
+        free=False,
+        scale="log",
+    )
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         slip_x, slip_y, slip, v_r = _motion(inputs)

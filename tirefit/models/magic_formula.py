@@ -24,9 +24,7 @@ class MagicFormula(AbstractTire):
     [rad] for the lateral one. The aligning moment is not modelled.
     """
 
-    B: float = par(
-        10.0, (0.1, 200.0), "-", "stiffness factor", "S(16)", "B", scale="log"
-    )
+    B: float = par(10.0, (0.1, 200.0), "-", "stiffness factor", "S(16)", "B", scale="log")
     C: float = par(1.5, (0.5, 3.0), "-", "shape factor", "S(16)", "C")
     D: float = par(1.0, (0.01, 5.0), "-", "peak force over load", "S(16)", "D")
     E: float = par(0.0, (-20.0, 1.0), "-", "curvature factor", "S(16)", "E")

@@ -139,10 +139,13 @@ class Asymmetric(AbstractPressure):
     """
 
     d: float = par(
-        0.0, (-1 / 3, 1.0), "-",
+        0.0,
+        (-1 / 3, 1.0),
+        "-",
         "asymmetry of the pressure distribution, > 0 towards the leading edge",
-        "S(24)", "d",
-    )  # fmt: skip
+        "S(24)",
+        "d",
+    )
 
     def density(self, u):
         return 0.75 * u * (2 - u) * (1 + self.d * (u - 1))
@@ -197,9 +200,15 @@ class Quartic(AbstractPressure):
 def reference_load():
     """The field of the load at which load-dependent parameters have their value."""
     return par(
-        4000.0, (1e-3, 1e6), "N", "reference load of the load-dependent parameters",
-        "S §2.1", "F_{z0}", free=False, scale="log",
-    )  # fmt: skip
+        4000.0,
+        (1e-3, 1e6),
+        "N",
+        "reference load of the load-dependent parameters",
+        "S §2.1",
+        "F_{z0}",
+        free=False,
+        scale="log",
+    )
 
 
 def _within(d):
@@ -217,10 +226,13 @@ class ForceAsymmetric(Asymmetric):
     """
 
     d_force: float = par(
-        -0.2, (-1.0, 1.0), "-",
+        -0.2,
+        (-1.0, 1.0),
+        "-",
         "change of d per brake force over friction, F_x / (mu_s F_z)",
-        "S §4.1", "d_F",
-    )  # fmt: skip
+        "S §4.1",
+        "d_F",
+    )
 
     def under(self, rho, braking, fz) -> Asymmetric:
         share = self.d_force * braking
@@ -245,9 +257,8 @@ class LoadAsymmetric(Asymmetric):
     """
 
     d_load: float = par(
-        0.2, (-2.0, 2.0), "-", "change of d per relative change of the load",
-        "S §4.1", "d_z",
-    )  # fmt: skip
+        0.2, (-2.0, 2.0), "-", "change of d per relative change of the load", "S §4.1", "d_z"
+    )
     fz0: float = reference_load()
 
     def under(self, rho, braking, fz) -> Asymmetric:

@@ -69,9 +69,14 @@ class Relaxed(AbstractTire):
 
     tire: AbstractTire = Brush()
     relaxation_length: float = par(
-        0.3, (1e-3, 20.0), "m", "travel over which the felt slip follows the slip",
-        "first-order lag", "L", scale="log",
-    )  # fmt: skip
+        0.3,
+        (1e-3, 20.0),
+        "m",
+        "travel over which the felt slip follows the slip",
+        "first-order lag",
+        "L",
+        scale="log",
+    )
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -97,8 +102,7 @@ class Relaxed(AbstractTire):
             return slip + lag(slip, travel, self.relaxation_length, starts)
 
         return inputs._replace(
-            sigma_x=follow(inputs.sigma_x),
-            alpha=jnp.arctan(follow(jnp.tan(inputs.alpha))),
+            sigma_x=follow(inputs.sigma_x), alpha=jnp.arctan(follow(jnp.tan(inputs.alpha)))
         )
 
     def __call__(self, inputs: TireInputs) -> TireForces:

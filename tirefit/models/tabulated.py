@@ -53,9 +53,7 @@ class Tabulated(AbstractPressure):
 
     @classmethod
     def from_function(
-        cls,
-        density: Callable[[np.ndarray], np.ndarray],
-        kinks: Sequence[float] | np.ndarray = (),
+        cls, density: Callable[[np.ndarray], np.ndarray], kinks: Sequence[float] | np.ndarray = ()
     ) -> "Tabulated":
         """The law of a density over xi = x/a, +1 the leading edge.
 
@@ -293,9 +291,12 @@ def _law(cls, density, kinks: np.ndarray, file: str) -> Tabulated:
     edges = np.array([panel.low for panel in panels] + [np.pi])
     series = np.array([panel.series for panel in panels])
     return cls(
-        edges, series / load, np.array(loads) / load, np.array(moments) / load,
+        edges,
+        series / load,
+        np.array(loads) / load,
+        np.array(moments) / load,
         _ratios(edges, series) / load,
-    )  # fmt: skip
+    )
 
 
 def _ratios(edges: np.ndarray, series: np.ndarray) -> np.ndarray:

@@ -64,29 +64,22 @@ class ConventionalABS(AbstractController):
     meaning: ClassVar[str] = "conventional ABS: rules on wheel acceleration and slip"
 
     slowing: float = par(
-        9.0, (1.0, 200.0), "m/s2", "wheel deceleration that says it tends to lock", "",
-        "a",
-    )  # fmt: skip
+        9.0, (1.0, 200.0), "m/s2", "wheel deceleration that says it tends to lock", "", "a"
+    )
     speeding: float = par(
         5.0, (0.5, 200.0), "m/s2", "wheel acceleration that says it recovers", "", "+a"
     )
     racing: float = par(
-        90.0, (1.0, 500.0), "m/s2", "acceleration at which pressure rises at once", "",
-        "+A",
-    )  # fmt: skip
-    slip: float = par(
-        0.07, (0.005, 0.5), "-", "slip beside a deceleration", "", r"\lambda_1"
+        90.0, (1.0, 500.0), "m/s2", "acceleration at which pressure rises at once", "", "+A"
     )
+    slip: float = par(0.07, (0.005, 0.5), "-", "slip beside a deceleration", "", r"\lambda_1")
     most_slip: float = par(
         0.16, (0.01, 0.9), "-", "slip that is too much in any case", "", r"\lambda_2"
     )
-    patience: float = par(
-        0.04, (0.0, 1.0), "s", "time in which a wheel should speed up", "", "t_w"
-    )
+    patience: float = par(0.04, (0.0, 1.0), "s", "time in which a wheel should speed up", "", "t_w")
     quick: float = par(
-        0.65, (0.0, 1.0), "-", "share of the last lock pressure that is regained fast",
-        "", "q",
-    )  # fmt: skip
+        0.65, (0.0, 1.0), "-", "share of the last lock pressure that is regained fast", "", "q"
+    )
     dump_share: float = par(
         0.45, (0.05, 1.0), "-", "share of time with the outlet open, in a dump", "", "w"
     )
@@ -99,17 +92,20 @@ class ConventionalABS(AbstractController):
     smoothing: float = par(
         0.006, (0.0, 1.0), "s", "time constant of the wheel acceleration", "", "T_f"
     )
-    margin: float = par(
-        0.3, (0.0, 10.0), "m/s2", "by which the reference may fall faster", "", "m"
-    )
+    margin: float = par(0.3, (0.0, 10.0), "m/s2", "by which the reference may fall faster", "", "m")
     off: float = par(1.5, (0.0, 10.0), "m/s", "speed below which it is off", "", "v_0")
 
     def init(self, first: Measurement) -> _State:
         none = jnp.zeros_like(first.wheel_speed)
         return _State(
-            jnp.max(first.wheel_speed), first.wheel_speed, none, none.astype(int), none,
-            none, jnp.full_like(none, jnp.inf),
-        )  # fmt: skip
+            jnp.max(first.wheel_speed),
+            first.wheel_speed,
+            none,
+            none.astype(int),
+            none,
+            none,
+            jnp.full_like(none, jnp.inf),
+        )
 
     def step(self, state: _State, measurement: Measurement) -> Any:
         seen = self._seen(state, measurement)
@@ -121,9 +117,8 @@ class ConventionalABS(AbstractController):
         first = tends & ((state.phase == BUILD) | (state.phase == STEP))
         lock = jnp.where(first, measurement.pressure, state.lock)
         after = seen._replace(
-            phase=phase, since=since, lock=lock,
-            fast=jnp.where(phase == WAIT, seen.fast, 0.0),
-        )  # fmt: skip
+            phase=phase, since=since, lock=lock, fast=jnp.where(phase == WAIT, seen.fast, 0.0)
+        )
         valve = self._valve(after, measurement)
         info = {
             "reference_speed": jnp.full_like(slip, seen.reference),

@@ -127,9 +127,7 @@ class AbstractEstimator(eqx.Module):
 
     method: ClassVar[Method]
 
-    average: float = par(
-        10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n"
-    )
+    average: float = par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
 
     def problems(self) -> list[InputProblem]:
         """Why the method refuses its settings, each within its bounds; none if not."""
@@ -168,9 +166,14 @@ def floats(*values) -> Float[Array, " n"]:
 def nominal_stiffness():
     """Field of the stiffness that is expected; of the load where it is not given."""
     return par(
-        2.5e5, (1e-2, 1e9), "N", "expected c_p a^2; 9.26 times the load if not given",
-        "S(47)", r"c_{p0} a^2", scale="log",
-    )  # fmt: skip
+        2.5e5,
+        (1e-2, 1e9),
+        "N",
+        "expected c_p a^2; 9.26 times the load if not given",
+        "S(47)",
+        r"c_{p0} a^2",
+        scale="log",
+    )
 
 
 def nominal_friction():
@@ -181,9 +184,14 @@ def nominal_friction():
 def force_noise():
     """Field of the standard deviation of the force over the load, S section 5.1."""
     return par(
-        0.0447, (1e-5, 1.0), "-", "std of the force over the load", "S §5.1",
-        r"\sigma_F", scale="log",
-    )  # fmt: skip
+        0.0447,
+        (1e-5, 1.0),
+        "-",
+        "std of the force over the load",
+        "S §5.1",
+        r"\sigma_F",
+        scale="log",
+    )
 
 
 def slip_noise():
@@ -194,6 +202,10 @@ def slip_noise():
 def excitation():
     """Field of the least excitation with which a sample is used."""
     return par(
-        0.1, (0.0, 1.0), "-", "least expected force over load of a sample that is used",
-        "S §5.3", "u_{min}",
-    )  # fmt: skip
+        0.1,
+        (0.0, 1.0),
+        "-",
+        "least expected force over load of a sample that is used",
+        "S §5.3",
+        "u_{min}",
+    )

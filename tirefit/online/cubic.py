@@ -68,17 +68,17 @@ class Cubic(AbstractEstimator):
     """Friction of every sample by itself; the stiffness has to be known."""
 
     method: ClassVar[Method] = Method(
-        "cubic", "root of the brush force for mu, one sample at a time",
-        ("sigma_x", "fx", "fz"), ("mu",),
+        "cubic",
+        "root of the brush force for mu, one sample at a time",
+        ("sigma_x", "fx", "fz"),
+        ("mu",),
         "50 to 100 % of the friction, S(20) in full sliding; below, flagged",
         "S(19)-(20)",
-    )  # fmt: skip
+    )
 
     cpa2: float = nominal_stiffness()
     mu: float = nominal_friction()
-    cpa2_std: float = par(
-        0.05, (0.0, 1.0), "-", "relative std of c_p a^2", "S(19)", r"\sigma_c"
-    )
+    cpa2_std: float = par(0.05, (0.0, 1.0), "-", "relative std of c_p a^2", "S(19)", r"\sigma_c")
     force_noise: float = force_noise()
     slip_noise: float = slip_noise()
     least_use: float = excitation()
@@ -90,9 +90,7 @@ class Cubic(AbstractEstimator):
         sigma, fz = jnp.abs(sample["sigma_x"]), sample["fz"]
         fx = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0) * sample["fx"]
         cpa2 = jnp.asarray(self.cpa2, float)
-        mu, slope = jax.value_and_grad(friction_by_cubic, argnums=(0, 1, 2))(
-            fx, sigma, cpa2, fz
-        )
+        mu, slope = jax.value_and_grad(friction_by_cubic, argnums=(0, 1, 2))(fx, sigma, cpa2, fz)
         share = 1 / jnp.sqrt(sample["count"])
         noises = (share * self.force_noise * fz, share * self.slip_noise)
         stds = (*noises, self.cpa2_std * cpa2)

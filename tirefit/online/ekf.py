@@ -49,11 +49,13 @@ class Ekf(AbstractEstimator):
     """Extended Kalman filter of stiffness and friction through the brush."""
 
     method: ClassVar[Method] = Method(
-        "ekf", "extended Kalman filter through the brush model",
-        ("sigma_x", "fx", "fz"), ("mu", "cpa2"),
+        "ekf",
+        "extended Kalman filter through the brush model",
+        ("sigma_x", "fx", "fz"),
+        ("mu", "cpa2"),
         "35 to 100 % of the friction, sliding included; below, mu is flagged",
         "S(29), Kalman filter",
-    )  # fmt: skip
+    )
 
     cpa2: float = nominal_stiffness()
     mu: float = nominal_friction()
@@ -67,17 +69,13 @@ class Ekf(AbstractEstimator):
     drift_cpa2: float = par(
         0.005, (0.0, 1.0), "1/sqrt(s)", "relative random walk of c_p a^2", "", "q_c"
     )
-    drift_mu: float = par(
-        0.02, (0.0, 1.0), "1/sqrt(s)", "relative random walk of mu", "", r"q_\mu"
-    )
+    drift_mu: float = par(0.02, (0.0, 1.0), "1/sqrt(s)", "relative random walk of mu", "", r"q_\mu")
     force_noise: float = force_noise()
     slip_noise: float = slip_noise()
     least_use: float = excitation()
 
     def init(self) -> EkfState:
-        return EkfState(
-            jnp.log(floats(self.cpa2, self.mu)), self._prior(), jnp.ones(())
-        )
+        return EkfState(jnp.log(floats(self.cpa2, self.mu)), self._prior(), jnp.ones(()))
 
     def force(self, x, sigma, fz):
         """Force [N] of the brush at a state (2,) of logarithms, S(29)."""
@@ -127,7 +125,5 @@ class Ekf(AbstractEstimator):
         widened = jnp.sqrt(jnp.maximum(state.misfit, 1.0))
         relative = (widened * jnp.sqrt(jnp.diag(state.covariance)))[::-1]
         value = jnp.exp(state.x)[::-1]
-        flag = flag_of(
-            (~(relative[0] < RESOLVED), Flag.LOW_USE), (idle, Flag.LITTLE_EXCITATION)
-        )
+        flag = flag_of((~(relative[0] < RESOLVED), Flag.LOW_USE), (idle, Flag.LITTLE_EXCITATION))
         return Estimate(value, value * relative, flag, surprise)

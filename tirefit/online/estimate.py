@@ -79,9 +79,14 @@ def estimate(
         _, rows = run(estimator, columns)
         value, std, flag, surprise = map(np.asarray, rows)
         done[name] = MethodEstimates(
-            name, estimator.method.parameters, value, std, flag, surprise,
+            name,
+            estimator.method.parameters,
+            value,
+            std,
+            flag,
+            surprise,
             {key: float(x) for key, x in parameter_values(estimator).items()},
-        )  # fmt: skip
+        )
     return _estimates(data, columns, done, seed)
 
 
@@ -107,10 +112,15 @@ def _usual_load(data: TireData, columns: Mapping[str, np.ndarray]) -> float:
 def _estimates(data, columns, done, seed) -> Estimates:
     source = data.source
     about = {
-        "name": data.name, "file": source.path, "sha256": source.sha256,
-        "rows": len(data), "used": data.n, "runs": list(data.runs),
-        "convention": source.convention, "assumptions": list(source.notes),
-    }  # fmt: skip
+        "name": data.name,
+        "file": source.path,
+        "sha256": source.sha256,
+        "rows": len(data),
+        "used": data.n,
+        "runs": list(data.runs),
+        "convention": source.convention,
+        "assumptions": list(source.notes),
+    }
     use = None
     if "fx" in columns and "fz" in columns:
         use = columns["fx"] / columns["fz"]

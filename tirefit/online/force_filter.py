@@ -63,47 +63,49 @@ class ForceFilter(AbstractVehicleMethod):
     """All tire forces, and friction by Bayesian selection."""
 
     method: ClassVar[Method] = Method(
-        "force-filter", "Kalman-Bucy filter of tire forces, friction hypotheses",
+        "force-filter",
+        "Kalman-Bucy filter of tire forces, friction hypotheses",
         (*_SEEN, "steering", *_TORQUES),
         ("mu", "F_x", "F_yf", "F_yr"),
-        "40 to 100 % of the friction; below, mu is flagged", "S §3.2",
-    )  # fmt: skip
+        "40 to 100 % of the friction; below, mu is flagged",
+        "S §3.2",
+    )
 
     track: float = par(1.5, (0.05, 5.0), "m", "track", "", "t")
     height: float = par(0.5, (0.0, 5.0), "m", "height of the CG", "", "h")
     radius: float = par(0.3, (0.01, 2.0), "m", "rolling radius", "", "R")
     wheel_inertia: float = par(1.2, (1e-6, 1e3), "kg m2", "of one wheel", "", "J")
     force_drift: float = par(
-        0.5, (1e-4, 100.0), "1/sqrt(s)", "random walk of the forces, over the load",
-        "S §3.2", "q_F",
-    )  # fmt: skip
+        0.5, (1e-4, 100.0), "1/sqrt(s)", "random walk of the forces, over the load", "S §3.2", "q_F"
+    )
     speed_drift: float = par(
         0.02, (0.0, 10.0), "m/s/sqrt(s)", "unknown acceleration", "S §3.2", "q_v"
     )
     gyro_std: float = par(0.002, (1e-6, 1.0), "rad/s", "of yaw rate", "", r"\sigma_r")
     omega_std: float = par(0.05, (1e-5, 10.0), "rad/s", "of omega", "", r"\sigma_w")
-    acceleration_std: float = par(
-        0.05, (1e-4, 10.0), "m/s2", "of a_x and a_y", "", r"\sigma_a"
-    )
+    acceleration_std: float = par(0.05, (1e-4, 10.0), "m/s2", "of a_x and a_y", "", r"\sigma_a")
     v_std: float = par(0.03, (1e-4, 10.0), "m/s", "of v", "", r"\sigma_v")
     tire_error: float = par(
-        0.03, (1e-4, 1.0), "-", "error of the tire model, over the load", "S §3.2",
-        r"\epsilon",
-    )  # fmt: skip
+        0.03, (1e-4, 1.0), "-", "error of the tire model, over the load", "S §3.2", r"\epsilon"
+    )
     correlation: float = par(
         0.5, (1e-3, 100.0), "s", "time in which errors are one", "S §3.2", r"\tau"
     )
-    memory: float = par(
-        10.0, (0.1, 1e4), "s", "in which hypotheses become equal again", "", "t_m"
-    )
+    memory: float = par(10.0, (0.1, 1e4), "s", "in which hypotheses become equal again", "", "t_m")
 
     def init(self) -> ForceState:
         flat = jnp.full(len(HYPOTHESES), -jnp.log(float(len(HYPOTHESES))))
         n = _STATES + _FORCES
         return ForceState(
-            jnp.zeros(n).at[0].set(1.0), self._first(), flat, jnp.zeros(5),
-            jnp.full((), 2 * _LONGEST), jnp.zeros(()), jnp.zeros(()), jnp.ones(()),
-        )  # fmt: skip
+            jnp.zeros(n).at[0].set(1.0),
+            self._first(),
+            flat,
+            jnp.zeros(5),
+            jnp.full((), 2 * _LONGEST),
+            jnp.zeros(()),
+            jnp.zeros(()),
+            jnp.ones(()),
+        )
 
     def hold(self, state: ForceState, dt, steps):
         keep = jnp.exp(-dt / self.memory)

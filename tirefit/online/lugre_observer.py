@@ -85,9 +85,15 @@ def peak_share(tire: LuGre, theta, v):
     """
     level = theta * floats(tire.mu_s, tire.mu_c)
     other = LuGre(
-        level[0], level[1], tire.v_st, tire.exponent, tire.sigma2, tire.sigma0,
-        tire.sigma1, tire.length,
-    )  # fmt: skip
+        level[0],
+        level[1],
+        tire.v_st,
+        tire.exponent,
+        tire.sigma2,
+        tire.sigma0,
+        tire.sigma1,
+        tire.length,
+    )
     one = jnp.ones(len(_SLIPS))
     at = TireInputs(sigma_x=jnp.asarray(_SLIPS), fz=one, v=v * one)
     return jnp.max(jnp.asarray(other(at).fx))
@@ -118,27 +124,33 @@ class LuGreObserver(AbstractEstimator):
     """Lyapunov observer of the level of friction of a LuGre tire."""
 
     method: ClassVar[Method] = Method(
-        "lugre-observer", "Lyapunov observer of LuGre's friction from wheel speed",
-        ("omega", "v", "fz", "torque"), ("mu", "theta"),
-        "40 to 100 % of the friction; below, mu is flagged", "S §3.4", "lugre",
-    )  # fmt: skip
+        "lugre-observer",
+        "Lyapunov observer of LuGre's friction from wheel speed",
+        ("omega", "v", "fz", "torque"),
+        ("mu", "theta"),
+        "40 to 100 % of the friction; below, mu is flagged",
+        "S §3.4",
+        "lugre",
+    )
 
     average: float = 1.0
     tire: LuGre = LuGre()
     radius: float = par(0.5, (0.01, 2.0), "m", "effective rolling radius", "", "R")
     inertia: float = par(15.0, (1e-6, 1e3), "kg m2", "of the wheel", "", "J")
     kappa: float = par(
-        0.0, (0.0, 4.0), "-", "rate of leaving the patch, over omega R/L; 0: S(18)'s",
-        "S §3.4", r"\kappa",
-    )  # fmt: skip
+        0.0,
+        (0.0, 4.0),
+        "-",
+        "rate of leaving the patch, over omega R/L; 0: S(18)'s",
+        "S §3.4",
+        r"\kappa",
+    )
     gain: float = par(
-        1.0, (0.01, 100.0), "-", "correction of omega, l1 over sigma0/sigma1 + c",
-        "S §3.4", "l_1",
-    )  # fmt: skip
+        1.0, (0.01, 100.0), "-", "correction of omega, l1 over sigma0/sigma1 + c", "S §3.4", "l_1"
+    )
     adaptation: float = par(
-        1e6, (0.0, 1e12), "1/s2", "speed of adaptation, gamma b^2", "S §3.4", r"\gamma",
-        scale="log",
-    )  # fmt: skip
+        1e6, (0.0, 1e12), "1/s2", "speed of adaptation, gamma b^2", "S §3.4", r"\gamma", scale="log"
+    )
     theta: float = par(1.0, (_LEAST, _MOST), "-", "theta at first", "S §3.4", r"\theta")
     prior_theta: float = par(
         0.5, (1e-3, 3.0), "-", "relative std of theta at first", "", r"\sigma_\theta"
@@ -147,15 +159,12 @@ class LuGreObserver(AbstractEstimator):
         0.02, (0.0, 1.0), "1/sqrt(s)", "relative random walk of theta", "", r"q_\theta"
     )
     least_use: float = par(
-        0.1, (0.0, 1.0), "-", "least force over load at which theta is adapted",
-        "S §5.3", "u_{min}",
-    )  # fmt: skip
+        0.1, (0.0, 1.0), "-", "least force over load at which theta is adapted", "S §5.3", "u_{min}"
+    )
     omega_std: float = par(0.18, (1e-6, 10.0), "rad/s", "of omega", "", r"\sigma_w")
     v_std: float = par(0.03, (0.0, 10.0), "m/s", "of v", "", r"\sigma_v")
     load_std: float = par(0.02, (0.0, 1.0), "-", "of fz, over fz", "", r"\sigma_z")
-    torque_std: float = par(
-        0.01, (0.0, 1.0), "-", "of the torque, over fz R", "", r"\sigma_T"
-    )
+    torque_std: float = par(0.01, (0.0, 1.0), "-", "of the torque, over fz R", "", r"\sigma_T")
 
     def problems(self) -> list[InputProblem]:
         """Why the gains are refused, if they are; see the module for the conditions."""
@@ -326,9 +335,7 @@ def _summed(state: ObserverState, surprise):
     total = state.sum + jnp.clip(surprise, -4.0, 4.0)
     full = count >= _SUMMED
     told = jnp.where(full, total / jnp.sqrt(1.5 * count), jnp.nan)
-    kept = state._replace(
-        sum=jnp.where(full, 0.0, total), summed=jnp.where(full, 0.0, count)
-    )
+    kept = state._replace(sum=jnp.where(full, 0.0, total), summed=jnp.where(full, 0.0, count))
     return kept, told
 
 

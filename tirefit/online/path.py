@@ -141,9 +141,7 @@ class WheelRls(NamedTuple):
     spread: Any
 
 
-def wheel_rls_step(
-    state: WheelRls, omega, torque, dt, radius, inertia, memory, omega_std
-):
+def wheel_rls_step(state: WheelRls, omega, torque, dt, radius, inertia, memory, omega_std):
     """Least squares with forgetting after one more sample.
 
     Args:
@@ -201,9 +199,7 @@ class Path(AbstractVehicleMethod):
     height: float = par(0.5, (0.0, 5.0), "m", "height of the CG", "", "h")
     mu: float = par(0.9, (0.01, 5.0), "-", "expected friction", "S(21)", r"\mu_0")
     prior_mu: float = par(0.5, (1e-3, 3.0), "-", "relative std of it", "", r"\sigma")
-    drift_mu: float = par(
-        0.05, (0.0, 1.0), "1/sqrt(s)", "relative random walk of mu", "", r"q_\mu"
-    )
+    drift_mu: float = par(0.05, (0.0, 1.0), "1/sqrt(s)", "relative random walk of mu", "", r"q_\mu")
     drift_stiffness: float = par(
         0.03, (0.0, 1.0), "1/sqrt(s)", "relative random walk of C_f, C_r", "", "q_C"
     )
@@ -214,21 +210,21 @@ class Path(AbstractVehicleMethod):
         0.2, (1e-6, 100.0), "m/s2/sqrt(Hz)", "unknown lateral acceleration", "", "q_y"
     )
     force_noise: float = par(
-        0.15, (1e-4, 1.0), "-", "std of a sample's force over the load, tire included",
-        "", r"\sigma_F",
-    )  # fmt: skip
-    gps_std: float = par(0.02, (1e-5, 10.0), "m", "noise of offset", "", r"\sigma_y")
-    heading_std: float = par(
-        0.002, (1e-6, 1.0), "rad", "noise of heading", "", r"\sigma_\psi"
+        0.15,
+        (1e-4, 1.0),
+        "-",
+        "std of a sample's force over the load, tire included",
+        "",
+        r"\sigma_F",
     )
+    gps_std: float = par(0.02, (1e-5, 10.0), "m", "noise of offset", "", r"\sigma_y")
+    heading_std: float = par(0.002, (1e-6, 1.0), "rad", "noise of heading", "", r"\sigma_\psi")
     gyro_std: float = par(0.002, (1e-6, 1.0), "rad/s", "of yaw rate", "", r"\sigma_r")
     omega_std: float = par(0.05, (1e-5, 10.0), "rad/s", "of omega", "", r"\sigma_w")
     torque_std: float = par(10.0, (0.0, 1e5), "N m", "of torques", "", r"\sigma_T")
     pole: float = par(40.0, (0.1, 1e3), "1/s", "of the observer", "S §3.8", "p")
     memory: float = par(0.1, (1e-3, 10.0), "s", "of the RLS", "S §3.8", r"\tau")
-    lane: float = par(
-        0.9, (0.05, 20.0), "m", "offset at which the lane is left", "S §3.8", "y_l"
-    )
+    lane: float = par(0.9, (0.05, 20.0), "m", "offset at which the lane is left", "S §3.8", "y_l")
     horizon: float = par(4.0, (0.2, 20.0), "s", "looked ahead", "S §3.8", "t_h")
     warn: float = par(0.85, (0.1, 1.0), "-", "used friction warned of", "S §3.8", "w")
 
@@ -236,24 +232,26 @@ class Path(AbstractVehicleMethod):
         zero, none = jnp.zeros(()), jnp.full((), jnp.nan)
         inputs = dict.fromkeys(("steering", "v", "road_heading"), zero)
         return PathState(
-            jnp.zeros(6), self._first(), Observer(zero, zero),
-            WheelRls(zero, zero, self._widest()), jnp.log(jnp.asarray(self.mu, float)),
-            jnp.asarray(self.prior_mu**2, float), none, jnp.zeros(2), inputs,
+            jnp.zeros(6),
+            self._first(),
+            Observer(zero, zero),
+            WheelRls(zero, zero, self._widest()),
+            jnp.log(jnp.asarray(self.mu, float)),
+            jnp.asarray(self.prior_mu**2, float),
+            none,
+            jnp.zeros(2),
+            inputs,
             jnp.full((), 2 * _LONGEST),
-        )  # fmt: skip
+        )
 
     def hold(self, state: PathState, dt, steps):
-        variance = jnp.minimum(
-            state.mu_variance + self.drift_mu**2 * dt, self.prior_mu**2
-        )
+        variance = jnp.minimum(state.mu_variance + self.drift_mu**2 * dt, self.prior_mu**2)
         held = state._replace(waited=state.waited + dt, mu_variance=variance)
         # Of where the lane is left nothing is said between the samples.
         return held, self._estimate(held, jnp.full(2, jnp.nan), jnp.nan)
 
     def open(self, state: PathState) -> PathState:
-        return state._replace(
-            mu_variance=jnp.full_like(state.mu_variance, self.prior_mu**2)
-        )
+        return state._replace(mu_variance=jnp.full_like(state.mu_variance, self.prior_mu**2))
 
     def step(self, state: PathState, sample: Sample):
         dt = jnp.minimum(state.waited, _LONGEST)
@@ -308,9 +306,7 @@ class Path(AbstractVehicleMethod):
     def _lane_rates(self, z, steering, v, bend):
         """A (4, 4) and what the inputs add (4,) of the bicycle with z's stiffness."""
         c_f, c_r = self.stiffness(z)
-        a, steered, bent = bicycle(
-            c_f, c_r, self.mass, self.yaw_inertia, self.l_f, self.l_r, v
-        )
+        a, steered, bent = bicycle(c_f, c_r, self.mass, self.yaw_inertia, self.l_f, self.l_r, v)
         return a, steered * steering + bent * bend
 
     def _predicted(self, state: PathState, dt, bend) -> PathState:
@@ -346,14 +342,10 @@ class Path(AbstractVehicleMethod):
         across = self.mass * sample["a_y"] * self.l_r / self.base
         sigma = clipped(omega, v, self.radius)
         v_y = state.z[1] - v * state.z[2]
-        angle, _ = axle_angles(
-            v, v_y, state.z[3], sample["steering"], self.l_f, self.l_r
-        )
+        angle, _ = axle_angles(v, v_y, state.z[3], sample["steering"], self.l_f, self.l_r)
 
         def shares(log_mu):
-            return jnp.stack(
-                brush_share(sigma, angle, self.stiffness_f, jnp.exp(log_mu))
-            )
+            return jnp.stack(brush_share(sigma, angle, self.stiffness_f, jnp.exp(log_mu)))
 
         error = jnp.stack([force, across]) / load - shares(state.log_mu)
         slope = jax.jacfwd(shares)(state.log_mu)
@@ -396,10 +388,7 @@ class Path(AbstractVehicleMethod):
         observed, fitted = jnp.hypot(jnp.stack([observed, fitted]), late)
         value = jnp.stack([mu, *stiffness, *forces, state.used, tlc[0]])
         std = jnp.stack(
-            [mu * mu_std, *(stiffness * spread), observed, fitted,
-             state.used * mu_std, tlc[1]]
-        )  # fmt: skip
-        flag = flag_of(
-            (mu_std > RESOLVED, Flag.LOW_USE), (state.used > self.warn, Flag.NEAR_LIMIT)
+            [mu * mu_std, *(stiffness * spread), observed, fitted, state.used * mu_std, tlc[1]]
         )
+        flag = flag_of((mu_std > RESOLVED, Flag.LOW_USE), (state.used > self.warn, Flag.NEAR_LIMIT))
         return Estimate(value, std, flag, surprise)

@@ -97,9 +97,7 @@ class LawState(NamedTuple):
 def coefficients(x):
     """theta (3,) of a :class:`LawState`'s x (2,); the third follows from the others."""
     theta0 = jnp.exp(x[0])
-    return theta0 * jnp.stack(
-        [jnp.ones_like(x[1]), theta0 * x[1], (theta0 * x[1]) ** 2]
-    )
+    return theta0 * jnp.stack([jnp.ones_like(x[1]), theta0 * x[1], (theta0 * x[1]) ** 2])
 
 
 class PositionState(NamedTuple):
@@ -118,11 +116,13 @@ class Position(AbstractVehicleMethod):
     """Friction and cornering stiffness of the front axle, from positions."""
 
     method: ClassVar[Method] = Method(
-        "position", "front axle's brush from position on the road and yaw rate",
+        "position",
+        "front axle's brush from position on the road and yaw rate",
         ("offset", "heading", "road_heading", "yaw_rate", "steering", "v"),
         ("mu", "C_f"),
-        "40 to 90 % of the friction, in bends; below, mu is flagged", "S §3.3",
-    )  # fmt: skip
+        "40 to 90 % of the friction, in bends; below, mu is flagged",
+        "S §3.3",
+    )
 
     prior_stiffness: float = par(
         0.3, (1e-4, 3.0), "-", "relative std of the expected stiffness", "", r"\sigma_C"
@@ -131,9 +131,7 @@ class Position(AbstractVehicleMethod):
         1.0, (1e-4, 10.0), "-", "std of the expected mu over mu", "", r"\sigma_\mu"
     )
     mu: float = par(0.9, (0.01, 5.0), "-", "expected friction", "S §3.3", r"\mu_0")
-    bandwidth: float = par(
-        3.0, (0.1, 100.0), "1/s", "a of the filter (s+a)^-2", "S §3.3", "a"
-    )
+    bandwidth: float = par(3.0, (0.1, 100.0), "1/s", "a of the filter (s+a)^-2", "S §3.3", "a")
     signal_bandwidth: float = par(
         10.0, (0.1, 1e3), "1/s", "b of the filter of the signals", "S §3.3", "b"
     )
@@ -141,17 +139,30 @@ class Position(AbstractVehicleMethod):
         0.999, (0.5, 1.0), "-", "forgetting factor per sample", "S §3.3", r"\lambda"
     )
     model_error: float = par(
-        0.015, (0.0, 0.5), "-", "relative error of the force that stays over a drive",
-        "", r"\epsilon",
-    )  # fmt: skip
+        0.015,
+        (0.0, 0.5),
+        "-",
+        "relative error of the force that stays over a drive",
+        "",
+        r"\epsilon",
+    )
     force_noise: float = par(
-        0.05, (1e-5, 1.0), "-", "std of the filtered force over the load", "S §3.3",
-        r"\sigma_F", scale="log",
-    )  # fmt: skip
+        0.05,
+        (1e-5, 1.0),
+        "-",
+        "std of the filtered force over the load",
+        "S §3.3",
+        r"\sigma_F",
+        scale="log",
+    )
     least_use: float = par(
-        0.1, (0.0, 1.0), "-", "least expected force over load of a sample that is used",
-        "S §3.3", "u_{min}",
-    )  # fmt: skip
+        0.1,
+        (0.0, 1.0),
+        "-",
+        "least expected force over load of a sample that is used",
+        "S §3.3",
+        "u_{min}",
+    )
 
     def init(self) -> PositionState:
         of_signals = Filtered(*[jnp.zeros(len(_SIGNALS))] * 3)
@@ -252,9 +263,7 @@ class Position(AbstractVehicleMethod):
 
     def _information(self, law: LawState, noise):
         slope = jax.jacfwd(coefficients)(law.x)
-        prior = jnp.stack(
-            [jnp.asarray(self.prior_stiffness), jnp.asarray(self.prior_mu)]
-        )
+        prior = jnp.stack([jnp.asarray(self.prior_stiffness), jnp.asarray(self.prior_mu)])
         gathered = slope.T @ law.products[:3, :3] @ slope / noise**2
         return gathered + jnp.diag(1 / prior**2), slope, prior
 

@@ -73,16 +73,11 @@ class AbstractRegression(AbstractEstimator):
     d: float = par(0.0, (-1 / 3, 0.99), "-", "asymmetry of the pressure", "S(41)", "d")
     start0: float = par(0.8, (0.01, 100.0), "-", "first theta_0", "S §5.3", r"\theta_0")
     start1: float = par(0.8, (0.0, 100.0), "-", "first theta_1", "S §5.3", r"\theta_1")
-    prior0: float = par(
-        0.4, (1e-6, 100.0), "-", "std of the first theta_0", "S §5.3", r"\sigma_0"
-    )
-    prior1: float = par(
-        0.8, (1e-6, 100.0), "-", "std of the first theta_1", "S §5.3", r"\sigma_1"
-    )
+    prior0: float = par(0.4, (1e-6, 100.0), "-", "std of the first theta_0", "S §5.3", r"\sigma_0")
+    prior1: float = par(0.8, (1e-6, 100.0), "-", "std of the first theta_1", "S §5.3", r"\sigma_1")
     third: float = par(
-        1.0, (0.0, 1.0), "-", "share of the cubic term that is kept; 0: two terms",
-        "S §5.4", "c_3",
-    )  # fmt: skip
+        1.0, (0.0, 1.0), "-", "share of the cubic term that is kept; 0: two terms", "S §5.4", "c_3"
+    )
     force_noise: float = force_noise()
     least_use: float = excitation()
 
@@ -100,9 +95,7 @@ class AbstractRegression(AbstractEstimator):
         slides = x.y < _SLIDING * theta0 * x.u0 - noise
         return x.u0 < self.least_use, slides
 
-    def estimate(
-        self, theta0, theta1, v00, v01, v11, idle, slides, surprise
-    ) -> Estimate:
+    def estimate(self, theta0, theta1, v00, v01, v11, idle, slides, surprise) -> Estimate:
         """mu and c_p a^2 by S(47)-(48), their stds by the delta method.
 
         Args:

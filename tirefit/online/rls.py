@@ -55,10 +55,13 @@ class Rls(AbstractRegression):
     """
 
     method: ClassVar[Method] = Method(
-        "rls", "recursive least squares with forgetting on the brush",
-        ("sigma_x", "fx", "fz"), ("mu", "cpa2"),
-        "35 to 90 % of the friction; below, mu is flagged", "S(50)-(51)",
-    )  # fmt: skip
+        "rls",
+        "recursive least squares with forgetting on the brush",
+        ("sigma_x", "fx", "fz"),
+        ("mu", "cpa2"),
+        "35 to 90 % of the friction; below, mu is flagged",
+        "S(50)-(51)",
+    )
 
     forgetting: float = par(
         0.999, (0.5, 1.0), "-", "forgetting factor per sample", "S §5.3", r"\lambda"
@@ -93,14 +96,16 @@ class Rls(AbstractRegression):
             # S(50) divides by it; no tire is a thousand times softer than expected.
             jnp.maximum(phi0 - theta2 * psi0, _LEAST_THETA),
             phi1 - theta2 * psi1,
-            phi0, phi1, psi0, psi1,
+            phi0,
+            phi1,
+            psi0,
+            psi1,
             *self._forgotten(
-                s.p00 - gain * k0 * k0, s.p01 - gain * k0 * k1, s.p11 - gain * k1 * k1,
-                1 / forget,
+                s.p00 - gain * k0 * k0, s.p01 - gain * k0 * k1, s.p11 - gain * k1 * k1, 1 / forget
             ),
             forget * s.squares + square,
             forget * s.weight + 1,
-        )  # fmt: skip
+        )
         idle, slides = self.beyond(x, s.theta0, count)
         unused = idle | slides
         surprise = error / jnp.sqrt(s.squares / s.weight * (1 / count + spread))
@@ -111,9 +116,7 @@ class Rls(AbstractRegression):
     def hold(self, state: RlsState, dt, steps) -> tuple[RlsState, Estimate]:
         p = (state.p00, state.p01, state.p11)
         p = jax.lax.cond(
-            steps > 0,
-            lambda: self._forgotten(*p, self.forgetting ** (-steps)),
-            lambda: p,
+            steps > 0, lambda: self._forgotten(*p, self.forgetting ** (-steps)), lambda: p
         )
         held = state._replace(p00=p[0], p01=p[1], p11=p[2])
         return held, self._estimate(held, False, False, jnp.nan)
@@ -152,15 +155,19 @@ class Rls(AbstractRegression):
 
         def spread(a0, a1, b0, b1):
             """Covariance of two rows of M^-1 times its determinant."""
-            return scale * (
-                a0 * b0 * s.p00 + (a0 * b1 + a1 * b0) * s.p01 + a1 * b1 * s.p11
-            )
+            return scale * (a0 * b0 * s.p00 + (a0 * b1 + a1 * b0) * s.p01 + a1 * b1 * s.p11)
 
         one, two = (m11, -m01), (-m10, m00)
         return self.estimate(
-            s.theta0, s.theta1, spread(*one, *one), spread(*one, *two),
-            spread(*two, *two), idle, slides, surprise,
-        )  # fmt: skip
+            s.theta0,
+            s.theta1,
+            spread(*one, *one),
+            spread(*one, *two),
+            spread(*two, *two),
+            idle,
+            slides,
+            surprise,
+        )
 
 
 class MitState(NamedTuple):
@@ -186,17 +193,16 @@ class Mit(AbstractRegression):
     """
 
     method: ClassVar[Method] = Method(
-        "mit", "gradient (MIT) rule on the brush",
-        ("sigma_x", "fx", "fz"), ("mu", "cpa2"),
-        "35 to 90 % of the friction, minutes of it; below, mu is flagged", "S(52)",
-    )  # fmt: skip
+        "mit",
+        "gradient (MIT) rule on the brush",
+        ("sigma_x", "fx", "fz"),
+        ("mu", "cpa2"),
+        "35 to 90 % of the friction, minutes of it; below, mu is flagged",
+        "S(52)",
+    )
 
-    gain0: float = par(
-        0.0364, (0.0, 1.0), "-", "gain of theta_0 a sample", "S §5.3", r"\gamma_0"
-    )
-    gain1: float = par(
-        0.219, (0.0, 1.0), "-", "gain of theta_1 a sample", "S §5.3", r"\gamma_1"
-    )
+    gain0: float = par(0.0364, (0.0, 1.0), "-", "gain of theta_0 a sample", "S §5.3", r"\gamma_0")
+    gain1: float = par(0.219, (0.0, 1.0), "-", "gain of theta_1 a sample", "S §5.3", r"\gamma_1")
 
     def init(self) -> MitState:
         values = (self.start0, self.start1, self.prior0**2, 0.0, self.prior1**2)

@@ -112,9 +112,7 @@ def guarded_step(
         lambda: _stepped(estimator, kept, began),
         lambda: _strong((kept, waiting, *jnp.zeros(2, bool))),
     )
-    events = flag_of(
-        (usable & gap, Flag.GAP), (alarm, Flag.CHANGED), (broken, Flag.RESET)
-    )
+    events = flag_of((usable & gap, Flag.GAP), (alarm, Flag.CHANGED), (broken, Flag.RESET))
     after = kept._replace(
         time=jnp.where(jnp.isnan(now), state.time, now),
         interval=_usual_interval(state.interval, dt, steps),
@@ -134,10 +132,13 @@ def _stepped(estimator, state: Guarded, began: Guarded):
     moved = _either(alarm, estimator.open(moved), moved)
     finite = _all_finite(moved, began.inner)
     after = state._replace(
-        inner=_either(finite, moved, began.inner), sums=began.sums,
+        inner=_either(finite, moved, began.inner),
+        sums=began.sums,
         gathered=began.gathered,
-        flag=estimate.flag, rise=rise, fall=fall,
-    )  # fmt: skip
+        flag=estimate.flag,
+        rise=rise,
+        fall=fall,
+    )
     return _strong((after, estimate, alarm, ~finite))
 
 
@@ -202,9 +203,7 @@ def _usual_interval(usual, dt, steps):
 def _all_finite(inner, began):
     """Whether a state has nothing but numbers, save where it begins with none."""
     leaves = zip(jax.tree.leaves(inner), jax.tree.leaves(began), strict=True)
-    return jnp.all(
-        jnp.stack([jnp.all(jnp.isfinite(a) | jnp.isnan(b)) for a, b in leaves])
-    )
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(a) | jnp.isnan(b)) for a, b in leaves]))
 
 
 @compiled()

@@ -70,16 +70,24 @@ class SlipSlope(AbstractEstimator):
     """Kalman filter of the slope at low slip, the slip offset and the road."""
 
     method: ClassVar[Method] = Method(
-        "slip-slope", "slope and offset of the slip by Kalman filter; road",
-        ("sigma_x", "fx", "fz"), ("slip_slope", "slip_offset", "radius_std", "road"),
-        "up to 30 % of the load; says nothing of the peak by itself", "S §3.1",
+        "slip-slope",
+        "slope and offset of the slip by Kalman filter; road",
+        ("sigma_x", "fx", "fz"),
+        ("slip_slope", "slip_offset", "radius_std", "road"),
+        "up to 30 % of the load; says nothing of the peak by itself",
+        "S §3.1",
         "straight line",
-    )  # fmt: skip
+    )
 
     slope: float = par(
-        18.5, (0.5, 500.0), "-", "slope of the tire on asphalt, to be calibrated",
-        "S §3.1", "k_0", scale="log",
-    )  # fmt: skip
+        18.5,
+        (0.5, 500.0),
+        "-",
+        "slope of the tire on asphalt, to be calibrated",
+        "S §3.1",
+        "k_0",
+        scale="log",
+    )
     prior_slope: float = par(
         0.5, (1e-4, 5.0), "-", "relative std of the first 1/k", "S §3.1", r"\sigma_k"
     )
@@ -90,26 +98,37 @@ class SlipSlope(AbstractEstimator):
         0.005, (0.0, 1.0), "1/sqrt(s)", "relative random walk of 1/k", "S §3.1", "q_k"
     )
     drift_offset: float = par(
-        1e-5, (0.0, 1.0), "1/sqrt(s)", "random walk of the offset", "S §3.1",
-        r"q_\delta",
-    )  # fmt: skip
+        1e-5, (0.0, 1.0), "1/sqrt(s)", "random walk of the offset", "S §3.1", r"q_\delta"
+    )
     most_use: float = par(
-        0.3, (0.01, 2.0), "-", "largest force over load of a sample that is used",
-        "S §3.1", "u_{max}",
-    )  # fmt: skip
+        0.3,
+        (0.01, 2.0),
+        "-",
+        "largest force over load of a sample that is used",
+        "S §3.1",
+        "u_{max}",
+    )
     rough: float = par(
-        0.003, (0.0, 1.0), "-", "relative std of the rolling radius of a rough road",
-        "S §3.1", "r_g",
-    )  # fmt: skip
+        0.003,
+        (0.0, 1.0),
+        "-",
+        "relative std of the rolling radius of a rough road",
+        "S §3.1",
+        "r_g",
+    )
     force_noise: float = force_noise()
     slip_noise: float = slip_noise()
 
     def init(self) -> SlipSlopeState:
         inverse = 1 / self.slope
         values = (
-            inverse, 0.0, (self.prior_slope * inverse) ** 2, 0.0,
-            self.prior_offset**2, self._noise(inverse),
-        )  # fmt: skip
+            inverse,
+            0.0,
+            (self.prior_slope * inverse) ** 2,
+            0.0,
+            self.prior_offset**2,
+            self._noise(inverse),
+        )
         return SlipSlopeState(*(jnp.asarray(value, float) for value in values))
 
     def use(self, sample: Sample):
@@ -124,9 +143,7 @@ class SlipSlope(AbstractEstimator):
         """Relative std of the force's own gain, which no sample tells of."""
         return 0.0
 
-    def step(
-        self, state: SlipSlopeState, sample: Sample
-    ) -> tuple[SlipSlopeState, Estimate]:
+    def step(self, state: SlipSlopeState, sample: Sample) -> tuple[SlipSlopeState, Estimate]:
         s, use, count = state, self.use(sample), sample["count"]
         noise = jnp.maximum(s.square, self._noise(s.inverse)) / count
         error = sample["sigma_x"] - use * s.inverse - s.offset
@@ -185,9 +202,7 @@ class SlipSlope(AbstractEstimator):
     def _road(self, slope, slope_std, variance, variance_std):
         """The road's number and the standard deviation of that number."""
         number = road_of(slope / self.slope, variance > self.rough**2)
-        above = [
-            norm.sf((limit * self.slope - slope) / slope_std) for limit in (STIFF, SOFT)
-        ]
+        above = [norm.sf((limit * self.slope - slope) / slope_std) for limit in (STIFF, SOFT)]
         rough = norm.sf((self.rough**2 - variance) / variance_std)
         chances = (
             (1 - rough) * above[0],
@@ -208,27 +223,32 @@ class SlipSlopeBraking(SlipSlope):
     """
 
     method: ClassVar[Method] = Method(
-        "slip-slope-braking", "slip-slope from braking, force by brake pressure",
+        "slip-slope-braking",
+        "slip-slope from braking, force by brake pressure",
         ("sigma_x", "brake_pressure", "fz"),
         ("slip_slope", "slip_offset", "radius_std", "road"),
-        "braking with up to 50 % of the load", "S §3.1", "straight line",
-    )  # fmt: skip
+        "braking with up to 50 % of the load",
+        "S §3.1",
+        "straight line",
+    )
 
     most_use: float = par(
-        0.5, (0.01, 2.0), "-", "largest force over load of a sample that is used",
-        "S §3.1", "u_{max}",
-    )  # fmt: skip
+        0.5,
+        (0.01, 2.0),
+        "-",
+        "largest force over load of a sample that is used",
+        "S §3.1",
+        "u_{max}",
+    )
     gain: float = par(
-        0.04, (1e-7, 10.0), "N/Pa", "brake force over brake pressure", "S §3.1", "g_b",
-        scale="log",
-    )  # fmt: skip
+        0.04, (1e-7, 10.0), "N/Pa", "brake force over brake pressure", "S §3.1", "g_b", scale="log"
+    )
     gain_spread: float = par(
         0.1, (0.0, 1.0), "-", "relative std of the brake's gain", "S §3.1", r"\sigma_g"
     )
     least_use: float = par(
-        0.05, (0.0, 1.0), "-", "least force over load that counts as braking",
-        "S §3.1", "u_{min}",
-    )  # fmt: skip
+        0.05, (0.0, 1.0), "-", "least force over load that counts as braking", "S §3.1", "u_{min}"
+    )
 
     def use(self, sample: Sample):
         return self.gain * sample["brake_pressure"] / sample["fz"]

@@ -112,31 +112,39 @@ class TireSensor(AbstractEstimator):
     """Slip angle and friction of every sample by itself, from force and moment."""
 
     method: ClassVar[Method] = Method(
-        "tire-sensor", "network from lateral force and aligning moment",
-        ("fy", "fz", "mz"), ("mu", "alpha", "used"),
-        "50 to 100 % of the friction; below, mu is flagged", "S §3.6",
-    )  # fmt: skip
+        "tire-sensor",
+        "network from lateral force and aligning moment",
+        ("fy", "fz", "mz"),
+        ("mu", "alpha", "used"),
+        "50 to 100 % of the friction; below, mu is flagged",
+        "S §3.6",
+    )
 
     cpa2: float = nominal_stiffness()
-    half_length: float = par(
-        0.1, (1e-3, 1.0), "m", "half the contact length", "S §3.6", "a"
-    )
+    half_length: float = par(0.1, (1e-3, 1.0), "m", "half the contact length", "S §3.6", "a")
     force_noise: float = force_noise()
     moment_noise: float = par(
-        0.005, (1e-6, 1.0), "-", "std of the moment over load and half-length",
-        "S §3.6", r"\sigma_M", scale="log",
-    )  # fmt: skip
+        0.005,
+        (1e-6, 1.0),
+        "-",
+        "std of the moment over load and half-length",
+        "S §3.6",
+        r"\sigma_M",
+        scale="log",
+    )
     own_error: float = par(
-        0.01, (0.0, 1.0), "-", "std of the network's own error of mu_u and theta / y",
-        "S §3.6", r"\sigma_n",
-    )  # fmt: skip
+        0.01,
+        (0.0, 1.0),
+        "-",
+        "std of the network's own error of mu_u and theta / y",
+        "S §3.6",
+        r"\sigma_n",
+    )
 
     def init(self) -> TireSensorState:
         return TireSensorState(jnp.full(3, jnp.nan), jnp.full(3, jnp.nan))
 
-    def step(
-        self, state: TireSensorState, sample: Sample
-    ) -> tuple[TireSensorState, Estimate]:
+    def step(self, state: TireSensorState, sample: Sample) -> tuple[TireSensorState, Estimate]:
         side = jnp.where(sample["fy"] < 0, -1.0, 1.0)
         y = side * sample["fy"] / sample["fz"]
         m = -side * sample["mz"] / (sample["fz"] * self.half_length)
@@ -155,9 +163,7 @@ class TireSensor(AbstractEstimator):
         after: TireSensorState = choose(inside, TireSensorState(value, std), state)
         return after, self._estimate(after, ~inside)
 
-    def hold(
-        self, state: TireSensorState, dt, steps
-    ) -> tuple[TireSensorState, Estimate]:
+    def hold(self, state: TireSensorState, dt, steps) -> tuple[TireSensorState, Estimate]:
         return state, self._estimate(state, False)
 
     def _outputs(self, x, stiffness):

@@ -30,13 +30,11 @@ class AbstractVehicleMethod(AbstractEstimator):
     l_f: float = par(1.2, (0.01, 10.0), "m", "front axle ahead of the CG", "", "l_f")
     l_r: float = par(1.4, (0.01, 10.0), "m", "rear axle behind the CG", "", "l_r")
     stiffness_f: float = par(
-        11.0, (0.5, 100.0), "1/rad", "stiffness 2 c_p a^2 over load, front tires", "",
-        "C_f / F_z",
-    )  # fmt: skip
+        11.0, (0.5, 100.0), "1/rad", "stiffness 2 c_p a^2 over load, front tires", "", "C_f / F_z"
+    )
     stiffness_r: float = par(
-        13.0, (0.5, 100.0), "1/rad", "stiffness 2 c_p a^2 over load, rear tires", "",
-        "C_r / F_z",
-    )  # fmt: skip
+        13.0, (0.5, 100.0), "1/rad", "stiffness 2 c_p a^2 over load, rear tires", "", "C_r / F_z"
+    )
 
     @property
     def base(self):

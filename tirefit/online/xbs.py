@@ -32,15 +32,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tirefit.online.base import (
-    AbstractEstimator,
-    Estimate,
-    Flag,
-    Method,
-    Sample,
-    choose,
-    flag_of,
-)
+from tirefit.online.base import AbstractEstimator, Estimate, Flag, Method, Sample, choose, flag_of
 from tirefit.params import par
 
 _NODES, _FREQUENCIES = 256, 4096
@@ -157,12 +149,7 @@ def servo_spectrum(angle, pole, gain, delay, rate):
 
 @lru_cache
 def relation(
-    rate: float,
-    low: float,
-    high: float,
-    corner: float,
-    gain: float = 0.0,
-    delay: float = 0.0,
+    rate: float, low: float, high: float, corner: float, gain: float = 0.0, delay: float = 0.0
 ) -> Relation:
     """The relation for samples a second, band [Hz], corner of the road [Hz], and gain
     [1/s] and delay [s] of a servo; poles include the gain."""
@@ -223,9 +210,8 @@ class Sums(NamedTuple):
     def forgotten(self, share) -> "Sums":
         """Counting this share of what they did."""
         return Sums(
-            share * self.square, share * self.product, share * self.weight,
-            share**2 * self.weight2,
-        )  # fmt: skip
+            share * self.square, share * self.product, share * self.weight, share**2 * self.weight2
+        )
 
 
 class XbsState(NamedTuple):
@@ -256,18 +242,19 @@ class Xbs(AbstractEstimator):
     """
 
     method: ClassVar[Method] = Method(
-        "xbs", "slope of force by slip velocity from the shaking of the wheel",
-        ("omega",), ("xbs", "used"),
+        "xbs",
+        "slope of force by slip velocity from the shaking of the wheel",
+        ("omega",),
+        ("xbs", "used"),
         "braking steadily; slopes whose break frequency lies near or in the band",
-        "O(3)-(7)", "first-order wheel",
-    )  # fmt: skip
+        "O(3)-(7)",
+        "first-order wheel",
+    )
 
     average: float = par(1.0, (1.0, 1.0 + 1e-9), "-", "every sample is a step", "", "n")
     rate: float = par(200.0, (40.0, 1e4), "Hz", "samples a second", "O(3)", r"1/\tau")
     low: float = par(2.0, (0.1, 50.0), "Hz", "lower edge of the band", "O §2.2", "f_l")
-    high: float = par(
-        20.0, (0.5, 500.0), "Hz", "upper edge of the band", "O §2.2", "f_h"
-    )
+    high: float = par(20.0, (0.5, 500.0), "Hz", "upper edge of the band", "O §2.2", "f_h")
     forgetting: float = par(
         0.995, (0.5, 1.0), "-", "forgetting factor per sample", "O(3)-(7)", r"\lambda"
     )
@@ -277,26 +264,31 @@ class Xbs(AbstractEstimator):
         0.0, (-500.0, 500.0), "1/s", "gain of the deceleration servo", "O(8)", "a"
     )
     quiet: float = par(
-        0.0, (0.0, 1.0), "-", "share of the memory's mean square below which the wheel"
-        " is calmer and the past counts little; 0: as in O", "", "q",
-    )  # fmt: skip
-    servo_delay: float = par(
-        0.0, (0.0, 0.2), "s", "time after which the servo acts", "", "T_a"
+        0.0,
+        (0.0, 1.0),
+        "-",
+        "share of the memory's mean square below which the wheel"
+        " is calmer and the past counts little; 0: as in O",
+        "",
+        "q",
     )
+    servo_delay: float = par(0.0, (0.0, 0.2), "s", "time after which the servo acts", "", "T_a")
     road_corner: float = par(
-        0.0, (0.0, 500.0), "Hz", "below it the road's disturbance is white", "O(2)",
-        "f_d",
-    )  # fmt: skip
+        0.0, (0.0, 500.0), "Hz", "below it the road's disturbance is white", "O(2)", "f_d"
+    )
     speed_noise: float = par(
         0.0, (0.0, 1.0), "m/s", "std of the noise of the wheel's speed", "", r"\sigma_v"
     )
     stiffness: float = par(
-        6e4, (1.0, 1e8), "N", "K_s = 2 c_p a^2, slope of the force at rest", "O(16)",
-        "K_s", scale="log",
-    )  # fmt: skip
-    stiffness_spread: float = par(
-        0.1, (0.0, 1.0), "-", "relative std of it", "", r"\sigma_K"
+        6e4,
+        (1.0, 1e8),
+        "N",
+        "K_s = 2 c_p a^2, slope of the force at rest",
+        "O(16)",
+        "K_s",
+        scale="log",
     )
+    stiffness_spread: float = par(0.1, (0.0, 1.0), "-", "relative std of it", "", r"\sigma_K")
     # Made of the settings above, anew whenever they change; never given.
     sections: Any = None
     relation: Any = None
@@ -332,9 +324,7 @@ class Xbs(AbstractEstimator):
         added = Sums(s.increment**2, s.increment * increment, one, one)
         power = s.power + (increment**2 - s.power) / (_RECENT * self.rate)
         faded = power * s.sums.weight < self.quiet * s.sums.square
-        forget = jnp.where(
-            faded, jnp.minimum(_QUICKLY, self.forgetting), self.forgetting
-        )
+        forget = jnp.where(faded, jnp.minimum(_QUICKLY, self.forgetting), self.forgetting)
         sums = jax.tree.map(jnp.add, s.sums.forgotten(forget), added)
         use = settled & (sample.get("use", 1.0) > 0)
         after = XbsState(
@@ -350,9 +340,12 @@ class Xbs(AbstractEstimator):
         gap = begun & ((steps > 0) | (dt * self.rate > 1 + _INTERVAL_OFF))
         forget = jnp.where(gap, self.forgetting ** (dt * self.rate), 1.0)
         fresh = self.init()._replace(
-            sums=state.sums.forgotten(forget), origin=state.origin, speed=state.speed,
-            force=state.force, fz=state.fz,
-        )  # fmt: skip
+            sums=state.sums.forgotten(forget),
+            origin=state.origin,
+            speed=state.speed,
+            force=state.force,
+            fz=state.fz,
+        )
         kept = choose(gap, fresh, state)._replace(irregular=jnp.where(off, 1.0, 0.0))
         return kept, self._estimate(kept)
 
@@ -421,8 +414,7 @@ class Xbs(AbstractEstimator):
         """Friction in use and its standard deviation."""
         used = rate_in_use(s.speed * slope, self.stiffness)
         share = jnp.clip(s.speed * slope / self.stiffness, 0.0, 1.0)
-        relative = jnp.hypot(s.speed * slope_std / self.stiffness,
-                             share * self.stiffness_spread)  # fmt: skip
+        relative = jnp.hypot(s.speed * slope_std / self.stiffness, share * self.stiffness_spread)
         # gamma = 1 - share^(3/2); near full use the spread of the share itself.
         wide = jnp.sqrt(share + relative)
         return used, jnp.minimum(1.5 * wide * relative, 1.0)
@@ -436,15 +428,18 @@ class XbsBraking(Xbs):
     """
 
     method: ClassVar[Method] = Method(
-        "xbs-braking", "the same, and friction with the force by brake pressure",
-        ("omega", "brake_pressure", "fz"), ("xbs", "used", "mu"),
-        "as xbs, with 30 to 100 % of the friction", "S §3.5", "brush",
-    )  # fmt: skip
+        "xbs-braking",
+        "the same, and friction with the force by brake pressure",
+        ("omega", "brake_pressure", "fz"),
+        ("xbs", "used", "mu"),
+        "as xbs, with 30 to 100 % of the friction",
+        "S §3.5",
+        "brush",
+    )
 
     gain: float = par(
-        0.04, (1e-7, 10.0), "N/Pa", "brake force over brake pressure", "S §3.1", "g_b",
-        scale="log",
-    )  # fmt: skip
+        0.04, (1e-7, 10.0), "N/Pa", "brake force over brake pressure", "S §3.1", "g_b", scale="log"
+    )
 
     def _force(self, sample: Sample):
         return self.gain * sample["brake_pressure"], sample["fz"]

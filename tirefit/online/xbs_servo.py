@@ -82,9 +82,7 @@ def loop_matrix(gain, pole, rate: float, delay: int, lag: float) -> np.ndarray:
     return matrix
 
 
-def refuse_unstable(
-    gain, least_slope, most_slope, radius, inertia, rate, delay, lag
-) -> None:
+def refuse_unstable(gain, least_slope, most_slope, radius, inertia, rate, delay, lag) -> None:
     """Checks O(11), and the loop with its sampling, delay and lag.
 
     Args:
@@ -105,9 +103,7 @@ def refuse_unstable(
             f"give servo_gain more than {bound:.3g}, or a least_slope nearer zero",
         )
     for slope, pole in poles.items():
-        largest = np.abs(
-            np.linalg.eigvals(loop_matrix(gain, pole, rate, delay, lag))
-        ).max()
+        largest = np.abs(np.linalg.eigvals(loop_matrix(gain, pole, rate, delay, lag))).max()
         if largest >= 1:
             raise UsageError(
                 f"the deceleration servo is unstable at k = {slope:g} N s/m: with a"
@@ -140,17 +136,18 @@ class XbsServo(AbstractController):
     name: ClassVar[str] = "xbs-servo"
     meaning: ClassVar[str] = "extended braking stiffness held where O(22) says"
 
-    share: float = par(
-        0.9, (0.3, 0.995), "-", "wanted share of the friction", "O(22)", r"\gamma"
-    )
+    share: float = par(0.9, (0.3, 0.995), "-", "wanted share of the friction", "O(22)", r"\gamma")
     pull: float = par(
-        0.5, (0.01, 50.0), "m/s2", "extra deceleration for a stiffness twice as wanted",
-        "O §3.1", "c",
-    )  # fmt: skip
+        0.5,
+        (0.01, 50.0),
+        "m/s2",
+        "extra deceleration for a stiffness twice as wanted",
+        "O §3.1",
+        "c",
+    )
     release: float = par(
-        0.3, (0.0, 50.0), "m/s2", "less deceleration for no stiffness at all", "O §3.1",
-        "c_-",
-    )  # fmt: skip
+        0.3, (0.0, 50.0), "m/s2", "less deceleration for no stiffness at all", "O §3.1", "c_-"
+    )
     most_pull: float = par(
         8.0, (0.1, 100.0), "m/s2", "largest of it, either way", "O §3.1", "c_{max}"
     )
@@ -163,17 +160,14 @@ class XbsServo(AbstractController):
     stiffness: Any = 6e4
     """K_s = 2 c_p a^2 [N] of each tire."""
     stiffness_ratio: float = par(
-        0.7, (0.05, 20.0), "-", "lateral over longitudinal stiffness", "O(13)",
-        r"K_\beta / K_s",
-    )  # fmt: skip
+        0.7, (0.05, 20.0), "-", "lateral over longitudinal stiffness", "O(13)", r"K_\beta / K_s"
+    )
     least_slope: float = par(
-        -250.0, (-1e5, 0.0), "N s/m", "least k on any road at any slip", "O(11)",
-        r"k_{min}",
-    )  # fmt: skip
+        -250.0, (-1e5, 0.0), "N s/m", "least k on any road at any slip", "O(11)", r"k_{min}"
+    )
     most_slope: float = par(
-        3e4, (1.0, 1e7), "N s/m", "largest k at any speed that is controlled", "",
-        r"k_{max}",
-    )  # fmt: skip
+        3e4, (1.0, 1e7), "N s/m", "largest k at any speed that is controlled", "", r"k_{max}"
+    )
     radius: Any = 0.3
     """Rolling radius r [m]."""
     inertia: Any = 1.2
@@ -200,50 +194,59 @@ class XbsServo(AbstractController):
         1.0, (0.05, 1.0), "-", "share of that error removed in an interval", "", "q"
     )
     low: float = par(3.0, (0.1, 50.0), "Hz", "lower edge of the band", "O §2.2", "f_l")
-    high: float = par(
-        30.0, (0.5, 500.0), "Hz", "upper edge of the band", "O §2.2", "f_h"
-    )
+    high: float = par(30.0, (0.5, 500.0), "Hz", "upper edge of the band", "O §2.2", "f_h")
     forgetting: float = par(
         0.98, (0.5, 1.0), "-", "forgetting factor per sample", "O(3)-(7)", r"\lambda"
     )
     quiet: float = par(
-        0.6, (0.0, 1.0), "-", "mean square over that of the memory below which the past"
-        " counts little", "", "q",
-    )  # fmt: skip
+        0.6,
+        (0.0, 1.0),
+        "-",
+        "mean square over that of the memory below which the past counts little",
+        "",
+        "q",
+    )
     road_corner: float = par(
-        1.0, (0.0, 500.0), "Hz", "below it the road's disturbance is white", "O(2)",
-        "f_d",
-    )  # fmt: skip
+        1.0, (0.0, 500.0), "Hz", "below it the road's disturbance is white", "O(2)", "f_d"
+    )
     speed_noise: float = par(
-        0.006, (0.0, 1.0), "m/s", "std of the noise of the wheel's speed", "",
-        r"\sigma_v",
-    )  # fmt: skip
+        0.006, (0.0, 1.0), "m/s", "std of the noise of the wheel's speed", "", r"\sigma_v"
+    )
     xbs: Any = None
     """The estimator, made of the settings above; its wheel has J / r^2 = 1."""
 
     def __post_init__(self):
         refuse_unstable(
-            float(self.servo_gain), float(self.least_slope), float(self.most_slope),
-            float(np.max(self.radius)), float(np.min(self.inertia)), self.rate,
-            round(self.delay * self.rate), self.period / self.response,
-        )  # fmt: skip
+            float(self.servo_gain),
+            float(self.least_slope),
+            float(self.most_slope),
+            float(np.max(self.radius)),
+            float(np.min(self.inertia)),
+            self.rate,
+            round(self.delay * self.rate),
+            self.period / self.response,
+        )
         self.xbs = Xbs(
-            rate=self.rate, forgetting=self.forgetting, servo_gain=self.servo_gain,
-            road_corner=self.road_corner, speed_noise=self.speed_noise,
-            radius=1.0, wheel_inertia=1.0, quiet=self.quiet, low=self.low,
+            rate=self.rate,
+            forgetting=self.forgetting,
+            servo_gain=self.servo_gain,
+            road_corner=self.road_corner,
+            speed_noise=self.speed_noise,
+            radius=1.0,
+            wheel_inertia=1.0,
+            quiet=self.quiet,
+            low=self.low,
             high=self.high,
             # The mean of an interval's ramp comes half an interval late.
             servo_delay=self.delay + (1 / self.response - 0.5) * self.period,
-        )  # fmt: skip
+        )
 
     def init(self, first: Measurement) -> XbsServoState:
         speed = first.wheel_speed
         none = jnp.zeros_like(speed)
         coming = jnp.zeros((round(self.delay * self.rate), *speed.shape))
         xbs = jax.tree.map(lambda x: jnp.full_like(speed, x), self.xbs.init())
-        return XbsServoState(
-            xbs, speed, speed, none, coming, jnp.zeros(()), jnp.max(speed)
-        )
+        return XbsServoState(xbs, speed, speed, none, coming, jnp.zeros(()), jnp.max(speed))
 
     def step(self, state: XbsServoState, measurement: Measurement) -> Any:
         s, m = state, measurement
@@ -267,14 +270,22 @@ class XbsServo(AbstractController):
         target = jnp.clip(target, 0.0, m.demand)
         valve, moved = self._valves(target - ready, ready, m.demand)
         after = XbsServoState(
-            xbs, m.wheel_speed, s.reference + change, target,
-            jnp.concatenate([s.coming, moved[None]])[1:], slowing, vehicle,
-        )  # fmt: skip
+            xbs,
+            m.wheel_speed,
+            s.reference + change,
+            target,
+            jnp.concatenate([s.coming, moved[None]])[1:],
+            slowing,
+            vehicle,
+        )
         info = {
-            "xbs": slope, "xbs_std": slope_std, "xbs_wanted": wanted,
-            "xbs_flag": flag.astype(float), "target_pressure": target,
+            "xbs": slope,
+            "xbs_std": slope_std,
+            "xbs_wanted": wanted,
+            "xbs_flag": flag.astype(float),
+            "target_pressure": target,
             "target_deceleration": slowing + pull,
-        }  # fmt: skip
+        }
         return after, Command(valve), info
 
     def _slope(self, s: XbsServoState, speed, use):
@@ -293,9 +304,7 @@ class XbsServo(AbstractController):
         angle = angle - jnp.asarray(self.ahead) * m.yaw_rate / moving
         along = jnp.maximum(moving / turning - 1, _LEAST_SLIP)
         across = self.stiffness_ratio * jnp.tan(angle) * (1 + along)
-        slope = braking_slope(
-            self.share, jnp.asarray(self.stiffness), jnp.arctan2(across, along)
-        )
+        slope = braking_slope(self.share, jnp.asarray(self.stiffness), jnp.arctan2(across, along))
         return slope / turning
 
     def _by_speed(self):

@@ -20,9 +20,7 @@ _WHEEL = (0.6, 0.22)
 _BODY = (4.2, 1.7)
 
 
-def outline(
-    x: float, y: float, heading: float, size: tuple[float, float]
-) -> np.ndarray:
+def outline(x: float, y: float, heading: float, size: tuple[float, float]) -> np.ndarray:
     """Corners (4, 2) [m] of a rectangle ``size`` (length, width) about (x, y)."""
     length, width = size
     corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) / 2 * [length, width]
@@ -47,9 +45,12 @@ def save_animation(result: Braking, path: Path) -> Path:
     stops = result.stops
     picture = Picture(figsize=(7.5, 0.6 + 1.9 * len(stops)), dpi=80)
     all_axes = picture.subplots(
-        len(stops), 2, width_ratios=(3, 1), squeeze=False,
+        len(stops),
+        2,
+        width_ratios=(3, 1),
+        squeeze=False,
         gridspec_kw={"hspace": 0.55, "left": 0.08, "right": 0.97, "bottom": 0.2},
-    )  # fmt: skip
+    )
     vehicle = VEHICLES[result.request.vehicle]()
     longest = max(len(stop.log.moving) for stop in stops.values())
     period = float(np.diff(next(iter(stops.values())).log.reading.time[:2])[0])
@@ -59,9 +60,12 @@ def save_animation(result: Braking, path: Path) -> Path:
     ]
     every = max(round(1 / (_RATE * period)), 1)
     picture.text(
-        0.02, 0.01, plain_text(f"tirefit {result.version} · seed {result.seed}"),
-        fontsize=6.5, color=GREY,
-    )  # fmt: skip
+        0.02,
+        0.01,
+        plain_text(f"tirefit {result.version} · seed {result.seed}"),
+        fontsize=6.5,
+        color=GREY,
+    )
 
     def frame(k: int):
         for draw in draws:

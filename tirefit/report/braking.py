@@ -17,10 +17,12 @@ from tirefit.sim.brake_summary import MEANINGS, UNITS
 from tirefit.sim.brake_vehicle import road_of
 
 _SHORT = {
-    "stopping_distance": "distance", "mean_friction_used": "friction used",
-    "locked_time": "locked", "pressure_rms_fluctuation": "p rms",
+    "stopping_distance": "distance",
+    "mean_friction_used": "friction used",
+    "locked_time": "locked",
+    "pressure_rms_fluctuation": "p rms",
     "recovery_time": "recovery",
-}  # fmt: skip
+}
 """Numbers shown in the terminal."""
 _LEGEND: dict[str, Any] = {"facecolor": "white", "edgecolor": "none"}
 _SLOWEST_SHOWN = 2.0
@@ -74,8 +76,9 @@ def _notes(result: Braking) -> list[str]:
             notes.append(f"{name}: {each['stopped']} of {each['stops']} stops ended")
     if result.many:
         stops = len(next(iter(result.many.values())).stopped)
-        notes.append(f"means of {stops} seeds from {result.seed} on ± half a 95 %"
-                     " confidence interval")  # fmt: skip
+        notes.append(
+            f"means of {stops} seeds from {result.seed} on ± half a 95 % confidence interval"
+        )
     return notes
 
 
@@ -104,16 +107,18 @@ def plot_braking(result: Braking, what: str = "stop") -> Picture:
 
 
 def _foot(result: Braking) -> str:
-    return (
-        f"tirefit {result.version} · braking positive, SI · seed {result.seed} ·"
-        f" {_head(result)}"
-    )
+    return f"tirefit {result.version} · braking positive, SI · seed {result.seed} · {_head(result)}"
 
 
 _PANELS = (
-    "speed [m/s]", "pressure [MPa]", "valve", "deceleration\n[m/s²]",
-    "$F_x/F_z$ [–]", "slip $\\kappa$ [–]", "stiffness $k$\n[kN s/m]",
-)  # fmt: skip
+    "speed [m/s]",
+    "pressure [MPa]",
+    "valve",
+    "deceleration\n[m/s²]",
+    "$F_x/F_z$ [–]",
+    "slip $\\kappa$ [–]",
+    "stiffness $k$\n[kN s/m]",
+)
 """The last one where a controller estimates it."""
 
 
@@ -153,23 +158,23 @@ def _draw_stiffness(axes, stop: Stop) -> None:
     style = {"linewidth": 0.9}
     axes.plot(time, stop.log.xbs_true[:, 0] / 1e3, color=GREY, label="true", **style)
     if "xbs" in info:
-        axes.plot(
-            time, info["xbs"][:, 0] / 1e3, color=COLORS[0], label="estimated", **style
-        )
+        axes.plot(time, info["xbs"][:, 0] / 1e3, color=COLORS[0], label="estimated", **style)
     if "xbs_wanted" in info:
         axes.plot(
-            time, info["xbs_wanted"][:, 0] / 1e3, color=DARK, linestyle=":",
-            label="wanted, O(22)", **style,
-        )  # fmt: skip
+            time,
+            info["xbs_wanted"][:, 0] / 1e3,
+            color=DARK,
+            linestyle=":",
+            label="wanted, O(22)",
+            **style,
+        )
 
 
 def _stiffness_limit(stop: Stop) -> float:
     """Upper axis limit [kN s/m] of estimate and truth while the car is fast."""
     fast = stop.log.motion.v_x > 0.3 * stop.log.motion.v_x[0]
     known = [np.asarray(stop.log.xbs_true)[fast, 0]]
-    known += (
-        [np.asarray(stop.log.info["xbs"])[fast, 0]] if "xbs" in stop.log.info else []
-    )
+    known += [np.asarray(stop.log.info["xbs"])[fast, 0]] if "xbs" in stop.log.info else []
     return 1.1 * float(np.nanpercentile(np.concatenate(known), 95)) / 1e3
 
 
@@ -204,9 +209,7 @@ def stop_figure(result: Braking) -> Picture:
     estimated = any("xbs" in stop.log.info for stop in stops)
     panels = _PANELS if estimated else _PANELS[:-1]
     picture = Picture(figsize=(width, 1.6 * len(panels)), layout="constrained")
-    grid = picture.subplots(
-        len(panels), columns, sharex=True, sharey="row", squeeze=False
-    )
+    grid = picture.subplots(len(panels), columns, sharex=True, sharey="row", squeeze=False)
     for number, (name, stop) in enumerate(result.stops.items()):
         column = grid[:, number]
         _draw_stop(column, stop)
@@ -260,9 +263,11 @@ def compare_figure(result: Braking) -> Picture:
         all_axes[2].plot(time, used, **style)
         all_axes[3].plot(time, log.motion.distance, **style)
     labels = (
-        "speed of body,\nfirst wheel [m/s]", "pressure, first\nwheel [MPa]",
-        "friction used [–]", "distance [m]",
-    )  # fmt: skip
+        "speed of body,\nfirst wheel [m/s]",
+        "pressure, first\nwheel [MPa]",
+        "friction used [–]",
+        "distance [m]",
+    )
     for axes, label in zip(all_axes, labels, strict=True):
         tidy(axes, "", label)
     all_axes[2].axhline(1.0, color=GREY, linewidth=0.8, linestyle="--")
@@ -305,20 +310,31 @@ def paths_figure(result: Braking) -> Picture:
     for mu, (kappa, force) in tire_curve(result.request, limit).items():
         axes.plot(kappa, force, color=DARK, linewidth=1.1, zorder=3)
         axes.annotate(
-            f"tire at $\\mu$ = {mu:g}", (kappa[-1], force[-1]), fontsize=7.5,
-            ha="right", va="bottom", xytext=(0, 3), textcoords="offset points",
+            f"tire at $\\mu$ = {mu:g}",
+            (kappa[-1], force[-1]),
+            fontsize=7.5,
+            ha="right",
+            va="bottom",
+            xytext=(0, 3),
+            textcoords="offset points",
             color=DARK,
-        )  # fmt: skip
+        )
     edges = np.linspace(0.0, limit, 41)
     for color, (name, path) in zip(COLORS, paths.items(), strict=False):
         axes.plot(path.kappa, path.force, ".", color=color, markersize=2, alpha=0.35)
         beyond = path.mean[0] > limit
         note = f", at $\\kappa$ = {path.mean[0]:.2f}" if beyond else ""
         axes.plot(
-            min(path.mean[0], limit), path.mean[1], ">" if beyond else "o", color=color,
-            markersize=8, markeredgecolor="white", zorder=4, clip_on=False,
+            min(path.mean[0], limit),
+            path.mean[1],
+            ">" if beyond else "o",
+            color=color,
+            markersize=8,
+            markeredgecolor="white",
+            zorder=4,
+            clip_on=False,
             label=f"{name}: mean{note}",
-        )  # fmt: skip
+        )
         counts, _ = np.histogram(np.clip(path.kappa, 0.0, limit), edges)
         share = counts / max(len(path.kappa), 1)
         below.stairs(100 * share, edges, color=color, linewidth=1.1)
@@ -328,9 +344,7 @@ def paths_figure(result: Braking) -> Picture:
     tidy(below, "slip $\\kappa$ [–]; what is beyond stands in the last bar", "time [%]")
     axes.legend(fontsize=8, **_LEGEND, loc="lower right")
     slowest = min(map(_slowest_shown, result.stops.values()))
-    note = (
-        f"line: the tire at its static load; dots: every sample above {slowest:.2g} m/s"
-    )
+    note = f"line: the tire at its static load; dots: every sample above {slowest:.2g} m/s"
     panel_title(axes, "slip and friction of the first wheel", note)
     picture.supxlabel(plain_text(_foot(result)), fontsize=6.5, color=GREY)
     return picture

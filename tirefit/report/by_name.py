@@ -30,18 +30,19 @@ class Points(NamedTuple):
     known: np.ndarray  # (n,) which ones the data identify
 
 
-def points_of(
-    label: str, names: Sequence[str], estimates: Sequence[Estimate | None]
-) -> Points:
+def points_of(label: str, names: Sequence[str], estimates: Sequence[Estimate | None]) -> Points:
     """One quantity of several runs or files, in order; None where one has none."""
     nothing = Estimate(np.nan, None, "", (None, None), identified=False)
     given = [nothing if one is None else one for one in estimates]
     ends = np.array([[np.nan if e is None else e for e in one.ci95] for one in given])
     return Points(
-        label, tuple(names), np.array([one.value for one in given], float),
-        ends[:, 0].astype(float), ends[:, 1].astype(float),
+        label,
+        tuple(names),
+        np.array([one.value for one in given], float),
+        ends[:, 0].astype(float),
+        ends[:, 1].astype(float),
         np.array([one.identified for one in given]),
-    )  # fmt: skip
+    )
 
 
 def has_runs(result: FitResult) -> bool:
@@ -100,17 +101,20 @@ def draw_points(axes, points: Points, named: bool = True) -> None:
     low, high = _reach(points)
     at = np.arange(len(points.value))
     size = float(np.clip(60 / len(at), 2.0, 5.0))
-    for rows, color, face in (
-        (points.known, BLUE, BLUE), (~points.known, GREY, "white"),
-    ):  # fmt: skip
+    for rows, color, face in ((points.known, BLUE, BLUE), (~points.known, GREY, "white")):
         value = np.clip(points.value[rows], low, high)
         first = np.where(np.isnan(points.low), low, np.maximum(points.low, low))[rows]
         last = np.where(np.isnan(points.high), high, np.minimum(points.high, high))
         axes.vlines(at[rows], first, last[rows], color=color, lw=1.4)
         axes.plot(
-            at[rows], value, linestyle="none", marker="o", markersize=size,
-            color=color, markerfacecolor=face,
-        )  # fmt: skip
+            at[rows],
+            value,
+            linestyle="none",
+            marker="o",
+            markersize=size,
+            color=color,
+            markerfacecolor=face,
+        )
     missing = np.isnan(points.value)
     axes.plot(at[missing], np.full(missing.sum(), low), "x", color=RED, clip_on=False)
     every = -(-len(at) // _MOST_NAMES)
@@ -148,8 +152,12 @@ def runs_figure(result: FitResult) -> Picture:
     vague = any((~points.known).any() for points in panels)
     note = f"values and 95 % intervals by run ({result.source}); derived at {at}"
     picture.text(
-        0.02, top - 0.02 / height, note + ("; grey: not identified" if vague else ""),
-        va="top", fontsize=7.5, color=DARK,
-    )  # fmt: skip
+        0.02,
+        top - 0.02 / height,
+        note + ("; grey: not identified" if vague else ""),
+        va="top",
+        fontsize=7.5,
+        color=DARK,
+    )
     place_points(picture, panels, bottom, top - 0.25 / height)
     return picture

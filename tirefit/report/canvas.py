@@ -69,19 +69,32 @@ def frame(
     title = f"{result.model} fitted to {fit_files(result, 68)}"
     lines = textwrap.wrap(verdict_line(result), 100, max_lines=2, placeholder=" …")
     picture.text(
-        0.02, 1 - 0.10 / height, plain_text(title), va="top", fontsize=10.5,
-        fontweight="bold", color=DARK,
-    )  # fmt: skip
+        0.02,
+        1 - 0.10 / height,
+        plain_text(title),
+        va="top",
+        fontsize=10.5,
+        fontweight="bold",
+        color=DARK,
+    )
     picture.text(
-        0.02, 1 - 0.31 / height, plain_text("\n".join(lines)),
-        va="top", fontsize=8.5, color=DARK if ok else RED, linespacing=1.15,
-    )  # fmt: skip
+        0.02,
+        1 - 0.31 / height,
+        plain_text("\n".join(lines)),
+        va="top",
+        fontsize=8.5,
+        color=DARK if ok else RED,
+        linespacing=1.15,
+    )
     picture.text(
-        0.02, 0.05 / height,
+        0.02,
+        0.05 / height,
         f"tirefit {result.version} · braking positive, SI · seed {result.seed}"
         f" · {_rows(result.statistics.n)}",
-        va="bottom", fontsize=6.5, color=GREY,
-    )  # fmt: skip
+        va="bottom",
+        fontsize=6.5,
+        color=GREY,
+    )
     return picture, (0.2 / height, 1 - (0.38 + 0.15 * len(lines)) / height)
 
 
@@ -120,14 +133,23 @@ def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:
 def panel_title(axes, text: str, note: str = "") -> None:
     """Title of one panel, its message, and what the reader must know in small print."""
     axes.set_title(
-        plain_text(text), loc="left", fontsize=9.5, fontweight="bold", color=DARK,
+        plain_text(text),
+        loc="left",
+        fontsize=9.5,
+        fontweight="bold",
+        color=DARK,
         pad=18 if note else 6,
-    )  # fmt: skip
+    )
     if note:
         axes.text(
-            0, 1.02, plain_text(note), transform=axes.transAxes, fontsize=7.5,
-            color=GREY, va="bottom",
-        )  # fmt: skip
+            0,
+            1.02,
+            plain_text(note),
+            transform=axes.transAxes,
+            fontsize=7.5,
+            color=GREY,
+            va="bottom",
+        )
 
 
 def save_picture(picture: Picture, path: Path) -> Path:

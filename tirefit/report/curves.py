@@ -27,11 +27,7 @@ FORCE_LABEL = {
     "mx": ("overturning moment $M_x$", "N m", "$M_x / F_z$"),
     "my": ("rolling resistance moment $M_y$", "N m", "$M_y / F_z$"),
 }
-_LIMIT = {
-    "mu": ("friction limit", r"\mu"),
-    "mu_peak": ("peak", r"\mu'"),
-    "D": ("peak", "D"),
-}
+_LIMIT = {"mu": ("friction limit", r"\mu"), "mu_peak": ("peak", r"\mu'"), "D": ("peak", "D")}
 
 
 class SlipAxis(NamedTuple):
@@ -91,9 +87,11 @@ def slip_axis(name: str, values: np.ndarray) -> SlipAxis:
     if np.max(np.abs(values), initial=0.0) <= 1.0:
         return SlipAxis(r"slip $\sigma_x$", "-", np.asarray, np.asarray)
     return SlipAxis(
-        r"slip ratio $v_{sx}/\max(v_x, \Omega R_e)$", "-", slip_ratio_from_sigma,
+        r"slip ratio $v_{sx}/\max(v_x, \Omega R_e)$",
+        "-",
+        slip_ratio_from_sigma,
         lambda ratio: sigma_from_slip_ratio(np.minimum(ratio, 1 - 1 / LOCKED)),
-    )  # fmt: skip
+    )
 
 
 def even(members: Sequence[Any]) -> list:
@@ -163,10 +161,7 @@ def _members(result: FitResult, keys) -> tuple[list[tuple[str, np.ndarray]], str
     groups = []
     for code in chosen:
         rows = of_row.ravel() == code
-        parts = [
-            _level_label(name, problem.used(columns[name])[rows], names)
-            for name, _ in keys
-        ]
+        parts = [_level_label(name, problem.used(columns[name])[rows], names) for name, _ in keys]
         groups.append((", ".join(parts), rows))
     return groups, note
 
@@ -226,8 +221,7 @@ def _carried(result: FitResult, channel: str, members, keys, middle):
         # Constant time means steady state, as in the curves.
         target_inputs = target_inputs._replace(time=jnp.zeros_like(inputs.time))
     there, here = (
-        problem.used(fitted_force(result, channel, at, run))
-        for at in (target_inputs, inputs)
+        problem.used(fitted_force(result, channel, at, run)) for at in (target_inputs, inputs)
     )
     shift, scale = there - here, problem.used(problem.rows.scale[channel])
     if np.sqrt(np.mean((shift / scale) ** 2)) < 1:
@@ -327,17 +321,19 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
         members = _by_run(problem, members)
     unit = load if normalise else np.ones_like(load)
     groups = tuple(
-        Group(label, axis.shown(values[rows]), (force / unit)[rows])
-        for label, rows in members
+        Group(label, axis.shown(values[rows]), (force / unit)[rows]) for label, rows in members
     )
     name, force_unit, ratio = FORCE_LABEL[channel]
     ratio_unit = "m" if channel == "mz" else "-"
     return FitCurve(
-        channel, f"{axis.label} [{axis.unit}]",
+        channel,
+        f"{axis.label} [{axis.unit}]",
         f"{ratio} [{ratio_unit}]" if normalise else f"{name} [{force_unit}]",
-        groups, curves, _limit_label(result, channel, normalise),
+        groups,
+        curves,
+        _limit_label(result, channel, normalise),
         "\n".join(filter(None, (note, moved))),
-    )  # fmt: skip
+    )
 
 
 def _limit_label(result: FitResult, channel: str, normalise: bool) -> str:

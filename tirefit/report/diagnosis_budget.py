@@ -67,12 +67,17 @@ def budget_table(result: Diagnosis, channel: str) -> list[tuple[str, ...]]:
     """The error of a simulator and its parts, a row each, under a header."""
     budget = result.budgets[channel]
     return [
-        (f"{channel_name(channel)}, part of the error", f"rms [{FORCE_UNIT[channel]}]",
-         "share of the mean square [90 % interval]"),
+        (
+            f"{channel_name(channel)}, part of the error",
+            f"rms [{FORCE_UNIT[channel]}]",
+            "share of the mean square [90 % interval]",
+        ),
         ("whole error of the simulator", _rms(budget), "100 %"),
-        *((_label(part), format_number(part.rms, 3),
-           share_text(part.share, part.closed_ci)) for part in budget),
-    ]  # fmt: skip
+        *(
+            (_label(part), format_number(part.rms, 3), share_text(part.share, part.closed_ci))
+            for part in budget
+        ),
+    ]
 
 
 _ROUGH = 0.5
@@ -94,8 +99,7 @@ def stand_in_line(result: Diagnosis) -> str:
     line += f" and {share_text(followed.of_gap)} of the gap" * resolvable
     if resolvable and followed.of_gap > _ROUGH:
         line += (
-            "; the parts are rough: without --model, a tire that follows it more"
-            " closely is chosen"
+            "; the parts are rough: without --model, a tire that follows it more closely is chosen"
         )
     return line
 
@@ -107,9 +111,7 @@ def _label(part: Part) -> str:
     return "its parameters" if part.part == "parameters" else name_of(part.part)
 
 
-def waterfall_steps(
-    result: Diagnosis, channel: str | None = None
-) -> list[WaterfallBar]:
+def waterfall_steps(result: Diagnosis, channel: str | None = None) -> list[WaterfallBar]:
     """From the simulator's error down to the noise, part by part.
 
     Args:

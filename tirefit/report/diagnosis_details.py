@@ -85,10 +85,9 @@ def run_lines(result: Diagnosis) -> Iterator[str]:
 
 def _where(result: Diagnosis) -> list[tuple[str, ...]]:
     rows = [
-        (covariate_text(one.covariate), range_text(one), share_text(one.share),
-         p_text(one.p_value))
+        (covariate_text(one.covariate), range_text(one), share_text(one.share), p_text(one.p_value))
         for one in result.where
-    ]  # fmt: skip
+    ]
     return [("quantity", "range", "share of energy", "p of noise"), *rows]
 
 
@@ -102,11 +101,15 @@ def _spot_lines(result: Diagnosis) -> list[str]:
 
 def _map(result: Diagnosis) -> list[tuple[str, ...]]:
     rows = [
-        (cell.parameter, covariate_text(cell.covariate),
-         format_number(cell.log_evidence, 3), share_text(cell.explains))
+        (
+            cell.parameter,
+            covariate_text(cell.covariate),
+            format_number(cell.log_evidence, 3),
+            share_text(cell.explains),
+        )
         for cell in result.map[:_MOST]
         if cell.log_evidence > 0
-    ]  # fmt: skip
+    ]
     return [("parameter", "varies with", "log evidence", "misfit, at most"), *rows]
 
 
@@ -138,17 +141,20 @@ def _parameters(result: Diagnosis) -> list[tuple[str, ...]]:
     units = {k: f"[{spec.unit}]" for k, spec in specs(model).items()} if model else {}
     if changes := result.verdict.parameters:
         rows = [
-            (f"{name} {units.get(name, '')}", format_number(one.simulated),
-             format_estimate(one.measured, one.std), "yes" if one.differs else "no")
+            (
+                f"{name} {units.get(name, '')}",
+                format_number(one.simulated),
+                format_estimate(one.measured, one.std),
+                "yes" if one.differs else "no",
+            )
             for name, one in changes.items()
-        ]  # fmt: skip
+        ]
         return [("parameter", "simulated", "measured", "differs"), *rows]
     after = result.extended_parameters
     pairs = [
-        (f"{name} {units.get(name, '')}", format_number(value),
-         format_number(after.get(name)))
+        (f"{name} {units.get(name, '')}", format_number(value), format_number(after.get(name)))
         for name, value in result.base_parameters.items()
-    ]  # fmt: skip
+    ]
     return [("parameter", "model alone", "with the answer"), *pairs]
 
 

@@ -52,10 +52,17 @@ _PHONE = (4.2, 3.4)
 """Size of the ladder's picture: its letters are 11 pixels high at a width of 400."""
 
 _KIND = {
-    "base": GREY, "effect": BLUE, "smooth": ORANGE, "noise": "#bbbbbb",
-    "verdict": BLUE, "other": ORANGE, "unknown": PURPLE, "whole": GREY,
-    "parameters": ORANGE, "unexplained": PURPLE,
-}  # fmt: skip
+    "base": GREY,
+    "effect": BLUE,
+    "smooth": ORANGE,
+    "noise": "#bbbbbb",
+    "verdict": BLUE,
+    "other": ORANGE,
+    "unknown": PURPLE,
+    "whole": GREY,
+    "parameters": ORANGE,
+    "unexplained": PURPLE,
+}
 """Colours of the bars of all panels by their kind."""
 
 
@@ -72,15 +79,11 @@ def draw_ladder(figure, bars: Sequence[LadderBar], unit: str, on: str) -> None:
     for place, bar in zip(range(len(bars))[::-1], bars, strict=True):
         axes.barh(place, bar.rms, 0.34, color=_KIND[bar.kind])
         if bar.error is not None and bar.kind != "noise":
-            axes.errorbar(
-                bar.rms, place, xerr=bar.error, fmt="none", ecolor=DARK, capsize=2
-            )
+            axes.errorbar(bar.rms, place, xerr=bar.error, fmt="none", ecolor=DARK, capsize=2)
         if bar.held_out is not None:
             axes.plot(bar.held_out, place, "D", ms=6, mfc="white", mec=DARK)
         if bar.kind in ("smooth", "noise"):
-            axes.axvline(
-                bar.rms, color=_KIND[bar.kind], lw=1.2, ls=(0, (4, 2)), zorder=0
-            )
+            axes.axvline(bar.rms, color=_KIND[bar.kind], lw=1.2, ls=(0, (4, 2)), zorder=0)
         closed = (
             ""
             if bar.closed is None or bar.kind == "noise"
@@ -88,9 +91,13 @@ def draw_ladder(figure, bars: Sequence[LadderBar], unit: str, on: str) -> None:
         )
         text = f"{bar.label}: {format_number(bar.rms, 3)} {unit}{closed}"
         axes.text(
-            0.01 * reach, place + 0.24, plain_text(text), fontsize=9, color=DARK,
+            0.01 * reach,
+            place + 0.24,
+            plain_text(text),
+            fontsize=9,
+            color=DARK,
             bbox={"color": "white", "pad": 0.5},
-        )  # fmt: skip
+        )
     rows = "data left out" if on else "the rows fitted"
     tidy(axes, f"rms on {rows} [{unit}]", size=9.5)
     axes.set_xlim(0, reach)
@@ -112,10 +119,14 @@ def draw_chances(figure, bars: Sequence[ChanceBar]) -> None:
         axes.barh(place, bar.probability, 0.6, color=_KIND[bar.kind])
         inside = bar.probability > 0.85
         axes.text(
-            bar.probability + (-0.01 if inside else 0.01), place,
-            f"{bar.probability:.2f}", va="center", fontsize=8.5,
-            ha="right" if inside else "left", color="white" if inside else DARK,
-        )  # fmt: skip
+            bar.probability + (-0.01 if inside else 0.01),
+            place,
+            f"{bar.probability:.2f}",
+            va="center",
+            fontsize=8.5,
+            ha="right" if inside else "left",
+            color="white" if inside else DARK,
+        )
     tidy(axes, "probability that it (or a twin) is there")
     axes.set_yticks(places, [textwrap.fill(bar.label, 18) for bar in bars])
     axes.set_ylim(-0.6, top - 0.4)
@@ -134,9 +145,15 @@ def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
     reach = float(np.nanmax(np.abs(panel.mean), initial=1e-3))
     colors = mpl.colormaps["RdBu_r"].with_extremes(bad="#eeeeee")
     image = axes.pcolormesh(
-        panel.edges, np.arange(rows + 1) - 0.5, np.ma.masked_invalid(panel.mean),
-        cmap=colors, vmin=-reach, vmax=reach, edgecolors="white", linewidth=0.4,
-    )  # fmt: skip
+        panel.edges,
+        np.arange(rows + 1) - 0.5,
+        np.ma.masked_invalid(panel.mean),
+        cmap=colors,
+        vmin=-reach,
+        vmax=reach,
+        edgecolors="white",
+        linewidth=0.4,
+    )
     axes.set_facecolor("#eeeeee")
     center = (panel.edges[:-1] + panel.edges[1:]) / 2
     width = np.diff(panel.edges) / np.ptp(panel.edges)
@@ -149,9 +166,14 @@ def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
             axes.plot(center[column], row - 0.2, marker="o", ms=3, **style)
         if (share := panel.energy[row, column]) >= 0.03:
             axes.text(
-                center[column], row + 0.15, f"{100 * share:.0f}", ha="center",
-                va="center", fontsize=7, **style,
-            )  # fmt: skip
+                center[column],
+                row + 0.15,
+                f"{100 * share:.0f}",
+                ha="center",
+                va="center",
+                fontsize=7,
+                **style,
+            )
     tidy(axes, "slip / slip of full sliding")
     axes.set_ylabel(covariate_label(panel), fontsize=8.5, color=DARK)
     axes.set_yticks(range(rows), level_labels(panel))
@@ -161,9 +183,10 @@ def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
     bar.outline.set_visible(False)
     name = panel.channel.capitalize()
     panel_title(
-        axes, f"Where: measured {name} minus {base}",
+        axes,
+        f"Where: measured {name} minus {base}",
         "dot: beyond the noise (5 % false); number: % of the gap's energy",
-    )  # fmt: skip
+    )
 
 
 def draw_comparison(figure, panel: Comparison, after: str, base: str = "base") -> None:
@@ -180,9 +203,7 @@ def draw_comparison(figure, panel: Comparison, after: str, base: str = "base") -
         _draw_load(top, curve, axis, COLORS[i % len(COLORS)])
     tidy(top, f"{axis.label} [{axis.unit}]", _FORCE[panel.channel])
     handles: list[Line2D | Patch] = [
-        Line2D(
-            [], [], ls="none", marker="o", ms=3, color=color, label=load_label(curve)
-        )
+        Line2D([], [], ls="none", marker="o", ms=3, color=color, label=load_label(curve))
         for curve, color in zip(panel.curves, COLORS, strict=False)
     ]
     handles += [
@@ -191,22 +212,23 @@ def draw_comparison(figure, panel: Comparison, after: str, base: str = "base") -
         Patch(color=GREY, alpha=0.3, lw=0, label="after: 80 % of rows"),
     ]
     top.legend(
-        handles=handles, fontsize=7, frameon=False, loc="upper left",
-        bbox_to_anchor=(1.0, 1.02),
-    )  # fmt: skip
+        handles=handles, fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.02)
+    )
     panel_title(top, "Before and after", f"after: {after}")
     bottom.plot(
-        panel.center, panel.before, color=DARK, ls=(0, (4, 2)), marker="o", ms=2.5,
-        lw=1.2, label=base,
-    )  # fmt: skip
-    bottom.plot(
-        panel.center, panel.after, color=BLUE, marker="o", ms=2.5, lw=1.4, label="after"
+        panel.center,
+        panel.before,
+        color=DARK,
+        ls=(0, (4, 2)),
+        marker="o",
+        ms=2.5,
+        lw=1.2,
+        label=base,
     )
+    bottom.plot(panel.center, panel.after, color=BLUE, marker="o", ms=2.5, lw=1.4, label="after")
     bottom.set_ylim(bottom=0)
     tidy(bottom, "slip / slip of full sliding", "rms residual [N]")
-    bottom.legend(
-        fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.05)
-    )
+    bottom.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.05))
 
 
 def _draw_load(axes, curve: LoadCurve, axis: SlipAxis, color: str) -> None:
@@ -215,9 +237,7 @@ def _draw_load(axes, curve: LoadCurve, axis: SlipAxis, color: str) -> None:
         axis.shown(curve.slip), curve.force, ls="none", marker="o", ms=1.8,
         markeredgewidth=0, alpha=0.4, color=color, rasterized=True, zorder=2,
     )  # fmt: skip
-    axes.fill_between(
-        center, curve.low, curve.high, color=color, alpha=0.3, lw=0, zorder=1
-    )
+    axes.fill_between(center, curve.low, curve.high, color=color, alpha=0.3, lw=0, zorder=1)
     axes.plot(center, curve.base, color=color, lw=1.2, ls=(0, (4, 2)), zorder=3)
     axes.plot(center, curve.extended, color=color, lw=1.4, zorder=4)
 
@@ -239,15 +259,16 @@ def draw_waterfall(figure, steps: list[WaterfallBar], channel: str = "") -> None
         room = right - left > 0.45 * whole
         at = left + 0.012 * whole if room else left if inside else right
         axes.text(
-            at + (0 if room else -0.012 * whole if inside else 0.012 * whole), place,
-            plain_text(step.text), va="center", fontsize=8,
+            at + (0 if room else -0.012 * whole if inside else 0.012 * whole),
+            place,
+            plain_text(step.text),
+            va="center",
+            fontsize=8,
             ha="right" if inside and not room else "left",
             color="white" if room and step.kind in ("whole", "effect") else DARK,
-        )  # fmt: skip
-    for place, step in zip(places[1:-1], steps[1:-1], strict=True):
-        axes.plot(
-            [whole * step.after] * 2, [place - 0.69, place + 0.31], color=GREY, lw=0.8
         )
+    for place, step in zip(places[1:-1], steps[1:-1], strict=True):
+        axes.plot([whole * step.after] * 2, [place - 0.69, place + 0.31], color=GREY, lw=0.8)
     tidy(axes, "share of the squared error [%]")
     axes.set_yticks(places, [plain_text(step.label) for step in steps])
     axes.set_xlim(0, 1.02 * whole)
@@ -263,7 +284,9 @@ def panels_of(result: Diagnosis) -> dict[str, Callable]:
     base, after = "simulator" if result.simulator else "base fit", after_label(result)
     panels: dict[str, Callable] = {
         "ladder": partial(
-            draw_ladder, bars=ladder_bars(result), on=result.ladder.on,
+            draw_ladder,
+            bars=ladder_bars(result),
+            on=result.ladder.on,
             unit=FORCE_UNIT[result.data.channels[0]],
         ),
         "which": partial(draw_chances, bars=chance_bars(result)),
@@ -271,7 +294,7 @@ def panels_of(result: Diagnosis) -> dict[str, Callable]:
             draw_comparison, panel=result.comparison, after=after, base=base
         ),
         "where": partial(draw_where, panel=result.residual_map, base=base),
-    }  # fmt: skip
+    }
     if result.look is not None:
         beside = after if result.comparison.named else "the base fit"
         panels["what is left"] = partial(draw_look, panel=result.look, beside=beside)
@@ -307,16 +330,26 @@ def diagnosis_figure(result: Diagnosis) -> Picture:
     for cell, draw in zip(cells, panels.values(), strict=True):
         draw(cell)
     head.text(
-        0.01, 0.95, plain_text(subject(result)),
-        va="top", fontsize=12, fontweight="bold", color=DARK,
-    )  # fmt: skip
+        0.01,
+        0.95,
+        plain_text(subject(result)),
+        va="top",
+        fontsize=12,
+        fontweight="bold",
+        color=DARK,
+    )
     sentence = textwrap.fill(answer(result), 140, max_lines=3, placeholder=" …")
     head.text(0.01, 0.55, plain_text(sentence), va="top", fontsize=9, color=DARK)
     head.text(
-        0.99, 0.95, f"tirefit {result.version} · braking positive, SI · seed"
+        0.99,
+        0.95,
+        f"tirefit {result.version} · braking positive, SI · seed"
         f" {result.seed} · {format_number(result.n)} rows",
-        va="top", ha="right", fontsize=7, color=GREY,
-    )  # fmt: skip
+        va="top",
+        ha="right",
+        fontsize=7,
+        color=GREY,
+    )
     return picture
 
 

@@ -36,9 +36,10 @@ def _alternative(name: str) -> str:
 def _answer(result: Diagnosis) -> Mapping:
     is_closed = result.verdict.status in (Status.NONE, Status.NAMED)
     return {
-        "sentence": answer(result), "lines": list(head_lines(result)),
+        "sentence": answer(result),
+        "lines": list(head_lines(result)),
         "color": GOOD if is_closed else OPEN,
-    }  # fmt: skip
+    }
 
 
 def _shown(sections: Sequence[Section], pictures: Mapping) -> list[Mapping]:

@@ -60,13 +60,15 @@ def ladder_bars(result: Diagnosis) -> list[LadderBar]:
         return [alone, LadderBar("noise floor", noise, None, None, "noise")]
     return [
         LadderBar(
-            step_label(result, k), step.rms_left_out,
+            step_label(result, k),
+            step.rms_left_out,
             _error(step, result.ladder.steps) if k else None,
-            step.closed if k else None, kinds.get(step.effects, "effect"),
+            step.closed if k else None,
+            kinds.get(step.effects, "effect"),
             step.rms_held_out,
         )
         for k, step in enumerate(result.ladder.steps)
-    ]  # fmt: skip
+    ]
 
 
 def chance_bars(result: Diagnosis) -> list[ChanceBar]:
@@ -154,19 +156,26 @@ def draw_look(figure, panel: LookCurve, beside: str) -> None:
         # Between settings nothing was measured.
         half = 0.25 * np.min(np.diff(np.sort(panel.x)))
         axes.hlines(
-            scale * panel.shape, panel.x - half, panel.x + half, color=BLUE, lw=2.0,
-            zorder=2,
-        )  # fmt: skip
+            scale * panel.shape, panel.x - half, panel.x + half, color=BLUE, lw=2.0, zorder=2
+        )
         axes.set_xticks(panel.x)
     else:
         axes.plot(panel.x, scale * panel.shape, color=BLUE, lw=1.6, zorder=2)
     axes.errorbar(
-        panel.center, scale * panel.change, scale * panel.std, fmt="o", ms=3.5,
-        color=DARK, ecolor=GREY, elinewidth=1.0, zorder=3,
-    )  # fmt: skip
+        panel.center,
+        scale * panel.change,
+        scale * panel.std,
+        fmt="o",
+        ms=3.5,
+        color=DARK,
+        ecolor=GREY,
+        elinewidth=1.0,
+        zorder=3,
+    )
     labels = _ALONG if panel.is_mirrored else _CHANGES
     tidy(axes, _axis_label(panel), labels[panel.look.parameter])
     panel_title(
-        axes, textwrap.fill(look_title(panel).replace(" %", "\u00a0%"), _LETTERS),
+        axes,
+        textwrap.fill(look_title(panel).replace(" %", "\u00a0%"), _LETTERS),
         f"points: bins of the data ± standard error; line: fitted; on top of {beside}",
-    )  # fmt: skip
+    )

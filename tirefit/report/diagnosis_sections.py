@@ -10,19 +10,9 @@ from tirefit.diagnosis.decide.remainder import LEAST_P, LEVEL
 from tirefit.diagnosis.left_out import AS_GIVEN, NOISE, SMOOTH, Step
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.records import (
-    Each,
-    NextMeasurement,
-    Shrinkage,
-    Status,
-)
+from tirefit.diagnosis.summary.records import Each, NextMeasurement, Shrinkage, Status
 from tirefit.diagnosis.summary.result import Diagnosis
-from tirefit.report.diagnosis_budget import (
-    budget_table,
-    change_texts,
-    channel_name,
-    stand_in_line,
-)
+from tirefit.report.diagnosis_budget import budget_table, change_texts, channel_name, stand_in_line
 from tirefit.report.diagnosis_words import (
     amplitude_text,
     closed_text,
@@ -238,11 +228,14 @@ def _ladder(result: Diagnosis) -> Section:
     square = f"({unit})^2" if " " in unit else f"{unit}^2"
     table = [("model", f"rms left out [{unit}]", "closed", f"gain [{square}]")]
     table += [
-        (step_label(result, k), format_number(step.rms_left_out, 3),
-         _percent(step.closed if k else None, step.closed_std or None),
-         format_estimate(step.gain, step.gain_std) if k else "-")
+        (
+            step_label(result, k),
+            format_number(step.rms_left_out, 3),
+            _percent(step.closed if k else None, step.closed_std or None),
+            format_estimate(step.gain, step.gain_std) if k else "-",
+        )
         for k, step in enumerate(ladder.steps)
-    ]  # fmt: skip
+    ]
     lines = [_CLOSED + "; gain: reduction of the mean square"]
     if result.settings.holdout:
         cells = [f"held out [{unit}]", *map(_held_out, ladder.steps)]
@@ -277,8 +270,7 @@ def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
     more = " or more" * (closed <= WORST)
     share = closed_text(closed, gap.closed_ci, gap.energy_closed)
     return (
-        f"{line}, {size(gap.remaining_rms)}{more} with the answer; closed [90 %"
-        f" interval]: {share}"
+        f"{line}, {size(gap.remaining_rms)}{more} with the answer; closed [90 % interval]: {share}"
     )
 
 
@@ -329,9 +321,7 @@ def _each_text(each: Each) -> str:
 def left_lines(result: Diagnosis) -> Iterator[str]:
     """The remainder: its rms, the tests that detect it, the closest simple shape."""
     left, unit = result.verdict.left, FORCE_UNIT[result.data.channels[0]]
-    of_gap = (
-        f", {100 * left.share:.0f} % of the gap's mean square" * result.gap.resolvable
-    )
+    of_gap = f", {100 * left.share:.0f} % of the gap's mean square" * result.gap.resolvable
     yield (
         f"{format_number(left.rms, 3)} {unit} rms beyond the noise{of_gap}; probability"
         f" {left.unlisted:.2f} of an unlisted effect"
@@ -339,9 +329,7 @@ def left_lines(result: Diagnosis) -> Iterator[str]:
     tested = {name: p for name, p in left.tests.items() if p is not None}
     least = LEAST_P * len(result.data.channels)
     seen = [
-        f"{TESTS.get(name, name)} (p {p_text(p, least)})"
-        for name, p in tested.items()
-        if p < LEVEL
+        f"{TESTS.get(name, name)} (p {p_text(p, least)})" for name, p in tested.items() if p < LEVEL
     ]
     if seen:
         seen_by = f"detected by {len(seen)} of {len(tested)} tests"

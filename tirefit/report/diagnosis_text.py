@@ -28,9 +28,8 @@ def _text_of(section: Section) -> Iterator[str]:
 
 def _wrapped(line: str) -> list[str]:
     return textwrap.wrap(
-        line, WIDTH, subsequent_indent=" " * 6, break_long_words=False,
-        break_on_hyphens=False,
-    )  # fmt: skip
+        line, WIDTH, subsequent_indent=" " * 6, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def diagnosis_text(result: Diagnosis, full: bool = False) -> str:

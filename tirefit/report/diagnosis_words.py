@@ -41,10 +41,13 @@ _NEEDS = {
     "fy": "fy",
 }
 _BY_DERIVE = {
-    "other force": "driven", "steering": "[steering], of the front axle",
-    "loads": "h_cg", "heading": "x, y, yaw in [columns]",
-    "a_x": "[columns]", "a_y": "[columns]",
-}  # fmt: skip
+    "other force": "driven",
+    "steering": "[steering], of the front axle",
+    "loads": "h_cg",
+    "heading": "x, y, yaw in [columns]",
+    "a_x": "[columns]",
+    "a_y": "[columns]",
+}
 """Need -> key of vehicle.toml with which a derived file meets it."""
 
 _COVARIATES = {
@@ -157,9 +160,10 @@ def look_size(parameter: str, size: float) -> str:
 def look_text(look: Look) -> str:
     """What a remainder resembles: ``friction steps at a time of 60 s by -7 %``."""
     how = _SHAPES[look.shape].format(
-        covariate=covariate_text(look.covariate), at=look_place(look),
+        covariate=covariate_text(look.covariate),
+        at=look_place(look),
         size=look_size(look.parameter, look.size),
-    )  # fmt: skip
+    )
     return f"{look.parameter} {how}"
 
 

@@ -52,21 +52,25 @@ def draw_fit(axes, curve: FitCurve, beside: bool = True) -> None:
     for i, group in enumerate(curve.groups):
         some = drawn(group.force, count)
         axes.plot(
-            group.slip[some], group.force[some], linestyle="none", marker="o",
-            markersize=size, markeredgewidth=0, alpha=0.45, color=_color(i),
-            rasterized=True, zorder=2,
-        )  # fmt: skip
+            group.slip[some],
+            group.force[some],
+            linestyle="none",
+            marker="o",
+            markersize=size,
+            markeredgewidth=0,
+            alpha=0.45,
+            color=_color(i),
+            rasterized=True,
+            zorder=2,
+        )
         if group.low is not None:
             axes.vlines(group.slip, group.low, group.high, _color(i), lw=0.8, alpha=0.6)
     for i, one in enumerate(curve.curves):
         color = DARK if single else _color(i)
         axes.fill_between(
-            one.slip, one.noise_low, one.noise_high, color=color, alpha=_LIGHT, lw=0,
-            zorder=1,
-        )  # fmt: skip
-        axes.fill_between(
-            one.slip, one.low, one.high, color=color, alpha=_DENSE, lw=0, zorder=3
+            one.slip, one.noise_low, one.noise_high, color=color, alpha=_LIGHT, lw=0, zorder=1
         )
+        axes.fill_between(one.slip, one.low, one.high, color=color, alpha=_DENSE, lw=0, zorder=3)
         axes.plot(one.slip, one.force, color=color, lw=1.4, zorder=4)
     axes.axhline(0, color=GREY, lw=0.5, zorder=0)
     limit = _draw_limits(axes, curve, single)
@@ -90,9 +94,12 @@ def _draw_limits(axes, curve: FitCurve, single: bool) -> str:
             if one.limit is not None and reached > 0.6 * one.limit:
                 shown = True
                 axes.axhline(
-                    sign * one.limit, color=GREY if single else _color(i), lw=0.9,
-                    ls=(0, (5, 3)), zorder=1,
-                )  # fmt: skip
+                    sign * one.limit,
+                    color=GREY if single else _color(i),
+                    lw=0.9,
+                    ls=(0, (5, 3)),
+                    zorder=1,
+                )
     limits = [one.limit for one in curve.curves if one.limit is not None]
     if shown or not limits:
         return curve.limit_label
@@ -108,10 +115,7 @@ def _legend(axes, curve: FitCurve, limit: str, beside: bool) -> None:
     handles += [Line2D([], [], color=DARK, lw=1.4, label="fit")]
     fitted = any(np.any(c.high > c.low) for c in curve.curves)
     noisy = any(np.any(c.noise_high > c.noise_low) for c in curve.curves)
-    bands = (
-        (fitted, _DENSE, "95 % band of the fit"),
-        (noisy, _LIGHT, "95 % of measurements"),
-    )
+    bands = ((fitted, _DENSE, "95 % band of the fit"), (noisy, _LIGHT, "95 % of measurements"))
     handles += [Patch(color=DARK, alpha=a, lw=0, label=t) for on, a, t in bands if on]
     if limit:
         drawn = limit == curve.limit_label and curve.curves[0].limit is not None
@@ -126,9 +130,14 @@ def _legend(axes, curve: FitCurve, limit: str, beside: bool) -> None:
             handles[-1].set_label(limit.replace(": ", ":\n").replace(", ", ",\n"))
     if several and beside:
         axes.legend(
-            handles=handles, fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0),
-            frameon=False, title=_wrapped(curve.note) or None, title_fontsize=7.5,
-        )  # fmt: skip
+            handles=handles,
+            fontsize=7.5,
+            loc="upper left",
+            bbox_to_anchor=(1.0, 1.0),
+            frameon=False,
+            title=_wrapped(curve.note) or None,
+            title_fontsize=7.5,
+        )
         return
     slip = curve.curves[0].slip
     place = "lower right" if slip[-1] > -slip[0] / 10 else "upper left"
@@ -136,10 +145,16 @@ def _legend(axes, curve: FitCurve, limit: str, beside: bool) -> None:
         place = "upper right"
     size = 6 if several else 8
     axes.legend(
-        handles=handles, fontsize=size, loc=place, frameon=True, framealpha=0.85,
-        edgecolor="none", title=_wrapped(curve.note) or None, title_fontsize=size,
+        handles=handles,
+        fontsize=size,
+        loc=place,
+        frameon=True,
+        framealpha=0.85,
+        edgecolor="none",
+        title=_wrapped(curve.note) or None,
+        title_fontsize=size,
         ncols=2 if len(handles) > 6 else 1,
-    )  # fmt: skip
+    )
 
 
 def _wrapped(note: str) -> str:
@@ -167,10 +182,17 @@ def draw_scatter(axes, panel: Scatter, force: str = "") -> None:
     some = drawn(panel.residual)
     axes.axhline(0, color=DARK, lw=0.7, zorder=1)
     axes.plot(
-        panel.x[some], panel.residual[some], linestyle="none", marker="o",
-        markersize=size, markeredgewidth=0, alpha=0.35, color=BLUE,
-        rasterized=True, zorder=2,
-    )  # fmt: skip
+        panel.x[some],
+        panel.residual[some],
+        linestyle="none",
+        marker="o",
+        markersize=size,
+        markeredgewidth=0,
+        alpha=0.35,
+        color=BLUE,
+        rasterized=True,
+        zorder=2,
+    )
     axes.errorbar(
         panel.center, panel.mean, panel.half, fmt="o", color=ORANGE, markersize=4,
         markeredgecolor=DARK, markeredgewidth=0.5, elinewidth=1.6, ecolor=ORANGE,
@@ -183,10 +205,13 @@ def draw_scatter(axes, panel: Scatter, force: str = "") -> None:
         angle = 0 if sum(map(len, texts)) < 40 else 60
         every = 1 if len(texts) <= 16 else 2
         axes.set_xticks(
-            range(0, len(texts), every), texts[::every], rotation=angle,
-            ha="center" if angle == 0 else "right", rotation_mode="anchor",
+            range(0, len(texts), every),
+            texts[::every],
+            rotation=angle,
+            ha="center" if angle == 0 else "right",
+            rotation_mode="anchor",
             fontsize=7.5 if angle == 0 else 6.5,
-        )  # fmt: skip
+        )
 
 
 def _symmetric(values) -> tuple[float, float]:
@@ -196,9 +221,7 @@ def _symmetric(values) -> tuple[float, float]:
 
 def draw_histogram(axes, residuals: Residuals) -> None:
     """Distribution of the residuals beside the normal one."""
-    axes.stairs(
-        residuals.density, residuals.edges, fill=True, color=BLUE, alpha=0.35, lw=0
-    )
+    axes.stairs(residuals.density, residuals.edges, fill=True, color=BLUE, alpha=0.35, lw=0)
     x = np.linspace(residuals.edges[0], residuals.edges[-1], 200)
     axes.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=DARK, lw=1.1)
     tidy(axes, "residual / std", "density (line: normal)")
@@ -210,9 +233,15 @@ def draw_quantiles(axes, residuals: Residuals) -> None:
     axes.plot([-reach, reach], [-reach, reach], color=DARK, lw=0.8)
     some = drawn(residuals.ordered)
     axes.plot(
-        residuals.normal[some], residuals.ordered[some], linestyle="none", marker="o",
-        markersize=2.2, markeredgewidth=0, color=BLUE, rasterized=True,
-    )  # fmt: skip
+        residuals.normal[some],
+        residuals.ordered[some],
+        linestyle="none",
+        marker="o",
+        markersize=2.2,
+        markeredgewidth=0,
+        color=BLUE,
+        rasterized=True,
+    )
     tidy(axes, "quantile of a normal", "residual / std")
 
 
@@ -263,9 +292,7 @@ def residual_figure(result: FitResult) -> Picture:
     return picture
 
 
-def save_figures(
-    result: FitResult, directory: str | os.PathLike, svg: bool = False
-) -> list[Path]:
+def save_figures(result: FitResult, directory: str | os.PathLike, svg: bool = False) -> list[Path]:
     """Write fit.png and residuals.png; runs.png where runs have parameters of their
     own; profile.png, corner.png, trace.png if known.
 

@@ -36,19 +36,18 @@ def draw_joint(axes, corner: Corner, i: int, j: int) -> None:
     top = float(joint.max())
     levels = np.unique([max(outer, 1e-12 * top), min(inner, 0.999 * top), 1.001 * top])
     axes.contourf(
-        _centers(corner.edges[j]), _centers(corner.edges[i]), joint, levels=levels,
+        _centers(corner.edges[j]),
+        _centers(corner.edges[i]),
+        joint,
+        levels=levels,
         colors=["#9ecae8", BLUE][-(len(levels) - 1) :],
-    )  # fmt: skip
-    axes.plot(
-        corner.estimate[j], corner.estimate[i], marker="+", color=RED, markersize=7
     )
+    axes.plot(corner.estimate[j], corner.estimate[i], marker="+", color=RED, markersize=7)
     axes.set_xlim(corner.edges[j][0], corner.edges[j][-1])
     axes.set_ylim(corner.edges[i][0], corner.edges[i][-1])
 
 
-def corner_figure(
-    result: FitResult, parameters: Sequence[str] | None = None
-) -> Picture:
+def corner_figure(result: FitResult, parameters: Sequence[str] | None = None) -> Picture:
     """Every parameter, and every pair of them; of many, in one small grid."""
     # Not by the corner library (2.3 was tried): its turned numbers run into labels and
     # footnote, its lines of the estimate cover the regions, a column that is constant
@@ -67,9 +66,15 @@ def _panel_figure(result: FitResult, corner: Corner) -> Picture:
     _corner_key(picture, corner, top)
     top -= (0.5 if count == 1 else 0.15) / height
     grid = picture.add_gridspec(
-        count, count, left=0.11, right=0.98, bottom=bottom + 0.5 / height, top=top,
-        wspace=0.1, hspace=0.1,
-    )  # fmt: skip
+        count,
+        count,
+        left=0.11,
+        right=0.98,
+        bottom=bottom + 0.5 / height,
+        top=top,
+        wspace=0.1,
+        hspace=0.1,
+    )
     size = float(np.clip(10 - 0.5 * count, 5.5, 9))
     # Long names of runs stay beside their own panel.
     room = 72 * min((top - bottom) * height, picture.get_figwidth()) / count
@@ -104,9 +109,14 @@ def draw_corner(axes, corner: Corner) -> None:
     matter stand in the upper triangle."""
     count = len(corner.labels)
     axes.imshow(
-        _classes(corner), extent=(0, count, count, 0), aspect="auto", vmin=0, vmax=2,
-        cmap=ListedColormap(["white", "#9ecae8", BLUE]), interpolation="nearest",
-    )  # fmt: skip
+        _classes(corner),
+        extent=(0, count, count, 0),
+        aspect="auto",
+        vmin=0,
+        vmax=2,
+        cmap=ListedColormap(["white", "#9ecae8", BLUE]),
+        interpolation="nearest",
+    )
     for i in range(count):
         share = np.linspace(i, i + 1, corner.density.shape[1])
         axes.fill_between(
@@ -121,9 +131,14 @@ def draw_corner(axes, corner: Corner) -> None:
             value = corner.correlation[i, j]
             if abs(value) >= _WORTH_SAYING:
                 axes.text(
-                    i + 0.5, j + 0.5, f"{value:+.2f}".replace("-", "−"), ha="center",
-                    va="center", fontsize=6, color=DARK,
-                )  # fmt: skip
+                    i + 0.5,
+                    j + 0.5,
+                    f"{value:+.2f}".replace("-", "−"),
+                    ha="center",
+                    va="center",
+                    fontsize=6,
+                    color=DARK,
+                )
     axes.set_xlim(0, count)
     axes.set_ylim(count, 0)
     for side in ("top", "right"):
@@ -151,16 +166,12 @@ def _grid_figure(result: FitResult, corner: Corner) -> Picture:
     _grid_key(picture, corner, top)
     top -= 0.52 / height
     axes = picture.add_axes(
-        (left / width, top - cell * count / height, cell * count / width,
-         cell * count / height)
-    )  # fmt: skip
+        (left / width, top - cell * count / height, cell * count / width, cell * count / height)
+    )
     draw_corner(axes, corner)
     for i, value in enumerate(corner.values):
         color = DARK if corner.identified[i] else RED
-        axes.text(
-            count + 0.25, i + 0.5, value, va="center", fontsize=7, color=color,
-            clip_on=False,
-        )  # fmt: skip
+        axes.text(count + 0.25, i + 0.5, value, va="center", fontsize=7, color=color, clip_on=False)
     return picture
 
 
@@ -172,26 +183,19 @@ def _grid_key(picture: Picture, corner: Corner, top: float) -> None:
         " median ± half the central 68.27 %",
         corner.note,
     ]
-    picture.text(
-        0.02, top, "\n".join(filter(None, lines)), va="top", fontsize=7.5, color=DARK
-    )
+    picture.text(0.02, top, "\n".join(filter(None, lines)), va="top", fontsize=7.5, color=DARK)
 
 
 def _corner_labels(axes, corner: Corner, i, j, size: float, label: float) -> None:
     """Numbers in one size, names in another."""
     last = i == len(corner.labels) - 1
-    tidy(
-        axes, corner.labels[j] if last else "", corner.labels[i] if j == 0 != i else "",
-        size,
-    )  # fmt: skip
+    tidy(axes, corner.labels[j] if last else "", corner.labels[i] if j == 0 != i else "", size)
     for axis in (axes.xaxis, axes.yaxis):
         axis.label.set_fontsize(label)
     axes.locator_params(axis="x", nbins=3)
     # Many narrow panels: level numbers would run into each other.
     angle = 0 if len(corner.labels) < 4 else 30
-    axes.tick_params(
-        axis="x", labelbottom=last, labelrotation=angle, labelsize=size - 1.5
-    )
+    axes.tick_params(axis="x", labelbottom=last, labelrotation=angle, labelsize=size - 1.5)
     if i == j:
         axes.set_yticks([])
         if not last:
@@ -208,13 +212,9 @@ def _corner_key(picture: Picture, corner: Corner, top: float) -> None:
     lines = ["line, shade: posterior median, 95 %", "dark, light: 50 %, 95 % regions"]
     lines.append("red: least squares")
     vague = [
-        name
-        for name, known in zip(corner.labels, corner.identified, strict=True)
-        if not known
+        name for name, known in zip(corner.labels, corner.identified, strict=True) if not known
     ]
     if vague:
         lines.append("not identified: " + ", ".join(vague))
     lines += [corner.note] if corner.note else []
-    picture.text(
-        0.98, top, "\n".join(lines), ha="right", va="top", fontsize=7.5, color=DARK
-    )
+    picture.text(0.98, top, "\n".join(lines), ha="right", va="top", fontsize=7.5, color=DARK)

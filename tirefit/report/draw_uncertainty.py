@@ -3,17 +3,7 @@
 from collections.abc import Sequence
 
 from tirefit.fitting.result import FitResult
-from tirefit.report.canvas import (
-    BLUE,
-    COLORS,
-    DARK,
-    GREY,
-    ORANGE,
-    RED,
-    Picture,
-    frame,
-    tidy,
-)
+from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, RED, Picture, frame, tidy
 from tirefit.report.uncertainty import ProfilePanel, Trace, profile_data, trace_data
 
 
@@ -35,9 +25,8 @@ def draw_trace(left, right, trace: Trace, i: int) -> None:
     right.tick_params(labelleft=False)
     if trace.rhat is not None and trace.ess is not None:
         right.set_title(
-            f"R-hat {trace.rhat[i]:.3f}, ESS {trace.ess[i]:.0f}",
-            fontsize=7, color=DARK, pad=2,
-        )  # fmt: skip
+            f"R-hat {trace.rhat[i]:.3f}, ESS {trace.ess[i]:.0f}", fontsize=7, color=DARK, pad=2
+        )
 
 
 def trace_figure(result: FitResult, parameters: Sequence[str] | None = None) -> Picture:
@@ -47,9 +36,7 @@ def trace_figure(result: FitResult, parameters: Sequence[str] | None = None) -> 
     picture, (bottom, top) = frame(result, 1.2 + 1.1 * count)
     height = picture.get_figheight()
     if trace.note:
-        picture.text(
-            0.98, top, trace.note, ha="right", va="top", fontsize=7.5, color=DARK
-        )
+        picture.text(0.98, top, trace.note, ha="right", va="top", fontsize=7.5, color=DARK)
     top -= 0.15 / height
     bottom += 0.35 / height
     step = (top - bottom) / count
@@ -70,12 +57,15 @@ def draw_profile(axes, panel: ProfilePanel) -> None:
     """Profile deviance, its 95 % level, the covariance's parabola, the posterior."""
     if panel.density is not None:
         axes.stairs(
-            panel.density * panel.level, panel.edges, fill=True, color=GREY, alpha=0.3,
-            lw=0, label="posterior density",
-        )  # fmt: skip
-    axes.plot(
-        panel.value, panel.parabola, color=ORANGE, lw=1.2, ls="--", label="covariance"
-    )
+            panel.density * panel.level,
+            panel.edges,
+            fill=True,
+            color=GREY,
+            alpha=0.3,
+            lw=0,
+            label="posterior density",
+        )
+    axes.plot(panel.value, panel.parabola, color=ORANGE, lw=1.2, ls="--", label="covariance")
     axes.plot(panel.value, panel.deviance, color=BLUE, lw=1.6, label="profile")
     axes.axhline(panel.level, color=DARK, lw=0.7, ls=":")
     for end in panel.interval:
@@ -112,12 +102,15 @@ def profile_figure(result: FitResult) -> Picture:
             axes.locator_params(axis="x", nbins=4)
     handles, labels = picture.axes[0].get_legend_handles_labels()
     picture.legend(
-        handles, labels, loc="upper right", ncols=3, fontsize=7.5, frameon=False,
+        handles,
+        labels,
+        loc="upper right",
+        ncols=3,
+        fontsize=7.5,
+        frameon=False,
         bbox_to_anchor=(0.99, top + 0.3 / height),
-    )  # fmt: skip
+    )
     if len(panels) < len(result.profiles):
         text = f"{len(panels)} of {len(result.profiles)} parameters"
-        picture.text(
-            0.02, top + 0.08 / height, text, fontsize=7.5, color=DARK, va="bottom"
-        )
+        picture.text(0.02, top + 0.08 / height, text, fontsize=7.5, color=DARK, va="bottom")
     return picture

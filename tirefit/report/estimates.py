@@ -20,11 +20,14 @@ def _cells(result: Estimates) -> list[list[str]]:
             value, std = method[parameter][-1], method.std_of(parameter)[-1]
             rows.append(
                 [
-                    name, parameter, format_estimate(value, std),
+                    name,
+                    parameter,
+                    format_estimate(value, std),
                     PARAMETERS[parameter].unit,
-                    f"{flagged} of {len(method.flag)}", last,
+                    f"{flagged} of {len(method.flag)}",
+                    last,
                 ]
-            )  # fmt: skip
+            )
     return rows
 
 
@@ -103,9 +106,7 @@ def _draw(axes, result: Estimates, parameter: str) -> None:
 def _shade(axes, result: Estimates) -> None:
     """A strip of flags for every method along the foot of an axes."""
     height = 0.03
-    for k, (color, method) in enumerate(
-        zip(COLORS, result.methods.values(), strict=False)
-    ):
+    for k, (color, method) in enumerate(zip(COLORS, result.methods.values(), strict=False)):
         for begin, end in shaded_spans(result.time, method.flag):
             low = k * height
             axes.axvspan(begin, end, low, low + height, color=color, linewidth=0)
@@ -120,9 +121,7 @@ def estimates_figure(result: Estimates) -> Picture:
     Bands are one standard deviation; grey spans are flagged by every method, the strips
     at the foot by the method of their colour.
     """
-    parameters = list(
-        dict.fromkeys(p for m in result.methods.values() for p in m.parameters)
-    )
+    parameters = list(dict.fromkeys(p for m in result.methods.values() for p in m.parameters))
     panels = len(parameters) + (result.use is not None)
     picture = Picture(figsize=(7.0, 0.7 + 1.9 * panels), layout="constrained")
     all_axes = picture.subplots(panels, 1, sharex=True, squeeze=False)[:, 0]
@@ -138,12 +137,12 @@ def estimates_figure(result: Estimates) -> Picture:
     all_axes[-1].set_xlabel("time [s]", fontsize=8.5, color=DARK)
     all_axes[0].legend(fontsize=7.5, frameon=False, loc="upper right", ncols=5)
     picture.suptitle(
-        plain_text(f"online estimates of {result.data['name']}"), fontsize=10,
-        color=DARK,
-    )  # fmt: skip
+        plain_text(f"online estimates of {result.data['name']}"), fontsize=10, color=DARK
+    )
     picture.supxlabel(
         f"tirefit {result.version} · braking positive, SI · band: one standard"
         " deviation · grey and strips: flagged rows",
-        fontsize=6.5, color=GREY,
-    )  # fmt: skip
+        fontsize=6.5,
+        color=GREY,
+    )
     return picture

@@ -75,10 +75,11 @@ def _provenance(result: FitResult) -> list[str]:
         f"solver {result.solver}, seed {result.seed}",
         *data["assumptions"],
         *result.noise.get("notes", ()),
-        *masked[:20], *more,
+        *masked[:20],
+        *more,
         f"tirefit {result.version}, {SCHEMA}; "
         + ", ".join(f"{k} {v}" for k, v in result.versions.items()),
-    ]  # fmt: skip
+    ]
 
 
 def fit_page(result: FitResult) -> str:
@@ -99,9 +100,7 @@ def fit_page(result: FitResult) -> str:
         open=open_lines(result),
         far=far_lines(result),
         correlations=correlation_lines(result, most=20),
-        pictures={
-            k: [image_of(*one) for one in v] for k, v in page_pictures(result).items()
-        },
+        pictures={k: [image_of(*one) for one in v] for k, v in page_pictures(result).items()},
         routes=route_rows(result),
         quality=_quality(result),
         by_run=run_rows(result),

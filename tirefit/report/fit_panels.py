@@ -53,10 +53,16 @@ def below(picture: Picture, legend: Legend | None, columns: int = 2) -> None:
     title = legend.get_title().get_text()
     legend.remove()
     picture.legend(
-        handles, texts, loc="outside lower left", ncols=columns, fontsize=8,
-        frameon=False, title=title.replace("\n", " ") or None, title_fontsize=8,
+        handles,
+        texts,
+        loc="outside lower left",
+        ncols=columns,
+        fontsize=8,
+        frameon=False,
+        title=title.replace("\n", " ") or None,
+        title_fontsize=8,
         alignment="left",
-    )  # fmt: skip
+    )
 
 
 def curve_pictures(result: FitResult) -> list[Shown]:
@@ -125,9 +131,7 @@ def _profiles(result: FitResult) -> Shown:
     for axes in cells[len(panels) :]:
         axes.remove()
     handles, labels = cells[0].get_legend_handles_labels()
-    picture.legend(
-        handles, labels, loc="outside upper left", ncols=3, fontsize=8, frameon=False
-    )
+    picture.legend(handles, labels, loc="outside upper left", ncols=3, fontsize=8, frameon=False)
     return Shown(picture, "Profile likelihood, covariance and posterior of parameters")
 
 

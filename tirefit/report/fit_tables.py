@@ -44,12 +44,15 @@ def parameter_rows(result: FitResult) -> Rows:
         ["parameter", "value ± std", "unit", "95 % interval", ""],
         *(
             [
-                short_label(result, name), value_text(estimate), estimate.unit,
-                format_interval(estimate.ci95, estimate.std), note_on(result, name),
+                short_label(result, name),
+                value_text(estimate),
+                estimate.unit,
+                format_interval(estimate.ci95, estimate.std),
+                note_on(result, name),
             ]
             for name, estimate in result.parameters.items()
         ),
-    ]  # fmt: skip
+    ]
 
 
 def route_rows(result: FitResult) -> Rows:
@@ -62,9 +65,7 @@ def route_rows(result: FitResult) -> Rows:
     for label in result.labels:
         std = result.least_squares[label].std
         ends = [result.intervals[route].get(label, (None, None)) for route in routes]
-        rows.append(
-            [short_label(result, label), *(format_interval(end, std) for end in ends)]
-        )
+        rows.append([short_label(result, label), *(format_interval(end, std) for end in ends)])
     return rows
 
 
@@ -90,11 +91,13 @@ def derived_rows(result: FitResult) -> Rows:
         if channel is not None and name == quantity_of(name):
             rows.append(
                 [
-                    name, _derived_value(estimate), estimate.unit,
+                    name,
+                    _derived_value(estimate),
+                    estimate.unit,
                     format_interval(estimate.ci95, estimate.std),
                     quantities(channel)[name][1],
                 ]
-            )  # fmt: skip
+            )
     return rows
 
 
@@ -170,10 +173,12 @@ def run_rows(result: FitResult) -> Rows:
         rms = float(np.sqrt(np.mean(part**2)))
         rows.append(
             [
-                short_run(result, str(problem.layout.runs[code])), str(len(part)),
-                format_number(rms, 3), format_number(float(part.mean()), 2),
+                short_run(result, str(problem.layout.runs[code])),
+                str(len(part)),
+                format_number(rms, 3),
+                format_number(float(part.mean()), 2),
             ]
-        )  # fmt: skip
+        )
     return rows
 
 
@@ -185,10 +190,12 @@ def chain_rows(result: FitResult) -> Rows:
         if p is not None and label in p.rhat:
             rows.append(
                 [
-                    short_label(result, label), f"{p.ess[label]:.0f}",
-                    f"{p.rhat[label]:.4f}", f"{p.tau[label]:.1f}",
+                    short_label(result, label),
+                    f"{p.ess[label]:.0f}",
+                    f"{p.rhat[label]:.4f}",
+                    f"{p.tau[label]:.1f}",
                 ]
-            )  # fmt: skip
+            )
     return rows
 
 

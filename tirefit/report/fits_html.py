@@ -52,9 +52,11 @@ def _parameters(fits: Mapping[str, FitResult]) -> Rows:
     for row, result in zip(rows[1:], fits.values(), strict=True):
         s = result.statistics
         row += [
-            format_number(s.rmse), rows_text(result), f"{s.n_effective:.0f}",
+            format_number(s.rmse),
+            rows_text(result),
+            f"{s.n_effective:.0f}",
             result.verdict.get("status", "not judged"),
-        ]  # fmt: skip
+        ]
     return rows
 
 
@@ -131,11 +133,9 @@ def _provenance(fits: Mapping[str, FitResult]) -> list[str]:
     return [
         f"models: {_one_of(r.model for r in results)}; forces:"
         f" {_one_of(', '.join(r.forces) for r in results)}",
-        f"conventions of the files: {conventions}; this page is braking positive, in SI"
-        " units",
+        f"conventions of the files: {conventions}; this page is braking positive, in SI units",
         f"values: {_one_of(r.source for r in results)}",
-        f"solver {_one_of(r.solver for r in results)}, seed"
-        f" {_one_of(r.seed for r in results)}",
+        f"solver {_one_of(r.solver for r in results)}, seed {_one_of(r.seed for r in results)}",
         *merged((name, result.data["assumptions"]) for name, result in fits.items()),
         f"tirefit {_one_of(r.version for r in results)}, {SCHEMA}",
     ]
@@ -146,17 +146,18 @@ def _files(fits: Mapping[str, FitResult]) -> Rows:
         ["file", "path", "convention", "at F_z [N]", "sha256"],
         *(
             [
-                name, result.data["file"], result.data["convention"],
-                format_number(result.reference["fz"]), result.data["sha256"] or "-",
+                name,
+                result.data["file"],
+                result.data["convention"],
+                format_number(result.reference["fz"]),
+                result.data["sha256"] or "-",
             ]
             for name, result in fits.items()
         ),
-    ]  # fmt: skip
+    ]
 
 
-def fits_page(
-    fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = None
-) -> str:
+def fits_page(fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = None) -> str:
     """Several fits as one HTML document; no script, nothing to fetch.
 
     Args:
@@ -188,9 +189,7 @@ def fits_page(
 
 
 def write_fits_page(
-    fits: Mapping[str, FitResult],
-    path: str | os.PathLike,
-    failed: Mapping[str, str] | None = None,
+    fits: Mapping[str, FitResult], path: str | os.PathLike, failed: Mapping[str, str] | None = None
 ) -> None:
     """Write the page over several fits, whole or not at all.
 

@@ -72,9 +72,7 @@ def fleet_of(path: Path) -> Fleet:
             at = when[number - 1]
             across = across_files(value, std, at)
             untold = int(np.sum(~told))
-            shown.append(
-                Quantity(kind, name, unit, number, at, value, std, untold, across)
-            )
+            shown.append(Quantity(kind, name, unit, number, at, value, std, untold, across))
     return Fleet(files, dates, sorted(shown, key=lambda one: _KINDS.index(one.kind)))
 
 
@@ -99,9 +97,7 @@ def points(quantity: Quantity, most: int = _MOST) -> Points:
     apart = quantity.across.outlier
     order = np.argsort(quantity.when, kind="stable")
     order = order[~apart[order]]
-    when, value, std = (
-        one[order] for one in (quantity.when, quantity.value, quantity.std)
-    )
+    when, value, std = (one[order] for one in (quantity.when, quantity.value, quantity.std))
     binned = len(value) > most
     low, high = value - std, value + std
     if binned:
@@ -112,9 +108,8 @@ def points(quantity: Quantity, most: int = _MOST) -> Points:
     far = np.flatnonzero(apart)
     far = far[np.argsort(-np.abs(quantity.across.pulls[far]), kind="stable")][:most]
     return Points(
-        when, value, low, high, binned,
-        quantity.when[far], quantity.value[far], quantity.std[far],
-    )  # fmt: skip
+        when, value, low, high, binned, quantity.when[far], quantity.value[far], quantity.std[far]
+    )
 
 
 def quantity_figure(quantity: Quantity, dated: bool) -> Picture:
@@ -127,29 +122,37 @@ def quantity_figure(quantity: Quantity, dated: bool) -> Picture:
         return (when * 86400).astype("datetime64[s]") if dated else when
 
     axes.errorbar(
-        at(drawn.when), drawn.value,
-        yerr=(drawn.value - drawn.low, drawn.high - drawn.value), fmt="o",
-        ms=2.5, lw=0.7, color=BLUE, ecolor=BLUE, alpha=0.8,
-    )  # fmt: skip
+        at(drawn.when),
+        drawn.value,
+        yerr=(drawn.value - drawn.low, drawn.high - drawn.value),
+        fmt="o",
+        ms=2.5,
+        lw=0.7,
+        color=BLUE,
+        ecolor=BLUE,
+        alpha=0.8,
+    )
     axes.errorbar(
-        at(drawn.other_when), drawn.other_value, yerr=drawn.other_bar, fmt="x",
-        ms=4, lw=0.7, color=RED,
-    )  # fmt: skip
+        at(drawn.other_when),
+        drawn.other_value,
+        yerr=drawn.other_bar,
+        fmt="x",
+        ms=4,
+        lw=0.7,
+        color=RED,
+    )
     ends = np.array([quantity.when.min(), quantity.when.max()])
     share = (ends - quantity.when.mean()) / (np.ptp(ends) or 1.0)
     line = across.middle + across.change * share
     axes.plot(at(ends), line, color=DARK, lw=1)
     axes.fill_between(
-        at(ends), line - across.scatter, line + across.scatter, color=GREY, alpha=0.25,
-        lw=0,
-    )  # fmt: skip
+        at(ends), line - across.scatter, line + across.scatter, color=GREY, alpha=0.25, lw=0
+    )
     what = "medians and central 68 % of neighbours" if drawn.binned else "files ± std"
     text = f"{what}; grey: scatter between files {format_number(across.scatter)}"
     tidy(axes, "date in the file's name" if dated else "file", "")
     axes.tick_params(axis="x", labelrotation=0)
-    counting = ([] if dated else [axes.xaxis]) + (
-        [axes.yaxis] if quantity.counts else []
-    )
+    counting = ([] if dated else [axes.xaxis]) + ([axes.yaxis] if quantity.counts else [])
     for axis in counting:
         # One tick will do: of files that all have as many rows there is no second.
         axis.set_major_locator(MaxNLocator("auto", integer=True, min_n_ticks=1))

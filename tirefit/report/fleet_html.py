@@ -33,10 +33,7 @@ def fleet_page(fleet: Fleet, command: str) -> str:
         settings=_settings(fleet, command),
         quantities=_quantities(fleet),
         pictures=[
-            image_of(
-                quantity_figure(one, fleet.dates is not None),
-                f"{one.name} over the files",
-            )
+            image_of(quantity_figure(one, fleet.dates is not None), f"{one.name} over the files")
             for one in drawn
         ],
         left=[one.name for one in fleet.quantities[_PICTURES:]],
@@ -50,9 +47,7 @@ def _different(fleet: Fleet, column: str) -> str:
     values = [str(v) for v in fleet.files[column] if v not in ("", None)]
     count = Counter(values).most_common(4)
     more = len(set(values)) - len(count)
-    text = ", ".join(
-        f"{name} ({times} files)" if len(count) > 1 else name for name, times in count
-    )
+    text = ", ".join(f"{name} ({times} files)" if len(count) > 1 else name for name, times in count)
     return f"{text} and {more} others" if more else text
 
 
@@ -62,8 +57,7 @@ def _settings(fleet: Fleet, command: str) -> list[str]:
         time = "the order of the files: their names do not all have a date"
     return [
         f"model: {_different(fleet, 'model')}",
-        "convention: braking positive, SI units;"
-        f" of the files: {_different(fleet, 'convention')}",
+        f"convention: braking positive, SI units; of the files: {_different(fleet, 'convention')}",
         f"seed: {_different(fleet, 'seed')}",
         f"version: {_different(fleet, 'version')}, page by {__version__}",
         f"time: {time}",
@@ -83,11 +77,17 @@ def _quantities(fleet: Fleet) -> list[tuple[str, ...]]:
         own = format_number(float(np.median(one.std))) if one.std.any() else "-"
         rows.append(
             (
-                one.name, one.unit, str(len(one.value)), str(one.untold),
-                format_number(across.middle), format_number(across.scatter, 2), own,
-                change, str(int(across.outlier.sum())),
+                one.name,
+                one.unit,
+                str(len(one.value)),
+                str(one.untold),
+                format_number(across.middle),
+                format_number(across.scatter, 2),
+                own,
+                change,
+                str(int(across.outlier.sum())),
             )
-        )  # fmt: skip
+        )
     return rows
 
 

@@ -43,9 +43,7 @@ def _undetermined(fit: MagicFormulaFit) -> list[str]:
     for origin in ORIGINS:
         names = [name for name, one in fit.coefficients.items() if one.origin == origin]
         if names:
-            said = (
-                f"{len(names)} coefficients" if origin == "fitted" else ", ".join(names)
-            )
+            said = f"{len(names)} coefficients" if origin == "fitted" else ", ".join(names)
             lines += wrapped(origin, f"{said}: {ORIGINS[origin]}")
     return lines
 
@@ -162,9 +160,7 @@ def _verdict(fit: MagicFormulaFit) -> list[str]:
 
 
 _REASONS: dict[Outcome, Callable[[MagicFormulaFit], list[str]]] = {
-    Outcome.NOT_CONVERGED: lambda fit: [
-        stage.name for stage in fit.stages if not stage.converged
-    ],
+    Outcome.NOT_CONVERGED: lambda fit: [stage.name for stage in fit.stages if not stage.converged],
     Outcome.GUARD_FAILED: lambda fit: [
         guard.name for guard in fit.guards if not guard.holds_inside
     ],

@@ -128,8 +128,7 @@ def residual_panel(fit: MagicFormulaFit, force: str) -> Panel:
         points.setdefault(bins.setting.text("held"), []).append(np.stack([x, off]))
         places.setdefault(bins.setting.text("fz"), []).append(i)
     groups = tuple(
-        Group(kind, *np.concatenate(points[kind], axis=1))
-        for kind in even(sorted(points))
+        Group(kind, *np.concatenate(points[kind], axis=1)) for kind in even(sorted(points))
     )
     curve = _curve("", np.arange(float(len(table))), np.zeros(len(table)), std)
     size = [float(np.sqrt(np.mean(off**2))) for off in residual]
@@ -160,8 +159,7 @@ def ellipse_panel(fit: MagicFormulaFit) -> list[Panel]:
     for i, (along, side) in enumerate(members):
         label = along.setting.text("held")
         fy, fz = (
-            np.interp(along.slip, side.slip, column)
-            for column in (side.force, side.inputs.fz)
+            np.interp(along.slip, side.slip, column) for column in (side.force, side.inputs.fz)
         )
         groups.append(Group(label, along.force / fz, fy / fz))
         x, y = (fitted[force][i][0] / inputs[i].fz for force in ("fx", "fy"))

@@ -16,16 +16,12 @@ _LETTERS = re.compile(r"d?m?(ns?|hs?)?")
 def _spelled(name: str, models: Mapping[str, AbstractTire]) -> str:
     """The family that a name is spelled from, empty for a name of its own."""
     family, _, letters = name.partition("-")
-    return (
-        family if letters and family in models and _LETTERS.fullmatch(letters) else ""
-    )
+    return family if letters and family in models and _LETTERS.fullmatch(letters) else ""
 
 
 def _parameters(model: AbstractTire) -> str:
     declared = specs(model)
-    return ", ".join(
-        name if spec.free else f"({name})" for name, spec in declared.items()
-    )
+    return ", ".join(name if spec.free else f"({name})" for name, spec in declared.items())
 
 
 def _about(model: AbstractTire) -> str:
@@ -43,10 +39,14 @@ def _parameter_rows(models: Mapping[str, AbstractTire]) -> list[list[str]]:
         low, high = format_number(spec.lower, 3), format_number(spec.upper, 3)
         rows.append(
             [
-                name, spec.unit, f"[{low}, {high}]", format_number(spec.default, 3),
-                spec.source, spec.meaning,
+                name,
+                spec.unit,
+                f"[{low}, {high}]",
+                format_number(spec.default, 3),
+                spec.source,
+                spec.meaning,
             ]
-        )  # fmt: skip
+        )
     return rows
 
 
@@ -84,9 +84,12 @@ def models_table(models: Mapping[str, AbstractTire]) -> str:
         for family, names in families.items():
             lead = f"  {family + ':':<10}"
             lines += textwrap.wrap(
-                " ".join(names), WIDTH, initial_indent=lead, subsequent_indent=" " * 12,
+                " ".join(names),
+                WIDTH,
+                initial_indent=lead,
+                subsequent_indent=" " * 12,
                 break_on_hyphens=False,
-            )  # fmt: skip
+            )
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -120,9 +123,7 @@ def _settings(kind: type[AbstractEstimator]) -> dict[str, Spec]:
 
 def _wrapped(head: str, text: str) -> list[str]:
     lead = f"    {head:<10}"
-    return textwrap.wrap(
-        text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead)
-    )
+    return textwrap.wrap(text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead))
 
 
 def _row(label: str, spec: Spec) -> list[str]:

@@ -53,11 +53,7 @@ def _slips(result: FitResult, channel: str) -> np.ndarray:
 def _conditions(result: FitResult, slip: str) -> dict[str, float]:
     """Medians of the rows; the other slip is zero where the rows reach it."""
     problem = result.problem
-    columns = {
-        k: problem.used(v)
-        for k, v in problem.rows.inputs._asdict().items()
-        if k != slip
-    }
+    columns = {k: problem.used(v) for k, v in problem.rows.inputs._asdict().items() if k != slip}
     middle = {k: float(np.median(v)) for k, v in columns.items()}
     other = _OTHER[slip]
     if columns[other].min() <= 0 <= columns[other].max():
@@ -82,9 +78,14 @@ def _curve(result: FitResult, name: str, channel: str, axis: SlipAxis, over_load
     load = problem.used(problem.rows.inputs.fz) if over_load else 1.0
     measured = problem.used(problem.rows.observed[channel]) / load
     return OverlayCurve(
-        name, axis.shown(grid), band.force / unit, band.low / unit, band.high / unit,
-        axis.shown(slips)[near], measured[near],
-    )  # fmt: skip
+        name,
+        axis.shown(grid),
+        band.force / unit,
+        band.low / unit,
+        band.high / unit,
+        axis.shown(slips)[near],
+        measured[near],
+    )
 
 
 def _near(result: FitResult, slip: str, middle: Mapping[str, float]) -> np.ndarray:
@@ -114,8 +115,7 @@ def overlay_of(fits: Mapping[str, FitResult], channel: str) -> Overlay:
         y_label = f"{ratio} [{'m' if channel == 'mz' else '-'}]"
         note = f"each at its own median load, {min(loads):.4g} to {max(loads):.4g} N"
     curves = tuple(
-        _curve(result, name, channel, axis, bool(over_load))
-        for name, result in given.items()
+        _curve(result, name, channel, axis, bool(over_load)) for name, result in given.items()
     )
     return Overlay(f"{axis.label} [{axis.unit}]", y_label, curves, note)
 
@@ -134,14 +134,20 @@ def draw_overlay(axes, overlay: Overlay) -> None:
         named = count <= _MOST_NAMED or i in (0, count - 1)
         if few:
             axes.plot(
-                one.at_slip, one.at_force, linestyle="none", marker="o", markersize=2,
-                markeredgewidth=0, alpha=0.3, color=color, rasterized=True,
-            )  # fmt: skip
+                one.at_slip,
+                one.at_force,
+                linestyle="none",
+                marker="o",
+                markersize=2,
+                markeredgewidth=0,
+                alpha=0.3,
+                color=color,
+                rasterized=True,
+            )
         axes.fill_between(one.slip, one.low, one.high, color=color, alpha=0.3, lw=0)
         axes.plot(
-            one.slip, one.force, color=color, lw=1.3,
-            label=plain_text(one.name) if named else None,
-        )  # fmt: skip
+            one.slip, one.force, color=color, lw=1.3, label=plain_text(one.name) if named else None
+        )
     axes.axhline(0, color=GREY, lw=0.5, zorder=0)
     tidy(axes, overlay.x_label, overlay.y_label)
     title = overlay.note if count <= _MOST_NAMED else f"{overlay.note}; first and last"

@@ -89,9 +89,13 @@ def _plot_runs(result: FitResult):
 
 
 _FIGURES = {
-    "fit": _plot_curve, "residuals": _plot_residuals, "profile": _plot_profile,
-    "corner": _plot_corner, "trace": _plot_trace, "runs": _plot_runs,
-}  # fmt: skip
+    "fit": _plot_curve,
+    "residuals": _plot_residuals,
+    "profile": _plot_profile,
+    "corner": _plot_corner,
+    "trace": _plot_trace,
+    "runs": _plot_runs,
+}
 
 
 @dataclass(frozen=True)
@@ -113,9 +117,7 @@ class Comparison:
 def _comparable(results: Sequence[FitResult]) -> None:
     if not results:
         raise UsageError("nothing to compare: give a list of fits")
-    keys = {
-        (r.data["file"], r.data["sha256"], r.statistics.n, r.forces) for r in results
-    }
+    keys = {(r.data["file"], r.data["sha256"], r.statistics.n, r.forces) for r in results}
     if len(keys) > 1:
         raise UsageError(
             "these fits are of different rows or forces, so AICc, BIC and RMSE say"
@@ -150,18 +152,21 @@ def compare(results: Sequence[FitResult]) -> Comparison:
     best_aicc = criteria[id(ordered[0])][0]
     best_bic = min(bic for _, bic in criteria.values())
     unit = "N m" if ordered[0].forces[0] == "mz" else "N"
-    rows = [
-        ("model", "k", f"RMSE [{unit}]", "AICc", "Δ AICc", "Δ BIC", "n_eff", "verdict")
-    ]
+    rows = [("model", "k", f"RMSE [{unit}]", "AICc", "Δ AICc", "Δ BIC", "n_eff", "verdict")]
     for r in ordered:
         s, (aicc, bic) = r.statistics, criteria[id(r)]
         rows.append(
             (
-                r.model, str(len(r.labels)), format_number(s.rmse), f"{aicc:.1f}",
-                f"{aicc - best_aicc:.1f}", f"{bic - best_bic:.1f}",
-                f"{s.n_effective:.0f}", r.verdict.get("status", ""),
+                r.model,
+                str(len(r.labels)),
+                format_number(s.rmse),
+                f"{aicc:.1f}",
+                f"{aicc - best_aicc:.1f}",
+                f"{bic - best_bic:.1f}",
+                f"{s.n_effective:.0f}",
+                r.verdict.get("status", ""),
             )
-        )  # fmt: skip
+        )
     notes = [_parameters(r) for r in ordered]
     effective = [r.statistics.n_effective for r in ordered]
     if max(effective) > 1.1 * min(effective):

@@ -16,15 +16,28 @@ from tirefit.report.numbers import plain_text
 _GREEN, _PURPLE, _SKY = COLORS[2], COLORS[4], COLORS[5]
 
 _COLOR = {
-    "sweep up": BLUE, "sweep down": _SKY, "steady": _GREEN, "cold": _PURPLE,
-    "warm-up": ORANGE, "spring-rate": RED, "load-step": "#4d4d4d",
-    "standing": "#d8d8d8", "transition": GREY, "unusable": DARK,
-}  # fmt: skip
+    "sweep up": BLUE,
+    "sweep down": _SKY,
+    "steady": _GREEN,
+    "cold": _PURPLE,
+    "warm-up": ORANGE,
+    "spring-rate": RED,
+    "load-step": "#4d4d4d",
+    "standing": "#d8d8d8",
+    "transition": GREY,
+    "unusable": DARK,
+}
 _PANELS = {
-    "alpha": "slip angle", "sigma_x": "slip ratio", "fz": "load", "gamma": "camber",
-    "pressure": "pressure", "v": "speed", "temperature": "tire", "fy": "side force",
+    "alpha": "slip angle",
+    "sigma_x": "slip ratio",
+    "fz": "load",
+    "gamma": "camber",
+    "pressure": "pressure",
+    "v": "speed",
+    "temperature": "tire",
+    "fy": "side force",
     "fx": "long. force",
-}  # fmt: skip
+}
 """Channels that are shown, in this order, and their labels."""
 _ALSO = {"fx": (1.0, "N"), "fy": (1.0, "N"), "temperature": (1.0, "°C")}
 _LEAST_FORCE = 0.1
@@ -125,8 +138,7 @@ def view_of(prepared: Prepared) -> RigView:
     """What the picture of a prepared test shows, as arrays and words."""
     kept, total = int(prepared.kept.sum()), len(prepared.data)
     sweeps, states = (
-        sum(part.kind == kind for part in prepared.segments)
-        for kind in ("sweep", "steady")
+        sum(part.kind == kind for part in prepared.segments) for kind in ("sweep", "steady")
     )
     bins = {p.bin for p in prepared.segments if p.kind in prepared.config.keep}
     what = [
@@ -148,9 +160,14 @@ def _draw(axes, panel: Panel, strips: list[Strip]) -> None:
     for strip in strips:
         strength = 0.45 if strip.is_kept else 0.22
         axes.broken_barh(
-            strip.spans, (0, 1), transform=axes.get_xaxis_transform(),
-            facecolor=_COLOR[strip.kind], alpha=strength, linewidth=0, zorder=0,
-        )  # fmt: skip
+            strip.spans,
+            (0, 1),
+            transform=axes.get_xaxis_transform(),
+            facecolor=_COLOR[strip.kind],
+            alpha=strength,
+            linewidth=0,
+            zorder=0,
+        )
     for setting in panel.settings:
         axes.axhline(setting, color=DARK, linewidth=0.5, linestyle=":", zorder=1)
     axes.plot(panel.time, panel.value, color=DARK, linewidth=0.6, zorder=2)
@@ -167,28 +184,37 @@ def prepared_figure(prepared: Prepared) -> Picture:
     height = picture.get_figheight()
     bottom, top = 0.48 / height, 1 - 0.66 / height
     all_axes = picture.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
-    picture.subplots_adjust(
-        left=0.085, right=0.985, bottom=bottom, top=top, hspace=0.14
-    )
+    picture.subplots_adjust(left=0.085, right=0.985, bottom=bottom, top=top, hspace=0.14)
     for axes, panel in zip(all_axes, view.panels, strict=True):
         _draw(axes, panel, view.strips)
     all_axes[-1].set_xlabel(view.clock, fontsize=8, color=DARK)
     picture.align_ylabels(all_axes)
     picture.text(
-        0.012, 1 - 0.08 / height, plain_text(view.title), va="top", fontsize=10.5,
-        fontweight="bold", color=DARK,
-    )  # fmt: skip
+        0.012,
+        1 - 0.08 / height,
+        plain_text(view.title),
+        va="top",
+        fontsize=10.5,
+        fontweight="bold",
+        color=DARK,
+    )
     handles = [
         Patch(
-            facecolor=_COLOR[s.kind], alpha=0.45 if s.is_kept else 0.22,
+            facecolor=_COLOR[s.kind],
+            alpha=0.45 if s.is_kept else 0.22,
             label=f"{s.kind} {s.rows / len(prepared.data):.0%}",
         )
         for s in view.strips
-    ]  # fmt: skip
+    ]
     picture.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=(0.005, 1 - 0.27 / height),
-        ncols=len(handles), fontsize=7.5, frameon=False, handlelength=1.2,
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(0.005, 1 - 0.27 / height),
+        ncols=len(handles),
+        fontsize=7.5,
+        frameon=False,
+        handlelength=1.2,
         columnspacing=1.2,
-    )  # fmt: skip
+    )
     picture.text(0.012, 0.06 / height, view.note, fontsize=6.5, color=GREY)
     return picture

@@ -38,9 +38,7 @@ def batch_text(fits: BatchFit) -> str:
 def batch_figure(fits: BatchFit) -> Picture:
     """Each parameter by data set, with one standard deviation."""
     picture, panels = _panels(len(fits.names))
-    for axes, name, value, std in zip(
-        panels, fits.names, fits.values.T, fits.std.T, strict=True
-    ):
+    for axes, name, value, std in zip(panels, fits.names, fits.values.T, fits.std.T, strict=True):
         number = np.arange(len(value))
         axes.errorbar(number, value, std, fmt=".", color=BLUE, ecolor=GREY)
         tidy(axes, "", name)

@@ -2,26 +2,19 @@
 
 import numpy as np
 
-from tirefit.report.canvas import (
-    BLUE,
-    DARK,
-    GREEN,
-    GREY,
-    ORANGE,
-    RED,
-    Picture,
-    panel_title,
-    tidy,
-)
+from tirefit.report.canvas import BLUE, DARK, GREEN, GREY, ORANGE, RED, Picture, panel_title, tidy
 from tirefit.report.html import image_of, rendered
 from tirefit.report.numbers import format_number
 from tirefit.report.text import indented, table
 from tirefit.vehicle.replay import QUANTITIES, Fans, Replay
 
 _NAMES = {
-    "yaw_rate": "yaw rate", "sideslip": "sideslip", "a_y": "lateral acceleration",
-    "heading": "heading", "lateral": "lateral position",
-}  # fmt: skip
+    "yaw_rate": "yaw rate",
+    "sideslip": "sideslip",
+    "a_y": "lateral acceleration",
+    "heading": "heading",
+    "lateral": "lateral position",
+}
 _COLORS = {
     "tire": BLUE,
     "linear tire": ORANGE,
@@ -30,9 +23,12 @@ _COLORS = {
     "with the effects": RED,
 }
 _LABELS = {
-    "tire": "these tires", "linear tire": "linear tires", "no slip": "no slip",
-    "floor": "noise floor", "with the effects": "with effects",
-}  # fmt: skip
+    "tire": "these tires",
+    "linear tire": "linear tires",
+    "no slip": "no slip",
+    "floor": "noise floor",
+    "with the effects": "with effects",
+}
 _AHEAD = 0.5
 """Horizon [s] of the answer, or the nearest."""
 _SHOWN = 40
@@ -113,15 +109,16 @@ def plotted(result: Replay, what: str = "path") -> Picture:
 def replay_page(result: Replay) -> str:
     """The replay as one HTML document with its pictures, no script or resource."""
     pictures = [
-        image_of(
-            replay_figure(result), "error over the horizon, path with predictions"
-        ),
+        image_of(replay_figure(result), "error over the horizon, path with predictions"),
         image_of(series_figure(result), "yaw rate and lateral acceleration over time"),
     ]
     return rendered(
-        "report_page.html", title=_head(result), pictures=pictures,
-        report=replay_text(result), record=result.to_json(),
-    )  # fmt: skip
+        "report_page.html",
+        title=_head(result),
+        pictures=pictures,
+        report=replay_text(result),
+        record=result.to_json(),
+    )
 
 
 _HELD = {"lateral": "lateral position [m]", "yaw_rate": "yaw rate [rad/s]"}
@@ -136,9 +133,12 @@ def replay_figure(result: Replay) -> Picture:
         for model, errors in result.models.items():
             values = [np.nan if v is None else v for v in errors.rms()[name]]
             ax.plot(
-                result.horizons, values, ".:" if model == "floor" else ".-",
-                color=_COLORS[model], label=_LABELS[model],
-            )  # fmt: skip
+                result.horizons,
+                values,
+                ".:" if model == "floor" else ".-",
+                color=_COLORS[model],
+                label=_LABELS[model],
+            )
         ax.set(xscale="log", yscale="log")
         ax.set_xticks(result.horizons, [f"{h:g}" for h in result.horizons])
         ax.minorticks_off()
@@ -154,9 +154,12 @@ def replay_figure(result: Replay) -> Picture:
             (fans.predicted, BLUE, 0.9, f"predicted, {_FAN:g} s"),
         ):
             path.plot(
-                of["x"][row][there], of["y"][row][there], color=color, lw=width,
+                of["x"][row][there],
+                of["y"][row][there],
+                color=color,
+                lw=width,
                 label=label * (k == 0),
-            )  # fmt: skip
+            )
     path.set_aspect("equal", "datalim")
     tidy(path, "x [m]", "y [m]")
     panel_title(path, f"A stretch of {name}, with predictions")
@@ -174,10 +177,20 @@ def series_figure(result: Replay) -> Picture:
         for k, row in enumerate(_stretch(fans)):
             time = fans.time[row]
             near = time <= time[0] + _FAN
-            ax.plot(time[near], fans.measured[key][row][near], color=DARK, lw=1.4,
-                    label="measured" * (k == 0))  # fmt: skip
-            ax.plot(time[near], fans.predicted[key][row][near], color=BLUE, lw=0.9,
-                    label=f"predicted, {_FAN:g} s" * (k == 0))  # fmt: skip
+            ax.plot(
+                time[near],
+                fans.measured[key][row][near],
+                color=DARK,
+                lw=1.4,
+                label="measured" * (k == 0),
+            )
+            ax.plot(
+                time[near],
+                fans.predicted[key][row][near],
+                color=BLUE,
+                lw=0.9,
+                label=f"predicted, {_FAN:g} s" * (k == 0),
+            )
             ax.plot(time[0], fans.predicted[key][row][0], ".", color=BLUE, ms=4)
         tidy(ax, "", label)
     axes[1].set_xlabel("time [s]", fontsize=8.5)

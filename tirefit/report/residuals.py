@@ -8,12 +8,7 @@ from scipy.special import ndtri
 from tirefit.data.run_names import clipped, run_names
 from tirefit.data.table import TireData
 from tirefit.fitting.likelihood import CHANNEL_SLIP
-from tirefit.fitting.residuals import (
-    means_by,
-    means_over,
-    ordered_correlation,
-    standardised,
-)
+from tirefit.fitting.residuals import means_by, means_over, ordered_correlation, standardised
 from tirefit.fitting.result import FitResult
 from tirefit.report.curves import slip_axis
 from tirefit.report.numbers import plain_text
@@ -95,8 +90,7 @@ def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
     return {
         name: (label, values)
         for name, (label, values) in shown.items()
-        if np.all(np.isfinite(values))
-        and np.ptp(values) > 1e-6 * max(np.max(np.abs(values)), 1e-9)
+        if np.all(np.isfinite(values)) and np.ptp(values) > 1e-6 * max(np.max(np.abs(values)), 1e-9)
     }
 
 
@@ -142,12 +136,17 @@ def residual_panels(result: FitResult, channel: str | None = None) -> Residuals:
     lags = None if correlation is None else np.arange(len(correlation))
     reach = max(4.0, float(np.max(np.abs(residual))))
     count = int(np.clip(1.2 * np.sqrt(problem.n), 8, 40))
-    density, edges = np.histogram(
-        residual, np.linspace(-reach, reach, count + 1), density=True
-    )
+    density, edges = np.histogram(residual, np.linspace(-reach, reach, count + 1), density=True)
     ordered = np.sort(residual)
     normal = ndtri((np.arange(problem.n) + 0.5) / problem.n)
     return Residuals(
-        channel, tuple(scatters + _runs(result, residual, inflation)), edges, density,
-        normal, ordered, lags, correlation, 1.96 / np.sqrt(problem.n),
-    )  # fmt: skip
+        channel,
+        tuple(scatters + _runs(result, residual, inflation)),
+        edges,
+        density,
+        normal,
+        ordered,
+        lags,
+        correlation,
+        1.96 / np.sqrt(problem.n),
+    )

@@ -73,9 +73,9 @@ def indented(text: str) -> list[str]:
 def wrapped(name: str, text: str) -> list[str]:
     """Lines of a text behind its name, within the width."""
     lead = f"  {name:<13}"
-    return textwrap.wrap(
-        text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead)
-    ) or [lead.rstrip()]
+    return textwrap.wrap(text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead)) or [
+        lead.rstrip()
+    ]
 
 
 def _files(result: FitResult) -> str:
@@ -88,9 +88,7 @@ def column_texts(notes: Sequence[str]) -> tuple[str, list[str]]:
     """One line for all columns that were read, and the other assumptions."""
     found = [(note, _AS_NAMED.fullmatch(note)) for note in notes]
     columns = [
-        m[2]
-        + f" [{m[4]}]" * bool(m[4])
-        + f" from {m[1]!r}" * (m[1].partition(" [")[0] != m[2])
+        m[2] + f" [{m[4]}]" * bool(m[4]) + f" from {m[1]!r}" * (m[1].partition(" [")[0] != m[2])
         for _, m in found
         if m
     ]
@@ -114,8 +112,7 @@ def _header(result: FitResult, full: bool) -> list[str]:
     lines += wrapped("columns", columns) if columns else []
     lines += wrapped(
         "convention",
-        f"braking positive, SI (file: {data['convention']}, slip"
-        f" {data['slip_definition']})",
+        f"braking positive, SI (file: {data['convention']}, slip {data['slip_definition']})",
     )
     for i, note in enumerate([*others, *_noise_notes(result, full)]):
         lines += wrapped("assumptions" if i == 0 else "", note)
@@ -144,11 +141,7 @@ def _derived(result: FitResult) -> list[str]:
         lines += ["", f"DERIVED (at {at}; {result.source})", *table(shared)]
     if len(derived_by_run(result)) > 1:
         title = f"DERIVED, BY RUN (at {at}; {result.source}; intervals in fit.json)"
-        lines += [
-            "",
-            *textwrap.wrap(title, WIDTH),
-            *table_parts(derived_by_run(result)),
-        ]
+        lines += ["", *textwrap.wrap(title, WIDTH), *table_parts(derived_by_run(result))]
     return lines
 
 
@@ -157,9 +150,7 @@ def _quality(result: FitResult, full: bool) -> list[str]:
     unit = FORCE_UNIT[result.forces[0]]
     lines = ["", "QUALITY"]
     count = f"{s.n} rows count as {s.n_effective:.0f}"
-    lines += wrapped(
-        "RMSE", f"{format_number(s.rmse)} {unit}   R² {s.r2:.5f}   {count}"
-    )
+    lines += wrapped("RMSE", f"{format_number(s.rmse)} {unit}   R² {s.r2:.5f}   {count}")
     if s.chi2_dof is not None:
         lines += wrapped("χ²/dof", format_number(s.chi2_dof, 3))
     criteria = f"AICc {s.aicc:.2f}   BIC {s.bic:.2f}   dof {s.dof:.0f}"
@@ -187,9 +178,7 @@ def _posterior(result: FitResult) -> list[str]:
     lines = [
         line
         for text in posterior_lines(result)
-        for line in textwrap.wrap(
-            text, WIDTH, initial_indent="  ", subsequent_indent="  "
-        )
+        for line in textwrap.wrap(text, WIDTH, initial_indent="  ", subsequent_indent="  ")
     ]
     chains = table(rows, right=(1, 2, 3)) if len(rows) > 1 else []
     return ["", "POSTERIOR", *lines, *chains]
@@ -215,9 +204,7 @@ def verdict_line(result: FitResult) -> str:
 
 
 def _verdict(result: FitResult) -> list[str]:
-    lines = textwrap.wrap(
-        f"VERDICT: {verdict_line(result)}", WIDTH, subsequent_indent="         "
-    )
+    lines = textwrap.wrap(f"VERDICT: {verdict_line(result)}", WIDTH, subsequent_indent="         ")
     sentences = result.verdict.get("sentences", [])
     rest = sentences if result.verdict.get("status") == "ok" else sentences[1:]
     for sentence in rest:

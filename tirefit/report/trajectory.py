@@ -44,8 +44,7 @@ def _head(fit: TrajectoryFit) -> str:
 
 def _answer(fit: TrajectoryFit) -> str:
     noise = ", ".join(
-        f"{name} {format_number(std, 2)} {_CHANNELS[name]}"
-        for name, std in fit.noise.items()
+        f"{name} {format_number(std, 2)} {_CHANNELS[name]}" for name, std in fit.noise.items()
     )
     return f"rms error of the car within a window, on these tires: {noise}"
 
@@ -65,8 +64,15 @@ def trajectory_figure(fit: TrajectoryFit) -> Picture:
     for ax, (axle, tire) in zip(picture.subplots(1, 2), fit.axles.items(), strict=True):
         rows = fit.rows[axle]
         some = generator.permutation(len(rows))[:_POINTS]
-        ax.plot(rows["alpha"][some], rows["fy"][some], ".", color=GREY, ms=2,
-                label="derived from the log", rasterized=True)  # fmt: skip
+        ax.plot(
+            rows["alpha"][some],
+            rows["fy"][some],
+            ".",
+            color=GREY,
+            ms=2,
+            label="derived from the log",
+            rasterized=True,
+        )
         reach = np.percentile(np.abs(rows["alpha"]), _REACH)
         alpha, fz, v = np.linspace(-reach, reach, 121), rows["fz"][0], rows["v"].mean()
 

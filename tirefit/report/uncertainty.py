@@ -175,14 +175,19 @@ def corner_data(result: FitResult, parameters: Sequence[str] | None = None) -> C
             levels[i, j] = enclosing(joint[i, j], (0.95, 0.5))
     low, median, high = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
     return Corner(
-        tuple(symbol(result, label) for label in labels), edges, density, joint, levels,
-        np.stack([low, high], axis=1), median,
+        tuple(symbol(result, label) for label in labels),
+        edges,
+        density,
+        joint,
+        levels,
+        np.stack([low, high], axis=1),
+        median,
         np.array([result.least_squares[label].value for label in labels]),
         tuple(result.least_squares[label].identified for label in labels),
         _correlation(flat),
         tuple(value_text(result.parameters[label]) for label in labels),
         "; ".join(notes),
-    )  # fmt: skip
+    )
 
 
 def has_trace(result: FitResult) -> bool:
@@ -241,9 +246,15 @@ def trace_data(result: FitResult, parameters: Sequence[str] | None = None) -> Tr
             for record in (result.posterior.rhat, result.posterior.ess)
         )
     return Trace(
-        tuple(symbol(result, label) for label in labels), chosen / max(length - 1, 1),
-        chains[:, chosen], edges, density, rhat, ess, _of_others(result, labels),
-    )  # fmt: skip
+        tuple(symbol(result, label) for label in labels),
+        chosen / max(length - 1, 1),
+        chains[:, chosen],
+        edges,
+        density,
+        rhat,
+        ess,
+        _of_others(result, labels),
+    )
 
 
 def _profile_panel(result: FitResult, label: str, profile) -> ProfilePanel:
@@ -254,9 +265,7 @@ def _profile_panel(result: FitResult, label: str, profile) -> ProfilePanel:
     spec = _spec(result, label)
     wide = value[rows][-1] > 20 * value[rows][0]
     logarithmic = bool(spec is not None and spec.scale == "log" and wide)
-    value, deviance = dense_profile(
-        value[rows], deviance[rows], estimate.value, logarithmic
-    )
+    value, deviance = dense_profile(value[rows], deviance[rows], estimate.value, logarithmic)
     low, high = result.intervals["covariance"][label]
     assert low is not None and high is not None  # it is never open
     # At a bound the covariance interval has no width, and its parabola is a line up.
@@ -277,9 +286,7 @@ def _profile_panel(result: FitResult, label: str, profile) -> ProfilePanel:
 def profile_data(result: FitResult) -> tuple[ProfilePanel, ...]:
     """Profile likelihood of at most 24 parameters beside the other two routes."""
     differ = result.verdict.get("disagreements", {})
-    shown = _chosen(
-        result, _MOST_PROFILES, [label in differ for label in result.labels]
-    )
+    shown = _chosen(result, _MOST_PROFILES, [label in differ for label in result.labels])
     return tuple(
         _profile_panel(result, label, result.profiles[label])
         for label in shown

@@ -4,22 +4,19 @@ import numpy as np
 
 from tirefit.diagnosis.decide.verdict import Status
 from tirefit.report.canvas import BLUE, GREY, ORANGE, Picture, panel_title, tidy
-from tirefit.report.diagnosis_words import (
-    amount_text,
-    listing,
-    name_with_id,
-    set_name,
-    share_text,
-)
+from tirefit.report.diagnosis_words import amount_text, listing, name_with_id, set_name, share_text
 from tirefit.report.numbers import format_number
 from tirefit.report.text import indented, table
 from tirefit.vehicle.diagnose import Miss, VehicleDiagnosis
 
 _UNITS = {"v_y": "m/s", "yaw_rate": "rad/s", "heading": "rad", "x": "m", "y": "m"}
 _CHANNELS = {
-    "v_y": "lateral speed", "yaw_rate": "yaw rate", "heading": "heading", "x": "x",
+    "v_y": "lateral speed",
+    "yaw_rate": "yaw rate",
+    "heading": "heading",
+    "x": "x",
     "y": "y",
-}  # fmt: skip
+}
 _STATES = ("as given", "tires fitted", "with the effects")
 
 
@@ -38,10 +35,7 @@ def answer(result: VehicleDiagnosis) -> str:
             " no effect is missing that they could show."
         )
     if not verdict.status.names:
-        return (
-            "The car misses something that no listed effect explains well enough to be"
-            " named."
-        )
+        return "The car misses something that no listed effect explains well enough to be named."
     names = [_effect_text(result, effect) for effect in verdict.effects]
     channel = next(c for c in ("yaw_rate", "heading") if c in result.noise)
     before, after = (
@@ -62,10 +56,14 @@ def answer(result: VehicleDiagnosis) -> str:
 def _effects(result: VehicleDiagnosis) -> list[str]:
     rows = [["effect", "size", "probability", "closes of the rest"]]
     for effect, each in result.verdict.each.items():
-        rows.append([
-            effect, amount_text(*result.amplitudes[effect]),
-            f"{each.probability:.2f}", share_text(each.closed_left_out),
-        ])  # fmt: skip
+        rows.append(
+            [
+                effect,
+                amount_text(*result.amplitudes[effect]),
+                f"{each.probability:.2f}",
+                share_text(each.closed_left_out),
+            ]
+        )
     return table(rows, (2, 3))
 
 
@@ -136,19 +134,20 @@ def vehicle_diagnosis_figure(result: VehicleDiagnosis) -> Picture:
     left.set_yticks(places, names)
     for place, value in zip(places, values, strict=True):
         left.annotate(
-            format_number(value, 2), (value, place), (3, 0),
-            textcoords="offset points", va="center", fontsize=8,
-        )  # fmt: skip
+            format_number(value, 2),
+            (value, place),
+            (3, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+        )
     left.margins(x=0.12)
     tidy(left, "rms of data left out, over the noise", "")
     panel_title(left, "What is left, step by step")
     miss, width = result.held_out or result.miss, 0.25
-    for k, (label, part, color) in enumerate(
-        zip(_STATES, miss, (GREY, ORANGE, BLUE), strict=True)
-    ):
+    for k, (label, part, color) in enumerate(zip(_STATES, miss, (GREY, ORANGE, BLUE), strict=True)):
         values = [part[c] / result.noise[c] for c in result.noise]
-        right.bar(np.arange(len(values)) + (k - 1) * width, values, width,
-                  color=color, label=label)  # fmt: skip
+        right.bar(np.arange(len(values)) + (k - 1) * width, values, width, color=color, label=label)
     right.set_xticks(range(len(result.noise)), [_CHANNELS[c] for c in result.noise])
     right.axhline(1.0, color=GREY, lw=0.8, ls=":")
     tidy(right, "", f"rms over {result.window:g} s, over the noise")

@@ -182,8 +182,6 @@ def advance(
     )  # fmt: skip
     end = jax.tree.map(lambda value: value[0], solution.ys)
     # What a step passed a standstill by is within its tolerance.
-    end = end._replace(
-        omega=jnp.maximum(end.omega, 0.0), pressure=jnp.maximum(end.pressure, 0.0)
-    )
+    end = end._replace(omega=jnp.maximum(end.omega, 0.0), pressure=jnp.maximum(end.pressure, 0.0))
     fine = solution.result == diffrax.RESULTS.successful
     return end, fine.astype(float)

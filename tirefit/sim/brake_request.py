@@ -63,13 +63,15 @@ class Request:
         """What was asked for, for the summary."""
         return {
             "tire": self.tire_name,
-            "parameters": {
-                key: float(value) for key, value in parameter_values(self.tire).items()
-            },
-            "road": self.road, "speed": self.speed, "vehicle": self.vehicle,
-            "steer": self.steer, "time_limit": self.limit,
-            "hydraulics": self.hydraulics._asdict(), "sensors": self.sensors._asdict(),
-        }  # fmt: skip
+            "parameters": {key: float(value) for key, value in parameter_values(self.tire).items()},
+            "road": self.road,
+            "speed": self.speed,
+            "vehicle": self.vehicle,
+            "steer": self.steer,
+            "time_limit": self.limit,
+            "hydraulics": self.hydraulics._asdict(),
+            "sensors": self.sensors._asdict(),
+        }
 
 
 def arrays(tree):
@@ -82,9 +84,11 @@ def plant_of(request: Request) -> Plant:
     vehicle: Vehicle = arrays(VEHICLES[request.vehicle]())
     road = arrays(road_of(request.road))
     tire = on_road(
-        arrays(request.tire), jnp.asarray(request.speed, float), jnp.mean(vehicle.fz),
+        arrays(request.tire),
+        jnp.asarray(request.speed, float),
+        jnp.mean(vehicle.fz),
         jnp.concatenate([road.before, road.after]),
-    )  # fmt: skip
+    )
     hydraulics = arrays(request.hydraulics)
     return Plant(vehicle, tire, road, hydraulics, jnp.asarray(request.steer, float))
 
@@ -95,13 +99,19 @@ _USUAL_SLOPE = (3.0, 150.0)
 _LONGEST = 300.0  # longest manoeuvre [s]
 
 _NUMBERS = {
-    "demand": (1e3, 5e7, "Pa"), "ramp": (1e3, 1e10, "Pa/s"),
-    "rise": (1e3, 1e10, "Pa/s"), "fall": (1e3, 1e10, "Pa/s"),
-    "lag": (1e-3, 1.0, "s"), "delay": (0.0, 0.5, "s"),
-    "speed_std": (0.0, 10.0, "m/s"), "speed_step": (0.0, 10.0, "m/s"),
-    "deceleration_std": (0.0, 100.0, "m/s2"), "pressure_std": (0.0, 1e7, "Pa"),
-    "road_std": (0.0, 10.0, "of the load"), "road_corner": (1e-2, 1e3, "Hz"),
-}  # fmt: skip
+    "demand": (1e3, 5e7, "Pa"),
+    "ramp": (1e3, 1e10, "Pa/s"),
+    "rise": (1e3, 1e10, "Pa/s"),
+    "fall": (1e3, 1e10, "Pa/s"),
+    "lag": (1e-3, 1.0, "s"),
+    "delay": (0.0, 0.5, "s"),
+    "speed_std": (0.0, 10.0, "m/s"),
+    "speed_step": (0.0, 10.0, "m/s"),
+    "deceleration_std": (0.0, 100.0, "m/s2"),
+    "pressure_std": (0.0, 1e7, "Pa"),
+    "road_std": (0.0, 10.0, "of the load"),
+    "road_corner": (1e-2, 1e3, "Hz"),
+}
 """Least and largest number of hydraulics, sensors and road, and its unit."""
 
 
@@ -118,11 +128,18 @@ def known_to_controllers(request: Request) -> dict[str, Any]:
     slope = jax.vmap(jax.grad(force), (None, 0))(1e-6, jnp.asarray(car.fz))
     hydraulics = request.hydraulics
     return {
-        "radius": car.radius, "inertia": car.inertia, "brake_gain": car.brake_gain,
-        "fz": car.fz, "stiffness": np.asarray(slope), "rise": hydraulics.rise,
-        "fall": hydraulics.fall, "delay": hydraulics.delay, "lag": hydraulics.lag,
-        "steered": car.steered, "ahead": car.x,
-    }  # fmt: skip
+        "radius": car.radius,
+        "inertia": car.inertia,
+        "brake_gain": car.brake_gain,
+        "fz": car.fz,
+        "stiffness": np.asarray(slope),
+        "rise": hydraulics.rise,
+        "fall": hydraulics.fall,
+        "delay": hydraulics.delay,
+        "lag": hydraulics.lag,
+        "steered": car.steered,
+        "ahead": car.x,
+    }
 
 
 def doubts(request: Request) -> list[str]:

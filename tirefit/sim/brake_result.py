@@ -18,14 +18,7 @@ from tirefit.precision import require_x64
 from tirefit.sim.brake import Log, simulate_stop
 from tirefit.sim.brake_plant import Plant
 from tirefit.sim.brake_request import Request, arrays, check, plant_of
-from tirefit.sim.brake_summary import (
-    MEANINGS,
-    UNITS,
-    Summary,
-    interval,
-    reason_of,
-    summarise,
-)
+from tirefit.sim.brake_summary import MEANINGS, UNITS, Summary, interval, reason_of, summarise
 
 SCHEMA = "tirefit.brake/1"
 
@@ -48,10 +41,17 @@ class Stop:
         log, s, c = self.log, self.log.motion, self.log.contacts
         read = log.reading
         table: dict[str, Any] = {
-            "time": read.time, "distance": s.distance, "v": s.v_x, "v_y": s.v_y,
-            "yaw_rate": s.yaw_rate, "heading": s.heading, "x": s.x, "y": s.y,
-            "deceleration": read.deceleration, "demand": read.demand,
-        }  # fmt: skip
+            "time": read.time,
+            "distance": s.distance,
+            "v": s.v_x,
+            "v_y": s.v_y,
+            "yaw_rate": s.yaw_rate,
+            "heading": s.heading,
+            "x": s.x,
+            "y": s.y,
+            "deceleration": read.deceleration,
+            "demand": read.demand,
+        }
         wheels = {
             "omega": s.omega, "slip": c.slips.kappa, "alpha": c.slips.alpha,
             "fx": c.fx, "fy": c.fy, "fz": c.fz, "mu": np.hypot(c.fx, c.fy) / c.fz,
@@ -102,10 +102,11 @@ class Braking(Record):
         return {
             name: {
                 **{key: interval(getattr(all_, key))._asdict() for key in UNITS},
-                "stopped": int(np.sum(all_.stopped)), "stops": len(all_.stopped),
+                "stopped": int(np.sum(all_.stopped)),
+                "stops": len(all_.stopped),
             }
             for name, all_ in self.many.items()
-        }  # fmt: skip
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """``summary.json``; the numbers of the first controller stand at the top."""
@@ -115,11 +116,17 @@ class Braking(Record):
         }
         first = next(iter(self.stops.values()))
         head = {
-            "schema": SCHEMA, "version": self.version, "seed": self.seed,
-            "convention": "braking, SI", "controller": first.name, **first.to_dict(),
-            "units": UNITS, "meanings": MEANINGS, "manoeuvre": self.request.about(),
+            "schema": SCHEMA,
+            "version": self.version,
+            "seed": self.seed,
+            "convention": "braking, SI",
+            "controller": first.name,
+            **first.to_dict(),
+            "units": UNITS,
+            "meanings": MEANINGS,
+            "manoeuvre": self.request.about(),
             "controllers": each,
-        }  # fmt: skip
+        }
         return json_safe(head | ({"seeds": self.table()} if self.many else {}))
 
     def files(self, name: str = "") -> dict[str, str]:

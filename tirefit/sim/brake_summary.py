@@ -42,18 +42,22 @@ class Summary(NamedTuple):
 
 
 UNITS = {
-    "stopping_distance": "m", "stopping_time": "s", "mean_friction_used": "-",
-    "locked_time": "s", "pressure_rms_fluctuation": "Pa",
-    "slip_speed_rms_fluctuation": "m/s", "recovery_time": "s", "heading": "rad",
-}  # fmt: skip
+    "stopping_distance": "m",
+    "stopping_time": "s",
+    "mean_friction_used": "-",
+    "locked_time": "s",
+    "pressure_rms_fluctuation": "Pa",
+    "slip_speed_rms_fluctuation": "m/s",
+    "recovery_time": "s",
+    "heading": "rad",
+}
 """Of the numbers that are reported, in their order."""
 
 MEANINGS = {
     "stopping_distance": f"way until the car is slower than {STANDS:g} m/s",
     "stopping_time": "time until then",
     "mean_friction_used": "mean over time of sum F_x / sum mu_peak F_z of the wheels",
-    "locked_time": f"time with a wheel at kappa >= {LOCKED_SLIP:g}, above {_SLOW:g}"
-    " m/s",
+    "locked_time": f"time with a wheel at kappa >= {LOCKED_SLIP:g}, above {_SLOW:g} m/s",
     "pressure_rms_fluctuation": f"rms of the wheels' pressures about their running"
     f" means over {_WINDOW:g} s, from {_BUILT_UP:g} s on, above {_SLOW:g} m/s",
     "slip_speed_rms_fluctuation": "the same of v - R omega",

@@ -80,11 +80,7 @@ class RoadTire(eqx.Module):
         loads [N] (w,); and the kappa (w,) where it lies."""
         place = [
             jnp.interp(value, known, jnp.arange(len(known), dtype=float))
-            for value, known in (
-                (mu, self.roads),
-                (speed, self.speeds),
-                (fz, self.loads),
-            )
+            for value, known in ((mu, self.roads), (speed, self.speeds), (fz, self.loads))
         ]
         peak, at = (
             jax.scipy.ndimage.map_coordinates(table, place, order=1, mode="nearest")

@@ -60,15 +60,19 @@ def four_wheels() -> Vehicle:
     weight = car.mass * GRAVITY / base / 2
     share = np.where(front == 1, car.l_r, car.l_f) / base
     return Vehicle(
-        mass=car.mass, yaw_inertia=car.yaw_inertia,
-        x=np.where(front == 1, car.l_f, -car.l_r), y=left * car.track / 2,
+        mass=car.mass,
+        yaw_inertia=car.yaw_inertia,
+        x=np.where(front == 1, car.l_f, -car.l_r),
+        y=left * car.track / 2,
         fz=weight * np.where(front == 1, car.l_r, car.l_f),
         pitch=car.mass * car.height / base / 2 * (2 * front - 1),
         roll=-left * share * car.mass * car.height / car.track,
-        transfer_time=_TRANSFER_TIME, radius=np.full(4, car.radius),
+        transfer_time=_TRANSFER_TIME,
+        radius=np.full(4, car.radius),
         inertia=np.full(4, car.wheel_inertia),
-        brake_gain=np.where(front == 1, _FRONT_GAIN, _REAR_GAIN), steered=front,
-    )  # fmt: skip
+        brake_gain=np.where(front == 1, _FRONT_GAIN, _REAR_GAIN),
+        steered=front,
+    )
 
 
 def quarter_car() -> Vehicle:
@@ -159,9 +163,11 @@ def draw_noise(key, sensors: Sensors, samples: int, wheels: int, rate: float) ->
     _, later = jax.lax.scan(move, first, rest)
     road = sensors.road_std * jnp.concatenate([first[None], later])
     return Noise(
-        jax.random.normal(keys[0], shape), jax.random.normal(keys[1], shape),
-        jax.random.normal(keys[2], (samples,)), road,
-    )  # fmt: skip
+        jax.random.normal(keys[0], shape),
+        jax.random.normal(keys[1], shape),
+        jax.random.normal(keys[2], (samples,)),
+        road,
+    )
 
 
 def wheel_speeds(sensors: Sensors, turning, noise):
@@ -220,9 +226,7 @@ def road_of(text: str) -> Road:
     constant = re.fullmatch(rf"mu={number}(?::{number}@{number})?", text.strip())
     sides = re.fullmatch(rf"left={number},\s*right={number}", text.strip())
     if constant is None and sides is None:
-        remedy = (
-            f"write it as {', '.join(ROADS)}; friction from {_LEAST:g} to {_MOST:g}"
-        )
+        remedy = f"write it as {', '.join(ROADS)}; friction from {_LEAST:g} to {_MOST:g}"
         raise UsageError(f"--road {text!r} is not a road", remedy)
     if sides is not None:
         both = np.array([float(sides[1]), float(sides[2])])

@@ -23,14 +23,7 @@ from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.models import LuGre, MagicFormula
 from tirefit.sim.settings import LOAD, PEAK, STIFFNESS, TIRES, Braking
-from tirefit.sim.wheel import (
-    PATCH,
-    SLOWEST,
-    STEADY,
-    WheelNumbers,
-    braked_wheel,
-    lugre_tire,
-)
+from tirefit.sim.wheel import PATCH, SLOWEST, STEADY, WheelNumbers, braked_wheel, lugre_tire
 from tirefit.slip import LOCKED
 
 _SHAPE = 1.22
@@ -97,9 +90,8 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
         mu = np.where(time < how.drop[0], how.friction, how.drop[1])
     change = np.inf if how.drop is None else how.drop[0]
     numbers = WheelNumbers(
-        full, how.period, how.radius, how.inertia, how.speed, how.load, change,
-        1 / how.rate,
-    )  # fmt: skip
+        full, how.period, how.radius, how.inertia, how.speed, how.load, change, 1 / how.rate
+    )
     ends, extra = (mu[0], mu[-1]), {}
     if how.tire == "lugre":
         soft = tuple(lugre_tire(peak, how.speed) for peak in ends)
@@ -111,25 +103,31 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
         slope = STIFFNESS / LOAD
     torque = full * (time % how.period) / how.period
     steady = {
-        "fz": np.full(n, how.load), "v": np.full(n, how.speed), "torque": torque,
+        "fz": np.full(n, how.load),
+        "v": np.full(n, how.speed),
+        "torque": torque,
         "brake_pressure": torque / how.radius / BRAKE_GAIN,
-    }  # fmt: skip
+    }
     free = how.speed / how.radius
     stands = omega <= 1.001 * SLOWEST * free
     sigma = np.where(stands, LOCKED, free / omega - 1)
     truth = {
-        "time": time, "sigma_x": sigma, "fx": fx, **steady,
+        "time": time,
+        "sigma_x": sigma,
+        "fx": fx,
+        **steady,
         "omega": np.where(stands, 0.0, omega),
-    }  # fmt: skip
+    }
     random = np.random.default_rng(how.seed)
     seen = sigma + np.sqrt(how.slip_variance) * random.standard_normal(n)
     seen = np.where(stands, LOCKED, seen)
     noise = np.sqrt(how.force_variance) * how.load * random.standard_normal(n)
     # The wheel speed that a measured slip is derived from.
     columns = truth | {
-        "sigma_x": seen, "fx": fx + noise,
+        "sigma_x": seen,
+        "fx": fx + noise,
         "omega": np.where(stands, 0.0, free / (1 + seen)),
-    }  # fmt: skip
+    }
     known = {"mu": mu, "cpa2": np.full(n, slope * how.load / 2), **extra}
     return SimulatedLog(columns, truth | known)
 

@@ -138,9 +138,7 @@ def _tires(numbers: _Numbers, t, s: _State):
     """Steering, slips (4,), angles (2,), loads (4,), forces along and across (4,)."""
     car = numbers.car
     steering = _steering(numbers, t, s)
-    angles = jnp.stack(
-        axle_angles(s.v_x, s.v_y, s.yaw_rate, steering, car["l_f"], car["l_r"])
-    )
+    angles = jnp.stack(axle_angles(s.v_x, s.v_y, s.yaw_rate, steering, car["l_f"], car["l_r"]))
     side = car["track"] / 2 * s.yaw_rate * jnp.array([-1.0, 1.0, -1.0, 1.0])
     sigma = clipped(s.omega, s.v_x + side, car["radius"], _SLOWEST)
     stiffness = jnp.repeat(jnp.stack([car["stiffness_f"], car["stiffness_r"]]), 2)

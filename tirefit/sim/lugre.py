@@ -60,9 +60,7 @@ def distributed(elements: int = 4) -> Bristles:
     along = np.kron(np.eye(elements), derivative)
     along += np.kron(np.eye(elements, k=-1), inflow)
     place = (np.arange(elements)[:, None] + points) / elements
-    return Bristles(
-        place.ravel(), np.tile(weights, elements) / elements, elements * along
-    )
+    return Bristles(place.ravel(), np.tile(weights, elements) / elements, elements * along)
 
 
 class Contact(NamedTuple):

@@ -12,13 +12,7 @@ from tirefit.models import AbstractTire
 from tirefit.online.controllers import CONTROLLERS, controller_of
 from tirefit.params import by_owner, check_names
 from tirefit.precision import require_x64
-from tirefit.sim.brake_request import (
-    Request,
-    check,
-    doubts,
-    known_to_controllers,
-    with_numbers,
-)
+from tirefit.sim.brake_request import Request, check, doubts, known_to_controllers, with_numbers
 from tirefit.sim.brake_result import Braking, braked
 
 _DEFAULT, _VALUES = "brush-m", {"cpa2": 4e4, "m": 0.5}
@@ -79,9 +73,8 @@ def brake(
     chosen = by_owner(tune or {}, {name: CONTROLLERS[name]() for name in names})
     named, made, notes = _tire(tire, dict(values or {}), signs)
     request = Request(
-        made, named, road=road, speed=speed, vehicle=vehicle, steer=steer,
-        time_limit=time_limit,
-    )  # fmt: skip
+        made, named, road=road, speed=speed, vehicle=vehicle, steer=steer, time_limit=time_limit
+    )
     request = with_numbers(request, plant or {})
     check(request)
     car = known_to_controllers(request)

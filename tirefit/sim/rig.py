@@ -40,9 +40,7 @@ def simulate_rig(
     """
     tire = with_values(MODELS[model], values or {})
     slip = largest * np.arange(1, points + 1) / points
-    fz, v, slip = (
-        part.ravel() for part in np.meshgrid(load, speed, slip, indexing="ij")
-    )
+    fz, v, slip = (part.ravel() for part in np.meshgrid(load, speed, slip, indexing="ij"))
     n = len(slip)
     name, force_names = ("alpha", ("fy", "mz")) if lateral else ("sigma_x", ("fx",))
     time = np.arange(n) / rate

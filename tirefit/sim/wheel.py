@@ -14,13 +14,7 @@ import numpy as np
 
 from tirefit.models import LuGre
 from tirefit.online.lugre_observer import peak_share
-from tirefit.sim.lugre import (
-    Bristles,
-    Contact,
-    bristle_forces,
-    bristle_rate,
-    distributed,
-)
+from tirefit.sim.lugre import Bristles, Contact, bristle_forces, bristle_rate, distributed
 
 SLOWEST = 0.01
 """Wheel speed over that of free rolling below which a wheel is locked: the brake, which
@@ -104,15 +98,22 @@ def _integrate(traced, bristles, time, teeth: int):
 
     jumps = jnp.append(period * jnp.arange(1, teeth + 1), change)
     controller = diffrax.ClipStepSizeController(
-        diffrax.PIDController(rtol=1e-7, atol=1e-10, dtmax=interval), step_ts=time,
+        diffrax.PIDController(rtol=1e-7, atol=1e-10, dtmax=interval),
+        step_ts=time,
         jump_ts=jnp.sort(jnp.where(jnp.isfinite(jumps), jumps, time[-1] + 1.0)),
-    )  # fmt: skip
+    )
     rest = jnp.ones(()), jnp.zeros((len(bristles.weight), 2))
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(rate), diffrax.Tsit5(), time[0], time[-1], None, rest,
-        saveat=diffrax.SaveAt(ts=time), stepsize_controller=controller,
+        diffrax.ODETerm(rate),
+        diffrax.Tsit5(),
+        time[0],
+        time[-1],
+        None,
+        rest,
+        saveat=diffrax.SaveAt(ts=time),
+        stepsize_controller=controller,
         max_steps=2**22,
-    )  # fmt: skip
+    )
 
     def seen(t, y):
         turning, force, _ = parts(t, y)

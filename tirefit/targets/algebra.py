@@ -113,6 +113,11 @@ def _where(graph, condition, yes, no):
 
 
 _RULES: dict[str, Callable] = {
-    "add": _add, "sub": _sub, "mul": _mul, "div": _div, "neg": _neg, "pow": _pow,
+    "add": _add,
+    "sub": _sub,
+    "mul": _mul,
+    "div": _div,
+    "neg": _neg,
+    "pow": _pow,
     "where": _where,
-}  # fmt: skip
+}

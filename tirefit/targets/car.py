@@ -13,9 +13,7 @@ from tirefit.targets.tire import Tire
 _NO_LOG = {"time": "t", "x": "x", "y": "y", "yaw": "yaw"}
 """Columns of a vehicle.toml that describes a car and no log."""
 
-_MEANING = {
-    "h_cg": "height of the centre of gravity [m]", "wheel_radius": "tire radius [m]",
-}  # fmt: skip
+_MEANING = {"h_cg": "height of the centre of gravity [m]", "wheel_radius": "tire radius [m]"}
 
 
 class Axle(NamedTuple):

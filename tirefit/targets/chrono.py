@@ -16,13 +16,7 @@ from tirefit.models import TireInputs, forces
 from tirefit.models.mf import WEIGHTS, MFTire, frictions
 from tirefit.results import InputProblem, UsageError
 from tirefit.targets.code import Draft
-from tirefit.targets.tir import (
-    head_of,
-    held_as_tir,
-    new_file,
-    tir_source,
-    wheel_problems,
-)
+from tirefit.targets.tir import head_of, held_as_tir, new_file, tir_source, wheel_problems
 from tirefit.targets.tire import Tire
 
 _VERSION = "mf52"
@@ -37,10 +31,13 @@ _SMALL, _SEEN = 1e-4, 1e-3
 """Slip by which the slope at rest is taken; share of the load that is mentioned."""
 
 _WHEEL = {
-    "mass": "MASS", "ixx": "IXX", "iyy": "IYY",
-    "vertical_stiffness": "VERTICAL_STIFFNESS", "vertical_damping": "VERTICAL_DAMPING",
+    "mass": "MASS",
+    "ixx": "IXX",
+    "iyy": "IYY",
+    "vertical_stiffness": "VERTICAL_STIFFNESS",
+    "vertical_damping": "VERTICAL_DAMPING",
     "width": "WIDTH",
-}  # fmt: skip
+}
 """What Chrono needs beside the forces -> key of a ``.tir`` that states it."""
 
 FRICTION = 0.8
@@ -78,9 +75,11 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
     unread = [k for k in _UNREAD if tir.numbers.get(k)]
     combined = all(tir.numbers.get(k) for keys in WEIGHTS.values() for k in keys)
     added: dict[str, float | str] = {
-        "PROPERTY_FILE_FORMAT": "PAC2002", "USE_MODE": 4.0, "TYRESIDE": held.tir.side,
+        "PROPERTY_FILE_FORMAT": "PAC2002",
+        "USE_MODE": 4.0,
+        "TYRESIDE": held.tir.side,
         "FE_METHOD": "NO" if combined else "YES",
-    }  # fmt: skip
+    }
     added |= {key: whole[name] for name, key in _WHEEL.items()}
     tir = tir.with_values(added)
     notes = [
@@ -137,14 +136,7 @@ def _limited(model: MFTire, load: float) -> list[str]:
             return found.reshape(at.shape) / fz
 
         less, more = share([[-_SMALL], [_SMALL]])
-        most = (
-            _LIMIT
-            * float(shapes[name])
-            * peaks[name]
-            * 2
-            * _SMALL
-            / np.abs(more - less)
-        )
+        most = _LIMIT * float(shapes[name]) * peaks[name] * 2 * _SMALL / np.abs(more - less)
         most = np.abs(most)
         lost = np.max(np.abs(share(slips) - share(np.clip(slips, -most, most))), 0)
         missed.append((float(lost.max()), name, float(most[lost.argmax()])))
@@ -163,11 +155,14 @@ def chrono_source(draft: Draft) -> dict[str, str]:
     assert tir is not None
     given = {name: tir.numbers[key] for name, key in _WHEEL.items()}
     content = {
-        "Name": draft.above[0], "Type": "Tire", "Template": "Pac02Tire",
-        "Mass": given["mass"], "Inertia": [given[k] for k in ("ixx", "iyy", "ixx")],
+        "Name": draft.above[0],
+        "Type": "Tire",
+        "Template": "Pac02Tire",
+        "Mass": given["mass"],
+        "Inertia": [given[k] for k in ("ixx", "iyy", "ixx")],
         "Coefficient of Friction": draft.wheel.get("friction", FRICTION),
         "TIR Specification File": f"{draft.name}.tir",
         "Visualization": {"Width": given["width"]},
         "Notes": head_of(draft)[1:],
-    }  # fmt: skip
+    }
     return {".json": json_text(content), ".tir": tir_source(draft)}

@@ -13,11 +13,17 @@ from tirefit.targets.tire import ALWAYS, UNITS, Tire
 
 MEANING = {
     "kappa": "practical slip: sliding speed over forward speed of the wheel centre",
-    "alpha": "slip angle", "fz": "load", "v": "forward speed of the wheel centre",
-    "gamma": "camber", "pressure": "inflation pressure (0: nominal)",
-    "fx": "longitudinal force", "fy": "lateral force", "mz": "aligning moment",
-    "mx": "overturning moment", "my": "rolling resistance moment",
-}  # fmt: skip
+    "alpha": "slip angle",
+    "fz": "load",
+    "v": "forward speed of the wheel centre",
+    "gamma": "camber",
+    "pressure": "inflation pressure (0: nominal)",
+    "fx": "longitudinal force",
+    "fy": "lateral force",
+    "mz": "aligning moment",
+    "mx": "overturning moment",
+    "my": "rolling resistance moment",
+}
 
 PARAMETERS = "parameters (+- standard error):"
 """Line above those of the parameters in a head."""
@@ -61,10 +67,17 @@ class Draft(NamedTuple):
 
 def numpy_source(draft: Draft) -> str:
     """A Python module with one function of arrays; it needs NumPy alone."""
-    return "\n".join([
-        *(f"# {line}" for line in draft.above), "", "import numpy as np", "", "",
-        *_numpy_function(draft.forces, draft.name), "",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            *(f"# {line}" for line in draft.above),
+            "",
+            "import numpy as np",
+            "",
+            "",
+            *_numpy_function(draft.forces, draft.name),
+            "",
+        ]
+    )
 
 
 def _numpy_function(program: Program, name: str) -> list[str]:
@@ -88,7 +101,11 @@ def casadi_source(draft: Draft) -> str:
     program, name = draft.forces, draft.name
     given, found = ", ".join(program.inputs), ", ".join(results(program, CASADI))
     lines = [
-        *(f"# {line}" for line in draft.above), "", "import casadi as ca", "", "",
+        *(f"# {line}" for line in draft.above),
+        "",
+        "import casadi as ca",
+        "",
+        "",
         "def _build():",
         *(f"    {one} = ca.SX.sym({one!r})" for one in program.inputs),
         *body(program, CASADI),
@@ -98,9 +115,10 @@ def casadi_source(draft: Draft) -> str:
         "    )",
         f"    slopes = ca.jacobian(ca.vertcat({found}), ca.vertcat({given}))",
         f"    return forces, ca.Function({name + '_jacobian'!r}, [{given}], [slopes])",
-        "", "",
+        "",
+        "",
         f"{name}, {name}_jacobian = _build()",
-    ]  # fmt: skip
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -160,13 +178,20 @@ def c_source(draft: Draft) -> str:
     said = [line.replace("/*", "/ *").replace("*/", "* /") for line in above]
     force, slope = f"tirefit_real force[{count}]", f"slope[{count}][{ALWAYS}]"
     both = draft.tire.program(draft.convention, jacobian=True)
-    return "\n".join([
-        "/*", *(f" * {line}" for line in said), " */",
-        _C_HEAD.format(guard=f"{name.upper()}_H"),
-        *_c_function(draft.forces, name, [force], count), "",
-        *_c_function(both, f"{name}_jacobian", [force, f"tirefit_real {slope}"], count),
-        "", "#endif", "",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            "/*",
+            *(f" * {line}" for line in said),
+            " */",
+            _C_HEAD.format(guard=f"{name.upper()}_H"),
+            *_c_function(draft.forces, name, [force], count),
+            "",
+            *_c_function(both, f"{name}_jacobian", [force, f"tirefit_real {slope}"], count),
+            "",
+            "#endif",
+            "",
+        ]
+    )
 
 
 def _c_function(program: Program, name: str, given, count: int) -> list[str]:

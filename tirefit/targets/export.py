@@ -18,12 +18,7 @@ from tirefit.targets.chrono import chrono_source, held_by_chrono
 from tirefit.targets.code import Draft, c_source, casadi_source, header, numpy_source
 from tirefit.targets.loss import check_loss
 from tirefit.targets.mujoco import mujoco_source
-from tirefit.targets.parameters import (
-    PARAMETER_FILES,
-    ParameterFile,
-    one_line,
-    parameter_text,
-)
+from tirefit.targets.parameters import PARAMETER_FILES, ParameterFile, one_line, parameter_text
 from tirefit.targets.shape import Shape, shape_of
 from tirefit.targets.stablehlo import jax_source
 from tirefit.targets.tir import held_as_tir, tir_source
@@ -131,10 +126,13 @@ class Exported(Record):
     def to_dict(self) -> dict[str, Any]:
         """Target, files, checks and notes."""
         return {
-            "target": self.target, "path": str(self.path), "files": [*self.texts],
-            "sound": self.shape.sound, "checks": [*self.shape.sentences],
+            "target": self.target,
+            "path": str(self.path),
+            "files": [*self.texts],
+            "sound": self.shape.sound,
+            "checks": [*self.shape.sentences],
             "notes": [*self.notes],
-        }  # fmt: skip
+        }
 
     def files(self, name: str = "") -> Mapping[str, str]:
         """The exported files, by the names that they were written under."""
@@ -253,8 +251,9 @@ def _written(target, path: Path, shape: Shape, notes, texts) -> Exported:
 
 def _unknown(target: str, given: Mapping, convention: str) -> Iterator[InputProblem]:
     for what, named, known in (
-        ("--to", target, TARGETS), ("--convention", convention, CONVENTIONS),
-    ):  # fmt: skip
+        ("--to", target, TARGETS),
+        ("--convention", convention, CONVENTIONS),
+    ):
         if named not in known:
             remedy = f"{did_you_mean(named, known)}valid: {', '.join(known)}"
             yield InputProblem(f"{what}: {named!r} is not known", remedy)
@@ -274,9 +273,7 @@ def _useless(target: str, model, wheel, forces, convention, car):
         reason = f"--convention {convention}: {target} has signs of its own"
         yield InputProblem(reason, leave_out)
     if forces and not _is_code(chosen):
-        yield InputProblem(
-            f"--forces with --to {target}, which has them all", leave_out
-        )
+        yield InputProblem(f"--forces with --to {target}, which has them all", leave_out)
     if car and isinstance(chosen, Target):
         reason = f"{target} holds one tire as it is: no axles, vehicle or range"
         yield InputProblem(reason, "leave them out, or see --list")

@@ -180,24 +180,25 @@ COMMONROAD = Formula(
     forces=_commonroad_forces,
     start=_commonroad_start,
     stages={
-        "fx": {
-            "p_cx1": _SHAPE, "p_dx1": _FRICTION, "p_ex1": _CURVATURE, "p_kx1": _SLOPE,
-        },
-        "fy": {
-            "p_cy1": _SHAPE, "p_dy1": _FRICTION, "p_ey1": _CURVATURE,
-            "p_ky1": (-1000.0, -0.01),
-        },
+        "fx": {"p_cx1": _SHAPE, "p_dx1": _FRICTION, "p_ex1": _CURVATURE, "p_kx1": _SLOPE},
+        "fy": {"p_cy1": _SHAPE, "p_dy1": _FRICTION, "p_ey1": _CURVATURE, "p_ky1": (-1000.0, -0.01)},
         # Shifts are those of a Magic Formula or zero: no force at rest.
         "both": {
-            "r_bx1": _WEIGHT, "r_bx2": _WEIGHT, "r_cx1": _SHAPE, "r_ex1": _CURVATURE,
-            "r_by1": _WEIGHT, "r_by2": _WEIGHT, "r_cy1": _SHAPE, "r_ey1": _CURVATURE,
+            "r_bx1": _WEIGHT,
+            "r_bx2": _WEIGHT,
+            "r_cx1": _SHAPE,
+            "r_ex1": _CURVATURE,
+            "r_by1": _WEIGHT,
+            "r_by2": _WEIGHT,
+            "r_cy1": _SHAPE,
+            "r_ey1": _CURVATURE,
         },
     },
     loss=(
         "its forces are proportional to F_z; offsets of F_y and the vertical one of F_x"
         " have no place (p_vx1 stands inside the sine), and camber is left out",
     ),
-)  # fmt: skip
+)
 """CommonRoad's reduced PAC2002, also that of Gym-Khana's STD and MB."""
 
 
@@ -236,9 +237,15 @@ def _slipx_start(curves: Curves) -> dict[str, float]:
     (bx, cx, dx, _), (by, cy, dy, ey) = curves.x, curves.y
     load = curves.load
     return {
-        "nominal_load": load, "c_alpha": by * cy * dy * load, "mu_y0": dy, "C": cy,
-        "E": ey, "k_mu": curves.fall, "c_kappa": bx * cx * dx * load, "mu_x0": dx,
-    }  # fmt: skip
+        "nominal_load": load,
+        "c_alpha": by * cy * dy * load,
+        "mu_y0": dy,
+        "C": cy,
+        "E": ey,
+        "k_mu": curves.fall,
+        "c_kappa": bx * cx * dx * load,
+        "mu_x0": dx,
+    }
 
 
 SLIPX = Formula(
@@ -246,10 +253,15 @@ SLIPX = Formula(
     signs=CONVENTIONS["iso-w"],
     forces=_slipx_forces,
     start=_slipx_start,
-    stages={"fy": {
-        "c_alpha": (1e-3, 1e6), "mu_y0": (0.01, 3.0), "C": (1.001, 2.5),
-        "E": (-5.0, 1.0), "k_mu": (0.0, 1.0),
-    }},
+    stages={
+        "fy": {
+            "c_alpha": (1e-3, 1e6),
+            "mu_y0": (0.01, 3.0),
+            "C": (1.001, 2.5),
+            "E": (-5.0, 1.0),
+            "k_mu": (0.0, 1.0),
+        }
+    },
     of_load=("k_mu",),
     loss=(
         "along the wheel SlipX takes a demanded force and limits both forces by an"
@@ -257,7 +269,7 @@ SLIPX = Formula(
         " nominal load, and the curves of F_x and of combined slip have no place",
         "tier L2 of SlipX needs relaxation.sigma, which a tire with relaxation gives",
     ),
-)  # fmt: skip
+)
 """MF-lite of SlipX: F_y of pure slip, friction that falls with load, an ellipse."""
 
 
@@ -270,9 +282,7 @@ def _gazebo_forces(p: Values, kappa, alpha, fz):
     slip_x = sigma_from_kappa(jnp.minimum(kappa, 0.999))
     slip_y = jnp.tan(alpha) * (1 + slip_x)
     return tuple(
-        jnp.clip(
-            slip * p["wheel_normal_force"] / p[compliance], -p[mu] * fz, p[mu] * fz
-        )
+        jnp.clip(slip * p["wheel_normal_force"] / p[compliance], -p[mu] * fz, p[mu] * fz)
         for slip, compliance, mu in (
             (slip_x, "slip_compliance_longitudinal", "mu2"),
             (slip_y, "slip_compliance_lateral", "mu"),
@@ -285,8 +295,10 @@ def _gazebo_start(curves: Curves) -> dict[str, float]:
     return {
         "slip_compliance_lateral": 1 / (by * cy * dy),
         "slip_compliance_longitudinal": 1 / (bx * cx * dx),
-        "wheel_normal_force": curves.load, "mu": dy, "mu2": dx,
-    }  # fmt: skip
+        "wheel_normal_force": curves.load,
+        "mu": dy,
+        "mu2": dx,
+    }
 
 
 GAZEBO = Formula(

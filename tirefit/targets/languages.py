@@ -48,33 +48,45 @@ def _functions(prefix: str, names: Iterable[str]) -> dict[str, str]:
 TRUTHS = frozenset({"lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not"})
 """Operations whose result is true or false."""
 
-_COMMON = (
-    "sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "sinh", "cosh", "tanh",
-)  # fmt: skip
+_COMMON = ("sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "sinh", "cosh", "tanh")
 _ARCS = ("asin", "acos", "atan", "asinh")
 
 C = Language(
-    _SIGNS | _functions("TIREFIT_F({})", (*_COMMON, *_ARCS, "cbrt", "pow", "atan2"))
+    _SIGNS
+    | _functions("TIREFIT_F({})", (*_COMMON, *_ARCS, "cbrt", "pow", "atan2"))
     | {
-        "abs": "TIREFIT_F(fabs)", "max": "({0} > {1} ? {0} : {1})",
+        "abs": "TIREFIT_F(fabs)",
+        "max": "({0} > {1} ? {0} : {1})",
         "min": "({0} < {1} ? {0} : {1})",
         "sign": "(tirefit_real)(({0} > 0) - ({0} < 0))",
-        "where": "({0} ? {1} : {2})", "and": "({0} && {1})", "or": "({0} || {1})",
-        "not": "!{}", "cos": "TIREFIT_COS",
+        "where": "({0} ? {1} : {2})",
+        "and": "({0} && {1})",
+        "or": "({0} || {1})",
+        "not": "!{}",
+        "cos": "TIREFIT_COS",
     },
-    _in_c, "const tirefit_real {name} = {value};", TRUTHS,
-)  # fmt: skip
+    _in_c,
+    "const tirefit_real {name} = {value};",
+    TRUTHS,
+)
 
 NUMPY = Language(
-    _SIGNS | _functions("np.{}", (*_COMMON, "cbrt", "sign"))
+    _SIGNS
+    | _functions("np.{}", (*_COMMON, "cbrt", "sign"))
     | {name: f"np.arc{name[1:]}" for name in (*_ARCS, "atan2")}
     | {
-        "pow": "np.power", "abs": "np.abs", "max": "np.maximum", "min": "np.minimum",
-        "where": "np.where", "and": "np.logical_and", "or": "np.logical_or",
+        "pow": "np.power",
+        "abs": "np.abs",
+        "max": "np.maximum",
+        "min": "np.minimum",
+        "where": "np.where",
+        "and": "np.logical_and",
+        "or": "np.logical_or",
         "not": "np.logical_not",
     },
-    _in_python, "{name} = {value}",
-)  # fmt: skip
+    _in_python,
+    "{name} = {value}",
+)
 
 CASADI = Language(
     _SIGNS | _functions("ca.{}", (*_COMMON, *_ARCS, "atan2", "sign"))

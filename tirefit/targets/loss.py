@@ -55,8 +55,7 @@ def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, .
             alone = float(np.max(off[pure]))
             sizes.append(f"{name} {missed[-1]:.2%} (in pure slip {alone:.2%})")
     told = ", ".join(
-        f"{k} {a:.3g} to {b:.3g} {UNITS[k]}"
-        for k, (a, b) in turned_range(ranges, "iso-w").items()
+        f"{k} {a:.3g} to {b:.3g} {UNITS[k]}" for k, (a, b) in turned_range(ranges, "iso-w").items()
     )
     sentence = f"largest miss of the file in F_z: {', '.join(sizes)}, over {told}"
     if max(missed) > MOST and not force:

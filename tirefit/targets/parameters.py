@@ -163,9 +163,7 @@ def parameter_text(
     return text, Shape(tuple(sentences), sound, curves), tuple(notes)
 
 
-_TAKEN_AT = {
-    "v": f"{SPEED:g} m/s", "gamma": "no camber", "pressure": "nominal pressure",
-}  # fmt: skip
+_TAKEN_AT = {"v": f"{SPEED:g} m/s", "gamma": "no camber", "pressure": "nominal pressure"}
 
 
 def _lost(tire: Tire, formula: Formula) -> list[str]:
@@ -225,8 +223,11 @@ def _slipx(sheet: Sheet) -> dict[str, Any]:
     slopes = {name: values[name] / axle.wheels for name in ("c_alpha", "c_kappa")}
     length = axle.tire.relaxation
     return {
-        **version, "compound": compound, "surface": surface,
-        "nominal_load": values["nominal_load"] / axle.wheels, "linear": slopes,
+        **version,
+        "compound": compound,
+        "surface": surface,
+        "nominal_load": values["nominal_load"] / axle.wheels,
+        "linear": slopes,
         "friction": {name: values[name] for name in ("mu_y0", "mu_x0", "k_mu")},
         "mf_lite": {name: values[name] for name in "CE"},
         **({"relaxation": {"sigma": length}} if length else {}),
@@ -239,12 +240,10 @@ def _slipx(sheet: Sheet) -> dict[str, Any]:
             "method": f"{sheet.above[0]}: {sheet.fits[0].sentence(SIGNS)}"[:2000],
             "date": date.today().isoformat(),
         },
-    }  # fmt: skip
+    }
 
 
-_SLIPX_MOST = {
-    "nominal_load": 200.0, "c_alpha": 2000.0, "c_kappa": 5000.0, "mu_x0": 3.0,
-}  # fmt: skip
+_SLIPX_MOST = {"nominal_load": 200.0, "c_alpha": 2000.0, "c_kappa": 5000.0, "mu_x0": 3.0}
 """Largest values of the schema of slipx 0.2.0, per tire."""
 
 

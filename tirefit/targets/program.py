@@ -99,10 +99,7 @@ class Program(NamedTuple):
 
 
 def traced(
-    function: Callable,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    by: Sequence[int] = (),
+    function: Callable, inputs: Sequence[str], outputs: Sequence[str], by: Sequence[int] = ()
 ) -> Program:
     """The program of a JAX function of scalars.
 
@@ -135,9 +132,7 @@ def traced(
             found |= dict(zip(outputs, values[: len(outputs)], strict=True))
             names = (f"{name}_{inputs[k]}" for name in outputs)
             found |= dict(zip(names, values[len(outputs) :], strict=True))
-        found = {
-            n: found[n] for n in (*outputs, *(n for n in found if n not in outputs))
-        }
+        found = {n: found[n] for n in (*outputs, *(n for n in found if n not in outputs))}
     results = {name: value.item() for name, value in found.items()}
     program = _pruned(Program(tuple(inputs), results, graph.operations))
     program = _pruned(_with_reciprocals(program))

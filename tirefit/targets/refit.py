@@ -214,8 +214,7 @@ def _forces(tire: Tire, kinds: Sequence[str], grids) -> list[np.ndarray]:
         share = np.zeros_like(fz) if force is None else np.asarray(force) / fz
         found[name] = np.split(share, ends)
     return [
-        np.stack([found[name][k] for name in _KINDS[kind].forces])
-        for k, kind in enumerate(kinds)
+        np.stack([found[name][k] for name in _KINDS[kind].forces]) for k, kind in enumerate(kinds)
     ]
 
 

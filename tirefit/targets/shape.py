@@ -79,9 +79,7 @@ def _at_rest(at: Callable, names, load) -> tuple[str, bool]:
         smooth &= abs(left - right) < 0.1 * max(abs(left), abs(right))
         sound &= smooth
         how, zero = "continuous" if smooth else "NOT continuous", f[2] + 0.0  # no -0
-        told.append(
-            f"{name} {how}, slope {(left + right) / 2:.4g} F_z, {zero:.3g} F_z at zero"
-        )
+        told.append(f"{name} {how}, slope {(left + right) / 2:.4g} F_z, {zero:.3g} F_z at zero")
     return "zero slip: " + "; ".join(told), sound
 
 

@@ -67,7 +67,9 @@ def jax_source(draft: Draft) -> str:
         text = base64.b64encode(program.serialize(vjp_order=1)).decode()
     above = [*draft.above, f"StableHLO of jax {jax.__version__}, for {_PLATFORMS}"]
     loader = _LOADER.format(
-        program="\n".join(textwrap.wrap(text, 88)), name=draft.name,
-        inputs=", ".join(names), outputs=", ".join(draft.forces.outputs),
-    )  # fmt: skip
+        program="\n".join(textwrap.wrap(text, 88)),
+        name=draft.name,
+        inputs=", ".join(names),
+        outputs=", ".join(draft.forces.outputs),
+    )
     return "\n".join([*(f"# {line}" for line in above), "", loader])

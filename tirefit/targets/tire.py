@@ -12,21 +12,10 @@ from tirefit.data.tir import TirFile
 from tirefit.data.tir_keys import LIMITS
 from tirefit.fitting.source import GivenTire, given_tire
 from tirefit.fitting.tir import TIR_SIGNS, remarks
-from tirefit.models import (
-    AbstractTire,
-    CombinedMagicFormula,
-    MagicFormula,
-    TireInputs,
-    modelled,
-)
+from tirefit.models import AbstractTire, CombinedMagicFormula, MagicFormula, TireInputs, modelled
 from tirefit.models.mf import MFTire
 from tirefit.models.relaxation import Relaxed
-from tirefit.params import (
-    check_names,
-    parameter_values,
-    specs,
-    with_values,
-)
+from tirefit.params import check_names, parameter_values, specs, with_values
 from tirefit.precision import require_x64
 from tirefit.slip import CONVENTIONS, LOCKED, kappa_from_sigma
 from tirefit.targets.program import Program, traced
@@ -138,9 +127,8 @@ class Tire:
             # A locked wheel has no finite sigma_x.
             turned = kappa / jnp.maximum(1 - kappa, 1 / (1 + LOCKED))
             given = TireInputs(
-                turned, signs.alpha * alpha, signs.fz * fz, v, signs.gamma * gamma,
-                pressure,
-            )  # fmt: skip
+                turned, signs.alpha * alpha, signs.fz * fz, v, signs.gamma * gamma, pressure
+            )
             found = self.model(given)._asdict()
             return tuple(getattr(signs, name) * found[name] for name in outputs)
 
@@ -219,9 +207,7 @@ def _of_fit(given: GivenTire, path: str) -> Tire:
     origin += f", {path}" if path else ""
     fitted = content.get("parameters") or content["coefficients"]
     spread = {
-        name: one["std"]
-        for name, one in fitted.items()
-        if one.get("std") and not one.get("fixed")
+        name: one["std"] for name, one in fitted.items() if one.get("std") and not one.get("fixed")
     }
     ranges = {k: (low, high) for k, (low, high) in data.get("range", {}).items()}
     if "sigma_x" in ranges:
@@ -242,11 +228,14 @@ def _of_tir(given: GivenTire, path: str, values: Mapping[str, float]) -> Tire:
         if least in numbers and most in numbers
     }
     return Tire(
-        tire, given.name, f"Magic Formula {tir.version} of {path}, TYRESIDE {tir.side}",
-        tire.nominal.FNOMIN, measured=turned_range(stated, TIR_SIGNS),
+        tire,
+        given.name,
+        f"Magic Formula {tir.version} of {path}, TYRESIDE {tir.side}",
+        tire.nominal.FNOMIN,
+        measured=turned_range(stated, TIR_SIGNS),
         notes=tuple(remarks(tir, tire)),
         tir=tir.with_values(values) if values else tir,
-    )  # fmt: skip
+    )
 
 
 def _with_effects(tire: Tire, diagnosis) -> Tire:
@@ -258,25 +247,25 @@ def _with_effects(tire: Tire, diagnosis) -> Tire:
     document = document_of(diagnosis.to_json()) if known else read_document(diagnosis)
     require_x64("an export")
     report = extend(
-        tire.model, tire.name, document,
-        lambda model: _exportable(replace(tire, model=model)).model,
-    )  # fmt: skip
+        tire.model, tire.name, document, lambda model: _exportable(replace(tire, model=model)).model
+    )
     own, before = document.extended_parameters, parameter_values(tire.model)
     notes = _exportable(tire).notes + report.sentences
     far = [k for k, x in own.items() if abs(x - before[k]) > abs(before[k])]
     if far:
         changes = ", ".join(f"{k} {before[k]:.4g} to {own[k]:.4g}" for k in far)
-        notes = (
-            f"warning: the diagnosis changes {changes}: is it of this tire?", *notes,
-        )  # fmt: skip
+        notes = (f"warning: the diagnosis changes {changes}: is it of this tire?", *notes)
     if tire.spread:
         changed = ", ".join(own)
         notes += (f"{changed}: estimates beside the effects, without standard error",)
     return replace(
-        tire, model=report.tire, bare=report.bare if report.names else None,
-        spread={k: std for k, std in tire.spread.items() if k not in own}, notes=notes,
+        tire,
+        model=report.tire,
+        bare=report.bare if report.names else None,
+        spread={k: std for k, std in tire.spread.items() if k not in own},
+        notes=notes,
         tir=tire.tir and tire.tir.with_values(own),
-    )  # fmt: skip
+    )
 
 
 def _exportable(tire: Tire) -> Tire:

@@ -46,9 +46,11 @@ class Applied:
         found = samples_of(motion, rows, vehicle, tires)
         g = vehicle.gravity
         return found._replace(
-            speed=found.speed / self.speed, time=0 * found.time,
-            across=motion.a_y[rows] / g, turn=motion.yaw_rate[rows] / motion.v_x[rows],
-        )  # fmt: skip
+            speed=found.speed / self.speed,
+            time=0 * found.time,
+            across=motion.a_y[rows] / g,
+            turn=motion.yaw_rate[rows] / motion.v_x[rows],
+        )
 
     def channels(self, vehicle: Vehicle, tires, motion: Motion, channels, rows):
         """Speed, lateral acceleration, wheel angle and state (n,) of a log with the
@@ -63,9 +65,7 @@ class Applied:
     def wheel_angle(self, steering, motion: Motion, vehicle: Vehicle, tires):
         """Road wheel angle (n,) of a log, with the effects of the steering."""
         rows = np.arange(len(motion.time))[None]
-        samples = jax.tree.map(
-            lambda x: x[0], self.samples(motion, rows, vehicle, tires)
-        )
+        samples = jax.tree.map(lambda x: x[0], self.samples(motion, rows, vehicle, tires))
         of = self.at(samples).steering
         found = np.full(len(steering), np.nan)
         for number in np.unique(motion.part):
@@ -82,8 +82,7 @@ class Applied:
         def one(samples: Samples):
             count = len(samples.speed)
             return jax.tree.map(
-                lambda x: jnp.broadcast_to(jnp.asarray(x, float), count),
-                self.at(samples).car,
+                lambda x: jnp.broadcast_to(jnp.asarray(x, float), count), self.at(samples).car
             )
 
         return jax.vmap(one)(jax.tree.map(jnp.asarray, samples))
@@ -119,13 +118,7 @@ def applied(source: VehicleDiagnosis | str | os.PathLike) -> Applied:
         if content["schema"] != SCHEMA:
             raise ValueError(f"its schema is not {SCHEMA}")
         return _applied(content)
-    except (
-        ValueError,
-        TypeError,
-        LookupError,
-        AttributeError,
-        RecursionError,
-    ) as error:
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         reason = f"not the document of a diagnosis of a car: {str(error)[:200]}"
         raise DataError(InputProblem(reason, remedy, str(source))) from None
 

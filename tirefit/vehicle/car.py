@@ -58,14 +58,17 @@ class Car(eqx.Module):
         return weight * self.l_r, weight * self.l_f
 
 
-def car_of(
-    vehicle: Vehicle, front: AbstractTire, rear: AbstractTire, inertia=1.0
-) -> Car:
+def car_of(vehicle: Vehicle, front: AbstractTire, rear: AbstractTire, inertia=1.0) -> Car:
     """The car of a vehicle on two tires; ``inertia`` is a factor on its yaw inertia."""
     return Car(
-        front, rear, vehicle.mass, inertia * vehicle.yaw_inertia, vehicle.l_f,
-        vehicle.l_r, vehicle.gravity,
-    )  # fmt: skip
+        front,
+        rear,
+        vehicle.mass,
+        inertia * vehicle.yaw_inertia,
+        vehicle.l_f,
+        vehicle.l_r,
+        vehicle.gravity,
+    )
 
 
 class State(NamedTuple):
@@ -161,9 +164,8 @@ def stiffest(car: Car, slowest: float) -> float:
 
 
 def predicted(
-    car: Car, start: State, v_x, steering, step: float, parts: int,
-    changes: Changes | None = None,
-) -> State:  # fmt: skip
+    car: Car, start: State, v_x, steering, step: float, parts: int, changes: Changes | None = None
+) -> State:
     """The states at every sample from a start on: (n,) each.
 
     Args:
@@ -186,9 +188,12 @@ def predicted(
         lateral, yaw = accelerations(car, speed, angle, *motion, change, late)
         cos, sin = jnp.cos(state.heading), jnp.sin(state.heading)
         return State(
-            lateral - speed * state.yaw_rate, yaw, state.yaw_rate,
-            speed * cos - state.v_y * sin, speed * sin + state.v_y * cos,
-        )  # fmt: skip
+            lateral - speed * state.yaw_rate,
+            yaw,
+            state.yaw_rate,
+            speed * cos - state.v_y * sin,
+            speed * sin + state.v_y * cos,
+        )
 
     def onward(carried, given):
         speeds, angles, change = given
@@ -214,9 +219,8 @@ def predicted(
             k3 = at(k + 0.5, jax.tree.map(lambda d: width / 2 * d, k2))
             k4 = at(k + 1.0, jax.tree.map(lambda d: width * d, k3))
             then = jax.tree.map(
-                lambda s, a, b, c, d: s + width / 6 * (a + 2 * b + 2 * c + d),
-                now, k1, k2, k3, k4,
-            )  # fmt: skip
+                lambda s, a, b, c, d: s + width / 6 * (a + 2 * b + 2 * c + d), now, k1, k2, k3, k4
+            )
             if lags:
                 moved = slips(k + 1.0, then) - slips(k, now)
                 late = _later(late, moved / width, change.relaxation / speed, width)

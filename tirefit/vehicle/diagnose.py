@@ -180,10 +180,12 @@ def diagnose_vehicle(
 
     def cut(some):
         return cut_logs(
-            some, vehicle,
+            some,
+            vehicle,
             lambda track, motion: windows_of(track, motion, vehicle, window),
-            f"{window:g} s long", "a shorter window",
-        )  # fmt: skip
+            f"{window:g} s long",
+            "a shorter window",
+        )
 
     found, others = cut(logs), cut(holdout) if holdout else None
     tires = [
@@ -206,16 +208,23 @@ def diagnose_vehicle(
         other.follow(replace(null, starts=other.cut.data.start))
         held_out = _miss(other, null, best)
     return VehicleDiagnosis(
-        tuple(found), len(windows.log), window, verdict,
-        ladder_of(out, verdict.key, 1.0), _amplitudes(base, best, std),
+        tuple(found),
+        len(windows.log),
+        window,
+        verdict,
+        ladder_of(out, verdict.key, 1.0),
+        _amplitudes(base, best, std),
         _words(base, best),
         {a.effect.id: a.variant for a in (base.model.atoms[k] for k in best.atoms)},
-        float(np.mean(windows.data.v_x)), _parameters(best),
+        float(np.mean(windows.data.v_x)),
+        _parameters(best),
         _by_channel(base, base.noise / np.sqrt(base.inflation)),
-        _miss(base, null, best), held_out,
+        _miss(base, null, best),
+        held_out,
         {name: lacks for name, lacks in untestable.items() if lacks},
-        {effect.id: effect for effect in effects}, _notes(given, tires),
-    )  # fmt: skip
+        {effect.id: effect for effect in effects},
+        _notes(given, tires),
+    )
 
 
 def _enough(windows: Cut, window: float) -> None:
@@ -279,9 +288,7 @@ def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
     return cut, has
 
 
-def samples_of(
-    motion: Motion, own, vehicle: Vehicle, tires, passed: float = 0.0
-) -> Samples:
+def samples_of(motion: Motion, own, vehicle: Vehicle, tires, passed: float = 0.0) -> Samples:
     """What effects may depend on, at the rows (w, k) of a log; ``across`` and ``turn``
     are zero until a fit is followed, ``passed`` [s] is the time of the logs before."""
     g, count = vehicle.gravity, len(own)
@@ -289,16 +296,20 @@ def samples_of(
     loads = weight * vehicle.l_r / wheelbase, weight * vehicle.l_f / wheelbase
     v_x = motion.v_x[own]
     sliding = [
-        _sliding(one, load, float(v_x.mean()))
-        for one, load in zip(tires, loads, strict=True)
+        _sliding(one, load, float(v_x.mean())) for one, load in zip(tires, loads, strict=True)
     ]
     heading = motion.heading if vehicle.columns.motion == POSE else 0 * motion.time
     return Samples(
-        speed=v_x, along=motion.a_x[own] / g, across=0 * v_x, turn=0 * v_x,
-        time=passed + motion.time[own] - motion.time[0], heading=heading[own],
-        weight=np.full(count, weight), wheelbase=np.full(count, wheelbase),
+        speed=v_x,
+        along=motion.a_x[own] / g,
+        across=0 * v_x,
+        turn=0 * v_x,
+        time=passed + motion.time[own] - motion.time[0],
+        heading=heading[own],
+        weight=np.full(count, weight),
+        wheelbase=np.full(count, wheelbase),
         sliding=np.tile(sliding, (count, 1)),
-    )  # fmt: skip
+    )
 
 
 def _sliding(axle: GivenTire, load: float, speed: float) -> float:
@@ -321,9 +332,7 @@ def _amplitudes(base: Base, fit: Fit, std: np.ndarray) -> dict[str, Amplitude]:
     found = {}
     for k, size, error in zip(fit.atoms, fit.amplitude, std, strict=True):
         effect, scale = base.model.atoms[k].effect, base.model.scales[k]
-        found[effect.id] = Amplitude(
-            float(scale * size), float(scale * error), effect.unit
-        )
+        found[effect.id] = Amplitude(float(scale * size), float(scale * error), effect.unit)
     return found
 
 

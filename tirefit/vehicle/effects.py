@@ -69,9 +69,7 @@ def _sets(part: str, name: str, value):
 
     def change(setting, amplitude, constants, rows):
         new = value(amplitude, rows)
-        return setting._replace(
-            **{part: getattr(setting, part)._replace(**{name: new})}
-        )
+        return setting._replace(**{part: getattr(setting, part)._replace(**{name: new})})
 
     return change
 

@@ -36,8 +36,7 @@ from tirefit.vehicle.effects import Samples, Setting, Steering, scaled_axles
 from tirefit.vehicle.shooting import Data, minimised
 
 PARAMETERS = tuple(
-    f"{axle}.{name}"
-    for axle, name in product(("front", "rear"), ("stiffness", "friction"))
+    f"{axle}.{name}" for axle, name in product(("front", "rear"), ("stiffness", "friction"))
 )
 """What is fitted whatever the effects: factors on the tires, by their logarithms, each
 with a prior of one."""
@@ -147,8 +146,7 @@ class Model(NamedTuple):
         car = setting.car
         return setting._replace(
             car=car._replace(
-                front=car.front._replace(force=front),
-                rear=car.rear._replace(force=rear),
+                front=car.front._replace(force=front), rear=car.rear._replace(force=rear)
             )
         )
 
@@ -191,18 +189,14 @@ def _followed(model: Model, car: Car, grid, z, start, data: Data, rows, shapes):
 
 
 @partial(jax.jit, static_argnums=0)
-def _linearised(
-    model: Model, car, grid, z, ways, start, data: Data, rows: Samples, shapes
-):
+def _linearised(model: Model, car, grid, z, ways, start, data: Data, rows: Samples, shapes):
     """Residuals (w, k, c) at z, and their derivatives along ``ways`` (P, q) and by the
     start of the own window: (w, k, c, q) and (w, k, c, s). ``grid`` is the time between
     samples and the number of steps of the integration from one to the next."""
 
     def one(start, window, rows, shapes):
         def both(along, start):
-            found = model.missed(
-                car, grid, z + ways @ along, start, window, rows, shapes
-            )
+            found = model.missed(car, grid, z + ways @ along, start, window, rows, shapes)
             return found, found
 
         nowhere = jnp.zeros(ways.shape[1])
@@ -270,10 +264,12 @@ class Base:
         # As arrays: another car compiles nothing anew.
         self.car = jax.tree.map(lambda x: jnp.asarray(x, float), car)
         self.noise, self.scatter, self.inflation = np.ones(model.channels), 1.0, 1.0
-        bounds = np.array([
-            np.array(a.effect.bounds[0]) / s
-            for a, s in zip(model.atoms, model.scales, strict=True)
-        ]).reshape(-1, 2)  # fmt: skip
+        bounds = np.array(
+            [
+                np.array(a.effect.bounds[0]) / s
+                for a, s in zip(model.atoms, model.scales, strict=True)
+            ]
+        ).reshape(-1, 2)
         self.low, self.high = bounds.T
         self.one_sided = (self.low >= 0) | (self.high <= 0)
 
@@ -391,9 +387,16 @@ class Base:
             for side, own in ((-_MOST_OFF, self.low), (_MOST_OFF, self.high))
         ]
         own, starts, now, _ = minimised(
-            run, jnp.asarray(begin), starts, run(begin, starts, None), None,
-            jnp.asarray(self.noise), pull, sides, _TOLERANCE,
-        )  # fmt: skip
+            run,
+            jnp.asarray(begin),
+            starts,
+            run(begin, starts, None),
+            None,
+            jnp.asarray(self.noise),
+            pull,
+            sides,
+            _TOLERANCE,
+        )
         found = origin.copy()
         found[places] = np.asarray(own)[:size]
         products = self.products(now).some(range(size))

@@ -118,10 +118,9 @@ def _weighted(cost, z, inverse, seed: int) -> np.ndarray:
         raise UsageError(reason, "take --intervals profile")
     order = np.argsort(draws, axis=0)
     sums = np.cumsum(weights[order], axis=0)
-    return np.array([
+    return np.array(
         [
-            np.interp(share, sums[:, k], draws[order[:, k], k])
-            for k in range(len(z))
+            [np.interp(share, sums[:, k], draws[order[:, k], k]) for k in range(len(z))]
+            for share in (0.025, 0.975)
         ]
-        for share in (0.025, 0.975)
-    ])  # fmt: skip
+    )

@@ -31,14 +31,7 @@ from tirefit.models.mf import Pair
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 from tirefit.vehicle.applied import applied
-from tirefit.vehicle.car import (
-    Car,
-    State,
-    accelerations,
-    car_of,
-    predicted,
-    steps_a_sample,
-)
+from tirefit.vehicle.car import Car, State, accelerations, car_of, predicted, steps_a_sample
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.windows import (
     cut_logs,
@@ -58,9 +51,12 @@ EVERY = 0.25
 """Time [s] from one start to the next."""
 
 QUANTITIES = {
-    "yaw_rate": "rad/s", "sideslip": "rad", "a_y": "m/s2", "heading": "rad",
+    "yaw_rate": "rad/s",
+    "sideslip": "rad",
+    "a_y": "m/s2",
+    "heading": "rad",
     "lateral": "m",
-}  # fmt: skip
+}
 """What is compared, with its unit; ``lateral`` is the place across the measured one."""
 
 DRAWS = 24
@@ -83,9 +79,7 @@ class Errors(NamedTuple):
             count = np.isfinite(values).sum(axis=0)
             squares = np.nansum(values**2, axis=0)
             rms = np.sqrt(squares / np.maximum(count, 1))
-            found[name] = [
-                float(x) if n else None for x, n in zip(rms, count, strict=True)
-            ]
+            found[name] = [float(x) if n else None for x, n in zip(rms, count, strict=True)]
         return found
 
 
@@ -129,13 +123,16 @@ class Replay(Record):
     def to_dict(self) -> dict:
         """The numbers, as ``replay.json`` has them."""
         return {
-            "schema": SCHEMA, "version": __version__,
+            "schema": SCHEMA,
+            "version": __version__,
             "logs": {k: {"fitted": v} for k, v in self.logs.items()},
-            "horizons": self.horizons, "windows": self.windows,
+            "horizons": self.horizons,
+            "windows": self.windows,
             "units": QUANTITIES,
             "rms": {name: errors.rms() for name, errors in self.models.items()},
-            "held": self.held, "notes": self.notes,
-        }  # fmt: skip
+            "held": self.held,
+            "notes": self.notes,
+        }
 
     def files(self, name: str = "") -> dict[str, str]:
         """``replay.json``."""
@@ -225,10 +222,12 @@ def replay(
     named = None if effects is None else applied(effects)
     apply = named and partial(named.channels, vehicle, tires)
     found = cut_logs(
-        logs, vehicle,
+        logs,
+        vehicle,
         partial(_windows, vehicle, horizons, generator, apply),
-        f"as long as the shortest horizon, {horizons[0]:g} s", "shorter horizons",
-    )  # fmt: skip
+        f"as long as the shortest horizon, {horizons[0]:g} s",
+        "shorter horizons",
+    )
     joined, *noisy, changed = (
         jax.tree.map(lambda *each: np.concatenate(each), *same)
         for same in zip(*(log.windows for log in found.values()), strict=True)
@@ -257,9 +256,12 @@ def replay(
     return Replay(
         {k: not fitted.isdisjoint(log.runs) for k, log in found.items()},
         tuple(horizons),
-        tuple(int(n) for n in counts), models, held,
-        _fans(found, states), (*_notes(vehicle, tires), *left),
-    )  # fmt: skip
+        tuple(int(n) for n in counts),
+        models,
+        held,
+        _fans(found, states),
+        (*_notes(vehicle, tires), *left),
+    )
 
 
 def _checked(vehicle: Vehicle, horizons: Sequence[float], delay: float) -> list[float]:
@@ -296,8 +298,7 @@ def _notes(vehicle: Vehicle, tires) -> tuple[str, ...]:
     ]
     if vehicle.columns.motion != POSE:
         notes.append(
-            "the log holds no pose: heading and place are the integrals of its yaw rate"
-            " and speeds"
+            "the log holds no pose: heading and place are the integrals of its yaw rate and speeds"
         )
     return tuple(notes)
 
@@ -325,9 +326,7 @@ def _windows(
     good &= np.isfinite(_channels(motion, vehicle)).all(axis=0)
     each = stretches(good, motion.part)
     step = max(round(EVERY * rate), 1)
-    begun = [
-        (k, last) for first, last in each for k in range(first, last - least + 1, step)
-    ]
+    begun = [(k, last) for first, last in each for k in range(first, last - least + 1, step)]
     if not begun:
         return None
     starts, ends = np.array(begun).T
@@ -343,9 +342,14 @@ def _windows(
         v_x, a_y, steer, *state = channels
         *measured, a_y = (np.where(there, one[rows], np.nan) for one in (*state, a_y))
         return _Windows(
-            motion.time[rows], State(*(one[starts] for one in state)), v_x[rows],
-            steer[rows], State(*measured), a_y, samples,
-        )  # fmt: skip
+            motion.time[rows],
+            State(*(one[starts] for one in state)),
+            v_x[rows],
+            steer[rows],
+            State(*measured),
+            a_y,
+            samples,
+        )
 
     noisy = (with_noise(track, motion, vehicle, generator) for _ in range(NOISES))
     return [cut(motion), *map(cut, noisy), cut(motion, apply)]
@@ -374,9 +378,7 @@ def _states(car: Car, start: State, v_x, steering, changes, step: float, parts: 
     return jax.vmap(one)(start, v_x, steering, changes)
 
 
-def _compared(
-    car: Car, windows: _Windows, steps, rate: float, parts: int, changes=None
-):
+def _compared(car: Car, windows: _Windows, steps, rate: float, parts: int, changes=None):
     """Errors at the horizons, and the predicted states (w, k)."""
     given = windows.start, windows.v_x, windows.steering, changes
     states, lateral = _states(car, *given, 1 / rate, parts)
@@ -387,10 +389,12 @@ def _compared(
 def _floor(tire: Errors, noisy: Sequence[Errors]) -> Errors:
     """What the noise of the log alone does to the errors: their change by more of it,
     at the start of a window and where it is compared."""
-    return Errors({
-        name: np.concatenate([one.of[name] - missed for one in noisy])
-        for name, missed in tire.of.items()
-    })  # fmt: skip
+    return Errors(
+        {
+            name: np.concatenate([one.of[name] - missed for one in noisy])
+            for name, missed in tire.of.items()
+        }
+    )
 
 
 def _errors(states: State, a_y, windows: _Windows, steps) -> Errors:
@@ -403,11 +407,15 @@ def _errors(states: State, a_y, windows: _Windows, steps) -> Errors:
     cos, sin = np.cos(true.heading[:, at]), np.sin(true.heading[:, at])
     v_x = windows.v_x[:, at]
     slip = np.arctan2(states.v_y[:, at], v_x) - np.arctan2(true.v_y[:, at], v_x)
-    return Errors({
-        "yaw_rate": missed("yaw_rate"), "sideslip": slip,
-        "a_y": (a_y - windows.a_y)[:, at], "heading": missed("heading"),
-        "lateral": cos * missed("y") - sin * missed("x"),
-    })  # fmt: skip
+    return Errors(
+        {
+            "yaw_rate": missed("yaw_rate"),
+            "sideslip": slip,
+            "a_y": (a_y - windows.a_y)[:, at],
+            "heading": missed("heading"),
+            "lateral": cos * missed("y") - sin * missed("x"),
+        }
+    )
 
 
 def _without_slip(vehicle: Vehicle, windows: _Windows, steps) -> Errors:
@@ -433,18 +441,14 @@ def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, generator
     if all(tire.fit is None for tire in tires):
         return {}
     drawn = zip(*(tire.drawn(generator, DRAWS) for tire in tires), strict=True)
-    each = [
-        _compared(replace_tires(car, *pair), windows, steps, rate, parts)[0]
-        for pair in drawn
-    ]
+    each = [_compared(replace_tires(car, *pair), windows, steps, rate, parts)[0] for pair in drawn]
     held = {}
     for name in QUANTITIES:
         missed = np.stack([errors.of[name] for errors in each])
         inside = np.abs(missed.mean(axis=0)) <= _NORMAL_95 * missed.std(axis=0)
         there = np.isfinite(missed[0])
         held[name] = [
-            float(inside[t, k].mean()) if t.any() else None
-            for k, t in enumerate(there.T)
+            float(inside[t, k].mean()) if t.any() else None for k, t in enumerate(there.T)
         ]
     return held
 
@@ -458,10 +462,11 @@ def _fans(found, predictions) -> dict[str, Fans]:
         measured = windows.measured._asdict() | {"a_y": windows.a_y}
         there = np.isfinite(windows.a_y)
         fans[name] = Fans(
-            np.where(there, windows.time, np.nan), measured,
+            np.where(there, windows.time, np.nan),
+            measured,
             {
                 k: np.where(there, one[rows], np.nan)
                 for k, one in (states._asdict() | {"a_y": lateral}).items()
             },
-        )  # fmt: skip
+        )
     return fans

@@ -7,24 +7,14 @@ from math import factorial
 import numpy as np
 from scipy.special import logsumexp, softmax, stdtr
 
-from tirefit.diagnosis.decide.findings import (
-    gains_of,
-    parts_of,
-    probability_by_tests,
-)
+from tirefit.diagnosis.decide.findings import gains_of, parts_of, probability_by_tests
 from tirefit.diagnosis.decide.verdict import Findings, Fitted, Tests, no_gap_shows
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
 from tirefit.diagnosis.evidence.search import PRIOR_OF_SIZE, PRIOR_OF_UNKNOWN
 from tirefit.diagnosis.left_out import LEAST_RUNS, Predicted
 from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.diagnosis.rows.basis import SCALES
-from tirefit.vehicle.evidence import (
-    MOST,
-    PARAMETERS,
-    SHAPES,
-    Base,
-    Fit,
-)
+from tirefit.vehicle.evidence import MOST, PARAMETERS, SHAPES, Base, Fit
 
 _SINGLES, _WIDE, _DEEP = 8, 3, 2
 """Single effects that are refitted first; further effects that are tried beside each of
@@ -110,8 +100,7 @@ class _Search:
             self.whole[parent.atoms] = self.base.everything(parent)
         more = self.base.one_more(parent, self.whole[parent.atoms])
         order = sorted(
-            self.base.testable,
-            key=lambda k: np.log(self.variants[self.ids[k]]) - more[k],
+            self.base.testable, key=lambda k: np.log(self.variants[self.ids[k]]) - more[k]
         )
         found: dict[str, int] = {}
         for k in order:
@@ -197,11 +186,15 @@ def _weighed(search: _Search) -> Weighed:
     everything = float(logsumexp([*total.values(), *beside.values(), *rest]))
     weak = search.alone[untried] < _WEAK
     return Weighed(
-        best_of=best_of, log_weight=total, log_beside=beside,
+        best_of=best_of,
+        log_weight=total,
+        log_beside=beside,
         evidence={k: f.log_evidence - none for k, f in best_of.items()},
-        other_form=frozenset(), gains={}, log_total=everything,
+        other_form=frozenset(),
+        gains={},
+        log_total=everything,
         hidden=float(np.exp(rest[weak] - everything).sum()),
-    )  # fmt: skip
+    )
 
 
 def _predicted(search: _Search, weighed: Weighed) -> Predicted:
@@ -230,10 +223,16 @@ def _predicted(search: _Search, weighed: Weighed) -> Predicted:
     given = base.products(base.at_best_starts(np.zeros(base.model.size))).square
     smooth = _smooth(search, weighed.best_of[ranked[0]], folds)
     return Predicted(
-        on, len(set(base.cut.log)) >= LEAST_RUNS, tuple(keys),
-        loss * each[:, None], loss, rows, tuple(sizes), smooth * each,
+        on,
+        len(set(base.cut.log)) >= LEAST_RUNS,
+        tuple(keys),
+        loss * each[:, None],
+        loss,
+        rows,
+        tuple(sizes),
+        smooth * each,
         as_given=np.array([given[folds == f].sum() for f in range(number)]) * each,
-    )  # fmt: skip
+    )
 
 
 def _folds(log: np.ndarray) -> tuple[np.ndarray, str]:

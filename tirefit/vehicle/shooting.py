@@ -119,9 +119,7 @@ def eliminated(missed, by_z, by_start, noise, damping=0.0):
 eliminate = jax.jit(eliminated)
 
 
-def minimised(
-    run, z, starts, now, data, noise, pull, bounds=(-np.inf, np.inf), tolerance=1e-6
-):
+def minimised(run, z, starts, now, data, noise, pull, bounds=(-np.inf, np.inf), tolerance=1e-6):
     """Levenberg and Marquardt on z within its bounds and on all start states; ``now``
     is what ``run`` gives there. Returns them at the end, and whether it converged: a
     step changed the cost by less than ``tolerance`` of it."""

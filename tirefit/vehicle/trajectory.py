@@ -42,23 +42,9 @@ from tirefit.models import MODELS, AbstractTire
 from tirefit.params import constrain, with_values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError, did_you_mean
-from tirefit.vehicle.car import (
-    Car,
-    State,
-    car_of,
-    delayed,
-    predicted,
-    steps_a_sample,
-)
+from tirefit.vehicle.car import Car, State, car_of, delayed, predicted, steps_a_sample
 from tirefit.vehicle.intervals import INTERVALS, Optimum, ends_by
-from tirefit.vehicle.shooting import (
-    CHANNELS,
-    Data,
-    linearised,
-    minimised,
-    sandwich,
-    windows_of,
-)
+from tirefit.vehicle.shooting import CHANNELS, Data, linearised, minimised, sandwich, windows_of
 from tirefit.vehicle.windows import cut_logs, known_vehicle, steering_problems
 
 
@@ -130,13 +116,20 @@ class TrajectoryFit(Record):
 
     def to_dict(self) -> dict:
         """The numbers, as ``trajectory.json`` has them."""
-        return json_safe({
-            "schema": SCHEMA, "version": __version__, "logs": self.logs,
-            "windows": self.windows, "blocks": self.blocks,
-            "converged": self.converged, "intervals": self.intervals,
-            "parameters": {k: asdict(v) for k, v in self.parameters.items()},
-            "noise": dict(self.noise), "vehicle": self.vehicle.model_dump(),
-        })  # fmt: skip
+        return json_safe(
+            {
+                "schema": SCHEMA,
+                "version": __version__,
+                "logs": self.logs,
+                "windows": self.windows,
+                "blocks": self.blocks,
+                "converged": self.converged,
+                "intervals": self.intervals,
+                "parameters": {k: asdict(v) for k, v in self.parameters.items()},
+                "noise": dict(self.noise),
+                "vehicle": self.vehicle.model_dump(),
+            }
+        )
 
     def files(self, name: str = "") -> dict[str, str]:
         """``front.json`` and ``rear.json`` (each a ``fit.json``), ``vehicle.toml`` with
@@ -192,10 +185,12 @@ def fit_trajectory(
     _check(vehicle, unknowns, given, intervals)
     rate = vehicle.filter.sample_rate
     found = cut_logs(
-        logs, vehicle,
+        logs,
+        vehicle,
         lambda track, motion: windows_of(track, motion, vehicle, window),
-        f"{window:g} s long", "a shorter window",
-    )  # fmt: skip
+        f"{window:g} s long",
+        "a shorter window",
+    )
     parts = [log.windows[0] for log in found.values()]
     data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
     rows = {axle: derived_rows(found, vehicle, axle) for axle in given}
@@ -234,9 +229,7 @@ def derived_rows(found, vehicle: Vehicle, axle: str) -> TireData:
     cells = {k: np.array(v)[::step] for k, v in columns.items()}
     arm = vehicle.l_r if axle == "front" else vehicle.l_f
     load = vehicle.mass * vehicle.gravity * arm / (vehicle.l_f + vehicle.l_r)
-    return read_frame(
-        cells | {"fz": np.full(len(cells["run"]), load)}, ", ".join(found)
-    )
+    return read_frame(cells | {"fz": np.full(len(cells["run"]), load)}, ", ".join(found))
 
 
 def started(tire: GivenTire, rows: TireData) -> GivenTire:
@@ -296,9 +289,7 @@ class _Problem:
         steering = steering * self.unknown(z, "steering_ratio", 1.0)
         steering = steering + self.unknown(z, "steering_offset")
         whole = jnp.concatenate([start, jnp.zeros(5 - len(start))])
-        states = predicted(
-            self.car(z), State(*whole), window.v_x, steering, step, parts
-        )
+        states = predicted(self.car(z), State(*whole), window.v_x, steering, step, parts)
         zero, ahead = self.unknown(z, "sideslip_zero"), self.unknown(z, "cg_ahead")
         # The log is of the point where the centre of gravity was thought to be.
         if len(self.names) == 2:
@@ -315,20 +306,15 @@ class _Problem:
         pull, now = self.pulls(), self.run(z, starts, self.data)
         for _ in range(_ROUNDS):
             noise = jnp.sqrt(jnp.mean(now[0] ** 2, axis=(0, 1)))
-            z, starts, now, converged = minimised(
-                self.run, z, starts, now, self.data, noise, pull
-            )
+            z, starts, now, converged = minimised(self.run, z, starts, now, self.data, noise, pull)
         missed, by_z, by_start = now
         free = self.data.start.size + len(self.z)
         count = missed.shape[0] * missed.shape[1]
-        noise = jnp.sqrt(
-            jnp.sum(missed**2, axis=(0, 1)) / max(count - free / len(self.names), 1)
-        )
+        noise = jnp.sqrt(jnp.sum(missed**2, axis=(0, 1)) / max(count - free / len(self.names), 1))
         covariance, blocks = sandwich(missed, by_z, by_start, noise, pull)
         optimum = Optimum(
-            partial(self.missed, parts=self.parts), z, starts, now, noise, pull,
-            self.data,
-        )  # fmt: skip
+            partial(self.missed, parts=self.parts), z, starts, now, noise, pull, self.data
+        )
         std = np.sqrt(np.diag(covariance))
         reach = student.ppf(0.975, max(blocks - 1, 1))
         ends = ends_by(intervals, optimum, std, reach, seed)
@@ -339,19 +325,22 @@ class _Problem:
             for k, axle in enumerate(("front", "rear"))
         }
         return TrajectoryFit(
-            car.front, car.rear, found,
+            car.front,
+            car.rear,
+            found,
             {c: float(s) for c, s in zip(self.names, noise, strict=True)},
-            len(self.data.v_x), blocks, self.found_vehicle(found), bool(converged),
-            intervals, axles,
-        )  # fmt: skip
+            len(self.data.v_x),
+            blocks,
+            self.found_vehicle(found),
+            bool(converged),
+            intervals,
+            axles,
+        )
 
     def pulls(self) -> jax.Array:
         """Precision (p,) of the weak priors of the unknowns at zero."""
         scale = {"cg_ahead": self.vehicle.l_f + self.vehicle.l_r}
-        priors = [
-            (UNKNOWNS[name].prior * scale.get(name, 1.0)) ** -2
-            for name in self.unknowns
-        ]
+        priors = [(UNKNOWNS[name].prior * scale.get(name, 1.0)) ** -2 for name in self.unknowns]
         return jnp.asarray([*np.zeros(self.first[-1]), *priors])
 
     def estimates(self, z, std, ends) -> dict[str, Estimate]:
@@ -369,10 +358,12 @@ class _Problem:
         for axle, layout in enumerate(self.layouts):
             for k, (label, free) in enumerate(layout.elements):
                 add(
-                    f"{('front', 'rear')[axle]}.{label}", free.spec.unit,
-                    self.first[axle] + k, partial(constrain, spec=free.spec),
+                    f"{('front', 'rear')[axle]}.{label}",
+                    free.spec.unit,
+                    self.first[axle] + k,
+                    partial(constrain, spec=free.spec),
                     partial(limited, free.spec),
-                )  # fmt: skip
+                )
         for k, name in enumerate(self.unknowns):
             one, at = UNKNOWNS[name], self.first[-1] + k
             scale = self.vehicle.yaw_inertia if name == "yaw_inertia" else 1.0
@@ -390,18 +381,22 @@ class _Problem:
             return found[name].value if name in found else default
 
         ratio, offset = value("steering_ratio", 1.0), value("steering_offset")
-        steering = steering.model_copy(update={
-            "angle": [ratio * angle + offset for angle in steering.angle],
-            "delay": value("steering_delay", steering.delay),
-        })  # fmt: skip
+        steering = steering.model_copy(
+            update={
+                "angle": [ratio * angle + offset for angle in steering.angle],
+                "delay": value("steering_delay", steering.delay),
+            }
+        )
         zero, ahead = value("sideslip_zero"), value("cg_ahead")
         pose = len(self.names) == 3
         name, turned = ("yaw_offset", zero) if pose else ("sideslip_offset", -zero)
         changed = {
             "yaw_inertia": value("yaw_inertia", vehicle.yaw_inertia),
-            "l_f": vehicle.l_f - ahead, "l_r": vehicle.l_r + ahead,
-            "steering": steering, name: getattr(vehicle, name) + turned,
-        }  # fmt: skip
+            "l_f": vehicle.l_f - ahead,
+            "l_r": vehicle.l_r + ahead,
+            "steering": steering,
+            name: getattr(vehicle, name) + turned,
+        }
         if ahead:
             changed |= {"mass_front": None, "mass_rear": None}
         return vehicle.model_copy(update=changed)
@@ -416,20 +411,24 @@ class _Problem:
             if name.startswith(f"{axle}.")
         }
         content = {
-            "schema": FIT_SCHEMA, "version": __version__, "model": self.tires[k].name,
-            "forces": ["fy"], "source": "trajectories of the car",
+            "schema": FIT_SCHEMA,
+            "version": __version__,
+            "model": self.tires[k].name,
+            "forces": ["fy"],
+            "source": "trajectories of the car",
             "data": data_record(rows, rows.n, ()),
             # No force was measured: a prediction has the parameters' uncertainty alone.
             "noise": {"fy": {"median_std": 0.0}},
-            "parameters": parameters, "reference": {"fz": float(rows["fz"][0])},
+            "parameters": parameters,
+            "reference": {"fz": float(rows["fz"][0])},
             "prediction": {
-                "labels": layout.labels, "z": fit[1], "covariance": fit[2],
+                "labels": layout.labels,
+                "z": fit[1],
+                "covariance": fit[2],
                 "layout": layout_record(layout, self.tires[k].tire),
             },
-        }  # fmt: skip
-        return replace(
-            self.tires[k], tire=self.tire(z, k), fit=fit, content=json_safe(content)
-        )
+        }
+        return replace(self.tires[k], tire=self.tire(z, k), fit=fit, content=json_safe(content))
 
 
 def _factor(scale: float, logarithm) -> float:

@@ -73,8 +73,7 @@ def cut_logs(
         if faults := compare(track, motion, vehicle, str(file)).problems:
             # An option of derive is none of the commands that cut windows.
             problems += [
-                replace(one, remedy=re.sub(r",? or [^,]*--.*", "", one.remedy))
-                for one in faults
+                replace(one, remedy=re.sub(r",? or [^,]*--.*", "", one.remedy)) for one in faults
             ]
             continue
         windows = cut(track, motion)
@@ -116,16 +115,10 @@ def stretches(good: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
 
 def integrated(motion: Motion, rate: float):
     """Heading and place (n,) of a log of rates, from its first sample on."""
-    yaw, v_x, v_y = (
-        np.nan_to_num(v) for v in (motion.yaw_rate, motion.v_x, motion.v_y)
-    )
+    yaw, v_x, v_y = (np.nan_to_num(v) for v in (motion.yaw_rate, motion.v_x, motion.v_y))
     heading = _summed(yaw) / rate
     cos, sin = np.cos(heading), np.sin(heading)
-    return (
-        heading,
-        _summed(v_x * cos - v_y * sin) / rate,
-        _summed(v_x * sin + v_y * cos) / rate,
-    )
+    return (heading, _summed(v_x * cos - v_y * sin) / rate, _summed(v_x * sin + v_y * cos) / rate)
 
 
 def _summed(values: np.ndarray) -> np.ndarray:

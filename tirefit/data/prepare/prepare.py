@@ -9,21 +9,8 @@ import numpy as np
 from tirefit.data.accept import as_data
 from tirefit.data.levels import levels
 from tirefit.data.prepare.segments import Segment, segments_of, trimmed
-from tirefit.data.prepare.series import (
-    Series,
-    ZeroPhase,
-    bridged,
-    runs_of,
-    series_of,
-    zero_phase,
-)
-from tirefit.data.prepare.set_points import (
-    Settings,
-    Window,
-    bin_name,
-    setting_names,
-    settings_of,
-)
+from tirefit.data.prepare.series import Series, ZeroPhase, bridged, runs_of, series_of, zero_phase
+from tirefit.data.prepare.set_points import Settings, Window, bin_name, setting_names, settings_of
 from tirefit.data.prepare.settings import PrepareConfig
 from tirefit.data.prepare.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs
 from tirefit.data.prepare.warmth import last_sweeps_kept, with_warmth
@@ -166,13 +153,10 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
     notes += _conditions_at_risk(parts, kept)
     unusable = len(data) - data.n
     if unusable:
-        notes.append(
-            f"{unusable} rows cannot be used, and are cut: `masked` of the JSON"
-        )
+        notes.append(f"{unusable} rows cannot be used, and are cut: `masked` of the JSON")
     return Prepared(
-        data, config, series, settings, names, tuple(parts), columns, kept, chosen,
-        tuple(notes),
-    )  # fmt: skip
+        data, config, series, settings, names, tuple(parts), columns, kept, chosen, tuple(notes)
+    )
 
 
 def _conditions_at_risk(parts: list[Segment], kept: np.ndarray) -> list[str]:
@@ -202,15 +186,8 @@ def _conditions_at_risk(parts: list[Segment], kept: np.ndarray) -> list[str]:
 def _binned(parts: list[Segment], names) -> list[Segment]:
     """Segments with their bins, which are named by the settings that varied."""
     held = [part for part in parts if part.is_held]
-    varied = {
-        name
-        for name in names
-        if len({part.level.get(name, -1) for part in held} - {-1}) > 1
-    }
-    return [
-        replace(p, bin=bin_name(p.level, names, varied)) if p.is_held else p
-        for p in parts
-    ]
+    varied = {name for name in names if len({part.level.get(name, -1) for part in held} - {-1}) > 1}
+    return [replace(p, bin=bin_name(p.level, names, varied)) if p.is_held else p for p in parts]
 
 
 def _standing(parts: list[Segment], speed: Settings | None) -> list[Segment]:
@@ -218,10 +195,7 @@ def _standing(parts: list[Segment], speed: Settings | None) -> list[Segment]:
     if speed is None or not speed.is_held:
         return parts
     still = np.abs(speed.center) <= _STANDING * np.max(np.abs(speed.center))
-    return [
-        replace(p, kind="standing") if p.is_held and still[p.level["v"]] else p
-        for p in parts
-    ]
+    return [replace(p, kind="standing") if p.is_held and still[p.level["v"]] else p for p in parts]
 
 
 def _channels(data: TireData, series: Series) -> dict[str, np.ndarray]:
@@ -261,14 +235,18 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
         for name in CONDITIONS
         if name in smooth
     }
-    said = [f"{s.name} is nowhere held: no bins of it" for s in settings.values()
-            if not s.is_held]  # fmt: skip
+    said = [f"{s.name} is nowhere held: no bins of it" for s in settings.values() if not s.is_held]
     conditions = {name: s for name, s in settings.items() if s.is_held}
     conditions |= _held_slips(its_legs, smooth, series, shortest)
     parts = segments_of(
-        series, ~data.used, {k: conditions[k] for k in conditions if k in settings},
-        its_legs, smooth, smooth.get("fz"), shortest,
-    )  # fmt: skip
+        series,
+        ~data.used,
+        {k: conditions[k] for k in conditions if k in settings},
+        its_legs,
+        smooth,
+        smooth.get("fz"),
+        shortest,
+    )
     parts = [_with_held_slip(part, conditions, settings) for part in parts]
     parts = _standing(parts, settings.get("v"))
     swept = _mostly_swept(parts, slips)
@@ -328,9 +306,7 @@ def _held_slips(its_legs, smooth, series: Series, shortest: int) -> dict:
             if how == HELD and end - begin >= 3
         ]
         if windows:
-            out[name] = settings_of(
-                name, smooth[name], windows, series.pieces, shortest
-            )
+            out[name] = settings_of(name, smooth[name], windows, series.pieces, shortest)
     return {name: settings for name, settings in out.items() if settings.is_held}
 
 
@@ -348,8 +324,7 @@ def _with_held_slip(part: Segment, conditions, settings) -> Segment:
 
 def _mostly_swept(parts: list[Segment], slips: list[str]) -> str:
     rows = {
-        name: sum(p.end - p.begin for p in parts if name in p.channel.split("+"))
-        for name in slips
+        name: sum(p.end - p.begin for p in parts if name in p.channel.split("+")) for name in slips
     }
     return max(slips, key=lambda name: rows[name])
 

@@ -107,9 +107,7 @@ def _candidates(values, windows: list[Window]):
         if kind.any():
             usual = float(np.median(np.array(scatter)[kind]))
             calm |= kind & (np.array(scatter) <= _RESTLESS * usual)
-    at_rest = np.array(trend) <= max(
-        _SHARE * float(np.ptp(values)), 2 * float(np.median(trend))
-    )
+    at_rest = np.array(trend) <= max(_SHARE * float(np.ptp(values)), 2 * float(np.median(trend)))
     held = calm & (sweep | at_rest)
     still = [window for window, is_held in zip(windows, held, strict=True) if is_held]
     return np.array(middle)[held], np.array(stray)[held], still
@@ -122,9 +120,7 @@ def _clustered(middle, stray, least: float, size: float):
     usual = float(np.median(stray))
     near = np.clip(stray, usual, 2 * usual)
     apart = _SCATTERS / 2 * np.maximum(near[1:], near[:-1])
-    cuts = np.flatnonzero(
-        np.diff(middle) > np.maximum(apart, max(least, _SHARE * size))
-    )
+    cuts = np.flatnonzero(np.diff(middle) > np.maximum(apart, max(least, _SHARE * size)))
     groups = np.split(np.arange(len(middle)), cuts + 1)
     center = np.array([np.median(middle[group]) for group in groups])
     width = np.array(
@@ -228,9 +224,7 @@ def setting_names(settings: Settings) -> list[str]:
     return [f"{value:.{max(places, 0)}f} {unit}" for value in rounded]
 
 
-def bin_name(
-    level: Mapping[str, int], names: Mapping[str, list[str]], varied: Set[str]
-) -> str:
+def bin_name(level: Mapping[str, int], names: Mapping[str, list[str]], varied: Set[str]) -> str:
     """The name of a bin: its settings of the channels ``varied``.
 
     If camber and slip angle both varied, their names follow the values in degrees.

@@ -43,9 +43,7 @@ def swept_range(slip: np.ndarray) -> float:
     return float(high - low)
 
 
-def legs(
-    slip: np.ndarray, pieces, noise: float, least: float, shortest: int
-) -> list[Leg]:
+def legs(slip: np.ndarray, pieces, noise: float, least: float, shortest: int) -> list[Leg]:
     """The legs of a slip: they cover all rows of the pieces, in order.
 
     Args:
@@ -70,8 +68,7 @@ def legs(
             moving = _between(part, kept, reversal)
         here = sorted([*(Leg(*stop, HELD) for stop in kept), *moving])
         all_legs += [
-            leg._replace(begin=leg.begin + piece.start, end=leg.end + piece.start)
-            for leg in here
+            leg._replace(begin=leg.begin + piece.start, end=leg.end + piece.start) for leg in here
         ]
     return _without_returns(slip, _without_steps(all_legs))
 

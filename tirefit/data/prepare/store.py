@@ -98,9 +98,7 @@ def save_prepared(prepared: Prepared, folder: Path, name: str = "") -> list[Path
         f"{name}.csv": prepared_csv(prepared),
         f"{name}.segments.csv": csv_text(segment_columns(prepared)),
     }
-    digests = {
-        key: hashlib.sha256(text.encode()).hexdigest() for key, text in texts.items()
-    }
+    digests = {key: hashlib.sha256(text.encode()).hexdigest() for key, text in texts.items()}
     texts[f"{name}.prepare.json"] = json_text(record_of(prepared, digests))
     write_texts({folder / key: text for key, text in texts.items()})
     return [folder / key for key in texts]
@@ -150,9 +148,7 @@ def record_of(prepared: Prepared, files: Mapping[str, str]) -> dict:
             "kept": int(prepared.kept.sum()),
             "by_kind": prepared.rows_by_kind(),
         },
-        "segments": [
-            _segment(prepared, k, part) for k, part in enumerate(prepared.segments)
-        ],
+        "segments": [_segment(prepared, k, part) for k, part in enumerate(prepared.segments)],
         "notes": list(prepared.notes),
         "assumptions": list(source.assumptions),
         "warnings": list(source.warnings),

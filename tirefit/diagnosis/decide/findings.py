@@ -15,22 +15,10 @@ import numpy as np
 from scipy.special import expit, logit
 
 from tirefit.diagnosis.decide.remainder import remainder_tests, widening
-from tirefit.diagnosis.decide.verdict import (
-    POLICY,
-    Findings,
-    Fitted,
-    Policy,
-    Tests,
-    no_gap_shows,
-)
+from tirefit.diagnosis.decide.verdict import POLICY, Findings, Fitted, Policy, Tests, no_gap_shows
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.posterior import Key, Weighed, linear_at, weigh
-from tirefit.diagnosis.evidence.search import (
-    PRIOR_OF_UNKNOWN,
-    Hypothesis,
-    Search,
-    amplitudes_of,
-)
+from tirefit.diagnosis.evidence.search import PRIOR_OF_UNKNOWN, Hypothesis, Search, amplitudes_of
 from tirefit.diagnosis.left_out import (
     Gain,
     Predicted,
@@ -51,9 +39,7 @@ _FARTHEST = 7.0
 """Largest log odds that are told apart."""
 
 
-def predictions(
-    base: Base, search: Search, policy: Policy = POLICY
-) -> tuple[Weighed, Predicted]:
+def predictions(base: Base, search: Search, policy: Policy = POLICY) -> tuple[Weighed, Predicted]:
     """The posterior, and what the leading sets and all that they are made of predict of
     the rows that their fits did not see. Where whole runs are left out, the set that
     predicts them best is one of them."""

@@ -159,9 +159,12 @@ def _noise(n: int, memory: Sequence[Memory], stretches, generator) -> np.ndarray
         own, fade = coloured[:, begin:end], one.fade
         for rows in stretches:
             own[rows] = lfilter(
-                [np.sqrt(1 - fade**2)], [1.0, -fade], own[rows], axis=0,
+                [np.sqrt(1 - fade**2)],
+                [1.0, -fade],
+                own[rows],
+                axis=0,
                 zi=own[rows[0]][None] * fade,
-            )[0]  # fmt: skip
+            )[0]
         share = np.broadcast_to(one.share, n)[:, None]
         white[:, begin:end] *= np.sqrt(1 - share)
         white[:, begin:end] += np.sqrt(share) * own
@@ -260,10 +263,12 @@ def remainder_tests(
     rows = np.flatnonzero(np.tile(keep, channels))
     parts = np.split(residual[rows], channels)
     sizes = [float(np.sqrt(np.mean(part**2))) for part in parts]
-    draws = np.concatenate([
-        size * _noise(int(keep.sum()), base.noise[channel].memory, in_time, generator)
-        for channel, size in zip(prepared.channels, sizes, strict=True)
-    ])  # fmt: skip
+    draws = np.concatenate(
+        [
+            size * _noise(int(keep.sum()), base.noise[channel].memory, in_time, generator)
+            for channel, size in zip(prepared.channels, sizes, strict=True)
+        ]
+    )
     doubt = base.doubt[rows]
     draws += doubt @ generator.standard_normal((doubt.shape[1], DRAWS))
     unit, _ = np.linalg.qr(used_up)
@@ -271,9 +276,7 @@ def remainder_tests(
     draws -= taken @ (taken.T @ draws)
     each = [
         _p_values(part, drawn, in_time, in_slip, orders)
-        for part, drawn, size in zip(
-            parts, np.split(draws, channels), sizes, strict=True
-        )
+        for part, drawn, size in zip(parts, np.split(draws, channels), sizes, strict=True)
         if size > SILENT
     ]
     found = {}

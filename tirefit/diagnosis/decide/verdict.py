@@ -168,9 +168,8 @@ def decide(found: Findings, policy: Policy = POLICY) -> Verdict:
 
     def verdict(status, probability, **answers):
         return Verdict(
-            status=status, probability=probability, unlisted=unlisted,
-            tests=found.tests, **answers,
-        )  # fmt: skip
+            status=status, probability=probability, unlisted=unlisted, tests=found.tests, **answers
+        )
 
     def unnamed(is_gap: bool, also=()):
         if not is_gap:
@@ -199,8 +198,11 @@ def decide(found: Findings, policy: Policy = POLICY) -> Verdict:
     return verdict(
         Status.INCOMPLETE if more else status,
         exact * (unlisted if more else 1 - unlisted),
-        effects=tuple(each), key=key, also_possible=also, each=each,
-    )  # fmt: skip
+        effects=tuple(each),
+        key=key,
+        also_possible=also,
+        each=each,
+    )
 
 
 def _stands(found: Findings, key: Key, rivals, policy: Policy) -> bool:

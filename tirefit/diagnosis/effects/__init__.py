@@ -30,13 +30,26 @@ from tirefit.diagnosis.effects.record import (
 )
 
 __all__ = [
-    "EFFECTS", "NOISE_EFFECTS", "Atom", "Effect", "Form", "NoiseEffect", "Prior",
-    "atoms_of", "effects_by_id",
-]  # fmt: skip
+    "EFFECTS",
+    "NOISE_EFFECTS",
+    "Atom",
+    "Effect",
+    "Form",
+    "NoiseEffect",
+    "Prior",
+    "atoms_of",
+    "effects_by_id",
+]
 
 # The order decides between effects of equal evidence.
 EFFECTS: tuple[Effect, ...] = (
-    *tire.PATCH, *tire.CONDITIONS, *measurement.OFFSETS, *motion.EFFECTS,
-    *measurement.SENSORS, *vehicle.SPEEDS, *tire.WARMTH, *vehicle.CHASSIS,
+    *tire.PATCH,
+    *tire.CONDITIONS,
+    *measurement.OFFSETS,
+    *motion.EFFECTS,
+    *measurement.SENSORS,
+    *vehicle.SPEEDS,
+    *tire.WARMTH,
+    *vehicle.CHASSIS,
     *per_run.EFFECTS,
-)  # fmt: skip
+)

@@ -47,9 +47,7 @@ _UNITS = {"shift": "rise", "force": "load"}
 """Field of the state -> covariate that is the unit of its forms; none for factors."""
 
 
-def over(
-    field: str, size: float, covariate: str, count: int = ONE_WAY
-) -> tuple[Form, ...]:
+def over(field: str, size: float, covariate: str, count: int = ONE_WAY) -> tuple[Form, ...]:
     """A field as ``count`` smooth functions of a covariate, about their means."""
 
     def shapes(rows, u):

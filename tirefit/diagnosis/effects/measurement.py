@@ -59,9 +59,7 @@ def _seen_between_slips(prior, prepared, rig):
     if check is None or not check.shifted:
         return prior
     size = max(prior.scale, abs(check.offset))
-    return prior._replace(
-        scale=size, low=min(prior.low, -2 * size), high=max(prior.high, 2 * size)
-    )
+    return prior._replace(scale=size, low=min(prior.low, -2 * size), high=max(prior.high, 2 * size))
 
 
 def _offset_odds(prepared) -> float:

@@ -5,14 +5,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.diagnosis.effects.record import (
-    PER_MILLE,
-    SYMBOLS,
-    Effect,
-    adds,
-    multiplies,
-    seldom,
-)
+from tirefit.diagnosis.effects.record import PER_MILLE, SYMBOLS, Effect, adds, multiplies, seldom
 from tirefit.diagnosis.rows.slips import shown_runs
 
 RELATIVE = "relative"
@@ -47,9 +40,14 @@ def _one_each(prepared) -> float:
 
 def _run(id: str, family: str, told_apart_by: str, **given: Any) -> Effect:
     return Effect(
-        id=id, family=f"{family} x run", parameter="spread", odds=_one_each,
-        needs=("runs",), told_apart_by=told_apart_by, **given,
-    )  # fmt: skip
+        id=id,
+        family=f"{family} x run",
+        parameter="spread",
+        odds=_one_each,
+        needs=("runs",),
+        told_apart_by=told_apart_by,
+        **given,
+    )
 
 
 def _parameter_of_runs(name: str, fitted: str, scale: float, *looks_like: str):
@@ -57,7 +55,10 @@ def _parameter_of_runs(name: str, fitted: str, scale: float, *looks_like: str):
         return jnp.exp(a * getattr(rows, OFFSETS[name].pattern))
 
     return _run(
-        f"{name}_run", name, "random order", change=multiplies(name, factor),
+        f"{name}_run",
+        name,
+        "random order",
+        change=multiplies(name, factor),
         scale=scale,
         formula=f"{SYMBOLS[name]} exp(difference of the run), spread by amplitude",
         means=f"{name} differs from run to run: another tire, surface or day",
@@ -65,7 +66,7 @@ def _parameter_of_runs(name: str, fitted: str, scale: float, *looks_like: str):
         # The pattern of one is found without the other, whose sign it may have.
         bounds=((-1.5, 1.5),),
         looks_like=(f"{name}_drift", f"{name}_warming", *looks_like),
-    )  # fmt: skip
+    )
 
 
 EFFECTS = (

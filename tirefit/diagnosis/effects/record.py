@@ -132,23 +132,26 @@ class NoiseEffect:
 
 NOISE_EFFECTS = (
     NoiseEffect(
-        id="outliers", flag="outliers", means="some rows lie far from all others",
+        id="outliers",
+        flag="outliers",
+        means="some rows lie far from all others",
         remedy="set [noise] loss = 'huber'",
     ),
     NoiseEffect(
-        id="noise_heteroscedastic", means="the noise level differs over the range",
+        id="noise_heteroscedastic",
+        means="the noise level differs over the range",
         remedy="give fx_std row by row",
     ),
     NoiseEffect(
-        id="noise_autocorrelated", flag="autocorrelated",
+        id="noise_autocorrelated",
+        flag="autocorrelated",
         means="the noise of neighbouring rows is correlated",
         remedy="none needed: rows count at their effective number",
     ),
     NoiseEffect(
-        id="slip_noise", means="the slip is measured with noise",
-        remedy="give sigma_x_std",
+        id="slip_noise", means="the slip is measured with noise", remedy="give sigma_x_std"
     ),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

@@ -173,9 +173,14 @@ def _by_condition(
 
     def effect(id, covariate, scale, change, bounds=SHARE, **given: Any) -> Effect:
         return Effect(
-            id=id, family=f"{name} x {covariate}", scale=scale, change=change,
-            bounds=(bounds,), told_apart_by="random order", **given,
-        )  # fmt: skip
+            id=id,
+            family=f"{name} x {covariate}",
+            scale=scale,
+            change=change,
+            bounds=(bounds,),
+            told_apart_by="random order",
+            **given,
+        )
 
     drift, temperature = f"{name}_drift", f"{name}_temperature"
     return (
@@ -226,15 +231,25 @@ def _by_condition(
 
 _BY_TIME = free.over("friction", 0.02, "time")
 _FRICTION = _by_condition(
-    "friction", "mu", (0.12, 0.15, 0.12, 0.12, 0.15), free.FRICTION_BY_LOAD, _BY_TIME,
-    (0.03, 0.03, 0.15), ("force_offset",), ("friction_step",),
-)  # fmt: skip
+    "friction",
+    "mu",
+    (0.12, 0.15, 0.12, 0.12, 0.15),
+    free.FRICTION_BY_LOAD,
+    _BY_TIME,
+    (0.03, 0.03, 0.15),
+    ("force_offset",),
+    ("friction_step",),
+)
 _STIFFNESS = _by_condition(
-    "stiffness", "cpa2", (0.5, 0.2, 0.18, 0.2, 0.2),
+    "stiffness",
+    "cpa2",
+    (0.5, 0.2, 0.18, 0.2, 0.2),
     free.over("stiffness", 0.06, "fz"),
     free.over("stiffness", 0.04, "time"),
-    (0.06, 0.06, 0.2), (), (),
-)  # fmt: skip
+    (0.06, 0.06, 0.2),
+    (),
+    (),
+)
 
 PATCH = (
     Effect(
@@ -348,9 +363,15 @@ _BY_STATE = (
 )  # fmt: skip
 
 CONDITIONS = (
-    *_BY_SPEED, _STIFFNESS[0], _FRICTION[0], _FRICTION[1], _STIFFNESS[1], _FRICTION[2],
-    _STIFFNESS[2], *_BY_STATE,
-)  # fmt: skip
+    *_BY_SPEED,
+    _STIFFNESS[0],
+    _FRICTION[0],
+    _FRICTION[1],
+    _STIFFNESS[1],
+    _FRICTION[2],
+    _STIFFNESS[2],
+    *_BY_STATE,
+)
 
 WARMTH = (
     _FRICTION[3], _STIFFNESS[3], _FRICTION[4], _STIFFNESS[4],

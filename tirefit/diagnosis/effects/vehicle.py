@@ -92,16 +92,21 @@ def _of_the_axle(id: str, factor, **given) -> Effect:
         friction, stiffness = constants
         times = jnp.maximum(factor(amplitude, rows.lean), LEAST_FACTOR)
         return state._replace(
-            friction=state.friction * times**friction,
-            stiffness=state.stiffness * times**stiffness,
+            friction=state.friction * times**friction, stiffness=state.stiffness * times**stiffness
         )
 
     return Effect(
-        id=id, of="vehicle", family="friction x lateral acceleration", change=change,
+        id=id,
+        of="vehicle",
+        family="friction x lateral acceleration",
+        change=change,
         odds=seldom,
-        needs=("a_y",), channels=("fy", "mz"), variants=_OF_BOTH,
-        forms=free.over("friction", 0.02, "lean"), **given,
-    )  # fmt: skip
+        needs=("a_y",),
+        channels=("fy", "mz"),
+        variants=_OF_BOTH,
+        forms=free.over("friction", 0.02, "lean"),
+        **given,
+    )
 
 
 SPEEDS = (

@@ -10,21 +10,11 @@ from scipy.linalg import block_diag
 from tirefit.diagnosis.effects import Atom, atoms_of
 from tirefit.diagnosis.evidence import fits, forms
 from tirefit.diagnosis.evidence.forward import Design, Linear, Tire, with_force
-from tirefit.diagnosis.evidence.simulator import (
-    STAND_INS,
-    Given,
-    Simulated,
-    check_signs,
-)
+from tirefit.diagnosis.evidence.simulator import STAND_INS, Given, Simulated, check_signs
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.noise import NoiseLevel, in_order, judge_noise, slip_scatter
 from tirefit.diagnosis.rows.basis import Generic, smooth_basis, wave_basis
-from tirefit.diagnosis.rows.prepared import (
-    NOT_STATED,
-    Prepared,
-    neighbours,
-    on_scale_of,
-)
+from tirefit.diagnosis.rows.prepared import NOT_STATED, Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
@@ -90,9 +80,7 @@ class Base(Fit):
     def generic(self) -> Generic:
         """Generic functions for each channel by itself, whitened: (m, b)."""
         fields = np.asarray(self.at_null.fields)
-        return forms.whitened_generic(
-            self.rows, self.design, self.slip_fraction, fields
-        )
+        return forms.whitened_generic(self.rows, self.design, self.slip_fraction, fields)
 
     @cached_property
     def doubt(self) -> np.ndarray:
@@ -235,9 +223,14 @@ def fit_base(
         simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
         z = fits.refit(tire, [(z, ())], [()], design).z[0]
     fit = Fit(
-        rows=prepared, tire=tire, design=design, z=z, guess=guess, simulator=simulator,
+        rows=prepared,
+        tire=tire,
+        design=design,
+        z=z,
+        guess=guess,
+        simulator=simulator,
         slip_fraction=_slip_fraction(prepared, tire, z, design),
-    )  # fmt: skip
+    )
     base = _under(_noise(fit, rig), fit)
     return forms.with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
 
@@ -257,9 +250,12 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     side, groups = prepared.slip > 0, neighbours(prepared)
     one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
     return slip_scatter(
-        prepared.observed[channel] - mean[channel], spread[channel] / _SMALL**2,
-        prepared.inputs.fz, one_sided, in_order(prepared.time, prepared.run),
-    )  # fmt: skip
+        prepared.observed[channel] - mean[channel],
+        spread[channel] / _SMALL**2,
+        prepared.inputs.fz,
+        one_sided,
+        in_order(prepared.time, prepared.run),
+    )
 
 
 def _under(noise: Mapping[str, NoiseLevel], fit: Fit) -> Base:
@@ -272,10 +268,16 @@ def _under(noise: Mapping[str, NoiseLevel], fit: Fit) -> Base:
     design = fit.design._replace(scale=scale, keep=keep)
     alone = fits.refit(fit.tire, [(fit.z, ())], [()], design)
     return Base(
-        rows=fit.rows, tire=fit.tire, design=design, z=alone.z[0], guess=fit.guess,
-        slip_fraction=fit.slip_fraction, simulator=fit.simulator, alone=alone,
+        rows=fit.rows,
+        tire=fit.tire,
+        design=design,
+        z=alone.z[0],
+        guess=fit.guess,
+        slip_fraction=fit.slip_fraction,
+        simulator=fit.simulator,
+        alone=alone,
         noise=noise,
-    )  # fmt: skip
+    )
 
 
 def with_noise_judged(base: Base, rig, z, amplitudes) -> Base:

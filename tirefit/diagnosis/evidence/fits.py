@@ -122,9 +122,13 @@ def refit_folds(model: Tire, starts, sets, keeps, design: Design) -> Refit:
     # A parameter at its bound has no curvature; what is left of it cancels.
     curvature = best.normal + FLAT * np.eye(z.shape[1])
     found = (
-        z[:, :p], z[:, p:], best.cost - penalty, np.linalg.slogdet(curvature)[1],
-        np.linalg.inv(curvature), penalty,
-    )  # fmt: skip
+        z[:, :p],
+        z[:, p:],
+        best.cost - penalty,
+        np.linalg.slogdet(curvature)[1],
+        np.linalg.inv(curvature),
+        penalty,
+    )
     return Refit(*(values.reshape(*shape, *values.shape[1:]) for values in found))
 
 
@@ -206,17 +210,22 @@ def design_of(prepared: Prepared, effects, rig) -> Design:
     scale, center, low, high = (np.array(part) for part in zip(*priors, strict=True))
     return Design(
         inputs=TireInputs(*(pad_rows(x, size) for x in prepared.inputs)),
-        slip=pad_rows(slips, size), weight=pad_rows(weight, size),
+        slip=pad_rows(slips, size),
+        weight=pad_rows(weight, size),
         second=pad_rows(prepared.second, size),
         observed={c: pad_rows(x, size) for c, x in observed.items()},
         # A first guess; the noise is judged later.
         scale={c: np.full(size, 0.05 * np.std(x)) for c, x in observed.items()},
-        offset={c: np.zeros(size) for c in observed}, hold=np.zeros(()),
+        offset={c: np.zeros(size) for c in observed},
+        hold=np.zeros(()),
         keep=(np.arange(size) < prepared.n).astype(float),
         rows=Covariates(*(pad_rows(x, size) for x in prepared.covariates)),
-        prior_scale=scale, prior_center=center / scale, low=low / scale,
-        high=high / scale, reference=np.array([np.median(fz), np.median(v)]),
-    )  # fmt: skip
+        prior_scale=scale,
+        prior_center=center / scale,
+        low=low / scale,
+        high=high / scale,
+        reference=np.array([np.median(fz), np.median(v)]),
+    )
 
 
 def measured_slips(design: Design, prepared: Prepared) -> Design:
@@ -248,8 +257,9 @@ def first_fit(
     task = build(data, name, config, _LEAST_ROWS)
     model, layout, rows = task.problem.model, task.problem.layout, task.problem.rows
     tire = Tire(model, layout, tuple(effects), prepared.mode)
-    observed, scale = ({c: np.asarray(x) for c, x in part.items()}
-                       for part in (rows.observed, rows.scale))  # fmt: skip
+    observed, scale = (
+        {c: np.asarray(x) for c, x in part.items()} for part in (rows.observed, rows.scale)
+    )
     design = measured_slips(design_of(prepared, effects, rig), prepared)
     design = design._replace(observed=observed, scale=scale)
     weights, forces = design.weights(), design.forces

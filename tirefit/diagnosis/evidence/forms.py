@@ -131,10 +131,7 @@ def whitened_generic(
         smooth = basis.smooth_basis(rows, slip_fraction, typical, rows.n // 3)
         bases.append([b * keep for b in (smooth, basis.wave_basis(rows, typical))])
     smooth, waves = (block_diag(*each) for each in zip(*bases, strict=True))
-    by_name = {
-        name: fields[:, PLACE[field]]
-        for name, (field, _) in patterns.PARAMETERS.items()
-    }
+    by_name = {name: fields[:, PLACE[field]] for name, (field, _) in patterns.PARAMETERS.items()}
     return basis.Generic(smooth, waves, patterns.patterns(rows, slip_fraction, by_name))
 
 
@@ -175,9 +172,7 @@ def with_fast_waves(among: patterns.Patterns, time, residual) -> patterns.Patter
             chosen.add(float(cycles[line]))
             power[max(line - 2 * _FINER, 0) : line + 2 * _FINER + 1] = 0.0
     share, counts = (time - low) / span, np.array(sorted(chosen))
-    waves = np.concatenate(
-        [patterns.turns(share, np.array([c])) for c in counts], axis=1
-    )
+    waves = np.concatenate([patterns.turns(share, np.array([c])) for c in counts], axis=1)
     listed = [("wave", span / c, 0.0) for c in counts for _ in range(patterns.PHASES)]
     rare = -np.log(np.count_nonzero(fast) / _FINER * patterns.PHASES)
     prior, drawn = np.full(len(listed), rare), patterns.phased(waves).astype(np.float32)
@@ -239,10 +234,14 @@ def shrunk(values, covariance) -> Shrunk:
     pull = 1 - axes @ (far * one)
     errors = np.sqrt(axes**2 @ (far * error) + pull**2 / weight[best])
     return Shrunk(
-        float(common[best]), float(weight[best] ** -0.5), float(tried[best]),
+        float(common[best]),
+        float(weight[best] ** -0.5),
+        float(tried[best]),
         (float(inside[0]), float(inside[-1])),
-        float(chdtrc(len(own) - 1, square[0])), own, errors,
-    )  # fmt: skip
+        float(chdtrc(len(own) - 1, square[0])),
+        own,
+        errors,
+    )
 
 
 def _estimates(base, kind: str, hypothesis=None):
@@ -322,7 +321,6 @@ def with_runs(base):
         return base
     size, rows = len(base.design.keep), base.design.rows
     differences = {
-        offset.pattern: pad_rows(_pattern(base, kind), size)
-        for kind, offset in OFFSETS.items()
+        offset.pattern: pad_rows(_pattern(base, kind), size) for kind, offset in OFFSETS.items()
     }
     return base.on(base.design._replace(rows=rows._replace(**differences)))

@@ -244,9 +244,7 @@ class Tire:
     def moments(self, z, design: Design, n: int, amplitudes=()):
         """Mean and variance for one fit, of the first n rows, by channel."""
         both, names = self.forces([(z, amplitudes)], design), sorted(design.observed)
-        return tuple(
-            {c: x[:n] for c, x in zip(names, part, strict=True)} for part in next(both)
-        )
+        return tuple({c: x[:n] for c, x in zip(names, part, strict=True)} for part in next(both))
 
     def brush(self, z, design: Design):
         """(c_p a^2 (n,), mu) of the brush of its slope and peak."""
@@ -325,11 +323,12 @@ def with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
     share = pad_rows(mean / (np.max(np.abs(mean) / fz) * fz), size)
     before = _pull(prepared, tire, design, z)
     rows = design.rows._replace(
-        force=share, usage=np.abs(share),
+        force=share,
+        usage=np.abs(share),
         traction=pad_rows(mean / prepared.covariates.load, size),
         pull=pad_rows(before[channel], size),
         twist=pad_rows(before.get("mz", np.zeros_like(before[channel])), size),
-    )  # fmt: skip
+    )
     if prepared.derived is not None:
         # The acceleration is the force itself: what would explain it is not measured.
         rows = rows._replace(lean=pad_rows(-mean / fz, size))
@@ -349,8 +348,10 @@ def _pull(prepared, tire: Tire, design: Design, z) -> dict[str, np.ndarray]:
         earlier = (pad_rows(part[:, k], size) for part in prepared.before)
         # A simulator's past beyond its tire is not known.
         then = design._replace(
-            slip=slip, weight=alone, inputs=type(design.inputs)(*earlier),
+            slip=slip,
+            weight=alone,
+            inputs=type(design.inputs)(*earlier),
             offset={c: np.zeros(size) for c in design.offset},
-        )  # fmt: skip
+        )
         columns.append(tire.moments(z, then, prepared.n)[0])
     return {c: np.stack([one[c] for one in columns], axis=1) for c in columns[0]}

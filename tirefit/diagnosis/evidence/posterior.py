@@ -11,12 +11,7 @@ from scipy.special import logsumexp, softmax
 
 from tirefit.diagnosis.evidence.changes import MOST_EFFECTS
 from tirefit.diagnosis.evidence.forms import form_columns
-from tirefit.diagnosis.evidence.search import (
-    PRIOR_OF_UNKNOWN,
-    Hypothesis,
-    Search,
-    amplitudes_of,
-)
+from tirefit.diagnosis.evidence.search import PRIOR_OF_UNKNOWN, Hypothesis, Search, amplitudes_of
 from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.diagnosis.rows.basis import gain, gains, of_any_kind, orthogonal
 
@@ -213,10 +208,15 @@ def weigh(search: Search) -> Weighed:
     everything = float(logsumexp([*total.values(), *beside.values(), *rest]))
     hidden = [h.log_weight for h in guessed if h.log_evidence < _SHOWS]
     return Weighed(
-        best_of=best, log_weight=total, log_beside=beside, evidence=evidence,
-        other_form=frozenset(others), gains=remainder, log_total=everything,
+        best_of=best,
+        log_weight=total,
+        log_beside=beside,
+        evidence=evidence,
+        other_form=frozenset(others),
+        gains=remainder,
+        log_total=everything,
         hidden=float(np.sum(np.exp(np.array(hidden) - everything))),
-    )  # fmt: skip
+    )
 
 
 def _gain_of_form(base, linear: LinearFit) -> float:

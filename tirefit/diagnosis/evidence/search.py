@@ -110,10 +110,16 @@ class Search:
         z = self.null.z
         self.tried: dict[tuple[int, ...], Hypothesis] = {
             (): Hypothesis(
-                (), (), 0.0, self.log_prior(()), z, np.zeros(0),
-                self.null.covariance[: len(z), : len(z)], float(self.null.chi2),
+                (),
+                (),
+                0.0,
+                self.log_prior(()),
+                z,
+                np.zeros(0),
+                self.null.covariance[: len(z), : len(z)],
+                float(self.null.chi2),
             )
-        }  # fmt: skip
+        }
         self.gram, self.scores, self.projected = self.columns(self.tried[()])
 
     @property
@@ -207,9 +213,16 @@ class Search:
         wide = np.eye(p + len(atoms))
         wide[:p, :p] = within.covariance[:p, :p]
         found = Hypothesis(
-            atoms, tuple(self.ids[k] for k in atoms), within.log_evidence + value,
-            self.log_prior(atoms), z, amplitude, wide, within.chi2, refitted=False,
-        )  # fmt: skip
+            atoms,
+            tuple(self.ids[k] for k in atoms),
+            within.log_evidence + value,
+            self.log_prior(atoms),
+            z,
+            amplitude,
+            wide,
+            within.chi2,
+            refitted=False,
+        )
         self.tried.setdefault(atoms, found)
 
     def within(self, atoms, amplitude) -> np.ndarray:
@@ -244,9 +257,16 @@ class Search:
                 value += np.log(2) + log_ndtr(self.sign[k] * a / s)
         due = self._due_to_doubt(atoms)
         self.tried[atoms] = Hypothesis(
-            atoms, tuple(self.ids[k] for k in atoms), float(value + due),
-            self.log_prior(atoms), refit.z, amplitude, cov, float(refit.chi2), due,
-        )  # fmt: skip
+            atoms,
+            tuple(self.ids[k] for k in atoms),
+            float(value + due),
+            self.log_prior(atoms),
+            refit.z,
+            amplitude,
+            cov,
+            float(refit.chi2),
+            due,
+        )
 
     def best_variants(self, gram, score, within=()) -> list[list[tuple[float, int]]]:
         """For each effect its best atoms added to ``within``, the best effect first:

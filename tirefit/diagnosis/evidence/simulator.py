@@ -389,8 +389,7 @@ def _misfits(prepared: Prepared, tire: Tire, z, turned: frozenset[str]) -> _Misf
         slopes[i] = unit * (of(z + step) - here)
     gap = [prepared.observed[c] - prepared.column(f"{c}_sim") for c in channels]
     none, once, twice = (
-        np.array([*map(_adapted, gap - k * change, np.moveaxis(slopes, 0, -1))])
-        for k in (0, 1, 2)
+        np.array([*map(_adapted, gap - k * change, np.moveaxis(slopes, 0, -1))]) for k in (0, 1, 2)
     )
     # Minimum of the parabola through the three mean squares.
     bend, top = 2 * (none - 2 * once + twice), 3 * none - 4 * once + twice

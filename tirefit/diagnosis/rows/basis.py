@@ -86,9 +86,7 @@ def _scaled(columns, scale):
     return basis @ vectors[:, values > UNSEEN * values.max()]
 
 
-def smooth_basis(
-    prepared, slip_fraction, scale, most: int, runs: bool = False
-) -> np.ndarray:
+def smooth_basis(prepared, slip_fraction, scale, most: int, runs: bool = False) -> np.ndarray:
     """Smooth functions of slip, times load, speed, time and direction (n, b).
 
     Args:

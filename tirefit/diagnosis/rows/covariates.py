@@ -66,14 +66,18 @@ def sizes_of(rows: Covariates, slip, mean_load: float, radius: float | None) -> 
 
     speeds = np.ptp(rows.v)
     return Sizes(
-        slip=rise, sliding=per(1.0, _largest(rows.sliding)), rolling=per(1.0, speeds),
-        growth=per(rise, speeds), period=per(spread, rms(rows.rate)),
+        slip=rise,
+        sliding=per(1.0, _largest(rows.sliding)),
+        rolling=per(1.0, speeds),
+        growth=per(rise, speeds),
+        period=per(spread, rms(rows.rate)),
         inverse_speed=per(rise, np.ptp(1 / rows.pace) if speeds > 0 else 0.0),
         way=per(spread, rms(rows.rate / rows.pace)),
         temperature=per(1.0, np.ptp(rows.temperature)),
-        lever=per(rise, np.std(rows.yaw)), swing=per(mean_load, np.std(rows.swing)),
+        lever=per(rise, np.std(rows.yaw)),
+        swing=per(mean_load, np.std(rows.swing)),
         inertia=mean_load / GRAVITY * radius**2 if radius else 1.0,
-    )  # fmt: skip
+    )
 
 
 class Derived(NamedTuple):
@@ -172,9 +176,7 @@ def _over_range(values) -> np.ndarray:
     return (values - np.mean(values)) / span if varies else np.zeros(len(values))
 
 
-def covariates_of(
-    data: TireData, mode: str, sweeps: Sweeps, slip, second, radius
-) -> Covariates:
+def covariates_of(data: TireData, mode: str, sweeps: Sweeps, slip, second, radius) -> Covariates:
     """Covariates that follow from the columns; the base fit adds the others."""
     fz, v, zero = data.usable("fz"), column(data, "v"), np.zeros(data.n)
     time, run, size = column(data, "time"), data.run[data.used], np.hypot(slip, second)

@@ -19,9 +19,11 @@ FULL_SLIDING = 3.0
 """Slip over that of full sliding beyond which nothing more depends on it."""
 
 PARAMETERS = {
-    "stiffness": ("stiffness", 0.06), "friction": ("friction", 0.03),
-    "slip": ("shift", 0.002), "force": ("force", 0.01),
-}  # fmt: skip
+    "stiffness": ("stiffness", 0.06),
+    "friction": ("friction", 0.03),
+    "slip": ("shift", 0.002),
+    "force": ("force", 0.01),
+}
 """Field of each parameter; usual change (relative, a slip, or force over load)."""
 
 USUAL_SIZES = 0.5 * 4.0 ** np.arange(3)
@@ -88,9 +90,7 @@ class Patterns:
     def square(self) -> np.ndarray:
         """Squared length of each pattern (k,)."""
         force = np.sum(self.weights**2, axis=0).astype(np.float32)
-        each = (
-            (one.shapes**2).T @ force[:, [*one.weights.values()]] for one in self.over
-        )
+        each = ((one.shapes**2).T @ force[:, [*one.weights.values()]] for one in self.over)
         return np.concatenate([part.T.ravel() for part in each])
 
     def columns(self, which) -> np.ndarray:
@@ -146,10 +146,7 @@ def quantities(prepared, slip_fraction) -> dict[str, np.ndarray]:
     has, rows = prepared.has, prepared.covariates
     signed = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
     size = np.abs(signed)
-    values = {
-        "slip_fraction": size,
-        "used_friction": 1 - (1 - np.minimum(size, 1)) ** 3,
-    }
+    values = {"slip_fraction": size, "used_friction": 1 - (1 - np.minimum(size, 1)) ** 3}
     if "signs" in has:
         values["slip"] = signed
     if "loads" in has:
@@ -183,10 +180,7 @@ _Shape = tuple[str, float, float, np.ndarray]
 def _between_settings(values, settings: Levels) -> list[_Shape]:
     """Thresholds between the few settings of a rig, and single inner settings."""
     order = np.sort(settings.center)
-    steps = [
-        ("threshold", at, 0.0, (values > at) - 0.5)
-        for at in 0.5 * (order[1:] + order[:-1])
-    ]
+    steps = [("threshold", at, 0.0, (values > at) - 0.5) for at in 0.5 * (order[1:] + order[:-1])]
     return steps + [
         ("local", at, 0.0, 1.0 * (settings.code == code))
         for code, at in enumerate(settings.center)

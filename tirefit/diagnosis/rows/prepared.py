@@ -152,9 +152,14 @@ def prepare(data: TireData, rig: Rig, model, slip_scatter: float = 0.0) -> Prepa
         covariates = covariates._replace(pivot=covariates.across - turned)
     sizes = table.sizes_of(covariates, slip, float(np.mean(fz)), radius)
     inputs = TireInputs(
-        np.zeros(data.n), np.zeros(data.n), fz, covariates.v, covariates.gamma,
-        table.column(data, "pressure"), table.column(data, "time"),
-    )  # fmt: skip
+        np.zeros(data.n),
+        np.zeros(data.n),
+        fz,
+        covariates.v,
+        covariates.gamma,
+        table.column(data, "pressure"),
+        table.column(data, "time"),
+    )
     return Prepared(
         data, mode, channels, inputs, slip, std, second,
         {c: data.usable(c) for c in channels}, covariates,
@@ -189,12 +194,14 @@ def thinned(prepared: Prepared, most: int) -> Prepared:
 
     plain = ("slip", "slip_std", "second", "run", "kept")
     return replace(
-        prepared, inputs=some(prepared.inputs), covariates=some(prepared.covariates),
+        prepared,
+        inputs=some(prepared.inputs),
+        covariates=some(prepared.covariates),
         before=some(prepared.before),
         observed={c: x[rows] for c, x in prepared.observed.items()},
         time=None if prepared.time is None else prepared.time[rows],
         **{name: getattr(prepared, name)[rows] for name in plain},
-    )  # fmt: skip
+    )
 
 
 def _slip_std(data: TireData, mode: str, rig: Rig, scatter: float, shown: float):

@@ -63,9 +63,10 @@ class _RigFile(Section):
 
 
 _OWN_COLUMNS = {
-    "force": ("fx_std", "fy_std"), "slip": ("sigma_x_std", "alpha_std"),
+    "force": ("fx_std", "fy_std"),
+    "slip": ("sigma_x_std", "alpha_std"),
     "kappa": ("sigma_x_std",),
-}  # fmt: skip
+}
 """Columns that hold the same as a key of ``[noise]``; others are named KEY_std."""
 
 STANDS = 0.03  # share of the median speed below which a wheel counts as standing
@@ -127,9 +128,7 @@ class Rig:
 
     def beside(self, data: TireData) -> tuple[str, ...]:
         """Sentences about stated noises that columns of the data replace."""
-        names = {
-            k: k.removesuffix("_relative").removesuffix("_speed") for k in self.noise
-        }
+        names = {k: k.removesuffix("_relative").removesuffix("_speed") for k in self.noise}
         return tuple(
             f"[noise] {key} of the rig is not used: the file has a column {column}"
             for key, name in names.items()
@@ -252,9 +251,11 @@ def _line(computed, logged) -> dict[str, float]:
     scatter = np.sqrt(np.sum(left**2) / (len(left) - 2))
     error = scatter * np.sqrt(np.linalg.inv(columns.T @ columns)[0, 0])
     return {
-        "scatter": float(scatter), "offset": float(offset), "gain": float(gain),
+        "scatter": float(scatter),
+        "offset": float(offset),
+        "gain": float(gain),
         "offset_std": max(float(error), UNSEEN),
-    }  # fmt: skip
+    }
 
 
 def check_slip(data: TireData, radius: float | None) -> SlipCheck | None:
@@ -280,7 +281,10 @@ def check_slip(data: TireData, radius: float | None) -> SlipCheck | None:
         best = own
     others = [line["scatter"] for name, line in lines.items() if name != best]
     return SlipCheck(
-        read_as=read_as, fits=read_as if best == own else best, radius=radius,
+        read_as=read_as,
+        fits=read_as if best == own else best,
+        radius=radius,
         rms=float(np.sqrt(np.mean((logged - meant[own]) ** 2))),
-        told_apart=lines[best]["scatter"] < _BETTER * min(others), **lines[best],
-    )  # fmt: skip
+        told_apart=lines[best]["scatter"] < _BETTER * min(others),
+        **lines[best],
+    )

@@ -12,12 +12,7 @@ from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.fits import missed_share
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.negligible import NONZERO
-from tirefit.diagnosis.summary.closure import (
-    INTERVAL,
-    block_means,
-    of_so_few_runs,
-    without_each,
-)
+from tirefit.diagnosis.summary.closure import INTERVAL, block_means, of_so_few_runs, without_each
 from tirefit.diagnosis.summary.records import Change, Part, SimulatorSummary, Surrogate
 
 PARAMETERS = "parameters"

@@ -130,10 +130,12 @@ def _shrinkage(rms, closed, fewer, resolvable: bool) -> Shrinkage:
     if len(fewer):
         low, high = of_so_few_runs(middle, low, high, np.asarray(fewer))
     return Shrinkage(
-        rms=rms, resolvable=resolvable, closed=middle if resolvable else None,
+        rms=rms,
+        resolvable=resolvable,
+        closed=middle if resolvable else None,
         closed_ci=(float(low), float(high)) if resolvable else (None, None),
         remaining_rms=(1 - middle) * rms,
-    )  # fmt: skip
+    )
 
 
 def closure_on_rows(truth, before, after, variance, run, inflation) -> Shrinkage:
@@ -152,10 +154,11 @@ def closure_on_rows(truth, before, after, variance, run, inflation) -> Shrinkage
     gap = gaps.mean(axis=0)
     one_less = zip(without_each(gaps, run), without_each(rests, run), strict=True)
     return _shrinkage(
-        float(np.sqrt(np.median(gap))), _closed(gap, rests.mean(axis=0)),
+        float(np.sqrt(np.median(gap))),
+        _closed(gap, rests.mean(axis=0)),
         [np.median(_closed(*means)) for means in one_less],
         _is_resolvable(np.quantile(gap, INTERVAL[0]), variance, inflation),
-    )  # fmt: skip
+    )
 
 
 def closure_elsewhere(before, after, variance, run, inflation, generator) -> Shrinkage:
@@ -238,10 +241,13 @@ def held_out(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
     rms = np.sqrt(max(base.rms_left_out**2 - floor.rms_left_out**2, 0.0))
     reach = _NINETY * step.closed_std
     return HeldOut(
-        rms=float(rms), resolvable=True, closed=step.closed,
+        rms=float(rms),
+        resolvable=True,
+        closed=step.closed,
         closed_ci=(max(step.closed - reach, WORST), min(step.closed + reach, 1.0)),
-        remaining_rms=float((1 - step.closed) * rms), on=ladder.on,
-    ), ladder  # fmt: skip
+        remaining_rms=float((1 - step.closed) * rms),
+        on=ladder.on,
+    ), ladder
 
 
 def _on_files(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
@@ -260,9 +266,7 @@ def _on_files(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
         variance, run = (scale * other.rows.inputs.fz) ** 2, other.rows.run + runs
         parts.append((variance, run, *missed))
         runs += len(data.runs)
-    variance, run, before, after, *others = map(
-        np.concatenate, zip(*parts, strict=True)
-    )
+    variance, run, before, after, *others = map(np.concatenate, zip(*parts, strict=True))
     inflation = base.noise[main].inflation
     closure = closure_elsewhere(before, after, variance, run, inflation, generator)
     gap = np.mean(before**2 - variance)

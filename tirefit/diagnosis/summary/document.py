@@ -25,11 +25,7 @@ from tirefit.diagnosis.summary.budget import (
     simulator_summary,
 )
 from tirefit.diagnosis.summary.case import Case, all_rows, form_part, rows_of
-from tirefit.diagnosis.summary.closure import (
-    closure_on_rows,
-    held_out,
-    plausible_forces,
-)
+from tirefit.diagnosis.summary.closure import closure_on_rows, held_out, plausible_forces
 from tirefit.diagnosis.summary.forecast import confusion, next_measurements
 from tirefit.diagnosis.summary.records import (
     Amplitude,
@@ -150,9 +146,8 @@ def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
         alone = status == Status.UNKNOWN and not is_simulator
         noise, after = base.noise[channel], parts["base" if alone else "extended"]
         found = closure_on_rows(
-            truth[channel], parts["base"], after, noise.std**2, base.prepared.run,
-            noise.inflation,
-        )  # fmt: skip
+            truth[channel], parts["base"], after, noise.std**2, base.prepared.run, noise.inflation
+        )
         shows = found.resolvable and (status != Status.NONE or is_simulator)
         gaps[channel] = replace(found, resolvable=shows)
         if not status.names and not is_simulator:
@@ -193,11 +188,7 @@ def _what_is_left(case: Case) -> tuple[LookCurve, ...]:
     if base.rows.time is not None:
         among = with_fast_waves(among, base.rows.time, left)
     alike = looks(among, linear.explained, linear.residual)
-    return tuple(
-        look_curve(case.chosen, base, look)
-        for look in alike
-        if look.probability > _SHOWN
-    )
+    return tuple(look_curve(case.chosen, base, look) for look in alike if look.probability > _SHOWN)
 
 
 def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSummary:
@@ -244,10 +235,15 @@ def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
     alone = verdict.unlisted if not verdict.status.names else 0.0
     if alone > _MENTIONED:
         unknown = Candidate(
-            effects=("unknown",), family="unknown", parameters={}, z=None,
-            probability=alone, z_given_rivals=None, closed=0.0,
+            effects=("unknown",),
+            family="unknown",
+            parameters={},
+            z=None,
+            probability=alone,
+            z_given_rivals=None,
+            closed=0.0,
             closed_ci=(0.0, 0.0),
-        )  # fmt: skip
+        )
         listed.append(unknown)
     return tuple(listed)
 

@@ -146,9 +146,7 @@ def _with_moment(base: Base, z) -> _Block:
     scale = np.asarray(base.design.scale[base.prepared.channels[0]])
     none = dict.fromkeys(channels, np.zeros_like(scale))
     rows = replace(base.rows, mode="y", channels=channels)
-    design = base.design._replace(
-        observed=none, offset=none, scale=dict.fromkeys(channels, scale)
-    )
+    design = base.design._replace(observed=none, offset=none, scale=dict.fromkeys(channels, scale))
     tire = replace(base.tire, mode="y")
     lateral = replace(base, rows=rows, tire=tire, design=design)
     force = lateral.forces(z, base.amplitudes())

@@ -46,11 +46,15 @@ class NoiseSummary:
     def as_json(self) -> Mapping:
         """Each level under the name of its column."""
         return {
-            **self.forces, self.slip_name: self.slip,
-            f"{self.slip_name}_source": self.slip_source, "source": self.source,
-            "flags": self.flags, "inflation": self.inflation,
-            "outliers": self.outliers, "excess": self.excess,
-        }  # fmt: skip
+            **self.forces,
+            self.slip_name: self.slip,
+            f"{self.slip_name}_source": self.slip_source,
+            "source": self.source,
+            "flags": self.flags,
+            "inflation": self.inflation,
+            "outliers": self.outliers,
+            "excess": self.excess,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,9 +244,7 @@ class Resolution:
     REMAINDER = "smallest unlisted remainder that would have been seen"
 
     def as_json(self) -> Mapping:
-        return {
-            self.REMAINDER: self.remainder, "smallest_effects": self.smallest_effects
-        }  # fmt: skip
+        return {self.REMAINDER: self.remainder, "smallest_effects": self.smallest_effects}
 
 
 class Forecast(NamedTuple):

@@ -172,7 +172,13 @@ def record_of_document(path: Path) -> FileRecord:
         rows.append(Row("effect", name, value, std, unit=unit))
     status = ": ".join(filter(None, [verdict["status"], ", ".join(verdict["effects"])]))
     return FileRecord(
-        data["path"], str(path), content["model"], status, tuple(rows),
-        convention=data["convention"], seed=content["seed"],
-        version=content["version"], sha256=data["sha256"],
-    )  # fmt: skip
+        data["path"],
+        str(path),
+        content["model"],
+        status,
+        tuple(rows),
+        convention=data["convention"],
+        seed=content["seed"],
+        version=content["version"],
+        sha256=data["sha256"],
+    )

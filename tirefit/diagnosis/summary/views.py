@@ -95,12 +95,17 @@ def shown_rows(base, parts) -> ShownRows:
     rows, varying = base.prepared, covariates_of(base)
     channel, is_lateral = rows.channels[0], rows.mode == "y"
     return ShownRows(
-        channel, "alpha" if is_lateral else "sigma_x",
-        np.arctan(rows.slip) if is_lateral else rows.slip, base.slip_fraction,
+        channel,
+        "alpha" if is_lateral else "sigma_x",
+        np.arctan(rows.slip) if is_lateral else rows.slip,
+        base.slip_fraction,
         np.asarray(rows.inputs.fz, float),
         {name: varying[name] for name in _SHOWN_OVER if name in varying},
-        rows.observed[channel], parts["base"], parts["extended"], parts["gap"],
-    )  # fmt: skip
+        rows.observed[channel],
+        parts["base"],
+        parts["extended"],
+        parts["gap"],
+    )
 
 
 def _means(codes, *columns) -> list[np.ndarray]:
@@ -157,9 +162,7 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
     energy = square * resolvable / max(float(square.sum()), NONZERO)
     shown = np.where(there, mean, np.nan), beyond, energy
     shape = len(ends), len(edges) - 1
-    return ResidualMap(
-        rows.channel, covariate, ends, edges, *(x.reshape(shape) for x in shown)
-    )
+    return ResidualMap(rows.channel, covariate, ends, edges, *(x.reshape(shape) for x in shown))
 
 
 def _load_curve(load, slip, force, base, extended) -> LoadCurve:
@@ -172,9 +175,8 @@ def _load_curve(load, slip, force, base, extended) -> LoadCurve:
     before, after = _means(codes, base, extended)
     points = np.unique(np.linspace(0, len(slip) - 1, _POINTS).astype(int))
     return LoadCurve(
-        load, slip[points], force[points], center, before, after,
-        *(before + np.array(spread).T),
-    )  # fmt: skip
+        load, slip[points], force[points], center, before, after, *(before + np.array(spread).T)
+    )
 
 
 def compared(rows: ShownRows, named: bool) -> Comparison:
@@ -185,15 +187,12 @@ def compared(rows: ShownRows, named: bool) -> Comparison:
     there, each = np.unique(codes), (rows.slip, rows.observed, rows.base, after)
     chosen = np.unique(there[np.linspace(0, len(there) - 1, _CURVES).astype(int)])
     curves = tuple(
-        _load_curve(tuple(ends[k].tolist()), *(x[codes == k] for x in each))
-        for k in chosen
+        _load_curve(tuple(ends[k].tolist()), *(x[codes == k] for x in each)) for k in chosen
     )
     missed = [(rows.observed - x) ** 2 for x in (rows.base, after)]
     inside = np.clip(rows.slip_fraction, -FULL_SLIDING, FULL_SLIDING)
     center, *squares = _means(_in_columns(rows, 1)[0], inside, *missed)
-    return Comparison(
-        rows.channel, rows.slip_name, named, curves, center, *map(np.sqrt, squares)
-    )
+    return Comparison(rows.channel, rows.slip_name, named, curves, center, *map(np.sqrt, squares))
 
 
 class LookCurve(NamedTuple):
@@ -268,17 +267,23 @@ def curve_of(look: Look, values, field, linear: LinearFit) -> LookCurve:
     else:
         codes = equally_known(place, information)
         x = np.linspace(begin, begin + (look.at if is_folded else span), _POINTS)
-    total, *sums = (np.bincount(codes, x) for x in (
-        information, information * place, estimate))  # fmt: skip
+    total, *sums = (np.bincount(codes, x) for x in (information, information * place, estimate))
     there = total > 0
     center, change = (part[there] / total[there] for part in sums)
     curve = shape_of(look, x, begin, span) @ coefficient
     size = curve[-1] if look.shape == "kink" else coefficient[0]
     size = float(np.linalg.norm(coefficient)) if is_folded else float(size)
     return LookCurve(
-        look._replace(size=size), center, change, 1 / np.sqrt(total[there]), x, curve,
-        is_mirrored(look.parameter, look.covariate), is_folded, settings is not None,
-    )  # fmt: skip
+        look._replace(size=size),
+        center,
+        change,
+        1 / np.sqrt(total[there]),
+        x,
+        curve,
+        is_mirrored(look.parameter, look.covariate),
+        is_folded,
+        settings is not None,
+    )
 
 
 def equally_known(place, information) -> np.ndarray:

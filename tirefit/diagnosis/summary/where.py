@@ -13,12 +13,7 @@ from tirefit.diagnosis.effects.motion import said_of_motion
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.forms import PLACE
 from tirefit.diagnosis.negligible import NONZERO
-from tirefit.diagnosis.rows.basis import (
-    FULL_SLIDING,
-    functions_of,
-    mean_gain,
-    orthogonal,
-)
+from tirefit.diagnosis.rows.basis import FULL_SLIDING, functions_of, mean_gain, orthogonal
 from tirefit.diagnosis.rows.patterns import PARAMETERS, USUAL_SIZES, quantities
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import Rig
@@ -42,12 +37,16 @@ def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
     said = base.simulator.doubt if base.simulator else ""
     doubts = (f"warning: {said}",) if said else ()
     return DataSummary(
-        name=data.name, path=data.source.path, sha256=data.source.sha256,
-        convention=data.source.convention, channels=base.prepared.channels,
+        name=data.name,
+        path=data.source.path,
+        sha256=data.source.sha256,
+        convention=data.source.convention,
+        channels=base.prepared.channels,
         assumptions=(*doubts, *data.source.notes, *rig.notes, *rig.beside(data)),
-        set_aside=data.first_masked(), motion=said_of_motion(base, rig),
+        set_aside=data.first_masked(),
+        motion=said_of_motion(base, rig),
         together=moving_together(base.prepared),
-    )  # fmt: skip
+    )
 
 
 def moving_together(rows: Prepared) -> tuple[str, ...]:
@@ -69,11 +68,12 @@ def covariates_of(base: Base) -> dict[str, np.ndarray]:
     """Covariates that vary, and the slip fraction: (n,) each."""
     rows = base.prepared
     values = {
-        "fz": ("loads", rows.inputs.fz), "v": ("speeds", rows.inputs.v),
+        "fz": ("loads", rows.inputs.fz),
+        "v": ("speeds", rows.inputs.v),
         "time": ("time", rows.time),
         "direction": ("sweeps", np.sign(rows.covariates.turning)),
         "sign": ("signs", np.where(rows.slip < 0, -1.0, 1.0)),
-    }  # fmt: skip
+    }
     found = {"slip_fraction": np.abs(base.slip_fraction)}
     found |= {name: value for name, (need, value) in values.items() if need in rows.has}
     others = ("temperature", "gamma")
@@ -109,10 +109,7 @@ def _judged(base: Base, residual, gap, parts) -> list[Region]:
     if not found:
         return []
     chances = false_discovery_control([one.p_value for one in found], method="by")
-    return [
-        region._replace(p_value=float(p))
-        for region, p in zip(found, chances, strict=True)
-    ]
+    return [region._replace(p_value=float(p)) for region, p in zip(found, chances, strict=True)]
 
 
 def _parts(values, count: int):

@@ -55,9 +55,7 @@ def virtual_test(
     nominal = tire.nominal.NOMPRES
     pressures = [nominal]
     if pressure_too:
-        around = _range(
-            tir, "pressure", (1 - _PRESSURE) * nominal, (1 + _PRESSURE) * nominal
-        )
+        around = _range(tir, "pressure", (1 - _PRESSURE) * nominal, (1 + _PRESSURE) * nominal)
         pressures = [around[0], nominal, around[1]]
     parts: list[tuple] = []
     for fz in loads:
@@ -72,19 +70,20 @@ def virtual_test(
         [np.broadcast_arrays(*part) for part in parts], axis=1
     )
     inputs = TireInputs(
-        -slip / (1 + slip), angle, load, np.full(len(load), tire.nominal.LONGVL),
-        camber, inflation, np.zeros(len(load)),
-    )  # fmt: skip
+        -slip / (1 + slip),
+        angle,
+        load,
+        np.full(len(load), tire.nominal.LONGVL),
+        camber,
+        inflation,
+        np.zeros(len(load)),
+    )
     own = tire_of(tir, signs=signs, combination=combination)
     inputs = turned_inputs(inputs, turned_by(signs))
     given = forces(own, inputs)._asdict()
     given = {name: given[name] for name in ("fx", "fy", "mz", *moments)}
-    columns = {
-        k: np.asarray(v) for k, v in (inputs._asdict() | given).items() if v is not None
-    }
-    if (
-        "mz" in columns and "fx" not in columns
-    ):  # M_z without F_x is known only for free rolling
+    columns = {k: np.asarray(v) for k, v in (inputs._asdict() | given).items() if v is not None}
+    if "mz" in columns and "fx" not in columns:  # M_z without F_x is known only for free rolling
         columns["mz"] = np.where(slip == 0, columns["mz"], np.nan)
     used, run = np.full(len(load), True), np.repeat(np.arange(len(parts)), _SLIPS)
     names = tuple(f"sweep {i}" for i in range(len(parts)))
@@ -118,10 +117,7 @@ def converted(
             :func:`~tirefit.fitting.tir.own_tire`.
     """
     acting = any(tir.numbers.get(name) for name in PRESSURE_TERMS)
-    own = {
-        *coefficients_of(VERSIONS[model]),
-        *(NEVER_FITTED if model != "mf52" else ()),
-    }
+    own = {*coefficients_of(VERSIONS[model]), *(NEVER_FITTED if model != "mf52" else ())}
     of_mx = [name for name in specs(Overturning()) if tir.numbers.get(name)]
     # A file in other signs has other coefficients of M_x than the result.
     is_fitted = not own.issuperset(of_mx) or turned_by(signs)

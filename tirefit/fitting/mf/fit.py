@@ -279,8 +279,7 @@ def problem_from(
         elif one.value is not None:
             priors[name] = priors[name]._replace(centre=one.value, log=False)
     held = [
-        one.free is False or (one.value is not None and one.prior is None)
-        for one in asked.values()
+        one.free is False or (one.value is not None and one.prior is None) for one in asked.values()
     ]
     centre = np.array([priors[name].centre for name in names])
     spread = np.array([priors[name].spread for name in names])

@@ -105,10 +105,7 @@ def _grid(tire: MFTire, ranges, within: bool) -> _Grid:
     kappa = np.concatenate([-_KAPPA[::-1], _KAPPA])
     alpha = np.concatenate([-_ALPHA[::-1], _ALPHA])
     if within:
-        kappa, alpha = (
-            _within(kappa, ranges["kappa"]),
-            _within(alpha, ranges["alpha"]),
-        )
+        kappa, alpha = (_within(kappa, ranges["kappa"]), _within(alpha, ranges["alpha"]))
     at = fz, gamma, pressure
     pure = {
         "fx": _evaluated(tire, *at, kappa, 0 * kappa)["fx"],
@@ -137,9 +134,7 @@ def _peaks(grid: _Grid, force: str) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def _failures(
-    grid: _Grid, fitted: tuple[str, ...]
-) -> dict[str, tuple[str, np.ndarray]]:
+def _failures(grid: _Grid, fitted: tuple[str, ...]) -> dict[str, tuple[str, np.ndarray]]:
     """Guard -> (words, which states fail it (states,)), the worst of its forces."""
     failing: dict[str, list] = {name: [] for name in GUARDS}
     for force in fitted:

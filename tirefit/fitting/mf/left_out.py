@@ -124,9 +124,7 @@ def _parts(rows, settings, which: str) -> dict[str, dict[str, list[int]]]:
     chosen = list(dict.fromkeys(label for own in labels.values() for label in own))
     if which != "bin":
         loads = {
-            force: [
-                np.median(rows[force].column("fz")[code == k]) for k in range(len(own))
-            ]
+            force: [np.median(rows[force].column("fz")[code == k]) for k in range(len(own))]
             for force, (own, code) in settings.items()
         }
         # Each twice: `levels` takes a value that stands alone for no level.
@@ -136,8 +134,7 @@ def _parts(rows, settings, which: str) -> dict[str, dict[str, list[int]]]:
         edges = (center[1:] + center[:-1]) / 2
         names = [f"F_z = {c:.0f} N" for c in center]
         labels = {
-            force: [names[k] for k in np.searchsorted(edges, own)]
-            for force, own in loads.items()
+            force: [names[k] for k in np.searchsorted(edges, own)] for force, own in loads.items()
         }
         chosen = names
         if which == "three":

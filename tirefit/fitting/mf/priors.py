@@ -65,10 +65,15 @@ def normal_form(values: Mapping[str, float]) -> dict[str, float]:
     values = dict(values)
     induced = ("RVY1", "RVY2", "RVY3")
     turning = {
-        "PDY1": ("PDY2", *induced), "RVY5": induced, "RVY6": induced,
-        "RBX1": ("RBX3",), "RBY1": ("RBY4",), "QSX9": ("QSX8",), "QSX11": ("QSX10",),
+        "PDY1": ("PDY2", *induced),
+        "RVY5": induced,
+        "RVY6": induced,
+        "RBX1": ("RBX3",),
+        "RBY1": ("RBY4",),
+        "QSX9": ("QSX8",),
+        "QSX11": ("QSX10",),
         "QSX7": ("QSX4", "QSX8"),
-    }  # fmt: skip
+    }
     for leader, followers in turning.items():
         if values.get(leader, 0.0) < 0:
             for name in (leader, *followers):
@@ -115,10 +120,7 @@ class Borrowed(NamedTuple):
 
 
 def with_dimensions(
-    like: TirFile,
-    rows: Mapping[str, ForceRows],
-    config: FitConfig,
-    constants: Mapping[str, float],
+    like: TirFile, rows: Mapping[str, ForceRows], config: FitConfig, constants: Mapping[str, float]
 ) -> tuple[FitConfig, list[str]]:
     """Complete the settings from the other tire; returns them with notes.
 

@@ -110,8 +110,7 @@ class MagicFormulaFit(Record):
         return [
             stage.name
             for stage in self.stages
-            if stage.rmse_at_end
-            > _WORSENED * stage.rmse + _NOTHING * self.reference[stage.force]
+            if stage.rmse_at_end > _WORSENED * stage.rmse + _NOTHING * self.reference[stage.force]
         ]
 
     @property
@@ -133,9 +132,14 @@ class MagicFormulaFit(Record):
         )
         noise = {force: self._noise_record(force) for force in self.forces}
         return StoredFit(
-            self.model, template, layout, np.zeros(len(free)), covariance, noise,
+            self.model,
+            template,
+            layout,
+            np.zeros(len(free)),
+            covariance,
+            noise,
             {"reference": dict(self.reference), "data": dict(self.data)},
-        )  # fmt: skip
+        )
 
     @property
     def _layout(self) -> Layout:

@@ -82,12 +82,8 @@ def _filled(table: TireData, names: Sequence[str]) -> TireData:
         for name in names
         if name not in table
     }
-    said = tuple(
-        f"no column {name}: {_ASIDE[name]}" for name in missing if name in _ASIDE
-    )
-    source: Source = replace(
-        table.source, assumptions=(*table.source.assumptions, *said)
-    )
+    said = tuple(f"no column {name}: {_ASIDE[name]}" for name in missing if name in _ASIDE)
+    source: Source = replace(table.source, assumptions=(*table.source.assumptions, *said))
     return replace(table, columns={**table.columns, **missing}, source=source)
 
 
@@ -171,6 +167,11 @@ def _rows_of(data: TireData, force: str, config: FitConfig) -> ForceRows:
     std, estimated, _ = force_scale(data, force, config.noise)
     pure = is_pure(data, force)
     return ForceRows(
-        force, inputs, data.usable(force), np.asarray(std, float), estimated,
-        data.run[data.used], pure & (np.count_nonzero(pure) >= _FEWEST),
-    )  # fmt: skip
+        force,
+        inputs,
+        data.usable(force),
+        np.asarray(std, float),
+        estimated,
+        data.run[data.used],
+        pure & (np.count_nonzero(pure) >= _FEWEST),
+    )

@@ -162,9 +162,15 @@ def _passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
     for block in problem.blocks:
         names, at = problem.columns(block.force)
         residual, slope = _pass(
-            block.force, names, problem.tire, jnp.asarray(natural[at]),
-            jnp.asarray(scale[at]), block.inputs, block.observed, block.weight,
-        )  # fmt: skip
+            block.force,
+            names,
+            problem.tire,
+            jnp.asarray(natural[at]),
+            jnp.asarray(scale[at]),
+            block.inputs,
+            block.observed,
+            block.weight,
+        )
         yield block, at, np.asarray(residual), np.asarray(slope)
 
 
@@ -220,9 +226,7 @@ def _passed(problem: Problem, u: np.ndarray, moved: np.ndarray):
     return cost, curvature, slope
 
 
-def row_values(
-    problem: Problem, u: np.ndarray, force: str, inputs: TireInputs
-) -> np.ndarray:
+def row_values(problem: Problem, u: np.ndarray, force: str, inputs: TireInputs) -> np.ndarray:
     """The force (n,) [N, N m] at u (p,) and inputs of arrays (n,)."""
     tire = with_values(problem.tire, problem.values(u))
     size = len(np.asarray(inputs.fz))
@@ -266,10 +270,7 @@ def curvature_at(problem: Problem, u: np.ndarray) -> np.ndarray:
 
 
 def minimise(
-    problem: Problem,
-    start: np.ndarray,
-    max_steps: int = _MAX_STEPS,
-    settled: float = _SETTLED,
+    problem: Problem, start: np.ndarray, max_steps: int = _MAX_STEPS, settled: float = _SETTLED
 ) -> Minimum:
     """Levenberg-Marquardt over the free coefficients, from ``start`` (p,), until one
     more step would gain less than ``settled`` of deviance.

@@ -331,11 +331,7 @@ _SHAPES: dict[str, tuple[dict[str, float], ...]] = {
     "fx": ({}, {"PCX1": 1.2}, {"PCX1": 1.8}),
     "fy": ({}, {"PCY1": 1.1}, {"PCY1": 1.8}),
     "mz": ({"QEZ1": -0.5}, {"QCZ1": 1.1, "QEZ1": -3.0}, {"QCZ1": 1.5, "QEZ1": -1.0}),
-    "mx": (
-        {},
-        {"QSX2": -1.0, "QSX3": 0.5, "QSX4": -1.0},
-        {"QSX2": 1.0, "QSX3": -0.5, "QSX4": 1.0},
-    ),
+    "mx": ({}, {"QSX2": -1.0, "QSX3": 0.5, "QSX4": -1.0}, {"QSX2": 1.0, "QSX3": -0.5, "QSX4": 1.0}),
 }
 """Shapes of the curves to start from. Curves with a peak, without a peak and with a
 sharp peak belong to different local minima."""

@@ -35,9 +35,7 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
     return new_tir(version, values, fit.ranges, notes, comment)
 
 
-def save_magic_formula(
-    fit: MagicFormulaFit, directory: str | os.PathLike
-) -> list[Path]:
+def save_magic_formula(fit: MagicFormulaFit, directory: str | os.PathLike) -> list[Path]:
     """Write ``fit.tir`` and ``fit.json``, each completely or not at all."""
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)

@@ -72,8 +72,7 @@ def at_reference(
         raise DataError(reason, remedy, data.file)
     reference = float(np.round(np.median(column[data.used])))
     warmth = {
-        force: column[np.isfinite(data.columns[force]) & data.used] - reference
-        for force in rows
+        force: column[np.isfinite(data.columns[force]) & data.used] - reference for force in rows
     }
     now, b = rows, 0.0
     for _ in range(_ROUNDS):

@@ -5,15 +5,7 @@ import jax.numpy as jnp
 
 from tirefit.models.brush import resultant
 from tirefit.models.magic_formula import bent
-from tirefit.models.mf.fields import (
-    Curve,
-    Nominal,
-    Point,
-    Scaling,
-    coefficient,
-    cos_arctan,
-    ratio,
-)
+from tirefit.models.mf.fields import Curve, Nominal, Point, Scaling, coefficient, cos_arctan, ratio
 from tirefit.models.mf.lateral import PureLateral
 
 
@@ -75,9 +67,7 @@ class Aligning(eqx.Module):
         """B_t alpha_t of both slips and E_t, (4.E35), (4.E40) and (4.E44)."""
         gamma = at.gamma * scale.LGAZ
         alpha = (
-            at.alpha
-            + (self.QHZ1 + self.QHZ2 * at.dfz)
-            + (self.QHZ3 + self.QHZ4 * at.dfz) * gamma
+            at.alpha + (self.QHZ1 + self.QHZ2 * at.dfz) + (self.QHZ3 + self.QHZ4 * at.dfz) * gamma
         )
         slope = (
             (self.QBZ1 + at.dfz * (self.QBZ2 + self.QBZ3 * at.dfz))
@@ -90,9 +80,7 @@ class Aligning(eqx.Module):
         )
         return Curve(slope * _equivalent(alpha, slip), curvature)
 
-    def residual(
-        self, at: Point, scale: Scaling, nominal: Nominal, side: PureLateral, slip
-    ):
+    def residual(self, at: Point, scale: Scaling, nominal: Nominal, side: PureLateral, slip):
         """M_zr / F_z [m], (4.E36) to (4.E38) and (4.E45) to (4.E47)."""
         gamma = at.gamma * scale.LGAZ
         alpha = at.alpha + side.offset + ratio(side.shift, side.stiffness)

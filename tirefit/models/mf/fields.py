@@ -63,34 +63,55 @@ def coefficient(symbol: str, meaning: str, equation: str, default: float = 0.0):
 def _scale(symbol: str, of: str, equation: str, default: float = 1.0):
     """The field of a scaling factor: never estimated, since the coefficients are."""
     return par(
-        default, (0.0, 1e3), "-", f"scales {of}", f"P({equation})",
-        rf"\lambda_{{{symbol}}}", free=False,
-    )  # fmt: skip
+        default,
+        (0.0, 1e3),
+        "-",
+        f"scales {of}",
+        f"P({equation})",
+        rf"\lambda_{{{symbol}}}",
+        free=False,
+    )
 
 
 class Nominal(eqx.Module):
     """The tire and the state in which it was measured."""
 
     FNOMIN: float = par(
-        4000.0, (1.0, 1e6), "N", "nominal wheel load", "P(4.E1)", "F_{z0}",
-        free=False, scale="log",
-    )  # fmt: skip
+        4000.0, (1.0, 1e6), "N", "nominal wheel load", "P(4.E1)", "F_{z0}", free=False, scale="log"
+    )
     UNLOADED_RADIUS: float = par(
-        0.3, (1e-3, 1e2), "m", "radius of the free tire", "P(4.E42)", "R_0",
-        free=False, scale="log",
-    )  # fmt: skip
+        0.3, (1e-3, 1e2), "m", "radius of the free tire", "P(4.E42)", "R_0", free=False, scale="log"
+    )
     LONGVL: float = par(
-        16.7, (1e-3, 1e3), "m/s", "speed of the measurement", "P(4.E7)", "V_0",
-        free=False, scale="log",
-    )  # fmt: skip
+        16.7,
+        (1e-3, 1e3),
+        "m/s",
+        "speed of the measurement",
+        "P(4.E7)",
+        "V_0",
+        free=False,
+        scale="log",
+    )
     NOMPRES: float = par(
-        2.2e5, (1e3, 1e8), "Pa", "nominal inflation pressure", "P(4.E2b)", "p_{i0}",
-        free=False, scale="log",
-    )  # fmt: skip
+        2.2e5,
+        (1e3, 1e8),
+        "Pa",
+        "nominal inflation pressure",
+        "P(4.E2b)",
+        "p_{i0}",
+        free=False,
+        scale="log",
+    )
     INFLPRES: float = par(
-        2.2e5, (1e3, 1e8), "Pa", "inflation pressure unless a sample has its own",
-        "P(4.E2b)", "p_i", free=False, scale="log",
-    )  # fmt: skip
+        2.2e5,
+        (1e3, 1e8),
+        "Pa",
+        "inflation pressure unless a sample has its own",
+        "P(4.E2b)",
+        "p_i",
+        free=False,
+        scale="log",
+    )
 
 
 class Scaling(eqx.Module):

@@ -6,15 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from tirefit.models.magic_formula import bent
-from tirefit.models.mf.fields import (
-    Curve,
-    Point,
-    Scaling,
-    Weight,
-    coefficient,
-    cos_arctan,
-    ratio,
-)
+from tirefit.models.mf.fields import Curve, Point, Scaling, Weight, coefficient, cos_arctan, ratio
 
 
 class PureLateral(NamedTuple):
@@ -41,12 +33,8 @@ class Lateral(eqx.Module):
     PEY3: float = coefficient("p_{Ey3}", "curvature with the sign of alpha", "4.E24")
     PEY4: float = coefficient("p_{Ey4}", "the same, with camber", "4.E24")
     PEY5: float = coefficient("p_{Ey5}", "curvature with camber squared", "4.E24")
-    PKY1: float = coefficient(
-        "p_{Ky1}", "largest cornering stiffness over F_z0", "4.E25", -20.0
-    )
-    PKY2: float = coefficient(
-        "p_{Ky2}", "load of the largest stiffness over F_z0", "4.E25", 2.0
-    )
+    PKY1: float = coefficient("p_{Ky1}", "largest cornering stiffness over F_z0", "4.E25", -20.0)
+    PKY2: float = coefficient("p_{Ky2}", "load of the largest stiffness over F_z0", "4.E25", 2.0)
     PKY3: float = coefficient("p_{Ky3}", "stiffness with camber", "4.E25")
     PKY4: float = coefficient("p_{Ky4}", "curvature of the stiffness", "4.E25", 2.0)
     PKY5: float = coefficient("p_{Ky5}", "PKY2 with camber squared", "4.E25")
@@ -91,14 +79,10 @@ class Lateral(eqx.Module):
             * at.friction_y
         )
         stiffness = self._stiffness(at, gamma, fz0) * scale.LKY
-        camber_shift = (
-            (self.PVY3 + self.PVY4 * at.dfz) * gamma * scale.LKYC * at.shift_y
-        )
+        camber_shift = (self.PVY3 + self.PVY4 * at.dfz) * gamma * scale.LKYC * at.shift_y
         if at.camber_stiffness:
             thrust = (
-                (self.PKY6 + self.PKY7 * at.dfz)
-                * (1 + self.PPY5 * at.dpi)
-                * (gamma * scale.LKYC)
+                (self.PKY6 + self.PKY7 * at.dfz) * (1 + self.PPY5 * at.dpi) * (gamma * scale.LKYC)
             )
             camber_offset = ratio(thrust - camber_shift, stiffness)
         else:
@@ -109,11 +93,7 @@ class Lateral(eqx.Module):
         alpha = at.alpha + offset
         curvature = (
             (self.PEY1 + self.PEY2 * at.dfz)
-            * (
-                1
-                + self.PEY5 * gamma**2
-                - (self.PEY3 + self.PEY4 * gamma) * jnp.sign(alpha)
-            )
+            * (1 + self.PEY5 * gamma**2 - (self.PEY3 + self.PEY4 * gamma) * jnp.sign(alpha))
             * scale.LEY
         )
         slope = ratio(stiffness, shape * mu)

@@ -4,15 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from tirefit.models.magic_formula import bent
-from tirefit.models.mf.fields import (
-    Curve,
-    Point,
-    Scaling,
-    Weight,
-    coefficient,
-    cos_arctan,
-    ratio,
-)
+from tirefit.models.mf.fields import Curve, Point, Scaling, Weight, coefficient, cos_arctan, ratio
 
 
 class Longitudinal(eqx.Module):

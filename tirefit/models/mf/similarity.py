@@ -26,9 +26,7 @@ from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
 
 
-def similar_forces(
-    along: Longitudinal, across: Lateral, at: Point, scale: Scaling, fz0
-):
+def similar_forces(along: Longitudinal, across: Lateral, at: Point, scale: Scaling, fz0):
     """F_x / F_z and F_y / F_z in combined slip, from the two pure curves.
 
     Args:

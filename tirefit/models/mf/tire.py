@@ -12,15 +12,7 @@ from jaxtyping import Array, Float
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import resultant
 from tirefit.models.mf.aligning import Aligning
-from tirefit.models.mf.fields import (
-    Curve,
-    Nominal,
-    Point,
-    Scaling,
-    cos_arctan,
-    ratio,
-    weighting,
-)
+from tirefit.models.mf.fields import Curve, Nominal, Point, Scaling, cos_arctan, ratio, weighting
 from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
 from tirefit.models.mf.moments import Overturning, Rolling
