@@ -120,7 +120,7 @@ def test_simulated_rig_sweeps_and_mistakes(run, tmp_path):
         (("rig", "--set", "mu=-1"), "mu = -1.0 is outside its bounds"),
         (("rig", "--load", "-5"), "out of range"),
         (("braking", "--drop", "soon"), "TIME=FRICTION"),
-        (("braking", "--truth", "x.csv"), "--truth is --out"),
+        (("braking", "--truth", "x.csv"), "--truth is the same file as --out"),
         (("braking", "--teeth", "1000000000"), "number of rows 2e+11 is out"),
         (("braking", "--rate", "1e12"), "1 to 1e+07"),
         (("braking", "--period", "inf"), "period inf is out of range"),
