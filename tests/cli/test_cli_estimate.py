@@ -97,7 +97,7 @@ def test_bad_rows_are_said_flagged_and_survived(run, tmp_path, log):
         (("log.csv", "--method", "rsl", "--out", "o"), 2, "did you mean 'rls'"),
         (("log.csv",), 2, "name one with --out"),
         (("-", "--out", "o"), 2, "add --follow"),
-        (("log.csv", "--out", "o", "--set", "ekf.mu=1"), 2, "'ekf' is not asked for"),
+        (("log.csv", "--out", "o", "--set", "ekf.mu=1"), 2, "'ekf' is not chosen"),
         (("log.csv", "--out", "o", "--set", "mu=9"), 2, "outside its bounds"),
         (("none.csv", "--out", "o"), 3, "does not exist"),
         (("bare.csv", "--out", "o"), 3, "needs time"),
