@@ -47,7 +47,7 @@ def test_without_a_y_a_v_y_to_the_right_is_named_with_the_yaw_rate(tmp_path):
     del columns["ay"]  # its header says what it is: it would be compared
     path = write(tmp_path / "a.csv", columns)
     log = derive(path, vehicle(tmp_path, CAR + NO_A_Y + KEEP), believe=True)
-    assert any("v_y or yaw_rate has the other sign" in said for said in log.warnings)
+    assert any("v_y or yaw_rate has the wrong sign" in said for said in log.warnings)
 
 
 # --- runs ---------------------------------------------------------------------------
