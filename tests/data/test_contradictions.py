@@ -111,19 +111,19 @@ IN_RATES = {
     "a_y to the right": (times(c4=-1), "a_y has the wrong sign"),
     "yaw rate in deg/s": (times(c3=DEG), "yaw_rate is in deg/s, but read in rad/s"),
     "yaw rate clockwise": (times(c3=-1), "yaw_rate has the wrong sign"),
-    "both": (times(c3=-DEG), "read in rad/s and yaw_rate has the other"),
+    "both": (times(c3=-DEG), "read in rad/s and yaw_rate has the wrong"),
     "km/h and g": (
         times(c1=3.6, c2=3.6, c4=1 / 9.80665),
         "a_y is in g, but read in m/s2 and v_x and v_y are in km/h",
     ),
     "speeds exchanged": (exchange("c1", "c2"), "v_x and v_y are exchanged"),
-    "a_y for the yaw rate": (exchange("c3", "c4"), "a_y and yaw_rate stand for each"),
+    "a_y for the yaw rate": (exchange("c3", "c4"), "a_y and yaw_rate are exchanged"),
     "dead a_y": (times(c4=0), "a_y does not follow v_x r + dv_y/dt"),
     "odd scale": (times(c4=6), "times v_x r, which no unit explains"),
 }
 REMEDIES = {
     "speeds in km/h": "--unit v_x=km/h --unit v_y=km/h",
-    "a_y in g": 'say a_y = "g" in [units] of vehicle.toml, or --unit a_y=g',
+    "a_y in g": 'set a_y = "g" in [units] of vehicle.toml, or --unit a_y=g',
     "both": 'yaw_rate = "-deg/s"',
     "yaw rate clockwise": 'yaw_rate = "-rad/s"',
     "speeds exchanged": 'v_x = "c2", v_y = "c1"',
@@ -158,7 +158,7 @@ IN_POSES = {
     "speed in km/h": (times(c1=3.6), "v_x is in km/h"),
     "accelerations in g": (times(c4=0.10197, c5=0.10197), "a_x and a_y are in g"),
     "yaw rate clockwise": (times(c3=-1), "yaw_rate has the wrong sign"),
-    "accelerations exchanged": (exchange("c4", "c5"), "a_x and a_y stand for each"),
+    "accelerations exchanged": (exchange("c4", "c5"), "a_x and a_y are exchanged"),
 }
 
 

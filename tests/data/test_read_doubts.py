@@ -177,7 +177,7 @@ def test_a_time_that_goes_back_within_a_run_is_told_with_place_and_remedy(tmp_pa
     assert bool(said) == (last < 0.2)
     for text in said:
         assert text.startswith("row 6, column 'Time': the time goes back, from 0.2 s to 0.05 s")
-        assert "run of its own (--column run=HEADER), or correct the time" in text
+        assert "its own run (--column run=HEADER), or correct the time" in text
 
 
 # --- units --------------------------------------------------------------------

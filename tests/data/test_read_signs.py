@@ -103,7 +103,7 @@ def test_one_turned_column_gets_the_unit_that_turns_it(column, unit, rule):
 
 
 BRAKES = {
-    "brake_pressure": (lambda c: np.clip(c["fx"], 0, None) * 1e3, "the harder the"),
+    "brake_pressure": (lambda c: np.clip(c["fx"], 0, None) * 1e3, "with the brake pressure"),
     "a_x": (lambda c: -c["fx"] / 400, "a force that brakes slows the vehicle"),
 }
 
