@@ -348,7 +348,7 @@ def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
     reason += f" {' or '.join(ways)}: {better}"
     remedy = "; ".join(_remedies(alike, there, prepared, given))
     if given.signs or given.kind not in ("tir", "columns"):
-        return f"{reason}. It is taken as it is: {remedy}"
+        return f"{reason}. It is used as given: {remedy}"
     raise unfit(prepared.data, reason, remedy)
 
 
@@ -414,16 +414,16 @@ def _remedies(alike, there: frozenset[str], prepared: Prepared, given: Given):
     ways, assumed = [], source.convention_from.startswith("assumed")
     for name, other in CONVENTIONS.items():
         if tir and now.turned(other) & there in alike:
-            ways.append(f"--signs {name} reads the file so")
+            ways.append(f"--signs {name} reads the file in these signs")
     if tir and OTHER_SIDE & there in alike:
         ways.append("--side, if it is a tire of the other side of the vehicle")
     for name, other in CONVENTIONS.items():
         if assumed and other.fz == read.fz and read.turned(other) & there in alike:
-            ways.append(f"--convention {name} reads the data so, which declare none")
+            ways.append(f"--convention {name} does so for the data, which declare none")
     for (name,) in (h for h in alike if len(h) == 1):
         column = "sigma_x" if name == "slip" else name
         unit = source.units.get(name, CANONICAL[column][0]).replace(" ", "")
-        ways.append(f"--unit {column}=-{unit}, if that column alone is turned")
-    ways = ways or ["turn these signs in the simulator, or in the data"]
+        ways.append(f"--unit {column}=-{unit}, if only that column has the wrong sign")
+    ways = ways or ["reverse these signs in the simulator, or in the data"]
     kept = given.signs or (TIR_SIGNS if tir else source.convention)
-    return [*ways, f"--signs {kept} keeps it as it is"]
+    return [*ways, f"--signs {kept} confirms the present signs"]
