@@ -1,9 +1,9 @@
-"""Outcomes as values, and the errors that carry them to the border.
+"""Outcomes of computations, and the errors that a user can cause.
 
 An expected outcome (not converged, at a bound, not identified) is a value of
-:class:`Outcome` whose text is the message; it travels in the result and is turned
-into an exit code once, at the border. Bad input is an exception that holds *every*
-problem found, each with its place, reason and remedy.
+:class:`Outcome`, whose text is the message. Results hold it, and the command line turns
+it into an exit code. Bad input raises an exception with *every* problem that was found,
+each with its place, reason and remedy.
 """
 
 import difflib
@@ -24,7 +24,7 @@ class ExitCode(enum.IntEnum):
 
 
 class Outcome(enum.Enum):
-    """What a computation ended in; the value is the message for the user."""
+    """The outcome of a computation; the value is the message for the user."""
 
     CONVERGED = "converged"
     NOT_CONVERGED = (
@@ -36,7 +36,7 @@ class Outcome(enum.Enum):
         " wrong, and if it is the slip, every number of this fit is"
     )
     STARTS_DISAGREE = (
-        "the starts ended in different minima of the same depth: the estimate is not unique"
+        "the starts ended in different minima of equal cost: the estimate is not unique"
     )
     AT_BOUND = "a parameter ended at its bound"
     NOT_IDENTIFIED = "the data do not identify this parameter"
@@ -76,8 +76,8 @@ class InputProblem:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """How the remedy of a name that is not known begins: ``did you mean 'mu'? ``, with
-    the space behind it; empty where none of the known ones resembles it."""
+    """Beginning of the remedy for an unknown name: ``did you mean 'mu'? ``, with a
+    trailing space; empty if no known name resembles it."""
     close = difflib.get_close_matches(name, list(known), n=1)
     return f"did you mean {close[0]!r}? " if close else ""
 
@@ -92,7 +92,7 @@ _OPTION = re.compile(
 
 
 def in_python(text: str) -> str:
-    """Options of the command line in a text as the arguments of the same meaning."""
+    """Replace command-line options in a text by the equivalent Python arguments."""
 
     def argument(found: re.Match) -> str:
         if found["pair"]:
@@ -113,14 +113,14 @@ def _is_number(text: str) -> bool:
 
 
 class TirefitError(Exception):
-    """Base of the errors a user can cause; holds all problems at once.
+    """Base of the errors that a user can cause; holds all problems.
 
-    Its own text is for who called a function: it names arguments where a problem names
-    options of the command line.
+    The text of the exception is for callers of Python functions: it names arguments
+    where the problems name options of the command line.
 
     Args:
-        problems: all of them, or the reason of the only one.
-        more: the other fields of that :class:`InputProblem`.
+        problems: all problems, or the reason of a single one.
+        more: the other fields of that single :class:`InputProblem`.
     """
 
     exit_code = ExitCode.USAGE

@@ -307,7 +307,7 @@ def test_derive_refuses_a_wrong_unit_and_its_remedy_works(run, tmp_path):
     )
     arguments = ("derive", "log.csv", "--vehicle", "v.toml", "--out", "out.csv")
     result = run(*arguments, exit_code=3)
-    assert "v_x is in km/h, and read in m/s" in result.stderr
+    assert "v_x is in km/h, but read in m/s" in result.stderr
     assert "--unit v_x=km/h" in result.stderr
     assert not (tmp_path / "out.csv").exists()
     assert "channels compared: " in run(*arguments, "--unit", "v_x=km/h").stdout
