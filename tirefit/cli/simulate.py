@@ -13,9 +13,10 @@ from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.settings import KINDS
 
-app = typer.Typer(
+simulate = typer.Typer(
     help="Simulate logs and rig sweeps whose true tire is known.",
     no_args_is_help=True,
+    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
@@ -59,9 +60,9 @@ def _command(kind: str) -> Callable:
             problems += [*_file_problems(out, truth), *KINDS[kind](**given).problems()]
             UsageError.raise_for(problems)
             start_jax()
-            from tirefit.sim.simulate import simulate
+            from tirefit.sim.simulate import simulate as simulated
 
-            _write(simulate(kind, **given), out, truth, given["seed"])
+            _write(simulated(kind, **given), out, truth, given["seed"])
 
     own = list(inspect.signature(run).parameters.values())[:2]
     ours = [*own, *map(_option, fields(KINDS[kind]))]
@@ -71,7 +72,7 @@ def _command(kind: str) -> Callable:
 
 
 for _kind in KINDS:
-    app.command(_kind)(_command(_kind))
+    simulate.command(_kind)(_command(_kind))
 
 
 def _drop(text: str | None) -> tuple[float, float] | None:

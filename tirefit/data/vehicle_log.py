@@ -3,7 +3,6 @@
 import re
 from collections.abc import Sequence
 
-from tirefit.data.vehicle import POSE, RATES
 from tirefit.results import InputProblem
 
 _ENDS = {
@@ -45,6 +44,8 @@ def vehicle_log(headers: Sequence[str], file: str, by_pose: bool = True) -> Inpu
         >>> found.remedy.startswith("tirefit derive log.csv --vehicle vehicle.toml")
         True
     """
+    from tirefit.data.vehicle import POSE, RATES  # which no other reader waits for
+
     found: dict[str, str] = {}
     for header in headers:
         words = re.findall("[a-z0-9]+", re.sub(r"[\[(].*", "", header.casefold()))

@@ -16,7 +16,6 @@ from tirefit.fitting.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
-from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.params import specs, with_values
 from tirefit.results import DataError, UsageError
 from tirefit.slip import CONVENTIONS
@@ -65,7 +64,7 @@ _ROUNDING = 1e-9
 class _Part(BaseModel):
     """A part of ``fit.json`` that is read and checked; the rest is for people."""
 
-    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, allow_inf_nan=False, defer_build=True)
 
 
 class _Free(_Part):
@@ -138,6 +137,7 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
     Raises:
         DataError: no such file, not JSON, not of this schema, or its checksum is wrong.
     """
+    from tirefit.models.mf import MAGIC_FORMULAS  # which those who write fits do not wait for
 
     remedy = "give a fit.json of `tirefit fit`"
     content = read_record(Path(path), SCHEMA, remedy)
