@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 
-from tirefit.cli.cluster import Ended, _Sharing, cluster, shared
+from tirefit.cli.cluster import Ended, cluster, shared
 from tirefit.results import UsageError
 
 
@@ -50,18 +50,6 @@ def test_who_kills_workers_costs_itself_alone(two, tmp_path):
     assert sorted(numbers) == list(range(8))
     assert dict(results) == {k: k for k in range(8)} | {3: Ended(2)}
     assert (tmp_path / "5").exists()
-
-
-def test_pieces_of_a_batch_are_alike(two, tmp_path):
-    """A program serves its batch: what is unlike comes in another one."""
-    pieces = [(number % 2, number) for number in range(60)]
-    sharing = _Sharing(doubled, pieces, two, alike=lambda piece: piece[0])
-    sharing.seconds, batches = 0.5, []
-    while sharing.waiting:
-        batches.append(sharing._next_batch())
-    assert sorted(sum(batches, [])) == list(range(60))
-    assert all(len({number % 2 for number in batch}) == 1 for batch in batches)
-    assert max(map(len, batches)) == 10 and batches[-1:] != [[]]
 
 
 def test_an_early_end_cancels_what_has_not_begun(two, tmp_path):

@@ -135,7 +135,7 @@ def quick(monkeypatch):
         (folder / "fit.png").touch()
         return [folder / "fit.png"]
 
-    def here(work, pieces, client, alike):
+    def here(work, pieces, client):
         for number, piece in reversed(list(enumerate(pieces))):
             if piece.file.name in fatal:
                 (piece.to / ".writing").mkdir(parents=True)

@@ -110,9 +110,9 @@ def test_command(late, tmp_path):
     ]  # fmt: skip
     done = subprocess.run([*map(str, command)], capture_output=True, text=True)
     assert done.returncode == 3 and "none.csv" in done.stderr
-    command[7:9] = ["--rig", "rig.toml"]
+    command[7:9] = ["--rig", "rig.toml", "--convention", "iso-w"]
     done = subprocess.run([*map(str, command)], capture_output=True, text=True)
-    assert done.returncode == 2 and "--rig with --vehicle" in done.stderr
+    assert done.returncode == 2 and "--convention, --rig with --vehicle" in done.stderr
 
 
 def test_an_unknown_effect_and_a_log_without_windows_are_told(late):

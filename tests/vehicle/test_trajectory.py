@@ -151,8 +151,8 @@ def test_the_command_writes_what_the_others_read(drive, tmp_path):
     assert content["schema"] == "tirefit.trajectory/1"
     assert set(content["parameters"]) == set(TRUE)
     assert (tmp_path / "out" / "trajectory.png").stat().st_size > 10_000
-    bad = subprocess.run([*line, "--joint"], capture_output=True, text=True)
-    assert bad.returncode == 2 and "--joint with --vehicle" in bad.stderr
+    bad = subprocess.run([*line, "--joint", "--slip", "s"], capture_output=True, text=True)
+    assert bad.returncode == 2 and "--slip, --joint with --vehicle" in bad.stderr
     bad = subprocess.run([*line[:7], "--window", "1"], capture_output=True, text=True)
     assert bad.returncode == 2 and "without --vehicle" in bad.stderr
 

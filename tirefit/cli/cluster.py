@@ -1,11 +1,6 @@
-"""Work of many pieces shared by the workers of a Dask cluster.
+"""Distribute many pieces of work over the workers of a Dask cluster.
 
-A task is a batch of pieces: few seconds of work, so that neither the scheduler's own
-time per task nor the loss of a worker costs much, and pieces that are alike, so that
-one compiled program serves them. What a task needs goes with it, and nothing waits on
-a worker but what is done there, so a worker that dies costs a retry of its batch. A
-batch whose workers die again is taken apart at the end, one piece at a time and nothing
-beside it: what dies then has itself to blame.
+Each piece is a task that carries all it needs, so the death of a worker costs a retry.
 """
 
 import importlib
@@ -15,37 +10,33 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from queue import Empty, SimpleQueue
 from types import ModuleType
 from typing import Any, NamedTuple
 
 from tirefit.results import InputProblem, UsageError
 
-_BATCH, _RATE = 5.0, 100.0
-"""Seconds that a batch of several pieces is to take, at least, and batches a second of
-all workers, at most: one costs scheduler and client 4 ms."""
-
-_AHEAD = 2  # batches at a time for each worker: one at work and one that waits for it
+_AHEAD = 2  # tasks at a time for each thread of a worker: one at work and one that waits
 
 _CONNECT, _ABSENT = 30.0, 60.0
 """Seconds to wait for a scheduler and its first worker, and for lost ones to return."""
 
 _LOCAL = {
-    # One worker's death may be another's doing; twice is taken for the batch's.
+    # A worker may die for another reason; two deaths are taken for the task's doing.
     "distributed.scheduler.allowed-failures": 1,
-    # A fit holds what it needs; only what would end the machine ends a worker.
+    # A fit needs all of its memory at once: spilling or pausing would not help it.
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
     "distributed.worker.profile.enabled": False,
 }
-"""How the workers of this machine are run."""
+"""Settings of the workers on this machine."""
 
 
 class Ended(NamedTuple):
-    """In the place of a result: so many workers that it was given to alone died."""
+    """Stands for the result of a piece that ended every worker that ran it alone."""
 
     workers: int
 
@@ -62,15 +53,19 @@ def _library(name: str) -> ModuleType:
 
 @contextmanager
 def cluster(jobs: int, scheduler: str | None = None) -> Iterator[Any]:
-    """A client of the cluster at that address, or of so many workers of this machine.
+    """Open a client of the cluster at an address, or of a new one on this machine.
 
-    Those of this machine end with the block, whatever they are at.
+    The workers of a new cluster end with the block, even in the middle of a task.
+
+    Args:
+        jobs: number of workers of a new cluster.
+        scheduler: address of a running scheduler; None starts a cluster.
 
     Raises:
         UsageError: no ``distributed``, or no scheduler or worker at the address.
     """
     distributed = _library("distributed")
-    # Its own words are for who runs a cluster; what matters is said here.
+    # Its messages are for the administrator of a cluster; the errors below are for users.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with ExitStack() as open_till_the_end:
         enter = open_till_the_end.enter_context
@@ -108,7 +103,7 @@ def _connected(distributed: ModuleType, address: str) -> Any:
 @contextmanager
 def _local(distributed: ModuleType, jobs: int) -> Iterator[Any]:
     dask = _library("dask")
-    # Threads of OpenBLAS spin while they wait, on the cores of the other processes.
+    # Idle threads of OpenBLAS keep the cores of other processes busy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with dask.config.set(_LOCAL):
         workers = distributed.LocalCluster(
@@ -122,7 +117,7 @@ def _local(distributed: ModuleType, jobs: int) -> Iterator[Any]:
     try:
         yield workers
     finally:
-        # What they have written is whole: nothing is gained by waiting for them.
+        # Every file that they wrote is whole, so there is no need to wait for them.
         for nanny in workers.workers.values():
             nanny.auto_restart = False
             if nanny.pid is not None:
@@ -132,120 +127,81 @@ def _local(distributed: ModuleType, jobs: int) -> Iterator[Any]:
             workers.close(timeout=20)
 
 
-def shared(
-    work: Callable, pieces: Sequence, client: Any, alike: Callable[[Any], Hashable] = lambda _: None
-) -> Generator[tuple[int, Any], None, None]:
-    """(number, ``work(piece)``) of every piece, as they come.
+def shared(work: Callable, pieces: Sequence, client: Any) -> Generator[tuple[int, Any]]:
+    """Yield (number, ``work(piece)``) of every piece, in the order of completion.
 
-    A piece whose workers die every time it is alone costs itself, :class:`Ended`. When
-    the iteration stops early, by an interrupt too, what has not begun is cancelled.
+    A piece that ends its workers even when it runs alone yields :class:`Ended`. When the
+    iteration stops early, or is interrupted, pieces that have not begun are cancelled.
 
     Args:
-        work: a function that can be pickled, as the pieces and results can.
+        work: a function that can be pickled, as its arguments and results can.
+        pieces: the arguments.
         client: of :func:`cluster`.
-        alike: the pieces of a batch have the same of this.
 
     Raises:
         UsageError: the scheduler, or every worker, is gone.
     """
-    yield from _Sharing(work, pieces, client, alike).results()
-
-
-class _Batch(NamedTuple):
-    future: Any
-    numbers: list[int]
-    alone: bool
-
-
-class _Sharing:
-    """Pieces by their numbers: ``waiting`` by kind, ``suspects`` that wait to be alone,
-    and those ``at_work`` by the key of their task."""
-
-    def __init__(self, work, pieces, client, alike):
-        self.work, self.pieces, self.client = work, pieces, client
-        self.waiting: dict[Hashable, deque[int]] = {}
-        for number, piece in enumerate(pieces):
-            self.waiting.setdefault(alike(piece), deque()).append(number)
-        self.suspects: deque[int] = deque()
-        self.at_work: dict[str, _Batch] = {}
-        self.ended: SimpleQueue[Any] = SimpleQueue()
-        self.seconds: float | None = None  # that a piece takes
-        self.counted, self.threads, self.seen = 0.0, 1, time.monotonic()
-
-    def results(self) -> Generator[tuple[int, Any], None, None]:
-        try:
-            while self.waiting or self.suspects or self.at_work:
-                self._count_workers()
-                self._give()
-                with suppress(Empty):
-                    yield from self._answers(self.ended.get(timeout=1.0))
-        finally:
-            left = [batch.future for batch in self.at_work.values()]
-            if left and self.client.status == "running":
-                self.client.cancel(left, force=True)
-
-    def _count_workers(self) -> None:
-        """Threads of the workers, now and then."""
-        now = time.monotonic()
-        if now - self.counted < 1.0:
-            return
-        if self.client.status != "running":
-            raise _gone("the connection to the scheduler is lost")
-        self.counted, self.threads = now, sum(self.client.nthreads().values())
-        self.seen = now if self.threads else self.seen
-        if now - self.seen > _ABSENT:
-            raise _gone("all workers are gone")
-
-    def _give(self) -> None:
-        """Batches for all who have nothing to do; a suspect when all others are done.
-
-        Whoever waits behind a piece that kills its worker looks as guilty as that.
-        """
-        while self.waiting and len(self.at_work) < _AHEAD * self.threads:
-            self._submit(self._next_batch(), alone=False)
-        if self.suspects and not self.waiting and not self.at_work:
-            self._submit([self.suspects.popleft()], alone=True)
-
-    def _next_batch(self) -> list[int]:
-        kind = min(self.waiting, key=lambda kind: self.waiting[kind][0])
-        same, size = self.waiting[kind], 1
-        if self.seconds is not None:
-            left = sum(map(len, self.waiting.values()))
-            fair = left // (_AHEAD * max(self.threads, 1))
-            long = max(_BATCH, self.threads / _RATE)
-            size = max(1, min(fair, int(long / max(self.seconds, 1e-3))))
-        numbers = [same.popleft() for _ in range(min(size, len(same)))]
-        if not same:
-            del self.waiting[kind]
-        return numbers
-
-    def _submit(self, numbers: list[int], alone: bool) -> None:
-        future = self.client.submit(
-            _batch,
-            self.work,
-            [self.pieces[number] for number in numbers],
-            pure=False,
-            key=f"tirefit-{id(self)}-{time.monotonic_ns()}",
-        )
-        self.at_work[future.key] = _Batch(future, numbers, alone)
-        future.add_done_callback(self.ended.put)
-
-    def _answers(self, future: Any) -> Iterator[tuple[int, Any]]:
-        killed = _library("distributed").scheduler.KilledWorker
-        batch = self.at_work.pop(future.key)
-        try:
-            seconds, results = future.result()
-        except killed as error:
-            if batch.alone:
-                yield batch.numbers[0], Ended(error.allowed_failures + 1)
+    suspects = []
+    with closing(_done(work, pieces, range(len(pieces)), client)) as results:
+        for number, result in results:
+            if isinstance(result, Ended):
+                suspects.append(number)
             else:
-                self.suspects.extend(batch.numbers)
-            return
-        except _library("concurrent.futures").CancelledError:
-            raise _gone("the scheduler has dropped the work") from None
-        # The first one of a kind compiles: later ones say what a piece takes.
-        self.seconds = seconds / len(results)
-        yield from zip(batch.numbers, results, strict=True)
+                yield number, result
+    # A piece that waits at a worker when another piece ends it is counted as guilty too.
+    for number in suspects:
+        yield from _done(work, pieces, [number], client)
+
+
+def _done(work, pieces, numbers, client) -> Generator[tuple[int, Any]]:
+    at_work: dict[str, tuple[Any, int]] = {}  # future and number, by key of the task
+    waiting, ended = deque(numbers), SimpleQueue[Any]()
+    threads = _threads(client)
+    try:
+        while waiting or at_work:
+            ahead = _AHEAD * next(threads)
+            while waiting and len(at_work) < ahead:
+                number = waiting.popleft()
+                future = client.submit(_run, work, pieces[number], pure=False)
+                at_work[future.key] = future, number
+                future.add_done_callback(ended.put)
+            try:
+                future = ended.get(timeout=1.0)
+            except Empty:
+                continue
+            _, number = at_work.pop(future.key)
+            yield number, _result(future)
+    finally:
+        if at_work and client.status == "running":
+            client.cancel([future for future, _ in at_work.values()], force=True)
+
+
+def _threads(client) -> Iterator[int]:
+    """Yield the number of threads of all workers, counted once a second.
+
+    Raises:
+        UsageError: the scheduler is gone, or no worker has been there for a minute.
+    """
+    counted, seen, threads = 0.0, time.monotonic(), 0
+    while True:
+        now = time.monotonic()
+        if now - counted >= 1.0:
+            if client.status != "running":
+                raise _gone("the connection to the scheduler is lost")
+            counted, threads = now, sum(client.nthreads().values())
+            seen = now if threads else seen
+            if now - seen > _ABSENT:
+                raise _gone("all workers are gone")
+        yield threads
+
+
+def _result(future: Any) -> Any:
+    try:
+        return future.result()
+    except _library("distributed").scheduler.KilledWorker as error:
+        return Ended(error.allowed_failures + 1)
+    except _library("concurrent.futures").CancelledError:
+        raise _gone("the scheduler has dropped the work") from None
 
 
 def _gone(reason: str) -> UsageError:
@@ -255,9 +211,7 @@ def _gone(reason: str) -> UsageError:
 _ALONE = threading.Lock()
 
 
-def _batch(work: Callable, pieces: Sequence) -> tuple[float, list]:
-    """Seconds and results of pieces; in a worker, whose other threads wait."""
+def _run(work: Callable, piece: Any) -> Any:
+    """``work(piece)`` in a worker, one piece at a time: output is redirected per process."""
     with _ALONE:
-        begun = time.monotonic()
-        results = [work(piece) for piece in pieces]
-        return time.monotonic() - begun, results
+        return work(piece)

@@ -27,6 +27,7 @@ from tirefit.cli.options import (
     progress_bar,
     read_config,
     read_options,
+    refuse_with_vehicle,
     say,
     start_jax,
     takes_data_options,
@@ -153,14 +154,14 @@ def diagnose(
         if vehicle is not None:
             alone: dict = dict(model=model, set=parameter, sim=sim, rig=rig)
             alone |= dict(jobs=jobs, scheduler=scheduler, resume=resume, side=side)
-            alone |= {"signs": signs, "force": force, "full": full, "seed": seed}
+            alone |= dict(signs=signs, force=force, full=full, seed=seed, combination=combination)
+            refuse_with_vehicle(options, alone)
             return diagnose_car(
                 files,
                 vehicle,
                 front,
                 rear,
                 out,
-                alone | {"combination": combination},
                 holdout=holdout or (),
                 without=without or (),
                 figures=figures,

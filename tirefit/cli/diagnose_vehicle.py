@@ -32,22 +32,12 @@ def diagnose_car(
     front: str | None,
     rear: str | None,
     out: Path,
-    unused: dict,
     *,
     holdout: Sequence[Path],
     without: Sequence[str],
     figures: bool,
 ) -> None:
-    """Diagnoses, prints and writes.
-
-    Args:
-        unused: option that does not go with ``--vehicle`` -> its value.
-    """
-    wrong = [f"--{option}" for option, given in unused.items() if given]
-    if wrong:
-        reason = f"{', '.join(wrong)} with --vehicle"
-        remedy = "leave it out: the tires are --front and --rear"
-        raise UsageError(InputProblem(reason, remedy))
+    """Diagnose the car, print the report and write the files."""
     check_directories([out])
     start_jax()
     from tirefit.report.canvas import save_picture

@@ -23,6 +23,7 @@ from tirefit.cli.options import (
     named_path,
     read_config,
     read_options,
+    refuse_with_vehicle,
     say,
     start_jax,
     takes_data_options,
@@ -169,20 +170,13 @@ def fit(
 
         whole = {"part": part, "like": like, "leave_out": leave_out}
         whole = {name: value for name, value in whole.items() if value is not None}
-        unused: dict[str, Any] = {
-            "--solver": solver,
-            "--sampler": sampler,
-            "--force": force,
-            "--resume": resume,
-            "--jobs": jobs,
-            "--scheduler": scheduler,
-        }
+        unused: dict[str, Any] = dict(solver=solver, sampler=sampler, force=force)
+        unused |= dict(resume=resume, jobs=jobs, scheduler=scheduler)
         own = {"unknowns": unknown, "window": window, "intervals": intervals}
         if vehicle is not None:
-            more: dict[str, Any] = {f"--{k.replace('_', '-')}": v for k, v in whole.items()}
-            more |= {"--joint": joint, "--html": html, "--svg": svg, "--strict": strict}
-            own |= {"seed": seed}
-            raise typer.Exit(fit_vehicle(files, vehicle, model, out, unused | more, **own))
+            others = dict(joint=joint, html=html, svg=svg, strict=strict)
+            refuse_with_vehicle(options, unused | whole | others)
+            raise typer.Exit(fit_vehicle(files, vehicle, model, out, **own, seed=seed))
         if any(own.values()):
             reason = "--unknown, --window or --intervals without --vehicle"
             raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))

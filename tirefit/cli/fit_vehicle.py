@@ -30,19 +30,14 @@ def models_of(text: str | None) -> dict[str, Any]:
 
 
 def fit_vehicle(
-    logs: list[Path], vehicle: Path, model: str | None, out: Path | None, unused: dict, **how: Any
+    logs: list[Path], vehicle: Path, model: str | None, out: Path | None, **how: Any
 ) -> ExitCode:
-    """Fits, prints and writes.
+    """Fit the car, print the report and write the files.
 
     Args:
-        unused: option that does not go with ``--vehicle`` -> its value.
         how: keywords of :func:`~tirefit.vehicle.trajectory.fit_trajectory`; None for
             its own.
     """
-    wrong = [option for option, given in unused.items() if given]
-    if wrong:
-        reason = f"{', '.join(wrong)} with --vehicle"
-        raise UsageError(InputProblem(reason, "leave it out: it is not for vehicle logs"))
     models, out = models_of(model), out or Path(f"{vehicle.stem}.fit")
     check_directories([out])
     start_jax()

@@ -116,7 +116,7 @@ def fleet(
             records_into(out / TABLE) as table,
             progress_bar(title) as progress,
             cluster(min(sharing.jobs or 1, len(pieces)), sharing.scheduler) as client,
-            closing(shared(work, pieces, client, _alike)) as results,
+            closing(shared(work, pieces, client)) as results,
             merged_notes(len(pieces) > 1) as notes,
         ):
             for outcome in _in_order(results, pieces, progress, left):
@@ -169,16 +169,6 @@ def _failed(piece: Piece, code: ExitCode, complained: str, **more) -> Outcome:
 
     record = FileRecord(str(piece.file), str(piece.to), "", FAILED, problem=complained.strip())
     return Outcome(code, complained=complained, record=record, **more)
-
-
-def _alike(piece: Piece) -> int:
-    """Files of about the same size have about the same rows, and so one program."""
-    from tirefit.padding import padded_size  # NumPy, for many files alone
-
-    try:
-        return padded_size(piece.file.stat().st_size)
-    except (OSError, AttributeError):
-        return 0
 
 
 # --- In a worker ----------------------------------------------------------------------

@@ -36,13 +36,13 @@ def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
 
     Args:
         own: given options that only a whole Magic Formula has.
-        unused: option that it does not have -> its value.
+        unused: name of an option that it does not have -> its value.
 
     Raises:
         UsageError: an option of the other kind of fit was given.
     """
     whole = model in MAGIC_FORMULA_NAMES
-    wrong = [option for option, given in unused.items() if given] if whole else []
+    wrong = [f"--{option}" for option, given in unused.items() if given] if whole else []
     problems = []
     if wrong:
         reason = f"{', '.join(wrong)} with --model {model}"

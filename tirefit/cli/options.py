@@ -149,6 +149,23 @@ def takes_data_options(command: Callable) -> Callable:
     return with_options
 
 
+def refuse_with_vehicle(options: DataOptions, unused: dict[str, Any]) -> None:
+    """Refuse options without effect where the files are logs of a vehicle.
+
+    Args:
+        unused: name of an option -> its value.
+
+    Raises:
+        UsageError: some are given; all of them.
+    """
+    given = vars(options) | unused
+    wrong = [f"--{name.replace('_', '-')}" for name, value in given.items() if value]
+    if wrong:
+        reason = f"{', '.join(wrong)} with --vehicle"
+        remedy = "leave it out: vehicle.toml says how logs are read"
+        raise UsageError(InputProblem(reason, remedy))
+
+
 def _pairs(option: str, items: list[str] | None, problems: list[InputProblem]):
     pairs: dict[str, str] = {}
     for item in items or []:
