@@ -21,7 +21,7 @@ ROWS = TireData(
 )
 ENTRIES = {
     "fit": lambda: tirefit.fit(ROWS),
-    "fit_many": lambda: tirefit.fit_many("brush", SLIP[None], SLIP[None], 4000.0),
+    "fit_many": lambda: tirefit.fit_many({"sigma_x": SLIP[None], "fx": SLIP[None], "fz": 4000.0}),
     "sample": lambda: tirefit.sample(object.__new__(FitResult)),
     "predict": lambda: tirefit.predict("brush", ROWS),
     "curve": lambda: curve("brush", "fx", SLIP, [4000.0]),

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from tirefit.files import json_text, write_texts
+from tirefit.results import Outcome
 
 
 def _made_by(place: str, *given, **named) -> Any:
@@ -34,6 +35,30 @@ class Record(Displayed):
     plot_by: ClassVar[str]
     page_by: ClassVar[str] = "tirefit.report.html:record_page"
     save_by: ClassVar[str] = "tirefit.display:save_files"
+
+    @property
+    def limits(self) -> Mapping[Outcome, str]:
+        """Outcome -> the sentence that says it, empty where it does not hold."""
+        return {}
+
+    @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """What limits the use of the result; empty where nothing does."""
+        return tuple(outcome for outcome, text in self.limits.items() if text)
+
+    @property
+    def status(self) -> Outcome:
+        """The gravest of ``outcomes``, a text such as "not converged"; "ok" of none.
+
+        The command's exit code follows from ``outcomes`` by
+        :func:`tirefit.results.exit_code`.
+        """
+        return Outcome.gravest(self.outcomes)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know before the result is used, a sentence each."""
+        return tuple(filter(None, self.limits.values()))
 
     def __str__(self) -> str:
         return self.summary()

@@ -99,9 +99,9 @@ def specs(model: eqx.Module) -> dict[str, Spec]:
     return declared
 
 
-def parameter_values(model: eqx.Module) -> dict[str, Any]:
+def parameter_values(model: eqx.Module) -> dict[str, float]:
     """Parameter name -> value, in the order of :func:`specs`."""
-    values: dict[str, Any] = {}
+    values: dict[str, float] = {}
     for field, value in _fields(model):
         if "spec" in field.metadata:
             values[field.name] = value
@@ -202,7 +202,7 @@ def by_owner(
     return chosen
 
 
-def with_values(model: Model, values: Mapping[str, Any]) -> Model:
+def with_values(model: Model, values: Mapping[str, float]) -> Model:
     """The same model with other values; a name it lacks raises ``KeyError``."""
     unknown = set(values) - set(specs(model))
     if unknown:

@@ -1,15 +1,15 @@
 """Outcomes of computations, and the errors that a user can cause.
 
 An expected outcome (not converged, at a bound, not identified) is a value of
-:class:`Outcome`, whose text is the message. Results hold it, and the command line turns
-it into an exit code. Bad input raises an exception with *every* problem that was found,
-each with its place, reason and remedy.
+:class:`Outcome` with its message. A result holds its outcomes, and :func:`exit_code` turns
+them into the exit code of the command. Bad input raises an exception with *every* problem
+that was found, each with its place, reason and remedy.
 """
 
 import difflib
 import enum
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 
@@ -23,35 +23,86 @@ class ExitCode(enum.IntEnum):
     NOT_IDENTIFIED = 5
 
 
-class Outcome(enum.Enum):
-    """The outcome of a computation; the value is the message for the user."""
+class Outcome(enum.StrEnum):
+    """The status of a result, the gravest first; ``message`` explains it to the user."""
 
-    CONVERGED = "converged"
     NOT_CONVERGED = (
+        "not converged",
         "the least-squares solver did not converge: no start reached the tolerance"
-        " within the step limit; give starting values in fit.toml or fix a parameter"
+        " within the step limit; give starting values in fit.toml or fix a parameter",
     )
     SLIP_CONTRADICTED = (
+        "doubtful slip",
         "the slip column contradicts the speeds and the rolling radius: one of them is"
-        " wrong, and if it is the slip, every number of this fit is"
+        " wrong, and if it is the slip, every number of this fit is",
+    )
+    GUARD_FAILED = (
+        "not a tire's curve",
+        "within the loads and slips of the data the fitted curve is not that of a tire",
+    )
+    POOR_FIT = (
+        "poor fit",
+        "the model does not describe these data: the residuals are larger or more"
+        " structured than the noise allows",
     )
     STARTS_DISAGREE = (
-        "the starts ended in different minima of equal cost: the estimate is not unique"
+        "not unique",
+        "the starts ended in different minima of equal cost: the estimate is not unique",
     )
-    AT_BOUND = "a parameter ended at its bound"
-    NOT_IDENTIFIED = "the data do not identify this parameter"
+    WORSENED = "worsened", "rows of combined slip worsened the curve of pure slip"
+    SYSTEMATIC_MISFIT = (
+        "systematic misfit",
+        "the residuals are mostly a systematic miss of the curve",
+    )
+    UNSOUND = "unsound", "the tire fails a check of its forces"
+    NOT_IDENTIFIED = "not identified", "the data do not identify this parameter"
+    INCOMPLETE = "incomplete", "a part of the answer is missing"
+    INTERRUPTED = (
+        "interrupted",
+        "interrupted: the samples drawn so far are kept; --resume continues",
+    )
     CHAIN_TOO_SHORT = (
+        "chain too short",
         "the posterior chain is too short for its autocorrelation time or its"
-        " ensembles disagree: continue it with --resume"
+        " ensembles disagree: continue it with --resume",
     )
-    INTERRUPTED = "interrupted: the samples drawn so far are kept; --resume continues"
-    GUARD_FAILED = "within the loads and slips of the data the fitted curve is not that of a tire"
-    WORSENED = "rows of combined slip worsened the curve of pure slip"
-    SYSTEMATIC_MISFIT = "the residuals are mostly a systematic miss of the curve"
-    POOR_FIT = (
-        "the model does not describe these data: the residuals are larger or more"
-        " structured than the noise allows"
-    )
+    AT_BOUND = "at a bound", "a parameter ended at its bound"
+    CONVERGED = "converged"
+    OK = "ok"
+
+    message: str
+
+    def __new__(cls, status: str, message: str = "") -> "Outcome":
+        self = str.__new__(cls, status)
+        self._value_, self.message = status, message
+        return self
+
+    @classmethod
+    def gravest(cls, outcomes: Collection["Outcome"]) -> "Outcome":
+        """The gravest of the outcomes; ``OK`` where there is none."""
+        return next((one for one in cls if one in outcomes), cls.OK)
+
+
+_UNFINISHED = {
+    Outcome.NOT_CONVERGED,
+    Outcome.GUARD_FAILED,
+    Outcome.WORSENED,
+    Outcome.CHAIN_TOO_SHORT,
+    Outcome.INTERRUPTED,
+}
+
+
+def exit_code(outcomes: Collection[Outcome], strict: bool = False) -> ExitCode:
+    """The exit code of a command whose result has these outcomes.
+
+    Args:
+        strict: whether a parameter that is not identified is a failure.
+    """
+    if _UNFINISHED & {*outcomes}:
+        return ExitCode.NOT_CONVERGED
+    if strict and Outcome.NOT_IDENTIFIED in outcomes:
+        return ExitCode.NOT_IDENTIFIED
+    return ExitCode.OK
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ def batch(fits: int = 10_000, peers: int = 500) -> None:
     slip, force = measured(fits)
 
     def ours():
-        fit_many("brush", slip, force, FZ)
+        fit_many({"sigma_x": slip, "fx": force, "fz": FZ}, "brush")
 
     def peer():
         for i in range(peers):

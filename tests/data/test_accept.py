@@ -64,8 +64,8 @@ def test_only_what_an_input_needs_is_asked_for():
 
 
 def test_anything_else_is_refused():
-    with pytest.raises(UsageError, match="data of type int: give what"):
-        tirefit.fit(3)
+    with pytest.raises(UsageError, match="data of type bytes: give what"):
+        tirefit.fit(b"rig.csv")
 
 
 @pytest.mark.parametrize(

@@ -174,7 +174,7 @@ def test_the_result_names_them_everywhere():
     assert abs(first["predicted"]) < 4200 and first["distance"] > 1000
     assert "far from all other rows" in first["reason"]
     assert "noise.loss = 'squares'" in first["remedy"]
-    (said,) = (text for text in result.verdict["sentences"] if "as outliers" in text)
+    (said,) = (text for text in result.warnings if "as outliers" in text)
     assert "2 of 400 rows" in said and "row 11, row 240" in said
     text = " ".join(fit_report(result, full=True).split())
     assert "398 used of 400 (2 excluded as outliers)" in text

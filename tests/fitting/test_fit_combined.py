@@ -66,7 +66,7 @@ def result(tmp_path_factory):
 
 
 def test_both_forces_give_back_the_truth(result):
-    assert result.verdict["status"] == "ok"
+    assert result.status == "ok"
     for name, value in TRUTH.items():
         found = result.parameters[name]
         assert abs(found.value - value) < 3 * found.std

@@ -293,7 +293,7 @@ def test_noise_just_above_the_limit_ends_in_a_verdict():
     tiny = 1.1e-9 * np.abs(curve()["fx"]).max()
     config = {"noise": {"fx": tiny}, "solver": "gauss-newton"}
     result = fit(curve(), config=config)
-    assert result.verdict["status"] == "poor fit"
+    assert result.status == "poor fit"
     # The inflation by chi2/dof gives back what the residuals alone say.
     plain = solved(curve(), ESTIMATED)
     np.testing.assert_allclose(result.covariance, plain.covariance, rtol=0.05)

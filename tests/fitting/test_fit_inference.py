@@ -107,7 +107,7 @@ def test_profile_is_the_covariance_interval_where_noise_is_small():
         np.testing.assert_allclose(covariance, (low, high), atol=0.02 * (high - low))
         half = (high - low) / 2
         np.testing.assert_allclose(half, 1.96 * result.least_squares[label].std, rtol=0.01)
-    assert result.verdict["disagreements"] == {}
+    assert result.verdict.disagreements == {}
 
 
 def test_friction_out_of_sight_is_open_not_certain(vague):
@@ -149,7 +149,7 @@ def test_autocorrelated_noise_widens_every_interval():
         np.testing.assert_allclose(ratio, factor, rtol=1e-3)
         low, high = wide.least_squares[label].ci95
         assert low < TRUTH[label] < high
-    assert any("are correlated" in s for s in wide.verdict["sentences"])
+    assert any("are correlated" in s for s in wide.warnings)
 
 
 def test_covariance_of_a_prior_combines_with_the_data():

@@ -20,7 +20,7 @@ LABELS = ("cpa2", "mu")
 
 def test_well_identified_posterior_is_gaussian(given, sampled):
     summary = sampled.posterior
-    assert summary.outcome is Outcome.CONVERGED and sampled.verdict["status"] == "ok"
+    assert summary.outcome is Outcome.CONVERGED and sampled.status == "ok"
     for label in LABELS:
         ess = summary.ess[label]
         assert ess >= 500 and summary.rhat[label] < 1.01
@@ -123,7 +123,7 @@ def test_resume_completes_a_larger_target(given, tmp_path):
     settings = {"sampler": "emcee", "checkpoint": path}
     short = sample(given, **settings, effective_samples=10**9, max_steps=CHUNK)
     assert short.outcomes == (Outcome.CHAIN_TOO_SHORT,)
-    assert short.verdict["status"] == "chain too short"
+    assert short.status == "chain too short"
     done = sample(given, **settings, effective_samples=500, resume=True)
     assert done.posterior.outcome is Outcome.CONVERGED
     assert done.posterior.steps > CHUNK
@@ -195,7 +195,7 @@ def test_unidentified_friction_keeps_its_width(vague):
     assert mu.std is None and not mu.identified
     low, high = mu.ci95
     assert low < 1.0 and high > 4.0
-    assert result.verdict["status"] == "not identified"
+    assert result.status == "not identified"
 
 
 def test_arviz_reads_the_posterior(sampled, tmp_path):

@@ -164,7 +164,7 @@ def test_joint_fit_recovers_both_frictions(joint):
         assert abs(estimate.value - mu) < 4 * estimate.std
     stiffness = joint.least_squares["cpa2"]
     assert abs(stiffness.value - 5e4) < 4 * stiffness.std
-    assert joint.verdict["status"] == "ok"
+    assert joint.status == "ok"
 
 
 def test_fit_per_run_survives_the_file(joint, two_runs, tmp_path):

@@ -61,7 +61,7 @@ def lagged():
 
 
 def test_fit_recovers_the_relaxation_length(lagged):
-    assert lagged.verdict["status"] == "ok"
+    assert lagged.status == "ok"
     for name, truth in {**TRUTH, "relaxation_length": LENGTH}.items():
         estimate = lagged.parameters[name]
         assert abs(estimate.value - truth) < 3 * estimate.std < 0.02 * truth, name
@@ -176,7 +176,7 @@ def test_history_with_holes_is_refused():
     with pytest.raises(UsageError, match="column 'sigma_x_std'.*cannot have noise"):
         build(noisy, "brush-relaxation", parse_config({}))
     with pytest.raises(UsageError, match="fit_many"):
-        fit_many("brush-relaxation", np.zeros((1, 9)), np.zeros((1, 9)), FZ)
+        fit_many({"alpha": np.zeros((1, 9)), "fy": np.zeros((1, 9)), "fz": FZ}, "brush-relaxation")
 
 
 # Reference load

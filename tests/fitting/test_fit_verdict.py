@@ -30,7 +30,7 @@ from tirefit.results import DataError, Outcome, UsageError
 
 def test_noise_given_ten_times_too_small_is_a_poor_fit(given):
     result = fit(curve(), config=GIVEN | {"noise": {"fx": STD / 10}})
-    assert result.verdict["status"] == "poor fit"
+    assert result.status == "poor fit"
     assert Outcome.POOR_FIT in result.outcomes
     np.testing.assert_allclose(result.statistics.chi2_dof, 100, rtol=0.25)
     for label in ("cpa2", "mu"):
@@ -48,7 +48,8 @@ def test_noise_given_too_large_is_believed(given):
 
 def test_good_fit_says_nothing(given, estimated):
     for result in (given, estimated):
-        assert result.verdict == {"status": "ok", "sentences": [], "disagreements": {}}
+        assert result.status == "ok" and result.warnings == ()
+        assert result.verdict.disagreements == {}
         assert result.outcomes == ()
     assert 0.8 < given.statistics.chi2_dof < 1.2
     assert estimated.statistics.chi2_dof is None
@@ -61,8 +62,8 @@ def test_estimated_noise_is_said_and_right(estimated):
 
 
 def test_unidentified_parameter_is_named(vague):
-    assert vague.verdict["status"] == "not identified" and not vague.identified
-    assert any(s.startswith("mu is not identified") for s in vague.verdict["sentences"])
+    assert vague.status == "not identified" and not vague.identified
+    assert any(s.startswith("mu is not identified") for s in vague.warnings)
     assert vague.to_dict()["outcomes"][0] == "not_identified"
 
 
@@ -78,10 +79,10 @@ def test_a_slip_against_the_speeds_is_the_verdict(factor):
     result = fit(data, "brush-d", config=GIVEN)
     report = " ".join(fit_report(result).split())
     if factor == 1:
-        assert result.verdict["status"] == "ok" and "contradict" not in report
+        assert result.status == "ok" and "contradict" not in report
         assert result.to_dict()["data"]["slip_check"]["contradicts"] is False
         return
-    assert result.verdict["status"] == "doubtful slip"
+    assert result.status == "doubtful slip"
     assert result.to_dict()["outcomes"] == ["slip_contradicted"]
     assert "VERDICT: doubtful slip: the slip contradicts (v - omega R)" in report
     assert "it agrees if divided by 1.5" in report
@@ -108,8 +109,8 @@ def test_estimate_at_its_bound_has_a_one_sided_interval():
 
     # The lower end is where the sum of squares has risen by 3.84.
     np.testing.assert_allclose(least(m.ci95[0]) - least(1.0), 3.841, rtol=0.02)
-    assert result.verdict["status"] == "at a bound"
-    assert "m; the interval is one-sided" in " ".join(result.verdict["sentences"])
+    assert result.status == "at a bound"
+    assert "m; the interval is one-sided" in " ".join(result.warnings)
 
 
 def test_bounds_away_from_the_first_guess_do_not_trap_the_fit():
@@ -127,9 +128,9 @@ def test_routes_that_differ_are_named(given):
     moved = {k: (lo, hi + 0.4 * (hi - lo)) for k, (lo, hi) in given.intervals["profile"].items()}
     result = replace(given, intervals=given.intervals | {"covariance": moved})
     assert set(disagreements(result)) == {"cpa2", "mu"}
-    sentences = judge(result).verdict["sentences"]
+    sentences = judge(result).warnings
     assert any("disagree for cpa2, mu" in s for s in sentences)
-    assert judge(given).verdict["disagreements"] == {}
+    assert judge(given).verdict.disagreements == {}
 
 
 def test_wrong_model_is_seen_in_the_residuals():
@@ -138,8 +139,8 @@ def test_wrong_model_is_seen_in_the_residuals():
     noise = STD * np.random.default_rng(1).standard_normal(400)
     data = table({"sigma_x": slip, "fx": force + noise, "fz": np.full(400, FZ)})
     result = fit(data, config=GIVEN)
-    assert result.verdict["status"] == "poor fit"
-    assert any("curve misses systematically" in s for s in result.verdict["sentences"])
+    assert result.status == "poor fit"
+    assert any("curve misses systematically" in s for s in result.warnings)
 
 
 @pytest.mark.parametrize(
@@ -148,8 +149,8 @@ def test_wrong_model_is_seen_in_the_residuals():
 )
 def test_data_without_noise_are_called_exact(config, width):
     result = fit(curve(noise=0.0), config=config)
-    assert result.verdict["status"] == "ok" and result.outcomes == ()
-    (said,) = result.verdict["sentences"]
+    assert result.status == "ok" and result.outcomes == ()
+    (said,) = result.warnings
     assert said.startswith("the data are exact for this model") and width in said
     assert result.statistics.rmse < 1e-9 * FZ and not result.solved.ambiguous
     for label, truth in TRUTH.items():
@@ -162,7 +163,7 @@ def test_data_without_noise_are_called_exact(config, width):
 
 def test_a_noise_of_a_millionth_is_noise():
     result = fit(curve(noise=1e-6 * FZ), config=ESTIMATED)
-    assert result.verdict["sentences"] == [] and result.verdict["status"] == "ok"
+    assert result.warnings == () and result.status == "ok"
 
 
 def noisy(stds, seed=50):
@@ -280,10 +281,10 @@ def test_residuals_that_follow_the_load_hint_at_brush_load(stiffness_power, mu_l
     }
     made = simulate_rig("brush-load", values, load=[2000.0, 4000.0, 6000.0], seed=1)
     data = read_frame(dict(made.columns), convention="braking")
-    said = " ".join(fit(data, "brush").verdict["sentences"])
+    said = " ".join(fit(data, "brush").warnings)
     assert ("use brush-load, whose stiffness and friction vary" in said) is hinted
     assert ("loads from 2000 to 6000 N" in said) is hinted
-    assert "brush-load lets" not in " ".join(fit(data, "brush-load").verdict["sentences"])
+    assert "brush-load lets" not in " ".join(fit(data, "brush-load").warnings)
 
 
 def test_a_fit_with_slip_noise_over_loads_has_a_verdict():
@@ -294,5 +295,5 @@ def test_a_fit_with_slip_noise_over_loads_has_a_verdict():
     made = simulate_rig("brush-load", values, load=[2000.0, 6000.0], seed=1)
     data = read_frame(dict(made.columns), convention="braking")
     result = fit(data, "brush", config={"noise": {"sigma_x": 0.001}})
-    assert result.verdict["status"] != "ok"
-    assert "brush-load lets" not in " ".join(result.verdict["sentences"])
+    assert result.status != "ok"
+    assert "brush-load lets" not in " ".join(result.warnings)

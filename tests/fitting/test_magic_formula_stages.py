@@ -225,7 +225,6 @@ def test_a_curve_that_turns_its_sign_within_the_data_is_no_tire():
     fy = fy * np.where(np.abs(alpha) < 0.15, 1.0, -0.6)
     table = {"alpha": alpha, "fz": fz, "fy": fy, "run": np.repeat([0, 1, 2], 100)}
     fit = fit_magic_formula(read_frame(table), "mf61", part="fy")
-    assert Outcome.CONVERGED not in fit.outcomes
     assert Outcome.GUARD_FAILED in fit.outcomes
     assert "VERDICT: do not use this fit as it is" in str(fit)
 

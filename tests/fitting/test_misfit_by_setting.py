@@ -46,11 +46,11 @@ def test_misfit_over_the_load_is_reported_as_systematic(five_loads):
     _, result = five_loads
     assert result.statistics.r2 > 0.99
     assert result.identified
-    assert result.verdict["status"] == "systematic misfit"
-    first = result.verdict["sentences"][0]
+    assert result.status == "systematic misfit"
+    first = result.warnings[0]
     assert "depends on the load" in first and "mf61" in first
     assert "loads from 1500 to 7500 N" in first
-    assert not any("anything from" in s for s in result.verdict["sentences"])
+    assert not any("anything from" in s for s in result.warnings)
 
 
 def test_intervals_of_independent_rows_are_those_of_scipy(five_loads):
@@ -94,7 +94,7 @@ def kinetic(alpha, mu, cpa2=6e4, fz=4000.0):
 )
 def test_verdict_names_the_column_that_the_residuals_depend_on(column, values, force, name, other):
     result = fit(over_settings(column, values, force), "brush")
-    sentences = result.verdict["sentences"]
+    sentences = result.warnings
     (said,) = [s for s in sentences if "how the force depends on" in s]
     assert f"depends on the {name}:" in said and other in said
     assert result.identified
@@ -102,7 +102,7 @@ def test_verdict_names_the_column_that_the_residuals_depend_on(column, values, f
 
 def test_the_right_model_has_no_misfit():
     data = over_settings("fz", LOADS, lambda a, fz: kinetic(a, 1.1, fz=fz))
-    assert fit(data, "brush").verdict["sentences"] == []
+    assert fit(data, "brush").warnings == ()
 
 
 TRUTH = {"cpa2": 6e4, "mu": 1.05}

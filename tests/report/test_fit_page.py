@@ -16,7 +16,7 @@ import tirefit
 from tirefit.data.table import Source, TireData
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.far_rows import FarRow
-from tirefit.fitting.result import Estimate, PosteriorSummary
+from tirefit.fitting.result import Estimate, PosteriorSummary, Verdict
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 from tirefit.report.fit_html import fit_page
@@ -122,8 +122,7 @@ def test_the_page_says_what_the_data_do_not_tell(plain):
         far_rows=(far,),
         derived=plain.derived | {"slip_at_peak": nowhere},
         correlation=correlation,
-        outcomes=(Outcome.NOT_IDENTIFIED,),
-        verdict={"status": "not identified", "sentences": sentences},
+        verdict=Verdict((Outcome.NOT_IDENTIFIED,), (*sentences,)),
     )
     shown = re.sub(r"<[^>]*>", " ", fit_page(result).split("<pre>")[0])
     assert "Verdict: not identified: mu is not identified by these data" in shown

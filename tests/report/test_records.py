@@ -2,6 +2,7 @@
 
 import doctest
 import json
+from dataclasses import replace
 from functools import cache
 
 import jax
@@ -11,10 +12,22 @@ from matplotlib.figure import Figure
 
 import tirefit
 from tirefit.data.vehicle import Filter, Keep, Steering, Vehicle
+from tirefit.diagnosis.decide.verdict import Status
+from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.display import Record
+from tirefit.fitting.batch import BatchFit
+from tirefit.fitting.mf.result import MagicFormulaFit
+from tirefit.fitting.result import FitResult, Verdict
 from tirefit.fitting.source import given_tire
 from tirefit.models import Brush
+from tirefit.online.result import Estimates
+from tirefit.results import Outcome, exit_code
+from tirefit.sim.brake_result import Braking
+from tirefit.targets.export import Exported
 from tirefit.vehicle.car import State, car_of, predicted
+from tirefit.vehicle.diagnose import VehicleDiagnosis
+from tirefit.vehicle.replay import Replay
+from tirefit.vehicle.trajectory import TrajectoryFit
 
 RIG = {"largest": 0.15, "points": 120, "force_std": 0.01, "seed": 4}
 
@@ -38,7 +51,7 @@ def recording():
 def many():
     slip = np.stack([rig()["sigma_x"]] * 2)
     force = np.stack([rig()["fx"], 0.9 * rig()["fx"]])
-    return tirefit.fit_many("brush", slip, force, 4000.0)
+    return tirefit.fit_many({"sigma_x": slip, "fx": force, "fz": 4000.0}, "brush")
 
 
 def exported(folder):
@@ -147,6 +160,70 @@ def test_it_is_saved_as_files_and_as_a_page(made, tmp_path):
     (page,) = record.save(tmp_path / "page.html")
     text = page.read_text(encoding="utf-8")
     assert text.startswith("<!DOCTYPE html>") and text.rstrip().endswith("</html>")
+
+
+def test_status_and_warnings_are_read_the_same_way(made):
+    record, _ = made
+    assert isinstance(record.status, Outcome) and isinstance(record.outcomes, tuple)
+    assert all(isinstance(text, str) and text for text in record.warnings)
+    assert len(record.warnings) >= len(record.outcomes)
+    assert (record.status == "ok") == (record.outcomes == ())
+
+
+def changed(record):
+    """The record as if its computation had failed."""
+    if isinstance(record, FitResult):
+        return replace(record, verdict=Verdict((Outcome.INTERRUPTED, Outcome.NOT_CONVERGED)))
+    if isinstance(record, BatchFit):
+        return replace(record, converged=np.array([True, False]))
+    if isinstance(record, TrajectoryFit):
+        return replace(record, converged=False)
+    if isinstance(record, Diagnosis):
+        return replace(record, verdict=replace(record.verdict, status=Status.CANNOT_TELL))
+    if isinstance(record, Braking):
+        ((name, stop),) = record.stops.items()
+        spun = stop.summary._replace(stopped=0.0, heading=2.0)
+        return replace(record, stops={name: replace(stop, summary=spun)})
+    if isinstance(record, Exported):
+        return replace(record, shape=record.shape._replace(sound=False))
+    if isinstance(record, Replay):
+        return replace(record, windows=(0,))
+    if isinstance(record, Estimates):
+        methods = {k: replace(m, flag=np.full_like(m.flag, 1)) for k, m in record.methods.items()}
+        return replace(record, methods=methods)
+    return record
+
+
+STATUS = {
+    "fit": ("not converged", 4),
+    "fit_many": ("not converged", 4),
+    "fit_trajectory": ("not converged", 4),
+    "diagnose": ("not identified", 0),
+    "estimate": ("not identified", 0),
+    "brake": ("incomplete", 0),
+    "replay": ("incomplete", 0),
+    "export": ("unsound", 0),
+    "prepare": ("ok", 0),
+    "simulate": ("ok", 0),
+}
+"""Function -> status and exit code of a result of it that failed, if it can."""
+
+
+def test_the_exit_code_follows_from_the_outcomes(made, request):
+    record = changed(made[0])
+    status, code = STATUS[request.node.callspec.params["made"]]
+    assert (record.status, exit_code(record.outcomes)) == (status, code)
+    strict = 5 if status == "not identified" else code
+    assert exit_code(record.outcomes, strict=True) == strict
+
+
+def test_no_record_has_a_status_of_its_own():
+    """Every class derives it from what limits its use; its warnings are in it, too."""
+    classes = {MagicFormulaFit, VehicleDiagnosis, *Record.__subclasses__()}
+    assert len(classes) > len(RECORDS)
+    for cls in classes:
+        assert cls.status is Record.status
+        assert isinstance(cls.outcomes, property) and isinstance(cls.warnings, property)
 
 
 def test_every_function_of_the_family_is_here():

@@ -14,7 +14,7 @@ from tirefit.data.table import Source, TireData
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.layout import FreeParameter, Layout
 from tirefit.fitting.predict import predict_forces
-from tirefit.fitting.result import Estimate, PosteriorSummary
+from tirefit.fitting.result import Estimate, PosteriorSummary, Verdict
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import Spec, with_values
 from tirefit.report import canvas, draw, draw_corner, draw_uncertainty, html, plots
@@ -95,8 +95,7 @@ def vague(result, label: str = "m"):
         result,
         parameters={**result.parameters, label: free},
         least_squares={**result.least_squares, label: free},
-        outcomes=(Outcome.NOT_IDENTIFIED,),
-        verdict={"status": "not identified", "sentences": sentences},
+        verdict=Verdict((Outcome.NOT_IDENTIFIED,), (*sentences,)),
     )
 
 
@@ -310,7 +309,7 @@ def test_derived_quantities_say_what_they_are(plain):
     open_ended = replace(c_x, std=None, ci95=(9e4, None), identified=False)
     nowhere = replace(plain.derived["slip_at_peak"], value=np.nan, identified=False)
     lateral = {"C_alpha": open_ended, "slip_at_peak": nowhere}
-    text = fit_report(replace(plain, forces=("fy",), derived=lateral, problem=None))
+    text = fit_report(replace(plain, forces=("fy",), derived=lateral))
     assert re.search(r"  C_alpha +not identified .*\[90000, \.\.\]", text)
     assert re.search(r"  slip_at_peak +not defined .*tan\(alpha\) at peak", text)
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.fit_one import exit_code, fit_into
+from tirefit.cli.fit_one import fit_into
 from tirefit.cli.magic_formula import (
     MAGIC_FORMULA_NAMES,
     CombinationOption,
@@ -23,7 +23,7 @@ from tirefit.cli.options import (
     start_jax,
 )
 from tirefit.cli.output import check_directories
-from tirefit.results import InputProblem, TirefitError, UsageError
+from tirefit.results import InputProblem, TirefitError, UsageError, exit_code
 
 _SLIPS = 61  # slips of the grid, both ends included
 
@@ -127,7 +127,7 @@ def convert(
         result = _refit(
             file, coefficients, model or "brush", force or Force.fx, slips, chosen, seed, out, signs
         )
-        raise typer.Exit(exit_code(result))
+        raise typer.Exit(exit_code(result.outcomes))
 
 
 def _write_reduced(brush: dict, mixed: list[str], out: Path) -> None:

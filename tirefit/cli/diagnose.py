@@ -42,7 +42,7 @@ from tirefit.cli.output import (
 )
 from tirefit.data.remote import expanded
 from tirefit.names import EFFECT_NAMES, MODEL_NAMES
-from tirefit.results import ExitCode, InputProblem, UsageError
+from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -352,7 +352,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
             save_picture(result.plot(), folder / f"{name}.png")
             result.save(folder / f"{name}.html")
     say(result.summary(full=task.full))
-    return ExitCode.OK, record_of_document(document)
+    return exit_code(result.outcomes), record_of_document(document)
 
 
 def _of_before(document: Path) -> "FileRecord | None":

@@ -89,10 +89,11 @@ def export(
             values=values, diagnosis=diagnosis, model=model, wheel=of_wheel,
             forces=forces, convention=convention, name=name, force=force,
         )  # fmt: skip
+        for text in done.warnings:
+            complain(f"warning: {text}")
         for note in done.notes:
-            complain(note if note.startswith("warning") else f"note: {note}")
-        if not done.shape.sound:
-            complain("warning: the tire fails a check below")
+            if not note.startswith("warning"):
+                complain(f"note: {note}")
         for sentence in done.shape.sentences:
             say(sentence)
         if not isinstance(TARGETS[to], Target):

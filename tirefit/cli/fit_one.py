@@ -11,7 +11,7 @@ from tirefit import __version__
 from tirefit.cli.notes import holds_notes, warn
 from tirefit.cli.options import progress_bar, say
 from tirefit.cli.output import claimed, is_page, staged
-from tirefit.results import ExitCode, Outcome, TirefitError
+from tirefit.results import ExitCode, Outcome, TirefitError, exit_code
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -158,24 +158,6 @@ def _sampled(result, directory: Path, settings, resume: bool):
         )
 
 
-def exit_code(result, strict: bool = False) -> ExitCode:
-    return _code(result.outcomes, strict)
-
-
 def exit_code_of(record: "FileRecord", strict: bool) -> ExitCode:
-    return _code([Outcome[name.upper()] for name in record.outcomes], strict)
-
-
-def _code(outcomes: Collection[Outcome], strict: bool) -> ExitCode:
-    broken = {
-        Outcome.NOT_CONVERGED,
-        Outcome.GUARD_FAILED,
-        Outcome.WORSENED,
-        Outcome.CHAIN_TOO_SHORT,
-        Outcome.INTERRUPTED,
-    }
-    if broken & set(outcomes):
-        return ExitCode.NOT_CONVERGED
-    if strict and Outcome.NOT_IDENTIFIED in outcomes:
-        return ExitCode.NOT_IDENTIFIED
-    return ExitCode.OK
+    """The exit code of a fit by its row of the table of all results."""
+    return exit_code([Outcome[name.upper()] for name in record.outcomes], strict)

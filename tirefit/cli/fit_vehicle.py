@@ -6,7 +6,7 @@ from typing import Any
 
 from tirefit.cli.options import say, start_jax
 from tirefit.cli.output import check_directories, claimed, staged
-from tirefit.results import ExitCode, InputProblem, UsageError
+from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 FIGURE = "trajectory.png"
 FILES = ("trajectory.json", "front.json", "rear.json", "vehicle.toml", FIGURE)
@@ -52,4 +52,4 @@ def fit_vehicle(
             save_picture(result.plot(), folder / FIGURE)
     say(str(result))
     say("wrote " + ", ".join(str(out / name) for name in FILES))
-    return ExitCode.OK if result.converged else ExitCode.NOT_CONVERGED
+    return exit_code(result.outcomes)

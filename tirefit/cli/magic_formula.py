@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.fit_one import PAGE, Also, exit_code, wrote
+from tirefit.cli.fit_one import PAGE, Also, wrote
 from tirefit.cli.notes import warn
 from tirefit.cli.options import complain, progress_bar, say, start_jax
 from tirefit.cli.output import check_directories, claimed, is_page, staged
-from tirefit.results import ExitCode, InputProblem, UsageError
+from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
 
@@ -83,7 +83,7 @@ def fit_whole(
                 tables, settings.model, config=settings, progress=progress, **options
             )
         _write(result, out, also)
-    return exit_code(result, strict)
+    return exit_code(result.outcomes, strict)
 
 
 def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path, of_file: dict):
@@ -107,7 +107,7 @@ def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path, of_
     for force, (rmse, count) in result.fitted.items():
         unit = CANONICAL[force][0]
         say(f"  {force}: RMSE {rmse:.4g} {unit} over {count} points")
-    return exit_code(result)
+    return exit_code(result.outcomes)
 
 
 _ADVICE = "give starting values in fit.toml or fix a parameter"

@@ -4,19 +4,22 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from tirefit.data.read import read, read_frame
+from tirefit.data.read import Columns, read, read_frame
 from tirefit.data.table import TireData
 from tirefit.results import UsageError
 
+DataLike = TireData | Columns | str | os.PathLike
+"""What every function takes as data: read, columns by name, or a path."""
 
-def _is_frame(data: Any) -> bool:
+
+def _is_frame(data: object) -> bool:
     # A lazy frame of polars warns if its columns are read.
     names = ("collect_schema", "columns")
     fields = getattr(getattr(data, "dtype", None), "names", None)
     return bool(fields) or any(hasattr(data, name) for name in names)
 
 
-def as_data(data: Any, **how: Any) -> TireData:
+def as_data(data: DataLike, **how: Any) -> TireData:
     """The data as ``TireData``; read them if necessary.
 
     Args:

@@ -4,11 +4,10 @@ import dataclasses
 import math
 import textwrap
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from tirefit.data.accept import as_data
+from tirefit.data.accept import DataLike, as_data
 from tirefit.data.far import FarValue, far_values, problem_at, why_far
 from tirefit.data.levels import levels
 from tirefit.data.table import CANONICAL, TireData
@@ -129,7 +128,7 @@ class Inspection:
         return "\n".join(lines)
 
 
-def inspect(data: Any) -> Inspection:
+def inspect(data: DataLike) -> Inspection:
     """Summarises data: ranges, runs, loads, speeds, and which fits they support.
 
     Args:

@@ -4,10 +4,13 @@ An error lists all problems, each with its place and a remedy. Assumptions are s
 in ``Source.assumptions``.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tirefit.data import check, signs
 from tirefit.data.cells import words_of
@@ -16,7 +19,7 @@ from tirefit.data.columns import Plan, plan_columns
 from tirefit.data.declared import Options, Signs
 from tirefit.data.kinds import read_table
 from tirefit.data.quaternion import with_headings
-from tirefit.data.remote import file_at
+from tirefit.data.remote import Place, file_at
 from tirefit.data.table import CANONICAL, FORCES, SlipCheck, Source, TireData
 from tirefit.data.text import Table, table_of_frame
 from tirefit.data.ttc import recognised
@@ -35,8 +38,15 @@ from tirefit.slip import LOCKED, SLIP_DEFINITIONS
 __all__ = ["Table", "read", "read_frame", "read_table", "require"]
 
 
+@runtime_checkable
+class Columns(Protocol):
+    """Columns (n,) by name: a mapping, a frame of pandas or polars, a structured array."""
+
+    def __getitem__(self, name: str, /) -> ArrayLike: ...
+
+
 def read(
-    path,
+    path: Place | str | os.PathLike,
     *,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
@@ -92,7 +102,7 @@ def read(
     return _checked(read_table(file_at(path), options.columns.values()), options)
 
 
-def read_frame(frame, name: str = "data", **options) -> TireData:
+def read_frame(frame: Columns, name: str = "data", **options) -> TireData:
     """As :func:`read`, from a pandas DataFrame or a mapping of name to (n,) array.
 
     Its problems count rows from 0, as ``iloc`` does.

@@ -1,15 +1,15 @@
 """Diagnose one file: the noise, the place of the gap, its effects, the closure, and what
 to measure next."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
 from tirefit.compiled import release_programs
-from tirefit.data.accept import as_data
+from tirefit.data.accept import DataLike, as_data
 from tirefit.data.far import without_far
 from tirefit.data.read import require
 from tirefit.data.table import TireData
@@ -33,6 +33,7 @@ from tirefit.diagnosis.summary.document import document_of
 from tirefit.diagnosis.summary.records import Settings, Untestable
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
 from tirefit.models.mf import MAGIC_FORMULAS
@@ -48,16 +49,16 @@ _MOST_ROWS = 6000
 
 
 def diagnose(
-    data: Any,
+    data: DataLike,
     model: str | None = None,
     *,
-    sim: Any = None,
+    sim: TireLike | Given | Mapping[str, ArrayLike] | ArrayLike | bool | None = None,
     signs: str | None = None,
     rig: Rig | str | PathLike | None = None,
     forces: str | Sequence[str] | None = None,
     effects: Sequence[Effect] | None = None,
     without: str | Sequence[str] = (),
-    holdout: Any = (),
+    holdout: DataLike | Sequence[DataLike] = (),
     seed: int = 0,
 ) -> Diagnosis:
     """Which effects a model lacks, and how far the gap to the data shrinks with them.
@@ -131,11 +132,11 @@ def diagnose(
     if isinstance(sim, str | PathLike):
         sim = simulator_at(str(sim), signs=signs)
     otherwise = sim.otherwise if isinstance(sim, Given) else None
-    every = [data, *several(holdout)]
-    data, *holdout = (as_data(one, otherwise=otherwise) for one in every)
+    data = as_data(data, otherwise=otherwise)
+    others = [as_data(one, otherwise=otherwise) for one in several(holdout)]
     rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
-    _are_others(data, holdout)
-    data, holdout = without_far(data), [without_far(other) for other in holdout]
+    _are_others(data, others)
+    data, others = without_far(data), [without_far(other) for other in others]
     _are_known(without, {effect.id for effect in effects})
     if model in MAGIC_FORMULAS and sim is None:
         # Its coefficients are fitted to all rows; a hypothesis adapts scaling factors.
@@ -145,7 +146,7 @@ def diagnose(
     gives = own
     if sim is not None:
         given = given_simulator(sim, data, signs)
-        data, holdout = given.beside(data), [given.beside(x, True) for x in holdout]
+        data, others = given.beside(data), [given.beside(x, True) for x in others]
         gives = given.channels(data, own)
         own = own if given.tire is None else ()
     if asked is not None:
@@ -155,7 +156,7 @@ def diagnose(
         rig=rig,
         effects=tuple(effect.id for effect in library),
         forces=asked,
-        holdout=tuple(other.source.sha256 for other in holdout),
+        holdout=tuple(other.source.sha256 for other in others),
     )
     # One thread: the matrices are too small for two, and another order of summation
     # changes last digits, which can change the course of a search.
@@ -170,14 +171,14 @@ def diagnose(
         if simulated is not None:
             given = simulated.given
             name = simulated.stand_in if given.tire is None else given.source
-        made = settings, library, holdout, generator, name, seed
+        made = settings, library, others, generator, name, seed
         return document_of(case, whole, *made)
 
 
 # --- arguments: a single value counts as a list of one; all raise UsageError ----------
 
 
-def names(given: Any, argument: str) -> tuple[str, ...]:
+def names(given: object, argument: str) -> tuple[str, ...]:
     """Names as a tuple; a single text is one name."""
     several = (given,) if isinstance(given, str) else given
     if isinstance(several, Iterable):
@@ -187,7 +188,7 @@ def names(given: Any, argument: str) -> tuple[str, ...]:
     raise UsageError(f"{argument} = {given!r}", "give a name, or several")
 
 
-def the_effects(given: Any) -> tuple[Effect, ...]:
+def the_effects(given: object) -> tuple[Effect, ...]:
     """Effects to search, at least one."""
     several = tuple(given) if isinstance(given, Iterable) else ()
     if several and all(isinstance(one, Effect) for one in several):
@@ -198,7 +199,7 @@ def the_effects(given: Any) -> tuple[Effect, ...]:
     raise UsageError(reason, remedy)
 
 
-def a_model(given: Any) -> str | None:
+def a_model(given: object) -> str | None:
     """Name of a model, or none."""
     if given is None or isinstance(given, str):
         return given
@@ -206,13 +207,13 @@ def a_model(given: Any) -> str | None:
     raise UsageError(f"model is of type {type(given).__name__}", remedy)
 
 
-def several(given: Any) -> list:
+def several(given: object) -> list:
     """The data of several held-out sets, of one, or of none."""
     every = given if isinstance(given, list | tuple) else [given]
     return [one for one in every if one is not None]
 
 
-def a_rig(given: Any) -> Rig:
+def a_rig(given: object) -> Rig:
     """The rig: None, a record of it, or a file ``rig.toml``."""
     if given is None or isinstance(given, Rig):
         return given or Rig()
@@ -222,7 +223,7 @@ def a_rig(given: Any) -> Rig:
     raise UsageError(f"rig is of type {type(given).__name__}", remedy)
 
 
-def a_seed(given: Any) -> int:
+def a_seed(given: object) -> int:
     """The seed of all random numbers."""
     if isinstance(given, int | np.integer) and 0 <= given < 2**32:
         return int(given)

@@ -1,5 +1,6 @@
 """Many fits of one model at once: least squares under vmap, in cache-sized batches."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar
@@ -18,7 +19,7 @@ from tirefit.fitting.problem import find_model, guess_from_curve
 from tirefit.models import TireInputs
 from tirefit.params import Values, specs, with_values
 from tirefit.precision import require_x64
-from tirefit.results import UsageError
+from tirefit.results import DataError, Outcome, UsageError
 
 
 @dataclass(frozen=True, repr=False)
@@ -32,6 +33,13 @@ class BatchFit(Record):
     values: np.ndarray
     std: np.ndarray
     converged: np.ndarray  # (B,) bool
+
+    @property
+    def limits(self) -> dict[Outcome, str]:
+        """How many fits did not converge."""
+        off = int(np.sum(~self.converged))
+        said = f"{off} of {len(self.converged)} fits did not converge"
+        return {Outcome.NOT_CONVERGED: said if off else ""}
 
     def columns(self) -> dict[str, np.ndarray]:
         """``fits.csv``: estimate and standard deviation of each parameter, by fit."""
@@ -50,46 +58,54 @@ class BatchFit(Record):
 
 
 def fit_many(
-    model: str,
-    slip: Float[Values, "b n"],
-    force: Float[Values, "b n"],
-    fz: Float[Values, "b n"] | float,
-    v: Float[Values, "b n"] | float = 0.0,
-    *,
-    axis: str = "fx",
-    batch: int = 64,
+    data: Mapping[str, Float[Values, "b n"] | float], model: str | None = None, *, batch: int = 64
 ) -> BatchFit:
-    """Fit B data sets of n points each by least squares on the normal equations.
+    """Fit a model to B data sets of n points each, by least squares on the normal equations.
 
     Args:
-        model: name of a registered model.
-        slip: sigma_x, or alpha [rad] for ``axis="fy"``; shape (B, n).
-        force: fx or fy [N], canonical signs; shape (B, n).
-        fz: load [N]; v: speed [m/s]; scalars or (B, n).
-        axis: ``fx`` or ``fy``.
+        data: canonical columns, as :func:`tirefit.fit` takes them, each of shape (B, n)
+            or a scalar: ``sigma_x`` [-] with ``fx`` [N], or ``alpha`` [rad] with ``fy``
+            [N]; ``fz`` [N]; and ``v`` [m/s], 0 by default.
+        model: a name of ``tirefit.MODELS``; ``brush`` if None.
         batch: data sets solved side by side.
 
     Returns:
-        estimates, with standard deviations from the covariance at the noise that the
+        Estimates, with standard deviations from the covariance at the noise that the
         residuals show (independent, equal).
 
     Raises:
         UsageError: unknown model, or a transient one; or 32-bit floats in use.
-        ValueError: shapes that do not match, or an unknown axis.
+        DataError: no slip with its force, no load, or shapes that do not match.
+
+    Example:
+        >>> import jax, numpy as np
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> slip = np.linspace(0, 0.1, 30) * np.ones((2, 1))
+        >>> rows = {"sigma_x": slip[0], "fz": np.full(30, 4000.0)}
+        >>> force = [predict("brush", rows, {"mu": mu})["fx"] for mu in (0.7, 0.9)]
+        >>> many = fit_many({"sigma_x": slip, "fx": np.stack(force), "fz": 4000.0})
+        >>> many.values[:, many.names.index("mu")].round(3)
+        array([0.7, 0.9])
     """
     require_x64("fit_many")
-    slip, force = jnp.asarray(slip, float), jnp.asarray(force, float)
-    if slip.ndim != 2 or slip.shape != force.shape:
-        raise ValueError(f"slip {slip.shape} and force {force.shape} must both be (B, n)")
-    if axis not in ("fx", "fy"):
-        raise ValueError(f"axis {axis!r} is neither fx nor fy")
-    template = find_model(model)
+    template = find_model(model or "brush")
     if template.transient:
         reason = f"{model} follows the slip through time, which fit_many does not have"
         raise UsageError(reason, "fit each data set by tirefit.fit")
+    axis = "fy" if "fy" in data and "alpha" in data else "fx"
+    slip_name = "alpha" if axis == "fy" else "sigma_x"
+    missing = [name for name in (slip_name, axis, "fz") if name not in data]
+    if missing:
+        raise DataError(f"no {' and no '.join(missing)}", "give it as an array (B, n)")
+    slip, force = jnp.asarray(data[slip_name], float), jnp.asarray(data[axis], float)
+    if slip.ndim != 2 or slip.shape != force.shape:
+        reason = f"{slip_name} {slip.shape} and {axis} {force.shape} must both be (B, n)"
+        raise DataError(reason, "give arrays of one shape, a row for each data set")
     layout = Layout(tuple(FreeParameter(k, s) for k, s in specs(template).items() if s.free))
-    fz = jnp.broadcast_to(jnp.asarray(fz, float), slip.shape)
-    v = jnp.broadcast_to(jnp.asarray(v, float), slip.shape)
+    fz, v = (
+        jnp.broadcast_to(jnp.asarray(x, float), slip.shape)
+        for x in (data["fz"], data.get("v", 0.0))
+    )
     values, std, converged = _solve_all(template, layout, slip, force, fz, v, axis, batch)
     return BatchFit(layout.labels, np.asarray(values), np.asarray(std), np.asarray(converged))
 

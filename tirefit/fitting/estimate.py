@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tirefit.compiled import release_programs
-from tirefit.data.accept import as_data
+from tirefit.data.accept import DataLike, as_data
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, parse_config
 from tirefit.fitting.derived import derived_from_profile, reference_points
@@ -18,7 +18,7 @@ from tirefit.fitting.layout import Tie
 from tirefit.fitting.likelihood import FitProblem
 from tirefit.fitting.noise import noise_by_row
 from tirefit.fitting.profile import Profile, profile_all
-from tirefit.fitting.result import Estimate, FitResult, FitStatistics, information
+from tirefit.fitting.result import Estimate, FitResult, FitStatistics, Verdict, information
 from tirefit.fitting.solve import Solved
 from tirefit.fitting.verdict import judge
 from tirefit.models import TireInputs
@@ -262,7 +262,7 @@ def _config(config: FitConfig | dict | None, **changes) -> FitConfig:
 
 
 def fit(
-    data: Any,
+    data: DataLike,
     model: str | None = None,
     *,
     config: FitConfig | dict | None = None,
@@ -314,8 +314,7 @@ def _summarise(settled: Settled, data: TireData, config) -> FitResult:
         derived=derived_from_profile(solved, profiles, list(estimates.values())),
         statistics=_statistics(solved),
         noise=_noise_record(settled, config) | {"notes": list(task.notes)},
-        verdict={},
-        outcomes=(),
+        verdict=Verdict(),
         labels=problem.layout.labels,
         correlation=solved.covariance / np.outer(std, std),
         data=data_record(data, problem.n, settled.far),

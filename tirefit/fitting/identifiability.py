@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tirefit.data.accept import as_data
+from tirefit.data.accept import DataLike, as_data
 from tirefit.data.table import TireData
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import REACH, linearise
@@ -131,7 +131,7 @@ def _unknown_text(p: ParameterGate) -> str:
 
 
 def identifiability(
-    data: Any, models: Sequence[str] | None = None, seed: int = 0
+    data: DataLike, models: Sequence[str] | None = None, seed: int = 0
 ) -> Identifiability:
     """How well the data determine the parameters of models, before any fit.
 

@@ -178,8 +178,9 @@ def choose_layout(
         raise UsageError([replace(p, file=config.source) for p in problems])
     tied = {tie.name for tie in ties}
     fixed = {
-        name: spec.default if asked[name].value is None else asked[name].value
+        name: spec.default if value is None else value
         for name, spec in known.items()
+        for value in [asked[name].value]
         if name not in free and name not in tied
     }
     unknowns = tuple(_free_parameter(n, bounded[n], asked[n], len(runs)) for n in free)

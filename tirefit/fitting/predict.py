@@ -1,7 +1,6 @@
 """Forces that a fit or a model predicts, row by row, with standard deviations."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tirefit.compiled import compiled
-from tirefit.data.accept import as_data
+from tirefit.data.accept import DataLike, as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.fitting.layout import Layout
@@ -88,8 +87,8 @@ def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
 
 
 def predict(
-    source: StoredFit | FitResult | MagicFormulaFit | AbstractTire | str,
-    data: Any,
+    source: FitResult | MagicFormulaFit | StoredFit | AbstractTire | str,
+    data: DataLike,
     values: Mapping[str, float] | None = None,
 ) -> dict[str, np.ndarray]:
     """Forces row by row, canonical, with a predictive standard deviation for a fit.

@@ -3,14 +3,19 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, ClassVar
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from tirefit.data.table import TireData
 from tirefit.display import Record
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
+from tirefit.fitting.far_rows import FarRow
 from tirefit.fitting.layout import Layout
+from tirefit.fitting.likelihood import FitProblem
+from tirefit.fitting.solve import Solved
 from tirefit.models import AbstractTire
 from tirefit.params import parameter_values
 from tirefit.results import Outcome
@@ -107,6 +112,15 @@ class PosteriorSummary:
     note: str = ""  # a further remark for the report
 
 
+class Verdict(NamedTuple):
+    """What a fit is worth: its outcomes; the sentences on it, that of the gravest
+    outcome first; and by label where the routes to an interval differ."""
+
+    outcomes: tuple[Outcome, ...] = ()
+    sentences: tuple[str, ...] = ()
+    disagreements: Mapping[str, str] = MappingProxyType({})
+
+
 @dataclass(frozen=True, repr=False)
 class FitResult(Record):
     """The result of a fit: its data and settings, the estimates and the verdict.
@@ -136,8 +150,7 @@ class FitResult(Record):
     derived: dict[str, Estimate]
     statistics: FitStatistics
     noise: dict[str, Any]
-    verdict: dict[str, Any]
-    outcomes: tuple[Outcome, ...]
+    verdict: Verdict
     labels: tuple[str, ...]
     correlation: np.ndarray
     data: dict[str, Any]
@@ -149,7 +162,10 @@ class FitResult(Record):
     z: np.ndarray
     covariance: np.ndarray
     profiles: dict[str, dict[str, np.ndarray]]
-    far_rows: tuple = ()
+    problem: FitProblem
+    solved: Solved
+    table: TireData
+    far_rows: tuple[FarRow, ...] = ()
     posterior: PosteriorSummary | None = None
     asked: str = ""
     """Digest of the command's data and options, from which a rerun sees what is done."""
@@ -157,13 +173,17 @@ class FitResult(Record):
     """Whether sampling was interrupted before it had anything to keep."""
     chains: np.ndarray | None = field(default=None, repr=False)
     walkers: np.ndarray | None = field(default=None, repr=False)
-    problem: Any = field(default=None, repr=False)
-    solved: Any = field(default=None, repr=False)
-    table: Any = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        status = self.verdict["status"]
-        return f"FitResult({self.model!r}, {self.data['file']!r}, {status!r})"
+        return f"FitResult({self.model!r}, {self.data['file']!r}, {str(self.status)!r})"
+
+    @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        return self.verdict.outcomes
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return self.verdict.sentences
 
     @property
     def source(self) -> str:
@@ -195,7 +215,6 @@ class FitResult(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able content of ``fit.json``; no NaN, no infinity (they become null)."""
-        statistics, problem = asdict(self.statistics), self.problem
         content = {
             "schema": SCHEMA,
             "version": self.version,
@@ -214,16 +233,20 @@ class FitResult(Record):
             "derived": {k: asdict(v) for k, v in self.derived.items()},
             "reference": self.reference,
             "correlation": {"labels": list(self.labels), "matrix": self.correlation},
-            "fit": statistics,
+            "fit": asdict(self.statistics),
             "posterior": _posterior_dict(self.posterior),
             "prediction": {
                 "labels": list(self.labels),
                 "z": self.z,
                 "covariance": self.covariance,
-                "layout": problem and layout_record(problem.layout, problem.model),
+                "layout": layout_record(self.problem.layout, self.problem.model),
             },
-            "verdict": self.verdict,
-            "outcomes": [outcome.name.lower() for outcome in self.outcomes],
+            "verdict": {
+                "status": str(self.status),
+                "sentences": self.warnings,
+                "disagreements": self.verdict.disagreements,
+            },
+            "outcomes": self.outcomes,
         }
         if self.asked:
             content["asked"] = self.asked
@@ -237,7 +260,7 @@ class FitResult(Record):
 def _posterior_dict(summary: PosteriorSummary | None) -> dict | None:
     if summary is None:
         return None
-    return asdict(summary) | {"outcome": summary.outcome.name.lower()}
+    return asdict(summary)
 
 
 def layout_record(layout: Layout, model: AbstractTire) -> dict:

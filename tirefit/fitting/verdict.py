@@ -1,12 +1,11 @@
 """The verdict on a fit: outcomes, and sentences that a user can act on."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 
 from tirefit.data.run_names import label_of_run
-from tirefit.fitting.result import FitResult
+from tirefit.fitting.result import FitResult, Verdict
 from tirefit.results import Outcome
 
 _EXACT = 1e-9  # RMSE over the range of the force below which residuals are rounding
@@ -69,8 +68,6 @@ def _fit_quality(result: FitResult) -> list[str]:
 
 def _misfit(result: FitResult) -> float:
     """Largest RMSE of a force over the range of its measured values."""
-    if result.solved is None:
-        return math.inf
     problem, shares = result.solved.problem, []
     for name, mean in result.solved.at.mean.items():
         observed = problem.used(problem.rows.observed[name])
@@ -107,8 +104,6 @@ def _structure(result: FitResult) -> list[tuple[Outcome | None, str]]:
 
 def _lacking(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """Sentences on the effects that the residuals show and the model lacks."""
-    if result.solved is None:
-        return []
     columns = result.solved.misfit.columns
     is_most = sum(one.share for one in columns) > _SYSTEMATIC
     outcome = Outcome.SYSTEMATIC_MISFIT if is_most else None
@@ -125,7 +120,7 @@ def _correlated(result: FitResult) -> list[tuple[Outcome | None, str]]:
         f" {statistics.n_effective:.0f} in every interval (intervals of independent"
         " rows: --full)"
     )
-    if result.solved is not None and result.solved.misfit.columns:
+    if result.solved.misfit.columns:
         text += "; the misfit of the model causes more of it than the noise"
     return [(None, text)]
 
@@ -136,7 +131,7 @@ def _contradiction(result: FitResult) -> list[tuple[Outcome | None, str]]:
     if check is None or not check["contradicts"]:
         return []
     outcome = Outcome.SLIP_CONTRADICTED
-    return [(outcome, f"{check['text']}; {outcome.value}")]
+    return [(outcome, f"{check['text']}; {outcome.message}")]
 
 
 def _short(result: FitResult, label: str) -> str:
@@ -172,7 +167,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     statistics = result.statistics
     findings: list[tuple[Outcome | None, str]] = []
     if not statistics.converged:
-        findings.append((Outcome.NOT_CONVERGED, Outcome.NOT_CONVERGED.value))
+        findings.append((Outcome.NOT_CONVERGED, Outcome.NOT_CONVERGED.message))
     findings += _contradiction(result)
     findings += [(None, text) for text in _far_rows(result)]
     findings += [(Outcome.POOR_FIT, text) for text in _fit_quality(result)]
@@ -182,8 +177,8 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
         findings.append((None, exact))
     else:
         findings += _lacking(result) + _structure(result)
-    if result.solved is not None and result.solved.ambiguous:
-        findings.append((Outcome.STARTS_DISAGREE, Outcome.STARTS_DISAGREE.value))
+    if result.solved.ambiguous:
+        findings.append((Outcome.STARTS_DISAGREE, Outcome.STARTS_DISAGREE.message))
     for label, estimate in result.least_squares.items():
         if not estimate.identified:
             low, high = estimate.ci95
@@ -204,7 +199,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
         findings.append((Outcome.AT_BOUND, text))
     summary = result.posterior
     if summary is not None and summary.outcome is not Outcome.CONVERGED:
-        findings.append((summary.outcome, summary.outcome.value))
+        findings.append((summary.outcome, summary.outcome.message))
     if result.interrupted:
         text = "interrupted before the first samples: there is no posterior"
         findings.append((Outcome.INTERRUPTED, text))
@@ -225,19 +220,16 @@ def judge(result: FitResult) -> FitResult:
         names = ", ".join(_short(result, label) for label in differ)
         text = f"the routes to an interval disagree for {names}: trust the profile"
         findings.append((None, f"{text} or the posterior, not the covariance"))
-    leading, status = next(
-        ((outcome, text) for outcome, text in _STATUS if outcome in outcomes), (None, "ok")
-    )
-    ordered = sorted(findings, key=lambda finding: finding[0] is not leading)
-    sentences = [text for _, text in (ordered if leading is not None else findings)]
-    verdict = {"status": status, "sentences": sentences, "disagreements": differ}
-    return replace(result, outcomes=outcomes, verdict=verdict)
+    status = Outcome.gravest(outcomes)
+    ordered = sorted(findings, key=lambda finding: finding[0] is not status)
+    sentences = tuple(text for _, text in ordered)
+    return replace(result, verdict=Verdict(outcomes, sentences, differ))
 
 
 def _speed_limit(result: FitResult) -> list[str]:
     """A sentence if n max(v_s) >= mu_0, where the friction law S(35) has no friction."""
     n, mu = result.least_squares.get("n"), result.least_squares.get("mu")
-    if n is None or mu is None or result.problem is None:
+    if n is None or mu is None:
         return []
     inputs, problem = result.problem.rows.inputs, result.problem
     slip = problem.used(inputs.sigma_x)
@@ -252,16 +244,3 @@ def _speed_limit(result: FitResult) -> list[str]:
         " linear friction law has no friction at the fastest rows; use a model with an"
         " exponential law (h)"
     ]
-
-
-_STATUS = (
-    (Outcome.NOT_CONVERGED, "not converged"),
-    (Outcome.SLIP_CONTRADICTED, "doubtful slip"),
-    (Outcome.POOR_FIT, "poor fit"),
-    (Outcome.STARTS_DISAGREE, "not unique"),
-    (Outcome.SYSTEMATIC_MISFIT, "systematic misfit"),
-    (Outcome.NOT_IDENTIFIED, "not identified"),
-    (Outcome.INTERRUPTED, "interrupted"),
-    (Outcome.CHAIN_TOO_SHORT, "chain too short"),
-    (Outcome.AT_BOUND, "at a bound"),
-)

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 
 class TireInputs(NamedTuple):
@@ -84,7 +84,9 @@ def _batched(model: AbstractTire, inputs: TireInputs, run) -> TireForces:
     return jax.vmap(lambda sample: model(sample))(felt)
 
 
-def forces(model: AbstractTire, inputs: TireInputs, run=0) -> TireForces:
+def forces(
+    model: AbstractTire, inputs: TireInputs, run: Int[Array | np.ndarray, "*n"] | int = 0
+) -> TireForces:
     """Forces of a batch of samples: the one ``vmap`` and ``jit``.
 
     Args:

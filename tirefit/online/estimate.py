@@ -2,12 +2,11 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from tirefit import __version__
-from tirefit.data.accept import as_data
+from tirefit.data.accept import DataLike, as_data
 from tirefit.data.read import require
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.online.base import FLAGS, Estimate, Flag
@@ -44,7 +43,7 @@ def _check_time(data: TireData) -> None:
 
 
 def estimate(
-    data: Any,
+    data: DataLike,
     methods: str | Sequence[str] = "rls",
     settings: Mapping[str, float] | None = None,
     *,

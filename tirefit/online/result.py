@@ -11,6 +11,7 @@ from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.online.base import FLAGS, PARAMETERS, Flag, code
 from tirefit.online.methods import METHODS
+from tirefit.results import Outcome
 
 SCHEMA = "tirefit.estimate/1"
 
@@ -81,6 +82,13 @@ class Estimates(Record):
     data: Mapping[str, Any]
     seed: int
     version: str
+
+    @property
+    def limits(self) -> dict[Outcome, str]:
+        """The methods whose last estimate its sample does not support, and why."""
+        last = {name: method.reasons[-1] for name, method in self.methods.items()}
+        said = (f"{name}, last row: {why}" for name, why in last.items() if why)
+        return {Outcome.NOT_IDENTIFIED: "; ".join(said)}
 
     def __getitem__(self, name: str) -> MethodEstimates:
         return self.methods[name]

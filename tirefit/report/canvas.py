@@ -65,7 +65,6 @@ def frame(
         (picture, (bottom, top)): the share of the height that is free for axes.
     """
     picture = Picture(figsize=(width, height))
-    ok = result.verdict.get("status", "ok") == "ok"
     title = f"{result.model} fitted to {fit_files(result, 68)}"
     lines = textwrap.wrap(verdict_line(result), 100, max_lines=2, placeholder=" …")
     picture.text(
@@ -83,7 +82,7 @@ def frame(
         plain_text("\n".join(lines)),
         va="top",
         fontsize=8.5,
-        color=DARK if ok else RED,
+        color=RED if result.outcomes else DARK,
         linespacing=1.15,
     )
     picture.text(

@@ -41,8 +41,6 @@ def _quality(result: FitResult) -> list[str]:
 
 def _asked(result: FitResult) -> list[str]:
     """Free parameters with bounds and priors, and ties."""
-    if result.problem is None:
-        return []
     lines = []
     for p in result.problem.layout.free:
         unit = "" if p.spec.unit == "-" else f" {p.spec.unit}"

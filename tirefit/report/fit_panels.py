@@ -143,9 +143,8 @@ def page_pictures(result: FitResult) -> Mapping[str, list[Shown]]:
     """Section -> its pictures; none of what the fit does not have."""
     sections = ("curve", "residuals", "runs", "profile", "corner", "trace")
     pictures: dict[str, list[Shown]] = {section: [] for section in sections}
-    if result.problem is not None:
-        pictures["curve"] = curve_pictures(result)
-        pictures["residuals"] = residual_pictures(result)
+    pictures["curve"] = curve_pictures(result)
+    pictures["residuals"] = residual_pictures(result)
     if has_runs(result):
         pictures["runs"] = [_runs(result)]
     if result.profiles:

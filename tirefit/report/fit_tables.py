@@ -33,7 +33,7 @@ def note_on(result: FitResult, name: str) -> str:
         notes.append("at its bound")
     if not estimate.identified and np.isfinite(estimate.value):
         notes.append(f"best {format_number(estimate.value)}")
-    if name in result.verdict.get("disagreements", {}):
+    if name in result.verdict.disagreements:
         notes.append("routes differ")
     return ", ".join(notes)
 
@@ -163,7 +163,7 @@ def run_rows(result: FitResult) -> Rows:
     """Rows, RMSE and bias of every run, if there are several."""
     problem, name = result.problem, result.forces[0]
     rows = [["run", "rows", f"RMSE [{FORCE_UNIT[name]}]", "bias"]]
-    if problem is None or len(result.data["runs"]) < 2:
+    if len(result.data["runs"]) < 2:
         return rows
     mean, _ = row_moments(problem, result.z)
     residual = problem.used(problem.rows.observed[name]) - mean[name]

@@ -16,7 +16,7 @@ from tirefit.report.fit_tables import FORCE_UNIT, Rows, rows_text, value_text
 from tirefit.report.html import GOOD, OPEN, image_of, rendered
 from tirefit.report.numbers import format_number
 from tirefit.report.overlay import draw_overlay, overlay_of
-from tirefit.results import UsageError
+from tirefit.results import Outcome, UsageError
 
 _TOGETHER = 3  # quantities by file in one picture
 
@@ -55,21 +55,20 @@ def _parameters(fits: Mapping[str, FitResult]) -> Rows:
             format_number(s.rmse),
             rows_text(result),
             f"{s.n_effective:.0f}",
-            result.verdict.get("status", "not judged"),
+            str(result.status),
         ]
     return rows
 
 
 def _verdict(fits: Mapping[str, FitResult], failed: Mapping[str, str]) -> Mapping:
-    by_status = Counter(r.verdict.get("status", "not judged") for r in fits.values())
+    by_status = Counter(r.status for r in fits.values())
     parts = [f"{count} {status}" for status, count in by_status.most_common()]
     parts += [f"{len(failed)} not fitted"] if failed else []
     lines = []
     for name, result in fits.items():
-        if result.verdict.get("status") != "ok":
-            said = result.verdict.get("sentences") or ["not judged"]
-            lines.append(f"{name}: {result.verdict.get('status')}: {said[0]}")
-    good = set(by_status) == {"ok"} and not failed
+        if result.outcomes:
+            lines.append(f"{name}: {result.status}: {result.warnings[0]}")
+    good = set(by_status) == {Outcome.OK} and not failed
     return {
         "sentence": f"of {len(fits) + len(failed)} files: {', '.join(parts)}",
         "lines": [*lines, *(f"{k}: not fitted: {v}" for k, v in failed.items())],
@@ -100,10 +99,9 @@ def _by_file(fits: Mapping[str, FitResult]) -> list[Shown]:
 
 
 def _overlays(fits: Mapping[str, FitResult]) -> list[Shown]:
-    drawn = {k: r for k, r in fits.items() if r.problem is not None}
     shown = []
-    for channel in dict.fromkeys(c for r in drawn.values() for c in r.forces):
-        overlay = overlay_of(drawn, channel)
+    for channel in dict.fromkeys(c for r in fits.values() for c in r.forces):
+        overlay = overlay_of(fits, channel)
         picture = Picture(figsize=(WIDE, 4.0), layout="constrained")
         axes = picture.subplots()
         draw_overlay(axes, overlay)

@@ -64,8 +64,6 @@ def record_page(record: Record) -> str:
 
 
 def _figure(result: FitResult) -> str:
-    if result.problem is None:
-        return ""
     from tirefit.report.draw import fit_figure  # Matplotlib, for a fit with its data
 
     picture = fit_figure(result)
@@ -75,12 +73,10 @@ def _figure(result: FitResult) -> str:
 
 def verdict_parts(result: FitResult) -> dict:
     """Sentence, further lines and colour of the verdict."""
-    ok = result.verdict.get("status") == "ok"
-    sentences = result.verdict.get("sentences", [])
     return {
         "sentence": verdict_line(result),
-        "lines": sentences if ok else sentences[1:],
-        "color": GOOD if ok else OPEN,
+        "lines": result.warnings[bool(result.outcomes) :],
+        "color": OPEN if result.outcomes else GOOD,
     }
 
 

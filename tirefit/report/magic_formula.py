@@ -1,6 +1,5 @@
 """The report of a fitted Magic Formula as text and as HTML."""
 
-from collections.abc import Callable
 from math import isnan
 
 from tirefit.data.table import CANONICAL, FORCES
@@ -148,22 +147,12 @@ def _verdict(fit: MagicFormulaFit) -> list[str]:
     """Whether the fit converged, or the reasons not to use it."""
     origins = [one.origin for one in fit.coefficients.values()]
     counts = [f"{origins.count(o)} {o}" for o in ORIGINS if o in origins]
-    against = [o for o in fit.outcomes if o in _REASONS]
+    against = [text for o, text in fit.limits.items() if o is not Outcome.NOT_IDENTIFIED]
     said = "do not use this fit as it is" if against else "converged"
     lines = [f"VERDICT: {said}; coefficients: {', '.join(counts)}"]
-    for outcome in against:
-        lines += wrapped("", f"{outcome.value}: {', '.join(_REASONS[outcome](fit))}")
+    for text in against:
+        lines += wrapped("", text)
     beyond = [one.name for one in fit.guards if one.holds_inside and not one.holds]
     if beyond:
         lines += wrapped("", f"guards that fail beyond the data: {', '.join(beyond)}")
     return lines
-
-
-_REASONS: dict[Outcome, Callable[[MagicFormulaFit], list[str]]] = {
-    Outcome.NOT_CONVERGED: lambda fit: [stage.name for stage in fit.stages if not stage.converged],
-    Outcome.GUARD_FAILED: lambda fit: [
-        guard.name for guard in fit.guards if not guard.holds_inside
-    ],
-    Outcome.WORSENED: lambda fit: fit.worsened,
-}
-"""Outcome against the use of a fit -> names of the stages or guards concerned."""

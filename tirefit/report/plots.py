@@ -37,7 +37,6 @@ def _plot_curve(result: FitResult, ax=None):
         result: a fit from this process.
         ax: axes of your own figure, on which only the first force is drawn.
     """
-    _needs(result, "data in memory (fit again to draw it)", result.problem is not None)
     if ax is None:
         return draw.fit_figure(result)
     draw.draw_fit(ax, draw.fit_curve(result), beside=False)
@@ -46,7 +45,6 @@ def _plot_curve(result: FitResult, ax=None):
 
 def _plot_residuals(result: FitResult):
     """Residuals over every input, their distribution, and their sequence."""
-    _needs(result, "data in memory (fit again to draw it)", result.problem is not None)
     return draw.residual_figure(result)
 
 
@@ -164,7 +162,7 @@ def compare(results: Sequence[FitResult]) -> Comparison:
                 f"{aicc - best_aicc:.1f}",
                 f"{bic - best_bic:.1f}",
                 f"{s.n_effective:.0f}",
-                r.verdict.get("status", ""),
+                str(r.status),
             )
         )
     notes = [_parameters(r) for r in ordered]

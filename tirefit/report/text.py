@@ -193,10 +193,9 @@ def _correlations(result: FitResult) -> list[str]:
 
 def verdict_line(result: FitResult) -> str:
     """The verdict in one sentence."""
-    status = result.verdict.get("status", "not judged")
-    sentences = result.verdict.get("sentences", [])
-    if status != "ok" and sentences:
-        return f"{status}: {sentences[0]}"
+    status = result.status
+    if result.outcomes:
+        return f"{status}: {result.warnings[0]}"
     s = result.statistics
     unit = FORCE_UNIT[result.forces[0]]
     text = f"{status}: RMSE {format_number(s.rmse, 3)} {unit}, R² {s.r2:.4f}"
@@ -205,9 +204,7 @@ def verdict_line(result: FitResult) -> str:
 
 def _verdict(result: FitResult) -> list[str]:
     lines = textwrap.wrap(f"VERDICT: {verdict_line(result)}", WIDTH, subsequent_indent="         ")
-    sentences = result.verdict.get("sentences", [])
-    rest = sentences if result.verdict.get("status") == "ok" else sentences[1:]
-    for sentence in rest:
+    for sentence in result.warnings[bool(result.outcomes) :]:
         lines += textwrap.wrap(
             sentence, WIDTH, initial_indent="       - ", subsequent_indent="         "
         )
@@ -221,7 +218,7 @@ def fit_report(result: FitResult, full: bool = False) -> str:
         full: with the intervals by every route, the misfit by run, the chains and the
             information criteria.
     """
-    differ = bool(result.verdict.get("disagreements"))
+    differ = bool(result.verdict.disagreements)
     lines = [*_header(result, full), *parameter_lines(result)]
     lines += _routes(result) if full or differ else []
     lines += [*_derived(result), *_quality(result, full)]

@@ -26,14 +26,11 @@ def _rows(fit: TrajectoryFit) -> list[list[str]]:
 
 
 def _notes(fit: TrajectoryFit) -> list[str]:
-    loose = [name for name, one in fit.parameters.items() if not one.identified]
-    notes = [
-        "" if fit.converged else "the search did not converge",
-        f"these logs do not determine {', '.join(loose)}" if loose else "",
+    return [
+        *fit.warnings,
         f"95 % by {fit.intervals}; {fit.blocks} blocks of windows count as independent",
         "speed and steering are the log's; axle loads are static; no drive force",
     ]
-    return [note for note in notes if note]
 
 
 def _head(fit: TrajectoryFit) -> str:

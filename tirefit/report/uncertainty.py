@@ -73,8 +73,6 @@ class ProfilePanel(NamedTuple):
 
 
 def _spec(result: FitResult, label: str) -> Spec | None:
-    if result.problem is None:
-        return None
     elements = dict(result.problem.layout.elements)
     return elements[label].spec if label in elements else None
 
@@ -285,7 +283,7 @@ def _profile_panel(result: FitResult, label: str, profile) -> ProfilePanel:
 
 def profile_data(result: FitResult) -> tuple[ProfilePanel, ...]:
     """The profile likelihood of at most 24 parameters, with covariance and posterior."""
-    differ = result.verdict.get("disagreements", {})
+    differ = result.verdict.disagreements
     shown = _chosen(result, _MOST_PROFILES, [label in differ for label in result.labels])
     return tuple(
         _profile_panel(result, label, result.profiles[label])

@@ -15,6 +15,7 @@ from tirefit.data.write import csv_text
 from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.precision import require_x64
+from tirefit.results import Outcome
 from tirefit.sim.brake import Log, simulate_stop
 from tirefit.sim.brake_plant import Plant
 from tirefit.sim.brake_request import Request, arrays, check, plant_of
@@ -96,6 +97,19 @@ class Braking(Record):
     seed: int
     version: str
     notes: tuple[str, ...] = ()  # warnings on the request
+
+    @property
+    def limits(self) -> dict[Outcome, str]:
+        """The stops that did not end standing, and why."""
+        off = [f"{k}: {stop.reason}" for k, stop in self.stops.items() if not stop.summary.stopped]
+        counts = {k: each.stopped for k, each in self.many.items() if not np.all(each.stopped)}
+        off += [f"{k}: {int(x.sum())} of {len(x)} stops ended" for k, x in counts.items()]
+        return {Outcome.INCOMPLETE: "; ".join(off)}
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Stops that did not end standing, and ``notes``."""
+        return (*super().warnings, *self.notes)
 
     def table(self) -> dict[str, dict[str, Any]]:
         """Controller -> name of a number -> mean and 95 % interval over the seeds."""

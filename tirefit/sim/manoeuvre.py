@@ -4,11 +4,9 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from tirefit.fitting.result import FitResult
+from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import given_tire
-from tirefit.fitting.store import StoredFit
 from tirefit.fitting.tir import remarks
-from tirefit.models import AbstractTire
 from tirefit.online.controllers import CONTROLLERS, controller_of
 from tirefit.params import by_owner, check_names
 from tirefit.precision import require_x64
@@ -20,7 +18,7 @@ _DEFAULT, _VALUES = "brush-m", {"cpa2": 4e4, "m": 0.5}
 
 
 def brake(
-    tire: FitResult | StoredFit | AbstractTire | str | os.PathLike | None = None,
+    tire: TireLike | None = None,
     controller: str | Sequence[str] = "xbs-servo,abs",
     *,
     road: str = "mu=0.3",

@@ -11,8 +11,9 @@ from tirefit import __version__
 from tirefit.data.write import output_problems
 from tirefit.display import Record
 from tirefit.files import write_texts
+from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.tir import TIR_SIGNS
-from tirefit.results import InputProblem, UsageError, did_you_mean
+from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS
 from tirefit.targets.chrono import chrono_source, held_by_chrono
 from tirefit.targets.code import Draft, c_source, casadi_source, header, numpy_source
@@ -123,6 +124,17 @@ class Exported(Record):
     notes: tuple[str, ...]
     texts: Mapping[str, str] = field(repr=False)
 
+    @property
+    def limits(self) -> dict[Outcome, str]:
+        """Whether a check of the tire's forces fails."""
+        return {Outcome.UNSOUND: "" if self.shape.sound else Outcome.UNSOUND.message}
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Failed checks, and those of ``notes`` that are warnings."""
+        said = (n.removeprefix("warning: ") for n in self.notes if n.startswith("warning: "))
+        return (*super().warnings, *said)
+
     def to_dict(self) -> dict[str, Any]:
         """Target, files, checks and notes."""
         return {
@@ -140,12 +152,12 @@ class Exported(Record):
 
 
 def export(
-    source,
+    source: TireLike | None,
     target: str,
     path: str | os.PathLike,
     *,
-    front=None,
-    rear=None,
+    front: TireLike | None = None,
+    rear: TireLike | None = None,
     vehicle: str | os.PathLike | None = None,
     over: Mapping[str, tuple[float, float]] | None = None,
     values: Mapping[str, float] | None = None,
@@ -206,8 +218,8 @@ def export(
     chosen = TARGETS.get(target)
     if name is None or not _is_code(chosen):
         name = path.stem
-    given = {"": source, "front": front, "rear": rear}
-    given = {axle: one for axle, one in given.items() if one is not None}
+    axles = {"": source, "front": front, "rear": rear}
+    given = {axle: one for axle, one in axles.items() if one is not None}
     car = vehicle is not None or over or "" not in given
     problems = [*_unknown(target, given, convention)]
     problems += _useless(target, model, wheel, forces, convention, car)

@@ -23,10 +23,11 @@ from tirefit.diagnosis.effects.state import peak_ratio, slope_at_rest
 from tirefit.diagnosis.left_out import Ladder, ladder_of
 from tirefit.display import Record
 from tirefit.files import json_safe
+from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.models import TireInputs
 from tirefit.precision import require_x64
-from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
+from tirefit.results import DataError, InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.vehicle.car import car_of
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
 from tirefit.vehicle.evidence import PARAMETERS, SHAPES, Base, Cut, Fit, Model
@@ -106,6 +107,11 @@ class VehicleDiagnosis(Record):
     effects: Mapping[str, Effect]
     notes: tuple[str, ...]
 
+    @property
+    def limits(self) -> dict[Outcome, str]:
+        """Where the answer of ``verdict`` is open."""
+        return self.verdict.status.limits
+
     def to_dict(self) -> dict[str, Any]:
         """All numbers, as in ``vehicle_diagnosis.json``."""
         verdict = self.verdict
@@ -140,8 +146,8 @@ class VehicleDiagnosis(Record):
 def diagnose_vehicle(
     logs: Sequence[str | Path],
     vehicle: Vehicle | str | Path,
-    front: Any = "brush",
-    rear: Any = "brush",
+    front: TireLike | GivenTire = "brush",
+    rear: TireLike | GivenTire = "brush",
     *,
     effects: Sequence[Effect] = CAR_EFFECTS,
     without: Sequence[str] = (),

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,13 +25,15 @@ from tirefit.data.motion import Motion, road_wheel, with_noise
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.display import Record
-from tirefit.fitting.source import axle_tire
+from tirefit.fitting.mf.result import TireLike
+from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.models import AbstractTire, TireForces, TireInputs
 from tirefit.models.mf import Pair
 from tirefit.precision import require_x64
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import InputProblem, Outcome, UsageError
 from tirefit.vehicle.applied import applied
 from tirefit.vehicle.car import Car, State, accelerations, car_of, predicted, steps_a_sample
+from tirefit.vehicle.diagnose import VehicleDiagnosis
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.windows import (
     cut_logs,
@@ -120,6 +122,12 @@ class Replay(Record):
     fans: Mapping[str, Fans]
     notes: tuple[str, ...]
 
+    @property
+    def limits(self) -> dict[Outcome, str]:
+        """The horizons that no window reaches."""
+        off = [f"{h:g} s" for h, n in zip(self.horizons, self.windows, strict=True) if not n]
+        return {Outcome.INCOMPLETE: f"no log has {' or '.join(off)} without a gap" if off else ""}
+
     def to_dict(self) -> dict:
         """The numbers, as in ``replay.json``."""
         return {
@@ -175,11 +183,11 @@ def linear(tire: AbstractTire, fz: float, v: float) -> LinearTire:
 def replay(
     logs: Sequence[str | Path],
     vehicle: Vehicle | str | Path,
-    front,
-    rear,
+    front: TireLike | GivenTire,
+    rear: TireLike | GivenTire,
     *,
     horizons: Sequence[float] = HORIZONS,
-    effects: Any = None,
+    effects: VehicleDiagnosis | str | Path | None = None,
     steering_delay: float | None = None,
     seed: int = 0,
 ) -> Replay:
@@ -270,11 +278,8 @@ def _checked(vehicle: Vehicle, horizons: Sequence[float], delay: float) -> list[
         problems.append(InputProblem(reason, "give seconds, zero or more"))
     given = [float(h) for h in horizons]
     least = 1 / vehicle.filter.sample_rate
-    if (
-        not given
-        or sorted(set(given)) != given
-        or not all(math.isfinite(h) and h >= least for h in given)
-    ):
+    rises = given and sorted(set(given)) == given
+    if not (rises and least <= given[0] and given[-1] < math.inf):
         reason = f"horizons {', '.join(f'{h:g}' for h in given)} do not rise"
         remedy = f"give times from {least:g} s on, in order, such as 0.5 1 2"
         problems.append(InputProblem(reason, remedy))

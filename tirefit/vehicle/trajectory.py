@@ -32,6 +32,7 @@ from tirefit.files import json_safe, json_text
 from tirefit.fitting.config import FitConfig
 from tirefit.fitting.estimate import data_record, limited
 from tirefit.fitting.layout import Layout
+from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.problem import build
 from tirefit.fitting.result import SCHEMA as FIT_SCHEMA
 from tirefit.fitting.result import Estimate, layout_record
@@ -41,7 +42,7 @@ from tirefit.fitting.store import at_estimate
 from tirefit.models import MODELS, AbstractTire
 from tirefit.params import constrain, with_values
 from tirefit.precision import require_x64
-from tirefit.results import InputProblem, UsageError, did_you_mean
+from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.vehicle.car import Car, State, car_of, delayed, predicted, steps_a_sample
 from tirefit.vehicle.intervals import INTERVALS, Optimum, ends_by
 from tirefit.vehicle.shooting import CHANNELS, Data, linearised, minimised, sandwich, windows_of
@@ -114,6 +115,15 @@ class TrajectoryFit(Record):
         """Names of the logs."""
         return tuple(self.rows["front"].runs)
 
+    @property
+    def limits(self) -> dict[Outcome, str]:
+        """Whether the search converged, and the parameters that are not determined."""
+        loose = ", ".join(name for name, one in self.parameters.items() if not one.identified)
+        return {
+            Outcome.NOT_CONVERGED: "" if self.converged else "the search did not converge",
+            Outcome.NOT_IDENTIFIED: loose and f"these logs do not determine {loose}",
+        }
+
     def to_dict(self) -> dict:
         """The numbers, as in ``trajectory.json``."""
         return json_safe(
@@ -146,10 +156,10 @@ class TrajectoryFit(Record):
 
 
 def fit_trajectory(
-    logs: Sequence,
+    logs: Sequence[str | Path],
     vehicle: Vehicle | str | Path,
-    front="brush",
-    rear="brush",
+    front: TireLike | GivenTire = "brush",
+    rear: TireLike | GivenTire = "brush",
     *,
     unknowns: Sequence[str] = ("steering_delay", "steering_offset"),
     window: float = WINDOW,

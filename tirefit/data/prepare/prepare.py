@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tirefit.data.accept import as_data
+from tirefit.data.accept import DataLike, as_data
 from tirefit.data.levels import levels
 from tirefit.data.prepare.segments import Segment, segments_of, trimmed
 from tirefit.data.prepare.series import Series, ZeroPhase, bridged, runs_of, series_of, zero_phase
@@ -60,6 +60,11 @@ class Prepared(Record):
     notes: tuple[str, ...] = field(default=())  # steps and assumptions
     read: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Those of the file as it was read."""
+        return self.data.source.warnings
+
     def __repr__(self) -> str:
         kept, bins = int(self.kept.sum()), {p.bin for p in self.segments if p.bin}
         what = f"{len(self.segments)} segments, {len(bins)} bins"
@@ -103,7 +108,7 @@ class Prepared(Record):
         return rows
 
 
-def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
+def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepared:
     """Find the segments of a rig test, and prepare its data for a fit.
 
     Args:

@@ -12,6 +12,7 @@ from scipy.special import stdtr
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
 from tirefit.diagnosis.left_out import Gain
 from tirefit.diagnosis.negligible import NONZERO
+from tirefit.results import Outcome
 
 UNKNOWN = "unknown"
 """The id of an effect that the library does not list."""
@@ -36,6 +37,19 @@ class Status(StrEnum):
     def names(self) -> bool:
         """Whether listed effects are named."""
         return self in (Status.NAMED, Status.CANNOT_TELL, Status.INCOMPLETE)
+
+    @property
+    def limits(self) -> dict[Outcome, str]:
+        """Outcome -> sentence where the answer is open, for a record."""
+        return {
+            Status.CANNOT_TELL: {
+                Outcome.NOT_IDENTIFIED: "other effects explain these data as well"
+            },
+            Status.INCOMPLETE: {
+                Outcome.INCOMPLETE: "something unlisted is there, likelier than not"
+            },
+            Status.UNKNOWN: {Outcome.INCOMPLETE: "no listed effect explains the gap"},
+        }.get(self, {})
 
 
 @dataclass(frozen=True)

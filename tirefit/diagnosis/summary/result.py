@@ -38,6 +38,7 @@ from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.models import MODELS
 from tirefit.params import specs
+from tirefit.results import Outcome
 
 _NOT_WRITTEN = {"written": False}
 
@@ -108,6 +109,11 @@ class Diagnosis(Record):
     def effects(self) -> tuple[str, ...]:
         """Ids of the verdict: empty for none, ``("unknown",)`` for an unlisted effect."""
         return self.verdict.effects
+
+    @property
+    def limits(self) -> dict[Outcome, str]:
+        """Where the answer of ``verdict`` is open."""
+        return self.verdict.status.limits
 
     def to_dict(self) -> dict[str, Any]:
         """Content of ``NAME.json``."""

@@ -4,11 +4,11 @@ import importlib.metadata
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.accept import as_data
+from tirefit.data.accept import DataLike, as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.data.tir import TirFile, read_tir
@@ -58,7 +58,7 @@ _REACHED = 0.9
 
 
 def fit_magic_formula(
-    data: Any,
+    data: DataLike | Sequence[DataLike],
     model: str = "mf61",
     *,
     part: str = "all",
@@ -105,7 +105,7 @@ def fit_magic_formula(
     if isinstance(config, dict):
         config = parse_config(config)
     config = config or FitConfig()
-    tables = data if isinstance(data, list | tuple) else [data]
+    tables: Sequence[DataLike] = data if isinstance(data, list | tuple) else [data]  # type: ignore
     whole = joined([as_data(table) for table in tables])
     _check_settings(model, config)
     require(whole, ("fz",), f"the model {model}")

@@ -1,5 +1,6 @@
 """The result of a fit of a whole Magic Formula: :class:`MagicFormulaFit`."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
@@ -16,8 +17,9 @@ from tirefit.fitting.mf.left_out import LeftOut
 from tirefit.fitting.mf.stages import Stage
 from tirefit.fitting.mf.temperature import FrictionTemperature
 from tirefit.fitting.noise import NoiseLaw
-from tirefit.fitting.result import SCHEMA, layout_record
+from tirefit.fitting.result import SCHEMA, FitResult, layout_record
 from tirefit.fitting.store import StoredFit
+from tirefit.models import AbstractTire
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire
 from tirefit.params import parameter_values, specs, with_values
 from tirefit.results import Outcome
@@ -88,21 +90,25 @@ class MagicFormulaFit(Record):
         return f"MagicFormulaFit({self.model!r}, {self.data['file']!r})"
 
     @property
-    def outcomes(self) -> tuple[Outcome, ...]:
-        """Converged, or the reasons against; and whether a coefficient is unknown."""
-        wrong = {
-            Outcome.NOT_CONVERGED: not self.converged,
-            Outcome.GUARD_FAILED: not all(one.holds_inside for one in self.guards),
-            Outcome.WORSENED: bool(self.worsened),
+    def limits(self) -> dict[Outcome, str]:
+        """Outcome -> its message with the stages, guards or coefficients concerned."""
+        concerned = {
+            Outcome.NOT_CONVERGED: [one.name for one in self.stages if not one.converged],
+            Outcome.GUARD_FAILED: [one.name for one in self.guards if not one.holds_inside],
+            Outcome.WORSENED: self.worsened,
+            Outcome.NOT_IDENTIFIED: [k for k, c in self.coefficients.items() if c.origin == "held"],
         }
-        found = tuple(outcome for outcome, holds in wrong.items() if holds)
-        unknown = () if self.identified else (Outcome.NOT_IDENTIFIED,)
-        return (found or (Outcome.CONVERGED,)) + unknown
+        return {o: f"{o.message}: {', '.join(names)}" for o, names in concerned.items() if names}
 
     @property
     def converged(self) -> bool:
         """Whether every stage ended before its limit of passes."""
-        return all(stage.converged for stage in self.stages)
+        return Outcome.NOT_CONVERGED not in self.limits
+
+    @property
+    def identified(self) -> bool:
+        """Whether the data or a prior determine every coefficient that is fitted."""
+        return Outcome.NOT_IDENTIFIED not in self.limits
 
     @property
     def worsened(self) -> list[str]:
@@ -112,10 +118,6 @@ class MagicFormulaFit(Record):
             for stage in self.stages
             if stage.rmse_at_end > _WORSENED * stage.rmse + _NOTHING * self.reference[stage.force]
         ]
-
-    @property
-    def identified(self) -> bool:
-        return all(one.origin != "held" for one in self.coefficients.values())
 
     @property
     def stored(self) -> StoredFit:
@@ -195,10 +197,15 @@ class MagicFormulaFit(Record):
             },
             "temperature": self.warmth and self.warmth._asdict(),
             "notes": list(self.notes),
-            "outcomes": [outcome.name.lower() for outcome in self.outcomes],
+            "outcomes": self.outcomes,
         }
         return json_safe(content)
 
     def to_json(self) -> str:
         """Text of ``fit.json``, with a checksum."""
         return json_text(sealed(self.to_dict()))
+
+
+TireLike = FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike
+"""What every function takes as a tire: a fit, a tire, the name of a model, or the path of
+a ``fit.json`` or a ``.tir`` file."""
