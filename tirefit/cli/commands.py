@@ -57,6 +57,9 @@ class LazyCommand(TyperCommand):
             found.command(self.name, cls=getattr(module, "Command", None))(function)
         return typer.main.get_command(found)
 
+    def get_short_help_str(self, limit: int = 0) -> str:
+        return self.help or ""  # whole, not cut at a line
+
     def make_context(self, info_name, args, parent=None, **extra):
         return self.loaded().make_context(info_name, args, parent, **extra)
 
