@@ -7,7 +7,7 @@ import pytest
 from conftest_diagnosis import weighed_of
 from scipy.stats import t
 
-from tirefit.diagnosis.decide.findings import parts_of
+from tirefit.diagnosis.decide.findings import as_often_right, parts_of, probability_by_tests
 from tirefit.diagnosis.decide.verdict import (
     POLICY,
     Findings,
@@ -18,6 +18,7 @@ from tirefit.diagnosis.decide.verdict import (
     no_gap_shows,
 )
 from tirefit.diagnosis.decide.verdict import Tests as Remainder
+from tirefit.diagnosis.evidence.search import PRIOR_OF_UNKNOWN
 from tirefit.diagnosis.left_out import Gain
 
 A, B, C = ("a",), ("b",), ("c",)
@@ -254,3 +255,38 @@ def test_the_posterior_adds_up():
 def test_parts_of_a_set_come_largest_first():
     assert parts_of(("a", "b", "c"))[:2] == [("a", "b", "c"), ("a", "b")]
     assert [len(k) for k in parts_of(("a", "b", "c"))] == [3, 2, 2, 2, 1, 1, 1]
+
+
+@pytest.mark.parametrize("p", [1e-6, 0.004, 0.1])
+def test_probability_by_tests_is_the_bound_of_the_bayes_factor(p):
+    """The bound is the largest ratio of a density b x^(b-1) of p-values to a uniform one."""
+    b = np.linspace(1e-4, 1.0, 400_001)
+    ratio = np.max(b * p ** (b - 1))
+    prior = PRIOR_OF_UNKNOWN
+    expected = prior * ratio / (prior * ratio + 1 - prior)
+    assert probability_by_tests(Remainder(time=p)) == pytest.approx(expected, rel=1e-6)
+    # Of two tests, the smaller p-value counts twice.
+    two = Remainder(time=p / 2, line=0.9)
+    assert probability_by_tests(two) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("tests", [{}, {"time": 0.5}, {"time": 0.3, "line": 0.2, "local": 0.9}])
+def test_tests_that_find_nothing_leave_the_prior(tests):
+    assert probability_by_tests(Remainder(**tests)) == pytest.approx(PRIOR_OF_UNKNOWN)
+
+
+@pytest.mark.parametrize("status", [*Status, "noise", "unlisted"])
+def test_calibration_is_a_line_in_log_odds(status):
+    p = 1 / (1 + np.exp(-np.array([-3.0, -1.0, 0.0, 2.0, 4.0])))
+    right = np.array([as_often_right(status, x) for x in p])
+    odds = np.log(right / (1 - right))
+    assert np.all(np.diff(odds) > 0)
+    np.testing.assert_allclose(np.diff(odds) / [2, 1, 2, 2], odds[3] / 2 - odds[2] / 2)
+    # Certainty is not distinguished from odds of exp(7), in either direction.
+    for certain, far in ((1.0, 7.0), (0.0, -7.0)):
+        limit = odds[2] + (odds[3] - odds[2]) / 2 * far
+        assert as_often_right(status, certain) == pytest.approx(1 / (1 + np.exp(-limit)))
+
+
+def test_a_status_without_calibration_keeps_its_probability():
+    assert as_often_right("no such status", 0.3) == pytest.approx(0.3)

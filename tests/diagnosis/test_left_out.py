@@ -20,6 +20,7 @@ from tirefit.diagnosis.left_out import (
     climbed,
     folds_of,
     gained,
+    jackknife_error,
     ladder_of,
     predicted,
 )
@@ -300,3 +301,10 @@ def test_the_floor_under_the_axle_is_that_of_its_readme():
     noise = logs_left_out.tracker_noise()
     assert noise["alpha"] == pytest.approx(4e-5, rel=0.1)
     assert noise["fy"] == pytest.approx(8e-4, rel=0.1)
+
+
+def test_jackknife_error_of_a_mean_is_its_standard_error():
+    """For a mean the jackknife is exact: the sample deviation over the root of n."""
+    sample = np.random.default_rng(4).normal([3.0, -1.0], [0.2, 5.0], (7, 2))
+    means = [np.delete(sample, k, axis=0).mean(axis=0) for k in range(7)]
+    np.testing.assert_allclose(jackknife_error(means), sample.std(axis=0, ddof=1) / np.sqrt(7))

@@ -253,6 +253,15 @@ def gained(out: Predicted, new: int, old: int, floor: float) -> Gain:
     return Gain(float(parts.sum()), _error(parts), closed, error, len(parts))
 
 
+def jackknife_error(values) -> np.ndarray | np.floating:
+    """Standard error of an estimate by the jackknife, of shape (...).
+
+    Args:
+        values: (parts, ...) the estimate with each part of the data left out.
+    """
+    return np.sqrt(len(values) - 1) * np.std(values, axis=0)
+
+
 def _closed(rows, after, before, floor: float) -> tuple[float, float]:
     """1 - rms(after) / rms(before) beyond the noise, and its error by the jackknife
     over the parts left out."""
@@ -261,7 +270,7 @@ def _closed(rows, after, before, floor: float) -> tuple[float, float]:
     gap = np.maximum(shares @ before - floor, max(_UNRESOLVED * floor, NONZERO))
     left = np.maximum(shares @ after - floor, 0.0)
     whole, *each = np.clip(1 - np.sqrt(left / gap), -1.0, 1.0)
-    return float(whole), float(np.sqrt(len(rows) - 1) * np.std(each))
+    return float(whole), float(jackknife_error(each))
 
 
 def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:

@@ -11,7 +11,7 @@ from tirefit.diagnosis.decide.findings import gains_of, parts_of, probability_by
 from tirefit.diagnosis.decide.verdict import Findings, Fitted, Tests, no_gap_shows
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
 from tirefit.diagnosis.evidence.search import PRIOR_OF_SIZE, PRIOR_OF_UNKNOWN
-from tirefit.diagnosis.left_out import LEAST_RUNS, Predicted
+from tirefit.diagnosis.left_out import LEAST_RUNS, Predicted, jackknife_error
 from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.diagnosis.rows.basis import SCALES
 from tirefit.vehicle.evidence import MOST, PARAMETERS, SHAPES, Base, Fit
@@ -302,9 +302,8 @@ def errors(weighed: Weighed, out: Predicted, key: Key) -> np.ndarray:
     fit = weighed.best_of[key]
     variance = np.diag(fit.covariance)[len(PARAMETERS) :]
     if key in out.effects:
-        each = out.amplitude[out.effects.index(key)]
-        off = each - each.mean(axis=0)
-        variance = np.maximum(variance, (1 - 1 / len(each)) * np.sum(off**2, axis=0))
+        left_out = jackknife_error(out.amplitude[out.effects.index(key)])
+        variance = np.maximum(variance, left_out**2)
     return np.sqrt(variance)
 
 

@@ -26,6 +26,7 @@ from tirefit.diagnosis.left_out import (
     climbed,
     folds_of,
     gained,
+    jackknife_error,
     of_one_run,
     predicted,
 )
@@ -148,9 +149,8 @@ def _errors(base: Base, weighed: Weighed, out: Predicted, key: Key):
     moved = np.linalg.solve(own.T @ own + np.eye(len(size)), own.T @ base.doubt)
     variance = np.maximum(variance, 0.0) + np.sum(moved**2, axis=1)
     if key in out.effects:
-        parts = out.amplitude[out.effects.index(key)]
-        off = parts - parts.mean(axis=0)
-        variance = np.maximum(variance, (1 - 1 / len(parts)) * np.sum(off**2, axis=0))
+        left_out = jackknife_error(out.amplitude[out.effects.index(key)])
+        variance = np.maximum(variance, left_out**2)
     error = np.sqrt(np.maximum(variance, ROUNDING))
     return dict(zip(best.effects, (size / error).tolist(), strict=True))
 

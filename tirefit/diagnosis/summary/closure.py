@@ -10,7 +10,7 @@ from scipy.stats import norm
 from tirefit.diagnosis.evidence.base import on_rows
 from tirefit.diagnosis.evidence.posterior import linear_at
 from tirefit.diagnosis.evidence.search import amplitudes_of
-from tirefit.diagnosis.left_out import AS_GIVEN, Ladder
+from tirefit.diagnosis.left_out import AS_GIVEN, Ladder, jackknife_error
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 from tirefit.diagnosis.rows.basis import gain, orthogonal, without
 from tirefit.diagnosis.rows.patterns import weights_of_sizes
@@ -218,8 +218,7 @@ def of_so_few_runs(value, low, high, one_less):
     """A 90 % interval (low, high) of a value widened to the jackknife's over the runs,
     by Student's t; ``one_less`` (R, ...) are the values with each run left out."""
     count = len(one_less)
-    error = np.sqrt(count - 1) * np.std(one_less, axis=0)
-    reach = float(stdtrit(count - 1, INTERVAL[1])) * error
+    reach = float(stdtrit(count - 1, INTERVAL[1])) * jackknife_error(one_less)
     low = np.maximum(np.minimum(low, value - reach), WORST)
     return low, np.minimum(np.maximum(high, value + reach), 1.0)
 
