@@ -217,4 +217,4 @@ def test_a_log_backwards_is_an_error_not_a_flag(run, log):
     header, *rows = log.read_text().splitlines()
     log.write_text("\n".join([header, *rows[::-1]]) + "\n")
     said = run("estimate", log, "--out", "back", exit_code=3).stderr
-    assert "the time never goes on" in said and "sort the rows by time" in said
+    assert "the time never increases" in said and "sort the rows by time" in said
