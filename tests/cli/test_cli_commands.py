@@ -169,7 +169,7 @@ WRONG = {
     "unknown model": (["brsh", "d.csv"], 2, "did you mean brush"),
     "unknown parameter": (["brush", "d.csv", "--set", "nu=1"], 2, "no parameter 'nu'"),
     "outside bounds": (["brush", "d.csv", "--set", "mu=9"], 2, "outside its bounds"),
-    "not a number": (["brush", "d.csv", "--set", "mu=x"], 2, "not a number"),
+    "not a number": (["brush", "d.csv", "--set", "mu=x"], 2, "not a valid number"),
     "no value": (["brush", "d.csv", "--set", "mu"], 2, "--set NAME=VALUE"),
     "no data": (["brush", "none.csv"], 3, "none.csv"),
     "no such fit": (["none.json", "d.csv"], 3, "none.json"),

@@ -52,7 +52,7 @@ def assert_converted(stdout, values, loads, rmse):
     found = re.findall(r"F_z (\S+) N: RMSE (\S+) N, (\S+)% of F_z", stdout)
     expected = [(fz, miss, 100 * miss / fz) for fz, miss in zip(loads, rmse, strict=True)]
     np.testing.assert_allclose(np.array(found, float), expected, rtol=2e-3, atol=0.006)
-    assert "error bars are of the systematic misfit" in " ".join(stdout.split())
+    assert "errors are those of the systematic misfit" in " ".join(stdout.split())
     return content
 
 
@@ -129,7 +129,7 @@ def test_a_brush_comes_back_from_its_tir_exactly(run, model, force):
         np.testing.assert_allclose(estimate["value"], value, rtol=1e-6)
         np.testing.assert_allclose(estimate["ci95"], value, rtol=1e-4)
     said = " ".join(result.stdout.split())
-    assert "the .tir of a brush, cpa2 = 50000, mu = 0.9, whose own curve" in said
+    assert "the .tir of a brush, cpa2 = 50000, mu = 0.9, whose curve" in said
     # What was changed since is a Magic Formula like any other.
     tir = re.sub(r"(PEX1 += )-0.44", r"\g<1>-0.4", Path("reduced.tir").read_text())
     Path("other.tir").write_text(tir)

@@ -287,7 +287,7 @@ def test_a_fit_on_a_full_disk_loses_nothing_that_fits(inputs, tmp_path):
     # The least squares stay, and no chain could be kept: which is said.
     assert "fit.json" in least[3] and "chain.npz" not in least[3]
     assert "the chain was not kept for --resume" in " ".join(least[1].split())
-    assert "--resume goes on from its chain" in chained[2]
+    assert "--resume continues from its chain" in chained[2]
     assert {"fit.json", "chain.npz"} <= set(chained[3])
     assert whole[0] == 4 and {"posterior.nc", "corner.png"} <= set(whole[3])
     result = chained[1].rpartition("PARAMETERS")[2].strip()

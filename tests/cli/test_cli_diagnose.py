@@ -523,8 +523,8 @@ SETTINGS = {
     "of a fit": (
         OF_A_FIT,
         "warning: fit.toml: model, solver, starts, seed, data.slip_max,"
-        " data.slip_min, noise.fx, parameters.mu, posterior.walkers: used by `tirefit"
-        " fit` alone, not by diagnose; give model by --model, seed by --seed, noise by"
+        " data.slip_min, noise.fx, parameters.mu, posterior.walkers: used only by `tirefit"
+        " fit`, not by diagnose; give model by --model, seed by --seed, noise by"
         " [noise] in --rig\n",
     ),
     "force": ('force = "fx"\n', ""),
@@ -659,7 +659,7 @@ def test_a_json_of_somebody_else_is_not_replaced(run, tmp_path):
     write(tmp_path / "a.csv")
     (tmp_path / "a.json").write_text('{"driver": "me"}')
     result = run("diagnose", "a.csv", "--out", ".", exit_code=2)
-    assert "a.json: it would be replaced, and is no earlier result" in result.stderr
+    assert "a.json: it would be replaced, but is no earlier result" in result.stderr
     assert (tmp_path / "a.json").read_text() == '{"driver": "me"}'
 
 

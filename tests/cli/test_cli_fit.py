@@ -124,7 +124,7 @@ USAGE = {
     "twice": (["--unit", "fx=N", "--unit", "fx=kN"], "fx is given twice: 'N' and 'kN'"),
     "all at once": (["--unit", "fx", "--constant", "v=x"], "error: 2 problems:\n  --unit 'fx'\n"),
     "column": (["--column", "fx"], "--column NAME=VALUE"),
-    "constant": (["--constant", "v=fast"], "not a number"),
+    "constant": (["--constant", "v=fast"], "not a valid number"),
     "convention": (["--convention", "iso"], "iso"),
     "option": (["--nonsense"], "--nonsense"),
 }

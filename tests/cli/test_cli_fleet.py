@@ -230,7 +230,7 @@ def test_workers_of_another_version_or_place_are_refused(files, tmp_path):
         assert outcome.last and outcome.code == 2 and said in outcome.complained
 
 
-TWICE = "it would be the result of one file and that of all"
+TWICE = "it would be both the result of one file and that of all"
 
 
 @pytest.mark.parametrize(
@@ -256,4 +256,4 @@ def test_the_results_of_all_replace_no_file(run, files, tmp_path, command, name,
 
 def test_jobs_and_scheduler_are_two_ways(run, files):
     said = run("fit", files[0], "--jobs", "2", "--scheduler", "x:1", exit_code=2)
-    assert "--jobs beside --scheduler" in said.stderr
+    assert "--jobs together with --scheduler" in said.stderr

@@ -165,7 +165,7 @@ def ended(name, *arguments, ignored=False, by="SIGINT"):
 @pytest.mark.parametrize("name", ["typer", "numpy.linalg", "jax._src.core"])
 def test_ctrl_c_during_the_imports(rig, name):
     done = ended(name, "fit", str(rig))
-    said = "interrupted: files written before are whole\n"
+    said = "interrupted: files written before are complete\n"
     assert (done.returncode, done.stdout, done.stderr) == (130, "", said)
 
 
@@ -195,7 +195,7 @@ def test_an_interrupt_within_garbage_collection_is_not_lost(rig, by):
         [sys.executable, "-c", program], capture_output=True, text=True, cwd=rig.parent
     )
     assert done.returncode == 130
-    assert done.stderr == "interrupted: files written before are whole\n"
+    assert done.stderr == "interrupted: files written before are complete\n"
 
 
 def test_a_request_to_end_is_as_ctrl_c(rig):

@@ -1,11 +1,10 @@
-"""Work of many pieces shared by the workers of a Dask cluster.
+"""Distribute many pieces of work to the workers of a Dask cluster.
 
-A task is a batch of pieces: few seconds of work, so that neither the scheduler's own
-time per task nor the loss of a worker costs much, and pieces that are alike, so that
-one compiled program serves them. What a task needs goes with it, and nothing waits on
-a worker but what is done there, so a worker that dies costs a retry of its batch. A
-batch whose workers die again is taken apart at the end, one piece at a time and nothing
-beside it: what dies then has itself to blame.
+A task is a batch of similar pieces, which share compiled programs, and takes a few
+seconds, so that neither the time of the scheduler per task nor the loss of a worker costs
+much. A task contains all its data, and few tasks wait at a worker, so a worker that dies
+costs a retry of its batch. If the workers of a batch die again, its pieces run one by one
+at the end, while nothing else runs: a piece whose workers then die is the cause.
 """
 
 import importlib
@@ -24,18 +23,18 @@ from typing import Any, NamedTuple
 from tirefit.results import InputProblem, UsageError
 
 _BATCH, _RATE = 5.0, 100.0
-"""Seconds that a batch of several pieces is to take, at least, and batches a second of
-all workers, at most: one costs scheduler and client 4 ms."""
+"""Smallest duration [s] of a batch of several pieces, and largest number of batches per
+second of all workers; one costs scheduler and client 4 ms."""
 
-_AHEAD = 2  # batches at a time for each worker: one at work and one that waits for it
+_AHEAD = 2  # batches for each worker at a time: one running and one waiting
 
 _CONNECT, _ABSENT = 30.0, 60.0
-"""Seconds to wait for a scheduler and its first worker, and for lost ones to return."""
+"""Seconds to wait for a scheduler and its first worker, and for lost workers to return."""
 
 _LOCAL = {
-    # One worker's death may be another's doing; twice is taken for the batch's.
+    # A worker may die for another reason; after two deaths the batch is the suspect.
     "distributed.scheduler.allowed-failures": 1,
-    # A fit holds what it needs; only what would end the machine ends a worker.
+    # Fits may use much memory; end a worker only if the machine is in danger.
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
@@ -45,7 +44,7 @@ _LOCAL = {
 
 
 class Ended(NamedTuple):
-    """In the place of a result: so many workers that it was given to alone died."""
+    """Result of a piece that ended all its workers; their number."""
 
     workers: int
 
@@ -62,15 +61,15 @@ def _library(name: str) -> ModuleType:
 
 @contextmanager
 def cluster(jobs: int, scheduler: str | None = None) -> Iterator[Any]:
-    """A client of the cluster at that address, or of so many workers of this machine.
+    """A client of the cluster at an address, or of a number of workers on this machine.
 
-    Those of this machine end with the block, whatever they are at.
+    Workers of this machine end with the block, even while they run.
 
     Raises:
         UsageError: no ``distributed``, or no scheduler or worker at the address.
     """
     distributed = _library("distributed")
-    # Its own words are for who runs a cluster; what matters is said here.
+    # Messages of distributed are for operators of a cluster; relevant ones are here.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with ExitStack() as open_till_the_end:
         enter = open_till_the_end.enter_context
@@ -84,13 +83,13 @@ def cluster(jobs: int, scheduler: str | None = None) -> Iterator[Any]:
 
 
 def _closed(client: Any) -> None:
-    with suppress(TimeoutError):  # it is cut off then
+    with suppress(TimeoutError):  # the connection is then cut
         client.close(timeout=5)
 
 
 def _connected(distributed: ModuleType, address: str) -> Any:
     reason = f"no scheduler answers at {address}"
-    remedy = "start one with `dask scheduler`; its first lines say its address"
+    remedy = "start one with `dask scheduler`; it prints its address"
     try:
         client = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
@@ -108,7 +107,7 @@ def _connected(distributed: ModuleType, address: str) -> Any:
 @contextmanager
 def _local(distributed: ModuleType, jobs: int) -> Iterator[Any]:
     dask = _library("dask")
-    # Threads of OpenBLAS spin while they wait, on the cores of the other processes.
+    # Waiting threads of OpenBLAS would spin on the cores of the other processes.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with dask.config.set(_LOCAL):
         workers = distributed.LocalCluster(
@@ -122,7 +121,7 @@ def _local(distributed: ModuleType, jobs: int) -> Iterator[Any]:
     try:
         yield workers
     finally:
-        # What they have written is whole: nothing is gained by waiting for them.
+        # The files that they have written are complete, so do not wait for them.
         for nanny in workers.workers.values():
             nanny.auto_restart = False
             if nanny.pid is not None:
@@ -135,14 +134,14 @@ def _local(distributed: ModuleType, jobs: int) -> Iterator[Any]:
 def shared(
     work: Callable, pieces: Sequence, client: Any, alike: Callable[[Any], Hashable] = lambda _: None
 ) -> Generator[tuple[int, Any], None, None]:
-    """(number, ``work(piece)``) of every piece, as they come.
+    """(number, ``work(piece)``) of every piece, in the order of completion.
 
-    A piece whose workers die every time it is alone costs itself, :class:`Ended`. When
-    the iteration stops early, by an interrupt too, what has not begun is cancelled.
+    The result of a piece whose workers die when it runs alone is :class:`Ended`. If the
+    iteration stops early, also by an interrupt, tasks that have not begun are cancelled.
 
     Args:
         work: a function that can be pickled, as the pieces and results can.
-        client: of :func:`cluster`.
+        client: from :func:`cluster`.
         alike: the pieces of a batch have the same of this.
 
     Raises:
@@ -158,8 +157,8 @@ class _Batch(NamedTuple):
 
 
 class _Sharing:
-    """Pieces by their numbers: ``waiting`` by kind, ``suspects`` that wait to be alone,
-    and those ``at_work`` by the key of their task."""
+    """Pieces by their numbers: ``waiting`` by kind, ``suspects`` that must run alone, and
+    those ``at_work`` by the key of their task."""
 
     def __init__(self, work, pieces, client, alike):
         self.work, self.pieces, self.client = work, pieces, client
@@ -169,7 +168,7 @@ class _Sharing:
         self.suspects: deque[int] = deque()
         self.at_work: dict[str, _Batch] = {}
         self.ended: SimpleQueue[Any] = SimpleQueue()
-        self.seconds: float | None = None  # that a piece takes
+        self.seconds: float | None = None  # duration of a piece
         self.counted, self.threads, self.seen = 0.0, 1, time.monotonic()
 
     def results(self) -> Generator[tuple[int, Any], None, None]:
@@ -185,7 +184,7 @@ class _Sharing:
                 self.client.cancel(left, force=True)
 
     def _count_workers(self) -> None:
-        """Threads of the workers, now and then."""
+        """Number of threads of the workers, updated from time to time."""
         now = time.monotonic()
         if now - self.counted < 1.0:
             return
@@ -197,9 +196,9 @@ class _Sharing:
             raise _gone("all workers are gone")
 
     def _give(self) -> None:
-        """Batches for all who have nothing to do; a suspect when all others are done.
+        """Submit batches to idle workers; a suspect if all other pieces are done.
 
-        Whoever waits behind a piece that kills its worker looks as guilty as that.
+        A piece that waits behind one that kills its worker is a suspect as well.
         """
         while self.waiting and len(self.at_work) < _AHEAD * self.threads:
             self._submit(self._next_batch(), alone=False)
@@ -243,7 +242,7 @@ class _Sharing:
             return
         except _library("concurrent.futures").CancelledError:
             raise _gone("the scheduler has dropped the work") from None
-        # The first one of a kind compiles: later ones say what a piece takes.
+        # The first batch of a kind compiles, so use the duration of later ones.
         self.seconds = seconds / len(results)
         yield from zip(batch.numbers, results, strict=True)
 
@@ -256,7 +255,7 @@ _ALONE = threading.Lock()
 
 
 def _batch(work: Callable, pieces: Sequence) -> tuple[float, list]:
-    """Seconds and results of pieces; in a worker, whose other threads wait."""
+    """Duration and results of pieces, in a worker, one batch at a time."""
     with _ALONE:
         begun = time.monotonic()
         results = [work(piece) for piece in pieces]

@@ -198,8 +198,7 @@ def predict(
     starred_angles: Annotated[
         bool,
         typer.Option(
-            "--starred-angles",
-            help="FILE.tir: use tan(alpha) and sin(gamma) in place of the angles",
+            "--starred-angles", help="FILE.tir: use tan(alpha) and sin(gamma) instead of the angles"
         ),
     ] = False,
     side: SideOption = None,
@@ -245,7 +244,7 @@ def predict(
 
 
 def _write(out, table, forces, source, beside: bool) -> None:
-    """Write the forces in the file's own convention and print what was written.
+    """Write the forces in the convention of the file and list the written columns.
 
     The first line of a table for `diagnose --sim` states the convention.
     """
@@ -293,7 +292,7 @@ def _predict_tir(source, data, out, how, parameter, of_file: dict, beside) -> No
 
 
 def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
-    """Values of ``--set``; raises UsageError with all that is wrong before the work."""
+    """Values of ``--set``; raises UsageError with all problems before the work."""
     from tirefit.data.write import output_problems
 
     problems = output_problems(out, inputs=[data, source], ending=".csv")
@@ -305,7 +304,7 @@ def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
 
 
 def _values_text(name: str, values: dict[str, float]) -> str:
-    """Every parameter value of a named model, so that defaults are seen."""
+    """Every parameter value of a named model, including defaults."""
     from tirefit.models import MODELS
     from tirefit.params import parameter_values
 
@@ -328,7 +327,7 @@ def options(
     ] = False,
 ) -> None:
     """Fit tire models to measured slip and force, and find what they miss."""
-    del version  # its callback has printed it
+    del version  # the callback has printed it
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""``tirefit diagnose --vehicle``: which effects a car's model lacks."""
+"""``tirefit diagnose --vehicle``: find the effects that the model of a car lacks."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +20,7 @@ TireOption = Annotated[
 
 
 def refuse_tires(front: str | None, rear: str | None) -> None:
-    """Raises UsageError where an axle's tire is given without a vehicle."""
+    """Raises UsageError if the tire of an axle is given without a vehicle."""
     if front or rear:
         reason = "--front or --rear without --vehicle"
         raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))
@@ -38,10 +38,10 @@ def diagnose_car(
     without: Sequence[str],
     figures: bool,
 ) -> None:
-    """Diagnoses, prints and writes.
+    """Diagnose the logs, print and write the result.
 
     Args:
-        unused: option that does not go with ``--vehicle`` -> its value.
+        unused: option that ``--vehicle`` does not use -> its value.
     """
     wrong = [f"--{option}" for option, given in unused.items() if given]
     if wrong:

@@ -1,4 +1,4 @@
-"""``tirefit fit --vehicle``: both axles' tires and unknowns of a car from its logs."""
+"""``tirefit fit --vehicle``: fit the tires and unknown parameters of a car to its logs."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -19,7 +19,7 @@ class Intervals(StrEnum):
 
 
 def models_of(text: str | None) -> dict[str, Any]:
-    """The models in ``front=brush,rear=brush``, or in the name of one of both axles."""
+    """The models in ``front=brush,rear=brush``, or in a single name for both axles."""
     if text is None or "=" not in text:
         return dict.fromkeys(("front", "rear"), text or "brush")
     found = dict(part.strip().partition("=")[::2] for part in text.split(","))
@@ -32,12 +32,12 @@ def models_of(text: str | None) -> dict[str, Any]:
 def fit_vehicle(
     logs: list[Path], vehicle: Path, model: str | None, out: Path | None, unused: dict, **how: Any
 ) -> ExitCode:
-    """Fits, prints and writes.
+    """Fit the logs, print and write the result.
 
     Args:
-        unused: option that does not go with ``--vehicle`` -> its value.
+        unused: option that ``--vehicle`` does not use -> its value.
         how: keywords of :func:`~tirefit.vehicle.trajectory.fit_trajectory`; None for
-            its own.
+            its defaults.
     """
     wrong = [option for option, given in unused.items() if given]
     if wrong:
