@@ -247,7 +247,7 @@ def test_forces_that_a_file_lacks_are_left_out_with_the_reason(run):
     np.testing.assert_allclose(lateral["fy"], predicted()["fy"], rtol=1e-12)
     Path("points.csv").write_text("kappa,fz\n-0.1,4000\n")
     run_again = ("predict", "lateral.tir", "points.csv", *ISO)
-    assert "gives fy and mz alone" in run(*run_again, exit_code=3).stderr
+    assert "computes only fy and mz" in run(*run_again, exit_code=3).stderr
     result = run("convert", "lateral.tir", "--out", "out", exit_code=3)
     assert "no F_x in this file: PDX1 is missing" in result.stderr
     assert "or ask for fy" in result.stderr and not Path("out").exists()
