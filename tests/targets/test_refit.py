@@ -79,7 +79,7 @@ def test_a_large_miss_needs_force(tmp_path):
     assert done.exit_code == 2 and not path.exists()
     assert "above 5 %" in done.stderr and "--over" in done.stderr
     done = ran(*given, "--force")
-    assert done.exit_code == 0 and "warning: commonroad misses" in done.stderr
+    assert done.exit_code == 0 and "warning: commonroad differs" in done.stderr
     assert "fz 2000 to 6000 N" in path.read_text()
 
 

@@ -106,7 +106,7 @@ def test_what_a_tir_cannot_hold_is_refused_and_nothing_is_written(tmp_path):
     for source, asked, words in (
         ("brush", {}, "radius"),
         ("brush", {"wheel": {"radius": 0.3}}, "limit is 5%"),
-        ("magic-formula", {}, "not a magic-formula"),
+        ("magic-formula", {}, "not magic-formula"),
         ("brush", {"model": "mf6"}, "did you mean"),
         ("brush", {"wheel": {"radus": 0.3}}, "did you mean"),
         ("brush", {"convention": "sae"}, "leave it out"),
