@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 QUICK = ("--speed", "6", "--road", "mu=0.5", "--vehicle", "quarter")
 
 
-def test_controllers_over_each_other(run, tmp_path):
+def test_controllers_are_compared_on_each_road(run, tmp_path):
     said = run(
         "brake", "--controller", "abs,none", *QUICK, "--seed", "4", "--stops", "3",
         "--out", "o", "--animate",
@@ -54,7 +54,7 @@ def test_controllers_over_each_other(run, tmp_path):
     assert made == {"summary.json", "series.csv", "stop.png", "slip.png"}
 
 
-def test_tires_of_fits_and_files(run, tmp_path):
+def test_fits_and_files_are_accepted_as_tires(run, tmp_path):
     """A fitted brush brakes as the brush with its values; a .tir file brakes too."""
     run(
         "simulate", "rig", "--out", "r.csv", "--set", "mu=0.8", "--set", "cpa2=4e4",
@@ -103,13 +103,13 @@ def test_a_tire_of_a_tir_file_brakes(run, tmp_path):
         (("--speed", "500"), 2, "--speed 500 is out of range"),
     ],
 )
-def test_mistakes_are_named_with_a_remedy(run, tmp_path, arguments, code, said):
+def test_wrong_options_are_reported_with_a_remedy(run, tmp_path, arguments, code, said):
     result = run("brake", "--out", "o", *arguments, exit_code=code)
     assert said in result.stderr
     assert not (tmp_path / "o").exists()
 
 
-def test_a_tire_of_another_size_is_said(run):
+def test_a_tire_of_another_size_is_reported(run):
     """One that was fitted to a model car; a brake cannot wait a thousand seconds."""
     arguments = ["brake", "--controller", "none", "--speed", "2", "--out", "o"]
     small = ["--tire", "brush", "--set", "cpa2=39", "--vehicle", "quarter"]

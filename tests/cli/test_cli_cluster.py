@@ -35,7 +35,7 @@ def left_waiting(dask_worker):
     return len(dask_worker.state.ready)
 
 
-def test_every_piece_is_done_once_by_so_many_processes(two):
+def test_every_piece_runs_once_in_the_requested_number_of_processes(two):
     results = dict(shared(doubled, range(40), two))
     assert {number: value for number, (value, _) in results.items()} == {
         number: 2 * number for number in range(40)
@@ -44,7 +44,7 @@ def test_every_piece_is_done_once_by_so_many_processes(two):
     assert os.getpid() not in processes and len(processes) <= 2
 
 
-def test_who_kills_workers_costs_itself_alone(two, tmp_path):
+def test_a_piece_that_kills_workers_fails_alone(two, tmp_path):
     results = list(shared(partial(fatal, tmp_path), range(8), two))
     numbers = [number for number, _ in results]
     assert sorted(numbers) == list(range(8))
@@ -52,7 +52,7 @@ def test_who_kills_workers_costs_itself_alone(two, tmp_path):
     assert (tmp_path / "5").exists()
 
 
-def test_an_early_end_cancels_what_has_not_begun(two, tmp_path):
+def test_an_early_end_cancels_pending_pieces(two, tmp_path):
     """Of four pieces given out one is done, two are at work and one waits."""
     with closing(shared(partial(held, tmp_path), range(30), two)) as results:
         assert next(results) == (0, 0)
@@ -66,7 +66,7 @@ def test_an_early_end_cancels_what_has_not_begun(two, tmp_path):
     assert len(list(tmp_path.glob("begun*"))) <= 3
 
 
-def test_no_scheduler_is_a_mistake_of_the_command(monkeypatch):
+def test_a_missing_scheduler_is_a_usage_error(monkeypatch):
     monkeypatch.setattr("tirefit.cli.cluster._CONNECT", 0.2)
     with pytest.raises(UsageError, match="no scheduler answers at 127.0.0.1:1"):
         with cluster(1, "127.0.0.1:1"):

@@ -40,14 +40,14 @@ SLIP = np.linspace(-0.15, 0.3, 31)
 SETS = ("--set", "cpa2=5e4", "--set", "mu=1.0")
 
 
-def test_named_model_with_given_parameters(run, tmp_path):
+def test_predict_with_a_named_model_and_given_parameters(run, tmp_path):
     write(tmp_path / "data.csv", "sigma_x,fz", SLIP, np.full(31, FZ))
     result = run("predict", "brush", "data.csv", *SETS, "--out", "f.csv")
     assert "wrote f.csv: 31 rows" in result.stdout
     np.testing.assert_allclose(rows_of("f.csv")["fx"], parabolic(SLIP), atol=1e-6)
 
 
-def test_forces_come_in_the_convention_and_unit_of_the_file(run, tmp_path):
+def test_predicted_forces_use_convention_and_unit_of_the_file(run, tmp_path):
     # ISO-W: driving positive, so slip and force both turn around; kappa in per cent.
     kappa = SLIP / (1 + SLIP)
     write(tmp_path / "iso.csv", "kappa,fz", -100 * kappa, np.full(31, FZ / 1000))
@@ -56,7 +56,7 @@ def test_forces_come_in_the_convention_and_unit_of_the_file(run, tmp_path):
     np.testing.assert_allclose(rows_of("f.csv")["fx"], -parabolic(SLIP) / 1000, atol=1e-9)
 
 
-def test_fit_of_an_iso_file_predicts_it_back(run, tmp_path):
+def test_fit_of_an_iso_file_predicts_its_forces(run, tmp_path):
     generator = np.random.default_rng(3)
     slip = generator.uniform(-0.2, 0.2, 400)
     force = parabolic(slip) + 40 * generator.standard_normal(400)
@@ -78,7 +78,7 @@ def test_fit_of_an_iso_file_predicts_it_back(run, tmp_path):
     assert (found["fx_std"] > 40).all()
 
 
-def test_predictions_stand_beside_what_is_needed_to_plot_them(run, tmp_path):
+def test_predictions_are_written_with_the_inputs_to_plot_them(run, tmp_path):
     # Locked, spinning up and free, in per cent and driving positive; angle in degrees.
     slip = np.array([-100.0, -20.0, -0.1, 0.0, 10.0])
     (tmp_path / "d.csv").write_text(
@@ -116,7 +116,7 @@ OUTPUTS = {
 
 @pytest.mark.parametrize(("out", "said"), OUTPUTS.values(), ids=OUTPUTS)
 @pytest.mark.parametrize("command", ["predict", "derive"])
-def test_outputs_that_cannot_be_written(run, tmp_path, command, out, said):
+def test_unwritable_outputs_are_refused(run, tmp_path, command, out, said):
     write(tmp_path / "d.csv", "sigma_x,fz", SLIP, np.full(31, FZ))
     before = sorted(tmp_path.iterdir())
     arguments = ["brush", "d.csv"]
@@ -127,7 +127,7 @@ def test_outputs_that_cannot_be_written(run, tmp_path, command, out, said):
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_data_options_mean_the_same_to_every_command(run, tmp_path):
+def test_data_options_have_the_same_meaning_in_every_command(run, tmp_path):
     kappa = SLIP / (1 + SLIP)
     write(tmp_path / "d.csv", "a,b", -100 * kappa, -parabolic(SLIP) / 1000)
     (tmp_path / "fit.toml").write_text(
@@ -171,7 +171,7 @@ WRONG = {
     "unknown model": (["brsh", "d.csv"], 2, "did you mean brush"),
     "unknown parameter": (["brush", "d.csv", "--set", "nu=1"], 2, "no parameter 'nu'"),
     "outside bounds": (["brush", "d.csv", "--set", "mu=9"], 2, "outside its bounds"),
-    "not a number": (["brush", "d.csv", "--set", "mu=x"], 2, "not a number"),
+    "not a number": (["brush", "d.csv", "--set", "mu=x"], 2, "not a valid number"),
     "no value": (["brush", "d.csv", "--set", "mu"], 2, "--set NAME=VALUE"),
     "no data": (["brush", "none.csv"], 3, "none.csv"),
     "no such fit": (["none.json", "d.csv"], 3, "none.json"),
@@ -182,7 +182,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("arguments", "code", "said"), WRONG.values(), ids=WRONG)
-def test_wrong_predictions(run, tmp_path, arguments, code, said):
+def test_wrong_options_of_predict_are_refused(run, tmp_path, arguments, code, said):
     write(tmp_path / "d.csv", "sigma_x,fz", SLIP, np.full(31, FZ))
     result = run("predict", "--out", "f.csv", *arguments, exit_code=code)
     assert said in result.stderr and "Traceback" not in result.stderr
@@ -218,7 +218,7 @@ def test_version(run):
     assert run("--version").stdout.strip() == f"tirefit {__version__}"
 
 
-def test_no_command_shows_the_help(run):
+def test_tirefit_without_a_command_shows_the_help(run):
     result = run("--help")
     for word in ("fit", "inspect", "predict", "derive", "models", "not identified"):
         assert word in result.stdout
@@ -264,7 +264,7 @@ def test_the_list_of_commands_holds_the_beginning_of_their_own_help():
         assert command.help == " ".join(paragraph.split()), name
 
 
-def test_python_dash_m_starts_it():
+def test_python_dash_m_starts_tirefit():
     done = subprocess.run(
         [sys.executable, "-m", "tirefit", "version"], capture_output=True, text=True
     )
@@ -318,7 +318,7 @@ def test_completing_imports_no_jax(begun, offered):
     assert set(said) == offered and heavy == "False False"
 
 
-def test_derive_refuses_a_wrong_unit_and_its_remedy_works(run, tmp_path):
+def test_derive_refuses_a_wrong_unit_with_a_working_remedy(run, tmp_path):
     time = np.arange(0, 30, 0.02)
     rng = np.random.default_rng(0)
     v, r = (20 + 2 * np.sin(0.3 * time), 0.2 * np.sin(1.1 * time) + 0.1 * np.sin(0.4 * time))
@@ -341,7 +341,7 @@ def test_derive_refuses_a_wrong_unit_and_its_remedy_works(run, tmp_path):
     assert "--unit NAME=VALUE" in result.stderr
 
 
-def test_inspect_says_which_parameters_it_can_tell(run, tmp_path):
+def test_inspect_lists_identifiable_parameters(run, tmp_path):
     run("simulate", "rig", "--out", "rig.csv", "--largest", "0.004")
     said = run("inspect", "rig.csv", "--model", "brush").stdout
     assert "fx brush" in said and "not mu: needs slips" in said

@@ -52,11 +52,11 @@ def assert_converted(stdout, values, loads, rmse):
     found = re.findall(r"F_z (\S+) N: RMSE (\S+) N, (\S+)% of F_z", stdout)
     expected = [(fz, miss, 100 * miss / fz) for fz, miss in zip(loads, rmse, strict=True)]
     np.testing.assert_allclose(np.array(found, float), expected, rtol=2e-3, atol=0.006)
-    assert "error bars are of the systematic misfit" in " ".join(stdout.split())
+    assert "errors are those of the systematic misfit" in " ".join(stdout.split())
     return content
 
 
-def test_the_brush_of_a_tir_is_that_of_scipy(run):
+def test_brush_of_a_tir_agrees_with_scipy(run):
     tir = read_tir(TRUCK)
     tire, fnomin = mf_tire(tir.version, tir.numbers), tir.numbers["FNOMIN"]
     loads = [0.5 * fnomin, fnomin, 1.5 * fnomin]
@@ -76,7 +76,7 @@ def test_the_brush_of_a_tir_is_that_of_scipy(run):
     assert {path.name for path in Path("out").iterdir()} >= {"fit.json", "fit.png"}
 
 
-def test_the_brush_of_a_magic_formula_curve_is_that_of_scipy(run):
+def test_brush_of_a_magic_formula_curve_agrees_with_scipy(run):
     b, c, d, e = 12.0, 1.4, 0.9, -0.5
 
     def force(sigma, fz):
@@ -96,7 +96,7 @@ def test_the_brush_of_a_magic_formula_curve_is_that_of_scipy(run):
     assert "sigma_x = -0.1 to 0.25, F_z = 2000, 4000, 6000 N" in said
 
 
-def test_a_reduced_tir_has_the_slope_and_the_peak_of_the_brush(run):
+def test_a_reduced_tir_has_slope_and_peak_of_the_brush(run):
     result = run("convert", *REDUCED, "--out", "reduced.tir")
     assert "slope 2 c_p a^2 = 100000 N, largest force 3600 N" in result.stdout
     small = 1e-6
@@ -119,7 +119,7 @@ def test_a_reduced_tir_has_the_slope_and_the_peak_of_the_brush(run):
 
 @pytest.mark.parametrize("force", ["fx", "fy"])
 @pytest.mark.parametrize("model", ["brush", "brush-d"])
-def test_a_brush_comes_back_from_its_tir_exactly(run, model, force):
+def test_a_brush_is_recovered_exactly_from_its_tir(run, model, force):
     run("convert", *REDUCED, "--out", "reduced.tir")
     options = ("--model", model, "--force", force, "--out", "out")
     result = run("convert", "reduced.tir", *options)
@@ -129,7 +129,7 @@ def test_a_brush_comes_back_from_its_tir_exactly(run, model, force):
         np.testing.assert_allclose(estimate["value"], value, rtol=1e-6)
         np.testing.assert_allclose(estimate["ci95"], value, rtol=1e-4)
     said = " ".join(result.stdout.split())
-    assert "the .tir of a brush, cpa2 = 50000, mu = 0.9, whose own curve" in said
+    assert "the .tir of a brush, cpa2 = 50000, mu = 0.9, whose curve" in said
     # What was changed since is a Magic Formula like any other.
     tir = re.sub(r"(PEX1 += )-0.44", r"\g<1>-0.4", Path("reduced.tir").read_text())
     Path("other.tir").write_text(tir)
@@ -138,7 +138,7 @@ def test_a_brush_comes_back_from_its_tir_exactly(run, model, force):
     assert "Magic Formula 6.1" in " ".join(content["data"]["assumptions"])
 
 
-def test_what_the_format_cannot_hold_is_said_with_its_size(run):
+def test_losses_of_the_format_are_reported_with_their_size(run):
     """The stated differences, from predictions of the file and of the brush."""
     said = run("convert", *REDUCED, "--out", "reduced.tir").stdout
     rows = re.findall(r"F_z (\d+) N: ([\d.]+)% in fx, ([\d.]+)% in fy", said)
@@ -161,7 +161,7 @@ def test_what_the_format_cannot_hold_is_said_with_its_size(run):
             np.testing.assert_allclose(100 * worst, float(share), atol=0.1)
 
 
-def test_the_two_directions_are_not_mixed_and_all_problems_are_named(run):
+def test_mixed_options_of_both_directions_are_all_reported(run):
     options = ("--cpa2", -1, "--fz", 4000, "--radius", 0.3, "--model", "brush")
     result = run("convert", *options, "--out", "none/r.tir", exit_code=2)
     for text in (
@@ -193,7 +193,7 @@ def test_the_two_directions_are_not_mixed_and_all_problems_are_named(run):
         ((MF52, "--model", "bruhs"), "did you mean brush"),
     ],
 )
-def test_bad_requests_say_what_to_do(run, options, said):
+def test_bad_requests_are_refused_with_a_remedy(run, options, said):
     result = run("convert", *options, "--out", "out", exit_code=2)
     assert said in result.stderr and "remedy" in result.stderr
     assert not Path("out").exists()

@@ -86,7 +86,7 @@ def there(folder):
 
 
 @pytest.mark.parametrize("name", INTO_FOLDERS)
-def test_full_and_vanished_folders_are_named_and_the_report_is_said(
+def test_full_and_missing_folders_are_named_and_the_report_printed(
     run, inputs, tmp_path, monkeypatch, name
 ):
     """A quota while files are written; then a folder that somebody removes."""
@@ -128,7 +128,7 @@ def test_the_second_process_in_a_folder_is_refused(run, inputs, tmp_path, name):
         assert result.stdout == "" and there(tmp_path / "o") == []
 
 
-def test_of_two_processes_all_files_are_one_s(tmp_path):
+def test_a_process_waits_while_another_replaces_its_files(tmp_path):
     """A process that replaces its files keeps the other from beginning."""
     one, two = tmp_path / "one", tmp_path / "two"
     with claimed(tmp_path):
@@ -152,7 +152,7 @@ def test_one_full_folder_does_not_stop_the_other_files(run, inputs, tmp_path):
 
 
 @pytest.mark.parametrize("name", INTO_FILES)
-def test_a_file_that_cannot_be_written_is_as_it_was(run, inputs, tmp_path, name):
+def test_a_failed_write_leaves_the_file_unchanged(run, inputs, tmp_path, name):
     with files_of_at_most(64):
         result = run(*INTO_FILES[name], "--out", "o.csv", exit_code=2)
         assert "File too large; nothing was written\n" in result.stderr
@@ -201,7 +201,7 @@ def read_only(tmp_path):
 
 
 @pytest.mark.parametrize("name", [*INTO_FOLDERS, "file " + "predict"])
-def test_a_read_only_folder_is_said_before_the_work(run, inputs, read_only, name):
+def test_a_read_only_folder_is_reported_before_the_work(run, inputs, read_only, name):
     words = INTO_FOLDERS.get(name) or INTO_FILES[name.removeprefix("file ")]
     said = as_anyone(lambda: run(*words, "--out", "sealed/o", exit_code=2))
     assert "sealed/o" in said.stderr and "permission" in said.stderr.lower()
@@ -209,7 +209,7 @@ def test_a_read_only_folder_is_said_before_the_work(run, inputs, read_only, name
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="root writes anyway")
-def test_a_folder_that_turns_read_only_keeps_what_it_has(run, inputs, tmp_path, monkeypatch):
+def test_a_folder_that_becomes_read_only_keeps_its_files(run, inputs, tmp_path, monkeypatch):
     """As a disk that is mounted anew, read-only, while the command works."""
     run(*INTO_FOLDERS["fit"], "--out", "o")
     before = there(tmp_path / "o")
@@ -269,7 +269,7 @@ Path("said.json").write_text(json.dumps(said))
 """
 
 
-def test_a_fit_on_a_full_disk_loses_nothing_that_fits(inputs, tmp_path):
+def test_a_fit_on_a_full_disk_keeps_the_files_written_before(inputs, tmp_path):
     """Too small for the posterior's chain; for its result; then large enough."""
     if shutil.which("unshare") is None:
         pytest.skip("no unshare: no file system of our own")
@@ -287,7 +287,7 @@ def test_a_fit_on_a_full_disk_loses_nothing_that_fits(inputs, tmp_path):
     # The least squares stay, and no chain could be kept: which is said.
     assert "fit.json" in least[3] and "chain.npz" not in least[3]
     assert "the chain was not kept for --resume" in " ".join(least[1].split())
-    assert "--resume goes on from its chain" in chained[2]
+    assert "--resume continues from its chain" in chained[2]
     assert {"fit.json", "chain.npz"} <= set(chained[3])
     assert whole[0] == 4 and {"posterior.nc", "corner.png"} <= set(whole[3])
     result = chained[1].rpartition("PARAMETERS")[2].strip()
@@ -300,7 +300,7 @@ needs_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/
 
 
 @needs_full
-def test_a_full_standard_output_is_named(inputs):
+def test_a_full_standard_output_is_reported(inputs):
     """Also of what is said before any command runs; a full stderr leaves the code."""
     program = [sys.executable, "-m", "tirefit"]
     with open("/dev/full", "w") as full:
@@ -321,7 +321,7 @@ def test_a_closed_standard_input_is_an_error():
     assert closed.returncode == 2 and "standard input is closed" in closed.stderr
 
 
-def test_programs_are_kept_where_they_can_be(tmp_path, monkeypatch):
+def test_compiled_programs_are_cached_if_possible(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "new"))
     assert _cache_folder() == tmp_path / "new" / "tirefit"
     (tmp_path / "file").write_text("")
@@ -329,7 +329,7 @@ def test_programs_are_kept_where_they_can_be(tmp_path, monkeypatch):
     assert _cache_folder() is None
 
 
-def test_what_commands_the_terminal_is_not_said(capsys):
+def test_terminal_control_characters_are_not_printed(capsys):
     say("red \x1b[31m and\tno\r\nmore\x07")
     complain("\x9b2J")
     said = capsys.readouterr()

@@ -117,7 +117,7 @@ def test_one_bad_file_does_not_stop_the_others(studied):
     assert set(contents(folder / "out")) == names
 
 
-def test_several_processes_answer_as_one_does(studied, again, tmp_path):
+def test_several_processes_give_the_result_of_one(studied, again, tmp_path):
     """Files, words, order and exit code; and they know what is done. Beside the files
     stand the table of all results and its page."""
     files = [studied[0] / f"{name}.csv" for name in ("bad", "one")]
@@ -148,7 +148,7 @@ def test_several_processes_answer_as_one_does(studied, again, tmp_path):
     assert times() == before
 
 
-def test_the_summary_says_what_to_do(studied):
+def test_the_summary_gives_a_remedy(studied):
     report = " ".join(studied[1].stdout.split())
     assert "DIAGNOSIS of offset against brush" in report
     assert "The gap comes from slip offset. Probability" in report
@@ -158,7 +158,7 @@ def test_the_summary_says_what_to_do(studied):
     assert "CANDIDATES" not in report  # --full was not asked for
 
 
-def test_the_document_is_of_the_schema(studied):
+def test_the_document_satisfies_the_schema(studied):
     text = (studied[0] / "out" / "offset.json").read_text("utf-8")
     document = json.loads(text)
     assert "NaN" not in text and "Infinity" not in text
@@ -187,7 +187,7 @@ def test_the_document_is_of_the_schema(studied):
 @pytest.mark.xfail(
     strict=True, reason="'unknown': no effect predicts the parts of the slip that are left out"
 )
-def test_what_the_data_cannot_tell_is_said(studied):
+def test_undecidable_effects_are_reported(studied):
     """One load and one sign: a slip offset is a force offset, exactly."""
     document = json.loads((studied[0] / "out" / "one.json").read_text())
     verdict, best = document["verdict"], document["next_measurement"][0]
@@ -199,7 +199,7 @@ def test_what_the_data_cannot_tell_is_said(studied):
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-9])
-def test_exact_confusions_are_a_toss_up(noise):
+def test_parallel_effects_have_separability_one_half(noise):
     """Their correlation rounds to more than 1, whose root is not a number."""
     direction = np.random.default_rng(0).standard_normal((200, 50))
     for one in direction.T:
@@ -207,7 +207,7 @@ def test_exact_confusions_are_a_toss_up(noise):
         assert separability(pair, 0, 1, 1.0, 1.0) == pytest.approx(0.5, abs=1e-4)
 
 
-def test_rows_match_the_file_in_its_own_convention(studied):
+def test_rows_have_the_values_and_convention_of_the_file(studied):
     folder, _ = studied
     given, rows = (rows_of(folder / name) for name in ("offset.csv", "out/offset.rows.csv"))
     assert list(rows[0]) == ["base_fx", "extended_fx", "gap_fx", "gap_fx_std", "masked"]
@@ -236,7 +236,7 @@ def test_rows_match_the_file_in_its_own_convention(studied):
     assert np.all(std > 0) and np.median(std) < 0.02
 
 
-def test_the_page_holds_the_document(studied):
+def test_the_page_contains_the_document(studied):
     folder, _ = studied
     page = (folder / "out" / "load.html").read_text("utf-8")
     record = html.unescape(page.split("<pre>")[1].split("</pre>")[0])
@@ -249,7 +249,7 @@ def test_the_page_holds_the_document(studied):
     assert picture.startswith(b"\x89PNG") and len(picture) > 30_000
 
 
-def test_the_page_needs_nothing_else(studied):
+def test_the_page_is_self_contained(studied):
     """Its pictures are inside, and it loads no style, script or font."""
     page = (studied[0] / "out" / "one.html").read_text("utf-8")
     links = re.findall(r"""\b(?:src|href)=['"]?([^'" >]*)""", page)
@@ -257,7 +257,7 @@ def test_the_page_needs_nothing_else(studied):
     assert not re.search(r"https?:|url\(|@import|<script|<link|<iframe", page)
 
 
-def test_resume_keeps_what_is_done(again, calls, tmp_path):
+def test_resume_keeps_finished_cases(again, calls, tmp_path):
     before = contents(tmp_path / "out")
     os.utime(tmp_path / "load.csv", (1e9, 1e9))  # copied or checked out anew
     said = again("offset.csv", "load.csv", "--resume", "--figures").stdout
@@ -279,7 +279,7 @@ def cut(path):
 
 
 @pytest.mark.parametrize("name", ["load.json", "load.rows.csv"])
-def test_resume_does_what_is_damaged_again(again, calls, tmp_path, name):
+def test_resume_repeats_damaged_cases(again, calls, tmp_path, name):
     cut(tmp_path / "out" / name)
     said = again("offset.csv", "load.csv", "--resume", exit_code=3)
     assert "offset.csv: done before" in said.stdout
@@ -290,7 +290,7 @@ def test_a_holdout_without_a_file_is_an_error(again):
     assert "--holdout" in again("load.csv", "--holdout", exit_code=2).stderr
 
 
-def test_a_fault_of_the_program_stops_no_other_file(again, monkeypatch):
+def test_an_internal_error_does_not_stop_other_files(again, monkeypatch):
     seen = []
 
     def study(data, **settings):
@@ -316,7 +316,7 @@ def test_a_fault_of_the_program_stops_no_other_file(again, monkeypatch):
     ],
     ids=lambda change: change[0],
 )
-def test_resume_does_a_case_of_other_settings_again(again, calls, tmp_path, change):
+def test_resume_repeats_a_case_with_other_settings(again, calls, tmp_path, change):
     (tmp_path / "out" / "load.png").unlink()
     again("load.csv", "--resume")
     assert calls == []
@@ -333,7 +333,7 @@ def test_resume_does_a_case_of_other_settings_again(again, calls, tmp_path, chan
     ],
     ids=["comment", "noise", "inertia"],
 )
-def test_resume_follows_what_is_known_of_the_rig(again, calls, tmp_path, rig, done):
+def test_resume_repeats_a_case_if_the_rig_file_changes(again, calls, tmp_path, rig, done):
     (tmp_path / "rig.toml").write_text(rig)
     again("load.csv", "--resume", exit_code=3 if done else 0)
     assert calls == done
@@ -348,7 +348,7 @@ def test_resume_follows_what_is_known_of_the_rig(again, calls, tmp_path, rig, do
     ],
     ids=["none", "not TOML", "not UTF-8"],
 )
-def test_a_rig_that_cannot_be_read_is_exit_2(run, tmp_path, content, reason, remedy):
+def test_an_unreadable_rig_file_gives_exit_code_2(run, tmp_path, content, reason, remedy):
     write(tmp_path / "run.csv")
     if content is not None:
         (tmp_path / "rig.toml").write_bytes(content)
@@ -358,7 +358,7 @@ def test_a_rig_that_cannot_be_read_is_exit_2(run, tmp_path, content, reason, rem
     assert not (tmp_path / "o").exists()
 
 
-def test_a_rig_may_begin_with_a_byte_order_mark(again, calls, tmp_path):
+def test_a_rig_file_may_begin_with_a_byte_order_mark(again, calls, tmp_path):
     """Editors on Windows write one; the rig is the same."""
     rig = (tmp_path / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(rig, encoding="utf-8-sig")
@@ -367,27 +367,27 @@ def test_a_rig_may_begin_with_a_byte_order_mark(again, calls, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["load.rows.csv", "load.html"])
-def test_resume_does_a_case_with_an_empty_file_again(again, calls, tmp_path, name):
+def test_resume_repeats_a_case_with_an_empty_file(again, calls, tmp_path, name):
     (tmp_path / "out" / name).write_bytes(b"")
     again("load.csv", "--resume", "--figures", exit_code=3)
     assert calls == ["load"]
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"schema": "tirefit.diagnosis/3"}'])
-def test_resume_does_a_spoiled_document_again(again, calls, tmp_path, text):
+def test_resume_repeats_a_case_with_a_corrupt_document(again, calls, tmp_path, text):
     (tmp_path / "out" / "load.json").write_text(text)
     again("load.csv", "--resume", exit_code=3)
     assert calls == ["load"]
 
 
-def test_a_case_done_again_without_figures_has_none(again, tmp_path):
+def test_a_case_repeated_without_figures_has_none(again, tmp_path):
     again("offset.csv", "--seed", "1")
     kinds = {name for name in contents(tmp_path / "out") if name.startswith("offset")}
     assert kinds == {"offset.json", "offset.rows.csv"}
     assert json.loads((tmp_path / "out" / "offset.json").read_text())["seed"] == 1
 
 
-def test_figures_of_the_user_stay(again, tmp_path):
+def test_figures_of_the_user_are_kept(again, tmp_path):
     """Results beside the data, where the same names are the user's: also a second time,
     when the folder holds a diagnosis."""
     own = {"load.png": b"a photograph", "load.html": b"<p>notes</p>"}
@@ -402,7 +402,7 @@ def test_figures_of_the_user_stay(again, tmp_path):
         assert {name: found[name] for name in own} == own
 
 
-def test_data_not_used_check_the_closure(again, tmp_path):
+def test_held_out_data_check_the_closure(again, tmp_path):
     for seed, name in ((11, "wet.csv"), (12, "dry.csv")):
         write(tmp_path / name, power=POWER, seed=seed)
     files = ["--holdout", "wet.csv", "dry.csv"]
@@ -415,7 +415,7 @@ def test_data_not_used_check_the_closure(again, tmp_path):
     assert len(set(document["settings"]["holdout"])) == 2
 
 
-def test_nothing_is_half_written(again, tmp_path, monkeypatch):
+def test_an_earlier_result_survives_a_failed_write(again, tmp_path, monkeypatch):
     before = contents(tmp_path / "out")
 
     def full(result):
@@ -427,7 +427,7 @@ def test_nothing_is_half_written(again, tmp_path, monkeypatch):
     assert contents(tmp_path / "out") == before
 
 
-def test_a_first_result_is_not_half_written(again, tmp_path, monkeypatch):
+def test_a_failed_first_write_leaves_nothing(again, tmp_path, monkeypatch):
     """The rows are there when the document fails: neither may stay."""
     shutil.copy(tmp_path / "load.csv", tmp_path / "new.csv")
     before = contents(tmp_path / "out")
@@ -470,7 +470,7 @@ def test_a_slip_far_from_the_speeds_is_diagnosed(again, calls, tmp_path):
     assert "it agrees if divided by 2" in text and calls == ["run"]
 
 
-def test_a_doubtful_slip_stands_in_the_document(again, calls, monkeypatch, tmp_path):
+def test_a_doubtful_slip_is_in_the_document(again, calls, monkeypatch, tmp_path):
     """Also where nobody read the warning; a case with it counts as done."""
     (tmp_path / "rig.toml").write_text(HEAVY)
     write(tmp_path / "run.csv", logged=LOGGED["kappa"][0])
@@ -523,8 +523,8 @@ SETTINGS = {
     "of a fit": (
         OF_A_FIT,
         "warning: fit.toml: model, solver, starts, seed, data.slip_max,"
-        " data.slip_min, noise.fx, parameters.mu, posterior.walkers: used by `tirefit"
-        " fit` alone, not by diagnose; give model by --model, seed by --seed, noise by"
+        " data.slip_min, noise.fx, parameters.mu, posterior.walkers: used only by `tirefit"
+        " fit`, not by diagnose; give model by --model, seed by --seed, noise by"
         " [noise] in --rig\n",
     ),
     "force": ('force = "fx"\n', ""),
@@ -534,7 +534,7 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize(("text", "said"), SETTINGS.values(), ids=SETTINGS)
-def test_settings_that_only_a_fit_uses_are_named(run, calls, tmp_path, text, said):
+def test_unused_settings_of_a_fit_are_reported(run, calls, tmp_path, text, said):
     """Once, however many files there are."""
     (tmp_path / "fit.toml").write_text(text)
     files = [write(tmp_path / name).name for name in ("one.csv", "two.csv")]
@@ -546,7 +546,7 @@ def test_settings_that_only_a_fit_uses_are_named(run, calls, tmp_path, text, sai
 
 
 @pytest.mark.parametrize("two", [("a/run.csv", "b/run.csv"), ("run.csv", "run.txt")])
-def test_files_of_one_stem_are_refused(run, tmp_path, two):
+def test_files_with_the_same_stem_are_refused(run, tmp_path, two):
     for name in two:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         write(tmp_path / name)
@@ -559,7 +559,7 @@ def test_files_of_one_stem_are_refused(run, tmp_path, two):
 AS_IT_IS = ["--set", "cpa2=50000", "--set", "mu=0.99"]
 
 
-def test_a_simulator_is_its_parameters_or_its_forces(run, tmp_path):
+def test_simulator_parameters_and_forces_exclude_each_other(run, tmp_path):
     """Friction a tenth too high, told by name, and by forces that stand in the file."""
     path = write(tmp_path / "offset.csv", offset=OFFSET, seed=1, spoiled=(3, 40))
     (tmp_path / "rig.toml").write_text(f"[noise]\nfx = {NOISE}\n")
@@ -595,7 +595,7 @@ def test_a_simulator_is_its_parameters_or_its_forces(run, tmp_path):
     assert row["base_fx"] == row["sim_fx"] != row["tuned_fx"] != row["extended_fx"]
 
 
-def test_resume_knows_the_simulator(run, tmp_path, monkeypatch):
+def test_resume_repeats_a_case_with_another_simulator(run, tmp_path, monkeypatch):
     write(tmp_path / "load.csv", seed=2)
     options = [*READ, *WITHOUT, "--out", "o"]
     run("diagnose", "load.csv", *AS_IT_IS, *options)
@@ -628,7 +628,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("arguments", "said"), WRONG.values(), ids=WRONG)
-def test_wrong_use_is_exit_2_and_makes_nothing(run, tmp_path, arguments, said):
+def test_wrong_use_gives_exit_code_2_and_writes_nothing(run, tmp_path, arguments, said):
     write(tmp_path / "run.csv")
     (tmp_path / "rig.toml").write_text("wheel_inertia = -1\n")
     result = run("diagnose", "run.csv", "--out", "o", *arguments, exit_code=2)
@@ -645,7 +645,7 @@ REPLACED = {
 
 
 @pytest.mark.parametrize(("arguments", "said"), REPLACED.values(), ids=REPLACED)
-def test_what_is_read_is_not_replaced(run, tmp_path, arguments, said):
+def test_input_files_are_not_overwritten(run, tmp_path, arguments, said):
     write(tmp_path / "a.csv")
     write(tmp_path / "a.rows.csv")
     (tmp_path / "a.json").write_text('{"schema": "tirefit.fit/1"}')
@@ -655,22 +655,22 @@ def test_what_is_read_is_not_replaced(run, tmp_path, arguments, said):
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_a_json_of_somebody_else_is_not_replaced(run, tmp_path):
+def test_a_foreign_json_file_is_not_overwritten(run, tmp_path):
     write(tmp_path / "a.csv")
     (tmp_path / "a.json").write_text('{"driver": "me"}')
     result = run("diagnose", "a.csv", "--out", ".", exit_code=2)
-    assert "a.json: it would be replaced, and is no earlier result" in result.stderr
+    assert "a.json: it would be replaced, but is no earlier result" in result.stderr
     assert (tmp_path / "a.json").read_text() == '{"driver": "me"}'
 
 
-def test_a_key_of_the_rig_that_is_not_used_is_said(run, tmp_path):
+def test_unused_keys_of_the_rig_are_reported(run, tmp_path):
     write(tmp_path / "run.csv", rows=4)  # too few to be diagnosed
     (tmp_path / "rig.toml").write_text("fx = 40\n")
     result = run("diagnose", "run.csv", "--rig", "rig.toml", "--out", "o", exit_code=3)
     assert "warning: fx of rig.toml is not used" in result.stderr
 
 
-def test_a_noise_of_the_rig_that_the_file_states_itself_is_said(run, tmp_path):
+def test_a_noise_in_both_rig_and_file_is_reported(run, tmp_path):
     write(tmp_path / "run.csv", rows=4)  # too few to be diagnosed
     header, *rows = (tmp_path / "run.csv").read_text().splitlines()
     stated = [f"{header},fx_std", *(f"{row},30" for row in rows)]
@@ -683,7 +683,7 @@ def test_a_noise_of_the_rig_that_the_file_states_itself_is_said(run, tmp_path):
 
 
 @pytest.mark.parametrize("arguments", [["no.csv"], ["run.csv", "--holdout", "no.csv"]], ids=len)
-def test_data_that_cannot_be_read_make_nothing(run, tmp_path, arguments):
+def test_unreadable_data_write_nothing(run, tmp_path, arguments):
     write(tmp_path / "run.csv")
     result = run("diagnose", *arguments, "--out", "o", exit_code=3)
     assert "no.csv" in result.stderr and "Traceback" not in result.stderr

@@ -26,7 +26,7 @@ def log(run, tmp_path):
     return tmp_path / "log.csv"
 
 
-def test_estimates_of_a_simulated_log(run, tmp_path, log):
+def test_estimates_of_a_simulated_log_are_right(run, tmp_path, log):
     said = run("estimate", log, "--method", NAMES, "--out", "out").stdout
     assert "ONLINE ESTIMATES" in said
     rows = rows_of((tmp_path / "out" / "estimates.csv").read_text())
@@ -52,7 +52,7 @@ def test_estimates_of_a_simulated_log(run, tmp_path, log):
     assert {row["mu"] for row in truth} == {"0.98", "0.5"}
 
 
-def test_rows_as_they_come_give_the_rows_of_the_file(run, tmp_path, log):
+def test_a_stream_gives_the_rows_of_the_file(run, tmp_path, log):
     run("estimate", log, "--method", NAMES, "--out", "out")
     lines = log.read_text().splitlines(keepends=True)[:200]
     text = "".join(lines)
@@ -66,7 +66,7 @@ def test_rows_as_they_come_give_the_rows_of_the_file(run, tmp_path, log):
         np.testing.assert_allclose(one, other, rtol=1e-9)
 
 
-def test_bad_rows_are_said_flagged_and_survived(run, tmp_path, log):
+def test_bad_rows_are_reported_and_flagged(run, tmp_path, log):
     lines = log.read_text().splitlines()
     lines[50] = lines[50].replace(lines[50].split(",")[2], "broken")
     log.write_text("\n".join(lines) + "\n")
@@ -103,7 +103,7 @@ def test_bad_rows_are_said_flagged_and_survived(run, tmp_path, log):
         (("bare.csv", "--out", "o"), 3, "needs time"),
     ],
 )
-def test_mistakes_are_named_with_a_remedy(run, tmp_path, arguments, code, said):
+def test_wrong_options_are_reported_with_a_remedy(run, tmp_path, arguments, code, said):
     (tmp_path / "log.csv").write_text("time,sigma_x,fx,fz\n0,.01,4e3,3e4\n1,.02,8e3,3e4\n")
     (tmp_path / "bare.csv").write_text("sigma_x,fx,fz\n.01,4e3,27e3\n.02,8e3,27e3\n")
     result = run("estimate", *arguments, exit_code=code)
@@ -111,7 +111,7 @@ def test_mistakes_are_named_with_a_remedy(run, tmp_path, arguments, code, said):
     assert not (tmp_path / "o").exists()
 
 
-def test_simulated_rig_sweeps_and_mistakes(run, tmp_path):
+def test_simulate_writes_rig_sweeps_and_reports_wrong_options(run, tmp_path):
     run("simulate", "rig", "--out", "r.csv", "--set", "mu=0.8", "--load", "3000")
     rows = rows_of((tmp_path / "r.csv").read_text())
     assert len(rows) == 100 and {r["fz"] for r in rows} == {"3000.0"}
@@ -138,7 +138,7 @@ def test_simulated_rig_sweeps_and_mistakes(run, tmp_path):
         assert sorted(p.name for p in tmp_path.iterdir()) == ["r.csv"]
 
 
-def test_methods_lists_all(run):
+def test_methods_lists_all_methods(run):
     text = run("methods").stdout
     assert max(map(len, text.splitlines())) <= 88
     listed = json.loads(run("methods", "--json").stdout)
@@ -213,8 +213,8 @@ def test_a_drive_is_simulated_read_and_estimated(run, tmp_path):
     assert "bend 2 is out of range" in result.stderr
 
 
-def test_a_log_backwards_is_an_error_not_a_flag(run, log):
+def test_a_log_with_time_backwards_is_refused(run, log):
     header, *rows = log.read_text().splitlines()
     log.write_text("\n".join([header, *rows[::-1]]) + "\n")
     said = run("estimate", log, "--out", "back", exit_code=3).stderr
-    assert "the time never goes on" in said and "sort the rows by time" in said
+    assert "the time never increases" in said and "sort the rows by time" in said

@@ -31,7 +31,7 @@ def content(directory):
     return json.loads((directory / "fit.json").read_text())
 
 
-def test_one_file_with_its_posterior(run, rig, tmp_path):
+def test_fit_of_one_file_writes_its_posterior(run, rig, tmp_path):
     result = run("fit", rig, "--config", "fit.toml")
     found = tmp_path / "rig"  # named after the file
     names = {path.name for path in found.iterdir()}
@@ -59,7 +59,7 @@ def test_out_names_the_directory_and_svg_doubles_the_figures(run, rig, tmp_path)
     assert content(found)["posterior"] is None
 
 
-def test_several_files_fill_a_directory_each(run, rig, tmp_path):
+def test_several_files_get_a_directory_each(run, rig, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
     (tmp_path / "all").mkdir()
     (tmp_path / "all" / "fits.html").write_text("an earlier page, tirefit.fit/1")
@@ -73,7 +73,7 @@ def test_several_files_fill_a_directory_each(run, rig, tmp_path):
         assert any(line.strip().startswith(name) for line in summary)
 
 
-def test_several_files_without_out(run, rig, tmp_path):
+def test_several_files_get_directories_named_after_them(run, rig, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
     run("fit", rig, "wet.csv", "--config", "fit.toml", "--no-posterior")
     assert (tmp_path / "rig" / "fit.json").exists()
@@ -99,7 +99,7 @@ def test_one_bad_file_does_not_stop_the_others(run, rig, tmp_path):
     [(None, "no.csv"), ("", "no.csv"), ("sigma_x,fx\n0,0\n0.1,9\n", "fz")],
     ids=["missing", "empty", "no load"],
 )
-def test_bad_data_leave_nothing(run, tmp_path, text, said):
+def test_bad_data_write_nothing(run, tmp_path, text, said):
     if text is not None:
         (tmp_path / "no.csv").write_text(text)
     result = run("fit", "no.csv", exit_code=3)
@@ -124,20 +124,20 @@ USAGE = {
     "twice": (["--unit", "fx=N", "--unit", "fx=kN"], "fx is given twice: 'N' and 'kN'"),
     "all at once": (["--unit", "fx", "--constant", "v=x"], "error: 2 problems:\n  --unit 'fx'\n"),
     "column": (["--column", "fx"], "--column NAME=VALUE"),
-    "constant": (["--constant", "v=fast"], "not a number"),
+    "constant": (["--constant", "v=fast"], "not a valid number"),
     "convention": (["--convention", "iso"], "iso"),
     "option": (["--nonsense"], "--nonsense"),
 }
 
 
 @pytest.mark.parametrize(("arguments", "said"), USAGE.values(), ids=USAGE)
-def test_wrong_use_is_exit_2(run, rig, tmp_path, arguments, said):
+def test_wrong_use_gives_exit_code_2(run, rig, tmp_path, arguments, said):
     result = run("fit", rig, *arguments, exit_code=2)
     assert said in result.stderr
     assert not (tmp_path / "rig").exists()
 
 
-def test_a_doubtful_convention_is_said_before_and_in_the_report(run, rig, tmp_path):
+def test_a_doubtful_convention_is_reported_before_and_in_the_report(run, rig, tmp_path):
     rows = [line.split(",") for line in rig.read_text().splitlines()[1:]]
     iso = [f"{-float(slip)},{-float(force)},{fz}" for slip, force, fz in rows]
     (tmp_path / "iso.csv").write_text("\n".join(["sigma_x,fx,fz", *iso]) + "\n")
@@ -159,7 +159,7 @@ def test_same_name_twice_is_refused(run, rig, tmp_path):
     assert not (tmp_path / "rig").exists()
 
 
-def test_unknown_key_of_the_configuration(run, rig, tmp_path):
+def test_an_unknown_key_of_the_configuration_is_refused(run, rig, tmp_path):
     (tmp_path / "bad.toml").write_text("modell = 'brush'\n")
     result = run("fit", rig, "--config", "bad.toml", exit_code=2)
     assert "did you mean 'model'" in result.stderr and "bad.toml" in result.stderr
@@ -174,7 +174,7 @@ def test_command_line_overrides_the_configuration(run, rig, tmp_path):
     assert record["noise"]["fx"]["source"] == "given"
 
 
-def test_not_identified_is_exit_5_only_when_strict(run, tmp_path):
+def test_not_identified_gives_exit_code_5_only_with_strict(run, tmp_path):
     # Slip to 17 % of full sliding, and noise that hides the bend.
     write(tmp_path / "low.csv", reach=0.02, noise=1200.0, seed=3)
     (tmp_path / "fit.toml").write_text(FAST.replace("40", "1200"))
@@ -186,7 +186,7 @@ def test_not_identified_is_exit_5_only_when_strict(run, tmp_path):
     assert record["identified"] is False and record["std"] is None
 
 
-def test_short_chain_is_exit_4_and_resume_completes_it(run, rig, tmp_path):
+def test_a_short_chain_gives_exit_code_4_and_can_be_resumed(run, rig, tmp_path):
     short = FAST + "max_steps = 100\n"
     (tmp_path / "short.toml").write_text(short)
     result = run("fit", rig, "--config", "short.toml", exit_code=4)
@@ -201,7 +201,7 @@ def test_short_chain_is_exit_4_and_resume_completes_it(run, rig, tmp_path):
     assert resumed["posterior"] == whole["posterior"]
 
 
-def test_resume_of_another_fit_is_exit_2(run, rig, tmp_path):
+def test_resume_of_another_fit_gives_exit_code_2(run, rig, tmp_path):
     (tmp_path / "short.toml").write_text(FAST + "max_steps = 100\n")
     run("fit", rig, "--config", "short.toml", exit_code=4)
     write(rig, seed=9)
@@ -209,7 +209,7 @@ def test_resume_of_another_fit_is_exit_2(run, rig, tmp_path):
     assert "another fit" in result.stderr
 
 
-def test_joint_fit_shares_the_tire_and_not_the_road(run, rig, tmp_path):
+def test_joint_fit_shares_the_tire_but_not_the_friction(run, rig, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
     (tmp_path / "joint.toml").write_text(FAST + "[parameters.mu]\nper_run = true\n")
     run(
@@ -232,7 +232,7 @@ def test_joint_fit_shares_the_tire_and_not_the_road(run, rig, tmp_path):
     assert not (tmp_path / "rig").exists()
 
 
-def test_a_page_of_the_fit_where_it_is_asked_for(run, rig, tmp_path):
+def test_html_writes_a_page_of_the_fit(run, rig, tmp_path):
     quick = ("fit", rig, "--config", "quick.toml", "--no-posterior", "--out", "out")
     (tmp_path / "quick.toml").write_text(FAST)
     result = run(*quick, "--html")
@@ -244,7 +244,7 @@ def test_a_page_of_the_fit_where_it_is_asked_for(run, rig, tmp_path):
     assert not page.exists()
 
 
-def test_force_chooses_the_lateral_one(run, tmp_path):
+def test_force_option_selects_the_lateral_force(run, tmp_path):
     write(tmp_path / "both.csv", header="alpha,fy,fz")
     text = (tmp_path / "both.csv").read_text().splitlines()
     rows = [f"{row},0.01,500" for row in text[1:]]
@@ -264,7 +264,7 @@ def test_force_chooses_the_lateral_one(run, tmp_path):
     assert content(tmp_path / "both")["forces"] == ["fy"]
 
 
-def test_least_squares_are_there_before_the_posterior(run, rig, tmp_path, monkeypatch):
+def test_least_squares_results_are_written_before_the_posterior(run, rig, tmp_path, monkeypatch):
     """Whatever becomes of the sampling, an end without a word included."""
     from tirefit.fitting import posterior
 

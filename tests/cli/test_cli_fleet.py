@@ -101,7 +101,7 @@ def opened_by(process):
     return names
 
 
-def test_a_dead_worker_and_a_bad_file_change_no_result(run, files, scheduler, tmp_path):
+def test_a_dead_worker_or_a_bad_file_changes_no_other_result(run, files, scheduler, tmp_path):
     alone = run("fit", *files, *HOW, "--out", "one", exit_code=3)
     killer = Killer(tmp_path / "c.csv", times=1)
     killer.start()
@@ -149,7 +149,7 @@ def quick(monkeypatch):
     return fatal
 
 
-def test_a_file_that_kills_workers_is_told_once(run, files, quick, tmp_path):
+def test_a_file_that_kills_workers_is_reported_once(run, files, quick, tmp_path):
     """It leaves nothing half-written, and with --resume it alone is done."""
     command = ["fit", *files[:3], *HOW, "--out", "out", "--jobs", "2"]
     said = run(*command, exit_code=3)
@@ -172,7 +172,7 @@ def test_a_file_that_kills_workers_is_told_once(run, files, quick, tmp_path):
     assert table.of("parameter", "mu")["number"].tolist() == [1, 2, 3]
 
 
-def test_an_interrupt_leaves_what_is_whole(run, files, quick, tmp_path, monkeypatch):
+def test_an_interrupt_keeps_only_complete_results(run, files, quick, tmp_path, monkeypatch):
     def interrupted(*sharing):
         yield from islice(here(*sharing), 1)
         (tmp_path / "out" / "b" / ".writing").mkdir(parents=True)
@@ -185,7 +185,7 @@ def test_an_interrupt_leaves_what_is_whole(run, files, quick, tmp_path, monkeypa
     assert there == ["c"] and (tmp_path / "out" / "c" / "fit.json").exists()
 
 
-def test_a_fault_of_the_program_stops_no_other_file(run, files, quick, monkeypatch):
+def test_an_internal_error_does_not_stop_other_files(run, files, quick, monkeypatch):
     from tirefit.fitting import estimate
 
     fit = estimate.fit
@@ -201,7 +201,7 @@ def test_a_fault_of_the_program_stops_no_other_file(run, files, quick, monkeypat
     assert "of c.csv" in said.stdout
 
 
-def test_resume_does_what_is_asked_otherwise_again(run, files, quick, tmp_path):
+def test_resume_repeats_fits_with_other_settings(run, files, quick, tmp_path):
     """The plain loop: another seed, a figure gone, a changed document, other data."""
     command = ["fit", files[0], *HOW, "--out", "out", "--resume", "--seed"]
     document = tmp_path / "out" / "fit.json"
@@ -230,7 +230,7 @@ def test_workers_of_another_version_or_place_are_refused(files, tmp_path):
         assert outcome.last and outcome.code == 2 and said in outcome.complained
 
 
-TWICE = "it would be the result of one file and that of all"
+TWICE = "it would be both the result of one file and that of all"
 
 
 @pytest.mark.parametrize(
@@ -243,7 +243,7 @@ TWICE = "it would be the result of one file and that of all"
         (("fit", *HOW, "a.csv"), "results.parquet.csv", TWICE),
     ],
 )
-def test_the_results_of_all_replace_no_file(run, files, tmp_path, command, name, said):
+def test_summary_files_do_not_overwrite_other_files(run, files, tmp_path, command, name, said):
     out = tmp_path / "out"
     out.mkdir()
     file = out / name
@@ -254,6 +254,6 @@ def test_the_results_of_all_replace_no_file(run, files, tmp_path, command, name,
     assert file.read_bytes() == files[0].read_bytes()
 
 
-def test_jobs_and_scheduler_are_two_ways(run, files):
+def test_jobs_and_scheduler_exclude_each_other(run, files):
     said = run("fit", files[0], "--jobs", "2", "--scheduler", "x:1", exit_code=2)
-    assert "--jobs beside --scheduler" in said.stderr
+    assert "--jobs together with --scheduler" in said.stderr

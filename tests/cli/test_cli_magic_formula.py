@@ -32,7 +32,7 @@ def sweeps(tmp_path_factory):
     return path
 
 
-def test_a_file_becomes_a_tir_and_a_prediction(run, sweeps):
+def test_a_fit_writes_a_tir_that_predicts(run, sweeps):
     command = ("fit", sweeps, "--model", "mf61", "--part", "fx", "--out", "out")
     said = run(*command).stdout
     assert "VERDICT: converged" in said and "GUARDS" in said
@@ -71,11 +71,11 @@ def test_a_file_becomes_a_tir_and_a_prediction(run, sweeps):
         (("--model", "mf61", "--resume", "--force", "fx"), "--force, --resume"),
     ],
 )
-def test_options_of_another_fit_are_refused(run, sweeps, options, said):
+def test_options_of_other_models_are_refused(run, sweeps, options, said):
     assert said in run("fit", sweeps, *options, exit_code=2).stderr
 
 
-def test_other_commands_say_what_a_whole_magic_formula_is(run, sweeps):
+def test_other_commands_refuse_a_whole_magic_formula(run, sweeps):
     ended = run("predict", "mf61", sweeps, "--out", "p.csv", exit_code=2)
     assert "tirefit fit --model mf61" in ended.stderr
     ended = run(
@@ -103,7 +103,7 @@ def test_a_tire_without_combined_coefficients_is_converted(run):
     assert miss < 0.15 * 6000.0 and gap > 0.2 * 6000.0
 
 
-def test_a_converted_file_lacks_what_the_file_lacks(run):
+def test_a_converted_file_adds_no_missing_coefficients(run):
     text = (FOLDER / "mfeval_julia/MagicFormula52_Parameters.tir").read_text()
     for name in ("LATERAL", "ALIGNING"):
         text = re.sub(rf"(?ms)^\[{name}_COEFF.*?(?=^\[|\Z)", "", text)

@@ -49,13 +49,13 @@ def test_every_note_is_printed_once_with_its_count(run, sweeps, name):
         assert said.startswith("columns kappa") or f"{FILES} files: {said}" in stdout
 
 
-def test_of_one_file_its_own_report_has_them(run, sweeps):
+def test_the_report_of_one_file_has_all_notes(run, sweeps):
     done = run("inspect", "--no-gate", sweeps[0])
     assert "what was assumed\n" in done.stdout and "files" not in done.stdout
     assert done.stderr == ""
 
 
-def test_each_page_keeps_its_notes_and_the_page_of_all_counts_them(run, sweeps):
+def test_each_page_has_its_notes_and_the_summary_page_counts_them(run, sweeps):
     run("fit", *sweeps[:2], "--no-posterior", "--html", "--out", "o")
     text = Path("o/fits.html").read_text()
     assert text.count("columns not read") == 1

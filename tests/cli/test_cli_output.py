@@ -29,7 +29,7 @@ def files_of(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_a_page_of_someone_else_is_not_ours(tmp_path):
+def test_a_foreign_page_is_not_overwritten(tmp_path):
     page = tmp_path / "fit.html"
     assert not is_page(page, SCHEMA)
     page.write_text("my own notes")
@@ -38,7 +38,7 @@ def test_a_page_of_someone_else_is_not_ours(tmp_path):
     assert is_page(page, SCHEMA)
 
 
-def test_the_second_process_is_refused(run, rig, tmp_path):
+def test_a_second_process_in_the_same_folder_is_refused(run, rig, tmp_path):
     with claimed(tmp_path / "o"):
         result = run(*ARGUMENTS, exit_code=2)
         assert "o: another tirefit is writing" in result.stderr
@@ -48,7 +48,7 @@ def test_the_second_process_is_refused(run, rig, tmp_path):
     assert (tmp_path / "o" / "fit.json").exists()
 
 
-def test_a_claim_ends_with_its_process(tmp_path):
+def test_a_lock_ends_with_its_process(tmp_path):
     program = (
         "import os, sys\n"
         "from pathlib import Path\n"
@@ -64,7 +64,7 @@ def test_a_claim_ends_with_its_process(tmp_path):
     assert folder.is_dir()  # it was there before
 
 
-def test_a_claim_that_is_not_used_leaves_nothing(tmp_path):
+def test_an_unused_lock_leaves_no_file(tmp_path):
     with pytest.raises(ZeroDivisionError), claimed(tmp_path / "a" / "b"):
         assert (tmp_path / "a" / "b").is_dir()
         raise ZeroDivisionError
@@ -72,7 +72,7 @@ def test_a_claim_that_is_not_used_leaves_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "disk full", "x")])
-def test_a_failed_writing_leaves_the_earlier_result(run, rig, tmp_path, monkeypatch, error):
+def test_a_failed_write_keeps_the_earlier_result(run, rig, tmp_path, monkeypatch, error):
     run(*ARGUMENTS)
     before = files_of(tmp_path / "o")
 
@@ -89,7 +89,7 @@ def test_a_failed_writing_leaves_the_earlier_result(run, rig, tmp_path, monkeypa
     assert files_of(tmp_path / "o") == before
 
 
-def test_a_new_result_replaces_all_of_the_old_and_nothing_else(tmp_path):
+def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
     for name in ("fit.json", "corner.png", "notes.txt", "chain.npz"):
         (tmp_path / name).write_text("old")
     (tmp_path / ".writing").mkdir()  # of a process that was killed
@@ -113,7 +113,7 @@ def interruptible():
     signal.signal(signal.SIGINT, before)
 
 
-def test_ctrl_c_waits_while_files_are_moved(interruptible):
+def test_ctrl_c_is_delayed_while_files_are_moved(interruptible):
     steps = []
     with pytest.raises(KeyboardInterrupt):
         with _interrupts_held():
@@ -125,7 +125,7 @@ def test_ctrl_c_waits_while_files_are_moved(interruptible):
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
-def test_directories_that_cannot_be_written_are_all_named(tmp_path, monkeypatch):
+def test_all_unwritable_directories_are_named(tmp_path, monkeypatch):
     file = tmp_path / "file"
     file.write_text("")
     with pytest.raises(UsageError) as caught:
@@ -163,9 +163,9 @@ def ended(name, *arguments, ignored=False, by="SIGINT"):
 
 
 @pytest.mark.parametrize("name", ["typer", "numpy.linalg", "jax._src.core"])
-def test_ctrl_c_during_the_imports(rig, name):
+def test_ctrl_c_during_the_imports_exits_cleanly(rig, name):
     done = ended(name, "fit", str(rig))
-    said = "interrupted: files written before are whole\n"
+    said = "interrupted: files written before are complete\n"
     assert (done.returncode, done.stdout, done.stderr) == (130, "", said)
 
 
@@ -196,10 +196,10 @@ def test_an_interrupt_within_garbage_collection_is_not_lost(rig, by):
         [sys.executable, "-c", program], capture_output=True, text=True, cwd=rig.parent
     )
     assert done.returncode == 130
-    assert done.stderr == "interrupted: files written before are whole\n"
+    assert done.stderr == "interrupted: files written before are complete\n"
 
 
-def test_a_request_to_end_is_as_ctrl_c(rig):
+def test_sigterm_acts_as_ctrl_c(rig):
     """Of a scheduler, say: SIGTERM, in the background of a shell too."""
     done = ended("jax._src.core", "fit", str(rig), by="SIGTERM", ignored=True)
     assert done.returncode == 130 and done.stderr.startswith("interrupted: ")
@@ -249,13 +249,13 @@ def test_a_terminal_shows_files_and_bars(rig, tmp_path, monkeypatch, capsys):
     assert content(tmp_path / "rig")["posterior"]["outcome"] == "converged"
 
 
-def test_nothing_is_shown_where_there_is_no_terminal(run, rig, tmp_path):
+def test_no_bars_are_shown_without_a_terminal(run, rig, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
     result = run("fit", rig, "wet.csv", "--config", "fit.toml", "--no-posterior")
     assert result.stderr == ""
 
 
-def test_progress_without_a_terminal_is_lines(monkeypatch, capsys):
+def test_progress_without_a_terminal_is_printed_as_lines(monkeypatch, capsys):
     """One soon, with how long it will take, then now and then; none at the start."""
     now = [100.0]
     monkeypatch.setattr(options.time, "monotonic", lambda: now[0])

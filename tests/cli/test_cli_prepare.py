@@ -30,7 +30,7 @@ def recording(tmp_path_factory):
     return path, script, clean
 
 
-def test_a_recording_becomes_a_file_to_fit(run, recording, tmp_path):
+def test_a_prepared_recording_can_be_fitted(run, recording, tmp_path):
     path, script, clean = recording
     said = run("prepare", path, "--out", "out").stdout
     assert "convention braking, SI units" in said and "zero-phase" in said
@@ -69,7 +69,7 @@ def test_a_recording_becomes_a_file_to_fit(run, recording, tmp_path):
     assert record["rows"]["kept"] == len(data)
 
 
-def test_workers_prepare_as_the_command_does(run, recording, two, tmp_path):
+def test_workers_give_the_result_of_one_process(run, recording, two, tmp_path):
     path, _, _ = recording
     (tmp_path / "no.csv").write_text("a,b\n1,2\n")
     files = (path, "no.csv")
@@ -85,7 +85,7 @@ def test_workers_prepare_as_the_command_does(run, recording, two, tmp_path):
     assert said[:-1] == alone.stdout.splitlines() and "no.csv" in shared.stderr
 
 
-def test_what_was_done_can_be_done_again(run, recording, tmp_path):
+def test_the_stored_settings_reproduce_the_result(run, recording, tmp_path):
     path, _, _ = recording
     copy = tmp_path / "run7.dat"
     copy.write_bytes(path.read_bytes())
@@ -118,7 +118,7 @@ def test_settings_come_from_the_configuration(run, recording, tmp_path):
     assert "did you mean 'bandwidth'?" in said.stderr
 
 
-def test_one_file_that_fails_does_not_stop_the_others(run, recording, tmp_path):
+def test_one_bad_file_does_not_stop_the_others(run, recording, tmp_path):
     path, _, _ = recording
     (tmp_path / "no.csv").write_text("time,fz\n0,1000\n1,1000\n2,1000\n")
     said = run("prepare", "no.csv", path, "--out", "out", exit_code=3)

@@ -50,7 +50,7 @@ def assert_reference(rows):
     ("path", "angles", "options"),
     [(MF52, "raw", ()), (MF61, "raw", ()), (MF61, "star", ("--starred-angles",))],
 )
-def test_predictions_are_the_reference(run, path, angles, options):
+def test_predictions_agree_with_the_reference(run, path, angles, options):
     rows = points_of(path, angles)
     result = run("predict", path, "points.csv", *options, *ISO)
     assert_reference(rows)
@@ -60,14 +60,14 @@ def test_predictions_are_the_reference(run, path, angles, options):
         assert np.isnan(predicted()["pressure"]).all()
 
 
-def test_iso_w_is_the_convention_of_the_file(run):
+def test_a_tir_file_is_in_iso_w(run):
     rows = points_of(MF61)
     result = run("predict", MF61, "points.csv", "--out", "out.csv")
     assert "(convention iso-w)" in result.stdout
     assert_reference(rows)
 
 
-def test_what_is_not_used_and_rows_outside_the_ranges_are_said(run):
+def test_unused_keys_and_rows_outside_the_ranges_are_reported(run):
     rows = points_of(TRUCK)
     driven = sum(float(row["kappa"]) > 0 for row in rows)
     result = run("predict", TRUCK, "points.csv", *ISO)
@@ -103,7 +103,7 @@ def test_coefficients_can_be_set(run, tmp_path):
     assert "no parameter 'PXX'" in result.stderr
 
 
-def test_bad_files_and_options(run, tmp_path):
+def test_bad_files_and_options_are_refused(run, tmp_path):
     points_of(MF61)
     text = re.sub(r"(?m)^(FITTYP *= +)61", r"\g<1>99", MF61.read_text())
     text = re.sub(r"(?m)^FNOMIN .*\n", "", text)
@@ -142,7 +142,7 @@ def signed_points(convention):
 
 
 @pytest.mark.parametrize("convention", sorted(set(CONVENTIONS) - {"iso-w"}))
-def test_data_and_tire_in_the_same_signs_have_the_numbers_of_iso_w(run, convention):
+def test_data_and_tire_with_the_same_signs_give_the_values_of_iso_w(run, convention):
     """Whatever the signs are called: a Magic Formula takes numbers to numbers."""
     signed_points("iso-w")
     run("predict", MF61, "points.csv", *ISO)
@@ -156,7 +156,7 @@ def test_data_and_tire_in_the_same_signs_have_the_numbers_of_iso_w(run, conventi
         np.testing.assert_allclose(predicted()[name], wanted[name], rtol=1e-9)
 
 
-def test_signs_are_of_a_tir_file(run):
+def test_signs_option_is_only_for_tir_files(run):
     points_of(MF61)
     for command in (
         ("predict", "brush", "points.csv", "--out", "o.csv"),
@@ -169,7 +169,7 @@ def test_signs_are_of_a_tir_file(run):
     assert "did you mean 'sae'" in result.stderr
 
 
-def test_what_a_file_says_of_its_signs_goes_before_the_tires(run):
+def test_signs_stated_in_a_data_file_override_those_of_the_tire(run):
     """Braking positive, of F_x alone: every number would do the other way as well."""
     text = "# tirefit 0.1: convention braking\nkappa,fz\n0.1,4000\n-0.2,4000\n"
     Path("points.csv").write_text(text)
@@ -194,7 +194,7 @@ def without_combined(path):
     Path("points.csv").write_text("\n".join(["kappa,alpha,fz", *lines]) + "\n")
 
 
-def test_absent_coefficients_of_combined_slip_are_reported_and_stood_in_for(run):
+def test_missing_combined_slip_coefficients_are_reported_and_replaced(run):
     without_combined(MF52)
     said = run("predict", "plain.tir", "points.csv", *ISO).stderr
     assert "PROPERTY_FILE_FORMAT = 'PAC2002', and no FITTYP" in said
@@ -232,7 +232,7 @@ def test_zeros_of_a_file_are_kept_and_reported(run):
     assert abs(predicted()["fy"]) < abs(plain["fy"])
 
 
-def test_forces_that_a_file_lacks_are_left_out_with_the_reason(run):
+def test_missing_forces_of_a_file_are_reported_with_the_reason(run):
     moments = r"(?ms)^\[(OVERTURNING|ROLLING)_COEFF.*?(?=^\[)"
     text = re.sub(moments, "", MF61.read_text())
     text = re.sub(r"(?m)^PDX1 .*", "PDX1 = $unknown", text)
@@ -247,13 +247,13 @@ def test_forces_that_a_file_lacks_are_left_out_with_the_reason(run):
     np.testing.assert_allclose(lateral["fy"], predicted()["fy"], rtol=1e-12)
     Path("points.csv").write_text("kappa,fz\n-0.1,4000\n")
     run_again = ("predict", "lateral.tir", "points.csv", *ISO)
-    assert "gives fy and mz alone" in run(*run_again, exit_code=3).stderr
+    assert "computes only fy and mz" in run(*run_again, exit_code=3).stderr
     result = run("convert", "lateral.tir", "--out", "out", exit_code=3)
     assert "no F_x in this file: PDX1 is missing" in result.stderr
     assert "or ask for fy" in result.stderr and not Path("out").exists()
 
 
-def test_columns_that_no_coefficient_uses_and_the_limit_of_e_are_reported(run):
+def test_unused_columns_and_the_limit_of_e_are_reported(run):
     text = re.sub(r"(?m)^(PDY3|PKY3|PHY3|PVY3|PVY4|PEY4) .*\n", "", MF52.read_text())
     text = re.sub(r"(?m)^PEX1 .*", "PEX1 = 1.5", text)
     Path("own.tir").write_text(re.sub(r"(?m)^PEX[234] .*\n", "", text))

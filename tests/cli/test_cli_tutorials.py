@@ -71,7 +71,7 @@ def run(command):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_the_commands_of_a_page_print_what_it_shows(page, tmp_path, monkeypatch):
+def test_commands_of_a_page_print_the_shown_output(page, tmp_path, monkeypatch):
     text = page.read_text(encoding="utf-8")
     large = shutil.ignore_patterns("*.png", "*.ipynb")
     shutil.copytree(ROOT / "fits", tmp_path / "fits", ignore=large)
@@ -99,7 +99,7 @@ def test_the_commands_of_a_page_print_what_it_shows(page, tmp_path, monkeypatch)
         ("d\n...\na", "a"),
     ],
 )
-def test_a_line_that_is_not_printed_is_found(shown, absent):
+def test_a_line_that_is_not_printed_is_detected(shown, absent):
     assert missing(shown.splitlines(), "a\nb\nc\n d\n") == absent
 
 

@@ -40,13 +40,13 @@ def given(request, tmp_path):
     }[request.param]
 
 
-def test_the_same_data_in_every_kind(given):
+def test_the_same_data_are_accepted_in_every_form(given):
     data = as_data(given)
     for name, values in COLUMNS.items():
         np.testing.assert_array_equal(data[name], values)
 
 
-def test_a_fit_and_what_it_predicts(given):
+def test_a_fit_accepts_and_predicts_every_form(given):
     result = tirefit.fit(given)
     assert result.parameters["mu"].value == pytest.approx(0.875, rel=0.1)
     predicted = tirefit.predict(result, given)["fx"]
@@ -54,7 +54,7 @@ def test_a_fit_and_what_it_predicts(given):
     assert tirefit.inspect(given).rows == 40
 
 
-def test_only_what_an_input_needs_is_asked_for():
+def test_only_needed_columns_are_required():
     inputs = {name: COLUMNS[name] for name in ("sigma_x", "fz")}
     assert tirefit.predict("brush", inputs)["fx"].shape == (40,)
     log = COLUMNS | {"time": np.arange(40) / 100}

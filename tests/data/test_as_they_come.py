@@ -22,7 +22,7 @@ F1TENTH = Path(__file__).parents[2] / "fits" / "measured_changes" / "f1tenth"
 
 
 @pytest.mark.parametrize("reach", [0.0, 0.04])
-def test_without_a_y_it_follows_from_the_speeds(tmp_path, reach):
+def test_missing_a_y_is_computed_from_the_speeds(tmp_path, reach):
     """Held against the true force, and against the same log with a_y."""
     columns = rates_log()
     tilt = np.cos(reach), np.sin(reach)
@@ -38,10 +38,10 @@ def test_without_a_y_it_follows_from_the_speeds(tmp_path, reach):
     assert "a_y is computed from the speeds" in " ".join(log.summary().split())
     assert any("no independent measurement" in said for said in log.assumptions)
     measured = derive(path, vehicle(tmp_path, CAR + RATES + KEEP))
-    assert not any("independent" in said for said in measured.assumptions)
+    assert not any("independent measurement" in said for said in measured.assumptions)
 
 
-def test_without_a_y_a_v_y_to_the_right_is_named_with_the_yaw_rate(tmp_path):
+def test_without_a_y_a_wrong_sign_of_v_y_is_found_from_the_yaw_rate(tmp_path):
     columns = rates_log()
     columns["vy"] = -columns["vy"]
     del columns["ay"]  # its header says what it is: it would be compared
@@ -63,7 +63,7 @@ def in_three(columns, anew):
 
 @pytest.mark.parametrize("anew", [False, True])
 @pytest.mark.parametrize("header", ["run_id", "tire set"])
-def test_a_column_of_runs_cuts_the_log_and_names_its_parts(tmp_path, anew, header):
+def test_a_column_of_runs_splits_and_names_the_log(tmp_path, anew, header):
     columns, rows = in_three(pose_log(), anew)
     ids = np.concatenate([np.full(len(r), k + 3) for k, r in enumerate(rows)])
     path = write(tmp_path / "log.csv", columns | {header: ids})
@@ -87,7 +87,7 @@ def test_a_column_of_runs_cuts_the_log_and_names_its_parts(tmp_path, anew, heade
     assert read(done.data).runs == ("log_3.0", "log_4.0", "log_5.0")
 
 
-def test_time_that_starts_anew_is_a_new_run(tmp_path):
+def test_a_restart_of_time_begins_a_new_run(tmp_path):
     columns, rows = in_three(pose_log(), True)
     path = write(tmp_path / "log.csv", columns)
     log = derive(path, pose_vehicle(tmp_path))
@@ -98,7 +98,7 @@ def test_time_that_starts_anew_is_a_new_run(tmp_path):
     assert np.all(np.diff(track.time) > 0)
 
 
-def test_rows_that_come_late_start_no_run(tmp_path):
+def test_late_rows_do_not_begin_a_new_run(tmp_path):
     columns = pose_log()
     columns["t"][1200:1220] -= 0.5
     log = derive(write(tmp_path / "log.csv", columns), pose_vehicle(tmp_path))
@@ -106,7 +106,7 @@ def test_rows_that_come_late_start_no_run(tmp_path):
     assert log.dropped_rows["repeated or backward time"] == 20
 
 
-def test_the_measured_sets_of_one_file_are_runs(tmp_path):
+def test_measured_sets_in_one_file_become_runs(tmp_path):
     """One file of a 1:10 car: seven runs, speeds and yaw rate, no a_y."""
     text = (F1TENTH / "vehicle.toml").read_text().replace('a_y = "a_y"\n', "")
     text = "tracked_point = [0.17, 0.0]\n" + text
@@ -144,7 +144,7 @@ def test_quantised_channels_at_20_hz_work_by_default(tmp_path):
     assert not any("in steps" in note for note in fine.assumptions)
 
 
-def test_too_slow_a_log_is_told_the_cutoff_that_works(tmp_path):
+def test_too_slow_a_log_is_refused_with_a_working_cutoff(tmp_path):
     path = write(tmp_path / "slow.csv", coarse_log(10, {}))
     with pytest.raises(DataError, match=r"10 Hz only\n.*cutoff = 2\.5 in \[filter\]"):
         derive(path, vehicle(tmp_path, CAR + RATES + KEEP))
@@ -181,14 +181,14 @@ def changed(name, rows=slice(None)):
         ),
     ],
 )
-def test_a_log_that_leaves_nothing_says_why_and_what_would(tmp_path, log, said):
+def test_a_log_without_usable_samples_is_refused_with_reason_and_remedy(tmp_path, log, said):
     path = write(tmp_path / "a.csv", log)
     with pytest.raises(DataError, match=said):
         derive(path, vehicle(tmp_path, CAR + RATES + KEEP))
 
 
 @pytest.mark.parametrize("name", ["spins", "reverses"])
-def test_where_the_car_spins_or_reverses_is_left_out_and_counted(tmp_path, name):
+def test_spinning_and_reversing_samples_are_excluded_and_counted(tmp_path, name):
     rows = slice(900, 1100)
     log = changed(name, rows)
     path, settings = write(tmp_path / "a.csv", log), CAR + RATES + KEEP
@@ -200,7 +200,7 @@ def test_where_the_car_spins_or_reverses_is_left_out_and_counted(tmp_path, name)
 
 
 @pytest.mark.parametrize("horizon", [60.0])
-def test_a_replay_longer_than_its_log_says_how_long_it_is(tmp_path, horizon):
+def test_a_replay_longer_than_its_log_reports_the_log_length(tmp_path, horizon):
     log = rates_log()
     log["wheel"] = steer(log["t"])
     text = CAR + RATES.replace("[columns]\n", '[columns]\nsteering = "wheel"\n') + KEEP
@@ -212,7 +212,7 @@ def test_a_replay_longer_than_its_log_says_how_long_it_is(tmp_path, horizon):
         replay([path], vehicle(tmp_path, CAR + RATES + KEEP), "brush", "brush")
 
 
-def test_a_heavy_yaw_inertia_is_doubted_with_its_ratio(tmp_path):
+def test_a_large_yaw_inertia_is_doubted_with_its_ratio(tmp_path):
     """The 1:10 car on other tires with four times its yaw inertia."""
     text = (F1TENTH / "vehicle.toml").read_text().replace('a_y = "a_y"\n', "")
     text = text.replace("yaw_inertia = 0.12 ", "yaw_inertia = 0.48 ")
@@ -226,7 +226,7 @@ def test_a_heavy_yaw_inertia_is_doubted_with_its_ratio(tmp_path):
     assert f"dr/dt / wheelbase alone is {reaches:.2g} fz" in said
 
 
-def test_a_wrong_point_is_not_taken_for_a_wrong_sign(tmp_path):
+def test_a_wrong_reference_point_is_not_reported_as_a_wrong_sign(tmp_path):
     """The same car on worn tires, at 0.19 m, with its point stated elsewhere."""
     text = (F1TENTH / "vehicle.toml").read_text().replace('a_y = "a_y"\n', "")
     for at in (0.0, 0.05, 0.33):
@@ -235,7 +235,7 @@ def test_a_wrong_point_is_not_taken_for_a_wrong_sign(tmp_path):
         assert "tracked_point = [0.19" in said and "sign" not in said
 
 
-def test_a_replay_states_how_long_the_car_did_not_drive_ahead(tmp_path):
+def test_a_replay_reports_the_excluded_time(tmp_path):
     log = rates_log()
     del log["ay"]
     log["wheel"] = steer(log["t"])

@@ -132,7 +132,7 @@ REMEDIES = {
 
 
 @pytest.mark.parametrize("fault", IN_RATES)
-def test_a_fault_in_a_log_of_rates_is_named_with_its_remedy(tmp_path, fault):
+def test_an_error_in_a_log_with_rates_is_reported_with_its_remedy(tmp_path, fault):
     put_in, said = IN_RATES[fault]
     log = log_of()
     log |= put_in(log)
@@ -163,14 +163,14 @@ IN_POSES = {
 
 
 @pytest.mark.parametrize("fault", IN_POSES)
-def test_a_fault_in_a_log_of_poses_is_named_with_its_remedy(tmp_path, fault):
+def test_an_error_in_a_log_with_poses_is_reported_with_its_remedy(tmp_path, fault):
     put_in, said = IN_POSES[fault]
     log = log_of()
     log |= put_in(log)
     assert said in refused(tmp_path, log, POSE | BESIDE)
 
 
-def test_a_pose_alone_cannot_say_which_axis_is_mirrored(tmp_path):
+def test_a_pose_alone_does_not_identify_the_mirrored_axis(tmp_path):
     log = log_of()
     log["c9"] = -log["c9"]
     text = refused(tmp_path, log, POSE)
@@ -185,7 +185,7 @@ def test_a_pose_alone_cannot_say_which_axis_is_mirrored(tmp_path):
     [(DEG, "steering is in deg, but read in rad by the map"), (-1, "steering has the wrong sign")],
 )
 @pytest.mark.parametrize("columns", [RATES, POSE])
-def test_steering_against_the_curvature_of_the_path(tmp_path, columns, factor, said):
+def test_steering_against_the_curvature_of_the_path_is_refused(tmp_path, columns, factor, said):
     log = log_of(name="gently")
     right = derived(tmp_path, log, columns | {"steering": "c6"}, STEER)
     assert right.compared.problems == () and right.compared.warnings == ()
@@ -194,7 +194,7 @@ def test_steering_against_the_curvature_of_the_path(tmp_path, columns, factor, s
     assert said in text and "correct [steering]" in text
 
 
-def test_the_remedy_is_right(tmp_path):
+def test_the_suggested_remedy_works(tmp_path):
     """As declared by the message, the log gives what the sound one gives."""
     sound = derived(tmp_path, log_of(), RATES)
     log = log_of()
@@ -216,7 +216,7 @@ def test_the_remedy_is_right(tmp_path):
     np.testing.assert_allclose(turned.columns["alpha"], sound.columns["alpha"], atol=1e-6)
 
 
-def test_a_contradiction_is_believed_when_asked_to(tmp_path):
+def test_a_contradiction_is_accepted_on_request(tmp_path):
     log = log_of()
     log["c4"] = log["c4"] / 9.80665
     result = derived(tmp_path, log, RATES, believe=True)
@@ -236,7 +236,7 @@ def test_a_contradiction_is_believed_when_asked_to(tmp_path):
     ],
     ids=["rates", "all rates", "pose", "pose and rates"],
 )
-def test_a_sound_log_is_silent_but_for_one_line(tmp_path, name, columns, extra):
+def test_a_consistent_log_gives_only_one_line(tmp_path, name, columns, extra):
     many = name == "turns and brakes" and "a_x" in columns
     for seed in range(50 if many else 3):
         result = derived(tmp_path, log_of(seed, name), columns, extra)
@@ -252,7 +252,7 @@ def pair(result, channel, against):
     return found
 
 
-def test_gain_delay_and_offset_are_found_as_put_in_with_their_errors(tmp_path):
+def test_gain_delay_and_offset_are_recovered_within_their_errors(tmp_path):
     """Over 30 logs, in standard errors: unbiased, and of the size that is stated."""
     off = []
     for seed in range(30):
@@ -293,7 +293,7 @@ def test_noise_on_both_sides_does_not_lower_the_gain(tmp_path):
     assert np.mean(gains) == pytest.approx(1.0, abs=0.06)
 
 
-def test_a_late_and_a_tilted_accelerometer_are_warned_of(tmp_path):
+def test_a_delayed_or_tilted_accelerometer_gives_a_warning(tmp_path):
     log = log_of()
     late = log | {"c4": np.r_[np.repeat(log["c4"][0], 10), log["c4"][:-10]]}
     said, _ = derived(tmp_path, late, RATES).warnings
@@ -319,7 +319,7 @@ def test_the_measured_logs_are_consistent(path, tmp_path):
     assert gyro["delay"] == pytest.approx(0.09, abs=0.01 + 3 * gyro["delay_std"])
 
 
-def test_units_come_from_the_header_the_row_below_it_or_the_user(tmp_path):
+def test_units_are_read_from_header_units_row_or_user(tmp_path):
     names = ("time", "v [km/h]", "v_y [km/h]", "r", "lateral [g]")
     log = log_of()
     values = [log["time"], 3.6 * log["c1"], 3.6 * log["c2"], log["c3"], log["c4"]]
@@ -345,7 +345,7 @@ def test_units_come_from_the_header_the_row_below_it_or_the_user(tmp_path):
         derived(tmp_path, wrong, columns | {"v_x": "v [rad/s]"})
 
 
-def test_a_column_that_nobody_named_is_compared_but_refuses_nothing(tmp_path):
+def test_an_unnamed_column_is_compared_but_refuses_nothing(tmp_path):
     log = log_of()
     log["a_x"] = log["c5"] / 9.80665
     result = derived(tmp_path, log, RATES)
@@ -376,7 +376,7 @@ def test_a_steady_circle_with_a_mirrored_v_y_is_refused(tmp_path):
         derive(write_log(tmp_path / "a.csv", columns), load_vehicle(path))
 
 
-def test_the_companion_holds_what_was_estimated(tmp_path):
+def test_the_companion_file_contains_the_estimates(tmp_path):
     log = log_of()
     rows = np.column_stack(list(log.values()))
     path = tmp_path / "log.csv"
@@ -390,7 +390,7 @@ def test_the_companion_holds_what_was_estimated(tmp_path):
     assert found["effective_samples"] < found["samples"] / 2
 
 
-def test_every_unit_of_a_log_can_be_found_out(tmp_path):
+def test_every_wrong_unit_of_a_log_is_found(tmp_path):
     """A unit that is read as SI is told from every other unit of its kind."""
     log = log_of()
     for text in ("km/h", "mph", "ft/s", "knot", "cm/s", "mm/s"):

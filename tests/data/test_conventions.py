@@ -40,7 +40,7 @@ def same(data, columns):
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
 @pytest.mark.parametrize("line", LINES.values(), ids=LINES)
-def test_the_files_own_words_go_before_those_of_a_model(tmp_path, line, convention):
+def test_a_convention_in_the_file_overrides_that_of_a_model(tmp_path, line, convention):
     frame = in_signs(canonical(), convention)
     data = read(
         written(tmp_path / "a.csv", frame, line.format(convention.upper())),
@@ -51,7 +51,7 @@ def test_the_files_own_words_go_before_those_of_a_model(tmp_path, line, conventi
     assert any("stated in line 1, not as" in note for note in data.source.notes)
 
 
-def test_a_model_goes_before_the_default_and_is_named(tmp_path):
+def test_a_convention_of_a_model_overrides_the_default_and_is_reported(tmp_path):
     path = written(tmp_path / "a.csv", in_signs(longitudinal(), "iso-w"))
     data = read(path, otherwise=MODEL)
     same(data, longitudinal())
@@ -63,7 +63,7 @@ def test_a_model_goes_before_the_default_and_is_named(tmp_path):
     same(read(path, convention="iso-w", otherwise=("braking", "m")), longitudinal())
 
 
-def test_two_statements_that_differ_are_an_error_where_a_sign_differs(tmp_path):
+def test_contradicting_conventions_are_refused_if_a_sign_differs(tmp_path):
     frame = in_signs(canonical(), "iso-w")
     path = written(tmp_path / "a.csv", frame, "# convention iso-w")
     with pytest.raises(DataError) as caught:
@@ -82,7 +82,7 @@ def test_two_statements_that_differ_are_an_error_where_a_sign_differs(tmp_path):
     assert any("not 'iso-w' (stated in line 1)" in note for note in data.source.notes)
 
 
-def test_lines_that_contradict_each_other_or_say_nothing_known(tmp_path):
+def test_contradicting_or_unknown_convention_lines_are_refused(tmp_path):
     twice = "# convention iso-w\n# convention sae"
     with pytest.raises(DataError, match="(?s)'sae' contradicts 'iso-w' in line 1"):
         read(written(tmp_path / "a.csv", longitudinal(), twice))
@@ -91,7 +91,7 @@ def test_lines_that_contradict_each_other_or_say_nothing_known(tmp_path):
     assert "line 1 states the convention 'DIN'" in text and "iso-w" in text
 
 
-def test_a_layout_gives_way_to_the_user_and_to_the_files_own_words(tmp_path):
+def test_user_and_file_override_the_convention_of_a_layout(tmp_path):
     """A consortium's file, whose layout alone says SAE as its loads are negative."""
     frame = ttc(truth())
     data = read(written(tmp_path / "a.csv", frame))
@@ -107,7 +107,7 @@ def test_a_layout_gives_way_to_the_user_and_to_the_files_own_words(tmp_path):
     assert data.source.convention_from == f"as declared, not {layout!r} (by the layout of the file)"
 
 
-def test_files_of_several_conventions_are_joined_each_in_its_own(tmp_path):
+def test_files_with_different_conventions_can_be_joined(tmp_path):
     tables = [
         read(
             written(
@@ -124,7 +124,7 @@ def test_files_of_several_conventions_are_joined_each_in_its_own(tmp_path):
 
 
 @pytest.mark.parametrize("first", ["", "# convention iso-w\n"])
-def test_rows_as_they_come_say_their_signs(tmp_path, first):
+def test_streamed_rows_use_their_declared_signs(tmp_path, first):
     path = tmp_path / "rows.csv"
     path.write_text(f"{first}sigma_x,fx,fz\n-0.1,-1000,4000\n-0.2,x,4000\n")
     with open(path) as lines:
@@ -145,7 +145,7 @@ def test_rows_as_they_come_say_their_signs(tmp_path, first):
             assert not first
 
 
-def test_a_simulated_force_must_go_with_the_slip_as_the_measured_one(tmp_path):
+def test_simulated_and_measured_force_must_have_the_same_sign(tmp_path):
     for slip, force in (("sigma_x", "fx"), ("alpha", "fy")):
         frame = {name: canonical()[name] for name in (slip, force, "fz")}
         right = frame | {f"{force}_sim": 0.9 * frame[force]}
@@ -154,7 +154,7 @@ def test_a_simulated_force_must_go_with_the_slip_as_the_measured_one(tmp_path):
             read_frame(frame | {f"{force}_sim": -frame[force]}, convention="braking")
 
 
-def test_no_camber_says_nothing_of_its_sign():
+def test_zero_camber_does_not_show_its_sign():
     columns = canonical()
     for gamma in (0 * columns["gamma"], 0 * columns["gamma"] + 0.002):
         frame = columns | {"gamma": -gamma}

@@ -34,7 +34,7 @@ from tirefit.results import DataError, UsageError
 DART = Path(__file__).parents[2] / "fits" / "dart_jetracer"
 
 
-def test_pose_log_gives_the_true_slip_angle_and_force(tmp_path):
+def test_a_log_with_poses_gives_the_true_slip_angle_and_force(tmp_path):
     columns = pose_log()
     settings = pose_vehicle(tmp_path)
     log = derive(write_log(tmp_path / "a.csv", columns), settings)
@@ -56,7 +56,7 @@ def test_left_and_right_turns_have_opposite_signs_and_force_opposes_slip(tmp_pat
 
 
 @pytest.mark.parametrize("axle", ["rear", "front"])
-def test_signs_are_those_of_the_drawing_in_slip(tmp_path, axle):
+def test_signs_follow_the_drawing_in_slip(tmp_path, axle):
     """A car on a left circle, its body turned out of the course by 0.2 rad."""
     time = np.arange(0, 8, 0.01)
     radius, rate, beta = 4.0, 0.5, 0.2
@@ -100,7 +100,7 @@ def test_yaw_offset_is_added_to_the_logged_yaw_and_stated(tmp_path):
     assert "heading offset: none assumed" in raw.heading
 
 
-def test_a_heading_offset_is_estimated_and_said(tmp_path):
+def test_a_heading_offset_is_estimated_and_reported(tmp_path):
     """Case 3 again: 9.6 mrad by a jackknife over its logs (fits/dart_rear_axle)."""
     (path,) = DART.glob("free_driving*/*10_02_28.csv.gz")
     log = derive(path, load_vehicle(DART / "vehicle.toml"))
@@ -139,7 +139,7 @@ def rates_log():
     }
 
 
-def test_log_of_rates_gives_the_true_slip_angle_and_force(tmp_path):
+def test_a_log_with_rates_gives_the_true_slip_angle_and_force(tmp_path):
     columns = rates_log()
     settings = vehicle(tmp_path, CAR + RATES + KEEP)
     log = derive(write_log(tmp_path / "a.csv", columns), settings)
@@ -149,7 +149,7 @@ def test_log_of_rates_gives_the_true_slip_angle_and_force(tmp_path):
     np.testing.assert_allclose(log.columns["v"], true.v_x, atol=1e-3)
 
 
-def test_a_log_carries_the_motion_that_effects_of_a_vehicle_need(tmp_path):
+def test_derived_rows_contain_the_motion_for_vehicle_effects(tmp_path):
     columns = pose_log(noise=0.0)
     columns["command"] = steer(columns["t"]) / -0.4
     text = CAR + POSE + 'steering = "command"\n' + KEEP
@@ -175,7 +175,7 @@ def test_a_log_carries_the_motion_that_effects_of_a_vehicle_need(tmp_path):
         assert error < 0.01 * np.ptp(values), name
 
 
-def test_a_rate_does_not_reach_across_a_gap(tmp_path):
+def test_rates_are_not_computed_across_a_gap(tmp_path):
     columns = pose_log(noise=0.0)
     columns = {name: np.delete(x, slice(900, 1100)) for name, x in columns.items()}
     path = write_log(tmp_path / "a.csv", columns)
@@ -187,7 +187,7 @@ def test_a_rate_does_not_reach_across_a_gap(tmp_path):
     np.testing.assert_allclose(log.columns["alpha_rate"], right, atol=2e-3)
 
 
-def test_front_axle_with_a_steering_map(tmp_path):
+def test_a_steering_map_gives_the_front_slip_angle(tmp_path):
     columns = pose_log()
     columns["command"] = steer(columns["t"]) / -0.4
     path = write_log(tmp_path / "a.csv", columns)
@@ -206,7 +206,7 @@ def test_front_axle_with_a_steering_map(tmp_path):
     assert log.dropped_samples["steering command outside the map"] > 100
 
 
-def test_load_transfer_needs_the_height_of_the_centre_of_gravity(tmp_path):
+def test_load_transfer_needs_the_centre_of_gravity_height(tmp_path):
     columns = rates_log()
     settings = vehicle(tmp_path, f"h_cg = {HEIGHT}\n" + CAR + RATES + KEEP)
     log = derive(write_log(tmp_path / "a.csv", columns), settings)
@@ -217,7 +217,7 @@ def test_load_transfer_needs_the_height_of_the_centre_of_gravity(tmp_path):
     assert np.ptp(log.columns["fz"]) > 0.1
 
 
-def test_inactive_slow_and_glitched_samples_are_counted_apart(tmp_path):
+def test_inactive_slow_and_faulty_samples_are_counted_separately(tmp_path):
     columns = pose_log()
     columns["on"] = np.where(columns["t"] > 20, 0.0, 1.0)
     columns["x"][500] += 1.0
@@ -234,7 +234,7 @@ def test_inactive_slow_and_glitched_samples_are_counted_apart(tmp_path):
         assert reason in log.summary()
 
 
-def test_a_log_of_which_hardly_any_sample_is_left_is_doubted(tmp_path):
+def test_a_log_with_few_usable_samples_is_doubted(tmp_path):
     path = write_log(tmp_path / "a.csv", pose_log())
     every = derive(path, vehicle(tmp_path, CAR + POSE))
     assert not any("are kept" in warning for warning in every.warnings)
@@ -247,7 +247,7 @@ def test_a_log_of_which_hardly_any_sample_is_left_is_doubted(tmp_path):
     )
 
 
-def test_no_sample_left_says_why(tmp_path):
+def test_a_log_without_usable_samples_is_refused_with_the_reason(tmp_path):
     path = write_log(tmp_path / "a.csv", pose_log())
     settings = vehicle(tmp_path, CAR + POSE + "[keep]\nv_min = 50.0\n")
     with pytest.raises(DataError, match="slower than 50 m/s"):
@@ -304,7 +304,7 @@ def test_missing_vehicle_file_is_refused(tmp_path):
         load_vehicle(tmp_path / "vehicle.toml")
 
 
-def test_every_contradiction_of_a_vehicle_is_said_with_its_remedy(tmp_path):
+def test_every_contradiction_in_a_vehicle_file_is_reported_with_its_remedy(tmp_path):
     text = (
         "mass_rear = 9\nwheelbase = 1\nyaw_offset = 0.1\n"
         + CAR
@@ -329,7 +329,7 @@ def test_every_contradiction_of_a_vehicle_is_said_with_its_remedy(tmp_path):
     assert all(problem.remedy for problem in problems)
 
 
-def test_contradictions_of_a_section_are_said_beside_its_wrong_keys(tmp_path):
+def test_contradictions_are_reported_together_with_wrong_keys(tmp_path):
     text = CAR + POSE + KEEP + "[filter]\norder = true\ncutoff = 40\nmax_gap = 0.5\n"
     with pytest.raises(UsageError) as caught:
         vehicle(tmp_path, text)
@@ -341,7 +341,7 @@ def test_contradictions_of_a_section_are_said_beside_its_wrong_keys(tmp_path):
 
 
 @pytest.mark.parametrize("front", ["-1", "true", "'0.9'"])
-def test_wrong_axle_mass_is_named_and_nothing_is_made_of_it(tmp_path, front):
+def test_a_wrong_axle_mass_is_reported_and_not_used(tmp_path, front):
     text = f"mass_front = {front}\nmass_rear = 1\nwheelbase = 0.2\n"
     with pytest.raises(UsageError) as caught:
         vehicle(tmp_path, text + "yaw_inertia = 0.005\n" + POSE + KEEP)
@@ -351,7 +351,7 @@ def test_wrong_axle_mass_is_named_and_nothing_is_made_of_it(tmp_path, front):
     assert wrong.startswith("mass_front = ") and missing < reasons
 
 
-def test_axle_masses_replace_the_position_of_the_centre_of_gravity(tmp_path):
+def test_axle_masses_replace_the_centre_of_gravity_position(tmp_path):
     car = "mass_front = 0.9\nmass_rear = 0.6\nwheelbase = 0.2\nyaw_inertia = 0.005\n"
     settings = vehicle(tmp_path, car + POSE + KEEP)
     assert settings.mass == pytest.approx(1.5)
@@ -363,7 +363,7 @@ def toml_file(tmp_path):
     return tmp_path / "vehicle.toml"
 
 
-def test_files_are_written_with_a_run_each_and_a_companion(tmp_path):
+def test_each_log_is_written_as_a_run_with_a_companion_file(tmp_path):
     pytest.importorskip("tirefit.data.write")
     from tirefit.data.read import read
 
@@ -406,7 +406,7 @@ def test_nothing_is_written_when_a_log_fails(tmp_path):
     assert not out.exists() and not (tmp_path / "axle.derive.json").exists()
 
 
-def test_logs_of_one_name_and_other_outputs_are_refused(tmp_path):
+def test_logs_with_the_same_name_and_wrong_outputs_are_refused(tmp_path):
     log = write_log(tmp_path / "a.csv", pose_log())
     with pytest.raises(UsageError) as caught:
         derive_files([log, log], toml_file(tmp_path), tmp_path / "axle.nc")
@@ -414,7 +414,7 @@ def test_logs_of_one_name_and_other_outputs_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("replaced", ["log", "vehicle"])
-def test_neither_log_nor_vehicle_is_replaced(tmp_path, replaced):
+def test_logs_and_vehicle_files_are_not_overwritten(tmp_path, replaced):
     log, vehicle = write_log(tmp_path / "a.csv", pose_log()), toml_file(tmp_path)
     companion = tmp_path / "axle.derive.json"
     (log if replaced == "log" else vehicle).rename(companion)
@@ -427,7 +427,7 @@ def test_neither_log_nor_vehicle_is_replaced(tmp_path, replaced):
     assert not (tmp_path / "axle.csv").exists()
 
 
-def test_dart_log_bends_like_a_brush_with_a_heading_offset(tmp_path):
+def test_the_dart_log_agrees_with_a_brush_after_its_heading_offset(tmp_path):
     """Case 3: the measured car, whose heading exceeds the logged yaw by 10 mrad."""
     from scipy.optimize import curve_fit
 
@@ -457,7 +457,7 @@ def test_dart_log_bends_like_a_brush_with_a_heading_offset(tmp_path):
         ("gravity", 0.1, "gravity = 0.981 m/s2"),
     ],
 )
-def test_a_vehicle_that_nothing_is_like_is_doubted(name, factor, said):
+def test_an_implausible_vehicle_is_doubted(name, factor, said):
     vehicle = load_vehicle(DART / "vehicle.toml")
     assert vehicle.doubts() == ()
     odd = vehicle.model_copy(update={name: factor * getattr(vehicle, name)})

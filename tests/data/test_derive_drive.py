@@ -68,7 +68,7 @@ def test_forces_of_both_axles_balance_the_acceleration(tmp_path, stated, rear, d
     assert np.std(total) > 0.1
 
 
-def test_an_axle_that_does_not_drive_has_no_force_along(tmp_path):
+def test_an_undriven_axle_has_no_longitudinal_force(tmp_path):
     path, car = steered_car(tmp_path, 'driven = "rear"\n')
     assert "fx" in derive(path, car).columns
     front = derive(path, car, "front")
@@ -78,7 +78,7 @@ def test_an_axle_that_does_not_drive_has_no_force_along(tmp_path):
     assert "fx" not in derive(path, car).columns
 
 
-def test_the_error_of_the_drive_force_says_what_was_assumed(tmp_path):
+def test_the_error_of_the_drive_force_states_its_assumption(tmp_path):
     """Rolling resistance beside a share of the force: 30 % of who brakes, of 5 %."""
     path, car = steered_car(tmp_path, 'driven = "rear"\n')
     found = derive(path, car).columns
@@ -101,14 +101,14 @@ def test_the_error_of_the_drive_force_says_what_was_assumed(tmp_path):
     assert any("no rear_share" in said for said in assumed.assumptions)
 
 
-def test_a_share_of_one_driven_axle_is_refused(tmp_path):
+def test_a_drive_share_with_one_driven_axle_is_refused(tmp_path):
     with pytest.raises(UsageError, match="rear_share applies to driven"):
         steered_car(tmp_path, 'driven = "front"\nrear_share = 0.5\n')
     with pytest.raises(UsageError, match="driven"):
         steered_car(tmp_path, 'driven = "both"\n')
 
 
-def test_a_file_states_what_its_vehicle_file_states(tmp_path):
+def test_derived_files_state_the_known_properties_of_the_vehicle(tmp_path):
     def constants(log, settings):
         done = derive_files([log], tmp_path / "vehicle.toml", tmp_path / "axle.csv")
         return read(done.data).source.constants
@@ -126,7 +126,7 @@ def test_a_file_states_what_its_vehicle_file_states(tmp_path):
     assert timed["clock"] == 0.02
 
 
-def test_a_file_carries_what_its_logs_show(tmp_path):
+def test_derived_files_contain_the_estimates_of_their_logs(tmp_path):
     """A heading that is 10 mrad off, a point 20 mm off, steering logged early."""
     columns = pose_log()
     columns["psi"] = columns["psi"] - 0.01
@@ -149,7 +149,7 @@ def test_a_file_carries_what_its_logs_show(tmp_path):
     assert 0 < late["late_steering_std"] < 0.05
 
 
-def test_the_rate_of_the_steering_is_that_at_the_full_rate(tmp_path):
+def test_the_steering_rate_is_computed_at_the_full_sample_rate(tmp_path):
     path, car = steered_car(tmp_path)
     found = derive(path, car).columns
     time = found["time"] + rates_log()["t"][0]

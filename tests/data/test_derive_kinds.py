@@ -7,7 +7,7 @@ from test_motion import pose_log, pose_vehicle, write_log
 from tirefit.data.derive import derive
 
 
-def test_a_log_of_matlab_gives_what_its_text_does(tmp_path):
+def test_a_matlab_log_gives_the_result_of_its_text_file(tmp_path):
     columns = pose_log()
     settings = pose_vehicle(tmp_path)
     from_text = derive(write_log(tmp_path / "log.csv", columns), settings)

@@ -21,7 +21,7 @@ def drive(count=6000):
     return np.cumsum(2 + 0.5 * np.sin(0.006 * np.arange(count))) / 100
 
 
-def test_a_wave_of_the_road_is_found_with_its_length_and_size():
+def test_a_wave_of_the_road_is_found_with_length_and_amplitude():
     way = drive()
     wave = repeats_with_distance(
         [noise(1) + 0.004 * np.sin(2 * np.pi * way / 0.8)], [way], 0.5, 1.4
@@ -31,7 +31,7 @@ def test_a_wave_of_the_road_is_found_with_its_length_and_size():
     assert wave.p_value < 1e-6
 
 
-def test_no_wave_is_seen_in_noise_nor_in_a_wave_of_time():
+def test_noise_and_a_wave_in_time_give_no_wave_of_the_road():
     way, time = drive(), np.arange(6000) / 100
     assert not any(repeats_with_distance([noise(seed)], [way], 0.5, 1.4) for seed in range(20))
     # 2.5 Hz is spread over 0.6 to 1 m of the road.
@@ -50,7 +50,7 @@ def test_a_clean_log_raises_no_doubt(tmp_path):
     assert log.warnings == () and "warning" not in log.summary()
 
 
-def test_rows_within_reach_of_an_edge_are_said(tmp_path):
+def test_rows_near_an_edge_are_reported(tmp_path):
     path = write_log(tmp_path / "a.csv", pose_log())
     log = derive(path, settings(tmp_path, "margin = 0.05\n"))
     (said,) = log.warnings
@@ -59,13 +59,13 @@ def test_rows_within_reach_of_an_edge_are_said(tmp_path):
     assert "warning: 50 samples" in log.summary()
 
 
-def test_noise_that_the_filter_cuts_is_said(tmp_path):
+def test_noise_removed_by_the_filter_is_reported(tmp_path):
     path = write_log(tmp_path / "a.csv", pose_log(noise=30.0))
     said = " ".join(derive(path, settings(tmp_path)).warnings)
     assert "of the variance of fy lies above 2.8 Hz" in said
 
 
-def test_a_wheel_out_of_round_is_said(tmp_path):
+def test_an_out_of_round_wheel_is_reported(tmp_path):
     """The car sways once a turn of a wheel of 45 mm."""
     columns, turn = pose_log(noise=0.3), 2 * np.pi * 0.045
     way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(columns["x"]), np.diff(columns["y"])))])

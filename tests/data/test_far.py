@@ -35,23 +35,23 @@ def named(columns, **how):
 @pytest.mark.parametrize(
     ("column", "value"), [("fx", 4e5), ("fx", -4e6), ("fz", 9e9), ("fz", 4.0), ("fz", 4000 * 4.448)]
 )
-def test_a_value_far_from_its_file_is_named(column, value):
+def test_a_value_far_from_the_others_is_reported(column, value):
     assert named(sweep(**{column: {17: value}})) == {(17, column)}
 
 
-def test_a_slip_far_from_all_others_is_named():
+def test_a_slip_far_from_all_others_is_reported():
     columns = sweep()
     columns["sigma_x"] *= 0.1
     columns["sigma_x"][17] = 3.0
     assert named(columns) == {(17, "sigma_x")}
 
 
-def test_several_absurd_rows_do_not_hide_each_other():
+def test_several_outliers_are_all_found():
     found = named(sweep(n=400, fz=dict.fromkeys(range(30, 42), 4e6), fx={7: 1e7}))
     assert found == {*((row, "fz") for row in range(30, 42)), (7, "fx")}
 
 
-def test_a_force_against_its_slip_is_named():
+def test_a_force_with_the_wrong_sign_is_reported():
     columns = sweep()
     row = int(np.argmax(columns["sigma_x"]))
     columns["fx"][row] *= -1
@@ -60,7 +60,7 @@ def test_a_force_against_its_slip_is_named():
     assert far.low == 0 and "sign of sigma_x" in far.among
 
 
-def test_a_force_unlike_those_of_its_slip_is_named():
+def test_a_force_far_from_those_at_similar_slips_is_reported():
     columns = sweep(n=200)
     row = int(np.argsort(columns["sigma_x"])[170])
     columns["fx"][row] /= 4.448
@@ -69,7 +69,7 @@ def test_a_force_unlike_those_of_its_slip_is_named():
     assert 3500 < far.low < far.high < 4200
 
 
-def test_a_spike_of_a_log_is_named():
+def test_a_spike_in_a_log_is_reported():
     time = np.arange(500) / 100
     slip = 0.05 + 0.04 * np.sin(time)
     columns = {
@@ -85,12 +85,12 @@ def test_a_spike_of_a_log_is_named():
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_noise_and_the_ends_of_a_range_are_not_far(seed):
+def test_noise_and_the_ends_of_a_range_are_no_outliers(seed):
     assert not named(sweep(seed))
     assert not named(sweep(seed, n=1000))
 
 
-def test_settings_and_a_locked_wheel_are_not_far():
+def test_settings_and_a_locked_wheel_are_no_outliers():
     # Two rows in forty at twice the load, and two where the wheel stood.
     held = sweep(n=40, fz={3: 8000.0, 4: 8020.0})
     held["sigma_x"][5:7] = 1e6
@@ -106,7 +106,7 @@ def write(path, columns):
     path.write_text("\n".join(lines) + "\n")
 
 
-def test_inspect_names_file_lines_and_says_what_to_do(tmp_path):
+def test_inspect_reports_file_lines_with_a_remedy(tmp_path):
     write(tmp_path / "rig.csv", sweep(fx={17: 4e5}))
     report = inspect(read(tmp_path / "rig.csv"))
     (said,) = report.far_rows

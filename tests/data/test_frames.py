@@ -28,7 +28,7 @@ def same(data, runs=("data",)):
     assert data.runs == tuple(runs)
 
 
-def test_polars_in_every_form():
+def test_polars_frames_are_read_in_every_form():
     frame = pl.DataFrame(COLUMNS)
     same(as_data(frame))
     same(as_data(frame.lazy()))
@@ -50,7 +50,7 @@ def test_polars_in_every_form():
     assert as_data(empty, mask_bad_rows=True).n == N - 2
 
 
-def test_polars_at_every_door():
+def test_every_function_accepts_polars_frames():
     frame = pl.DataFrame(COLUMNS)
     result = tirefit.fit(frame)
     whole = tirefit.fit(COLUMNS)
@@ -61,7 +61,7 @@ def test_polars_at_every_door():
     assert set(tirefit.estimate(frame, "rls").methods) == {"rls"}
 
 
-def test_pandas_in_every_form():
+def test_pandas_frames_are_read_in_every_form():
     frame = pd.DataFrame(COLUMNS)
     same(as_data(frame.set_index(np.arange(N)[::-1])))
     same(as_data(frame.convert_dtypes()))
@@ -75,7 +75,7 @@ def test_pandas_in_every_form():
         as_data(frame.assign(time=some))
 
 
-def test_a_masked_value_is_none():
+def test_a_masked_value_is_a_missing_value():
     fx = np.ma.masked_array(COLUMNS["fx"], mask=np.arange(N) == 3)
     with pytest.raises(DataError, match="row 3, column 'fx'"):
         as_data(COLUMNS | {"fx": fx})
@@ -84,13 +84,13 @@ def test_a_masked_value_is_none():
     )
 
 
-def test_arrays_with_names():
+def test_named_arrays_are_read():
     array = np.rec.fromarrays(list(COLUMNS.values()), names=list(COLUMNS))
     same(as_data(array))
     same(as_data(np.asarray(array)))
 
 
-def test_a_fault_of_the_units_row_is_placed_there(tmp_path):
+def test_an_error_in_the_units_row_names_that_row(tmp_path):
     path = tmp_path / "rig.csv"
     path.write_text("sigma_x,fx,fz\n-,parsec,N\n0.01,900,4000\n0.02,1800,4000\n")
     with pytest.raises(DataError, match="row 2, column 'fx'"):

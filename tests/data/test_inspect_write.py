@@ -50,7 +50,7 @@ def test_inspect_counts_loads_runs_and_directions():
     assert support(report, "fy from alpha").reason == "no fy and no alpha"
 
 
-def test_a_sweep_is_not_replicated_at_any_load():
+def test_a_sweep_at_several_loads_has_no_replicates():
     slip = np.tile(RNG.uniform(-0.1, 0.1, 50), 3)
     fz = np.repeat([2e3, 4e3, 6e3], 50) + RNG.normal(0, 20, 150)
     kappa = slip + RNG.normal(0, 1e-3, 150)
@@ -59,7 +59,7 @@ def test_a_sweep_is_not_replicated_at_any_load():
     assert [level.n for level in run.loads] == [50, 50, 50]
 
 
-def test_combined_slip_is_described_and_not_promised():
+def test_combined_slip_is_reported():
     kappa = np.linspace(-0.1, 0.1, 41)
     alpha = 0.2 * np.cos(kappa * 50)
     frame = {
@@ -106,7 +106,7 @@ def test_the_report_fits_the_page_and_json(tmp_path):
 
 @pytest.mark.parametrize("convention", list(slip.CONVENTIONS))
 @pytest.mark.parametrize("definition", list(slip.SLIP_DEFINITIONS))
-def test_to_convention_gives_the_file_back(tmp_path, convention, definition):
+def test_to_convention_restores_the_file(tmp_path, convention, definition):
     signs = slip.CONVENTIONS[convention]
     kappa = RNG.uniform(-0.3, 0.5, 50)
     own = slip.SLIP_DEFINITIONS[definition][1](slip.sigma_from_kappa(kappa))
@@ -137,7 +137,7 @@ def test_to_convention_gives_the_file_back(tmp_path, convention, definition):
         np.testing.assert_allclose(again[name], data[name], rtol=1e-10, err_msg=name)
 
 
-def test_canonical_columns_survive_a_file_exactly(tmp_path):
+def test_canonical_columns_are_written_and_read_exactly(tmp_path):
     data = read_frame(sweep(v=20.0, fx_std=5.0))
     write_csv(tmp_path / "a.csv", dict(data.columns))
     again = read(tmp_path / "a.csv")
@@ -146,13 +146,13 @@ def test_canonical_columns_survive_a_file_exactly(tmp_path):
         np.testing.assert_array_equal(again[name], data[name])
 
 
-def test_predicted_std_takes_the_unit_of_its_force():
+def test_predicted_std_has_the_unit_of_its_force():
     data = read_frame({**sweep(), "fx": sweep()["fx"] / 1000}, units={"fx": "kN"})
     out = to_convention(data, {"fx": np.array([2000.0]), "fx_std": np.array([500.0])})
     assert {name: values.tolist() for name, values in out.items()} == {"fx": [2.0], "fx_std": [0.5]}
 
 
-def test_csv_keeps_every_digit_and_leaves_nan_empty(tmp_path):
+def test_csv_has_all_digits_and_empty_cells_for_nan(tmp_path):
     path = tmp_path / "a.csv"
     values = np.array([0.1 + 0.2, np.nan, 1e-300])
     write_csv(path, {"x, [N]": values, "run": ["a", 'b "c"', "d"], "n": [1, 2, 3]})
@@ -160,7 +160,7 @@ def test_csv_keeps_every_digit_and_leaves_nan_empty(tmp_path):
     assert path.read_bytes().decode() == expected
 
 
-def test_outputs_are_refused_before_the_work(tmp_path, monkeypatch):
+def test_unwritable_outputs_are_refused_before_the_work(tmp_path, monkeypatch):
     path = tmp_path / "a.csv"
     assert output_problems(path) == []
     path.write_text("")
@@ -175,7 +175,7 @@ def test_outputs_are_refused_before_the_work(tmp_path, monkeypatch):
     assert f"no permission to write into the folder {tmp_path}" in problem.reason
 
 
-def test_a_unit_from_a_row_of_its_own_goes_back_into_the_header(tmp_path):
+def test_a_unit_from_a_units_row_is_written_into_the_header(tmp_path):
     """Without it kilonewtons would be read back as newtons."""
     path = tmp_path / "rig.csv"
     rows = "".join(f"{t},{0.01 * t},{0.5 * t},4000\n" for t in range(1, 9))
@@ -189,7 +189,7 @@ def test_a_unit_from_a_row_of_its_own_goes_back_into_the_header(tmp_path):
     np.testing.assert_allclose(again["fx_sim"], 1.1 * data["fx"])
 
 
-def test_a_prediction_table_returns_a_locked_wheel_and_every_digit():
+def test_a_prediction_table_keeps_a_locked_wheel_and_all_digits():
     kappa = np.array([0.1, 0.3, 1.0, -0.7])
     frame = {"kappa": kappa, "fz": np.full(4, 4.1), "alpha": kappa / 7}
     data = read_frame(frame, units={"fz": "kN", "alpha": "deg"}, forces=False)
@@ -208,7 +208,7 @@ def test_a_prediction_table_returns_a_locked_wheel_and_every_digit():
         {"time": "time", "v_x": "v_x", "v_y": "v_y", "r": "yaw_rate", "ay": "a_y"},
     ],
 )
-def test_the_log_of_a_vehicle_is_told_the_next_command(tmp_path, columns):
+def test_inspect_of_a_vehicle_log_suggests_derive(tmp_path, columns):
     """The vehicle file that the message shows derives the log, as it stands."""
     time = np.arange(0, 20, 0.01)
     turn = 0.3 * np.sin(0.7 * time)
@@ -239,14 +239,14 @@ def test_the_log_of_a_vehicle_is_told_the_next_command(tmp_path, columns):
     assert len(derive(path, vehicle)) > 1000
 
 
-def test_a_rig_without_a_force_is_no_vehicle(tmp_path):
+def test_rig_data_without_a_force_are_no_vehicle_log(tmp_path):
     path = tmp_path / "rig.csv"
     path.write_text("t,alpha,x,y,yaw\n0,1,2,3,4\n1,1,2,3,4\n")
     with pytest.raises(DataError, match="no force: one of fx, fy, mz is needed"):
         read(path)
 
 
-def test_a_log_of_rates_with_a_slip_angle_is_a_vehicle(tmp_path):
+def test_a_log_with_rates_and_a_slip_angle_is_a_vehicle_log(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(",v_x,v_y,r,slip_angle\n0,9,0.1,0.2,1.7\n0.01,9,0.2,0.2,0.1\n")
     with pytest.raises(DataError) as caught:

@@ -13,7 +13,7 @@ UNEVEN = [500.0, 900.0, 1500.0, 3000.0, 8000.0]
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("rows", [4, 40, 400])
 @pytest.mark.parametrize("settings", [LOADS, ANGLES, UNEVEN])
-def test_settings_are_found_through_noise(settings, rows, seed):
+def test_settings_are_found_despite_noise(settings, rows, seed):
     rng = np.random.default_rng(seed)
     truth = rng.permutation(np.repeat(np.arange(len(settings)), rows))
     spacing = np.min(np.diff(settings))
@@ -47,7 +47,7 @@ def test_a_sweep_has_no_settings(kind, n):
         assert not found.code.any()
 
 
-def test_scale_and_order_do_not_matter():
+def test_settings_do_not_depend_on_scale_and_order():
     rng = np.random.default_rng(5)
     values = np.repeat(UNEVEN, 7) + rng.normal(0, 10, 35)
     found = levels(values)
@@ -75,12 +75,12 @@ def test_one_wrong_row_is_no_setting():
     assert len(found.center) == 2 and list(np.bincount(found.code)) == [30, 31]
 
 
-def test_few_counts_settings():
+def test_few_returns_the_number_of_settings():
     found = levels(np.repeat(LOADS, 3))
     assert found.few(5) and not found.few(4)
 
 
-def test_cells_hold_count_mean_and_deviation():
+def test_cells_contain_count_mean_and_deviation():
     codes, values = np.array([3, 0, 3, 3, 1]), np.array([1.0, 5.0, 2.0, 6.0, 7.0])
     count, mean, std = cells(codes, 5, values)
     assert count.tolist() == [1, 1, 0, 3, 0]

@@ -9,7 +9,7 @@ from tirefit.data.read import read_frame
 from tirefit.data.table import join
 
 
-def test_one_sentence_for_all_files_and_names_for_few():
+def test_a_note_names_few_files_or_covers_all():
     said = [(f"run{i:02d}", ["no column gamma"]) for i in range(72)]
     said[4] = ("run04", ["no column gamma", "row 3 read as units"])
     assert merged(said) == ["72 files: no column gamma", "run04: row 3 read as units"]
@@ -17,7 +17,7 @@ def test_one_sentence_for_all_files_and_names_for_few():
     assert merged(half) == ["36 of 72 files: no column gamma"]
 
 
-def test_values_that_differ_become_their_range():
+def test_different_values_are_given_as_a_range():
     said = [
         (f"r{i}", [f"FZW = {load} N in all rows", f"MEASID = A-{i}", "from a.csv"])
         for i, load in enumerate(("1000", "-20.5", "3000", "1000"))
@@ -30,11 +30,11 @@ def test_values_that_differ_become_their_range():
     assert merged(said[:2])[1] == "2 files: MEASID = A-0, A-1"
 
 
-def test_of_one_file_the_sentences_stay():
+def test_notes_of_one_file_are_unchanged():
     assert merged([("a", ["1 of 2", "3 of 4"])]) == ["1 of 2", "3 of 4"]
 
 
-def test_joined_files_say_each_thing_once():
+def test_joined_files_repeat_no_note():
     columns = {"kappa": np.linspace(0, 0.1, 9), "fx": np.linspace(0, 900, 9)}
     tables = [
         read_frame(columns, f"sweep_{load}", constants={"fz": load})

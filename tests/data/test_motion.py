@@ -184,7 +184,7 @@ def assert_true(log, start, settings, axle="rear"):
         assert abs(np.mean(error)) < 0.2 * std
 
 
-def test_gap_repeats_and_missing_cells_are_left_out_not_interpolated(tmp_path):
+def test_gaps_repeats_and_missing_cells_are_not_interpolated(tmp_path):
     columns = pose_log()
     rng = np.random.default_rng(2)
     start = columns["t"][0]
@@ -265,7 +265,7 @@ def test_stated_bandwidth_holds(tmp_path):
 
 
 @pytest.mark.parametrize("order", [1, 2, 4, 8])
-def test_transient_has_died_after_the_stated_settling_time(tmp_path, order):
+def test_the_filter_has_settled_after_the_stated_time(tmp_path, order):
     """The filter's answer to a step of the yaw rate at time 0, away from the edges."""
     settings = pose_vehicle(tmp_path, after=f"[filter]\norder = {order}\n")
     time = np.arange(-10, 10, 0.01)
@@ -277,7 +277,7 @@ def test_transient_has_died_after_the_stated_settling_time(tmp_path, order):
     assert np.max(error[np.abs(after) > settings.filter.settling / 8]) > 2e-2
 
 
-def test_absent_columns_are_all_named(tmp_path):
+def test_all_missing_columns_are_named(tmp_path):
     columns = pose_log()
     del columns["y"], columns["psi"]
     with pytest.raises(DataError) as caught:
@@ -306,7 +306,7 @@ def test_unusable_log_is_refused(tmp_path, text, message):
     assert str(path) in str(caught.value)
 
 
-def test_text_cell_is_placed_by_row_and_column(tmp_path):
+def test_a_text_cell_is_reported_with_row_and_column(tmp_path):
     path = write_log(tmp_path / "a.csv", pose_log())
     lines = path.read_text().splitlines()
     lines[41] = re.sub(r"^([^,]*),[^,]*", r"\1,lost", lines[41])
@@ -317,7 +317,7 @@ def test_text_cell_is_placed_by_row_and_column(tmp_path):
     assert (problem.row, problem.column) == (42, "x")
 
 
-def test_a_large_log_reads_as_a_small_one(tmp_path, monkeypatch):
+def test_a_large_log_is_read_like_a_small_one(tmp_path, monkeypatch):
     path, vehicle = write_log(tmp_path / "a.csv", pose_log()), pose_vehicle(tmp_path)
     lines = path.read_text().splitlines()
     lines[500] = re.sub(r"^([^,]*),[^,]*", r"\1,", lines[500])

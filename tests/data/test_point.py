@@ -23,7 +23,7 @@ def dart(tmp_path, point):
 
 
 @pytest.mark.parametrize("path", DART_LOGS, ids=lambda p: p.name)
-def test_a_measured_log_is_accepted_at_its_point_only(path, tmp_path):
+def test_a_measured_log_is_accepted_only_at_its_reference_point(path, tmp_path):
     right = derive(path, dart(tmp_path, 0.115))
     at, std = right.point.estimate
     assert right.warnings == () and std < 0.03
@@ -37,7 +37,7 @@ def test_a_measured_log_is_accepted_at_its_point_only(path, tmp_path):
         assert f"set tracked_point = [{at:.3g}, -0.01] in vehicle.toml" in said
 
 
-def test_free_driving_with_the_point_too_far_behind_is_refused(tmp_path):
+def test_a_reference_point_too_far_behind_is_refused(tmp_path):
     (path,) = DART.glob("free_driving*/*10_02_28.csv.gz")
     with pytest.raises(DataError) as caught:
         derive(path, dart(tmp_path, -0.015))
@@ -55,7 +55,7 @@ def moved(log, ahead):
 
 @pytest.mark.parametrize("ahead", [-0.5, 0.0, 1.2])
 @pytest.mark.parametrize("name", ["turns", "turns and brakes", "slow"])
-def test_the_point_is_found_as_put_in_with_its_error(tmp_path, name, ahead):
+def test_the_reference_point_is_recovered_within_its_error(tmp_path, name, ahead):
     off = []
     for seed in range(10):
         log = moved(log_of(seed, name), ahead)
@@ -65,7 +65,7 @@ def test_the_point_is_found_as_put_in_with_its_error(tmp_path, name, ahead):
     assert abs(np.mean(off)) < 1.2 and np.std(off) < 2
 
 
-def test_gps_at_the_front_axle_is_refused_and_the_remedy_is_right(tmp_path):
+def test_gps_at_the_front_axle_is_refused_with_a_working_remedy(tmp_path):
     log = moved(log_of(name="slow"), L_F)
     with pytest.raises(DataError) as caught:
         derived(tmp_path, log, RATES)
@@ -81,12 +81,12 @@ def test_gps_at_the_front_axle_is_refused_and_the_remedy_is_right(tmp_path):
     np.testing.assert_allclose(again.columns["alpha"], sound.columns["alpha"], atol=2e-3)
 
 
-def test_a_point_is_doubted_where_the_force_still_opposes_the_slip(tmp_path):
+def test_a_wrong_reference_point_is_doubted_if_forces_still_oppose_the_slip(tmp_path):
     (said,) = derived(tmp_path, moved(log_of(name="turns"), L_F), RATES).warnings
     assert "the tracked point is 2.6 ± 0.01 m ahead of the rear axle" in said
 
 
-def test_a_force_beyond_any_friction_is_doubted(tmp_path):
+def test_a_force_above_any_friction_is_doubted(tmp_path):
     text = vehicle_text(RATES).replace("yaw_inertia = 2500", "yaw_inertia = 20000")
     (tmp_path / "heavy.toml").write_text(text)
     log = log_of(name="turns")
@@ -99,7 +99,7 @@ def test_a_force_beyond_any_friction_is_doubted(tmp_path):
     assert share == pytest.approx(np.percentile(force, 99), rel=0.05) and share > 1.5
 
 
-def test_too_large_a_yaw_inertia_is_named_beside_the_point(tmp_path):
+def test_too_large_a_yaw_inertia_is_reported_with_the_point(tmp_path):
     text = vehicle_text(RATES).replace("yaw_inertia = 2500", "yaw_inertia = 10000")
     path = tmp_path / "heavy.toml"
     path.write_text(text)
@@ -111,7 +111,7 @@ def test_too_large_a_yaw_inertia_is_named_beside_the_point(tmp_path):
 
 
 @pytest.mark.parametrize("columns", [RATES, POSE])
-def test_a_log_that_hardly_turns_says_nothing_of_its_point(tmp_path, columns):
+def test_a_nearly_straight_log_does_not_determine_the_point(tmp_path, columns):
     for name in ("straight", "hardly turns"):
         result = derived(tmp_path, log_of(name=name), columns)
         assert not any("tracked_point" in said for said in result.warnings)
@@ -126,7 +126,7 @@ def late(log, channels, seconds):
 
 
 @pytest.mark.parametrize("name", ["turns", "slow", "gently"])
-def test_a_pose_on_another_clock_is_refused(tmp_path, name):
+def test_a_pose_with_another_clock_is_refused(tmp_path, name):
     log = log_of(name=name)
     with pytest.raises(DataError) as caught:
         derived(tmp_path, late(log, ("c7", "c8", "c9"), 0.34), POSE | BESIDE)
@@ -137,14 +137,14 @@ def test_a_pose_on_another_clock_is_refused(tmp_path, name):
     assert "delays up to 0.1" in result.summary()
 
 
-def test_a_late_v_y_is_named_beside_the_point(tmp_path):
+def test_a_delayed_v_y_is_reported_with_the_point(tmp_path):
     log = late(log_of(name="turns"), ("c2",), 0.1)
     (said,) = derived(tmp_path, log, RATES).warnings
     assert re.search(r"v_y is 0\.(1|09\d|10\d) ± 0\.00\d s late", said)
 
 
 @pytest.mark.parametrize("name", ["slow", "gently"])
-def test_a_flipped_v_y_that_no_pair_shows_is_named(tmp_path, name):
+def test_a_wrong_sign_of_v_y_is_found_without_a_contradicting_pair(tmp_path, name):
     log = log_of(name=name)
     (said,) = derived(tmp_path, log | {"c2": -log["c2"]}, RATES).warnings
     assert "v_y or a_y has the wrong sign" in said and 'v_y = "-m/s"' in said

@@ -69,7 +69,7 @@ def true_levels(script, name):
 
 
 @pytest.mark.parametrize("seed", range(7001, 7005))
-def test_a_cornering_test_of_any_design(seed):
+def test_a_cornering_test_of_any_design_is_prepared(seed):
     """Of 300 designs by seeds that nothing was tuned on, three were cut otherwise."""
     rng = np.random.default_rng(seed)
     shape = str(rng.choice(["line", "sine"]))
@@ -107,7 +107,7 @@ def test_a_cornering_test_of_any_design(seed):
 
 
 @pytest.mark.parametrize("seed", [7011, 7012])
-def test_a_drum_test_leaves_out_the_returns(seed):
+def test_the_returns_of_a_drum_test_are_excluded(seed):
     script, rng = drum(seed)
     seen, _ = measured(script, rng, mu=1.0)
     result = prepared(seen)
@@ -117,7 +117,7 @@ def test_a_drum_test_leaves_out_the_returns(seed):
     assert {part.direction for part in result.segments if part.kind == "sweep"} == {"up"}
 
 
-def test_a_slip_angle_that_is_held_is_part_of_the_bin():
+def test_a_constant_slip_angle_is_part_of_the_bin():
     script, rng = combined(7021)
     seen, _ = measured(script, rng, mu=1.0)
     result = prepared(seen)
@@ -146,7 +146,7 @@ def test_rows_without_time_are_binned_and_sorted_by_direction(seed):
     assert result.kept.all() and result.filter is None
 
 
-def test_points_in_no_order_are_steady():
+def test_points_without_order_are_steady_states():
     columns, _ = flat(7041)
     order = np.random.default_rng(1).permutation(len(columns["fz"]))
     result = prepared({name: values[order] for name, values in columns.items()})
@@ -167,7 +167,7 @@ def steady_points(rng):
     return script
 
 
-def test_steady_states_between_steps():
+def test_steady_states_between_steps_are_found():
     rng = np.random.default_rng(7)
     script = steady_points(rng)
     seen, clean = measured(script, rng)
@@ -187,7 +187,7 @@ def test_steady_states_between_steps():
         assert np.median(alpha) == pytest.approx(event.settings["alpha"], abs=5e-4)
 
 
-def test_declared_settings_are_kept_to():
+def test_declared_settings_are_used():
     script, rng = cornering(7051, loads=2, cambers=1, pressures=1)
     seen, _ = measured(script, rng)
     sweeps = [e for e in script.events if e.kind == "swept" and e.channel == "alpha"]
@@ -207,7 +207,7 @@ def test_declared_settings_are_kept_to():
         prepared(seen, keep=["sweeps"])
 
 
-def test_what_is_prepared_can_be_fitted_as_it_is():
+def test_prepared_data_can_be_fitted():
     script, rng = cornering(7055, rate=50, loads=2, cambers=1, pressures=1)
     seen, _ = measured(script, rng)
     result = prepared(seen)
@@ -226,7 +226,7 @@ def test_what_is_prepared_can_be_fitted_as_it_is():
         result.to_data("load")
 
 
-def test_warming_is_told_by_repeated_sweeps_without_a_thermometer():
+def test_repeated_sweeps_show_warming_without_temperature():
     rng = np.random.default_rng(5)
     script = Script(100, alpha=0.0, fz=2000.0, gamma=0.0, pressure=2e5, v=20.0)
     for _ in range(16):
@@ -276,7 +276,7 @@ def swept_rows(result, gamma):
     return sum(int(result.kept[p.begin : p.end].sum()) for p in parts), parts
 
 
-def test_the_warm_up_keeps_the_last_sweeps_of_a_condition_and_names_it():
+def test_the_last_sweeps_of_a_warming_condition_are_kept_and_reported():
     _, seen = warmed_in()
     result = prepared(seen)
     rows, parts = swept_rows(result, 4 * DEG)
@@ -297,7 +297,7 @@ def test_the_warm_up_keeps_the_last_sweeps_of_a_condition_and_names_it():
     assert not any(part.early for part in colds.segments)
 
 
-def test_bins_show_every_setting_that_differs():
+def test_bins_name_every_setting_that_differs():
     """A camber and a slip angle of the same degrees, and a pressure of the warm-up
     alone: no two conditions have one label."""
     script = Script(50, alpha=0.0, kappa=0.0, fz=3000.0, gamma=0.0, pressure=1.8e5, v=20.0)
@@ -330,7 +330,7 @@ def test_bins_show_every_setting_that_differs():
     assert any("180 kPa" in label for label in labels)
 
 
-def test_gaps_and_bad_rows_break_only_what_they_must():
+def test_gaps_and_bad_rows_split_only_their_sweeps():
     script, rng = cornering(7061, loads=2, cambers=1, pressures=1)
     seen, _ = measured(script, rng)
     sweeps = [e for e in script.events if e.kind == "swept" and not e.note]
@@ -350,7 +350,7 @@ def test_gaps_and_bad_rows_break_only_what_they_must():
     assert len(broken.series.pieces) == 2
 
 
-def test_nothing_to_cut_by_is_an_error():
+def test_data_without_settings_or_sweeps_are_refused():
     n = 400
     columns = {"time": np.arange(n) / 100, "fz": np.full(n, 1e3), "fy": np.ones(n)}
     with pytest.raises(DataError, match="no slip"):
@@ -370,7 +370,7 @@ def test_nothing_to_cut_by_is_an_error():
         ("fz", [3998.7], ["4000 N"]),
     ],
 )
-def test_settings_are_named_in_as_few_digits_as_tell_them_apart(name, centers, names):
+def test_settings_have_the_fewest_digits_that_distinguish_them(name, centers, names):
     none = np.zeros(len(centers))
     assert setting_names(Settings(name, np.array(centers), none, none)) == names
 
@@ -379,7 +379,7 @@ def test_settings_are_named_in_as_few_digits_as_tell_them_apart(name, centers, n
 
 
 @pytest.mark.parametrize(("bandwidth", "rate"), [(5.0, 100.0), (12.0, 50.0)])
-def test_gain_of_every_frequency_and_no_lag(bandwidth, rate):
+def test_the_filter_has_the_stated_gain_and_no_delay(bandwidth, rate):
     chosen = zero_phase(bandwidth, rate)
     time = np.arange(round(60 * rate)) / rate
     middle = slice(round(20 * rate), round(40 * rate))
@@ -402,7 +402,7 @@ def lag_of(one, other):
     return -(peak - len(one) if peak > len(one) / 2 else peak)
 
 
-def test_all_channels_have_one_gain_and_no_lag_in_what_is_prepared():
+def test_prepared_channels_have_the_same_gain_and_no_delay():
     """A tone on every channel comes out the same in all; and broad noise is not late,
     which it is by one pass alone."""
     script, rng = cornering(7071, loads=2, cambers=1, pressures=1)
@@ -425,7 +425,7 @@ def test_all_channels_have_one_gain_and_no_lag_in_what_is_prepared():
 
 
 @pytest.mark.parametrize(("shape", "most"), [("line", 2.2e-3), ("sine", 5.5e-3)])
-def test_the_bandwidth_that_is_chosen_keeps_the_slip_curve(shape, most):
+def test_the_chosen_bandwidth_keeps_the_slip_curve(shape, most):
     script, rng = Script(200, **OF_A_CAR), np.random.default_rng(1)
     for to in (0.2, -0.2, 0.2, -0.2, 0.2, -0.2):
         script.sweep("alpha", to, 3.0, shape=shape)
@@ -444,7 +444,7 @@ def test_the_bandwidth_that_is_chosen_keeps_the_slip_curve(shape, most):
     assert 0.1 * most < np.max(np.abs(miss)) < most
 
 
-def test_a_parabola_passes_and_time_may_be_uneven():
+def test_the_filter_keeps_a_parabola_at_uneven_times():
     chosen = zero_phase(4.0, 100.0)
     time = np.arange(1000) / 100
     curve = 3 - 2 * time + 0.5 * time**2
@@ -482,7 +482,7 @@ def anything(rng):
     return kept
 
 
-def test_whatever_comes_is_cut_whole_or_refused():
+def test_any_recording_is_prepared_or_refused():
     """Of 1,500 by seeds that nothing was tuned on, none ended otherwise."""
     rng, done = np.random.default_rng(7081), 0
     for _ in range(60):

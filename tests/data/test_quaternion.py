@@ -39,7 +39,7 @@ def settings(tmp_path, yaw):
 
 
 @pytest.mark.parametrize("header", SPELLINGS)
-def test_a_quaternion_is_derived_as_its_heading_is(tmp_path, header):
+def test_a_quaternion_gives_the_result_of_its_heading(tmp_path, header):
     sound = derive(write_log(tmp_path / "a.csv", pose_log()), settings(tmp_path, "psi"))
     path = write_log(tmp_path / "b.csv", quaternion_log(header, norm=1.02))
     log = derive(path, settings(tmp_path, SPELLINGS[header]))
@@ -48,7 +48,7 @@ def test_a_quaternion_is_derived_as_its_heading_is(tmp_path, header):
     assert any("computed from the quaternion" in said for said in log.assumptions)
 
 
-def test_a_quaternion_of_no_direction_is_masked_and_counted(tmp_path):
+def test_an_invalid_quaternion_is_masked_and_counted(tmp_path):
     columns = quaternion_log("q{}")
     for name in ("qw", "qx", "qy", "qz"):
         columns[name][700:703] = 0.0
@@ -63,7 +63,7 @@ def test_a_quaternion_of_no_direction_is_masked_and_counted(tmp_path):
     assert len(data.source.masked) > 0 and np.isfinite(data["heading"][700]) == 0
 
 
-def test_the_only_quaternion_is_the_heading_of_a_table(tmp_path):
+def test_the_only_quaternion_of_a_table_gives_the_heading(tmp_path):
     columns = quaternion_log("pose.orientation.{}")
     data = read(write_log(tmp_path / "a.csv", columns), curve=False)
     yaw = np.unwrap(pose_log()["psi"])
@@ -74,7 +74,7 @@ def test_the_only_quaternion_is_the_heading_of_a_table(tmp_path):
     assert np.all(data["heading"] == 0.5)
 
 
-def test_components_of_any_header_are_named_in_their_order(tmp_path):
+def test_quaternion_components_can_be_named_in_order(tmp_path):
     log = quaternion_log("e{}")
     for part, number in zip("wxyz", "0123", strict=True):
         log[f"euler {number}"] = log.pop(f"e{part}")

@@ -70,7 +70,7 @@ def said(data, fragment):
         (TEXT.replace("fz\n", "fz\n\n[-];[N];[N]\n").encode(), "a.csv", "row 3 read as units"),
     ],
 )
-def test_text_of_every_kind_gives_the_same_numbers(tmp_path, content, name, fragment):
+def test_every_text_format_gives_the_same_numbers(tmp_path, content, name, fragment):
     path = write(tmp_path, content, name)
     data = read(path)
     np.testing.assert_array_equal(data["sigma_x"], KAPPA / (1 - KAPPA))
@@ -128,7 +128,7 @@ def test_headers_may_hold_delimiters_and_line_ends(tmp_path, header, delimiter):
         ("kappa_1", None, None), ("vx_cmd_mmps", None, None), ("", None, None),
     ],
 )  # fmt: skip
-def test_headers_are_understood_or_left_alone(header, name, unit):
+def test_headers_are_recognised_or_ignored(header, name, unit):
     guessed = guess(header)
     assert (guessed and tuple(guessed)) == ((name, unit) if name else None)
 
@@ -149,13 +149,13 @@ def test_headers_are_understood_or_left_alone(header, name, unit):
         ("alpha", "arcminute", 60, np.pi / 180), ("pressure", "inHg", 1, 3386.389),
     ],
 )  # fmt: skip
-def test_units_convert_and_back(column, unit, value, si):
+def test_units_convert_in_both_directions(column, unit, value, si):
     found = resolve_unit(unit, column)
     assert found.to_si(value) == pytest.approx(si, rel=1e-6, abs=1e-12)
     assert found.from_si(found.to_si(value)) == pytest.approx(value, rel=1e-12)
 
 
-def test_a_std_has_neither_sign_nor_offset():
+def test_a_std_column_has_neither_sign_nor_offset():
     assert resolve_unit("degF", "temperature_std").to_si(9, True) == pytest.approx(5)
     assert resolve_unit("-kN", "fx_std").to_si(2, True) == 2000
 
@@ -175,7 +175,7 @@ def test_milli_is_not_read_as_mega():
         ("adapted-sae", (-1, 1, -1, 1, 1, 1)),
     ],
 )
-def test_conventions_come_out_canonical(convention, signs):
+def test_every_convention_is_converted_to_the_canonical_one(convention, signs):
     canonical = (KAPPA, KAPPA / 2, FX, FX / 3, np.full(7, 4e3), -FX / 90)
     names = ("kappa", "alpha", "fx", "fy", "fz", "mz")
     frame = {
@@ -188,7 +188,7 @@ def test_conventions_come_out_canonical(convention, signs):
     assert not said(data, "no sign convention")
 
 
-def test_a_flipped_column_mends_mixed_signs():
+def test_flipping_a_column_corrects_mixed_signs():
     frame = {"kappa": KAPPA, "fx": -FX, "fz": np.full(7, 4000.0)}
     with pytest.raises(DataError, match="units={'fx': '-N'}"):
         read_frame(frame)
@@ -202,7 +202,7 @@ def frame_of(name, values, **others):
 
 
 @pytest.mark.parametrize("definition", list(slip.SLIP_DEFINITIONS))
-def test_slip_definitions_and_their_std_become_sigma(definition):
+def test_slip_definitions_and_their_std_are_converted_to_sigma(definition):
     sigma = slip.sigma_from_kappa(KAPPA)
     to_sigma, from_sigma = slip.SLIP_DEFINITIONS[definition]
     own = from_sigma(sigma)
@@ -219,14 +219,14 @@ def test_slip_definitions_and_their_std_become_sigma(definition):
 
 @pytest.mark.parametrize("key", list(slip.SLIP_DEFINITIONS))
 @pytest.mark.parametrize("definition", list(slip.SLIP_DEFINITIONS))
-def test_a_unit_may_name_the_slip_by_any_definition(definition, key):
+def test_a_unit_may_name_any_slip_definition(definition, key):
     plain = read_frame(frame_of(definition, KAPPA))
     percent = read_frame(frame_of(definition, 100 * KAPPA), units={key: "%"})
     np.testing.assert_allclose(percent["sigma_x"], plain["sigma_x"], rtol=1e-12)
 
 
 @pytest.mark.parametrize("n", [1, 3])
-def test_rows_to_predict_need_no_force_and_no_sweep(n):
+def test_prediction_needs_no_force_and_no_sweep(n):
     frame = {"kappa": np.full(n, -5.0), "fz": np.full(n, -4.0), "v": np.full(n, 20.0)}
     units = {"kappa": "%", "fz": "kN", "fx": "-kN", "fx_std": "N"}
     data = read_frame(frame, forces=False, units=units, columns={"fx": "F"}, convention="sae")
@@ -245,18 +245,18 @@ def test_rows_to_predict_need_no_force_and_no_sweep(n):
     assert "no slip" not in "\n".join(map(str, caught.value.problems))
 
 
-def test_forces_that_are_there_are_still_checked():
+def test_given_forces_are_still_checked_for_prediction():
     frame = {"kappa": KAPPA, "fx": -FX, "fz": np.full(7, 4000.0)}
     with pytest.raises(DataError, match="contradict"):
         read_frame(frame, forces=False)
 
 
-def test_a_std_whose_column_is_missing_is_in_si():
+def test_a_std_without_its_column_is_in_si():
     data = read_frame(frame_of("kappa", KAPPA, noise=np.ones(7)), columns={"fy_std": "noise"})
     np.testing.assert_array_equal(data["fy_std"], 1)
 
 
-def test_s_uses_the_slip_angle():
+def test_slip_s_uses_the_slip_angle():
     alpha = np.linspace(-0.2, 0.2, 7)
     data = read_frame(frame_of("s", KAPPA * np.cos(alpha), alpha=alpha))
     np.testing.assert_allclose(data["sigma_x"], slip.sigma_from_kappa(KAPPA))
@@ -272,7 +272,7 @@ def test_locked_and_spinning_wheels_stay_finite():
     assert said(data, "at or below sigma_x = -1")
 
 
-def test_slip_from_wheel_speed_and_a_check_of_it():
+def test_slip_is_computed_from_or_checked_with_the_wheel_speed():
     radius, v = 0.3, 20.0
     omega = v * (1 - KAPPA) / radius
     speeds = {"omega": omega, "v": np.full(7, v), "fx": FX, "fz": np.full(7, 4e3)}
@@ -290,7 +290,7 @@ def test_slip_from_wheel_speed_and_a_check_of_it():
     assert read_frame(speeds, rolling_radius=radius)["sigma_x"][-1] == slip.LOCKED
 
 
-def test_declared_columns_units_and_constants(tmp_path):
+def test_declared_columns_units_and_constants_are_used(tmp_path):
     content = "run;Schlupf;Kraft;Tempo\n" + "".join(
         f"{run};{100 * k};{f / 1000};72\n" for run, k, f in zip("aabbbac", KAPPA, FX, strict=True)
     )
@@ -312,13 +312,13 @@ def test_declared_columns_units_and_constants(tmp_path):
     assert said(data, "fz = 4000 N in all rows")
 
 
-def test_a_std_takes_the_unit_of_its_column():
+def test_a_std_column_has_the_unit_of_its_column():
     data = read_frame({**frame_of("kappa", KAPPA), "fx_std": np.full(7, 0.1)}, units={"fx": "kN"})
     np.testing.assert_allclose(data["fx_std"], 100)
     assert said(data, "'fx_std' read as fx_std in kN (the unit of fx)")
 
 
-def test_tire_test_consortium_files_have_their_units(tmp_path):
+def test_tire_test_consortium_files_have_the_right_units(tmp_path):
     header = ["ET", "V", "SA", "IA", "P", "FY", "FZ"]
     rows = [[0.1 * i, 40, a, 0, 80, -2000 * a, -1000] for i, a in enumerate((-2, 1, 3))]
     content = "\n".join("\t".join(map(str, row)) for row in [header, *rows])
@@ -330,7 +330,7 @@ def test_tire_test_consortium_files_have_their_units(tmp_path):
     assert said(data, "as in Tire Test Consortium files")
 
 
-def test_columns_that_mean_nothing_are_listed(tmp_path):
+def test_unrecognised_columns_are_listed(tmp_path):
     frame = {**frame_of("kappa", KAPPA), "colour": ["red"] * 7, "fy_std": np.ones(7)}
     data = read_frame(frame)
     assert "fy_std" not in data
@@ -338,7 +338,7 @@ def test_columns_that_mean_nothing_are_listed(tmp_path):
     assert said(data, "column 'fy_std' not used: there is no fy")
 
 
-def test_a_data_frame_reads_as_the_file_does(tmp_path):
+def test_a_data_frame_is_read_like_the_file(tmp_path):
     pandas = pytest.importorskip("pandas")
     path = write(tmp_path, TEXT)
     frame = pandas.read_csv(path, sep=";")
@@ -369,7 +369,7 @@ def test_a_header_of_many_columns_is_split(tmp_path):
     np.testing.assert_allclose(data["fx"], FX)
 
 
-def test_a_large_file_is_not_read_a_cell_at_a_time(tmp_path, monkeypatch):
+def test_a_large_file_is_not_read_cell_by_cell(tmp_path, monkeypatch):
     looked_at = []
 
     def counted(cell):

@@ -320,7 +320,7 @@ def write(tmp_path, content):
 
 
 @pytest.mark.parametrize(("content", "options", "expected"), CASES.values(), ids=CASES)
-def test_bad_data_names_place_reason_and_remedy(tmp_path, content, options, expected):
+def test_bad_data_are_refused_with_place_reason_and_remedy(tmp_path, content, options, expected):
     path = write(tmp_path, content)
     with pytest.raises(DataError) as caught:
         read(path, **options)
@@ -354,7 +354,7 @@ def test_unknown_options_are_usage_errors(tmp_path, options, expected):
         assert fragment in "\n".join(map(str, caught.value.problems))
 
 
-def test_a_missing_file_is_named_with_its_neighbour(tmp_path):
+def test_a_missing_file_suggests_a_similar_name(tmp_path):
     write(tmp_path, WELL)
     with pytest.raises(DataError, match="did you mean 'test file.csv'"):
         read(tmp_path / "test_file.csv")
@@ -372,7 +372,7 @@ def test_a_missing_file_is_named_with_its_neighbour(tmp_path):
         assert remedy in caught.value.problems[0].remedy
 
 
-def test_a_file_without_permission_says_so(tmp_path, monkeypatch):
+def test_a_file_without_permission_is_reported(tmp_path, monkeypatch):
     def refuse(*_):
         raise PermissionError(13, "Permission denied")
 
@@ -403,7 +403,7 @@ def test_many_masked_rows_are_grouped(tmp_path):
     assert len(first) == 3 and rest == "400 rows in all"
 
 
-def test_require_names_what_a_model_needs(tmp_path):
+def test_require_lists_what_a_model_needs(tmp_path):
     data = read(write(tmp_path, WELL))
     require(data, ["sigma_x", "fx"], "the brush model")
     with pytest.raises(DataError) as caught:
@@ -428,7 +428,7 @@ def test_frames_of_wrong_shape_are_refused(frame):
         read_frame(frame)
 
 
-def test_a_frame_is_checked_as_a_file_is_counting_from_zero():
+def test_a_frame_is_checked_like_a_file_with_rows_from_zero():
     with pytest.raises(DataError, match="data, row 1, column 'fz'"):
         read_frame({"kappa": [0.1, 0.2, 0.3], "fx": [1, 2, 3], "fz": [9, -1, 9]})
     with pytest.raises(UsageError, match="iso-w"):

@@ -126,7 +126,7 @@ TEXTS = {
 
 
 @pytest.mark.parametrize("name", TEXTS)
-def test_a_large_text_reads_as_a_small_one(name, tmp_path, in_pieces):
+def test_a_large_text_is_read_like_a_small_one(name, tmp_path, in_pieces):
     path = tmp_path / "log.csv"
     path.write_text(TEXTS[name], newline="")
     alone = told(path, mask_bad_rows=True)
@@ -158,7 +158,7 @@ def cells_of(path):
     )
 
 
-def test_damaged_texts_hold_the_same_cells(tmp_path, in_pieces):
+def test_damaged_texts_give_the_same_cells_in_bulk(tmp_path, in_pieces):
     generator = np.random.default_rng(7)
     clean, path = text_of(rows()).encode(), tmp_path / "log.csv"
     marks = b',;\n\r"#. -+e1\tx\x00\xb5'

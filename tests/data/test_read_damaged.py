@@ -80,7 +80,7 @@ def test_damaged_files_are_read_or_refused(tmp_path, kind):
 
 
 @pytest.mark.parametrize("text", ['"', '"Format","AiM CSV File"\n"', '\n\n"'])
-def test_a_quotation_mark_alone_is_not_closed(tmp_path, text):
+def test_an_unclosed_quotation_mark_is_reported(tmp_path, text):
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(DataError, match="quotation mark is not closed"):
         read(tmp_path / "a.csv")

@@ -65,7 +65,7 @@ def test_a_braking_test_in_driving_positive_signs_is_doubted():
 
 
 @pytest.mark.parametrize(("equal", "conventions"), [(1, "adapted-sae;"), (-1, "iso-w;")])
-def test_the_lateral_signs_narrow_the_conventions(equal, conventions):
+def test_lateral_signs_restrict_the_conventions(equal, conventions):
     alpha = np.linspace(-0.1, 0.1, len(KAPPA))
     columns = frame(KAPPA) | {"alpha": alpha, "fy": equal * 3e4 * alpha}
     if equal > 0:
@@ -78,7 +78,7 @@ def test_the_lateral_signs_narrow_the_conventions(equal, conventions):
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_speeds_of_wheel_and_vehicle_decide(noise):
+def test_wheel_and_vehicle_speed_determine_the_sign(noise):
     turning = speeds(KAPPA, noise)
     assert warned(frame(KAPPA, **turning)) == ()
     (text,) = warned(frame(KAPPA, sign=-1, **turning))
@@ -91,7 +91,7 @@ def test_speeds_of_wheel_and_vehicle_decide(noise):
     assert warned(frame(KAPPA, sign=-1, **turning), convention="iso-w") == ()
 
 
-def test_speeds_that_say_nothing_do_not_decide():
+def test_uninformative_speeds_do_not_determine_the_sign():
     columns = frame(KAPPA, omega=RNG.uniform(30, 60, len(KAPPA)), v=np.full(62, 15.0))
     (text,) = warned(columns)
     assert "omega" not in text
@@ -99,7 +99,7 @@ def test_speeds_that_say_nothing_do_not_decide():
     assert len(warned(columns)) == 1
 
 
-def test_a_locked_wheel_at_minus_one_is_evidence():
+def test_a_locked_wheel_at_minus_one_shows_the_convention():
     locked = np.append(KAPPA, [1.0, 1.0])
     (text,) = warned(frame(locked[:-2], sign=-1))
     assert "locks" not in text
@@ -115,12 +115,12 @@ def test_a_locked_wheel_at_minus_one_is_evidence():
 @pytest.mark.parametrize(
     ("header", "source"), [("LONGSLIP", "TYDEX"), ("SR", "Tire Test Consortium")]
 )
-def test_headers_of_driving_positive_files_are_evidence(header, source):
+def test_headers_of_driving_positive_files_show_the_convention(header, source):
     (text,) = warned(frame(KAPPA, sign=-1, header=header))
     assert f"but in {source} files driving is positive" in text
 
 
-def test_a_slip_from_the_speeds_has_no_doubtful_sign():
+def test_a_slip_computed_from_the_speeds_is_not_doubted():
     columns = {"fx": force(KAPPA), "fz": np.full(62, LOAD), **speeds(KAPPA)}
     assert warned(columns, rolling_radius=0.3) == ()
 
@@ -137,7 +137,7 @@ LOGGED_WRONG = {
 
 
 @pytest.mark.parametrize(("logged", "others", "said"), LOGGED_WRONG.values(), ids=LOGGED_WRONG)
-def test_a_slip_against_the_speeds_is_read_and_said(logged, others, said):
+def test_a_slip_that_contradicts_the_speeds_is_reported(logged, others, said):
     kappa = np.linspace(-0.2, 0.3, 60)
     turning = speeds(kappa) | {k: np.full(60, x) for k, x in others.items()}
     columns = frame(kappa, **turning) | {"kappa": logged(kappa)}
@@ -166,7 +166,7 @@ BRAKING = {"convention": "braking"}
 
 
 @pytest.mark.parametrize("last", [0.05, 0.3])
-def test_a_time_that_goes_back_within_a_run_is_told_with_place_and_remedy(tmp_path, last):
+def test_decreasing_time_is_reported_with_place_and_remedy(tmp_path, last):
     time, kappa = [0.0, 0.1, 0.0, 0.2, last, 0.1], np.linspace(0.01, 0.2, 6)
     rows = zip(time, kappa, force(kappa), "aabaab", strict=True)
     path = tmp_path / "a.csv"
@@ -205,7 +205,7 @@ def test_a_time_that_goes_back_within_a_run_is_told_with_place_and_remedy(tmp_pa
         ({"fx": 1e3}, "; check the units of fx and fz"),
     ],
 )
-def test_implausible_forces_get_the_unit_that_would_mend_them(factors, remedy):
+def test_implausible_forces_are_reported_with_a_plausible_unit(factors, remedy):
     columns = frame(KAPPA)
     columns |= {name: columns[name] * factor for name, factor in factors.items()}
     (text,) = warned(columns, **BRAKING)
@@ -215,14 +215,14 @@ def test_implausible_forces_get_the_unit_that_would_mend_them(factors, remedy):
         assert warned(columns, units={name: "kN"}, **BRAKING) == ()
 
 
-def test_a_lateral_force_in_kilonewton_is_seen_beside_a_right_one():
+def test_one_of_two_forces_in_kilonewton_is_found():
     alpha = np.linspace(-0.1, 0.1, len(KAPPA))
     columns = frame(KAPPA) | {"alpha": alpha, "Fy": 30 * alpha}
     (text,) = warned(columns, **BRAKING)
     assert "'Fy' reaches only 0.00075 of the load" in text and "--unit fy=kN" in text
 
 
-def test_a_constant_load_in_kilonewton():
+def test_a_constant_load_in_kilonewton_is_found():
     columns = frame(KAPPA)
     del columns["fz"]
     (text,) = warned(columns, constants={"fz": 4.0}, **BRAKING)
@@ -230,19 +230,19 @@ def test_a_constant_load_in_kilonewton():
 
 
 @pytest.mark.parametrize("largest", [1e-4, 5e-3])
-def test_low_utilisation_is_no_wrong_unit(largest):
+def test_low_utilisation_is_not_reported_as_a_wrong_unit(largest):
     kappa = np.linspace(-largest, largest, 50)
     columns = frame(kappa) | {"fx": 0.4 * force(kappa)}
     assert warned(columns, **BRAKING) == ()
 
 
-def test_a_few_strange_rows_are_no_wrong_unit():
+def test_a_few_outliers_are_not_reported_as_a_wrong_unit():
     columns = frame(np.linspace(-0.2, 0.3, 500))
     columns["fx"][:3] *= 100
     assert warned(columns, **BRAKING) == ()
 
 
-def test_a_side_force_at_no_slip_angle_is_no_wrong_unit():
+def test_a_side_force_at_zero_slip_angle_is_not_reported_as_a_wrong_unit():
     noise = RNG.standard_normal(62)
     columns = frame(KAPPA) | {"alpha": 1e-4 * noise, "fy": noise}
     assert warned(columns, **BRAKING) == ()
@@ -251,7 +251,7 @@ def test_a_side_force_at_no_slip_angle_is_no_wrong_unit():
 # --- where warnings go ----------------------------------------------------------
 
 
-def test_warnings_stand_in_the_inspection_and_in_the_notes():
+def test_warnings_are_in_the_inspection_and_in_the_notes():
     data = read_frame(frame(KAPPA) | {"fx": force(KAPPA) / 1000})
     report = inspect(data)
     assert report.warnings == data.source.warnings and len(report.warnings) == 2
@@ -265,7 +265,7 @@ def test_warnings_stand_in_the_inspection_and_in_the_notes():
     assert quiet.warnings == () and "warnings" not in quiet.summary()
 
 
-def test_joined_files_keep_their_warnings_by_name():
+def test_warnings_of_joined_files_name_the_file():
     one = read_frame(frame(KAPPA), "one", **BRAKING)
     two = read_frame(frame(KAPPA), "two")
     (text,) = join([one, two]).source.warnings
@@ -277,7 +277,7 @@ def test_joined_files_keep_their_warnings_by_name():
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("largest", [0.03, 0.2])
-def test_percent_gets_no_other_remedy(largest, sign):
+def test_slip_in_percent_gets_only_its_remedy(largest, sign):
     sigma = np.linspace(-largest, largest, 41)
     columns = frame(sigma, sign, header="sigma_x")
     columns["sigma_x"] = columns["sigma_x"] * 100
@@ -290,7 +290,7 @@ def test_percent_gets_no_other_remedy(largest, sign):
     np.testing.assert_allclose(mended["sigma_x"], sign * sigma)
 
 
-def test_a_mirrored_slip_gets_no_percent():
+def test_a_mirrored_slip_is_not_reported_as_percent():
     sigma = np.linspace(-0.5, 3, 50)  # hard braking, file driving positive
     columns = {"sigma_x": -sigma, "fx": -force(sigma / (1 + sigma)), "fz": np.full(50, LOAD)}
     with pytest.raises(DataError) as caught:
@@ -299,7 +299,7 @@ def test_a_mirrored_slip_gets_no_percent():
     assert "--convention iso-w" in message and "%" not in message
 
 
-def test_a_force_of_zeros_is_not_read():
+def test_a_force_column_of_zeros_is_ignored():
     columns = frame(KAPPA) | {"alpha": KAPPA / 10, "fy": np.zeros(62)}
     data = read_frame(columns, **BRAKING)
     assert "fy" not in data and "fx" in data
@@ -312,7 +312,7 @@ def test_a_force_of_zeros_is_not_read():
     assert "fy" in read_frame(columns, forces=False, **BRAKING)
 
 
-def test_masked_rows_are_not_told_to_be_masked():
+def test_masked_rows_do_not_suggest_masking():
     columns = frame(KAPPA)
     columns["kappa"][3], columns["fz"][5] = 2.0, -1.0
     with pytest.raises(DataError, match="mask bad rows with mask_bad_rows=True"):

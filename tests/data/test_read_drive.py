@@ -23,7 +23,7 @@ def frame(**changes):
     return {k: np.array(v) for k, v in (LOG | changes).items()}
 
 
-def test_a_log_of_a_vehicle_is_read_in_its_units_and_iso_axes():
+def test_a_vehicle_log_is_converted_to_si_and_iso_axes():
     data = read_frame(frame(), curve=False, convention="sae")
     expected = {
         "yaw_rate": [0, np.pi / 2, -np.pi / 2],
@@ -41,7 +41,7 @@ def test_a_log_of_a_vehicle_is_read_in_its_units_and_iso_axes():
         read_frame(frame())
 
 
-def test_rows_as_they_come_have_the_same_columns(tmp_path):
+def test_streamed_rows_have_the_same_columns(tmp_path):
     text = ",".join(LOG) + "\n0,90,10,0.1,80,0.5,0,1\n"
     (tmp_path / "rows.csv").write_text(text)
     with open(tmp_path / "rows.csv") as rows:
@@ -51,7 +51,7 @@ def test_rows_as_they_come_have_the_same_columns(tmp_path):
     assert {"offset", "omega_fl", "heading"} <= set(reader.columns)
 
 
-def test_x_and_y_are_positions_only_beside_a_heading():
+def test_x_and_y_are_positions_only_with_a_heading():
     columns = frame(sigma_x=[0.01, 0.02, 0.03])
     del columns["heading"]
     assert "y" not in read_frame(columns, curve=False)

@@ -101,7 +101,7 @@ SAVE = {"5": save_5, "7.3": save_73}
 
 @pytest.mark.parametrize("imperial", [False, True])
 @pytest.mark.parametrize("version", SAVE)
-def test_consortium_files_of_matlab_need_no_declaration(tmp_path, version, imperial):
+def test_matlab_files_of_the_consortium_need_no_declaration(tmp_path, version, imperial):
     path = tmp_path / "run.mat"
     SAVE[version](path, consortium(imperial))
     data = read(path)
@@ -114,7 +114,7 @@ def test_consortium_files_of_matlab_need_no_declaration(tmp_path, version, imper
 
 
 @pytest.mark.parametrize("imperial", [False, True])
-def test_without_its_units_the_pressure_tells_the_system(tmp_path, imperial):
+def test_without_units_the_pressure_identifies_the_unit_system(tmp_path, imperial):
     path = tmp_path / "run.mat"
     save_5(path, ttc(truth(), imperial))
     data = read(path)
@@ -145,7 +145,7 @@ PLAIN = {"kappa": KAPPA, "fx": 40000 * KAPPA, "fz": np.full(7, 4000.0)}
         ({"test": PLAIN | {"units": {"kappa": "-", "fx": "N", "fz": "N"}}}, "stated in the file"),
     ],
 )
-def test_columns_of_matlab_are_found(tmp_path, version, variables, fragment):
+def test_columns_of_a_matlab_file_are_found(tmp_path, version, variables, fragment):
     path = tmp_path / "run.mat"
     if version == "7.3" and "data" in variables and "names" in variables:
         variables = variables | {"data": variables["data"].T}
@@ -156,7 +156,7 @@ def test_columns_of_matlab_are_found(tmp_path, version, variables, fragment):
     assert said(data, fragment)
 
 
-def test_what_else_a_matlab_file_holds_is_named(tmp_path):
+def test_other_content_of_a_matlab_file_is_listed(tmp_path):
     others = {
         "sparse": csc_array(np.eye(3)),
         "cells": np.array([[1.0, "a"]], object),
@@ -172,7 +172,7 @@ def test_what_else_a_matlab_file_holds_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("version", SAVE)
-def test_channels_of_a_logger_have_time_value_and_units(tmp_path, version):
+def test_logger_channels_have_time_value_and_units(tmp_path, version):
     time = np.arange(7) / 100
     logged = {
         name: {
@@ -211,7 +211,7 @@ def element(kind, content):
     return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
 
 
-def test_a_table_object_of_version_5_gets_the_way_to_save_it(tmp_path):
+def test_a_table_object_of_version_5_is_refused_with_a_remedy(tmp_path):
     path = tmp_path / "run.mat"
     savemat(path, {"a": np.array([1.0])})
     text, matrix, opaque = 1, 14, 17
@@ -226,7 +226,7 @@ def test_a_table_object_of_version_5_gets_the_way_to_save_it(tmp_path):
     assert "table2struct(T, 'ToScalar', true)" in message
 
 
-def test_a_table_object_of_version_7_3_gets_the_way_to_save_it(tmp_path):
+def test_a_table_object_of_version_7_3_is_refused_with_a_remedy(tmp_path):
     path = tmp_path / "run.mat"
     save_73(path, {"T": np.ones(6)})
     with h5py.File(path, "r+") as file:
@@ -238,7 +238,7 @@ def test_a_table_object_of_version_7_3_gets_the_way_to_save_it(tmp_path):
 
 
 @pytest.mark.parametrize("version", SAVE)
-def test_a_damaged_matlab_file_is_said_to_be_so(tmp_path, version):
+def test_a_damaged_matlab_file_is_reported(tmp_path, version):
     path = tmp_path / "run.mat"
     SAVE[version](path, PLAIN)
     path.write_bytes(path.read_bytes()[:-40])
@@ -298,7 +298,7 @@ def test_parquet_and_arrow_have_typed_columns(tmp_path, save, name):
     assert said(data, "column 'day' in seconds from its first, 2020-01-01")
 
 
-def test_a_missing_value_of_parquet_is_a_row_to_mask(tmp_path):
+def test_a_missing_value_in_parquet_masks_the_row(tmp_path):
     pytest.importorskip("pyarrow")
     columns = {name: list(values) for name, values in PLAIN.items()}
     columns["fx"][2] = None
@@ -308,7 +308,7 @@ def test_a_missing_value_of_parquet_is_a_row_to_mask(tmp_path):
     assert np.flatnonzero(~data.used).tolist() == [2]
 
 
-def test_a_consortium_file_may_be_of_parquet(tmp_path):
+def test_a_consortium_file_may_be_parquet(tmp_path):
     pytest.importorskip("pyarrow")
     save_parquet(tmp_path / "a.parquet", arrow_table(ttc(truth())))
     same(read(tmp_path / "a.parquet"), truth())
@@ -337,7 +337,7 @@ JSON = {
 
 
 @pytest.mark.parametrize(("content", "remedy"), JSON.values(), ids=JSON)
-def test_json_is_named_with_what_reads_it(tmp_path, content, remedy):
+def test_json_is_refused_with_a_remedy(tmp_path, content, remedy):
     (tmp_path / "a.csv").write_text(content, encoding="utf-8")
     with pytest.raises(DataError, match="JSON") as caught:
         read(tmp_path / "a.csv")
@@ -345,7 +345,7 @@ def test_json_is_named_with_what_reads_it(tmp_path, content, remedy):
     assert remedy in problem.remedy
 
 
-def test_a_header_in_brackets_is_no_json(tmp_path):
+def test_a_header_in_brackets_is_not_taken_for_json(tmp_path):
     (tmp_path / "a.csv").write_text("[s],kappa,fx,fz\n0,0.1,1,2\n1,0.2,2,2\n")
     assert read(tmp_path / "a.csv").n == 2
 
@@ -393,7 +393,7 @@ def test_a_file_without_rows_or_cut_short_is_refused(tmp_path, save):
     assert "file cannot be read" in refusal(path)
 
 
-def test_a_workbook_is_refused_where_it_cannot_be_told_what_is_meant(tmp_path):
+def test_an_ambiguous_workbook_is_refused(tmp_path):
     path = tmp_path / "a.xlsx"
     save_excel(path, {"one": SHEET, "two": SHEET})
     assert "several sheets hold columns: 'one', 'two'" in refusal(path)
@@ -407,7 +407,7 @@ def test_a_workbook_is_refused_where_it_cannot_be_told_what_is_meant(tmp_path):
 OLD = Path(__file__).parent / "xls" / "sweep.xls"
 
 
-def test_an_excel_file_of_before_2007_is_read_as_its_twin(tmp_path):
+def test_an_excel_file_from_before_2007_is_read(tmp_path):
     pytest.importorskip("xlrd")
     (tmp_path / "a.csv").write_bytes(OLD.read_bytes())  # by content, not by ending
     old, twin = read(tmp_path / "a.csv"), read(OLD.with_suffix(".csv"))
@@ -443,7 +443,7 @@ PYTHON = {
 
 
 @pytest.mark.parametrize(("save", "load"), PYTHON.values(), ids=PYTHON)
-def test_files_of_python_are_named_with_what_reads_them(tmp_path, save, load):
+def test_python_files_are_refused_with_a_remedy(tmp_path, save, load):
     path = tmp_path / "run.dat"
     save(path)
     message = refusal(path)
@@ -451,7 +451,7 @@ def test_files_of_python_are_named_with_what_reads_them(tmp_path, save, load):
     assert "tirefit.read_frame(columns)" in message
 
 
-def test_what_is_said_of_npz_can_be_done(tmp_path):
+def test_the_remedy_for_npz_works(tmp_path):
     np.savez(tmp_path / "a.npz", **PLAIN)
     same(read_frame(dict(np.load(tmp_path / "a.npz"))), {"fx": PLAIN["fx"]})
 
@@ -474,7 +474,7 @@ def test_any_kind_may_be_gzipped(tmp_path):
         ("xlrd", lambda path: path.write_bytes(OLD.read_bytes())),
     ],
 )
-def test_a_missing_library_is_an_error_with_the_line_that_installs_it(
+def test_a_missing_library_is_reported_with_its_install_command(
     tmp_path, monkeypatch, module, save
 ):
     pytest.importorskip(module)
@@ -493,7 +493,7 @@ def test_a_missing_library_is_an_error_with_the_line_that_installs_it(
         (b"SQLite format 3\x00", "rosbags.highlevel"),
     ],
 )
-def test_logs_need_an_extra_of_their_own(tmp_path, monkeypatch, start, module):
+def test_log_files_need_an_optional_extra(tmp_path, monkeypatch, start, module):
     path = tmp_path / "a.csv"
     path.write_bytes(start + bytes(200))
     monkeypatch.setitem(sys.modules, module, None)
@@ -510,7 +510,7 @@ def test_logs_need_an_extra_of_their_own(tmp_path, monkeypatch, start, module):
         (b"\x89HDF\r\n\x1a\n", "HDF5 file that is not MATLAB's"),
     ],
 )
-def test_files_that_are_known_but_not_read_are_named(tmp_path, start, kind):
+def test_unsupported_known_formats_are_named(tmp_path, start, kind):
     path = tmp_path / "a.csv"
     path.write_bytes(start + bytes(200))
     assert kind in refusal(path)

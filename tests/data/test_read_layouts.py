@@ -34,7 +34,9 @@ def same(data, columns):
 @pytest.mark.parametrize("stated", [True, False])
 @pytest.mark.parametrize("between", ["\t", "   ", " \t "])
 @pytest.mark.parametrize("imperial", [False, True])
-def test_tire_test_consortium_by_the_layout_alone(tmp_path, imperial, between, stated):
+def test_a_tire_test_consortium_file_is_recognised_by_its_layout(
+    tmp_path, imperial, between, stated
+):
     columns = truth()
     frame = ttc(columns, imperial)
     units = IMPERIAL_UNITS if imperial else METRIC_UNITS
@@ -50,14 +52,14 @@ def test_tire_test_consortium_by_the_layout_alone(tmp_path, imperial, between, s
     assert data.source.line[0] == len(lines) + 1
 
 
-def test_a_declaration_outweighs_the_layout():
+def test_a_declaration_overrides_the_layout():
     frame = ttc(truth())
     with pytest.raises(DataError, match="looks like SAE"):
         read_frame(frame, convention="iso-w")
 
 
 @pytest.mark.parametrize(("fy", "convention"), [(1, "adapted-sae"), (-1, "iso-w")])
-def test_a_converted_consortium_file_is_told_by_its_signs(fy, convention):
+def test_signs_show_a_converted_consortium_file(fy, convention):
     columns = truth()
     frame = ttc(columns)
     turned = {"SA": -frame["SA"], "FZ": -frame["FZ"], "FY": fy * frame["FY"]}
@@ -67,7 +69,7 @@ def test_a_converted_consortium_file_is_told_by_its_signs(fy, convention):
     same(data, columns)
 
 
-def test_the_slip_of_a_driving_test_is_the_one_that_is_zero_with_its_force():
+def test_the_slip_of_a_driving_test_is_the_one_that_is_zero_at_zero_force():
     columns = truth()
     kappa = 0.1 * np.sin(np.arange(120) / 9)
     frame = ttc(columns) | {"SL": -kappa, "SR": -kappa + 0.03}
@@ -100,7 +102,7 @@ NUMBERS = [f"{k}   {40000 * k:.1f} 4000.5" for k in KAPPA]
         ["kappa fx fz", *(row.replace(".", ",") for row in NUMBERS)],
     ],
 )
-def test_white_space_parts_columns(tmp_path, lines):
+def test_white_space_separates_columns(tmp_path, lines):
     options = {}
     if "practical" in lines[0]:
         options["columns"] = {"fx": "long. force"}
@@ -127,13 +129,13 @@ def test_a_header_in_a_comment_is_read(tmp_path, between):
         read(path)
 
 
-def test_a_title_of_known_words_is_no_header(tmp_path):
+def test_a_title_with_known_words_is_not_taken_for_a_header(tmp_path):
     lines = ["slip force load", "kappa,fx,fz", *(r.replace(" ", ",") for r in NUMBERS)]
     lines = [line.replace(",,,", ",") for line in lines]
     assert read(written(tmp_path, lines)).n == len(KAPPA)
 
 
-def test_unknown_words_over_numbers_are_columns_to_declare(tmp_path):
+def test_unknown_column_names_must_be_declared(tmp_path):
     path = written(tmp_path, ["Schlupf Kraft Last", *NUMBERS])
     with pytest.raises(DataError, match="columns found: 'Schlupf', 'Kraft', 'Last'"):
         read(path)
@@ -183,7 +185,7 @@ def aim(rows, *, mark=",", quoted=True, numbered=True, comma=False, gap=2):
     ],
     ids=str,
 )
-def test_an_export_of_aim_is_read_as_its_twin(tmp_path, how):
+def test_an_aim_export_is_read(tmp_path, how):
     slip = np.linspace(-5, 20, 50)
     rows = [(k / 20, x, np.tanh(x / 8), 4000, 1.5) for k, x in enumerate(slip)]
     path, twin = tmp_path / "aim.csv", tmp_path / "twin.csv"
@@ -198,7 +200,7 @@ def test_an_export_of_aim_is_read_as_its_twin(tmp_path, how):
     assert said(one, "export of AiM RaceStudio")
 
 
-def test_a_large_export_of_aim_keeps_its_numbers(tmp_path):
+def test_a_large_aim_export_is_read_exactly(tmp_path):
     rows = [(k / 20, 5 * np.sin(k), np.cos(k), 4000, 1.5) for k in range(60_000)]
     path = tmp_path / "aim.csv"
     path.write_text("\n".join(aim(rows)) + "\n")
@@ -207,7 +209,7 @@ def test_a_large_export_of_aim_keeps_its_numbers(tmp_path):
     np.testing.assert_allclose(data["fx"], 1e3 * np.cos(range(60_000)), atol=1e-2)
 
 
-def test_rows_of_a_damaged_export_of_aim_are_named(tmp_path):
+def test_damaged_rows_of_an_aim_export_are_named(tmp_path):
     rows = [(k / 20, k - 5, np.tanh(k / 8), 4000, 1.5) for k in range(30)]
     lines = aim(rows)
     lines[-3] = lines[-3].replace('"4000"', '"#####"')

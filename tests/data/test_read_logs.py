@@ -22,7 +22,7 @@ def said(notes, fragment):
 # --- one clock ----------------------------------------------------------------------
 
 
-def test_signals_are_brought_to_the_clock_of_the_known_ones():
+def test_signals_are_resampled_to_the_time_of_the_known_ones():
     clock = np.linspace(10, 12, 21)
     fine = np.linspace(9, 13, 401)
     early = fine[fine < 11.005]
@@ -77,7 +77,7 @@ def save_mdf(path, groups):
 
 
 @pytest.mark.parametrize("name", ["log.mf4", "log.csv"])
-def test_channels_of_mdf_keep_their_units(tmp_path, name):
+def test_mdf_channels_keep_their_units(tmp_path, name):
     time = np.arange(7) / 100
     save_mdf(
         tmp_path / "made.mf4",
@@ -108,7 +108,7 @@ def test_channels_of_mdf_keep_their_units(tmp_path, name):
 
 # asammdf's destructor fails on a file that it could not open.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_a_damaged_log_of_mdf_is_said_to_be_so_once(tmp_path, capfd):
+def test_a_damaged_mdf_file_is_reported_once(tmp_path, capfd):
     path = tmp_path / "log.mf4"
     save_mdf(path, [(np.arange(9.0), {"fx": (np.arange(9.0), "N")})])
     content = path.read_bytes()
@@ -120,7 +120,7 @@ def test_a_damaged_log_of_mdf_is_said_to_be_so_once(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_log_of_mdf_is_derived_as_its_text_is(tmp_path):
+def test_an_mdf_log_gives_the_result_of_its_text_file(tmp_path):
     columns = pose_log()
     settings = pose_vehicle(tmp_path)
     from_text = derive(write_log(tmp_path / "log.csv", columns), settings)
@@ -183,7 +183,7 @@ yaw = "/car.pose.orientation.yaw"
 
 @pytest.mark.parametrize("stamped", [True, False])
 @pytest.mark.parametrize("storage", ["MCAP", "SQLITE3"])
-def test_a_bag_of_ros_is_derived_as_its_text_is(tmp_path, storage, stamped):
+def test_a_ros_bag_gives_the_result_of_its_text_file(tmp_path, storage, stamped):
     columns = pose_log()
     first = columns["t"][0]
     columns["t"] = columns["t"] - first
@@ -260,7 +260,7 @@ yaw = "/car.turn.orientation"
 """
 
 
-def test_a_message_type_is_read_by_its_definition_in_the_bag(tmp_path):
+def test_a_message_type_is_read_from_its_definition_in_the_bag(tmp_path):
     columns = pose_log()
     save_own(tmp_path / "bag", columns)
     log = derive(tmp_path / "bag", vehicle(tmp_path, CAR + OWN_OF_ROS + KEEP))
@@ -271,7 +271,7 @@ def test_a_message_type_is_read_by_its_definition_in_the_bag(tmp_path):
     assert log.source["epoch"] == pytest.approx(1000 + columns["t"][0])
 
 
-def test_a_topic_of_an_unknown_type_is_left_out_and_named(tmp_path):
+def test_a_topic_of_unknown_type_is_skipped_and_reported(tmp_path):
     save_own(tmp_path / "bag", pose_log(), with_definition=False)
     table = read_table(tmp_path / "bag", [])
     assert "/speed.data" in table.headers and "/car.x" not in table.headers
@@ -280,7 +280,7 @@ def test_a_topic_of_an_unknown_type_is_left_out_and_named(tmp_path):
         derive(tmp_path / "bag", vehicle(tmp_path, CAR + OWN_OF_ROS + KEEP))
 
 
-def test_a_damaged_bag_is_said_to_be_so(tmp_path):
+def test_a_damaged_bag_is_reported(tmp_path):
     pytest.importorskip("rosbags")
     path = tmp_path / "log.mcap"
     path.write_bytes(b"\x89MCAP0\r\n" + bytes(50))

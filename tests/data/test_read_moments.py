@@ -33,16 +33,16 @@ def columns():
         ("mx std", "mx_std", None),
     ],
 )
-def test_headers_of_the_moments(header, name, unit):
+def test_headers_of_the_moments_are_recognised(header, name, unit):
     assert guess(header) == (name, unit)
 
 
 @pytest.mark.parametrize("header", ["mx [uT]", "my [mm]", "Rolling resistance [N]"])
-def test_what_is_no_moment_is_not_read_as_one(header):
+def test_other_columns_are_not_read_as_moments(header):
     assert guess(header) is None
 
 
-def test_moments_turn_with_the_axes_of_the_file():
+def test_moments_follow_the_axes_of_the_file():
     data = read_frame(columns(), convention="iso-w")
     np.testing.assert_allclose(data["mx"], 0.02 * truth()["fy"])
     np.testing.assert_allclose(data["my"], 9.0)
@@ -55,7 +55,7 @@ def test_moments_turn_with_the_axes_of_the_file():
     np.testing.assert_allclose(turned["my"], -data["my"])
 
 
-def test_a_moment_that_is_zero_throughout_was_not_measured():
+def test_a_moment_column_of_zeros_is_ignored():
     data = read_frame(columns() | {"MX [N m]": 0 * truth()["fy"]}, convention="iso-w")
     assert "mx" not in data and "my" in data
     assert any("zero in all rows" in text for text in data.source.assumptions)
@@ -69,7 +69,7 @@ def test_the_tire_test_consortium_has_the_overturning_moment(imperial):
     np.testing.assert_allclose(read_frame(frame)["mx"], -0.02 * known["fy"] * unit)
 
 
-def test_tydex_has_them_in_the_axes_w(tmp_path):
+def test_tydex_moments_are_in_axes_w(tmp_path):
     known = truth()
     for name, there in (("MXW", True), ("MXH", False)):
         text = "\n".join(tydex(known)).replace("MZW", name)

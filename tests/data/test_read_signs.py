@@ -53,7 +53,7 @@ def told(frame, **options):
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
-def test_signs_that_are_declared_as_they_are_are_not_doubted(convention):
+def test_correctly_declared_signs_are_not_doubted(convention):
     frame = in_signs(canonical(), convention)
     data = read_frame(frame, convention=convention)
     assert data.source.warnings == ()
@@ -64,7 +64,7 @@ def test_signs_that_are_declared_as_they_are_are_not_doubted(convention):
 
 @pytest.mark.parametrize("declared", CONVENTIONS)
 @pytest.mark.parametrize("true", CONVENTIONS)
-def test_a_wrong_declaration_is_told_with_the_one_that_fits(true, declared):
+def test_a_wrong_declaration_is_reported_with_the_right_one(true, declared):
     if true == declared:
         return
     message = told(in_signs(canonical(), true), convention=declared)
@@ -76,7 +76,7 @@ def test_a_wrong_declaration_is_told_with_the_one_that_fits(true, declared):
             assert f"--convention {other}" not in message.replace(repr(other), "")
 
 
-def test_camber_tells_a_turned_load():
+def test_camber_shows_a_reversed_load():
     # SAE data whose loads were made positive look like ISO's but for the camber.
     frame = in_signs(canonical(), "sae")
     frame["fz"] = -frame["fz"]
@@ -93,7 +93,7 @@ def test_camber_tells_a_turned_load():
         ("mz", "N m", "the aligning moment reduces a small slip angle"),
     ],
 )
-def test_one_turned_column_gets_the_unit_that_turns_it(column, unit, rule):
+def test_a_reversed_column_is_reported_with_the_unit_that_corrects_it(column, unit, rule):
     frame = in_signs(canonical(), "adapted-sae")
     frame[column] = -frame[column]
     message = told(frame, convention="adapted-sae")
@@ -109,7 +109,7 @@ BRAKES = {
 
 
 @pytest.mark.parametrize("column", BRAKES)
-def test_driving_is_told_from_braking_by_what_the_vehicle_does(column):
+def test_vehicle_signals_distinguish_driving_from_braking(column):
     columns = canonical(omega=0, v=0)
     make, rule = BRAKES[column]
     measured = {column: make(columns)}
@@ -124,7 +124,7 @@ def test_driving_is_told_from_braking_by_what_the_vehicle_does(column):
     assert "these signs fit --convention adapted-sae" in message
 
 
-def test_a_wheel_locks_where_it_is_braked():
+def test_a_locked_wheel_shows_the_sign_of_braking():
     kappa = np.linspace(0, 1, 60)
     frame = {"kappa": kappa, "fx": 4000 * np.tanh(20 * kappa), "fz": np.full(60, 4e3)}
     assert told(frame, convention="braking") == ""
@@ -134,7 +134,7 @@ def test_a_wheel_locks_where_it_is_braked():
 
 
 @pytest.mark.parametrize("bad", [0, 20])
-def test_loads_of_the_other_sign_name_the_convention_that_fits(bad):
+def test_loads_of_the_other_sign_are_reported_with_the_right_convention(bad):
     frame = in_signs(canonical(), "iso-w")
     frame["fz"][:bad] = -1.0  # a rig that unloads the tire
     message = told(frame, convention="sae")
@@ -143,7 +143,7 @@ def test_loads_of_the_other_sign_name_the_convention_that_fits(bad):
     assert "braking" not in message.split("declare the convention")[1]
 
 
-def test_noise_says_nothing_of_signs():
+def test_noise_does_not_determine_signs():
     rng = np.random.default_rng(5)
     columns = {
         "alpha": rng.normal(0, 0.03, 400),

@@ -19,7 +19,7 @@ ROWS = [(0.01 * k, 0.4 * k, 0.5 * k, 4000.0) for k in range(1, 12)]
 
 
 @pytest.mark.parametrize("header", ["fx_sim", "Fx_sim", "sim_fx", "Fx simulated"])
-def test_is_read_in_the_unit_and_sign_of_its_force(tmp_path, header):
+def test_simulated_column_has_unit_and_sign_of_its_force(tmp_path, header):
     # Driving positive: force and slip of braking are negative in the file.
     rows = [(-slip, -fx, -sim, fz) for slip, fx, sim, fz in ROWS]
     path = written(tmp_path, f"kappa,Fx [kN],{header},fz", rows)
@@ -30,26 +30,26 @@ def test_is_read_in_the_unit_and_sign_of_its_force(tmp_path, header):
     np.testing.assert_allclose(back[header], [row[2] for row in rows])
 
 
-def test_has_a_unit_of_its_own_where_it_states_one(tmp_path):
+def test_simulated_column_may_state_its_own_unit(tmp_path):
     path = written(tmp_path, "sigma_x,fx [kN],fx_sim [N],fz", ROWS)
     data = read(path, convention="braking")
     np.testing.assert_allclose(data["fx_sim"], [row[2] for row in ROWS])
 
 
-def test_can_be_declared(tmp_path):
+def test_simulated_column_can_be_declared(tmp_path):
     path = written(tmp_path, "sigma_x,fx,my_simulator,fz", ROWS)
     data = read(path, convention="braking", columns={"fx_sim": "my_simulator"})
     np.testing.assert_allclose(data["fx_sim"], [row[2] for row in ROWS])
 
 
-def test_only_forces_are_simulated(tmp_path):
+def test_only_forces_may_be_simulated(tmp_path):
     path = written(tmp_path, "sigma_x,fx,fz_sim,fz", ROWS)
     assert "fz_sim" not in read(path, convention="braking").columns
     with pytest.raises(UsageError, match="fz_sim"):
         read(path, columns={"fz_sim": "fz_sim"})
 
 
-def test_from_a_frame():
+def test_simulated_column_is_read_from_a_frame():
     columns = dict(zip(("sigma_x", "fx", "fx_sim", "fz"), zip(*ROWS, strict=True), strict=True))
     data = read_frame(columns, convention="braking")
     assert list(data.columns) == ["sigma_x", "fx", "fx_sim", "fz"]

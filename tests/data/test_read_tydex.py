@@ -27,7 +27,7 @@ def same(data, columns):
 
 @pytest.mark.parametrize("per_line", [8, 10, 3])
 @pytest.mark.parametrize("name", ["test.tdx", "test.tyd", "test.csv"])
-def test_a_file_of_tydex_is_read_by_its_content(tmp_path, name, per_line):
+def test_a_tydex_file_is_recognised_by_its_content(tmp_path, name, per_line):
     columns = truth()
     lines = tydex(columns, per_line)
     data = read(written(tmp_path, lines, name))
@@ -52,7 +52,7 @@ def test_a_file_of_tydex_is_read_by_its_content(tmp_path, name, per_line):
     assert "measurement offset of FYW was added before the factor" in warning
 
 
-def test_values_that_touch_are_told_by_their_columns(tmp_path):
+def test_values_without_space_are_split_by_column_width(tmp_path):
     columns = truth()
     lines = tydex(columns)
     start = lines.index("**MEASURDATA") + 1
@@ -65,7 +65,7 @@ def test_values_that_touch_are_told_by_their_columns(tmp_path):
     np.testing.assert_allclose(data["alpha"], columns["alpha"], atol=1e-3 * DEG)
 
 
-def test_values_that_are_not_available_are_rows_that_are_masked(tmp_path):
+def test_unavailable_values_mask_their_rows(tmp_path):
     columns = truth()
     path = written(tmp_path, tydex(columns, 10, {(4, "FYW"), (7, "SLIPANGL")}))
     with pytest.raises(DataError, match="NOTAVAIL: the value is not") as caught:
@@ -76,7 +76,7 @@ def test_values_that_are_not_available_are_rows_that_are_masked(tmp_path):
     same(data.where(data.used), {"fz": columns["fz"]})
 
 
-def test_of_two_axes_the_roads_are_read(tmp_path):
+def test_road_axes_are_preferred(tmp_path):
     lines = tydex(truth(), 10)
     at = next(i for i, line in enumerate(lines) if line.startswith("TYRETEMP"))
     lines[at] = f"{'FZH':<10}{'Vertical force':<30}{'N':<10}{'1':<10}"
@@ -94,7 +94,7 @@ def test_of_two_axes_the_roads_are_read(tmp_path):
         (("deg       0.5", "deg       0  "), ["'SLIPANGL'", "conversion factor", "0"]),
     ],
 )
-def test_errors_name_file_place_and_remedy(tmp_path, change, expected):
+def test_errors_name_file_line_and_remedy(tmp_path, change, expected):
     text = "\n".join(tydex(truth(), 10))
     assert change[0] in text
     with pytest.raises(DataError) as caught:
@@ -103,7 +103,7 @@ def test_errors_name_file_place_and_remedy(tmp_path, change, expected):
         assert fragment in str(caught.value)
 
 
-def test_a_row_of_another_width_is_named(tmp_path):
+def test_a_row_of_another_width_is_reported(tmp_path):
     lines = tydex(truth(), 10)
     lines[-4] = lines[-4][:-20]
     with pytest.raises(DataError) as caught:
@@ -111,7 +111,7 @@ def test_a_row_of_another_width_is_named(tmp_path):
     assert f"row {len(lines) - 3}: 8 values where there are 10" in str(caught.value)
 
 
-def test_the_ending_alone_makes_no_tydex(tmp_path):
+def test_the_file_ending_alone_does_not_make_a_file_tydex(tmp_path):
     path = written(tmp_path, ["kappa,fx,fz", "0.1,400,4000", "0.2,700,4000"])
     assert read(path).n == 2
 
@@ -160,7 +160,7 @@ def stating(tmp_path, *constants, name="test.tdx", seed=3):
         ([("TESTDATE", "Date", "-", "2019/11/12")], None),
     ],
 )
-def test_the_radius_is_that_of_the_constants(tmp_path, lines, radius):
+def test_the_radius_is_read_from_the_constants(tmp_path, lines, radius):
     data = stating(tmp_path, *(constant(*line) for line in lines))
     assert data.source.constants.get("UNLOADED_RADIUS") == (
         None if radius is None else pytest.approx(radius)
@@ -180,7 +180,7 @@ NOMINAL = (
 )
 
 
-def test_a_magic_formula_takes_its_nominal_state_from_the_constants(tmp_path):
+def test_the_nominal_state_of_a_magic_formula_is_read_from_the_constants(tmp_path):
     from tirefit.fitting.config import parse_config
     from tirefit.fitting.mf.fit import nominal_of
     from tirefit.fitting.mf.rows import rows_of_forces
@@ -203,7 +203,7 @@ def test_a_magic_formula_takes_its_nominal_state_from_the_constants(tmp_path):
     assert without.nominal.UNLOADED_RADIUS == 0.3 and "no radius" in " ".join(assumed)
 
 
-def test_constants_go_on_with_what_is_prepared(tmp_path):
+def test_prepared_files_keep_the_constants(tmp_path):
     from tirefit.data.prepare.prepare import prepare
     from tirefit.data.prepare.store import prepared_csv
 
@@ -214,7 +214,7 @@ def test_constants_go_on_with_what_is_prepared(tmp_path):
     assert read(path).source.convention == "braking"
 
 
-def test_constants_of_files_that_differ_are_not_used(tmp_path):
+def test_constants_that_differ_between_files_are_not_used(tmp_path):
     one, two = (
         stating(
             tmp_path,

@@ -22,7 +22,7 @@ def memory():
     system.rm("/rig", recursive=True)
 
 
-def test_an_address_is_read_as_the_file(memory, tmp_path):
+def test_an_address_is_read_like_the_file(memory, tmp_path):
     (tmp_path / "a.csv").write_text(TEXT)
     local, remote = (
         read(place, convention="braking") for place in (tmp_path / "a.csv", "memory://rig/a.csv")
@@ -33,7 +33,7 @@ def test_an_address_is_read_as_the_file(memory, tmp_path):
     assert (remote.columns["fx"] == local.columns["fx"]).all()
 
 
-def test_an_address_of_the_disk_and_a_chain(tmp_path):
+def test_local_and_chained_addresses_are_read(tmp_path):
     import gzip
 
     packed = tmp_path / "a.csv.gz"
@@ -43,13 +43,13 @@ def test_an_address_of_the_disk_and_a_chain(tmp_path):
         assert data.n == 8 and data.name == "a"
 
 
-def test_what_is_not_there_is_said(memory):
+def test_missing_addresses_are_reported(memory):
     with pytest.raises(DataError, match="memory://rig/no.csv: the file does not exist"):
         read("memory://rig/no.csv")
 
 
 @pytest.mark.parametrize("place", ["memory://rig/*.csv", "memory://no/*.csv"])
-def test_patterns_of_addresses(memory, place):
+def test_patterns_of_addresses_are_expanded(memory, place):
     if "no" in place:
         with pytest.raises(DataError, match="no file matches"):
             expanded([file_at(place)])
@@ -58,7 +58,7 @@ def test_patterns_of_addresses(memory, place):
         assert names == ["memory:///rig/a.csv", "memory:///rig/b.csv"]
 
 
-def test_patterns_of_the_disk(tmp_path):
+def test_patterns_of_local_files_are_expanded(tmp_path):
     for name in ("b.csv", "a.csv", "[1].csv"):
         (tmp_path / name).touch()
     files = expanded([tmp_path / "?.csv", tmp_path / "[1].csv"])
@@ -68,14 +68,14 @@ def test_patterns_of_the_disk(tmp_path):
 
 
 @pytest.mark.parametrize("scheme", ["s3", "no"])
-def test_an_address_that_cannot_be_opened_is_an_error_of_the_file(scheme, monkeypatch):
+def test_an_unreadable_address_is_a_data_error(scheme, monkeypatch):
     monkeypatch.setitem(sys.modules, "s3fs", None)
     with pytest.raises(DataError, match=f"{scheme}://rig/a.csv") as error:
         read(f"{scheme}://rig/a.csv")
     assert scheme == "no" or "not installed" in str(error.value)
 
 
-def test_without_fsspec_it_is_said_what_to_install(monkeypatch):
+def test_without_fsspec_the_install_command_is_given(monkeypatch):
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(DataError, match=r"tirefit\[cluster\]"):
         read("memory://rig/a.csv")
@@ -90,10 +90,10 @@ def test_without_fsspec_it_is_said_what_to_install(monkeypatch):
         ("simplecache::s3://bucket/run.csv", "run.csv"),
     ],
 )
-def test_names_of_addresses(text, name):
+def test_addresses_have_the_name_of_their_file(text, name):
     assert isinstance(file_at(text), RemoteFile) and file_at(text).name == name
 
 
 @pytest.mark.parametrize("text", ["run.csv", "C:/x/run.csv", "a:b.csv", "x//y.csv"])
-def test_paths_stay_paths(text):
+def test_paths_are_not_taken_for_addresses(text):
     assert file_at(text) == Path(text) and not isinstance(file_at(text), RemoteFile)

@@ -5,7 +5,7 @@ import numpy as np
 from tirefit.data.run_names import LONGEST, clipped, name_pattern, run_names
 
 
-def test_files_of_one_session_are_told_apart_by_what_differs():
+def test_names_of_a_session_keep_only_what_differs():
     names = [f"drum_2026-03-12_cold_run{i:02d}_brake" for i in range(1, 15)]
     short, pattern = run_names(names)
     assert short == tuple(f"run{i:02d}" for i in range(1, 15))
@@ -13,12 +13,12 @@ def test_files_of_one_session_are_told_apart_by_what_differs():
     assert [pattern.replace("*", own) for own in short] == names
 
 
-def test_a_mere_number_keeps_the_word_before_it():
+def test_a_number_keeps_the_word_before_it():
     names = ["rig-2026-03-12-dry-asphalt", "rig-2026-03-13-dry-asphalt"]
     assert run_names(names) == (("03-12", "03-13"), "rig-2026-*-dry-asphalt")
 
 
-def test_short_names_stay():
+def test_short_names_are_unchanged():
     assert run_names(["first", "second"]) == (("first", "second"), "")
     assert run_names(["a" * 40]) == (("a" * 40,), "")
 
@@ -29,7 +29,7 @@ def test_names_that_share_nothing_are_numbered():
     assert [one[:2] for one in short] == ["1:", "2:"] and pattern == ""
 
 
-def test_names_stay_different_and_short():
+def test_shortened_names_stay_distinct():
     generator = np.random.default_rng(0)
     alphabet = list("ab1_-. [")
 
@@ -52,7 +52,7 @@ def check(names):
         assert [f"{first}{one}{last}" for one in short] == names
 
 
-def test_a_pattern_of_files_or_all_of_them():
+def test_file_names_are_shortened_to_a_pattern():
     assert name_pattern(["a_1.csv", "a_2.csv"]) == "*.csv"
     assert name_pattern(["monday.csv", "tuesday.csv"]) == "*.csv"
     assert name_pattern(["x.csv"]) == "x.csv"
@@ -63,7 +63,7 @@ def test_clipping_keeps_both_ends():
     assert clipped("abcdefghij", 5) == "ab…ij" and clipped("abc", 5) == "abc"
 
 
-def test_bins_are_told_by_the_words_that_differ():
+def test_bins_are_named_by_the_words_that_differ():
     bins = [
         f"{fz} N {gamma} deg {p} kPa {v} m/s"
         for fz in (222, 1112)

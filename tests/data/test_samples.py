@@ -15,7 +15,7 @@ TOPICS = {name: f"/{name}.data" for name in ("alpha", "fy", "fz")}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
-def test_a_sample_is_read_as_the_sweep_that_it_holds(path):
+def test_a_sample_gives_its_sweep(path):
     data = read(path, columns=TOPICS if path.suffix == ".mcap" else None)
     right = truth(80)
     # Text has six digits; a TYDEX file has fewer of a force in kN with an offset.

@@ -37,14 +37,14 @@ def problems(text):
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_written_files_are_the_read_ones(path, tmp_path):
+def test_written_files_equal_the_read_ones(path, tmp_path):
     tir = read_tir(path)
     write_tir(tir, tmp_path / "copy.tir")
     assert (tmp_path / "copy.tir").read_bytes() == path.read_bytes()
     assert len(FILES) == 7
 
 
-def test_values_version_and_side():
+def test_values_version_and_side_are_read():
     tir = read_tir(MF61)
     assert (tir.version, tir.side) == ("6.1", "RIGHT")
     known = {
@@ -85,7 +85,7 @@ IN_OTHER_UNITS = (
 )
 
 
-def test_units_are_converted_in_and_out():
+def test_units_are_converted_on_reading_and_writing():
     """In mm, kN and ms: pressures in kN/mm2 = GPa, speeds as they were."""
     plain = read_tir(MF61)
     tir = parse_tir(changed(MF61, *IN_OTHER_UNITS))
@@ -104,13 +104,13 @@ def test_units_are_converted_in_and_out():
     assert differing[0] == "UNLOADED_RADIUS = 400 $ mm\n"
 
 
-def test_pressures_may_have_a_unit_of_their_own():
+def test_pressures_may_have_a_separate_unit():
     edits = [("^TIME .*", "TIME = 'second'\nPRESSURE = 'bar'")]
     edits += [(f"^{key}.*", f"{key} = 2.6") for key in ("NOMPRES", "INFLPRES")]
     assert parse_tir(changed(MF61, *edits)).numbers["NOMPRES"] == 2.6e5
 
 
-def test_changed_files_keep_all_the_rest():
+def test_a_changed_file_keeps_all_other_lines():
     own = (r"^\[SHAPE\]", "[MY_OWN]\nMY_KEY = 'kept' $why\n[SHAPE]")
     tir = parse_tir(changed(MF52, own))
     assert tir.find("MY_KEY").text == "kept" and "{radial width}" in tir.text
@@ -123,7 +123,7 @@ def test_changed_files_keep_all_the_rest():
         assert before[1] == after[1] and before[0].split("=")[0] == after[0].split("=")[0]
 
 
-def test_new_coefficients_go_to_their_sections():
+def test_new_coefficients_are_written_to_their_sections():
     tir = read_tir(TRUCK)
     new = tir.with_values({"PDX3": -8.5, "LMUX": 0.9, "NOMPRES": 4e5})
     assert new.find("PDX3").section == "LONGITUDINAL_COEFFICIENTS"
@@ -144,7 +144,7 @@ def test_a_side_is_written_as_text(tmp_path):
     assert "'LEFT'" in other.text
 
 
-def test_encodings_and_spellings(tmp_path):
+def test_encodings_and_spellings_are_accepted(tmp_path):
     text = changed(MF61, ("^PDX1 .*", "pdx1=1.25!na\N{LATIN SMALL LETTER I WITH DIAERESIS}ve"))
     for encoding in ("latin-1", "utf-8-sig"):
         (tmp_path / "a.tir").write_text(text, encoding=encoding)
@@ -188,7 +188,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_files_are_refused_by_key_with_a_remedy(name):
+def test_bad_files_are_refused_with_key_and_remedy(name):
     pattern, replacement, reason, remedy = BAD[name]
     text = changed(MF61, (pattern, replacement))
     (problem,) = problems(text)
@@ -198,14 +198,14 @@ def test_bad_files_are_refused_by_key_with_a_remedy(name):
         assert replacement.splitlines()[-1].split(" =")[0] in line
 
 
-def test_speed_is_needed_where_friction_falls_with_it():
+def test_speed_is_needed_if_friction_depends_on_it():
     parse_tir(changed(MF61, ("^LFZO .*", "LFZO = 1\nLMUV = 0.2")))
     edits = [("^LFZO .*", "LFZO = 1\nLMUV = 0.2"), ("^LONGVL .*", "")]
     (problem,) = problems(changed(MF61, *edits))
     assert "LONGVL is missing: LMUV" in problem.reason
 
 
-def test_all_problems_are_said_at_once_in_the_order_of_the_file():
+def test_all_problems_are_reported_in_file_order():
     text = changed(
         MF61,
         ("'newton'", "'stone'"),
@@ -225,7 +225,7 @@ def test_all_problems_are_said_at_once_in_the_order_of_the_file():
     assert "other values have a decimal point" in problem.reason
 
 
-def test_files_that_are_not_there():
+def test_missing_files_are_refused():
     with pytest.raises(DataError, match="none.tir.*cannot read it"):
         read_tir("none.tir")
 
@@ -265,7 +265,7 @@ def test_reduced_file_has_the_slope_and_friction_of_the_brush(tmp_path):
     assert moments.mz == 0
 
 
-def test_a_brush_comes_back_to_the_last_digit():
+def test_a_brush_is_recovered_to_the_last_digit():
     rng = np.random.default_rng(3)
     for _ in range(100):
         cpa2, mu, fz = (np.exp(rng.normal(10, 1)), rng.uniform(0.1, 1.5), rng.uniform(1, 9e3))
@@ -283,7 +283,7 @@ def test_reduced_lateral_stiffness_is_that_of_the_brush_at_every_load():
     np.testing.assert_allclose(force, 2 * CPA2 * 1e-7, rtol=1e-5)
 
 
-def test_no_other_curvature_follows_the_brush_better():
+def test_the_reduced_curvature_is_the_best_fit_to_the_brush():
     kappa = np.linspace(0, 0.999, 500)
     expected = MU * FZ * brush_share(2 * CPA2 / (MU * FZ) * kappa)
 
@@ -318,7 +318,7 @@ def test_reduced_tire_keeps_to_the_friction_circle():
     np.testing.assert_allclose(fy, y * share, rtol=1e-12)
 
 
-def test_reduced_values_are_checked_all():
+def test_all_reduced_values_are_checked():
     with pytest.raises(UsageError, match="(?s)mu = -1.*radius = 0"):
         reduced_tir(CPA2, -1.0, FZ, 0.0)
 

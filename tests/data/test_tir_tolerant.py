@@ -91,7 +91,7 @@ ENCODINGS = ("utf-8", "cp1252", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be")
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_every_published_file_in_every_form_is_the_same_tire(path, tmp_path):
+def test_every_form_of_a_published_file_gives_the_same_tire(path, tmp_path):
     """Alone, and up to four at once in any encoding and line ends."""
     random = np.random.default_rng(2024)
     chosen = [(name,) for name in FORMS]
@@ -115,7 +115,7 @@ FORCE_KEYS = {"fx": "PCX1 PDX1 PKX1", "fy": "PCY1 PDY1 PKY1", "mz": "QBZ1 QCZ1 Q
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_each_force_stands_or_falls_by_itself(path):
+def test_a_missing_key_removes_only_its_force(path):
     for force, keys in FORCE_KEYS.items():
         for key in keys.split():
             for instead in ("", f"{key} = $empty\n"):
@@ -165,7 +165,7 @@ def test_whole_blocks_may_be_missing(lost, given, mode):
         ([], "5.2", "no coefficient of MF 6"),
     ],
 )
-def test_the_version_is_told_by_the_file_or_its_keys(edits, version, because):
+def test_the_version_is_found_from_the_file_or_its_keys(edits, version, because):
     text = re.sub(r"(?m)^(FITTYP|PROPERTY_FILE_FORMAT|PHY3|LGA[XYZ]) .*\n", "", text_of(MF52))
     tir = parse_tir(text.replace("[MODEL]\n", "\n".join(["[MODEL]", *edits, ""])))
     assert tir.version == version
@@ -175,13 +175,13 @@ def test_the_version_is_told_by_the_file_or_its_keys(edits, version, because):
         assert "no FITTYP" in said
 
 
-def test_versions_that_contradict_or_are_not_known_are_refused():
+def test_contradicting_or_unknown_versions_are_refused():
     text = re.sub(r"(?m)^FITTYP.*\n", "PHY3 = 0.1\n", text_of(MF61))
     with pytest.raises(DataError, match="PHY3 belongs to MF 5 and P.*\n.*FITTYP"):
         parse_tir(text)
 
 
-def test_keys_of_another_version_are_reported_once_and_not_used():
+def test_keys_of_another_version_are_reported_once_and_ignored():
     text = re.sub(r"(?m)^FITTYP.*\n", "FITTYP = 6\n", text_of(MF61))
     tir = parse_tir(text)
     (said,) = [note for note in notes_on(tir) if "MF 5.2 has no" in note]
@@ -193,7 +193,7 @@ def test_keys_of_another_version_are_reported_once_and_not_used():
     assert not any("has no" in note for note in notes_on(quiet))
 
 
-def test_other_names_of_keys_and_limits_in_degrees():
+def test_alternative_keys_and_limits_in_degrees_are_read():
     text = text_of(MF52).replace("LFZO ", "LFZ0 ")
     text = re.sub(r"(?m)^(LFZ0 +=).*", r"\1 0.8", text)
     assert parse_tir(text).numbers["LFZO"] == 0.8
@@ -208,7 +208,7 @@ def test_other_names_of_keys_and_limits_in_degrees():
         parse_tir(re.sub(r"(?m)^PKY1 .*", "PKY1 = -0.5", text))
 
 
-def test_a_changed_value_is_written_as_the_file_writes_its_own():
+def test_a_changed_value_keeps_the_number_format_of_the_file():
     """Behind the key or on the line below, with the file's own decimal mark."""
     text = numbers_as(lambda x: x.replace(".", ","))(text_of(MF52), None)
     text = re.sub(r"(?m)^(PDX1 +=)", r"\1\n   ", text)

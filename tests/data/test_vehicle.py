@@ -47,11 +47,11 @@ def documented(section):
         ("`[steering]`", Steering),
     ],
 )
-def test_every_key_is_documented_and_nothing_else(section, kind):
+def test_exactly_the_existing_keys_are_documented(section, kind):
     assert documented(section) == list(kind.model_fields)
 
 
-def test_the_documented_dimensions_and_defaults_are_those_that_hold():
+def test_documented_dimensions_and_defaults_are_right():
     rows = re.findall(r"\| `(\w+)` \| (time|length|angle|speed|angular speed|accel\w+) ", TEXT)
     assert dict(rows) == QUANTITIES
     default = Filter()
@@ -60,7 +60,7 @@ def test_the_documented_dimensions_and_defaults_are_those_that_hold():
         assert re.search(rf"\| `{name}` \| (Hz)? ?\| {value} \|", TEXT)
 
 
-def test_the_example_is_a_vehicle(tmp_path):
+def test_the_documented_example_is_valid(tmp_path):
     example = TEXT.partition("```toml\n")[2].partition("```")[0]
     vehicle = loaded(tmp_path, example)
     assert vehicle.columns.motion == ("v_x", "v_y", "yaw_rate", "a_y")
@@ -91,12 +91,12 @@ def test_keep_has_defaults(tmp_path):
         ("stone", "a_y", None),
     ],
 )
-def test_units_of_a_log_are_those_of_data_files(text, quantity, scale):
+def test_a_log_accepts_the_units_of_data_files(text, quantity, scale):
     unit = unit_of(text, quantity)
     assert unit is None if scale is None else unit.scale == pytest.approx(scale)
 
 
-def test_units_of_the_command_line_go_before_those_of_the_file(tmp_path):
+def test_units_of_the_command_line_override_those_of_the_file(tmp_path):
     text = CAR + RATES + KEEP + '[units]\nv_x = "mph"\na_y = "g"\n'
     vehicle = loaded(tmp_path, text, {"v_x": "km/h"})
     assert vehicle.units == {"v_x": "km/h", "a_y": "g"}
@@ -106,7 +106,7 @@ def test_units_of_the_command_line_go_before_those_of_the_file(tmp_path):
         loaded(tmp_path, "units = 3\n" + CAR + RATES, {"v_x": "km/h"})
 
 
-def test_the_sideslip_of_a_rate_log_has_its_own_offset(tmp_path):
+def test_sideslip_offset_is_added_to_the_measured_sideslip(tmp_path):
     """A sensor of v_x and v_y that is turned to the left by 12 mrad."""
     log = rates_log()
     cos, sin = np.cos(0.012), np.sin(0.012)
@@ -130,7 +130,7 @@ def test_the_sideslip_of_a_rate_log_has_its_own_offset(tmp_path):
         loaded(tmp_path, "sideslip_offset = 0.1\n" + CAR + POSE + KEEP)
 
 
-def test_a_logged_a_x_is_used_and_filtered_like_the_rest(tmp_path):
+def test_a_measured_a_x_is_used_and_filtered(tmp_path):
     log = rates_log()
     time = log["t"]
     true = truth(time)

@@ -139,7 +139,7 @@ def test_a_row_that_alone_knows_a_parameter_is_kept_and_said():
     assert end.solved.problem.n == 400
     (far,) = end.far
     assert (far.row, far.set_aside) == (7, False)
-    assert "the fit rests on it" in far.reason and far.remedy == "make sure of it"
+    assert "the fit depends on it" in far.reason and far.remedy == "check the row"
 
 
 def test_too_many_rows_beyond_are_left_in_and_said():
@@ -149,7 +149,7 @@ def test_too_many_rows_beyond_are_left_in_and_said():
     data = curve(noise=0.0)
     end = settled(replace(data, columns=data.columns | {"fx": data["fx"] + noise}))
     assert end.solved.problem.n == 400
-    assert "too many to be set aside" in end.note
+    assert "too many to exclude" in end.note
 
 
 def test_noisy_slips_and_given_noise_set_the_same_rows_aside():

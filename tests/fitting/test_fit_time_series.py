@@ -148,7 +148,7 @@ def test_time_that_stands_still_names_the_row():
 def test_runs_that_alternate_are_refused():
     run = (np.arange(len(DATA)) // 100) % 2
     data = line_numbers(table(DATA.columns, run=run, runs=DATA.runs))
-    with pytest.raises(DataError, match="'slow' do not stand together") as error:
+    with pytest.raises(DataError, match="'slow' are not contiguous") as error:
         build(data, "brush-relaxation", parse_config(CONFIG))
     assert error.value.problems[0].row == 202
 
@@ -173,7 +173,7 @@ def test_history_with_holes_is_refused():
         "noise.sigma_x:",
     ]
     noisy = table({**DATA.columns, "sigma_x_std": 0.01 + 0 * DATA["v"]})
-    with pytest.raises(UsageError, match="column 'sigma_x_std'.*cannot have noise"):
+    with pytest.raises(UsageError, match="column 'sigma_x_std'.*must have no noise"):
         build(noisy, "brush-relaxation", parse_config({}))
     with pytest.raises(UsageError, match="fit_many"):
         fit_many({"alpha": np.zeros((1, 9)), "fy": np.zeros((1, 9)), "fz": FZ}, "brush-relaxation")

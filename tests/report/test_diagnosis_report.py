@@ -861,7 +861,7 @@ def test_what_is_left_stands_in_figure_and_page():
     assert diagnosis_figure(found).get_figheight() > 1.2 * plain
     page = Page(diagnosis_page(found))
     assert len(page.links) == 5
-    assert any("What the verdict leaves" in one for one in page.alternatives)
+    assert any("Remainder: change of a parameter" in one for one in page.alternatives)
     said = [" ".join(texts_of(panel_pictures(one)["what is left"])) for one in (found, beside)]
     assert "on top of the base fit" in said[0] and "load" in said[1]
     # It is drawn, not written into the document.

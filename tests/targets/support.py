@@ -14,7 +14,7 @@ from tirefit.slip import sigma_from_kappa
 from tirefit.targets.tire import tire_of
 
 LOAD = 4000.0
-MISS = re.compile(r"(F_x of pure|F_y of pure|combined) slip [^;]*largest miss ([\d.]+) %")
+MISS = re.compile(r"(F_x of pure|F_y of pure|combined) slip [^;]*largest error ([\d.]+) %")
 KINDS = {"F_x of pure": "fx", "F_y of pure": "fy", "combined": "both"}
 SLIPS = np.linspace(-0.2, 0.2, 401)
 

@@ -63,12 +63,12 @@ def test_the_file_states_range_miss_errors_and_loss_first(tmp_path):
     text = path.read_text()
     head = text[: text.index("tire:\n  p_cx1")].splitlines()
     assert all(line.startswith("#") for line in head)
-    assert "alpha -0.15 to 0.15 rad, fz 3000 N" in head[1] and "largest miss" in head[1]
+    assert "alpha -0.15 to 0.15 rad, fz 3000 N" in head[1] and "largest error" in head[1]
     assert "at 0.75 and 1.25 times this load" in head[2]
     line = next(one for one in head if "cpa2 = " in one)
     std = fit.least_squares["cpa2"].std
     assert float(line.split("+-")[1].split()[0]) == pytest.approx(std, rel=0.06)
-    for part in ("mz of the tire has no place", "fx was not fitted", "positive when braking"):
+    for part in ("mz of the tire is not included", "fx was not fitted", "positive when braking"):
         assert any(part in line for line in head)
 
 
@@ -79,7 +79,7 @@ def test_a_large_miss_needs_force(tmp_path):
     assert done.exit_code == 2 and not path.exists()
     assert "above 5 %" in done.stderr and "--over" in done.stderr
     done = ran(*given, "--force")
-    assert done.exit_code == 0 and "warning: commonroad misses" in done.stderr
+    assert done.exit_code == 0 and "warning: commonroad differs" in done.stderr
     assert "fz 2000 to 6000 N" in path.read_text()
 
 

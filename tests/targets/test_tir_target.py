@@ -50,7 +50,7 @@ def test_a_file_is_written_again_with_its_forces(version, tmp_path):
     source = TIR / f"MagicFormula{version}_Parameters.tir"
     done = tirefit.export(source, "tir", tmp_path / "t.tir")
     text = done.path.read_text()
-    assert text.startswith("$ written by tirefit export") and "largest miss" not in text
+    assert text.startswith("$ written by tirefit export") and "largest error" not in text
     assert text.endswith(source.read_text())
     assert missed(own_tire(read_tir(done.path)), own_tire(read_tir(source))) == 0
 
@@ -91,7 +91,7 @@ def test_a_brush_is_reduced_and_says_what_is_lost(tmp_path):
     values = brush_of(read_tir(path))
     assert values["mu"] == fit.least_squares["mu"].value
     assert values["cpa2"] == pytest.approx(fit.least_squares["cpa2"].value, rel=1e-12)
-    told = next(note for note in done.notes if "largest miss" in note)
+    told = next(note for note in done.notes if "largest error" in note)
     slip = np.linspace(-0.1, 0.25, 400)
     own, read = (
         np.asarray(forces(tire, TireInputs(slip, 0.0, 4000.0)).fx)
@@ -106,14 +106,14 @@ def test_what_a_tir_cannot_hold_is_refused_and_nothing_is_written(tmp_path):
     for source, asked, words in (
         ("brush", {}, "radius"),
         ("brush", {"wheel": {"radius": 0.3}}, "limit is 5%"),
-        ("magic-formula", {}, "not a magic-formula"),
+        ("magic-formula", {}, "not magic-formula"),
         ("brush", {"model": "mf6"}, "did you mean"),
         ("brush", {"wheel": {"radus": 0.3}}, "did you mean"),
         ("brush", {"convention": "sae"}, "leave it out"),
     ):
         with pytest.raises(UsageError, match=words):
             tirefit.export(source, "tir", path, **asked)
-    with pytest.raises(UsageError, match="no use for it"):
+    with pytest.raises(UsageError, match="does not use it"):
         tirefit.export("brush", "c", tmp_path / "t.h", wheel={"radius": 0.3})
     assert not path.exists()
     tirefit.export("brush", "tir", path, wheel={"radius": 0.3}, force=True)
@@ -149,7 +149,7 @@ def test_a_version_is_converted(tmp_path):
     done = tirefit.export(source, "tir", path, model="mf61")
     read = read_tir(path)
     assert read.version == "6.1" and any("refitted" in note for note in done.notes)
-    told = next(note for note in done.notes if "largest miss" in note)
+    told = next(note for note in done.notes if "largest error" in note)
     assert float(told.split("fx ")[1].split("%")[0]) < 5
 
 

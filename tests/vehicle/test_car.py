@@ -45,7 +45,7 @@ def slopes(time, state, speed, angle):
     ]
 
 
-def test_a_second_ahead_is_that_of_scipy():
+def test_a_predicted_second_agrees_with_scipy():
     time = STEP * np.arange(COUNT)
     v_x, steering = 3.0 + 0.5 * time, 0.5 * np.sin(4 * time)
     start = (-0.9, 1.0, 0.4, 1.0, 2.0)
@@ -79,7 +79,7 @@ def test_steady_cornering_of_linear_tires_is_the_understeer_gradient():
     assert float(end.yaw_rate[-1]) / angle == pytest.approx(steady, rel=1e-6)
 
 
-def test_the_fastest_rate_is_that_of_the_linear_car():
+def test_the_fastest_rate_agrees_with_the_linear_car():
     front, rear, speed = 5.0, 7.0, 1.5
     linear = Car(LinearTire(front), LinearTire(rear), MASS, INERTIA, L_F, L_R, GRAVITY)
     ahead, behind = (load * s for load, s in zip(linear.loads, (front, rear), strict=True))
@@ -92,7 +92,7 @@ def test_the_fastest_rate_is_that_of_the_linear_car():
     assert stiffest(linear, speed) == pytest.approx(np.abs(np.linalg.eigvals(matrix)).max())
 
 
-def test_the_forces_are_those_that_derive_finds():
+def test_the_forces_agree_with_derive():
     v_x, steering, v_y, turn = 3.0, 0.1, -0.2, 1.0
     lateral, yaw = accelerations(car(), v_x, steering, v_y, turn)
     # The formulas of derive, positive to the right.

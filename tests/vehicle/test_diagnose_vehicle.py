@@ -50,20 +50,20 @@ def found(late):
     return tirefit.diagnose_vehicle([log], vehicle, *tires, effects=LIBRARY)
 
 
-def test_a_late_steering_is_named_with_its_size(found):
+def test_a_steering_delay_is_named_with_its_size(found):
     assert found.verdict.effects == ("steering_delay",)
     value, std, unit = found.amplitudes["steering_delay"]
     assert unit == "s" and abs(value - DELAY) < 4 * std + 1e-3
 
 
-def test_the_error_falls_to_the_noise_once_the_effect_is_in(found):
+def test_the_effect_reduces_the_error_to_the_noise(found):
     for channel, noise in found.noise.items():
         before, after = (part[channel] for part in found.miss[1:])
         assert before > 1.5 * noise
         assert after < 1.15 * noise
 
 
-def test_the_tires_come_back_beside_the_effect(found):
+def test_the_tires_are_recovered_with_the_effect(found):
     for axle in ("front", "rear"):
         factor, std, _ = found.parameters[f"{axle}.stiffness"]
         assert abs(factor - 1 / 1.1) < 5 * std
@@ -78,7 +78,7 @@ def test_the_record_prints_draws_and_saves(found, tmp_path):
     assert found.plot().axes
 
 
-def test_a_replay_with_the_effects_comes_to_the_noise(late, found, tmp_path):
+def test_a_replay_with_the_effects_reaches_the_noise(late, found, tmp_path):
     log, vehicle, tires = late
     found.save(tmp_path)
     given = tmp_path / "vehicle_diagnosis.json"
@@ -96,13 +96,13 @@ def test_a_replay_with_the_effects_comes_to_the_noise(late, found, tmp_path):
         tirefit.replay([log], vehicle, *tires, effects=given)
 
 
-def test_nothing_is_named_where_nothing_is_missing(tmp_path):
+def test_no_effect_is_named_if_none_is_missing(tmp_path):
     log, vehicle, tires = logged(tmp_path, "", 0.0, number=6)
     found = tirefit.diagnose_vehicle([log], vehicle, *tires, effects=LIBRARY)
     assert found.verdict.status.value == "none" and not found.verdict.effects
 
 
-def test_command(late, tmp_path):
+def test_the_command_refuses_wrong_use_and_writes_results(late, tmp_path):
     log, vehicle, _ = late
     command = [
         sys.executable, "-m", "tirefit", "diagnose", log, "--vehicle", vehicle,
@@ -115,7 +115,7 @@ def test_command(late, tmp_path):
     assert done.returncode == 2 and "--convention, --rig with --vehicle" in done.stderr
 
 
-def test_an_unknown_effect_and_a_log_without_windows_are_told(late):
+def test_an_unknown_effect_and_a_log_without_windows_are_refused(late):
     log, vehicle, tires = late
     with pytest.raises(UsageError, match="steering_dely"):
         tirefit.diagnose_vehicle([log], vehicle, *tires, without=["steering_dely"])
@@ -126,7 +126,7 @@ def test_an_unknown_effect_and_a_log_without_windows_are_told(late):
 
 
 @pytest.mark.parametrize("effect", CAR_EFFECTS, ids=lambda effect: effect.id)
-def test_an_amplitude_of_zero_changes_nothing_and_another_does(effect):
+def test_only_a_nonzero_amplitude_changes_the_prediction(effect):
     rows = Samples(
         speed=1.1,
         along=0.2,
@@ -174,7 +174,7 @@ def test_the_manual_lists_every_effect():
         assert f"| `{effect.id}` | {effect.means} |" in text, effect.id
 
 
-def test_a_cubic_is_met_exactly():
+def test_a_delayed_cubic_is_exact():
     time = np.arange(9.0)
     curve = np.poly1d([0.3, -1.0, 0.5, 2.0])
     shifted = delayed(jnp.asarray(curve(time)), 0.3)

@@ -105,7 +105,7 @@ def exact_start(result):
     return tirefit.data.vehicle.Filter(cutoff=15.0).settling
 
 
-def test_a_late_steering_is_seen_and_can_be_stated(drive):
+def test_a_steering_delay_is_detected_and_can_be_declared(drive):
     given = [drive / "late.csv"], drive / "vehicle.toml", FRONT, REAR
     as_logged = replay(*given, horizons=(0.5,)).models["tire"].rms()
     stated = replay(*given, horizons=(0.5,), steering_delay=LATE).models["tire"].rms()
@@ -117,7 +117,7 @@ def test_a_late_steering_is_seen_and_can_be_stated(drive):
     assert stated["lateral"][0] < 0.2 * as_logged["lateral"][0]
 
 
-def test_the_band_of_a_fit_holds_what_its_own_car_does(drive):
+def test_the_band_of_a_fit_contains_the_true_motion(drive):
     """Tires fitted to the derived axles of the same log, with their uncertainty."""
     fits = {}
     for axle in ("front", "rear"):
@@ -136,7 +136,7 @@ def test_the_band_of_a_fit_holds_what_its_own_car_does(drive):
     assert all(0 <= share <= 1 for each in found.held.values() for share in each)
 
 
-def test_the_command_writes_numbers_and_picture(drive, tmp_path):
+def test_the_command_writes_numbers_and_figure(drive, tmp_path):
     line = [
         sys.executable, "-m", "tirefit", "replay", str(drive / "exact.csv"),
         "--vehicle", str(drive / "vehicle.toml"), "--front", "brush", "--rear", "brush",
@@ -154,7 +154,7 @@ def test_the_command_writes_numbers_and_picture(drive, tmp_path):
     assert "0.5 s after a start, the predicted car has an rms error of" in page
 
 
-def test_the_true_car_misses_a_noisy_log_by_the_floor(drive, tmp_path):
+def test_the_error_of_the_true_car_is_the_noise_floor(drive, tmp_path):
     log = np.loadtxt(drive / "exact.csv", delimiter=",", skiprows=1)
     generator = np.random.default_rng(5)
     log[:, 1:4] += [2e-3, 2e-3, 4e-3] * generator.standard_normal((len(log), 3))
@@ -182,7 +182,7 @@ def test_the_axle_of_a_tir_file_has_two_tires():
     assert float(found) == pytest.approx(one(alpha) - one(-alpha), rel=1e-9)
 
 
-def test_what_cannot_be_predicted_is_refused(drive, tmp_path):
+def test_wrong_requests_are_refused(drive, tmp_path):
     log, toml = drive / "exact.csv", drive / "vehicle.toml"
     with pytest.raises(UsageError, match="horizons 1, 0.5 do not rise"):
         replay([log], toml, FRONT, REAR, horizons=(1.0, 0.5))
@@ -217,7 +217,7 @@ def test_a_tire_without_a_steady_lateral_force_is_refused(drive):
         replay(*given, FRONT, "brush-relaxation")
 
 
-def test_a_horizon_that_no_stretch_reaches_has_no_number(drive):
+def test_a_horizon_longer_than_every_stretch_gives_no_number(drive):
     log, toml = drive / "exact.csv", drive / "vehicle.toml"
     found = replay([log], toml, FRONT, REAR, horizons=(0.1, 60.0))
     assert found.windows[1] == 0 and found.models["tire"].rms()["heading"][1] is None
@@ -225,7 +225,7 @@ def test_a_horizon_that_no_stretch_reaches_has_no_number(drive):
     json.loads(found.to_json(), parse_constant=pytest.fail)  # no NaN
 
 
-def test_all_that_is_wrong_with_a_replay_is_told_at_once(drive):
+def test_all_problems_of_a_replay_are_reported_at_once(drive):
     toml, missing = drive / "vehicle.toml", drive / "missing.csv"
     with pytest.raises(UsageError, match="(?s)delay of -1 s.*horizons 2, 1 do not"):
         replay([missing], toml, FRONT, REAR, horizons=(2, 1), steering_delay=-1.0)

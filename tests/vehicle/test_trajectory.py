@@ -65,7 +65,7 @@ def found(drive):
     return fit_trajectory([drive / "drive.csv"], drive / "vehicle.toml")
 
 
-def test_the_tires_and_the_steering_come_back(found):
+def test_the_tires_and_the_steering_are_recovered(found):
     assert found.converged and found.windows > 40
     for name, true in TRUE.items():
         one = found.parameters[name]
@@ -79,7 +79,7 @@ def test_the_tires_and_the_steering_come_back(found):
     assert "steering_delay" in text and "NOT IDENTIFIED" not in text
 
 
-def test_what_is_saved_predicts_the_log(found, drive, tmp_path):
+def test_the_saved_fit_predicts_the_log(found, drive, tmp_path):
     names = {path.name for path in found.save(tmp_path)}
     assert names == {"front.json", "rear.json", "vehicle.toml", "trajectory.json"}
     saved = (tmp_path / f"{axle}.json" for axle in ("front", "rear"))
@@ -96,7 +96,7 @@ def test_what_is_saved_predicts_the_log(found, drive, tmp_path):
         assert own < 1.1 * least, name
 
 
-def test_what_is_saved_is_a_fit_for_the_other_commands(found, tmp_path):
+def test_the_saved_fit_is_accepted_by_the_other_commands(found, tmp_path):
     found.save(tmp_path)
     alpha = np.linspace(-0.2, 0.2, 9)
     load = MASS * GRAVITY * L_R / (L_F + L_R)
@@ -110,7 +110,7 @@ def test_what_is_saved_is_a_fit_for_the_other_commands(found, tmp_path):
     assert tire_of(tmp_path / "front.json").spread["mu"] > 0
 
 
-def test_the_intervals_of_a_likelihood_that_is_nearly_normal_agree(found, drive):
+def test_profile_and_covariance_intervals_agree_if_nearly_normal(found, drive):
     for how in ("profile", "importance"):
         other = fit_trajectory([drive / "drive.csv"], drive / "vehicle.toml", intervals=how)
         assert other.intervals == how
@@ -122,7 +122,7 @@ def test_the_intervals_of_a_likelihood_that_is_nearly_normal_agree(found, drive)
             assert other.parameters[name].ci95 != one.ci95
 
 
-def test_a_wrong_inertia_and_centre_of_gravity_are_found_or_said_to_be_open(drive):
+def test_inertia_and_centre_of_gravity_are_found_or_reported_open(drive):
     vehicle = load_vehicle(drive / "vehicle.toml")
     moved = {"l_f": L_F + 0.01, "l_r": L_R - 0.01, "yaw_inertia": 1.3 * INERTIA}
     # The log's point stays where it was: at the true centre of gravity.
@@ -140,7 +140,7 @@ def test_a_wrong_inertia_and_centre_of_gravity_are_found_or_said_to_be_open(driv
     assert "do not determine cg_ahead" in " ".join(found.summary().split())
 
 
-def test_the_command_writes_what_the_others_read(drive, tmp_path):
+def test_the_command_writes_files_that_other_commands_read(drive, tmp_path):
     line = [
         sys.executable, "-m", "tirefit", "fit", f"{drive}/drive.csv", "--out", "out",
         "--vehicle", str(drive / "vehicle.toml"), "--model", "front=brush,rear=brush",
@@ -157,7 +157,7 @@ def test_the_command_writes_what_the_others_read(drive, tmp_path):
     assert bad.returncode == 2 and "without --vehicle" in bad.stderr
 
 
-def test_what_cannot_be_fitted_is_refused(drive):
+def test_wrong_requests_are_refused(drive):
     given = [drive / "drive.csv"], drive / "vehicle.toml"
     with pytest.raises(UsageError, match="the front tire Brush is no fit"):
         fit_trajectory(*given, Brush())

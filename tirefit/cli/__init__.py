@@ -1,6 +1,6 @@
-"""The command line: the only place that prints, exits and switches on 64-bit floats.
+"""The command line: the only package that prints, exits and switches on 64-bit floats.
 
-Nothing heavy is imported until a command runs, so completion and ``--help`` are quick.
+Heavy imports are made by the commands only, so completion and ``--help`` are fast.
 """
 
 import _thread
@@ -14,7 +14,7 @@ from typing import NoReturn
 
 __all__ = ["main"]
 
-_OVER = 0.01  # seconds after which a callback of the garbage collector is over
+_OVER = 0.01  # seconds after which a callback of the garbage collector has ended
 _YOUNG = 500_000
 """New objects after which Python looks for garbage. Imports make 500,000 that stay; at
 Python's own 700, looking through them took 0.3 of the 2.6 s of a fit with figures."""
@@ -29,20 +29,20 @@ def main() -> None:
         raise KeyboardInterrupt
 
     def unheard(what):
-        # Python drops what is raised within a callback of the garbage collector, as JAX
-        # has one: an interrupt that came just then comes once more, when that is over.
+        # Python ignores exceptions within a callback of the garbage collector, which JAX
+        # has, so raise an interrupt that comes then again after its end.
         if issubclass(what.exc_type, KeyboardInterrupt) and came:
             threading.Timer(_OVER, _thread.interrupt_main, [came[-1]]).start()
         else:
             sys.__unraisablehook__(what)
 
-    # Before NumPy is imported. The matrices here are small: a second thread of OpenBLAS
-    # gains nothing, and spins while it waits (on two cores that others used as well, a
-    # diagnosis of 900 rows took 3.6 s of processor time with two, 0.5 s with one).
+    # Set before NumPy is imported. For small matrices a second thread of OpenBLAS is no
+    # gain, and spins while it waits (on two busy cores, a diagnosis of 900 rows took
+    # 3.6 s of processor time with two threads, 0.5 s with one).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it would look for them
     gc.set_threshold(_YOUNG)
-    # A shell that starts a job in the background has it ignore Ctrl-C: leave that be.
+    # A job that a shell starts in the background ignores Ctrl-C: do not change that.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
     signal.signal(signal.SIGTERM, interrupt)
@@ -53,7 +53,7 @@ def main() -> None:
 
         app()
     except OSError as error:
-        # Of what a command could not say, where its own errors are all told.
+        # The command could not print; it handles its own errors otherwise.
         if came:
             _end_interrupted()
         cause = error.strerror or error
@@ -71,5 +71,5 @@ def _end_interrupted() -> NoReturn:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     with suppress(OSError):
-        print("interrupted: files written before are whole", file=sys.stderr)
+        print("interrupted: files written before are complete", file=sys.stderr)
     sys.exit(130)

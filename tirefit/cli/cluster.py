@@ -21,7 +21,7 @@ from tirefit.results import InputProblem, UsageError
 _AHEAD = 2  # tasks at a time for each thread of a worker: one at work and one that waits
 
 _CONNECT, _ABSENT = 30.0, 60.0
-"""Seconds to wait for a scheduler and its first worker, and for lost ones to return."""
+"""Seconds to wait for a scheduler and its first worker, and for lost workers to return."""
 
 _LOCAL = {
     # A worker may die for another reason; two deaths are taken for the task's doing.
@@ -79,13 +79,13 @@ def cluster(jobs: int, scheduler: str | None = None) -> Iterator[Any]:
 
 
 def _closed(client: Any) -> None:
-    with suppress(TimeoutError):  # it is cut off then
+    with suppress(TimeoutError):  # the connection is then cut
         client.close(timeout=5)
 
 
 def _connected(distributed: ModuleType, address: str) -> Any:
     reason = f"no scheduler answers at {address}"
-    remedy = "start one with `dask scheduler`; its first lines say its address"
+    remedy = "start one with `dask scheduler`; it prints its address"
     try:
         client = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:

@@ -82,4 +82,4 @@ def options(
     ] = False,
 ) -> None:
     """Fit tire models to measured slip and force, and find what they miss."""
-    del version  # its callback has printed it
+    del version  # the callback has printed it

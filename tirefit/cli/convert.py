@@ -117,7 +117,7 @@ def convert(
                 "--seed": seed,
             }
             only_of_magic_formula(model, {}, asked)
-            assert file is not None  # else --magic-formula would be given
+            assert file is not None  # as --magic-formula is not given
             of_file = {"signs": signs, "combination": combination}
             found = convert_whole(file, model, float(slips[-1]), chosen, out, of_file)
             raise typer.Exit(found)
@@ -137,7 +137,7 @@ def _write_reduced(brush: dict, mixed: list[str], out: Path) -> None:
     problems = output_problems(out)
     if mixed:
         reason = f"{', '.join(mixed)} with --cpa2, --mu, --fz, --radius"
-        remedy = "convert a Magic Formula, or write the .tir of a brush: one at a time"
+        remedy = "either convert a Magic Formula, or write the .tir of a brush"
         problems.append(InputProblem(reason, remedy))
     missing = [f"--{name}" for name, value in brush.items() if value is None]
     if missing:
@@ -160,14 +160,14 @@ def _write_reduced(brush: dict, mixed: list[str], out: Path) -> None:
         " reads c_p a^2 and mu back exactly"
     )
     loads = [share * given["fz"] for share in _SHARES_OF_NOMINAL]
-    say("MISFIT: no Magic Formula has the curve of a brush; the file's is off by up to")
+    say("MISFIT: no Magic Formula has the curve of a brush; that of the file differs by up to")
     for load, missed in reduced_misfit(tir, loads).items():
         shares = ", ".join(f"{share:.1%} in {name}" for name, share in missed.items())
         say(f"  F_z {load:g} N: {shares} (of mu F_z, pure slip)")
 
 
 def _checked(file, magic_formula, slip_min, slip_max, loads, out):
-    """(coefficients by name or None, slips (n,), loads or None); all that is wrong."""
+    """(coefficients by name or None, slips (n,), loads or None); raises all problems."""
     import numpy as np
 
     problems: list[InputProblem] = []
@@ -202,7 +202,7 @@ def _checked(file, magic_formula, slip_min, slip_max, loads, out):
 
 
 def _listed(option: str, text: str, problems: list[InputProblem]) -> list[float]:
-    """Finite numbers between commas; what is wrong with them goes into ``problems``."""
+    """Finite numbers separated by commas; faults are added to ``problems``."""
     try:
         listed = [float(part) for part in text.split(",")]
         if all(abs(number) < float("inf") for number in listed):
@@ -214,7 +214,7 @@ def _listed(option: str, text: str, problems: list[InputProblem]) -> list[float]
 
 
 def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
-    """The fit of the model to the curve, said, and saved in the folder."""
+    """Fit the model to the curve, print the result and save it in the folder."""
     from tirefit.data.tir import brush_of, read_tir
 
     tir = None if file is None else read_tir(file)
@@ -229,7 +229,7 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
     from tirefit.params import with_values
 
     find_model(model)
-    # A curve has no absurd rows.
+    # A curve has no outliers.
     noise = NoiseConfig(loss="squares")
     settings = FitConfig(model=model, force=[force.value], seed=seed or 0, noise=noise)
     if tir is None:
@@ -248,13 +248,13 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
         if written is not None:
             tire = with_values(MODELS["brush"], written)
             values = ", ".join(f"{key} = {x:g}" for key, x in written.items())
-            name = f"{file}: the .tir of a brush, {values}, whose own curve is taken"
+            name = f"{file}: the .tir of a brush, {values}, whose curve is used"
     said = (
         f"{name}: {force.value} at {len(slips)} slips, {CHANNEL_SLIP[force]} ="
         f" {slips[0]:g} to {slips[-1]:g}, F_z ="
         f" {', '.join(f'{load:g}' for load in loads)} N",
-        "the curve has no noise: the error bars are of the systematic misfit over these"
-        " slips and loads, whose rows count at their effective number",
+        "the curve has no noise: errors are those of the systematic misfit over these"
+        " slips and loads, with the effective number of rows",
     )
     source = Source(path=str(file or ""), assumptions=said)
     data = curve(tire, force, slips, loads, values=coefficients, v=v, source=source)

@@ -1,4 +1,4 @@
-"""``tirefit demo``: the two main commands on measured samples that ship with it."""
+"""``tirefit demo``: run the two main commands on measured samples of the package."""
 
 import shlex
 import shutil
@@ -47,7 +47,7 @@ def demo(
 
 
 def _run(context: typer.Context, *words) -> None:
-    """Print a command, then run it; a command that fails ends the demo."""
+    """Print a command and run it; a command that fails ends the demo."""
     line = [str(word) for word in words]
     say(f"$ tirefit {shlex.join(line)}\n")
     command = context.find_root().command

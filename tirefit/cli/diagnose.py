@@ -1,4 +1,4 @@
-"""``tirefit diagnose``: where a model misses, which effect causes it, how far."""
+"""``tirefit diagnose``: find the effects that a model lacks, and the gap without them."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -68,7 +68,7 @@ class Command(TyperCommand):
 
 
 def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
-    """What a case writes: always, and as figures."""
+    """Files that a case writes: always, and as figures."""
     drawn = [f"{name}.png", f"{name}.html"]
     return [f"{name}.json", f"{name}.rows.csv"], drawn if figures else []
 
@@ -76,7 +76,7 @@ def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
 def _check_replaced(
     out: Path, names: list[str], figures: bool, inputs: list[Path], sharing: Sharing
 ) -> None:
-    """Raises UsageError where results would replace what is read, or is no result."""
+    """Raises UsageError if results would replace an input or a file that is no result."""
     from tirefit.diagnosis.summary.result import SCHEMA
 
     parts = [part for name in names for part in _written(name, figures)]
@@ -126,7 +126,7 @@ def diagnose(
         list[str] | None,
         typer.Option(
             metavar="ID",
-            help="do not look for this effect",
+            help="do not search for this effect",
             autocompletion=completed(*EFFECT_NAMES),
         ),
     ] = None,
@@ -181,7 +181,7 @@ def diagnose(
         known += [path for path in (rig, options.config) if path is not None]
         inputs = [*files, *(holdout or []), *known]
         _check_replaced(out, names, figures, inputs, sharing)
-        # A simulator that is known by its forces is followed by what does it best.
+        # A simulator known by its forces is represented by the best stand-in.
         base = model if sim else plain
         settings = _settings(base, rig, without, how)
         settings["forces"] = forces_named(force)
@@ -195,15 +195,15 @@ def diagnose(
         raise typer.Exit(worst)
 
 
-_PLAIN = "brush"  # the base model where none is asked for
+_PLAIN = "brush"  # the default base model
 
 _INSTEAD = {"model": "--model", "seed": "--seed", "noise": "[noise] in --rig"}
-"""Key or section of fit.toml -> where a diagnosis takes it from."""
+"""Key or section of fit.toml -> the option or file of diagnose that replaces it."""
 
 
 def _warn_of_unused(config, how: dict, asked: dict) -> None:
-    """One warning of the keys that only a fit uses; not of those that say what is
-    ``asked`` for anyway. ``how`` has the keys of ``[data]`` that reading uses."""
+    """Warn once of keys that only a fit uses, except those with the values ``asked`` by
+    options. ``how`` has the keys of ``[data]`` that reading uses."""
     used = {f"data.{key}" for key in how}
     used |= {key for key, value in asked.items() if getattr(config, key) == value}
     unused = [key for key in _keys(config) if key not in used]
@@ -212,12 +212,12 @@ def _warn_of_unused(config, how: dict, asked: dict) -> None:
     sections = dict.fromkeys(key.split(".")[0] for key in unused)
     instead = [f"{k} by {_INSTEAD[k]}" for k in sections if k in _INSTEAD]
     rest = f"; give {', '.join(instead)}" if instead else ""
-    text = f"{', '.join(unused)}: used by `tirefit fit` alone, not by diagnose{rest}"
+    text = f"{', '.join(unused)}: used only by `tirefit fit`, not by diagnose{rest}"
     complain(f"warning: {config.source}: {text}")
 
 
 def _keys(config) -> list[str]:
-    """What a configuration sets: ``force``, ``noise.fx``, ``parameters.mu``."""
+    """Keys that a configuration sets: ``force``, ``noise.fx``, ``parameters.mu``."""
     keys = []
     for name, value in config:
         if name in config.model_fields_set:
@@ -266,7 +266,7 @@ def _simulator(model: str | None, parameter, sim: bool, how: dict, of_tir: dict)
     if sim and (values or (model and _is_file(model))):
         other = "--set" if values else f"--model {model}"
         reason = f"--sim together with {other}"
-        remedy = "with --sim, --model names the form that stands in for the simulator"
+        remedy = "with --sim, --model names the model that represents the simulator"
         problems.append(InputProblem(reason, remedy))
     of_columns = {"side", "combination"} if sim else set(of_tir)
     wrong = [f"--{name}" for name in of_columns if of_tir[name] is not None]
@@ -276,7 +276,7 @@ def _simulator(model: str | None, parameter, sim: bool, how: dict, of_tir: dict)
     UsageError.raise_for(problems)
     if sim:
         return {"sim": True, "signs": of_tir["signs"]}
-    assert model is not None, "the plain one, where no simulator's forces are given"
+    assert model is not None, "it has a default if no simulated forces are given"
     if not values and not _is_file(model):
         return {}
     from tirefit.diagnosis.evidence.simulator import simulator_at
@@ -288,7 +288,7 @@ def _simulator(model: str | None, parameter, sim: bool, how: dict, of_tir: dict)
 
 @dataclass(frozen=True)
 class _Task:
-    """What all files share."""
+    """Settings that all files share."""
 
     out: Path  # folder of the results
     settings: dict  # arguments of ``tirefit.diagnose``
@@ -301,7 +301,7 @@ class _Task:
 
 
 def _all(pieces: list[Piece], task: _Task, sharing: Sharing) -> ExitCode:
-    """Every file; one bad file does not stop the others."""
+    """Diagnose every file; one bad file does not stop the others."""
     if sharing.apart:
         outcomes = fleet("diagnose", pieces, _one, task, sharing, task.out)
         codes = [outcome.code for outcome in outcomes]
@@ -319,7 +319,7 @@ def _one_by_one(pieces: list[Piece], task: _Task) -> list[ExitCode]:
         for number, piece in enumerate(pieces):
             note = f"{number + 1} of {len(pieces)}: {piece.file}"
             progress(number / len(pieces), note)
-            # Of one file alone a fault of the program says where it is.
+            # With one file, show the traceback of a fault of the program.
             alone = len(pieces) == 1
             found = _one(piece, task) if alone else attempted(_one, task, piece)
             codes.append(found[0])
@@ -327,7 +327,7 @@ def _one_by_one(pieces: list[Piece], task: _Task) -> list[ExitCode]:
 
 
 def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
-    """One file, unless it is done before."""
+    """Diagnose one file, unless its result exists."""
     from tirefit.diagnosis.engine import diagnose as study
     from tirefit.diagnosis.summary.result import SCHEMA, record_of_document
 
@@ -356,7 +356,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
 
 
 def _of_before(document: Path) -> "FileRecord | None":
-    """What the table of all results holds of a document; None of a damaged one."""
+    """The record of a document for the table of all results; None if it is damaged."""
     from tirefit.diagnosis.summary.result import record_of_document
 
     try:
@@ -366,8 +366,8 @@ def _of_before(document: Path) -> "FileRecord | None":
 
 
 def _is_whole(path: Path, rows: int) -> bool:
-    """Whether a file is there and not empty, as a full disk or a crash leaves one; a
-    table with a line for each of so many rows below its header."""
+    """Whether a file exists and is complete: not empty, as after a crash or on a full
+    disk; for a table, with as many lines as rows."""
     if not path.is_file() or not path.stat().st_size:
         return False
     if path.suffix != ".csv":
@@ -397,7 +397,7 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
     except (OSError, ValueError, KeyError, TypeError):
         return False
     source, rig, given = table.source, settings["rig"], settings.get("sim")
-    # What stands in for a simulator follows from the data.
+    # The stand-in for a simulator follows from the data.
     model = settings["model"] or there[3]
     base = [model, given and ["columns", "columns", None]]
     if given not in (None, True):
@@ -416,5 +416,5 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
             "forces": settings["forces"],
         },
     ]
-    # As the document has it: tuples are lists there.
+    # Compare as in the document, where tuples are lists.
     return there == json.loads(json.dumps(asked))

@@ -1,4 +1,4 @@
-"""``tirefit diagnose --vehicle``: which effects a car's model lacks."""
+"""``tirefit diagnose --vehicle``: find the effects that the model of a car lacks."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +20,7 @@ TireOption = Annotated[
 
 
 def refuse_tires(front: str | None, rear: str | None) -> None:
-    """Raises UsageError where an axle's tire is given without a vehicle."""
+    """Raises UsageError if the tire of an axle is given without a vehicle."""
     if front or rear:
         reason = "--front or --rear without --vehicle"
         raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))

@@ -1,4 +1,4 @@
-"""``tirefit estimate``: friction while driving, from a log or rows as they come."""
+"""``tirefit estimate``: friction while driving, from a log or a stream of rows."""
 
 import csv
 import sys
@@ -71,7 +71,7 @@ def estimate(
 
 
 def _checked(log, out, follow, setting) -> dict[str, float]:
-    """Settings; raises UsageError with all that is wrong before the work."""
+    """Settings; raises UsageError with all problems before the work."""
     problems: list[InputProblem] = []
     values = numbers("--set", setting, problems)
     if follow and log != "-":
@@ -96,7 +96,7 @@ def _whole(log: Path, names, values, how, out: Path, seed: int) -> None:
     from tirefit.online.estimate import estimate as estimate_log
     from tirefit.report.canvas import save_picture
 
-    # A log is never whole: a row that cannot be used is flagged, not refused.
+    # Logs have gaps: a row that cannot be used is flagged and no error.
     table = read(log, **(how | {"mask_bad_rows": True, "curve": False}))
     warn(table)
     _say_masked(table)
@@ -109,7 +109,7 @@ def _whole(log: Path, names, values, how, out: Path, seed: int) -> None:
 
 
 def _say_masked(table) -> None:
-    """One row of each kind that cannot be used, and how many there are in all."""
+    """Print one unusable row of each kind, and the number of all."""
     first: dict[tuple[str | None, str], InputProblem] = {}
     for problem in table.source.masked:
         if problem.row is not None:
@@ -122,14 +122,14 @@ def _say_masked(table) -> None:
 
 
 def _follow(names, chosen, how) -> None:
-    """Estimates as CSV rows, one for every row that comes, at once."""
+    """Print estimates as CSV, one row at once for every row received."""
     from tirefit.data.stream import RowReader
     from tirefit.online.estimate import Streams
 
     how = {key: value for key, value in how.items() if key != "mask_bad_rows"}
     if sys.stdin is None:
         raise UsageError("standard input is closed", "give rows on it, or a file")
-    # What is not text is in no number: its row is flagged, and the next one is read.
+    # A row with bytes that are no text is flagged, and reading continues.
     sys.stdin.reconfigure(errors="replace")  # type: ignore[union-attr]
     rows = RowReader(sys.stdin, **how)
     for text in rows.assumptions:

@@ -1,4 +1,4 @@
-"""``tirefit export``: a fitted tire as a file of another program."""
+"""``tirefit export``: write a fitted tire as a file of another program."""
 
 import math
 from pathlib import Path
@@ -56,10 +56,10 @@ def export(
 ) -> None:
     """Write a tire as source code or as a file of another program.
 
-    Source code holds the model itself. A simulator with a formula of its own gets its
-    parameters, refitted where the formula does not hold the model, and the largest
-    miss. Each file states the parameters with standard errors, the measured range, and
-    how the tire behaves at rest, at large slip and at twice the largest load.
+    Source code contains the model itself. A simulator with its own formula gets its
+    parameters, refitted if the formula cannot represent the model, and the largest
+    error. Each file states the parameters with standard errors, the measured range, and
+    checks of the tire at rest, at large slip and at twice the largest load.
     """
     with errors_to_exit():
         from tirefit.targets.export import TARGETS, Target, export
@@ -102,7 +102,7 @@ def export(
 
 
 def _ranges(items: list[str] | None, problems: list[InputProblem]):
-    """Ranges of --over; what is wrong with them goes into ``problems``."""
+    """Ranges of --over; faults are added to ``problems``."""
     found: dict[str, tuple[float, float]] = {}
     for name, text in pairs("--over", items).items():
         low, _, high = text.partition(":")

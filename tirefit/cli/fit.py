@@ -1,4 +1,4 @@
-"""``tirefit fit``: from files to directories of results."""
+"""``tirefit fit``: fit files and write folders of results."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -201,7 +201,7 @@ def fit(
         from tirefit.fitting.problem import find_model
 
         find_model(settings.model or "brush")
-        # The page of several fits needs each of them, done before or not.
+        # The page of several fits needs all of them, also those done before.
         apart = sharing.apart and not joint
         keep = resume and (apart or not html or len(files) == 1)
         also = Also(svg, html, full)
@@ -217,7 +217,7 @@ def fit(
 
 
 def _fit_all(groups, directories, task: FitTask) -> ExitCode:
-    """Every group of files; one bad file does not stop the others."""
+    """Fit every group of files; one bad file does not stop the others."""
     codes: list[ExitCode] = []
     records, rows, failed = [], [], {}
     with merged_notes(len(groups) > 1):
@@ -233,7 +233,7 @@ def _fit_all(groups, directories, task: FitTask) -> ExitCode:
                 codes.append(error.exit_code)
                 failed[str(group[0])] = "; ".join(p.reason for p in error.problems)
                 continue
-            except OSError as error:  # its report was said
+            except OSError as error:  # its report was printed
                 if len(groups) == 1 or isinstance(error, BrokenPipeError):
                     raise
                 complain(error_text(error))
@@ -254,7 +254,7 @@ def _fit_all(groups, directories, task: FitTask) -> ExitCode:
 
 
 def _fit_apart(files, directories, task: FitTask, sharing: Sharing, out: Path):
-    """The same by the workers of a cluster; the page of all is that of the fleet."""
+    """Fit by the workers of a cluster, which write a page of the fleet instead."""
     pieces = [Piece(*pair) for pair in zip(files, directories, strict=True)]
     codes, records = [], []
     for outcome in fleet("fit", pieces, _attempt, task, sharing, out):
@@ -273,12 +273,12 @@ def _attempt(piece: Piece, task: FitTask) -> tuple[ExitCode, "FileRecord"]:
 
 
 def _worst(codes: list[ExitCode]) -> ExitCode:
-    """The least but 0: files not written, bad data, convergence, identification."""
+    """The smallest exit code above 0, in the order of severity."""
     return min((code for code in codes if code), default=ExitCode.OK)
 
 
 def _page_of_all(folder: Path, rows, failed: dict[str, str], asked: bool) -> None:
-    """Writes the page over all fits; removes that of an earlier command."""
+    """Write the page of all fits; remove that of an earlier command."""
     from tirefit.fitting.result import SCHEMA
 
     page = folder / PAGE_OF_ALL

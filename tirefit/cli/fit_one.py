@@ -1,4 +1,4 @@
-"""What ``tirefit fit`` does with one file, or with files that are fitted together."""
+"""Fit one file, or files that are fitted together, for ``tirefit fit``."""
 
 import hashlib
 import json
@@ -21,7 +21,7 @@ PAGE, CHAIN = "fit.html", "chain.npz"
 
 
 class Also(NamedTuple):
-    """What is written and printed beside the result and its figures."""
+    """Options on what is written and printed in addition to result and figures."""
 
     svg: bool = False
     html: bool = False
@@ -36,7 +36,7 @@ class FitTask:
     how: dict  # arguments of ``tirefit.read``
     posterior: bool
     resume: bool
-    keep: bool  # fits that are done
+    keep: bool  # skip fits that are done
     also: Also
     strict: bool
 
@@ -53,7 +53,7 @@ class FitTask:
 
 
 def fit_one(files, directory: Path, task: FitTask) -> tuple["FileRecord", "FitResult | None"]:
-    """The record of the fit, and the fit itself where it was not done before."""
+    """The record of the fit, and the fit itself if it was not done before."""
     from tirefit.data.read import read
     from tirefit.data.table import join
     from tirefit.fitting.store import record_of_fit
@@ -71,7 +71,8 @@ def fit_one(files, directory: Path, task: FitTask) -> tuple["FileRecord", "FitRe
 
 
 def _done(directory: Path, asked: str, task: FitTask) -> dict | None:
-    """Content of the ``fit.json`` there, if it answers what is asked, and whole."""
+    """Content of an existing ``fit.json`` for the same data and options, with all its
+    files; else None."""
     from tirefit.door import read_record
     from tirefit.fitting.result import SCHEMA
 
@@ -85,19 +86,19 @@ def _done(directory: Path, asked: str, task: FitTask) -> dict | None:
         content = read_record(directory / "fit.json", SCHEMA, "")
     except TirefitError:
         return None
-    # A chain that can go on is not done.
+    # A chain that can be continued is not done.
     open_ended = {"chain_too_short", "interrupted"} & set(content["outcomes"])
     return None if open_ended or content.get("asked") != asked else content
 
 
 def fit_into(directory, data, settings, posterior=False, resume=False, also=Also(), asked=""):
-    """Fits the data, and leaves the result and its figures in the directory."""
+    """Fit the data, and write the result and its figures into the directory."""
     from tirefit.fitting.estimate import fit as fit_data
 
     with claimed(directory):
         result = fit_data(data, config=settings)
         if posterior:
-            # Whatever becomes of the sampling; a posterior to go on with stays.
+            # Write it before sampling; keep a posterior that will be continued.
             if not (resume and (directory / "fit.json").exists()):
                 _save(result, directory, also)
                 say(_first_words(result, directory))
@@ -106,7 +107,7 @@ def fit_into(directory, data, settings, posterior=False, resume=False, also=Also
             written = _save(replace(result, asked=asked), directory, also)
         except OSError as error:
             if posterior and (directory / CHAIN).exists():
-                error.add_note("--resume goes on from its chain")
+                error.add_note("--resume continues from its chain")
             raise
     # The assumptions of several files are printed once, merged, at the end.
     record = result.data | ({"assumptions": []} if holds_notes() else {})
@@ -116,7 +117,7 @@ def fit_into(directory, data, settings, posterior=False, resume=False, also=Also
 
 
 def _first_words(result, directory: Path) -> str:
-    """The least-squares estimates, which are there before the posterior is sampled."""
+    """A line on the least-squares estimates, printed before the posterior is sampled."""
     from tirefit.report.fit_tables import parameter_rows
 
     rows = parameter_rows(result)[1:]

@@ -1,4 +1,4 @@
-"""``tirefit fit --vehicle``: both axles' tires and unknowns of a car from its logs."""
+"""``tirefit fit --vehicle``: fit the tires and unknown parameters of a car to its logs."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -19,7 +19,7 @@ class Intervals(StrEnum):
 
 
 def models_of(text: str | None) -> dict[str, Any]:
-    """The models in ``front=brush,rear=brush``, or in the name of one of both axles."""
+    """The models in ``front=brush,rear=brush``, or in a single name for both axles."""
     if text is None or "=" not in text:
         return dict.fromkeys(("front", "rear"), text or "brush")
     found = dict(part.strip().partition("=")[::2] for part in text.split(","))
@@ -36,7 +36,7 @@ def fit_vehicle(
 
     Args:
         how: keywords of :func:`~tirefit.vehicle.trajectory.fit_trajectory`; None for
-            its own.
+            its defaults.
     """
     models, out = models_of(model), out or Path(f"{vehicle.stem}.fit")
     check_directories([out])

@@ -1,7 +1,7 @@
-"""Many files of one command, shared by the workers of a cluster, told in their order.
+"""Distribute the files of a command to the workers of a cluster, and report in order.
 
-The workers write the results; what a command says of a file, and its record for the
-table of all results, come back here.
+The workers write the results; they return the output of the command for a file, and its
+record for the table of all results.
 """
 
 import os
@@ -48,29 +48,29 @@ TABLE, PAGE = "results.parquet", "fleet.html"
 
 @dataclass(frozen=True)
 class Sharing:
-    """Who does the work: this process, so many others, or a cluster."""
+    """Where the work is done: in this process, in several others, or on a cluster."""
 
     jobs: int | None
     scheduler: str | None
 
     def __post_init__(self):
         if self.jobs is not None and self.scheduler is not None:
-            remedy = "give one: --jobs starts a cluster of its own on this machine"
-            raise UsageError("--jobs beside --scheduler", remedy)
+            remedy = "give one: --jobs starts a cluster on this machine"
+            raise UsageError("--jobs together with --scheduler", remedy)
 
     @property
     def apart(self) -> bool:
         return self.jobs is not None or self.scheduler is not None
 
     def check(self, out: Path, inputs: Iterable[Path], made: Iterable[Path]) -> None:
-        """Raises UsageError where the table of all results in ``out``, or the page on
-        it, would replace a file that is read or a result of one file (``made``)."""
+        """Raises UsageError if the table of all results in ``out``, or its page, would
+        replace an input or a result of one file (``made``)."""
         if not self.apart:
             return
         ours = [out / TABLE, out / PAGE]
         check_replaced(ours, inputs)
         if both := sorted(set(ours) & set(made)):
-            reason = "it would be the result of one file and that of all"
+            reason = "it would be both the result of one file and that of all"
             remedy = "rename the file, or leave out --jobs and --scheduler"
             raise UsageError(reason, remedy, str(both[0]))
 
@@ -95,15 +95,15 @@ class Outcome(NamedTuple):
 
 
 Attempt = Callable[[Piece, Any], tuple[ExitCode, "FileRecord"]]
-"""What a command does with one file; its second argument all files share."""
+"""Function of a command for one file; the second argument is shared by all files."""
 
 
 def fleet(
     title: str, pieces: Sequence[Piece], attempt: Attempt, task: Any, sharing: Sharing, out: Path
 ) -> Generator[Outcome, None, None]:
-    """Every file by the workers: told, and given on, in the order of the files.
+    """Process every file by the workers; print and yield results in the order of files.
 
-    At the end ``out`` holds the table of all results and a page on it.
+    At the end ``out`` holds the table of all results and its page.
     """
     from tirefit.data.records import records_into
 
@@ -128,7 +128,7 @@ def fleet(
                 table.add(outcome.record)
                 yield outcome
     finally:
-        for number in left:  # after an interrupt: what was at work is half-written
+        for number in left:  # after an interrupt: remove half-written results
             _sweep(pieces[number])
     from tirefit.report.fleet_html import write_fleet_page
 
@@ -137,7 +137,7 @@ def fleet(
 
 
 def _in_order(results, pieces, progress, left) -> Iterator[Outcome]:
-    """Outcomes in the order of the pieces; shows how far it is."""
+    """Outcomes in the order of the pieces; shows the progress."""
     waiting: dict[int, Outcome] = {}
     following, n = 0, len(pieces)
     for number, result in results:
@@ -153,13 +153,13 @@ def _in_order(results, pieces, progress, left) -> Iterator[Outcome]:
 
 
 def _sweep(piece: Piece) -> None:
-    if isinstance(piece.to, Path):  # a folder of this file's own
+    if isinstance(piece.to, Path):  # a folder for this file
         swept(piece.to)
 
 
 def _lost(piece: Piece, ended: Ended) -> Outcome:
-    reason = f"each of {ended.workers} workers that were given this file alone died"
-    remedy = "where memory is short, give fewer --jobs; then --resume"
+    reason = f"each of {ended.workers} workers that ran only this file died"
+    remedy = "if memory is short, give fewer --jobs; then --resume"
     error = DataError(reason, remedy, str(piece.file))
     return _failed(piece, ExitCode.DATA, error_text(error) + "\n")
 
@@ -175,10 +175,10 @@ def _failed(piece: Piece, code: ExitCode, complained: str, **more) -> Outcome:
 
 
 class _Packed(NamedTuple):
-    """What a worker needs beside the file, as bytes: JAX's arrays are of 64 bits only
-    once it has been told."""
+    """The data of a worker in addition to the file, as bytes, as JAX arrays have 64 bits
+    only after JAX has been configured."""
 
-    folder: str  # where the command runs
+    folder: str  # working directory of the command
     version: str  # of the command
     content: bytes  # the attempt with what all files share
 
@@ -190,7 +190,7 @@ def _unpacked(content: bytes) -> tuple[Attempt, Any]:
 
 
 def _apart(packed: _Packed, piece: Piece) -> Outcome:
-    """One file in a worker, which keeps silent; the command's errors end it there."""
+    """Process one file in a worker without output; errors become its outcome."""
     said, complained = Unheard(), Unheard()
     with redirect_stdout(said), redirect_stderr(complained), merged_notes() as held:
         try:
@@ -219,7 +219,7 @@ def _where_the_command_runs(packed: _Packed) -> chdir:
 
 
 def attempted(attempt: Callable, task: Any, piece: Piece) -> tuple[ExitCode, "FileRecord | None"]:
-    """One bad file does not stop the others, nor does a fault of the program."""
+    """Run one file; neither a bad file nor a fault of the program stops the others."""
     try:
         return attempt(piece, task)
     except TirefitError as error:
@@ -229,11 +229,11 @@ def attempted(attempt: Callable, task: Any, piece: Piece) -> tuple[ExitCode, "Fi
         return error.exit_code, None
     except BrokenPipeError:
         raise
-    except OSError as error:  # its report was said
+    except OSError as error:  # its report was printed
         complain(error_text(error))
         return ExitCode.USAGE, None
     except Exception as error:
         reason = f"a fault of the program: {type(error).__name__}: {error}"
-        remedy = "the command on this file alone says where; please report it"
+        remedy = "run the command on this file only to see where; please report it"
         complain(error_text(DataError(reason, remedy, str(piece.file))))
         return ExitCode.DATA, None

@@ -1,4 +1,4 @@
-"""``tirefit fit --model mf52|mf61|mf62``: a whole Magic Formula, to a ``.tir``."""
+"""``tirefit fit --model mf52|mf61|mf62``: fit a whole Magic Formula, write a ``.tir``."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -46,7 +46,7 @@ def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
     problems = []
     if wrong:
         reason = f"{', '.join(wrong)} with --model {model}"
-        remedy = "leave it out: a whole Magic Formula is fitted in stages of its own"
+        remedy = "leave it out: a whole Magic Formula is fitted in fixed stages"
         problems.append(InputProblem(reason, remedy))
     if own and not whole:
         given = ", ".join(f"--{name.replace('_', '-')}" for name in own)
@@ -60,7 +60,7 @@ def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
 def fit_whole(
     files: list[Path], out: Path, settings, how: dict, options: dict, strict: bool, also: Also
 ) -> ExitCode:
-    """Fits all files as runs of one tire; prints and writes the result with figures.
+    """Fit all files as runs of one tire; print and write the result with figures.
 
     ``options`` are arguments of :func:`~tirefit.fitting.mf.fit.fit_magic_formula`.
     """
@@ -87,7 +87,7 @@ def fit_whole(
 
 
 def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path, of_file: dict):
-    """Fits a version of the Magic Formula to the forces of a file of another one."""
+    """Fit a version of the Magic Formula to the forces of a file of another version."""
     from tirefit.data.table import CANONICAL
     from tirefit.data.tir import read_tir
 
@@ -120,7 +120,7 @@ def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -
     from tirefit.report.draw import FIGURE_FILES
     from tirefit.report.mf_draw import MAGIC_FORMULA_FILES, save_pictures
 
-    # Figures and draws of an earlier fit would be taken for this one's.
+    # Figures and draws of an earlier fit would be mistaken for those of this one.
     earlier = ["posterior.nc", *FIGURE_FILES, *MAGIC_FORMULA_FILES]
     earlier += [PAGE] if is_page(out / PAGE, SCHEMA) else []
     with staged(out, earlier, result) as folder:

@@ -1,4 +1,4 @@
-"""Options that commands share, and how mistakes and progress reach the terminal."""
+"""Options that commands share, and the output of errors and progress."""
 
 import errno
 import inspect
@@ -123,9 +123,9 @@ class DataOptions:
 
 
 def takes_data_options(command: Callable) -> Callable:
-    """The command with the fields of :class:`DataOptions` as options of its own.
+    """The command with the fields of :class:`DataOptions` as options.
 
-    They replace its parameter ``options``, which gets them as one object.
+    They replace its parameter ``options``, which receives them as one object.
     """
     names = [field.name for field in fields(DataOptions)]
 
@@ -147,7 +147,7 @@ def takes_data_options(command: Callable) -> Callable:
         if parameter.name != "options"
     ]
     whole = signature.replace(parameters=[*own, *ours])
-    # What inspect.signature looks for first, on any function.
+    # inspect.signature uses this attribute first.
     with_options.__signature__ = whole  # type: ignore[attr-defined]
     return with_options
 
@@ -188,7 +188,7 @@ def pairs(option: str, items: list[str] | None) -> dict[str, str]:
     """NAME=VALUE options.
 
     Raises:
-        UsageError: some are not pairs; all of them.
+        UsageError: options that are not pairs; it lists all of them.
     """
     problems: list[InputProblem] = []
     given = _pairs(option, items, problems)
@@ -197,7 +197,7 @@ def pairs(option: str, items: list[str] | None) -> dict[str, str]:
 
 
 def numbers(option: str, items: list[str] | None, problems: list[InputProblem]) -> dict[str, float]:
-    """Values of NAME=VALUE options; what is wrong with them goes into ``problems``."""
+    """Values of NAME=VALUE options; faults are added to ``problems``."""
     value_of = {}
     for name, value in _pairs(option, items, problems).items():
         try:
@@ -206,14 +206,14 @@ def numbers(option: str, items: list[str] | None, problems: list[InputProblem]) 
         except ValueError:
             usable = False
         if not usable:
-            reason = f"{option} {name}={value}: not a number that can be used"
+            reason = f"{option} {name}={value}: not a valid number"
             remedy = "give a finite value in SI units, with a point for decimals"
             problems.append(InputProblem(reason, remedy))
     return value_of
 
 
 def forces_named(force: list[str] | None) -> list[str] | None:
-    """The forces of ``--force``; None where it is not given.
+    """The forces of ``--force``; None if it is not given.
 
     Raises:
         UsageError: of something that is no force.
@@ -230,10 +230,10 @@ _SOON, _NOW_AND_THEN = 5.0, 10.0
 
 
 def read_options(given: DataOptions, config) -> dict[str, Any]:
-    """Arguments of ``tirefit.read``: the command line's, laid over those of fit.toml.
+    """Arguments of ``tirefit.read``: those of fit.toml, overridden by options.
 
     Raises:
-        UsageError: pairs that are not pairs, or not of numbers; all of them.
+        UsageError: options that are not pairs, or without a number; it lists all.
     """
     problems: list[InputProblem] = []
     named = {
@@ -259,13 +259,13 @@ def read_options(given: DataOptions, config) -> dict[str, Any]:
 
 
 def start_jax() -> None:
-    """64-bit floats, and a compilation cache that outlives the process."""
+    """Switch on 64-bit floats, and a compilation cache for later processes."""
     import jax
 
     from tirefit.compiled import keep_programs_in
 
     jax.config.update("jax_enable_x64", True)
-    # Where its disk is full, programs are compiled again: slower, and no worse.
+    # On a full disk, programs are compiled again, which is only slower.
     told = "Error (reading|writing) persistent compilation cache"
     warnings.filterwarnings("ignore", message=told)
     # JAX declares its options to no type checker.
@@ -279,12 +279,11 @@ def start_jax() -> None:
 
 
 class Unheard(StringIO):
-    """In the place of standard error: what is said now is heard when all is done, so
-    that of progress is not said."""
+    """Replacement of standard error whose text is shown at the end; without progress."""
 
 
 def _cache_folder() -> Path | None:
-    """Where programs are kept between runs; None if nothing can be kept."""
+    """The directory of programs stored between runs; None if there cannot be one."""
     try:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         cache = Path(base) / "tirefit"
@@ -295,10 +294,10 @@ def _cache_folder() -> Path | None:
 
 
 def say(text: str) -> None:
-    """A text on standard output.
+    """Print a text on standard output.
 
     Raises:
-        OSError: naming it: a full disk, where it goes into a file.
+        OSError: it cannot be written, for example to a file on a full disk.
     """
     try:
         typer.echo(_printable(text))
@@ -309,19 +308,19 @@ def say(text: str) -> None:
 
 
 def complain(text: str) -> None:
-    """A text on standard error; where that takes none, the exit code says enough."""
+    """Print a text on standard error; if that fails, the exit code is enough."""
     with suppress(OSError):
         typer.echo(_printable(text), err=True)
 
 
 def _printable(text: str) -> str:
-    """Without characters of a file that would command the terminal."""
+    """Replace characters of a file that would control the terminal."""
     return _COMMANDS.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 @contextmanager
 def errors_to_exit() -> Iterator[None]:
-    """A user's mistake becomes its message and its exit code."""
+    """Print the message of a user's error and exit with its code."""
     try:
         yield
     except TirefitError as error:
@@ -338,7 +337,7 @@ _ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def _unwritten(error: OSError) -> InputProblem:
-    """What could not be written, why, and what is there; reading has its own errors."""
+    """The problem of a file that could not be written, with what it holds now."""
     cause = " ".join((error.strerror or str(error)).split())[:200]
     there = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
     room = "make room" if error.errno in _ROOM else "check that it can be written to"
@@ -348,7 +347,7 @@ def _unwritten(error: OSError) -> InputProblem:
 
 
 def error_text(error: TirefitError | OSError) -> str:
-    """All that is wrong, each with its place and remedy."""
+    """Print all problems, each with its place and remedy."""
     if isinstance(error, OSError):
         return f"error:\n  {_unwritten(error)}"
     count = len(error.problems)
@@ -357,12 +356,12 @@ def error_text(error: TirefitError | OSError) -> str:
 
 
 def has_terminal() -> bool:
-    """Whether someone watches: progress is shown on a terminal only."""
+    """Whether standard error is a terminal, on which progress is shown."""
     return sys.stderr.isatty()
 
 
 class _Clock:
-    """How long it will take, from how long its share took."""
+    """The remaining time, from the time and the share done."""
 
     def __init__(self):
         self.begun = self.told = time.monotonic()
@@ -376,7 +375,7 @@ class _Clock:
         return f", about {amount:.2g} {unit} left"
 
     def is_time(self) -> bool:
-        """Whether to say something where there is no bar: soon, then now and then."""
+        """Whether to print a line if there is no bar: soon, then from time to time."""
         if time.monotonic() - self.told < self.silence:
             return False
         self.told, self.silence = time.monotonic(), _NOW_AND_THEN
@@ -385,7 +384,7 @@ class _Clock:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Any]:
-    """A bar on the terminal; a line now and then where there is none."""
+    """Show a bar on a terminal, else print a line from time to time."""
     if isinstance(sys.stderr, Unheard):
         yield lambda share, note: None
         return
@@ -398,7 +397,7 @@ def progress_bar(title: str) -> Iterator[Any]:
 
         yield tell
         return
-    # Slow to import, and for a terminal alone.
+    # Slow to import, and used only on a terminal.
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 

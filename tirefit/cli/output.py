@@ -1,4 +1,4 @@
-"""Directories of results: one process at a time, and all of a result or none of it."""
+"""Write folders of results: by one process at a time, each result completely or not."""
 
 import errno
 import json
@@ -16,9 +16,9 @@ from tirefit.results import InputProblem, UsageError
 
 
 def check_directories(directories: Sequence[Path]) -> None:
-    """Raises UsageError for those that cannot be made or written to; before the work.
+    """Raises UsageError for folders that cannot be created or written, before the work.
 
-    They are made later, with the folders above them.
+    They are created later, with their parent folders.
     """
     problems = []
     for directory in directories:
@@ -35,25 +35,25 @@ def check_directories(directories: Sequence[Path]) -> None:
 
 
 def check_distinct(names: Sequence[str], remedy: str) -> None:
-    """Raises UsageError where files have one name, and so would their results."""
+    """Raises UsageError if files have the same name, and so would their results."""
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise UsageError(f"several input files are named {', '.join(twice)}", remedy)
 
 
 def check_replaced(made: Iterable[Path], inputs: Iterable[Path], schema: str = "") -> None:
-    """Raises UsageError for results that would replace a file that is read, or a JSON
-    file that is no earlier result; before the work.
+    """Raises UsageError for results that would replace an input, or a JSON file that is no
+    earlier result; before the work.
 
     Args:
-        schema: what every earlier result says of itself; empty files may be replaced.
+        schema: of every earlier result; empty files may be replaced.
     """
     problems, inputs = [], [path for path in inputs if _is(path)]
     for path in filter(_is, made):
         if any(path.samefile(given) for given in inputs):
             reason = "it is an input file, which would be replaced"
         elif schema and path.suffix == ".json" and _is_of_others(path, schema):
-            reason = f"it would be replaced, and is no earlier result ({schema})"
+            reason = f"it would be replaced, but is no earlier result ({schema})"
         else:
             continue
         remedy = "choose another folder with --out"
@@ -62,7 +62,7 @@ def check_replaced(made: Iterable[Path], inputs: Iterable[Path], schema: str = "
 
 
 def _is_of_others(path: Path, schema: str) -> bool:
-    """Whether this is somebody's JSON: what cannot be read may be a spoiled result."""
+    """Whether this is another JSON file; an unreadable one may be a damaged result."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -75,23 +75,23 @@ def _is_of_others(path: Path, schema: str) -> bool:
 def _is(path: Path) -> bool:
     try:
         return path.exists()
-    except OSError:  # no permission to look
+    except OSError:  # no permission to read it
         return False
 
 
 @contextmanager
 def claimed(directory: Path) -> Iterator[None]:
-    """Makes the directory and keeps other processes out of it until the block ends.
+    """Context manager: create the directory and lock it for other processes.
 
-    What was made is removed again if nothing came into it.
+    A created directory is removed at the end if it is empty.
 
     Raises:
         UsageError: another process has claimed it.
     """
     made = [path for path in (directory, *directory.parents) if not path.exists()]
     directory.mkdir(parents=True, exist_ok=True)
-    # A lock on the directory itself ends with the process, however that ends, and
-    # leaves no file behind.
+    # A lock on the directory itself ends with the process in any case, and leaves no
+    # file.
     handle = None if fcntl is None else os.open(directory, os.O_RDONLY)
     try:
         if handle is not None and not took_lock(handle):
@@ -117,26 +117,26 @@ def _remove_what_a_kill_left(directory: Path) -> None:
 
 
 _WRITING = ".writing"
-"""How the folder begins that a result is written to, before it is whole."""
+"""Beginning of the name of the folder to which a result is written until complete."""
 
 
 @contextmanager
 def staged(
     directory: Path, known: Collection[str], report: object, apart: str = ""
 ) -> Iterator[Path]:
-    """A folder to write a result to; its files move to ``directory`` at the end.
+    """Context manager: a folder for a result, whose files move to ``directory`` at the end.
 
-    If the block fails or is interrupted, ``directory`` holds what it held before.
+    If the block fails or is interrupted, ``directory`` is not changed.
 
     Args:
         directory: claimed by this process, or by the one that shares its work.
-        known: files of an earlier result: those that are not written again are
-            removed, as they would be taken for this one's.
+        known: files of an earlier result; those that are not written again are removed,
+            as they would be mistaken for files of this one.
         report: the result in words. Where it cannot be written, it is said at least.
-        apart: end of the folder's name, where processes write at the same time.
+        apart: end of the name of the folder, if processes write at the same time.
 
     Raises:
-        OSError: naming the file that was not written; a note says what is there.
+        OSError: naming the file that was not written; a note tells what exists.
     """
     folder = directory / f"{_WRITING}{apart}"
     shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed
@@ -153,8 +153,8 @@ def staged(
 
 
 def swept(directory: Path) -> None:
-    """Removes what a process that was killed left half-written, and the directory where
-    nothing else is in it; not where another one is at work."""
+    """Remove half-written results of a killed process, and the directory if it is then
+    empty; but not if another process works in it."""
     if directory.is_dir():
         with suppress(UsageError), claimed(directory):
             pass
@@ -163,8 +163,7 @@ def swept(directory: Path) -> None:
 
 
 def is_page(path: Path, schema: str) -> bool:
-    """Whether an earlier command wrote this page: a file of the same name may be the
-    user's own, as beside the data."""
+    """Whether an earlier command wrote this page, and not the user."""
     try:
         return schema in path.read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -172,7 +171,7 @@ def is_page(path: Path, schema: str) -> bool:
 
 
 def _move(folder: Path, directory: Path, known: Collection[str]) -> None:
-    """The files of the folder into the directory, and those that it lacks out of it."""
+    """Move the files of the folder to the directory, and remove known ones it lacks."""
     made = list(folder.iterdir())
     for path in made:
         target = directory / path.name
@@ -181,13 +180,13 @@ def _move(folder: Path, directory: Path, known: Collection[str]) -> None:
     for name in known:
         if not (folder / name).exists():
             (directory / name).unlink(missing_ok=True)
-    # The document last: where it stands, what is beside it is its own.
+    # The document is moved last, so that the other files belong to it.
     for path in sorted(made, key=lambda path: path.suffix == ".json"):
         os.replace(path, directory / path.name)
 
 
 def _of(directory: Path, folder: Path, error: OSError) -> OSError:
-    """The error with the name of the directory or its file, not a temporary one."""
+    """The error with the name of the directory or its file instead of a temporary one."""
     path = Path(error.filename or folder)
     if path.is_relative_to(folder):
         path = directory / path.relative_to(folder)
@@ -208,7 +207,7 @@ def _of(directory: Path, folder: Path, error: OSError) -> OSError:
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Delay Ctrl-C and requests to end to the end of the block, between files."""
+    """Context manager: delay Ctrl-C and termination requests to the end of the block."""
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread is interrupted
         return

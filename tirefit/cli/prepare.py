@@ -1,4 +1,4 @@
-"""``tirefit prepare``: from a rig's recording to data that a fit can use."""
+"""``tirefit prepare``: convert recordings of a rig to data for a fit."""
 
 import hashlib
 from dataclasses import dataclass, replace
@@ -130,10 +130,10 @@ def _settings(base, changes: dict[str, Any]):
 
 
 def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]):
-    """Files, reading options and settings of a record; nothing may contradict it."""
+    """Files, reading options and settings of a record; no option may contradict it."""
     if changes or options != DataOptions():
         reason = "--repeat with other settings"
-        raise UsageError(reason, "give the files alone, or no --repeat")
+        raise UsageError(reason, "give only the files, or no --repeat")
     from tirefit.data.prepare.settings import PrepareConfig
     from tirefit.data.prepare.store import SCHEMA
     from tirefit.door import read_record
@@ -145,19 +145,19 @@ def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]
         return files, content["read"], config
     file = Path(content["input"]["path"])
     if not file.is_file():
-        reason = f"{file}, which it was made from, is not there"
+        reason = f"{file}, from which it was made, does not exist"
         remedy = "name the file: tirefit prepare FILE --repeat ..."
         raise DataError(reason, remedy, str(record))
     if hashlib.sha256(file.read_bytes()).hexdigest() != content["input"]["sha256"]:
-        reason = f"{file} is not what it was made from: its sha256 differs"
-        remedy = f"to prepare it all the same: tirefit prepare {file} --repeat {record}"
+        reason = f"{file} is not the file from which it was made: its sha256 differs"
+        remedy = f"to prepare it anyway: tirefit prepare {file} --repeat {record}"
         raise DataError(reason, remedy, str(record))
     return [file], content["read"], config
 
 
 @dataclass(frozen=True)
 class _Task:
-    """What all files share: results' folder, ``tirefit.read`` arguments, settings."""
+    """Settings that all files share: result folder, ``tirefit.read`` arguments, steps."""
 
     out: Path
     how: dict[str, Any]
@@ -165,7 +165,7 @@ class _Task:
 
 
 def _all(pieces: list[Piece], task: _Task) -> ExitCode:
-    """Every file; one that cannot be prepared does not stop the others."""
+    """Prepare every file; one that fails does not stop the others."""
     worst = ExitCode.OK
     for piece in pieces:
         try:
@@ -184,7 +184,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     from tirefit.report.canvas import save_picture
 
     (file, name), out, how = piece, task.out, task.how
-    # A recording is never whole: rows that cannot be used are cut out.
+    # Recordings have bad rows, which are cut out.
     data = read(file, **(how | {"mask_bad_rows": True, "curve": False}))
     warn(data)
     prepared = replace(prepare_data(data, task.config), read=how)
@@ -198,7 +198,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
 
 
 def _record(prepared, file: str, result: str) -> "FileRecord":
-    """What the table of all results holds of a recording."""
+    """The record of a recording for the table of all results."""
     from tirefit.data.records import FileRecord, Row
 
     counts = {"rows": prepared.kept.sum(), "segments": len(prepared.segments)}

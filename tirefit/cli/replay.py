@@ -1,4 +1,4 @@
-"""``tirefit replay``: measured logs, predicted from measured states."""
+"""``tirefit replay``: predict measured logs from measured states."""
 
 from pathlib import Path
 from typing import Annotated
@@ -40,7 +40,7 @@ def replay(
         Path | None,
         typer.Option(
             metavar="VEHICLE_DIAGNOSIS.json",
-            help="predict with the effects that tirefit diagnose --vehicle named, too",
+            help="also predict with the effects that tirefit diagnose --vehicle named",
         ),
     ] = None,
     steering_delay: Annotated[
@@ -57,8 +57,8 @@ def replay(
     """Predict measured drives of a car from its tires; report the error over time.
 
     The car starts every quarter of a second from the measured state and is predicted
-    for up to five seconds, with the speed and the steering as measured. Beside it stand
-    the same car on linear tires, and a car without slip.
+    for up to five seconds, with the speed and the steering as measured. The same car on
+    linear tires, and a car without slip, are predicted for comparison.
     """
     with errors_to_exit():
         if not logs:

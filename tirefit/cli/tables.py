@@ -169,7 +169,7 @@ def predict(
         bool,
         typer.Option(
             "--starred-angles",
-            help="FILE.tir: use tan(alpha) and sin(gamma) in place of the angles",
+            help="FILE.tir: use tan(alpha) and sin(gamma) instead of the angles",
         ),
     ] = False,
     side: SideOption = None,
@@ -215,7 +215,7 @@ def predict(
 
 
 def _write(out, table, forces, source, beside: bool) -> None:
-    """Write the forces in the file's own convention and print what was written.
+    """Write the forces in the convention of the file and list the written columns.
 
     The first line of a table for `diagnose --sim` states the convention.
     """
@@ -263,7 +263,7 @@ def _predict_tir(source, data, out, how, parameter, of_file: dict, beside) -> No
 
 
 def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
-    """Values of ``--set``; raises UsageError with all that is wrong before the work."""
+    """Values of ``--set``; raises UsageError with all problems before the work."""
     from tirefit.data.write import output_problems
 
     problems = output_problems(out, inputs=[data, source], ending=".csv")
@@ -275,7 +275,7 @@ def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
 
 
 def _values_text(name: str, values: dict[str, float]) -> str:
-    """Every parameter value of a named model, so that defaults are seen."""
+    """Every parameter value of a named model, including defaults."""
     from tirefit.models import MODELS
     from tirefit.params import parameter_values
 

@@ -2,7 +2,7 @@
 
 The value y_i of a file has the standard deviation s_i; in addition, files scatter by
 tau. The line over time is fitted with Huber's weights; tau is such that half of the
-files lie within 0.6745 sqrt(s_i^2 + tau^2). A few outlying files change neither.
+files are within 0.6745 sqrt(s_i^2 + tau^2). A few outlying files change neither.
 """
 
 from typing import NamedTuple
@@ -22,7 +22,7 @@ _ERROR = 0.01
 _ROUNDS = 30
 
 _LEAST_SCALE = 1e-12
-"""Scale of a file over the largest below which it says nothing more of a slope."""
+"""Smallest scale of a file over the largest one; a smaller one does not improve a slope."""
 
 
 class AcrossFiles(NamedTuple):
@@ -42,8 +42,8 @@ def across_files(value, std, when) -> AcrossFiles:
 
     Args:
         value: (n,) finite, n at least 1.
-        std: (n,) each file's own standard deviation, not negative.
-        when: (n,) time or place of the files, any unit.
+        std: (n,) standard deviation of each file, not negative.
+        when: (n,) time or number of the files, any unit.
     """
     value, std, when = (np.asarray(one, float) for one in (value, std, when))
     span = float(np.ptp(when))
@@ -81,7 +81,7 @@ def across_files(value, std, when) -> AcrossFiles:
 
 
 def _scatter(residual: np.ndarray, std: np.ndarray) -> float:
-    """tau where the median of |r_i| / sqrt(s_i^2 + tau^2) is that of a Gaussian."""
+    """tau at which the median of |r_i| / sqrt(s_i^2 + tau^2) is that of a Gaussian."""
 
     def is_too_small(tau: float) -> bool:
         scale = np.hypot(std, tau)

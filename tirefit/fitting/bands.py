@@ -14,7 +14,7 @@ from tirefit.padding import pad_rows, padded_size
 from tirefit.params import unconstrain
 
 _DRAWS = 400
-_ROOM = 8192  # rows that 400 evaluations of which take as long as compiling a program
+_ROOM = 8192  # rows for which 400 evaluations take as long as compiling a program
 
 
 class Band(NamedTuple):
@@ -28,11 +28,11 @@ class Band(NamedTuple):
 
 
 def _elsewhere(problem: FitProblem, inputs: TireInputs, run) -> list[FitProblem]:
-    """The problem at inputs (m,) of its own, the slip there exact, in blocks of as many
-    rows as it has: a figure waits for no program that the fit has not compiled, but
-    where many rows would take longer than that program.
+    """The problem at other inputs (m,), with exact slip, in blocks of as many rows as it
+    has, so that a figure uses the programs that the fit has compiled, unless many rows
+    would take longer than compiling.
 
-    A transient tire takes them as one series.
+    For a transient tire they are one series.
     """
     room, count = len(problem.rows.weight), len(run)
     room = min(room, padded_size(count, _ROOM))
@@ -54,18 +54,18 @@ def _force_at(blocks: list[FitProblem], channel: str, z) -> np.ndarray:
 
 
 def fitted_force(result: FitResult, channel: str, inputs: TireInputs, run):
-    """One force (m,) of a fit at inputs of its own.
+    """One force (m,) of a fit at other inputs.
 
     Args:
-        channel: one that was fitted.
-        inputs: (m,) each; ``run`` (m,) the run that each belongs to.
+        channel: a fitted force.
+        inputs: (m,) each; ``run`` (m,): the run of each.
     """
     blocks = _elsewhere(result.problem, inputs, run)
     return _force_at(blocks, channel, result.z)[: len(run)]
 
 
 def _z_draws(result: FitResult) -> np.ndarray:
-    """Some posterior draws in the unconstrained space, (at most 400, p)."""
+    """At most 400 posterior draws in the unconstrained space, (n, p)."""
     flat = np.asarray(result.chains).reshape(-1, len(result.labels))
     flat = flat[np.linspace(0, len(flat) - 1, min(_DRAWS, len(flat))).astype(int)]
     columns = [
@@ -119,11 +119,11 @@ def _slip_part(result: FitResult, channel: str, inputs: TireInputs, run, force):
 
 
 def force_band(result: FitResult, channel: str, inputs: TireInputs, run, noise: np.ndarray) -> Band:
-    """The fitted curve at inputs of its own, with its bands.
+    """The fitted curve at other inputs, with its bands.
 
     Args:
-        inputs: (m,) each; ``run`` (m,) the run that each belongs to.
-        noise: (m,) standard deviation of a measured force, without the slip's.
+        inputs: (m,) each; ``run`` (m,): the run of each.
+        noise: (m,) standard deviation of a measured force, without slip noise.
     """
     force, low, high = _curve_band(result, channel, inputs, run)
     std = np.hypot(noise, _slip_part(result, channel, inputs, run, force))

@@ -70,8 +70,8 @@ def fit_many(
         batch: data sets solved side by side.
 
     Returns:
-        Estimates, with standard deviations from the covariance at the noise that the
-        residuals show (independent, equal).
+        Estimates, with standard deviations from the covariance at the noise of the
+        residuals (assumed independent and equal).
 
     Raises:
         UsageError: unknown model, or a transient one; or 32-bit floats in use.

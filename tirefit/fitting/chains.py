@@ -1,10 +1,10 @@
 """An unfinished chain: its samples, the state to continue from, and its file.
 
-The file is our own and not emcee's HDF backend, which was tried: that opens its file at
-every step, 3.1 ms of processor time against 0.18 ms of the step itself (64 walkers, two
-parameters), so that a default run would wait longer for it than for the model. It holds
-one ensemble per group, no identity of the fit and no NUTS. Ours replaces the whole file
-every few seconds: a kill loses the samples since, which are drawn again bit by bit.
+emcee's HDF backend was tried and is not used: it opens its file at every step, with 3.1
+ms of processor time against 0.18 ms of the step itself (64 walkers, two parameters). It
+also holds one ensemble per group, no identity of the fit and no NUTS. This file is
+replaced as a whole every few seconds: a kill loses the samples since then, which are
+drawn again identically.
 """
 
 import io
@@ -30,11 +30,11 @@ class Chain(NamedTuple):
     samples: np.ndarray  # (ensembles, steps, walkers, p)
     log_density: np.ndarray  # (ensembles, steps, walkers)
     accepted: float
-    state: dict[str, np.ndarray]  # the sampler's own record of arrays
+    state: dict[str, np.ndarray]  # arrays of the sampler
 
 
 def identity_of(result: FitResult, sampler: str, seed: int, shape) -> str:
-    """Text that two chains share only if one can continue the other."""
+    """A text that is equal for two chains only if one can continue the other."""
     parts = (
         result.model,
         result.data["sha256"],
@@ -66,7 +66,7 @@ def save_chain(path: Path, chain: Chain, identity: str) -> None:
 
 
 class Keeper:
-    """Keeps a chain in its file while it is drawn: every few seconds, and at the end.
+    """Stores a chain in its file while it is drawn: every few seconds, and at the end.
 
     A full disk does not stop the sampling: ``fault`` holds the last error.
     """
@@ -93,17 +93,17 @@ class Keeper:
 
 
 def load_chain(path: Path, identity: str) -> Chain | None:
-    """The chain in a file; None where there is no file.
+    """The chain in a file; None if there is no file.
 
     Raises:
-        UsageError: not a chain, changed since it was kept, or one of another identity.
+        UsageError: not a chain, a wrong checksum, or the chain of another fit.
     """
     if not path.exists():
         return None
     content = unsealed_bytes(_KIND, content_of(path, CHAIN, UsageError))
     if content is None:
         raise UsageError(
-            f"{path} is not a chain that tirefit kept, or was damaged since: remove it,"
+            f"{path} is not a chain stored by tirefit, or is damaged: remove it,"
             " or fit without --resume"
         )
     with np.load(io.BytesIO(content), allow_pickle=False) as file:

@@ -15,8 +15,8 @@ def slip_of_forces(
 ) -> dict[str, str]:
     """Force -> the slip whose noise is integrated out for it.
 
-    In pure slip, and of a model of pure slip, its own. In combined slip every force
-    depends on both, so all share the latent values of the one that has noise.
+    In pure slip, and for a model of pure slip, it is the slip of the force. In combined
+    slip every force depends on both, so all share the latent values of the noisy one.
 
     Args:
         data: the rows to be fitted.
@@ -25,7 +25,7 @@ def slip_of_forces(
         noisy: those of sigma_x and alpha whose noise is given.
 
     Raises:
-        DataError: combined slip, and both slips have noise.
+        DataError: combined slip with noise of both slips.
     """
     own = {force: CHANNEL_SLIP[force] for force in forces}
     if not noisy or not (_has_combined_rows(data) and _couples(model)):
@@ -43,11 +43,11 @@ def slip_of_forces(
 
 
 def _has_combined_rows(data: TireData) -> bool:
-    """Whether both slips matter at once, in more than a twentieth of the rows."""
+    """Whether both slips matter together in more than a twentieth of the rows."""
     if "sigma_x" not in data or "alpha" not in data:
         return False
     slips = np.nan_to_num([data.usable("sigma_x"), np.tan(data.usable("alpha"))])
-    # The slip of a locked wheel stands for infinity.
+    # The slip of a locked wheel represents infinity.
     sizes = np.minimum(np.abs(slips), 1.0)
     smaller, largest = sizes.min(axis=0), np.hypot(*sizes).max(initial=0.0)
     return bool(np.mean(smaller > 0.05 * largest) > 0.05)

@@ -8,11 +8,11 @@ the change of the force from the estimate to z in standard deviations,
 .. math::
    \sum_i (r_i - \Delta_i)^2 = \sum_i r_i^2 - n \bar r^2 + n (\bar r - \Delta)^2
 
-but for what :math:`\Delta_i` varies within the cell; what does not depend on z is kept
-as a number. So the error is a share of the change of the deviance, however many the
-rows. The cells are cut where :math:`\Delta` varies most, over points as far as a
-posterior reaches; where a row's deviance is not a square (a robust loss, noisy slip)
-they are cut in its residual too. Whether they will do is seen by the deviance itself.
+except for the variation of :math:`\Delta_i` within the cell. Terms that do not depend on
+z are kept as a number. The error is therefore a share of the change of the deviance, for
+any number of rows. The cells are cut where :math:`\Delta` varies most, over points in
+the range of the posterior. If the deviance of a row is not a square (a robust loss, noisy
+slip), cells are also cut by the residual. The deviance itself shows if they are accurate.
 """
 
 import heapq
@@ -29,24 +29,24 @@ from tirefit.fitting.solve import Solved
 from tirefit.padding import pad_rows
 from tirefit.params import unconstrain
 
-FEWEST = 4096  # rows of a file that is condensed: fewer take no longer than their cells
+FEWEST = 4096  # smallest number of rows that are condensed; fewer are as fast as cells
 
-_REACH = 2.5  # standard deviations at which the change of the force is looked at
+_REACH = 2.5  # standard deviations at which the change of the force is computed
 
 _TRIES = ((512, 1e-3), (2048, 2.5e-4), (8192, 6e-5))
-"""Cells, at most, and the share of the squared change that may be lost in them: of the
-information on the parameters, so that the first is 0.05 % of a standard deviation. The
-numbers of cells are few, as each takes a program of its own."""
+"""Largest number of cells, and share of the squared change that may be lost in them. It is
+a share of the information on the parameters: the first is 0.05 % of a standard deviation.
+There are few numbers of cells, as each needs a compiled program."""
 
 _CLOSE = 0.05
-"""Log density that cells may be wrong by at these points, where it has fallen by 3."""
+"""Largest error of the log density by cells, at points where it has fallen by 3."""
 
 _MOVES = 3
-"""Steps by which cells get the slope of the rows: one, where deviances are squares."""
+"""Steps that give cells the slope of the rows; one is enough if deviances are squares."""
 
 _COMPARED = 64
 
-_SAMPLED = 2**16  # rows that the cells are cut by
+_SAMPLED = 2**16  # largest number of rows by which the cells are cut
 
 
 def condensed(solved: Solved, root: Float[np.ndarray, "p p"]) -> FitProblem | None:
@@ -56,7 +56,7 @@ def condensed(solved: Solved, root: Float[np.ndarray, "p p"]) -> FitProblem | No
         solved: the least-squares fit.
         root: (p, p) columns of one standard deviation along the axes of the posterior.
 
-    The model must be of single rows: a transient one is of whole series.
+    The model must apply to single rows; a transient one applies to whole series.
     """
     problem, z = solved.problem, solved.z
     if problem.n < FEWEST or problem.model.transient:
@@ -97,8 +97,8 @@ def cells_of(
     """The problem with at most ``most`` cells for its rows.
 
     Args:
-        points: (k, p) values of z between which a cell must not change by itself.
-        share: of the squared change that may be lost; fewer cells where that is met.
+        points: (k, p) values of z, over which the rows of a cell must change equally.
+        share: of the squared change that may be lost; fewer cells are used if possible.
     """
     problem = solved.problem
     per_run = any(parameter.per_run for parameter in problem.layout.free)
@@ -128,7 +128,7 @@ def _places(solved: Solved) -> Float[np.ndarray, "n d"]:
 
 
 def _residuals(solved: Solved) -> dict[str, np.ndarray]:
-    """Of each force at the estimate, in its own unit (n,)."""
+    """Residuals (n,) of each force at the estimate, in its unit."""
     problem = solved.problem
     return {
         name: problem.used(observed) - solved.at.mean[name]
@@ -137,8 +137,8 @@ def _residuals(solved: Solved) -> dict[str, np.ndarray]:
 
 
 def _changes(solved: Solved, points, sample) -> Float[np.ndarray, "s m"]:
-    """What each row of the sample changes by from the estimate to each point: forces in
-    standard deviations of a common row, or deviances where these are no squares."""
+    """The change of each row of the sample from the estimate to each point: of forces in
+    standard deviations of a common row, or of deviances if these are no squares."""
     problem, at, changes = solved.problem, solved.at, []
     for point in points:
         if _is_plain(problem):
@@ -154,15 +154,15 @@ def _changes(solved: Solved, points, sample) -> Float[np.ndarray, "s m"]:
 
 
 class _Tree(NamedTuple):
-    """Cuts of the rows' places by node, roots first."""
+    """A tree that divides the coordinates of rows, by node, roots first."""
 
-    groups: np.ndarray  # one root for each
-    axis: np.ndarray  # -1 of a leaf
-    cut: np.ndarray  # where it cuts
+    groups: np.ndarray  # the root of each group
+    axis: np.ndarray  # axis of the cut; -1 for a leaf
+    cut: np.ndarray  # coordinate of the cut
     below: np.ndarray  # first of the two nodes below, or number of the leaf
 
     def leaf_of(self, place: np.ndarray, group: np.ndarray) -> Int[np.ndarray, " n"]:
-        """Number of the leaf that each row falls into."""
+        """Number of the leaf of each row."""
         node = np.searchsorted(self.groups, group)
         moving = np.arange(len(node))
         while len(moving):
@@ -209,8 +209,8 @@ def _loss(change: np.ndarray) -> float:
 
 
 def _best_cut(place: np.ndarray, change: np.ndarray) -> tuple[int, float] | None:
-    """The axis along which what changes most varies most, as a parabola, and the mean
-    of the places along it; None where all are one place."""
+    """The axis along which the largest change varies most, by a parabola, and the mean
+    coordinate of the rows along it; None if all rows are in one place."""
     centred = change - change.mean(axis=0)
     most = centred[:, np.argmax(np.sum(centred**2, axis=0))]
     middle = place.mean(axis=0)
@@ -271,10 +271,11 @@ def _of_cells(solved: Solved, code: Int[np.ndarray, " n"], size: int) -> FitProb
 
 
 def _with_the_same_slope(solved: Solved, small: FitProblem) -> FitProblem:
-    """The cells, their forces moved so that the deviance has the slope of that of the
-    rows at the estimate, and the same value there.
+    """The cells with shifted forces, so that their deviance has the slope and the value of
+    that of the rows at the estimate.
 
-    Forces moved as the model's are by a step in z move the best fit by that step.
+    Shifting the forces by the change of the model for a step in z moves the best fit by
+    that step.
     """
     z, slopes = solved.z, _force_slopes(small, solved)
     for _ in range(_MOVES):
@@ -296,14 +297,14 @@ def _with_the_same_slope(solved: Solved, small: FitProblem) -> FitProblem:
 
 
 def _score(at: Linearised, block: str, is_latent: bool):
-    """Half the slope (p,) and half the curvature (p, p) of a block's deviance."""
+    """Half the slope (p,) and half the curvature (p, p) of the deviance of a block."""
     values, slopes = np.asarray(at.values[block]), np.asarray(at.slopes[block])
     rows = slopes * values[:, None] if is_latent else slopes
     return slopes.T @ values, rows.T @ rows
 
 
 def _force_slopes(problem: FitProblem, solved: Solved) -> dict[str, np.ndarray]:
-    """Slopes (n, p) of each force of the rows over z, padding rows too."""
+    """Slopes (n, p) of each force of the rows over z, including padding rows."""
     steps = np.diag(1e-3 * np.sqrt(np.diag(solved.covariance)))
     slopes: dict[str, list[np.ndarray]] = {name: [] for name in problem.rows.observed}
     for step in steps:

@@ -74,12 +74,12 @@ class ParameterConfig(Section):
 
 
 class NoiseConfig(Section):
-    """Standard deviations of the noise; what is left out is estimated or, for slip,
-    taken as none. ``<force>_relative`` is a fraction of the load, ``<slip>_speed``
-    [m/s] the noise of a speed across the patch, which is a slip of as much over v. A
-    column of the data with the noise of every row, as ``fx_std``, goes before all.
-    ``loss``: squares, of all rows or (``trimmed``) without those that lie beyond all
-    noise (``fitting.far_rows``); or a robust function of the residuals of all rows."""
+    """Standard deviations of the noise. Missing ones are estimated; missing slip noise is
+    zero. ``<force>_relative`` is a fraction of the load; ``<slip>_speed`` [m/s] is noise
+    of the slip velocity of the patch, a slip noise of this over v. A column of the data
+    with the noise of every row, such as ``fx_std``, has precedence. ``loss``: squares of
+    all rows, or (``trimmed``) without outliers (``fitting.far_rows``), or a robust
+    function of the residuals of all rows."""
 
     fx: PositiveFloat | None = None
     fy: PositiveFloat | None = None
@@ -123,7 +123,7 @@ class DataConfig(Section):
 
 
 class PosteriorConfig(Section):
-    """Sampling: which sampler, and how far."""
+    """The posterior: which sampler, and how many samples."""
 
     sampler: Literal["emcee", "nuts", "importance"] | None = None
     ensembles: int = Field(default=4, ge=4, le=1000)
@@ -157,15 +157,15 @@ class FitConfig(Section):
 
     @property
     def source(self) -> str:
-        """Where the settings came from: the path of the file, or ``config``."""
+        """The origin of the settings: the path of the file, or ``config``."""
         return self._source
 
 
 def parse_config(content: dict, source: str = "config") -> FitConfig:
-    """Check the content of a ``fit.toml``; ``source`` says where it came from.
+    """Check the content of a ``fit.toml``; ``source`` is its origin.
 
     Raises:
-        UsageError: unknown keys, wrong types or values, contradictions; all.
+        UsageError: unknown keys, wrong types or values, contradictions; it lists all.
     """
     if isinstance(table := content.get("model"), dict):
         # [model] with its name, and what it depends on beside it.
@@ -180,6 +180,6 @@ def load_config(path: str | Path) -> FitConfig:
     """Read and check ``fit.toml``.
 
     Raises:
-        UsageError: no such file, not TOML, or what :func:`parse_config` refuses.
+        UsageError: no such file, not TOML, or an error of :func:`parse_config`.
     """
     return parse_config(read_toml(path), str(path))

@@ -1,4 +1,4 @@
-"""A tire's own curve as data, to fit another model to it."""
+"""The curve of a tire as data, to fit another model to it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -36,12 +36,12 @@ def curve(
         force: ``fx`` or ``fy``.
         slips: sigma_x or alpha [rad], shape (n,), ascending.
         loads: F_z [N].
-        values: parameter values of the tire; its own otherwise.
+        values: parameter values that replace those of the tire.
         v: forward speed [m/s]; None: the data have none.
-        source: where the curve comes from.
+        source: the origin of the curve.
 
     Returns:
-        len(loads) n rows.
+        Data of len(loads) n rows.
 
     Raises:
         UsageError: unknown model or parameter, value out of bounds, 32-bit floats.
@@ -81,7 +81,7 @@ def reduced_misfit(tir: TirFile, loads: Sequence[float]) -> dict[float, dict]:
     1.5 rad, between the file of a brush and that brush.
 
     Raises:
-        ValueError: the file is none of a brush.
+        ValueError: the file is not that of a brush.
     """
     values = brush_of(tir)
     if values is None:

@@ -1,11 +1,11 @@
 """Quantities that follow from the parameters, with their uncertainty.
 
 Without a posterior the interval of a quantity is that of its profile likelihood: the
-range of its values over all parameters whose deviance stays below the 95 % level. Of
-one parameter alone it is that parameter's own interval, mapped.
+range of its values over all parameters whose deviance is below the 95 % level. For a
+function of one parameter it is the interval of that parameter, transformed.
 
 A quantity of per-run parameters has one value per run, ``F_max[run]``. If the runs were
-held at different loads or speeds, as bins of a rig are, it is evaluated at those of its
+held at different loads or speeds, like bins of a rig, it is evaluated at those of its
 run; otherwise at those of the file, so that runs can be compared.
 """
 
@@ -34,7 +34,7 @@ _GRID = np.append(0.0, np.geomspace(1e-5, _LARGEST_SLIP, 199))
 """Number of slips at which the peak is searched, and how many are evaluated
 together."""
 
-_NARROWED = 16  # rounds that narrow it to 1e-15 of the distance of two of them
+_NARROWED = 16  # rounds of refinement, to 1e-15 of the distance of two of them
 
 
 def quantity_of(label: str) -> str:
@@ -43,7 +43,7 @@ def quantity_of(label: str) -> str:
 
 
 def derived_channel(forces: Sequence[str]) -> str | None:
-    """The fitted force that the derived quantities are of; None for a moment alone."""
+    """The fitted force of the derived quantities; None if only a moment is fitted."""
     return next((name for name in ("fx", "fy") if name in forces), None)
 
 
@@ -65,8 +65,8 @@ def reference_point(problem: FitProblem, run: int | None = None) -> dict[str, fl
     """Median load [N] and speed [m/s] of the fitted rows.
 
     Args:
-        run: code of a run. The median of its own rows is taken if 90 % of them are
-            nearer to it than it is to the median of all rows.
+        run: code of a run. The median of its rows is used if 90 % of them are closer to
+            it than it is to the median of all rows.
     """
     point, here = {}, problem.used(problem.rows.run) == run
     for name in ("fz", "v"):
@@ -80,8 +80,8 @@ def reference_point(problem: FitProblem, run: int | None = None) -> dict[str, fl
 
 
 def reference_points(problem: FitProblem) -> dict[str, float]:
-    """Load and speed of the derived quantities; as ``fz[run]`` and ``v[run]`` those of
-    runs with per-run parameters that were held at other values."""
+    """Load and speed of the derived quantities; ``fz[run]`` and ``v[run]`` for runs with
+    per-run parameters that were held at other values."""
     shared = reference_point(problem)
     own = any(parameter.per_run for _, parameter in problem.layout.elements)
     return shared | {
@@ -107,9 +107,9 @@ def _curve(model, values, channel: str, fz, v):
 def _start_and_peak(force):
     """Slope at zero slip; (slip, force) of the first maximum, by a grid, then slope.
 
-    A plateau is flat to the third order where it begins, so values alone would give
-    its slip to 1e-4; the sign of the slope gives it to rounding. One loop serves both,
-    a few slips at a time: the force takes time to compile and stands there once.
+    The beginning of a plateau is flat to the third order, so values would give its slip
+    only to 1e-4; the sign of the slope gives it to rounding. One loop does both, with a
+    few slips at a time, so that the force is compiled only once.
     """
 
     def with_slope(slip):
@@ -131,7 +131,7 @@ def _start_and_peak(force):
         first = jnp.argmax(values >= values.max() * (1 - 1e-12))
         end = jnp.minimum(first + 1, last)
         around = grid[jnp.maximum(first - 1, 0)], grid[end], values[end]
-        # Thrice the rounding of a slope of zero: 7e-8 of the slip of full sliding.
+        # Three times the rounding of a zero slope: 7e-8 of the slip of full sliding.
         falls = jnp.append(slopes <= 5e-16 * start, True)
         ends = jnp.argmax(falls)
         lows, highs = jnp.append(low, slips), jnp.append(slips, high)
@@ -158,12 +158,12 @@ def derived_values(model, layout: Layout, z, channel, fz, v, run=0):
         z: unconstrained parameters, shape (m, p).
         channel: fx or fy.
         fz, v: reference load [N] and speed [m/s].
-        run: code of the run whose parameters count where they are per run.
+        run: code of the run whose parameters are used if they are per run.
 
     Returns:
         dict of arrays (m,) by name of :func:`quantities`. ``slip_at_peak`` is sigma for
-        the longitudinal, tan(alpha) for the lateral force; NaN where there is no peak.
-        ``mu_fz`` is missing where the model has no static friction.
+        the longitudinal, tan(alpha) for the lateral force; NaN without a peak. ``mu_fz``
+        is missing if the model has no static friction.
     """
 
     def one(z):
@@ -266,8 +266,8 @@ def derived_from_profile(
         profiles, estimates: of every element of z, in order.
 
     Returns:
-        By name, or by ``name[run]`` where runs differ; in the order of the report, the
-        runs of one quantity together.
+        By name, or by ``name[run]`` if runs differ; in the order of the report, with the
+        runs of a quantity together.
     """
     problem = solved.problem
     channel = derived_channel([c.name for c in problem.channels])
@@ -318,7 +318,7 @@ def _of_run(
 
 
 def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Estimate:
-    """One quantity of the elements ``known``; ``ends`` where it is of one alone."""
+    """One quantity of the elements ``known``; ``ends`` if it depends on only one."""
     spread = np.sqrt(np.diag(solved.covariance))
     quantity = partial(_slope_of, evaluate, name, std=spread)
     value, slope = quantity(solved.z)
@@ -340,7 +340,7 @@ def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Es
 
 
 def _by_noise(solved: Solved, value: float, slope) -> bool:
-    """Whether the noise alone limits a quantity whose interval a misfit widens."""
+    """Whether noise without misfit limits a quantity whose interval misfit widens."""
     noise = solved.of_noise
     if noise is None:
         return False
@@ -363,7 +363,7 @@ def derived_from_draws(
     channel = derived_channel([c.name for c in problem.channels])
     if channel is None or not least_squares:
         return {}
-    # Blocks of one size: one program, however many draws there are.
+    # Blocks of the same size need one program for any number of draws.
     count, blocks = len(z_draws), -(-len(z_draws) // _BLOCK)
     padded = np.resize(z_draws, (blocks * _BLOCK, z_draws.shape[1]))
     derived: dict[str, Estimate] = {}

@@ -33,11 +33,11 @@ def limited(spec, low: float, high: float) -> bool:
 
 
 def _not_identified(spec, low, high, open_low: bool, open_high: bool) -> bool:
-    """Whether an interval leaves the parameter essentially free.
+    """Whether an interval does not really limit the parameter.
 
-    It does where it is open on both sides, or open on one and more than half of the
-    allowed range wide, or more than 0.8 of the range, or, for a positive quantity,
-    a factor of ten (three, for a friction coefficient) from end to end.
+    That is the case if it is open on both sides; or open on one side and wider than half
+    of the allowed range; or wider than 0.8 of the range; or, for a positive quantity, if
+    its ends differ by a factor of ten (three for a friction coefficient).
     """
     if spec.scale == "log":
         return open_low or open_high or high / low > 10
@@ -93,7 +93,7 @@ def _ends_by(solved: Solved, covariance: np.ndarray, dof: float) -> np.ndarray:
 
 
 def _independent_intervals(solved: Solved) -> dict:
-    """95 % intervals if every row were independent of the others."""
+    """95 % intervals for rows that are independent of each other."""
     dof = solved.problem.n - solved.problem.layout.size
     low, high = _ends_by(solved, solved.independent, dof)
     return {
@@ -144,7 +144,7 @@ def _statistics(solved: Solved) -> FitStatistics:
 
 
 def _minus_two_log_likelihood(solved: Solved) -> float:
-    """Of all rows as if independent, at the noise scales in use."""
+    """-2 log likelihood of all rows as if independent, at the noise scales in use."""
     problem, total = solved.problem, 0.0
     for name in problem.rules:
         block = solved.at.values[name]
@@ -158,13 +158,13 @@ def _minus_two_log_likelihood(solved: Solved) -> float:
 def _slip_structure(problem: FitProblem, residual) -> float:
     """Correlation of the residuals of neighbours in slip: 0 for noise, 1 for a bias.
 
-    The larger of two orders: by slip alone, and by slip within run and load.
+    It is the larger one of two orders: by slip, and by slip within run and load.
     """
     inputs = problem.rows.inputs
     slip = problem.used(getattr(inputs, problem.slip_name))
     run, load = problem.used(problem.rows.run), problem.used(inputs.fz)
-    # Neighbours of one run and about one load: rows of other conditions lie between
-    # them in slip, and a misfit that alternates with them would look like noise.
+    # Neighbours within a run and a load: otherwise a misfit that alternates between
+    # conditions would resemble noise.
     orders = [
         np.argsort(slip, kind="stable"),
         np.lexsort((slip, np.round(np.log(load) / 0.1), run)),
@@ -208,7 +208,7 @@ def data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str,
 
 
 def _ranges(data: TireData) -> dict[str, tuple[float, float]]:
-    """Least and largest value of each input of the used rows, canonical."""
+    """Smallest and largest value of each input of the used rows, canonical."""
     found = {}
     for name in TireInputs._fields:
         values = data.usable(name) if name in data else np.zeros(0)
@@ -272,19 +272,19 @@ def fit(
     """Fit a tire model by least squares, with covariance and profile intervals.
 
     Args:
-        data: what ``tirefit.read`` gave, or anything that it reads with its defaults: a
-            path, a frame, a mapping of column to (n,) array.
-        model: a name of ``tirefit.MODELS``; ``brush`` if nowhere given.
+        data: a result of ``tirefit.read``, or data that it reads with its defaults: a
+            path, a frame, a mapping of column -> (n,) array.
+        model: a name of ``tirefit.MODELS``; by default that of ``config``, or ``brush``.
         config: content of ``fit.toml`` as a dict or a ``FitConfig``.
-        solver: ``gauss-newton``, or ``optimistix`` or ``jaxopt`` as a second opinion.
-        seed: of the scattered starts and of all sampling.
+        solver: ``gauss-newton``; ``optimistix`` or ``jaxopt`` to check it.
+        seed: of the random starts and of all sampling.
 
     Returns:
-        the fit; ``sample`` adds the posterior.
+        The fit; ``sample`` adds the posterior.
 
     Raises:
         UsageError: unknown model, parameter or option; or 32-bit floats in use.
-        DataError: the data lack a column that the model needs, or are too few.
+        DataError: missing columns that the model needs, or too few rows.
     """
     require_x64("a fit")
     release_programs()
@@ -356,7 +356,7 @@ def with_fixed(estimates: dict[str, Estimate], problem: FitProblem):
 
 
 def _tied(tie: Tie, unit: str, estimates: dict[str, Estimate], runs: tuple[str, ...]):
-    """Estimates of a tied parameter by label: one per run where the other one is."""
+    """Estimates of a tied parameter by label; one per run if the other one is per run."""
     tied = {}
     for end in ("", *(f"[{run}]" for run in runs)):
         if f"{tie.other}{end}" in estimates:

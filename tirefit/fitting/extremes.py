@@ -32,7 +32,7 @@ _LONGEST_SHARE = 0.3  # share of an element's range that one step may cross
 def _step(slope, pull, curvature, room: float, share):
     """The step (p,) of :func:`_stepped` from shares at (p,).
 
-    An element that would leave its bound is held there.
+    An element that would cross its bound is held there.
     """
     free, step = np.ones(len(share), bool), np.zeros(len(share))
     for _ in range(2):
@@ -54,9 +54,9 @@ def _stepped(solved: Solved, quantity: Callable, sign: int) -> float:
     """Largest (sign 1) or smallest (-1) value of a quantity within the 95 % region.
 
     Venzon and Moolgavkar's iteration (Applied Statistics 37, 1988) for a function of
-    the parameters: where the deviance is a parabola and the quantity straight, one
-    step is exact. Elements are expressed as shares of their range, so that bounds are
-    finite. NaN if it does not converge.
+    the parameters: for a quadratic deviance and a linear quantity, one step is exact.
+    Elements are expressed as shares of their range, so that bounds are finite. NaN if it
+    does not converge.
     """
     level, fixed = solved.level, np.linalg.inv(solved.covariance)
     share = _inside(expit(solved.z))
@@ -81,11 +81,11 @@ def _stepped(solved: Solved, quantity: Callable, sign: int) -> float:
             break
         if length < 1e-6 * level and abs(total - base - level) < 1e-2 * level:
             return float(value)
-        # Next to a bound the deviance may have no curvature to hold a step back.
+        # Near a bound the deviance may have no curvature to limit a step.
         step *= min(1.0, _LONGEST_SHARE / max(np.max(np.abs(step)), 1e-300))
         damping = damping / 2 if length > before else min(1.0, 1.5 * damping)
         before, start = length, share
-        # Stay near the region: there are other valleys beyond it.
+        # Stay near the region, as there are other minima beyond it.
         while damping > 1e-4:
             share = _inside(start + damping * step)
             here = _bowl(solved, logit(share))
@@ -98,10 +98,10 @@ def _stepped(solved: Solved, quantity: Callable, sign: int) -> float:
 
 
 _STRIDES = 30
-"""Steps of a walk, each twice as long as the one before, from a third of a standard
-error: more than any quantity can go."""
+"""Number of steps of a walk, each twice as long as the previous one, from a third of a
+standard error: farther than any quantity can go."""
 
-_ENDLESS = 1e3  # times the estimate from which a quantity has no end
+_ENDLESS = 1e3  # multiple of the estimate above which a quantity has no end
 
 _NARROWED_ENDS = 12
 _ON_LEVEL = 2e-3  # distance from the level, in standard errors, that counts as there
@@ -110,13 +110,13 @@ _ROUNDS = 100
 _FLATTEST = 1e-9  # curvature, and damping of it, below which a direction is flat
 
 _SETTLED = 1e-7
-"""Change of the deviance, in shares of the level, from which a place has settled."""
+"""Change of the deviance over the level below which a point has converged."""
 
 
 def _settled(solved: Solved, quantity: Callable, share, target: float, spread: float):
-    """Where deviance + ((quantity - target) / spread)^2 is least: a place of least
-    deviance for whatever value the quantity has there. (share, value, deviance), by
-    Levenberg's damping (1944), in shares of each element's range."""
+    """The minimum of deviance + ((quantity - target) / spread)^2, which has the smallest
+    deviance for its value of the quantity: (share, value, deviance). By Levenberg's
+    damping (1944), in shares of the range of each element."""
 
     def at(share):
         z, scale = logit(share), share * (1 - share)
@@ -152,7 +152,7 @@ def _damped(share, slope, curvature, damping: float):
     free, trial = np.ones(len(share), bool), share.copy()
     for _ in range(len(share)):
         part = curvature[np.ix_(free, free)]
-        # Where nothing depends on an element, it stays where it is.
+        # An element without effect is not changed.
         size = np.sqrt(np.maximum(np.diag(part), _FLATTEST))
         part = part / np.outer(size, size) + damping * np.eye(len(size))
         trial[free] = share[free] - np.linalg.solve(part, slope[free] / size) / size
@@ -160,7 +160,7 @@ def _damped(share, slope, curvature, damping: float):
         if not out.any():
             break
         trial[out], free = _inside(trial[out]), free & ~out
-        # What the held ones contribute by the way they still have.
+        # The contribution of held elements by their remaining distance.
         slope = slope + curvature[:, out] @ (trial[out] - share[out])
         if not free.any():
             break
@@ -168,7 +168,7 @@ def _damped(share, slope, curvature, damping: float):
 
 
 def _walked(solved: Solved, quantity: Callable, sign: int) -> float:
-    """As :func:`_stepped`, along the points of least deviance for each value of the
+    """As :func:`_stepped`, along the points of smallest deviance for each value of the
     quantity: slower, but reliable if the valley of the deviance is curved (redundant
     parameters). NaN if the quantity is unbounded."""
     base = _bowl(solved, solved.z)[0]
@@ -209,7 +209,7 @@ def _walked(solved: Solved, quantity: Callable, sign: int) -> float:
 
 def extreme(solved: Solved, quantity: Callable, sign: int) -> float:
     """Largest (sign 1) or smallest (-1) value of a quantity over all parameters whose
-    deviance stays below the level; NaN where there is none.
+    deviance is below the level; NaN if there is none.
 
     Args:
         quantity: z (p,) -> its value, and its slope (p,).

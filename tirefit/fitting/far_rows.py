@@ -1,22 +1,22 @@
 r"""Outliers: rows far outside the noise about the prediction of the other rows.
 
-The noise of a fit is normal but for a few rows in a hundred, which may be anything: a
-wrong unit, a slipped sign, a stuck channel. The deviance of a row is then
+The noise of a fit is taken as normal, except for a few rows in a hundred with any kind
+of error: a wrong unit, a wrong sign, a stuck channel. The deviance of a row is then
 
 .. math::
    \min(r^2, c^2)
 
 of its standardised residual r: squares up to the distance c, and constant beyond. The
-rows beyond c are excluded and listed; the others are fitted as if they were
-all, so that intervals, profiles and posteriors are those of normal noise. The distance
-c grows with the number of rows so that of 200 clean files less than one loses a row:
+rows beyond c are excluded and listed; the others are fitted as if there were no more,
+so that intervals, profiles and posteriors are those of normal noise. The distance c
+grows with the number of rows so that fewer than one in 200 clean files loses a row:
 clean data are fitted by plain least squares.
 
-Whether a row lies beyond is judged against what the *other* rows predict for it, with
-the uncertainty of that prediction: a row that alone tells something of a parameter is
-kept, however far its slip or load. The scale is that of the smallest 90 % of the
-residuals, or of the row's neighbours in slip and load where it is larger: rows that
-miss the curve together show a wrong model and no absurd row.
+Each row is compared with what the *other* rows predict for it, with the uncertainty of
+that prediction: a row that alone determines a parameter is kept, however extreme its
+slip or load. The scale is that of the smallest 90 % of the residuals, or of the row's
+neighbours in slip and load where that is larger: rows that miss the curve together
+show a wrong model, not outliers.
 """
 
 from dataclasses import dataclass
@@ -36,34 +36,34 @@ from tirefit.fitting.problem import FitTask, build
 from tirefit.fitting.solve import Solved, on_rows, solve_problem
 from tirefit.results import InputProblem
 
-_CHANCE = 0.005  # share of clean data sets that lose a row, were their noise ...
+_CHANCE = 0.005  # share of clean data sets that may lose a row
 _TAILS = 30
-"""... Student's t of so many degrees of freedom at most: measured noise has tails a
-little heavier than normal, and in a long log a row of six standard deviations is no
-absurd one. The distance is 4.7 at 80 rows, 7 at 50,000."""
+"""Largest number of degrees of freedom of the Student's t assumed for the noise: tails
+of measured noise are slightly heavier than normal, and a long log may well have a row
+at six standard deviations. The distance is 4.7 at 80 rows, 7 at 50,000."""
 _MOST = 0.1
 """Largest share of rows that are excluded; more rows than this are not outliers."""
 _ROUNDS = 8
 _NEAR, _MISSED = 6, 2.0
-"""A row is judged from the median residual of so many neighbours where that is so many
-standard deviations off: they miss the curve together."""
+"""Number of neighbours, and standard deviations: where the median residual of the
+neighbours is larger, the row is compared with it, as all miss the curve together."""
 _AROUND, _LOUDER = 30, 1.4
-"""The noise about a row is that of so many neighbours where it is so much larger than
-that of all."""
+"""Number of neighbours, and ratio: where the noise of the neighbours exceeds that of all
+rows by this ratio, it is used instead."""
 _ON_A_LINE = np.sqrt(1.5)
 """Standard deviation of a residual from the mean of two others."""
 _CLEAR = 2.0
-"""Standard deviations from what the others predict within which a slip far from all
-others is kept: agreement as good as of 95 % of the rows."""
+"""A row whose slip is far from all others is kept if it lies within this many standard
+deviations of the prediction, as 95 % of the rows do."""
 _NEVER = 1e-9
-"""Instead of that for a load far from all others, which may fit by chance: at little
-slip a force says nothing of its load, and such a row would rule the slope."""
+"""The same for a load far from all others, whose row may agree by chance: at small slip
+the force hardly depends on the load, and such a row would dominate the slope."""
 _REMEMBERED = 30
-"""Rows, to either side, over which a transient tire spreads what is wrong in one."""
-_ROUNDING = 1e-6  # share of a force's range below which nothing is far
+"""Rows on either side that an error in one row of a transient tire may affect."""
+_ROUNDING = 1e-6  # share of a force's range below which no deviation is an outlier
 _RESTS = 0.7
-"""Share of what is known of some parameter from which the fit rests on one row."""
-_MANY = 10  # rows for each free parameter from which that is worth saying
+"""Share of the information on a parameter above which the fit depends on one row."""
+_MANY = 10  # fewest rows per free parameter at which this is reported
 
 
 @dataclass(frozen=True)
@@ -101,9 +101,9 @@ class _Judged(NamedTuple):
     """How far the rows lie: by channel (k, n), but for the leverage."""
 
     distance: np.ndarray  # from what the others predict, in standard deviations
-    ratio: np.ndarray  # over the distance from which a row is set aside
+    ratio: np.ndarray  # of this distance to the one at which a row is excluded
     predicted: np.ndarray  # force
-    leverage: np.ndarray  # (n,) largest share in what is known of a parameter
+    leverage: np.ndarray  # (n,) largest share of the information on a parameter
 
 
 def settle(data: TireData, name: str, config: FitConfig) -> Settled:
@@ -140,8 +140,7 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
     if trims and beyond.sum() > most:
         note = (
             f"{beyond.sum()} of {whole.problem.n} rows lie further than {limit:.1f}"
-            " standard deviations from what the others predict: too many to be set"
-            " aside"
+            " standard deviations from what the others predict: too many to exclude"
         )
         kept[:] = True
         task, solved = _fitted(whole, kept, config)
@@ -152,8 +151,8 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
 def _suspects(task: FitTask) -> dict[int, FarValue]:
     """Values far from the others in a column that the fit uses, by position of the row.
 
-    Of a row with several the first of ``FAR_COLUMNS``: a force beside a wrong load is
-    far from its like because of the load.
+    If a row has several, the first column of ``FAR_COLUMNS`` counts: a wrong load also
+    makes the force in its row look wrong.
     """
     channels = task.problem.channels
     used = {"fz", *task.problem.model.needs}
@@ -167,7 +166,7 @@ def _suspects(task: FitTask) -> dict[int, FarValue]:
 
 
 def _limit(problem: FitProblem) -> float:
-    """Standard deviations beyond which a clean data set has a row by ``_CHANCE``."""
+    """Standard deviations that a row of clean data exceeds with probability ``_CHANCE``."""
     rows = problem.n * len(problem.channels)
     dof = min(max(rows - problem.layout.size - 1, 1), _TAILS)
     return float(stdtrit(dof, 1 - _CHANCE / (2 * rows)))
@@ -181,8 +180,8 @@ def _leaving_runs(aside, task: FitTask) -> Bool[np.ndarray, " n"]:
 
 
 def _worst_in_time(ratio, kept):
-    """The ratios (n,) but, of kept rows close in time, of the worst alone: a transient
-    tire feels one absurd slip for as long as it remembers."""
+    """The ratios (n,), above one only for the worst of kept rows that are close in time:
+    one wrong slip affects a transient tire for a while."""
     from scipy.ndimage import maximum_filter1d  # for transient tires alone
 
     worst = maximum_filter1d(np.where(kept, ratio, 0.0), 2 * _REMEMBERED + 1)
@@ -190,7 +189,7 @@ def _worst_in_time(ratio, kept):
 
 
 def _farthest(ratio, beyond, most: int) -> Bool[np.ndarray, " n"]:
-    """The farthest of the rows beyond the limit, at most so many."""
+    """At most ``most`` of the rows beyond the limit, the farthest first."""
     if beyond.sum() <= most:
         return beyond
     chosen = np.zeros_like(beyond)
@@ -203,14 +202,14 @@ def _fitted(whole: FitTask, kept, config: FitConfig) -> tuple[FitTask, Solved]:
         return whole, solve_problem(whole, config)
     rows = np.zeros(len(whole.data), bool)
     rows[np.flatnonzero(whole.data.used)[kept]] = True
-    # As many rows as all have with their padding: one program serves both.
+    # Padded to the size of all rows, so that one program serves both.
     size = len(whole.problem.rows.weight)
     task = build(whole.data.where(rows), whole.name, config, size)
     return task, solve_problem(task, config)
 
 
 def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judged:
-    """Distances of all rows from what a fit of those that are kept predicts."""
+    """Distances of all rows from what a fit of the kept rows predicts."""
     problem, at = solved.problem, solved.at
     if not kept.all():
         problem, at = on_rows(whole, kept, task, solved)
@@ -224,7 +223,7 @@ def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judg
         unit = np.sqrt(at.variance[channel.name])
         observed = problem.used(problem.rows.observed[channel.name])
         residual = (observed - at.mean[channel.name]) / unit
-        # What a kept row is off is less than what the others predict it off.
+        # A kept row pulls the fit towards itself, so its residual is too small.
         spread = np.where(kept, np.maximum(1 - share, _ROUNDING), 1 + share)
         off = np.nan_to_num(residual / np.sqrt(spread), nan=np.inf)
         floor = _ROUNDING * np.ptp(observed[kept]) / np.median(unit[kept])
@@ -236,7 +235,7 @@ def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judg
             order = like_slips(whole.data, CHANNEL_SLIP[channel.name])
             rows = beyond[~alone[beyond]]
             ratio[rows] = _beside(rows, off, order, kept) / limits[rows]
-            # A row far in an input has no neighbours there, but in the file.
+            # A row with an extreme input has neighbours only in the order of the file.
             rows, order = beyond[alone[beyond]], np.arange(problem.n)
             ratio[rows] = _beside(rows, off, order, order >= 0) / limits[rows]
         by_channel.append((np.abs(off), ratio, at.mean[channel.name]))
@@ -245,7 +244,7 @@ def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judg
 
 
 def _limits(n: int, suspects: dict[int, FarValue], limit: float):
-    """Distances from which rows are set aside (n,), and those far in an input."""
+    """Distances above which rows are excluded (n,), and which rows have a far input."""
     limits, alone = np.full(n, limit), np.zeros(n, bool)
     for i, value in suspects.items():
         alone[i] = value.column not in CHANNEL_SLIP
@@ -257,7 +256,7 @@ def _limits(n: int, suspects: dict[int, FarValue], limit: float):
 
 
 def _root_of_covariance(at: Linearised, kept) -> Float[np.ndarray, "p p"]:
-    """R with R R' the covariance of z, were all rows independent."""
+    """R with R R' the covariance of z if all rows are independent."""
     parts = [v if k == "prior" else v[kept] for k, v in at.slopes.items()]
     information = sum(part.T @ part for part in parts)
     values, vectors = np.linalg.eigh(information)
@@ -265,8 +264,8 @@ def _root_of_covariance(at: Linearised, kept) -> Float[np.ndarray, "p p"]:
 
 
 def _scale(off) -> float:
-    """Standard deviation from the smallest nine in ten distances (m,), were they of
-    normal noise: what the others are does not matter."""
+    """Standard deviation of normal noise, from the smallest nine in ten distances (m,);
+    the others have no influence."""
     count = max(int(np.ceil((1 - _MOST) * len(off))), 1)
     share = count / len(off)
     end = ndtri((1 + min(share, 1 - 1e-9)) / 2)
@@ -276,12 +275,12 @@ def _scale(off) -> float:
 
 
 def _beside(rows, off, order, counts) -> np.ndarray:
-    """Distances of some rows that are left where their neighbours are off too, (m,).
+    """Distances of some rows, less those of their neighbours, (m,).
 
     Args:
-        rows: (m,) to be judged.
+        rows: (m,) rows to compute.
         off: (n,) signed distances, in standard deviations.
-        order: (n,) in which neighbours stand together.
+        order: (n,) indices that put neighbours next to each other.
         counts: (n,) bool, the rows that may be neighbours.
     """
     members, own = order[counts[order]], counts[rows].astype(int)
@@ -308,7 +307,7 @@ def _beside(rows, off, order, counts) -> np.ndarray:
 
 
 _REMEDY = "correct or delete the row"
-_KEEP = f"{_REMEDY}, or fit it as it is by noise.loss = 'squares'"
+_KEEP = f"{_REMEDY}, or keep it with noise.loss = 'squares'"
 
 
 def _named(whole: FitTask, judged: _Judged, kept, beyond, suspects):
@@ -338,17 +337,17 @@ def _far_row(whole: FitTask, judged: _Judged, i: int, kept: bool, beyond: bool, 
         " other rows predict"
     )
     said = [] if suspect is None else [why_far(suspect)]
-    remedy = "make sure of it"
+    remedy = "check the row"
     if beyond or not kept:
         said.append(off)
         remedy = _REMEDY if kept else _KEEP
     elif suspect is not None and distance <= _CLEAR:
         said.append(f"kept: its {force} is what the other rows predict")
     elif suspect is not None:
-        said += [off, "kept: so are the rows beside it, or their run would go with it"]
+        said += [off, "kept: its neighbours or much of its run deviate as well"]
     if kept and judged.leverage[i] > _RESTS:
         said.append(
-            f"the fit rests on it: {judged.leverage[i]:.0%} of what is known of a"
+            f"the fit depends on it: {judged.leverage[i]:.0%} of the information on a"
             " parameter comes from this row"
         )
     row = int(np.flatnonzero(whole.data.used)[i])

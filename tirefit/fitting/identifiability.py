@@ -1,11 +1,10 @@
 """How well a file determines the parameters of models, before any fit.
 
-The information matrix of a model is summed over the file's own slips, loads and speeds,
-by the model's slopes in its parameters and the scatter of the file's own rows. Its
-inverse is the covariance that a fit would have, were the model right. Where the tire
-never slid, its friction is not known, nor therefore the information: then a friction
-that is higher describes the rows as well, and the least that they tell under any such
-friction is what counts.
+The information matrix of a model is summed over the file's slips, loads and speeds from
+the model's slopes in its parameters and the scatter of the file's rows. Its inverse is
+the covariance that a fit would have if the model is right. It depends on the friction,
+which is unknown if the tire never slid: any higher friction then describes the rows as
+well, and the largest standard error under any of them is reported.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,24 +28,24 @@ MODELS_ASKED = ("brush", "brush-d", "brush-m", "brush-n", "brush-h", "brush-load
 
 _FRICTION = ("mu", "mu_peak", "mu_s", "D", "Dx", "Dy")
 _HIGHEST, _FRICTIONS = 2.0, 7
-"""Friction that no tire has, and how many up to it are tried."""
+"""Friction above that of any tire, and the number of values tried up to it."""
 _AS_WELL = 9.0
 """Rise of -2 log likelihood up to which a friction fits too (3 standard deviations)."""
 _REACHED = {"sigma_x": (-0.9, 2.0), "alpha": (-1.2, 1.2)}  # slips that a test can go to
 _INSIDE = 4.0
-"""Unconstrained values that are looked at: to 2 % of the range from either bound, where
-a step of the parameter would be none of the force."""
+"""Largest unconstrained value tried, 2 % of the range from either bound: closer to it, a
+step of the parameter would not change the force."""
 _STEPS = 12
 _TIMES_TOLD, _TIMES_KNOWN = 10.0, 3.0
-"""Ends of a 95 % interval, one over the other, from which on ``fit`` calls a scale or
-a positive coefficient not identified."""
-_SHARE_TOLD = 0.8  # of the allowed range, the same for any other parameter
+"""Ratio of the ends of a 95 % interval above which ``fit`` calls a scale or a positive
+coefficient not identified."""
+_SHARE_TOLD = 0.8  # of the allowed range: the same limit for any other parameter
 _WELL = 0.15
 """Half of the interval over the value, or over a quarter of the range, up to which a
 parameter counts as well determined."""
 _STEEPEST = 20.0
-"""Loads that a force changes by at most, with one unit of an unconstrained parameter: a
-quarter of its range, or as much on a scale. More is a law beyond where it holds."""
+"""Largest change of a force, in loads, per unit of an unconstrained parameter (a quarter
+of its range, or as much on a scale); above it the model is outside its validity."""
 WELL, ROUGHLY, NOT = "well", "roughly", "not"
 
 
@@ -55,12 +54,12 @@ class ParameterGate(NamedTuple):
 
     name: str
     unit: str
-    value: float  # guess that it was looked at
+    value: float  # guess at which it was evaluated
     std: float  # standard deviation that a fit would have
     told: str  # "well", "roughly" or "not"
     is_size: bool  # positive by nature, so that its std is a share of it
     beside: str = ""  # the parameter it is most correlated with
-    remedy: str = ""  # rows that would tell it
+    remedy: str = ""  # rows that would determine it
 
 
 class ModelGate(NamedTuple):
@@ -74,7 +73,7 @@ class ModelGate(NamedTuple):
 
 @dataclass(frozen=True)
 class Identifiability:
-    """The gate of a file: by model and force, with the noise that it was asked at."""
+    """How well a file determines each model, by force, and the noise assumed."""
 
     gates: tuple[ModelGate, ...]
     noise: Mapping[str, float]
@@ -83,7 +82,7 @@ class Identifiability:
     how: str
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, fit for JSON."""
+        """Plain values for JSON."""
         content = asdict(self)
         content["gates"] = [
             gate._asdict() | {"parameters": [p._asdict() for p in gate.parameters]}
@@ -92,7 +91,7 @@ class Identifiability:
         return content
 
     def summary(self) -> str:
-        """A few lines a model, at most 88 columns."""
+        """A few lines per model, at most 88 columns wide."""
         if not self.gates:
             return ""
         lines = ["", "", "expected standard errors of a fit (if the model is right)"]
@@ -138,7 +137,7 @@ def identifiability(
     Args:
         data: what ``tirefit.read`` gave, or a path, a frame, a mapping of arrays.
         models: names of ``tirefit models``; ``MODELS_ASKED`` if none.
-        seed: of the rows that stand for the others.
+        seed: of the random choice of rows in a large file.
 
     Raises:
         UsageError: no such model.
@@ -177,7 +176,7 @@ def identifiability(
 
 
 def _gate(some: TireData, rows: int, curve, force: str, name: str, scatter: Scatter) -> ModelGate:
-    """Standard errors of a model's parameters, from ``some`` rows of so many."""
+    """Standard errors of a model's parameters, from ``some`` of the file's ``rows``."""
     config = parse_config({"force": force})
     try:
         task = build(some, name, config, least_rows=ROWS)
@@ -190,7 +189,7 @@ def _gate(some: TireData, rows: int, curve, force: str, name: str, scatter: Scat
         scatter.share * problem.used(problem.rows.inputs.fz)
     )
     costs = np.array([float(np.sum((v * weight) ** 2)) for _, v, _ in points]) * many
-    # The model may miss the rows by more than their noise: that much is no rejection.
+    # The model may miss the rows by more than their noise; this does not reject it.
     wide = max(1.0, float(costs.min()) / (many * problem.n))
     likely = [
         point
@@ -230,7 +229,7 @@ def _at(problem: FitProblem, z) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _settled(problem: FitProblem, z):
-    """The rest of the parameters as the rows have them, the friction where it is.
+    """Fit the other parameters to the rows at a given friction.
 
     Returns:
         z, residuals and slopes there.
@@ -257,7 +256,7 @@ def _settled(problem: FitProblem, z):
 
 
 def _covariance(information: np.ndarray) -> np.ndarray:
-    """As of a fit: what has no information is spread over its whole range."""
+    """As in a fit: an element without information is spread over its whole range."""
     values, vectors = np.linalg.eigh(information)
     return (vectors / np.maximum(values, 1 / REACH**2)) @ vectors.T
 
@@ -287,7 +286,7 @@ def _told(spec: Spec, value: float, std: float) -> str:
 
 
 def _parameter(problem: FitProblem, k: int, likely, weight) -> ParameterGate:
-    """The parameter under whichever likely point tells least of it."""
+    """The parameter at the likely point that determines it least."""
     worst = None
     for z, _, slopes in likely:
         gate = _judged(problem, k, z, _information(slopes, weight))
@@ -351,7 +350,7 @@ def _remedy(problem: FitProblem, k: int, likely, weight) -> str:
 
 
 def _scaled(problem: FitProblem, name: str, factor: float) -> FitProblem:
-    """The problem with the same rows at so many times an input."""
+    """The problem with an input of all rows multiplied by a factor."""
     values = factor * np.asarray(getattr(problem.rows.inputs, name))
     if name in _REACHED:
         values = np.clip(values, *_REACHED[name])

@@ -1,14 +1,14 @@
 """Importance sampling of the posterior: points around the optimum, weighted.
 
 Nine in ten points come from a multivariate Student's t in the whitened space, where a
-well-identified posterior is nearly a unit Gaussian, and one in ten from all that the
-bounds allow. They are weighted by posterior over proposal; the largest weights are
+well-identified posterior is nearly a unit Gaussian, and one in ten from anywhere within
+the bounds. They are weighted by posterior over proposal; the largest weights are
 smoothed by a generalized Pareto distribution, whose shape k-hat says whether the
 proposal covers the posterior at all (PSIS: Vehtari, Simpson, Gelman, Yao and Gabry,
 Journal of Machine Learning Research 25(72), 2024). One evaluation of the posterior per
 point, no chain, and nothing to tune.
 
-Without the tenth a bulk far from the optimum is not seen: k-hat was 0.46 for a brush on
+Without that tenth a bulk far from the optimum is missed: k-hat was 0.46 for a brush on
 ``fits/cmu_wheel`` (smooth wheel, straight): its stiffness is 4 to 16 N around the best
 fit and above 1e6 N by the volume of its prior. With it, k-hat is 2.9.
 """
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import gammaln
 
 LARGEST_K_HAT = 0.7
-"""Above it weighted means do not converge at any practical size (Vehtari et al.)."""
+"""Above this, weighted means do not converge at any practical size (Vehtari et al.)."""
 
 _DEGREES_OF_FREEDOM = 5.0
 _WIDE = 0.1  # share of the points from anywhere within the bounds
@@ -36,15 +36,15 @@ class Weighted(NamedTuple):
     draws: np.ndarray  # (m, p) in the whitened space, worth m independent ones
     k_hat: float
     points: int  # evaluated
-    refused: str  # why the draws must not be used, "" where they may
-    interrupted: bool  # by the user, with fewer draws than asked
+    refused: str  # why the draws must not be used, "" if they may
+    interrupted: bool  # by the user, with fewer draws than requested
 
 
 def _pareto_fit(tail: np.ndarray) -> tuple[float, float]:
     """Shape k and scale of a generalized Pareto distribution, tail (m,) ascending.
 
     The empirical Bayes estimate of Zhang and Stephens (Technometrics 51, 2009), with
-    the shape drawn to 0.5 by ten observations' worth as in appendix G of Vehtari et al.
+    the shape pulled towards 0.5 with the weight of ten observations (Vehtari et al., G).
     """
     count = len(tail)
     grid = 30 + int(np.sqrt(count))
@@ -183,5 +183,5 @@ def _reason(k_hat: float, effective: float, points: int) -> str:
     if k_hat > LARGEST_K_HAT:
         return f"k-hat {k_hat:.2f} is above {LARGEST_K_HAT}"
     if effective < _LEAST_SHARE * points:
-        return f"{points} points were worth {effective:.0f}"
+        return f"{points} points have the weight of only {effective:.0f}"
     return ""

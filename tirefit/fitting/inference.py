@@ -1,4 +1,4 @@
-r"""Least squares, covariance and the level of an interval, of one problem.
+r"""Least squares, covariance and the level of intervals of one problem.
 
 Everything rests on one function of z, the *deviance* D(z) = -2 log L + 2 log L(best):
 
@@ -30,8 +30,8 @@ REACH = 12.0
 def residuals(
     problem: FitProblem, z: Float[Values, " p"]
 ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-    """All residuals, priors last, and their scoring weights: of the rows, divided by
-    the root of their inflation. See ``least_squares.Residual``."""
+    """All residuals, priors last, and their scoring weights. Those of the rows are
+    divided by the root of their inflation. See ``least_squares.Residual``."""
     values, weights = [], []
     for name, block in root_deviance(problem, z).items():
         values.append(block / jnp.sqrt(problem.rules[name].inflation))
@@ -63,7 +63,7 @@ jax.export.register_namedtuple_serialization(Minima, serialized_name="tirefit.Mi
 
 @compiled()
 def _minima(problem: FitProblem, starts, index, values, count) -> Minima:
-    """:func:`minima` of the first ``count`` of m searches; the others are not done."""
+    """:func:`minima` of the first ``count`` of m searches; the others are skipped."""
     blocks = len(problem.rules)
     elements = None
     if problem.layout.is_sparse:
@@ -99,7 +99,7 @@ def minima(
 ) -> Minima:
     """Least squares from several starts, with one element of each held if requested.
 
-    The starts of a fit, its rounds of noise and its profiles are this one program.
+    One compiled program serves the starts of a fit, its rounds of noise and its profiles.
 
     Args:
         starts: first z of every search.
@@ -229,9 +229,9 @@ def covariance(
 ) -> Float[np.ndarray, "p p"]:
     """Covariance of z: the inverse of the curvature of the deviance.
 
-    The Gauss-Newton curvature J'J; with slip noise the exact Hessian, because there
-    the rows are no sum of squares. Directions without information get the variance of
-    a parameter spread over its whole range.
+    The Gauss-Newton curvature J'J; with slip noise the exact Hessian, because the
+    deviance is then not a sum of squares. Directions without information get the
+    variance of a parameter spread over its whole range.
     """
     if problem.rows.nodes:
         information = _hessian(problem, z)

@@ -45,7 +45,7 @@ class Layout:
     free: tuple[FreeParameter, ...]
     ties: tuple[Tie, ...] = ()
     runs: tuple[str, ...] = field(default=("run",), compare=False, repr=False)
-    """Not compared: the names of the runs would compile a fit of every file anew."""
+    """Not compared: otherwise the names of the runs would force a new compilation."""
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -254,8 +254,8 @@ def _wrong_tie(tie: Tie, ties: Sequence[Tie], free: Sequence[str], known) -> Inp
 
 
 def _misplaced(name: str, spec: Spec, asked: ParameterConfig, free: bool) -> Iterator[InputProblem]:
-    """Problems: values and priors outside the bounds, keys without effect when
-    fixed."""
+    """Problems: values and priors outside the bounds, keys that a fixed parameter
+    ignores."""
     key, prior = f"parameters.{name}", asked.prior
     if asked.value is not None and not spec.lower <= asked.value <= spec.upper:
         reason = f"value {asked.value:g} outside its bounds {_interval(spec)}"

@@ -32,11 +32,11 @@ jax.export.register_namedtuple_serialization(Solution, serialized_name="tirefit.
 Residual = Callable[[Float[Array, " p"]], tuple[Float[Array, " n"], Float[Array, " n"]]]
 """z (p,) -> (residuals, scoring weights), each (n,).
 
-The weight is 1 where the row is an ordinary residual r. Where the square of r is the
-deviance of a row (noisy slip), r carries no sign and r'r no curvature; there the weight
-is r itself, before any inflation, so that weight x slope is the gradient of the row's
-log likelihood, whose outer products estimate the information (Berndt, Hall, Hall &
-Hausman 1974).
+The weight is 1 for an ordinary residual r. With a noisy slip the square of r is the
+deviance of a row: r has no sign and r'r no curvature. The weight is then r itself,
+before any inflation, so that weight x slope is the gradient of the row's log
+likelihood, whose outer products estimate the information (Berndt, Hall, Hall & Hausman
+1974).
 """
 
 
@@ -64,21 +64,21 @@ FIRST_DAMPING = 1e-3
 """Share of the diagonal added to the normal matrix, before the first trial."""
 
 LEAST_SCALE = 0.1
-"""Share of its largest element that each of the diagonal counts as, at least, when it
-is damped. Without it an element that the rows hardly inform about runs ahead along a
-curved valley: of eight starts on ``fits/lugre_figure_11`` one arrived in 200 trials;
-with 0.1 four do. With 0.3 all do, but d of a brush-d creeps to its bound."""
+"""Smallest damping of any element, as a share of the largest element of the diagonal.
+Without it a poorly determined element runs ahead along a curved valley: of eight starts
+on ``fits/lugre_figure_11`` one converged in 200 trials; with 0.1 four do. With 0.3 all
+do, but d of a brush-d creeps to its bound."""
 
 GOOD, FAIR = 0.75, 0.25
 """Shares of the predicted decrease above which a trial is good, or fair."""
 
 EASE, EASE_A_LITTLE, STIFFEN = 1 / 10, 1 / 3, 2.0
-"""Factors of the damping after a good, a fair and any other trial. A factor of ten both
-ways goes to and fro at the edge of a valley: magic-formula on ``fits/cmu_wheel`` took
-all 200 trials from two of eight starts, and takes 51 to 80 from each."""
+"""Factors of the damping after a good, a fair and any other trial. A factor of ten up
+and down oscillates at the edge of a valley: magic-formula on ``fits/cmu_wheel`` took
+all 200 trials from two of eight starts; with these it takes 51 to 80 from each."""
 
 LEAST_DAMPING = 1e-9
-"""Below it a step is undamped to rounding; it also keeps a singular matrix solvable."""
+"""A lower damping has no effect in rounding; this keeps a singular matrix solvable."""
 
 STUCK = 1e9  # damping at which steps are too small to change anything: the search ends
 
@@ -86,12 +86,12 @@ LONGEST_STEP = 3.0
 """A parameter crosses its whole range within ten in z; longer steps are useless."""
 
 NO_CURVATURE = 1e-9
-"""Added to the diagonal: an element that no row informs about stays where it is."""
+"""Added to the diagonal, so that an element without information does not move."""
 
 
 def directions(elements: Int[Array, "n q"], size: int) -> Float[Array, "q size"]:
     """Tangents (q, size) that give all derivatives in q passes: a row depends on only q
-    elements of z, and no row depends on two elements of one column."""
+    elements of z, one in each column of ``elements``."""
     columns = jnp.broadcast_to(jnp.arange(elements.shape[1]), elements.shape)
     return jnp.zeros((elements.shape[1], size)).at[columns, elements].set(1.0)
 
@@ -104,7 +104,7 @@ def _linearise(residual: Residual, z: Float[Array, " p"], elements=None):
         return jax.jvp(residual, (z,), (direction,), has_aux=True)
 
     values, rows, weights = jax.vmap(push, out_axes=(None, 0, None))(each)
-    # Else the compiler recomputes every tangent for each product.
+    # Otherwise the compiler recomputes every tangent for each product.
     values, rows = jax.lax.optimization_barrier((values, rows))
     weighted = rows * weights[None]
     if elements is None:
@@ -123,9 +123,9 @@ def _anywhere(z: Float[Array, " p"]) -> Float[Array, " p"]:
 def _after_step(z, normal, gradient, damping, allowed: Callable, longest: float):
     """z (p,) after one damped step in which no element moves by more than longest.
 
-    Elements that would go further, or beyond their range, are limited, and the step of
+    Elements that would move further, or leave their range, are limited, and the step of
     the others is recomputed: near its bound an element has almost no slope and a very
-    large step, which the steps of the others would rely on.
+    large step, which would distort the steps of the others.
     """
 
     def limited(move):
@@ -159,8 +159,8 @@ def damped_gauss_newton(
 ) -> Minimum:
     """Levenberg-Marquardt on the normal equations of a handful of parameters.
 
-    Beside optimistix's Levenberg-Marquardt, which factorises the Jacobian, because it
-    is faster here at the same minimum. 512 fits of 400 rows, processor time per fit on
+    Used because it is faster here than optimistix's Levenberg-Marquardt, which
+    factorises the Jacobian, at the same minimum. 512 fits of 400 rows, time per fit on
     two shared cores, median costs equal to eight digits for the brush: under vmap (64
     at once) 34 us against 282 us for the brush and 0.83 ms against 5.7 ms for the
     Magic Formula; one after the other 53 against 211 us and 0.28 against 0.55 ms. It
@@ -170,12 +170,12 @@ def damped_gauss_newton(
     Args:
         residual: residuals and scoring weights; p up to about ten.
         start: first z.
-        elements: those of z that each residual depends on, or None for all.
-        allowed: takes a trial z to the nearest one that may be tried.
-        max_steps: limit of trials, the start included.
+        elements: elements of z that each residual depends on, or None for all.
+        allowed: maps a trial z to the nearest permitted one.
+        max_steps: largest number of trials, including the start.
 
-    A trial is accepted only if its cost is lower, so NaN loses. The residuals stand in
-    the loop once, the start being the first trial: half the program to compile.
+    A trial is accepted only if its cost is lower, so NaN is rejected. The start is the
+    first trial, so that the residuals are compiled only once.
     """
 
     def step(state: _State) -> _State:
@@ -188,7 +188,7 @@ def damped_gauss_newton(
 
         z, cost = keep(state.trial, best.z), keep(cost, best.cost)
         normal, gradient = keep(normal, best.normal), keep(gradient, state.gradient)
-        # The start has no predicted decrease: its share is infinite.
+        # The start has no predicted decrease, so its share is infinite.
         eased = jnp.where(share > GOOD, EASE, EASE_A_LITTLE)
         fair = better & (share > FAIR)
         damping = state.damping * jnp.where(fair, eased, STIFFEN)
@@ -215,8 +215,8 @@ def damped_gauss_newton(
 def _ordinary(residual: Residual, start) -> Callable:
     """Residuals that a least-squares library can take, with the same minimum.
 
-    The rows of noisy slip become sqrt(1 + r^2 - r(start)^2): the sum of squares changes
-    by a constant, and near the start Gauss-Newton's curvature is that of scoring.
+    Rows with noisy slip become sqrt(1 + r^2 - r(start)^2): the sum of squares changes by
+    a constant, and near the start Gauss-Newton has the curvature of scoring.
     """
     first, weights = residual(start)
     deviance_row = weights != 1.0

@@ -1,7 +1,7 @@
 r"""The fit problem, and its residuals whose sum of squares is -2 log likelihood.
 
-A problem is one pytree, :class:`FitProblem`: every function of a fit is a function of
-it and of the unconstrained parameters z (p,). Every solver, the profile and the
+A problem is one pytree, :class:`FitProblem`. Every function of a fit takes it and the
+unconstrained parameters z (p,). Every solver, the profile and the
 samplers use the one function :func:`root_deviance`. Without slip noise its entries are
 the whitened residuals. With slip noise of standard deviation :math:`\tau` the true slip
 of a row is latent, integrated over the distribution of this file's slips:
@@ -62,7 +62,7 @@ class Channel:
 
     name: str
     noise_estimated: bool = True
-    slip: str = ""  # whose noise, if any, is integrated out: its own if pure
+    slip: str = ""  # the slip whose noise, if any, is integrated out
 
     def __post_init__(self):
         object.__setattr__(self, "slip", self.slip or CHANNEL_SLIP[self.name])
@@ -88,19 +88,18 @@ class Rows(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """How one block of residuals enters the deviance; by default squares stay as they
-    are."""
+    """How one block of residuals enters the deviance; by default as a sum of squares."""
 
     inflation: Float[Array, ""] | float = 1.0  # rows per independent row (x chi2/dof)
-    effective: Float[Array, ""] | float = 1.0  # number of rows
-    smallest: Float[Array, ""] | float = 0.0  # sum of squares at best, 0: noise given
-    within: Float[Array, ""] | float = 0.0  # sum of squares beside: within cells
+    effective: Float[Array, ""] | float = 1.0  # number of independent rows
+    smallest: Float[Array, ""] | float = 0.0  # sum of squares at best; 0: noise given
+    within: Float[Array, ""] | float = 0.0  # sum of squares within cells, to be added
 
 
 class FitProblem(eqx.Module):
     """A fit ready to solve, as one pytree; its rows are on the device.
 
-    Static fields identify a compiled program, so they hold nothing of a single file,
+    Static fields identify a compiled program, so they hold nothing specific to a file,
     such as the names of its runs or its number of rows.
     """
 
@@ -133,8 +132,8 @@ class FitProblem(eqx.Module):
         return any(channel.noise_estimated for channel in self.channels)
 
     def block_of(self, channel: Channel) -> str:
-        """The block of residuals that a channel is in: its own, or that of its slip,
-        once latent slips are laid out."""
+        """The block of residuals that a channel is in: its own, or that of its slip if
+        the slip has latent values."""
         return channel.slip if channel.slip in self.rows.nodes else channel.name
 
     def block_channels(self, block: str) -> tuple[Channel, ...]:
@@ -274,7 +273,7 @@ def moments(problem: FitProblem, z: Float[Values, " p"]):
 
 
 def blocks_and_moments(problem: FitProblem, z: Float[Values, " p"]):
-    """:func:`root_deviance`, and the two of :func:`moments`, of one evaluation."""
+    """:func:`root_deviance` and :func:`moments` from one evaluation."""
     forces = _channel_forces(problem, z)
     return _blocks(problem, forces), *_moments(problem, forces)
 

@@ -4,15 +4,15 @@ import numpy as np
 
 _BINS = 36
 _FAR = 6.0
-"""Reach of an axis from the median, in distances to the end of the central 68.27 % on
-that side: 6 standard deviations of a Gaussian, beyond its draws. A bulk that is rare
-and far away does not stretch the axis."""
+"""Length of an axis from the median, in units of the distance to the end of the central
+68.27 % on that side: 6 standard deviations of a Gaussian. A rare bulk far away does
+not stretch the axis."""
 _SHARES = (0.001, 0.15866, 0.5, 0.84134, 0.999)
 """Ends of 99.8 % of the draws, of the central 68.27 %, and the median."""
 _KERNEL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
 """Binomial: one standard deviation of one bin."""
 _NARROW = 1e-6
-"""Width over size below which an axis is widened, to a hundredth to either side."""
+"""Width over size below which an axis is widened, by a hundredth on either side."""
 _ABOVE = 2.5  # deviance over its level up to which a profile is worth drawing
 _POINTS = 300
 
@@ -55,8 +55,7 @@ def enclosing(density: np.ndarray, shares: tuple[float, float]) -> tuple[float, 
 
 
 def near_level(deviance, level: float) -> np.ndarray:
-    """The points (m,) bool of a profile that are drawn: up to a margin above a
-    level."""
+    """Which points (m,) of a profile are drawn: those up to a margin above a level."""
     near = np.flatnonzero(deviance <= _ABOVE * level)
     rows = np.zeros(len(deviance), bool)
     rows[max(near[0] - 1, 0) : near[-1] + 2] = True

@@ -74,7 +74,7 @@ def law_shares(residual, terms, known=0.0) -> np.ndarray:
         weighted = scaled / variance[:, None]
         # Normal equations, as there are few unknowns and many rows.
         normal = weighted.T @ weighted
-        # Terms may be the same, as those of one load are.
+        # Terms may be equal, for instance if there is only one load.
         ridge = 1e-9 * np.trace(normal) * np.eye(len(normal))
         aim = weighted.T @ (wanted / variance)
         shares, last = non_negative(normal + ridge, aim), shares
@@ -84,8 +84,8 @@ def law_shares(residual, terms, known=0.0) -> np.ndarray:
 
 
 def non_negative(normal, aim) -> np.ndarray:
-    """The x >= 0 (k,) of the least x' normal x / 2 - aim' x, by all 2^k sets of entries
-    that are not zero: for three entries this is faster than importing
+    """The x >= 0 (k,) that minimises x' normal x / 2 - aim' x. All 2^k sets of non-zero
+    entries are tried: for three entries this is faster than importing
     ``scipy.optimize``."""
     best, least = np.zeros(len(aim)), 0.0
     for free in itertools.product((False, True), repeat=len(aim)):
@@ -115,8 +115,8 @@ def autocorrelation(residuals: list[np.ndarray]) -> np.ndarray:
     """Autocorrelation at lags 0, 1, ..., runs pooled: (rows of the longest run,).
 
     Args:
-        residuals: one array (n_run,) per run, in order; where all are zero the
-            correlation is that of lag zero alone, (1,).
+        residuals: one array (n_run,) per run, in order; if all are zero only lag zero is
+            returned, (1,).
     """
     total = sum(float(part @ part) for part in residuals)
     if total <= 0:
@@ -170,7 +170,7 @@ def effective_inflation(scores, run, time) -> float:
         run: run of each row, shape (n,).
         time: time of each row (n,), or None to take the order of the file.
     """
-    # A parameter that no row informs about has no direction of its own.
+    # A parameter without information has no direction.
     left, size, _ = np.linalg.svd(scores, full_matrices=False)
     known = size > 1e-8 * max(size.max(), 1e-300)
     # Also the directions of the parameters: the SVD is arbitrary for equal singular
@@ -186,9 +186,9 @@ def effective_inflation(scores, run, time) -> float:
 def _inflation(parts: list[np.ndarray]) -> float:
     """Autocorrelation time within the runs, raised if the runs differ by more.
 
-    Runs measured on other days or floors differ as a whole, which the autocorrelation
-    within a run does not show. Their sums then scatter more than chi-squared allows
-    (0.1 %).
+    Runs measured on different days or floors differ as a whole, which the
+    autocorrelation within a run does not show. Their sums then scatter more than
+    chi-squared allows (0.1 %).
     """
     time = autocorrelation_time(parts)
     freedom = len(parts) - 1

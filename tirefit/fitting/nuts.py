@@ -2,8 +2,8 @@
 
 The only importer of blackjax. Hoffman and Gelman (Journal of Machine Learning Research
 15, 2014): trajectories of adapted length, whose cost grows slowly with the number of
-parameters; that of an ensemble sampler grows fast. Step size and mass
-come from steps that are not kept, pooled over all chains, and are then left alone.
+parameters, while that of an ensemble sampler grows fast. Step size and mass are
+adapted in discarded steps, pooled over all chains, and are then fixed.
 """
 
 from collections.abc import Callable
@@ -21,12 +21,12 @@ s of processor time, emcee 100 s; with 90 emcee did not finish in 600 s."""
 
 _ACCEPTANCE = 0.8
 _WARM_UP = 3
-"""Chunks that are not kept: the step size is learned in every one, the mass from the
+"""Chunks that are discarded: the step size is adapted in every one, the mass from the
 second half of all but the last."""
 _DOUBLINGS = 8
-"""A trajectory has at most 2^8 steps: far more than a whitened posterior needs."""
+"""A trajectory has at most 2^8 steps, far more than a whitened posterior needs."""
 _SHRINKAGE = 10.0
-"""Draws' worth of unit covariance in the mass: chains' own may be too few."""
+"""Weight, in draws, of a unit covariance in the mass: the chains may have too few."""
 
 
 def sampler_of_chains(sampler: str | None, size: int) -> str:
@@ -126,7 +126,7 @@ def _advanced(density, state: dict, steps: int, adapt: bool):
 
 
 def _warmed_up(density, state: dict, steps: int) -> dict:
-    """The state with step size and mass of its chains; its steps are not kept."""
+    """The state with step size and mass adapted to its chains; the steps are discarded."""
     while (stage := int(state["stage"])) < _WARM_UP:
         state, positions, _, _ = _advanced(density, state, steps, adapt=True)
         if stage < _WARM_UP - 1:
@@ -142,8 +142,7 @@ def _warmed_up(density, state: dict, steps: int) -> dict:
 def nuts_chunk(density, state: dict, steps: int):
     """Advance every chain: (samples, log density, acceptance, state), as emcee's.
 
-    The state counts the divergent transitions among the samples; those of the warm-up,
-    which is not among the samples, are not counted.
+    The state counts the divergent transitions among the samples, without the warm-up.
     """
     state, positions, values, rate = _advanced(
         density, _warmed_up(density, state, steps), steps, adapt=False

@@ -4,8 +4,8 @@ The only importer of emcee. Sampling happens in the whitened unconstrained space
 least-squares fit, where a well-identified posterior is nearly a unit Gaussian; the
 prior is flat within the bounds of the natural parameters, or what ``fit.toml`` gives.
 
-A chain is a sequence of chunks of steps. After each chunk the random state is part of
-the record: a resumed run draws exactly the samples of one without interruption.
+A chain is a sequence of chunks of steps. The record holds the random state after each
+chunk: a resumed run draws exactly the samples of an uninterrupted one.
 """
 
 import os
@@ -39,8 +39,8 @@ _WALKERS = {"emcee": 64, "nuts": 8}
 _RHAT = 1.01
 _STEPS_PER_TAU = 50
 _ALIKE = 0.05
-"""Error of the log density by which no interval moves by more than its own sampling
-error: at most so many standard deviations of the parameter."""
+"""Largest error of the log density at which no interval moves by more than its sampling
+error, in standard deviations of the parameter."""
 
 
 @jax.jit
@@ -56,7 +56,7 @@ def _log_density(u, problem: FitProblem, center, root, base):
 
 
 def _whitening(solved: Solved) -> tuple[np.ndarray, np.ndarray]:
-    """Center and root of the covariance; a center inside the reach of the bounds."""
+    """Center and root of the covariance; the center is kept away from the bounds."""
     values, vectors = np.linalg.eigh(solved.covariance)
     # Half the reach: walkers of an unidentified direction must not start at the bounds.
     root = vectors * np.sqrt(np.clip(values, 1e-12, (REACH / 4) ** 2))
@@ -79,7 +79,7 @@ def _random_states(seed: int, count: int) -> list[tuple]:
 
 def _state_of(generator: np.random.RandomState) -> tuple:
     state = generator.get_state(legacy=True)
-    assert isinstance(state, tuple)  # as ``legacy`` asks for
+    assert isinstance(state, tuple)  # because of ``legacy``
     return state
 
 
@@ -114,12 +114,12 @@ def _emcee_start(density, size: int, ensembles: int, walkers: int, seed: int):
 
 def _emcee_chunk(density, state: dict, steps: int):
     """Advance every ensemble by ``steps``: (samples, log density, accepted, state)."""
-    import emcee  # only where it samples: importance and NUTS do not need it
+    import emcee  # here, because importance sampling and NUTS do not need it
 
     ensembles, walkers, size = state["coordinates"].shape
-    # Differential evolution, with full jumps between modes one time in ten (ter Braak
-    # 2006): a quarter of the stretch move's autocorrelation time, and no loop over
-    # walkers in Python as in the snooker move.
+    # Differential evolution, with a full jump between modes in one step of ten (ter
+    # Braak 2006): a quarter of the autocorrelation time of the stretch move, and no loop
+    # over walkers in Python as in the snooker move.
     moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
     samples = np.empty((ensembles, steps, walkers, size))
     values = np.empty((ensembles, steps, walkers))
@@ -146,7 +146,7 @@ SAMPLERS: dict[str, tuple[Callable, Callable]] = {
     "emcee": (_emcee_start, _emcee_chunk),
     "nuts": (nuts_start, nuts_chunk),
 }
-"""Sampler of chains -> (start, chunk); every one fills the same :class:`Chain`."""
+"""Sampler of chains -> (start, chunk); each fills a :class:`Chain`."""
 
 
 def split_rhat(samples: np.ndarray) -> np.ndarray:
@@ -220,20 +220,20 @@ def sample(
 
     Args:
         result: a fit from this process (``tirefit.fit``).
-        sampler: ``emcee``, the default to 20 parameters; ``nuts`` (gradients), that of
-            more; ``importance`` (no chain: independent points, weighted; by far the
-            fastest where the posterior is compact), which falls back to the default if
+        sampler: ``emcee``, the default up to 20 parameters; ``nuts`` (gradients), the
+            default above; ``importance`` (no chain: independent points, weighted; by far
+            the fastest if the posterior is compact), which falls back to the default if
             its weights are unreliable, with a note.
         ensembles: independent ensembles, at least 4.
-        walkers: walkers per ensemble. Of emcee even, by default 64, more for many
-            parameters; of nuts chains of their own, by default 8.
-        effective_samples: stop once every parameter has as many, the chain is 50
+        walkers: walkers per ensemble. For emcee an even number, by default 64, more for
+            many parameters; for nuts the number of separate chains, by default 8.
+        effective_samples: stop once every parameter has this many, the chain is 50
             autocorrelation times long and split R-hat is below 1.01.
-        max_steps: give up there, and say so.
-        seed: of the sampling; the fit's own if None.
-        checkpoint: file that keeps the chain while it is drawn.
-        resume: continue from ``checkpoint`` if it is there. Importance sampling has
-            nothing to continue: the seed alone draws the same samples again.
+        max_steps: stop here even without convergence, and report it.
+        seed: of the sampling; by default that of the fit.
+        checkpoint: file that stores the chain during sampling.
+        resume: continue from ``checkpoint`` if it exists. Importance sampling has
+            nothing to continue: the same seed draws the same samples again.
         progress: called with (share done, message).
 
     Raises:
@@ -261,7 +261,7 @@ def sample(
     off = apart(done, cells)
     if off <= _ALIKE or Outcome.INTERRUPTED in done.outcomes:
         count = f"{solved.problem.n} rows as {cells.n} cells of like rows"
-        return _noted(done, f"{count}, by which the log density is off by {off:.2g}")
+        return _noted(done, f"{count}, with an error of {off:.2g} in the log density")
     return _sampled(result, solved.problem, run._replace(resume=False))
 
 
@@ -279,7 +279,7 @@ class _Run(NamedTuple):
 
 
 def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
-    """The fit with the posterior of this problem, which is its own or one of cells."""
+    """The fit with the posterior of this problem: its own, or one made of cells."""
     solved: Solved = result.solved
     density, weighted = _density(solved._replace(problem=problem)), None
     size = solved.problem.layout.size
@@ -313,7 +313,7 @@ def _noted(result: FitResult, text: str) -> FitResult:
 
 
 def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):
-    """(ensembles, walkers) of a run; UsageError where they cannot be sampled with."""
+    """(ensembles, walkers) of a run; UsageError if the sampler cannot use them."""
     if sampler == "nuts":
         if ensembles < 4:
             raise UsageError(f"{ensembles} ensembles of chains: at least 4 are needed")
@@ -377,7 +377,7 @@ def _of_chain(
     if divergences:
         notes.append(
             f"{int(divergences)} divergent transitions: the posterior has corners that"
-            " the sampler could not enter; compare with --sampler emcee"
+            " the sampler could not reach; compare with --sampler emcee"
         )
     summary = PosteriorSummary(
         sampler,
@@ -395,7 +395,7 @@ def _of_chain(
         None if divergences is None else int(divergences),
         "; ".join(notes),
     )
-    # Nearly independent draws; parameters and derived quantities are of the same ones.
+    # Nearly independent draws, the same ones for parameters and derived quantities.
     # A walker that never moved has no autocorrelation time: keep one draw of each.
     slowest = min(health.tau.max() / 2, health.kept.shape[1])
     thin = max(int(np.ceil(slowest)), 1)

@@ -101,15 +101,14 @@ def predict(
         values: parameter values of a tire or a named model; its own otherwise.
 
     Returns:
-        (n,) arrays. Of a tire or a named model ``fx`` where the data have sigma_x,
-        ``fy``, ``mz`` and, where modelled, ``mx`` where they have alpha, and ``my``
-        where they have either; of a fit the forces that it fitted, each with a
-        ``<force>_std``: parameter uncertainty and the noise of one measurement.
-        Masked rows are NaN.
+        (n,) arrays. For a tire or a named model: ``fx`` if the data have sigma_x; ``fy``,
+        ``mz`` and, if modelled, ``mx`` if they have alpha; ``my`` if they have either.
+        For a fit: the forces that it fitted, each with a ``<force>_std`` of parameter
+        uncertainty and the noise of one measurement. Masked rows are NaN.
 
     Raises:
         UsageError: unknown model or parameter, value out of bounds, 32-bit floats.
-        DataError: the data lack an input, or have runs the fit does not know.
+        DataError: the data lack an input, or have runs that the fit lacks.
     """
     require_x64("a prediction")
     data = as_data(data, forces=False, otherwise=_signs_of(source))
@@ -157,7 +156,7 @@ def predict(
 
 
 def _signs_of(source) -> tuple[str, str] | None:
-    """The convention of a fit's data, and the name of the fit."""
+    """The convention of a fit's data, and how a message calls it."""
     if isinstance(source, AbstractTire | str):
         return None
     content = source.content if isinstance(source, StoredFit) else vars(source)
@@ -165,7 +164,7 @@ def _signs_of(source) -> tuple[str, str] | None:
 
 
 def _noise_std(data: TireData, channel: str, record: Mapping | None, force, reference):
-    """Noise of one measurement: from a column of the data, else from the fit."""
+    """Noise of one measurement, from a column of the data or from the fit."""
     if f"{channel}_std" in data:
         return data[f"{channel}_std"]
     if record is None:
@@ -194,7 +193,7 @@ def tire_with(template: AbstractTire, name: str, values: Mapping[str, float]) ->
     """The tire with other values of its parameters.
 
     Raises:
-        UsageError: a parameter that it lacks, or a value outside its bounds; all.
+        UsageError: lists all unknown parameters and values outside their bounds.
     """
     check_values(template, name, values)
     return with_values(template, parameter_values(template) | dict(values))
@@ -209,7 +208,7 @@ def _of_model(template: AbstractTire, name: str, data: TireData, values: Mapping
     channels = _channels(data, given)
     if not channels:
         has = " and ".join(modelled(tire))
-        reason = f"{name} gives {has} alone, whose slip the data do not have"
+        reason = f"{name} computes only {has}, and the data do not have its slip"
         remedy = "name the column with --column, or choose another tire"
         raise DataError(reason, remedy, data.file)
     return _all_rows(data, {c: given[c] for c in channels})

@@ -25,7 +25,7 @@ from tirefit.results import DataError, InputProblem, UsageError
 
 @dataclass(frozen=True)
 class FitTask:
-    """A problem, and the data about it that do not enter the compiled program."""
+    """A problem, with further data that do not enter the compiled program."""
 
     name: str
     problem: FitProblem
@@ -52,8 +52,8 @@ def find_model(name: str) -> AbstractTire:
         remedy += " writes, fit.json and fit.tir, is a tire"
         raise UsageError(reason, remedy)
     if os.path.isfile(name):
-        reason = f"{name!r} is a file, and no name of a model"
-        remedy = "a tire of a file ends in .json (a fit) or .tir; `tirefit models` lists"
+        reason = f"{name!r} is a file, not the name of a model"
+        remedy = "a file of a tire ends in .json (a fit) or .tir; `tirefit models` lists"
         raise UsageError(reason, f"{remedy} the names")
     close = difflib.get_close_matches(name, MODELS, 3)
     hint = f"did you mean {', '.join(close)}? " if close else ""
@@ -78,12 +78,12 @@ def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], 
     rest = [name for name in varied if name != chosen]
     note = f"fitted force: {chosen} against {CHANNEL_SLIP[chosen]}"
     if rest:
-        note += f"; {', '.join(rest)} left out (set `force` in fit.toml to fit it)"
+        note += f"; {', '.join(rest)} not fitted (set `force` in fit.toml to fit it)"
     return (chosen,), [note]
 
 
 def _column_wins(name: str, noise: NoiseConfig) -> str:
-    """The note on noise from a column, with the settings that the column overrides."""
+    """The note on noise from a column, and the settings that it overrides."""
     keys = (name, f"{name}_relative", f"{name}_speed")
     given = {key: getattr(noise, key, None) for key in keys}
     overruled = [f"noise.{k} = {v:g}" for k, v in given.items() if v is not None]
@@ -135,7 +135,7 @@ def _noise_problems(data: TireData, forces, config: FitConfig):
     for name, std in stds.items():
         largest = float(np.max(np.abs(data.usable(name)))) or 1.0
         if name not in forces:
-            # The slip of a locked wheel, and its noise, stand for infinity.
+            # The slip of a locked wheel, and its noise, represent infinity.
             largest, std = min(largest, 1.0), np.minimum(std, 1.0)
         wrong = np.flatnonzero((std < 1e-9 * largest) | (std > 1e9 * largest))
         if not len(wrong):
@@ -166,8 +166,8 @@ def _noise_column(data: TireData, column: str, wrong, beside: str) -> InputProbl
 
 
 def _settled(data: TireData, model: AbstractTire, forces, config: FitConfig):
-    """Result of ``choose_layout``; its problems are raised together with those of the
-    noise."""
+    """Result of ``choose_layout``; its problems and those of the noise are raised
+    together."""
     of_columns, of_settings = _noise_problems(data, forces, config)
     try:
         chosen = choose_layout(model, config, data.runs, forces)
@@ -181,15 +181,15 @@ def _settled(data: TireData, model: AbstractTire, forces, config: FitConfig):
 
 
 def check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
-    """Raises DataError if the stated noise (n,) of a slip is as large as the variation
-    of the measured slips: then no row has a known slip."""
+    """Raises DataError if the stated noise (n,) of a slip is as large as the spread of
+    the measured slips: no slip is then known."""
     noise, spread = float(np.median(std)), float(np.std(data.usable(slip)))
     if noise > 0.7 * spread:
         column = f"{slip}_std" if f"{slip}_std" in data else None
         raise DataError(
             f"the noise of {slip} ({noise:.3g}) is as large as the spread of the"
-            f" measured slips (standard deviation {spread:.3g}): they say nothing"
-            " about where on the curve a row lies",
+            f" measured slips (standard deviation {spread:.3g}): the slip of a row is"
+            " unknown",
             f"check the unit of the noise, {column or f'noise.{slip}'}",
             data.file,
             column=column,
@@ -210,7 +210,7 @@ def _inputs(data: TireData, size: int) -> TireInputs:
 
 
 def _first_guess(model, data: TireData, forces, layout: Layout) -> dict[str, float]:
-    """Slope of the low-slip half and the largest force, in terms of the parameters."""
+    """Guess from the slope of the low-slip half and from the largest force."""
     name = "fx" if "fx" in forces else ("fy" if "fy" in forces else None)
     guess = {p.name: float(parameter_values(model)[p.name]) for p in layout.free}
     if name is None:
@@ -280,7 +280,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
 
     Raises:
         UsageError: unknown model or parameter, impossible bounds, ties or noise.
-        DataError: columns or rows are missing, or noise in a column is none.
+        DataError: missing columns or rows, or a noise column that is not positive.
     """
     template = find_model(name)
     forces, notes = _chosen_forces(data, config)
@@ -326,7 +326,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         rules={force: Rule() for force in forces},
         layout=layout,
         channels=tuple(channels),
-        # Rows to be trimmed are set aside: the others' noise is normal.
+        # Outliers are excluded, so that the noise of the others is normal.
         loss="squares" if config.noise.loss == "trimmed" else config.noise.loss,
     )
     time = data.usable("time") if "time" in data else None
@@ -336,7 +336,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
 def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
     if config.friction_temperature:
         reason = f"friction_temperature with the model {name}"
-        remedy = "it is of mf52, mf61 and mf62: leave it out of [model]"
+        remedy = "only mf52, mf61 and mf62 have it: remove it from [model]"
         raise UsageError(reason, remedy, config.source)
     if "mz" in forces and "mz" not in modelled(model):
         raise UsageError(f"{name} has no aligning moment", "fit fy, or a brush model")
@@ -359,7 +359,7 @@ def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
 
 
 def _with_reference_load(data: TireData, model: AbstractTire, config: FitConfig):
-    """The configuration with a reference load if none is given, and a note."""
+    """The configuration with a reference load, by default chosen here, and a note."""
     asked = config.parameters.get("fz0", ParameterConfig())
     if "fz0" not in specs(model) or asked.value is not None:
         return config, []

@@ -22,8 +22,8 @@ class Profile(NamedTuple):
 
 
 class _Side:
-    """One side of a profile: the search for the distance where the deviance, whose
-    root is nearly straight, reaches the level."""
+    """One side of a profile: searches the distance at which the deviance, whose root is
+    nearly linear, reaches the level."""
 
     def __init__(self, center: float, sign: int, std: float, level: float):
         self.center, self.sign, self.goal = center, sign, np.sqrt(level)
@@ -43,8 +43,8 @@ class _Side:
         if above:
             outer = min(above)
             inner = max(d for d in self.distances if d < outer)
-            # Interpolation that creeps along one end, where the root is all but
-            # straight (next to a bound), is helped by every other step in the middle.
+            # Next to a bound the root is far from linear and interpolation creeps along
+            # one end, so every other step is in the middle.
             last, before = (root > self.goal for root in self.roots[:-3:-1])
             if last == before:
                 return (inner + outer) / 2
@@ -94,7 +94,7 @@ class _Side:
 _ROUNDS = 16
 
 _JUMP = 2.0
-"""Factor over a straight root at which a point of a profile is searched again."""
+"""Factor above a linear root at which a point of a profile is searched again."""
 
 
 def profile_all(
@@ -105,11 +105,11 @@ def profile_all(
     sides = [_Side(z[i], s, std[i], level) for i in range(size) for s in (-1, 1)]
     index = np.repeat(np.arange(size), 2)
     signs = np.tile([-1, 1], size)
-    # How the other elements follow, at first by the covariance, then as last found.
+    # How the other elements follow: first by the covariance, then as last found.
     follow = signs[:, None] * (cov[:, index] / np.diag(cov)[index]).T
-    # The first round has distance zero: the deviance of the best fit itself.
+    # The first round is at distance zero and gives the deviance of the best fit.
     base, distance = None, np.zeros(len(sides))
-    # Of every side the outermost point below the level.
+    # The outermost point below the level on every side.
     inner = np.repeat(z[None], len(sides), axis=0)
     for _ in range(_ROUNDS):
         finished = all(side.done for side in sides)
@@ -132,7 +132,7 @@ def profile_all(
 
 
 def _searched_again(problem, sides, ends: Minima, base, distance, inner, index, values):
-    """The ends; doubtful ones are searched again from the point before them."""
+    """The ends; doubtful ones are searched again from the previous point."""
     rise = np.nan_to_num(ends.deviance - base, nan=1e9, posinf=1e9)
     every = zip(sides, distance, rise, strict=True)
     doubtful = np.flatnonzero([side.doubts(d, value) for side, d, value in every])

@@ -12,9 +12,9 @@ from tirefit.fitting.result import FitResult
 _BINS = 12
 """Largest number of settings with a mean each; more are grouped into bins of equal
 size."""
-_FEWEST = 3  # rows of a bin from which its scatter gives its mean an error
-_HALF_95 = 1.96  # standard errors to the end of a 95 % interval of a normal law
-_LAGS = 40  # lags, at most, and those of a quarter of the longest run
+_FEWEST = 3  # fewest rows of a bin whose scatter gives an error of its mean
+_HALF_95 = 1.96  # half of a 95 % interval of a normal distribution, in standard errors
+_LAGS = 40  # largest lag, but at most a quarter of the longest run
 
 
 class Means(NamedTuple):
@@ -34,7 +34,7 @@ def standardised(result: FitResult, channel: str) -> np.ndarray:
 
 
 def means_over(x, residual, inflation: float) -> Means:
-    """Means at the settings of an input, or over bins of it, of three rows and more.
+    """Means at the settings of an input, or over bins of it, of at least three rows.
 
     Args:
         x: (n,) input.
@@ -61,12 +61,12 @@ def means_by(codes, x, residual, inflation: float) -> Means:
 
 
 def ordered_correlation(residual, run, time) -> np.ndarray:
-    """Autocorrelation at lags 0, 1, ... in the order of time, runs pooled.
+    """Autocorrelation at lags 0, 1, ... in time order, runs pooled.
 
     Args:
         residual: (n,) standardised.
         run: (n,) number of the run of each row.
-        time: (n,), or None where the order is that of the file.
+        time: (n,), or None to use the order of the file.
     """
     parts = []
     for code in np.unique(run):

@@ -1,4 +1,4 @@
-"""What a transient model asks of the data: rows that are a time series."""
+"""Checks for transient models, which need rows that form a time series."""
 
 import numpy as np
 
@@ -8,22 +8,22 @@ from tirefit.results import DataError, InputProblem, UsageError
 
 
 def check_time_series(data: TireData, name: str) -> None:
-    """Raises DataError unless the used rows of each run stand together, time rising.
+    """Raises DataError unless the used rows of each run are contiguous, with rising time.
 
     Args:
         data: with a time column.
-        name: of the transient model, for the message.
+        name: name of the transient model, for the message.
     """
     rows = np.flatnonzero(data.used)
     run, time = data.run[rows], data["time"][rows]
     file, column = data.file, data.source.columns.get("time")
     same = run[1:] == run[:-1]
-    # A run begins once, where the run before it ended.
+    # Each run begins only once, after the end of the previous run.
     first = np.unique(run, return_index=True)[1]
     again = ~same & ~np.isin(np.arange(1, len(run)), first)
     problems = []
     for wrong, reason in (
-        (again, "the rows of run {run!r} do not stand together"),
+        (again, "the rows of run {run!r} are not contiguous"),
         (same & ~(np.diff(time) > 0), "time {time:g} s is not after {before:g} s"),
     ):
         if not wrong.any():
@@ -36,7 +36,7 @@ def check_time_series(data: TireData, name: str) -> None:
         problems.append(
             InputProblem(
                 f"{text}{more}; {name} follows the slip through time",
-                "sort the rows by run and time, and name the runs by a column run",
+                "sort the rows by run and time, and name the runs in a column run",
                 file,
                 line,
                 column or "time",
@@ -46,23 +46,23 @@ def check_time_series(data: TireData, name: str) -> None:
 
 
 def check_whole_series(data: TireData, name: str, slips, config: FitConfig) -> None:
-    """Raises UsageError where settings or columns hide part of the slip's history.
+    """Raises UsageError if settings or columns hide part of the slip's history.
 
     Args:
         data: the measured data.
-        name: of the transient model.
-        slips: slips that drive the fitted forces.
+        name: name of the transient model.
+        slips: slips of the fitted forces.
         config: limits and noise of the slip.
     """
     problems = []
     for key in ("slip_min", "slip_max"):
         if getattr(config.data, key) is not None:
-            reason = f"data.{key} leaves out rows that {name} remembers"
-            remedy = f"leave {key} out, or fit the steady model"
+            reason = f"data.{key} excludes rows that still affect later rows of {name}"
+            remedy = f"remove {key}, or fit the steady model"
             problems.append(InputProblem(reason, remedy, config.source))
-    remedy = "fit the steady model, or leave the noise of the slip out"
+    remedy = "fit the steady model, or remove the noise of the slip"
     for slip in slips:
-        reason = f"{name} follows the slip through time: it cannot have noise"
+        reason = f"{name} follows the slip through time, which must have no noise"
         if getattr(config.noise, slip) is not None:
             reason = f"noise.{slip}: {reason}"
             problems.append(InputProblem(reason, remedy, config.source))

@@ -1,8 +1,8 @@
-"""Tire models by name: one visible dict.
+"""Tire models by name, in one dict.
 
-Brush models are spelled by the letters of their calibration factors, in this order:
+Names of brush models contain the letters of their calibration factors, in this order:
 ``d`` pressure asymmetry, ``m`` kinetic friction, ``n`` or ``h`` friction falling
-linearly or exponentially with sliding speed, ``s`` static friction falling too.
+linearly or exponentially with sliding speed, ``s`` also falling static friction.
 """
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs, forces, modelled

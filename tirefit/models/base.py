@@ -15,7 +15,7 @@ class TireInputs(NamedTuple):
     ``sigma_x`` [-], ``alpha`` [rad], ``fz`` [N], ``v`` [m/s] forward speed of the
     wheel centre (0: a rolling resistance is that of the nominal speed), ``gamma`` [rad]
     camber, ``pressure`` [Pa] of inflation (0: nominal),
-    ``time`` [s]. A model says in ``needs`` which of the last four change its force.
+    ``time`` [s]. ``needs`` of a model lists which of the last four change its force.
     """
 
     sigma_x: Float[Array | np.ndarray, "*n"] | float = 0.0
@@ -28,7 +28,7 @@ class TireInputs(NamedTuple):
 
 
 class TireForces(NamedTuple):
-    """Forces [N] and moments [N m] of one sample; None where not modelled.
+    """Forces [N] and moments [N m] of one sample; None if not modelled.
 
     ``mz`` aligning, ``mx`` overturning, ``my`` rolling resistance moment.
     """
@@ -65,8 +65,8 @@ class AbstractTire(eqx.Module):
     def felt(self, inputs: TireInputs, run) -> TireInputs:
         """Inputs at the contact patch, after any lag; rows in time order, arrays (n,).
 
-        A steady-state model feels them at once; a transient one lags behind them,
-        starting anew with each ``run`` (n,).
+        They are those of the wheel for a steady-state model; for a transient one they
+        lag behind, from a steady state at the start of each ``run`` (n,).
         """
         del run
         return inputs
@@ -87,17 +87,17 @@ def _batched(model: AbstractTire, inputs: TireInputs, run) -> TireForces:
 def forces(
     model: AbstractTire, inputs: TireInputs, run: Int[Array | np.ndarray, "*n"] | int = 0
 ) -> TireForces:
-    """Forces of a batch of samples: the one ``vmap`` and ``jit``.
+    """Forces of a batch of samples.
 
     Args:
         model: any registered tire model with its parameter values.
         inputs: scalars or arrays of shape ``(n,)``; scalars are broadcast.
-        run: run of each row, ``(n,)``, or one for all; a transient model starts anew
-            with each and takes the rows of a run in time order.
+        run: run of each row, ``(n,)``, or one for all; a transient model starts in steady
+            state with each run, and takes its rows in time order.
 
     Returns:
         fx, fy [N] and moments [N m] of shape ``(n,)`` (``()`` if all inputs are
-        scalars); None where the model does not give it.
+        scalars); None for those that the model does not give.
 
     Raises:
         ValueError: an input has more than one dimension.

@@ -1,17 +1,17 @@
 r"""The brush model: a pressure law composed with a friction law.
 
 A bristle at :math:`\xi` demands :math:`c \sigma (1-\xi)`, with :math:`c = c_p a^2`; the
-road gives up to :math:`\mu_s F_z p(\xi)`. It sticks from the leading edge to the
-breakaway point :math:`\xi_s` and slides behind it:
+limit is :math:`\mu_s F_z p(\xi)`. Bristles stick from the leading edge to the breakaway
+point :math:`\xi_s` and slide behind it:
 
 .. math:: F = \mu_k F_z P(\xi_s) + \tfrac12 c \sigma (1-\xi_s)^2
 
 S(12), (14), (29), (31)-(37) are all cases of this line, and the first moment of the
 same integrand gives the aligning moment.
 
-The contact half-length a grows with the load, S §2.1: in proportion to :math:`F_z` for
-a rectangular patch, to :math:`\sqrt{F_z}` for an elliptic one. So :math:`c_p a^2` grows
-as :math:`F_z^2` or as :math:`F_z`; measured tires have other powers.
+The contact half-length a grows with the load, S §2.1: it is proportional to :math:`F_z`
+for a rectangular patch, to :math:`\sqrt{F_z}` for an elliptic one. So :math:`c_p a^2` is
+proportional to :math:`F_z^2` or :math:`F_z`; measured tires have other powers.
 """
 
 import jax
@@ -60,10 +60,10 @@ class Brush(AbstractTire):
     """Brush model with any pressure and friction law, pure or combined slip.
 
     In combined slip every bristle deflects along the resultant physical slip (S §2.3,
-    "Combined slip"): the pure-slip force of its length, in its direction. The aligning
-    moment is that of the lateral forces about the centre of a patch that stays in the
-    wheel plane (rigid carcass); neglected is what the longitudinal force adds by acting
-    beside that plane, where the bristles are deflected sideways.
+    "Combined slip"): the force is the pure-slip force of its length, in its direction.
+    The aligning moment is that of the lateral forces about the centre of a patch in the
+    wheel plane (rigid carcass). The moment of the longitudinal force, which acts beside
+    that plane because bristles are deflected sideways, is neglected.
     """
 
     cpa2: float = bristle_stiffness()
@@ -77,14 +77,14 @@ class Brush(AbstractTire):
 
         Args:
             slip: physical slip sigma [-], >= 0.
-            fz: load [N]; no load, no force.
+            fz: load [N]; the force is zero at zero load.
             v_s: sliding speed of the contact patch [m/s], >= 0.
             braking: share of the slip that brakes [-]: 1 pure braking, -1 driving.
         """
         loaded = fz > 0
         load = jnp.where(loaded, fz, 1.0)
         demand = self.cpa2 * slip
-        # Friction that falls with speed may reach zero; the demand ratio must not.
+        # Friction that falls with speed may reach zero, but the demand ratio must be finite.
         mu_s = jnp.maximum(self.friction.static(self.mu, v_s), 1e-6)
         mu_k = self.friction.kinetic(self.mu, v_s)
         rho = demand / (mu_s * load)
@@ -123,10 +123,10 @@ class AnisotropicBrush(Brush):
        F_x = F(\kappa) \frac{\sigma_x}{\kappa}, \quad
        F_y = F(\kappa) \frac{\kappa_y}{\kappa}
 
-    The friction is isotropic. A sliding bristle keeps the direction in which it was
-    deflected, as O assumes; it really turns towards its sliding velocity, so that in
-    full sliding the force is too close to the stiffer axis: for a ratio of 1/2 and
-    equal slips by 18 degrees, a third of mu F_z.
+    The friction is isotropic. A sliding bristle keeps the direction of its deflection, as
+    O assumes. In reality it turns towards its sliding velocity, so the force in full
+    sliding is too close to the stiffer axis: by 18 degrees, a third of mu F_z, for a ratio
+    of 1/2 and equal slips.
     """
 
     stiffness_ratio: float = par(
@@ -147,10 +147,10 @@ def resultant(x, y):
 
 @jax.custom_jvp
 def polar(x, y):
-    """Length of (x, y) as of :func:`resultant`, and the shares of x and y in it.
+    """Length of (x, y) as in :func:`resultant`, and the shares of x and y in it.
 
-    The rule of differentiation divides by no more than the square of the length: by
-    its third power, second derivatives at rest would not be finite in 32 bit.
+    The rule of differentiation divides at most by the square of the length; with its
+    third power, second derivatives at rest would not be finite in 32 bit.
     """
     square = x**2 + y**2
     length = jnp.sqrt(square + (1e-60 if square.dtype == jnp.float64 else 1e-36))
@@ -205,7 +205,7 @@ class LoadDependent(AbstractTire):
 
     The parameters of the tire hold at the reference load :math:`F_{z0}`. A rectangular
     patch has k = 2, an elliptic one k = 1. The friction is that of the Magic Formula,
-    :math:`p_{D1} + p_{D2}\,df_z`, held above a hundredth of its value at the reference.
+    :math:`p_{D1} + p_{D2}\,df_z`, limited to a hundredth of its value at the reference.
     """
 
     tire: AbstractTire = Brush()

@@ -6,7 +6,7 @@ the force on a half-length :math:`q = a p_y`, a bristle that sticks carries
 
 .. math:: q = c_p a^2 (\sigma_y s - w), \qquad |q| \le \mu F_z p,
 
-and the carcass, held at the rim at both ends of the patch, gives way by
+and the carcass, fixed at the rim at both ends of the patch, deflects by
 
 .. math::
    S\, w'' = -q, \qquad \frac{EI}{a^2} w'''' = q, \qquad
@@ -15,17 +15,17 @@ and the carcass, held at the rim at both ends of the patch, gives way by
 (thread; beam, with :math:`w'' = 0` at its ends; a parabola of height :math:`F_y/K_c`,
 whatever the distribution). Forces below are over :math:`\mu F_z`, so that one demand
 ratio :math:`\rho = c_p a^2 \sigma_y / (\mu F_z)` and one flexibility
-:math:`\lambda = c_p a^2/S`, :math:`c_p a^4/EI` or :math:`c_p a/K_c` are left;
+:math:`\lambda = c_p a^2/S`, :math:`c_p a^4/EI` or :math:`c_p a/K_c` remain;
 :math:`\lambda = 0` is the rigid brush.
 
-**One breakaway point.** Bristles slide behind one point and stick before it wherever
-every bristle is bent towards its slip, since q is then convex in s and the pressure
-concave (or falling). This holds for the thread of any flexibility, for the beam up to
-7.82 (:math:`x^4/4` with :math:`\tan x = -\tanh x`), for the parabola up to 3/8. Beyond,
-the carcass turns away so steeply at the leading edge that the first bristles are bent
-the other way; that alters nothing until they slide, which they do first under the
-pressure that rises slowest there, S(24) with d = -1/3: from 73 (beam) and 2.7
-(parabola) on. The bounds of ``flexibility`` stay below.
+**One breakaway point.** If every bristle is bent towards its slip, bristles slide behind
+one point and stick before it, since q is then convex in s and the pressure concave (or
+falling). This holds for the thread of any flexibility, for the beam up to 7.82
+(:math:`x^4/4` with :math:`\tan x = -\tanh x`), for the parabola up to 3/8. Above, the
+slope of the carcass at the leading edge bends the first bristles the other way. That has
+no effect until they slide. They slide first for the pressure that rises slowest there,
+S(24) with d = -1/3: above 73 (beam) and 2.7 (parabola). The bounds of ``flexibility``
+are below these values.
 """
 
 import abc
@@ -58,8 +58,8 @@ def _flexibility(default, largest, meaning, symbol):
 class AbstractCarcass(AbstractTire):
     """Lateral brush on a flexible carcass; no longitudinal force.
 
-    The slip is taken as purely lateral, and the friction as constant: kinetic friction
-    below the static one can leave more than one breakaway point.
+    The slip is assumed to be purely lateral and the friction constant, as kinetic friction
+    below the static one can cause several breakaway points.
     """
 
     cpa2: float = par(
@@ -136,11 +136,11 @@ class AbstractCarcass(AbstractTire):
 
 
 class _Solutions:
-    """y_n of y^(order) = sign lambda y: 1, s, s^2/2, ... where lambda = 0, each the
-    integral from the leading edge of the one before.
+    """y_n of y^(order) = sign lambda y: 1, s, s^2/2, ... for lambda = 0, each the integral
+    of the previous one from the leading edge.
 
-    As power series in x = lambda s^order, smooth through the rigid carcass, where the
-    closed forms in sinh and cos divide by zero.
+    They are power series in x = lambda s^order, which are smooth at lambda = 0 (rigid
+    carcass), where the closed forms in sinh and cos divide by zero.
 
     Args:
         order, sign: of the differential equation.
@@ -173,8 +173,8 @@ _BEAM = _Solutions(4, -1, 6, 13, _LARGEST_BEAM * 2**4)
 class ThreadCarcass(AbstractCarcass):
     r"""Carcass as a thread under tension, S(15): :math:`S \delta_c'' = -p_y`.
 
-    :math:`C_\alpha = 2 c_p a^2 \tanh(k) / k`, :math:`k^2 = \lambda`; full sliding from
-    :math:`\rho = (3 + \lambda)/2` under the parabolic pressure.
+    :math:`C_\alpha = 2 c_p a^2 \tanh(k) / k`, :math:`k^2 = \lambda`; full sliding above
+    :math:`\rho = (3 + \lambda)/2` with the parabolic pressure.
     """
 
     flexibility: float = _flexibility(
@@ -207,7 +207,7 @@ def _third_moment(pressure: AbstractPressure, u):
 class BeamCarcass(AbstractCarcass):
     r"""Carcass as a beam with pinned ends, S §2.3: :math:`EI\, \delta_c'''' = p_y`.
 
-    Full sliding from :math:`\rho = 3/2 + \lambda/5` under the parabolic pressure.
+    Full sliding above :math:`\rho = 3/2 + \lambda/5` with the parabolic pressure.
     """
 
     flexibility: float = _flexibility(
@@ -239,8 +239,8 @@ class ParabolicCarcass(AbstractCarcass):
     r"""Carcass bent to a parabola whose height follows the force, S §2.3 (Fiala).
 
     :math:`\delta_c = (F_y/K_c)(1 - \xi^2)`; :math:`C_\alpha = 2 c_p a^2 /
-    (1 + \tfrac43 \lambda)`; full sliding from :math:`\rho = \tfrac32 + 2\lambda` under
-    the parabolic pressure: at the slip of a rigid brush of the same :math:`C_\alpha`.
+    (1 + \tfrac43 \lambda)`; full sliding above :math:`\rho = \tfrac32 + 2\lambda` with
+    the parabolic pressure, at the slip of a rigid brush of the same :math:`C_\alpha`.
     """
 
     flexibility: float = _flexibility(

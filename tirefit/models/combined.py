@@ -42,7 +42,7 @@ def _sticking(rate):
 def force_slope(rate, stiffness):
     r""":math:`\partial F / \partial \kappa = K_s (1-\gamma)^{2/3}` [N], O(21).
 
-    It depends on the stiffness and the friction in use alone, not on the friction.
+    It depends only on stiffness and friction in use, not on the friction.
 
     Args:
         rate: friction in use :math:`\gamma` [-], 0 to 1.
@@ -67,7 +67,7 @@ def braking_slope(rate, stiffness, direction):
         direction: :math:`\theta` of the force [rad], tan = kappa_y / kappa_x.
     """
     sticking = _sticking(rate)
-    # gamma / (1 - Xi) = 1 + Xi + Xi^2, which has no gap at gamma = 0.
+    # gamma / (1 - Xi) = 1 + Xi + Xi^2, which is defined at gamma = 0.
     across = (1 + sticking + sticking**2) / 3
     cos, sin = jnp.cos(direction), jnp.sin(direction)
     return stiffness * (sticking**2 * cos**2 + across * sin**2)
@@ -122,7 +122,7 @@ def nominal_sliding_slip(tire: AbstractTire, channel: str, inputs: TireInputs):
     Args:
         tire: a model of pure slip.
         channel: ``fx``, braking, or ``fy``.
-        inputs: one sample; its load, speed, ... count, its slips do not.
+        inputs: one sample; its slips are ignored.
     """
 
     def force(slip):
@@ -149,20 +149,20 @@ def scaled_to_combined(
     .. math:: \psi = \sqrt{(\sigma_x / \sigma^\circ_x)^2
                            + (\sigma_y / \sigma^\circ_y)^2},
 
-    and of the pure-slip force at the same :math:`\psi` the part
-    :math:`A = 3 (1-\psi)^2 / (3 - 3\psi + \psi^2)` comes from bristles that stick, the
-    rest from those that slide. The first is turned towards the elastic deflection, the
-    second against the sliding velocity:
+    and the part :math:`A = 3 (1-\psi)^2 / (3 - 3\psi + \psi^2)` of the pure-slip force at
+    the same :math:`\psi` comes from sticking bristles, the remainder from sliding ones.
+    The first has the direction of the elastic deflection, the second is opposite to the
+    sliding velocity:
 
     .. math::
        F_x = \hat F_x(\sigma^\circ_x \psi) \left[A \frac{\sigma_x}{\sigma^\circ_x \psi}
              + (1 - A) \frac{\sigma_x}{\sqrt{\sigma_x^2 + \sigma_y^2}}\right]
 
-    and likewise :math:`F_y` and :math:`M_z` with :math:`\hat F_y, \hat M_z`. In full
-    sliding the force lies on the ellipse of the two pure-slip forces. The curve of
-    braking gives way to that of driving, and left to right, with the cosine of the
-    direction of slip. The curves are to pass through zero at zero slip. Neglected in
-    :math:`M_z`: the longitudinal force acting beside the wheel plane.
+    and similarly :math:`F_y` and :math:`M_z` with :math:`\hat F_y, \hat M_z`. In full
+    sliding the force is on the ellipse of the two pure-slip forces. The curves of braking
+    and driving, and of left and right, are blended by the cosine of the direction of
+    slip. The curves must pass through zero at zero slip. The moment of the longitudinal
+    force, which acts beside the wheel plane, is neglected in :math:`M_z`.
 
     Args:
         along, across: models that give the pure-slip fx, and fy and mz; may be one.
@@ -171,7 +171,7 @@ def scaled_to_combined(
             from the curves (:func:`nominal_sliding_slip`) if None.
 
     Returns:
-        Forces; mz is None where ``across`` has none.
+        Forces; mz is None if ``across`` has none.
     """
     if sliding is None:
         sliding = (
@@ -196,7 +196,7 @@ def scaled_to_combined(
 
 
 def turned(psi, stuck, slid):
-    r"""Direction cosine of a force of a patch that partly slides.
+    r"""Direction cosine of the force of a partly sliding patch.
 
     Args:
         psi: share of the patch that slides, :math:`\psi`; values above 1 count as 1.
@@ -247,10 +247,10 @@ def _sliding(axis: str, words: str):
 
 
 class CombinedMagicFormula(AbstractTire):
-    r"""Two pure-slip Magic Formulas scaled to combined slip: no parameter is added.
+    r"""Two pure-slip Magic Formulas scaled to combined slip, without coefficients for it.
 
-    The slip of full sliding is :math:`3 F_{max} / C = 3 / (B C)` of each formula, which
-    ``sliding_x`` and ``sliding_y`` can stretch. No aligning moment.
+    The slip of full sliding is :math:`3 F_{max} / C = 3 / (B C)` of each formula, times
+    ``sliding_x`` and ``sliding_y``. It has no aligning moment.
     """
 
     Bx: float = _of_axis("B", "x", "longitudinal")

@@ -1,8 +1,8 @@
 r"""Friction laws: kinetic and static coefficient as functions of sliding speed.
 
-A law turns the static friction :math:`\mu` of the brush into the coefficient of the
-sliding bristles, :math:`\mu_k(v_s)`. Laws compose: each takes the level that the one
-before it left (``Friction``). A law with ``static_too`` lowers the static friction too;
+A law computes the coefficient of sliding bristles, :math:`\mu_k(v_s)`, from the static
+friction :math:`\mu` of the brush. Laws are applied in sequence (``Friction``), each to the
+result of the previous one. A law with ``static_too`` also lowers the static friction;
 that hardly changes the force (S §4.2) but removes the hook before full sliding.
 """
 
@@ -15,13 +15,13 @@ from tirefit.params import par
 
 
 class AbstractFrictionLaw(eqx.Module):
-    """One law of the kinetic friction; of the static too with ``static_too``."""
+    """A law of the kinetic friction; with ``static_too``, also of the static one."""
 
     static_too: bool = eqx.field(static=True, default=False, kw_only=True)
 
     @abc.abstractmethod
     def apply(self, level, v_s):
-        """Coefficient [-] at sliding speed v_s [m/s] >= 0, from its level at rest."""
+        """Coefficient [-] at sliding speed v_s [m/s] >= 0, from the level at rest."""
 
 
 class Kinetic(AbstractFrictionLaw):
@@ -101,7 +101,7 @@ class Stribeck(AbstractFrictionLaw):
 
 
 class Friction(eqx.Module):
-    """Laws in sequence; none of them is the constant friction of S(12)."""
+    """Laws in sequence; without any, the constant friction of S(12)."""
 
     laws: tuple[AbstractFrictionLaw, ...] = ()
 
@@ -112,7 +112,7 @@ class Friction(eqx.Module):
         return mu
 
     def static(self, mu, v_s):
-        """Coefficient up to which a bristle sticks [-]."""
+        """Static friction coefficient [-], up to which a bristle sticks."""
         for law in self.laws:
             if law.static_too:
                 mu = law.apply(mu, v_s)

@@ -12,8 +12,8 @@ cancellation at small slip:
           \quad x = \sigma_0 2a |\lambda| / g(|v_s|)
 
 with :math:`\varphi_1 = (1 - e^{-x})/x` and :math:`\varphi_2 = (1 - \varphi_1)/x`. The
-bristle equation knows no direction, so in combined slip :math:`\lambda` is the vector
-of physical slips and :math:`v_s = \lambda |\Omega R_e|`. ``tirefit.sim.lugre`` has the
+bristle equation is isotropic, so in combined slip :math:`\lambda` is the vector of
+physical slips and :math:`v_s = \lambda |\Omega R_e|`. ``tirefit.sim.lugre`` has the
 dynamic forms.
 """
 
@@ -35,11 +35,11 @@ def patch_means(x):
     r"""The functions :math:`\varphi_1, \varphi_2` of -x that average over the patch.
 
     Args:
-        x: length of the patch over the distance in which a bristle gives way, >= 0.
+        x: length of the patch over the distance in which a bristle yields, >= 0.
 
     Returns:
-        (1 - e^-x)/x, which is 1 at rest, and (e^-x - 1 + x)/x^2, which is 1/2: they
-        and their derivatives are exact to rounding for every x.
+        (1 - e^-x)/x, which is 1 at x = 0, and (e^-x - 1 + x)/x^2, which is 1/2; both and
+        their derivatives are exact to rounding for every x.
     """
     near = x < 1
     small = jnp.where(near, x, 0.0)
@@ -101,9 +101,9 @@ def _motion(inputs: TireInputs):
 class LuGreLumped(AbstractLuGre):
     r"""Steady state of the lumped LuGre S(17): :math:`F = F_z (g + \sigma_2 |v_s|)`.
 
-    Against the sliding velocity, and at its full height at the smallest slip: the
-    lumped form forgets that a bristle leaves the patch. Without slip, no force (the
-    lumped form then holds whatever force it had).
+    It is opposite to the sliding velocity, and has its full size at the smallest slip, as
+    the lumped form ignores that bristles leave the patch. Without slip the force is set
+    to zero (the lumped form would keep its previous force).
     """
 
     def __call__(self, inputs: TireInputs) -> TireForces:
@@ -120,9 +120,9 @@ class LuGreLumped(AbstractLuGre):
 class LuGre(AbstractLuGre):
     """Steady state of the distributed LuGre, S(18), pure or combined slip.
 
-    S(18) has sigma_0 and 2a only as their product, so the length is held. The other six
-    need data at several speeds: at one speed sigma_1 only steepens the rise, as sigma_0
-    does, and sigma_2 only lifts the tail, as mu_c and v_st do.
+    S(18) depends only on the product of sigma_0 and 2a, so the length is held. The other
+    six parameters need data at several speeds: at one speed sigma_1 has the effect of
+    sigma_0 on the rise, and sigma_2 that of mu_c and v_st on the tail.
     """
 
     sigma0: float = par(

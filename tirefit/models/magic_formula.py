@@ -12,7 +12,7 @@ def bent(x, curvature):
 
     Args:
         x: B times the slip, any shape.
-        curvature: E; above one it is taken as one, where the curve would turn back.
+        curvature: E, limited to one, above which the curve would turn back.
     """
     return jnp.arctan(x - jnp.minimum(curvature, 1.0) * (x - jnp.arctan(x)))
 

@@ -3,7 +3,7 @@ r"""Pressure laws: distribution of the load over the contact patch.
 The patch coordinate is :math:`\xi = x/a \in [-1, 1]`, +1 the leading edge; a law gives
 the density :math:`p(\xi)` with :math:`\int p = 1`. All formulas are written in
 :math:`u = 1 + \xi \in [0, 2]`, the distance from the trailing edge in half-lengths,
-because u of the breakaway point is small at small slip and must not lose digits.
+because u of the breakaway point is small at small slip and would lose digits as xi.
 
 For demand ratio :math:`\rho = c_p a^2 \sigma / (\mu_s F_z)` a bristle sticks where
 :math:`\rho (2 - u) \le p(u)`; the breakaway point solves it with equality.
@@ -40,13 +40,13 @@ class AbstractPressure(eqx.Module):
     def under(self, rho, braking, fz) -> "AbstractPressure":
         """The law at demand ratio rho, share of braking in the slip, and load [N].
 
-        It moves with them only where a subclass says so.
+        Only some subclasses depend on these.
         """
         return self
 
 
 class Parabolic(AbstractPressure):
-    r""":math:`p = \tfrac34 (1 - \xi^2)`, S(10), S(23); full sliding from rho = 3/2."""
+    r""":math:`p = \tfrac34 (1 - \xi^2)`, S(10), S(23); full sliding above rho = 3/2."""
 
     def density(self, u):
         return 0.75 * u * (2 - u)
@@ -91,13 +91,13 @@ def _elliptic_cdf(u):
 
 @_elliptic_cdf.defjvp
 def _elliptic_cdf_slope(primals, tangents):
-    # Through the angle the slope would be zero times infinity at both ends.
+    # By the angle, the slope at both ends would be zero times infinity.
     (u,), (du,) = primals, tangents
     return _elliptic_cdf(u), _elliptic_density(u) * du
 
 
 def _half_chord(u):
-    """sqrt(1 - xi^2), with a slope of zero instead of infinity at both ends."""
+    """sqrt(1 - xi^2), with slope zero instead of infinity at both ends."""
     square = jnp.asarray(u * (2 - u))
     inside = square > 0
     return jnp.where(inside, jnp.sqrt(jnp.where(inside, square, 1.0)), 0.0)
@@ -110,7 +110,7 @@ def _elliptic_density(u):
 class Elliptic(AbstractPressure):
     r""":math:`p = \tfrac{2}{\pi} \sqrt{1 - \xi^2}`, S §4.1: a circular patch.
 
-    Some bristle slides at any slip, and the last one never does.
+    Some bristles slide at any slip, and the last one never slides.
     """
 
     def density(self, u):
@@ -134,8 +134,8 @@ class Elliptic(AbstractPressure):
 class Asymmetric(AbstractPressure):
     r""":math:`p = \tfrac34 (1 - \xi^2)(1 + d \xi)`, S(24); d > 0 leans forward.
 
-    Full sliding from :math:`\rho = \tfrac32 (1 + d)`, S(30). Below d = -1/3 bristles
-    slide at the leading edge first and one breakaway point does not describe the patch.
+    Full sliding above :math:`\rho = \tfrac32 (1 + d)`, S(30). Below d = -1/3 bristles
+    slide at the leading edge first, and one breakaway point does not describe the patch.
     """
 
     d: float = par(
@@ -172,7 +172,7 @@ class Asymmetric(AbstractPressure):
 
 
 class Quartic(AbstractPressure):
-    r""":math:`p = \tfrac58 (1 - \xi^4)`, S(25); full sliding from rho = 5/2."""
+    r""":math:`p = \tfrac58 (1 - \xi^4)`, S(25); full sliding above rho = 5/2."""
 
     def density(self, u):
         return 0.625 * u * (2 - u) * (u**2 - 2 * u + 2)
@@ -188,7 +188,7 @@ class Quartic(AbstractPressure):
         sliding = rho >= 2.5
         demand = 1.6 * jnp.where(sliding, 0.0, rho)
         # u^3 - 2u^2 + 2u = demand has one real root (hyperbolic form); one Newton step
-        # gives back the digits that adding 2/3 costs at small slip.
+        # restores the digits that adding 2/3 loses at small slip.
         q = 20 / 27 - demand
         root_third = jnp.sqrt(2.0) / 3
         w = -2 * root_third * jnp.sinh(jnp.arcsinh(q * 2.25 / root_third) / 3)
@@ -212,17 +212,17 @@ def reference_load():
 
 
 def _within(d):
-    """d in the range where one breakaway point describes the patch."""
+    """d limited to the range in which one breakaway point describes the patch."""
     return jnp.clip(d, -1 / 3, 1.0)
 
 
 class ForceAsymmetric(Asymmetric):
     r""":math:`d + d_F F_x / (\mu_s F_z)`: the pressure moves with the brake force.
 
-    S §4.1 expects it to move back when braking, :math:`d_F < 0`. The force counts as if
-    sliding bristles had the static friction, so that d depends on the demand ratio and
-    the direction of slip alone; a lateral force does not move it. The result is kept
-    within the range of S(24).
+    S §4.1 expects it to move back when braking, :math:`d_F < 0`. The force is computed
+    with static friction of the sliding bristles, so that d depends only on the demand
+    ratio and the direction of slip; a lateral force does not move it. The result is
+    limited to the range of S(24).
     """
 
     d_force: float = par(
@@ -245,15 +245,15 @@ class ForceAsymmetric(Asymmetric):
             return _within(d - miss / (1 + share * 3 / 16 * (u * (2 - u)) ** 2))
 
         # The force falls by 3/16 u^2 (2-u)^2 <= 3/16 per d, so the equation has one
-        # solution, and these steps settle to rounding.
+        # solution, to which these steps converge within rounding.
         start = _within(self.d + 0 * share * rho)
         return Asymmetric(jax.lax.fori_loop(0, 5, newton, start))
 
 
 class LoadAsymmetric(Asymmetric):
-    r""":math:`d + d_z (F_z - F_{z0}) / F_{z0}`, kept within the range of S(24).
+    r""":math:`d + d_z (F_z - F_{z0}) / F_{z0}`, limited to the range of S(24).
 
-    The load changes how far the tread flattens, and so the lean (S §2.1, §4.1).
+    The load changes the flattening of the tread, and so the asymmetry (S §2.1, §4.1).
     """
 
     d_load: float = par(

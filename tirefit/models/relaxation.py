@@ -1,11 +1,11 @@
-r"""First-order lag of the slip: makes a transient tire of a steady-state one.
+r"""First-order lag of the slip, which turns a steady-state tire into a transient one.
 
-The contact patch feels a slip :math:`\sigma'` that follows the slip of the wheel over a
+The slip :math:`\sigma'` of the contact patch follows the slip of the wheel over a
 relaxation length L of travel,
 
 .. math:: \frac{d\sigma'}{dt} = \frac{|v|}{L} (\sigma - \sigma'),
 
-the longitudinal slip :math:`\sigma_x` and the lateral one :math:`\tan\alpha` alike.
+for both the longitudinal slip :math:`\sigma_x` and the lateral one :math:`\tan\alpha`.
 """
 
 import jax
@@ -18,9 +18,9 @@ from tirefit.params import par
 
 
 def _recursion(keep, add):
-    """All y_i = keep_i y_(i-1) + add_i from y = 0, (n,), by doubling the steps joined.
+    """All y_i = keep_i y_(i-1) + add_i from y = 0, (n,), by combining steps in pairs.
 
-    As ``jax.lax.associative_scan``, whose unrolled stages compile for minutes in a fit.
+    It replaces ``jax.lax.associative_scan``, whose unrolled stages compile for minutes.
     """
     rows = jnp.arange(len(keep))
 
@@ -44,9 +44,9 @@ def lag(slip: Float[Array, " n"], travel, length, starts) -> Float[Array, " n"]:
 
     Args:
         slip: slip of the wheel, rows in time order.
-        travel: distance from the row before [m], >= 0, shape (n,).
+        travel: distance from the previous row [m], >= 0, shape (n,).
         length: relaxation length [m], a scalar or (n,).
-        starts: (n,) bool; these rows start anew, in steady state.
+        starts: (n,) bool; these rows start in steady state.
     """
     share = jnp.where(starts, 0.0, travel) / length
     moving = share > 0
@@ -62,9 +62,9 @@ def lag(slip: Float[Array, " n"], travel, length, starts) -> Float[Array, " n"]:
 class Relaxed(AbstractTire):
     """A steady-state tire with a relaxation length.
 
-    ``__call__`` gives the steady force; ``felt`` the slips that a time series leads to.
-    A row that does not come after the one before it (another run, or a time that does
-    not advance) starts anew, in steady state.
+    ``__call__`` gives the steady force; ``felt`` the slips of the patch in a time series.
+    A row that does not follow the previous one (another run, or a time that does not
+    advance) starts in steady state.
     """
 
     tire: AbstractTire = Brush()
@@ -72,7 +72,7 @@ class Relaxed(AbstractTire):
         0.3,
         (1e-3, 20.0),
         "m",
-        "travel over which the felt slip follows the slip",
+        "travel over which the slip of the patch follows that of the wheel",
         "first-order lag",
         "L",
         scale="log",

@@ -1,9 +1,9 @@
 r"""Any pressure density, given as a function or a table.
 
-The patch is described by the angle :math:`\varphi`, :math:`\xi = -\cos\varphi`: a
-density with vertical ends, as the elliptic one, is smooth in it. On panels that are
-halved until it is resolved the density is a Chebyshev series, and so are its integrals;
-the breakaway point is a root within the panel where it must lie.
+The patch is described by the angle :math:`\varphi`, :math:`\xi = -\cos\varphi`, in which a
+density with vertical ends, such as the elliptic one, is smooth. Panels are halved until a
+Chebyshev series resolves the density on each; its integrals are series as well. The
+breakaway point is a root in the panel that must contain it.
 """
 
 import csv
@@ -28,13 +28,13 @@ _MOST_PANELS = 2000
 _ROUNDING = 1e-13  # share of the load that a panel may leave unresolved
 
 _LEADING = np.pi - 1e-5
-"""Angle from which the whole patch counts as sliding (all but 5e-11 of it)."""
+"""Angle above which the whole patch counts as sliding (all but 5e-11 of it)."""
 
 
 class Tabulated(AbstractPressure):
-    """A pressure law made of numbers: use :meth:`from_function` or :meth:`from_table`.
+    """A numerical pressure law, made by :meth:`from_function` or :meth:`from_table`.
 
-    A brush of it becomes a model to fit by a name of one's own::
+    A brush with it becomes a model to fit under a name of your choice::
 
         law = Tabulated.from_csv("patch.csv")
         tirefit.MODELS["mine"] = Brush(pressure=law)
@@ -59,7 +59,7 @@ class Tabulated(AbstractPressure):
 
         Args:
             density: NumPy function of an array of xi in [-1, 1]; any positive scale.
-            kinks: xi where its slope or value jumps; found without, but slower.
+            kinks: xi at which its slope or value jumps; without them it is slower.
 
         Raises:
             UsageError: the density is negative, not finite or nowhere positive, or one
@@ -123,7 +123,7 @@ class Tabulated(AbstractPressure):
             return _sum(series, local) - rho * (1 + jnp.cos(angle))
 
         def solve(function, start):
-            # Rounding may put a root at an edge just beyond it.
+            # By rounding, a root at an edge may be just outside.
             margin = 1e-6 * (high - low)
             last = jnp.minimum(high, _LEADING) + margin
             return _increasing_root(function, start, low - margin, last)
@@ -139,11 +139,11 @@ class Tabulated(AbstractPressure):
 
 
 def _increasing_root(function, start, low, high):
-    """Root between low and high, by Newton's method, halving where it leaves them."""
+    """Root between low and high by Newton's method, with bisection if it leaves them."""
 
     def unsettled(state):
         _, _, at, step, count = state
-        # The error after Newton's step is of the order of its square.
+        # The error after a Newton step is of the order of the square of the step.
         return (count < 60) & (jnp.abs(step) > jnp.sqrt(jnp.finfo(at.dtype).eps) * at)
 
     def improve(state):
@@ -175,13 +175,13 @@ def _at(edges, series, angle):
 
 
 def _angle(u):
-    """Angle of u, with a slope of zero instead of infinity at both ends."""
+    """Angle of u, with slope zero instead of infinity at both ends."""
     behind, ahead = jnp.maximum(u, 1e-30), jnp.maximum(2 - u, 1e-30)
     return 2 * jnp.arctan2(jnp.sqrt(behind), jnp.sqrt(ahead))
 
 
 def _each(function, u):
-    """A function of one number over any shape of u."""
+    """Apply a function of one number to u of any shape."""
     u = jnp.asarray(u)
     return jax.vmap(function)(u.ravel()).reshape(u.shape) if u.ndim else function(u)
 
@@ -248,7 +248,7 @@ def _valid(values, angles, file: str) -> np.ndarray:
 
 
 def _check_one_breakaway(panels: list[_Panel], file: str) -> None:
-    """A bristle that slides has only sliding ones behind it, or raise UsageError."""
+    """Check that all bristles behind a sliding one slide, else raise UsageError."""
     angles = np.concatenate([np.sort(panel.angles) for panel in panels])
     values = np.concatenate([panel.values[::-1] for panel in panels])
     need = 1 + np.cos(angles)
@@ -300,7 +300,7 @@ def _law(cls, density, kinks: np.ndarray, file: str) -> Tabulated:
 
 
 def _ratios(edges: np.ndarray, series: np.ndarray) -> np.ndarray:
-    """Density over demand at the edges, (k + 1,), and at the last that counts."""
+    """Density over demand at the edges (k + 1,), with its limit at the last one."""
     at = np.minimum(edges, _LEADING)
     panel = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, len(series) - 1)
     low, high = edges[panel], edges[panel + 1]

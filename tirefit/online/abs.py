@@ -1,29 +1,29 @@
 r"""Conventional anti-lock braking by rules on wheel acceleration and slip.
 
-The cycle is the textbook's, Bosch (2014): a wheel that slows faster than the car ever
-could is held; if it slips as well, its pressure falls until it slows no more; it is
-held while it speeds up; then the pressure rises, quickly to a share of the pressure at
-which the wheel last tended to lock, and in small steps from there until it does again.
+The cycle is that of a textbook, Bosch (2014). If a wheel slows faster than the car can,
+its pressure is held; if it slips as well, the pressure falls until the wheel stops
+slowing. The pressure is held while the wheel speeds up. Then it rises, fast to a share of
+the pressure at which the wheel last tended to lock, and then in small steps.
 
 ====== ======== ==============================================================
-phase  valve    left for, when
+phase  valve    next phase, and when
 ====== ======== ==============================================================
 build  increase *hold* at :math:`\dot v_w < -a`; *dump* at slip > :math:`\lambda_2`
 hold   hold     *dump* at slip > :math:`\lambda_1`; *step* at :math:`\dot v_w > -a`
 dump   decrease *wait* at :math:`\dot v_w > -a`
-wait   hold     *step* once :math:`\dot v_w > +a` has been and gone, or at once at
-                :math:`\dot v_w > +A`; *dump* where slip stays above
+wait   hold     *step* after :math:`\dot v_w > +a` has ended, or at once at
+                :math:`\dot v_w > +A`; *dump* if slip stays above
                 :math:`\lambda_1` and the wheel has not sped up in time
 step   steps up *dump* at :math:`\dot v_w < -a` and slip > :math:`\lambda_1`
 ====== ======== ==============================================================
 
-The reference speed is the fastest wheel's, and falls no faster than the deceleration
-that the sensor of the car shows, with a margin; slip is measured against it. The rear
-wheels take the lower pressure of both (select-low). Below a speed it switches off.
+The slip is computed with a reference speed: that of the fastest wheel, which falls no
+faster than the measured deceleration of the car plus a margin. Both rear wheels have the
+lower pressure of the two (select-low). Below a speed the controller switches off.
 
-The thresholds are those of the best mean friction of some 900 sets, drawn at random, on
-two tires (brush-m with m = 0.5, Magic Formula) and the roads mu = 0.12, 0.3, 0.8 and
-0.3 to 0.8; a dozen sets come within 0.5 % of it.
+The thresholds have the best mean friction of some 900 random sets, on two tires (brush-m
+with m = 0.5, Magic Formula) and the roads mu = 0.12, 0.3, 0.8 and 0.3 to 0.8; a dozen
+other sets are within 0.5 % of it.
 """
 
 from typing import Any, ClassVar, NamedTuple
@@ -46,14 +46,14 @@ BUILD, HELD, DUMP, WAIT, STEP = range(len(PHASES))
 
 
 class _State(NamedTuple):
-    """State of the cycle, by wheel (w,)."""
+    """State of the cycle, for each wheel (w,)."""
 
     reference: Float[Array, ""]  # [m/s]
-    wheel: Float[Array, " w"]  # speed at the sample before
-    acceleration: Float[Array, " w"]  # its filtered rate
+    wheel: Float[Array, " w"]  # speed at the previous sample
+    acceleration: Float[Array, " w"]  # filtered rate of the speed
     phase: Int[Array, " w"]
     since: Float[Array, " w"]  # [s] in the phase
-    fast: Float[Array, " w"]  # 1 once the wheel sped up in this wait
+    fast: Float[Array, " w"]  # 1 if the wheel has sped up in this *wait*
     lock: Float[Array, " w"]  # [Pa] at the last tendency to lock
 
 
@@ -64,10 +64,10 @@ class ConventionalABS(AbstractController):
     meaning: ClassVar[str] = "conventional ABS: rules on wheel acceleration and slip"
 
     slowing: float = par(
-        9.0, (1.0, 200.0), "m/s2", "wheel deceleration that says it tends to lock", "", "a"
+        9.0, (1.0, 200.0), "m/s2", "wheel deceleration above which it tends to lock", "", "a"
     )
     speeding: float = par(
-        5.0, (0.5, 200.0), "m/s2", "wheel acceleration that says it recovers", "", "+a"
+        5.0, (0.5, 200.0), "m/s2", "wheel acceleration above which it recovers", "", "+a"
     )
     racing: float = par(
         90.0, (1.0, 500.0), "m/s2", "acceleration at which pressure rises at once", "", "+A"
@@ -78,7 +78,7 @@ class ConventionalABS(AbstractController):
     )
     patience: float = par(0.04, (0.0, 1.0), "s", "time in which a wheel should speed up", "", "t_w")
     quick: float = par(
-        0.65, (0.0, 1.0), "-", "share of the last lock pressure that is regained fast", "", "q"
+        0.65, (0.0, 1.0), "-", "share of the last lock pressure up to which it rises fast", "", "q"
     )
     dump_share: float = par(
         0.45, (0.05, 1.0), "-", "share of time with the outlet open, in a dump", "", "w"
@@ -128,7 +128,7 @@ class ConventionalABS(AbstractController):
         return after, Command(valve), info
 
     def _seen(self, state: _State, measurement: Measurement) -> _State:
-        """Reference speed and wheel acceleration with this sample."""
+        """The state with reference speed and wheel acceleration of this sample."""
         wheel = measurement.wheel_speed
         rate = (wheel - state.wheel) / self.period
         share = self.period / (self.period + self.smoothing)
@@ -152,7 +152,7 @@ class ConventionalABS(AbstractController):
         rolls = settled | (seen.acceleration > self.racing) | (idle & ~slips)
         wait = jnp.where(rolls, STEP, jnp.where(slows | (idle & slips), DUMP, WAIT))
         step = jnp.where((slows & slips) | deep, DUMP, jnp.where(slows, HELD, STEP))
-        # A dump lasts two samples at least, so that a deep slip is not waited out.
+        # A dump lasts at least two samples, so that it reduces a large slip.
         dump = jnp.where((seen.since < self.period) & slips, DUMP, dump)
         choices = [build, held, dump, wait, step]
         after = jnp.select([seen.phase == k for k in range(len(PHASES))], choices)
@@ -169,5 +169,5 @@ class ConventionalABS(AbstractController):
         )
         if len(valve) != 4:
             return valve
-        # Select-low at the rear: the wheel that tends to lock decides for both.
+        # Select-low: the rear wheel that tends to lock sets the pressure of both.
         return valve.at[2:].set(jnp.min(valve[2:]))

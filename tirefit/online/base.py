@@ -1,10 +1,10 @@
-"""What an online estimator is: a record with ``init``, ``step``, ``hold``, ``open``.
+"""Base of online estimators: records with ``init``, ``step``, ``hold``, ``open``.
 
-A step sees one sample and costs the same whenever it comes, so that the same record
-runs over a log (:mod:`tirefit.online.run`, one scan) and on a vehicle, sample by
-sample. It may take every sample as usable: what is missing, locked, standing or out of
-order the runner keeps from it, and has it ``hold`` instead. A further method is one
-file with one such record, and its line in :data:`tirefit.online.methods.METHODS`.
+A step uses one sample and has a constant cost, so the same record runs over a log
+(:mod:`tirefit.online.run`, one scan) and on a vehicle, sample by sample. Every sample
+that it receives is usable: for missing, locked, standing or unordered samples the runner
+calls ``hold`` instead. A further method is a file with such a record, and a line in
+:data:`tirefit.online.methods.METHODS`.
 """
 
 import enum
@@ -21,14 +21,14 @@ from tirefit.params import par
 from tirefit.results import InputProblem
 
 Sample = Mapping[str, Float[Array, ""]]
-"""A method's inputs, by canonical column; each the mean of ``count`` samples, another
-key: noise of ``std`` in each is std / sqrt(count) here."""
+"""Inputs of a method by canonical column, each the mean of ``count`` samples (a further
+key): noise of ``std`` in a sample is std / sqrt(count) here."""
 
 
 class Flag(enum.Enum):
-    """Why an estimate is not supported by the sample of its row; the value is the text.
+    """Reason why the sample of a row does not support the estimate; the value is its text.
 
-    Where several hold, the one that stands last here is said.
+    If several hold, the last one in this list is reported.
     """
 
     OK = ""
@@ -52,27 +52,27 @@ FLAGS = tuple(Flag)
 
 
 def code(flag: Flag) -> int:
-    """The number that stands for a flag in arrays; larger ones overrule smaller."""
+    """The number of a flag in arrays; larger ones have precedence."""
     return FLAGS.index(flag)
 
 
 def flag_of(*reasons: tuple[Any, Flag]) -> Int[Array, ""]:
-    """The flag that overrules the others, of those whose condition (bool) holds."""
+    """The flag of highest precedence among those whose condition (bool) holds."""
     codes = [jnp.where(holds, code(flag), 0) for holds, flag in reasons]
     return jnp.max(jnp.stack(codes))
 
 
 class Estimate(NamedTuple):
-    """What is known after one sample (scan: after each)."""
+    """The estimate after one sample (in a scan: after each)."""
 
-    value: Float[Array | np.ndarray, "*n p"]  # SI units, NaN where none
-    std: Float[Array | np.ndarray, "*n p"]  # of each
+    value: Float[Array | np.ndarray, "*n p"]  # SI units, NaN without an estimate
+    std: Float[Array | np.ndarray, "*n p"]  # standard deviation of each
     flag: Int[Array | np.ndarray, "*n"]  # code of a :class:`Flag`
     surprise: Float[Array | np.ndarray, "*n"]  # error of prediction / its std
 
 
 class Parameter(NamedTuple):
-    """Something that a method estimates: unit, symbol for figures, meaning."""
+    """A parameter that a method estimates: unit, symbol for figures, meaning."""
 
     unit: str
     symbol: str
@@ -84,12 +84,12 @@ PARAMETERS = {
     "theta": Parameter("-", r"\theta", "friction level over that of the tire"),
     "cpa2": Parameter("N", r"c_p a^2", "bristle stiffness; C_x = 2 c_p a^2"),
     "slip_slope": Parameter("-", "k", "slope of force over load by slip, near zero"),
-    "slip_offset": Parameter("-", r"\delta", "slip without force"),
+    "slip_offset": Parameter("-", r"\delta", "measured slip at zero force"),
     "radius_std": Parameter("-", "r", "relative std of the rolling radius"),
     "road": Parameter("-", "road", "1 asphalt, 2 gravel, 3 snow, 4 ice"),
     "alpha": Parameter("rad", r"\alpha", "slip angle"),
     "used": Parameter("-", r"\mu_u", "friction used, over friction"),
-    "xbs": Parameter("N s/m", "k", "slope of force by slip velocity"),
+    "xbs": Parameter("N s/m", "k", "slope of force over slip velocity"),
     "C_f": Parameter("N/rad", "C_f", "cornering stiffness of the front axle"),
     "C_r": Parameter("N/rad", "C_r", "cornering stiffness of the rear axle"),
     "F_xf": Parameter("N", "F_{xf}", "braking force of the front axle, observed"),
@@ -97,17 +97,17 @@ PARAMETERS = {
     "F_x": Parameter("N", "F_x", "braking force of all tires"),
     "F_yf": Parameter("N", "F_{yf}", "lateral force of the front axle"),
     "F_yr": Parameter("N", "F_{yr}", "lateral force of the rear axle"),
-    "tlc": Parameter("s", "t_{lc}", "time to lane crossing, none if it is not left"),
+    "tlc": Parameter("s", "t_{lc}", "time to lane crossing, none without crossing"),
 }
 """Every parameter that a method estimates, under one name and in one unit."""
 
 
 class Method(NamedTuple):
-    """What a method is, for ``tirefit methods`` and for checks before the work.
+    """Description of a method, for ``tirefit methods`` and for checks.
 
-    ``inputs``: canonical columns beyond time; ``parameters``: keys of
-    :data:`PARAMETERS`; ``valid``: the use of friction at which it can be believed;
-    ``model``: the tire that it takes for true.
+    ``inputs``: canonical columns in addition to time; ``parameters``: keys of
+    :data:`PARAMETERS`; ``valid``: range of used friction in which it is valid;
+    ``model``: the tire model that it assumes.
     """
 
     name: str
@@ -130,7 +130,7 @@ class AbstractEstimator(eqx.Module):
     average: float = par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
 
     def problems(self) -> list[InputProblem]:
-        """Why the method refuses its settings, each within its bounds; none if not."""
+        """Problems of settings that are within bounds but do not work together."""
         return []
 
     def init(self) -> Any:
@@ -142,14 +142,14 @@ class AbstractEstimator(eqx.Module):
         raise NotImplementedError
 
     def hold(self, state: Any, dt, steps) -> tuple[Any, Estimate]:
-        """The same after ``dt`` [s] since the row before; ``steps`` samples were lost.
+        """The state ``dt`` [s] after the previous row; ``steps`` samples were lost.
 
-        Called at every row, before a step if there is one.
+        It is called at every row, before a step if there is one.
         """
         raise NotImplementedError
 
     def open(self, state: Any) -> Any:
-        """The state made ready to move: a change was detected, the past counts less."""
+        """The state after a detected change: the past has less weight."""
         return state
 
 
@@ -164,7 +164,7 @@ def floats(*values) -> Float[Array, " n"]:
 
 
 def nominal_stiffness():
-    """Field of the stiffness that is expected; of the load where it is not given."""
+    """Field of the expected stiffness; by default from the load."""
     return par(
         2.5e5,
         (1e-2, 1e9),
@@ -177,7 +177,7 @@ def nominal_stiffness():
 
 
 def nominal_friction():
-    """Field of the friction that is expected."""
+    """Field of the expected friction."""
     return par(0.98, (0.01, 5.0), "-", "expected friction", "S(48)", r"\mu_0")
 
 
@@ -200,12 +200,12 @@ def slip_noise():
 
 
 def excitation():
-    """Field of the least excitation with which a sample is used."""
+    """Field of the smallest excitation with which a sample is used."""
     return par(
         0.1,
         (0.0, 1.0),
         "-",
-        "least expected force over load of a sample that is used",
+        "smallest expected force over load of a sample that is used",
         "S §5.3",
         "u_{min}",
     )

@@ -1,10 +1,9 @@
-"""What a brake controller is: a record with ``init`` and ``step`` at a fixed rate.
+"""Base of brake controllers: records with ``init`` and ``step`` at a fixed rate.
 
-A step sees what the sensors say at one instant and answers with what the valves do
-until the next one. It costs the same whenever it comes, allocates nothing and knows no
-later sample, so the record that runs in the simulated loop (:mod:`tirefit.sim.brake`)
-could run on the controller of a car. Wheels come along one axis of length w, in the
-order of :data:`tirefit.data.table.WHEELS`, or one wheel alone.
+A step receives the sensor values at one time and returns the valve commands until the
+next. Its cost is constant, it allocates no memory and uses no later sample, so the record
+that runs in the simulated loop (:mod:`tirefit.sim.brake`) could run in a car. Wheels are
+along an axis of length w, in the order of :data:`tirefit.data.table.WHEELS`, or one wheel.
 """
 
 from collections.abc import Mapping
@@ -15,11 +14,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 INCREASE, HOLD, DECREASE = 1.0, 0.0, -1.0
-"""Inlet valve open; both shut; outlet valve open, for the whole of an interval."""
+"""Inlet valve open, both valves shut, outlet valve open; for the whole interval."""
 
 
 class Truth(NamedTuple):
-    """What no sensor tells; only a controller that is an upper limit may read it."""
+    """Values that no sensor measures, for a controller that serves as an upper limit."""
 
     speed: Float[Array, " w"]  # [m/s] of the wheel's centre along the wheel
     slip: Float[Array, " w"]  # kappa
@@ -29,8 +28,8 @@ class Truth(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """One sample of the sensors; SI units, braking positive. ``demand``, the pressure
-    of the master cylinder, is the driver's wish and the most that a valve can give."""
+    """One sample of the sensors; SI units, braking positive. ``demand`` is the pressure of
+    the master cylinder: the driver's demand, and the largest pressure of a wheel."""
 
     time: Float[Array, ""]  # [s]
     wheel_speed: Float[Array, " w"]  # [m/s] R omega, with noise and steps
@@ -43,7 +42,7 @@ class Measurement(NamedTuple):
 
 
 class Command(NamedTuple):
-    """What the valves do until the next sample.
+    """The commands to the valves until the next sample.
 
     ``valve`` (w,) in [-1, 1]: share of the interval for which the inlet (positive) or
     outlet (negative) is open; ``INCREASE``, ``HOLD`` or ``DECREASE`` if on-off.
@@ -53,10 +52,10 @@ class Command(NamedTuple):
 
 
 Info = Mapping[str, Float[Array, " w"]]
-"""What a human may want to see, by the name of its column in SI units (``xbs`` [N s/m],
-``reference_speed`` [m/s], ``target_pressure`` [Pa], ...); nothing feeds back from it.
-The names and shapes are the same at every step; what is of the vehicle alone is given
-for every wheel."""
+"""Values for the log, by the name of the column in SI units (``xbs`` [N s/m],
+``reference_speed`` [m/s], ``target_pressure`` [Pa], ...); they have no effect on the
+control. Names and shapes are the same at every step; values of the whole vehicle are
+repeated for every wheel."""
 
 
 class AbstractController(eqx.Module):
@@ -70,7 +69,7 @@ class AbstractController(eqx.Module):
     reads_truth: ClassVar[bool] = False
 
     rate: float = eqx.field(static=True, default=200.0)
-    """Samples a second, fixed."""
+    """The fixed number of samples per second."""
 
     @property
     def period(self) -> float:
@@ -78,8 +77,8 @@ class AbstractController(eqx.Module):
         return 1 / self.rate
 
     def init(self, first: Measurement) -> Any:
-        """The state before the first sample, which is ``first`` (it sets the shapes and
-        what the controller takes for known then, as the speed of the free wheels)."""
+        """The state before ``first``, the first sample, which gives the shapes and initial
+        values such as the speed of the free wheels."""
         raise NotImplementedError
 
     def step(
@@ -90,7 +89,7 @@ class AbstractController(eqx.Module):
 
 
 class NoController(AbstractController):
-    """The driver's pressure on every wheel: a wheel that he locks stays locked."""
+    """No control: every wheel has the driver's pressure, so a locked wheel stays locked."""
 
     name: ClassVar[str] = "none"
     meaning: ClassVar[str] = "no controller: the driver's pressure on every wheel"

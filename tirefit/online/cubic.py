@@ -1,13 +1,13 @@
-r"""Friction of one sample by Yamazaki's cubic, S(19)-(20), the stiffness known.
+r"""Friction from one sample by Yamazaki's cubic, S(19)-(20), with known stiffness.
 
 With the demand :math:`D = C_s \sigma` (C_s = 2 c_p a^2), :math:`f = F/D` and the share
 of the patch that slides, :math:`q = D / (3 \mu F_z)`, S(19) is
 
 .. math:: q^2 / 3 - q + (1 - f) = 0
 
-Of its roots the smaller one, from no sliding (f = 1) to full sliding (f = 1/3), is the
-tire; below f = 1/3 the tire slides and S(20) holds, :math:`\mu = F / F_z`. The physical
-slip is used, with which S(19) is S(12) exactly, not kappa as printed.
+The smaller root, from no sliding (f = 1) to full sliding (f = 1/3), is that of the tire;
+below f = 1/3 the tire slides and S(20) holds, :math:`\mu = F / F_z`. S prints kappa; here
+the physical slip is used, with which S(19) equals S(12) exactly.
 """
 
 from typing import ClassVar, NamedTuple
@@ -46,11 +46,11 @@ def friction_by_cubic(fx, sigma, cpa2, fz):
         fz: load [N].
 
     Returns:
-        mu, NaN where the force is that of a tire without any sliding, or more.
+        mu, NaN if the force is at least that of a tire without sliding.
     """
     demand = 2 * cpa2 * sigma
     short = 1 - fx / demand
-    # Safe arguments first, or the slopes are NaN beside the range.
+    # Limit the arguments first, as slopes out of the range would be NaN.
     inside = jnp.clip(short, _LEAST_SLIDING, 2 / 3)
     sliding = 1.5 * (1 - jnp.sqrt(1 - 4 / 3 * inside))
     mu = jnp.where(short < 2 / 3, demand / (3 * sliding * fz), fx / fz)
@@ -58,14 +58,14 @@ def friction_by_cubic(fx, sigma, cpa2, fz):
 
 
 class CubicState(NamedTuple):
-    """The last friction [-] that a sample gave, and its standard deviation."""
+    """The last friction [-] from a sample, and its standard deviation."""
 
     mu: Float[Array, ""]
     std: Float[Array, ""]
 
 
 class Cubic(AbstractEstimator):
-    """Friction of every sample by itself; the stiffness has to be known."""
+    """Friction from every single sample; the stiffness must be known."""
 
     method: ClassVar[Method] = Method(
         "cubic",

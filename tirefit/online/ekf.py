@@ -1,10 +1,10 @@
-r"""An extended Kalman filter on stiffness and friction through the brush model.
+r"""An extended Kalman filter for stiffness and friction of the brush model.
 
 The state is :math:`x = (\ln c_p a^2, \ln \mu)`, a random walk, so that both stay
-positive; the measurement is the force of the whole brush S(29), full sliding included,
-linearised by automatic differentiation. Noise of the slip counts as force noise of the
-local slope. What the errors of prediction exceed their stated standard deviation widens
-the standard deviations that are given.
+positive. The measurement is the force of the brush S(29), including full sliding,
+linearised by automatic differentiation. Noise of the slip is converted to force noise by
+the local slope. The reported standard deviations are widened if errors of prediction
+exceed their stated standard deviation.
 """
 
 from typing import ClassVar, NamedTuple, cast
@@ -33,8 +33,8 @@ from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
 _MEMORY = 0.98
-"""Weight of the mean square of the surprises a step before: some 50 steps."""
-_FARTHEST = 1.0  # largest step of a logarithm a sample: the slope holds no farther
+"""Weight of the previous mean square of surprises: a memory of about 50 steps."""
+_FARTHEST = 1.0  # largest step of a logarithm per sample, where the slope is valid
 
 
 class EkfState(NamedTuple):
@@ -110,7 +110,7 @@ class Ekf(AbstractEstimator):
         return held, self._estimate(held, False, jnp.nan)
 
     def open(self, state: EkfState) -> EkfState:
-        """What was known of each is taken back, with what it said of the other."""
+        """The initial uncertainty of both is restored, without their correlation."""
         widest = jnp.maximum(jnp.diag(state.covariance), jnp.diag(self._prior()))
         return state._replace(covariance=jnp.diag(widest))
 

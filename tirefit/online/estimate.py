@@ -1,4 +1,4 @@
-"""Online estimates over a whole log, and on rows as they come."""
+"""Online estimates over a whole log, and on a stream of rows."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,24 +19,24 @@ from tirefit.results import DataError, InputProblem
 
 
 def log_columns(data: TireData) -> dict[str, np.ndarray]:
-    """Columns (n,) for the estimators: all rows, the values of bad ones missing.
+    """Columns (n,) for the estimators: all rows, with missing values for bad ones.
 
-    Time and speeds stay even in a bad row: they tell a standstill from a lost sample.
+    Time and speeds of bad rows are kept, to distinguish standstill from a lost sample.
     """
     kept = ("time", "v", "omega")
     columns = {
         name: values if name in kept else np.where(data.used, values, np.nan)
         for name, values in data.columns.items()
     }
-    # A row whose other values are bad must not pass for a good one without them.
+    # A row with bad values in other columns must not count as a good row.
     return {**columns, "run": data.run.astype(float)}
 
 
 def _check_time(data: TireData) -> None:
-    """Raises DataError where the time never goes on: one row back is but a flag."""
+    """Raises DataError if the time never increases; a single row back is only flagged."""
     steps = np.diff(data["time"])[np.diff(data.run) == 0]
     if len(steps) and not np.any(steps > 0):
-        reason = "the time never goes on from one row to the next"
+        reason = "the time never increases from one row to the next"
         remedy = "sort the rows by time, or name its column: --column time=HEADER"
         file = data.file
         raise DataError(reason, remedy, file, column="time")
@@ -49,15 +49,15 @@ def estimate(
     *,
     seed: int = 0,
 ) -> Estimates:
-    """Friction and stiffness as they could have been known while driving.
+    """Friction and stiffness as an estimator on board would have found them.
 
     Args:
-        data: a log in time order, as ``tirefit.read(file, mask_bad_rows=True)`` gives
-            it, or a path, a frame, a mapping of column to array; a new run starts every
-            method anew.
-        methods: names of ``tirefit methods``, one by one or with commas.
+        data: a log in time order, a result of ``tirefit.read(file,
+            mask_bad_rows=True)``, or a path, a frame, a mapping of column -> array;
+            methods restart at a new run.
+        methods: names of ``tirefit methods``, as a list or separated by commas.
         settings: values of the methods' settings by ``METHOD.NAME`` or ``NAME``.
-        seed: of everything random; none of rls, mit, ekf and cubic has any.
+        seed: of random numbers; rls, mit, ekf and cubic use none.
 
     Raises:
         UsageError: an unknown method or setting; 32-bit floats.
@@ -90,7 +90,7 @@ def estimate(
 
 
 def _rate(name: str, data: TireData, chosen) -> dict[str, float]:
-    """Samples a second of the log, for a method that is made for one rate."""
+    """Samples per second of the log, for methods with a fixed rate."""
     if "rate" in chosen[name] or "rate" not in specs(METHODS[name]()):
         return {}
     steps = np.diff(data.columns["time"])
@@ -99,7 +99,7 @@ def _rate(name: str, data: TireData, chosen) -> dict[str, float]:
 
 
 def _usual_load(data: TireData, columns: Mapping[str, np.ndarray]) -> float:
-    """The first load [N] that is there: a stream knows no other."""
+    """The first load [N] of the log, as a stream knows no other."""
     loads = columns.get("fz", np.ones(1))
     there = loads[np.isfinite(loads) & (loads > 0)]
     if not len(there):
@@ -127,9 +127,9 @@ def _estimates(data, columns, done, seed) -> Estimates:
 
 
 class Streams:
-    """Methods beside each other; ``header`` is that of ``estimates.csv``.
+    """Several methods on a stream; ``header`` is that of ``estimates.csv``.
 
-    The expected stiffness comes from the first load, so nothing starts before it.
+    The expected stiffness follows from the first load, so the methods start with it.
 
     Args:
         names: methods.
@@ -170,7 +170,7 @@ class Streams:
         return head
 
     def push(self, row: Mapping[str, float]) -> list[str]:
-        """The cells of one more row."""
+        """The cells of the next row."""
         if not self._streams and row.get("fz", 1.0) > 0:
             load = row.get("fz", 1.0)
             self._streams = {

@@ -1,18 +1,18 @@
 r"""Tire forces of a four-wheel vehicle, then friction by hypotheses, S §3.2 (Ray).
 
-An extended Kalman-Bucy filter, discretised, on the states of the vehicle and the forces
+A discretised extended Kalman-Bucy filter estimates the states of the vehicle and the forces
 
 .. math:: x = [v_x, v_y, r, p, \omega_{fl..rr}, F_{x,fl..rr}, F_{y,f}, F_{y,r}],
 
-the forces as random walks, with :math:`y = [r, \omega_{fl..rr}, a_x, a_y, p]` and the
-speed, without which :math:`v_x` would only be integrated. Then every :math:`\mu_j` of
-a grid is a hypothesis: the brush gives the forces of the estimated slips, and what they
-miss of the estimated ones weighs it by the filter's covariance; their mean is mu. The
-errors of one time constant of the forces are one error, not many.
+with the forces as random walks, from :math:`y = [r, \omega_{fl..rr}, a_x, a_y, p]` and
+the speed, without which :math:`v_x` would only be integrated. Every :math:`\mu_j` of a
+grid is then a hypothesis: the brush gives the forces at the estimated slips, and their
+difference from the estimated forces weighs the hypothesis by the covariance of the
+filter; mu is the weighted mean. Errors within one time constant of the forces count once.
 
-The surprise, for the detection of changes, is what the forces miss of those of the
-expected mu, along the direction in which another mu would move them. Stated errors of
-model and forces are larger than most that come, so it is measured by those of late.
+The surprise, for the detection of changes, is the difference of the forces from those
+of the expected mu, along the direction in which another mu would change them. It is
+scaled by recent surprises, as the stated errors of model and forces are usually too large.
 """
 
 from typing import ClassVar, NamedTuple
@@ -35,10 +35,10 @@ from tirefit.online.vehicle import (
 from tirefit.params import par
 
 HYPOTHESES = tuple(0.05 * k for k in range(2, 27))
-"""Friction 0.1 to 1.3 [-]; each is as likely at first."""
-_LONGEST = 0.5  # time [s] without samples after which the motion starts anew
+"""Friction 0.1 to 1.3 [-], all equally likely at first."""
+_LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
 _MEMORY, _LEAST_SQUARE = 0.9, 0.02
-"""Weight of the mean square surprise before, and the least that is taken for it."""
+"""Weight of the previous mean square surprise, and its smallest value."""
 _STATES, _FORCES = 8, 6
 _TORQUES = tuple(f"torque_{wheel}" for wheel in WHEELS)
 _OMEGAS = tuple(f"omega_{wheel}" for wheel in WHEELS)
@@ -46,8 +46,7 @@ _SEEN = ("yaw_rate", *_OMEGAS, "a_x", "a_y", "roll_rate", "v")
 
 
 class ForceState(NamedTuple):
-    """States and forces, their covariance, and what surprises are still to be
-    reported."""
+    """States and forces, their covariance, and surprises not yet reported."""
 
     x: Float[Array, "14"]
     covariance: Float[Array, "14 14"]
@@ -56,7 +55,7 @@ class ForceState(NamedTuple):
     waited: Float[Array, ""]  # [s] since then
     surprises: Float[Array, ""]  # sum over ``seconds``, times dt
     seconds: Float[Array, ""]  # [s] not reported yet
-    square: Float[Array, ""]  # mean of those reported of late
+    square: Float[Array, ""]  # mean square of those reported recently
 
 
 class ForceFilter(AbstractVehicleMethod):
@@ -89,7 +88,7 @@ class ForceFilter(AbstractVehicleMethod):
         0.03, (1e-4, 1.0), "-", "error of the tire model, over the load", "S §3.2", r"\epsilon"
     )
     correlation: float = par(
-        0.5, (1e-3, 100.0), "s", "time in which errors are one", "S §3.2", r"\tau"
+        0.5, (1e-3, 100.0), "s", "correlation time of errors", "S §3.2", r"\tau"
     )
     memory: float = par(10.0, (0.1, 1e4), "s", "in which hypotheses become equal again", "", "t_m")
 
@@ -127,11 +126,11 @@ class ForceFilter(AbstractVehicleMethod):
         moved, _ = self.corrected(moved._replace(inputs=inputs), seen)
         state = choose(anew, began, moved)._replace(waited=jnp.zeros(()))
         log_weight, surprise = self._weighed(state, dt)
-        # One surprise a time constant, the mean: those within it are one.
+        # Report one surprise per time constant: the mean of those within it.
         total, seconds = state.surprises + dt * surprise, state.seconds + dt
         due = (seconds >= self.correlation) & ~anew
         mean = total / jnp.maximum(seconds, 1e-9)
-        # One that is surprising by itself raises the scale little.
+        # Limit the effect of a single large surprise on the scale.
         grown = jnp.minimum(mean * mean, 4 * state.square) - state.square
         square = state.square + (1 - _MEMORY) * grown
         weighed = state._replace(
@@ -170,7 +169,7 @@ class ForceFilter(AbstractVehicleMethod):
         return ahead / self.mass, (left + rear) / self.mass, turned / self.yaw_inertia
 
     def rates(self, x, inputs):
-        """Time derivative (14,) of the states; forces and roll rate walk at random."""
+        """Time derivative (14,) of the states; forces and roll rate are random walks."""
         a_x, a_y, turned = self.pushed(x, inputs[4])
         spun = (self.radius * x[8:12] - inputs[:4]) / self.wheel_inertia
         motion = [a_x + x[1] * x[2], a_y - x[0] * x[2], turned, jnp.zeros(())]
@@ -201,7 +200,7 @@ class ForceFilter(AbstractVehicleMethod):
         return state._replace(x=ahead(state.x), covariance=covariance)
 
     def corrected(self, state: ForceState, seen):
-        """The state by measurements (9,), and what they miss of the predicted ones."""
+        """The state corrected by measurements (9,), and their difference from prediction."""
         slope = jax.jacfwd(self.seen)(state.x, state.inputs)
         error = seen - self.seen(state.x, state.inputs)
         noise = jnp.diag(self._noise())
@@ -236,7 +235,7 @@ class ForceFilter(AbstractVehicleMethod):
             return x[_STATES:] - self.modelled(x, state.inputs, mu)
 
         def whitened(mu):
-            """Forces that mu misses as Gaussians of variance one, and their root."""
+            """Force errors of mu, whitened, and the root of their covariance."""
             error, slope = missed(state.x, mu), jax.jacfwd(missed)(state.x, mu)
             spread = slope @ state.covariance @ slope.T + jnp.diag(model**2)
             root = jnp.linalg.cholesky(spread)
@@ -254,14 +253,14 @@ class ForceFilter(AbstractVehicleMethod):
         z, root = whitened(expected)
         by_mu = jax.jacfwd(missed, argnums=1)(state.x, expected)
         way = jax.scipy.linalg.solve_triangular(root, by_mu, lower=True)
-        # Less than a standard deviation for a change by one is no direction.
+        # The direction is undefined if mu + 1 changes less than a standard deviation.
         surprise = way @ z / jnp.maximum(jnp.sqrt(way @ way), 1.0)
         return total - jax.scipy.special.logsumexp(total), surprise
 
     def _estimate(self, state: ForceState, surprise) -> Estimate:
         grid, weight = jnp.array(HYPOTHESES), jnp.exp(state.log_weight)
         mu = weight @ grid
-        # Between hypotheses there is nothing: a step of the grid is uniform.
+        # Add the variance of a uniform distribution within a step of the grid.
         step = HYPOTHESES[1] - HYPOTHESES[0]
         mu_std = jnp.sqrt(weight @ (grid - mu) ** 2 + step * step / 12)
         rows = jnp.zeros((3, _STATES + _FORCES)).at[0, 8:12].set(1.0)

@@ -1,7 +1,7 @@
-r"""An observer of the friction by the LuGre tire from the wheel's speed, S section 3.4.
+r"""An observer of friction from the wheel speed by the LuGre tire, S section 3.4.
 
-The level of friction is :math:`\theta g`; :math:`p = 1/\theta` is adapted. Of the patch
-the observer knows the mean deflection, which the tread carries out at the rate c:
+The level of friction is :math:`\theta g`; :math:`p = 1/\theta` is adapted. The state of
+the patch is its mean deflection, which the tread carries out at the rate c:
 
 .. math::
    \dot z &= v_s - p a z - c z, \quad a = \sigma_0 |v_s| / g(|v_s|),
@@ -17,25 +17,25 @@ the observer knows the mean deflection, which the tread carries out at the rate 
    \dot{\hat\omega} = (R \hat F - T)/J + l_1 e_\omega, \quad
    \dot{\hat p} = -\gamma b \sigma_1 a \hat z e_\omega
 
-Of :math:`V = (e_\omega^2 + \varrho \eta^2 + e_p^2/\gamma)/2` with
-:math:`\eta = e_\omega - b \sigma_1 e_z` the terms with e_p cancel, at constant load and
-friction, and with :math:`m = l_1 - \tau - c`
+For :math:`V = (e_\omega^2 + \varrho \eta^2 + e_p^2/\gamma)/2` with
+:math:`\eta = e_\omega - b \sigma_1 e_z` and constant load and friction, the terms with
+e_p in the derivative cancel, and with :math:`m = l_1 - \tau - c`
 
 .. math:: -\dot V = (m + c + pa) e_\omega^2 + (\tau - pa + \varrho m) e_\omega \eta
     + \varrho (\tau + c) \eta^2
 
-which is positive, whatever the slip, only if :math:`l_1 > \tau`; at :math:`m = 0` for
-every :math:`\varrho > (\tau - pa)^2 / 4 (c + pa)(\tau + c)`. Gains for which no
-:math:`\varrho` serves all slips and speeds are refused. Steps are implicit, so that the
-fast bristles do not have the sampling make it diverge.
+which is positive for every slip only if :math:`l_1 > \tau`; at :math:`m = 0` for every
+:math:`\varrho > (\tau - pa)^2 / 4 (c + pa)(\tau + c)`. Gains without a :math:`\varrho`
+for all slips and speeds are refused. Steps are implicit, so that fast bristles do not
+make the sampled observer diverge.
 
-That takes c for known. Unless ``kappa`` is given, it is that of the patch at the
-present :math:`\hat p`, :math:`\kappa = \varphi_1(x)/\varphi_2(x)` at :math:`x = \hat p
+This assumes a known c. Unless ``kappa`` is given, it is that of the patch at the present
+:math:`\hat p`, :math:`\kappa = \varphi_1(x)/\varphi_2(x)` at :math:`x = \hat p
 a L/|\omega R|`, 2 at rest and 1 in full sliding, with which the mean has the steady
 force of S(18); it depends on the adapted p at most a third as much as pa.
 
-V says that the error vanishes, not how large noise leaves it: the covariance of the
-observer's own error, by the slopes of its step, does.
+V shows that the error vanishes without noise. The error with noise is the covariance of
+the observer's error, computed from the slopes of its step.
 """
 
 from typing import Any, ClassVar, NamedTuple
@@ -63,16 +63,16 @@ from tirefit.params import par
 from tirefit.results import InputProblem
 
 _SUBSTEPS = 4
-_LONGEST = 0.5  # time [s] without samples after which the motion starts anew
+_LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
 _JUMP = 0.03
-"""Jump of the torque over R F_z between samples after which the motion starts anew."""
-_SUMMED = 10.0  # surprises that are told as one
+"""Jump of the torque over R F_z after which the motion is initialised again."""
+_SUMMED = 10.0  # number of surprises that are reported as one
 _SPUN = 0.015
-"""Time [s] after which a wheel follows a torque that jumped: three times J v / R^2 C_x
-of the wheel of S section 5."""
-_LEAST, _MOST = 0.05, 4.0  # theta is kept between them
+"""Time [s] until a wheel follows a jump of the torque: three times J v / R^2 C_x of the
+wheel of S section 5."""
+_LEAST, _MOST = 0.05, 4.0  # limits of theta
 _SLIPS = np.geomspace(0.01, 3.0, 64)
-"""Where the peak of the steady force is looked for: a step of 9 %, on a flat peak."""
+"""Slips at which the peak of the steady force is searched: in steps of 9 %."""
 _SPEEDS, _SLIDING = np.geomspace(2.0, 60.0, 12), np.r_[0.0, np.geomspace(1e-4, 1, 40)]
 """Speeds [m/s] and slips v_s/v at which the gains must be stable."""
 
@@ -109,15 +109,15 @@ class Course(NamedTuple):
 
 
 class ObserverState(NamedTuple):
-    """Estimates, their covariance and what they were made from."""
+    """Estimates, their covariance, and the values from which they were computed."""
 
     x: Float[Array, "7"]  # z [m], omega [rad/s], p [-]; last omega, v, fz, torque
     covariance: Float[Array, "7 7"]  # of their errors
     waited: Float[Array, ""]  # [s] since then
     smooth: Float[Array, ""]  # [s] from the last jump of the torque until then
     sum: Float[Array, ""]  # of the latest surprises
-    summed: Float[Array, ""]  # how many
-    peak: Float[Array, "2"]  # mu and its slope by theta, there
+    summed: Float[Array, ""]  # their number
+    peak: Float[Array, "2"]  # mu and its slope over theta at the peak
 
 
 class LuGreObserver(AbstractEstimator):
@@ -159,7 +159,7 @@ class LuGreObserver(AbstractEstimator):
         0.02, (0.0, 1.0), "1/sqrt(s)", "relative random walk of theta", "", r"q_\theta"
     )
     least_use: float = par(
-        0.1, (0.0, 1.0), "-", "least force over load at which theta is adapted", "S §5.3", "u_{min}"
+        0.1, (0.0, 1.0), "-", "smallest force over load to adapt theta", "S §5.3", "u_{min}"
     )
     omega_std: float = par(0.18, (1e-6, 10.0), "rad/s", "of omega", "", r"\sigma_w")
     v_std: float = par(0.03, (0.0, 10.0), "m/s", "of v", "", r"\sigma_v")
@@ -167,7 +167,7 @@ class LuGreObserver(AbstractEstimator):
     torque_std: float = par(0.01, (0.0, 1.0), "-", "of the torque, over fz R", "", r"\sigma_T")
 
     def problems(self) -> list[InputProblem]:
-        """Why the gains are refused, if they are; see the module for the conditions."""
+        """Problems of the gains by the conditions in the docstring of the module."""
         low, high, margin = weights_of_v(self)
         if margin <= 0:
             reason = f"lugre-observer.gain = {self.gain:g}: l1 <= sigma0/sigma1, and V"
@@ -178,7 +178,7 @@ class LuGreObserver(AbstractEstimator):
                 f"lugre-observer.gain = {self.gain:g}: no weight rho makes V fall at"
                 f" all slips (above {low:.3g} at one, below {high:.3g} at another)"
             )
-            return [InputProblem(reason, "1 is stable whatever the tire")]
+            return [InputProblem(reason, "give 1, which is stable for every tire")]
         return []
 
     def init(self) -> ObserverState:
@@ -188,7 +188,7 @@ class LuGreObserver(AbstractEstimator):
         return ObserverState(x, self._first(), long, long, none, none, peak)
 
     def hold(self, state: ObserverState, dt, steps):
-        # Time that passes loosens p; where the sample is used, its step goes on.
+        # The variance of p grows with time; a usable sample continues with its step.
         walked = (self.drift_theta * state.x[2]) ** 2 * dt
         held = state._replace(
             covariance=state.covariance.at[2, 2].add(walked), waited=state.waited + dt
@@ -196,15 +196,15 @@ class LuGreObserver(AbstractEstimator):
         return held, self._estimate(held, jnp.nan)
 
     def open(self, state: ObserverState) -> ObserverState:
-        """What was known of theta is taken back."""
+        """The initial uncertainty of theta is restored."""
         p = jnp.maximum(state.covariance[2, 2], (self.prior_theta * state.x[2]) ** 2)
         kept = state.covariance.at[2, :].set(0.0).at[:, 2].set(0.0)
         return state._replace(covariance=kept.at[2, 2].set(p))
 
     def step(self, state: ObserverState, sample: Sample):
         u = jnp.stack([sample[name] for name in self.method.inputs])
-        # Of a torque that jumps it is not known when it did, nor how the speed of the
-        # wheel came to where it is; the brake of a locked wheel only holds it.
+        # The time of a jump of the torque and the speed in between are not known; the
+        # torque at a locked wheel only holds it.
         jump = jnp.abs(u[3] - state.x[6]) > _JUMP * self.radius * jnp.abs(u[2])
         jump |= self._locked(u)
         smooth = jnp.where(jump, 0.0, jnp.minimum(state.smooth + state.waited, 1e3))
@@ -214,7 +214,7 @@ class LuGreObserver(AbstractEstimator):
         noise = jnp.diag(self._noise(u))
         spread = into @ state.covariance @ into.T + noise_into @ noise @ noise_into.T
         surprise = error / jnp.sqrt(spread[7, 7])
-        # A surprise counts no more than four standard deviations: no spike moves theta.
+        # Limit a surprise to four standard deviations, so that spikes do not move theta.
         trust = jnp.minimum(1.0, 4.0 / jnp.maximum(jnp.abs(surprise), 1e-9))
         x = x.at[2].set(state.x[2] + trust * (x[2] - state.x[2]))
         first = self._first().at[2, 2].set(state.covariance[2, 2])
@@ -248,7 +248,7 @@ class LuGreObserver(AbstractEstimator):
         return self.gain * (self.tire.sigma0 / self.tire.sigma1 + now.c)
 
     def moved(self, x, u, dt):
-        """One interval of dt [s], in which the inputs became u (4,).
+        """One interval of dt [s], at whose end the inputs are u (4,).
 
         Returns:
             x (7,) at its end, and the mean acceleration [rad/s2] of the measured wheel
@@ -263,8 +263,8 @@ class LuGreObserver(AbstractEstimator):
             share = self.share(z, p, now)
             pushed = now.b * share - there[3] / self.inertia
             missed = missed - pushed / _SUBSTEPS
-            # Backward Euler of omega and p at once, solved: with e_omega left, p turns
-            # by h phi e_omega, and by what p turns the force changes.
+            # Backward Euler of omega and p together, solved: for an error e_omega, p
+            # changes by h phi e_omega, and the force with it.
             idle = jnp.abs(share) < self.least_use
             gamma = jnp.where(idle, 0.0, self.adaptation / now.b**2)
             phi = now.b * self.tire.sigma1 * now.a * z
@@ -276,7 +276,7 @@ class LuGreObserver(AbstractEstimator):
         return jnp.concatenate([jnp.stack([z, omega, p]), u]), missed
 
     def _slopes(self, x, u, dt):
-        """``moved``, and the slopes of (x, missed) (8, 7) by x and (8, 4) by u."""
+        """``moved``, and the slopes of (x, missed) over x (8, 7) and over u (8, 4)."""
 
         def flat(x, u):
             return jnp.concatenate([(out := self.moved(x, u, dt))[0], out[1][None]])
@@ -328,8 +328,9 @@ class LuGreObserver(AbstractEstimator):
 def _summed(state: ObserverState, surprise):
     """The state with one more surprise; the standardised sum of ten, else NaN.
 
-    Noise of an input enters the intervals before and after it: their errors correlate,
-    by a quarter with slip noise of S section 5.1; a sum of n has variance 1.5 n.
+    Noise of an input enters the intervals before and after it, so their errors are
+    correlated (by a quarter with slip noise of S section 5.1): a sum of n has variance
+    1.5 n.
     """
     count = state.summed + 1
     total = state.sum + jnp.clip(surprise, -4.0, 4.0)
@@ -343,8 +344,8 @@ def weights_of_v(observer: LuGreObserver) -> tuple[float, float, float]:
     """Weights rho for which V falls at every slip, speed and theta, and a margin.
 
     Returns:
-        rho is to lie above the first and below the second number; the third is the
-        least l1 - sigma0/sigma1 + p a, which must be positive, over sigma0/sigma1.
+        Lower and upper limit of rho; and the smallest l1 - sigma0/sigma1 + p a, which
+        must be positive, over sigma0/sigma1.
     """
     tire = observer.tire
     tau = float(tire.sigma0 / tire.sigma1)

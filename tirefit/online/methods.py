@@ -37,8 +37,8 @@ METHODS: dict[str, type[AbstractEstimator]] = {
 """Method name -> its record."""
 
 STIFFNESS_OF_LOAD = 250 / 27
-"""c_p a^2 over the load [-] that is expected where nothing is said: the truck tire of
-S section 5 (C_x = 5e5 N at 27 kN); a car's tire has some 8 to 15."""
+"""Default of the expected c_p a^2 over the load [-]: the truck tire of S section 5 (C_x =
+5e5 N at 27 kN); car tires have 8 to 15."""
 
 
 def estimator_of(
@@ -49,11 +49,11 @@ def estimator_of(
     Args:
         name: a key of :data:`METHODS`.
         load: usual load [N], which gives the expected stiffness where none is set.
-        settings: values of the method's own fields.
+        settings: values of the fields of the method.
 
     Raises:
-        UsageError: a setting that the method does not have, or outside its bounds;
-            settings that the method refuses together.
+        UsageError: unknown settings, values out of bounds, or settings that do not
+            work together.
     """
     template = METHODS[name]()
     known, values = specs(template), dict(settings or {})

@@ -1,21 +1,21 @@
 r"""Path prediction with the friction in use, S section 3.8 (Liu and Peng).
 
-Four parts, each after the source:
+It has four parts of the source:
 
 * the braking force F of the front wheels from their speed and torque,
   :math:`J \dot\omega = R F - T`, by recursive least squares with forgetting on
   :math:`\omega_i - \omega_{i-1} + T \Delta t / J = (R \Delta t / J) F` and by an
   adaptive observer, :math:`\dot{\hat\omega} = (R \hat F - T)/J + 2 p \tilde\omega,
   \; \dot{\hat F} = p^2 (J / R) \tilde\omega`, whose error dies as :math:`e^{-pt}`;
-* friction from S(21): the brush on the resultant slip, whose force along and across is
-  compared with that force and with :math:`m a_y l_r / (l_f + l_r)`;
-* the bicycle S(22), whose :math:`C_f, C_r` are corrected by what the driven path has
-  over the predicted one: an extended Kalman filter on its states and on
+* friction from S(21): the longitudinal and lateral force of the brush at the resultant
+  slip are compared with F and with :math:`m a_y l_r / (l_f + l_r)`;
+* the bicycle S(22), whose :math:`C_f, C_r` are corrected by the difference of driven and
+  predicted path: an extended Kalman filter on its states and on
   :math:`\ln C_f, \ln C_r`;
-* the time to lane crossing with steering and bend held, its standard deviation from the
-  covariance of that filter; 95 % lie within 1.96 of it.
+* the time to lane crossing with constant steering and road curvature, and its standard
+  deviation from the covariance of that filter.
 
-Where the front axle uses more of the friction than ``warn`` the row is flagged.
+A row is flagged if the front axle uses more of the friction than ``warn``.
 """
 
 from typing import Any, ClassVar, NamedTuple
@@ -43,8 +43,8 @@ def bicycle(c_f, c_r, mass, yaw_inertia, l_f, l_r, u):
     """S(22), corrected: matrices of (y, dy/dt, heading off the road, its rate).
 
     Args:
-        c_f, c_r: cornering stiffness of the axles [N/rad], positive: 2 |C_f| of S(22),
-            whose C is that of one tire, and negative.
+        c_f, c_r: positive cornering stiffness of the axles [N/rad]: 2 |C_f| of S(22),
+            where C is negative and that of one tire.
         l_f, l_r: a and b of S(22) [m]; u: speed [m/s].
 
     Returns:
@@ -69,11 +69,11 @@ def lane_crossing(state, a, drive, edge, horizon, steps=40):
     """Time [s] at which ``|y|`` reaches ``edge`` [m] on the predicted path.
 
     Args:
-        state: (4,) as of :func:`bicycle`; drive: (4,) what the inputs add, held.
-        horizon: time [s] that is looked ahead, in ``steps``.
+        state: (4,) as in :func:`bicycle`; drive: (4,) constant terms of the inputs.
+        horizon: predicted time [s], in ``steps``.
 
     Returns:
-        the time, NaN where the vehicle stays in its lane.
+        The time, NaN if the vehicle stays in its lane.
     """
     h = horizon / steps
 
@@ -109,8 +109,8 @@ class Observer(NamedTuple):
 def observer_step(state: Observer, omega, torque, dt, radius, inertia, pole):
     """The observer after ``dt`` [s] with a torque [N m], corrected by a wheel speed.
 
-    The gains are those with which both errors of the discrete loop shrink by
-    exp(-pole dt) a sample, at any dt.
+    With these gains both errors of the discrete loop shrink by exp(-pole dt) per sample,
+    at any dt.
 
     Args:
         omega: measured wheel speed [rad/s]; pole: p [1/s].
@@ -125,7 +125,7 @@ def observer_step(state: Observer, omega, torque, dt, radius, inertia, pole):
 
 
 def observer_std(omega_std, torque_std, dt, radius, inertia, pole):
-    """Standard deviation [N] of the observer's force, from that of white noise.
+    """Standard deviation [N] of the force of the observer, due to white noise.
 
     ``omega_std`` [rad/s], ``torque_std`` [N m] of a sample, ``dt`` [s]; pole dt << 1.
     """
@@ -149,7 +149,7 @@ def wheel_rls_step(state: WheelRls, omega, torque, dt, radius, inertia, memory, 
         memory: time [s] in which the weight of a sample falls to 1/e.
     """
     lever = radius * dt / inertia
-    # A difference of two speeds has the noise of both.
+    # The difference of two speeds has the noise of both.
     noise = 2 * omega_std**2
     grown = state.spread * jnp.exp(dt / memory)
     gain = grown * lever / (lever * lever * grown + noise)
@@ -157,17 +157,17 @@ def wheel_rls_step(state: WheelRls, omega, torque, dt, radius, inertia, memory, 
     return WheelRls(omega, state.force + gain * error, grown * (1 - gain * lever))
 
 
-_LONGEST = 0.5  # time [s] without samples after which the motion starts anew
+_LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
 _USUAL = 0.02  # time [s] between samples for which the noise of the forces is stated
-_FARTHEST = 0.1  # largest step of the logarithm of mu a sample
+_FARTHEST = 0.1  # largest step of the logarithm of mu per sample
 _FIRST = (0.5, 0.5, 0.05, 0.1)
 """Std of the first y [m], dy/dt [m/s], heading [rad] and yaw rate [rad/s]."""
 
 
 class PathState(NamedTuple):
-    """Bicycle's states and ln of C_f, C_r over those expected, their covariance; front
-    force; ln mu and its variance; friction used; rates of the forces [N/s] by the two
-    estimators; the last inputs, and the time [s] since then."""
+    """States of the bicycle with ln of C_f, C_r over the expected ones, and their
+    covariance; front force; ln mu and its variance; friction used; rates of the forces
+    [N/s] by the two estimators; the last inputs, and the time [s] since then."""
 
     z: Float[Array, "6"]
     covariance: Float[Array, "6 6"]
@@ -247,7 +247,7 @@ class Path(AbstractVehicleMethod):
     def hold(self, state: PathState, dt, steps):
         variance = jnp.minimum(state.mu_variance + self.drift_mu**2 * dt, self.prior_mu**2)
         held = state._replace(waited=state.waited + dt, mu_variance=variance)
-        # Of where the lane is left nothing is said between the samples.
+        # Between samples there is no time to lane crossing.
         return held, self._estimate(held, jnp.full(2, jnp.nan), jnp.nan)
 
     def open(self, state: PathState) -> PathState:
@@ -284,7 +284,7 @@ class Path(AbstractVehicleMethod):
         return jnp.asarray(self.mass * GRAVITY, float) ** 2
 
     def _begun(self, state: PathState, sample: Sample, omega, torque) -> PathState:
-        """The motion from one sample alone; what is known of the tires stays."""
+        """The motion initialised from one sample; the knowledge of the tires is kept."""
         aside = wrapped(sample["heading"] - sample["road_heading"])
         motion = [sample["offset"], sample["v"] * aside, aside, sample["yaw_rate"]]
         first = self._first()
@@ -304,7 +304,7 @@ class Path(AbstractVehicleMethod):
         return expected * jnp.exp(z[4:])
 
     def _lane_rates(self, z, steering, v, bend):
-        """A (4, 4) and what the inputs add (4,) of the bicycle with z's stiffness."""
+        """A (4, 4) and the terms of the inputs (4,) of the bicycle with stiffness of z."""
         c_f, c_r = self.stiffness(z)
         a, steered, bent = bicycle(c_f, c_r, self.mass, self.yaw_inertia, self.l_f, self.l_r, v)
         return a, steered * steering + bent * bend
@@ -325,7 +325,7 @@ class Path(AbstractVehicleMethod):
         return state._replace(z=ahead(state.z), covariance=covariance)
 
     def _corrected(self, state: PathState, sample: Sample) -> PathState:
-        """The driven path against the predicted one."""
+        """Correct the state by the driven path."""
         aside = wrapped(sample["heading"] - sample["road_heading"])
         seen = jnp.stack([sample["offset"], aside, sample["yaw_rate"]])
         rows = jnp.eye(6)[jnp.array([0, 2, 3])]
@@ -336,7 +336,7 @@ class Path(AbstractVehicleMethod):
         return state._replace(z=z, covariance=covariance)
 
     def _with_friction(self, state: PathState, sample: Sample, omega):
-        """ln mu after one sample of the front axle's forces, S(21)."""
+        """ln mu after one sample of the forces of the front axle, S(21)."""
         v, force = sample["v"], 2 * state.observer.force
         load = self.loads[0] - self.height / self.base * self.mass * sample["a_x"]
         across = self.mass * sample["a_y"] * self.l_r / self.base
@@ -378,9 +378,9 @@ class Path(AbstractVehicleMethod):
         spread = jnp.sqrt(jnp.diag(state.covariance))[4:]
         stds = self.omega_std, self.torque_std
         wheel = self.radius, self.wheel_inertia, self.pole
-        # Two wheels of independent noise, whose mean is observed.
+        # The observed force is the mean of two wheels with independent noise.
         observed = jnp.sqrt(2.0) * observer_std(*stds, _USUAL, *wheel)
-        # Both follow a force that rises late, by a time that is known.
+        # Both estimators lag a rising force by a known time.
         late = 2 * jnp.abs(state.rates) * jnp.stack([2 / self.pole, self.memory])
         forces = 2 * jnp.stack([state.observer.force, state.rls.force])
         of_torque = self.torque_std**2 * _USUAL / self.memory / self.radius**2

@@ -1,7 +1,7 @@
 r"""Lateral friction from the position on the road, S section 3.3 (Hahn), corrected.
 
-Of the distance :math:`e_y` from the centre line, the heading :math:`\psi`, that of the
-road :math:`\psi_d` and the yaw rate r follow the force and slip angle of the front axle
+Force and slip angle of the front axle follow from the distance :math:`e_y` from the centre
+line, the heading :math:`\psi`, that of the road :math:`\psi_d` and the yaw rate r:
 
 .. math::
    F_f = \frac{m l_r}{l_f + l_r} \left(\ddot e_y + V \dot\psi_d
@@ -9,19 +9,18 @@ road :math:`\psi_d` and the yaw rate r follow the force and slip angle of the fr
    \alpha_f = \delta_f - \arctan \frac{\dot e_y - (\psi - \psi_d) V + l_f r}{V}
 
 with every signal passed through :math:`b^2 (s + b)^{-2}`, which gives its derivatives
-without a difference being taken. The brush is linear in
+without differences. The brush is linear in
 :math:`\Theta = [C, C^2/\mu, C^3/\mu^2]` over
 :math:`\Phi = [|\tan\alpha|, -|\tan\alpha|^2/(3F_z), |\tan\alpha|^3/(27F_z^2)]`; force
-and :math:`\Phi`, with their signs, pass the source's filter :math:`(s + a)^{-2}`. One
-filter before :math:`\Phi` alone would have to be as slow as a, and the brush of a
-filtered slip is not the filtered brush: at a = 3/s and 60 % use mu was 60 % high.
+and :math:`\Phi`, with their signs, pass the filter :math:`(s + a)^{-2}` of the source. A
+single filter before :math:`\Phi` would have to be as slow as a, and the brush of a
+filtered slip is not the filtered brush: at a = 3/s and 60 % use, mu was 60 % too high.
 
-The adaptive law, which the source leaves to its reference [7], is here least squares
-with forgetting on :math:`\ln C` and :math:`1/\mu`, so that the third part of
-:math:`\Theta` is what it has to be. The products of the regressors are all that it
-needs of the past: each step goes towards the least squares of all samples, however far
-the start was off. (A filter that linearises once a sample was not: it took a road of
-0.3 for one of 0.5.)
+The source leaves the adaptive law to its reference [7]. Here it is least squares with
+forgetting on :math:`\ln C` and :math:`1/\mu`, so that the three parts of :math:`\Theta`
+are consistent. It stores only products of the regressors: each step goes towards the
+least squares of all samples, however wrong the start. (A filter that linearises once per
+sample does not: it found 0.5 for a road of 0.3.)
 """
 
 from typing import ClassVar, NamedTuple
@@ -36,20 +35,20 @@ from tirefit.online.vehicle import AbstractVehicleMethod, wrapped
 from tirefit.params import par
 
 _SIGNALS = ("offset", "aside", "road_heading", "yaw_rate", "steering")
-"""What is filtered first; aside: heading less that of the road."""
+"""The signals that are filtered first; aside: heading - that of the road."""
 _SETTLED = 8.0
-"""Filter times 1/a after a start: the filter has forgotten all but 0.3 % of it."""
-_LONGEST = 1.0  # filter times between samples from which the filter starts anew
+"""Filter times 1/a after a start until the filter has forgotten it to 0.3 %."""
+_LONGEST = 1.0  # filter times between samples after which the filter starts again
 _SAMPLES_OF_NOISE = 20.0
-"""Samples for which the stated noise counts beside the errors that are seen."""
-_FARTHEST = 0.5  # largest step a sample: the slope holds no farther
-_LEAST_INVERSE = 0.1  # least of the expected mu over mu: ten times the friction is none
+"""Weight, in samples, of the stated noise relative to the observed errors."""
+_FARTHEST = 0.5  # largest step per sample, where the slope is valid
+_LEAST_INVERSE = 0.1  # smallest expected mu over mu: mu is limited to ten times that
 _SLIDING = 0.37
-"""Force over that without sliding, with nine tenths of the patch sliding; S(49) as a
-polynomial goes wild behind it."""
+"""Force over that without sliding, with nine tenths of the patch sliding; the polynomial
+S(49) is not valid below."""
 _EXPECTED = (0.0, 1.0)
-_KEPT = 0.02  # share of what was seen that is kept at a change
-_STIFFEST = 2.0  # of that expected; no estimate beyond it may say that a tire slides
+_KEPT = 0.02  # weight of the past after a change
+_STIFFEST = 2.0  # largest stiffness over the expected one by which sliding is detected
 
 
 class Filtered(NamedTuple):
@@ -64,11 +63,11 @@ class Filtered(NamedTuple):
         return a * a * self.twice
 
     def rate(self, a):
-        """The same of their first derivatives."""
+        """The filtered first derivatives."""
         return a * a * (self.once - a * self.twice)
 
     def acceleration(self, a):
-        """The same of their second derivatives."""
+        """The filtered second derivatives."""
         return a * a * (self.u - 2 * a * self.once + a * a * self.twice)
 
 
@@ -80,14 +79,14 @@ def filtered_step(state: Filtered, u, dt, a) -> Filtered:
 
 
 def _moved(before: Filtered, u, dt, a, anew) -> Filtered:
-    """One step, or a filter begun anew: settled on the signals."""
+    """The filter after one step, or initialised as settled on the signals."""
     settled = Filtered(u, u / a, u / (a * a))
     return choose(anew, settled, filtered_step(before, u, dt, a))
 
 
 class LawState(NamedTuple):
-    """C over that expected, as logarithm, and the expected mu over mu; the products of
-    u_0, u_1, u_2 and y, summed with forgetting, and how many they are."""
+    """ln of C over the expected one, and the expected mu over mu; the products of u_0,
+    u_1, u_2 and y, summed with forgetting, and their effective number."""
 
     x: Float[Array, "2"]
     products: Float[Array, "4 4"]
@@ -102,7 +101,7 @@ def coefficients(x):
 
 class PositionState(NamedTuple):
     """The filters of the signals and of the regression, the time [s] since their last
-    sample and since they began, the largest u_0 [-] of late, the law's own state."""
+    sample and since their start, the largest recent u_0 [-], the state of the law."""
 
     signals: Filtered
     regression: Filtered
@@ -142,7 +141,7 @@ class Position(AbstractVehicleMethod):
         0.015,
         (0.0, 0.5),
         "-",
-        "relative error of the force that stays over a drive",
+        "relative error of the force that is constant over a drive",
         "",
         r"\epsilon",
     )
@@ -159,7 +158,7 @@ class Position(AbstractVehicleMethod):
         0.1,
         (0.0, 1.0),
         "-",
-        "least expected force over load of a sample that is used",
+        "smallest expected force over load of a sample that is used",
         "S §3.3",
         "u_{min}",
     )
@@ -168,7 +167,7 @@ class Position(AbstractVehicleMethod):
         of_signals = Filtered(*[jnp.zeros(len(_SIGNALS))] * 3)
         of_regression = Filtered(*[jnp.zeros(len(Regressors._fields))] * 3)
         zero = jnp.zeros(())
-        # As after a gap: the first sample starts the filter.
+        # As after a gap, the first sample initialises the filter.
         waited = jnp.full((), 2 * _LONGEST) / self.bandwidth
         law = LawState(jnp.array(_EXPECTED), jnp.zeros((4, 4)), zero)
         return PositionState(of_signals, of_regression, waited, zero, zero, law)
@@ -200,8 +199,8 @@ class Position(AbstractVehicleMethod):
         return state._replace(law=law, peak=jnp.zeros_like(state.peak))
 
     def force_and_slip(self, filtered: Filtered, v):
-        """Force [N] of the front axle and tangent [-] of its slip angle, by the signals
-        in the order of ``offset``, heading less that of the road, ``road_heading``,
+        """Force [N] of the front axle and tangent [-] of its slip angle, from the signals
+        in the order ``offset``, heading - that of the road, ``road_heading``,
         ``yaw_rate``, ``steering``."""
         a = self.signal_bandwidth
         value, rate = filtered.value(a), filtered.rate(a)
@@ -230,12 +229,12 @@ class Position(AbstractVehicleMethod):
         return _moved(before, u, state.waited, self.signal_bandwidth, anew)
 
     def _forgotten(self, law: LawState, share) -> LawState:
-        """What was seen counts by that share."""
+        """The state with the weight of the past multiplied by this share."""
         products, weight = share * law.products, share * law.weight
         return law._replace(products=products, weight=weight)
 
     def _adapted(self, law: LawState, terms: Regressors):
-        """The law with one more sample, the flag of why not to take it, surprise."""
+        """The law with one more sample, the flag of the reason to skip it, surprise."""
         side = jnp.where(terms.u0 < 0, -1.0, 1.0)
         y, *u = (side * term for term in terms)
         row = jnp.stack([*u, y])
@@ -255,7 +254,7 @@ class Position(AbstractVehicleMethod):
         return moved, flag, surprise
 
     def _noise(self, law: LawState):
-        """Std [-] of the force over the load, stated and seen."""
+        """Std [-] of the force over the load, from stated noise and observed errors."""
         theta = jnp.append(-coefficients(law.x), 1.0)
         seen = jnp.maximum(theta @ law.products @ theta, 0.0)
         stated = _SAMPLES_OF_NOISE * self.force_noise**2
@@ -285,9 +284,9 @@ class Position(AbstractVehicleMethod):
     def _estimate(self, state: PositionState, flag, surprise) -> Estimate:
         """mu and C_f.
 
-        An error of the force that does not average out bends the curve as a wrong
-        friction does: what u_0 brings is to be told from :math:`u_0^2 / (3 \\mu)`. The
-        stiffness goes with it as far as the two are correlated.
+        A constant error of the force bends the curve as a wrong friction does: u_0 is
+        confused with :math:`u_0^2 / (3 \\mu)`. It affects the stiffness as far as that is
+        correlated with the friction.
         """
         law = state.law
         stiffness = self.stiffness_f * self.loads[0] * jnp.exp(law.x[0])

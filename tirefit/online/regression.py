@@ -8,8 +8,8 @@ over the load is :math:`y = \theta_0 u_0 + \theta_1 u_1 + (\theta_1^2 / \theta_0
    u_2 = \frac{u_0^3}{27 \mu_0^2} (1 + 3 d) q^3, \quad
    C_x = \theta_0 C_{x0}, \quad \mu = \frac{\theta_0^2}{\theta_1} \mu_0
 
-All of them are dimensionless, where S(44)-(46) as printed are forces: gains for those,
-S section 5.3, are to be multiplied by F_z^2.
+All of them are dimensionless, while S(44)-(46) as printed are forces: the gains of S
+section 5.3 for those must be multiplied by F_z^2.
 """
 
 from typing import NamedTuple
@@ -31,8 +31,8 @@ from tirefit.online.base import (
 from tirefit.params import par
 
 RESOLVED = 0.15
-"""Relative standard deviation from which on mu is not resolved: asphalt, gravel and
-snow are some 0.2 to 0.3 apart, two of these standard deviations."""
+"""Relative standard deviation above which mu is not resolved: asphalt, gravel and snow
+differ by 0.2 to 0.3, two of these standard deviations."""
 
 _SLIDING = 0.37
 """Force over that without sliding, with nine tenths of the patch sliding."""
@@ -48,14 +48,14 @@ class Regressors(NamedTuple):
 
 
 def regressors(sample: Sample, cpa2, mu, d, third=1.0) -> Regressors:
-    """S(43)-(46), corrected, of a sample; slip and force are odd, so both are folded.
+    """S(43)-(46), corrected, for a sample; slip and force are odd, so both become positive.
 
     Args:
         sample: with ``sigma_x`` [-], ``fx``, ``fz`` [N].
         cpa2: expected bristle stiffness [N].
         mu: expected friction [-].
         d: asymmetry of the pressure, in [-1/3, 1).
-        third: share of the third term that is kept; 0 leaves two, S section 5.4.
+        third: factor on the third term; 0 keeps only two terms, S section 5.4.
     """
     side = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0)
     q = 1 / (1 - d)
@@ -87,9 +87,9 @@ class AbstractRegression(AbstractEstimator):
     def beyond(self, x: Regressors, theta0, count):
         """Whether a sample is too close to zero slip, and whether the tire slides.
 
-        Full sliding begins where the force is a third of that of a tire that does not
-        slide at all, S(13), whatever the friction; the polynomial goes wild behind it.
-        Three standard deviations aside, or noise would choose the samples.
+        Full sliding begins where the force is a third of that of a tire without sliding,
+        S(13), for any friction; the polynomial is not valid beyond. A margin of three
+        standard deviations prevents that noise selects the samples.
         """
         noise = 3 * self.force_noise / jnp.sqrt(count)
         slides = x.y < _SLIDING * theta0 * x.u0 - noise
@@ -99,9 +99,9 @@ class AbstractRegression(AbstractEstimator):
         """mu and c_p a^2 by S(47)-(48), their stds by the delta method.
 
         Args:
-            theta0, theta1: estimates [-]; theta_1 that is not positive gives no mu.
+            theta0, theta1: estimates [-]; mu needs a positive theta_1.
             v00, v01, v11: their covariance.
-            idle, slides: of :meth:`beyond`.
+            idle, slides: from :meth:`beyond`.
             surprise: of the sample.
         """
         curved = theta1 > 0

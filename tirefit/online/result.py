@@ -1,4 +1,4 @@
-"""What ``tirefit estimate`` has to say: every row, the end, the flags, the changes."""
+"""The result of ``tirefit estimate``: all rows, final estimates, flags, changes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from tirefit.results import Outcome
 SCHEMA = "tirefit.estimate/1"
 
 _FAR = 3.0
-"""Standard deviations of a move that make of a detection a change that is reported."""
+"""A detected change is reported if the estimate moved by so many standard deviations."""
 _SETTLE = 20
-"""Rows before an alarm from which a change may already have moved the estimate."""
+"""Rows before an alarm in which a change may already have moved the estimate."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class MethodEstimates:
 
     @property
     def reasons(self) -> list[str]:
-        """The flag of each row as text, empty where all is well."""
+        """The flag of each row as text, empty without a flag."""
         return [FLAGS[k].value for k in self.flag]
 
     def counts(self) -> dict[str, int]:
@@ -144,11 +144,11 @@ class Estimates(Record):
 
 
 def changes(time: np.ndarray, method: MethodEstimates) -> list[Change]:
-    """Parameters that a detected change moved for good, by time.
+    """Parameters that a detected change moved permanently, by time.
 
-    Before is the estimate shortly before the detection, after the one at the next
-    detection or the end; a detection that moves nothing by three standard deviations
-    (of both together) was a false alarm and is a flag alone.
+    "Before" is the estimate shortly before the detection, "after" that at the next
+    detection or the end. A detection without a move of three standard deviations (of
+    both together) was a false alarm, which is only flagged.
     """
     alarms = np.flatnonzero(method.flag == code(Flag.CHANGED))
     ends = [*(alarms[1:] - 1), len(time) - 1][: len(alarms)]

@@ -1,16 +1,16 @@
 r"""Recursive least squares on the brush, S(50)-(51), and the MIT rule, S(52).
 
-The cubic term goes to the output with the estimate before, S(50), which leaves a linear
-regression: :math:`y' = y - \theta_2 u_2` with :math:`\theta_2 = \theta_1^2 / \theta_0`.
-Done once for each sample, as printed, the terms that were moved with the first, poor
-estimates stay in its memory. Here y and :math:`u_2` are regressed apart, with one gain:
-of coefficients :math:`\varphi` and :math:`\psi` the estimate is
-:math:`\theta = \varphi - \theta_2 \psi`, all samples moved with the newest
-:math:`\theta_2`. Where :math:`\theta_2` stands still, both are the same.
+S(50) subtracts the cubic term, with the previous estimate, from the output, which gives
+a linear regression: :math:`y' = y - \theta_2 u_2` with
+:math:`\theta_2 = \theta_1^2 / \theta_0`. As printed, this is done once for each sample,
+so the errors of the first, poor estimates stay in the memory. Here y and :math:`u_2` are
+regressed separately, with the same gain; with their coefficients :math:`\varphi` and
+:math:`\psi` the estimate is :math:`\theta = \varphi - \theta_2 \psi`, which uses the
+newest :math:`\theta_2` for all samples. For a constant :math:`\theta_2` both agree.
 
 The covariance is :math:`s^2 M^{-1} P M^{-T}` with :math:`M = I + \psi \nabla\theta_2^T`
-and :math:`s^2` the weighted mean square of the errors of prediction; of a tire that
-does not change it is some sqrt(2) too wide with forgetting, as it allows for a change.
+and :math:`s^2` the weighted mean square of the errors of prediction. With forgetting, it
+allows for a change; for a constant tire its errors are too wide by about sqrt(2).
 """
 
 from typing import ClassVar, NamedTuple
@@ -24,13 +24,13 @@ from tirefit.online.regression import AbstractRegression
 from tirefit.params import par
 
 _SAMPLES_OF_NOISE = 20.0
-"""Samples for which the stated noise counts beside the errors that are seen."""
+"""Weight, in samples, of the stated noise relative to the observed errors."""
 _LEAST_THETA = 1e-3
 
 
 class RlsState(NamedTuple):
-    """theta [-] and the coefficients of y and u_2 that it is of, P over the variance of
-    the noise, and the errors' weighted squares."""
+    """theta [-] with the coefficients of y and u_2 from which it follows, P over the
+    variance of the noise, and the weighted squares of the errors."""
 
     theta0: Float[Array, ""]
     theta1: Float[Array, ""]
@@ -48,10 +48,10 @@ class RlsState(NamedTuple):
 class Rls(AbstractRegression):
     """Recursive least squares of stiffness and friction.
 
-    The source's P0 = diag(2, 10) 1e-10 goes with regressors in newtons; times F_z^2 it
-    is diag(0.146, 0.729) at its 27 kN, which with the source's noise means that theta
-    is known to 0.017 and 0.038 beforehand, though it starts 0.2 off. The priors here
-    are honest ones instead: P0 = prior^2 / noise^2.
+    P0 = diag(2, 10) 1e-10 of the source is for regressors in newtons; times F_z^2 it is
+    diag(0.146, 0.729) at its 27 kN. With the noise of the source, theta would be known to
+    0.017 and 0.038 at the start, although its error is 0.2. Here the priors are realistic:
+    P0 = prior^2 / noise^2.
     """
 
     method: ClassVar[Method] = Method(
@@ -83,7 +83,7 @@ class Rls(AbstractRegression):
         k0 = s.p00 * x.u0 + s.p01 * x.u1
         k1 = s.p01 * x.u0 + s.p11 * x.u1
         spread = x.u0 * k0 + x.u1 * k1
-        # A mean of so many samples counts as them all.
+        # The mean of several samples has the weight of all of them.
         gain = count / (forget + count * spread)
         theta2 = s.theta1 * s.theta1 / s.theta0
         error = x.y - s.theta0 * x.u0 - s.theta1 * x.u1 - theta2 * x.u2
@@ -93,7 +93,7 @@ class Rls(AbstractRegression):
         phi0, phi1 = s.phi0 + k0 * of_y, s.phi1 + k1 * of_y
         psi0, psi1 = s.psi0 + k0 * of_u2, s.psi1 + k1 * of_u2
         updated = RlsState(
-            # S(50) divides by it; no tire is a thousand times softer than expected.
+            # S(50) divides by theta_0: limit it to a thousandth of the expected value.
             jnp.maximum(phi0 - theta2 * psi0, _LEAST_THETA),
             phi1 - theta2 * psi1,
             phi0,
@@ -139,7 +139,7 @@ class Rls(AbstractRegression):
         return self.prior0 * self.prior0 / noise, self.prior1 * self.prior1 / noise
 
     def _forgotten(self, p00, p01, p11, growth) -> tuple[Array, Array, Array]:
-        """P grown, but not beyond what was known at first: no wind-up."""
+        """P increased, at most to its initial value, to prevent wind-up."""
         first0, first1 = self._prior()
         room = jnp.minimum(first0 / p00, first1 / p11)
         growth = jnp.clip(room, 1.0, growth)
@@ -183,13 +183,13 @@ class MitState(NamedTuple):
 class Mit(AbstractRegression):
     r"""The MIT rule on the brush, S(52): a step down the slope of the squared error.
 
-    The rule gives no uncertainty; it is linear in the error, so that its covariance
-    follows from that of the noise and of the start:
+    The rule gives no uncertainty. As it is linear in the error, the covariance follows
+    from that of the noise and of the start:
     :math:`P \leftarrow (I - k g^T) P (I - k g^T)^T + k k^T s^2`, with g the slope of
     the prediction and :math:`k = \Gamma g`.
 
-    The source's gains (0.5, 3) 1e-10 go with regressors in newtons; times F_z^2 they
-    are (0.0364, 0.219) at its 27 kN. Being dimensionless now, they suit every load.
+    The gains (0.5, 3) 1e-10 of the source are for regressors in newtons; times F_z^2 they
+    are (0.0364, 0.219) at its 27 kN. These are dimensionless and apply to every load.
     """
 
     method: ClassVar[Method] = Method(
@@ -197,7 +197,7 @@ class Mit(AbstractRegression):
         "gradient (MIT) rule on the brush",
         ("sigma_x", "fx", "fz"),
         ("mu", "cpa2"),
-        "35 to 90 % of the friction, minutes of it; below, mu is flagged",
+        "35 to 90 % of the friction for minutes; below, mu is flagged",
         "S(52)",
     )
 
@@ -217,7 +217,7 @@ class Mit(AbstractRegression):
         noise = self.force_noise * self.force_noise / count
         h0, h1 = s.v00 * g0 + s.v01 * g1, s.v01 * g0 + s.v11 * g1
         spread = g0 * h0 + g1 * h1 + noise
-        # A mean of so many samples moves as far as they all.
+        # The mean of several samples moves the estimate as far as all of them.
         k0, k1 = count * self.gain0 * g0, count * self.gain1 * g1
         updated = MitState(
             jnp.maximum(s.theta0 + k0 * error, _LEAST_THETA),
@@ -232,11 +232,11 @@ class Mit(AbstractRegression):
         return after, self.estimate(*after, idle, slides, surprise)
 
     def hold(self, state: MitState, dt, steps) -> tuple[MitState, Estimate]:
-        """Nothing moves: the rule has no notion of what changes in the meantime."""
+        """The state is not changed, as the rule has no model of change over time."""
         return state, self.estimate(*state, False, False, jnp.nan)
 
     def open(self, state: MitState) -> MitState:
-        """The gains stay; only what is claimed of the accuracy goes back."""
+        """The gains are kept; only the stated uncertainty is restored."""
         return state._replace(
             v00=jnp.maximum(state.v00, self.prior0**2),
             v01=jnp.zeros_like(state.v01),

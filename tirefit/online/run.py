@@ -1,10 +1,10 @@
-"""Running an estimator: over a whole log by one scan, or sample by sample.
+"""Run an estimator over a whole log by one scan, or sample by sample.
 
-Whatever the method, a sample passes the same guard first. What is missing, out of
-order, without load, of a locked wheel or at standstill does not reach the method: it
-holds its state, whose covariance grows by the time that passes, and the row is flagged.
-What is usable is averaged over a few samples before the method steps, as noise of slip
-does not average out of a curve: sample by sample mu is a fifth low in S section 5.1.
+For all methods, a guard checks each sample first. For samples that are missing, out of
+order, without load, of a locked wheel or at standstill, the method holds its state, whose
+covariance grows with time, and the row is flagged. Usable samples are averaged in small
+groups before the method steps, because slip noise biases a curve: with single samples,
+mu would be a fifth too low in S section 5.1.
 """
 
 from collections.abc import Mapping
@@ -21,42 +21,42 @@ from tirefit.online.base import AbstractEstimator, Estimate, Flag, code, flag_of
 from tirefit.padding import padded_size
 
 GUARDED = ("time", "run", "v", "omega")
-"""Columns that the guard looks at where a log has them, beside the method's own."""
+"""Columns that the guard checks if a log has them, in addition to those of the method."""
 
 _CHUNK = 16
-"""Samples of an inner scan. XLA runs the kernels of a loop one after another only while
-none of its arrays is larger than some 512 bytes (measured: two columns of 32 rows are
-fast, of 64 are not); beyond, it schedules each, at half the samples a second."""
+"""Samples of an inner scan. XLA runs the kernels of a loop in sequence only if all its
+arrays are smaller than about 512 bytes (measured: two columns of 32 rows are fast, of 64
+are not); otherwise it schedules each kernel, with half the samples per second."""
 
 STANDSTILL = 0.5
 """Speed [m/s] below which wheel speeds give no slip: 1 % of slip is 5 mm/s."""
 LOCKED_SLIP = 5.0
-"""Physical slip of a wheel that turns at a sixth of its free speed, and locks."""
-_IMPLAUSIBLE = 5.0  # force over load that no tire has: a wrong unit, or a spike
-_GAP = 3.0  # usual intervals after which samples are taken to be missing
-_USUAL = 0.1  # weight of a new interval in the usual one
+"""Physical slip above which a wheel counts as locked: a sixth of its free speed."""
+_IMPLAUSIBLE = 5.0  # force over load above which there is a wrong unit or a spike
+_GAP = 3.0  # usual intervals after which samples count as missing
+_USUAL = 0.1  # weight of a new interval in the mean interval
 _JUMP = 0.02
-"""Slips that far apart are not averaged: the mean of their forces lies off the curve by
-F'' 0.02^2 / 8, 1 % of the load for the tire of S section 5."""
+"""Slips that differ by more are not averaged: the mean of their forces differs from the
+curve by F'' 0.02^2 / 8, 1 % of the load for the tire of S section 5."""
 CUSUM_DRIFT, CUSUM_ALARM = 0.5, 12.0
-"""Page's test detects a shift of one standard deviation in some 24 steps, and of
-Gaussian noise raises about one false alarm in 5e5 (Siegmund's approximation)."""
+"""Threshold of Page's test: it detects a shift of one standard deviation in 24 steps, and
+has one false alarm in 5e5 steps of Gaussian noise (Siegmund's approximation)."""
 _MOST_SURPRISING = 4.0
-"""A single sample counts no more than this in it: no outlier alone is a change."""
+"""Limit of a single sample in the test, so that one outlier is no change."""
 
 
 class Guarded(NamedTuple):
-    """State of a run: the method's own, and what the guard remembers."""
+    """State of a run: that of the method, and that of the guard."""
 
     inner: Any
     time: Float[Array, ""]  # [s] of the last sample that had one
-    interval: Float[Array, ""]  # [s], the usual one
+    interval: Float[Array, ""]  # [s] mean interval between samples
     sums: dict[str, Float[Array, ""]]  # of the inputs since the last step
-    gathered: Float[Array, ""]  # samples in them
+    gathered: Float[Array, ""]  # number of samples in them
     flag: Int[Array, ""]  # of the last step
-    rise: Float[Array, ""]  # cumulative sum
-    fall: Float[Array, ""]  # likewise
-    run: Float[Array, ""]  # its code
+    rise: Float[Array, ""]  # cumulative sum for a rise
+    fall: Float[Array, ""]  # cumulative sum for a fall
+    run: Float[Array, ""]  # code of the run
 
 
 def start(estimator: AbstractEstimator) -> Guarded:
@@ -69,20 +69,20 @@ def start(estimator: AbstractEstimator) -> Guarded:
 
 
 def _strong(tree):
-    """The same arrays with types of their own: weak ones would be compiled again."""
+    """The same arrays with strong types, as weak types would be compiled again."""
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x)), tree)
 
 
 def guarded_step(
     estimator: AbstractEstimator, state: Guarded, sample: Mapping[str, Any]
 ) -> tuple[Guarded, Estimate]:
-    """One sample: what the scan and the stream both do.
+    """Process one sample, in the scan and in the stream.
 
     Args:
         estimator: any of :data:`tirefit.online.methods.METHODS`.
-        state: of :func:`start` or of the sample before.
-        sample: canonical column -> value, the method's inputs, ``time``, and those of
-            :data:`GUARDED` that are known; NaN for what is missing.
+        state: from :func:`start` or the previous sample.
+        sample: canonical column -> value: the inputs of the method, ``time``, and those
+            of :data:`GUARDED` that are known; NaN if missing.
     """
     began = start(estimator)
     if "run" in sample:
@@ -102,11 +102,11 @@ def guarded_step(
     due = usable & (count >= estimator.average)
     broken = ~_all_finite(waited, began.inner)
     kept = state._replace(inner=waited, sums=sums, gathered=count)
-    # What the last step said holds until the next, unless time has made it worse.
+    # The last flag is kept until the next step, unless time has made it worse.
     told = jnp.where(usable, jnp.maximum(state.flag, waiting.flag), unusable)
     waiting = waiting._replace(flag=told)
-    # A branch, not a selection: nine of ten samples only add to a mean, and XLA works
-    # out what several selections share anew for every one of them.
+    # A branch instead of a selection, as nine of ten samples only add to a mean and XLA
+    # would repeat shared computations for each of several selections.
     kept, estimate, alarm, broken = jax.lax.cond(
         due | broken,
         lambda: _stepped(estimator, kept, began),
@@ -124,7 +124,7 @@ def guarded_step(
 
 def _stepped(estimator, state: Guarded, began: Guarded):
     """The state and the estimate after a step on the mean of the gathered samples,
-    whether a change was detected, and whether the state was begun anew."""
+    whether a change was detected, and whether the state was initialised again."""
     count = jnp.maximum(state.gathered, 1.0)
     mean = {name: total / count for name, total in state.sums.items()}
     moved, estimate = estimator.step(state.inner, {**mean, "count": count})
@@ -143,12 +143,12 @@ def _stepped(estimator, state: Guarded, began: Guarded):
 
 
 def _either(condition, yes, no):
-    """``choose`` by a branch: neither is worked out for nothing."""
+    """``choose`` by a branch, so that only one alternative is computed."""
     return jax.lax.cond(condition, lambda: _strong(yes), lambda: _strong(no))
 
 
 def _gathered(state: Guarded, sample, usable, gap):
-    """Sums and count with this sample; begun anew with it after a gap or a jump."""
+    """Sums and count with this sample; after a gap or a jump, of this sample only."""
     jump = gap
     if "sigma_x" in state.sums:
         mean = state.sums["sigma_x"] / jnp.maximum(state.gathered, 1.0)
@@ -162,7 +162,7 @@ def _gathered(state: Guarded, sample, usable, gap):
 
 
 def _unusable(estimator, sample, back) -> Int[Array, ""]:
-    """Code of the reason why a sample is kept from the method; 0 if it is not."""
+    """Code of the reason why a sample does not reach the method; 0 if it does."""
     inputs = [sample[name] for name in estimator.method.inputs]
     missing = ~jnp.isfinite(sum(inputs)) | jnp.isnan(sample["time"])
     reasons = [(missing, Flag.MISSING), (back, Flag.TIME_BACK)]
@@ -176,14 +176,14 @@ def _unusable(estimator, sample, back) -> Int[Array, ""]:
     if "omega" in sample:
         locked |= sample["omega"] <= 0
     reason = flag_of(*reasons)
-    # Of a wheel that is locked nothing is missed: its force is not of the slip. At
-    # standstill there is no slip to be missed, and no wheel that is locked.
+    # Missing values do not matter for a locked wheel, whose force does not depend on the
+    # slip. At standstill no slip is missing and no wheel counts as locked.
     reason = jnp.where(locked & ~back, flag_of((locked, Flag.LOCKED)), reason)
     return jnp.where(standing & ~back, flag_of((standing, Flag.STANDSTILL)), reason)
 
 
 def _cusum(state: Guarded, surprise):
-    """Page's two-sided test on the surprises; both sums start again at an alarm."""
+    """Page's two-sided test on the surprises; both sums are reset at an alarm."""
     there = jnp.isfinite(surprise)
     z = jnp.clip(jnp.where(there, surprise, 0.0), -_MOST_SURPRISING, _MOST_SURPRISING)
     drift = jnp.where(there, CUSUM_DRIFT, 0.0)
@@ -194,23 +194,23 @@ def _cusum(state: Guarded, surprise):
 
 
 def _usual_interval(usual, dt, steps):
-    """The interval between samples, dropped ones left out."""
+    """The mean interval between samples, without lost samples."""
     regular = (dt > 0) & (steps <= _GAP)
     learned = jnp.where(jnp.isnan(usual), dt, usual + _USUAL * (dt - usual))
     return jnp.where(regular, learned, usual)
 
 
 def _all_finite(inner, began):
-    """Whether a state has nothing but numbers, save where it begins with none."""
+    """Whether a state is finite, except where its initial state is not."""
     leaves = zip(jax.tree.leaves(inner), jax.tree.leaves(began), strict=True)
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(a) | jnp.isnan(b)) for a, b in leaves]))
 
 
 @compiled()
 def _scan(estimator, state, log):
-    """Scans columns (m, _CHUNK); leaves of the state and plain arrays (m _CHUNK, ...).
+    """Scan columns (m, _CHUNK); returns leaves of the state and arrays (m _CHUNK, ...).
 
-    One scan over chunks, each a scan: the same steps in the same order as one.
+    A scan over chunks, each of which is a scan, with the same steps as a single scan.
     """
 
     def step(state, sample):
@@ -233,10 +233,10 @@ def run(
     Args:
         estimator: any of :data:`tirefit.online.methods.METHODS`.
         log: canonical columns (n,), as for :func:`guarded_step`; others are ignored.
-        state: to go on from; that of :func:`start` if None.
+        state: the state from which to continue; that of :func:`start` if None.
 
     Returns:
-        the state after the last row, and the estimates of all rows (n, ...), NumPy.
+        The state after the last row, and the estimates of all rows (n, ...), NumPy.
     """
     names = dict.fromkeys((*GUARDED, *estimator.method.inputs))
     columns = {name: np.asarray(log[name], float) for name in names if name in log}
@@ -244,10 +244,10 @@ def run(
     if state is None:
         state = start(estimator)
         if "run" in columns and n and np.all(columns["run"] == columns["run"][0]):
-            # One run from the start on: looking out for another costs a third more.
+            # A single run from the start; checking for further ones costs a third more.
             state = state._replace(run=jnp.asarray(columns.pop("run")[0]))
     size = padded_size(n, 1024)
-    # Rows without time change nothing, whatever the method, if they are of the run.
+    # Rows without time and in the same run have no effect in any method.
     last = {"run": columns["run"][-1]} if "run" in columns and n else {}
     padded = {
         name: np.append(column, np.full(size - n, last.get(name, np.nan)))
@@ -272,7 +272,7 @@ class Stream:
         self._step = eqx.filter_jit(guarded_step)
 
     def push(self, sample: Mapping[str, float]) -> Estimate:
-        """The estimate after one more sample, whose columns are always the same."""
+        """The estimate after the next sample, which must have the same columns."""
         names = dict.fromkeys((*GUARDED, *self.estimator.method.inputs))
         row = {k: np.asarray(sample[k], float) for k in names if k in sample}
         self.state, estimate = self._step(self.estimator, self.state, row)

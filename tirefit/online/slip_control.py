@@ -1,12 +1,12 @@
-r"""The upper limit: slip held where the true friction has its peak.
+r"""A controller as upper limit: it holds the slip at the peak of the true friction.
 
-It is told what no sensor knows, slip, load and the road's peak, and asks for the
+It receives values that no sensor measures (slip, load, peak of the road), and commands the
 pressure that holds the wheel there,
 
 .. math:: p = \frac{R \mu F_z}{g} \left(1 + K (\kappa^* - \kappa)
     - \frac{J}{R^2 \mu F_z} D (\dot v - \dot v_w) \right)
 
-What it loses against the peak is the loss of the hydraulics.
+Its loss compared with the peak is that of the hydraulics.
 """
 
 from typing import Any, ClassVar, NamedTuple
@@ -19,14 +19,14 @@ from tirefit.params import par
 
 
 class _State(NamedTuple):
-    """Slip speed (w,) [m/s] at the sample before, and its filtered rate."""
+    """Slip speed (w,) [m/s] at the previous sample, and its filtered rate."""
 
     sliding: Float[Array, " w"]
     rate: Float[Array, " w"]
 
 
 class SlipControl(AbstractController):
-    """Slip set-point at the true peak, with the true slip: not for a real car."""
+    """Slip control at the true peak with the true slip, which a real car does not know."""
 
     name: ClassVar[str] = "slip"
     meaning: ClassVar[str] = "slip held at the true peak of the road: the upper limit"
@@ -36,9 +36,7 @@ class SlipControl(AbstractController):
     gain: float = par(10.0, (0.0, 100.0), "-", "pressure by slip error", "", "K")
     damping: float = par(0.4, (0.0, 50.0), "-", "torque by rate of the slip speed", "", "D")
     smoothing: float = par(0.0025, (0.0, 1.0), "s", "time constant of that rate", "", "T_f")
-    response: float = par(
-        0.045, (1e-3, 1.0), "s", "time in which a pressure error is to vanish", "", "T"
-    )
+    response: float = par(0.045, (1e-3, 1.0), "s", "time constant of a pressure error", "", "T")
     rise: float = par(40e6, (1e5, 1e9), "Pa/s", "of an open inlet", "", "R_+")
     fall: float = par(80e6, (1e5, 1e9), "Pa/s", "of an open outlet", "", "R_-")
     radius: Any = 0.3

@@ -1,14 +1,14 @@
-r"""Slope of the slip curve near zero slip and the road that it tells of, S section 3.1.
+r"""Slope of the slip curve near zero slip, and the road that follows, S section 3.1.
 
-The regression is :math:`s = (F/F_z) / k + \delta`, the force over the load so that the
-slope k [-] is of no load, with :math:`x = (1/k, \delta)` as a random walk. The
-runner's cumulative sum detects quick changes, and ``open`` raises the covariance of
-1/k for them. Noise of the force, which is a regressor here, draws 1/k to zero by the
-share that it has of the force's variance; averaging before a step makes that small.
+The regression is :math:`s = (F/F_z) / k + \delta`, with the force over the load so that
+the slope k [-] does not depend on the load, and :math:`x = (1/k, \delta)` as a random
+walk. The cumulative sum of the runner detects fast changes, for which ``open`` raises the
+covariance of 1/k. Noise of the force, a regressor here, biases 1/k towards zero by its
+share of the variance of the force; averaging before a step makes that small.
 
-What the rolling radius varies by shows as noise of the slip: to first order
-:math:`\delta s = -\delta R / R`. Its variance is that of the errors of prediction less
-that of slip and force noise. The road follows by :func:`road_of`.
+Variations of the rolling radius appear as slip noise, to first order
+:math:`\delta s = -\delta R / R`. Their variance is that of the errors of prediction minus
+that of slip and force noise. :func:`road_of` gives the road.
 """
 
 from typing import ClassVar, NamedTuple
@@ -32,11 +32,11 @@ from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
 ROADS = ("asphalt", "gravel", "snow", "ice")
-"""The four of S section 3.1; estimates number them from 1, by falling friction."""
+"""The four roads of S section 3.1; estimates number them from 1, by falling friction."""
 
 STIFF, SOFT = 0.75, 0.45
-"""Slopes over that of asphalt between asphalt, snow and ice on a smooth road."""
-_MEMORY = 0.98  # weight of the mean square error a step before: some 50 steps
+"""Limits between asphalt, snow and ice on a smooth road, as slopes over that of asphalt."""
+_MEMORY = 0.98  # weight of the previous mean square error: a memory of about 50 steps
 _STEPS = 1 / (1 - _MEMORY)
 
 
@@ -48,8 +48,8 @@ def road_of(relative, rough) -> Float[Array, ""]:
         rough: whether the rolling radius varies more than on a smooth road.
 
     Returns:
-        of a smooth road asphalt from 0.75 on, snow from 0.45, else ice; of a rough one
-        gravel from 0.45 on, else snow: ice is never rough.
+        For a smooth road asphalt above 0.75, snow above 0.45, else ice; for a rough one
+        gravel above 0.45, else snow, as ice is never rough.
     """
     smooth = jnp.where(relative >= STIFF, 1.0, jnp.where(relative >= SOFT, 3.0, 4.0))
     return jnp.where(rough, jnp.where(relative >= SOFT, 2.0, 3.0), smooth)
@@ -74,7 +74,7 @@ class SlipSlope(AbstractEstimator):
         "slope and offset of the slip by Kalman filter; road",
         ("sigma_x", "fx", "fz"),
         ("slip_slope", "slip_offset", "radius_std", "road"),
-        "up to 30 % of the load; says nothing of the peak by itself",
+        "up to 30 % of the load; does not measure the peak",
         "S §3.1",
         "straight line",
     )
@@ -136,11 +136,11 @@ class SlipSlope(AbstractEstimator):
         return sample["fx"] / sample["fz"]
 
     def applies(self, use):
-        """Whether a sample of that force over load belongs to the straight part."""
+        """Whether a sample with this force over load is in the linear range."""
         return jnp.abs(use) <= self.most_use
 
     def gain_std(self) -> float:
-        """Relative std of the force's own gain, which no sample tells of."""
+        """Relative std of the gain of the force, which samples do not determine."""
         return 0.0
 
     def step(self, state: SlipSlopeState, sample: Sample) -> tuple[SlipSlopeState, Estimate]:
@@ -170,7 +170,7 @@ class SlipSlope(AbstractEstimator):
         return held, self._estimate(held, False, jnp.nan)
 
     def open(self, state: SlipSlopeState) -> SlipSlopeState:
-        """The slope is another, the wheel's radius is not."""
+        """Restore the uncertainty of the slope; that of the radius is kept."""
         first = (self.prior_slope / self.slope) ** 2
         return state._replace(p00=jnp.maximum(state.p00, first), p01=0 * state.p01)
 
@@ -186,7 +186,7 @@ class SlipSlope(AbstractEstimator):
         variance = jnp.maximum(s.square - self._noise(inverse), 0.0)
         variance_std = s.square * jnp.sqrt(2 / _STEPS)
         radius = jnp.sqrt(variance)
-        # Of a root: by the slope away from zero, by the root of the spread at it.
+        # Error of a root: by its slope away from zero, else the root of the spread.
         radius_std = variance_std / jnp.maximum(2 * radius, jnp.sqrt(variance_std))
         road, road_std = self._road(slope, slope * relative, variance, variance_std)
         resolved = relative < RESOLVED
@@ -200,7 +200,7 @@ class SlipSlope(AbstractEstimator):
         )
 
     def _road(self, slope, slope_std, variance, variance_std):
-        """The road's number and the standard deviation of that number."""
+        """The number of the road and its standard deviation."""
         number = road_of(slope / self.slope, variance > self.rough**2)
         above = [norm.sf((limit * self.slope - slope) / slope_std) for limit in (STIFF, SOFT)]
         rough = norm.sf((self.rough**2 - variance) / variance_std)
@@ -215,11 +215,11 @@ class SlipSlope(AbstractEstimator):
 
 
 class SlipSlopeBraking(SlipSlope):
-    """The same while braking only, with the force from the pressure of the brake.
+    """The same method while braking, with the force from the brake pressure.
 
-    S section 3.1, last paragraph. The wheel's inertia is left out of the balance
-    F = gain p: J dOmega/dt / R is 40 N in the saw-teeth of S section 5.1, of 20 kN.
-    An error of the gain is one of the slope; its std is added to that of the slope.
+    S section 3.1, last paragraph. The balance F = gain p ignores the inertia of the wheel:
+    J dOmega/dt / R is 40 N of 20 kN in the saw-teeth of S section 5.1. An error of the
+    gain is an error of the slope; its std is added to that of the slope.
     """
 
     method: ClassVar[Method] = Method(

@@ -1,15 +1,14 @@
-r"""The tire as a sensor, S section 3.6: a small network from lateral force and aligning
-moment to slip angle and used friction, without any measurement of slip.
+r"""The tire as a sensor, S section 3.6: a small network computes slip angle and used
+friction from lateral force and aligning moment, without a measurement of slip.
 
-The brush S(12) makes of :math:`\theta = 2 c_p a^2 \tan\alpha / (3 F_z)` and
-:math:`\mu` the force :math:`y = F_y / F_z` and the moment :math:`m = -M_z / (a F_z)`.
-Over these the network gives :math:`(\theta, \mu_u)` for a tire of any stiffness, load
-and length. Its weights, ``tire_sensor.json``, come with the package, so that every
-process and every machine has the same; ``python -m fits.tire_sensor.train`` makes them
-again from this library's brush.
+For the brush S(12), :math:`\theta = 2 c_p a^2 \tan\alpha / (3 F_z)` and :math:`\mu`
+determine the force :math:`y = F_y / F_z` and the moment :math:`m = -M_z / (a F_z)`. The
+network maps these to :math:`(\theta, \mu_u)` for a tire of any stiffness, load and
+length. Its weights, ``tire_sensor.json``, are part of the package, so that all machines
+use the same; ``python -m fits.tire_sensor.train`` trains them again.
 
-It has seen friction from 0.1 to 1.2 and no force below 3 % of the load; what the noise
-cannot have brought in from there is flagged.
+It was trained on friction from 0.1 to 1.2 and on forces above 3 % of the load; samples
+that noise cannot have moved from this range are flagged.
 """
 
 import json
@@ -38,9 +37,9 @@ from tirefit.params import par
 
 WEIGHTS = Path(__file__).with_name("tire_sensor.json")
 LEAST_FRICTION, MOST_FRICTION, LEAST_FORCE = 0.1, 1.2, 0.03
-"""What the network was trained on: friction [-] and least force over load."""
-SCALE = (1.2, 0.13)  # largest force and moment of it; the network sees both over these
-_STDS = 3.0  # standard deviations outside before an input is flagged
+"""Range of the training: friction [-], and smallest force over load."""
+SCALE = (1.2, 0.13)  # largest force and moment of the training, the scales of the inputs
+_STDS = 3.0  # an input is flagged if it is so many standard deviations out of the range
 
 
 def gough(sliding, mu):
@@ -66,19 +65,19 @@ def network(weights, y, m):
         x = jnp.tanh(matrix @ x + offset)
     matrix, offset = weights[-1]
     x = matrix @ x + offset
-    # theta is a third of the force at least, and force of the sliding tire at most.
+    # theta is at least a third of the force, and at most the force of the sliding tire.
     return y * (1 / 3 + jax.nn.sigmoid(x[0]) * 2 / 3), jax.nn.sigmoid(x[1])
 
 
 @cache
 def trained() -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """The layers that come with the package."""
+    """The layers of the network in the package."""
     layers = json.loads(WEIGHTS.read_text())["layers"]
     return tuple((np.array(k["matrix"]), np.array(k["offset"])) for k in layers)
 
 
 def seen(y, m, y_std=0.0, m_std=0.0):
-    """Whether a point of the Gough plot can lie among those of the training.
+    """Whether a point of the Gough plot may be within the range of the training.
 
     Args:
         y, m: force and moment as in :func:`gough`.
@@ -102,14 +101,14 @@ def seen(y, m, y_std=0.0, m_std=0.0):
 
 
 class TireSensorState(NamedTuple):
-    """The last estimates (3,) that a sample gave, and their standard deviations."""
+    """The last estimates (3,) from a sample, and their standard deviations."""
 
     value: Float[Array, "3"]
     std: Float[Array, "3"]
 
 
 class TireSensor(AbstractEstimator):
-    """Slip angle and friction of every sample by itself, from force and moment."""
+    """Slip angle and friction from force and moment of every single sample."""
 
     method: ClassVar[Method] = Method(
         "tire-sensor",
@@ -136,7 +135,7 @@ class TireSensor(AbstractEstimator):
         0.01,
         (0.0, 1.0),
         "-",
-        "std of the network's own error of mu_u and theta / y",
+        "std of the error of the network in mu_u and theta / y",
         "S §3.6",
         r"\sigma_n",
     )
@@ -151,7 +150,7 @@ class TireSensor(AbstractEstimator):
         share = 1 / jnp.sqrt(sample["count"])
         stds = jnp.stack([share * self.force_noise, share * self.moment_noise])
         inside = seen(y, m, *stds)
-        # Noise carries a sliding tire below zero moment.
+        # Noise may give a negative moment for a sliding tire.
         x = jnp.stack([jnp.maximum(y, LEAST_FORCE), jnp.maximum(m, 0.0)])
         stiffness = 2 * self.cpa2 / (3 * sample["fz"])
         value = self._outputs(x, stiffness)
@@ -159,7 +158,7 @@ class TireSensor(AbstractEstimator):
         own = self.own_error * jnp.stack([value[0] / value[2], x[0] / stiffness, 1.0])
         std = jnp.sqrt(((slope * stds[None, :]) ** 2).sum(1) + own**2)
         value = value * jnp.stack([1.0, side, 1.0])
-        # Far outside there is nothing to say; near the edge it is said with a flag.
+        # Far out of the range there is no estimate; near the edge it is flagged.
         after: TireSensorState = choose(inside, TireSensorState(value, std), state)
         return after, self._estimate(after, ~inside)
 

@@ -1,4 +1,4 @@
-r"""What the methods that watch a whole vehicle share: its data, slips and loads.
+r"""Data, slips and loads of the vehicle, for methods that use its whole motion.
 
 Axes of ISO 8855 (x forward, y left); tire forces in the signs of the package: braking
 positive, and to the left for a positive slip angle,
@@ -14,14 +14,14 @@ from tirefit.online.base import AbstractEstimator
 from tirefit.params import par
 
 GRAVITY = 9.81
-"""Of the methods and the simulated cars [m/s2], rounded as in their sources; files and
-logs have :data:`tirefit.slip.GRAVITY`."""
+"""Gravity of the methods and the simulated cars [m/s2], rounded as in their sources; files
+and logs use :data:`tirefit.slip.GRAVITY`."""
 
 
 class AbstractVehicleMethod(AbstractEstimator):
     """A method on the motion of a vehicle; the defaults are those of a mid-size car.
 
-    Samples are not averaged first: the motion between them is what such methods use.
+    Samples are not averaged first, as such methods use the motion between them.
     """
 
     average: float = 1.0
@@ -70,22 +70,22 @@ class Shares(NamedTuple):
 def brush_share(sigma_x, alpha, stiffness, mu) -> Shares:
     """Forces over the load of an isotropic brush, S(12) on the resultant slip.
 
-    With a stiffness that follows the load all tires of an axle with equal slips act as
-    one tire under the load of the axle.
+    If the stiffness is proportional to the load, tires of an axle with equal slips act as
+    one tire at the load of the axle.
 
     Args:
         sigma_x: physical slip [-] > -1; alpha: slip angle [rad].
         stiffness: 2 c_p a^2 over the load [-]; mu: friction [-].
     """
     sigma_y = jnp.tan(alpha) * (1 + sigma_x)
-    # Not quite zero at rest, where its direction has no slope.
+    # Not exactly zero at rest, where its direction is not differentiable.
     slip = jnp.sqrt(sigma_x * sigma_x + sigma_y * sigma_y + 1e-20)
     force = mu * mu_rate(slip, stiffness, mu)
     return Shares(force * sigma_x / slip, force * sigma_y / slip)
 
 
 def clipped(omega, v, radius, slowest=0.01):
-    """Physical slip [-] of a wheel, that of one that nearly locks at most 99.
+    """Physical slip [-] of a wheel, limited to 99 when it nearly locks.
 
     Args:
         omega: wheel speed [rad/s]; v: speed of its centre [m/s] > 0; radius [m].
@@ -98,8 +98,8 @@ def kalman_update(x, covariance, slope, error, noise):
     """A state (n,) and its covariance after a measurement (m,), in Joseph's form.
 
     Args:
-        slope: (m, n) of the measurement by the state.
-        error: (m,) measured less predicted; noise: (m, m) its covariance.
+        slope: (m, n) of the measurement over the state.
+        error: (m,) measured - predicted; noise: (m, m) its covariance.
     """
     spread = slope @ covariance @ slope.T + noise
     gain = jnp.linalg.solve(spread, slope @ covariance).T

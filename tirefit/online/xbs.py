@@ -1,27 +1,28 @@
-r"""Extended braking stiffness from wheel speed alone, O(1)-(10).
+r"""Extended braking stiffness from wheel speed only, O(1)-(10).
 
-The slope k [N s/m] of the braking force by the slip velocity makes the wheel a first
-order system for what shakes it, O(2): :math:`\ddot v_w = -p\,\dot v_w + w` with
-:math:`p = a + k r^2 / J` [1/s], O(8), a the gain of a deceleration servo or zero. Least
-squares with a forgetting factor on the band-passed speed, O(3)-(7) and O(10), give
+With the slope k [N s/m] of the braking force over the slip velocity, the wheel is a
+first-order system driven by the uneven road, O(2): :math:`\ddot v_w = -p\,\dot v_w + w`
+with :math:`p = a + k r^2 / J` [1/s], O(8), a the gain of a deceleration servo or zero.
+Least squares with a forgetting factor on the band-passed speed, O(3)-(7) and O(10), give
 
 .. math:: \hat p = (1 - \rho_1) / \tau
 
 where :math:`\rho_1` is the correlation of one increment of the filtered speed with the
-next. **That is not p.** Sampling alone makes it 2/3 p (the increments are means of the
-deceleration over an interval), and a band-pass hides all but the shape that the pole
-leaves inside the band: with 2 to 20 Hz at 200 samples a second it runs from 3.7 to 24.8
-1/s for every p from zero to infinity. But it rises with p, and of a white disturbance w
-it can be written down: the sampled speed has the spectrum of :func:`speed_spectrum`,
-the filter is known, so :math:`\hat p` is a ratio of two integrals over frequency. The
-record holds that relation, made once, and inverts it. The same integrals give the
-variance of the estimate; the recursion's own P is that of white errors.
+next. **That is not p.** Sampling gives 2/3 p (the increments are means of the
+deceleration over an interval), and the band-pass removes everything outside the band:
+with 2 to 20 Hz at 200 samples per second it is between 3.7 and 24.8 1/s for all p from
+zero to infinity. But it rises with p, and for a white disturbance w it can be computed:
+the sampled speed has the spectrum of :func:`speed_spectrum` and the filter is known, so
+:math:`\hat p` is a ratio of two integrals over frequency. The record computes that
+relation once and inverts it. The same integrals give the variance of the estimate; P of
+the recursion assumes white errors.
 
-Seen is the square of p: far below the band all poles look alike, and beyond it too.
+The data determine the square of p; poles far below or above the band are not resolved.
 
-A loud past hides a calm present, as a wheel that nears its peak shakes ten times as
-much: half of a fall of k is seen within 0.2 s, half of a rise only after 1.6 s, with a
-memory of 1 s. ``quiet`` above zero drops the past where the wheel is so much calmer.
+A strong vibration in the past hides a weak one now, and a wheel near its peak shakes ten
+times as much: with a memory of 1 s, half of a fall of k is found within 0.2 s, but half
+of a rise only after 1.6 s. With ``quiet`` above zero, the past is dropped if the wheel is
+so much calmer.
 """
 
 from functools import lru_cache
@@ -39,11 +40,11 @@ _NODES, _FREQUENCIES = 256, 4096
 _SLOWEST, _FASTEST = 0.02, 8.0
 """Poles of the relation over the lower and the upper edge of the band."""
 _SETTLING = 0.8
-"""Periods of the lower edge until the band-pass has forgotten a step to 4 %."""
-_RECENT = 0.1  # time [s] of the mean square that is compared with that of the memory
-_QUICKLY = 0.9  # forgetting factor while the wheel shakes so much less than before
+"""Periods of the lower edge until the response of the band-pass to a step is below 4 %."""
+_RECENT = 0.1  # time [s] of the recent mean square, compared with that of the memory
+_QUICKLY = 0.9  # forgetting factor while the wheel is so much calmer than before
 _INTERVAL_OFF = 0.2
-"""Relative difference of an interval from the rate's, beyond which it is a gap."""
+"""Relative difference of an interval from that of the rate above which it is a gap."""
 
 
 class Section(NamedTuple):
@@ -117,11 +118,11 @@ def speed_spectrum(angle, pole, corner, period):
 
 
 class Relation(NamedTuple):
-    """What least squares give for each pole: arrays (nodes,), by rising pole.
+    """The result of least squares for each pole: arrays (nodes,), by rising pole.
     ``variance``, ``mixed``, ``alone``: N times the variance of the estimate [1/s2] of N
-    samples, by the square of the signal, signal times noise of the sensor, square of
-    the noise, each over its own power; ``noise0``, ``noise1``: of white noise of
-    variance one, the mean square of an increment and mean product of two."""
+    samples, due to the square of the signal, signal times sensor noise, and the square
+    of the noise, each over its power; ``noise0``, ``noise1``: for white noise of
+    variance one, the mean square of an increment and the mean product of two."""
 
     square: np.ndarray  # p^2 [1/s2]
     printed: np.ndarray  # the estimate O(3)-(7) [1/s]
@@ -133,10 +134,10 @@ class Relation(NamedTuple):
 
 
 def servo_spectrum(angle, pole, gain, delay, rate):
-    r"""What the delay of a deceleration servo does to the power of wheel speed.
+    r"""Factor on the power of the wheel speed by the delay of a deceleration servo.
 
-    :math:`|i\omega + p|^2 / |i\omega + p - a + a e^{-i\omega T}|^2`: O(8) has the servo
-    act at once, T = 0. Aliasing of the difference is left out.
+    :math:`|i\omega + p|^2 / |i\omega + p - a + a e^{-i\omega T}|^2`; the servo of O(8) has
+    no delay, T = 0. Aliasing of the difference is ignored.
 
     Args:
         angle: frequency [rad a sample].
@@ -151,9 +152,9 @@ def servo_spectrum(angle, pole, gain, delay, rate):
 def relation(
     rate: float, low: float, high: float, corner: float, gain: float = 0.0, delay: float = 0.0
 ) -> Relation:
-    """The relation for samples a second, band [Hz], corner of the road [Hz], and gain
+    """The relation for samples per second, band [Hz], corner of the road [Hz], and gain
     [1/s] and delay [s] of a servo; poles include the gain."""
-    # The mean over frequencies is exact for spectra as smooth as these.
+    # The mean over frequencies is accurate for such smooth spectra.
     angle = (np.arange(_FREQUENCIES) + 0.5) * np.pi / _FREQUENCIES
     band = high_pass(low, rate).gain(angle) * low_pass(high, rate).gain(angle)
     noise = band * (2 - 2 * np.cos(angle))
@@ -171,8 +172,8 @@ def relation(
         parts = signal * signal, 2 * signal * noise, noise * noise
         rows.append((pole**2, printed, *(2 * np.mean(off * part) for part in parts)))
     table = np.array(rows)
-    # A servo that lags makes a ringing wheel of the slowest poles, where the relation
-    # turns back: of two poles the faster is meant, the other would not be stable.
+    # With a delayed servo, the slowest poles oscillate and the relation is not monotonic
+    # there: of two poles the faster one is used, as the other would be unstable.
     turn = int(np.argmin(table[:, 1]))
     table[:turn, 1] = table[turn, 1] - 1e-9 * np.arange(turn, 0, -1)
     square, printed, variance, mixed, alone = table.T
@@ -181,7 +182,7 @@ def relation(
 
 
 def rate_in_use(slope, stiffness, direction=0.0):
-    r"""Friction in use gamma [-] from the slope of the force: O(22) turned around.
+    r"""Friction in use gamma [-] from the slope of the force: the inverse of O(22).
 
     Args:
         slope: :math:`v_w k = \partial F_x / \partial \kappa_x` [N].
@@ -200,7 +201,8 @@ def rate_in_use(slope, stiffness, direction=0.0):
 
 
 class Sums(NamedTuple):
-    """Weighted by age: squares, products of increments [m2/s2]; weights, squares of."""
+    """Sums weighted by age: squares and products of increments [m2/s2]; weights, and
+    squares of weights."""
 
     square: Float[Array, ""]
     product: Float[Array, ""]
@@ -208,16 +210,16 @@ class Sums(NamedTuple):
     weight2: Float[Array, ""]
 
     def forgotten(self, share) -> "Sums":
-        """Counting this share of what they did."""
+        """The sums with all weights multiplied by this share."""
         return Sums(
             share * self.square, share * self.product, share * self.weight, share**2 * self.weight2
         )
 
 
 class XbsState(NamedTuple):
-    """Filters' states, the last speed filtered and its last increment [m/s]; the
-    sums; samples since the filter began; speed at that; whether the last interval was
-    not that of the rate; the last speed [m/s], force and load [N]."""
+    """States of the filters, the last filtered speed and its last increment [m/s]; the
+    sums; number of samples since the start of the filter, and the speed then; whether the
+    last interval differed from the rate; the last speed [m/s], force and load [N]."""
 
     high: tuple[Float[Array, ""], Float[Array, ""]]
     low: tuple[Float[Array, ""], Float[Array, ""]]
@@ -234,19 +236,19 @@ class XbsState(NamedTuple):
 
 
 class Xbs(AbstractEstimator):
-    """Extended braking stiffness, and the friction in use that it tells of, O(22).
+    """Extended braking stiffness, and the friction in use that follows from it, O(22).
 
-    A sample's ``omega`` is all that is needed. ``reference``: speed [m/s] that a
-    deceleration servo follows, :math:`v_0` of O(9), taken off; ``use``: 1, or 0 for a
-    sample that moves the filter but not the regression, as while a pressure is ramped.
+    A sample needs only ``omega``. ``reference``: speed [m/s] that a deceleration servo
+    follows, :math:`v_0` of O(9), which is subtracted; ``use``: 1, or 0 for a sample that
+    updates the filter but not the regression, for example during a pressure ramp.
     """
 
     method: ClassVar[Method] = Method(
         "xbs",
-        "slope of force by slip velocity from the shaking of the wheel",
+        "slope of force over slip velocity from wheel vibration",
         ("omega",),
         ("xbs", "used"),
-        "braking steadily; slopes whose break frequency lies near or in the band",
+        "steady braking; slopes with a break frequency near or in the band",
         "O(3)-(7)",
         "first-order wheel",
     )
@@ -268,7 +270,7 @@ class Xbs(AbstractEstimator):
         (0.0, 1.0),
         "-",
         "share of the memory's mean square below which the wheel"
-        " is calmer and the past counts little; 0: as in O",
+        " is calmer and the past has little weight; 0: as in O",
         "",
         "q",
     )
@@ -289,7 +291,7 @@ class Xbs(AbstractEstimator):
         scale="log",
     )
     stiffness_spread: float = par(0.1, (0.0, 1.0), "-", "relative std of it", "", r"\sigma_K")
-    # Made of the settings above, anew whenever they change; never given.
+    # Computed from the settings above whenever they change; not a setting.
     sections: Any = None
     relation: Any = None
 
@@ -334,7 +336,7 @@ class Xbs(AbstractEstimator):
         return after, self._estimate(after)
 
     def hold(self, state: XbsState, dt, steps) -> tuple[XbsState, Estimate]:
-        """Lost samples: the filter begins anew, and the past counts less."""
+        """After lost samples, the filter starts again and the past has less weight."""
         begun = state.age > 0
         off = begun & (jnp.abs(dt * self.rate - 1) > _INTERVAL_OFF)
         gap = begun & ((steps > 0) | (dt * self.rate > 1 + _INTERVAL_OFF))
@@ -353,7 +355,7 @@ class Xbs(AbstractEstimator):
         return _SETTLING * self.rate / self.low
 
     def _force(self, sample: Sample):
-        """Braking force and load [N] of the sample, where they are known."""
+        """Braking force and load [N] of the sample, if known."""
         return jnp.full((), jnp.nan), jnp.full((), jnp.nan)
 
     def pole(self, state: XbsState):
@@ -379,7 +381,7 @@ class Xbs(AbstractEstimator):
         variance = variance * weight2 / weight**2
         std = jnp.sqrt(variance) * self._steepness(square)
         pole = jnp.sqrt(square)
-        # Of a root: by its slope away from zero, by the root of the spread at it.
+        # Error of a root: by its slope away from zero, else the root of the spread.
         std = jnp.minimum(std / (2 * pole), jnp.sqrt(std))
         none = jnp.where(clear, 0.0, jnp.nan)
         flag = flag_of(
@@ -421,15 +423,15 @@ class Xbs(AbstractEstimator):
 
 
 class XbsBraking(Xbs):
-    """The same with the force from the pressure of the brake, and so the friction.
+    """The same method with the force from the brake pressure, and so the friction.
 
-    :math:`F = g p - J \\dot\\Omega / R` with the band-passed acceleration left out: it
-    is the mean force that counts.
+    :math:`F = g p - J \\dot\\Omega / R` without the band-passed acceleration, as only the
+    mean force matters.
     """
 
     method: ClassVar[Method] = Method(
         "xbs-braking",
-        "the same, and friction with the force by brake pressure",
+        "as xbs, and friction with the force by brake pressure",
         ("omega", "brake_pressure", "fz"),
         ("xbs", "used", "mu"),
         "as xbs, with 30 to 100 % of the friction",

@@ -1,28 +1,28 @@
-r"""A brake that holds the tire where its stiffness says, O sections 3.1 and 3.2.
+r"""A brake control by extended braking stiffness, O sections 3.1 and 3.2.
 
-Three layers, each a few numbers a wheel (O Figure 7):
+It has three layers, each with a few numbers per wheel (O Figure 7):
 
-* **stiffness to deceleration**: the extended braking stiffness :math:`\hat k`
-  (:mod:`tirefit.online.xbs`) is to be that of a wanted share :math:`\gamma` of the
-  friction, :math:`k_0` of O(22), whatever the friction is. The wheel is to slow down as
-  the vehicle does, and by ``pull`` times :math:`e = (\hat k - k_0)/k_0` more, so that
-  its slip velocity grows while there is a margin; where e is negative by ``release``
-  times e, which lets it shrink;
-* **deceleration to pressure**: torque in proportion to the speed of the wheel over a
-  reference that has that deceleration, :math:`T = (J a / r) (v_w - v_0)`, which is
-  O(8). It makes a wheel stable beyond the peak if O(11) holds;
+* **stiffness to deceleration**: the target of the extended braking stiffness
+  :math:`\hat k` (:mod:`tirefit.online.xbs`) is :math:`k_0` of O(22), that of a given
+  share :math:`\gamma` of the friction, whatever the friction is. The target deceleration
+  of the wheel is that of the vehicle plus ``pull`` times
+  :math:`e = (\hat k - k_0)/k_0`, so that its slip velocity grows while there is a
+  margin; for negative e, plus ``release`` times e, so that it shrinks;
+* **deceleration to pressure**: torque proportional to the speed of the wheel above a
+  reference with that deceleration, :math:`T = (J a / r) (v_w - v_0)`, O(8). It makes a
+  wheel stable beyond the peak if O(11) holds;
 * **pressure to valve**: the share of the next interval for which the inlet or the
-  outlet must be open, with what the commands on their way will still do.
+  outlet must be open, considering commands that have not yet taken effect.
 
-The condition is checked when the record is made, and with it what O does not say: a
-gain can also be too high for the delay of the valves. That delay is a part of the
-estimator's relation too. Three things differ from O. The estimator listens to 3-30 Hz,
-where the pole lies at a share of 90 %, and to the speed itself, not to :math:`v_w -
-v_0`: both are the same where :math:`v_0` slows evenly, but a wheel with p far above a
-hardly follows a reference that does not. It forgets what is much louder than now
-(``quiet``). And the vehicle's deceleration is measured.
+O(11) is checked when the record is made, and also an upper limit of the gain by the delay
+of the valves, which O does not state. That delay is part of the relation of the estimator
+as well. There are three differences from O. The estimator uses 3-30 Hz, where the pole is
+at a share of 90 %, and the speed itself instead of :math:`v_w - v_0`: both are equivalent
+if :math:`v_0` slows evenly, but a wheel with p far above a hardly follows a reference
+that does not. It drops a past that is much stronger than the present (``quiet``). And the
+deceleration of the vehicle is measured.
 
-Small gains are no weakness here: the estimate comes 0.3 s late, and a slip velocity
+Small gains are no disadvantage: the estimate has a delay of 0.3 s, and a slip velocity
 that grows by 0.5 m/s2 crosses the peak of a road of 0.3 in less than a second.
 """
 
@@ -46,7 +46,7 @@ Wheels = Float[Array, " w"]
 _STEADY = 0.05  # time [s] over which the deceleration of the vehicle is averaged
 _SLOWEST = 2.0
 """Speed [m/s] of the vehicle below which the pressures are held: k goes with 1/v."""
-_FOLLOWED = 3e5  # error of the pressure [Pa] up to which the servo acts as O(8) has it
+_FOLLOWED = 3e5  # error of the pressure [Pa] up to which the servo acts as in O(8)
 _LEAST_SLIP = 0.01
 _LEAST_FLOW = 1e5
 
@@ -54,16 +54,16 @@ _LEAST_FLOW = 1e5
 def loop_matrix(gain, pole, rate: float, delay: int, lag: float) -> np.ndarray:
     r"""One sample of the linearised loop of wheel, deceleration servo and valves.
 
-    The wheel :math:`\dot x = -p x - q`, with x its speed [m/s] off an equilibrium and q
-    the brake's torque over J/r off its own [m/s2]; the pressure follows its target with
-    a lag and whole samples of delay; the target is a x.
+    The wheel is :math:`\dot x = -p x - q`, with deviations x of its speed [m/s] and q of
+    the brake torque over J/r [m/s2] from an equilibrium. The pressure follows its target
+    with a lag and a delay of whole samples; the target is a x.
 
     Args:
         gain: a [1/s]; pole: p = k r^2 / J [1/s].
         delay: samples; lag: [s], > 0.
 
     Returns:
-        (2 + delay, 2 + delay) on (x, q, targets on their way).
+        Matrix (2 + delay, 2 + delay) for (x, q, delayed targets).
     """
     from scipy.linalg import expm
 
@@ -83,12 +83,12 @@ def loop_matrix(gain, pole, rate: float, delay: int, lag: float) -> np.ndarray:
 
 
 def refuse_unstable(gain, least_slope, most_slope, radius, inertia, rate, delay, lag) -> None:
-    """Checks O(11), and the loop with its sampling, delay and lag.
+    """Check O(11), and the stability of the loop with sampling, delay and lag.
 
     Args:
         gain: a [1/s].
-        least_slope, most_slope: k [N s/m] between which a wheel may come to be.
-        radius: r [m]; inertia: J [kg m2]; the rest as in :func:`loop_matrix`.
+        least_slope, most_slope: range of k [N s/m] of a wheel.
+        radius: r [m]; inertia: J [kg m2]; others as in :func:`loop_matrix`.
 
     Raises:
         UsageError: names the condition that is broken and its numbers.
@@ -118,19 +118,19 @@ class XbsServoState(NamedTuple):
     """State of the servo and its estimators."""
 
     xbs: XbsState
-    speed: Wheels  # [m/s] before
+    speed: Wheels  # [m/s] at the previous sample
     reference: Wheels  # [m/s]
     target: Wheels  # [Pa]
-    coming: Float[Array, "d w"]  # changes on their way [Pa]
-    slowing: Float[Array, ""]  # filtered [m/s2]
+    coming: Float[Array, "d w"]  # delayed changes of pressure [Pa]
+    slowing: Float[Array, ""]  # filtered deceleration [m/s2]
     vehicle: Float[Array, ""]  # speed [m/s]
 
 
 class XbsServo(AbstractController):
-    """Brakes at a share of the friction, found from the shaking of the wheels.
+    """Brake at a share of the friction that is estimated from the vibration of the wheels.
 
-    Settings of wheel and brake may be one for all wheels or ``(w,)``; what the valves
-    can do is what their maker says of them.
+    Settings of wheel and brake may be one for all wheels or ``(w,)``; those of the valves
+    are data of their manufacturer.
     """
 
     name: ClassVar[str] = "xbs-servo"
@@ -141,16 +141,14 @@ class XbsServo(AbstractController):
         0.5,
         (0.01, 50.0),
         "m/s2",
-        "extra deceleration for a stiffness twice as wanted",
+        "extra deceleration for twice the target stiffness",
         "O §3.1",
         "c",
     )
     release: float = par(
-        0.3, (0.0, 50.0), "m/s2", "less deceleration for no stiffness at all", "O §3.1", "c_-"
+        0.3, (0.0, 50.0), "m/s2", "less deceleration for zero stiffness", "O §3.1", "c_-"
     )
-    most_pull: float = par(
-        8.0, (0.1, 100.0), "m/s2", "largest of it, either way", "O §3.1", "c_{max}"
-    )
+    most_pull: float = par(8.0, (0.1, 100.0), "m/s2", "limit of both", "O §3.1", "c_{max}")
     start_pull: float = par(
         7.0, (0.0, 100.0), "m/s2", "the same until there is an estimate", "", "c_0"
     )
@@ -163,7 +161,7 @@ class XbsServo(AbstractController):
         0.7, (0.05, 20.0), "-", "lateral over longitudinal stiffness", "O(13)", r"K_\beta / K_s"
     )
     least_slope: float = par(
-        -250.0, (-1e5, 0.0), "N s/m", "least k on any road at any slip", "O(11)", r"k_{min}"
+        -250.0, (-1e5, 0.0), "N s/m", "smallest k on any road at any slip", "O(11)", r"k_{min}"
     )
     most_slope: float = par(
         3e4, (1.0, 1e7), "N s/m", "largest k at any speed that is controlled", "", r"k_{max}"
@@ -175,9 +173,9 @@ class XbsServo(AbstractController):
     brake_gain: Any = 1.35e-4
     """Torque over pressure [N m/Pa] of each brake."""
     steered: Any = 0.0
-    """1 where a wheel is steered."""
+    """1 for steered wheels."""
     ahead: Any = 0.0
-    """Distance [m] of each wheel before the centre of gravity."""
+    """Distance [m] of each wheel ahead of the centre of gravity."""
     rise: float = 40e6
     """Fastest rise of a wheel's pressure through its inlet [Pa/s]."""
     fall: float = 80e6
@@ -187,7 +185,7 @@ class XbsServo(AbstractController):
     delay: float = eqx.field(static=True, default=0.01)
     """Time [s] until a command takes effect."""
     dead_band: float = 0.0
-    """Error of the pressure [Pa] for which no valve moves."""
+    """Error of the pressure [Pa] below which no valve moves."""
     reach: float = 1e6
     """Largest distance [Pa] of the target from the pressure."""
     response: float = par(
@@ -202,7 +200,7 @@ class XbsServo(AbstractController):
         0.6,
         (0.0, 1.0),
         "-",
-        "mean square over that of the memory below which the past counts little",
+        "mean square over that of the memory below which the past has little weight",
         "",
         "q",
     )
@@ -213,7 +211,7 @@ class XbsServo(AbstractController):
         0.006, (0.0, 1.0), "m/s", "std of the noise of the wheel's speed", "", r"\sigma_v"
     )
     xbs: Any = None
-    """The estimator, made of the settings above; its wheel has J / r^2 = 1."""
+    """The estimator, computed from the settings above; its wheel has J / r^2 = 1."""
 
     def __post_init__(self):
         refuse_unstable(
@@ -237,7 +235,7 @@ class XbsServo(AbstractController):
             quiet=self.quiet,
             low=self.low,
             high=self.high,
-            # The mean of an interval's ramp comes half an interval late.
+            # The mean of a ramp over an interval has a delay of half an interval.
             servo_delay=self.delay + (1 / self.response - 0.5) * self.period,
         )
 
@@ -289,15 +287,15 @@ class XbsServo(AbstractController):
         return after, Command(valve), info
 
     def _slope(self, s: XbsServoState, speed, use):
-        """Estimators' states, k [N s/m] with its std, and flags, (w,) each."""
+        """States of the estimators, k [N s/m] with its std, and flags, (w,) each."""
         sample = {"omega": speed, "use": use.astype(float)}
         xbs, made = jax.vmap(self.xbs.step)(s.xbs, sample)
         scale = jnp.asarray(self.inertia) / jnp.asarray(self.radius) ** 2
         return xbs, scale * made.value[:, 0], scale * made.std[:, 0], made.flag
 
     def _wanted(self, m: Measurement, vehicle) -> Wheels:
-        """k_0 (w,) [N s/m] of O(22); the direction of the force from the steering and
-        the yaw rate, without side slip of the vehicle."""
+        """k_0 (w,) [N s/m] of O(22), with the direction of the force from steering and yaw
+        rate, assuming no sideslip of the vehicle."""
         turning = jnp.maximum(m.wheel_speed, _SLOWEST)
         moving = jnp.maximum(vehicle, _SLOWEST)
         angle = jnp.asarray(self.steered) * m.steering
@@ -308,12 +306,12 @@ class XbsServo(AbstractController):
         return slope / turning
 
     def _by_speed(self):
-        """Pressure by wheel speed over its reference [Pa s/m], J a / (r g)."""
+        """Pressure per wheel speed above the reference [Pa s/m], J a / (r g)."""
         inertia, radius = jnp.asarray(self.inertia), jnp.asarray(self.radius)
         return inertia * self.servo_gain / (radius * jnp.asarray(self.brake_gain))
 
     def _valves(self, error, ready, demand):
-        """Commands (w,), and the changes of pressure [Pa] that they will make."""
+        """Commands (w,), and the changes of pressure [Pa] that they cause."""
         up = jnp.clip((demand - ready) / self.lag, _LEAST_FLOW, self.rise)
         down = jnp.clip(ready / self.lag, _LEAST_FLOW, self.fall)
         full = self.period * jnp.where(error > 0, up, down)

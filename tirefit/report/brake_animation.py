@@ -15,7 +15,7 @@ from tirefit.sim.brake_request import VEHICLES
 from tirefit.sim.brake_result import Braking, Stop
 from tirefit.sim.brake_vehicle import road_of
 
-_RATE = 20  # pictures a second of simulated time; shown as fast as it happened
+_RATE = 20  # pictures per second of simulated time, shown in real time
 _WHEEL = (0.6, 0.22)
 _BODY = (4.2, 1.7)
 
@@ -41,7 +41,7 @@ def _wheels(stop: Stop, vehicle, steer: float, k: int) -> list[np.ndarray]:
 
 
 def save_animation(result: Braking, path: Path) -> Path:
-    """Write the stops as a GIF, one controller above the other, whole or not at all."""
+    """Write the stops as a GIF, one controller above the other, completely or not at all."""
     stops = result.stops
     picture = Picture(figsize=(7.5, 0.6 + 1.9 * len(stops)), dpi=80)
     all_axes = picture.subplots(
@@ -75,7 +75,7 @@ def save_animation(result: Braking, path: Path) -> Path:
     frames = [*range(0, longest, every), *[longest - 1] * _RATE]
     moving = FuncAnimation(picture, frame, frames=frames)
     with TemporaryDirectory() as folder, replacing(path) as temporary:
-        made = Path(folder) / "stop.gif"  # the writer goes by the end of the name
+        made = Path(folder) / "stop.gif"  # the writer needs this ending
         moving.save(made, writer=PillowWriter(fps=_RATE))
         temporary.write_bytes(made.read_bytes())
     return path

@@ -1,5 +1,5 @@
-"""Simulated stops as text and as figures: the stop, controllers over each other, the
-path of slip and friction on the tire's curve."""
+"""Report of simulated stops: text, and figures of a stop, of a comparison of controllers,
+and of the path of slip and friction on the curve of the tire."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -26,8 +26,8 @@ _SHORT = {
 """Numbers shown in the terminal."""
 _LEGEND: dict[str, Any] = {"facecolor": "white", "edgecolor": "none"}
 _SLOWEST_SHOWN = 2.0
-"""Speed [m/s] above which a path of slip is shown: below it controllers switch off."""
-_PEAKS_SHOWN = 8.0  # slip up to which it is shown, over that of the highest peak
+"""Speed [m/s] above which a path of slip is shown; below, controllers switch off."""
+_PEAKS_SHOWN = 8.0  # largest slip shown, over that of the highest peak
 
 
 def _cell(value: float, scale: float = 1.0) -> str:
@@ -40,7 +40,7 @@ def _scaled(name: str) -> tuple[float, str]:
 
 
 def _asked(result: Braking) -> dict[str, str]:
-    """Number -> heading; nothing recovers on a road that does not change."""
+    """Number -> heading; without a recovery time if the road does not change."""
     jumps = road_of(result.request.road).jumps
     return {k: v for k, v in _SHORT.items() if jumps or k != "recovery_time"}
 
@@ -89,7 +89,7 @@ def _head(result: Braking) -> str:
 
 
 def braking_text(result: Braking) -> str:
-    """Numbers by controller and why each stop ended; for the terminal."""
+    """The report for the terminal: numbers by controller, and why each stop ended."""
     notes = [f"  {note}" for note in _notes(result)]
     right = tuple(range(1, len(_asked(result)) + 1))
     return "\n".join([f"BRAKING {_head(result)}", *table(_rows(result), right), *notes])
@@ -119,7 +119,7 @@ _PANELS = (
     "slip $\\kappa$ [–]",
     "stiffness $k$\n[kN s/m]",
 )
-"""The last one where a controller estimates it."""
+"""Panels of a stop; the last one only if a controller estimates it."""
 
 
 def _draw_stop(all_axes, stop: Stop) -> None:
@@ -147,13 +147,13 @@ def _draw_stop(all_axes, stop: Stop) -> None:
     all_axes[3].plot(time, log.reading.deceleration, color=DARK, **lines)
     peak = {"color": GREY, "linewidth": 0.9, "linestyle": "--"}
     truth, of = log.reading.truth, f" ({names[0]})" if len(names) > 1 else ""
-    all_axes[4].plot(time, truth.mu[:, 0], label=f"$\\mu$ there is{of}", **peak)
+    all_axes[4].plot(time, truth.mu[:, 0], label=f"available $\\mu${of}", **peak)
     all_axes[5].plot(time, truth.peak[:, 0], label=f"of the peak{of}", **peak)
     all_axes[2].set_yticks([-k for k in range(len(names))], names)
 
 
 def _draw_stiffness(axes, stop: Stop) -> None:
-    """Extended braking stiffness of the first wheel: true, estimated and wanted."""
+    """Extended braking stiffness of the first wheel: true, estimated and target."""
     time, info = stop.log.reading.time, stop.log.info
     style = {"linewidth": 0.9}
     axes.plot(time, stop.log.xbs_true[:, 0] / 1e3, color=GREY, label="true", **style)
@@ -193,7 +193,7 @@ def _slowest_shown(stop: Stop) -> float:
 
 
 def _pressure_limit(stop: Stop) -> float:
-    """Largest pressure [MPa] while the car is controlled: then the driver has it."""
+    """Largest pressure [MPa] while the car is controlled; later it is the driver's."""
     fast = stop.log.motion.v_x > _slowest_shown(stop)
     return 1.1 * float(np.max(stop.log.motion.pressure[fast])) / 1e6
 
@@ -236,8 +236,8 @@ def stop_figure(result: Braking) -> Picture:
 
 
 def _legend(row, shown: int | None = None, **how) -> None:
-    """What the panels of a row show, in the last of them: a line that one controller
-    alone has too. Of the last ``shown`` only."""
+    """Draw the legend of a row in its last panel, with lines of all controllers; only of
+    the last ``shown`` panels."""
     handle_of: dict[str, Any] = {}
     for axes in row:
         handles, labels = axes.get_legend_handles_labels()
@@ -248,7 +248,7 @@ def _legend(row, shown: int | None = None, **how) -> None:
 
 
 def compare_figure(result: Braking) -> Picture:
-    """Controllers over each other: speeds and pressure of the first wheel, distance."""
+    """Compare controllers: speeds and pressure of the first wheel, distance."""
     picture = Picture(figsize=(7.0, 7.2), layout="constrained")
     all_axes = picture.subplots(4, 1, sharex=True)
     for color, (name, stop) in zip(COLORS, result.stops.items(), strict=False):
@@ -284,12 +284,12 @@ class Path(NamedTuple):
 
     kappa: np.ndarray
     force: np.ndarray  # (n,) over the load
-    mean: tuple[float, float]  # of both, the operational point of O Figure 10
+    mean: tuple[float, float]  # mean of both, the operating point of O Figure 10
 
 
 def path_of(stop: Stop, wheel: int = 0) -> Path:
-    """The path of a wheel while the car was faster than 2 m/s, or half as fast as at
-    first where it began slower than 4."""
+    """The path of a wheel while the car was faster than 2 m/s, or than half its initial
+    speed if that was below 4 m/s."""
     log = stop.log
     fast = log.motion.v_x > _slowest_shown(stop)
     kappa = np.asarray(log.contacts.slips.kappa)[fast, wheel]
@@ -298,7 +298,8 @@ def path_of(stop: Stop, wheel: int = 0) -> Path:
 
 
 def paths_figure(result: Braking) -> Picture:
-    """Where each controller was on the tire's curve, and on average, O Figure 10.
+    """Slip and friction of each controller on the curve of the tire, and their mean, O
+    Figure 10.
 
     Below: the share of time that it spent at each slip, locked wheels at the right end.
     """
@@ -341,7 +342,7 @@ def paths_figure(result: Braking) -> Picture:
     axes.set_xlim(-0.02 * limit, limit)
     axes.set_ylim(bottom=0.0)
     tidy(axes, "", "$F_x/F_z$ [–]")
-    tidy(below, "slip $\\kappa$ [–]; what is beyond stands in the last bar", "time [%]")
+    tidy(below, "slip $\\kappa$ [–]; larger slips are in the last bar", "time [%]")
     axes.legend(fontsize=8, **_LEGEND, loc="lower right")
     slowest = min(map(_slowest_shown, result.stops.values()))
     note = f"line: the tire at its static load; dots: every sample above {slowest:.2g} m/s"

@@ -1,4 +1,4 @@
-"""Values by the run or the file that they belong to: estimates -> arrays -> axes."""
+"""Estimates by run or by file: estimates -> arrays -> axes."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -14,24 +14,24 @@ from tirefit.report.labels import short_run
 from tirefit.report.numbers import plain_text
 
 _SAME = 1e-6
-"""Relative spread of a ratio from which two quantities are not one in other units."""
+"""Two quantities are proportional if their ratio varies by less than this (relative)."""
 _MOST_NAMES = 40
-_LEFT = 0.88  # inches for a label and its numbers
+_LEFT = 0.88  # width of a label and its numbers [inches]
 
 
 class Points(NamedTuple):
-    """One quantity of n runs or files: values, 95 % intervals (n,), NaN where open."""
+    """One quantity of n runs or files: values, 95 % intervals (n,), NaN if open."""
 
     label: str
     names: tuple[str, ...]
     value: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    known: np.ndarray  # (n,) which ones the data identify
+    known: np.ndarray  # (n,) whether the data identify it
 
 
 def points_of(label: str, names: Sequence[str], estimates: Sequence[Estimate | None]) -> Points:
-    """One quantity of several runs or files, in order; None where one has none."""
+    """One quantity of several runs or files, in order; None for those without it."""
     nothing = Estimate(np.nan, None, "", (None, None), identified=False)
     given = [nothing if one is None else one for one in estimates]
     ends = np.array([[np.nan if e is None else e for e in one.ci95] for one in given])
@@ -68,7 +68,7 @@ def run_points(result: FitResult) -> list[Points]:
 
 
 def distinct(first: Sequence[Points], others: Sequence[Points]) -> list[Points]:
-    """Quantities, and those of the others that are not one of them in other units."""
+    """Quantities, and those of the others that are not proportional to one of them."""
     panels = list(first)
     for points in others:
         if not any(_is_same(points.value, one.value) for one in panels):
@@ -97,7 +97,7 @@ def _reach(points: Points) -> tuple[float, float]:
 
 
 def draw_points(axes, points: Points, named: bool = True) -> None:
-    """Values with their 95 % intervals; what is not identified is open and grey."""
+    """Draw values with their 95 % intervals; those not identified are open and grey."""
     low, high = _reach(points)
     at = np.arange(len(points.value))
     size = float(np.clip(60 / len(at), 2.0, 5.0))
@@ -144,7 +144,7 @@ def place_points(picture: Picture, panels: Sequence[Points], bottom, top) -> Non
 
 
 def runs_figure(result: FitResult) -> Picture:
-    """Every parameter and derived quantity that differs by run, run by run."""
+    """Draw every parameter and derived quantity that differs by run."""
     panels = run_points(result)
     picture, (bottom, top) = frame(result, 2.0 + 1.45 * len(panels))
     height = picture.get_figheight()

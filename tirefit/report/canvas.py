@@ -1,4 +1,4 @@
-"""The look of all figures: colours, sizes, title, footnote, files; no global state.
+"""Style of all figures: colours, sizes, title, footnote, files; no global state.
 
 Only matplotlib's object API is used: pyplot imports slowly and keeps global lists.
 """
@@ -22,10 +22,10 @@ from tirefit.report.text import verdict_line
 BLUE, ORANGE, GREEN = "#0072B2", "#E69F00", "#009E73"
 RED, SKY, PURPLE = "#D55E00", "#56B4E9", "#CC79A7"
 COLORS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
-"""Okabe and Ito's palette: told apart with any colour vision."""
+"""Okabe and Ito's palette, distinct for any colour vision."""
 DARK, GREY = "#222222", "#8a8a8a"
 
-MOST_DRAWN = 20_000  # points of one panel: more hide each other, and take their time
+MOST_DRAWN = 20_000  # largest number of points of a panel; more overlap and are slow
 _FARTHEST = 20
 
 WIDTH = 7.0
@@ -33,7 +33,7 @@ DPI = 130
 
 
 class Picture(Figure):
-    """A figure that shows itself in a notebook, whatever backend is active there."""
+    """A figure that notebooks display with any matplotlib backend."""
 
     def __init__(self, *args, **kwargs):
         settings: dict[str, Any] = {"dpi": DPI, "facecolor": "white"} | kwargs
@@ -46,7 +46,7 @@ class Picture(Figure):
         return buffer.getvalue()
 
     def write(self, target, kind: str, **how) -> None:
-        """Into a path or a buffer; a name in letters that the font lacks is boxes."""
+        """Save to a path or buffer, without warnings on letters that the font lacks."""
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Glyph .* missing from font")
             self.savefig(target, format=kind, **how)
@@ -103,7 +103,7 @@ def _rows(count: int) -> str:
 
 
 def drawn(values: np.ndarray, among: int | None = None) -> np.ndarray:
-    """Which points to draw (m,), in order: of very many, random and extreme ones.
+    """The points to draw (m,), in order; of very many, random and extreme ones.
 
     Args:
         values: (n,) of the points.
@@ -130,7 +130,7 @@ def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:
 
 
 def panel_title(axes, text: str, note: str = "") -> None:
-    """Title of one panel, its message, and what the reader must know in small print."""
+    """Title of a panel, with a note in small print."""
     axes.set_title(
         plain_text(text),
         loc="left",
@@ -152,7 +152,7 @@ def panel_title(axes, text: str, note: str = "") -> None:
 
 
 def save_picture(picture: Picture, path: Path) -> Path:
-    """Write a picture, PNG or SVG by the suffix, whole or not at all."""
+    """Write a picture, PNG or SVG by the suffix, completely or not at all."""
     metadata = {"Date": None} if path.suffix == ".svg" else None
     with replacing(path) as temporary:
         picture.write(temporary, path.suffix[1:], metadata=metadata)

@@ -41,8 +41,8 @@ class SlipAxis(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Measured points of one level of load, slip, speed or run: slip, force (n,), and
-    where each stands for several rows the range of their forces, (n,)."""
+    """Measured points of one level of load, slip, speed or run: slip, force (n,), and the
+    range of forces (n,) if a point represents several rows."""
 
     label: str
     slip: np.ndarray
@@ -61,11 +61,11 @@ class Curve(NamedTuple):
     high: np.ndarray
     noise_low: np.ndarray
     noise_high: np.ndarray
-    limit: float | None  # of friction, None where the data do not tell
+    limit: float | None  # of friction, None if the data do not determine it
 
 
 class FitCurve(NamedTuple):
-    """One force over its slip. ``curves`` match ``groups`` one to one, or are one."""
+    """One force over its slip, with a curve for each of ``groups``, or one for all."""
 
     channel: str
     x_label: str
@@ -96,13 +96,13 @@ def slip_axis(name: str, values: np.ndarray) -> SlipAxis:
 
 
 def even(members: Sequence[Any]) -> list:
-    """At most as many members as a panel shows, the first and the last among them."""
+    """At most as many members as a panel shows, including the first and the last."""
     count = min(len(members), _MOST_GROUPS)
     return [members[i] for i in np.linspace(0, len(members) - 1, count).astype(int)]
 
 
 def _levels(values: np.ndarray, scale: float) -> np.ndarray:
-    """Codes (n,) of the levels that values gather at; thirds where they are swept."""
+    """Codes (n,) of the levels of values; of thirds of the range if they are swept."""
     if not scale > 0 or np.ptp(values) <= 0.1 * scale:
         return np.zeros(len(values), int)
     settings = levels(values)
@@ -112,7 +112,7 @@ def _levels(values: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _keys(result: FitResult, slip: str) -> list[tuple[str, np.ndarray]]:
-    """(input, codes (n,)) of what separates the curves, at most six combinations."""
+    """(input, codes (n,)) of inputs that separate the curves, at most six combinations."""
     problem = result.problem
     inputs, run = problem.rows.inputs, problem.used(problem.rows.run)
     other = _OTHER[slip]
@@ -147,7 +147,7 @@ def _level_label(name: str, values: np.ndarray, runs) -> str:
 
 
 def _members(result: FitResult, keys) -> tuple[list[tuple[str, np.ndarray]], str]:
-    """((label, rows (n,) bool) of every group, note on what is left out)."""
+    """((label, rows (n,) bool) of every group, note on groups left out)."""
     problem = result.problem
     columns = {**problem.rows.inputs._asdict(), "run": problem.rows.run}
     names = run_names(problem.layout.runs).short
@@ -270,7 +270,7 @@ def _curves(result: FitResult, channel, members, axis: SlipAxis, normalise, midd
 
 
 def _limit_name(result: FitResult) -> str | None:
-    """The parameter that limits the friction, None where the model has none."""
+    """The parameter that limits the friction, None if the model has none."""
     names = parameter_values(result.problem.model)
     return next((name for name in _LIMIT if name in names), None)
 

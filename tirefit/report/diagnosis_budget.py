@@ -1,4 +1,4 @@
-"""The budget of a simulator's error: as a table, and as the bars of a waterfall."""
+"""The budget of a simulator's error as a table and as the bars of a waterfall."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,16 +16,16 @@ _SHORT = {"mu": "friction", "cpa2": "stiffness", "mu_peak": "peak friction"}
 
 
 _MANY_TIMES = 4.0
-"""Ratio of simulated to measured value above which it is stated as a factor, not in per
-cent."""
+"""Ratio of simulated to measured value above which it is printed as a factor and not in
+per cent."""
 
 
 class WaterfallBar(NamedTuple):
     """One bar of the waterfall, a part of the simulator's squared error."""
 
     label: str
-    before: float  # share that is left before the part
-    after: float  # share that is left after it
+    before: float  # remaining share before the part
+    after: float  # remaining share after the part
     kind: str  # whole, parameters, effect, unexplained or noise
     text: str  # size of the part
 
@@ -64,7 +64,7 @@ def _rms(parts: Sequence[Part]) -> str:
 
 
 def budget_table(result: Diagnosis, channel: str) -> list[tuple[str, ...]]:
-    """The error of a simulator and its parts, a row each, under a header."""
+    """The error of a simulator and its parts, one per row, with a header."""
     budget = result.budgets[channel]
     return [
         (
@@ -81,13 +81,13 @@ def budget_table(result: Diagnosis, channel: str) -> list[tuple[str, ...]]:
 
 
 _ROUGH = 0.5
-"""Share of the gap that a stand-in may miss before the parts of a budget are rough: of
-twelve simulators of other tires four were judged right beside a brush, eleven beside
-what followed them."""
+"""Largest error of a stand-in over the gap for an accurate budget: of twelve simulators
+of other tires, four were diagnosed correctly with a brush, eleven with a tire that
+followed them."""
 
 
 def stand_in_line(result: Diagnosis) -> str:
-    """How well the stand-in of a simulator follows it; empty where there is none."""
+    """A line on the error of the stand-in of a simulator; empty if there is none."""
     if result.simulator is None or result.simulator.surrogate.of_force <= 1e-6:
         return ""
     followed, resolvable = result.simulator.surrogate, result.gap.resolvable
@@ -104,7 +104,7 @@ def stand_in_line(result: Diagnosis) -> str:
     return line
 
 
-_KINDS = ("parameters", "unexplained", "noise")  # parts of a budget that are no effect
+_KINDS = ("parameters", "unexplained", "noise")  # parts of a budget that are not effects
 
 
 def _label(part: Part) -> str:
@@ -112,7 +112,7 @@ def _label(part: Part) -> str:
 
 
 def waterfall_steps(result: Diagnosis, channel: str | None = None) -> list[WaterfallBar]:
-    """From the simulator's error down to the noise, part by part.
+    """The bars from the simulator's error down to the noise.
 
     Args:
         channel: the first if None.

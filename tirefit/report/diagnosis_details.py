@@ -1,4 +1,4 @@
-"""The details of a diagnosis, below the first screen: ``--full`` and the page."""
+"""The details of a diagnosis, for ``--full`` and the page."""
 
 from collections.abc import Iterator
 
@@ -24,11 +24,11 @@ from tirefit.report.diagnosis_words import (
 )
 from tirefit.report.numbers import format_estimate, format_number
 
-_LEAST = 0.005  # probability from which a candidate has a line
-_MOST = 10  # parameters of the map, at most
+_LEAST = 0.005  # smallest probability of a candidate that is listed
+_MOST = 10  # largest number of parameters in the map
 
 
-_SEEN = 0.5  # probability of being seen below which an effect may be there and not show
+_SEEN = 0.5  # an effect with a lower probability of detection may be present unseen
 
 
 def details(result: Diagnosis) -> list[Section]:

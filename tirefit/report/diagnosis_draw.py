@@ -1,4 +1,4 @@
-"""Arrays -> axes: how far a gap shrinks, which effects cause it, where it lies."""
+"""Draw the figures of a diagnosis from arrays: ladder, effects, location of the gap."""
 
 import textwrap
 from collections.abc import Callable, Sequence
@@ -47,7 +47,7 @@ _NARROW = 0.035
 """Share of the width below which a column of cells has no room for a number."""
 
 _SQUARE, _FOOT = 4, 0.36
-"""Panels that stand two by two; height of one below them, of that of these."""
+"""Number of panels in pairs; relative height of a panel below them."""
 _PHONE = (4.2, 3.4)
 """Size of the ladder's picture: its letters are 11 pixels high at a width of 400."""
 
@@ -67,7 +67,7 @@ _KIND = {
 
 
 def draw_ladder(figure, bars: Sequence[LadderBar], unit: str, on: str) -> None:
-    """How the rms on data left out shrinks from step to step, down to the noise.
+    """Draw the rms on data left out for each step, down to the noise.
 
     Args:
         unit: of the rms.
@@ -111,7 +111,7 @@ def draw_ladder(figure, bars: Sequence[LadderBar], unit: str, on: str) -> None:
 
 
 def draw_chances(figure, bars: Sequence[ChanceBar]) -> None:
-    """The probability of each effect to be there, those named in blue."""
+    """Draw the probability that each effect is present, named ones in blue."""
     axes = figure.subplots()
     top = max(len(bars), 3)
     places = top - 1 - np.arange(len(bars))
@@ -127,15 +127,15 @@ def draw_chances(figure, bars: Sequence[ChanceBar]) -> None:
             ha="right" if inside else "left",
             color="white" if inside else DARK,
         )
-    tidy(axes, "probability that it (or a twin) is there")
+    tidy(axes, "probability that it (or a twin) is present")
     axes.set_yticks(places, [textwrap.fill(bar.label, 18) for bar in bars])
     axes.set_ylim(-0.6, top - 0.4)
     axes.set_xlim(0, 1)
-    panel_title(axes, "Which effects are there", "blue: named; orange: not named")
+    panel_title(axes, "Which effects are present", "blue: named; orange: not named")
 
 
 def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
-    """Mean residuals in cells, a dot where they are beyond the noise.
+    """Draw mean residuals in cells, with a dot if they are significant.
 
     Args:
         base: what the residuals are of.
@@ -190,7 +190,7 @@ def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
 
 
 def draw_comparison(figure, panel: Comparison, after: str, base: str = "base") -> None:
-    """Both fits over the data, above their residuals.
+    """Draw both fits over the data, and their residuals below.
 
     Args:
         after: what the second fit is called.
@@ -243,7 +243,8 @@ def _draw_load(axes, curve: LoadCurve, axis: SlipAxis, color: str) -> None:
 
 
 def draw_waterfall(figure, steps: list[WaterfallBar], channel: str = "") -> None:
-    """From a simulator's error down to the noise, in shares of its mean square.
+    """Draw the parts from a simulator's error down to the noise, as shares of its mean
+    square.
 
     Args:
         channel: " of F_x", where several are simulated.
@@ -254,7 +255,7 @@ def draw_waterfall(figure, steps: list[WaterfallBar], channel: str = "") -> None
     for place, step in zip(places, steps, strict=True):
         left, right = sorted((whole * step.before, whole * step.after))
         axes.barh(place, right - left, 0.62, left=left, color=_KIND[step.kind])
-        # Beside the bar, on the side with room for it.
+        # Next to the bar, on the side with space for it.
         inside = right > 0.6 * whole
         room = right - left > 0.45 * whole
         at = left + 0.012 * whole if room else left if inside else right
@@ -280,7 +281,7 @@ def draw_waterfall(figure, steps: list[WaterfallBar], channel: str = "") -> None
 
 
 def panels_of(result: Diagnosis) -> dict[str, Callable]:
-    """Name -> what draws that panel on a figure."""
+    """Name of a panel -> function that draws it on a figure."""
     base, after = "simulator" if result.simulator else "base fit", after_label(result)
     panels: dict[str, Callable] = {
         "ladder": partial(
@@ -307,7 +308,7 @@ def panels_of(result: Diagnosis) -> dict[str, Callable]:
 
 
 def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
-    """Each panel as a picture of its own: on a phone they stand below each other."""
+    """Each panel as a separate picture, for phones."""
     pictures = {}
     for name, draw in panels_of(result).items():
         size = _PHONE if name == "ladder" else _PANEL
@@ -317,8 +318,8 @@ def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
 
 
 def diagnosis_figure(result: Diagnosis) -> Picture:
-    """All panels under the answer, the ladder first; below the first four what is left,
-    where it has a shape, and the budget of a simulator, channel by channel."""
+    """All panels below the answer, the ladder first; below the first four the remainder,
+    if it has a shape, and the budget of a simulator for each channel."""
     panels = panels_of(result)
     feet = (_FOOT,) * (len(panels) - _SQUARE)
     width, height = _SIZE
@@ -354,16 +355,16 @@ def diagnosis_figure(result: Diagnosis) -> Picture:
 
 
 def plot_diagnosis(result: Diagnosis, panel: str | None = None):
-    """The ladder, the effects, before and after, and where the gap lies: the Figure.
+    """The figure of a diagnosis: ladder, effects, before and after, location of the gap.
 
     ``result.plot().savefig("why.pdf")`` saves it.
 
     Args:
-        result: of ``tirefit.diagnose``.
-        panel: one of them alone, such as ``ladder``; all if None.
+        result: a result of ``tirefit.diagnose``.
+        panel: a single panel, such as ``ladder``; all if None.
 
     Raises:
-        UsageError: no such panel; names those of this diagnosis.
+        UsageError: no such panel; the error lists those of this diagnosis.
     """
     if panel is None:
         return diagnosis_figure(result)

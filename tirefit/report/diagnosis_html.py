@@ -18,17 +18,17 @@ from tirefit.report.html import GOOD, OPEN, image_of, rendered
 
 _ALTERNATIVES = {
     "ladder": "Rms on data left out, step by step, down to the noise",
-    "which": "Probability of each effect to be there as bars",
+    "which": "Probability that each effect is present, as bars",
     "where": "Map of measured minus fitted force over slip and another quantity",
     "before and after": "Force over slip and residuals, of the base fit and after it",
-    "what is left": "What the verdict leaves: change of a parameter over what it"
+    "what is left": "Remainder: change of a parameter over the quantity that it"
     " depends on, and the fitted shape",
     "budget": "Waterfall from the simulator's error, part by part, to the noise",
 }
 
 
 def _alternative(name: str) -> str:
-    """Of a panel by name; that of a channel goes by what comes before ``of``."""
+    """Description of a panel by name; for a panel of a channel, by the text before ``of``."""
     kind, of_channel, channel = name.partition(" of ")
     return _ALTERNATIVES[kind] + (f", of {channel}" if of_channel else "")
 

@@ -28,14 +28,14 @@ class LadderBar(NamedTuple):
 
     label: str
     rms: float  # [N] on data left out
-    error: float | None  # standard error; None of the first
+    error: float | None  # standard error; None for the first
     closed: float | None
     kind: str  # base, effect, smooth or noise
     held_out: float | None = None  # rms on the files held out
 
 
 class ChanceBar(NamedTuple):
-    """The probability that an effect is there."""
+    """The probability that an effect is present."""
 
     label: str
     probability: float
@@ -43,15 +43,15 @@ class ChanceBar(NamedTuple):
 
 
 def _error(step: Step, steps: Sequence[Step]) -> float:
-    """Standard error of the rms of a step by that of the share it closes: of the gap g
+    """Standard error of the rms of a step from that of the closed share: with the gap g
     beyond the noise n, rms^2 = n^2 + g^2 (1 - closed)^2."""
     gap = max(steps[0].rms_left_out ** 2 - steps[-1].rms_left_out ** 2, 0.0)
     return gap * abs(1 - step.closed) * step.closed_std / step.rms_left_out
 
 
 def ladder_bars(result: Diagnosis) -> list[LadderBar]:
-    """The steps of the ladder, in order; where nothing could be left out, the model
-    alone and the noise on the rows fitted."""
+    """The steps of the ladder, in order; if no data could be left out, the model without
+    effects and the noise on the fitted rows."""
     kinds = {AS_GIVEN: "base", (): "base", SMOOTH: "smooth", NOISE: "noise"}
     if not result.ladder.steps:
         noise = result.noise.forces[result.data.channels[0]]
@@ -85,13 +85,13 @@ def chance_bars(result: Diagnosis) -> list[ChanceBar]:
 
 
 def covariate_label(panel: ResidualMap) -> str:
-    """Axis label of the second axis of the map, besides the slip."""
+    """Label of the second axis of the map (the first one is the slip)."""
     unit = covariate_unit(panel.covariate)
     return covariate_text(panel.covariate) + f" [{unit}]" * bool(unit)
 
 
 def level_labels(panel: ResidualMap) -> tuple[str, ...]:
-    """Names of the levels of the map: one value, or from - to."""
+    """Names of the levels of the map: a value or a range."""
     named = NAMED_VALUES.get(panel.covariate, {})
     return tuple(named.get(low) or _range(low, high) for low, high in panel.levels)
 
@@ -108,7 +108,7 @@ def load_label(curve: LoadCurve) -> str:
 
 
 def after_label(result: Diagnosis) -> str:
-    """What the curves after stand for."""
+    """Name of the curves after the diagnosis."""
     if not result.comparison.named:
         return "base + located gap"
     named = map(name_of, result.effects) if result.verdict.names_an_effect else ()
@@ -125,7 +125,7 @@ _ALONG = {
     "slip": "added slip, in its own direction [-]",
     "force": "added force, towards the slip [% of $F_z$]",
 }
-_LETTERS = 66  # of a line of the title
+_LETTERS = 66  # largest number of characters in a line of the title
 
 
 def look_title(panel: LookCurve) -> str:
@@ -144,7 +144,7 @@ def _axis_label(panel: LookCurve) -> str:
 
 
 def draw_look(figure, panel: LookCurve, beside: str) -> None:
-    """The local change of a parameter in bins ± standard error, and the fitted shape.
+    """Draw the local change of a parameter in bins ± standard error, and its shape.
 
     Args:
         beside: the model to which the change is added.
@@ -153,7 +153,7 @@ def draw_look(figure, panel: LookCurve, beside: str) -> None:
     scale = 1.0 if panel.look.parameter == "slip" else 100.0
     axes.axhline(0.0, color=GREY, lw=0.8, zorder=1)
     if panel.at_settings:
-        # Between settings nothing was measured.
+        # There are no measurements between settings.
         half = 0.25 * np.min(np.diff(np.sort(panel.x)))
         axes.hlines(
             scale * panel.shape, panel.x - half, panel.x + half, color=BLUE, lw=2.0, zorder=2

@@ -33,16 +33,16 @@ _OF_SIGNS = ("signs read as", "sign convention declared", "warning: the simulato
 """Parts of the notes on the signs of the data, or of a simulator."""
 
 _BEYOND = 1.5
-"""Noise over the stated noise from which the report says how many times that it is."""
+"""Ratio of the noise to the stated noise above which it is reported."""
 
-_HALF = 0.5  # share of a mean square below which the base model is doubted
-_MOST_STEPS = 3  # measurements that the first screen proposes, at most
+_HALF = 0.5  # smallest explained share of a mean square without a warning
+_MOST_STEPS = 3  # largest number of measurements that the short report proposes
 
-_MOST_NEEDS = 8  # columns that the first screen lists, at most
+_MOST_NEEDS = 8  # largest number of missing columns that the short report lists
 
 _TELLS_MORE = 0.1
-"""Least gain in the probability of separating two effects from which a measurement is
-proposed: less is not worth another day at the rig."""
+"""Smallest gain in the probability of distinguishing two effects for which a measurement
+is proposed."""
 
 _CLOSED = "closed: removed share of the first row's mean square beyond the noise, ± std"
 
@@ -67,14 +67,14 @@ class Section(NamedTuple):
 
 
 def subject(result: Diagnosis) -> str:
-    """The file, and the model or the simulator's own forces that it is compared to."""
+    """The file, and the model or the simulated forces with which it is compared."""
     is_forces = result.simulator is not None and result.simulator.kind == "columns"
     against = "the simulator's own forces" if is_forces else result.model
     return f"{result.data.name} against {against}"
 
 
 def answer(result: Diagnosis) -> str:
-    """The answer: a sentence on the effects; of a simulator, its parameters first."""
+    """The answer: a sentence on the effects; for a simulator, first its parameters."""
     changes = change_texts(result)
     said = _on_effects(result, beyond="its parameters and " if changes else "")
     said = f"The simulator has {listing(changes)}. {said}" if changes else said
@@ -91,7 +91,7 @@ def _how_much(result: Diagnosis) -> Iterator[str]:
 
 
 def _no_help(result: Diagnosis) -> Iterator[str]:
-    """A sentence where the named effects predict the files held out worse."""
+    """A sentence if the named effects predict the held-out files worse."""
     steps = [s for s in result.ladder.steps if s.rms_held_out is not None]
     plain = next((s for s in steps if not s.effects), None)
     if plain is None or not result.verdict.names_an_effect:
@@ -155,7 +155,7 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
 
 
 def _hardly_a_model(result: Diagnosis) -> Iterator[str]:
-    """A warning where the base explains less than half of a force's mean square."""
+    """A warning if the base explains less than half of the mean square of a force."""
     for channel, forces in result.rows.items():
         force = np.asarray(result.table[channel])
         missed = np.nanmean((force - forces["base"]) ** 2)
@@ -177,7 +177,7 @@ def foot_line(result: Diagnosis) -> str:
 
 
 def step_label(result: Diagnosis, number: int) -> str:
-    """Label of a step of the ladder: what it adds to the step before."""
+    """Label of a step of the ladder: its addition to the previous step."""
     steps = result.ladder.steps
     effects = steps[number].effects
     if effects == AS_GIVEN:
@@ -194,14 +194,14 @@ def step_label(result: Diagnosis, number: int) -> str:
 
 
 def _percent(share: float | None, std: float | None) -> str:
-    """``82 ± 5 %``; ``-`` where there is none."""
+    """``82 ± 5 %``; ``-`` for None."""
     if share is None:
         return "-"
     return f"{format_estimate(100 * share, None if std is None else 100 * std)} %"
 
 
 def _held_out(step: Step) -> str:
-    """The rms of a step on the files held out, and the share closed there."""
+    """The rms of a step on the held-out files, and the share closed there."""
     if step.rms_held_out is None:
         return "-"
     rms, closed = format_number(step.rms_held_out, 3), step.closed_held_out
@@ -209,7 +209,7 @@ def _held_out(step: Step) -> str:
 
 
 def _worse_held_out(result: Diagnosis, unit: str) -> Iterator[str]:
-    """A sentence on each step that predicts the files held out worse than before it."""
+    """A sentence on each step that predicts the held-out files worse than the previous."""
     steps = result.ladder.steps
     for k, (before, after) in enumerate(pairwise(steps), 1):
         old, new = before.rms_held_out, after.rms_held_out
@@ -239,7 +239,7 @@ def _ladder(result: Diagnosis) -> Section:
     lines = [_CLOSED + "; gain: reduction of the mean square"]
     if result.settings.holdout:
         cells = [f"held out [{unit}]", *map(_held_out, ladder.steps)]
-        # In place of the gain, for which a line has no room.
+        # It replaces the gain, for which the line is too short.
         table = [(*row[:3], cell) for row, cell in zip(table, cells, strict=True)]
         lines = [_CLOSED + "; held out: rms on those files (share closed there)"]
         lines += _worse_held_out(result, unit)
@@ -253,7 +253,7 @@ def _ladder(result: Diagnosis) -> Section:
 
 
 def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
-    """How large the gap is on some rows, and how far it shrinks there."""
+    """A line on the size of the gap on some rows, and its closure."""
     unit = FORCE_UNIT[result.data.channels[0]]
 
     def size(force: float) -> str:
@@ -348,8 +348,8 @@ def left_lines(result: Diagnosis) -> Iterator[str]:
 
 
 def step_lines(result: Diagnosis) -> list[str]:
-    """Next measurements with their reasons; if none decides, the best one, or why none
-    would."""
+    """Next measurements with their reasons; if none decides, the best one or the reason
+    why there is none."""
     why, steps = result.next_measurement_reason, result.next_measurement
     if not steps:
         if result.verdict.status != Status.CANNOT_TELL or why is None:

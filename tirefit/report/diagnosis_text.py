@@ -1,4 +1,4 @@
-"""A diagnosis as text: the first screen, or all that is known."""
+"""A diagnosis as text: the short or the full report."""
 
 import textwrap
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ def _wrapped(line: str) -> list[str]:
 
 
 def diagnosis_text(result: Diagnosis, full: bool = False) -> str:
-    """The report of one file: the answer, and what a reader acts on.
+    """The report of one file: the answer first, then what to do.
 
     Args:
         full: with where the gap lies, all candidates, forecast, noise and settings.

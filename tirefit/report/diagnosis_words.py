@@ -65,7 +65,7 @@ _COVARIATES = {
     "pressure": "inflation pressure",
 }
 _OF_FULL_SLIDING = ("slip_fraction", "slip")
-_FAR = 100.0  # slips of full sliding beyond which a number says no more than "far"
+_FAR = 100.0  # largest multiple of the slip of full sliding that is printed
 
 _SHAPES = {
     "wave": "goes up and down with {covariate}, period {at}, by ± {size}",
@@ -84,14 +84,14 @@ def words_on(effect: str, library: Sequence[Effect] = ()) -> tuple[str, str]:
 
     Args:
         effect: its id.
-        library: effects that were looked for, a user's own among them.
+        library: effects that were searched, including a user's own.
     """
     record = effects_by_id((*EFFECTS, *NOISE_EFFECTS, *library)).get(effect)
     return (record.means, record.remedy) if record else ("", "")
 
 
 def needs_text(needs: Sequence[str], derived: bool = False) -> str:
-    """``needs`` of an untestable effect in words.
+    """``needs`` of an untestable effect as text.
 
     Args:
         derived: whether ``tirefit derive`` could write what is missing.
@@ -116,7 +116,7 @@ def covariate_text(name: str) -> str:
 
 
 def range_text(region: Region | Spot) -> str:
-    """Where a region, or a spot, lies: one value, or from - to, with its unit."""
+    """The place of a region or spot: a value or a range, with its unit."""
     name, low, high = region.covariate, region.low, region.high
     if name in NAMED_VALUES:
         # The few steady rows among growing or shrinking ones do not determine the name.
@@ -126,7 +126,7 @@ def range_text(region: Region | Spot) -> str:
     if low == high and (name not in _OF_FULL_SLIDING or abs(low) <= _FAR):
         return f"{format_number(low)}{tail}"
     if name in _OF_FULL_SLIDING and max(-low, high) > _FAR:
-        # Next to no friction on some rows: their slip is far beyond full sliding.
+        # With hardly any friction on some rows, their slip is far beyond full sliding.
         if min(-low, high) > _FAR:
             return "any"
         if high > _FAR:
@@ -136,15 +136,15 @@ def range_text(region: Region | Spot) -> str:
 
 
 def covariate_unit(name: str) -> str:
-    """Unit of what a pattern depends on; empty where it has none."""
-    # The slip of a pattern is that over the slip of full sliding.
+    """Unit of the covariate of a pattern; empty if it has none."""
+    # The slip of a pattern is relative to the slip of full sliding.
     units = {"distance": "m", "slip": ""}
     unit = units.get(name, CANONICAL.get(name, ("", ""))[0])
     return "" if unit == "-" else unit
 
 
 def look_place(look: Look) -> str:
-    """Where a pattern is, of a wave its period: ``60 s``."""
+    """The place of a pattern, or the period of a wave: ``60 s``."""
     unit = covariate_unit(look.covariate)
     return f"{format_number(look.at, 3)} {unit}".rstrip()
 
@@ -158,7 +158,7 @@ def look_size(parameter: str, size: float) -> str:
 
 
 def look_text(look: Look) -> str:
-    """What a remainder resembles: ``friction steps at a time of 60 s by -7 %``."""
+    """The shape that a remainder resembles: ``friction steps at a time of 60 s by -7 %``."""
     how = _SHAPES[look.shape].format(
         covariate=covariate_text(look.covariate),
         at=look_place(look),
@@ -168,7 +168,7 @@ def look_text(look: Look) -> str:
 
 
 def _end(value: float, largest: float) -> str:
-    """An end of a range, to three digits of the larger end."""
+    """An end of a range, rounded to three digits of the larger end."""
     return format_number(0.0 if abs(value) < 5e-4 * abs(largest) else value, 3)
 
 
@@ -178,7 +178,7 @@ def name_of(effect: str) -> str:
 
 
 def name_with_id(effect: str) -> str:
-    """The readable name, and the id in brackets where it differs."""
+    """The readable name, and the id in brackets if it differs."""
     name = name_of(effect)
     return name if name == effect else f"{name} ({effect})"
 
@@ -196,13 +196,13 @@ def set_name(effects: Sequence[str]) -> str:
 
 
 def amplitude_text(amplitude: Amplitude) -> str:
-    """``value ± std unit``, and the formula that it is of where there are several."""
+    """``value ± std unit``, with its formula if the effect has several."""
     text = amount_text(amplitude.value, amplitude.std, amplitude.unit)
     return f"{text}, {amplitude.formula}" if amplitude.formula else text
 
 
 def in_the_file(result: Diagnosis, amplitude: Amplitude) -> str:
-    """The amplitude of a slip or a force in the file's signs, where these differ."""
+    """The amplitude of a slip or force in the signs of the file, if these differ."""
     channel, signs = result.data.channels[0], CONVENTIONS[result.data.convention]
     kinds = {"of slip": "slip" if channel == "fx" else "alpha", "F_z": channel}
     kind = next((kind for of, kind in kinds.items() if of in amplitude.unit), None)
@@ -212,7 +212,7 @@ def in_the_file(result: Diagnosis, amplitude: Amplitude) -> str:
     return f" ({text} in the file's signs, {result.data.convention})"
 
 
-_THOUSANDTH = "1e-3 "  # how the unit of a share of something begins
+_THOUSANDTH = "1e-3 "  # beginning of the unit of a share
 
 
 def said_unit(unit: str) -> tuple[float, str]:
@@ -250,8 +250,8 @@ def share_text(share: float | None, ends=None) -> str:
 
 
 def closed_text(closed: float | None, ends=None, energy: float | None = None) -> str:
-    """The share of a gap that is closed, with its interval, and that of its energy;
-    ``-100 % or worse`` where the effects double the gap or more."""
+    """The closed share of a gap with its interval, and that of its energy; ``-100 % or
+    worse`` if the effects double the gap or more."""
     if closed is None:
         return "-"
     said, worse = _closed(closed), " or worse" if closed <= WORST else ""
@@ -272,7 +272,7 @@ def p_text(p: float, least: float = 1e-12) -> str:
 
 
 def slip_check_line(check: SlipCheck) -> str:
-    """The slip column against that of the wheel speed."""
+    """A line on the comparison of the slip column with the slip of the wheel speed."""
     other = f", follows {check.fits}" if check.fits != check.read_as else ""
     return (
         f"slip, read as {check.read_as}, against omega, v and a rolling radius of"

@@ -1,4 +1,4 @@
-"""Arrays -> axes: the fitted curve and the residuals; and the files of all figures."""
+"""Draw the fitted curve and the residuals from arrays, and write all figures."""
 
 import os
 from collections.abc import Callable
@@ -42,9 +42,9 @@ _LIGHT, _DENSE = 0.14, 0.40
 
 
 def draw_fit(axes, curve: FitCurve, beside: bool = True) -> None:
-    """Points, fitted curves with both bands, and friction limits on given axes.
+    """Draw points, fitted curves with both bands, and friction limits on given axes.
 
-    ``beside``: whether a legend of several groups may lie beside the axes.
+    ``beside``: whether the legend of several groups may be next to the axes.
     """
     single = len(curve.curves) == 1
     count = sum(len(group.slip) for group in curve.groups)
@@ -90,7 +90,7 @@ def _draw_limits(axes, curve: FitCurve, single: bool) -> str:
     shown = False
     for i, one in enumerate(curve.curves):
         for sign, reached in ((1, highest), (-1, -lowest)):
-            # A limit far above all measurements would compress them at the axis.
+            # A limit far above all measurements would compress them.
             if one.limit is not None and reached > 0.6 * one.limit:
                 shown = True
                 axes.axhline(
@@ -107,7 +107,7 @@ def _draw_limits(axes, curve: FitCurve, single: bool) -> str:
 
 
 def _legend(axes, curve: FitCurve, limit: str, beside: bool) -> None:
-    """Groups by colour, then line and bands; beside the axes, or in an empty corner."""
+    """The legend of groups, line and bands, next to the axes or in an empty corner."""
     handles: list[Line2D | Patch] = [
         Line2D([], [], ls="none", marker="o", ms=4, color=_color(i), label=group.label)
         for i, group in enumerate(curve.groups)
@@ -220,7 +220,7 @@ def _symmetric(values) -> tuple[float, float]:
 
 
 def draw_histogram(axes, residuals: Residuals) -> None:
-    """Distribution of the residuals beside the normal one."""
+    """Distribution of the residuals, with the normal one."""
     axes.stairs(residuals.density, residuals.edges, fill=True, color=BLUE, alpha=0.35, lw=0)
     x = np.linspace(residuals.edges[0], residuals.edges[-1], 200)
     axes.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=DARK, lw=1.1)
@@ -247,7 +247,7 @@ def draw_quantiles(axes, residuals: Residuals) -> None:
 
 def draw_autocorrelation(axes, residuals: Residuals) -> None:
     """Autocorrelation over lags in rows, with the 95 % range of independent rows."""
-    assert residuals.lags is not None  # else there is nothing to draw
+    assert residuals.lags is not None  # the caller checks it
     assert residuals.correlation is not None
     limit = residuals.limit
     axes.axhspan(-limit, limit, color=GREY, alpha=0.25, lw=0)
@@ -260,7 +260,7 @@ def draw_autocorrelation(axes, residuals: Residuals) -> None:
 
 
 def residual_figure(result: FitResult) -> Picture:
-    """Residuals of the first force against each input, distribution and order.
+    """Residuals of the first force over each input, their distribution and sequence.
 
     Further forces of a joint fit are shown against their slip.
     """
@@ -293,8 +293,8 @@ def residual_figure(result: FitResult) -> Picture:
 
 
 def save_figures(result: FitResult, directory: str | os.PathLike, svg: bool = False) -> list[Path]:
-    """Write fit.png and residuals.png; runs.png where runs have parameters of their
-    own; profile.png, corner.png, trace.png if known.
+    """Write fit.png and residuals.png; runs.png if runs have separate parameters;
+    profile.png, corner.png, trace.png if available.
 
     Args:
         result: a fit with its problem.

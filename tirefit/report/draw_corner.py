@@ -11,8 +11,8 @@ from tirefit.report.canvas import BLUE, DARK, GREY, RED, WIDTH, Picture, frame, 
 from tirefit.report.uncertainty import Corner, corner_data
 
 _MOST_PANELS = 8
-"""Parameters whose pairs have a panel with scales each: more would be too small."""
-_WORTH_SAYING = 0.3  # correlations that are written out
+"""Largest number of parameters with a panel with scales for each pair."""
+_WORTH_SAYING = 0.3  # smallest correlation that is printed
 
 
 def _centers(edges):
@@ -48,10 +48,10 @@ def draw_joint(axes, corner: Corner, i: int, j: int) -> None:
 
 
 def corner_figure(result: FitResult, parameters: Sequence[str] | None = None) -> Picture:
-    """Every parameter, and every pair of them; of many, in one small grid."""
-    # Not by the corner library (2.3 was tried): its turned numbers run into labels and
-    # footnote, its lines of the estimate cover the regions, a column that is constant
-    # is refused, and it imports pyplot, with 2 s and figures in global lists.
+    """Draw every parameter and every pair; many parameters in one small grid."""
+    # The corner library (2.3) is not used: its rotated numbers overlap labels and
+    # footnote, its lines of the estimate cover the regions, it refuses constant columns,
+    # and it imports pyplot, which takes 2 s and keeps figures in global lists.
     corner = corner_data(result, parameters)
     if len(corner.labels) > _MOST_PANELS:
         return _grid_figure(result, corner)
@@ -76,7 +76,7 @@ def _panel_figure(result: FitResult, corner: Corner) -> Picture:
         hspace=0.1,
     )
     size = float(np.clip(10 - 0.5 * count, 5.5, 9))
-    # Long names of runs stay beside their own panel.
+    # Keep long names of runs next to their panel.
     room = 72 * min((top - bottom) * height, picture.get_figwidth()) / count
     label = min(size, room / (0.6 * max(map(_length, corner.labels))))
     for i in range(count):
@@ -87,14 +87,14 @@ def _panel_figure(result: FitResult, corner: Corner) -> Picture:
             else:
                 draw_joint(axes, corner, i, j)
             _corner_labels(axes, corner, i, j, size, label)
-    # One line for all labels, beside the widest of the numbers.
+    # Align all labels, next to the widest number.
     picture.align_labels()
     return picture
 
 
 def _classes(corner: Corner) -> np.ndarray:
-    """Every pair as an image: 1 where 95 %, 2 where 50 % of the posterior are, on all
-    bins of all parameters (p bins, p bins), upwards as an image is."""
+    """Every pair as an image over all bins of all parameters (p bins, p bins), upwards:
+    1 in the 95 % region of the posterior, 2 in the 50 % region."""
     count, bins = corner.density.shape
     image = np.zeros((count * bins, count * bins))
     for (i, j), joint in corner.joint.items():
@@ -105,8 +105,8 @@ def _classes(corner: Corner) -> np.ndarray:
 
 
 def draw_corner(axes, corner: Corner) -> None:
-    """All pairs on one pair of axes: a cell each, without scales; the correlations that
-    matter stand in the upper triangle."""
+    """Draw all pairs as cells of one axes, without scales, with the larger correlations
+    in the upper triangle."""
     count = len(corner.labels)
     axes.imshow(
         _classes(corner),
@@ -150,12 +150,12 @@ def draw_corner(axes, corner: Corner) -> None:
 
 
 def _length(label: str) -> int:
-    """Characters of a label as it is drawn."""
+    """Number of characters of a label when drawn."""
     return len(re.sub(r"[${}_^]", "", re.sub(r"\\[A-Za-z]+", "x", label)))
 
 
 def _grid_figure(result: FitResult, corner: Corner) -> Picture:
-    """One grid of small cells, with the values beside it."""
+    """Draw one grid of small cells, with the values next to it."""
     count = len(corner.labels)
     cell = float(np.clip(5.4 / count, 0.34, 0.6))
     left = 0.3 + 0.055 * max(map(_length, corner.labels))
@@ -193,7 +193,7 @@ def _corner_labels(axes, corner: Corner, i, j, size: float, label: float) -> Non
     for axis in (axes.xaxis, axes.yaxis):
         axis.label.set_fontsize(label)
     axes.locator_params(axis="x", nbins=3)
-    # Many narrow panels: level numbers would run into each other.
+    # In many narrow panels, horizontal numbers would overlap.
     angle = 0 if len(corner.labels) < 4 else 30
     axes.tick_params(axis="x", labelbottom=last, labelrotation=angle, labelsize=size - 1.5)
     if i == j:
@@ -208,7 +208,7 @@ def _corner_labels(axes, corner: Corner, i, j, size: float, label: float) -> Non
 
 
 def _corner_key(picture: Picture, corner: Corner, top: float) -> None:
-    """What the colours mean, in the empty upper corner."""
+    """Explain the colours, in the empty upper corner."""
     lines = ["line, shade: posterior median, 95 %", "dark, light: 50 %, 95 % regions"]
     lines.append("red: least squares")
     vague = [

@@ -30,7 +30,7 @@ def draw_trace(left, right, trace: Trace, i: int) -> None:
 
 
 def trace_figure(result: FitResult, parameters: Sequence[str] | None = None) -> Picture:
-    """One row per parameter; converged ensembles look alike from end to end."""
+    """Draw one row per parameter; converged ensembles look the same everywhere."""
     trace = trace_data(result, parameters)
     count = len(trace.labels)
     picture, (bottom, top) = frame(result, 1.2 + 1.1 * count)

@@ -1,4 +1,4 @@
-"""Online estimates as text and as a figure."""
+"""Report of online estimates: text and figure."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
 from tirefit.report.numbers import format_estimate, format_number, plain_text
 from tirefit.report.text import table
 
-_ROOM = 0.15  # of the range of the estimates, beside it
+_ROOM = 0.15  # margin of an axis, over the range of the estimates
 
 
 def _cells(result: Estimates) -> list[list[str]]:
@@ -52,7 +52,7 @@ def estimates_text(result: Estimates) -> str:
 
 
 def shaded_spans(time: np.ndarray, flag: np.ndarray) -> list[tuple[float, float]]:
-    """Spans [s] in which rows are flagged; a lone detection of a change is none.
+    """Spans [s] in which rows are flagged, without single detections of a change.
 
     Args:
         time: (n,) [s], in order; flag: (n,) codes.
@@ -67,7 +67,7 @@ def shaded_spans(time: np.ndarray, flag: np.ndarray) -> list[tuple[float, float]
 
 
 def _limits(result: Estimates, parameter: str) -> tuple[float, float] | None:
-    """Range of the supported estimates of a parameter, with room; of all, if none."""
+    """Range of the supported estimates of a parameter with a margin; of all if none is."""
     values = []
     for method in result.methods.values():
         if parameter in method.parameters:
@@ -104,7 +104,7 @@ def _draw(axes, result: Estimates, parameter: str) -> None:
 
 
 def _shade(axes, result: Estimates) -> None:
-    """A strip of flags for every method along the foot of an axes."""
+    """Draw a strip of flags for every method at the bottom of an axes."""
     height = 0.03
     for k, (color, method) in enumerate(zip(COLORS, result.methods.values(), strict=False)):
         for begin, end in shaded_spans(result.time, method.flag):
@@ -116,10 +116,10 @@ def _shade(axes, result: Estimates) -> None:
 
 
 def estimates_figure(result: Estimates) -> Picture:
-    """All methods in one panel per parameter; the friction used is shown below.
+    """All methods in one panel per parameter, with the used friction below.
 
-    Bands are one standard deviation; grey spans are flagged by every method, the strips
-    at the foot by the method of their colour.
+    Bands are one standard deviation. Grey spans are flagged by every method, the strips
+    at the bottom by the method of their colour.
     """
     parameters = list(dict.fromkeys(p for m in result.methods.values() for p in m.parameters))
     panels = len(parameters) + (result.use is not None)

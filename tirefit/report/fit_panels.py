@@ -1,6 +1,6 @@
-"""The pictures of a fit's page, one message each, readable on a phone.
+"""The figures of the page of a fit, readable on a phone.
 
-They are narrow: on a phone's screen, 375 pixels wide, 8.5 points are 9.6 pixels high.
+They are narrow: on a screen of 375 pixels, 8.5 points are then 9.6 pixels high.
 """
 
 from collections.abc import Mapping
@@ -26,14 +26,14 @@ from tirefit.report.uncertainty import has_trace, profile_data
 
 WIDE = 4.6
 _SMALL = 2.3
-_MOST_PAIRED = 40  # parameters that the page, which scrolls, draws all pairs of
+_MOST_PAIRED = 40  # largest number of parameters of which all pairs are drawn
 _PIXELS = 100
-"""Of the page for an inch of a picture that is too wide for a phone, and scrolls."""
+"""Pixels of the page per inch of a picture that is too wide for a phone and scrolls."""
 
 
 class Shown(NamedTuple):
-    """A picture of the page: what it shows in words, and its least width in pixels on
-    the screen, 0 where it may shrink."""
+    """A picture of the page with its description, and its smallest width on the screen
+    [px], 0 if it may shrink."""
 
     picture: Picture
     alternative: str
@@ -80,7 +80,7 @@ def curve_pictures(result: FitResult) -> list[Shown]:
 
 
 def residual_pictures(result: FitResult) -> list[Shown]:
-    """Residuals against everything that varies, their distribution and order."""
+    """Residuals over every input that varies, their distribution, and their sequence."""
     data = residual_panels(result)
     first, *others = result.forces
     panels = [(first, panel) for panel in data.scatters]
@@ -140,7 +140,7 @@ def _whole(picture: Picture, alternative: str) -> Shown:
 
 
 def page_pictures(result: FitResult) -> Mapping[str, list[Shown]]:
-    """Section -> its pictures; none of what the fit does not have."""
+    """Section -> its pictures, as far as the fit has the content."""
     sections = ("curve", "residuals", "runs", "profile", "corner", "trace")
     pictures: dict[str, list[Shown]] = {section: [] for section in sections}
     pictures["curve"] = curve_pictures(result)

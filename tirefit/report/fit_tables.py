@@ -26,7 +26,7 @@ def value_text(estimate: Estimate) -> str:
 
 
 def note_on(result: FitResult, name: str) -> str:
-    """Warnings on one parameter (at its bound, routes differ); empty for most."""
+    """Warnings on one parameter (at its bound, routes differ); usually empty."""
     estimate = result.parameters[name]
     notes = []
     if name in result.statistics.at_bound:
@@ -39,7 +39,7 @@ def note_on(result: FitResult, name: str) -> str:
 
 
 def parameter_rows(result: FitResult) -> Rows:
-    """Every parameter, fixed and tied ones too."""
+    """Every parameter, including fixed and tied ones."""
     return [
         ["parameter", "value ± std", "unit", "95 % interval", ""],
         *(
@@ -225,7 +225,7 @@ def _posterior_head(p: PosteriorSummary) -> str:
 
 
 def rows_text(result: FitResult) -> str:
-    """Number of rows used, and why the others are not."""
+    """Number of rows used, and the reasons for the others."""
     data = result.data
     aside = data.get("set_aside", 0)
     masked = data["rows"] - data["used"] - aside

@@ -22,7 +22,7 @@ _TOGETHER = 3  # quantities by file in one picture
 
 
 def _columns(fits: Mapping[str, FitResult], part: str) -> dict[str, str]:
-    """Parameters or derived quantities of any fit -> unit, but for those of a run."""
+    """Parameters or derived quantities of any fit -> unit, without those per run."""
     return {
         name: estimate.unit
         for result in fits.values()
@@ -77,7 +77,7 @@ def _verdict(fits: Mapping[str, FitResult], failed: Mapping[str, str]) -> Mappin
 
 
 def _points(fits: Mapping[str, FitResult], part: str) -> list[Points]:
-    """Parameters or derived quantities that were free, file by file."""
+    """Figures of free parameters or derived quantities by file."""
     panels = []
     for name, unit in _columns(fits, part).items():
         own = [getattr(result, part).get(name) for result in fits.values()]
@@ -156,11 +156,11 @@ def _files(fits: Mapping[str, FitResult]) -> Rows:
 
 
 def fits_page(fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = None) -> str:
-    """Several fits as one HTML document; no script, nothing to fetch.
+    """Several fits as one HTML document, without script or external resource.
 
     Args:
         fits: file (or any other name) -> its fit, in the order of the page.
-        failed: file -> why it could not be fitted.
+        failed: file -> reason why it could not be fitted.
 
     Raises:
         UsageError: there is no fit.
@@ -189,12 +189,12 @@ def fits_page(fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = 
 def write_fits_page(
     fits: Mapping[str, FitResult], path: str | os.PathLike, failed: Mapping[str, str] | None = None
 ) -> None:
-    """Write the page over several fits, whole or not at all.
+    """Write the page of several fits, completely or not at all.
 
     Args:
         fits: file (or any other name) -> its fit, in the order of the page.
-        path: of the page, ``fits.html`` say.
-        failed: file -> why it could not be fitted.
+        path: of the page, such as ``fits.html``.
+        failed: file -> reason why it could not be fitted.
 
     Raises:
         UsageError: there is no fit.

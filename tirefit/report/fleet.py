@@ -1,4 +1,4 @@
-"""Quantities over many files for a page: as arrays, and on axes."""
+"""Quantities over many files for a page: as arrays, and as figures."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -12,14 +12,14 @@ from tirefit.report.canvas import BLUE, DARK, GREY, RED, Picture, panel_title, t
 from tirefit.report.numbers import format_number
 
 _KINDS = ("parameter", "effect", "gap", "derived", "statistic")
-"""In the order of the page; what a fit was told (``base``) is not among them."""
+"""Kinds of quantities in the order of the page, without given values (``base``)."""
 
 _OWN_STD = ("parameter", "effect", "derived")
 """Kinds whose numbers have a standard deviation; without one a number counts as
 unknown."""
 
-_FEW = 3  # files from which on a quantity of some of them is shown
-_MOST = 300  # files that are drawn one by one; of more, as many bins of neighbours
+_FEW = 3  # smallest number of files for a quantity to be shown
+_MOST = 300  # largest number of files drawn one by one; with more, as many bins of files
 
 
 class Quantity(NamedTuple):
@@ -32,7 +32,7 @@ class Quantity(NamedTuple):
     when: np.ndarray
     value: np.ndarray
     std: np.ndarray
-    untold: int  # files that have it but do not tell it
+    untold: int  # number of files that have it but do not determine it
     across: AcrossFiles
 
     @property
@@ -50,7 +50,7 @@ class Fleet(NamedTuple):
     """All files and their quantities."""
 
     files: dict[str, list]
-    dates: np.ndarray | None  # (files,) in their names; None: the order is the time
+    dates: np.ndarray | None  # (files,) from their names; None: use the order of files
     quantities: list[Quantity]
 
 
@@ -77,7 +77,7 @@ def fleet_of(path: Path) -> Fleet:
 
 
 class Points(NamedTuple):
-    """What is drawn: points with bars, of files or of bins of neighbours, and the files
+    """The drawn points with bars, of files or of bins of consecutive files, and the files
     that differ; all (m,) arrays."""
 
     when: np.ndarray
@@ -91,9 +91,9 @@ class Points(NamedTuple):
 
 
 def points(quantity: Quantity, most: int = _MOST) -> Points:
-    """Files with their standard deviations; of many, medians and the central 68 % of
-    bins of equally many neighbours. Files that differ are points of their own, the
-    farthest ``most`` of them."""
+    """Files with their standard deviations; for many files, medians and the central 68 %
+    of bins of equally many consecutive files. The ``most`` files that differ most are
+    separate points."""
     apart = quantity.across.outlier
     order = np.argsort(quantity.when, kind="stable")
     order = order[~apart[order]]
@@ -113,7 +113,7 @@ def points(quantity: Quantity, most: int = _MOST) -> Points:
 
 
 def quantity_figure(quantity: Quantity, dated: bool) -> Picture:
-    """A quantity over the files' dates or places, with the line through it."""
+    """Draw a quantity over the dates or the order of files, with its regression line."""
     drawn, across = points(quantity), quantity.across
     picture = Picture(figsize=(7.0, 2.5), dpi=80)
     axes = picture.add_axes((0.12, 0.2, 0.86, 0.6))
@@ -154,7 +154,7 @@ def quantity_figure(quantity: Quantity, dated: bool) -> Picture:
     axes.tick_params(axis="x", labelrotation=0)
     counting = ([] if dated else [axes.xaxis]) + ([axes.yaxis] if quantity.counts else [])
     for axis in counting:
-        # One tick will do: of files that all have as many rows there is no second.
+        # One tick is enough, as all files may have the same number of rows.
         axis.set_major_locator(MaxNLocator("auto", integer=True, min_n_ticks=1))
     panel_title(axes, quantity.title, text)
     return picture

@@ -1,4 +1,4 @@
-"""All results of many files as one small self-contained page."""
+"""Results of many files as one small self-contained page."""
 
 from collections import Counter
 from pathlib import Path
@@ -13,7 +13,7 @@ from tirefit.report.html import image_of, rendered
 from tirefit.report.numbers import format_estimate, format_number
 
 _PICTURES, _LISTED = 12, 40
-"""Quantities that are drawn, and files that are listed, at most."""
+"""Largest numbers of drawn quantities and of listed files."""
 
 
 def write_fleet_page(table: Path, path: Path, command: str) -> None:
@@ -92,7 +92,7 @@ def _quantities(fleet: Fleet) -> list[tuple[str, ...]]:
 
 
 def _outliers(fleet: Fleet) -> list[tuple[str, ...]]:
-    """The files that differ most, of any quantity."""
+    """The files that differ most in any quantity."""
     far: list[tuple[float, Quantity, int]] = [
         (abs(float(one.across.pulls[k])), one, int(k))
         for one in fleet.quantities

@@ -18,12 +18,12 @@ from tirefit.report.text import verdict_line
 from tirefit.results import UsageError
 
 GOOD, OPEN = "#009E73", "#D55E00"
-"""Colours of a verdict that holds, and of one that leaves something open."""
+"""Colours of a verdict without and with reservations."""
 
 
 @cache
 def _templates() -> jinja2.Environment:
-    """The templates of this room. Every value is escaped, and each must be there."""
+    """The templates of the reports. Every value is escaped, and none may be missing."""
     return jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True,
@@ -45,7 +45,7 @@ def png_text(picture) -> str:
 
 
 def image_of(picture, alternative: str, least: int = 0) -> dict:
-    """A picture as the templates take it: in words too, with its least width [px]."""
+    """A picture for the templates, with its description and smallest width [px]."""
     return {"png": png_text(picture), "alternative": alternative, "least": least}
 
 
@@ -107,7 +107,7 @@ def _range_row(data: TireData, name: str) -> tuple[str, ...]:
 
 
 def data_fragment(data: TireData) -> str:
-    """Columns with their ranges over the used rows, and what was assumed."""
+    """Columns with their ranges over the used rows, and the assumptions."""
     source, masked = data.source, len(data) - data.n
     used = f"{data.n} rows"
     if masked:

@@ -1,4 +1,4 @@
-"""Numbers for readers: as many digits as their uncertainty allows."""
+"""Format numbers with as many digits as their uncertainty allows."""
 
 import math
 from typing import TypeGuard
@@ -9,14 +9,14 @@ _TOO_SMALL = 1e-4
 
 
 def plain_text(text: str) -> str:
-    """Text for a figure with no mathematics in it: a ``$`` of a name stays a ``$``."""
+    """Text for a figure without mathematics: a ``$`` in a name is printed as ``$``."""
     return text.replace("$", r"\$")
 
 
 def places_of(std: float) -> int:
     """Decimal places that show two significant digits of ``std`` (may be negative)."""
     places = 1 - math.floor(math.log10(std))
-    # 0.0996 rounds to 0.10, which has one place less.
+    # 0.0996 rounds to 0.10, which has one decimal place less.
     return places - 1 if round(std, places) >= 10 ** (2 - places) else places
 
 
@@ -29,7 +29,7 @@ def _usable(std: float | None) -> TypeGuard[float]:
 
 
 def format_number(value: float | None, digits: int = 4) -> str:
-    """A number with so many significant digits, ``-`` for none."""
+    """A number with ``digits`` significant digits; ``-`` for None."""
     if value is None or not math.isfinite(value):
         return "-"
     size = abs(value)
@@ -39,7 +39,7 @@ def format_number(value: float | None, digits: int = 4) -> str:
 
 
 def format_estimate(value: float, std: float | None) -> str:
-    """``value ± std`` with two digits of the std; the value alone without one."""
+    """``value ± std`` with two digits of the std; only the value without a std."""
     if not math.isfinite(value):
         return "-"
     if not _usable(std):

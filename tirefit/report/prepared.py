@@ -1,4 +1,4 @@
-"""The whole of a rig's test in one picture: what was recorded, cut up and kept."""
+"""Figure of a whole rig test: channels, segments and kept rows."""
 
 from typing import NamedTuple
 
@@ -41,10 +41,10 @@ _PANELS = {
 """Channels that are shown, in this order, and their labels."""
 _ALSO = {"fx": (1.0, "N"), "fy": (1.0, "N"), "temperature": (1.0, "°C")}
 _LEAST_FORCE = 0.1
-"""Of the largest load: a force that changes less is not worth a panel."""
-_KILO = 2000.0  # Newtons from which on forces are shown in kN
+"""Smallest range of a force that has a panel, over the largest load."""
+_KILO = 2000.0  # forces above this [N] are shown in kN
 _POINTS = 1500
-"""Columns of the picture in which a line shows its lowest and highest value."""
+"""Number of columns of the picture; a line has its smallest and largest value in each."""
 
 
 class Panel(NamedTuple):
@@ -54,7 +54,7 @@ class Panel(NamedTuple):
     label: str  # with its unit
     time: np.ndarray  # (m,) of the line
     value: np.ndarray
-    settings: np.ndarray  # (k,) the rig had for it
+    settings: np.ndarray  # (k,) settings of the rig
 
 
 class Strip(NamedTuple):
@@ -67,7 +67,7 @@ class Strip(NamedTuple):
 
 
 class RigView(NamedTuple):
-    """What the picture shows; ``clock`` labels its time axis."""
+    """The content of the figure; ``clock`` labels its time axis."""
 
     title: str
     note: str
@@ -77,7 +77,7 @@ class RigView(NamedTuple):
 
 
 def _thinned(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A line of few points that looks the same: the ends of every column."""
+    """A line of fewer points with the same look: the ends of every column."""
     n = len(time)
     if n <= 4 * _POINTS:
         return time, value
@@ -87,7 +87,7 @@ def _thinned(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _is_telling(name: str, prepared: Prepared, settings: int) -> bool:
-    """Whether a channel was moved, and is not noise about one value."""
+    """Whether a channel changed by more than noise about one value."""
     size = swept_range(prepared.columns[name])
     if name in LEAST:
         return size >= LEAST[name]
@@ -135,7 +135,7 @@ def _strips(prepared: Prepared) -> list[Strip]:
 
 
 def view_of(prepared: Prepared) -> RigView:
-    """What the picture of a prepared test shows, as arrays and words."""
+    """The content of the figure of a prepared test, as arrays and texts."""
     kept, total = int(prepared.kept.sum()), len(prepared.data)
     sweeps, states = (
         sum(part.kind == kind for part in prepared.segments) for kind in ("sweep", "steady")
@@ -176,8 +176,8 @@ def _draw(axes, panel: Panel, strips: list[Strip]) -> None:
 
 
 def prepared_figure(prepared: Prepared) -> Picture:
-    """The test from its beginning to its end: every channel that was moved, behind it
-    the segments in their colours, strong where they are kept; dotted: the settings."""
+    """Draw the whole test: every channel that changed, with segments in the background
+    (strong colours: kept), and dotted lines for settings."""
     view = view_of(prepared)
     count = len(view.panels)
     picture = Picture(figsize=(10.0, 1.15 + 1.0 * count))

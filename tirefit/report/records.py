@@ -68,7 +68,7 @@ def log_figure(log: SimulatedLog) -> Picture:
 
 
 def export_text(done) -> str:
-    """How the tire of a :class:`tirefit.targets.export.Exported` behaves, and notes."""
+    """Checks of the tire of a :class:`tirefit.targets.export.Exported`, and notes."""
     notes = (n if n.startswith("warning") else f"note: {n}" for n in done.notes)
     return "\n".join([f"{done.target}: {done.path}", *done.shape.sentences, *notes])
 

@@ -1,4 +1,4 @@
-"""A replay as text, as pictures and as a page."""
+"""Report of a replay: text, figures and page."""
 
 import numpy as np
 
@@ -30,15 +30,15 @@ _LABELS = {
     "with the effects": "with effects",
 }
 _AHEAD = 0.5
-"""Horizon [s] of the answer, or the nearest."""
+"""Horizon [s] of the answer; the nearest one is used."""
 _SHOWN = 40
-"""Windows drawn as fans, at most: some ten seconds of driving."""
+"""Largest number of windows that are drawn: about ten seconds of driving."""
 _FAN = 1.0
-"""Time [s] that a drawn prediction lasts."""
+"""Duration [s] of a drawn prediction."""
 
 
 def answer(result: Replay) -> str:
-    """How far the car is off, how far the noise of the log alone and the baselines."""
+    """The error of the car, of the noise of the log, and of the baselines."""
     reached = result.horizons[: sum(count > 0 for count in result.windows)]
     place = int(np.argmin([abs(h - _AHEAD) for h in reached]))
     rms = {name: errors.rms() for name, errors in result.models.items()}
@@ -62,7 +62,7 @@ def answer(result: Replay) -> str:
 
 
 def replay_text(result: Replay) -> str:
-    """The report: the answer, the errors by horizon, what was assumed."""
+    """The report: the answer, the errors by horizon, assumptions."""
     fitted = [name for name, is_fitted in result.logs.items() if is_fitted]
     others = [name for name, is_fitted in result.logs.items() if not is_fitted]
     rows = [["rms of", "model", *(f"{h:g} s" for h in result.horizons)]]
@@ -204,6 +204,6 @@ def _longest(result: Replay) -> tuple[str, Fans]:
 
 
 def _stretch(fans: Fans) -> np.ndarray:
-    """The windows that are drawn, of the middle of the log: their numbers."""
+    """Numbers of the windows that are drawn, from the middle of the log."""
     first = max((len(fans.time) - _SHOWN) // 2, 0)
     return np.arange(first, min(first + _SHOWN, len(fans.time)))

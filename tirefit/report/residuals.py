@@ -1,4 +1,4 @@
-"""Residuals against every input, their distribution and their order, as arrays."""
+"""Residuals over every input, their distribution and their sequence, as arrays."""
 
 from typing import NamedTuple
 
@@ -14,9 +14,9 @@ from tirefit.report.curves import slip_axis
 from tirefit.report.numbers import plain_text
 
 _INDEPENDENT = 0.9
-"""Effective share of the rows from which their order in the file is moot."""
-_MOST_RUNS = 30  # runs that have a panel of their own, at most
-_TICK = 12  # characters of a run's name below an axis
+"""Effective share of the rows above which their order in the file has no meaning."""
+_MOST_RUNS = 30  # largest number of runs for a panel of runs
+_TICK = 12  # largest length of the name of a run below an axis
 _LABEL = {
     "fz": ("load $F_z$", "N"),
     "v": ("speed $v$", "m/s"),
@@ -42,7 +42,7 @@ class Scatter(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """All panels of one force; what has an order is None where the rows have none."""
+    """All panels of one force; autocorrelations are None if the rows have no order."""
 
     channel: str
     scatters: tuple[Scatter, ...]
@@ -58,7 +58,7 @@ class Residuals(NamedTuple):
 def _fitted_rows(problem, data: TireData | None) -> np.ndarray | None:
     """The rows (len(data),) bool of the table that the fit used, None if unknown.
 
-    A fit may be limited to an interval of slip, which its smallest and largest tell.
+    A fit may be limited to an interval of slip, found from its smallest and largest slip.
     """
     if data is None:
         return None
@@ -95,7 +95,7 @@ def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
 
 
 def _in_order(result: FitResult, residual, inputs) -> np.ndarray | None:
-    """Autocorrelation in the order of time, or of the file; None where it is moot."""
+    """Autocorrelation in the order of time, or of the file; None without an order."""
     problem, statistics = result.problem, result.statistics
     time = inputs["time"][1] if "time" in inputs else None
     if time is None and statistics.n_effective > _INDEPENDENT * statistics.n:
@@ -108,7 +108,7 @@ def _runs(result: FitResult, residual, inflation: float) -> list[Scatter]:
     codes, position = np.unique(problem.used(problem.rows.run), return_inverse=True)
     if not 1 < len(codes) <= _MOST_RUNS:
         return []
-    # Beside one another, so that points of one run do not hide each other.
+    # Next to each other, so that points of a run do not overlap.
     spread = np.random.default_rng(0).uniform(-0.25, 0.25, len(position))
     means = means_by(position, position, residual, inflation)
     short = run_names(problem.layout.runs).short
@@ -117,7 +117,7 @@ def _runs(result: FitResult, residual, inflation: float) -> list[Scatter]:
 
 
 def residual_panels(result: FitResult, channel: str | None = None) -> Residuals:
-    """Standardised residuals of one force, against all that varies.
+    """Standardised residuals of one force over every input that varies.
 
     Args:
         result: a fit with its problem.

@@ -53,7 +53,7 @@ def table(rows: list[list[str]], right: tuple[int, ...] = ()) -> list[str]:
 
 
 def table_parts(rows: list[list[str]]) -> list[str]:
-    """A table in as many parts as the width asks for, each with the first column."""
+    """A table in as many parts as the width requires, each with the first column."""
     lines, first = [], 1
     widths = [max(len(row[i]) for row in rows) + 2 for i in range(len(rows[0]))]
     while first < len(widths):
@@ -71,7 +71,7 @@ def indented(text: str) -> list[str]:
 
 
 def wrapped(name: str, text: str) -> list[str]:
-    """Lines of a text behind its name, within the width."""
+    """Lines of a text after its name, within the width."""
     lead = f"  {name:<13}"
     return textwrap.wrap(text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead)) or [
         lead.rstrip()
@@ -79,7 +79,7 @@ def wrapped(name: str, text: str) -> list[str]:
 
 
 def _files(result: FitResult) -> str:
-    """The file as it was given; of several their number and what they share."""
+    """The file as it was given; for several, their number and common name."""
     several = len(result.data["runs"]) > 1 and ", " in result.data["file"]
     return fit_files(result) if several else result.data["file"]
 
@@ -131,7 +131,7 @@ def parameter_lines(result: FitResult) -> list[str]:
 
 
 def _routes(result: FitResult) -> list[str]:
-    """The intervals by each route; the short report has them where they disagree."""
+    """The intervals by each route; the short report has them if they disagree."""
     return ["", "INTERVALS BY ROUTE", *table(route_rows(result))]
 
 
@@ -212,7 +212,7 @@ def _verdict(result: FitResult) -> list[str]:
 
 
 def fit_report(result: FitResult, full: bool = False) -> str:
-    """The report of one fit; the verdict stands last.
+    """The report of one fit; the verdict is last.
 
     Args:
         full: with the intervals by every route, the misfit by run, the chains and the

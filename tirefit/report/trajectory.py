@@ -10,7 +10,7 @@ from tirefit.report.text import indented, table
 from tirefit.vehicle.trajectory import UNKNOWNS, TrajectoryFit
 
 _DRAWN, _POINTS, _REACH = 60, 1500, 99.5
-"""Draws of a band; derived points shown; percentile of |slip angle| drawn."""
+"""Number of draws of a band, of derived points, and percentile of |slip angle| drawn."""
 _CHANNELS = {"v_y": "m/s", "yaw_rate": "rad/s", "heading": "rad", "x": "m", "y": "m"}
 
 
@@ -29,7 +29,7 @@ def _notes(fit: TrajectoryFit) -> list[str]:
     return [
         *fit.warnings,
         f"95 % by {fit.intervals}; {fit.blocks} blocks of windows count as independent",
-        "speed and steering are the log's; axle loads are static; no drive force",
+        "speed and steering are those of the log; axle loads are static; no drive force",
     ]
 
 
@@ -47,7 +47,7 @@ def _answer(fit: TrajectoryFit) -> str:
 
 
 def trajectory_text(fit: TrajectoryFit) -> str:
-    """The report: tires and unknowns of the car, noise, what was assumed."""
+    """The report: tires and unknowns of the car, noise, assumptions."""
     said = [line for note in _notes(fit) for line in indented(note)]
     answer = ["ANSWER", *indented(_answer(fit)), "FOUND", *table(_rows(fit))]
     return "\n".join([_head(fit), *answer, "NOTES", *said])

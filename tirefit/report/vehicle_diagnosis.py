@@ -27,26 +27,26 @@ def _effect_text(result: VehicleDiagnosis, effect: str) -> str:
 
 
 def answer(result: VehicleDiagnosis) -> str:
-    """Which effects the car lacks, and how far its error falls with them."""
+    """The effects that the model of the car lacks, and its error without and with them."""
     verdict = result.verdict
     if verdict.status == Status.NONE:
         return (
-            "With fitted tires the car leaves nothing beyond the noise of these logs:"
-            " no effect is missing that they could show."
+            "With fitted tires, the error of the car is within the noise of these logs:"
+            " they show no missing effect."
         )
     if not verdict.status.names:
-        return "The car misses something that no listed effect explains well enough to be named."
+        return "There is an error that no listed effect explains well enough to be named."
     names = [_effect_text(result, effect) for effect in verdict.effects]
     channel = next(c for c in ("yaw_rate", "heading") if c in result.noise)
     before, after = (
         f"{format_number(part[channel], 2)}"
         for part in (result.miss.fitted, result.miss.with_effects)
     )
-    told = f"The car lacks {listing(names)}. "
-    told += f"Over {result.window:g} s its {_CHANNELS[channel]} is off by {after}"
-    told += f" {_UNITS[channel]} (rms, noise included) instead of {before}."
+    told = f"The model of the car lacks {listing(names)}. "
+    told += f"Over {result.window:g} s the rms error of its {_CHANNELS[channel]} is {after}"
+    told += f" {_UNITS[channel]} (noise included) instead of {before}."
     if verdict.status == Status.INCOMPLETE:
-        told += " Something else is left that no listed effect explains."
+        told += " A further error remains that no listed effect explains."
     if verdict.also_possible:
         others = listing([*map(name_with_id, verdict.also_possible)], "or")
         told += f" These logs do not rule out {others}."
@@ -54,7 +54,7 @@ def answer(result: VehicleDiagnosis) -> str:
 
 
 def _effects(result: VehicleDiagnosis) -> list[str]:
-    rows = [["effect", "size", "probability", "closes of the rest"]]
+    rows = [["effect", "size", "probability", "closes of the gap"]]
     for effect, each in result.verdict.each.items():
         rows.append(
             [
@@ -75,7 +75,7 @@ def _remedies(result: VehicleDiagnosis) -> list[str]:
     twins = {*result.verdict.also_possible} & {*result.effects}
     for effect in (e for e in result.verdict.each if twins):
         told = result.effects[effect].told_apart_by
-        lines += indented(f"to tell {effect} from what it looks like: {told}")
+        lines += indented(f"to distinguish {effect} from similar effects: {told}")
     return lines
 
 
@@ -98,22 +98,22 @@ def _ladder(result: VehicleDiagnosis) -> list[str]:
 
 
 def vehicle_diagnosis_text(result: VehicleDiagnosis) -> str:
-    """The report: the answer, the effects, what to do, how far the error falls."""
+    """The report: the answer, the effects, what to do, errors without and with effects."""
     logs = ", ".join(result.logs)
     lines = [f"DIAGNOSIS OF A CAR: {result.windows} windows of {logs}"]
     lines += ["ANSWER", *indented(answer(result))]
     if result.verdict.each:
         lines += ["EFFECTS", *_effects(result)]
         lines += ["WHAT TO DO", *_remedies(result)]
-    lines += ["HOW FAR THE CAR IS OFF", *_miss_rows(result, result.miss)]
+    lines += ["ERROR OF THE CAR", *_miss_rows(result, result.miss)]
     if result.held_out:
-        lines += ["ON THE LOGS HELD OUT", *_miss_rows(result, result.held_out)]
+        lines += ["ERROR ON THE HELD-OUT LOGS", *_miss_rows(result, result.held_out)]
     lines += [f"STEP BY STEP, {result.ladder.on}", *_ladder(result)]
     rows = [["factor on", "value"]]
     rows += [[name, amount_text(*one)] for name, one in result.parameters.items()]
-    lines += ["TIRES, FITTED BESIDE THE EFFECTS", *table(rows)]
-    left = f"something unlisted is there with probability {result.verdict.unlisted:.2f}"
-    lines += ["LEFT", *indented(left), "NOTES"]
+    lines += ["TIRES, FITTED WITH THE EFFECTS", *table(rows)]
+    left = f"probability of an unlisted effect: {result.verdict.unlisted:.2f}"
+    lines += ["WHAT IS LEFT", *indented(left), "NOTES"]
     if result.untestable:
         lacks = (f"{e} ({', '.join(n)})" for e, n in result.untestable.items())
         lines += indented(f"these logs cannot show: {', '.join(lacks)}")
@@ -121,8 +121,8 @@ def vehicle_diagnosis_text(result: VehicleDiagnosis) -> str:
 
 
 def vehicle_diagnosis_figure(result: VehicleDiagnosis) -> Picture:
-    """How the rms over the noise shrinks step by step on data left out, and how far
-    the car is off by channel."""
+    """The rms over the noise on data left out, step by step, and the errors of the car by
+    channel."""
     picture = Picture(figsize=(10.0, 3.6), layout="constrained")
     left, right = picture.subplots(1, 2, width_ratios=(1.5, 1))
     steps = result.ladder.steps
@@ -143,7 +143,7 @@ def vehicle_diagnosis_figure(result: VehicleDiagnosis) -> Picture:
         )
     left.margins(x=0.12)
     tidy(left, "rms of data left out, over the noise", "")
-    panel_title(left, "What is left, step by step")
+    panel_title(left, "Remaining error, step by step")
     miss, width = result.held_out or result.miss, 0.25
     for k, (label, part, color) in enumerate(zip(_STATES, miss, (GREY, ORANGE, BLUE), strict=True)):
         values = [part[c] / result.noise[c] for c in result.noise]
@@ -151,7 +151,7 @@ def vehicle_diagnosis_figure(result: VehicleDiagnosis) -> Picture:
     right.set_xticks(range(len(result.noise)), [_CHANNELS[c] for c in result.noise])
     right.axhline(1.0, color=GREY, lw=0.8, ls=":")
     tidy(right, "", f"rms over {result.window:g} s, over the noise")
-    on = "logs held out" if result.held_out else "these logs"
-    panel_title(right, "How far the car is off", on)
+    on = "held-out logs" if result.held_out else "these logs"
+    panel_title(right, "Error of the car", on)
     right.legend(frameon=False, fontsize=8)
     return picture

@@ -1,1 +1,1 @@
-"""Fitted tires in the simulators and optimizers that people have."""
+"""Export fitted tires to other simulators and optimizers."""

@@ -1,4 +1,4 @@
-"""Rules by which operations become fewer or cheaper, to the last digits the same."""
+"""Rules that simplify operations without changing results beyond rounding."""
 
 import math
 from collections.abc import Callable
@@ -8,22 +8,21 @@ _COMMUTE = frozenset({"add", "mul", "min", "max", "eq"})
 
 
 def in_order(op: str, args: tuple, is_term: Callable[..., bool]) -> tuple:
-    """Arguments of an operation that may be exchanged in one order: constants first."""
+    """Arguments of a commutative operation in canonical order: constants first."""
     if op not in _COMMUTE:
         return args
     return tuple(sorted(args, key=lambda one: (is_term(one), one)))
 
 
 def simplified(graph: Any, op: str, args: tuple) -> Any:
-    """What an operation is instead; None where it stays as it is.
+    """A simpler equivalent of an operation; None if there is none.
 
-    A product with an exact zero is zero: that is the derivative by an input that does
-    not act.
+    A product with an exact zero is zero, as the derivative by an input without effect.
 
     Args:
         graph: with ``apply(op, *args)``, and ``parts(value)``: operation and arguments
-            of a term, ("", ()) of a constant.
-        args: terms and constants; two constants at the most are not among them.
+            of a term, ("", ()) for a constant.
+        args: terms and constants; not only constants.
     """
     rule = _RULES.get(op)
     return None if rule is None else rule(graph, *args)

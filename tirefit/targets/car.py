@@ -17,7 +17,7 @@ _MEANING = {"h_cg": "height of the centre of gravity [m]", "wheel_radius": "tire
 
 
 class Axle(NamedTuple):
-    """A tire in its place.
+    """A tire at its place in the vehicle.
 
     Attributes:
         name: ``front``, ``rear``, or empty for all wheels.
@@ -34,7 +34,7 @@ class Axle(NamedTuple):
     notes: tuple[str, ...] = ()
 
     def named(self, lines: Sequence[str]) -> list[str]:
-        """Sentences with the name of the axle before them."""
+        """Sentences with the name of the axle in front."""
         return [f"{self.name}: {line}" if self.name else line for line in lines]
 
 
@@ -42,7 +42,7 @@ def vehicle_of(path, target: str, needs: Sequence[str]) -> Vehicle:
     """The car of a ``vehicle.toml``; it needs no ``[columns]`` here.
 
     Raises:
-        UsageError: the file is wrong, or lacks a key of ``needs``; all of them.
+        UsageError: the file is wrong, or lacks keys of ``needs``; it lists all of them.
     """
     content = read_toml(path)
     content.setdefault("columns", _NO_LOG)
@@ -59,7 +59,7 @@ def vehicle_of(path, target: str, needs: Sequence[str]) -> Vehicle:
 def axles_of(
     target: str, count: int, tires: Mapping[str, Tire], vehicle: Vehicle | None
 ) -> tuple[Axle, ...]:
-    """The axles that a target has parameters for.
+    """The axles for which a target has parameters.
 
     Args:
         count: tires of the target, 1 or 2.
@@ -86,15 +86,15 @@ def axles_of(
 
 
 def _placed(name: str, tire: Tire, vehicle: Vehicle | None, notes) -> Axle:
-    """The tire with the static load of its place."""
+    """The tire with the static load at its place."""
     if vehicle is None:
         return Axle(name, tire, notes=notes)
     arms = {"front": vehicle.l_r, "rear": vehicle.l_f}
     share = arms[name] / vehicle.wheelbase if name else 0.5
     static = vehicle.mass * vehicle.gravity * share
-    # Fits of logs have the load of an axle, those of rigs that of one tire.
+    # Fits of logs are at the load of an axle, those of rigs at that of one tire.
     wheels = 2 if "fz" in tire.measured and tire.load**2 > static**2 / 2 else 1
     load = static * wheels / 2
     what = "one tire" if wheels == 1 else "an axle of two tires"
-    note = f"taken as a fit of {what}, whose static load is {load:.4g} N"
+    note = f"assumed to be a fit of {what}, whose static load is {load:.4g} N"
     return Axle(name, replace(tire, load=load), wheels, True, (note, *notes))

@@ -1,7 +1,7 @@
-"""A tire for Project Chrono: the JSON of its ``Pac02Tire``, and the ``.tir`` beside it.
+"""A tire for Project Chrono: the JSON of its ``Pac02Tire``, and a ``.tir`` file.
 
-What Chrono reads and computes follows its ``Pac02Tire.cpp`` and ``ChPac02Tire.cpp``
-(release 8): equations of Magic Formula 5.2, less some coefficients.
+By its ``Pac02Tire.cpp`` and ``ChPac02Tire.cpp`` (release 8), Chrono uses the equations of
+Magic Formula 5.2 without some coefficients.
 """
 
 from collections.abc import Mapping
@@ -25,10 +25,10 @@ _UNREAD = "PDX3 REX1 REX2 REY1 REY2 RHY2 QBZ10".split()
 """Coefficients of MF 5.2 that Chrono does not read."""
 
 _LIMIT = np.pi / 2 - 0.01
-"""To which Chrono limits B times the slip, in pure slip."""
+"""Limit of B times the slip in Chrono, in pure slip."""
 
 _SMALL, _SEEN = 1e-4, 1e-3
-"""Slip by which the slope at rest is taken; share of the load that is mentioned."""
+"""Step of the slip for the slope at zero; smallest share of the load that is mentioned."""
 
 _WHEEL = {
     "mass": "MASS",
@@ -38,20 +38,20 @@ _WHEEL = {
     "vertical_damping": "VERTICAL_DAMPING",
     "width": "WIDTH",
 }
-"""What Chrono needs beside the forces -> key of a ``.tir`` that states it."""
+"""Quantity that Chrono needs in addition to the forces -> its key in a ``.tir``."""
 
 FRICTION = 0.8
-"""Friction coefficient of the road of the tests; Chrono scales the force by that of its
-terrain over it."""
+"""Friction coefficient of the road of the tests; Chrono scales the force by that of the
+terrain over this one."""
 
 
 def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Tire:
-    """The tire that Chrono has in place of ``tire``, in version 5.2.
+    """The tire of Chrono for ``tire``, in version 5.2.
 
     Args:
         model: None or ``mf52``.
-        wheel: SI values by :data:`_WHEEL` that the tire's own file does not state,
-            ``radius`` of a model without one, and ``friction`` of the road, 0.8 if not
+        wheel: SI values by :data:`_WHEEL` that the file of the tire does not state,
+            ``radius`` for a model without one, and ``friction`` of the road, 0.8 if not
             given.
 
     Raises:
@@ -60,7 +60,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
     """
     problems = wheel_problems(wheel, (*_WHEEL, "friction", "radius"))
     if model not in (None, _VERSION):
-        reason = f"--model {model} with --to chrono, which reads {_VERSION} alone"
+        reason = f"--model {model} with --to chrono, which reads only {_VERSION}"
         problems.append(InputProblem(reason, "leave it out"))
     whole = {"friction": FRICTION, **_stated(tire.tir), **wheel}
     if missing := [name for name in _WHEEL if name not in whole]:
@@ -90,7 +90,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
     if unread:
         notes.append(f"Chrono 8 does not read {', '.join(unread)}: zero there")
     if not combined:
-        notes.append("without coefficients of combined slip Chrono takes its ellipse")
+        notes.append("without coefficients of combined slip Chrono uses its ellipse")
     if tir.numbers.get("LKY", 1.0) != tir.numbers.get("LMUY", 1.0):
         notes.append("Chrono scales the cornering stiffness by LMUY, not by LKY")
     own = held.model
@@ -101,12 +101,12 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
 
 
 def _stated(tir: TirFile | None) -> dict[str, float]:
-    """What a file states of the wheel, in SI units."""
+    """Data of the wheel that a file states, in SI units."""
     if tir is None:
         return {}
     length, force, mass = (tir.unit(key) for key in ("LENGTH", "FORCE", "MASS"))
     inertia, stiffness = mass * length**2, force / length
-    # WIDTH is read in SI; other sizes of the wheel are as they are written.
+    # WIDTH is in SI; other data of the wheel are in the units of the file.
     sizes = mass, inertia, inertia, stiffness, stiffness * tir.unit("TIME"), 1.0
     return {
         name: tir.numbers[key] * size
@@ -116,7 +116,7 @@ def _stated(tir: TirFile | None) -> dict[str, float]:
 
 
 def _limited(model: MFTire, load: float) -> list[str]:
-    """What the limit of B times the slip costs, in pure slip to a usual size."""
+    """A note on the error by the limit of B times the slip, in pure slip of usual size."""
     loads = np.array(USUAL_SHARES) * load
     alone = TireInputs(*np.zeros((len(TireInputs._fields), len(loads))))
     peaks = frictions(model, alone._replace(fz=loads))

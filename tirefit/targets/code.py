@@ -26,14 +26,14 @@ MEANING = {
 }
 
 PARAMETERS = "parameters (+- standard error):"
-"""Line above those of the parameters in a head."""
+"""Line above the parameters in the head of a file."""
 
 _VECTORS = ((0.02, 0.01, 1.0), (-0.1, 0.05, 0.5), (0.0, -0.2, 1.5), (-0.9, 0.3, 2.0))
 """Slip, slip angle and share of the middle load of the test vectors."""
 
 
 def header(tire: Tire, program: Program, convention: str) -> list[str]:
-    """Sentences on a tire that stand first in every exported file."""
+    """Sentences on a tire at the beginning of every exported file."""
     names = (*program.inputs, *program.outputs)
     return [
         tire.origin,
@@ -48,7 +48,7 @@ def header(tire: Tire, program: Program, convention: str) -> list[str]:
 
 
 class Draft(NamedTuple):
-    """What a file is written from.
+    """The content from which a file is written.
 
     Attributes:
         tire: the tire; ``forces`` is its program in the signs of ``convention``.
@@ -66,7 +66,7 @@ class Draft(NamedTuple):
 
 
 def numpy_source(draft: Draft) -> str:
-    """A Python module with one function of arrays; it needs NumPy alone."""
+    """A Python module with one function of arrays; it needs only NumPy."""
     return "\n".join(
         [
             *(f"# {line}" for line in draft.above),
@@ -90,7 +90,7 @@ def _numpy_function(program: Program, name: str) -> list[str]:
 
 
 def compiled(program: Program) -> Callable:
-    """A program as a Python function of numbers or arrays, to a tuple."""
+    """A program as a Python function of numbers or arrays that returns a tuple."""
     scope: dict = {"np": np}
     exec("\n".join(_numpy_function(program, "force")), scope)
     return scope["force"]
@@ -123,7 +123,7 @@ def casadi_source(draft: Draft) -> str:
 
 
 def vectors(draft: Draft) -> list[str]:
-    """Inputs and forces to check a file by, a line each."""
+    """Test vectors of a file: inputs and forces, one per line."""
     program, force = draft.forces, compiled(draft.forces)
     load = CONVENTIONS[draft.convention].fz * draft.tire.load
     lines, names = [], tuple(program.outputs)
@@ -156,9 +156,9 @@ typedef double tirefit_real;
 #define TIREFIT_F(name) name
 #endif
 #define TIREFIT_C(number) ((tirefit_real)(number))
-/* Define TIREFIT_LOOP before the first header where a loop over arrays calls it: gcc
-   -O3 -march=native -ffast-math then computes several at once, which it cannot for a
-   sine and a cosine of one angle. */
+/* Define TIREFIT_LOOP before the first header if a loop over arrays calls the function:
+   gcc -O3 -march=native -ffast-math can then vectorise it, which it cannot for sine and
+   cosine of the same angle. */
 #ifdef TIREFIT_LOOP
 #define TIREFIT_COS(angle) TIREFIT_F(sin)((angle) + TIREFIT_C(1.5707963267948966))
 #define TIREFIT_INLINE static inline __attribute__((always_inline))
@@ -174,7 +174,7 @@ def c_source(draft: Draft) -> str:
     """A C header: forces, and forces with their Jacobian by kappa, alpha and fz."""
     name, count = draft.name, len(draft.forces.outputs)
     above = [*draft.above, "test vectors:", *(f"  {line}" for line in vectors(draft))]
-    # No comment may begin or end within the comment.
+    # The text must not contain the beginning or end of a comment.
     said = [line.replace("/*", "/ *").replace("*/", "* /") for line in above]
     force, slope = f"tirefit_real force[{count}]", f"slope[{count}][{ALWAYS}]"
     both = draft.tire.program(draft.convention, jacobian=True)
@@ -195,7 +195,7 @@ def c_source(draft: Draft) -> str:
 
 
 def _c_function(program: Program, name: str, given, count: int) -> list[str]:
-    """A function; the outputs beyond ``count`` are derivatives, see
+    """A C function; outputs after the first ``count`` are derivatives, see
     :meth:`Tire.program`."""
     inputs = [f"tirefit_real {one}" for one in program.inputs]
     used = {args[0] for op, args in program.operations if op == "input"}

@@ -1,4 +1,4 @@
-"""A fitted tire as a file of another program: :func:`export`."""
+"""Export a fitted tire as a file of another program: :func:`export`."""
 
 import keyword
 import os
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from tirefit.diagnosis.summary.result import Diagnosis
 
 MARK = "written by tirefit export"
-"""What the first line of every exported file says."""
+"""Text in the first line of every exported file."""
 
 _TAKEN = frozenset(
     "auto case char const default do double enum extern float goto inline int long"
@@ -39,12 +39,12 @@ _TAKEN = frozenset(
     " floor fmax fmin fmod hypot log log1p log10 pow round sin sinh sqrt tan tanh"
     " trunc".split()
 )
-"""Words of C that are none of Python, functions of its math.h, and other names in the
-exported files."""
+"""Keywords of C that are not in Python, functions of math.h, and other names in exported
+files."""
 
 
 class Target(NamedTuple):
-    """A program that an export is for.
+    """A program for which tires are exported.
 
     Attributes:
         ending: of the file.
@@ -52,7 +52,7 @@ class Target(NamedTuple):
         holds: the models that it holds, and how exactly.
         write: the text of the file, or of several by their endings.
         prepare: (tire, version of the Magic Formula, values of the wheel) -> the tire
-            that the file holds; None where it holds every tire and has a function.
+            in the file; None if it holds every tire and has a function.
         beside: endings of other files that are written beside it.
     """
 
@@ -100,12 +100,12 @@ TARGETS: dict[str, Target | ParameterFile] = {
     ),
     **PARAMETER_FILES,
 }  # fmt: skip
-"""Target -> how it is written."""
+"""Name of a target -> its record."""
 
 
 @dataclass(frozen=True)
 class Exported(Record):
-    """What :func:`export` wrote.
+    """The result of :func:`export`.
 
     Attributes:
         target: the key of :data:`TARGETS`.
@@ -147,7 +147,7 @@ class Exported(Record):
         }
 
     def files(self, name: str = "") -> Mapping[str, str]:
-        """The exported files, by the names that they were written under."""
+        """The exported files by name."""
         return self.texts
 
 
@@ -171,40 +171,41 @@ def export(
 ) -> Exported:
     """Write a tire as a file that another program reads or compiles.
 
-    Source code holds the model itself, so it gives the forces of
-    :func:`tirefit.predict` to rounding. Parameters of a simulator's own formula are
-    converted by formula where it holds the tire, else refitted.
+    Source code contains the model itself, so it gives the forces of
+    :func:`tirefit.predict` to rounding. Parameters of the formula of a simulator are
+    converted exactly if it can represent the tire, else refitted.
 
     Args:
         source: a fit, a ``fit.json``, a ``.tir`` file, a tire, or the name of a model;
             None with ``front`` or ``rear``.
         target: a key of :data:`TARGETS`.
         path: the file to write.
-        front: tire of the front axle; it and ``rear`` take the place of ``source``.
+        front: tire of the front axle; it and ``rear`` replace ``source``.
         rear: tire of the rear axle.
-        vehicle: a ``vehicle.toml``, for targets that hold a car.
+        vehicle: a ``vehicle.toml``, for targets that describe a car.
         over: kappa, alpha [rad] and fz [N] of a refit, least and largest, in the signs
             of iso-w; what was measured by default.
         values: parameter values of a model or a ``.tir`` file; a fit has its own.
-        diagnosis: of the same model, or its ``NAME.json``: the effects that it names
-            change the tire where the target can hold them.
-        forces: of source code, of fx, fy, mz, mx, my those that are wanted; all if
-            empty. Fewer are computed faster.
-        convention: signs of the file's inputs and forces.
-        name: of the function in the file; the file's own name by default.
+        diagnosis: of the same model, or its ``NAME.json``: its named effects change the
+            tire if the target can represent them.
+        forces: for source code, those of fx, fy, mz, mx, my to write; all if empty.
+            Fewer forces are computed faster.
+        convention: signs of inputs and forces in the file.
+        name: of the function in the file; the file name by default.
         model: version of the Magic Formula of a ``.tir``: ``mf52``, ``mf61``, ``mf62``.
-        wheel: what a target needs beside the tire, in SI units, see :data:`TARGETS`.
+        wheel: data that a target needs in addition to the tire, in SI units, see
+            :data:`TARGETS`.
         force: replace a file that is no export, and write one that misses the tire by
             more than :data:`~tirefit.targets.loss.MOST` of the load.
 
     Returns:
-        The file, what it misses, and how the tire behaves; ``shape.sound`` is False
-        where it jumps, is not finite, has wrong signs, or exceeds its friction ellipse.
+        The file, its error, and checks of the tire; ``shape.sound`` is False if a force
+        jumps, is not finite, has a wrong sign, or exceeds the friction ellipse.
 
     Raises:
-        UsageError: unknown names, or options that the target has no use for; a file
-            that cannot be written, or that is there and no export; a model that the
-            target cannot hold; a diagnosis of another model; missing data of the car.
+        UsageError: unknown names, or options that the target does not use; a file that
+            cannot be written, or that exists and is no export; a model that the target
+            cannot represent; a diagnosis of another model; missing data of the car.
         DataError: the source or the diagnosis cannot be read.
 
     Example:
@@ -271,32 +272,32 @@ def _unknown(target: str, given: Mapping, convention: str) -> Iterator[InputProb
             yield InputProblem(f"{what}: {named!r} is not known", remedy)
     if not given or "" in given and len(given) > 1:
         remedy = "give one tire, or those of --front and --rear"
-        yield InputProblem("which tire is to be written?", remedy)
+        yield InputProblem("no tire is given", remedy)
 
 
 def _useless(target: str, model, wheel, forces, convention, car):
-    """Options that a target has no use for."""
+    """Problems of options that a target does not use."""
     chosen, leave_out = TARGETS.get(target), "leave it out"
     for option, value in (("--model", model), ("--wheel", wheel)):
         if value and not (isinstance(chosen, Target) and chosen.prepare):
-            reason = f"{option} with --to {target}, which has no use for it"
+            reason = f"{option} with --to {target}, which does not use it"
             yield InputProblem(reason, leave_out)
     if convention != TIR_SIGNS and not _is_code(chosen):
-        reason = f"--convention {convention}: {target} has signs of its own"
+        reason = f"--convention {convention}: the signs of {target} are fixed"
         yield InputProblem(reason, leave_out)
     if forces and not _is_code(chosen):
-        yield InputProblem(f"--forces with --to {target}, which has them all", leave_out)
+        yield InputProblem(f"--forces with --to {target}, which has all forces", leave_out)
     if car and isinstance(chosen, Target):
-        reason = f"{target} holds one tire as it is: no axles, vehicle or range"
+        reason = f"{target} describes one tire exactly: no axles, vehicle or range"
         yield InputProblem(reason, "leave them out, or see --list")
 
 
 def _unwritable(chosen: Target | ParameterFile | None, path: Path, name, given, force):
-    """Why the function has no such name, or a file cannot be written."""
+    """Problems of the name of the function, and of the files to write."""
     taken = keyword.iskeyword(name) or name in _TAKEN
     if _is_code(chosen) and (taken or not (name.isidentifier() and name.isascii())):
         remedy = "name the function with --name: letters, digits and _, no keyword"
-        yield InputProblem(f"{name!r} is no name of a function", remedy)
+        yield InputProblem(f"{name!r} is not valid as a name of a function", remedy)
     files = [one for one in given if isinstance(one, str | os.PathLike)]
     ending = chosen.ending if chosen else ""
     beside = chosen.beside if isinstance(chosen, Target) else ()
@@ -304,18 +305,18 @@ def _unwritable(chosen: Target | ParameterFile | None, path: Path, name, given, 
         if problems := output_problems(one, files, end):
             yield from problems
         elif one.exists() and not force and not _exported(one):
-            reason = "the file is there and was not written by an export"
+            reason = "the file exists and was not written by an export"
             remedy = "choose another file, or replace it with --force"
             yield InputProblem(reason, remedy, str(one))
 
 
 def _is_code(chosen: Target | ParameterFile | None) -> bool:
-    """Whether a target is source code: a function with a name, in any signs."""
+    """Whether a target is source code: a named function, in any signs."""
     return chosen is None or isinstance(chosen, Target) and chosen.prepare is None
 
 
 def _exported(path: Path) -> bool:
-    """Whether the first lines of a file say that an export wrote it."""
+    """Whether an export wrote the file, by its first lines."""
     try:
         with path.open(encoding="utf-8", errors="replace") as file:
             return MARK in file.read(400)

@@ -1,6 +1,6 @@
-"""Tire formulas of simulators, each once, in the simulator's own signs.
+"""Tire formulas of simulators, in the signs of each simulator.
 
-A :class:`Formula` is what a simulator computes from the parameters of its file.
+A :class:`Formula` is the force that a simulator computes from the parameters of its file.
 :mod:`tirefit.targets.refit` fits these parameters to an exported tire.
 """
 
@@ -25,8 +25,8 @@ class Curves(NamedTuple):
     """A tire at a load, from which the parameters of a formula start.
 
     Attributes:
-        x, y: B, C, D, E of the Magic Formula of the two pure slips; exact where the
-            tire is a Magic Formula.
+        x, y: B, C, D, E of the Magic Formula of the two pure slips; exact if the tire
+            is a Magic Formula.
         load: the load [N].
         fall: exponent by which the friction of F_y falls with load.
         weights: coefficients of combined slip of a Magic Formula 5.2 or 6, by name.
@@ -45,7 +45,7 @@ class Formula:
 
     Attributes:
         outputs: the forces that it gives.
-        signs: those of its slips and forces, as in :data:`tirefit.slip.CONVENTIONS`.
+        signs: of its slips and forces, as in :data:`tirefit.slip.CONVENTIONS`.
         forces: parameters, kappa, alpha [rad] and load [N] to the forces [N].
         start: parameters for a tire, by formula.
         stages: in order, ``fx`` and ``fy`` of pure slip and ``both`` of combined slip,
@@ -86,7 +86,7 @@ class Formula:
 
 def magic_formula_of(model: AbstractTire):
     """B, C, D, E of both pure slips and the weights of a Magic Formula tire at its
-    nominal load, upright and at nominal pressure; None of another tire."""
+    nominal load, upright and at nominal pressure; None for another tire."""
     if isinstance(model, CombinedMagicFormula):
         along = _floats(model.Bx, model.Cx, model.Dx, model.Ex)
         return along, _floats(model.By, model.Cy, model.Dy, model.Ey), {}
@@ -109,7 +109,7 @@ def magic_formula_of(model: AbstractTire):
 
 
 def _floats(b, c, d, e) -> tuple[float, ...]:
-    # As `bent` does; simulators take E as it is.
+    # Limit E as `bent` does; simulators do not.
     return float(b), float(c), float(d), min(float(e), 1.0)
 
 
@@ -124,7 +124,7 @@ _FRICTION, _SLOPE = (0.01, 5.0), (0.01, 1000.0)
 def _commonroad_forces(p: Values, kappa, alpha, fz):
     """``tire_model.py`` of commonroad-vehicle-models 3.0.2 without camber: kappa is
     positive when braking, which pure slip negates and combined slip does not. p_vx1,
-    which is zero, stands inside the sine."""
+    which is zero, is inside the sine."""
     drive = -kappa + p["p_hx1"]
     slope = p["p_kx1"] / (p["p_cx1"] * p["p_dx1"])
     along = p["p_dx1"] * fz * jnp.sin(p["p_cx1"] * bent(slope * drive, p["p_ex1"]))
@@ -153,19 +153,19 @@ def _commonroad_start(curves: Curves) -> dict[str, float]:
         "p_cx1": cx, "p_dx1": dx, "p_ex1": ex, "p_kx1": bx * cx * dx,
         "p_hx1": given.get("PHX1", 0.0), "p_vx1": 0.0,
         "p_cy1": cy, "p_dy1": dy, "p_ey1": ey, "p_ky1": -by * cy * dy,
-        # Without own weights: those of CommonRoad's tire, over the slips of both peaks.
+        # A tire without weights gets those of CommonRoad's, over the slips of both peaks.
         "r_bx1": 0.6 * by * cy, "r_bx2": -0.7 * bx * cx, "r_cx1": 1.1, "r_ex1": 0.0,
         "r_hx1": 0.0, "r_by1": 0.4 * bx * cx, "r_by2": 0.4 * by * cy, "r_by3": 0.0,
         "r_cy1": 1.1, "r_ey1": 0.0, "r_hy1": 0.0, "r_vy1": 0.0, "r_vy4": 10.0,
         "r_vy5": 1.9, "r_vy6": 10.0,
     }  # fmt: skip
-    # Its combined slip takes kappa positive when braking: odd terms change their sign.
+    # Its combined slip uses kappa positive when braking, so odd terms change sign.
     turned = {"RHY1": -1.0, "RVY6": -1.0}
     for name, value in given.items():
         value = min(value, 1.0) if name in ("REX1", "REY1") else value
         if name[0] == "R":
             found[f"r_{name[1:].lower()}"] = turned.get(name, 1.0) * value
-    # Those that act with camber alone.
+    # Parameters that act only with camber.
     names = "p_dx3 p_dy3 p_hy1 p_hy3 p_vy1 p_vy3 r_vy3"
     return found | dict.fromkeys(names.split(), 0.0)
 
@@ -182,7 +182,7 @@ COMMONROAD = Formula(
     stages={
         "fx": {"p_cx1": _SHAPE, "p_dx1": _FRICTION, "p_ex1": _CURVATURE, "p_kx1": _SLOPE},
         "fy": {"p_cy1": _SHAPE, "p_dy1": _FRICTION, "p_ey1": _CURVATURE, "p_ky1": (-1000.0, -0.01)},
-        # Shifts are those of a Magic Formula or zero: no force at rest.
+        # Shifts are those of a Magic Formula, or zero so that there is no force at rest.
         "both": {
             "r_bx1": _WEIGHT,
             "r_bx2": _WEIGHT,
@@ -195,8 +195,8 @@ COMMONROAD = Formula(
         },
     },
     loss=(
-        "its forces are proportional to F_z; offsets of F_y and the vertical one of F_x"
-        " have no place (p_vx1 stands inside the sine), and camber is left out",
+        "its forces are proportional to F_z; it has no offsets of F_y, no vertical offset"
+        " of F_x (p_vx1 is inside the sine) and no camber",
     ),
 )
 """CommonRoad's reduced PAC2002, also that of Gym-Khana's STD and MB."""
@@ -212,7 +212,7 @@ PACEJKA = Formula(
     forces=lambda p, kappa, alpha, fz: (MagicFormula(**p).pure(alpha, fz),),
     start=lambda curves: dict(zip("BCDE", curves.y, strict=True)),
     stages={"fy": {"B": (0.01, 500.0), "C": _SHAPE, "D": _FRICTION, "E": _CURVATURE}},
-    loss=("F_x has no place: it is the command; F_y is proportional to F_z",),
+    loss=("it has no F_x, which is the command; F_y is proportional to F_z",),
 )
 """F_y = F_z D sin(C arctan(B alpha - E (B alpha - arctan B alpha)))."""
 
@@ -221,8 +221,8 @@ PACEJKA = Formula(
 
 
 def _slipx_forces(p: Values, kappa, alpha, fz):
-    """``tyre.hpp`` of slipx 0.2.0; along the wheel its tier L2 takes a demanded force
-    and reports kappa = F_x / c_kappa."""
+    """``tyre.hpp`` of slipx 0.2.0; its tier L2 takes F_x as a demand and reports kappa =
+    F_x / c_kappa."""
     fz0 = p["nominal_load"]
     share = jnp.power(jnp.maximum(fz, 1e-9 * fz0) / fz0, 1 - p["k_mu"])
     most_x, most_y = p["mu_x0"] * fz0 * share, p["mu_y0"] * fz0 * share
@@ -264,9 +264,9 @@ SLIPX = Formula(
     },
     of_load=("k_mu",),
     loss=(
-        "along the wheel SlipX takes a demanded force and limits both forces by an"
-        " ellipse: c_kappa is the slope at zero slip and mu_x0 the peak of F_x at the"
-        " nominal load, and the curves of F_x and of combined slip have no place",
+        "SlipX takes F_x as a demand and limits both forces by an ellipse: c_kappa is the"
+        " slope at zero slip and mu_x0 the peak of F_x at the nominal load; it has no"
+        " curves of F_x and of combined slip",
         "tier L2 of SlipX needs relaxation.sigma, which a tire with relaxation gives",
     ),
 )
@@ -278,7 +278,7 @@ SLIPX = Formula(
 
 def _gazebo_forces(p: Values, kappa, alpha, fz):
     """Gazebo's WheelSlip with a friction pyramid: the slip velocity over R omega is the
-    slip compliance times force over the normal force of the plugin."""
+    slip compliance times the force over the normal force of the plugin."""
     slip_x = sigma_from_kappa(jnp.minimum(kappa, 0.999))
     slip_y = jnp.tan(alpha) * (1 + slip_x)
     return tuple(
@@ -303,15 +303,15 @@ def _gazebo_start(curves: Curves) -> dict[str, float]:
 
 GAZEBO = Formula(
     outputs=("fx", "fy"),
-    signs=CONVENTIONS["braking"]._replace(description="its numbers have none"),
+    signs=CONVENTIONS["braking"]._replace(description="its parameters have no sign"),
     forces=_gazebo_forces,
     start=_gazebo_start,
     stages={},
     loss=(
-        "the force is linear in slip up to Coulomb friction, each direction by itself:"
-        " slip_compliance is one over the slope at zero slip, mu the peak, at the"
+        "the force is linear in slip up to Coulomb friction, separately in each direction:"
+        " slip_compliance is the inverse of the slope at zero slip, mu the peak, at the"
         " normal force of the file",
-        "WHEEL stands for the name of each wheel's link",
+        "replace WHEEL by the name of the link of each wheel",
     ),
 )
 """Force-dependent slip of ODE as Gazebo's WheelSlip system sets it."""

@@ -1,4 +1,4 @@
-"""Programs printed as statements of C, NumPy and CasADi."""
+"""Print programs as statements of C, NumPy and CasADi."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -8,14 +8,14 @@ from tirefit.targets.program import Place, Program
 
 
 class Language(NamedTuple):
-    """How a language writes an operation.
+    """The syntax of the operations of a language.
 
     Attributes:
         calls: operation -> name of a function, or a format of the arguments.
         number: a constant.
         line: a statement that gives a value a name.
-        within: operations that are written where they are used: loops with variables
-            that are true or false are not vectorised.
+        within: operations that are written inline, as compilers do not vectorise loops
+            with boolean variables.
     """
 
     calls: Mapping[str, str]
@@ -100,10 +100,10 @@ CASADI = Language(
 
 
 def body(program: Program, language: Language, indent: str = "    ") -> list[str]:
-    """Statements that compute a program's operations, one a line.
+    """Statements of the operations of a program, one per line.
 
-    The inputs have their own names; the k-th operation is named ``t{k}``, or written
-    where it is used if it is a condition of C.
+    The inputs keep their names; the k-th operation is named ``t{k}``, or written inline
+    if it is a condition of C.
     """
     lines = []
     for k, (op, args) in enumerate(program.operations):

@@ -1,4 +1,4 @@
-"""How far the tire that a file holds misses the one that was to be exported."""
+"""Compare the tire of an exported file with the original."""
 
 from collections.abc import Mapping
 
@@ -11,7 +11,7 @@ from tirefit.slip import sigma_from_kappa
 from tirefit.targets.tire import UNITS, Tire, turned_range
 
 MOST = 0.05
-"""Largest miss over the load that is written without being asked for."""
+"""Largest error over the load that is written without ``force``."""
 
 SPEED = 10.0
 """Speed [m/s] at which tires are compared."""
@@ -22,18 +22,18 @@ _SLIPS = ("kappa", "alpha")
 def grid_of(
     ranges: Mapping[str, tuple[float, float]], kappa: int, alpha: int, fz: int
 ) -> np.ndarray:
-    """Slips and loads (3, n) on a grid of so many points of each; a count of 0 leaves a
-    slip at zero."""
+    """Slips and loads (3, n) on a grid with these numbers of points; with 0, a slip is
+    zero."""
     counts = {"kappa": kappa, "alpha": alpha, "fz": fz}
     axes = [np.linspace(*ranges[k], n) if n else [0.0] for k, n in counts.items()]
     return np.stack([one.ravel() for one in np.meshgrid(*axes, indexing="ij")])
 
 
 def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, ...]:
-    """A sentence on the largest miss within the measured range; none where it is exact.
+    """A sentence on the largest error within the measured range; none if it is exact.
 
     Raises:
-        UsageError: the miss exceeds :data:`MOST` of the load, without ``force``.
+        UsageError: the error exceeds :data:`MOST` of the load, without ``force``.
     """
     if held.model is tire.model:
         return ()
@@ -57,7 +57,7 @@ def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, .
     told = ", ".join(
         f"{k} {a:.3g} to {b:.3g} {UNITS[k]}" for k, (a, b) in turned_range(ranges, "iso-w").items()
     )
-    sentence = f"largest miss of the file in F_z: {', '.join(sizes)}, over {told}"
+    sentence = f"largest error of the file in F_z: {', '.join(sizes)}, over {told}"
     if max(missed) > MOST and not force:
         remedy = "export to c, casadi or numpy, which hold it, or accept it by --force"
         reason = f"{tire.name} for {target}: {sentence}; the limit is {MOST:.0%}"

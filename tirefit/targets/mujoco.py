@@ -7,16 +7,16 @@ from tirefit.slip import CONVENTIONS
 from tirefit.targets.code import Draft, compiled, numpy_source
 
 _WIDE, _MANY = 0.2, 3.0
-"""Bounds of the friction for ``mujoco.sysid``: its share where no standard error is
-known, and standard errors where they are."""
+"""Half width of the bounds of the friction for ``mujoco.sysid``: a share of it if no
+standard error is known, else a number of standard errors."""
 
 _SNIPPET = '''
 
 def sysid_parameters(geoms):
     """Sliding friction of the geoms of the wheels as a mujoco.sysid.ParameterDict.
 
-    It stands for the tire where MuJoCo's contact makes the forces. Where the function
-    above makes them (data.xfrc_applied), the geoms have no friction of their own.
+    Use it if MuJoCo's contact computes the tire forces. If the function above computes
+    them (data.xfrc_applied), the geoms must have no friction.
     """
     from mujoco import sysid
 

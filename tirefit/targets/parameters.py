@@ -1,4 +1,4 @@
-"""Parameter files of simulators that have a tire formula of their own."""
+"""Parameter files of simulators with their own tire formula."""
 
 import json
 import math
@@ -20,19 +20,19 @@ from tirefit.targets.shape import Shape, shape_of
 from tirefit.targets.tire import Tire, turned_range
 
 SIGNS = "iso-w"
-"""Signs in which ranges and checks are stated; a file's own are in its head."""
+"""Signs of ranges and checks; the signs of a file are in its head."""
 
 _NEW_LINE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 """Characters that may end a line."""
 
 
 def one_line(lines: Iterable[str]) -> list[str]:
-    """Lines of a comment: a line of a file's name or text does not end one."""
+    """The lines of a comment; line ends in names or texts are removed."""
     return [_NEW_LINE.sub(" ", line) for line in lines]
 
 
 class Sheet(NamedTuple):
-    """What a parameter file is written from.
+    """The content from which a parameter file is written.
 
     Attributes:
         above: lines that stand first.
@@ -54,19 +54,19 @@ class Sheet(NamedTuple):
         return self.fits[0].values
 
     def by_axle(self, name: str) -> dict[str, dict[str, float]]:
-        """Parameters of front and rear, under ``name`` with f and r behind it."""
+        """Parameters of front and rear, named ``name`` with f and r appended."""
         return {f"{name}{k}": f.values for k, f in zip("fr", self.fits, strict=True)}
 
     def car(self, names: str) -> dict[str, float]:
-        """Numbers of the vehicle under the target's names, as ``m=mass lf=l_f``; none
-        without a vehicle."""
+        """Numbers of the vehicle under the names of the target, given as ``m=mass
+        lf=l_f``; empty without a vehicle."""
         pairs = dict(pair.split("=") for pair in names.split())
         found = {k: getattr(self.vehicle, ours, None) for k, ours in pairs.items()}
         return {key: value for key, value in found.items() if value is not None}
 
 
 class ParameterFile(NamedTuple):
-    """A target with a tire formula of its own.
+    """A target with its own tire formula.
 
     Attributes:
         ending: of the file.
@@ -75,8 +75,8 @@ class ParameterFile(NamedTuple):
         formula: the formula.
         write: the text of the file, or the content of a YAML file.
         tires: 2 where front and rear have parameters of their own.
-        needs: keys of ``vehicle.toml`` that the car needs beside mass, yaw inertia and
-            the axles.
+        needs: keys of ``vehicle.toml`` that the car needs in addition to mass, yaw
+            inertia and the axles.
         check: raises UsageError for what the file cannot hold.
     """
 
@@ -99,20 +99,20 @@ def parameter_text(
     over: Ranges | None = None,
     force: bool = False,
 ) -> tuple[str, Shape, tuple[str, ...]]:
-    """The text of a parameter file, how the tire behaves, and what the file loses.
+    """The text of a parameter file, checks of the tire, and losses of the file.
 
     Args:
         target: a key of :data:`PARAMETER_FILES`.
         tires: ``front`` and ``rear``, one of them, or ``""`` for all wheels.
         path: the file, for what its name says.
         first: the first line.
-        vehicle: ``vehicle.toml``; its car is written where the target has one.
+        vehicle: ``vehicle.toml``; its car is written if the target has one.
         over: kappa, alpha and fz of the refit, in the signs of :data:`SIGNS`.
-        force: write a file that misses by more than :data:`~tirefit.targets.loss.MOST`.
+        force: write a file with an error above :data:`~tirefit.targets.loss.MOST`.
 
     Raises:
-        UsageError: what the target cannot hold, or a larger miss; data of the vehicle
-            that are missing.
+        UsageError: a tire that the target cannot represent, or a larger error; missing
+            data of the vehicle.
     """
     kind = PARAMETER_FILES[target]
     car = None if vehicle is None else vehicle_of(vehicle, target, kind.needs)
@@ -148,7 +148,7 @@ def parameter_text(
     sheet = Sheet(one_line(above), tuple(axles), tuple(fits), car, path)
     kind.check(sheet)
     if (worst := max(fit.largest for fit in fits)) > MOST:
-        missed = f"{target} misses this tire by up to {percent(worst)} % of F_z"
+        missed = f"{target} differs from this tire by up to {percent(worst)} % of F_z"
         if not force:
             where = " / ".join(fit.sentence(SIGNS) for fit in fits)
             remedy = "narrow the range, as with --over fz=LOW:HIGH or --over"
@@ -167,12 +167,12 @@ _TAKEN_AT = {"v": f"{SPEED:g} m/s", "gamma": "no camber", "pressure": "nominal p
 
 
 def _lost(tire: Tire, formula: Formula) -> list[str]:
-    """Forces and inputs of the tire that have no place in the formula."""
+    """Sentences on forces and inputs of the tire that the formula does not have."""
     beyond = [name for name in tire.modelled if name not in formula.outputs]
     needs = [name for name in tire.model.needs if name != "time"]
     absent = [name for name in formula.outputs if name not in tire.modelled]
-    lost = [f"{', '.join(beyond)} of the tire has no place"] if beyond else []
-    lost += [f"{name} has no place: forces at {_TAKEN_AT[name]}" for name in needs]
+    lost = [f"{', '.join(beyond)} of the tire is not included"] if beyond else []
+    lost += [f"{name} is not included: forces at {_TAKEN_AT[name]}" for name in needs]
     return lost + [f"the tire has no {name}: that of the other axis" for name in absent]
 
 
@@ -180,7 +180,7 @@ def _lost(tire: Tire, formula: Formula) -> list[str]:
 
 
 def _number(value: float) -> str:
-    """A number that YAML 1.1 reads as one: 1e-05 would be a word."""
+    """A number in YAML 1.1, which would read 1e-05 as a text."""
     text = f"{float(value):.12g}" if abs(value) > 1e-12 else "0.0"
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
@@ -233,8 +233,7 @@ def _slipx(sheet: Sheet) -> dict[str, Any]:
         **({"relaxation": {"sigma": length}} if length else {}),
         "provenance": {
             **version,
-            # Its "identified" is for fits by its own tool, with an error of each
-            # parameter.
+            # "identified" is for fits by its own tool, with an error of each parameter.
             "label": "provisional",
             "source": axle.tire.origin[:500],
             "method": f"{sheet.above[0]}: {sheet.fits[0].sentence(SIGNS)}"[:2000],
@@ -244,7 +243,7 @@ def _slipx(sheet: Sheet) -> dict[str, Any]:
 
 
 _SLIPX_MOST = {"nominal_load": 200.0, "c_alpha": 2000.0, "c_kappa": 5000.0, "mu_x0": 3.0}
-"""Largest values of the schema of slipx 0.2.0, per tire."""
+"""Largest values allowed by the schema of slipx 0.2.0, per tire."""
 
 
 def _slipx_check(sheet: Sheet) -> None:
@@ -258,7 +257,7 @@ def _slipx_check(sheet: Sheet) -> None:
         wheels = 1 if name == "mu_x0" else sheet.axles[0].wheels
         if (value := sheet.values[name] / wheels) > most:
             reason = f"{name} is {value:.4g}, and SlipX allows up to {most:g}"
-            remedy = "SlipX is for cars of 1:10: export to another target, see --list"
+            remedy = "SlipX is for 1:10 cars: export to another target, see --list"
             problems.append(InputProblem(reason, remedy))
     UsageError.raise_for(problems)
 
@@ -291,7 +290,7 @@ def _gazebo(sheet: Sheet) -> str:
     values = sheet.values | sheet.car("radius=wheel_radius")
     values["wheel_normal_force"] /= sheet.axles[0].wheels
     numbers = {name: _number(value) for name, value in values.items()}
-    # No comment of XML may hold two hyphens.
+    # An XML comment must not contain two hyphens.
     above = "\n".join(sheet.above).replace("--", "- -")
     text = _GAZEBO.format(**{"radius": "RADIUS in m", **numbers})
     return f"<!--\n{above}\n-->\n{text}"

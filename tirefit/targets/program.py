@@ -1,8 +1,8 @@
-"""Straight-line programs of a model's forces, traced from its JAX function.
+"""Straight-line programs of the forces of a model, traced from its JAX function.
 
-A model is written once, in JAX. :func:`traced` turns that function, with the parameter
-values in it, into a list of scalar operations that :mod:`tirefit.targets.languages`
-prints in other languages: no formula is written twice.
+A model is written once, in JAX. :func:`traced` converts that function, with its parameter
+values, to a list of scalar operations that :mod:`tirefit.targets.languages` prints in
+other languages, so that no formula is written twice.
 """
 
 from collections import Counter
@@ -16,10 +16,10 @@ from jax.extend import core
 from tirefit.targets.algebra import in_order, simplified
 
 MOST_OPERATIONS = 20_000
-"""Operations from which a program is too long to be compiled by others."""
+"""Largest number of operations that other compilers can handle."""
 
 _MOST_TRIED = 10 * MOST_OPERATIONS
-"""The same with those that no result needs."""
+"""Largest number of operations including unused ones."""
 
 _TOO_LONG = f"it takes over {MOST_OPERATIONS} operations"
 
@@ -35,7 +35,7 @@ class Operation(NamedTuple):
 
 
 class Term:
-    """A value that depends on the inputs: its place in a :class:`Graph`."""
+    """A value that depends on the inputs: its index in a :class:`Graph`."""
 
     __slots__ = ("place",)
 
@@ -70,11 +70,11 @@ class Graph:
         return self._known[key]
 
     def parts(self, value) -> tuple[str, tuple]:
-        """Operation and arguments of a term; ("", ()) of a constant."""
+        """Operation and arguments of a term; ("", ()) for a constant."""
         return self.operations[value.place] if isinstance(value, Term) else ("", ())
 
     def apply(self, op: str, *args):
-        """An operation on terms and constants; a constant where it is one."""
+        """The result of an operation on terms and constants: a term or a constant."""
         if not any(isinstance(arg, Term) for arg in args):
             with np.errstate(all="ignore"):
                 return _OPERATIONS[op](*args).item()
@@ -106,8 +106,8 @@ def traced(
     Args:
         function: of ``len(inputs)`` scalars, to a tuple of ``len(outputs)`` scalars.
         inputs, outputs: names.
-        by: numbers of inputs by which the results are differentiated: behind them stand
-            their derivatives by each of these inputs in turn, named ``fx_kappa``.
+        by: numbers of inputs by which the results are differentiated. The derivatives
+            by each of these inputs follow the results, named ``fx_kappa``.
 
     Raises:
         NotImplementedError: the function has a loop of unknown length, an operation
@@ -120,7 +120,7 @@ def traced(
         values = _evaluate(graph, closed.jaxpr, closed.consts, given)
         found = dict(zip(outputs, values, strict=True))
     else:
-        # Traced once, with the direction as further inputs.
+        # Trace the derivative once, with the direction as further inputs.
         def both(at, along):
             return jax.jvp(function, tuple(at), tuple(along))
 
@@ -155,8 +155,8 @@ def _evaluate(graph: Graph, jaxpr, consts, given) -> list[np.ndarray]:
     def read(atom):
         if not isinstance(atom, core.Literal):
             return known[atom]
-        # A smaller number is zero in single precision, where it keeps a length from
-        # being zero.
+        # A smaller number, which keeps a length from being zero, would be zero in single
+        # precision.
         value = np.asarray(atom.val)
         return np.maximum(value, LEAST) if 0 < value < LEAST else value
 
@@ -246,7 +246,7 @@ def _power(graph: Graph, x, y: int):
 
 
 def _with_reciprocals(program: Program) -> Program:
-    """Several quotients of one denominator as products with its reciprocal."""
+    """Several quotients with the same denominator as products with its reciprocal."""
     graph, terms = Graph(), list[Any]()
     count = Counter(args[1] for op, args in program.operations if op == "div")
 
@@ -266,7 +266,7 @@ def _with_reciprocals(program: Program) -> Program:
 
 
 def _pruned(program: Program) -> Program:
-    """Without operations that no result needs; arguments of operations as places."""
+    """The program without unused operations; arguments of operations are indices."""
     used, wanted = set(), [v for v in program.outputs.values() if isinstance(v, Term)]
     while wanted:
         term = wanted.pop()
@@ -301,11 +301,11 @@ _OPERATIONS: dict[str, Callable] = {
     "and": np.logical_and, "or": np.logical_or, "not": np.logical_not,
     "where": np.where,
 }  # fmt: skip
-"""Operation of a program -> what it does to constants. All but ``where`` have the
-names that they have in JAX."""
+"""Operation of a program -> its function of constants. All but ``where`` have their names
+in JAX."""
 
 _UNCHANGED = ("stop_gradient", "convert_element_type", "copy")
-"""Operations of JAX that change no value, but for a conversion to integers."""
+"""Operations of JAX that do not change values, except for conversion to integers."""
 
 _SHAPES: dict[str, Callable] = {
     "broadcast_in_dim": lambda v, how: np.broadcast_to(

@@ -1,4 +1,4 @@
-"""Parameters of a simulator's formula for a tire, and how far its forces miss."""
+"""Fit the parameters of a simulator's formula to a tire, and compute its errors."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,32 +19,32 @@ from tirefit.targets.loss import SPEED, grid_of
 from tirefit.targets.tire import UNITS, Tire, turned_range
 
 EXACT = 1e-9
-"""Miss over load below which a formula holds a tire exactly."""
+"""Error over load below which a formula represents a tire exactly."""
 
 OTHER_LOADS = 0.75, 1.25
-"""Shares of a load at which the miss is stated as well: with a track of 1.5 m and the
-centre of gravity 0.55 m high, a car shifts a quarter of a wheel's load at 0.34 g."""
+"""Shares of a load at which the error is stated as well: with a track of 1.5 m and a
+centre of gravity at 0.55 m, a quarter of the load of a wheel shifts at 0.34 g."""
 
 _USUAL_SLIP = 0.2
-"""Largest |kappa| and |alpha| [rad] of the refit where no range was measured."""
+"""Largest |kappa| and |alpha| [rad] of the refit if no range was measured."""
 
 _NARROW = 0.01
-"""Width of a measured range of slip [-] or angle [rad] that shows no curve."""
+"""Smallest width of a measured range of slip [-] or angle [rad] that is used."""
 
 _LOCKED, _SPIN = 0.95, -2.0
-"""Canonical kappa up to which a range is used: a locked wheel has no sigma_x."""
+"""Largest canonical kappa of a range, as a locked wheel has no sigma_x."""
 
 _SHAPES = 1.4, 1.1, 1.9
-"""C from which a refit starts: that of a brush is 1.3. From the first alone, one of 60
-random Magic Formulas ended 120 % of F_z beside itself."""
+"""Values of C from which a refit starts; that of a brush is 1.3. With only the first, one
+of 60 random Magic Formulas ended with an error of 120 % of F_z."""
 
 Ranges = Mapping[str, tuple[float, float]]
-"""Canonical kappa, alpha [rad] and fz [N], least and largest."""
+"""Smallest and largest canonical kappa, alpha [rad] and fz [N]."""
 
 
 class _Kind(NamedTuple):
-    """A kind of slip: its name, the forces that it compares, the slips that vary, and
-    how many of kappa and alpha a fit and its check compare."""
+    """A kind of slip: its name, the compared forces, the slips that vary, and the numbers
+    of kappa and alpha in a fit and in its check."""
 
     words: str
     forces: tuple[str, ...]
@@ -66,10 +66,10 @@ class Refit(NamedTuple):
     Attributes:
         values: the parameters.
         ranges: where it was compared with the tire.
-        miss: largest difference of a force over load, ``fx`` and ``fy`` of pure slip
-            and ``both`` of combined slip; of those that the tire and the formula have.
-        loads: the largest miss of pure slip at :data:`OTHER_LOADS` times the load,
-            where they are one load; None otherwise.
+        miss: largest error of a force over load, ``fx`` and ``fy`` in pure slip and
+            ``both`` in combined slip, as far as tire and formula have them.
+        loads: the largest error in pure slip at :data:`OTHER_LOADS` times the load, if
+            the fit is at one load; else None.
         refitted: keys of ``miss`` whose parameters are a least-squares fit; the others
             were converted by formula.
     """
@@ -82,16 +82,16 @@ class Refit(NamedTuple):
 
     @property
     def largest(self) -> float:
-        """The largest miss, over load, of the forces that were refitted."""
+        """The largest error, over load, of the forces that were refitted."""
         return max([self.miss[key] for key in self.refitted], default=0.0)
 
     def sentence(self, convention: str) -> str:
-        """The largest misses and where, in words."""
+        """Sentences on the largest errors and their place."""
         exact = [k for k, miss in self.miss.items() if miss < EXACT]
         told = [f"{_KINDS[k].words} exactly, by formula" for k in exact]
         for kind in [k for k in self.miss if k not in exact]:
             how = "refitted" if kind in self.refitted else "by formula"
-            size = f"largest miss {percent(self.miss[kind])} % of F_z"
+            size = f"largest error {percent(self.miss[kind])} % of F_z"
             told.append(f"{_KINDS[kind].words} {how}: {size}")
         used, where = {"fz"}.union(*(_KINDS[kind].slips for kind in self.miss)), []
         for name, (low, high) in turned_range(self.ranges, convention).items():
@@ -102,12 +102,12 @@ class Refit(NamedTuple):
         return f"{'; '.join(told)}; over {', '.join(where)} ({convention})"
 
     def other_loads(self) -> list[str]:
-        """What is lost at other loads, where the formula was fitted at one."""
+        """A sentence on the error at other loads, if the formula was fitted at one."""
         if self.loads is None or self.loads < EXACT:
             return []
         less, more = OTHER_LOADS
         return [
-            f"at {less:g} and {more:g} times this load pure slip misses by up to"
+            f"at {less:g} and {more:g} times this load, the error in pure slip is up to"
             f" {percent(self.loads)} % of F_z; --over fz=LOW:HIGH refits over loads"
         ]
 
@@ -119,8 +119,8 @@ def percent(share: float) -> str:
 
 
 def ranges_of(tire: Tire, over: Ranges, static: bool = False) -> Ranges:
-    """Where a formula is compared with a tire, in canonical signs: what was measured;
-    usual slips and the tire's load where nothing was.
+    """The ranges in which a formula is compared with a tire, in canonical signs: those
+    that were measured, else usual slips and the load of the tire.
 
     Args:
         over: ranges that replace those of the tire.
@@ -143,8 +143,8 @@ def ranges_of(tire: Tire, over: Ranges, static: bool = False) -> Ranges:
 def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     """Fit a formula's parameters to the forces of a tire.
 
-    A Magic Formula is converted by formula. Where that is not exact, and for other
-    tires, least squares fits the parameters of each stage of the formula.
+    A Magic Formula is converted by formula. If that is not exact, and for other tires,
+    least squares fits the parameters of each stage of the formula.
 
     Args:
         tire: upright, at nominal pressure and :data:`~tirefit.targets.loss.SPEED`. Its
@@ -153,11 +153,11 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
         ranges: as from :func:`ranges_of`.
 
     Returns:
-        The parameters, and the largest miss on a grid finer than that of the fit.
+        The parameters, and the largest error on a grid finer than that of the fit.
 
     Raises:
-        UsageError: the tire has none of the formula's forces, or one that is not finite
-            within the ranges.
+        UsageError: the tire has none of the forces of the formula, or one that is not
+            finite within the ranges.
 
     Example:
         >>> import jax
@@ -173,7 +173,7 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     has = [name for name in formula.outputs if name in tire.modelled]
     if not has:
         reason = f"{tire.name} has no {' or '.join(formula.outputs)} to be written"
-        raise UsageError(InputProblem(reason, "export a tire that has"))
+        raise UsageError(InputProblem(reason, "export a tire that has it"))
     kinds = [*has, *(["both"] if len(has) == 2 else [])]
     kinds = [kind for kind in kinds if kind in stages or not stages]
     pure = [kind for kind in has if kind in stages]
@@ -204,8 +204,8 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
 
 
 def _forces(tire: Tire, kinds: Sequence[str], grids) -> list[np.ndarray]:
-    """Canonical forces of a tire over load (rows, n) on each grid: those that its kind
-    of slip compares; zero where the tire has none."""
+    """Canonical forces of a tire over load (rows, n) on each grid: those of its kind of
+    slip; zero if the tire has none."""
     kappa, alpha, fz = np.concatenate(grids, axis=1)
     given = forces(tire.model, TireInputs(sigma_from_kappa(kappa), alpha, fz, SPEED))
     ends, found = np.cumsum([grid.shape[1] for grid in grids])[:-1], {}
@@ -219,13 +219,13 @@ def _forces(tire: Tire, kinds: Sequence[str], grids) -> list[np.ndarray]:
 
 
 def _off(formula: Formula, kind: str, found, grid, wanted):
-    """Forces of a formula, less those of the tire, over load: a list of rows."""
+    """Forces of a formula minus those of the tire, over load: a list of rows."""
     places = [formula.outputs.index(name) for name in _KINDS[kind].forces]
     return [found[k] / grid[2] - row for k, row in zip(places, wanted, strict=True)]
 
 
 def _miss(formula: Formula, values, kind: str, grid, wanted) -> float:
-    """Largest miss, with the program that is checked, which needs no compiler."""
+    """Largest error, by the program that is also checked, without a compiler."""
     found = compiled(formula.program(values, "braking"))(*grid)
     off = _off(formula, kind, found, grid, wanted)
     return float(np.max(np.linalg.norm(off, axis=0)))
@@ -247,7 +247,7 @@ def _solved(formula, values, starts, kind, names, *at) -> dict[str, float]:
     """Least squares of the parameters ``names``: the best from all starts."""
     residuals, jacobian = _compiled(formula, kind, names)
     low, high = np.array([formula.stages[kind][name] for name in names]).T
-    # The solver starts within the bounds, not on them.
+    # Start within the bounds and not at them.
     edge = 1e-3 * (high - low)
     found = [
         least_squares(
@@ -264,8 +264,8 @@ def _solved(formula, values, starts, kind, names, *at) -> dict[str, float]:
 
 
 def _curves(tire: Tire) -> list[Curves]:
-    """B, C, D, E of both pure slips: the tire's own, and by slope, peak and each of
-    :data:`_SHAPES`."""
+    """B, C, D, E of both pure slips: those of the tire, and those from slope, peak and
+    each of :data:`_SHAPES`."""
     slips = np.concatenate([[1e-4, -1e-4], np.linspace(0.01, 0.9, 90)])
     zero, load = np.zeros_like(slips), np.full_like(slips, tire.load)
     pure = [(slips, zero, load), *((zero, slips, k * load) for k in (1.0, 0.9, 1.1))]

@@ -1,4 +1,4 @@
-"""Checks of an exported tire at rest, at large slip and at large load, where simulators
+"""Check an exported tire at rest, at large slip and at large load, where simulators can
 fail."""
 
 from collections.abc import Callable, Mapping
@@ -12,26 +12,26 @@ from tirefit.targets.program import Program
 from tirefit.targets.tire import Tire
 
 _STEP = 1e-4
-"""Slip beside zero over which slopes and jumps are judged."""
+"""Step of the slip at zero by which slopes and jumps are found."""
 
 _JUMP = 0.01
-"""Share of the load that the force may change within such a step, beside its slope."""
+"""Largest change of the force over load within such a step, in addition to its slope."""
 
 _SQUARE = 1.05
-"""Resultant over the ellipse of the pure forces from which a tire is square."""
+"""Largest resultant over the ellipse of the pure forces."""
 
 _PLATEAU = 0.999
-"""Share of the largest force from which the peak is reached."""
+"""Share of the largest force above which the peak is reached."""
 
 _SLIPS = np.linspace(-0.99, 0.99, 397)
 _ANGLES = np.linspace(-1.2, 1.2, 241)
 _FEW = _SLIPS[::4, None], _ANGLES[::4]
-"""The same for both slips at once."""
+"""The same for both slips together."""
 
 
 class Shape(NamedTuple):
-    """Five sentences on a tire; ``sound`` is False where one of them is a warning.
-    ``curves``: force -> slip and pure force [N] at the usual load, of the file."""
+    """Five sentences on a tire; ``sound`` is False if one of them is a warning.
+    ``curves``: force -> slip and pure force [N] of the file at the usual load."""
 
     sentences: tuple[str, ...]
     sound: bool
@@ -39,7 +39,7 @@ class Shape(NamedTuple):
 
 
 def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
-    """How a tire's forces behave, in single precision, to twice the largest load."""
+    """Check the forces of a tire, in single precision, up to twice the largest load."""
     signs = CONVENTIONS[convention]
     force, names = compiled(program), list(program.outputs)
     load, most = tire.load, 2 * tire.largest_load
@@ -115,7 +115,7 @@ def _peaks(at: Callable, names, load, most) -> tuple[str, bool]:
             f = np.abs(at(**{slip: grid}, fz=fz)[name]) / fz
             place = int(np.argmax(f))
             sound &= bool(np.isfinite(f).all() and f[place] < 5)
-            # On a plateau the peak is where it begins.
+            # The peak of a plateau is its beginning.
             first = np.abs(grid)[f >= _PLATEAU * f[place]].min(initial=np.inf)
             each.append(f"{f[place]:.3g} F_z at {first:.2g}")
         told.append(f"{name} {each[0]} (twice the largest load: {each[1]})")
@@ -124,7 +124,7 @@ def _peaks(at: Callable, names, load, most) -> tuple[str, bool]:
 
 def _ellipse(at: Callable, names, most) -> tuple[str, bool]:
     if _forces(names) != ["fx", "fy"]:
-        return "combined slip: one force alone", True
+        return "combined slip: only one force", True
     worst = 0.0
     for fz in (0.5 * most, most):
         grid = at(kappa=_FEW[0], alpha=_FEW[1], fz=fz)

@@ -41,7 +41,7 @@ def {name}({inputs}):
 
 @contextmanager
 def _without_paths() -> Iterator[None]:
-    """Leaves the names of this machine's files out of a program's source locations."""
+    """Remove names of local files from the source locations of a program."""
     option = "jax_hlo_source_file_canonicalization_regex"
     before = getattr(jax.config, option)
     jax.config.update(option, ".*")
@@ -52,7 +52,7 @@ def _without_paths() -> Iterator[None]:
 
 
 def jax_source(draft: Draft) -> str:
-    """A Python module with a function of arrays; it needs JAX alone."""
+    """A Python module with a function of arrays; it needs only JAX."""
     names, (forces, _) = draft.forces.inputs, draft.tire.function(draft.convention)
 
     def one(*given):

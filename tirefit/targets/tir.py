@@ -1,4 +1,4 @@
-"""A tire as a tire property file (``.tir``)."""
+"""Export a tire as a tire property file (``.tir``)."""
 
 import math
 import re
@@ -18,21 +18,21 @@ from tirefit.targets.code import PARAMETERS, Draft
 from tirefit.targets.tire import Tire, turned_range
 
 _WIDEST = 180
-"""Characters of a comment line, at most: some programs read lines of 200."""
+"""Largest length of a comment line; some programs read lines of 200 characters."""
 
 _PARTS = {"fx": "longitudinal", "fy": "lateral", "mz": "aligning"}
 """Force -> the part of a Magic Formula that gives it."""
 
 
 def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Tire:
-    """The tire that a ``.tir`` file holds in place of ``tire``.
+    """The tire of a ``.tir`` file for ``tire``.
 
-    A Magic Formula is held as it is, or refitted to another version; of other models
-    the reduced form holds c_p a^2 and mu.
+    A Magic Formula is written unchanged, or refitted to another version. For other
+    models, the reduced form keeps c_p a^2 and mu.
 
     Args:
         model: ``mf52``, ``mf61`` or ``mf62``; None for the version of the tire.
-        wheel: ``radius`` of the free tire [m], for a model that has none.
+        wheel: ``radius`` of the free tire [m], for a model without one.
 
     Raises:
         UsageError: unknown version or key of the wheel, a missing radius, or a model
@@ -46,8 +46,8 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
     else:
         tir = _reduced(own, tire, wheel, model)
         notes.append(
-            "a Magic Formula has no curve of a brush: its slope 2 c_p a^2 and its"
-            f" largest force mu F_z are kept at F_z = {tire.load:.4g} N"
+            "a Magic Formula cannot have the curve of a brush: only the slope 2 c_p a^2"
+            f" and the largest force mu F_z are kept, at F_z = {tire.load:.4g} N"
         )
     if model and MAGIC_FORMULAS[model].version != tir.version:
         from tirefit.fitting.mf.convert import converted  # slow to import
@@ -74,7 +74,7 @@ def _check(model: str | None, wheel: Mapping[str, float], keys) -> None:
 
 
 def wheel_problems(wheel: Mapping[str, float], keys) -> list[InputProblem]:
-    """What is wrong with the values of a wheel, of which these keys are known."""
+    """Problems of the values of a wheel, which must have these keys."""
     problems = []
     for name, value in wheel.items():
         if name not in keys:
@@ -91,7 +91,7 @@ def _reduced(
 ) -> TirFile:
     values = parameter_values(own)
     if not {"cpa2", "mu"} <= values.keys():
-        reason = f"a .tir holds a Magic Formula, or c_p a^2 and mu; not a {tire.name}"
+        reason = f"a .tir file describes a Magic Formula, or c_p a^2 and mu; not {tire.name}"
         remedy = "fit mf52, mf61 or mf62 to the data, or a brush"
         raise UsageError(InputProblem(reason, remedy))
     if "radius" not in wheel:
@@ -101,13 +101,13 @@ def _reduced(
     tir = reduced_tir(**given, fz=tire.load, radius=wheel["radius"])
     version = MAGIC_FORMULAS[model].version if model else tir.version
     if version == "5.2":
-        # It has no stiffness that is the same at every load: stationary at FNOMIN.
+        # The stiffness cannot be constant over the load: make it stationary at FNOMIN.
         return new_tir(version, tir.numbers | {"PKY2": 1.0}, {}, {})
     return tir if version == tir.version else tir.with_values({"FITTYP": 62.0})
 
 
 def new_file(tire: Tire) -> TirFile:
-    """A file of the tire's coefficients, with their standard errors."""
+    """A file with the coefficients of the tire and their standard errors."""
     model, known = tire.model, specs(tire.model)
     assert isinstance(model, MFTire)
     lost = {k for force in model.lacks for k in specs(getattr(model, _PARTS[force]))}
@@ -119,7 +119,7 @@ def new_file(tire: Tire) -> TirFile:
 
 
 def _alike(one: MFTire, other: MFTire) -> bool:
-    """Whether two tires differ by the digits of a file alone."""
+    """Whether two tires differ only by the rounding of a file."""
     same = ("version", "similarity", "lacks", "starred", "digression")
     if any(getattr(one, name) != getattr(other, name) for name in same):
         return False
@@ -129,7 +129,7 @@ def _alike(one: MFTire, other: MFTire) -> bool:
 
 
 def comments(lines) -> str:
-    """Lines as comments of a ``.tir`` file, none longer than programs read."""
+    """Lines as comments of a ``.tir`` file, wrapped to the length that programs read."""
     short: list[str] = []
     for line in lines:
         short += wrap(line, _WIDEST, subsequent_indent="  ", break_on_hyphens=False)
@@ -137,7 +137,7 @@ def comments(lines) -> str:
 
 
 def head_of(draft: Draft) -> list[str]:
-    """The head without the parameters, which a file lists itself."""
+    """The head without the parameters, which the file lists separately."""
     listed = {f"  {line}" for line in draft.tire.parameters()} | {PARAMETERS}
     return [line for line in draft.above if line not in listed]
 

@@ -1,4 +1,4 @@
-"""The tire that is exported: its function, where it comes from, what was measured."""
+"""The tire to export: its function, its origin and the measured ranges."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ from tirefit.precision import require_x64
 from tirefit.slip import CONVENTIONS, LOCKED, kappa_from_sigma
 from tirefit.targets.program import Program, traced
 
-# What reads fits and diagnoses takes longer to import than an export of a .tir file.
+# Modules that read fits and diagnoses take longer to import than a .tir file to export.
 if TYPE_CHECKING:
     from tirefit.diagnosis.summary.result import Diagnosis
     from tirefit.fitting.mf.result import MagicFormulaFit
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 
 INPUTS = ("kappa", "alpha", "fz", "v", "gamma", "pressure")
 """Arguments of an exported tire, in order: practical slip [-], slip angle [rad], load
-[N]; then, where they change a force, speed [m/s], camber [rad], pressure [Pa]."""
+[N]; then speed [m/s], camber [rad], pressure [Pa], if they change a force."""
 
 ALWAYS = 3
-"""The first of them that every exported tire has."""
+"""The number of the first of them that every exported tire has."""
 
 _USUAL_LOAD = 4000.0
-"""Load of a passenger car's tire [N], where no file states one."""
+"""Default load [N], of a tire of a passenger car."""
 
 UNITS = {
     "kappa": "-", "alpha": "rad", "fz": "N", "v": "m/s", "gamma": "rad",
@@ -54,14 +54,14 @@ class Tire:
         name: of the model.
         origin: sentences on where it comes from.
         load: a usual load [N], at which the tire is checked.
-        spread: standard errors by parameter; of those that were fitted.
-        measured: (least, largest) value by input of :data:`INPUTS`, in canonical signs;
-            of those that are known.
+        spread: standard errors of the fitted parameters.
+        measured: (smallest, largest) value of the known ones of :data:`INPUTS`, in
+            canonical signs.
         notes: sentences on what was assumed.
-        bare: the model without the effects of a diagnosis; None where it has none.
+        bare: the model without the effects of a diagnosis; None if it has none.
         tir: the file that states the model, for targets that write one.
         relaxation: relaxation length [m], which is not in the forces; None without.
-        asked: forces and moments that are wanted; empty for all.
+        asked: forces and moments to export; empty for all.
     """
 
     model: AbstractTire
@@ -83,11 +83,11 @@ class Tire:
 
     @property
     def modelled(self) -> tuple[str, ...]:
-        """The forces and moments that the tire gives."""
+        """The forces and moments of the tire."""
         return modelled(self.model)
 
     def parameters(self) -> list[str]:
-        """Name, value, standard error and unit of every parameter, a line each."""
+        """Name, value, standard error and unit of every parameter, one per line."""
         known, lines = specs(self.model), []
         for name, value in parameter_values(self.model).items():
             error = f" +- {self.spread[name]:.2g}" if name in self.spread else ""
@@ -95,7 +95,7 @@ class Tire:
         return lines
 
     def ranges(self, convention: str) -> str:
-        """The measured range of each input in words, in the signs of a convention."""
+        """The measured range of each input as text, in the signs of a convention."""
         told = []
         for name, (low, high) in turned_range(self.measured, convention).items():
             told.append(f"{name} {low:.4g} to {high:.4g} {UNITS[name]}")
@@ -135,10 +135,10 @@ class Tire:
         return forces, outputs
 
     def program(self, convention: str, jacobian: bool = False) -> Program:
-        """The same as a program of the inputs that change a force.
+        """The forces as a program of the inputs that change a force.
 
         Args:
-            jacobian: with the derivatives by kappa, alpha and fz, named ``fx_kappa``.
+            jacobian: add the derivatives by kappa, alpha and fz, named ``fx_kappa``.
         """
         function, outputs = self.function(convention)
         program = traced(function, INPUTS, outputs, range(ALWAYS) if jacobian else ())
@@ -155,7 +155,7 @@ class Tire:
 def turned_range(
     measured: Mapping[str, tuple[float, float]], convention: str
 ) -> dict[str, tuple[float, float]]:
-    """Ranges of inputs from canonical signs to those of a convention, or back."""
+    """Convert ranges of inputs between canonical signs and those of a convention."""
     signs = CONVENTIONS[convention]
     found = {}
     for name, (low, high) in measured.items():
@@ -174,11 +174,11 @@ def tire_of(
 
     Args:
         values: parameter values of a model or a ``.tir`` file.
-        diagnosis: names the effects that change the tire; the parameters that it
-            estimated beside them replace those of the tire.
+        diagnosis: names the effects that change the tire; its parameters, estimated
+            together with them, replace those of the tire.
 
     Raises:
-        UsageError: an unknown model or parameter; values beside a fit; a fit with
+        UsageError: an unknown model or parameter; values together with a fit; a fit with
             values by run; or a diagnosis of another model.
         DataError: a file that cannot be read.
     """
@@ -198,7 +198,7 @@ def _given(source, values: Mapping[str, float] | None) -> Tire:
 
 
 def _of_fit(given: GivenTire, path: str) -> Tire:
-    """Of a fit, from its file if ``path`` is not empty."""
+    """The tire of a fit, from its file if ``path`` is not empty."""
     content = given.content
     data, model = content["data"], given.name
     origin = f"fit of {model} to {data['file']} (sha256 {str(data['sha256'])[:12]}),"
@@ -213,7 +213,7 @@ def _of_fit(given: GivenTire, path: str) -> Tire:
     if "sigma_x" in ranges:
         ranges["kappa"] = tuple(map(kappa_from_sigma, ranges.pop("sigma_x")))
     absent = [f for f in modelled(given.tire) if f not in content["forces"]]
-    notes = tuple(f"{f} was not fitted: it is the model's" for f in absent)
+    notes = tuple(f"{f} was not fitted: it follows from the model" for f in absent)
     load = content["reference"]["fz"]
     return Tire(given.tire, model, origin, load, spread, ranges, notes)
 
@@ -239,7 +239,7 @@ def _of_tir(given: GivenTire, path: str, values: Mapping[str, float]) -> Tire:
 
 
 def _with_effects(tire: Tire, diagnosis) -> Tire:
-    """With the effects that a diagnosis names and that a tire can hold."""
+    """The tire with the effects that a diagnosis names and a tire can have."""
     from tirefit.diagnosis.extended import document_of, extend, read_document
     from tirefit.diagnosis.summary.result import Diagnosis
 
@@ -254,7 +254,7 @@ def _with_effects(tire: Tire, diagnosis) -> Tire:
     far = [k for k, x in own.items() if abs(x - before[k]) > abs(before[k])]
     if far:
         changes = ", ".join(f"{k} {before[k]:.4g} to {own[k]:.4g}" for k in far)
-        notes = (f"warning: the diagnosis changes {changes}: is it of this tire?", *notes)
+        notes = (f"warning: the diagnosis changes {changes}: is it for this tire?", *notes)
     if tire.spread:
         changed = ", ".join(own)
         notes += (f"{changed}: estimates beside the effects, without standard error",)
@@ -269,7 +269,7 @@ def _with_effects(tire: Tire, diagnosis) -> Tire:
 
 
 def _exportable(tire: Tire) -> Tire:
-    """In steady state, and with both slips combined."""
+    """The tire in steady state, with both slips combined."""
     notes, model, length = list(tire.notes), tire.model, None
     if isinstance(model, Relaxed):
         length = float(model.relaxation_length)
@@ -283,7 +283,7 @@ def _exportable(tire: Tire) -> Tire:
         both = {f"{k}{axis}": v for k, v in own.items() for axis in "xy"}
         model = with_values(CombinedMagicFormula(), both)
         notes.append(
-            "the formula is of pure slip: both slips are combined by the method of"
-            " Gaefvert and Svendenius (2005), with the same curve along both axes"
+            "the formula is for pure slip: both slips are combined by the method of"
+            " Gaefvert and Svendenius (2005), with the same curve for both axes"
         )
     return replace(tire, model=model, notes=tuple(notes), relaxation=length)

@@ -36,7 +36,7 @@ MAGIC_FORMULAS = {
     )
     for version in ("5.2", "6.1", "6.2")
 }
-"""Name of a whole Magic Formula -> it, without a tire's coefficients.
+"""Name of a whole Magic Formula -> it, without coefficients of a tire.
 
-They are not among the models of a fit by name: their some hundred coefficients are
-found in stages, with priors."""
+They are not in ``MODELS``, as their hundred coefficients are fitted in stages with
+priors."""

@@ -49,8 +49,8 @@ class Aligning(eqx.Module):
     def trail(self, at: Point, scale: Scaling, nominal: Nominal, slip):
         r"""Pneumatic trail [m], (4.E33) and (4.E40) to (4.E44).
 
-        ``slip`` is :math:`(K_{x\kappa} / K_{y\alpha}) \kappa`. The peak is over FNOMIN,
-        whatever LFZO, as MF-Tyre has it; the book scales it.
+        ``slip`` is :math:`(K_{x\kappa} / K_{y\alpha}) \kappa`. The peak is over FNOMIN
+        without LFZO, as in MF-Tyre; the book scales it.
         """
         gamma = at.gamma * scale.LGAZ
         peak = (
@@ -93,7 +93,7 @@ class Aligning(eqx.Module):
         return peak * cos_arctan(slope * _equivalent(alpha, slip)) * at.cos_alpha
 
     def arm(self, at: Point, scale: Scaling, nominal: Nominal, fy):
-        """Lever s [m] of F_x about the vertical axis, (4.E76), over FNOMIN too."""
+        """Lever s [m] of F_x about the vertical axis, (4.E76), also over FNOMIN."""
         relative = (
             self.SSZ1
             + self.SSZ2 * (fy / nominal.FNOMIN)
@@ -103,9 +103,9 @@ class Aligning(eqx.Module):
 
 
 def _equivalent(alpha, slip):
-    """Slip angle that stands for both slips, without its sign, (4.E77) and (4.E78).
+    """Slip angle equivalent to both slips, without its sign, (4.E77) and (4.E78).
 
-    The tangent and its inverse are those of Besselink et al. (2010). The curves that
-    take it are even, and written so that nothing is divided by it.
+    The tangent and its inverse are those of Besselink et al. (2010). The curves that use
+    it are even, and written without a division by it.
     """
     return jnp.arctan(resultant(jnp.tan(alpha), slip))

@@ -1,4 +1,4 @@
-"""Fields of the coefficients, and the point of operation at which they are asked."""
+"""Fields of the coefficients, and the operating point at which they are evaluated."""
 
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ _TINY = 1e-12
 
 
 class Point(NamedTuple):
-    """Where the formulas are evaluated, all in ISO-W axes."""
+    """The operating point at which formulas are evaluated, in ISO-W axes."""
 
     kappa: Any  # > 0 driving
     alpha: Any  # alpha*: the angle or its tangent
@@ -21,7 +21,7 @@ class Point(NamedTuple):
     camber: Any  # the angle gamma
     fz: Any  # > 0
     dfz: Any  # normalised change of load (4.E2)
-    dpi: Any  # and of pressure (4.E2)
+    dpi: Any  # normalised change of pressure (4.E2)
     friction_x: Any  # scales the friction, lambda*_mu (4.E7)
     friction_y: Any
     shift_x: Any  # scales the vertical shift, lambda'_mu (4.E8)
@@ -61,7 +61,7 @@ def coefficient(symbol: str, meaning: str, equation: str, default: float = 0.0):
 
 
 def _scale(symbol: str, of: str, equation: str, default: float = 1.0):
-    """The field of a scaling factor: never estimated, since the coefficients are."""
+    """The field of a scaling factor, which is never estimated, as the coefficients are."""
     return par(
         default,
         (0.0, 1e3),
@@ -148,13 +148,13 @@ class Scaling(eqx.Module):
 
 
 def ratio(numerator, denominator):
-    """Quotient that stays finite, with its gradient, as the denominator passes zero."""
+    """Quotient that is finite, with its gradient, also at a zero denominator."""
     small = jnp.where(denominator < 0, -_TINY, _TINY)
     return numerator / jnp.where(abs(denominator) < _TINY, small, denominator)
 
 
 def cos_arctan(x):
-    """cos(arctan x), without either."""
+    """cos(arctan x), computed without either function."""
     return 1 / jnp.sqrt(1 + x * x)
 
 

@@ -10,7 +10,7 @@ from tirefit.models.mf.fields import Curve, Point, Scaling, Weight, coefficient,
 
 
 class PureLateral(NamedTuple):
-    """F_y at zero kappa, and what the aligning moment needs of it."""
+    """F_y at zero kappa, and its parts that the aligning moment uses."""
 
     force: Any  # per unit of load
     stiffness: Any  # K_ya, per unit of load
