@@ -298,8 +298,9 @@ def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:
     """Index of the header line, the delimiter, and the words that white space parts.
 
     Some systems write a title first: the header is the first of the searched lines
-    with two recognised columns, or else simply the first. Where no delimiter gives
-    columns, and white space gives those of the rows of numbers, that parts them.
+    with two recognised columns, else the first as wide as the rows of numbers below it.
+    Where no delimiter gives columns, and white space gives those of the rows of numbers,
+    that parts them.
     """
     declared = {header.strip().casefold() for header in declared}
 
@@ -329,6 +330,12 @@ def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:
     below = header_above_numbers(lines, searched, is_known)
     if below and (below[0] != first or split(first, best[first])[1] == 1):
         return below[0], "\t", below[1]
+    for delimiter in _DELIMITERS:
+        widths = [split(index, delimiter)[1] for index in searched]
+        header = searched[widths.index(widths[-1])]
+        cells = lines[header].split(delimiter)
+        if widths[-1] > widths[0] > 0 and not any(map(is_number, cells)):
+            return header, delimiter, []
     return first, best[first], []
 
 
