@@ -84,12 +84,12 @@ def far_values(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> tuple[Fa
     return tuple(by_place[place] for place in sorted(by_place))
 
 
-def without_far(data: TireData) -> TireData:
+def without_far(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> TireData:
     """The data without the rows that a value parts from all others of their file; each
     is among ``source.masked``. No neighbours say what such a row should be, and a
     single one may decide what a load or a speed is said to do."""
     keep, problems = np.ones(len(data), bool), []
-    for far in far_values(data):
+    for far in far_values(data, columns):
         if far.among == _ALL and keep[far.row]:
             keep[far.row] = False
             remedy = "correct or delete the row"

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tirefit.data.accept import as_data
+from tirefit.data.far import without_far
 from tirefit.data.levels import levels
 from tirefit.data.prepare.segments import Segment, segments_of, trimmed
 from tirefit.data.prepare.series import Series, ZeroPhase, bridged, runs_of, series_of, zero_phase
@@ -124,8 +125,10 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
         reason = "no slip and no slip angle: there is nothing to cut the test by"
         remedy = "name one, as in --column alpha=HEADER; see `tirefit inspect`"
         raise DataError(reason, remedy, data.file)
+    absurd, data = data.used, without_far(data, ("fz",))
+    absurd = absurd & ~data.used
     series = series_of(data, config.rate)
-    raw = _channels(data, series)
+    raw = _channels(data, series, absurd)
     is_series = series.rate is not None and series.rate * config.shortest >= _LEAST_ROWS
     look = _looked_at if is_series else _points
     settings, parts, said = look(data, config, series, raw, slips)
@@ -150,7 +153,16 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
         remedy = "see the segments in the figure, or keep other kinds"
         raise DataError(reason, remedy, data.file)
     notes = [*said, how] if how else list(said)
+    if not any(part.direction for part in parts):
+        ends = [f"{name} {np.min(raw[name]):.3g} to {np.max(raw[name]):.3g}" for name in slips]
+        notes.append(
+            f"no sweep was found ({', '.join(ends)}; rad and ratio): if the rig swept a slip, check"
+            " its column and unit (--column alpha=HEADER, --unit alpha=rad)"
+        )
     notes += _conditions_at_risk(parts, kept)
+    if absurd.any():
+        load = float(np.max(np.abs(data.columns["fz"][absurd])))
+        notes.append(f"{absurd.sum()} rows have a load far from all others (up to {load:.3g} N)")
     unusable = len(data) - data.n
     if unusable:
         notes.append(f"{unusable} rows cannot be used, and are cut: `masked` of the JSON")
@@ -198,13 +210,14 @@ def _standing(parts: list[Segment], speed: Settings | None) -> list[Segment]:
     return [replace(p, kind="standing") if p.is_held and still[p.level["v"]] else p for p in parts]
 
 
-def _channels(data: TireData, series: Series) -> dict[str, np.ndarray]:
-    """All channels without gaps, slip as a ratio, which is bounded; (n,) each."""
+def _channels(data: TireData, series: Series, absurd: np.ndarray) -> dict[str, np.ndarray]:
+    """All channels without gaps and ``absurd`` rows (n,), slip as a ratio, which is
+    bounded; (n,) each."""
     out = {}
     for name, values in data.columns.items():
         if name == "time" or name.endswith("_std") or not np.isfinite(values).any():
             continue
-        filled = np.array(values, float)
+        filled = np.where(absurd, np.nan, values)
         if name == "sigma_x":
             filled = slip_from_sigma(filled, "slip_ratio")
         for piece in series.pieces:
