@@ -11,6 +11,7 @@ from tirefit.data.derive import derive
 from tirefit.data.inspect import inspect
 from tirefit.data.read import read, read_frame
 from tirefit.data.vehicle import load_vehicle
+from tirefit.data.vehicle_log import vehicle_log
 from tirefit.data.write import (
     output_problems,
     prediction_table,
@@ -237,6 +238,15 @@ def test_inspect_of_a_vehicle_log_suggests_derive(tmp_path, columns):
     given = vehicle.columns.model_dump(exclude_none=True)
     assert given == {name: header for header, name in columns.items()}
     assert len(derive(path, vehicle)) > 1000
+
+
+def test_the_heading_of_a_bag_is_of_the_message_that_has_the_place():
+    place, imu = "/odom.pose.pose", "/imu.orientation.yaw"
+    headers = [imu, f"{place}.position.x", f"{place}.position.y", f"{place}.orientation.yaw"]
+    remedy = vehicle_log([*headers, "/steering_wheel.data"], "bag").remedy
+    assert f'yaw = "{place}.orientation.yaw"' in remedy and imu not in remedy
+    assert 'steering = "/steering_wheel.data"' in remedy
+    assert f'yaw = "{imu}"' in vehicle_log(headers[:-1], "bag").remedy
 
 
 def test_rig_data_without_a_force_are_no_vehicle_log(tmp_path):

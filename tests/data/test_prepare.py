@@ -350,6 +350,28 @@ def test_gaps_and_bad_rows_split_only_their_sweeps():
     assert len(broken.series.pieces) == 2
 
 
+def test_an_absurd_load_is_cut_and_hides_no_setting():
+    script, rng = cornering(7055, rate=50, loads=2, cambers=1, pressures=1)
+    seen, _ = measured(script, rng)
+    right = prepared(seen)
+    rows = slice(len(seen["fz"]) // 2, len(seen["fz"]) // 2 + 40)
+    seen["fz"] = np.array(seen["fz"])
+    seen["fz"][rows] = 5e6
+    result = prepared(seen)
+    assert result.names["fz"] == right.names["fz"] and len(right.names["fz"]) == 2
+    assert not result.kept[rows].any() and result.kept.sum() > 0.9 * right.kept.sum()
+    assert any("40 rows have a load far from all others" in note for note in result.notes)
+
+
+def test_a_slip_angle_in_a_wrong_unit_is_no_sweep():
+    script, rng = cornering(7055, rate=50, loads=2, cambers=1, pressures=1)
+    seen, _ = measured(script, rng)
+    told = [n for n in prepared(seen).notes if n.startswith("no sweep")]
+    seen["alpha"] = seen["alpha"] * DEG  # radians that are read as degrees
+    (note,) = [n for n in prepared(seen).notes if n.startswith("no sweep")]
+    assert told == [] and "--unit alpha=rad" in note
+
+
 def test_data_without_settings_or_sweeps_are_refused():
     n = 400
     columns = {"time": np.arange(n) / 100, "fz": np.full(n, 1e3), "fy": np.ones(n)}

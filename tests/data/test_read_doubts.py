@@ -222,6 +222,21 @@ def test_one_of_two_forces_in_kilonewton_is_found():
     assert "'Fy' reaches only 0.00075 of the load" in text and "--unit fy=kN" in text
 
 
+def test_all_forces_in_kilonewton_are_seen_by_the_arm_of_the_moment():
+    alpha = np.linspace(-0.1, 0.1, len(KAPPA))
+    columns = {
+        "alpha": alpha,
+        "Fy": 4e4 * alpha,
+        "Fz": np.full(len(alpha), 4e3),
+        "Mz": -1e3 * alpha,
+    }
+    assert warned(columns, **BRAKING) == ()
+    columns |= {name: columns[name] / 1e3 for name in ("Fy", "Fz")}
+    (text,) = warned(columns, **BRAKING)
+    assert text.startswith("'Mz' reaches 25 m times the load")
+    assert warned(columns, units={"fy": "kN", "fz": "kN"}, **BRAKING) == ()
+
+
 def test_a_constant_load_in_kilonewton_is_found():
     columns = frame(KAPPA)
     del columns["fz"]

@@ -143,6 +143,15 @@ def test_unknown_column_names_must_be_declared(tmp_path):
     assert read(path, columns=names).n == len(KAPPA)
 
 
+def test_a_title_of_several_cells_over_unknown_words_is_no_header(tmp_path):
+    title = ["Bench 7;Tire XY", "Date;12.03.2024"]
+    rows = [row.replace(".", ",").split() for row in NUMBERS]
+    lines = [*title, "Schlupf;Kraft;Last", *(";".join(row) for row in rows)]
+    path = written(tmp_path, lines)
+    with pytest.raises(DataError, match="columns found: 'Schlupf', 'Kraft', 'Last'"):
+        read(path)
+
+
 # --- AiM RaceStudio ---------------------------------------------------------------
 
 

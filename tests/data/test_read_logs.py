@@ -280,6 +280,18 @@ def test_a_topic_of_unknown_type_is_skipped_and_reported(tmp_path):
         derive(tmp_path / "bag", vehicle(tmp_path, CAR + OWN_OF_ROS + KEEP))
 
 
+def test_a_bag_without_messages_is_said_to_be_so(tmp_path):
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    with Writer(tmp_path / "bag", version=9) as writer:
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store)
+    with pytest.raises(DataError, match=r"topics not read: '/odom' \(no messages\)"):
+        read(tmp_path / "bag")
+
+
 def test_a_damaged_bag_is_reported(tmp_path):
     pytest.importorskip("rosbags")
     path = tmp_path / "log.mcap"

@@ -683,6 +683,14 @@ def test_the_answer_on_a_simulator_begins_with_its_parameters(status, effects, s
     assert after_label(simulated()) == "parameters + slip offset"
 
 
+def test_the_answer_tells_a_small_gap_beside_the_noise():
+    found = simulated("named", ("slip_offset",))
+    small = replace(found, gap=replace(found.gap, rms=7.5, resolvable=False))
+    noise = f"{small.noise.forces[small.data.channels[0]]:.0f}"
+    assert f"The gap is small: 7.5 N (rms) beside {noise} N of noise." in answer(small)
+    assert "small" not in answer(found)
+
+
 def test_the_waterfall_ends_at_the_noise():
     steps = waterfall_steps(simulated())
     assert [step.kind for step in steps] == [

@@ -168,8 +168,7 @@ def predict(
     starred_angles: Annotated[
         bool,
         typer.Option(
-            "--starred-angles",
-            help="FILE.tir: use tan(alpha) and sin(gamma) instead of the angles",
+            "--starred-angles", help="FILE.tir: use tan(alpha) and sin(gamma) instead of the angles"
         ),
     ] = False,
     side: SideOption = None,

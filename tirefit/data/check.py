@@ -45,6 +45,7 @@ is no remedy then."""
 _SHARES = (5e-3, 5.0)
 _HEAVIEST = 1e3
 """Largest median load [N] for which kN are suggested: no wheel carries a meganewton."""
+_LONGEST_ARM = 0.5  # m, of M_z over the load: five times the trail of a truck's tire
 _LEAST_SLIP = (("fx", "sigma_x", 0.01), ("fy", "alpha", np.radians(0.5)))
 
 
@@ -301,6 +302,15 @@ def doubt_units(columns: Mapping[str, np.ndarray], headers: Mapping[str, str]) -
             f"{name} reaches {much}, {why}: the unit of one of the two is probably wrong"
             f" (kN read as N?); {remedy}"
         )
+    if {"mz", "fz"} <= set(columns):
+        arm = np.percentile(abs(columns["mz"]) / columns["fz"], 99)
+        if arm > _LONGEST_ARM:
+            name = repr(headers.get("mz", "mz"))
+            said.append(
+                f"{name} reaches {arm:.2g} m times the load, an arm that no tire has: one of the"
+                " two is in another unit than it was read in; check the units of mz and of the"
+                " forces (--unit fz=kN, --unit mz=Nmm)"
+            )
     return said
 
 

@@ -340,7 +340,7 @@ def _has_delay(a: Agreement) -> bool:
 
 def _line(pairs, vehicle: Vehicle) -> str:
     """One line for the summary on the agreement of the channels."""
-    gains, late = [], [0.0]
+    gains, late = [], [(0.0, "")]
     for a in pairs:
         several = len(a.gains) > 1
         gains += [
@@ -349,12 +349,13 @@ def _line(pairs, vehicle: Vehicle) -> str:
             if known
         ]
         if _has_delay(a) and a.delay_std < _LATE / 3:
-            late.append(abs(a.delay))
+            late.append((abs(a.delay), f"{a.pair.channel} against {a.pair.words}"))
     said = "channels: not compared, too little motion or too few channels"
     if gains:
         said = f"channels compared: {', '.join(gains)} (1: they agree"
         steers = any(gain.startswith("steering") for gain in gains)
         said += "; steering: above 1 if the car understeers)" if steers else ")"
-        said += f", delays up to {max(late):.2f} s" if max(late) >= 0.005 else ""
+        longest, where = max(late)
+        said += f", delays up to {longest:.2f} s ({where})" if longest >= 0.005 else ""
     follows = "; a_y is computed from the speeds and checks no other channel"
     return said + (follows if vehicle.columns.a_y_follows else "")

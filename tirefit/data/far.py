@@ -85,12 +85,12 @@ def far_values(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> tuple[Fa
     return tuple(by_place[place] for place in sorted(by_place))
 
 
-def without_far(data: TireData) -> TireData:
+def without_far(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> TireData:
     """The data without the rows that are far from their file; ``source.masked`` lists
     them. They have no neighbours to compare them with, and a single one may determine
     the dependence on load or speed."""
     keep, problems = np.ones(len(data), bool), []
-    for far in far_values(data):
+    for far in far_values(data, columns):
         if far.among == _ALL and keep[far.row]:
             keep[far.row] = False
             remedy = "correct or delete the row"

@@ -115,7 +115,8 @@ def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]
         raise _damaged("bag", path, error) from error
     unread = f"topics not read: {', '.join(left)}"
     if left and not signals:
-        raise DataError(unread, "record the message definitions", str(path))
+        remedy = "record messages with numbers, and their definitions"
+        raise DataError(unread, remedy, str(path))
     channels = on_one_clock(signals, is_known, str(path))
     notes = ["read as a bag of ROS messages", *channels.notes]
     if left:
@@ -170,7 +171,7 @@ def _topic(messages, topic: str, is_ros1: bool) -> dict[str, Signal] | str:
     time = np.array(stamped if min(stamped, default=0) > 0 else recorded)
     columns = {n: np.array([row.get(n, np.nan) for row in rows]) for n in names}
     named = {f"{topic}.{name}": Signal(time, x) for name, x in columns.items()}
-    return named or "no numbers"
+    return named or ("no numbers" if rows else "no messages")
 
 
 def _decoder(connection, is_ros1: bool) -> Callable[[bytes], Any]:

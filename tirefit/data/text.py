@@ -298,8 +298,9 @@ def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:
     """Index of the header line, the delimiter, and its words if white space separates.
 
     Some systems write a title first: the header is the first of the searched lines with
-    two recognised columns, or else the first line. White space separates if no
-    delimiter gives columns and white space gives as many as the rows of numbers have.
+    two recognised columns, or else the first as wide as the rows of numbers below it.
+    White space separates if no delimiter gives columns and white space gives as many as
+    the rows of numbers have.
     """
     declared = {header.strip().casefold() for header in declared}
 
@@ -329,6 +330,12 @@ def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:
     below = header_above_numbers(lines, searched, is_known)
     if below and (below[0] != first or split(first, best[first])[1] == 1):
         return below[0], "\t", below[1]
+    for delimiter in _DELIMITERS:
+        columns = [split(index, delimiter)[1] for index in searched]
+        header = searched[columns.index(columns[-1])]
+        cells = lines[header].split(delimiter)
+        if columns[-1] > columns[0] > 0 and not any(map(is_number, cells)):
+            return header, delimiter, []
     return first, best[first], []
 
 

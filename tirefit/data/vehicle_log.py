@@ -14,7 +14,8 @@ _ENDS = {
     "v_y": "vy speedy vely velocityy vlat lineary",
     "yaw_rate": "r yawrate yawvelocity psidot gyroz angularz",
     "a_y": "ay accy accely latacc lateralacceleration",
-    "steering": "steering steer delta steeringangle steeringwheelangle swa roadwheelangle",
+    "steering": "steering steer delta steeringangle steeringwheel steeringwheelangle swa"
+    " roadwheelangle",
 }
 """Quantity of a log -> how headers of it end, without separators."""
 
@@ -23,6 +24,8 @@ _CAR = (
     "l_f = 1.2           # m, front axle ahead of the centre of gravity",
     "l_r = 1.4           # m, rear axle behind it",
     "yaw_inertia = 2500  # kg m2",
+    "# tracked_point = [0, 0]  # m, if the log describes another point than the centre of"
+    " gravity: ahead of the rear axle, to the left",
     "[columns]",
 )
 _MAP = (
@@ -32,6 +35,11 @@ _MAP = (
 )
 IS_VEHICLE_LOG = "this is the log of a vehicle: it holds no slip and force of a tire"
 _NO_PLACE = re.compile("^v$|acc|imu|mag|gyro|twist|linear|angular|vel|orientation|rotation")
+
+
+def _message(header: str) -> str:
+    """The topic of a channel of a bag: ``/odom`` of ``/odom.pose.position.x``."""
+    return header.partition(".")[0] if header.startswith("/") else ""
 
 
 def vehicle_log(headers: Sequence[str], file: str, by_pose: bool = True) -> InputProblem | None:
@@ -49,12 +57,16 @@ def vehicle_log(headers: Sequence[str], file: str, by_pose: bool = True) -> Inpu
     found: dict[str, str] = {}
     for header in headers:
         words = re.findall("[a-z0-9]+", re.sub(r"[\[(].*", "", header.casefold()))
+        if words[-1:] == ["data"]:  # the field of a ROS message that holds one number
+            words = words[:-1]
         ends = {"".join(words[-count:]) for count in (1, 2, 3)}
         for name, known in _ENDS.items():
             if name in ("x", "y") and _NO_PLACE.search("".join(words[:-1])):
                 continue
-            if ends & set(known.split()):
-                found.setdefault(name, header)
+            # The heading of the message that has the place, not of an IMU before it.
+            beside = name == "yaw" and _message(header) == _message(found.get("x", "")) != ""
+            if ends & set(known.split()) and (beside or name not in found):
+                found[name] = header
     motion = POSE if by_pose and found.keys() >= {*POSE} else RATES
     if not found.keys() >= {*motion}:
         return None

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from tirefit.data.run_names import label_of_run
+from tirefit.fitting.derived import derived_channel, quantity_of
 from tirefit.fitting.result import FitResult, Verdict
 from tirefit.results import Outcome
 
@@ -13,6 +14,7 @@ _EXACT = 1e-9  # RMSE over the range of the force below which residuals are roun
 _POOR_CHI2 = 2.0
 _POOR_R2 = 0.8
 _STRUCTURE_SIGMAS = 6.0
+_NEAR_PEAK = 0.95  # a brush has this share of its peak at 0.63 of the slip of full sliding
 _SYSTEMATIC = 0.5
 """Correlation of neighbours above which half of the residual variance is misfit."""
 
@@ -102,6 +104,31 @@ def _structure(result: FitResult) -> list[tuple[Outcome | None, str]]:
     return [(Outcome.SYSTEMATIC_MISFIT if value > _SYSTEMATIC else None, text)]
 
 
+def _peak_not_reached(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    """A sentence if the fitted curve peaks beyond the rows, where its shape is assumed."""
+    channel, of = derived_channel(result.forces), result.derived
+    peaks = [
+        (one.value, of[label.replace("F_max_over_fz", "slip_at_peak")].value)
+        for label, one in of.items()
+        if quantity_of(label) == "F_max_over_fz" and one.identified and not one.fixed
+    ]
+    if not peaks or channel is None:
+        return []
+    problem, (peak, at) = result.solved.problem, max(peaks)
+    inputs, mean = problem.rows.inputs, result.solved.at.mean[channel]
+    share = float(np.max(np.abs(mean) / problem.used(inputs.fz))) / peak
+    if not share < _NEAR_PEAK or not np.isfinite(at):
+        return []
+    slip = np.hypot(problem.used(inputs.sigma_x), np.tan(problem.used(inputs.alpha)))
+    text = (
+        f"the rows reach {100 * share:.0f} % of the fitted peak (largest slip"
+        f" {np.max(np.abs(slip)):.3g}, peak at {at:.3g}): peak and"
+        " friction follow from the shape of this model and are as wrong as it is; compare"
+        " brush-d, or measure larger slips"
+    )
+    return [(None, text)]
+
+
 def _lacking(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """Sentences on the effects that the residuals show and the model lacks."""
     columns = result.solved.misfit.columns
@@ -177,6 +204,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
         findings.append((None, exact))
     else:
         findings += _lacking(result) + _structure(result)
+    findings += _peak_not_reached(result)
     if result.solved.ambiguous:
         findings.append((Outcome.STARTS_DISAGREE, Outcome.STARTS_DISAGREE.message))
     for label, estimate in result.least_squares.items():

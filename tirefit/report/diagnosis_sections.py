@@ -82,12 +82,18 @@ def answer(result: Diagnosis) -> str:
 
 
 def _how_much(result: Diagnosis) -> Iterator[str]:
-    """The rms of the gap without and with the named effects."""
-    gap, unit = result.gap, FORCE_UNIT[result.data.channels[0]]
-    if result.verdict.names_an_effect and gap.resolvable:
-        before, after = (format_number(x, 2) for x in (gap.rms, gap.remaining_rms))
+    """The rms of the gap without and with the named effects, or that it is small."""
+    gap, channel = result.gap, result.data.channels[0]
+    unit = FORCE_UNIT[channel]
+    if not result.verdict.names_an_effect:
+        return
+    before, after = (format_number(x, 2) for x in (gap.rms, gap.remaining_rms))
+    if gap.resolvable:
         takes = "This takes" if len(result.verdict.effects) == 1 else "These take"
         yield f"{takes} the gap from {before} to {after} {unit} (rms)."
+    else:
+        noise = format_number(result.noise.forces[channel], 2)
+        yield f"The gap is small: {before} {unit} (rms) beside {noise} {unit} of noise."
 
 
 def _no_help(result: Diagnosis) -> Iterator[str]:

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tirefit.data.accept import DataLike, as_data
+from tirefit.data.far import without_far
 from tirefit.data.levels import levels
 from tirefit.data.prepare.segments import Segment, segments_of, trimmed
 from tirefit.data.prepare.series import Series, ZeroPhase, bridged, runs_of, series_of, zero_phase
@@ -129,8 +130,10 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
         reason = "no slip and no slip angle, by which the test would be segmented"
         remedy = "name one, as in --column alpha=HEADER; see `tirefit inspect`"
         raise DataError(reason, remedy, data.file)
+    absurd, data = data.used, without_far(data, ("fz",))
+    absurd = absurd & ~data.used
     series = series_of(data, config.rate)
-    raw = _channels(data, series)
+    raw = _channels(data, series, absurd)
     is_series = series.rate is not None and series.rate * config.shortest >= _LEAST_ROWS
     look = _looked_at if is_series else _points
     settings, parts, said = look(data, config, series, raw, slips)
@@ -155,7 +158,16 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
         remedy = "look at the segments in the figure, or keep other kinds"
         raise DataError(reason, remedy, data.file)
     notes = [*said, how] if how else list(said)
+    if not any(part.direction for part in parts):
+        ranges = [f"{name} {np.min(raw[name]):.3g} to {np.max(raw[name]):.3g}" for name in slips]
+        notes.append(
+            f"no sweep was found ({', '.join(ranges)}; rad and ratio): if the rig swept a slip, check"
+            " its column and unit (--column alpha=HEADER, --unit alpha=rad)"
+        )
     notes += _conditions_at_risk(parts, kept)
+    if absurd.any():
+        load = float(np.max(np.abs(data.columns["fz"][absurd])))
+        notes.append(f"{absurd.sum()} rows have a load far from all others (up to {load:.3g} N)")
     unusable = len(data) - data.n
     if unusable:
         notes.append(f"{unusable} unusable rows are cut: see `masked` in the JSON")
@@ -203,13 +215,14 @@ def _standing(parts: list[Segment], speed: Settings | None) -> list[Segment]:
     return [replace(p, kind="standing") if p.is_held and still[p.level["v"]] else p for p in parts]
 
 
-def _channels(data: TireData, series: Series) -> dict[str, np.ndarray]:
-    """All channels (n,) without gaps; the slip as a ratio, which is bounded."""
+def _channels(data: TireData, series: Series, absurd: np.ndarray) -> dict[str, np.ndarray]:
+    """All channels (n,) without gaps and ``absurd`` rows; the slip as a ratio, which is
+    bounded."""
     out = {}
     for name, values in data.columns.items():
         if name == "time" or name.endswith("_std") or not np.isfinite(values).any():
             continue
-        filled = np.array(values, float)
+        filled = np.where(absurd, np.nan, values)
         if name == "sigma_x":
             filled = slip_from_sigma(filled, "slip_ratio")
         for piece in series.pieces:
