@@ -1,6 +1,8 @@
 """Programs kept on disk give the same numbers, and are really used."""
 
 import os
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -36,6 +38,30 @@ def test_a_kept_program_is_not_traced_again(directory):
     assert traces == [3]
     np.testing.assert_allclose(first, 2 * x**3, rtol=1e-15)
     np.testing.assert_array_equal(first, again)
+
+
+SOLVED = """
+import sys
+import jax.numpy as jnp, numpy as np
+from tirefit.compiled import compiled, keep_programs_in
+keep_programs_in(sys.argv[1])
+solved = compiled()(lambda a, b: jnp.linalg.solve(a, b) + jnp.cumsum(b))
+print(solved(np.diag(np.float32([2, 4])), np.ones(2, np.float32)))
+"""
+
+
+def test_a_program_of_lapack_runs_in_another_process_whatever_jax_keeps(tmp_path):
+    of_jax = {
+        "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "jax"),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
+    line = [sys.executable, "-c", SOLVED, str(tmp_path / "kept")]
+    for after in ("removed", "kept", "kept"):
+        done = subprocess.run(line, env=os.environ | of_jax, capture_output=True, text=True)
+        assert (done.returncode, done.stdout) == (0, "[1.5  2.25]\n"), done.stderr
+        (program,) = (tmp_path / "kept").iterdir()
+        if after == "removed":  # as where the sources changed, but not this program
+            program.unlink()
 
 
 def test_static_arguments_shapes_and_types_name_other_programs(directory):

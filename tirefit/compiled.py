@@ -22,23 +22,29 @@ import inspect
 import io
 import os
 import pickle
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from functools import cache, update_wrapper
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.export
+from jax._src.lax.linalg import initialize_lapack
+from jax._src.lib import xla_client
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
+from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
 from tirefit.files import replacing
 
 _directory: Path | None = None
+_loaded: dict[tuple, Callable] = {}
+_one_at_a_time = threading.Lock()
 
 _MOST_PROGRAMS = 500
 """Largest number of stored programs: 30 models at 10 to 20 programs of 50 kB each."""
 
-_PLAINLY = {"xla_cpu_use_fusion_emitters": False}
+_PLAINLY: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
 """A program compiles in 0.56 of the time (all programs of a first fit of ``carcass-beam``:
 6.3 s instead of 11.1 s of processor time) and runs up to twice as long (eight searches
 of 400 rows: 78 instead of 65 ms for that model, 55 instead of 28 ms for
@@ -47,9 +53,6 @@ of 400 rows: 78 instead of 65 ms for that model, 55 instead of 28 ms for
 _MOST_MAPPINGS = 30_000
 """Number of memory mappings of a process above which its programs are released. A program
 takes about 30. Linux allows 65,530; XLA ends the process at the next one."""
-
-# JAX does not keep this call stable between versions; the digest contains the version.
-_SAFE = [jax.export.DisabledSafetyCheck.custom_call("lapack_dormqr_ffi")]
 
 
 def keep_programs_in(directory: str | os.PathLike | None) -> None:
@@ -75,6 +78,7 @@ def release_programs(most: int = _MOST_MAPPINGS) -> bool:
     except OSError:
         return False
     if many:
+        _loaded.clear()
         jax.clear_caches()
     return many
 
@@ -91,9 +95,12 @@ def _sources() -> bytes:
 
 
 def _device() -> str:
-    """The platform and the kind of device that programs are compiled for."""
+    """The device that programs are compiled for, the features of its processor, and the
+    flags of XLA."""
     device = jax.devices()[0]
-    return f"{device.platform} {device.device_kind}"
+    features = xla_client.get_topology_for_devices([device]).fingerprint()
+    flags = os.environ.get("XLA_FLAGS")
+    return f"{device.platform} {device.device_kind} {features} {flags}"
 
 
 class Compiled:
@@ -105,7 +112,6 @@ class Compiled:
         self._function, self._static = function, static
         self._signature = inspect.signature(function)
         self._jitted = jax.jit(function, static_argnames=static)
-        self._programs: dict[tuple, Callable] = {}
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         if _directory is None:
@@ -118,27 +124,29 @@ class Compiled:
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return self._jitted(*args, **kwargs)
         shapes = [jax.typeof(leaf).str_short() for leaf in leaves]
-        key = (*static.values(), structure, *shapes)
-        if key not in self._programs:
-            self._programs[key] = self._program(static, structure, leaves, shapes)
-        return self._programs[key](leaves)
+        key = (self, *static.values(), structure, *shapes)
+        if key not in _loaded:
+            _loaded[key] = self._program(static, structure, leaves, shapes)
+        return _loaded[key](leaves)
 
     def _program(self, static: dict, structure, leaves: list, shapes) -> Callable:
         def flat(leaves):
             return self._function(**jax.tree.unflatten(structure, leaves), **static)
 
         try:
-            given = jax.tree.unflatten(structure, shapes), static
+            given = jax.tree.unflatten(structure, shapes), static, self._options
             path = _path(self._function, given)
-            exported = _kept(path)
-            if exported is None:
-                traced = jax.export.export(jax.jit(flat), disabled_checks=_SAFE)
-                exported = traced(leaves)
-                _write(path, bytes(exported.serialize()))
-        except (ValueError, NotImplementedError, pickle.PicklingError, AttributeError):
-            # A program that cannot be serialised still runs.
-            return jax.jit(flat, compiler_options=self._options)
-        return jax.jit(exported.call, compiler_options=self._options)
+        except (pickle.PicklingError, AttributeError):
+            path = None  # arguments that cannot be pickled
+        kept = None if path is None else _kept(path)
+        if kept is not None:
+            return kept
+        lowered = jax.jit(flat).lower(leaves)
+        with _without_cache_of_jax():
+            program = lowered.compile(compiler_options=self._options)
+        if path is not None:
+            _write(path, program, "lapack_" in lowered.as_text())
+        return program
 
 
 def _path(function: Callable, given: Any) -> Path:
@@ -153,15 +161,18 @@ def _path(function: Callable, given: Any) -> Path:
     return _directory / f"{function.__name__}-{key[:32]}.program"
 
 
-def _kept(path: Path) -> jax.export.Exported | None:
-    """The program in a file; None if it is absent, damaged or of another JAX version."""
+def _kept(path: Path) -> Callable | None:
+    """The program in a file; None if it is absent or damaged."""
     try:
-        exported = jax.export.deserialize(bytearray(path.read_bytes()))
+        (program, given, found), calls_lapack = pickle.loads(path.read_bytes())
+        if calls_lapack:  # JAX does so where it traces; without, the process would crash
+            initialize_lapack()
+        kept = deserialize_and_load(program, given, found, execution_devices=jax.devices()[:1])
     except Exception:
         return None
     with contextlib.suppress(OSError):  # in a directory of another user
         os.utime(path)  # mark it as used now
-    return exported
+    return kept
 
 
 def _evict(directory: Path) -> None:
@@ -177,15 +188,29 @@ def _evict(directory: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _write(path: Path, content: bytes) -> None:
-    """Write a file completely or not at all; an unwritable directory is no error."""
-    try:
+def _write(path: Path, program: jax.stages.Compiled, calls_lapack: bool) -> None:
+    """Write a program completely or not at all. A program that cannot be stored, as one that
+    calls Python or in a directory without permission, still runs."""
+    with contextlib.suppress(Exception):
+        content = pickle.dumps((serialize(program), calls_lapack))
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as temporary:
             temporary.write_bytes(content)
         _evict(path.parent)
-    except OSError:
-        pass
+
+
+@contextlib.contextmanager
+def _without_cache_of_jax() -> Iterator[None]:
+    """A program that JAX read from its own cache cannot be written again: it would lack
+    its code, and fail where it is used."""
+    with _one_at_a_time:
+        jax.config.update("jax_enable_compilation_cache", False)
+        reset_cache()
+        try:
+            yield
+        finally:
+            jax.config.update("jax_enable_compilation_cache", True)
+            reset_cache()
 
 
 def compiled(

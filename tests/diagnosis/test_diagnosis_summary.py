@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from conftest_diagnosis import RIG
+from scipy.stats import false_discovery_control, spearmanr
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.rows.prepared import prepare
-from tirefit.diagnosis.summary.where import moving_together
+from tirefit.diagnosis.summary.where import adjusted, moving_together, rank_correlation
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
 
@@ -40,3 +41,19 @@ def test_blocks_of_rising_load_are_said():
     fz = np.repeat([2e3, 4e3, 6e3], ROWS // 3)
     (said,) = said_of(fz, np.tile([5.0, 15.0], ROWS // 2))
     assert said.startswith("fz rises with time")
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 50])
+def test_p_values_are_adjusted_as_by_scipy(count):
+    chances = np.random.default_rng(count).uniform(0, 0.2, count)
+    for dependent, method in ((False, "bh"), (True, "by")):
+        expected = false_discovery_control(chances, method=method)
+        np.testing.assert_allclose(adjusted(chances, dependent), expected, rtol=1e-12)
+
+
+def test_the_rank_correlation_of_values_with_ties_is_that_of_scipy():
+    generator = np.random.default_rng(0)
+    one = generator.integers(0, 5, 100)
+    other = one + generator.integers(0, 3, 100)
+    expected = spearmanr(one, other).statistic
+    np.testing.assert_allclose(rank_correlation(one, other), expected, rtol=1e-12)

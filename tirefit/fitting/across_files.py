@@ -8,13 +8,13 @@ files are within 0.6745 sqrt(s_i^2 + tau^2). A few outlying files change neither
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 HUBER = 1.345
 """Standard deviations beyond which a file gets a lower weight (95 % efficient; Huber
 1964)."""
 
-_MEDIAN = float(norm.ppf(0.75))
+_MEDIAN = float(ndtri(0.75))
 
 _ERROR = 0.01
 """False alarm probability of an outlier among all files, and of a drift."""
@@ -68,7 +68,7 @@ def across_files(value, std, when) -> AcrossFiles:
     change = float(at[1]) if is_line else 0.0
     change_std = _std(design, pulls, scale) if is_line else 0.0
     freedom = max(len(value) - 2, 1)
-    limit = t.isf(_ERROR / 2, freedom)
+    limit = -stdtrit(freedom, _ERROR / 2)
     return AcrossFiles(
         float(at[0]),
         scatter,
@@ -76,7 +76,7 @@ def across_files(value, std, when) -> AcrossFiles:
         change_std,
         bool(abs(change) > limit * change_std > 0),
         pulls,
-        np.abs(pulls) > t.isf(_ERROR / (2 * len(value)), freedom),
+        np.abs(pulls) > -stdtrit(freedom, _ERROR / (2 * len(value))),
     )
 
 

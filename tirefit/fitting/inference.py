@@ -58,9 +58,6 @@ class Minima(NamedTuple):
     steps: Int[Array, " m"]
 
 
-jax.export.register_namedtuple_serialization(Minima, serialized_name="tirefit.Minima")
-
-
 @compiled()
 def _minima(problem: FitProblem, starts, index, values, count) -> Minima:
     """:func:`minima` of the first ``count`` of m searches; the others are skipped."""
@@ -174,9 +171,6 @@ class Linearised(NamedTuple):
     slopes: dict[str, Array]  # (n, p) by block
     mean: dict[str, Array]  # (n,) by force
     variance: dict[str, Array]  # (n,) by force
-
-
-jax.export.register_namedtuple_serialization(Linearised, serialized_name="tirefit.Linearised")
 
 
 @compiled(brief=True)

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.export
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -26,8 +25,6 @@ class Solution(NamedTuple):
     converged: Bool[Array, ""]
     steps: Int[Array, ""]
 
-
-jax.export.register_namedtuple_serialization(Solution, serialized_name="tirefit.Solution")
 
 Residual = Callable[[Float[Array, " p"]], tuple[Float[Array, " n"], Float[Array, " n"]]]
 """z (p,) -> (residuals, scoring weights), each (n,).

@@ -58,7 +58,7 @@ def predict_forces(
         (force, variance): dicts of arrays (n,) for each force that is modelled.
     """
     force, variance = _linearised(
-        model, layout, jnp.asarray(z), jnp.asarray(covariance), inputs, jnp.asarray(run)
+        model, layout, np.asarray(z), np.asarray(covariance), inputs, np.asarray(run)
     )
     return (
         {k: np.asarray(v) for k, v in force.items()},

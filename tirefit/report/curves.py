@@ -217,7 +217,7 @@ def _carried(result: FitResult, channel: str, members, keys, middle):
     grouped = name in dict(keys)
     for (_, rows), at in zip(members, middle, strict=True):
         moved[: problem.n][rows] = at[name] if grouped else target
-    target_inputs = inputs._replace(**{name: jnp.asarray(moved)})
+    target_inputs = inputs._replace(**{name: jax.device_put(moved)})
     if problem.model.transient:
         # Constant time means steady state, as in the curves.
         target_inputs = target_inputs._replace(time=jnp.zeros_like(inputs.time))

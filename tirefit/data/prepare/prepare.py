@@ -161,8 +161,8 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
     if not any(part.direction for part in parts):
         ranges = [f"{name} {np.min(raw[name]):.3g} to {np.max(raw[name]):.3g}" for name in slips]
         notes.append(
-            f"no sweep was found ({', '.join(ranges)}; rad and ratio): if the rig swept a slip, check"
-            " its column and unit (--column alpha=HEADER, --unit alpha=rad)"
+            f"no sweep was found ({', '.join(ranges)}; rad and ratio): if the rig swept a slip,"
+            " check its column and unit (--column alpha=HEADER, --unit alpha=rad)"
         )
     notes += _conditions_at_risk(parts, kept)
     if absurd.any():

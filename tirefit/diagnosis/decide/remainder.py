@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.fft import rfft
-from scipy.signal import lfilter
 from scipy.sparse import csr_array
 
 from tirefit.diagnosis.decide.verdict import Tests
@@ -153,6 +152,8 @@ def _noise(n: int, memory: Sequence[Memory], stretches, generator) -> np.ndarray
     white = generator.standard_normal((n, DRAWS))
     if not stretches or not any(np.any(one.share) for one in memory):
         return white
+    from scipy.signal import lfilter  # 0.4 s, and other data need nothing of it
+
     coloured = generator.standard_normal((n, DRAWS))
     ends = np.rint(DRAWS * np.cumsum([one.chance for one in memory])).astype(int)
     for one, begin, end in zip(memory, [0, *ends[:-1]], ends, strict=True):

@@ -10,6 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from tirefit.data.table import CANONICAL, SIMULATED, TireData
@@ -376,7 +377,7 @@ def _misfits(prepared: Prepared, tire: Tire, z, turned: frozenset[str]) -> _Misf
 
     def of(z, turned=turned):
         model = with_values(tire.model, tire.layout.natural(z))
-        found = forces(model, turned_inputs(inputs, turned), run)
+        found = jax.tree.map(np.asarray, forces(model, turned_inputs(inputs, turned), run))
         every = turned_forces(found, turned)._asdict()
         return np.array([every[c][:n] for c in channels])
 

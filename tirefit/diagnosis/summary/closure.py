@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.special import softmax, stdtrit
-from scipy.stats import norm
 
 from tirefit.diagnosis.evidence.base import on_rows
 from tirefit.diagnosis.evidence.posterior import linear_at
@@ -180,7 +179,7 @@ def closure_elsewhere(before, after, variance, run, inflation, generator) -> Shr
 
     def closed(gains, value):
         root = np.sqrt(np.maximum(value, 0.0) + _FAR * error) * evenly
-        below = np.cumsum(softmax(norm.logpdf(root**2, value, error)))
+        below = np.cumsum(softmax(-0.5 * ((root**2 - value) / error) ** 2))
         lefts = np.interp(evenly, below, root) ** 2
         return _closed(np.maximum(gains + lefts, 0.0), lefts)
 

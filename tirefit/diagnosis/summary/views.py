@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import stdtr
-from scipy.stats import false_discovery_control
 
 from tirefit.data.levels import cells, levels
 from tirefit.diagnosis.evidence.base import Base
@@ -21,7 +20,7 @@ from tirefit.diagnosis.rows.patterns import (
     quantities,
     settings_of,
 )
-from tirefit.diagnosis.summary.where import FEWEST_ROWS, LEVEL, binned, covariates_of
+from tirefit.diagnosis.summary.where import FEWEST_ROWS, LEVEL, adjusted, binned, covariates_of
 
 _BANDS, _BINS, _STEPS = 5, 13, 60
 """Largest numbers of bands of a swept covariate, bins of a map, and bins of a curve."""
@@ -156,7 +155,7 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
     p = 2 * stdtr(np.maximum(independent - 1, 1.0), -np.abs(t))
     beyond = np.zeros(len(mean), bool)
     if there.any():
-        beyond[there] = false_discovery_control(p[there]) < LEVEL
+        beyond[there] = adjusted(p[there]) < LEVEL
     square = np.bincount(cell, rows.gap**2, len(mean))
     energy = square * resolvable / max(float(square.sum()), NONZERO)
     shown = np.where(there, mean, np.nan), beyond, energy

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Set
 from functools import partial
+from operator import neg
 
 import equinox as eqx
 import jax
@@ -199,7 +200,7 @@ def turned_inputs(inputs: TireInputs, turned: Set[str]) -> TireInputs:
 def turned_forces(forces: TireForces, turned: Set[str]) -> TireForces:
     """Forces with the sign of those in ``turned`` reversed; None stays None."""
     names = turned & set(forces._fields)
-    changed = {n: jax.tree.map(jnp.negative, getattr(forces, n)) for n in names}
+    changed = {n: jax.tree.map(neg, getattr(forces, n)) for n in names}
     return forces._replace(**changed)
 
 
