@@ -30,7 +30,19 @@ class Displayed:
 
 
 class Record(Displayed):
-    """A result: its text, numbers, files and figures, by the same names in all."""
+    """A result: its text, numbers, files and figures, by the same names in all.
+
+    Example:
+        >>> result = fit(samples / "circles.csv", "brush")
+        >>> print(result.status)
+        systematic misfit
+        >>> result.warnings[0].partition(":")[0]
+        'residuals of neighbouring slips agree (correlation 0.51)'
+        >>> [path.name for path in result.save(folder / "fit")]
+        ['fit.json']
+        >>> result.to_dict()["model"], len(result.plot().axes)
+        ('brush', 1)
+    """
 
     text_by: ClassVar[str]
     plot_by: ClassVar[str]
@@ -68,23 +80,32 @@ class Record(Displayed):
         return f"<{type(self).__name__}: {self.summary().partition(chr(10))[0]}>"
 
     def summary(self, **how) -> str:
-        """The report as text, as the command prints it."""
+        """Return the report as text, as the command prints it.
+
+        Args:
+            how: ``full=True`` for all details, of results that have more.
+        """
         return _made_by(self.text_by, self, **how)
 
     def plot(self, *what, **how):
-        """The figure; ``what`` names one of several, where there are several."""
+        """Return the result as a figure of Matplotlib.
+
+        Args:
+            what: the name of one figure, of results that have several.
+            how: keywords of that figure.
+        """
         return _made_by(self.plot_by, self, *what, **how)
 
     def to_dict(self) -> dict[str, Any]:
-        """All numbers, as the JSON document has them."""
+        """Return all numbers, as the JSON document has them."""
         raise NotImplementedError
 
     def to_json(self) -> str:
-        """The text of the JSON document; numbers that are not finite become null."""
+        """Return the text of the JSON document; numbers that are not finite become null."""
         return json_text(self.to_dict())
 
     def files(self, name: str) -> Mapping[str, str]:
-        """File name -> content, of all that :meth:`save` writes into a folder.
+        """Return file name -> content, of all that :meth:`save` writes into a folder.
 
         Args:
             name: how files that carry the name of the data begin.

@@ -135,10 +135,21 @@ class _Record(_Part):
 def load_fit(path: str | os.PathLike) -> StoredFit:
     """Read a ``fit.json``.
 
+    Args:
+        path: the file.
+
+    Returns:
+        What a prediction or an export needs of the fit.
+
     Raises:
         DataError: no such file, not JSON, not of this schema, or changed since.
-    """
 
+    Example:
+        >>> _ = fit(samples / "circles.csv", "brush").save(folder)
+        >>> stored = load_fit(folder / "fit.json")
+        >>> stored.model, stored.layout.labels
+        ('brush', ('cpa2', 'mu'))
+    """
     remedy = "give a fit.json of `tirefit fit`"
     content = read_record(Path(path), SCHEMA, remedy)
     try:

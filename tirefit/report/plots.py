@@ -124,7 +124,7 @@ def _comparable(results: Sequence[FitResult]) -> None:
 
 
 def compare(results: Sequence[FitResult]) -> Comparison:
-    """Models fitted to the same data, side by side, at one effective number of rows.
+    """Compare models fitted to the same data, at one effective number of rows.
 
     Args:
         results: fits of the same rows and forces.
@@ -134,6 +134,12 @@ def compare(results: Sequence[FitResult]) -> Comparison:
 
     Raises:
         UsageError: no fits, or fits of different data.
+
+    Example:
+        >>> data = read(samples / "circles.csv")
+        >>> table = compare([fit(data, model) for model in ("brush", "elliptic")])
+        >>> [row[0] for row in table.rows]
+        ['model', 'elliptic', 'brush']
     """
     _comparable(results)
     best = min(results, key=lambda r: r.statistics.rmse).statistics

@@ -71,7 +71,7 @@ class Prepared(Record):
         return f"Prepared({self.data.name!r}, {kept} of {len(self.kept)} rows: {what})"
 
     def to_data(self, by: str = "run") -> TireData:
-        """What can be fitted: the kept rows, filtered, canonical as all data are.
+        """Return what can be fitted: the kept rows, filtered, in canonical columns.
 
         Args:
             by: what becomes a run of its own: "run" (of the file), "segment" or "bin".
@@ -109,16 +109,27 @@ class Prepared(Record):
 
 
 def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepared:
-    """Finds what a rig did in a test, and makes data of it that a fit can use.
+    """Find what a rig did in a test, and make data of it that a fit can use.
 
     Args:
         data: what ``tirefit.read`` gave (best with ``curve=False`` and
             ``mask_bad_rows=True``), a path, a frame or a mapping of arrays.
         config: see :class:`~tirefit.data.prepare.settings.PrepareConfig`.
 
+    Returns:
+        Segments, settings and filtered channels; its ``to_data()`` can be fitted.
+
     Raises:
         DataError: no slip was recorded, or nothing is left.
         UsageError: unknown or impossible settings.
+
+    Example:
+        >>> time = np.arange(0.0, 20.0, 0.02)
+        >>> alpha = 0.15 * np.sin(0.6 * time)
+        >>> fy, fz = 4e3 * np.tanh(12 * alpha), np.full_like(time, 4e3)
+        >>> made = prepare({"time": time, "alpha": alpha, "fy": fy, "fz": fz})
+        >>> made.rows_by_kind()
+        {'sweep': 970, 'steady': 30}
     """
     data = as_data(data, curve=False, mask_bad_rows=True)
     config = config if config is not None else PrepareConfig()
