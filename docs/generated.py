@@ -51,7 +51,7 @@ def _help(name, command):
     context = typer.Context(command, info_name=name, terminal_width=88)
     yield f"{level} {name}\n\n```text\n{command.get_help(context)}\n```"
     for part, below in getattr(command, "commands", {}).items():
-        yield from _help(f"{name} {part}", below)
+        yield from _help(f"{name} {part}", below.loaded() if " " not in name else below)
 
 
 def _literal(text):

@@ -75,8 +75,8 @@ def test_sound_inputs_are_read(kind, tmp_path):
 
 
 WRONG = {
-    "deep": ("a = " + "[" * 2000 + "]" * 2000, "nested too deeply|lie more than"),
-    "deep keys": ("a." * 2000 + "b = 1", "lie more than 16 deep"),
+    "deep": ("a = " + "[" * 2000 + "]" * 2000, "nested too deeply|nested more than"),
+    "deep keys": ("a." * 2000 + "b = 1", "nested more than 16 deep"),
     "long number": ("starts = " + "9" * 400, "starts: a number above 1e.20"),
     "very long number": ("starts = " + "9" * 5000, "not valid TOML"),
     "large": ("[noise]\nfx = 1e308", "noise.fx: a number above"),

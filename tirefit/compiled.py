@@ -1,17 +1,17 @@
-"""Programs that outlive the process: ``jax.jit`` whose traced program is kept on disk.
+"""``jax.jit`` with the traced programs stored on disk, for later processes.
 
-JAX's own cache keeps what XLA compiled, but a new process still traces every function
-in Python first. Here the traced program (``jax.export``) is kept too, under a digest of
-everything that it depends on: the sources of the package, the versions of its
-libraries, the platform and kind of device, the pickled static arguments, and the
-structure, shapes and types of the others. An unreadable file is made anew; the programs
-used least recently are removed.
+JAX's own cache stores compiled programs, but a new process still traces every function
+in Python first. This module stores the traced program (``jax.export``) as well. The name
+of its file is a digest of everything that it depends on: the sources of the package, the
+versions of its libraries, the platform and kind of device, the pickled static arguments,
+and the structure, shapes and types of the others. An unreadable file is written anew;
+the programs used least recently are removed.
 
-``brief`` marks a program that runs a few times in a process, and so takes longer to
-compile than it ever runs: it is compiled by the plainer of XLA's two ways.
+``brief`` marks a program that runs a few times in a process, so that it takes longer to
+compile than to run: it is compiled with fewer optimisations.
 
-A whole process ``tirefit fit --no-posterior`` of the brush (400 rows, figures included,
-both caches warm) takes 5.3 s of processor time instead of 6.8 s with JAX's cache alone,
+A process ``tirefit fit --no-posterior`` of the brush (400 rows, with figures, both caches
+warm) takes 5.3 s of processor time instead of 6.8 s with JAX's cache alone,
 ``tirefit diagnose`` of 900 rows 10.8 s instead of 11.4 s (medians of five and of three
 alternating pairs on two shared, busy cores).
 """
@@ -36,37 +36,38 @@ from tirefit.files import replacing
 _directory: Path | None = None
 
 _MOST_PROGRAMS = 500
-"""Programs kept, at most: some 30 models at 10 to 20 programs of some 50 kB each."""
+"""Largest number of stored programs: 30 models at 10 to 20 programs of 50 kB each."""
 
 _PLAINLY = {"xla_cpu_use_fusion_emitters": False}
-"""Compiles in 0.56 of the time (all programs of a first fit of ``carcass-beam``: 6.3 s
-instead of 11.1 s of processor time) and runs up to twice as long (eight searches of 400
-rows: 78 instead of 65 ms of that model, 55 instead of 28 ms of ``carcass-thread``)."""
+"""A program compiles in 0.56 of the time (all programs of a first fit of ``carcass-beam``:
+6.3 s instead of 11.1 s of processor time) and runs up to twice as long (eight searches
+of 400 rows: 78 instead of 65 ms for that model, 55 instead of 28 ms for
+``carcass-thread``)."""
 
 _MOST_MAPPINGS = 30_000
-"""Pieces of memory that a process may have mapped before its programs are let go. A
-program takes some thirty, Linux allows 65,530, and XLA ends the process at the next."""
+"""Number of memory mappings of a process above which its programs are released. A program
+takes about 30. Linux allows 65,530; XLA ends the process at the next one."""
 
-# JAX promises no stability of this call between versions; the file names one version.
+# JAX does not keep this call stable between versions; the digest contains the version.
 _SAFE = [jax.export.DisabledSafetyCheck.custom_call("lapack_dormqr_ffi")]
 
 
 def keep_programs_in(directory: str | os.PathLike | None) -> None:
-    """Keep traced programs in this directory from now on; None keeps none."""
+    """Store traced programs in this directory from now on; None stores none."""
     global _directory
     _directory = None if directory is None else Path(directory)
 
 
 def release_programs(most: int = _MOST_MAPPINGS) -> bool:
-    """Let all compiled programs go where this process holds very many; whether it did.
+    """Release all compiled programs if this process holds very many; returns whether.
 
-    A process that fits thousands of files of many shapes and models would otherwise end
-    at the limit of the system. What is needed again is compiled again, or read from the
-    caches on disk. Asked for between pieces of work: counting takes up to 9 ms.
+    A process that fits thousands of files of many shapes and models would otherwise
+    exceed a limit of the system. Programs needed later are compiled again or read from
+    the caches on disk. Call it between files only: counting takes up to 9 ms.
 
     Args:
-        most: mapped pieces of memory from which on they go; nothing happens on systems
-            that do not count them in ``/proc``.
+        most: number of memory mappings above which programs are released. Nothing
+            happens on systems that do not list them in ``/proc``.
     """
     try:
         with open("/proc/self/maps", "rb") as mappings:
@@ -80,7 +81,7 @@ def release_programs(most: int = _MOST_MAPPINGS) -> bool:
 
 @cache
 def _sources() -> bytes:
-    """Digest of the package's sources and of the libraries that traces run through."""
+    """Digest of the sources of the package and of the libraries that it traces."""
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(file.read_bytes())
@@ -90,13 +91,13 @@ def _sources() -> bytes:
 
 
 def _device() -> str:
-    """The platform and the kind of device that programs are made for."""
+    """The platform and the kind of device that programs are compiled for."""
     device = jax.devices()[0]
     return f"{device.platform} {device.device_kind}"
 
 
 class Compiled:
-    """A function jitted by ``jax.jit``, with its traced programs kept on disk."""
+    """A function jitted by ``jax.jit``, with its traced programs stored on disk."""
 
     def __init__(self, function: Callable, static: tuple[str, ...], brief: bool):
         update_wrapper(self, function)
@@ -135,36 +136,36 @@ class Compiled:
                 exported = traced(leaves)
                 _write(path, bytes(exported.serialize()))
         except (ValueError, NotImplementedError, pickle.PicklingError, AttributeError):
-            # A program that cannot be written down still runs.
+            # A program that cannot be serialised still runs.
             return jax.jit(flat, compiler_options=self._options)
         return jax.jit(exported.call, compiler_options=self._options)
 
 
 def _path(function: Callable, given: Any) -> Path:
     """The file of a function's program for these arguments."""
-    assert _directory is not None  # or nothing is kept
+    assert _directory is not None  # the caller checks it
     content = io.BytesIO(_sources())
     content.seek(0, io.SEEK_END)
     pickler = pickle.Pickler(content)
-    pickler.fast = True  # equal arguments in equal bytes, whatever objects they share
+    pickler.fast = True  # equal arguments give equal bytes, even if they share objects
     pickler.dump((_device(), function.__qualname__, given))
     key = hashlib.sha256(content.getvalue()).hexdigest()
     return _directory / f"{function.__name__}-{key[:32]}.program"
 
 
 def _kept(path: Path) -> jax.export.Exported | None:
-    """The program of a file; None where it is absent, torn or of another JAX."""
+    """The program in a file; None if it is absent, damaged or of another JAX version."""
     try:
         exported = jax.export.deserialize(bytearray(path.read_bytes()))
     except Exception:
         return None
-    with contextlib.suppress(OSError):  # a directory of someone else
-        os.utime(path)  # used now
+    with contextlib.suppress(OSError):  # in a directory of another user
+        os.utime(path)  # mark it as used now
     return exported
 
 
 def _evict(directory: Path) -> None:
-    """Remove the programs used least recently, where there are too many."""
+    """If there are too many programs, remove those used least recently."""
 
     def used(path: Path) -> float:
         with contextlib.suppress(OSError):  # another process may have removed it
@@ -177,7 +178,7 @@ def _evict(directory: Path) -> None:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Whole or not at all; a directory that cannot be written to is no error."""
+    """Write a file completely or not at all; an unwritable directory is no error."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as temporary:
@@ -190,10 +191,10 @@ def _write(path: Path, content: bytes) -> None:
 def compiled(
     *, static: tuple[str, ...] = (), brief: bool = False
 ) -> Callable[[Callable], Compiled]:
-    """Decorator: compile a function of arrays, and keep its programs between runs.
+    """Decorator: compile a function of arrays, and store its programs between runs.
 
     Args:
         static: names of hashable arguments that are part of the program.
-        brief: whether compiling the program takes longer than it will ever run.
+        brief: whether the program takes longer to compile than to run in a process.
     """
     return lambda function: Compiled(function, static, brief)

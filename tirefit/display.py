@@ -1,8 +1,7 @@
-"""What every result can do: print, be drawn, be saved, show itself in a notebook.
+"""Base classes of results: text, numbers, figures, files and notebook display.
 
-Records live on low floors, their text and figures are made on the report floor. A
-record names the functions; they are looked up when a notebook, ``print`` or a caller
-asks.
+Results are defined on low floors, their text and figures on the report floor. A result
+class therefore names these functions as text; they are imported when they are called.
 """
 
 import importlib
@@ -21,7 +20,7 @@ def _made_by(place: str, *given, **named) -> Any:
 
 
 class Displayed:
-    """A record with a rich notebook form."""
+    """A record that notebooks display as HTML."""
 
     html_by: ClassVar[str] = "tirefit.report.html:record_fragment"
 
@@ -30,7 +29,7 @@ class Displayed:
 
 
 class Record(Displayed):
-    """A result: its text, numbers, files and figures, by the same names in all.
+    """Base of all results, with the same methods for text, numbers, files and figures.
 
     Example:
         >>> result = fit(samples / "circles.csv", "brush")
@@ -88,7 +87,7 @@ class Record(Displayed):
         return _made_by(self.text_by, self, **how)
 
     def plot(self, *what, **how):
-        """Return the result as a figure of Matplotlib.
+        """The matplotlib figure.
 
         Args:
             what: the name of one figure, of results that have several.
@@ -97,31 +96,32 @@ class Record(Displayed):
         return _made_by(self.plot_by, self, *what, **how)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all numbers, as the JSON document has them."""
+        """All numbers, as in the JSON file."""
         raise NotImplementedError
 
     def to_json(self) -> str:
-        """Return the text of the JSON document; numbers that are not finite become null."""
+        """The text of the JSON file; numbers that are not finite become null."""
         return json_text(self.to_dict())
 
     def files(self, name: str) -> Mapping[str, str]:
-        """Return file name -> content, of all that :meth:`save` writes into a folder.
+        """File name -> content of every file that :meth:`save` writes into a folder.
 
         Args:
-            name: how files that carry the name of the data begin.
+            name: beginning of the names of files that are named after the data.
         """
         raise NotImplementedError
 
     def save(self, path: str | os.PathLike, name: str = "") -> list[Path]:
-        """Write the files of the command, or one page; each whole or not at all.
+        """Write the files that the command writes, or one page; each completely or not at
+        all.
 
         Args:
-            path: a folder, which is made; or the page, a name that ends in ``.html``.
-            name: how files that carry the name of the data begin; that of the data by
-                default.
+            path: a folder, created if needed; or a page, a name that ends in ``.html``.
+            name: beginning of the names of files that are named after the data; the
+                name of the data by default.
 
         Returns:
-            the files written.
+            The files written.
 
         Raises:
             OSError: a file cannot be written.

@@ -1,7 +1,7 @@
-"""The one door for files: how large, how deep, how big a number; and our own seal.
+"""Read every file within limits of size, nesting and numbers; checksums of own files.
 
-What comes in by it can be parsed and checked further without a surprise. Files that
-this package wrote itself carry a checksum of their content: one flipped bit is seen.
+Content read here is safe to parse and check further. Files that this package writes
+itself contain a checksum, which detects a single flipped bit.
 """
 
 import hashlib
@@ -16,18 +16,18 @@ from tirefit.results import DataError, InputProblem, TirefitError, UsageError
 
 MIB = 2**20
 SETTINGS, TIRE, RECORD, CHAIN, DATA = (1 * MIB, 8 * MIB, 256 * MIB, 1024 * MIB, 1024 * MIB)
-"""Largest files: settings, ``.tir``, JSON, kept chains, data (unpacked as well)."""
+"""Largest sizes: settings, ``.tir``, JSON, stored chains, data (also when unpacked)."""
 
-_DEEPEST = 16  # tables and lists in each other: settings and records have up to 6
+_DEEPEST = 16  # most levels of nested tables and lists; valid files have up to 6
 
 _LARGEST, _SMALLEST = 1e20, 1e-20
-"""Size of numbers in settings, beyond which squares and products leave the floats."""
+"""Limits of numbers in settings; beyond them, squares and products could overflow."""
 
 _SEAL = "checksum"
 
 
 def too_large(path, most: int, error: type[TirefitError] = DataError) -> TirefitError:
-    """The error of a file of more than ``most`` bytes."""
+    """The error for a file of more than ``most`` bytes."""
     reason = f"it holds more than {most // MIB} MiB"
     return error(InputProblem(reason, "split or thin it", str(path)))
 
@@ -35,10 +35,10 @@ def too_large(path, most: int, error: type[TirefitError] = DataError) -> Tirefit
 def content_of(
     path: str | Path, most: int, error: type[TirefitError] = DataError, remedy: str = ""
 ) -> bytes:
-    """The bytes of a file of at most ``most``.
+    """The content of a file of at most ``most`` bytes.
 
     Raises:
-        ``error``: it cannot be read, or is larger.
+        ``error``: the file cannot be read, or is larger.
     """
     try:
         with open(path, "rb") as file:
@@ -53,7 +53,7 @@ def content_of(
 
 
 def control_character(text: str) -> tuple[int, str] | None:
-    """Row and name of the first character that no text file holds, or None."""
+    """Row and name of the first control character that is invalid in text, or None."""
     found = re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029]", text)
     if found is None:
         return None
@@ -64,17 +64,17 @@ def control_character(text: str) -> tuple[int, str] | None:
 def outrageous(
     content: Any, smallest: float = _SMALLEST, largest: float = _LARGEST
 ) -> tuple[str, str] | None:
-    """Key and reason of the first thing in parsed settings that no file needs, or None.
+    """Key and reason of the first value of parsed settings beyond the limits, or None.
 
     Args:
-        content: tables and lists in each other.
-        smallest, largest: size of its numbers; 0 and infinity are left to the reader.
+        content: nested tables and lists.
+        smallest, largest: limits of the size of numbers; 0 and infinity are not checked.
     """
     waiting: list[tuple[str, Any, int]] = [("", content, 0)]
     while waiting:
         key, value, depth = waiting.pop()
         if depth > _DEEPEST:
-            return key[:40], f"tables and lists lie more than {_DEEPEST} deep"
+            return key[:40], f"tables and lists are nested more than {_DEEPEST} deep"
         if isinstance(value, dict):
             start = f"{key}." if key else ""
             waiting += [(f"{start}{k}"[:80], v, depth + 1) for k, v in value.items()]
@@ -94,11 +94,11 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
     Raises:
         UsageError: no such file, too large, not TOML, nested too deeply, or with
-            numbers of a size that nothing has.
+            numbers out of the limits.
     """
     raw = content_of(path, SETTINGS, UsageError, "check the path")
     try:
-        # Editors on Windows put a byte-order mark before the first key.
+        # Editors on Windows may write a byte-order mark before the first key.
         content = tomllib.loads(raw.decode("utf-8-sig"))
     except RecursionError:
         reason = "not valid TOML: brackets are nested too deeply"
@@ -121,16 +121,16 @@ def _digest(content: dict) -> str:
 
 
 def sealed(content: dict) -> dict:
-    """A record that JSON can hold, with its checksum."""
+    """A JSON-able record with its checksum added."""
     bare = {key: value for key, value in content.items() if key != _SEAL}
     return bare | {_SEAL: _digest(bare)}
 
 
 def read_record(path: str | Path, schema: str, remedy: str) -> dict:
-    """The content of a JSON file that :func:`sealed` made.
+    """The content of a JSON file with a checksum by :func:`sealed`.
 
     Raises:
-        DataError: no such file, no JSON, of another schema, or changed since.
+        DataError: no such file, not JSON, another schema, or a wrong checksum.
     """
 
     def refused(reason: str) -> DataError:
@@ -154,12 +154,12 @@ def read_record(path: str | Path, schema: str, remedy: str) -> dict:
 
 
 def sealed_bytes(kind: str, content: bytes) -> bytes:
-    """A binary file of our own: its kind and checksum, then the content."""
+    """Content of a binary file of this package: kind and checksum, then the content."""
     head = f"{kind} {hashlib.sha256(content).hexdigest()}\n"
     return head.encode() + content
 
 
 def unsealed_bytes(kind: str, content: bytes) -> bytes | None:
-    """What :func:`sealed_bytes` was given; None if it is not that any more."""
+    """The content given to :func:`sealed_bytes`; None if kind or checksum is wrong."""
     head, _, rest = content.partition(b"\n")
     return rest if sealed_bytes(kind, rest) == head + b"\n" + rest else None

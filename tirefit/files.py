@@ -1,4 +1,4 @@
-"""Files out, whole or not at all, and content that JSON can hold."""
+"""Write files completely or not at all, and convert content to JSON."""
 
 import enum
 import json
@@ -15,11 +15,11 @@ from typing import Any
 fcntl: ModuleType | None
 try:
     import fcntl
-except ImportError:  # Windows has no such locks: two processes are not kept apart
+except ImportError:  # Windows has no such locks: two processes may write at once
     fcntl = None
 
 PART = ".part"
-"""How the name of a file ends that is not whole yet; it begins with a point."""
+"""End of the name of a file that is not complete yet; the name begins with a dot."""
 
 
 def json_text(content: Any) -> str:
@@ -28,9 +28,9 @@ def json_text(content: Any) -> str:
 
 
 def json_safe(value: Any) -> Any:
-    """The same content in what JSON has, at any depth.
+    """The same content in the types of JSON, at any depth.
 
-    Arrays and tuples become lists, NumPy's scalars plain ones, members of an
+    Arrays and tuples become lists, NumPy scalars Python numbers, members of an
     enumeration their names in lower case; a number that is not finite becomes None.
     """
     if isinstance(value, Mapping):
@@ -39,7 +39,7 @@ def json_safe(value: Any) -> Any:
         return [json_safe(item) for item in value]
     if isinstance(value, enum.Enum):
         return value.name.lower()
-    if hasattr(value, "tolist"):  # of NumPy, which writing a text does not import
+    if hasattr(value, "tolist"):  # a NumPy value, recognised without importing NumPy
         return json_safe(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
@@ -48,16 +48,16 @@ def json_safe(value: Any) -> Any:
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """A file to write that becomes ``path`` at the end of the block.
+    """Context manager: a temporary file that is renamed to ``path`` at the end.
 
-    If the block fails or is interrupted, ``path`` holds what it held before.
+    If the block fails or is interrupted, ``path`` is not changed.
 
     Raises:
-        OSError: naming ``path``, if not written; a note says what is there.
+        OSError: naming ``path``, if it was not written; a note tells what it holds.
     """
     path = Path(path)
     try:
-        # In the same directory, so that replacing is one step of the file system.
+        # In the same directory, so that renaming is one step of the file system.
         handle, name = tempfile.mkstemp(PART, f".{path.name}.", path.parent)
     except OSError as error:
         raise _of(path, error) from None
@@ -69,15 +69,15 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     except OSError as error:
         if error.errno is None or error.filename not in (None, name):
             raise
-        # A temporary name would mean nothing to the user.
+        # The user does not know the temporary name, so name ``path``.
         raise _of(path, error) from None
     finally:
-        with suppress(OSError):  # it is gone with its folder
+        with suppress(OSError):  # its folder may have been removed
             os.unlink(name)
 
 
 def _of(path: Path, error: OSError) -> OSError:
-    """The error as one of ``path``."""
+    """The same error, naming ``path``."""
     named = OSError(error.errno, error.strerror, str(path))
     there = os.path.lexists(path)
     named.add_note("it is as it was before" if there else "nothing was written")
@@ -85,7 +85,7 @@ def _of(path: Path, error: OSError) -> OSError:
 
 
 def _mode(path: Path) -> int:
-    """Permissions of the file to replace, or those that open() would give."""
+    """Permissions of the file to replace, or those of a new file."""
     if path.exists():
         return path.stat().st_mode & 0o777
     umask = os.umask(0)
@@ -94,16 +94,18 @@ def _mode(path: Path) -> int:
 
 
 def write_text_atomic(path: str | os.PathLike, text: str) -> None:
-    """Writes text as UTF-8 so that ``path`` holds all of it or what it held before."""
+    """Write text as UTF-8; if that fails, ``path`` is not changed."""
     write_texts({path: text})
 
 
 def write_texts(texts: Mapping[Any, str]) -> None:
-    """As :func:`write_text_atomic`, for files that belong together.
+    """Write several files that belong together, as :func:`write_text_atomic`.
+
+    All content is on the disk before the first file is replaced. If two processes write
+    the same files, all of them are from one process.
 
     Args:
-        texts: path to content; all is on the disk before the first file is replaced,
-            and of two processes that write the same files all are one's.
+        texts: path -> content.
 
     Raises:
         OSError: naming the path that could not be written.
@@ -111,7 +113,7 @@ def write_texts(texts: Mapping[Any, str]) -> None:
     with ExitStack() as waiting:
         if len(texts) > 1:
             waiting.enter_context(_alone({Path(path).parent for path in texts}))
-        # The last one that is entered is the first one to be replaced.
+        # The context entered last is left first, so its file is replaced first.
         for path, text in reversed(list(texts.items())):
             temporary = waiting.enter_context(replacing(path))
             temporary.write_text(text, encoding="utf-8", newline="")
@@ -120,14 +122,14 @@ def write_texts(texts: Mapping[Any, str]) -> None:
 # --- two processes --------------------------------------------------------------
 
 _PATIENCE = 2.0
-"""Seconds to wait for another process to replace its files, which takes far less; a
-folder may be locked for as long as another command works at it."""
+"""Seconds to wait for another process, which replaces its files in far less time. A
+folder may be locked longer, while another command runs in it."""
 
 
 def took_lock(handle: int) -> bool:
-    """Whether the open folder is this process's own now, until the handle is closed.
+    """Lock an open folder until its handle is closed; returns whether it succeeded.
 
-    A file system without locks locks out nobody.
+    On a file system without locks it always succeeds.
     """
     if fcntl is None:
         return True
@@ -142,12 +144,12 @@ def took_lock(handle: int) -> bool:
 
 @contextmanager
 def _alone(folders: set[Path]) -> Iterator[None]:
-    """Other processes wait to replace files in these folders until the block ends."""
+    """Context manager: hold the locks of these folders, for which other processes wait."""
     handles: list[int] = []
     until = time.monotonic() + _PATIENCE
     try:
         for folder in sorted(folders) if fcntl is not None else ():
-            with suppress(OSError):  # writing into it will say what is wrong
+            with suppress(OSError):  # writing into the folder will raise the error
                 handles.append(os.open(folder, os.O_RDONLY))
                 while not took_lock(handles[-1]) and time.monotonic() < until:
                     time.sleep(0.01)

@@ -1,4 +1,4 @@
-"""Names of models and effects as text: completion must not wait for JAX."""
+"""Names of models and effects as text, so that completion need not import JAX."""
 
 _PRESSURE = ("brush", "brush-d", "uniform", "quartic", "elliptic")
 _SPEED = ("", "n", "ns", "h", "hs")

@@ -21,11 +21,11 @@ from tirefit.results import InputProblem, UsageError, did_you_mean
 Model = TypeVar("Model", bound=eqx.Module)
 
 Values = Array | np.ndarray
-"""Of what programs take and give: NumPy's on the host, JAX's within a program."""
+"""Arrays that programs take and return: NumPy on the host, JAX inside a program."""
 
 
 class Spec(NamedTuple):
-    """What a parameter is: the one place that says it."""
+    """The definition of a parameter."""
 
     default: float
     lower: float
@@ -56,13 +56,13 @@ def par(
     """A parameter field of a model.
 
     Args:
-        default: value used where none is given.
+        default: value used if none is given.
         bounds: smallest and largest allowed value; a fit stays strictly inside.
         unit: SI unit, ``-`` for none.
         meaning: one line for tables and reports.
-        source: equation it comes from.
+        source: the equation that defines it.
         symbol: TeX symbol for figures.
-        free: whether a fit estimates it unless told otherwise.
+        free: whether a fit estimates it by default.
         scale: ``linear``, or ``log`` for a positive scale over many decades.
 
     Raises:
@@ -124,14 +124,14 @@ def parameter_values(model: eqx.Module) -> dict[str, float]:
 def check_values(
     model: eqx.Module, owner: str, values: Mapping[str, float], *, noun: str = "parameter"
 ) -> None:
-    """Whether a user's values are of this model and within its bounds.
+    """Check that values given by the user are fields of a model and within bounds.
 
     Args:
-        owner: what the messages call the model.
-        noun: what they call its fields.
+        owner: name of the model in messages.
+        noun: name of its fields in messages.
 
     Raises:
-        UsageError: naming every value that is not.
+        UsageError: unknown names or values out of bounds; it lists all of them.
     """
     known, problems = specs(model), []
     for key, value in values.items():
@@ -144,7 +144,7 @@ def check_values(
 
 
 def _out_of_bounds(key: str, value: float, spec: Spec) -> list[InputProblem]:
-    """The problem of a value outside the bounds of its parameter, if it is."""
+    """A problem if the value is outside the bounds of its parameter, else empty."""
     low, high = spec.bounds
     if low <= value <= high:
         return []
@@ -154,24 +154,24 @@ def _out_of_bounds(key: str, value: float, spec: Spec) -> list[InputProblem]:
 
 
 def check_names(noun: str, names: str | Sequence[str], known: Iterable[str]) -> tuple[str, ...]:
-    """Names that a user chose, given as one text with commas or one by one.
+    """Split and check names given by the user, as one text with commas or as a list.
 
     Args:
-        noun: what the messages call one of them.
-        known: those that there are.
+        noun: what messages call one of them.
+        known: all valid names.
 
     Raises:
-        UsageError: no name, a name twice, or one that is not known; all at once.
+        UsageError: no name, repeated or unknown names; it lists all problems.
     """
     listed = names.split(",") if isinstance(names, str) else list(names)
     asked = [name.strip() for name in listed if name.strip()]
     there, problems = list(known), []
     all_known = ", ".join(there)
     if not asked:
-        problems.append(InputProblem(f"no {noun} given", f"choose of {all_known}"))
+        problems.append(InputProblem(f"no {noun} given", f"choose one of {all_known}"))
     for name in dict.fromkeys(asked):
         if asked.count(name) > 1:
-            problems.append(InputProblem(f"{noun} {name!r} is given twice", "once"))
+            problems.append(InputProblem(f"{noun} {name!r} is given twice", "give it once"))
         if name not in there:
             remedy = f"{did_you_mean(name, there)}known: {all_known}"
             problems.append(InputProblem(f"there is no {noun} {name!r}", remedy))
@@ -184,11 +184,11 @@ def by_owner(
 ) -> dict[str, dict[str, float]]:
     """Split ``{"rls.d": 0.1, "mu": 0.9}`` into the settings of each owner.
 
-    A setting without an owner's name goes to all owners that have it.
+    A setting without the name of an owner applies to all owners that have it.
 
     Raises:
-        UsageError: an owner that was not asked for, a setting that no owner has, or a
-            value outside its bounds; all of them.
+        UsageError: owners that were not chosen, settings that no owner has, or values
+            out of bounds; it lists all of them.
     """
     chosen: dict[str, dict[str, float]] = {name: {} for name in owners}
     known = {name: specs(owner) for name, owner in owners.items()}
@@ -196,8 +196,8 @@ def by_owner(
     for key, value in settings.items():
         owner, dot, setting = key.rpartition(".")
         if dot and owner not in known:
-            reason = f"setting {key!r}: {owner!r} is not asked for"
-            problems.append(InputProblem(reason, f"asked for: {asked}"))
+            reason = f"setting {key!r}: {owner!r} is not chosen"
+            problems.append(InputProblem(reason, f"chosen: {asked}"))
             continue
         takers = [n for n in ([owner] if dot else known) if setting in known[n]]
         if not takers:
@@ -256,25 +256,25 @@ def _interval(spec: Spec) -> tuple[float, float]:
 
 
 def _library(value):
-    """JAX inside a trace and for its arrays; NumPy on the host, where each operation
-    of JAX would be compiled by itself."""
+    """``jax.numpy`` inside a trace and for JAX arrays; NumPy on the host, where JAX would
+    compile each operation by itself."""
     return jnp if isinstance(value, jax.Array) else np
 
 
 def constrain(z, spec: Spec):
-    """Real line -> the open interval of the bounds, elementwise (any shape).
+    """Map the real line to the open interval of the bounds, elementwise (any shape).
 
-    A sigmoid across the interval; across the logarithms on a ``log`` scale.
+    It is a sigmoid over the interval, or over its logarithms on a ``log`` scale.
     """
     library = _library(z)
     lower, upper = _interval(spec)
-    # tanh, not 1 / (1 + exp(-z)): it neither overflows nor loses its slope.
+    # tanh, not 1 / (1 + exp(-z)), which overflows or loses its slope.
     x = lower + (upper - lower) * (0.5 + 0.5 * library.tanh(0.5 * z))
     return library.exp(x) if spec.scale == "log" else x
 
 
 def unconstrain(x, spec: Spec):
-    """Inverse of :func:`constrain`; a value at a bound is taken just inside it."""
+    """Inverse of :func:`constrain`; a value at a bound is moved just inside it."""
     library = _library(x)
     lower, upper = _interval(spec)
     x = library.log(x) if spec.scale == "log" else library.asarray(x, float)

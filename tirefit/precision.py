@@ -1,7 +1,7 @@
-"""64-bit floats: what every estimate needs, and JAX does not have unless told so.
+"""Require 64-bit floats, which every estimate needs and JAX does not use by default.
 
-A sum of squares of some thousand rows differs between two good estimates in the eighth
-digit. Models alone evaluate in either precision.
+Between two good estimates, a sum of squares of some thousand rows differs in the eighth
+digit. The models themselves can be evaluated in either precision.
 """
 
 import jax.numpy as jnp
@@ -10,10 +10,10 @@ from tirefit.results import UsageError
 
 
 def require_x64(task: str) -> None:
-    """Nothing where JAX computes in 64-bit floats.
+    """Check that JAX computes in 64-bit floats.
 
     Args:
-        task: what needs them, for the message.
+        task: the task that needs them, for the message.
 
     Raises:
         UsageError: 32-bit floats are in use.

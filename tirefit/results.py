@@ -1,9 +1,9 @@
-"""Outcomes as values, and the errors that carry them to the border.
+"""Outcomes of computations, and the errors that a user can cause.
 
 An expected outcome (not converged, at a bound, not identified) is a value of
-:class:`Outcome` with the message; it travels in the result, whose status it is, and
-is turned into an exit code once, by :func:`exit_code`. Bad input is an exception that holds *every*
-problem found, each with its place, reason and remedy.
+:class:`Outcome` with its message. A result holds its outcomes, and :func:`exit_code` turns
+them into the exit code of the command. Bad input raises an exception with *every* problem
+that was found, each with its place, reason and remedy.
 """
 
 import difflib
@@ -24,7 +24,7 @@ class ExitCode(enum.IntEnum):
 
 
 class Outcome(enum.StrEnum):
-    """Status of a result, the gravest first; ``message`` says it to the user."""
+    """The status of a result, the gravest first; ``message`` explains it to the user."""
 
     NOT_CONVERGED = (
         "not converged",
@@ -47,7 +47,7 @@ class Outcome(enum.StrEnum):
     )
     STARTS_DISAGREE = (
         "not unique",
-        "the starts ended in different minima of the same depth: the estimate is not unique",
+        "the starts ended in different minima of equal cost: the estimate is not unique",
     )
     WORSENED = "worsened", "rows of combined slip worsened the curve of pure slip"
     SYSTEMATIC_MISFIT = (
@@ -79,7 +79,7 @@ class Outcome(enum.StrEnum):
 
     @classmethod
     def gravest(cls, outcomes: Collection["Outcome"]) -> "Outcome":
-        """The outcome that the others of a result stand behind; ``OK`` of none."""
+        """The gravest of the outcomes; ``OK`` where there is none."""
         return next((one for one in cls if one in outcomes), cls.OK)
 
 
@@ -127,8 +127,8 @@ class InputProblem:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """How the remedy of a name that is not known begins: ``did you mean 'mu'? ``, with
-    the space behind it; empty where none of the known ones resembles it."""
+    """Beginning of the remedy for an unknown name: ``did you mean 'mu'? ``, with a
+    trailing space; empty if no known name resembles it."""
     close = difflib.get_close_matches(name, list(known), n=1)
     return f"did you mean {close[0]!r}? " if close else ""
 
@@ -143,7 +143,7 @@ _OPTION = re.compile(
 
 
 def in_python(text: str) -> str:
-    """Options of the command line in a text as the arguments of the same meaning."""
+    """Replace command-line options in a text by the equivalent Python arguments."""
 
     def argument(found: re.Match) -> str:
         if found["pair"]:
@@ -164,14 +164,14 @@ def _is_number(text: str) -> bool:
 
 
 class TirefitError(Exception):
-    """Base of the errors a user can cause; holds all problems at once.
+    """Base of the errors that a user can cause; holds all problems.
 
-    Its own text is for who called a function: it names arguments where a problem names
-    options of the command line.
+    The text of the exception is for callers of Python functions: it names arguments
+    where the problems name options of the command line.
 
     Args:
-        problems: all of them, or the reason of the only one.
-        more: the other fields of that :class:`InputProblem`.
+        problems: all problems, or the reason of a single one.
+        more: the other fields of that single :class:`InputProblem`.
     """
 
     exit_code = ExitCode.USAGE

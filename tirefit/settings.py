@@ -1,8 +1,7 @@
-"""Settings files (``fit.toml``, ``vehicle.toml``), checked in one way.
+"""Check settings files (``fit.toml``, ``vehicle.toml``).
 
 The sections of a file are subclasses of :class:`Section`. Neither ``"0.9"`` nor
-``true`` is a number. Everything wrong with a file is said at once, each problem with
-the file and its key.
+``true`` is a number. The error lists all problems of a file, each with the file and key.
 """
 
 import copy
@@ -20,7 +19,7 @@ from tirefit.results import InputProblem, UsageError, did_you_mean
 
 
 class Contradiction(ValueError):
-    """Keys of one section that do not go together."""
+    """Keys of one section that contradict each other."""
 
     def __init__(self, problems: Iterable[InputProblem]):
         self.problems = tuple(problems)
@@ -30,13 +29,13 @@ class Contradiction(ValueError):
 class Section(BaseModel):
     """One table of a settings file: known keys, exact types, finite numbers.
 
-    A field's ``description`` is the remedy where it is missing.
+    The ``description`` of a required field is the remedy if it is missing.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
     def contradictions(self) -> Iterable[InputProblem]:
-        """Keys that do not go together, each right by itself; none unless said."""
+        """Problems of keys that are valid but contradict each other; subclasses override."""
         return ()
 
     @model_validator(mode="after")
@@ -49,7 +48,7 @@ class Section(BaseModel):
     @field_validator("*", mode="before")
     @classmethod
     def _plain(cls, value):
-        """A scalar of NumPy, from Python, is as good as one of TOML."""
+        """Accept NumPy scalars, which settings from Python may contain."""
         return value.item() if isinstance(value, np.generic) else value
 
 
@@ -60,19 +59,20 @@ def parse_settings(kind: type[S], content: dict, source: str) -> S:
     """Check the content of a settings file.
 
     Args:
-        kind: the section that is the whole file.
-        content: what :func:`tirefit.door.read_toml` gave, or a dict of the same form.
-        source: where it came from, named by every problem.
+        kind: the section that describes the whole file.
+        content: the result of :func:`tirefit.door.read_toml`, or a dict of that form.
+        source: name of the file, for messages.
 
     Raises:
-        UsageError: unknown or missing keys, types, values, contradictions; all.
+        UsageError: unknown or missing keys, wrong types or values, contradictions; it
+            lists all of them.
     """
     try:
         return kind.model_validate(content)
     except ValidationError as error:
         details = error.errors()
-    # A section is asked for contradictions only once its keys are right: look again
-    # without the wrong ones.
+    # Contradictions are checked only if all keys of a section are right: remove the wrong
+    # keys and check again.
     seen = [detail["loc"] for detail in details if detail["type"] == "value_error"]
     wrong = [detail["loc"] for detail in details if detail["type"] != "value_error"]
     try:
@@ -89,7 +89,7 @@ def parse_settings(kind: type[S], content: dict, source: str) -> S:
 
 
 def _without(content: dict, locations: Iterable[tuple]) -> dict:
-    """The content less the keys at the locations; a list goes as a whole."""
+    """The content without the keys at the locations; a list is removed as a whole."""
     rest = copy.deepcopy(content)
     for location in locations:
         path = [*itertools.takewhile(lambda part: isinstance(part, str), location)]
@@ -102,7 +102,7 @@ def _without(content: dict, locations: Iterable[tuple]) -> dict:
 
 
 def _section_at(kind: type[Section], path: tuple[str, ...]) -> type[Section]:
-    """The section at ``path``, a name in a table of sections passed over."""
+    """The section at ``path``; names in a table of sections are skipped."""
     for part in path:
         field = kind.model_fields.get(part)
         if field is None:
@@ -119,11 +119,11 @@ _REMEDIES = {
     "int_type": "write a whole number, without quotes",
     "string_type": "write it in quotes",
 }
-"""Kind of pydantic's error -> what to do about it."""
+"""Type of pydantic's error -> remedy."""
 
 
 def _problems(kind: type[Section], detail: Any) -> list[InputProblem]:
-    """One of pydantic's errors in the words of this project."""
+    """Convert an error of pydantic to problems with a remedy."""
     path = tuple(part for part in detail["loc"] if isinstance(part, str))
     key, error = ".".join(path), detail["type"]
     if error == "value_error":
@@ -155,6 +155,6 @@ def _in_words(detail: Any) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A value as the file has it, or how it begins."""
+    """A value as in the file, shortened."""
     text = json.dumps(value, default=str, ensure_ascii=False)
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,7 +1,7 @@
-"""Slip definitions and sign conventions: the one canonical convention.
+"""Slip definitions and sign conventions.
 
-Inside tirefit everything is SI, and slip and force *oppose*: a positive slip gives a
-positive force, along both axes. Seen from above, wheel travelling to the right::
+Inside tirefit all values are in SI units, and a positive slip causes a positive force
+along both axes. Seen from above, wheel travelling to the right::
 
               v_sx = v_x - Omega R_e  (contact patch slides forward: braking)
              ------->
@@ -19,8 +19,8 @@ positive force, along both axes. Seen from above, wheel travelling to the right:
     M_z < 0 for small alpha > 0 (the force acts behind the centre),
     M_y > 0 resists rolling, M_x < 0 where the load acts to the left of the centre.
 
-These are the definitions of S Table 1. Files declare their own convention; it is
-converted at the border only, by the signs of :data:`CONVENTIONS`.
+These are the definitions of S Table 1. Files have their own convention; readers and
+writers convert it by the signs of :data:`CONVENTIONS`.
 """
 
 from typing import NamedTuple
@@ -28,11 +28,11 @@ from typing import NamedTuple
 GRAVITY = 9.80665  # standard acceleration of free fall [m/s2]
 
 LOCKED = 1e6
-"""Physical slip that stands for a locked wheel (kappa = 1, where sigma is infinite)."""
+"""Physical slip used for a locked wheel (kappa = 1, where sigma would be infinite)."""
 
 
 class Convention(NamedTuple):
-    """Signs that turn a file's values into canonical ones (and back: they are +-1)."""
+    """Signs (+-1) that convert the values of a file to canonical ones and back."""
 
     description: str
     slip: int
@@ -112,6 +112,6 @@ SLIP_DEFINITIONS = {
 }
 """Name of a longitudinal slip column -> (to sigma_x, from sigma_x), canonical signs.
 
-``s`` = v_sx/|v| equals kappa where there is no lateral slip; with a slip angle,
-kappa = s / cos(alpha), which the reader applies first.
+``s`` = v_sx/|v| equals kappa without lateral slip; with a slip angle, kappa =
+s / cos(alpha), which the reader applies first.
 """

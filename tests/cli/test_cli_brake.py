@@ -69,7 +69,7 @@ def test_tires_of_fits_and_files(run, tmp_path):
     assert fitted["manoeuvre"]["parameters"]["mu"] == pytest.approx(0.8, rel=0.01)
     assert fitted["stopping_distance"] == pytest.approx(named["stopping_distance"], rel=0.02)
     result = run("brake", "--tire", "f/fit.json", "--set", "mu=1", "--out", "q", exit_code=2)
-    assert "(--set) beside a fit" in result.stderr
+    assert "(--set) together with a fit" in result.stderr
 
 
 def test_a_tire_of_a_tir_file_brakes(run, tmp_path):
@@ -98,7 +98,7 @@ def test_a_tire_of_a_tir_file_brakes(run, tmp_path):
         (("--tune", "abs.slip=9"), 2, "abs.slip = 9.0 is outside its bounds"),
         (("--tune", "xbs-servo.servo_gain=-400"), 2, "O(11)"),
         (("--tune", "quick"), 2, "NAME=VALUE"),
-        (("--plant", "dealy=1"), 2, "there are demand"),
+        (("--plant", "dealy=1"), 2, "choose one of demand"),
         (("--plant", "demand=-1"), 2, "out of range"),
         (("--speed", "500"), 2, "--speed 500 is out of range"),
     ],
@@ -114,7 +114,7 @@ def test_a_tire_of_another_size_is_said(run):
     arguments = ["brake", "--controller", "none", "--speed", "2", "--out", "o"]
     small = ["--tire", "brush", "--set", "cpa2=39", "--vehicle", "quarter"]
     said = run(*arguments, *small).stderr
-    assert "warning: the braking force of brush rises by" in said
+    assert "warning: the slope of the braking force of brush" in said
     for plant, remedy in (("delay=1e6", "0 to 0.5 s"), ("demand=1e30", "Pa")):
         said = run(*arguments, "--plant", plant, exit_code=2).stderr
         assert remedy in said and "--time-limit" not in said

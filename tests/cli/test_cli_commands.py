@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.main import get_command
 
+from tirefit.cli.commands import COMMANDS, app
 from tirefit.models import MODELS
 from tirefit.names import EFFECT_NAMES, MODEL_NAMES
 
@@ -239,6 +241,29 @@ def test_help_imports_nothing_heavy(arguments):
     assert "HEAVY []" in done.stdout and "Usage" in done.stdout
 
 
+def test_the_list_of_commands_imports_none_of_them():
+    program = (
+        "import sys\n"
+        "sys.argv = ['tirefit', '--help']\n"
+        "from tirefit.cli.commands import COMMANDS, app\n"
+        "try:\n    app()\n"
+        "except SystemExit:\n"
+        "    print('LOADED', [m for m in sys.modules if m.startswith('tirefit.cli.')])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert "LOADED ['tirefit.cli.commands']" in done.stdout
+
+
+def test_the_list_of_commands_holds_the_beginning_of_their_own_help():
+    listed = get_command(app).commands
+    assert list(listed) == list(COMMANDS)
+    for name, command in listed.items():
+        paragraph = command.loaded().help.split("\n\n")[0]
+        assert command.help == " ".join(paragraph.split()), name
+
+
 def test_python_dash_m_starts_it():
     done = subprocess.run(
         [sys.executable, "-m", "tirefit", "version"], capture_output=True, text=True
@@ -307,7 +332,7 @@ def test_derive_refuses_a_wrong_unit_and_its_remedy_works(run, tmp_path):
     )
     arguments = ("derive", "log.csv", "--vehicle", "v.toml", "--out", "out.csv")
     result = run(*arguments, exit_code=3)
-    assert "v_x is in km/h, and read in m/s" in result.stderr
+    assert "v_x is in km/h, but read in m/s" in result.stderr
     assert "--unit v_x=km/h" in result.stderr
     assert not (tmp_path / "out.csv").exists()
     assert "channels compared: " in run(*arguments, "--unit", "v_x=km/h").stdout

@@ -47,7 +47,7 @@ def test_without_a_y_a_v_y_to_the_right_is_named_with_the_yaw_rate(tmp_path):
     del columns["ay"]  # its header says what it is: it would be compared
     path = write(tmp_path / "a.csv", columns)
     log = derive(path, vehicle(tmp_path, CAR + NO_A_Y + KEEP), believe=True)
-    assert any("v_y or yaw_rate has the other sign" in said for said in log.warnings)
+    assert any("v_y or yaw_rate has the wrong sign" in said for said in log.warnings)
 
 
 # --- runs ---------------------------------------------------------------------------
@@ -174,7 +174,7 @@ def changed(name, rows=slice(None)):
     ("log", "said"),
     [
         (changed("stands"), r"slower than 0.8 m/s 2\d+ \(at most 0 m/s ahead\)"),
-        (changed("reverses"), r"drives backwards for 100% .*\n.*say v_x = \"-m/s\""),
+        (changed("reverses"), r"drives backwards for 100% .*\n.*set v_x = \"-m/s\""),
         (
             {name: values[:40] for name, values in rates_log().items()},
             r"longest stretch is 0.3\d s\n.*record more than 0.6 s",

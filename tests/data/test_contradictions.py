@@ -102,28 +102,28 @@ def exchange(one, other):
 
 DEG = 180 / np.pi
 IN_RATES = {
-    "speeds in km/h": (times(c1=3.6, c2=3.6), "v_x and v_y are in km/h, and read in"),
-    "v_x in km/h": (times(c1=3.6), "v_x is in km/h, and read in m/s"),
+    "speeds in km/h": (times(c1=3.6, c2=3.6), "v_x and v_y are in km/h, but read in"),
+    "v_x in km/h": (times(c1=3.6), "v_x is in km/h, but read in m/s"),
     "speeds in mph": (times(c1=2.2369, c2=2.2369), "v_x and v_y are in mph"),
     "v_y in mm/s": (times(c2=1e3), "v_y is in mm/s"),
-    "v_y to the right": (times(c2=-1), "v_y has the other sign"),
-    "a_y in g": (times(c4=1 / 9.80665), "a_y is in g, and read in m/s2"),
-    "a_y to the right": (times(c4=-1), "a_y has the other sign"),
-    "yaw rate in deg/s": (times(c3=DEG), "yaw_rate is in deg/s, and read in rad/s"),
-    "yaw rate clockwise": (times(c3=-1), "yaw_rate has the other sign"),
-    "both": (times(c3=-DEG), "read in rad/s and yaw_rate has the other"),
+    "v_y to the right": (times(c2=-1), "v_y has the wrong sign"),
+    "a_y in g": (times(c4=1 / 9.80665), "a_y is in g, but read in m/s2"),
+    "a_y to the right": (times(c4=-1), "a_y has the wrong sign"),
+    "yaw rate in deg/s": (times(c3=DEG), "yaw_rate is in deg/s, but read in rad/s"),
+    "yaw rate clockwise": (times(c3=-1), "yaw_rate has the wrong sign"),
+    "both": (times(c3=-DEG), "read in rad/s and yaw_rate has the wrong"),
     "km/h and g": (
         times(c1=3.6, c2=3.6, c4=1 / 9.80665),
-        "a_y is in g, and read in m/s2 and v_x and v_y are in km/h",
+        "a_y is in g, but read in m/s2 and v_x and v_y are in km/h",
     ),
-    "speeds exchanged": (exchange("c1", "c2"), "v_x and v_y stand for each other"),
-    "a_y for the yaw rate": (exchange("c3", "c4"), "a_y and yaw_rate stand for each"),
+    "speeds exchanged": (exchange("c1", "c2"), "v_x and v_y are exchanged"),
+    "a_y for the yaw rate": (exchange("c3", "c4"), "a_y and yaw_rate are exchanged"),
     "dead a_y": (times(c4=0), "a_y does not follow v_x r + dv_y/dt"),
     "odd scale": (times(c4=6), "times v_x r, which no unit explains"),
 }
 REMEDIES = {
     "speeds in km/h": "--unit v_x=km/h --unit v_y=km/h",
-    "a_y in g": 'say a_y = "g" in [units] of vehicle.toml, or --unit a_y=g',
+    "a_y in g": 'set a_y = "g" in [units] of vehicle.toml, or --unit a_y=g',
     "both": 'yaw_rate = "-deg/s"',
     "yaw rate clockwise": 'yaw_rate = "-rad/s"',
     "speeds exchanged": 'v_x = "c2", v_y = "c1"',
@@ -141,24 +141,24 @@ def test_a_fault_in_a_log_of_rates_is_named_with_its_remedy(tmp_path, fault):
 
 
 IN_POSES = {
-    "yaw in deg": (times(c9=DEG), "yaw is in deg, and read in rad"),
-    "yaw clockwise": (times(c9=-1), 'yaw has the other sign | say yaw = "-rad"'),
-    "y to the right": (times(c8=-1), 'y has the other sign | say y = "-m"'),
-    "x and y exchanged": (exchange("c7", "c8"), "x and y stand for each other | ex"),
+    "yaw in deg": (times(c9=DEG), "yaw is in deg, but read in rad"),
+    "yaw clockwise": (times(c9=-1), 'yaw has the wrong sign | set yaw = "-rad"'),
+    "y to the right": (times(c8=-1), 'y has the wrong sign | set y = "-m"'),
+    "x and y exchanged": (exchange("c7", "c8"), "x and y are exchanged | ex"),
     "compass": (
         lambda log: {"c9": np.pi / 2 - log["c9"]},
-        'the y axis | say yaw = "-rad" in [units] and yaw_offset = 1.57',
+        'the y axis | set yaw = "-rad" in [units] and yaw_offset = 1.57',
     ),
     "yaw from the y axis": (
         lambda log: {"c9": log["c9"] + np.pi / 2},
-        "90 deg sideways: yaw counts from another axis | say yaw_offset = -1.57",
+        "90 deg sideways: yaw is measured from another axis | set yaw_offset = -1.57",
     ),
-    "positions in mm": (times(c7=1e3, c8=1e3), "x and y are in mm, and read in m"),
+    "positions in mm": (times(c7=1e3, c8=1e3), "x and y are in mm, but read in m"),
     "positions in ft": (times(c7=3.28084, c8=3.28084), "x and y are in ft"),
     "speed in km/h": (times(c1=3.6), "v_x is in km/h"),
     "accelerations in g": (times(c4=0.10197, c5=0.10197), "a_x and a_y are in g"),
-    "yaw rate clockwise": (times(c3=-1), "yaw_rate has the other sign"),
-    "accelerations exchanged": (exchange("c4", "c5"), "a_x and a_y stand for each"),
+    "yaw rate clockwise": (times(c3=-1), "yaw_rate has the wrong sign"),
+    "accelerations exchanged": (exchange("c4", "c5"), "a_x and a_y are exchanged"),
 }
 
 
@@ -174,15 +174,15 @@ def test_a_pose_alone_cannot_say_which_axis_is_mirrored(tmp_path):
     log = log_of()
     log["c9"] = -log["c9"]
     text = refused(tmp_path, log, POSE)
-    assert "y has the other sign, or yaw has the other sign" in text
+    assert "y has the wrong sign, or yaw has the wrong sign" in text
     log["c9"] = np.pi / 2 + log["c9"]
     text = refused(tmp_path, log, POSE)
-    assert "x and y stand for each other, or yaw counts clockwise" in text
+    assert "x and y are exchanged, or yaw is measured clockwise" in text
 
 
 @pytest.mark.parametrize(
     ("factor", "said"),
-    [(DEG, "steering is in deg, and read in rad by the map"), (-1, "steering has the other sign")],
+    [(DEG, "steering is in deg, but read in rad by the map"), (-1, "steering has the wrong sign")],
 )
 @pytest.mark.parametrize("columns", [RATES, POSE])
 def test_steering_against_the_curvature_of_the_path(tmp_path, columns, factor, said):
@@ -372,7 +372,7 @@ def test_a_steady_circle_with_a_mirrored_v_y_is_refused(tmp_path):
     log = derive(write_log(tmp_path / "a.csv", columns), load_vehicle(path))
     assert np.corrcoef(log.columns["alpha"], log.columns["fy"])[0, 1] > 0.9
     columns["vy"] = -columns["vy"]
-    with pytest.raises(DataError, match="v_y or a_y has the other sign"):
+    with pytest.raises(DataError, match="v_y or a_y has the wrong sign"):
         derive(write_log(tmp_path / "a.csv", columns), load_vehicle(path))
 
 

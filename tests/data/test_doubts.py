@@ -55,7 +55,7 @@ def test_rows_within_reach_of_an_edge_are_said(tmp_path):
     log = derive(path, settings(tmp_path, "margin = 0.05\n"))
     (said,) = log.warnings
     # 0.3 s of settling less the margin, at both ends, at 100 Hz.
-    assert said.startswith("50 samples lie within 0.3 s of an edge")
+    assert said.startswith("50 samples are within 0.3 s of an edge")
     assert "warning: 50 samples" in log.summary()
 
 

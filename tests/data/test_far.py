@@ -65,7 +65,7 @@ def test_a_force_unlike_those_of_its_slip_is_named():
     row = int(np.argsort(columns["sigma_x"])[170])
     columns["fx"][row] /= 4.448
     (far,) = far_values(read_frame(columns))
-    assert (far.row, far.column) == (row, "fx") and "about its sigma_x" in far.among
+    assert (far.row, far.column) == (row, "fx") and "similar sigma_x" in far.among
     assert 3500 < far.low < far.high < 4200
 
 

@@ -147,4 +147,4 @@ def test_a_late_v_y_is_named_beside_the_point(tmp_path):
 def test_a_flipped_v_y_that_no_pair_shows_is_named(tmp_path, name):
     log = log_of(name=name)
     (said,) = derived(tmp_path, log | {"c2": -log["c2"]}, RATES).warnings
-    assert "v_y or a_y has the other sign" in said and 'v_y = "-m/s"' in said
+    assert "v_y or a_y has the wrong sign" in said and 'v_y = "-m/s"' in said

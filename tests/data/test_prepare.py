@@ -356,7 +356,7 @@ def test_nothing_to_cut_by_is_an_error():
     with pytest.raises(DataError, match="no slip"):
         prepared(columns)
     columns["alpha"] = np.zeros(n)
-    with pytest.raises(DataError, match="nothing is left"):
+    with pytest.raises(DataError, match="no rows remain"):
         prepared(columns, keep=["sweep"])
 
 

@@ -51,7 +51,7 @@ CASES = {
     "empty cell": (lines("0.1,,4000"), {}, ["row 6, column 'fx'", "an empty cell"]),
     "nan": (lines("nan,1,4000"), {}, ["row 6, column 'kappa'", "nan is not a number"]),
     "inf": (lines("0.1,1,-inf"), {}, ["row 6, column 'fz'", "-inf is infinite"]),
-    "overflow": (lines("0.1,1e300,1"), {}, ["row 6, column 'fx'", "is too large"]),
+    "overflow": (lines("0.1,1e300,1"), {}, ["row 6, column 'fx'", "larger than any"]),
     "underscore": (lines("0.1,1_0,4000"), {}, ["row 6, column 'fx'", "'1_0' is text"]),
     "ragged": (lines("0.1,1"), {}, ["row 6: 2 fields where the header has 3"]),
     "too long": (lines("0.1,1,2,3"), {}, ["row 6: 4 fields where the header has 3"]),
@@ -204,7 +204,7 @@ CASES = {
         WELL, {"columns": {"fx": "fxx"}}, ["column 'fxx'", "no such", "mean 'fx'"]
     ),
     "declared twice": (
-        WELL, {"columns": {"fx": "fx", "fy": "fx"}}, ["declared as fy beside fx"]
+        WELL, {"columns": {"fx": "fx", "fy": "fx"}}, ["declared as fy, but fx"]
     ),
     "constant too": (
         WELL, {"constants": {"fz": 1.0}}, ["column 'fz'", "conflicts", "remove"]

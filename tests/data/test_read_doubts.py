@@ -177,7 +177,7 @@ def test_a_time_that_goes_back_within_a_run_is_told_with_place_and_remedy(tmp_pa
     assert bool(said) == (last < 0.2)
     for text in said:
         assert text.startswith("row 6, column 'Time': the time goes back, from 0.2 s to 0.05 s")
-        assert "run of its own (--column run=HEADER), or correct the time" in text
+        assert "its own run (--column run=HEADER), or correct the time" in text
 
 
 # --- units --------------------------------------------------------------------
@@ -189,13 +189,13 @@ def test_a_time_that_goes_back_within_a_run_is_told_with_place_and_remedy(tmp_pa
         (
             {"fx": 1e-3},
             "'fx' reaches only 0.001 of the load, too little at these slips:"
-            " one of the two is probably in another unit than it was read in (kN for N?);"
+            " the unit of one of the two is probably wrong (kN read as N?);"
             " if 'fx' is in kN, pass --unit fx=kN",
         ),
         (
             {"fz": 1e-3},
-            "'fx' reaches 1000 times the load, which no tire has: one of the"
-            " two is probably in another unit than it was read in (kN for N?); if 'fz' is"
+            "'fx' reaches 1000 times the load, which no tire has: the unit"
+            " of one of the two is probably wrong (kN read as N?); if 'fz' is"
             " in kN, pass --unit fz=kN",
         ),
         ({"fz": 1e-1}, "'fx' reaches 10 times the load, which no tire has"),

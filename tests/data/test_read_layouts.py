@@ -75,7 +75,7 @@ def test_the_slip_of_a_driving_test_is_the_one_that_is_zero_with_its_force():
     data = read_frame(frame)
     np.testing.assert_allclose(data["sigma_x"], kappa / (1 - kappa))
     np.testing.assert_allclose(data["fx"], 2e4 * kappa)
-    assert said(data, "'SR' is of another radius")
+    assert said(data, "'SR' uses another radius")
     declared = read_frame(frame, columns={"kappa": "SR"})
     np.testing.assert_allclose(declared["sigma_x"], (kappa - 0.03) / (1.03 - kappa))
 

@@ -90,7 +90,7 @@ def test_camber_tells_a_turned_load():
     ("column", "unit", "rule"),
     [
         ("gamma", "rad", "a tire pushes to the side that it leans to"),
-        ("mz", "N m", "the aligning moment turns a slightly slipping wheel back"),
+        ("mz", "N m", "the aligning moment reduces a small slip angle"),
     ],
 )
 def test_one_turned_column_gets_the_unit_that_turns_it(column, unit, rule):
@@ -103,7 +103,7 @@ def test_one_turned_column_gets_the_unit_that_turns_it(column, unit, rule):
 
 
 BRAKES = {
-    "brake_pressure": (lambda c: np.clip(c["fx"], 0, None) * 1e3, "the harder the"),
+    "brake_pressure": (lambda c: np.clip(c["fx"], 0, None) * 1e3, "with the brake pressure"),
     "a_x": (lambda c: -c["fx"] / 400, "a force that brakes slows the vehicle"),
 }
 
@@ -117,7 +117,7 @@ def test_driving_is_told_from_braking_by_what_the_vehicle_does(column):
     assert told(right, convention="iso-w") == ""
     wrong = columns | {"fy": -columns["fy"], "mz": -columns["mz"]} | measured
     message = told(wrong, convention="iso-w")
-    assert rule in message and "by the signs of 'iso-w'" in message
+    assert rule in message and "with the signs of 'iso-w'" in message
     undeclared = in_signs(columns, "adapted-sae") | measured
     message = told(undeclared)
     assert rule in message and "which were assumed" in message
@@ -129,7 +129,7 @@ def test_a_wheel_locks_where_it_is_braked():
     frame = {"kappa": kappa, "fx": 4000 * np.tanh(20 * kappa), "fz": np.full(60, 4e3)}
     assert told(frame, convention="braking") == ""
     message = told(frame, convention="adapted-sae")
-    assert "a slip of 1 is where a wheel locks, braked" in message
+    assert "a slip of 1 is that of a wheel locked by its brake" in message
     assert "these signs fit --convention braking" in message
 
 

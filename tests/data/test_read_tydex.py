@@ -81,7 +81,7 @@ def test_of_two_axes_the_roads_are_read(tmp_path):
     at = next(i for i, line in enumerate(lines) if line.startswith("TYRETEMP"))
     lines[at] = f"{'FZH':<10}{'Vertical force':<30}{'N':<10}{'1':<10}"
     data = read(written(tmp_path, lines))
-    assert said(data, "channel FZH not read: another means the same")
+    assert said(data, "channel FZH not read: another has the same meaning")
     np.testing.assert_allclose(data["fz"], truth()["fz"], rtol=1e-5)
 
 

@@ -51,7 +51,7 @@ def test_what_is_not_there_is_said(memory):
 @pytest.mark.parametrize("place", ["memory://rig/*.csv", "memory://no/*.csv"])
 def test_patterns_of_addresses(memory, place):
     if "no" in place:
-        with pytest.raises(DataError, match="no file fits"):
+        with pytest.raises(DataError, match="no file matches"):
             expanded([file_at(place)])
     else:
         names = [str(file) for file in expanded([file_at(place)])]
@@ -63,7 +63,7 @@ def test_patterns_of_the_disk(tmp_path):
         (tmp_path / name).touch()
     files = expanded([tmp_path / "?.csv", tmp_path / "[1].csv"])
     assert [file.name for file in files] == ["a.csv", "b.csv", "[1].csv"]
-    with pytest.raises(DataError, match="no file fits"):
+    with pytest.raises(DataError, match="no file matches"):
         expanded([tmp_path / "*.mat"])
 
 

@@ -282,7 +282,7 @@ def test_noise_of_a_speed_falls_with_the_speed(tmp_path):
     only = prepared_of(frame, Rig(noise={"sigma_x_speed": 0.01}))
     np.testing.assert_allclose(only.slip_std, 0.01 / frame["v"])
     bare = {name: frame[name] for name in frame if name != "v"}
-    with pytest.raises(DataError, match="v is not there"):
+    with pytest.raises(DataError, match="no column v"):
         prepared_of(bare, rig)
     # The same words in fit.toml, the same noise.
     noise = {"sigma_x": 0.003, "sigma_x_speed": 0.01}

@@ -93,7 +93,7 @@ def test_a_simulated_force_without_a_number_is_no_zero():
 @pytest.mark.parametrize(
     ("sim", "said"),
     [
-        ({"fx": np.ones(120), "fx_sim": np.ones(120)}, "fx and fx_sim are one force"),
+        ({"fx": np.ones(120), "fx_sim": np.ones(120)}, "fx and fx_sim are the same force"),
         ({"fx": np.ones(120) * 1j}, "sim is of type ndarray"),
     ],
 )
@@ -112,9 +112,9 @@ def test_times_that_differ_by_their_last_digit_are_no_fault():
 
 def test_data_held_out_are_others():
     data = read_frame(rig_data())
-    with pytest.raises(DataError, match="they check nothing"):
+    with pytest.raises(DataError, match="the held-out data are those"):
         tirefit.diagnose(data, holdout=[data])
-    with pytest.raises(DataError, match="they check nothing"):
+    with pytest.raises(DataError, match="the held-out data are those"):
         tirefit.diagnose(data, holdout=[data.where(np.arange(120) > 80)])
 
 
@@ -157,7 +157,7 @@ WRONG = {
     "sim bytes": ({"sim": b"abc"}, "sim is of type bytes"),
     "sim unnamed": ({"sim": {0: np.zeros(120)}}, "sim: 0 of shape"),
     "sim no file": ({"sim": Path("no.json")}, "no.json"),
-    "no effects": ({"effects": ()}, "effects: none to look for"),
+    "no effects": ({"effects": ()}, "effects: none to search"),
     "model empty": ({"model": ""}, "unknown model ''"),
     "seed below zero": ({"seed": -1}, "seed = -1"),
     "misspelt": ({"without": "friction_stp"}, "no effect 'friction_stp'"),

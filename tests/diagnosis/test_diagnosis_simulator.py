@@ -400,7 +400,7 @@ def test_held_out_files_have_the_simulator_too(frame):
     found = studied(frame, sim, holdout=[read_frame(other, "b")])
     assert found.gap.holdout.on == "b" and found.gap.holdout.closed > 0.9
     # Arrays are of the rows they were given for.
-    with pytest.raises(DataError, match="no force of the simulator"):
+    with pytest.raises(DataError, match="no measured force has a simulated one"):
         studied(frame, frame["fx"], holdout=[read_frame(other, "b")])
 
 
@@ -423,7 +423,7 @@ def test_a_part_that_makes_matters_worse_counts_nothing():
 
 
 def test_what_cannot_be_a_simulator_is_refused(frame):
-    with pytest.raises(DataError, match="(?s)no force of the simulator.*beside=True"):
+    with pytest.raises(DataError, match="(?s)no measured force has a simulated one.*beside=True"):
         studied(frame, True)
     with pytest.raises(DataError, match="(?s)does not follow it.*--model"):
         studied(frame, 3000 * np.cos(40 * frame["sigma_x"]))

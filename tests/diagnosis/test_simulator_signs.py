@@ -74,12 +74,12 @@ def test_a_tire_in_sae_signs_is_named_with_its_remedy(mu):
     before, after = (np.sqrt(np.mean((columns["fy"] - f) ** 2)) for f in (wrong, right))
     if mu == 1.0:
         assert f"fy {before:.2g}"[:4] in reason and before > 4 * NOISE["fy"] > after
-    assert "--signs sae reads the file so" in remedy and "--side" in remedy
+    assert "--signs sae reads the file in these signs" in remedy and "--side" in remedy
     assert "--convention" not in remedy
     assert doubt(columns, simulator_at(str(TIR), signs="sae"), **BRAKING) == ""
     # Who insists is told all the same.
     said = doubt(columns, simulator_at(str(TIR), signs="iso-w"), **BRAKING)
-    assert "mirrored in alpha" in said and "taken as it is" in said
+    assert "mirrored in alpha" in said and "used as given" in said
 
 
 def test_camber_tells_sae_from_the_other_side():
@@ -113,7 +113,7 @@ def test_data_that_declare_no_signs_may_be_what_is_turned():
     assert doubt(iso, given, otherwise=given.otherwise) == ""
     reason, remedy = refused(columns, given, otherwise=given.otherwise)
     assert "mirrored in sigma_x and fx: fx" in reason
-    assert "--convention braking reads the data so, which declare none" in remedy
+    assert "--convention braking does so for the data, which declare none" in remedy
     assert "--signs braking" in remedy
     assert doubt(columns, given, **BRAKING) == ""
 

@@ -145,7 +145,7 @@ def test_wrong_model_is_seen_in_the_residuals():
 
 @pytest.mark.parametrize(
     ("config", "width"),
-    [(ESTIMATED, "are at rounding level"), (GIVEN, "say what the given noise would")],
+    [(ESTIMATED, "are at rounding level"), (GIVEN, "follow from the given noise")],
 )
 def test_data_without_noise_are_called_exact(config, width):
     result = fit(curve(noise=0.0), config=config)
@@ -282,7 +282,7 @@ def test_residuals_that_follow_the_load_hint_at_brush_load(stiffness_power, mu_l
     made = simulate_rig("brush-load", values, load=[2000.0, 4000.0, 6000.0], seed=1)
     data = read_frame(dict(made.columns), convention="braking")
     said = " ".join(fit(data, "brush").warnings)
-    assert ("brush-load lets stiffness and friction change" in said) is hinted
+    assert ("use brush-load, whose stiffness and friction vary" in said) is hinted
     assert ("loads from 2000 to 6000 N" in said) is hinted
     assert "brush-load lets" not in " ".join(fit(data, "brush-load").warnings)
 

@@ -150,7 +150,7 @@ def test_the_rear_takes_the_lower_pressure():
     [
         ({"abs.slip": 7.0}, "abs.slip = 7.0 is outside its bounds"),
         ({"slpi": 0.1}, "none of abs, none has it"),
-        ({"slip.gain": 1.0}, "'slip' is not asked for"),
+        ({"slip.gain": 1.0}, "'slip' is not chosen"),
         ({"none.slip": 0.1}, "'none' has no setting 'slip'"),
     ],
 )

@@ -110,6 +110,6 @@ def test_wheels_lock_on_a_slippery_road_and_the_rest_is_finite():
 
 
 def test_a_drive_that_cannot_be_followed_is_an_error_with_a_remedy():
-    said = "(?s)in 300 steps: a car spins.*remedy: ask for less"
+    said = "(?s)in 300 steps: a car spins.*remedy: reduce the lateral"
     with pytest.raises(UsageError, match=said):
         simulate_drive(Drive(duration=8.0, bend=1.2, brake=1.2), max_steps=300)

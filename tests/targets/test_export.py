@@ -264,7 +264,7 @@ def test_a_fit_of_braking_states_its_range_in_the_signs_of_the_file(tmp_path):
     assert "kappa -0.2 to 0.1111 -" in path.read_text()
     tirefit.export(fit, "c", path, convention="braking")
     assert "kappa -0.1111 to 0.2 -" in path.read_text()
-    with pytest.raises(UsageError, match="beside a fit"):
+    with pytest.raises(UsageError, match="together with a fit"):
         tirefit.export(fit, "c", path, values={"mu": 0.5})
 
 

@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.fit import model_names
 from tirefit.cli.fit_one import fit_into
 from tirefit.cli.magic_formula import (
     MAGIC_FORMULA_NAMES,
@@ -14,7 +13,15 @@ from tirefit.cli.magic_formula import (
     convert_whole,
     only_of_magic_formula,
 )
-from tirefit.cli.options import SignsOption, complain, errors_to_exit, named_path, say, start_jax
+from tirefit.cli.options import (
+    SignsOption,
+    complain,
+    errors_to_exit,
+    model_names,
+    named_path,
+    say,
+    start_jax,
+)
 from tirefit.cli.output import check_directories
 from tirefit.results import InputProblem, TirefitError, UsageError, exit_code
 

@@ -48,7 +48,7 @@ if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
 
-class ManyHoldouts(TyperCommand):
+class Command(TyperCommand):
     """``--holdout A B C``: all file names up to the next option."""
 
     def parse_args(self, ctx, args):

@@ -51,8 +51,6 @@ class Sampler(StrEnum):
 
 PAGE_OF_ALL = "fits.html"
 
-model_names = completed(*MODEL_NAMES)
-
 
 def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:
     stems = [_stem(file) for file in files]

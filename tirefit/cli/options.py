@@ -20,6 +20,7 @@ from typing import Annotated, Any
 import typer
 
 from tirefit.data.remote import file_at
+from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
@@ -39,6 +40,8 @@ def completed(*names: str) -> Callable[[str], list[str]]:
 
     return beginning
 
+
+model_names = completed(*MODEL_NAMES)
 
 Files = Annotated[
     list[Path],

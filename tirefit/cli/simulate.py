@@ -1,4 +1,4 @@
-"""``tirefit simulate``: logs of braking and sweeps of a rig, with a known truth."""
+"""``tirefit simulate``: vehicle logs and rig sweeps of a tire that is known."""
 
 import inspect
 from collections.abc import Callable
@@ -13,9 +13,10 @@ from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.settings import KINDS
 
-app = typer.Typer(
+simulate = typer.Typer(
     help="Simulate logs and rig sweeps whose true tire is known.",
     no_args_is_help=True,
+    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
@@ -23,12 +24,12 @@ app = typer.Typer(
 Out = Annotated[Path, typer.Option(metavar="FILE.csv", parser=named_path, help="CSV file to write")]
 Truth = Annotated[
     Path | None,
-    typer.Option(metavar="FILE.csv", parser=named_path, help="CSV of the truth, without noise"),
+    typer.Option(metavar="FILE.csv", parser=named_path, help="CSV file of the true values"),
 ]
 
 
 def _option(one: Field) -> inspect.Parameter:
-    """The option of a setting; a pair and a mapping are given as texts."""
+    """The option of a setting; the user gives a pair or a mapping as text."""
     kind, default, metavar = one.type, one.default, None
     flags = [f"--{one.name}"] if isinstance(default, bool) else []
     if one.name == "drop":
@@ -47,7 +48,7 @@ def _option(one: Field) -> inspect.Parameter:
 
 
 def _command(kind: str) -> Callable:
-    """The command of a kind of simulation, with its settings as options."""
+    """The command of one kind of simulation, with its settings as options."""
 
     def run(*, out: Out, truth: Truth = None, **given) -> None:
         with errors_to_exit():
@@ -59,9 +60,9 @@ def _command(kind: str) -> Callable:
             problems += [*_file_problems(out, truth), *KINDS[kind](**given).problems()]
             UsageError.raise_for(problems)
             start_jax()
-            from tirefit.sim.simulate import simulate
+            from tirefit.sim.simulate import simulate as simulated
 
-            _write(simulate(kind, **given), out, truth, given["seed"])
+            _write(simulated(kind, **given), out, truth, given["seed"])
 
     own = list(inspect.signature(run).parameters.values())[:2]
     ours = [*own, *map(_option, fields(KINDS[kind]))]
@@ -71,11 +72,11 @@ def _command(kind: str) -> Callable:
 
 
 for _kind in KINDS:
-    app.command(_kind)(_command(_kind))
+    simulate.command(_kind)(_command(_kind))
 
 
 def _drop(text: str | None) -> tuple[float, float] | None:
-    """Time and friction of ``TIME=FRICTION``."""
+    """Parse ``TIME=FRICTION``."""
     if text is None:
         return None
     try:
@@ -93,7 +94,7 @@ def _file_problems(out: Path, truth: Path | None) -> list[InputProblem]:
     for path in filter(None, (out, truth)):
         problems += output_problems(path, ending=".csv")
     if truth is not None and truth.absolute() == out.absolute():
-        problems.append(InputProblem("--truth is --out", "give it another name"))
+        problems.append(InputProblem("--truth is the same file as --out", "give another name"))
     return problems
 
 
@@ -104,4 +105,4 @@ def _write(made, out: Path, truth: Path | None, seed: int) -> None:
     columns = ", ".join(made.columns)
     say(f"wrote {out}: {rows} rows, {columns} (braking positive, SI), seed {seed}")
     if truth is not None:
-        say(f"wrote {truth}: the same without noise, {', '.join(made.truth)}")
+        say(f"wrote {truth}: the true values without noise, {', '.join(made.truth)}")

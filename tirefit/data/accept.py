@@ -1,4 +1,4 @@
-"""Data however a user has them: read already, a file, a frame or arrays."""
+"""Accept data in any form: a result of ``tirefit.read``, a file, a frame or arrays."""
 
 import os
 from collections.abc import Mapping
@@ -13,23 +13,23 @@ DataLike = TireData | Columns | str | os.PathLike
 
 
 def _is_frame(data: object) -> bool:
-    # A lazy frame of polars warns where its columns are asked for.
+    # A lazy frame of polars warns if its columns are read.
     names = ("collect_schema", "columns")
     fields = getattr(getattr(data, "dtype", None), "names", None)
     return bool(fields) or any(hasattr(data, name) for name in names)
 
 
 def as_data(data: DataLike, **how: Any) -> TireData:
-    """The data, read with the defaults where they are not read yet.
+    """The data as ``TireData``; read them if necessary.
 
     Args:
-        data: what ``tirefit.read`` gave, a path, a frame (pandas, polars or any with
+        data: a result of ``tirefit.read``, a path, a frame (pandas, polars or any with
             ``columns``), a structured array, or a mapping of name to (n,) array.
         how: arguments of ``tirefit.read`` for data that are not read yet. ``otherwise``
             applies to files only; arrays without a convention are canonical.
 
     Raises:
-        UsageError: something else.
+        UsageError: data of another type.
         DataError: as ``tirefit.read``.
     """
     if isinstance(data, TireData):

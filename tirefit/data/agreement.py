@@ -1,13 +1,13 @@
-"""How far channels that say the same agree: gain, delay and offset of each pair.
+"""Compare redundant channels of a log: gain, delay and offset of each pair.
 
-A pair holds one channel, L, against what others make of it, a sum of terms R_k:
+A pair compares one channel, L, with its prediction from others, a sum of terms R_k:
 
 .. math:: L(t) = \\sum_k g_k R_k(t - d) + o + e(t)
 
-Both sides are noisy, and least squares then finds gains that are too small. The terms a
-while before and after, when the noise of the sensors is another, stand in for them
-(instrumental variables: Durbin, Reiersol). Neighbouring errors are alike: they
-count at their effective number, n over the sum of their autocorrelation.
+Both sides are noisy, and least squares would find gains that are too small. The terms
+some time before and after, when the noise of the sensors is independent, are therefore
+used as instrumental variables (Durbin, Reiersol). Neighbouring errors are correlated;
+their effective number is n over the sum of the autocorrelation.
 """
 
 from collections.abc import Callable
@@ -15,18 +15,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-LATEST = 0.4  # longest delay that is looked for [s]: of the recorders of vehicles
+LATEST = 0.4  # longest delay [s] that is searched, as recorders of vehicles have
 
 _NO_DELAY = 0.02
-"""Least gain in R² of the longest delay: half a wave late the other sign fits too."""
+"""Least gain in R² of the longest delay; half a wave late, the opposite sign fits too."""
 
 _GLITCH = 3.0  # multiple of the 99th percentile beyond which a sample is a glitch
 
 _OUTLIER = 5.0
-"""Standard deviations of the remainder, by its median size, that no noise reaches."""
+"""Residuals beyond so many standard deviations (from their median size) are no noise."""
 
 _AROUND = (-2.0, -1.5, -1.0, 1.0, 1.5, 2.0)
-"""Where the instruments lie, over the time after which noise is another."""
+"""Times of the instruments, over the time after which the noise is independent."""
 
 _ROUNDS = 4
 EACH = 10  # rows that are used per correlation time of the noise
@@ -35,8 +35,8 @@ FEWEST = 50  # fewest rows that are compared: 5 s of a log with the default filt
 
 
 class Term(NamedTuple):
-    """A summand of the other side: values (n,), and the powers of the channels in it
-    less those of the channel that it is held against."""
+    """A term of the other side: values (n,), and the powers of the channels in it minus
+    those of the channel that it is compared with."""
 
     values: np.ndarray
     powers: dict[str, int]
@@ -44,53 +44,53 @@ class Term(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """A channel (n,) and what others say of it; ``level``: the level is compared too,
-    as of a speed; ``exact``: both are the same at every moment, not but for the car's
-    own dynamics, which look like a delay."""
+    """A channel (n,) and its prediction from others. ``level``: the level is compared
+    too, as for a speed; ``exact``: both agree at every time, without dynamics of the car
+    between them, which would resemble a delay."""
 
     channel: str
     words: str  # the other side, for the user
     values: np.ndarray  # (n,) on the grid, NaN where the channel is not known
     terms: tuple[Term, ...]  # summands of the other side
-    zero: float  # standard deviation of a sound sensor's zero, unit of the channel
-    floor: float  # rms from which either side says anything
+    zero: float  # standard deviation of the zero error of a good sensor [channel's unit]
+    floor: float  # smallest rms of either side that can be compared
     level: bool = False
     exact: bool = True
 
 
 class Agreement(NamedTuple):
-    """A pair as estimated: standard errors by the effective number of samples.
+    """The estimate of a pair; standard errors use the effective number of samples.
 
-    ``seen``: share of what only this term has that is there a while before and after as
-    well, so is no noise; ``delay_seen``, ``own_seen``: the same of the terms' rate,
-    which shows the delay, and of the channel itself.
+    ``seen``: share of the variation of a term, beyond the other terms, that the
+    instruments explain, so that it is not noise; ``delay_seen``, ``own_seen``: the same
+    for the rate of the terms, which determines the delay, and for the channel itself.
     """
 
     pair: Pair
-    gains: tuple[float, ...]  # one a term, 1 where the two sides agree
+    gains: tuple[float, ...]  # one for each term, 1 if the two sides agree
     gain_stds: tuple[float, ...]
-    delay: float  # [s] by which the channel is later than the others
+    delay: float  # [s] of the channel behind the others
     delay_std: float
-    offset: float  # what the channel shows beyond, in its unit
+    offset: float  # of the channel, in its unit
     offset_std: float
     seen: tuple[float, ...]
     delay_seen: float
     own_seen: float
     size: float  # rms of the other side's variation
-    own_size: float  # and of the channel's
+    own_size: float  # rms of the channel's variation
     correlation: float  # of the two sides at that delay
-    samples: int  # rows that were compared
-    effective: float  # independent rows that they count as
+    samples: int  # number of rows that were compared
+    effective: float  # number of independent rows
 
 
 class _Fit(NamedTuple):
-    """Of the terms, the rate of their sum, and 1."""
+    """A fit of the terms, the rate of their sum, and a constant."""
 
     theta: np.ndarray  # (k + 2,) factors
     std: np.ndarray  # their standard errors
-    seen: np.ndarray  # shares seen
-    effective: float  # number of samples
-    error: np.ndarray  # (n,) remainder
+    seen: np.ndarray  # see :class:`Agreement`
+    effective: float  # number of independent samples
+    error: np.ndarray  # (n,) residuals
 
 
 def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement | None:
@@ -100,7 +100,7 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
         part: (n,) int, the unbroken stretch of each grid sample.
         usable: (n,) bool, samples that may be compared.
         rate: of the grid [Hz].
-        apart: time [s] after which the noise of a filtered sensor is another.
+        apart: time [s] after which the noise of a filtered sensor is independent.
     """
     terms = np.column_stack([term.values for term in pair.terms])
     known = np.isfinite(pair.values) & np.isfinite(terms).all(axis=1)
@@ -112,17 +112,17 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
     rows = rows[:: max(1, step // EACH)]
     if len(rows) < FEWEST:
         return None
-    # Beside the usable rows, as at standstill, anything may stand.
+    # Values of rows that are not usable, as at standstill, are arbitrary.
     terms = np.clip(terms, terms[rows].min(axis=0), terms[rows].max(axis=0))
 
     def zero(gains) -> float:
         return pair.zero * float(np.linalg.norm(gains[:-1]))
 
     shift, gains = _delay(pair.values, terms, rows, latest)
-    # Wrong beside a break only, where nothing is used.
+    # This is wrong only next to a break, where no row is used.
     rates, k = np.gradient(terms, 1 / rate, axis=0), terms.shape[1]
     for turn in range(_ROUNDS):
-        along = gains if gains.any() else np.ones(k)  # of a dead channel
+        along = gains if gains.any() else np.ones(k)  # the gains of a dead channel are 0
         sides = np.column_stack([terms, rates @ along])
         own = pair.values[rows + shift]
         near = around(sides, rows, step)
@@ -132,10 +132,10 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
         good, rest = _no_outlier(fit.error), round(fit.theta[k] * rate)
         if turn == _ROUNDS - 1 or (good.all() and abs(rest) < 1):
             break
-        # The terms were moved by their rate, which holds for a small delay only.
+        # The terms were shifted by their rate, which is valid for a small delay only.
         shift = int(np.clip(shift - rest, -latest, latest))
         gains, rows = fit.theta[:k], rows[good]
-    assert fit is not None  # there is one round at least
+    assert fit is not None  # the loop has at least one round
     near = around(pair.values[:, None], rows + shift, step)
     return Agreement(
         pair, tuple(fit.theta[:k].tolist()), tuple(fit.std[:k].tolist()),
@@ -154,28 +154,28 @@ def around(values, rows, step: int) -> np.ndarray:
 
 
 def _seen_around(values, around) -> float:
-    """Share of the variation of (n,) that follows from what is around it (n, m)."""
+    """Share of the variation of values (n,) that the instruments (n, m) explain."""
     columns = np.column_stack([around, np.ones(len(values))])
     left = values - columns @ np.linalg.lstsq(columns, values)[0]
     return float(1 - np.var(left) / max(np.var(values), 1e-300))
 
 
 def _no_outlier(error: np.ndarray) -> np.ndarray:
-    """Rows (n,) bool with remainders of common size; all where too few would be."""
+    """Rows (n,) bool without outlying residuals; all rows if too few would remain."""
     about = np.abs(error - np.median(error))
     good = about <= _OUTLIER * 1.4826 * np.median(about)
     return good if good.sum() >= FEWEST else np.ones(len(error), bool)
 
 
 def _correlation(one, other) -> float:
-    """Of two (n,); 0 where one of them is constant."""
+    """Correlation of two arrays (n,); 0 if one of them is constant."""
     if np.ptp(one) == 0 or np.ptp(other) == 0:
         return 0.0
     return float(np.corrcoef(one, other)[0, 1])
 
 
 def _no_glitch(values: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Samples (n,) bool that are of the size of the others."""
+    """Samples (n,) bool that are not glitches by their size."""
     if not usable.any():
         return usable
     size = np.abs(values)
@@ -183,7 +183,7 @@ def _no_glitch(values: np.ndarray, usable: np.ndarray) -> np.ndarray:
 
 
 def surrounded(part, usable, known, reach: int) -> np.ndarray:
-    """Usable rows with ``reach`` known samples of their own stretch to either side."""
+    """Usable rows with ``reach`` known samples of their stretch on either side."""
     rows = np.flatnonzero(usable)
     rows = rows[(rows >= reach) & (rows < len(part) - reach)]
     blanks = np.concatenate([[0], np.cumsum(~known)])
@@ -192,7 +192,7 @@ def surrounded(part, usable, known, reach: int) -> np.ndarray:
 
 
 def _delay(values, terms, rows, latest: int) -> tuple[int, np.ndarray]:
-    """The delay [samples] at which the terms explain most, and their gains there."""
+    """The delay [samples] at which the terms explain most variance, and their gains."""
     columns = np.column_stack([terms[rows], np.ones(len(rows))])
     basis, triangle = np.linalg.qr(columns)
     scores, shifts = [], range(-latest, latest + 1)
@@ -233,7 +233,7 @@ def instrumented(values, sides, near, zero: Callable) -> _Fit | None:
             level = zero((theta / scale)[:-1])
             prior[-1, -1] = noise / max(level, 1e-9) ** 2
             theta = np.linalg.solve(curvature + prior, slope)
-        # What the instruments do not show is not known, whatever the columns say.
+        # The instruments do not determine the factors, even if the columns would.
         spread = np.linalg.inv(seen.T @ seen + prior)
     except np.linalg.LinAlgError:
         return None
@@ -243,11 +243,12 @@ def instrumented(values, sides, near, zero: Callable) -> _Fit | None:
 
 
 def _share(columns, seen, k: int) -> float:
-    """Share of what only the k-th column has, beyond the others, that the instruments
-    see: little of noise, and of a term that the others make up (Sanderson, Windmeijer).
+    """Share of the variation of the k-th column, beyond the other columns, that the
+    instruments explain: small for noise and for a combination of the other columns
+    (Sanderson, Windmeijer).
 
     Args:
-        columns: (n, m); seen: the same by the instruments.
+        columns: (n, m); seen: their prediction from the instruments.
     """
     others = [j for j in range(columns.shape[1]) if j != k]
     part = np.linalg.lstsq(seen[:, others], seen[:, k])[0]
@@ -257,8 +258,8 @@ def _share(columns, seen, k: int) -> float:
 
 
 def effective(error: np.ndarray) -> float:
-    """How many independent values the (n,) remainder counts as: its autocorrelation
-    summed as far as pairs of neighbouring lags are positive (Geyer)."""
+    """Effective number of independent residuals (n,): the autocorrelation is summed as
+    long as pairs of neighbouring lags are positive (Geyer)."""
     n = len(error)
     about = error - error.mean()
     power = np.abs(np.fft.rfft(about, 2 * n)) ** 2

@@ -1,10 +1,9 @@
-"""Large text files: numbers by NumPy's reader, the text of a cell only on demand.
+"""Read large text files: numbers by NumPy's reader, the text of a cell only on demand.
 
-A million rows as strings take gigabytes; as numbers, beside the bytes of the file, a
-tenth of that. The head of the file is read as any text is, and says the columns; what
-follows is read in pieces. A piece with anything but numbers where the head has numbers
-is split as any text is, and text is kept as the bytes of the file, so that errors name
-every cell as it stands there.
+A million rows need gigabytes as strings, and a tenth of that as numbers with the bytes
+of the file. The head is read as in other text files and gives the columns; the rest is
+read in pieces. A piece with other cells where the head has numbers is split as other
+text, and its text is kept as the bytes of the file, so that messages can quote a cell.
 """
 
 import csv
@@ -33,7 +32,7 @@ from tirefit.data.white import tabbed
 from tirefit.results import DataError
 
 LARGE = 2**21
-"""Bytes from which a file is read so; a smaller one takes no time either way."""
+"""Bytes from which a file is read in this way; smaller files are fast in any way."""
 
 _HEAD = 2**17
 _PIECE = 2**21
@@ -41,7 +40,7 @@ _PIECE = 2**21
 _LONGEST = 2**16  # bytes of a line; a longer one is of another kind of file
 
 _PLAIN = bytes([*range(0x20, 0x7F), *b"\n\r\t"])
-"""What the bytes below the head must be: nothing there needs an encoding."""
+"""Bytes allowed below the head: those that need no encoding."""
 
 
 class _Piece(NamedTuple):
@@ -55,7 +54,7 @@ class _Piece(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """How the lines below the head are split."""
+    """The rules by which lines below the head are split."""
 
     path: Place
     width: int
@@ -128,10 +127,10 @@ class _Rows:
 def table_of_large(
     content: bytes, path: Place, digest: str, declared: Collection[str]
 ) -> Table | None:
-    """As ``table_of_text``, of a large text; None where it is to be read as any other.
+    """As ``table_of_text`` for a large text; None if it must be read as other texts.
 
-    That is one whose body is not plain ASCII, whose quoted cells run over several
-    lines, or in whose head an error is to be found.
+    That is a text whose body is not plain ASCII, with quoted cells over several lines,
+    or with an error in its head.
     """
     first = content.rfind(b"\n", 0, _HEAD) + 1
     if len(content) < LARGE or not first or not _is_plain(content, first):
@@ -199,8 +198,8 @@ def _layout(content: bytes, head: Table, first: int, path: Place) -> _Layout:
 
 
 def _read(piece: bytes, start: int, number: int, layout: _Layout) -> _Piece | None:
-    """The rows of a piece that starts at this byte, with the line of this number; None
-    where a quoted cell runs over several lines."""
+    """The rows of a piece that starts at this byte and line number; None if a quoted cell
+    runs over several lines."""
     ends = np.flatnonzero(np.frombuffer(piece, np.uint8) == ord("\n")) + 1
     starts = start + np.concatenate([[0], ends[ends < len(piece)]])
     if np.max(np.diff(starts), initial=len(piece) - starts[-1] + start) > _LONGEST:
@@ -213,7 +212,7 @@ def _read(piece: bytes, start: int, number: int, layout: _Layout) -> _Piece | No
 
 
 def _by_numpy(piece: bytes, layout: _Layout) -> np.ndarray | None:
-    """Numbers (columns, n), NaN in columns of text; None where some is no number."""
+    """Numbers (columns, n), NaN in columns of text; None if another cell is no number."""
     if b'"' in piece or b"#" in piece or not piece.strip():
         return None
     source = io.BytesIO(piece.replace(b",", b".") if layout.commas else piece)
@@ -230,7 +229,7 @@ def _by_numpy(piece: bytes, layout: _Layout) -> np.ndarray | None:
 
 
 def _by_csv(piece: bytes, starts, number: int, layout: _Layout) -> _Piece | None:
-    """The same of a piece with blank lines, comments, and cells of any kind."""
+    """The rows of a piece with blank lines, comments, and cells of any kind."""
     lines = content_lines(list(io.StringIO(piece.decode("ascii"), newline="")))
     there = [index for index, line in enumerate(lines) if line != "\n"]
     if layout.spaced:
@@ -248,7 +247,7 @@ def _by_csv(piece: bytes, starts, number: int, layout: _Layout) -> _Piece | None
 
 
 def _merged(faults: list[BadRows]) -> tuple[BadRows, ...]:
-    """Rows that break the rule of the number of fields, as one fault."""
+    """One fault for all rows with a wrong number of fields."""
     if not faults:
         return ()
     rows = [row for fault in faults for row in fault.rows]

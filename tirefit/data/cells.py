@@ -1,4 +1,4 @@
-"""One column of a large text: numbers at hand, the text of a cell on demand."""
+"""One column of a large text: its numbers, and the text of a cell on demand."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -7,8 +7,8 @@ import numpy as np
 
 
 class TextColumn(Sequence[str]):
-    """Cells of one column as they stand in the file, and their numbers; ``body`` holds
-    the rows of all columns (``tirefit.data.bulk``)."""
+    """The cells of one column as in the file, and their numbers; ``body`` holds the rows
+    of all columns (``tirefit.data.bulk``)."""
 
     def __init__(self, body: Any, index: int):
         self._body, self._index = body, index
@@ -25,14 +25,14 @@ class TextColumn(Sequence[str]):
         return (row[self._index] for row in self._body.rows())
 
     def numbers(self, commas: bool) -> np.ndarray | None:
-        """float64 (n,), NaN where the cell is no number; None where the decimal mark
-        asked for is not the one that the numbers were read with."""
+        """float64 (n,), NaN where the cell is no number; None if the numbers were read
+        with another decimal mark."""
         if commas != self._body.commas and self.may_hold(","):
             return None
         return self._body.numbers(self._index)
 
     def may_hold(self, mark: str) -> bool:
-        """False where no cell of the file holds this character."""
+        """False if no cell of the file holds this character."""
         return self._body.may_hold(mark)
 
     def words(self) -> list[str]:

@@ -1,8 +1,8 @@
-"""What data must satisfy: row by row, and as a whole.
+"""Checks of data, row by row and as a whole.
 
 A rule on rows yields :class:`BadRows`, which become errors or masked rows. Checks of
-the whole (constant slip, missing columns) yield problems that stand even when bad rows
-are masked. A doubt is a sentence: the data can be used, but may mean something else.
+the whole (constant slip, missing columns) yield problems that remain even if bad rows
+are masked. A doubt is a warning: the data can be used, but may have another meaning.
 """
 
 import re
@@ -19,7 +19,7 @@ from tirefit.data.vehicle_log import vehicle_log
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
 
-SHOWN = 5  # rows of one fault that are listed one by one before the rest is summed up
+SHOWN = 5  # rows of one fault that are listed; the others are counted
 
 _NEARLY_ONE = 1 + 1e-6
 _LOWEST_SIGMA = -1.05
@@ -40,11 +40,11 @@ _SECONDS = (
     " column of dates and times (pandas.to_datetime) as such seconds"
 )
 _OF_WHOLE_COLUMN = {_IS_TEXT: _NO_NUMBERS, _IS_CLOCK: _SECONDS}
-"""Faults that are the column's, where all its rows have them: no row could be
-corrected, and none would be left if they were masked."""
+"""Faults that are faults of the column if all rows have them: correcting or masking rows
+is no remedy then."""
 _SHARES = (5e-3, 5.0)
 _HEAVIEST = 1e3
-"""Median load [N] beyond which a load is none in kN: no wheel carries a meganewton."""
+"""Largest median load [N] for which kN are suggested: no wheel carries a meganewton."""
 _LEAST_SLIP = (("fx", "sigma_x", 0.01), ("fy", "alpha", np.radians(0.5)))
 
 
@@ -53,7 +53,7 @@ class BadRows(NamedTuple):
 
     column: str | None
     rows: Sequence[int] | np.ndarray
-    values: Sequence[str]  # what stands in each row; with the rule it makes the reason
+    values: Sequence[str]  # text of each row; the reason is this text and the rule
     rule: str
     remedy: str = _CORRECT
     is_systematic: bool = False  # most rows break it: the column is wrong, not its rows
@@ -115,9 +115,9 @@ def range_faults(
     Args:
         columns: (n,) arrays in canonical units and signs; the slip under the name of
             its definition. NaN is never out of range.
-        shown: the same columns as the file has them, for the messages.
-        headers: the file's own name of each column.
-        convention: the one the file is read in.
+        shown: the same columns in the units and signs of the file, for messages.
+        headers: the header of each column in the file.
+        convention: the one in which the file is read.
     """
     faults = []
     for rule in _rules_for(columns):
@@ -143,7 +143,7 @@ _MIRRORED = (
 
 
 def _looks_like_percent(sigma: np.ndarray) -> bool:
-    """Whether no sign convention would bring the slips into their range."""
+    """Whether the slips are out of range in every sign convention."""
     low, high = np.nanmin(sigma), np.nanmax(np.where(sigma < LOCKED, sigma, np.nan))
     return low < -5 or high > 5 or (low < _LOWEST_SIGMA and high > -_LOWEST_SIGMA)
 
@@ -175,15 +175,15 @@ def _load_hint(text: str, columns, convention: str) -> tuple[str, str]:
 def list_problems(
     faults: Sequence[BadRows], lines: np.ndarray, file: str
 ) -> tuple[list[InputProblem], list[InputProblem]]:
-    """Problems of bad rows, the first few of a kind one by one, the rest summed up.
+    """Problems of bad rows: the first few of a kind one by one, the others counted.
 
     Args:
-        faults: what was found.
+        faults: the bad rows.
         lines: (n,) line of the file of each row.
         file: named in the problems.
 
     Returns:
-        Problems of single rows, and of whole columns, which no mask cures.
+        Problems of single rows, and of whole columns, which masking does not solve.
     """
     of_rows, of_columns = [], []
     for fault in faults:
@@ -200,7 +200,7 @@ def list_problems(
             line = int(lines[row])
             of_rows.append(InputProblem(f"{value} {rule}", remedy, file, line, column))
         if (more := count - SHOWN) > 0:
-            # A rule alone is half a sentence: its subject is what stands in a row.
+            # A rule is half a sentence; its subject is the text of a row.
             next_one = f"row {lines[fault.rows[SHOWN]]}: {fault.values[SHOWN]} {rule}"
             rows = "rows" if more > 1 else "row"
             reason = f"and {more} more {rows} with the same fault, next in {next_one}"
@@ -209,22 +209,22 @@ def list_problems(
 
 
 def without_masking(problem: InputProblem) -> InputProblem:
-    """A problem of a row that is masked already: its remedy no longer says to."""
+    """The problem of a row that is masked, without the advice to mask it."""
     return replace(problem, remedy=problem.remedy.replace(_OR_MASK, ""))
 
 
 def check_columns(
     columns, headers: Sequence[str], idle: Sequence[str], file: str, forces: bool = True
 ) -> list[InputProblem]:
-    """What every fit needs: a slip, a force if ``forces``, the load.
+    """Problems of columns that every fit needs: a slip, a force if ``forces``, the load.
 
-    ``columns`` are those there, ``headers`` the file's own; ``idle`` are the headers
-    of forces that are zero throughout.
+    ``columns`` are those read, ``headers`` all headers of the file; ``idle`` are the
+    headers of forces that are zero in all rows.
     """
     problems: list[InputProblem] = []
     has_slip = {"alpha", *SLIP_DEFINITIONS} & set(columns)
     has_force = {"fx", "fy", "mz"} & set(columns)
-    # A log may hold a sideslip angle, which reads as alpha: the force decides.
+    # A log may have a sideslip angle that is read as alpha, so look for a force.
     no_tire = not has_slip or (forces and "fz" not in columns)
     if no_tire and not (has_force or idle):
         log = vehicle_log(headers, file, by_pose=not has_slip)
@@ -252,7 +252,7 @@ def check_columns(
 
 
 def check_variation(columns: Mapping[str, np.ndarray], file: str) -> list[InputProblem]:
-    """A slip that never changes says nothing about a slip curve."""
+    """A problem if the slip is constant, as it then gives no slip curve."""
     slips = [name for name in ("sigma_x", "alpha") if name in columns]
     spread = [np.ptp(columns[name]) if len(columns[name]) else 0.0 for name in slips]
     if not slips or max(spread) > 1e-9:
@@ -263,15 +263,15 @@ def check_variation(columns: Mapping[str, np.ndarray], file: str) -> list[InputP
 
 
 def doubt_units(columns: Mapping[str, np.ndarray], headers: Mapping[str, str]) -> list[str]:
-    """Forces that no tire has under its load, in sentences with a remedy.
+    """Warnings on forces that no tire has at its load.
 
-    A tire carries some 5 to 30 times its slip as a share of the load until it slides,
-    and then about as much as its friction: a share beyond ``_SHARES`` in the 99th
-    percentile is a wrong unit. Where the tire hardly slips a small force is right.
+    Force over load is some 5 to 30 times the slip until the tire slides, then about the
+    friction. If the 99th percentile is out of ``_SHARES``, a unit is wrong. A small
+    force is not reported if the slips are small as well.
 
     Args:
         columns: (n,) canonical columns, used rows only.
-        headers: the file's own name of each column.
+        headers: the header of each column in the file.
     """
     said = []
     for force, slip, least in _LEAST_SLIP:
@@ -298,18 +298,18 @@ def doubt_units(columns: Mapping[str, np.ndarray], headers: Mapping[str, str]) -
             if column not in headers:
                 remedy = f"give {where} in N, not in kN"
         said.append(
-            f"{name} reaches {much}, {why}: one of the two is probably in another unit"
-            f" than it was read in (kN for N?); {remedy}"
+            f"{name} reaches {much}, {why}: the unit of one of the two is probably wrong"
+            f" (kN read as N?); {remedy}"
         )
     return said
 
 
 def doubt_time(time: np.ndarray, run: np.ndarray, lines: np.ndarray, header: str) -> list[str]:
-    """A time that goes back within a run, as a sentence with a remedy; else none.
+    """A warning if the time goes back within a run.
 
     Args:
         time, run, lines: (n,) time [s], run and line in the file of the used rows.
-        header: the file's own name of the time.
+        header: the header of the time in the file.
     """
     order = np.argsort(run, kind="stable")
     back = (np.diff(time[order]) < 0) & (np.diff(run[order]) == 0)
@@ -320,16 +320,16 @@ def doubt_time(time: np.ndarray, run: np.ndarray, lines: np.ndarray, header: str
     more = f" (and {back.sum() - 1} times more)" if back.sum() > 1 else ""
     return [
         f"row {lines[row]}, column {header!r}: the time goes back, from"
-        f" {time[before]:.6g} s to {time[row]:.6g} s within a run{more}: a fit or a"
-        " diagnosis takes the rows of a run in the order of their time, and so mixes"
-        " two recordings, or what stands before and after a clock was set; give each a"
-        " run of its own (--column run=HEADER), or correct the time; rows that are"
-        " merely out of order do no harm"
+        f" {time[before]:.6g} s to {time[row]:.6g} s within a run{more}: fits and"
+        " diagnoses sort the rows of a run by time, which would mix two recordings, or"
+        " the rows before and after a clock was set; give each its own run"
+        " (--column run=HEADER), or correct the time; rows that are only out of order"
+        " are no problem"
     ]
 
 
 def has_decimal_comma(columns) -> bool:
-    """Commas in the cells, not all as in 4,000, and no number with a point."""
+    """Whether cells have commas, not all as in 4,000, and no number has a point."""
     columns = [cells for cells in columns if not isinstance(cells, np.ndarray)]
     if not any(may_hold(cells, ",") for cells in columns):
         return False
@@ -344,11 +344,11 @@ def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False, g
     """Numbers of a column of cells, and the faulty ones.
 
     Args:
-        cells: n strings, which may be a column of a large text, or an (n,) array.
+        cells: n strings, also as a column of a large text, or an (n,) array.
         header: named in the faults.
         ragged: (n,) bool, rows already known to be bad.
         commas: whether a comma is the decimal point.
-        gaps: whether an empty cell (NaN of a frame) is no fault.
+        gaps: whether empty cells (NaN in a frame) are allowed.
 
     Returns:
         float64 (n,) with NaN for every fault, and the faults by kind.
@@ -375,7 +375,7 @@ def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False, g
 
 
 def parsed(cells: Iterable[str], commas: bool = False) -> np.ndarray:
-    """Numbers (n,) of cells of text, NaN for what is none; see :func:`read_numbers`."""
+    """Numbers (n,) of text cells, NaN for other text; see :func:`read_numbers`."""
     texts = [cell.replace(",", ".") for cell in cells] if commas else list(cells)
     try:
         # float() accepts 1_000, which no measuring system writes
@@ -388,7 +388,7 @@ def parsed(cells: Iterable[str], commas: bool = False) -> np.ndarray:
 
 
 def _fault_of(cell: str) -> tuple[str, str]:
-    """How a cell without a finite number is shown, and what is wrong with it."""
+    """The text by which a message quotes a cell without a finite number, and its fault."""
     text = cell.strip()
     if not text:
         return "an empty cell", "where a number is needed"
@@ -397,7 +397,7 @@ def _fault_of(cell: str) -> tuple[str, str]:
     if word in ("inf", "infinity"):
         return shown, "is infinite"
     if is_number(text):
-        return shown, f"is too large for any quantity here (beyond {_LARGEST:g})"
+        return shown, f"is larger than any measured value (beyond {_LARGEST:g})"
     if word == "nan":
         return text, "is not a number"
     if word in ("notavail", "n/a", "na", "null", "none"):

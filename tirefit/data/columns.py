@@ -1,4 +1,4 @@
-"""Which column of a file is which: declared by the user, or inferred and said."""
+"""Identify the columns of a file: declared by the user, or inferred and reported."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -73,7 +73,7 @@ _DECLARED_BY = {
 
 
 class Guess(NamedTuple):
-    """What a header alone says: the column's name and, if stated, its unit."""
+    """The meaning of a header: the name of the column and, if stated, its unit."""
 
     name: str
     unit: str | None
@@ -87,8 +87,8 @@ class Column:
     header: str
     index: int
     unit_text: str = ""
-    unit: Unit | None = None  # None for ``run`` and where the stated one was refused
-    beside: bool = False  # stands in a row of units, or another place than the header
+    unit: Unit | None = None  # None for ``run`` and if the stated one was refused
+    beside: bool = False  # whether the unit is stated elsewhere than in the header
 
 
 @dataclass
@@ -100,7 +100,7 @@ class Plan:
     problems: list[InputProblem] = field(default_factory=list)
     in_units_row: set[InputProblem] = field(default_factory=set)
     units_to_write: dict[str, str] = field(default_factory=dict)
-    """Declared units of forces that the file lacks, yet to be predicted."""
+    """Declared units of forces that the file lacks because they will be predicted."""
 
     @property
     def slip(self) -> str | None:
@@ -109,8 +109,8 @@ class Plan:
 
 
 def guess(header: str) -> Guess | None:
-    """Name and unit that a header states, or None: ``Fx_std_N`` is fx_std in N, and
-    ``Fx_sim`` a simulator's fx."""
+    """Name and unit that a header states, or None. ``Fx_std_N`` is fx_std in N, and
+    ``Fx_sim`` the fx of a simulator."""
     bracketed = _BRACKETED.match(header)
     text, unit = bracketed.groups() if bracketed else (header, None)
     words = [word for word in re.split(_SEPARATORS, text.strip()) if word]
@@ -153,7 +153,7 @@ def _fits(suffix: str, name: str) -> bool:
 
 
 def _group(name: str) -> str:
-    """Names that stand for one quantity: all slip definitions are one group."""
+    """The names of the same quantity: all slip definitions are one group."""
     if base_column(name) not in SLIP_DEFINITIONS:
         return name
     return "slip_std" if name.endswith("_std") else "slip"
@@ -166,17 +166,17 @@ def plan_columns(
     file: str,
     layout: Layout = _NO_LAYOUT,
 ) -> Plan:
-    """Decides which columns to read, as what and in which unit.
+    """Decide which columns to read, with which name and unit.
 
     Args:
         headers: header of each column of the file, in its order.
-        units_row: the unit of each column from a row under the header, if there.
-        options: what the user declared.
+        units_row: the unit of each column from a row under the header, if it exists.
+        options: the declarations of the user.
         file: named in the problems.
-        layout: what the kind of file says of its columns; their headers say the rest.
+        layout: columns that the kind of file defines; headers decide on the others.
 
     Returns:
-        The plan, with every problem found in it and every inference as a sentence.
+        The plan, with all problems, and with a sentence for every inference.
     """
     plan = Plan()
     declared = _declared(headers, options, plan, file)
@@ -231,7 +231,7 @@ def _declared(headers, options, plan, file) -> dict[str, int]:
 
 
 def _refuse_shared(place_of, headers, plan, file) -> None:
-    """One header declared as two columns, or two slip columns declared, is a slip."""
+    """A problem for one header declared as two columns, or two declared slip columns."""
     names = list(place_of)
     for place, name in enumerate(names):
         others = [
@@ -240,7 +240,7 @@ def _refuse_shared(place_of, headers, plan, file) -> None:
             if place_of[other] == place_of[name] or _group(other) == _group(name)
         ]
         if others:
-            reason = f"declared as {name} beside {others[0]}, which excludes it"
+            reason = f"declared as {name}, but {others[0]} is declared as well"
             remedy = f"give only one of --column {name}= and --column {others[0]}="
             header = headers[place_of[name]]
             plan.problems.append(InputProblem(reason, remedy, file, column=header))
@@ -254,7 +254,7 @@ def _inferred(headers, declared, plan, file, names) -> dict[str, int]:
         if guessed and _group(guessed.name) not in taken:
             by_group.setdefault(_group(guessed.name), []).append((guessed.name, index))
     if "heading" not in {*by_group, *taken}:
-        # They mean a position only where there is a heading as well.
+        # x and y are positions only if there is a heading as well.
         by_group = {n: at for n, at in by_group.items() if n not in ("x", "y")}
     for matches in by_group.values():
         if len(matches) < 2:
@@ -268,17 +268,17 @@ def _inferred(headers, declared, plan, file, names) -> dict[str, int]:
         if len({headers[index] for _, index in matches}) == 1:
             remedy = "rename or remove one of them in the file"
         plan.problems.append(InputProblem(reason, remedy, file, column=headers[index]))
-    # Of duplicates the first goes on, so that its cells are checked as well.
+    # The first of duplicates is kept, so that its cells are checked as well.
     return dict(matches[0] for matches in by_group.values())
 
 
 def _places(indices: Sequence[int]) -> str:
-    """Places of columns, from 1; of headers that are alike nothing else differs."""
+    """Numbers of columns, from 1, to distinguish columns with the same header."""
     return f"columns {' and '.join(str(index + 1) for index in indices)}"
 
 
 def _meant(header: str, names: Mapping[str, str]) -> Guess | None:
-    """What a header means in a layout that names some, else what it says itself."""
+    """The meaning of a header: that of the layout, else that of its own text."""
     name = names.get(header)
     return guess(header) if name is None else (Guess(name, None) if name else None)
 
@@ -293,7 +293,7 @@ def _drop_lonely_std(chosen, inferred, headers, plan) -> None:
 
 
 def _check_slip_std(chosen, headers, plan, file) -> None:
-    """The std of a slip must be of the slip's own definition to be converted."""
+    """A problem if slip and its std have different definitions: std is not convertible."""
     names = {_group(name): name for name in chosen}
     slip, std = names.get("slip"), names.get("slip_std")
     if slip and std and std != f"{slip}_std":
@@ -304,7 +304,7 @@ def _check_slip_std(chosen, headers, plan, file) -> None:
 
 
 def _unit_of(name, index, headers, stated, options, chosen) -> tuple[str, str]:
-    """Unit text of a column and, where it was not stated, how it was found."""
+    """Unit text of a column and, if it was not stated, how it was found."""
     if name == "run":
         return "", ""
     in_header = stated_unit(headers[index])
@@ -328,7 +328,7 @@ def _unit_of(name, index, headers, stated, options, chosen) -> tuple[str, str]:
 
 
 def _is_predicted(name: str, options: Options) -> bool:
-    """Whether a column may be missing, since it is a force yet to be predicted."""
+    """Whether a column may be missing, as it is a force that will be predicted."""
     return not options.forces and base_column(name) in FORCES
 
 
@@ -358,7 +358,7 @@ def _say(column: Column, is_declared: bool, how: str, plan: Plan) -> None:
 
 
 def _check_all_used(options: Options, plan: Plan, file: str) -> None:
-    """A unit or a definition of a column that is not read is a mistake."""
+    """Problems of units and definitions declared for columns that are not read."""
     groups = {_group(name) for name in plan.columns}
     for group in ("slip", "slip_std"):
         units = {n: unit for n, unit in options.units.items() if _group(n) == group}

@@ -1,4 +1,4 @@
-"""Channels of a vehicle log that cannot all be true, and the unit or sign behind."""
+"""Find channels of a vehicle log that contradict each other, and the wrong unit or sign."""
 
 import itertools
 import math
@@ -27,20 +27,20 @@ from tirefit.results import InputProblem
 
 _LATE = 0.05
 _OFFSET = 0.3
-"""Delay [s] and offset [m/s2] of an a_y that is used, from which they are said."""
+"""Smallest delay [s] and offset [m/s2] of a used a_y that cause a warning."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What the redundancy of a log says."""
+    """The comparison of redundant channels of a log."""
 
     pairs: tuple[Agreement, ...]  # every pair that was compared
     problems: tuple[InputProblem, ...]  # contradictions: channel, unit or sign, remedy
-    warnings: tuple[str, ...]  # sentences on what differs by more than it should
+    warnings: tuple[str, ...]  # sentences on smaller or irrelevant differences
     line: str  # for the summary
 
     def as_dicts(self) -> list[dict]:
-        """Each pair with what was estimated of it, for the companion file."""
+        """Each pair with its estimates, for the companion file."""
         return [
             {
                 "channel": a.pair.channel,
@@ -63,7 +63,7 @@ class Comparison:
 
 
 def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Comparison:
-    """Hold every channel against the others, of a car that drives ahead."""
+    """Compare every channel with the others; the car must drive forward."""
     if backwards := _backwards(track, motion, vehicle, file):
         return Comparison((), (backwards,), (), "channels: not compared")
     pairs = agreements(track, motion, vehicle)
@@ -85,7 +85,7 @@ def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Compar
             off = not_explained(pairs, faults)
         for a, k in off:
             if k > 0 and any(a is other and j == 0 for other, j in off):
-                continue  # said already
+                continue  # reported above
             _unexplained(a, k, vehicle, track, file, problems, warnings)
         for a in stray:
             _no_relation(a, vehicle, track, file, problems, warnings)
@@ -97,7 +97,7 @@ def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Compar
 
 
 def _backwards(track, motion, vehicle: Vehicle, file: str) -> InputProblem | None:
-    """That the car mostly drives backwards, or its axes point there."""
+    """A problem if the car mostly drives backwards, or its axes point backwards."""
     fast = motion.settled & (np.hypot(motion.v_x, motion.v_y) > vehicle.v_min)
     share = float(np.mean(motion.v_x[fast] < 0)) if fast.any() else 0.0
     if share < _MOSTLY:
@@ -108,18 +108,18 @@ def _backwards(track, motion, vehicle: Vehicle, file: str) -> InputProblem | Non
         unit = f"-{vehicle.units.get('v_x', 'm/s')}".removeprefix("--")
         name, how = "v_x", f'v_x = "{unit}" (and v_y, a_x, a_y alike) in [units]'
     reason = f"the car drives backwards for {share:.0%} of the time in motion"
-    remedy = f"if it drove ahead, say {how} of vehicle.toml; else cut that from the log:"
-    remedy += " only driving ahead is described"
+    remedy = f"if it drove forward, set {how} of vehicle.toml; if not, cut this part from"
+    remedy += " the log: the equations hold for driving forward only"
     return InputProblem(reason, remedy, file, column=_column(track, name).header)
 
 
-_MOSTLY = 0.9  # share of the time in motion: more is no manoeuvre
+_MOSTLY = 0.9  # share of the time in motion; a manoeuvre in reverse takes less
 
 _SWAPPED = ("v_x", "v_y", "a_x", "a_y", "yaw_rate")
 
 
 def _swapped(track, motion, vehicle, wrong) -> tuple[str, str] | None:
-    """Two channels that put right all that is wrong once they change places."""
+    """Two channels whose exchange resolves all contradictions."""
     there = {c.quantity for c in track.channels}
     names = {(a.pair.channel, a.pair.words) for a in wrong}
     for pair in itertools.combinations([c for c in _SWAPPED if c in there], 2):
@@ -144,7 +144,7 @@ def _names(fault: Fault) -> str:
 
 
 def _guessed(fault: Fault, track: Track) -> tuple[str, str]:
-    """What is wrong, and what to do about it."""
+    """Reason and remedy of a fault."""
     names = [n for c in fault.channels for n in (("x", "y") if c == "xy" else (c,))]
     read = _column(track, names[0])
     is_or_are, has_or_have = ("are", "have") if len(names) > 1 else ("is", "has")
@@ -155,14 +155,14 @@ def _guessed(fault: Fault, track: Track) -> tuple[str, str]:
     said = []
     if fault.unit:
         read_in = read.unit or "rad by the map"
-        said.append(f"{_names(fault)} {is_or_are} in {fault.unit}, and read in {read_in}")
+        said.append(f"{_names(fault)} {is_or_are} in {fault.unit}, but read in {read_in}")
     if flipped:
-        said.append(f"{_names(fault)} {has_or_have} the other sign")
+        said.append(f"{_names(fault)} {has_or_have} the wrong sign")
     if read.quantity == "steering":
         return " and ".join(said), "correct [steering] of vehicle.toml"
     lines = ", ".join(f'{name} = "{text}"' for name in names)
     options = " ".join(f"--unit {name}={text}" for name in names)
-    return " and ".join(said), f"say {lines} in [units] of vehicle.toml, or {options}"
+    return " and ".join(said), f"set {lines} in [units] of vehicle.toml, or {options}"
 
 
 def _evidence(a: Agreement, k: int) -> str:
@@ -174,7 +174,7 @@ def _evidence(a: Agreement, k: int) -> str:
 
 
 def _clearness(a, k, faults) -> tuple[bool, float]:
-    """How well a gain shows a fault: that of its own channel first."""
+    """Sort key of gains that show a fault: gains of its own channel are the clearest."""
     own = any(a.pair.channel in fault.channels for fault in faults)
     return own, abs(a.gains[k]) / max(a.gain_stds[k], 1e-300)
 
@@ -193,21 +193,21 @@ def _fault_problem(faults, alternatives, off, track, motion, vehicle) -> InputPr
 
 
 def _mirrored(faults, alternatives, track, motion, vehicle):
-    """Reasons and remedies of a path that turns the other way than the heading, where
-    the yaw is a compass heading or x and y stand for each other; else None."""
+    """Reasons and remedies if the path turns the other way than the heading, as yaw is a
+    compass heading or x and y are exchanged; else None."""
     channels = {c for f in (*faults, *alternatives) for c in f.channels}
     if not channels <= {"y", "yaw"} or any(f.unit for f in faults):
         return None
-    # Course and compass heading add up to 90 deg; of a mirrored axis, to 0.
+    # Course and compass heading add up to 90 deg; with a mirrored axis, to 0.
     total = heading_off_path(track, motion, vehicle, -1)
     if not abs(abs(total) - math.pi / 2) < SIDEWAYS:
         return None
     turn = -vehicle.yaw_offset - total
     unit = _column(track, "yaw").unit.removeprefix("-")
-    swapped = "x and y stand for each other", "exchange x and y in [columns]"
+    swapped = "x and y are exchanged", "exchange x and y in [columns]"
     compass = (
-        "yaw counts clockwise, from the y axis",
-        f'say yaw = "-{unit}" in [units] and yaw_offset = {turn:.3g}',
+        "yaw is measured clockwise, from the y axis",
+        f'set yaw = "-{unit}" in [units] and yaw_offset = {turn:.3g}',
     )
     said = [swapped] if "y" in channels else []
     said += [compass] if "yaw" in channels else []
@@ -215,36 +215,34 @@ def _mirrored(faults, alternatives, track, motion, vehicle):
 
 
 def _used(names: Iterable[str], vehicle: Vehicle) -> bool:
-    """Whether what is derived needs one of the channels."""
+    """Whether the derived quantities depend on one of the channels."""
     needed = {"xy": "x"}
     motion = (*vehicle.columns.motion, "steering")
     return any(needed.get(name, name) in motion for name in names)
 
 
 def _file_away(said, faults, track, file, problems, warnings) -> None:
-    """A fault is an error, but of a column that nobody named."""
+    """Add a fault as an error, or as a warning if ``[columns]`` does not name its column."""
     columns = [_column(track, name) for f in faults for name in f.channels]
     if any(column.named for column in columns):
         header = next(column.header for column in columns if column.named)
         problems.append(InputProblem(said.reason, said.remedy, file, column=header))
     else:
-        warnings.append(f"{said.reason}; [columns] does not name it, so it changes nothing here")
+        warnings.append(f"{said.reason}; [columns] does not name it, so it is not used here")
 
 
 def _unexplained(a, k, vehicle, track, file, problems, warnings) -> None:
-    """A gain that no unit explains: an error where it is off by 2 and is used."""
+    """Add a gain that no unit explains: an error if it is off by 2 and used."""
     said = f"{_evidence(a, k)}, which no unit explains"
     column = _column(track, a.pair.channel)
     names = {a.pair.channel, *a.pair.terms[k].powers}
     far = not 0.5 < a.gains[k] < 2 and a.pair.channel != "steering"
     if far and column.named and _used(names, vehicle):
-        remedy = (
-            "look which of the columns is wrong in [columns] and [units], or derive with --believe"
-        )
+        remedy = "find the wrong column and correct [columns] or [units], or derive with --believe"
         reason = f"channels contradict each other: {said}"
         problems.append(InputProblem(reason, remedy, file, column=column.header))
     elif k == 0:
-        warnings.append(f"{said}: one of them is scaled or mounted otherwise")
+        warnings.append(f"{said}: one of the sensors has a wrong scale or mounting")
 
 
 def _no_relation(a, vehicle, track, file, problems, warnings) -> None:
@@ -253,7 +251,7 @@ def _no_relation(a, vehicle, track, file, problems, warnings) -> None:
         said += f" (correlation {a.correlation:.2f})"
     column = _column(track, a.pair.channel)
     if column.named and _used([a.pair.channel], vehicle):
-        remedy = "look which column is another in [columns], or derive with --believe"
+        remedy = "find the wrong column and correct [columns], or derive with --believe"
         reason = f"channels contradict each other: {said}"
         problems.append(InputProblem(reason, remedy, file, column=column.header))
     else:
@@ -263,7 +261,7 @@ def _no_relation(a, vehicle, track, file, problems, warnings) -> None:
 def _swap_problem(swap, track, file) -> InputProblem:
     one, other = (_column(track, name) for name in swap)
     return InputProblem(
-        f"channels contradict each other: {swap[0]} and {swap[1]} stand for each other",
+        f"channels contradict each other: {swap[0]} and {swap[1]} are exchanged",
         f'exchange them in [columns]: {swap[0]} = "{other.header}", {swap[1]} = "{one.header}"',
         file,
         column=one.header,
@@ -271,7 +269,7 @@ def _swap_problem(swap, track, file) -> InputProblem:
 
 
 def _sideways(track, motion, vehicle, file) -> list[InputProblem]:
-    """A heading that is far off the path all the time."""
+    """Add a problem if the heading is always far off the direction of the path."""
     if vehicle.columns.motion != POSE:
         return []
     off = heading_off_path(track, motion, vehicle, 1)
@@ -280,8 +278,8 @@ def _sideways(track, motion, vehicle, file) -> list[InputProblem]:
     return [
         InputProblem(
             f"channels contradict each other: the car would drive"
-            f" {abs(math.degrees(off)):.0f} deg sideways: yaw counts from another axis",
-            f"say yaw_offset = {vehicle.yaw_offset + off:.3g} in vehicle.toml",
+            f" {abs(math.degrees(off)):.0f} deg sideways: yaw is measured from another axis",
+            f"set yaw_offset = {vehicle.yaw_offset + off:.3g} in vehicle.toml",
             file,
             column=_column(track, "yaw").header,
         )
@@ -289,7 +287,7 @@ def _sideways(track, motion, vehicle, file) -> list[InputProblem]:
 
 
 def _another_clock(pairs, track, vehicle, file) -> list[InputProblem]:
-    """Errors of delays that change a channel by more than ``CHANGED``."""
+    """Problems of delays that change a channel by more than ``CHANGED``."""
     problems: dict[str, InputProblem] = {}
     for a in pairs:
         column, values = _column(track, a.pair.channel), a.pair.values
@@ -303,16 +301,16 @@ def _another_clock(pairs, track, vehicle, file) -> list[InputProblem]:
         late, other = a.pair.channel, "the pose" if pose else a.pair.words
         late, other = (late, other) if a.delay > 0 else (other, late)
         reason = f"channels contradict each other: {late} is {abs(a.delay):.2g} ±"
-        reason += f" {a.delay_std:.1g} s late against {other}, which changes"
+        reason += f" {a.delay_std:.1g} s later than {other}, which changes"
         reason += f" {a.pair.channel} by {100 * changed:.0f} % (rms)"
-        remedy = f"shift {late} in the log, or name columns of one clock in [columns]"
+        remedy = f"shift {late} in the log, or name columns of the same clock in [columns]"
         if changed > CHANGED and late not in problems:
             problems[late] = InputProblem(reason, remedy, file, column=column.header)
     return list(problems.values())
 
 
 def _late_or_off(pairs, vehicle) -> list[str]:
-    """Delay and zero error of the a_y that the forces are made of."""
+    """Warnings on delay and zero error of the a_y from which forces are computed."""
     said = []
     for a in pairs:
         if a.pair.channel != "a_y" or not any(judged(a)):
@@ -323,25 +321,25 @@ def _late_or_off(pairs, vehicle) -> list[str]:
             how = "late" if a.delay > 0 else "early"
             said.append(
                 f"a_y is {abs(a.delay):.2g} ± {a.delay_std:.1g} s {how} against"
-                f" {a.pair.words}: fy is of another moment than alpha; shift it in the"
+                f" {a.pair.words}: fy and alpha are not simultaneous; shift it in the"
                 " log"
             )
         if abs(a.offset) > max(_OFFSET, 3 * a.offset_std):
             said.append(
-                f"a_y is {a.offset:+.2g} ± {a.offset_std:.1g} m/s2 where the speeds and"
-                f" the yaw rate say 0: fy is off by {vehicle.mass * a.offset:.2g} N in"
-                " all, unless the road is banked"
+                f"a_y is {a.offset:+.2g} ± {a.offset_std:.1g} m/s2 where it is 0 by speeds"
+                f" and yaw rate: fy is wrong by {vehicle.mass * a.offset:.2g} N in total,"
+                " unless the road is banked"
             )
     return said
 
 
 def _has_delay(a: Agreement) -> bool:
-    """Whether what looks like a delay is one, and not the car's own dynamics."""
+    """Whether an estimated delay cannot be caused by the dynamics of the car."""
     return any(judged(a)) and a.pair.exact and a.delay_seen > SEEN
 
 
 def _line(pairs, vehicle: Vehicle) -> str:
-    """One line on how far the channels agree."""
+    """One line for the summary on the agreement of the channels."""
     gains, late = [], [0.0]
     for a in pairs:
         several = len(a.gains) > 1
@@ -358,5 +356,5 @@ def _line(pairs, vehicle: Vehicle) -> str:
         steers = any(gain.startswith("steering") for gain in gains)
         said += "; steering: above 1 if the car understeers)" if steers else ")"
         said += f", delays up to {max(late):.2f} s" if max(late) >= 0.005 else ""
-    follows = "; a_y is computed from the speeds and checks nothing"
+    follows = "; a_y is computed from the speeds and checks no other channel"
     return said + (follows if vehicle.columns.a_y_follows else "")

@@ -1,4 +1,4 @@
-"""Options that a user declares of a file, and the precedence of sign conventions."""
+"""Options by which a user describes a file, and the precedence of sign conventions."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -53,7 +53,7 @@ class Signs(NamedTuple):
 
 
 class Options(NamedTuple):
-    """What the user declares about a file; see :func:`tirefit.data.read.read`."""
+    """The user's declarations on a file; see :func:`tirefit.data.read.read`."""
 
     columns: Mapping[str, str]
     units: Mapping[str, str]
@@ -70,7 +70,7 @@ class Options(NamedTuple):
         """The convention: the user's, the file's, a model's, or "braking".
 
         Args:
-            layout: of the file. A convention that a line of the file states must agree
+            layout: of the file. If a line of the file states a convention, it must agree
                 with the user's in the sign of every column that is read.
             columns: those that are read.
             file: named in the problem.
@@ -98,7 +98,7 @@ class Options(NamedTuple):
         return declared._replace(problems=(InputProblem(reason, remedy, file, row),))
 
     def check(self) -> None:
-        """Raises UsageError with every option whose value is not a known one."""
+        """Raises UsageError with every option that has an invalid value."""
         named = [*CANONICAL, *(key for key in SLIP_DEFINITIONS if key != "sigma_x")]
         readable = [*named, "run", *(f"{name}_std" for name in named), *SIMULATED]
         constant = [name for name in readable if base_column(name) in CANONICAL]

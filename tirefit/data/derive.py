@@ -1,8 +1,8 @@
-"""Vehicle logs to axle slip angle and lateral force, by single-track dynamics.
+"""Derive slip angle and lateral force of an axle from a vehicle log (single track).
 
 A log holds the pose of a vehicle (x, y, yaw of one tracked point) or its rates (v_x,
-v_y, yaw rate, lateral acceleration). :mod:`tirefit.data.motion` makes of it the motion
-of the centre of gravity, left positive; then, with the canonical signs (drawing in
+v_y, yaw rate, lateral acceleration). :mod:`tirefit.data.motion` computes the motion of
+the centre of gravity, left positive. Then, with the canonical signs (drawing in
 :mod:`tirefit.slip`: alpha > 0 slides to the left, F_y > 0 acts to the right)::
 
     alpha_rear  = atan2(v_y - l_r r, v_x)
@@ -10,12 +10,12 @@ of the centre of gravity, left positive; then, with the canonical signs (drawing
     F_y,rear    = -(m l_f a_y - J_z r') / (l_f + l_r)
     F_y,front   = -(m l_r a_y + J_z r') / (l_f + l_r) / cos(delta)
 
-Of an axle that drives, F_x is the force along its wheels that the acceleration ahead
-needs (:func:`tirefit.data.motion.force_along`); its F_y at the front is then less by
+F_x of a driven axle is the force along its wheels that the longitudinal acceleration
+needs (:func:`tirefit.data.motion.force_along`); F_y at the front is then smaller by
 F_x tan(delta).
 
-What :class:`tirefit.data.vehicle.Vehicle` states of the filter is the bandwidth of
-the result: neighbouring samples are correlated, n samples are not n facts.
+The filter (see :class:`tirefit.data.vehicle.Vehicle`) sets the bandwidth of the result:
+neighbouring samples are correlated and do not count as independent.
 """
 
 import json
@@ -53,21 +53,21 @@ SCHEMA = "tirefit.derive/1"
 _FIRST = "# tirefit: derived from vehicle logs, SI units, convention braking, constants {}\n"
 
 _NEARLY_ALL = 0.9
-"""Share of the samples that one reason drops, from which the units are doubted."""
+"""Share of the samples dropped for one reason above which units are probably wrong."""
 
 
 @dataclass(frozen=True)
 class DerivedLog:
-    """What :func:`derive` found in one log.
+    """The result of :func:`derive` for one log.
 
     ``columns`` are arrays (n,) of the kept samples: time [s from the first sample],
     alpha [rad], fy, fz [N] with the canonical signs, v [m/s, forward at the axle],
     alpha_rate [rad/s] at the full sample rate, and the motion of the centre of gravity
-    by ISO 8855: a_x, a_y [m/s2], yaw_rate [rad/s], yaw_acceleration [rad/s2]; heading
-    [rad], x, y [m] of a log of poses; steering [rad], the road wheel angle, and
-    steering_rate [rad/s] where the map is given; fx, fx_std [N] of an axle that drives.
-    ``dropped_samples`` has the first reason that applies to each grid sample: these and
-    the kept ones add up to ``samples``. Texts are sentences.
+    in ISO 8855 axes: a_x, a_y [m/s2], yaw_rate [rad/s], yaw_acceleration [rad/s2]; for a
+    log of poses heading [rad], x, y [m]; with a steering map steering [rad], the road
+    wheel angle, and steering_rate [rad/s]; for a driven axle fx, fx_std [N].
+    ``dropped_samples`` counts each grid sample under the first reason that applies:
+    dropped and kept samples add up to ``samples``. Texts are sentences.
     """
 
     name: str  # of the log without its endings; it becomes the run
@@ -76,22 +76,22 @@ class DerivedLog:
     dropped_rows: Mapping[str, int]  # reason -> rows of the file that were not used
     samples: int  # on the uniform grid
     dropped_samples: Mapping[str, int]  # reason -> grid samples that were not kept
-    gaps: int  # that were not interpolated
+    gaps: int  # number of gaps that were not interpolated
     bandwidth: float  # frequency [Hz] at which the filter's gain is -3 dB
-    heading: str  # offset of heading or sideslip: applied, assumed none, left over
-    zero: float | None  # alpha at no side force [rad], where the log shows it
-    point: PointCheck  # position of the tracked point, by force against slip
-    run: np.ndarray  # (n,) str, the run of each kept sample: that of the log, or its own
-    compared: Comparison  # what the redundancy of the log's channels says
-    warnings: tuple[str, ...]  # what in the columns is hardly the tire's
-    assumptions: tuple[str, ...]  # the bandwidth and everything that was assumed
+    heading: str  # sentence on the offset of heading or sideslip
+    zero: float | None  # alpha at zero side force [rad], if the log determines it
+    point: PointCheck  # position of the tracked point, from force against slip
+    run: np.ndarray  # (n,) str, run of each kept sample: the log, or one of its runs
+    compared: Comparison  # of redundant channels
+    warnings: tuple[str, ...]  # on parts of the columns that a tire hardly caused
+    assumptions: tuple[str, ...]  # the bandwidth and all assumptions
     source: Mapping[str, str | float]  # path, sha256, epoch (log's time [s] at time 0)
 
     def __len__(self) -> int:
         return len(self.columns["time"])
 
     def summary(self) -> str:
-        """Rows in, samples kept, why the others were dropped, ranges, bandwidth."""
+        """A summary: rows, kept samples, reasons of dropped ones, ranges, bandwidth."""
         alpha, force = self.columns["alpha"], self.columns["fy"]
         count = len(set(self.run.tolist()))
         runs = f"runs: {count}, " if count > 1 else ""
@@ -120,7 +120,7 @@ class DerivedLog:
 
 @dataclass(frozen=True)
 class DerivedFiles:
-    """What :func:`derive_files` wrote: the CSV, its JSON companion and the logs."""
+    """The result of :func:`derive_files`: the CSV, its JSON companion and the logs."""
 
     data: Path
     metadata: Path
@@ -138,7 +138,7 @@ def derive(
 
     Args:
         path: CSV file with one header line, also gzipped (``.gz``).
-        vehicle: What the log's columns are and the vehicle's mass and geometry.
+        vehicle: The columns of the log, and mass and geometry of the vehicle.
         axle: "rear" or "front"; the front needs a steering map.
         believe: Only warn of channels that contradict each other.
 
@@ -149,7 +149,7 @@ def derive(
     """
     file = file_at(path)
     if axle not in ("rear", "front"):
-        raise UsageError(f"unknown axle {axle!r}", "say rear or front")
+        raise UsageError(f"unknown axle {axle!r}", "give rear or front")
     if axle == "front" and vehicle.steering is None:
         raise UsageError(
             "the front slip angle needs the road wheel angle",
@@ -166,7 +166,7 @@ def derive(
     warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
     warnings = _hardly_any(kept, dropped) + warnings
     alpha, force = columns["alpha"][kept], columns["fy"][kept]
-    # A channel that contradicts others changes the slip angle as a wrong point does.
+    # A contradicting channel changes the slip angle in the same way as a wrong point.
     checked = kept & (not compared.problems)
     point = check_point(motion, vehicle, checked, str(file))
     _refuse(point.problems, believe)
@@ -209,7 +209,7 @@ def derive_files(
     believe: bool = False,
     unwritten: Callable[[str], None] | None = None,
 ) -> DerivedFiles:
-    """Derive every log into one CSV, a run each, with a JSON companion.
+    """Derive all logs into one CSV with one run for each, and a JSON companion.
 
     Args:
         paths: The logs; their names become the runs.
@@ -217,9 +217,9 @@ def derive_files(
         out: CSV to write, in canonical columns and SI units; ``NAME.derive.json``
             beside it states vehicle, bandwidth, assumptions and sources.
         axle: "rear" or "front".
-        units: Unit of a quantity, over ``[units]`` of the vehicle.
+        units: Unit of a quantity; overrides ``[units]`` of the vehicle.
         believe: Only warn of channels that contradict each other.
-        unwritten: Called with the summary of the logs where ``out`` cannot be written.
+        unwritten: Called with the summary of the logs if ``out`` cannot be written.
 
     Returns:
         The two files, and what was derived of each log.
@@ -315,19 +315,19 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
     last_row = np.searchsorted(track.time, motion.time, side="right") - 1
     keep = vehicle.keep
     reasons = {
-        "beside an edge or a gap": ~motion.settled,
+        "near an edge or a gap": ~motion.settled,
         "not active": ~track.active[last_row],
         **not_ahead(motion, vehicle),
     }
     if keep.a_y_max is not None:
-        # The filter smears a glitch over its settling time: that goes with it.
+        # The filter spreads a glitch over its settling time, which is dropped as well.
         glitches = motion.time[np.abs(motion.a_y) > keep.a_y_max]
         reach = vehicle.margin
         until = np.searchsorted(glitches, motion.time + reach, side="right")
         name = f"near |a_y| above {keep.a_y_max:g} m/s2"
         reasons[name] = until > np.searchsorted(glitches, motion.time - reach)
     if axle == "front":
-        assert vehicle.steering is not None  # :func:`derive` refused it without
+        assert vehicle.steering is not None  # checked by :func:`derive`
         command = vehicle.steering.command
         inside = (motion.command >= command[0]) & (motion.command <= command[-1])
         reasons["steering command outside the map"] = ~inside
@@ -340,7 +340,7 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
 
 
 def _none_left(track: Track, motion, vehicle: Vehicle, dropped, file: str) -> InputProblem:
-    """That no sample is kept, and what would keep some."""
+    """The error that no sample is kept, with a remedy."""
     reason = f"no sample is left of {len(motion.time)}: {_counts(dropped)}"
     if motion.settled.any():
         reason += f" (at most {np.max(motion.v_x[motion.settled]):.3g} m/s ahead)"
@@ -354,7 +354,7 @@ def _none_left(track: Track, motion, vehicle: Vehicle, dropped, file: str) -> In
 
 
 def _hardly_any(kept: np.ndarray, dropped: Mapping[str, int]) -> tuple[str, ...]:
-    """A warning where one reason takes nearly all samples."""
+    """A warning if nearly all samples are dropped for one reason."""
     reason = max(dropped, key=lambda name: dropped[name])
     if dropped[reason] <= _NEARLY_ALL * len(kept):
         return ()
@@ -416,17 +416,17 @@ def run_name(path: Place) -> str:
 
 
 def names_of_runs(path: Place, track: Track) -> tuple[str, ...]:
-    """The names of the runs of a log: that of its file, and their own of several."""
+    """The names of the runs of a log: that of its file, with their own names if several."""
     name = run_name(path)
     return tuple(f"{name}_{run}" if run else name for run in track.runs)
 
 
 def name_problems(paths: Sequence[str | Place]) -> list[InputProblem]:
-    """That there is no log, or that two logs have one name."""
+    """Problems if there is no log, or two logs have the same name."""
     names = [run_name(file_at(path)) for path in paths]
     if not names:
         return [InputProblem("no log given", "name at least one")]
-    remedy = "rename one: the name is the run"
+    remedy = "rename one: the run gets the name of its file"
     return [
         InputProblem(f"two logs are named {name!r}", remedy)
         for name in sorted({name for name in names if names.count(name) > 1})
@@ -436,8 +436,8 @@ def name_problems(paths: Sequence[str | Place]) -> list[InputProblem]:
 def _check_names(
     paths: Sequence[str | Place], vehicle_toml: str | Path, made: tuple[Path, Path]
 ) -> None:
-    """Raise UsageError unless the first of the files made can be a CSV, none of them
-    replaces an input, and every log has its own name."""
+    """Raise UsageError unless the first of ``made`` can be written as CSV, no input would
+    be replaced, and all logs have different names."""
     given = [str(path) for path in (*paths, vehicle_toml)]
     out, beside = made
     problems = output_problems(out, given, ".csv") or output_problems(beside, given)

@@ -1,5 +1,5 @@
-"""What in a derived log is hardly the tire's: filter edges, a band that is cut, waves
-that come once per so much of the road."""
+"""Warnings on parts of a derived log that a tire hardly caused: transients of the filter,
+a band that it cuts, waves that repeat along the road."""
 
 from typing import NamedTuple
 
@@ -10,32 +10,32 @@ from tirefit.data.motion import Motion
 from tirefit.data.vehicle import Vehicle
 
 _CUT, _MUCH_CUT = 0.7, 0.05
-"""Share of the bandwidth above which the filter takes part of what is there, and the
-share of a column's variance from which that is said."""
+"""Share of the bandwidth above which the filter attenuates, and the smallest share of a
+column's variance there that causes a warning."""
 
 _GRIP = 1.5  # largest |F_y| / F_z of racing tires on dry asphalt, without downforce
 _DRY = 1.0  # largest |F_y| / F_z of road tires on dry asphalt
 _SILENT = 1e-300  # variance of a column that never changes
 
 _LONGEST = 2.0
-"""Longest wave that is looked for, in wheelbases: wheels of cars turn once in 0.6 to 1,
-of model cars in 1 to 1.5; a slalom is longer."""
+"""Longest wave that is searched, in wheelbases. A wheel of a car turns once in 0.6 to 1,
+of a model car in 1 to 1.5; a slalom is longer."""
 
-_SMALLEST = 0.01  # of a wave over the strong values (95th percentile) of its column
+_SMALLEST = 0.01  # smallest wave, over the strong values (95th percentile) of its column
 
 _TURNS = 16
-"""Waves of the longest kind in a window: wavelengths are told apart to 1 / 16."""
+"""Longest waves in a window, so that wavelengths are resolved to 1 / 16."""
 
-_WINDOWS = 4  # windows that a log must have, at least
+_WINDOWS = 4  # smallest number of windows in a log
 
 _CHANCE = 1e-4
-"""Probability that the highest of all peaks is chance, below which it is said."""
+"""Probability that the highest of all peaks is chance, below which it is reported."""
 
 _LEAST = 1e-12
-"""Probability below which nobody knows it better; a strong wave's rounds to zero."""
+"""Smallest probability that is printed; that of a strong wave would round to zero."""
 
 _AROUND, _BESIDE = 8, 2
-"""Wave numbers to either side that the background is taken from, less the nearest."""
+"""Wave numbers on either side from which the background is taken, without the nearest."""
 
 _SHOWN_IN = {"alpha": ("mrad", 1e3), "fy": ("N", 1.0)}
 """Column -> unit of a wave's size, and its factor."""
@@ -46,11 +46,11 @@ class Wave(NamedTuple):
 
     length: float  # [m]
     size: float  # half of its height
-    p_value: float  # probability by chance
+    p_value: float  # probability that it is chance
 
 
 def doubts(columns, motion: Motion, kept, vehicle: Vehicle) -> tuple[str, ...]:
-    """Sentences on what a tire model should not be fitted to; none where all is well.
+    """Warnings on content that a tire model should not be fitted to.
 
     Args:
         columns: :attr:`tirefit.data.derive.DerivedLog.columns` of every grid sample.
@@ -67,8 +67,8 @@ def doubts(columns, motion: Motion, kept, vehicle: Vehicle) -> tuple[str, ...]:
 
 
 def _beyond_grip(columns, kept, vehicle: Vehicle) -> list[str]:
-    """Warning of a lateral force that no tire transmits without downforce, or that is
-    mostly the yaw inertia's: at the limit the axles slide at |a_y| / g, about."""
+    """A warning if the lateral force is larger than tires transmit without downforce, or
+    mostly due to yaw inertia: at the limit, F_y / F_z is about |a_y| / g."""
 
     def high(values) -> float:
         return float(np.percentile(np.abs(values[kept]), 99))
@@ -90,7 +90,7 @@ def _beyond_grip(columns, kept, vehicle: Vehicle) -> list[str]:
 
 
 def _stretches(motion: Motion, kept) -> list[np.ndarray]:
-    """Kept samples without a break: index arrays."""
+    """Index arrays of unbroken stretches of kept samples."""
     rows = np.flatnonzero(kept)
     breaks = (np.diff(rows) > 1) | (np.diff(motion.part[rows]) != 0)
     return np.split(rows, np.flatnonzero(breaks) + 1)
@@ -107,13 +107,13 @@ def _at_edges(motion: Motion, kept, vehicle: Vehicle) -> list[str]:
     if not inside:
         return []
     return [
-        f"{inside} samples lie within {reach:.2g} s of an edge or a gap, where the"
-        " filter has not settled: raise keep.margin, or leave it out"
+        f"{inside} samples are within {reach:.2g} s of an edge or a gap, where the"
+        " filter has not settled: raise keep.margin, or omit it"
     ]
 
 
 def _cut_by_filter(columns, stretches, vehicle: Vehicle) -> list[str]:
-    """Columns that hold much just below the bandwidth, and so more beyond it."""
+    """Warnings on columns with much variance just below the bandwidth, and so above it."""
     from scipy.signal import welch
 
     band, said = vehicle.filter.bandwidth, []
@@ -132,7 +132,7 @@ def _cut_by_filter(columns, stretches, vehicle: Vehicle) -> list[str]:
             said.append(
                 f"{100 * share:.0f} % of the variance of {name} lies above"
                 f" {_CUT * band:.2g} Hz, where the filter ({band:.3g} Hz) cuts: raise"
-                " filter.cutoff, or take it for noise"
+                " filter.cutoff, unless that is noise"
             )
     return said
 
@@ -162,15 +162,15 @@ def _repeating(columns, stretches, way, vehicle: Vehicle) -> list[str]:
 
 
 def repeats_with_distance(values, way, shortest: float, longest: float) -> Wave | None:
-    """The wave that stands out most among those of its neighbourhood, if any does.
+    """The wave that exceeds its background most, if one does significantly.
 
-    Mean periodograms over the distance, without overlap; a peak is held against a
-    parabola through the logarithms around it (Welch's method).
+    Periodograms over the distance are averaged without overlap (Welch's method). A peak
+    is compared with a parabola through the logarithms around it.
 
     Args:
         values: (n,) of each unbroken stretch.
-        way: distance travelled [m], (n,) likewise.
-        shortest, longest: waves to look for [m].
+        way: distance travelled [m], (n,) of each stretch.
+        shortest, longest: range of wavelengths [m].
     """
     from scipy.signal import periodogram
     from scipy.special import digamma, gammaincc, polygamma
@@ -199,7 +199,7 @@ def repeats_with_distance(values, way, shortest: float, longest: float) -> Wave 
         rows = np.stack([np.ones(len(place)), place, place**2], axis=1)
         log = np.log(power[around]) - digamma(k) + np.log(k)
         level = np.linalg.lstsq(rows, log)[0][0]
-        # The background is known to this much only: a higher one is as likely.
+        # The background has this standard error: assume a higher one.
         unsure = np.linalg.inv(rows.T @ rows)[0, 0] * polygamma(1, k)
         ratio = power[at] / np.exp(level + 2 * np.sqrt(unsure))
         p_value = float(gammaincc(k, k * ratio)) * len(places)

@@ -1,8 +1,8 @@
-"""What the data say of their signs, pair by pair, and which conventions that leaves.
+"""Check the signs of the data pair by pair, and find the conventions that fit them.
 
-Physics fixes how some columns must go together in the canonical signs of
-:mod:`tirefit.slip`: force rises with slip, the aligning moment turns a slightly
-slipping wheel back, a tire pushes to where it leans, a brake brakes.
+In the canonical signs of :mod:`tirefit.slip`, physics determines how some columns are
+related: the force rises with the slip, the aligning moment reduces a small slip angle, a
+tire pushes to the side to which it leans, and a brake slows the wheel.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,28 +14,28 @@ from tirefit.data.units import slip_from_sigma
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
 _SMALL_ANGLE = np.radians(4.0)
-"""Slip angle up to which the aligning moment has one sign."""
+"""Slip angle up to which the aligning moment does not change its sign."""
 
-_SMALL_SLIP = 0.03  # longitudinal slip up to which a test of the slip angle is one
+_SMALL_SLIP = 0.03  # largest longitudinal slip of rows that show the effect of alpha
 
 _LEAST_CAMBER = np.radians(1.0)
-_LEAST_BRAKING = 0.5  # acceleration [m/s2] that is more than the noise of one
+_LEAST_BRAKING = 0.5  # acceleration [m/s2] above the noise of its sensor
 
 
 class Evidence(NamedTuple):
-    """Two columns that must go together, and whether they do: ``trend`` is 1 if they go
-    as they must in canonical signs, -1 the other way, 0 if the data do not say."""
+    """Two related columns. ``trend`` is 1 if they are related as physics requires in
+    canonical signs, -1 if in the opposite way, 0 if the data do not determine it."""
 
-    fields: tuple[str, ...]  # of a convention whose signs multiply in it
+    fields: tuple[str, ...]  # fields of a convention whose signs multiply in the trend
     columns: tuple[str, str]  # the canonical columns
     trend: int
-    rule: str  # what must hold, for the user
+    rule: str  # the relation that must hold, for messages
 
 
 def trend(x: np.ndarray, y: np.ndarray, least: float) -> int:
-    """Sign of a clear straight line through zero; 0 where there is none.
+    """Sign of a significant straight line through zero; 0 if there is none.
 
-    Clear: correlation beyond 0.25, t beyond 5, and x reaching ``least`` at all.
+    Significant: correlation above 0.25, t above 5, and some |x| above ``least``.
     """
     energy = np.sum(x * x) * np.sum(y * y)
     if len(x) < 3 or energy == 0 or np.max(abs(x)) < least:
@@ -47,7 +47,7 @@ def trend(x: np.ndarray, y: np.ndarray, least: float) -> int:
 
 
 def evidence_of(columns: Mapping[str, np.ndarray], definition: str = "kappa") -> list[Evidence]:
-    """All that the columns say of their signs.
+    """The evidence of the columns on their signs.
 
     Args:
         columns: (n,) canonical columns, finite, used rows only.
@@ -76,7 +76,7 @@ def _of_forces(columns) -> Iterator[Evidence]:
 
 
 def _of_moment(columns) -> Iterator[Evidence]:
-    """Of the aligning moment, where the slip angle is small and nothing else slips."""
+    """Evidence of the aligning moment, in rows of small slip angle and no other slip."""
     if not {"alpha", "mz"} <= columns.keys():
         return
     alpha, moment = columns["alpha"], columns["mz"]
@@ -84,7 +84,7 @@ def _of_moment(columns) -> Iterator[Evidence]:
     if rows.any():
         alpha, moment = alpha[rows], moment[rows]
         sign = -trend(alpha - alpha.mean(), moment - moment.mean(), np.radians(0.5))
-        rule = "the aligning moment turns a slightly slipping wheel back"
+        rule = "the aligning moment reduces a small slip angle"
         yield Evidence(("alpha", "mz"), ("alpha", "mz"), sign, rule)
 
 
@@ -95,7 +95,7 @@ def _rolls_freely(columns) -> np.ndarray:
 
 
 def _of_camber(columns) -> Iterator[Evidence]:
-    """Of camber thrust: what of F_y / F_z the slip angle does not explain."""
+    """Evidence of camber thrust: the part of F_y / F_z that alpha does not explain."""
     if not {"alpha", "fy", "fz", "gamma"} <= columns.keys():
         return
     rows = (abs(columns["alpha"]) < _SMALL_ANGLE / 2) & _rolls_freely(columns)
@@ -112,11 +112,11 @@ def _of_camber(columns) -> Iterator[Evidence]:
 
 
 def _of_brakes(columns) -> Iterator[Evidence]:
-    """Of the pressure of the brake and of the vehicle's own acceleration."""
+    """Evidence of the brake pressure and of the acceleration of the vehicle."""
     if {"brake_pressure", "fx"} <= columns.keys():
         pressure, force = columns["brake_pressure"], columns["fx"]
         sign = trend(pressure - pressure.mean(), force - force.mean(), 1.0)
-        rule = "the force brakes the more, the harder the brake is pressed"
+        rule = "the braking force rises with the brake pressure"
         yield Evidence(("fx",), ("brake_pressure", "fx"), sign, rule)
     if {"a_x", "fx"} <= columns.keys():
         sign = -trend(columns["a_x"], columns["fx"], _LEAST_BRAKING)
@@ -125,21 +125,21 @@ def _of_brakes(columns) -> Iterator[Evidence]:
 
 
 def _of_slip(columns, definition: str) -> Iterator[Evidence]:
-    """Of the speeds of wheel and vehicle, and of the end at which a wheel locks."""
+    """Evidence of the speeds of wheel and vehicle, and of a locked wheel."""
     if "sigma_x" not in columns:
         return
-    rule = "a wheel turns slower than it rolls freely where it is braked (omega / v)"
+    rule = "a braked wheel turns slower than a freely rolling one (omega / v)"
     yield Evidence(("slip",), ("omega", "sigma_x"), -turning(columns), rule)
     if definition in ("kappa", "s") and len(columns["sigma_x"]):
         slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
         low, high = np.percentile(slip, [1, 99])
         sign = int(high > 0.98 and low > -0.9) - int(low < -0.98 and high < 0.9)
-        rule = "a slip of 1 is where a wheel locks, braked"
+        rule = "a slip of 1 is that of a wheel locked by its brake"
         yield Evidence(("slip",), ("sigma_x", "sigma_x"), sign, rule)
 
 
 def turning(columns: Mapping[str, np.ndarray]) -> int:
-    """Sign of the trend of omega / v over the slip; 0 where there is none."""
+    """Sign of the trend of omega / v over the slip; 0 if there is none."""
     if not {"omega", "v"} <= columns.keys():
         return 0
     moving = columns["v"] > 0
@@ -151,12 +151,12 @@ def turning(columns: Mapping[str, np.ndarray]) -> int:
 
 
 def fitting_conventions(evidence: Sequence[Evidence], convention: str, load: int = 1) -> list[str]:
-    """Conventions in which all evidence, and the load, would come out as it must.
+    """Conventions in which all evidence, and the load, would have the right sign.
 
     Args:
         evidence: of columns that were read in ``convention``.
         convention: a key of ``slip.CONVENTIONS``.
-        load: 1 if the loads came out positive, -1 if they did not.
+        load: 1 if the loads read are positive, -1 if they are negative.
     """
     read = CONVENTIONS[convention]
     fitting = []

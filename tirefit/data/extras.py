@@ -1,4 +1,4 @@
-"""Libraries that only some kinds of files need, asked for when such a file comes."""
+"""Import libraries that only some kinds of files need, when such a file is read."""
 
 import importlib
 from types import ModuleType
@@ -12,7 +12,7 @@ def extra(
     """The module that reads ``kind`` of files, of the extra ``tirefit[group]``.
 
     Raises:
-        DataError: it is not installed; says how to.
+        DataError: it is not installed; the remedy is the command that installs it.
     """
     try:
         return importlib.import_module(module)

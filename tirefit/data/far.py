@@ -1,5 +1,5 @@
-"""Rows far from everything: values that lie neither among those of their file nor of
-their neighbours, as a wrong unit or a faulty channel leaves them in single rows."""
+"""Find outliers: single rows with values far from their file or from their neighbours, as
+a wrong unit or a faulty channel causes them."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -12,57 +12,58 @@ from tirefit.results import InputProblem
 from tirefit.slip import LOCKED, slip_ratio_from_sigma
 
 FAR_COLUMNS = ("fz", "sigma_x", "alpha", "fx", "fy", "mz", "v", "gamma", "pressure", "temperature")
-"""Columns that are looked at."""
+"""Columns that are checked."""
 
 _GAP = 3.0
-"""Gap between a value and all others, in ranges of those others, that is no setting."""
+"""Gap between a value and all others, over the range of the others, above which it is an
+outlier and not a setting."""
 _FEW = 0.05
-"""Largest share of rows that are single ones: more are part of what was measured."""
+"""Largest share of outliers in the rows; more of them are part of the measurement."""
 _LEAST_RANGE = 0.3
-"""A column that hardly varies counts as if it varied by so much of its median."""
+"""Smallest range of a column that is assumed, over its median."""
 _OTHER_LOAD = 3.0
-"""Factor between a load and all others that is no other setting, but another unit."""
+"""Factor between a load and all others above which its unit is wrong."""
 _BESIDE = 4
-"""Neighbours of a row to either side. What lies outermost of them on both ends may be
-absurd itself, and is left out."""
+"""Neighbours of a row on either side. The largest and the smallest of them are ignored,
+as they may be outliers themselves."""
 _NEAR = 4.0
-"""Distance from the neighbours, in ranges of theirs (in noise some 1.7 standard
-deviations wide), and ..."""
+"""Distance from the neighbours over their range (about 1.7 standard deviations in noise)
+above which a value is far, if it is also ..."""
 _SHARE = 0.25
-"""... in ranges of the file, from which a value is far from its neighbours."""
+"""... farther from them than this share of the range of the file."""
 _AGAINST, _SMALL_SLIPS = 0.5, 0.25
-"""A force of so much of the largest with a slip of the other sign is absurd, but for
-the smallest slips by size, which may have an offset."""
-_LOAD_STEP = 0.1  # loads that differ by less in their logarithm are alike, ...
-_SLIP_STEP = 0.02  # ... and slips across that of the force.
+"""A force above this share of the largest, with a slip of the opposite sign, is an
+outlier, except at the smallest slips, which may have an offset."""
+_LOAD_STEP = 0.1  # loads whose logarithms differ by less count as equal, ...
+_SLIP_STEP = 0.02  # ... and so do values of the slip across the force.
 _CHUNK = 1 << 16  # rows whose neighbours are sorted at once
 _ALL = "all other rows"
 _SLIP_OF = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
 
 
 class FarValue(NamedTuple):
-    """A value far from all of its like."""
+    """An outlier: a value far from comparable values."""
 
     row: int  # counted from 0
     column: str
     value: float
-    low: float  # ends of what the others have
+    low: float  # range of the others
     high: float
-    among: str  # which others
+    among: str  # name of the others
 
 
 def far_values(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> tuple[FarValue, ...]:
-    """Values of single rows that are far from everything, in the order of the rows.
+    """The outliers of single rows, in the order of the rows.
 
-    A value is far from its file where a gap of three times the range of all others
-    parts it from them; from its neighbours where it lies outside of what they have by
-    four times their range, and by a quarter of the file's. In a log the neighbours are
-    the rows before and after; elsewhere those of a force are rows of about its slip and
-    load, and its slip gives it its sign. A row is named once for a column; where more
-    than one row in twenty would be, none is.
+    A value is far from its file if the gap to all others is three times their range. It
+    is far from its neighbours if it is outside their range by four times that range and
+    by a quarter of the range of the file. In a log the neighbours are the rows before
+    and after; elsewhere, the neighbours of a force are rows of similar slip and load, and
+    its slip determines its sign. A row is reported once for each column. Rules that find
+    more than one row in twenty are ignored.
 
     Args:
-        columns: those to look at; names that the data lack are passed over.
+        columns: those to check; names that the data lack are ignored.
     """
     rows = np.flatnonzero(data.used)
     if len(rows) < 2 * _BESIDE + 1:
@@ -73,7 +74,7 @@ def far_values(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> tuple[Fa
             continue
         values = data.usable(column)
         if not np.all(np.isfinite(values)):
-            continue  # a column with gaps, which no fit reads
+            continue  # a column with gaps, which fits do not read
         for among, (far, low, high) in _rules(data, column, values):
             if np.count_nonzero(far) > max(1, _FEW * len(values)):
                 continue
@@ -85,9 +86,9 @@ def far_values(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> tuple[Fa
 
 
 def without_far(data: TireData) -> TireData:
-    """The data without the rows that a value parts from all others of their file; each
-    is among ``source.masked``. No neighbours say what such a row should be, and a
-    single one may decide what a load or a speed is said to do."""
+    """The data without the rows that are far from their file; ``source.masked`` lists
+    them. They have no neighbours to compare them with, and a single one may determine
+    the dependence on load or speed."""
     keep, problems = np.ones(len(data), bool), []
     for far in far_values(data):
         if far.among == _ALL and keep[far.row]:
@@ -99,8 +100,8 @@ def without_far(data: TireData) -> TireData:
 
 
 def like_slips(data: TireData, slip: str) -> np.ndarray:
-    """Order (n_used,) of the used rows by run, load, the other slip, and slip: rows
-    that are neighbours in it were measured in about the same state."""
+    """Order (n_used,) of the used rows by run, load, the other slip, and slip: neighbours
+    in it were measured in similar states."""
     load = np.round(np.log(data.usable("fz")) / _LOAD_STEP)
     other = {"sigma_x": "alpha", "alpha": "sigma_x"}[slip]
     across = data.usable(other) if other in data else np.zeros(data.n)
@@ -128,7 +129,7 @@ def why_far(value: FarValue) -> str:
 
 
 def _rules(data: TireData, column: str, values):
-    """(who the others are, (far rows, ends of what the others have)), rule by rule."""
+    """For each rule: (name of the others, (far rows, ends of the range of the others))."""
     if column == "fz":
         scales = (np.positive, np.log) if np.all(values > 0) else (np.positive,)
         for far, low, high in (_beyond_all(values, scale) for scale in scales):
@@ -144,28 +145,28 @@ def _rules(data: TireData, column: str, values):
     elif column in _SLIP_OF and _SLIP_OF[column] in data:
         # In a log a tire may lag behind its slip.
         slip = _SLIP_OF[column]
-        yield f"rows of about its {slip}", _beside(values, like_slips(data, slip))
+        yield f"rows of similar {slip}", _beside(values, like_slips(data, slip))
         if column != "mz":
-            among = f"forces of its sign of {slip}"
+            among = f"forces with this sign of {slip}"
             yield among, _against(values, data.usable(slip))
 
 
 def _beyond_all(values, shape=np.positive, locked=np.inf):
-    """Rows that a wide gap parts from all others, at either end.
+    """Rows that a wide gap separates from all others, at either end.
 
     Args:
         values: (n,).
         shape: scale on which gaps are compared.
-        locked: values from which on a row is no stray, but a locked wheel.
+        locked: values above which a row is a locked wheel and no outlier.
     """
     order = np.argsort(values, kind="stable")
     ordered = shape(values[order])
     count, few = len(values), max(1, int(_FEW * len(values)))
-    # A share of the values themselves, on a logarithmic scale too.
+    # A share of the values themselves, also on a logarithmic scale.
     middle = 1.0 if shape is np.log else abs(float(np.median(ordered)))
     least = _LEAST_RANGE * middle
     gap = np.diff(ordered)
-    # How far the rows below a gap, and those above it, reach from the other end.
+    # Range of the rows below each gap, and of those above it.
     below = np.maximum(ordered[:-1] - ordered[few], least)
     above = np.maximum(ordered[-1 - few] - ordered[1:], least)
     outer = np.arange(1, count)
@@ -180,10 +181,10 @@ def _beyond_all(values, shape=np.positive, locked=np.inf):
 
 
 def _beside(values, order):
-    """Rows that lie far outside of what their neighbours in an order have.
+    """Rows far outside the range of their neighbours in an order.
 
-    The first and last rows, which have neighbours to one side only, are not judged:
-    a steep curve goes on beyond its neighbours.
+    The first and last rows have neighbours on one side only and are not checked, as a
+    steep curve leaves the range of its neighbours there.
     """
     low, high = np.empty(len(values)), np.empty(len(values))
     ordered = values[order]
@@ -200,7 +201,7 @@ def _beside(values, order):
 
 
 def _against(values, slip):
-    """Rows whose force is large and has the direction of a slip of the other sign."""
+    """Rows whose force is large and has the sign that belongs to the opposite slip."""
     outer = _inner_range(values)
     size = max(abs(outer[0]), abs(outer[1]))
     clear = np.abs(slip) > np.quantile(np.abs(slip), _SMALL_SLIPS)
@@ -209,14 +210,14 @@ def _against(values, slip):
 
 
 def _inner_range(values) -> tuple[float, float]:
-    """Ends of the values but for one in a hundred at either."""
+    """Range of the values without one in a hundred at either end."""
     few = max(1, len(values) // 100)
     ordered = np.partition(values, (few, len(values) - 1 - few))
     return float(ordered[few]), float(ordered[-1 - few])
 
 
 def _neighbours(at, count: int):
-    """Positions (m, 8) of the nearest rows of each of m positions, itself left out."""
+    """Positions (m, 8) of the nearest rows to each of m positions, without itself."""
     start = np.clip(at - _BESIDE, 0, count - 2 * _BESIDE - 1)
     near = start[:, None] + np.arange(2 * _BESIDE)
     return near + (near >= at[:, None])

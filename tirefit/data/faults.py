@@ -1,4 +1,4 @@
-"""Which unit or sign makes of 1 the gains that a log's channels show: the search."""
+"""Search for the wrong units and signs that explain the gains between channels of a log."""
 
 import itertools
 import math
@@ -11,46 +11,48 @@ from tirefit.data.units import units_of
 from tirefit.data.vehicle import QUANTITIES, unit_of
 
 ALIKE = 1.3
-"""Largest gain (or inverse gain) of channels that agree: body roll, lever arms and
+"""Largest gain (or inverse gain) of channels that agree. Body roll, lever arms and
 encoders cause 0.9 to 1.2; the closest pair of units causes 1.9 (knots for m/s)."""
 
 CHANGED = 1 - 1 / ALIKE
-"""Smallest relative change (rms) of a channel by a delay, or of the slip angle by a
-wrong point, that is a fault: as large as that by a gain of ``ALIKE``."""
+"""Smallest relative change (rms) of a channel by a delay, or of the slip angle by a wrong
+point, that is a fault: the change by a gain of ``ALIKE``."""
 
 _NEAR_UNIT, _NEAR, _FARTHEST = math.log(1.2), 2.5, 0.4
-"""Largest |log gain| off a unit: this, or so many standard errors, but never more."""
+"""Largest |log gain| between a gain and its unit: this, or so many standard errors, with
+a limit."""
 
-SURE = 4.0  # standard errors from which an estimate differs from its stated value
+SURE = 4.0  # standard errors above which an estimate differs from its stated value
 
 _STEERING = (0.4, 8.0)
-"""Steering over that of a car that rolls: understeer makes it up to some times more."""
+"""Range of the steering over that of a slowly rolling car; understeer needs more."""
 
-_CLEAR = 5.0  # A gain is known where it is so many standard errors from 0
+_CLEAR = 5.0  # a gain is known if it is so many standard errors from 0
 
 SEEN = 0.5
-"""Share of a term's variation that must be no noise for its gain to be judged."""
+"""Smallest share of a term's variation that is no noise, for its gain to be judged."""
 
-RELATED = 0.6  # correlation from which two channels follow each other
+RELATED = 0.6  # correlation above which two channels follow each other
 
-_SHARED = 0.9  # correlation that noise of two sensors does not have
+_SHARED = 0.9  # correlation above which two sensors share more than noise
 
 _UNRELATED, _SURELY = 0.7, 2.5
-"""They do not where the correlation and so many of its standard errors stay below."""
+"""Two channels do not follow each other if the correlation plus so many of its standard
+errors is below this."""
 
 _MUCH = 3.0
-"""Multiple of its floor from which a channel moves for more than a hill or a bank."""
+"""Multiple of its floor above which a channel moves by more than a hill or a bank causes."""
 
 _NO_CLOCK = 1.5
-"""Multiple of the longest delay beyond which two channels are not the same any more."""
+"""Multiple of the longest delay above which two channels are not the same quantity."""
 
 _USUAL = ("km/h", "mph", "g", "deg", "deg/s", "mm")
 _RARE, _ALONE = 0.05, 0.03
-"""By how much [log gain] a rare unit must be nearer than a usual one to be preferred;
-likewise one channel of a sensor in a unit of its own."""
+"""A rare unit is preferred if it is nearer by so much [log gain] than a usual one; so is
+a unit of a single channel of a sensor."""
 
 _ONE_SENSOR = (("v_x", "v_y"), ("a_x", "a_y"))
-"""Channels that mostly come from one sensor, in one unit."""
+"""Channels that are usually of the same sensor, in the same unit."""
 
 _AS_LIKELY = 0.02
 
@@ -59,16 +61,16 @@ class Fault(NamedTuple):
     """Channels that were read with a wrong factor."""
 
     channels: tuple[str, ...]
-    factor: float  # what was read over what is true
-    unit: str | None  # what it is in, None where only the sign is wrong
-    rarity: float  # as a distance [log gain]
+    factor: float  # value read over true value
+    unit: str | None  # the true unit; None if only the sign is wrong
+    rarity: float  # penalty of a rare unit [log gain]
 
 
 # --- what is judged -------------------------------------------------------------
 
 
 def judged(a: Agreement) -> list[bool]:
-    """Which of the pair's gains are known well enough to be held against 1."""
+    """Which gains of a pair are known well enough to be compared with 1."""
     if not a.pair.level and (
         abs(a.correlation) < RELATED
         or max(a.size, a.own_size) < a.pair.floor
@@ -83,14 +85,14 @@ def judged(a: Agreement) -> list[bool]:
 
 
 def no_noise(a: Agreement) -> list[bool]:
-    """Which terms are signal: those there a while before as well, as noise is not, and
-    one that another sensor says the same of."""
+    """Which terms are signal: terms that the instruments explain, which they cannot do
+    with noise, and a single term that another sensor confirms."""
     shared = abs(a.correlation) > _SHARED
     return [seen > SEEN or (k == 0 and shared) for k, seen in enumerate(a.seen)]
 
 
 def strays(a: Agreement) -> bool:
-    """Whether a channel surely does not follow what the others say, at any unit."""
+    """Whether a channel certainly does not follow the others, in any unit."""
     if a.pair.level:
         return False
     turns = a.pair.channel in ("a_y", "yaw_rate", "yaw")
@@ -101,7 +103,7 @@ def strays(a: Agreement) -> bool:
 
 
 def _predicted(powers: Mapping[str, int], faults: Iterable[Fault]) -> float:
-    """The gain that the faults make of 1."""
+    """The gain that the faults cause if the true gain is 1."""
     gain = 1.0
     for fault in faults:
         power = sum(powers.get(channel, 0) for channel in fault.channels)
@@ -110,8 +112,8 @@ def _predicted(powers: Mapping[str, int], faults: Iterable[Fault]) -> float:
 
 
 def _distance(a: Agreement, k: int, faults: Sequence[Fault]) -> float:
-    """|log| of a gain over the predicted one; infinite where the signs differ, nothing
-    where it is as near as it can be said."""
+    """|log| of a gain over the predicted one; infinite if the signs differ, zero if they
+    differ by less than the standard error."""
     expected = _predicted(a.pair.terms[k].powers, faults)
     ratio = a.gains[k] / expected
     if ratio <= 0:
@@ -133,8 +135,8 @@ def not_explained(pairs, faults) -> list[tuple[Agreement, int]]:
 
 
 def _limit(a: Agreement, k: int, faulty: bool) -> float:
-    """Distance up to which a gain is explained: a unit must be met, but for 1 to be
-    wrong takes more than chance."""
+    """Largest distance of a gain from the predicted one: a unit must agree closely, but
+    a deviation from 1 must be significant."""
     if faulty:
         return max(_NEAR_UNIT, min(_NEAR * _relative(a, k), _FARTHEST))
     return max(math.log(ALIKE), SURE * _relative(a, k))
@@ -148,7 +150,7 @@ def _relative(a: Agreement, k: int) -> float:
 
 
 def _possible(pairs: Sequence[Agreement], track: Track) -> list[Fault]:
-    """Every unit and sign that a channel of the pairs may have instead."""
+    """All faults of units and signs that the channels of the pairs may have."""
     read = {c.quantity: c for c in track.channels}
     named = {name for a in pairs for term in a.pair.terms for name in term.powers}
     faults = []
@@ -176,7 +178,7 @@ def _units(channel) -> dict[float, str]:
         return {180 / math.pi: "deg"}
     for text in units_of(QUANTITIES[channel.quantity]):
         unit = unit_of(text, channel.quantity)
-        assert unit is not None  # it is of this quantity's own list
+        assert unit is not None  # it is from the list of this quantity
         factor = abs(channel.factor) / unit.scale
         if abs(math.log(factor)) > math.log(ALIKE) and factor not in factors:
             factors[factor] = text
@@ -184,16 +186,16 @@ def _units(channel) -> dict[float, str]:
 
 
 def _halves(off, left) -> bool:
-    """Whether of one pair a gain is explained and another is not."""
+    """Whether some pair has one gain explained and another not."""
     pairs_left = {id(a) for a, _ in left}
     gains_left = {(id(a), k) for a, k in left}
     return any(id(a) in pairs_left and (id(a), k) not in gains_left for a, k in off)
 
 
 def explained(pairs, off, track) -> tuple[tuple[Fault, ...], list[Fault]]:
-    """The fewest faults that explain most of what is off, and what may be instead.
+    """The fewest faults that explain most of the wrong gains, and alternatives to them.
 
-    Each must explain a gain of its own: two may make any gain of one.
+    Each fault must explain a gain of its own, as two faults together can cause any gain.
     """
     possible = _possible(pairs, track)
     best: tuple[tuple, tuple[Fault, ...]] | None = None

@@ -1,4 +1,4 @@
-"""What a data set holds and which fits it supports: :func:`inspect`."""
+"""Summarise a data set and the fits that it supports: :func:`inspect`."""
 
 import dataclasses
 import math
@@ -16,10 +16,10 @@ from tirefit.files import json_safe
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
 _WIDTH = 80
-_COMBINED = 10  # rows of combined slip from which it is no accident
+_COMBINED = 10  # smallest number of rows for combined slip to be intended
 _FAR_ROWS = 8  # far rows that the text names one by one
 _VARIES = 0.2
-"""Relative spread from which a load or speed dependence can be told from noise."""
+"""Smallest relative range of load or speed that shows a dependence despite noise."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class ColumnSummary:
 
 @dataclass(frozen=True)
 class Level:
-    """Values that lie together, as a load or speed that was held: ``n`` rows."""
+    """A level of a column, such as a load or speed that was held, with ``n`` rows."""
 
     median: float
     min: float
@@ -61,7 +61,7 @@ class RunSummary:
 
 @dataclass(frozen=True)
 class Support:
-    """Whether the data can carry a fit, and why or why not."""
+    """Whether the data support a kind of fit, and the reason."""
 
     fit: str
     possible: bool
@@ -70,7 +70,7 @@ class Support:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What :func:`inspect` found."""
+    """The result of :func:`inspect`."""
 
     file: str
     sha256: str
@@ -85,10 +85,10 @@ class Inspection:
     warnings: tuple[str, ...]
     assumptions: tuple[str, ...]
     masked: tuple[str, ...]
-    far_rows: tuple[str, ...] = ()  # far from those of their file and neighbours
+    far_rows: tuple[str, ...] = ()  # outliers
 
     def to_dict(self) -> dict:
-        """Plain values only, fit for JSON: numbers that are not finite are None."""
+        """Plain values for JSON; numbers that are not finite are None."""
         return json_safe(dataclasses.asdict(self))
 
     def summary(self) -> str:
@@ -132,7 +132,7 @@ def inspect(data: DataLike) -> Inspection:
     """Summarise data: ranges, runs, loads, speeds, and which fits they support.
 
     Args:
-        data: what ``tirefit.read`` gave, or a path, a frame, a mapping of arrays.
+        data: a result of ``tirefit.read``, or a path, a frame, a mapping of arrays.
 
     Returns:
         The summary; ``print(found.summary())`` shows it.
@@ -170,7 +170,7 @@ def inspect(data: DataLike) -> Inspection:
 def _far_row(data: TireData, value: FarValue) -> str:
     remedy = "correct or delete the row"
     place = problem_at(data, value.row, value.column, why_far(value), remedy)
-    # The file is that of the report, unless several were joined.
+    # The report names the file, unless several were joined.
     place = place if data.source.paths else dataclasses.replace(place, file="")
     return str(place).replace("\n    ", "; ")
 
@@ -207,7 +207,7 @@ def _inspect_run(data: TireData, code: int) -> RunSummary:
 
 
 def _levels(part: TireData, name: str) -> tuple[Level, ...]:
-    """What a column was set to; its whole range where it was swept."""
+    """The levels of a column; its whole range if it was swept."""
     if name not in part or not part.n:
         return ()
     here = levels(part.usable(name))
@@ -244,8 +244,8 @@ def _sampling_rate(part: TireData) -> float | None:
 def _replicates(part: TireData) -> int:
     """Operating points measured at least twice.
 
-    Points are told apart by the settings of each slip and of the load; a continuous
-    sweep has none, so that nothing in it is replicated.
+    A point is a setting of each slip and of the load; a continuous sweep has no settings,
+    and therefore no replicated points.
     """
     slips = [name for name in ("sigma_x", "alpha") if name in part]
     if not slips or part.n < 6:

@@ -1,4 +1,4 @@
-"""One :func:`read_table` for all kinds of files, told apart by what is in them."""
+"""Detect the kind of a file from its content and read it: :func:`read_table`."""
 
 import hashlib
 import re
@@ -46,11 +46,10 @@ _OUR_FIT = re.compile(rb"\"schema\"\s*:\s*\"tirefit\.fit/")
 
 
 def read_table(path: Place, declared: Collection[str]) -> Table:
-    """Reads a file of any kind into cells; ``declared`` headers help to find columns.
+    """Read a file of any kind into cells; ``declared`` headers help to find columns.
 
     Raises:
-        DataError: the file is not there, damaged, of no known kind, or holds no table;
-            says where, why and what to do.
+        DataError: the file does not exist, is damaged, of unknown kind, or has no table.
     """
     is_known = _knower(declared)
     # The folder of a ROS 2 bag.
@@ -91,7 +90,7 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
 
 
 def _of_json(content: bytes, file: str) -> InputProblem:
-    """What a JSON file is good for: no command reads measurements from one."""
+    """The error for a JSON file, from which no command reads measurements."""
     if _OUR_FIT.search(content):
         reason = "this is the JSON of a fit, a tire and no table of measurements"
         remedy = "give the measurements here, and this file as the tire: --model"

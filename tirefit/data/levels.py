@@ -1,4 +1,4 @@
-"""What a rig was set to: the levels that the values of a column gather at."""
+"""Find the settings of a rig: the levels at which the values of a column cluster."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -6,22 +6,23 @@ from typing import NamedTuple
 import numpy as np
 
 FEW_SETTINGS = 6
-"""Most levels of a column that are settings, each looked at alone; more are a range."""
+"""Largest number of levels that count as settings; a column with more is a range."""
 
 _LEAST = 0.005
-"""Part of the range, and of the largest value, that counts as no gap at all: steps of
-a logger, drift of a controller. Settings are at least three times as far apart."""
+"""A gap is ignored below this share of the range and of the largest value: it may be a
+step of a logger or drift of a controller. Settings are at least three times as far
+apart."""
 _WIDER = 3.0
-"""A gap parts two settings if it is so many times the next narrower gap, and so many
+"""A gap separates two settings if it is so many times the next narrower gap, and so many
 times the scatter about the settings. Of 300 normal or uniform samples of 20 rows and
-more, none is split; settings are found whose standard deviation is a tenth of their
-distance."""
+more, none is split; settings with a standard deviation of a tenth of their distance are
+found."""
 _ROWS = 2
-"""Rows that a setting has at least: one alone is an outlier, or a point of a sweep."""
+"""Smallest number of rows of a setting; a single one is an outlier or part of a sweep."""
 
 
 _REMEMBERED = 16
-"""Columns whose levels are kept: every view of a file asks for the same few."""
+"""Number of columns whose levels are cached, as several steps use the same ones."""
 
 
 class Levels(NamedTuple):
@@ -31,25 +32,25 @@ class Levels(NamedTuple):
     low: np.ndarray  # (k,) ends
     high: np.ndarray
     code: np.ndarray  # (n,) level of each row
-    is_swept: bool  # values gather nowhere, and the only level is their range
+    is_swept: bool  # no clusters; the only level is the whole range
 
     def few(self, most: int = FEW_SETTINGS) -> bool:
-        """Whether these are settings, and at most so many."""
+        """Whether these are settings, and at most ``most``."""
         return not self.is_swept and len(self.center) <= most
 
 
 def levels(values) -> Levels:
-    """The settings that values gather at, told by gaps against the scatter about them.
+    """The settings at which values cluster, separated by gaps.
 
-    The values are cut at their widest gaps, at as many as are each wider than the
-    scatter that is left within the parts and than the gaps that are not cut. A range
-    without such gaps is swept, unless it is too narrow to be more than one setting.
+    The values are cut at their widest gaps, as long as each is clearly wider than the
+    scatter within the parts and than the gaps that are not cut. A range without such
+    gaps is swept, unless it is too narrow for more than one setting.
 
     Args:
         values: (n,) finite.
 
     Returns:
-        Arrays that may not be written to.
+        Read-only arrays.
     """
     return _levels_of(np.asarray(values, float).tobytes())
 
@@ -83,7 +84,7 @@ def _found(values: np.ndarray) -> Levels:
 
 
 def _cuts(ordered: np.ndarray, least: float) -> np.ndarray:
-    """Where sorted values part into settings: the first index of all but the first."""
+    """The cuts of sorted values into settings: first index of every setting but one."""
     gaps = np.diff(ordered)
     widest = np.argsort(-gaps, kind="stable")
     width = np.append(gaps[widest], 0.0)
@@ -104,14 +105,14 @@ def _cuts(ordered: np.ndarray, least: float) -> np.ndarray:
 
 
 def _without_outliers(cuts: np.ndarray, ordered: np.ndarray) -> np.ndarray:
-    """The cuts less those that leave too few rows for a setting."""
+    """The cuts without those that leave too few rows for a setting."""
     while len(cuts):
         sizes = np.diff(np.concatenate([[0], cuts, [len(ordered)]]))
         lone = int(np.argmin(sizes))
         if sizes[lone] >= _ROWS:
             break
         gaps = np.concatenate([[np.inf], ordered[cuts] - ordered[cuts - 1], [np.inf]])
-        # It joins the nearer of its neighbours.
+        # A part that is too small joins the nearer of its neighbours.
         cuts = np.delete(cuts, lone - 1 if gaps[lone] < gaps[lone + 1] else lone)
     return cuts
 

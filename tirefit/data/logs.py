@@ -1,8 +1,8 @@
-"""Logs of vehicles as tables: MDF by asammdf, MCAP and ROS bags by rosbags.
+"""Read logs of vehicles as tables: MDF by asammdf, MCAP and ROS bags by rosbags.
 
-Their channels have clocks of their own. The table has the clock of the channels that
-are asked for, or known, most; others are interpolated to it, but for gaps and beyond
-their ends, where they are NaN. A column ``time`` [s] counts from its first sample.
+The channels have different clocks. The table uses the clock that has most of the known
+channels. Other channels are interpolated to it, and are NaN in gaps and beyond their
+ends. A column ``time`` [s] counts from the first sample.
 """
 
 import logging
@@ -22,10 +22,10 @@ from tirefit.results import DataError
 
 _BAGS = {b"\x89MCAP0": ".mcap", b"SQLite format 3": ".db3", b"#ROSBAG": ".bag"}
 _LARGEST_MESSAGE = 4096
-"""Bytes of a message beyond which it is an image or a cloud, and not read."""
+"""Largest message [bytes] that is read; larger ones are images or point clouds."""
 _LONGEST_ARRAY = 16
 _GAP = 5.0
-"""Distance of two samples, in periods of their channel, that is not interpolated."""
+"""Largest gap between two samples, in periods of their channel, that is interpolated."""
 
 
 class Signal(NamedTuple):
@@ -42,7 +42,7 @@ def is_mdf(content: bytes) -> bool:
 
 
 def bag_suffix(content: bytes) -> str:
-    """The ending that these bytes should have: that of MCAP or a ROS bag, else ""."""
+    """The file ending for these bytes: that of MCAP or a ROS bag, else ""."""
     fits = (end for start, end in _BAGS.items() if content.startswith(start))
     return next(fits, "")
 
@@ -53,13 +53,13 @@ def channels_of_mdf(path: Place, content: bytes, is_known: Callable[[str], bool]
     Args:
         path: of the file.
         content: its bytes.
-        is_known: whether a name is a column's.
+        is_known: whether a name is that of a known column.
 
     Raises:
         DataError: asammdf is missing, or the file is damaged or empty.
     """
     asammdf = extra("asammdf", "MDF files", str(path), "logs")
-    # What it logs of a damaged file is said once, by the error below.
+    # Suppress what asammdf logs on a damaged file: the error below reports it.
     logging.getLogger("asammdf").setLevel(logging.CRITICAL + 1)
     signals: dict[str, Signal] = {}
     left = []
@@ -93,12 +93,12 @@ def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]
 
     Args:
         path: of the file, or of the folder of a ROS 2 bag.
-        content: its bytes; none of a folder.
-        is_known: whether a name is a column's.
+        content: its bytes; empty for a folder.
+        is_known: whether a name is that of a known column.
 
-    A topic's clock is that of its headers' stamps, where it has them, else that of the
-    recording. Messages are decoded by the definitions in the bag; a topic that cannot
-    be decoded is left out, with a note.
+    The clock of a topic is that of the stamps in its headers if it has them, else that
+    of the recording. Messages are decoded by the definitions in the bag; a topic that
+    cannot be decoded is left out, with a note.
 
     Raises:
         DataError: rosbags is missing, or the bag is damaged or empty.
@@ -130,7 +130,7 @@ def _damaged(kind: str, path: Place, error: Exception) -> DataError:
 
 
 def _signals_of(place: Path) -> tuple[dict[str, Signal], list[str]]:
-    """Fields of all topics of a bag, and the topics that are not read, with why."""
+    """Fields of all topics of a bag, and the topics that are not read, with the reason."""
     from rosbags import rosbag1, rosbag2
 
     is_ros1 = place.suffix == ".bag"
@@ -152,7 +152,7 @@ def _signals_of(place: Path) -> tuple[dict[str, Signal], list[str]]:
 
 
 def _topic(messages, topic: str, is_ros1: bool) -> dict[str, Signal] | str:
-    """Fields of the messages of a topic, or why it holds none to read."""
+    """Fields of the messages of a topic, or the reason why it has none to read."""
     decoders: dict[int, Callable[[bytes], Any]] = {}
     recorded: list[float] = []
     stamped: list[float] = []
@@ -174,8 +174,8 @@ def _topic(messages, topic: str, is_ros1: bool) -> dict[str, Signal] | str:
 
 
 def _decoder(connection, is_ros1: bool) -> Callable[[bytes], Any]:
-    """Function from bytes to the message, by the definition that the bag has of its
-    type, or by that of ROS 2 where it has none."""
+    """A function from bytes to a message. It uses the definition of the type in the bag,
+    or that of ROS 2 if the bag has none."""
     from rosbags import typesys
 
     text, name = connection.msgdef.data, connection.msgtype
@@ -219,15 +219,15 @@ def _fields(message, place: str = "") -> Iterator[tuple[str, float]]:
 def on_one_clock(
     signals: dict[str, Signal], is_known: Callable[[str], bool], file: str
 ) -> Channels:
-    """Signals as columns on the clock that the most known of them have.
+    """Signals as columns, on the clock that most of the known ones have.
 
     Args:
         signals: by name.
-        is_known: whether a name is a column's.
+        is_known: whether a name is that of a known column.
         file: named in the problems.
 
     Raises:
-        DataError: there are none.
+        DataError: there are no signals.
     """
     if not signals:
         reason, remedy = "the log holds no channels of numbers", "record some"

@@ -1,7 +1,7 @@
-"""MATLAB files as tables: version 5 to 7 by SciPy, version 7.3 (HDF5) by h5py.
+"""Read MATLAB files as tables: version 5 to 7 by SciPy, version 7.3 (HDF5) by h5py.
 
-Columns are vectors of one length: variables, fields of a struct (nested or not), the
-columns of a matrix beside a cell array of their names, or a struct with ``Time``,
+Columns are vectors of the same length: variables, fields of a struct (nested or not),
+the columns of a matrix with a cell array of their names, or a struct with ``Time``,
 ``Value`` and ``Units`` for each channel, as data loggers export them. Units come from
 those, from a struct ``channel`` with ``name`` and ``units`` (Tire Test Consortium), or
 from a struct ``units`` with a text for each column.
@@ -30,12 +30,12 @@ class Channels(NamedTuple):
     """Columns of a file that has no lines."""
 
     columns: dict[str, Any]  # name -> (n,) numbers or n texts
-    units: dict[str, str]  # those stated, by name
-    notes: tuple[str, ...]  # what was assumed and left out
+    units: dict[str, str]  # stated units, by name
+    notes: tuple[str, ...]  # assumptions, and what was left out
 
 
 class _Opaque(NamedTuple):
-    """An object of a class of MATLAB's, which no other program can read."""
+    """An object of a MATLAB class, which no other program can read."""
 
     kind: str
 
@@ -51,11 +51,12 @@ def channels_of_mat(content: bytes, file: str, is_known: Callable[[str], bool]) 
     Args:
         content: bytes of the file.
         file: named in the problems.
-        is_known: whether a name is a column's; the struct with the most is read.
+        is_known: whether a name is that of a known column; the struct with most of them
+            is read.
 
     Raises:
-        DataError: the file is damaged, no vectors are there, or it cannot be told
-            which of several structs is meant.
+        DataError: the file is damaged, has no vectors, or has several structs with as
+            many known columns.
     """
     is_hdf5 = content.startswith(_V73)
     try:
@@ -86,14 +87,14 @@ def _of_v5(content: bytes) -> dict[str, Any]:
 
 
 def _name(key: str, value: Any) -> str:
-    """The name of a variable, which an object has inside."""
+    """The name of a variable that contains an object."""
     if type(value).__name__ != "MatlabOpaque":
         return key
     return value.reshape(-1)[0]["s0"].decode()
 
 
 def _plain(value: Any) -> Any:
-    """A value of SciPy's as array, text, list (cell, struct array) or dict (struct)."""
+    """A value from SciPy as array, text, list (cell, struct array) or dict (struct)."""
     kind = type(value).__name__
     if kind in ("MatlabOpaque", "MatlabFunction"):
         inside = value.reshape(-1)[0]
@@ -121,7 +122,7 @@ def _of_hdf5(content: bytes) -> dict[str, Any]:
 
 
 def _of_item(item, file) -> Any:
-    """A variable of version 7.3 as :func:`_plain` gives it; arrays are transposed."""
+    """A variable of version 7.3 in the form of :func:`_plain`; arrays are transposed."""
     kind = item.attrs.get("MATLAB_class", b"")
     kind = kind.decode() if isinstance(kind, bytes) else str(kind)
     if hasattr(item, "items"):
@@ -139,11 +140,11 @@ def _of_item(item, file) -> Any:
     return values.T
 
 
-# --- which of it are the columns ----------------------------------------------------
+# --- find the columns -----------------------------------------------------------------
 
 
 def _best(contents, file: str, is_known) -> tuple[str, Channels]:
-    """The struct ("" for the variables) with the most known columns, and those."""
+    """The struct ("" for the variables) with the most known columns, and its columns."""
     read = {
         place: channels
         for place, struct in _structs(contents)
@@ -175,7 +176,7 @@ def _structs(contents, place: str = "") -> Iterator[tuple[str, Mapping[str, Any]
 
 
 def _channels(struct: Mapping[str, Any], is_known) -> Channels:
-    """Columns of one struct: those of the length that most of the known ones have."""
+    """Columns of one struct, of the length that most of the known columns have."""
     logged = _logged(struct)
     if logged is not None:
         return logged
@@ -204,7 +205,7 @@ def _are_texts(values: list) -> bool:
 
 
 def _of_matrix(struct: Mapping[str, Any]) -> dict[str, Any]:
-    """Columns of the one matrix that has a list of as many names beside it."""
+    """Columns of the only matrix with a list of as many names."""
     names = [v for v in struct.values() if isinstance(v, list) and _are_texts(v)]
     inner = struct.get("channel")
     if isinstance(inner, dict) and isinstance(inner.get("name"), list):
@@ -218,7 +219,7 @@ def _of_matrix(struct: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _logged(struct: Mapping[str, Any]) -> Channels | None:
-    """Channels that each have Time, Value and Units, if they have; else None."""
+    """Channels that are structs with Time, Value and Units; None if they are not."""
     parts: dict[str, dict[str, Any]] = {}
     for name, value in struct.items():
         if isinstance(value, dict):
@@ -243,7 +244,7 @@ def _logged(struct: Mapping[str, Any]) -> Channels | None:
 
 
 def _left_out(struct: Mapping[str, Any], kept) -> list[str]:
-    """What a struct has beside its columns, in a sentence; texts in full."""
+    """Notes on the other content of a struct; texts in full."""
     others = {n: value for n, value in struct.items() if n not in kept}
     texts = [f"{n} = {value!r}" for n, value in others.items() if _is_text(value)]
     left = [

@@ -1,7 +1,7 @@
-"""Whether a MATLAB file of version 5 holds together, before SciPy follows its sizes.
+"""Check the sizes in a MATLAB file of version 5 before SciPy reads it.
 
-Its reader trusts the sizes and dimensions that a file states; on a damaged file it can
-bring the whole process down. Layout as in MathWorks, *MAT-File Format*, chapter 1.
+SciPy trusts the sizes and dimensions that a file states; a damaged file can crash the
+process. The layout is that of MathWorks, *MAT-File Format*, chapter 1.
 """
 
 import math
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 _MATRIX, _COMPRESSED = 14, 15
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8, 16: 1, 17: 2, 18: 4}
-"""Type of the numbers of an element -> bytes of each."""
+"""Type of the numbers of an element -> bytes of a number."""
 
 _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _FUNCTION, _OPAQUE = 1, 2, 3, 4, 5, 16, 17
 _NUMBERS = range(6, 16)
@@ -40,12 +40,12 @@ def check_sound(content: bytes) -> None:
                 raise ValueError("a compressed variable is cut short")
             (kind, inside), *_ = _elements(inside, order)
         if kind != _MATRIX:
-            raise ValueError(f"an element of kind {kind} where a variable is due")
+            raise ValueError(f"an element of kind {kind} where a variable is expected")
         _check_matrix(inside, order, _DEEPEST)
 
 
 def _elements(content: bytes, order: str) -> list[_Element]:
-    """The elements that stand one after the other in a stretch of the file."""
+    """The consecutive elements in a part of the file."""
     elements = []
     at = 0
     while at < len(content):
@@ -70,7 +70,7 @@ def _check_matrix(content: bytes, order: str, deepest: int) -> None:
     if not content:
         return
     if not deepest:
-        raise ValueError("structs in each other have no end")
+        raise ValueError("structs are nested too deeply")
     flags, *parts = _elements(content, order)
     if len(flags.content) < 4 or flags.kind != 6:
         raise ValueError("a variable has no class")
@@ -109,7 +109,7 @@ def _numbers(part: _Element, order: str) -> tuple[int, ...]:
 
 
 def _check_numbers(parts, count: int, is_complex: bool, is_text: bool) -> None:
-    """As many numbers as the dimensions say; a text of UTF-8 may have more bytes."""
+    """Check that the number of values fits the dimensions; UTF-8 may have more bytes."""
     if len(parts) != 1 + is_complex:
         raise ValueError("a variable has no values")
     for part in parts:
@@ -121,7 +121,7 @@ def _check_numbers(parts, count: int, is_complex: bool, is_text: bool) -> None:
 
 
 def _check_sparse(parts, dimensions: tuple[int, ...], order: str) -> None:
-    """Rows of the values that are not zero, and where each column begins in them."""
+    """Check the row indices of a sparse matrix, and the beginning of each column."""
     if len(parts) < 3:
         raise ValueError("a sparse matrix has no values")
     rows, starts = (_numbers(part, order) for part in parts[:2])
@@ -132,7 +132,7 @@ def _check_sparse(parts, dimensions: tuple[int, ...], order: str) -> None:
 
 
 def _fields(parts, count: int, is_object: bool, order: str) -> tuple[int, list]:
-    """How many values the fields of a struct must have, and those that are there."""
+    """The number of values that the fields of a struct must have, and its values."""
     parts = parts[1:] if is_object else parts
     if len(parts) < 2:
         raise ValueError("a struct has no fields")

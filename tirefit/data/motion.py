@@ -1,8 +1,8 @@
-"""A vehicle log to the motion of the centre of gravity: :func:`read_motion`.
+"""Compute the motion of the centre of gravity from a vehicle log: :func:`read_motion`.
 
-The log's usable rows are brought to a uniform rate between the gaps, low-passed without
-phase, moved to the centre of gravity and differentiated. Axes are those of ISO 8855:
-x forward, y left, yaw counter-clockwise.
+The usable rows of the log are resampled at a uniform rate between gaps, filtered by a
+zero-phase low-pass, moved to the centre of gravity and differentiated. Axes are those of
+ISO 8855: x forward, y left, yaw counter-clockwise.
 """
 
 import math
@@ -20,7 +20,7 @@ from tirefit.results import DataError
 @dataclass(frozen=True)
 class Motion:
     """Motion of the centre of gravity on the grid, (n,) each, SI, ISO 8855 axes;
-    ``heading``, ``x`` and ``y`` are NaN of a log of rates."""
+    ``heading``, ``x`` and ``y`` are NaN for a log of rates."""
 
     time: np.ndarray
     v_x: np.ndarray
@@ -30,17 +30,17 @@ class Motion:
     yaw_rate: np.ndarray
     yaw_acceleration: np.ndarray
     heading: np.ndarray  # [rad, not wrapped]
-    x: np.ndarray  # [m] over the floor
+    x: np.ndarray  # [m] on the ground
     y: np.ndarray
     command: np.ndarray  # of the steering, 0 without one
     part: np.ndarray  # int, counts the stretches between gaps
-    within: np.ndarray  # [s] to the nearer end of the sample's own stretch
-    settled: np.ndarray  # bool, False near an edge or gap, where others may be NaN
+    within: np.ndarray  # [s] to the nearer end of the stretch of the sample
+    settled: np.ndarray  # bool, False near an edge or gap, where values may be NaN
     logged: np.ndarray  # (n, k) the channels of a ``Track``, through the same filter
 
     def rate_of(self, values: np.ndarray) -> np.ndarray:
         """Time derivative (n,) of values (n,), by central differences within each
-        stretch; NaN in one of a single sample."""
+        stretch; NaN in a stretch of a single sample."""
         rate = np.full(len(values), np.nan)
         for number in np.unique(self.part):
             rows = self.part == number
@@ -62,11 +62,11 @@ def read_motion(path: str | Place, vehicle: Vehicle) -> tuple[Track, Motion, int
 def with_noise(
     track: Track, motion: Motion, vehicle: Vehicle, generator: np.random.Generator
 ) -> Motion:
-    """The motion of the same track with as much noise again in each channel but the
-    steering, as if it were white.
+    """The motion of the same track with white noise added to each channel except the
+    steering, of the size of the noise that it has.
 
-    The noise is what the filter takes out of a channel at settled times, more by the
-    share of a white noise that passes the filter.
+    The size is that of the part of a channel that the filter removes at settled times,
+    increased by the share of white noise that passes the filter.
     """
     settled = np.interp(track.time, motion.time, motion.settled.astype(float)) == 1
     smooth = [np.interp(track.time, motion.time, one) for one in motion.logged.T]
@@ -81,8 +81,8 @@ def with_noise(
 
 
 def not_ahead(motion: Motion, vehicle: Vehicle) -> dict[str, np.ndarray]:
-    """Reason -> samples (n,) bool of which a single track that drives ahead says
-    nothing; the first reason counts."""
+    """Reason -> samples (n,) bool that a single track driving forward does not describe;
+    the first reason counts."""
     speed = np.hypot(motion.v_x, motion.v_y)
     return {
         f"slower than {vehicle.v_min:g} m/s": speed <= vehicle.v_min,
@@ -116,9 +116,9 @@ def _lateral(motion: Motion, vehicle: Vehicle, axle: str) -> np.ndarray:
 def force_along(motion: Motion, vehicle: Vehicle, axle: str) -> np.ndarray:
     """Force along the wheels of an axle [N], braking positive: (n,).
 
-    Both axles push by m a_x and the drag, and by what the side force of steered wheels
-    takes back: T (s + (1 - s) / cos(delta)) = m a_x + drag v^2 + Y_f tan(delta), with s
-    the part of the rear axle and Y_f the force across at the front.
+    Both axles together give m a_x, the drag, and the component of the side force of
+    steered wheels: T (s + (1 - s) / cos(delta)) = m a_x + drag v^2 + Y_f tan(delta), with
+    s the part of the rear axle and Y_f the force across the vehicle at the front.
     """
     rear = _part(vehicle, "rear")
     steer = road_wheel(motion, vehicle) if vehicle.steering else 0 * motion.time
@@ -136,12 +136,12 @@ def _part(vehicle: Vehicle, axle: str) -> float:
 
 def road_wheel(motion: Motion, vehicle: Vehicle) -> np.ndarray:
     """Road wheel angle [rad] from the steering map, left positive: (n,)."""
-    assert vehicle.steering is not None  # :func:`derive` has checked it
+    assert vehicle.steering is not None  # checked by :func:`derive`
     return np.interp(motion.command, vehicle.steering.command, vehicle.steering.angle)
 
 
 def error_along(force: np.ndarray, vehicle: Vehicle, axle: str) -> np.ndarray:
-    """Standard error (n,) [N] of the force along an axle that drives."""
+    """Standard error (n,) [N] of the force along a driven axle."""
     total = force / (_part(vehicle, axle) or 1.0)
     assumed = vehicle.driven == "all" and vehicle.rear_share is None
     part = np.full(len(force), _SHARE_ASSUMED if assumed else _SHARE_STATED)
@@ -152,10 +152,10 @@ def error_along(force: np.ndarray, vehicle: Vehicle, axle: str) -> np.ndarray:
 
 
 def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0):
-    """Signals (n, k) at the grid's rate through the filter, without phase.
+    """Filter signals (n, k) at the rate of the grid, with zero phase.
 
     Args:
-        slower: How much lower the cutoff is.
+        slower: Factor by which the cutoff is lower.
 
     Returns:
         None if there are too few samples.
@@ -172,29 +172,29 @@ def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0):
 
 
 _SHARE_STATED, _SHARE_ASSUMED, _SHARE_BRAKING = 0.05, 0.15, 0.3
-"""Standard errors of an axle's part of the force along the vehicle: where which axles
-drive (and how much each) is stated; of an even split that is assumed; and of who brakes
-where one axle drives: cars brake with both."""
+"""Standard errors of the part of an axle in the force along the vehicle: with stated
+driven axles and shares; with an assumed even split; and of braking if one axle is
+driven, as cars brake with both."""
 
 _ROLLING = (0.02, 0.005)
-"""Error of drag and rolling resistance over weight, without and with stated drag."""
+"""Error of drag and rolling resistance over the weight, without and with stated drag."""
 
 _MOST_SAMPLES = 3_000_000  # samples on the grid of one log: 8 h at 100 Hz
 
 _LOST = 3.5
-"""Periods of a channel that has blanks between its samples, beyond which it is lost."""
+"""Largest gap in a channel that has blanks between its samples, in its periods."""
 
 _Rates = tuple[np.ndarray, ...]
 """v_x, v_y, a_x, a_y, r, r', heading, x, y of the centre of gravity, (n,) each."""
 
 
 def _stretch(*fields) -> Motion:
-    """From the fields in their order."""
+    """The motion with these values of its fields, in their order."""
     return Motion(**dict(zip(Motion.__dataclass_fields__, fields, strict=True)))
 
 
 def motion_of(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
-    """Motion on one uniform grid that leaves out the gaps, and their number."""
+    """The motion on a uniform grid without the gaps, and the number of gaps."""
     rate = vehicle.filter.sample_rate
     broken = (np.diff(track.time) > track.max_gap) | (np.diff(track.run) != 0)
     splits = np.flatnonzero(broken) + 1
@@ -229,7 +229,7 @@ def motion_of(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
 
 
 def _check_size(track: Track, splits: np.ndarray, rate: float) -> None:
-    """Raises DataError for a grid that no memory holds."""
+    """Raises DataError if the grid would not fit in memory."""
     steps = np.diff(track.time)
     steps[splits - 1] = 0.0
     count = float(steps.sum()) * rate
@@ -244,7 +244,7 @@ def _on_grid(time, signals, grid, max_gap: float, vehicle: Vehicle):
     """Signals (n, k) on the grid, low-passed, NaN in long gaps; None if too short."""
     from scipy.interpolate import CubicSpline  # slow, and no other reader needs it
 
-    # Cubic: a straight line would cut the corners of a turn.
+    # Cubic interpolation, as a straight line would cut the corners of a turn.
     there = np.isfinite(signals)
     whole = there.all(axis=0)
     uniform = np.zeros((len(grid), signals.shape[1]))

@@ -29,8 +29,8 @@ def zero_of_alpha(
     """A sentence on the offset of the slip angle, and alpha at zero side force [rad],
     None if it is not known.
 
-    A symmetric axle has no side force at no slip angle, so alpha where fy = 0 is what
-    the heading exceeds the yaw that was used; at the front the steering adds its own.
+    A symmetric axle has no side force at zero slip angle. Alpha where fy = 0 is therefore
+    the error of the yaw that was used, at the front plus that of the steering.
     """
     pose = vehicle.columns.motion == POSE
     key = "yaw_offset" if pose else "sideslip_offset"
@@ -57,9 +57,9 @@ def zero_of_alpha(
 
 
 def _alpha_at_rest(alpha: np.ndarray, fy: np.ndarray) -> float | None:
-    """Slip angle [rad] at no side force, by an odd cubic through the weak half of fy.
+    """Slip angle [rad] at zero side force, by an odd cubic through the weaker half of fy.
 
-    None unless left and right turns both hold a tenth of those samples.
+    None unless left and right turns each have a tenth of those samples.
     """
     strong = np.percentile(abs(fy), 95)
     weak = abs(fy) < 0.5 * strong
@@ -71,7 +71,7 @@ def _alpha_at_rest(alpha: np.ndarray, fy: np.ndarray) -> float | None:
 
 
 def turns_both_ways(share: np.ndarray) -> bool:
-    """Whether more than a tenth of the samples turns to the rarer side.
+    """Whether more than a tenth of the samples are turns to the rarer side.
 
     Args:
         share: (n,) lateral force over the strong force.
@@ -81,7 +81,8 @@ def turns_both_ways(share: np.ndarray) -> bool:
 
 
 _MODERATE = 0.5
-"""Largest force of the fit over the strong force (95th percentile): the cubic holds."""
+"""Largest force in the fit over the strong force (95th percentile), where the cubic is
+valid."""
 
 _ZERO = 0.02
 """Zero error [rad] of heading or mounting that is assumed if a log turns to one side
@@ -104,7 +105,7 @@ _Change = Callable[[Motion, Vehicle, float], tuple[Motion, Vehicle]]
 
 
 class PointCheck(NamedTuple):
-    """What was found of the tracked point."""
+    """The estimate of the tracked point."""
 
     line: str  # sentence for the summary
     estimate: tuple[float, float] | None  # [m ahead of the rear axle], standard error
@@ -124,8 +125,8 @@ class _Fit(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """Rows to fit, distance of the instruments in rows, the strong force [N], and the
-    prior standard deviation of alpha_0: infinite if it is fitted, else 0."""
+    """Rows to fit, distance of the instruments [rows], the strong force [N], and the prior
+    standard deviation of alpha_0: infinite if it is fitted, else 0."""
 
     rows: np.ndarray
     step: int
@@ -294,7 +295,7 @@ def _flipped(vehicle: Vehicle) -> tuple[str, str]:
     other = "yaw_rate" if vehicle.columns.a_y_follows else "a_y"
     unit = f"-{vehicle.units.get('v_y', 'm/s')}".removeprefix("--")
     remedy = f'set v_y = "{unit}" in [units] of vehicle.toml'
-    return f"v_y or {other} has the other sign", remedy
+    return f"v_y or {other} has the wrong sign", remedy
 
 
 def _nothing_fits(vehicle: Vehicle) -> tuple[str, str]:

@@ -17,7 +17,7 @@ _PART = re.compile(
 )
 """``qx``, ``field.pose.pose.orientation.x``, ``/tf/rotation/w``, ``quat_z [-]``."""
 
-_NORM = 0.1  # largest error of a norm: that of components rounded to one decimal place
+_NORM = 0.1  # largest error of a norm, as with components rounded to one decimal place
 
 
 def heading(x, y, z, w):

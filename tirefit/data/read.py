@@ -1,7 +1,7 @@
-"""Files and frames in, canonical checked data out: :func:`read`, :func:`read_frame`.
+"""Read files and frames into checked, canonical data: :func:`read`, :func:`read_frame`.
 
-Every problem found is reported at once, each with its place and a remedy; what had to
-be assumed is kept as sentences in ``Source.assumptions``.
+An error lists all problems, each with its place and a remedy. Assumptions are sentences
+in ``Source.assumptions``.
 """
 
 import os
@@ -59,43 +59,43 @@ def read(
     curve: bool = True,
     otherwise: tuple[str, str] | None = None,
 ) -> TireData:
-    """Read a file of measurements into canonical, checked data.
+    """Read a file of measurements into checked, canonical data.
 
-    The format is detected from the content, not from the file name: text (CSV and
-    similar, columns separated by white space, TYDEX, Tire Test Consortium), MATLAB,
-    Parquet, Arrow and Excel, each also gzipped.
+    Text (CSV and similar, columns separated by white space, TYDEX, Tire Test
+    Consortium), MATLAB, Parquet, Arrow and Excel, each also gzipped, are recognised by
+    their content and not by the file name.
 
     Args:
-        path: the file, or its address (``s3://...``, what fsspec knows).
-        columns: canonical name (or slip definition, ``run``, ``<column>_std``) to the
-            file's header; columns that are not named here are inferred and reported.
-        units: canonical name to unit, e.g. ``{"fx": "kN", "kappa": "%"}``; a leading
-            minus (``-N``) flips the sign of one column.
-        convention: the file's signs, a key of ``slip.CONVENTIONS``. If None, those
+        path: the file, or its address (``s3://...`` and others of fsspec).
+        columns: canonical name (or slip definition, ``run``, ``<column>_std``) -> header
+            of the file; other columns are inferred, which the assumptions report.
+        units: canonical name -> unit, e.g. ``{"fx": "kN", "kappa": "%"}``; a leading
+            minus (``-N``) flips the sign of a column.
+        convention: signs of the file, a key of ``slip.CONVENTIONS``. If None, those
             that the file declares (a line "convention NAME" above the header, TYDEX,
             Tire Test Consortium), else those of ``otherwise``, else "braking".
         slip: definition of the slip column, a key of ``slip.SLIP_DEFINITIONS``.
         constants: canonical columns that are constant over the file, SI and canonical
             signs, e.g. ``{"fz": 4000, "v": 20}``.
         rolling_radius: effective radius [m]; computes the slip from omega and v, or
-            checks the slip column against them (``source.slip_check``): a slip that
+            compares the slip column with them (``source.slip_check``): a slip that
             contradicts them is read, with a warning.
-        mask_bad_rows: keep rows that break a rule, unused and listed in
+        mask_bad_rows: keep rows that break a rule as unused rows, listed in
             ``source.masked``, instead of raising.
-        forces: False where forces are to be predicted: then no force column is
-            needed and one operating point is enough, and a unit declared for a force
-            that the file does not have is kept for writing it.
-        curve: False for a log of a vehicle, which need not hold slip, force and load
-            nor vary in them: who uses it asks for its columns (:func:`require`).
+        forces: False if forces will be predicted: no force column is needed, one
+            operating point is enough, and a unit declared for a force that the file
+            lacks is used for writing it.
+        curve: False for a log of a vehicle, which need not have slip, force and load;
+            the caller checks its columns (:func:`require`).
         otherwise: convention of the model that the data are compared with, and the
-            model's name. It is assumed if neither user nor file declares one.
+            name of the model. It is assumed if neither user nor file declares one.
 
     Returns:
         All rows in SI units and canonical signs; ``source`` lists what was assumed.
 
     Raises:
         UsageError: an option has an unknown name or value.
-        DataError: unusable file or contradicted convention; all problems.
+        DataError: unusable file or contradicted convention; it lists all problems.
 
     Example:
         >>> data = read(samples / "circles.csv")
@@ -158,7 +158,7 @@ def require(data: TireData, columns: Sequence[str], why: str) -> None:
 
 @dataclass
 class _Reading:
-    """State of one reading: what is known so far of the columns and their faults."""
+    """State while reading: the columns, their faults and assumptions so far."""
 
     table: Table
     options: Options
@@ -187,7 +187,7 @@ class _Reading:
 
 
 def _checked(table: Table, options: Options) -> TireData:
-    """The whole way from a table of cells to data; raises all problems at once."""
+    """Convert a table of cells to data; raises one error with all problems."""
     table, _ = with_headings(recognised(table))
     plan = plan_columns(table.headers, table.units_row, options, table.file, table.layout)
     read_as = options.signs(table.layout, plan.columns, table.file)
@@ -234,7 +234,7 @@ def _checked(table: Table, options: Options) -> TireData:
 
 
 def _canonical(name: str) -> str:
-    """Canonical name of a column read: every slip definition ends as sigma_x."""
+    """Canonical name of a column that was read; that of any slip definition is sigma_x."""
     base = base_column(name)
     return name.replace(base, "sigma_x", 1) if base in SLIP_DEFINITIONS else name
 
@@ -257,7 +257,7 @@ def _runs(reading: _Reading) -> tuple[np.ndarray, tuple[str, ...]]:
 
 
 def _numbers_to_si(reading: _Reading) -> None:
-    """Fills ``columns`` with canonical units and signs, slip by its definition."""
+    """Fill ``columns`` with values in canonical units and signs; the slip as defined."""
     plan, table = reading.plan, reading.table
     numeric = [column for name, column in plan.columns.items() if name != "run"]
     cells = {column.name: table.cells[column.index] for column in numeric}
@@ -265,7 +265,7 @@ def _numbers_to_si(reading: _Reading) -> None:
     if commas:
         reading.assumptions.append("numbers read with a decimal comma (1,5 is 1.5)")
     for column in numeric:
-        # Without a pressure the nominal one is meant; nothing else can be left out.
+        # Rows without pressure are at nominal pressure; other values must not be missing.
         gaps = column.name == "pressure"
         values, faults = check.read_numbers(
             cells[column.name], column.header, table.ragged, commas, gaps
@@ -305,7 +305,7 @@ def _constants(reading: _Reading) -> None:
 
 
 def _slip_to_sigma(reading: _Reading, definition: str | None) -> None:
-    """Replaces the slip column, and its std, by physical slip sigma_x."""
+    """Replace the slip column and its std by physical slip sigma_x."""
     columns, headers = reading.columns, reading.headers
     if definition not in columns:
         return
@@ -344,7 +344,7 @@ def _say_limits(reading: _Reading, what: str) -> None:
 
 
 def _use_rolling_radius(reading: _Reading, definition: str) -> None:
-    """Computes sigma_x = (v - omega R) / (omega R), or compares the slip column."""
+    """Compute sigma_x = (v - omega R) / (omega R), or compare the slip column with it."""
     columns, radius = reading.columns, reading.options.rolling_radius
     if radius is None:
         return
@@ -363,7 +363,7 @@ def _use_rolling_radius(reading: _Reading, definition: str) -> None:
         good = ~reading.bad() & np.isfinite(sigma + columns["sigma_x"])
         if good.any():
             given = columns["sigma_x"][good]
-            header = reading.headers.get("sigma_x", "sigma_x")  # none of a constant
+            header = reading.headers.get("sigma_x", "sigma_x")  # a constant has no header
             alpha = columns["alpha"][good] if "alpha" in columns else None
             check = signs.check_slip(given, sigma[good], definition, alpha, radius)
             reading.slip_check = check
@@ -384,7 +384,7 @@ def _use_rolling_radius(reading: _Reading, definition: str) -> None:
 
 
 def _drop_idle_forces(reading: _Reading) -> None:
-    """A force that is zero throughout was not measured: nothing can be fitted to it."""
+    """Remove forces that are zero in all rows, as they were not measured."""
     good = ~reading.bad()
     options = reading.options
     if not options.forces or not options.curve or not good.any():
@@ -399,7 +399,8 @@ def _drop_idle_forces(reading: _Reading) -> None:
 
 
 def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
-    """Raises DataError with all that stands; else the masked rows as problems."""
+    """Raises DataError with all problems that masking does not solve; returns those of
+    masked rows."""
     of_rows, of_columns = check.list_problems(reading.faults, reading.table.lines, reading.file)
     plan = reading.plan.columns.items()
     named = {_canonical(name) for name, c in plan if c.header not in reading.idle}
@@ -427,7 +428,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
             remedy = "see the rows' problems without --mask-bad-rows"
             whole.append(InputProblem("no usable rows are left", remedy, reading.file))
     if any(one.reason == IS_VEHICLE_LOG for one in whole):
-        of_rows = []  # its columns are not slip and force, and are not checked
+        of_rows = []  # a vehicle log has no slip and force to check
     if whole or (of_rows and not reading.options.mask_bad_rows):
         raise DataError([*whole, *of_rows])
     return tuple(check.without_masking(problem) for problem in of_rows)

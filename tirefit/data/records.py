@@ -1,10 +1,10 @@
-"""Results of many files as one table: a row per number and file, Parquet on disk.
+"""Results of many files as one Parquet table, with a row for each number and file.
 
-Columns: ``number`` (place of the file among those given, from 1), ``file``, ``result``
-(where it lies), ``model``, ``status`` (the verdict; ``failed`` without a result),
+Columns: ``number`` (of the file in the order given, from 1), ``file``, ``result`` (its
+path), ``model``, ``status`` (the verdict; ``failed`` without a result),
 ``kind`` (parameter, derived, statistic; of a diagnosis base, effect, gap), ``name``,
 ``value``, ``std``, ``low`` and ``high`` (95 % interval of a fit), ``unit``,
-``identified``, ``problem`` (why it failed), ``convention``, ``seed``, ``version``,
+``identified``, ``problem`` (reason of a failure), ``convention``, ``seed``, ``version``,
 ``sha256`` (of the data). A file without a result has one row without a name.
 """
 
@@ -22,11 +22,11 @@ from tirefit.files import replacing
 
 FAILED = "failed"
 
-_GROUP = 100_000  # rows that are held before they go to the disk
+_GROUP = 100_000  # rows that are written at a time
 
 
 class Row(NamedTuple):
-    """One number of one file; what the data do not tell is None."""
+    """One number of one file; values that do not exist are None."""
 
     kind: str
     name: str
@@ -40,7 +40,7 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class FileRecord:
-    """What one file gave; ``outcomes`` are those of a fit, in lower case."""
+    """The results of one file; ``outcomes`` are those of a fit, in lower case."""
 
     file: str
     result: str
@@ -65,7 +65,7 @@ _NOTHING = Row("", "", None, identified=False)
 
 
 class _Writer:
-    """Columns that grow, and go to the file a group at a time."""
+    """Columns that collect rows and write them in groups."""
 
     def __init__(self, path: Path, name: str):
         pyarrow = extra("pyarrow", "the table of results", name, "cluster", "writing")
@@ -80,7 +80,7 @@ class _Writer:
         self.number = 0
 
     def add(self, record: FileRecord) -> None:
-        """The rows of the next file."""
+        """Add the rows of the next file."""
         self.number += 1
         whole = {"number": self.number} | {
             name: getattr(record, name) for name in (*_TEXTS, "seed") if hasattr(record, name)
@@ -98,9 +98,9 @@ class _Writer:
 
 @contextmanager
 def records_into(path: Path) -> Iterator[Any]:
-    """Something whose ``add`` takes a :class:`FileRecord` after the other.
+    """Context manager: an object whose ``add`` takes one :class:`FileRecord` at a time.
 
-    The table stands at ``path`` at the end of the block; where it fails, nothing does.
+    The table is written to ``path`` at the end of the block, unless the block fails.
 
     Raises:
         DataError: pyarrow is missing.
@@ -115,7 +115,7 @@ def records_into(path: Path) -> Iterator[Any]:
 
 
 class ResultsTable:
-    """A table that :func:`records_into` wrote, a quantity at a time."""
+    """Read a table of :func:`records_into`, one quantity at a time."""
 
     def __init__(self, path: Path):
         what, group = "the table of results", "cluster"
@@ -143,7 +143,7 @@ class ResultsTable:
         }
 
     def files(self) -> dict[str, list]:
-        """What is of a file, not of one of its numbers: a list of n for each column."""
+        """The columns that describe files and not numbers: a list of n for each."""
         number = self._table["number"].to_numpy()
         first = np.flatnonzero(np.diff(number, prepend=0))
         names = ["file", "result", "model", "status", "problem", "convention", "version", "seed"]

@@ -1,14 +1,14 @@
-"""What a vehicle log says twice: the pairs of channels that can be compared.
+"""Pairs of redundant channels of a vehicle log.
 
-At the tracked point, in the axes of the car (x forward, y left), with the speed v of
-the path and the rate of its direction, psi':
+At the tracked point, in the axes of the car (x forward, y left), with the speed v along
+the path and the rate psi' of its direction:
 
 .. math:: a_y = v_x r + \\dot v_y, \\quad a_x = \\dot v_x - v_y r, \\quad
    r = \\dot\\psi, \\quad v_x = v \\cos\\beta, \\quad \\delta \\approx L r / v_x
 
-The log is compared slowly, at a fifth of the filter's cutoff: a gain needs no haste,
-and noise is less. Sensors are taken to be at the tracked point, which no unit hides
-behind; steering holds within a few times, for a car understeers.
+The channels are compared below a fifth of the filter's cutoff, where noise is smaller.
+Sensors are assumed to be at the tracked point, which causes smaller errors than a wrong
+unit. The equation of the steering is valid up to a factor of a few, as cars understeer.
 """
 
 from collections.abc import Mapping
@@ -22,13 +22,13 @@ from tirefit.data.vehicle import Vehicle
 
 _SLOWER = 5.0
 _STANDING = 0.1
-"""Share of the high speeds (95th percentile) below which nothing is compared."""
+"""Share of the high speeds (95th percentile) below which rows are not compared."""
 
-SIDEWAYS = 0.6  # heading off the path, on average, that no car drives with [rad]
+SIDEWAYS = 0.6  # largest mean angle between heading and path with which cars drive [rad]
 
 _ZEROS = {"yaw": 0.01, "yaw_rate": 0.03, "a_y": 0.5, "a_x": 0.5, "steering": 0.05}
-"""Channel -> zero error of a sound sensor: 2 deg/s of a gyro, 3 deg of tilt; of a speed
-it is a share (0.02) of the speed itself. ``yaw`` stands for its rate."""
+"""Channel -> zero error of a good sensor: 2 deg/s of a gyro, 3 deg of tilt; 0.02 of a
+speed itself. The entry of ``yaw`` is that of its rate."""
 
 _SPEED_ZERO = 0.02
 _FLOORS = {
@@ -40,7 +40,7 @@ _FLOORS = {
     "v_x": 0.3,
     "v_y": 0.1,
 }
-"""Channel -> rms below which driving says nothing of it, SI."""
+"""Channel -> smallest rms with which it can be compared [SI]."""
 
 Signals = Mapping[str, np.ndarray]
 
@@ -48,10 +48,10 @@ Signals = Mapping[str, np.ndarray]
 def agreements(
     track: Track, motion: Motion, vehicle: Vehicle, swapped: tuple[str, str] | None = None
 ) -> list[Agreement]:
-    """Every pair of the log that enough samples are there for.
+    """The estimates of all pairs of the log with enough samples.
 
     Args:
-        swapped: two channels that are taken for each other.
+        swapped: two channels to exchange.
     """
     if not motion.settled.any():
         return []
@@ -80,7 +80,7 @@ def agreements(
 
 
 def heading_off_path(track: Track, motion: Motion, vehicle: Vehicle, sign: int) -> float:
-    """Mean of ``sign`` x path direction less yaw [rad], in ±pi; NaN without a pose."""
+    """Mean of ``sign`` x path direction - yaw [rad], in ±pi; NaN without a pose."""
     if not motion.settled.any():
         return np.nan
     of = _slowly(track, motion, vehicle)
@@ -94,7 +94,7 @@ def heading_off_path(track: Track, motion: Motion, vehicle: Vehicle, sign: int) 
 
 
 def _slowly(track: Track, motion: Motion, vehicle: Vehicle) -> dict[str, np.ndarray]:
-    """Channel -> (n,) on the grid, more slowly; NaN where it is not known."""
+    """Channel -> values (n,) on the grid, low-passed; NaN where it is not known."""
     slow = np.full_like(motion.logged, np.nan)
     reach = round(_SLOWER * vehicle.filter.settling * vehicle.filter.sample_rate)
     for number in np.unique(motion.part):
@@ -106,13 +106,13 @@ def _slowly(track: Track, motion: Motion, vehicle: Vehicle) -> dict[str, np.ndar
     names = [channel.quantity for channel in track.channels]
     of = dict(zip(names, slow.T.copy(), strict=True))
     if "steering" in of:
-        assert vehicle.steering is not None  # they need each other
+        assert vehicle.steering is not None  # the vehicle file has both or neither
         of["steering"] = np.interp(of["steering"], vehicle.steering.command, vehicle.steering.angle)
     return of
 
 
 def _far_from(marked: np.ndarray, reach: int) -> np.ndarray:
-    """Rows (n, k) bool with no marked one of their column within ``reach``."""
+    """Rows (n, k) bool that have no marked row of their column within ``reach``."""
     n = len(marked)
     counts = np.vstack([np.zeros((1, marked.shape[1]), int), np.cumsum(marked, axis=0)])
     rows = np.arange(n)
@@ -135,7 +135,7 @@ def _usable(track: Track, motion: Motion, vehicle: Vehicle, of: Signals) -> np.n
 
 
 def _path(of: Signals, rate: float) -> dict[str, np.ndarray]:
-    """The path over the floor, (n,) each: velocity, acceleration, speed, direction."""
+    """The path on the ground, (n,) each: velocity, acceleration, speed, direction."""
     v = [np.gradient(of[name], 1 / rate) for name in ("x", "y")]
     a = [np.gradient(part, 1 / rate) for part in v]
     speed = np.hypot(*v)
@@ -153,7 +153,7 @@ def _path(of: Signals, rate: float) -> dict[str, np.ndarray]:
 
 
 def _askew(yaw, course, usable) -> float:
-    """Mean of course less yaw [rad], on the circle."""
+    """Circular mean of course - yaw [rad]."""
     there = usable & np.isfinite(yaw) & np.isfinite(course)
     if not there.any():
         return np.nan
@@ -185,7 +185,7 @@ def _gyro(of: Signals, rate: float) -> Pair:
 
 
 def _of_heading(of: Signals, path: Signals, rate: float) -> list[Pair]:
-    """The heading against the path and the yaw rate."""
+    """The pairs of the heading with the path and with the yaw rate."""
     if "yaw" not in of:
         return []
     turning = Term(path["turning"], {"yaw": 1, "y": -1}, "rate of the path's direction")
@@ -195,8 +195,8 @@ def _of_heading(of: Signals, path: Signals, rate: float) -> list[Pair]:
 
 
 def _of_path(of: Signals, path: Signals, yaw, rate: float, vehicle) -> list[Pair]:
-    """Speeds, accelerations and steering against positions, in the axes of the car if
-    the heading ``yaw`` is sound, else in those of the path."""
+    """The pairs of speeds, accelerations and steering with positions, in the axes of the
+    car if the heading ``yaw`` is plausible, else in those of the path."""
     speed, turning = path["speed"], path["turning"]
     moved = {"v_x": speed, "a_x": np.gradient(speed, 1 / rate), "a_y": speed * turning}
     if yaw is not None:
@@ -223,7 +223,7 @@ def _of_path(of: Signals, path: Signals, yaw, rate: float, vehicle) -> list[Pair
 
 
 def _of_rates(of: Signals, rate: float, vehicle: Vehicle) -> list[Pair]:
-    """Accelerations and steering against speeds and yaw rate."""
+    """The pairs of accelerations and steering with speeds and yaw rate."""
     pairs = []
     if {"v_x", "yaw_rate", "a_y"} <= set(of):
         powers = {"a_y": 1, "v_x": -1, "yaw_rate": -1}

@@ -1,4 +1,4 @@
-"""Files behind an address (``s3://``, ``http://``, ...), in the place of paths."""
+"""Files at an address (``s3://``, ``http://``, ...), used like paths."""
 
 import glob
 import os
@@ -18,10 +18,10 @@ _PATTERN = re.compile(r"[*?\[]")
 
 @dataclass(frozen=True)
 class RemoteFile:
-    """What reading asks of a :class:`~pathlib.Path`, of an address.
+    """An address with the methods of :class:`~pathlib.Path` that readers use.
 
-    Any that fsspec knows, chains as ``gzip::s3://...`` too; what it needs beyond itself
-    (``s3fs``, credentials) is its own.
+    It may be any address of fsspec, also a chain such as ``gzip::s3://...``. Libraries
+    (``s3fs``) and credentials that fsspec needs must be installed.
     """
 
     address: str
@@ -31,7 +31,7 @@ class RemoteFile:
 
     @property
     def name(self) -> str:
-        """The end of the path; of a chain, of the file that it comes to."""
+        """The last part of the path; for a chain, that of its file."""
         paths = (part.partition("://")[2] for part in self.address.split("::"))
         path = next(filter(None, paths), self.address).split("?")[0]
         return path.rstrip("/").rsplit("/", 1)[-1]
@@ -41,19 +41,19 @@ class RemoteFile:
         return RemoteFile(self.address.rstrip("/").rsplit("/", 1)[0])
 
     def exists(self) -> bool:
-        """Never on the disk, where results could replace it."""
+        """False, as results cannot replace a remote file."""
         return False
 
     def iterdir(self) -> Iterable["RemoteFile"]:
-        """Nothing: what else is there would be one more question to the server."""
+        """Empty: listing the folder would need another request to the server."""
         return ()
 
     def open(self, mode: str = "rb") -> Any:
-        """The file, opened; bytes as they are.
+        """Open the file for reading bytes.
 
         Raises:
-            OSError: it cannot be read; its text says why.
-            DataError: fsspec, or what it needs for this address, is not installed.
+            OSError: it cannot be read; its text has the reason.
+            DataError: fsspec, or a library that it needs for this address, is missing.
         """
         fsspec = _fsspec(self.address)
         try:
@@ -67,11 +67,11 @@ class RemoteFile:
 
 
 Place = Path | RemoteFile
-"""Where a file lies."""
+"""The place of a file: a path or an address."""
 
 
 def file_at(place: str | os.PathLike | RemoteFile) -> Place:
-    """A path, or a file behind an address."""
+    """A path, or a file at an address."""
     if isinstance(place, RemoteFile):
         return place
     text = os.fspath(place)
@@ -80,21 +80,21 @@ def file_at(place: str | os.PathLike | RemoteFile) -> Place:
 
 
 def expanded(files: Iterable[Place]) -> list[Any]:
-    """Files whose names are patterns (``s3://rig/2024-*/*.csv``) as all that fit them,
-    in the order of their names.
+    """Replace patterns (``s3://rig/2024-*/*.csv``) by all files that match, sorted by
+    name.
 
-    A pattern is for what is longer than a command line may be, and for addresses, which
-    no shell looks through. A file of exactly that name goes before.
+    Patterns serve for lists that are too long for a command line, and for addresses,
+    which shells do not expand. A file with exactly that name has precedence.
 
     Raises:
-        DataError: a pattern that nothing fits, or a server that does not list.
+        DataError: a pattern without a match, or a server that does not list files.
     """
     every: list[Place] = []
     for file in files:
         text = str(file)
         is_pattern = bool(_PATTERN.search(text))
         if isinstance(file, RemoteFile):
-            # A question mark in an address asks the server for something.
+            # A question mark in an address begins a query.
             every += _listed(file) if "*" in text else [file]
         elif is_pattern and not file.exists():
             fitting = [Path(name) for name in sorted(glob.glob(text, recursive=True))]
@@ -119,7 +119,7 @@ def _listed(file: RemoteFile) -> list[Place]:
 
 def _some(files: Sequence[Place], pattern: str) -> list[Place]:
     if not files:
-        reason, remedy = "no file fits this pattern", "check the path"
+        reason, remedy = "no file matches this pattern", "check the path"
         raise DataError(reason, remedy, pattern)
     return list(files)
 

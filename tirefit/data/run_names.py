@@ -1,8 +1,8 @@
-"""Short names of runs: what tells them apart, and the pattern that it was taken from.
+"""Short names of runs: the parts in which the names differ, and their common pattern.
 
 Files of one session share most of their names: ``drum_2026-03-12_cold_run01_brake``,
-``drum_2026-03-12_cold_run02_brake``. Cut off at the end they are all the same; here
-they are ``run01`` and ``run02`` of ``drum_2026-03-12_cold_*_brake``.
+``drum_2026-03-12_cold_run02_brake``. Their short names are ``run01`` and ``run02`` of
+``drum_2026-03-12_cold_*_brake``.
 """
 
 import itertools
@@ -12,17 +12,17 @@ from functools import lru_cache
 from typing import NamedTuple
 
 LONGEST = 18
-"""Characters of a short name, at most: names that are no longer stay as they are."""
+"""Largest number of characters of a short name; names up to this length are kept."""
 
 _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?")
 
 
 class RunNames(NamedTuple):
-    """Short names of runs, all different, in order; ``pattern`` with ``*`` for them.
+    """Short names of runs, all different, in order, and the pattern with ``*`` for them.
 
     The pattern has one ``*`` for each number in which names of bins differ. It is empty
-    if the names stay as they are, and if their differing parts are too long: the runs
-    are numbered then.
+    if the names are kept, and if their differing parts are too long: the runs are then
+    numbered.
     """
 
     short: tuple[str, ...]
@@ -30,7 +30,7 @@ class RunNames(NamedTuple):
 
 
 def clipped(text: str, most: int) -> str:
-    """A text of at most so many characters, its middle left out."""
+    """A text shortened to ``most`` characters by omitting its middle."""
     if len(text) <= most:
         return text
     end = (most - 1) // 2
@@ -38,7 +38,7 @@ def clipped(text: str, most: int) -> str:
 
 
 def _shared(pieces: list[list[str]]) -> int:
-    """How many pieces all names begin with, each keeping one of its own."""
+    """Number of pieces with which all names begin, leaving each at least one more."""
     count = 0
     while count < min(map(len, pieces)) - 1:
         if len({one[count] for one in pieces}) > 1:
@@ -48,7 +48,7 @@ def _shared(pieces: list[list[str]]) -> int:
 
 
 def _start(pieces: list[list[str]], first: int) -> int:
-    """Where the own part begins: at a word, and with one before a mere number."""
+    """Index at which the own part begins: at a word, and one earlier if it is a number."""
     if any(not one[first][:1].isalnum() for one in pieces):
         first = max(first - 1, 0)
     number = all(one[first].isdigit() for one in pieces)
@@ -56,7 +56,7 @@ def _start(pieces: list[list[str]], first: int) -> int:
 
 
 def _parts(names: Sequence[str]) -> tuple[str, list[str], str]:
-    """What all names begin with, the rest of each, and what all of them end with."""
+    """The common beginning of all names, the own part of each, and the common end."""
     pieces = [re.findall(r"[^\W_]+|[\W_]+", name) or [name] for name in names]
     first = _start(pieces, _shared(pieces))
     own = [one[first:] for one in pieces]
@@ -93,12 +93,12 @@ def _of_names(names: tuple[str, ...]) -> RunNames:
 
 
 def run_names(names: Sequence[str]) -> RunNames:
-    """Names that tell the runs apart, in at most 18 characters."""
+    """Names that distinguish the runs, of at most 18 characters."""
     return _of_names(tuple(str(name) for name in names))
 
 
 def label_of_run(label: str, runs: Sequence[str]) -> str:
-    """``mu[run]`` with the short name of its run; any other label as it is."""
+    """``mu[run]`` with the short name of the run; other labels unchanged."""
     name, bracket, run = label.partition("[")
     whole = [str(one) for one in runs]
     if not bracket or run[:-1] not in whole:
@@ -107,7 +107,7 @@ def label_of_run(label: str, runs: Sequence[str]) -> str:
 
 
 def name_pattern(names: Sequence[str]) -> str:
-    """Several names as one, ``*`` for what differs; all if they share nothing."""
+    """Several names as one with ``*`` for the differing part; all if none is common."""
     if len(names) < 2:
         return "".join(names)
     head, _, tail = _parts(names)

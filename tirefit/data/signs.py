@@ -17,17 +17,17 @@ _REFUSED = ("fx", "fy", "fx_sim", "fy_sim")
 """Forces that must rise with their slip: the opposite sign is an error."""
 
 _TURNED = {"mz": "Nm", "gamma": "deg"}
-"""Columns whose sign alone differs in many files -> a unit to turn it by."""
+"""Columns that often have the opposite sign alone -> a unit with which to flip it."""
 
 _LEAST_DRIVING = 0.01
-"""Driving slip that is more than the noise about zero of a braking test."""
+"""Driving slip above the noise about zero in a braking test."""
 
 _SLIGHT = 0.002
-"""Difference of slips that the rounding of a rolling radius alone may give."""
+"""Difference of slips that rounding of a rolling radius may cause."""
 
 _LIMIT = 0.01
-"""Difference of slip ratios, in the median, that noise and an offset of the slip may
-give; a fifth of the scatter of the slips where that is more."""
+"""Median difference of slip ratios that noise and an offset of the slip may cause; a
+fifth of the scatter of the slips if that is larger."""
 
 _DRIVING_POSITIVE = {
     "LONGSLIP": "TYDEX",
@@ -44,12 +44,12 @@ def check_signs(
     file: str,
     definition: str = "sigma_x",
 ) -> list[InputProblem]:
-    """Slip and force oppose in canonical signs: their correlation must not be < 0.
+    """Problems if force and slip have a negative correlation in canonical signs.
 
     Args:
         columns: (n,) canonical columns, used rows only.
-        headers: the file's own name of each column.
-        convention: the one the file was read in.
+        headers: the header of each column in the file.
+        convention: the one in which the file was read.
         file: named in the problems.
         definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
     """
@@ -64,11 +64,11 @@ def check_signs(
         names = f"{headers.get(slip, slip)!r} and {headers.get(force, force)!r}"
         reason = (
             f"signs contradict the convention {convention!r}: {names} have"
-            f" {_relation(convention, field, other)} signs there, the data have not"
+            f" {_relation(convention, field, other)} signs there, but not in the data"
         )
         remedy = (
             "if the sign of one column differs, put a minus before its unit:"
-            f" --unit {force}=-N, or {force}=-kN where it is in kN"
+            f" --unit {force}=-N, or {force}=-kN if it is in kN"
         )
         if fitting:
             remedy = f"these signs fit --convention {' or '.join(fitting)}; {remedy}"
@@ -92,7 +92,7 @@ def check_slip(
     alpha: np.ndarray | None,
     radius: float,
 ) -> SlipCheck:
-    """A slip column against (v - omega R) / (omega R): how far apart, and why.
+    """Compare a slip column with (v - omega R) / (omega R).
 
     Args:
         given: (n,) sigma_x of the slip column.
@@ -122,11 +122,11 @@ def check_slip(
 
 
 def _cause(given, computed, definition: str, alpha, radius: float) -> str:
-    """What a slip column seems to hold instead of the slip of the speeds.
+    """A sentence on the probable cause of a systematic difference of the two slips.
 
-    A systematic difference is no noise: another definition of slip, another scale or
-    another radius explains it. Empty where the two agree or no explanation takes most
-    of the difference away. Arguments are those of :func:`check_slip`.
+    The cause may be another definition of slip, another scale or another radius. The
+    text is empty if the two agree or no cause explains most of the difference. Arguments
+    are those of :func:`check_slip`.
     """
 
     def apart(one, other):
@@ -158,10 +158,10 @@ def _cause(given, computed, definition: str, alpha, radius: float) -> str:
 def doubt_convention(
     columns: Mapping[str, np.ndarray], headers: Mapping[str, str], definition: str, signs: Signs
 ) -> str | None:
-    """What speaks against the sign in which the slip was read; None if nothing does.
+    """A warning if the sign in which the slip was read may be wrong.
 
-    Forces turn around with the slip, so :func:`check_signs` cannot tell driving from
-    braking: a file read the wrong way round fits a mirrored tire without complaint.
+    Forces change their sign with the slip, so :func:`check_signs` cannot distinguish
+    driving from braking: a file read with the wrong signs fits a mirrored tire as well.
     If no convention was declared, driving slips cause a warning unless the speeds of
     wheel and vehicle confirm them: omega / v falls as the braking slip rises.
 
@@ -179,8 +179,8 @@ def doubt_convention(
         fitting = _fitting(pairs, convention)
         remedy = f"these signs fit --convention {' or '.join(fitting)}"
         return (
-            f"the slip contradicts omega / v: the wheel turns slower where it is driven"
-            f" by the signs of {convention!r}; " + (remedy if fitting else "check --convention")
+            f"the slip contradicts omega / v: by the signs of {convention!r}, the wheel turns"
+            " slower while driven; " + (remedy if fitting else "check --convention")
         )
     header, sign = headers["sigma_x"], CONVENTIONS[convention].slip
     slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
@@ -222,7 +222,7 @@ def doubt_signs(
     signs: Signs,
     units: Mapping[str, str],
 ) -> list[str]:
-    """What else speaks against the signs: moment, camber, brakes, the locked wheel.
+    """Warnings on signs that moment, camber, brakes or a locked wheel contradict.
 
     Args:
         columns, headers, definition: as in :func:`check_signs`.
@@ -240,7 +240,7 @@ def doubt_signs(
         names = dict.fromkeys(repr(headers.get(c, c)) for c in item.columns)
         assumed = "" if is_declared else ", which were assumed"
         said.append(
-            f"{' and '.join(names)}: {item.rule}, but not by the signs of"
+            f"{' and '.join(names)}: {item.rule}, but not with the signs of"
             f" {convention!r}{assumed}: {_remedy(item, evidence, convention, units)}"
         )
     return said
@@ -249,7 +249,7 @@ def doubt_signs(
 def _remedy(
     item: Evidence, evidence: list[Evidence], convention: str, units: Mapping[str, str]
 ) -> str:
-    """The declaration that would fit, or that turns the one column."""
+    """The remedies: a declaration that fits, or one that flips a column."""
     ways = []
     fitting = _fitting(evidence, convention)
     if fitting:

@@ -1,4 +1,4 @@
-"""What a derived file states: of its vehicle, found in the logs, and assumed."""
+"""Statements of a derived file on its vehicle, on errors of the logs, and assumptions."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
 
 _POSE_CLOCK = 0.005
-"""Standard error [s] of the time between x, y and yaw, which one instrument gives."""
+"""Standard error [s] of the time between x, y and yaw, which are from one instrument."""
 
 _DELAYED = 3.0  # standard errors from which a delay between two channels is reported
 
@@ -19,7 +19,7 @@ _SIGNS = (
 
 
 def stated_of(vehicle: Vehicle) -> dict[str, float]:
-    """What the vehicle file states, and nobody has to assume, by key."""
+    """Values that the vehicle file states, so that they need not be assumed, by key."""
     clock = _POSE_CLOCK if vehicle.columns.motion == POSE else None
     point = vehicle.tracked_point
     stated = dict(
@@ -33,11 +33,11 @@ def stated_of(vehicle: Vehicle) -> dict[str, float]:
 
 
 def found_in(logs: Sequence) -> dict[str, float]:
-    """What the logs show of their own errors, as means over the logs: alpha_zero [rad],
-    found_point [m ahead of the rear axle] and late_CHANNEL [s] with standard errors.
+    """Errors that the logs show, as means over the logs: alpha_zero [rad], found_point
+    [m ahead of the rear axle] and late_CHANNEL [s], with standard errors.
 
     Args:
-        logs: what :func:`tirefit.data.derive.derive` found in each.
+        logs: results of :func:`tirefit.data.derive.derive`.
     """
     found, zeros = {}, [log.zero for log in logs if log.zero is not None]
     if zeros:
@@ -57,13 +57,13 @@ def found_in(logs: Sequence) -> dict[str, float]:
 
 
 def assumptions_of(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
-    """Bandwidth, model and everything that was assumed of a log, in sentences."""
+    """Sentences on bandwidth, model and all assumptions of a log."""
     settings = vehicle.filter
     said = [
         f"bandwidth {settings.bandwidth:.3g} Hz (-3 dB): Butterworth of order"
         f" {settings.order}, {settings.cutoff:g} Hz, run both ways, then central"
         f" differences at {settings.sample_rate:g} Hz; neighbouring samples are"
-        " correlated, so n samples are not n facts",
+        " correlated and do not count as independent",
         f"gaps over {track.max_gap:.3g} s are not interpolated; shorter ones and uneven"
         " sampling are bridged by a cubic spline",
         "one rigid body on a flat floor, one wheel per axle: no roll, pitch, lateral"

@@ -1,7 +1,7 @@
-"""Rows that come one by one: text in, canonical numbers out, nothing is kept.
+"""Read a CSV stream row by row as canonical numbers, without storing it.
 
 Columns, units and signs are found from the header as for a file. A cell that is not a
-number is no error here but a missing value: a vehicle that drives does not stop for it.
+number is a missing value and no error, as a driving vehicle cannot stop for it.
 """
 
 import csv
@@ -19,14 +19,14 @@ from tirefit.slip import SLIP_DEFINITIONS
 
 
 class RowReader:
-    """Reads a CSV stream whose first line is the header.
+    """Read a CSV stream whose first line is the header.
 
-    ``assumptions``: what was assumed of the columns; ``bad``: (line, reason) of the
-    last row, None where it was whole.
+    ``assumptions``: sentences on the columns; ``bad``: (line, reason) of the last row,
+    None if it was complete.
 
     Raises:
         UsageError: an option has an unknown name or value.
-        DataError: there is no header, or it cannot be understood; all problems.
+        DataError: there is no header, or it cannot be understood; it lists all problems.
     """
 
     def __init__(self, lines: TextIO, name: str = "standard input", **how):
@@ -41,7 +41,7 @@ class RowReader:
             True,
         )
         self._options.check()
-        # Not by iterating over the file itself, which would read ahead.
+        # Do not iterate over the file itself, which would read ahead.
         above: list[str] = []
         while (first := lines.readline()).startswith("#"):
             above.append(first)
@@ -67,7 +67,7 @@ class RowReader:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Canonical columns that every row has."""
+        """The canonical columns of every row."""
         names = [n for n in self._plan.columns if n not in (*SLIP_DEFINITIONS, "run")]
         there = {*names, *self._options.constants}
         if self._plan.slip or self._derives(there):
@@ -82,7 +82,7 @@ class RowReader:
             try:
                 cells = next(self._rows, None)
             except csv.Error as error:
-                # As a row without a number; what follows is read on.
+                # Treat it as a row without numbers and read on.
                 row = self._row([""] * self._width)
                 self.bad = self._above + self._rows.line_num, f"not CSV: {error}"
                 yield row
@@ -93,7 +93,7 @@ class RowReader:
                 yield self._row(cells)
 
     def _row(self, cells: list[str]) -> dict[str, float]:
-        """Canonical values of one row; NaN for what is not a number."""
+        """Canonical values of one row; NaN for cells that are not numbers."""
         line, self.bad = self._above + self._rows.line_num, None
         row = dict(self._options.constants)
         for name, column in self._plan.columns.items():

@@ -13,7 +13,7 @@ from tirefit.display import Displayed
 from tirefit.results import DataError, InputProblem
 
 WHEELS = {"fl": "front left", "fr": "front right", "rl": "rear left", "rr": "rear right"}
-"""Endings of the columns that each wheel of a vehicle has."""
+"""Suffix of the columns of a wheel -> the wheel."""
 
 CANONICAL = {
     "time": ("s", "time"),
@@ -25,7 +25,7 @@ CANONICAL = {
     "fz": ("N", "load"),
     "mz": ("N m", "aligning moment"),
     "mx": ("N m", "overturning moment"),
-    "my": ("N m", "rolling resistance moment, positive where it resists"),
+    "my": ("N m", "rolling resistance moment, positive if it resists"),
     "v": ("m/s", "forward speed of the wheel centre"),
     "torque": ("N m", "torque of the brake on the wheel, braking positive"),
     "gamma": ("rad", "camber angle"),
@@ -33,7 +33,7 @@ CANONICAL = {
     "temperature": ("degC", "tire temperature"),
     "brake_pressure": ("Pa", "pressure of the brake of this wheel"),
     "alpha_rate": ("rad/s", "rate of the slip angle, at the full sample rate"),
-    "steering_rate": ("rad/s", "rate of the road wheel angle, likewise, to the left"),
+    "steering_rate": ("rad/s", "rate of the road wheel angle to the left, at the full sample rate"),
     "a_x": ("m/s2", "acceleration of the vehicle, forward"),
     "a_y": ("m/s2", "acceleration of the vehicle, to the left"),
     "yaw_rate": ("rad/s", "yaw rate, to the left"),
@@ -48,11 +48,11 @@ CANONICAL = {
     **{f"omega_{w}": ("rad/s", f"wheel speed, {text}") for w, text in WHEELS.items()},
     **{f"torque_{w}": ("N m", f"brake less drive torque, {text}") for w, text in WHEELS.items()},
 }
-"""Canonical column -> (unit, meaning); each may have a ``<column>_std`` beside it, each
-force and moment of the tire what a simulator says of it, as ``<column>_sim``.
+"""Canonical column -> (unit, meaning). Each may have a ``<column>_std``; each force and
+moment of the tire may have the value of a simulator, ``<column>_sim``.
 
 The motion of a vehicle, from ``a_x`` on, has the axes of ISO 8855 (x forward, y left,
-yaw counter-clockwise) in every convention, for the conventions are those of a tire."""
+yaw counter-clockwise) in every convention, as the conventions apply to tires."""
 
 
 FORCES = ("fx", "fy", "mz", "mx", "my")
@@ -60,12 +60,12 @@ FORCES = ("fx", "fy", "mz", "mx", "my")
 
 
 class Layout(NamedTuple):
-    """What a known layout of files says of its columns beside their headers.
+    """What a known layout of files defines for its columns, in addition to headers.
 
-    ``names`` maps a header to a canonical column (or slip definition), to "" where it
-    is not to be read; ``units_from`` says where the units stand; ``convention`` is that
-    of the signs, a key of ``slip.CONVENTIONS``, or None; ``stated_in`` is the line of
-    the file that states it, or 0.
+    ``names`` maps a header to a canonical column (or slip definition), or to "" if it is
+    not read; ``units_from`` is the place of the units; ``convention`` is that of the
+    signs, a key of ``slip.CONVENTIONS``, or None; ``stated_in`` is the line of the file
+    that states it, or 0.
     """
 
     names: Mapping[str, str] = {}
@@ -75,24 +75,24 @@ class Layout(NamedTuple):
 
 
 SIMULATED = ("fx_sim", "fy_sim", "mz_sim")
-"""Columns of a simulator's forces for the same rows."""
+"""Columns of the forces of a simulator for the same rows."""
 
 
 @dataclass(frozen=True)
 class SlipCheck:
-    """A slip column against the slip of the speeds, (v - omega R) / (omega R)."""
+    """Comparison of a slip column with the slip of the speeds, (v - omega R) / (omega R)."""
 
-    radius: float  # the rolling radius R that was given [m]
+    radius: float  # the given rolling radius R [m]
     difference: float  # median size of the difference of the two, as slip ratios [-]
-    contradicts: bool  # whether that is more than noise of the slip could be
-    text: str = ""  # what it may come from, for the user; empty where the two agree
+    contradicts: bool  # whether it is larger than the noise of the slip could be
+    text: str = ""  # sentence on the probable cause; empty if the two agree
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where data came from and what was assumed in reading them. ``constants`` are the
-    dimensions and nominal values of the tire that the file states [SI], by .tir key,
-    and in small letters what ``tirefit derive`` states of the vehicle and found."""
+    """The origin of data, and the assumptions in reading them. ``constants`` are the
+    dimensions and nominal values of the tire in the file [SI], by .tir key, and in lower
+    case the statements of ``tirefit derive``."""
 
     path: str = ""
     sha256: str = ""
@@ -101,18 +101,18 @@ class Source:
     slip_definition: str = "sigma_x"  # a key of ``slip.SLIP_DEFINITIONS``
     columns: Mapping[str, str] = field(default_factory=dict)  # canonical -> header
     units: Mapping[str, str] = field(default_factory=dict)  # in which it was read
-    units_beside: tuple[str, ...] = ()  # columns whose unit is not in the header
+    units_beside: tuple[str, ...] = ()  # columns whose unit is stated outside the header
     assumptions: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()  # what may mean something else than it was read as
+    warnings: tuple[str, ...] = ()  # on columns that may have another meaning
     masked: tuple[InputProblem, ...] = ()
-    slip_check: SlipCheck | None = None  # if slip, omega, v and radius are there
+    slip_check: SlipCheck | None = None  # if slip, omega, v and radius are given
     line: np.ndarray | None = None  # of each row
     paths: tuple[str, ...] = ()  # file of each run where several were joined
     constants: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """All that is to be said of the reading, warnings first."""
+        """All warnings, then all assumptions."""
         return (*(f"warning: {text}" for text in self.warnings), *self.assumptions)
 
 
@@ -154,18 +154,18 @@ class TireData(Displayed):
 
     @property
     def file(self) -> str:
-        """Path of the file, or the name of data that come from none."""
+        """Path of the file, or the name of data without a file."""
         return self.source.path or self.name
 
     def first_masked(self, most: int = 3) -> tuple[str, ...]:
-        """The first unused rows with reasons; their number if there are more."""
+        """The first unused rows with reasons, and their number if there are more."""
         masked = self.source.masked
         first = [replace(at, remedy="", file="") for at in masked[:most]]
         rest = [f"{len(self) - self.n} rows in all"] if len(masked) > most else []
         return (*map(str, first), *rest)
 
     def where(self, rows: np.ndarray) -> "TireData":
-        """The same data with only ``rows`` (n,) bool used; nothing is dropped."""
+        """The same data, in which only ``rows`` (n,) bool are used."""
         return replace(self, used=self.used & rows)
 
     def usable(self, column: str) -> np.ndarray:
@@ -174,7 +174,7 @@ class TireData(Displayed):
 
 
 _SAME = 1e-3
-"""Largest relative difference of a constant in two files: rounding of units."""
+"""Largest relative difference of a constant in two files that rounding may cause."""
 
 
 def _shared_constants(sources: Sequence[Source]) -> tuple[dict[str, float], list[str]]:
@@ -194,7 +194,7 @@ def _shared_constants(sources: Sequence[Source]) -> tuple[dict[str, float], list
 
 
 def join(tables: Sequence[TireData]) -> TireData:
-    """Several files as the runs of one data set; only columns that all have are kept.
+    """Join files as the runs of one data set; only columns that all have are kept.
 
     A file that holds several runs keeps them, named ``file:run``.
     """
@@ -220,7 +220,7 @@ def join(tables: Sequence[TireData]) -> TireData:
     sources = [(name, t.source) for name, t in zip(short, tables, strict=True)]
     said = merged((name, source.assumptions) for name, source in sources)
     if dropped:
-        said.append(f"columns that not every file has were left out: {', '.join(dropped)}")
+        said.append(f"columns that some files lack were left out: {', '.join(dropped)}")
     signs = dict.fromkeys(table.source.convention for table in tables)
     if len(signs) > 1:
         said.append(f"files in several conventions: {', '.join(signs)}; each is read in its own")

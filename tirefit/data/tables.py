@@ -1,4 +1,4 @@
-"""Parquet, Arrow and Excel files as columns and rows of cells."""
+"""Read Parquet, Arrow and Excel files as columns and rows of cells."""
 
 import datetime
 import io
@@ -14,11 +14,11 @@ from tirefit.results import DataError
 
 _PARQUET, _ARROW = b"PAR1", b"ARROW1"
 _UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
-_SEARCHED = 60  # rows of a sheet in which the header must stand
+_SEARCHED = 60  # first rows of a sheet, which must contain the header
 
 
 class Sheet(NamedTuple):
-    """Rows of a sheet from its header on, as texts, and the number of each in it."""
+    """Rows of a sheet from its header, as texts, and the row number of each."""
 
     rows: list[list[str]]
     numbers: list[int]
@@ -36,7 +36,7 @@ def is_arrow(content: bytes) -> bool:
 def channels_of_arrow(content: bytes, file: str) -> Channels:
     """The columns of a Parquet or Arrow file; units from each field's metadata.
 
-    A missing value of numbers is NaN, of texts an empty one.
+    A missing number is NaN, a missing text is empty.
 
     Raises:
         DataError: pyarrow is missing, or the file is damaged.
@@ -66,7 +66,7 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
 
 
 def _columns(table, types) -> tuple[dict[str, Any], list[str], list[str]]:
-    """Columns by name, those of no numbers or texts as they are told, and notes."""
+    """Columns by name, the columns that are not read, and notes."""
     columns: dict[str, Any] = {}
     left, notes = [], []
     numbers = types.is_boolean, types.is_integer, types.is_floating, types.is_decimal
@@ -99,7 +99,7 @@ def _columns(table, types) -> tuple[dict[str, Any], list[str], list[str]]:
 
 
 _OLE = b"\xd0\xcf\x11\xe0"
-"""First bytes of an Excel file of before 2007, and of other files of old Office."""
+"""First bytes of Excel files from before 2007, and of other old Office files."""
 
 
 def is_excel(content: bytes) -> bool:
@@ -114,7 +114,7 @@ def is_excel(content: bytes) -> bool:
 
 
 def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -> Sheet:
-    """The one sheet that has a header of at least two known columns.
+    """The only sheet with a header of at least two known columns.
 
     Args:
         content: bytes of the file.
@@ -122,8 +122,8 @@ def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -
         is_known: whether a cell is a column's name.
 
     Raises:
-        DataError: openpyxl, or xlrd for a file of before 2007, is missing, the file is
-            damaged, or several sheets or none hold columns.
+        DataError: openpyxl, or xlrd for a file from before 2007, is missing, the file is
+            damaged, or no sheet or several sheets have columns.
     """
     sheets = _sheets(content, file)
     filled = {title: rows for title, rows in sheets.items() if rows}
@@ -166,7 +166,7 @@ def _cells_of_xlsx(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
     """Title and rows of values of each sheet."""
     book = library.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
     for sheet in book.worksheets:
-        sheet.reset_dimensions()  # some writers state fewer cells than there are
+        sheet.reset_dimensions()  # some writers state fewer cells than the sheet has
         yield sheet.title, sheet.iter_rows(values_only=True)
     book.close()
 

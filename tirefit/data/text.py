@@ -1,4 +1,4 @@
-"""Text files and frames as tables of cells: bytes, encoding, delimiter, header."""
+"""Read text files and frames as tables of cells: bytes, encoding, delimiter, header."""
 
 import codecs
 import csv
@@ -23,7 +23,7 @@ from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.door import DATA, too_large
 from tirefit.results import DataError, did_you_mean
 
-SPACED = "columns separated by white space"  # the note of a text that is
+SPACED = "columns separated by white space"  # note on such a text
 
 _DELIMITERS = "\t;|,"
 _END = "\0"
@@ -32,8 +32,8 @@ _CONSTANT = re.compile(r"([A-Za-z_]+)=(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)\b")
 _AIM = re.compile(r'"?Format"?\s*[,;\t]\s*"?AiM CSV File', re.IGNORECASE)
 """First line of an export of AiM RaceStudio. Keys and values, a blank line, names,
 units and, in some versions, channel numbers follow."""
-_SEARCHED = 60  # lines with content in which the header must stand
-_LONGEST = 10  # lines that a header with quoted line ends may take
+_SEARCHED = 60  # first lines with content, which must contain the header
+_LONGEST = 10  # largest number of lines of a header with quoted line ends
 
 
 @dataclass(frozen=True)
@@ -51,15 +51,15 @@ class Table:
     units_row: list[str] | None = None
     units_line: int | None = None
     sha256: str = ""
-    notes: tuple[str, ...] = ()  # what was assumed
+    notes: tuple[str, ...] = ()  # assumptions
     faults: tuple[BadRows, ...] = ()
     layout: Layout = field(default_factory=Layout)
-    doubts: tuple[str, ...] = ()  # what may mean something else
+    doubts: tuple[str, ...] = ()  # warnings on content that may have another meaning
     constants: Mapping[str, float] = field(default_factory=dict)  # see ``Source``
 
 
 def read_bytes(path: Place) -> bytes:
-    """Bytes of a file; a DataError with its neighbour's name where there is none."""
+    """Bytes of a file. If it does not exist, the DataError suggests a similar name."""
     try:
         with path.open("rb") as file:
             raw = file.read(DATA + 1)
@@ -87,7 +87,7 @@ def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataErro
 
 
 def gunzipped(raw: bytes, path: Place) -> bytes:
-    """The bytes themselves, or those that a gzip file holds."""
+    """The bytes themselves, or the content of a gzip file."""
     if not raw.startswith(b"\x1f\x8b"):
         return raw
     try:
@@ -102,8 +102,8 @@ def gunzipped(raw: bytes, path: Place) -> bytes:
 
 
 def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
-    """Text of the file, and what was assumed of its encoding."""
-    export = "give a text file: CSV, semicolon- or tab-separated, or such as .gz"
+    """Text of the file, and notes on its encoding."""
+    export = "give a text file: CSV, semicolon- or tab-separated, also gzipped (.gz)"
     if raw.startswith(b"PK\x03\x04"):
         reason = "not a text file but a zip archive or spreadsheet"
         raise _refusal(reason, "export the sheet as CSV", path)
@@ -117,7 +117,7 @@ def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
             raise _refusal("not a text file: broken UTF-16", export, path) from error
         raw = raw.removeprefix(codecs.BOM_UTF8)
         text, notes = raw.decode("latin-1"), ["not UTF-8: read as Latin-1"]
-    # Byte order marks stay where files were joined; DOS ends a text with \x1a.
+    # Joined files have byte order marks inside; DOS ends a text with \x1a.
     text = text.replace("\ufeff", "").removesuffix("\x1a")
     binary = re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text)
     if binary:
@@ -167,7 +167,7 @@ def table_of_text(
 
 
 def content_lines(lines: list[str]) -> list[str]:
-    """The same lines, those without content, as comments are, as line ends alone."""
+    """The same lines, with lines without content (such as comments) reduced to line ends."""
     return ["\n" if line.lstrip().startswith("#") or not line.strip() else line for line in lines]
 
 
@@ -207,13 +207,13 @@ def table_of_rows(
 
 
 def stem_of(path: Place) -> str:
-    """Name of the data of a file: that of the file without its endings."""
+    """Name of the data of a file: the file name without its endings."""
     return Path(path.name.removesuffix(".gz")).stem
 
 
 def split_rows(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
     """Rows of cells without blank lines, and the line of each in the file."""
-    # A last line of one's own shows whether a quotation mark swallows the end.
+    # An added last line shows whether an open quotation mark includes the end.
     reader = csv.reader([*lines, _END], delimiter=delimiter, skipinitialspace=True)
     rows, numbers, number = [], [], start + 1
     try:
@@ -233,7 +233,7 @@ def split_rows(lines, delimiter, start, path) -> tuple[list[list[str]], list[int
 
 
 def even_out(rows: list[list[str]], width: int, lines) -> tuple[np.ndarray, tuple]:
-    """Makes all rows ``width`` long; those that were not are ragged and faulty."""
+    """Make all rows ``width`` long; rows of another length are marked and faulty."""
     ragged = np.zeros(len(rows), bool)
     wrong_rows = []
     for index, row in enumerate(rows):
@@ -280,14 +280,14 @@ def table_of_frame(frame, name: str) -> Table:
 
 
 def _shown(values) -> np.ndarray:
-    """An array; what is masked has no value."""
+    """An array; masked elements become missing values."""
     if isinstance(values, np.ma.MaskedArray) and values.dtype.kind in "fiub":
         return np.ma.filled(values.astype(float), np.nan)
     return np.asarray(values)
 
 
 def _seconds(values: np.ndarray) -> np.ndarray:
-    """Seconds of durations; of dates and times those since the first of them."""
+    """Durations in seconds; dates and times in seconds since the first one."""
     if values.dtype.kind == "M":
         known = values[~np.isnat(values)]
         values = values - (known.min() if len(known) else np.datetime64(0, "s"))
@@ -295,11 +295,11 @@ def _seconds(values: np.ndarray) -> np.ndarray:
 
 
 def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:
-    """Index of the header line, the delimiter, and the words that white space parts.
+    """Index of the header line, the delimiter, and its words if white space separates.
 
-    Some systems write a title first: the header is the first of the searched lines
-    with two recognised columns, or else simply the first. Where no delimiter gives
-    columns, and white space gives those of the rows of numbers, that parts them.
+    Some systems write a title first: the header is the first of the searched lines with
+    two recognised columns, or else the first line. White space separates if no
+    delimiter gives columns and white space gives as many as the rows of numbers have.
     """
     declared = {header.strip().casefold() for header in declared}
 
@@ -307,7 +307,7 @@ def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:
         return name.casefold() in declared or guess(name) is not None
 
     def split(index: int, delimiter: str) -> tuple[int, int]:
-        """Recognised columns of a line, which quotes may extend, and all of them."""
+        """Recognised columns and all columns of a line, which quotes may extend."""
         some = lines[index : index + _LONGEST]
         try:
             names = next(csv.reader(some, delimiter=delimiter, skipinitialspace=True))
@@ -333,7 +333,7 @@ def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:
 
 
 def _spaced_under_tabs(lines, header, delimiter, is_known) -> list[str]:
-    """Words of a header with tabs where the rows below have none; else none."""
+    """Words of a header that has tabs while the rows below have none; else empty."""
     tabs = any("\t" in line for line in lines[header + 1 : header + _LONGEST])
     below = header_above_numbers(lines, [header], is_known)
     return below[1] if delimiter == "\t" and below and not tabs else []

@@ -1,8 +1,8 @@
 """Tire property files (``.tir``): :func:`read_tir`, :func:`new_tir`.
 
-A file is kept as the text it is: sections, order, comments and keys that are not known
-here stay; only a value that is changed is written anew. Numbers are converted to SI on
-reading and back to the units of the file on writing.
+The text of a file is kept: sections, order, comments and unknown keys are not changed;
+only changed values are written anew. Numbers are converted to SI on reading and back to
+the units of the file on writing.
 """
 
 import math
@@ -23,11 +23,11 @@ __all__ = ["TirFile", "brush_of", "notes_on", "parse_tir", "read_tir", "reduced_
 
 
 def parse_tir(text: str, path: str = "", notes: Sequence[str] = ()) -> TirFile:
-    """A ``.tir`` file from its text, checked; ``notes`` are put before its own.
+    """Parse and check the text of a ``.tir`` file; ``notes`` precede its own.
 
     Raises:
-        DataError: what cannot be understood, keys that are missing or contradict each
-            other, and what is not supported; all problems, each with key and remedy.
+        DataError: text that cannot be understood, missing or contradicting keys, content
+            that is not supported; it lists all problems, each with key and remedy.
     """
     tir, problems = parsed(text, path, notes)
     problems += problems_of(tir)
@@ -36,10 +36,10 @@ def parse_tir(text: str, path: str = "", notes: Sequence[str] = ()) -> TirFile:
 
 
 def read_tir(path) -> TirFile:
-    """Reads a ``.tir`` file; see :func:`parse_tir` for what is refused.
+    """Read a ``.tir`` file.
 
     Raises:
-        DataError: also where there is no such file, or it is no text.
+        DataError: as :func:`parse_tir`; or the file does not exist or is no text.
     """
     content = content_of(path, TIRE, DataError, "give a .tir file")
     if len(content) > 1 and 0 in content[:2]:  # UTF-16 without byte order mark
@@ -59,7 +59,7 @@ def read_tir(path) -> TirFile:
 
 
 def write_tir(tir: TirFile, path) -> None:
-    """Writes the file, whole or not at all."""
+    """Write the file completely or not at all."""
     write_text_atomic(path, tir.text)
 
 
@@ -119,26 +119,26 @@ _CURVATURE = -0.44  # E that follows the brush best where C = 1, see :func:`redu
 
 
 def reduced_tir(cpa2: float, mu: float, fz: float, radius: float) -> TirFile:
-    r"""The smallest ``.tir`` file of a brush tire: c_p a^2 and mu.
+    r"""The smallest ``.tir`` file of a brush tire, from c_p a^2 and mu.
 
     PKX1 FNOMIN = 2 c_p a^2 and PDX1 = mu, and the same for F_y. The force of a brush of
-    constant friction rises to mu F_z and stays there, which is C = 1: any larger C has
-    a peak and falls behind it. E = -0.44 then leaves the smallest largest difference
-    between :math:`\sin\arctan\{x - E (x - \arctan x)\}` and the brush curve
-    :math:`x - x^2/3 + x^3/27`, x = 2 c_p a^2 sigma / (mu F_z): 4.6 % of mu F_z.
+    constant friction rises to mu F_z and stays there, as with C = 1; a larger C has a
+    peak and falls beyond it. E = -0.44 minimises the largest difference between
+    :math:`\sin\arctan\{x - E (x - \arctan x)\}` and the brush curve
+    :math:`x - x^2/3 + x^3/27`, x = 2 c_p a^2 sigma / (mu F_z): it is 4.6 % of mu F_z.
 
-    In combined slip the weighting functions of C = 1 and B = 2 c_p a^2 / (mu F_z) at
-    the other slip's rest turn :math:`x / \sqrt{1 + x^2}` (E = 0) exactly into
-    :math:`x_i / \sqrt{1 + x^2 + y^2}`: the isotropic tire.
+    In combined slip, the weighting functions of C = 1 and B = 2 c_p a^2 / (mu F_z) turn
+    :math:`x / \sqrt{1 + x^2}` (E = 0) exactly into
+    :math:`x_i / \sqrt{1 + x^2 + y^2}`, the force of the isotropic tire.
 
     Args:
         cpa2: bristle stiffness c_p a^2 [N].
         mu: friction coefficient [-].
-        fz: nominal load [N], at which they hold.
+        fz: nominal load [N], at which both hold.
         radius: radius of the free tire [m].
 
     Raises:
-        UsageError: values that are not positive; all of them.
+        UsageError: values that are not positive; it lists all of them.
     """
     given = {"cpa2": cpa2, "mu": mu, "fz": fz, "radius": radius}
     wrong = [name for name, value in given.items() if not 0 < value < float("inf")]
@@ -162,7 +162,7 @@ def reduced_tir(cpa2: float, mu: float, fz: float, radius: float) -> TirFile:
 
 
 def _exact(number: float) -> str:
-    """The shortest text that is read as this number."""
+    """The shortest text that is read as exactly this number."""
     text = shortest(number)
     return text if float(text) == number else repr(float(number))
 
@@ -170,8 +170,8 @@ def _exact(number: float) -> str:
 def brush_of(tir: TirFile) -> dict[str, float] | None:
     """``cpa2`` [N] and ``mu`` of a file that :func:`reduced_tir` wrote, else None.
 
-    Every coefficient must be that of the brush: one that was changed since makes it a
-    Magic Formula like any other.
+    Every coefficient must be that of the brush; with a changed one, the file is an
+    ordinary Magic Formula.
     """
     numbers = tir.numbers
     try:
@@ -216,14 +216,14 @@ def new_tir(
     """A file of this version with these coefficients, in SI units.
 
     Args:
-        version: 5.2, 6.1 or 6.2; keys of another one are left out.
-        values: SI values by key, those that a tire needs among them.
+        version: 5.2, 6.1 or 6.2; keys of other versions are left out.
+        values: SI values by key, including all that a tire needs.
         ranges: (least, largest) value by input of :data:`tir_keys.LIMITS`, in ISO-W.
         notes: comment behind the value of a key.
         comment: lines above the first section of values.
 
     Raises:
-        DataError: values that make no tire.
+        DataError: values that do not describe a tire.
     """
     above = "".join(f"$ {line}\n" for line in comment)
     kind = "-Tyre" if version == "5.2" else version.replace(".", "")
@@ -231,7 +231,7 @@ def new_tir(
     lines = text.splitlines()
     section = "MODEL"
     of_version = [k for k in COEFFICIENTS if ONLY_IN.get(k, version[0]) == version[0]]
-    # [MODEL] is open already.
+    # The head has begun the section [MODEL].
     for key in sorted(of_version, key=lambda key: COEFFICIENTS[key] != "MODEL"):
         if key not in values:
             continue

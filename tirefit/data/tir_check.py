@@ -1,4 +1,4 @@
-"""What a ``.tir`` file must satisfy to be evaluated: every problem, with its remedy."""
+"""Check that a ``.tir`` file can be evaluated; every problem has a remedy."""
 
 from collections.abc import Iterator, Sequence
 
@@ -17,7 +17,7 @@ from tirefit.data.tir_keys import (
 from tirefit.results import InputProblem
 
 PRESSURES = (1e4, 5e6)
-"""Inflation pressures [Pa] of tires, from a kart's to an aircraft's."""
+"""Range of inflation pressures [Pa], from a kart to an aircraft."""
 
 _PER_DEGREE = 2.0
 """Largest |PKY1| [1/deg]. The smallest of truck tires is 5 per radian, the largest of
@@ -31,7 +31,7 @@ _NAMED = 6
 
 
 def problems_of(tir: TirFile) -> list[InputProblem]:
-    """All that keeps the file from being evaluated, in the order of its lines."""
+    """All problems that prevent an evaluation, in the order of the lines."""
     problems = [
         *_of_units(tir),
         *_of_model(tir),
@@ -45,7 +45,7 @@ def problems_of(tir: TirFile) -> list[InputProblem]:
 
 
 def notes_on(tir: TirFile) -> list[str]:
-    """What was assumed of the file or is not used of it, in sentences."""
+    """Sentences on assumptions, and on content that is not used."""
     said = list(tir.notes)
     if tir.numbers.get("FITTYP") not in FITTYP:
         said.append(f"taken as Magic Formula {tir.version}: {tir.stated.because}")

@@ -107,7 +107,7 @@ class TirFile:
 
     @cached_property
     def _written(self) -> dict[str, float]:
-        """Key -> number, in SI where the key has a dimension, else as it is written."""
+        """Key -> number, in SI if the key has a dimension, else as written."""
         in_si: dict[str, float] = {}
         for entry in self.entries:
             number = self.number(entry)
@@ -181,7 +181,7 @@ class TirFile:
         return (entry.text.upper() if entry else "") or "UNKNOWN"
 
     def unit(self, quantity: str) -> float:
-        """Size in SI of a quantity of [UNITS]; SI where it is not stated."""
+        """Size in SI of a quantity of [UNITS]; 1 if it is not stated."""
         entry = self.find(quantity, "UNITS")
         return UNITS[quantity].get(entry.text.lower(), 1.0) if entry else 1.0
 

@@ -1,4 +1,4 @@
-"""What the keys of a ``.tir`` file are: section, unit, version, and which must be."""
+"""The keys of a ``.tir`` file: section, unit, version, and which are required."""
 
 from math import pi
 
@@ -65,7 +65,7 @@ ONLY_IN = {
 """Coefficient -> the one generation of the Magic Formula that has it."""
 
 NEUTRAL = {"PKY4": 2.0, "LMUV": 0.0, "QSY7": 1.0}
-"""Values without effect, where they are not 0 of a coefficient, 1 of a factor L..."""
+"""Values without effect, except 0 of coefficients and 1 of factors L..."""
 
 PRESSURE_TERMS = [key for key in COEFFICIENTS if key.startswith("PP")] + ["QSY8"]
 

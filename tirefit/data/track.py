@@ -1,4 +1,4 @@
-"""A vehicle log's usable samples, in SI: :func:`read_track`."""
+"""Read the usable samples of a vehicle log, in SI: :func:`read_track`."""
 
 import math
 from collections.abc import Mapping
@@ -18,20 +18,20 @@ from tirefit.results import DataError, InputProblem
 _MISSING = {"", "nan", "na", "null", "none"}
 _MOST_PROBLEMS = 10
 _CLOSEST = 0.3
-"""Samples nearer than this part of the log's period are one sample (a repeat)."""
+"""Samples closer than this share of the sampling period are repeats of one sample."""
 
 _LASTING = 1.0
-"""Time [s] for which the stamps must stay back where a run starts anew: rows that a
-recorder wrote late come back sooner."""
+"""A run starts anew if time stamps go back and stay back for this time [s]; rows that a
+recorder wrote late end sooner."""
 
 _HELD, _COARSE = 0.02, 1e-3
-"""Share of the samples that repeat the one before, and error of half a step over the
-standard deviation of a channel, from which its steps are noted."""
+"""Smallest share of samples that repeat the one before, and smallest half step over the
+standard deviation of a channel, for a note on its quantisation."""
 
 _JITTER = 1.05  # of a period: 20 Hz by the clock of a bus is 19.9 Hz
 
 _LARGEST = 1e20
-"""Size of a value whose square still is a number; infinity counts as missing."""
+"""Largest value, whose square is still finite; infinity counts as missing."""
 
 _SI = {
     "time": "s",
@@ -42,24 +42,24 @@ _SI = {
     "acceleration": "m/s2",
 }
 _MEANT = {"yaw": "heading", "v_x": "v"}
-"""Quantity of a log -> its name among the canonical columns, where another."""
+"""Quantity of a log -> its canonical column, if that has another name."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """A column of a log, and the unit that it is read in."""
+    """A column of a log, and the unit in which it is read."""
 
     quantity: str  # of :data:`tirefit.data.vehicle.QUANTITIES`, or ``steering``
     header: str
-    unit: str  # as written; "" of the steering command, which the map gives a meaning
-    factor: float  # from that unit to SI, negative for a channel of the other sign
-    named: bool  # whether ``[columns]`` names it, or its header alone says what it is
+    unit: str  # as written; "" for the steering command, which has a map instead
+    factor: float  # from that unit to SI, negative for a channel of opposite sign
+    named: bool  # whether ``[columns]`` names it; else it was recognised by its header
 
 
 @dataclass(frozen=True)
 class Track:
-    """Usable samples of a log; ``signals`` (n, k) in SI are what the motion needs, then
-    the steering command if any, then what can be compared, which may be NaN."""
+    """Usable samples of a log. ``signals`` (n, k) in SI are those of the motion, then the
+    steering command if any, then channels to compare, which may be NaN."""
 
     time: np.ndarray  # increasing, (n,) [s] from the first one
     signals: np.ndarray
@@ -70,13 +70,13 @@ class Track:
     rows: int  # in the file
     dropped: Mapping[str, int]  # reason -> rows that were not used
     sha256: str  # of the file
-    notes: tuple[str, ...]  # what was assumed to read the file
+    notes: tuple[str, ...]  # assumptions in reading the file
     run: np.ndarray  # (n,) int, number of the run of each sample
-    runs: tuple[str, ...]  # names of the runs; "" of a log that is one run
+    runs: tuple[str, ...]  # names of the runs; "" if the log is one run
 
 
 def read_track(path: Place, vehicle: Vehicle) -> Track:
-    """Rows with finite values, a later stamp than all before, and a new pose.
+    """Read the rows with finite values, a stamp later than all before, and a new pose.
 
     Raises:
         DataError: unreadable file, missing column, text, or too low a rate.
@@ -100,7 +100,7 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     later = _later(time, period)
     fresh = later.copy()
     if vehicle.columns.motion == POSE:
-        # A tracker that lost its target repeats the last pose under new stamps.
+        # A tracker that loses its target repeats the last pose with new stamps.
         fresh[1:] &= np.any(np.diff(signals[:, :3], axis=0) != 0, axis=1)
     dropped = {
         "a value is missing": int(np.count_nonzero(~finite)),
@@ -120,8 +120,8 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
 
 
 def _labels(table: Table, vehicle: Vehicle, notes: list[str]) -> np.ndarray:
-    """The run of each row (n,) as text: of the column that is named, or whose header
-    alone says so; all "" without one."""
+    """The run of each row (n,) as text, from the named column or the one recognised by
+    its header; all "" without one."""
     headers = [h for h in table.headers if (g := guess(h)) and g.name == "run"]
     header = vehicle.columns.run or (headers[0] if len(headers) == 1 else None)
     if header is None:
@@ -131,11 +131,11 @@ def _labels(table: Table, vehicle: Vehicle, notes: list[str]) -> np.ndarray:
 
 
 def _in_runs(time, label, period: float, max_gap: float, notes: list[str]):
-    """Time (n,) that goes on where it starts anew, the number of the run of each row
-    (n,), and the names of the runs.
+    """Time (n,) continued where it starts anew, the number of the run of each row (n,),
+    and the names of the runs.
 
     Args:
-        label: (n,) the names; where they are all the same, time alone tells the runs.
+        label: (n,) the names; if they are all the same, runs are found by time only.
     """
     time, lasting = time.copy(), round(_LASTING / period)
     again = np.zeros(len(time), int)
@@ -145,8 +145,8 @@ def _in_runs(time, label, period: float, max_gap: float, notes: list[str]):
             again[k] = 1
     if again.any():
         notes.append(
-            f"time starts anew {again.sum()} times: it goes on {2 * max_gap:.3g} s"
-            " after the sample before, as a gap"
+            f"time starts anew {again.sum()} times: it is continued {2 * max_gap:.3g} s"
+            " after the previous sample, as after a gap"
         )
     if len(set(label)) < 2:
         label = (1 + np.cumsum(again)).astype(str)
@@ -157,7 +157,7 @@ def _in_runs(time, label, period: float, max_gap: float, notes: list[str]):
 
 
 def _unwrapped(yaw: np.ndarray) -> np.ndarray:
-    """Yaw (n,) without the steps of a turn; NaN stays."""
+    """Yaw (n,) without steps of a full turn; NaN stays NaN."""
     there = np.isfinite(yaw)
     whole = yaw.copy()
     whole[there] = np.unwrap(yaw[there])
@@ -168,9 +168,9 @@ def _unwrapped(yaw: np.ndarray) -> np.ndarray:
 
 
 def _read(path: Place, vehicle: Vehicle) -> tuple[Table, Vehicle]:
-    """The file, with every column that the vehicle names, and the vehicle.
+    """Read the file and check that it has the columns of the vehicle; returns both.
 
-    If the yaw of the vehicle is a quaternion, it becomes the column of its heading.
+    If the yaw of the vehicle is a quaternion, it is replaced by the column of its heading.
     """
     given = vehicle.columns.model_dump(exclude={"yaw"}).values()
     stated = vehicle.columns.yaw or ""
@@ -197,7 +197,7 @@ def _read(path: Place, vehicle: Vehicle) -> tuple[Table, Vehicle]:
 
 
 def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]:
-    """Time, what the motion needs, the steering command, what can be compared."""
+    """The columns to read: time, those of the motion, steering command, comparisons."""
     names, problems = vehicle.columns, list[InputProblem]()
     channels = []
     for quantity in ("time", *names.motion):
@@ -216,7 +216,7 @@ def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]
         meant = _MEANT.get(quantity, quantity)
         headers = [h for h in table.headers if (g := guess(h)) and g.name == meant]
         if len(headers) == 1 and headers[0] not in taken:
-            # A stranger's column may be anything: what is odd in it is not used.
+            # A column that the vehicle does not name may have any content: skip odd ones.
             odd: list[InputProblem] = []
             channel = _channel(table, quantity, headers[0], vehicle, notes, odd, False)
             channels += [] if odd or not _holds_numbers(table, channel) else [channel]
@@ -230,7 +230,7 @@ def _holds_numbers(table: Table, channel: Channel) -> bool:
 
 
 def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> Channel:
-    """The column with its unit: declared, or of the header, or of the row below it."""
+    """The column with its unit: declared, from the header, or from the row below it."""
     dimension = QUANTITIES[quantity]
     text, where = vehicle.units.get(quantity), ""
     in_header = stated_unit(header)
@@ -242,14 +242,14 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
     elif text is not None and in_header not in (None, text):
         where = f" (declared; the header says {in_header!r})"
     unit = unit_of(text, quantity) if text else None
-    # Round brackets may hold anything, as in ``W (IMU)``.
+    # Round brackets may contain other text, as in ``W (IMU)``.
     label = f"({in_header})" in header and text == in_header
     label = label and known_unit(text.removeprefix("-")) is None
     if text and text != "-" and unit is None and not label:
         problems.append(
             InputProblem(
-                f"unit {text!r} is no unit of {dimension}, which {quantity} is of",
-                f'correct [columns], or say units.{quantity} = "{_SI[dimension]}" in vehicle.toml',
+                f"unit {text!r} is no unit of {dimension}, as {quantity} needs",
+                f'correct [columns], or set units.{quantity} = "{_SI[dimension]}" in vehicle.toml',
                 table.file,
                 table.header_line,
                 header,
@@ -266,7 +266,7 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
 
 
 def _numbers(table: Table, channels, active: str | None) -> dict[str, np.ndarray]:
-    """By header, the columns that are read, (n,) each.
+    """Header -> values (n,) of the columns that are read.
 
     Empty cells and rows without the header's number of cells are NaN.
     """
@@ -286,11 +286,11 @@ def _column(table: Table, name: str, problems: list[InputProblem]) -> np.ndarray
     """One column, (n,); a missing cell is NaN, text is a problem."""
     values = np.full(len(table.lines), np.nan)
     cells = table.cells[table.headers.index(name)]
-    if isinstance(cells, TextColumn):  # of a large text, read already
+    if isinstance(cells, TextColumn):  # of a large text, already converted
         known = cells.numbers(commas=False)
         if known is not None and np.all(np.abs(known) < _LARGEST):
             return known
-    if isinstance(cells, np.ndarray):  # of a file that has numbers, not text
+    if isinstance(cells, np.ndarray):  # of a file with numbers instead of text
         cells = [repr(cell) for cell in cells.tolist()]
     for index, cell in enumerate(cells):
         if cell.strip().lower() in _MISSING:
@@ -299,7 +299,7 @@ def _column(table: Table, name: str, problems: list[InputProblem]) -> np.ndarray
             values[index] = float(cell)
             if not _LARGEST < abs(values[index]) < math.inf:
                 continue
-            reason = f"{cell.strip()[:40]} is larger than anything measured"
+            reason = f"{cell.strip()[:40]} is larger than any measured value"
         except ValueError:
             reason = f"{cell.strip()[:40]!r} is not a number"
         line = int(table.lines[index])
@@ -311,7 +311,7 @@ def _column(table: Table, name: str, problems: list[InputProblem]) -> np.ndarray
 
 
 def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
-    """Median time between samples [s], from the steps forward."""
+    """Median of the positive time steps [s]."""
     steps = np.diff(time)
     steps = steps[steps > 0]
     cutoff = vehicle.filter.cutoff
@@ -328,7 +328,7 @@ def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
         lower = math.floor(100 / (4 * period)) / 100
         raise DataError(
             f"is sampled at {1 / period:.3g} Hz only",
-            f"give {needed}, say cutoff = {max(lower, 0.001):g} in [filter] of"
+            f"give {needed}, set cutoff = {max(lower, 0.001):g} in [filter] of"
             " vehicle.toml, or check the unit of time",
             file,
             column=vehicle.columns.time,
@@ -337,7 +337,7 @@ def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
 
 
 def _steps(channels, signals: np.ndarray) -> list[str]:
-    """A note on the channels that are quantised more coarsely than they change."""
+    """A note on channels whose quantisation is coarse compared with their changes."""
     coarse = []
     for channel, values in zip(channels, signals.T, strict=True):
         values = values[np.isfinite(values)]
@@ -354,7 +354,7 @@ def _steps(channels, signals: np.ndarray) -> list[str]:
 
 
 def _later(time: np.ndarray, period: float) -> np.ndarray:
-    """Which samples come clearly after the last one taken, (n,) bool."""
+    """Which samples (n,) bool are clearly later than the last one taken."""
     taken = np.zeros(len(time), bool)
     last = -math.inf
     for index, stamp in enumerate(time.tolist()):

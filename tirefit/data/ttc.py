@@ -1,4 +1,4 @@
-"""Files of the FSAE Tire Test Consortium (Calspan), told by their layout alone.
+"""Files of the FSAE Tire Test Consortium (Calspan), recognised by their layout.
 
 Columns ``ET V N SA IA RL RE P FX FY FZ MX MZ ...``, text or MATLAB, in metric or in
 imperial units, in the signs of SAE J670: z down, so that F_z is negative.
@@ -32,14 +32,14 @@ _IMPERIAL = _METRIC | {
 }
 
 _MOST_PSI = 35.0
-"""Pressure that is psi below and kPa above: racing tires are run at 8 to 14 psi."""
+"""Pressures below this number are in psi, above in kPa; racing tires have 8 to 14 psi."""
 
 
 def recognised(table: Table) -> Table:
-    """The table with what its layout says: signs, meanings and, unless stated, units.
+    """The table with signs, meanings and, unless stated, units by its layout.
 
-    A table of another layout comes back as it is. Signs are SAE's where F_z is
-    negative; a file that was converted to z up is told by its slip angle and force.
+    A table of another layout is returned unchanged. Signs are those of SAE if F_z is
+    negative; those of a file converted to z up follow from its slip angle and force.
     """
     names = set(table.headers)
     if not ("FZ" in names and names & _SLIPS and names & _MARKS):
@@ -52,7 +52,7 @@ def recognised(table: Table) -> Table:
     meant = {"N": "omega"}
     if {"SL", "SR"} <= names:
         meant |= {"SL": "kappa", "SR": ""}
-        notes.append("slip from 'SL', which is 0 where FX is; 'SR' is of another radius")
+        notes.append("slip from 'SL', which is 0 where FX is 0; 'SR' uses another radius")
     elif "SL" in names:
         meant |= {"SL": "kappa"}
     units, units_from = table.units_row, table.layout.units_from
@@ -70,11 +70,11 @@ def recognised(table: Table) -> Table:
 
 
 def _convention(table: Table) -> tuple[str, str]:
-    """The convention of the signs, and the sentence that says why."""
+    """The convention of the signs, and a sentence with the reason."""
     load = _median(table, "FZ")
     if load is None or load < 0:
         return "sae", "signs read as 'sae', as FZ is negative"
-    turned = "FZ is positive, so that the file was converted"
+    turned = "FZ is positive, so the file was converted"
     slip, force = _numbers(table, "SA"), _numbers(table, "FY")
     usable = np.isfinite(slip + force) if len(slip) and len(force) else []
     if np.any(usable) and np.sum(slip[usable] * force[usable]) > 0:
@@ -83,7 +83,7 @@ def _convention(table: Table) -> tuple[str, str]:
 
 
 def _numbers(table: Table, header: str) -> np.ndarray:
-    """A column (n,), NaN where there is no number; (0,) without such a column."""
+    """A column (n,), NaN for cells without a number; (0,) without such a column."""
     if header not in table.headers:
         return np.empty(0)
     cells = table.cells[table.headers.index(header)]

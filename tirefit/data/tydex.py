@@ -1,4 +1,4 @@
-"""TYDEX 1.x files of measurements as tables.
+"""Read TYDEX 1.x files of measurements as tables.
 
 Source: H.-J. Unrau, J. Zamow, TYDEX-Format, Description and Reference Manual, Release
 1.3, 1997: keywords begin with ``**``, comments with ``!``; a line of **CONSTANTS and of
@@ -32,8 +32,8 @@ _NAMES = {
     "WHROTSPD": "omega", "INFLPRES": "pressure", "RUNTIME": "time", "TIME": "time",
     "TYRETEMP": "temperature",
 }  # fmt: skip
-"""Parameters of TYDEX -> columns; of two that mean one, the first of these is read.
-MXH and MYH are moments about the wheel centre, not about the contact point."""
+"""Parameter of TYDEX -> column; of several for the same column the first is read. MXH and
+MYH are moments about the wheel centre, not about the contact point."""
 
 _OF_TIRE = (
     ("UNLOADED_RADIUS", 1.0, "length", r"RFREE|.*(unloaded|free) radius"),
@@ -57,12 +57,12 @@ _LARGEST = 2.1
 """Radius [m] of the largest earthmover tires: a larger value has a wrong unit."""
 
 _RULE = re.compile(r"!\s*(-|Key\b)", re.IGNORECASE)
-"""A line that rules or heads a section, as many files have them."""
+"""A ruling or a heading in a section, as many files have them."""
 
 _MISSING = {"NOTAVAIL", "NOT_AVAIL", "N/A", "NA", "NAN"}
 _WIDTH = 10
 _SEARCHED = 50
-"""Lines of data that all have too few values where a record takes several."""
+"""Number of data lines that all have too few values if a record spans several lines."""
 
 
 class _Entry(NamedTuple):
@@ -81,16 +81,16 @@ def is_tydex(text: str) -> bool:
 
 
 def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Table:
-    """Channels, and the constants that no channel has, as a table in their units.
+    """Channels, and constants without a channel, as a table in their units.
 
     Args:
         text: of the file.
         path: of the file, named in the problems.
         digest: its SHA-256.
-        notes: what was assumed so far.
+        notes: assumptions so far.
 
     Raises:
-        DataError: a section is missing, or a channel's line makes no sense.
+        DataError: a section is missing, or the line of a channel cannot be parsed.
     """
     sections = _sections(text)
     file = str(path)
@@ -171,7 +171,7 @@ def _entries(lines, file: str) -> list[_Entry]:
 
 
 def _entry(number: int, line: str) -> _Entry | None:
-    """A channel's line by its columns, or by its words where they do not stand so."""
+    """A channel from its line, by columns, or by words if it does not keep the columns."""
     line = line.expandtabs(_WIDTH).rstrip()
     unit = line[40:50].strip()
     fields = [line[at : at + _WIDTH].strip() for at in (50, 60, 70)]
@@ -196,7 +196,7 @@ def _is_unit(text: str) -> bool:
 
 
 def _doubts(channels, conversions) -> tuple[str, ...]:
-    """Writers of TYDEX differ in what a measurement offset is, so that it is said."""
+    """A warning on measurement offsets, which programs write with different meanings."""
     names = [
         channel.name
         for channel, conversion in zip(channels, conversions, strict=True)
@@ -206,8 +206,8 @@ def _doubts(channels, conversions) -> tuple[str, ...]:
         return ()
     listed = ", ".join(names)
     return (
-        f"the measurement offset of {listed} was added before the factor: hold one"
-        " value against the rig's own report, for some files have it subtracted",
+        f"the measurement offset of {listed} was added before the factor, but in some"
+        " files it must be subtracted: compare a value with the report of the rig",
     )
 
 
@@ -229,8 +229,8 @@ def _conversion(channel: _Entry, file: str) -> _Conversion:
 
 
 def _records(lines, width: int) -> tuple[list[list[str]], list[int], tuple]:
-    """Rows of ``width`` texts, which may go on over lines, the line that each begins
-    in, and the rows that have another number of values."""
+    """Rows of ``width`` texts, which may continue over lines; the first line of each row;
+    and the rows with another number of values."""
     rows: list[list[str]] = []
     numbers, wrong = [], []
     goes_on = all(len(_words(line, width)) < width for _, line in lines[:_SEARCHED])
@@ -257,7 +257,7 @@ def _records(lines, width: int) -> tuple[list[list[str]], list[int], tuple]:
 
 
 def _words(line: str, missing: int) -> list[str]:
-    """Values of a line: words, or columns of 10 where values touch each other."""
+    """Values of a line: words, or columns of 10 if values touch each other."""
     words = line.split()
     text = line.rstrip().expandtabs(_WIDTH)
     columns = [text[at : at + _WIDTH].strip() for at in range(0, len(text), _WIDTH)]
@@ -268,7 +268,7 @@ def _words(line: str, missing: int) -> list[str]:
 
 
 def _converted(texts, conversion: _Conversion) -> np.ndarray | list[str]:
-    """Values in the channel's unit; as texts where one of them is no number."""
+    """Values in the unit of the channel; texts if one of them is no number."""
     factor, before, after = conversion
     try:
         with np.errstate(all="ignore"):  # the reader reports rows that are not finite
@@ -280,11 +280,11 @@ def _converted(texts, conversion: _Conversion) -> np.ndarray | list[str]:
         ]
 
 
-# --- what of it is read -------------------------------------------------------------
+# --- constants and meanings -----------------------------------------------------------
 
 
 def _constants(lines, channels) -> tuple[list[_Entry], list[tuple[int, str]]]:
-    """Constants that are columns without a channel, and the lines of the others."""
+    """Constants that are columns without a channel, and the lines of other constants."""
     there = {_NAMES.get(channel.name, channel.name) for channel in channels}
     kept: list[_Entry] = []
     unread = []
@@ -300,7 +300,7 @@ def _constants(lines, channels) -> tuple[list[_Entry], list[tuple[int, str]]]:
 
 
 def _of_tire(lines, header) -> tuple[dict[str, float], dict[str, str]]:
-    """Constants of the tire [SI] by .tir key, and a note by line that was used.
+    """Constants of the tire [SI] by .tir key, and a note for each line used.
 
     The nominal size is also read from the header.
     """
@@ -356,7 +356,7 @@ def _radius_of_size(text: str) -> float:
 
 
 def _meant(names, constants) -> dict[str, str]:
-    """Parameter -> column; "" where another parameter of the file means the same."""
+    """Parameter -> column; "" if another parameter of the file has the same meaning."""
     meant: dict[str, str] = {}
     for name, column in _NAMES.items():
         if name in names:
@@ -389,9 +389,9 @@ def _said(sections, channels, conversions, constants, unread, meant) -> Iterator
         yield f"{entry.name} = {entry.values[0]} {entry.unit} in all rows (**CONSTANTS)"
     for name, column in meant.items():
         if not column:
-            yield f"channel {name} not read: another means the same"
+            yield f"channel {name} not read: another has the same meaning"
         elif name.endswith("H"):
-            yield f"{name} is of the axes H, at the wheel centre: read as of the road"
+            yield f"{name} is in axes H, at the wheel centre: read as if at the road"
     if unread:
         yield f"constants not read: {', '.join(unread)}"
     others = set(sections) - {

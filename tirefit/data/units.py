@@ -1,8 +1,8 @@
-"""Units and signs at the border: from a file's own to canonical SI, and back.
+"""Convert units and signs of a file to canonical SI values, and back.
 
-The common units are exact factors in a table; any other unit is asked of pint,
-which is slow to import and so is loaded only then. A leading minus (``-N``) declares
-a column whose sign is opposite to the file's convention.
+Common units are exact factors in a table; other units are converted by pint, which is
+imported only then as that is slow. A leading minus (``-N``) declares a column whose sign
+is opposite to the convention of the file.
 """
 
 from typing import NamedTuple
@@ -19,10 +19,10 @@ MEANING_OF_SLIP = {
     "s": "v_sx / |v|",
     "slip_ratio": "v_sx / max(v_x, Omega R_e)",
 }
-"""Names of a slip column -> its formula in words of S Table 1."""
+"""Name of a slip column -> its formula in the symbols of S Table 1."""
 
 SPINNING = -1 + 1e-6
-"""Physical slip that stands for a wheel spinning on the spot (sigma = -1)."""
+"""Physical slip used for a wheel that spins on the spot (sigma = -1)."""
 
 
 class Unit(NamedTuple):
@@ -33,7 +33,7 @@ class Unit(NamedTuple):
     offset: float = 0.0
 
     def to_si(self, values, is_std=False):
-        """File values to SI; a standard deviation has a size, so no sign or offset."""
+        """Convert file values to SI; a standard deviation has no sign and no offset."""
         return abs(self.scale) * values if is_std else self.scale * values + self.offset
 
     def from_si(self, values, is_std=False):
@@ -112,7 +112,7 @@ _SPELLING = str.maketrans({"°": "deg", "·": "", "⋅": "", "*": "", " ": "", "
 
 
 def base_column(column: str) -> str:
-    """The column that ``<column>_std``, ``<column>_sim`` belongs to; else the name."""
+    """The column of ``<column>_std`` or ``<column>_sim``; else the name itself."""
     return column.removesuffix("_std").removesuffix("_sim")
 
 
@@ -122,7 +122,7 @@ def dimension_of(column: str) -> str:
 
 
 def known_unit(text: str) -> Unit | None:
-    """The unit if it is in the table of common units, else None; no pint here."""
+    """The unit if it is in the table of common units, else None."""
     spelled = text.strip().strip("[](){}").translate(_SPELLING)
     return _KNOWN.get(spelled) or _ANY_CASE.get(spelled.casefold())
 
@@ -152,7 +152,7 @@ def resolve_unit(text: str, column: str) -> Unit:
 
 
 def units_of(dimension: str) -> list[str]:
-    """Common units of a dimension as they are written, SI first."""
+    """Common units of a dimension as text, SI first."""
     return [name for name, unit in _KNOWN.items() if name and unit[0] == dimension]
 
 
@@ -164,7 +164,7 @@ def _unit_remedy(text: str, column: str, dimension: str) -> str:
 
 
 def _ask_pint(text: str, column: str, dimension: str) -> Unit:
-    """A unit outside the table as an affine map to SI, found by converting 0 and 1."""
+    """A unit of pint as an affine map to SI, found by converting 0 and 1."""
     import pint  # slow to import, and for units outside the table alone
 
     remedy = _unit_remedy(text, column, dimension)
@@ -182,7 +182,7 @@ def _ask_pint(text: str, column: str, dimension: str) -> Unit:
 
 
 def sign_of(convention: str, column: str) -> int:
-    """Sign that turns a file's value into the canonical one (a std has none)."""
+    """Sign that converts a value of the file to the canonical one; 1 for a std."""
     if column.endswith("_std"):
         return 1
     field = "slip" if column in SLIP_DEFINITIONS else base_column(column)
@@ -237,7 +237,7 @@ def slip_from_sigma(sigma, definition, alpha=None):
 
 
 def sigma_derivative(sigma, definition, alpha=None):
-    """d sigma_x / d slip at ``sigma`` (n,), which carries a standard deviation over."""
+    """d sigma_x / d slip at ``sigma`` (n,), to convert a standard deviation."""
     kappa_like = (1 + sigma) ** 2
     if definition == "sigma_x":
         return np.ones_like(sigma)

@@ -1,8 +1,8 @@
 """The vehicle and its log, as ``vehicle.toml`` declares them: :class:`Vehicle`.
 
-VEHICLE.md has its keys, units and defaults, with an example.
+VEHICLE.md lists its keys, units and defaults, with an example.
 
-The log's axes are those of ISO 8855: x forward, y left, yaw counter-clockwise.
+The axes of the log are those of ISO 8855: x forward, y left, yaw counter-clockwise.
 """
 
 import json
@@ -35,7 +35,7 @@ QUANTITIES = {
 POSE = ("x", "y", "yaw")
 RATES = ("v_x", "v_y", "yaw_rate")
 CHECKS = (*POSE, *RATES, "a_y", "a_x")
-"""Quantities that are compared with the motion where it does not need them."""
+"""Quantities that are compared with the motion if they are not needed for it."""
 
 _FOLLOWS = (
     "a_y follows from the speeds (dv_y/dt + v_x r at the centre of gravity, of the"
@@ -43,20 +43,21 @@ _FOLLOWS = (
     " channel that a filter or a model computed is no measurement"
 )
 _FROUDE = 0.5
-"""Lowest speed that is kept unless told, over sqrt(g L): 0.65 m/s for a model car of
-0.17 m, 2.6 m/s for a car of 2.7 m. Below, noise of the speeds turns the slip angle."""
+"""Default of the lowest speed that is kept, over sqrt(g L): 0.65 m/s for a model car with
+a wheelbase of 0.17 m, 2.6 m/s for a car with 2.7 m. Below, noise dominates alpha."""
 _AXLE_TOLERANCE = 0.01
-"""Axle masses and CG position are measured apart: they may differ by this, relative."""
+"""Largest relative difference of axle masses and the position of the centre of gravity,
+which are measured separately."""
 
 
 class Columns(Section):
-    """Headers of the log's columns: a pose (x, y, yaw) or rates (v_x, v_y, yaw_rate),
-    whole. A log of rates uses a_y and a_x where they are named. All other columns that
-    are named are compared with them; of both, the pose is used.
+    """Headers of the columns of the log: all of a pose (x, y, yaw) or of the rates (v_x,
+    v_y, yaw_rate). A log of rates uses a_y and a_x if they are named. All other named
+    columns are compared with these. If both are named, the pose is used.
 
     Attributes:
         yaw: a heading, or the components x, y, z, w of a quaternion.
-        run: names or numbers of runs; nothing is joined from one run to the next.
+        run: names or numbers of runs, which are treated separately.
     """
 
     time: str
@@ -96,12 +97,12 @@ class Columns(Section):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the columns leave open, in words."""
+        """Assumptions that follow from the columns, as sentences."""
         return (_FOLLOWS,) if self.a_y_follows else ()
 
     @property
     def beyond(self) -> tuple[str, ...]:
-        """The quantities that are named and not needed for the motion."""
+        """The named quantities that are not needed for the motion."""
         rest = (name for name in CHECKS if name not in self.motion)
         return tuple(name for name in rest if getattr(self, name) is not None)
 
@@ -132,7 +133,7 @@ class Filter(Section):
         if self.max_gap is not None and self.max_gap > 1 / self.cutoff:
             yield InputProblem(
                 f"max_gap {self.max_gap:g} s is above 1/cutoff ({1 / self.cutoff:g} s):"
-                " what happened in such a gap would be invented",
+                " the motion in such a gap is unknown",
                 "lower max_gap or cutoff",
             )
 
@@ -143,7 +144,7 @@ class Filter(Section):
 
     @property
     def settling(self) -> float:
-        """Time [s] after which an edge's transient has died to about 0.2 %."""
+        """Time [s] after which the transient of an edge has fallen to about 0.2 %."""
         return 1.5 * max(1.0, self.order / 2) / self.cutoff
 
 
@@ -153,8 +154,8 @@ class Keep(Section):
     Attributes:
         v_min: Lowest forward speed of the centre of gravity [m/s]; None takes
             sqrt(g L) / 2, with L the wheelbase.
-        a_y_max: Largest lateral acceleration [m/s2]; beyond it the track has glitched.
-        margin: Time dropped beside every edge, gap and glitch [s]; None takes the
+        a_y_max: Largest lateral acceleration [m/s2]; a larger one is a glitch.
+        margin: Time dropped next to every edge, gap and glitch [s]; None takes the
             settling time of the filter.
     """
 
@@ -191,7 +192,7 @@ class Steering(Section):
 
 _DENSITIES, _INERTIAS, _ARMS = (5.0, 3000.0), (0.15, 4.0), (0.2, 5.0)
 _HEIGHTS, _GRAVITIES = (0.0, 1.0), (9.7, 9.9)
-"""What road vehicles have, racing cars (17 kg/m3) and scale models (300) included."""
+"""Ranges of road vehicles, including racing cars (17 kg/m3) and scale models (300)."""
 
 _Arm = Annotated[
     PositiveFloat, Field(description="give l_f and l_r, or mass_front, mass_rear and wheelbase")
@@ -206,13 +207,13 @@ class Vehicle(Section):
             left of the centre line [m]; None for the centre of gravity.
         yaw_offset: Heading of the car minus the logged yaw [rad]: it is added to the
             logged yaw, which lowers alpha by as much; pose logs only.
-        sideslip_offset: Sideslip of the car minus the logged one [rad], of a sensor
-            that is mounted askew: the logged speeds are turned by it, which raises
+        sideslip_offset: Sideslip of the car minus the logged one [rad], if a sensor is
+            mounted at an angle: the logged speeds are rotated by it, which raises
             alpha by as much; logs of rates only.
-        driven: Axles that drive and brake; with it derived files have fx of the axle.
-        rear_share: Part of the force along that acts on the rear axle, of a vehicle
-            that all wheels drive [-]; None for half of it, hardly known.
-        clock: Standard error of the time between the log's channels [s]; those of a
+        driven: Axles that drive and brake; with it, derived files have fx of the axle.
+        rear_share: Share of the longitudinal force on the rear axle of an all-wheel
+            drive vehicle [-]; None assumes half, with a large uncertainty.
+        clock: Standard error of the time between channels of the log [s]; those of a
             pose are from one instrument.
     """
 
@@ -221,7 +222,7 @@ class Vehicle(Section):
     l_r: _Arm  # of the rear axle behind the centre of gravity [m]
     mass_front: PositiveFloat | None = None  # [kg]; a check, or instead of l_f, l_r
     mass_rear: PositiveFloat | None = None  # likewise
-    wheelbase: _Arm  # l_f + l_r [m]; needed where axle masses replace l_f and l_r
+    wheelbase: _Arm  # l_f + l_r [m]; needed if axle masses replace l_f and l_r
     yaw_inertia: PositiveFloat  # about the centre of gravity [kg m2]
     tracked_point: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
     yaw_offset: float = 0.0
@@ -230,8 +231,8 @@ class Vehicle(Section):
     gravity: PositiveFloat = GRAVITY  # [m/s2]
     driven: Literal["rear", "front", "all"] | None = None
     rear_share: Annotated[float, Field(ge=0, le=1)] | None = None
-    drag: NonNegativeFloat | None = None  # over v^2 [kg/m]; None: none, hardly known
-    wheel_radius: PositiveFloat | None = None  # [m]; lengths are compared with it
+    drag: NonNegativeFloat | None = None  # over v^2 [kg/m]; None: 0, with a large uncertainty
+    wheel_radius: PositiveFloat | None = None  # [m]; wavelengths are compared with it
     clock: PositiveFloat | None = None
     columns: Columns
     units: dict[str, str] = {}
@@ -242,7 +243,7 @@ class Vehicle(Section):
     @model_validator(mode="before")
     @classmethod
     def _complete_geometry(cls, given):
-        """Fill in what follows from the rest; what is missing is reported later."""
+        """Compute values that follow from others; missing ones are reported later."""
         given = dict(given)
 
         def positive(*names):
@@ -307,10 +308,10 @@ class Vehicle(Section):
                 )
 
     def doubts(self) -> tuple[str, ...]:
-        """Numbers, in words, that no vehicle of any size has: mostly of another unit.
+        """Warnings on numbers that vehicles do not have, usually because of a wrong unit.
 
-        Lengths are compared with the wheelbase, masses with its third power, so that
-        what holds for a car holds for a model of a tenth.
+        Lengths are compared with the wheelbase, masses with its third power, so that the
+        limits apply to cars and to scale models.
         """
         compared = (
             ("mass / wheelbase^3", self.mass / self.wheelbase**3, _DENSITIES, "kg/m3"),
@@ -328,7 +329,7 @@ class Vehicle(Section):
 
     @property
     def inertia_ratio(self) -> float:
-        """Yaw inertia over that of both axle masses at their axles: about 1 of cars."""
+        """Yaw inertia over that of the two axle masses at their axles; about 1 for cars."""
         return self.yaw_inertia / (self.mass * self.l_f * self.l_r)
 
     @property
@@ -340,7 +341,7 @@ class Vehicle(Section):
 
     @property
     def margin(self) -> float:
-        """Time dropped beside every edge, gap and glitch [s]."""
+        """Time dropped next to every edge, gap and glitch [s]."""
         given = self.keep.margin
         return self.filter.settling if given is None else given
 
@@ -352,7 +353,7 @@ class Vehicle(Section):
 
 
 def vehicle_toml(vehicle: Vehicle, note: str) -> str:
-    """The text of the ``vehicle.toml`` of a vehicle, below a comment."""
+    """The text of ``vehicle.toml`` for a vehicle, with a comment above."""
     content = vehicle.model_dump(exclude_defaults=True)
     sections = {k: v for k, v in content.items() if isinstance(v, dict)}
     lines = [f"# {note}"]
@@ -365,9 +366,9 @@ def vehicle_toml(vehicle: Vehicle, note: str) -> str:
 
 
 def unit_of(text: str, quantity: str) -> Unit | None:
-    """The unit of a quantity of a log, or None if it is not a common one of it.
+    """The unit of a quantity of a log, or None if it is not a common one.
 
-    A leading minus (``-rad/s``) declares a channel of the other sign.
+    A leading minus (``-rad/s``) declares a channel of opposite sign.
     """
     if text.startswith("-") and len(text) > 1 and quantity != "time":
         unit = unit_of(text[1:], quantity)
@@ -380,11 +381,11 @@ def load_vehicle(path: str | Path, units: Mapping[str, str] | None = None) -> Ve
     """Read ``vehicle.toml``.
 
     Args:
-        units: Quantity -> unit, over those that the file declares.
+        units: Quantity -> unit; overrides units that the file declares.
 
     Raises:
-        UsageError: If the file is missing, is not TOML or does not describe a
-            vehicle; holds every problem found.
+        UsageError: The file is missing, is not TOML or does not describe a vehicle; it
+            lists all problems.
     """
     content = read_toml(path)
     declared = content.get("units", {})

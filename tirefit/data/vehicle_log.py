@@ -3,7 +3,6 @@
 import re
 from collections.abc import Sequence
 
-from tirefit.data.vehicle import POSE, RATES
 from tirefit.results import InputProblem
 
 _ENDS = {
@@ -37,14 +36,16 @@ _NO_PLACE = re.compile("^v$|acc|imu|mag|gyro|twist|linear|angular|vel|orientatio
 
 def vehicle_log(headers: Sequence[str], file: str, by_pose: bool = True) -> InputProblem | None:
     """The problem that a file is the log of a vehicle, with the command that computes
-    forces from it; None if the file has neither a pose nor rates. A file with a slip
-    may name other things x, y and yaw: ``by_pose=False`` asks for rates.
+    forces from it; None if the file has neither a pose nor rates. In a file with a slip,
+    x, y and yaw may have other meanings: with ``by_pose=False`` only rates count.
 
     Example:
         >>> found = vehicle_log(["t", "vx", "vy", "yaw_rate [deg/s]"], "log.csv")
         >>> found.remedy.startswith("tirefit derive log.csv --vehicle vehicle.toml")
         True
     """
+    from tirefit.data.vehicle import POSE, RATES  # which no other reader waits for
+
     found: dict[str, str] = {}
     for header in headers:
         words = re.findall("[a-z0-9]+", re.sub(r"[\[(].*", "", header.casefold()))
@@ -57,7 +58,7 @@ def vehicle_log(headers: Sequence[str], file: str, by_pose: bool = True) -> Inpu
     motion = POSE if by_pose and found.keys() >= {*POSE} else RATES
     if not found.keys() >= {*motion}:
         return None
-    # A data frame's index often has no header; it holds the time of such logs.
+    # The index of a data frame often has no header; in such logs it is the time.
     found.setdefault("time", "" if "" in headers else "HEADER")
     names = ("time", *motion, *(("a_y",) if motion == RATES else ()), "steering")
     lines = [f'{name} = "{found[name]}"' for name in names if name in found]

@@ -1,4 +1,4 @@
-"""Text in columns that white space parts: where the header is, and as tabbed lines."""
+"""Text with columns separated by white space: find its header, and put tabs between."""
 
 import itertools
 import re
@@ -8,7 +8,8 @@ from tirefit.data.columns import is_number
 from tirefit.data.units import known_unit
 
 _BELOW = 3
-"""Lines below a header in which the first row of numbers must stand: units, a rule."""
+"""The first row of numbers is within so many lines below the header, after units or a
+ruling."""
 
 _TOKEN = re.compile(r'"[^"]*"|\S+')
 _WIDE_GAP = re.compile(r"\s{2,}|\t")
@@ -20,13 +21,13 @@ Header = tuple[int, list[str]]
 def header_above_numbers(
     lines: Sequence[str], searched: Sequence[int], is_known: Callable[[str], bool]
 ) -> Header | None:
-    """A line with as many words as the row of numbers below it has numbers.
+    """The header: a line with as many words as the row of numbers below it has numbers.
 
     Args:
-        lines: of the file, a blank one as a line end alone.
-        searched: indices of the lines with content to look at, in order.
-        is_known: whether a word is a column's name; a title may have as many words as
-            a row has numbers, so the line with the most known ones is taken.
+        lines: of the file; a blank line is only a line end.
+        searched: indices of the lines with content to search, in order.
+        is_known: whether a word is the name of a known column. A title may have as many
+            words as a row has numbers, so the line with the most known ones is taken.
     """
     headers = []
     for index in searched:
@@ -43,7 +44,7 @@ def _words(line: str) -> list[str]:
 
 
 def _numbers_below(lines: Sequence[str], index: int) -> int:
-    """How many numbers the first row of nothing else has, just below; 0 without one."""
+    """Number of values in the first row below that has only numbers; 0 without one."""
     content = (line for line in lines[index + 1 :] if line.strip())
     for line in itertools.islice(content, _BELOW):
         words = line.split()
@@ -53,7 +54,7 @@ def _numbers_below(lines: Sequence[str], index: int) -> int:
 
 
 def _is_cell(word: str) -> bool:
-    """Whether a word is a number, with a point or a comma, or the lack of one."""
+    """Whether a word is a number with point or comma, or the text of a missing value."""
     return is_number(word.replace(",", ".", 1)) or word.casefold() == "nan"
 
 
@@ -64,11 +65,11 @@ def commented_header(
 
     Args:
         lines: of the file.
-        is_known: whether a word is a column's name.
+        is_known: whether a word is the name of a known column.
 
     Returns:
-        Index of the last comment above the first line of numbers that has as many
-        cells as it, two of them known, and its text without the mark; or None.
+        Index and text without the mark of the last comment above the first line of
+        numbers with as many cells, of which two are known; None without one.
     """
     first = next((i for i, line in enumerate(lines) if not _is_comment(line)), 0)
     splits: list[Callable[[str], list[str]]] = [
@@ -94,7 +95,7 @@ def _is_comment(line: str) -> bool:
 
 
 def tabbed(lines: Sequence[str], header: list[str]) -> list[str]:
-    """The lines from the header on, with a tab between columns; blank ones stay."""
+    """The lines from the header, with a tab between columns; blank lines are kept."""
     rows = ["\t".join(f'"{cell}"' for cell in header) + "\n"]
     for number, line in enumerate(lines[1:]):
         words = _TOKEN.findall(line)
@@ -105,7 +106,7 @@ def tabbed(lines: Sequence[str], header: list[str]) -> list[str]:
 
 
 def _joined_units(words: list[str], width: int) -> list[str]:
-    """Words of a row of units, ``deg C`` as one of them where that fits ``width``."""
+    """Words of a row of units; ``deg C`` counts as one word if that gives ``width``."""
     joined: list[str] = []
     for word in words:
         if joined and known_unit(joined[-1] + word) and len(word) < 3:

@@ -1,4 +1,4 @@
-"""Data out: whole files or none, and canonical values back in a file's own terms."""
+"""Write data, and convert canonical values back to the units and signs of a file."""
 
 import csv
 import io
@@ -17,10 +17,10 @@ _PLOTTED = ("time", "sigma_x", "alpha", "gamma", "fz", "v", "pressure")
 
 
 def output_problems(path, inputs: Sequence = (), ending: str = "") -> list[InputProblem]:
-    """Why no file can be written at ``path``, asked before the work; none if it can.
+    """The problems that prevent writing a file at ``path``, to check before the work.
 
-    A file that is there will be replaced, unless it is one of ``inputs``. ``ending``
-    is that of the kind that is written, as ``.csv``.
+    An existing file will be replaced, unless it is one of ``inputs``. ``ending`` is that
+    of the kind of file, such as ``.csv``.
     """
     path = Path(path)
     folder = path.parent
@@ -44,7 +44,7 @@ def output_problems(path, inputs: Sequence = (), ending: str = "") -> list[Input
 
 
 def write_csv(path, columns: Mapping[str, object], above: str = "") -> None:
-    """Write columns as CSV below the line ``above``, whole or not: :func:`csv_text`."""
+    """Write columns as CSV below the line ``above``, completely or not at all."""
     write_text_atomic(path, above + csv_text(columns))
 
 
@@ -52,7 +52,7 @@ def csv_text(columns: Mapping[str, object]) -> str:
     """Columns as the text of a CSV file.
 
     Args:
-        columns: header to (n,) array or list of numbers or texts. Numbers are written
+        columns: header -> (n,) array or list of numbers or texts. Numbers are written
             in full precision, NaN as an empty cell.
 
     Raises:
@@ -77,17 +77,17 @@ def _cells(values) -> list[str]:
 def to_convention(
     data: TireData, canonical_values: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """Canonical values in the convention, units and slip definition of data's file.
+    """Canonical values in the convention, units and slip definition of the file.
 
     Args:
         data: the data whose source declares them.
-        canonical_values: (n,) arrays by canonical name, ``<column>_std`` included.
+        canonical_values: (n,) arrays by canonical name, also of ``<column>_std``.
             Converting ``sigma_x_std`` needs sigma_x, and slip ``s`` uses alpha: both
             are taken from here, or else from ``data``.
 
     Returns:
-        The values under the file's own header, or where the file has no such column
-        under the canonical name (the slip definition's name for sigma_x).
+        The values by the header of the file, or by canonical name (for sigma_x, the slip
+        definition) if the file has no such column.
     """
     source = data.source
     beside = {**data.columns, **canonical_values}
@@ -112,15 +112,15 @@ def to_convention(
 
 
 def prediction_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
-    """What is needed to plot predicted forces, and the forces, in the file's own terms.
+    """Predicted forces and the columns needed to plot them, in the terms of the file.
 
     Args:
         data: the rows that were predicted.
-        forces: (n,) canonical forces, ``<force>_std`` included.
+        forces: (n,) canonical forces, also ``<force>_std``.
 
     Returns:
-        By the file's own headers: run, time, slips, camber, load, speed and pressure
-        as far as the data have them, then the forces.
+        By header of the file: run, time, slips, camber, load, speed and pressure as far
+        as the data have them, then the forces.
     """
     named = [name for name in _PLOTTED if name in data]
     table = _own_columns(data, named) | to_convention(data, forces)
@@ -128,8 +128,8 @@ def prediction_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
 
 
 def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
-    """All columns of the data that were read, and a simulator's forces beside them, in
-    the file's own terms: what ``tirefit diagnose --sim`` reads.
+    """All columns of the data that were read, and the forces of a simulator, in the terms
+    of the file, for ``tirefit diagnose --sim``.
 
     Args:
         data: the rows that were predicted; forces of an earlier simulator are left out.
@@ -145,8 +145,8 @@ def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
 
 
 def _with_units(data: TireData, table: dict) -> dict:
-    """The same, headers with their unit where the file had it elsewhere, as in a row of
-    its own: what is written is read back as what it was."""
+    """The same columns, with units added to headers if the file states them elsewhere, so
+    that the written file is read back with the same units."""
     source, said = data.source, {}
     for name in source.units_beside:
         unit, header = source.units.get(name), source.columns[name]
@@ -162,9 +162,9 @@ def _in_unit_of_its_force(data: TireData, name: str, force) -> np.ndarray:
 
 
 def _own_columns(data: TireData, names: Sequence[str]) -> dict:
-    """Columns in the file's own terms, the runs where there are several."""
+    """Columns in the terms of the file, with the runs if there are several."""
     inputs = to_convention(data, {name: data[name] for name in names})
-    # 12 digits: 0.1 that went to sigma_x and back is 0.1 again, as the file has it.
+    # 12 digits: 0.1 converted to sigma_x and back is 0.1 again, as in the file.
     table = {k: [float(f"{v:.12g}") for v in values] for k, values in inputs.items()}
     if len(data.runs) > 1:
         table = {"run": [data.runs[code] for code in data.run]} | table

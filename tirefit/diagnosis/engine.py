@@ -1,4 +1,5 @@
-"""One file diagnosed: noise first, then where, which, how far, and what to measure."""
+"""Diagnose one file: the noise, the place of the gap, its effects, the closure, and what
+to measure next."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
@@ -40,11 +41,11 @@ from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError, did_you_mean
 
 _CHANGED, _AMONG = 0.1, 4
-"""A change of the noise level, as a logarithm, after which the search starts anew; and
-best hypotheses among which a sudden change must be for its shape to be fitted."""
+"""Change of the log noise level after which the search is repeated; and number of best
+hypotheses, among which a sudden change must be for its shape to be fitted."""
 
 _MOST_ROWS = 6000
-"""The search looks at so many rows, evenly spread; the last word is on all of them."""
+"""Number of rows, evenly spread, on which the search runs; the verdict uses all rows."""
 
 
 def diagnose(
@@ -65,43 +66,44 @@ def diagnose(
     ``print(found)`` shows one screen; ``found.plot()`` draws it.
 
     Args:
-        data: what ``tirefit.read`` gave, or anything that it reads with its defaults: a
-            path (of a file that declares no convention beside a file ``sim``: in that
-            one's), a frame, a mapping of column to (n,) array.
+        data: a result of ``tirefit.read``, or data that it reads with its defaults: a
+            path, a frame, a mapping of column -> (n,) array. A file that declares no
+            convention is read in that of a file ``sim``.
         model: name of the base model, the brush by default; a whole Magic Formula
-            (``mf52``, ``mf61``, ``mf62``) is fitted in stages, then taken as it is.
-        sim: a simulator in the place of a fit of ``model``: a tire model with its
-            values, a fit, a ``fit.json`` or ``.tir`` file, True for the data's columns
-            ``fx_sim``, ``fy_sim``, ``mz_sim``, or arrays (n,) by channel, in canonical
-            signs. Where only its forces are known, ``model``, fitted to them, stands in
-            for what a hypothesis changes: the brush by default, or mf61 where that does
+            (``mf52``, ``mf61``, ``mf62``) is fitted in stages, then not changed.
+        sim: a simulator instead of a fit of ``model``: a tire model with its values, a
+            fit, a ``fit.json`` or ``.tir`` file, True for the columns ``fx_sim``,
+            ``fy_sim``, ``mz_sim`` of the data, or arrays (n,) by channel, in canonical
+            signs. If only its forces are known, ``model``, fitted to them, is used for
+            the changes of a hypothesis: the brush by default, or mf61 if the brush does
             not follow them closely.
         signs: convention, a key of ``slip.CONVENTIONS``, of the ``.tir`` file ``sim``
-            ("iso-w" if None), or of the columns ``fx_sim``, ... (the data's if None).
-        rig: what is known (noise, radius, inertia), or a path of ``rig.toml``.
-        forces: of fx, fy, mz, those that matter; None for all that were measured.
-        effects: the library to search, :data:`EFFECTS` if None; add your own to it.
+            ("iso-w" if None), or of the columns ``fx_sim``, ... (that of the data if
+            None).
+        rig: known properties (noise, radius, inertia), or a path of ``rig.toml``.
+        forces: those of fx, fy, mz to diagnose; None for all that were measured.
+        effects: the library to search, :data:`EFFECTS` if None; you may add to it.
         without: ids of effects that are not looked for.
         holdout: data of the same kinds, or a list of such, to check closure on.
         seed: of the simulated null distributions and bootstraps.
 
     Returns:
         ``verdict.effects`` are the named effects, ``verdict.probability`` that of
-        exactly this set, and ``verdict.each`` holds for each effect the probability
-        that it or a twin is there, what it closes on data left out, and its twins:
-        effects that these data cannot tell from it. ``verdict.left`` is what remains,
-        ``ladder`` how the rms on data left out shrinks effect by effect.
-        ``verdict.status`` is
+        exactly this set, and ``verdict.each`` has for each effect the probability that
+        it or a twin is present, the share of the gap that it closes on data left out,
+        and its twins: effects that these data cannot distinguish from it.
+        ``verdict.left`` describes the remainder, ``ladder`` the rms on data left out
+        with one effect after the other. ``verdict.status`` is
 
-        - ``none``: no gap shows beyond the noise;
-        - ``named``: effects are named, nothing unlisted is likelier there than not;
+        - ``none``: no gap beyond the noise;
+        - ``named``: effects are named, and an unlisted one is unlikely;
         - ``cannot_tell``: the same, but a named effect has twins;
-        - ``incomplete``: effects are named, something unlisted is likelier than not;
-        - ``unknown``: a gap shows, and no effect earns a name.
+        - ``incomplete``: effects are named, and an unlisted one is probably present;
+        - ``unknown``: there is a gap, and no effect can be named.
 
     Raises:
-        UsageError: no such model, no such force, or no such effect to leave out; an
-            argument that is none of the above; or 32-bit floats in use.
+        UsageError: an unknown model, force, or effect to leave out; an argument of
+            another type; or 32-bit floats in use.
         DataError: no force with a slip that varies, no load, too few rows, no simulated
             forces, a model that does not follow them, ``data`` held out too.
 
@@ -135,8 +137,7 @@ def diagnose(
     data, others = without_far(data), [without_far(other) for other in others]
     _are_known(without, {effect.id for effect in effects})
     if model in MAGIC_FORMULAS and sim is None:
-        # Its coefficients are those of all rows; what is adapted beside a hypothesis
-        # are its scaling factors.
+        # Its coefficients are fitted to all rows; a hypothesis adapts scaling factors.
         sim = fit_magic_formula(data, model)
     plain = STAND_INS[0] if model is None else model
     given, own = None, modelled(MAGIC_FORMULAS.get(plain) or find_model(plain))
@@ -155,8 +156,8 @@ def diagnose(
         forces=asked,
         holdout=tuple(other.source.sha256 for other in others),
     )
-    # The matrices are small: a second thread only spins while it waits, and sums in
-    # another order move last digits, which can choose another way of a search.
+    # One thread: the matrices are too small for two, and another order of summation
+    # changes last digits, which can change the course of a search.
     with ThreadpoolController().limit(limits=1, user_api="blas"):
         whole = prepare(data, rig, gives)
         form = STAND_INS[0] if plain in MAGIC_FORMULAS else plain
@@ -172,11 +173,11 @@ def diagnose(
         return document_of(case, whole, *made)
 
 
-# --- arguments: one of a kind stands for a list of it; all raise UsageError -----------
+# --- arguments: a single value counts as a list of one; all raise UsageError ----------
 
 
 def names(given: object, argument: str) -> tuple[str, ...]:
-    """Names; a single one is no sequence of letters."""
+    """Names as a tuple; a single text is one name."""
     several = (given,) if isinstance(given, str) else given
     if isinstance(several, Iterable):
         several = tuple(several)
@@ -186,11 +187,11 @@ def names(given: object, argument: str) -> tuple[str, ...]:
 
 
 def the_effects(given: object) -> tuple[Effect, ...]:
-    """Effects to look for, at least one."""
+    """Effects to search, at least one."""
     several = tuple(given) if isinstance(given, Iterable) else ()
     if several and all(isinstance(one, Effect) for one in several):
         return several
-    reason = f"effects = {given!r}" if several else "effects: none to look for"
+    reason = f"effects = {given!r}" if several else "effects: none to search"
     remedy = "leave the argument out for all of the library, or give Effect records: "
     remedy += "(*EFFECTS, mine) adds one, without=... leaves single ones out"
     raise UsageError(reason, remedy)
@@ -205,13 +206,13 @@ def a_model(given: object) -> str | None:
 
 
 def several(given: object) -> list:
-    """Data of each of several, of one, or of none."""
+    """The data of several held-out sets, of one, or of none."""
     every = given if isinstance(given, list | tuple) else [given]
     return [one for one in every if one is not None]
 
 
 def a_rig(given: object) -> Rig:
-    """What is known of the rig: nothing, a record of it, or a file ``rig.toml``."""
+    """The rig: None, a record of it, or a file ``rig.toml``."""
     if given is None or isinstance(given, Rig):
         return given or Rig()
     if isinstance(given, str | PathLike):
@@ -221,25 +222,25 @@ def a_rig(given: object) -> Rig:
 
 
 def a_seed(given: object) -> int:
-    """A seed of everything random."""
+    """The seed of all random numbers."""
     if isinstance(given, int | np.integer) and 0 <= given < 2**32:
         return int(given)
     raise UsageError(f"seed = {given!r}", "give a whole number from 0 to 2^32 - 1")
 
 
 def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
-    """Raises DataError where rows held out are among those that are diagnosed."""
+    """Raises DataError if held-out rows are among those that are diagnosed."""
     for other in holdout:
         source = other.source.sha256
         same = source and source == data.source.sha256 and len(other) == len(data)
         if (same or other.columns is data.columns) and np.any(other.used & data.used):
-            reason = "held out are the data that are diagnosed: they check nothing"
-            remedy = "give other data with --holdout, or none: a part is left out then"
+            reason = "the held-out data are those that are diagnosed"
+            remedy = "give other data with --holdout, or none: parts are then left out"
             raise unfit(other, reason, remedy)
 
 
 def _are_known(without: Sequence[str], known: set[str]) -> None:
-    """Raises UsageError where something is left out that is no effect."""
+    """Raises UsageError if a name to leave out is no effect."""
     every, problems = ", ".join(sorted(known)), []
     for name in sorted(set(without) - known):
         remedy = f"{did_you_mean(name, known)}known effects: {every}"
@@ -248,14 +249,14 @@ def _are_known(without: Sequence[str], known: set[str]) -> None:
 
 
 def _asked_for(forces, data: TireData, gives, in_columns) -> tuple[str, ...]:
-    """Of what the model gives, the forces that are asked for; ``in_columns`` are those
-    that it gives where the columns of a simulator do."""
+    """The forces to diagnose among those of the model; ``in_columns`` are the simulated
+    columns, if the simulator is given by columns."""
     problems = []
     for name in (name for name in forces if name not in gives):
         reason, remedy = f"the model gives no {name}", f"it gives {', '.join(gives)}"
         if name in in_columns:
-            reason = f"the simulator's {name} is missing: there is no {name}_sim"
-            remedy = f"add it, or ask for {' or '.join(gives)} alone"
+            reason = f"the simulated {name} is missing: there is no column {name}_sim"
+            remedy = f"add it, or diagnose only {' or '.join(gives)}"
         problems.append(InputProblem(reason, remedy))
     UsageError.raise_for(problems)
     require(data, forces, "a diagnosis of them")
@@ -263,7 +264,7 @@ def _asked_for(forces, data: TireData, gives, in_columns) -> tuple[str, ...]:
 
 
 def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[Untestable]]:
-    """Atoms that the data can show, and what the others lack."""
+    """Atoms that the data can show, and the missing needs of the others."""
     possible, missing = [], {}
     blocks = blocks_of_settings(prepared)
     for k, atom in enumerate(atoms):
@@ -282,7 +283,7 @@ def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[Untes
 
 
 def _changed(judged: Base, base: Base) -> bool:
-    """Whether the noise is judged as another, or other rows are set aside."""
+    """Whether the noise level changed, or other rows are excluded."""
     for channel, old in base.noise.items():
         new = judged.noise[channel]
         level = np.median(new.std) / np.median(old.std)
@@ -306,7 +307,7 @@ def studied(
     testable, untestable = _testable(prepared, base.atoms, without)
     _are_smooth(base, testable)
     searched = search(base, testable)
-    # What the best explanation leaves shows the noise better than the base fit does.
+    # The remainder of the best hypothesis shows the noise better than that of the base.
     best = searched.best
     judged = with_noise_judged(base, rig, best.z, amplitudes_of(base, best))
     again = _changed(judged, base)
@@ -321,16 +322,16 @@ def studied(
 
 
 def _are_smooth(base: Base, testable: Sequence[int]) -> None:
-    """Raises UsageError for an effect whose forces have no slope at amplitude zero."""
+    """Raises UsageError for an effect whose slope at amplitude zero is not finite."""
     finite = np.asarray(np.isfinite(base.at_null.columns).all(axis=0))
     if wrong := sorted({base.atoms[k].effect.id for k in testable if not finite[k]}):
         reason = f"effect {wrong[0]!r}: its change at amplitude 0 is not finite"
-        remedy = "give a change that is smooth there, and finite for all rows"
+        remedy = "give a change that is smooth there and finite for all rows"
         raise UsageError(reason, remedy)
 
 
 def _with_change(base: Base, searched: Search) -> Base | None:
-    """The base with the shape of a sudden change, where one is among the best."""
+    """The base with the shape of a sudden change, if one is among the best hypotheses."""
     ranked = searched.fitted[:_AMONG]
     steps = {k for k, atom in enumerate(base.atoms) if atom.effect.scans_time}
     likely = next((h for h in ranked if set(h.atoms) & steps), None)

@@ -1,8 +1,8 @@
 """A tire with the effects that a diagnosis names: :func:`extend`.
 
-The effects change the tire by their own formulas (:mod:`tirefit.diagnosis.effects`), at
-the amplitudes of the document. What they need beside slip, load, speed, camber and
-pressure no tire has, so such effects are only reported.
+The effects change the tire by their formulas (:mod:`tirefit.diagnosis.effects`), with the
+amplitudes of the document. A tire has only slip, load, speed, camber and pressure;
+effects that need other quantities are only reported.
 """
 
 import json
@@ -41,18 +41,18 @@ from tirefit.slip import lateral_slip
 SCHEMA = "tirefit.diagnosis/3"
 
 _NO_LOAD = 1e-6
-"""Share of the mean load below which laws of the load stay as they are there: powers
-of it have no value at zero."""
+"""Share of the mean load below which laws of the load are constant, as powers of the load
+have no value at zero."""
 
 _OF_RUN = ("brisk", "cruise", "rise", "peak")
 """Covariates with one value for all rows."""
 
 
 class Extension(NamedTuple):
-    """What the amplitudes of a file refer to.
+    """The quantities to which the amplitudes of a file refer.
 
     Attributes:
-        mode: slip that drives the forces: x, y or xy.
+        mode: slip that causes the forces: x, y or xy.
         variants: number of the formula of each fitted effect, by its id.
         other_form: whether the data prefer another form to these formulas.
         fz: geometric mean of the load [N].
@@ -101,8 +101,8 @@ def extension_of(base: Base, chosen: Hypothesis, other_form: bool) -> Extension:
 
 
 def _covariates(to: Extension, given: TireInputs, force) -> Covariates:
-    """What effects may depend on, of one sample. What no tire has is None, with which
-    no effect can compute.
+    """The quantities on which effects may depend, for one sample. Those that a tire does
+    not have are None, so that an effect that uses them raises an error.
 
     Args:
         force: force of the base fit that the slip drives [N].
@@ -113,7 +113,7 @@ def _covariates(to: Extension, given: TireInputs, force) -> Covariates:
     pressure = jnp.where(given.pressure == 0, mean, given.pressure)
     load = jnp.maximum(given.fz, _NO_LOAD * to.fz)
     share = force / (to.used * load)
-    # The square of a slip keeps its size differentiable at zero.
+    # The added square keeps the size of the slip differentiable at zero.
     size = jnp.sqrt(slip**2 + across**2 + 1e-30)
     known = {name: getattr(to, name) for name in _OF_RUN}
     known |= dict(
@@ -175,7 +175,7 @@ class Extended(AbstractTire):
 
 
 class _Part(BaseModel):
-    """What is read of a document."""
+    """A part of the document that is read and checked."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -209,7 +209,7 @@ class _Data(_Part):
 
 
 class Document(_Part):
-    """What an extension needs of ``NAME.json``."""
+    """The parts of ``NAME.json`` that an extension needs."""
 
     data: _Data
     model: str
@@ -227,7 +227,7 @@ def read_document(path: str | PathLike) -> Document:
 
     Raises:
         DataError: no such file, no document of a diagnosis, or one of an earlier
-            version that lacks what the amplitudes refer to.
+            version that lacks the quantities to which the amplitudes refer.
     """
     remedy = "give NAME.json of `tirefit diagnose`; run it again for an older file"
     raw = content_of(Path(path), RECORD, DataError, remedy)
@@ -240,7 +240,7 @@ def read_document(path: str | PathLike) -> Document:
 
 
 def document_of(text: str) -> Document:
-    """The same from its text; ValueError where it is none."""
+    """The document from its text; ValueError if it is none."""
     content = json.loads(text)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise ValueError(f"its schema is not {SCHEMA}")
@@ -253,7 +253,7 @@ class Report(NamedTuple):
     """A tire with effects.
 
     Attributes:
-        tire: with the effects that it can hold; the given one where there are none.
+        tire: with the effects that it can have; the given tire if there are none.
         bare: the same without them.
         names: of the effects that it holds.
         sentences: on the verdict and on each effect.
@@ -269,8 +269,8 @@ def extend(tire: AbstractTire, name: str, document: Document, finish: Callable) 
     """A tire with the named effects of a diagnosis.
 
     Args:
-        tire: the tire that was diagnosed; the parameters that were fitted beside the
-            effects replace its own.
+        tire: the tire that was diagnosed; its parameters are replaced by those that were
+            fitted together with the effects.
         name: of its model.
         finish: what is done to a tire before the effects change it.
 
@@ -284,7 +284,7 @@ def extend(tire: AbstractTire, name: str, document: Document, finish: Callable) 
     other = document.simulator is None and document.model != name
     if columns or other or not known.keys() >= document.extended_parameters.keys():
         what = "a simulator's columns" if columns else document.model
-        reason = f"the diagnosis is of {what}, the tire is a {name}"
+        reason = f"the diagnosis is for {what}, but the tire is a {name}"
         raise UsageError(InputProblem(reason, remedy))
     for values in (document.extended_parameters, document.base_parameters):
         check_values(tire, name, values)
@@ -294,9 +294,9 @@ def extend(tire: AbstractTire, name: str, document: Document, finish: Callable) 
     ]
     if verdict.also_possible:
         others = ", ".join(verdict.also_possible)
-        sentences.append(f"these data cannot rule out {others} instead")
+        sentences.append(f"these data do not rule out {others} instead")
     if document.extension.other_form:
-        sentences.append("the data prefer another shape to the formulas of the effects")
+        sentences.append("another shape fits the data better than the formulas of the effects")
     held = []
     for effect in verdict.effects:
         atom, sentence = _judged(effect, document)
@@ -323,8 +323,7 @@ def extend(tire: AbstractTire, name: str, document: Document, finish: Callable) 
 
 
 def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]:
-    """The formula of an effect and its amplitude where a tire can hold it, and a
-    sentence."""
+    """The formula of an effect and its amplitude, if a tire can have it, and a sentence."""
     effect = effects_by_id((*EFFECTS, *NOISE_EFFECTS)).get(id)
     if effect is None or not hasattr(effect, "change"):
         what = "of the noise" if effect else "not in the library of effects"
@@ -352,10 +351,10 @@ def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]
 
 
 def _has_inputs(atom: Atom, amplitude: float, to: Extension) -> bool:
-    """Whether an effect depends on inputs of a tire alone."""
+    """Whether an effect depends only on inputs of a tire."""
     given = TireInputs(0.01, 0.01, to.fz, to.cruise)
     try:
         atom.change(null_state(), amplitude, _covariates(to, given, to.load))
-    except TypeError:  # it needs a covariate that is None
+    except TypeError:  # it uses a covariate that is None
         return False
     return True

@@ -1,5 +1,5 @@
-"""What each set of effects predicts of data left out of its fit. One partition
-of a file serves the names, the ladder and the errors of amplitudes."""
+"""Predict data left out of the fit with each set of effects. One partition of a file is
+used for naming, for the ladder and for the errors of amplitudes."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -19,30 +19,32 @@ from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.slips import shown_runs
 
 LEAST_RUNS = 4
-"""Fewest runs of which whole runs are left out: three measured circles, two to one
+"""Smallest number of runs for leaving out whole runs: three measured circles, two to one
 side, do not show a slip offset that four logs show at 14 standard errors."""
 
 _BLOCKS, _LEAST_ROWS = 8, 12
-"""Most blocks of time or parts of the slip, and fewest rows of a fold."""
+"""Largest number of blocks of time or parts of the slip; smallest number of rows of a
+fold."""
 
 _UNRESOLVED = 0.01
-"""Energy of the smallest gap that is resolved, over that of the noise."""
+"""Energy of the smallest gap that is resolved, over the energy of the noise."""
 
 _SINGLES, _SETS = 8, 12
-"""Single effects, and sets, the most probable of each, whose effects a climb tries."""
+"""Numbers of the most probable single effects and sets whose effects the climb tries."""
 
 AS_GIVEN: Key = ("as given",)
-"""``Step.effects`` of a simulator as it is, the first step of its ladder."""
+"""``Step.effects`` of a simulator as given, the first step of its ladder."""
 
 SMOOTH: Key = ("anything smooth",)
 NOISE: Key = ("noise",)
-"""``Step.effects`` of the last two steps of a ladder: what the discrepancy closes, and
-the noise floor."""
+"""``Step.effects`` of the last two steps of a ladder: the part that the discrepancy
+closes, and the noise floor."""
 
 
 class Folds(NamedTuple):
-    """``code`` (n,) is the fold of each row, -1 for a row that is never left out;
-    ``on`` names the parts for the report; ``across_runs``: they are whole runs."""
+    """A partition of the rows. ``code`` (n,) is the fold of each row, -1 for a row that
+    is never left out; ``on`` names the parts for the report; ``across_runs``: whether
+    the parts are whole runs."""
 
     code: np.ndarray
     on: str
@@ -54,15 +56,15 @@ class Folds(NamedTuple):
 
 
 class Predicted(NamedTuple):
-    """Sets of effects fitted without each fold and judged on it.
+    """Sets of effects fitted without each fold, and their errors on it.
 
     ``on`` and ``across_runs`` are those of the :class:`Folds`. ``loss`` (F, S) is the
-    mean square [N^2] of what set s misses of the first channel in fold f, ``whitened``
-    (F, S) the sum of squares of all channels over the noise, ``rows`` (F,) of the fold,
-    ``amplitude`` the refitted amplitudes by set: (F, k), in prior scales. ``smooth``
-    (F,) is the loss of anything smooth, ``climbed`` the set that a climb over whole
-    runs ends at, ``as_given`` (F,) the loss of a simulator whose parameters are not
-    refitted.
+    mean squared error [N^2] of set s in the first channel of fold f, ``whitened`` (F, S)
+    the sum of squares of all channels over the noise, ``rows`` (F,) the number in the
+    fold, ``amplitude`` the refitted amplitudes by set: (F, k), in prior scales.
+    ``smooth`` (F,) is the loss of "anything smooth", ``climbed`` the set found by the
+    climb over whole runs, ``as_given`` (F,) the loss of a simulator whose parameters are
+    not refitted.
     """
 
     on: str
@@ -78,10 +80,10 @@ class Predicted(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """What a set of effects gains over another on data left out: the difference of the
-    sums of squares over the noise, all channels, and the share of the gap beyond the
-    noise that it closes, first channel, with their standard errors over the ``parts``
-    that were left out."""
+    """The gain of a set of effects over another on data left out: the difference of the
+    sums of squares over the noise (all channels), and the share of the gap beyond the
+    noise that it closes (first channel), with standard errors over the ``parts`` that
+    were left out."""
 
     gain: float
     std: float
@@ -100,11 +102,11 @@ class Step(NamedTuple):
         closed: share of what the first step leaves beyond the noise that is closed
             there.
         closed_std: its standard error over the parts left out.
-        gain: what the step takes from the mean square [N^2]; the two last steps are
+        gain: decrease of the mean square by the step [N^2]; the last two steps are
             compared with the last set of effects.
         gain_std: its standard error.
-        rms_held_out: rms on the files held out [N]; None without such files, for a set
-            that was not refitted, and for the two last steps.
+        rms_held_out: rms on the held-out files [N]; None without such files, for a set
+            that was not refitted, and for the last two steps.
         closed_held_out: share of the gap closed there, beyond the noise.
     """
 
@@ -119,15 +121,15 @@ class Step(NamedTuple):
 
 
 class Ladder(NamedTuple):
-    """The steps, and ``on``: what was left out; no steps where nothing could be."""
+    """The steps, and in ``on`` what was left out; no steps if nothing could be."""
 
     on: str = ""
     steps: tuple[Step, ...] = ()
 
 
 def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> Folds:
-    """The partition of the used rows: whole runs where there are four or more, else
-    blocks of time, else settings and parts of the slip.
+    """The partition of the used rows: whole runs if there are four or more, else blocks of
+    time, else settings and parts of the slip.
 
     Args:
         rows_each: rows per independent row of the noise; a block of time holds several
@@ -144,7 +146,7 @@ def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> 
     most = int(prepared.n // max(_LEAST_ROWS, 4 * rows_each))
     count = max(min(_BLOCKS, most), 2)
     if prepared.time is not None and np.ptp(prepared.time) and not prepared.random_order:
-        # By the names of the runs: their codes follow the order of the rows.
+        # Order runs by name, as their codes follow the order of the rows.
         place = np.argsort(np.argsort(prepared.data.runs))
         code = _in_parts(np.lexsort((prepared.time, place[prepared.run])), count)
         return Folds(code, f"{count} blocks of time left out in turn")
@@ -166,7 +168,7 @@ def _in_parts(order: np.ndarray, count: int) -> np.ndarray:
 
 
 def _judged_on(base: Base, out: np.ndarray) -> np.ndarray:
-    """Rows of a fold (n,) without outliers; all of them where there are no others."""
+    """Rows of a fold (n,) without outliers; all of them if all are outliers."""
     good = out & (base.design.keep[: base.rows.n] > 0)
     return good if good.any() else out
 
@@ -212,9 +214,9 @@ def predicted(base: Base, sets: Sequence[Hypothesis], folds: Folds) -> Predicted
 
 
 def _smooth_loss(base: Base, out: np.ndarray) -> float:
-    """Mean square [N^2] of what "anything smooth" misses of a fold (n,): the smooth
-    functions of the discrepancy beside the base model, linearised at its fit, of each
-    size by its evidence on the other rows."""
+    """Mean squared error [N^2] of "anything smooth" in a fold (n,): the smooth functions
+    of the discrepancy added to the base model, linearised at its fit, averaged over
+    their scale by its evidence on the other rows."""
     n, channels = base.rows.n, base.rows.channels
     residual, jacobian, *_ = base.at_null
     columns, p = np.concatenate([jacobian, base.generic.smooth], 1), jacobian.shape[1]
@@ -241,7 +243,7 @@ def _error(parts) -> float:
 
 
 def gained(out: Predicted, new: int, old: int, floor: float) -> Gain:
-    """What set ``new`` gains over set ``old``.
+    """The gain of set ``new`` over set ``old``.
 
     Args:
         floor: mean square of the noise of the first channel [N^2].
@@ -263,7 +265,7 @@ def _closed(rows, after, before, floor: float) -> tuple[float, float]:
 
 
 def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
-    """The steps from no effect to a set of effects, then what anybody could close.
+    """The steps from no effect to a set of effects, then the limits of any model.
 
     Each step adds the effect that predicts the rows left out best.
 
@@ -302,13 +304,13 @@ def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
 
 
 def climbed(base: Base, search: Search, folds: Folds, needed: float) -> Hypothesis:
-    """The set that predicts whole runs best, by a climb from no effect, one effect at a
-    time; every set on its way is refitted to all rows.
+    """The set that predicts whole runs best, found by adding one effect at a time; every
+    set on the way is refitted to all rows.
 
     A step adds the effect that predicts the runs left out best; then each of the others
-    may give way to one that predicts them better. Of sets that differ by less than
-    ``needed`` standard errors the most probable by evidence is taken, and the climb
-    ends where no step gains more than that.
+    may be replaced by one that predicts them better. Among sets that differ by less than
+    ``needed`` standard errors, the most probable by evidence is taken. The climb ends if
+    no step gains more than that.
     """
     atoms = _steps(base, search)
 
@@ -317,7 +319,7 @@ def climbed(base: Base, search: Search, folds: Folds, needed: float) -> Hypothes
         there = {base.atoms[k].effect.id for k in kept}
         new = [k for effect, k in atoms.items() if effect not in there]
         sets = [tuple(sorted((*kept, k))) for k in new]
-        # A refit starts from what is known of each of its effects.
+        # A refit starts from the known amplitudes of its effects.
         singles = (h for h in search.fitted if len(h.atoms) == 1)
         sizes = {h.atoms[0]: h.amplitude[0] for h in singles}
         sizes |= dict(zip(now.atoms, now.amplitude, strict=True))
@@ -344,14 +346,13 @@ def climbed(base: Base, search: Search, folds: Folds, needed: float) -> Hypothes
 
 
 def of_one_run(base: Base) -> set[str]:
-    """Effects that belong to a single run, or to one moment of it: other runs tell
-    nothing of them."""
+    """Effects of a single run or of one time in it, which other runs cannot show."""
     effects = [atom.effect for atom in base.atoms]
     return {e.id for e in effects if "runs" in e.needs or e.scans_time}
 
 
 def _steps(base: Base, search: Search) -> dict[str, int]:
-    """Effects that may be steps, each by its atom in the best set that holds it."""
+    """Effects that may be steps, each with its atom in the best set that contains it."""
     ranked = search.fitted
     singles = [h for h in ranked if len(h.atoms) == 1][:_SINGLES]
     atoms: dict[str, int] = {}

@@ -1,7 +1,7 @@
 """Noise of the forces and of the slip: its level, and its correlation in time.
 
-All scales are Huber's proposal 2, so that a few large residuals move them little and no
-row changes them at once.
+All scales are Huber's proposal 2, which a few large residuals change little and a single
+row does not change abruptly.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ CORRELATED = 2.5
 """Significant lag-one correlation, in standard errors: one white record in 160."""
 
 _FACTS = len(_FADES)
-"""Smallest number of independent rows: more correlation is taken for a gap."""
+"""Smallest number of independent rows; stronger correlation is treated as a gap."""
 
 
 def memory_of(
@@ -54,15 +54,15 @@ def memory_of(
     """Correlations of a noise of 2 % probability or more, the most probable first;
     :data:`FORGETFUL` where the correlation of neighbours is not significant.
 
-    Smooth functions take up slow noise, so the correlation of what they leave is biased
+    Smooth functions absorb slow noise, so the correlation of the remainder is biased
     downwards; the restricted likelihood corrects that.
 
     Args:
         white: (n,) remainder after smooth functions, zero for excluded rows.
         unit: (n, q) those functions, orthonormal.
         stretches: rows in the order of time (index arrays), which share no row.
-        most: largest variance of the noise: a slow gap beside noise of a known level is
-            not taken for correlated noise.
+        most: largest variance of the noise, so that a slow gap with noise of a known
+            level is not treated as correlated noise.
     """
     stretches = [rows for rows in stretches if len(rows) > 2]
     if not stretches or np.sqrt(np.mean(white**2)) < SILENT:
@@ -144,8 +144,8 @@ _OUTLIER = 4.5
 """Standard deviations from which a row is excluded: one normal row in 1.5e5."""
 
 _FEW, _FLAGGED = 3, 0.004
-"""Number and share of excluded rows above which outliers are reported: so many may lie
-at a sharp edge of the force."""
+"""Number and share of excluded rows above which outliers are reported; so many may be at a
+sharp bend of the force."""
 
 _ROUNDS = 4
 """Largest number of rounds of exclusion, and of weighting by a variance law."""
@@ -194,7 +194,7 @@ def judge_noise(
         given: (n,) stated standard deviation, or None.
         basis: (n, m) smooth functions that represent any gap (unit columns, in N).
         waves: (n, 2 x waves), of which the significant ones are removed too.
-        groups: rows whose neighbours differ by noise alone: index arrays.
+        groups: index arrays of rows whose neighbours differ only by noise.
         time, run: order of the rows (time may be None).
         refine: exclude rows by the smooth remainder of a fit without a gross gap.
     """
@@ -238,7 +238,7 @@ def judge_noise(
             std = np.maximum(std * local, floor)
             memory = smooth.memory(rest / std, in_time)
     std = np.maximum(std, floor)
-    if np.all(std <= floor):  # forces from a formula: digits are left, no noise
+    if np.all(std <= floor):  # forces from a formula have rounding errors but no noise
         memory = (FORGETFUL,)
     if grows or (not stated and np.max(std) > (1 + _MISSTATED) ** 2 * np.min(std)):
         flags.append("heteroscedastic")
@@ -255,14 +255,14 @@ def judge_noise(
         inflation = min(max(inflation, correlation(left, time, run)), most)
     else:
         inflation = 1.0
-    # Where the force is small, noise that grows with it is that of the sensor.
+    # At small forces, noise that grows with the force is that of the sensor.
     ratio = float(np.quantile(std / np.sqrt(base**2 + spread), 0.1)) if stated else 1.0
     return NoiseLevel(std, memory, inflation, ~keep, tuple(flags), source, ratio)
 
 
 def _overruled(white, smooth: "_Smooth", size: float, groups, in_time):
-    """(factor, flags, source) of a stated noise. It is replaced where the remainder, of
-    ``size`` over it, and all neighbours scatter by more."""
+    """(factor, flags, source) of a stated noise. It is replaced if the remainder, ``size``
+    times as large, and all neighbours scatter by more."""
     scales = {
         "about smooth functions": size,
         "between neighbours in slip": _between(white, groups, smooth.keep),
@@ -277,8 +277,8 @@ def _overruled(white, smooth: "_Smooth", size: float, groups, in_time):
 
 
 def _stray(residual, groups) -> np.ndarray:
-    """Rows far both from the median of their neighbours and from the line between the
-    two next to them: (n,) bool."""
+    """Rows (n,) bool far both from the median of their neighbours and from the line
+    between the two next to them."""
     off = np.zeros((2, len(residual)))
     for group in (group for group in groups if len(group) >= 7):
         values = residual[group]
@@ -293,7 +293,7 @@ def _stray(residual, groups) -> np.ndarray:
 
 
 def _scale(white, smooth: "_Smooth") -> float:
-    """Huber's scale of a remainder (n,), degrees of freedom counted."""
+    """Huber's scale of a remainder (n,), corrected for the degrees of freedom."""
     kept = white[smooth.keep]
     return _huber(kept) * float(np.sqrt(len(kept) / smooth.freedom))
 
@@ -309,7 +309,7 @@ def _huber(values) -> float:
 
 def _between(white, groups, keep, apart: float = 0.0, in_time=()) -> float:
     """Standard deviation by second differences of neighbours, plus two of its standard
-    errors; infinite where few rows have neighbours.
+    errors; infinite if few rows have neighbours.
 
     Args:
         apart: smallest distance in time of these neighbours, in rows of ``in_time``.
@@ -378,8 +378,8 @@ class _Smooth:
 
 
 def _shares(white, fz, force, keep) -> list[np.ndarray]:
-    """Shapes (n,) of the variance: constant; the square of the load where it varies;
-    and the force and its square where it clearly grows with the force."""
+    """Shapes (n,) of the variance: constant; the square of the load, if it varies; and the
+    force and its square, if the variance clearly grows with the force."""
     used = np.abs(force) / np.max(np.abs(force))
     shares = [np.ones_like(fz)]
     if np.std(fz) > LOADS * np.mean(fz):
@@ -390,8 +390,8 @@ def _shares(white, fz, force, keep) -> list[np.ndarray]:
 
 
 def _law(square, parts, fixed=0.0) -> np.ndarray:
-    """Sizes (k,), none negative, of the parts (n, k) of a variance, by least squares
-    weighted by the law; squares (n,) are clipped."""
+    """Non-negative sizes (k,) of the parts (n, k) of a variance, by least squares weighted
+    by the law; squares (n,) are clipped."""
     mean = max(float(np.mean(square)), NONZERO)
     law = np.full(len(square), mean)
     for _ in range(_ROUNDS):
@@ -422,8 +422,8 @@ def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) ->
         residual: (n,) [N].
         steepness: (n,) squared slope of the force over the slip [N^2].
         fz: (n,) load, with which the force noise may grow.
-        alike, in_time: rows whose neighbours differ by noise alone, and rows in the
-            order of time: index arrays.
+        alike, in_time: index arrays of rows whose neighbours differ only by noise, and of
+            rows in the order of time.
     """
     alike = [rows for rows in alike if len(rows) > 2]
     if sum(len(rows) - 2 for rows in alike) < _NEIGHBOURED * len(residual):
@@ -432,7 +432,7 @@ def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) ->
     parts = np.concatenate([_middle(parts[rows], 0.25) for rows in alike])
     second = np.concatenate([_middle(residual[rows], -0.5) for rows in alike])
     square = second**2
-    # Score of the slip's share, the own parts that it resembles taken out.
+    # Score of the share of the slip, orthogonal to the other parts of the variance.
     own = parts[:, :-1]
     without = np.maximum(own @ _law(square, own), NONZERO)
     over = np.minimum(square / without, _CLIP**2) / _CLIPPED - 1
@@ -457,5 +457,5 @@ def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) ->
 
 
 def _middle(values, weight: float):
-    """Each row but the first and the last plus ``weight`` times its neighbours."""
+    """Each row, except the first and the last, plus ``weight`` times its neighbours."""
     return values[1:-1] + weight * (values[2:] + values[:-2])

@@ -39,20 +39,20 @@ class Followed(NamedTuple):
     share: float
 
     def sentence(self, model: str) -> str:
-        """The effect that the fitted model lacks, and a model that has it."""
+        """The dependence that the fitted model does not describe, and a model with it."""
         name, unit, other = _COLUMNS[self.column]
-        advice = f"{other} has the {name}; or fit parameters per run (per_run = true)"
+        advice = f"use {other}, which depends on it, or fit parameters per run (per_run = true)"
         if self.column == "fz" and model in _LOAD:
-            advice = f"{_LOAD[model]} lets stiffness and friction change with the load"
+            advice = f"use {_LOAD[model]}, whose stiffness and friction vary with the load"
         return (
-            f"the model lacks the {name}: over {name}s from {self.low:.4g} to"
-            f" {self.high:.4g} {unit}, trends with the {name} explain"
-            f" {100 * self.share:.0f} % of the variance of the residuals: {advice}"
+            f"the model does not describe how the force depends on the {name}: for"
+            f" {name}s from {self.low:.4g} to {self.high:.4g} {unit}, trends with it explain"
+            f" {100 * self.share:.0f} % of the variance of the residuals; {advice}"
         )
 
 
 class Misfit(NamedTuple):
-    """The columns that the residuals depend on, in the order of selection."""
+    """The columns that the residuals depend on, the strongest first."""
 
     columns: tuple[Followed, ...] = ()
     rows_per_one: float = 1.0  # independent row, without trends at their variance

@@ -5,7 +5,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array
 
@@ -18,7 +18,6 @@ from tirefit.fitting.likelihood import CHANNEL_SLIP, Channel, FitProblem, Rows, 
 from tirefit.fitting.slip_noise import slip_density, speed_of, std_with_speed
 from tirefit.fitting.time_series import check_time_series, check_whole_series
 from tirefit.models import MODELS, AbstractTire, TireInputs, modelled
-from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.padding import pad_rows, padded_size
 from tirefit.params import parameter_values, specs
 from tirefit.results import DataError, InputProblem, UsageError
@@ -45,6 +44,8 @@ def find_model(name: str) -> AbstractTire:
     """
     if name in MODELS:
         return MODELS[name]
+    from tirefit.models.mf import MAGIC_FORMULAS  # which no other model waits for
+
     if name in MAGIC_FORMULAS:
         reason = f"{name} is a whole Magic Formula, which is fitted in stages"
         remedy = f"`tirefit fit --model {name}`, fit_magic_formula in Python; what it"
@@ -196,8 +197,8 @@ def check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
 
 
 def _put(values: np.ndarray, size: int) -> Array:
-    """Rows padded, on the device."""
-    return jnp.asarray(pad_rows(values, size))
+    """Rows padded, on the device; ``jnp.asarray`` would compile a program for each shape."""
+    return jax.device_put(pad_rows(values, size))
 
 
 def _inputs(data: TireData, size: int) -> TireInputs:
@@ -311,7 +312,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
     rows = Rows(
         inputs=_inputs(data, size),
         run=_put(data.run[data.used].astype(int), size),
-        weight=jnp.asarray((np.arange(size) < data.n).astype(float)),
+        weight=jax.device_put((np.arange(size) < data.n).astype(float)),
         observed=observed,
         scale=scale,
         slip_std=slip_std,

@@ -32,8 +32,8 @@ _BELOW_MINUS_ONE = math.erfc(1 / math.sqrt(2)) / 2
 class Estimate:
     """A number with its uncertainty: value, standard deviation, 95 % interval, unit.
 
-    ``std`` and the ends of ``ci95`` are None where the data do not give them; of a
-    posterior ``std`` is half of its central 68.27 %.
+    ``std`` and the ends of ``ci95`` are None where the data do not determine them. If a
+    posterior was sampled, ``std`` is half the width of its central 68.27 %.
     """
 
     value: float
@@ -45,10 +45,10 @@ class Estimate:
 
     @classmethod
     def of_draws(cls, draws: np.ndarray, unit: str, identified: bool) -> "Estimate":
-        """Median and central 95 % of draws (m,) of a posterior, finite ones.
+        """The median and the central 95 % interval of finite posterior draws (m,).
 
-        ``std`` is half the central 68.27 %: the standard deviation of a Gaussian, and
-        the width of the bulk where a rare part far away would decide the moment.
+        ``std`` is half the width of the central 68.27 %: the standard deviation of a
+        Gaussian, which a few distant draws do not change.
         """
         shares = (0.025, _BELOW_MINUS_ONE, 0.5, 1 - _BELOW_MINUS_ONE, 0.975)
         low, left, median, right, high = np.quantile(draws, shares).tolist()
@@ -80,10 +80,10 @@ class FitStatistics:
 def information(
     minus_two_log: float, rows: int, effective: float, unknowns: int
 ) -> tuple[float, float]:
-    """(AICc, BIC) where ``rows`` count as ``effective`` independent ones.
+    """(AICc, BIC) of ``rows`` rows that count as ``effective`` independent ones.
 
-    The log likelihood of all rows shrinks by their ratio. Models compare fairly only at
-    one common effective number.
+    The log likelihood is scaled by ``effective / rows``. Models can be compared only if
+    ``effective`` is the same for all of them.
     """
     share = effective / rows
     correction = 2 * unknowns * (unknowns + 1) / max(effective - unknowns - 1, 1)
@@ -93,23 +93,23 @@ def information(
 
 @dataclass(frozen=True)
 class PosteriorSummary:
-    """What a sampler did; effective samples, R-hat and tau (in steps) by label. Of
-    ``importance`` there is no chain, no R-hat and no tau."""
+    """The record of a sampler; ``ess``, ``rhat`` and ``tau`` (in steps) are by label.
+    ``importance`` has no chain, and therefore no ``rhat`` and no ``tau``."""
 
     sampler: str
     seed: int
     ensembles: int
     walkers: int
-    steps: int  # of ``importance`` the points that were evaluated
+    steps: int  # ``importance``: number of points evaluated
     discarded: int
     ess: Mapping[str, float]
     rhat: Mapping[str, float]
     tau: Mapping[str, float]
-    acceptance: float  # of ``importance`` the share of points that draws are worth
+    acceptance: float  # ``importance``: effective samples per point evaluated
     outcome: Outcome
-    k_hat: float | None = None  # of the weights, for emcee of those refused before
+    k_hat: float | None = None  # of the weights; ``emcee``: of the weights it replaced
     divergences: int | None = None  # of ``nuts``
-    note: str = ""  # what else is to be said
+    note: str = ""  # a further remark for the report
 
 
 class Verdict(NamedTuple):
@@ -123,13 +123,13 @@ class Verdict(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class FitResult(Record):
-    """One fit: what went in, what came out, how sure it is.
+    """The result of a fit: its data and settings, the estimates and the verdict.
 
-    ``parameters`` and ``derived`` come from the posterior where it ran, else from
-    least squares and the profile, as ``source`` says. ``intervals`` holds those of all
-    three routes (``covariance``, ``profile``, ``posterior``), and those for
-    ``independent`` rows. ``far_rows`` (``far_rows.FarRow``) are far from everything,
-    excluded or not.
+    ``parameters`` and ``derived`` come from the posterior if it was sampled, else from
+    least squares and the profile; ``source`` says which. ``intervals`` holds those of
+    all three routes (``covariance``, ``profile``, ``posterior``), and those for
+    ``independent`` rows. ``far_rows`` (``far_rows.FarRow``) are the outliers, excluded
+    or kept.
     ``chains`` (ensembles, draws, p) are posterior samples of the free parameters in the
     order of ``labels``, thinned to be nearly independent; ``walkers`` the same draws as
     (ensembles, walkers, steps, p); ``z`` and ``covariance`` describe the estimate in
@@ -168,7 +168,7 @@ class FitResult(Record):
     far_rows: tuple[FarRow, ...] = ()
     posterior: PosteriorSummary | None = None
     asked: str = ""
-    """Digest of all that the command asked for, by which it knows what is done."""
+    """Digest of the command's data and options, from which a rerun sees what is done."""
     interrupted: bool = False
     """Whether sampling was interrupted before it had anything to keep."""
     chains: np.ndarray | None = field(default=None, repr=False)
@@ -189,7 +189,7 @@ class FitResult(Record):
 
     @property
     def source(self) -> str:
-        """What the values and intervals of ``parameters`` and ``derived`` are."""
+        """How the values and intervals of ``parameters`` and ``derived`` were obtained."""
         if self.posterior is not None:
             return "posterior median and central 95 %"
         return "least squares, profile likelihood"
@@ -199,8 +199,8 @@ class FitResult(Record):
 
         Args:
             what: ``fit``, ``residuals``, ``profile``, ``corner``, ``trace``, ``runs``.
-            how: ``ax`` of ``fit``: axes of your own figure; ``parameters`` of
-                ``corner`` and ``trace``: those to draw, by label or by name.
+            how: for ``fit``, ``ax``: axes of your own figure; for ``corner`` and
+                ``trace``, ``parameters``: those to draw, by label or by name.
 
         Raises:
             UsageError: no such figure, or the fit does not have what it shows.

@@ -1,4 +1,4 @@
-"""What a file's own rows say of its noise, and which of them stand for all."""
+"""Estimate the noise of a file from its own rows, and choose a sample of them."""
 
 from typing import NamedTuple
 
@@ -10,26 +10,26 @@ from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.noise import autocorrelation_time
 
 ROWS = 512
-"""Rows that stand for all, evenly over loads and slips: one program for all files."""
+"""Size of the sample, evenly over loads and slips: one compiled program for all files."""
 _LEAST_NOISE = 1e-3  # of the load: no rig measures better
 _GUESSED_NOISE = 0.01
-_SPINNING = -0.95  # slip below which a wheel spins all but on the spot
-_SETTINGS = 12  # levels of a channel that are settings of the rig at most
-_CHUNK = 12  # parts of a slip curve in which it is a parabola, and the rest is noise
+_SPINNING = -0.95  # slip below which a wheel spins almost on the spot
+_SETTINGS = 12  # largest number of levels of a channel that are settings of a rig
+_CHUNK = 12  # parts of a slip curve, each fitted by a parabola with noise residuals
 
 
 class Scatter(NamedTuple):
-    """Noise of a force over the load, and rows per independent row."""
+    """The noise of a force."""
 
-    share: float
-    inflation: float
+    share: float  # standard deviation over the load
+    inflation: float  # rows per independent row
     how: str
 
 
 def stretches(data: TireData, force: str) -> list[np.ndarray]:
-    """Used rows by what the rig was set to, each setting's in the order of slip."""
+    """The used rows of each setting of the rig, in the order of slip."""
     rows = np.flatnonzero(data.used)
-    if "sigma_x" in data:  # of a wheel that spins on the spot the slip has no size
+    if "sigma_x" in data:  # the slip of a wheel that spins on the spot is not defined
         rolls = data["sigma_x"][rows] > _SPINNING
         rows = rows[rolls] if rolls.any() else rows
     key = np.zeros(len(rows), int)
@@ -42,7 +42,7 @@ def stretches(data: TireData, force: str) -> list[np.ndarray]:
 
 
 def some_rows(data: TireData, parts, seed: int) -> TireData:
-    """Data of at most ``ROWS`` rows of the parts, one in each stretch of each."""
+    """Data of at most ``ROWS`` rows of the parts, evenly taken in their order."""
     order = np.concatenate(parts)
     if len(order) > ROWS:
         edges = np.linspace(0, len(order), ROWS + 1)
@@ -54,7 +54,7 @@ def some_rows(data: TireData, parts, seed: int) -> TireData:
 
 
 def scatter_of(data: TireData, force: str, parts) -> Scatter:
-    """Noise by what a slip curve leaves of the rows in every part of it."""
+    """The noise from the residuals of the rows about a piecewise parabolic slip curve."""
     share = data[force] / data["fz"]
     rest = np.full(len(data), np.nan)
     for part in parts:
@@ -68,7 +68,7 @@ def scatter_of(data: TireData, force: str, parts) -> Scatter:
             rest[rows] = left * np.sqrt(len(rows) / (len(rows) - 3))
     known = np.flatnonzero(np.isfinite(rest))
     if len(known) < 12:
-        how = f"too few rows to see the noise: {_GUESSED_NOISE:.0%} of the load taken"
+        how = f"too few rows to estimate it: {_GUESSED_NOISE:.0%} of the load is assumed"
         return Scatter(_GUESSED_NOISE, 1.0, how)
     size = max(float(np.sqrt(np.mean(rest[known] ** 2))), _LEAST_NOISE)
     inflation = 1.0

@@ -1,9 +1,9 @@
 """The distribution of the true slips of a file, from slips measured with noise.
 
-Maximum likelihood by expectation maximisation of a piecewise linear density, the
-empirical-Bayes prior of each row's latent slip.
-A flat prior instead biases the friction where slips crowd (S §5.1 noise: by 0.6
-standard deviations; with the estimated distribution by less than 0.1).
+A piecewise linear density, fitted by maximum likelihood (expectation maximisation), is
+the empirical-Bayes prior of each row's latent slip. With a flat prior the friction is
+biased where many rows have similar slips (S §5.1 noise: by 0.6 standard deviations; with
+the estimated distribution by less than 0.1).
 """
 
 from typing import NamedTuple
@@ -18,29 +18,29 @@ _REACH = 4.0
 
 
 _STANDS = 0.03
-"""Share of the usual speed below which a wheel stands: its slip is as unsure as there,
-not without limit."""
+"""Share of the median speed below which the slip noise no longer grows: the noise of a
+standing wheel would be infinite."""
 
 
 def speed_of(data: TireData) -> np.ndarray:
-    """Speeds (n_used,) [m/s], for a slip noise that is stated as one of a speed.
+    """Speeds (n_used,) [m/s], for a slip noise that is given as one of a speed.
 
     Raises:
         DataError: no column v.
     """
     if "v" in data:
         return data.usable("v")
-    reason = "the noise of the slip is stated as one of a speed, and v is not there"
+    reason = "the slip noise is given as noise of a speed, but the data have no column v"
     remedy = "name its column with --column v=HEADER, or --constant v=10"
     raise DataError(reason, remedy, data.file)
 
 
 def std_with_speed(plain: float, of_speed: float, v) -> np.ndarray:
-    """Noise of slips that come from positions or wheel speeds: (n,).
+    """Standard deviations (n,) of slips that come from positions or wheel speeds.
 
     Args:
-        plain: standard deviation at any speed [-].
-        of_speed: that of the speed across the patch [m/s].
+        plain: the part that does not depend on speed [-].
+        of_speed: standard deviation of the slip velocity of the patch [m/s].
         v: (n,) speeds [m/s].
     """
     size = np.abs(v)
@@ -48,10 +48,10 @@ def std_with_speed(plain: float, of_speed: float, v) -> np.ndarray:
 
 
 _HATS = 20
-"""Triangular functions of a density, fewer where their spacing would fall below the
-slip noise: what is finer cannot be seen, and only draws rows to where others lie."""
+"""Largest number of triangular functions of a density. There are fewer if their spacing
+would fall below the slip noise: the data do not resolve finer detail."""
 _STEPS, _STEPS_AFTER = 200, 60
-"""Steps of expectation maximisation, and those after each standing slip."""
+"""Steps of expectation maximisation, and those after each standing slip is added."""
 _MOST_STANDING = 40
 
 
@@ -69,8 +69,8 @@ def slip_density(slip, std):
 
 
 class SlipDistribution(NamedTuple):
-    """A piecewise linear density, and slips that many rows have; all integrates to
-    one."""
+    """A piecewise linear density, and standing slips, each the true slip of many rows.
+    The density and the shares of the standing slips add up to one."""
 
     knots: np.ndarray
     density: np.ndarray
@@ -78,18 +78,18 @@ class SlipDistribution(NamedTuple):
     shares: np.ndarray  # (k,)
 
     def moments(self, slip, std):
-        """Mean and standard deviation (n,) of each latent slip, given the measured, and
-        the share (n,) of that variance which rows of one standing slip have in common.
+        """Mean and standard deviation (n,) of each latent slip given the measured one,
+        and the share (n,) of that variance which rows of one standing slip have in common.
 
-        What the place of a standing slip is wrong by, its rows share. Each counts with
-        all of its own noise instead, so that their mean is as unsure as the place is;
-        the rows do not scatter by it.
+        The rows of a standing slip share the error of its place and do not scatter by
+        it. Each row is given the variance of its own noise instead: the variance of
+        their mean is then that of the place.
         """
         offset = np.linspace(-_REACH, _REACH, 41)
         nodes = slip[:, None] + std[:, None] * offset
         moving = np.interp(nodes, self.knots, self.density, left=0.0, right=0.0)
         moving = (moving + 1e-6 * self.density.max()) * _gauss(offset) * np.diff(offset)[0]
-        # A measured slip of no noise is what it is.
+        # A slip measured without noise is the true slip.
         there = _standing_likelihood(slip, np.where(std > 0, std, 1.0), self.standing)
         there = np.where(std[:, None] > 0, self.shares * there, 0.0)
         total = moving.sum(axis=1) + there.sum(axis=1)
@@ -108,12 +108,13 @@ _NEW_SHARE = 0.05  # share that new standing slips begin with, together
 
 def slip_distribution(slip, std):
     """Distribution of the true slips of measured ones (n,) with standard deviations
-    (n,): a density, and the slips that rows stand at.
+    (n,): a density and standing slips.
 
     A wheel that rolls freely between two pulses of the brake, or a rig that steps
-    through set points, has many rows of one slip, which no smooth density can show.
-    They are added where the likelihood rises most, at once where each is sure, else one
-    by one, while it rises by more than a place, found by search, and a share are worth.
+    through set points, has many rows of one slip, which a smooth density cannot
+    describe. Standing slips are added where the likelihood rises most, while it rises
+    by more than the penalty for two parameters (the place, found by search, and the
+    share): together those that exceed the penalty alone, then one by one.
     """
     slip, std = _some(slip, std)
     knots, spacing, smooth = _hats(slip, std, _HATS)
@@ -126,7 +127,7 @@ def slip_distribution(slip, std):
     worth = 1.2 * np.log(len(slip))
 
     def beside(more):
-        """Parts with more places, None where they are not worth it."""
+        """The distribution with more places; None if it gains less than the penalty."""
         wider = np.append(standing, places[more])
         found = _with_more(slip, std, smooth, wider, weight, _STEPS_AFTER)
         rise = _log_likelihood(*found[:2]) - likely
@@ -136,7 +137,7 @@ def slip_distribution(slip, std):
         together = columns @ weight
         peaks = _peaks(1 / np.maximum(together, 1e-300) @ near)
         gains = np.array([_first_gain(near[:, k], together) for k in peaks])
-        # Each of these is worth its place by itself; the others, one by one, may be.
+        # These exceed the penalty by themselves; the others are tried one by one.
         sure = gains > worth
         room = _MOST_STANDING - len(standing)
         tries = [peaks[sure][:room]] if np.sum(sure) > 1 else []
@@ -160,16 +161,16 @@ def _peaks(values, most: int = 8):
 
 
 def _first_gain(alone, together) -> float:
-    """Log likelihood that a share of one more part adds, the others left as they are
-    to one another: less than what they add when they all move."""
+    """Gain in log likelihood from a share of one more part with the ratios of the others
+    unchanged: a lower limit of the gain when all shares are fitted again."""
     ratio = alone / np.maximum(together, 1e-300) - 1
     shares = np.array([0.003, 0.01, 0.03, 0.1, 0.3])[:, None]
     return float(np.max(np.sum(np.log1p(shares * ratio), axis=1)))
 
 
 def _with_more(slip, std, smooth, standing, weight, iterations: int):
-    """(columns, weights, places) of the smooth parts and of standing slips, the last of
-    which are new: all places refined."""
+    """(columns, weights, places) of the smooth parts and the standing slips, of which the
+    last are new; all places are refined."""
     new = smooth.shape[1] + len(standing) - len(weight)
     share = np.append((1 - _NEW_SHARE) * weight, np.full(new, _NEW_SHARE / new))
     for _ in range(3):
@@ -183,7 +184,7 @@ def _with_more(slip, std, smooth, standing, weight, iterations: int):
 
 
 def _standing_likelihood(slip, std, places):
-    """Likelihood of each slip under each place, (n, k)."""
+    """Likelihood of each measured slip for each place, (n, k)."""
     return _gauss((slip[:, None] - places) / std[:, None]) / std[:, None]
 
 
@@ -196,13 +197,13 @@ def _gauss(x):
 
 
 def _some(slip, std):
-    """Some thousands of slips give the distribution as well as all of them."""
+    """Every k-th slip: some thousands give the same distribution as all of them."""
     every = max(len(slip) // 4000, 1)
     return slip[::every], std[::every]
 
 
 def _hats(slip, std, hats: int):
-    """(knots, spacing, likelihood of each slip under each hat (n, hats))."""
+    """(knots, spacing, likelihood of each slip for each hat (n, hats))."""
     width = max(float(np.ptp(slip)), float(np.median(std)))
     count = int(np.clip(width / max(float(np.median(std)), 1e-300), 3, hats))
     spacing = width / (count - 1)
@@ -219,7 +220,7 @@ def _weights(columns, weight, iterations: int):
 
 
 def _hat_likelihood(slip, std, knots, spacing):
-    """Likelihood of each slip under each hat of unit area, (n, hats), by quadrature."""
+    """Likelihood of each slip for each hat of unit area, (n, hats), by quadrature."""
     offset, mass = np.polynomial.hermite_e.hermegauss(15)
     true = slip[:, None] + std[:, None] * offset
     hat = 1 - np.abs(true[..., None] - knots[1:-1]) / spacing
@@ -232,9 +233,9 @@ def latent_nodes(slip, std, density, steepness):
     Args:
         slip: measured slips, shape (n,).
         std: their standard deviations, shape (n,).
-        density: what :func:`slip_density` gives for them.
-        steepness: the largest of (slope of the force x slip std / force std): sets the
-            number of nodes so that their spacing stays below the width of the product.
+        density: the result of :func:`slip_density` for them.
+        steepness: largest value of (slope of the force x slip std / force std): sets
+            the number of nodes, so that the force changes little between two of them.
 
     Returns:
         (slips, log weights): arrays of shape (n, nodes).
@@ -244,6 +245,6 @@ def latent_nodes(slip, std, density, steepness):
     offset = np.linspace(-_REACH, _REACH, count)
     nodes = slip[:, None] + std[:, None] * offset
     prior = np.interp(nodes, grid, density, left=0.0, right=0.0)
-    # A floor far below one row's share: no latent slip is impossible, only unlikely.
+    # A floor far below the share of one row, so that no latent slip has zero density.
     log_weight = np.log(prior + 1e-9 * density.max()) - 0.5 * offset**2
     return nodes, log_weight

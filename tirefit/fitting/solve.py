@@ -1,4 +1,4 @@
-"""Solve a problem: multi-start least squares with its noise settled."""
+"""Solve a problem: multi-start least squares, with the noise estimated."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -27,17 +27,17 @@ from tirefit.fitting.problem import FitTask
 from tirefit.fitting.slip_noise import latent_nodes
 
 _SETTLED = 1e-3
-"""Deviance left to gain at which an estimate is settled: 0.03 standard deviations."""
+"""Deviance still to gain below which an estimate has converged: 0.03 standard errors."""
 
 _DOUBLED = 6.0
-"""Number of degrees of freedom that equals its 95 % quantile of t^2: the interval then
-ends where the sum of squares has doubled."""
+"""Degrees of freedom whose 95 % quantile of t^2 equals their own number: the interval
+then ends where the sum of squares has doubled."""
 
-_ONE_MINIMUM = 1e-5  # distance in z below which two estimates are one
+_ONE_MINIMUM = 1e-5  # distance in z below which two estimates are the same
 
 
 class Solved(NamedTuple):
-    """A problem with its noise settled and judged: estimate, covariance."""
+    """A solved problem: the estimate, its covariance, the estimated noise."""
 
     problem: FitProblem
     at: Linearised  # residuals, slopes and moments of the used rows at the estimate
@@ -61,7 +61,7 @@ class Solved(NamedTuple):
 
 
 def starting_points(task: FitTask, count: int, seed: int) -> np.ndarray:
-    """First guess and scattered starts around it, shape (count, p)."""
+    """The first guess and random starts around it, shape (count, p)."""
     layout = task.problem.layout
     first = layout.unconstrained(task.guess)
     generator = np.random.default_rng(seed)
@@ -78,12 +78,12 @@ def with_scale(
     factors: Mapping[str, float],
     slope: float,
 ) -> FitProblem:
-    """The same problem with force scales multiplied and latent slips laid out for them.
+    """The same problem with scaled force noise, and nodes of latent slip for it.
 
     Args:
         slip_density: distribution of the true values of each noisy slip.
-        factors: by channel; those not named keep their scale.
-        slope: largest slope of force over slip [N], sets the number of nodes.
+        factors: of the force noise, by channel; 1 for channels without one.
+        slope: largest slope of force over slip [N]; sets the number of nodes.
     """
     rows, nodes = problem.rows, {}
     scale = {k: np.asarray(v) * factors.get(k, 1.0) for k, v in rows.scale.items()}
@@ -91,7 +91,7 @@ def with_scale(
         forces = [c.name for c in problem.channels if c.slip == slip]
         force_std = min(float(np.median(problem.used(scale[k]))) for k in forces)
         steep = _bucket(slope * float(np.max(std)) / force_std)
-        # A padded row is the first one again: it has nodes like any other.
+        # A padding row repeats the first row, so it has nodes as well.
         values = np.asarray(getattr(rows.inputs, slip))
         nodes[slip] = SlipNodes(*latent_nodes(values, np.asarray(std), slip_density[slip], steep))
     return problem.with_rows(scale=scale, nodes=nodes)
@@ -103,7 +103,7 @@ def _bucket(steepness: float) -> float:
 
 
 def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
-    """Factors that bring the estimated noise scales to the residuals' size."""
+    """Factors by which the residuals differ from the noise scales that are estimated."""
     estimated = [c.name for c in problem.channels if c.noise_estimated]
     if estimated and problem.rows.nodes:
         return dict.fromkeys(estimated, float(noise_factor(problem, z)))
@@ -124,7 +124,7 @@ def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
 
 
 def _settle_noise(task: FitTask, z, solver: str):
-    """Alternate estimates and noise scales until the scales rest."""
+    """Estimate parameters and noise scales in turn until the scales no longer change."""
     problem = task.problem
     slope = _largest_slope(problem, z) if problem.slip_noise else 0.0
     factors = _scale_updates(problem, z)
@@ -147,7 +147,7 @@ def _settle_noise(task: FitTask, z, solver: str):
 
 
 def _largest_slope(problem: FitProblem, z) -> float:
-    """Steepest force over slip among the rows, from forces at nearby slips [N]."""
+    """Largest slope [N] of a force over slip among the rows, by finite differences."""
     slip, inputs = problem.channels[0].slip, problem.rows.inputs
     values = np.asarray(getattr(inputs, slip))
     step = 1e-4 * float(np.ptp(problem.used(values)))
@@ -160,7 +160,7 @@ def _largest_slope(problem: FitProblem, z) -> float:
 
 
 def _used(problem: FitProblem, at: Linearised) -> Linearised:
-    """Without the padding rows; priors, which are no rows, as they are."""
+    """The linearisation without padding rows; priors are kept."""
 
     def cut(arrays):
         return {k: np.asarray(v) if k == "prior" else problem.used(v) for k, v in arrays.items()}
@@ -169,7 +169,7 @@ def _used(problem: FitProblem, at: Linearised) -> Linearised:
 
 
 def _judged(problem: FitProblem, time, at: Linearised, config: FitConfig, misfit: Misfit):
-    """The problem with its rules, chi2/dof where the noise was given, n_effective.
+    """(the problem with its rules, chi2/dof if the noise was given, n_effective).
 
     Correlated residuals leave few independent rows. With few degrees of freedom, t can
     widen an interval to the whole range. If the residuals are misfit that depends on
@@ -205,10 +205,8 @@ def _judged(problem: FitProblem, time, at: Linearised, config: FitConfig, misfit
 
 
 def _surprise(problem: FitProblem, at: Linearised, channels, rows_per_one: float):
-    """chi2/dof of channels whose noise was given, and whether it is too large for it.
-
-    Slip noise counts as noise: the variance of each row is that given its slip.
-    """
+    """chi2/dof of channels whose noise was given, and whether it is significantly above
+    one. The variance of a row includes the effect of slip noise."""
     chi2 = 0.0
     for channel in channels:
         residual = problem.used(problem.rows.observed[channel.name])
@@ -221,12 +219,12 @@ def _surprise(problem: FitProblem, at: Linearised, channels, rows_per_one: float
 
 
 def on_rows(whole: FitTask, kept, task: FitTask, solved: Solved) -> tuple[FitProblem, Linearised]:
-    """All rows of a task as a fit of some of them sees them, and linearised there.
+    """All rows of a task with the noise of a fit to some of them, and linearised at it.
 
-    Those that are fitted are as in the fit: a transient model passes over the others.
+    Fitted rows keep the values of the fit, in which a transient model skips the others.
 
     Args:
-        kept: (n,) bool, the rows that ``task`` has of the whole and that are solved.
+        kept: (n,) bool, the rows of ``whole`` that ``task`` has and ``solved`` fitted.
     """
     scales = {}
     for channel in task.problem.channels:
@@ -250,10 +248,10 @@ def on_rows(whole: FitTask, kept, task: FitTask, solved: Solved) -> tuple[FitPro
 
 
 def _still_to_gain(problem: FitProblem, at: Linearised, z, cov) -> float:
-    """Deviance that one more Gauss-Newton step would gain, bounds aside.
+    """Deviance that one more Gauss-Newton step would gain in parameters off their bounds.
 
-    At a bound the bijection runs to infinity and no solver comes to rest, although
-    nothing is left to gain in any other direction.
+    At a bound the bijection goes to infinity and no solver stops, although the other
+    parameters have converged.
     """
     free = np.abs(z) < 0.6 * REACH
     blocks = [
@@ -274,7 +272,7 @@ def _independent(problem: FitProblem, z, at: Linearised) -> np.ndarray:
 
 
 def solve_problem(task: FitTask, config: FitConfig) -> Solved:
-    """Least squares with the noise settled, and the covariance of z."""
+    """Solve by least squares with the noise estimated; adds the covariance of z."""
     starts = starting_points(task, config.starts, config.seed)
     solution = solve_starts(task.problem, starts, config.solver)
     best = best_of(solution)
@@ -289,7 +287,7 @@ def solve_problem(task: FitTask, config: FitConfig) -> Solved:
     converged = bool(np.all(np.isfinite(z))) and (
         converged or _still_to_gain(problem, at, z, cov) < _SETTLED
     )
-    # With exact data starts that agree to the solver's tolerance are one minimum.
+    # With exact data, starts that agree to the solver's tolerance found one minimum.
     far = np.maximum(3 * np.sqrt(np.diag(cov)), _ONE_MINIMUM)
     ambiguous = bool(np.any(np.abs(solution.z[near] - solution.z[best]) > far))
     level = threshold(problem.noise_estimated, n_effective, problem.layout.size)

@@ -15,7 +15,7 @@ from tirefit.models.mf import MFTire, Mirrored, Pair
 from tirefit.params import check_values, with_values
 from tirefit.results import InputProblem, UsageError
 
-# What reads fits takes longer to import than a .tir file.
+# The modules that read fits are slow to import, and a .tir file does not need them.
 if TYPE_CHECKING:
     from tirefit.fitting.mf.result import MagicFormulaFit
     from tirefit.fitting.result import FitResult
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GivenTire:
-    """A tire with what its source states of it.
+    """A tire, and the fit or file that it comes from.
 
     Attributes:
         name: of the model.
         tire: with its values.
         fit: layout, estimate (p,) and covariance (p, p) in the unconstrained space;
-            None of a tire without a fit.
-        content: of the fit, as its ``fit.json`` has it; empty without one.
-        tir: the ``.tir`` file; None of another source.
+            None without a fit.
+        content: content of ``fit.json``; empty without a fit.
+        tir: the ``.tir`` file; None for another source.
     """
 
     name: str
@@ -45,7 +45,7 @@ class GivenTire:
 
     @property
     def runs(self) -> tuple[str, ...]:
-        """The runs that it was fitted to."""
+        """The runs that the tire was fitted to."""
         return tuple(self.content.get("data", {}).get("runs", ()))
 
     def drawn(self, generator: np.random.Generator, count: int) -> list[AbstractTire]:
@@ -95,13 +95,13 @@ def given_tire(
         check_values(tire, name, values)
         return GivenTire(name, with_values(tire, values))
     if values:
-        reason = "parameter values (--set) beside a fit, which has its own"
+        reason = "parameter values (--set) together with a fit, which has its own"
         raise UsageError(InputProblem(reason, "leave them out, or name a model"))
     return _of_fit(source, text)
 
 
 def _of_fit(fit, path: str) -> GivenTire:
-    """Of a fit, or of its file if ``path`` is not empty."""
+    """The tire of a fit, or of its file if ``path`` is not empty."""
     from tirefit.fitting.mf.result import MagicFormulaFit
     from tirefit.fitting.store import StoredFit, at_estimate, load_fit
 
@@ -121,8 +121,9 @@ def _of_fit(fit, path: str) -> GivenTire:
 def axle_tire(source: "Fit | GivenTire | AbstractTire | str | os.PathLike") -> GivenTire:
     """The tire of an axle, at the load of the axle.
 
-    A Magic Formula is of one tire: the axle has two, mirror images, each at half its
-    load. Every other source is taken for what ``tirefit derive`` gives, a whole axle.
+    A Magic Formula describes one tire; the axle then has two, mirror images of each
+    other, each at half the load. Every other source is assumed to describe a whole
+    axle, as a fit to the log of ``tirefit derive`` does.
 
     Raises:
         UsageError, DataError: as :func:`given_tire`; or a tire without a lateral force

@@ -16,7 +16,6 @@ from tirefit.fitting.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
-from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.params import specs, with_values
 from tirefit.results import DataError, UsageError
 from tirefit.slip import CONVENTIONS
@@ -24,7 +23,7 @@ from tirefit.slip import CONVENTIONS
 
 @dataclass(frozen=True)
 class StoredFit:
-    """What a prediction needs of a fit: the tire, the estimate and the noise."""
+    """A fit read from a file, as predictions need it: tire, estimate and noise."""
 
     model: str
     tire: AbstractTire
@@ -59,13 +58,13 @@ def at_estimate(template: AbstractTire, layout: Layout, z) -> AbstractTire:
 
 _LARGEST = 1e20
 _ROUNDING = 1e-9
-"""Share of the largest variance by which the smallest may seem negative."""
+"""Rounding: the smallest eigenvalue may be this share of the largest below zero."""
 
 
 class _Part(BaseModel):
-    """What is read of a ``fit.json``; the rest of it is for people."""
+    """A part of ``fit.json`` that is read and checked; the rest is for people."""
 
-    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, allow_inf_nan=False, defer_build=True)
 
 
 class _Free(_Part):
@@ -142,7 +141,7 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
         What a prediction or an export needs of the fit.
 
     Raises:
-        DataError: no such file, not JSON, not of this schema, or changed since.
+        DataError: no such file, not JSON, not of this schema, or its checksum is wrong.
 
     Example:
         >>> _ = fit(samples / "circles.csv", "brush").save(folder)
@@ -150,6 +149,8 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
         >>> stored.model, stored.layout.labels
         ('brush', ('cpa2', 'mu'))
     """
+    from tirefit.models.mf import MAGIC_FORMULAS  # which those who write fits do not wait for
+
     remedy = "give a fit.json of `tirefit fit`"
     content = read_record(Path(path), SCHEMA, remedy)
     try:
@@ -180,7 +181,7 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
         if len(record.prediction.z) != layout.size:
             raise ValueError("z has another length than the layout")
     except (ValueError, KeyError, UsageError) as error:
-        # Its checksum holds: it is of another version, or was made by hand.
+        # The checksum is right, so another version wrote the file, or somebody by hand.
         reason = f"it does not hold a fit: {str(error).splitlines()[0][:200]}"
         raise DataError(reason, remedy, str(path)) from None
     return StoredFit(
@@ -195,15 +196,15 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
 
 
 def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
-    """Posterior as netCDF: an xarray DataTree in the InferenceData layout.
+    """Write the posterior as netCDF: an xarray DataTree in the InferenceData layout.
 
-    Every walker is a chain, so that tools which assume independent draws within a
-    chain do not mistake walkers for draws. Written to a temporary name, then renamed.
+    Every walker is a chain, as tools take the draws of a chain for a sequence. The file
+    is written to a temporary name, then renamed.
     """
-    import xarray as xr  # slow to import, and for posteriors alone
+    import xarray as xr  # slow to import, and used for posteriors only
 
     summary, draws = result.posterior, result.walkers
-    assert summary is not None and draws is not None  # both of a fit that was sampled
+    assert summary is not None and draws is not None  # both exist if it was sampled
     ensembles, walkers, steps, _ = draws.shape
     coords = {"chain": np.arange(ensembles * walkers), "draw": np.arange(steps)}
     flat = draws.reshape(ensembles * walkers, steps, -1)
@@ -235,19 +236,19 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
     tree = xr.DataTree.from_dict(
         {"posterior": posterior, "observed_data": observed, "constant_data": constant}
     )
-    # In memory: HDF5 ends the process where a disk is full.
+    # Made in memory, as HDF5 ends the process if the disk is full.
     content = tree.to_netcdf(None, engine="h5netcdf")
     with replacing(path) as temporary:
         temporary.write_bytes(content)
 
 
 def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:
-    """Write ``fit.json`` and, where it was sampled, ``posterior.nc``; whole or not."""
+    """Write ``fit.json`` and, if sampled, ``posterior.nc``, each completely or not at all."""
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     written = []
     if result.walkers is None:
-        # A posterior of an earlier fit beside this fit.json would be taken for its own.
+        # The posterior of an earlier fit would be mistaken for that of this fit.json.
         (directory / "posterior.nc").unlink(missing_ok=True)
     else:
         write_posterior(result, directory / "posterior.nc")
@@ -260,11 +261,11 @@ _STATISTICS = ("rmse", "r2", "chi2_dof", "n", "n_effective")
 
 
 def record_of_fit(content: Mapping, result: str) -> FileRecord:
-    """What the table of all results holds of the content of a ``fit.json``.
+    """The record of a fit for the table of all results.
 
     Args:
-        content: as of :meth:`FitResult.to_dict`.
-        result: where it lies.
+        content: of ``fit.json``, as :meth:`FitResult.to_dict` returns it.
+        result: the path of the fit.
     """
     rows = [
         Row(

@@ -18,10 +18,10 @@ from tirefit.slip import CONVENTIONS, kappa_from_sigma
 TIR_SIGNS = "iso-w"  # convention of ``.tir`` files: that of the axes TYDEX W
 
 USUAL_SLIP = 0.3
-"""Largest kappa and slip angle [rad] of a conversion where none is asked for."""
+"""Default of the largest kappa and slip angle [rad] of a conversion."""
 
 USUAL_SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)
-"""Its loads over the nominal load."""
+"""Default of the loads of a conversion, over the nominal load."""
 
 _SYMBOLS = {"fx": "F_x", "fy": "F_y", "mz": "M_z"}
 _NEEDED = {

@@ -18,10 +18,10 @@ _SYSTEMATIC = 0.5
 
 
 def disagreements(result: FitResult) -> dict[str, str]:
-    """Where the routes to an interval differ, by label.
+    """Sentences on routes to an interval that differ, by label of the parameter.
 
-    An end that differs from the profile's by more than 30 % of its half-width is named.
-    A parameter that is not identified has no interval; rounding makes none.
+    Two routes differ if an end differs from the profile's by more than 30 % of its
+    half-width. Parameters that are not identified and exact data are skipped.
     """
     apart: dict[str, str] = {}
     if _exactness(result):
@@ -56,7 +56,7 @@ def _fit_quality(result: FitResult) -> list[str]:
             f" residuals are {np.sqrt(chi2):.2g} times the given noise; the intervals"
             " are widened by that factor, and still assume that the model is right"
         )
-    # Where the noise is known, a small share may be all that it leaves.
+    # R2 is not judged if the noise is given: it may then account for most of the variance.
     if chi2 is None and statistics.r2 < _POOR_R2:
         share = 100 * max(statistics.r2, 0)
         sentences.append(
@@ -77,14 +77,14 @@ def _misfit(result: FitResult) -> float:
 
 
 def _exactness(result: FitResult) -> str:
-    """What exact data mean for the intervals; empty for measured ones."""
+    """A sentence on the intervals of exact data; empty for measured data."""
     misfit = _misfit(result)
     if misfit >= _EXACT:
         return ""
     sources = {result.noise[name]["source"] for name in result.forces}
     width = "are at rounding level"
     if "given" in sources:
-        width = "say what the given noise would leave open"
+        width = "follow from the given noise"
     return (
         f"the data are exact for this model (RMSE {misfit:.1g} of the range of the"
         f" force): the intervals {width}"
@@ -211,7 +211,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
 def judge(result: FitResult) -> FitResult:
     """The same fit with its outcomes and its verdict.
 
-    The first sentence is the one that the status stands for.
+    The first sentence of the verdict gives the reason of its status.
     """
     findings = _findings(result)
     outcomes = tuple(dict.fromkeys(o for o, _ in findings if o is not None))
@@ -227,7 +227,7 @@ def judge(result: FitResult) -> FitResult:
 
 
 def _speed_limit(result: FitResult) -> list[str]:
-    """S(35) is meaningful only while n max(v_s) < mu_0."""
+    """A sentence if n max(v_s) >= mu_0, where the friction law S(35) has no friction."""
     n, mu = result.least_squares.get("n"), result.least_squares.get("mu")
     if n is None or mu is None:
         return []
@@ -241,6 +241,6 @@ def _speed_limit(result: FitResult) -> list[str]:
         return []
     return [
         f"n max(v_s) = {n.value * fastest:.3g} is not below mu = {mu.value:.3g}: the"
-        " linear friction law has no friction left at the fastest rows; use"
-        " an exponential one (h)"
+        " linear friction law has no friction at the fastest rows; use a model with an"
+        " exponential law (h)"
     ]

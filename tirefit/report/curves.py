@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -249,7 +250,7 @@ def _curves(result: FitResult, channel, members, axis: SlipAxis, normalise, midd
         for name in inputs._fields
     }
     run = [int(runs[rows][0]) for _, rows in members]
-    inputs = TireInputs(**{k: jnp.asarray(v) for k, v in columns.items()})
+    inputs = jax.device_put(TireInputs(**columns))
     scale = problem.used(problem.rows.scale[channel])
     each = [float(np.median(scale[rows])) for _, rows in members]
     of_run, noise = np.repeat(run, len(grid)), np.repeat(each, len(grid))

@@ -36,7 +36,7 @@ class Panel(NamedTuple):
 
 
 def _fitted(fit: MagicFormulaFit, force: str, inputs: Sequence[TireInputs]):
-    """Predicted force (n,) at the inputs, standard deviation (n,) of a measurement."""
+    """Predicted force (n,) at the inputs, and the standard deviation (n,) of a measurement."""
     joined = TireInputs(*map(np.concatenate, zip(*inputs, strict=True)))
     columns = {
         name: column
@@ -96,8 +96,8 @@ def _preference(members: Sequence[SlipBins]) -> tuple[int, float, int]:
 
 def force_panels(fit: MagicFormulaFit, force: str) -> list[Panel]:
     """A force over slip: by load, camber and pressure in pure slip, by slip angle in
-    combined slip, as far as the test varies these. Of the other conditions, those
-    preferred by :func:`_preference` are shown."""
+    combined slip, as far as the test varies these. The other conditions have the values
+    that :func:`_preference` ranks first."""
     panels = []
     for name in _BY:
         swept = "sigma_x" if name == "held" else SLIPS_OF[force][-1]

@@ -1,4 +1,4 @@
-"""Fitted curves of several files on one another: results -> arrays -> axes."""
+"""Draw the fitted curves of several files in one figure: results -> arrays -> axes."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -17,27 +17,27 @@ from tirefit.report.numbers import plain_text
 
 _POINTS = 160
 _MOST_POINTS = 300
-_MOST_NAMED = 12  # files that the legend names; of more, the first and the last
+_MOST_NAMED = 12  # most files in the legend; with more, it has the first and the last
 _OTHER = {"sigma_x": "alpha", "alpha": "sigma_x"}
 _NEAR_LOAD, _NEAR_SLIP = 0.1, 0.01
-"""Share of the load, and slip, by which a point may be off its curve's."""
-_SAME_LOAD = 0.02  # relative spread of the loads up to which forces compare in newtons
+"""A point is drawn with a curve if its load (relative) and other slip differ by less."""
+_SAME_LOAD = 0.02  # relative spread of the loads up to which forces are drawn in newtons
 
 
 class OverlayCurve(NamedTuple):
-    """The curve (m,) of one file over the slips of its own rows."""
+    """The curve (m,) of one file over the range of slip of its rows."""
 
     name: str
     slip: np.ndarray
     force: np.ndarray
     low: np.ndarray  # ends of its 95 % band
     high: np.ndarray
-    at_slip: np.ndarray  # some of its points (n,)
+    at_slip: np.ndarray  # some of its measured points (n,)
     at_force: np.ndarray
 
 
 class Overlay(NamedTuple):
-    """One force over its slip for several files; ``note`` says at which load."""
+    """One force over its slip for several files; ``note`` gives the loads."""
 
     x_label: str
     y_label: str
@@ -51,7 +51,7 @@ def _slips(result: FitResult, channel: str) -> np.ndarray:
 
 
 def _conditions(result: FitResult, slip: str) -> dict[str, float]:
-    """Medians of the rows; the other slip is zero where the rows reach it."""
+    """Medians of the inputs; the other slip is zero if the rows include zero."""
     problem = result.problem
     columns = {k: problem.used(v) for k, v in problem.rows.inputs._asdict().items() if k != slip}
     middle = {k: float(np.median(v)) for k, v in columns.items()}
@@ -100,8 +100,8 @@ def _near(result: FitResult, slip: str, middle: Mapping[str, float]) -> np.ndarr
 def overlay_of(fits: Mapping[str, FitResult], channel: str) -> Overlay:
     """The curves of all fits that have this force, each at the median load of its rows.
 
-    Where loads differ by more than 2 %, forces are over load. A parameter that is per
-    run is that of the first run.
+    If the loads differ by more than 2 %, forces are divided by the load. A parameter per
+    run has its value in the first run.
     """
     given = {k: r for k, r in fits.items() if channel in r.forces}
     slips = np.concatenate([_slips(r, channel) for r in given.values()])
@@ -127,7 +127,7 @@ def _colors(count: int) -> Sequence:
 
 
 def draw_overlay(axes, overlay: Overlay) -> None:
-    """Curves by colour, in the order of the files where there are many."""
+    """Draw each curve in its colour; with many files, colours follow their order."""
     count = len(overlay.curves)
     few = count <= len(COLORS)
     for i, (one, color) in enumerate(zip(overlay.curves, _colors(count), strict=True)):

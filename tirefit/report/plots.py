@@ -21,7 +21,7 @@ def _needs(result: FitResult, what: str, there: bool) -> None:
 
 
 def plot_fit(result: FitResult, what: str = "fit", **how):
-    """A figure of a fit, as :meth:`FitResult.plot` has it; the Figure.
+    """The matplotlib figure of a fit that :meth:`FitResult.plot` returns.
 
     Raises:
         UsageError: no such figure, or the fit does not have what it shows.
@@ -35,7 +35,7 @@ def _plot_curve(result: FitResult, ax=None):
 
     Args:
         result: a fit from this process.
-        ax: axes to draw the first force on, and nothing else, in your own figure.
+        ax: axes of your own figure, on which only the first force is drawn.
     """
     if ax is None:
         return draw.fit_figure(result)
@@ -44,17 +44,17 @@ def _plot_curve(result: FitResult, ax=None):
 
 
 def _plot_residuals(result: FitResult):
-    """Residuals against every input, their distribution and order."""
+    """Residuals over every input, their distribution, and their sequence."""
     return draw.residual_figure(result)
 
 
 def _plot_corner(result: FitResult, parameters: Sequence[str] | None = None):
-    """Posterior of every parameter and every pair.
+    """The posterior of every parameter and every pair.
 
     Args:
         result: a fit with its posterior.
-        parameters: those to draw, by label or by name (which means all runs); without
-            them all, or the twenty that are correlated most.
+        parameters: those to draw, by label or by name (for all runs); by default all,
+            or the twenty that are correlated most.
     """
     _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
     return draw.corner_figure(result, parameters)
@@ -65,7 +65,7 @@ def _plot_trace(result: FitResult, parameters: Sequence[str] | None = None):
 
     Args:
         result: a fit with its posterior.
-        parameters: as of the corner; by default all or ten of worst R-hat.
+        parameters: as for the corner; by default all, or the ten of largest R-hat.
     """
     _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
     remedy = "chain: its posterior is of independent points (plot('corner') draws it)"
@@ -80,7 +80,7 @@ def _plot_profile(result: FitResult):
 
 
 def _plot_runs(result: FitResult):
-    """Parameters and derived quantities run by run, with 95 % intervals."""
+    """Parameters and derived quantities of each run, with 95 % intervals."""
     remedy = "parameter for each run (per_run = true under [parameters.NAME])"
     _needs(result, remedy, has_runs(result))
     return draw.runs_figure(result)
@@ -101,7 +101,7 @@ class Comparison:
     """Several models on the same data, lowest AICc first; prints as a table."""
 
     rows: tuple[tuple[str, ...], ...]  # cells, header first
-    notes: tuple[str, ...]  # what to mind
+    notes: tuple[str, ...]  # remarks printed below the table
 
     def __str__(self) -> str:
         right = tuple(range(1, len(self.rows[0]) - 1))
@@ -118,19 +118,19 @@ def _comparable(results: Sequence[FitResult]) -> None:
     keys = {(r.data["file"], r.data["sha256"], r.statistics.n, r.forces) for r in results}
     if len(keys) > 1:
         raise UsageError(
-            "these fits are of different rows or forces, so AICc, BIC and RMSE say"
-            " nothing about which model is better: fit all models to the same data"
+            "these fits are of different rows or forces, so AICc, BIC and RMSE do not"
+            " tell which model is better: fit all models to the same data"
         )
 
 
 def compare(results: Sequence[FitResult]) -> Comparison:
-    """Compare models fitted to the same data, at one effective number of rows.
+    """Compare models fitted to the same data, with the same effective number of rows.
 
     Args:
         results: fits of the same rows and forces.
 
     Returns:
-        a table for ``print`` and for notebooks.
+        A table for ``print`` and for notebooks.
 
     Raises:
         UsageError: no fits, or fits of different data.

@@ -33,7 +33,7 @@ class Corner(NamedTuple):
     edges: np.ndarray  # (p, bins + 1)
     density: np.ndarray  # (p, bins), peaks at 1
     joint: dict[tuple[int, int], np.ndarray]  # (row > column) -> (bins, bins)
-    levels: dict[tuple[int, int], tuple[float, float]]  # that enclose 95 %, 50 %
+    levels: dict[tuple[int, int], tuple[float, float]]  # of contours with 95 %, 50 % inside
     interval: np.ndarray  # (p, 2) of the posterior
     median: np.ndarray  # (p,) of the posterior
     estimate: np.ndarray  # (p,) least squares
@@ -44,7 +44,7 @@ class Corner(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """Draws of every ensemble over the length of the chain."""
+    """Draws of every ensemble in the order of the chain."""
 
     labels: tuple[str, ...]
     position: np.ndarray  # (m,) from 0 to 1
@@ -53,7 +53,7 @@ class Trace(NamedTuple):
     density: np.ndarray  # (ensembles, p, bins) of all draws
     rhat: np.ndarray | None  # (p,)
     ess: np.ndarray | None  # (p,)
-    note: str  # what is not shown
+    note: str  # parameters that are not shown
 
 
 class ProfilePanel(NamedTuple):
@@ -62,14 +62,14 @@ class ProfilePanel(NamedTuple):
     label: str
     value: np.ndarray
     deviance: np.ndarray
-    parabola: np.ndarray  # (m,) by the covariance alone
+    parabola: np.ndarray  # (m,) deviance from the covariance alone
     level: float
     best: float
     interval: tuple[float | None, float | None]  # of the profile
     edges: np.ndarray | None  # of the posterior
     density: np.ndarray | None  # of the posterior, peaking at 1
     identified: bool
-    logarithmic: bool  # how the values are to be drawn
+    logarithmic: bool  # scale of the axis of values
 
 
 def _spec(result: FitResult, label: str) -> Spec | None:
@@ -94,11 +94,11 @@ def _flat(result: FitResult) -> np.ndarray:
 
 
 def named_labels(result: FitResult, parameters: Sequence[str]) -> tuple[str, ...]:
-    """Labels of the fit by their names, in its order.
+    """The labels of the named parameters, in the order of the fit.
 
     Args:
         parameters: labels as in the report or in ``fit.json``; the name of a parameter
-            that is per run means all runs.
+            per run includes all runs.
 
     Raises:
         UsageError: the fit has no such free parameter.
@@ -116,7 +116,7 @@ def named_labels(result: FitResult, parameters: Sequence[str]) -> tuple[str, ...
 
 
 def _chosen(result: FitResult, most: int, rank: Sequence[float]) -> tuple[str, ...]:
-    """At most so many labels, in order: not identified ones first, then by rank."""
+    """At most ``most`` labels, in order: those not identified first, then by rank."""
     if len(result.labels) <= most:
         return result.labels
     vague = np.array([not result.least_squares[k].identified for k in result.labels])
@@ -125,7 +125,7 @@ def _chosen(result: FitResult, most: int, rank: Sequence[float]) -> tuple[str, .
 
 
 def _telling_pairs(result: FitResult) -> tuple[str, ...]:
-    """The labels whose correlations are strongest."""
+    """The labels with the strongest correlations."""
     strength = np.abs(np.asarray(result.correlation, float))
     np.fill_diagonal(strength := np.nan_to_num(strength), 0.0)
     return _chosen(result, _MOST_PAIRS, strength.max(axis=1, initial=0.0))
@@ -146,7 +146,7 @@ def corner_data(result: FitResult, parameters: Sequence[str] | None = None) -> C
     """Marginal and pairwise posterior densities.
 
     Args:
-        parameters: as of :func:`named_labels`; by default the twenty most correlated.
+        parameters: as in :func:`named_labels`; by default the twenty most correlated.
     """
     if parameters is None:
         labels = _telling_pairs(result)
@@ -159,7 +159,7 @@ def corner_data(result: FitResult, parameters: Sequence[str] | None = None) -> C
         notes.append(f"{text}, or correlated most")
     edges = np.array([bin_edges(column) for column in flat.T])
     beyond = np.any((flat < edges[:, 0]) | (flat > edges[:, -1]), axis=1).mean()
-    # The outermost 0.2 % of each parameter are never drawn.
+    # The axes omit the outermost 0.2 % of the draws of each parameter.
     if beyond > 0.002 * (len(labels) + 1):
         notes.append(f"{100 * beyond:.1f} % of the draws lie beyond the axes")
     density = np.array(
@@ -189,13 +189,13 @@ def corner_data(result: FitResult, parameters: Sequence[str] | None = None) -> C
 
 
 def has_trace(result: FitResult) -> bool:
-    """Whether the posterior comes from a chain: weighted points have no order."""
+    """Whether the posterior comes from a chain; weighted points have no sequence."""
     chained = result.posterior is None or result.posterior.rhat
     return result.chains is not None and bool(chained)
 
 
 def _least_mixed(result: FitResult) -> tuple[str, ...]:
-    """The labels whose chains agree least."""
+    """The labels of largest R-hat."""
     rhat = {} if result.posterior is None else result.posterior.rhat
     ess = {} if result.posterior is None else result.posterior.ess
     rank = [rhat.get(k, 0.0) - 1e-9 * ess.get(k, 0.0) for k in result.labels]
@@ -203,7 +203,7 @@ def _least_mixed(result: FitResult) -> tuple[str, ...]:
 
 
 def _of_others(result: FitResult, labels: Sequence[str]) -> str:
-    """How well the chains agree of those that are not shown."""
+    """Largest R-hat and smallest ESS of the parameters that are not shown."""
     others = [k for k in result.labels if k not in labels]
     if not others:
         return ""
@@ -220,7 +220,7 @@ def trace_data(result: FitResult, parameters: Sequence[str] | None = None) -> Tr
     """Draws of every ensemble in order, thinned for drawing, and their densities.
 
     Args:
-        parameters: as of :func:`named_labels`; by default the ten of worst R-hat.
+        parameters: as in :func:`named_labels`; by default the ten of largest R-hat.
     """
     if parameters is None:
         labels = _least_mixed(result)
@@ -265,8 +265,8 @@ def _profile_panel(result: FitResult, label: str, profile) -> ProfilePanel:
     logarithmic = bool(spec is not None and spec.scale == "log" and wide)
     value, deviance = dense_profile(value[rows], deviance[rows], estimate.value, logarithmic)
     low, high = result.intervals["covariance"][label]
-    assert low is not None and high is not None  # it is never open
-    # At a bound the covariance interval has no width, and its parabola is a line up.
+    assert low is not None and high is not None  # this interval is never open
+    # At a bound the covariance interval has no width, so its parabola is a vertical line.
     half = max((high - low) / 2, 1e-9 * max(abs(low), abs(high), 1e-300))
     parabola = level * ((value - (low + high) / 2) / half) ** 2
     edges = density = None
@@ -282,7 +282,7 @@ def _profile_panel(result: FitResult, label: str, profile) -> ProfilePanel:
 
 
 def profile_data(result: FitResult) -> tuple[ProfilePanel, ...]:
-    """Profile likelihood of at most 24 parameters beside the other two routes."""
+    """The profile likelihood of at most 24 parameters, with covariance and posterior."""
     differ = result.verdict.disagreements
     shown = _chosen(result, _MOST_PROFILES, [label in differ for label in result.labels])
     return tuple(

@@ -1,1 +1,1 @@
-"""Simulation: tires, and what they carry, in time."""
+"""Simulations over time: tires, wheels, test rigs and cars."""

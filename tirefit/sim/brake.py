@@ -1,7 +1,7 @@
 """A braking manoeuvre in closed loop: plant, sensors and any controller, in one scan.
 
-The loop takes a controller as a record with ``rate``, ``init`` and ``step``
-(:mod:`tirefit.online.controller`); it knows no particular one. Batches are its vmap.
+The loop takes any controller: a record with ``rate``, ``init`` and ``step``
+(:mod:`tirefit.online.controller`). Many stops are run by ``vmap`` over it.
 """
 
 from typing import NamedTuple
@@ -25,23 +25,23 @@ from tirefit.sim.brake_plant import (
 from tirefit.sim.brake_vehicle import Noise, Sensors, draw_noise, wheel_speeds
 
 STANDS = 0.1
-"""Speed [m/s] below which the car has stopped: 1.3 cm before the end at mu 0.04."""
-SPUN = 1.5708  # angle [rad] from which on a car has spun: across the way that it had
-_RUN_IN = 2.0  # time [s] for which a car turns at a constant speed before it is braked
+"""Speed [m/s] below which the car has stopped: 1.3 cm before standstill at mu 0.04."""
+SPUN = 1.5708  # heading [rad] above which a car has spun: at right angles to its first one
+_RUN_IN = 2.0  # time [s] of a turn at constant speed before braking
 
 
 class Log(NamedTuple):
-    """What happened, sample by sample (n,) or (n, w); SI, braking positive."""
+    """The record of a stop, sample by sample: (n,) or (n, w); SI, braking positive."""
 
     moving: Float[Array, "*n"]  # 1 while the car moves
     motion: Motion
     contacts: Contacts
     xbs_true: Float[Array, "*n w"]  # [N s/m] slope of force by slip velocity
-    valve: Float[Array, "*n w"]  # as it works, after its delay
-    d: Float[Array, "*n w"]  # [N] of the road
-    reading: Measurement  # of the sensors, with the true peaks
+    valve: Float[Array, "*n w"]  # command at the valve, after the delay
+    d: Float[Array, "*n w"]  # [N] force of the uneven road
+    reading: Measurement  # sensor values, and the true peaks
     info: dict[str, Float[Array, "*n w"]]  # of the controller
-    fine: Float[Array, "*n"]  # 1 where the integration after the sample went well
+    fine: Float[Array, "*n"]  # 1 if the integration to the next sample succeeded
 
 
 def xbs_true(plant: Plant, s: Motion) -> Float[Array, " w"]:
@@ -50,13 +50,13 @@ def xbs_true(plant: Plant, s: Motion) -> Float[Array, " w"]:
     def braked(omega):
         return contacts(plant, s._replace(omega=omega)).fx
 
-    # A force depends on its own wheel's speed alone; slip velocity is v - R omega.
+    # A force depends only on the speed of its own wheel; slip velocity is v - R omega.
     _, slope = jax.jvp(braked, (s.omega,), (jnp.ones_like(s.omega),))
     return -slope / jnp.asarray(plant.vehicle.radius, float)
 
 
 def _read(plant: Plant, sensors: Sensors, s, now: Contacts, t, noise: Noise, d):
-    """What the sensors say of a state, under forces d (w,) [N] of the road."""
+    """The sensor values in a state, with forces d (w,) [N] of the uneven road."""
     peak, at = plant.tire.peaks(now.mu, now.slips.speed, now.fz)
     slowing, _, _ = accelerations(plant, now.fx + d, now.fy)
     turning = s.omega * jnp.asarray(plant.vehicle.radius)
@@ -79,7 +79,7 @@ def _moves(s: Motion, start: Motion):
 
 
 def _loop(plant: Plant, controller, sensors, start: Motion, noise, queue, period):
-    """The scan: (n,)-leading log of a stop from a state."""
+    """The scan: the log of a stop that begins in a state; leaves (n, ...)."""
     static = jnp.asarray(plant.vehicle.fz, float)
     forces = noise.road * static[None]
     wheels = static.shape
@@ -115,7 +115,7 @@ def _loop(plant: Plant, controller, sensors, start: Motion, noise, queue, period
 
 
 def _started(plant: Plant, speed) -> Motion:
-    """The car as the braking begins: straight on, or in the turn of its steering."""
+    """The state in which braking begins: straight ahead, or in a steady turn if steered."""
     straight = rolling(plant, speed)
     if plant.vehicle.steered.shape == (1,):
         return straight
@@ -130,19 +130,19 @@ def _started(plant: Plant, speed) -> Motion:
 def simulate_stop(
     plant: Plant, controller, sensors: Sensors, speed, key, samples: int, queue: int
 ) -> Log:
-    """One stop, sample by sample.
+    """Simulate one stop.
 
     Args:
         plant: vehicle, tire, road, hydraulics: leaves are arrays.
         controller: a record with ``period``, ``init`` and ``step``.
-        sensors: noise of what it sees.
-        speed: [m/s] at which the braking begins.
-        key: of the noise.
-        samples: of the controller, the time limit.
-        queue: samples that a command waits.
+        sensors: the noise of the sensors.
+        speed: initial speed [m/s].
+        key: random key of the noise.
+        samples: time limit, in samples of the controller.
+        queue: delay of a command, in samples.
 
     Returns:
-        the log, leaves (samples, ...); after the stop its rows repeat.
+        The log, leaves (samples, ...); after the stop its rows repeat.
     """
     wheels = len(plant.vehicle.fz)
     noise = draw_noise(key, sensors, samples, wheels, controller.rate)

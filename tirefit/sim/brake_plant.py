@@ -1,17 +1,17 @@
-r"""A braked vehicle: body, wheels, tires, hydraulics, between two samples.
+r"""Equations of motion of a braked vehicle: body, wheels, tires, hydraulics.
 
-With braking forces :math:`F_x` positive, lateral forces to the right for a positive
-slip angle, and forces :math:`d` of the uneven road that act with them, O(1):
+Braking forces :math:`F_x` are positive, lateral forces point to the right for a positive
+slip angle, and forces :math:`d` of the uneven road add to the braking forces, O(1):
 
 .. math::
    J \dot\omega_i &= R (F_{x,i} + d_i) - T_i, \quad T_i = g_i p_i \\
    m (\dot v_x - v_y r) &= X, \quad m (\dot v_y + v_x r) = Y, \quad I_z \dot r = N
 
 The loads follow the accelerations with a lag. The brake is dry friction: it holds a
-wheel that stands until the road turns it, and never turns it itself, so a locked wheel
-is exactly that. diffrax integrates from one sample of the controller to the next with
-an explicit method of order five; steps shorten as the slip stiffens with
-:math:`C_x R^2/(J v)` at low speed (:data:`tirefit.sim.brake_tire.LOW_SPEED` bounds it).
+locked wheel at exactly zero speed until the road turns it, and never turns it backwards.
+diffrax integrates from one sample of the controller to the next with an explicit method
+of order five. At low speed its steps become shorter, as the slip is stiff with
+:math:`C_x R^2/(J v)` (bounded by :data:`tirefit.sim.brake_tire.LOW_SPEED`).
 """
 
 from typing import NamedTuple
@@ -29,7 +29,7 @@ Number = Float[Array, ""]
 
 
 class Plant(NamedTuple):
-    """What is braked, and on what; ``steering`` [rad] of the steered wheels."""
+    """The vehicle, its tires and the road; ``steering`` [rad] of the steered wheels."""
 
     vehicle: Vehicle
     tire: RoadTire
@@ -41,21 +41,21 @@ class Plant(NamedTuple):
 class Motion(NamedTuple):
     """State of the vehicle."""
 
-    distance: Number  # [m] along the way
-    x: Number  # [m] on the ground
+    distance: Number  # [m] travelled
+    x: Number  # [m] position on the ground
     y: Number  # [m]
     heading: Number  # [rad]
     v_x: Number  # [m/s]
     v_y: Number  # [m/s]
     yaw_rate: Number  # [rad/s]
-    slowing: Number  # [m/s2] backward, that the loads have followed
-    aside: Number  # [m/s2] to the left, likewise
+    slowing: Number  # [m/s2] deceleration, lagged, that sets the loads
+    aside: Number  # [m/s2] acceleration to the left, lagged, that sets the loads
     omega: Wheels  # [rad/s]
     pressure: Wheels  # [Pa]
 
 
 class Contacts(NamedTuple):
-    """What a state does on the road, (w,) each."""
+    """Slips, friction, loads and forces of the wheels in a state, (w,) each."""
 
     slips: Slips
     v_x: Wheels  # [m/s] along the wheels
@@ -66,17 +66,17 @@ class Contacts(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """What acts between two samples."""
+    """The inputs between two samples."""
 
     valve: Wheels
-    begin: Wheels  # [N] force d of the uneven road at the first, linear between
-    end: Wheels  # [N] at the second
-    free: Number  # 1 where the car rolls unbraked at constant speed, before a manoeuvre
-    moving: Number  # 0 where it stands, and nothing changes
+    begin: Wheels  # [N] force d of the uneven road at the first sample
+    end: Wheels  # [N] at the second sample; linear in between
+    free: Number  # 1 while the car rolls unbraked at constant speed, before braking
+    moving: Number  # 0 when it stands and the state is constant
 
 
 def rolling(plant: Plant, speed: Number) -> Motion:
-    """Straight on at a speed [m/s], without brakes."""
+    """The state of straight, unbraked rolling at a speed [m/s]."""
     zero = jnp.zeros(())
     still = dict.fromkeys(Motion._fields, zero)
     radius = jnp.asarray(plant.vehicle.radius, float)
@@ -91,7 +91,7 @@ def _steer(plant: Plant):
 
 
 def contacts(plant: Plant, s: Motion) -> Contacts:
-    """Slips, loads and forces of a state."""
+    """The :class:`Contacts` of a state."""
     car = plant.vehicle
     cos, sin = _steer(plant)
     ahead = s.v_x - s.yaw_rate * car.y
@@ -129,7 +129,7 @@ def _rate(since, s: Motion, args) -> Motion:
     felt = now.fx + drive.begin + share * (drive.end - drive.begin)
     slowing, aside, yawing = accelerations(plant, felt, now.fy)
     turned = felt * car.radius - jnp.asarray(car.brake_gain) * s.pressure
-    # A brake holds a wheel that stands; it does not turn it.
+    # A brake holds a standing wheel; it does not turn it backwards.
     holds = (s.omega <= 0) & (turned < 0)
     flow = plant.hydraulics.flow(start + since, s.pressure, drive.valve)
     cos, sin = jnp.cos(s.heading), jnp.sin(s.heading)
@@ -149,13 +149,13 @@ def _rate(since, s: Motion, args) -> Motion:
     return jax.tree.map(lambda value: value * drive.moving, rate)
 
 
-TOLERANCE = 1e-6  # largest error of a step, in the scales below
+TOLERANCE = 1e-6  # largest error of a step, in units of the scales below
 _SCALES = {"heading": 0.1, "yaw_rate": 0.1, "pressure": 1e6}
-"""Of states, by which their errors are judged; 1 in SI units of the others."""
+"""Scales of the errors of states; 1 in SI units for the others."""
 
 
 def _error(scaled: Motion):
-    """Largest error over its scale; every wheel is held to it alone."""
+    """Largest error over its scale; each wheel must meet the tolerance."""
     parts = scaled._asdict().items()
     sizes = [jnp.max(jnp.abs(e)) / _SCALES.get(name, 1.0) for name, e in parts]
     return jnp.max(jnp.stack(sizes))
@@ -164,13 +164,13 @@ def _error(scaled: Motion):
 def advance(
     plant: Plant, s: Motion, drive: Drive, t: Number, period: float
 ) -> tuple[Motion, Number]:
-    """The state after ``period`` [s], and whether the integration went well (1 or 0).
+    """The state after ``period`` [s], and whether the integration succeeded (1 or 0).
 
     Args:
-        t: time [s] since the braking began, at ``s``.
+        t: time [s] of the state ``s`` since braking began.
         period: a number, not an array.
     """
-    # Errors are absolute in units of the scales: none of the states outgrows its own.
+    # Absolute errors in units of the scales suffice: no state grows far beyond its scale.
     controller = diffrax.PIDController(rtol=0.0, atol=TOLERANCE, norm=_error)
     # Counted from the sample: diffrax then knows the times as it traces, and need not
     # check them in the program. One that calls Python back to complain is not kept

@@ -1,4 +1,4 @@
-"""What is to be braked, checked and made into a plant."""
+"""The request for a braking manoeuvre: its checks, and the plant made from it."""
 
 import math
 from collections.abc import Mapping
@@ -25,26 +25,26 @@ from tirefit.sim.brake_vehicle import (
 )
 
 VEHICLES = {"car": four_wheels, "quarter": quarter_car}
-"""Name of a vehicle -> what makes it."""
+"""Name of a vehicle -> its constructor."""
 
-_LEAST_SHARE = 0.4  # share of the least friction with which the time limit reckons
+_LEAST_SHARE = 0.4  # share of the smallest friction that the default time limit assumes
 _GRACE = 3.0
 _FASTEST, _SHARPEST = 100.0, 0.6
 
 
 @dataclass(frozen=True)
 class Request:
-    """A manoeuvre: which tire, where, how fast."""
+    """A manoeuvre: tire, road, speed, vehicle."""
 
     tire: AbstractTire  # with its parameter values
-    tire_name: str  # how it is called
+    tire_name: str  # for messages
     road: str = "mu=0.3"  # as in :data:`tirefit.sim.brake_vehicle.ROADS`
     speed: float = 15.0  # [m/s] at which the braking begins
     vehicle: str = "car"  # a key of :data:`VEHICLES`
     steer: float = 0.0  # angle [rad] of the front wheels, to the left; constant
-    hydraulics: Hydraulics = field(default_factory=Hydraulics)  # the driver's demand
-    sensors: Sensors = field(default_factory=Sensors)  # and unevenness of the road
-    time_limit: float | None = None  # [s]; by speed and friction if None
+    hydraulics: Hydraulics = field(default_factory=Hydraulics)  # with the driver's demand
+    sensors: Sensors = field(default_factory=Sensors)  # with the unevenness of the road
+    time_limit: float | None = None  # [s]; None: from speed and friction
 
     @property
     def limit(self) -> float:
@@ -56,11 +56,11 @@ class Request:
         return round(self.speed / (GRAVITY * _LEAST_SHARE * least) + _GRACE, 2)
 
     def samples(self, rate: float) -> int:
-        """Of a controller with this rate [1/s] until the time limit."""
+        """Number of samples until the time limit at a rate [1/s]."""
         return math.ceil(self.limit * rate)
 
     def about(self) -> dict[str, Any]:
-        """What was asked for, for the summary."""
+        """The settings of the request, for the summary."""
         return {
             "tire": self.tire_name,
             "parameters": {key: float(value) for key, value in parameter_values(self.tire).items()},
@@ -80,7 +80,7 @@ def arrays(tree):
 
 
 def plant_of(request: Request) -> Plant:
-    """The plant of a request that was checked; its leaves are arrays."""
+    """The plant of a checked request; its leaves are arrays."""
     vehicle: Vehicle = arrays(VEHICLES[request.vehicle]())
     road = arrays(road_of(request.road))
     tire = on_road(
@@ -94,7 +94,7 @@ def plant_of(request: Request) -> Plant:
 
 
 _USUAL_SLOPE = (3.0, 150.0)
-"""Slope of the braking force at rest over the load: 10 to 40 of car tires."""
+"""Slope of the braking force at zero slip, over the load; 10 to 40 for car tires."""
 
 _LONGEST = 300.0  # longest manoeuvre [s]
 
@@ -112,13 +112,13 @@ _NUMBERS = {
     "road_std": (0.0, 10.0, "of the load"),
     "road_corner": (1e-2, 1e3, "Hz"),
 }
-"""Least and largest number of hydraulics, sensors and road, and its unit."""
+"""Smallest and largest value of each number of hydraulics, sensors and road; unit."""
 
 
 def known_to_controllers(request: Request) -> dict[str, Any]:
-    """What a maker of brakes knows of the car, by name: radius [m], inertia [kg m2],
-    brake_gain [N m/Pa], fz [N], arrays (w,); rise, fall [Pa/s] and delay [s] of the
-    hydraulics; stiffness [N]: slope of F_x over kappa at rest, (w,)."""
+    """The data of the car that a controller may use, by name: radius [m], inertia
+    [kg m2], brake_gain [N m/Pa], fz [N], arrays (w,); rise, fall [Pa/s] and delay [s] of
+    the hydraulics; stiffness [N]: slope of F_x over kappa at zero slip, (w,)."""
     car = VEHICLES[request.vehicle]()
     tire, speed = request.tire, request.speed
 
@@ -143,7 +143,7 @@ def known_to_controllers(request: Request) -> dict[str, Any]:
 
 
 def doubts(request: Request) -> list[str]:
-    """What may be meant otherwise: a tire of another size than the car."""
+    """A warning if the tire seems to be of another size than the car."""
     known = known_to_controllers(request)
     slope = float(np.max(known["stiffness"] / known["fz"]))
     low, high = _USUAL_SLOPE
@@ -151,14 +151,14 @@ def doubts(request: Request) -> list[str]:
         return []
     load = float(np.max(known["fz"]))
     return [
-        f"the braking force of {request.tire_name} rises by {slope:.3g} of the load of"
-        f" {load:.0f} N for each unit of slip, of tires it is {low:g} to {high:g}: it"
-        " is that of another load; fit one of this car's size, or give --set"
+        f"the slope of the braking force of {request.tire_name} over the slip is {slope:.3g}"
+        f" times the load of {load:.0f} N; car tires have {low:g} to {high:g}: the tire is"
+        " probably for another load; use one for this car, or change it with --set"
     ]
 
 
 def check(request: Request) -> None:
-    """Raises UsageError with all that is wrong with a request."""
+    """Raises UsageError with all problems of a request."""
     problems = _tire_problems(request)
     limits = [
         ("--speed", request.speed, 0.5, _FASTEST, "m/s"),
@@ -176,32 +176,32 @@ def check(request: Request) -> None:
     road = road_of(request.road)
     if request.vehicle not in VEHICLES:
         reason = f"there is no vehicle {request.vehicle!r}"
-        problems.append(InputProblem(reason, f"choose of {', '.join(VEHICLES)}"))
+        problems.append(InputProblem(reason, f"choose one of {', '.join(VEHICLES)}"))
     elif request.vehicle == "quarter" and (request.steer or road.split):
         what = "steer" if request.steer else "have a left and a right"
         reason = f"a quarter car cannot {what}"
-        problems.append(InputProblem(reason, "brake the whole one: --vehicle car"))
+        problems.append(InputProblem(reason, "use the whole car: --vehicle car"))
     UsageError.raise_for(problems)
 
 
 def _tire_problems(request: Request) -> list[InputProblem]:
     tire, name = request.tire, request.tire_name
     if "fx" not in modelled(tire):
-        remedy = "choose a model with F_x, as brush-m"
+        remedy = "choose a model with F_x, such as brush-m"
         return [InputProblem(f"{name} has no braking force", remedy)]
     if tire.transient or "time" in tire.needs:
-        remedy = "choose its steady-state model, as brush for brush-relaxation"
-        return [InputProblem(f"{name} lags behind its slip", remedy)]
+        remedy = "choose its steady-state model, such as brush for brush-relaxation"
+        return [InputProblem(f"{name} is transient: its force lags behind the slip", remedy)]
     turns = request.steer or road_of(request.road).split
     if turns and not _combines(tire, request.speed):
-        reason = f"{name} has no combined slip, and the car turns here"
-        remedy = "choose one that has, as brush-m, lugre or magic-formula-combined"
+        reason = f"{name} has no combined slip, which a turning car needs"
+        remedy = "choose a model that has it: brush-m, lugre or magic-formula-combined"
         return [InputProblem(reason, remedy)]
     return []
 
 
 def _combines(tire: AbstractTire, speed: float) -> bool:
-    """Whether a slip angle takes from the braking force, and there is a lateral one."""
+    """Whether a slip angle reduces the braking force and causes a lateral force."""
     inputs = [TireInputs(0.2, alpha, 4e3, speed) for alpha in (0.0, 0.3)]
     straight, aside = (tire(each) for each in inputs)
     if straight.fx is None or aside.fx is None or aside.fy is None:
@@ -210,10 +210,10 @@ def _combines(tire: AbstractTire, speed: float) -> bool:
 
 
 def with_numbers(request: Request, values: Mapping[str, float]) -> Request:
-    """The request with other numbers of its hydraulics and sensors, by name.
+    """The request with changed numbers of its hydraulics and sensors, by name.
 
     Raises:
-        UsageError: a name that neither has.
+        UsageError: a name that neither of them has.
     """
     hydraulics, sensors, problems = request.hydraulics, request.sensors, []
     for name, value in values.items():
@@ -224,7 +224,7 @@ def with_numbers(request: Request, values: Mapping[str, float]) -> Request:
         else:
             known = ", ".join((*Hydraulics._fields, *Sensors._fields))
             reason = f"--plant {name}: there is no such number"
-            problems.append(InputProblem(reason, f"there are {known}"))
+            problems.append(InputProblem(reason, f"choose one of {known}"))
     UsageError.raise_for(problems)
     return replace(request, hydraulics=hydraulics, sensors=sensors)
 
@@ -235,8 +235,8 @@ def tire_curve(
     """Friction of the road -> (kappa, F_x / F_z), each (points,).
 
     Args:
-        request: whose tire and roads are meant; at the static load of the first wheel
-            and half the speed of the manoeuvre.
+        request: its tire and roads are used, at the static load of the first wheel and
+            half the initial speed.
         most: largest kappa.
     """
     plant = plant_of(request)

@@ -1,4 +1,4 @@
-"""What ``tirefit brake`` has to say: one stop, or many, of one or more controllers."""
+"""The result of ``tirefit brake``: one stop or many, of one or more controllers."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -24,12 +24,12 @@ from tirefit.sim.brake_summary import MEANINGS, UNITS, Summary, interval, reason
 SCHEMA = "tirefit.brake/1"
 
 _TOGETHER = 50
-"""Stops side by side: logs fit into memory, none waits long for others' short steps."""
+"""Stops in one batch: more need much memory, and all wait for the slowest one."""
 
 
 @dataclass(frozen=True)
 class Stop:
-    """One controller's stop: ``log`` (n, ...) until it ended, its numbers, settings."""
+    """A stop by one controller: ``log`` (n, ...) until it ended, summary, settings."""
 
     name: str
     log: Log
@@ -38,7 +38,7 @@ class Stop:
     settings: Mapping[str, Any]
 
     def columns(self) -> dict[str, np.ndarray]:
-        """``series.csv``: header -> (n,) values; wheels by their suffix."""
+        """Columns of ``series.csv``: header -> values (n,); suffixes name the wheels."""
         log, s, c = self.log, self.log.motion, self.log.contacts
         read = log.reading
         table: dict[str, Any] = {
@@ -70,11 +70,11 @@ class Stop:
 
     @property
     def reason(self) -> str:
-        """Why it ended."""
+        """Why the stop ended, as text."""
         return reason_of(self.summary)
 
     def to_dict(self) -> dict[str, Any]:
-        """Its numbers, by the names of :data:`tirefit.sim.brake_summary.UNITS`."""
+        """The numbers of the stop, by the names in :data:`tirefit.sim.brake_summary.UNITS`."""
         numbers = {name: float(getattr(self.summary, name)) for name in UNITS}
         stopped = bool(float(self.summary.stopped) > 0)
         return {**numbers, "stopped": stopped, "reason": self.reason}
@@ -84,8 +84,8 @@ class Stop:
 class Braking(Record):
     """Stops of controllers on one road, with the same noise.
 
-    ``stops``: of the first seed, by controller; ``many``: numbers (k,) of all seeds by
-    controller, empty for one stop; ``peak`` of the tire's curve: see the figures.
+    ``stops``: the stops of the first seed, by controller; ``many``: summaries (k,) of
+    all seeds by controller, empty for one seed; ``peak``: of the tire's curve in figures.
     """
 
     text_by: ClassVar[str] = "tirefit.report.braking:braking_text"
@@ -96,7 +96,7 @@ class Braking(Record):
     many: Mapping[str, Summary]
     seed: int
     version: str
-    notes: tuple[str, ...] = ()  # what may be meant otherwise
+    notes: tuple[str, ...] = ()  # warnings on the request
 
     @property
     def limits(self) -> dict[Outcome, str]:
@@ -112,7 +112,7 @@ class Braking(Record):
         return (*super().warnings, *self.notes)
 
     def table(self) -> dict[str, dict[str, Any]]:
-        """Controller -> number -> its mean and 95 % interval over the seeds."""
+        """Controller -> name of a number -> mean and 95 % interval over the seeds."""
         return {
             name: {
                 **{key: interval(getattr(all_, key))._asdict() for key in UNITS},
@@ -123,7 +123,7 @@ class Braking(Record):
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """``summary.json``; the numbers of the first controller stand at the top."""
+        """Content of ``summary.json``; the numbers of the first controller are on top."""
         each = {
             name: {**stop.to_dict(), "settings": dict(stop.settings)}
             for name, stop in self.stops.items()
@@ -144,15 +144,15 @@ class Braking(Record):
         return json_safe(head | ({"seeds": self.table()} if self.many else {}))
 
     def files(self, name: str = "") -> dict[str, str]:
-        """``summary.json``, ``series.csv``; of several seeds ``stops.csv``."""
+        """``summary.json``, ``series.csv`` and, with several seeds, ``stops.csv``."""
         tables = {"series.csv": self.columns()}
         tables |= {"stops.csv": self.stops_columns()} if self.many else {}
         texts = {file: csv_text(columns) for file, columns in tables.items()}
         return texts | {"summary.json": self.to_json()}
 
     def columns(self) -> dict[str, Any]:
-        """``series.csv``: of one controller as it is; of several below each other, with
-        the controller's name in the first column."""
+        """Columns of ``series.csv``; several controllers are below each other, with the
+        name of the controller in the first column."""
         tables = {name: stop.columns() for name, stop in self.stops.items()}
         if len(tables) == 1:
             return dict(*tables.values())
@@ -169,7 +169,7 @@ class Braking(Record):
         }
 
     def stops_columns(self) -> dict[str, Any]:
-        """``stops.csv``: one row for each seed and controller."""
+        """Columns of ``stops.csv``: one row for each seed and controller."""
         rows: dict[str, Any] = {"controller": [], "seed": []}
         rows |= {name: [] for name in (*UNITS, "stopped")}
         for name, all_ in self.many.items():
@@ -185,12 +185,12 @@ class Braking(Record):
 def many_stops(
     plants: Plant, controller, sensors, speed, keys, samples: int, queue: int
 ) -> Summary:
-    """Numbers (k,) of stops in one vmapped run.
+    """Summaries (k,) of stops in one vmapped run.
 
     Args:
         plants: leaves (k, ...): tires and roads.
-        controller: one for all.
-        keys: (k,) of the noise; the others as of
+        controller: the same for all stops.
+        keys: random keys (k,) of the noise; other arguments as in
             :func:`tirefit.sim.brake.simulate_stop`.
     """
 
@@ -213,14 +213,14 @@ def braked(
     """Brake with each of the controllers, under the same noise.
 
     Args:
-        request: what, where, how fast.
+        request: tire, road, speed, vehicle.
         controllers: name -> record with ``rate``, ``init``, ``step``.
         seed: of the noise; stop k has ``seed + k``.
-        stops: how many seeds.
-        progress: called with the share done and what comes next.
+        stops: number of seeds.
+        progress: called with the share done and the next step.
 
     Raises:
-        UsageError: something is wrong with the request; 32-bit floats.
+        UsageError: a problem of the request; 32-bit floats.
     """
     require_x64("a simulated stop")
     check(request)
@@ -245,7 +245,7 @@ def braked(
 
 
 def _stop(name, log: Log, summary, wheels, controller) -> Stop:
-    """The rows until the end, on the host."""
+    """The stop with its rows until the end, as NumPy arrays."""
     end = min(int(np.sum(log.moving)) + 1, len(log.moving))
     kept = jax.tree.map(lambda leaf: np.asarray(leaf)[:end], log)
     leaves = {

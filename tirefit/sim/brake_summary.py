@@ -1,4 +1,4 @@
-"""What a stop comes down to: numbers of one log, and of many over their seeds."""
+"""Summarise stops: the numbers of one log, and their means over many seeds."""
 
 from typing import Any, NamedTuple
 
@@ -10,13 +10,13 @@ from scipy import stats
 from tirefit.sim.brake import SPUN, STANDS, Log
 from tirefit.sim.brake_plant import Plant
 
-LOCKED_SLIP = 0.9  # slip from which on a wheel counts as locked
+LOCKED_SLIP = 0.9  # slip kappa above which a wheel counts as locked
 RECOVERED = 0.8
-"""Share of the friction there is, at which a controller has found a new road."""
+"""Share of the available friction at which a controller has adapted to a new road."""
 _SLOW = 2.0
-"""Speed [m/s] below which locking and pressure are no longer judged: controllers of
-their kind switch off there."""
-_WINDOW = 1.0  # time [s] over which the mean runs about which a pressure fluctuates
+"""Speed [m/s] below which locking and pressure are ignored: brake controllers switch off
+there."""
+_WINDOW = 1.0  # length [s] of the running mean from which fluctuations are measured
 _BUILT_UP = 0.5  # time [s] after which the first rise of the pressure is over
 _HELD = 0.1  # time [s] over which a recovered friction is averaged
 
@@ -51,11 +51,11 @@ UNITS = {
     "recovery_time": "s",
     "heading": "rad",
 }
-"""Of the numbers that are reported, in their order."""
+"""Name of a reported number -> its unit, in the order of the report."""
 
 MEANINGS = {
-    "stopping_distance": f"way until the car is slower than {STANDS:g} m/s",
-    "stopping_time": "time until then",
+    "stopping_distance": f"distance until the car is slower than {STANDS:g} m/s",
+    "stopping_time": f"time until the car is slower than {STANDS:g} m/s",
     "mean_friction_used": "mean over time of sum F_x / sum mu_peak F_z of the wheels",
     "locked_time": f"time with a wheel at kappa >= {LOCKED_SLIP:g}, above {_SLOW:g} m/s",
     "pressure_rms_fluctuation": f"rms of the wheels' pressures about their running"
@@ -68,7 +68,8 @@ MEANINGS = {
 
 
 def _fluctuation(values, counted, samples: int):
-    """Rms of columns (n, w) about running means over samples, in counted rows (n,)."""
+    """Rms of columns (n, w) about their running means over ``samples`` rows, in the rows
+    that ``counted`` (n,) marks."""
     weight = jnp.ones(samples)
 
     def smooth(column):
@@ -83,7 +84,7 @@ def _fluctuation(values, counted, samples: int):
 
 
 def _recovery(plant: Plant, log: Log, used, period: float):
-    """Time [s] from the jump of the friction until it is used again."""
+    """Time [s] from the jump of the friction until the new friction is used."""
     car = plant.vehicle
     behind = jnp.max(jnp.asarray(car.x)) - jnp.min(jnp.asarray(car.x))
     on_it = (log.motion.distance >= plant.road.jump + behind) & (log.moving > 0)
@@ -98,7 +99,7 @@ def _recovery(plant: Plant, log: Log, used, period: float):
 
 
 def summarise(plant: Plant, log: Log, period: float) -> Summary:
-    """The numbers of one log; a pure function, for vmap."""
+    """The summary of one log; a pure function, for vmap."""
     n = len(log.moving)
     s, moving = log.motion, log.moving
     end = jnp.sum(moving).astype(int)
@@ -112,7 +113,7 @@ def summarise(plant: Plant, log: Log, period: float) -> Summary:
     judged = fast * (log.reading.time >= _BUILT_UP)
     turning = s.omega * jnp.asarray(plant.vehicle.radius)[None]
     sliding = log.contacts.v_x - turning
-    samples = min(round(_WINDOW / period), n)  # of a log that is shorter, all of it
+    samples = min(round(_WINDOW / period), n)  # at most the whole log
     time = last * period
     return Summary(
         stopping_distance=jnp.where(stopped, s.distance[last], jnp.nan),
@@ -146,7 +147,7 @@ def reason_of(summary: Summary) -> str:
 
 
 class Interval(NamedTuple):
-    """Mean over k values, and its confidence interval of 95 %; ``std`` of one."""
+    """Mean of k values with its 95 % confidence interval; ``std`` of a single value."""
 
     mean: float
     low: float
@@ -156,7 +157,7 @@ class Interval(NamedTuple):
 
 
 def interval(values: np.ndarray) -> Interval:
-    """Of values (k,), by Student's t; those that are NaN are left out."""
+    """The :class:`Interval` of values (k,) by Student's t; NaN are ignored."""
     known: Any = np.asarray(values, float)
     known = known[np.isfinite(known)]
     k = len(known)

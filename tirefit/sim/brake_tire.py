@@ -1,12 +1,13 @@
-r"""Any tire of the library on any road, and where its peak is.
+r"""Any tire of the library on a road of given friction, and the slip of its peak.
 
-The road scales the tire by similarity: same stiffness, and the peak is the road's:
+The friction of the road scales the tire by similarity: the stiffness stays the same, and
+the peak becomes that of the road:
 
 .. math:: F(\sigma) = \lambda F_0(\sigma / \lambda), \qquad
     \lambda = \mu_{road} / \mu_0
 
-with :math:`\mu_0` the largest force over load of the tire as it is. For a brush that is
-a change of :math:`\mu` alone, for LuGre one of g. The sliding speed stays what it is.
+with :math:`\mu_0` the largest force over load of the given tire. For a brush this
+changes only :math:`\mu`, for LuGre only g. The sliding speed is not scaled.
 """
 
 from typing import NamedTuple
@@ -21,14 +22,15 @@ from tirefit.models import AbstractTire, TireInputs
 from tirefit.slip import sigma_from_kappa
 
 LOW_SPEED = 0.3
-"""Speed [m/s] below which slip is taken over this speed, lest it be infinitely stiff at
-a standstill; a locked wheel's force fades at a tenth of it, 0.1 m before the end."""
-_LOCKED = 0.99  # largest kappa: of a wheel that stands (sigma 99)
+"""Speed [m/s] below which the slip velocity is divided by this speed, as the slip would
+be infinitely stiff at standstill. The force of a locked wheel fades below a tenth of it,
+in the last 0.1 m."""
+_LOCKED = 0.99  # largest kappa, that of a standing wheel (sigma 99)
 _LEAST_KAPPA = -5.0
 _LEAST_LOAD = 1.0
 _SPEEDS, _LOADS, _SLIPS = 16, 5, 200
 _HALVINGS = 60
-"""Golden-section steps about the best of the slips: the peak is exact to rounding."""
+"""Golden-section steps about the best slip of a grid: the peak is exact to rounding."""
 
 
 class Slips(NamedTuple):
@@ -36,7 +38,7 @@ class Slips(NamedTuple):
 
     kappa: Float[Array, " w"]  # practical slip
     alpha: Float[Array, " w"]  # [rad]
-    speed: Float[Array, " w"]  # [m/s] that divided the sliding speed
+    speed: Float[Array, " w"]  # [m/s] by which the sliding speed was divided
 
 
 def wheel_slips(v_x, v_y, turning) -> Slips:
@@ -50,9 +52,9 @@ def wheel_slips(v_x, v_y, turning) -> Slips:
 class RoadTire(eqx.Module):
     """A tire with a table of its peaks.
 
-    ``peak`` (roads, speeds, loads): largest force over load; ``at``: the kappa where it
-    lies, at the frictions ``roads`` in order, at ``speeds`` [m/s] and ``loads`` [N];
-    ``usual``: the tire's own peak, on which a road's friction is put.
+    ``peak`` (roads, speeds, loads): largest force over load; ``at``: its kappa, for the
+    ascending frictions ``roads``, for ``speeds`` [m/s] and ``loads`` [N]; ``usual``: the
+    peak of the given tire, mu_0.
     """
 
     tire: AbstractTire
@@ -77,7 +79,7 @@ class RoadTire(eqx.Module):
 
     def peaks(self, mu, speed, fz):
         """Largest braking force over load (w,) on roads mu (w,), at speeds [m/s] and
-        loads [N] (w,); and the kappa (w,) where it lies."""
+        loads [N] (w,); and its kappa (w,)."""
         place = [
             jnp.interp(value, known, jnp.arange(len(known), dtype=float))
             for value, known in ((mu, self.roads), (speed, self.speeds), (fz, self.loads))
@@ -90,10 +92,10 @@ class RoadTire(eqx.Module):
 
 
 def _similar(factor, kappa, alpha, speed, fz) -> TireInputs:
-    """Inputs of the tire as it is that are similar to those on a road."""
+    """The inputs of the given tire that are similar to inputs on a road."""
     sigma = sigma_from_kappa(kappa)
     scaled = sigma / factor
-    # Where alpha and speed go so that sigma_y scales and v_s does not.
+    # Change alpha and speed so that sigma_y is scaled and v_s is not.
     narrower = (1 + sigma) / (1 + scaled)
     angle = jnp.arctan(jnp.tan(alpha) / factor * narrower)
     return TireInputs(scaled, angle, fz, speed * factor / narrower)
@@ -101,8 +103,8 @@ def _similar(factor, kappa, alpha, speed, fz) -> TireInputs:
 
 def on_road(tire: AbstractTire, speed, fz, roads) -> RoadTire:
     """A tire with its peaks, for braking from ``speed`` [m/s] at load ``fz`` [N] on
-    ``roads`` (m,) of some frictions."""
-    # Asked of its values, which a .tir file gives: they are not known inside.
+    ``roads`` (m,), given by their friction."""
+    # Decided here from the values of a .tir file, which a traced program does not know.
     return _peaked(tire, speed, fz, roads, "v" not in tire.needs)
 
 
@@ -132,7 +134,7 @@ def _peaked(tire: AbstractTire, speed, fz, roads, one_speed: bool) -> RoadTire:
 
 
 def _highest(curve):
-    """Largest value of a curve over kappa, and where; the first of a plateau."""
+    """Largest value of a curve over kappa, and its kappa; the first of a plateau."""
     grid = jnp.concatenate(
         [jnp.geomspace(1e-4, 0.1, _SLIPS), jnp.linspace(0.1, _LOCKED, _SLIPS)[1:]]
     )

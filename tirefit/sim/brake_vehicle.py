@@ -1,7 +1,7 @@
 """The braked vehicle (a quarter car or four wheels), its brakes, sensors and road.
 
-Axes of ISO 8855 (x forward, y left) at the centre of gravity. Per-wheel values come
-along one axis of length w: one wheel, or four in the order of
+Axes are those of ISO 8855 (x forward, y left) at the centre of gravity. Arrays of values
+per wheel have an axis of length w: one wheel, or four in the order of
 :data:`tirefit.data.table.WHEELS`.
 """
 
@@ -27,16 +27,16 @@ class Vehicle(NamedTuple):
 
     mass: Number  # [kg]
     yaw_inertia: Number  # [kg m2]
-    x: Wheels  # [m] of the wheels, ahead of the centre of gravity
-    y: Wheels  # [m] to its left
+    x: Wheels  # [m] position of the wheels ahead of the centre of gravity
+    y: Wheels  # [m] position of the wheels to its left
     fz: Wheels  # [N] static loads
-    pitch: Wheels  # [kg] load gained by each m/s2 of deceleration
-    roll: Wheels  # [kg] and of acceleration to the left
-    transfer_time: Number  # [s] in which they follow
+    pitch: Wheels  # [kg] change of load by each m/s2 of deceleration
+    roll: Wheels  # [kg] change of load by each m/s2 of acceleration to the left
+    transfer_time: Number  # [s] time constant of these changes
     radius: Wheels  # [m], effective
     inertia: Wheels  # [kg m2] of a wheel
-    brake_gain: Wheels  # [N m/Pa] torque by pressure
-    steered: Wheels  # 1 where the wheel is steered
+    brake_gain: Wheels  # [N m/Pa] brake torque over pressure
+    steered: Wheels  # 1 for steered wheels
 
     @property
     def wheels(self) -> tuple[str, ...]:
@@ -45,14 +45,14 @@ class Vehicle(NamedTuple):
 
 
 _FRONT_GAIN, _REAR_GAIN = 1.35e-4, 0.75e-4
-"""Brake torque by pressure [N m/Pa]. At the front of :class:`Car` 3 MPa then stay just
-below the friction of packed snow (mu 0.35), as in O Figure 3 (b); the rear, with three
-fifths of it, has the smaller share that its load under braking asks for."""
+"""Brake torque over pressure [N m/Pa]. At the front of :class:`Car`, 3 MPa need slightly
+less than the friction of packed snow (mu 0.35), as in O Figure 3 (b). The rear has three
+fifths of it, as braking unloads the rear."""
 _TRANSFER_TIME = 0.1
 
 
 def four_wheels() -> Vehicle:
-    """A car whose loads move between front and rear, left and right."""
+    """A car with load transfer between front and rear, left and right."""
     car = Car()
     base = car.l_f + car.l_r
     front = np.array([1.0, 1.0, 0.0, 0.0])
@@ -91,9 +91,9 @@ def quarter_car() -> Vehicle:
 class Hydraulics(NamedTuple):
     r"""A master cylinder, and an inlet and an outlet valve at each wheel.
 
-    The driver's pressure :math:`p_m` rises at a constant rate. An open inlet lets the
-    wheel's pressure p follow it, an open outlet lets p fall; the command is the share u
-    of an interval for which the one (positive) or the other (negative) is open:
+    The driver's pressure :math:`p_m` rises at a constant rate. While the inlet is open,
+    the wheel's pressure p follows it; while the outlet is open, p falls. The command is
+    the share u of an interval for which the inlet (u > 0) or outlet (u < 0) is open:
 
     .. math:: \dot p = u^+ \min\{(p_m - p)/T, R_+\} - u^- \min\{p/T, R_-\}
 
@@ -116,13 +116,13 @@ class Hydraulics(NamedTuple):
         """Rate of the wheels' pressure (w,) [Pa/s] under commands (w,) in [-1, 1]."""
         up = jnp.clip((self.master(t) - pressure) / self.lag, 0.0, self.rise)
         down = jnp.clip(pressure / self.lag, 0.0, self.fall)
-        # A driver who asks for less has it at once, past the valve (check valve).
+        # If the driver reduces the pressure, a check valve passes that on at once.
         back = jnp.minimum((self.master(t) - pressure) / self.lag, 0.0)
         turned = jnp.maximum(valve, 0.0) * up - jnp.maximum(-valve, 0.0) * down
         return turned + jnp.maximum(back, -self.fall)
 
     def queue(self, rate: float) -> int:
-        """Samples that a command waits, at ``rate`` a second."""
+        """Delay of a command, in samples at ``rate`` [1/s]."""
         return round(self.delay * rate)
 
 
@@ -130,17 +130,17 @@ class Sensors(NamedTuple):
     """Noise of the sensors and unevenness of the road."""
 
     speed_std: float = 0.005  # [m/s] of a wheel's circumferential speed
-    speed_step: float = 0.01  # [m/s] in which it is told
+    speed_step: float = 0.01  # [m/s] resolution of that speed
     deceleration_std: float = 0.1  # [m/s2]
     pressure_std: float = 2e4  # [Pa]
-    road_std: float = 0.01  # of the force d over the static load
-    road_corner: float = 1.0  # [Hz] of d
+    road_std: float = 0.01  # standard deviation of the force d over the static load
+    road_corner: float = 1.0  # [Hz] corner frequency of d
 
 
 class Noise(NamedTuple):
-    """Standard normal numbers of a stop of n samples on w wheels, except ``road`` (n +
-    1, w): the force d over the static load, a stationary process of first order below
-    whose corner, under O's 2-20 Hz, its rate is white: the w of O(2)."""
+    """Standard normal numbers of a stop of n samples on w wheels. ``road`` (n + 1, w) is
+    the force d over the static load, a stationary process of first order. In the 2-20 Hz
+    of O, above its corner, the rate of d is white: the w of O(2)."""
 
     speed: Float[Array, "n w"]
     pressure: Float[Array, "n w"]
@@ -149,7 +149,7 @@ class Noise(NamedTuple):
 
 
 def draw_noise(key, sensors: Sensors, samples: int, wheels: int, rate: float) -> Noise:
-    """The noise of one stop; the same for every controller that has the key."""
+    """The noise of one stop; controllers with the same key have the same noise."""
     keys = jax.random.split(key, 4)
     shape = (samples, wheels)
     kept = jnp.exp(-2 * np.pi * sensors.road_corner / rate)
@@ -171,8 +171,8 @@ def draw_noise(key, sensors: Sensors, samples: int, wheels: int, rate: float) ->
 
 
 def wheel_speeds(sensors: Sensors, turning, noise):
-    """Circumferential speeds (w,) [m/s] as they are told: noise, then steps; a wheel
-    that stands gives no pulses."""
+    """Measured circumferential speeds (w,) [m/s]: with noise, then rounded to steps; zero
+    for a standing wheel, which gives no pulses."""
     step = sensors.speed_step
     noisy = turning + sensors.speed_std * noise * (turning > 0)
     safe = jnp.where(step > 0, step, 1.0)
@@ -181,24 +181,24 @@ def wheel_speeds(sensors: Sensors, turning, noise):
 
 
 ROADS = ("mu=0.4", "mu=0.3:0.8@20", "left=0.3,right=0.8")
-"""How a road is written: constant; another friction from 20 m on; split."""
+"""Examples of the syntax of a road: constant; another friction after 20 m; split."""
 
 _LEAST, _MOST = 0.05, 2.0
-_PATCH = 0.2  # length [m] of the contact patch, which comes onto a new road bit by bit
+_PATCH = 0.2  # length [m] of the contact patch, over which a change of friction is linear
 
 
 class Road(NamedTuple):
-    """Friction on the left and on the right: the largest force over load that the tire
-    has there, at its static load and the speed at which the braking begins."""
+    """Friction on the left and on the right: the largest force over load of the tire
+    there, at its static load and the initial speed."""
 
     before: Float[Array | np.ndarray, " 2"]
     after: Float[Array | np.ndarray, " 2"]
-    jump: Float[Array | np.ndarray, ""] | float  # [m] from where the braking begins
+    jump: Float[Array | np.ndarray, ""] | float  # [m] place of the change of friction
 
     def mu(
         self, distance: Float[Array, " w"], y: Float[Array | np.ndarray, " w"]
     ) -> Float[Array, " w"]:
-        """Friction under wheels that are ``distance`` [m] on, and ``y`` [m] left."""
+        """Friction under wheels after ``distance`` [m], and ``y`` [m] left of the centre."""
         share = jnp.clip((distance - self.jump) / _PATCH + 0.5, 0.0, 1.0)
         side = (jnp.asarray(y) < 0).astype(int)
         before, after = jnp.asarray(self.before)[side], jnp.asarray(self.after)[side]
@@ -212,15 +212,15 @@ class Road(NamedTuple):
 
     @property
     def jumps(self) -> bool:
-        """Whether the friction changes on the way."""
+        """Whether the friction changes along the road."""
         return bool(np.isfinite(self.jump))
 
 
 def road_of(text: str) -> Road:
-    """The road that is written as in :data:`ROADS`.
+    """The road described by a text as in :data:`ROADS`.
 
     Raises:
-        UsageError: it is written otherwise, or a friction is out of range.
+        UsageError: another syntax, or a friction out of range.
     """
     number = r"(\d*\.?\d+)"
     constant = re.fullmatch(rf"mu={number}(?::{number}@{number})?", text.strip())

@@ -1,15 +1,15 @@
-r"""A wheel that is braked in saw-teeth, S section 5.1.
+r"""Simulate a wheel with a saw-tooth brake torque, S section 5.1.
 
-A wheel of inertia J rolls at the speed v of a vehicle; the torque T of its brake is
-turned into a force of the road by the slip that it makes:
+A wheel of inertia J rolls at the speed v of a vehicle. The torque T of its brake causes a
+slip, and the slip a force of the road:
 
 .. math:: J \dot\Omega = R F_x(\sigma, F_z) - T, \quad
     \sigma = (v - \Omega R)/(\Omega R)
 
-which diffrax integrates. The torque rises linearly over each tooth to a share of what
-the road could hold, and falls at once. The tire is the Magic Formula of the source, or
-a LuGre tire whose bristles follow in time (:mod:`tirefit.sim.wheel`); noise comes
-on slip and force afterwards, so that the truth is known.
+which diffrax integrates. In each tooth the torque rises linearly to ``amplitude`` times
+the torque at the friction peak, then falls at once. The tire is the Magic Formula of the
+source, or a transient LuGre tire (:mod:`tirefit.sim.wheel`). Noise is added to slip and
+force afterwards, so the true values are known.
 """
 
 from collections.abc import Mapping
@@ -28,14 +28,14 @@ from tirefit.slip import LOCKED
 
 _SHAPE = 1.22
 BRAKE_GAIN = 0.04
-"""Brake force over brake pressure [N/Pa]: some 5 MPa brake the wheel of S section 5."""
+"""Brake force over brake pressure [N/Pa]: about 5 MPa for the wheel of S section 5."""
 
 
 def source_tire(peak: float = PEAK) -> MagicFormula:
     """The tire of S section 5, a Magic Formula S(40); its coefficients are not printed.
 
-    D is the peak and B C D F_z = C_x; of the pairs (C, E) with 60 % of the peak at a
-    slip kappa of 4 %, as S section 5.4 has it, the one whose peak comes first.
+    D is the peak and B C D F_z = C_x. C and E are the pair whose peak is at the smallest
+    slip, among those with 60 % of the peak at a slip kappa of 4 % (S section 5.4).
 
     Args:
         peak: peak force over load D [-]; the stiffness does not depend on it.
@@ -49,7 +49,7 @@ def source_tire(peak: float = PEAK) -> MagicFormula:
 
 @dataclass(frozen=True)
 class SimulatedLog(Record):
-    """What would have been measured, and the truth; canonical columns (n,)."""
+    """A simulated log: measured and true values in canonical columns (n,)."""
 
     text_by: ClassVar[str] = "tirefit.report.records:log_text"
     plot_by: ClassVar[str] = "tirefit.report.records:log_figure"
@@ -62,26 +62,26 @@ class SimulatedLog(Record):
         return json_safe({"columns": self.columns, "truth": self.truth})
 
     def files(self, name: str = "log") -> dict[str, str]:
-        """``NAME.csv``, and ``NAME.truth.csv`` without noise."""
+        """``NAME.csv``, and the true values without noise, ``NAME.truth.csv``."""
         name = name or "log"
         texts = csv_text(self.columns), csv_text(self.truth)
         return dict(zip((f"{name}.csv", f"{name}.truth.csv"), texts, strict=True))
 
 
 def simulate_braking(how: Braking | None = None) -> SimulatedLog:
-    """A log of braking with saw-tooth torque.
+    """Simulate a log of braking with saw-tooth torque.
 
     Returns:
-        measured columns time, sigma_x, fx, fz, v, omega, torque, brake_pressure; the
-        truth has those without noise, ``mu`` (the peak) and ``cpa2`` (half the slope at
-        rest), of a LuGre tire also ``deflection``, the bristles' mean z [m].
+        The measured columns time, sigma_x, fx, fz, v, omega, torque, brake_pressure; the
+        true columns are these without noise, ``mu`` (the peak), ``cpa2`` (half the slope
+        at zero slip) and, for LuGre, ``deflection``, the bristles' mean z [m].
 
     Raises:
         ValueError: a tire that is not one of :data:`TIRES`.
     """
     how = Braking() if how is None else how
     if how.tire not in TIRES:
-        raise ValueError(f"there is no tire {how.tire!r}; choose of {', '.join(TIRES)}")
+        raise ValueError(f"there is no tire {how.tire!r}; choose one of {', '.join(TIRES)}")
     n = round(how.teeth * how.period * how.rate)
     time = np.arange(n) / how.rate
     full = how.amplitude * how.radius * how.friction * how.load
@@ -122,7 +122,7 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     seen = sigma + np.sqrt(how.slip_variance) * random.standard_normal(n)
     seen = np.where(stands, LOCKED, seen)
     noise = np.sqrt(how.force_variance) * how.load * random.standard_normal(n)
-    # The wheel speed that a measured slip is derived from.
+    # The wheel speed from which the measured slip would be derived.
     columns = truth | {
         "sigma_x": seen,
         "fx": fx + noise,
@@ -133,5 +133,5 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
 
 
 def _slope_at_rest(tire: LuGre, v: float) -> float:
-    """Slope of the force by the slip over the load [-], which depends on the speed."""
+    """Slope of the force at zero slip over the load [-]; it depends on the speed."""
     return tire.sigma0 * tire.length / 2 + (tire.sigma1 + tire.sigma2) * v

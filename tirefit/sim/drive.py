@@ -1,8 +1,8 @@
-r"""A car on a winding road, braked now and then: what its sensors would say.
+r"""Simulate the sensors of a car that drives and brakes on a winding road.
 
-Four brush tires under loads that move with roll and pitch, a driver who keeps the lane,
-and a road whose curvature is a sine of time. With braking forces :math:`F_x` positive
-and :math:`F_y` to the left, in the axes of the car and the wheels' own,
+The car has four brush tires, load transfer by roll and pitch, and a driver who keeps the
+lane; the curvature of the road is a sine of time. With braking forces :math:`F_x`
+positive and :math:`F_y` to the left, in the axes of the car and of each wheel,
 
 .. math::
    m (\dot v_x - v_y r) &= X, \quad m (\dot v_y + v_x r) = Y, \quad
@@ -10,7 +10,7 @@ and :math:`F_y` to the left, in the axes of the car and the wheels' own,
    I_\varphi \dot p &= -k \varphi - c p + h Y, \quad
    \dot e_y = v_x \sin\psi_e + v_y \cos\psi_e, \quad \dot\psi_e = r - \dot\psi_d
 
-which diffrax integrates. The stiffness of a tire follows its load.
+which diffrax integrates. The stiffness of a tire is proportional to its load.
 """
 
 from dataclasses import dataclass, fields
@@ -33,14 +33,14 @@ _SLOWEST = 0.01
 _LEAST_LOAD = 1.0
 _PREVIEW = 15.0  # distance [m] at which the driver looks at the lane
 _LEAD = 0.15
-"""Time [s] by which the driver turns in before a bend, as the car follows that late."""
+"""Time [s] by which the driver steers before a bend: the lag of the car."""
 _FRONT_BRAKES = 0.6
-_PITCH_TIME = 0.1  # time [s] in which the loads of the axles follow the deceleration
+_PITCH_TIME = 0.1  # lag [s] of the axle loads behind the deceleration
 
 
 @dataclass(frozen=True)
 class Car:
-    """A mid-size car; stiffness: 2 c_p a^2 over load of a tire, front and rear."""
+    """A mid-size car; stiffness: 2 c_p a^2 of a tire over its load, front and rear."""
 
     mass: float = 1500.0
     yaw_inertia: float = 2500.0
@@ -58,7 +58,7 @@ class Car:
 
 
 class _State(NamedTuple):
-    """Of the ODE; ``lag``: deceleration that the loads have followed [m/s2]."""
+    """The state of the ODE; ``lag``: lagged deceleration that sets the loads [m/s2]."""
 
     v_x: jax.Array
     v_y: jax.Array
@@ -75,7 +75,7 @@ class _State(NamedTuple):
 
 
 class _Numbers(NamedTuple):
-    """Traced numbers of a drive: (car's and drive's by name), mu before and after."""
+    """Traced numbers of a drive: of the car and the drive by name; mu before and after."""
 
     car: dict[str, jax.Array]
     how: dict[str, jax.Array]
@@ -88,7 +88,7 @@ def _mu(numbers: _Numbers, t):
 
 
 def _road_rate(numbers: _Numbers, t, v_x):
-    """Yaw rate [rad/s] of the road under the car: curvature times speed."""
+    """Yaw rate [rad/s] that follows the road: its curvature times the speed."""
     how, grip = numbers.how, numbers.mu[0] * GRAVITY
     curvature = how["bend"] * grip / how["speed"] ** 2
     return v_x * curvature * jnp.sin(2 * jnp.pi * t / how["bend_period"])
@@ -107,7 +107,7 @@ def _steering(numbers: _Numbers, t, s: _State):
 
 
 def _torques(numbers: _Numbers, t, s: _State):
-    """Brake less drive torque (4,) [N m]: saw-teeth; rear wheels drive in between."""
+    """Brake minus drive torque (4,) [N m]: saw-teeth; the rear wheels drive in between."""
     car, how = numbers.car, numbers.how
     phase = (t % how["brake_period"]) / how["brake_period"]
     braking = (phase < 0.5) & (how["brake"] > 0)
@@ -122,12 +122,12 @@ def _torques(numbers: _Numbers, t, s: _State):
 
 
 def _loads(car, s: _State):
-    """Loads (4,) [N] of the wheels, moved by roll and deceleration."""
+    """Loads (4,) [N] of the wheels, with the transfer by roll and deceleration."""
     base = car["l_f"] + car["l_r"]
     weight = car["mass"] * GRAVITY / base
     forward = car["mass"] * car["height"] * s.lag / base
     front, rear = weight * car["l_r"] + forward, weight * car["l_f"] - forward
-    # A roll to the right, of a force to the left, loads the wheels on the right.
+    # A force to the left rolls the car to the right and loads the wheels there.
     moment = car["roll_stiffness"] * s.roll + car["roll_damping"] * s.roll_rate
     shift = moment / car["track"] * jnp.array([-0.5, 0.5, -0.5, 0.5])
     loads = jnp.stack([front, front, rear, rear]) / 2 + shift
@@ -186,7 +186,7 @@ def _rate(t, s: _State, numbers: _Numbers) -> _State:
 
 @eqx.filter_jit
 def _integrate(numbers: _Numbers, time, max_steps: int):
-    """States (n, ...) at the times, and whether they are there."""
+    """States (n, ...) at the times, and whether the integration reached them."""
     v = numbers.how["speed"]
     zero = jnp.zeros(())
     rolling = jnp.full(4, v / numbers.car["radius"])
@@ -203,7 +203,7 @@ def _integrate(numbers: _Numbers, time, max_steps: int):
 
 @eqx.filter_jit
 def _measured(numbers: _Numbers, time, states: _State) -> dict[str, jax.Array]:
-    """What follows from the states (n, ...) at the times."""
+    """Measured and true columns from the states (n, ...) at the times."""
 
     def one(t, s):
         steering, sigma, angles, loads, along, across = _tires(numbers, t, s)
@@ -247,19 +247,19 @@ def _values(record) -> dict[str, jax.Array]:
 def simulate_drive(
     how: Drive | None = None, car: Car | None = None, max_steps: int = 2**20
 ) -> SimulatedLog:
-    """A log of a drive.
+    """Simulate the log of a drive.
 
     Args:
-        max_steps: of the integration; a car that spins would take any number.
+        max_steps: limit of integration steps; a spinning car would need any number.
 
     Returns:
-        measured columns (canonical: time, steering, road_heading without noise, offset,
-        heading, v, x, y, yaw_rate, roll_rate, a_x, a_y, omega and torque of the
-        wheels); the truth has those without noise, v_y, the slips, slip angles, loads
-        and forces of the tires, and mu.
+        The measured canonical columns: time, steering, road_heading without noise,
+        offset, heading, v, x, y, yaw_rate, roll_rate, a_x, a_y, omega and torque of the
+        wheels. The true columns are these without noise, v_y, the slips, slip angles,
+        loads and forces of the tires, and mu.
 
     Raises:
-        UsageError: more steps than that.
+        UsageError: the drive needs more steps.
     """
     how, car = Drive() if how is None else how, Car() if car is None else car
     n = round(how.duration * how.rate)
@@ -270,9 +270,9 @@ def simulate_drive(
     states, followed = _integrate(numbers, time, max_steps)
     if not followed:
         raise UsageError(
-            f"the drive cannot be followed in {max_steps} steps: a car spins where"
-            " braking and bends together ask for more than the grip",
-            "ask for less lateral acceleration or braking, or more friction",
+            f"the drive needs more than {max_steps} steps: a car spins where braking"
+            " and bends together need more than the friction",
+            "reduce the lateral acceleration or the braking, or raise the friction",
         )
     truth = {k: np.asarray(v) for k, v in _measured(numbers, time, states).items()}
     random = np.random.default_rng(how.seed)

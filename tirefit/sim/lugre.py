@@ -6,13 +6,12 @@ Every bristle follows S(17a) while the tread carries it from the leading edge
 .. math:: \frac{\partial z}{\partial t} + |\Omega R_e| \frac{\partial z}{\partial \zeta}
     = v_s - \frac{\sigma_0 |v_s|}{g(|v_s|)} z, \qquad z(t, 0) = 0
 
-The patch is cut into elements; in each, z is the polynomial that meets the equation at
-the points of a Radau quadrature (stiffly accurate: the last point is the outlet, whose
-value enters the next element). This upwind scheme keeps the balance of the patch exact
-and, with four points, its mean deflection converges with the seventh power of the
-element length for as long as the motion is smooth. The lumped form is one bristle that
-is not carried. Both are a set of ordinary equations for vectors along x and y, linear
-in z, which diffrax integrates.
+The patch is cut into elements. In each, z is the polynomial that satisfies the equation
+at the points of a Radau quadrature; the last point is the outlet, whose value enters the
+next element. This upwind scheme conserves the balance of the patch exactly. With four
+points, its mean deflection converges with the seventh power of the element length if the
+motion is smooth. The lumped form is one bristle without transport. Both are ordinary
+differential equations for vectors along x and y, linear in z, which diffrax integrates.
 """
 
 from functools import cache
@@ -29,16 +28,16 @@ _POINTS = 4
 
 
 class Bristles(NamedTuple):
-    """Where the bristles sit and how the tread carries them, with z = 0 at the leading
+    """The places of the bristles and their transport by the tread; z = 0 at the leading
     edge."""
 
-    place: np.ndarray  # (n,) from the leading edge, over the length of the patch
-    weight: np.ndarray  # (n,) of each in the mean over the patch
-    transport: np.ndarray  # (n, n) derivative along the patch times its length
+    place: np.ndarray  # (n,) distance from the leading edge over the patch length
+    weight: np.ndarray  # (n,) of each bristle in the mean over the patch
+    transport: np.ndarray  # (n, n) matrix of the derivative along the patch, times length
 
 
 def _radau():
-    """Points, weights, derivative of a polynomial that is 0 at 0, on (0, 1]."""
+    """Points on (0, 1], weights and derivative matrix of polynomials that are 0 at 0."""
     coefficients = np.zeros(_POINTS + 1)
     coefficients[-2:] = -1, 1
     points = (1 + np.sort(np.polynomial.legendre.legroots(coefficients))) / 2
@@ -72,7 +71,7 @@ class Contact(NamedTuple):
 
 
 def _give(tire: LuGre, z, now: Contact):
-    """Rate of deflection (n, 2) [m/s] of the bristles as they travel, S(17a)."""
+    """Rate of deflection (n, 2) [m/s] of travelling bristles, S(17a)."""
     speed = resultant(*now.sliding)
     return now.sliding[None] - tire.sigma0 * speed / tire.level(speed) * z
 

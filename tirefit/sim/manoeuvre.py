@@ -14,7 +14,7 @@ from tirefit.sim.brake_request import Request, check, doubts, known_to_controlle
 from tirefit.sim.brake_result import Braking, braked
 
 _DEFAULT, _VALUES = "brush-m", {"cpa2": 4e4, "m": 0.5}
-"""A tire with a peak: sliding, it has four fifths of it, S(33)."""
+"""A tire with a peak: the sliding friction is four fifths of the peak, S(33)."""
 
 
 def brake(
@@ -34,7 +34,7 @@ def brake(
     seed: int = 0,
     progress: Callable[[float, str], None] | None = None,
 ) -> Braking:
-    """Brake a car with one controller or several, under the same noise.
+    """Brake a car with one controller or several, with the same noise.
 
     Args:
         tire: a fit, a ``fit.json``, a ``.tir`` file, a tire, or the name of a model;
@@ -48,16 +48,16 @@ def brake(
         signs: sign convention of a ``.tir`` file.
         tune: settings of the controllers, by ``name`` or ``controller.name``.
         plant: numbers of hydraulics, sensors and road: demand [Pa], delay [s], ...
-        time_limit: [s]; by speed and road if None.
-        stops: number of seeds, from ``seed`` on.
+        time_limit: [s]; None: from the speed and the road.
+        stops: number of seeds, beginning with ``seed``.
         seed: of the noise of the first stop.
-        progress: called with the share done and what comes next.
+        progress: called with the share done and the next step.
 
     Returns:
-        the stops by controller; ``notes`` of what may be meant otherwise.
+        The stops by controller; ``notes`` are warnings, such as a tire of another size.
 
     Raises:
-        UsageError: something unknown or out of its limits; 32-bit floats.
+        UsageError: an unknown name, a value out of its limits, or 32-bit floats.
         DataError: the tire's file cannot be read.
 
     Example:
@@ -81,7 +81,7 @@ def brake(
 
 
 def _tire(source, values: dict[str, float], signs: str | None):
-    """Name and record of the tire, and remarks on its file."""
+    """Name and record of the tire, and warnings on its file."""
     if source is None:
         source, values = _DEFAULT, _VALUES | values
     given = given_tire(source, values, signs)

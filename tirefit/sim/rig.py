@@ -1,4 +1,4 @@
-"""Sweeps of a test rig: any model's forces over slips, loads and speeds, with noise."""
+"""Simulate sweeps of a test rig: forces of a model over slip, load and speed, with noise."""
 
 from collections.abc import Mapping, Sequence
 
@@ -23,20 +23,20 @@ def simulate_rig(
     force_std: float = 0.01,
     seed: int = 0,
 ) -> SimulatedLog:
-    """Slip swept up evenly at every load and speed, one sweep after the other.
+    """Sweep the slip upward in even steps, once at every load and speed.
 
     Args:
-        model: a key of ``tirefit.MODELS``; ``values`` of its parameters.
+        model: a key of ``tirefit.MODELS``; ``values``: of its parameters.
         load: F_z [N]; ``speed``: v [m/s].
         largest: last slip sigma_x [-], or slip angle [rad] where ``lateral``.
-        points: rows of one sweep, the first one point above zero slip.
-        rate: rows a second.
+        points: rows of one sweep; the first row is one step above zero slip.
+        rate: rows per second.
         slip_std: noise of the slip [- or rad]; ``force_std``: of the forces over F_z,
             and of the moment over F_z 0.1 m.
         seed: of the noise.
 
     Returns:
-        measured and true time, sigma_x, alpha, fz, v and the model's fx, fy, mz.
+        Measured and true time, sigma_x, alpha, fz, v, and the fx, fy, mz of the model.
     """
     tire = with_values(MODELS[model], values or {})
     slip = largest * np.arange(1, points + 1) / points

@@ -1,6 +1,6 @@
-"""Settings of the simulations: their meaning, unit and limits, each in one place.
+"""Settings of the simulations with their meaning, unit and limits.
 
-Plain dataclasses, so that the command line has its options without JAX.
+They are plain dataclasses, so the command line can show its options without JAX.
 """
 
 import math
@@ -11,11 +11,11 @@ from typing import Any
 from tirefit.results import InputProblem
 
 PEAK, STIFFNESS, LOAD = 0.98, 5e5, 27e3
-"""D [-], C_x [N] and F_z [N] of S section 5; the load is not printed, but follows."""
+"""D [-], C_x [N] and F_z [N] of S section 5; S does not print the load: it is derived."""
 TIRES = ("magic-formula", "lugre")
-"""Tires of the wheel: that of S section 5, and LuGre with its bristles in time."""
+"""Tires of the wheel: that of S section 5, and the transient LuGre tire."""
 _FRICTION = (0.05, 5.0)
-_MOST_ROWS = 10_000_000  # what all of them need some GB of memory for
+_MOST_ROWS = 10_000_000  # these need some GB of memory
 Drop = tuple[float, float] | None
 
 
@@ -28,7 +28,7 @@ def _of(default, meaning: str, low: float = 0.0, high: float = math.inf) -> Any:
 
 
 class Settings:
-    """What the settings of all simulations can do."""
+    """Base of the settings of all simulations."""
 
     @property
     def rows(self) -> float:
@@ -48,7 +48,7 @@ class Settings:
         yield "number of rows", self.rows, 1.0, _MOST_ROWS
 
     def problems(self) -> list[InputProblem]:
-        """Every number out of its limits, and a tire that there is not."""
+        """The problems: numbers out of their limits, an unknown tire."""
         found = [
             InputProblem(f"{name} {value:g} is out of range", f"{low:g} to {high:g}")
             for name, value, low, high in self._checked()
@@ -62,23 +62,23 @@ class Settings:
 
 @dataclass(frozen=True)
 class Braking(Settings):
-    """How a wheel is braked and measured; the values are those of S section 5.1, and
-    where it says nothing those of a truck wheel sampled as a brake controller does."""
+    """How a wheel is braked and measured. Defaults are those of S section 5.1; what it
+    does not give is that of a truck wheel, sampled at the rate of a brake controller."""
 
-    amplitude: float = _of(0.75, "largest torque over that of the peak", 0.01, 2.0)
-    teeth: int = _of(5, "saw-teeth of the torque", 1)
-    period: float = _of(2.0, "of a saw-tooth [s]", 0.1, 1e4)
+    amplitude: float = _of(0.75, "largest brake torque over that of the friction peak", 0.01, 2.0)
+    teeth: int = _of(5, "number of saw-teeth of the torque", 1)
+    period: float = _of(2.0, "period of a saw-tooth [s]", 0.1, 1e4)
     rate: float = _of(100.0, "rows a second", 1.0)
-    speed: float = _of(20.0, "of the vehicle, constant [m/s]", 1.0, 1e3)
-    load: float = _of(LOAD, "of the wheel, constant [N]", 1.0, 1e9)
+    speed: float = _of(20.0, "vehicle speed, constant [m/s]", 1.0, 1e3)
+    load: float = _of(LOAD, "wheel load, constant [N]", 1.0, 1e9)
     friction: float = _of(PEAK, "largest steady force over the load", *_FRICTION)
-    tire: str = _of("magic-formula", "magic-formula or lugre")
-    drop: Drop = _of(None, "time [s], and the friction from then on")
+    tire: str = _of("magic-formula", "tire model: magic-formula or lugre")
+    drop: Drop = _of(None, "time [s] of a change of friction, and the new friction")
     radius: float = _of(0.5, "effective rolling radius [m]", 0.01, 10.0)
-    inertia: float = _of(15.0, "of the wheel [kg m2]", 1e-3, 1e5)
-    slip_variance: float = _of(0.2e-4, "of the noise on the slip sigma", 0.0, 1.0)
-    force_variance: float = _of(0.2e-2, "of the noise on the force / load", 0.0, 1.0)
-    seed: int = _of(0, "of the noise", 0, 2**32 - 1)
+    inertia: float = _of(15.0, "moment of inertia of the wheel [kg m2]", 1e-3, 1e5)
+    slip_variance: float = _of(0.2e-4, "variance of the noise of the slip sigma", 0.0, 1.0)
+    force_variance: float = _of(0.2e-2, "variance of the noise of force / load", 0.0, 1.0)
+    seed: int = _of(0, "seed of the noise", 0, 2**32 - 1)
 
     @property
     def rows(self) -> float:
@@ -87,18 +87,18 @@ class Braking(Settings):
 
 @dataclass(frozen=True)
 class Drive(Settings):
-    """How a car is driven and measured. The driver holds a ``bend`` up to some 0.75,
-    less with brakes, of the least friction."""
+    """How a car is driven and measured. The car follows a ``bend`` up to about 0.75 of
+    the smallest friction, less while braking."""
 
-    duration: float = _of(30.0, "of the drive [s]", 0.1, 1e4)
+    duration: float = _of(30.0, "duration of the drive [s]", 0.1, 1e4)
     rate: float = _of(50.0, "rows a second", 1.0)
-    speed: float = _of(25.0, "that the driver keeps [m/s]", 1.0, 100.0)
+    speed: float = _of(25.0, "speed that the driver keeps [m/s]", 1.0, 100.0)
     bend: float = _of(0.6, "largest lateral acceleration over mu g", 0.0, 1.0)
-    bend_period: float = _of(5.0, "of the road's curvature [s]", 0.5, 1e3)
+    bend_period: float = _of(5.0, "period of the road's curvature [s]", 0.5, 1e3)
     brake: float = _of(0.0, "largest deceleration over mu g, in saw-teeth", 0.0, 2.0)
     brake_period: float = _of(4.0, "of a braking [s]", 0.5, 1e3)
-    friction: float = _of(0.9, "of the road", *_FRICTION)
-    drop: Drop = _of(None, "time [s], and the friction from then on")
+    friction: float = _of(0.9, "friction coefficient of the road", *_FRICTION)
+    drop: Drop = _of(None, "time [s] of a change of friction, and the new friction")
     gps_std: float = _of(0.02, "noise of positions [m]", 0.0, 1e3)
     speed_std: float = _of(0.03, "noise of the speed [m/s]", 0.0, 1e3)
     heading_std: float = _of(0.002, "noise of the heading [rad]", 0.0, 10.0)
@@ -106,7 +106,7 @@ class Drive(Settings):
     acceleration_std: float = _of(0.05, "noise of accelerations [m/s2]", 0.0, 1e3)
     omega_std: float = _of(0.05, "noise of wheel speeds [rad/s]", 0.0, 1e3)
     torque_std: float = _of(10.0, "noise of torques [N m]", 0.0, 1e6)
-    seed: int = _of(0, "of the noise", 0, 2**32 - 1)
+    seed: int = _of(0, "seed of the noise", 0, 2**32 - 1)
 
     @property
     def rows(self) -> float:
@@ -115,19 +115,19 @@ class Drive(Settings):
 
 @dataclass(frozen=True)
 class Sweeps(Settings):
-    """Slip swept up evenly at every load and speed, one sweep after the other."""
+    """Sweep the slip upward in even steps, once at every load and speed."""
 
-    model: str = _of("brush", "model of `tirefit models`")
-    values: Mapping[str, float] = _of({}, "parameters of the model")
-    load: Sequence[float] = _of((4000.0,), "[N], one or several", 1e-3, 1e9)
-    speed: Sequence[float] = _of((20.0,), "[m/s], one or several", 1e-3, 1e3)
-    largest: float = _of(0.2, "last slip sigma, or slip angle [rad]", 1e-4, 1.5)
+    model: str = _of("brush", "a model of `tirefit models`")
+    values: Mapping[str, float] = _of({}, "parameter of the model (repeat for several)")
+    load: Sequence[float] = _of((4000.0,), "wheel load [N] (repeat for several)", 1e-3, 1e9)
+    speed: Sequence[float] = _of((20.0,), "speed [m/s] (repeat for several)", 1e-3, 1e3)
+    largest: float = _of(0.2, "largest slip sigma, or slip angle [rad]", 1e-4, 1.5)
     points: int = _of(100, "rows of a sweep", 2)
-    lateral: bool = _of(False, "sweep the slip angle alpha")
+    lateral: bool = _of(False, "sweep the slip angle alpha instead of sigma")
     rate: float = _of(100.0, "rows a second", 1e-3, 1e9)
     slip_std: float = _of(0.0, "noise of the slip [- or rad]", 0.0, 1.0)
     force_std: float = _of(0.01, "noise of the forces over the load", 0.0, 1.0)
-    seed: int = _of(0, "of the noise", 0, 2**32 - 1)
+    seed: int = _of(0, "seed of the noise", 0, 2**32 - 1)
 
     @property
     def rows(self) -> float:

@@ -23,18 +23,18 @@ def simulate(kind: str = "braking", **settings) -> SimulatedLog:
     """Simulate a log or sweeps that ``fit`` and ``estimate`` read.
 
     Args:
-        kind: ``braking``: a wheel braked in saw-teeth, S section 5.1; ``drive``: a car
-            on a winding road; ``rig``: sweeps of slip of any model.
+        kind: ``braking``: a wheel with saw-tooth brake torque, S section 5.1; ``drive``:
+            a car on a winding road; ``rig``: slip sweeps of any model.
         settings: fields of :class:`~tirefit.sim.settings.Braking`,
             :class:`~tirefit.sim.settings.Drive` or
             :class:`~tirefit.sim.settings.Sweeps`, the options of the command.
 
     Returns:
-        the measured columns and the truth, braking positive, in SI units.
+        The measured and the true columns, braking positive, in SI units.
 
     Raises:
-        UsageError: an unknown kind or setting, or a number out of its limits; all of
-            them at once.
+        UsageError: unknown kinds or settings, or numbers out of their limits; it lists
+            all of them.
 
     Example:
         >>> log = simulate("rig", model="brush", values={"mu": 0.8}, points=50)

@@ -1,7 +1,7 @@
-r"""A wheel whose brake's torque rises in saw-teeth, integrated by diffrax.
+r"""A wheel with saw-tooth brake torque, integrated by diffrax.
 
-The balance is :math:`J \dot\Omega = R F - T`. The force is that of a steady tire at the
-slip, or that of a LuGre tire whose bristles (:mod:`tirefit.sim.lugre`) follow in time.
+The balance is :math:`J \dot\Omega = R F - T`. The force is that of a tire in steady state
+at the slip, or that of a transient LuGre tire with bristles (:mod:`tirefit.sim.lugre`).
 """
 
 from typing import Any, NamedTuple
@@ -17,17 +17,17 @@ from tirefit.online.lugre_observer import peak_share
 from tirefit.sim.lugre import Bristles, Contact, bristle_forces, bristle_rate, distributed
 
 SLOWEST = 0.01
-"""Wheel speed over that of free rolling below which a wheel is locked: the brake, which
-only holds, cannot turn it backwards."""
+"""Wheel speed over that of free rolling below which a wheel is locked: a brake can hold
+a wheel but cannot turn it backwards."""
 
 
 PATCH = distributed(1)  # four bristles: S(18) to 1e-4 of the load
 STEADY = Bristles(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
-"""No bristle: the force of a steady tire follows the slip at once."""
+"""No bristles: the force of a tire in steady state follows the slip without lag."""
 
 
 def lugre_tire(peak: float, v: float) -> LuGre:
-    """The LuGre tire with g replaced by theta g, S section 3.4, for a wanted peak.
+    """The LuGre tire with a given peak: g is replaced by theta g, S section 3.4.
 
     Args:
         peak: largest steady force over the load [-] at the speed v [m/s].
@@ -42,9 +42,9 @@ def lugre_tire(peak: float, v: float) -> LuGre:
 
 
 class WheelNumbers(NamedTuple):
-    """What :class:`tirefit.sim.braking.Braking` says, as numbers: the full torque
-    [N m], period [s], radius [m], inertia [kg m2], speed [m/s], load [N], time of the
-    change and interval of the samples [s]."""
+    """Numbers of :class:`tirefit.sim.settings.Braking`: the full torque [N m], period
+    [s], radius [m], inertia [kg m2], speed [m/s], load [N], time of the change of
+    friction [s] and sampling interval [s]."""
 
     full: Any
     period: Any
@@ -64,8 +64,8 @@ def braked_wheel(
     Args:
         numbers: of the wheel and its brake.
         tires: before and after the change, two :class:`LuGre` or two steady tires.
-        bristles: of the LuGre tires, :data:`PATCH`; :data:`STEADY` for steady tires.
-        time: increasing instants [s]; ``teeth``: saw-teeth until then.
+        bristles: :data:`PATCH` for LuGre tires; :data:`STEADY` for steady tires.
+        time: increasing instants [s]; ``teeth``: number of saw-teeth.
     """
     traced = jax.tree.map(lambda x: jnp.asarray(x, float), (numbers, tires))
     moved = _integrate(traced, bristles, jnp.asarray(time), teeth)
@@ -91,7 +91,7 @@ def _integrate(traced, bristles, time, teeth: int):
         del args
         turning, force, bent = parts(t, y)
         torque = numbers.full * (t % period) / period
-        # A brake holds a wheel that stands; it does not turn it.
+        # A brake holds a standing wheel; it does not turn it backwards.
         holds = (turning <= SLOWEST) & (torque > radius * force)
         spun = jnp.where(holds, 0.0, (radius * force - torque) * radius / inertia / v)
         return spun, bent

@@ -1,1 +1,1 @@
-"""A whole car on its tires: prediction of a measured log from measured states."""
+"""A car on its tires: predict measured logs, fit tires to them, diagnose the car."""

@@ -1,4 +1,4 @@
-"""The effects that a diagnosis of a car names, applied to its prediction."""
+"""Apply the effects that a diagnosis of a car names to its prediction."""
 
 import json
 import os
@@ -37,12 +37,12 @@ class Applied:
     speed: float
 
     def at(self, samples: Samples) -> Any:
-        """What is set at samples (n,)."""
+        """The setting at samples (n,)."""
         return self.model.setting(self.z, samples, jnp.zeros((1, SHAPES)))
 
     def samples(self, motion: Motion, rows, vehicle: Vehicle, tires) -> Samples:
-        """What effects may depend on, at rows (w, k) of a log's motion; the middle of
-        the time that was diagnosed."""
+        """The quantities on which effects depend, at rows (w, k) of the motion of a log;
+        the time is the middle of that of the diagnosis."""
         found = samples_of(motion, rows, vehicle, tires)
         g = vehicle.gravity
         return found._replace(
@@ -77,7 +77,7 @@ class Applied:
         return found
 
     def changes(self, samples: Samples) -> Changes:
-        """What changes in the car at samples (w, k)."""
+        """The changes of the car at samples (w, k)."""
 
         def one(samples: Samples):
             count = len(samples.speed)
@@ -104,7 +104,7 @@ class Applied:
 
 
 def applied(source: VehicleDiagnosis | str | os.PathLike) -> Applied:
-    """The effects that a diagnosis names, or its ``vehicle_diagnosis.json``.
+    """The effects named by a diagnosis, or by its ``vehicle_diagnosis.json``.
 
     Raises:
         DataError: a file that is no diagnosis of a car, or of another version.

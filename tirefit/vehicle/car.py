@@ -1,4 +1,4 @@
-r"""A single-track car on two axles' tires, integrated in JAX.
+r"""A single-track car on the tires of two axles, integrated in JAX.
 
 With the canonical forces :math:`F` (positive to the right) of the axles at their slip
 angles, in the axes of ISO 8855 (x forward, y left, yaw counter-clockwise),
@@ -9,8 +9,8 @@ angles, in the axes of ISO 8855 (x forward, y left, yaw counter-clockwise),
    \dot x &= v_x \cos\psi - v_y \sin\psi, \quad
    \dot y = v_x \sin\psi + v_y \cos\psi
 
-:math:`v_x` and :math:`\delta` are given: they are the log's. The same equations, solved
-for the forces, are those of :mod:`tirefit.data.derive`.
+:math:`v_x` and :math:`\delta` are given by the log. :mod:`tirefit.data.derive` solves the
+same equations for the forces.
 """
 
 import math
@@ -28,12 +28,12 @@ _STABLE, _MOST_PARTS = 0.5, 50
 """Largest step of the integration over the car's shortest time constant; most steps
 from one sample to the next."""
 
-_AT_ONCE = 1e-9  # time constant [s] of what follows at once
-_TOUCH = 1e-9  # play [rad] of none: both sides of the gap stay apart
+_AT_ONCE = 1e-9  # time constant [s] that means no lag
+_TOUCH = 1e-9  # play [rad] that means no play, with distinct sides of the gap
 
 
 class Car(eqx.Module):
-    """A car: front and rear tire of a whole axle, and what moves on them.
+    """A car: mass, geometry, and front and rear tire, each for a whole axle.
 
     Attributes:
         front, rear: tires; their loads are those of the axles.
@@ -72,8 +72,8 @@ def car_of(vehicle: Vehicle, front: AbstractTire, rear: AbstractTire, inertia=1.
 
 
 class State(NamedTuple):
-    """What is predicted: speed to the left [m/s] of the centre of gravity, yaw rate
-    [rad/s], heading [rad] and place [m]."""
+    """The predicted state: speed to the left [m/s] of the centre of gravity, yaw rate
+    [rad/s], heading [rad] and position [m]."""
 
     v_y: Any
     yaw_rate: Any
@@ -83,7 +83,7 @@ class State(NamedTuple):
 
 
 class Axle(NamedTuple):
-    """What may be other at an axle than its tire says; a number for each sample."""
+    """Changes at an axle, each a number for each sample."""
 
     stiffness: Any = 1.0  # factor
     friction: Any = 1.0  # factor
@@ -95,7 +95,7 @@ class Axle(NamedTuple):
 
 
 class Changes(NamedTuple):
-    """What may be other in the car; a number for each sample."""
+    """Changes of the car, each a number for each sample."""
 
     front: Axle = Axle()
     rear: Axle = Axle()
@@ -121,7 +121,7 @@ def _across(tire: AbstractTire, slip, fz, v, axle: Axle):
     ratio = axle.stiffness / axle.friction
     angle = jnp.arctan(ratio * jnp.tan(slip + axle.slip))
     force = tire(TireInputs(alpha=angle, fz=fz * axle.load, v=v)).fy
-    assert force is not None  # axle_tire has checked it
+    assert force is not None  # checked by axle_tire
     far = (jnp.tan(angle) / axle.sliding) ** 2
     return axle.friction * (1 - axle.fall * far / (1 + far)) * force + axle.force
 
@@ -153,7 +153,7 @@ def steps_a_sample(car: Car, slowest: float, rate: float) -> int:
 
 
 def stiffest(car: Car, slowest: float) -> float:
-    """Fastest rate [1/s] at which the car answers, at its slowest speed [m/s]."""
+    """Fastest rate [1/s] of the dynamics of the car, at its slowest speed [m/s]."""
 
     def moved(motion):
         lateral, yaw = accelerations(car, slowest, 0.0, *motion)
@@ -166,14 +166,14 @@ def stiffest(car: Car, slowest: float) -> float:
 def predicted(
     car: Car, start: State, v_x, steering, step: float, parts: int, changes: Changes | None = None
 ) -> State:
-    """The states at every sample from a start on: (n,) each.
+    """The states at every sample, from a start state: (n,) each.
 
     Args:
         start: the state at the first sample, scalars.
-        v_x, steering: (n,) at the samples, between them by :func:`cubic`.
+        v_x, steering: (n,) at the samples, interpolated by :func:`cubic`.
         step: time between samples [s].
         parts: steps of Runge-Kutta of the fourth order from one sample to the next.
-        changes: numbers or (n,), each held until the next sample; None of none.
+        changes: numbers or (n,), each held until the next sample; None for none.
     """
     width, count = step / parts, len(v_x) - 1
     lags = changes is not None
@@ -236,14 +236,14 @@ def predicted(
 
 
 def cubic(share, first, last, bend, next_bend):
-    """Value at a share of the way from one sample to the next, on the cubic through
+    """Value at a share of the interval from one sample to the next, on the cubic through
     four samples; ``bend`` are their second differences."""
     pull = (2 - share) * bend + (1 + share) * next_bend
     return first + share * (last - first) - share * (1 - share) / 6 * pull
 
 
 def _with_bends(values):
-    """What :func:`cubic` takes, for each sample but the last: four of (n - 1,)."""
+    """Arguments of :func:`cubic` for each sample but the last: four of (n - 1,)."""
     if len(values) < 3:
         return values[:-1], values[1:], jnp.zeros(1), jnp.zeros(1)
     bends = jnp.pad(jnp.diff(values, 2), 1, mode="edge")
@@ -251,7 +251,7 @@ def _with_bends(values):
 
 
 def delayed(values, samples):
-    """Values (n,) of a number of samples ago; before the first, the first."""
+    """Values (n,) delayed by a number of samples; the first value before the start."""
     count = len(values) - 1
     place = jnp.clip(jnp.arange(count + 1) - samples, 0, count)
     whole = jnp.clip(jnp.floor(place).astype(int), 0, count - 1)
@@ -259,14 +259,14 @@ def delayed(values, samples):
 
 
 def _later(late, rate, time, step: float):
-    """How far a value that follows another one after a time constant [s] is from it, a
-    step later, exact where the other moves at an even rate; smooth at no time."""
+    """Distance, a step later, of a first-order lag with a time constant [s] from its
+    input; exact for an input with constant rate, and smooth at a time constant of zero."""
     kept = jnp.exp(-step / jnp.maximum(time, _AT_ONCE))
     return late * kept - time * rate * (1 - kept)
 
 
 def lagged(values, time, step: float):
-    """Values (n,) that follow these after a time constant [s]; the first is in step."""
+    """Values (n,) through a first-order lag with a time constant [s]; no lag at first."""
     rates = jnp.diff(values) / step
 
     def onward(late, rate):
@@ -279,7 +279,7 @@ def lagged(values, time, step: float):
 
 
 def with_play(values, half: float):
-    """Values (n,) of what stays until these have left it by more than ``half``."""
+    """Values (n,) with play: constant until the input differs by more than ``half``."""
     half = half + _TOUCH
 
     def onward(held, value):

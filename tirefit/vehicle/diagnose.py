@@ -1,9 +1,9 @@
-"""Which effects a car's model lacks: :func:`diagnose_vehicle`.
+"""Find the effects that the model of a car lacks: :func:`diagnose_vehicle`.
 
-The car runs freely over windows of measured logs. What it misses there is explained by
-sets of effects of steering, masses, ground, drive, tires and of the log, beside factors
-on the stiffness and the friction of both axles' tires; evidence, data left out and
-decision are those of a diagnosis of forces.
+The motion of the car is predicted over windows of measured logs. Its errors are explained
+by sets of effects of steering, masses, ground, drive, tires and the log, fitted together
+with factors on stiffness and friction of both axles' tires. Evidence, prediction of data
+left out and decision are those of a diagnosis of forces.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,18 +42,18 @@ WINDOW = 1.0
 """Length [s] of a window."""
 
 _MOST_SAMPLES = 4000
-"""Samples of all windows, evenly spread, that are looked at."""
+"""Largest number of samples of all windows, evenly spread."""
 
 _LEAST_WINDOWS = 8
-"""Fewest windows of a diagnosis."""
+"""Smallest number of windows of a diagnosis."""
 
 _VARIES = 0.02
-"""Spread of the acceleration forward over g, and of the speed over its mean, below
-which nothing that follows them shows."""
+"""Smallest spread of the forward acceleration over g, and of the speed over its mean, that
+shows effects of these."""
 
 
 class Amplitude(NamedTuple):
-    """A size with its standard error."""
+    """An amplitude with its standard error."""
 
     value: float
     std: float
@@ -61,8 +61,8 @@ class Amplitude(NamedTuple):
 
 
 class Miss(NamedTuple):
-    """Rms of predicted less logged over windows of some logs, each from its best start
-    state, by channel: of the car as given, with its tires fitted, with the effects."""
+    """Rms of predicted - logged by channel over windows, each from its best start state:
+    of the car as given, with fitted tires, and with the effects."""
 
     as_given: Mapping[str, float]
     fitted: Mapping[str, float]
@@ -71,18 +71,18 @@ class Miss(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class VehicleDiagnosis(Record):
-    """What :func:`diagnose_vehicle` found.
+    """The result of :func:`diagnose_vehicle`.
 
     Attributes:
         logs: names of the logs; windows: number of windows of ``window`` seconds.
         verdict: which effects are there, and what is left.
         ladder: how the rms over the noise shrinks on windows left out.
-        amplitudes: of each named effect; which: words on its form; variants: the number
-            of its form; speed: mean speed [m/s], which effects of the speed refer to.
+        amplitudes: of each named effect; which: text on its form; variants: the number
+            of its form; speed: mean speed [m/s], to which effects of the speed refer.
         parameters: factor on each number of the tires in the fit of the named effects.
-        noise: channel -> noise of the log, as all effects together leave it.
-        miss: on these logs; held_out: on those held out, None without.
-        untestable: effect -> what the logs lack.
+        noise: channel -> noise of the log: the remainder of all effects together.
+        miss: errors on these logs; held_out: errors on held-out logs, None without.
+        untestable: effect -> the data that the logs lack.
         effects: the records that were looked for, by id.
         notes: what was assumed.
     """
@@ -113,7 +113,7 @@ class VehicleDiagnosis(Record):
         return self.verdict.status.limits
 
     def to_dict(self) -> dict[str, Any]:
-        """All numbers, as ``vehicle_diagnosis.json`` has them."""
+        """All numbers, as in ``vehicle_diagnosis.json``."""
         verdict = self.verdict
         return json_safe({
             "schema": SCHEMA, "version": __version__, "logs": self.logs,
@@ -154,11 +154,11 @@ def diagnose_vehicle(
     holdout: Sequence[str | Path] = (),
     window: float = WINDOW,
 ) -> VehicleDiagnosis:
-    """Find the effects that a car on these tires lacks, by what it misses of measured logs.
+    """Find the effects that the model of a car on these tires lacks, from measured logs.
 
     The car is predicted over windows of the logs, with speed and steering as measured.
-    Sets of effects are fitted to what it misses, beside factors on the stiffness and
-    the friction of both axles' tires, and weighed as by :func:`tirefit.diagnose`.
+    Sets of effects are fitted to the errors, together with factors on stiffness and
+    friction of both axles' tires, and weighed as in :func:`tirefit.diagnose`.
 
     Args:
         logs: vehicle logs, as for :func:`tirefit.derive_files`.
@@ -172,8 +172,8 @@ def diagnose_vehicle(
         window: length [s] of the stretches that are predicted.
 
     Returns:
-        ``verdict`` as in :class:`tirefit.Diagnosis`; ``amplitudes``; ``miss``: how far
-        the car is off as given, with fitted tires, and with the effects.
+        ``verdict`` as in :class:`tirefit.Diagnosis`; ``amplitudes``; ``miss``: errors of
+        the car as given, with fitted tires, and with the effects.
 
     Raises:
         UsageError: a vehicle without a steering map, an id that is none.
@@ -261,7 +261,7 @@ def _miss(base: Base, null: Fit, best: Fit) -> Miss:
 def _notes(given, tires) -> tuple[str, ...]:
     notes = ["speed and steering are those of the log; axle loads are static"]
     notes += [
-        f"the {axle} tire, {tire.name}, begins as fitted to the forces of derive"
+        f"the {axle} tire, {tire.name}, starts as fitted to the forces of derive"
         for axle, tire, of in zip(("front", "rear"), tires, given, strict=True)
         if tire is not of
     ]
@@ -278,7 +278,7 @@ def _check(vehicle: Vehicle, effects, without) -> None:
 
 
 def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
-    """The windows of all logs, and what they have of what effects need."""
+    """The windows of all logs, and the needs of effects that they meet."""
     data, rows, log = [], [], []
     passed = 0.0
     for number, (motion, (windows, own), _) in enumerate(found.values()):
@@ -293,7 +293,7 @@ def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
     has = {"heading"} if vehicle.columns.motion == POSE else {"rates"}
     has |= {"acceleration"} if np.std(joint.along) > _VARIES else set()
     has |= {"speeds"} if np.std(speed) > _VARIES else set()
-    shapes = np.zeros((*speed.shape, SHAPES))  # until a fit is followed
+    shapes = np.zeros((*speed.shape, SHAPES))  # until they are set from a fit
     cut = Cut(joined, joint, shapes, np.concatenate(log))
     most = max(_MOST_SAMPLES // speed.shape[1], _LEAST_WINDOWS)
     if len(cut.log) > most:
@@ -303,8 +303,9 @@ def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
 
 
 def samples_of(motion: Motion, own, vehicle: Vehicle, tires, passed: float = 0.0) -> Samples:
-    """What effects may depend on, at the rows (w, k) of a log; ``across`` and ``turn``
-    are zero until a fit is followed, ``passed`` [s] is the time of the logs before."""
+    """The quantities on which effects depend, at the rows (w, k) of a log. ``across`` and
+    ``turn`` are zero until they are set from a fit; ``passed`` [s] is the duration of the
+    previous logs."""
     g, count = vehicle.gravity, len(own)
     weight, wheelbase = vehicle.mass * g, vehicle.l_f + vehicle.l_r
     loads = weight * vehicle.l_r / wheelbase, weight * vehicle.l_f / wheelbase
@@ -327,7 +328,7 @@ def samples_of(motion: Motion, own, vehicle: Vehicle, tires, passed: float = 0.0
 
 
 def _sliding(axle: GivenTire, load: float, speed: float) -> float:
-    """Slip from which a brush of the tire's slope and peak slides."""
+    """Slip above which a brush with slope and peak of the tire slides."""
     at_rest = TireInputs(fz=load, v=speed)
     slope = slope_at_rest(axle.tire, at_rest, "y")
     return float(3 * peak_ratio(axle.tire, load, speed) * load / slope)

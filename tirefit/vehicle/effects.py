@@ -1,8 +1,7 @@
-"""Effects that a car's model may lack: of steering, masses, ground, air, drive, tires
-and of the log itself, as records of :class:`tirefit.diagnosis.effects.Effect`.
+"""Effects that the model of a car may lack: of steering, masses, ground, air, drive, tires
+and of the log, as records of :class:`tirefit.diagnosis.effects.Effect`.
 
-The state that an effect changes is a :class:`Setting`; what it may depend on are
-:class:`Samples`.
+An effect changes a :class:`Setting` and may depend on :class:`Samples`.
 """
 
 from typing import Any, NamedTuple
@@ -15,7 +14,7 @@ from tirefit.vehicle.car import Changes
 
 
 class Steering(NamedTuple):
-    """What may be other between the logged steering and the wheels."""
+    """Changes between the logged steering and the wheels."""
 
     ratio: Any = 1.0  # wheel angle over that of the map
     offset: Any = 0.0  # added to the wheel angle [rad]
@@ -26,7 +25,7 @@ class Steering(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """What may be other in the log."""
+    """Errors of the log."""
 
     sideslip: Any = 0.0  # logged less true [rad]
     yaw_rate: Any = 0.0  # logged less true [rad/s]
@@ -34,7 +33,7 @@ class Reading(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """Everything that an effect may change; the default changes nothing."""
+    """All quantities that an effect may change; the default has no change."""
 
     car: Changes = Changes()
     steering: Steering = Steering()
@@ -42,17 +41,18 @@ class Setting(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """What effects may depend on: a number for each sample of a window, or for all."""
+    """The quantities on which effects may depend: a number for each sample of a window,
+    or one for all."""
 
     speed: Any  # over its mean
-    along: Any  # acceleration forward over g
+    along: Any  # forward acceleration over g
     across: Any  # acceleration to the left over g
     turn: Any  # yaw rate over speed [1/m]
     time: Any  # -1/2 to 1/2 over all logs
     heading: Any  # [rad], 0 without a pose
     weight: Any  # [N]
     wheelbase: Any  # [m]
-    sliding: Any  # (2,) slip from which the front and the rear tire slide
+    sliding: Any  # (2,) slip above which the front and the rear tire slide
 
 
 _EACH = ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))
@@ -86,7 +86,7 @@ def _adds(part: str, name: str, value):
 
 
 def scaled_axles(setting: Setting, name: str, factors) -> Setting:
-    """The setting with a factor of the front and of the rear axle times others."""
+    """The setting with a field of front and rear axle multiplied by factors."""
     axles = {}
     for axle, factor in zip(("front", "rear"), factors, strict=True):
         held = getattr(setting.car, axle)
@@ -117,7 +117,7 @@ def _falls(setting, amplitude, constants, rows):
 
 
 def _transfer(setting, height, constants, rows):
-    """Loads that move by height over wheelbase times the acceleration forward."""
+    """Load transfer of height over wheelbase times the forward acceleration."""
     moved = height * rows.along
     return scaled_axles(setting, "load", (1 - 2 * moved, 1 + 2 * moved))
 
@@ -134,7 +134,7 @@ STEERING = (
         id="steering_ratio", of="vehicle", family="steering ratio", scale=0.15,
         change=_adds("steering", "ratio", lambda a, c, rows: a),
         formula="wheel angle (1 + amplitude)", bounds=((-0.8, 2.0),),
-        means="the wheels turn by another share of the logged steering",
+        means="the ratio of wheel angle to logged steering is another",
         remedy="scale steering.angle of vehicle.toml by 1 + amplitude",
         looks_like=("compliance_steer", "centre_of_gravity"),
         told_apart_by="slow circles at a walking pace, where no tire slips: there only"
@@ -154,10 +154,10 @@ STEERING = (
         id="steering_delay", of="vehicle", family="steering in time", scale=0.05,
         unit="s", change=_adds("steering", "delay", lambda a, c, rows: a),
         formula="wheel angle of the time t - amplitude", bounds=((0.0, 0.28),),
-        means="the wheels follow the logged steering late",
+        means="the wheels follow the logged steering with a delay",
         remedy="give the delay to the simulator, or shift the channel",
         looks_like=("steering_lag", "relaxation_length"),
-        told_apart_by="steering steps: a delay moves the whole answer, a lag rounds it",
+        told_apart_by="steering steps: a delay shifts the whole response, a lag rounds it",
     ),
     Effect(
         id="steering_lag", of="vehicle", family="steering in time", scale=0.05,
@@ -166,7 +166,7 @@ STEERING = (
         means="the steering actuator is slow",
         remedy="put a first-order lag before the wheels in the simulator",
         looks_like=("steering_delay", "relaxation_length"),
-        told_apart_by="steering steps: a delay moves the whole answer, a lag rounds it",
+        told_apart_by="steering steps: a delay shifts the whole response, a lag rounds it",
     ),
     Effect(
         id="steering_play", of="vehicle", family="steering play", scale=0.01,
@@ -194,8 +194,8 @@ MASSES = (
         id="yaw_inertia", of="vehicle", family="yaw inertia", scale=0.3,
         change=_sets("car", "inertia", lambda a, rows: jnp.exp(a)),
         formula="yaw inertia exp(amplitude)", bounds=((-1.5, 1.5),),
-        means="the yaw inertia is another, or the mass by the reciprocal factor: both"
-        " look alike where the tires are fitted",
+        means="the yaw inertia is another, or the mass by the reciprocal factor: with"
+        " fitted tires, both have the same effect",
         remedy="scale yaw_inertia of vehicle.toml by exp(amplitude)",
         looks_like=("steering_lag", "relaxation_length"),
         told_apart_by="the mass on a scale, and quick steering at several speeds",
@@ -205,7 +205,7 @@ MASSES = (
         unit="of the wheelbase", bounds=((-0.3, 0.3),),
         change=_sets("car", "ahead", lambda a, rows: a * rows.wheelbase),
         formula="l_f - amplitude L, l_r + amplitude L",
-        means="the centre of gravity lies elsewhere",
+        means="the centre of gravity is elsewhere",
         remedy="correct l_f and l_r of vehicle.toml",
         looks_like=("tracked_point", "steering_ratio"),
         told_apart_by="the loads of the axles on scales",
@@ -231,15 +231,15 @@ LOADS = (
         means="braking and driving move the load between the axles",
         remedy="give the simulator the height of the centre of gravity",
         needs=("acceleration",), looks_like=("drive_force",),
-        told_apart_by="braking and driving alike in bends: a drive force takes grip"
-        " from one axle in both, the load moves to either",
+        told_apart_by="both braking and driving in bends: a drive force reduces the grip"
+        " of the same axle in both, load transfer of either axle",
     ),
     Effect(
         id="aerodynamic_load", of="vehicle", family="load x speed", scale=0.1,
         bounds=((-0.5, 1.0),), variants=_EACH, which=_which, needs=("speeds",),
         change=_scales("load", lambda a, rows: a * (rows.speed**2 - 1)),
         formula="axle load (1 + amplitude ((v / v0)^2 - 1))",
-        means="air presses the car to the road, or lifts it",
+        means="the air causes downforce or lift",
         remedy="add the lift of the axles to the simulator",
         looks_like=("friction_speed",), told_apart_by="the ride height over speed",
     ),
@@ -259,7 +259,7 @@ TIRES = (
         bounds=((-0.5, 0.9),), variants=_EACH, which=_which, change=_falls,
         formula="friction (1 - amplitude s^2 / (1 + s^2)), s = slip over that at which"
         " the tire slides",
-        means="the force falls once the tire slides",
+        means="the force falls when the tire begins to slide",
         remedy="use a tire whose force falls beyond its peak",
         looks_like=("lateral_load_transfer",),
         told_apart_by="large sideslip at a small speed",
@@ -289,7 +289,7 @@ TIRES = (
         bounds=((-1.0, 3.0),), variants=_EACH, which=_which, needs=("acceleration",),
         change=_scales("friction", lambda a, rows: -a * rows.along**2),
         formula="friction (1 - amplitude (a_x / g)^2)",
-        means="the force along takes from the force across",
+        means="the drive or brake force reduces the lateral force",
         remedy="put drive and brake forces on the friction ellipse",
         looks_like=("longitudinal_load_transfer",),
         told_apart_by="driving and braking alike in bends",
@@ -314,7 +314,7 @@ GROUND = (
         id="bank", of="vehicle", family="side force", scale=0.02, unit="rad",
         change=_adds("car", "force", lambda a, c, rows: a * rows.weight),
         formula="force to the left amplitude m g", bounds=((-0.3, 0.3),),
-        means="the road is banked, or something pulls the car to one side",
+        means="the road is banked, or a constant force acts to one side",
         remedy="give the bank to the simulator",
         looks_like=("steering_offset", "sideslip_zero"),
         told_apart_by="the same straight road both ways",
@@ -324,7 +324,7 @@ GROUND = (
         unit="rad", change=_tilt, bounds=((-0.3, 0.3),),
         variants=((1.0, 0.0), (0.0, 1.0), (0.7, 0.7), (0.7, -0.7)), needs=("heading",),
         formula="force to the left amplitude m g by the heading",
-        means="the floor slopes: the side force turns with the heading",
+        means="the ground slopes: the side force depends on the heading",
         remedy="give the slope to the simulator",
         told_apart_by="the same lap the other way round",
     ),
@@ -336,7 +336,7 @@ LOG = (
         scale=0.02, unit="rad", bounds=((-0.3, 0.3),),
         change=_adds("reading", "sideslip", lambda a, c, rows: a),
         formula="logged sideslip (heading) - amplitude",
-        means="the speed sensor (the heading) is askew",
+        means="the speed sensor (the heading) is mounted at an angle",
         remedy="set sideslip_offset (yaw_offset) of vehicle.toml",
         looks_like=("steering_offset", "bank"),
         told_apart_by="a straight road, driven slowly",
@@ -364,4 +364,4 @@ LOG = (
 )  # fmt: skip
 
 CAR_EFFECTS = STEERING + MASSES + LOADS + TIRES + GROUND + LOG
-"""What ``tirefit diagnose --vehicle`` looks for."""
+"""The effects that ``tirefit diagnose --vehicle`` searches."""

@@ -1,9 +1,9 @@
-"""The car over windows of its logs with any effects, linearised; sets of effects
-refitted and weighed by their evidence.
+"""The car with effects over windows of its logs, linearised; sets of effects, refitted
+and weighed by their evidence.
 
-Everything that is asked of a fit (evidence of further effects, of something unlisted,
-prediction of windows left out) follows from one thing: the products of the columns of
-its linearisation, window by window, orthogonal to the start states.
+All results of a fit (evidence of further effects and of an unlisted one, prediction of
+windows left out) follow from the products of the columns of its linearisation, for each
+window, orthogonal to the start states.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,34 +38,34 @@ from tirefit.vehicle.shooting import Data, minimised
 PARAMETERS = tuple(
     f"{axle}.{name}" for axle, name in product(("front", "rear"), ("stiffness", "friction"))
 )
-"""What is fitted whatever the effects: factors on the tires, by their logarithms, each
-with a prior of one."""
+"""Coefficients that are fitted with every set of effects: logarithms of factors on the
+tires, each with a prior standard deviation of one."""
 
 MOST = 3
-"""Most effects of a set."""
+"""Largest number of effects of a set."""
 
 _TIRES = len(PARAMETERS)
 _TOLERANCE = 1e-5
-"""Share of the cost that one more step of a refit may gain."""
+"""Relative gain in cost of a step below which a refit ends."""
 
 _STARTS = 3
-"""Steps to the best start states of a car as it is."""
+"""Number of steps to the best start states of a car without a refit."""
 
 _MOST_OFF = 1.5
 """Largest logarithm of a factor on a tire."""
 
 _LEAST_WINDOWS = 48
-"""Number of windows that a diagnosis is compiled for: few windows share it."""
+"""Smallest number of windows for which a diagnosis is compiled."""
 
 _EACH = 6
 SHAPES = 5 * _EACH
-"""Functions of each quantity, and of all, that an unlisted force of an axle may
-follow."""
+"""Numbers of functions of each quantity, and of all, on which an unlisted force of an axle
+may depend."""
 
 
 class Cut(NamedTuple):
-    """Windows (w, k) of all logs: :class:`Data`, what effects may depend on, what an
-    unlisted force may follow (w, k, SHAPES), and the log (w,) that each is of."""
+    """Windows (w, k) of all logs: :class:`Data`, :class:`Samples` of effects, functions
+    (w, k, SHAPES) of an unlisted force, and the log (w,) of each."""
 
     data: Data
     rows: Samples
@@ -75,25 +75,25 @@ class Cut(NamedTuple):
 
 class Products(NamedTuple):
     """Products of the whitened columns of a linearisation with each other and with the
-    residual, predicted less logged: of each window (w, q, q), (w, q) and (w,)."""
+    residual, predicted - logged, for each window: (w, q, q), (w, q) and (w,)."""
 
     gram: np.ndarray
     score: np.ndarray
     square: np.ndarray
 
     def of(self, windows) -> "Products":
-        """Summed over some windows."""
+        """The products summed over some windows."""
         return Products(*(part[windows].sum(axis=0) for part in self))
 
     def some(self, columns) -> "Products":
-        """Of some columns."""
+        """The products of some columns."""
         columns = np.asarray(columns)
         gram = self.gram[..., columns[:, None], columns]
         return Products(gram, self.score[..., columns], self.square)
 
     def step(self, pull, at) -> np.ndarray:
-        """Change (q,) of the coefficients to their best, from coefficients ``at`` that
-        springs of stiffness ``pull`` draw to zero."""
+        """Change (q,) of the coefficients to the optimum, from coefficients ``at`` with
+        priors of precision ``pull`` about zero."""
         return -np.linalg.solve(self.gram + np.diag(pull), self.score + pull * at)
 
     def square_after(self, step) -> float:
@@ -114,8 +114,8 @@ def steered(steering: Steering, command, across, step: float):
 
 
 class Model(NamedTuple):
-    """A car's model with all atoms; its coefficients z hold the logarithms of the
-    factors on the tires, the amplitudes of the atoms in prior scales, unlisted forces.
+    """The model of a car with all atoms. Its coefficients z are the logarithms of factors
+    on the tires, the amplitudes of the atoms in prior scales, and unlisted forces.
 
     Attributes:
         scales: of the priors.
@@ -132,7 +132,7 @@ class Model(NamedTuple):
         return _TIRES + len(self.atoms) + 2 * SHAPES
 
     def setting(self, z, rows: Samples, shapes) -> Setting:
-        """What the coefficients change, sample by sample."""
+        """The setting by the coefficients, for each sample."""
         factors = jnp.exp(z[:_TIRES]).reshape(2, 2)
         setting = Setting()
         for k, name in enumerate(("stiffness", "friction")):
@@ -151,7 +151,7 @@ class Model(NamedTuple):
         )
 
     def states(self, car: Car, grid, z, start, window: Data, rows: Samples, shapes):
-        """Predicted states (k,) of one window, the wheel angle (k,), what is set."""
+        """Predicted states (k,) of one window, the wheel angle (k,), the setting."""
         setting = self.setting(z, rows, shapes)
         step, parts = grid
         angle = steered(setting.steering, window.steering, rows.across, step)
@@ -160,7 +160,7 @@ class Model(NamedTuple):
         return found, angle, setting
 
     def missed(self, car: Car, grid, z, start, window: Data, rows: Samples, shapes):
-        """Predicted less logged (k, c) of one window."""
+        """Predicted - logged (k, c) of one window."""
         states, _, setting = self.states(car, grid, z, start, window, rows, shapes)
         reading = setting.reading
         if self.channels == 2:
@@ -176,7 +176,7 @@ class Model(NamedTuple):
 
 @partial(jax.jit, static_argnums=0)
 def _followed(model: Model, car: Car, grid, z, start, data: Data, rows, shapes):
-    """Lateral acceleration, yaw rate and both slip angles (w, k) of the car itself."""
+    """Lateral acceleration, yaw rate and both slip angles (w, k) of the predicted car."""
 
     def one(start, window, rows, shapes):
         states, angle, setting = model.states(car, grid, z, start, window, rows, shapes)
@@ -226,12 +226,12 @@ class Fit:
 
     @property
     def own(self) -> list[int]:
-        """Places of its coefficients in z."""
+        """Indices of its coefficients in z."""
         return [*range(_TIRES), *(_TIRES + k for k in self.atoms)]
 
     @property
     def amplitude(self) -> np.ndarray:
-        """In prior scales."""
+        """Its amplitudes, in prior scales."""
         return self.z[[_TIRES + k for k in self.atoms]]
 
     @property
@@ -241,27 +241,27 @@ class Fit:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Of its coefficients."""
+        """Covariance of its coefficients."""
         return np.linalg.inv(self.products.of(slice(None)).gram + np.diag(self.pull))
 
 
 def _filled(windows):
-    """Arrays (w, ...) padded by copies of the first window to one of few sizes."""
+    """Arrays (w, ...) padded by copies of the first window to a few sizes."""
     return jax.tree.map(
         lambda part: pad_rows(part, padded_size(len(part), _LEAST_WINDOWS)), windows
     )
 
 
 class Base:
-    """A model on windows, with the noise of the channels: larger by the square root of
-    ``inflation`` than what is left, as its samples are correlated. ``testable`` are the
-    numbers of the atoms that the logs can show."""
+    """A model on windows, with the noise of the channels. The noise is that of the
+    remainder times the square root of ``inflation``, as samples are correlated.
+    ``testable`` are the numbers of the atoms that the logs can show."""
 
     def __init__(self, model: Model, car: Car, cut: Cut, step: float, testable):
         self.model, self.cut, self.testable = model, cut, tuple(testable)
         slowest = float(np.min(cut.data.v_x))
         self.grid = jnp.asarray(step), steps_a_sample(car, slowest, 1 / step)
-        # As arrays: another car compiles nothing anew.
+        # As arrays, so that another car uses the same compiled programs.
         self.car = jax.tree.map(lambda x: jnp.asarray(x, float), car)
         self.noise, self.scatter, self.inflation = np.ones(model.channels), 1.0, 1.0
         bounds = np.array(
@@ -279,8 +279,8 @@ class Base:
         return _filled((self.cut.data, self.cut.rows, self.cut.shapes))
 
     def follow(self, fit: Fit) -> None:
-        """Let effects and unlisted forces depend on the motion of a fit: that of the
-        log has the noise of the channels that they are to explain."""
+        """Make effects and unlisted forces depend on the motion of a fit, as that of the
+        log has the noise of the channels that they explain."""
         found = _followed(
             self.model, self.car, self.grid, fit.z, _filled(fit.starts), *self.windows
         )
@@ -297,7 +297,7 @@ class Base:
 
     def linearised(self, z, starts, columns):
         """:func:`_linearised` along coefficients (q,) of these numbers."""
-        # Of few columns all programs are one.
+        # Few columns share one compiled program.
         ways = np.zeros((self.model.size, max(len(columns), _TIRES + MOST)))
         ways[columns, range(len(columns))] = 1.0
         given = self.model, self.car, self.grid, z
@@ -305,7 +305,7 @@ class Base:
         return tuple(part[: len(self.cut.log)] for part in found)
 
     def columns(self, now) -> np.ndarray:
-        """Whitened columns of what :meth:`linearised` gave, then the residual,
+        """Whitened columns of a result of :meth:`linearised`, then the residual,
         orthogonal to the start states: (w, m, q + 1)."""
         missed, by, by_start = (np.asarray(part) for part in now)
         weight, w = (1 / self.noise)[:, None], len(missed)
@@ -315,13 +315,13 @@ class Base:
         return each - unit @ (np.swapaxes(unit, 1, 2) @ each)
 
     def products(self, now) -> Products:
-        """Of what :meth:`linearised` gave."""
+        """The products of a result of :meth:`linearised`."""
         each = self.columns(now)
         gram = np.swapaxes(each, 1, 2) @ each
         return Products(gram[:, :-1, :-1], gram[:, :-1, -1], gram[:, -1, -1])
 
     def at_best_starts(self, z):
-        """:meth:`linearised` of a car as it is, from its best start states."""
+        """:meth:`linearised` without a refit, from the best start states."""
         starts = np.asarray(self.cut.data.start)
         for _ in range(_STARTS):
             missed, _, slopes = map(np.asarray, self.linearised(z, starts, [0]))
@@ -333,14 +333,14 @@ class Base:
         return self.linearised(z, starts, [0])
 
     def rms(self, z) -> np.ndarray:
-        """Rms of predicted less logged by channel, from the best start states."""
+        """Rms of predicted - logged by channel, from the best start states."""
         missed, *_ = self.at_best_starts(z)
         return np.sqrt(np.mean(np.asarray(missed) ** 2, axis=(0, 1)))
 
     def judge_noise(self, fit: Fit) -> None:
-        """Set the noise to what everything listed and unlisted together leaves of a
-        fit, larger by how much more the sums over windows scatter than independent
-        samples would."""
+        """Set the noise to the remainder of a fit with all listed effects and unlisted
+        forces, increased by the ratio of the scatter of sums over windows to that of
+        independent samples."""
         now = self.linearised(fit.z, fit.starts, [*range(self.model.size)])
         each, free = self.columns(now), _TIRES + len(self.model.atoms)
         columns, residual = each[..., :-1], each[..., -1]
@@ -354,7 +354,7 @@ class Base:
         count = left.size - fit.starts.size - np.sum(inverse * gram)
         squares = left.reshape(*now[0].shape) ** 2
         level = squares.sum(axis=(0, 1)) * len(self.noise) / max(count, 1)
-        # The sums of white noise over windows, of which the fit has taken its share.
+        # Expected sums of white noise over windows, reduced by the fit.
         sums = np.einsum("wmp,wm->wp", columns[..., :free], left) ** 2
         white = np.einsum("wpp->wp", own - own @ inverse @ own)[:, :free]
         there = white.sum(axis=0) > UNSEEN * np.diag(gram)[:free]
@@ -365,7 +365,7 @@ class Base:
 
     @property
     def p_white(self) -> float:
-        """p-value of the scatter of the sums over windows, were the rest white."""
+        """p-value of the scatter of the sums over windows for a white remainder."""
         count = len(self.cut.log)
         return max(float(chdtrc(count, count * self.scatter)), ROUNDING)
 
@@ -409,7 +409,7 @@ class Base:
         square = fit.products.square.sum() + own @ own
         curvature = -np.linalg.slogdet(fit.covariance)[1]
         error = np.sqrt(np.diag(fit.covariance)[_TIRES:])
-        # Half of the prior is gone where one sign alone is physical.
+        # Half of the prior is excluded if only one sign is physical.
         sided = np.where(self.one_sided[list(fit.atoms)], np.log(2), 0.0)
         side = sided + np.where(sided > 0, log_ndtr(np.abs(off) / error), 0.0)
         found = float(-0.5 * (square + curvature) + side.sum())
@@ -426,7 +426,7 @@ class Base:
         size, score = np.maximum(np.diag(left.gram), 0.0), left.score
         z = score / np.sqrt(1 + size)
         value = 0.5 * z**2 - 0.5 * np.log1p(size)
-        # The score is the slope of the squares: its sign is against the amplitude.
+        # The score is the slope of the squares, so its sign is opposite to the amplitude.
         sign = np.where(self.low >= 0, -1.0, np.where(self.high <= 0, 1.0, 0.0))
         return value + np.where(sign != 0, np.log(2) + log_ndtr(sign * z), 0.0)
 
@@ -438,8 +438,8 @@ class Base:
 
 
 def directions(left: Products) -> tuple[np.ndarray, np.ndarray]:
-    """Scores (d,) and sizes (d,) of the orthonormal directions of some columns, each
-    of unit size before."""
+    """Scores (d,) and sizes (d,) of the orthonormal directions of some columns, which
+    have unit size before."""
     norm = np.sqrt(np.maximum(np.diag(left.gram), NONZERO))
     values, vectors = np.linalg.eigh(left.gram / np.outer(norm, norm))
     kept = values > UNSEEN * values.max()
@@ -463,7 +463,7 @@ def _beside(whole: Products, fit: Fit, columns: Sequence[int]) -> Products:
 
 
 def shapes_of(angles: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> np.ndarray:
-    """Functions (n, SHAPES) that an unlisted force over the car's weight may follow:
-    smooth ones of both slip angles and of three other quantities, (n,) each."""
+    """Functions (n, SHAPES) for an unlisted force over the weight of the car: smooth ones
+    of both slip angles and of three other quantities, (n,) each."""
     each = [np.clip(a, *np.quantile(a, [0.01, 0.99])) for a in angles]
     return np.concatenate([bumps(x, _EACH) for x in (*each, *others)], axis=1)

@@ -1,9 +1,9 @@
 """95 % intervals of a fit by trajectory from its likelihood: profile and importance.
 
-Both follow the likelihood away from the optimum; the start states are profiled out by a
-linear step with the derivatives at the optimum. Residuals of neighbouring samples are
-correlated, which the likelihood does not know: each interval is widened by the ratio of
-the sandwich's standard error to the likelihood's own.
+Both evaluate the likelihood away from the optimum; the start states are profiled out by
+a linear step with the derivatives at the optimum. The likelihood ignores the correlation
+of residuals of neighbouring samples, so each interval is widened by the ratio of the
+standard error of the sandwich to that of the likelihood.
 """
 
 from collections.abc import Callable
@@ -20,15 +20,15 @@ from tirefit.vehicle.shooting import Data, eliminate, eliminated
 INTERVALS = ("covariance", "profile", "importance")
 NORMAL_95 = 1.96
 _ROUNDS, _STEPS = 4, 3
-"""Secant steps to the end of a profile; steps of the other parameters at each."""
+"""Secant steps to the end of a profile, and steps of the other parameters at each."""
 _DRAWS, _FREEDOM = 1000, 5.0
-"""Points of the proposal, a Student's t, and its degrees of freedom."""
+"""Number of points of the proposal, a Student's t, and its degrees of freedom."""
 
 
 class Optimum(NamedTuple):
-    """Where a fit ended: the function of a window's residuals, parameters (p,), start
-    states (w, s), residuals with their derivatives, noise (c,), precision (p,) of the
-    priors, and the windows."""
+    """The optimum of a fit: the function of the residuals of a window, parameters (p,),
+    start states (w, s), residuals with their derivatives, noise (c,), precision (p,) of
+    the priors, and the windows."""
 
     missed: Callable
     z: jax.Array
@@ -44,7 +44,7 @@ def ends_by(how: str, optimum: Optimum, std: np.ndarray, reach: float, seed: int
 
     Args:
         how: of :data:`INTERVALS`.
-        std: standard errors (p,) by the sandwich.
+        std: standard errors (p,) of the sandwich.
         reach: half width of a 95 % interval in standard errors.
         seed: of the draws.
 
@@ -83,7 +83,7 @@ def _likelihood(at: Optimum):
 
 
 def _profiled(cost, z, information, inverse) -> np.ndarray:
-    """Ends (2, p) from z on where the profile likelihood falls by half of 1.96^2."""
+    """Ends (2, p), relative to z, where the log profile has fallen by half of 1.96^2."""
     ends, least = np.zeros((2, len(z))), float(cost(z)[0])
     for k in range(len(z)):
         others = np.arange(len(z)) != k
@@ -115,7 +115,7 @@ def _weighted(cost, z, inverse, seed: int) -> np.ndarray:
     weights, k_hat = smoothed(log_weights)
     if k_hat > LARGEST_K_HAT:
         reason = f"importance sampling does not cover the posterior: k-hat {k_hat:.2f}"
-        raise UsageError(reason, "take --intervals profile")
+        raise UsageError(reason, "use --intervals profile")
     order = np.argsort(draws, axis=0)
     sums = np.cumsum(weights[order], axis=0)
     return np.array(

@@ -1,10 +1,10 @@
-"""Measured logs, predicted from measured states: :func:`replay`.
+"""Predict measured logs from measured states: :func:`replay`.
 
-Every quarter of a second the car starts from the measured state and is predicted for
-up to five seconds, with the speed and the steering as measured and no correction. What
-the prediction misses at each horizon is compared with that of a car without slip, of
-one whose tires are linear, and with the floor that the noise of the log sets: how much
-the error changes when the log gets as much noise again.
+Every quarter of a second the car starts from the measured state and is predicted for up
+to five seconds, with speed and steering as measured and without correction. The error at
+each horizon is compared with that of a car without slip, of one with linear tires, and
+with the floor that the noise of the log sets: the change of the error if noise of the
+same size is added to the log.
 """
 
 import math
@@ -59,23 +59,23 @@ QUANTITIES = {
     "heading": "rad",
     "lateral": "m",
 }
-"""What is compared, with its unit; ``lateral`` is the place across the measured one."""
+"""Compared quantity -> unit; ``lateral`` is the distance across the measured heading."""
 
 DRAWS = 24
-"""Draws of the tires' parameters, for the band."""
+"""Number of draws of the tires' parameters, for the band."""
 NOISES = 4
-"""Draws of the log's noise, for the floor."""
+"""Number of draws of the noise of the log, for the floor."""
 _NORMAL_95 = 1.96
 
 
 class Errors(NamedTuple):
-    """Predicted less measured at each horizon: {quantity: (windows, horizons)}, NaN
-    where the log ends before."""
+    """Predicted - measured at each horizon: {quantity: (windows, horizons)}, NaN if the
+    log ends before."""
 
     of: Mapping[str, np.ndarray]
 
     def rms(self) -> dict[str, list[float | None]]:
-        """Root mean square by quantity, a number a horizon; None of no window."""
+        """Root mean square by quantity, for each horizon; None without windows."""
         found = {}
         for name, values in self.of.items():
             count = np.isfinite(values).sum(axis=0)
@@ -96,16 +96,16 @@ class Fans(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Replay(Record):
-    """What :func:`replay` found in some logs.
+    """The result of :func:`replay`.
 
     Attributes:
         logs: name of each log -> whether a tire was fitted to it.
         windows: predictions that reach each of ``horizons`` [s].
-        models: model -> errors; ``tire``, ``linear tire``, ``no slip``, and ``with the
-            effects`` where effects were given; ``floor``: by
-            how much those of ``tire`` change with as much noise again in the log.
-        held: quantity -> share of the windows, by horizon, whose measured value lies
-            in the 95 % band of the tires' parameters; empty where both have none.
+        models: model -> errors; ``tire``, ``linear tire``, ``no slip``, ``with the
+            effects`` if effects were given, and ``floor``: the change of the errors of
+            ``tire`` if noise of the same size is added to the log.
+        held: quantity -> share of the windows, by horizon, whose measured value is in
+            the 95 % band of the tires' parameters; empty if neither tire has one.
         fans: the predictions of each log, for pictures.
         notes: what was assumed.
     """
@@ -129,7 +129,7 @@ class Replay(Record):
         return {Outcome.INCOMPLETE: f"no log has {' or '.join(off)} without a gap" if off else ""}
 
     def to_dict(self) -> dict:
-        """The numbers, as ``replay.json`` has them."""
+        """The numbers, as in ``replay.json``."""
         return {
             "schema": SCHEMA,
             "version": __version__,
@@ -148,9 +148,8 @@ class Replay(Record):
 
 
 class _Windows(NamedTuple):
-    """Windows of one log: times (w, k); the states (w,) that they start from; speed and
-    steering (w, k); what is measured (w, k), NaN beyond the end of each; and what
-    effects may depend on."""
+    """Windows of one log: times (w, k); start states (w,); speed and steering (w, k);
+    measured values (w, k), NaN beyond the end of each; and samples of the effects."""
 
     time: np.ndarray
     start: State
@@ -202,9 +201,9 @@ def replay(
         rear: likewise, of the rear axle.
         horizons: times [s] after a start at which the prediction is compared.
         effects: a diagnosis of the car, or its ``vehicle_diagnosis.json``: the car is
-            predicted with its effects, too.
-        steering_delay: time [s] by which the wheels follow the logged steering; that of
-            the vehicle if None.
+            also predicted with its effects.
+        steering_delay: delay [s] of the wheels behind the logged steering; that of the
+            vehicle if None.
         seed: of the draws of the tires' parameters.
 
     Returns:
@@ -296,26 +295,26 @@ def _checked(vehicle: Vehicle, horizons: Sequence[float], delay: float) -> list[
 
 def _notes(vehicle: Vehicle, tires) -> tuple[str, ...]:
     notes = [
-        "speed and steering are those of the log; starts are the log's, low-passed at"
-        f" {vehicle.filter.bandwidth:.3g} Hz, without phase",
+        "speed and steering are those of the log; start states are from the log, low-passed"
+        f" at {vehicle.filter.bandwidth:.3g} Hz with zero phase",
         "axle loads are static; the tires carry no drive or brake force",
         *vehicle.columns.notes,
     ]
     notes += [
-        f"{axle} axle: the Magic Formula is of one tire; the axle has two, mirror"
-        " images, each at half of its load"
+        f"{axle} axle: the Magic Formula describes one tire; the axle has two, mirror"
+        " images of each other, each at half the load"
         for axle, tire in zip(("front", "rear"), tires, strict=True)
         if isinstance(tire.tire, Pair)
     ]
     if vehicle.columns.motion != POSE:
         notes.append(
-            "the log holds no pose: heading and place are the integrals of its yaw rate and speeds"
+            "the log has no pose: heading and position are integrals of yaw rate and speeds"
         )
     return tuple(notes)
 
 
 def _traced(module):
-    """The module with its numbers as arrays: other numbers compile nothing anew."""
+    """The module with its numbers as arrays, so that others use the same program."""
     return jax.tree.map(lambda x: jnp.asarray(x, float), module)
 
 
@@ -343,7 +342,7 @@ def _windows(
     starts, ends = np.array(begun).T
     rows = starts[:, None] + np.arange(most)
     there = rows < ends[:, None]
-    # The last sample stands for those beyond the end, which nothing is compared with.
+    # The last sample is repeated beyond the end, where nothing is compared.
     rows = np.minimum(rows, ends[:, None] - 1)
 
     def cut(motion: Motion, apply=None) -> _Windows:
@@ -398,8 +397,8 @@ def _compared(car: Car, windows: _Windows, steps, rate: float, parts: int, chang
 
 
 def _floor(tire: Errors, noisy: Sequence[Errors]) -> Errors:
-    """What the noise of the log alone does to the errors: their change by more of it,
-    at the start of a window and where it is compared."""
+    """The effect of the noise of the log on the errors: their change by added noise, at
+    the start of a window and where it is compared."""
     return Errors(
         {
             name: np.concatenate([one.of[name] - missed for one in noisy])
@@ -409,7 +408,7 @@ def _floor(tire: Errors, noisy: Sequence[Errors]) -> Errors:
 
 
 def _errors(states: State, a_y, windows: _Windows, steps) -> Errors:
-    """Of predicted states (w, k)."""
+    """The errors of predicted states (w, k)."""
     at, true = np.asarray(steps), windows.measured
 
     def missed(name):
@@ -430,7 +429,7 @@ def _errors(states: State, a_y, windows: _Windows, steps) -> Errors:
 
 
 def _without_slip(vehicle: Vehicle, windows: _Windows, steps) -> Errors:
-    """Of a car whose axles follow their wheels: r = v_x tan(delta) / (l_f + l_r)."""
+    """The errors of a car without slip: r = v_x tan(delta) / (l_f + l_r)."""
     v_x, steering = windows.v_x, windows.steering
     yaw = v_x * np.tan(steering) / (vehicle.l_f + vehicle.l_r)
     sideways, rate = vehicle.l_r * yaw, vehicle.filter.sample_rate
@@ -465,7 +464,7 @@ def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, generator
 
 
 def _fans(found, predictions) -> dict[str, Fans]:
-    """The pictures' windows, log by log."""
+    """The windows of the figures, for each log."""
     (states, lateral), fans, first = predictions, {}, 0
     for name, (_, (windows, *_), _) in found.items():
         rows = slice(first, first + len(windows.v_x))

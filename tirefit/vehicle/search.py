@@ -1,4 +1,4 @@
-"""The search for sets of effects of a car, and what a verdict rests on."""
+"""Search for sets of effects of a car, and compute the inputs of its verdict."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -17,34 +17,34 @@ from tirefit.diagnosis.rows.basis import SCALES
 from tirefit.vehicle.evidence import MOST, PARAMETERS, SHAPES, Base, Fit
 
 _SINGLES, _WIDE, _DEEP = 8, 3, 2
-"""Single effects that are refitted first; further effects that are tried beside each of
-the most probable sets of a size, and how many of these sets."""
+"""Numbers of single effects that are refitted first; of further effects that are added to
+each of the most probable sets of a size; and of these sets."""
 
 _WEAK = 3.0
-"""Log evidence that data must show an effect with: 20 to 1."""
+"""Log evidence with which data must show an effect: 20 to 1."""
 
 _LOST = 10.0
-"""Log evidence that no further effect can cost where its fit has found the minimum."""
+"""A further effect that costs more log evidence has not reached the minimum of its fit."""
 
 _FAR = 0.7
 """Logarithm of a factor on the tires from which a fit with one effect more is tried
 from the tires as given, too."""
 
 _BLOCKS = 8
-"""Parts of the time that are left out in turn."""
+"""Number of parts of the time that are left out in turn."""
 
 _LEADING = 6
-"""Sets, and single effects, the most probable of each, that are judged on them."""
+"""Numbers of the most probable sets and single effects that are tested on them."""
 
 _ROUNDS = 2
-"""Times that the noise is judged anew beside the car without effects."""
+"""Number of times that the noise is estimated again for the car without effects."""
 
 _OTHER_NOISE = 0.25
-"""Change of the logarithm of the noise from which the search is made once more."""
+"""Change of the log noise above which the search is repeated."""
 
 
 class _Search:
-    """Fits of sets of atoms so far, with the products of all columns at some."""
+    """The fits of sets of atoms so far, and for some the products of all columns."""
 
     def __init__(self, base: Base, null: Fit):
         self.base = base
@@ -66,7 +66,7 @@ class _Search:
         return more + self.prior(fit.atoms)
 
     def refit(self, parent: Fit, more: int) -> None:
-        """A fit and one more atom, from where the linearisation of the fit leads."""
+        """A fit with one more atom, started from the linear step of the first fit."""
         atoms = tuple(sorted((*parent.atoms, more)))
         if atoms in self.fits:
             return
@@ -78,10 +78,10 @@ class _Search:
         z[first + more] = np.clip(z[first + more], base.low[more], base.high[more])
         fits = [base.fitted(atoms, z, parent.starts)]
         if fits[0].log_evidence < parent.log_evidence - _LOST:
-            # The linearisation leads astray.
+            # The linear step is a bad start.
             fits.append(base.fitted(atoms, parent.z, parent.starts))
         if np.max(np.abs(parent.z[:first])) > _FAR:
-            # The tires of a fit without the effect bend to stand in for it.
+            # Without the effect, the tires were distorted to replace it.
             z = np.where(np.arange(len(z)) < first, 0.0, parent.z)
             fits.append(base.fitted(atoms, z, self.base.cut.data.start))
         self.fits[atoms] = max(fits, key=lambda one: one.log_evidence)
@@ -109,7 +109,7 @@ class _Search:
         return [*found.values()][:count]
 
     def climb(self) -> None:
-        """Refit single effects, then what adds most to the best sets of each size."""
+        """Refit single effects, then those that add most to the best sets of each size."""
         for more in self.beside(self.fits[()], _SINGLES):
             self.refit(self.fits[()], more)
         for size in range(1, MOST):
@@ -122,7 +122,7 @@ class _Search:
                 break
 
     def parts(self, whole: Fit) -> None:
-        """Refit the sets of some of a fit's effects."""
+        """Refit the subsets of the effects of a fit."""
         for part in parts_of(whole.atoms)[1:]:
             if part not in self.fits:
                 fit = self.base.fitted(tuple(part), whole.z, whole.starts)
@@ -134,11 +134,11 @@ def _key(fit: Fit) -> Key:
 
 
 def searched(base: Base) -> tuple[Weighed, Predicted, Tests]:
-    """Sets of effects refitted and weighed, what they predict of windows left out, and
-    a test of what is left of the noise.
+    """Sets of effects, refitted and weighed, with their predictions of windows left out
+    and a test of the remainder.
 
-    The noise is what everything leaves beside the best set: the search is made once
-    more where that is another than what is left beside none.
+    The noise is the remainder of the best set with all unlisted forces. If it differs
+    from that without effects, the search is repeated.
     """
     given = np.zeros(base.model.size)
     base.noise = base.rms(given)
@@ -164,7 +164,7 @@ def searched(base: Base) -> tuple[Weighed, Predicted, Tests]:
 
 
 def _weighed(search: _Search) -> Weighed:
-    """Posterior probabilities of all sets, with and without something unlisted."""
+    """Posterior probabilities of all sets, with and without an unlisted effect."""
     base, none = search.base, search.fits[()].log_evidence
     logs: dict[Key, list[float]] = {}
     best_of: dict[Key, Fit] = {}
@@ -198,7 +198,7 @@ def _weighed(search: _Search) -> Weighed:
 
 
 def _predicted(search: _Search, weighed: Weighed) -> Predicted:
-    """What the leading sets predict of logs, or parts of the time, left out."""
+    """Predictions of logs, or of parts of the time, left out by the leading sets."""
     base, log = search.base, weighed.log_weight
     ranked = sorted((k for k in log if k), key=log.__getitem__, reverse=True)
     singles = [key for key in ranked if len(key) == 1]
@@ -210,7 +210,7 @@ def _predicted(search: _Search, weighed: Weighed) -> Predicted:
     number = int(folds.max()) + 1
     rows = np.array([np.sum(folds == f) for f in range(number)])
     rows = rows * (base.cut.data.logged[0].size - base.cut.data.start.shape[1])
-    each = base.inflation / rows  # to the mean over what the noise leaves
+    each = base.inflation / rows  # to the mean square over the noise
     loss, sizes = np.empty((number, len(keys))), []
     for s, fit in enumerate(fits):
         own = fit.z[fit.own]
@@ -236,8 +236,7 @@ def _predicted(search: _Search, weighed: Weighed) -> Predicted:
 
 
 def _folds(log: np.ndarray) -> tuple[np.ndarray, str]:
-    """The part of each window (w,): its log where there are enough, else its block of
-    the time."""
+    """The part of each window (w,): its log if there are enough, else its block of time."""
     count = int(log.max()) + 1
     if count >= LEAST_RUNS:
         return log, f"{count} logs left out in turn"
@@ -247,8 +246,8 @@ def _folds(log: np.ndarray) -> tuple[np.ndarray, str]:
 
 
 def _smooth(search: _Search, fit: Fit, folds: np.ndarray) -> np.ndarray:
-    """Sum of squares (F,) that unlisted forces beside a fit leave of each part, of each
-    size by its evidence on the other parts."""
+    """Sum of squares (F,) of each part with a fit and unlisted forces, averaged over
+    their scale by the evidence of the other parts."""
     base, count = search.base, len(fit.own)
     first = base.model.size - 2 * SHAPES
     own = [*fit.own, *range(first, base.model.size)]
@@ -273,10 +272,10 @@ def _smooth(search: _Search, fit: Fit, folds: np.ndarray) -> np.ndarray:
 
 
 def findings(weighed: Weighed, out: Predicted, tests: Tests) -> Findings:
-    """What the search and the data left out say.
+    """The findings of the search and of the data left out.
 
-    Something unlisted is as probable as its evidence and its prediction of the parts
-    left out both allow, or as what is left is unlike white noise.
+    The probability of an unlisted effect is the smaller one of its evidence and of its
+    prediction of the parts left out, or that of the test of the remainder if larger.
     """
     key = () if no_gap_shows(weighed) else weighed.best
     parts = [part for part in parts_of(key) if part in weighed.log_weight]
@@ -298,8 +297,8 @@ def findings(weighed: Weighed, out: Predicted, tests: Tests) -> Findings:
 
 
 def errors(weighed: Weighed, out: Predicted, key: Key) -> np.ndarray:
-    """Standard errors of the amplitudes of a set, in prior scales: by the curvature, or
-    by the jackknife over the parts left out where that is larger."""
+    """Standard errors of the amplitudes of a set, in prior scales: from the curvature, or
+    from the jackknife over the parts left out if that is larger."""
     fit = weighed.best_of[key]
     variance = np.diag(fit.covariance)[len(PARAMETERS) :]
     if key in out.effects:

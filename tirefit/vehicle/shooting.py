@@ -1,5 +1,5 @@
-"""Windows of logs in which a car runs freely from start states of their own, and least
-squares over all of them with the start states eliminated."""
+"""Windows of logs, in each of which a car is predicted from its own start state, and least
+squares over all windows with the start states eliminated."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -17,10 +17,10 @@ _LEAD = 0.3
 """Time [s] of steering before a window, for its delay."""
 _ITERATIONS = 40
 _BLOCKS = 40
-"""Blocks of windows of the sandwich, at most: their scores count as independent."""
+"""Largest number of blocks of windows of the sandwich, whose scores are independent."""
 
 CHANNELS = {2: ("v_y", "yaw_rate"), 3: ("heading", "x", "y")}
-"""Names of the logged channels, of a log of rates and of one of poses."""
+"""Names of the logged channels of a log of rates, and of one of poses."""
 
 
 class Data(NamedTuple):
@@ -34,8 +34,7 @@ class Data(NamedTuple):
 
 
 def windows_of(track: Track, motion: Motion, vehicle: Vehicle, window: float):
-    """:class:`Data` of a log and the rows (w, k) of its motion that they are; None of
-    no window."""
+    """:class:`Data` of a log, and the rows (w, k) of its motion; None without a window."""
     rate = vehicle.filter.sample_rate
     count, lead = round(window * rate) + 1, round(_LEAD * rate)
     logged, state, command = logged_channels(track, motion, vehicle)
@@ -56,7 +55,7 @@ def windows_of(track: Track, motion: Motion, vehicle: Vehicle, window: float):
 
 
 def logged_channels(track: Track, motion: Motion, vehicle: Vehicle):
-    """What the log holds of the centre of gravity, on the grid, not filtered: channels
+    """Values of the log for the centre of gravity, on the grid, unfiltered: channels
     (n, c), start states (n, s), and the steering command (n,)."""
     names = [channel.quantity for channel in track.channels]
     raw = {
@@ -96,9 +95,9 @@ def linearised(missed, parts: int):
 
 def eliminated(missed, by_z, by_start, noise, damping=0.0):
     """The normal equations of z without the start states: score (w, p), information
-    (w, p, p), and what gives each start its step: (w, s) and (w, s, p).
+    (w, p, p), and the terms of the step of each start: (w, s) and (w, s, p).
 
-    A window hardly tells a start that the car forgets at once: its steps are damped.
+    A start state that the car forgets quickly is hardly determined; its steps are damped.
     """
     w = len(missed)
     weight = 1 / noise[None, None]
@@ -120,9 +119,9 @@ eliminate = jax.jit(eliminated)
 
 
 def minimised(run, z, starts, now, data, noise, pull, bounds=(-np.inf, np.inf), tolerance=1e-6):
-    """Levenberg and Marquardt on z within its bounds and on all start states; ``now``
-    is what ``run`` gives there. Returns them at the end, and whether it converged: a
-    step changed the cost by less than ``tolerance`` of it."""
+    """Levenberg-Marquardt on z within its bounds and on all start states; ``now`` is the
+    result of ``run`` there. Returns the end values, and whether it converged: a step
+    changed the cost by less than ``tolerance`` of it."""
 
     def cost_of(missed, z):
         return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
@@ -134,7 +133,7 @@ def minimised(run, z, starts, now, data, noise, pull, bounds=(-np.inf, np.inf), 
             score, information, step, tied = eliminate(*now, noise, damping)
             gradient = np.asarray(score.sum(axis=0) + pull * z)
             matrix = np.asarray(information.sum(axis=0)) + np.diag(pull)
-            # What lies on a bound and is drawn across it stays.
+            # A parameter at a bound with a step across it is held.
             still = (z <= bounds[0]) & (gradient > 0)
             still |= (z >= bounds[1]) & (gradient < 0)
             free = np.flatnonzero(~np.asarray(still))

@@ -1,4 +1,4 @@
-"""The tires of a car, and what is not known of the car, from its trajectories:
+"""Fit the tires and unknown parameters of a car to its trajectories:
 :func:`fit_trajectory`.
 
 A log is cut into windows. In each the car of :mod:`tirefit.vehicle.car` runs freely
@@ -66,30 +66,30 @@ UNKNOWNS = {
     "steering_delay": Unknown("s", 0.1, False, "wheels after the log"),
     "sideslip_zero": Unknown("rad", 0.05, False, "logged less the car's"),
 }
-"""What may be estimated beside the tires; the prior of ``cg_ahead`` is a share of the
-wheelbase."""
+"""Parameters that may be estimated with the tires; the prior of ``cg_ahead`` is a share of
+the wheelbase."""
 
 WINDOW = 0.5
 """Length [s] of a window."""
 _ROUNDS = 3
-"""Times that the noise of the channels is estimated anew."""
+"""Number of times that the noise of the channels is estimated again."""
 _START_ROWS = 4000
-"""Rows of an axle that its first tire is fitted to, about."""
+"""Approximate number of rows to which the first tire of an axle is fitted."""
 SCHEMA = "tirefit.trajectory/1"
 
 
 @dataclass(frozen=True, repr=False)
 class TrajectoryFit(Record):
-    """What :func:`fit_trajectory` found.
+    """The result of :func:`fit_trajectory`.
 
     Attributes:
         front, rear: the tires of the axles.
         parameters: ``front.cpa2``, ``yaw_inertia``, ... -> estimate.
-        noise: channel -> rms of predicted less logged, which counts as its noise.
+        noise: channel -> rms of predicted - logged, used as its noise.
         windows: number of windows; ``blocks`` of them are independent.
         vehicle: with what was found of it.
         converged: whether the last step changed the cost by less than a millionth.
-        intervals: how the 95 % intervals were found.
+        intervals: method of the 95 % intervals.
         axles: ``front``, ``rear`` -> the tire with its uncertainty and the content of a
             ``fit.json``; :func:`tirefit.replay` takes it.
         rows: ``front``, ``rear`` -> slip angle and force as derived, for comparison.
@@ -125,7 +125,7 @@ class TrajectoryFit(Record):
         }
 
     def to_dict(self) -> dict:
-        """The numbers, as ``trajectory.json`` has them."""
+        """The numbers, as in ``trajectory.json``."""
         return json_safe(
             {
                 "schema": SCHEMA,
@@ -143,8 +143,8 @@ class TrajectoryFit(Record):
 
     def files(self, name: str = "") -> dict[str, str]:
         """``front.json`` and ``rear.json`` (each a ``fit.json``), ``vehicle.toml`` with
-        what was found, and ``trajectory.json``."""
-        note = "as tirefit fit found it from the car's trajectories"
+        the estimated values, and ``trajectory.json``."""
+        note = "with values that tirefit fit estimated from trajectories of the car"
         return {
             **{
                 f"{axle}.json": json_text(sealed(dict(tire.content)))
@@ -171,10 +171,10 @@ def fit_trajectory(
     Args:
         logs: vehicle logs, as for :func:`tirefit.derive_files`.
         vehicle: a vehicle or its ``vehicle.toml``, with a steering map.
-        front: the model of the axle's tire; or a fit of the axle, or its ``fit.json``,
-            where the search begins.
+        front: the model of the tire of the axle; or a fit of the axle, or its
+            ``fit.json``, as the start of the search.
         rear: likewise.
-        unknowns: of :data:`UNKNOWNS`, estimated beside the tires.
+        unknowns: names of :data:`UNKNOWNS` to estimate with the tires.
         window: length of a window [s].
         intervals: ``covariance``, ``profile`` or ``importance``: how the 95 % intervals
             are found, see :mod:`tirefit.vehicle.intervals`.
@@ -226,7 +226,7 @@ def _check(vehicle: Vehicle, unknowns, given, intervals: str) -> None:
             problems.append(InputProblem(f"{name!r} is no {what}", remedy))
     for axle, tire in given.items():
         if tire.fit is None and tire.name not in MODELS:
-            reason = f"the {axle} tire {tire.name} is no fit: nothing is free in it"
+            reason = f"the {axle} tire {tire.name} has no free parameters"
             problems.append(InputProblem(reason, "name a model, such as brush"))
     UsageError.raise_for(problems)
 
@@ -237,7 +237,7 @@ def derived_rows(found, vehicle: Vehicle, axle: str) -> TireData:
     for motion, _, (name, *_) in found.values():
         alpha, force, speed = slip_and_force(motion, vehicle, axle)
         good = motion.settled & (motion.v_x > vehicle.v_min)
-        good &= (np.abs(alpha) < np.pi / 2) & (speed > 0)  # not of a car that spins
+        good &= (np.abs(alpha) < np.pi / 2) & (speed > 0)  # not while the car spins
         each = alpha[good], force[good], speed[good]
         for key, values in zip(columns, (*each, [name] * good.sum()), strict=True):
             columns[key].extend(values)
@@ -249,7 +249,7 @@ def derived_rows(found, vehicle: Vehicle, axle: str) -> TireData:
 
 
 def started(tire: GivenTire, rows: TireData) -> GivenTire:
-    """The tire of a fit; of a model by name as fitted to these rows."""
+    """The tire of a fit; a model given by name is fitted to these rows."""
     if tire.fit is not None or tire.name not in MODELS:
         return tire
     solved = solve_problem(build(rows, tire.name, FitConfig()), FitConfig())
@@ -260,7 +260,7 @@ def started(tire: GivenTire, rows: TireData) -> GivenTire:
 
 
 class _Problem:
-    """Squares of predicted less logged over all windows.
+    """Squares of predicted - logged over all windows.
 
     z holds the tires' parameters in their unconstrained space, then the unknowns.
     """
@@ -279,7 +279,7 @@ class _Problem:
         self.run = linearised(self.missed, self.parts)
 
     def unknown(self, z, name: str, default: float = 0.0):
-        """The value of an unknown, in its unit; a factor of one without it."""
+        """The value of an unknown, in its unit; its neutral value if not estimated."""
         if name not in self.unknowns:
             return default
         value = z[self.first[-1] + self.unknowns.index(name)]
@@ -297,7 +297,7 @@ class _Problem:
         return replace(car, l_f=car.l_f - ahead, l_r=car.l_r + ahead)
 
     def missed(self, z, start, window: Data, parts: int):
-        """Predicted less logged (k, c) of one window."""
+        """Predicted - logged (k, c) of one window."""
         step, count = 1 / self.rate, window.v_x.shape[0]
         lead = window.steering.shape[0] - count
         delay = self.unknown(z, "steering_delay", self.vehicle.steering.delay)
@@ -307,7 +307,7 @@ class _Problem:
         whole = jnp.concatenate([start, jnp.zeros(5 - len(start))])
         states = predicted(self.car(z), State(*whole), window.v_x, steering, step, parts)
         zero, ahead = self.unknown(z, "sideslip_zero"), self.unknown(z, "cg_ahead")
-        # The log is of the point where the centre of gravity was thought to be.
+        # The log is for the point at which the centre of gravity was assumed.
         if len(self.names) == 2:
             v_y = states.v_y - ahead * states.yaw_rate
             found = [v_y + zero * window.v_x, states.yaw_rate]
@@ -384,13 +384,13 @@ class _Problem:
             one, at = UNKNOWNS[name], self.first[-1] + k
             scale = self.vehicle.yaw_inertia if name == "yaw_inertia" else 1.0
             by = partial(_factor, scale) if one.is_factor else float
-            # Half of its prior's, or it is the prior that speaks.
+            # Identified if below half of the prior standard error.
             wide = 0.5 / np.sqrt(self.pulls()[at])
             add(name, one.unit, at, by, lambda *_, k=at, wide=wide: std[k] < wide)
         return found
 
     def found_vehicle(self, found: Mapping[str, Estimate]) -> Vehicle:
-        """The vehicle with what was found of it."""
+        """The vehicle with the estimated values."""
         vehicle, steering = self.vehicle, self.vehicle.steering
 
         def value(name, default=0.0):
@@ -433,7 +433,7 @@ class _Problem:
             "forces": ["fy"],
             "source": "trajectories of the car",
             "data": data_record(rows, rows.n, ()),
-            # No force was measured: a prediction has the parameters' uncertainty alone.
+            # No force was measured, so predictions have only the parameter uncertainty.
             "noise": {"fy": {"median_std": 0.0}},
             "parameters": parameters,
             "reference": {"fz": float(rows["fz"][0])},

@@ -1,4 +1,4 @@
-"""Windows of vehicle logs, over which a car is predicted."""
+"""Cut vehicle logs into windows over which a car is predicted."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -28,12 +28,12 @@ class CutLog(NamedTuple, Generic[Cut]):
 
 
 def known_vehicle(vehicle: Vehicle | str | Path) -> Vehicle:
-    """The vehicle of a ``vehicle.toml``, or as it is given."""
+    """The vehicle of a ``vehicle.toml``, or the given one."""
     return vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
 
 
 def steering_problems(vehicle: Vehicle, what: str) -> list[InputProblem]:
-    """That a vehicle has no steering map, which ``what`` needs."""
+    """A problem if a vehicle has no steering map, which ``what`` needs."""
     if vehicle.steering is not None:
         return []
     remedy = "name columns.steering and give [steering] in vehicle.toml; without,"
@@ -51,7 +51,7 @@ def cut_logs(
     """Motion and windows of each log, under the name of the log.
 
     Args:
-        cut: the windows of a log; None where it has none.
+        cut: returns the windows of a log; None if it has none.
         long_enough: in words, how long a stretch of a log must be.
         shorter: in words, what to ask for where none is.
 
@@ -71,7 +71,7 @@ def cut_logs(
             problems += error.problems
             continue
         if faults := compare(track, motion, vehicle, str(file)).problems:
-            # An option of derive is none of the commands that cut windows.
+            # --believe is an option of derive only, so do not mention it here.
             problems += [
                 replace(one, remedy=re.sub(r",? or [^,]*--.*", "", one.remedy)) for one in faults
             ]
@@ -80,7 +80,7 @@ def cut_logs(
         if windows is None:
             reason = f"no stretch above {vehicle.v_min:.3g} m/s is {long_enough}"
             reason += f": the longest is {_longest(motion, vehicle):.2g} s"
-            remedy = f"ask for {shorter}, or lower keep.v_min of vehicle.toml"
+            remedy = f"use {shorter}, or lower keep.v_min of vehicle.toml"
             problems.append(InputProblem(reason, remedy, str(file)))
         else:
             found[run_name(file)] = CutLog(motion, windows, names_of_runs(file, track))
@@ -89,7 +89,7 @@ def cut_logs(
 
 
 def left_out(motion: Motion, vehicle: Vehicle) -> tuple[str, ...]:
-    """How long the car does not drive ahead, by reason."""
+    """Sentences on the time in which the car does not drive forward, by reason."""
     there, said = motion.settled, []
     for reason, rows in not_ahead(motion, vehicle).items():
         if span := np.count_nonzero(there & rows) / vehicle.filter.sample_rate:
@@ -99,22 +99,22 @@ def left_out(motion: Motion, vehicle: Vehicle) -> tuple[str, ...]:
 
 
 def _longest(motion: Motion, vehicle: Vehicle) -> float:
-    """Length [s] of the longest stretch of a log in which the car drives ahead."""
+    """Length [s] of the longest stretch of a log in which the car drives forward."""
     good = motion.settled & (motion.v_x > vehicle.v_min)
     rows = [last - first for first, last in stretches(good, motion.part)]
     return max(rows, default=0) / vehicle.filter.sample_rate
 
 
 def stretches(good: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
-    """First row of each unbroken stretch of good rows (n,), and the row behind its end;
-    ``part`` (n,) counts the stretches between gaps of the log."""
+    """First row of each unbroken stretch of good rows (n,), and the row after its end;
+    ``part`` (n,) numbers the stretches between gaps of the log."""
     broken = np.flatnonzero(~good[1:] | ~good[:-1] | (np.diff(part) != 0)) + 1
     ends = zip([0, *broken], [*broken, len(good)], strict=True)
     return [(int(first), int(last)) for first, last in ends if good[first]]
 
 
 def integrated(motion: Motion, rate: float):
-    """Heading and place (n,) of a log of rates, from its first sample on."""
+    """Heading and position (n,) of a log of rates, relative to its first sample."""
     yaw, v_x, v_y = (np.nan_to_num(v) for v in (motion.yaw_rate, motion.v_x, motion.v_y))
     heading = _summed(yaw) / rate
     cos, sin = np.cos(heading), np.sin(heading)
@@ -122,5 +122,5 @@ def integrated(motion: Motion, rate: float):
 
 
 def _summed(values: np.ndarray) -> np.ndarray:
-    """Running sum by trapezes, from zero."""
+    """Cumulative integral by the trapezoidal rule, from zero."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))])

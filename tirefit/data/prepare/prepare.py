@@ -1,4 +1,4 @@
-"""A rig's test, as recorded, cut up, binned and filtered: :func:`prepare`."""
+"""Segment, bin and filter the recording of a rig test: :func:`prepare`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -24,25 +24,25 @@ CONDITIONS = ("fz", "gamma", "pressure", "v")
 FORCE_OF = {"alpha": "fy", "sigma_x": "fx"}
 
 _LOOK = 5.0
-"""Bandwidth [Hz] in which segments are looked for: rigs move slower than that."""
+"""Bandwidth [Hz] of the channels in which segments are searched; rigs are slower."""
 _SHARE_OF_RATE = 0.2
-_WINDOW = 1.0  # seconds of a hold in which a setting is looked for at a time
+_WINDOW = 1.0  # length [s] of the windows of a hold in which settings are searched
 _LEAST_ROWS = 4
-"""Rows in the shortest time that is held: sampled slower, rows are points, no series;
-and rows of the shortest sweep among points."""
+"""Smallest number of rows in the shortest hold: with fewer, rows are single points and no
+series. Also the smallest number of rows of a sweep among points."""
 _CYCLES = 40.0
-"""Bandwidth times the time of a fast sweep. A brush that slides from a fifth of the
-largest slip on is then kept to 0.2 % of its peak by sweeps of one speed from end to
-end, to 0.5 % by sines."""
-_STANDING = 0.02  # of the highest speed: slower, the wheel does not roll
-_FASTEST = 0.1  # quantile of the times of the sweeps that counts as fast
-_LOWEST, _HIGHEST = 2.0, 25.0  # bandwidths [Hz] that are chosen at least and at most
+"""Bandwidth times the duration of a fast sweep. The filter then changes a brush that
+slides above a fifth of the largest slip by 0.2 % of its peak in sweeps of constant speed,
+by 0.5 % in sines."""
+_STANDING = 0.02  # share of the highest speed below which the wheel does not roll
+_FASTEST = 0.1  # quantile of the durations of sweeps that counts as fast
+_LOWEST, _HIGHEST = 2.0, 25.0  # range of the bandwidth [Hz] that is chosen
 
 
 @dataclass(frozen=True, repr=False)
 class Prepared(Record):
-    """What :func:`prepare` made of a file; ``read`` are the arguments of
-    ``tirefit.read``, for the record of what was done."""
+    """The result of :func:`prepare` for a file; ``read`` are the arguments of
+    ``tirefit.read``, for the record."""
 
     text_by: ClassVar[str] = "tirefit.data.prepare.store:summary"
     plot_by: ClassVar[str] = "tirefit.report.prepared:prepared_figure"
@@ -51,13 +51,13 @@ class Prepared(Record):
     data: TireData
     config: PrepareConfig
     series: Series  # the clock
-    settings: dict[str, Settings]  # what each condition was set to
-    names: dict[str, list[str]]  # of its settings, as in bins
-    segments: tuple[Segment, ...]  # all rows in order
+    settings: dict[str, Settings]  # settings of each condition
+    names: dict[str, list[str]]  # names of its settings, as in bins
+    segments: tuple[Segment, ...]  # of all rows, in order
     columns: dict[str, np.ndarray]  # (n,) canonical channels after the filter, all rows
     kept: np.ndarray  # (n,) bool, rows to be written
     filter: ZeroPhase | None
-    notes: tuple[str, ...] = field(default=())  # what was done and assumed
+    notes: tuple[str, ...] = field(default=())  # steps and assumptions
     read: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -71,10 +71,10 @@ class Prepared(Record):
         return f"Prepared({self.data.name!r}, {kept} of {len(self.kept)} rows: {what})"
 
     def to_data(self, by: str = "run") -> TireData:
-        """Return what can be fitted: the kept rows, filtered, in canonical columns.
+        """The data to fit: the kept rows, filtered, in canonical columns.
 
         Args:
-            by: what becomes a run of its own: "run" (of the file), "segment" or "bin".
+            by: which rows become a run: "run" (of the file), "segment" or "bin".
 
         Raises:
             UsageError: ``by`` is something else.
@@ -109,10 +109,10 @@ class Prepared(Record):
 
 
 def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepared:
-    """Find what a rig did in a test, and make data of it that a fit can use.
+    """Find the segments of a rig test, and prepare its data for a fit.
 
     Args:
-        data: what ``tirefit.read`` gave (best with ``curve=False`` and
+        data: a result of ``tirefit.read`` (best with ``curve=False`` and
             ``mask_bad_rows=True``), a path, a frame or a mapping of arrays.
         config: see :class:`~tirefit.data.prepare.settings.PrepareConfig`.
 
@@ -120,7 +120,7 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
         Segments, settings and filtered channels; its ``to_data()`` can be fitted.
 
     Raises:
-        DataError: no slip was recorded, or nothing is left.
+        DataError: no slip was recorded, or no rows remain.
         UsageError: unknown or impossible settings.
 
     Example:
@@ -137,7 +137,7 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
         config = parse_settings(PrepareConfig, config, "config")
     slips = [name for name in ("alpha", "sigma_x") if name in data]
     if not slips:
-        reason = "no slip and no slip angle: there is nothing to cut the test by"
+        reason = "no slip and no slip angle, by which the test would be segmented"
         remedy = "name one, as in --column alpha=HEADER; see `tirefit inspect`"
         raise DataError(reason, remedy, data.file)
     series = series_of(data, config.rate)
@@ -162,21 +162,21 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
             kept[first : part.last if part.is_held else part.end] = True
     kept &= data.used
     if not kept.any():
-        reason = f"nothing is left: {', '.join(dict.fromkeys(p.kind for p in parts))}"
-        remedy = "see the segments in the figure, or keep other kinds"
+        reason = f"no rows remain of {', '.join(dict.fromkeys(p.kind for p in parts))}"
+        remedy = "look at the segments in the figure, or keep other kinds"
         raise DataError(reason, remedy, data.file)
     notes = [*said, how] if how else list(said)
     notes += _conditions_at_risk(parts, kept)
     unusable = len(data) - data.n
     if unusable:
-        notes.append(f"{unusable} rows cannot be used, and are cut: `masked` of the JSON")
+        notes.append(f"{unusable} unusable rows are cut: see `masked` in the JSON")
     return Prepared(
         data, config, series, settings, names, tuple(parts), columns, kept, chosen, tuple(notes)
     )
 
 
 def _conditions_at_risk(parts: list[Segment], kept: np.ndarray) -> list[str]:
-    """Notes that name the conditions without kept sweeps, or with early ones only.
+    """Notes on conditions without kept sweeps, or with early ones only.
 
     A condition that was not swept is checked by its other rows.
     """
@@ -200,14 +200,14 @@ def _conditions_at_risk(parts: list[Segment], kept: np.ndarray) -> list[str]:
 
 
 def _binned(parts: list[Segment], names) -> list[Segment]:
-    """Segments with their bins, which are named by the settings that varied."""
+    """The segments with their bins; the name of a bin has the settings that varied."""
     held = [part for part in parts if part.is_held]
     varied = {name for name in names if len({part.level.get(name, -1) for part in held} - {-1}) > 1}
     return [replace(p, bin=bin_name(p.level, names, varied)) if p.is_held else p for p in parts]
 
 
 def _standing(parts: list[Segment], speed: Settings | None) -> list[Segment]:
-    """Segments in which the wheel does not roll, by their own name."""
+    """The segments, with those in which the wheel does not roll marked ``standing``."""
     if speed is None or not speed.is_held:
         return parts
     still = np.abs(speed.center) <= _STANDING * np.max(np.abs(speed.center))
@@ -215,7 +215,7 @@ def _standing(parts: list[Segment], speed: Settings | None) -> list[Segment]:
 
 
 def _channels(data: TireData, series: Series) -> dict[str, np.ndarray]:
-    """All channels without gaps, slip as a ratio, which is bounded; (n,) each."""
+    """All channels (n,) without gaps; the slip as a ratio, which is bounded."""
     out = {}
     for name, values in data.columns.items():
         if name == "time" or name.endswith("_std") or not np.isfinite(values).any():
@@ -233,11 +233,11 @@ def _channels(data: TireData, series: Series) -> dict[str, np.ndarray]:
 
 
 def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
-    """Settings, segments, and what is to be said."""
+    """Settings, segments and notes of a series."""
     rate = series.hertz
     shortest = max(round(config.shortest * rate), 2)
     look = zero_phase(min(_LOOK, _SHARE_OF_RATE * rate), rate)
-    assert look is not None  # such a share of the rate is never too much
+    assert look is not None  # the bandwidth is below the limit of the rate
     smooth = {name: _smoothed(raw[name], series, look) for name in raw}
     its_legs = {}
     for name in slips:
@@ -251,7 +251,7 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
         for name in CONDITIONS
         if name in smooth
     }
-    said = [f"{s.name} is nowhere held: no bins of it" for s in settings.values() if not s.is_held]
+    said = [f"{s.name} is never held: no bins of it" for s in settings.values() if not s.is_held]
     conditions = {name: s for name, s in settings.items() if s.is_held}
     conditions |= _held_slips(its_legs, smooth, series, shortest)
     parts = segments_of(
@@ -288,7 +288,7 @@ def _smoothed(values, series: Series, look: ZeroPhase) -> np.ndarray:
 
 
 def _windows(its_legs, n: int, second: int) -> list[Window]:
-    """Where to look for settings: whole sweeps, and holds by the second."""
+    """Windows in which settings are searched: whole sweeps, and seconds of holds."""
     key = np.zeros((n, len(its_legs)), int)
     how: list[list[Leg]] = list(its_legs.values())
     for column, all_legs in enumerate(how):
@@ -302,7 +302,7 @@ def _windows(its_legs, n: int, second: int) -> list[Window]:
         if SWEPT in hows:
             windows.append(Window(begin, end, True))
             continue
-        # They overlap by half, so that each second and a half held has a whole one.
+        # Windows overlap by half, so that a hold of 1.5 s contains a whole one.
         last = max(end - second, begin)
         starts = {*range(begin, last, max(second // 2, 1)), last}
         windows += [Window(a, min(a + second, end), False) for a in sorted(starts)]
@@ -310,7 +310,7 @@ def _windows(its_legs, n: int, second: int) -> list[Window]:
 
 
 def _held_slips(its_legs, smooth, series: Series, shortest: int) -> dict:
-    """Settings of a slip where it is held while the other one is swept."""
+    """Settings of a slip in segments in which it is held and the other one swept."""
     out = {}
     for name, all_legs in its_legs.items():
         others = [its_legs[other] for other in its_legs if other != name]
@@ -327,7 +327,7 @@ def _held_slips(its_legs, smooth, series: Series, shortest: int) -> dict:
 
 
 def _with_held_slip(part: Segment, conditions, settings) -> Segment:
-    """A segment with the setting of the slip that is not swept in it."""
+    """A segment with the setting of the slip that it does not sweep."""
     if not part.is_held:
         return part
     level = dict(part.level)
@@ -346,7 +346,7 @@ def _mostly_swept(parts: list[Segment], slips: list[str]) -> str:
 
 
 def _chosen_filter(config: PrepareConfig, series: Series, parts):
-    """The filter of all channels, and what is to be said of it."""
+    """The filter of all channels, and a note on it."""
     rate = series.hertz
     if not config.filter:
         return None, "not filtered, as declared"
@@ -357,11 +357,11 @@ def _chosen_filter(config: PrepareConfig, series: Series, parts):
         bandwidth = _CYCLES / fast if times else _LOOK
         bandwidth = float(np.clip(bandwidth, _LOWEST, _HIGHEST))
         how = f"{_CYCLES:.0f} cycles of it in the fast sweeps of {fast:.2g} s"
-        how = how if times else "there is no sweep to choose it by"
+        how = how if times else "there is no sweep from which to choose it"
         bandwidth = float(f"{bandwidth:.2g}")
     chosen = zero_phase(bandwidth, rate)
     if chosen is None:
-        said = f"not filtered: {rate:.4g} rows a second are too few for"
+        said = f"not filtered: {rate:.4g} rows per second are too few for"
         return None, f"{said} {bandwidth:g} Hz"
     said = (
         "all channels by one zero-phase filter (Butterworth, forwards and backwards) of"
@@ -371,7 +371,7 @@ def _chosen_filter(config: PrepareConfig, series: Series, parts):
 
 
 def _filtered(raw, series: Series, chosen: ZeroPhase | None) -> dict[str, np.ndarray]:
-    """Channels after the filter, slip as sigma_x again; (n,) each."""
+    """The filtered channels (n,), with the slip as sigma_x again."""
     out = {}
     for name, values in raw.items():
         done = values if chosen is None else _smoothed(values, series, chosen)
@@ -379,11 +379,11 @@ def _filtered(raw, series: Series, chosen: ZeroPhase | None) -> dict[str, np.nda
     return out
 
 
-# --- points that are no series ----------------------------------------------------
+# --- points without time ------------------------------------------------------------
 
 
 def _points(data, config: PrepareConfig, series: Series, raw, slips):
-    """As :func:`_looked_at`, of rows without time: settings by their values alone."""
+    """As :func:`_looked_at` for rows without time: settings from the values only."""
     settings = {}
     for name in CONDITIONS:
         if name in raw:
@@ -391,7 +391,7 @@ def _points(data, config: PrepareConfig, series: Series, raw, slips):
             if not here.is_swept:
                 width = np.maximum(here.high - here.center, here.center - here.low)
                 settings[name] = Settings(name, here.center, width, here.code)
-    said = ["no series in time: rows as they come, not filtered, nothing settles"]
+    said = ["no time series: rows in the order of the file, not filtered, no settling times"]
     n = len(data)
     key = np.stack([data.run, *(s.code for s in settings.values())], axis=1)
     bins = [slice(begin, end) for begin, end in runs_of(key)]
@@ -402,7 +402,7 @@ def _points(data, config: PrepareConfig, series: Series, raw, slips):
         level = {name: int(s.code[piece.start]) for name, s in settings.items()}
         of_bin = [leg for leg in all_legs if piece.start <= leg.begin < piece.stop]
         usual = np.median([leg.rows for leg in of_bin])
-        if usual < _LEAST_ROWS:  # in no order
+        if usual < _LEAST_ROWS:  # the rows are in no order
             parts.append(Segment("steady", piece.start, piece.stop, level=level))
             continue
         for leg in of_bin:

@@ -1,4 +1,4 @@
-"""Segments of a rig's test: stretches in which the rig did one thing."""
+"""Segments of a rig test: stretches of one kind, such as a sweep or a hold."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -9,26 +9,25 @@ from tirefit.data.prepare.series import Series, runs_of
 from tirefit.data.prepare.set_points import Settings
 from tirefit.data.prepare.slips import SWEPT, Leg
 
-_PART = 0.25  # of a whole sweep that is left of it at least where a change cuts into it
-_SLOW = 3.0  # seconds from which on a load on its way measures the spring rate
-_FAR = 0.3  # of the largest load: a spring rate is measured over so much at least
+_PART = 0.25  # smallest share of a sweep that is kept if a change cuts into it
+_SLOW = 3.0  # shortest duration [s] of a load change that measures the spring rate
+_FAR = 0.3  # smallest change of load for a spring rate, over the largest load
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Rows ``begin`` to ``end`` (exclusive) in which the rig did one thing. ``early``
-    marks a sweep before the tire was warm, kept because its condition has no later
-    one."""
+    """Rows ``begin`` to ``end`` (exclusive) of one kind. ``early`` marks a sweep before
+    the tire was warm, kept because its condition has no later one."""
 
     kind: str  # a key of ``settings.KINDS``
     begin: int
     end: int
-    channel: str = ""  # what was swept or on its way
-    direction: str = ""  # "up" or "down" of a sweep
-    level: Mapping[str, int] = field(default_factory=dict)  # of held conditions
-    first: int = 0  # to ``last`` (exclusive): without what settles at the ends
+    channel: str = ""  # the channel that was swept or changed
+    direction: str = ""  # of a sweep: "up" or "down"
+    level: Mapping[str, int] = field(default_factory=dict)  # settings of held conditions
+    first: int = 0  # to ``last`` (exclusive): rows without settling times at the ends
     last: int = 0
-    bin: str = ""  # names the settings
+    bin: str = ""  # name of the settings
     early: bool = False
 
     @property
@@ -55,7 +54,7 @@ def segments_of(
         legs: legs of each slip, by name.
         slips: (n,) smoothed, by name.
         load: (n,) [N] smoothed, if there is one.
-        shortest: rows that count as held at least.
+        shortest: smallest number of rows of a hold.
     """
     names = list(conditions)
     codes = np.stack([conditions[c].code for c in names], axis=1) if names else None
@@ -89,7 +88,7 @@ def _piece_of(series: Series, n: int) -> np.ndarray:
 
 
 def _lasting(bad: np.ndarray, shortest: int) -> np.ndarray:
-    """Bad rows, those left out that only interrupt what goes on."""
+    """Stretches of bad rows, except those that only interrupt a segment."""
     out = np.zeros(len(bad), int)
     for begin, end in runs_of(bad):
         out[begin:end] = bad[begin] and end - begin >= shortest
@@ -109,7 +108,7 @@ def _leg_at(legs: list[Leg], row: int) -> Leg:
 
 
 def _held(begin, end, level, legs, slips, shortest: int) -> Segment:
-    """A sweep or a steady state, or what is too short to be one."""
+    """A sweep or a steady state, or a transition if it is too short."""
     swept = {}
     for name, its in legs.items():
         leg = _leg_at(its, begin)
@@ -136,14 +135,14 @@ def _on_its_way(begin, end, ways, series: Series, load) -> Segment:
     kind = "transition"
     if ways == ["fz"] and load is not None and series.rate is not None:
         lasts = (end - begin) / series.rate
-        # The load comes back where it began, so that its range tells.
+        # The load returns to its first value, so use its range.
         far = np.ptp(load[begin:end]) >= _FAR * np.max(load)
         kind = "spring-rate" if lasts >= _SLOW and far else "transition"
     return Segment(kind, begin, end, "+".join(ways))
 
 
 def _merged(parts: list[Segment], piece: np.ndarray) -> list[Segment]:
-    """Transitions that follow each other as one."""
+    """The segments with consecutive transitions joined."""
     out: list[Segment] = []
     for part in parts:
         last = out[-1] if out else None
@@ -176,8 +175,8 @@ def _with_steps(parts: list[Segment], conditions) -> list[Segment]:
 
 
 def trimmed(parts: list[Segment], margin: int, piece_ends: set[int]) -> list[Segment]:
-    """The segments with ``first`` and ``last``: beside a change, and not beside the end
-    of a series or a mere turn of the slip, ``margin`` rows settle."""
+    """The segments with ``first`` and ``last``: ``margin`` rows next to a change settle,
+    but not at the end of a series or where only the slip turns."""
     out = []
     for k, part in enumerate(parts):
         first, last = part.begin, part.end

@@ -1,9 +1,9 @@
-"""Rows as series, evenly spaced in time, and one low-pass filter for all channels.
+"""Time series with even spacing, and one low-pass filter for all channels.
 
 A Butterworth filter run forwards and then backwards over the series has the gain
-``1 / (1 + (f/f_c)^4)`` and no phase at all. The corner ``f_c`` of one pass is set so
-that both together are down by 3 dB at the bandwidth. A constant and a ramp come through
-unchanged, and so does a parabola: a sweep is not flattened at its peak to second order.
+``1 / (1 + (f/f_c)^4)`` and zero phase. The corner ``f_c`` of one pass is set so that both
+together have -3 dB at the bandwidth. Constants, ramps and parabolas pass unchanged, so
+the peak of a sweep is not flattened to second order.
 """
 
 from typing import NamedTuple
@@ -13,25 +13,25 @@ from scipy.signal import butter, sosfiltfilt
 
 from tirefit.data.table import TireData
 
-_GAP = 3.5  # sampling steps without a row from which on a series is cut in two
+_GAP = 3.5  # longest gap within a series, in sampling steps
 
 
 class Series(NamedTuple):
     """The clock of a file and its unbroken pieces."""
 
-    time: np.ndarray  # (n,) [s], or number of the row where the file has no time
-    rate: float | None  # None then
+    time: np.ndarray  # (n,) [s], or the number of the row if the file has no time
+    rate: float | None  # [1/s]; None without time
     pieces: tuple[slice, ...]  # slices of rows, in order
 
     @property
     def hertz(self) -> float:
-        """The rate of a series that has one."""
+        """The rate, which this series must have."""
         assert self.rate is not None
         return self.rate
 
 
 def runs_of(code: np.ndarray) -> list[tuple[int, int]]:
-    """(begin, end) of stretches of equal values of an (n,) array or rows of (n, k)."""
+    """(begin, end) of stretches of equal values of an array (n,) or rows (n, k)."""
     if not len(code):
         return []
     table = np.asarray(code).reshape(len(code), -1)
@@ -45,7 +45,7 @@ def series_of(data: TireData, rate: float | None = None) -> Series:
 
     Args:
         data: the rows in their order.
-        rate: rows a second of a file without time; None counts the rows.
+        rate: rows per second of a file without time; None counts the rows.
     """
     n = len(data)
     if "time" in data and np.isfinite(data["time"]).any():
@@ -65,17 +65,17 @@ def series_of(data: TireData, rate: float | None = None) -> Series:
 
 
 def bridged(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Values (n,) with straight lines over ``at`` (n,) where they are not finite."""
+    """Values (n,), interpolated linearly over ``at`` (n,) where they are not finite."""
     good = np.isfinite(values)
     if good.all() or not good.any():
         return np.array(values, float)
     return np.interp(at, at[good], values[good])
 
 
-_ORDER = 2  # of one pass: the two together fall by 80 dB a decade
-_HIGHEST = 0.4  # of the sampling rate: above, there is nothing to filter
+_ORDER = 2  # of one pass; both passes together have 80 dB per decade
+_HIGHEST = 0.4  # largest bandwidth over the sampling rate; above, a filter has no effect
 _UNEVEN = 0.1
-"""Of a sampling step that a time stamp may be off its place on an even grid."""
+"""Largest deviation of a time stamp from an even grid, in sampling steps."""
 
 
 class ZeroPhase(NamedTuple):
@@ -84,16 +84,16 @@ class ZeroPhase(NamedTuple):
     bandwidth: float  # [Hz] at -3 dB
     rate: float
     corner: float  # [Hz] of one pass at -3 dB
-    sections: np.ndarray  # (s, 6) of one pass
+    sections: np.ndarray  # (s, 6) second-order sections of one pass
 
     @property
     def reach(self) -> float:
-        """Time [s] to either side within which a sample takes a noticeable part: the
-        response to a step is within 1 % of its ends beyond."""
+        """Time [s] on either side over which a sample has a noticeable effect: beyond it,
+        the response to a step is within 1 % of its end value."""
         return 0.7 / self.bandwidth
 
     def gain(self, frequency):
-        """Gain (a plain factor) at frequencies [Hz], by the formula of the filter."""
+        """Gain (as a factor) at frequencies [Hz], by the formula of the filter."""
         prewarped = np.tan(np.pi * np.asarray(frequency, float) / self.rate)
         ratio = prewarped / np.tan(np.pi * self.corner / self.rate)
         return 1 / (1 + ratio ** (2 * _ORDER))
@@ -102,9 +102,9 @@ class ZeroPhase(NamedTuple):
         """The filtered series.
 
         Args:
-            values: (n,) of one channel, finite, even in time unless ``time`` says not.
-            time: (n,) [s]; where it is uneven the series is put on an even grid by
-                straight lines, filtered there, and read off at its own times.
+            values: (n,) of one channel, finite, evenly sampled unless ``time`` is given.
+            time: (n,) [s]; if it is uneven, the series is interpolated linearly to an
+                even grid, filtered there, and interpolated back to its own times.
         """
         if len(values) < 3:
             return np.array(values, float)
@@ -118,17 +118,17 @@ class ZeroPhase(NamedTuple):
         return np.interp(time, grid, self._even(np.interp(grid, time, values)))
 
     def _even(self, values: np.ndarray) -> np.ndarray:
-        # Beyond its ends the series goes on as its point reflection there.
+        # Extend the series beyond its ends by point reflection.
         room = min(len(values) - 1, int(np.ceil(2 * self.rate / self.bandwidth)))
         return sosfiltfilt(self.sections, values, padtype="odd", padlen=room)
 
 
 def zero_phase(bandwidth: float, rate: float) -> ZeroPhase | None:
-    """The filter, or None where the sampling is too slow for the bandwidth.
+    """The filter, or None if the sampling is too slow for the bandwidth.
 
     Args:
         bandwidth: frequency [Hz] at which the gain of both passes is -3 dB.
-        rate: samples a second.
+        rate: samples per second.
     """
     if not 0 < bandwidth <= _HIGHEST * rate:
         return None

@@ -1,9 +1,9 @@
-"""What a rig was set to: the settings of load, camber, pressure and speed, in time.
+"""Find the settings of load, camber, pressure and speed of a rig over time.
 
-A setting is where a channel stays while a slip is swept or held, not a bin of equal
-width: candidates are the medians of whole sweeps, and of a second here and there where
-all is held, not on the way. Candidates closer than their own scatter are one setting. A
-row belongs to a setting while the channel is as near it as during those sweeps.
+A setting is a value at which a channel stays while a slip is swept or held. Candidates
+are the medians of whole sweeps, and of some seconds of holds. Candidates closer than
+their scatter are the same setting. A row belongs to a setting while the channel is as
+near to it as during those sweeps.
 """
 
 from collections.abc import Mapping, Set
@@ -13,23 +13,23 @@ import numpy as np
 
 from tirefit.data.prepare.series import runs_of
 
-_LEAST = 0.03  # of the largest value: settings are further apart than that
+_LEAST = 0.03  # smallest distance of two settings, over the largest value
 _SHARE = 0.02
-"""Of the range of a channel: what moves by so much in a second is on its way, and
-settings are further apart than that."""
+"""Share of the range of a channel: a channel that changes by more in a second is between
+settings, and two settings are further apart."""
 _SCATTERS = 3.0
-"""Scatters of a channel about a setting that two settings are apart at least."""
-_RESTLESS = 3.0  # A window so many times as restless as the usual one holds no setting
+"""Smallest distance of two settings, in scatters of the channel about a setting."""
+_RESTLESS = 3.0  # a window with so many times the usual movement holds no setting
 _ROOM = 1.3
-"""Of how far a channel strays from its setting in most windows, while it is held."""
+"""Factor on the usual deviation of a channel from its setting while it is held."""
 _WIDER = 2.5
-"""Times as far it may stray now and then, where no other setting is near: a row is at
-a setting rather than on its way, as long as it goes nowhere."""
-_MOST = 0.25  # of the distance of two settings that one of them may take
+"""Factor by which a deviation may be larger for a short time if no other setting is near
+and the channel returns."""
+_MOST = 0.25  # largest deviation from a setting, over the distance of two settings
 
 
 class Window(NamedTuple):
-    """Rows over which a channel may have been held: one sweep, or a second."""
+    """Rows in which a channel may have been held: one sweep, or one second."""
 
     begin: int
     end: int
@@ -41,8 +41,8 @@ class Settings(NamedTuple):
 
     name: str
     center: np.ndarray  # (k,) medians
-    width: np.ndarray  # (k,) how far the channel usually strays
-    code: np.ndarray  # (n,) setting of each row, -1 where it is at none
+    width: np.ndarray  # (k,) usual deviation of the channel
+    code: np.ndarray  # (n,) setting of each row, -1 if it is at none
 
     @property
     def is_held(self) -> bool:
@@ -50,7 +50,7 @@ class Settings(NamedTuple):
 
 
 def whole(name: str, values: np.ndarray) -> Settings:
-    """A channel of one setting throughout."""
+    """A channel with a single setting in all rows."""
     center = np.array([np.median(values)])
     return Settings(name, center, np.array([np.inf]), np.zeros(len(values), int))
 
@@ -62,9 +62,9 @@ def settings_of(
 
     Args:
         values: (n,) smoothed, finite.
-        windows: where to look for settings.
-        pieces: slices of rows that follow each other in time.
-        shortest: rows for which a setting is held at least.
+        windows: in which settings are searched.
+        pieces: slices of consecutive rows.
+        shortest: smallest number of rows for which a setting is held.
     """
     least = _LEAST * float(np.max(np.abs(values)))
     if np.ptp(values) <= least:
@@ -81,14 +81,14 @@ def settings_of(
     used = np.unique(code[code >= 0])
     if not len(used):
         return nowhere
-    if len(used) < len(center):  # a setting that was passed, and never held
+    if len(used) < len(center):  # some settings were passed but never held
         center, width = center[used], width[used]
         code = _assigned(values, center, width, pieces, shortest, sure)
     return Settings(name, center, width, code)
 
 
 def _candidates(values, windows: list[Window]):
-    """Medians of the channel in windows where it is held, its strays, the windows."""
+    """Medians and deviations of the channel in windows in which it is held; the windows."""
     middle, stray, scatter, trend = [], [], [], []
     for begin, end, _ in windows:
         part = values[begin:end]
@@ -101,7 +101,7 @@ def _candidates(values, windows: list[Window]):
     if not middle:
         return np.zeros(0), np.zeros(0), []
     sweep = np.array([window.is_sweep for window in windows])
-    # A sweep is longer, and the load answers to it: each kind by its own measure.
+    # Sweeps are longer and change the load: compare windows of the same kind only.
     calm = np.array(scatter) <= _SHARE * float(np.ptp(values))
     for kind in (sweep, ~sweep):
         if kind.any():
@@ -114,7 +114,7 @@ def _candidates(values, windows: list[Window]):
 
 
 def _clustered(middle, stray, least: float, size: float):
-    """Centers of the candidates that lie together, and how far the channel strays."""
+    """Centres of groups of candidates, and the deviation of the channel in each."""
     order = np.argsort(middle)
     middle, stray = middle[order], stray[order]
     usual = float(np.median(stray))
@@ -134,13 +134,13 @@ def _clustered(middle, stray, least: float, size: float):
 
 
 def _room(center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far each setting may reach down and up, for the sake of its neighbours."""
+    """Largest deviations from each setting, downward and upward, given its neighbours."""
     gaps = _MOST * np.diff(center)
     return np.append(np.inf, gaps), np.append(gaps, np.inf)
 
 
 def _assigned(values, center, width, pieces, shortest: int, sure) -> np.ndarray:
-    """The setting of each row: near it, and for long enough, and not passing it.
+    """The setting of each row; the channel must stay near it for long enough.
 
     ``sure`` (n + 1,) counts the windows in which it is held, up to each row.
     """
@@ -173,8 +173,8 @@ def _assigned(values, center, width, pieces, shortest: int, sure) -> np.ndarray:
 
 
 def _end_of_way(goes: np.ndarray, longest: int) -> int:
-    """Rows at the beginning that are on their way, pauses up to ``longest`` included;
-    what only noise calls so comes later, and alone."""
+    """Number of rows at the beginning during which the channel moves, with pauses up to
+    ``longest``; later, single movements are noise."""
     rows = 0
     for row in np.flatnonzero(goes).tolist():
         if row - rows > longest:
@@ -184,7 +184,7 @@ def _end_of_way(goes: np.ndarray, longest: int) -> int:
 
 
 def _fill(code: np.ndarray, longest: int) -> None:
-    """Closes, in place, short absences from a setting that it returns to."""
+    """Fill, in place, short absences from a setting to which the channel returns."""
     runs = runs_of(code)
     for (_, a), (b, c), (d, _) in zip(runs, runs[1:], runs[2:], strict=False):
         if code[b] < 0 and c - b <= longest and code[a - 1] == code[d]:
@@ -204,19 +204,19 @@ SHOWN = {
 _ANGLES = {"gamma": " camber", "alpha": " slip angle"}
 
 _FINE = 0.02
-"""Of a setting, and of its distance to others, by which its name may be off; and in the
-unit of the name: nothing is set to a hundredth of a degree or of a newton."""
+"""Rounding of a name: relative to the setting, relative to the distance of settings, and
+in the unit of the name, as no rig is set to a hundredth of a degree or newton."""
 
 
 def setting_names(settings: Settings) -> list[str]:
-    """Each setting with its unit, in as few digits as tell it from its neighbours."""
+    """Each setting with its unit, in the fewest digits that distinguish settings."""
     scale, unit = SHOWN[settings.name]
     center = settings.center * scale
     apart = np.diff(center).min() if len(center) > 1 else np.max(np.abs(center))
-    # Nothing is set to a twentieth of a step: that is zero.
+    # A value below a twentieth of a step is zero.
     size = min([apart, *(abs(c) for c in center if abs(c) > 0.05 * apart)])
     for places in range(-5, 7):
-        # + 0.0: no setting is called -0.
+        # + 0.0 turns -0.0 into 0.0.
         rounded = [round(float(value), places) + 0.0 for value in center]
         off = float(np.max(np.abs(np.array(rounded) - center)))
         if off <= _FINE * max(size, 1.0) and len(set(rounded)) == len(rounded):
@@ -225,7 +225,7 @@ def setting_names(settings: Settings) -> list[str]:
 
 
 def bin_name(level: Mapping[str, int], names: Mapping[str, list[str]], varied: Set[str]) -> str:
-    """The name of a bin: its settings of the channels ``varied``.
+    """The name of a bin: its settings of the channels that ``varied``.
 
     If camber and slip angle both varied, their names follow the values in degrees.
     """

@@ -1,4 +1,4 @@
-"""What ``tirefit prepare`` can be told: ``[prepare]`` of the configuration."""
+"""Settings of ``tirefit prepare``: ``[prepare]`` of the configuration."""
 
 from typing import Annotated, Literal
 
@@ -14,25 +14,24 @@ KINDS = {
     "cold": "sweep before the tire was warm",
     "warm-up": "until the tire was warm",
     "spring-rate": "load moved slowly, slip held",
-    "load-step": "load on its way from one setting to another",
+    "load-step": "load changing from one setting to another",
     "standing": "the wheel does not roll",
-    "transition": "anything else on its way",
+    "transition": "other changes between settings",
     "unusable": "rows that cannot be read",
 }
-"""Kind of segment -> what it is."""
+"""Kind of segment -> its meaning."""
 
 
 class PrepareConfig(Section):
-    """How a rig's test is cut up; times in seconds.
+    """How a rig test is segmented; times in seconds.
 
-    ``bandwidth`` [Hz] is that of the one filter of all channels, chosen from the
-    fastest sweeps if not given; ``filter = false`` leaves the samples alone. ``rate``:
-    rows a second of a file without time. ``settle`` is cut from either end of what is
-    held beside a change. Nothing shorter than ``shortest`` counts as held. ``warm_up``:
-    how long from the start the tire was not warm; told by its temperature, or by sweeps
-    that repeat themselves, if not given. Unless it is given or ``cut_last`` is
-    set, the last sweeps of a condition without later ones are kept. ``keep``: kinds
-    of segments that are written.
+    ``bandwidth`` [Hz]: of the filter of all channels; chosen from the fastest sweeps if
+    not given; ``filter = false`` does not filter. ``rate``: rows per second of a file
+    without time. ``settle``: time cut from the ends of a hold next to a change.
+    ``shortest``: shortest hold. ``warm_up``: time from the start in which the tire was
+    not warm; found from its temperature or from repeated sweeps if not given. Unless it
+    is given or ``cut_last`` is set, the last sweeps of a condition without later ones
+    are kept. ``keep``: kinds of segments that are written.
     """
 
     bandwidth: PositiveFloat | None = None

@@ -1,4 +1,4 @@
-"""What the rig did with a slip: held it, swept it up or down, or moved it on."""
+"""Divide a slip over time into legs: held, swept up or down, or moved."""
 
 from typing import NamedTuple
 
@@ -8,24 +8,24 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 HELD, SWEPT, MOVED = "held", "swept", "moved"
 
 LEAST = {"alpha": np.radians(0.5), "sigma_x": 0.01}
-"""Range of a slip below which it was not swept but held, give or take."""
+"""Range of a slip below which it was held and not swept."""
 
-_REVERSAL = 0.02  # of the range of the slip: going back by so much turns a sweep
-_STILL = 0.008  # of the range of the slip: within so much it is held
+_REVERSAL = 0.02  # share of the range by which a slip goes back when a sweep turns
+_STILL = 0.008  # share of the range within which a slip is held
 _LONGER = 3
-"""Times as long as it was looked at, where that is not enough to see it move."""
-_NOISES = 8.0  # standard deviations of the noise that are no movement
+"""Factor by which windows are longer if the slip moves too little in shorter ones."""
+_NOISES = 8.0  # largest change [standard deviations of the noise] that is no movement
 _PAUSE = 0.3
-"""A stop shorter than this share of the sweeps beside it is their turning point: a sine
-is within ``_STILL`` of its end for 0.11 of the way from end to end."""
+"""A stop shorter than this share of the sweeps next to it is their turning point: a sine
+is within ``_STILL`` of its end for 0.11 of a sweep."""
 _STEP = 0.4
-"""A movement shorter than this share of both stops beside it leads between them."""
+"""A movement shorter than this share of both stops next to it is a step between them."""
 _HURRY = 2.5
-"""A movement so many times as fast as the sweep beside it takes the slip back."""
+"""A movement so many times as fast as the sweep next to it only takes the slip back."""
 
 
 class Leg(NamedTuple):
-    """Rows ``begin`` to ``end`` (exclusive) in which a slip did one thing."""
+    """Rows ``begin`` to ``end`` (exclusive) in which a slip was held, swept or moved."""
 
     begin: int
     end: int
@@ -48,10 +48,10 @@ def legs(slip: np.ndarray, pieces, noise: float, least: float, shortest: int) ->
 
     Args:
         slip: (n,) smoothed, finite.
-        pieces: slices of rows that follow each other in time.
-        noise: standard deviation that is left in it.
-        least: range below which it was held throughout.
-        shortest: rows that count as held at least.
+        pieces: slices of consecutive rows.
+        noise: standard deviation of the noise in it.
+        least: range below which the slip was held in all rows.
+        shortest: smallest number of rows of a hold.
     """
     size = swept_range(slip)
     if size < max(least, 2 * _NOISES * noise):
@@ -74,11 +74,11 @@ def legs(slip: np.ndarray, pieces, noise: float, least: float, shortest: int) ->
 
 
 def _stops(slip: np.ndarray, still: float, shortest: int) -> list[tuple[int, int]]:
-    """Stretches of at least ``shortest`` rows in which the slip stays where it is."""
+    """Stretches of at least ``shortest`` rows in which the slip does not change."""
     n = len(slip)
     if n < shortest:
         return [(0, n)] if np.ptp(slip) <= still else []
-    # The window that begins at each row.
+    # Range of the window that begins at each row.
     shift = -((shortest - 1) // 2) if shortest % 2 else -(shortest // 2)
     high = maximum_filter1d(slip, shortest, origin=shift, mode="nearest")
     low = minimum_filter1d(slip, shortest, origin=shift, mode="nearest")
@@ -95,20 +95,20 @@ def _stops(slip: np.ndarray, still: float, shortest: int) -> list[tuple[int, int
     for a, b in stops:
         if np.ptp(slip[a:b]) <= 2 * still:
             kept.append((a, b))
-        else:  # windows that overlap creep along with a slow sweep: longer ones do not
+        else:  # overlapping windows can follow a slow sweep, so use longer ones
             inner = _stops(slip[a:b], still, _LONGER * shortest)
             kept += [(a + first, a + last) for first, last in inner]
     return kept
 
 
 def _between(slip: np.ndarray, stops, reversal: float) -> list[Leg]:
-    """Legs of what lies between the stops, cut where the slip turns."""
+    """Legs between the stops, cut where the slip turns."""
     edges = [0, *(edge for stop in stops for edge in stop), len(slip)]
     moving: list[Leg] = []
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         if end <= begin:
             continue
-        # With the ends of the stops, from and to which it moves.
+        # Include the ends of the stops between which the slip moves.
         first, last = max(begin - 1, 0), min(end + 1, len(slip))
         turns = [t + first for t in _turns(slip[first:last], reversal)]
         inner = [_cut(slip, t) for t in turns if begin < t < end]
@@ -123,7 +123,7 @@ def _between(slip: np.ndarray, stops, reversal: float) -> list[Leg]:
 
 
 def _turns(slip: np.ndarray, reversal: float) -> list[int]:
-    """Rows at which the slip turns: extremes that it leaves by ``reversal``."""
+    """Rows at which the slip turns: extremes that it then leaves by ``reversal``."""
     turns = []
     values = slip.tolist()
     low = high = 0
@@ -145,14 +145,14 @@ def _turns(slip: np.ndarray, reversal: float) -> list[int]:
 
 
 def _cut(slip: np.ndarray, turn: int) -> int:
-    """First row of the leg after a turn: the extreme belongs to the slower leg."""
+    """First row of the leg after a turn; the extreme belongs to the slower leg."""
     before = abs(slip[turn] - slip[turn - 1])
     after = abs(slip[turn + 1] - slip[turn]) if turn + 1 < len(slip) else np.inf
     return turn + 1 if before <= after else turn
 
 
 def _is_turn(stop: tuple[int, int], moving: list[Leg]) -> bool:
-    """Whether a stop is but the end of a sweep that turns there."""
+    """Whether a stop is only the turning point of sweeps."""
     beside = [leg for leg in moving if leg.end == stop[0] or leg.begin == stop[1]]
     if sum(leg.direction for leg in beside) or len(beside) < 2:
         return False
@@ -160,7 +160,7 @@ def _is_turn(stop: tuple[int, int], moving: list[Leg]) -> bool:
 
 
 def _without_steps(all_legs: list[Leg]) -> list[Leg]:
-    """Legs from stop to stop that are short beside both are no sweeps but steps."""
+    """Mark legs between two stops as moved if they are short compared with both."""
     out = list(all_legs)
     for k in range(1, len(out) - 1):
         before, leg, after = out[k - 1 : k + 2]
@@ -173,7 +173,7 @@ def _without_steps(all_legs: list[Leg]) -> list[Leg]:
 
 
 def _without_returns(slip: np.ndarray, all_legs: list[Leg]) -> list[Leg]:
-    """Sweeps much faster than those beside them only take the slip back."""
+    """Mark sweeps as moved that are much faster than those next to them."""
 
     def speed(leg: Leg) -> float:
         return abs(slip[leg.end - 1] - slip[leg.begin]) / leg.rows

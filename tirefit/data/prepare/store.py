@@ -1,4 +1,4 @@
-"""What is written of a prepared test: a table to fit, one of segments, and a record."""
+"""Write a prepared test: a table to fit, a table of segments, and a record."""
 
 import hashlib
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from tirefit.files import json_safe, json_text, write_texts
 
 SCHEMA = "tirefit.prepare/1"
 
-_DIGITS = 9  # more than any sensor has, and the same on every machine
+_DIGITS = 9  # more than sensors resolve, and the same on every machine
 
 
 def _number(value: float) -> float:
@@ -28,8 +28,8 @@ def _number(value: float) -> float:
 def prepared_csv(prepared: Prepared) -> str:
     """The kept rows: run, segment, bin, kind, direction, then the canonical channels.
 
-    ``segment`` numbers the segments of the file from 1. ``tirefit.read`` takes the
-    constants and the convention from the first line.
+    ``segment`` is the number of the segment in the file, from 1. ``tirefit.read`` reads
+    the constants and the convention from the first line.
     """
     kept = prepared.kept
     number = np.zeros(len(kept), int)
@@ -59,7 +59,7 @@ def prepared_csv(prepared: Prepared) -> str:
 
 
 def segment_columns(prepared: Prepared) -> dict[str, list]:
-    """The table of segments: one row each, settings in SI units."""
+    """The table of segments: one row for each, settings in SI units."""
     columns: dict[str, list] = {}
     for k, part in enumerate(prepared.segments):
         for key, value in _segment(prepared, k, part).items():
@@ -105,10 +105,10 @@ def save_prepared(prepared: Prepared, folder: Path, name: str = "") -> list[Path
 
 
 def record_of(prepared: Prepared, files: Mapping[str, str]) -> dict:
-    """Everything that was done to a file, sealed; ``--repeat`` does it again.
+    """The record of all settings and steps, with a checksum; ``--repeat`` reads it.
 
     Args:
-        files: name to sha256 of what was written.
+        files: name -> sha256 of each file written.
     """
     source, config = prepared.data.source, prepared.config
     chosen = prepared.filter
@@ -159,7 +159,7 @@ def record_of(prepared: Prepared, files: Mapping[str, str]) -> dict:
 
 
 def summary(prepared: Prepared) -> str:
-    """What was found and kept, in a few lines."""
+    """A summary of the segments, in a few lines."""
     rows = prepared.rows_by_kind()
     total, kept = len(prepared.data), int(prepared.kept.sum())
     count: dict[str, int] = {}

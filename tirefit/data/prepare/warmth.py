@@ -1,4 +1,4 @@
-"""Which sweeps were made before the tire was warm."""
+"""Find the sweeps before the tire was warm."""
 
 from collections.abc import Collection
 from dataclasses import replace
@@ -8,19 +8,21 @@ import numpy as np
 
 from tirefit.data.prepare.segments import Segment
 
-_RISE = 5.0  # kelvin that a tire gets warmer by at least, if its warming is to be told
+_RISE = 5.0  # smallest rise of temperature [K] by which a warm-up is found
 _WARM, _COLD = 0.8, 0.33
-"""Of the rise of its temperature: warm from there on; a sweep below that is cold."""
+"""Shares of the rise of temperature: above the first the tire is warm; a sweep below the
+second is cold."""
 _STILL_WARMING = 0.1
-"""Of the rise: a tire that gets warmer by more in the last third was never warm."""
+"""Share of the rise: a tire whose temperature rises by more in the last third was never
+warm."""
 _AGREE = 0.03
-"""Relative change of the force from one sweep to those after it that is still warming:
-twice what sweeps of a warm tire differ by."""
+"""Relative change of the force from one sweep to the next ones above which the tire is
+still warming: twice the difference between sweeps of a warm tire."""
 _SHARED = 0.8
-"""Of the range of the widest sweep: forces are compared over so much of it."""
+"""Share of the range of the widest sweep over which forces are compared."""
 _REPEATS = 4
-"""Sweeps of one bin and direction that follow each other, from which on their change
-tells of a tire that becomes warm."""
+"""Smallest number of consecutive sweeps of one bin and direction whose change shows a
+warm-up."""
 
 
 def with_warmth(
@@ -31,7 +33,7 @@ def with_warmth(
     slip: np.ndarray,
     force: np.ndarray | None,
 ) -> tuple[list[Segment], str]:
-    """The segments with ``cold`` and ``warm-up`` told apart, and how.
+    """The segments with ``cold`` and ``warm-up`` marked, and a note on how.
 
     Args:
         time: (n,) [s].
@@ -47,13 +49,13 @@ def with_warmth(
         return _by_temperature(parts, time, temperature)
     if force is not None:
         return _by_repeats(parts, slip, force, time)
-    return parts, "warm-up: none can be told without temperature or force"
+    return parts, "warm-up: cannot be found without temperature or force"
 
 
 def last_sweeps_kept(
     before: list[Segment], after: list[Segment], keep: Collection[str]
 ) -> list[Segment]:
-    """``after`` with the last sweeps of each condition that has none left.
+    """``after``, with the last sweeps of each condition that has no later ones.
 
     A condition is the set of all settings and the swept channel. Its last sweep in each
     direction becomes a sweep again and is marked ``early``.
@@ -95,7 +97,7 @@ def _cut(parts, time, until: float, cold_until: float | None) -> list[Segment]:
 def _by_temperature(parts, time, temperature):
     held = [part for part in parts if part.is_held]
     if not held:
-        return parts, "warm-up: none, as nothing is held"
+        return parts, "warm-up: none, as no condition is held"
     late = [part for part in held if part.begin >= held[len(held) // 2].begin]
     hot = float(np.median(np.concatenate([temperature[p.begin : p.end] for p in late])))
     begin = held[0].begin
@@ -103,14 +105,14 @@ def _by_temperature(parts, time, temperature):
     rise = hot - start
     if rise < _RISE:
         said = f"{start:.0f} degC at the start, {hot:.0f} degC later"
-        return parts, f"warm-up: none, as the tire had its temperature ({said})"
+        return parts, f"warm-up: none, as the tire was warm at the start ({said})"
     last = max(len(time) // 3, 1)
     still = float(np.median(temperature[-last // 10 :]) - temperature[-last])
     if still > _STILL_WARMING * rise:
         said = f"{still:.0f} K in the last third of the test"
         return parts, (
             f"warm-up: none cut, as the tire was warming all the time ({said}); if part"
-            " of it was warm-up, say so with --warm-up"
+            " of it was warm-up, give its end with --warm-up"
         )
     levels = (temperature - start) / rise
     warm = int(np.argmax(levels >= _WARM))
@@ -124,7 +126,7 @@ def _by_temperature(parts, time, temperature):
 
 
 def _by_repeats(parts, slip, force, time):
-    """From the first sweeps of one bin and direction, if their force still changes."""
+    """The warm-up by the first sweeps of one bin and direction, if their force changes."""
     sweeps = [part for part in parts if part.kind == "sweep"]
     for direction in ("up", "down"):
         ways = [part for part in sweeps if part.direction == direction]
@@ -144,12 +146,12 @@ def _by_repeats(parts, slip, force, time):
 
 
 def _of_one_bin(sweeps: list[Segment]) -> list[Segment]:
-    """The first sweeps, as long as their settings stay."""
+    """The first sweeps, up to a change of settings."""
     return list(takewhile(lambda part: part.level == sweeps[0].level, sweeps))
 
 
 def _of_one_range(sweeps: list[Segment], slip) -> list[Segment]:
-    """The sweeps that share most of the range of the widest."""
+    """The sweeps that cover most of the range of the widest one."""
     if not sweeps:
         return []
     ends = [np.sort(slip[[part.begin, part.end - 1]]) for part in sweeps]
@@ -162,7 +164,7 @@ def _of_one_range(sweeps: list[Segment], slip) -> list[Segment]:
 
 
 def _sizes(sweeps: list[Segment], slip, force) -> np.ndarray:
-    """Force of each sweep over that of the last one, at the slips of both."""
+    """Force of each sweep over that of the last one, at slips that both have."""
     last = sweeps[-1]
     order = np.argsort(slip[last.begin : last.end])
     x, y = slip[last.begin : last.end][order], force[last.begin : last.end][order]

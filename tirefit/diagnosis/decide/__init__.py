@@ -1,1 +1,1 @@
-"""Room 5: from evidence and left-out figures to a verdict."""
+"""Decide a verdict from the evidence and from predictions of data left out."""

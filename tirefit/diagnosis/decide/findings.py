@@ -1,7 +1,8 @@
-"""What :func:`tirefit.diagnosis.decide.verdict.decide` takes of one file, and how often
-verdicts of a status are right and something unlisted is there, learned from trials
-whose cause is known. ``python -m fits.calibration`` writes the learned numbers into
-``calibration.json``: two for each.
+"""Inputs of :func:`tirefit.diagnosis.decide.verdict.decide` for one file, and calibrated
+probabilities of verdicts and of unlisted effects.
+
+The calibration is learned from trials whose cause is known. ``python -m
+fits.calibration`` writes it to ``calibration.json``: two numbers for each.
 """
 
 import json
@@ -32,17 +33,16 @@ from tirefit.diagnosis.negligible import ROUNDING
 from tirefit.diagnosis.rows.basis import without
 
 _LEADING = 6
-"""Sets, and single effects, the most probable of each, that are refitted without each
-part of the data."""
+"""Numbers of the most probable sets, and of the most probable single effects, that are
+refitted without each part of the data."""
 
 _FARTHEST = 7.0
-"""Largest log odds that are told apart."""
+"""Largest log odds that are distinguished."""
 
 
 def predictions(base: Base, search: Search, policy: Policy = POLICY) -> tuple[Weighed, Predicted]:
-    """The posterior, and what the leading sets and all that they are made of predict of
-    the rows that their fits did not see. Where whole runs are left out, the set that
-    predicts them best is one of them."""
+    """The posterior, and the predictions of data left out by the leading sets and their
+    subsets. If whole runs are left out, the set that predicts them best is included."""
     climb: Key = ()
     whole = search.best
     parts = [_part(whole, key) for key in parts_of(whole.effects)[1:]]
@@ -68,13 +68,13 @@ def predictions(base: Base, search: Search, policy: Policy = POLICY) -> tuple[We
 
 
 def parts_of(key: tuple) -> list[tuple]:
-    """A set of effects and the sets of some of them, the largest first."""
+    """A set of effects and its subsets, the largest first."""
     sizes = range(len(key), 0, -1)
     return list(chain.from_iterable(combinations(key, size) for size in sizes))
 
 
 def _part(whole: Hypothesis, key: Key) -> Hypothesis:
-    """Some effects of a fit: where the refit of a set that was not searched starts."""
+    """A fit reduced to some of its effects, to start the refit of an unsearched set."""
     kept = [k for k, effect in enumerate(whole.effects) if effect in key]
     return replace(
         whole,
@@ -96,7 +96,7 @@ def findings_of(
     generator: np.random.Generator,
     policy: Policy = POLICY,
 ) -> Findings:
-    """What the search, the data left out and the remainder say.
+    """The findings of the search, of the data left out and of the remainder.
 
     Args:
         generator: of simulated residuals.
@@ -107,8 +107,8 @@ def findings_of(
     unlisted = as_often_right("unlisted", weighed.unlisted)
     unlisted = max(unlisted, probability_by_tests(tests))
     if key and unlisted > policy.likely and out.across_runs:
-        # The evidence takes the noise as known: where something unlisted is there it
-        # is surer than the data of which effects draw it.
+        # The evidence assumes a known noise. If an unlisted effect is present, it is
+        # overconfident on the effects that resemble it.
         key = out.climbed or tuple(e for e in key if e not in of_one_run(base))
     floor = floor_of(base)
     parts = [part for part in parts_of(key) if part in weighed.log_weight]
@@ -125,7 +125,7 @@ def findings_of(
 
 
 def gains_of(out: Predicted, key: Key, floor: float) -> dict[str, Gain]:
-    """What each effect of a set gains beside the others."""
+    """The gain of each effect of a set in addition to the others."""
     at, gains = {one: k for k, one in enumerate(out.effects)}, {}
     for effect in key:
         less = tuple(sorted(set(key) - {effect}))
@@ -135,9 +135,9 @@ def gains_of(out: Predicted, key: Key, floor: float) -> dict[str, Gain]:
 
 
 def _errors(base: Base, weighed: Weighed, out: Predicted, key: Key):
-    """Amplitude over its standard error, by effect: the error by the rows, widened by
-    what the set leaves, and by what is not known of the slips; or the jackknife's over
-    the parts left out, where that is larger."""
+    """Amplitude over its standard error, by effect. The error is that from the rows,
+    widened by the remainder of the set and by the slip uncertainty, or that of the
+    jackknife over the parts left out, whichever is larger."""
     best = weighed.best_of[key]
     linear = linear_at(base, best)
     p, size = len(best.z), np.abs(best.amplitude)
@@ -162,12 +162,12 @@ def _numbers() -> dict:
 
 
 def probability_by_tests(tests: Tests) -> float:
-    """Probability of something unlisted by the smallest p-value of the tests of the
+    """Probability of an unlisted effect by the smallest p-value of the tests of the
     remainder (Bonferroni).
 
-    They see what the discrepancy has no shape for, such as mains hum. The largest
-    Bayes factor that a p-value stands for is 1 / (-e p log p) (Sellke, Bayarri and
-    Berger 2001); the prior odds are those of something unlisted.
+    The tests detect shapes that the discrepancy does not have, such as mains hum. The
+    largest Bayes factor of a p-value is 1 / (-e p log p) (Sellke, Bayarri and Berger
+    2001); the prior odds are those of an unlisted effect.
     """
     made = [p for p in tests if p is not None]
     p = max(len(made), 1) * min(made, default=1.0)
@@ -181,8 +181,8 @@ def as_often_right(status: str, probability: float) -> float:
     """Share of verdicts of this status and this probability that are right.
 
     Args:
-        status: of the verdict; "noise" where it names an effect on the noise alone;
-            "unlisted" for the probability of something unlisted.
+        status: of the verdict; "noise" if it names only an effect on the noise;
+            "unlisted" for the probability of an unlisted effect.
     """
     offset, slope = _numbers().get(status, (0.0, 1.0))
     odds = np.clip(logit(np.clip(probability, 0.0, 1.0)), -_FARTHEST, _FARTHEST)

@@ -1,9 +1,9 @@
-"""Tests of the remainder: what an engineer would still see in the residual plots.
+"""Tests for structure in the remainder, as an engineer would see it in residual plots.
 
-Every statistic is compared with its values for noise that went through the same fit, on
-these very rows: no table of critical values, no assumption on the design. Residuals
-are whitened and only their shape is judged, so a noise level that is off by a factor
-does not count. Autocorrelated noise is granted as far as it was judged to be there.
+Every statistic is compared with its values for simulated noise after the same fit of the
+same rows; there are no tables of critical values and no assumption on the design.
+Residuals are whitened and only their shape is tested, so a wrong noise level does not
+matter. The simulated noise has the autocorrelation that was estimated.
 """
 
 from collections.abc import Sequence
@@ -24,49 +24,49 @@ from tirefit.diagnosis.rows.prepared import Prepared, neighbours
 from tirefit.diagnosis.rows.slips import segments
 
 DRAWS = 199
-"""Simulated residuals."""
+"""Number of simulated residuals."""
 
 LEAST_P = 1e-6
-"""Smallest p-value of a channel that is reported: beyond it the tail is not known."""
+"""Smallest p-value of a channel that is reported, as the tail beyond it is unknown."""
 
 LEVEL = 0.005
-"""A p-value below which a test is reported to see a remainder: noise fails each test
+"""A test with a p-value below this is reported to find a remainder; noise fails each test
 once in 200 files."""
 
 _TAIL = 0.9
-"""Quantile of the draws beyond which their tail is taken as exponential."""
+"""Quantile of the draws beyond which an exponential tail is assumed."""
 
 _PRECISION = np.float32
-"""Of the simulated residuals, which are read many times over."""
+"""Float type of the simulated residuals; a small one, as they are read many times."""
 
 _WIDEST = 4.0
-"""Residuals are cut at so many standard deviations: one stray row is no structure."""
+"""Residuals are clipped at so many standard deviations, as an outlier is no structure."""
 
 _RUNS = tuple(2**power for power in range(1, 8))
-"""Neighbours whose residuals are added up: a smooth misfit adds up, noise does not."""
+"""Numbers of neighbours whose residuals are summed: smooth misfit adds up, noise does not."""
 
 _FIRST_LINES = 16
-"""Slowest lines of a periodogram that are compared with one another."""
+"""Number of the lowest frequencies of a periodogram that are compared."""
 
 _LOCAL = (6, 12, 24)
-"""Rows of a local block, multiples of half the shortest: a misfit of one region shows
-there first."""
+"""Numbers of rows of a local block, multiples of half the shortest; they detect a misfit
+of one region."""
 
 _FEWEST_SUMS = 4
-"""Fewest sums of neighbours whose mean square is used."""
+"""Smallest number of sums of neighbours whose mean square is used."""
 
 _WITH_NEIGHBOURS = 3
-"""Rows of a setting from which one has a neighbour on either side."""
+"""Smallest number of rows of a setting for one to have a neighbour on either side."""
 
 
 def _mean_square(blocks: Sequence[np.ndarray]) -> np.ndarray:
-    """Of the rows of several blocks: (draws,)."""
+    """The statistic over the rows of several blocks: (draws,)."""
     squares = np.sum([np.einsum("bd,bd->d", b, b) for b in blocks], axis=0)
     return squares / sum(map(len, blocks))
 
 
 def _unit(parts: np.ndarray) -> np.ndarray:
-    """Columns of mean square one, cut at :data:`_WIDEST`."""
+    """Columns scaled to mean square one and clipped at :data:`_WIDEST`."""
 
     def scaled(parts):
         size = np.sqrt(_mean_square([parts]))
@@ -76,26 +76,26 @@ def _unit(parts: np.ndarray) -> np.ndarray:
 
 
 def _sums(parts: np.ndarray, length: int) -> np.ndarray:
-    """Sums of so many consecutive rows, from one to the next: (blocks, draws)."""
+    """Sums of consecutive blocks of ``length`` rows: (blocks, draws)."""
     whole = len(parts) // length * length
     return parts[:whole].reshape(-1, length, parts.shape[1]).sum(axis=1)
 
 
 def _largest(values: Sequence[np.ndarray]) -> np.ndarray:
-    """Largest of several statistics (draws,), each in units of its own scatter."""
+    """Largest of several statistics (draws,), each in units of its scatter."""
     stacked = np.array(values)
     center = np.median(stacked, axis=1, keepdims=True)
     spread = stacked.std(axis=1, keepdims=True)
     return np.max((stacked - center) / np.maximum(spread, ROUNDING), axis=0)
 
 
-# A statistic of residuals (n, draws) is (draws,): the larger, the more structure.
-# Stretches are rows in order: index arrays.
+# A statistic of residuals (n, draws) is (draws,); a larger one means more structure.
+# Stretches are index arrays of rows in order.
 
 
 def _persistence(parts, stretches: Sequence[np.ndarray]) -> np.ndarray:
-    """Mean square of sums of neighbours over that of independent rows, at the length
-    where it stands out most."""
+    """Mean square of sums of neighbours over that of independent rows, at the length with
+    the most significant ratio."""
     values = []
     blocks, before = [parts[s] for s in stretches], 1
     for length in _RUNS:
@@ -107,8 +107,8 @@ def _persistence(parts, stretches: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _lines(parts, orders: Sequence[np.ndarray]) -> np.ndarray:
-    """Largest line of a periodogram over the median, of all lines and of its octave:
-    noise with a memory is stronger where it is slower, a wave at its period.
+    """Largest line of a periodogram over the median of all lines and of its octave.
+    Correlated noise has more power at low frequencies, a wave at its own.
 
     Args:
         orders: place of each row in each of them. A place without a row counts as
@@ -123,19 +123,19 @@ def _lines(parts, orders: Sequence[np.ndarray]) -> np.ndarray:
         first = min(_FIRST_LINES, len(power))
         octaves = int(np.log2(len(power) / first))
         bands = [power, *np.split(power, [first * 2**k for k in range(octaves)])]
-        # In logarithms: of few lines the ratio is large by chance.
+        # In logarithms, as the ratio is large by chance if there are few lines.
         values += [np.log(b.max(axis=0) / np.median(b, axis=0)) for b in bands]
     return _largest(values)
 
 
 def _pure_error(parts, stretches: Sequence[np.ndarray]) -> np.ndarray:
-    """Mean square over half that of differences of neighbours."""
+    """Mean square over half the mean square of differences of neighbours."""
     steps = _mean_square([np.diff(parts[s], axis=0) for s in stretches])
     return _mean_square([parts]) / np.maximum(steps / 2, ROUNDING)
 
 
 def _local(parts, stretches: Sequence[np.ndarray]) -> np.ndarray:
-    """Largest mean of a block of neighbours in its own standard errors."""
+    """Largest mean of a block of neighbours in its standard errors."""
     piece = _LOCAL[0] // 2
     values, pieces = [], [_sums(parts[s], piece) for s in stretches]
     for length in _LOCAL:
@@ -148,8 +148,8 @@ def _local(parts, stretches: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _noise(n: int, memory: Sequence[Memory], stretches, generator) -> np.ndarray:
-    """Draws (n, DRAWS) of unit noise, part of it with a memory along the stretches:
-    of each memory that may be, in proportion to its probability."""
+    """Draws (n, DRAWS) of unit noise with the possible correlations along the stretches,
+    each in proportion to its probability."""
     white = generator.standard_normal((n, DRAWS))
     if not stretches or not any(np.any(one.share) for one in memory):
         return white
@@ -172,9 +172,9 @@ def _noise(n: int, memory: Sequence[Memory], stretches, generator) -> np.ndarray
 
 
 def _p_value(observed: float, drawn: np.ndarray) -> float:
-    """Share of draws (the observation among them) that are as large; beyond all of them
-    by the mean excess over their quantile :data:`_TAIL`, as of an exponential tail
-    (peaks over threshold; Pickands, 1975)."""
+    """p-value: the share of draws (and the observation) that are as large. For larger
+    observations, an exponential tail is fitted to the excesses over the quantile
+    :data:`_TAIL` (peaks over threshold; Pickands, 1975)."""
     among = (1 + np.sum(drawn >= observed)) / (1 + len(drawn))
     if observed <= drawn.max():
         return float(among)
@@ -189,9 +189,9 @@ def _p_values(residual, draws, in_time, in_slip, orders) -> Tests:
 
     Args:
         residual: (n,) whitened.
-        draws: (n, DRAWS) of noise that went through the same fit.
-        in_time: rows of each unbroken stretch in the order of time: index arrays; none
-            where the time is not known.
+        draws: (n, DRAWS) of noise after the same fit.
+        in_time: rows of each unbroken stretch in the order of time: index arrays; empty
+            if the time is not known.
         in_slip: rows of each setting (load, speed, direction) in the order of slip.
         orders: place of each row in every order in which a wave may lie.
     """
@@ -218,8 +218,8 @@ def _p_values(residual, draws, in_time, in_slip, orders) -> Tests:
 
 
 def _orders(prepared: Prepared, stretches: list[np.ndarray]) -> list[np.ndarray]:
-    """Places of the rows in time and along the distance travelled: what turns with the
-    wheel repeats with that.
+    """Places of the rows in time and along the distance travelled, with which effects of
+    the turning wheel repeat.
 
     Args:
         stretches: rows in the order of time, see :func:`segments`.
@@ -236,8 +236,8 @@ def _orders(prepared: Prepared, stretches: list[np.ndarray]) -> list[np.ndarray]
 def remainder_tests(
     base: Base, weighed: Weighed, key: Key, generator: np.random.Generator
 ) -> Tests:
-    """Tests of what a set of effects leaves: the smallest p-value of the channels times
-    their number (Bonferroni).
+    """Tests of the remainder of a set of effects; a p-value is the smallest of the
+    channels times their number (Bonferroni).
 
     Args:
         generator: of the noise.
@@ -287,9 +287,9 @@ def remainder_tests(
 
 
 def widening(base: Base, residual) -> float:
-    """Factor on the variance of amplitudes: mean square of what a set leaves, times the
-    rows that count as one there; one where the noise is all that it leaves. The noise's
-    own correlation is in the weights of the rows already.
+    """Factor on the variance of amplitudes: mean square of the remainder of a set, times
+    its rows per independent row; one if the remainder is noise. The weights of the rows
+    include the correlation of the noise.
 
     Args:
         residual: (m,) whitened, of all channels.

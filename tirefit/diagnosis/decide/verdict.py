@@ -1,5 +1,5 @@
-"""From the posterior over sets, the figures on data left out and the tests of the
-remainder to a verdict. :func:`decide` is pure, and nothing else sets a status."""
+"""Decide a verdict from the posterior over sets, the predictions of data left out and the
+tests of the remainder. Only :func:`decide`, a pure function, sets a status."""
 
 import math
 from collections.abc import Mapping
@@ -15,23 +15,23 @@ from tirefit.diagnosis.negligible import NONZERO
 from tirefit.results import Outcome
 
 UNKNOWN = "unknown"
-"""The id that stands for an effect that the library does not list."""
+"""The id of an effect that the library does not list."""
 
 
 class Status(StrEnum):
-    """What a diagnosis concludes; derived from two answers: which effects are there,
-    and what is left."""
+    """The conclusion of a diagnosis. It follows from two answers: which effects are
+    present, and what remains."""
 
     NONE = "none"
-    """No gap shows: what the model misses may be noise."""
+    """No gap is found: the residuals of the model may be noise."""
     NAMED = "named"
-    """Listed effects explain the gap; nothing unlisted is likelier than not."""
+    """Listed effects explain the gap; an unlisted effect is less likely than none."""
     CANNOT_TELL = "cannot_tell"
-    """The same, and other effects explain these data as well: see ``also_possible``."""
+    """As ``named``, but other effects explain the data as well: see ``also_possible``."""
     INCOMPLETE = "incomplete"
-    """The named effects are there, and something unlisted is likelier than not."""
+    """Effects are named, but an unlisted effect in addition is likelier than none."""
     UNKNOWN = "unknown"
-    """There is a gap, and no listed effect earns a name."""
+    """There is a gap, and no listed effect can be named."""
 
     @property
     def names(self) -> bool:
@@ -54,18 +54,18 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Policy:
-    """The thresholds of :func:`decide`. What each buys stands in
-    ``fits/withheld/README.md``, as the table of the ablation.
+    """The thresholds of :func:`decide`. The table of the ablation in
+    ``fits/withheld/README.md`` shows the effect of each.
 
     Attributes:
-        likely: probability from which something is said to be there (even odds).
-        known: amplitude over its standard error from which an effect may be named: an
-            error bar of half the value.
+        likely: probability above which an effect counts as present (even odds).
+        known: amplitude over its standard error above which an effect may be named: a
+            standard error of half the value.
         gain: standard errors by which an effect must improve the prediction of data
             left out.
-        perhaps: probability from which something is possible: no gap at all, where no
-            effect earns a name, or an effect that is not named; and probability of a
-            set over that of the best from which it is a rival.
+        perhaps: probability above which something is possible: no gap, if no effect can
+            be named, or an effect that is not named; and probability of a set over that
+            of the best above which it is a rival.
     """
 
     likely: float = 0.5
@@ -78,10 +78,10 @@ POLICY = Policy()
 
 
 class Each(NamedTuple):
-    """One named effect: the probability that it, or one of its twins, is there,
-    whatever else is; the share of the gap that it closes on data left out beside the
-    other named effects, with its standard error (None where nothing could be left out);
-    and its ``twins``: effects that these data cannot tell from it."""
+    """One named effect: the probability that it or one of its twins is present; the share
+    of the gap that it closes on data left out, in addition to the other named effects,
+    with its standard error (None if no data could be left out); and its ``twins``:
+    effects that these data cannot distinguish from it."""
 
     probability: float
     closed_left_out: float | None
@@ -90,7 +90,7 @@ class Each(NamedTuple):
 
 
 class Tests(NamedTuple):
-    """p-values of what a set of effects leaves, by test; None where the rows have no
+    """p-values of the remainder of a set of effects, by test; None if the rows have no
     such order. See :mod:`tirefit.diagnosis.decide.remainder`."""
 
     time: float | None = None
@@ -101,8 +101,8 @@ class Tests(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """A refitted set: by effect its amplitude over its standard error, and what it
-    gains on data left out beside the others; empty where that was not tried."""
+    """A refitted set: for each effect the amplitude over its standard error, and its gain
+    on data left out in addition to the others; empty if that was not computed."""
 
     errors: Mapping[str, float]
     gains: Mapping[str, Gain]
@@ -110,11 +110,10 @@ class Fitted(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """All that a verdict rests on: the posterior over sets; ``sets``, the set that
-    explains most first, then the sets of some of its effects, the largest and most
-    probable first (empty where no gap shows); whether whole runs were left out; the
-    probability that something unlisted is there beside the first set; and the tests of
-    the remainder of that set."""
+    """All inputs of a verdict: the posterior over sets; ``sets``, the set that explains
+    most first, then its subsets, the largest and most probable first (empty if no gap is
+    found); whether whole runs were left out; the probability of an unlisted effect in
+    addition to the first set; and the tests of the remainder of that set."""
 
     weighed: Weighed
     sets: Mapping[Key, "Fitted"]
@@ -123,13 +122,13 @@ class Findings:
     tests: Tests
 
     def probability(self, effect: str, key: Key, policy: "Policy") -> float:
-        """That an effect of a set is there, whatever else is.
+        """Probability that an effect of a set is present.
 
-        By the posterior over sets where nothing unlisted is likelier than not. Else,
-        where whole runs were left out, by how likely it is that the effect improves the
-        prediction of one more run (Student's t); the parts of a single run share what
-        is unlisted, and a listed effect that imitates it predicts them: there by the
-        sets with a discrepancy beside them.
+        It is that of the posterior over sets if an unlisted effect is unlikely.
+        Otherwise, if whole runs were left out, it is the probability that the effect
+        improves the prediction of one more run (Student's t). The parts of a single run
+        share an unlisted effect, and a listed effect that resembles it predicts them;
+        then the sets with a discrepancy give the probability.
         """
         gain = self.sets[key].gains.get(effect) if key in self.sets else None
         if self.unlisted <= policy.likely:
@@ -139,20 +138,20 @@ class Findings:
         return min(self.weighed.holding_beside((effect,)), 1.0)
 
     def claim(self, effect: str, key: Key, rivals, policy: "Policy") -> float:
-        """That an effect or one of its twins is there: one claim."""
+        """Probability that an effect or one of its twins is present."""
         alike = (effect, *rivals.get(effect, ()))
         return min(sum(self.probability(e, key, policy) for e in alike), 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """The two answers: which effects are there, and what is left.
+    """The two answers: which effects are present, and what remains.
 
-    ``effects`` are ids, the one that gains most on data left out first; empty for no
-    gap, ``("unknown",)`` where no effect is named; ``key`` is the set of the named
-    ones. ``probability`` is that of exactly this set and of nothing unlisted beside it,
-    or of these effects and something unlisted. ``also_possible`` are ids that these
-    data do not rule out, ``unlisted`` is the probability of something unlisted.
+    ``effects`` are ids, the one that gains most on data left out first; empty without a
+    gap, ``("unknown",)`` if no effect is named; ``key`` is the set of the named ones.
+    ``probability`` is that of exactly this set without an unlisted effect or, for
+    ``incomplete``, of these effects with one. ``also_possible`` are ids that these data
+    do not rule out, ``unlisted`` is the probability of an unlisted effect.
     """
 
     status: Status
@@ -166,16 +165,16 @@ class Verdict:
 
 
 def no_gap_shows(weighed: Weighed, policy: Policy = POLICY) -> bool:
-    """Whether what the base model misses may be noise."""
+    """Whether the residuals of the base model may be noise."""
     return weighed.nothing_shown > policy.likely >= weighed.unlisted or not weighed.best
 
 
 def decide(found: Findings, policy: Policy = POLICY) -> Verdict:
     """The verdict that the findings support.
 
-    An effect of the most probable set is named if it is likelier there than not, known
-    to better than half its size, and predicts data left out better than the set without
-    it. Something unlisted does not take a name away.
+    An effect of the most probable set is named if it is probably present, if its standard
+    error is below half its amplitude, and if the set predicts data left out better with
+    it. An unlisted effect does not prevent naming.
     """
     weighed, unlisted = found.weighed, found.unlisted
     more = unlisted > policy.likely
@@ -233,8 +232,8 @@ def _stands(found: Findings, key: Key, rivals, policy: Policy) -> bool:
 
 
 def _rivals(weighed: Weighed, best: Key, policy: Policy) -> dict[str, tuple[str, ...]]:
-    """Effects of other sets that are nearly as probable, by the effect in whose place
-    they stand; those beside the whole set stand under the empty name."""
+    """Effects of other sets that are nearly as probable, by the effect that they replace;
+    those in addition to the whole set have the empty name."""
     found: dict[str, list[str]] = {}
     least = policy.perhaps * weighed.listed[weighed.best]
     ranked = sorted(weighed.listed, key=weighed.listed.__getitem__, reverse=True)

@@ -1,5 +1,5 @@
-"""Free forms of an effect: the same parameter varies with the same quantity by smooth
-functions instead of a formula."""
+"""Free forms of an effect: its parameter varies with its quantity by smooth functions
+instead of a formula."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -10,27 +10,28 @@ from tirefit.diagnosis.negligible import ROUNDING
 from tirefit.diagnosis.rows.basis import FULL_SLIDING, functions_of
 
 ONE_WAY, BOTH_WAYS = 4, 5
-"""Numbers of smooth functions of a covariate, few enough to follow no noise. The odd
-one has a function at the middle, for a covariate with two sides."""
+"""Numbers of smooth functions of a covariate, too few to follow noise. The odd number has
+a function at the middle, for a covariate with two signs."""
 
 _OF_THE_CURVE, _OF_SPEED, _OF_RATE = 9, 8, 6
 """The same for force over slip, friction over sliding speed and friction over the rate
 of the slip, which vary within a part of the range."""
 
-_QUICKEST = 3.0  # rates over the usual one that count as this one: a jump
+_QUICKEST = 3.0  # largest rate over the usual one; faster ones are limited to it
 
 _CERTAIN, _TURNS = 0.99, 0.1
-"""Size of ``turning`` from which the direction is certain; largest share of uncertain
-rows that are turns of the slip, and not a slip that hardly moves."""
+"""Smallest size of ``turning`` with a certain direction; largest share of uncertain rows
+that are turns of the slip and not a slip at rest."""
 
 
 class Form(NamedTuple):
-    """``field`` of the state that moves by ``size`` times smooth functions of what
-    ``shapes(rows, u)`` gives, (n, k); u is slip over that of full sliding, (n,).
+    """``field`` of the state changes by ``size`` times the smooth functions
+    ``shapes(rows, u)`` (n, k); u is slip over that of full sliding, (n,).
 
-    A form is left out where the data lack ``needs`` (at one speed, any function of the
-    sliding speed is one of the slip), or where the covariate ``by`` follows the slip:
-    it would fit any remainder. A form may add 1/8 to 1/2 of what the formula may."""
+    A form is not used if the data lack ``needs`` (at one speed, any function of the
+    sliding speed is one of the slip), or if the covariate ``by`` is a function of the
+    slip, as it would fit any remainder. A form may add 1/8 to 1/2 of the usual change by
+    the formula."""
 
     field: str
     size: float
@@ -44,11 +45,11 @@ def _about_mean(shapes):
 
 
 _UNITS = {"shift": "rise", "force": "load"}
-"""Field of the state -> covariate that is the unit of its forms; none for factors."""
+"""Field of the state -> covariate by which its forms are scaled; none for factors."""
 
 
 def over(field: str, size: float, covariate: str, count: int = ONE_WAY) -> tuple[Form, ...]:
-    """A field as ``count`` smooth functions of a covariate, about their means."""
+    """A field with ``count`` smooth functions of a covariate, minus their means."""
 
     def shapes(rows, u):
         free = _about_mean(functions_of(getattr(rows, covariate), count))
@@ -77,20 +78,20 @@ def _of_sliding(rows, u):
 
 
 def _of_rate(rows, u):
-    """Functions of how fast the slip grows or shrinks in size."""
+    """Functions of the rate of change of the size of the slip."""
     rate = rows.rate * rows.side
     usual = max(np.mean(np.abs(rate)), ROUNDING)
     return functions_of(np.clip(rate / usual, -_QUICKEST, _QUICKEST), _OF_RATE)
 
 
 def _by_lag(rows, u):
-    """Functions of the size of the slip about their means (the mean is the formula),
+    """Functions of the size of the slip minus their means (the mean is the formula),
     times the change of the slip with distance."""
     return _about_mean(_of_slip(u)) * rows.lag[:, None]
 
 
 def _by_delay(rows, u):
-    """The same times its change with time, in the unit of ``lag``."""
+    """The same functions times the change of the slip with time, in the unit of ``lag``."""
     change = rows.lag * rows.pace
     usual = np.mean(change**2) / max(np.mean(rows.lag**2), ROUNDING)
     return _by_lag(rows._replace(lag=change / max(np.sqrt(usual), ROUNDING)), u)
@@ -105,7 +106,8 @@ def _at_a_turn(rows, u):
 
 
 def _guided(rows, u):
-    """Force by direction, as a function of the size of the slip times the load."""
+    """A force that depends on the direction: functions of the size of the slip, times the
+    load."""
     return _by_slip("turning")(rows, u) * (rows.side * rows.fz * rows.load)[:, None]
 
 

@@ -1,5 +1,5 @@
-"""Effects of the measurement: offsets and zeros that move, the definition of the slip,
-the wheel's inertia, channels that leak into one another, camber and conicity."""
+"""Effects of the measurement: offsets, drifting zeros, the definition of the slip, the
+inertia of the wheel, crosstalk of channels, camber and conicity."""
 
 import jax.numpy as jnp
 
@@ -16,25 +16,25 @@ from tirefit.diagnosis.effects.record import (
 from tirefit.diagnosis.rows.rig import AGAINST, BESIDE, FOR
 
 _FINE = 5e-4
-"""Standard error of an offset of the slip below which its absence is evidence."""
+"""Standard error of a slip offset below which an offset of zero is evidence against it."""
 
 _INERTIA_STATED = 0.3
-"""Standard deviation of a stated inertia over it: hub, disc and shaft turn too."""
+"""Relative standard deviation of a stated inertia, as hub, disc and shaft turn too."""
 
 _CORNERING = 10.0
-"""Usual cornering stiffness over load [1/rad]: one amplitude for both camber forms."""
+"""Usual cornering stiffness over load [1/rad], so that both camber forms share a scale."""
 
 _WARMING = 0.2
-"""Time constant of a zero that settles with its warm amplifier, over the record."""
+"""Time constant of a zero that settles while its amplifier warms up, over the record."""
 
 
 def _as_it_was_read(prior, prepared, rig):
-    """The sign of the conversion depends on how the slip was read."""
+    """The prior, with the sign of the conversion that the reading of the slip requires."""
     return prior._replace(center=prior.center * prepared.definition)
 
 
 def _of_this_wheel(prior, prepared, rig):
-    """A force taken from the torque lacks the whole inertia that the rig states."""
+    """The prior: a force computed from the torque lacks the inertia that the rig states."""
     known = rig.wheel_inertia
     if not known:
         return prior
@@ -44,7 +44,7 @@ def _of_this_wheel(prior, prepared, rig):
 
 
 def _definition_odds(prepared) -> float:
-    """Log odds by the slip of the wheel speed, whose errors are not curved."""
+    """Log odds from the slip of the wheel speed, whose errors are linear."""
     check = prepared.slip_check
     if check is None:
         return 0.0
@@ -63,7 +63,7 @@ def _seen_between_slips(prior, prepared, rig):
 
 
 def _offset_odds(prepared) -> float:
-    """Log odds by the slip of the wheel speed; the radius may be wrong as well."""
+    """Log odds from the slip of the wheel speed; the radius may be wrong as well."""
     check = prepared.slip_check
     if check is None or check.fits != check.read_as:
         return 0.0
@@ -81,7 +81,7 @@ def _camber(state, share, constants, rows):
 
 
 def _settled(rows, constants):
-    """Even over the record, or quick at first; about its middle."""
+    """A drift that is linear over the record, or faster at first; zero at the middle."""
     late = 0.5 - jnp.exp(-(rows.time + 0.5) / _WARMING)
     return blend(constants, rows.time, late)
 
@@ -132,7 +132,7 @@ OFFSETS = (
         family="measurement", scale=0.3, bounds=((-6.0, 6.0),),
         change=adds("curvature", lambda a, constants, _: constants[0] * a), center=1.0,
         formula="slip / (1 - amplitude slip)", prior=_as_it_was_read, channels=("fx",),
-        means="the slip follows another definition than it was read by",
+        means="the slip has another definition than the one by which it was read",
         remedy="read its column by the other one: --column kappa=HEADER or"
         " sigma_x=HEADER", parameter="1: kappa logged as sigma, or the reverse",
         odds=_definition_odds, variants=((1.0,), (-1.0,)), told_apart_by="both signs",
@@ -145,10 +145,10 @@ OFFSETS = (
         formula="force - amplitude (d omega / dt) / r",
         means="the force lacks the torque that spins the wheel up",
         remedy="add J (d omega / dt) / r to the force", parameter="inertia",
-        # A log lacks up to the inertia of the wheel and of all that turns with it: some
+        # The missing inertia is at most that of the wheel and all parts that turn with it:
         # 0.03 of the carried mass at its radius on a car, up to ten times that with a
-        # geared drive or a model car's motor. A negative one was subtracted twice or
-        # with the wrong sign: that of one or two wheels at most.
+        # geared drive or the motor of a model car. It is negative if it was subtracted
+        # twice or with the wrong sign: then at most that of two wheels.
         bounds=((-0.06, 0.3),), prior=_of_this_wheel,
         needs=("omega", "rolling_radius", "sweeps"), told_apart_by="speeds",
         looks_like=("channel_delay", "relaxation_length", "friction_hysteresis"),
@@ -163,7 +163,7 @@ OFFSETS = (
     ),
     _in_proportion(
         "conicity", "lateral inputs", "F_y + amplitude F_z",
-        "measure again with the tire turned round, and take the mean",
+        "measure again with the tire mounted in reverse, and take the mean",
         channels=("fy", "mz"), forms=(*free.SHIFT_BY_CAMBER, *free.FORCE_BY_LOAD),
         told_apart_by="loads",
     ),
@@ -202,8 +202,8 @@ SENSORS = (
     Effect(
         id="load_offset", of="measurement",
         family="friction x load", scale=60.0, unit="1e-3 mean F_z",
-        # A brush under another load is one of another friction: exact where the
-        # stiffness does not follow the load.
+        # A brush with another load equals one with another friction; this is exact if the
+        # stiffness does not depend on the load.
         change=multiplies(
             "friction", lambda a, _, rows: 1 + PER_MILLE * a * (1 / rows.fz - 1)
         ),
@@ -218,7 +218,7 @@ SENSORS = (
         family="force x force", scale=0.04, parameter="share",
         change=adds("force", lambda a, _, rows: a * rows.across), bounds=((-0.8, 0.8),),
         formula="force + amplitude (force across); crosstalk of a balance", odds=seldom,
-        means="the force across leaks into the force", needs=("other force",),
+        means="crosstalk from the other force into this one", needs=("other force",),
         remedy="calibrate the balance with pure forces, and check its alignment",
         looks_like=("combined_slip", "friction_ellipse"), told_apart_by="pure slip",
     ),
@@ -227,8 +227,8 @@ SENSORS = (
         family="force x direction", scale=20.0, odds=seldom,
         change=adds("force", _force_hysteresis), unit="1e-3 mean F_z",
         formula="force + amplitude sign(d slip / dt): dry friction in the rig",
-        means="the force sensor reads differently on the way up and on the way down",
-        remedy="grease or unload the guides of the sensor; take the mean of both ways",
+        means="the force sensor reads differently for rising and for falling slip",
+        remedy="grease or unload the guides of the sensor; take the mean of both",
         bounds=((-400.0, 400.0),), needs=("sweeps",), variants=choices(2),
         forms=free.FORCE_BY_DIRECTION, told_apart_by="two ramp rates",
         looks_like=("friction_hysteresis", "channel_delay", "relaxation_length"),

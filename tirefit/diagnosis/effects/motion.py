@@ -1,10 +1,10 @@
-"""Effects of the past (delays, relaxation, steering lag), and priors from what is known
-of the motion of a vehicle.
+"""Effects of the past (delays, relaxation, steering lag), and priors from the known
+accuracy of the motion of a vehicle.
 
-A force that was derived from the motion shares its channels with the slip: an effect of
-yaw rate or acceleration may fit any remainder, on held-out data too. The prior of such
-an effect is the error of a measured quantity where the file states it (``tirefit
-derive`` writes what vehicle.toml states), else that of a guess.
+A force derived from the motion shares its channels with the slip, so an effect of yaw
+rate or acceleration may fit any remainder, also on held-out data. The prior of such an
+effect is therefore the error of a measured quantity if the file states it (``tirefit
+derive`` copies it from vehicle.toml), else the error of a guess.
 """
 
 from functools import partial
@@ -25,7 +25,7 @@ _HEIGHT, _FAR = 0.4, 6.0
 bounds in standard deviations."""
 
 _NO_LENGTH = 1e-12
-"""Share of a step that counts as no length: the slope there is one-sided, not zero."""
+"""A length below this share of a step counts as zero; the slope there is one-sided."""
 
 _RELAXED, _FILTERED = 2.0, 0.1
 """Longest relaxation of a tire, in radii of its wheel, and delay of a filter [s]."""
@@ -38,24 +38,24 @@ class _Quantity(NamedTuple):
     """A quantity of the vehicle."""
 
     key: str  # in vehicle.toml
-    stated: float  # standard error where that file states it
-    guessed: float  # and where it does not
+    stated: float  # standard error if that file states it
+    guessed: float  # standard error if it does not
     words: str
 
 
 _QUANTITIES = {
-    # Shares of the arm of an axle (1 mm on a car of 1:10, 4 cm on a car) and of the
-    # wheelbase; of yaw inertia: that of most vehicle files is estimated.
+    # Errors over the arm of an axle (1 mm on a 1:10 car, 4 cm on a car) and over the
+    # wheelbase. The yaw inertia of most vehicle files is an estimate.
     "position": _Quantity("tracked_point", 0.03, 0.1, "the tracked point to {:.2g} m"),
     "clock": _Quantity("clock", 0.005, 0.1, "the clocks of the channels to {:.2g} s"),
     "yaw_inertia": _Quantity("yaw_inertia", 0.3, 1, "the yaw inertia to {:.2g} of it"),
 }
-"""Key of ``[vehicle]`` of rig.toml, a standard error -> the quantity that it is of."""
+"""Key of ``[vehicle]`` in rig.toml -> the quantity of which it is the standard error."""
 
 
 def _error(key: str, prepared, rig) -> tuple[float | None, bool]:
-    """Standard error [m, s, share], and whether it or the quantity is stated; None for
-    a measured force without a statement."""
+    """Standard error [m, s, share], and whether it or the quantity is stated; None if the
+    force was measured and neither is stated."""
     of, derived = _QUANTITIES[key], prepared.derived
     if key in rig.vehicle:
         return rig.vehicle[key], True
@@ -76,7 +76,7 @@ def _of_scale(prior, scale: float):
 
 
 def _narrowed(prior, scale: float):
-    """The prior, no wider than this scale."""
+    """The prior with at most this scale."""
     own = _of_scale(prior, min(prior.scale, scale))
     return own._replace(low=max(prior.low, own.low), high=min(prior.high, own.high))
 
@@ -89,7 +89,7 @@ def _of_quantity(key: str, prior, prepared, rig):
 
 
 of_a_known_position = partial(_of_quantity, "position")
-"""Prior of a distance along the vehicle, measured with a rule where stated."""
+"""Prior of a distance along the vehicle; a stated one was measured with a ruler."""
 
 
 def of_a_known_inertia(prior, prepared, rig):
@@ -101,7 +101,7 @@ def of_a_known_inertia(prior, prepared, rig):
 
 
 def of_a_known_height(prior, prepared, rig):
-    """Prior of a load that moves by m h a_x / wheelbase over the range of a_x."""
+    """Prior of the load transfer m h a_x / wheelbase over the range of a_x."""
     if "a_x" not in prepared.data:
         return prior
     span = float(np.ptp(prepared.column("a_x"))) / GRAVITY
@@ -109,8 +109,8 @@ def of_a_known_height(prior, prepared, rig):
 
 
 def of_a_known_force(prior, prepared, rig):
-    """Prior of a share of the friction that a force across takes, widened by the error
-    of that force, twice for its square."""
+    """Prior of the share of the friction that the other force uses, widened by the error
+    of that force (twice, for its square)."""
     name = "fx_std" if prepared.mode == "y" else "fy_std"
     if name not in prepared.data:
         return prior
@@ -120,7 +120,7 @@ def of_a_known_force(prior, prepared, rig):
 
 
 def _within_the_past(prior, prepared, rig):
-    """The prior within the past and future that each row knows."""
+    """The prior within the past and future that each row has."""
     first, last = AGES[[0, -1]] * float(prepared.covariates.interval[0])
     return prior._replace(low=max(prior.low, first), high=min(prior.high, last))
 
@@ -139,7 +139,7 @@ def said_of_motion(base, rig) -> tuple[str, ...]:
     if "yaw_rate" in rows.has and derived.mass is not None:
         on_a_path = derived.mass * rows.column("v") * rows.column("yaw_rate")
         said += (
-            "; no tire at all, mass x v x yaw_rate, misses it by"
+            "; without any tire model, mass x v x yaw_rate differs from it by"
             f" {_rms(observed + on_a_path):.3g} N rms, the base fit by"
             f" {_rms(missed):.3g} N"
         )
@@ -149,7 +149,7 @@ def said_of_motion(base, rig) -> tuple[str, ...]:
         guess = "" if stated else f" ({of.key} is not stated: measure it)"
         known[stated].append(of.words.format(error) + guess)
     priors = (
-        "effects with yaw rate or acceleration keep to what is known of a vehicle:"
+        "priors of effects with yaw rate or acceleration use these standard errors:"
         f" {', '.join(known[True] + known[False])}; [vehicle] of rig.toml states other"
         " standard errors"
     )
@@ -180,8 +180,8 @@ def _found(constants) -> tuple[str, ...]:
         return ()
     return (
         "tirefit derive found in the same logs, without a tire model:"
-        f" {'; '.join(found)}. An effect in brackets that is not named is within its"
-        " error, or shows as another effect",
+        f" {'; '.join(found)}. If the effect in brackets is not named, it is within its"
+        " error or appears as another effect",
     )
 
 
@@ -192,7 +192,7 @@ def _rms(values) -> float:
 def _late(past, delay, rows):
     """Change of values (n, k) by a delay [s]: (n,).
 
-    Exact for values that move in straight lines from column to column.
+    Exact for values that are linear between columns.
     """
     age, ages = jnp.clip(delay / rows.interval, AGES[0], AGES[-1]), jnp.asarray(AGES)
     passed = jnp.sum(age[:, None] >= ages[None, :], axis=1)
@@ -206,18 +206,18 @@ def _late(past, delay, rows):
 def lagged(past, length, step):
     """Change of values (n, k) by a first-order lag over a length: (n,).
 
-    Exact for values that rest before their past and then move in straight lines from
-    column to column. A length below zero would foresee, and counts as none.
+    Exact for values that are constant before the first column and linear between
+    columns. A negative length counts as zero.
 
     Args:
         length: of the response, in the unit of ``step``.
         step: (n,) of one of :data:`AGES`.
     """
-    # At a length of zero itself the slope is that of lengths above.
+    # At a length of zero the slope is that of positive lengths.
     length = jnp.where(length < 0, 0.0, length) + _NO_LENGTH * step
     one = (step / length)[:, None]
     ways, gone = (one * of[None] for of in (np.diff(AGES[AHEAD:]), AGES[AHEAD:]))
-    # Response to values that rise over the way, and what is left of it by now.
+    # Response to values that rise over the distance, and its remainder at the row.
     decay, since = jnp.exp(-ways), jnp.exp(-gone)
     share = jnp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)
     after, before = past[:, AHEAD:-1], past[:, AHEAD + 1 :]
@@ -230,7 +230,7 @@ def _delay(state, delay, constants, rows):
     """Delay the slip, or the forces (at the delayed slip and load), or filter the
     forces by a first order of which the delay is the time constant [s]."""
     slip, force, filtered = constants
-    # A brush under another load is one of another friction, see S(12).
+    # A brush with another load equals one with another friction, see S(12).
     load = 1 + _late(rows.burden, force * delay, rows)
     moved = scaled(state, "friction", load)
     constant = filtered * delay
@@ -264,11 +264,11 @@ def _steer(late):
     return change
 
 
-_CAUSE = "so look for another cause: steering or a sensor that comes late"
+_CAUSE = "so look for another cause: a delay of the steering or of a sensor"
 
 
 def _too_long(length: float, prepared) -> str:
-    """Doubt of a relaxation length; empty where it is one of a tire."""
+    """Why a relaxation length is implausible; empty for one that tires have."""
     wheel = prepared.sizes.wheel
     if not wheel or length <= _RELAXED * wheel:
         return ""
@@ -310,7 +310,7 @@ EFFECTS = (
         id="steering_delay", of="measurement",
         family="slip x steering", change=_steer(_late), scale=0.08,
         unit="s", formula="road wheel angle(t) = steering(t - amplitude)",
-        means="the road wheels steer later than was logged: the servo, or its clock",
+        means="the road wheels steer later than logged: a delay of the servo or a clock",
         remedy="measure the road wheel angle, or shift the steering by the delay",
         parameter="delay", bounds=((-0.15, 0.5),), prior=_within_the_past,
         needs=("steering", "sweeps"), channels=("fy", "mz"), told_apart_by="speeds",

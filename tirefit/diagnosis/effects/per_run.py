@@ -1,4 +1,4 @@
-"""Effects of runs: zeros that are set up anew, tires or floors that are changed."""
+"""Effects that differ between runs: new zeros, changed tires or surfaces."""
 
 from typing import Any, NamedTuple
 
@@ -9,13 +9,13 @@ from tirefit.diagnosis.effects.record import PER_MILLE, SYMBOLS, Effect, adds, m
 from tirefit.diagnosis.rows.slips import shown_runs
 
 RELATIVE = "relative"
-"""Unit of a share of a parameter of the tire: the runs have nothing of it in common."""
+"""Unit of a relative change of a parameter of the tire; its mean over the runs is zero."""
 
 
 class Offset(NamedTuple):
-    """What each run may have of its own."""
+    """A quantity that may differ between runs."""
 
-    field: str  # of the state, that moves
+    field: str  # of the state, that changes
     pattern: str  # covariate with the pattern of the runs
     unit: str
     of_load: bool = False  # the amplitude is in thousandths of the mean load
@@ -27,12 +27,12 @@ OFFSETS = {
     "friction": Offset("friction", "run_friction", RELATIVE),
     "stiffness": Offset("stiffness", "run_stiffness", RELATIVE),
 }
-"""Id of an effect less ``_run`` -> what the runs differ in."""
+"""Id of an effect without ``_run`` -> the quantity that differs between runs."""
 
 
 def _one_each(prepared) -> float:
-    """Prior log odds: the amplitude stands for a pattern with a number for every run,
-    and each further one costs what a parameter costs by BIC."""
+    """Prior log odds: the pattern has a number for every run, and each beyond the first
+    costs as much as a parameter in BIC."""
     count = len(shown_runs(prepared.run, prepared.data.runs))
     further = max(count - 2, 0)
     return seldom(prepared) - 0.5 * further * np.log(prepared.n / max(count, 1))
@@ -63,7 +63,7 @@ def _parameter_of_runs(name: str, fitted: str, scale: float, *looks_like: str):
         formula=f"{SYMBOLS[name]} exp(difference of the run), spread by amplitude",
         means=f"{name} differs from run to run: another tire, surface or day",
         remedy=f"fit {fitted} for each run; compare runs of one tire and surface only",
-        # The pattern of one is found without the other, whose sign it may have.
+        # The pattern of one is found without the other, so it may have its sign.
         bounds=((-1.5, 1.5),),
         looks_like=(f"{name}_drift", f"{name}_warming", *looks_like),
     )

@@ -11,11 +11,11 @@ from tirefit.diagnosis.effects.free_forms import Form
 from tirefit.diagnosis.effects.state import Covariates, State
 
 PER_MILLE = 1e-3
-"""Unit of amplitudes of a force over the mean load: one prior for every tire."""
+"""Unit of amplitudes of a force: over the mean load, so that one prior serves all tires."""
 
 LEAST_FACTOR = 0.05
-"""Smallest friction or stiffness over its usual value: a law that falls in a straight
-line would cross zero at amplitudes that a search tries."""
+"""Smallest friction or stiffness over its usual value, as a linear law would become
+negative at amplitudes that a search tries."""
 
 SHARE = (-1.9, 1.9)
 """Bounds of a relative change between two ends: below 2, both ends stay positive."""
@@ -36,11 +36,11 @@ class Prior(NamedTuple):
     high: float
 
     def times(self, size: float) -> "Prior":
-        """The same in units of a size of the file."""
+        """The same prior in units of a typical size of the file."""
         return Prior(*(size * part for part in self))
 
 
-# JAX hashes the library at every call: by identity, not field by field.
+# JAX hashes the library at every call, so hash by identity and not field by field.
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Effect:
     """One effect that a model may lack.
@@ -48,7 +48,7 @@ class Effect:
     Attributes:
         id: its name in every output.
         family: which parameter varies with which quantity.
-        of: what it is a property of: tire, vehicle or measurement.
+        of: whether it is a property of the tire, vehicle or measurement.
         change: (state, amplitude, constants, covariates) -> state; amplitude 0
             changes nothing.
         scale: prior standard deviation of the amplitude, a judgement: twice as wide
@@ -56,22 +56,22 @@ class Effect:
         per: field of :class:`rows.covariates.Sizes` that is the unit of ``scale``,
             ``center`` and ``bounds``: one for all variants or one for each.
         unit: unit of the amplitude.
-        formula, means, remedy: for the report: the law, in words, what to do about it.
+        formula, means, remedy: for the report: the law, its meaning, what to do about it.
         parameter: name of the amplitude.
         bounds: of the amplitude, one pair for all variants or one for each; physical,
             else about 20 scales.
         center: expected amplitude; not zero for mistakes of a known size.
-        prior: (prior, prepared rows, rig) -> prior, where data or rig say more.
+        prior: (prior, prepared rows, rig) -> prior, if data or rig give information.
         odds: prepared rows -> change of the prior log odds.
         needs: columns or properties of the data without which it cannot be seen.
         channels: forces that it can change; empty is all.
         variants: constants of each formula that is tried; all of one length.
-        which: (constants, covariates, time [s] or None) -> words for the formula of a
-            variant, with the values that its amplitude depends on.
+        which: (constants, covariates, time [s] or None) -> text for the formula of a
+            variant, with the values to which its amplitude refers.
         doubts: (amplitude, prepared rows) -> why the amplitude is implausible, or "".
         forms: other shapes in which the parameter may vary with the quantity.
         during: constants -> begin and end of the stretch that a variant changes (shares
-            of the record about its middle); not tried if a setting was held for it.
+            of the record about its middle); not tried if a setting was held during it.
         scans_time: variants are times of a sudden change, whose shape is fitted later.
         singular: its tangent at zero vanishes; it is always refitted.
         looks_like: ids of effects that it is confused with.
@@ -125,7 +125,7 @@ class Effect:
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseEffect:
-    """A law of the noise, named where no effect on the mean is; fields as of
+    """A law of the noise, named if no effect on the mean is; fields as in
     :class:`Effect`."""
 
     id: str
@@ -151,7 +151,7 @@ NOISE_EFFECTS = (
         id="noise_autocorrelated",
         flag="autocorrelated",
         means="the noise of neighbouring rows is correlated",
-        remedy="none needed: rows count at their effective number",
+        remedy="none needed: the effective number of rows is used",
     ),
     NoiseEffect(
         id="slip_noise", means="the slip is measured with noise", remedy="give sigma_x_std"
@@ -161,7 +161,7 @@ NOISE_EFFECTS = (
 
 @dataclass(frozen=True)
 class Atom:
-    """One variant of one effect: what the engine gives an amplitude."""
+    """One variant of one effect, with one amplitude."""
 
     effect: Effect
     variant: int = 0
@@ -171,7 +171,7 @@ class Atom:
         return self.effect.variants[self.variant]
 
     def prior(self, prepared, rig) -> Prior:
-        """Prior in the unit of the amplitude, with what data and rig add to it."""
+        """Prior in the unit of the amplitude, with information from data and rig."""
         effect = self.effect
         pair = effect.bounds[self.variant if len(effect.bounds) > 1 else 0]
         per = effect.per[self.variant if len(effect.per) > 1 else 0]
@@ -180,8 +180,8 @@ class Atom:
         return prior if effect.prior is None else effect.prior(prior, prepared, rig)
 
     def formula(self, rows: Covariates, time, amplitude=0.0, prepared=None) -> str:
-        """Words for the formula of the variant, empty where the effect has one, and the
-        doubts about an amplitude if ``prepared`` is given."""
+        """Text on the formula of the variant, empty if the effect has one only, and the
+        reason why an amplitude is implausible, if ``prepared`` is given."""
         of, parts = self.effect, []
         if of.which:
             parts.append(of.which(self.constants, rows, time))
@@ -215,13 +215,13 @@ def blend(constants, *values):
 
 
 def scaled(state: State, name: str, factor) -> State:
-    """The state with one field times a factor, which stays positive."""
+    """The state with one field multiplied by a factor, which is kept positive."""
     factor = jnp.maximum(factor, LEAST_FACTOR)
     return state._replace(**{name: getattr(state, name) * factor})
 
 
 Term = Callable[[Any, Any, Covariates], Any]
-"""(amplitude, constants, covariates) -> what is done to one field of the state."""
+"""(amplitude, constants, covariates) -> term or factor of one field of the state."""
 
 
 def adds(name: str, term: Term) -> Change:
@@ -235,14 +235,14 @@ def adds(name: str, term: Term) -> Change:
 
 
 def multiplies(name: str, factor: Term) -> Change:
-    """The change of an effect that multiplies a field; the factor stays positive."""
+    """The change of an effect that multiplies a field by a factor kept positive."""
     return lambda state, amplitude, constants, rows: scaled(
         state, name, factor(amplitude, constants, rows)
     )
 
 
 _SELDOM = -1.0
-"""Log odds of an effect that is met a third as often as those of every tire."""
+"""Log odds of an effect that is a third as frequent as usual ones."""
 
 
 def seldom(prepared) -> float:

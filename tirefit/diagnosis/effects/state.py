@@ -1,10 +1,10 @@
-r"""What an unmodelled effect may change, and the force that follows: one formula.
+r"""The quantities that an unmodelled effect may change, and the force that follows.
 
-A base model is taken through the similarity of every friction-limited tire: stiffness
-times r and friction times g give :math:`F(\sigma) = g F_0(\sigma r / g)`, exact for a
-brush. What similarity cannot express (the shape of the pressure, friction that falls
-while sliding) is the difference of two brushes of the base model's own stiffness and
-friction, one with the effect and one without.
+Changes of stiffness by a factor r and of friction by g use the similarity of
+friction-limited tires: :math:`F(\sigma) = g F_0(\sigma r / g)`, exact for a brush. For
+changes that similarity cannot express (the shape of the pressure, friction that falls
+while sliding), the difference of two brushes with the stiffness and friction of the base
+model is added, one with the effect and one without.
 """
 
 from typing import NamedTuple
@@ -20,10 +20,11 @@ from tirefit.params import Values
 
 
 class Covariates(NamedTuple):
-    """What effects may depend on: one value per row, (n,), or (n, k) where noted.
+    """The quantities on which effects may depend: one value per row, (n,), or (n, k) where
+    noted.
 
-    Zero where the data lack a column. Columns (n, k) of the past belong to the times of
-    :class:`rows.slips.Past`; they are zero without sweeps.
+    They are zero if the data lack a column. Columns (n, k) of the past are at the times
+    of :class:`rows.slips.Past`; they are zero without sweeps.
     """
 
     fz: Values  # load over its geometric mean
@@ -36,7 +37,7 @@ class Covariates(NamedTuple):
     lag: Values  # slip per distance over its usual value, times the spread of the slip
     turning: Values  # +1 while the size of the slip grows, -1 while it shrinks
     side: Values  # sign of the slip
-    other: Values  # the slip that the base model leaves out (sigma_y for F_x)
+    other: Values  # the slip that the base model ignores (sigma_y for F_x)
     force: Values  # force of the base model over its peak, signed
     usage: Values  # its size
     spin: Values  # d(omega)/dt over the rolling radius [rad/(m s^2)]
@@ -44,29 +45,29 @@ class Covariates(NamedTuple):
     past: Values  # (n, k) smooth slip before, at and after each row
     pull: Values  # (n, k) force of the base model there [N]
     twist: Values  # (n, k) its moment there [N m]
-    burden: Values  # (n, k) load there over that of the row
+    burden: Values  # (n, k) load there over the load of the row
     interval: Values  # time between the columns of the past [s]
     step: Values  # distance between them [m]
-    pace: Values  # speed [m/s], a share of the usual one at least
+    pace: Values  # speed [m/s], with a lower limit
     sliding: Values  # sliding speed of the measured slip [m/s]
     brisk: Values  # its typical largest value [m/s]
     cruise: Values  # geometric mean of the speed [m/s]
     rise: Values  # slip at half of the largest force
     peak: Values  # largest force over the load
-    work: Values  # (n, 3) work of sliding so far under each cooling, over its range
-    across: Values  # measured force across [N]
+    work: Values  # (n, 3) work of sliding so far with each cooling, over its range
+    across: Values  # measured force in the other direction [N]
     yaw: Values  # yaw rate over speed [1/m]
     ahead: Values  # longitudinal acceleration over its range
     swing: Values  # yaw acceleration [rad/s^2]
     heading: Values  # [rad]
-    lean: Values  # lateral acceleration over g; of a derived force, the base model's
+    lean: Values  # lateral acceleration over g; for a derived force, by the base model
     steering: Values  # road wheel angle [rad]
-    steered: Values  # (n, k) the same in the past
+    steered: Values  # (n, k) road wheel angle in the past
     pivot: Values  # slope of a derived force over the road wheel angle [N/rad]
-    run_slip: Values  # how the runs differ in slip offset, unit rms
-    run_force: Values  # in force offset
-    run_friction: Values  # in log friction
-    run_stiffness: Values  # in log stiffness
+    run_slip: Values  # pattern of the slip offsets of runs, unit rms
+    run_force: Values  # the same of force offsets
+    run_friction: Values  # the same of log friction
+    run_stiffness: Values  # the same of log stiffness
     change: Values  # -1/2 to 1/2, found by :func:`evidence.forms.shape_of_change`
     traction: Values  # force of the base model over the mean load
 
@@ -76,19 +77,19 @@ class State(NamedTuple):
 
     shift: Array  # added to the slip
     curvature: Array  # w: the slip x becomes x / (1 - w x)
-    other: Array  # slip across
+    other: Array  # the other slip
     stiffness: Array  # factor
     friction: Array  # factor
     skew: Array  # d of S(24)
     flat: Array  # share of the quartic law S(25)
     static: Array  # excess of static over kinetic friction, 1/m - 1
-    kinetic: Array  # factor on the kinetic friction alone
+    kinetic: Array  # factor on the kinetic friction only
     force: Array  # added to the measured force [N]
     moment: Array  # added to the moment [N m]
 
 
 def null_state() -> State:
-    """No effect at all."""
+    """The state without any effect."""
     zero, one = jnp.zeros(()), jnp.ones(())
     factors = {"stiffness": one, "friction": one, "kinetic": one}
     return State(**dict.fromkeys(State._fields, zero) | factors)
@@ -101,7 +102,7 @@ class _Shaped(AbstractPressure):
     flat: Array
 
     def _mix(self, name: str, u):
-        # A number to its users; here of a hypothesis, within a program.
+        # Users give a number; here it is a traced value of a hypothesis.
         leaning = Asymmetric(self.skew)  # type: ignore[arg-type]
         skewed = getattr(leaning, name)(u)
         return (1 - self.flat) * skewed + self.flat * getattr(Quartic(), name)(u)
@@ -120,18 +121,18 @@ class _Shaped(AbstractPressure):
 
 
 _NEWTON, _LEAST_SLOPE = 7, 0.05
-"""Newton's steps from the breakaway of the parabola, and the least slope that one
-divides by: they leave at most 3e-5 of the demand at any d and share of the effects."""
+"""Number of Newton steps from the breakaway of the parabola, and the smallest slope in
+them: the error is at most 3e-5 of the demand for all d and shares of the effects."""
 
 _PEAKS = (1e-3, 2.0, 60)
-"""Slips at which the largest force is looked for: from, to and how many, 14 % apart."""
+"""Slips at which the largest force is searched: first, last and number, 14 % apart."""
 
-_AT_REST = 1e-60  # square of a slip that keeps its size differentiable at zero
+_AT_REST = 1e-60  # added to a squared slip, so that its root is differentiable at zero
 
 
 def _holding(u, skew, flat):
-    """Demand ratio at which a bristle at u lets go, limit over demand: the pressures
-    S(24) and S(25) from the edge to u, over u."""
+    """Demand ratio (limit over demand) at which a bristle at u begins to slide: the
+    pressures S(24) and S(25) integrated from the edge to u, over u."""
     skewed = 0.75 * u * (1 + skew * (u - 1))
     return (1 - flat) * skewed + flat * 0.625 * u * (u * (u - 2) + 2)
 
@@ -169,7 +170,7 @@ def _breakaway_slope(primals, tangents):
 
 
 class _TwoFrictions(Friction):
-    """Static friction above the kinetic one, whatever the speed."""
+    """Static friction above the kinetic one, at any speed."""
 
     excess: Array | float = 0.0
     factor: Array | float = 1.0
@@ -182,14 +183,14 @@ class _TwoFrictions(Friction):
 
 
 def is_plain(model) -> bool:
-    """Whether a model is the plain brush, which carries changes of shape itself."""
+    """Whether a model is the plain brush, to which changes of shape apply directly."""
     brush = type(model) is Brush and type(model.pressure) is Parabolic
     return brush and not model.friction.laws
 
 
 def arm_of(model):
-    """Half-length of the contact patch [m]; a car's for models that state none: it
-    scales the aligning moment alone."""
+    """Half-length of the contact patch [m]; that of a car tire for models without one, as
+    it only scales the aligning moment."""
     return getattr(model, "half_length", 0.1)
 
 
@@ -207,20 +208,20 @@ def peak_ratio(base, fz, v):
 
 
 def slope_at_rest(base, inputs: TireInputs, mode: str):
-    """Slope of the force that the slip of a mode drives, over that slip [N]."""
+    """Slope of the force over the slip of a mode [N]."""
     driven, name = ("alpha", "fy") if mode == "y" else ("sigma_x", "fx")
 
     def force(slip):
         return getattr(base(inputs._replace(**{driven: slip})), name)
 
-    # Not at zero itself, where some laws have half a slope.
+    # Not at exactly zero, where some laws have half the slope.
     return jax.jvp(force, (1e-6,), (1.0,))[1]
 
 
 def slip_of_state(state: State, slip):
     """The true slip behind a measured one."""
     moved = slip + state.shift
-    # x / (1 - w x) has a pole at 1 / w: it grows twentyfold at most.
+    # x / (1 - w x) has a pole at 1 / w, so limit it to twenty times x.
     return moved / jnp.maximum(1 - state.curvature * moved, 0.05)
 
 
@@ -232,7 +233,7 @@ def with_offsets(found, state: State, mode: str):
 
 
 def _shape_change(state: State, stiffness, mu, arm, slip, fz, bare: bool):
-    """Force and moment of a brush with the effects, less those of one without."""
+    """Force and moment of a brush with the effects, minus those of one without."""
     pressure = _Shaped(state.skew, state.flat)
     friction = _TwoFrictions(excess=state.static, factor=state.kinetic)
     with_effect = Brush(stiffness, mu, arm, pressure, friction).pure(slip, fz, 0.0)
@@ -247,8 +248,8 @@ def force_of_state(base, reference, state: State, slip_x, slip_y, inputs: TireIn
 
     Args:
         base: the base model with its parameter values.
-        reference: None where the base is the plain brush; else (c_p a^2 [N], mu,
-            half-length [m]) of the brush that carries changes of shape.
+        reference: None if the base is the plain brush; else (c_p a^2 [N], mu,
+            half-length [m]) of the brush used for changes of shape.
         state: the effects at this sample (scalars).
         slip_x, slip_y: true physical slips [-].
         inputs: load, speed and the other inputs of the base model.

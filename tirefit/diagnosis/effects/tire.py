@@ -23,11 +23,11 @@ from tirefit.diagnosis.effects.record import (
 from tirefit.diagnosis.negligible import FLAT
 
 _SKEWS = (-0.32, 0.95)
-"""d of S(24) between which the pressure and its slope at the edge keep their signs."""
+"""Range of d of S(24) in which the pressure and its slope at the edge keep their signs."""
 
 _FLATNESSES = (-0.6, 1.0)
-"""Share of the quartic law S(25): from a pressure whose middle is a tenth higher than
-that of the parabola, to the law itself."""
+"""Range of the share of the quartic law S(25): from a pressure with a middle a tenth
+higher than that of the parabola, to the law itself."""
 
 _FALLS = ((0.15, 1.0), (0.6, 1.0), (0.6, 0.5), (2.0, 1.0), (4.0, 0.5), (0.1, 0.0))
 """(v_st over the largest sliding speed of the file, exponent) of the falls of friction
@@ -43,18 +43,19 @@ _STRETCHES = tuple(
     for length, begins in ((3, range(-8, 8, 2)), (7, range(-8, 4, 2)))
     for begin in begins
 )
-"""Begin and end of a stretch of another road, same unit: 1/7 and 1/3 of the record."""
+"""Begin and end of a stretch of another road, in the same unit: 1/7 and 1/3 of the
+record."""
 
 _DRIFTS = ((1.0, 1.0), (0.0, 0.12), (0.0, 0.35))
-"""(1 for an even drift, else 0; time constant of a drift that is quick at first, as a
+"""(1 for a linear drift, else 0; time constant of a drift that is fast at first, as a
 share of the record)."""
 
 _POWERS = (-3.0, 3.0)
-"""Powers of the load that stiffness or friction may follow: tires have -0.3 to 1."""
+"""Bounds of the power of the load for stiffness and friction; tires have -0.3 to 1."""
 
 _OF_FRICTION = 0.62
-"""Force by the stiffness alone over the friction, at the slip of half the largest
-force: 3 (1 - 2^(-1/3)) of a brush."""
+"""Stiffness times slip over friction at the slip of half the largest force; a brush has
+3 (1 - 2^(-1/3))."""
 
 _LEAST_KINETIC = 1e-3  # smallest kinetic friction over its usual value
 
@@ -80,10 +81,10 @@ def _linear_loss(state, loss, constants, rows):
 
 
 def _fall(state, share, constants, rows):
-    """Factor 1 - share (1 - exp(-(v_s / v_st)^exponent)), S(37), or by the logarithm,
-    on the kinetic friction alone, or on both. A share below zero is a rise."""
+    """Factor 1 - share (1 - exp(-(v_s / v_st)^exponent)), S(37), or with the logarithm,
+    on the kinetic friction or on both. A negative share is a rise."""
     v_st, exponent, both = constants
-    # The power has no slope at rest, where the patch slides nowhere.
+    # The power is not differentiable at rest, where the patch does not slide.
     speed = jnp.maximum(rows.sliding / rows.brisk, FLAT) / v_st
     decay = -jnp.expm1(-(speed ** jnp.where(exponent > 0, exponent, 1.0)))
     # The share is the loss at the largest sliding speed of the file.
@@ -133,22 +134,23 @@ def _which_step(constants, rows, time) -> str:
 
 
 def _drift(share, constants, rows):
-    """Even over the record, or quick at first: 1 - exp(-t / way), about its middle."""
+    """A drift that is linear over the record, or fast at first as 1 - exp(-t / tau); zero
+    at the middle."""
     even, way = constants
     late = 0.5 - jnp.exp(-(rows.time + 0.5) / way)
     return 1 + share * blend((even, 1 - even), rows.time, late)
 
 
 def _step(share, constants, rows):
-    """At one time, between two, or in the shape that was found."""
+    """A change at one time, between two times, or with the shape that was found."""
     begin, end, shaped = constants
     sudden = jnp.where((rows.time > begin) & (rows.time < end), 0.5, -0.5)
     return 1 + share * blend((1 - shaped, shaped), sudden, rows.change)
 
 
 def _other(state, share, constants, rows):
-    """The slips share the friction as in the patch, or the force falls with the other
-    slip by a weight of its own, cos(arctan B alpha), Pacejka 4.3.2."""
+    """Both slips share the friction in the patch, or the force is multiplied by a weight
+    that falls with the other slip, cos(arctan B alpha), Pacejka 4.3.2."""
     shared, weighted = constants
     taken = share * _OF_FRICTION * rows.other / (rows.rise * rows.fz)
     factor = 1 - weighted * (1 - 1 / jnp.sqrt(1 + taken**2))
@@ -157,7 +159,7 @@ def _other(state, share, constants, rows):
 
 
 def _with_load(name, state, amplitude, constants, rows):
-    """A power of the load, linear in it or in its logarithm."""
+    """A dependence on the load: a power, linear, or linear in its logarithm."""
     linear = jnp.maximum(1 + amplitude * (rows.fz - 1), LEAST_FACTOR)
     slow = jnp.maximum(1 + amplitude * jnp.log(rows.fz), LEAST_FACTOR)
     factor = blend(constants, rows.fz**amplitude, linear, slow)
@@ -275,7 +277,7 @@ PATCH = (
         id="kinetic_friction", family="friction",
         change=adds("static", lambda a, constants, rows: a), scale=0.25,
         formula="mu_k = mu_s / (1 + amplitude), S(31)",
-        means="friction falls once the bristles slide", remedy="fit brush-m",
+        means="friction falls when the bristles begin to slide", remedy="fit brush-m",
         parameter="mu_s / mu_k - 1", bounds=((0.0, 4.0),),  # a fifth of the grip stays
         forms=free.SHAPE_OF_THE_CURVE, singular=True, told_apart_by="speeds",
     ),
@@ -289,7 +291,7 @@ PATCH = (
     ),
     Effect(
         id="carcass_flexibility", family="structure",
-        # With the base model's force: the slip that it takes up is small.
+        # With the force of the base model, as the slip that the carcass takes is small.
         change=adds("shift", lambda a, _, rows: -a * rows.traction), scale=0.5,
         per=("slip",), formula="slip - amplitude F / F_z, S(15)",
         means="the carcass yields under the force",
@@ -315,7 +317,7 @@ _BY_SPEED = (
         means="friction changes with the sliding speed, most of it at low speeds",
         remedy="fit brush-h with this v_st; where all friction changes, mu for each"
         " speed", parameter="1 - h",
-        bounds=((-1.0, 1.0),),  # at low sliding speeds rubber grips more, the faster
+        bounds=((-1.0, 1.0),),  # at low sliding speeds, the friction of rubber may rise
         needs=("v",), which=_which_fall, forms=free.FRICTION_BY_SPEED,
         variants=tuple((*fall, both) for both in (0.0, 1.0) for fall in _FALLS),
         looks_like=("friction_speed_linear",), told_apart_by="speeds",
@@ -340,7 +342,7 @@ _BY_STATE = (
         change=multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.turning),
         formula="mu differs by amplitude between growing and shrinking slip",
         means="friction differs between growing and shrinking slip", needs=("sweeps",),
-        remedy="fit the two parts as runs of their own", bounds=((-1.2, 1.2),),
+        remedy="fit the two parts as separate runs", bounds=((-1.2, 1.2),),
         forms=free.FRICTION_BY_DIRECTION, told_apart_by="two ramp rates",
         looks_like=("channel_delay", "relaxation_length"),
     ),
@@ -349,7 +351,7 @@ _BY_STATE = (
         change=multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.side),
         formula="mu differs by amplitude between the two signs of slip",
         means="friction differs between the two signs of slip", bounds=(SHARE,),
-        remedy="fit the two parts as runs of their own", needs=("signs",),
+        remedy="fit the two parts as separate runs", needs=("signs",),
         forms=free.BY_SIDE, looks_like=("force_offset",), told_apart_by="loads",
     ),
     Effect(

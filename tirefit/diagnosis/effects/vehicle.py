@@ -1,5 +1,5 @@
-"""Effects of the vehicle: radii that change, speeds with a zero, forces across, load
-transfer, inertia, floor, both wheels of an axle, steering."""
+"""Effects of the vehicle: changing radii, speed offsets, the other force, load transfer,
+inertia, the ground, the two wheels of an axle, steering."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,22 +24,22 @@ from tirefit.diagnosis.effects.record import (
 )
 
 _ALL_BUT, _DOUBLED = 0.95, -3.0
-"""Largest share of the friction that a force across takes, and the largest that it
-adds: the friction is doubled."""
+"""Largest share of the friction that the other force uses, and largest share that it
+adds (the friction is then doubled)."""
 
 _ALIKE, _ONE_LOAD = 0.9, 0.1
-"""Correlation of speed and slip above which, and standard deviation of log F_z below
-which, an effect of the speed or the load is hardly separable from a constant one."""
+"""Limits of an effect of speed or load: with a larger correlation of speed and slip, or a
+smaller standard deviation of log F_z, it is hardly separable from a constant one."""
 
 _DIRECTIONS = tuple(np.radians([0.0, 45.0, 90.0, 135.0]))
-"""Directions of a slope over the floor; the other half is the other sign."""
+"""Directions of a slope of the ground; opposite ones have the opposite sign."""
 
 _OF_BOTH = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
-"""Exponents of a factor on friction and stiffness: one of them, or both."""
+"""Exponents of a factor on friction and stiffness: on one of them, or on both."""
 
 
 def _slip_speed(share, constants, rows):
-    """Slip of a radius that grows with v or v^2; zero at rest or at the usual speed."""
+    """Slip due to a radius that grows with v or v^2; zero at rest or at usual speed."""
     even, square, about = constants
     grown = blend((even, square), rows.v, rows.v**2 / rows.cruise)
     return share * (grown - about * rows.cruise)
@@ -61,14 +61,14 @@ def _ellipse(state, share, constants, rows):
 
 
 def _one_speed_of_the_slip(prepared) -> float:
-    """Log odds, less where the speed follows the slip: the slip explains the same."""
+    """Log odds, smaller if the speed follows the slip, as slip then explains the same."""
     speed, slip = prepared.covariates.v, np.abs(prepared.slip)
     alike = abs(np.corrcoef(speed, slip)[0, 1]) if np.ptp(speed) > 0 else 0.0
     return seldom(prepared) - 2 * float(alike > _ALIKE)
 
 
 def _one_load(prepared) -> float:
-    """Log odds, less where the load hardly varies: a constant zero fits as well."""
+    """Log odds, smaller if the load hardly varies, as a constant offset fits as well."""
     varies = float(np.std(np.log(prepared.inputs.fz)))
     return seldom(prepared) - 2 * float(varies < _ONE_LOAD)
 
@@ -86,7 +86,7 @@ def _round_the_floor(rows, u):
 
 
 def _of_the_axle(id: str, factor, **given) -> Effect:
-    """Friction, stiffness or both times a factor of the lateral acceleration."""
+    """A factor that depends on the lateral acceleration, on friction, stiffness or both."""
 
     def change(state, amplitude, constants, rows):
         friction, stiffness = constants
@@ -113,13 +113,13 @@ SPEEDS = (
     Effect(
         id="slip_offset_load", of="measurement",
         family="slip x load", scale=0.2, per=("slip",),
-        # About the usual load, or from none on.
+        # Zero at the usual load, or at zero load.
         change=adds("shift", lambda a, about, rows: a * (rows.fz - about[0])),
         unit="- of slip",
         formula="slip + amplitude (F_z / F_z0 - 1); effective rolling radius,"
         " Pacejka 1.2",
         means="the zero of the slip moves with load",
-        remedy="take the rolling radius (steering zero) as a function of load",
+        remedy="use a rolling radius (steering zero) that depends on the load",
         bounds=((-4.0, 4.0),), odds=_one_load, needs=("loads",),
         variants=((1.0,), (0.0,)), forms=free.over("shift", 0.1, "fz"),
         looks_like=("load_crosstalk", "conicity", "load_stiffness"),
@@ -131,8 +131,8 @@ SPEEDS = (
         change=adds("shift", _slip_speed), unit="s/m", bounds=((-6.0, 6.0),),
         formula="slip + amplitude v: a tire that grows with its speed",
         means="the zero of the slip moves with speed", odds=_one_speed_of_the_slip,
-        remedy="take the rolling radius as a function of speed; laterally check what"
-        " turns the wheel or the zero of the heading with speed", needs=("speeds",),
+        remedy="use a rolling radius that depends on the speed; for lateral slip, check"
+        " what steers the wheel or shifts the heading with speed", needs=("speeds",),
         variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0)),
         forms=free.SHIFT_BY_SPEED, looks_like=("speed_zero", "speed_drag"),
         told_apart_by="both signs",
@@ -142,7 +142,7 @@ SPEEDS = (
         family="slip x speed", scale=0.3, per=("inverse_speed",),
         change=adds("shift", lambda a, _, rows: a / rows.pace), unit="m/s",
         formula="slip + amplitude / v", parameter="zero", bounds=((-6.0, 6.0),),
-        means="a speed is off by a constant, so the slip is off at low speed",
+        means="a speed has a constant error, so the slip is wrong at low speed",
         remedy="check the zeros of the speed sensors at rest (ahead, across, of the"
         " wheel)", odds=_one_speed_of_the_slip, needs=("speeds",),
         forms=free.SHIFT_BY_SPEED, looks_like=("slip_offset_speed", "speed_drag"),
@@ -162,8 +162,8 @@ SPEEDS = (
         id="friction_ellipse", family="friction x force", change=_ellipse, scale=0.3,
         formula="mu, or the whole force, times sqrt(1 - amplitude (F_across / (mu"
         " F_z))^2)", parameter="share", bounds=((0.0, 6.0),), center=1.0,
-        means="the force across (drive, brake, cornering) uses a part of the friction",
-        remedy="fit a combined model to both forces, or exclude rows with force across",
+        means="the other force (drive, brake, cornering) uses a part of the friction",
+        remedy="fit a combined model to both forces, or exclude rows with other force",
         prior=of_a_known_force, needs=("other force",), variants=((0.0,), (1.0,)),
         forms=(
             *free.over("friction", 0.03, "across", free.BOTH_WAYS),
@@ -176,8 +176,8 @@ SPEEDS = (
         change=adds("shift", lambda a, _, rows: a * rows.yaw), parameter="distance",
         formula="slip angle + amplitude (yaw rate) / v", bounds=((-6.0, 6.0),),
         means="the slip angle is that of another point than the axle",
-        remedy="measure tracked_point of vehicle.toml: it is off by the amplitude along"
-        " the vehicle", prior=of_a_known_position, needs=("yaw_rate", "v"),
+        remedy="measure tracked_point of vehicle.toml: its error along the vehicle is"
+        " the amplitude", prior=of_a_known_position, needs=("yaw_rate", "v"),
         channels=("fy", "mz"), told_apart_by="speeds",
         looks_like=("slip_offset", "carcass_flexibility"),
     ),
@@ -187,7 +187,7 @@ SPEEDS = (
         change=multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
         unit="over its range in the file", remedy="add m h a_x / wheelbase to fz",
         formula="F_z + amplitude (geometric mean F_z) a_x: m h a_x / wheelbase",
-        means="the load moves between the axles with the acceleration, and fz does not",
+        means="acceleration moves load between the axles, which fz does not include",
         parameter="share", bounds=(SHARE,), prior=of_a_known_height, needs=("a_x",),
         forms=free.over("friction", 0.03, "ahead"), told_apart_by="loads",
         looks_like=("drive_brake_asymmetry", "friction_ellipse"),
@@ -212,8 +212,8 @@ CHASSIS = (
         family="force x heading", change=adds("force", _slope),
         scale=0.01, parameter="slope", bounds=((-0.1, 0.1),), odds=seldom,
         formula="F_y + amplitude F_z cos(heading - direction): m g sin(slope)",
-        means="the floor or road is not level: the weight pulls the vehicle one way",
-        remedy="level the floor, or drive each test both ways and take the mean",
+        means="the ground is not level: the weight has a component along it",
+        remedy="use level ground, or drive each test in both directions and average",
         needs=("heading", "derived force"), channels=("fy",),
         variants=tuple((float(np.cos(d)), float(np.sin(d))) for d in _DIRECTIONS),
         forms=(free.Form("force", 0.005, _round_the_floor),),
@@ -234,7 +234,7 @@ CHASSIS = (
         "lateral_load_transfer", lambda a, lean: 1 - a * lean**2, scale=0.15,
         unit="1 / g^2", parameter="loss", bounds=((0.0, 0.9),), told_apart_by="loads",
         formula="1 - amplitude (a_y / g)^2 on friction or stiffness; Milliken 1995, 7",
-        means="the wheels of the axle share the load unevenly, which costs grip",
+        means="the load is uneven on the wheels of the axle, which reduces the friction",
         remedy="give the load of each wheel, or fit a model whose friction falls with"
         " load",
         looks_like=("pressure_flatness", "load_friction", "friction_speed_linear"),

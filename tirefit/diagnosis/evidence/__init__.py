@@ -1,1 +1,1 @@
-"""Room 3: forward model, search over sets of effects, discrepancy."""
+"""Forward model, search over sets of effects, posterior with a discrepancy."""

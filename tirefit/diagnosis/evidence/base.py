@@ -1,4 +1,4 @@
-"""The base model fitted with its noise judged: where every diagnosis starts."""
+"""Fit the base model and estimate its noise, as the start of a diagnosis."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,7 +19,7 @@ from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
 _SMALL = 1e-3
-"""Noise of the slip by which the slope of a force is taken."""
+"""Step of the slip, in standard deviations of its noise, for the slope of a force."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,9 +39,9 @@ class Fit:
 
 @dataclass(frozen=True, kw_only=True)
 class Base(Fit):
-    """The base fit of a diagnosis under the judged noise, by channel. ``alone`` is the
+    """The base fit of a diagnosis with the estimated noise, by channel. ``alone`` is the
     refit without effects that gave z. Whitened values are over the used rows of all
-    channels, (m, ...). ``linear`` keeps the last linearised fits, by (z, amplitudes).
+    channels, (m, ...). ``linear`` caches the last linearised fits, by (z, amplitudes).
     """
 
     alone: fits.Refit
@@ -50,7 +50,7 @@ class Base(Fit):
 
     @property
     def as_given(self) -> np.ndarray:
-        """Parameters z that the gap starts from: the simulator's, else the fit's."""
+        """Parameters z that define the gap: those of the simulator, else of the fit."""
         return self.z if self.simulator is None else self.simulator.z
 
     @property
@@ -62,8 +62,8 @@ class Base(Fit):
         return self.tire.layout
 
     def off_bounds(self, z) -> np.ndarray:
-        """Parameters z, with the first guess for those that rest on a bound: there they
-        have no slope, so no refit that starts there leaves it."""
+        """Parameters z, with the first guess for those at a bound, where the slope is
+        zero and a refit could not leave the bound."""
         on_bound = np.abs(z) > 6.0  # 0.25 % of the interval
         return np.where(on_bound, self.guess, z)
 
@@ -78,27 +78,27 @@ class Base(Fit):
 
     @cached_property
     def generic(self) -> Generic:
-        """Generic functions for each channel by itself, whitened: (m, b)."""
+        """Generic functions of each channel separately, whitened: (m, b)."""
         fields = np.asarray(self.at_null.fields)
         return forms.whitened_generic(self.rows, self.design, self.slip_fraction, fields)
 
     @cached_property
     def doubt(self) -> np.ndarray:
-        """Error of the residual shared by rows, due to the unknown true slips: columns
-        (m, k) times independent unit normal numbers."""
+        """Error of the residual that rows share through the unknown true slips: columns
+        (m, k), each times an independent unit normal number."""
         rows = self.rows
         off = slip_doubt(rows.slip_law, rows.slip, rows.slip_std, rows.path)
         return np.concatenate([self._forces_of(off), self.proxies], axis=1)
 
     @cached_property
     def _doubtful(self) -> tuple[np.ndarray, np.ndarray]:
-        """Orthonormal directions (m, k) of the doubt, and the share (k,) of the
-        residual along each that is removed."""
+        """Orthonormal directions (m, k) of the slip uncertainty, and the share (k,) of
+        the residual along each that is removed."""
         along, size, _ = np.linalg.svd(self.doubt, full_matrices=False)
         return along, 1 - 1 / np.sqrt(1 + size**2)
 
     def sure(self, values) -> np.ndarray:
-        """Whitened values (m, ...), whitened for the doubt too."""
+        """Whitened values (m, ...), also whitened for the slip uncertainty."""
         along, unknown = self._doubtful
         return values - (along * unknown) @ (along.T @ values)
 
@@ -162,8 +162,8 @@ class Base(Fit):
         return fits.refit(self.tire, starts, sets, design or self.design)
 
     def refit_folds(self, starts, sets, keeps) -> fits.Refit:
-        """Hypotheses refitted on each of some sets of the used rows (f, n), without
-        outliers: leading axes (f, sets)."""
+        """Hypotheses refitted on several sets of the used rows (f, n), without outliers:
+        leading axes (f, sets)."""
         every = np.zeros((len(keeps), len(self.design.keep)))
         every[:, : self.rows.n] = keeps
         every *= self.design.keep
@@ -201,9 +201,9 @@ def fit_base(
     """Fit the base model, judge the noise, and fit again under it.
 
     Args:
-        name: of the model; None for the brush, or what stands in for a simulator best.
-        given: a simulator, whose forces stand in the data: the base is it, adapted;
-            without a tire of its own the model ``name`` stands in for it.
+        name: of the model; None for the brush, or the best stand-in for a simulator.
+        given: a simulator, whose forces are in the data: the base is this simulator,
+            adapted; if only its forces are known, the model ``name`` is its stand-in.
 
     Raises:
         DataError: the model does not follow the simulator, or that has other signs.
@@ -236,9 +236,9 @@ def fit_base(
 
 
 def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
-    """Noise of the slip estimated from the measured forces and the model ``name``. Zero
-    where it is known, where both slips drive, and where the force was derived from the
-    motion, which has the same errors as the slip."""
+    """Noise of the slip, estimated from the measured forces and the model ``name``. Zero
+    if it is known, if both slips drive, or if the force was derived from the motion,
+    which has the same errors as the slip."""
     known = prepared.slip_source != NOT_STATED or prepared.derived is not None
     if known or prepared.mode == "xy":
         return 0.0
@@ -246,7 +246,7 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     noisy = replace(prepared, slip_std=np.full(prepared.n, _SMALL))
     channel, design = prepared.channels[0], fits.design_of(noisy, effects, rig)
     mean, spread = tire.moments(z, design, prepared.n)
-    # Where the slip changes its sign the curve bends, and any shift of it is a gap.
+    # Where the slip changes its sign the curve bends, and a shift of it is a gap.
     side, groups = prepared.slip > 0, neighbours(prepared)
     one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
     return slip_scatter(
@@ -259,7 +259,7 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
 
 
 def _under(noise: Mapping[str, NoiseLevel], fit: Fit) -> Base:
-    """The base refitted under a noise."""
+    """The base refitted with this noise."""
     size, n, levels = len(fit.design.keep), fit.rows.n, noise.values()
     wide = np.sqrt(max(level.inflation for level in levels))
     scale = {c: pad_rows(level.std * wide, size) for c, level in noise.items()}
@@ -281,13 +281,13 @@ def _under(noise: Mapping[str, NoiseLevel], fit: Fit) -> Base:
 
 
 def with_noise_judged(base: Base, rig, z, amplitudes) -> Base:
-    """The base refitted under the noise of the remainder of a fit (z, amplitudes).
-    Outliers are excluded: this needs a fit without a gross gap."""
+    """The base refitted with the noise of the remainder of a fit (z, amplitudes).
+    Outliers are excluded, which requires a fit without a gross gap."""
     return _under(_noise(replace(base, z=z), rig, amplitudes, outliers=True), base)
 
 
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:
-    """The same fit on other rows, for its forces: the noise is that of its own rows."""
+    """The same fit on other rows, for its forces; the noise is that of its own rows."""
     tire, prepared = base.tire, on_scale_of(prepared, base.rows)
     design = fits.design_of(prepared, tire.effects, rig)
     if base.simulator is not None:
@@ -296,8 +296,8 @@ def on_rows(base: Base, prepared: Prepared, rig) -> Base:
 
 
 def _slip_fraction(prepared: Prepared, tire: Tire, z, design):
-    """Slip over that of full sliding (n,), 3 mu F_z / (2 c) of the brush with the
-    base's slope and peak."""
+    """Slip (n,) over that of full sliding, 3 mu F_z / (2 c) for the brush with slope and
+    peak of the base."""
     stiffness, mu = tire.brush(z, design)
     stiffness = np.maximum(np.asarray(stiffness)[: prepared.n], FLAT)
     size = np.hypot(prepared.slip, prepared.second)
@@ -306,7 +306,7 @@ def _slip_fraction(prepared: Prepared, tire: Tire, z, design):
 
 
 def _noise(fit: Fit, rig, amplitudes=(), outliers=False) -> dict[str, NoiseLevel]:
-    """Noise of each channel, judged on the remainder of a fit."""
+    """Noise of each channel, estimated from the remainder of a fit."""
     rows, fz = fit.rows, fit.rows.inputs.fz
     mean, spread = fit.tire.moments(fit.z, fit.design, rows.n, amplitudes)
     typical, most = fz / np.mean(fz), rows.n // 6

@@ -1,7 +1,7 @@
 """Changes of the state of every row by effects.
 
-JAX traces each change once, NumPy evaluates it: XLA needs 15 s of processor time to
-compile the fifty effects of the library, more than a diagnosis runs.
+JAX traces each change once and NumPy evaluates it, as XLA needs 15 s of processor time to
+compile the fifty effects of the library, more than a diagnosis takes.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +18,7 @@ from tirefit.diagnosis.effects.state import Covariates, State, null_state
 from tirefit.results import InputProblem, UsageError
 
 MOST_EFFECTS = 3
-"""Effects of one hypothesis, at most."""
+"""Largest number of effects of one hypothesis."""
 
 Present = Sequence[tuple[int, float]]
 """Numbers and amplitudes, in their own units, of the atoms of a hypothesis."""
@@ -28,9 +28,8 @@ Slopes = dict[int, np.ndarray | float]
 
 
 class Changes(NamedTuple):
-    """Changes of a state by each atom: ``slopes`` by its amplitude. For an atom whose
-    slope vanishes or misleads: the state (F, n) in ``ends``, ``sizes`` prior scales
-    away."""
+    """Changes of a state by each atom: ``slopes`` over its amplitude. If the slope of an
+    atom vanishes or misleads, ``ends`` has the state (F, n) at ``sizes`` prior scales."""
 
     slopes: dict[int, Slopes]
     ends: dict[int, np.ndarray]
@@ -58,7 +57,7 @@ class _Change:
                 for field, value in enumerate(after)
                 if value is not before[field]
             }
-        except Exception as error:  # whatever a user's function raises
+        except Exception as error:  # the function of a user may raise any error
             reason = f"effect {self._effect.id!r}: {type(error).__name__}: {error}"
             remedy = "its change takes (state, amplitude, constants, rows) and gives"
             remedy += " a state, each field a number or one for each row"
@@ -97,7 +96,7 @@ class _Change:
         return after, by_field or {0: np.zeros(state.shape[1])}
 
     def passed_on(self, slopes: Slopes, state, amplitude, constants, rows) -> Slopes:
-        """Slopes of the state before the change as those of the state after it."""
+        """Slopes of the state after the change, from those of the state before it."""
         before = np.zeros_like(state)
         for number, slope in slopes.items():
             before[number] = slope
@@ -107,7 +106,7 @@ class _Change:
 
 
 class Library:
-    """The atoms of effects, with the changes that were traced so far."""
+    """The atoms of effects, with the changes traced so far."""
 
     def __init__(self, effects: tuple[Effect, ...]):
         self.atoms = atoms_of(effects)
@@ -140,8 +139,8 @@ class Library:
         return state, slopes
 
     def changes(self, present: Present, rows: Covariates, scale, center) -> Changes:
-        """Changes by each atom beside those present. ``scale`` are the prior scales
-        (K,) of the amplitudes, ``center`` their expected values in those scales."""
+        """Changes by each atom in addition to those present. ``scale`` are the prior
+        scales (K,) of the amplitudes, ``center`` their expected values in those scales."""
         whole, amplitudes = self.state(present, rows), dict(present)
         found = Changes({}, {}, {})
         for number, atom in enumerate(self.atoms):
@@ -163,13 +162,13 @@ class Library:
 
 @lru_cache(maxsize=64)
 def library_of(effects: tuple[Effect, ...]) -> Library:
-    """The library of these effects, kept so that each is traced once."""
+    """The library of these effects, cached so that each is traced once."""
     return Library(effects)
 
 
 @lru_cache(maxsize=64)
 def _nothing(count: int) -> np.ndarray:
-    """The state (F, n) without any effect; not to be written to."""
+    """The state (F, n) without any effect; read-only."""
     return np.repeat([[float(value)] for value in null_state()], count, axis=1)
 
 
@@ -182,10 +181,10 @@ _ELEMENTWISE: dict[str, Callable] = {
     "pow": np.power, "sign": np.sign, "sin": np.sin, "sqrt": np.sqrt,
     "square": np.square, "sub": np.subtract, "tan": np.tan, "tanh": np.tanh,
 }  # fmt: skip
-"""Primitives of JAX that one function of NumPy does."""
+"""Primitive of JAX -> the equivalent function of NumPy."""
 
 _WITHIN = {"jit": "jaxpr", "custom_jvp_call": "call_jaxpr"}
-"""Primitives that are a function by itself, and the parameter that holds it."""
+"""Primitive that contains a function -> the parameter that holds it."""
 
 
 def _traced(function: Callable, *example: Any) -> tuple[Any, Any]:
@@ -198,7 +197,7 @@ def _traced(function: Callable, *example: Any) -> tuple[Any, Any]:
 def _by_numpy(traced: tuple, known: Mapping[int, np.ndarray]) -> Callable:
     """A NumPy function of arrays, or tuples of arrays, from a traced program. Results
     with one value for all rows may be scalars. ``known`` holds leaves of the arguments
-    by number: what follows from them is evaluated once."""
+    by number; values that depend only on them are evaluated once."""
     closed, structure = traced
     count = len(closed.jaxpr.invars)
     steps = _Steps([known.get(k) for k in range(count)])
@@ -222,7 +221,7 @@ def _by_numpy(traced: tuple, known: Mapping[int, np.ndarray]) -> Callable:
 
 
 class _Steps:
-    """Operations in sequence on a list of values; None is a value not known yet."""
+    """Operations in sequence on a list of values; None is a value not yet computed."""
 
     def __init__(self, values: list):
         self.values = values
@@ -272,7 +271,7 @@ class _Steps:
 
 def _operation(equation) -> Callable:
     """NumPy function of an equation: arrays that broadcast to the shapes of its
-    variables -> tuple of such arrays. JAX evaluates what NumPy has no short way for."""
+    variables -> tuple of such arrays. JAX evaluates primitives that NumPy lacks."""
     name, told = equation.primitive.name, equation.params
     shapes = [variable.aval.shape for variable in equation.invars]
     if name in _ELEMENTWISE:
@@ -316,4 +315,4 @@ _OF_WHOLE: dict[str, Callable] = {
     "slice": _part,
     "squeeze": lambda x, told: np.squeeze(x, told["dimensions"]),
 }
-"""Primitives on arrays of the very shapes of their variables."""
+"""Primitives that need arrays of exactly the shapes of their variables."""

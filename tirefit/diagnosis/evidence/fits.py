@@ -32,15 +32,15 @@ from tirefit.padding import pad_rows, padded_size
 from tirefit.results import DataError
 
 _STEPS, _TOLERANCE, _FARTHEST = 26, 1e-3, 20.0
-"""Most steps of a refit, chi-squared that one more step may still gain (evidence counts
-in whole units), and largest amplitude in prior scales."""
+"""Largest number of steps of a refit; chi-squared that one more step may gain (whole
+units of evidence matter); and largest amplitude in prior scales."""
 
 _LEAST_ROWS = 256
-"""Smallest number of rows that a diagnosis is compiled for: small files share it."""
+"""Smallest number of rows for which a diagnosis is compiled; small files share it."""
 
 _FARTHEST_OFF, _CLOSELY = 0.2, 0.01
-"""Largest error of a stand-in for a simulator, as a share of the simulated force (rms),
-and error up to which the plain one is good enough."""
+"""Largest error of a stand-in for a simulator over the simulated force (rms), and error
+up to which the simplest stand-in is used."""
 
 
 class Refit(NamedTuple):
@@ -71,7 +71,7 @@ class Normal(NamedTuple):
 
 class _Hypotheses:
     """Sets of atoms, each on some sets of rows, to be refitted from ``starts`` (h, w).
-    Smaller sets are filled up with amplitudes of no effect."""
+    Smaller sets are padded with amplitudes without effect."""
 
     def __init__(self, model: Tire, starts, sets, keeps, design: Design):
         self.model, self.design, self.p = model, design, len(starts[0][0])
@@ -119,7 +119,7 @@ def refit_folds(model: Tire, starts, sets, keeps, design: Design) -> Refit:
     z, best = minimised(those.at, those.starts, those.allowed, 0.0, _TOLERANCE, _STEPS)
     p, shape = those.p, (len(keeps), len(sets))
     penalty = np.sum((z[:, p:] - those.center) ** 2, axis=1)
-    # A parameter at its bound has no curvature; what is left of it cancels.
+    # A parameter at its bound has no curvature; its remainder cancels.
     curvature = best.normal + FLAT * np.eye(z.shape[1])
     found = (
         z[:, :p],
@@ -214,7 +214,7 @@ def design_of(prepared: Prepared, effects, rig) -> Design:
         weight=pad_rows(weight, size),
         second=pad_rows(prepared.second, size),
         observed={c: pad_rows(x, size) for c, x in observed.items()},
-        # A first guess; the noise is judged later.
+        # A first guess; the noise is estimated later.
         scale={c: np.full(size, 0.05 * np.std(x)) for c, x in observed.items()},
         offset={c: np.zeros(size) for c in observed},
         hold=np.zeros(()),
@@ -310,29 +310,29 @@ def missed_share(prepared, channel: str, values) -> float:
 
 
 def check_followed(prepared, missed: dict, name: str) -> None:
-    """Raises DataError where a stand-in of model ``name`` misses too much of the
-    simulated forces; ``missed`` is (n,) by channel."""
+    """Raises DataError if the stand-in ``name`` does not follow the simulated forces;
+    ``missed`` is its error (n,) by channel."""
     for c, values in missed.items():
         share = missed_share(prepared, c, values)
         if share > _FARTHEST_OFF:
             reason = (
-                f"the tire that stands in for the simulator does not follow it: it"
-                f" misses {c}_sim by {_rms(values):.3g} {CANONICAL[c][0]} rms,"
+                f"the tire fitted to the simulator ({name}) does not follow it: the error"
+                f" of {c}_sim is {_rms(values):.3g} {CANONICAL[c][0]} rms,"
                 f" {100 * share:.0f} % of it ({100 * _FARTHEST_OFF:.0f} % at most)"
             )
-            remedy = f"choose a base model nearer to the simulator than {name} with"
-            remedy += f" --model, and check sign, unit and row order of {c}_sim"
+            remedy = "choose a base model closer to the simulator with --model, and check"
+            remedy += f" sign, unit and row order of {c}_sim"
             raise unfit(prepared.data, reason, remedy)
 
 
 def standing_in(prepared: Prepared, name, effects, rig, given: Given):
-    """:func:`begin` of a tire fitted to a simulator's forces, and its model: ``name``,
-    or of :data:`STAND_INS` the first that follows closely, else the better one."""
+    """:func:`begin` of a tire fitted to a simulator's forces, and its model: ``name``, or
+    the first of :data:`STAND_INS` that follows closely, else the better one."""
     simulated = as_measured(prepared.data, prepared.channels)
 
     def tried(model: str):
         if model in MAGIC_FORMULAS:
-            # Its coefficients follow the simulator; adapted are scaling factors.
+            # Its coefficients follow the simulator; only scaling factors are adapted.
             own = replace(given, tire=fit_magic_formula(simulated, model).tire)
             fitted = own.tire_for(prepared, effects)
         else:

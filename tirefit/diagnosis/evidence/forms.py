@@ -1,5 +1,5 @@
-"""Forms that no formula has: other forms of a listed effect, of a sudden change, of
-what a stand-in misses, of a remainder; and offsets of single runs."""
+"""Free forms: of a listed effect, of a sudden change, of the error of a stand-in, of a
+remainder; and offsets of single runs."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -24,14 +24,14 @@ PLACE = {name: k for k, name in enumerate(State._fields)}
 """Column of each field of the state in :class:`evidence.forward.Linear`."""
 
 _WIDTHS, _TIMES = (0.004, 0.02, 0.05, 0.1), np.linspace(-0.46, 0.46, 93)
-"""Widths and times of a change that are tried, as shares of the record; times about its
-middle."""
+"""Widths and times of a change that are tried, as shares of the record; times are
+relative to its middle."""
 
 _LENGTHS = (0.08, 0.12, 0.17, 0.24, 0.34, 0.48)
 """Lengths of a change that ends, in the same unit."""
 
 _AROUND = 4
-"""Rows on either side for the slope of the error of a stand-in."""
+"""Number of rows on either side for the slope of the error of a stand-in."""
 
 _FINER = 4
 """Oversampling of a periodogram: a wave between two lines loses at most a fiftieth of
@@ -60,8 +60,8 @@ def form_columns(effects, fields, prepared, slip_fraction) -> np.ndarray:
 
 
 def follows(values, slip_fraction) -> bool:
-    """Whether a covariate (n,) is a function of the slip, as a load under braking: 12
-    bumps over the slip explain nine tenths of its variance."""
+    """Whether a covariate (n,), such as the load under braking, is a function of the
+    slip: 12 bumps over the slip explain nine tenths of its variance."""
     inside = np.clip(slip_fraction, -basis.FULL_SLIDING, basis.FULL_SLIDING)
     shapes = np.column_stack([np.ones(len(values)), basis.bumps(inside, 12)])
     own = basis.without(values - values.mean(), shapes)
@@ -75,10 +75,10 @@ def shape_of_change(time, friction, used_up, residual, blocks) -> np.ndarray:
     Args:
         time: (n,) from -1/2 to 1/2.
         friction: (m,) d force / d friction, whitened.
-        used_up: (m, p) columns of the rest of the hypothesis.
-        residual: (m,) of it, the step left out.
-        blocks: (k, 2) stretches that a setting has as well, see
-            :func:`rows.prepared.blocks_of_settings`: none of them is tried.
+        used_up: (m, p) columns of the other parts of the hypothesis.
+        residual: (m,) of the hypothesis without the step.
+        blocks: (k, 2) stretches of a setting, see
+            :func:`rows.prepared.blocks_of_settings`, which are not tried.
     """
     repeats = len(friction) // len(time)
     residual = basis.without(residual, used_up)
@@ -100,12 +100,12 @@ def shape_of_change(time, friction, used_up, residual, blocks) -> np.ndarray:
 
 
 def not_followed(missed, slip, groups, changed: float) -> np.ndarray:
-    """How a simulator may change where its stand-in does not: columns (n, 2), to first
-    order. Where it misses e, friction times 1 + a and stiffness times 1 + b add a (e -
-    slip e') + b slip e' to what the stand-in's own change is.
+    """Changes of a simulator beyond those of its stand-in: columns (n, 2), to first
+    order. If the stand-in has the error e, friction times 1 + a and stiffness times 1 + b
+    add a (e - slip e') + b slip e' to the change of the stand-in.
 
     Args:
-        missed: simulated force less that of its stand-in, (n,).
+        missed: e, simulated force minus that of the stand-in, (n,).
         groups: index arrays of like rows in the order of their slip.
         changed: typical size of a and b, at least a tenth.
     """
@@ -123,8 +123,8 @@ def not_followed(missed, slip, groups, changed: float) -> np.ndarray:
 def whitened_generic(
     rows: Prepared, design: Design, slip_fraction, fields: np.ndarray
 ) -> basis.Generic:
-    """Generic functions of a remainder for each channel, whitened (m, b): arguments as
-    of :func:`form_columns`, and three rows or more for each smooth function."""
+    """Generic functions of a remainder for each channel, whitened (m, b). Arguments are
+    those of :func:`form_columns`; each smooth function needs three rows or more."""
     keep, bases = np.asarray(design.keep)[: rows.n, None], []
     for channel in rows.channels:
         typical = rows.inputs.fz / np.asarray(design.scale[channel])[: rows.n]
@@ -136,13 +136,13 @@ def whitened_generic(
 
 
 def with_fast_waves(among: patterns.Patterns, time, residual) -> patterns.Patterns:
-    """The patterns and the strongest faster waves in time, two of each parameter: the
-    hum of the mains, chatter, a resonance. Each is as probable as one of all fast
-    waves. The same patterns where the sampling shows no faster waves.
+    """The patterns with the strongest faster waves in time, two for each parameter, such
+    as mains hum, chatter or a resonance. Each has the probability of one of all fast
+    waves. The patterns are unchanged if the sampling shows no faster waves.
 
     Args:
         time: (n,) of the rows [s].
-        residual: (m,) whitened, the fit taken out.
+        residual: (m,) whitened, after the fit.
     """
     slow = next((one for one in among.over if one.covariate == "time"), None)
     moments = np.unique(time)
@@ -220,7 +220,7 @@ def shrunk(values, covariance) -> Shrunk:
     error, axes = np.linalg.eigh(covariance)
     along, one = axes.T @ values, np.sum(axes, axis=0)
     tried = np.linspace(0.0, 3 * max(np.ptp(values), NONZERO), 400)
-    # In the axes of the errors the values are independent: (spreads, R).
+    # In the principal axes of the errors the values are independent: (spreads, R).
     sharp = 1 / np.maximum(error + tried[:, None] ** 2, NONZERO)
     weight = sharp @ one**2
     common = sharp @ (one * along) / weight
@@ -245,7 +245,7 @@ def shrunk(values, covariance) -> Shrunk:
 
 
 def _estimates(base, kind: str, hypothesis=None):
-    """First-order offset of each run beside a hypothesis, None for the base fit.
+    """First-order offset of each run in addition to a hypothesis (None: the base fit).
 
     Returns:
         (codes, values (R,), covariance (R, R)) in the units of the field; None with
@@ -282,7 +282,7 @@ def _estimates(base, kind: str, hypothesis=None):
     first = [int(np.argmax(rows.run == code)) for code in codes]
     own = inverse @ (left.T @ linear.residual) + there[first]
     if offset.unit == RELATIVE:
-        # What the runs have in common is the tire's own parameter.
+        # The common offset of the runs belongs to the parameter of the tire.
         one = np.full((len(codes), len(codes)), 1 / len(codes))
         own = own - own.mean()
         inverse = inverse - one @ inverse - inverse @ one + one @ inverse @ one
@@ -291,7 +291,7 @@ def _estimates(base, kind: str, hypothesis=None):
 
 
 def offsets_of_runs(base, hypothesis) -> dict[str, RunOffsets]:
-    """How the runs differ beside a hypothesis, by kind; empty for a single run."""
+    """Differences of the runs in addition to a hypothesis, by kind; empty for one run."""
     offsets = {}
     for kind, offset in OFFSETS.items():
         if (seen := _estimates(base, kind, hypothesis)) is not None:
@@ -304,7 +304,7 @@ def offsets_of_runs(base, hypothesis) -> dict[str, RunOffsets]:
 
 
 def _pattern(base, kind: str) -> np.ndarray:
-    """Offsets of the runs about their mean, of unit rms over the rows: (n,)."""
+    """Offsets of the runs minus their mean, scaled to unit rms over the rows: (n,)."""
     pattern, seen = np.zeros(base.rows.n), _estimates(base, kind)
     if seen is None or (law := shrunk(*seen[1:])).spread == 0:
         return pattern

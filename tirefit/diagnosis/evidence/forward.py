@@ -29,17 +29,17 @@ from tirefit.padding import pad_rows
 from tirefit.params import Values, with_values
 
 _AT_ONCE, _MOST_ROWS = 16, 16384
-"""Fits of one call of a program, and rows of all of them at once, at most."""
+"""Largest number of fits in one call of a program, and of rows of all of them."""
 
 
 class Design(NamedTuple):
     """Data of a refit as arrays, padded to few shapes.
 
     ``slip`` and ``weight`` (n, q) are the nodes of the latent slip and their
-    probabilities. ``observed``, ``scale`` and ``offset`` (a simulator's force less its
-    tire's) are (n,) by channel; ``keep`` (n,) is 0 for padding and outliers. ``hold``
-    is the stiffness that pulls z to the start of a refit. For the amplitudes (K,),
-    ``prior_scale`` is in their own units, center, ``low`` and ``high`` are in prior
+    probabilities. ``observed``, ``scale`` and ``offset`` (force of a simulator minus that
+    of its tire) are (n,) by channel; ``keep`` (n,) is 0 for padding and outliers.
+    ``hold`` is the stiffness that pulls z to the start of a refit. For the amplitudes
+    (K,), ``prior_scale`` is in their own units, center, ``low`` and ``high`` are in prior
     scales. ``reference`` is load and speed.
     """
 
@@ -139,7 +139,7 @@ def _carrier(model, layout, mode: str, z, where: _Where):
 
 
 def _each(count, one: Callable, z, states):
-    """``one`` of the first ``count`` fits, one after the other; zero for the rest."""
+    """``one`` for each of the first ``count`` fits in turn; zero for the others."""
     shapes = jax.eval_shape(one, z[0], states[0])
     blank = jax.tree.map(lambda a: jnp.zeros((len(z), *a.shape), a.dtype), shapes)
 
@@ -216,7 +216,7 @@ class Tire:
 
     def _run(self, program, points, states, design: Design) -> Iterator:
         """Results of a program for z (h, p) and the states (F, n) of fits, one by one;
-        the next states are computed while JAX works on the last."""
+        the next states are computed while JAX evaluates the last ones."""
         size, where, waiting = len(design.keep), _Where.of(design), None
         room = int(np.clip(_MOST_ROWS // size, 1, _AT_ONCE))
         for first in range(0, len(points), room):
@@ -311,12 +311,12 @@ def _one_by_one(found, count: int) -> Iterator:
 
 
 def _along(by_field, slopes, size: float) -> np.ndarray:
-    """Slopes of the forces (C, n) where the fields of the state change by these."""
+    """Slopes of the forces (C, n) for these changes of the fields of the state."""
     return sum(by_field[:, field] * (size * slope) for field, slope in slopes.items())
 
 
 def with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
-    """The base model's force over its peak, for the effects that follow it."""
+    """The force of the base model over its peak, for effects that depend on it."""
     channel, fz = prepared.channels[0], prepared.inputs.fz
     mean = tire.moments(z, design, prepared.n)[0][channel]
     size = len(design.keep)
@@ -330,7 +330,7 @@ def with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
         twist=pad_rows(before.get("mz", np.zeros_like(before[channel])), size),
     )
     if prepared.derived is not None:
-        # The acceleration is the force itself: what would explain it is not measured.
+        # The measured acceleration contains the force itself, so it must not explain it.
         rows = rows._replace(lean=pad_rows(-mean / fz, size))
     return design._replace(rows=rows)
 
@@ -346,7 +346,7 @@ def _pull(prepared, tire: Tire, design: Design, z) -> dict[str, np.ndarray]:
     for k in range(past.shape[1]):
         slip = np.repeat(pad_rows(past[:, [k]], size), alone.shape[1], axis=1)
         earlier = (pad_rows(part[:, k], size) for part in prepared.before)
-        # A simulator's past beyond its tire is not known.
+        # The past of a simulator beyond its tire is not known.
         then = design._replace(
             slip=slip,
             weight=alone,

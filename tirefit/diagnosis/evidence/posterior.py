@@ -1,5 +1,5 @@
 """The posterior over sets of effects. Each set is refitted, linearised around its fit,
-and weighed alone and beside a discrepancy, which no listed effect explains."""
+and weighed without and with a discrepancy, which no listed effect explains."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,11 +19,11 @@ _PRIOR_OF_FORM = 0.4
 """Probability that a listed effect has another form than its formula."""
 
 _SHOWS = 3.0
-"""Log evidence over no effect from which the data show a set of effects: 20 to 1."""
+"""Log evidence over no effect above which the data show a set of effects: 20 to 1."""
 
 _FREED, _SINGLES = 6, 8
-"""Numbers of the most probable sets, and sets of one effect, that are weighed with
-other forms and with a discrepancy too."""
+"""Numbers of the most probable sets, and of the most probable sets of one effect, that
+are also weighed with other forms and with a discrepancy."""
 
 Key = tuple[str, ...]
 """A set of effects: their ids in order; () is no effect."""
@@ -40,17 +40,17 @@ class LinearFit(NamedTuple):
 
     @property
     def explained(self) -> np.ndarray:
-        """Columns (m, p + j) that a remainder is orthogonal to."""
+        """Columns (m, p + j) to which a remainder is orthogonal."""
         return np.concatenate([self.used_up, self.proxies], axis=1)
 
     def in_other_form(self) -> "LinearFit":
-        """The same with the columns of the other forms used up too."""
+        """The same columns with those of the other forms."""
         whole = np.concatenate([self.used_up, self.forms], axis=1)
         return self._replace(used_up=whole)
 
 
 def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
-    """Around a refitted hypothesis."""
+    """The linearisation around a refitted hypothesis."""
     amplitudes, atoms = amplitudes_of(base, hypothesis), list(hypothesis.atoms)
     residual, jacobian, columns, fields = base.linearised(hypothesis.z, amplitudes)
     effects = [base.atoms[k].effect for k in atoms]
@@ -62,8 +62,8 @@ def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
 
 def due_to_doubt(base, hypothesis: Hypothesis, linear: LinearFit) -> float:
     """Change of the log evidence of a set by the shared slip uncertainty, at its fit. A
-    refit ignores it and is not repeated: sets that miss much would end elsewhere, and
-    their evidence would change by tens of units."""
+    refit ignores it and is not repeated. For sets with a large misfit, a repeated one
+    would end elsewhere and change the evidence by tens of units."""
     center = np.asarray(base.design.prior_center)[list(hypothesis.atoms)]
     off = hypothesis.amplitude - center
     p = linear.used_up.shape[1] - len(off)
@@ -78,8 +78,8 @@ def due_to_doubt(base, hypothesis: Hypothesis, linear: LinearFit) -> float:
 
 
 def gains_beside(base, linear: LinearFit, in_other_form: bool) -> dict[str, float]:
-    """Log evidence of each kind of remainder beside a set of effects, in the formulas'
-    form or in another. The slip uncertainty can only reduce it."""
+    """Log evidence of each kind of remainder in addition to a set of effects, with the
+    form of the formulas or another one. The slip uncertainty can only reduce it."""
 
     def found(expected):
         return gains(base.generic, linear.explained, linear.residual, expected)
@@ -129,7 +129,7 @@ class Weighed:
 
     @cached_property
     def beside(self) -> dict[Key, float]:
-        """Probability of the leading sets, each with a discrepancy beside it."""
+        """Probability of the leading sets, each with a discrepancy."""
         return self._probabilities(self.log_beside)
 
     def _probabilities(self, log) -> dict[Key, float]:
@@ -137,7 +137,7 @@ class Weighed:
 
     @property
     def unlisted(self) -> float:
-        """Probability of a discrepancy, alone or beside a set."""
+        """Probability of a discrepancy, alone or in addition to a set."""
         return min(sum(self.beside.values()), 1.0)
 
     @cached_property
@@ -156,7 +156,7 @@ class Weighed:
         return _holding(self.beside, effects)
 
     def listed_given_gap(self, key: Key) -> float:
-        """Probability of exactly this set, on the same terms."""
+        """Probability of exactly this set, with a discrepancy."""
         return self.listed[key] / max(1 - self.listed.get((), 0.0), NONZERO)
 
     @property
@@ -191,7 +191,7 @@ def weigh(search: Search) -> Weighed:
         linear = linear_at(base, best[key])
         if linear.forms.shape[1] and len(key) < MOST_EFFECTS:
             formula = float(np.log(1 - _PRIOR_OF_FORM))
-            # Without effects, the slip uncertainty explains what a form is for.
+            # Without effects, the slip uncertainty explains what a form would.
             due = min(due_to_doubt(base, best[key], linear) - of_nothing, 0.0)
             form = _gain_of_form(base, linear) + due - best[key].due_to_doubt
             total[key] += float(np.logaddexp(formula, form))

@@ -16,29 +16,29 @@ from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.basis import without
 
 PRIOR_OF_SIZE = (0.4, 0.4, 0.1, 0.015)
-"""Probability of so many effects at once; nothing and one are as likely, and every
-further one is four to seven times rarer."""
+"""Prior probability by number of effects: none and one are equally likely, and each
+further effect is four to seven times rarer."""
 
 PRIOR_OF_UNKNOWN = 0.1
-"""That something is there that no listed effect explains, beside any set."""
+"""Prior probability of an unlisted effect, in addition to any set."""
 
 _WITHIN = 15.0
-"""Every single effect is refitted whose log evidence by the linear screen, which errs
-on a large gap, is at most this far below the best; twice as far below, no set is
-extended."""
+"""A single effect is refitted if its log evidence in the linear screen, which is
+inaccurate for a large gap, is at most this far below the best. Sets that are twice as far
+below are not extended."""
 
 _SOME, _BEYOND_TWO = 6, (2, 4)
-"""Smallest number of single effects, of pairs of the linear screen, and of effects
-beside the best sets of one that are refitted; number of sets of two that are extended,
-and of effects beside each."""
+"""Smallest numbers of refits: single effects, pairs of the linear screen, and effects
+added to the best sets of one; number of sets of two that are extended, and of effects
+added to each."""
 
 _WORTH_A_REFIT = 4.0
-"""Log weight below the best at which, by the linear step, a set is not refitted: less
-than a fiftieth."""
+"""A set is not refitted if its log weight by the linear step is this far below the best:
+less than a fiftieth of its weight."""
 
 _FAR, _SMALL, _TINY = 4.0, 0.3, 0.1
-"""Start of a refit, in prior scales: largest amplitude, second start, and smallest of
-an effect of one sign."""
+"""Starts of a refit, in prior scales: largest amplitude, second start, and smallest
+amplitude of an effect with one sign."""
 
 _LIKELY = 3
 """Number of variants of an effect that are refitted, and of single effects that are
@@ -82,7 +82,7 @@ def _log_bayes(gram, score, center, sign, sets) -> np.ndarray:
     gm = np.einsum("sij,sj->si", g, m)
     shifted = score[sets] - gm
     a = g + np.eye(len(own))
-    # Solved, not by the inverse: like effects leave few digits of that.
+    # Solve instead of inverting, which loses most digits for similar effects.
     solved = np.linalg.solve(a, shifted[:, :, None])[:, :, 0]
     value = np.sum((score[sets] - 0.5 * gm) * m + 0.5 * shifted * solved, axis=1)
     value -= 0.5 * np.linalg.slogdet(a)[1]
@@ -98,7 +98,7 @@ class Search:
         self.base, self.testable = base, tuple(testable)
         self.effects = [atom.effect for atom in base.atoms]
         self.low, self.high = base.design.low, base.design.high
-        # One half of the prior is gone where only one sign is physical.
+        # Half of the prior is excluded if only one sign is physical.
         self.sign = np.where(self.low >= 0, 1.0, np.where(self.high <= 0, -1.0, 0.0))
         self.center = np.asarray(base.design.prior_center)
         self.ids = [effect.id for effect in self.effects]
@@ -138,8 +138,8 @@ class Search:
 
     @property
     def score(self) -> dict[str, float]:
-        """Score of each effect at the base fit in standard errors: of its variants, the
-        one of largest size."""
+        """Score of each effect at the base fit in standard errors: the largest one of its
+        variants."""
         largest: dict[str, float] = {}
         for k in self.testable:
             if self.gram[k, k] > UNSEEN:
@@ -148,7 +148,7 @@ class Search:
         return largest
 
     def log_prior(self, atoms: tuple[int, ...]) -> float:
-        """Split evenly over families, then forms, then variants."""
+        """Log prior of each atom: equal for families, then forms, then variants."""
         total = np.log(PRIOR_OF_SIZE[len(atoms)])
         for k in atoms:
             total -= np.log(len(self.forms) * self.forms[self.effects[k].family])
@@ -174,10 +174,9 @@ class Search:
 
     def _due_to_doubt(self, atoms) -> float:
         """Log evidence that a set loses by the slip uncertainty, to first order; refits
-        take each slip's own noise into account only. A gain does not count: the data do
-        not show what an effect explains only where the slips are uncertain (of pulses
-        with noisy slips, a lag of 1.4 standard errors became likelier by a factor of a
-        million)."""
+        include only the noise of each slip. A gain is not counted, as the data do not
+        support an effect that only explains rows with uncertain slips (in pulses with
+        noisy slips, a lag of 1.4 standard errors would gain a factor of a million)."""
         doubting, sure = (
             _log_bayes(gram, score, self.center, self.sign, [atoms])[0]
             for gram, score in ((self.gram, self.scores), self._without_doubt)
@@ -189,11 +188,11 @@ class Search:
         if not sets:
             return []
         values = _log_bayes(gram, score, self.center, self.sign, sets)
-        # Identical variants differ in their last digits; evidence counts in units.
+        # Round, as identical variants differ in last digits; only units of evidence count.
         return np.round(values, 6).tolist()
 
     def refit(self, sets: Sequence[tuple[int, ...]], guesses: dict) -> None:
-        """Refit sets of atoms, two starts each where the sign is open."""
+        """Refit sets of atoms, each from two starts if the sign is not known."""
         done = {s for s, known in self.tried.items() if known.refitted}
         sets = [s for s in dict.fromkeys(sets) if s and s not in done]
         starts = [self._starts(atoms, guesses.get(atoms)) for atoms in sets]
@@ -226,7 +225,7 @@ class Search:
         self.tried.setdefault(atoms, found)
 
     def within(self, atoms, amplitude) -> np.ndarray:
-        """Amplitudes of these atoms, in prior scales, where physics allows them."""
+        """Amplitudes of these atoms, in prior scales, limited to their physical range."""
         return np.clip(amplitude, self.low[list(atoms)], self.high[list(atoms)])
 
     def _starts(self, atoms, guess) -> list[tuple]:
@@ -286,7 +285,7 @@ class Search:
         linear score suggests."""
         shift = (score[k] - gram[k, k] * self.center[k]) / (gram[k, k] + 1)
         first = np.clip(self.center[k] + shift, -_FAR, _FAR)
-        if self.sign[k]:  # at zero itself it would stay
+        if self.sign[k]:  # a start at zero would stay there
             first = self.sign[k] * max(self.sign[k] * first, _TINY)
         amplitude = np.append(hypothesis.amplitude, self.within((k,), first))
         atoms = np.array((*hypothesis.atoms, k))
@@ -294,7 +293,7 @@ class Search:
         return tuple(atoms[order].tolist()), (hypothesis.z, amplitude[order])
 
     def extend(self, size: int, beam: int, width: int) -> None:
-        """Add to the best sets of this size what their remainders point at."""
+        """Extend the best sets of this size by the effects that their remainders suggest."""
         sets = [h for h in self.tried.values() if len(h.atoms) == size]
         sets = sorted(sets, key=lambda h: -h.log_weight)[:beam]
         guesses: dict[tuple[int, ...], tuple] = {}
@@ -328,7 +327,7 @@ def search(base: Base, testable: Sequence[int]) -> Search:
             guesses |= dict(more)
     searched.refit(list(guesses), guesses)
     searched.extend(1, _LIKELY, _SOME)
-    # Pairs that only show together.
+    # Pairs of effects that are visible only together.
     pairs = list(combinations(sorted(variants[0][1] for variants in ranked), 2))
     values = zip(searched.screened(gram, score, pairs), pairs, strict=True)
     searched.refit([pair for _, pair in sorted(values, reverse=True)[:_SOME]], {})

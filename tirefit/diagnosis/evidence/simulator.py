@@ -1,5 +1,5 @@
-"""A given simulator: its forces beside the measured ones, and a check of its signs. A
-hypothesis predicts its force + tire(changed) - tire(as simulated)."""
+"""A given simulator: its forces for the measured rows, and a check of its signs. A
+hypothesis predicts simulated force + tire(changed) - tire(as simulated)."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +37,7 @@ from tirefit.results import InputProblem, UsageError
 from tirefit.slip import CONVENTIONS
 
 STAND_INS = ("brush", "mf61")
-"""Default models to stand in for a simulator of which the forces alone are known."""
+"""Default stand-ins for a simulator of which only the forces are known."""
 
 _SCALING = {
     "x": (("LMUX", "friction (longitudinal)"), ("LKX", "slip stiffness")),
@@ -49,10 +49,11 @@ _FACTOR = 50.0
 """Largest scaling factor that is adapted; the smallest is its reciprocal."""
 
 _FELT, _CLEAR, _NEAR, _ALIKE = 0.1, 0.5, 0.2, 1.02
-"""Other signs are reported where, for each channel whose force they change by the first
-share of its squared misfit or more, the second share of it or less remains, and the
-change fits best at a factor within the third of 1 (an offset of the slip has the same
-shape at any factor). The last is the ratio of squared misfits of two equal fits."""
+"""Other signs are reported under two conditions, for each channel whose force they change
+by the first share of its squared misfit or more: at most the second share of the misfit
+remains, and the change fits best at a factor that differs from 1 by at most the third (an
+offset of the slip has the same shape at any factor). The last number is the ratio of
+squared misfits of two equally good fits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +61,7 @@ class Given:
     """A given simulator.
 
     ``kind`` is columns, model, fit or tir; ``source`` its name or file, ``sha256`` of
-    the file. ``tire`` is None where only its forces are known; ``layout`` and ``z`` are
+    the file. ``tire`` is None if only its forces are known; ``layout`` and ``z`` are
     those of a fit. ``forces`` gives canonical forces (n,) for data, None for columns of
     the data; ``remarks`` gives sentences. ``otherwise`` is the convention assumed for
     data that declare none, and its origin; ``signs`` the declared convention.
@@ -78,22 +79,22 @@ class Given:
     remarks: Callable[[TireData], list[str]] | None = None
 
     def channels(self, data: TireData, modelled: Sequence[str]) -> tuple[str, ...]:
-        """Its forces in ``data`` of :meth:`beside`, among those ``modelled``."""
+        """Its forces in ``data`` returned by :meth:`beside`, among those ``modelled``."""
         own = modelled if self.tire is None else forces_modelled(self.tire)
         return tuple(c for c in own if f"{c}_sim" in data)
 
     def beside(self, data: TireData, other: bool = False) -> TireData:
-        """The data with the simulator's forces as columns ``fx_sim``, ...; rows without
-        them are masked. Raises DataError for none beside a measured force, or zeros.
+        """The data with the simulated forces as columns ``fx_sim``, ...; rows without
+        them are masked. Raises DataError if no measured force is simulated, or for zeros.
 
         Args:
-            other: whether these are not the data that it was given for: arrays are
-                ignored then, and the data's own columns are taken.
+            other: whether these are other data than those it was given for: arrays are
+                then ignored, and the columns of the data are used.
         """
         columns = {k: v for k, v in data.columns.items() if k not in SIMULATED}
         found = self._forces(data, other)
         if not found:
-            reason = "no force of the simulator (fx_sim, fy_sim) beside a measured one"
+            reason = "no measured force has a simulated one (fx_sim, fy_sim)"
             remedy = (
                 "write its force for every row into a column fx_sim or fy_sim, in the"
                 " unit and sign of fx or fy; `tirefit predict ... --beside` does so"
@@ -118,7 +119,7 @@ class Given:
             own = (self.signs, data.source.convention)
             for k in found:
                 found[k] = found[k] * np.prod([sign_of(name, k) for name in own])
-        # What is not measured has no gap.
+        # A force that is not measured has no gap.
         found = {k: v for k, v in found.items() if k.removesuffix("_sim") in data}
         silent = [k for k, v in found.items() if not np.any(np.nan_to_num(v))]
         if silent and self.tire is None:
@@ -127,12 +128,12 @@ class Given:
             reason = f"{what} in every row: no force of a simulator"
             remedy = "write the simulated force into it, or leave the column out"
             raise unfit(data, reason, remedy, silent[0])
-        # A tire without coefficients of M_z has none.
+        # A tire without coefficients of M_z has no moment.
         return {k: v for k, v in found.items() if k not in silent}
 
     def tire_for(self, prepared: Prepared, effects) -> tuple[Tire, np.ndarray, Any]:
         """Its tire with a layout of the parameters that may be adapted; their values as
-        z, and again as the first guess."""
+        z, and the same as the first guess."""
         tire, layout, z = self.tire, self.layout, self.z
         assert tire is not None, "only its forces are known: no tire to adapt"
         if layout is None:
@@ -167,7 +168,7 @@ class Simulated:
 
 
 def _check_size(force, data: TireData, name: str, rows) -> None:
-    """Raises DataError for a simulated force (n,) far from the size of the measured."""
+    """Raises DataError if simulated and measured force (n,) differ much in size."""
     measured = data[name.removesuffix("_sim")]
     rows = rows & np.isfinite(measured)
     if not rows.any():
@@ -176,7 +177,7 @@ def _check_size(force, data: TireData, name: str, rows) -> None:
     ratio = own / max(size, NONZERO)
     if not 1 / _FACTOR < ratio < _FACTOR:
         reason = f"its mean size is {ratio:.3g} times that of the measured force"
-        remedy = f"check unit and rows of {name}: no tire is off by that much"
+        remedy = f"check unit and rows of {name}: no tire differs by that much"
         raise unfit(data, reason, remedy, name)
 
 
@@ -216,7 +217,7 @@ def _arrays(sim: Mapping, n: int) -> dict[str, np.ndarray]:
         try:
             if np.iscomplexobj(values):
                 raise TypeError
-            # What is masked is not known, as an empty cell.
+            # Masked elements are unknown, like empty cells.
             array: np.ndarray = np.ma.filled(np.ma.asarray(values, float), np.nan)
         except (TypeError, ValueError):
             reason = f"sim is of type {type(values).__name__}"
@@ -226,7 +227,7 @@ def _arrays(sim: Mapping, n: int) -> dict[str, np.ndarray]:
             reason = f"sim: {name} of shape {array.shape}"
             remedy = f"give fx, fy or mz with one value for each of {n} rows"
         elif channel in arrays:
-            reason = f"sim: {channel} and {channel}_sim are one force"
+            reason = f"sim: {channel} and {channel}_sim are the same force"
             remedy = "give one of them"
         if reason:
             raise UsageError(InputProblem(reason, remedy))
@@ -236,11 +237,11 @@ def _arrays(sim: Mapping, n: int) -> dict[str, np.ndarray]:
 
 def _of_fit(fit, tire, layout, source, sha256=None) -> Given:
     if any(parameter.per_run for parameter in layout.free):
-        reason = f"{source}: a fit with parameters of each run is no one simulator"
-        remedy = "write its forces beside the data (`tirefit predict --beside`), --sim"
+        reason = f"{source}: a fit with parameters for each run is not one simulator"
+        remedy = "write its forces into the data (`tirefit predict --beside`), and use --sim"
         raise UsageError(InputProblem(reason, remedy))
     if isinstance(tire, MFTire):
-        # What is adapted of a Magic Formula are its scaling factors.
+        # Only the scaling factors of a Magic Formula are adapted.
         values = {k: float(v) for k, v in layout.natural(fit.z).items()}
         return _of_tire(with_values(tire, values), "fit", source, sha256)
     given = replace(_of_tire(tire, "fit", source, sha256), layout=layout)
@@ -316,8 +317,8 @@ class _Misfit(NamedTuple):
 def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
     """A sentence if a simulator fits better with some signs reversed, as a tire written
     in other axes or for the other side of the vehicle does; else an empty text. Raises
-    DataError for a file or columns without declared signs: the diagnosis would name
-    some effect in place of the wrong signs. ``tire`` may be the stand-in."""
+    DataError for a file or columns without declared signs, as the diagnosis would name
+    an effect instead of the wrong signs. ``tire`` may be the stand-in."""
     inputs = _inputs(prepared)._asdict()
     columns = {"slip": "sigma_x", "alpha": "alpha", "gamma": "gamma"}
     moved = [field for field, name in columns.items() if np.any(inputs[name])]
@@ -347,7 +348,7 @@ def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
     reason += f" {' or '.join(ways)}: {better}"
     remedy = "; ".join(_remedies(alike, there, prepared, given))
     if given.signs or given.kind not in ("tir", "columns"):
-        return f"{reason}. It is taken as it is: {remedy}"
+        return f"{reason}. It is used as given: {remedy}"
     raise unfit(prepared.data, reason, remedy)
 
 
@@ -413,16 +414,16 @@ def _remedies(alike, there: frozenset[str], prepared: Prepared, given: Given):
     ways, assumed = [], source.convention_from.startswith("assumed")
     for name, other in CONVENTIONS.items():
         if tir and now.turned(other) & there in alike:
-            ways.append(f"--signs {name} reads the file so")
+            ways.append(f"--signs {name} reads the file in these signs")
     if tir and OTHER_SIDE & there in alike:
         ways.append("--side, if it is a tire of the other side of the vehicle")
     for name, other in CONVENTIONS.items():
         if assumed and other.fz == read.fz and read.turned(other) & there in alike:
-            ways.append(f"--convention {name} reads the data so, which declare none")
+            ways.append(f"--convention {name} does so for the data, which declare none")
     for (name,) in (h for h in alike if len(h) == 1):
         column = "sigma_x" if name == "slip" else name
         unit = source.units.get(name, CANONICAL[column][0]).replace(" ", "")
-        ways.append(f"--unit {column}=-{unit}, if that column alone is turned")
-    ways = ways or ["turn these signs in the simulator, or in the data"]
+        ways.append(f"--unit {column}=-{unit}, if only that column has the wrong sign")
+    ways = ways or ["reverse these signs in the simulator, or in the data"]
     kept = given.signs or (TIR_SIGNS if tir else source.convention)
-    return [*ways, f"--signs {kept} keeps it as it is"]
+    return [*ways, f"--signs {kept} confirms the present signs"]

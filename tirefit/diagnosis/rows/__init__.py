@@ -1,1 +1,1 @@
-"""Room 1: the rows as the diagnosis takes them, their covariates and groups."""
+"""The rows as the diagnosis uses them, with their covariates and groups."""

@@ -1,4 +1,4 @@
-"""Generic bases of the remainder that no listed effect explains."""
+"""Generic bases for a remainder that no listed effect explains."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from tirefit.diagnosis.rows.patterns import (
 SCALES = 2.0 * 3.0 ** np.arange(4)
 """Standard deviations of a basis function's coefficient that are averaged over."""
 
-_BUMPS = (4, 8)  # fewest and most functions of the slip for each sign
+_BUMPS = (4, 8)  # smallest and largest number of functions of the slip for each sign
 _LEVELS = 4  # largest number of settings of a covariate with a coefficient each
 
 
@@ -40,8 +40,8 @@ def functions_of(values, count: int) -> np.ndarray:
 
 
 def _by_side(slip_fraction, factors, scale, most: int) -> np.ndarray:
-    """Bumps over the size of the slip times each factor (n,), for each sign if both
-    have a twentieth of the rows: about ``most`` whitened columns."""
+    """Bumps over the size of the slip times each factor (n,), separately by sign if each
+    sign has a twentieth of the rows: about ``most`` whitened columns."""
     inside = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
     sides = [inside >= 0, inside < 0]
     if min(np.mean(side) for side in sides) <= 0.05:
@@ -110,7 +110,7 @@ def wave_basis(prepared, scale) -> np.ndarray:
     most_over_slip = min(most // 2, WAVES // 4)
     waves = [turns((slip - slip.min()) / span, np.arange(1.0, most_over_slip + 1))]
     if "time" in prepared.has:
-        # Halves: between two whole numbers of waves a third of the energy is lost.
+        # With half waves: between two whole numbers of waves a third of the energy is lost.
         counts = np.arange(1, most + 0.1, 0.5)
         waves.append(turns(prepared.covariates.time, counts))
     columns = np.concatenate(waves, axis=1) * scale[:, None]
@@ -119,7 +119,8 @@ def wave_basis(prepared, scale) -> np.ndarray:
 
 
 def orthogonal(basis, against) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal directions (n, q) of a basis less ``against`` (n, p), sizes (q,)."""
+    """Orthonormal directions (n, q) of a basis orthogonal to ``against`` (n, p), and their
+    sizes (q,)."""
     left = without(basis, against)
     turned, size = _principal(left.T @ left)
     return left @ turned, size

@@ -1,5 +1,5 @@
-"""Covariates of the rows, and typical sizes of one file: the units of the amplitudes,
-so that one library of effects serves a truck and a model car."""
+"""Covariates of the rows, and typical sizes of a file: the units of the amplitudes, so
+that one library of effects serves trucks and model cars."""
 
 from typing import NamedTuple
 
@@ -13,8 +13,8 @@ from tirefit.diagnosis.rows.slips import Sweeps, segments, shown_runs, slip_rate
 from tirefit.slip import GRAVITY
 
 LOADS, _ANGLE = 0.03, 1e-3
-"""Spread above which a quantity varies: relative (loads, speeds, pressures, forces
-across), and of camber, steering or the other slip [rad]."""
+"""Spread above which a quantity varies: relative (loads, speeds, pressures, other forces),
+and of camber, steering or the other slip [rad]."""
 
 _COOLINGS = (np.inf, 0.2, 0.05)
 """Time constants of the cooling, in shares of the record."""
@@ -113,13 +113,13 @@ def derived_from(data: TireData, channel: str) -> Derived | None:
         mass, inertia = np.abs(share).tolist()
         found.append((missed, Derived(mass, inertia, ahead is not across[0])))
     best = min(found, key=lambda one: one[0])
-    # No transducer agrees with accelerometers to a thousandth.
+    # A measured force does not agree with accelerometers to a thousandth.
     return best[1] if best[0] < 1e-3 else None
 
 
 def wheel_radius(data: TireData, derived: Derived | None) -> float:
-    """Radius of the wheel [m]: stated, else 0.15 of the wheelbase (0.11 of cars, 0.19
-    of some models); zero where neither is known."""
+    """Radius of the wheel [m]: stated, else 0.15 of the wheelbase (cars 0.11, some model
+    cars 0.19); zero if neither is known."""
     stated = data.source.constants
     if "wheel_radius" in stated:
         return stated["wheel_radius"]
@@ -127,12 +127,12 @@ def wheel_radius(data: TireData, derived: Derived | None) -> float:
 
 
 def wheelbase(data: TireData, derived: Derived) -> float:
-    """Of the vehicle [m]: stated, or about twice the arm of an axle."""
+    """Wheelbase of the vehicle [m]: stated, or about twice the arm of an axle."""
     return data.source.constants.get("wheelbase", 2 * derived.arm)
 
 
 def work_of_sliding(power, time, run) -> np.ndarray:
-    """Work of sliding so far, by its power (n,), under each cooling: (n, coolings)."""
+    """Work of sliding so far, from its power (n,), with each cooling: (n, coolings)."""
     work = np.zeros((len(power), len(_COOLINGS)))
     span = np.ptp(time)
     if span <= 0:
@@ -157,7 +157,7 @@ def column(data: TireData, name: str) -> np.ndarray:
 
 
 def _force_of(data: TireData, mode: str) -> np.ndarray:
-    """The force that the slip drives (n,), its size where both slips do."""
+    """The force that the slip causes (n,); its size if both slips cause it."""
     if mode == "xy":
         return np.hypot(column(data, "fx"), column(data, "fy"))
     return column(data, f"f{mode}")
@@ -170,7 +170,7 @@ def slowest(v) -> float:
 
 
 def _over_range(values) -> np.ndarray:
-    """About their mean, over their range; zero where nothing varies."""
+    """Values minus their mean, over their range; zero if they do not vary."""
     span = np.ptp(values)
     varies = span > FLAT * np.max(np.abs(values))
     return (values - np.mean(values)) / span if varies else np.zeros(len(values))
@@ -250,7 +250,7 @@ def needs_met(
         "runs": len(shown_runs(data.run[data.used], data.runs)) > 1,
         "derived force": derived is not None,
         "yaw_acceleration": varies("yaw_acceleration"),
-        # Several directions.
+        # The vehicle drives in several directions.
         "heading": np.std(np.cos(heading)) + np.std(np.sin(heading)) > 0.5,
         "a_y": varies("a_y"),
         "steering": varies("steering", _ANGLE) and (not derived or derived.steered),

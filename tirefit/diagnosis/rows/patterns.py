@@ -1,4 +1,4 @@
-"""Patterns of a remainder: one parameter of the tire changes with one covariate, in the
+"""Patterns of a remainder: one parameter of the tire changes with one covariate, with the
 shape of a kink, a threshold, a local change or a wave. The column of a pattern is the
 product of a shape of the rows and the force of a usual change; both are stored.
 """
@@ -16,7 +16,7 @@ from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.slips import segments
 
 FULL_SLIDING = 3.0
-"""Slip over that of full sliding beyond which nothing more depends on it."""
+"""Slip over that of full sliding above which the force no longer depends on it."""
 
 PARAMETERS = {
     "stiffness": ("stiffness", 0.06),
@@ -27,13 +27,13 @@ PARAMETERS = {
 """Field of each parameter; usual change (relative, a slip, or force over load)."""
 
 USUAL_SIZES = 0.5 * 4.0 ** np.arange(3)
-"""Multiples of the usual size that the evidence is averaged over."""
+"""Multiples of the usual size over which the evidence is averaged."""
 
 _SET_BY_RIG = ("fz", "v", "temperature", "gamma", "pressure")
 """Covariates that may have few settings, with shapes of their own."""
 
 _PLACES = np.arange(1, 20) / 20
-"""Places as shares of the range: a bump between two loses at most 0.1 of its square."""
+"""Places as shares of the range; a bump between two loses at most 0.1 of its square."""
 
 WAVES, ROWS_OF_A_WAVE = 96, 5
 """Largest number of waves in a record (half as many for patterns in time or distance,
@@ -119,7 +119,7 @@ class Patterns:
 
 
 class Look(NamedTuple):
-    """A pattern that fits the remainder; its first fields are those of it."""
+    """A pattern that fits the remainder, beginning with the fields of the pattern."""
 
     parameter: str
     covariate: str
@@ -155,14 +155,14 @@ def quantities(prepared, slip_fraction) -> dict[str, np.ndarray]:
         values["v"] = rows.v
     if "time" in has:
         values["time"] = prepared.time
-    if "time" in has and "speeds" in has:  # else the distance is the time
+    if "time" in has and "speeds" in has:  # at constant speed, distance is time
         values["distance"] = travelled(prepared)
     named = ("temperature", "gamma", "pressure")
     return values | {name: prepared.column(name) for name in named if name in has}
 
 
 def settings_of(covariate: str, values) -> Levels | None:
-    """The few settings that a rig has of a covariate; None where it has a range."""
+    """The few settings of a covariate; None if it has a range."""
     settings = levels(values)
     return settings if covariate in _SET_BY_RIG and settings.few() else None
 

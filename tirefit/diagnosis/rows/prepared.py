@@ -17,7 +17,7 @@ from tirefit.fitting.slip_noise import SlipDistribution, speed_of, std_with_spee
 from tirefit.models import TireInputs
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
-"""Slips that drive the forces -> forces that may be diagnosed."""
+"""Slips that cause the forces -> forces that may be diagnosed."""
 
 _SCATTER = "scatter about smooth sweeps"
 _SHOWN = "scatter where the force is steep"
@@ -44,7 +44,7 @@ class Prepared:
     inputs: TireInputs
     slip: np.ndarray
     slip_std: np.ndarray  # noise of the slip
-    second: np.ndarray  # tan(alpha) where both slips drive
+    second: np.ndarray  # tan(alpha) if both slips cause the forces
     observed: Mapping[str, np.ndarray]  # forces by channel
     covariates: Covariates
     before: TireInputs  # inputs in the past of each row (n, k)
@@ -57,7 +57,7 @@ class Prepared:
     kept: np.ndarray  # numbers of these rows among the used rows of the data
     slip_check: SlipCheck | None
     sizes: table.Sizes
-    derived: table.Derived | None  # None where the force was measured
+    derived: table.Derived | None  # None if the force was measured
 
     @property
     def n(self) -> int:
@@ -78,7 +78,7 @@ class Prepared:
 
     @property
     def slip_scatter(self) -> float:
-        """Noise of the slip estimated from the forces; zero where known otherwise."""
+        """Noise of the slip estimated from the forces; zero if known otherwise."""
         return float(self.slip_std[0]) if self.slip_source == _SHOWN else 0.0
 
     @property
@@ -88,7 +88,7 @@ class Prepared:
 
     @property
     def past(self) -> np.ndarray | None:
-        """The same before, at and after each row (n, k)."""
+        """Estimated slips before, at and after each row (n, k)."""
         return np.asarray(self.covariates.past) if "sweeps" in self.has else None
 
     @property
@@ -122,8 +122,8 @@ def _mode(data: TireData) -> str:
 
 
 def prepare(data: TireData, rig: Rig, model, slip_scatter: float = 0.0) -> Prepared:
-    """The used rows, for the forces of a model. ``slip_scatter`` is the noise of the
-    slip where it is neither stated nor seen in sweeps. Raises DataError."""
+    """The used rows, for the forces of a model. ``slip_scatter`` is the noise of the slip,
+    used if it is neither stated nor visible in sweeps. Raises DataError."""
     check_data(data, (), rig)
     mode = _mode(data)
     tan_alpha = np.tan(table.column(data, "alpha"))
@@ -174,7 +174,7 @@ def prepare(data: TireData, rig: Rig, model, slip_scatter: float = 0.0) -> Prepa
 
 
 def on_scale_of(prepared: Prepared, fitted: Prepared) -> Prepared:
-    """The rows with the typical values, and so the amplitudes, of the fitted ones."""
+    """The rows with the typical values of the fitted rows, so that amplitudes agree."""
     here, there = prepared.covariates, fitted.covariates
     typical = ("load", "brisk", "cruise", "rise", "peak")
     constants = {name: np.full(prepared.n, getattr(there, name)[0]) for name in typical}
@@ -184,7 +184,7 @@ def on_scale_of(prepared: Prepared, fitted: Prepared) -> Prepared:
 
 
 def thinned(prepared: Prepared, most: int) -> Prepared:
-    """At most so many rows, evenly spread, each with its past."""
+    """At most ``most`` rows, evenly spread, each with its past."""
     if prepared.n <= most:
         return prepared
     rows = np.linspace(0, prepared.n - 1, most).astype(int)
@@ -220,8 +220,8 @@ def _slip_std(data: TireData, mode: str, rig: Rig, scatter: float, shown: float)
 
 
 def neighbours(prepared: Prepared) -> list[np.ndarray]:
-    """Rows of like run, load, speed and direction in the order of slip: index arrays.
-    The forces of neighbours differ by noise alone."""
+    """Index arrays of rows of the same run, load, speed and direction in the order of
+    slip, whose neighbours differ only by noise."""
     rows = prepared.covariates
     # A rig holds a load to 5 %, a driver a speed to 10 %.
     load, speed = np.round(np.log(rows.fz) / 0.05), np.round(np.log(rows.pace) / 0.1)
@@ -232,10 +232,10 @@ def neighbours(prepared: Prepared) -> list[np.ndarray]:
 
 
 def blocks_of_settings(prepared: Prepared) -> np.ndarray:
-    """Begin and end (k, 2) of the stretches, as shares of the record about its middle,
-    with a load, a speed or a pair of both that occurs at no other time: there an effect
-    of the time equals one of the setting. Stretches at the ends of the record do not
-    count (a change is a step there); the end of a change of run is infinite.
+    """Begin and end (k, 2) of stretches, as shares of the record about its middle, with a
+    load, a speed or a pair of both that occurs at no other time. There an effect of the
+    time equals one of the setting. Stretches at the ends of the record are ignored (a
+    change is a step there); a change of run has an infinite end.
     """
     rows = prepared.covariates
     found = [levels(values) for values in (rows.fz, rows.v)]

@@ -1,4 +1,4 @@
-"""``rig.toml``, what the user states of the rig or vehicle, and checks of the data."""
+"""``rig.toml``, the user's statements on the rig or vehicle, and checks of the data."""
 
 import difflib
 from collections.abc import Mapping
@@ -67,12 +67,12 @@ _OWN_COLUMNS = {
     "slip": ("sigma_x_std", "alpha_std"),
     "kappa": ("sigma_x_std",),
 }
-"""Columns that hold the same as a key of ``[noise]``; others are named KEY_std."""
+"""Key of ``[noise]`` -> column with the same content, if it is not named KEY_std."""
 
 STANDS = 0.03  # share of the median speed below which a wheel counts as standing
 
 LEAST_ROWS = 20
-"""Smallest number of rows of a diagnosis, and of a run with an offset of its own."""
+"""Smallest number of rows of a diagnosis, and of a run with its own offset."""
 
 
 @dataclass(frozen=True)
@@ -206,8 +206,8 @@ def load_rig(path: str | Path | None) -> Rig:
 
 
 def _of_others(content: dict, kind: type[Section]) -> tuple[dict, list[str]]:
-    """The content without keys that resemble no key of the section, and those keys,
-    which may be for other programs."""
+    """The content without keys that resemble no key of the section, and those keys, which
+    may be for other programs."""
     kept, others = {}, []
     for key, value in content.items():
         if not difflib.get_close_matches(key, kind.model_fields, 1):
@@ -226,8 +226,8 @@ def unfit(data: TireData, reason: str, remedy: str, column: str = "") -> DataErr
 
 
 def check_data(data: TireData, channels: tuple[str, ...], rig: Rig) -> None:
-    """Raises DataError for no load, too few rows, or a force or a stated noise of the
-    channels far beyond all loads."""
+    """Raises DataError for a missing load, too few rows, or a force or a stated noise far
+    above all loads."""
     if "fz" not in data:
         remedy = "name its column with --column fz=HEADER, or --constant fz=4000"
         raise unfit(data, "a diagnosis needs fz (load, N) for every row", remedy)
@@ -239,8 +239,8 @@ def check_data(data: TireData, channels: tuple[str, ...], rig: Rig) -> None:
     for force in sorted({"fx", "fy"} & set(data.columns)):
         most = np.max(np.abs(data.usable(force))) / largest
         if not most < 1e4:
-            reason = f"{most:.0e} times the largest load: no tire's force"
-            remedy = f"name the unit with --unit {force}=... or that of the load"
+            reason = f"{most:.0e} times the largest load, which no tire reaches"
+            remedy = f"give its unit with --unit {force}=..., or that of the load"
             raise unfit(data, reason, remedy, force)
     for channel in channels:
         column = f"{channel}_std"
@@ -254,26 +254,26 @@ def check_data(data: TireData, channels: tuple[str, ...], rig: Rig) -> None:
 
 
 FOR, BESIDE, AGAINST = 3.0, 1.5, -1.5
-"""Changes of an effect's log odds by the :class:`SlipCheck`: it shows the effect (about
-even odds of one in 25), shows it or an error of the speeds, or would have shown it."""
+"""Changes of the log odds of an effect if the :class:`SlipCheck` shows it (a prior of one
+in 25 becomes even), shows it or an error of the speeds, or would have shown it."""
 
 _BETTER = 0.7
 """Largest scatter of the best definition of the slip over that of another one."""
 
 
 class SlipCheck(NamedTuple):
-    """The slip column against the slip (v - omega R) / (omega R) from the wheel speed.
-    The column or the speeds may be wrong; a definition is that of the column."""
+    """Comparison of the slip column with (v - omega R) / (omega R). The column or the
+    speeds may be wrong; definitions are those of the column."""
 
     read_as: str  # definition of the slip
-    fits: str  # the one that fits best
+    fits: str  # the definition that fits best
     radius: float  # [m] that was used
     rms: float  # difference from the computed slip in ``read_as``
-    scatter: float  # that in ``fits``, about a line of offset and gain
+    scatter: float  # about a line of offset and gain in ``fits``
     offset: float
     offset_std: float
     gain: float
-    told_apart: bool  # all other definitions leave clearly more
+    told_apart: bool  # whether all other definitions fit clearly worse
 
     @property
     def shifted(self) -> bool:
@@ -282,7 +282,7 @@ class SlipCheck(NamedTuple):
 
     @property
     def agrees(self) -> bool:
-        """Whether column and speeds agree, but for a wrong radius (2 % of gain)."""
+        """Whether column and speeds agree, except for a wrong radius (2 % of gain)."""
         same = self.fits == self.read_as and not self.shifted
         return same and abs(self.gain - 1) < 0.02
 
@@ -308,7 +308,7 @@ def check_slip(data: TireData, radius: float | None) -> SlipCheck | None:
         return None
     omega, v, sigma = (data.usable(name) for name in ("omega", "v", "sigma_x"))
     computed = slip_from_speeds(omega, v, radius)
-    largest = 3.0  # beyond, the wheel hardly turns
+    largest = 3.0  # above, the wheel hardly turns
     good = (np.abs(computed) < largest) & (np.abs(sigma) < largest) & (omega > 0)
     good &= computed > -1 + 1 / (1 + largest)
     if good.sum() < LEAST_ROWS or np.ptp(computed[good]) < UNSEEN:

@@ -1,4 +1,4 @@
-"""Slips: their path in time, and the true slips that a noisy one may stand for."""
+"""The path of the slip in time, and the distribution of the true slip of a noisy one."""
 
 from typing import NamedTuple
 
@@ -13,22 +13,22 @@ from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
 _WINDOWS = (5, 9, 13, 19, 27, 41)  # rows of the local parabolas
 
 _REACH, _PIECE = _WINDOWS[-1] - 1, 4_000
-"""Rows beside a row that its path uses; rows at once, which bounds the memory."""
+"""Neighbours of a row that its path uses; rows computed at once, to limit the memory."""
 
-AHEAD = 4  # columns of the past that lie after its row
+AHEAD = 4  # number of columns of the past that are after their row
 
 AGES = np.append(np.arange(-AHEAD, 7), np.geomspace(8, 34, 6).round().astype(int))
-"""How many intervals ago each column was: each row, then a third more each time."""
+"""Age of each column in intervals: every row first, then each a third older."""
 
 _SPAN = 0.0375
-"""Smallest interval, in times in which the slip changes by its standard deviation:
-linear interpolation over it is accurate to 2e-4 of that."""
+"""Smallest interval, over the time in which the slip changes by its standard deviation;
+linear interpolation over it is accurate to 2e-4 of that deviation."""
 
 _WORTH, _MORE = 0.7, 1.25
 """Log probability of each row that a parabola explains, calibrated on saw-tooth and
 sine sweeps; ratio of two estimates of the noise above which they disagree."""
 
-_NOISY = 17  # rows over which a well sampled slip is a parabola
+_NOISY = 17  # number of rows over which a well sampled slip is a parabola
 
 
 def segments(time, run) -> list[np.ndarray]:
@@ -58,7 +58,7 @@ def _parabolas(values, time, window: int):
     normal = across @ rows
     try:
         fit = np.linalg.inv(normal) @ across
-    except np.linalg.LinAlgError:  # times that differ by their last digits alone
+    except np.linalg.LinAlgError:  # times that differ only in their last digits
         fit = np.linalg.pinv(normal, hermitian=True) @ across
     left = x - (rows @ (fit @ x[:, :, None]))[:, :, 0]
     return rows, fit, np.sum(left**2, axis=1), unit
@@ -81,7 +81,7 @@ def _averaged(values, time, noise: float) -> _Path:
     """The path of one unbroken stretch, whose values scatter by ``noise``."""
     size, row = len(values), np.arange(len(values))
     logs, parts = [], []
-    # Through 3 rows a parabola passes exactly: the values as measured.
+    # A parabola through 3 rows is exact: keep the measured values.
     for window in (w for w in (3, *_WINDOWS) if w <= size):
         rows, fit, misfit, unit = _parabolas(values, time, window)
         log = _WORTH * (window - 3) - 0.5 * misfit / noise**2
@@ -119,10 +119,10 @@ def _path_of(values, time, noise: float) -> _Path:
 
 class Past(NamedTuple):
     """The slip at :data:`AGES` times ``interval`` [s] before each row; column
-    :data:`AHEAD` is the row itself. Times beyond the sweep take its end.
+    :data:`AHEAD` is the row itself. Times beyond the sweep have the value of its end.
 
-    ``path`` is estimated without the row's own value, so that its noise enters neither
-    its own path nor that of its neighbours.
+    ``path`` is estimated without the value of the row itself, so its noise enters neither
+    its path nor that of its neighbours.
     """
 
     path: np.ndarray  # (n, k)
@@ -142,8 +142,8 @@ class Past(NamedTuple):
         return first + moved + share * rest**2 * out + share**2 * rest * back
 
     def place(self, part, time):
-        """Write the rows of the stretch ``part`` around each time. Returns the number
-        within the part of the row before, and the share: (n, k) each."""
+        """Write the rows of the stretch ``part`` around each time. Returns the index of
+        the row before, within the part, and the share: (n, k) each."""
         when = np.clip(time[:, None] - self.interval * AGES, time[0], time[-1])
         low = np.clip(np.searchsorted(time, when, side="right") - 1, 0, len(part) - 2)
         share = (when - time[low]) / (time[low + 1] - time[low])
@@ -158,7 +158,7 @@ def _fill_past(past: Past, part, values, time, path: _Path) -> None:
     row = np.arange(len(part))[:, None]
 
     def own(at):
-        """Weight of each row's own value in the path at a row."""
+        """Weight of the value of each row in the path at that row."""
         far = np.abs(row - at) > _REACH
         weight = path.reach[at, np.clip(row - at, -_REACH, _REACH) + _REACH]
         return np.where(far, 0.0, weight)
@@ -200,7 +200,7 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     curved, seen = _scatter(slip, parts, 2), _scatter(slip, parts, 6)
     if curved > 0.4 * np.std(slip):  # neighbours in time scatter: no sweep
         return still
-    # All agree on noise; a curve leaves more in a lower order, or about wide parabolas.
+    # All estimates of noise agree; a curve gives more in low orders or wide parabolas.
     long = [part for part in parts if len(part) >= _NOISY]
     left = [_parabolas(slip[p], time[p], _NOISY)[2] for p in long] or [[np.inf]]
     about = np.sqrt(np.median(np.concatenate(left)) / (_NOISY - 3))
@@ -217,7 +217,7 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     for part, path in zip(parts, paths, strict=True):
         _fill_past(past, part, slip[part], time[part], path)
         still.rate[part] = path.slope
-        # Slips from a formula have no error at all.
+        # Slips from a formula have no error.
         finest = FLAT * float(np.max(np.abs(path.slope)))
         error = np.maximum(path.slope_error, max(finest, NONZERO))
         certain = np.sign(slip[part]) * path.slope / (2 * error)
@@ -232,7 +232,7 @@ def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
     for part in parts:
         past.place(part, time[part])
     past.path[:] = past.of(slip, rate, time)
-    error = 0.05 * usual  # of a measured rate
+    error = 0.05 * usual  # error of a measured rate
     turning = np.clip(np.sign(slip) * rate / (2 * error), -1, 1)
     return still._replace(present=True, rate=rate, past=past, turning=turning)
 
@@ -242,18 +242,18 @@ _FEW, _MANY = (np.polynomial.hermite_e.hermegauss(count) for count in (3, 5))
 
 
 def _steep(slip, std) -> bool:
-    """Whether the force bends within the noise: 1 % of a large slip."""
+    """Whether the force bends within the noise, which is above 1 % of a large slip."""
     large = max(float(np.quantile(np.abs(slip), 0.9)), FLAT)
     return float(np.median(std)) > 0.01 * large
 
 
 def slip_law(slip, std) -> SlipDistribution | None:
-    """Distribution of the true slips by measured ones and noise (n,); None if zero."""
+    """Distribution of the true slips from measured ones and noise (n,); None if zero."""
     return slip_distribution(slip, np.maximum(std, FLAT)) if np.any(std > 0) else None
 
 
 def slip_nodes(law: SlipDistribution | None, slip, std):
-    """True slips and their probabilities (n, k); the measured slips without a law."""
+    """True slips and their probabilities (n, k); without a law, the measured slips."""
     if law is None:
         return slip[:, None], np.ones((len(slip), 1))
     offset, mass = _MANY if _steep(slip, std) else _FEW
@@ -281,16 +281,16 @@ def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray
 def slip_proxies(
     law: SlipDistribution | None, slip, std, measured, path=None, past=None
 ) -> np.ndarray:
-    """Error of the estimated slips as other measurements predict it: columns (n, k).
+    """Error of the estimated slips as predicted from other measurements: columns (n, k).
 
-    A quantity that moves with the true slip, as a load that the cornering shifts, has
-    none of its noise, so a regression gives it a part of the slip's effect. Of a slip
-    believed with the variance s^2, the expected error is (predicted - believed) s^2 /
-    variance(predicted - believed). The measured slip in the place of the believed one
-    would make a curve over the slip of what the law of the slips knows already.
+    A quantity that follows the true slip, such as a load that cornering shifts, does not
+    have its noise, so a regression attributes a part of the slip's effect to it. For a
+    slip estimated with variance s^2, the expected error is (predicted - estimated) s^2 /
+    variance(predicted - estimated). With the measured slip instead of the estimated one,
+    this would be a function of the slip that the law of the slips already includes.
 
     Args:
-        measured: (n,) each; a cubic of each, and the past, predict the slips.
+        measured: (n,) each; a cubic in each, and the past, predict the slips.
         path: as in :func:`slip_doubt`.
         past: (n, k) slips before, at and after each row by their neighbours in time.
     """
@@ -316,10 +316,10 @@ def slip_proxies(
 
 
 def _of_density(law: SlipDistribution, slip, std) -> np.ndarray:
-    """Error of the slips due to that of the density's weights, which add up to one:
-    maximum likelihood, each weight with a prior as wide as all on average."""
-    # Likelihood of each row under each part of the density (n, parts), and the same
-    # times the true slip less the measured one.
+    """Error of the slips due to the error of the weights of the density, which add up to
+    one: by maximum likelihood, each weight with a prior as wide as the mean weight."""
+    # Likelihood of each row for each part of the density (n, parts), and the same times
+    # the true slip minus the measured one.
     unit, step = np.linspace(-4, 4, 41), np.diff(law.knots)[0]
     off = std[:, None] * unit
     far = np.abs((slip[:, None] + off)[..., None] - law.knots[1:-1]) / step
@@ -334,7 +334,7 @@ def _of_density(law: SlipDistribution, slip, std) -> np.ndarray:
     together = np.maximum(likely @ weight, NONZERO)[:, None]
     mean = first @ weight / together[:, 0]
     moved = (first - mean[:, None] * likely) / together
-    # Directions in which the weights still add up to one.
+    # Directions that keep the sum of the weights.
     free = np.linalg.svd(np.ones((1, len(weight))))[2][1:].T
     score = likely / together @ free
     normal = score.T @ score + len(weight) ** 2 * np.eye(free.shape[1])

@@ -1,1 +1,1 @@
-"""Room 6: closure, budget, forecast, next measurement, and the document."""
+"""Closure, budget, forecast, next measurement, and the document of a diagnosis."""

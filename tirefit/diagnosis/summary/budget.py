@@ -1,5 +1,5 @@
-"""Parts of the distance from a base to the measurement: a simulator's own parameters,
-effects, what is not explained, and the noise. The parts add in squares."""
+"""Divide the distance from a base to the measurement into parts: parameters of a
+simulator, effects, an unexplained part, and noise. The squares of the parts add up."""
 
 from collections.abc import Callable, Mapping
 from itertools import combinations
@@ -18,11 +18,11 @@ from tirefit.diagnosis.summary.records import Change, Part, SimulatorSummary, Su
 PARAMETERS = "parameters"
 
 _HELD = 1e4
-"""Stiffness that holds parameters z: they move by 1e-8 of what pulls at them."""
+"""Stiffness that holds parameters z: they move by 1e-8 of the gradient."""
 
 
 def subsets(players: tuple) -> list[tuple]:
-    """All subsets, the empty one first, each in the order of the players."""
+    """All subsets of the players, the empty one first, each in the order of players."""
     sizes = range(len(players) + 1)
     return [chosen for size in sizes for chosen in combinations(players, size)]
 
@@ -35,15 +35,15 @@ def shapley(players: tuple, worth: Callable[[tuple], float]) -> dict:
     for player in players:
         for without in (chosen for chosen in known if player not in chosen):
             joined = tuple(p for p in players if p in (*without, player))
-            # Share of the orders in which exactly these come before the player.
+            # Share of the orders in which exactly this subset precedes the player.
             share = 1 / (count * comb(count - 1, len(without)))
             values[player] += share * (known[joined] - known[without])
     return values
 
 
 def closed_by_each(base: Base, chosen: Hypothesis) -> dict[str, float]:
-    """Shares of the misfit's energy, in units of the noise, that the effects of a
-    hypothesis take away; they sum to one. Empty for fewer than two effects."""
+    """Shares of the effects of a hypothesis in the energy of the misfit, over the noise,
+    that they remove; they sum to one. Empty for fewer than two effects."""
     if len(chosen.atoms) < 2:
         return {}
     energy = dict.fromkeys(subsets(chosen.atoms), 0.0)
@@ -79,7 +79,7 @@ def _budget(case, channel: str, missed, extended, generator) -> tuple[Part, ...]
     parts = shapley(players, lambda subset: whole - missed[subset] ** 2)
     rest = (base.rows.observed[channel] - extended) ** 2
     for atom in chosen.atoms:
-        # Another form than the formulas' belongs to the effects that have it.
+        # A form other than the formulas is attributed to the effects that have it.
         parts[atom] = parts[atom] + (missed[players] ** 2 - rest) / len(chosen.atoms)
     fitted = (len(chosen.z) + len(chosen.atoms)) * noise.inflation / base.rows.n
     rows = [*parts.values(), rest, max(1 - fitted, 0.0) * noise.std**2, whole]
@@ -103,10 +103,10 @@ def _budget(case, channel: str, missed, extended, generator) -> tuple[Part, ...]
 
 
 def _energies(means):
-    """Means (..., parts + 3) of the parts, of what is left, of the noise and of the
-    whole -> the same, none below zero, with what is left beyond the noise and the noise
-    that is left: all but the last add to the last. A part that makes matters worse
-    counts nothing; the others share what was closed."""
+    """Convert means (..., parts + 3) of the parts, the remainder, the noise and the whole
+    to non-negative ones that add up to the whole, with the remainder beyond the noise and
+    the remaining noise. A part that increases the error counts zero; the others share the
+    energy that was closed."""
     parts = np.maximum(means[..., :-3], 0.0)
     left, noise, whole = np.moveaxis(means[..., -3:], -1, 0)
     whole = np.maximum(whole, NONZERO)
@@ -119,8 +119,8 @@ def _energies(means):
 
 
 def _missed(base: Base, chosen: Hypothesis) -> dict[str, dict[tuple, np.ndarray]]:
-    """Residual (n,) of every channel where only a subset of the players is allowed; all
-    subsets are refitted, the simulator's parameters held unless they are in it."""
+    """Residual (n,) of every channel for each subset of the players. All subsets are
+    refitted; the parameters of the simulator are held unless they are in the subset."""
     atoms, sets = chosen.atoms, subsets(chosen.atoms)
     guess = [chosen.amplitude[[atoms.index(k) for k in s]] for s in sets]
     refit = base.refit([(chosen.z, a) for a in guess], sets)
@@ -142,9 +142,9 @@ def _missed(base: Base, chosen: Hypothesis) -> dict[str, dict[tuple, np.ndarray]
 
 
 def _spread(case, widening: float) -> np.ndarray:
-    """Standard errors (p,) of the parameters z beside the verdict's effects: of the
-    mixture of the fits of all sets, each by its probability, and no less than that of
-    the verdict's own fit. The slips are as unsure as ``Base.doubt``."""
+    """Standard errors (p,) of the parameters z fitted with the effects of the verdict:
+    those of the mixture of all sets by their probability, but at least those of the fit
+    of the verdict. The slips have the uncertainty ``Base.doubt``."""
     base, chosen, listed = case.base, case.chosen, case.weighed.listed
     each, p = [case.weighed.best_of[key] for key in listed], len(chosen.z)
     linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
@@ -159,9 +159,9 @@ def _spread(case, widening: float) -> np.ndarray:
 
 
 def parameter_changes(case, widening: float) -> Mapping[str, Change]:
-    """The simulator's parameters as given, and as the data have them beside the effects
-    of the verdict; empty where a form was fitted. ``widening`` is a factor on the
-    variances, as for amplitudes."""
+    """The parameters of the simulator as given, and as fitted with the effects of the
+    verdict; empty if a form was fitted. ``widening`` is a factor on the variances, as for
+    amplitudes."""
     base, z, changes = case.base, np.asarray(case.chosen.z), {}
     if base.simulator is None:
         return {}
@@ -175,7 +175,8 @@ def parameter_changes(case, widening: float) -> Mapping[str, Change]:
 
 
 def simulator_summary(base: Base, model: str, gap: float) -> SimulatorSummary | None:
-    """What was given; how well ``model`` follows it, also over the whole gap [N]."""
+    """The record of the given simulator, with the error of its stand-in ``model``, also
+    over the whole gap [N]."""
     if base.simulator is None:
         return None
     given, main, n = base.simulator.given, base.rows.channels[0], base.rows.n

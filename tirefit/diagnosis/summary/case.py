@@ -1,5 +1,5 @@
-"""Everything known of one file when its verdict stands, and the forces of every row of
-the file: of the base, with the named effects, and the located gap."""
+"""The state of a diagnosis after its verdict, and the forces of every row of the file: of
+the base, with the named effects, and the located gap."""
 
 from dataclasses import dataclass
 
@@ -18,12 +18,12 @@ from tirefit.diagnosis.summary.records import Untestable
 
 @dataclass(frozen=True)
 class Case:
-    """Everything known of one file when its verdict stands."""
+    """The state of the diagnosis of a file after its verdict."""
 
     base: Base
     search: Search
     weighed: Weighed
-    predicted: Predicted  # by the leading sets, of data left out
+    predicted: Predicted  # data left out, predicted by the leading sets
     verdict: Verdict
     untestable: list[Untestable]
 
@@ -34,13 +34,13 @@ class Case:
 
     @property
     def noise_flags(self) -> tuple[str, ...]:
-        """What is odd about the noise of any channel."""
+        """The flags of the noise of all channels."""
         levels = self.base.noise.values()
         return tuple(dict.fromkeys(flag for level in levels for flag in level.flags))
 
     @property
     def on_the_noise(self) -> tuple[str, ...]:
-        """The effects on the noise alone, where none on the mean is possible."""
+        """The effects on the noise, if no effect on the mean is possible."""
         if self.verdict.status != Status.NONE or self.verdict.also_possible:
             return ()
         of_flag = {effect.flag: effect.id for effect in NOISE_EFFECTS if effect.flag}
@@ -48,8 +48,8 @@ class Case:
 
 
 def _both(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
-    """Forces of the base and of the verdict's fit by channel, at the slips of ``at``;
-    those of a simulator as given, and tuned, too."""
+    """Forces of the base and of the fit of the verdict by channel, at the slips of ``at``;
+    for a simulator, also its forces as given and tuned."""
     base = case.base
     before = at.forces(base.as_given, base.amplitudes())
     after = at.forces(case.chosen.z, amplitudes_of(base, case.chosen))
@@ -81,7 +81,7 @@ def rows_of(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
 
 
 def form_part(case: Case, hypothesis: Hypothesis) -> np.ndarray:
-    """What another form of its effects adds to their formulas, whitened (m,)."""
+    """The force that another form of the effects adds to the formulas, whitened (m,)."""
     base, key = case.base, tuple(sorted(hypothesis.effects))
     if key not in case.weighed.other_form:
         return np.zeros(len(base.prepared.channels) * base.prepared.n)
@@ -89,13 +89,13 @@ def form_part(case: Case, hypothesis: Hypothesis) -> np.ndarray:
 
 
 def _smoothed_remainder(case: Case):
-    """Whitened generic remainder of the chosen fit and the deviation of the located
-    gap, (m,) each; no remainder where a verdict explains all."""
+    """Whitened generic remainder of the chosen fit and the standard deviation of the
+    located gap, (m,) each; the remainder is zero if the verdict explains all."""
     base, chosen, p = case.base, case.chosen, len(case.chosen.z)
     linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
     own = linear.columns[:, list(chosen.atoms)]
     used_up = np.concatenate([linear.jacobian, own], axis=1)
-    # The gap of a simulator has its parameters in it.
+    # The gap of a simulator includes the error of its parameters.
     moved = used_up if base.simulator else without(own, linear.jacobian)
     known = chosen.covariance if base.simulator else chosen.covariance[p:, p:]
     variance = np.einsum("mi,ij,mj->m", moved, known, moved)

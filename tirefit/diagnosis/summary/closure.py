@@ -1,5 +1,5 @@
-"""How far the gap shrinks: on the rows fitted, by draws of what the force may truly be,
-as a remaining gap hides below the noise; on data not used, by the energies there."""
+"""Closure of the gap. On the fitted rows it is computed from draws of the true force, as
+a remaining gap may be below the noise; on data not used, from the energies there."""
 
 from collections.abc import Sequence
 
@@ -18,22 +18,22 @@ from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.records import HeldOut, Shrinkage
 
-DRAWS = 400  # draws, and bootstrap samples: twenty beyond either end of a 90 % interval
+DRAWS = 400  # number of draws and bootstrap samples; 20 are beyond each end of 90 %
 INTERVAL = (0.05, 0.95)  # quantiles at the ends of a 90 % interval
 _RESOLVED = 3.0
-"""Standard deviations of the energy of noise from which a gap is resolved."""
-WORST = -1.0  # closure that counts as the worst there is: the gap doubled
-_BLOCKS = 60  # blocks of a record, at most
+"""A gap is resolved if its energy exceeds so many standard deviations of that of noise."""
+WORST = -1.0  # lower limit of the closure: the gap has doubled
+_BLOCKS = 60  # largest number of blocks of a record
 _WIDER = 1.2
-"""Factor on the errors of parameters: those of a fit whose form is not quite right."""
-_SETS = 3  # sets of effects that are drawn from, the most probable ones
+"""Factor on the errors of parameters, as the form of the fit is not exact."""
+_SETS = 3  # number of the most probable sets of effects in the draws
 _SIZES = np.geomspace(0.03, 300, 20)
-"""Sizes of a discrepancy's coefficients over the noise; all are as likely."""
-_SHAPES = 30  # sharp shapes of a discrepancy that are drawn, the most probable ones
-_FAR = 6.0  # standard errors within which an energy is looked for
+"""Sizes of the coefficients of a discrepancy over the noise, all equally likely."""
+_SHAPES = 30  # number of the most probable sharp shapes of a discrepancy in the draws
+_FAR = 6.0  # range of an energy, in standard errors
 _UNDRAWN, _FACTOR = 0.4, 1.5
-"""Discrepancy of other shapes, as a share of what is drawn: its median, and standard
-deviation of its logarithm. Development trials have .2 to .6."""
+"""Discrepancy of other shapes, over the drawn one: median, and standard deviation of the
+logarithm. Development trials have .2 to .6."""
 _NINETY = 1.645  # standard errors on both sides of a 90 % interval
 
 
@@ -62,10 +62,10 @@ def plausible_forces(case, generator) -> dict[str, np.ndarray]:
 
 
 def _off(base, hypothesis, count: int, generator) -> np.ndarray:
-    """Draws of what a refitted set of effects may be off by, whitened: (m, count)."""
+    """Draws of the error of a refitted set of effects, whitened: (m, count)."""
     linear = linear_at(base, hypothesis)
     values, vectors = np.linalg.eigh(hypothesis.covariance)
-    # A symmetric root: the signs of the vectors do not change the draws.
+    # A symmetric root, so that the signs of eigenvectors do not change the draws.
     spread = _WIDER * (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     misled = np.linalg.lstsq(linear.used_up, base.doubt, rcond=None)[0]
     spread = np.concatenate([spread, misled], axis=1)
@@ -84,7 +84,7 @@ def _off(base, hypothesis, count: int, generator) -> np.ndarray:
     each = (sharp / size).T[:, :, None], size[:, None], among.log_prior[best]
     bases += zip(*each, strict=True)
     discrepancy = drawn_functions(bases, linear.residual, count, generator)
-    # What has none of these shapes.
+    # A discrepancy of other shapes.
     share = _UNDRAWN * np.exp(_FACTOR * generator.standard_normal(count))
     rms = share * np.sqrt(np.mean(discrepancy**2, axis=0))
     unseen = rms * generator.standard_normal(discrepancy.shape)
@@ -113,7 +113,7 @@ def drawn_functions(bases, residual, count: int, generator) -> np.ndarray:
 
 
 def _closed(gap, left) -> np.ndarray:
-    """1 - root of the ratio of the energies left and of the gap, no less than -1."""
+    """1 - root of (remaining energy / energy of the gap), at least -1."""
     ratio = np.asarray(left) / np.maximum(gap, NONZERO)
     return np.maximum(1 - np.sqrt(ratio), WORST)
 
@@ -139,9 +139,9 @@ def _shrinkage(rms, closed, fewer, resolvable: bool) -> Shrinkage:
 
 
 def closure_on_rows(truth, before, after, variance, run, inflation) -> Shrinkage:
-    """Closure on the rows that were fitted: median and interval of its draws. The gap
-    is resolvable where at most one draw of twenty is below 3 sqrt(2 / n_effective) of
-    the energy of the noise.
+    """Closure on the fitted rows: median and interval of its draws. The gap is resolvable
+    if at most one draw in twenty is below 3 sqrt(2 / n_effective) of the energy of the
+    noise.
 
     Args:
         truth: (n, draws) of :func:`plausible_forces` [N].
@@ -162,19 +162,19 @@ def closure_on_rows(truth, before, after, variance, run, inflation) -> Shrinkage
 
 
 def closure_elsewhere(before, after, variance, run, inflation, generator) -> Shrinkage:
-    """Closure on rows that neither fit has seen. The energy left, that of the residuals
-    less that of the noise, has a normal error; its root is >= 0, with a flat prior.
+    """Closure on rows that neither fit used. The remaining energy, that of the residuals
+    minus that of the noise, has a normal error; its root is >= 0, with a flat prior.
 
     Args:
         before, after: (n,) residuals [N] of the base and of the extension.
         variance, inflation: as in :func:`closure_on_rows`.
-        run: (n,) runs, which the blocks of the bootstrap do not cross.
+        run: (n,) runs; blocks of the bootstrap are within a run.
     """
     terms = np.stack([before**2 - after**2, after**2 - variance], axis=1)
     gained, left = terms.mean(axis=0)
     means = block_means(terms, run, inflation, generator)
     evenly = np.linspace(0, 1, DRAWS + 2)[1:-1]
-    # Of a block or two the spread is no error; the noise alone makes this much.
+    # One or two blocks give no error from their spread; noise causes at least this much.
     of_noise = np.sqrt(2 * np.mean(variance**2) * inflation / len(variance))
     error = max(np.std(means[:, 1]), of_noise, ROUNDING * abs(left), NONZERO)
 
@@ -184,7 +184,7 @@ def closure_elsewhere(before, after, variance, run, inflation, generator) -> Shr
         lefts = np.interp(evenly, below, root) ** 2
         return _closed(np.maximum(gains + lefts, 0.0), lefts)
 
-    # What is gained varies with what is left as it does from sample to sample.
+    # The gain varies with the remaining energy as it does between bootstrap samples.
     return _shrinkage(
         float(np.sqrt(max(gained + left, 0.0))),
         closed(means[np.argsort(means[:, 1]), 0], left),
@@ -207,7 +207,7 @@ def block_means(terms, run, inflation, generator) -> np.ndarray:
 
 
 def without_each(terms, run) -> np.ndarray:
-    """Means of terms (n, k) with each run left out: (R, k); none of a single run."""
+    """Means of terms (n, k) with each run left out: (R, k); empty for a single run."""
     codes = np.unique(run)
     if len(codes) < 2:
         return np.zeros((0, terms.shape[1]))
@@ -225,12 +225,12 @@ def of_so_few_runs(value, low, high, one_less):
 
 
 def held_out(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
-    """Closure on data left out by the named effects, and the ladder with what each of
-    its steps closes there.
+    """Closure by the named effects on data left out, and the ladder with the closure of
+    each step there.
 
     Args:
-        holdout: other files; without them the closure is that of the ladder's last set
-            of effects, and None where no effect is named.
+        holdout: other files; without them the closure is that of the last set of the
+            ladder, and None if no effect is named.
     """
     if holdout:
         return _on_files(case, holdout, rig, ladder, generator)

@@ -1,4 +1,4 @@
-"""What is said of one file: the document of a diagnosis and its rows."""
+"""Build the document of a diagnosis and its rows."""
 
 import importlib.metadata
 from dataclasses import replace
@@ -48,26 +48,26 @@ from tirefit.diagnosis.summary.views import (
 from tirefit.diagnosis.summary.where import data_summary, parameter_map, regions, spots
 
 _LISTED, _MENTIONED = 10, 1e-3
-"""Candidates that are listed, at most; probability from which the unknown is one."""
+"""Largest number of candidates; smallest probability of the unknown to be one."""
 
-_SHOWN = 0.05  # probability of a shape of the remainder from which it is reported
+_SHOWN = 0.05  # smallest probability of a shape of the remainder that is reported
 
 _SEEN = 3.3
-"""Standard errors of an amplitude that is seen four times in five: 0.84 beyond 2.46,
+"""Standard errors of an amplitude that is detected four times in five: 0.84 above 2.46,
 which noise exceeds once in 72 files."""
 
 _SEEN_ENERGY = 2.5
-"""The same of the energy of a generic remainder, in standard deviations of that of the
-noise: 0.84 beyond 1.65, which noise exceeds once in 20 files."""
+"""The same for the energy of a generic remainder, in standard deviations of that of
+noise: 0.84 above 1.65, which noise exceeds once in 20 files."""
 
 _DIRECTIONS = 40
-"""Most smooth directions that share the noise's energy; a force over slip has fewer."""
+"""Largest number of smooth directions with noise; a force over slip has fewer."""
 
 
 def document_of(
     case: Case, whole: Prepared, settings, library, holdout, generator, model, seed
 ) -> Diagnosis:
-    """The verdict on the rows of ``case``, spread over all rows of ``whole``.
+    """The document of the verdict on the rows of ``case``, for all rows of ``whole``.
 
     Args:
         settings: :class:`~tirefit.diagnosis.summary.records.Settings`.
@@ -77,7 +77,7 @@ def document_of(
     data, base, rig = whole.data, case.base, settings.rig
     prepared = base.prepared
     rows = rows_of(case, base.measured)
-    # Everything random is drawn in this order: true forces, held-out data, budget.
+    # Random numbers are drawn in this order: true forces, held-out data, budget.
     believed, main = rows_of(case, base), prepared.channels[0]
     truth = plausible_forces(case, generator)
     ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base))
@@ -91,7 +91,7 @@ def document_of(
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown, noise = shown_rows(base, rows[main]), _noise(case)
     missed = base.residual(base.as_given, base.amplitudes())[: prepared.n]
-    # Whether a simulator's parameters explain all that there is.
+    # Whether the parameters of a simulator explain the whole gap.
     tuned_alone = base.simulator is not None and verdict.status == Status.NONE
     return Diagnosis(
         data=data_summary(data, base, rig),
@@ -134,13 +134,13 @@ def document_of(
 
 
 def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
-    """How far the gap of each channel shrinks on the rows of the search.
+    """Closure of the gap of each channel on the rows of the search.
 
     Args:
-        truth: (n, draws) by channel, what the force may truly be.
+        truth: (n, draws) by channel: draws of the true force.
     """
     base, status, gaps = case.base, case.verdict.status, {}
-    # The parameters of a simulator close a part whatever the verdict on effects is.
+    # The parameters of a simulator close a part for every verdict on effects.
     is_simulator = base.simulator is not None
     for channel, parts in rows.items():
         alone = status == Status.UNKNOWN and not is_simulator
@@ -176,8 +176,8 @@ def _noise(case: Case) -> NoiseSummary:
 
 
 def _what_is_left(case: Case) -> tuple[LookCurve, ...]:
-    """The shapes that the remainder resembles, the likeliest first; none where nothing
-    unlisted is likelier than not."""
+    """The shapes that the remainder resembles, the likeliest first; empty if an unlisted
+    effect is unlikely."""
     base = case.base
     if case.verdict.status not in (Status.UNKNOWN, Status.INCOMPLETE):
         return ()
@@ -192,12 +192,12 @@ def _what_is_left(case: Case) -> tuple[LookCurve, ...]:
 
 
 def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSummary:
-    """The verdict, with a probability that says how often such verdicts are right;
-    where no effect on the mean is found, what its noise shows."""
+    """The verdict with its calibrated probability, the share of such verdicts that are
+    right; if no effect on the mean is found, the effects on the noise."""
     verdict, noise = case.verdict, case.on_the_noise
     status = "noise" if noise else verdict.status
     probability = as_often_right(status, verdict.probability)
-    # "Nothing unlisted" is part of what one of the two is the probability of.
+    # Only one of the two probabilities includes the absence of an unlisted effect.
     unlisted = verdict.unlisted
     if verdict.status == Status.INCOMPLETE:
         unlisted = max(unlisted, probability)
@@ -224,7 +224,7 @@ def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
     """The most probable sets of effects, and the unknown.
 
     Args:
-        before, truth: (n,) base force, (n, draws) possible true one, first channel.
+        before, truth: (n,) base force, (n, draws) of the true one, first channel.
     """
     total, verdict = _chances(case), case.verdict
     ranked = sorted(total, key=lambda k: (k == verdict.key, total[k]), reverse=True)
@@ -249,7 +249,7 @@ def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
 
 
 def _chances(case: Case) -> dict:
-    """Probability of every refitted set: the verdict's, others by their evidence."""
+    """Probability of every refitted set: that of the verdict; others by evidence."""
     verdict, listed = case.verdict, case.weighed.listed
     named = verdict.status.names
     some = {k: p for k, p in listed.items() if k and not (named and k == verdict.key)}
@@ -263,7 +263,7 @@ def _chances(case: Case) -> dict:
 
 
 def _widening(base: Base, hypothesis: Hypothesis) -> float:
-    """Of the formulas alone: where another form is used, no size is surer than that."""
+    """Amplitudes by the formulas alone; if another form is used, with its larger errors."""
     return widening(base, base.residual(hypothesis.z, amplitudes_of(base, hypothesis)))
 
 
@@ -276,7 +276,7 @@ def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candi
     atoms = [base.atoms[k] for k in hypothesis.atoms]
     scale = np.asarray(base.design.prior_scale)[list(hypothesis.atoms)]
     sizes = hypothesis.amplitude * scale
-    # However badly it fits, no less is known of it than beforehand.
+    # However bad the fit, the error is at most that of the prior.
     errors = np.minimum(spread, 1.0) * scale
     for atom, size, error in zip(atoms, sizes, errors, strict=True):
         formula = atom.formula(base.design.rows, base.rows.time, size, base.rows)
@@ -297,8 +297,8 @@ def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candi
 
 
 def _closure_by(case: Case, key, before, truth) -> Shrinkage:
-    """What a set of effects closes of the first channel's gap, in whatever form;
-    arguments as in :func:`_candidates`."""
+    """Closure of the gap of the first channel by a set of effects, in any form; arguments
+    as in :func:`_candidates`."""
     at, hypothesis = case.base.measured, case.weighed.best_of[key]
     main, n = at.prepared.channels[0], len(before)
     after = at.forces(hypothesis.z, amplitudes_of(at, hypothesis))[main]
@@ -309,8 +309,8 @@ def _closure_by(case: Case, key, before, truth) -> Shrinkage:
 
 
 def _resolution(case: Case) -> Resolution:
-    """The smallest generic remainder, rms [N], and the smallest amplitudes of effects,
-    in their own units, that would be seen four times in five."""
+    """The smallest generic remainder, rms [N], and the smallest amplitudes of effects, in
+    their own units, that would be detected four times in five."""
     base, n = case.base, case.base.prepared.n
     scale = np.asarray(base.design.scale[base.prepared.channels[0]])[:n]
     directions = min(base.generic.smooth.shape[1], _DIRECTIONS)

@@ -1,5 +1,5 @@
 """Forecasts from the conditions of the rows, not from their forces: which effects the
-rows would show, and which further measurement would separate two effects."""
+rows can show, and which further measurement would distinguish two effects."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -17,21 +17,21 @@ from tirefit.diagnosis.summary.records import Forecast, NextMeasurement
 from tirefit.diagnosis.summary.where import LEVEL
 from tirefit.models import modelled
 
-DRAWS = 2000  # draws of noise: a probability of 5 % is known to half a percent
+DRAWS = 2000  # draws of noise; a probability of 5 % then has an error of 0.5 %
 _FACTORS, _SMALL = (0.5, 2.0), 0.1
 """Loads, speeds and slips of further measurements over those of the file."""
-_FEW = 3  # pairs of effects that are compared, and additions that are listed, at most
+_FEW = 3  # largest numbers of compared pairs of effects and of listed additions
 _WORTHWHILE = 0.02
-"""Rise of the probability to tell two effects apart that is worth an addition."""
+"""Smallest rise of the probability to distinguish two effects that is worth measuring."""
 _SAME_AGAIN = "the same again"
 _MOMENT = "the aligning moment M_z on lateral runs"
 
 
 def separability(columns, a: int, b: int, size_a: float, size_b: float) -> float:
-    """Forecast probability of telling effect a from b, by the larger abs(z).
+    """Forecast probability of distinguishing effect a from b by the larger abs(z).
 
     Args:
-        columns: (m, K) directions of the effects, base parameters taken out.
+        columns: (m, K) directions of the effects, orthogonal to the base parameters.
         size_a, size_b: amplitudes in units of the columns.
     """
     one, two = columns[:, a] * size_a, columns[:, b] * size_b
@@ -39,7 +39,7 @@ def separability(columns, a: int, b: int, size_a: float, size_b: float) -> float
     if min(energy) < FLAT:
         return 0.5
     correlation = one @ two / np.sqrt(energy[0] * energy[1])
-    # Exact confusions have a correlation of 1, and a rounding beyond it.
+    # Equal effects have a correlation of 1, which rounding may exceed.
     apart = max(1 - abs(correlation), 0.0)
     return float(ndtr(np.sqrt(min(energy) * apart / 2)))
 
@@ -52,12 +52,12 @@ def scores_of_nothing(directions, draws: int, generator) -> np.ndarray:
 
 
 def recognition(directions, names: Sequence[str], truth: int, size: float, noise):
-    """Probabilities that the largest score exceeds that of noise, and that it is also
-    the right one; the effect that it is taken for else, None if hardly ever any. Scores
-    of unit directions of correlation R are z ~ N(size R[:, truth], R).
+    """Probabilities that the largest score exceeds that of noise, and that it is also that
+    of the true effect; the effect that is found most often instead, None if hardly any.
+    Scores of unit directions of correlation R are z ~ N(size R[:, truth], R).
 
     Args:
-        directions: (m, K) of length one, base parameters taken out.
+        directions: (m, K) of length one, orthogonal to the base parameters.
         names: the effect of each (K,); variants share a name.
         truth: index of the direction that is there.
         size: its amplitude in standard errors.
@@ -73,7 +73,7 @@ def recognition(directions, names: Sequence[str], truth: int, size: float, noise
 
 
 def confusion(search) -> list[Forecast]:
-    """For each testable effect at its usual size: is it seen, or taken for another?"""
+    """For each testable effect of usual size, whether it is detected or confused."""
     base, left = search.base, search.projected
     length = np.linalg.norm(left, axis=0)
     use = [k for k in search.testable if length[k] > UNSEEN]
@@ -93,7 +93,7 @@ def confusion(search) -> list[Forecast]:
 
 
 def _changes(prepared: Prepared) -> dict[str, dict]:
-    """Further measurements: name -> the conditions that they change."""
+    """Further measurements: name -> the changed conditions."""
     options: dict[str, dict] = {_SAME_AGAIN: {}}
     if "signs" not in prepared.has:
         options["the opposite sign of slip"] = {"slip": -1.0}
@@ -108,7 +108,7 @@ def _changes(prepared: Prepared) -> dict[str, dict]:
 
 
 def _changed(base: Base, change: dict) -> Base:
-    """The design measured under other conditions; of two, in turn from row to row."""
+    """The design under other conditions; of two conditions, in turn from row to row."""
     design, n, size = base.design, base.prepared.n, len(base.design.keep)
     inputs, rows, slip = design.inputs, design.rows, change.get("slip", 1.0)
     scaled = {k: np.resize(change[k], size) for k in ("fz", "v") if k in change}
@@ -130,7 +130,7 @@ def _changed(base: Base, change: dict) -> Base:
 
 
 _Block = tuple[np.ndarray, np.ndarray]
-"""Whitened rows of one measurement, by base parameters (m, p) and amplitudes (m, K)."""
+"""Whitened slopes of one measurement by base parameters (m, p) and amplitudes (m, K)."""
 
 
 def _block(base: Base, z) -> _Block:
@@ -139,9 +139,9 @@ def _block(base: Base, z) -> _Block:
 
 
 def _with_moment(base: Base, z) -> _Block:
-    """Lateral runs at the slips and loads of these rows, with F_y and M_z measured: F_y
-    with the noise of the force here, M_z with the same share of its peak. The contact
-    length, a factor on all of M_z, is unknown: the last column by the parameters."""
+    """Lateral runs at the slips and loads of these rows, with F_y and M_z measured. F_y has
+    the noise of the present force, M_z the same share of its peak. The contact length, a
+    factor on M_z, is unknown: it is the last column of the parameters."""
     n, channels = base.prepared.n, ("fy", "mz")
     scale = np.asarray(base.design.scale[base.prepared.channels[0]])
     none = dict.fromkeys(channels, np.zeros_like(scale))
@@ -158,7 +158,7 @@ def _with_moment(base: Base, z) -> _Block:
 
 
 def _told_apart(blocks: Sequence[_Block], one, two) -> float:
-    """Forecast probability of telling two effects apart by all of these measurements.
+    """Forecast probability of distinguishing two effects by all these measurements.
 
     Args:
         one, two: (atom, amplitude in prior scales) of the effects.
@@ -171,8 +171,8 @@ def _told_apart(blocks: Sequence[_Block], one, two) -> float:
 
 
 def _sizes(search, weighed) -> dict[str, tuple[int, float]]:
-    """Atom and amplitude in prior scales of each testable effect: the usual one, or as
-    refitted alone where that is larger: a refit near zero does not bound an effect."""
+    """Atom and amplitude in prior scales of each testable effect: the usual amplitude, or
+    that of the single refit if it is larger (a refit near zero is no limit)."""
     center = np.asarray(search.base.design.prior_center)
     sizes: dict[str, tuple[int, float]] = {}
     for k in search.testable:
@@ -185,8 +185,8 @@ def _sizes(search, weighed) -> dict[str, tuple[int, float]]:
 
 
 def _pairs(search, weighed, verdict, known) -> list[tuple[str, str]]:
-    """Pairs of known effects that the data may confuse: those named with what else is
-    possible and with what they resemble, then the most probable single effects."""
+    """Pairs of known effects that the data may confuse: the named ones with other possible
+    ones and with those they resemble, then the most probable single effects."""
     alike = {atom.effect.id: atom.effect.looks_like for atom in search.base.atoms}
     pairs = [(e, other) for e in verdict.effects for other in verdict.also_possible]
     pairs += [(e, other) for e in verdict.effects for other in alike.get(e, ())]
@@ -200,8 +200,8 @@ def _pairs(search, weighed, verdict, known) -> list[tuple[str, str]]:
 def next_measurements(
     base: Base, search, weighed, verdict, most: int = _FEW
 ) -> tuple[tuple[NextMeasurement, ...], str | None]:
-    """Additions, of as many rows as there are, that would separate what the data leave
-    confused, the largest gain first; where there are none, the reason, else None."""
+    """Further measurements, of as many rows as the file has, that would distinguish
+    confused effects, the largest gain first; and the reason if there are none."""
     sizes, z = _sizes(search, weighed), weighed.best_of[()].z
     here, changes = _block(base, base.z), _changes(base.prepared)
 
@@ -229,15 +229,15 @@ def next_measurements(
 
 
 def _reason(considered: Sequence[NextMeasurement], status: str) -> str:
-    """Why no addition is worth a measurement."""
+    """The reason why no further measurement is suggested."""
     if not considered:
         return "there is only one effect that these rows can be tested for"
     _, (a, b), now, _ = considered[0]
     if now > 1 - _WORTHWHILE:
-        apart = f"rows like these tell {a} from {b} with probability {now:.2f}"
+        apart = f"rows like these distinguish {a} from {b} with probability {now:.2f}"
         if status == "cannot_tell":
-            return f"{apart}: this time their noise does not, so repeat them"
+            return f"{apart}, but with their present noise they do not: repeat them"
         return apart
     best = max(step.p_after for step in considered if step.separates == (a, b))
-    apart = f"no addition that is known here would tell {a} from {b}"
-    return f"{apart}: at best with probability {best:.2f} (now {now:.2f})"
+    apart = f"no further measurement known here would distinguish {a} from {b}"
+    return f"{apart}: the best one with probability {best:.2f} (now {now:.2f})"

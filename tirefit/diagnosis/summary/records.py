@@ -1,7 +1,7 @@
-"""What a diagnosis says, as records; their fields are the keys of ``NAME.json``.
+"""Records of a diagnosis; their fields are the keys of ``NAME.json``.
 
-Forces in N, moments in N m, slips without unit, angles in rad; ids of effects are those
-of :data:`tirefit.diagnosis.effects.EFFECTS`.
+Forces are in N, moments in N m, slips without unit, angles in rad; ids of effects are
+those of :data:`tirefit.diagnosis.effects.EFFECTS`.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from tirefit.diagnosis.rows.rig import Rig
 
 @dataclass(frozen=True, kw_only=True)
 class DataSummary:
-    """The file and how it was read."""
+    """The file, and how it was read."""
 
     name: str
     path: str
@@ -59,10 +59,10 @@ class NoiseSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class Shrinkage:
-    """A gap beyond the noise, rms, and how far it shrinks: ``closed`` is 1 -
-    remaining_rms / rms with its 90 % interval, None where the gap is not
-    ``resolvable``. It ends at zero on the rows fitted, elsewhere at
-    :data:`tirefit.diagnosis.summary.closure.WORST`, where it may be any worse."""
+    """The rms gap beyond the noise and its closure: ``closed`` is 1 - remaining_rms / rms
+    with its 90 % interval, None if the gap is not ``resolvable``. Its lower limit is zero
+    on the fitted rows, elsewhere :data:`tirefit.diagnosis.summary.closure.WORST`, which
+    includes all worse values."""
 
     rms: float
     resolvable: bool
@@ -72,7 +72,7 @@ class Shrinkage:
 
     @property
     def net_closed(self) -> float | None:
-        """``closed``, below zero where more is left than there was."""
+        """``closed``, negative if the gap has become larger."""
         if self.closed != 0 or self.remaining_rms <= self.rms:
             return self.closed
         return 1 - self.remaining_rms / self.rms
@@ -93,8 +93,8 @@ class HeldOut(Shrinkage):
 
 @dataclass(frozen=True, kw_only=True)
 class Gap(Shrinkage):
-    """The gap of the first channel on the file's own rows, and of every channel;
-    ``shares`` are those of several effects in the energy closed (Shapley)."""
+    """The gap of the first channel on the rows of the file, and of every channel;
+    ``shares`` are those of several effects in the closed energy (Shapley)."""
 
     channels: Mapping[str, Shrinkage]
     holdout: HeldOut | None
@@ -102,8 +102,8 @@ class Gap(Shrinkage):
 
 
 class Spot(NamedTuple):
-    """A short stretch of a covariate that holds far more of the gap than its share of
-    the rows; the p-value is corrected as that of a :class:`Region`."""
+    """A short stretch of a covariate with a share of the gap far above its share of the
+    rows; the p-value is corrected as for a :class:`Region`."""
 
     covariate: str
     low: float
@@ -125,7 +125,7 @@ class Region(NamedTuple):
 
 class Cell(NamedTuple):
     """One parameter as a free function of one covariate: its log evidence over the base
-    fit, and the share of the misfit's energy that it takes away at most."""
+    fit, and the largest share of the energy of the misfit that it can remove."""
 
     parameter: str
     covariate: str
@@ -134,21 +134,21 @@ class Cell(NamedTuple):
 
 
 class Left(NamedTuple):
-    """What remains of the gap beyond the noise."""
+    """The remaining gap beyond the noise."""
 
     rms: float
     share: float  # of the gap's energy
-    unlisted: float  # probability that something unlisted is there
+    unlisted: float  # probability that an unlisted effect is present
     tests: Mapping[str, float | None]  # p-values, None if rows have no such order
     looks_like: tuple[Look, ...] = ()  # shapes it resembles, the most probable first
 
 
 @dataclass(frozen=True, kw_only=True)
 class VerdictSummary:
-    """Which effects are there, and what is left: a
-    :class:`~tirefit.diagnosis.decide.verdict.Verdict` as it is reported, with a
-    ``probability`` that says how often such verdicts are right; ``parameters`` are
-    those of a given simulator, none of a fitted form."""
+    """The effects that are present, and the remainder: a
+    :class:`~tirefit.diagnosis.decide.verdict.Verdict` for the report, with a calibrated
+    ``probability``, the share of such verdicts that are right; ``parameters`` are those
+    of a given simulator, empty for a fitted form."""
 
     status: Status
     effects: tuple[str, ...]
@@ -160,7 +160,7 @@ class VerdictSummary:
 
     @property
     def names_an_effect(self) -> bool:
-        """Whether effects on the mean force are named, not of the noise alone."""
+        """Whether effects on the mean force are named, and not only on the noise."""
         of_noise = {effect.id for effect in NOISE_EFFECTS}
         on_mean = [e for e in self.effects if e not in of_noise]
         return bool(on_mean) and on_mean != ["unknown"]
@@ -172,7 +172,7 @@ class Change(NamedTuple):
     simulated: float
     measured: float
     std: float  # standard error of ``measured``
-    differs: bool  # by more than two standard errors
+    differs: bool  # whether they differ by more than two standard errors
 
 
 class Part(NamedTuple):
@@ -186,8 +186,8 @@ class Part(NamedTuple):
 
 
 class Surrogate(NamedTuple):
-    """The tire that stands in for a simulator: rms [N] of what it misses of the
-    simulated force, first channel, and that as a share of the force and of the gap."""
+    """The tire that stands in for a simulator: its rms error [N] in the simulated force
+    of the first channel, and that error over the force and over the gap."""
 
     model: str
     rms: float
@@ -215,20 +215,20 @@ class Amplitude(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A set of effects that may explain the gap; scores are None for the unknown."""
+    """A set of effects that may explain the gap; scores of the unknown are None."""
 
     effects: tuple[str, ...]
     family: str
     probability: float
     parameters: Mapping[str, Amplitude]  # ``effect: parameter`` -> size
     z: float | None  # score at the base fit
-    z_given_rivals: float | None  # least amplitude over error in the set
+    z_given_rivals: float | None  # smallest amplitude over error in the set
     closed: float | None
     closed_ci: tuple[float | None, float | None]
 
 
 class Untestable(NamedTuple):
-    """An effect that this data cannot show, and what it needs for that."""
+    """An effect that these data cannot show, and the data that it needs."""
 
     effect: str
     needs: tuple[str, ...]
@@ -236,7 +236,7 @@ class Untestable(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Resolution:
-    """Smallest unlisted remainder (rms) and amplitudes that would have been seen."""
+    """Smallest unlisted remainder (rms) and amplitudes that would have been detected."""
 
     remainder: float
     smallest_effects: Mapping[str, float]
@@ -248,19 +248,19 @@ class Resolution:
 
 
 class Forecast(NamedTuple):
-    """An effect of its usual size on these rows, and probabilities."""
+    """Forecast probabilities for an effect of usual size on these rows."""
 
     effect: str
     amplitude: float
     unit: str
     seen: float
-    recognised: float  # seen and recognised
-    taken_for: str | None  # else; None: hardly ever anything
+    recognised: float  # detected and recognised
+    taken_for: str | None  # effect found most often instead; None: hardly any
 
 
 class NextMeasurement(NamedTuple):
-    """What to add, the two effects that it separates, and the probabilities to tell
-    them apart without and with it."""
+    """A further measurement, the two effects that it distinguishes, and the probabilities
+    of distinguishing them without and with it."""
 
     add: str
     separates: tuple[str, str]
@@ -270,9 +270,9 @@ class NextMeasurement(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What was known and asked for."""
+    """Settings of the diagnosis."""
 
     rig: Rig
-    effects: tuple[str, ...]  # ids looked for
-    holdout: tuple[str, ...]  # sha256 of files held out
+    effects: tuple[str, ...]  # ids searched
+    holdout: tuple[str, ...]  # sha256 of held-out files
     forces: tuple[str, ...] | None = None  # that matter, None for all

@@ -1,4 +1,4 @@
-"""What a diagnosis found (:class:`Diagnosis`), as ``NAME.json``, ``NAME.rows.csv``."""
+"""The result of a diagnosis (:class:`Diagnosis`): ``NAME.json`` and ``NAME.rows.csv``."""
 
 import json
 from collections.abc import Mapping
@@ -45,22 +45,22 @@ _NOT_WRITTEN = {"written": False}
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Diagnosis(Record):
-    """One file diagnosed: the records of the document, in its order, then arrays.
+    """The diagnosis of a file: the records of the document, in its order, then arrays.
 
     ``budget`` is that of the first channel, ``budgets`` those of all.
-    ``next_measurement`` is ranked, the largest gain first; where it is empty,
-    ``next_measurement_reason`` says why. ``slip_check`` is the slip column against the
-    slip of the wheel speed, None where that is not known. ``runs`` says how far the
-    runs differ, by kind of offset; empty for a single run. ``spots`` are short
-    stretches within the regions of ``where``.
+    ``next_measurement`` has the largest gain first; if it is empty,
+    ``next_measurement_reason`` is the reason. ``slip_check`` compares the slip column
+    with the slip of the wheel speed; None if that is not known. ``runs`` describes the
+    differences of the runs, by kind of offset; empty for a single run. ``spots`` are
+    short stretches within the regions of ``where``.
 
-    ``rows`` holds (n,) arrays by channel of all rows of the file, canonical, NaN where
-    masked: ``base``, ``extended``, ``gap``, ``gap_std``; for a simulator ``base`` is it
-    as given, also under ``sim``, and ``tuned`` its parameters adapted. ``simulator`` is
-    None where a form was fitted; ``meanings`` of its parameters. ``table`` is the data,
-    ``mean_load`` [N] that of its used rows; ``residual_map``, ``comparison`` and
-    ``look`` are what the figures show, the last None where nothing unlisted shows a
-    shape; ``library`` holds the effects that were looked for, a user's own among them.
+    ``rows`` holds arrays (n,) by channel for all rows of the file, canonical, NaN if
+    masked: ``base``, ``extended``, ``gap``, ``gap_std``; for a simulator, ``base`` and
+    ``sim`` are its forces as given, ``tuned`` those with adapted parameters.
+    ``simulator`` is None if a form was fitted; ``meanings`` are those of its parameters.
+    ``table`` is the data, ``mean_load`` [N] that of its used rows; ``residual_map``,
+    ``comparison`` and ``look`` are the contents of figures, the last None if no unlisted
+    effect has a shape; ``library`` holds the searched effects, including a user's own.
     """
 
     text_by: ClassVar[str] = "tirefit.report.diagnosis_text:diagnosis_text"
@@ -107,7 +107,7 @@ class Diagnosis(Record):
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Ids of the verdict: empty for none, ``("unknown",)`` for not listed."""
+        """Ids of the verdict: empty for none, ``("unknown",)`` for an unlisted effect."""
         return self.verdict.effects
 
     @property
@@ -124,7 +124,7 @@ class Diagnosis(Record):
     def files(self, name: str = "") -> dict[str, str]:
         """``NAME.json`` and ``NAME.rows.csv``."""
         name = name or self.table.name
-        # The document comes last: where it stands, the rows beside it are its own.
+        # The document is written last, so that its rows always exist.
         rows = csv_text(rows_in_file_terms(self))
         return {f"{name}.rows.csv": rows, f"{name}.json": self.to_json()}
 
@@ -146,14 +146,14 @@ def _mappings(value: Any) -> Any:
 
 
 def rows_in_file_terms(result: Diagnosis) -> dict[str, np.ndarray]:
-    """Columns of ``NAME.rows.csv``, in the file's own convention and units."""
+    """Columns of ``NAME.rows.csv``, in the convention and units of the file."""
     data, out = result.table, {}
     for channel, parts in result.rows.items():
         header = data.source.columns.get(channel, channel)
-        # A difference of forces converts as a force: units have no offset here.
+        # A difference of forces is converted like a force, as their units have no offset.
         own = {k: to_convention(data, {channel: x})[header] for k, x in parts.items()}
         for name in ("sim", "tuned", "base", "extended", "gap"):
-            if name in own:  # only a simulator is as given, and tuned
+            if name in own:  # only a simulator has forces as given and tuned
                 out[f"{name}_{channel}"] = own[name]
         out[f"gap_{channel}_std"] = np.abs(own["gap_std"])
     return out | {"masked": (~data.used).astype(int)}

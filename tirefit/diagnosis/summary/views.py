@@ -1,5 +1,5 @@
-"""What the figures of a diagnosis show, as arrays: which cells of the data miss, both
-fits over the slip, and the shape of what is left."""
+"""Contents of the figures of a diagnosis, as arrays: the residual in cells of the data,
+both fits over the slip, and the shape of the remainder."""
 
 from typing import Any, NamedTuple
 
@@ -24,15 +24,15 @@ from tirefit.diagnosis.rows.patterns import (
 from tirefit.diagnosis.summary.where import FEWEST_ROWS, LEVEL, binned, covariates_of
 
 _BANDS, _BINS, _STEPS = 5, 13, 60
-"""Most bands of a swept covariate, bins of a map or remainder, and bins of a curve."""
+"""Largest numbers of bands of a swept covariate, bins of a map, and bins of a curve."""
 
-_FEWEST = 4  # rows of a cell from which its scatter is known
+_FEWEST = 4  # smallest number of rows of a cell for its scatter to be known
 _TENTHS = (0.1, 0.9)  # quantiles that hold 80 % of the rows of a bin
 _BETTER = 0.05
-"""Share of its energy by which another map must show more than that over the load."""
-_POINTS, _CURVES = 300, 3  # points and curves that a figure shows, at most
+"""Another map replaces that over the load if it shows more energy by this share."""
+_POINTS, _CURVES = 300, 3  # largest numbers of points and curves in a figure
 _SHOWN_OVER = ("fz", "v", "time", "direction", "gamma")
-"""Covariates that the map is drawn over, the usual one first."""
+"""Covariates of the map, the usual one first."""
 
 
 class ShownRows(NamedTuple):
@@ -40,7 +40,7 @@ class ShownRows(NamedTuple):
 
     channel: str
     slip_name: str
-    slip: np.ndarray  # sigma_x, or alpha [rad] where ``slip_name`` says so
+    slip: np.ndarray  # sigma_x, or alpha [rad], see ``slip_name``
     slip_fraction: np.ndarray
     load: np.ndarray
     covariates: dict[str, np.ndarray]  # those that vary, loads first
@@ -58,7 +58,7 @@ class ResidualMap(NamedTuple):
     levels: np.ndarray  # (m, 2) of the covariate, from and to
     edges: np.ndarray  # (k+1,) of the signed slip fraction
     mean: np.ndarray  # (m, k) in % of F_z, NaN for empty cells
-    beyond: np.ndarray  # (m, k) it is not noise (Benjamini-Hochberg, 5 %)
+    beyond: np.ndarray  # (m, k) significant (Benjamini-Hochberg, 5 %)
     energy: np.ndarray  # (m, k) share of the gap's energy, 0 if it cannot be resolved
 
 
@@ -77,12 +77,11 @@ class LoadCurve(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Before and after: curves by load; rms residuals [N], noise included, by slip
-    fraction."""
+    """Base and extension: curves by load; rms residuals [N] with noise by slip fraction."""
 
     channel: str
     slip_name: str
-    named: bool  # ``after`` is the extension, else the located gap is
+    named: bool  # whether ``after`` is the extension; else it has the located gap
     curves: tuple[LoadCurve, ...]
     center: np.ndarray
     before: np.ndarray
@@ -128,13 +127,13 @@ def _in_columns(rows: ShownRows, count: int) -> tuple[np.ndarray, np.ndarray]:
     """:func:`binned` of the slip fraction, for maps of ``count`` levels."""
     inside = np.clip(rows.slip_fraction, -FULL_SLIDING, FULL_SLIDING)
     columns = min(len(inside) // (FEWEST_ROWS * count), _BINS)
-    # An odd number leaves zero slip, where noise flips the sign, within one cell.
+    # With an odd number, zero slip, where noise changes the sign, is within one cell.
     return binned(inside, columns | 1)
 
 
 def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> ResidualMap:
-    """The map over slip fraction and the covariate along which most of the gap shows;
-    over loads where no other covariate shows 5 % more.
+    """The map over slip fraction and the covariate that shows most of the gap; the load,
+    unless another covariate shows 5 % more.
 
     Args:
         inflation: rows per independent row.
@@ -168,9 +167,9 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
 def _load_curve(load, slip, force, base, extended) -> LoadCurve:
     codes, _ = binned(slip, min(len(slip) // FEWEST_ROWS, _STEPS))
     bins = [codes == k for k in np.unique(codes)]
-    # Within a bin the force rises with slip: only what the extension adds is spread.
+    # The force rises with slip within a bin: spread only the part of the extension.
     spread = [np.quantile((extended - base)[rows], _TENTHS) for rows in bins]
-    # A wheel that nearly locks has slips without bound: their mean is of no use.
+    # The slip of a nearly locked wheel is unbounded, so do not average it.
     center = np.array([np.median(slip[rows]) for rows in bins])
     before, after = _means(codes, base, extended)
     points = np.unique(np.linspace(0, len(slip) - 1, _POINTS).astype(int))
@@ -180,8 +179,8 @@ def _load_curve(load, slip, force, base, extended) -> LoadCurve:
 
 
 def compared(rows: ShownRows, named: bool) -> Comparison:
-    """Both fits over the data at up to three loads, and their residuals over slip; the
-    base with the located gap in the place of the extension where no effect is named."""
+    """Both fits and the data at up to three loads, and their residuals over slip. If no
+    effect is named, the base with the located gap replaces the extension."""
     after = rows.extended if named else rows.base + rows.gap
     codes, ends = _levels(rows.load)
     there, each = np.unique(codes), (rows.slip, rows.observed, rows.base, after)
@@ -204,7 +203,7 @@ class LookCurve(NamedTuple):
     change: np.ndarray  # (k,) estimates
     std: np.ndarray  # (k,) standard errors
     x: np.ndarray  # (p,) of the shape
-    shape: np.ndarray  # (p,) fitted; its size: a wave's amplitude, a kink's end
+    shape: np.ndarray  # (p,) fitted; scaled by the amplitude of a wave or end of a kink
     is_mirrored: bool  # changes in the direction of the slip
     is_folded: bool  # a wave, shown within one period
     at_settings: bool  # bins are settings
@@ -212,7 +211,7 @@ class LookCurve(NamedTuple):
 
 def shape_of(one: Pattern | Look, values, low: float, span: float) -> np.ndarray:
     """The shape of a pattern at values of its covariate, which begins at ``low`` in the
-    data and has this ``span``: (n, 1); of a wave sine and cosine, (n, 2)."""
+    data and has this ``span``: (n, 1); for a wave sine and cosine, (n, 2)."""
     off = np.asarray(values, float) - one.at
     if one.shape == "wave":
         angle = 2 * np.pi * (np.asarray(values, float) - low) / one.at
@@ -227,7 +226,7 @@ def shape_of(one: Pattern | Look, values, low: float, span: float) -> np.ndarray
 
 
 def look_curve(chosen, base: Base, look: Look) -> LookCurve:
-    """The shape that the remainder of a fit resembles, over the data."""
+    """The shape that the remainder of a fit resembles, with the data."""
     values = quantities(base.rows, base.slip_fraction)[look.covariate]
     place = PLACE[PARAMETERS[look.parameter][0]]
     field = np.asarray(base.at_null.fields)[:, place].reshape(-1, base.rows.n)
@@ -287,7 +286,7 @@ def curve_of(look: Look, values, field, linear: LinearFit) -> LookCurve:
 
 
 def equally_known(place, information) -> np.ndarray:
-    """Bins (n,) along the place in which the parameter is known equally well."""
+    """Bins (n,) of the place, in each of which the parameter has the same accuracy."""
     count = max(min(len(place) // FEWEST_ROWS, _BINS), 1)
     order = np.argsort(place, kind="stable")
     known = np.cumsum(information[order])

@@ -1,5 +1,5 @@
-"""What the file is, and where in it the gap lies: regions of slip, load, speed, time
-and direction, and which parameter of the tire would have to vary with which of them."""
+"""Describe the file, and locate the gap in it: in regions of slip, load, speed, time and
+direction, and in dependences of a tire parameter on these."""
 
 from itertools import combinations
 
@@ -20,16 +20,16 @@ from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.summary.records import Cell, DataSummary, Region, Spot
 
 LEVEL = 0.05
-"""Rate of false discoveries (regions, spots, cells), false alarms, and confusions."""
+"""Rates of false discoveries (regions, spots, cells), false alarms, and confusions."""
 _PARTS, _STRETCHES = 4, 32
-"""Parts of a swept covariate as regions, and to look for spots in; spots at most."""
+"""Number of parts of a swept covariate for regions, and for spots; most spots."""
 FEWEST_ROWS = 8
-"""Fewest rows of a region, and of a bin on average; and rows over the slip whose
-misfits are summed: a smooth misfit adds up, noise does not."""
-_DENSE = 4.0  # share of the gap over that of the rows from which a stretch is a spot
+"""Smallest number of rows of a region, and of a bin on average; and number of neighbours
+in slip whose misfits are summed: a smooth misfit adds up, noise does not."""
+_DENSE = 4.0  # smallest ratio of the share of the gap to that of the rows for a spot
 _FUNCTIONS = 6  # smooth functions of a covariate that a parameter may follow
 _TOGETHER = 0.9
-"""Rank correlation from which two conditions are reported to move together."""
+"""Rank correlation above which two conditions are reported as related."""
 
 
 def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
@@ -50,7 +50,7 @@ def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
 
 
 def moving_together(rows: Prepared) -> tuple[str, ...]:
-    """A sentence on every two conditions that rise, or rise and fall, together."""
+    """Sentences on pairs of conditions that are correlated."""
     values, said = quantities(rows, np.zeros(rows.n)), []
     names = ("time", "fz", "v", "temperature", "gamma", "pressure")
     for one, other in combinations([c for c in names if c in values], 2):
@@ -91,14 +91,14 @@ def _chance(base: Base, residual, rows) -> float:
 def binned(values, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Bin (n,) of each value, edges (k + 1,) of at most ``count`` equally full bins."""
     edges = np.unique(np.quantile(values, np.linspace(0, 1, max(count, 1) + 1)))
-    if len(edges) == 1:  # one value alone would be a bin without width
+    if len(edges) == 1:  # a single value would give a bin without width
         edges = edges[0] + np.array([-0.5, 0.5])
     return np.digitize(values, edges[1:-1]), edges
 
 
 def _judged(base: Base, residual, gap, parts) -> list[Region]:
-    """Regions of ``parts`` (name -> part of each row, lower and upper ends), p-values
-    by Benjamini and Yekutieli: parts of several covariates share their rows."""
+    """Regions of ``parts`` (name -> part of each row, lower and upper ends), with p-values
+    by Benjamini and Yekutieli, as parts of several covariates share rows."""
     energy, found = gap**2 / max(float(np.sum(gap**2)), NONZERO), []
     for name, (code, *ends) in parts.items():
         for k, (low, high) in enumerate(zip(*ends, strict=True)):
@@ -119,7 +119,7 @@ def _parts(values, count: int):
 
 
 def regions(base: Base, residual, gap) -> list[Region]:
-    """Settings, or quarters of what is swept, with their shares of the energy of the
+    """Settings, or quarters of swept covariates, with their shares of the energy of the
     located ``gap`` (n,) [N] and the corrected p-values of the whitened ``residual``
     (n,), inflation included; the largest significant share first."""
     parts = {}
@@ -132,12 +132,12 @@ def regions(base: Base, residual, gap) -> list[Region]:
 
 
 def spots(base: Base, residual, gap) -> tuple[Spot, ...]:
-    """Short stretches of what was swept that hold far more of the gap than their share
+    """Short stretches of swept covariates with a share of the gap far above their share
     of the rows, the largest first; arguments as in :func:`regions`."""
     parts = {
         name: _parts(values, _STRETCHES)
         for name, values in covariates_of(base).items()
-        # Pauses between sweeps part the time; a setting has no stretches.
+        # Pauses between sweeps separate the time; a setting has no stretches.
         if name == "time" or not levels(values).few()
     }
     rows = {k: float(np.bincount(c).max() / len(c)) for k, (c, *_) in parts.items()}
@@ -150,8 +150,8 @@ def spots(base: Base, residual, gap) -> tuple[Spot, ...]:
 
 
 def parameter_map(base: Base) -> list[Cell]:
-    """Every parameter against every covariate that varies, the strongest evidence
-    first. Cells overlap: a gap of one cause shows in all that resemble it."""
+    """Every parameter with every covariate that varies, the strongest evidence first. A
+    gap of one cause also appears in cells that resemble it."""
     residual, jacobian, _, fields = base.at_null
     load, channels = np.asarray(base.prepared.inputs.fz), len(base.prepared.channels)
     misfit = max(float(residual @ residual), NONZERO)

@@ -1,0 +1,284 @@
+"""Small commands: version, and tables of models, methods, files and forces."""
+
+from dataclasses import replace
+from enum import StrEnum
+from json import dumps
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tirefit import __version__
+from tirefit.cli.magic_formula import CombinationOption
+from tirefit.cli.notes import merged_notes, warn
+from tirefit.cli.options import (
+    DataOptions,
+    Files,
+    JsonOption,
+    SetOption,
+    SideOption,
+    SignsOption,
+    complain,
+    error_text,
+    errors_to_exit,
+    model_names,
+    named_path,
+    numbers,
+    pairs,
+    read_config,
+    read_options,
+    say,
+    start_jax,
+    takes_data_options,
+)
+from tirefit.data.remote import expanded
+from tirefit.files import json_safe
+from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
+
+OutFile = Annotated[
+    Path, typer.Option(metavar="FILE.csv", parser=named_path, help="CSV file to write")
+]
+
+
+class Axle(StrEnum):
+    rear = "rear"
+    front = "front"
+
+
+def version() -> None:
+    """Print the version."""
+    say(__version__)
+
+
+def models(json: JsonOption = False) -> None:
+    """List the models: parameters, units, bounds, meaning, source equation."""
+    from tirefit.models import MODELS
+    from tirefit.report.model_tables import models_dict, models_table
+
+    say(dumps(models_dict(MODELS), indent=1) if json else models_table(MODELS))
+
+
+def methods(json: JsonOption = False) -> None:
+    """List the online methods: inputs, estimates, valid use of friction, source."""
+    from tirefit.online.methods import METHODS
+    from tirefit.report.model_tables import methods_dict, methods_table
+
+    say(dumps(methods_dict(METHODS), indent=1) if json else methods_table(METHODS))
+
+
+@takes_data_options
+def inspect(
+    files: Files,
+    options: DataOptions,
+    model: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="model whose parameters are checked (repeat for more; default: some"
+            " brush models and the Magic Formula)",
+            autocompletion=model_names,
+        ),
+    ] = None,
+    gate: Annotated[
+        bool,
+        typer.Option(
+            "--gate/--no-gate", help="compute how well the file determines the parameters of models"
+        ),
+    ] = True,
+    json: JsonOption = False,
+) -> None:
+    """Show how a file was read, which fits it supports, and how well it determines the
+    parameters of models."""
+    from tirefit.data.inspect import inspect as look
+    from tirefit.data.read import read
+
+    with errors_to_exit(), merged_notes():
+        how = read_options(options, read_config(options.config))
+        worst, files = ExitCode.OK, expanded(files)
+        for file in files:
+            try:
+                data = read(file, **how)
+                inspection = look(data)
+                told = _told(data, model) if gate else None
+            except TirefitError as error:
+                if error.exit_code == ExitCode.USAGE:
+                    raise
+                complain(error_text(error))
+                worst = max(worst, error.exit_code)
+                continue
+            content = inspection.to_dict()
+            content |= {"identifiability": told.to_dict()} if told else {}
+            if len(files) > 1 and not json:
+                warn(data, assumed=data.source.assumptions)
+                inspection = replace(inspection, warnings=(), assumptions=())
+            text = inspection.summary() + (told.summary() if told else "")
+            say(dumps(json_safe(content), indent=1) if json else text)
+        raise typer.Exit(worst)
+
+
+def _told(data, models):
+    """How well the data determine the parameters of the models."""
+    start_jax()
+    from tirefit.fitting.identifiability import identifiability
+
+    return identifiability(data, models)
+
+
+def derive(
+    files: Files,
+    vehicle: Annotated[
+        Path,
+        typer.Option(
+            metavar="VEHICLE.TOML",
+            parser=named_path,
+            help="mass, geometry, inertia and columns of the log (see VEHICLE.md)",
+        ),
+    ],
+    out: OutFile,
+    axle: Annotated[Axle, typer.Option(help="axle to derive")] = Axle.rear,
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=UNIT",
+            help="unit of a quantity of the log, e.g. v_x=km/h; a minus (-rad/s) reverses the sign",
+        ),
+    ] = None,
+    believe: Annotated[
+        bool,
+        typer.Option(
+            "--believe", help="warn, instead of stopping, if channels contradict each other"
+        ),
+    ] = False,
+) -> None:
+    """Compute slip angle and lateral force of an axle from vehicle logs."""
+    from tirefit.data.derive import derive_files
+
+    with errors_to_exit():
+        units = pairs("--unit", unit)
+        written = derive_files(files, vehicle, out, axle.value, units, believe, say)
+        say(written.summary())
+
+
+@takes_data_options
+def predict(
+    source: Annotated[str, typer.Argument(metavar="FIT.json|FILE.tir|MODEL")],
+    data: Annotated[Path, typer.Argument(metavar="DATA.csv")],
+    out: OutFile,
+    options: DataOptions,
+    parameter: SetOption = None,
+    starred_angles: Annotated[
+        bool,
+        typer.Option(
+            "--starred-angles",
+            help="FILE.tir: use tan(alpha) and sin(gamma) in place of the angles",
+        ),
+    ] = False,
+    side: SideOption = None,
+    signs: SignsOption = None,
+    combination: CombinationOption = None,
+    beside: Annotated[
+        bool,
+        typer.Option(
+            "--beside",
+            help="write the columns of DATA.csv and these forces as fx_sim, ..., for"
+            " `tirefit diagnose --sim`",
+        ),
+    ] = False,
+) -> None:
+    """Compute the forces of a fit or a model for each row of a data file."""
+    with errors_to_exit():
+        how = read_options(options, read_config(options.config))
+        of_file: dict = {"side": side, "signs": signs, "combination": combination}
+        of_file["starred"] = starred_angles
+        if source.lower().endswith(".tir"):
+            _predict_tir(source, data, out, how, parameter, of_file, beside)
+            return
+        if any(of_file.values()):
+            own = "--starred-angles, --side, --signs and --combination"
+            reason = f"{own} apply to .tir files only"
+            raise UsageError(reason, f"leave them out with {source}")
+        is_file = source.endswith(".json") or Path(source).is_file()
+        values = _checked_request(source, is_file, data, out, parameter)
+        start_jax()
+        from tirefit.data.read import read
+        from tirefit.fitting.predict import predict as forces_of
+        from tirefit.fitting.store import load_fit
+
+        fitted = load_fit(source) if is_file else source
+        if not isinstance(fitted, str):
+            how["otherwise"] = fitted.content["data"]["convention"], source
+        table = read(data, **how, forces=False)
+        warn(table)
+        forces = forces_of(fitted, table, values)
+        if not is_file:
+            say(f"{source} with {_values_text(source, values)}")
+        _write(out, table, forces, source, beside)
+
+
+def _write(out, table, forces, source, beside: bool) -> None:
+    """Write the forces in the file's own convention and print what was written.
+
+    The first line of a table for `diagnose --sim` states the convention.
+    """
+    from tirefit.data.write import prediction_table, simulated_table, write_csv
+
+    convention = f"convention {table.source.convention}"
+    columns = (simulated_table if beside else prediction_table)(table, forces)
+    first = f"# tirefit {__version__}: {source} beside, {convention}\n"
+    write_csv(out, columns, first if beside else "")
+    for said in table.first_masked():
+        complain(f"warning: excluded, no force: {said}")
+    signs = f"({convention}), {table.source.convention_from}"
+    say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} {signs}")
+
+
+def _predict_tir(source, data, out, how, parameter, of_file: dict, beside) -> None:
+    """Predict with a ``.tir`` file; ``of_file`` are arguments of ``tire_of``.
+
+    Data without a declared convention are read in that of ``.tir`` files, ISO-W.
+    """
+    values = _checked_request(source, False, data, out, parameter)
+    from tirefit.data.tir import read_tir
+
+    tir = read_tir(source)
+    start_jax()
+    from tirefit.data.read import read
+    from tirefit.fitting.predict import predict as forces_of
+    from tirefit.fitting.tir import TIR_SIGNS, moments_noted, remarks, tire_of
+
+    tire, signs = tire_of(tir, values=values, **of_file), of_file["signs"]
+    how["otherwise"] = TIR_SIGNS, ".tir files"
+    table = read(data, **how, forces=False)
+    warn(table)
+    noted = remarks(tir, tire, table, signs)
+    for text in (*noted, *moments_noted(tir, table)):
+        complain(f"warning: {source}: {text}")
+    forces = forces_of(tire, table, values)
+    said = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
+    said += [f"mounted {of_file['side']}"] if of_file["side"] else []
+    said += [f"in signs {signs}"] if signs else []
+    said += ["tan(alpha) and sin(gamma)" if of_file["starred"] else "raw angles"]
+    said += [f"{key} = {value:g}" for key, value in values.items()]
+    say(", ".join(said))
+    _write(out, table, forces, source, beside)
+
+
+def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
+    """Values of ``--set``; raises UsageError with all that is wrong before the work."""
+    from tirefit.data.write import output_problems
+
+    problems = output_problems(out, inputs=[data, source], ending=".csv")
+    values = numbers("--set", parameter, problems)
+    if is_file and values:
+        problems.append(InputProblem("--set with a fit.json", "use it with a model name"))
+    UsageError.raise_for(problems)
+    return values
+
+
+def _values_text(name: str, values: dict[str, float]) -> str:
+    """Every parameter value of a named model, so that defaults are seen."""
+    from tirefit.models import MODELS
+    from tirefit.params import parameter_values
+
+    everything = parameter_values(MODELS[name]) | values
+    marks = {key: "" if key in values else " (default)" for key in everything}
+    return ", ".join(f"{k} = {v:g}{marks[k]}" for k, v in everything.items())
