@@ -6,6 +6,8 @@ from griffe import Extension
 
 ROLE = re.compile(r":\w+:`~?([^`]+)`")
 LITERAL = re.compile(r"::$", re.MULTILINE)
+EXAMPLE = re.compile(r"^( *)Example:$", re.MULTILINE)
+"""Only a section of this name in the plural is shown as code."""
 
 
 class PlainRoles(Extension):
@@ -15,4 +17,4 @@ class PlainRoles(Extension):
         """Called by griffe for each object that it has collected."""
         if obj.docstring:
             text = ROLE.sub(r"`\1`", obj.docstring.value)
-            obj.docstring.value = LITERAL.sub(":", text)
+            obj.docstring.value = EXAMPLE.sub(r"\1Examples:", LITERAL.sub(":", text))

@@ -1,5 +1,7 @@
 """The manual builds strictly, needs no network, and describes what is there."""
 
+import doctest
+import inspect
 import os
 import re
 import shutil
@@ -14,8 +16,10 @@ import yaml
 import tirefit
 from tirefit.data.vehicle import load_vehicle
 from tirefit.diagnosis.rows.rig import load_rig
+from tirefit.display import Record
 from tirefit.fitting.config import load_config
 from tirefit.names import EFFECT_NAMES
+from tirefit.results import Outcome, exit_code
 from tirefit.sim.brake_summary import UNITS
 
 ROOT = Path(__file__).parents[1]
@@ -126,6 +130,118 @@ def test_the_settings_that_the_manual_shows_are_valid(name, text, tmp_path):
 def test_every_number_of_a_braking_is_described():
     text = (DOCS / "reference" / "files.md").read_text(encoding="utf-8")
     assert [name for name in UNITS if f"`{name}`" not in text] == []
+
+
+def _results():
+    """Classes of what the public functions return, and their bases in the package."""
+    found = {}
+    for name in tirefit.__all__:
+        shown = getattr(tirefit, name)
+        if inspect.isfunction(shown):
+            made = inspect.unwrap(shown).__annotations__.get("return")
+            for cls in inspect.getmro(made) if inspect.isclass(made) else ():
+                if cls.__module__.startswith("tirefit."):
+                    found[cls.__name__] = cls
+    return found
+
+
+PUBLIC = {name: getattr(tirefit, name) for name in tirefit.__all__}
+PUBLIC = {name: shown for name, shown in PUBLIC.items() if callable(shown)}
+CLASSES = {k: c for k, c in (PUBLIC | _results()).items() if inspect.isclass(c)}
+METHODS = {
+    f"{name}.{own}": inspect.unwrap(getattr(method, "__func__", method))
+    for name, cls in CLASSES.items()
+    for own, method in vars(cls).items()
+    if own[0] != "_" and inspect.isroutine(method)
+    if name in PUBLIC or issubclass(cls, Record)
+}
+CALLED = {k: inspect.unwrap(f) for k, f in PUBLIC.items() if k not in CLASSES} | METHODS
+ARGUMENT = r"^ +\**(?:\w+, )*{name}(?:, \w+)*:"
+
+
+def _section(text, title):
+    """The indented part of a docstring below a title such as ``Args:``."""
+    part = re.search(rf"^{title}:\n((?:    .*\n|\n)+)", f"{text}\n", re.MULTILINE)
+    return part[1] if part else ""
+
+
+@pytest.mark.parametrize("name", CALLED)
+def test_a_docstring_tells_arguments_and_result(name):
+    text, signature = inspect.getdoc(CALLED[name]), inspect.signature(CALLED[name])
+    given = [k for k in signature.parameters if k != "self"]
+    base = getattr(Record, name.rpartition(".")[2], None)
+    if base and name in METHODS and not name.startswith("Record."):
+        given = [k for k in given if k not in inspect.signature(base).parameters]
+    told = _section(text, "Args")
+    assert [k for k in given if not re.search(ARGUMENT.format(name=k), told, re.M)] == []
+    if signature.return_annotation is not None and name in PUBLIC:
+        assert _section(text, "Returns"), name  # of a method the first line says it
+    assert re.match(r"[A-Z`0-9].*[.:]$", text.partition("\n\n")[0].replace("\n", " ")), text
+
+
+@pytest.mark.parametrize("name", [name for name in PUBLIC if name in CLASSES])
+def test_a_class_tells_its_fields(name):
+    cls, text = CLASSES[name], inspect.getdoc(CLASSES[name])
+    fields = getattr(cls, "_fields", None) or getattr(cls, "__dataclass_fields__", ())
+    told = _section(text, "Attributes")
+    assert [k for k in fields if not re.search(ARGUMENT.format(name=k), told, re.M)] == []
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_a_property_has_a_docstring(name):
+    properties = {k: v for k, v in vars(CLASSES[name]).items() if isinstance(v, property)}
+    assert [k for k, v in properties.items() if k[0] != "_" and not v.fget.__doc__] == []
+
+
+@pytest.mark.parametrize("name", CALLED)
+def test_no_public_argument_is_of_any_type(name):
+    """Content of a JSON document is ``dict[str, Any]``; keywords are of another function."""
+    function = CALLED[name]
+    kinds = {k: v.kind for k, v in inspect.signature(function).parameters.items()}
+    plain = {k for k, kind in kinds.items() if kind is not inspect.Parameter.VAR_KEYWORD}
+    untyped = plain - {"self", "what"} - set(function.__annotations__)
+    assert untyped == set()
+    loose = {k: str(v) for k, v in function.__annotations__.items() if k in {*plain, "return"}}
+    loose = {k: re.sub(r"\w+\[str, (typing\.)?Any\]", "", v) for k, v in loose.items()}
+    assert [k for k, v in loose.items() if re.search(r"\bAny\b", v)] == []
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_no_public_field_is_of_any_type(name):
+    fields = CLASSES[name].__dict__.get("__annotations__", {})
+    loose = {k: re.sub(r"\w+\[str, (typing\.)?Any\]", "", str(v)) for k, v in fields.items()}
+    assert [k for k, v in loose.items() if re.search(r"\bAny\b", v)] == []
+
+
+EXAMPLES = {"Record": Record} | PUBLIC
+BEFORE = re.search(
+    r'^```python title="before the examples"\n(.*?)^```',
+    (DOCS / "reference" / "api.md").read_text("utf-8"),
+    re.MULTILINE | re.DOTALL,
+)[1]
+"""What the page says is run before each example."""
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_example_of_a_public_name_prints_what_it_shows(name):
+    shown = EXAMPLES[name]
+    assert "\nExample:\n    >>> " in inspect.getdoc(shown)
+    names: dict = {}
+    exec(BEFORE, names)
+    tests = doctest.DocTestFinder(recurse=False).find(shown, name, globs=names)
+    found = [doctest.DocTestRunner().run(test) for test in tests]
+    assert sum(one.attempted for one in found) > 0
+    assert [one.failed for one in found] == [0] * len(found)
+
+
+def test_every_status_is_in_the_reference_with_its_exit_code():
+    page = (DOCS / "reference" / "api.md").read_text(encoding="utf-8")
+    for outcome in {*Outcome} - {Outcome.CONVERGED}:
+        row = next(x for x in page.splitlines() if x.startswith("|") and f"`{outcome}`" in x)
+        codes = row.split("|")[3]
+        given = [] if outcome is Outcome.OK else [outcome]
+        assert codes.strip().startswith(str(int(exit_code(given))))
+        assert ("5" in codes) == (exit_code(given, strict=True) == 5)
 
 
 CASES = ROOT / "fits"

@@ -29,7 +29,19 @@ class Displayed:
 
 
 class Record(Displayed):
-    """Base of all results, with the same methods for text, numbers, files and figures."""
+    """Base of all results, with the same methods for text, numbers, files and figures.
+
+    Example:
+        >>> result = fit(samples / "circles.csv", "brush")
+        >>> print(result.status)
+        systematic misfit
+        >>> result.warnings[0].partition(":")[0]
+        'residuals of neighbouring slips agree (correlation 0.51)'
+        >>> [path.name for path in result.save(folder / "fit")]
+        ['fit.json']
+        >>> result.to_dict()["model"], len(result.plot().axes)
+        ('brush', 1)
+    """
 
     text_by: ClassVar[str]
     plot_by: ClassVar[str]
@@ -67,11 +79,20 @@ class Record(Displayed):
         return f"<{type(self).__name__}: {self.summary().partition(chr(10))[0]}>"
 
     def summary(self, **how) -> str:
-        """The report as text, as the command prints it."""
+        """Return the report as text, as the command prints it.
+
+        Args:
+            how: ``full=True`` for all details, of results that have more.
+        """
         return _made_by(self.text_by, self, **how)
 
     def plot(self, *what, **how):
-        """The matplotlib figure; ``what`` names one if the result has several."""
+        """The matplotlib figure.
+
+        Args:
+            what: the name of one figure, of results that have several.
+            how: keywords of that figure.
+        """
         return _made_by(self.plot_by, self, *what, **how)
 
     def to_dict(self) -> dict[str, Any]:

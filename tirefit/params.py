@@ -100,7 +100,18 @@ def specs(model: eqx.Module) -> dict[str, Spec]:
 
 
 def parameter_values(model: eqx.Module) -> dict[str, float]:
-    """Parameter name -> value, in the order of :func:`specs`."""
+    """Return the values of a model's parameters.
+
+    Args:
+        model: a tire model or another record with parameters.
+
+    Returns:
+        Name -> value in SI units, in the order of the fields.
+
+    Example:
+        >>> parameter_values(MODELS["brush"])
+        {'cpa2': 50000.0, 'mu': 1.0, 'half_length': 0.1}
+    """
     values: dict[str, float] = {}
     for field, value in _fields(model):
         if "spec" in field.metadata:
@@ -203,7 +214,23 @@ def by_owner(
 
 
 def with_values(model: Model, values: Mapping[str, float]) -> Model:
-    """The same model with other values; a name it lacks raises ``KeyError``."""
+    """Return the same model with other parameter values.
+
+    Args:
+        model: a tire model or another record with parameters.
+        values: name -> value in SI units; the others are kept.
+
+    Returns:
+        A new model.
+
+    Raises:
+        KeyError: a name that the model does not have.
+
+    Example:
+        >>> tire = with_values(MODELS["brush"], {"mu": 0.7})
+        >>> parameter_values(tire)["mu"]
+        0.7
+    """
     unknown = set(values) - set(specs(model))
     if unknown:
         raise KeyError(f"{type(model).__name__} has no parameter {sorted(unknown)}")

@@ -192,12 +192,33 @@ class TirefitError(Exception):
 
 
 class DataError(TirefitError):
-    """The measured data cannot be used as they are (exit code 3)."""
+    """The measured data cannot be used as they are (exit code 3).
+
+    ``problems`` holds each problem with reason, remedy and, where known, file, row and
+    column.
+
+    Example:
+        >>> try:
+        ...     fit({"sigma_x": np.linspace(0, 0.1, 30), "fx": np.linspace(0, 3e3, 30)})
+        ... except DataError as error:
+        ...     print(error.problems[0].reason)
+        no load: fz is needed
+    """
 
     exit_code = ExitCode.DATA
 
 
 class UsageError(TirefitError):
-    """The command, an option or a configuration file is wrong (exit code 2)."""
+    """The command, an option or a configuration file is wrong (exit code 2).
+
+    ``problems`` is as in :class:`DataError`.
+
+    Example:
+        >>> try:
+        ...     fit(samples / "circles.csv", "brsh")
+        ... except UsageError as error:
+        ...     print(error.problems[0].reason)
+        unknown model 'brsh'
+    """
 
     exit_code = ExitCode.USAGE

@@ -62,7 +62,7 @@ def test_estimated_noise_is_said_and_right(estimated):
 
 
 def test_unidentified_parameter_is_named(vague):
-    assert vague.status == "not identified" and not vague.identified
+    assert vague.status == "not identified"
     assert any(s.startswith("mu is not identified") for s in vague.warnings)
     assert vague.to_dict()["outcomes"][0] == "not_identified"
 

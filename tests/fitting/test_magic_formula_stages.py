@@ -148,7 +148,7 @@ def test_a_fit_needs_no_limit_of_the_curvature():
     # It is the limit that holds it back.
     assert 0.9 < largest <= 1
     values = {name: one.value for name, one in fit.coefficients.items()}
-    assert fit.converged
+    assert "not converged" not in fit.outcomes
     other = unlimited(values | {"FNOMIN": TIRE["FNOMIN"]}, inputs)
     ours = np.asarray(forces(fit.tire, TireInputs(alpha=alpha, fz=fz)).fy)
     np.testing.assert_allclose(ours, other, rtol=1e-9, atol=1e-6)

@@ -88,7 +88,7 @@ def judged(path, fit, at, seed):
 def test_forces_come_back_inside_and_beyond_the_loads(monkeypatch, tmp_path):
     """MF 6.1 in pure and combined slip; the file and the record say the same."""
     fit = fit_of(MF61, monkeypatch, n=30, loads=4)
-    assert fit.converged and fit.forces == FORCES
+    assert "not converged" not in fit.outcomes and fit.forces == FORCES
     assert fit.parts == ("fx", "fy", "mz", "combined")
     plan = Plan(MF61)
     for over, most in ((1.0, 0.005), (1.3, 0.03)):
@@ -115,7 +115,9 @@ def test_a_version_is_converted_to_its_twin():
     """6.2 has the forces of 6.1."""
     fit = converted(read_tir(MF62), "mf61", 0.3, [3500.0, 7000.0])
     # Two millionths of the force, at which the search rests.
-    assert fit.converged and max(rmse for rmse, _ in fit.fitted.values()) < 0.02
+    assert (
+        "not converged" not in fit.outcomes and max(rmse for rmse, _ in fit.fitted.values()) < 0.02
+    )
 
 
 @pytest.mark.statistics
@@ -157,7 +159,7 @@ def test_every_tire_comes_back(path, monkeypatch):
     true_within: dict[str, list] = {force: [] for force in FORCES}
     for seed in range(4):
         fit = fit_of(path, monkeypatch, seed)
-        assert fit.converged
+        assert "not converged" not in fit.outcomes
         for over, most in ((1.0, 0.005), (1.3, 0.03)):
             at, _ = points(Plan(path), seed, over)
             for force, (error, true, new) in judged(path, fit, at, seed).items():

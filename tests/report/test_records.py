@@ -1,6 +1,5 @@
 """Every result prints, displays itself, is drawn and saved by the same names."""
 
-import doctest
 import json
 from dataclasses import replace
 from functools import cache
@@ -271,16 +270,3 @@ def test_a_fitted_tire_brakes_as_its_model_with_its_values():
         tirefit.brake(fit, values={"mu": 1.0}, **how)
     with pytest.raises(tirefit.UsageError, match="leave them out, or name a model"):
         given_tire(given_tire(fit), values={"mu": 1.0})
-
-
-EXAMPLES = [n for n in tirefit.__all__ if ">>> " in (getattr(tirefit, n).__doc__ or "")]
-
-
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_the_example_of_a_public_name_prints_what_it_shows(name):
-    shown = getattr(tirefit, name)
-    names = dict(vars(tirefit), tirefit=tirefit, **{name: shown})
-    tests = doctest.DocTestFinder(recurse=False).find(shown, name, globs=names)
-    found = [doctest.DocTestRunner().run(test) for test in tests]
-    assert sum(one.attempted for one in found) > 1
-    assert [one.failed for one in found] == [0] * len(found)

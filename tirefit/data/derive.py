@@ -221,10 +221,19 @@ def derive_files(
         believe: Only warn of channels that contradict each other.
         unwritten: Called with the summary of the logs if ``out`` cannot be written.
 
+    Returns:
+        The two files, and what was derived of each log.
+
     Raises:
         DataError: With the problems of all logs; then nothing is written.
         UsageError: wrong configuration, axle or ``out``, or two logs of one name.
         OSError: If a file cannot be written; then neither is.
+
+    Example:
+        >>> car, out = samples / "vehicle.toml", folder / "axle.csv"
+        >>> derived = derive_files([samples / "drive.csv"], car, out)
+        >>> read(derived.data).n
+        470
     """
     out = Path(out)
     vehicle = load_vehicle(vehicle_toml, units)

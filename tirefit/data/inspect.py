@@ -129,10 +129,21 @@ class Inspection:
 
 
 def inspect(data: DataLike) -> Inspection:
-    """Summarises data: ranges, runs, loads, speeds, and which fits they support.
+    """Summarise data: ranges, runs, loads, speeds, and which fits they support.
 
     Args:
         data: a result of ``tirefit.read``, or a path, a frame, a mapping of arrays.
+
+    Returns:
+        The summary; ``print(found.summary())`` shows it.
+
+    Raises:
+        DataError: as :func:`tirefit.read`.
+
+    Example:
+        >>> found = inspect(samples / "circles.csv")
+        >>> [one.fit for one in found.supports if one.possible]
+        ['fy from alpha', 'speed-dependent friction']
     """
     data = as_data(data)
     source = data.source

@@ -90,9 +90,17 @@ def read(
         otherwise: convention of the model that the data are compared with, and the
             name of the model. It is assumed if neither user nor file declares one.
 
+    Returns:
+        All rows in SI units and canonical signs; ``source`` lists what was assumed.
+
     Raises:
         UsageError: an option has an unknown name or value.
         DataError: unusable file or contradicted convention; it lists all problems.
+
+    Example:
+        >>> data = read(samples / "circles.csv")
+        >>> data.n, [*data.columns]
+        (432, ['time', 'alpha', 'fy', 'fz', 'v'])
     """
     options = Options(
         columns or {}, units or {}, convention, slip, constants or {},
@@ -103,9 +111,26 @@ def read(
 
 
 def read_frame(frame: Columns, name: str = "data", **options) -> TireData:
-    """As :func:`read`, from a pandas DataFrame or a mapping of name to (n,) array.
+    """Read a frame or arrays into canonical, checked data.
 
-    Its problems count rows from 0, as ``iloc`` does.
+    Args:
+        frame: a frame of pandas or polars, a structured array, or a mapping of name to
+            (n,) array.
+        name: what reports call the data.
+        options: arguments of :func:`read`.
+
+    Returns:
+        As of :func:`read`; its problems count rows from 0, as ``iloc`` does.
+
+    Raises:
+        UsageError, DataError: as :func:`read`.
+
+    Example:
+        >>> swept = {"alpha": np.linspace(-8, 8, 40), "fz": np.full(40, 4000.0)}
+        >>> swept["fy"] = 3500 * np.tanh(swept["alpha"] / 3)
+        >>> data = read_frame(swept, units={"alpha": "deg"})
+        >>> float(data["alpha"].max().round(4))
+        0.1396
     """
     known = Options({}, {}, None, None, {}, None, False, True)._replace(
         **{key: value for key, value in options.items() if value is not None}

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 
 import numpy as np
-from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
 from tirefit.compiled import release_programs
@@ -37,6 +36,7 @@ from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
 from tirefit.models.mf import MAGIC_FORMULAS
+from tirefit.params import Values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError, did_you_mean
 
@@ -52,7 +52,7 @@ def diagnose(
     data: DataLike,
     model: str | None = None,
     *,
-    sim: TireLike | Given | Mapping[str, ArrayLike] | ArrayLike | bool | None = None,
+    sim: TireLike | Given | Mapping[str, Values] | Values | bool | None = None,
     signs: str | None = None,
     rig: Rig | str | PathLike | None = None,
     forces: str | Sequence[str] | None = None,
@@ -61,26 +61,9 @@ def diagnose(
     holdout: DataLike | Sequence[DataLike] = (),
     seed: int = 0,
 ) -> Diagnosis:
-    """Which effects a model lacks, and how far the gap to the data shrinks with them.
+    """Find the effects that a model lacks, and how far the gap to the data shrinks.
 
-    Example, a brush with a slip sensor that is off by 0.006::
-
-        >>> import numpy as np, jax, tirefit
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> slip = np.tile(np.linspace(-0.2, 0.2, 32), 3)
-        >>> load = np.repeat([2000.0, 4000.0, 6000.0], 32)
-        >>> true = {"sigma_x": slip + 0.006, "fz": load}
-        >>> force = tirefit.predict("brush", true, {"cpa2": 5e4, "mu": 0.9})["fx"]
-        >>> force = force + np.random.default_rng(1).normal(0, 20, len(slip))
-        >>> measured = {"sigma_x": slip, "fz": load, "fx": force}
-        >>> names = ("slip_offset", "force_offset", "load_friction")
-        >>> few = [effect for effect in tirefit.EFFECTS if effect.id in names]
-        >>> rig = tirefit.Rig(noise={"fx": 20.0})
-        >>> found = tirefit.diagnose(measured, rig=rig, effects=few)
-        >>> found.verdict.status.value, found.verdict.effects
-        ('named', ('slip_offset',))
-
-    ``print(found)`` shows one screen; ``tirefit.plot_diagnosis(found)`` draws it.
+    ``print(found)`` shows one screen; ``found.plot()`` draws it.
 
     Args:
         data: a result of ``tirefit.read``, or data that it reads with its defaults: a
@@ -123,6 +106,21 @@ def diagnose(
             another type; or 32-bit floats in use.
         DataError: no force with a slip that varies, no load, too few rows, no simulated
             forces, a model that does not follow them, ``data`` held out too.
+
+    The example is a brush whose slip sensor is off by 0.006.
+
+    Example:
+        >>> slip = np.tile(np.linspace(-0.2, 0.2, 32), 3)
+        >>> load = np.repeat([2000.0, 4000.0, 6000.0], 32)
+        >>> true = {"sigma_x": slip + 0.006, "fz": load}
+        >>> force = predict("brush", true, {"cpa2": 5e4, "mu": 0.9})["fx"]
+        >>> force = force + np.random.default_rng(1).normal(0, 20, len(slip))
+        >>> measured = {"sigma_x": slip, "fz": load, "fx": force}
+        >>> names = ("slip_offset", "force_offset", "load_friction")
+        >>> few = [effect for effect in EFFECTS if effect.id in names]
+        >>> found = diagnose(measured, rig=Rig(noise={"fx": 20.0}), effects=few)
+        >>> str(found.status), str(found.verdict.status), found.verdict.effects
+        ('ok', 'named', ('slip_offset',))
     """
     require_x64("a diagnosis")
     release_programs()

@@ -78,8 +78,6 @@ def fit_many(
         DataError: no slip with its force, no load, or shapes that do not match.
 
     Example:
-        >>> import jax, numpy as np
-        >>> jax.config.update("jax_enable_x64", True)
         >>> slip = np.linspace(0, 0.1, 30) * np.ones((2, 1))
         >>> rows = {"sigma_x": slip[0], "fz": np.full(30, 4000.0)}
         >>> force = [predict("brush", rows, {"mu": mu})["fx"] for mu in (0.7, 0.9)]

@@ -285,6 +285,13 @@ def fit(
     Raises:
         UsageError: unknown model, parameter or option; or 32-bit floats in use.
         DataError: missing columns that the model needs, or too few rows.
+
+    Example:
+        >>> swept = simulate("rig", values={"mu": 0.9}, seed=1)
+        >>> found = fit(swept.columns, "brush")
+        >>> mu = found.parameters["mu"]
+        >>> str(found.status), round(mu.value, 3), round(mu.std, 3)
+        ('ok', 0.899, 0.001)
     """
     require_x64("a fit")
     release_programs()

@@ -132,16 +132,24 @@ def _unknown_text(p: ParameterGate) -> str:
 def identifiability(
     data: DataLike, models: Sequence[str] | None = None, seed: int = 0
 ) -> Identifiability:
-    """How well the data determine the parameters of models, before any fit.
+    """Return how well the data determine the parameters of models, before any fit.
 
     Args:
         data: what ``tirefit.read`` gave, or a path, a frame, a mapping of arrays.
         models: names of ``tirefit models``; ``MODELS_ASKED`` if none.
         seed: of the random choice of rows in a large file.
 
+    Returns:
+        By model and force the standard error that each parameter would have.
+
     Raises:
         UsageError: no such model.
         DataError: as ``tirefit.read``.
+
+    Example:
+        >>> (gate,) = identifiability(samples / "circles.csv", ["brush"]).gates
+        >>> {one.name: one.told for one in gate.parameters}
+        {'cpa2': 'well', 'mu': 'well'}
     """
     data = as_data(data)
     forces = [

@@ -216,7 +216,7 @@ def sample(
     resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> FitResult:
-    """The same fit with its posterior.
+    """Return the same fit with samples of its posterior.
 
     Args:
         result: a fit from this process (``tirefit.fit``).
@@ -236,9 +236,18 @@ def sample(
             nothing to continue: the same seed draws the same samples again.
         progress: called with (share done, message).
 
+    Returns:
+        The fit whose ``parameters`` and ``derived`` are those of the posterior, with
+        ``chains`` and ``posterior``, the quality of the sampling.
+
     Raises:
         UsageError: an unknown sampler, too few ensembles, odd walkers, or a checkpoint
             of another fit; or 32-bit floats in use.
+
+    Example:
+        >>> found = sample(fit(samples / "circles.csv", "brush"), sampler="importance")
+        >>> found.source, found.posterior.sampler
+        ('posterior median and central 95 %', 'importance')
     """
     require_x64("sampling")
     if sampler not in (None, *SAMPLERS, "importance"):

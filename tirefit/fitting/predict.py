@@ -91,7 +91,7 @@ def predict(
     data: DataLike,
     values: Mapping[str, float] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Forces row by row, canonical, with a predictive standard deviation for a fit.
+    """Return forces row by row, canonical, with a predictive standard deviation for a fit.
 
     Args:
         source: a fit, a tire, or the name of a model.
@@ -109,6 +109,11 @@ def predict(
     Raises:
         UsageError: unknown model or parameter, value out of bounds, 32-bit floats.
         DataError: the data lack an input, or have runs that the fit lacks.
+
+    Example:
+        >>> rows = {"sigma_x": [0.01, 0.5], "fz": [4000.0, 4000.0]}
+        >>> predict("brush", rows, {"mu": 0.9})["fx"].round()
+        array([ 910., 3600.])
     """
     require_x64("a prediction")
     data = as_data(data, forces=False, otherwise=_signs_of(source))

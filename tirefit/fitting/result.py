@@ -179,10 +179,12 @@ class FitResult(Record):
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
+        """What limits the use of the fit, in the order of the sentences."""
         return self.verdict.outcomes
 
     @property
     def warnings(self) -> tuple[str, ...]:
+        """Sentences of the verdict, that of the status first."""
         return self.verdict.sentences
 
     @property
@@ -192,16 +194,8 @@ class FitResult(Record):
             return "posterior median and central 95 %"
         return "least squares, profile likelihood"
 
-    @property
-    def converged(self) -> bool:
-        return Outcome.NOT_CONVERGED not in self.outcomes
-
-    @property
-    def identified(self) -> bool:
-        return Outcome.NOT_IDENTIFIED not in self.outcomes
-
     def plot(self, what: str = "fit", **how):
-        """The measured points with the fitted curve, or another figure.
+        """Return a figure of the measured points with the fitted curve, or another one.
 
         Args:
             what: ``fit``, ``residuals``, ``profile``, ``corner``, ``trace``, ``runs``.

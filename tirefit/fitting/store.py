@@ -134,8 +134,20 @@ class _Record(_Part):
 def load_fit(path: str | os.PathLike) -> StoredFit:
     """Read a ``fit.json``.
 
+    Args:
+        path: the file.
+
+    Returns:
+        What a prediction or an export needs of the fit.
+
     Raises:
         DataError: no such file, not JSON, not of this schema, or its checksum is wrong.
+
+    Example:
+        >>> _ = fit(samples / "circles.csv", "brush").save(folder)
+        >>> stored = load_fit(folder / "fit.json")
+        >>> stored.model, stored.layout.labels
+        ('brush', ('cpa2', 'mu'))
     """
     from tirefit.models.mf import MAGIC_FORMULAS  # which those who write fits do not wait for
 

@@ -10,12 +10,24 @@ from jaxtyping import Array, Float, Int
 
 
 class TireInputs(NamedTuple):
-    """One sample in the canonical convention of ``tirefit.slip`` (or a batch of them).
+    """One sample in the canonical convention of ``tirefit.slip``, or n of them.
 
-    ``sigma_x`` [-], ``alpha`` [rad], ``fz`` [N], ``v`` [m/s] forward speed of the
-    wheel centre (0: a rolling resistance is that of the nominal speed), ``gamma`` [rad]
-    camber, ``pressure`` [Pa] of inflation (0: nominal),
-    ``time`` [s]. ``needs`` of a model lists which of the last four change its force.
+    A model lists in ``needs`` which of the last four change its force.
+
+    Attributes:
+        sigma_x: longitudinal slip [-], braking positive.
+        alpha: slip angle [rad].
+        fz: load [N].
+        v: forward speed of the wheel centre [m/s]; at 0 a rolling resistance is that of
+            the nominal speed.
+        gamma: camber [rad].
+        pressure: inflation pressure [Pa]; 0 for the nominal one.
+        time: [s].
+
+    Example:
+        >>> sample = TireInputs(sigma_x=0.5, fz=4000.0)
+        >>> round(float(forces(MODELS["brush"], sample).fx))
+        4000
     """
 
     sigma_x: Float[Array | np.ndarray, "*n"] | float = 0.0
@@ -101,6 +113,12 @@ def forces(
 
     Raises:
         ValueError: an input has more than one dimension.
+
+    Example:
+        >>> tire = with_values(MODELS["brush"], {"mu": 0.9})
+        >>> sliding = TireInputs(alpha=np.array([0.5, -0.5]), fz=4000.0)
+        >>> np.asarray(forces(tire, sliding).fy).round()
+        array([ 3600., -3600.])
     """
     arrays = [jnp.asarray(value, float) for value in inputs]
     if any(array.ndim > 1 for array in arrays):

@@ -49,7 +49,7 @@ def estimate(
     *,
     seed: int = 0,
 ) -> Estimates:
-    """Friction and stiffness as an estimator on board would have found them.
+    """Estimate friction and stiffness row by row, as while driving.
 
     Args:
         data: a log in time order, a result of ``tirefit.read(file,
@@ -59,9 +59,17 @@ def estimate(
         settings: values of the methods' settings by ``METHOD.NAME`` or ``NAME``.
         seed: of random numbers; rls, mit, ekf and cubic use none.
 
+    Returns:
+        By method the estimates of every row with standard deviations and flags.
+
     Raises:
         UsageError: an unknown method or setting; 32-bit floats.
         DataError: a needed column is missing, no row is usable, or time stands still.
+
+    Example:
+        >>> found = estimate(simulate("braking", teeth=2, seed=1).columns, "rls,cubic")
+        >>> found["rls"]["mu"].shape, found.warnings
+        ((400,), ('cubic, last row: friction used too little for mu',))
     """
     require_x64("an online estimate")
     data = as_data(data, mask_bad_rows=True, curve=False)

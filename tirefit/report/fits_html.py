@@ -199,5 +199,10 @@ def write_fits_page(
     Raises:
         UsageError: there is no fit.
         OSError: the file cannot be written.
+
+    Example:
+        >>> names = ("circles", "free_driving")
+        >>> fits = {name: fit(samples / f"{name}.csv") for name in names}
+        >>> write_fits_page(fits, folder / "fits.html")
     """
     write_text_atomic(path, fits_page(fits, failed))

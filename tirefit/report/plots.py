@@ -134,6 +134,12 @@ def compare(results: Sequence[FitResult]) -> Comparison:
 
     Raises:
         UsageError: no fits, or fits of different data.
+
+    Example:
+        >>> data = read(samples / "circles.csv")
+        >>> table = compare([fit(data, model) for model in ("brush", "elliptic")])
+        >>> [row[0] for row in table.rows]
+        ['model', 'elliptic', 'brush']
     """
     _comparable(results)
     best = min(results, key=lambda r: r.statistics.rmse).statistics

@@ -193,13 +193,12 @@ def _correlations(result: FitResult) -> list[str]:
 
 def verdict_line(result: FitResult) -> str:
     """The verdict in one sentence."""
-    status = result.status
     if result.outcomes:
-        return f"{status}: {result.warnings[0]}"
+        return f"{result.status}: {result.warnings[0]}"
     s = result.statistics
     unit = FORCE_UNIT[result.forces[0]]
-    text = f"{status}: RMSE {format_number(s.rmse, 3)} {unit}, R² {s.r2:.4f}"
-    return f"{text}, every free parameter identified" if result.identified else text
+    fit = f"RMSE {format_number(s.rmse, 3)} {unit}, R² {s.r2:.4f}"
+    return f"{result.status}: {fit}, every free parameter identified"
 
 
 def _verdict(result: FitResult) -> list[str]:

@@ -50,6 +50,7 @@ def brake(
         plant: numbers of hydraulics, sensors and road: demand [Pa], delay [s], ...
         time_limit: [s]; None: from the speed and the road.
         stops: number of seeds, beginning with ``seed``.
+        seed: of the noise of the first stop.
         progress: called with the share done and the next step.
 
     Returns:
@@ -60,8 +61,6 @@ def brake(
         DataError: the tire's file cannot be read.
 
     Example:
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
         >>> stop = brake(controller="none", speed=3.0, vehicle="quarter")
         >>> stop.stops["none"].reason
         'stopped: slower than 0.1 m/s'

@@ -37,8 +37,6 @@ def simulate(kind: str = "braking", **settings) -> SimulatedLog:
             all of them.
 
     Example:
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
         >>> log = simulate("rig", model="brush", values={"mu": 0.8}, points=50)
         >>> len(log.columns["fx"])
         50

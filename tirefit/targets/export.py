@@ -209,9 +209,7 @@ def export(
         DataError: the source or the diagnosis cannot be read.
 
     Example:
-        >>> import tempfile, jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> done = export("brush", "numpy", tempfile.mkdtemp() + "/tire.py")
+        >>> done = export("brush", "numpy", folder / "tire.py")
         >>> done.shape.sound
         True
     """

@@ -178,6 +178,14 @@ def diagnose_vehicle(
     Raises:
         UsageError: a vehicle without a steering map, an id that is none.
         DataError: a log that cannot be read, or none whose stretches are long enough.
+
+    Example:
+        >>> log, car = samples / "drive.csv", samples / "vehicle.toml"
+        >>> from tirefit.vehicle.effects import CAR_EFFECTS
+        >>> few = [one for one in CAR_EFFECTS if one.id == "steering_delay"]
+        >>> found = diagnose_vehicle([log], car, effects=few)
+        >>> str(found.verdict.status), found.windows
+        ('none', 9)
     """
     require_x64("a diagnosis")
     vehicle = known_vehicle(vehicle)

@@ -215,6 +215,12 @@ def replay(
             tire that cannot be found.
         DataError: a log that cannot be read, or none of whose stretches is as long as
             the shortest horizon.
+
+    Example:
+        >>> log, car = samples / "drive.csv", samples / "vehicle.toml"
+        >>> found = replay([log], car, "brush", "brush", horizons=[0.5])
+        >>> found.windows, sorted(found.models)
+        ((38,), ['floor', 'linear tire', 'no slip', 'tire'])
     """
     require_x64("a replay")
     vehicle = known_vehicle(vehicle)

@@ -188,6 +188,12 @@ def fit_trajectory(
         UsageError: an unknown or a kind of interval that is not known, a vehicle
             without a steering map, or a tire without a free parameter.
         DataError: a log that cannot be read, or no window in it.
+
+    Example:
+        >>> found = fit_trajectory([samples / "drive.csv"], samples / "vehicle.toml")
+        >>> low, high = found.parameters["front.cpa2"].ci95
+        >>> str(found.status), low < 43.6e3 < high  # [N], that of the simulated car
+        ('ok', True)
     """
     require_x64("a fit by trajectory")
     vehicle = known_vehicle(vehicle)

@@ -117,9 +117,20 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
             ``mask_bad_rows=True``), a path, a frame or a mapping of arrays.
         config: see :class:`~tirefit.data.prepare.settings.PrepareConfig`.
 
+    Returns:
+        Segments, settings and filtered channels; its ``to_data()`` can be fitted.
+
     Raises:
         DataError: no slip was recorded, or no rows remain.
         UsageError: unknown or impossible settings.
+
+    Example:
+        >>> time = np.arange(0.0, 20.0, 0.02)
+        >>> alpha = 0.15 * np.sin(0.6 * time)
+        >>> fy, fz = 4e3 * np.tanh(12 * alpha), np.full_like(time, 4e3)
+        >>> made = prepare({"time": time, "alpha": alpha, "fy": fy, "fz": fz})
+        >>> made.rows_by_kind()
+        {'sweep': 970, 'steady': 30}
     """
     data = as_data(data, curve=False, mask_bad_rows=True)
     config = config if config is not None else PrepareConfig()

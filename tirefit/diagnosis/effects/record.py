@@ -76,6 +76,11 @@ class Effect:
         singular: its tangent at zero vanishes; it is always refitted.
         looks_like: ids of effects that it is confused with.
         told_apart_by: the measurement that separates it from them.
+
+    Example:
+        >>> effect = next(one for one in EFFECTS if one.id == "load_friction")
+        >>> effect.of, effect.unit, effect.looks_like
+        ('tire', '-', ('friction_drift', 'force_offset'))
     """
 
     id: str

@@ -79,11 +79,21 @@ LEAST_ROWS = 20
 class Rig:
     """Statements about the rig; all are optional.
 
-    ``vehicle`` holds standard errors of the inputs of a derived log: ``position`` [m]
-    of the tracked point, ``clock`` [s] between channels, ``yaw_inertia`` (relative).
-    ``noise`` holds standard deviations: of a force [N] or over the load
-    (``fx_relative``), of the slip [-] or slip angle [rad], of the sliding speed [m/s]
-    (``sigma_x_speed``).
+    Attributes:
+        rolling_radius: effective radius of the wheel [m].
+        wheel_inertia: moment of inertia of the wheel about its axle [kg m2].
+        noise: standard deviations: of a force [N] or over the load (``fx_relative``),
+            of the slip [-] or slip angle [rad], of the sliding speed [m/s]
+            (``sigma_x_speed``).
+        vehicle: standard errors of the inputs of a derived log: ``position`` [m] of the
+            tracked point, ``clock`` [s] between channels, ``yaw_inertia`` (relative).
+        run_order: ``random`` or ``sequential``, the order in which runs were measured.
+        notes: keys of ``rig.toml`` that are not used.
+
+    Example:
+        >>> rig = Rig(rolling_radius=0.31, noise={"fx_relative": 0.02})
+        >>> rig.force_noise("fx", np.array([1000.0, 2000.0]))
+        array([20., 40.])
     """
 
     rolling_radius: float | None = None
@@ -106,7 +116,11 @@ class Rig:
                 raise UsageError(reason, "state one of them")
 
     def radius_for(self, data: TireData) -> float | None:
-        """Rolling radius [m]: stated, or the median of v / (omega (1 + slip))."""
+        """Return the rolling radius [m], stated or the median of v / (omega (1 + slip)).
+
+        Args:
+            data: rows; without ``omega`` and ``v`` the radius is None if not stated.
+        """
         if self.rolling_radius:
             return self.rolling_radius
         if "omega" not in data or "v" not in data:
@@ -121,13 +135,22 @@ class Rig:
         return float(np.median(radius))
 
     def slip_noise(self, slip: str, kind: str = "") -> float | None:
-        """Stated standard deviation of a slip, or of its sliding speed ("_speed")."""
+        """Return the stated standard deviation of a slip or its speed, None without.
+
+        Args:
+            slip: ``sigma_x`` or ``alpha``.
+            kind: ``""`` for the slip [- or rad], ``"_speed"`` for the sliding speed [m/s].
+        """
         names = ("alpha",) if slip == "alpha" else ("sigma_x", "kappa")
         keys = (f"{name}{kind}" for name in (*names, "slip"))
         return next((self.noise[k] for k in keys if k in self.noise), None)
 
     def beside(self, data: TireData) -> tuple[str, ...]:
-        """Sentences about stated noises that columns of the data replace."""
+        """Return a sentence for each stated noise that a column of the data replaces.
+
+        Args:
+            data: rows that may have columns such as ``fx_std``.
+        """
         names = {k: k.removesuffix("_relative").removesuffix("_speed") for k in self.noise}
         return tuple(
             f"[noise] {key} of the rig is not used: the file has a column {column}"
@@ -136,8 +159,13 @@ class Rig:
             if column in data
         )
 
-    def force_noise(self, channel: str, fz) -> np.ndarray | None:
-        """Stated standard deviation of a force, shape of ``fz``, or None."""
+    def force_noise(self, channel: str, fz: np.ndarray) -> np.ndarray | None:
+        """Return the stated standard deviation (n,) of a force or moment, None without.
+
+        Args:
+            channel: ``fx``, ``fy`` [N] or ``mz`` [N m].
+            fz: load [N], shape (n,).
+        """
         for name in (channel, *(["force"] if channel != "mz" else [])):
             if name in self.noise:
                 return np.full(len(fz), self.noise[name])
@@ -147,7 +175,23 @@ class Rig:
 
 
 def load_rig(path: str | Path | None) -> Rig:
-    """Read ``rig.toml``; ``notes`` list unknown keys. Raises UsageError."""
+    """Read what is stated of a rig from ``rig.toml``.
+
+    Args:
+        path: the file; None for a rig of which nothing is stated.
+
+    Returns:
+        The statements; ``notes`` lists keys that are not used.
+
+    Raises:
+        UsageError: a value of the wrong type or out of its range.
+        DataError: the file cannot be read.
+
+    Example:
+        >>> _ = (folder / "rig.toml").write_text("rolling_radius = 0.31")
+        >>> load_rig(folder / "rig.toml").rolling_radius
+        0.31
+    """
     if path is None:
         return Rig()
     content, others = _of_others(read_toml(path), _RigFile)

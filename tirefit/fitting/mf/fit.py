@@ -93,10 +93,19 @@ def fit_magic_formula(
             of each load, ``bin`` each bin, ``none`` nothing.
         progress: called with the share done and the name of the next step.
 
+    Returns:
+        The fit; its ``save`` writes a ``.tir``.
+
     Raises:
         UsageError: unknown model, part or coefficient, a setting that a Magic Formula
             does not have, or 32-bit floats in use.
         DataError: no force with its slip, or too few rows of one.
+
+    Example:
+        >>> swept = simulate("rig", lateral=True, load=(3e3, 5e3), points=60)
+        >>> found = fit_magic_formula(swept.columns, "mf52", part="fy", leave_out="none")
+        >>> found.coefficients["PCY1"].origin
+        'fitted'
     """
     require_x64("a fit")
     check_names("Magic Formula", [model], VERSIONS)

@@ -101,16 +101,6 @@ class MagicFormulaFit(Record):
         return {o: f"{o.message}: {', '.join(names)}" for o, names in concerned.items() if names}
 
     @property
-    def converged(self) -> bool:
-        """Whether every stage ended before its limit of passes."""
-        return Outcome.NOT_CONVERGED not in self.limits
-
-    @property
-    def identified(self) -> bool:
-        """Whether the data or a prior determine every coefficient that is fitted."""
-        return Outcome.NOT_IDENTIFIED not in self.limits
-
-    @property
     def worsened(self) -> list[str]:
         """Stages with larger residuals at the end of the fit than at their own end."""
         return [
