@@ -6,11 +6,14 @@ from conftest_diagnosis import brush
 from scipy.stats import multivariate_normal
 
 from tirefit.data.read import read_frame
+from tirefit.diagnosis.decide.findings import amplitude_over_error
+from tirefit.diagnosis.decide.remainder import widening
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.evidence.base import fit_base
-from tirefit.diagnosis.evidence.posterior import due_to_doubt, gains_beside, linear_at
-from tirefit.diagnosis.evidence.search import Search
+from tirefit.diagnosis.evidence.posterior import due_to_doubt, gains_beside, linear_at, weigh
+from tirefit.diagnosis.evidence.search import Search, amplitudes_of
+from tirefit.diagnosis.left_out import Predicted
 from tirefit.diagnosis.rows.basis import SCALES, without
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
@@ -253,3 +256,30 @@ def test_doubt_is_one_more_noise_to_what_is_not_listed(doubted):
         assert sure > 5
         found[kind] = wanted / sure
     assert found["doubt"] < 0.3 < found["smooth"]
+
+
+@pytest.mark.parametrize("parts", [None, np.array([0.0, 30.0, -10.0, 4.0])])
+def test_error_of_an_amplitude_includes_slip_uncertainty_and_jackknife(doubted, parts):
+    """Against refits of simulated slip errors, and the textbook sum of the jackknife."""
+    base, searcher = doubted
+    atom = searcher.testable[0]
+    searcher.refit([(atom,)], {})
+    weighed, key = weigh(searcher), (base.atoms[atom].effect.id,)
+    none, sets = np.zeros((0, 0)), () if parts is None else (key,)
+    amplitude = () if parts is None else (parts[:, None],)
+    out = Predicted("rows", False, sets, none, none, none, amplitude, none)
+    fit = weighed.best_of[key]
+    linear, p = linear_at(base, fit), len(fit.z)
+    draws = np.random.default_rng(8).standard_normal((base.doubt.shape[1], 20_000))
+    prior = np.eye(p + 1)[[p]]
+    wrong = np.concatenate([base.doubt @ draws, np.zeros((1, 20_000))])
+    refits = np.linalg.lstsq(np.concatenate([linear.used_up, prior]), wrong, rcond=None)[0]
+    left = base.residual(fit.z, amplitudes_of(base, fit))
+    known = fit.covariance[p, p] * widening(base, left)
+    error = np.hypot(np.sqrt(known), refits[p].std())
+    assert refits[p].std() > 0.1 * error
+    if parts is not None:
+        count = len(parts)
+        error = np.sqrt((count - 1) / count * np.sum((parts - parts.mean()) ** 2))
+    found = amplitude_over_error(base, weighed, out, key)
+    assert found == {key[0]: pytest.approx(abs(fit.amplitude[0]) / error, rel=0.02)}
