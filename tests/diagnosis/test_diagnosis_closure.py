@@ -42,7 +42,7 @@ def given_residual(bases, scales, residual):
     return mean, weight @ (np.array(variances) + np.square(means - mean))
 
 
-def test_draws_of_a_discrepancy_are_those_of_a_dense_gaussian(monkeypatch):
+def test_draws_of_a_discrepancy_agree_with_a_dense_gaussian(monkeypatch):
     generator, sizes = np.random.default_rng(0), np.array([0.5, 3.0])
     against = generator.standard_normal((60, 2))
     columns = generator.standard_normal((60, 6)) / 8
@@ -128,7 +128,7 @@ def rms(values):
     return np.sqrt(np.mean(np.square(values)))
 
 
-def test_an_interval_of_closure_holds_the_truth_nine_times_in_ten():
+def test_an_interval_of_closure_contains_the_truth_in_90_percent():
     """An effect in another form, most of it below the noise, 150 files."""
     held, off = [], []
     for seed in range(150):
@@ -147,7 +147,7 @@ def test_an_interval_of_closure_holds_the_truth_nine_times_in_ten():
     assert abs(np.mean(off)) < 0.02 and np.median(np.abs(off)) < 0.06
 
 
-def test_closure_of_draws_is_that_of_what_they_say():
+def test_closure_of_draws_is_computed_from_their_forces():
     generator = np.random.default_rng(0)
     gap = 40 * np.sin(np.arange(ROWS))
     truth = gap[:, None] + generator.standard_normal((ROWS, 200))
@@ -170,7 +170,7 @@ def test_closure_of_draws_is_that_of_what_they_say():
     assert apart.closed_ci[0] == -1 and apart.closed_ci[1] == 1
 
 
-def test_closure_elsewhere_of_known_energies():
+def test_closure_elsewhere_is_right_for_known_energies():
     generator = np.random.default_rng(0)
     n = 4000
     noise, run = 10 * generator.standard_normal(n), np.zeros(4000, int)
@@ -185,7 +185,7 @@ def test_closure_elsewhere_of_known_energies():
     assert worse.closed == -1
 
 
-def test_nine_rows_do_not_show_that_nothing_is_left():
+def test_nine_rows_give_no_certain_closure():
     """They are one block of the bootstrap, which has no spread."""
     generator = np.random.default_rng(2)
     gap, noise = 8 * np.cos(np.arange(9)), generator.standard_normal(9)
@@ -195,7 +195,7 @@ def test_nine_rows_do_not_show_that_nothing_is_left():
     assert 0.6 < found.closed_ci[0] < 0.92 < found.closed_ci[1] < 1.0
 
 
-def test_closure_elsewhere_holds_the_truth_nine_times_in_ten():
+def test_closure_elsewhere_contains_the_truth_in_90_percent():
     """What is left lies below the noise and on it: 200 files."""
     held, off = [], []
     for seed in range(200):

@@ -84,12 +84,12 @@ def at(document, path):
 
 
 @pytest.mark.parametrize("path", KEYS)
-def test_keys_of_the_document_stay(diagnosed, path):
+def test_keys_of_the_document_are_unchanged(diagnosed, path):
     document = json.loads(diagnosed("slip_offset")[0].to_json())
     assert list(at(document, path)) == KEYS[path]
 
 
-def test_every_record_is_written_as_it_is_read(diagnosed):
+def test_every_record_survives_writing_and_reading(diagnosed):
     found, _ = diagnosed("slip_offset")
     document = json.loads(found.to_json())
     assert document["verdict"]["probability"] == found.verdict.probability
@@ -155,7 +155,7 @@ def studied():
 
 
 @pytest.mark.parametrize("design", DESIGNS)
-def test_what_cannot_be_told_has_a_next_measurement_or_a_reason(studied, design):
+def test_undecidable_pairs_have_a_next_measurement_or_a_reason(studied, design):
     """Pairs of effects, as if the verdict could not tell them."""
     case = studied(design)
     ids = dict.fromkeys(case.base.atoms[k].effect.id for k in case.search.testable)
@@ -181,7 +181,7 @@ def test_what_cannot_be_told_has_a_next_measurement_or_a_reason(studied, design)
     reason="force_offset, which explains the same exactly, has 0.005 against 0.58 by"
     " its prior: below a tenth no rival is reported",
 )
-def test_one_load_and_one_sign_ask_for_the_other_sign_or_load():
+def test_one_load_and_one_sign_suggest_another_sign_or_load():
     data = read_frame(sweep([4e3], np.linspace(0.004, 0.2, 120)), "one sign")
     found = engine.diagnose(data, rig=Rig(noise={"fx_relative": 0.01, **ALMOST_NO_NOISE}))
     assert found.verdict.status == "cannot_tell"
@@ -193,7 +193,7 @@ def test_one_load_and_one_sign_ask_for_the_other_sign_or_load():
     assert any("opposite sign" in add or "more loads" in add for add in adds)
 
 
-def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
+def test_the_predicted_moment_agrees_with_the_model(studied):
     """Tangents of M_z by the pressure's skewness, against the model's own M_z."""
     base = studied("lateral, no M_z").base
     n = base.prepared.n
@@ -221,7 +221,7 @@ def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
         np.testing.assert_allclose(ours[rows], ratio * slope[rows], atol=3e-3 * np.abs(ours).max())
 
 
-def test_the_moment_is_forecast_by_the_rows_not_promised(studied):
+def test_measuring_the_moment_is_suggested_only_if_it_would_help(studied):
     case = studied("lateral, no M_z")
     verdict = replace(
         case.verdict,

@@ -205,20 +205,20 @@ A_HANDFUL = {4: "noise", 33: "kappa", 47: "order", 55: "late", 74: "step", 81: "
 
 
 @pytest.mark.parametrize("seed", A_HANDFUL, ids=A_HANDFUL.get)
-def test_a_document_means_something(seed):
+def test_a_document_has_plausible_values(seed):
     _check(seed)
 
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("seed", sorted(set(range(206)) - set(A_HANDFUL)))
-def test_every_document_means_something(seed):
+def test_every_stored_document_has_plausible_values(seed):
     _check(seed)
 
 
 QUIET = {"status": "none", "probability": 0.5}
 
 
-def test_the_check_sees_what_nobody_can_mean():
+def test_the_check_detects_implausible_values():
     good = {"candidates": [], "gap": {"closed": 0.5}, "verdict": QUIET}
     plain = Sizes()
     assert faults(good, plain) == []
@@ -253,7 +253,7 @@ def named(name, value, std, unit):
     ],
 )
 @pytest.mark.parametrize("mass", [1.8, 400.0, 4000.0])
-def test_amplitudes_are_judged_on_the_scale_of_their_file(share, std, is_meant, mass):
+def test_amplitudes_are_compared_with_the_scale_of_their_file(share, std, is_meant, mass):
     """A share of the carried mass at the radius of the wheel, whoever it carries."""
     sizes = Sizes(inertia=mass * RADIUS**2)
     figures = (sizes.inertia * share, sizes.inertia * std, "kg m^2")

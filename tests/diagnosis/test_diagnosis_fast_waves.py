@@ -36,7 +36,7 @@ def told(time, residual):
 
 
 @pytest.mark.parametrize("gaps", [False, True])
-def test_hum_is_told_with_its_period(gaps):
+def test_hum_is_reported_with_its_period(gaps):
     """Also where rows are missing: the others keep their place in the sampling."""
     there = np.arange(ROWS + 300) % 4 != 2 if gaps else np.arange(ROWS) >= 0
     time = 3.0 + np.flatnonzero(there)[:ROWS] * STEP
@@ -50,7 +50,7 @@ def test_hum_is_told_with_its_period(gaps):
     assert looks(record_of(time), ONES, noise + hum) == []
 
 
-def test_a_short_record_leaves_no_period_out():
+def test_a_short_record_covers_all_periods():
     """Of 90 rows the patterns have waves of five rows and more; this one has three."""
     time = STEP * np.arange(90)
     noise = np.random.default_rng(2).standard_normal(90)
@@ -60,7 +60,7 @@ def test_a_short_record_leaves_no_period_out():
     assert first.at == pytest.approx(3.1 * STEP, rel=5e-3)
 
 
-def test_noise_has_no_hum():
+def test_noise_gives_no_hum():
     time = STEP * np.arange(ROWS)
     for seed in range(20):
         assert told(time, np.random.default_rng(seed).standard_normal(ROWS)) == []
@@ -72,7 +72,7 @@ def test_rows_without_a_sampling_have_no_fast_waves():
     assert with_fast_waves(among, time, np.zeros(ROWS)) is among
 
 
-def test_hum_stands_in_the_report():
+def test_hum_is_in_the_report():
     def humming(slip, time, fz, v):
         return brush(slip, 5e4, 0.9, fz) + 0.02 * fz * np.sin(2 * np.pi * time / 0.13)
 

@@ -27,7 +27,7 @@ def shapes_of(effect, frame):
 @pytest.mark.parametrize(
     "effect", ["force_zero_drift", "slip_zero_drift", "slip_offset_load", "slip_offset_speed"]
 )
-def test_what_stays_is_no_form_of_what_moves(effect):
+def test_constants_are_no_form_of_varying_effects(effect):
     """Else a drift is called what is an offset, which is there in all that drifts."""
     frame, _ = record(None)
     for shapes in shapes_of(effect, frame):
@@ -35,7 +35,7 @@ def test_what_stays_is_no_form_of_what_moves(effect):
         np.testing.assert_allclose(shapes.mean(axis=0), 0.0, atol=1e-9 * shapes.max())
 
 
-def test_an_offset_that_wanders_by_a_fifth_is_an_offset():
+def test_an_offset_that_varies_by_a_fifth_is_named_offset():
     def truth(slip, time, fz, v):
         wander = 1 + 0.2 * np.cos(np.pi * time / 22.0)
         return brush(slip, 5e4, 0.9, fz) + 80.0 * wander
@@ -46,7 +46,7 @@ def test_an_offset_that_wanders_by_a_fifth_is_an_offset():
 
 # One row in 20 lies at a turn; of seeds 6 and 11, one more may.
 @pytest.mark.parametrize("seed", [1, 6, 11])
-def test_a_force_off_by_its_direction_may_grow_with_itself(seed):
+def test_hysteresis_that_grows_with_the_force_is_named(seed):
     def truth(slip, time, fz, v):
         force, way = brush(slip, 5e4, 0.9, fz), np.sign(np.gradient(slip))
         return force + 60.0 * (0.5 + np.abs(force) / 3600.0) * way
@@ -55,7 +55,7 @@ def test_a_force_off_by_its_direction_may_grow_with_itself(seed):
     assert diagnose(read_frame(frame), rig=RIG).effects == ("force_hysteresis",)
 
 
-def test_the_other_slip_may_take_its_part_as_an_ellipse():
+def test_combined_slip_by_an_ellipse_is_named():
     frame, _ = record(None, seed=6)
     wave = np.sin(2 * np.pi * frame["time"] / 3.7)
     frame["alpha"] = 0.05 * wave
@@ -98,7 +98,7 @@ def measured(time, slip, fz, force, moment, seed=0):
     )
 
 
-def test_a_late_sensor_takes_force_and_moment_of_then():
+def test_a_delayed_force_and_moment_are_named_a_delay():
     """The load too was another: a lag of the slip alone, as by a carcass, misses it."""
     time, slip, fz, force, moment = slalom()
     data = measured(time, slip, fz, late(force, 4.3), late(moment, 4.3))
@@ -106,7 +106,7 @@ def test_a_late_sensor_takes_force_and_moment_of_then():
     assert (verdict.status, verdict.effects) == ("named", ("channel_delay",))
 
 
-def test_one_speed_tells_no_filter_from_a_relaxation():
+def test_one_speed_does_not_separate_a_filter_from_relaxation():
     """Over time and over way the same equation: neither is named alone, whatever is
     usual."""
     time, slip, fz, force, moment = slalom()

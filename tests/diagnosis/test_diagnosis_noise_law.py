@@ -34,7 +34,7 @@ def judged(std, given=40.0, seed=1):
 
 
 @pytest.mark.parametrize("given", [40.0, None])
-def test_noise_that_grows_with_the_force_is_weighed_so(given):
+def test_noise_that_grows_with_the_force_is_weighted_accordingly(given):
     noise = judged(GROWING, given)
     assert "heteroscedastic" in noise.flags
     true = np.hypot(GROWING, np.sqrt(SPREAD))
@@ -42,7 +42,7 @@ def test_noise_that_grows_with_the_force_is_weighed_so(given):
         assert np.median(noise.std[part] / true[part]) == pytest.approx(1, abs=0.25)
 
 
-def test_noise_is_in_excess_where_it_is_calm():
+def test_excess_noise_is_found_in_quiet_rows():
     """Growing to 2.4 times what is stated, half the rows at that; and all at that."""
     assert np.mean(FORCE == 4000) > 0.3
     growing = judged(1.2 * GROWING)
@@ -51,13 +51,13 @@ def test_noise_is_in_excess_where_it_is_calm():
     assert judged(np.full(ROWS, 100.0)).excess == pytest.approx(2.5, rel=0.15)
 
 
-def test_even_noise_keeps_the_level_that_was_stated():
+def test_uniform_noise_keeps_the_stated_level():
     noise = judged(np.full(ROWS, 40.0))
     assert noise.flags == () and noise.source == "given"
     np.testing.assert_allclose(noise.std, np.sqrt(40.0**2 + SPREAD))
 
 
-def test_noise_that_falls_with_the_force_is_no_law():
+def test_noise_that_falls_with_the_force_is_not_modelled():
     """A slip noise that was overstated looks so: the level stays."""
     noise = judged(np.full(ROWS, 40.0) * (1 - 0.6 * FORCE / 4000))
     assert noise.source == "given"
@@ -91,7 +91,7 @@ def test_the_level_of_slow_noise_is_not_the_scatter_between_neighbours(fade):
     assert each == pytest.approx((1 + fade) / (1 - fade), rel=0.25)
 
 
-def test_what_changes_in_time_does_not_overrule_a_stated_level():
+def test_drift_does_not_override_a_stated_noise():
     """Neighbours in slip, of different sweeps, scatter by it; those in time do not."""
     slip = np.abs((np.arange(ROWS) / 90) % 2 - 1)
     drift = 80 * np.sin(np.arange(ROWS) / 60)
@@ -104,7 +104,7 @@ def test_what_changes_in_time_does_not_overrule_a_stated_level():
     assert np.mean(larger.std) == pytest.approx(80, rel=0.05)
 
 
-def test_no_noise_is_larger_than_all_that_a_fit_leaves():
+def test_noise_never_exceeds_the_residuals():
     """White noise of force and slip angle, of which neighbours look alike by chance: a
     memory with functions that soak it up was taken for a third more than there is."""
     generator = np.random.default_rng(63)
@@ -130,7 +130,7 @@ def test_no_noise_is_larger_than_all_that_a_fit_leaves():
 
 
 @pytest.mark.parametrize("times", [1.5, 6.0])
-def test_scatter_beyond_the_stated_noise_is_said(times):
+def test_scatter_above_the_stated_noise_is_reported(times):
     """White noise of more than what is stated: no effect, and a noise that was stated
     wrongly, with the factor."""
     generator = np.random.default_rng(2)

@@ -79,7 +79,7 @@ CHANGES = {"order": (shuffled, 0), "digits": (moved, 0), "seed": (None, 5)}
     ("name", "change"),
     [*(("synthetic", change) for change in CHANGES), *(("measured", change) for change in CHANGES)],
 )
-def test_a_verdict_stays_as_it_is(found, name, change):
+def test_stored_verdicts_are_reproduced(found, name, change):
     plain, other = found(name), found(name, *CHANGES[change])
     assert other.verdict.status == plain.verdict.status
     assert other.effects == plain.effects
@@ -87,7 +87,7 @@ def test_a_verdict_stays_as_it_is(found, name, change):
     np.testing.assert_allclose(closures(other), closures(plain), atol=CLOSE)
 
 
-def test_six_measured_logs_name_the_zero_of_the_slip(found):
+def test_six_measured_logs_name_the_slip_offset(found):
     """Fourteen standard errors by hand, the same in every run."""
     of = found("measured")
     assert "slip_offset" in of.effects
@@ -101,7 +101,7 @@ def test_six_measured_logs_name_the_zero_of_the_slip(found):
 
 
 @pytest.mark.parametrize("count", [3, 4, 5])
-def test_a_log_that_agrees_removes_no_name(found, count):
+def test_an_agreeing_log_removes_no_name(found, count):
     """Of nested subsets of the measured logs."""
     fewer = found("measured", count=count)
     more = found("measured", count=count + 1 if count < 5 else None)

@@ -80,7 +80,7 @@ def only(base, k):
 @pytest.mark.parametrize(
     ("mode", "model"), [("x", "brush"), ("y", "brush"), ("x", "brush-d-force")]
 )
-def test_each_effect_of_the_tire_gives_the_forces_of_the_diagnosis(mode, model):
+def test_each_tire_effect_gives_the_forces_of_the_diagnosis(mode, model):
     base, held = based(mode, model), set()
     rows, name = base.prepared, f"f{mode}"
     given = {"alpha": np.arctan(rows.slip)} if mode == "y" else {"sigma_x": rows.slip}

@@ -53,7 +53,7 @@ def test_profile_intervals_cover(model, setting):
     assert all(low <= share <= high for share in inside.values()), inside
 
 
-def test_intervals_cover_where_the_noise_is_estimated():
+def test_intervals_cover_with_estimated_noise():
     # Few rows, so that a normal in place of Student's t would show: 88 % at 6 rows.
     inside, _ = coverage("brush", "plain", FEW, rows=12, estimated=True)
     low, high = binom.ppf([0.0005, 0.9995], FEW, 0.95) / FEW
@@ -61,7 +61,7 @@ def test_intervals_cover_where_the_noise_is_estimated():
 
 
 @pytest.mark.parametrize("setting", ["rig", "seed"])
-def test_little_friction_used_is_covered_or_said(setting):
+def test_intervals_at_low_friction_use_cover_or_are_reported(setting):
     # 60 % of the friction: 1 - (1 - u)^3 = 0.6 at u = 0.263 of full sliding.
     outcomes = [
         holds_or_says(

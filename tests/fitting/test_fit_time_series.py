@@ -70,12 +70,12 @@ def test_fit_recovers_the_relaxation_length(lagged):
     assert lagged.problem.n == 300 < len(lagged.problem.rows.weight)
 
 
-def test_steady_brush_misses_what_lags(lagged):
+def test_a_steady_brush_does_not_fit_lagging_data(lagged):
     steady = solved(DATA, CONFIG)
     assert steady.chi2_dof > 100 * lagged.statistics.chi2_dof
 
 
-def test_masked_rows_are_passed_over():
+def test_masked_rows_are_skipped():
     """Between two used rows the slip is taken as linear, whatever a masked row held."""
     used = np.arange(len(DATA)) % 7 != 3
     columns = dict(DATA.columns)
@@ -86,7 +86,7 @@ def test_masked_rows_are_passed_over():
     np.testing.assert_allclose(value, LENGTH, rtol=0.02)
 
 
-def test_an_absurd_slip_is_set_aside_alone(lagged):
+def test_only_the_row_of_an_absurd_slip_is_excluded(lagged):
     """The rows after it feel what they felt, not the wrong slip."""
     slip = DATA["sigma_x"].copy()
     slip[[40, 200]] = 3.0
@@ -116,7 +116,7 @@ def test_prediction_follows_the_rows_in_time(lagged):
     np.testing.assert_allclose(by_name["fx"], found["fx"], rtol=1e-9, atol=1e-6)
 
 
-def test_a_longer_series_than_was_fitted_is_not_cut(lagged):
+def test_a_longer_series_than_the_fitted_one_is_predicted_completely(lagged):
     """Thrice the rows in a row: the time goes back, and each time starts anew."""
     inputs, run = lagged.problem.rows.inputs, lagged.problem.rows.run
     thrice = [np.tile(lagged.problem.used(column), 3) for column in (*inputs, run)]
@@ -130,7 +130,7 @@ def line_numbers(data):
     return replace(data, source=Source("swing.csv", line=np.arange(len(data)) + 2))
 
 
-def test_time_that_stands_still_names_the_row():
+def test_constant_time_is_refused_with_the_row():
     time = DATA["time"].copy()
     time[20], time[200] = time[19], time[199] - 1
     data = line_numbers(table({**DATA.columns, "time": time}, run=DATA.run, runs=DATA.runs))
@@ -161,7 +161,7 @@ def test_time_and_speed_are_needed():
     assert "needs v " in text and "needs time " in text
 
 
-def test_history_with_holes_is_refused():
+def test_settings_that_remove_history_are_refused():
     """All of it at once: limits of the slip, and its noise."""
     config = {"noise": {"sigma_x": 0.01}, "data": {"slip_max": 0.1, "slip_min": -1.0}}
     with pytest.raises(UsageError) as error:
@@ -195,7 +195,7 @@ def loads(n=120):
     return table({"sigma_x": slip, "fx": np.concatenate(force) + noise, "fz": fz})
 
 
-def test_reference_load_is_the_median_unless_given():
+def test_the_reference_load_defaults_to_the_median():
     data = loads()
     task = build(data, "brush-load", parse_config(CONFIG))
     assert task.problem.model.fz0 == 3900.0
@@ -206,7 +206,7 @@ def test_reference_load_is_the_median_unless_given():
     assert not any("fz0" in note for note in task.notes)
 
 
-def test_fit_recovers_how_the_parameters_follow_the_load():
+def test_fit_recovers_the_load_dependence_of_parameters():
     found = solved(loads(), CONFIG, "brush-load")
     layout = found.problem.layout
     values = dict(zip(layout.labels, layout.vector(found.z), strict=True))
@@ -219,7 +219,7 @@ def test_fit_recovers_how_the_parameters_follow_the_load():
 # A pressure of one's own
 
 
-def test_tabulated_pressure_is_fitted_by_a_name_of_its_own(monkeypatch):
+def test_a_tabulated_pressure_is_fitted_under_its_name(monkeypatch):
     """The table of the parabola in its place: the same estimate and covariance."""
     law = Tabulated.from_function(lambda xi: 1 - xi**2)
     monkeypatch.setitem(MODELS, "mine", Brush(pressure=law))

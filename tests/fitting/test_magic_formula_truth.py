@@ -85,7 +85,7 @@ def judged(path, fit, at, seed):
     return shares
 
 
-def test_forces_come_back_inside_and_beyond_the_loads(monkeypatch, tmp_path):
+def test_forces_are_recovered_within_and_beyond_the_loads(monkeypatch, tmp_path):
     """MF 6.1 in pure and combined slip; the file and the record say the same."""
     fit = fit_of(MF61, monkeypatch, n=30, loads=4)
     assert fit.converged and fit.forces == FORCES
@@ -111,7 +111,7 @@ def test_forces_come_back_inside_and_beyond_the_loads(monkeypatch, tmp_path):
             np.testing.assert_allclose(stored[name], own[name], rtol=1e-9, atol=1e-6)
 
 
-def test_a_version_is_converted_to_its_twin():
+def test_a_version_is_converted_to_the_equivalent_one():
     """6.2 has the forces of 6.1."""
     fit = converted(read_tir(MF62), "mf61", 0.3, [3500.0, 7000.0])
     # Two millionths of the force, at which the search rests.
@@ -128,7 +128,7 @@ def test_a_version_is_converted_to_another():
 
 
 @pytest.mark.statistics
-def test_a_drift_beside_a_whole_magic_formula_is_named():
+def test_a_drift_is_named_with_a_magic_formula_simulator():
     """A friction that falls by 8 % over a test whose loads come in no order."""
     table = measured(MF61, n=30, loads=4)
     pure = np.abs(table["sigma_x"]) < 1e-9
@@ -145,7 +145,7 @@ def test_a_drift_beside_a_whole_magic_formula_is_named():
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("path", TIRES, ids=lambda path: path.stem[-24:])
-def test_every_tire_comes_back(path, monkeypatch):
+def test_every_published_tire_is_recovered(path, monkeypatch):
     """0.5 % of the load inside and 3 % at 1.3 times the loads; of 95 % bands 90 to 99 %
     of new measurements are within, and of true forces in the mean over the seeds.
 
@@ -174,7 +174,7 @@ def test_every_tire_comes_back(path, monkeypatch):
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("path", [TIRES[0], MF61], ids=lambda path: path.stem[-24:])
-def test_loads_that_were_left_out_are_foretold(path, monkeypatch):
+def test_loads_that_were_left_out_are_predicted(path, monkeypatch):
     """Each load of the test, the largest too, from the fit of the others."""
     whole = measured(path)
     for left in np.unique(whole["fz"])[1:]:
