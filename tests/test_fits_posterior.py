@@ -66,15 +66,15 @@ def compare(case, fit, folder):
 
 
 @pytest.mark.parametrize(("case", "fit"), [x for x in FITS if (x[0].name, x[1]["name"]) in QUICK])
-def test_intervals_are_those_of_emcee(case, fit, tmp_path):
+def test_intervals_agree_with_emcee(case, fit, tmp_path):
     assert compare(case, fit, tmp_path) == QUICK[case.name, fit["name"]]
 
 
 @pytest.mark.statistics
 @pytest.mark.parametrize(("case", "fit"), FITS, ids=IDS)
-def test_intervals_are_those_of_emcee_on_every_case(case, fit, tmp_path):
+def test_intervals_agree_with_emcee_on_every_case(case, fit, tmp_path):
     compare(case, fit, tmp_path)
 
 
-def test_quick_cases_are_there():
+def test_quick_cases_exist():
     assert {(case.name, fit["name"]) for case, fit in FITS} >= set(QUICK)

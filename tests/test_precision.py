@@ -39,5 +39,5 @@ def test_32_bit_floats_are_refused_with_the_remedy(entry):
     assert "JAX_ENABLE_X64=1" in problem.remedy
 
 
-def test_64_bit_floats_are_enough():
+def test_64_bit_floats_are_accepted():
     assert require_x64("anything") is None

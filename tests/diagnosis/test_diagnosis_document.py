@@ -221,7 +221,7 @@ def test_the_predicted_moment_agrees_with_the_model(studied):
         np.testing.assert_allclose(ours[rows], ratio * slope[rows], atol=3e-3 * np.abs(ours).max())
 
 
-def test_measuring_the_moment_is_suggested_only_if_it_would_help(studied):
+def test_noisy_data_lower_the_use_of_measuring_the_moment(studied):
     case = studied("lateral, no M_z")
     verdict = replace(
         case.verdict,

@@ -31,7 +31,7 @@ GIVEN = {n: {"value": TIRE[n]} for n in ("FNOMIN", "UNLOADED_RADIUS", "NOMPRES")
 LOADS = (1500.0, 2800.0, 4200.0, 5600.0)
 
 
-def test_stages_recover_the_tire_of_a_rig(seed=0, combined=True, friction=0.12, loads=LOADS):
+def rig_test(seed=0, combined=True, friction=0.12, loads=LOADS):
     """Columns of a test of TIRE: friction falls over every sweep by this share, and
     M_z is that of 1.6 times the cornering stiffness, with a ripple."""
     generator = np.random.default_rng(seed)
@@ -64,12 +64,9 @@ def test_stages_recover_the_tire_of_a_rig(seed=0, combined=True, friction=0.12, 
     return dict(zip(names, np.concatenate(parts, axis=1), strict=True))
 
 
-test_stages_recover_the_tire_of_a_rig.__test__ = False
-
-
 @cache
 def fit_of(*channels, combined=True):
-    table = test_stages_recover_the_tire_of_a_rig()
+    table = rig_test()
     pure = (np.abs(table["alpha"]) < 1e-9) | (np.abs(table["sigma_x"]) < 1e-9)
     kept = pure | combined
     absent = {"fx", "fy", "mz"} - set(channels)
@@ -191,9 +188,7 @@ def test_cells_are_means_of_the_rows_of_one_setting():
 @pytest.mark.parametrize("left", [LOADS[0], LOADS[2], LOADS[3]])
 def test_bands_contain_rows_of_a_load_that_was_left_out(left):
     """Inside the loads, and at 1.3 times the largest that was fitted."""
-    table = test_stages_recover_the_tire_of_a_rig(
-        combined=False, loads=(*LOADS[:3], 4900.0, LOADS[3])
-    )
+    table = rig_test(combined=False, loads=(*LOADS[:3], 4900.0, LOADS[3]))
     near = np.abs(table["fz"] / left - 1) < 0.05
     if left == LOADS[3]:
         near |= np.abs(table["fz"] / 4900.0 - 1) < 0.05
@@ -219,7 +214,7 @@ def test_guards_distinguish_failures_within_and_beyond_the_data():
     assert not all(guard.holds_inside for guard in wider)
 
 
-def test_a_curve_that_changes_sign_within_the_data_is_refused():
+def test_a_curve_that_changes_sign_within_the_data_fails_its_guard():
     tir = read_tir(MF61).numbers
     alpha = np.tile(np.linspace(-0.25, 0.25, 100), 3)
     fz = np.repeat([3000.0, 5000.0, 7000.0], 100)

@@ -88,7 +88,7 @@ def close(found, expected, tolerance=1e-12, arm=A):
         ("brush-anisotropic-dm", {"stiffness_ratio": 0.6, "d": 0.4, "m": 0.8}),
     ],
 )
-def test_brush_is_the_patch_of_bristles(name, values):
+def test_the_brush_agrees_with_a_patch_of_bristles(name, values):
     tire = with_values(MODELS[name], {"cpa2": C, "mu": MU, "half_length": A, **values})
     kind = {"ratio" if k == "stiffness_ratio" else k: v for k, v in values.items()}
     expected = np.array([patch(*slip, **kind) for slip in SLIPS])
@@ -109,7 +109,7 @@ def printed(sigma_x, sigma_y, ratio):
     return force * np.cos(theta), force * np.sin(theta), force / (MU * FZ), kappa
 
 
-def test_o12_to_o20_are_the_anisotropic_brush():
+def test_o12_to_o20_give_the_anisotropic_brush():
     rng = np.random.default_rng(1)
     slips = np.column_stack([rng.uniform(-0.2, 0.3, 300), rng.uniform(-0.3, 0.3, 300)])
     sigma_y = np.tan(slips[:, 1]) * (1 + slips[:, 0])
@@ -136,7 +136,7 @@ def random_slips(seed, n=50):
     return kappa * np.cos(angle), kappa * np.sin(angle), stiffness, mu
 
 
-def test_o21_is_the_slope_along_the_slip():
+def test_o21_gives_the_slope_along_the_slip():
     x, y, stiffness, mu = random_slips(2)
     kappa = np.hypot(x, y)
     slope = jax.vmap(jax.grad(lambda k, s, mu: mu * FZ * mu_rate(k, s, mu * FZ)))(
@@ -146,7 +146,7 @@ def test_o21_is_the_slope_along_the_slip():
     np.testing.assert_allclose(force_slope(rate, stiffness), slope, rtol=1e-9)
 
 
-def test_o22_is_the_slope_along_the_wheel():
+def test_o22_gives_the_slope_along_the_wheel():
     x, y, stiffness, mu = random_slips(3)
     slope = jax.vmap(jax.grad(brush_force))(x, y, stiffness, mu)
     rate = mu_rate(np.hypot(x, y), stiffness, mu * FZ)
@@ -185,7 +185,7 @@ def test_slopes_do_not_depend_on_the_friction(direction):
     np.testing.assert_allclose(found[0], expected, rtol=1e-9)
 
 
-def test_slopes_at_the_ends():
+def test_slopes_are_right_at_the_ends():
     np.testing.assert_allclose(force_slope(jnp.array([0.0, 1.0]), 2 * C), [2 * C, 0])
     across = braking_slope(jnp.array([0.0, 1.0]), 2 * C, np.pi / 2)
     np.testing.assert_allclose(across, [2 * C, 2 * C / 3])
@@ -216,7 +216,7 @@ def below_sliding(seed):
 
 
 @pytest.mark.parametrize("k_ratio", [1.0, 0.5, 2.0])
-def test_liu_peng_is_s21_corrected(k_ratio):
+def test_liu_peng_agrees_with_corrected_s21(k_ratio):
     sigma_x, sigma_y, slips = below_sliding(4)
     found = on_slips(LiuPeng(C, MU, k_ratio), slips)
     close(found, s21(sigma_x, sigma_y, k_ratio, printed=False))
@@ -224,12 +224,12 @@ def test_liu_peng_is_s21_corrected(k_ratio):
     np.testing.assert_allclose(np.hypot(*full.T), MU * FZ, rtol=1e-12)
 
 
-def test_liu_peng_of_one_stiffness_is_the_isotropic_brush():
+def test_liu_peng_with_one_stiffness_gives_the_isotropic_brush():
     found = on_slips(LiuPeng(C, MU, 1.0))
     close(found, on_slips(Brush(C, MU, A))[:, :2])
 
 
-def test_s21_as_printed_is_not_the_brush():
+def test_s21_as_printed_does_not_give_the_brush():
     """Its last term lacks a mu: off by 10 % of it, and no mu F_z at full sliding."""
     sigma_x, sigma_y, slips = below_sliding(5)
     wrong = s21(sigma_x, sigma_y, 1.0, printed=True)
@@ -392,7 +392,7 @@ def columns(found):
 
 
 @pytest.mark.parametrize("m", [None, 0.8])
-def test_scaling_brush_curves_gives_the_brush(m):
+def test_scaled_brush_curves_give_the_brush(m):
     """Isotropic: forces and moment, also where the curve is not the parabolic one."""
     name, values = ("brush", {}) if m is None else ("brush-m", {"m": m})
     tire = with_values(MODELS[name], {"cpa2": C, "mu": MU, "half_length": A, **values})
@@ -426,7 +426,7 @@ def sliding_patch(sigma_x, sigma_y, ratio, n=1000):
     return total
 
 
-def test_a_sliding_bristle_turns_and_the_scaling_knows():
+def test_scaling_accounts_for_the_turning_of_a_sliding_bristle():
     """What the anisotropic brush neglects: 0.32 mu F_z in full sliding; the scaling
     turns sliding bristles at once, and is right there."""
     tire, misses = AnisotropicBrush(C, MU, A, stiffness_ratio=0.5), []
@@ -448,7 +448,7 @@ def test_an_isotropic_bristle_does_not_turn():
     close(found, sliding_patch(0.05, 0.05, 1.0)[None], 1e-3)
 
 
-def test_moment_of_scaled_curves_is_the_trail_times_the_force():
+def test_the_moment_of_scaled_curves_is_trail_times_force():
     tire = AnisotropicBrush(C, MU, A, stiffness_ratio=0.6)
     found = columns(scaled(tire, tire, SLIPS[:4]))
     # The equivalent pure side slip has the same trail.

@@ -321,7 +321,7 @@ def test_s39_holds_for_both_frictions_falling():
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_lateral_force_and_aligning_moment(sign):
+def test_printed_lateral_force_and_moment_agree_with_the_brush(sign):
     """Right as printed: F_y and -M_z over theta = 2 c |tan alpha| / (3 F_z)."""
     alpha = np.array([1e-6, 0.01, 0.04, 0.08, 0.107, 0.2, 1.0])
     theta = 2 * C * np.tan(alpha) / (3 * FZ)

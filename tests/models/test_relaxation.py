@@ -57,7 +57,7 @@ def felt():
     return inputs, run, Relaxed(Brush(), LENGTH).felt(arrays, jnp.asarray(run))
 
 
-def test_lag_is_the_solution_of_its_equation(felt):
+def test_the_lag_solves_its_equation(felt):
     inputs, _, result = felt
     speed = np.abs(inputs.v)
     travel = np.append(0, (speed[1:] + speed[:-1]) / 2 * np.diff(inputs.time))
@@ -70,7 +70,7 @@ def test_lag_is_the_solution_of_its_equation(felt):
         np.testing.assert_array_equal(getattr(result, name), getattr(inputs, name))
 
 
-def test_step_decays_over_the_relaxation_length():
+def test_a_step_decays_over_the_relaxation_length():
     """A step of slip is felt as 1 - exp(-distance / L), at any speed."""
     for v in (2.0, 40.0):
         distance = np.append(0.0, np.linspace(1e-9, 2.0, 41))
@@ -82,14 +82,14 @@ def test_step_decays_over_the_relaxation_length():
         np.testing.assert_allclose(forces(tire, inputs).fx, steady, rtol=1e-6, atol=1e-4)
 
 
-def test_ramp_lags_by_the_relaxation_length():
+def test_a_ramp_lags_by_the_relaxation_length():
     distance = jnp.linspace(0, 8, 81)
     behind = lag(0.01 * distance, jnp.full(81, 0.1), LENGTH, jnp.arange(81) == 0)
     np.testing.assert_allclose(behind[-1], -0.01 * LENGTH, rtol=1e-8)
     assert behind[0] == 0 and (jnp.diff(behind) < 0).all()
 
 
-def test_each_run_starts_in_steady_state_and_order_of_runs_is_free(felt):
+def test_each_run_starts_in_steady_state_in_any_order(felt):
     inputs, run, result = felt
     starts = np.array([0, 30])
     np.testing.assert_array_equal(result.sigma_x[starts], inputs.sigma_x[starts])
@@ -99,7 +99,7 @@ def test_each_run_starts_in_steady_state_and_order_of_runs_is_free(felt):
     np.testing.assert_allclose(again.sigma_x, result.sigma_x[other], atol=1e-14)
 
 
-def test_padding_at_the_end_disturbs_nothing(felt):
+def test_padding_has_no_effect(felt):
     """Copies of the first row, as a fit pads its arrays with."""
     inputs, run, result = felt
     padded = [jnp.concatenate([part, jnp.repeat(part[:1], 4)]) for part in inputs]
@@ -121,7 +121,7 @@ def test_rows_without_time_are_steady():
         assert lagging.needs == ("v", "time")
 
 
-def test_runs_reach_the_forces():
+def test_the_lag_of_each_run_acts_on_the_forces():
     inputs, run = manoeuvre()
     tire = Relaxed(Brush(), LENGTH)
     apart, joined = (
@@ -133,7 +133,7 @@ def test_runs_reach_the_forces():
     assert abs(joined.fx[30] - apart.fx[30]) > 1.0
 
 
-def test_gradients_are_finite_and_right():
+def test_gradients_are_finite_and_agree_with_differences():
     inputs, run = manoeuvre()
     arrays = jax.tree.map(jnp.asarray, inputs)
 

@@ -7,7 +7,7 @@ import tirefit
 from tirefit.report.canvas import Picture, save_picture
 
 
-def test_letters_that_the_font_lacks_are_boxes(tmp_path):
+def test_letters_missing_in_the_font_are_boxes(tmp_path):
     """No warning, which the tests would make an error, in a file or a notebook."""
     picture = Picture(figsize=(1, 1))
     picture.text(0.1, 0.5, "run \x1b 测试 \N{SNOWMAN WITHOUT SNOW}")
