@@ -1,4 +1,4 @@
-"""A base fit that rests on a bound is no prison for the explanations."""
+"""A base fit at a bound does not prevent an explanation."""
 
 import pytest
 

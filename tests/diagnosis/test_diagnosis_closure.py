@@ -1,4 +1,4 @@
-"""Closure against known truths: of draws, of the interval, and on rows left out."""
+"""Closure against known truths: of draws, of the interval, and on held-out rows."""
 
 from types import SimpleNamespace
 
@@ -106,7 +106,7 @@ class Straight(Base):
         )
 
     def case(self):
-        """All that is known: the effect is there and nothing else."""
+        """It is known that the effect is there and no other."""
         key, case = ("one",), object.__new__(Case)
         weighed = weighed_of({key: 1.0}, best_of={key: self.fitted()})
         case.__dict__.update(base=self, weighed=weighed)
@@ -114,7 +114,8 @@ class Straight(Base):
 
 
 def another_form(columns, smooth, generator):
-    """What the truth has beyond the formula (n,): as large as the estimator expects."""
+    """The part of the truth beyond the formula (n,): as large as the estimator
+    expects."""
     part = np.linalg.norm(without(columns[:, 1] * 12, columns[:, :1]))
     left, size = orthogonal(smooth, columns)
     share = np.clip(0.1 * np.exp(generator.standard_normal()), 0.005, 1.0)
@@ -129,7 +130,7 @@ def rms(values):
 
 
 def test_an_interval_of_closure_contains_the_truth_in_90_percent():
-    """An effect in another form, most of it below the noise, 150 files."""
+    """An effect of another form, mostly below the noise, in 150 files."""
     held, off = [], []
     for seed in range(150):
         generator = np.random.default_rng(seed)
@@ -196,7 +197,7 @@ def test_nine_rows_give_no_certain_closure():
 
 
 def test_closure_elsewhere_contains_the_truth_in_90_percent():
-    """What is left lies below the noise and on it: 200 files."""
+    """The remainder is below the noise or at its level: 200 files."""
     held, off = [], []
     for seed in range(200):
         generator = np.random.default_rng(seed)

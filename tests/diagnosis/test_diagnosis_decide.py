@@ -29,7 +29,7 @@ def gain(ratio=5.0, size=100.0, closed=0.5):
 
 
 def fitted(key, error=9.0, ratio=5.0):
-    """A set whose effects are all as well known and gain as much."""
+    """A set whose effects are equally well determined and have equal gains."""
     return Fitted(dict.fromkeys(key, error), {e: gain(ratio) for e in key})
 
 
@@ -71,7 +71,7 @@ def test_without_a_significant_set_the_unlisted_probability_decides(unlisted, st
 
 
 def test_an_equivalent_effect_gives_cannot_tell_and_adds_its_probability():
-    """Neither is likelier than not; that one of them is there is."""
+    """The two are equally likely; one of them is certainly there."""
     sets = {A: fitted(A)}
     verdict = decide(findings({A: 0.48, B: 0.46, (): 0.01}, sets))
     assert (verdict.status, verdict.effects) == (Status.CANNOT_TELL, A)
@@ -93,7 +93,7 @@ def test_named_effects_with_something_unlisted_are_incomplete():
 
 
 def test_in_one_run_the_unlisted_reduces_the_probability_of_a_name():
-    """There an effect is as likely as the sets that hold it beside a discrepancy."""
+    """In one run, sets with a discrepancy count for the probability of an effect."""
     beside = {A: 0.3, B: 0.5}
     one = findings({A: 0.9, B: 0.01}, unlisted=0.8, beside=beside, across_runs=False)
     assert decide(one).status == Status.UNKNOWN
@@ -150,7 +150,7 @@ def test_every_threshold_can_prevent_a_name(rule, passes, fails, strict):
 
 @pytest.mark.parametrize("likely", [0.3, 0.5, 0.9])
 def test_a_named_effect_reaches_the_required_probability(likely):
-    """Of pairs: their effects stand in nobody's place."""
+    """With pairs, whose effects are not alternatives of each other."""
     policy, sets = Policy(likely=likely, perhaps=0.99), {AB: fitted(AB)}
 
     def named(p):
@@ -184,7 +184,7 @@ def test_no_gap_is_reported_if_no_significant_set_is_probable():
 
 
 def random_findings(generator, unlisted):
-    """Three effects, their sets in any order of weight; whole runs left out."""
+    """Three effects and their sets in any order of weight; whole runs left out."""
     keys = [(), *parts_of(("a", "b", "c"))]
     p = dict(zip(keys, generator.dirichlet(np.full(8, 0.3)) + 1e-6, strict=True))
     beside = {key: float(x) * generator.uniform() for key, x in p.items()}
@@ -210,7 +210,7 @@ def test_across_runs_the_unlisted_removes_no_name():
 
 
 def test_every_status_satisfies_its_definition():
-    """Of any findings: what each status says holds, and nothing is said twice."""
+    """For any findings, each status satisfies its definition without repetition."""
     generator = np.random.default_rng(1)
     seen = set()
     for _ in range(400):
@@ -240,7 +240,7 @@ def test_every_threshold_is_explained():
 
 
 def test_posterior_probabilities_sum_to_one():
-    """Sets, sets beside a discrepancy, and what was too improbable to refit."""
+    """Sets, sets with a discrepancy, and sets too improbable to refit."""
     of = weighed_of({A: 0.4, AB: 0.2, (): 0.1}, {A: 0.15, B: 0.1})
     assert of.best == A and of.unlisted == pytest.approx(0.25)
     assert sum(of.listed.values()) == pytest.approx(1.0)

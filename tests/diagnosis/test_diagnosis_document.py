@@ -1,4 +1,4 @@
-"""The document of a diagnosis: its keys, and that it always says what to measure."""
+"""The document of a diagnosis: its keys, and its next measurements."""
 
 import json
 from copy import copy
@@ -76,7 +76,7 @@ KEYS = {
 
 
 def at(document, path):
-    """What stands at a path, whose steps are separated by a space before the last."""
+    """The value at a path, whose steps are separated by a space before the last."""
     steps = path.split(" ", 3) if path else []
     for step in steps:
         document = document[int(step) if step.isdigit() else step]
@@ -111,7 +111,7 @@ def test_every_record_survives_writing_and_reading(diagnosed):
 
 
 def sweep(loads, slips, seed=0, channel="fx", noise=0.01):
-    """A brush with skewed forces on one sweep a load: a frame without time."""
+    """A brush with skewed forces in one sweep per load: a frame without time."""
     generator = np.random.default_rng(seed)
     slip, fz = np.tile(slips, len(loads)), np.repeat(loads, len(slips))
     force = brush(slip + 0.004, 5e4, 0.9, fz)
@@ -156,7 +156,7 @@ def studied():
 
 @pytest.mark.parametrize("design", DESIGNS)
 def test_undecidable_pairs_have_a_next_measurement_or_a_reason(studied, design):
-    """Pairs of effects, as if the verdict could not tell them."""
+    """Pairs of effects, as if the verdict could not distinguish them."""
     case = studied(design)
     ids = dict.fromkeys(case.base.atoms[k].effect.id for k in case.search.testable)
     told, alone = 0, 0

@@ -1,4 +1,4 @@
-"""The library of effects: on any scale, in closed form, found in their own truths."""
+"""The library of effects: scale-free, in closed form, and found in their own truths."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ SECOND = {"force": 30.0, "length": 2.0, "time": 1.0}
 
 
 def at_size(frame, force, length, time):
-    """The same tire in other units, or another size of it."""
+    """The same tire in other units, or scaled."""
     return frame | {
         "time": frame["time"] * time,
         "v": frame["v"] * length / time,
@@ -38,7 +38,7 @@ def prepared_of(frame, rig=RIG):
 
 
 def test_a_prior_scales_with_the_size_of_the_tire():
-    """In shares of the file the expected change is the same: units cancel."""
+    """Relative to the file the expected change is the same: units cancel."""
     frame, _ = record(None, seed=1)
     units = {"s/m": -1.0, "m/s": 1.0, "s": 0.0, "m": 0.0}
     plain = prepared_of(frame)
@@ -167,7 +167,8 @@ def test_the_lateral_force_uses_part_of_the_friction():
 
 
 def test_the_work_of_sliding_agrees_with_its_integral():
-    """At a constant slip work grows as time does; a cooling tire ends warm and even."""
+    """At constant slip the work grows linearly in time; a cooling tire reaches an even
+    temperature."""
     time = np.linspace(0.0, 40.0, 401)
     frame = {
         "time": time,
@@ -291,7 +292,7 @@ def test_slip_noise_from_a_speed_falls_with_the_speed(tmp_path):
 
 
 def test_a_drift_of_the_slip_offset_is_not_named_friction():
-    """Half a per cent of slip over the record shifts; nothing multiplies."""
+    """Half a per cent of slip over the record is an offset, not a factor."""
     rows = _rows()
     state = _changed("slip_zero_drift", 0.01, rows)
     np.testing.assert_allclose(state.shift, 0.01 * jnp.asarray(rows.time), atol=1e-12)
@@ -299,7 +300,7 @@ def test_a_drift_of_the_slip_offset_is_not_named_friction():
 
 
 def _lateral(seed=8):
-    """Sweeps of the slip angle with a yaw rate and an acceleration of their own."""
+    """Sweeps of the slip angle with an independent yaw rate and acceleration."""
     frame, _ = record(None, seed=seed)
     time = frame["time"]
     motion = {"yaw_rate": 0.8 * np.sin(1.7 * time), "a_x": 3 * np.sin(0.9 * time)}

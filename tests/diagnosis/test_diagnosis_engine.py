@@ -1,4 +1,4 @@
-"""Diagnoses of known truth, made by formulas of their own."""
+"""Diagnoses of known truth, made by independent formulas."""
 
 import json
 from dataclasses import replace
@@ -94,7 +94,7 @@ def test_a_named_effect_has_an_error_below_half_its_value(diagnosed):
 
 @pytest.mark.parametrize("name", TRUTHS)
 def test_the_ladder_goes_from_no_effect_to_the_noise(diagnosed, name):
-    """A single record: blocks of time; a step for each name."""
+    """A single record: blocks of time; one step per name."""
     found, _ = diagnosed(name)
     effects = [step.effects for step in found.ladder.steps]
     assert found.ladder.on == "8 blocks of time left out in turn"
@@ -119,8 +119,8 @@ def test_the_document_has_the_probability_of_something_unlisted(diagnosed, name)
 
 
 def test_an_unlisted_effect_leaves_a_remainder():
-    """Friction with a sharp peak at one load: load and pressure effects draw most of
-    it, and leave the peak."""
+    """Friction with a sharp peak at one load: load and pressure effects describe most
+    of it, but not the peak."""
 
     def truth(slip, time, fz, v):
         extra = 0.12 * np.exp(-(((np.abs(slip) - 0.1) / 0.02) ** 2) / 2)
@@ -134,7 +134,8 @@ def test_an_unlisted_effect_leaves_a_remainder():
 
 @pytest.mark.parametrize("late", [True, False])
 def test_a_delay_in_a_measured_log_is_named(late):
-    """Free driving of a measured axle: its force late by 31 ms, and as measured."""
+    """Free driving of a measured axle: with the force delayed by 31 ms, and
+    unchanged."""
     data = half(1)
     change, *_ = CHANGES["channel_delay"]
     found = diagnose(read_frame(data | change(data, 0.031, None) if late else data))
@@ -174,7 +175,7 @@ def test_the_same_seed_gives_the_same_document():
 
 
 def test_the_number_of_threads_changes_no_digit():
-    """As they would, by last digits: sums in another order."""
+    """Threads sum in another order, which could change the last digits."""
     frame, _ = record(TRUTHS["slip_offset"], seed=5, rows=150)
     documents = []
     for threads in (1, 2):
@@ -233,8 +234,8 @@ FALSE_ALARM = pytest.mark.xfail(
     ],
 )
 def test_a_filtered_force_has_no_gap(fade, seed):
-    """Two slow sweeps through ramps of the slip: noise of which neighbours in slip
-    have much in common, and a level that nobody stated."""
+    """Two slow sweeps by ramps of the slip: the noise of neighbours in slip is
+    correlated, and its level is not stated."""
     rows, generator = 900, np.random.default_rng(seed)
     time, noise = 0.02 * np.arange(rows), np.zeros(rows)
     for row in range(1, rows):
@@ -262,7 +263,7 @@ def test_the_map_shows_the_parameter_and_its_covariate(diagnosed):
 
 
 def test_the_wheel_speed_identifies_the_slip_definition():
-    """kappa logged as sigma: the speeds say so, and the forces agree."""
+    """kappa logged as sigma: speeds and forces agree on it."""
     frame, _ = record(None, seed=12)
     omega = frame["v"] / (0.32 * (1 + frame["sigma_x"]))
     frame |= {"omega": omega, "sigma_x": frame["sigma_x"] / (1 + frame["sigma_x"])}
@@ -312,7 +313,7 @@ def test_zero_slip_has_no_side():
 
 
 def test_a_large_file_is_diagnosed_on_some_rows():
-    """The base fit and the diagnosis take the same rows."""
+    """The base fit and the diagnosis use the same rows."""
     slip = np.random.default_rng(0).uniform(-0.2, 0.2, 7000)
     load = np.random.default_rng(1).choice([2000.0, 4000.0, 6000.0], 7000)
     given = TireInputs(slip + 0.004, 0.0, load)

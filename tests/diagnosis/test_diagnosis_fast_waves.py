@@ -1,4 +1,4 @@
-"""Hum and chatter: waves in time that are faster than the patterns have."""
+"""Hum and chatter: waves in time that are faster than those of the patterns."""
 
 from types import SimpleNamespace
 
@@ -16,7 +16,7 @@ ONES = np.ones((ROWS, 1))
 
 
 def record_of(time):
-    """Patterns of a record whose slip goes to and fro."""
+    """Patterns of a record with an oscillating slip."""
     slip_fraction = 1.2 * np.sin(2 * np.pi * np.arange(len(time)) / 90)
     prepared = SimpleNamespace(
         n=len(time),
@@ -37,7 +37,7 @@ def told(time, residual):
 
 @pytest.mark.parametrize("gaps", [False, True])
 def test_hum_is_reported_with_its_period(gaps):
-    """Also where rows are missing: the others keep their place in the sampling."""
+    """Also with missing rows: the others keep their place in the sampling."""
     there = np.arange(ROWS + 300) % 4 != 2 if gaps else np.arange(ROWS) >= 0
     time = 3.0 + np.flatnonzero(there)[:ROWS] * STEP
     noise = np.random.default_rng(7).standard_normal(ROWS)
@@ -51,7 +51,7 @@ def test_hum_is_reported_with_its_period(gaps):
 
 
 def test_a_short_record_covers_all_periods():
-    """Of 90 rows the patterns have waves of five rows and more; this one has three."""
+    """In 90 rows the patterns have waves of five rows and more; this one has three."""
     time = STEP * np.arange(90)
     noise = np.random.default_rng(2).standard_normal(90)
     left = noise + 1.4 * np.sin(2 * np.pi * time / (3.1 * STEP))

@@ -1,4 +1,4 @@
-"""Effects in forms of their own: what a free form may be, and what it may not name."""
+"""Free forms of effects: which forms are allowed, and what they may not name."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ BY_ID = {effect.id: effect for effect in EFFECTS}
 
 
 def shapes_of(effect, frame):
-    """What the free forms of an effect are made of: (n, k) each."""
+    """The columns of the free forms of an effect: (n, k) each."""
     rows = prepare(read_frame(frame), RIG, ("fx",)).covariates
     u = frame["sigma_x"] / 0.1
     return [np.asarray(form.shapes(rows, u)) for form in BY_ID[effect].forms]
@@ -28,7 +28,7 @@ def shapes_of(effect, frame):
     "effect", ["force_zero_drift", "slip_zero_drift", "slip_offset_load", "slip_offset_speed"]
 )
 def test_constants_are_no_form_of_varying_effects(effect):
-    """Else a drift is called what is an offset, which is there in all that drifts."""
+    """Otherwise a constant offset would be called a drift."""
     frame, _ = record(None)
     for shapes in shapes_of(effect, frame):
         assert shapes.std(axis=0).min() > 0
@@ -65,7 +65,7 @@ def test_combined_slip_by_an_ellipse_is_named():
 
 
 def late(values, rows):
-    """What it was so many rows ago; at rest before."""
+    """The value some rows earlier; at rest before."""
     return np.interp(np.arange(len(values)) - rows, np.arange(len(values)), values)
 
 
@@ -99,7 +99,8 @@ def measured(time, slip, fz, force, moment, seed=0):
 
 
 def test_a_delayed_force_and_moment_are_named_a_delay():
-    """The load too was another: a lag of the slip alone, as by a carcass, misses it."""
+    """The load differed as well: a lag of the slip alone, as by a carcass, does not
+    fit."""
     time, slip, fz, force, moment = slalom()
     data = measured(time, slip, fz, late(force, 4.3), late(moment, 4.3))
     verdict = diagnose(data, rig=LATERAL).verdict
@@ -107,8 +108,8 @@ def test_a_delayed_force_and_moment_are_named_a_delay():
 
 
 def test_one_speed_does_not_separate_a_filter_from_relaxation():
-    """Over time and over way the same equation: neither is named alone, whatever is
-    usual."""
+    """The same equation over time and over distance: neither is named alone, whatever
+    its prior."""
     time, slip, fz, force, moment = slalom()
     share = 1 - np.exp(-0.01 / 0.03)
     force, moment = (lfilter([share], [1, share - 1], values) for values in (force, moment))
@@ -119,7 +120,7 @@ def test_one_speed_does_not_separate_a_filter_from_relaxation():
 
 
 def test_a_load_that_follows_the_slip_has_no_forms():
-    """Any function of it is one of the slip, and would explain whatever there is."""
+    """Any function of it is one of the slip, and would explain anything."""
     frame, _ = record(None)
     prepared = prepare(read_frame(frame), RIG, ("fx",))
     fraction = frame["sigma_x"] / 0.1

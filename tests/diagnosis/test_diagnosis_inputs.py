@@ -1,4 +1,4 @@
-"""Data that say nothing, or say it by one wrong cell: said, not diagnosed."""
+"""Uninformative data, or data spoilt by one wrong cell, are reported, not diagnosed."""
 
 import re
 from dataclasses import replace
@@ -19,7 +19,7 @@ from tirefit.results import DataError, TirefitError, UsageError
 
 
 def rig_data(seed=1, noise=30.0):
-    """A brush at three loads, forces in whole newtons of noise."""
+    """A brush at three loads, with noise rounded to whole newtons."""
     generator = np.random.default_rng(seed)
     slip = np.tile(np.linspace(0.005, 0.25, 40), 3)
     fz = np.repeat([3000.0, 4000.0, 5000.0], 40)

@@ -1,4 +1,4 @@
-"""What a derived file states and shows of its vehicle, steering and drive force."""
+"""Stated and estimated properties of a derived file: vehicle, steering, drive force."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ STATED = {"tracked_point": 0.0, "clock": 0.005, "yaw_inertia": 2300.0}
 
 
 def stating(frame, **constants):
-    """The data of a file that states these constants in its first line."""
+    """The data of a file with these constants in its first line."""
     data = read_frame(frame)
     return replace(data, source=replace(data.source, constants=constants))
 
@@ -79,7 +79,7 @@ def test_the_stated_clock_error_is_the_prior_of_a_delay(driven):
 
 
 def test_an_undeclared_reference_point_is_found():
-    """30 cm on a wheelbase of 2.6 m: far beyond what is measured with a rule."""
+    """30 cm on a wheelbase of 2.6 m: more than the error of a ruler."""
     data = stating(drive(Car(ahead=0.3)), wheelbase=2.6)
     found = diagnose(data, rig=RIG, effects=LIBRARY)
     assert found.effects == ("tracked_point",)
@@ -126,7 +126,7 @@ def front(logged):
 
 
 def lagging(time, constant=0.15):
-    """What a first-order lag turns into :func:`steer`: the command ahead of it."""
+    """The command whose first-order lag is :func:`steer`."""
     step = 1e-4
     return steer(time) + constant * (steer(time + step) - steer(time - step)) / (2 * step)
 
@@ -143,7 +143,7 @@ def shifted(effect, frame, amplitude):
     [("steering_delay", lambda time: steer(time + DELAY), DELAY), ("steering_lag", lagging, 0.15)],
 )
 def test_a_steering_delay_changes_the_slip_by_the_angle(effect, logged, amplitude):
-    """Rows 0.1 s apart: between them the angle is known by its rate."""
+    """Rows 0.1 s apart: the rate gives the angle in between."""
     frame = front(logged)
     prepared, shift = shifted(effect, frame, amplitude)
     slip = prepared.past[:, AHEAD]
@@ -216,7 +216,7 @@ def test_columns_that_derive_can_add_are_reported(driven):
 
 
 def two_tires(frictions, stiffnesses, seed=0):
-    """Free driving of both sides, every run with a tire of its own."""
+    """Free driving on both sides, with another tire in every run."""
     generator, blocks = np.random.default_rng(seed), []
     for number, (mu, stiffness) in enumerate(zip(frictions, stiffnesses, strict=True)):
         time = np.arange(200) * 0.1
@@ -254,7 +254,7 @@ def test_tires_that_differ_from_run_to_run_are_named(frictions, stiffnesses, nam
 
 
 def test_a_step_between_two_runs_is_a_run_effect():
-    """Runs one after the other: what changes there is told of the runs."""
+    """Consecutive runs: a change between them is an effect of the runs."""
     frame = two_tires((0.9, 0.6), (5e4, 5e4))
     frame["time"] = frame["time"] + 30.0 * (frame["run"] == "r1")
     rig = Rig(noise={"fy": 20.0, "alpha": 1e-4})

@@ -1,4 +1,4 @@
-"""The memory of a noise, smooth functions taken out of it or not."""
+"""The correlation of a noise, with and without smooth functions removed from it."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def may_be(values, unit, stretches=(np.arange(ROWS),)):
 
 
 def judged(*given):
-    """The likeliest."""
+    """The likeliest correlation."""
     return may_be(*given)[0]
 
 
@@ -70,7 +70,7 @@ def test_the_correlation_gives_the_number_of_independent_rows():
 
 
 def test_likely_correlations_contain_the_truth():
-    """A record of 150 rows does not tell 0.5 from 0.35: each has its probability."""
+    """150 rows do not distinguish 0.5 from 0.35: each has its probability."""
     truth, held = Memory(0.5, 1.0), []
     rows, unit = np.arange(150), np.linalg.qr(smooth(4)[:150])[0]
     for seed in range(12):
@@ -91,8 +91,8 @@ def test_a_correlation_between_the_grid_values_is_found(fade):
 
 
 def test_with_known_noise_a_slow_gap_is_not_taken_for_correlation():
-    """A memory of fade 0.9 leaves between neighbours a third of the noise that a
-    stated level has there."""
+    """With a correlation of 0.9, neighbours would differ by a third of the stated
+    noise."""
     walk = np.cumsum(np.random.default_rng(1).standard_normal(ROWS)) / 12
     values = noise(FORGETFUL, 2) + walk
     rows, unit = [np.arange(ROWS)], smooth(4)

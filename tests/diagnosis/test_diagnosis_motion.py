@@ -1,4 +1,4 @@
-"""A vehicle's log: forces derived from the motion, rates, runs that differ."""
+"""A vehicle log: forces derived from the motion, rates, runs that differ."""
 
 import itertools
 from dataclasses import replace
@@ -34,7 +34,7 @@ def driven():
 
 
 def prior(effect, frame, rig=RIG):
-    """With a vehicle file that states all that it may."""
+    """The prior with a vehicle file that states everything possible."""
     data, stated = read_frame(frame), ("tracked_point", "yaw_inertia", "clock")
     constants = dict.fromkeys(stated, 0.005)
     data = replace(data, source=replace(data.source, constants=constants))
@@ -97,7 +97,7 @@ def test_stated_properties_of_a_vehicle_are_read_and_checked(tmp_path):
 
 
 def test_the_acceleration_of_a_derived_force_explains_nothing(driven):
-    """What would explain the force is that of the model, not the force itself."""
+    """An effect of the force uses the force of the model, not the measured one."""
     effects = [KNOWN["slip_offset"], KNOWN["toe"], KNOWN["yaw_inertia"]]
     found = diagnose(read_frame(driven), rig=RIG, effects=effects)
     said = " ".join(found.data.motion)
@@ -121,7 +121,7 @@ def _marks(effect: str) -> list:
 
 @pytest.mark.parametrize("effect", [pytest.param(e, marks=_marks(e)) for e in FAULTS])
 def test_errors_of_a_vehicle_are_named(effect):
-    """Four wheels, integrated: no formula of the library is among them."""
+    """Four wheels, integrated, without any formula of the library."""
     # A path of some curvature at some speed has one road wheel angle: a yaw rate over
     # speed and a lateral acceleration together are that angle, but for its lead.
     without = ("toe",) if effect == "steering_gain" else ()
@@ -135,7 +135,7 @@ def test_errors_of_a_vehicle_are_named(effect):
 
 
 def test_a_measured_rate_gives_the_slip_between_rows():
-    """Rows 0.2 s apart of a slip at 1 Hz; the past 20 ms back, by its formula."""
+    """Rows 0.2 s apart with a slip at 1 Hz; the slip 20 ms earlier, by its formula."""
     time = np.arange(0.0, 20.0, 0.2)
     slip, rate = np.sin(2 * np.pi * time), 2 * np.pi * np.cos(2 * np.pi * time)
     run = np.zeros(len(time), int)
@@ -240,7 +240,7 @@ def test_a_relaxation_of_10_ms_is_named_from_thinned_rows():
 
 
 def test_values_per_run_shrink_to_a_common_value():
-    """Two limits in closed form, and the mean of many in between."""
+    """Two limits in closed form, and the mean of many cases in between."""
     values = np.array([1.0, 2.0, 6.0])
     sure = shrunk(values, 1e-12 * np.eye(3))
     np.testing.assert_allclose(sure.values, values, rtol=1e-3)
@@ -270,7 +270,7 @@ def test_shrunk_values_are_closer_with_right_errors():
 
 
 def of_runs(offsets, seed=0):
-    """Free driving of both sides in runs of their own zero of the slip angle."""
+    """Free driving on both sides in runs with different offsets of the slip angle."""
     generator, blocks = np.random.default_rng(seed), []
     for number, offset in enumerate(offsets):
         time = np.arange(120) * 0.1
@@ -347,8 +347,8 @@ REAR = pytest.mark.xfail(
 
 @pytest.mark.parametrize(("axle", "seed"), [("front", 2), pytest.param("rear", 3, marks=REAR)])
 def test_exact_motion_channels_with_noisy_slip_give_no_effect(axle, seed):
-    """Nothing is wrong but a noise of the slip angle, 3 mrad, that the rig states; yaw
-    rate and accelerations are exact, and together tell the slip nearly as they do."""
+    """The only error is a noise of the slip angle, 3 mrad, stated in the rig file; yaw
+    rate and accelerations are exact and together nearly determine the slip."""
     frame = drive(Car(), axle, measured=True)
     noise = 0.003 * np.random.default_rng(seed).normal(size=len(frame["alpha"]))
     noisy = read_frame(frame | {"alpha": frame["alpha"] + noise})

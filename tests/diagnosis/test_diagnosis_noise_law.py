@@ -1,4 +1,4 @@
-"""Noise that grows with the force, whatever the rig states of it."""
+"""Noise that grows with the force, for any statement of the rig file."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,8 @@ def test_noise_that_grows_with_the_force_is_weighted_accordingly(given):
 
 
 def test_excess_noise_is_found_in_quiet_rows():
-    """Growing to 2.4 times what is stated, half the rows at that; and all at that."""
+    """Growing to 2.4 times the stated noise, which half the rows have; then all
+    rows."""
     assert np.mean(FORCE == 4000) > 0.3
     growing = judged(1.2 * GROWING)
     assert np.median(growing.std[FORCE == 4000]) > 2 * np.hypot(40, SPREAD[0] ** 0.5)
@@ -58,13 +59,13 @@ def test_uniform_noise_keeps_the_stated_level():
 
 
 def test_noise_that_falls_with_the_force_is_not_modelled():
-    """A slip noise that was overstated looks so: the level stays."""
+    """An overstated slip noise looks like this: the level is kept."""
     noise = judged(np.full(ROWS, 40.0) * (1 - 0.6 * FORCE / 4000))
     assert noise.source == "given"
 
 
 def alike(residual, given, slip=SLIP):
-    """The noise of records whose force is flat, of rows in the order of time."""
+    """The noise of records with a constant force, in the order of time."""
     basis = np.stack([slip**k for k in range(5)], axis=1)
     waves = np.stack([f(40 * slip) for f in (np.sin, np.cos)], axis=1)
     level, zero = None if given is None else np.full(ROWS, given), np.zeros(ROWS)
@@ -83,7 +84,7 @@ def first_order(fade, seed):
 
 @pytest.mark.parametrize("fade", [0.3, 0.6, 0.85])
 def test_the_level_of_slow_noise_is_not_the_scatter_between_neighbours(fade):
-    """A slip that sweeps slowly: who is next in slip was next in time."""
+    """In a slow sweep of the slip, neighbours in slip are neighbours in time."""
     sweep = np.linspace(0, 1, ROWS)
     found = [alike(first_order(fade, seed), None, sweep) for seed in range(5)]
     assert np.mean([np.mean(one.std) for one in found]) == pytest.approx(40, rel=0.13)
@@ -92,7 +93,7 @@ def test_the_level_of_slow_noise_is_not_the_scatter_between_neighbours(fade):
 
 
 def test_drift_does_not_override_a_stated_noise():
-    """Neighbours in slip, of different sweeps, scatter by it; those in time do not."""
+    """Neighbours in slip from different sweeps scatter by it; those in time do not."""
     slip = np.abs((np.arange(ROWS) / 90) % 2 - 1)
     drift = 80 * np.sin(np.arange(ROWS) / 60)
     white = 40 * np.random.default_rng(3).standard_normal(ROWS)
@@ -105,8 +106,9 @@ def test_drift_does_not_override_a_stated_noise():
 
 
 def test_noise_never_exceeds_the_residuals():
-    """White noise of force and slip angle, of which neighbours look alike by chance: a
-    memory with functions that soak it up was taken for a third more than there is."""
+    """White noise of force and slip angle whose neighbours look similar by chance: a
+    correlation with flexible functions was taken for a third more noise than there
+    is."""
     generator = np.random.default_rng(63)
     time = 0.02 * np.arange(600)
     swings = zip(
@@ -131,8 +133,8 @@ def test_noise_never_exceeds_the_residuals():
 
 @pytest.mark.parametrize("times", [1.5, 6.0])
 def test_scatter_above_the_stated_noise_is_reported(times):
-    """White noise of more than what is stated: no effect, and a noise that was stated
-    wrongly, with the factor."""
+    """White noise above the stated level: no effect, but a wrongly stated noise, with
+    the factor."""
     generator = np.random.default_rng(2)
     slip = generator.uniform(0.0, 0.05, 300)
     frame = {
