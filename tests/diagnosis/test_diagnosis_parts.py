@@ -1,4 +1,4 @@
-"""The parts of the diagnosis, each against a route of its own."""
+"""The parts of the diagnosis, each compared with an independent computation."""
 
 import ast
 import re
@@ -52,7 +52,7 @@ def test_similarity_is_exact_for_a_brush():
 
 @pytest.mark.parametrize(("skew", "flat"), [(0.3, 0.0), (-0.2, 0.4), (0.5, 0.9)])
 def test_the_pressure_shape_agrees_with_the_contact_patch(skew, flat):
-    """Pressure between S(24) and S(25), static above kinetic friction."""
+    """Pressure between S(24) and S(25), static friction above kinetic."""
 
     def density(xi):
         skewed = 0.75 * (1 - xi**2) * (1 + skew * xi)
@@ -71,7 +71,7 @@ def test_the_pressure_shape_agrees_with_the_contact_patch(skew, flat):
 
 
 def test_a_lower_kinetic_friction_lowers_only_the_plateau():
-    """S(31): the plateau is the kinetic level, the breakaway the static one."""
+    """S(31): kinetic friction gives the plateau, static friction the breakaway."""
     state = null_state()._replace(kinetic=jnp.array(0.8))
     plateau = TireInputs(0.5, 0.0, 4000.0, 0.0)
     ours = force_of_state(Brush(), None, state, 0.5, 0.0, plateau)[0]
@@ -82,7 +82,7 @@ def test_a_lower_kinetic_friction_lowers_only_the_plateau():
 
 
 def test_a_flexible_carcass_reduces_the_slip():
-    """Against the slip that solves x = slip - share F(x) / F_z."""
+    """Compared with the slip that solves x = slip - share F(x) / F_z."""
     share, fz, tire = 0.02, 4000.0, Brush()
 
     def excess(x):
@@ -152,7 +152,7 @@ def test_tangents_agree_with_central_differences(base):
 
 
 def test_fields_agree_with_central_differences(base):
-    """The force per field of the state, against effects that change just that."""
+    """The force per field of the state, compared with effects that change only that."""
     linear = base.linearised(base.z, np.zeros(len(base.atoms)))
     scale = np.asarray(base.design.prior_scale)
     rows = base.prepared.covariates
@@ -282,13 +282,13 @@ def test_a_delay_uses_the_earlier_slip(base, delay):
 
 
 def test_one_speed_has_no_speed_forms(base):
-    """There any function of the sliding speed is one of the slip."""
+    """At one speed any function of the sliding speed is one of the slip."""
     assert _forms(base, "friction x speed").size
     assert not _forms(base, "friction x speed", without=["speeds"]).size
 
 
 def test_the_example_effect_of_the_manual_is_found(tmp_path, monkeypatch, capsys):
-    """Its lines run as printed, and find a ripple that is there."""
+    """Its lines run as printed, and find an existing ripple."""
     page = Path(__file__).parents[2] / "docs" / "how-to" / "effect.md"
     text = page.read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
@@ -352,7 +352,7 @@ def test_the_slip_rate_of_a_noisy_sweep_is_found():
 
 
 def test_turning_points_of_a_saw_tooth_stay_sharp():
-    """One-sided windows: no parabola runs across a turn of the slip."""
+    """One-sided windows: no parabola extends across a turning point of the slip."""
     time = np.arange(240) * 0.01
     truth = 0.1 * np.abs((time / 0.6) % 1 - 0.5) * 2
     noisy = truth + 0.001 * np.random.default_rng(3).standard_normal(240)
@@ -364,7 +364,7 @@ def test_turning_points_of_a_saw_tooth_stay_sharp():
 
 
 def test_the_past_slip_is_independent_of_the_noise_of_its_row():
-    """Else a delay and a lag that cancel would take the noise out of the slip."""
+    """Otherwise a delay and a lag that cancel would remove the noise of the slip."""
     time = np.arange(600) * 0.01
     truth = 0.1 * np.sin(3 * time)
     own = np.zeros(17)
@@ -393,7 +393,7 @@ def test_segments_break_at_pauses_and_runs():
 
 
 def test_evidence_gain_agrees_with_gaussian_integrals():
-    """Against the Gaussian integral over one coefficient, by quadrature."""
+    """Compared with the Gaussian integral over one coefficient, by quadrature."""
     generator = np.random.default_rng(0)
     column = generator.standard_normal(50)
     column /= np.linalg.norm(column)
@@ -427,7 +427,7 @@ def test_evidence_gain_agrees_with_gaussian_integrals():
 
 
 def test_remainder_evidence_agrees_with_dense_normal_distributions():
-    """Forms that the data know worse than their prior leave their part of the rows."""
+    """Forms that are poorly determined leave their part of the rows."""
     generator = np.random.default_rng(4)
     forms = generator.standard_normal((50, 3)) * [2.0, 0.2, 0.01]
     column = 0.3 * forms[:, :2] @ [0.1, 1.0] + 0.1 * generator.standard_normal(50)
@@ -468,7 +468,7 @@ def test_one_wave_among_many_is_found():
 
 
 def test_shares_do_not_depend_on_the_order():
-    """Against the mean over all orders, one by one."""
+    """Compared with the mean over all orders."""
     worth = {(): 0.0, (1,): 2.0, (2,): 3.0, (3,): 0.0, (1, 2): 4.0, (1, 3): 2.5,
              (2, 3): 3.0, (1, 2, 3): 5.0}  # fmt: skip
     found = shapley((1, 2, 3), worth.__getitem__)
@@ -566,7 +566,8 @@ def test_regions_contain_all_the_energy(base):
 
 
 def test_an_error_in_the_first_seconds_is_a_spot(base):
-    """A miss of five standard errors in one row of forty, in no quarter remarkable."""
+    """An error of five standard errors in one row of forty, not significant in any
+    quarter."""
     n, residual = base.prepared.n, np.zeros(base.prepared.n)
     time = np.asarray(base.prepared.time)
     first = np.argsort(time)[: n // 40]
@@ -611,7 +612,7 @@ def test_a_rig_file_is_read_and_checked(tmp_path):
 
 @pytest.mark.parametrize("amount", [-3.0, -0.4e-3, -1e-300, 0.0, 1e-300, 0.02, 1e3])
 def test_a_filter_stays_within_the_range_of_the_past(base, amount):
-    """It may follow, it may stand still: it never leaves the range of its past."""
+    """It may follow or stand still, but never leaves the range of its past."""
     rows = _history(base, lambda x: np.abs(x - 20) / 100, 0.05, 0.5)
     span = np.ptp(rows.past)
     for effect, variants in (("channel_delay", 3), ("relaxation_length", 2)):
@@ -622,7 +623,7 @@ def test_a_filter_stays_within_the_range_of_the_past(base, amount):
 
 
 def test_every_effect_stays_within_its_bounds(base):
-    """Whatever the start: a refit gives amplitudes that physics allows."""
+    """For any start, a refit gives physically possible amplitudes."""
     scale, low, high = (getattr(base.design, n) for n in ("prior_scale", "low", "high"))
     sets = [(k,) for k in range(len(base.atoms))]
     for far in (-50.0, 50.0):
@@ -641,7 +642,7 @@ def test_every_effect_stays_within_its_bounds(base):
 
 
 def _wheel(seed=0, radius=0.32):
-    """A record whose wheel speed is there, and its rig."""
+    """A record with a wheel speed, and its rig."""
     frame, _ = record(None, seed=seed)
     omega = frame["v"] / (radius * (1 + frame["sigma_x"]))
     return frame | {"omega": omega}, replace(RIG, rolling_radius=radius)
@@ -659,7 +660,7 @@ def test_the_wheel_speed_shows_another_slip_definition():
 
 
 def test_a_wrong_radius_gives_an_offset():
-    """1 + sigma is in proportion to 1 / R: 1 % of it is 0.0099 at no slip."""
+    """1 + sigma is proportional to 1 / R: 1 % of it is 0.0099 at zero slip."""
     frame, rig = _wheel()
     data = read_frame(frame)
     wrong = replace(rig, rolling_radius=1.01 * rig.rolling_radius)
@@ -701,7 +702,7 @@ def test_a_radius_is_estimated_only_from_the_speeds():
 
 
 def test_no_other_module_uses_the_id_of_an_effect():
-    """What is special of an effect stands in its own record."""
+    """Everything specific to an effect is in its record."""
     package = Path(tirefit.__file__).parent
     # Some are words of the input or a flag of the noise as well.
     other = {field.name for kind in (Rig, Source) for field in fields(kind)}
@@ -752,7 +753,7 @@ def test_data_and_rig_narrow_the_prior_of_an_amplitude():
 
 
 def test_effects_of_one_family_share_their_free_forms():
-    """Else a step beside a drift would count the same columns twice."""
+    """Otherwise a step and a drift would count the same columns twice."""
     records = {effect.id: effect for effect in EFFECTS}
     assert records["friction_step"].forms is records["friction_drift"].forms
     shape = records["pressure_asymmetry"].forms

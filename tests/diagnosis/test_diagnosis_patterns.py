@@ -1,4 +1,4 @@
-"""What a stranger looks like, and the probabilities that trials taught."""
+"""Patterns of unlisted effects, and probabilities calibrated by trials."""
 
 import json
 from types import SimpleNamespace
@@ -58,7 +58,7 @@ def test_a_pattern_within_the_fit_is_not_reported():
 
 @pytest.fixture(scope="module")
 def some():
-    """Patterns of two channels over a range and over time: plain shapes and waves."""
+    """Patterns of two channels over a range and over time: shapes and waves."""
     generator = np.random.default_rng(3)
     slip_fraction = generator.uniform(-1.5, 1.5, 90)
     time = np.sort(generator.uniform(2.0, 30.0, 90))
@@ -130,7 +130,7 @@ def test_fewer_columns_have_the_same_covariance():
 
 @pytest.fixture(scope="module")
 def strange():
-    """Diagnoses of two strangers."""
+    """Diagnoses of two unlisted effects."""
 
     def of(truth):
         columns, _ = record(truth, seed=5)
@@ -195,7 +195,7 @@ def test_the_calibration_has_every_status():
 
 
 def test_calibrated_probabilities_match_the_share_of_right_verdicts(monkeypatch):
-    """Verdicts drawn to be right less often than they say, one status as often."""
+    """Verdicts that are right less often than stated, except for one status."""
     generator, verdicts = np.random.default_rng(5), []
     for status, offset, slope in (("none", -0.4, 0.5), ("named", 0.0, 1.0)):
         said = generator.uniform(0.2, 0.99, 4000)

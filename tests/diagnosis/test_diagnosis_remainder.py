@@ -1,4 +1,4 @@
-"""The tests of the remainder: right under noise, each sharp where it should be."""
+"""The tests of the remainder: uniform under noise, sensitive to their structure."""
 
 from types import SimpleNamespace
 
@@ -49,7 +49,7 @@ PREPARED = prepared(FRAME)
 
 
 class Fitted(Base):
-    """Rows with their noise: all that the tests of a remainder ask of a base."""
+    """Rows with their noise: everything that the tests of a remainder need."""
 
     def __init__(self, rows, memory=FORGETFUL, doubt=NOTHING, keep=None):
         keep = np.ones(rows.n) if keep is None else keep.astype(float)
@@ -59,7 +59,7 @@ class Fitted(Base):
 
 
 def judged(residual, seed=0, rows=PREPARED, columns=COLUMNS, **given):
-    """The tests of what columns leave of a residual."""
+    """The tests of the residual that remains after fitting columns."""
     linear = LinearFit(residual, columns, columns[:, :0], columns[:, :0])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(remainder, "linear_at", lambda base, fit: linear)
@@ -93,7 +93,7 @@ def test_correlated_noise_is_accepted_only_if_it_was_estimated():
 
 
 def test_drawn_noise_has_the_stated_correlation():
-    """Lag by lag, the share that has a memory fades by its own factor."""
+    """At each lag, the correlated share decays by its own factor."""
     rows = [np.arange(400)]
     drawn = _noise(400, (Memory(0.7, 0.4),), rows, np.random.default_rng(8))
     for lag in (1, 3):
@@ -106,7 +106,7 @@ LATERAL = {"alpha": SLIP, "fy": FRAME["fx"], "mz": FRAME["fx"] / 50, "fz": FRAME
 
 
 def test_channels_that_share_a_parameter_are_fitted_together(monkeypatch):
-    """What noise of one channel does to the other's residual is in its draws."""
+    """The draws include the effect of one channel's noise on the other's residual."""
     shared, seen = np.concatenate([np.ones(ROWS), 0.1 * np.ones(ROWS)])[:, None], []
     tests_of = remainder._p_values
 
@@ -219,8 +219,8 @@ def test_the_widening_is_the_mean_square_of_independent_rows():
 
 
 def test_another_form_of_an_effect_leaves_no_remainder():
-    """A zero of the slip that settles within a tenth of the record, about its mean,
-    against the formulas alone, which cannot, and with their other forms."""
+    """A slip offset that settles within a tenth of the record, compared with the
+    formulas alone, which do not fit, and with their other forms."""
 
     def settling(slip, time, fz, v):
         return brush(slip + 0.02 * (np.exp(-time / 2.4) - 0.12), 5e4, 0.9, fz)

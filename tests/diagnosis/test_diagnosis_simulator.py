@@ -1,4 +1,4 @@
-"""Simulators diagnosed as they are, of known error."""
+"""Diagnoses of simulators with known errors."""
 
 import json
 import re
@@ -163,7 +163,7 @@ def test_a_tir_file_is_adapted_by_its_scaling_factors():
 
 
 def bump(slip, fz):
-    """What no brush has."""
+    """A force that no brush has."""
     return 0.05 * fz * np.sin(60 * slip)
 
 
@@ -187,8 +187,8 @@ def test_force_of_the_simulator_beyond_its_tire_is_kept():
 
 
 def curved(slip, fz, mu=1.0, stiffness=1.0):
-    """No brush: a force that bends softly over kappa, its friction and stiffness by the
-    load."""
+    """No brush: a force with a smooth bend over kappa; friction and stiffness depend on
+    the load."""
     peak = mu * fz * (1.15 - 0.15 * fz / 4000)
     slope = stiffness * 1.3e5 * np.tanh(fz / 4500)
     return peak * np.tanh(slope * slip / (1 + slip) / peak)
@@ -196,9 +196,8 @@ def curved(slip, fz, mu=1.0, stiffness=1.0):
 
 @pytest.mark.parametrize("offset", [0.0, OFFSET])
 def test_a_simulator_that_is_no_brush_is_approximated_by_another_model(offset):
-    """Friction 10 % too high, stiffness 15 % too low: that alone, or beside an offset
-    of the slip; a brush that stands in for it calls the rest by the name of an effect.
-    """
+    """Friction 10 % too high, stiffness 15 % too low: alone, or with a slip offset;
+    approximated by a brush, the rest would be named as an effect."""
     slip, fz = (rows()[0][name] for name in ("sigma_x", "fz"))
     noise = NOISE * np.random.default_rng(1).standard_normal(len(slip))
     frame = {"sigma_x": slip, "fz": fz, "fx": curved(slip + offset, fz) + noise}
@@ -220,8 +219,8 @@ def test_a_simulator_that_is_no_brush_is_approximated_by_another_model(offset):
 
 
 def test_changes_of_a_simulator_are_approximated_to_first_order():
-    """A tire and what it misses, both by similarity: what the changed simulator does
-    beyond the changed tire is in the span of the two columns."""
+    """A tire and its deviation, both by similarity: what the changed simulator adds to
+    the changed tire is in the span of the two columns."""
     slip = np.linspace(-0.2, 0.2, 400)
 
     def missed(slip, friction=1.0, stiffness=1.0):
@@ -238,7 +237,7 @@ def test_changes_of_a_simulator_are_approximated_to_first_order():
 
 
 def dugoff(slip, fz, friction=0.9, stiffness=9e4):
-    """Linear, then a square law, with a bend of its slope that no other tire has."""
+    """Linear, then a square law, with a kink of its slope that no other tire has."""
     used = friction * fz / (2 * stiffness * np.maximum(np.abs(slip), 1e-12))
     return stiffness * slip * np.where(used < 1, used * (2 - used), 1.0)
 
@@ -273,8 +272,8 @@ def test_errors_of_the_approximation_are_not_named_as_effects(offset):
 
 
 def test_an_effect_excluded_by_its_refit_is_not_also_possible():
-    """Beside a simulator whose slip is off, friction that the speed changes looks like
-    an offset to first order: its refit explains nothing."""
+    """With a slip offset, friction that depends on the speed looks like an offset to
+    first order, but its refit explains nothing."""
     slip, fz = (rows(count=100)[0][name] for name in ("sigma_x", "fz"))
     noise = NOISE * np.random.default_rng(4).standard_normal(len(slip))
     frame = {"sigma_x": slip, "fz": fz, "fx": curved(slip, fz) + noise, "v": 15 + 0 * fz}
@@ -291,8 +290,8 @@ def test_a_model_reports_given_and_default_values():
 
 
 def test_an_unmodelled_moment_is_not_part_of_the_gap():
-    """A .tir without coefficients of M_z has a moment of zero, which nobody asks for;
-    beside a measured moment it says nothing of it."""
+    """A .tir without coefficients of M_z gives a moment of zero, which is no
+    prediction; a measured moment is then not compared."""
     alpha, fz = np.tile(np.linspace(-0.15, 0.15, 60), 3), np.repeat((2e3, 4e3, 6e3), 60)
     silent = with_values(simulator_at(str(TIR)).tire, {"LTR": 0.0, "LRES": 0.0})
     data = read_frame({"alpha": alpha, "fy": 0 * alpha + fz, "fz": fz}, "tir")
@@ -327,7 +326,7 @@ def test_a_lateral_simulator_is_accepted_by_its_force():
 
 
 def test_every_channel_of_a_simulator_has_its_budget():
-    """Friction too high: of the moment an error of its own, in its own unit."""
+    """Friction too high: the moment has a separate error in its own unit."""
     generator, slip = np.random.default_rng(7), np.tile(np.linspace(-0.2, 0.2, 60), 3)
     fz, alpha = np.repeat((2000.0, 4000.0, 6000.0), 60), np.arctan(slip)
     inputs = read_frame({"alpha": alpha, "fy": fz, "mz": fz, "fz": fz}, "in")
@@ -362,7 +361,7 @@ def test_every_channel_of_a_simulator_has_its_budget():
 
 
 def test_an_excluded_force_has_no_influence():
-    """A moment with a gap of its own, left out: as if it had not been measured."""
+    """An excluded moment with a gap: the result is that without the moment."""
     generator, slip = np.random.default_rng(8), np.tile(np.linspace(-0.2, 0.2, 40), 2)
     fz, alpha = np.repeat((2000.0, 4000.0), 40), np.arctan(slip)
     inputs = read_frame({"alpha": alpha, "fy": fz, "mz": fz, "fz": fz}, "in")
@@ -464,7 +463,7 @@ def test_a_fit_with_parameters_per_run_is_refused(frame):
 
 
 def test_missing_coefficients_of_a_tir_are_reported(tmp_path):
-    """Combined slip by similarity, and an option that leaves it as in pure slip."""
+    """Combined slip by similarity, and an option for the forces of pure slip."""
     text = re.sub(r"(?m)^R[BCEHV][XY]\d .*\n", "", TIR.read_text())
     (tmp_path / "plain.tir").write_text(text)
     table = {

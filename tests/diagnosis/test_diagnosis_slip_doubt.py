@@ -1,4 +1,4 @@
-"""What is not known of the true slips, against repeated measurements of known ones."""
+"""The uncertainty of the true slips, compared with repeated measurements."""
 
 import numpy as np
 import pytest
@@ -38,8 +38,8 @@ def test_without_noise_there_is_no_slip_doubt():
 
 
 def test_the_density_has_the_scatter_of_repeated_measurements():
-    """Over files of one density, what is believed of a measured slip scatters as the
-    columns say, within the range and at its ends."""
+    """Over files of one density, the estimate of a measured slip scatters as the
+    columns state, within the range and at its ends."""
     places = np.array([-0.003, 0.002, 0.01, 0.025, 0.04, 0.05])
     beliefs, stated = [], []
     for seed in range(40):
@@ -59,8 +59,8 @@ def test_the_density_has_the_scatter_of_repeated_measurements():
 
 
 def test_free_rolling_rows_have_a_common_error():
-    """Nine rows in ten roll freely; the rest rises to a slip within the noise, where
-    they are believed to stand, all of them too low."""
+    """Nine rows in ten roll freely; the slip of the rest rises within the noise, so
+    that they are taken for free rolling, with the same error."""
     path = np.where(np.arange(ROWS) % 10 == 0, 1.2 * STD, 0.0)
     path[-20:] = np.linspace(0.02, 0.1, 20)
     slip = path + STD * np.random.default_rng(1).standard_normal(ROWS)
@@ -77,8 +77,8 @@ def proxies(slip, measured, path=None, past=None, std=STD):
 
 
 def test_channels_correlated_with_the_slip_estimate_its_error():
-    """A column follows the error of the believed slip in its own size; what knows the
-    slip badly, or not at all, gives none."""
+    """A column follows the error of the estimated slip in size; a channel with little
+    or no correlation gives none."""
     generator = np.random.default_rng(2)
     path = 0.1 * np.sin(np.linspace(0, 20, ROWS))
     slip = path + STD * generator.standard_normal(ROWS)
@@ -95,8 +95,8 @@ def test_channels_correlated_with_the_slip_estimate_its_error():
 
 
 def test_channels_add_only_new_information_on_the_slip():
-    """Pulses of braking between which the wheel rolls freely: the measured slip less
-    the true one depends on the measured slip, the column does not."""
+    """Pulses of braking with free rolling in between: the error of the measured slip
+    depends on the measured slip, the column does not."""
     generator = np.random.default_rng(4)
     path = np.maximum(0.1 * np.sin(np.linspace(0, 40, ROWS)), 0)
     slip = path + STD * generator.standard_normal(ROWS)
@@ -107,7 +107,7 @@ def test_channels_add_only_new_information_on_the_slip():
 
 
 def test_channels_that_inform_only_together_are_used():
-    """Two channels of a motion of which neither follows the slip; and the past."""
+    """Two channels of a motion that only together follow the slip; and the past."""
     generator = np.random.default_rng(3)
     turn = np.linspace(0, 20, ROWS)
     path, other = 0.1 * np.sin(turn), 0.3 * np.sin(2.3 * turn)
@@ -160,7 +160,7 @@ def test_a_load_correlated_with_the_slip_hides_no_effect():
 
 @pytest.fixture(scope="module")
 def doubted():
-    """A search on 200 rows of a slalom whose slips are doubtful."""
+    """A search on 200 rows of a slalom with uncertain slips."""
     prepared = prepare(slalom(rows=200), SLALOM_RIG, ("fx",))
     base = fit_base(prepared, "brush", EFFECTS, SLALOM_RIG)
     names = [atom.effect.id for atom in base.atoms]
@@ -202,7 +202,7 @@ def test_evidence_with_slip_doubt_is_bounded_by_the_normal_law(doubted):
 
 
 def test_slip_doubt_around_a_fit_acts_as_added_noise(doubted):
-    """Laplace's evidence around each set's own fit, with the dense covariance."""
+    """Laplace's evidence around the fit of each set, with the dense covariance."""
     base, searcher = doubted
     searcher.refit([(atom,) for atom in searcher.testable], {})
     covariance = np.eye(len(base.doubt)) + base.doubt @ base.doubt.T
@@ -222,8 +222,8 @@ def test_slip_doubt_around_a_fit_acts_as_added_noise(doubted):
 
 
 def test_slip_doubt_acts_as_added_noise_for_the_unlisted(doubted):
-    """The density of a normal law with and without doubt: what doubt makes is little
-    evidence of something unlisted, and doubt adds none."""
+    """The density of a normal distribution with and without doubt: doubt gives little
+    evidence of something unlisted, and adds none."""
     base, searcher = doubted
     at_fit = linear_at(base, searcher.tried[()])
     flat = at_fit.explained / np.linalg.norm(at_fit.explained, axis=0) * 1e4

@@ -1,4 +1,4 @@
-"""The noise of a slip that nobody stated, by the scatter of the forces."""
+"""The undeclared noise of a slip, from the scatter of the forces."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ TIME = np.arange(ROWS)
 
 
 def shown(seed, slip_noise, own=0.005 * LOADS, off=0.0):
-    """Of steady points in a random order, fitted by the true curve."""
+    """Steady points in random order, fitted by the true curve."""
     generator = np.random.default_rng(seed)
     slip = generator.uniform(0, 0.15, ROWS)
     measured = slip + slip_noise * generator.normal(size=ROWS)
@@ -42,7 +42,7 @@ def test_force_noise_alone_gives_no_slip_noise(growing):
 
 
 def test_a_drifting_slip_offset_is_not_taken_for_noise():
-    """Neighbours in slip scatter by it, neighbours in time are off alike."""
+    """Neighbours in slip scatter by it, but neighbours in time have the same error."""
     drift = NOISE * np.sqrt(2) * np.sin(2 * np.pi * TIME / 300)
     found = [shown(seed, 0.0, off=drift) for seed in range(10)]
     assert np.mean(found) < 0.6 * NOISE
@@ -70,7 +70,7 @@ def test_undeclared_slip_noise_gives_no_gap(seed):
 
 @pytest.mark.parametrize("seed", [1, 2, 5])
 def test_a_slip_offset_is_not_taken_for_slip_noise(seed):
-    """Where the curve bends at zero slip, a shifted one scatters about it by rows."""
+    """With a kink at zero slip, a shifted curve scatters there from row to row."""
     generator = np.random.default_rng(seed)
     slip, fz = np.tile(np.linspace(-0.2, 0.2, 32), 3), np.repeat(LOADS[::200], 32)
     force = brush(slip + 0.006, 5e4, 0.9, fz) + 20 * generator.normal(size=96)

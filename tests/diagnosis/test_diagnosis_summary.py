@@ -1,4 +1,4 @@
-"""Conditions that rise and fall together are said, crossed ones are not."""
+"""Conditions that rise and fall together are reported, crossed ones are not."""
 
 import numpy as np
 import pytest

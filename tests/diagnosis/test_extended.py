@@ -1,4 +1,4 @@
-"""Effects written into a tire, against the forces of the diagnosis itself."""
+"""Effects written into a tire give the forces of the diagnosis."""
 
 import json
 
@@ -29,7 +29,7 @@ LATERAL = {"camber_thrust", "conicity"}
 
 
 def table(mode, rows=240):
-    """Slips of one kind over loads, speeds, camber and pressure, in no order."""
+    """Slips of one kind over loads, speeds, camber and pressure, in random order."""
     generator = np.random.default_rng(2)
     slip = generator.uniform(-0.2, 0.2, rows)
     fz = generator.choice([2000.0, 4000.0, 6000.0], rows)
@@ -73,7 +73,7 @@ def based(mode, model):
 
 
 def only(base, k):
-    """The hypothesis of one atom; what it explains does not matter."""
+    """The hypothesis of one atom, without its explained part."""
     return bare((base.atoms[k].effect.id,), atoms=(k,), z=base.z)
 
 

@@ -1,4 +1,4 @@
-"""Data left out: the partition, what refits predict of it, the ladder, the climb."""
+"""Held-out data: the partition, predictions by refits, the ladder, the search."""
 
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ def five():
 
 @pytest.mark.parametrize("count", [4, 5])
 def test_whole_runs_are_left_out_where_there_are_four(count):
-    """A further run is too short to show anything: its rows are always fitted."""
+    """Another run is too short to be informative: its rows are always fitted."""
     first = np.arange(90 * count + 4)
     rows = prepared({name: x[first] for name, x in logs(count + 1).items()})
     folds = folds_of(rows, 1.0)
@@ -85,7 +85,7 @@ def test_whole_runs_are_left_out_where_there_are_four(count):
 
 @pytest.mark.parametrize(("count", "across_runs"), [(1, True), (3, True), (5, False)], ids=str)
 def test_consecutive_rows_are_left_out_together(count, across_runs):
-    """Of fewer runs, or where an effect belongs to a single one."""
+    """With fewer runs, or if an effect belongs to a single one."""
     rows = prepared(logs(count))
     folds = folds_of(rows, 1.0, across_runs)
     order = np.lexsort((rows.time, rows.run))
@@ -138,7 +138,8 @@ def by_scipy(base, fold, codes, with_offset):
 
 
 def test_losses_agree_with_refits_without_the_fold(five):
-    """Of no effect and of the offset, which has a normal prior of one prior scale."""
+    """With no effect and with the offset, which has a normal prior of one prior
+    scale."""
     folds = folds_of(five.rows, 1.0)
     none, offset = refitted(five), refitted(five, "slip_offset")
     found = predicted(five, [none, offset], folds)
@@ -163,7 +164,7 @@ def test_a_smooth_remainder_is_predicted_down_to_the_noise(five):
 
 
 def drawn(seed=0, parts=6):
-    """Losses of four sets whose truth is a + b: (Predicted, floor)."""
+    """Losses of four sets with the truth a + b: (Predicted, floor)."""
     generator = np.random.default_rng(seed)
     sets, truth = ((), ("a",), ("b",), ("a", "b")), np.array([900.0, 400, 700, 150])
     loss = truth * generator.uniform(0.7, 1.3, (parts, 4))
@@ -224,7 +225,7 @@ def test_the_ladder_descends_from_no_effect_to_the_noise():
 
 @pytest.fixture(scope="module")
 def ends():
-    """Where the climb ends on the first runs of one set of logs."""
+    """The result of the search on the first runs of one set of logs."""
     known = {}
 
     def end(count):
@@ -243,7 +244,7 @@ TRUE = {"slip_offset", "friction_speed_linear"}
 
 @pytest.mark.parametrize("count", [3, 4, 5, 6])
 def test_the_search_finds_the_effects_of_every_run(ends, count):
-    """Also where a further run agrees: it removes no name."""
+    """Another run that agrees removes no name."""
     base, found, end = ends(count)
     assert set(end.effects) == TRUE
     sizes = base.amplitudes(end.atoms, end.amplitude)
@@ -260,8 +261,8 @@ def test_a_search_without_sufficient_gain_finds_no_effect(ends):
 
 
 def test_the_search_rejects_an_effect_of_one_run():
-    """Friction is a third lower on one of five runs: no effect of all runs is, and the
-    offset that all have stays."""
+    """Friction is a third lower in one of five runs: it is no effect of all runs, and
+    the offset that all have is kept."""
     frame = logs(5)
     odd = frame["run"] == "r4"
     slip = np.tan(frame["alpha"])
@@ -290,7 +291,8 @@ def test_a_diagnosis_names_the_effects_of_the_search(count):
 
 
 def test_the_repeatability_of_the_axle_agrees_with_its_readme():
-    """Repeats of one state on logs of one day and another, and the tracker's noise."""
+    """Repeats of one state in logs of the same day and of another, and the tracker's
+    noise."""
     tire = logs_left_out.repeats()
     turning = logs_left_out.repeats(logs_left_out.TURNING)
     assert tire["one log"] == pytest.approx(0.09, abs=0.005)

@@ -1,4 +1,4 @@
-"""What is left as a figure shows it: bins of a change against its truth."""
+"""The figure of the remainder: bins of a change compared with its truth."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def look(parameter, covariate, shape, at, width=0.0):
 
 
 def left_of(truth, field, known, generator):
-    """What a fit of the ``known`` columns leaves of a truth in noise of one."""
+    """The remainder of a truth with unit noise after fitting the ``known`` columns."""
     residual = np.ravel(truth) + generator.standard_normal(field.size)
     fitted = np.linalg.lstsq(known, residual, rcond=None)[0]
     none = np.zeros((field.size, 0))
@@ -58,8 +58,8 @@ def test_bins_determine_the_parameter_equally_well():
 
 
 def test_points_have_the_stated_errors():
-    """A step of a tenth in friction, beside a fit that takes up any constant change:
-    only differences from bin to bin can be told, and are."""
+    """A step of a tenth in friction, with a fit that absorbs any constant change: only
+    differences between bins are determined."""
     generator, speed = np.random.default_rng(2), np.linspace(5, 25, N)
     scaled = []
     for _ in range(60):
@@ -113,8 +113,8 @@ def test_a_wave_is_fitted_with_its_phase_and_folded():
 
 
 def test_the_part_absorbed_by_the_base_fit_is_restored():
-    """A kink over the slip, of which the base's own parameters hide a good part: SciPy
-    fits both together."""
+    """A kink over the slip, largely absorbed by the base's parameters: SciPy fits both
+    together."""
     generator, slip = np.random.default_rng(5), np.linspace(0, 3, N)
     field = 10 + 5 * slip[None]
     known = np.stack([field[0], field[0] * slip], axis=1)

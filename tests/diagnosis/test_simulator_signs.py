@@ -1,4 +1,4 @@
-"""A tire in other signs than those it is read in is found before any effect is."""
+"""A tire read in the wrong signs is reported before any effect."""
 
 from pathlib import Path
 
@@ -23,8 +23,8 @@ NOISE = {"fx": 30.0, "fy": 30.0, "mz": 1.0}
 
 
 def frame(channels="fy mz", cambers=(0.0,), offset=0.0, mu=1.0, forces_of=None, **how):
-    """Sweeps at three loads and some cambers, of the file's tire as ``how`` reads it;
-    an offset of the slip that nobody measures, a friction that the file has not."""
+    """Sweeps at three loads and some cambers, of the file's tire read by ``how``; with
+    an unmeasured slip offset and a friction that the file does not have."""
     generator, sweep = np.random.default_rng(3), np.linspace(-0.2, 0.2, 61)
     fz, gamma, slip = (
         part.ravel() for part in np.meshgrid((2e3, 4e3, 6e3), cambers, sweep, indexing="ij")
@@ -47,7 +47,7 @@ def frame(channels="fy mz", cambers=(0.0,), offset=0.0, mu=1.0, forces_of=None, 
 
 
 def doubt(columns, given: Given, **declared):
-    """What a diagnosis says of the signs, before it searches."""
+    """The message about the signs, before any search."""
     data = given.beside(read_frame(columns, "rig", **declared))
     channels = given.channels(data, ("fx", "fy", "mz"))
     prepared = prepare(data, Rig(noise=NOISE), channels)
@@ -134,7 +134,7 @@ def test_other_gaps_are_not_reported_as_wrong_signs(gap):
 
 
 def test_columns_of_a_mirrored_simulator_are_reported():
-    """The forces alone are known: the tire that stands in for them is mirrored."""
+    """Only the forces are known; the approximating tire is mirrored."""
     columns = frame("fy")
     simulated = frame("fy", signs="sae", mu=1.0)["fy"]
     given = Given(kind="columns", source="columns")

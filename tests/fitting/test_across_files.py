@@ -1,4 +1,4 @@
-"""One quantity over many files: known scatter, drift and wild files are found."""
+"""One quantity over many files: known scatter, drift and outlying files are found."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_scatter_between_files_excludes_their_own_error(scatter):
 
 @pytest.mark.parametrize(("n", "draws"), [(12, 300), (200, 60)])
 def test_drift_is_found_with_its_error(n, draws):
-    """Pulls of the drift about the truth are those of a Gaussian."""
+    """Errors of the drift over their standard error are Gaussian."""
     results = [across_files(*made(s, n=n, drift=0.05)) for s in range(draws)]
     pulls = np.array([(one.change - 0.05) / one.change_std for one in results])
     assert abs(np.mean(pulls)) < 4 / np.sqrt(draws)

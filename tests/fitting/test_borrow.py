@@ -1,4 +1,4 @@
-"""A tire like this one as prior of the forces that a test lacks."""
+"""A similar tire as the prior of forces that a test lacks."""
 
 from functools import cache
 

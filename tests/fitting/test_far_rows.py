@@ -1,4 +1,4 @@
-"""Absurd rows are set aside and named; nothing else is, and clean fits stay."""
+"""Absurd rows are excluded and named, and no others; clean fits are unchanged."""
 
 import json
 from dataclasses import replace

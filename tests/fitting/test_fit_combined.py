@@ -1,4 +1,4 @@
-"""Fits of rows in which both slips vary at once."""
+"""Fits of rows with both slips varying."""
 
 import csv
 
@@ -50,7 +50,7 @@ def rows(n=400, seed=1, slip_std=0.0, loads=LOADS):
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
-    """The way of the command line: a CSV and a fit.toml."""
+    """As on the command line: a CSV and a fit.toml."""
     folder, columns = tmp_path_factory.mktemp("combined"), rows()
     with open(folder / "rig.csv", "w", newline="") as file:
         writer = csv.writer(file)
@@ -98,7 +98,7 @@ def test_one_force_of_combined_rows_is_fitted_at_both_slips():
 
 @pytest.mark.parametrize("channel", ["fx", "fy"])
 def test_points_are_drawn_at_the_other_slip_of_their_curve(result, channel):
-    """Pure slip: what scatters about the curve is the noise, not the other slip."""
+    """Pure slip: points scatter about the curve by the noise, not by the other slip."""
     curve = fit_curve(result, channel)
     assert len(curve.groups) == len(curve.curves) == 3
     other = {"fx": r"$\alpha$ = 0°", "fy": r"$\sigma_x$ = 0"}[channel]

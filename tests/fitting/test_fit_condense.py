@@ -1,4 +1,4 @@
-"""Cells of like rows against the rows themselves, and posteriors by both."""
+"""Cells of similar rows compared with the rows, and posteriors by both."""
 
 import dataclasses
 
@@ -31,7 +31,7 @@ def rises(problem, solved, points):
 
 
 def correlated(n=400):
-    """Noise of a memory of some fifteen rows beside a slip that sweeps to and fro."""
+    """Noise correlated over about fifteen rows, with an oscillating slip."""
     generator, noise = np.random.default_rng(5), np.zeros(n)
     for i in range(1, n):
         noise[i] = 0.93 * noise[i - 1] + 0.37 * generator.standard_normal()

@@ -1,4 +1,4 @@
-"""``fit.toml``: what it may say, and what is said of everything else."""
+"""``fit.toml``: valid content, and messages about invalid content."""
 
 from dataclasses import replace
 

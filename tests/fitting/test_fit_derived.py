@@ -1,4 +1,4 @@
-"""Derived quantities against closed forms, and their intervals against brute force."""
+"""Derived quantities compared with closed forms, their intervals with brute force."""
 
 from dataclasses import replace
 
@@ -119,7 +119,7 @@ def test_undetermined_quantities_are_not_identified(vague):
 
 
 def brute_force(data, of, start, bounds, reach):
-    """95 % ends of a quantity t by SciPy: all else fitted again at every t.
+    """95 % ends of a quantity t by SciPy: the others are refitted at every t.
 
     ``of(t, x)`` gives the brush's parameters from t and the others, x.
     """
@@ -197,8 +197,8 @@ def test_the_peak_is_right_with_a_parameter_at_its_bound():
 
 
 def test_slope_of_a_redundant_form_agrees_with_brute_force():
-    """A Magic Formula short of its peak: one of its parameters is not known at all, the
-    slope is, to 2 %."""
+    """A Magic Formula below its peak: one parameter is undetermined, but the slope is
+    known to 2 %."""
     slip, generator = np.linspace(0.002, 0.06, 80), np.random.default_rng(3)
 
     def magic(b, c, d, e):

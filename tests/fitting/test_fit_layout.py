@@ -1,4 +1,4 @@
-"""The vector z and the values it names: inverses, runs, ties, priors, volume."""
+"""The vector z and the values it represents: inverses, runs, ties, priors, volume."""
 
 import jax
 import jax.numpy as jnp
@@ -211,8 +211,8 @@ PER_RUN = {
 
 @pytest.mark.parametrize("slip_noise", [{}, {"sigma_x": 0.002}])
 def test_sparse_slopes_agree_with_dense_slopes(slip_noise):
-    """A row's slopes in its own run's elements alone, against one tangent an element:
-    the rows of the runs in turn, a shared parameter, and priors."""
+    """Slopes of a row in the elements of its run, compared with one tangent per
+    element: interleaved runs, a shared parameter, and priors."""
     slip = curve()["sigma_x"]
     run = np.arange(len(slip)) % 3
     force = brush_force(slip, 5e4, np.array([1.0, 0.7, 0.4])[run])

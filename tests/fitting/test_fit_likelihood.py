@@ -1,4 +1,4 @@
-"""The deviance of rows against numpy and quadrature; robust losses."""
+"""The deviance of rows compared with NumPy and quadrature; robust losses."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +17,7 @@ TAU = 0.004
 
 
 def small(n=11, loss="squares", tau=None):
-    """Data of few rows, their problem, and the densities of its noisy slips."""
+    """Data with few rows, their problem, and the densities of its noisy slips."""
     noise = {"fx": STD, "loss": loss} | ({"sigma_x": tau} if tau else {})
     data = curve(n=n, seed=8, slip_std=tau or 0.0)
     task = build(data, "brush", parse_config({"noise": noise}))

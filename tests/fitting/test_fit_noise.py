@@ -135,7 +135,7 @@ def test_a_slip_that_many_rows_have_is_found():
 
 
 def test_every_set_point_is_found():
-    """Many at once: each is worth its place by itself."""
+    """Many at once; each must be significant alone."""
     generator = np.random.default_rng(3)
     points, std = np.linspace(-0.29, 0.29, 25), np.full(300, 0.001)
     slip = np.repeat(points, 12) + std * generator.standard_normal(300)

@@ -138,7 +138,7 @@ def test_a_chain_that_converges_at_the_limit_is_accepted(given, sampled):
 
 
 def test_a_walker_that_never_moved_has_infinite_autocorrelation_time(given, monkeypatch):
-    """It says so without a warning; the posterior is worth nothing: a draw a walker."""
+    """Without a warning; the posterior is one draw per walker."""
     chains = synthetic_chains()
     chains[0, :, 0] = 0
     assert np.all(np.isinf(posterior._autocorrelation_times(chains)))

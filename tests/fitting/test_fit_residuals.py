@@ -1,4 +1,4 @@
-"""Residuals by groups and in order, and densities of draws, against other routes."""
+"""Residuals by groups and in order, and densities of draws, checked independently."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_autocorrelation_of_a_known_series_is_right():
 
 
 def test_autocorrelation_pools_the_runs():
-    """Against the sums of products themselves."""
+    """Compared with the sums of products."""
     rng = np.random.default_rng(0)
     parts = [rng.normal(size=n) for n in (50, 31, 1)]
     power = sum(part @ part for part in parts)
@@ -36,7 +36,7 @@ def test_autocorrelation_pools_the_runs():
 
 
 def test_means_at_settings_cover_the_truth():
-    """95 % intervals of the means, of rows that count as half of one each."""
+    """95 % intervals of the means, of rows that count half each."""
     rng, loads = np.random.default_rng(1), np.repeat([2e3, 4e3, 6e3], 50)
     truth, inside = np.array([-1.0, 0.0, 2.0]), []
     for _ in range(300):

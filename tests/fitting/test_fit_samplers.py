@@ -1,4 +1,4 @@
-"""NUTS and importance sampling against known posteriors, ArviZ and emcee."""
+"""NUTS and importance sampling compared with known posteriors, ArviZ and emcee."""
 
 import arviz
 import jax
@@ -66,7 +66,7 @@ def skewed(u):
 
 
 def narrow_and_far(u):
-    """Most of the probability where the proposal hardly ever looks."""
+    """Most of the probability is far outside the proposal."""
     return -jnp.sum((u - 12.0) ** 2, axis=-1) / 2e-2
 
 
@@ -230,7 +230,7 @@ def test_nuts_agrees_with_emcee(given, sampled):
 
 
 def test_nuts_adapts_a_mass():
-    """Spreads of 0.02 and 5 and a correlation, seen through no whitening at all."""
+    """Spreads of 0.02 and 5 and a correlation, without any whitening."""
     root = np.array([[0.02, 0.0], [4.0, 3.0]])
     inverse = jnp.linalg.inv(root)
 
@@ -273,8 +273,8 @@ def runs_of(count: int):
 
 
 def test_nuts_samples_many_parameters():
-    """Eight runs of their own stiffness and friction: 16 parameters, whose posterior
-    factors into runs, so that each interval is that of its own profile."""
+    """Eight runs with separate stiffness and friction: 16 parameters, whose posterior
+    factors into runs, so that each interval agrees with its profile."""
     each = {"per_run": True}
     config = GIVEN | {"parameters": {"mu": each, "cpa2": each}}
     result = fit(runs_of(8), "brush", config=config)
@@ -289,7 +289,7 @@ def test_nuts_samples_many_parameters():
 
 
 def test_a_density_is_differentiable_and_batched(given):
-    """All that the samplers ask of a fit."""
+    """Everything that the samplers need of a fit."""
     density = _density(given.solved)
     u = np.random.default_rng(0).standard_normal((5, 2))
     values = density(u)

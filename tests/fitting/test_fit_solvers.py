@@ -1,4 +1,4 @@
-"""Least squares: every solver against scipy and against certified values."""
+"""Least squares: every solver compared with SciPy and certified values."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +18,8 @@ _SCIPY = {}
 
 
 def scipy_answer(model):
-    """Estimate and covariance in natural values, from scipy and the second writing."""
+    """Estimate and covariance in natural values, by SciPy and the independent
+    formulas."""
     if model not in _SCIPY:
         force, truth, reach = CASES[model]
         data = curve(truth, force=force, reach=reach, seed=3)
@@ -115,7 +116,7 @@ def test_a_step_limit_is_reported():
 
 @pytest.mark.parametrize("start", [(0.0, 0.0), (3.0, -2.0), (-5.0, 6.0), (1.0, 11.9)])
 def test_with_a_parameter_at_its_bound_the_others_converge(start):
-    """b = 1 / (1 + e^-z) would be 1.5, were it free; a follows at its bound of 1."""
+    """b = 1 / (1 + e^-z) would be 1.5 without bounds; a follows at its bound of 1."""
     x = np.linspace(0.1, 1.0, 40)
     y = 2.0 * x + 1.5 * x**2 + 0.01 * np.sin(40 * x)
     a = x @ (y - x**2) / (x @ x)  # by the normal equation with b = 1

@@ -190,7 +190,7 @@ def test_a_shared_fit_predicts_any_run(given):
 
 @pytest.fixture(scope="module")
 def tied():
-    """A tire whose kinetic over static friction follows its friction."""
+    """A tire whose ratio of kinetic to static friction depends on its friction."""
     data = curve(TRUTH | {"m": 0.8}, seed=40)
     config = {
         "noise": {"fx": STD},

@@ -1,4 +1,4 @@
-"""Fits of a transient model, of one with a reference load, of one's own pressure."""
+"""Fits of a transient model, of one with a reference load, of a tabulated pressure."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ CONFIG = {"noise": {"fx": NOISE}, "solver": "gauss-newton"}
 
 
 def lagging(slip, time):
-    """Slip behind one relaxation length, by Heun's rule in steps of 20 microseconds."""
+    """Slip after one relaxation length, by Heun's rule in steps of 20 microseconds."""
     step = 2e-5
     fine = np.arange(time[0], time[-1] + step, step)
     inputs = np.interp(fine, time, slip)
@@ -38,7 +38,7 @@ def lagging(slip, time):
 
 
 def transient(n=150):
-    """Two runs of a slip that swings faster than the patch follows."""
+    """Two runs with a slip that oscillates faster than the patch follows."""
     rng = np.random.default_rng(4)
     columns = []
     for start, rate in ((0.0, 9.0), (7.0, 15.0)):
@@ -76,7 +76,7 @@ def test_a_steady_brush_does_not_fit_lagging_data(lagged):
 
 
 def test_masked_rows_are_skipped():
-    """Between two used rows the slip is taken as linear, whatever a masked row held."""
+    """Between two used rows the slip is linear, whatever a masked row contained."""
     used = np.arange(len(DATA)) % 7 != 3
     columns = dict(DATA.columns)
     columns["sigma_x"] = np.where(used, columns["sigma_x"], np.nan)
@@ -87,7 +87,7 @@ def test_masked_rows_are_skipped():
 
 
 def test_only_the_row_of_an_absurd_slip_is_excluded(lagged):
-    """The rows after it feel what they felt, not the wrong slip."""
+    """The lagged slip of the following rows does not include the wrong one."""
     slip = DATA["sigma_x"].copy()
     slip[[40, 200]] = 3.0
     spoilt = replace(DATA, columns={**DATA.columns, "sigma_x": slip})
@@ -117,7 +117,8 @@ def test_prediction_follows_the_rows_in_time(lagged):
 
 
 def test_a_longer_series_than_the_fitted_one_is_predicted_completely(lagged):
-    """Thrice the rows in a row: the time goes back, and each time starts anew."""
+    """The rows three times in sequence: time decreases twice, and each part starts in
+    steady state."""
     inputs, run = lagged.problem.rows.inputs, lagged.problem.rows.run
     thrice = [np.tile(lagged.problem.used(column), 3) for column in (*inputs, run)]
     force = fitted_force(lagged, "fx", TireInputs(*thrice[:-1]), thrice[-1])
@@ -162,7 +163,7 @@ def test_time_and_speed_are_needed():
 
 
 def test_settings_that_remove_history_are_refused():
-    """All of it at once: limits of the slip, and its noise."""
+    """All problems at once: limits of the slip, and its noise."""
     config = {"noise": {"sigma_x": 0.01}, "data": {"slip_max": 0.1, "slip_min": -1.0}}
     with pytest.raises(UsageError) as error:
         build(DATA, "brush-relaxation", parse_config(config))
@@ -183,7 +184,7 @@ def test_settings_that_remove_history_are_refused():
 
 
 def loads(n=120):
-    """Three loads; c_p a^2 grows with the load to the 0.8, friction falls with it."""
+    """Three loads; c_p a^2 grows as load^0.8, friction falls with it."""
     rng = np.random.default_rng(5)
     fz = np.tile([2000.0, 3900.0, 6000.0], n // 3)
     slip = rng.uniform(0, 0.2, n)
@@ -220,7 +221,7 @@ def test_fit_recovers_the_load_dependence_of_parameters():
 
 
 def test_a_tabulated_pressure_is_fitted_under_its_name(monkeypatch):
-    """The table of the parabola in its place: the same estimate and covariance."""
+    """A table of the parabola gives the same estimate and covariance."""
     law = Tabulated.from_function(lambda xi: 1 - xi**2)
     monkeypatch.setitem(MODELS, "mine", Brush(pressure=law))
     mine, plain = solved(curve(), GIVEN, "mine"), solved(curve(), GIVEN)

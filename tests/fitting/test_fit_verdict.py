@@ -1,4 +1,4 @@
-"""What a fit says of itself, of its noise and of data it cannot use."""
+"""The verdict of a fit, its noise, and unsuitable data."""
 
 from dataclasses import replace
 
@@ -287,7 +287,7 @@ def test_residuals_that_follow_the_load_hint_at_brush_load(stiffness_power, mu_l
 
 
 def test_a_fit_with_slip_noise_at_several_loads_has_a_verdict():
-    """Its residuals are not one a row and force: the hint keeps silent."""
+    """Without one residual per row and force there is no hint."""
     from tirefit.sim.rig import simulate_rig
 
     values = {"cpa2": 5e4, "mu": 0.9, "stiffness_power": 1.6, "fz0": 4000.0}

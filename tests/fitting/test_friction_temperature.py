@@ -1,4 +1,4 @@
-"""Friction that follows the temperature, as a covariate of a whole Magic Formula."""
+"""Friction that depends on temperature, as a covariate of a whole Magic Formula."""
 
 import json
 from functools import cache

@@ -1,4 +1,4 @@
-"""What a file can tell before any fit: against repeated fits, and known answers."""
+"""Parameters that a file determines, compared with repeated fits and known answers."""
 
 import numpy as np
 import pytest
@@ -12,13 +12,14 @@ from tirefit.sim.rig import simulate_rig
 
 
 def brush_by_hand(cpa2, mu, sigma, load):
-    """Parabolic brush, written down anew: S(20) in the share of the sliding slip."""
+    """Parabolic brush, written independently: S(20) in the share of the sliding
+    slip."""
     x = np.minimum(cpa2 * np.abs(sigma) / (3 * mu * load) * 2, 1.0)
     return np.sign(sigma) * mu * load * (3 * x - 3 * x**2 + x**3)
 
 
 def test_the_expected_scatter_agrees_with_repeated_fits():
-    """200 sets of noise, fitted by another solver with a brush of its own."""
+    """200 sets of noise, fitted by another solver with an independent brush."""
     rng = np.random.default_rng(4)
     sigma = np.tile(np.linspace(0.005, 0.1, 60), 3)
     load = np.repeat([2000.0, 4000.0, 6000.0], 60)
@@ -91,7 +92,7 @@ def test_the_suggested_loads_determine_the_load_dependence():
 
 
 def test_rows_with_the_same_noise_count_once():
-    """Each row four times with the same noise in time: a fourth of the information."""
+    """Each row four times with the same noise: a quarter of the information."""
     made = simulate_rig(largest=0.1, points=400, force_std=0.02, seed=5).columns
     rng = np.random.default_rng(6)
     noise = np.repeat(0.02 * 4000.0 * rng.normal(size=200), 8)[: len(made["fx"]) * 4]
@@ -109,7 +110,7 @@ def test_rows_with_the_same_noise_count_once():
 
 
 def test_standard_errors_of_many_rows_use_their_number():
-    """Of 5,000 rows 512 stand for all: the answer is that of all."""
+    """512 of 5,000 rows are used; the result is that of all."""
     few, many = (
         identifiability(read_frame(simulate_rig(largest=0.1, points=n, seed=2).columns), ["brush"])
         for n in (500, 5000)
@@ -119,7 +120,7 @@ def test_standard_errors_of_many_rows_use_their_number():
 
 
 def test_a_bound_does_not_determine_a_parameter():
-    """Pure noise: no curve, and whichever bound a parameter would run to, no answer."""
+    """Pure noise: no curve, and no answer from a bound that a parameter reaches."""
     rng = np.random.default_rng(8)
     slip = rng.uniform(-0.2, 0.2, 150)
     frame = {"sigma_x": slip, "fz": np.full(150, 4e3), "fx": 400 * rng.normal(size=150)}

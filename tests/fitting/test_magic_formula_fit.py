@@ -44,7 +44,7 @@ def columns(path, forces_, least=1e-9):
 
 @pytest.mark.parametrize("version", ["5.2", "6.1"])
 def test_every_coefficient_belongs_to_one_part_and_has_a_prior(version):
-    """Those of the files are those of the stages, but for the scaling factors."""
+    """The coefficients of files are those of the stages, except the scaling factors."""
     of_files = {
         key
         for key, section in COEFFICIENTS.items()
@@ -125,7 +125,7 @@ def test_slopes_agree_with_finite_differences():
 
 
 def test_the_optimum_is_at_least_as_good_as_scipys():
-    """From the centres of the priors, and from where the other one ended."""
+    """From the centres of the priors, and from the end of the other search."""
     problem = small_problem()
     start = np.zeros(len(problem.names))
     end = minimise(problem, start)
@@ -165,7 +165,7 @@ def test_constant_and_growing_noise_are_distinguished():
 
 
 def test_pure_lateral_rows_recover_their_coefficients():
-    """Against the file that made them, in standard errors."""
+    """Compared with the file that made them, in standard errors."""
     from tirefit.data.tir import read_tir
 
     table = columns(MF61, ("fy",))
@@ -185,7 +185,7 @@ def test_pure_lateral_rows_recover_their_coefficients():
 
 
 def test_coefficients_without_variation_are_fixed_and_reported():
-    """Upright and at one pressure, camber and pressure terms are not told."""
+    """At zero camber and one pressure, the terms of both are undetermined."""
     table = columns(MF61, ("fy",))
     upright = (table["gamma"] == 0) & (table["pressure"] == 2.6e5)
     table = {k: v[upright] for k, v in table.items() if k not in ("gamma", "pressure")}

@@ -1,4 +1,4 @@
-"""Stages of a Magic Formula fit: what one channel does to another, limits, weights."""
+"""Stages of a Magic Formula fit: influence between channels, limits, weights."""
 
 from functools import cache
 
@@ -32,8 +32,8 @@ LOADS = (1500.0, 2800.0, 4200.0, 5600.0)
 
 
 def rig_test(seed=0, combined=True, friction=0.12, loads=LOADS):
-    """Columns of a test of TIRE: friction falls over every sweep by this share, and
-    M_z is that of 1.6 times the cornering stiffness, with a ripple."""
+    """Columns of a test of TIRE: friction falls over every sweep by this share, and M_z
+    is that of 1.6 times the cornering stiffness, with a ripple."""
     generator = np.random.default_rng(seed)
     time = np.linspace(0.0, 4.0, 100)
     sweep, parts = np.sin(2 * np.pi * time / 4), []
@@ -187,7 +187,7 @@ def test_cells_are_means_of_the_rows_of_one_setting():
 
 @pytest.mark.parametrize("left", [LOADS[0], LOADS[2], LOADS[3]])
 def test_bands_contain_rows_of_a_load_that_was_left_out(left):
-    """Inside the loads, and at 1.3 times the largest that was fitted."""
+    """Within the loads, and at 1.3 times the largest fitted load."""
     table = rig_test(combined=False, loads=(*LOADS[:3], 4900.0, LOADS[3]))
     near = np.abs(table["fz"] / left - 1) < 0.05
     if left == LOADS[3]:
@@ -256,8 +256,8 @@ def test_a_force_with_few_rows_of_pure_slip_is_fitted_in_one_stage():
 
 
 def test_a_single_part_left_out_gives_a_band_of_the_noise_and_no_nan():
-    """F_x at two loads of which one is left out: no other part makes its band. One
-    setting of a load is enough to leave it out."""
+    """F_x at two loads, one of which is left out: no other part gives its band, and one
+    setting suffices to leave it out."""
     slip, loads = np.linspace(-0.2, 0.2, 41), np.array([1.5e3, 3e3, 4.5e3, 6e3])
     side = TireInputs(0.0, np.tile(slip, 4), np.repeat(loads, 41))
     along = TireInputs(np.tile(slip, 2), 0.0, np.repeat([3e3, 4.5e3], 41))

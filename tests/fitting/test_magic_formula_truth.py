@@ -1,4 +1,4 @@
-"""Tests of known tires: the forces that come back, beside and beyond their rows.
+"""Tests of known tires: recovered forces within and beyond their rows.
 
 The priors of each tire are made without its own family, so that no truth stands in
 them.
@@ -120,7 +120,7 @@ def test_a_version_is_converted_to_the_equivalent_one():
 
 @pytest.mark.statistics
 def test_a_version_is_converted_to_another():
-    """F_x of 5.2 stands in 6.1, and nearly all of F_y."""
+    """F_x of 5.2 is exact in 6.1, and F_y nearly."""
     fit = converted(read_tir(MF52), "mf61", 0.3, [5000.0, 9000.0, 13000.0])
     assert fit.fitted["fx"][0] < 1e-3
     assert fit.fitted["fy"][0] < 10.0
@@ -129,7 +129,7 @@ def test_a_version_is_converted_to_another():
 
 @pytest.mark.statistics
 def test_a_drift_is_named_with_a_magic_formula_simulator():
-    """A friction that falls by 8 % over a test whose loads come in no order."""
+    """A friction that falls by 8 % over a test with loads in random order."""
     table = measured(MF61, n=30, loads=4)
     pure = np.abs(table["sigma_x"]) < 1e-9
     names = ("alpha", "fz", "gamma", "pressure", "fy", "run")
@@ -175,7 +175,7 @@ def test_every_published_tire_is_recovered(path, monkeypatch):
 @pytest.mark.statistics
 @pytest.mark.parametrize("path", [TIRES[0], MF61], ids=lambda path: path.stem[-24:])
 def test_loads_that_were_left_out_are_predicted(path, monkeypatch):
-    """Each load of the test, the largest too, from the fit of the others."""
+    """Each load of the test, including the largest, from the fit of the others."""
     whole = measured(path)
     for left in np.unique(whole["fz"])[1:]:
         fit = fit_of(path, monkeypatch, rows=lambda table, f=left: table["fz"] != f)

@@ -1,4 +1,4 @@
-"""Settings of a rig's test, found in rows whose load follows the slip."""
+"""Settings of a rig test, found in rows whose load follows the slip."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""M_x and M_y of a whole Magic Formula, fitted beside the forces."""
+"""M_x and M_y of a whole Magic Formula, fitted with the forces."""
 
 from functools import cache
 
@@ -63,7 +63,7 @@ def test_the_moments_are_recovered_within_standard_errors():
 
 
 def test_the_moments_do_not_move_the_forces():
-    """Even where they are of another tire."""
+    """Even if they come from another tire."""
     alone = fitted(without=("mx", "my"))
     assert not {"mx", "my"} & set(alone.forces)
     assert not any(name.startswith(("QSX", "QSY")) for name in alone.coefficients)
@@ -117,7 +117,7 @@ def test_given_moment_coefficients_are_written_to_the_file():
 
 @pytest.mark.parametrize(("path", "model"), [(MF62, "mf61"), (MF61, "mf52")])
 def test_another_version_gets_the_moments_it_supports(path, model):
-    """Exactly in 6.x; in 5.2 an M_x fitted, and the M_y of the nominal state."""
+    """Exactly in 6.x; in 5.2 a fitted M_x, and the M_y of the nominal state."""
     tir = read_tir(path)
     nominal = tir.numbers["FNOMIN"]
     fit = converted(tir, model, 0.15, [0.6 * nominal, nominal])

@@ -1,4 +1,4 @@
-"""Stated bands hold 95 % of the rows of every setting, not of all together."""
+"""Stated bands contain 95 % of the rows of every setting, not only of all together."""
 
 import numpy as np
 import pytest
