@@ -1,4 +1,4 @@
-"""Programs kept on disk give the same numbers, and are really used."""
+"""Programs cached on disk give the same numbers, and are really used."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md describes the house that is there."""
+"""CONTRIBUTING.md describes the existing structure."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The manual builds strictly, needs no network, and describes what is there."""
+"""The manual builds strictly, needs no network, and describes what exists."""
 
 import os
 import re
@@ -93,7 +93,7 @@ def test_a_broken_link_or_reference_fails(tmp_path, text, fault):
 
 
 def test_links_work_in_the_markdown():
-    """Without a build: no link leads to a page that is generated."""
+    """Without a build: no link points to a generated page."""
     for page in (*PAGES, *ROOT.glob("*.md")):
         text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.M | re.S)
         links = re.findall(r"\]\((?!\w+:)([^)# ]+)[^)]*\)", text)

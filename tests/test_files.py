@@ -1,4 +1,4 @@
-"""Files are written whole or not at all; JSON holds nothing that it cannot say."""
+"""Files are written completely or not at all; JSON holds only what it can express."""
 
 import json
 import os

@@ -35,7 +35,7 @@ def share_below(draws, ends):
 
 
 def compare(case, fit, folder):
-    """The sampler that drew; asserts that intervals agree where there are two."""
+    """The sampler that was used; asserts that intervals agree if there are two."""
     derive_all(case, load(case), folder)
     result = run_fit(case, fit | {"posterior": False}, folder)
     # Where it is refused its steps are emcee's own: few, there is nothing to compare.

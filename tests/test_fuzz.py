@@ -50,7 +50,7 @@ def test_the_fuzzer_detects_an_escaped_exception(monkeypatch):
 
 
 def test_the_fuzzer_detects_a_traceback(monkeypatch):
-    """What it is there for: a reader that lets its parser's error out."""
+    """Its purpose: a reader from which the parser's error escapes."""
     kind = KINDS["rig.toml"]._replace(read=lambda path: json.loads(path.read_bytes()))
     monkeypatch.setitem(KINDS, "rig.toml", kind)
     found = list(failures(5, seed=1, kinds=("rig.toml",)))
@@ -175,7 +175,7 @@ def test_a_modified_record_is_refused(tmp_path):
 
 
 def test_a_change_of_any_bit_of_a_stored_chain_is_detected(tmp_path):
-    """Any one flipped bit is seen, and the same way; so is a forged length."""
+    """Any flipped bit is detected, and so is a forged length."""
     whole = sealed_bytes("k", struct.pack("<20d", *range(20)))
     assert unsealed_bytes("k", whole) == struct.pack("<20d", *range(20))
     for bit in range(8 * len(whole)):

@@ -1,4 +1,4 @@
-"""The house rules that a parser can hold: floors, owners, sizes."""
+"""The rules of the structure that a parser can check: floors, owners, sizes."""
 
 import ast
 from pathlib import Path
@@ -82,7 +82,7 @@ def rooms_used(tree):
 
 
 def layer_faults(file, tree):
-    """Imports of a file that do not go down."""
+    """Imports of a file that do not point downwards."""
     here = room_of(file)
     if here in ("__init__", "__main__"):  # the roof: re-exports, starts the cli
         return []
@@ -110,7 +110,7 @@ def owner_faults(file, tree):
 
 
 def private_faults(file, tree):
-    """Names of other files that begin with an underscore: those are their own."""
+    """Used names of other files that begin with an underscore, which are private."""
     return [
         f"{file} imports {name} from {module}, which is private"
         for module, names in imported(tree)

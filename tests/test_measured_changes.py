@@ -1,4 +1,4 @@
-"""The measured changes: data, split, what is known by hand, how a line is judged."""
+"""The measured changes: data, split, values by hand, and how a line is judged."""
 
 import json
 from types import SimpleNamespace
@@ -16,7 +16,7 @@ BY_NAME = {case.name: case for case in CASES}
 
 
 def test_cases_use_the_logs_of_their_split():
-    """Cases for choosing use the logs for choosing only; names are unique."""
+    """Cases for choosing use only the logs for choosing; names are unique."""
     assert len(BY_NAME) == len(CASES)
     for case in CASES:
         fitted = case.fitted_on.of if case.fitted_on else ()
@@ -40,7 +40,7 @@ def six():
 
 
 def test_six_logs_agree_with_hand_calculation(six):
-    """SciPy on runs left out: nothing, the slip zero, and rising friction beside it."""
+    """SciPy on held-out runs: nothing, the slip offset, and rising friction with it."""
     on, parts = by_hand.folds(six)
     assert (on, len(six["fy"])) == (HAND["dart_six"]["on"], 2389)
     assert sum(part.sum() for part in parts) == len(six["fy"])
@@ -67,7 +67,7 @@ def _delay(logs):
     ],
 )
 def test_inserted_changes_are_found(change, measure, moved):
-    """A change of one log of set A moves SciPy's estimate by its own size."""
+    """A change of one log of set A changes SciPy's estimate by its own size."""
     plain = {key: change[key] for key in ("axle",) if key in change}
     logs = {"of": ("a",), "only": ("a_0",), "every": 10}
     found = measure(Logs(**logs, **change)) - measure(Logs(**logs, **plain))
@@ -115,7 +115,7 @@ def test_lines_are_judged_by_the_stated_rules(known, said, right):
 
 
 def test_rms_of_the_ladder_is_right():
-    """The longest step within the names; None where the tool has no ladder."""
+    """The longest step within the names; None if the tool has no ladder."""
     rms = {(): 0.6, ("x",): 0.3, ("x", "y"): 0.2, ("anything smooth",): 0.15, ("n",): 0}
     steps = [SimpleNamespace(effects=k, rms_left_out=v) for k, v in rms.items()]
     for named, expected in ((("x", "y"), 0.2), (("x", "z"), 0.3), ((), 0.6)):

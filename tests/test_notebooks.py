@@ -1,4 +1,4 @@
-"""The notebooks of ``fits/`` run, and show what a new run shows."""
+"""The notebooks of ``fits/`` run and reproduce their stored output."""
 
 import base64
 import re
@@ -43,7 +43,7 @@ def outputs(notebook):
 
 
 def text(notebook) -> str:
-    """All that a reader sees of the outputs, without figures and tags."""
+    """The visible text of the outputs, without figures and tags."""
     parts = []
     for output in outputs(notebook):
         data = output.get("data", {})

@@ -1,4 +1,4 @@
-"""The wheel holds what the package needs, and its demo runs on what it holds."""
+"""The wheel contains everything the package needs, and its demo runs with it."""
 
 import zipfile
 from pathlib import Path

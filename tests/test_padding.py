@@ -1,4 +1,4 @@
-"""Few lengths, none too long, and padding that repeats a row."""
+"""Few lengths, none too long, and padding with copies of a row."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What fits/posterior_peers hands to NumPyro is tirefit's own posterior."""
+"""The density that fits/posterior_peers gives NumPyro is tirefit's own posterior."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Every entry that estimates or predicts says that it needs 64-bit floats."""
+"""Every function that estimates or predicts reports that it needs 64-bit floats."""
 
 import jax
 import numpy as np

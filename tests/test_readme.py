@@ -1,5 +1,5 @@
-"""The README and the manual keep their word: examples run as printed and print what is
-shown, commands are whole, exit codes are those that there are."""
+"""The README and the manual are right: examples print the shown output, commands are
+complete, exit codes are the existing ones."""
 
 import re
 import shutil

@@ -1,4 +1,4 @@
-"""Every equation and every paper that the package cites can be looked up."""
+"""Every equation and every paper that the package cites is listed."""
 
 import re
 import tokenize
@@ -24,7 +24,7 @@ NEAR = 150
 
 
 def equations(text):
-    """(source, number, letter) of every equation that a text cites, ranges spread."""
+    """(source, number, letter) of every equation in a text, ranges expanded."""
     # A reference may go on in the next line, as of a comment.
     text = re.sub(r"\s*\n\s*#?\s*", " ", text)
     for start in CITED.finditer(text):
@@ -39,7 +39,7 @@ def equations(text):
 
 
 def listed():
-    """The equations of EQUATIONS.md; S(17) stands for S(17a) to S(17c) together."""
+    """The equations of EQUATIONS.md; S(17) represents S(17a) to S(17c) together."""
     lines = (ROOT / "EQUATIONS.md").read_text(encoding="utf-8").splitlines()
     rows = [line for line in lines if re.match(r"\| [SO]\(", line)]
     there = [each for row in rows for each in equations(row.split("|")[1])]
@@ -108,7 +108,7 @@ def references():
 
 
 def papers(text):
-    """(words before it, year) of every citation."""
+    """(preceding words, year) of every citation."""
     end = 0
     for year in PAPER.finditer(text):
         yield text[max(end, year.start() - NEAR) : year.start()], year[1]
@@ -116,7 +116,7 @@ def papers(text):
 
 
 def without_reference(text):
-    """Citations that name no paper of the docstring by surname and year."""
+    """Citations without a paper of that surname and year in the docstring."""
     known = list(references())
     return [
         f"{before}{year})"

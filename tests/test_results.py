@@ -1,4 +1,4 @@
-"""What is said of a wrong input, wherever it comes from."""
+"""Messages about wrong input, in every part of the package."""
 
 import pytest
 

@@ -119,7 +119,7 @@ def test_conventions_only_change_signs_and_describe_themselves():
     [("braking", 1, -1), ("iso-w", -1, 1), ("sae", -1, 1), ("adapted-sae", 1, -1)],
 )
 def test_slopes_are_named_in_each_convention(name, fy_over_alpha, mz_over_alpha):
-    """What a file shows for a small slip angle, from the model's own forces."""
+    """The signs of a file at a small slip angle, from the model's own forces."""
     signs = CONVENTIONS[name]
     angle = 0.01  # in the file
     result = forces(MODELS["brush"], TireInputs(0.0, signs.alpha * angle, 4000.0))

@@ -245,8 +245,7 @@ def brush_with_gradient(block: int = 8_000) -> None:
 
 
 def posterior() -> None:
-    """Smallest number of effective samples per second over the parameters, by
-    sampler."""
+    """Smallest effective samples per second over the parameters, by sampler."""
     import emcee
 
     from tirefit.data.read import read_frame

@@ -55,8 +55,7 @@ def test_controllers_are_compared_on_each_road(run, tmp_path):
 
 
 def test_fits_and_files_are_accepted_as_tires(run, tmp_path):
-    """A fitted brush brakes like the brush with its values; a .tir file is accepted
-    too."""
+    """A fitted brush brakes like the brush with its values; a .tir file works too."""
     run(
         "simulate", "rig", "--out", "r.csv", "--set", "mu=0.8", "--set", "cpa2=4e4",
         "--force-std", "0.001",
@@ -74,8 +73,7 @@ def test_fits_and_files_are_accepted_as_tires(run, tmp_path):
 
 
 def test_a_tire_of_a_tir_file_brakes(run, tmp_path):
-    """Its coefficients determine whether it depends on the speed, also when
-    compiled."""
+    """Its coefficients decide whether it depends on the speed, also when compiled."""
     tir = ROOT / "tests/data/tir/mfeval_julia/MagicFormula61_Parameters.tir"
     short = ("--controller", "none", "--time-limit", "0.2")
     said = run("brake", *QUICK, *short, "--tire", tir, "--out", "o").stdout

@@ -484,8 +484,7 @@ def test_a_doubtful_slip_is_in_the_document(again, calls, monkeypatch, tmp_path)
 
 
 def test_lateral_data_need_no_wheel_speed(run, calls, tmp_path):
-    """The rig file has the rolling radius, but the slip is not to be computed from
-    it."""
+    """The rig file has the rolling radius, but no slip is computed from it."""
     (tmp_path / "rig.toml").write_text("rolling_radius = 0.3\n")
     rows = [f"{angle / 100},{100 * angle},4000" for angle in range(-9, 10)]
     (tmp_path / "run.csv").write_text("\n".join(["alpha,fy,fz", *rows]))

@@ -83,8 +83,7 @@ def processes():
 
 
 def is_there(process):
-    """Whether a process exists; it does until its last thread has ended and its parent
-    knows."""
+    """Whether a process exists: until its last thread ended and its parent knows."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -202,8 +201,7 @@ def test_an_internal_error_does_not_stop_other_files(run, files, quick, monkeypa
 
 
 def test_resume_repeats_fits_with_other_settings(run, files, quick, tmp_path):
-    """Another seed, a missing figure, a changed document or other data, in the plain
-    loop."""
+    """Another seed, a missing figure, a changed document or other data."""
     command = ["fit", files[0], *HOW, "--out", "out", "--resume", "--seed"]
     document = tmp_path / "out" / "fit.json"
 

@@ -86,8 +86,7 @@ def test_other_commands_refuse_a_whole_magic_formula(run, sweeps):
 
 
 def test_a_tire_without_combined_coefficients_is_converted(run):
-    """Combined slip by similarity; the messages suggest only options that the command
-    has."""
+    """Combined slip by similarity; messages suggest only existing options."""
     text = (FOLDER / "mfeval_julia/MagicFormula52_Parameters.tir").read_text()
     Path("plain.tir").write_text(re.sub(r"(?m)^R[BCEHV][XY]\d .*\n", "", text))
     options = ("--model", "mf61", "--loads", "6000,11000", "--out", "out")

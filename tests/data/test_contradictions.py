@@ -360,8 +360,7 @@ def test_an_unnamed_column_is_compared_but_refuses_nothing(tmp_path):
 
 
 def test_a_steady_circle_with_a_mirrored_v_y_is_refused(tmp_path):
-    """The changes of v_y are unknown there, but no tire pulls in the direction of
-    sliding."""
+    """v_y is constant there, but no tire pulls in the direction of sliding."""
     time = np.arange(0, 40, 0.02)
     rng = np.random.default_rng(1)
     v, r = 10 + 2 * np.sin(0.1 * time), 0.3 + 0 * time

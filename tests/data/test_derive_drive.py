@@ -79,8 +79,7 @@ def test_an_undriven_axle_has_no_longitudinal_force(tmp_path):
 
 
 def test_the_error_of_the_drive_force_states_its_assumption(tmp_path):
-    """Rolling resistance and a share of the force: 30 % for braking, 5 % for
-    driving."""
+    """Rolling resistance and 30 % of the braking force, 5 % of the driving force."""
     path, car = steered_car(tmp_path, 'driven = "rear"\n')
     found = derive(path, car).columns
     rolling = 0.02 * MASS * 9.80665

@@ -50,8 +50,7 @@ def told(path, **options):
 
 @pytest.fixture
 def in_pieces(monkeypatch):
-    """Makes every text large: a head of about ten rows, then pieces of the same
-    size."""
+    """Makes every text large: a head of ten rows, then pieces of the same size."""
     used = []
     table_of_large = bulk.table_of_large
 

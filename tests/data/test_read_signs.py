@@ -1,5 +1,4 @@
-"""Signs are compared with the data: a wrong declaration is reported with the right
-one."""
+"""Signs are compared with the data: a wrong declaration is reported."""
 
 import numpy as np
 import pytest

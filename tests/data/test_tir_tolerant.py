@@ -28,8 +28,7 @@ def tire(tir):
 
 
 def same(tir, path):
-    """Whether a file has exactly the coefficients of a published one, and so its
-    forces."""
+    """Whether a file has exactly the coefficients of a published one."""
     return bool(eqx.tree_equal(tire(tir), tire(read_tir(path))))
 
 

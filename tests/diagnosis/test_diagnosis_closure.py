@@ -114,8 +114,7 @@ class Straight(Base):
 
 
 def another_form(columns, smooth, generator):
-    """The part of the truth beyond the formula (n,): as large as the estimator
-    expects."""
+    """The truth beyond the formula (n,): as large as the estimator expects."""
     part = np.linalg.norm(without(columns[:, 1] * 12, columns[:, :1]))
     left, size = orthogonal(smooth, columns)
     share = np.clip(0.1 * np.exp(generator.standard_normal()), 0.005, 1.0)

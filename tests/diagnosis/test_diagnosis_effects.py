@@ -167,8 +167,7 @@ def test_the_lateral_force_uses_part_of_the_friction():
 
 
 def test_the_work_of_sliding_agrees_with_its_integral():
-    """At constant slip the work grows linearly in time; a cooling tire reaches an even
-    temperature."""
+    """At constant slip work is linear in time; a cooling tire ends evenly warm."""
     time = np.linspace(0.0, 40.0, 401)
     frame = {
         "time": time,

@@ -99,8 +99,7 @@ def measured(time, slip, fz, force, moment, seed=0):
 
 
 def test_a_delayed_force_and_moment_are_named_a_delay():
-    """The load differed as well: a lag of the slip alone, as by a carcass, does not
-    fit."""
+    """The load differed as well: a lag of only the slip, as by a carcass, fails."""
     time, slip, fz, force, moment = slalom()
     data = measured(time, slip, fz, late(force, 4.3), late(moment, 4.3))
     verdict = diagnose(data, rig=LATERAL).verdict

@@ -43,8 +43,7 @@ def test_noise_that_grows_with_the_force_is_weighted_accordingly(given):
 
 
 def test_excess_noise_is_found_in_quiet_rows():
-    """Growing to 2.4 times the stated noise, which half the rows have; then all
-    rows."""
+    """Growing to 2.4 times the stated noise, for half the rows; then for all."""
     assert np.mean(FORCE == 4000) > 0.3
     growing = judged(1.2 * GROWING)
     assert np.median(growing.std[FORCE == 4000]) > 2 * np.hypot(40, SPREAD[0] ** 0.5)
@@ -106,9 +105,8 @@ def test_drift_does_not_override_a_stated_noise():
 
 
 def test_noise_never_exceeds_the_residuals():
-    """White noise of force and slip angle whose neighbours look similar by chance: a
-    correlation with flexible functions was taken for a third more noise than there
-    is."""
+    """White noise whose neighbours look similar by chance: a correlation with flexible
+    functions was taken for a third more noise than there is."""
     generator = np.random.default_rng(63)
     time = 0.02 * np.arange(600)
     swings = zip(

@@ -566,8 +566,7 @@ def test_regions_contain_all_the_energy(base):
 
 
 def test_an_error_in_the_first_seconds_is_a_spot(base):
-    """An error of five standard errors in one row of forty, not significant in any
-    quarter."""
+    """Five standard errors in one row of forty, not significant in any quarter."""
     n, residual = base.prepared.n, np.zeros(base.prepared.n)
     time = np.asarray(base.prepared.time)
     first = np.argsort(time)[: n // 40]

@@ -138,8 +138,7 @@ def by_scipy(base, fold, codes, with_offset):
 
 
 def test_losses_agree_with_refits_without_the_fold(five):
-    """With no effect and with the offset, which has a normal prior of one prior
-    scale."""
+    """With no effect, and with the offset and its prior of one prior scale."""
     folds = folds_of(five.rows, 1.0)
     none, offset = refitted(five), refitted(five, "slip_offset")
     found = predicted(five, [none, offset], folds)
@@ -291,8 +290,7 @@ def test_a_diagnosis_names_the_effects_of_the_search(count):
 
 
 def test_the_repeatability_of_the_axle_agrees_with_its_readme():
-    """Repeats of one state in logs of the same day and of another, and the tracker's
-    noise."""
+    """Repeats of one state on the same day and on another, and the tracker's noise."""
     tire = logs_left_out.repeats()
     turning = logs_left_out.repeats(logs_left_out.TURNING)
     assert tire["one log"] == pytest.approx(0.09, abs=0.005)

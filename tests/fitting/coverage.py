@@ -110,8 +110,7 @@ def _posterior_holds(solved, z_true, seed: int):
 
 
 def holds_or_says(model: str, setting: Setting, data) -> bool:
-    """Whether every interval of a full fit contains the truth or is reported as
-    open."""
+    """Whether every interval of a fit contains the truth or is reported as open."""
     found = fit(data, model, config=config_of(setting, estimated=False))
     return all(
         not found.least_squares[label].identified

@@ -18,8 +18,7 @@ _SCIPY = {}
 
 
 def scipy_answer(model):
-    """Estimate and covariance in natural values, by SciPy and the independent
-    formulas."""
+    """Estimate and covariance in natural values, from SciPy and the second formulas."""
     if model not in _SCIPY:
         force, truth, reach = CASES[model]
         data = curve(truth, force=force, reach=reach, seed=3)

@@ -117,8 +117,7 @@ def test_prediction_follows_the_rows_in_time(lagged):
 
 
 def test_a_longer_series_than_the_fitted_one_is_predicted_completely(lagged):
-    """The rows three times in sequence: time decreases twice, and each part starts in
-    steady state."""
+    """The rows three times: time decreases twice, and each part starts anew."""
     inputs, run = lagged.problem.rows.inputs, lagged.problem.rows.run
     thrice = [np.tile(lagged.problem.used(column), 3) for column in (*inputs, run)]
     force = fitted_force(lagged, "fx", TireInputs(*thrice[:-1]), thrice[-1])

@@ -12,8 +12,7 @@ from tirefit.sim.rig import simulate_rig
 
 
 def brush_by_hand(cpa2, mu, sigma, load):
-    """Parabolic brush, written independently: S(20) in the share of the sliding
-    slip."""
+    """Independent parabolic brush: S(20) in the share of the sliding slip."""
     x = np.minimum(cpa2 * np.abs(sigma) / (3 * mu * load) * 2, 1.0)
     return np.sign(sigma) * mu * load * (3 * x - 3 * x**2 + x**3)
 

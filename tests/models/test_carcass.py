@@ -1,4 +1,4 @@
-"""The flexible carcass against ``fits.flexible_carcass.patch``, written apart from it.
+"""The flexible carcass compared with the independent ``fits.flexible_carcass.patch``.
 
 ``solved`` finds the free breakaway point by collocation and says whether the friction
 holds where bristles stick and is asked for where they slide; ``bristle_by_bristle``
@@ -60,7 +60,7 @@ def upper(kind):
 
 
 def evaluated(tire, slip, load=LOAD):
-    """(F_y, M_z) of a batch of slips; of one shape, so that little is compiled."""
+    """(F_y, M_z) of a batch of slips; of one shape, to compile little."""
     slip = np.asarray(slip, float)
     padded = np.resize(np.arctan(slip), ROWS)
     result = forces(jax.tree.map(jnp.asarray, tire), TireInputs(0.0, padded, load))
@@ -72,7 +72,7 @@ def tire_of(kind, flexibility, pressure):
 
 
 def full_sliding(kind, flexibility):
-    """Demand ratio from which all bristles slide under the parabolic pressure."""
+    """Demand ratio above which all bristles slide with parabolic pressure."""
     return 1.5 + flexibility * {"thread": 1 / 2, "beam": 1 / 5, "parabola": 2}[kind]
 
 
@@ -86,8 +86,8 @@ def numeric(kind, flexibility, density):
 @EVERY
 @pytest.mark.parametrize("law", LAWS)
 def test_the_breakaway_point_solves_the_patch(kind, law):
-    """Force and moment, and that the patch with one breakaway point is *the* solution:
-    sticking bristles need less than the friction, sliding ones fall back ever more."""
+    """Force and moment, and that one breakaway point *is* the solution: sticking
+    bristles need less than the friction, sliding ones fall back increasingly."""
     pressure, density = LAWS[law]
     for share in (0.02, 0.3, 1.0):
         flexibility = share * upper(kind)
@@ -127,7 +127,7 @@ def test_individual_bristles_agree(kind, law):
 
 @pytest.mark.parametrize(("kind", "largest"), [("beam", 76.0), ("parabola", 2.8)])
 def test_above_the_bound_the_leading_edge_slides(kind, largest):
-    """Why the flexibility is bounded; the thread never needs it."""
+    """The reason for the bound on the flexibility; the thread never needs it."""
     density = LAWS["d = -1/3"][1]
     worst = {}
     for flexibility in (upper(kind), largest):
@@ -174,7 +174,7 @@ def test_the_printed_equation_would_stiffen_the_tire():
 
 
 def test_references_hold_at_zero_slip():
-    """The closed forms that the contract of the models uses, too."""
+    """The closed forms that the contract of the models also uses."""
     for flexibility in (0.1, 4.0, 25.0):
         k = np.sqrt(flexibility)
         force, moment = slopes_at_rest("thread", flexibility)
@@ -286,7 +286,7 @@ def test_lateral_slip_grows_with_braking_slip():
 
 
 def test_fit_recovers_the_carcass():
-    """Force and moment together tell the carcass from the bristles.
+    """Force and moment together distinguish the carcass from the bristles.
 
     The thread is fitted in ``fits/flexible_carcass``.
     """

@@ -1,4 +1,4 @@
-"""What every registered model promises, visited by name."""
+"""The contract of every registered model, checked by name."""
 
 import contextlib
 import functools
@@ -66,8 +66,8 @@ def _values(model):
 
 
 def briefly(model):
-    """Compiles nothing, 44 times, except where a model bisects in a loop: one operation
-    after the other, that takes ten times as long as to compile it."""
+    """Compiles nothing, 44 times, unless a model bisects in a loop, which takes ten
+    times as long uncompiled as compiled."""
     looping = isinstance(model, AbstractCarcass)
     return contextlib.nullcontext() if looping else jax.disable_jit()
 
@@ -95,7 +95,8 @@ def peak(name):
 
 
 def slopes_at_rest(name, fz=4000.0, v=0.0):
-    """d(fx)/d(sigma_x) and d(fy)/d(alpha) at rest, in closed form; None: a jump.
+    """d(fx)/d(sigma_x) and d(fy)/d(alpha) at rest, in closed form; None if
+    discontinuous.
 
     A force that is not modelled has no slope: None, too.
     """
@@ -116,14 +117,14 @@ def slopes_at_rest(name, fz=4000.0, v=0.0):
 
 
 def on_carcass(name):
-    """Slopes of force and moment at rest over those of bristles alone, 2 c_p a^2 and
-    2 c_p a^3."""
+    """Slopes of force and moment at rest relative to those of bristles alone, 2 c_p a^2
+    and 2 c_p a^3."""
     kind = name.removeprefix("carcass-")
     return carcass_at_rest(kind, _values(MODELS[name])["flexibility"])
 
 
 def stacked(result: TireForces):
-    """Modelled outputs as columns; the moment is absent from a Magic Formula."""
+    """Modelled outputs as columns; a Magic Formula has no moment."""
     return jnp.stack([part for part in result if part is not None], axis=-1)
 
 
@@ -378,7 +379,7 @@ def test_float32_is_finite_and_close(name):
 
 @EVERY
 def test_float32_gradient_is_finite_and_close(name):
-    """Also without 64-bit floats at all, zero slip, zero load and full sliding in.
+    """Also with 32-bit floats only, including zero slip, zero load and full sliding.
 
     Where two large terms cancel (full sliding), float32 keeps 1e-7 of them: the error
     is measured against the largest derivative of an output over the grid.
@@ -400,7 +401,7 @@ def test_float32_gradient_is_finite_and_close(name):
     + ["magic-formula-combined", "lugre-lumped", "carcass-parabola"],
 )
 def test_second_derivatives_at_rest_are_finite(name):
-    """Of the forces over both slips, at rest and beside it, in 32 bit and in 64."""
+    """Of the forces over both slips, at zero slip and near it, in 32 and 64 bit."""
 
     def second(tire, at):
         def out(slips):
@@ -419,7 +420,7 @@ def test_second_derivatives_at_rest_are_finite(name):
 
 @EVERY
 def test_a_float32_process_gives_close_forces(name):
-    """What a user without 64-bit floats gets, transient models included."""
+    """The result of a user without 64-bit floats, including transient models."""
     slips, time = np.array([0.0, 0.02, 0.05, 0.3]), np.arange(4) / 100
     inputs = TireInputs(slips, 0.1 * slips, 4000.0, 20.0, time=time)
     with briefly(MODELS[name]):

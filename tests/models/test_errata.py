@@ -1,4 +1,4 @@
-"""Misprints of the review (S): the printed form fails, the right one holds.
+"""Misprints of the review (S): the printed form fails, the corrected one holds.
 
 The list is §2 of the project's equations; here the entries that concern the tire
 models. Printed forms are kept as they stand in the source.
@@ -289,7 +289,7 @@ def test_s38_holds_to_fifth_order():
 
 
 def s39(n, v, *, falling_static):
-    """S(39); its last term belongs to a static friction that falls as well."""
+    """S(39); its last term belongs to a static friction that also falls."""
     lead = 4 * C**2 / (3 * FZ * MU)
     square = n * v / MU**2 if falling_static else 0.0
     return np.array(

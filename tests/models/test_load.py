@@ -1,4 +1,4 @@
-"""Stiffness, contact length and friction that follow the load."""
+"""Stiffness, contact length and friction that depend on the load."""
 
 import numpy as np
 import pytest
@@ -32,8 +32,8 @@ def test_at_the_reference_load_it_is_the_plain_brush(name):
 @pytest.mark.parametrize("power", [0.0, 1.0, 2.0])
 @pytest.mark.parametrize("fz", [1500.0, 9000.0])
 def test_parameters_depend_on_the_load(power, fz):
-    """S §2.1: a in proportion to F_z for a rectangular patch (k = 2), to its root for
-    an elliptic one (k = 1), and c_p a^2 with it."""
+    """S §2.1: a proportional to F_z for a rectangular patch (k = 2), to its root for an
+    elliptic one (k = 1), and c_p a^2 accordingly."""
     values = TRUTH | {"stiffness_power": power, "mu_load": -0.15}
     tire = with_values(MODELS["brush-load"], values)
     length = TRUTH["half_length"] * (fz / 4000) ** (power / 2)

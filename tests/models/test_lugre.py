@@ -1,4 +1,4 @@
-"""The steady LuGre tires against S(18) as printed and against the bristles' profile."""
+"""The steady LuGre tires compared with S(18) as printed and the bristle profile."""
 
 import jax
 import jax.numpy as jnp
@@ -67,7 +67,7 @@ def test_agrees_with_the_integral_over_the_profile(slip_x, alpha):
 
 @pytest.mark.parametrize("slip", [1e-12, 1e-9, 1e-6, 1e-5])
 def test_small_slip_is_computed_exactly(slip):
-    """The first terms of S(18) about rest; as printed it has lost every digit."""
+    """The first terms of S(18) at zero slip; as printed all digits are lost."""
     still = LuGre(sigma0=150.0, sigma1=0.0, sigma2=0.0, mu_c=0.9, mu_s=0.9)
 
     def share(tire, slip):
@@ -121,7 +121,7 @@ def test_stiff_bristles_give_the_lumped_tire():
 
 
 def test_lumped_is_the_steady_state_of_its_equation():
-    """The z that S(17a) holds still, put into S(17b)."""
+    """The z at which S(17a) is steady, in S(17b)."""
     slip_x, alpha = 0.3, -0.2
     rolling = SPEED / (1 + slip_x)
     sliding = np.array([SPEED - rolling, SPEED * np.tan(alpha)])

@@ -1,4 +1,4 @@
-"""The Magic Formula of .tir files: against other implementations and its own limits."""
+"""The Magic Formula of .tir files: other implementations and limiting cases."""
 
 import csv
 from functools import cache, partial
@@ -101,7 +101,7 @@ EVERY = pytest.mark.parametrize("name", [MF52, MF61, TRUCK])
 
 @EVERY
 def test_slope_peak_and_shift_follow_the_coefficients(name):
-    """At the nominal load K, D and S_V of the book are a few coefficients each."""
+    """At the nominal load K, D and S_V of the book have a few coefficients each."""
     tire, c = tire_of(name), values_of(name)
     fz = c["FNOMIN"]
     offset = c["PHX1"]
@@ -171,7 +171,7 @@ def test_the_other_side_has_mirrored_coefficients(name, starred):
 
 
 def test_mf52_equals_mf61_without_its_new_terms():
-    """The camber of 6.1 thrusts as that of 5.2 does if K_yc0 gamma is S_Vyc."""
+    """The camber thrust of 6.1 equals that of 5.2 if K_yc0 gamma is S_Vyc."""
     c = values_of(MF52)
     same = {key: value for key, value in c.items() if key != "PHY3"}
     old = mf_tire("5.2", same)
@@ -216,7 +216,7 @@ def test_pressure_acts_on_stiffness_and_friction_as_stated():
 
 
 def moments(tire, **point):
-    """M_z of a cambered wheel without lateral force: the residual moment alone."""
+    """M_z of a cambered wheel without lateral force: only the residual moment."""
     return iso(with_values(tire, {"QDZ1": 0.0, "QDZ2": 0.0}), **point).mz
 
 
@@ -226,7 +226,7 @@ def unshifted(tire, **point):
 
 
 def part(tire, key, channel, **point):
-    """What of a force or moment is there by the grace of one factor."""
+    """The part of a force or moment that depends on one factor."""
     without = iso(with_values(tire, {key: 0.0}), **point)
     return getattr(iso(tire, **point), channel) - getattr(without, channel)
 
@@ -285,7 +285,7 @@ def test_the_slip_speed_lowers_the_friction():
 
 
 def test_vertical_shifts_fall_as_in_the_software_or_as_in_the_book():
-    """(4.E8) with A_mu = 1 of MF-Tyre, or 10 of the book, which 5.2 does not have."""
+    """(4.E8) with A_mu = 1 of MF-Tyre, or 10 of the book; 5.2 does not have it."""
     book = 10 * 0.1 / (1 + 9 * 0.1)
     for name, digression, expected in ((MF61, 1.0, 0.1), (MF61, 10.0, book), (MF52, 10.0, 0.1)):
         c = values_of(name)
@@ -381,7 +381,7 @@ def test_gradient_agrees_with_finite_differences():
 
 @pytest.mark.parametrize("keys", ["LMUX LMUY", "PCX1 PCY1", "PKY1", "PKY2 LKY"])
 def test_zero_friction_shape_or_stiffness_gives_finite_forces(keys):
-    """They stand in denominators."""
+    """These are denominators."""
     value, slopes = jacobian(with_values(tire_of(MF61), dict.fromkeys(keys.split(), 0.0)))
     assert np.isfinite(value).all()
     assert all(np.isfinite(leaf).all() for leaf in slopes)
@@ -418,8 +418,8 @@ def test_curvature_of_each_force_follows_its_coefficients():
 
 
 def test_the_limit_of_curvature_acts_exactly_where_reported():
-    """Raising the coefficients of an E that exceeds one changes nothing, of any other
-    E it does: the limit is seen from outside."""
+    """Raising the coefficients of an E above one changes nothing, for any other E it
+    does: so the limit is observable."""
     rng = np.random.default_rng(40)
     tire = with_values(tire_of(MF61), {"PEY1": 1.5, "PEY2": 1.2, "PEY3": 0.3})
     inputs = TireInputs(alpha=rng.uniform(-0.3, 0.3, 256), fz=rng.uniform(1500.0, 1e4, 256))

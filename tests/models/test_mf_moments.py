@@ -112,8 +112,8 @@ def test_rolling_resistance_depends_on_pressure_and_speed():
 
 @EVERY
 def test_the_side_of_the_vehicle_mirrors_only_the_overturning_moment(number):
-    """A symmetric tire has no M_x at zero camber and side force, and is its own mirror
-    image; QSX1 and the ply steer of F_y are what is not symmetric."""
+    """A symmetric tire has no M_x at zero camber and lateral force, and is its own
+    mirror image; QSX1 and the ply steer of F_y are not symmetric."""
     odd = ("PHY1", "PHY2", "PVY1", "PVY2", "PEY3", "RHX1", "RBY3", "RVY1", "RVY2")
     tire = with_values(tire_of(number), dict.fromkeys((*odd, "QSX1"), 0.0))
     at = inputs()
@@ -127,7 +127,7 @@ def test_the_side_of_the_vehicle_mirrors_only_the_overturning_moment(number):
 
 def test_the_lateral_force_shifts_the_load():
     """F_y of the road pushes the patch to its side, where F_z then acts: M_x = y F_z
-    has the sign of F_y, in ISO-W axes and so in ours."""
+    has the sign of F_y, in ISO-W axes and in ours."""
     found = forces(tire_of(52), TireInputs(0.0, np.array([-0.05, 0.05]), 4e3, 10.0))
     assert (np.sign(found.mx) == np.sign(found.fy)).all()
 

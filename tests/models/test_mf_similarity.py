@@ -1,4 +1,4 @@
-"""Combined slip by similarity: against the pure forces, and its own limits."""
+"""Combined slip by similarity: pure forces and limiting cases."""
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +40,7 @@ ISOTROPIC = {
 
 
 def test_the_force_of_an_isotropic_tire_opposes_the_slip():
-    """(kappa, tan alpha) is then one slip, whose force is the Magic Formula of it."""
+    """(kappa, tan alpha) is then one slip, whose force is its Magic Formula."""
     found = iso(mf_tire("6.1", ISOTROPIC), KAPPA, ALPHA)
     slip = np.hypot(KAPPA, np.tan(ALPHA))
     x = 20.0 / (1.5 * 1.1) * slip
@@ -73,7 +73,7 @@ def test_the_combined_force_stays_within_the_ellipse_of_the_pure_forces(name):
 
 
 def test_similarity_is_close_to_measured_combined_slip():
-    """Of the pure curves alone, where pure forces side by side are far off."""
+    """From the pure curves alone; independent pure forces are far off."""
     for name in (MF52, MF61):
         fz = values_of(name)["FNOMIN"]
         kappa, alpha = 0.3 * KAPPA, 0.4 * ALPHA

@@ -1,4 +1,4 @@
-"""Every brush model against the numeric patch of ``numeric_patch``."""
+"""Every brush model compared with the numeric patch of ``numeric_patch``."""
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ from tirefit.params import parameter_values, with_values
 
 
 def one_patch(model):
-    """A brush with one pressure distribution, whatever the force and load."""
+    """A brush with one pressure distribution, for any force and load."""
     moving = isinstance(getattr(model, "pressure", None), MOVING)
     return type(model) in (Brush, BrushAtPeak) and not moving
 
@@ -41,7 +41,7 @@ DEMAND = [1e-7, 1e-3, 0.05, 0.2, 0.249, 0.251, 0.5, 0.8, 0.97, 0.999, 1.001, 1.3
 
 
 def full_sliding(name, d):
-    """Demand ratio from which every bristle slides."""
+    """Demand ratio above which every bristle slides."""
     family = name.partition("-")[0]
     if family in ("uniform", "elliptic"):
         return np.ones_like(d)
@@ -49,7 +49,7 @@ def full_sliding(name, d):
 
 
 def draw(name, seed, d, m, demand):
-    """Parameter values and inputs, (n,) each: given shape and demand, random rest."""
+    """Parameter values and inputs, (n,) each: given shape and demand, others random."""
     rng = np.random.default_rng(seed)
     n = len(d)
 
@@ -148,7 +148,7 @@ LAWS = {
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_breakaway_is_accurate_at_small_demand(law):
-    """Need equals limit at the breakaway point, relative to either."""
+    """Demand equals limit at the breakaway point, relative to either."""
     rho = jnp.asarray([1e-14, 1e-9, 1e-6, 1e-3, 0.1, 0.24, 0.26, 0.5, 0.9])
     u = law.breakaway(rho)
     partly = (u > 0) & (u < 2)
@@ -170,7 +170,7 @@ def test_pressure_integrals_agree_with_the_density(law):
 
 
 def test_static_friction_determines_the_breakaway():
-    """The reference is no copy of the answer: S(12) and the printed numbers."""
+    """The reference is independent: S(12) and the printed numbers."""
     patch = integrate_patch("brush", 0.0, 5e4, 1.0, 1.0, 3600.0, 0.05)
     x = 5e4 * 0.05
     closed = 2 * x - 4 / 3 * x**2 / 3600 + 8 / 27 * x**3 / 3600**2
@@ -204,7 +204,7 @@ def test_constant_friction_gives_the_smaller_of_demand_and_limit(name):
 
 
 def smooth_samples(name, seed, n=400):
-    """Random samples away from the kinks: sticking ends, full sliding begins, rest."""
+    """Random samples away from the kinks: breakaway, full sliding, zero slip."""
     rng = np.random.default_rng(seed)
     demand = rng.choice([rng.uniform(0.1, 0.23, n), rng.uniform(0.27, 0.8, n)])
     demand = np.where(rng.random(n) < 0.2, rng.uniform(1.6, 3.0, n), demand)

@@ -1,4 +1,4 @@
-"""Pressure laws that move, and laws made of a function or a table."""
+"""Variable pressure laws, and laws from a function or a table."""
 
 import jax
 import jax.numpy as jnp
@@ -47,7 +47,7 @@ RHO = jnp.asarray(np.concatenate([np.geomspace(1e-9, 0.1, 20), np.linspace(0.1, 
 
 
 def test_elliptic_force_agrees_with_its_integral():
-    """S §4.1 by SciPy's quadrature, apart from any closed form of the patch."""
+    """S §4.1 by SciPy's quadrature, independent of closed forms of the patch."""
     k = 2 / np.pi
     for rho in (1e-3, 0.1, 0.5, 2.0, 50.0):
         xi = brentq(lambda x, r=rho: k * np.sqrt((1 + x) / (1 - x)) - r, -1, 1 - 1e-12)
@@ -206,7 +206,7 @@ def test_gradients_of_parameters_agree_with_the_closed_form():
 
 
 def trapezoid(xi):
-    """The static patch of S Fig. 1: even within, falling over the last fifth."""
+    """The static patch of S Fig. 1: constant, then falling over the last fifth."""
     return np.minimum(1.0, 5 * (1 - np.abs(xi)))
 
 
@@ -231,7 +231,7 @@ def test_table_and_function_with_kinks_agree_with_quadrature():
 
 
 def test_table_of_a_smooth_law_approaches_it():
-    """Chords of n intervals miss the curve by their sagitta, as 1 / n^2."""
+    """Chords of n intervals deviate from the curve by their sagitta, as 1 / n^2."""
     missed = []
     for n in (20, 40):
         xi = np.linspace(-1, 1, n + 1)

@@ -1,4 +1,4 @@
-"""The slip that lags behind over a relaxation length."""
+"""A slip that lags by a relaxation length."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ LENGTH, FZ = 0.4, 4000.0
 
 
 def manoeuvre(n=60, seed=0):
-    """Unevenly sampled slips in two runs, standing still for a while in the second."""
+    """Unevenly sampled slips in two runs, with a standstill in the second."""
     rng = np.random.default_rng(seed)
     time = np.cumsum(rng.uniform(0.005, 0.03, n))
     run = np.repeat([3, 1], [n // 2, n - n // 2])
@@ -29,7 +29,7 @@ def manoeuvre(n=60, seed=0):
 
 
 def integrated(slip, travel, first):
-    """Slip felt at the end of each step, by a solver, from steady state at ``first``.
+    """Lagged slip at the end of each step, by a solver, from steady state at ``first``.
 
     The slip is linear in the distance travelled; standing still, nothing is felt.
     """
@@ -71,7 +71,7 @@ def test_the_lag_solves_its_equation(felt):
 
 
 def test_a_step_decays_over_the_relaxation_length():
-    """A step of slip is felt as 1 - exp(-distance / L), at any speed."""
+    """The lagged slip after a step is 1 - exp(-distance / L), at any speed."""
     for v in (2.0, 40.0):
         distance = np.append(0.0, np.linspace(1e-9, 2.0, 41))
         slip = np.append(0.0, np.full(41, 0.1))
@@ -100,7 +100,7 @@ def test_each_run_starts_in_steady_state_in_any_order(felt):
 
 
 def test_padding_has_no_effect(felt):
-    """Copies of the first row, as a fit pads its arrays with."""
+    """Copies of the first row, with which a fit pads its arrays."""
     inputs, run, result = felt
     padded = [jnp.concatenate([part, jnp.repeat(part[:1], 4)]) for part in inputs]
     codes = jnp.concatenate([run, np.repeat(run[:1], 4)])

@@ -1,4 +1,4 @@
-"""Taylor forms S(38), S(39), S(41) against automatic differentiation and the brush."""
+"""Taylor forms S(38), S(39), S(41) compared with differentiation and the brush."""
 
 import jax
 import jax.numpy as jnp
@@ -43,7 +43,7 @@ def by_differentiation(tire, v=0.0):
 
 
 def scaled(terms):
-    """In units of C (C / M)^k: numbers near one."""
+    """In units of C (C / M)^k, to be near one."""
     return np.asarray(terms) / (C * (C / M) ** np.arange(len(terms)))
 
 
@@ -125,7 +125,7 @@ def test_the_radius_is_where_the_error_reaches_its_limit(tire, v, order):
 
 
 def test_the_radius_grows_with_order_and_shrinks_with_asymmetry():
-    """S §4.3: below d = 0.1 four terms do; higher values are more critical."""
+    """S §4.3: below d = 0.1 four terms suffice; higher values are more critical."""
     reach = {
         d: [radius(asymmetric(d), FZ, order=k) * C / M for k in (2, 3, 4, 5)]
         for d in (-0.2, 0.1, 0.5)

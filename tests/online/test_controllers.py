@@ -1,4 +1,4 @@
-"""Brake controllers: the protocol that all keep, and the rules of the conventional."""
+"""Brake controllers: the common protocol, and the rules of the conventional one."""
 
 import inspect
 
@@ -43,7 +43,7 @@ def car(w=4):
 
 
 def shaken(k, w=4, truth=True):
-    """Wheels that slip a little and shake, each in its own way."""
+    """Wheels with small slip and vibration, each different."""
     phase = jnp.arange(w) + 0.3 * k
     return measured(k, 14.7 - 0.0125 * k + 0.1 * jnp.sin(phase), truth=truth, w=w)
 
@@ -80,7 +80,7 @@ def test_controllers_do_not_read_the_truth(name):
 
 
 def phases_of(wheels, slowing=2.5, pressure=3e6, **settings):
-    """Phase names of a lone wheel whose speeds are given, sample by sample."""
+    """Phase names of a single wheel for given speeds, sample by sample."""
     controller = ConventionalABS(smoothing=1e-6, **settings)
     state = controller.init(measured(0, [wheels[0]], w=1))
     names, valves = [], []
@@ -93,7 +93,7 @@ def phases_of(wheels, slowing=2.5, pressure=3e6, **settings):
 
 
 def test_the_rules_pass_through_their_cycle():
-    """A wheel that dives, is let go, speeds up, rolls again: phase after phase."""
+    """A wheel decelerates, is released, accelerates and rolls again, phase by phase."""
     free = [15.0 - 0.0125 * k for k in range(4)]
     dive = [14.85, 14.6, 14.2, 13.7]  # beyond 9 m/s2 at once, then 7 % of slip
     stop = [13.65, 13.65, 13.65]
@@ -111,7 +111,7 @@ def test_the_rules_pass_through_their_cycle():
 
 
 def test_a_wheel_that_stays_slow_gets_less_pressure():
-    """On ice a wheel stays slow without slowing: after its patience it is dumped."""
+    """On ice a wheel stays slow without decelerating: the pressure is released."""
     names, _ = phases_of([15.0, 14.0, 13.0, 13.0, *[12.99] * 20])
     after = names[names.index("wait") :]
     assert "dump" in after and "step" not in after
@@ -123,7 +123,7 @@ def test_the_controller_is_off_at_walking_pace():
 
 
 def test_reference_speed_falls_no_faster_than_the_car():
-    """All wheels dive: the reference follows the deceleration of the sensor."""
+    """All wheels lock: the reference follows the measured deceleration."""
     controller = ConventionalABS()
     state = controller.init(measured(0, [15.0] * 4))
     for k in range(1, 21):
@@ -135,7 +135,7 @@ def test_reference_speed_falls_no_faster_than_the_car():
 
 
 def test_the_rear_takes_the_lower_pressure():
-    """One rear wheel dives: both rear valves dump, each front one goes on."""
+    """One rear wheel locks: both rear valves release, the front ones continue."""
     controller = ConventionalABS(smoothing=1e-6)
     state = controller.init(measured(0, [15.0] * 4))
     for k, slow in enumerate((15.0, 14.5, 13.5, 12.5)):

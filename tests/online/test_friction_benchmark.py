@@ -1,4 +1,4 @@
-"""The benchmark's metrics against series made by hand; a small run without peers."""
+"""The benchmark's metrics on series made by hand; a small run without peers."""
 
 import csv
 

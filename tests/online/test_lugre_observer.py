@@ -1,4 +1,4 @@
-"""The LuGre observer, S section 3.4: its stability, and truths of a simulated wheel."""
+"""The LuGre observer, S section 3.4: its stability, and a simulated wheel as truth."""
 
 from functools import cache
 
@@ -27,7 +27,7 @@ small slip as the patch under an even pressure."""
 
 @cache
 def wheel(theta, rate=2000):
-    """Columns of one noise-free tooth on the very tire of the observer, and z [m]."""
+    """Columns of one noise-free tooth on the tire of the observer, and z [m]."""
     time = np.arange(2 * rate) / rate
     tire = LuGre(mu_s=1.2 * theta, mu_c=0.6 * theta)
     full = 0.7 * RADIUS * float(peak_share(LuGre(), theta, V)) * LOAD
@@ -46,7 +46,7 @@ def wheel(theta, rate=2000):
 
 @cache
 def log(mu, seed=0, teeth=6, **how):
-    """A noisy log of the wheel on the bristles of the whole patch."""
+    """A noisy log of the wheel on bristles over the whole patch."""
     return simulate_braking(Braking(tire="lugre", friction=mu, teeth=teeth, seed=seed, **dict(how)))
 
 
@@ -63,7 +63,7 @@ def path_of(observer, columns, start, dt):
 
 
 def v_along(observer, theta, path, columns, z, rho):
-    """V of the module's text along a path; the tests' own arithmetic."""
+    """V of the module's docstring along a path, computed independently."""
     z_hat, omega, p = path
     b = RADIUS * LOAD / INERTIA
     e_omega, e_z, e_p = columns["omega"] - omega, z - z_hat, 1 / theta - p

@@ -1,4 +1,4 @@
-"""Forces and friction hypotheses, S section 3.2, against other routes and truths."""
+"""Forces and friction hypotheses, S section 3.2, checked independently."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,4 +1,4 @@
-"""Each online method against another route to the same numbers, and known truths."""
+"""Each online method checked by an independent computation and known truths."""
 
 import jax
 import jax.numpy as jnp
@@ -42,8 +42,8 @@ def test_regressors_are_mirrored_for_driving():
 
 
 def batch(data, average, prior, noise, cubic):
-    """theta by least squares of all averages at once with the prior as two more rows;
-    the cubic term with the theta that it gives, found by repeating."""
+    """theta by least squares of all averages at once, with the prior as two more rows;
+    the cubic term uses the resulting theta, by iteration."""
     means = {k: v.reshape(-1, average).mean(1) for k, v in data.items()}
     u0 = 2 * CPA2 * means["sigma_x"] / LOAD
     u1, u2 = -(u0**2) / (3 * 0.9), cubic * u0**3 / (27 * 0.9**2)

@@ -1,4 +1,4 @@
-"""Path prediction, S section 3.8: its parts against other routes, and the whole."""
+"""Path prediction, S section 3.8: its parts checked independently, and the whole."""
 
 import jax
 import jax.numpy as jnp

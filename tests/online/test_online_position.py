@@ -1,4 +1,4 @@
-"""Lateral friction from positions, S section 3.3, against other routes and truths."""
+"""Lateral friction from positions, S section 3.3, checked independently."""
 
 import jax
 import jax.numpy as jnp

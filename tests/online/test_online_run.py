@@ -1,4 +1,4 @@
-"""The shared runner: whatever the method, whatever happens to the samples."""
+"""The common runner, for any method and any defect of the samples."""
 
 import jax
 import numpy as np
@@ -16,7 +16,7 @@ WITHOUT_MEMORY = ("cubic", "tire-sensor")
 
 
 def near_the_truth(name, estimate):
-    """Whether the last estimates of what is known lie within five stds."""
+    """Whether the last estimates of known parameters lie within five stds."""
     known = [(k, p) for k, p in enumerate(METHODS[name].method.parameters)]
     return all(
         abs(estimate.value[-1, k] - TRUTH[p]) < 5 * estimate.std[-1, k]

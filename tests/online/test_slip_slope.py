@@ -1,4 +1,4 @@
-"""``slip-slope`` against dense Gaussian conditioning, and roads of a known kind."""
+"""``slip-slope`` compared with dense Gaussian conditioning, and roads of known kind."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""``tire-sensor`` against the brush solved for slip and friction without a network."""
+"""``tire-sensor`` compared with the brush solved for slip and friction directly."""
 
 import jax
 import numpy as np

@@ -1,4 +1,5 @@
-"""Braking stiffness from the shaking of a wheel, against known poles and other routes.
+"""Braking stiffness from the vibration of a wheel, with known poles and independent
+computations.
 
 The wheels are made by ``shaken`` without a tire; the tire that is simulated with its
 brake is in ``tests/sim/test_xbs_in_the_loop.py``.
@@ -39,7 +40,7 @@ def estimator(**settings):
 
 @jax.jit
 def followed(record, told):
-    """(pole, its std, printed) (n, m, 3) and flags after each sample of told (n, m)."""
+    """(pole, its std, printed) (n, m, 3) and flags after each given sample (n, m)."""
 
     def one(column):
         def step(state, speed):
@@ -86,7 +87,7 @@ def test_the_filtered_speed_agrees_with_scipy():
 
 
 def regression(told, settling):
-    """y and phi of O(3)-(7) with k r^2/J as the unknown, from the settled rows on."""
+    """y and phi of O(3)-(7) with k r^2/J as the unknown, from the settled rows."""
     v = passed(told)
     increments = np.diff(v, prepend=0.0)
     y = np.diff(increments, prepend=0.0)[settling:]
@@ -174,8 +175,8 @@ def test_a_slow_pole_is_not_distinguished_from_none():
 
 @pytest.mark.parametrize(("before", "after", "latest"), [(150, 40, 0.4), (40, 150, 2.0)])
 def test_the_delay_is_short_when_the_stiffness_falls(before, after, latest):
-    """The louder of two counts more, so that a fall, which is towards locking, is seen
-    sooner than a rise: half of it within 0.23 s, with a memory of 1 s."""
+    """The noisier estimate has more weight, so that a fall, which leads to locking, is
+    detected sooner than a rise: half of it within 0.23 s, with a memory of 1 s."""
     poles = np.r_[np.full(1500, float(before)), np.full(1500, float(after))]
     numbers, _ = followed(estimator(), speeds(poles, 200))
     median = np.median(np.asarray(numbers)[:, :, 0], axis=1)
@@ -297,8 +298,8 @@ def test_a_rise_is_detected_sooner_if_a_noisier_past_is_forgotten():
 
 @pytest.mark.parametrize("delay", [0.01, 0.0125])
 def test_the_relation_includes_the_delay_of_the_servo(delay):
-    """A wheel of pole p under a servo that acts late, in small steps of NumPy: with the
-    delay known the tire's pole is found, without it is not."""
+    """A wheel of pole p under a delayed servo, in small steps of NumPy: the tire's pole
+    is found only if the delay is known."""
     gain, pole, m, fine = 60.0, 20.0, 100, 4
     dt, late = 1 / RATE / fine, round(delay * RATE * fine)
     random = np.random.default_rng(0)
@@ -383,7 +384,7 @@ def test_the_combined_slope_agrees_with_the_derivative_at_fixed_lateral_slip():
 
 
 def test_at_a_given_vehicle_speed_the_slope_is_one_plus_the_slip_larger():
-    """v_w k of O(22) leaves out that the slip is over the wheel's own speed."""
+    """v_w k of O(22) ignores that the slip is relative to the wheel's own speed."""
     v, turning = 15.0, 14.4
     k = -jax.grad(lambda w: BRUSH(TireInputs(v / w - 1, 0.0, LOAD)).fx)(turning)
     sigma = v / turning - 1

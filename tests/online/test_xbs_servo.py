@@ -1,4 +1,4 @@
-"""The servo's layers, one by one, and the condition on its gain by other routes."""
+"""The servo's layers, one by one, and the condition on its gain."""
 
 import dataclasses
 
@@ -24,7 +24,7 @@ def largest(matrix):
 
 @pytest.mark.parametrize("pole", [-40.0, -10.0, 0.0, 60.0])
 def test_with_an_ideal_actuator_the_condition_agrees_with_eigenvalues(pole):
-    """O(11): a wheel of pole p is stable from a = -p on; its pole is then O(8)'s."""
+    """O(11): a wheel of pole p is stable above a = -p, with the pole of O(8)."""
     for gain in (-pole - 1.0, -pole + 1.0, -pole + 20.0):
         if gain < 0:
             continue
@@ -39,7 +39,7 @@ def test_with_an_ideal_actuator_the_condition_agrees_with_eigenvalues(pole):
 
 
 def amplitude(gain, pole, rate, delay, lag, samples=400):
-    """Growth a sample of the same loop in small steps of plain Python."""
+    """Growth per sample of the same loop in small steps of plain Python."""
     fine = 50
     dt, x, q = 1 / rate / fine, 1.0, 0.0
     waiting, sizes = [0.0] * delay, []
@@ -126,8 +126,8 @@ def test_the_torque_is_the_inertia_times_the_gain_times_the_speed_error():
 
 
 def test_the_pressure_reaches_its_target_after_the_delay():
-    """Third layer, on a valve that does what its maker says: no steady error, and the
-    commands on their way are reckoned with."""
+    """Third layer, on a valve as specified: no steady error, and commands under way are
+    accounted for."""
     servo = ready()
     pressure, coming, moves = 2e6, [0.0, 0.0], []
     expected = jnp.zeros((2, 1))
@@ -187,7 +187,7 @@ def test_stiffness_above_the_target_applies_and_below_releases():
 
 
 def drive(n=160, wheels=4, seed=0):
-    """Measurements (n, w) of wheels that shake and slow down."""
+    """Measurements (n, w) of wheels that vibrate and slow down."""
     random = np.random.default_rng(seed)
     time = np.arange(n) / RATE
     speed = 15 - 3 * time[:, None] + np.cumsum(0.01 * random.normal(size=(n, wheels)), 0)

@@ -1,4 +1,4 @@
-"""What the figures of a stop show, in numbers, and that they can be drawn."""
+"""The numbers shown by the figures of a stop, and that they can be drawn."""
 
 from dataclasses import replace
 

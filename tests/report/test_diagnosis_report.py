@@ -1,4 +1,4 @@
-"""The report of a diagnosis: arrays against known truth, the text, the page."""
+"""The report of a diagnosis: arrays compared with known truth, the text, the page."""
 
 import base64
 import html
@@ -95,7 +95,7 @@ NAME = 'drum <b>$1 & "x"'
 
 
 def rows_of(loads=LOADS, sweeps=60):
-    """Sweeps of both signs over loads and speeds, all of them twice: (n,) columns."""
+    """Sweeps of both signs over loads and speeds, each twice: (n,) columns."""
     # The quarter step keeps growing from shrinking slips apart.
     phase = 2 * np.pi * (np.arange(sweeps) + 0.25) / sweeps
     cases = [(fz, v) for fz in loads for v in SPEEDS] * 2
@@ -191,7 +191,7 @@ def noise_of(channel, inflation=1.25):
 
 
 def said(status, effects, probability=0.6, rivals=(), twins=(), left=LEFT, **others):
-    """A verdict; its first effect has twins."""
+    """A verdict whose first effect has equivalent ones."""
     each = {e: Each(0.2, None, None, ()) for e in (*effects, *rivals)}
     each |= {e: Each(0.91, 0.8, 0.05, tuple(twins)) for e in effects[:1]}
     return VerdictSummary(
@@ -720,7 +720,7 @@ def test_the_budget_stands_in_figure_and_page():
 
 
 def texts_of(figure):
-    """Everything that a figure says, at any depth."""
+    """All texts of a figure, at any depth."""
     return [text.get_text() for text in figure.findobj(Text)]
 
 
@@ -746,7 +746,7 @@ def test_every_channel_has_a_budget_in_its_unit():
 
 
 def test_the_report_is_about_the_forces_not_the_approximating_tire():
-    """Of a simulator known by its forces; one that is a tire goes by its name."""
+    """For a simulator known by its forces; a tire is called by its name."""
     found, small = simulated(), "stands in for the simulator"
     tire = found.simulator._replace(kind="model")
     own, fitted = simulated(simulator=tire), diagnosis()
@@ -869,7 +869,7 @@ def test_the_remainder_is_in_figure_and_page():
 
 
 def test_a_p_value_at_its_floor_is_reported_as_a_bound():
-    """Of two channels the floor of the smaller p-value is twice that of one."""
+    """With two channels the floor of the smaller p-value is twice that of one."""
     found = judged("incomplete", ["load_friction"])
     both = replace(found, data=replace(found.data, channels=("fx", "fy")))
     for said in (str(found), html.unescape(diagnosis_page(found))):
@@ -1262,7 +1262,7 @@ def test_a_result_contradicted_by_other_files_is_reported():
 
 
 def test_an_offset_is_also_given_in_the_signs_of_the_file():
-    """ISO-W: driving slip is positive, so an offset of braking slip turns its sign."""
+    """ISO-W: driving slip is positive, so an offset of braking slip changes sign."""
     slip = {"slip_offset: amplitude": Amplitude(0.006, 0.001, "- of slip")}
     candidates = (replace(candidate(["slip_offset"], 0.9), parameters=slip),)
     found = judged("named", ["slip_offset"], 0.9, candidates=candidates)

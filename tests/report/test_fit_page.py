@@ -1,4 +1,4 @@
-"""The page of a fit: what it says, what it needs, and how it looks on a phone."""
+"""The page of a fit: its content, its resources, and its width on a phone."""
 
 import base64
 import html
@@ -156,7 +156,7 @@ def test_chromium_shows_the_page_of_a_fit(sampled, text, tmp_path):
 
 @pytest.fixture(scope="module")
 def several():
-    """One tire on roads of four frictions."""
+    """One tire on roads with four frictions."""
     return {
         f"drum_2026-03-12_cold_asphalt_{run}": fit(sweep(f"{run}.csv", mu, seed), "brush", seed=3)
         for seed, (run, mu) in enumerate({"dry": 1.0, "damp": 0.85, "wet": 0.7, "ice": 0.3}.items())

@@ -1,4 +1,4 @@
-"""The table of all results, and the page on it, from a fleet with a known truth."""
+"""The table of all results and its page, for a fleet with a known truth."""
 
 import re
 
@@ -15,7 +15,7 @@ WILD = 17
 
 def records(n, dated=True, seed=0):
     """mu drifts by -0.1 from the first to the last; file 17 has another one; every
-    tenth file does not tell cpa2; the last one failed, and has an evil name."""
+    tenth file does not determine cpa2; the last one failed, with a malicious name."""
     generator = np.random.default_rng(seed)
     for k in range(n - 1):
         mu = 0.9 - 0.1 * k / n + 0.01 * generator.normal() + 0.3 * (k == WILD)
@@ -107,7 +107,7 @@ def test_many_files_are_drawn_as_bins_of_neighbours(table, n, binned):
 
 
 def ticks(axis):
-    """Those that can be seen."""
+    """The visible ones."""
     low, high = axis.get_view_interval()
     return np.array([t for t in axis.get_majorticklocs() if low <= t <= high])
 

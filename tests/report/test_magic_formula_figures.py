@@ -1,4 +1,4 @@
-"""Figures of a Magic Formula fit: what they show, in numbers, and the files."""
+"""Figures of a Magic Formula fit: their numbers, and the files."""
 
 from dataclasses import replace
 

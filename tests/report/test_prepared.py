@@ -1,4 +1,4 @@
-"""What the picture of a prepared test shows, in numbers."""
+"""The numbers in the figure of a prepared test."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Every result prints, displays itself, is drawn and saved by the same names."""
+"""Every result is printed, displayed, drawn and saved by the same methods."""
 
 import doctest
 import json

@@ -1,4 +1,4 @@
-"""The report room: arrays against independent evaluation, texts, files, fragments."""
+"""The report room: arrays checked independently, texts, files, fragments."""
 
 import json
 import re
@@ -62,7 +62,7 @@ def plain():
 
 
 def with_chains(result, draws: np.ndarray):
-    """The same fit as if its posterior had these draws (ensembles, draws, p)."""
+    """The fit as if its posterior had these draws (ensembles, draws, p)."""
     labels = result.labels
     each = dict.fromkeys(labels, 1.0)
     summary = PosteriorSummary(
@@ -101,7 +101,7 @@ def vague(result, label: str = "m"):
 
 
 def renamed(result, size: int):
-    """The same fit as if it had so many parameters p0, p1, ... (figures only)."""
+    """The fit as if it had this many parameters p0, p1, ... (only for figures)."""
     labels = tuple(f"p{i}" for i in range(size))
     spec = Spec(1.0, 0.0, 2.0, "N", "", "", "p", True, "linear")
     layout = Layout(tuple(FreeParameter(label, spec) for label in labels))

@@ -29,7 +29,7 @@ ROWS = 25
 
 
 def fourteen() -> TireData:
-    """Fourteen files of one session, each with its own friction."""
+    """Fourteen files of one session, each with another friction."""
     generator = np.random.default_rng(4)
     run = np.repeat(np.arange(len(RUNS)), ROWS)
     slip = generator.uniform(0, 0.2, len(run))
@@ -120,7 +120,7 @@ def test_a_summary_has_every_column_of_every_fit(by_run):
 
 
 def drawn_texts(picture):
-    """(text, extent in pixels) of everything written on a picture."""
+    """(text, extent in pixels) of every text in a figure."""
     picture.draw_without_rendering()
     ticks = [
         tick.label1

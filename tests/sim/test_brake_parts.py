@@ -1,4 +1,4 @@
-"""Road, hydraulics, sensors and the numbers of a stop, each by what is known of it."""
+"""Road, hydraulics, sensors and the numbers of a stop, each by its known properties."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""The braked plant by other routes: SciPy, energy, textbook, finite differences."""
+"""The braked plant checked by SciPy, energy, textbook and finite differences."""
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ def request(model="brush-m", values=None, **given):
 
 
 def stopped(asked, controller=None, seed=0):
-    """Plant and log (NumPy) of a stop, until it ended."""
+    """Plant and log (NumPy) of a stop, up to its end."""
     controller = NoController() if controller is None else controller
     plant = plant_of(asked)
     log = simulate_stop(
@@ -91,7 +91,7 @@ def test_the_closed_loop_agrees_with_scipy(mu):
 
 @pytest.mark.parametrize("vehicle", ["quarter", "car"])
 def test_energy_is_conserved(vehicle):
-    """What the body and wheels lose is what brakes, slip and the uneven road take."""
+    """The body and wheels lose what brakes, slip and the uneven road absorb."""
     rough = SMOOTH._replace(road_std=0.01)
     asked = request(vehicle=vehicle, road="mu=0.5", sensors=rough, speed=12.0)
     plant, log = stopped(asked, ConventionalABS(), seed=1)
@@ -111,7 +111,7 @@ def test_energy_is_conserved(vehicle):
 
 
 def test_its_program_can_be_cached_between_processes():
-    """None that calls Python back is, and a stop takes seconds to compile."""
+    """A program that calls Python cannot, and a stop takes seconds to compile."""
     asked = request()
     program = simulate_stop.lower(
         plant_of(asked),
@@ -126,7 +126,7 @@ def test_its_program_can_be_cached_between_processes():
 
 
 def test_energy_is_conserved_to_the_order_of_the_trapezoid():
-    """A stop without dives: 30 times closer."""
+    """A stop without locking wheels: 30 times closer."""
     gentle = Hydraulics(demand=2e6, ramp=4e6)
     asked = request(road="mu=0.5", hydraulics=gentle, speed=12.0)
     plant, log = stopped(asked)
@@ -143,7 +143,7 @@ def test_energy_is_conserved_to_the_order_of_the_trapezoid():
 
 @pytest.mark.parametrize("vehicle", ["quarter", "car"])
 def test_the_distance_with_locked_wheels_agrees_with_the_textbook(vehicle):
-    """v^2 / (2 mu g) from where the last wheel locks, and not a rad/s of chatter."""
+    """v^2 / (2 mu g) from the locking of the last wheel, without any chatter."""
     sliding = 0.8 * 0.4  # S(33) at m = 0.5
     plant, log = stopped(request(vehicle=vehicle, road="mu=0.4"))
     s = log.motion
@@ -158,7 +158,7 @@ def test_the_distance_with_locked_wheels_agrees_with_the_textbook(vehicle):
 
 
 def test_a_locked_wheel_turns_again_after_release():
-    """Locked on ice, released by ABS, it comes back to the speed of the car."""
+    """Locked on ice, released by ABS, it returns to the speed of the car."""
     _, log = stopped(request(road="mu=0.06", speed=4.0), ConventionalABS(slowing=150.0))
     turning = log.motion.omega[:, 0] * 0.3
     stood = np.flatnonzero(turning == 0.0)

@@ -1,4 +1,4 @@
-"""Stops as results: numbers of made-up logs, batches, reasons, columns."""
+"""Results of stops: numbers of made-up logs, batches, reasons, columns."""
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +33,7 @@ def result():
 
 
 def test_a_batch_agrees_with_single_stops(result):
-    """The vmapped run of four seeds has, at each, what that seed has alone."""
+    """The vmapped run of four seeds gives, for each, the stop of that seed alone."""
     asked = request()
     controller = arrays(ConventionalABS())
     for k in (0, 3):

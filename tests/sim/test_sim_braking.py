@@ -1,4 +1,4 @@
-"""The wheel of S section 5.1 and the rig, against balances and another integrator."""
+"""The wheel of S section 5.1 and the rig: balances and another integrator."""
 
 import numpy as np
 import pytest

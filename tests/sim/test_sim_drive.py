@@ -1,4 +1,4 @@
-"""The simulated drive, against another integrator and against balances."""
+"""The simulated drive, checked by another integrator and by balances."""
 
 import numpy as np
 import pytest

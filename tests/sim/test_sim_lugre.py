@@ -1,4 +1,4 @@
-"""The dynamic LuGre tire against its steady states and against SciPy."""
+"""The dynamic LuGre tire compared with its steady states and with SciPy."""
 
 import diffrax
 import jax
@@ -32,7 +32,7 @@ def at(time, motion, t):
 
 
 def give(z, sliding):
-    """S(17a) and (17c), written apart from tirefit; z (..., 2)."""
+    """S(17a) and (17c), written independently; z (..., 2)."""
     speed = np.hypot(*sliding)
     decay = np.exp(-np.sqrt(speed / TIRE.v_st))
     g = TIRE.mu_c + (TIRE.mu_s - TIRE.mu_c) * decay
@@ -174,8 +174,8 @@ def test_each_bristle_agrees_with_its_equation():
 
 
 def transfer_error(elements, demand, frequency):
-    """Relative error of the mean deflection to a harmonic sliding velocity, with a
-    constant rate of giving way; both over the time a bristle takes through."""
+    """Relative error of the mean deflection for a harmonic sliding velocity and a
+    constant decay rate; both relative to the transit time of a bristle."""
     bristles = distributed(elements)
     n = len(bristles.weight)
     total = demand + 1j * frequency
@@ -197,7 +197,7 @@ def test_four_elements_suffice_for_every_demand():
 
 
 def test_the_balance_of_the_patch_is_exact():
-    """d(mean)/dt is the mean give less what the last bristle carries out."""
+    """d(mean)/dt is the mean deformation rate minus the flow out of the patch."""
     bristles = distributed(3)
     z = np.random.default_rng(0).normal(size=(12, 2)) * 1e-3
     now = Contact(jnp.array([0.7, -0.4]), jnp.array(15.0), jnp.array(LOAD))

@@ -1,4 +1,4 @@
-"""Braking stiffness and its servo on the simulated car: what is true is known there."""
+"""Braking stiffness and its servo on the simulated car, where the truth is known."""
 
 import dataclasses
 from functools import cache
@@ -87,8 +87,8 @@ def test_the_estimate_agrees_with_the_slope_of_the_tire(pressure, use, low, high
 
 @pytest.mark.parametrize(("start", "expected"), [(4.0, 0.45), (9.0, 0.81)])
 def test_with_the_deceleration_servo_the_estimate_agrees_with_the_tire(start, expected):
-    """O(10): the servo's gain is taken off, with the delay of its valves. Measured over
-    the truth: 1.23 and 0.94."""
+    """O(10): the gain of the servo is corrected, with the delay of its valves. Measured
+    over the truth: 1.23 and 0.94."""
     asked = request()
     settings = {"start_pull": start, "pull": 0.01, "release": 0.0, "servo_gain": 40.0}
     settings |= {"quiet": 0.0, "low": 2.0, "high": 20.0, "forgetting": 0.99}
@@ -141,14 +141,14 @@ def test_on_a_slippery_road_the_servo_is_smoother_and_uses_more_friction():
 
 @pytest.mark.parametrize(("mu", "least"), [(0.3, 0.82), (0.5, 0.78)])
 def test_the_use_of_friction_hardly_depends_on_the_road(mu, least):
-    """O(22) needs no friction: the reference is the same on every road."""
+    """O(22) does not depend on friction: the reference is the same on every road."""
     used = braked("xbs-servo", f"mu={mu}").mean_friction_used
     assert least < used.mean() < 0.95
 
 
 def test_on_a_dry_road_it_is_not_better():
-    """The pressure rises too slowly, and the first excursion beyond the peak is left
-    at 0.3 m/s2 only: 0.75 of the friction against 0.81, 20.8 against 17.9 m."""
+    """The pressure rises too slowly, and the first excursion beyond the peak ends only
+    at 0.3 m/s2: 0.75 of the friction against 0.81, 20.8 against 17.9 m."""
     servo, abs_ = braked("xbs-servo", "mu=0.8"), braked("abs", "mu=0.8")
     assert clearly(servo.mean_friction_used, abs_.mean_friction_used)
     assert np.all(servo.stopped) and np.mean(servo.mean_friction_used) > 0.65

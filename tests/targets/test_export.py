@@ -1,4 +1,4 @@
-"""Exported files, loaded by the software that they are for, against our own forces."""
+"""Exported files, loaded by their target software, compared with our own forces."""
 
 import ctypes
 import importlib.util

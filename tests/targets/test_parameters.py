@@ -1,4 +1,4 @@
-"""Parameter files, evaluated by the simulators that they are for."""
+"""Parameter files, evaluated by the simulators they are written for."""
 
 import shutil
 import sys

@@ -1,4 +1,4 @@
-"""Refits of simulators' formulas, and what an export reports and refuses."""
+"""Refits of simulators' formulas; reports and refusals of an export."""
 
 import jax.numpy as jnp
 import numpy as np

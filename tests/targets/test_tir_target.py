@@ -1,4 +1,4 @@
-"""Tire property files and Chrono's JSON, read as their programs read them."""
+"""Tire property files and Chrono's JSON, read like their programs read them."""
 
 import json
 from pathlib import Path
@@ -157,7 +157,7 @@ def test_another_version_is_written(tmp_path):
 
 
 def chrono_values(path):
-    """What ChPac02Tire of Project Chrono reads: keys by section, up to a blank."""
+    """Values read by ChPac02Tire of Project Chrono: keys by section, up to a blank."""
     found, section = {}, ""
     for line in path.read_text().splitlines():
         line = line.lstrip(" \t")

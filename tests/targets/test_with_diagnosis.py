@@ -1,4 +1,4 @@
-"""Tires exported with the effects of a diagnosis, against formulas as printed."""
+"""Tires exported with the effects of a diagnosis, compared with printed formulas."""
 
 import importlib.util
 import json

@@ -34,7 +34,7 @@ def label(kind="singles", effects=(RISING,), **given):
 
 def record(name="t/t0", *, alone=20.0, beside=0.0, errors=9.0, gain=(30.0, 3.0), **of):
     """A file with one good set; ``alone``: its log evidence, ``beside``: that of a
-    sharp shape in what it leaves."""
+    sharp shape in its remainder."""
     key, some = (RISING,), {"smooth": -1.0, "waves": beside}
     hypotheses = [
         ((), 0.0, -1.0, 0.0, True),

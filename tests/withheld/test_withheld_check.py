@@ -1,4 +1,4 @@
-"""What stands beside the thresholds: goals, reliability, strangers, forest, bound."""
+"""Checks of goals, reliability, unlisted effects, forest and bound."""
 
 import builtins
 from collections import Counter
@@ -212,7 +212,7 @@ def test_hysteresis_after_a_turn_fades():
 
 
 def test_the_gap_over_the_noise_is_right_for_a_known_offset():
-    """A force zero is no part of a brush that sees one sign: its rms over the noise."""
+    """A brush with one sign cannot absorb a force offset: its RMS over the noise."""
     made = trials.draw(522, 12, ["singles"], ["F"], ["rig"], [900], False)
     for trial in made:
         mark = trial.label
@@ -225,7 +225,7 @@ def test_the_gap_over_the_noise_is_right_for_a_known_offset():
 
 
 def inputs(world, slip_std):
-    """What an observer of a world knows, its force with noise of 1 % of the load."""
+    """The knowledge of an observer of a world, with force noise of 1 % of the load."""
     return library.Inputs(
         world.time,
         world.run,
@@ -239,7 +239,7 @@ def inputs(world, slip_std):
 
 @pytest.fixture(scope="module")
 def plain():
-    """Inputs and forces of a plain brush in sweeps, and the same beside a ripple."""
+    """Inputs and forces of a plain brush in sweeps, and the same with a ripple."""
     g = np.random.default_rng(8)
     world = make_world(DESIGNS["G"], 450, C, MU, g)
     x = inputs(world, 0.001)
@@ -338,8 +338,8 @@ def believed(x, observed, *truth):
 
 
 def test_the_ideal_observer_knows_number_and_form_of_the_effects():
-    """Load friction by a square of the logarithm, no form of the textbook, alone and
-    beside a force zero, in noise; and nothing."""
+    """Load friction by a square of the logarithm, not a textbook form, alone and with a
+    force offset, in noise; and no effect."""
     g = np.random.default_rng(11)
     world = make_world(DESIGNS["F"], 200, C, MU, g)
     kept = ("load_friction", "force_offset", "slip_offset")
@@ -358,8 +358,8 @@ def test_the_ideal_observer_knows_number_and_form_of_the_effects():
 
 
 def test_equal_evidence_gives_the_drawn_frequencies():
-    """Nothing is drawn as often as all single effects in the ratio of 134 to 200, and
-    these are 3 here, of 3 families."""
+    """No effect and single effects are drawn in the ratio 134 to 200; here 3 effects of
+    3 families."""
     world = make_world(DESIGNS["F"], 50, C, MU, np.random.default_rng(1))
     kept = ("load_friction", "force_offset", "pressure_flatness")
     x = inputs(world, 0.001).without([e for e in trials.EFFECTS if e not in kept])
@@ -370,7 +370,7 @@ def test_equal_evidence_gives_the_drawn_frequencies():
 
 
 def test_evidence_counts_the_amplitude_once():
-    """Of pure noise a hypothesis gains at most half a square and pays its range."""
+    """Pure noise gains a hypothesis half a square at most and costs its range."""
     g = np.random.default_rng(12)
     world = make_world(DESIGNS["F"], 200, C, MU, g)
     x = inputs(world, 0.0).without([e for e in trials.EFFECTS if e != "force_offset"])
@@ -405,8 +405,8 @@ def test_a_known_pair_is_found_only_if_both_effects_show():
 
 
 def test_the_known_effect_gives_the_closure_of_an_answer(tmp_path):
-    """Rows whose base misses a tenth of the true force and whose extended form 3 % of
-    it close 0.7 of the gap; 0.5 was claimed."""
+    """A base with an error of a tenth of the true force and an extended form with 3 %
+    close 0.7 of the gap; 0.5 was claimed."""
     g = np.random.default_rng(14)
     world = make_world(DESIGNS["F"], 200, C, MU, g)
     x, about = inputs(world, 0.001), trials.EFFECTS["force_offset"]
@@ -462,7 +462,7 @@ def test_only_unlisted_effects_that_cannot_be_imitated_can_be_flagged():
 
 
 def test_changes_of_measured_data_are_sized_by_the_change_of_residuals():
-    """Linear in a force; next to nothing where a friction near the fit's does it."""
+    """Linear in a force; almost zero if a friction near the fitted one explains it."""
     data = injected.half(1)
 
     def size(force):
@@ -481,7 +481,7 @@ def test_changes_of_measured_data_are_sized_by_the_change_of_residuals():
 
 
 def test_injected_and_named_effects_are_counted_by_kind(tmp_path):
-    """A delay of 0.1 s in a driven log shows, one of no time does not."""
+    """A delay of 0.1 s in a driven log shows, one of zero does not."""
     data = injected.half(1)
     labels = {}
     for name, delay in (("late", 0.1), ("same", 0.0)):

@@ -1,4 +1,4 @@
-"""Judge, scorer and baselines of fits/withheld on answers of known worth."""
+"""Judge, scorer and baselines of fits/withheld on answers of known quality."""
 
 import json
 import signal
@@ -303,7 +303,7 @@ def as_inputs(world):
 
 @pytest.fixture(scope="module")
 def strong():
-    """Friction that differs between drive and brake, and what a file says of it."""
+    """Friction that differs between drive and brake, and the message about it."""
     world = make_world(DESIGNS["F"], 300, 5e4, 0.9, np.random.default_rng(5))
     x = as_inputs(world)
     truth = library.predict(x, "drive_brake_asymmetry", 0.15, 5e4, 0.9)
@@ -346,7 +346,7 @@ def test_ridge_closes_the_fitted_rows(strong):
 
 
 def gathered_in(folder):
-    """What the scorer reads of the baselines, as bytes."""
+    """The scorer's reading of the baselines, as bytes."""
     return {path.name: path.read_bytes() for path in folder.glob("baseline_*")}
 
 

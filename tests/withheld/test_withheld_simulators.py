@@ -1,4 +1,4 @@
-"""Simulators with wrong parameters beside a measurement: files, truth and score."""
+"""Simulators with wrong parameters for a measurement: files, truth and score."""
 
 import json
 
@@ -83,7 +83,7 @@ def test_an_unlisted_effect_has_no_name_in_the_budget(beside):
 
 
 def test_shares_agree_with_shapley_values():
-    """A force zero: what closes is known in closed form of both orders."""
+    """A force offset: the closure has a closed form for both orders."""
     draw = trials.Draw(np.random.default_rng(3), ["F"], ["rig"], [400], False)
     world = draw.tire()
     size = 0.05

@@ -1,4 +1,4 @@
-"""The generator of fits/withheld against closed forms, quadrature and analysis."""
+"""The generator of fits/withheld agrees with closed forms, quadrature and analysis."""
 
 import ast
 import json
@@ -280,7 +280,7 @@ def test_the_lateral_force_reduces_friction_by_an_ellipse():
 
 
 def test_a_speed_error_changes_the_computed_slip():
-    """(v + a) / (omega R) - 1, by the speeds themselves."""
+    """(v + a) / (omega R) - 1, from the speeds themselves."""
     world, zero = steady(SLIPS, v=8.0), 0.05
     EFFECTS["speed_zero"].forms["speed_is_off_of_wheel"](world, zero, NOTHING)
     rim = world.v / (1 + SLIPS)
