@@ -17,7 +17,7 @@ HERE = Path(__file__).parent
 
 
 def rig_test(rows: int):
-    """Columns of F_x and F_y of about so many rows of MF 6.1."""
+    """Columns of F_x and F_y of approximately this many rows of MF 6.1."""
     sys.path.insert(0, str(HERE.parent / "fitting"))
     from rig import MF61, measured
 
@@ -30,7 +30,7 @@ def rig_test(rows: int):
 
 def problems(rows: int):
     """(name, problem, starts): pure F_y from the starts of its stage; all coefficients
-    of F_x and F_y from beside where the stages end."""
+    of F_x and F_y from near the end of the stages."""
     from tirefit.fitting.config import FitConfig
     from tirefit.fitting.mf.fit import nominal_of, problem_from
     from tirefit.fitting.mf.parts import PARTS, coefficients_of

@@ -1,5 +1,5 @@
-"""Which sign convention a file is read in: the user's, the file's own, a model's, the
-default; each is told, and two statements that differ are an error."""
+"""The sign convention of a file comes from the user, the file, a model or the default;
+it is reported, and two contradicting statements are an error."""
 
 import numpy as np
 import pytest
@@ -92,7 +92,7 @@ def test_contradicting_or_unknown_convention_lines_are_refused(tmp_path):
 
 
 def test_user_and_file_override_the_convention_of_a_layout(tmp_path):
-    """A consortium's file, whose layout alone says SAE as its loads are negative."""
+    """A consortium file: its layout alone implies SAE, as its loads are negative."""
     frame = ttc(truth())
     data = read(written(tmp_path / "a.csv", frame))
     assert data.source.convention_from == "by the layout of the file"

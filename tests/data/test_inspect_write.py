@@ -1,4 +1,4 @@
-"""What inspect reports, and that what is written reads back as it was."""
+"""The report of inspect, and files that are read back as they were written."""
 
 import json
 import os
@@ -210,7 +210,7 @@ def test_a_prediction_table_keeps_a_locked_wheel_and_all_digits():
     ],
 )
 def test_inspect_of_a_vehicle_log_suggests_derive(tmp_path, columns):
-    """The vehicle file that the message shows derives the log, as it stands."""
+    """The vehicle file shown in the message derives the log without changes."""
     time = np.arange(0, 20, 0.01)
     turn = 0.3 * np.sin(0.7 * time)
     of = {

@@ -1,4 +1,4 @@
-"""The tracked point by the force against the slip: found, refused, doubted."""
+"""The tracked point from the force and the slip: found, refused, doubted."""
 
 import re
 
@@ -15,7 +15,7 @@ L_F, L_R = 1.2, 1.4
 
 
 def dart(tmp_path, point):
-    """The DART car with its tracked point stated elsewhere."""
+    """The DART car with its tracked point declared elsewhere."""
     text = (DART / "vehicle.toml").read_text()
     path = tmp_path / "vehicle.toml"
     path.write_text(text.replace("[0.115,", f"[{point},"))
@@ -48,7 +48,7 @@ def test_a_reference_point_too_far_behind_is_refused(tmp_path):
 
 
 def moved(log, ahead):
-    """Rates of a point so far ahead of the centre of gravity [m]."""
+    """Rates of a point this far ahead of the centre of gravity [m]."""
     turning = np.gradient(log["c3"], log["time"])
     return log | {"c2": log["c2"] + ahead * log["c3"], "c4": log["c4"] + ahead * turning}
 

@@ -18,7 +18,7 @@ LUMPED = Bristles(np.ones(1), np.ones(1), np.zeros((1, 1)))
 
 
 def contact(inputs: TireInputs) -> Contact:
-    """The motion that slips and speed of steady-state inputs (n,) stand for."""
+    """The motion that gives slips and speed of steady-state inputs (n,)."""
     arrays = [jnp.asarray(value, float) for value in inputs]
     slip_x, alpha, fz, v, *_ = jnp.broadcast_arrays(*arrays)
     rolling = v / (1 + slip_x)
@@ -27,7 +27,7 @@ def contact(inputs: TireInputs) -> Contact:
 
 
 class Response(NamedTuple):
-    """Forces (t,) [N] and deflections (t, n, 2) [m] at the times asked for."""
+    """Forces (t,) [N] and deflections (t, n, 2) [m] at the requested times."""
 
     forces: TireForces
     deflection: Float[Array, "t n 2"]
@@ -71,7 +71,7 @@ def simulate(
 
 
 def _increases(time) -> bool:
-    """Whether a known time increases; that of a trace is not known."""
+    """Whether a known time increases; that of a trace is unknown."""
     return isinstance(time, jax.core.Tracer) or bool(np.all(np.diff(time) > 0))
 
 

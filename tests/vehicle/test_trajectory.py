@@ -1,4 +1,4 @@
-"""Fits by trajectory of simulated drives whose tires and unknowns are known."""
+"""Fits by trajectory of simulated drives with known tires and unknowns."""
 
 import json
 import subprocess
