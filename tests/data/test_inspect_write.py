@@ -247,6 +247,16 @@ def test_the_heading_of_a_bag_is_of_the_message_that_has_the_place():
     assert f'yaw = "{place}.orientation.yaw"' in remedy and imu not in remedy
     assert 'steering = "/steering_wheel.data"' in remedy
     assert f'yaw = "{imu}"' in vehicle_log(headers[:-1], "bag").remedy
+    # Speeds in the same message: differentiated once, not twice.
+    turning = [f"/imu.angular_velocity.{axis}" for axis in "xyz"]
+    twist = [f"/odom.twist.twist.{name}" for name in ("linear.x", "linear.y", "angular.z")]
+    remedy = vehicle_log([*turning, *headers, *twist], "bag").remedy
+    names = ("v_x", "v_y", "yaw_rate")
+    assert all(f'{n} = "{t}"' in remedy for n, t in zip(names, twist, strict=True))
+    assert place not in remedy
+    # Those of another sensor do not replace the pose.
+    other = [name.replace("/odom", "/gps") for name in twist]
+    assert f'x = "{place}.position.x"' in vehicle_log([*headers, *other], "bag").remedy
 
 
 def test_rig_data_without_a_force_are_no_vehicle_log(tmp_path):

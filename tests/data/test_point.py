@@ -143,6 +143,15 @@ def test_a_delayed_v_y_is_reported_with_the_point(tmp_path):
     assert re.search(r"v_y is 0\.(1|09\d|10\d) ± 0\.00\d s late", said)
 
 
+def test_an_a_y_that_is_measured_elsewhere_is_named_beside_the_point(tmp_path):
+    log = log_of(name="turns")
+    ahead = {"c4": moved(log, 1.2)["c4"]}
+    said = " ".join(derived(tmp_path, log | ahead, RATES).warnings)
+    at = re.search(r"a_y is measured ([\d.]+) m ahead of the tracked point", said)
+    assert float(at[1]) == pytest.approx(1.2, rel=0.1)
+    assert "leave a_y out of [columns]" in said
+
+
 @pytest.mark.parametrize("name", ["slow", "gently"])
 def test_a_wrong_sign_of_v_y_is_found_without_a_contradicting_pair(tmp_path, name):
     log = log_of(name=name)
