@@ -19,7 +19,7 @@ _ENDS = {
 }
 """Quantity of a log -> how headers of it end, without separators."""
 
-_OF_ONE = ("yaw", *RATES)
+_OF_ONE = ("yaw", "v_x", "v_y", "yaw_rate")
 _CAR = (
     "mass = 1500         # kg",
     "l_f = 1.2           # m, front axle ahead of the centre of gravity",
