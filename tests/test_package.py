@@ -3,11 +3,15 @@
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hatchling.builders.wheel import WheelBuilder
 from typer.testing import CliRunner
 
+import tirefit
 from tirefit.cli.commands import app
+from tirefit.data.vehicle import load_vehicle
+from tirefit.sim.drive import Car
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "tirefit"
@@ -44,6 +48,17 @@ def test_samples_are_rows_of_measured_cases(name):
     case = (ROOT / "fits" / "dart_simulator" / name).read_text().splitlines()
     assert convention == "# convention: braking" and header == case[0]
     assert len(rows) > 300 and set(rows) <= set(case)
+
+
+def test_the_sample_of_a_drive_is_what_simulate_gives():
+    columns = tirefit.simulate("drive", duration=10.0).columns
+    path = PACKAGE / "samples" / "drive.csv"
+    names = path.read_text().partition("\n")[0].split(",")
+    rows = np.loadtxt(path, delimiter=",", skiprows=1)
+    np.testing.assert_allclose(rows, np.stack([columns[k] for k in names], 1), atol=6e-4)
+    car, ours = load_vehicle(PACKAGE / "samples" / "vehicle.toml"), Car()
+    for name in ("mass", "l_f", "l_r", "yaw_inertia"):
+        assert getattr(car, name) == getattr(ours, name)
 
 
 def test_the_demo_prints_its_commands_and_where_the_results_are(tmp_path, monkeypatch):

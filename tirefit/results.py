@@ -24,7 +24,7 @@ class ExitCode(enum.IntEnum):
 
 
 class Outcome(enum.StrEnum):
-    """The status of a result, the gravest first; ``message`` explains it to the user."""
+    """The status of a result, the gravest first; ``message`` explains it, if a text fits all."""
 
     NOT_CONVERGED = (
         "not converged",
@@ -40,23 +40,16 @@ class Outcome(enum.StrEnum):
         "not a tire's curve",
         "within the loads and slips of the data the fitted curve is not that of a tire",
     )
-    POOR_FIT = (
-        "poor fit",
-        "the model does not describe these data: the residuals are larger or more"
-        " structured than the noise allows",
-    )
+    POOR_FIT = "poor fit"
     STARTS_DISAGREE = (
         "not unique",
         "the starts ended in different minima of equal cost: the estimate is not unique",
     )
     WORSENED = "worsened", "rows of combined slip worsened the curve of pure slip"
-    SYSTEMATIC_MISFIT = (
-        "systematic misfit",
-        "the residuals are mostly a systematic miss of the curve",
-    )
+    SYSTEMATIC_MISFIT = "systematic misfit"
     UNSOUND = "unsound", "the tire fails a check of its forces"
     NOT_IDENTIFIED = "not identified", "the data do not identify this parameter"
-    INCOMPLETE = "incomplete", "a part of the answer is missing"
+    INCOMPLETE = "incomplete"
     INTERRUPTED = (
         "interrupted",
         "interrupted: the samples drawn so far are kept; --resume continues",
@@ -66,7 +59,7 @@ class Outcome(enum.StrEnum):
         "the posterior chain is too short for its autocorrelation time or its"
         " ensembles disagree: continue it with --resume",
     )
-    AT_BOUND = "at a bound", "a parameter ended at its bound"
+    AT_BOUND = "at a bound"
     CONVERGED = "converged"
     OK = "ok"
 

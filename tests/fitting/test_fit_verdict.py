@@ -215,7 +215,7 @@ def test_slip_limits_choose_the_rows():
 def test_a_peak_beyond_the_rows_is_said(reach, said):
     # A brush has 1 - (1 - s)^3 of its peak at the share s of full sliding: 88 and 98 %.
     result = fit(curve(reach=reach, noise=STD / 10), config=GIVEN | {"noise": {"fx": STD / 10}})
-    told = [one for one in result.verdict["sentences"] if "of the fitted peak" in one]
+    told = [one for one in result.warnings if "of the fitted peak" in one]
     assert bool(told) is said
     assert not said or told[0].startswith(
         "the rows reach 87 % of the fitted peak (largest slip 0.0599"

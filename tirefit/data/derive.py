@@ -20,7 +20,7 @@ neighbouring samples are correlated and do not count as independent.
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from textwrap import fill, wrap
@@ -124,7 +124,7 @@ class DerivedFiles:
 
     data: Path
     metadata: Path
-    logs: tuple[DerivedLog, ...]
+    logs: tuple[DerivedLog, ...] = field(repr=False)
 
     def summary(self) -> str:
         """The summary of each log, then the files written."""
