@@ -331,10 +331,10 @@ def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:
     if below and (below[0] != first or split(first, best[first])[1] == 1):
         return below[0], "\t", below[1]
     for delimiter in _DELIMITERS:
-        widths = [split(index, delimiter)[1] for index in searched]
-        header = searched[widths.index(widths[-1])]
+        counts = [split(index, delimiter)[1] for index in searched]
+        header = searched[counts.index(counts[-1])]
         cells = lines[header].split(delimiter)
-        if widths[-1] > widths[0] > 0 and not any(map(is_number, cells)):
+        if counts[-1] > counts[0] > 0 and not any(map(is_number, cells)):
             return header, delimiter, []
     return first, best[first], []
 
