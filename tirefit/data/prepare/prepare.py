@@ -156,8 +156,8 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
     if not any(part.direction for part in parts):
         reached = [f"{name} {np.min(raw[name]):.3g} to {np.max(raw[name]):.3g}" for name in slips]
         notes.append(
-            f"no sweep was found ({', '.join(reached)}; rad and ratio): if the rig swept a slip, check"
-            " its column and unit (--column alpha=HEADER, --unit alpha=rad)"
+            f"no sweep was found ({', '.join(reached)}; rad and ratio): if the rig swept a slip,"
+            " check its column and unit (--column alpha=HEADER, --unit alpha=rad)"
         )
     notes += _conditions_at_risk(parts, kept)
     if absurd.any():
