@@ -192,6 +192,7 @@ def test_steering_against_the_curvature_of_the_path_is_refused(tmp_path, columns
     log["c6"] = log["c6"] * factor
     text = refused(tmp_path, log, columns | {"steering": "c6"}, STEER)
     assert said in text and "correct [steering]" in text
+    assert ("reverse the signs of angle" in text) == (factor == -1)
 
 
 def test_the_suggested_remedy_works(tmp_path):

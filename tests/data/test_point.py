@@ -133,6 +133,7 @@ def test_a_pose_with_another_clock_is_refused(tmp_path, name):
     (problem,) = caught.value.problems
     assert re.search(r"the pose is 0\.34 ± 0\.00\d+ s late", problem.reason)
     assert "shift the pose in the log" in problem.remedy
+    assert ("leave a_y out" in problem.remedy) == ("late against a_y" in problem.reason)
     result = derived(tmp_path, late(log, ("c7", "c8", "c9"), 0.1), POSE | BESIDE)
     assert "delays up to 0.1" in result.summary()
 
