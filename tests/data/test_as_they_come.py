@@ -93,7 +93,7 @@ def test_a_restart_of_time_begins_a_new_run(tmp_path):
     log = derive(path, pose_vehicle(tmp_path))
     assert set(log.run) == {"log_1", "log_2", "log_3"} and log.gaps == 2
     assert sum(log.dropped_rows.values()) == 0 and log.rows == sum(map(len, rows))
-    assert any("time starts anew 2 times" in said for said in log.assumptions)
+    assert any("time restarts 2 times" in said for said in log.assumptions)
     track = read_track(path, pose_vehicle(tmp_path))
     assert np.all(np.diff(track.time) > 0)
 

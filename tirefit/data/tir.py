@@ -1,7 +1,7 @@
 """Tire property files (``.tir``): :func:`read_tir`, :func:`new_tir`.
 
 The text of a file is kept: sections, order, comments and unknown keys are not changed;
-only changed values are written anew. Numbers are converted to SI on reading and back to
+only changed values are rewritten. Numbers are converted to SI on reading and back to
 the units of the file on writing.
 """
 
