@@ -19,8 +19,7 @@ CHANGED = 1 - 1 / ALIKE
 point, that is a fault: the change by a gain of ``ALIKE``."""
 
 _NEAR_UNIT, _NEAR, _FARTHEST = math.log(1.2), 2.5, 0.4
-"""Largest |log gain| between a gain and its unit: this, or a multiple of the standard
-error, with a limit."""
+"""Largest |log gain| off a unit: this, or some standard errors, with a limit."""
 
 SURE = 4.0  # standard errors above which an estimate differs from its stated value
 
@@ -37,8 +36,7 @@ RELATED = 0.6  # correlation above which two channels follow each other
 _SHARED = 0.9  # correlation above which two sensors share more than noise
 
 _UNRELATED, _SURELY = 0.7, 2.5
-"""Two channels do not follow each other if the correlation plus a multiple of its
-standard error is below this."""
+"""Channels are unrelated if correlation plus some standard errors is below this."""
 
 _MUCH = 3.0
 """Multiple of its floor above which a channel moves by more than a hill or a bank causes."""
