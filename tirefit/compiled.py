@@ -178,7 +178,7 @@ def _evict(directory: Path) -> None:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write a file completely or not at all; an unwritable directory is no error."""
+    """Write a file completely or not at all; an unwritable directory is not an error."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as temporary:

@@ -79,7 +79,7 @@ def test_bad_rows_are_reported_and_flagged(run, tmp_path, log):
     )
     assert rows_of(followed.stdout)[49]["rls_flag"] == "sample missing"
     assert "row 51" in followed.stderr
-    # Bytes that are no text, and a cell of more characters than any reader takes.
+    # Bytes that are not text, and a cell of more characters than any reader takes.
     spoiled = [line.encode() for line in lines[:20]]
     spoiled[5] = b"\xff" + spoiled[5]
     spoiled[10] = b"9" * 200_000

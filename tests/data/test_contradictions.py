@@ -341,7 +341,7 @@ def test_units_are_read_from_header_units_row_or_user(tmp_path):
     np.testing.assert_allclose(again.columns["fy"], sound.columns["fy"], atol=0.1)
     assert "column 'c1' read as v_x in km/h (units row)" in again.assumptions
     wrong = dict(zip(("time", "v [rad/s]", *names[2:]), values, strict=True))
-    with pytest.raises(DataError, match="'rad/s' is no unit of speed"):
+    with pytest.raises(DataError, match="'rad/s' is not a unit of speed"):
         derived(tmp_path, wrong, columns | {"v_x": "v [rad/s]"})
 
 

@@ -260,7 +260,7 @@ def test_a_search_without_sufficient_gain_finds_no_effect(ends):
 
 
 def test_the_search_rejects_an_effect_of_one_run():
-    """Friction is a third lower in one of five runs: it is no effect of all runs, and
+    """Friction is a third lower in one of five runs: it is not an effect of all runs, and
     the offset that all have is kept."""
     frame = logs(5)
     odd = frame["run"] == "r4"

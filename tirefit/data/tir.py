@@ -39,7 +39,7 @@ def read_tir(path) -> TirFile:
     """Read a ``.tir`` file.
 
     Raises:
-        DataError: as :func:`parse_tir`; or the file does not exist or is no text.
+        DataError: as :func:`parse_tir`; or the file does not exist or is not text.
     """
     content = content_of(path, TIRE, DataError, "give a .tir file")
     if len(content) > 1 and 0 in content[:2]:  # UTF-16 without byte order mark

@@ -248,7 +248,7 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
     if text and text != "-" and unit is None and not label:
         problems.append(
             InputProblem(
-                f"unit {text!r} is no unit of {dimension}, as {quantity} needs",
+                f"unit {text!r} is not a unit of {dimension}, as {quantity} needs",
                 f'correct [columns], or set units.{quantity} = "{_SI[dimension]}" in vehicle.toml',
                 table.file,
                 table.header_line,
@@ -256,7 +256,7 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
             )
         )
     if unit is None:
-        where = f" ({text!r} is no unit)" if label else " (no unit stated)"
+        where = f" ({text!r} is not a unit)" if label else " (no unit stated)"
         text, scale = _SI[dimension], 1.0
     else:
         scale = unit.scale

@@ -39,8 +39,8 @@ CHECKS = (*POSE, *RATES, "a_y", "a_x")
 
 _FOLLOWS = (
     "a_y follows from the speeds (dv_y/dt + v_x r at the centre of gravity, of the"
-    " filtered channels): it is no independent measurement and checks none of them; a"
-    " channel that a filter or a model computed is no measurement"
+    " filtered channels): it is not an independent measurement and checks none of them; a"
+    " channel that a filter or a model computed is not a measurement"
 )
 _FROUDE = 0.5
 """Default of the lowest speed that is kept, over sqrt(g L): 0.65 m/s for a model car with
