@@ -351,7 +351,7 @@ def test_an_unnamed_column_is_compared_but_refuses_nothing(tmp_path):
     result = derived(tmp_path, log, RATES)
     (said,) = result.warnings
     assert "a_x is in g" in said and "[columns] does not name it" in said
-    # One that names no numbers is no channel at all.
+    # A column without numbers is not a channel.
     log["a_x"] = np.array(["x"] * len(log["time"]))
     path = tmp_path / "text.csv"
     cells = [",".join(map(str, row)) for row in zip(*log.values(), strict=True)]

@@ -216,7 +216,7 @@ def test_the_ladder_descends_from_no_effect_to_the_noise():
     np.testing.assert_allclose(gains, falls, atol=1e-9)
     assert ladder.steps[0].closed == 0 and ladder.steps[-1].closed == 1
     assert 0 < ladder.steps[1].closed < ladder.steps[2].closed < 1
-    # A set that was not refitted is no step, and names nobody gave neither.
+    # Neither a set without a refit nor an unnamed one is a step.
     less = out._replace(effects=((), ("a",), ("c",), ("a", "b")))
     assert [s.effects for s in ladder_of(less, ("a", "b"), floor).steps] == names
     assert [s.effects for s in ladder_of(out, (), floor).steps] == [(), SMOOTH, NOISE]
