@@ -150,7 +150,7 @@ def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
         lines += _wrapped("settings", ", ".join(settings))
     rows = [["setting", "unit", "bounds", "default", "meaning"]]
     for key, kinds in known.items():
-        # What most methods have, then those that have it otherwise, by name.
+        # The value that most methods have, then the exceptions by name.
         usual, *others = sorted(kinds.values(), key=len, reverse=True)
         rows.append(_row(key, usual[0][1]))
         for takers in others:

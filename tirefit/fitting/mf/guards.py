@@ -37,7 +37,7 @@ _LEAST_PEAK = 0.1
 
 
 class Guard(NamedTuple):
-    """One guard."""
+    """A check of a fitted tire for implausible behaviour, and its result."""
 
     name: str
     holds: bool
@@ -160,7 +160,7 @@ def _falls(grid: _Grid, force: str) -> np.ndarray:
     """States within the data whose largest force is below that at a smaller load."""
     falls = np.zeros(len(grid.fz), bool)
     for peak in _peaks(grid, force):
-        # Of a state and the one before, which has the next smaller load.
+        # Compare each state with the one before it, which has the next smaller load.
         whole = peak * grid.fz
         down = np.diff(whole, prepend=whole[:1]) < 0
         same_state = np.diff(grid.fz, prepend=grid.fz[:1]) > 0
