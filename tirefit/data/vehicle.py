@@ -285,7 +285,7 @@ class Vehicle(Section):
         if self.sideslip_offset and self.columns.motion == POSE:
             yield InputProblem(
                 "sideslip_offset applies to a log of rates only",
-                "leave it out: of a pose log, correct yaw_offset",
+                "leave it out; for a pose log, correct yaw_offset",
             )
 
     def _geometry_problems(self) -> Iterator[InputProblem]:

@@ -159,7 +159,7 @@ def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
 
 
 def methods_dict(methods: Mapping[str, type[AbstractEstimator]]) -> dict[str, dict]:
-    """The same content, JSON-able: method name -> what it is."""
+    """The same content for JSON: method name -> its properties."""
     return {
         name: {
             "meaning": kind.method.meaning,

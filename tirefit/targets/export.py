@@ -47,7 +47,7 @@ class Target(NamedTuple):
 
     Attributes:
         ending: of the file.
-        what: what the file is, and what it needs.
+        what: description of the file, with the data it needs.
         holds: the models that it holds, and how exactly.
         write: the text of the file, or of several by their endings.
         prepare: (tire, version of the Magic Formula, values of the wheel) -> the tire

@@ -27,8 +27,8 @@ _BEYOND = 2.0  # largest load of the grid over that of the data
 
 _LOADS = 9
 _SMALL, _CLEAR = 0.004, 0.06
-"""Slip of the slope at zero, and that from which on shifts and camber thrust do not
-decide the sign of the force."""
+"""Slip at which the slope at zero is taken, and the smallest slip at which shifts and
+camber thrust do not change the sign of the force."""
 
 _KAPPA = np.array([_SMALL, _CLEAR, 0.09, 0.13, 0.18, 0.25, 0.35, 0.5, 0.7, 0.99])
 _ALPHA = np.array([_SMALL, _CLEAR, 0.09, 0.13, 0.18, 0.24, 0.31, 0.38, 0.45, 0.5236])
