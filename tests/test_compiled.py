@@ -121,7 +121,7 @@ def test_a_brief_program_is_compiled_without_options(directory, monkeypatch):
 
     x = np.arange(3.0)
     np.testing.assert_array_equal(compiled(brief=True)(doubled)(x), 2 * x)
-    # Only a program that is told of the options can refuse them.
+    # Only a program that gets the options can refuse them.
     monkeypatch.setattr(module, "_PLAINLY", {"xla_no_such_option": True})
     np.testing.assert_array_equal(compiled()(doubled)(x), 2 * x)
     with pytest.raises(RuntimeError, match="xla_no_such_option"):

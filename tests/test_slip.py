@@ -58,7 +58,7 @@ def test_definitions_give_different_values():
 
 
 def test_a_locked_wheel_has_a_finite_slip():
-    # kappa of a locked wheel is one; LOCKED stands for it to a part in a million.
+    # kappa of a locked wheel is one; LOCKED represents it to a part in a million.
     assert 1 - kappa_from_sigma(LOCKED) == pytest.approx(1e-6, rel=1e-5)
     np.testing.assert_allclose(sigma_from_kappa(kappa_from_sigma(LOCKED)), 1e6, 1e-9)
 

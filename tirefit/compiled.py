@@ -4,7 +4,7 @@ JAX's own cache stores compiled programs, but a new process still traces every f
 in Python first. This module stores the traced program (``jax.export``) as well. The name
 of its file is a digest of everything that it depends on: the sources of the package, the
 versions of its libraries, the platform and kind of device, the pickled static arguments,
-and the structure, shapes and types of the others. An unreadable file is written anew;
+and the structure, shapes and types of the others. An unreadable file is rewritten;
 the programs used least recently are removed.
 
 ``brief`` marks a program that runs a few times in a process, so that it takes longer to

@@ -284,7 +284,7 @@ def test_a_fit_on_a_full_disk_keeps_the_files_written_before(inputs, tmp_path):
     for code, report, error, _ in (least, chained):
         assert code == 2 and "VERDICT" in report and "remedy: make room" in error
         assert ": cannot be written: No space left on device; " in error
-    # The least squares stay, and no chain could be kept: which is said.
+    # The least squares are kept; a message reports that no chain could be stored.
     assert "fit.json" in least[3] and "chain.npz" not in least[3]
     assert "the chain was not kept for --resume" in " ".join(least[1].split())
     assert "--resume continues from its chain" in chained[2]

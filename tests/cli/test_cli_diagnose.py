@@ -659,7 +659,7 @@ def test_a_foreign_json_file_is_not_overwritten(run, tmp_path):
     write(tmp_path / "a.csv")
     (tmp_path / "a.json").write_text('{"driver": "me"}')
     result = run("diagnose", "a.csv", "--out", ".", exit_code=2)
-    assert "a.json: it would be replaced, but is no earlier result" in result.stderr
+    assert "a.json: it would be replaced, but is not an earlier result" in result.stderr
     assert (tmp_path / "a.json").read_text() == '{"driver": "me"}'
 
 

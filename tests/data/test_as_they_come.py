@@ -36,7 +36,7 @@ def test_missing_a_y_is_computed_from_the_speeds(tmp_path, reach):
     np.testing.assert_allclose(log.columns["a_y"], true.a_y, atol=5e-3)
     np.testing.assert_allclose(log.columns["fy"], true.force_rear, atol=1e-2)
     assert "a_y is computed from the speeds" in " ".join(log.summary().split())
-    assert any("no independent measurement" in said for said in log.assumptions)
+    assert any("not an independent measurement" in said for said in log.assumptions)
     measured = derive(path, vehicle(tmp_path, CAR + RATES + KEEP))
     assert not any("independent measurement" in said for said in measured.assumptions)
 
@@ -93,7 +93,7 @@ def test_a_restart_of_time_begins_a_new_run(tmp_path):
     log = derive(path, pose_vehicle(tmp_path))
     assert set(log.run) == {"log_1", "log_2", "log_3"} and log.gaps == 2
     assert sum(log.dropped_rows.values()) == 0 and log.rows == sum(map(len, rows))
-    assert any("time starts anew 2 times" in said for said in log.assumptions)
+    assert any("time restarts 2 times" in said for said in log.assumptions)
     track = read_track(path, pose_vehicle(tmp_path))
     assert np.all(np.diff(track.time) > 0)
 

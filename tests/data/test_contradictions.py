@@ -342,7 +342,7 @@ def test_units_are_read_from_header_units_row_or_user(tmp_path):
     np.testing.assert_allclose(again.columns["fy"], sound.columns["fy"], atol=0.1)
     assert "column 'c1' read as v_x in km/h (units row)" in again.assumptions
     wrong = dict(zip(("time", "v [rad/s]", *names[2:]), values, strict=True))
-    with pytest.raises(DataError, match="'rad/s' is no unit of speed"):
+    with pytest.raises(DataError, match="'rad/s' is not a unit of speed"):
         derived(tmp_path, wrong, columns | {"v_x": "v [rad/s]"})
 
 
@@ -352,7 +352,7 @@ def test_an_unnamed_column_is_compared_but_refuses_nothing(tmp_path):
     result = derived(tmp_path, log, RATES)
     (said,) = result.warnings
     assert "a_x is in g" in said and "[columns] does not name it" in said
-    # One that names no numbers is no channel at all.
+    # A column without numbers is not a channel.
     log["a_x"] = np.array(["x"] * len(log["time"]))
     path = tmp_path / "text.csv"
     cells = [",".join(map(str, row)) for row in zip(*log.values(), strict=True)]

@@ -74,7 +74,7 @@ def test_contradicting_conventions_are_refused_if_a_sign_differs(tmp_path):
         assert name in problem.reason.split("'iso-w':")[1]
     assert "--convention braking" in problem.reason
     assert "leave out --convention" in problem.remedy
-    # The same statement twice is none, nor one that turns nothing that is there.
+    # No problem: the same statement twice, or a sign of a missing column.
     same(read(path, convention="iso-w"), canonical())
     path = written(tmp_path / "b.csv", in_signs(longitudinal(), "iso-w"), "# convention iso-w")
     data = read(path, convention="adapted-sae")
@@ -159,7 +159,7 @@ def test_zero_camber_does_not_show_its_sign():
     for gamma in (0 * columns["gamma"], 0 * columns["gamma"] + 0.002):
         frame = columns | {"gamma": -gamma}
         assert read_frame(frame, convention="braking").source.warnings == ()
-    # A few rows under camber, all of one sweep of the slip: the angle tells nothing.
+    # A few rows under camber in one sweep of the slip do not determine the sign.
     few = np.where(np.arange(240) > 230, 0.07, 0.0)
     frame = columns | {"gamma": -few, "fy": columns["fy"] - 2800 * columns["gamma"]}
     assert read_frame(frame, convention="braking").source.warnings == ()

@@ -293,7 +293,7 @@ def test_all_missing_columns_are_named(tmp_path):
         ("t,x,y,psi\n", "no data rows"),
         ("t,x,y,psi\n0,0,0,0\n", "fewer than two samples"),
         ("t,x,y,psi\n1,0,0,0\n1,0,0,0\n0,1,0,0\n", "time does not rise"),
-        ("t,x,y,psi\ns,mm,mm,kg\n0,0,0,0\n0.01,1,0,0\n", "unit 'kg' is no unit of angle"),
+        ("t,x,y,psi\ns,mm,mm,kg\n0,0,0,0\n0.01,1,0,0\n", "unit 'kg' is not a unit of angle"),
         ("t,x,y,psi\n0,0,0,0\n0.01,oops,0,0\n", "'oops' is not a number"),
         ("t,x,y,psi\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "1 Hz only"),
     ],

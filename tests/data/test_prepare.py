@@ -83,12 +83,12 @@ def test_a_cornering_test_of_any_design_is_prepared(seed):
     )
     seen, _ = measured(script, rng, noise=rng.uniform(0, 1.5), wander=rng.uniform(0, 1.5))
     result = prepared(seen)
-    # A sine begins so slowly that its first tenth is no movement yet.
+    # A sine begins so slowly that its first tenth is not yet a movement.
     assert unlike(script, result, "alpha", 0.12 if shape == "sine" else 0.04) == []
     for name in ("fz", "gamma", "pressure", "v"):
         center, true = result.settings[name].center, true_levels(script, name)
         assert len(center) == len(true)
-        # A warm-up of its own is at one of them; the wander is 1 % and more.
+        # A separate warm-up is at one of them; the wander is at least 1 %.
         largest = max(map(abs, true)) or 1.0
         np.testing.assert_allclose(center, true, atol=0.03 * largest)
     kinds = {"cold": ("cold", "warm-up"), "warm-up": ("warm-up",)}

@@ -133,7 +133,7 @@ def test_new_coefficients_are_written_to_their_sections():
     assert len(kept) == len(tir.lines) - 1
     assert all(line.endswith("\r\n") for line in new.lines)
     parse_tir(new.text)
-    with pytest.raises(UsageError, match="(?s)NONSENSE is no key.*GARBAGE"):
+    with pytest.raises(UsageError, match="(?s)NONSENSE is neither a key.*GARBAGE"):
         tir.with_values({"NONSENSE": 1.0, "GARBAGE": 2.0})
 
 
@@ -182,8 +182,8 @@ BAD = {
         "correct UNLOADED_RADIUS",
     ),
     "pressure unit": ("^NOMPRES .*", "NOMPRES = 2.6", "NOMPRES is 2.6 Pa", "'bar'"),
-    "quote": ("'RIGHT'", "'RIGHT", "is no section, KEY = VALUE or comment", "quotes"),
-    "bracket": (r"^\[LATERAL_C.*", "[LATERAL", "'[LATERAL' is no section", "brackets"),
+    "quote": ("'RIGHT'", "'RIGHT", "is not a section, KEY = VALUE or comment", "quotes"),
+    "bracket": (r"^\[LATERAL_C.*", "[LATERAL", "'[LATERAL' is not a section", "brackets"),
 }
 
 

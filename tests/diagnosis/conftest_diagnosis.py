@@ -88,7 +88,7 @@ def record(change=None, seed=0, rows=40):
     time, slip, force, fz, v = np.concatenate(blocks).T
     noisy = force + 0.01 * fz * generator.standard_normal(len(fz))
     measured = slip + 0.001 * generator.standard_normal(len(fz))
-    # The truth at the slip as measured, so that noise of the slip is no gap.
+    # The truth at the measured slip, so that noise of the slip is not a gap.
     force = force + brush(measured, 5e4, 0.9, fz) - brush(slip, 5e4, 0.9, fz)
     return {"time": time, "sigma_x": measured, "fx": noisy, "fz": fz, "v": v}, force
 

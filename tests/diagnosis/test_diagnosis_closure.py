@@ -154,7 +154,7 @@ def test_closure_of_draws_is_computed_from_their_forces():
     variance = np.full(ROWS, 100.0)
     found = closure_on_rows(truth, 0 * gap, 0.8 * gap, variance, ALONE, 1.0)
     assert found.rms == pytest.approx(40 / np.sqrt(2), rel=0.02)
-    # The draws differ by one: their energy adds to what is left and to the gap.
+    # The draws have unit noise: its energy adds to the remainder and to the gap.
     expected = 1 - np.sqrt((0.2**2 * 800 + 1) / (800 + 1))
     assert found.closed == pytest.approx(expected, abs=0.002)
     assert found.closed_ci[0] < expected < found.closed_ci[1] and found.resolvable

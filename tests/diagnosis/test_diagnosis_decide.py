@@ -78,7 +78,7 @@ def test_an_equivalent_effect_gives_cannot_tell_and_adds_its_probability():
     assert (verdict.status, verdict.effects) == (Status.CANNOT_TELL, A)
     assert verdict.also_possible == B and verdict.each["a"].twins == B
     assert verdict.each["a"].probability == pytest.approx(1.0)
-    # A rival beside the whole set is possible, and no twin.
+    # A rival together with the whole set is possible, but not equivalent.
     verdict = decide(findings({A: 0.7, AB: 0.2}, sets))
     assert verdict.status == Status.CANNOT_TELL and verdict.also_possible == B
     assert verdict.each["a"].twins == ()
@@ -159,7 +159,7 @@ def test_a_named_effect_reaches_the_required_probability(likely):
         return decide(findings({AB: p} | rest, sets, 0.01), policy).status.names
 
     assert named(likely + 0.01) and not named(likely - 0.01)
-    # Also from where on something unlisted is said to be there.
+    # Also above the limit for reporting something unlisted.
     for unlisted in (likely - 0.01, likely + 0.01):
         verdict = decide(replace(NAMED, unlisted=unlisted), policy)
         more = unlisted > likely

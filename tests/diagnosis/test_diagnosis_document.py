@@ -213,7 +213,7 @@ def test_the_predicted_moment_agrees_with_the_model(studied):
 
     slope = (moment(1e-4) - moment(-1e-4)) / 2e-4
     ours = columns[n : 2 * n, k]
-    # Each load has noise of its own: the ratio is one number a load.
+    # Each load has another noise: the ratio is one number per load.
     for fz in (2e3, 5e3):
         rows = loads == fz
         ratio = ours[rows] @ slope[rows] / (slope[rows] @ slope[rows])

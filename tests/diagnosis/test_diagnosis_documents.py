@@ -81,7 +81,7 @@ def generated(seed):
     if lateral:
         columns = {"alpha": np.arctan(measured), "fy": force}
     else:
-        # A kappa below -1 is no sigma_x that a reader would take.
+        # A reader refuses the sigma_x of a kappa below -1.
         other = gap == "kappa" and measured.min() > -0.45
         logged = measured / (1 + measured) if other else measured
         columns = {"sigma_x": logged, "fx": force}

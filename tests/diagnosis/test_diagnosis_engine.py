@@ -194,9 +194,9 @@ def test_holdout_files_judge_the_closure(diagnosed):
     assert good.gap.holdout.closed > 0.8
     assert good.gap.holdout.on == "b"
     bad = diagnose(read_frame(frame), rig=RIG, holdout=[read_frame(plain, "c")])
-    # Data without the effect are made worse by it, and that is said.
+    # The effect makes data without it worse, which is reported.
     assert bad.gap.holdout.closed is None or (bad.gap.holdout.closed < 0)
-    # Where nothing is named, how far the fit misses other files is said all the same.
+    # Without a name, the error of the fit on other files is still reported.
     plain, _ = record(None, seed=12)
     none = diagnose(read_frame(plain), rig=RIG, holdout=[read_frame(other, "b")])
     slip, load = np.asarray(other["sigma_x"]), np.asarray(other["fz"])

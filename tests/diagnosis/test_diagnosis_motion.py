@@ -51,7 +51,7 @@ def test_a_derived_force_is_recognised_by_its_channels(driven):
     assert found.arm == pytest.approx(ARM)
     front = derived_from(read_frame(drive(Car(), "front")), "fy")
     assert front.steered and front.mass == pytest.approx(1400 * 1.4 / 2.6)
-    # A transducer has a noise of its own, however good it is.
+    # Even a good transducer has noise.
     noisy = driven["fy"] * (1 + 0.005 * np.sin(np.arange(700)))
     assert derived_from(read_frame(driven | {"fy": noisy}), "fy") is None
     without = {name: x for name, x in driven.items() if name != "a_y"}

@@ -98,7 +98,7 @@ def test_a_flexible_carcass_reduces_the_slip():
     inputs = TireInputs(0.06, 0.0, fz, 0.0)
     slip = 0.06 + state.shift
     ours = force_of_state(tire, None, state, slip, 0.0, inputs)[0]
-    # The force of the base model stands for the one that is there: to first order.
+    # The force of the base model approximates the true one to first order.
     assert rigid - right > 400
     assert abs(ours - right) < 0.4 * (rigid - right)
 
@@ -274,7 +274,7 @@ def test_a_delay_uses_the_earlier_slip(base, delay):
     found = _change(base, "channel_delay", 0, delay, rows)
     np.testing.assert_allclose(found.shift, right, atol=1e-12)
     assert np.all(found.friction == 1)
-    # Forces that come late are those of slip and load of then.
+    # Delayed forces belong to the earlier slip and load.
     found = _change(base, "channel_delay", 1, delay, rows)
     np.testing.assert_allclose(found.shift, right, atol=1e-12)
     now = 1 + np.abs(row - 20) / 100

@@ -398,7 +398,7 @@ def test_the_simulator_also_predicts_held_out_files(frame):
     sim = simulator_at("brush", {"cpa2": TRUE["cpa2"], "mu": TOO_HIGH * TRUE["mu"]})
     found = studied(frame, sim, holdout=[read_frame(other, "b")])
     assert found.gap.holdout.on == "b" and found.gap.holdout.closed > 0.9
-    # Arrays are of the rows they were given for.
+    # Arrays belong to the rows for which they were given.
     with pytest.raises(DataError, match="no measured force has a simulated one"):
         studied(frame, frame["fx"], holdout=[read_frame(other, "b")])
 
@@ -412,7 +412,7 @@ def test_block_means_are_taken_over_whole_blocks():
 
 
 def test_a_part_that_increases_the_error_has_share_zero():
-    # Two parts, what is left, noise, whole: closed are 6 of 10.
+    # Two parts, remainder, noise, total: 6 of 10 are closed.
     means = np.array([[7.0, -1.0, 4.0, 1.0, 10.0], [2.0, 4.0, 4.0, 5.0, 10.0]])
     wanted = [[6.0, 0.0, 3.0, 1.0, 10.0], [2.0, 4.0, 0.0, 4.0, 10.0]]
     np.testing.assert_allclose(_energies(means), wanted)

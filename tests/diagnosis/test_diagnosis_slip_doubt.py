@@ -36,7 +36,7 @@ def doubt(slip, std=STD, path=None):
 def test_without_noise_there_is_no_slip_doubt():
     slip = np.linspace(0, 0.05, ROWS)
     assert doubt(slip, 0.0).shape == (ROWS, 0)
-    # A large slip beside its noise has no bend within it.
+    # A slip much larger than its noise has no bend within the noise.
     assert doubt(100 * slip).shape == (ROWS, 0)
 
 
@@ -122,7 +122,7 @@ def test_channels_that_inform_only_together_are_used():
     ):
         (column,) = proxies(slip, measured, past=past).T
         np.testing.assert_allclose(column, path - believed(slip), atol=0.6 * STD)
-    # Neither does alone, nor the past by itself.
+    # Neither informs alone, nor does the past.
     assert proxies(slip, [path + other]).shape == (ROWS, 0)
     assert proxies(slip, [], past=past).shape == (ROWS, 0)
 

@@ -217,7 +217,7 @@ def test_the_ladder_descends_from_no_effect_to_the_noise():
     np.testing.assert_allclose(gains, falls, atol=1e-9)
     assert ladder.steps[0].closed == 0 and ladder.steps[-1].closed == 1
     assert 0 < ladder.steps[1].closed < ladder.steps[2].closed < 1
-    # A set that was not refitted is no step, and names nobody gave neither.
+    # Neither a set without a refit nor an unnamed one is a step.
     less = out._replace(effects=((), ("a",), ("c",), ("a", "b")))
     assert [s.effects for s in ladder_of(less, ("a", "b"), floor).steps] == names
     assert [s.effects for s in ladder_of(out, (), floor).steps] == [(), SMOOTH, NOISE]
@@ -261,7 +261,7 @@ def test_a_search_without_sufficient_gain_finds_no_effect(ends):
 
 
 def test_the_search_rejects_an_effect_of_one_run():
-    """Friction is a third lower in one of five runs: it is no effect of all runs, and
+    """Friction is a third lower in one of five runs: it is not an effect of all runs, and
     the offset that all have is kept."""
     frame = logs(5)
     odd = frame["run"] == "r4"

@@ -77,7 +77,7 @@ def test_a_tire_in_sae_signs_is_reported_with_a_remedy(mu):
     assert "--signs sae reads the file in these signs" in remedy and "--side" in remedy
     assert "--convention" not in remedy
     assert doubt(columns, simulator_at(str(TIR), signs="sae"), **BRAKING) == ""
-    # Who insists is told all the same.
+    # The warning is given even if the user insists.
     said = doubt(columns, simulator_at(str(TIR), signs="iso-w"), **BRAKING)
     assert "mirrored in alpha" in said and "used as given" in said
 

@@ -82,7 +82,7 @@ def test_one_force_of_combined_rows_is_fitted_at_both_slips():
     for name, value in TRUTH.items():
         found = result.parameters[name]
         assert found.identified and abs(found.value - value) < 3 * found.std
-    # Of one load, the curves are of three side slips.
+    # At one load, the curves belong to three lateral slips.
     curve = fit_curve(result)
     assert curve.note == "points moved along the fit to these slips"
     for group, one in zip(curve.groups, curve.curves, strict=True):

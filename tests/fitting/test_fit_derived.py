@@ -335,7 +335,7 @@ def test_quantities_per_run_agree_with_separate_fits(by_run):
             assert (found.unit, found.identified) == (expected.unit, True)
             np.testing.assert_allclose(found.value, expected.value, rtol=1e-6)
             np.testing.assert_allclose(found.std, expected.std, rtol=1e-3)
-            # Both levels are of one parameter: the other run takes none of it.
+            # Both levels are for one parameter: the other run has no influence.
             np.testing.assert_allclose(found.ci95, expected.ci95, rtol=1e-4)
 
 

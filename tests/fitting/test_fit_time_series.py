@@ -110,7 +110,7 @@ def test_prediction_follows_the_rows_in_time(lagged):
     assert np.isnan(again["fx"][40:43]).all()
     np.testing.assert_allclose(again["fx"][used], found["fx"][used], atol=0.1 * FZ)
     np.testing.assert_allclose(again["fx"][:40], found["fx"][:40], rtol=1e-12)
-    # By name, with the runs apart: the second starts anew.
+    # By name, with separate runs: the second starts in steady state.
     values = {name: e.value for name, e in lagged.least_squares.items()}
     by_name = predict("brush-relaxation", DATA, values)
     np.testing.assert_allclose(by_name["fx"], found["fx"], rtol=1e-9, atol=1e-6)

@@ -303,7 +303,7 @@ def test_property_2_small_slip_goes_smoothly_over_to_large_slip():
     np.testing.assert_allclose(large, expected, rtol=0, atol=0.02 * FZ)
     along_line = jax.jit(jax.vmap(force, (0, None)))
     slope_line = jax.jit(jax.vmap(jax.jacfwd(force), (0, None)))
-    # Between them neither value nor slope jumps, nor where full sliding begins.
+    # Value and slope are continuous in between and at full sliding.
     for angle in (0.3, 1.1, 2.0):
         sizes = jnp.linspace(0.01, 0.5, 2001)
         slope = slope_line(sizes, angle)

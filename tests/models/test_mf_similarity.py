@@ -67,7 +67,7 @@ def test_the_combined_force_stays_within_the_ellipse_of_the_pure_forces(name):
             found = iso(one, KAPPA, ALPHA, fz)
             return np.max((found.fx / largest[0]) ** 2 + (found.fy / largest[1]) ** 2)
 
-        # The other shift at rest dies out as it is, beside the ellipse.
+        # The other shift at zero slip decays independently of the ellipse.
         assert filled(tire) < 1.002
         assert filled(with_ones) > 1.7
 

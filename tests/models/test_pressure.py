@@ -284,13 +284,13 @@ def test_a_density_that_is_no_pressure_is_refused(density, message):
 @pytest.mark.parametrize(
     ("text", "problems"),
     [
-        ("xi,density\n-1,0\n0,1\n1,x\n", [(4, "density", "'x' is no number")]),
+        ("xi,density\n-1,0\n0,1\n1,x\n", [(4, "density", "'x' is not a number")]),
         ("x,p\n-1,0\n", [(2, "xi", "no number"), (2, "density", "no number")]),
         (
             "xi,density\n-1,0\n0,-1\n0,1\n",
             [(3, None, "negative"), (4, None, "not increase"), (None, None, "-1 to 0")],
         ),
-        ("xi,density\n-1,0\n", [(None, None, "no two columns")]),
+        ("xi,density\n-1,0\n", [(None, None, "not two columns")]),
         ("xi,density\n-1,0\n0.5,1\n0.8,0.1\n1,0.1\n", [(None, None, "falls at xi")]),
     ],
 )

@@ -76,7 +76,7 @@ def v_along(observer, theta, path, columns, z, rho):
 @pytest.mark.parametrize("wrong", [0.5, 2.0])
 def test_the_lyapunov_function_falls_without_noise(theta, wrong):
     columns, z = wheel(theta)
-    # Of little friction there is little to be seen: quicker, lest it take ten teeth.
+    # Low friction is less observable: a faster gain avoids ten teeth.
     settings = {"kappa": 2.0, "adaptation": 1e6 / theta**4}
     observer = with_values(LuGreObserver(), settings)
     low, high, margin = weights_of_v(observer)

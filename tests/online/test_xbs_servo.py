@@ -28,7 +28,7 @@ def test_with_an_ideal_actuator_the_condition_agrees_with_eigenvalues(pole):
     for gain in (-pole - 1.0, -pole + 1.0, -pole + 20.0):
         if gain < 0:
             continue
-        # O(8) by itself: wheel speed and the integral that the torque is of it.
+        # O(8) alone: wheel speed and its integral, the torque.
         ideal = np.array([[-pole, -1.0], [-pole * gain, -gain]])
         eigenvalues = np.linalg.eigvals(ideal)
         moving = eigenvalues[np.argmax(abs(eigenvalues))]

@@ -508,7 +508,7 @@ def test_a_closure_at_its_bound_is_reported_as_a_bound():
 
 
 def test_a_gap_that_grew_on_fitted_rows_is_reported_as_such():
-    # The record ends at zero there; what is left does not.
+    # The record ends at zero there; the remainder does not.
     grew = replace(GAP, closed=0.0, closed_ci=(-0.3, 0.1), remaining_rms=150.0)
     line = gap_line(diagnosis(), grew, "here")
     assert line.endswith("-20 % [-30 %, 10 %], -44 % of its energy")

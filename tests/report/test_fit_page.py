@@ -146,7 +146,7 @@ def test_chromium_shows_the_page_of_a_fit(sampled, text, tmp_path):
     _, asked = browse(page, tmp_path, f"--screenshot={shot}")
     assert asked == []
     assert matplotlib.image.imread(shot)[:, :, :3].std() > 0.05
-    # Tables and pictures that are wider scroll in boxes of their own.
+    # Wider tables and figures scroll in their own boxes.
     assert width_on_phone(text, tmp_path) <= PHONE
 
 

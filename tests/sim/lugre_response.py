@@ -63,7 +63,7 @@ def simulate(
     if time.ndim != 1 or len(time) < 2 or not _increases(time):
         raise ValueError("time must be a vector of at least two increasing instants")
     start = jnp.zeros((len(bristles.weight), 2)) if initial is None else initial
-    # As arrays, lest every new value be compiled anew.
+    # As arrays, to avoid a compilation for every new value.
     tire, rtol = jax.tree.map(jnp.asarray, (tire, rtol))
     deflection = _integrate(tire, bristles, time, motion, start, rtol, adjoint)
     forces = jax.vmap(lambda z, now: bristle_forces(tire, bristles, z, now))

@@ -98,7 +98,7 @@ def test_cannot_tell_is_scored():
     assert not judged(truth, both).exact
     other = answer("cannot_tell", ["slip_offset"], 0.5, also=["load_friction"])
     assert not judged(truth, other).exact_or_alias
-    # Alternatives beside a definite answer do not count.
+    # Alternatives to a definite answer do not count.
     sure = answer("named", ["slip_offset"], 0.5, also=["force_offset"])
     assert not judged(truth, sure).exact_or_alias
 
@@ -388,7 +388,7 @@ def test_baselines_compute_only_missing_answers(tmp_path, monkeypatch):
     found, forces = baselines.kept(tmp_path / "out" / f"{names[2]}.npz")
     assert found == {"bic": {"verdict": names[2]}}
     assert forces["base"].tolist() == [1, 1]
-    # A method that was not asked for before is missing everywhere.
+    # A method that was not requested before is missing everywhere.
     baselines.run_group(group, [], {"bic", "forest"}, tmp_path / "out")
     assert asked[-len(names) :] == names
 

@@ -78,7 +78,7 @@ def test_an_unlisted_effect_has_no_name_in_the_budget(beside):
         noise = np.mean((trial.columns["fx"] - trial.truth["fx"]) ** 2)
         wanted = rest / noise
         found = label["budget"]["unexplained"] / label["budget"]["noise"]
-        # gap_rms is of the same fit at the slip without its noise.
+        # gap_rms belongs to the same fit at the slip without noise.
         assert found == pytest.approx(wanted, rel=0.3)
 
 
