@@ -1,19 +1,19 @@
-"""Programs that outlive the process: ``jax.jit`` whose traced program is kept on disk.
+"""Programs that outlive the process: ``jax.jit`` whose compiled program is kept on disk.
 
-JAX's own cache keeps what XLA compiled, but a new process still traces every function
-in Python first. Here the traced program (``jax.export``) is kept too, under a digest of
-everything that it depends on: the sources of the package, the versions of its
-libraries, the platform and kind of device, the pickled static arguments, and the
-structure, shapes and types of the others. An unreadable file is made anew; the programs
-used least recently are removed.
+JAX's own cache keeps what XLA compiled too, but a new process still traces and lowers
+every function first. Here the compiled program is kept under a digest of everything
+that it depends on: the sources of the package, the versions of its libraries, the
+device with the features of its processor, the flags of XLA, the pickled static
+arguments, and the structure, shapes and types of the others. An unreadable file is made
+anew; the programs used least recently are removed.
 
 ``brief`` marks a program that runs a few times in a process, and so takes longer to
 compile than it ever runs: it is compiled by the plainer of XLA's two ways.
 
 A whole process ``tirefit fit --no-posterior`` of the brush (400 rows, figures included,
-both caches warm) takes 5.3 s of processor time instead of 6.8 s with JAX's cache alone,
-``tirefit diagnose`` of 900 rows 10.8 s instead of 11.4 s (medians of five and of three
-alternating pairs on two shared, busy cores).
+caches warm) takes 1.9 s of processor time instead of 2.5 s with JAX's cache alone,
+``tirefit diagnose`` of the sample that ships, with figures, 5.3 s instead of 5.9 s
+(medians of seven and of three alternating pairs on two shared, busy cores).
 """
 
 import contextlib
@@ -42,7 +42,7 @@ _loaded: dict[tuple, Callable] = {}
 _one_at_a_time = threading.Lock()
 
 _MOST_PROGRAMS = 500
-"""Programs kept, at most: some 30 models at 10 to 20 programs of some 50 kB each."""
+"""Programs kept, at most: some 30 models at 10 to 20 programs of some 100 kB each."""
 
 _PLAINLY: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
 """Compiles in 0.56 of the time (all programs of a first fit of ``carcass-beam``: 6.3 s
@@ -55,7 +55,7 @@ program takes some thirty, Linux allows 65,530, and XLA ends the process at the 
 
 
 def keep_programs_in(directory: str | os.PathLike | None) -> None:
-    """Keep traced programs in this directory from now on; None keeps none."""
+    """Keep compiled programs in this directory from now on; None keeps none."""
     global _directory
     _directory = None if directory is None else Path(directory)
 
@@ -103,7 +103,7 @@ def _device() -> str:
 
 
 class Compiled:
-    """A function jitted by ``jax.jit``, with its traced programs kept on disk."""
+    """A function jitted by ``jax.jit``, with its compiled programs kept on disk."""
 
     def __init__(self, function: Callable, static: tuple[str, ...], brief: bool):
         update_wrapper(self, function)
