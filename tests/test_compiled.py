@@ -80,6 +80,13 @@ def test_other_sources_give_other_programs(directory, monkeypatch):
     assert traces == [2, 2]
 
 
+def test_a_program_depends_on_all_sources_below_the_report(monkeypatch):
+    from tests.test_layers import FLOORS
+
+    highest = FLOORS["vehicle"]
+    assert set(module._ABOVE) == {room for room, floor in FLOORS.items() if floor > highest}
+
+
 def test_another_device_gives_another_program(directory, monkeypatch):
     traces = []
     counted(traces)(np.ones(3), 1.0, 2)

@@ -1,19 +1,19 @@
-"""``jax.jit`` with the traced programs stored on disk, for later processes.
+"""``jax.jit`` with the compiled programs stored on disk, for later processes.
 
-JAX's own cache stores compiled programs, but a new process still traces every function
-in Python first. This module stores the traced program (``jax.export``) as well. The name
-of its file is a digest of everything that it depends on: the sources of the package, the
-versions of its libraries, the platform and kind of device, the pickled static arguments,
-and the structure, shapes and types of the others. An unreadable file is rewritten;
-the programs used least recently are removed.
+JAX's own cache stores compiled programs as well, but a new process still traces and lowers
+every function first. The name of a file here is a digest of everything that the program
+depends on: the sources of the package, the versions of its libraries, the device with the
+features of its processor, the flags of XLA, the pickled static arguments, and the
+structure, shapes and types of the others. An unreadable file is rewritten; the programs
+used least recently are removed.
 
 ``brief`` marks a program that runs a few times in a process, so that it takes longer to
 compile than to run: it is compiled with fewer optimisations.
 
-A process ``tirefit fit --no-posterior`` of the brush (400 rows, with figures, both caches
-warm) takes 5.3 s of processor time instead of 6.8 s with JAX's cache alone,
-``tirefit diagnose`` of 900 rows 10.8 s instead of 11.4 s (medians of five and of three
-alternating pairs on two shared, busy cores).
+A whole process ``tirefit fit --no-posterior`` of the brush (400 rows, figures included,
+caches warm) takes 1.9 s of processor time instead of 2.5 s with JAX's cache alone,
+``tirefit diagnose`` of the sample that ships, with figures, 5.3 s instead of 5.9 s
+(medians of seven and of three alternating pairs on two shared, busy cores).
 """
 
 import contextlib
@@ -42,7 +42,10 @@ _loaded: dict[tuple, Callable] = {}
 _one_at_a_time = threading.Lock()
 
 _MOST_PROGRAMS = 500
-"""Largest number of stored programs: 30 models at 10 to 20 programs of 50 kB each."""
+"""Largest number of stored programs: 30 models at 10 to 20 programs of 100 kB each."""
+
+_ABOVE = ("cli", "report", "targets")
+"""Rooms that no program depends on: imports go down only."""
 
 _PLAINLY: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
 """A program compiles in 0.56 of the time (all programs of a first fit of ``carcass-beam``:
@@ -56,7 +59,7 @@ takes about 30. Linux allows 65,530; XLA ends the process at the next one."""
 
 
 def keep_programs_in(directory: str | os.PathLike | None) -> None:
-    """Store traced programs in this directory from now on; None stores none."""
+    """Store compiled programs in this directory from now on; None stores none."""
     global _directory
     _directory = None if directory is None else Path(directory)
 
@@ -86,9 +89,10 @@ def release_programs(most: int = _MOST_MAPPINGS) -> bool:
 @cache
 def _sources() -> bytes:
     """Digest of the sources of the package and of the libraries that it traces."""
-    digest = hashlib.sha256()
-    for file in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(file.read_bytes())
+    digest, package = hashlib.sha256(), Path(__file__).parent
+    for file in sorted(package.rglob("*.py")):
+        if file.relative_to(package).parts[0] not in _ABOVE:
+            digest.update(file.read_bytes())
     for library in ("jax", "jaxlib", "equinox", "optimistix", "jaxopt"):
         digest.update(version(library).encode())
     return digest.digest()
@@ -104,7 +108,7 @@ def _device() -> str:
 
 
 class Compiled:
-    """A function jitted by ``jax.jit``, with its traced programs stored on disk."""
+    """A function jitted by ``jax.jit``, with its compiled programs stored on disk."""
 
     def __init__(self, function: Callable, static: tuple[str, ...], brief: bool):
         update_wrapper(self, function)

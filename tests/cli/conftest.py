@@ -1,8 +1,8 @@
 """The command line in this process, with separate caches in a directory of the tests.
 
-A command keeps its traced programs beside the compiled ones where nobody chose a cache
-for JAX, as a user's does; so do those that tests start and the workers of a cluster,
-which then have the programs of the commands before them, and those of the last run.
+A command keeps its programs beside those of JAX where nobody chose a cache for JAX, as
+a user's does; so do those that tests start and the workers of a cluster, which then have
+the programs of the commands before them, and those of the last run.
 """
 
 import os
@@ -42,7 +42,7 @@ def commands_cache():
 @pytest.fixture(scope="module", autouse=True)
 def own_cache():
     """File by file: what has the scope of a package, which this folder is none, ends
-    with the session. Tests of other folders would run the traced programs of commands,
+    with the session. Tests of other folders would run the kept programs of commands,
     unchecked, and find nothing of what the other worker or the last run compiled."""
     with commands_cache():
         yield
