@@ -1,4 +1,4 @@
-"""Running a case of ``fits/``: its expected.toml, its fits, its independent numbers.
+"""Runs a case of ``fits/``: its expected.toml, its fits, its independent numbers.
 
 ``expected.toml``, all parts optional but ``how`` and one list of checks::
 
@@ -54,7 +54,7 @@ def all_checks(expected: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def malformed(expected: dict[str, Any]) -> list[str]:
-    """Checks that say nothing, or do not say where their number comes from."""
+    """Checks without content, or without the source of their number."""
     found = []
     for check in all_checks(expected):
         unknown = set(check) - _OF_A_CHECK
@@ -68,7 +68,7 @@ def malformed(expected: dict[str, Any]) -> list[str]:
 
 
 def part_of(case: Path, module: str, function: str) -> dict[str, float]:
-    """What ``reference()`` or ``properties()`` of a case's script gives, if there."""
+    """The result of ``reference()`` or ``properties()`` in a case's script, if any."""
     if not (case / f"{module}.py").exists():
         return {}
     return getattr(importlib.import_module(f"fits.{case.name}.{module}"), function)()
@@ -115,7 +115,7 @@ def look_up(content: Any, path: str) -> Any:
 
 
 def broken(check: dict[str, Any], found: Any, reference: dict[str, float]) -> list[str]:
-    """What does not hold, in words; empty if all does."""
+    """The checks that fail, in words; empty if all hold."""
     of, wrong = check["of"], []
     if "per" in check:
         found = found / reference[check["per"]]

@@ -1,4 +1,4 @@
-"""Programs kept on disk give the same numbers, and are really used."""
+"""Programs cached on disk give the same numbers, and are really used."""
 
 import os
 import subprocess
@@ -29,7 +29,7 @@ def counted(traces):
     return scaled
 
 
-def test_a_kept_program_is_not_traced_again(directory):
+def test_a_cached_program_is_not_traced_again(directory):
     traces = []
     x = np.linspace(0, 1, 5)
     first = counted(traces)(x, 2.0, power=3)["value"]
@@ -64,7 +64,7 @@ def test_a_program_of_lapack_runs_in_another_process_whatever_jax_keeps(tmp_path
             program.unlink()
 
 
-def test_static_arguments_shapes_and_types_name_other_programs(directory):
+def test_static_arguments_shapes_and_types_give_other_programs(directory):
     traces = []
     function = counted(traces)
     for x, power in [(np.ones(3), 2), (np.ones(4), 2), (np.ones(3), 3), (1.0, 2)]:
@@ -72,7 +72,7 @@ def test_static_arguments_shapes_and_types_name_other_programs(directory):
     assert traces == [2, 2, 3, 2] and len(list(directory.iterdir())) == 4
 
 
-def test_other_sources_name_other_programs(directory, monkeypatch):
+def test_other_sources_give_other_programs(directory, monkeypatch):
     traces = []
     counted(traces)(np.ones(3), 1.0, 2)
     monkeypatch.setattr(module, "_sources", lambda: b"edited")
@@ -80,7 +80,7 @@ def test_other_sources_name_other_programs(directory, monkeypatch):
     assert traces == [2, 2]
 
 
-def test_another_device_names_another_program(directory, monkeypatch):
+def test_another_device_gives_another_program(directory, monkeypatch):
     traces = []
     counted(traces)(np.ones(3), 1.0, 2)
     monkeypatch.setattr(module, "_device", lambda: "gpu H200")
@@ -88,7 +88,7 @@ def test_another_device_names_another_program(directory, monkeypatch):
     assert traces == [2, 2] and len(list(directory.iterdir())) == 2
 
 
-def test_the_programs_used_least_recently_go(directory, monkeypatch):
+def test_the_least_recently_used_programs_are_removed(directory, monkeypatch):
     monkeypatch.setattr(module, "_MOST_PROGRAMS", 2)
     traces = []
     for age, size in ((30, 1), (20, 2)):
@@ -104,7 +104,7 @@ def test_the_programs_used_least_recently_go(directory, monkeypatch):
     assert len(traces) == 4
 
 
-def test_a_torn_file_is_made_anew(directory):
+def test_a_damaged_file_is_replaced(directory):
     traces = []
     counted(traces)(np.ones(3), 1.0, 2)
     (file,) = directory.iterdir()
@@ -115,27 +115,27 @@ def test_a_torn_file_is_made_anew(directory):
     assert len(file.read_bytes()) > 50
 
 
-def test_a_brief_program_is_compiled_plainly(directory, monkeypatch):
+def test_a_brief_program_is_compiled_without_options(directory, monkeypatch):
     def doubled(x):
         return 2 * x
 
     x = np.arange(3.0)
     np.testing.assert_array_equal(compiled(brief=True)(doubled)(x), 2 * x)
-    # Only a program that is told of the options can refuse them.
+    # Only a program that gets the options can refuse them.
     monkeypatch.setattr(module, "_PLAINLY", {"xla_no_such_option": True})
     np.testing.assert_array_equal(compiled()(doubled)(x), 2 * x)
     with pytest.raises(RuntimeError, match="xla_no_such_option"):
         compiled(brief=True)(doubled)(x)
 
 
-def test_inside_a_trace_it_is_an_ordinary_function(directory):
+def test_within_a_trace_it_is_an_ordinary_function(directory):
     function = counted([])
     slope = jax.grad(lambda x: jnp.sum(function(x, 1.0, 3)["value"]))(jnp.array([2.0]))
     np.testing.assert_allclose(slope, [12.0])
     assert list(directory.iterdir()) == []
 
 
-def test_a_directory_that_cannot_be_written_to_is_no_error(tmp_path):
+def test_an_unwritable_directory_is_no_error(tmp_path):
     (tmp_path / "file").write_text("in the way")
     keep_programs_in(tmp_path / "file")
     try:
@@ -145,7 +145,7 @@ def test_a_directory_that_cannot_be_written_to_is_no_error(tmp_path):
 
 
 @pytest.mark.skipif(not os.path.exists("/proc/self/maps"), reason="no /proc here")
-def test_programs_are_let_go_where_they_hold_too_much(directory):
+def test_programs_are_released_above_the_memory_limit(directory):
     def mappings():
         with open("/proc/self/maps", "rb") as file:
             return sum(1 for _ in file)

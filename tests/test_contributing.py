@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md describes the house that is there."""
+"""CONTRIBUTING.md describes the existing structure."""
 
 import re
 from pathlib import Path
@@ -10,14 +10,14 @@ TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 FLOOR = re.compile(r"^    (\d)  (\w+) ", re.MULTILINE)
 
 
-def test_the_floors_are_those_that_are_tested():
+def test_the_documented_layers_are_right():
     rooms = {name: int(floor) for floor, name in FLOOR.findall(TEXT)}
     assert rooms == {name: FLOORS[name] for name in rooms} and len(rooms) == 16
     folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
     assert folders <= set(rooms)
 
 
-def test_what_it_names_is_there():
+def test_the_named_files_exist():
     paths = re.findall(r"`((?:tirefit|tests|fits)/[^`\s]*)`", TEXT)
     assert len(paths) > 10
     assert [path for path in paths if not (ROOT / path).exists()] == []

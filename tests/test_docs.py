@@ -1,4 +1,4 @@
-"""The manual builds strictly, needs no network, and describes what is there."""
+"""The manual builds strictly, needs no network, and describes what exists."""
 
 import doctest
 import inspect
@@ -96,15 +96,15 @@ def test_a_broken_link_or_reference_fails(tmp_path, text, fault):
     assert fault in done.stderr
 
 
-def test_links_work_where_the_markdown_is_read():
-    """Without a build: no link leads to a page that is generated."""
+def test_links_work_in_the_markdown():
+    """Without a build: no link points to a generated page."""
     for page in (*PAGES, *ROOT.glob("*.md")):
         text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.M | re.S)
         links = re.findall(r"\]\((?!\w+:)([^)# ]+)[^)]*\)", text)
         assert [x for x in links if not (page.parent / x).exists()] == [], page
 
 
-def test_every_page_is_in_the_navigation_and_says_what_the_reader_gets():
+def test_every_page_is_in_the_navigation_with_an_introduction():
     settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
     listed = " ".join(map(str, settings["nav"]))
     for page in PAGES:
@@ -121,7 +121,7 @@ READERS = {"fit.toml": load_config, "rig.toml": load_rig, "vehicle.toml": load_v
     ("name", "text"),
     [found for page in PAGES for found in SETTINGS.findall(page.read_text("utf-8"))],
 )
-def test_the_settings_that_the_manual_shows_are_valid(name, text, tmp_path):
+def test_the_settings_in_the_manual_are_valid(name, text, tmp_path):
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
     READERS[name](path)
@@ -257,7 +257,7 @@ SCORES = {
 
 
 @pytest.mark.parametrize("row", SCORES)
-def test_the_limits_are_those_of_the_sealed_trials(row):
+def test_the_documented_limits_agree_with_the_sealed_trials(row):
     trials = (CASES / "withheld" / "README.md").read_text(encoding="utf-8")
     limits = (DOCS / "how-it-works" / "limits.md").read_text(encoding="utf-8")
     line = next(x for x in trials.splitlines() if x.startswith(f"| {row}"))
@@ -287,7 +287,7 @@ def _cells(text, row):
 
 
 @pytest.mark.parametrize("row", SWITCHED_OFF)
-def test_what_each_step_buys_is_that_of_the_ablation(row):
+def test_the_documented_gain_of_each_step_agrees_with_the_ablation(row):
     page = (DOCS / "how-it-works" / "diagnosis.md").read_text(encoding="utf-8")
     ablation = (CASES / "withheld" / "README.md").read_text(encoding="utf-8")
     every = _cells(ablation, SWITCHED_OFF[row])

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all; JSON holds nothing that it cannot say."""
+"""Files are written completely or not at all; JSON holds only what it can express."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from tirefit.files import json_safe, json_text, replacing, write_text_atomic, wr
 from tirefit.results import Outcome
 
 
-def test_json_holds_plain_finite_values():
+def test_json_contains_plain_finite_values():
     content = {
         "outcome": Outcome.AT_BOUND,
         1: (np.float32(0.5), np.int64(3), np.bool_(True), True, "text", None),
@@ -31,7 +31,7 @@ def test_json_holds_plain_finite_values():
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_a_block_that_fails_leaves_the_old_file_alone(tmp_path, error):
+def test_a_block_that_fails_keeps_the_old_file(tmp_path, error):
     path = tmp_path / "a.bin"
     path.write_bytes(b"old")
     with pytest.raises(error), replacing(path) as temporary:
@@ -50,7 +50,7 @@ def test_an_error_of_another_file_keeps_its_name(tmp_path):
     assert caught.value.filename == str(tmp_path / "b" / "c")
 
 
-def test_a_failed_write_leaves_the_old_file_alone(tmp_path, monkeypatch):
+def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "a.csv"
     path.write_text("old")
     with pytest.raises(ValueError, match="shorter"):

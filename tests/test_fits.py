@@ -1,4 +1,4 @@
-"""Every case of ``fits/`` against its expected.toml: adding a case adds a test."""
+"""Every case of ``fits/`` agrees with its expected.toml: a new case adds a test."""
 
 import pytest
 from fits_support import (

@@ -35,7 +35,7 @@ def share_below(draws, ends):
 
 
 def compare(case, fit, folder):
-    """The sampler that drew; asserts that intervals agree where there are two."""
+    """The sampler that was used; asserts that intervals agree if there are two."""
     derive_all(case, load(case), folder)
     result = run_fit(case, fit | {"posterior": False}, folder)
     # Where it is refused its steps are emcee's own: few, there is nothing to compare.
@@ -66,15 +66,15 @@ def compare(case, fit, folder):
 
 
 @pytest.mark.parametrize(("case", "fit"), [x for x in FITS if (x[0].name, x[1]["name"]) in QUICK])
-def test_intervals_are_those_of_emcee(case, fit, tmp_path):
+def test_intervals_agree_with_emcee(case, fit, tmp_path):
     assert compare(case, fit, tmp_path) == QUICK[case.name, fit["name"]]
 
 
 @pytest.mark.statistics
 @pytest.mark.parametrize(("case", "fit"), FITS, ids=IDS)
-def test_intervals_are_those_of_emcee_on_every_case(case, fit, tmp_path):
+def test_intervals_agree_with_emcee_on_every_case(case, fit, tmp_path):
     compare(case, fit, tmp_path)
 
 
-def test_quick_cases_are_there():
+def test_quick_cases_exist():
     assert {(case.name, fit["name"]) for case, fit in FITS} >= set(QUICK)

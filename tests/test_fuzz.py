@@ -40,7 +40,7 @@ def test_whole_commands_end_with_results_or_clean_errors():
     assert [(f.kind, f.number, f.text) for f in found] == []
 
 
-def test_the_fuzzer_sees_what_a_command_lets_out(monkeypatch):
+def test_the_fuzzer_detects_an_escaped_exception(monkeypatch):
     def broken(*_, **__):
         raise ZeroDivisionError
 
@@ -49,15 +49,15 @@ def test_the_fuzzer_sees_what_a_command_lets_out(monkeypatch):
     assert any("ZeroDivision" in f.text for f in failures(8, seed=1, kinds=kinds))
 
 
-def test_the_fuzzer_sees_a_traceback(monkeypatch):
-    """What it is there for: a reader that lets its parser's error out."""
+def test_the_fuzzer_detects_a_traceback(monkeypatch):
+    """Its purpose: a reader from which the parser's error escapes."""
     kind = KINDS["rig.toml"]._replace(read=lambda path: json.loads(path.read_bytes()))
     monkeypatch.setitem(KINDS, "rig.toml", kind)
     found = list(failures(5, seed=1, kinds=("rig.toml",)))
     assert len(found) == 5 and "Traceback" in found[0].text
 
 
-def test_the_same_seed_damages_alike_and_always():
+def test_the_same_seed_gives_the_same_damage():
     sound = KINDS["tire.tir"].sound()[0]
     both = [damaged(sound, np.random.default_rng([1, 2])) for _ in range(2)]
     assert both[0] == both[1] != sound
@@ -86,7 +86,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("text", "said"), WRONG.values(), ids=WRONG)
-def test_settings_that_no_file_needs_are_refused(tmp_path, text, said):
+def test_implausible_settings_are_refused(tmp_path, text, said):
     path = tmp_path / "s.toml"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(UsageError, match=said) as caught:
@@ -96,7 +96,7 @@ def test_settings_that_no_file_needs_are_refused(tmp_path, text, said):
 
 
 @pytest.mark.parametrize("value", ["1e10", "1e-13", "0", "true"])
-def test_sizes_that_nothing_of_a_rig_has_are_refused(tmp_path, value):
+def test_implausible_sizes_of_a_rig_are_refused(tmp_path, value):
     path = tmp_path / "rig.toml"
     path.write_text(f"[noise]\nfx = {value}\n")
     with pytest.raises(UsageError, match="noise.fx = .*: must be "):
@@ -113,14 +113,14 @@ def test_sizes_that_nothing_of_a_rig_has_are_refused(tmp_path, value):
         ("[posterior]\nmax_steps = 100000000", "posterior.max_steps = 100000000"),
     ],
 )
-def test_numbers_that_no_machine_holds_are_refused(tmp_path, text, said):
+def test_numbers_beyond_the_float_range_are_refused(tmp_path, text, said):
     path = tmp_path / "fit.toml"
     path.write_text(text)
     with pytest.raises(UsageError, match=said):
         load_config(path)
 
 
-def test_a_grid_that_no_machine_holds_is_refused(tmp_path, monkeypatch):
+def test_a_grid_too_large_for_memory_is_refused(tmp_path, monkeypatch):
     text = (KINDS["vehicle.toml"].sound()[0]).decode()
     path = tmp_path / "vehicle.toml"
 
@@ -145,18 +145,18 @@ def test_too_large_a_file_is_not_read(tmp_path):
         content_of("a\0b", CHAIN)
 
 
-def test_infinities_are_left_to_those_who_know_the_key():
+def test_infinities_are_not_refused_in_general():
     assert outrageous({"a": [float("inf"), float("nan"), 0, True, "1e400"]}) is None
     assert outrageous({"a": {"b": [1.0, -1e30]}}) == ("a.b", "a number above 1e+20")
 
 
-def test_control_characters_are_placed():
+def test_control_characters_are_reported_with_their_place():
     assert control_character("a\tb\r\nc\n") is None
     assert control_character("a\r\nb\nc\x1bd") == (3, "U+001B")
     assert control_character("a\x85b") == (1, "U+0085")
 
 
-def test_a_record_that_was_changed_is_refused(tmp_path):
+def test_a_modified_record_is_refused(tmp_path):
     path = tmp_path / "r.json"
     record = sealed({"schema": "x/1", "values": [0.1, None, "µ"], "n": 3})
     path.write_text(json.dumps(record, indent=3))
@@ -174,8 +174,8 @@ def test_a_record_that_was_changed_is_refused(tmp_path):
         read_record(path, "x/1", "")
 
 
-def test_every_single_bit_of_a_kept_chain_counts(tmp_path):
-    """Any one flipped bit is seen, and the same way; so is a forged length."""
+def test_a_change_of_any_bit_of_a_stored_chain_is_detected(tmp_path):
+    """Any flipped bit is detected, and so is a forged length."""
     whole = sealed_bytes("k", struct.pack("<20d", *range(20)))
     assert unsealed_bytes("k", whole) == struct.pack("<20d", *range(20))
     for bit in range(8 * len(whole)):

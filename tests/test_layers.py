@@ -1,4 +1,4 @@
-"""The house rules that a parser can hold: floors, owners, sizes."""
+"""The rules of the structure that a parser can check: floors, owners, sizes."""
 
 import ast
 from pathlib import Path
@@ -82,7 +82,7 @@ def rooms_used(tree):
 
 
 def layer_faults(file, tree):
-    """Imports of a file that do not go down."""
+    """Imports of a file that do not point downwards."""
     here = room_of(file)
     if here in ("__init__", "__main__"):  # the roof: re-exports, starts the cli
         return []
@@ -110,7 +110,7 @@ def owner_faults(file, tree):
 
 
 def private_faults(file, tree):
-    """Names of other files that begin with an underscore: those are their own."""
+    """Used names of other files that begin with an underscore, which are private."""
     return [
         f"{file} imports {name} from {module}, which is private"
         for module, names in imported(tree)
@@ -148,7 +148,7 @@ def size_faults(file, source, tree):
 
 
 @pytest.mark.parametrize("path", FILES, ids=place)
-def test_file_keeps_the_rules(path):
+def test_every_file_follows_the_rules(path):
     source = path.read_text()
     tree = ast.parse(source)
     file = place(path)
@@ -159,7 +159,7 @@ def test_file_keeps_the_rules(path):
     assert size_faults(file, source, tree) == []
 
 
-def test_exceptions_are_still_needed():
+def test_every_exception_is_still_needed():
     names = set()
     for path in FILES:
         file = place(path)
@@ -188,7 +188,7 @@ def test_exceptions_are_still_needed():
         ("__init__.py", "from tirefit.cli import main", 0),
     ],
 )
-def test_layer_check_sees(file, source, faults):
+def test_the_layer_check_detects_violations(file, source, faults):
     assert len(layer_faults(file, ast.parse(source))) == faults
 
 
@@ -207,18 +207,18 @@ def test_layer_check_sees(file, source, faults):
         ("models/base.py", "from __future__ import annotations", 1),
     ],
 )
-def test_owner_check_sees(file, source, faults):
+def test_the_owner_check_detects_violations(file, source, faults):
     assert len(owner_faults(file, ast.parse(source))) == faults
 
 
-def test_private_check_sees():
+def test_the_private_check_detects_violations():
     own = "from tirefit.files import PART, _mode\nfrom jax import _src"
     assert private_faults("cli/x.py", ast.parse(own)) == [
         "cli/x.py imports _mode from tirefit.files, which is private"
     ]
 
 
-def test_size_check_sees():
+def test_the_size_check_detects_violations():
     def faults(source):
         return size_faults("x.py", source, ast.parse(source))
 

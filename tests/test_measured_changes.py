@@ -1,4 +1,4 @@
-"""The measured changes: data, split, what is known by hand, how a line is judged."""
+"""The measured changes: data, split, values by hand, and how a line is judged."""
 
 import json
 from types import SimpleNamespace
@@ -15,8 +15,8 @@ HAND = json.loads(by_hand.FILE.read_text())
 BY_NAME = {case.name: case for case in CASES}
 
 
-def test_the_split_holds():
-    """Cases for choosing use the logs for choosing only; names are unique."""
+def test_cases_use_the_logs_of_their_split():
+    """Cases for choosing use only the logs for choosing; names are unique."""
     assert len(BY_NAME) == len(CASES)
     for case in CASES:
         fitted = case.fitted_on.of if case.fitted_on else ()
@@ -26,7 +26,7 @@ def test_the_split_holds():
     assert {case.use for case in CASES} == {CHOOSING, JUDGING}
 
 
-def test_what_is_known_by_hand_covers_every_case():
+def test_the_values_by_hand_cover_every_case():
     assert list(HAND) == [case.name for case in CASES]
     for case in CASES:
         hand = HAND[case.name]
@@ -39,8 +39,8 @@ def six():
     return table(BY_NAME["dart_six"].logs)
 
 
-def test_six_logs_by_hand(six):
-    """SciPy on runs left out: nothing, the slip zero, and rising friction beside it."""
+def test_six_logs_agree_with_hand_calculation(six):
+    """SciPy on held-out runs: nothing, the slip offset, and rising friction with it."""
     on, parts = by_hand.folds(six)
     assert (on, len(six["fy"])) == (HAND["dart_six"]["on"], 2389)
     assert sum(part.sum() for part in parts) == len(six["fy"])
@@ -66,15 +66,15 @@ def _delay(logs):
         ({"axle": "front", "late": {"delta": 0.05}}, _delay, -0.05),
     ],
 )
-def test_what_is_put_in_is_found(change, measure, moved):
-    """A change of one log of set A moves SciPy's estimate by its own size."""
+def test_inserted_changes_are_found(change, measure, moved):
+    """A change of one log of set A changes SciPy's estimate by its own size."""
     plain = {key: change[key] for key in ("axle",) if key in change}
     logs = {"of": ("a",), "only": ("a_0",), "every": 10}
     found = measure(Logs(**logs, **change)) - measure(Logs(**logs, **plain))
     assert found == pytest.approx(moved, rel=0.1)
 
 
-def test_a_force_that_is_late_and_a_load_that_is_wrong():
+def test_a_delayed_force_and_a_wrong_load_are_found():
     logs = {"of": ("a",), "only": ("a_1",), "every": 10}
     plain = table(Logs(**logs))
     changed = table(Logs(**logs, late={"fy": 0.05}, scaled={"fz": 0.8}))
@@ -108,14 +108,14 @@ def _mu(measured, differs=True):
         ({"change": {"mu": False}}, {"parameters": _mu(0.79, False)}, "right"),
     ],
 )
-def test_how_a_line_is_judged(known, said, right):
+def test_lines_are_judged_by_the_stated_rules(known, said, right):
     case = Case("case", "a", CHOOSING, Logs(("a",)), "", **known)
     line = {"named": [], "said": [], "parameters": {}} | said
     assert run.judged(line, case, TRUTH)[0] == right
 
 
-def test_rms_of_the_ladder():
-    """The longest step within the names; None where the tool has no ladder."""
+def test_rms_of_the_ladder_is_right():
+    """The longest step within the names; None if the tool has no ladder."""
     rms = {(): 0.6, ("x",): 0.3, ("x", "y"): 0.2, ("anything smooth",): 0.15, ("n",): 0}
     steps = [SimpleNamespace(effects=k, rms_left_out=v) for k, v in rms.items()]
     for named, expected in ((("x", "y"), 0.2), (("x", "z"), 0.3), ((), 0.6)):

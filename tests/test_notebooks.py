@@ -1,4 +1,4 @@
-"""The notebooks of ``fits/`` run, and show what a new run shows."""
+"""The notebooks of ``fits/`` run and reproduce their stored output."""
 
 import base64
 import re
@@ -43,7 +43,7 @@ def outputs(notebook):
 
 
 def text(notebook) -> str:
-    """All that a reader sees of the outputs, without figures and tags."""
+    """The visible text of the outputs, without figures and tags."""
     parts = []
     for output in outputs(notebook):
         data = output.get("data", {})
@@ -57,7 +57,7 @@ def rich(notebook, kind: str) -> list:
     return [content for content in found if content is not None]
 
 
-def test_there_are_six():
+def test_all_six_notebooks_exist():
     assert NAMES == [
         "brush_against_magic_formula",
         "diagnose_a_measured_case",
@@ -69,7 +69,7 @@ def test_there_are_six():
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=NAMES)
-def test_committed_is_clean(path):
+def test_committed_notebooks_are_clean(path):
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     assert path.stat().st_size < 700_000
@@ -86,7 +86,7 @@ def test_committed_is_clean(path):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=NAMES)
-def test_runs_and_shows_the_same(path, tmp_path):
+def test_notebooks_reproduce_their_stored_output(path, tmp_path):
     place = tmp_path / "fits" / "notebooks" / path.name
     for source, target in (
         (path, place),
@@ -117,7 +117,7 @@ def rounding(number: str) -> float:
     return 10.0 ** -len(number.partition(".")[2])
 
 
-def test_data_and_fit_show_themselves():
+def test_data_and_fit_have_a_notebook_display():
     book = next(path for path in NOTEBOOKS if path.stem == "explore_a_fit")
     tables = rich(nbformat.read(book, as_version=4), "text/html")
     assert len([one for one in tables if "<table" in one]) >= 3

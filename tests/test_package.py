@@ -1,4 +1,4 @@
-"""The wheel holds what the package needs, and its demo runs on what it holds."""
+"""The wheel contains everything the package needs, and its demo runs with it."""
 
 import zipfile
 from pathlib import Path
@@ -24,7 +24,7 @@ def wheel(tmp_path_factory):
         yield archive
 
 
-def test_the_wheel_holds_every_file_of_the_package(wheel):
+def test_the_wheel_contains_every_file_of_the_package(wheel):
     ours = {
         path.relative_to(ROOT).as_posix()
         for path in PACKAGE.rglob("*")
@@ -36,14 +36,14 @@ def test_the_wheel_holds_every_file_of_the_package(wheel):
     assert kinds <= {Path(name).suffix for name in held}
 
 
-def test_the_licence_of_the_samples_goes_with_the_wheel(wheel):
+def test_the_wheel_contains_the_licence_of_the_samples(wheel):
     (licence,) = [n for n in wheel.namelist() if n.endswith("licenses/tirefit/samples/LICENSE")]
     source = ROOT / "fits" / "dart_jetracer" / "LICENSE"
     assert wheel.read(licence) == source.read_bytes()
 
 
 @pytest.mark.parametrize("name", ["circles.csv", "free_driving.csv"])
-def test_samples_are_rows_of_the_measured_case(name):
+def test_samples_are_rows_of_measured_cases(name):
     convention, header, *rows = (PACKAGE / "samples" / name).read_text().splitlines()
     case = (ROOT / "fits" / "dart_simulator" / name).read_text().splitlines()
     assert convention == "# convention: braking" and header == case[0]
@@ -73,7 +73,7 @@ def test_the_demo_prints_its_commands_and_where_the_results_are(tmp_path, monkey
     assert [path for path in named if not Path(path.rstrip(",")).exists()] == []
 
 
-def test_the_demo_ends_where_it_cannot_write(tmp_path, monkeypatch):
+def test_the_demo_reports_an_unwritable_directory(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("taken").touch()
     result = CliRunner().invoke(app, ["demo", "--out", "taken"])

@@ -1,4 +1,4 @@
-"""Few lengths, none too long, and padding that repeats a row."""
+"""Few lengths, none too long, and padding with copies of a row."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from tirefit.padding import pad_rows, padded_size
 
 
 @pytest.mark.parametrize("least", [8, 256])
-def test_sizes_are_few_and_near(least):
+def test_padded_sizes_are_few_and_close(least):
     sizes = {n: padded_size(n, least) for n in range(1, 5000)}
     assert all(size >= n for n, size in sizes.items())
     assert all(size <= 1.5 * n for n, size in sizes.items() if n > least)

@@ -36,7 +36,7 @@ def test_constrain_inverts_unconstrain():
     np.testing.assert_allclose(constrain(unconstrain(x, LOG), LOG), x, rtol=1e-12)
 
 
-def test_hand_values():
+def test_transforms_agree_with_hand_calculation():
     np.testing.assert_allclose(constrain(0.0, LINEAR), 0.625)  # the middle
     np.testing.assert_allclose(constrain(0.0, LOG), np.sqrt(1e-2 * 1e9))
     np.testing.assert_allclose(constrain(np.log(3.0), LINEAR), -0.25 + 0.75 * 1.75)
@@ -53,7 +53,7 @@ def test_bounds_are_respected(spec):
 
 
 @BOTH
-def test_value_at_a_bound_is_taken_just_inside(spec):
+def test_a_value_at_a_bound_is_moved_just_inside(spec):
     for bound, sign in ((spec.lower, -1), (spec.upper, 1)):
         z = float(unconstrain(bound, spec))
         assert np.isfinite(z) and sign * z > 15
@@ -63,13 +63,13 @@ def test_value_at_a_bound_is_taken_just_inside(spec):
 
 
 @BOTH
-def test_log_jacobian_is_that_of_constrain(spec):
+def test_the_log_jacobian_agrees_with_constrain(spec):
     slope = jax.vmap(jax.grad(lambda z: constrain(z, spec)))(jnp.asarray(Z))
     difference = np.asarray(log_jacobian(Z, spec) - jnp.log(slope))
     np.testing.assert_allclose(difference, difference[0], atol=1e-10)
 
 
-def test_log_jacobian_stays_finite_far_out():
+def test_the_log_jacobian_is_finite_far_out():
     assert np.isfinite(log_jacobian(np.array([-700.0, 700.0]), LINEAR)).all()
     assert np.isfinite(log_jacobian(np.array([-700.0, 700.0]), LOG)).all()
 
@@ -100,7 +100,7 @@ def test_default_at_a_bound_is_allowed():
 NESTED = Brush(pressure=Asymmetric(), friction=Friction((Kinetic(), Exponential())))
 
 
-def test_nested_order_is_that_of_the_fields():
+def test_nested_parameters_follow_the_order_of_the_fields():
     names = ["cpa2", "mu", "half_length", "d", "m", "h", "v_st", "exponent"]
     assert list(specs(NESTED)) == names
     assert list(parameter_values(NESTED)) == names

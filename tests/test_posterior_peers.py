@@ -1,4 +1,4 @@
-"""What fits/posterior_peers hands to NumPyro is tirefit's own posterior."""
+"""The density that fits/posterior_peers gives NumPyro is tirefit's own posterior."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from tirefit.fitting.problem import build
 
 
 @pytest.mark.parametrize("name", ["brush-low", "magic-formula"])
-def test_the_joint_density_of_numpyro_is_ours(name):
+def test_the_joint_density_agrees_with_numpyro(name):
     pytest.importorskip("numpyro")
     from fits.posterior_peers.variational import given, log_joint
 

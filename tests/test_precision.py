@@ -1,4 +1,4 @@
-"""Every entry that estimates or predicts says that it needs 64-bit floats."""
+"""Every function that estimates or predicts reports that it needs 64-bit floats."""
 
 import jax
 import numpy as np
@@ -39,5 +39,5 @@ def test_32_bit_floats_are_refused_with_the_remedy(entry):
     assert "JAX_ENABLE_X64=1" in problem.remedy
 
 
-def test_64_bit_floats_are_enough():
+def test_64_bit_floats_are_accepted():
     assert require_x64("anything") is None

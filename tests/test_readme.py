@@ -1,5 +1,5 @@
-"""The README and the manual keep their word: examples run as printed and print what is
-shown, commands are whole, exit codes are those that there are."""
+"""The README and the manual are right: examples print the shown output, commands are
+complete, exit codes are the existing ones."""
 
 import re
 import shutil
@@ -23,7 +23,7 @@ def test_the_readme_is_short():
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/how-to/model.md"])
-def test_the_example_runs_and_prints_what_it_says(page, tmp_path, monkeypatch, capsys):
+def test_the_example_prints_the_shown_output(page, tmp_path, monkeypatch, capsys):
     text = (ROOT / page).read_text(encoding="utf-8")
     code, said = EXAMPLE.search(text).groups()
     case = tmp_path / "fits" / "dart_rear_axle"
@@ -38,7 +38,7 @@ def test_the_example_runs_and_prints_what_it_says(page, tmp_path, monkeypatch, c
         assert (tmp_path / figure).read_bytes().startswith(b"\x89PNG")
 
 
-def test_what_is_simulated_says_where_it_goes():
+def test_every_simulate_command_names_its_output():
     """Without it the command refuses."""
     (row,) = re.findall(r"^\| (`tirefit simulate.*?) \|", README, re.MULTILINE)
     commands = re.findall(r"`[^`]*`", row)
@@ -46,7 +46,7 @@ def test_what_is_simulated_says_where_it_goes():
     assert all(re.search(r" --out [A-Z]+\.csv", command) for command in commands)
 
 
-def test_every_exit_code_is_said(capsys):
+def test_every_exit_code_is_listed(capsys):
     with pytest.raises(SystemExit):
         app(["--help"])
     listed = " ".join(capsys.readouterr().out.split())

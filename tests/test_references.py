@@ -1,4 +1,4 @@
-"""Every equation and every paper that the package cites can be looked up."""
+"""Every equation and every paper that the package cites is listed."""
 
 import re
 import tokenize
@@ -24,7 +24,7 @@ NEAR = 150
 
 
 def equations(text):
-    """(source, number, letter) of every equation that a text cites, ranges spread."""
+    """(source, number, letter) of every equation in a text, ranges expanded."""
     # A reference may go on in the next line, as of a comment.
     text = re.sub(r"\s*\n\s*#?\s*", " ", text)
     for start in CITED.finditer(text):
@@ -39,7 +39,7 @@ def equations(text):
 
 
 def listed():
-    """The equations of EQUATIONS.md; S(17) stands for S(17a) to S(17c) together."""
+    """The equations of EQUATIONS.md; S(17) represents S(17a) to S(17c) together."""
     lines = (ROOT / "EQUATIONS.md").read_text(encoding="utf-8").splitlines()
     rows = [line for line in lines if re.match(r"\| [SO]\(", line)]
     there = [each for row in rows for each in equations(row.split("|")[1])]
@@ -55,7 +55,7 @@ def unknown(text):
 
 
 @pytest.mark.parametrize("files", [PACKAGE, TESTS, TEXTS], ids=["package", "tests", "texts"])
-def test_every_equation_that_is_cited_has_a_line(files):
+def test_every_cited_equation_has_a_line(files):
     here = Path(__file__).resolve()
     cited = {
         str(path.relative_to(ROOT)): unknown(path.read_text(encoding="utf-8"))
@@ -65,7 +65,7 @@ def test_every_equation_that_is_cited_has_a_line(files):
     assert {path: wrong for path, wrong in cited.items() if wrong} == {}
 
 
-def test_the_sources_are_listed_whole():
+def test_the_sources_are_listed_completely():
     assert {n for source, n, _ in LISTED if source == "S"} == set(range(1, 53))
     assert {n for source, n, _ in LISTED if source == "O"} == set(range(1, 23))
 
@@ -87,7 +87,7 @@ def test_the_sources_are_listed_whole():
         ("EQUATIONS(99), S(theta)", []),
     ],
 )
-def test_the_check_sees(text, wrong):
+def test_the_check_detects_missing_equations(text, wrong):
     assert unknown(text) == wrong
 
 
@@ -108,7 +108,7 @@ def references():
 
 
 def papers(text):
-    """(words before it, year) of every citation."""
+    """(preceding words, year) of every citation."""
     end = 0
     for year in PAPER.finditer(text):
         yield text[max(end, year.start() - NEAR) : year.start()], year[1]
@@ -116,7 +116,7 @@ def papers(text):
 
 
 def without_reference(text):
-    """Citations that name no paper of the docstring by surname and year."""
+    """Citations without a paper of that surname and year in the docstring."""
     known = list(references())
     return [
         f"{before}{year})"
@@ -127,7 +127,7 @@ def without_reference(text):
     ]
 
 
-def test_every_paper_that_is_cited_has_its_reference():
+def test_every_cited_paper_has_its_reference():
     files = [path for path in PACKAGE if path.parent.name != "tirefit"]
     cited = {path.name: without_reference(prose(path)) for path in files}
     assert {name: wrong for name, wrong in cited.items() if wrong} == {}
@@ -146,11 +146,11 @@ def test_every_paper_that_is_cited_has_its_reference():
         ("2,000 rows", 0),
     ],
 )
-def test_the_check_of_papers_sees(text, count):
+def test_the_check_detects_missing_papers(text, count):
     assert len(without_reference(text)) == count
 
 
-def test_the_two_sources_stand_in_the_docstring_and_the_readme():
+def test_the_two_sources_are_in_docstring_and_readme():
     texts = tirefit.__doc__, (ROOT / "README.md").read_text(encoding="utf-8")
     for text in (" ".join(text.split()) for text in texts):
         for part in ("Review of Wheel Modeling and Friction Estimation", "TFRT-7607",

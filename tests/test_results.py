@@ -1,4 +1,4 @@
-"""What is said of a wrong input, wherever it comes from."""
+"""Messages about wrong input, in every part of the package."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from tirefit.results import UsageError, did_you_mean
 from tirefit.settings import Section, parse_settings
 
 
-def test_the_known_name_that_is_meant():
+def test_an_unknown_name_suggests_the_closest():
     assert did_you_mean("frction", {"friction", "stiffness"}) == ("did you mean 'friction'? ")
     assert did_you_mean("qqq", ("friction", "stiffness")) == ""
 
@@ -29,7 +29,7 @@ SAID = {
 
 
 @pytest.mark.parametrize(("use", "given", "meant"), SAID.values(), ids=SAID)
-def test_every_door_says_it_alike_and_then_what_there_is(use, given, meant):
+def test_every_function_suggests_the_closest_name_and_lists_all(use, given, meant):
     with pytest.raises(UsageError) as caught:
         use()
     problem = caught.value.problems[0]

@@ -29,7 +29,7 @@ TABLE = [
 
 
 @pytest.mark.parametrize(("v", "omega_r", "sigma", "kappa", "ratio"), TABLE)
-def test_definitions_by_hand(v, omega_r, sigma, kappa, ratio):
+def test_definitions_agree_with_hand_calculation(v, omega_r, sigma, kappa, ratio):
     v_sx = v - omega_r
     assert (v_sx / omega_r, v_sx / v) == pytest.approx((sigma, kappa))
     assert sigma_from_kappa(kappa) == pytest.approx(sigma, rel=1e-14)
@@ -49,7 +49,7 @@ def test_every_definition_has_an_exact_inverse(name):
     assert isinstance(to_sigma(0.5), float)
 
 
-def test_definitions_differ():
+def test_definitions_give_different_values():
     found = {name: to(0.5) for name, (to, _) in SLIP_DEFINITIONS.items()}
     assert found == {"sigma_x": 0.5, "kappa": 1.0, "s": 1.0, "slip_ratio": 1.0}
     found = {name: to(-0.5) for name, (to, _) in SLIP_DEFINITIONS.items()}
@@ -57,13 +57,13 @@ def test_definitions_differ():
     assert found["kappa"] == found["s"] == pytest.approx(-1 / 3)
 
 
-def test_locked_wheel():
-    # kappa of a locked wheel is one; LOCKED stands for it to a part in a million.
+def test_a_locked_wheel_has_a_finite_slip():
+    # kappa of a locked wheel is one; LOCKED represents it to a part in a million.
     assert 1 - kappa_from_sigma(LOCKED) == pytest.approx(1e-6, rel=1e-5)
     np.testing.assert_allclose(sigma_from_kappa(kappa_from_sigma(LOCKED)), 1e6, 1e-9)
 
 
-def test_lateral_slip():
+def test_lateral_slip_follows_its_definition():
     # v_x = 10, v_y = 2, Omega R_e = 8: sigma_y = v_y / Omega R_e, tan(alpha) = v_y/v_x.
     assert lateral_slip(0.2, 0.25) == pytest.approx(2 / 8)
     assert lateral_slip(0.2) == 0.2
@@ -100,13 +100,13 @@ EVENT = {
 
 
 @pytest.mark.parametrize("name", sorted(CONVENTIONS))
-def test_one_event_has_one_canonical_form(name):
+def test_every_convention_gives_the_same_canonical_values(name):
     signs = CONVENTIONS[name]
     canonical = {field: value * getattr(signs, field) for field, value in EVENT[name].items()}
     assert canonical == EVENT["braking"]
 
 
-def test_conventions_are_signs_and_state_themselves():
+def test_conventions_only_change_signs_and_describe_themselves():
     for convention in CONVENTIONS.values():
         assert set(convention[1:]) <= {-1, 1}
         assert len(convention.description) > 30
@@ -118,8 +118,8 @@ def test_conventions_are_signs_and_state_themselves():
     ("name", "fy_over_alpha", "mz_over_alpha"),
     [("braking", 1, -1), ("iso-w", -1, 1), ("sae", -1, 1), ("adapted-sae", 1, -1)],
 )
-def test_slopes_named_by_each_convention(name, fy_over_alpha, mz_over_alpha):
-    """What a file shows for a small slip angle, from the model's own forces."""
+def test_slopes_are_named_in_each_convention(name, fy_over_alpha, mz_over_alpha):
+    """The signs of a file at a small slip angle, from the model's own forces."""
     signs = CONVENTIONS[name]
     angle = 0.01  # in the file
     result = forces(MODELS["brush"], TireInputs(0.0, signs.alpha * angle, 4000.0))

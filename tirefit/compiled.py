@@ -4,7 +4,7 @@ JAX's own cache stores compiled programs, but a new process still traces every f
 in Python first. This module stores the traced program (``jax.export``) as well. The name
 of its file is a digest of everything that it depends on: the sources of the package, the
 versions of its libraries, the platform and kind of device, the pickled static arguments,
-and the structure, shapes and types of the others. An unreadable file is written anew;
+and the structure, shapes and types of the others. An unreadable file is rewritten;
 the programs used least recently are removed.
 
 ``brief`` marks a program that runs a few times in a process, so that it takes longer to
@@ -137,14 +137,13 @@ class Compiled:
             given = jax.tree.unflatten(structure, shapes), static, self._options
             path = _path(self._function, given)
         except (pickle.PicklingError, AttributeError):
-            path = None  # arguments that cannot be pickled
-        kept = None if path is None else _kept(path)
-        if kept is not None:
-            return kept
-        lowered = jax.jit(flat).lower(leaves)
-        with _without_cache_of_jax():
-            program = lowered.compile(compiler_options=self._options)
-        if path is not None:
+            # Arguments that cannot be pickled: only the cache of JAX stores the program.
+            return jax.jit(flat, compiler_options=self._options)
+        program = _kept(path)
+        if program is None:
+            lowered = jax.jit(flat).lower(leaves)
+            with _without_cache_of_jax():
+                program = lowered.compile(compiler_options=self._options)
             _write(path, program, "lapack_" in lowered.as_text())
         return program
 

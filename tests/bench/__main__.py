@@ -55,7 +55,7 @@ def say(name: str, ours: float, peer: float, unit: str, better: str) -> None:
 
 
 def cold_fit(pairs: int = 5) -> None:
-    """Whole processes: one fit with its figures, compilation cache warm."""
+    """Whole processes: one fit with its figures, processor time, caches warm."""
     with tempfile.TemporaryDirectory() as directory:
         file = Path(directory) / "data.csv"
         slip, force = measured(1)
@@ -65,13 +65,17 @@ def cold_fit(pairs: int = 5) -> None:
         ours = [sys.executable, "-m", "tirefit", "fit", str(file), "--no-posterior"]
         ours += ["--out", str(out)]
         peer = [sys.executable, str(HERE / "scipy_peer.py"), str(file), str(out)]
-
-        def run(command):
-            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-
-        run(ours)
-        times = [(seconds(run, ours), seconds(run, peer)) for _ in range(pairs)]
+        start(ours), start(peer)
+        times = [(start(ours), start(peer)) for _ in range(pairs)]
     say("fit, cold process, with figures", *medians(times), "s", "lower")
+
+
+def start(command: list[str]) -> float:
+    """Processor time [s] of a process as a user starts it: with bytecode of what it
+    imports, and one thread of OpenBLAS."""
+    usual = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    usual.pop("PYTHONDONTWRITEBYTECODE", None)
+    return process(command, usual).processor
 
 
 def medians(times) -> tuple[float, float]:
@@ -81,11 +85,8 @@ def medians(times) -> tuple[float, float]:
 def help_text(runs: int = 5) -> None:
     command = [sys.executable, "-m", "tirefit", "--help"]
     bare = [sys.executable, "-c", "pass"]
-
-    def run(command):
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-
-    times = [(seconds(run, command), seconds(run, bare)) for _ in range(runs)]
+    start(command)
+    times = [(start(command), start(bare)) for _ in range(runs)]
     say("tirefit --help (peer: bare Python)", *medians(times), "s", "lower")
 
 
@@ -112,7 +113,7 @@ def batch(fits: int = 10_000, peers: int = 500) -> None:
 
 
 def share_of_limit(per_fit: float) -> None:
-    """The arithmetic of one fit against the machine's measured double-precision peak.
+    """The arithmetic of one fit compared with the measured double-precision peak.
 
     One evaluation with two tangents is about 60 operations a point, the normal
     equations 12 more; a fit takes about 7 evaluations.
@@ -143,7 +144,7 @@ TRANSCENDENTAL = 20
 
 
 def evaluations(name: str, compiled, arrays, peer, cost=None, pairs: int = 7) -> None:
-    """A million evaluations: compiled program against NumPy, whose results agree.
+    """A million evaluations: compiled program and NumPy, whose results agree.
 
     ``cost`` is that of a program without a loop, of which the compiler counts one pass.
 
@@ -245,7 +246,7 @@ def brush_with_gradient(block: int = 8_000) -> None:
 
 
 def posterior() -> None:
-    """Effective samples per second, smallest over the parameters, of each sampler."""
+    """Smallest effective samples per second over the parameters, by sampler."""
     import emcee
 
     from tirefit.data.read import read_frame
@@ -287,7 +288,7 @@ def posterior() -> None:
 
 
 def trials_of(directory: str, asked: str) -> list[Path]:
-    """Files of withheld trials written for this; the same rig.toml beside all."""
+    """Files of withheld trials written for this, with one rig.toml."""
     from fits.withheld.generate import main as generate
 
     with contextlib.redirect_stdout(None):
@@ -296,7 +297,7 @@ def trials_of(directory: str, asked: str) -> list[Path]:
 
 
 def by_plain_bic(files: list[Path]) -> None:
-    """The peer of a diagnosis: single effects alone, by BIC over refits with SciPy."""
+    """The peer of a diagnosis: single effects, by BIC over refits with SciPy."""
     import tomllib
 
     from fits.withheld.baselines import by_bic, read_trial
@@ -307,7 +308,7 @@ def by_plain_bic(files: list[Path]) -> None:
 
 
 def processor_seconds(function, *arguments) -> float:
-    """Of all threads: what others do on the machine counts for less than by a clock."""
+    """Of all threads; other processes affect it less than wall time."""
     start = time.process_time()
     function(*arguments)
     return time.process_time() - start
@@ -336,10 +337,9 @@ def diagnosis(cases: int = 8) -> None:
 
 
 def patterns_of_a_remainder(rows: int = 1000, columns: int = 12) -> None:
-    """Thousands of patterns against what a fit used up, a dozen times a case; the peer
-    holds every pattern as a column. What the products need is bounded by arithmetic:
-    the shapes are read once for all four parameters, four floats for each they stand
-    for, and stay in the cache."""
+    """Thousands of patterns compared with a fit, a dozen times per case; the peer holds
+    every pattern as a column. The products are limited by arithmetic: the shapes are
+    read once for all four parameters, and stay in the cache."""
     from types import SimpleNamespace
 
     from tirefit.diagnosis.rows.patterns import PARAMETERS, patterns
@@ -385,7 +385,7 @@ class Process(NamedTuple):
 
 
 def diagnose_process(files, out: Path, *more: str) -> Process:
-    """One cold process over files: nothing that was compiled before is found."""
+    """One cold process over files, without any cached compilation."""
     line = [sys.executable, "-m", "tirefit", "diagnose", *map(str, files)]
     line += ["--rig", str(files[0].parent / "rig.toml"), "--out", str(out), *more]
     with tempfile.TemporaryDirectory() as cache:
@@ -395,7 +395,7 @@ def diagnose_process(files, out: Path, *more: str) -> Process:
 
 
 def process(line: list[str], environment) -> Process:
-    """One process to its end, and what it took."""
+    """Runs one process and returns what it used."""
     begun = time.perf_counter()
     running = subprocess.Popen(line, stdout=subprocess.DEVNULL, env=environment)
     _, status, used = os.wait4(running.pid, 0)
@@ -598,7 +598,7 @@ other entries are measured against is that of all cores."""
 
 
 def main(asked: list[str]) -> None:
-    """Every entry, or those that are named."""
+    """Runs every entry, or the named ones."""
     import jax
 
     known = {entry.__name__: entry for entry in (*ENTRIES, *OF_DIAGNOSIS)}

@@ -1,4 +1,4 @@
-"""Exported tires: force and Jacobian in C and CasADi, nanoseconds an evaluation."""
+"""Exported tires: force and Jacobian in C and CasADi, nanoseconds per evaluation."""
 
 import importlib.util
 import subprocess

@@ -17,7 +17,7 @@ HERE = Path(__file__).parent
 
 
 def rig_test(rows: int):
-    """Columns of F_x and F_y of about so many rows of MF 6.1."""
+    """Columns of F_x and F_y of approximately this many rows of MF 6.1."""
     sys.path.insert(0, str(HERE.parent / "fitting"))
     from rig import MF61, measured
 
@@ -29,23 +29,33 @@ def rig_test(rows: int):
 
 
 def problems(rows: int):
-    """(name, problem, starts): pure F_y from the starts of its stage; all coefficients
-    of F_x and F_y from beside where the stages end."""
+    """(name, problem, starts): pure F_y from the first values of its stage; all
+    coefficients of F_x and F_y from near the end of the stages."""
     from tirefit.fitting.config import FitConfig
+    from tirefit.fitting.mf.bins import settings_of
+    from tirefit.fitting.mf.cells import groups_of
     from tirefit.fitting.mf.fit import nominal_of, problem_from
-    from tirefit.fitting.mf.parts import PARTS, coefficients_of
+    from tirefit.fitting.mf.parts import coefficients_of
     from tirefit.fitting.mf.rows import rows_of_forces
-    from tirefit.fitting.mf.stages import Search, problem_of, search, starts_of
+    from tirefit.fitting.mf.stages import Search, first_values, problem_of, search
 
     config = FitConfig()
     parts = rows_of_forces(rig_test(rows), ("fx", "fy"), config)
     tire, _ = nominal_of("mf61", parts, config)
     empty, _ = problem_from(tire, config)
-    lateral = [n for n, part in coefficients_of("6.1").items() if part == "fy"]
-    first = Search(empty, parts, np.zeros(len(empty.names)))
-    yield "F_y", problem_of(first, ["fy"], "fy", lateral), starts_of(first, "fy")
-    done = search(empty, parts, tuple(PARTS))
-    both = problem_of(done, ["fx", "fy"], "combined", sorted(done.moved))
+    groups = groups_of(parts, {force: settings_of(of)[1] for force, of in parts.items()}, True)
+    lateral, starts = [n for n, part in coefficients_of("6.1").items() if part == "fy"], []
+    for values in first_values(groups["fy"][0]):
+        named = [name in values for name in empty.names]
+        starts.append(np.zeros(len(named)))
+        starts[-1][named] = [empty.unit(n, values[n]) for n in empty.names if n in values]
+    work = Search(empty, groups, starts[0], np.diag(empty.free.astype(float)))
+    pure = problem_of(work, "fy", 1, lateral)
+    # SciPy has no limits of the curvature factors, so that ours has none here either.
+    yield "F_y", pure.with_blocks(pure.blocks), starts
+    done = search(empty, parts, groups)
+    each = [problem_of(done, force, len(groups[force]), done.moved) for force in parts]
+    both = each[0].with_blocks([block for problem in each for block in problem.blocks])
     generator = np.random.default_rng(0)
     beside = 0.05 * both.free * generator.standard_normal(len(done.u))
     yield "F_x, F_y", both, [done.u + beside]

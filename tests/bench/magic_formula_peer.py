@@ -63,7 +63,7 @@ def longitudinal(c, kappa, gamma, fz, dfz, dpi):
 
 
 def lateral(c, alpha, gamma, fz, dfz, dpi):
-    """F_y0 and what M_z needs of it, (4.E19) to (4.E30)."""
+    """F_y0 and the values that M_z needs, (4.E19) to (4.E30)."""
     mu = (c["PDY1"] + c["PDY2"] * dfz) * (1 - c["PDY3"] * gamma**2)
     mu = mu * (1 + c["PPY3"] * dpi + c["PPY4"] * dpi**2)
     peak = (c["PKY2"] + c["PKY5"] * gamma**2) * (1 + c["PPY2"] * dpi) * c["FNOMIN"]

@@ -1,4 +1,4 @@
-"""The command line in this process, with caches of its own in a directory of the tests.
+"""The command line in this process, with separate caches in a directory of the tests.
 
 A command keeps its traced programs beside the compiled ones where nobody chose a cache
 for JAX, as a user's does; so do those that tests start and the workers of a cluster,
@@ -19,7 +19,7 @@ from tirefit.cli.commands import app
 
 @contextmanager
 def commands_cache():
-    """Where nobody chose a cache for JAX, and that of commands lies with the tests."""
+    """No cache for JAX is set, and the cache of commands is in a test directory."""
     from tirefit.compiled import keep_programs_in
 
     names = (
@@ -54,7 +54,7 @@ _SHARED = ExitStack()
 @pytest.fixture(scope="session")
 def two():
     """A client of a cluster of two workers, which end with the tests of this folder:
-    idle, they take as much of a processor as a twentieth of a worker of xdist."""
+    even idle, they use a twentieth of the processor time of an xdist worker."""
     with commands_cache():
         return _SHARED.enter_context(cluster(2))
 

@@ -55,7 +55,7 @@ def test_controllers_are_compared_on_each_road(run, tmp_path):
 
 
 def test_fits_and_files_are_accepted_as_tires(run, tmp_path):
-    """A fitted brush brakes as the brush with its values; a .tir file brakes too."""
+    """A fitted brush brakes like the brush with its values; a .tir file works too."""
     run(
         "simulate", "rig", "--out", "r.csv", "--set", "mu=0.8", "--set", "cpa2=4e4",
         "--force-std", "0.001",
@@ -73,7 +73,7 @@ def test_fits_and_files_are_accepted_as_tires(run, tmp_path):
 
 
 def test_a_tire_of_a_tir_file_brakes(run, tmp_path):
-    """Its values say whether it depends on the speed, inside what is compiled too."""
+    """Its coefficients decide whether it depends on the speed, also when compiled."""
     tir = ROOT / "tests/data/tir/mfeval_julia/MagicFormula61_Parameters.tir"
     short = ("--controller", "none", "--time-limit", "0.2")
     said = run("brake", *QUICK, *short, "--tire", tir, "--out", "o").stdout
@@ -110,7 +110,7 @@ def test_wrong_options_are_reported_with_a_remedy(run, tmp_path, arguments, code
 
 
 def test_a_tire_of_another_size_is_reported(run):
-    """One that was fitted to a model car; a brake cannot wait a thousand seconds."""
+    """A tire fitted to a model car; a stop may not take a thousand seconds."""
     arguments = ["brake", "--controller", "none", "--speed", "2", "--out", "o"]
     small = ["--tire", "brush", "--set", "cpa2=39", "--vehicle", "quarter"]
     said = run(*arguments, *small).stderr

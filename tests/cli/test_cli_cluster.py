@@ -1,4 +1,4 @@
-"""Work shared by the workers of a cluster: its order, its losses and its end."""
+"""Work shared by the workers of a cluster: order, losses and end."""
 
 import os
 import time
@@ -16,7 +16,7 @@ def doubled(number):
 
 
 def fatal(worker_of, number):
-    """Piece 3 kills whoever takes it; piece 5 the first one alone."""
+    """Piece 3 kills every worker that takes it; piece 5 only the first one."""
     if number == 3 or (number == 5 and not (worker_of / "5").exists()):
         (worker_of / str(number)).touch()
         os._exit(7)
@@ -24,7 +24,7 @@ def fatal(worker_of, number):
 
 
 def held(folder, number):
-    """Piece 0 is done at once; the others are at work until they are told to go."""
+    """Piece 0 is done at once; the others run until they are released."""
     (folder / f"begun{number}").touch()
     while number and not (folder / "go").exists():
         time.sleep(0.01)
@@ -53,7 +53,7 @@ def test_a_piece_that_kills_workers_fails_alone(two, tmp_path):
 
 
 def test_an_early_end_cancels_pending_pieces(two, tmp_path):
-    """Of four pieces given out one is done, two are at work and one waits."""
+    """Of four pieces one is done, two are running and one waits."""
     with closing(shared(partial(held, tmp_path), range(30), two)) as results:
         assert next(results) == (0, 0)
     for _ in range(1000):  # until the workers know

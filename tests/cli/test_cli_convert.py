@@ -28,7 +28,7 @@ def brush(points, cpa2, mu):
 
 
 def scipy_fit(slip, loads, force_of):
-    """(cpa2, mu), and the RMSE at each load, of least squares on the grid.
+    """(cpa2, mu) and the RMSE at each load, by least squares on the grid.
 
     ``force_of`` takes physical slips and loads.
     """
@@ -139,7 +139,7 @@ def test_a_brush_is_recovered_exactly_from_its_tir(run, model, force):
 
 
 def test_losses_of_the_format_are_reported_with_their_size(run):
-    """The stated differences, from predictions of the file and of the brush."""
+    """The reported differences agree with predictions of the file and of the brush."""
     said = run("convert", *REDUCED, "--out", "reduced.tir").stdout
     rows = re.findall(r"F_z (\d+) N: ([\d.]+)% in fx, ([\d.]+)% in fy", said)
     assert [float(load) for load, *_ in rows] == [2000, 4000, 6000]

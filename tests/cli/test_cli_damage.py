@@ -89,7 +89,7 @@ def there(folder):
 def test_full_and_missing_folders_are_named_and_the_report_printed(
     run, inputs, tmp_path, monkeypatch, name
 ):
-    """A quota while files are written; then a folder that somebody removes."""
+    """A quota while files are written; then a folder that is removed meanwhile."""
 
     @contextmanager
     def with_quota(directory, *rest):
@@ -129,7 +129,7 @@ def test_the_second_process_in_a_folder_is_refused(run, inputs, tmp_path, name):
 
 
 def test_a_process_waits_while_another_replaces_its_files(tmp_path):
-    """A process that replaces its files keeps the other from beginning."""
+    """The second one begins after the first has replaced its files."""
     one, two = tmp_path / "one", tmp_path / "two"
     with claimed(tmp_path):
         writer = threading.Thread(target=write_texts, args=({one: "a", two: "a"},))
@@ -175,14 +175,14 @@ class _Header(ctypes.Structure):
 
 
 def _give_up_privileges():
-    """Takes from this thread alone what root may do against permissions."""
+    """Removes from this thread the privileges of root over permissions."""
     header, none = _Header(0x20080522, 0), (ctypes.c_uint32 * 6)()
     if ctypes.CDLL(None, use_errno=True).capset(ctypes.byref(header), none):
         raise OSError(ctypes.get_errno(), "capset")
 
 
 def as_anyone(action):
-    """What the action returns in a thread that has to keep to permissions."""
+    """The result of the action in a thread that must respect permissions."""
     with ThreadPoolExecutor(1) as thread:
         if os.geteuid() == 0:
             thread.submit(_give_up_privileges).result()
@@ -210,7 +210,7 @@ def test_a_read_only_folder_is_reported_before_the_work(run, inputs, read_only, 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="root writes anyway")
 def test_a_folder_that_becomes_read_only_keeps_its_files(run, inputs, tmp_path, monkeypatch):
-    """As a disk that is mounted anew, read-only, while the command works."""
+    """Like a disk that is remounted read-only while the command runs."""
     run(*INTO_FOLDERS["fit"], "--out", "o")
     before = there(tmp_path / "o")
 
@@ -270,7 +270,7 @@ Path("said.json").write_text(json.dumps(said))
 
 
 def test_a_fit_on_a_full_disk_keeps_the_files_written_before(inputs, tmp_path):
-    """Too small for the posterior's chain; for its result; then large enough."""
+    """Disk too small for the posterior's chain; for its result; then large enough."""
     if shutil.which("unshare") is None:
         pytest.skip("no unshare: no file system of our own")
     short = "walkers = 8\nmax_steps = 200\n"
@@ -284,7 +284,7 @@ def test_a_fit_on_a_full_disk_keeps_the_files_written_before(inputs, tmp_path):
     for code, report, error, _ in (least, chained):
         assert code == 2 and "VERDICT" in report and "remedy: make room" in error
         assert ": cannot be written: No space left on device; " in error
-    # The least squares stay, and no chain could be kept: which is said.
+    # The least squares are kept; a message reports that no chain could be stored.
     assert "fit.json" in least[3] and "chain.npz" not in least[3]
     assert "the chain was not kept for --resume" in " ".join(least[1].split())
     assert "--resume continues from its chain" in chained[2]
@@ -301,7 +301,7 @@ needs_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/
 
 @needs_full
 def test_a_full_standard_output_is_reported(inputs):
-    """Also of what is said before any command runs; a full stderr leaves the code."""
+    """Also for output before any command runs; a full stderr keeps the exit code."""
     program = [sys.executable, "-m", "tirefit"]
     with open("/dev/full", "w") as full:
         said = {"stdout": full, "stderr": subprocess.PIPE, "text": True}

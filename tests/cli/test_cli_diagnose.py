@@ -1,4 +1,4 @@
-"""``tirefit diagnose``: files in, documents, rows, figures and exit codes out."""
+"""``tirefit diagnose``: documents, rows, figures and exit codes for given files."""
 
 import csv
 import html
@@ -51,7 +51,7 @@ def write(
 
 
 def rows_of(path):
-    """Rows of a table; a first line that states its signs is none of them."""
+    """Rows of a table, without a first line that states its signs."""
     with path.open(newline="") as file:
         return list(csv.DictReader(row for row in file if not row.startswith("#")))
 
@@ -62,7 +62,7 @@ def column(rows, name):
 
 @pytest.fixture(scope="module")
 def studied(tmp_path_factory):
-    """A folder with files diagnosed by one command, and what the command said."""
+    """A folder with files diagnosed by one command, and the output of the command."""
     folder = tmp_path_factory.mktemp("diagnosed")
     write(folder / "offset.csv", offset=OFFSET, seed=1, spoiled=(3, 40))
     write(folder / "load.csv", power=POWER, seed=2)
@@ -77,7 +77,7 @@ def studied(tmp_path_factory):
 
 @pytest.fixture
 def again(studied, run, tmp_path):
-    """Runs the command on a copy of that folder, its results included."""
+    """Runs the command on a copy of that folder and its results."""
     for path in studied[0].iterdir():
         copy = shutil.copytree if path.is_dir() else shutil.copy2
         copy(path, tmp_path / path.name)
@@ -91,7 +91,7 @@ def again(studied, run, tmp_path):
 
 @pytest.fixture
 def calls(monkeypatch):
-    """Names of the data that are diagnosed from now on; nothing is computed."""
+    """Names of the data that are diagnosed from now on, without computing anything."""
     names = []
 
     def study(data, **settings):
@@ -188,7 +188,7 @@ def test_the_document_satisfies_the_schema(studied):
     strict=True, reason="'unknown': no effect predicts the parts of the slip that are left out"
 )
 def test_undecidable_effects_are_reported(studied):
-    """One load and one sign: a slip offset is a force offset, exactly."""
+    """With one load and one sign a slip offset equals a force offset exactly."""
     document = json.loads((studied[0] / "out" / "one.json").read_text())
     verdict, best = document["verdict"], document["next_measurement"][0]
     assert verdict["status"] == "cannot_tell"
@@ -200,7 +200,7 @@ def test_undecidable_effects_are_reported(studied):
 
 @pytest.mark.parametrize("noise", [0.0, 1e-9])
 def test_parallel_effects_have_separability_one_half(noise):
-    """Their correlation rounds to more than 1, whose root is not a number."""
+    """Rounding gives a correlation above 1, whose root would be NaN."""
     direction = np.random.default_rng(0).standard_normal((200, 50))
     for one in direction.T:
         pair = np.column_stack([one, 0.1 * one + noise])
@@ -270,7 +270,7 @@ def test_resume_keeps_finished_cases(again, calls, tmp_path):
 
 
 def cut(path):
-    """A document of which the verdict is lost, or a table that a crash cut short."""
+    """A document without its verdict, or a table truncated by a crash."""
     if path.suffix == ".json":
         content = json.loads(path.read_text("utf-8"))
         path.write_text(json.dumps(content | {"verdict": {}}))
@@ -388,8 +388,8 @@ def test_a_case_repeated_without_figures_has_none(again, tmp_path):
 
 
 def test_figures_of_the_user_are_kept(again, tmp_path):
-    """Results beside the data, where the same names are the user's: also a second time,
-    when the folder holds a diagnosis."""
+    """Results in a folder where files of the user have the same names, also when the
+    folder already holds a diagnosis."""
     own = {"load.png": b"a photograph", "load.html": b"<p>notes</p>"}
     shutil.rmtree(tmp_path / "out")
     (tmp_path / "out").mkdir()
@@ -428,7 +428,7 @@ def test_an_earlier_result_survives_a_failed_write(again, tmp_path, monkeypatch)
 
 
 def test_a_failed_first_write_leaves_nothing(again, tmp_path, monkeypatch):
-    """The rows are there when the document fails: neither may stay."""
+    """The rows are written before the document fails; neither may remain."""
     shutil.copy(tmp_path / "load.csv", tmp_path / "new.csv")
     before = contents(tmp_path / "out")
 
@@ -462,7 +462,7 @@ def test_the_slip_is_checked_against_the_speeds(again, calls, tmp_path, logged, 
 
 
 def test_a_slip_far_from_the_speeds_is_diagnosed(again, calls, tmp_path):
-    """What is wrong with the slip is what a diagnosis is asked for."""
+    """An error of the slip is a subject of the diagnosis, no reason to refuse it."""
     (tmp_path / "rig.toml").write_text(HEAVY)
     write(tmp_path / "run.csv", logged=lambda s: 2 * s)
     text = again("run.csv", exit_code=3).stderr
@@ -471,7 +471,7 @@ def test_a_slip_far_from_the_speeds_is_diagnosed(again, calls, tmp_path):
 
 
 def test_a_doubtful_slip_is_in_the_document(again, calls, monkeypatch, tmp_path):
-    """Also where nobody read the warning; a case with it counts as done."""
+    """Also if nobody read the warning; such a case counts as done."""
     (tmp_path / "rig.toml").write_text(HEAVY)
     write(tmp_path / "run.csv", logged=LOGGED["kappa"][0])
     with monkeypatch.context() as patch:
@@ -484,7 +484,7 @@ def test_a_doubtful_slip_is_in_the_document(again, calls, monkeypatch, tmp_path)
 
 
 def test_lateral_data_need_no_wheel_speed(run, calls, tmp_path):
-    """The rolling radius is known of the rig; it is no order to compute a slip."""
+    """The rig file has the rolling radius, but no slip is computed from it."""
     (tmp_path / "rig.toml").write_text("rolling_radius = 0.3\n")
     rows = [f"{angle / 100},{100 * angle},4000" for angle in range(-9, 10)]
     (tmp_path / "run.csv").write_text("\n".join(["alpha,fy,fz", *rows]))
@@ -493,7 +493,7 @@ def test_lateral_data_need_no_wheel_speed(run, calls, tmp_path):
 
 
 def test_a_constant_slip_is_checked_too(run, calls, tmp_path):
-    """It has no column whose header a message could name."""
+    """It has no column header that a message could name."""
     (tmp_path / "rig.toml").write_text("rolling_radius = 0.3\n")
     rows = [f"{angle / 100},{100 * angle},4000,15,50.5" for angle in range(-9, 10)]
     (tmp_path / "run.csv").write_text("\n".join(["alpha,fy,fz,v,omega", *rows]))
@@ -560,7 +560,7 @@ AS_IT_IS = ["--set", "cpa2=50000", "--set", "mu=0.99"]
 
 
 def test_simulator_parameters_and_forces_exclude_each_other(run, tmp_path):
-    """Friction a tenth too high, told by name, and by forces that stand in the file."""
+    """Friction a tenth too high, given as a parameter and as forces in the file."""
     path = write(tmp_path / "offset.csv", offset=OFFSET, seed=1, spoiled=(3, 40))
     (tmp_path / "rig.toml").write_text(f"[noise]\nfx = {NOISE}\n")
     options = [*READ, *WITHOUT, "--rig", "rig.toml"]
@@ -659,7 +659,7 @@ def test_a_foreign_json_file_is_not_overwritten(run, tmp_path):
     write(tmp_path / "a.csv")
     (tmp_path / "a.json").write_text('{"driver": "me"}')
     result = run("diagnose", "a.csv", "--out", ".", exit_code=2)
-    assert "a.json: it would be replaced, but is no earlier result" in result.stderr
+    assert "a.json: it would be replaced, but is not an earlier result" in result.stderr
     assert (tmp_path / "a.json").read_text() == '{"driver": "me"}'
 
 

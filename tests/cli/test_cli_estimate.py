@@ -79,7 +79,7 @@ def test_bad_rows_are_reported_and_flagged(run, tmp_path, log):
     )
     assert rows_of(followed.stdout)[49]["rls_flag"] == "sample missing"
     assert "row 51" in followed.stderr
-    # Bytes that are no text, and a cell of more characters than any reader takes.
+    # Bytes that are not text, and a cell of more characters than any reader takes.
     spoiled = [line.encode() for line in lines[:20]]
     spoiled[5] = b"\xff" + spoiled[5]
     spoiled[10] = b"9" * 200_000
@@ -206,7 +206,7 @@ def test_a_drive_is_simulated_read_and_estimated(run, tmp_path):
     assert summary["units"]["tlc"] == "s"
     truth = rows_of((tmp_path / "t.csv").read_text())
     assert {row["mu"] for row in truth} == {"0.9"}
-    # What a method needs is asked for by its name, not by what a fit needs.
+    # The message names the inputs of the method, not those of a fit.
     result = run("estimate", "d.csv", "--out", "p", exit_code=3)
     assert "method 'rls' needs sigma_x" in result.stderr
     result = run("simulate", "drive", "--bend", "2", "--out", "e.csv", exit_code=2)

@@ -1,4 +1,4 @@
-"""``tirefit fit``: files in, directories, exit codes and silence out."""
+"""``tirefit fit``: directories, exit codes and output for given files."""
 
 import json
 
@@ -265,7 +265,7 @@ def test_force_option_selects_the_lateral_force(run, tmp_path):
 
 
 def test_least_squares_results_are_written_before_the_posterior(run, rig, tmp_path, monkeypatch):
-    """Whatever becomes of the sampling, an end without a word included."""
+    """Even if the sampling process is killed."""
     from tirefit.fitting import posterior
 
     seen = {}

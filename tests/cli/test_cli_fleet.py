@@ -1,6 +1,5 @@
-"""``fit`` and ``diagnose`` by the workers of a cluster: what the plain loop gives, also
-when a worker dies in the middle, when a file kills workers, and when it goes on later.
-"""
+"""``fit`` and ``diagnose`` by the workers of a cluster give the results of the plain
+loop, also if a worker dies, if a file kills workers, and after ``--resume``."""
 
 import json
 import os
@@ -41,7 +40,7 @@ HOW = ("--config", "fit.toml", "--no-posterior")
 
 
 def results(folder):
-    """Every file of the results, but the table and the page on all."""
+    """Every file of the results, except the table and the page of all."""
     return {
         path.relative_to(folder): path.read_bytes()
         for path in folder.rglob("*")
@@ -50,7 +49,7 @@ def results(folder):
 
 
 class Killer(threading.Thread):
-    """Makes a file a pipe, and kills so many of the workers that read it; the next one
+    """Makes a file a pipe and kills this many of the workers that read it; the next one
     gets the content."""
 
     def __init__(self, file: Path, times: int):
@@ -84,7 +83,7 @@ def processes():
 
 
 def is_there(process):
-    """Until the last of its threads has ended, and its parent knows."""
+    """Whether a process exists: until its last thread ended and its parent knows."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -93,7 +92,7 @@ def is_there(process):
 
 
 def opened_by(process):
-    """Files that another process has opened; none where it is gone."""
+    """Files that another process has opened; empty if the process is gone."""
     folder, names = Path(f"/proc/{process}/fd"), set()
     with suppress(OSError):
         for one in folder.iterdir():
@@ -127,8 +126,8 @@ def test_a_dead_worker_or_a_bad_file_changes_no_other_result(run, files, schedul
 
 @pytest.fixture
 def quick(monkeypatch):
-    """The work is done here, one figure is drawn by none, and ``b.csv`` ends whoever
-    takes it while ``fatal`` holds a word."""
+    """The work is done in this process without figures, and ``b.csv`` ends whoever
+    takes it while ``fatal`` contains a word."""
     fatal = ["b.csv"]
 
     def figures(result, folder, svg):
@@ -150,7 +149,7 @@ def quick(monkeypatch):
 
 
 def test_a_file_that_kills_workers_is_reported_once(run, files, quick, tmp_path):
-    """It leaves nothing half-written, and with --resume it alone is done."""
+    """It leaves no partial files, and --resume repeats only this file."""
     command = ["fit", *files[:3], *HOW, "--out", "out", "--jobs", "2"]
     said = run(*command, exit_code=3)
     assert said.stderr.count("b.csv") == 1 and "2 workers" in said.stderr
@@ -202,7 +201,7 @@ def test_an_internal_error_does_not_stop_other_files(run, files, quick, monkeypa
 
 
 def test_resume_repeats_fits_with_other_settings(run, files, quick, tmp_path):
-    """The plain loop: another seed, a figure gone, a changed document, other data."""
+    """Another seed, a missing figure, a changed document or other data."""
     command = ["fit", files[0], *HOW, "--out", "out", "--resume", "--seed"]
     document = tmp_path / "out" / "fit.json"
 

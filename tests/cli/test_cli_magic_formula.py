@@ -1,4 +1,4 @@
-"""``tirefit fit --model mf61``: files in, ``fit.tir`` and ``fit.json`` out."""
+"""``tirefit fit --model mf61`` writes ``fit.tir`` and ``fit.json``."""
 
 import csv
 import json
@@ -86,7 +86,7 @@ def test_other_commands_refuse_a_whole_magic_formula(run, sweeps):
 
 
 def test_a_tire_without_combined_coefficients_is_converted(run):
-    """Both slips by similarity; nothing is advised that the command does not take."""
+    """Combined slip by similarity; messages suggest only existing options."""
     text = (FOLDER / "mfeval_julia/MagicFormula52_Parameters.tir").read_text()
     Path("plain.tir").write_text(re.sub(r"(?m)^R[BCEHV][XY]\d .*\n", "", text))
     options = ("--model", "mf61", "--loads", "6000,11000", "--out", "out")

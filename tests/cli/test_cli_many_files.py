@@ -1,4 +1,4 @@
-"""What was assumed of many files is printed once, counted, by every command."""
+"""Every command prints an assumption about many files once, with a count."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ FILES = 6
 
 @pytest.fixture
 def sweeps(tmp_path):
-    """Braking sweeps, each at a load of its own that its header and a column state."""
+    """Braking sweeps, each at another load, which its header and a column state."""
     rng = np.random.default_rng(8)
     slip = np.linspace(-0.05, 0.2, 90)
     for number in range(FILES):

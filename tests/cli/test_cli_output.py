@@ -1,4 +1,4 @@
-"""Whole results or none, one process per directory, Ctrl-C, and bars on terminals."""
+"""Complete results or none, one process per directory, Ctrl-C, and progress bars."""
 
 import os
 import pty
@@ -107,7 +107,7 @@ def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
 
 @pytest.fixture
 def interruptible():
-    """In the background of a shell interrupts are ignored."""
+    """A shell makes background processes ignore interrupts."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -157,7 +157,7 @@ main()
 
 
 def ended(name, *arguments, ignored=False, by="SIGINT"):
-    """The command in a process that is interrupted where it imports ``name``."""
+    """Runs the command in a process that is interrupted when it imports ``name``."""
     program = PROGRAM.format(name=name, arguments=arguments, ignored=ignored, signal=by)
     return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
 
@@ -200,7 +200,7 @@ def test_an_interrupt_within_garbage_collection_is_not_lost(rig, by):
 
 
 def test_sigterm_acts_as_ctrl_c(rig):
-    """Of a scheduler, say: SIGTERM, in the background of a shell too."""
+    """A scheduler, for example, sends SIGTERM; also in the background of a shell."""
     done = ended("jax._src.core", "fit", str(rig), by="SIGTERM", ignored=True)
     assert done.returncode == 130 and done.stderr.startswith("interrupted: ")
     assert "Traceback" not in done.stderr
@@ -212,7 +212,7 @@ def test_ctrl_c_stays_ignored_in_the_background():
 
 
 def on_terminal(monkeypatch, *arguments):
-    """Exit code of a command whose stderr is a terminal, and what it showed there."""
+    """Exit code of a command whose stderr is a terminal, and the text shown there."""
     master, slave = pty.openpty()
     shown = []
 
@@ -256,7 +256,7 @@ def test_no_bars_are_shown_without_a_terminal(run, rig, tmp_path):
 
 
 def test_progress_without_a_terminal_is_printed_as_lines(monkeypatch, capsys):
-    """One soon, with how long it will take, then now and then; none at the start."""
+    """One line soon, with the remaining time, then rarely; none at the start."""
     now = [100.0]
     monkeypatch.setattr(options.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(options, "has_terminal", lambda: False)

@@ -1,4 +1,4 @@
-"""``tirefit prepare`` on the command line: files written, read back, and done again."""
+"""``tirefit prepare``: files are written, read back, and reproduced."""
 
 import json
 import sys
@@ -16,7 +16,7 @@ from rig_script import cornering, measured
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """A test as the Tire Test Consortium's rig writes it, and what it was told."""
+    """A test as a Tire Test Consortium rig writes it, and its settings."""
     script, rng = cornering(7101, rate=50, loads=2, cambers=2, pressures=1)
     seen, clean = measured(script, rng)
     n = script.rows

@@ -16,7 +16,7 @@ ISO = ("--convention", "iso-w", "--out", "out.csv")
 
 
 def points_of(tir, angles="raw"):
-    """Reference rows of a file, written as points; their forces."""
+    """Reference rows of a file, written as points; and their forces."""
     with open(FOLDER / "reference.csv") as file:
         rows = [
             row
@@ -143,7 +143,7 @@ def signed_points(convention):
 
 @pytest.mark.parametrize("convention", sorted(set(CONVENTIONS) - {"iso-w"}))
 def test_data_and_tire_with_the_same_signs_give_the_values_of_iso_w(run, convention):
-    """Whatever the signs are called: a Magic Formula takes numbers to numbers."""
+    """For any name of the signs: a Magic Formula maps numbers to numbers."""
     signed_points("iso-w")
     run("predict", MF61, "points.csv", *ISO)
     wanted = predicted()
@@ -170,7 +170,7 @@ def test_signs_option_is_only_for_tir_files(run):
 
 
 def test_signs_stated_in_a_data_file_override_those_of_the_tire(run):
-    """Braking positive, of F_x alone: every number would do the other way as well."""
+    """Braking positive, F_x only: the other sign would be accepted as well."""
     text = "# tirefit 0.1: convention braking\nkappa,fz\n0.1,4000\n-0.2,4000\n"
     Path("points.csv").write_text(text)
     result = run("predict", MF61, "points.csv", "--out", "out.csv")
@@ -186,7 +186,7 @@ def test_signs_stated_in_a_data_file_override_those_of_the_tire(run):
 
 
 def without_combined(path):
-    """A file as truck makers write them: PAC2002, no FITTYP, no combined slip."""
+    """A file as truck makers write it: PAC2002, no FITTYP, no combined slip."""
     text = re.sub(r"(?m)^(R[BCEHV][XY]\d|FITTYP|PROPERTY_FILE_FORMAT) .*\n", "", path.read_text())
     new = "[MODEL]\nPROPERTY_FILE_FORMAT ='PAC2002'\n"
     Path("plain.tir").write_text(text.replace("[MODEL]\n", new))
@@ -222,7 +222,7 @@ def test_missing_combined_slip_coefficients_are_reported_and_replaced(run):
 
 
 def test_zeros_of_a_file_are_kept_and_reported(run):
-    """RCY1 = 0 is what the file says; a stand-in must be asked for."""
+    """RCY1 = 0 is kept unless the user requests a replacement."""
     Path("points.csv").write_text("kappa,alpha,fz\n-0.1,0.1,20000\n")
     said = run("predict", TRUCK, "points.csv", *ISO).stderr
     assert "1 of 1 rows with both slips: F_y as in pure slip" in said

@@ -1,4 +1,4 @@
-"""A rig's test with a known truth, as the fixtures of the readers lay it out."""
+"""A rig test with a known truth, in the formats of the fixtures of the readers."""
 
 import numpy as np
 
@@ -80,7 +80,8 @@ _TYDEX_UNITS = {"v": 1 / 3.6, "omega": 2 * np.pi / 60, "alpha": DEG, "fy": 1e3}
 
 
 def tydex(columns, per_line=8, missing=()):
-    """Lines of a TYDEX 1.3 file: camber and pressure are constants of it.
+    """Lines of a TYDEX 1.3 file; camber and pressure are constants. The values of
+    ``missing``, as (row, channel), are unavailable.
 
     ``missing`` are (row, channel) whose value is not available.
     """

@@ -1,4 +1,4 @@
-"""A rig's test by a script with a known truth: what it was set to, and when.
+"""A rig test from a script with a known truth: its commands and their times.
 
 The script moves channels and holds them; every command is an :class:`Event` with its
 rows. Then come the wander of the controllers, the load's answer to the slip, the tire's
@@ -70,7 +70,7 @@ class Script:
 
 
 def _wander(rng, n, rate, seconds):
-    """Slow noise of one standard deviation, correlated over so many seconds."""
+    """Slow noise of one standard deviation, correlated over this many seconds."""
     steps = max(int(seconds * rate / 4), 1)
     knots = rng.normal(size=n // steps + 4)
     at = np.arange(n) / steps
@@ -79,7 +79,7 @@ def _wander(rng, n, rate, seconds):
 
 
 def measured(script, rng, *, noise=1.0, wander=1.0, mu=1.5, stiffness=20.0, tau=40.0):
-    """Canonical columns (n,) as sensors have them, and the noise-free truth."""
+    """Canonical columns (n,) as measured, and the noise-free truth."""
     truth = script.columns()
     n, rate = script.rows, script.rate
     time = np.arange(n) / rate
@@ -167,7 +167,7 @@ def _both_ways(script, angle, leg, note, shape):
 
 
 def drum(seed=0, *, rate=200, loads=3, speeds=2):
-    """A longitudinal test: braking sweeps by ramps, the wheel let go after each."""
+    """A longitudinal test: braking sweeps by ramps, with a release after each."""
     rng = np.random.default_rng(seed)
     loads = rng.uniform(2000, 3000) * np.arange(1, loads + 1)
     speeds = 15.0 + 12.0 * np.arange(speeds)
@@ -205,7 +205,7 @@ def combined(seed=0, *, rate=100):
 
 
 def flat(seed=0):
-    """Rows without time: sweeps one after the other, up and down by turns."""
+    """Rows without time: sweeps one after the other, alternately up and down."""
     rng = np.random.default_rng(seed)
     loads = rng.uniform(1000, 2000) * np.arange(1, 5)
     angle, count = rng.uniform(5, 12) * DEG, int(rng.integers(15, 41))

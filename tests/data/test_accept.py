@@ -1,4 +1,4 @@
-"""Every door of the package takes data as a user has them."""
+"""Every public function accepts data in the forms that users have."""
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,7 @@ COLUMNS = {"sigma_x": SLIP, "fx": 3500 * np.tanh(20 * SLIP), "fz": np.full(40, 4
 
 
 class Frame:
-    """What polars and others have in common: names, and a column by its name;
+    """The common part of polars and similar frames: names, and a column by its name;
     iterating gives columns."""
 
     columns = tuple(COLUMNS)
@@ -27,7 +27,7 @@ class Frame:
 
 @pytest.fixture(params=["table", "path", "text", "pandas", "frame", "mapping"])
 def given(request, tmp_path):
-    """The same data in every kind."""
+    """The same data in every form."""
     frame, path = pd.DataFrame(COLUMNS), tmp_path / "rig.csv"
     frame.to_csv(path, index=False, float_format="%.17g")
     return {

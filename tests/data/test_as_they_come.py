@@ -1,4 +1,4 @@
-"""Vehicle logs as people have them: no a_y, several runs, slow or coarse channels."""
+"""Imperfect vehicle logs: no a_y, several runs, slow or coarse channels."""
 
 import re
 from pathlib import Path
@@ -23,7 +23,7 @@ F1TENTH = Path(__file__).parents[2] / "fits" / "measured_changes" / "f1tenth"
 
 @pytest.mark.parametrize("reach", [0.0, 0.04])
 def test_missing_a_y_is_computed_from_the_speeds(tmp_path, reach):
-    """Held against the true force, and against the same log with a_y."""
+    """Compared with the true force, and with the same log with a_y."""
     columns = rates_log()
     tilt = np.cos(reach), np.sin(reach)
     v_x, v_y = columns["vx"], columns["vy"]
@@ -36,7 +36,7 @@ def test_missing_a_y_is_computed_from_the_speeds(tmp_path, reach):
     np.testing.assert_allclose(log.columns["a_y"], true.a_y, atol=5e-3)
     np.testing.assert_allclose(log.columns["fy"], true.force_rear, atol=1e-2)
     assert "a_y is computed from the speeds" in " ".join(log.summary().split())
-    assert any("no independent measurement" in said for said in log.assumptions)
+    assert any("not an independent measurement" in said for said in log.assumptions)
     measured = derive(path, vehicle(tmp_path, CAR + RATES + KEEP))
     assert not any("independent measurement" in said for said in measured.assumptions)
 
@@ -54,7 +54,7 @@ def test_without_a_y_a_wrong_sign_of_v_y_is_found_from_the_yaw_rate(tmp_path):
 
 
 def in_three(columns, anew):
-    """The log in three runs of the same car, each from its own time if ``anew``."""
+    """The log in three runs of the same car, each with time from zero if ``anew``."""
     n = len(columns["t"])
     rows = np.split(np.arange(n), [800, 1600])
     time = [columns["t"][r] - anew * columns["t"][r[0]] for r in rows]
@@ -93,7 +93,7 @@ def test_a_restart_of_time_begins_a_new_run(tmp_path):
     log = derive(path, pose_vehicle(tmp_path))
     assert set(log.run) == {"log_1", "log_2", "log_3"} and log.gaps == 2
     assert sum(log.dropped_rows.values()) == 0 and log.rows == sum(map(len, rows))
-    assert any("time starts anew 2 times" in said for said in log.assumptions)
+    assert any("time restarts 2 times" in said for said in log.assumptions)
     track = read_track(path, pose_vehicle(tmp_path))
     assert np.all(np.diff(track.time) > 0)
 
@@ -122,7 +122,7 @@ STEPS = {"vx": 0.02, "vy": 0.005, "r": 0.01, "ay": 0.05}
 
 
 def coarse_log(rate, steps=STEPS):
-    """The rates at a whole number of samples a second, rounded to steps."""
+    """The rates at an integer sample rate, rounded to steps."""
     fine = rates_log()
     time = np.arange(fine["t"][0], fine["t"][-1], 1 / rate)
     slow = {name: np.interp(time, fine["t"], values) for name, values in fine.items()}
@@ -158,7 +158,7 @@ def test_too_slow_a_log_is_refused_with_a_working_cutoff(tmp_path):
 
 
 def changed(name, rows=slice(None)):
-    """The log of rates with a manoeuvre that no single track describes."""
+    """The log with rates and a manoeuvre that no single-track model describes."""
     log = rates_log()
     if name == "stands":
         log |= {k: 0 * log[k] for k in ("vx", "vy", "r", "ay")}
@@ -227,7 +227,7 @@ def test_a_large_yaw_inertia_is_doubted_with_its_ratio(tmp_path):
 
 
 def test_a_wrong_reference_point_is_not_reported_as_a_wrong_sign(tmp_path):
-    """The same car on worn tires, at 0.19 m, with its point stated elsewhere."""
+    """The same car on worn tires, at 0.19 m, with its point declared elsewhere."""
     text = (F1TENTH / "vehicle.toml").read_text().replace('a_y = "a_y"\n', "")
     for at in (0.0, 0.05, 0.33):
         settings = vehicle(tmp_path, f"tracked_point = [{at}, 0.0]\n" + text)

@@ -1,4 +1,4 @@
-"""Channels of a log that contradict each other, with each fault put in by hand."""
+"""Contradicting channels of a log, with each error inserted by hand."""
 
 import json
 import re
@@ -192,10 +192,11 @@ def test_steering_against_the_curvature_of_the_path_is_refused(tmp_path, columns
     log["c6"] = log["c6"] * factor
     text = refused(tmp_path, log, columns | {"steering": "c6"}, STEER)
     assert said in text and "correct [steering]" in text
+    assert ("reverse the signs of angle" in text) == (factor == -1)
 
 
 def test_the_suggested_remedy_works(tmp_path):
-    """As declared by the message, the log gives what the sound one gives."""
+    """Declared as the message suggests, the log gives the result of the correct one."""
     sound = derived(tmp_path, log_of(), RATES)
     log = log_of()
     log |= times(c1=3.6, c2=3.6, c3=-DEG, c4=1 / 9.80665)(log)
@@ -253,7 +254,7 @@ def pair(result, channel, against):
 
 
 def test_gain_delay_and_offset_are_recovered_within_their_errors(tmp_path):
-    """Over 30 logs, in standard errors: unbiased, and of the size that is stated."""
+    """Over 30 logs, in standard errors: unbiased, and with the stated size."""
     off = []
     for seed in range(30):
         log = log_of(seed)
@@ -341,7 +342,7 @@ def test_units_are_read_from_header_units_row_or_user(tmp_path):
     np.testing.assert_allclose(again.columns["fy"], sound.columns["fy"], atol=0.1)
     assert "column 'c1' read as v_x in km/h (units row)" in again.assumptions
     wrong = dict(zip(("time", "v [rad/s]", *names[2:]), values, strict=True))
-    with pytest.raises(DataError, match="'rad/s' is no unit of speed"):
+    with pytest.raises(DataError, match="'rad/s' is not a unit of speed"):
         derived(tmp_path, wrong, columns | {"v_x": "v [rad/s]"})
 
 
@@ -351,7 +352,7 @@ def test_an_unnamed_column_is_compared_but_refuses_nothing(tmp_path):
     result = derived(tmp_path, log, RATES)
     (said,) = result.warnings
     assert "a_x is in g" in said and "[columns] does not name it" in said
-    # One that names no numbers is no channel at all.
+    # A column without numbers is not a channel.
     log["a_x"] = np.array(["x"] * len(log["time"]))
     path = tmp_path / "text.csv"
     cells = [",".join(map(str, row)) for row in zip(*log.values(), strict=True)]
@@ -360,7 +361,7 @@ def test_an_unnamed_column_is_compared_but_refuses_nothing(tmp_path):
 
 
 def test_a_steady_circle_with_a_mirrored_v_y_is_refused(tmp_path):
-    """Nothing there says how v_y varies, but no tire pulls to where it slides."""
+    """v_y is constant there, but no tire pulls in the direction of sliding."""
     time = np.arange(0, 40, 0.02)
     rng = np.random.default_rng(1)
     v, r = 10 + 2 * np.sin(0.1 * time), 0.3 + 0 * time
@@ -391,7 +392,7 @@ def test_the_companion_file_contains_the_estimates(tmp_path):
 
 
 def test_every_wrong_unit_of_a_log_is_found(tmp_path):
-    """A unit that is read as SI is told from every other unit of its kind."""
+    """A unit that is read as SI is distinguished from all other units of its kind."""
     log = log_of()
     for text in ("km/h", "mph", "ft/s", "knot", "cm/s", "mm/s"):
         assert text in units_of("speed")

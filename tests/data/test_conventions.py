@@ -1,5 +1,5 @@
-"""Which sign convention a file is read in: the user's, the file's own, a model's, the
-default; each is told, and two statements that differ are an error."""
+"""The sign convention of a file comes from the user, the file, a model or the default;
+it is reported, and two contradicting statements are an error."""
 
 import numpy as np
 import pytest
@@ -74,7 +74,7 @@ def test_contradicting_conventions_are_refused_if_a_sign_differs(tmp_path):
         assert name in problem.reason.split("'iso-w':")[1]
     assert "--convention braking" in problem.reason
     assert "leave out --convention" in problem.remedy
-    # The same statement twice is none, nor one that turns nothing that is there.
+    # No problem: the same statement twice, or a sign of a missing column.
     same(read(path, convention="iso-w"), canonical())
     path = written(tmp_path / "b.csv", in_signs(longitudinal(), "iso-w"), "# convention iso-w")
     data = read(path, convention="adapted-sae")
@@ -92,7 +92,7 @@ def test_contradicting_or_unknown_convention_lines_are_refused(tmp_path):
 
 
 def test_user_and_file_override_the_convention_of_a_layout(tmp_path):
-    """A consortium's file, whose layout alone says SAE as its loads are negative."""
+    """A consortium file: its layout alone implies SAE, as its loads are negative."""
     frame = ttc(truth())
     data = read(written(tmp_path / "a.csv", frame))
     assert data.source.convention_from == "by the layout of the file"
@@ -159,7 +159,7 @@ def test_zero_camber_does_not_show_its_sign():
     for gamma in (0 * columns["gamma"], 0 * columns["gamma"] + 0.002):
         frame = columns | {"gamma": -gamma}
         assert read_frame(frame, convention="braking").source.warnings == ()
-    # A few rows under camber, all of one sweep of the slip: the angle tells nothing.
+    # A few rows under camber in one sweep of the slip do not determine the sign.
     few = np.where(np.arange(240) > 230, 0.07, 0.0)
     frame = columns | {"gamma": -few, "fy": columns["fy"] - 2800 * columns["gamma"]}
     assert read_frame(frame, convention="braking").source.warnings == ()

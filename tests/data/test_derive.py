@@ -1,4 +1,4 @@
-"""`derive` against a simulated vehicle whose slip angles and forces are known."""
+"""`derive` on a simulated vehicle with known slip angles and forces."""
 
 import json
 from pathlib import Path
@@ -57,7 +57,7 @@ def test_left_and_right_turns_have_opposite_signs_and_force_opposes_slip(tmp_pat
 
 @pytest.mark.parametrize("axle", ["rear", "front"])
 def test_signs_follow_the_drawing_in_slip(tmp_path, axle):
-    """A car on a left circle, its body turned out of the course by 0.2 rad."""
+    """A car on a left circle, its body rotated by 0.2 rad from its course."""
     time = np.arange(0, 8, 0.01)
     radius, rate, beta = 4.0, 0.5, 0.2
     course = rate * time

@@ -1,4 +1,4 @@
-"""The drive force of a derived file, and what the file states of its vehicle."""
+"""The drive force of a derived file, and the stated properties of its vehicle."""
 
 import json
 
@@ -46,7 +46,7 @@ def steered_car(tmp_path, before="", clock=0.0):
     ],
 )
 def test_forces_of_both_axles_balance_the_acceleration(tmp_path, stated, rear, drag):
-    """Newton along and across the body, and the split between the axles."""
+    """Newton along and across the body, and the distribution over the axles."""
     path, car = steered_car(tmp_path, stated)
     back, front = (derive(path, car, axle).columns for axle in ("rear", "front"))
     time = np.intersect1d(back["time"], front["time"])
@@ -79,7 +79,7 @@ def test_an_undriven_axle_has_no_longitudinal_force(tmp_path):
 
 
 def test_the_error_of_the_drive_force_states_its_assumption(tmp_path):
-    """Rolling resistance beside a share of the force: 30 % of who brakes, of 5 %."""
+    """Rolling resistance and 30 % of the braking force, 5 % of the driving force."""
     path, car = steered_car(tmp_path, 'driven = "rear"\n')
     found = derive(path, car).columns
     rolling = 0.02 * MASS * 9.80665
@@ -127,7 +127,7 @@ def test_derived_files_state_the_known_properties_of_the_vehicle(tmp_path):
 
 
 def test_derived_files_contain_the_estimates_of_their_logs(tmp_path):
-    """A heading that is 10 mrad off, a point 20 mm off, steering logged early."""
+    """A heading off by 10 mrad, a point off by 20 mm, steering logged early."""
     columns = pose_log()
     columns["psi"] = columns["psi"] - 0.01
     log = write_log(tmp_path / "a.csv", columns)

@@ -1,4 +1,4 @@
-"""`derive` takes a log of any kind that is read, as it takes the same log as text."""
+"""`derive` accepts a log of every readable kind, with the result of its text file."""
 
 import numpy as np
 from scipy.io import savemat

@@ -1,4 +1,4 @@
-"""What `derive` warns of: edges, what the filter cuts, waves of the road."""
+"""Warnings of `derive`: edges, noise removed by the filter, waves of the road."""
 
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ def test_noise_removed_by_the_filter_is_reported(tmp_path):
 
 
 def test_an_out_of_round_wheel_is_reported(tmp_path):
-    """The car sways once a turn of a wheel of 45 mm."""
+    """The car sways once per turn of a wheel of 45 mm."""
     columns, turn = pose_log(noise=0.3), 2 * np.pi * 0.045
     way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(columns["x"]), np.diff(columns["y"])))])
     columns["psi"] = columns["psi"] + 0.006 * np.sin(2 * np.pi * way / turn)

@@ -1,4 +1,4 @@
-"""Rows far from everything: absurd values are named, settings and noise are not."""
+"""Absurd values are reported; settings and noise are not."""
 
 import json
 
@@ -14,7 +14,7 @@ ROWS = 80
 
 
 def sweep(seed=0, n=ROWS, **changes):
-    """A force over a slip, with loads that were held to half a percent."""
+    """A force over a slip, with loads constant to half a percent."""
     generator = np.random.default_rng(seed)
     slip = generator.uniform(-0.1, 0.25, n)
     columns = {

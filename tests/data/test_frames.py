@@ -1,4 +1,4 @@
-"""Frames of polars and pandas, and arrays with names: what differs from a file."""
+"""Frames of polars and pandas, and named arrays: differences from files."""
 
 import datetime
 

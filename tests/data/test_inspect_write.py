@@ -1,4 +1,4 @@
-"""What inspect reports, and that what is written reads back as it was."""
+"""The report of inspect, and files that are read back as they were written."""
 
 import json
 import os
@@ -210,7 +210,7 @@ def test_a_prediction_table_keeps_a_locked_wheel_and_all_digits():
     ],
 )
 def test_inspect_of_a_vehicle_log_suggests_derive(tmp_path, columns):
-    """The vehicle file that the message shows derives the log, as it stands."""
+    """The vehicle file shown in the message derives the log without changes."""
     time = np.arange(0, 20, 0.01)
     turn = 0.3 * np.sin(0.7 * time)
     of = {
@@ -247,6 +247,16 @@ def test_the_heading_of_a_bag_is_of_the_message_that_has_the_place():
     assert f'yaw = "{place}.orientation.yaw"' in remedy and imu not in remedy
     assert 'steering = "/steering_wheel.data"' in remedy
     assert f'yaw = "{imu}"' in vehicle_log(headers[:-1], "bag").remedy
+    # Speeds in the same message: differentiated once, not twice.
+    turning = [f"/imu.angular_velocity.{axis}" for axis in "xyz"]
+    twist = [f"/odom.twist.twist.{name}" for name in ("linear.x", "linear.y", "angular.z")]
+    remedy = vehicle_log([*turning, *headers, *twist], "bag").remedy
+    names = ("v_x", "v_y", "yaw_rate")
+    assert all(f'{n} = "{t}"' in remedy for n, t in zip(names, twist, strict=True))
+    assert place not in remedy
+    # Those of another sensor do not replace the pose.
+    other = [name.replace("/odom", "/gps") for name in twist]
+    assert f'x = "{place}.position.x"' in vehicle_log([*headers, *other], "bag").remedy
 
 
 def test_rig_data_without_a_force_are_no_vehicle_log(tmp_path):

@@ -1,4 +1,4 @@
-"""The settings of a rig are found through its noise, and none where there are none."""
+"""The settings of a rig are found despite noise, and none if there are none."""
 
 import numpy as np
 import pytest

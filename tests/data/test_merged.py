@@ -1,4 +1,4 @@
-"""Sentences of many files: each once, with its files counted; no value is lost."""
+"""Notes on many files: each once, with a count of files and without loss of values."""
 
 from dataclasses import replace
 

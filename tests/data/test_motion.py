@@ -1,4 +1,4 @@
-"""A simulated vehicle, its logs, and what `derive` makes of gaps, units and noise."""
+"""A simulated vehicle and its logs; gaps, units and noise in `derive`."""
 
 import gzip
 import re
@@ -81,7 +81,7 @@ def slip_and_force(time, v_y, yaw_rate):
 
 
 def accelerations(time, v_y, yaw_rate):
-    """Lateral and yaw acceleration by the forces' balance, derived apart from ours."""
+    """Lateral and yaw acceleration by the balance of forces, derived separately."""
     _, rear, _, front = slip_and_force(time, v_y, yaw_rate)
     rear_left, front_left = -rear, -front * np.cos(steer(time))
     return (rear_left + front_left) / MASS, (L_F * front_left - L_R * rear_left) / INERTIA
@@ -116,7 +116,7 @@ def truth(time) -> Truth:
 
 
 def stamps(rng, length=24.0):
-    """Jittered 100 Hz stamps that stay in order."""
+    """Jittered 100 Hz time stamps in rising order."""
     return np.arange(0.5, length, 0.01) + rng.uniform(-3e-4, 3e-4, int(length * 100) - 50)
 
 
@@ -151,7 +151,7 @@ def pose_vehicle(tmp_path, before="", after=""):
 
 
 def noise_gain(settings, derivatives) -> float:
-    """Standard deviation that unit white noise keeps through filter and differences."""
+    """Standard deviation of unit white noise after filter and differences."""
     rate = settings.sample_rate
     frequency = np.linspace(0, rate / 2, 20001)
     low_pass = 1 / (1 + (frequency / settings.cutoff) ** (2 * settings.order))
@@ -172,7 +172,7 @@ def noise_std(settings, axle) -> tuple[float, float]:
 
 
 def assert_true(log, start, settings, axle="rear"):
-    """The errors of alpha and fy are those that noise and bandwidth explain."""
+    """The errors of alpha and fy agree with noise and bandwidth."""
     true = truth(log.columns["time"] + start)
     alpha = log.columns["alpha"] - getattr(true, f"alpha_{axle}")
     force = log.columns["fy"] - getattr(true, f"force_{axle}")
@@ -251,7 +251,7 @@ def test_units_gzip_and_backward_column_order_change_nothing(tmp_path):
 
 
 def test_stated_bandwidth_holds(tmp_path):
-    """A yaw oscillation at the bandwidth comes out at -3 dB, less the differences."""
+    """A yaw oscillation at the bandwidth is reduced by 3 dB, and by the differences."""
     settings = pose_vehicle(tmp_path, after="a_y_max = 1000.0\n")
     bandwidth = settings.filter.bandwidth
     time = np.arange(0, 12, 0.01)
@@ -266,7 +266,7 @@ def test_stated_bandwidth_holds(tmp_path):
 
 @pytest.mark.parametrize("order", [1, 2, 4, 8])
 def test_the_filter_has_settled_after_the_stated_time(tmp_path, order):
-    """The filter's answer to a step of the yaw rate at time 0, away from the edges."""
+    """The response to a step of the yaw rate at time 0, away from the edges."""
     settings = pose_vehicle(tmp_path, after=f"[filter]\norder = {order}\n")
     time = np.arange(-10, 10, 0.01)
     columns = {"t": time, "x": 2 * time, "y": 0 * time, "psi": np.maximum(time, 0)}
@@ -293,7 +293,7 @@ def test_all_missing_columns_are_named(tmp_path):
         ("t,x,y,psi\n", "no data rows"),
         ("t,x,y,psi\n0,0,0,0\n", "fewer than two samples"),
         ("t,x,y,psi\n1,0,0,0\n1,0,0,0\n0,1,0,0\n", "time does not rise"),
-        ("t,x,y,psi\ns,mm,mm,kg\n0,0,0,0\n0.01,1,0,0\n", "unit 'kg' is no unit of angle"),
+        ("t,x,y,psi\ns,mm,mm,kg\n0,0,0,0\n0.01,1,0,0\n", "unit 'kg' is not a unit of angle"),
         ("t,x,y,psi\n0,0,0,0\n0.01,oops,0,0\n", "'oops' is not a number"),
         ("t,x,y,psi\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "1 Hz only"),
     ],

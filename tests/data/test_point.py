@@ -1,4 +1,4 @@
-"""The tracked point by the force against the slip: found, refused, doubted."""
+"""The tracked point from the force and the slip: found, refused, doubted."""
 
 import re
 
@@ -15,7 +15,7 @@ L_F, L_R = 1.2, 1.4
 
 
 def dart(tmp_path, point):
-    """The DART car with its tracked point stated elsewhere."""
+    """The DART car with its tracked point declared elsewhere."""
     text = (DART / "vehicle.toml").read_text()
     path = tmp_path / "vehicle.toml"
     path.write_text(text.replace("[0.115,", f"[{point},"))
@@ -48,7 +48,7 @@ def test_a_reference_point_too_far_behind_is_refused(tmp_path):
 
 
 def moved(log, ahead):
-    """Rates of a point so far ahead of the centre of gravity [m]."""
+    """Rates of a point this far ahead of the centre of gravity [m]."""
     turning = np.gradient(log["c3"], log["time"])
     return log | {"c2": log["c2"] + ahead * log["c3"], "c4": log["c4"] + ahead * turning}
 
@@ -133,6 +133,7 @@ def test_a_pose_with_another_clock_is_refused(tmp_path, name):
     (problem,) = caught.value.problems
     assert re.search(r"the pose is 0\.34 ± 0\.00\d+ s late", problem.reason)
     assert "shift the pose in the log" in problem.remedy
+    assert ("leave a_y out" in problem.remedy) == ("late against a_y" in problem.reason)
     result = derived(tmp_path, late(log, ("c7", "c8", "c9"), 0.1), POSE | BESIDE)
     assert "delays up to 0.1" in result.summary()
 
@@ -141,6 +142,15 @@ def test_a_delayed_v_y_is_reported_with_the_point(tmp_path):
     log = late(log_of(name="turns"), ("c2",), 0.1)
     (said,) = derived(tmp_path, log, RATES).warnings
     assert re.search(r"v_y is 0\.(1|09\d|10\d) ± 0\.00\d s late", said)
+
+
+def test_an_a_y_that_is_measured_elsewhere_is_named_beside_the_point(tmp_path):
+    log = log_of(name="turns")
+    ahead = {"c4": moved(log, 1.2)["c4"]}
+    said = " ".join(derived(tmp_path, log | ahead, RATES).warnings)
+    at = re.search(r"a_y is measured ([\d.]+) m ahead of the tracked point", said)
+    assert float(at[1]) == pytest.approx(1.2, rel=0.1)
+    assert "leave a_y out of [columns]" in said
 
 
 @pytest.mark.parametrize("name", ["slow", "gently"])

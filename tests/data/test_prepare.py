@@ -1,4 +1,4 @@
-"""A rig's test cut up: against scripts whose commands and settings are known."""
+"""Rig tests are divided correctly: scripts with known commands and settings."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def prepared(columns, **config):
 
 
 def unlike(script, prepared, channel, tolerance):
-    """What differs between a script's sweeps and those that were cut out."""
+    """Differences between a script's sweeps and those that were found."""
     rate, faults = script.rate, []
     asked = [e for e in script.events if e.kind == "swept" and e.channel == channel]
     named = channel.replace("kappa", "sigma_x")
@@ -45,8 +45,8 @@ def unlike(script, prepared, channel, tolerance):
 
 
 def on_the_way(script, prepared):
-    """Rows that are kept although a condition is a quarter of its way or more from
-    both of its settings."""
+    """Kept rows with a condition at least a quarter of its way from both of its
+    settings."""
     truth, faults = script.columns(), []
     for event in script.events:
         if event.kind != "moved" or event.channel in ("alpha", "kappa"):
@@ -70,7 +70,7 @@ def true_levels(script, name):
 
 @pytest.mark.parametrize("seed", range(7001, 7005))
 def test_a_cornering_test_of_any_design_is_prepared(seed):
-    """Of 300 designs by seeds that nothing was tuned on, three were cut otherwise."""
+    """Of 300 designs with other seeds, three were divided differently."""
     rng = np.random.default_rng(seed)
     shape = str(rng.choice(["line", "sine"]))
     script, rng = cornering(
@@ -83,12 +83,12 @@ def test_a_cornering_test_of_any_design_is_prepared(seed):
     )
     seen, _ = measured(script, rng, noise=rng.uniform(0, 1.5), wander=rng.uniform(0, 1.5))
     result = prepared(seen)
-    # A sine begins so slowly that its first tenth is no movement yet.
+    # A sine begins so slowly that its first tenth is not yet a movement.
     assert unlike(script, result, "alpha", 0.12 if shape == "sine" else 0.04) == []
     for name in ("fz", "gamma", "pressure", "v"):
         center, true = result.settings[name].center, true_levels(script, name)
         assert len(center) == len(true)
-        # A warm-up of its own is at one of them; the wander is 1 % and more.
+        # A separate warm-up is at one of them; the wander is at least 1 %.
         largest = max(map(abs, true)) or 1.0
         np.testing.assert_allclose(center, true, atol=0.03 * largest)
     kinds = {"cold": ("cold", "warm-up"), "warm-up": ("warm-up",)}
@@ -298,8 +298,8 @@ def test_the_last_sweeps_of_a_warming_condition_are_kept_and_reported():
 
 
 def test_bins_name_every_setting_that_differs():
-    """A camber and a slip angle of the same degrees, and a pressure of the warm-up
-    alone: no two conditions have one label."""
+    """Camber and slip angle of equal degrees, and a pressure that differs only in the
+    warm-up: no two conditions have the same label."""
     script = Script(50, alpha=0.0, kappa=0.0, fz=3000.0, gamma=0.0, pressure=1.8e5, v=20.0)
     for pressure, camber, angle in (
         (1.8e5, 0.0, 0.0),
@@ -425,8 +425,8 @@ def lag_of(one, other):
 
 
 def test_prepared_channels_have_the_same_gain_and_no_delay():
-    """A tone on every channel comes out the same in all; and broad noise is not late,
-    which it is by one pass alone."""
+    """A tone on every channel is the same in all; noise is not delayed, as one pass of
+    the filter alone would do."""
     script, rng = cornering(7071, loads=2, cambers=1, pressures=1)
     seen, _ = measured(script, rng, noise=0.2)
     tone = np.sin(2 * np.pi * 8.0 * seen["time"])
@@ -484,7 +484,7 @@ def test_the_filter_keeps_a_parabola_at_uneven_times():
 
 
 def anything(rng):
-    """Columns without sense: few rows or many, constant, jumping, missing, huge."""
+    """Columns without meaning: few or many rows, constant, jumping, missing, huge."""
     n = int(rng.choice([1, 2, 5, 20, 60, 300, 1000]))
     wild = rng.normal(size=n)
     columns = {
@@ -505,7 +505,7 @@ def anything(rng):
 
 
 def test_any_recording_is_prepared_or_refused():
-    """Of 1,500 by seeds that nothing was tuned on, none ended otherwise."""
+    """1,500 other seeds gave no other outcome."""
     rng, done = np.random.default_rng(7081), 0
     for _ in range(60):
         try:

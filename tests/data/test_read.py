@@ -1,4 +1,4 @@
-"""Reading well: units, conventions, encodings and slips come out canonical."""
+"""Data are read with units, conventions, encodings and slips made canonical."""
 
 import gzip
 import hashlib

@@ -1,4 +1,4 @@
-"""Bad input: every problem is found, placed, explained and given a remedy."""
+"""Every problem of bad input is found, located and explained with a remedy."""
 
 import gzip
 

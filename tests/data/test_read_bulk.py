@@ -1,4 +1,4 @@
-"""A large text is read in pieces by NumPy: as any text is, whatever stands in it."""
+"""A large text is read in pieces by NumPy with the result of any other text."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def text_of(table, delimiter=",", end="\n", header=HEADER):
 
 
 def told(path, **options):
-    """All that a reading gives, or all that its errors say."""
+    """Everything that reading returns, or the text of all its errors."""
     try:
         data = read(path, **options)
     except DataError as error:
@@ -50,7 +50,7 @@ def told(path, **options):
 
 @pytest.fixture
 def in_pieces(monkeypatch):
-    """Every text is large: a head of some ten rows, then pieces of as many."""
+    """Makes every text large: a head of ten rows, then pieces of the same size."""
     used = []
     table_of_large = bulk.table_of_large
 
@@ -137,7 +137,7 @@ def test_a_large_text_is_read_like_a_small_one(name, tmp_path, in_pieces):
 
 
 def cells_of(path):
-    """The table of a text, its numbers too, or what its errors say."""
+    """The table of a text with its numbers, or the text of its errors."""
     try:
         table = kinds.read_table(path, [])
     except DataError as error:

@@ -1,4 +1,4 @@
-"""Files of every kind, damaged at random: read, or refused with place and remedy."""
+"""Files of every kind, damaged at random, are read or refused with place and remedy."""
 
 import warnings
 
@@ -42,7 +42,7 @@ MADE = {
 
 
 def damaged(content, rng):
-    """The bytes with a few of them changed, cut out, doubled or at the end missing."""
+    """The bytes with a few of them changed, removed, doubled or the end cut off."""
     content = bytearray(content)
     for _ in range(rng.integers(1, 6)):
         at, length = rng.integers(len(content)), int(rng.integers(1, 40))

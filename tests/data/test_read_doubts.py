@@ -1,4 +1,4 @@
-"""Data that can be read, but probably mean something else: warnings with a remedy."""
+"""Readable data that probably mean something else give a warning with a remedy."""
 
 import numpy as np
 import pytest
@@ -141,7 +141,7 @@ def test_a_slip_that_contradicts_the_speeds_is_reported(logged, others, said):
     kappa = np.linspace(-0.2, 0.3, 60)
     turning = speeds(kappa) | {k: np.full(60, x) for k, x in others.items()}
     columns = frame(kappa, **turning) | {"kappa": logged(kappa)}
-    # The force follows the logged slip, so that its signs alone are no contradiction.
+    # The force follows the logged slip, so its signs alone do not contradict.
     columns["fx"] = force(columns["kappa"])
     source = read_frame(columns, rolling_radius=0.3, **BRAKING).source
     check = source.slip_check
@@ -155,7 +155,7 @@ def test_a_slip_that_contradicts_the_speeds_is_reported(logged, others, said):
 
 
 def _bounded(kappa):
-    """Slip ratio of a kappa: kappa where the wheel brakes, sigma where it drives."""
+    """The slip ratio of a kappa: kappa in braking, sigma in driving."""
     return np.where(kappa > 0, kappa, kappa / (1 - kappa))
 
 

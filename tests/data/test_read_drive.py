@@ -1,4 +1,4 @@
-"""Logs of a vehicle: columns, units and signs; no slip, force or load is asked for."""
+"""Vehicle logs: columns, units and signs; no slip, force or load is required."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""MATLAB, Parquet, Arrow and Excel: the same channels, told by what is in the file."""
+"""MATLAB, Parquet, Arrow and Excel: the same channels, recognised by content."""
 
 import gzip
 import pickle
@@ -207,7 +207,7 @@ def test_matlab_without_a_table_is_refused(tmp_path, version, variables, expecte
 
 
 def element(kind, content):
-    """One element of a MATLAB file of version 5: tag, content, to a multiple of 8."""
+    """One element of a MATLAB file of version 5: tag and content, padded to 8 bytes."""
     return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
 
 

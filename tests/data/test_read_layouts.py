@@ -1,4 +1,4 @@
-"""Files of rigs as they come: white space, units below the header, lines before it."""
+"""Typical files of rigs: white space, units below the header, lines before it."""
 
 import numpy as np
 import pytest

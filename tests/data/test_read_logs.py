@@ -1,4 +1,4 @@
-"""Logs of MDF, MCAP and ROS: channels of several clocks become one table."""
+"""MDF, MCAP and ROS logs: channels with several clocks become one table."""
 
 import gc
 import sqlite3
@@ -221,7 +221,7 @@ float64 w
 
 
 def save_own(path, columns, with_definition=True):
-    """A ROS 2 bag with a message type of the user's own beside a standard one."""
+    """A ROS 2 bag with a user-defined message type and a standard one."""
     pytest.importorskip("rosbags")
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore

@@ -1,4 +1,4 @@
-"""Signs are checked against the data: who declares them wrongly is told what fits."""
+"""Signs are compared with the data: a wrong declaration is reported."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ N = 240
 
 
 def canonical(**left_out):
-    """Sweeps of slip and of angle at two cambers, of a tire that pulls as it must."""
+    """Sweeps of slip and slip angle at two cambers, of a physically plausible tire."""
     rng = np.random.default_rng(11)
     row = np.arange(N)
     angle = row < N // 2
@@ -39,13 +39,13 @@ def canonical(**left_out):
 
 
 def in_signs(columns, convention):
-    """Canonical columns in the signs of a convention, as a file has them."""
+    """Canonical columns in the signs of a convention, as in a file."""
     signs = CONVENTIONS[convention]._asdict() | {"sigma_x": CONVENTIONS[convention].slip}
     return {name: signs.get(name, 1) * values for name, values in columns.items()}
 
 
 def told(frame, **options):
-    """What is said against the signs: the errors, or else the warnings."""
+    """The messages about signs: the errors or, without errors, the warnings."""
     try:
         return "\n".join(read_frame(frame, **options).source.warnings)
     except DataError as error:

@@ -1,4 +1,4 @@
-"""A simulator's forces beside the measured ones: ``fx_sim``, ``fy_sim``, ``mz_sim``."""
+"""Simulated forces next to the measured ones: ``fx_sim``, ``fy_sim``, ``mz_sim``."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""TYDEX files: told by their keywords, with factors, offsets, constants and gaps."""
+"""TYDEX files, recognised by keywords, with factors, offsets, constants and gaps."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def said(data, fragment):
 
 
 def same(data, columns):
-    """Equal to the six digits that the file has."""
+    """Equal within the six digits of the file."""
     for name in set(columns) - {"gamma"}:
         np.testing.assert_allclose(data[name], columns[name], rtol=2e-5, atol=4e-3)
 
@@ -124,7 +124,7 @@ def constant(name, comment, unit, value):
 
 
 def stating(tmp_path, *constants, name="test.tdx", seed=3):
-    """A TYDEX file with these lines below its other constants, read."""
+    """A TYDEX file with these lines added to its constants, read."""
     lines = tydex(truth(seed=seed), 10)
     at = lines.index("**MEASURCHANNELS") - 1
     keep = [line for line in lines[:at] if not line.startswith(("FZW", "NOMWIDTH"))]

@@ -1,4 +1,4 @@
-"""Files behind an address are read as the same bytes on the disk."""
+"""Files at an address are read like the same bytes on the disk."""
 
 import sys
 from pathlib import Path

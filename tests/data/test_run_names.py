@@ -1,4 +1,4 @@
-"""Short names of runs: different, short, and with nothing lost."""
+"""Short names of runs: distinct, short, and without loss."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The sample files of the manual are read, and hold the same sweep."""
+"""The sample files of the manual can be read and contain the same sweep."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Tire property files: read, written, refused; and the reduced one."""
+"""Tire property files: reading, writing, refusals and the reduced file."""
 
 import re
 from pathlib import Path
@@ -20,7 +20,7 @@ TRUCK = FOLDER / "chrono/335_65R22_5_G275MSA_60psi.tir"
 
 
 def changed(path, *edits):
-    """The text of a file with lines changed: (pattern, replacement), each once."""
+    """The text of a file with some lines changed once: (pattern, replacement)."""
     text = path.read_text()
     for pattern, replacement in edits:
         text, count = re.subn(pattern, replacement, text, count=1, flags=re.MULTILINE)
@@ -86,7 +86,7 @@ IN_OTHER_UNITS = (
 
 
 def test_units_are_converted_on_reading_and_writing():
-    """In mm, kN and ms: pressures in kN/mm2 = GPa, speeds as they were."""
+    """In mm, kN and ms: pressures in kN/mm2 = GPa; speeds are unchanged."""
     plain = read_tir(MF61)
     tir = parse_tir(changed(MF61, *IN_OTHER_UNITS))
     for key in ("UNLOADED_RADIUS", "FNOMIN", "FZMAX", "LONGVL", "NOMPRES", "PRESMAX"):
@@ -133,7 +133,7 @@ def test_new_coefficients_are_written_to_their_sections():
     assert len(kept) == len(tir.lines) - 1
     assert all(line.endswith("\r\n") for line in new.lines)
     parse_tir(new.text)
-    with pytest.raises(UsageError, match="(?s)NONSENSE is no key.*GARBAGE"):
+    with pytest.raises(UsageError, match="(?s)NONSENSE is neither a key.*GARBAGE"):
         tir.with_values({"NONSENSE": 1.0, "GARBAGE": 2.0})
 
 
@@ -182,8 +182,8 @@ BAD = {
         "correct UNLOADED_RADIUS",
     ),
     "pressure unit": ("^NOMPRES .*", "NOMPRES = 2.6", "NOMPRES is 2.6 Pa", "'bar'"),
-    "quote": ("'RIGHT'", "'RIGHT", "is no section, KEY = VALUE or comment", "quotes"),
-    "bracket": (r"^\[LATERAL_C.*", "[LATERAL", "'[LATERAL' is no section", "brackets"),
+    "quote": ("'RIGHT'", "'RIGHT", "is not a section, KEY = VALUE or comment", "quotes"),
+    "bracket": (r"^\[LATERAL_C.*", "[LATERAL", "'[LATERAL' is not a section", "brackets"),
 }
 
 

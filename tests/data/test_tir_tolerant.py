@@ -1,4 +1,4 @@
-"""Tire property files as they are found: read as others read them, force by force."""
+"""Tire property files in common variants: read as other programs do, force by force."""
 
 import re
 from pathlib import Path
@@ -28,7 +28,7 @@ def tire(tir):
 
 
 def same(tir, path):
-    """Whether a file has the very coefficients of a published one, hence its forces."""
+    """Whether a file has exactly the coefficients of a published one."""
     return bool(eqx.tree_equal(tire(tir), tire(read_tir(path))))
 
 
@@ -60,7 +60,7 @@ def wrapped(text, random):
 
 
 def dropped(text, random):
-    """Without a third of the lines of keys that no force uses."""
+    """The file without a third of the keys that no force uses."""
     unused = re.compile(r"(Q[TR]|PT|PECP|PDXP|PHYP|VERTICAL|BOTTOM|MASS|[A-Z]XLOW)")
     return "".join(
         line
@@ -92,7 +92,7 @@ ENCODINGS = ("utf-8", "cp1252", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be")
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_every_form_of_a_published_file_gives_the_same_tire(path, tmp_path):
-    """Alone, and up to four at once in any encoding and line ends."""
+    """Each variant alone and up to four together, in any encoding and line end."""
     random = np.random.default_rng(2024)
     chosen = [(name,) for name in FORMS]
     chosen += [tuple(random.choice(list(FORMS), 4, replace=False)) for _ in range(12)]
@@ -209,7 +209,7 @@ def test_alternative_keys_and_limits_in_degrees_are_read():
 
 
 def test_a_changed_value_keeps_the_number_format_of_the_file():
-    """Behind the key or on the line below, with the file's own decimal mark."""
+    """After the key or on the next line, with the decimal mark of the file."""
     text = numbers_as(lambda x: x.replace(".", ","))(text_of(MF52), None)
     text = re.sub(r"(?m)^(PDX1 +=)", r"\1\n   ", text)
     new = parse_tir(text).with_values({"PDX1": 0.75, "PPX1": 0.5})

@@ -1,4 +1,4 @@
-"""`vehicle.toml` as VEHICLE.md documents it: keys, defaults, units, the example."""
+"""`vehicle.toml` agrees with VEHICLE.md: keys, defaults, units, the example."""
 
 import math
 import re
@@ -32,7 +32,7 @@ def loaded(tmp_path, text, units=None):
 
 
 def documented(section):
-    """Keys of the table that begins with a header of that text."""
+    """Keys of the table whose header begins with this text."""
     rows = TEXT.partition(f"| {section} |")[2].partition("\n\n")[0].splitlines()
     return [re.match(r"\| `(\w+)` \|", row).group(1) for row in rows[2:]]
 
@@ -107,7 +107,7 @@ def test_units_of_the_command_line_override_those_of_the_file(tmp_path):
 
 
 def test_sideslip_offset_is_added_to_the_measured_sideslip(tmp_path):
-    """A sensor of v_x and v_y that is turned to the left by 12 mrad."""
+    """A sensor of v_x and v_y rotated to the left by 12 mrad."""
     log = rates_log()
     cos, sin = np.cos(0.012), np.sin(0.012)
     turned = log | {

@@ -1,4 +1,4 @@
-"""One rich synthetic record, and diagnoses of it: each compiles for seconds."""
+"""One rich synthetic record and its diagnoses, each of which compiles for seconds."""
 
 import numpy as np
 import pytest
@@ -16,13 +16,13 @@ RIG = Rig(noise={"fx_relative": 0.01, "sigma_x": 0.001})
 
 
 def brush(slip, cpa2, mu, fz):
-    """S(12) as printed, any sign."""
+    """S(12) as printed, for either sign."""
     u = np.minimum(2 * cpa2 * np.abs(slip) / (3 * mu * fz), 1.0)
     return np.sign(slip) * mu * fz * (3 * u - 3 * u**2 + u**3)
 
 
 def patterns_of(columns):
-    """Patterns of these columns, all as likely."""
+    """Patterns of these columns, all equally likely."""
     rows, count = columns.shape
     over = Over(
         "time",
@@ -35,7 +35,7 @@ def patterns_of(columns):
 
 
 def bare(key=(), **known):
-    """A refitted set of effects of which no more is known than that."""
+    """A refitted set of effects with no further information."""
     none = np.zeros(0)
     blank = {"atoms": (), "effects": key, "log_evidence": 0.0, "log_prior": 0.0}
     blank |= {"z": none, "amplitude": none, "covariance": np.zeros((0, 0))}
@@ -43,7 +43,7 @@ def bare(key=(), **known):
 
 
 def refitted(base, *effects):
-    """A set of effects, refitted from one prior scale of each."""
+    """A set of effects, refitted from one prior scale each."""
     names = [atom.effect.id for atom in base.atoms]
     atoms = tuple(sorted(names.index(effect) for effect in effects))
     refit = base.refit([(base.z, np.ones(len(atoms)))], [atoms])
@@ -58,7 +58,7 @@ def refitted(base, *effects):
 
 
 def weighed_of(alone, beside=None, **known):
-    """A posterior by hand: probabilities of sets, and of sets beside a discrepancy."""
+    """A posterior by hand: probabilities of sets, and of sets with a discrepancy."""
     log, more = ({key: float(np.log(p)) for key, p in of.items()} for of in (alone, beside or {}))
     given = {"best_of": {key: bare(key) for key in log}, "log_weight": log}
     given |= {"log_beside": more, "evidence": {key: 9.0 * len(key) for key in log}}
@@ -88,7 +88,7 @@ def record(change=None, seed=0, rows=40):
     time, slip, force, fz, v = np.concatenate(blocks).T
     noisy = force + 0.01 * fz * generator.standard_normal(len(fz))
     measured = slip + 0.001 * generator.standard_normal(len(fz))
-    # The truth at the slip as measured, so that noise of the slip is no gap.
+    # The truth at the measured slip, so that noise of the slip is not a gap.
     force = force + brush(measured, 5e4, 0.9, fz) - brush(slip, 5e4, 0.9, fz)
     return {"time": time, "sigma_x": measured, "fx": noisy, "fz": fz, "v": v}, force
 

@@ -1,4 +1,4 @@
-"""A base fit that rests on a bound is no prison for the explanations."""
+"""A base fit at a bound does not prevent an explanation."""
 
 import pytest
 
@@ -10,7 +10,7 @@ from tirefit.params import specs
 
 
 @pytest.mark.parametrize("zero", [-0.024, -0.03])
-def test_a_heading_zero_is_named_though_the_plain_fit_knows_no_friction(zero):
+def test_a_heading_offset_is_named_if_the_plain_fit_has_no_friction(zero):
     data = half(0)
     change, *_ = CHANGES["slip_offset"]
     result = tirefit.diagnose(read_frame(data | change(data, zero, None)))

@@ -1,4 +1,4 @@
-"""Closure against known truths: of draws, of the interval, and on rows left out."""
+"""Closure against known truths: of draws, of the interval, and on held-out rows."""
 
 from types import SimpleNamespace
 
@@ -42,7 +42,7 @@ def given_residual(bases, scales, residual):
     return mean, weight @ (np.array(variances) + np.square(means - mean))
 
 
-def test_draws_of_a_discrepancy_are_those_of_a_dense_gaussian(monkeypatch):
+def test_draws_of_a_discrepancy_agree_with_a_dense_gaussian(monkeypatch):
     generator, sizes = np.random.default_rng(0), np.array([0.5, 3.0])
     against = generator.standard_normal((60, 2))
     columns = generator.standard_normal((60, 6)) / 8
@@ -106,7 +106,7 @@ class Straight(Base):
         )
 
     def case(self):
-        """All that is known: the effect is there and nothing else."""
+        """It is known that the effect is there and no other."""
         key, case = ("one",), object.__new__(Case)
         weighed = weighed_of({key: 1.0}, best_of={key: self.fitted()})
         case.__dict__.update(base=self, weighed=weighed)
@@ -114,7 +114,7 @@ class Straight(Base):
 
 
 def another_form(columns, smooth, generator):
-    """What the truth has beyond the formula (n,): as large as the estimator expects."""
+    """The truth beyond the formula (n,): as large as the estimator expects."""
     part = np.linalg.norm(without(columns[:, 1] * 12, columns[:, :1]))
     left, size = orthogonal(smooth, columns)
     share = np.clip(0.1 * np.exp(generator.standard_normal()), 0.005, 1.0)
@@ -128,8 +128,8 @@ def rms(values):
     return np.sqrt(np.mean(np.square(values)))
 
 
-def test_an_interval_of_closure_holds_the_truth_nine_times_in_ten():
-    """An effect in another form, most of it below the noise, 150 files."""
+def test_an_interval_of_closure_contains_the_truth_in_90_percent():
+    """An effect of another form, mostly below the noise, in 150 files."""
     held, off = [], []
     for seed in range(150):
         generator = np.random.default_rng(seed)
@@ -147,14 +147,14 @@ def test_an_interval_of_closure_holds_the_truth_nine_times_in_ten():
     assert abs(np.mean(off)) < 0.02 and np.median(np.abs(off)) < 0.06
 
 
-def test_closure_of_draws_is_that_of_what_they_say():
+def test_closure_of_draws_is_computed_from_their_forces():
     generator = np.random.default_rng(0)
     gap = 40 * np.sin(np.arange(ROWS))
     truth = gap[:, None] + generator.standard_normal((ROWS, 200))
     variance = np.full(ROWS, 100.0)
     found = closure_on_rows(truth, 0 * gap, 0.8 * gap, variance, ALONE, 1.0)
     assert found.rms == pytest.approx(40 / np.sqrt(2), rel=0.02)
-    # The draws differ by one: their energy adds to what is left and to the gap.
+    # The draws have unit noise: its energy adds to the remainder and to the gap.
     expected = 1 - np.sqrt((0.2**2 * 800 + 1) / (800 + 1))
     assert found.closed == pytest.approx(expected, abs=0.002)
     assert found.closed_ci[0] < expected < found.closed_ci[1] and found.resolvable
@@ -170,7 +170,7 @@ def test_closure_of_draws_is_that_of_what_they_say():
     assert apart.closed_ci[0] == -1 and apart.closed_ci[1] == 1
 
 
-def test_closure_elsewhere_of_known_energies():
+def test_closure_elsewhere_is_right_for_known_energies():
     generator = np.random.default_rng(0)
     n = 4000
     noise, run = 10 * generator.standard_normal(n), np.zeros(4000, int)
@@ -185,7 +185,7 @@ def test_closure_elsewhere_of_known_energies():
     assert worse.closed == -1
 
 
-def test_nine_rows_do_not_show_that_nothing_is_left():
+def test_nine_rows_give_no_certain_closure():
     """They are one block of the bootstrap, which has no spread."""
     generator = np.random.default_rng(2)
     gap, noise = 8 * np.cos(np.arange(9)), generator.standard_normal(9)
@@ -195,8 +195,8 @@ def test_nine_rows_do_not_show_that_nothing_is_left():
     assert 0.6 < found.closed_ci[0] < 0.92 < found.closed_ci[1] < 1.0
 
 
-def test_closure_elsewhere_holds_the_truth_nine_times_in_ten():
-    """What is left lies below the noise and on it: 200 files."""
+def test_closure_elsewhere_contains_the_truth_in_90_percent():
+    """The remainder is below the noise or at its level: 200 files."""
     held, off = [], []
     for seed in range(200):
         generator = np.random.default_rng(seed)

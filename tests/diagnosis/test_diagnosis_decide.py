@@ -30,7 +30,7 @@ def gain(ratio=5.0, size=100.0, closed=0.5):
 
 
 def fitted(key, error=9.0, ratio=5.0):
-    """A set whose effects are all as well known and gain as much."""
+    """A set whose effects are equally well determined and have equal gains."""
     return Fitted(dict.fromkeys(key, error), {e: gain(ratio) for e in key})
 
 
@@ -44,7 +44,7 @@ def findings(alone, sets=None, unlisted=0.1, beside=None, **others):
 NAMED = findings({A: 0.9, (): 0.02})
 
 
-def test_effects_that_pass_are_named():
+def test_effects_above_the_thresholds_are_named():
     verdict = decide(NAMED)
     assert (verdict.status, verdict.effects, verdict.key) == (Status.NAMED, A, A)
     assert verdict.unlisted == 0.1 and verdict.tests == NAMED.tests
@@ -65,26 +65,26 @@ def test_the_effect_that_gains_most_comes_first():
     ("unlisted", "status", "effects"),
     [(0.5, Status.NONE, ()), (0.51, Status.UNKNOWN, ("unknown",))],
 )
-def test_where_no_set_shows_the_unlisted_decides(unlisted, status, effects):
+def test_without_a_significant_set_the_unlisted_probability_decides(unlisted, status, effects):
     verdict = decide(findings({A: 0.1, (): 0.8}, {}, unlisted))
     assert (verdict.status, verdict.effects, verdict.each) == (status, effects, {})
     assert verdict.probability == pytest.approx(max(unlisted, 1 - unlisted))
 
 
-def test_a_twin_makes_it_cannot_tell_and_counts_for_its_effect():
-    """Neither is likelier than not; that one of them is there is."""
+def test_an_equivalent_effect_gives_cannot_tell_and_adds_its_probability():
+    """The two are equally likely; one of them is certainly there."""
     sets = {A: fitted(A)}
     verdict = decide(findings({A: 0.48, B: 0.46, (): 0.01}, sets))
     assert (verdict.status, verdict.effects) == (Status.CANNOT_TELL, A)
     assert verdict.also_possible == B and verdict.each["a"].twins == B
     assert verdict.each["a"].probability == pytest.approx(1.0)
-    # A rival beside the whole set is possible, and no twin.
+    # A rival together with the whole set is possible, but not equivalent.
     verdict = decide(findings({A: 0.7, AB: 0.2}, sets))
     assert verdict.status == Status.CANNOT_TELL and verdict.also_possible == B
     assert verdict.each["a"].twins == ()
 
 
-def test_something_unlisted_beside_named_effects_is_incomplete():
+def test_named_effects_with_something_unlisted_are_incomplete():
     verdict = decide(replace(NAMED, unlisted=0.8))
     assert (verdict.status, verdict.effects) == (Status.INCOMPLETE, A)
     # That one more run is predicted better: Student's t of six.
@@ -93,8 +93,8 @@ def test_something_unlisted_beside_named_effects_is_incomplete():
     assert verdict.probability == pytest.approx(0.8 * chance)
 
 
-def test_the_parts_of_one_run_share_what_is_unlisted():
-    """There an effect is as likely as the sets that hold it beside a discrepancy."""
+def test_in_one_run_the_unlisted_reduces_the_probability_of_a_name():
+    """In one run, sets with a discrepancy count for the probability of an effect."""
     beside = {A: 0.3, B: 0.5}
     one = findings({A: 0.9, B: 0.01}, unlisted=0.8, beside=beside, across_runs=False)
     assert decide(one).status == Status.UNKNOWN
@@ -104,7 +104,7 @@ def test_the_parts_of_one_run_share_what_is_unlisted():
     assert verdict.each["a"].probability == pytest.approx(0.5 / 0.8)
 
 
-def test_of_a_set_that_does_not_stand_its_largest_part_that_does_is_named():
+def test_the_largest_significant_part_of_a_set_is_named():
     sets = {
         AB: Fitted({"a": 9.0, "b": 1.2}, {"a": gain(), "b": gain()}),
         A: fitted(A),
@@ -116,7 +116,7 @@ def test_of_a_set_that_does_not_stand_its_largest_part_that_does_is_named():
     assert verdict.probability == pytest.approx(0.9 * 0.82 / 0.83)
 
 
-def test_a_gap_that_no_effect_explains_is_unknown_unless_it_may_be_noise():
+def test_an_unexplained_gap_is_unknown_unless_it_may_be_noise():
     weak = {A: Fitted({"a": 1.0}, {"a": gain()})}
     verdict = decide(findings({A: 0.9, (): 0.05}, weak))
     assert (verdict.status, verdict.effects) == (Status.UNKNOWN, ("unknown",))
@@ -136,7 +136,7 @@ STANDS = {
 @pytest.mark.parametrize(
     ("rule", "passes", "fails", "strict"), [("known", 2.0, 1.99, False), ("gain", 1.01, 1.0, True)]
 )
-def test_each_threshold_of_a_name(rule, passes, fails, strict):
+def test_every_threshold_can_prevent_a_name(rule, passes, fails, strict):
     def named(value, policy=POLICY):
         verdict = decide(findings({A: 0.9, (): 0.02}, STANDS[rule](value)), policy)
         return verdict.status == Status.NAMED
@@ -150,8 +150,8 @@ def test_each_threshold_of_a_name(rule, passes, fails, strict):
 
 
 @pytest.mark.parametrize("likely", [0.3, 0.5, 0.9])
-def test_a_name_is_likelier_than_the_policy_asks(likely):
-    """Of pairs: their effects stand in nobody's place."""
+def test_a_named_effect_reaches_the_required_probability(likely):
+    """With pairs, whose effects are not alternatives of each other."""
     policy, sets = Policy(likely=likely, perhaps=0.99), {AB: fitted(AB)}
 
     def named(p):
@@ -159,7 +159,7 @@ def test_a_name_is_likelier_than_the_policy_asks(likely):
         return decide(findings({AB: p} | rest, sets, 0.01), policy).status.names
 
     assert named(likely + 0.01) and not named(likely - 0.01)
-    # Also from where on something unlisted is said to be there.
+    # Also above the limit for reporting something unlisted.
     for unlisted in (likely - 0.01, likely + 0.01):
         verdict = decide(replace(NAMED, unlisted=unlisted), policy)
         more = unlisted > likely
@@ -167,13 +167,13 @@ def test_a_name_is_likelier_than_the_policy_asks(likely):
 
 
 @pytest.mark.parametrize("perhaps", [0.05, 0.1, 0.4])
-def test_a_rival_is_as_probable_as_the_policy_asks(perhaps):
+def test_a_rival_is_reported_from_the_required_probability(perhaps):
     for share, also in ((1.02 * perhaps, B), (0.98 * perhaps, ())):
         found = findings({A: 0.6, B: 0.6 * share}, {A: fitted(A)}, 0.0)
         assert decide(found, Policy(perhaps=perhaps)).also_possible == also
 
 
-def test_no_gap_shows_where_what_shows_is_improbable():
+def test_no_gap_is_reported_if_no_significant_set_is_probable():
     few = {A: 0.3, (): 0.6}
     assert no_gap_shows(weighed_of(few))
     assert no_gap_shows(weighed_of({(): 1.0}))  # nothing was fitted
@@ -185,7 +185,7 @@ def test_no_gap_shows_where_what_shows_is_improbable():
 
 
 def random_findings(generator, unlisted):
-    """Three effects, their sets in any order of weight; whole runs left out."""
+    """Three effects and their sets in any order of weight; whole runs left out."""
     keys = [(), *parts_of(("a", "b", "c"))]
     p = dict(zip(keys, generator.dirichlet(np.full(8, 0.3)) + 1e-6, strict=True))
     beside = {key: float(x) * generator.uniform() for key, x in p.items()}
@@ -200,7 +200,7 @@ def random_findings(generator, unlisted):
     return findings(alone, sets, unlisted, beside)
 
 
-def test_across_runs_something_unlisted_takes_no_name_away():
+def test_across_runs_the_unlisted_removes_no_name():
     generator = np.random.default_rng(0)
     for _ in range(400):
         found = random_findings(generator, 0.2)
@@ -210,8 +210,8 @@ def test_across_runs_something_unlisted_takes_no_name_away():
         assert len(after.key) >= len(before.key)
 
 
-def test_a_verdict_keeps_to_its_words():
-    """Of any findings: what each status says holds, and nothing is said twice."""
+def test_every_status_satisfies_its_definition():
+    """For any findings, each status satisfies its definition without repetition."""
     generator = np.random.default_rng(1)
     seen = set()
     for _ in range(400):
@@ -240,8 +240,8 @@ def test_every_threshold_is_explained():
         assert f"{field.name}:" in Policy.__doc__, field.name
 
 
-def test_the_posterior_adds_up():
-    """Sets, sets beside a discrepancy, and what was too improbable to refit."""
+def test_posterior_probabilities_sum_to_one():
+    """Sets, sets with a discrepancy, and sets too improbable to refit."""
     of = weighed_of({A: 0.4, AB: 0.2, (): 0.1}, {A: 0.15, B: 0.1})
     assert of.best == A and of.unlisted == pytest.approx(0.25)
     assert sum(of.listed.values()) == pytest.approx(1.0)

@@ -1,4 +1,4 @@
-"""The document of a diagnosis: its keys, and that it always says what to measure."""
+"""The document of a diagnosis: its keys, and its next measurements."""
 
 import json
 from copy import copy
@@ -76,7 +76,7 @@ KEYS = {
 
 
 def at(document, path):
-    """What stands at a path, whose steps are separated by a space before the last."""
+    """The value at a path, whose steps are separated by a space before the last."""
     steps = path.split(" ", 3) if path else []
     for step in steps:
         document = document[int(step) if step.isdigit() else step]
@@ -84,12 +84,12 @@ def at(document, path):
 
 
 @pytest.mark.parametrize("path", KEYS)
-def test_keys_of_the_document_stay(diagnosed, path):
+def test_keys_of_the_document_are_unchanged(diagnosed, path):
     document = json.loads(diagnosed("slip_offset")[0].to_json())
     assert list(at(document, path)) == KEYS[path]
 
 
-def test_every_record_is_written_as_it_is_read(diagnosed):
+def test_every_record_survives_writing_and_reading(diagnosed):
     found, _ = diagnosed("slip_offset")
     document = json.loads(found.to_json())
     assert document["verdict"]["probability"] == found.verdict.probability
@@ -111,7 +111,7 @@ def test_every_record_is_written_as_it_is_read(diagnosed):
 
 
 def sweep(loads, slips, seed=0, channel="fx", noise=0.01):
-    """A brush with skewed forces on one sweep a load: a frame without time."""
+    """A brush with skewed forces in one sweep per load: a frame without time."""
     generator = np.random.default_rng(seed)
     slip, fz = np.tile(slips, len(loads)), np.repeat(loads, len(slips))
     force = brush(slip + 0.004, 5e4, 0.9, fz)
@@ -155,8 +155,8 @@ def studied():
 
 
 @pytest.mark.parametrize("design", DESIGNS)
-def test_what_cannot_be_told_has_a_next_measurement_or_a_reason(studied, design):
-    """Pairs of effects, as if the verdict could not tell them."""
+def test_undecidable_pairs_have_a_next_measurement_or_a_reason(studied, design):
+    """Pairs of effects, as if the verdict could not distinguish them."""
     case = studied(design)
     ids = dict.fromkeys(case.base.atoms[k].effect.id for k in case.search.testable)
     told, alone = 0, 0
@@ -181,7 +181,7 @@ def test_what_cannot_be_told_has_a_next_measurement_or_a_reason(studied, design)
     reason="force_offset, which explains the same exactly, has 0.005 against 0.58 by"
     " its prior: below a tenth no rival is reported",
 )
-def test_one_load_and_one_sign_ask_for_the_other_sign_or_load():
+def test_one_load_and_one_sign_suggest_another_sign_or_load():
     data = read_frame(sweep([4e3], np.linspace(0.004, 0.2, 120)), "one sign")
     found = engine.diagnose(data, rig=Rig(noise={"fx_relative": 0.01, **ALMOST_NO_NOISE}))
     assert found.verdict.status == "cannot_tell"
@@ -193,7 +193,7 @@ def test_one_load_and_one_sign_ask_for_the_other_sign_or_load():
     assert any("opposite sign" in add or "more loads" in add for add in adds)
 
 
-def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
+def test_the_predicted_moment_agrees_with_the_model(studied):
     """Tangents of M_z by the pressure's skewness, against the model's own M_z."""
     base = studied("lateral, no M_z").base
     n = base.prepared.n
@@ -213,7 +213,7 @@ def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
 
     slope = (moment(1e-4) - moment(-1e-4)) / 2e-4
     ours = columns[n : 2 * n, k]
-    # Each load has noise of its own: the ratio is one number a load.
+    # Each load has another noise: the ratio is one number per load.
     for fz in (2e3, 5e3):
         rows = loads == fz
         ratio = ours[rows] @ slope[rows] / (slope[rows] @ slope[rows])
@@ -221,7 +221,7 @@ def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
         np.testing.assert_allclose(ours[rows], ratio * slope[rows], atol=3e-3 * np.abs(ours).max())
 
 
-def test_the_moment_is_forecast_by_the_rows_not_promised(studied):
+def test_noisy_data_lower_the_use_of_measuring_the_moment(studied):
     case = studied("lateral, no M_z")
     verdict = replace(
         case.verdict,

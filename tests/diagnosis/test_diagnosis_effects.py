@@ -1,4 +1,4 @@
-"""The library of effects: on any scale, in closed form, found in their own truths."""
+"""The library of effects: scale-free, in closed form, and found in their own truths."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ SECOND = {"force": 30.0, "length": 2.0, "time": 1.0}
 
 
 def at_size(frame, force, length, time):
-    """The same tire in other units, or another size of it."""
+    """The same tire in other units, or scaled."""
     return frame | {
         "time": frame["time"] * time,
         "v": frame["v"] * length / time,
@@ -37,8 +37,8 @@ def prepared_of(frame, rig=RIG):
     return prepare(read_frame(frame), rig, ("fx",))
 
 
-def test_a_prior_follows_the_size_of_the_tire():
-    """In shares of the file the expected change is the same: units cancel."""
+def test_a_prior_scales_with_the_size_of_the_tire():
+    """Relative to the file the expected change is the same: units cancel."""
     frame, _ = record(None, seed=1)
     units = {"s/m": -1.0, "m/s": 1.0, "s": 0.0, "m": 0.0}
     plain = prepared_of(frame)
@@ -87,7 +87,7 @@ FORMULAS = {
 
 
 @pytest.mark.parametrize("said", FORMULAS)
-def test_a_named_effect_says_of_which_formula_its_amplitude_is(said):
+def test_a_named_effect_states_the_formula_of_its_amplitude(said):
     effect, friction, amplitude, rel = FORMULAS[said]
     frame, _ = record(lambda s, t, fz, v: brush(s, 5e4, 0.9 * friction(s, t, fz, v), fz), 5, 80)
     found = diagnose(read_frame(frame), rig=RIG)
@@ -102,7 +102,7 @@ def test_a_named_effect_says_of_which_formula_its_amplitude_is(said):
     ("truth", "effect"),
     [(_of_the_sliding_speed, "friction_speed_linear"), (_with_an_offset, "slip_offset")],
 )
-def test_the_verdict_is_the_same_at_any_size(truth, effect):
+def test_the_verdict_does_not_depend_on_the_scale(truth, effect):
     frame, _ = record(truth, seed=3)
     first = diagnose(read_frame(frame), rig=RIG)
     assert first.effects == (effect,) and first.verdict.status == "named"
@@ -149,7 +149,7 @@ def _rows(**given):
     return prepared_of(record(None)[0]).covariates._replace(**given)
 
 
-def test_a_load_off_by_a_constant_is_another_load():
+def test_a_load_offset_changes_the_load():
     rows = _rows(fz=np.array([0.5, 1.0, 1.5]))
     friction = _changed("load_offset", 60.0, rows).friction
     # Friction at the load of reference stays: it is the base model's to fit.
@@ -160,14 +160,14 @@ def test_a_load_off_by_a_constant_is_another_load():
         assert float(ours) == pytest.approx(right, rel=5e-3)
 
 
-def test_the_force_across_takes_its_part_of_the_friction():
+def test_the_lateral_force_uses_part_of_the_friction():
     rows = _rows(across=np.array([0.0, 1800.0, -3600.0]), peak=0.9, fz=1.0, load=4000.0)
     found = _changed("friction_ellipse", 1.0, rows).friction
     np.testing.assert_allclose(found, [1.0, np.sqrt(0.75), np.sqrt(0.05)], rtol=1e-9)
 
 
-def test_the_work_of_sliding_is_its_integral():
-    """At a constant slip work grows as time does; a cooling tire ends warm and even."""
+def test_the_work_of_sliding_agrees_with_its_integral():
+    """At constant slip work is linear in time; a cooling tire ends evenly warm."""
     time = np.linspace(0.0, 40.0, 401)
     frame = {
         "time": time,
@@ -189,7 +189,7 @@ def test_the_work_of_sliding_is_its_integral():
     assert cold[202, 2] < 0.1 + cold[:, 2].min() < cold[200, 2]
 
 
-def test_constants_of_an_effect_are_those_of_the_rows_fitted():
+def test_constants_of_an_effect_come_from_the_fitted_rows():
     frame, _ = record(None, seed=1)
     fitted = prepared_of(frame)
     other = prepared_of(frame | {"fz": 2 * frame["fz"], "v": 3 * frame["v"]})
@@ -211,7 +211,7 @@ TRUTHS = {
 
 
 @pytest.mark.parametrize("effect", ["load_crosstalk", "speed_zero", "stiffness_speed"])
-def test_effects_of_rigs_are_named(effect):
+def test_common_effects_of_a_rig_are_named(effect):
     frame, _ = record(TRUTHS[effect], seed=6)
     assert diagnose(read_frame(frame), rig=RIG).effects == (effect,)
 
@@ -229,7 +229,7 @@ OTHER_FORMS = {
 
 
 @pytest.mark.parametrize("effect", OTHER_FORMS)
-def test_effects_are_named_in_other_forms(effect):
+def test_effects_of_another_form_are_named(effect):
     frame, _ = record(OTHER_FORMS[effect], seed=6)
     found = diagnose(read_frame(frame), rig=RIG)
     assert found.effects == (effect,)
@@ -239,7 +239,7 @@ def test_effects_are_named_in_other_forms(effect):
     assert found.verdict.status in allowed
 
 
-def test_a_lateral_force_that_grows_faster_than_the_load_is_conicity():
+def test_a_lateral_force_that_grows_with_the_load_is_conicity():
     frame, _ = record(lambda s, t, fz, v: brush(s, 5e4, 0.9, fz), seed=6)
     extra = 160.0 * (frame["fz"] / 4e3) ** 1.5
     lateral = {name: frame[name] for name in ("time", "fz", "v")}
@@ -248,7 +248,7 @@ def test_a_lateral_force_that_grows_faster_than_the_load_is_conicity():
     assert diagnose(read_frame(lateral), rig=rig).effects == ("conicity",)
 
 
-def test_the_weight_of_the_other_slip_is_a_cosine():
+def test_the_reduction_by_the_other_slip_is_a_cosine():
     rise = 1 - 0.5 ** (1 / 3)  # over the slip of full sliding
     alpha = np.array([0.0, 0.5, 2.0])
     rows = _rows(other=alpha, rise=rise, fz=1.0)
@@ -260,7 +260,7 @@ def test_the_weight_of_the_other_slip_is_a_cosine():
     np.testing.assert_allclose(change(state, 1.0, (1.0, 0.0), rows).other, alpha)
 
 
-def test_every_effect_says_what_it_means_and_what_to_do():
+def test_every_effect_has_an_explanation_and_a_remedy():
     for effect in EFFECTS:
         assert effect.means and effect.remedy and effect.formula
         assert effect.told_apart_by or effect.id == "relaxation_length"
@@ -269,7 +269,7 @@ def test_every_effect_says_what_it_means_and_what_to_do():
     assert len(EFFECTS) >= 25 + 12
 
 
-def test_noise_of_a_speed_falls_with_the_speed(tmp_path):
+def test_slip_noise_from_a_speed_falls_with_the_speed(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text("[noise]\nfx = 40\nsigma_x = 0.003\nsigma_x_speed = 0.01\n")
     rig = load_rig(path)
@@ -290,8 +290,8 @@ def test_noise_of_a_speed_falls_with_the_speed(tmp_path):
     np.testing.assert_allclose(problem.slip_noise["sigma_x"], right)
 
 
-def test_a_drift_of_the_slip_zero_is_no_friction():
-    """Half a per cent of slip over the record shifts; nothing multiplies."""
+def test_a_drift_of_the_slip_offset_is_not_named_friction():
+    """Half a per cent of slip over the record is an offset, not a factor."""
     rows = _rows()
     state = _changed("slip_zero_drift", 0.01, rows)
     np.testing.assert_allclose(state.shift, 0.01 * jnp.asarray(rows.time), atol=1e-12)
@@ -299,7 +299,7 @@ def test_a_drift_of_the_slip_zero_is_no_friction():
 
 
 def _lateral(seed=8):
-    """Sweeps of the slip angle with a yaw rate and an acceleration of their own."""
+    """Sweeps of the slip angle with an independent yaw rate and acceleration."""
     frame, _ = record(None, seed=seed)
     time = frame["time"]
     motion = {"yaw_rate": 0.8 * np.sin(1.7 * time), "a_x": 3 * np.sin(0.9 * time)}
@@ -309,7 +309,7 @@ def _lateral(seed=8):
 
 
 @pytest.mark.parametrize("effect", ["tracked_point", "load_transfer"])
-def test_effects_of_a_vehicle_are_named(effect):
+def test_common_effects_of_a_vehicle_are_named(effect):
     """A slip angle of a point 0.15 m off the axle; a load that moves with a_x."""
     frame, motion, noise = _lateral()
     slip, fz = np.tan(frame["alpha"]), frame["fz"]

@@ -1,4 +1,4 @@
-"""Diagnoses of known truth, made by formulas of their own."""
+"""Diagnoses of known truth, made by independent formulas."""
 
 import json
 from dataclasses import replace
@@ -18,7 +18,7 @@ from tirefit.results import DataError, UsageError
 
 
 @pytest.mark.parametrize("name", [k for k in TRUTHS if k not in ("none", "unknown")])
-def test_names_the_effect_and_how_far_it_closes(diagnosed, name):
+def test_the_effect_is_named_with_its_closure(diagnosed, name):
     found, force = diagnosed(name)
     assert found.effects == (name,)
     assert found.verdict.probability > 0.6
@@ -33,7 +33,7 @@ def test_names_the_effect_and_how_far_it_closes(diagnosed, name):
     assert gap.holdout.closed > 0.5
 
 
-def test_files_held_out_judge_each_step_of_the_ladder():
+def test_held_out_files_evaluate_each_step_of_the_ladder():
     frame, other = (record(TRUTHS["load_friction"], seed=k)[0] for k in (3, 4))
     held_out = read_frame(other, "other")
     found = diagnose(read_frame(frame, "one"), rig=RIG, holdout=held_out)
@@ -50,7 +50,7 @@ def test_files_held_out_judge_each_step_of_the_ladder():
     assert last.closed_held_out > 0.5
 
 
-def test_amplitudes_are_those_of_the_truth(diagnosed):
+def test_amplitudes_agree_with_the_truth(diagnosed):
     for name, key, truth in (
         ("slip_offset", "slip_offset: amplitude", 0.004),
         ("load_friction", "load_friction: power", -0.1),
@@ -61,7 +61,7 @@ def test_amplitudes_are_those_of_the_truth(diagnosed):
         assert abs(value.value - truth) < 4 * value.std + 0.02 * abs(truth)
 
 
-def test_no_gap_is_an_answer(diagnosed):
+def test_data_without_a_gap_give_none(diagnosed):
     found, _ = diagnosed("none")
     assert found.verdict.status == "none"
     assert found.effects == ()
@@ -84,7 +84,7 @@ def test_an_unlisted_gap_is_unknown(diagnosed):
         assert found.gap.closed == 0.0
 
 
-def test_a_name_has_an_error_bar_below_half_its_value(diagnosed):
+def test_a_named_effect_has_an_error_below_half_its_value(diagnosed):
     for name in ("slip_offset", "load_friction", "relaxation_length"):
         found, _ = diagnosed(name)
         chosen = next(c for c in found.candidates if c.effects == found.verdict.effects)
@@ -93,8 +93,8 @@ def test_a_name_has_an_error_bar_below_half_its_value(diagnosed):
 
 
 @pytest.mark.parametrize("name", TRUTHS)
-def test_the_ladder_leads_from_no_effect_to_the_noise(diagnosed, name):
-    """A single record: blocks of time; a step for each name."""
+def test_the_ladder_goes_from_no_effect_to_the_noise(diagnosed, name):
+    """A single record: blocks of time; one step per name."""
     found, _ = diagnosed(name)
     effects = [step.effects for step in found.ladder.steps]
     assert found.ladder.on == "8 blocks of time left out in turn"
@@ -110,7 +110,7 @@ def test_the_ladder_leads_from_no_effect_to_the_noise(diagnosed, name):
 
 
 @pytest.mark.parametrize("name", ["unknown", "slip_offset", "none"])
-def test_the_document_says_how_likely_the_unlisted_is(diagnosed, name):
+def test_the_document_has_the_probability_of_something_unlisted(diagnosed, name):
     verdict = json.loads(diagnosed(name)[0].to_json())["verdict"]
     unlisted = verdict["left"]["unlisted"]
     assert (unlisted > 0.5) == (name == "unknown")
@@ -118,9 +118,9 @@ def test_the_document_says_how_likely_the_unlisted_is(diagnosed, name):
         assert min(p for p in verdict["left"]["tests"].values() if p) < 0.005
 
 
-def test_what_only_resembles_listed_effects_leaves_something():
-    """Friction with a sharp peak at one load: load and pressure effects draw most of
-    it, and leave the peak."""
+def test_an_unlisted_effect_leaves_a_remainder():
+    """Friction with a sharp peak at one load: load and pressure effects describe most
+    of it, but not the peak."""
 
     def truth(slip, time, fz, v):
         extra = 0.12 * np.exp(-(((np.abs(slip) - 0.1) / 0.02) ** 2) / 2)
@@ -133,8 +133,8 @@ def test_what_only_resembles_listed_effects_leaves_something():
 
 
 @pytest.mark.parametrize("late", [True, False])
-def test_a_delay_is_named_in_a_measured_log_that_has_one(late):
-    """Free driving of a measured axle: its force late by 31 ms, and as measured."""
+def test_a_delay_in_a_measured_log_is_named(late):
+    """Free driving of a measured axle: force delayed by 31 ms, and unchanged."""
     data = half(1)
     change, *_ = CHANGES["channel_delay"]
     found = diagnose(read_frame(data | change(data, 0.031, None) if late else data))
@@ -148,7 +148,7 @@ def test_a_delay_is_named_in_a_measured_log_that_has_one(late):
         assert abs(delay.value - 0.031) < 0.015
 
 
-def test_document_keeps_the_contract(diagnosed):
+def test_the_document_satisfies_the_schema(diagnosed):
     found, _ = diagnosed("slip_offset")
     document = json.loads(found.to_json())
     assert document["schema"] == "tirefit.diagnosis/3"
@@ -173,8 +173,8 @@ def test_the_same_seed_gives_the_same_document():
     assert first.to_json() == second.to_json()
 
 
-def test_threads_of_linear_algebra_change_no_digit():
-    """As they would, by last digits: sums in another order."""
+def test_the_number_of_threads_changes_no_digit():
+    """Threads sum in another order, which could change the last digits."""
     frame, _ = record(TRUTHS["slip_offset"], seed=5, rows=150)
     documents = []
     for threads in (1, 2):
@@ -194,9 +194,9 @@ def test_holdout_files_judge_the_closure(diagnosed):
     assert good.gap.holdout.closed > 0.8
     assert good.gap.holdout.on == "b"
     bad = diagnose(read_frame(frame), rig=RIG, holdout=[read_frame(plain, "c")])
-    # Data without the effect are made worse by it, and that is said.
+    # The effect makes data without it worse, which is reported.
     assert bad.gap.holdout.closed is None or (bad.gap.holdout.closed < 0)
-    # Where nothing is named, how far the fit misses other files is said all the same.
+    # Without a name, the error of the fit on other files is still reported.
     plain, _ = record(None, seed=12)
     none = diagnose(read_frame(plain), rig=RIG, holdout=[read_frame(other, "b")])
     slip, load = np.asarray(other["sigma_x"]), np.asarray(other["fz"])
@@ -205,7 +205,7 @@ def test_holdout_files_judge_the_closure(diagnosed):
     assert none.gap.holdout.rms == pytest.approx(np.sqrt(np.mean(missed**2)), rel=0.1)
 
 
-def test_outliers_and_correlated_noise_are_no_effect():
+def test_outliers_and_correlated_noise_give_no_effect():
     frame, _ = record(None, seed=11)
     generator = np.random.default_rng(0)
     frame["fx"] = frame["fx"].copy()
@@ -232,9 +232,9 @@ FALSE_ALARM = pytest.mark.xfail(
         pytest.param(0.85, 3, marks=FALSE_ALARM),
     ],
 )
-def test_a_force_through_a_filter_has_no_gap_whatever_is_stated_of_it(fade, seed):
-    """Two slow sweeps through ramps of the slip: noise of which neighbours in slip
-    have much in common, and a level that nobody stated."""
+def test_a_filtered_force_has_no_gap(fade, seed):
+    """Two slow sweeps by ramps of the slip: the noise of neighbours in slip is
+    correlated, and its level is not stated."""
     rows, generator = 900, np.random.default_rng(seed)
     time, noise = 0.02 * np.arange(rows), np.zeros(rows)
     for row in range(1, rows):
@@ -249,7 +249,7 @@ def test_a_force_through_a_filter_has_no_gap_whatever_is_stated_of_it(fade, seed
     assert found.noise.forces["fx"] == pytest.approx(80, rel=0.15)
 
 
-def test_the_map_finds_the_parameter_and_what_it_varies_with(diagnosed):
+def test_the_map_shows_the_parameter_and_its_covariate(diagnosed):
     found, _ = diagnosed("load_friction")
     first, *others = found.map
     assert (first.parameter, first.covariate) == ("friction", "fz")
@@ -261,8 +261,8 @@ def test_the_map_finds_the_parameter_and_what_it_varies_with(diagnosed):
     assert best < 3
 
 
-def test_the_wheel_speed_names_the_definition_of_the_slip():
-    """kappa logged as sigma: the speeds say so, and the forces agree."""
+def test_the_wheel_speed_identifies_the_slip_definition():
+    """kappa logged as sigma: speeds and forces agree on it."""
     frame, _ = record(None, seed=12)
     omega = frame["v"] / (0.32 * (1 + frame["sigma_x"]))
     frame |= {"omega": omega, "sigma_x": frame["sigma_x"] / (1 + frame["sigma_x"])}
@@ -275,7 +275,7 @@ def test_the_wheel_speed_names_the_definition_of_the_slip():
     assert beside.verdict.probability > 0.5
 
 
-def test_an_effect_left_out_is_not_named(diagnosed):
+def test_an_excluded_effect_is_not_named(diagnosed):
     frame, _ = record(TRUTHS["slip_offset"], seed=3)
     found = diagnose(read_frame(frame), rig=RIG, without=("slip_offset",))
     every = {e for c in found.candidates for e in c.effects}
@@ -297,13 +297,13 @@ def test_bad_data_are_refused():
         diagnose(read_frame(frame), "brushh", rig=RIG)
 
 
-def test_an_effect_that_is_not_known_is_told_with_the_one_that_is_meant():
+def test_an_unknown_effect_is_refused_with_a_suggestion():
     frame, _ = record(None)
     with pytest.raises(UsageError, match="(?s)no effect 'slip_ofset'.*mean 'slip_offset'"):
         diagnose(read_frame(frame), without=["slip_ofset"])
 
 
-def test_a_slip_of_zero_is_no_side():
+def test_zero_slip_has_no_side():
     frame, _ = record(TRUTHS["slip_offset"], seed=3)
     frame["sigma_x"][5] = 0.0
     found = diagnose(read_frame(frame), rig=RIG)
@@ -311,8 +311,8 @@ def test_a_slip_of_zero_is_no_side():
     assert {range_text(region) for region in signs} <= {"negative", "positive"}
 
 
-def test_a_file_too_large_to_use_every_row_is_diagnosed_on_some():
-    """The base fit and the diagnosis take the same rows."""
+def test_a_large_file_is_diagnosed_on_some_rows():
+    """The base fit and the diagnosis use the same rows."""
     slip = np.random.default_rng(0).uniform(-0.2, 0.2, 7000)
     load = np.random.default_rng(1).choice([2000.0, 4000.0, 6000.0], 7000)
     given = TireInputs(slip + 0.004, 0.0, load)

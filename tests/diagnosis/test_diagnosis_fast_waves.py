@@ -1,4 +1,4 @@
-"""Hum and chatter: waves in time that are faster than the patterns have."""
+"""Hum and chatter: waves in time that are faster than those of the patterns."""
 
 from types import SimpleNamespace
 
@@ -16,7 +16,7 @@ ONES = np.ones((ROWS, 1))
 
 
 def record_of(time):
-    """Patterns of a record whose slip goes to and fro."""
+    """Patterns of a record with an oscillating slip."""
     slip_fraction = 1.2 * np.sin(2 * np.pi * np.arange(len(time)) / 90)
     prepared = SimpleNamespace(
         n=len(time),
@@ -36,8 +36,8 @@ def told(time, residual):
 
 
 @pytest.mark.parametrize("gaps", [False, True])
-def test_hum_is_told_with_its_period(gaps):
-    """Also where rows are missing: the others keep their place in the sampling."""
+def test_hum_is_reported_with_its_period(gaps):
+    """Also with missing rows: the others keep their place in the sampling."""
     there = np.arange(ROWS + 300) % 4 != 2 if gaps else np.arange(ROWS) >= 0
     time = 3.0 + np.flatnonzero(there)[:ROWS] * STEP
     noise = np.random.default_rng(7).standard_normal(ROWS)
@@ -50,8 +50,8 @@ def test_hum_is_told_with_its_period(gaps):
     assert looks(record_of(time), ONES, noise + hum) == []
 
 
-def test_a_short_record_leaves_no_period_out():
-    """Of 90 rows the patterns have waves of five rows and more; this one has three."""
+def test_a_short_record_covers_all_periods():
+    """In 90 rows the patterns have waves of five rows and more; this one has three."""
     time = STEP * np.arange(90)
     noise = np.random.default_rng(2).standard_normal(90)
     left = noise + 1.4 * np.sin(2 * np.pi * time / (3.1 * STEP))
@@ -60,7 +60,7 @@ def test_a_short_record_leaves_no_period_out():
     assert first.at == pytest.approx(3.1 * STEP, rel=5e-3)
 
 
-def test_noise_has_no_hum():
+def test_noise_gives_no_hum():
     time = STEP * np.arange(ROWS)
     for seed in range(20):
         assert told(time, np.random.default_rng(seed).standard_normal(ROWS)) == []
@@ -72,7 +72,7 @@ def test_rows_without_a_sampling_have_no_fast_waves():
     assert with_fast_waves(among, time, np.zeros(ROWS)) is among
 
 
-def test_hum_stands_in_the_report():
+def test_hum_is_in_the_report():
     def humming(slip, time, fz, v):
         return brush(slip, 5e4, 0.9, fz) + 0.02 * fz * np.sin(2 * np.pi * time / 0.13)
 

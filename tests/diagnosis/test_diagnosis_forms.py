@@ -1,4 +1,4 @@
-"""Effects in forms of their own: what a free form may be, and what it may not name."""
+"""Free forms of effects: which forms are allowed, and what they may not name."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ BY_ID = {effect.id: effect for effect in EFFECTS}
 
 
 def shapes_of(effect, frame):
-    """What the free forms of an effect are made of: (n, k) each."""
+    """The columns of the free forms of an effect: (n, k) each."""
     rows = prepare(read_frame(frame), RIG, ("fx",)).covariates
     u = frame["sigma_x"] / 0.1
     return [np.asarray(form.shapes(rows, u)) for form in BY_ID[effect].forms]
@@ -27,15 +27,15 @@ def shapes_of(effect, frame):
 @pytest.mark.parametrize(
     "effect", ["force_zero_drift", "slip_zero_drift", "slip_offset_load", "slip_offset_speed"]
 )
-def test_what_stays_is_no_form_of_what_moves(effect):
-    """Else a drift is called what is an offset, which is there in all that drifts."""
+def test_constants_are_no_form_of_varying_effects(effect):
+    """Otherwise a constant offset would be called a drift."""
     frame, _ = record(None)
     for shapes in shapes_of(effect, frame):
         assert shapes.std(axis=0).min() > 0
         np.testing.assert_allclose(shapes.mean(axis=0), 0.0, atol=1e-9 * shapes.max())
 
 
-def test_an_offset_that_wanders_by_a_fifth_is_an_offset():
+def test_an_offset_that_varies_by_a_fifth_is_named_offset():
     def truth(slip, time, fz, v):
         wander = 1 + 0.2 * np.cos(np.pi * time / 22.0)
         return brush(slip, 5e4, 0.9, fz) + 80.0 * wander
@@ -46,7 +46,7 @@ def test_an_offset_that_wanders_by_a_fifth_is_an_offset():
 
 # One row in 20 lies at a turn; of seeds 6 and 11, one more may.
 @pytest.mark.parametrize("seed", [1, 6, 11])
-def test_a_force_off_by_its_direction_may_grow_with_itself(seed):
+def test_hysteresis_that_grows_with_the_force_is_named(seed):
     def truth(slip, time, fz, v):
         force, way = brush(slip, 5e4, 0.9, fz), np.sign(np.gradient(slip))
         return force + 60.0 * (0.5 + np.abs(force) / 3600.0) * way
@@ -55,7 +55,7 @@ def test_a_force_off_by_its_direction_may_grow_with_itself(seed):
     assert diagnose(read_frame(frame), rig=RIG).effects == ("force_hysteresis",)
 
 
-def test_the_other_slip_may_take_its_part_as_an_ellipse():
+def test_combined_slip_by_an_ellipse_is_named():
     frame, _ = record(None, seed=6)
     wave = np.sin(2 * np.pi * frame["time"] / 3.7)
     frame["alpha"] = 0.05 * wave
@@ -65,7 +65,7 @@ def test_the_other_slip_may_take_its_part_as_an_ellipse():
 
 
 def late(values, rows):
-    """What it was so many rows ago; at rest before."""
+    """The value some rows earlier; at rest before."""
     return np.interp(np.arange(len(values)) - rows, np.arange(len(values)), values)
 
 
@@ -98,17 +98,17 @@ def measured(time, slip, fz, force, moment, seed=0):
     )
 
 
-def test_a_late_sensor_takes_force_and_moment_of_then():
-    """The load too was another: a lag of the slip alone, as by a carcass, misses it."""
+def test_a_delayed_force_and_moment_are_named_a_delay():
+    """The load differed as well: a lag of only the slip, as by a carcass, fails."""
     time, slip, fz, force, moment = slalom()
     data = measured(time, slip, fz, late(force, 4.3), late(moment, 4.3))
     verdict = diagnose(data, rig=LATERAL).verdict
     assert (verdict.status, verdict.effects) == ("named", ("channel_delay",))
 
 
-def test_one_speed_tells_no_filter_from_a_relaxation():
-    """Over time and over way the same equation: neither is named alone, whatever is
-    usual."""
+def test_one_speed_does_not_separate_a_filter_from_relaxation():
+    """The same equation over time and over distance: neither is named alone, whatever
+    its prior."""
     time, slip, fz, force, moment = slalom()
     share = 1 - np.exp(-0.01 / 0.03)
     force, moment = (lfilter([share], [1, share - 1], values) for values in (force, moment))
@@ -119,7 +119,7 @@ def test_one_speed_tells_no_filter_from_a_relaxation():
 
 
 def test_a_load_that_follows_the_slip_has_no_forms():
-    """Any function of it is one of the slip, and would explain whatever there is."""
+    """Any function of it is one of the slip, and would explain anything."""
     frame, _ = record(None)
     prepared = prepare(read_frame(frame), RIG, ("fx",))
     fraction = frame["sigma_x"] / 0.1

@@ -1,4 +1,4 @@
-"""Data that say nothing, or say it by one wrong cell: said, not diagnosed."""
+"""Uninformative data, or data spoilt by one wrong cell, are reported, not diagnosed."""
 
 import re
 from dataclasses import replace
@@ -19,7 +19,7 @@ from tirefit.results import DataError, TirefitError, UsageError
 
 
 def rig_data(seed=1, noise=30.0):
-    """A brush at three loads, forces in whole newtons of noise."""
+    """A brush at three loads, with noise rounded to whole newtons."""
     generator = np.random.default_rng(seed)
     slip = np.tile(np.linspace(0.005, 0.25, 40), 3)
     fz = np.repeat([3000.0, 4000.0, 5000.0], 40)
@@ -33,7 +33,7 @@ def rig_data(seed=1, noise=30.0):
 @pytest.mark.parametrize(
     ("column", "value", "has"), [("fz", 40000.0, "3000 to 5000 N"), ("fx", 3e9, "N")]
 )
-def test_one_mistyped_cell_is_set_aside_and_said(column, value, has):
+def test_one_mistyped_cell_is_excluded_and_reported(column, value, has):
     data = rig_data()
     as_typed = tirefit.diagnose(read_frame(data))
     data[column] = data[column].copy()
@@ -50,13 +50,13 @@ def test_one_mistyped_cell_is_set_aside_and_said(column, value, has):
     assert tirefit.diagnose(again).data.set_aside == (said,)
 
 
-def test_loads_of_a_rig_are_no_mistyped_cells():
+def test_loads_of_a_rig_are_not_taken_for_mistyped_cells():
     data = rig_data()
     assert tirefit.diagnose(read_frame(data)).data.set_aside == ()
 
 
 @pytest.mark.parametrize("sim", [None, Brush(cpa2=5e4, mu=0.9), "forces"])
-def test_forces_without_noise_have_no_gap(sim):
+def test_exact_forces_have_no_gap(sim):
     data = rig_data(noise=0.0)
     given = {"fx": data["fx"]} if sim == "forces" else sim
     found = tirefit.diagnose(read_frame(data), sim=given)
@@ -69,7 +69,7 @@ def test_forces_without_noise_have_no_gap(sim):
         assert abs(mu.measured - 0.9) < 1e-3 and not mu.differs
 
 
-def test_a_simulator_of_zeros_is_none():
+def test_simulated_zeros_are_no_simulator():
     data = read_frame(rig_data() | {"fx_sim": np.zeros(120)})
     with pytest.raises(DataError, match="zero in every row") as caught:
         tirefit.diagnose(data, sim=True)
@@ -77,14 +77,14 @@ def test_a_simulator_of_zeros_is_none():
 
 
 @pytest.mark.parametrize("factor", [1e-3, 1e3, 1e300])
-def test_a_simulated_force_in_another_unit_is_an_error(factor):
+def test_a_simulated_force_in_another_unit_is_refused(factor):
     data = rig_data()
     with pytest.raises(DataError, match="times that of the measured force") as caught:
         tirefit.diagnose(read_frame(data), sim=factor * data["fx"])
     assert caught.value.problems[0].column == "fx_sim"
 
 
-def test_a_simulated_force_without_a_number_is_no_zero():
+def test_a_simulated_force_without_a_number_is_refused():
     data = rig_data()
     with pytest.raises(DataError, match="no number in every row"):
         tirefit.diagnose(read_frame(data), sim=np.full(120, np.nan))
@@ -97,12 +97,12 @@ def test_a_simulated_force_without_a_number_is_no_zero():
         ({"fx": np.ones(120) * 1j}, "sim is of type ndarray"),
     ],
 )
-def test_a_simulated_force_is_given_once_and_real(sim, said):
+def test_a_simulated_force_must_be_real_and_given_once(sim, said):
     with pytest.raises(UsageError, match=said):
         tirefit.diagnose(read_frame(rig_data()), sim=sim)
 
 
-def test_times_that_differ_by_their_last_digit_are_no_fault():
+def test_times_that_differ_in_the_last_digit_are_accepted():
     data = rig_data()
     time = np.arange(120) * 0.1
     time[17] = np.nextafter(time[16], 1.0)
@@ -110,7 +110,7 @@ def test_times_that_differ_by_their_last_digit_are_no_fault():
     assert found.n == 120
 
 
-def test_data_held_out_are_others():
+def test_the_fitted_data_may_not_be_held_out():
     data = read_frame(rig_data())
     with pytest.raises(DataError, match="the held-out data are those"):
         tirefit.diagnose(data, holdout=[data])
@@ -125,7 +125,7 @@ def test_other_rows_of_the_same_file_may_be_held_out():
     assert len(found.rows["fx"]["base"]) == 120
 
 
-def test_a_library_without_effects_still_tests_the_base():
+def test_without_effects_the_base_model_is_still_tested():
     null = read_frame(rig_data())
     without = [effect.id for effect in EFFECTS]
     assert tirefit.diagnose(null, without=without).verdict.status == "none"
@@ -135,7 +135,7 @@ def test_a_library_without_effects_still_tests_the_base():
     assert found.verdict.status == "unknown"
 
 
-def test_a_force_that_no_tire_has_is_an_error():
+def test_an_impossible_force_is_refused():
     data = rig_data()
     data["fx"] = data["fx"] * 1e10
     with pytest.raises(DataError, match="times the largest load") as caught:
@@ -147,7 +147,7 @@ def test_a_force_that_no_tire_has_is_an_error():
     ("noise", "reason"),
     [({"sigma_x": 10.0}, "is unknown"), ({"fx": 1e7}, "beyond the largest load")],
 )
-def test_more_noise_than_values_vary_by_is_an_error(noise, reason):
+def test_noise_larger_than_the_spread_is_refused(noise, reason):
     with pytest.raises(DataError, match=reason):
         tirefit.diagnose(read_frame(rig_data()), rig=Rig(noise=noise))
 
@@ -167,12 +167,12 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("arguments", "said"), WRONG.values(), ids=WRONG)
-def test_what_cannot_be_meant_is_said(arguments, said):
+def test_wrong_arguments_are_refused(arguments, said):
     with pytest.raises(TirefitError, match=re.escape(said)):
         tirefit.diagnose(read_frame(rig_data()), **arguments)
 
 
-def test_a_rig_is_no_mapping_and_a_seed_no_fraction():
+def test_wrong_types_of_rig_and_seed_are_refused():
     with pytest.raises(UsageError, match="rig is of type dict"):
         a_rig({"noise": {"fx": 30.0}})
     with pytest.raises(UsageError, match=r"seed = 1\.5"):
@@ -180,7 +180,7 @@ def test_a_rig_is_no_mapping_and_a_seed_no_fraction():
     assert a_seed(np.uint32(7)) == 7
 
 
-def test_names_are_strings_and_effects_are_records():
+def test_wrong_types_of_names_and_effects_are_refused():
     with pytest.raises(UsageError, match="without = 3"):
         names(3, "without")
     with pytest.raises(UsageError, match=r"forces = \[1\]"):
@@ -210,7 +210,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(("change", "said"), BROKEN.values(), ids=BROKEN)
-def test_an_effect_that_cannot_be_worked_out_is_said(change, said):
+def test_an_effect_that_fails_is_reported(change, said):
     mine = Effect(
         id="mine", family="friction x time", change=change, scale=0.1, unit="-", formula="none"
     )
@@ -218,7 +218,7 @@ def test_an_effect_that_cannot_be_worked_out_is_said(change, said):
         tirefit.diagnose(read_frame(rig_data()), effects=(*EFFECTS, mine))
 
 
-def test_one_force_has_one_noise(tmp_path):
+def test_two_noise_levels_of_one_force_are_refused(tmp_path):
     with pytest.raises(UsageError, match="fx and fx_relative are both stated"):
         Rig(noise={"fx": 30.0, "fx_relative": 0.01})
     path = tmp_path / "rig.toml"
@@ -228,12 +228,12 @@ def test_one_force_has_one_noise(tmp_path):
 
 
 @pytest.mark.parametrize("value", [np.nan, -1.0, 0.0, np.inf])
-def test_a_noise_is_a_positive_number(value):
+def test_a_noise_must_be_a_positive_number(value):
     with pytest.raises(UsageError, match="give a positive number"):
         Rig(noise={"fx": value})
 
 
-def test_one_of_a_kind_stands_for_a_list_of_it(tmp_path):
+def test_a_single_value_is_accepted_for_a_list(tmp_path):
     data, other = read_frame(rig_data()), read_frame(rig_data(seed=2))
     (tmp_path / "rig.toml").write_text("[noise]\nfx = 30\n")
     one = tirefit.diagnose(

@@ -1,4 +1,4 @@
-"""What a derived file states and shows of its vehicle, steering and drive force."""
+"""Stated and estimated properties of a derived file: vehicle, steering, drive force."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ STATED = {"tracked_point": 0.0, "clock": 0.005, "yaw_inertia": 2300.0}
 
 
 def stating(frame, **constants):
-    """The data of a file that states these constants in its first line."""
+    """The data of a file with these constants in its first line."""
     data = read_frame(frame)
     return replace(data, source=replace(data.source, constants=constants))
 
@@ -61,7 +61,7 @@ def prior(effect, data, rig=RIG):
         ("yaw_inertia", "yaw_inertia", 2300 / 2.6),
     ],
 )
-def test_what_is_not_stated_has_a_wide_prior(driven, effect, key, wide):
+def test_unknown_properties_have_a_wide_prior(driven, effect, key, wide):
     stated = prior(effect, stating(driven, wheelbase=2.6, **STATED))
     rest = {name: value for name, value in STATED.items() if name != key}
     found = prior(effect, stating(driven, wheelbase=2.6, **rest))
@@ -73,13 +73,13 @@ def test_what_is_not_stated_has_a_wide_prior(driven, effect, key, wide):
     assert told.scale < 0.5 * found.scale
 
 
-def test_the_clock_of_a_file_is_as_good_as_it_states(driven):
+def test_the_stated_clock_error_is_the_prior_of_a_delay(driven):
     data = stating(driven, **STATED | {"clock": 0.02})
     assert prior("channel_delay", data).scale == pytest.approx(0.02)
 
 
-def test_a_point_that_nobody_stated_is_found_and_to_be_measured():
-    """30 cm on a wheelbase of 2.6 m: far beyond what is measured with a rule."""
+def test_an_undeclared_reference_point_is_found():
+    """30 cm on a wheelbase of 2.6 m: more than the error of a ruler."""
     data = stating(drive(Car(ahead=0.3)), wheelbase=2.6)
     found = diagnose(data, rig=RIG, effects=LIBRARY)
     assert found.effects == ("tracked_point",)
@@ -89,7 +89,7 @@ def test_a_point_that_nobody_stated_is_found_and_to_be_measured():
     assert KNOWN["tracked_point"].remedy.startswith("measure")
 
 
-def test_what_derive_found_stands_beside_the_verdict(driven):
+def test_estimates_of_derive_are_reported_with_the_verdict(driven):
     shown = {
         "alpha_zero": -0.0098,
         "found_point": 0.11,
@@ -126,7 +126,7 @@ def front(logged):
 
 
 def lagging(time, constant=0.15):
-    """What a first-order lag turns into :func:`steer`: the command ahead of it."""
+    """The command whose first-order lag is :func:`steer`."""
     step = 1e-4
     return steer(time) + constant * (steer(time + step) - steer(time - step)) / (2 * step)
 
@@ -142,8 +142,8 @@ def shifted(effect, frame, amplitude):
     ("effect", "logged", "amplitude"),
     [("steering_delay", lambda time: steer(time + DELAY), DELAY), ("steering_lag", lagging, 0.15)],
 )
-def test_late_steering_moves_the_slip_by_its_angle(effect, logged, amplitude):
-    """Rows 0.1 s apart: between them the angle is known by its rate."""
+def test_a_steering_delay_changes_the_slip_by_the_angle(effect, logged, amplitude):
+    """Rows 0.1 s apart: the rate gives the angle in between."""
     frame = front(logged)
     prepared, shift = shifted(effect, frame, amplitude)
     slip = prepared.past[:, AHEAD]
@@ -159,19 +159,19 @@ def test_late_steering_moves_the_slip_by_its_angle(effect, logged, amplitude):
     ("effect", "logged", "amplitude"),
     [("steering_delay", lambda time: steer(time + DELAY), DELAY), ("steering_lag", lagging, 0.15)],
 )
-def test_late_steering_is_named(effect, logged, amplitude):
+def test_a_steering_delay_is_named(effect, logged, amplitude):
     found = diagnose(read_frame(front(logged)), rig=RIG, effects=LIBRARY)
     assert found.effects == (effect,)
     (size,) = found.candidates[0].parameters.values()
     assert size.value == pytest.approx(amplitude, rel=0.1)
 
 
-def test_the_rear_axle_has_no_steering(driven):
+def test_the_rear_axle_has_no_steering_effect(driven):
     found = diagnose(read_frame(driven), rig=RIG, effects=LIBRARY)
     assert "steering_delay" in {one.effect for one in found.untestable}
 
 
-def test_a_lag_that_no_tire_has_is_doubted(driven):
+def test_an_implausible_relaxation_length_is_doubted(driven):
     prepared = prepare(stating(driven, wheel_radius=0.3, **STATED), RIG, ("fy",))
     rows, relaxation = prepared.covariates, atoms_of([KNOWN["relaxation_length"]])[0]
     assert "4 wheel radii" in relaxation.formula(rows, prepared.time, 1.2, prepared)
@@ -187,7 +187,7 @@ def test_a_lag_that_no_tire_has_is_doubted(driven):
 # --- the drive force --------------------------------------------------------------
 
 
-def test_a_front_force_that_drives_is_derived_as_well():
+def test_the_drive_force_of_the_front_axle_is_derived():
     frame = drive(Car(), "front")
     pull = 300 * np.sin(np.arange(700))
     steered = frame | {"fx": pull, "fy": frame["fy"] - pull * np.tan(frame["steering"])}
@@ -196,7 +196,7 @@ def test_a_front_force_that_drives_is_derived_as_well():
     assert found.mass == pytest.approx(1400 * 1.4 / 2.6)
 
 
-def test_the_error_of_a_drive_force_is_one_of_its_share(driven):
+def test_the_error_of_a_drive_force_follows_from_its_share(driven):
     fx = 2000 * np.sin(0.3 * np.arange(700))
     sure = read_frame(driven | {"fx": fx})
     assert prior("friction_ellipse", sure).scale == pytest.approx(0.3)
@@ -204,7 +204,7 @@ def test_the_error_of_a_drive_force_is_one_of_its_share(driven):
     assert prior("friction_ellipse", unsure).scale == pytest.approx(np.hypot(0.3, 0.5))
 
 
-def test_what_derive_could_write_is_said(driven):
+def test_columns_that_derive_can_add_are_reported(driven):
     assert needs_text(("other force",)) == "the force of the other slip"
     said = needs_text(("other force",), derived=True)
     assert said.endswith("(tirefit derive writes it: driven of vehicle.toml)")
@@ -216,7 +216,7 @@ def test_what_derive_could_write_is_said(driven):
 
 
 def two_tires(frictions, stiffnesses, seed=0):
-    """Free driving of both sides, every run with a tire of its own."""
+    """Free driving on both sides, with another tire in every run."""
     generator, blocks = np.random.default_rng(seed), []
     for number, (mu, stiffness) in enumerate(zip(frictions, stiffnesses, strict=True)):
         time = np.arange(200) * 0.1
@@ -253,8 +253,8 @@ def test_tires_that_differ_from_run_to_run_are_named(frictions, stiffnesses, nam
         assert "friction: 2 runs, standard" in whole or "4 runs, standard" in whole
 
 
-def test_a_step_between_two_runs_is_theirs():
-    """Runs one after the other: what changes there is told of the runs."""
+def test_a_step_between_two_runs_is_a_run_effect():
+    """Consecutive runs: a change between them is an effect of the runs."""
     frame = two_tires((0.9, 0.6), (5e4, 5e4))
     frame["time"] = frame["time"] + 30.0 * (frame["run"] == "r1")
     rig = Rig(noise={"fy": 20.0, "alpha": 1e-4})

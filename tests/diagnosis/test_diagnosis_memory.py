@@ -1,4 +1,4 @@
-"""The memory of a noise, smooth functions taken out of it or not."""
+"""The correlation of a noise, with and without smooth functions removed from it."""
 
 import numpy as np
 import pytest
@@ -33,12 +33,12 @@ def may_be(values, unit, stretches=(np.arange(ROWS),)):
 
 
 def judged(*given):
-    """The likeliest."""
+    """The likeliest correlation."""
     return may_be(*given)[0]
 
 
 @pytest.mark.parametrize("count", [4, 200])
-def test_independent_rows_have_none(count):
+def test_independent_rows_have_no_correlation(count):
     unit = smooth(count)
     found = [judged(noise(FORGETFUL, seed), unit) for seed in range(20)]
     assert sum(memory.share > 0 for memory in found) <= 2
@@ -46,7 +46,7 @@ def test_independent_rows_have_none(count):
 
 @pytest.mark.parametrize("count", [4, 200])
 @pytest.mark.parametrize("memory", [Memory(0.5, 1.0), Memory(0.65, 1.0)])
-def test_a_memory_is_seen_whatever_was_taken_out(memory, count):
+def test_a_correlation_is_found_after_any_fit(memory, count):
     found = [judged(noise(memory, seed), smooth(count)) for seed in range(8)]
     # The correlation at lag one is known best; fade and share trade against it.
     lag_one = np.mean([one.fade * one.share for one in found])
@@ -55,22 +55,22 @@ def test_a_memory_is_seen_whatever_was_taken_out(memory, count):
     assert each == pytest.approx(memory.rows_each, rel=0.35)
 
 
-def test_nothing_is_remembered_across_a_break():
+def test_breaks_end_the_correlation():
     values = np.repeat(np.random.default_rng(3).standard_normal(ROWS // 2), 2)
     pairs = list(np.arange(ROWS).reshape(-1, 2))
     assert judged(values, smooth(4)).share > 0
     assert judged(values, smooth(4), pairs) == FORGETFUL
 
 
-def test_rows_of_a_memory():
+def test_the_correlation_gives_the_number_of_independent_rows():
     """Variance of the mean of many rows over that of independent ones."""
     memory = Memory(0.6, 0.5)
     means = [noise(memory, seed).mean() for seed in range(300)]
     assert np.var(means) * ROWS == pytest.approx(memory.rows_each, rel=0.25)
 
 
-def test_memories_that_may_be_hold_the_truth():
-    """A record of 150 rows does not tell 0.5 from 0.35: each has its probability."""
+def test_likely_correlations_contain_the_truth():
+    """150 rows do not distinguish 0.5 from 0.35: each has its probability."""
     truth, held = Memory(0.5, 1.0), []
     rows, unit = np.arange(150), np.linalg.qr(smooth(4)[:150])[0]
     for seed in range(12):
@@ -84,15 +84,15 @@ def test_memories_that_may_be_hold_the_truth():
 
 
 @pytest.mark.parametrize("fade", [0.42, 0.6, 0.85])
-def test_a_memory_between_the_usual_ones_is_found(fade):
+def test_a_correlation_between_the_grid_values_is_found(fade):
     found = [may_be(noise(Memory(fade, 1.0), seed), smooth(40)) for seed in range(6)]
     usual = [sum(one.chance * one.fade for one in each) for each in found]
     assert np.mean(usual) == pytest.approx(fade, abs=0.04)
 
 
-def test_slow_gaps_beside_noise_of_a_known_level_are_no_memory():
-    """A memory of fade 0.9 leaves between neighbours a third of the noise that a
-    stated level has there."""
+def test_with_known_noise_a_slow_gap_is_not_taken_for_correlation():
+    """With a correlation of 0.9, neighbours would differ by a third of the stated
+    noise."""
     walk = np.cumsum(np.random.default_rng(1).standard_normal(ROWS)) / 12
     values = noise(FORGETFUL, 2) + walk
     rows, unit = [np.arange(ROWS)], smooth(4)

@@ -1,4 +1,4 @@
-"""A vehicle's log: forces derived from the motion, rates, runs that differ."""
+"""A vehicle log: forces derived from the motion, rates, runs that differ."""
 
 import itertools
 from dataclasses import replace
@@ -34,7 +34,7 @@ def driven():
 
 
 def prior(effect, frame, rig=RIG):
-    """With a vehicle file that states all that it may."""
+    """The prior with a vehicle file that states everything possible."""
     data, stated = read_frame(frame), ("tracked_point", "yaw_inertia", "clock")
     constants = dict.fromkeys(stated, 0.005)
     data = replace(data, source=replace(data.source, constants=constants))
@@ -45,13 +45,13 @@ def prior(effect, frame, rig=RIG):
 # --- a force that follows from the motion -----------------------------------------
 
 
-def test_a_derived_force_is_known_by_its_channels(driven):
+def test_a_derived_force_is_recognised_by_its_channels(driven):
     found = derived_from(read_frame(driven), "fy")
     assert found.mass == pytest.approx(MASS_REAR) and not found.steered
     assert found.arm == pytest.approx(ARM)
     front = derived_from(read_frame(drive(Car(), "front")), "fy")
     assert front.steered and front.mass == pytest.approx(1400 * 1.4 / 2.6)
-    # A transducer has a noise of its own, however good it is.
+    # Even a good transducer has noise.
     noisy = driven["fy"] * (1 + 0.005 * np.sin(np.arange(700)))
     assert derived_from(read_frame(driven | {"fy": noisy}), "fy") is None
     without = {name: x for name, x in driven.items() if name != "a_y"}
@@ -59,7 +59,7 @@ def test_a_derived_force_is_known_by_its_channels(driven):
     assert derived_from(read_frame(driven), "mz") is None
 
 
-def test_priors_of_a_derived_force_are_those_of_a_known_vehicle(driven):
+def test_priors_of_a_derived_force_follow_the_stated_vehicle(driven):
     measured = drive(Car(), measured=True)
     assert prior("tracked_point", driven).scale == pytest.approx(0.03 * ARM)
     assert prior("tracked_point", measured).scale > 5 * 0.03 * ARM
@@ -78,7 +78,7 @@ def test_priors_of_a_derived_force_are_those_of_a_known_vehicle(driven):
     assert lifted.scale <= 0.4 * np.ptp(driven["a_x"]) / 9.8
 
 
-def test_what_is_known_of_a_vehicle_is_read_and_checked(tmp_path):
+def test_stated_properties_of_a_vehicle_are_read_and_checked(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text("[vehicle]\nposition = 0.002\nclock = 1e-3\n")
     rig = load_rig(path)
@@ -97,7 +97,7 @@ def test_what_is_known_of_a_vehicle_is_read_and_checked(tmp_path):
 
 
 def test_the_acceleration_of_a_derived_force_explains_nothing(driven):
-    """What would explain the force is that of the model, not the force itself."""
+    """An effect of the force uses the force of the model, not the measured one."""
     effects = [KNOWN["slip_offset"], KNOWN["toe"], KNOWN["yaw_inertia"]]
     found = diagnose(read_frame(driven), rig=RIG, effects=effects)
     said = " ".join(found.data.motion)
@@ -120,8 +120,8 @@ def _marks(effect: str) -> list:
 
 
 @pytest.mark.parametrize("effect", [pytest.param(e, marks=_marks(e)) for e in FAULTS])
-def test_what_is_wrong_with_a_car_is_named(effect):
-    """Four wheels, integrated: no formula of the library is among them."""
+def test_errors_of_a_vehicle_are_named(effect):
+    """Four wheels, integrated, without any formula of the library."""
     # A path of some curvature at some speed has one road wheel angle: a yaw rate over
     # speed and a lateral acceleration together are that angle, but for its lead.
     without = ("toe",) if effect == "steering_gain" else ()
@@ -134,8 +134,8 @@ def test_what_is_wrong_with_a_car_is_named(effect):
 # --- rates ------------------------------------------------------------------------
 
 
-def test_a_measured_rate_shows_a_past_between_the_rows():
-    """Rows 0.2 s apart of a slip at 1 Hz; the past 20 ms back, by its formula."""
+def test_a_measured_rate_gives_the_slip_between_rows():
+    """Rows 0.2 s apart with a slip at 1 Hz; the slip 20 ms earlier, by its formula."""
     time = np.arange(0.0, 20.0, 0.2)
     slip, rate = np.sin(2 * np.pi * time), 2 * np.pi * np.cos(2 * np.pi * time)
     run = np.zeros(len(time), int)
@@ -155,7 +155,7 @@ def test_a_measured_rate_shows_a_past_between_the_rows():
 
 
 @pytest.mark.parametrize("interval", [0.0125, 0.005])
-def test_the_past_of_a_slip_without_noise_is_what_was_measured(interval):
+def test_without_noise_the_past_slip_is_the_measured_one(interval):
     """A chirp of 0.15 to 2 Hz: the slip behind a relaxation of 30 ms, against the
     equation itself, integrated finely."""
     time = np.arange(0.0, 16.0, interval)
@@ -178,7 +178,7 @@ def test_the_past_of_a_slip_without_noise_is_what_was_measured(interval):
 
 
 @pytest.mark.parametrize("rate", [80, 200])
-def test_a_relaxation_in_fast_sweeps_is_named_alone(rate):
+def test_relaxation_in_fast_sweeps_is_the_only_named_effect(rate):
     """The equation itself, integrated between the rows, from 0.15 to 2 Hz."""
     time, length = np.arange(0.0, 20.0, 1 / rate), 0.3
     v = np.where(time < 10, 10.0, 20.0)
@@ -204,7 +204,7 @@ def test_a_relaxation_in_fast_sweeps_is_named_alone(rate):
     assert value.value == pytest.approx(length, rel=0.03)
 
 
-def test_a_relaxation_of_ten_milliseconds_is_named_from_thinned_rows():
+def test_a_relaxation_of_10_ms_is_named_from_thinned_rows():
     time, slip, rate, late = np.arange(0.0, 100.0, 0.2), 0.0, 0.0, 0.0
     for size, turn, phase in ((0.05, 5.3, 0.0), (0.04, 13.1, 1.0)):
         angle, behind = turn * time + phase, turn * 0.01
@@ -239,8 +239,8 @@ def test_a_relaxation_of_ten_milliseconds_is_named_from_thinned_rows():
 # --- runs -------------------------------------------------------------------------
 
 
-def test_values_of_runs_shrink_to_a_common_one():
-    """Two limits in closed form, and the mean of many in between."""
+def test_values_per_run_shrink_to_a_common_value():
+    """Two limits in closed form, and the mean of many cases in between."""
     values = np.array([1.0, 2.0, 6.0])
     sure = shrunk(values, 1e-12 * np.eye(3))
     np.testing.assert_allclose(sure.values, values, rtol=1e-3)
@@ -256,7 +256,7 @@ def test_values_of_runs_shrink_to_a_common_one():
     assert noise.p_value == pytest.approx(0.93, abs=0.01)  # chi2 = 14 / 100 of 2
 
 
-def test_shrunk_values_are_nearer_and_their_errors_true():
+def test_shrunk_values_are_closer_with_right_errors():
     generator, off, raw, inside = np.random.default_rng(1), [], [], []
     for _ in range(300):
         truth = 2 + 0.5 * generator.standard_normal(8)
@@ -270,7 +270,7 @@ def test_shrunk_values_are_nearer_and_their_errors_true():
 
 
 def of_runs(offsets, seed=0):
-    """Free driving of both sides in runs of their own zero of the slip angle."""
+    """Free driving on both sides in runs with different offsets of the slip angle."""
     generator, blocks = np.random.default_rng(seed), []
     for number, offset in enumerate(offsets):
         time = np.arange(120) * 0.1
@@ -283,7 +283,7 @@ def of_runs(offsets, seed=0):
     return {"time": time, "alpha": alpha, "fy": fy, "fz": 0 * time + 4000, "run": run}
 
 
-def test_runs_with_offsets_of_their_own_are_told_with_their_spread():
+def test_different_offsets_of_runs_are_reported_with_their_spread():
     offsets = np.array([0.004, -0.003, 0.006, -0.002, -0.005])
     kept = ("slip_offset", "force_offset", "slip_offset_run", "load_stiffness")
     effects = [KNOWN[name] for name in kept]
@@ -308,7 +308,7 @@ def test_runs_with_offsets_of_their_own_are_told_with_their_spread():
     assert "slip_offset_run" in {lacking.effect for lacking in alone.untestable}
 
 
-def test_an_interval_of_closure_knows_that_three_logs_are_three():
+def test_an_interval_of_closure_uses_the_number_of_logs():
     generator = np.random.default_rng(0)
     run = np.repeat([0, 1, 2], 400)
     before = generator.normal(size=1200) + 5.0
@@ -325,7 +325,7 @@ def test_an_interval_of_closure_knows_that_three_logs_are_three():
     assert width(run) < 4 * width(np.zeros(1200, int))
 
 
-def test_an_interval_of_few_runs_is_that_of_students_t():
+def test_an_interval_from_few_runs_uses_students_t():
     terms = np.array([[1.0], [1.0], [2.0], [2.0], [6.0], [6.0]])
     run = np.array([0, 0, 1, 1, 2, 2])
     one_less = without_each(terms, run)
@@ -346,9 +346,9 @@ REAR = pytest.mark.xfail(
 
 
 @pytest.mark.parametrize(("axle", "seed"), [("front", 2), pytest.param("rear", 3, marks=REAR)])
-def test_a_motion_that_knows_the_slip_better_is_no_effect(axle, seed):
-    """Nothing is wrong but a noise of the slip angle, 3 mrad, that the rig states; yaw
-    rate and accelerations are exact, and together tell the slip nearly as they do."""
+def test_exact_motion_channels_with_noisy_slip_give_no_effect(axle, seed):
+    """The only error is a noise of the slip angle, 3 mrad, stated in the rig file; yaw
+    rate and accelerations are exact and together nearly determine the slip."""
     frame = drive(Car(), axle, measured=True)
     noise = 0.003 * np.random.default_rng(seed).normal(size=len(frame["alpha"]))
     noisy = read_frame(frame | {"alpha": frame["alpha"] + noise})

@@ -1,4 +1,4 @@
-"""Noise that grows with the force, whatever the rig states of it."""
+"""Noise that grows with the force, for any statement of the rig file."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def judged(std, given=40.0, seed=1):
 
 
 @pytest.mark.parametrize("given", [40.0, None])
-def test_noise_that_grows_with_the_force_is_weighed_so(given):
+def test_noise_that_grows_with_the_force_is_weighted_accordingly(given):
     noise = judged(GROWING, given)
     assert "heteroscedastic" in noise.flags
     true = np.hypot(GROWING, np.sqrt(SPREAD))
@@ -42,8 +42,8 @@ def test_noise_that_grows_with_the_force_is_weighed_so(given):
         assert np.median(noise.std[part] / true[part]) == pytest.approx(1, abs=0.25)
 
 
-def test_noise_is_in_excess_where_it_is_calm():
-    """Growing to 2.4 times what is stated, half the rows at that; and all at that."""
+def test_excess_noise_is_found_in_quiet_rows():
+    """Growing to 2.4 times the stated noise, for half the rows; then for all."""
     assert np.mean(FORCE == 4000) > 0.3
     growing = judged(1.2 * GROWING)
     assert np.median(growing.std[FORCE == 4000]) > 2 * np.hypot(40, SPREAD[0] ** 0.5)
@@ -51,20 +51,20 @@ def test_noise_is_in_excess_where_it_is_calm():
     assert judged(np.full(ROWS, 100.0)).excess == pytest.approx(2.5, rel=0.15)
 
 
-def test_even_noise_keeps_the_level_that_was_stated():
+def test_uniform_noise_keeps_the_stated_level():
     noise = judged(np.full(ROWS, 40.0))
     assert noise.flags == () and noise.source == "given"
     np.testing.assert_allclose(noise.std, np.sqrt(40.0**2 + SPREAD))
 
 
-def test_noise_that_falls_with_the_force_is_no_law():
-    """A slip noise that was overstated looks so: the level stays."""
+def test_noise_that_falls_with_the_force_is_not_modelled():
+    """An overstated slip noise looks like this: the level is kept."""
     noise = judged(np.full(ROWS, 40.0) * (1 - 0.6 * FORCE / 4000))
     assert noise.source == "given"
 
 
 def alike(residual, given, slip=SLIP):
-    """The noise of records whose force is flat, of rows in the order of time."""
+    """The noise of records with a constant force, in the order of time."""
     basis = np.stack([slip**k for k in range(5)], axis=1)
     waves = np.stack([f(40 * slip) for f in (np.sin, np.cos)], axis=1)
     level, zero = None if given is None else np.full(ROWS, given), np.zeros(ROWS)
@@ -83,7 +83,7 @@ def first_order(fade, seed):
 
 @pytest.mark.parametrize("fade", [0.3, 0.6, 0.85])
 def test_the_level_of_slow_noise_is_not_the_scatter_between_neighbours(fade):
-    """A slip that sweeps slowly: who is next in slip was next in time."""
+    """In a slow sweep of the slip, neighbours in slip are neighbours in time."""
     sweep = np.linspace(0, 1, ROWS)
     found = [alike(first_order(fade, seed), None, sweep) for seed in range(5)]
     assert np.mean([np.mean(one.std) for one in found]) == pytest.approx(40, rel=0.13)
@@ -91,8 +91,8 @@ def test_the_level_of_slow_noise_is_not_the_scatter_between_neighbours(fade):
     assert each == pytest.approx((1 + fade) / (1 - fade), rel=0.25)
 
 
-def test_what_changes_in_time_does_not_overrule_a_stated_level():
-    """Neighbours in slip, of different sweeps, scatter by it; those in time do not."""
+def test_drift_does_not_override_a_stated_noise():
+    """Neighbours in slip from different sweeps scatter by it; those in time do not."""
     slip = np.abs((np.arange(ROWS) / 90) % 2 - 1)
     drift = 80 * np.sin(np.arange(ROWS) / 60)
     white = 40 * np.random.default_rng(3).standard_normal(ROWS)
@@ -104,9 +104,9 @@ def test_what_changes_in_time_does_not_overrule_a_stated_level():
     assert np.mean(larger.std) == pytest.approx(80, rel=0.05)
 
 
-def test_no_noise_is_larger_than_all_that_a_fit_leaves():
-    """White noise of force and slip angle, of which neighbours look alike by chance: a
-    memory with functions that soak it up was taken for a third more than there is."""
+def test_noise_never_exceeds_the_residuals():
+    """White noise whose neighbours look similar by chance: a correlation with flexible
+    functions was taken for a third more noise than there is."""
     generator = np.random.default_rng(63)
     time = 0.02 * np.arange(600)
     swings = zip(
@@ -130,9 +130,9 @@ def test_no_noise_is_larger_than_all_that_a_fit_leaves():
 
 
 @pytest.mark.parametrize("times", [1.5, 6.0])
-def test_scatter_beyond_the_stated_noise_is_said(times):
-    """White noise of more than what is stated: no effect, and a noise that was stated
-    wrongly, with the factor."""
+def test_scatter_above_the_stated_noise_is_reported(times):
+    """White noise above the stated level: no effect, but a wrongly stated noise, with
+    the factor."""
     generator = np.random.default_rng(2)
     slip = generator.uniform(0.0, 0.05, 300)
     frame = {

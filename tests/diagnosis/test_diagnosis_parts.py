@@ -1,4 +1,4 @@
-"""The parts of the diagnosis, each against a route of its own."""
+"""The parts of the diagnosis, each compared with an independent computation."""
 
 import ast
 import re
@@ -34,7 +34,7 @@ from tirefit.models import Brush, TireInputs
 from tirefit.results import UsageError
 
 
-def test_null_state_is_the_base_model():
+def test_the_null_state_gives_the_base_model():
     tire = Brush()
     for slip in (-0.3, -0.02, 0.0, 1e-9, 0.05, 0.5):
         inputs = TireInputs(slip, 0.0, 4000.0, 10.0)
@@ -51,8 +51,8 @@ def test_similarity_is_exact_for_a_brush():
 
 
 @pytest.mark.parametrize(("skew", "flat"), [(0.3, 0.0), (-0.2, 0.4), (0.5, 0.9)])
-def test_shape_against_the_patch(skew, flat):
-    """Pressure between S(24) and S(25), static above kinetic friction."""
+def test_the_pressure_shape_agrees_with_the_contact_patch(skew, flat):
+    """Pressure between S(24) and S(25), static friction above kinetic."""
 
     def density(xi):
         skewed = 0.75 * (1 - xi**2) * (1 + skew * xi)
@@ -70,8 +70,8 @@ def test_shape_against_the_patch(skew, flat):
     np.testing.assert_allclose(ours, sliding + sticking, rtol=1e-9)
 
 
-def test_kinetic_friction_alone_falls():
-    """S(31): the plateau is the kinetic level, the breakaway the static one."""
+def test_a_lower_kinetic_friction_lowers_only_the_plateau():
+    """S(31): kinetic friction gives the plateau, static friction the breakaway."""
     state = null_state()._replace(kinetic=jnp.array(0.8))
     plateau = TireInputs(0.5, 0.0, 4000.0, 0.0)
     ours = force_of_state(Brush(), None, state, 0.5, 0.0, plateau)[0]
@@ -81,8 +81,8 @@ def test_kinetic_friction_alone_falls():
     np.testing.assert_allclose(ours, Brush()(small).fx, rtol=0.01)
 
 
-def test_carcass_takes_up_slip():
-    """Against the slip that solves x = slip - share F(x) / F_z."""
+def test_a_flexible_carcass_reduces_the_slip():
+    """Compared with the slip that solves x = slip - share F(x) / F_z."""
     share, fz, tire = 0.02, 4000.0, Brush()
 
     def excess(x):
@@ -98,7 +98,7 @@ def test_carcass_takes_up_slip():
     inputs = TireInputs(0.06, 0.0, fz, 0.0)
     slip = 0.06 + state.shift
     ours = force_of_state(tire, None, state, slip, 0.0, inputs)[0]
-    # The force of the base model stands for the one that is there: to first order.
+    # The force of the base model approximates the true one to first order.
     assert rigid - right > 400
     assert abs(ours - right) < 0.4 * (rigid - right)
 
@@ -109,7 +109,7 @@ def base():
     return fit_base(prepare(read_frame(frame), RIG, ("fx",)), "brush", EFFECTS, RIG)
 
 
-def test_base_fit_is_the_truth(base):
+def test_the_base_fit_recovers_the_truth(base):
     values = base.layout.natural(base.z)
     assert float(values["cpa2"]) == pytest.approx(5e4, rel=0.02)
     assert float(values["mu"]) == pytest.approx(0.9, rel=0.01)
@@ -125,7 +125,7 @@ def test_every_null_amplitude_changes_nothing(base):
             np.testing.assert_allclose(after, np.zeros_like(after) + before, atol=1e-7)
 
 
-def test_tangents_are_central_differences(base):
+def test_tangents_agree_with_central_differences(base):
     _, jacobian, tangent, _ = base.linearised(base.z, np.zeros(len(base.atoms)))
     scale = np.asarray(base.design.prior_scale)
     n = base.prepared.n
@@ -151,8 +151,8 @@ def test_tangents_are_central_differences(base):
         np.testing.assert_allclose(tangent[:, k], slope, atol=2e-3 * size, err_msg=atom.effect.id)
 
 
-def test_fields_are_central_differences(base):
-    """The force per field of the state, against effects that change just that."""
+def test_fields_agree_with_central_differences(base):
+    """The force per field of the state, compared with effects that change only that."""
     linear = base.linearised(base.z, np.zeros(len(base.atoms)))
     scale = np.asarray(base.design.prior_scale)
     rows = base.prepared.covariates
@@ -181,7 +181,7 @@ def test_shape_of_a_change_is_found():
     assert np.max(np.abs(found - truth)) < 0.06
 
 
-def test_a_stretch_is_found_but_not_where_a_setting_was_held_for_it():
+def test_a_change_in_time_is_found_unless_a_setting_explains_it():
     generator = np.random.default_rng(0)
     time = np.linspace(-0.5, 0.5, 600)
     friction = 20 * (1 + 0.3 * np.sin(40 * time))
@@ -194,7 +194,7 @@ def test_a_stretch_is_found_but_not_where_a_setting_was_held_for_it():
     assert np.mean(np.abs(held - truth) > 0.1) > 0.05
 
 
-def test_settings_are_blocks_where_they_are_held_but_once():
+def test_settings_held_only_once_are_blocks():
     frame, _ = record(None)
     blocks = blocks_of_settings(prepare(read_frame(frame), RIG, ("fx",)))
     # Three loads in order, two speeds at each: one load is neither first nor last, and
@@ -247,7 +247,7 @@ def _change(base, effect, variant, amplitude, rows):
     return atom.change(null_state(), amplitude, rows)
 
 
-def test_relaxation_follows_the_equation(base):
+def test_relaxation_solves_its_equation(base):
     """A ramp from rest lags by length over its own slope, exactly."""
     rows = _history(base, lambda x: 0.01 * np.maximum(x, 0), 0.05, 0.5)
     way = 0.5 * np.arange(40)
@@ -265,7 +265,7 @@ def test_relaxation_follows_the_equation(base):
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.03, 0.1225, -0.06])
-def test_a_delay_takes_the_slip_of_then(base, delay):
+def test_a_delay_uses_the_earlier_slip(base, delay):
     rows = _history(base, lambda x: np.abs(x - 20) / 100, 0.05, 0.5)
     row = np.arange(40)
     grid = np.arange(-20, 60)
@@ -274,21 +274,21 @@ def test_a_delay_takes_the_slip_of_then(base, delay):
     found = _change(base, "channel_delay", 0, delay, rows)
     np.testing.assert_allclose(found.shift, right, atol=1e-12)
     assert np.all(found.friction == 1)
-    # Forces that come late are those of slip and load of then.
+    # Delayed forces belong to the earlier slip and load.
     found = _change(base, "channel_delay", 1, delay, rows)
     np.testing.assert_allclose(found.shift, right, atol=1e-12)
     now = 1 + np.abs(row - 20) / 100
     np.testing.assert_allclose(found.friction, 1 + right / now, atol=1e-12)
 
 
-def test_no_form_of_the_speed_at_one_speed(base):
-    """There any function of the sliding speed is one of the slip."""
+def test_one_speed_has_no_speed_forms(base):
+    """At one speed any function of the sliding speed is one of the slip."""
     assert _forms(base, "friction x speed").size
     assert not _forms(base, "friction x speed", without=["speeds"]).size
 
 
-def test_the_effect_of_the_manual_runs_and_is_found(tmp_path, monkeypatch, capsys):
-    """Its lines run as printed, and find a ripple that is there."""
+def test_the_example_effect_of_the_manual_is_found(tmp_path, monkeypatch, capsys):
+    """Its lines run as printed, and find an existing ripple."""
     page = Path(__file__).parents[2] / "docs" / "how-to" / "effect.md"
     text = page.read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
@@ -318,7 +318,7 @@ def test_the_effect_of_the_manual_runs_and_is_found(tmp_path, monkeypatch, capsy
 
 
 @pytest.mark.parametrize("piece", [41, 100, 256, 399])
-def test_a_long_sweep_in_pieces_is_the_whole(monkeypatch, piece):
+def test_a_long_sweep_in_pieces_gives_the_same_result(monkeypatch, piece):
     time = np.cumsum(np.random.default_rng(6).uniform(0.008, 0.012, 400))
     noise = np.random.default_rng(7).normal(0, 0.002, 400)
     slip, run = 0.05 * np.sin(2.0 * time) + noise, np.zeros(400, int)
@@ -334,7 +334,7 @@ def test_a_long_sweep_in_pieces_is_the_whole(monkeypatch, piece):
         np.testing.assert_array_equal(of_pieces, of_whole)
 
 
-def test_slip_rate_of_a_noisy_sweep():
+def test_the_slip_rate_of_a_noisy_sweep_is_found():
     time = np.arange(400) * 0.01
     truth = 0.2 * np.sin(2 * time)
     noisy = truth + 0.002 * np.random.default_rng(0).standard_normal(400)
@@ -351,8 +351,8 @@ def test_slip_rate_of_a_noisy_sweep():
     assert not slip_rate(shuffled, time, np.zeros(400, int)).present
 
 
-def test_turns_of_a_saw_tooth_stay_sharp():
-    """One-sided windows: no parabola runs across a turn of the slip."""
+def test_turning_points_of_a_saw_tooth_stay_sharp():
+    """One-sided windows: no parabola extends across a turning point of the slip."""
     time = np.arange(240) * 0.01
     truth = 0.1 * np.abs((time / 0.6) % 1 - 0.5) * 2
     noisy = truth + 0.001 * np.random.default_rng(3).standard_normal(240)
@@ -363,8 +363,8 @@ def test_turns_of_a_saw_tooth_stay_sharp():
     assert np.sqrt(np.mean((found.past.path[:, AHEAD] - truth) ** 2)) < 0.001
 
 
-def test_the_past_does_not_know_the_noise_of_its_row():
-    """Else a delay and a lag that cancel would take the noise out of the slip."""
+def test_the_past_slip_is_independent_of_the_noise_of_its_row():
+    """Otherwise a delay and a lag that cancel would remove the noise of the slip."""
     time = np.arange(600) * 0.01
     truth = 0.1 * np.sin(3 * time)
     own = np.zeros(17)
@@ -392,8 +392,8 @@ def test_segments_break_at_pauses_and_runs():
     assert [part.tolist() for part in parts] == [[0, 1, 2], [3, 4], [5, 6]]
 
 
-def test_evidence_gain_of_gaussian_coefficients():
-    """Against the Gaussian integral over one coefficient, by quadrature."""
+def test_evidence_gain_agrees_with_gaussian_integrals():
+    """Compared with the Gaussian integral over one coefficient, by quadrature."""
     generator = np.random.default_rng(0)
     column = generator.standard_normal(50)
     column /= np.linalg.norm(column)
@@ -426,8 +426,8 @@ def test_evidence_gain_of_gaussian_coefficients():
     assert of_any_kind(dict.fromkeys(kinds, 3.0)) == pytest.approx(3.0)
 
 
-def test_a_remainder_beside_forms_of_an_expected_size_is_that_of_dense_normal_laws():
-    """Forms that the data know worse than their prior leave their part of the rows."""
+def test_remainder_evidence_agrees_with_dense_normal_distributions():
+    """Forms that are poorly determined leave their part of the rows."""
     generator = np.random.default_rng(4)
     forms = generator.standard_normal((50, 3)) * [2.0, 0.2, 0.01]
     column = 0.3 * forms[:, :2] @ [0.1, 1.0] + 0.1 * generator.standard_normal(50)
@@ -456,7 +456,7 @@ def test_a_remainder_beside_forms_of_an_expected_size_is_that_of_dense_normal_la
     assert found["smooth"] > free["smooth"] + 3
 
 
-def test_a_wave_is_seen_among_many():
+def test_one_wave_among_many_is_found():
     generator = np.random.default_rng(0)
     x = np.linspace(0, 1, 400)
     angle = 2 * np.pi * x[:, None] * np.arange(1, 13)
@@ -467,8 +467,8 @@ def test_a_wave_is_seen_among_many():
     assert chi2[6] > 30 and np.median(chi2) < 4
 
 
-def test_shares_do_not_hang_on_the_order():
-    """Against the mean over all orders, one by one."""
+def test_shares_do_not_depend_on_the_order():
+    """Compared with the mean over all orders."""
     worth = {(): 0.0, (1,): 2.0, (2,): 3.0, (3,): 0.0, (1, 2): 4.0, (1, 3): 2.5,
              (2, 3): 3.0, (1, 2, 3): 5.0}  # fmt: skip
     found = shapley((1, 2, 3), worth.__getitem__)
@@ -481,7 +481,7 @@ def test_shares_do_not_hang_on_the_order():
     assert sum(found.values()) == pytest.approx(5.0)
 
 
-def test_separability_of_known_directions():
+def test_separability_is_right_for_known_directions():
     columns = np.eye(4)[:, :2].copy()
     assert separability(columns, 0, 1, 4.0, 4.0) == pytest.approx(0.99766, abs=1e-4)
     columns[:, 1] = columns[:, 0]
@@ -489,7 +489,7 @@ def test_separability_of_known_directions():
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.8, 0.97])
-def test_recognition_of_one_of_two_directions(correlation):
+def test_recognition_is_right_for_one_of_two_directions(correlation):
     """By the larger score of two: P = PQ + (1 - P)(1 - Q), P and Q the normal
     probabilities of the roots of S = size^2 (1 -+ correlation) / 2."""
     generator = np.random.default_rng(1)
@@ -506,14 +506,14 @@ def test_recognition_of_one_of_two_directions(correlation):
     assert taken_for == ("b" if right < 0.9 else None)
 
 
-def test_nothing_is_seen_of_nothing():
+def test_recognition_without_an_effect_is_the_false_alarm_rate():
     directions, generator = np.eye(5), np.random.default_rng(2)
     noise = scores_of_nothing(directions, 20000, generator)
     seen, *_ = recognition(directions, tuple("abcde"), 0, 0.0, noise)
     assert seen == pytest.approx(0.05, abs=0.005)
 
 
-def test_noise_is_found_under_a_gap():
+def test_the_noise_is_estimated_despite_a_gap():
     generator = np.random.default_rng(0)
     x = np.linspace(-1, 1, 1500)
     fz = np.where(np.arange(1500) % 2, 2000.0, 6000.0)
@@ -551,7 +551,7 @@ def test_noise_is_found_under_a_gap():
     assert outliers.outlier.sum() < 65
 
 
-def test_regions_hold_all_the_energy(base):
+def test_regions_contain_all_the_energy(base):
     n = base.prepared.n
     gap = np.where(base.prepared.inputs.fz == 6000, 100.0, 1.0)
     residual, *_ = base.at_null
@@ -565,8 +565,8 @@ def test_regions_hold_all_the_energy(base):
         assert shares == pytest.approx(1.0), name
 
 
-def test_the_first_seconds_are_a_spot(base):
-    """A miss of five standard errors in one row of forty, in no quarter remarkable."""
+def test_an_error_in_the_first_seconds_is_a_spot(base):
+    """Five standard errors in one row of forty, not significant in any quarter."""
     n, residual = base.prepared.n, np.zeros(base.prepared.n)
     time = np.asarray(base.prepared.time)
     first = np.argsort(time)[: n // 40]
@@ -581,7 +581,7 @@ def test_the_first_seconds_are_a_spot(base):
     assert spots(base, np.full(n, 5.0), np.full(n, 100.0)) == ()
 
 
-def test_rig_file(tmp_path):
+def test_a_rig_file_is_read_and_checked(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(
         'rolling_radius = 0.3\nfoo = 1\ncommanded_slip = "s"\n[noise]\n'
@@ -610,8 +610,8 @@ def test_rig_file(tmp_path):
 
 
 @pytest.mark.parametrize("amount", [-3.0, -0.4e-3, -1e-300, 0.0, 1e-300, 0.02, 1e3])
-def test_a_filter_is_safe_for_any_input(base, amount):
-    """It may follow, it may stand still: it never leaves the range of its past."""
+def test_a_filter_stays_within_the_range_of_the_past(base, amount):
+    """It may follow or stand still, but never leaves the range of its past."""
     rows = _history(base, lambda x: np.abs(x - 20) / 100, 0.05, 0.5)
     span = np.ptp(rows.past)
     for effect, variants in (("channel_delay", 3), ("relaxation_length", 2)):
@@ -621,8 +621,8 @@ def test_a_filter_is_safe_for_any_input(base, amount):
             assert np.all(np.abs(state.force) <= 1e3 * span * (1 + 1e-9))
 
 
-def test_no_effect_leaves_its_bounds(base):
-    """Whatever the start: a refit gives amplitudes that physics allows."""
+def test_every_effect_stays_within_its_bounds(base):
+    """For any start, a refit gives physically possible amplitudes."""
     scale, low, high = (getattr(base.design, n) for n in ("prior_scale", "low", "high"))
     sets = [(k,) for k in range(len(base.atoms))]
     for far in (-50.0, 50.0):
@@ -641,13 +641,13 @@ def test_no_effect_leaves_its_bounds(base):
 
 
 def _wheel(seed=0, radius=0.32):
-    """A record whose wheel speed is there, and its rig."""
+    """A record with a wheel speed, and its rig."""
     frame, _ = record(None, seed=seed)
     omega = frame["v"] / (radius * (1 + frame["sigma_x"]))
     return frame | {"omega": omega}, replace(RIG, rolling_radius=radius)
 
 
-def test_a_slip_by_another_definition_shows_against_the_wheel_speed():
+def test_the_wheel_speed_shows_another_slip_definition():
     frame, rig = _wheel()
     right = prepare(read_frame(frame), rig, ("fx",)).slip_check
     assert right.agrees and right.told_apart and right.rms < 1e-12
@@ -658,8 +658,8 @@ def test_a_slip_by_another_definition_shows_against_the_wheel_speed():
     assert prepare(read_frame(frame), RIG, ("fx",)).slip_check is None
 
 
-def test_a_wrong_radius_shows_as_an_offset():
-    """1 + sigma is in proportion to 1 / R: 1 % of it is 0.0099 at no slip."""
+def test_a_wrong_radius_gives_an_offset():
+    """1 + sigma is proportional to 1 / R: 1 % of it is 0.0099 at zero slip."""
     frame, rig = _wheel()
     data = read_frame(frame)
     wrong = replace(rig, rolling_radius=1.01 * rig.rolling_radius)
@@ -679,7 +679,7 @@ def test_a_wrong_radius_shows_as_an_offset():
     assert effect.odds(prepared) > 0 > effect.odds(prepare(data, rig, ("fx",)))
 
 
-def test_a_zero_that_follows_the_load_is_seldom_claimed_where_that_hardly_varies():
+def test_a_load_dependent_offset_is_rarely_claimed_at_nearly_constant_load():
     effect, odds = next(e for e in EFFECTS if e.id == "slip_offset_load"), []
     for spread in (0.03, 0.3):
         frame, _ = record(None)
@@ -689,7 +689,7 @@ def test_a_zero_that_follows_the_load_is_seldom_claimed_where_that_hardly_varies
     assert odds[0] == odds[1] - 2
 
 
-def test_a_radius_is_taken_from_the_speeds_or_not_at_all():
+def test_a_radius_is_estimated_only_from_the_speeds():
     frame, rig = _wheel()
     data = read_frame(frame)
     assert RIG.radius_for(data) == pytest.approx(0.32, rel=1e-9)
@@ -700,8 +700,8 @@ def test_a_radius_is_taken_from_the_speeds_or_not_at_all():
     assert rig.radius_for(bare) == 0.32
 
 
-def test_no_effect_is_known_by_its_id_elsewhere():
-    """What is special of an effect stands in its own record."""
+def test_no_other_module_uses_the_id_of_an_effect():
+    """Everything specific to an effect is in its record."""
     package = Path(tirefit.__file__).parent
     # Some are words of the input or a flag of the noise as well.
     other = {field.name for kind in (Rig, Source) for field in fields(kind)}
@@ -725,7 +725,7 @@ def _prior(effect, frame, rig, variant=0):
     return atoms_of([record_of])[variant].prior(prepared, rig)
 
 
-def test_the_data_and_the_rig_say_more_of_an_amplitude():
+def test_data_and_rig_narrow_the_prior_of_an_amplitude():
     frame, _ = record(None)
     data = read_frame(frame)
     # A wheel weighs a few hundredths of what it carries, at its radius.
@@ -752,7 +752,7 @@ def test_the_data_and_the_rig_say_more_of_an_amplitude():
 
 
 def test_effects_of_one_family_share_their_free_forms():
-    """Else a step beside a drift would count the same columns twice."""
+    """Otherwise a step and a drift would count the same columns twice."""
     records = {effect.id: effect for effect in EFFECTS}
     assert records["friction_step"].forms is records["friction_drift"].forms
     shape = records["pressure_asymmetry"].forms

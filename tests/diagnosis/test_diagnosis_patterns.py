@@ -1,4 +1,4 @@
-"""What a stranger looks like, and the probabilities that trials taught."""
+"""Patterns of unlisted effects, and probabilities calibrated by trials."""
 
 import json
 from types import SimpleNamespace
@@ -29,7 +29,7 @@ def waving(slip, time, fz, v):
     return brush(slip, 5e4, 0.9, fz) + 0.06 * fz * np.sin(2 * np.pi * time / WAVE)
 
 
-def test_evidence_of_a_pattern_is_the_integral_over_its_size():
+def test_evidence_of_a_pattern_agrees_with_the_integral():
     generator = np.random.default_rng(0)
     columns = generator.standard_normal((60, 2)).astype(np.float32)
     columns[:, 1] = 0
@@ -48,7 +48,7 @@ def test_evidence_of_a_pattern_is_the_integral_over_its_size():
     assert gain == pytest.approx(np.log((one + 1) / 2), rel=1e-4)
 
 
-def test_a_pattern_that_the_fit_uses_up_is_none():
+def test_a_pattern_within_the_fit_is_not_reported():
     generator = np.random.default_rng(1)
     used = generator.standard_normal((80, 3))
     columns = (used @ generator.standard_normal((3, 1))).astype(np.float32)
@@ -58,7 +58,7 @@ def test_a_pattern_that_the_fit_uses_up_is_none():
 
 @pytest.fixture(scope="module")
 def some():
-    """Patterns of two channels over a range and over time: plain shapes and waves."""
+    """Patterns of two channels over a range and over time: shapes and waves."""
     generator = np.random.default_rng(3)
     slip_fraction = generator.uniform(-1.5, 1.5, 90)
     time = np.sort(generator.uniform(2.0, 30.0, 90))
@@ -96,7 +96,7 @@ def test_patterns_are_forces_times_shapes(some):
     np.testing.assert_allclose(among.columns(np.array([number]))[:, 0], expected)
 
 
-def test_products_of_patterns_are_those_of_their_columns(some):
+def test_products_of_patterns_agree_with_their_columns(some):
     among, *_ = some
     columns = among.columns(np.arange(len(among.of)))
     against = np.random.default_rng(4).standard_normal((180, 3))
@@ -117,7 +117,7 @@ def test_turns_are_sines_and_cosines():
     np.testing.assert_allclose(found[:, 1::2], np.cos(angle), atol=1e-12)
 
 
-def test_fewer_columns_draw_the_same_functions():
+def test_fewer_columns_have_the_same_covariance():
     generator = np.random.default_rng(2)
     x = np.linspace(0, 1, 90)
     wide = np.exp(-0.5 * ((x[:, None] - np.linspace(0, 1, 60)) / 0.2) ** 2)
@@ -130,7 +130,7 @@ def test_fewer_columns_draw_the_same_functions():
 
 @pytest.fixture(scope="module")
 def strange():
-    """Diagnoses of two strangers."""
+    """Diagnoses of two unlisted effects."""
 
     def of(truth):
         columns, _ = record(truth, seed=5)
@@ -140,7 +140,7 @@ def strange():
     return {"wave": of(waving), "middle": of(middle)}
 
 
-def test_a_wave_in_time_is_told_with_its_period(strange):
+def test_a_wave_in_time_is_reported_with_its_period(strange):
     verdict = strange["wave"].verdict
     assert verdict.status in ("unknown", "incomplete")
     first = verdict.left.looks_like[0]
@@ -151,7 +151,7 @@ def test_a_wave_in_time_is_told_with_its_period(strange):
     assert "goes up and down with time" in " ".join(str(strange["wave"]).split())
 
 
-def test_what_is_told_stands_in_the_document(strange):
+def test_reported_patterns_are_in_the_document(strange):
     verdict = json.loads(strange["wave"].to_json())["verdict"]
     assert set(verdict["left"]["looks_like"][0]) == {
         "parameter",
@@ -166,7 +166,7 @@ def test_what_is_told_stands_in_the_document(strange):
 
 
 @pytest.mark.parametrize("of", ["wave", "middle"])
-def test_text_and_figure_tell_one_size(strange, of):
+def test_text_and_figure_have_the_same_amplitude(strange, of):
     found = strange[of]
     drawn, told = found.look, found.verdict.left.looks_like[0]
     assert drawn.look == told
@@ -174,7 +174,7 @@ def test_text_and_figure_tell_one_size(strange, of):
     assert abs(told.size) == pytest.approx(amplitude, rel=1e-3)
 
 
-def test_one_load_that_differs_is_found_by_size(strange):
+def test_one_differing_load_is_found_with_its_size(strange):
     verdict = strange["middle"].verdict
     assert verdict.status in ("unknown", "incomplete")
     first = verdict.left.looks_like[0]
@@ -183,19 +183,19 @@ def test_one_load_that_differs_is_found_by_size(strange):
     assert first.size == pytest.approx(-0.1, abs=0.02)
 
 
-def test_who_names_everything_shows_no_look(diagnosed):
+def test_no_pattern_is_reported_without_a_remainder(diagnosed):
     found, _ = diagnosed("slip_offset")
     assert found.verdict.left.looks_like == ()
 
 
-def test_the_calibration_knows_every_status():
+def test_the_calibration_has_every_status():
     assert findings._numbers().keys() <= {*Status, "noise", "unlisted"}
     doubtful, sure = (as_often_right("unlisted", p) for p in (1e-4, 0.999))
     assert doubtful < 0.1 < 0.9 < sure
 
 
-def test_verdicts_are_as_sure_as_such_verdicts_were_right(monkeypatch):
-    """Verdicts drawn to be right less often than they say, one status as often."""
+def test_calibrated_probabilities_match_the_share_of_right_verdicts(monkeypatch):
+    """Verdicts that are right less often than stated, except for one status."""
     generator, verdicts = np.random.default_rng(5), []
     for status, offset, slope in (("none", -0.4, 0.5), ("named", 0.0, 1.0)):
         said = generator.uniform(0.2, 0.99, 4000)

@@ -1,4 +1,4 @@
-"""The tests of the remainder: right under noise, each sharp where it should be."""
+"""The tests of the remainder: uniform under noise, sensitive to their structure."""
 
 from types import SimpleNamespace
 
@@ -49,7 +49,7 @@ PREPARED = prepared(FRAME)
 
 
 class Fitted(Base):
-    """Rows with their noise: all that the tests of a remainder ask of a base."""
+    """Rows with their noise: everything that the tests of a remainder need."""
 
     def __init__(self, rows, memory=FORGETFUL, doubt=NOTHING, keep=None):
         keep = np.ones(rows.n) if keep is None else keep.astype(float)
@@ -59,7 +59,7 @@ class Fitted(Base):
 
 
 def judged(residual, seed=0, rows=PREPARED, columns=COLUMNS, **given):
-    """The tests of what columns leave of a residual."""
+    """The tests of the residual that remains after fitting columns."""
     linear = LinearFit(residual, columns, columns[:, :0], columns[:, :0])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(remainder, "linear_at", lambda base, fit: linear)
@@ -71,7 +71,7 @@ def noise_of(seed, rows=ROWS):
     return np.random.default_rng(seed).standard_normal(rows)
 
 
-def test_noise_passes_as_often_as_it_should():
+def test_pure_noise_has_uniform_p_values():
     found = [judged(noise_of(100 + k), k)._asdict() for k in range(60)]
     low, high = binom.ppf([0.001, 0.999], 60, 0.2)
     for name in ("time", "slip_order", "line", "pure_error", "local"):
@@ -80,11 +80,11 @@ def test_noise_passes_as_often_as_it_should():
 
 
 @pytest.mark.parametrize("size", [0.5, 300.0])
-def test_a_wrong_noise_level_is_no_finding(size):
+def test_a_wrong_noise_level_changes_no_p_value(size):
     assert judged(noise_of(2)) == judged(size * noise_of(2))
 
 
-def test_noise_with_a_memory_is_granted_only_where_it_was_judged_so():
+def test_correlated_noise_is_accepted_only_if_it_was_estimated():
     generator, noise = np.random.default_rng(3), np.zeros(ROWS)
     for k in range(1, ROWS):
         noise[k] = 0.6 * noise[k - 1] + generator.standard_normal()
@@ -92,8 +92,8 @@ def test_noise_with_a_memory_is_granted_only_where_it_was_judged_so():
     assert judged(noise).time < LEVEL
 
 
-def test_noise_with_a_memory_is_as_long_as_it_says():
-    """Lag by lag, the share that has a memory fades by its own factor."""
+def test_drawn_noise_has_the_stated_correlation():
+    """At each lag, the correlated share decays by its own factor."""
     rows = [np.arange(400)]
     drawn = _noise(400, (Memory(0.7, 0.4),), rows, np.random.default_rng(8))
     for lag in (1, 3):
@@ -106,7 +106,7 @@ LATERAL = {"alpha": SLIP, "fy": FRAME["fx"], "mz": FRAME["fx"] / 50, "fz": FRAME
 
 
 def test_channels_that_share_a_parameter_are_fitted_together(monkeypatch):
-    """What noise of one channel does to the other's residual is in its draws."""
+    """The draws include the effect of one channel's noise on the other's residual."""
     shared, seen = np.concatenate([np.ones(ROWS), 0.1 * np.ones(ROWS)])[:, None], []
     tests_of = remainder._p_values
 
@@ -123,7 +123,7 @@ def test_channels_that_share_a_parameter_are_fitted_together(monkeypatch):
     assert strong < 0.02 / ROWS
 
 
-def test_what_is_in_doubt_is_no_finding():
+def test_structure_within_the_slip_doubt_is_not_reported():
     off = np.sin(40 * SLIP)
     residual = noise_of(4) + 1.4 * off
     assert judged(residual).slip_order < LEVEL
@@ -140,12 +140,12 @@ STRUCTURES = {
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
-def test_each_sees_its_own_structure(name):
+def test_each_test_detects_its_structure(name):
     result = judged(noise_of(4) + STRUCTURES[name])
     assert getattr(result, name) < LEVEL, result
 
 
-def test_a_wave_shows_in_noise_that_it_gives_a_memory():
+def test_a_wave_is_found_despite_the_correlation_it_causes():
     # The memory that an oscillation seems to give the noise explains its neighbours,
     # not its period. A saw tooth in the second half of every sweep:
     chatter = 3.0 * (2 * (TIME / 12.0 % 1) - 1) * (TIME % 50 > 25)
@@ -154,7 +154,7 @@ def test_a_wave_shows_in_noise_that_it_gives_a_memory():
     assert result.time > LEVEL
 
 
-def test_a_wave_keeps_its_phase_beyond_rows_that_are_excluded(monkeypatch):
+def test_a_wave_keeps_its_phase_across_excluded_rows(monkeypatch):
     keep = np.random.default_rng(9).uniform(size=ROWS) > 0.25
     residual = np.where(keep, noise_of(9) + 0.9 * np.sin(2.1 * TIME), 0.0)
     assert judged(residual, keep=keep).line < 1e-3
@@ -163,7 +163,7 @@ def test_a_wave_keeps_its_phase_beyond_rows_that_are_excluded(monkeypatch):
     assert judged(residual, keep=keep).line > 0.01
 
 
-def test_a_wave_over_the_distance_shows_though_the_speed_changes(monkeypatch):
+def test_a_wave_in_distance_is_found_at_varying_speed(monkeypatch):
     speeds = np.linspace(4.0, 12.0, ROWS)
     rows = prepared(FRAME | {"v": speeds})
     distance = 0.05 * np.cumsum(speeds)
@@ -173,7 +173,7 @@ def test_a_wave_over_the_distance_shows_though_the_speed_changes(monkeypatch):
     assert judged(residual, rows=rows).line > 0.01
 
 
-def test_beyond_all_draws_a_p_value_is_that_of_their_tail():
+def test_beyond_all_draws_the_p_value_is_extrapolated():
     many = np.random.default_rng(2).exponential(size=(40, 999))
     assert _p_value(1.0, many[0]) == np.mean(np.append(many[0], 1.0) >= 1.0)
     # 999 draws know what one in 3,000 and one in 20,000 exceeds to a factor of two.
@@ -184,13 +184,13 @@ def test_beyond_all_draws_a_p_value_is_that_of_their_tail():
     assert _p_value(1e9, many[0]) > 0
 
 
-def test_what_was_fitted_is_no_structure():
+def test_fitted_columns_are_not_reported_as_structure():
     fitted = judged(noise_of(5) + COLUMNS @ [30.0, -200.0, 4.0, 7.0])
     assert min(fitted) > LEVEL
     np.testing.assert_allclose(fitted, judged(noise_of(5)), rtol=1e-6)
 
 
-def test_rows_without_time_and_settings_have_no_such_tests():
+def test_tests_in_time_need_time_and_settings():
     loads = 4e3 * np.exp(2 * noise_of(6))
     frame = {"sigma_x": SLIP, "fx": loads * np.tanh(20 * SLIP), "fz": loads}
     result = judged(noise_of(7), rows=prepared(frame))
@@ -209,7 +209,7 @@ def test_the_floor_of_a_p_value_grows_with_the_channels():
     assert two.line == 2 * LEAST_P
 
 
-def test_the_widening_is_the_mean_square_that_is_left_in_independent_rows():
+def test_the_widening_is_the_mean_square_of_independent_rows():
     base = Fitted(PREPARED)
     assert widening(base, 0.3 * noise_of(1)) == 1.0
     assert widening(base, 2 * noise_of(1)) == pytest.approx(4.0, rel=0.35)
@@ -218,9 +218,9 @@ def test_the_widening_is_the_mean_square_that_is_left_in_independent_rows():
     assert widening(base, 2 * pairs) == pytest.approx(8.0, rel=0.5)
 
 
-def test_what_another_form_explains_is_no_remainder():
-    """A zero of the slip that settles within a tenth of the record, about its mean,
-    against the formulas alone, which cannot, and with their other forms."""
+def test_another_form_of_an_effect_leaves_no_remainder():
+    """A slip offset that settles within a tenth of the record, compared with the
+    formulas alone, which do not fit, and with their other forms."""
 
     def settling(slip, time, fz, v):
         return brush(slip + 0.02 * (np.exp(-time / 2.4) - 0.12), 5e4, 0.9, fz)

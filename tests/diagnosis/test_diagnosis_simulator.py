@@ -1,4 +1,4 @@
-"""Simulators diagnosed as they are, of known error."""
+"""Diagnoses of simulators with known errors."""
 
 import json
 import re
@@ -85,7 +85,7 @@ def scipy_budget(frame):
     }
 
 
-def test_parameters_and_effect_share_the_error_as_scipy_says(frame, as_given):
+def test_shares_of_parameters_and_effect_agree_with_scipy(frame, as_given):
     assert as_given.effects == ("slip_offset",)
     assert as_given.verdict.status == "named"
     mu, cpa2 = (as_given.verdict.parameters[name] for name in ("mu", "cpa2"))
@@ -105,7 +105,7 @@ def test_parameters_and_effect_share_the_error_as_scipy_says(frame, as_given):
     assert parts["unexplained"].share < 0.01
 
 
-def test_the_gap_is_that_of_the_simulator_as_given(frame, as_given):
+def test_the_gap_is_measured_from_the_given_simulator(frame, as_given):
     truth, found = rows()[1], as_given.rows["fx"]
     given = brush(frame["sigma_x"], TRUE["cpa2"], TOO_HIGH * TRUE["mu"], frame["fz"])
     np.testing.assert_allclose(found["base"], given, rtol=1e-9, atol=1e-6)
@@ -122,7 +122,7 @@ def test_the_gap_is_that_of_the_simulator_as_given(frame, as_given):
     assert as_given.simulator.surrogate.of_force < 1e-9
 
 
-def test_a_form_that_is_fitted_has_no_parameters_to_blame(frame):
+def test_without_a_simulator_no_parameter_differs(frame):
     found = studied(frame, None)
     assert found.simulator is None and found.verdict.parameters == {}
     assert [part.part for part in found.budget] == ["slip_offset", "unexplained", "noise"]
@@ -163,11 +163,11 @@ def test_a_tir_file_is_adapted_by_its_scaling_factors():
 
 
 def bump(slip, fz):
-    """What no brush has."""
+    """A force that no brush has."""
     return 0.05 * fz * np.sin(60 * slip)
 
 
-def test_what_the_simulator_has_beyond_its_tire_stays_in():
+def test_force_of_the_simulator_beyond_its_tire_is_kept():
     frame, truth = rows(bump, offset=0.0)
     slip, fz = frame["sigma_x"], frame["fz"]
     sim = brush(slip, TRUE["cpa2"], TOO_HIGH * TRUE["mu"], fz) + bump(slip, fz)
@@ -187,18 +187,17 @@ def test_what_the_simulator_has_beyond_its_tire_stays_in():
 
 
 def curved(slip, fz, mu=1.0, stiffness=1.0):
-    """No brush: a force that bends softly over kappa, its friction and stiffness by the
-    load."""
+    """No brush: a force with a smooth bend over kappa; friction and stiffness depend on
+    the load."""
     peak = mu * fz * (1.15 - 0.15 * fz / 4000)
     slope = stiffness * 1.3e5 * np.tanh(fz / 4500)
     return peak * np.tanh(slope * slip / (1 + slip) / peak)
 
 
 @pytest.mark.parametrize("offset", [0.0, OFFSET])
-def test_a_simulator_that_is_no_brush_is_followed_by_what_does_it(offset):
-    """Friction 10 % too high, stiffness 15 % too low: that alone, or beside an offset
-    of the slip; a brush that stands in for it calls the rest by the name of an effect.
-    """
+def test_a_simulator_that_is_no_brush_is_approximated_by_another_model(offset):
+    """Friction 10 % too high, stiffness 15 % too low: alone, or with a slip offset;
+    approximated by a brush, the rest would be named as an effect."""
     slip, fz = (rows()[0][name] for name in ("sigma_x", "fz"))
     noise = NOISE * np.random.default_rng(1).standard_normal(len(slip))
     frame = {"sigma_x": slip, "fz": fz, "fx": curved(slip + offset, fz) + noise}
@@ -219,9 +218,9 @@ def test_a_simulator_that_is_no_brush_is_followed_by_what_does_it(offset):
     assert asked.simulator.surrogate.model == "brush-load"
 
 
-def test_how_a_simulator_may_differ_from_its_stand_in_is_known_to_first_order():
-    """A tire and what it misses, both by similarity: what the changed simulator does
-    beyond the changed tire is in the span of the two columns."""
+def test_changes_of_a_simulator_are_approximated_to_first_order():
+    """A tire and its deviation, both by similarity: what the changed simulator adds to
+    the changed tire is in the span of the two columns."""
     slip = np.linspace(-0.2, 0.2, 400)
 
     def missed(slip, friction=1.0, stiffness=1.0):
@@ -238,7 +237,7 @@ def test_how_a_simulator_may_differ_from_its_stand_in_is_known_to_first_order():
 
 
 def dugoff(slip, fz, friction=0.9, stiffness=9e4):
-    """Linear, then a square law, with a bend of its slope that no other tire has."""
+    """Linear, then a square law, with a kink of its slope that no other tire has."""
     used = friction * fz / (2 * stiffness * np.maximum(np.abs(slip), 1e-12))
     return stiffness * slip * np.where(used < 1, used * (2 - used), 1.0)
 
@@ -258,7 +257,7 @@ def dugoff(slip, fz, friction=0.9, stiffness=9e4):
         ),
     ],
 )
-def test_what_a_stand_in_misses_is_no_effect_of_the_measurement(offset):
+def test_errors_of_the_approximation_are_not_named_as_effects(offset):
     slip, fz = (rows(count=240)[0][name] for name in ("sigma_x", "fz"))
     noise = NOISE * np.random.default_rng(3).standard_normal(len(slip))
     force = dugoff(slip + offset, fz) + noise
@@ -272,9 +271,9 @@ def test_what_a_stand_in_misses_is_no_effect_of_the_measurement(offset):
     assert abs(change.measured - 1.25) < 0.01 + 3 * change.std < 0.05
 
 
-def test_a_refit_that_told_two_effects_apart_binds_what_may_be_meant():
-    """Beside a simulator whose slip is off, friction that the speed changes looks like
-    an offset to first order: its refit explains nothing."""
+def test_an_effect_excluded_by_its_refit_is_not_also_possible():
+    """With a slip offset, friction that depends on the speed looks like an offset to
+    first order, but its refit explains nothing."""
     slip, fz = (rows(count=100)[0][name] for name in ("sigma_x", "fz"))
     noise = NOISE * np.random.default_rng(4).standard_normal(len(slip))
     frame = {"sigma_x": slip, "fz": fz, "fx": curved(slip, fz) + noise, "v": 15 + 0 * fz}
@@ -285,14 +284,14 @@ def test_a_refit_that_told_two_effects_apart_binds_what_may_be_meant():
         assert listed.get((effect,), 0.0) > 0
 
 
-def test_a_model_says_all_values_that_it_was_given():
+def test_a_model_reports_given_and_default_values():
     given = simulator_at("brush", {"mu": 0.9})
     assert given.source == "brush, cpa2 = 50000 (default), mu = 0.9"
 
 
-def test_a_force_of_a_tire_that_is_not_measured_is_none_of_the_gap():
-    """A .tir without coefficients of M_z has a moment of zero, which nobody asks for;
-    beside a measured moment it says nothing of it."""
+def test_an_unmodelled_moment_is_not_part_of_the_gap():
+    """A .tir without coefficients of M_z gives a moment of zero, which is no
+    prediction; a measured moment is then not compared."""
     alpha, fz = np.tile(np.linspace(-0.15, 0.15, 60), 3), np.repeat((2e3, 4e3, 6e3), 60)
     silent = with_values(simulator_at(str(TIR)).tire, {"LTR": 0.0, "LRES": 0.0})
     data = read_frame({"alpha": alpha, "fy": 0 * alpha + fz, "fz": fz}, "tir")
@@ -305,12 +304,12 @@ def test_a_force_of_a_tire_that_is_not_measured_is_none_of_the_gap():
     assert "mz_sim" not in beside.beside(read_frame(frame | moment, "tir"))
 
 
-def test_a_simulator_that_is_a_brush_is_followed_by_it(frame):
+def test_a_brush_simulator_is_approximated_by_a_brush(frame):
     sim = brush(frame["sigma_x"], TRUE["cpa2"], TOO_HIGH * TRUE["mu"], frame["fz"])
     assert studied(frame, sim).simulator.surrogate.model == "brush"
 
 
-def test_a_lateral_simulator_by_its_force():
+def test_a_lateral_simulator_is_accepted_by_its_force():
     frame, truth = rows(offset=0.0, seed=4)
     alpha, fz = np.arctan(frame["sigma_x"]), frame["fz"]
     lateral = {"alpha": alpha, "fy": frame["fx"], "fz": fz}
@@ -327,7 +326,7 @@ def test_a_lateral_simulator_by_its_force():
 
 
 def test_every_channel_of_a_simulator_has_its_budget():
-    """Friction too high: of the moment an error of its own, in its own unit."""
+    """Friction too high: the moment has a separate error in its own unit."""
     generator, slip = np.random.default_rng(7), np.tile(np.linspace(-0.2, 0.2, 60), 3)
     fz, alpha = np.repeat((2000.0, 4000.0, 6000.0), 60), np.arctan(slip)
     inputs = read_frame({"alpha": alpha, "fy": fz, "mz": fz, "fz": fz}, "in")
@@ -361,8 +360,8 @@ def test_every_channel_of_a_simulator_has_its_budget():
     assert document["budgets"]["mz"][0]["part"] == "parameters"
 
 
-def test_a_force_that_nobody_cares_for_takes_no_part():
-    """A moment with a gap of its own, left out: as if it had not been measured."""
+def test_an_excluded_force_has_no_influence():
+    """An excluded moment with a gap: the result is that without the moment."""
     generator, slip = np.random.default_rng(8), np.tile(np.linspace(-0.2, 0.2, 40), 2)
     fz, alpha = np.repeat((2000.0, 4000.0), 40), np.arctan(slip)
     inputs = read_frame({"alpha": alpha, "fy": fz, "mz": fz, "fz": fz}, "in")
@@ -380,13 +379,13 @@ def test_a_force_that_nobody_cares_for_takes_no_part():
         diagnose(read_frame(frame, "y"), forces=["mz"], **settings)
 
 
-def test_a_force_that_is_not_simulated_names_its_column(frame):
+def test_a_missing_simulated_force_names_its_column(frame):
     both = frame | {"alpha": frame["sigma_x"], "fy": frame["fx"]}
     with pytest.raises(UsageError, match="(?s)no fy_sim.*ask for fx alone"):
         diagnose(read_frame(both | {"fx_sim": both["fx"]}), sim=True, forces="fy")
 
 
-def test_the_tire_that_stands_in_is_fitted_to_the_simulation(frame):
+def test_the_approximating_tire_is_fitted_to_the_simulation(frame):
     data = read_frame(frame | {"fx_sim": 2 * frame["fx"]}, "a")
     std = replace(data, columns={**data.columns, "fx_std": 0 * data["fx"] + 1})
     simulated = as_measured(std, ("fx",))
@@ -394,17 +393,17 @@ def test_the_tire_that_stands_in_is_fitted_to_the_simulation(frame):
     assert "fx_std" not in simulated
 
 
-def test_held_out_files_have_the_simulator_too(frame):
+def test_the_simulator_also_predicts_held_out_files(frame):
     other = rows(seed=5)[0]
     sim = simulator_at("brush", {"cpa2": TRUE["cpa2"], "mu": TOO_HIGH * TRUE["mu"]})
     found = studied(frame, sim, holdout=[read_frame(other, "b")])
     assert found.gap.holdout.on == "b" and found.gap.holdout.closed > 0.9
-    # Arrays are of the rows they were given for.
+    # Arrays belong to the rows for which they were given.
     with pytest.raises(DataError, match="no measured force has a simulated one"):
         studied(frame, frame["fx"], holdout=[read_frame(other, "b")])
 
 
-def test_parts_of_blocks_are_means_over_whole_blocks():
+def test_block_means_are_taken_over_whole_blocks():
     terms = np.stack([np.repeat([1.0, 3.0], 50), np.ones(100)], axis=1)
     drawn = block_means(terms, np.zeros(100), 25.0, np.random.default_rng(0))
     # Two blocks of fifty rows each: only three means can be drawn.
@@ -412,8 +411,8 @@ def test_parts_of_blocks_are_means_over_whole_blocks():
     np.testing.assert_array_equal(drawn[:, 1], 1.0)
 
 
-def test_a_part_that_makes_matters_worse_counts_nothing():
-    # Two parts, what is left, noise, whole: closed are 6 of 10.
+def test_a_part_that_increases_the_error_has_share_zero():
+    # Two parts, remainder, noise, total: 6 of 10 are closed.
     means = np.array([[7.0, -1.0, 4.0, 1.0, 10.0], [2.0, 4.0, 4.0, 5.0, 10.0]])
     wanted = [[6.0, 0.0, 3.0, 1.0, 10.0], [2.0, 4.0, 0.0, 4.0, 10.0]]
     np.testing.assert_allclose(_energies(means), wanted)
@@ -422,7 +421,7 @@ def test_a_part_that_makes_matters_worse_counts_nothing():
     np.testing.assert_allclose(worse, [0.0, 0.0, 9.0, 1.0, 10.0])
 
 
-def test_what_cannot_be_a_simulator_is_refused(frame):
+def test_invalid_simulators_are_refused(frame):
     with pytest.raises(DataError, match="(?s)no measured force has a simulated one.*beside=True"):
         studied(frame, True)
     with pytest.raises(DataError, match="(?s)does not follow it.*--model"):
@@ -455,7 +454,7 @@ def test_rows_without_a_simulated_force_are_masked(frame):
     assert again.n == found.n and again.verdict == found.verdict
 
 
-def test_a_fit_with_parameters_of_each_run_is_no_one_simulator(frame):
+def test_a_fit_with_parameters_per_run_is_refused(frame):
     run = np.where(np.arange(180) % 2, "a", "b")
     runs = read_frame(frame | {"run": run}, "runs")
     config = {"parameters": {"mu": {"per_run": True}}}
@@ -463,8 +462,8 @@ def test_a_fit_with_parameters_of_each_run_is_no_one_simulator(frame):
         studied(frame, fit(runs, "brush", config=config))
 
 
-def test_what_a_file_lacks_is_reported_beside_its_data(tmp_path):
-    """Combined slip by similarity, and an option that leaves it as in pure slip."""
+def test_missing_coefficients_of_a_tir_are_reported(tmp_path):
+    """Combined slip by similarity, and an option for the forces of pure slip."""
     text = re.sub(r"(?m)^R[BCEHV][XY]\d .*\n", "", TIR.read_text())
     (tmp_path / "plain.tir").write_text(text)
     table = {

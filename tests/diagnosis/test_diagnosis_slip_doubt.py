@@ -1,4 +1,4 @@
-"""What is not known of the true slips, against repeated measurements of known ones."""
+"""The uncertainty of the true slips, compared with repeated measurements."""
 
 import numpy as np
 import pytest
@@ -6,11 +6,14 @@ from conftest_diagnosis import brush
 from scipy.stats import multivariate_normal
 
 from tirefit.data.read import read_frame
+from tirefit.diagnosis.decide.findings import amplitude_over_error
+from tirefit.diagnosis.decide.remainder import widening
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.evidence.base import fit_base
-from tirefit.diagnosis.evidence.posterior import due_to_doubt, gains_beside, linear_at
-from tirefit.diagnosis.evidence.search import Search
+from tirefit.diagnosis.evidence.posterior import due_to_doubt, gains_beside, linear_at, weigh
+from tirefit.diagnosis.evidence.search import Search, amplitudes_of
+from tirefit.diagnosis.left_out import Predicted
 from tirefit.diagnosis.rows.basis import SCALES, without
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
@@ -30,16 +33,16 @@ def doubt(slip, std=STD, path=None):
     return slip_doubt(slip_law(slip, std), slip, std, path)
 
 
-def test_no_noise_no_doubt():
+def test_without_noise_there_is_no_slip_doubt():
     slip = np.linspace(0, 0.05, ROWS)
     assert doubt(slip, 0.0).shape == (ROWS, 0)
-    # A large slip beside its noise has no bend within it.
+    # A slip much larger than its noise has no bend within the noise.
     assert doubt(100 * slip).shape == (ROWS, 0)
 
 
-def test_the_density_is_as_unsure_as_measuring_again_says():
-    """Over files of one density, what is believed of a measured slip scatters as the
-    columns say, within the range and at its ends."""
+def test_the_density_has_the_scatter_of_repeated_measurements():
+    """Over files of one density, the estimate of a measured slip scatters as the
+    columns state, within the range and at its ends."""
     places = np.array([-0.003, 0.002, 0.01, 0.025, 0.04, 0.05])
     beliefs, stated = [], []
     for seed in range(40):
@@ -58,9 +61,9 @@ def test_the_density_is_as_unsure_as_measuring_again_says():
     assert np.all(said < 4 * scatter)
 
 
-def test_rows_that_stand_are_off_together():
-    """Nine rows in ten roll freely; the rest rises to a slip within the noise, where
-    they are believed to stand, all of them too low."""
+def test_free_rolling_rows_have_a_common_error():
+    """Nine rows in ten roll freely; the slip of the rest rises within the noise, so
+    that they are taken for free rolling, with the same error."""
     path = np.where(np.arange(ROWS) % 10 == 0, 1.2 * STD, 0.0)
     path[-20:] = np.linspace(0.02, 0.1, 20)
     slip = path + STD * np.random.default_rng(1).standard_normal(ROWS)
@@ -76,9 +79,9 @@ def proxies(slip, measured, path=None, past=None, std=STD):
     return slip_proxies(slip_law(slip, std), slip, std, measured, path, past)
 
 
-def test_what_moves_with_the_true_slip_tells_its_error():
-    """A column follows the error of the believed slip in its own size; what knows the
-    slip badly, or not at all, gives none."""
+def test_channels_correlated_with_the_slip_estimate_its_error():
+    """A column follows the error of the estimated slip in size; a channel with little
+    or no correlation gives none."""
     generator = np.random.default_rng(2)
     path = 0.1 * np.sin(np.linspace(0, 20, ROWS))
     slip = path + STD * generator.standard_normal(ROWS)
@@ -94,9 +97,9 @@ def test_what_moves_with_the_true_slip_tells_its_error():
     assert proxies(path, others, path, std=0).shape == (ROWS, 0)
 
 
-def test_no_column_repeats_what_the_law_of_the_slips_knows():
-    """Pulses of braking between which the wheel rolls freely: the measured slip less
-    the true one depends on the measured slip, the column does not."""
+def test_channels_add_only_new_information_on_the_slip():
+    """Pulses of braking with free rolling in between: the error of the measured slip
+    depends on the measured slip, the column does not."""
     generator = np.random.default_rng(4)
     path = np.maximum(0.1 * np.sin(np.linspace(0, 40, ROWS)), 0)
     slip = path + STD * generator.standard_normal(ROWS)
@@ -106,8 +109,8 @@ def test_no_column_repeats_what_the_law_of_the_slips_knows():
     assert abs(own) < 0.5 * abs(raw)
 
 
-def test_what_tells_only_together_tells():
-    """Two channels of a motion of which neither follows the slip; and the past."""
+def test_channels_that_inform_only_together_are_used():
+    """Two channels of a motion that only together follow the slip; and the past."""
     generator = np.random.default_rng(3)
     turn = np.linspace(0, 20, ROWS)
     path, other = 0.1 * np.sin(turn), 0.3 * np.sin(2.3 * turn)
@@ -119,7 +122,7 @@ def test_what_tells_only_together_tells():
     ):
         (column,) = proxies(slip, measured, past=past).T
         np.testing.assert_allclose(column, path - believed(slip), atol=0.6 * STD)
-    # Neither does alone, nor the past by itself.
+    # Neither informs alone, nor does the past.
     assert proxies(slip, [path + other]).shape == (ROWS, 0)
     assert proxies(slip, [], past=past).shape == (ROWS, 0)
 
@@ -142,7 +145,7 @@ def slalom(friction=lambda time: 0.9, rows=1000):
     return read_frame(frame, "slalom")
 
 
-def test_a_load_that_the_cornering_shifts_names_no_effect():
+def test_load_transfer_in_cornering_names_no_effect():
     verdict = diagnose(slalom(), rig=SLALOM_RIG).verdict
     assert not verdict.names_an_effect and verdict.status != "unknown"
 
@@ -152,7 +155,7 @@ def test_a_load_that_the_cornering_shifts_names_no_effect():
     reason="a smooth discrepancy alone is as probable as the drift: unknown, with the"
     " drift among also_possible",
 )
-def test_what_the_load_knows_of_the_slip_hides_no_effect():
+def test_a_load_correlated_with_the_slip_hides_no_effect():
     data = slalom(lambda time: 0.9 - 0.012 * time)
     verdict = diagnose(data, rig=SLALOM_RIG).verdict
     assert (verdict.status, verdict.effects) == ("named", ("friction_drift",))
@@ -160,7 +163,7 @@ def test_what_the_load_knows_of_the_slip_hides_no_effect():
 
 @pytest.fixture(scope="module")
 def doubted():
-    """A search on 200 rows of a slalom whose slips are doubtful."""
+    """A search on 200 rows of a slalom with uncertain slips."""
     prepared = prepare(slalom(rows=200), SLALOM_RIG, ("fx",))
     base = fit_base(prepared, "brush", EFFECTS, SLALOM_RIG)
     names = [atom.effect.id for atom in base.atoms]
@@ -168,7 +171,7 @@ def doubted():
     return base, Search(base, [names.index(name) for name in wanted])
 
 
-def test_doubt_is_one_more_noise(doubted):
+def test_slip_doubt_acts_as_added_noise(doubted):
     base, _ = doubted
     assert base.doubt.shape[1] > 0
     values = np.random.default_rng(0).standard_normal((len(base.doubt), 3))
@@ -177,7 +180,7 @@ def test_doubt_is_one_more_noise(doubted):
     np.testing.assert_allclose(twice, np.linalg.solve(covariance, values), atol=1e-9)
 
 
-def test_evidence_with_doubt_is_no_more_than_that_of_the_normal_law_it_states(doubted):
+def test_evidence_with_slip_doubt_is_bounded_by_the_normal_law(doubted):
     base, searcher = doubted
     residual, jacobian, columns, _ = base.at_null
     flat = jacobian / np.linalg.norm(jacobian, axis=0) * 1e4
@@ -201,8 +204,8 @@ def test_evidence_with_doubt_is_no_more_than_that_of_the_normal_law_it_states(do
     assert min(changes.values()) < -0.1 and max(changes.values()) > 0.0
 
 
-def test_doubt_around_a_fit_is_one_more_noise(doubted):
-    """Laplace's evidence around each set's own fit, with the dense covariance."""
+def test_slip_doubt_around_a_fit_acts_as_added_noise(doubted):
+    """Laplace's evidence around the fit of each set, with the dense covariance."""
     base, searcher = doubted
     searcher.refit([(atom,) for atom in searcher.testable], {})
     covariance = np.eye(len(base.doubt)) + base.doubt @ base.doubt.T
@@ -221,9 +224,9 @@ def test_doubt_around_a_fit_is_one_more_noise(doubted):
         assert due_to_doubt(base, fit, linear) == pytest.approx(wanted, abs=1e-3)
 
 
-def test_doubt_is_one_more_noise_to_what_is_not_listed(doubted):
-    """The density of a normal law with and without doubt: what doubt makes is little
-    evidence of something unlisted, and doubt adds none."""
+def test_slip_doubt_acts_as_added_noise_for_the_unlisted(doubted):
+    """The density of a normal distribution with and without doubt: doubt gives little
+    evidence of something unlisted, and adds none."""
     base, searcher = doubted
     at_fit = linear_at(base, searcher.tried[()])
     flat = at_fit.explained / np.linalg.norm(at_fit.explained, axis=0) * 1e4
@@ -253,3 +256,30 @@ def test_doubt_is_one_more_noise_to_what_is_not_listed(doubted):
         assert sure > 5
         found[kind] = wanted / sure
     assert found["doubt"] < 0.3 < found["smooth"]
+
+
+@pytest.mark.parametrize("parts", [None, np.array([0.0, 30.0, -10.0, 4.0])])
+def test_error_of_an_amplitude_includes_slip_uncertainty_and_jackknife(doubted, parts):
+    """Against refits of simulated slip errors, and the textbook sum of the jackknife."""
+    base, searcher = doubted
+    atom = searcher.testable[0]
+    searcher.refit([(atom,)], {})
+    weighed, key = weigh(searcher), (base.atoms[atom].effect.id,)
+    none, sets = np.zeros((0, 0)), () if parts is None else (key,)
+    amplitude = () if parts is None else (parts[:, None],)
+    out = Predicted("rows", False, sets, none, none, none, amplitude, none)
+    fit = weighed.best_of[key]
+    linear, p = linear_at(base, fit), len(fit.z)
+    draws = np.random.default_rng(8).standard_normal((base.doubt.shape[1], 20_000))
+    prior = np.eye(p + 1)[[p]]
+    wrong = np.concatenate([base.doubt @ draws, np.zeros((1, 20_000))])
+    refits = np.linalg.lstsq(np.concatenate([linear.used_up, prior]), wrong, rcond=None)[0]
+    left = base.residual(fit.z, amplitudes_of(base, fit))
+    known = fit.covariance[p, p] * widening(base, left)
+    error = np.hypot(np.sqrt(known), refits[p].std())
+    assert refits[p].std() > 0.1 * error
+    if parts is not None:
+        count = len(parts)
+        error = np.sqrt((count - 1) / count * np.sum((parts - parts.mean()) ** 2))
+    found = amplitude_over_error(base, weighed, out, key)
+    assert found == {key[0]: pytest.approx(abs(fit.amplitude[0]) / error, rel=0.02)}

@@ -1,4 +1,4 @@
-"""The noise of a slip that nobody stated, by the scatter of the forces."""
+"""The undeclared noise of a slip, from the scatter of the forces."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ TIME = np.arange(ROWS)
 
 
 def shown(seed, slip_noise, own=0.005 * LOADS, off=0.0):
-    """Of steady points in a random order, fitted by the true curve."""
+    """Steady points in random order, fitted by the true curve."""
     generator = np.random.default_rng(seed)
     slip = generator.uniform(0, 0.15, ROWS)
     measured = slip + slip_noise * generator.normal(size=ROWS)
@@ -27,22 +27,22 @@ def shown(seed, slip_noise, own=0.005 * LOADS, off=0.0):
     return slip_scatter(force - curve(measured), steepness, LOADS, by_slip, [TIME])
 
 
-def test_scatter_where_the_force_is_steep_is_the_noise_of_the_slip():
+def test_scatter_at_steep_slopes_gives_the_slip_noise():
     found = [shown(seed, NOISE) for seed in range(10)]
     assert np.mean(found) == pytest.approx(NOISE, rel=0.1)
     assert np.std(found) < 0.15 * NOISE
 
 
 @pytest.mark.parametrize("growing", [0.0, 0.01])
-def test_noise_of_the_force_alone_shows_none_of_the_slip(growing):
+def test_force_noise_alone_gives_no_slip_noise(growing):
     own = 20 + growing * LOADS
     found = [shown(seed, 0.0, own) for seed in range(40)]
     assert np.count_nonzero(found) <= 2
     assert max(found) < NOISE / 2
 
 
-def test_a_slip_zero_that_moves_is_no_noise():
-    """Neighbours in slip scatter by it, neighbours in time are off alike."""
+def test_a_drifting_slip_offset_is_not_taken_for_noise():
+    """Neighbours in slip scatter by it, but neighbours in time have the same error."""
     drift = NOISE * np.sqrt(2) * np.sin(2 * np.pi * TIME / 300)
     found = [shown(seed, 0.0, off=drift) for seed in range(10)]
     assert np.mean(found) < 0.6 * NOISE
@@ -58,7 +58,7 @@ def steady(seed, slip_noise):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_noise_of_a_slip_that_nobody_stated_is_no_gap(seed):
+def test_undeclared_slip_noise_gives_no_gap(seed):
     noise = 2 * NOISE
     found = diagnose(read_frame(steady(seed, noise)))
     assert found.verdict.status == "none"
@@ -69,8 +69,8 @@ def test_noise_of_a_slip_that_nobody_stated_is_no_gap(seed):
 
 
 @pytest.mark.parametrize("seed", [1, 2, 5])
-def test_a_slip_offset_is_no_noise_of_the_slip(seed):
-    """Where the curve bends at zero slip, a shifted one scatters about it by rows."""
+def test_a_slip_offset_is_not_taken_for_slip_noise(seed):
+    """With a kink at zero slip, a shifted curve scatters there from row to row."""
     generator = np.random.default_rng(seed)
     slip, fz = np.tile(np.linspace(-0.2, 0.2, 32), 3), np.repeat(LOADS[::200], 32)
     force = brush(slip + 0.006, 5e4, 0.9, fz) + 20 * generator.normal(size=96)
@@ -80,7 +80,7 @@ def test_a_slip_offset_is_no_noise_of_the_slip(seed):
     assert found.noise.slip == 0
 
 
-def test_what_is_stated_of_the_slip_is_not_estimated():
+def test_stated_slip_noise_is_not_estimated():
     columns = steady(1, 2 * NOISE)
     found = diagnose(read_frame(columns | {"sigma_x_std": np.full(ROWS, 0.001)}))
     assert found.noise.slip == 0.001

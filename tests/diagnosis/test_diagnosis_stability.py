@@ -1,5 +1,5 @@
-"""What says nothing of the tire changes no verdict: the order of rows, the seed, last
-digits, a further run that agrees. On synthetic runs and on six measured logs."""
+"""Changes that are irrelevant to the tire change no verdict: the order of rows, the
+seed, last digits, another run that agrees. On synthetic runs and six measured logs."""
 
 from pathlib import Path
 
@@ -41,7 +41,7 @@ def moved(columns):
 
 
 def only(columns, count):
-    """The first runs, as they stand in the file."""
+    """The first runs, in the order of the file."""
     kept = list(dict.fromkeys(columns["run"]))[:count]
     rows = np.isin(columns["run"], kept)
     return {name: values[rows] for name, values in columns.items()}
@@ -49,7 +49,7 @@ def only(columns, count):
 
 @pytest.fixture(scope="module")
 def found():
-    """Diagnosis of a data set, changed in some way."""
+    """Diagnosis of a data set with some change."""
     known = {}
 
     def find(name, change=None, seed=0, count=None):
@@ -65,7 +65,7 @@ def found():
 
 
 def closures(found):
-    """Of the rows fitted, of the rows left out, of each effect there."""
+    """Closure on the fitted rows, on the held-out rows, and by effect."""
     held = found.gap.holdout.closed if found.gap.holdout else None
     each = [one.closed_left_out for one in found.verdict.each.values()]
     steps = [step.closed for step in found.ladder.steps]
@@ -79,7 +79,7 @@ CHANGES = {"order": (shuffled, 0), "digits": (moved, 0), "seed": (None, 5)}
     ("name", "change"),
     [*(("synthetic", change) for change in CHANGES), *(("measured", change) for change in CHANGES)],
 )
-def test_a_verdict_stays_as_it_is(found, name, change):
+def test_stored_verdicts_are_reproduced(found, name, change):
     plain, other = found(name), found(name, *CHANGES[change])
     assert other.verdict.status == plain.verdict.status
     assert other.effects == plain.effects
@@ -87,7 +87,7 @@ def test_a_verdict_stays_as_it_is(found, name, change):
     np.testing.assert_allclose(closures(other), closures(plain), atol=CLOSE)
 
 
-def test_six_measured_logs_name_the_zero_of_the_slip(found):
+def test_six_measured_logs_name_the_slip_offset(found):
     """Fourteen standard errors by hand, the same in every run."""
     of = found("measured")
     assert "slip_offset" in of.effects
@@ -101,8 +101,8 @@ def test_six_measured_logs_name_the_zero_of_the_slip(found):
 
 
 @pytest.mark.parametrize("count", [3, 4, 5])
-def test_a_log_that_agrees_removes_no_name(found, count):
-    """Of nested subsets of the measured logs."""
+def test_an_agreeing_log_removes_no_name(found, count):
+    """For nested subsets of the measured logs."""
     fewer = found("measured", count=count)
     more = found("measured", count=count + 1 if count < 5 else None)
     assert ("slip_offset" in more.effects) or ("slip_offset" not in fewer.effects)

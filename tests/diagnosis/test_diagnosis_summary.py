@@ -1,4 +1,4 @@
-"""Conditions that rise and fall together are said, crossed ones are not."""
+"""Conditions that rise and fall together are reported, crossed ones are not."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def said_of(fz, v):
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_coast_down_says_that_speed_falls_with_time(sign):
+def test_correlated_speed_and_time_are_reported(sign):
     generator = np.random.default_rng(0)
     v = 20 + sign * np.linspace(-8, 8, ROWS) + 0.1 * generator.standard_normal(ROWS)
     (said,) = said_of(generator.uniform(3e3, 5e3, ROWS), v)
@@ -32,12 +32,12 @@ def test_a_coast_down_says_that_speed_falls_with_time(sign):
     assert f"{sign:.2f}"[:-2] in said
 
 
-def test_a_crossed_design_says_nothing():
+def test_a_crossed_design_reports_no_correlation():
     fz, v = np.meshgrid([2e3, 4e3, 6e3], np.tile([5.0, 15.0], ROWS // 6))
     assert said_of(fz.ravel(), v.ravel()) == ()
 
 
-def test_blocks_of_rising_load_are_said():
+def test_rising_load_in_time_is_reported():
     fz = np.repeat([2e3, 4e3, 6e3], ROWS // 3)
     (said,) = said_of(fz, np.tile([5.0, 15.0], ROWS // 2))
     assert said.startswith("fz rises with time")

@@ -1,4 +1,4 @@
-"""Effects written into a tire, against the forces of the diagnosis itself."""
+"""Effects written into a tire give the forces of the diagnosis."""
 
 import json
 
@@ -29,7 +29,7 @@ LATERAL = {"camber_thrust", "conicity"}
 
 
 def table(mode, rows=240):
-    """Slips of one kind over loads, speeds, camber and pressure, in no order."""
+    """Slips of one kind over loads, speeds, camber and pressure, in random order."""
     generator = np.random.default_rng(2)
     slip = generator.uniform(-0.2, 0.2, rows)
     fz = generator.choice([2000.0, 4000.0, 6000.0], rows)
@@ -73,14 +73,14 @@ def based(mode, model):
 
 
 def only(base, k):
-    """The hypothesis of one atom; what it explains does not matter."""
+    """The hypothesis of one atom, without its explained part."""
     return bare((base.atoms[k].effect.id,), atoms=(k,), z=base.z)
 
 
 @pytest.mark.parametrize(
     ("mode", "model"), [("x", "brush"), ("y", "brush"), ("x", "brush-d-force")]
 )
-def test_each_effect_of_the_tire_gives_the_forces_of_the_diagnosis(mode, model):
+def test_each_tire_effect_gives_the_forces_of_the_diagnosis(mode, model):
     base, held = based(mode, model), set()
     rows, name = base.prepared, f"f{mode}"
     given = {"alpha": np.arctan(rows.slip)} if mode == "y" else {"sigma_x": rows.slip}

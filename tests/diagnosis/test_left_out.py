@@ -1,4 +1,4 @@
-"""Data left out: the partition, what refits predict of it, the ladder, the climb."""
+"""Held-out data: the partition, predictions by refits, the ladder, the search."""
 
 import numpy as np
 import pytest
@@ -72,7 +72,7 @@ def five():
 
 @pytest.mark.parametrize("count", [4, 5])
 def test_whole_runs_are_left_out_where_there_are_four(count):
-    """A further run is too short to show anything: its rows are always fitted."""
+    """Another run is too short to be informative: its rows are always fitted."""
     first = np.arange(90 * count + 4)
     rows = prepared({name: x[first] for name, x in logs(count + 1).items()})
     folds = folds_of(rows, 1.0)
@@ -85,8 +85,8 @@ def test_whole_runs_are_left_out_where_there_are_four(count):
 
 
 @pytest.mark.parametrize(("count", "across_runs"), [(1, True), (3, True), (5, False)], ids=str)
-def test_blocks_of_time_hold_together(count, across_runs):
-    """Of fewer runs, or where an effect belongs to a single one."""
+def test_consecutive_rows_are_left_out_together(count, across_runs):
+    """With fewer runs, or if an effect belongs to a single one."""
     rows = prepared(logs(count))
     folds = folds_of(rows, 1.0, across_runs)
     order = np.lexsort((rows.time, rows.run))
@@ -138,8 +138,8 @@ def by_scipy(base, fold, codes, with_offset):
     return np.mean(left**2), found[2]
 
 
-def test_losses_are_those_of_refits_without_the_fold(five):
-    """Of no effect and of the offset, which has a normal prior of one prior scale."""
+def test_losses_agree_with_refits_without_the_fold(five):
+    """With no effect, and with the offset and its prior of one prior scale."""
     folds = folds_of(five.rows, 1.0)
     none, offset = refitted(five), refitted(five, "slip_offset")
     found = predicted(five, [none, offset], folds)
@@ -156,7 +156,7 @@ def test_losses_are_those_of_refits_without_the_fold(five):
     assert np.sum(found.rows) == np.sum(np.asarray(five.design.keep) > 0)
 
 
-def test_anything_smooth_predicts_what_is_smooth_and_no_better_than_the_noise(five):
+def test_a_smooth_remainder_is_predicted_down_to_the_noise(five):
     folds = folds_of(five.rows, 1.0)
     found = predicted(five, [refitted(five)], folds)
     assert np.mean(found.smooth) < 0.5 * np.mean(found.loss[:, 0])
@@ -164,7 +164,7 @@ def test_anything_smooth_predicts_what_is_smooth_and_no_better_than_the_noise(fi
 
 
 def drawn(seed=0, parts=6):
-    """Losses of four sets whose truth is a + b: (Predicted, floor)."""
+    """Losses of four sets with the truth a + b: (Predicted, floor)."""
     generator = np.random.default_rng(seed)
     sets, truth = ((), ("a",), ("b",), ("a", "b")), np.array([900.0, 400, 700, 150])
     loss = truth * generator.uniform(0.7, 1.3, (parts, 4))
@@ -187,7 +187,7 @@ def closed_by_hand(after, before, rows, floor):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_gain_and_its_error_are_those_of_a_loop_over_the_parts(seed):
+def test_a_gain_and_its_error_agree_with_a_loop_over_the_parts(seed):
     out, floor = drawn(seed)
     gain = gained(out, 1, 0, floor)
     each = [out.whitened[f, 0] - out.whitened[f, 1] for f in range(6)]
@@ -204,7 +204,7 @@ def test_a_gain_and_its_error_are_those_of_a_loop_over_the_parts(seed):
     assert gain.closed_std == pytest.approx(jackknife)
 
 
-def test_the_ladder_goes_down_from_no_effect_to_the_noise():
+def test_the_ladder_descends_from_no_effect_to_the_noise():
     out, floor = drawn()
     ladder = ladder_of(out, ("a", "b"), floor)
     names = [step.effects for step in ladder.steps]
@@ -217,7 +217,7 @@ def test_the_ladder_goes_down_from_no_effect_to_the_noise():
     np.testing.assert_allclose(gains, falls, atol=1e-9)
     assert ladder.steps[0].closed == 0 and ladder.steps[-1].closed == 1
     assert 0 < ladder.steps[1].closed < ladder.steps[2].closed < 1
-    # A set that was not refitted is no step, and names nobody gave neither.
+    # Neither a set without a refit nor an unnamed one is a step.
     less = out._replace(effects=((), ("a",), ("c",), ("a", "b")))
     assert [s.effects for s in ladder_of(less, ("a", "b"), floor).steps] == names
     assert [s.effects for s in ladder_of(out, (), floor).steps] == [(), SMOOTH, NOISE]
@@ -225,7 +225,7 @@ def test_the_ladder_goes_down_from_no_effect_to_the_noise():
 
 @pytest.fixture(scope="module")
 def ends():
-    """Where the climb ends on the first runs of one set of logs."""
+    """The result of the search on the first runs of one set of logs."""
     known = {}
 
     def end(count):
@@ -243,8 +243,8 @@ TRUE = {"slip_offset", "friction_speed_linear"}
 
 
 @pytest.mark.parametrize("count", [3, 4, 5, 6])
-def test_a_climb_ends_at_the_effects_of_every_run(ends, count):
-    """Also where a further run agrees: it removes no name."""
+def test_the_search_finds_the_effects_of_every_run(ends, count):
+    """Another run that agrees removes no name."""
     base, found, end = ends(count)
     assert set(end.effects) == TRUE
     sizes = base.amplitudes(end.atoms, end.amplitude)
@@ -254,15 +254,15 @@ def test_a_climb_ends_at_the_effects_of_every_run(ends, count):
     assert end.atoms in found.tried and found.tried[end.atoms].refitted
 
 
-def test_a_climb_that_needs_more_than_there_is_stays_at_no_effect(ends):
+def test_a_search_without_sufficient_gain_finds_no_effect(ends):
     base, found, _ = ends(5)
     folds = folds_of(base.rows, 1.0)
     assert climbed(base, found, folds, 1e3).effects == ()
 
 
-def test_a_climb_does_not_take_what_helps_one_run_alone():
-    """Friction is a third lower on one of five runs: no effect of all runs is, and the
-    offset that all have stays."""
+def test_the_search_rejects_an_effect_of_one_run():
+    """Friction is a third lower in one of five runs: it is not an effect of all runs, and
+    the offset that all have is kept."""
     frame = logs(5)
     odd = frame["run"] == "r4"
     slip = np.tan(frame["alpha"])
@@ -277,7 +277,7 @@ def test_a_climb_does_not_take_what_helps_one_run_alone():
 
 
 @pytest.mark.parametrize("count", [4, 6])
-def test_a_diagnosis_names_what_the_climb_found(count):
+def test_a_diagnosis_names_the_effects_of_the_search(count):
     found = diagnose(read_frame(logs(count), "logs"), rig=RIG, effects=LIBRARY)
     assert set(found.effects) == TRUE
     assert found.ladder.on == f"{count} runs left out in turn"
@@ -290,8 +290,8 @@ def test_a_diagnosis_names_what_the_climb_found(count):
         assert each.closed_left_out > 3 * each.closed_left_out_std
 
 
-def test_the_floor_under_the_axle_is_that_of_its_readme():
-    """Repeats of one state on logs of one day and another, and the tracker's noise."""
+def test_the_repeatability_of_the_axle_agrees_with_its_readme():
+    """Repeats of one state on the same day and on another, and the tracker's noise."""
     tire = logs_left_out.repeats()
     turning = logs_left_out.repeats(logs_left_out.TURNING)
     assert tire["one log"] == pytest.approx(0.09, abs=0.005)

@@ -1,4 +1,4 @@
-"""What is left as a figure shows it: bins of a change against its truth."""
+"""The figure of the remainder: bins of a change compared with its truth."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def look(parameter, covariate, shape, at, width=0.0):
 
 
 def left_of(truth, field, known, generator):
-    """What a fit of the ``known`` columns leaves of a truth in noise of one."""
+    """The remainder of a truth with unit noise after fitting the ``known`` columns."""
     residual = np.ravel(truth) + generator.standard_normal(field.size)
     fitted = np.linalg.lstsq(known, residual, rcond=None)[0]
     none = np.zeros((field.size, 0))
@@ -31,7 +31,7 @@ def left_of(truth, field, known, generator):
         ("fz", np.tile((2e3, 4e3, 6e3, 7e3), N // 4)),
     ],
 )
-def test_the_shape_drawn_is_the_one_that_was_looked_for(covariate, values):
+def test_the_drawn_shape_is_the_tested_one(covariate, values):
     settings = settings_of(covariate, values)
     assert (settings is not None) == (covariate == "fz")
     low, span = values.min(), np.ptp(values)
@@ -47,7 +47,7 @@ def test_the_shape_drawn_is_the_one_that_was_looked_for(covariate, values):
         assert np.linalg.norm(weight) == pytest.approx(1.0, rel=1e-5)
 
 
-def test_bins_know_the_parameter_equally_well():
+def test_bins_determine_the_parameter_equally_well():
     generator = np.random.default_rng(1)
     place, information = generator.uniform(0, 1, 4000), generator.uniform(0, 5, 4000)
     codes = equally_known(place, information)
@@ -57,9 +57,9 @@ def test_bins_know_the_parameter_equally_well():
     assert all(end < start for (_, end), (start, _) in zip(ends, ends[1:], strict=False))
 
 
-def test_points_scatter_about_a_truth_as_their_errors_say():
-    """A step of a tenth in friction, beside a fit that takes up any constant change:
-    only differences from bin to bin can be told, and are."""
+def test_points_have_the_stated_errors():
+    """A step of a tenth in friction, with a fit that absorbs any constant change: only
+    differences between bins are determined."""
     generator, speed = np.random.default_rng(2), np.linspace(5, 25, N)
     scaled = []
     for _ in range(60):
@@ -81,7 +81,7 @@ def test_points_scatter_about_a_truth_as_their_errors_say():
     np.testing.assert_allclose(steps, [-panel.look.size / 2, panel.look.size / 2])
 
 
-def test_a_truth_of_another_shape_shows_in_the_points():
+def test_points_show_a_truth_of_another_shape():
     generator, speed = np.random.default_rng(3), np.linspace(5, 25, N)
     field = np.full((1, N), 40.0)
     truth = 0.1 * np.sin(2 * np.pi * (speed - 5) / 20)
@@ -112,9 +112,9 @@ def test_a_wave_is_fitted_with_its_phase_and_folded():
         assert len(panel.center) >= 6
 
 
-def test_what_the_base_has_taken_up_is_put_back():
-    """A kink over the slip, of which the base's own parameters hide a good part: SciPy
-    fits both together."""
+def test_the_part_absorbed_by_the_base_fit_is_restored():
+    """A kink over the slip, largely absorbed by the base's parameters: SciPy fits both
+    together."""
     generator, slip = np.random.default_rng(5), np.linspace(0, 3, N)
     field = 10 + 5 * slip[None]
     known = np.stack([field[0], field[0] * slip], axis=1)
@@ -131,7 +131,7 @@ def test_what_the_base_has_taken_up_is_put_back():
     assert panel.change[-1] == pytest.approx(0.15, abs=0.05)
 
 
-def test_settings_of_a_rig_are_the_bins():
+def test_settings_of_a_rig_are_used_as_bins():
     generator = np.random.default_rng(6)
     fz = np.repeat((2e3, 4e3, 6e3), 80) * generator.uniform(0.999, 1.001, 240)
     field = np.full((1, 240), 50.0)

@@ -1,4 +1,4 @@
-"""A tire in other signs than those it is read in is found before any effect is."""
+"""A tire read in the wrong signs is reported before any effect."""
 
 from pathlib import Path
 
@@ -23,8 +23,8 @@ NOISE = {"fx": 30.0, "fy": 30.0, "mz": 1.0}
 
 
 def frame(channels="fy mz", cambers=(0.0,), offset=0.0, mu=1.0, forces_of=None, **how):
-    """Sweeps at three loads and some cambers, of the file's tire as ``how`` reads it;
-    an offset of the slip that nobody measures, a friction that the file has not."""
+    """Sweeps at three loads and some cambers, of the file's tire read by ``how``; with
+    an unmeasured slip offset and a friction that the file does not have."""
     generator, sweep = np.random.default_rng(3), np.linspace(-0.2, 0.2, 61)
     fz, gamma, slip = (
         part.ravel() for part in np.meshgrid((2e3, 4e3, 6e3), cambers, sweep, indexing="ij")
@@ -47,7 +47,7 @@ def frame(channels="fy mz", cambers=(0.0,), offset=0.0, mu=1.0, forces_of=None, 
 
 
 def doubt(columns, given: Given, **declared):
-    """What a diagnosis says of the signs, before it searches."""
+    """The message about the signs, before any search."""
     data = given.beside(read_frame(columns, "rig", **declared))
     channels = given.channels(data, ("fx", "fy", "mz"))
     prepared = prepare(data, Rig(noise=NOISE), channels)
@@ -65,7 +65,7 @@ BRAKING = {"convention": "braking"}
 
 
 @pytest.mark.parametrize("mu", [1.0, 0.85])
-def test_a_tire_in_sae_signs_is_named_with_its_remedy(mu):
+def test_a_tire_in_sae_signs_is_reported_with_a_remedy(mu):
     columns = frame(signs="sae", mu=mu)
     reason, remedy = refused(columns, simulator_at(str(TIR)), **BRAKING)
     assert "mirrored in alpha and fy and mz" in reason
@@ -77,12 +77,12 @@ def test_a_tire_in_sae_signs_is_named_with_its_remedy(mu):
     assert "--signs sae reads the file in these signs" in remedy and "--side" in remedy
     assert "--convention" not in remedy
     assert doubt(columns, simulator_at(str(TIR), signs="sae"), **BRAKING) == ""
-    # Who insists is told all the same.
+    # The warning is given even if the user insists.
     said = doubt(columns, simulator_at(str(TIR), signs="iso-w"), **BRAKING)
     assert "mirrored in alpha" in said and "used as given" in said
 
 
-def test_camber_tells_sae_from_the_other_side():
+def test_camber_distinguishes_sae_from_a_mirrored_tire():
     cambers = (0.0, 0.06)
     given = simulator_at(str(TIR))
     # Such a tire leans the wrong way: the reader warns, and the tire is the evidence.
@@ -98,14 +98,14 @@ def test_camber_tells_sae_from_the_other_side():
     assert "mirrored in gamma:" in reason and "--unit gamma=-rad" in remedy
 
 
-def test_a_moment_of_the_other_sign_alone():
+def test_a_moment_of_the_other_sign_is_reported():
     columns = frame()
     turned = columns | {"mz": -columns["mz"]}
     reason, remedy = refused(turned, simulator_at(str(TIR)), **BRAKING)
     assert "mirrored in mz: mz" in reason and "--unit mz=-Nm" in remedy
 
 
-def test_data_that_declare_no_signs_may_be_what_is_turned():
+def test_undeclared_data_may_have_the_wrong_signs():
     columns = frame("fx")
     given = simulator_at(str(TIR))
     assert given.otherwise == ("iso-w", ".tir files")
@@ -129,12 +129,12 @@ OTHER_GAPS = {
 
 
 @pytest.mark.parametrize("gap", OTHER_GAPS.values(), ids=OTHER_GAPS)
-def test_other_gaps_are_no_matter_of_signs(gap):
+def test_other_gaps_are_not_reported_as_wrong_signs(gap):
     assert doubt(frame(**gap), simulator_at(str(TIR)), **BRAKING) == ""
 
 
-def test_columns_of_a_mirrored_simulator():
-    """The forces alone are known: the tire that stands in for them is mirrored."""
+def test_columns_of_a_mirrored_simulator_are_reported():
+    """Only the forces are known; the approximating tire is mirrored."""
     columns = frame("fy")
     simulated = frame("fy", signs="sae", mu=1.0)["fy"]
     given = Given(kind="columns", source="columns")
@@ -146,7 +146,7 @@ def test_columns_of_a_mirrored_simulator():
     assert doubt(columns | {"fy_sim": columns["fy"] * 1.1}, given, **BRAKING) == ""
 
 
-def test_columns_may_be_in_signs_of_their_own():
+def test_simulated_columns_may_have_other_signs():
     data = read_frame(frame() | {"fy_sim": frame()["fy"]}, **BRAKING)
     for name, convention in CONVENTIONS.items():
         given = Given(kind="columns", source="columns", signs=name)

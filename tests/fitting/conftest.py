@@ -1,4 +1,4 @@
-"""Fits that several files share: few models and one size, so little is compiled."""
+"""Fits shared by several files: few models and one size, to compile little."""
 
 import pytest
 from recipes import ESTIMATED, GIVEN, STD, VAGUE_NOISE, curve
@@ -26,7 +26,7 @@ def sampled(given):
 
 @pytest.fixture(scope="package")
 def vague():
-    """Slip to 20 % of full sliding: the friction is out of sight."""
+    """Slip to 20 % of full sliding, which does not determine the friction."""
     noise = VAGUE_NOISE * STD
     config = GIVEN | {"noise": {"fx": noise}}
     return fit(curve(reach=0.2, noise=noise), config=config)

@@ -80,7 +80,7 @@ def config_of(setting: Setting, estimated: bool):
 
 
 def holds(model, setting: Setting, data, estimated: bool, seed: int, posterior: bool):
-    """Whether the profile interval, and the posterior's, hold the truth: (p,) each."""
+    """Whether the intervals of profile and posterior contain the truth: (p,) each."""
     config = config_of(setting, estimated)
     solved = solve_problem(build(data, model, config), config)
     problem = solved.problem
@@ -95,7 +95,7 @@ def holds(model, setting: Setting, data, estimated: bool, seed: int, posterior: 
 
 
 def _posterior_holds(solved, z_true, seed: int):
-    """Weighted points, quick enough for thousands of data sets; where they are refused
+    """Weighted points, fast enough for thousands of data sets; if they are refused,
     ensembles of emcee, as in a fit."""
     density, (center, root) = _density(solved), _whitening(solved)
     weighted = draw_weighted(density, center, root, seed, 3000)
@@ -110,7 +110,7 @@ def _posterior_holds(solved, z_true, seed: int):
 
 
 def holds_or_says(model: str, setting: Setting, data) -> bool:
-    """Whether every interval of a full fit holds the truth or is said to be open."""
+    """Whether every interval of a fit contains the truth or is reported as open."""
     found = fit(data, model, config=config_of(setting, estimated=False))
     return all(
         not found.least_squares[label].identified

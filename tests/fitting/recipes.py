@@ -1,4 +1,4 @@
-"""Synthetic data, and tire formulas written a second time in plain NumPy."""
+"""Synthetic data, and independent tire formulas in plain NumPy."""
 
 import numpy as np
 
@@ -61,6 +61,6 @@ def table(columns, name="r", run=None, runs=None) -> TireData:
 
 
 def solved(data, config: dict, model="brush") -> Solved:
-    """Least squares alone: no profile, nothing derived."""
+    """Only least squares: no profile and no derived quantities."""
     parsed = parse_config(config)
     return solve_problem(build(data, model, parsed), parsed)

@@ -1,4 +1,4 @@
-"""A tire test as a rig runs it, of the tire of a ``.tir`` file."""
+"""A rig test of the tire of a ``.tir`` file."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ def tire_of(path):
 
 
 class Plan:
-    """Ranges of a test: the file's own, but no more than a rig reaches."""
+    """Ranges of a test: those of the file, limited to those of a rig."""
 
     def __init__(self, path):
         numbers = read_tir(path).numbers

@@ -1,4 +1,4 @@
-"""One quantity over many files: known scatter, drift and wild files are found."""
+"""One quantity over many files: known scatter, drift and outlying files are found."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def made(seed, n=400, scatter=0.02, drift=0.0, wild=(), least=0.005):
     return value, std, when
 
 
-def test_wild_files_are_named_and_move_nothing():
+def test_outlying_files_are_named_and_have_no_influence():
     clean, spoiled = (across_files(*made(0, wild=wild)) for wild in ((), (5, 77, 300)))
     assert np.flatnonzero(spoiled.outlier).tolist() == [5, 77, 300]
     assert not clean.outlier.any()
@@ -25,15 +25,15 @@ def test_wild_files_are_named_and_move_nothing():
 
 
 @pytest.mark.parametrize("scatter", [0.0, 0.02])
-def test_scatter_is_what_is_beyond_the_files_own(scatter):
+def test_scatter_between_files_excludes_their_own_error(scatter):
     all_of_them = [across_files(*made(seed, scatter=scatter)) for seed in range(20)]
     mean = np.mean([one.scatter for one in all_of_them])
     assert mean == pytest.approx(scatter, rel=0.06, abs=0.0025)
 
 
 @pytest.mark.parametrize(("n", "draws"), [(12, 300), (200, 60)])
-def test_drift_comes_with_its_error(n, draws):
-    """Pulls of the drift about the truth are those of a Gaussian."""
+def test_drift_is_found_with_its_error(n, draws):
+    """Errors of the drift over their standard error are Gaussian."""
     results = [across_files(*made(s, n=n, drift=0.05)) for s in range(draws)]
     pulls = np.array([(one.change - 0.05) / one.change_std for one in results])
     assert abs(np.mean(pulls)) < 4 / np.sqrt(draws)
@@ -45,20 +45,20 @@ def test_drift_comes_with_its_error(n, draws):
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_few_files_have_a_middle_and_no_drift(n):
+def test_few_files_have_a_median_but_no_drift(n):
     few = across_files(np.arange(n, dtype=float), np.full(n, 0.1), np.arange(n))
     assert few.middle == pytest.approx((n - 1) / 2) and not few.drifts
     assert np.isfinite(few.pulls).all()
 
 
-def test_values_that_agree_exactly_have_no_scatter():
+def test_equal_values_have_no_scatter():
     same = across_files(np.full(9, 3.0), np.zeros(9), np.arange(9))
     assert same.middle == pytest.approx(3) and same.scatter < 1e-12
     assert not same.outlier.any()
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_file_that_knows_nothing_moves_nothing():
+def test_a_file_with_a_huge_error_has_no_influence():
     value, std, when = made(3, n=60)
     sure = across_files(value, std, when)
     beside = across_files(np.append(value, 7.0), np.append(std, 1e200), np.append(when, 30.0))

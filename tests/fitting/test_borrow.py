@@ -1,4 +1,4 @@
-"""A tire like this one as prior of the forces that a test lacks."""
+"""A similar tire as the prior of forces that a test lacks."""
 
 from functools import cache
 
@@ -57,7 +57,7 @@ def borrowing():
     return fitted(other())
 
 
-def test_a_force_that_was_not_measured_is_the_other_tires_scaled():
+def test_an_unmeasured_force_is_scaled_from_the_other_tire():
     fit, true = borrowing(), tire_of(MF52)
     slip = np.array([-0.1, -0.05, -0.02, -0.005, 0.005, 0.02, 0.05, 0.1])
     at = TireInputs(slip, fz=np.full(8, read_tir(MF52).numbers["FNOMIN"]))
@@ -68,7 +68,7 @@ def test_a_force_that_was_not_measured_is_the_other_tires_scaled():
     assert np.min(np.abs(unlike / expected)) > 1.15
 
 
-def test_what_is_borrowed_is_said_with_the_width_of_its_prior():
+def test_borrowed_coefficients_are_reported_with_their_prior():
     fit = borrowing()
     for name, one in fit.coefficients.items():
         prior = published_priors()[name]
@@ -87,13 +87,13 @@ def test_what_is_borrowed_is_said_with_the_width_of_its_prior():
     assert written.numbers["QSX3"] == other().numbers["QSX3"]
 
 
-def test_the_data_move_what_they_tell_away_from_the_other_tire():
+def test_measured_data_override_the_borrowed_tire():
     c, true = borrowing().coefficients, read_tir(MF52).numbers
     assert abs(c["PDY1"].value - true["PDY1"]) < 4 * c["PDY1"].std
     assert abs(c["PDY1"].value - other().numbers["PDY1"]) > 20 * c["PDY1"].std
 
 
-def test_what_is_set_wins_over_what_is_borrowed():
+def test_given_values_override_the_borrowed_tire():
     more = {
         "PCX1": {"value": 1.3},
         "PDX1": {"prior": {"mean": 0.5, "std": 0.1}},
@@ -107,14 +107,14 @@ def test_what_is_set_wins_over_what_is_borrowed():
     assert fit.tire.nominal.UNLOADED_RADIUS == 0.4
 
 
-def test_a_tire_of_another_version_lends_what_both_have():
+def test_a_tire_of_another_version_lends_common_coefficients():
     fit = fitted(MF61)
     assert fit.coefficients["PCX1"].value == read_tir(MF61).numbers["PCX1"]
     assert any("not borrowed, as MF 5.2 lacks them: " in note for note in fit.notes)
     assert any("PKY6" in note for note in fit.notes)
 
 
-def test_another_model_does_not_borrow(tmp_path):
+def test_other_models_refuse_to_borrow(tmp_path):
     from tirefit.cli.magic_formula import only_of_magic_formula
 
     with pytest.raises(UsageError, match="--like without"):

@@ -1,4 +1,4 @@
-"""The 95 % intervals hold the truth as often as they say.
+"""The 95 % intervals contain the truth as often as stated.
 
 200 data sets in the suite, within binomial limits that a right interval breaks once in
 a thousand, or 100 where they leave no doubt; 1,600 on request (``make statistics``),
@@ -28,7 +28,7 @@ none."""
 
 
 def half_or_all(model, setting):
-    """Share of the data sets whose profile intervals hold the truth, by parameter."""
+    """Share of data sets whose profile intervals contain the truth, by parameter."""
     half = FEW // 2
     first, _ = coverage(model, setting, half, rows=ROWS)
     if all(SURE[0] <= share <= SURE[1] for share in first.values()):
@@ -39,8 +39,8 @@ def half_or_all(model, setting):
 
 @pytest.fixture(autouse=True)
 def one_program(monkeypatch):
-    """As many latent slips for all data sets of both settings, which need up to 2.6:
-    else chance decides which of them need programs of their own."""
+    """The same number of latent slips for all data sets of both settings, so that they
+    share one program."""
     exact, most = solve._bucket, 2**1.5
     monkeypatch.setattr(solve, "_bucket", lambda steep: max(exact(steep), most))
 
@@ -53,7 +53,7 @@ def test_profile_intervals_cover(model, setting):
     assert all(low <= share <= high for share in inside.values()), inside
 
 
-def test_intervals_cover_where_the_noise_is_estimated():
+def test_intervals_cover_with_estimated_noise():
     # Few rows, so that a normal in place of Student's t would show: 88 % at 6 rows.
     inside, _ = coverage("brush", "plain", FEW, rows=12, estimated=True)
     low, high = binom.ppf([0.0005, 0.9995], FEW, 0.95) / FEW
@@ -61,7 +61,7 @@ def test_intervals_cover_where_the_noise_is_estimated():
 
 
 @pytest.mark.parametrize("setting", ["rig", "seed"])
-def test_little_friction_used_is_covered_or_said(setting):
+def test_intervals_at_low_friction_use_cover_or_are_reported(setting):
     # 60 % of the friction: 1 - (1 - u)^3 = 0.6 at u = 0.263 of full sliding.
     outcomes = [
         holds_or_says(

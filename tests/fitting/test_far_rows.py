@@ -1,4 +1,4 @@
-"""Absurd rows are set aside and named; nothing else is, and clean fits stay."""
+"""Absurd rows are excluded and named, and no others; clean fits are unchanged."""
 
 import json
 from dataclasses import replace
@@ -58,7 +58,7 @@ def clean():
 
 
 @pytest.mark.parametrize("what", list(ABSURD))
-def test_absurd_rows_move_no_parameter_by_a_standard_error(clean, what):
+def test_outliers_move_no_parameter_by_a_standard_error(clean, what):
     end = settled(spoilt(curve(), *ABSURD[what]))
     assert np.all(shift(end, clean) < 1)
     aside = {far.row for far in end.far if far.set_aside}
@@ -69,7 +69,7 @@ def test_absurd_rows_move_no_parameter_by_a_standard_error(clean, what):
     assert end.solved.problem.n == end.data.n == 400 - len(aside)
 
 
-def test_squares_of_all_rows_are_moved_by_one(clean):
+def test_with_squares_an_outlier_moves_the_fit(clean):
     column, change = ABSURD["load 9e9 N"]
     end = settled(spoilt(curve(), column, change, [11]), squares())
     assert np.max(shift(end, clean)) > 50
@@ -78,7 +78,7 @@ def test_squares_of_all_rows_are_moved_by_one(clean):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_clean_data_are_fitted_by_all_squares_to_the_bit(seed):
+def test_clean_data_give_the_same_bits_as_plain_squares(seed):
     data = curve(seed=seed)
     end, all_squares = settled(data), settled(data, squares())
     assert end.far == ()
@@ -86,7 +86,7 @@ def test_clean_data_are_fitted_by_all_squares_to_the_bit(seed):
     np.testing.assert_array_equal(end.solved.covariance, all_squares.solved.covariance)
 
 
-def test_intervals_cover_beside_absurd_rows():
+def test_intervals_cover_despite_outliers():
     inside, sets = np.zeros(2), 30
     for seed in range(sets):
         data = curve(n=120, seed=seed)
@@ -106,7 +106,7 @@ def test_intervals_cover_beside_absurd_rows():
     assert np.all((least <= inside) & (inside <= most))
 
 
-def test_a_stretch_that_misses_the_curve_is_no_absurd_row():
+def test_consecutive_rows_off_the_curve_are_kept():
     # From 0.9 of full sliding on a quarter of the friction is lost: 30 of 400 rows.
     data = curve(reach=1.0, noise=10.0)
     beyond = np.argsort(data["sigma_x"])[-30:]
@@ -114,14 +114,14 @@ def test_a_stretch_that_misses_the_curve_is_no_absurd_row():
     assert not any(far.set_aside for far in end.far)
 
 
-def test_another_floor_in_one_run_is_no_absurd_row():
+def test_a_run_on_another_floor_is_kept():
     data = curve(n=400)
     run = (np.arange(400) >= 375).astype(int)
     wet = replace(data, run=run, runs=("dry", "wet"))
     assert not settled(spoilt(wet, "fx", lambda x: 0.5 * x, run == 1)).far
 
 
-def test_noise_that_grows_with_the_load_and_heavy_tails_stay():
+def test_load_dependent_noise_and_heavy_tails_are_kept():
     generator = np.random.default_rng(3)
     slip, load = generator.uniform(0, 0.2, 400), np.repeat([1e3, 2e3, 4e3, 8e3], 100)
     force = brush_force(slip, TRUTH["cpa2"], TRUTH["mu"], fz=load)
@@ -131,7 +131,7 @@ def test_noise_that_grows_with_the_load_and_heavy_tails_stay():
     assert not settled(exact).far
 
 
-def test_a_row_that_alone_knows_a_parameter_is_kept_and_said():
+def test_a_row_that_alone_determines_a_parameter_is_kept_and_reported():
     # One locked wheel among small slips: the friction is known from it alone.
     data = curve(reach=0.2, n=400)
     data = spoilt(data, "sigma_x", lambda x: 0 * x + 3.0, [7])
@@ -142,7 +142,7 @@ def test_a_row_that_alone_knows_a_parameter_is_kept_and_said():
     assert "the fit depends on it" in far.reason and far.remedy == "check the row"
 
 
-def test_too_many_rows_beyond_are_left_in_and_said():
+def test_too_many_outliers_are_kept_and_reported():
     generator = np.random.default_rng(0)
     noise = STD * generator.standard_normal(400)
     noise[::8] *= 60
@@ -152,7 +152,7 @@ def test_too_many_rows_beyond_are_left_in_and_said():
     assert "too many to exclude" in end.note
 
 
-def test_noisy_slips_and_given_noise_set_the_same_rows_aside():
+def test_noisy_slips_and_given_noise_exclude_the_same_rows():
     # As many rows as the data sets of test_coverage have, which share the program.
     data = curve(n=120, slip_std=0.001)
     for row, what in ((11, "force without sign"), (60, "load 9e9 N")):
@@ -162,7 +162,7 @@ def test_noisy_slips_and_given_noise_set_the_same_rows_aside():
         assert [far.row for far in end.far if far.set_aside] == [11, 60]
 
 
-def test_the_result_names_them_everywhere():
+def test_outliers_are_named_in_every_output():
     data = curve()
     data = spoilt(spoilt(data, *ABSURD["force 4e5 N"], [11]), "fx", np.negative, [240])
     result = fit(data, config=ESTIMATED)

@@ -1,4 +1,4 @@
-"""Fits of rows in which both slips vary at once."""
+"""Fits of rows with both slips varying."""
 
 import csv
 
@@ -50,7 +50,7 @@ def rows(n=400, seed=1, slip_std=0.0, loads=LOADS):
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
-    """The way of the command line: a CSV and a fit.toml."""
+    """As on the command line: a CSV and a fit.toml."""
     folder, columns = tmp_path_factory.mktemp("combined"), rows()
     with open(folder / "rig.csv", "w", newline="") as file:
         writer = csv.writer(file)
@@ -65,7 +65,7 @@ def result(tmp_path_factory):
     return fit(data, config=config)
 
 
-def test_both_forces_give_back_the_truth(result):
+def test_both_forces_recover_the_truth(result):
     assert result.status == "ok"
     for name, value in TRUTH.items():
         found = result.parameters[name]
@@ -76,13 +76,13 @@ def test_both_forces_give_back_the_truth(result):
         np.testing.assert_allclose(result.noise[name]["median_std"], std, rtol=0.12)
 
 
-def test_one_force_of_combined_rows_is_fitted_at_their_side_slip():
+def test_one_force_of_combined_rows_is_fitted_at_both_slips():
     config = {"force": "fx", "solver": "gauss-newton"}
     result = fit(table(rows(loads=(FZ,))), "brush-anisotropic", config=config)
     for name, value in TRUTH.items():
         found = result.parameters[name]
         assert found.identified and abs(found.value - value) < 3 * found.std
-    # Of one load, the curves are of three side slips.
+    # At one load, the curves belong to three lateral slips.
     curve = fit_curve(result)
     assert curve.note == "points moved along the fit to these slips"
     for group, one in zip(curve.groups, curve.curves, strict=True):
@@ -98,7 +98,7 @@ def test_one_force_of_combined_rows_is_fitted_at_their_side_slip():
 
 @pytest.mark.parametrize("channel", ["fx", "fy"])
 def test_points_are_drawn_at_the_other_slip_of_their_curve(result, channel):
-    """Pure slip: what scatters about the curve is the noise, not the other slip."""
+    """Pure slip: points scatter about the curve by the noise, not by the other slip."""
     curve = fit_curve(result, channel)
     assert len(curve.groups) == len(curve.curves) == 3
     other = {"fx": r"$\alpha$ = 0°", "fy": r"$\sigma_x$ = 0"}[channel]
@@ -119,7 +119,7 @@ def noisy_task(model, noise, columns):
     return build(table(columns), model, config)
 
 
-def test_one_noisy_slip_is_shared_by_all_forces():
+def test_all_forces_share_one_noisy_slip():
     """The block of a row is its marginal likelihood over the latent sigma_x."""
     tau, columns = 0.004, rows(n=40, seed=3, slip_std=0.004, loads=(FZ,))
     task = noisy_task("brush-anisotropic", {"sigma_x": tau}, columns)
@@ -218,7 +218,7 @@ def test_other_combined_models_are_recovered(name):
         np.testing.assert_allclose(values[key], value, rtol=0.05, atol=0.1)
 
 
-def test_slip_noise_of_combined_rows_is_taken_out():
+def test_slip_noise_of_combined_rows_causes_no_bias():
     tau = 0.003
     noise = NOISE | {"sigma_x": tau}
     config = {"force": ["fx", "fy"], "noise": noise, "solver": "gauss-newton"}

@@ -1,4 +1,4 @@
-"""Cells of like rows against the rows themselves, and posteriors by both."""
+"""Cells of similar rows compared with the rows, and posteriors by both."""
 
 import dataclasses
 
@@ -31,7 +31,7 @@ def rises(problem, solved, points):
 
 
 def correlated(n=400):
-    """Noise of a memory of some fifteen rows beside a slip that sweeps to and fro."""
+    """Noise correlated over about fifteen rows, with an oscillating slip."""
     generator, noise = np.random.default_rng(5), np.zeros(n)
     for i in range(1, n):
         noise[i] = 0.93 * noise[i - 1] + 0.37 * generator.standard_normal()
@@ -61,7 +61,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_cells_rise_as_their_rows_do(case):
+def test_cells_follow_the_slope_of_their_rows(case):
     make, config = CASES[case]
     result = fit(make(), config=config)
     solved = result.solved
@@ -94,7 +94,7 @@ def test_cells_of_repeated_rows_lose_nothing():
     np.testing.assert_allclose(rises(cells, solved, points), expected, rtol=1e-6)
 
 
-def test_no_cell_holds_rows_of_two_runs():
+def test_no_cell_contains_rows_of_two_runs():
     make, config = CASES["a parameter for each run"]
     solved = fit(make(), config=config).solved
     cells = cells_of(solved, around(solved, 6), MOST, 0.2)
@@ -109,7 +109,7 @@ def small_files_too(monkeypatch):
     monkeypatch.setattr(condense, "_TRIES", ((MOST, 1e-3),))
 
 
-def test_posterior_by_cells_is_that_of_the_rows(given, sampled, small_files_too):
+def test_the_posterior_by_cells_agrees_with_the_rows(given, sampled, small_files_too):
     cells = sample(given, sampler="importance", effective_samples=4000)
     assert "400 rows as" in cells.posterior.note
     assert "cells of like rows" in cells.posterior.note
@@ -124,7 +124,7 @@ def test_posterior_by_cells_is_that_of_the_rows(given, sampled, small_files_too)
         assert np.all(np.abs(one - other) / std < 4 * 2.7 / np.sqrt(ess))
 
 
-def test_cells_that_mislead_give_way_to_the_rows(given, monkeypatch):
+def test_inaccurate_cells_are_replaced_by_the_rows(given, monkeypatch):
     problem = given.solved.problem
     observed = {"fx": np.asarray(problem.rows.observed["fx"]) * 1.01}
     wrong = problem.with_rows(observed=observed).with_rules(problem.rules)
@@ -135,7 +135,7 @@ def test_cells_that_mislead_give_way_to_the_rows(given, monkeypatch):
     np.testing.assert_array_equal(result.walkers, by_rows.walkers)
 
 
-def test_few_rows_and_whole_series_are_not_cells(given, small_files_too, monkeypatch):
+def test_few_rows_and_time_series_are_not_condensed(given, small_files_too, monkeypatch):
     solved, root = given.solved, np.eye(2)
     transient = next(model for model in MODELS.values() if model.transient)
     series = dataclasses.replace(solved.problem, model=transient)
@@ -144,7 +144,7 @@ def test_few_rows_and_whole_series_are_not_cells(given, small_files_too, monkeyp
     assert condensed(solved, root) is None
 
 
-def test_an_interrupt_while_cells_are_cut_ends_it(given, monkeypatch):
+def test_an_interrupt_while_cells_are_made_ends_the_sampling(given, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 

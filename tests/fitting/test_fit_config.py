@@ -1,4 +1,4 @@
-"""``fit.toml``: what it may say, and what is said of everything else."""
+"""``fit.toml``: valid content, and messages about invalid content."""
 
 from dataclasses import replace
 
@@ -159,7 +159,7 @@ CONTRADICTIONS = {
 
 
 @pytest.mark.parametrize(("content", "reasons"), CONTRADICTIONS.values(), ids=CONTRADICTIONS)
-def test_contradictions_are_refused_naming_both_keys(content, reasons):
+def test_contradictions_are_refused_with_both_keys(content, reasons):
     with pytest.raises(UsageError) as caught:
         parse_config(content, "my.toml")
     problems = caught.value.problems
@@ -169,7 +169,7 @@ def test_contradictions_are_refused_naming_both_keys(content, reasons):
         assert problem.remedy and problem.file == "my.toml"
 
 
-def test_what_goes_together_is_accepted():
+def test_compatible_settings_are_accepted():
     config = parse_config(
         {
             "parameters": {
@@ -278,7 +278,7 @@ NO_NOISE = {
 
 
 @pytest.mark.parametrize(("noise", "keys"), NO_NOISE.values(), ids=NO_NOISE)
-def test_noise_that_is_none_is_refused_beside_other_problems(noise, keys):
+def test_impossible_noise_is_refused_with_other_problems(noise, keys):
     config = parse_config({"noise": noise, "parameters": {"nu": {}}}, "my.toml")
     with pytest.raises(UsageError) as caught:
         build(curve(n=20), "brush", config)
@@ -299,7 +299,7 @@ def test_noise_just_above_the_limit_ends_in_a_verdict():
     np.testing.assert_allclose(result.covariance, plain.covariance, rtol=0.05)
 
 
-def test_noise_columns_that_are_none_name_row_and_column():
+def test_impossible_noise_columns_are_refused_with_row_and_column():
     std = np.where(np.arange(20) % 7 == 3, 1e-300, STD)
     data = curve(n=20, extra={"fx_std": std, "sigma_x_std": np.full(20, 1e-200)})
     used = np.ones(20, bool)
@@ -330,7 +330,7 @@ def test_noise_columns_that_are_none_name_row_and_column():
     ],
     ids=["force", "share of the load", "slip", "another force"],
 )
-def test_a_noise_column_goes_before_the_settings_and_says_so(noise, said):
+def test_a_noise_column_overrides_the_settings_and_is_reported(noise, said):
     stds = {"fx_std": np.full(20, STD), "sigma_x_std": np.full(20, 5e-4)}
     task = build(curve(n=20, extra=stds), "brush", parse_config({"noise": noise}))
     problem = task.problem
@@ -339,7 +339,7 @@ def test_a_noise_column_goes_before_the_settings_and_says_so(noise, said):
     np.testing.assert_array_equal(problem.slip_noise["sigma_x"], 5e-4)
 
 
-def test_locked_wheel_does_not_make_slip_noise_small():
+def test_a_locked_wheel_does_not_change_the_limit_of_slip_noise():
     data = curve(n=20)
     slip = data["sigma_x"].copy()
     slip[:2] = 1e6
@@ -358,7 +358,7 @@ def test_unknown_model_is_refused_with_the_closest(name, hint):
     assert hint in str(caught.value)
 
 
-def test_files(tmp_path):
+def test_unreadable_files_are_refused(tmp_path):
     path = tmp_path / "fit.toml"
     with pytest.raises(UsageError, match="cannot read it"):
         load_config(path)
@@ -378,7 +378,7 @@ def test_files(tmp_path):
     assert config.parameters["mu"].prior.std == 0.1
 
 
-def test_settings_know_where_they_came_from(tmp_path):
+def test_errors_name_the_file_of_a_setting(tmp_path):
     path = tmp_path / "fit.toml"
     path.write_text("seed = 3\n[parameters.nu]\nvalue = 1\n")
     config = load_config(path)
@@ -392,7 +392,7 @@ def test_settings_know_where_they_came_from(tmp_path):
         fit(curve(n=20), config=config, seed=-1)
 
 
-def test_empty_file_is_the_default(tmp_path):
+def test_an_empty_file_gives_the_default(tmp_path):
     path = tmp_path / "fit.toml"
     path.write_text("")
     assert load_config(path).model_dump() == FitConfig().model_dump()

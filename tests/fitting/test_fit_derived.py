@@ -1,4 +1,4 @@
-"""Derived quantities against closed forms, and their intervals against brute force."""
+"""Derived quantities compared with closed forms, their intervals with brute force."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def derived(model, values, channel="fx"):
     ],
 )
 @pytest.mark.parametrize("channel", ["fx", "fy"])
-def test_a_plateau_begins_where_the_tire_slides_entirely(model, extra, rho, channel):
+def test_the_plateau_begins_at_full_sliding(model, extra, rho, channel):
     found = derived(model, TRUTH | extra, channel)
     slip = rho * TRUTH["mu"] * FZ / TRUTH["cpa2"]
     np.testing.assert_allclose(found["slip_at_peak"], slip, rtol=1e-7)
@@ -53,7 +53,7 @@ def test_a_plateau_begins_where_the_tire_slides_entirely(model, extra, rho, chan
     assert set(found) == set(quantities(channel))
 
 
-def test_the_slope_is_called_after_the_fitted_force():
+def test_the_slope_is_named_after_the_fitted_force():
     assert next(iter(quantities("fx").items())) == ("C_x", ("N", "slope at zero slip"))
     assert next(iter(quantities("fy"))) == "C_alpha"
     assert quantities("fx")["slip_at_peak"][1].startswith("sigma_x")
@@ -64,7 +64,7 @@ def test_the_slope_is_called_after_the_fitted_force():
 
 
 @pytest.mark.parametrize("m", [0.7, 0.85])
-def test_peak_with_kinetic_friction(m):
+def test_the_peak_is_found_with_kinetic_friction(m):
     found = derived("brush-m", TRUTH | {"m": m})
     mu, c = TRUTH["mu"], TRUTH["cpa2"]
     # F(u)/(mu F_z) with rho = 3 u/4 is 3u(1 - u/2)^2/2 + m u^2 (3 - u)/4; its slope is
@@ -112,14 +112,14 @@ def test_a_quantity_of_one_parameter_has_its_interval(name, request):
             np.testing.assert_allclose(found.std, factor * parameter.std, rtol=1e-3)
 
 
-def test_what_the_data_leave_open_is_not_identified(vague):
+def test_undetermined_quantities_are_not_identified(vague):
     slip = vague.derived["slip_at_peak"]
     assert not slip.identified and slip.std is None
     assert vague.derived["C_x"].identified and vague.derived["C_x"].std > 0
 
 
 def brute_force(data, of, start, bounds, reach):
-    """95 % ends of a quantity t by SciPy: all else fitted again at every t.
+    """95 % ends of a quantity t by SciPy: the others are refitted at every t.
 
     ``of(t, x)`` gives the brush's parameters from t and the others, x.
     """
@@ -146,7 +146,7 @@ def share(d, m):
     return peak + (after - before) ** 2 / 8 / (2 * peak - before - after)
 
 
-def test_peak_of_three_parameters_against_brute_force():
+def test_peak_of_three_parameters_agrees_with_brute_force():
     data = curve(TRUTH | {"d": 0.2, "m": 0.8}, reach=2.5, seed=3)
     found = fit(data, "brush-dm", config=GIVEN).derived["F_max"]
 
@@ -166,7 +166,7 @@ def test_peak_of_three_parameters_against_brute_force():
     np.testing.assert_allclose(np.ptp(ends), 3.92 * found.std, rtol=0.03)
 
 
-def test_slip_of_two_parameters_against_brute_force(given):
+def test_slip_of_two_parameters_agrees_with_brute_force(given):
     found = given.derived["slip_at_peak"]
     ends = brute_force(
         curve(),
@@ -178,7 +178,7 @@ def test_slip_of_two_parameters_against_brute_force(given):
     np.testing.assert_allclose(found.ci95, ends, atol=0.01 * np.ptp(ends))
 
 
-def test_peak_beside_a_parameter_at_its_bound():
+def test_the_peak_is_right_with_a_parameter_at_its_bound():
     # No kinetic drop in the data: m sits at its upper bound 1, and may be lower.
     data = curve(seed=21)
     result = fit(data, "brush-m", config=GIVEN)
@@ -196,9 +196,9 @@ def test_peak_beside_a_parameter_at_its_bound():
     np.testing.assert_allclose(found.std, np.ptp(found.ci95) / 3.92, rtol=1e-3)
 
 
-def test_slope_of_a_redundant_form_against_brute_force():
-    """A Magic Formula short of its peak: one of its parameters is not known at all, the
-    slope is, to 2 %."""
+def test_slope_of_a_redundant_form_agrees_with_brute_force():
+    """A Magic Formula below its peak: one parameter is undetermined, but the slope is
+    known to 2 %."""
     slip, generator = np.linspace(0.002, 0.06, 80), np.random.default_rng(3)
 
     def magic(b, c, d, e):
@@ -234,7 +234,7 @@ def test_slope_of_a_redundant_form_against_brute_force():
 
 
 @pytest.mark.parametrize("name", ["estimated", "given", "prior"])
-def test_slope_of_the_deviance(name, request):
+def test_slope_of_the_deviance_agrees_with_differences(name, request):
     end = request.getfixturevalue("given" if name == "prior" else name).solved
     problem = end.problem
     if name == "prior":
@@ -252,13 +252,13 @@ def test_slope_of_the_deviance(name, request):
     np.testing.assert_allclose(2 * slope, jax.grad(total)(z), rtol=1e-9)
 
 
-def test_curvature_of_the_deviance_is_that_of_the_covariance(given):
+def test_curvature_of_the_deviance_agrees_with_the_covariance(given):
     end = given.solved
     _, _, curvature = _bowl(end, end.z)
     np.testing.assert_allclose(curvature @ end.covariance, np.eye(2), atol=1e-9)
 
 
-def test_posterior_quantities_are_of_the_posterior_draws(sampled):
+def test_posterior_quantities_use_the_posterior_draws(sampled):
     cpa2, mu = sampled.chains.reshape(-1, 2).T
     for name, draws in (
         ("C_x", 2 * cpa2),
@@ -323,7 +323,7 @@ def by_run():
     return together, {k: fit(data, config=GIVEN) for k, data in alone.items()}
 
 
-def test_quantities_per_run_are_those_of_each_run_alone(by_run):
+def test_quantities_per_run_agree_with_separate_fits(by_run):
     together, alone = by_run
     assert together.reference["fz"] == FZ
     assert list(together.derived) == [
@@ -335,11 +335,11 @@ def test_quantities_per_run_are_those_of_each_run_alone(by_run):
             assert (found.unit, found.identified) == (expected.unit, True)
             np.testing.assert_allclose(found.value, expected.value, rtol=1e-6)
             np.testing.assert_allclose(found.std, expected.std, rtol=1e-3)
-            # Both levels are of one parameter: the other run takes none of it.
+            # Both levels are for one parameter: the other run has no influence.
             np.testing.assert_allclose(found.ci95, expected.ci95, rtol=1e-4)
 
 
-def test_only_what_a_run_has_of_its_own_is_per_run(by_run):
+def test_only_run_dependent_quantities_are_per_run(by_run):
     data = by_run[0].table
     config = GIVEN | {"parameters": {"mu": {"per_run": True}}}
     result = fit(data, config=config)
@@ -362,13 +362,13 @@ def test_only_what_a_run_has_of_its_own_is_per_run(by_run):
         )
 
 
-def test_what_is_not_defined_has_no_number():
+def test_undefined_quantities_have_no_number():
     slip = fit(curve(), "uniform", config=GIVEN).derived["slip_at_peak"]
     assert not slip.identified and np.isnan(slip.value)
     assert slip.std is None and slip.ci95 == (None, None)
 
 
-def test_lateral_fit_with_a_friction_that_is_known():
+def test_a_lateral_fit_accepts_a_known_friction():
     data = curve()
     columns = {"alpha": np.arctan(data["sigma_x"]), "fy": data["fx"], "fz": data["fz"]}
     config = GIVEN | {"noise": {"fy": STD}, "parameters": {"mu": {"value": 1.0, "free": False}}}
@@ -403,7 +403,7 @@ def bins(loads):
     return fit(table(columns, run=run, runs=names), config=config), names
 
 
-def test_quantities_of_a_bin_are_at_its_own_load():
+def test_quantities_of_a_bin_are_at_its_load():
     loads = (1500.0, 3000.0, 6000.0)
     result, names = bins(loads)
     middle = result.reference["fz"]
@@ -420,7 +420,7 @@ def test_quantities_of_a_bin_are_at_its_own_load():
     assert [float(row[1]) for row in rows[1:]] == pytest.approx(loads, rel=3e-3)
 
 
-def test_runs_of_the_same_loads_compare_at_one():
+def test_runs_of_the_same_loads_are_compared_at_one_load():
     result, _ = bins((3000.0, 3000.0 + 20))
     assert set(result.reference) == {"fz", "v"}
     assert derived_by_run(result)[0][1] != "at F_z [N]"

@@ -72,7 +72,7 @@ def constrained(data, label, value):
 
 @pytest.mark.parametrize("label", ["cpa2", "mu"])
 @pytest.mark.parametrize("end", [0, 1])
-def test_profile_ends_by_brute_force(given, estimated, label, end):
+def test_profile_ends_agree_with_brute_force(given, estimated, label, end):
     for result, level in ((given, 3.841), (estimated, threshold(True, 400, 2))):
         value = result.intervals["profile"][label][end]
         least = squares(result.table, **best(result))
@@ -97,7 +97,7 @@ def test_profile_never_falls_below_the_best_fit(given, estimated, vague):
         assert deviance_at(given, moved) >= base - 1e-6
 
 
-def test_profile_is_the_covariance_interval_where_noise_is_small():
+def test_profile_agrees_with_the_covariance_at_small_noise():
     # One tenth of the noise makes the curve straight over the interval.
     config = GIVEN | {"noise": {"fx": STD / 10}}
     result = fit(curve(noise=STD / 10), config=config)
@@ -110,7 +110,7 @@ def test_profile_is_the_covariance_interval_where_noise_is_small():
     assert result.verdict.disagreements == {}
 
 
-def test_friction_out_of_sight_is_open_not_certain(vague):
+def test_an_undetermined_friction_has_an_open_interval(vague):
     mu, stiffness = vague.least_squares["mu"], vague.least_squares["cpa2"]
     assert not mu.identified and mu.std is None
     assert mu.ci95[1] == 5.0  # the bound: nothing in the data limits it

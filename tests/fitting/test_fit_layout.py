@@ -1,4 +1,4 @@
-"""The vector z and the values it names: inverses, runs, ties, priors, volume."""
+"""The vector z and the values it represents: inverses, runs, ties, priors, volume."""
 
 import jax
 import jax.numpy as jnp
@@ -61,7 +61,7 @@ def test_tie_follows_its_parameter_in_every_run():
     np.testing.assert_allclose(named["m"], [0.55, 0.35, 0.05], rtol=1e-12)
 
 
-def test_prior_residuals_are_pulls_in_natural_units():
+def test_prior_residuals_are_deviations_in_prior_standard_deviations():
     pulls = LAYOUT.prior_residual(LAYOUT.unconstrained(VALUES))
     expected = [(v - 0.9) / 0.05 for v in (1.1, 0.7, 0.1)] + [(0.3 - 0.1) / 0.2]
     np.testing.assert_allclose(pulls, expected, rtol=1e-9)
@@ -130,7 +130,7 @@ TIES = {
 
 
 @pytest.mark.parametrize(("model", "parameters", "bounds"), TIES.values(), ids=TIES)
-def test_tied_parameter_is_held_to_its_own_bounds(model, parameters, bounds):
+def test_a_tied_parameter_stays_within_its_bounds(model, parameters, bounds):
     name, lower, upper = bounds
     _, layout, notes = chosen(model, parameters)
     (free,) = (p for p in layout.free if p.name == name)
@@ -144,7 +144,7 @@ def test_tied_parameter_is_held_to_its_own_bounds(model, parameters, bounds):
             assert np.all(values[tie.name] <= own.upper * (1 + 1e-12) + 1e-12)
 
 
-def test_tie_that_cannot_leave_the_bounds_narrows_nothing():
+def test_a_tie_that_stays_within_the_bounds_narrows_nothing():
     _, layout, notes = chosen("brush-stribeck", {"mu_c": {"tied": "mu"}})
     assert {p.name: p.spec for p in layout.free}["mu"] == SPECS["mu"]
     assert layout.ties == (Tie("mu_c", "mu"),) and notes == []
@@ -172,7 +172,7 @@ def test_value_and_prior_are_checked_within_the_narrowed_bounds():
     assert mean.reason == "parameters.mu: prior mean 1.5 outside its bounds [0.01, 1]"
 
 
-def test_free_fixed_and_per_run_as_asked():
+def test_free_fixed_and_per_run_follow_the_configuration():
     parameters = {
         "cpa2": {"value": 3e4, "free": False},
         "mu": {"per_run": True, "prior": {"mean": 1, "std": 0.1}},
@@ -210,9 +210,9 @@ PER_RUN = {
 
 
 @pytest.mark.parametrize("slip_noise", [{}, {"sigma_x": 0.002}])
-def test_slopes_by_run_are_those_of_every_element(slip_noise):
-    """A row's slopes in its own run's elements alone, against one tangent an element:
-    the rows of the runs in turn, a shared parameter, and priors."""
+def test_sparse_slopes_agree_with_dense_slopes(slip_noise):
+    """Slopes of a row in the elements of its run, compared with one tangent per
+    element: interleaved runs, a shared parameter, and priors."""
     slip = curve()["sigma_x"]
     run = np.arange(len(slip)) % 3
     force = brush_force(slip, 5e4, np.array([1.0, 0.7, 0.4])[run])

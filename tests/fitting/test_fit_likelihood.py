@@ -1,4 +1,4 @@
-"""The deviance of rows against numpy and quadrature; robust losses."""
+"""The deviance of rows compared with NumPy and quadrature; robust losses."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +17,7 @@ TAU = 0.004
 
 
 def small(n=11, loss="squares", tau=None):
-    """Data of few rows, their problem, and the densities of its noisy slips."""
+    """Data with few rows, their problem, and the densities of its noisy slips."""
     noise = {"fx": STD, "loss": loss} | ({"sigma_x": tau} if tau else {})
     data = curve(n=n, seed=8, slip_std=tau or 0.0)
     task = build(data, "brush", parse_config({"noise": noise}))
@@ -51,7 +51,7 @@ FORMULAS = {
 
 
 @pytest.mark.parametrize("loss", list(LOSSES))
-def test_loss_is_its_formula(loss):
+def test_each_loss_follows_its_formula(loss):
     r = np.array([0.0, 1e-9, 0.3, -1.3, 1.4, -8.0, 1e3])
     found = np.asarray(LOSSES[loss](jnp.asarray(r**2)))
     np.testing.assert_allclose(found, FORMULAS[loss](r), rtol=1e-9, atol=1e-15)
@@ -103,7 +103,7 @@ def test_vanishing_slip_noise_is_no_slip_noise():
     np.testing.assert_allclose(found, np.abs(whitened(data)), rtol=1e-3, atol=2e-3)
 
 
-def test_moments_of_a_row_are_over_its_latent_slips():
+def test_moments_of_a_row_average_over_its_latent_slips():
     data, problem, densities = small(tau=TAU)
     mean, variance = row_moments(problem, problem.layout.unconstrained(TRUTH))
     density = densities["sigma_x"]
@@ -127,7 +127,7 @@ def outlying():
 
 
 @pytest.mark.parametrize("loss", ["squares", "huber", "cauchy"])
-def test_outliers_pull_squares_but_not_robust_losses(loss):
+def test_outliers_bias_squares_but_not_robust_losses(loss):
     data = outlying()
     end = solved(data, {"noise": {"loss": loss}, "solver": "gauss-newton"})
     mu = float(end.problem.layout.natural(end.z)["mu"])

@@ -17,7 +17,7 @@ def autoregressive(rho, n, seed):
     return out
 
 
-def test_autocorrelation_time_of_an_autoregression():
+def test_autocorrelation_time_of_an_autoregression_is_right():
     # (1 + rho)/(1 - rho) = 19. Its relative error in one series of n is about
     # sqrt(2 (2M + 1)/n) with M ~ 5 tau lags summed: 6 % at n = 100,000.
     times = [autocorrelation_time([autoregressive(0.9, 100_000, s)]) for s in range(4)]
@@ -38,11 +38,11 @@ def test_white_noise_counts_every_row():
 
 
 @pytest.mark.parametrize("parts", [[], [np.zeros(50)], [np.array([1.0, 2.0])]])
-def test_nothing_to_correlate(parts):
+def test_series_without_variation_have_autocorrelation_time_one(parts):
     assert autocorrelation_time(parts) == 1.0
 
 
-def test_inflation_looks_at_the_scores_not_at_the_residuals():
+def test_inflation_uses_the_scores_not_the_residuals():
     residual = autoregressive(0.95, 4000, 5)
     run = np.zeros(4000, int)
     constant, flipping = np.ones(4000), np.tile([1.0, -1.0], 2000)
@@ -62,7 +62,7 @@ def test_inflation_takes_rows_in_order_of_time():
     assert effective_inflation(scores[order], run, None) < 2 < expected
 
 
-def test_a_direction_without_information_is_left_out():
+def test_a_direction_without_information_is_ignored():
     scores = np.zeros((100, 2))
     scores[:, 0] = np.random.default_rng(2).standard_normal(100)
     assert effective_inflation(scores, np.zeros(100, int), None) == 1.0
@@ -135,7 +135,7 @@ def test_a_slip_that_many_rows_have_is_found():
 
 
 def test_every_set_point_is_found():
-    """Many at once: each is worth its place by itself."""
+    """Many at once; each must be significant alone."""
     generator = np.random.default_rng(3)
     points, std = np.linspace(-0.29, 0.29, 25), np.full(300, 0.001)
     slip = np.repeat(points, 12) + std * generator.standard_normal(300)
@@ -147,7 +147,7 @@ def test_every_set_point_is_found():
     np.testing.assert_allclose(found.shares[order], 1 / 25, atol=0.005)
 
 
-def test_no_slip_stands_out_of_an_even_spread():
+def test_evenly_spread_slips_have_no_set_point():
     generator = np.random.default_rng(5)
     slip = generator.uniform(0, 0.3, 900) + 0.004 * generator.standard_normal(900)
     std = np.full(900, 0.004)

@@ -38,12 +38,12 @@ def test_well_identified_posterior_is_gaussian(given, sampled):
         )
 
 
-def test_correlation_of_the_draws_is_that_of_the_fit(given, sampled):
+def test_correlation_of_the_draws_agrees_with_the_fit(given, sampled):
     draws = sampled.walkers.reshape(-1, 2)
     np.testing.assert_allclose(np.corrcoef(draws.T)[0, 1], given.correlation[0, 1], atol=0.15)
 
 
-def test_a_rare_part_far_away_is_no_part_of_the_std():
+def test_a_rare_far_mode_does_not_affect_the_std():
     draws = np.random.default_rng(0).normal(10.0, 2.0, 100_000)
     plain = Estimate.of_draws(draws, "N", True)
     # Of a normal's quantile at one sigma the standard error is 1.52 sigma / sqrt(m).
@@ -60,7 +60,7 @@ def synthetic_chains(shift=0.0):
     return chains
 
 
-def test_split_rhat():
+def test_split_rhat_agrees_with_its_definition():
     agreeing = split_rhat(synthetic_chains())
     assert agreeing.shape == (2,) and (agreeing >= 1).all() and (agreeing < 1.002).all()
     shifted = split_rhat(synthetic_chains(2.0))
@@ -92,7 +92,7 @@ def interrupt_at(count):
 
 
 @pytest.mark.parametrize("sampler", ["emcee", "nuts"])
-def test_interrupted_and_resumed_is_uninterrupted(given, tmp_path, sampler):
+def test_a_resumed_run_equals_an_uninterrupted_one(given, tmp_path, sampler):
     settings = {"sampler": sampler, "effective_samples": 10**9, "max_steps": 3 * CHUNK}
     whole = sample(given, **settings)
     path = tmp_path / "chain.npz"
@@ -106,7 +106,7 @@ def test_interrupted_and_resumed_is_uninterrupted(given, tmp_path, sampler):
     assert [p.name for p in tmp_path.iterdir()] == ["chain.npz"]
 
 
-def test_interrupt_before_any_sample_is_said(given, monkeypatch):
+def test_an_interrupt_before_any_sample_is_reported(given, monkeypatch):
     from tirefit.fitting import posterior
 
     def interrupted(*_):
@@ -131,14 +131,14 @@ def test_resume_completes_a_larger_target(given, tmp_path):
     assert again.posterior == done.posterior  # nothing left to do
 
 
-def test_a_chain_that_is_enough_at_the_limit_is_enough(given, sampled):
+def test_a_chain_that_converges_at_the_limit_is_accepted(given, sampled):
     steps = sampled.posterior.steps
     result = sample(given, effective_samples=500, max_steps=steps)
     assert result.posterior.outcome is Outcome.CONVERGED
 
 
-def test_a_walker_that_never_moved_has_no_time(given, monkeypatch):
-    """It says so without a warning; the posterior is worth nothing: a draw a walker."""
+def test_a_walker_that_never_moved_has_infinite_autocorrelation_time(given, monkeypatch):
+    """Without a warning; the posterior is one draw per walker."""
     chains = synthetic_chains()
     chains[0, :, 0] = 0
     assert np.all(np.isinf(posterior._autocorrelation_times(chains)))
@@ -176,7 +176,7 @@ def test_checkpoint_of_another_fit_is_refused(given, tmp_path):
     [{"ensembles": 3}, {"walkers": 33}, {"walkers": 4}],
     ids=["too few ensembles", "odd walkers", "too few walkers"],
 )
-def test_unfit_ensembles_are_refused(given, settings):
+def test_unsuitable_ensembles_are_refused(given, settings):
     with pytest.raises(UsageError, match="at least 4 ensembles and an even number"):
         sample(given, **settings)
     if settings.get("ensembles"):
@@ -226,7 +226,7 @@ def test_arviz_opens_the_file_itself(sampled, tmp_path):
     np.testing.assert_allclose(summary.loc["mu", "mean"], sampled.walkers[..., 1].mean(), rtol=1e-6)
 
 
-def test_posterior_enters_the_record(sampled):
+def test_the_posterior_is_in_the_record(sampled):
     content = sampled.to_dict()
     assert content["posterior"]["outcome"] == "converged"
     assert content["intervals"]["posterior"]["mu"] == list(sampled.parameters["mu"].ci95)

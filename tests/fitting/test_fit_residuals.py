@@ -1,4 +1,4 @@
-"""Residuals by groups and in order, and densities of draws, against other routes."""
+"""Residuals by groups and in order, and densities of draws, checked independently."""
 
 import numpy as np
 import pytest
@@ -16,14 +16,14 @@ from tirefit.fitting.noise import autocorrelation
 from tirefit.fitting.residuals import means_by, means_over, ordered_correlation
 
 
-def test_autocorrelation_of_a_known_series():
+def test_autocorrelation_of_a_known_series_is_right():
     np.testing.assert_allclose(
         autocorrelation([np.array([1.0, -1.0] * 8)])[:3], [1.0, -15 / 16, 14 / 16]
     )
 
 
 def test_autocorrelation_pools_the_runs():
-    """Against the sums of products themselves."""
+    """Compared with the sums of products."""
     rng = np.random.default_rng(0)
     parts = [rng.normal(size=n) for n in (50, 31, 1)]
     power = sum(part @ part for part in parts)
@@ -36,7 +36,7 @@ def test_autocorrelation_pools_the_runs():
 
 
 def test_means_at_settings_cover_the_truth():
-    """95 % intervals of the means, of rows that count as half of one each."""
+    """95 % intervals of the means, of rows that count half each."""
     rng, loads = np.random.default_rng(1), np.repeat([2e3, 4e3, 6e3], 50)
     truth, inside = np.array([-1.0, 0.0, 2.0]), []
     for _ in range(300):
@@ -47,7 +47,7 @@ def test_means_at_settings_cover_the_truth():
     assert np.mean(inside) == pytest.approx(0.95, abs=0.03)
 
 
-def test_means_of_a_swept_input_are_those_of_bins():
+def test_a_swept_input_has_means_over_bins():
     rng = np.random.default_rng(2)
     x = rng.uniform(0, 1, 600)
     means = means_over(x, x**2, 1.0)
@@ -57,14 +57,14 @@ def test_means_of_a_swept_input_are_those_of_bins():
     assert [len(part) for part in few] == [0, 0, 0]
 
 
-def test_means_by_groups():
+def test_means_by_groups_are_right():
     codes, values = np.array([0, 2, 2, 0, 2]), np.array([1.0, 5, 7, 3, 9])
     means = means_by(codes, codes, values, 1.0)
     np.testing.assert_allclose(means.mean[[0, 2]], [2, 7])
     np.testing.assert_allclose(means.half[2], 1.96 * np.std([5, 7, 9], ddof=1) / 3**0.5)
 
 
-def test_order_is_that_of_time_within_the_runs():
+def test_rows_are_ordered_by_time_within_the_runs():
     run, time = np.repeat([0, 1], 40), np.tile(np.arange(40), 2)
     residual = np.sin(0.3 * np.arange(80)) + run
     mixed = np.random.default_rng(3).permutation(80)
@@ -74,7 +74,7 @@ def test_order_is_that_of_time_within_the_runs():
     np.testing.assert_allclose(ordered_correlation(residual, run, None), expected)
 
 
-def test_density_of_gaussian_draws():
+def test_density_of_gaussian_draws_is_gaussian():
     draws = norm.ppf((np.arange(200_000) + 0.5) / 200_000)
     edges = bin_edges(draws)
     middle = (edges[1:] + edges[:-1]) / 2
@@ -84,14 +84,14 @@ def test_density_of_gaussian_draws():
     assert np.mean((draws > edges[0]) & (draws < edges[-1])) >= 0.998
 
 
-def test_edges_have_a_width_and_do_not_follow_a_far_bulk():
+def test_bin_edges_have_a_width_and_ignore_a_far_mode():
     assert np.all(np.diff(bin_edges(np.full(100, 3.0))) > 0)
     assert np.all(np.diff(bin_edges(np.zeros(100))) > 0)
     far = np.append(np.random.default_rng(4).normal(size=9900), np.full(100, 1e4))
     assert bin_edges(far)[-1] < 8
 
 
-def test_joint_regions_hold_their_shares():
+def test_joint_regions_contain_their_shares():
     rng = np.random.default_rng(5)
     first, second = rng.normal(size=(2, 100_000))
     pair = bin_edges(first), bin_edges(second)

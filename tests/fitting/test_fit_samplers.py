@@ -1,4 +1,4 @@
-"""NUTS and importance sampling against known posteriors, ArviZ and emcee."""
+"""NUTS and importance sampling compared with known posteriors, ArviZ and emcee."""
 
 import arviz
 import jax
@@ -40,7 +40,7 @@ def stds(result):
 
 
 @pytest.mark.parametrize("shape", [0.0, 0.2, 0.5, 0.9, 1.5])
-def test_smoothed_weights_are_those_of_arviz(shape):
+def test_smoothed_weights_agree_with_arviz(shape):
     generator = np.random.default_rng(0)
     spread = generator.standard_exponential(5000)
     log_weights = shape * spread if shape else -(spread**2)
@@ -51,7 +51,7 @@ def test_smoothed_weights_are_those_of_arviz(shape):
     assert weights.sum() == pytest.approx(1)
 
 
-def test_weights_with_too_few_or_no_points_are_not_trusted():
+def test_weights_of_too_few_points_are_rejected():
     lonely = np.full(1000, -np.inf)
     assert smoothed(lonely)[1] == np.inf
     lonely[:3] = 0.0
@@ -66,7 +66,7 @@ def skewed(u):
 
 
 def narrow_and_far(u):
-    """Most of the probability where the proposal hardly ever looks."""
+    """Most of the probability is far outside the proposal."""
     return -jnp.sum((u - 12.0) ** 2, axis=-1) / 2e-2
 
 
@@ -80,7 +80,7 @@ def heavy(u):
     return -0.6 * jnp.sum(jnp.log1p(u**2), axis=-1)
 
 
-def test_weighted_draws_have_the_moments_of_the_target():
+def test_weighted_draws_have_the_right_moments():
     from scipy.special import polygamma
 
     weighted = draw_weighted(lambda u: skewed(u + 2.0), *plain(3), 0, 40_000)
@@ -96,7 +96,7 @@ def test_weighted_draws_have_the_moments_of_the_target():
     assert np.all(np.abs(half - mean) < np.sqrt(2) * error)
 
 
-def test_draws_are_worth_as_many_independent_ones():
+def test_draws_are_as_good_as_independent_ones():
     def drawn(seed):
         return draw_weighted(lambda u: skewed(u + 2.0), *plain(1), seed, 1000)
 
@@ -107,7 +107,7 @@ def test_draws_are_worth_as_many_independent_ones():
     assert np.std(means) < 1.2 * independent
 
 
-def test_weights_not_to_be_trusted_are_refused():
+def test_unreliable_weights_are_refused():
     assert "k-hat" in draw_weighted(narrow_and_far, *plain(2), 0, 1000).refused
     nowhere = draw_weighted(lambda u: np.full(len(u), -np.inf), *plain(2), 0, 1000)
     assert "k-hat inf" in nowhere.refused
@@ -117,7 +117,7 @@ def test_weights_not_to_be_trusted_are_refused():
     assert narrow.refused
 
 
-def test_a_bulk_far_from_the_optimum_is_seen():
+def test_a_mode_far_from_the_optimum_is_detected():
     """A narrow optimum, and 100 times its probability 40 of its spreads away."""
 
     def two(u):
@@ -165,7 +165,7 @@ def test_importance_is_reproduced_by_its_seed_alone(given, weighted, tmp_path):
     assert not np.array_equal(other.walkers[:, :, :50], weighted.walkers[:, :, :50])
 
 
-def test_refused_importance_falls_back_to_emcee_and_says_so(given, monkeypatch):
+def test_refused_importance_sampling_falls_back_to_emcee_with_a_note(given, monkeypatch):
     from tirefit.fitting import posterior
 
     real = draw_weighted
@@ -185,7 +185,7 @@ def test_refused_importance_falls_back_to_emcee_and_says_so(given, monkeypatch):
     assert content["k_hat"] == summary.k_hat and content["note"] == summary.note
 
 
-def test_importance_interrupted_before_any_point_is_said(given, monkeypatch):
+def test_importance_interrupted_before_any_point_is_reported(given, monkeypatch):
     from tirefit.fitting import posterior
 
     def interrupted(u):
@@ -196,7 +196,7 @@ def test_importance_interrupted_before_any_point_is_said(given, monkeypatch):
     assert Outcome.INTERRUPTED in result.outcomes and result.posterior is None
 
 
-def test_importance_has_no_trace_and_says_so(weighted, tmp_path):
+def test_importance_reports_that_it_has_no_trace(weighted, tmp_path):
     written = {path.name for path in save_figures(weighted, tmp_path)}
     assert "corner.png" in written and "trace.png" not in written
     with pytest.raises(UsageError, match="no chain"):
@@ -229,8 +229,8 @@ def test_nuts_agrees_with_emcee(given, sampled):
     assert "4 ensembles × 8 chains" in text and "0 divergences" in text
 
 
-def test_nuts_learns_a_mass():
-    """Spreads of 0.02 and 5 and a correlation, seen through no whitening at all."""
+def test_nuts_adapts_a_mass():
+    """Spreads of 0.02 and 5 and a correlation, without any whitening."""
     root = np.array([[0.02, 0.0], [4.0, 3.0]])
     inverse = jnp.linalg.inv(root)
 
@@ -273,8 +273,8 @@ def runs_of(count: int):
 
 
 def test_nuts_samples_many_parameters():
-    """Eight runs of their own stiffness and friction: 16 parameters, whose posterior
-    factors into runs, so that each interval is that of its own profile."""
+    """Eight runs with separate stiffness and friction: 16 parameters, whose posterior
+    factors into runs, so that each interval agrees with its profile."""
     each = {"per_run": True}
     config = GIVEN | {"parameters": {"mu": each, "cpa2": each}}
     result = fit(runs_of(8), "brush", config=config)
@@ -289,7 +289,7 @@ def test_nuts_samples_many_parameters():
 
 
 def test_a_density_is_differentiable_and_batched(given):
-    """All that the samplers ask of a fit."""
+    """Everything that the samplers need of a fit."""
     density = _density(given.solved)
     u = np.random.default_rng(0).standard_normal((5, 2))
     values = density(u)

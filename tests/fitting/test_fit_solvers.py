@@ -1,4 +1,4 @@
-"""Least squares: every solver against scipy and against certified values."""
+"""Least squares: every solver compared with SciPy and certified values."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +18,7 @@ _SCIPY = {}
 
 
 def scipy_answer(model):
-    """Estimate and covariance in natural values, from scipy and the second writing."""
+    """Estimate and covariance in natural values, from SciPy and the second formulas."""
     if model not in _SCIPY:
         force, truth, reach = CASES[model]
         data = curve(truth, force=force, reach=reach, seed=3)
@@ -70,7 +70,7 @@ def test_solver_agrees_with_scipy(model, solver):
 
 
 @pytest.mark.parametrize("solver", list(SOLVERS))
-def test_trial_step_outside_the_domain_does_not_stall(solver):
+def test_a_trial_step_outside_the_domain_does_not_stall(solver):
     # jaxopt's own Levenberg-Marquardt returns 5 here, with NaN and no flag.
     def residual(p):
         return jnp.log(p) - jnp.log(0.01), jnp.ones(1)
@@ -87,7 +87,7 @@ MGH09 = [0.19280693458, 0.19128232873, 0.12305650693, 0.13606233068]
 
 
 @pytest.mark.parametrize("solver", list(SOLVERS))
-def test_certified_values_of_a_hard_problem(solver):
+def test_certified_values_of_a_hard_problem_are_found(solver):
     x, y = jnp.array(MGH09_X), jnp.array(MGH09_Y)
 
     def residual(b):
@@ -114,8 +114,8 @@ def test_a_step_limit_is_reported():
 
 
 @pytest.mark.parametrize("start", [(0.0, 0.0), (3.0, -2.0), (-5.0, 6.0), (1.0, 11.9)])
-def test_beside_a_bound_the_others_still_arrive(start):
-    """b = 1 / (1 + e^-z) would be 1.5, were it free; a follows at its bound of 1."""
+def test_with_a_parameter_at_its_bound_the_others_converge(start):
+    """b = 1 / (1 + e^-z) would be 1.5 without bounds; a follows at its bound of 1."""
     x = np.linspace(0.1, 1.0, 40)
     y = 2.0 * x + 1.5 * x**2 + 0.01 * np.sin(40 * x)
     a = x @ (y - x**2) / (x @ x)  # by the normal equation with b = 1

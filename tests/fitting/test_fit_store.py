@@ -19,7 +19,7 @@ def no_constant(text):
     raise AssertionError(f"{text} is not JSON")
 
 
-def test_json_is_json_and_has_what_the_schema_promises(sampled, tmp_path):
+def test_the_json_file_satisfies_the_schema(sampled, tmp_path):
     written = sampled.save(tmp_path / "out")
     assert sorted(p.name for p in written) == ["fit.json", "posterior.nc"]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["fit.json", "posterior.nc"]
@@ -46,7 +46,7 @@ def test_not_a_number_becomes_null(given):
     assert content["fit"]["aicc"] is None and content["fit"]["bic"] is None
 
 
-def test_information_criteria_by_hand(given, estimated):
+def test_information_criteria_agree_with_hand_calculation(given, estimated):
     for result, count in ((given, 2), (estimated, 3)):
         values = {k: result.least_squares[k].value for k in ("cpa2", "mu")}
         residual = result.table["fx"] - brush_force(result.table["sigma_x"], **values)
@@ -62,7 +62,7 @@ def test_information_criteria_by_hand(given, estimated):
         np.testing.assert_allclose(statistics.rmse, np.sqrt(np.mean(residual**2)), rtol=1e-6)
 
 
-def test_stored_fit_predicts_as_the_live_one(given, tmp_path):
+def test_a_stored_fit_predicts_like_the_original(given, tmp_path):
     given.save(tmp_path)
     assert not (tmp_path / "posterior.nc").exists()
     stored, live = predict(load_fit(tmp_path / "fit.json"), NEW), predict(given, NEW)
@@ -74,7 +74,7 @@ def test_stored_fit_predicts_as_the_live_one(given, tmp_path):
     np.testing.assert_allclose(live["fx"], expected, rtol=1e-9, atol=1e-6)
 
 
-def test_predictive_spread_by_monte_carlo(given, sampled):
+def test_predictive_spread_agrees_with_monte_carlo(given, sampled):
     found = predict(given, NEW)["fx_std"]
     draws = sampled.walkers.reshape(-1, 2)
     chosen = draws[np.random.default_rng(0).choice(len(draws), 4000)]
@@ -125,7 +125,7 @@ def test_missing_inputs_are_named():
     ("text", "said"),
     [(None, "cannot read it"), ("{", "not JSON"), ("[]", "schema"), ("{}", "schema")],
 )
-def test_other_files_are_refused(tmp_path, text, said):
+def test_files_that_are_no_fit_are_refused(tmp_path, text, said):
     path = tmp_path / "fit.json"
     if text is not None:
         path.write_text(text)
@@ -167,7 +167,7 @@ def test_joint_fit_recovers_both_frictions(joint):
     assert joint.status == "ok"
 
 
-def test_fit_per_run_survives_the_file(joint, two_runs, tmp_path):
+def test_a_fit_per_run_survives_storing(joint, two_runs, tmp_path):
     joint.save(tmp_path)
     stored = load_fit(tmp_path / "fit.json")
     found, live = predict(stored, two_runs), predict(joint, two_runs)
@@ -183,14 +183,14 @@ def test_unknown_run_is_refused(joint):
     assert "it knows dry, wet" in str(caught.value)
 
 
-def test_shared_fit_serves_any_run(given):
+def test_a_shared_fit_predicts_any_run(given):
     assert "new" not in given.data["runs"]
     assert np.isfinite(predict(given, NEW)["fx"]).all()
 
 
 @pytest.fixture(scope="module")
 def tied():
-    """A tire whose kinetic over static friction follows its friction."""
+    """A tire whose ratio of kinetic to static friction depends on its friction."""
     data = curve(TRUTH | {"m": 0.8}, seed=40)
     config = {
         "noise": {"fx": STD},
@@ -200,7 +200,7 @@ def tied():
     return fit(data, "brush-m", config=config)
 
 
-def test_tied_parameter_carries_its_uncertainty(tied):
+def test_a_tied_parameter_has_its_uncertainty(tied):
     assert tied.labels == ("cpa2", "mu")
     m, mu = tied.parameters["m"], tied.parameters["mu"]
     np.testing.assert_allclose(m.value, 0.8 * mu.value, rtol=1e-12)
@@ -209,7 +209,7 @@ def test_tied_parameter_carries_its_uncertainty(tied):
     assert abs(mu.value - 1.0) < 4 * mu.std
 
 
-def test_tied_fit_with_other_bounds_survives_the_file(tied, tmp_path):
+def test_a_tied_fit_with_other_bounds_survives_storing(tied, tmp_path):
     tied.save(tmp_path)
     stored = predict(load_fit(tmp_path / "fit.json"), NEW)
     for name, values in predict(tied, NEW).items():

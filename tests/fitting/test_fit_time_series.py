@@ -1,4 +1,4 @@
-"""Fits of a transient model, of one with a reference load, of one's own pressure."""
+"""Fits of a transient model, of one with a reference load, of a tabulated pressure."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ CONFIG = {"noise": {"fx": NOISE}, "solver": "gauss-newton"}
 
 
 def lagging(slip, time):
-    """Slip behind one relaxation length, by Heun's rule in steps of 20 microseconds."""
+    """Slip after one relaxation length, by Heun's rule in steps of 20 microseconds."""
     step = 2e-5
     fine = np.arange(time[0], time[-1] + step, step)
     inputs = np.interp(fine, time, slip)
@@ -38,7 +38,7 @@ def lagging(slip, time):
 
 
 def transient(n=150):
-    """Two runs of a slip that swings faster than the patch follows."""
+    """Two runs with a slip that oscillates faster than the patch follows."""
     rng = np.random.default_rng(4)
     columns = []
     for start, rate in ((0.0, 9.0), (7.0, 15.0)):
@@ -70,13 +70,13 @@ def test_fit_recovers_the_relaxation_length(lagged):
     assert lagged.problem.n == 300 < len(lagged.problem.rows.weight)
 
 
-def test_steady_brush_misses_what_lags(lagged):
+def test_a_steady_brush_does_not_fit_lagging_data(lagged):
     steady = solved(DATA, CONFIG)
     assert steady.chi2_dof > 100 * lagged.statistics.chi2_dof
 
 
-def test_masked_rows_are_passed_over():
-    """Between two used rows the slip is taken as linear, whatever a masked row held."""
+def test_masked_rows_are_skipped():
+    """Between two used rows the slip is linear, whatever a masked row contained."""
     used = np.arange(len(DATA)) % 7 != 3
     columns = dict(DATA.columns)
     columns["sigma_x"] = np.where(used, columns["sigma_x"], np.nan)
@@ -86,8 +86,8 @@ def test_masked_rows_are_passed_over():
     np.testing.assert_allclose(value, LENGTH, rtol=0.02)
 
 
-def test_an_absurd_slip_is_set_aside_alone(lagged):
-    """The rows after it feel what they felt, not the wrong slip."""
+def test_only_the_row_of_an_absurd_slip_is_excluded(lagged):
+    """The lagged slip of the following rows does not include the wrong one."""
     slip = DATA["sigma_x"].copy()
     slip[[40, 200]] = 3.0
     spoilt = replace(DATA, columns={**DATA.columns, "sigma_x": slip})
@@ -110,14 +110,14 @@ def test_prediction_follows_the_rows_in_time(lagged):
     assert np.isnan(again["fx"][40:43]).all()
     np.testing.assert_allclose(again["fx"][used], found["fx"][used], atol=0.1 * FZ)
     np.testing.assert_allclose(again["fx"][:40], found["fx"][:40], rtol=1e-12)
-    # By name, with the runs apart: the second starts anew.
+    # By name, with separate runs: the second starts in steady state.
     values = {name: e.value for name, e in lagged.least_squares.items()}
     by_name = predict("brush-relaxation", DATA, values)
     np.testing.assert_allclose(by_name["fx"], found["fx"], rtol=1e-9, atol=1e-6)
 
 
-def test_a_longer_series_than_was_fitted_is_not_cut(lagged):
-    """Thrice the rows in a row: the time goes back, and each time starts anew."""
+def test_a_longer_series_than_the_fitted_one_is_predicted_completely(lagged):
+    """The rows three times: time decreases twice, and each part starts anew."""
     inputs, run = lagged.problem.rows.inputs, lagged.problem.rows.run
     thrice = [np.tile(lagged.problem.used(column), 3) for column in (*inputs, run)]
     force = fitted_force(lagged, "fx", TireInputs(*thrice[:-1]), thrice[-1])
@@ -130,7 +130,7 @@ def line_numbers(data):
     return replace(data, source=Source("swing.csv", line=np.arange(len(data)) + 2))
 
 
-def test_time_that_stands_still_names_the_row():
+def test_constant_time_is_refused_with_the_row():
     time = DATA["time"].copy()
     time[20], time[200] = time[19], time[199] - 1
     data = line_numbers(table({**DATA.columns, "time": time}, run=DATA.run, runs=DATA.runs))
@@ -161,8 +161,8 @@ def test_time_and_speed_are_needed():
     assert "needs v " in text and "needs time " in text
 
 
-def test_history_with_holes_is_refused():
-    """All of it at once: limits of the slip, and its noise."""
+def test_settings_that_remove_history_are_refused():
+    """All problems at once: limits of the slip, and its noise."""
     config = {"noise": {"sigma_x": 0.01}, "data": {"slip_max": 0.1, "slip_min": -1.0}}
     with pytest.raises(UsageError) as error:
         build(DATA, "brush-relaxation", parse_config(config))
@@ -183,7 +183,7 @@ def test_history_with_holes_is_refused():
 
 
 def loads(n=120):
-    """Three loads; c_p a^2 grows with the load to the 0.8, friction falls with it."""
+    """Three loads; c_p a^2 grows as load^0.8, friction falls with it."""
     rng = np.random.default_rng(5)
     fz = np.tile([2000.0, 3900.0, 6000.0], n // 3)
     slip = rng.uniform(0, 0.2, n)
@@ -195,7 +195,7 @@ def loads(n=120):
     return table({"sigma_x": slip, "fx": np.concatenate(force) + noise, "fz": fz})
 
 
-def test_reference_load_is_the_median_unless_given():
+def test_the_reference_load_defaults_to_the_median():
     data = loads()
     task = build(data, "brush-load", parse_config(CONFIG))
     assert task.problem.model.fz0 == 3900.0
@@ -206,7 +206,7 @@ def test_reference_load_is_the_median_unless_given():
     assert not any("fz0" in note for note in task.notes)
 
 
-def test_fit_recovers_how_the_parameters_follow_the_load():
+def test_fit_recovers_the_load_dependence_of_parameters():
     found = solved(loads(), CONFIG, "brush-load")
     layout = found.problem.layout
     values = dict(zip(layout.labels, layout.vector(found.z), strict=True))
@@ -219,8 +219,8 @@ def test_fit_recovers_how_the_parameters_follow_the_load():
 # A pressure of one's own
 
 
-def test_tabulated_pressure_is_fitted_by_a_name_of_its_own(monkeypatch):
-    """The table of the parabola in its place: the same estimate and covariance."""
+def test_a_tabulated_pressure_is_fitted_under_its_name(monkeypatch):
+    """A table of the parabola gives the same estimate and covariance."""
     law = Tabulated.from_function(lambda xi: 1 - xi**2)
     monkeypatch.setitem(MODELS, "mine", Brush(pressure=law))
     mine, plain = solved(curve(), GIVEN, "mine"), solved(curve(), GIVEN)

@@ -1,4 +1,4 @@
-"""What a fit says of itself, of its noise and of data it cannot use."""
+"""The verdict of a fit, its noise, and unsuitable data."""
 
 from dataclasses import replace
 
@@ -46,7 +46,7 @@ def test_noise_given_too_large_is_believed(given):
     assert result.statistics.chi2_dof < 0.5
 
 
-def test_good_fit_says_nothing(given, estimated):
+def test_a_good_fit_gives_no_warning(given, estimated):
     for result in (given, estimated):
         assert result.status == "ok" and result.warnings == ()
         assert result.verdict.disagreements == {}
@@ -55,7 +55,7 @@ def test_good_fit_says_nothing(given, estimated):
     assert estimated.statistics.chi2_dof is None
 
 
-def test_estimated_noise_is_said_and_right(estimated):
+def test_estimated_noise_is_reported_and_right(estimated):
     assert estimated.noise["fx"]["source"] == "estimated"
     assert "noise of fx: estimated from the residuals" in estimated.noise["notes"]
     np.testing.assert_allclose(estimated.noise["fx"]["median_std"], STD, rtol=4 / np.sqrt(800))
@@ -68,7 +68,7 @@ def test_unidentified_parameter_is_named(vague):
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.5])
-def test_a_slip_against_the_speeds_is_the_verdict(factor):
+def test_a_slip_that_contradicts_the_speeds_is_the_verdict(factor):
     """However well the model fits: the slip of the file is not that of the wheel."""
     table = curve(seed=4)
     sigma, v = table["sigma_x"], np.full(len(table), 15.0)
@@ -133,7 +133,7 @@ def test_routes_that_differ_are_named(given):
     assert judge(given).verdict.disagreements == {}
 
 
-def test_wrong_model_is_seen_in_the_residuals():
+def test_a_wrong_model_is_found_in_the_residuals():
     slip = np.sort(curve()["sigma_x"])
     force = 3500 * np.sin(np.pi * slip / slip.max()) ** 2
     noise = STD * np.random.default_rng(1).standard_normal(400)
@@ -161,7 +161,7 @@ def test_data_without_noise_are_called_exact(config, width):
     np.testing.assert_allclose(slip.value, FULL_SLIDING, rtol=1e-7)
 
 
-def test_a_noise_of_a_millionth_is_noise():
+def test_a_relative_noise_of_a_millionth_is_estimated():
     result = fit(curve(noise=1e-6 * FZ), config=ESTIMATED)
     assert result.warnings == () and result.status == "ok"
 
@@ -185,7 +185,7 @@ def test_std_column_weights_the_rows():
     np.testing.assert_allclose(np.asarray(weighted.problem.rows.scale["fx"])[:400], stds)
 
 
-def test_noise_proportional_to_load():
+def test_noise_proportional_to_load_is_fitted():
     generator = np.random.default_rng(60)
     load = generator.choice([1000.0, 4000.0, 8000.0], 400)
     slip = generator.uniform(0, 0.3, 400)
@@ -299,8 +299,8 @@ def test_residuals_that_follow_the_load_hint_at_brush_load(stiffness_power, mu_l
     assert "brush-load lets" not in " ".join(fit(data, "brush-load").warnings)
 
 
-def test_a_fit_with_slip_noise_over_loads_has_a_verdict():
-    """Its residuals are not one a row and force: the hint keeps silent."""
+def test_a_fit_with_slip_noise_at_several_loads_has_a_verdict():
+    """Without one residual per row and force there is no hint."""
     from tirefit.sim.rig import simulate_rig
 
     values = {"cpa2": 5e4, "mu": 0.9, "stiffness_power": 1.6, "fz0": 4000.0}

@@ -1,4 +1,4 @@
-"""Friction that follows the temperature, as a covariate of a whole Magic Formula."""
+"""Friction that depends on temperature, as a covariate of a whole Magic Formula."""
 
 import json
 from functools import cache
@@ -50,7 +50,7 @@ def fitted(friction_temperature):
     return fit_magic_formula(read_frame(table), "mf52", config=config, leave_out="none")
 
 
-def test_the_change_of_friction_and_the_friction_come_back():
+def test_friction_and_its_temperature_dependence_are_recovered():
     found, true = fitted(True), read_tir(MF52).numbers
     b, std, reference = found.warmth
     assert reference == warming_test()[1]
@@ -65,7 +65,7 @@ def test_the_change_of_friction_and_the_friction_come_back():
     assert found.fitted["fx"][0] < plain.fitted["fx"][0]
 
 
-def test_it_is_said_in_percent_and_written():
+def test_temperature_dependence_is_reported_in_percent_and_written():
     found = fitted(True)
     said = "% per 10 K of the column temperature; coefficients and figures are at"
     assert said in " ".join(str(found).split())
@@ -74,7 +74,7 @@ def test_it_is_said_in_percent_and_written():
     assert content["reference"] == warming_test()[1] and content["std"] > 0
 
 
-def test_what_it_cannot_be_asked_of_is_refused():
+def test_unsuitable_models_and_data_are_refused():
     table, _ = warming_test()
     table = {k: v for k, v in table.items() if k != "temperature"}
     config = {"model": {"friction_temperature": True}, "parameters": NOMINAL}

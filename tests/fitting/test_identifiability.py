@@ -1,4 +1,4 @@
-"""What a file can tell before any fit: against repeated fits, and known answers."""
+"""Parameters that a file determines, compared with repeated fits and known answers."""
 
 import numpy as np
 import pytest
@@ -12,13 +12,13 @@ from tirefit.sim.rig import simulate_rig
 
 
 def brush_by_hand(cpa2, mu, sigma, load):
-    """Parabolic brush, written down anew: S(20) in the share of the sliding slip."""
+    """Independent parabolic brush: S(20) in the share of the sliding slip."""
     x = np.minimum(cpa2 * np.abs(sigma) / (3 * mu * load) * 2, 1.0)
     return np.sign(sigma) * mu * load * (3 * x - 3 * x**2 + x**3)
 
 
-def test_the_expected_scatter_is_that_of_repeated_fits():
-    """200 sets of noise, fitted by another solver with a brush of its own."""
+def test_the_expected_scatter_agrees_with_repeated_fits():
+    """200 sets of noise, fitted by another solver with an independent brush."""
     rng = np.random.default_rng(4)
     sigma = np.tile(np.linspace(0.005, 0.1, 60), 3)
     load = np.repeat([2000.0, 4000.0, 6000.0], 60)
@@ -58,13 +58,13 @@ def answers(data, model):
         ("brush-load", 0.15, {"stiffness_power", "mu_load"}),
     ],
 )
-def test_what_cannot_be_told(model, largest, unknown):
+def test_undetermined_parameters_are_reported(model, largest, unknown):
     told = answers(swept(largest), model)
     assert {name for name, answer in told.items() if answer == "not"} == unknown
 
 
 @pytest.mark.parametrize(("largest", "unknown"), [(0.15, set()), (0.012, {"mu", "d"})])
-def test_what_cannot_be_told_is_what_a_fit_does_not_identify(largest, unknown):
+def test_undetermined_parameters_are_not_identified_by_a_fit(largest, unknown):
     data, model = swept(largest), "brush-d"
     told = answers(data, model)
     assert {name for name, answer in told.items() if answer == "not"} == unknown
@@ -73,7 +73,7 @@ def test_what_cannot_be_told_is_what_a_fit_does_not_identify(largest, unknown):
 
 
 @pytest.mark.parametrize("largest", [0.003, 0.006])
-def test_larger_slips_that_it_asks_for_tell_the_friction(largest):
+def test_the_suggested_larger_slips_determine_the_friction(largest):
     (gate,) = identifiability(swept(largest), ["brush"]).gates
     (friction,) = [p for p in gate.parameters if p.name == "mu"]
     times = {"twice": 2, "four times": 4, "ten times": 10}
@@ -82,7 +82,7 @@ def test_larger_slips_that_it_asks_for_tell_the_friction(largest):
     assert answers(swept(factor * largest), "brush")["mu"] != "not"
 
 
-def test_loads_that_it_asks_for_tell_what_depends_on_load():
+def test_the_suggested_loads_determine_the_load_dependence():
     (gate,) = identifiability(swept(0.15), ["brush-load"]).gates
     asked = {p.remedy for p in gate.parameters if p.told == "not"}
     assert asked == {"loads from half to one and a half times as large"}
@@ -90,8 +90,8 @@ def test_loads_that_it_asks_for_tell_what_depends_on_load():
     assert "not" not in answers(wider, "brush-load").values()
 
 
-def test_rows_that_repeat_their_noise_count_once():
-    """Each row four times with the same noise in time: a fourth of the information."""
+def test_rows_with_the_same_noise_count_once():
+    """Each row four times with the same noise: a quarter of the information."""
     made = simulate_rig(largest=0.1, points=400, force_std=0.02, seed=5).columns
     rng = np.random.default_rng(6)
     noise = np.repeat(0.02 * 4000.0 * rng.normal(size=200), 8)[: len(made["fx"]) * 4]
@@ -108,8 +108,8 @@ def test_rows_that_repeat_their_noise_count_once():
     np.testing.assert_allclose(ratio, np.sqrt(8), rtol=0.35)
 
 
-def test_many_rows_are_as_good_as_their_number():
-    """Of 5,000 rows 512 stand for all: the answer is that of all."""
+def test_standard_errors_of_many_rows_use_their_number():
+    """512 of 5,000 rows are used; the result is that of all."""
     few, many = (
         identifiability(read_frame(simulate_rig(largest=0.1, points=n, seed=2).columns), ["brush"])
         for n in (500, 5000)
@@ -118,8 +118,8 @@ def test_many_rows_are_as_good_as_their_number():
         assert a.std / b.std == pytest.approx(np.sqrt(10), rel=0.2)
 
 
-def test_at_a_bound_nothing_is_told_by_the_bound():
-    """Pure noise: no curve, and whichever bound a parameter would run to, no answer."""
+def test_a_bound_does_not_determine_a_parameter():
+    """Pure noise: no curve, and no answer from a bound that a parameter reaches."""
     rng = np.random.default_rng(8)
     slip = rng.uniform(-0.2, 0.2, 150)
     frame = {"sigma_x": slip, "fz": np.full(150, 4e3), "fx": 400 * rng.normal(size=150)}
@@ -130,7 +130,7 @@ def test_at_a_bound_nothing_is_told_by_the_bound():
         assert last.name in "nh" and last.told != "well"
 
 
-def test_the_models_that_are_asked_unless_told():
+def test_default_and_given_models_are_evaluated():
     gates = identifiability(swept(0.15)).gates
     assert tuple(gate.model for gate in gates) == MODELS_ASKED
     assert all(gate.parameters or gate.reason for gate in gates)
@@ -138,7 +138,7 @@ def test_the_models_that_are_asked_unless_told():
     assert curved["D"] == "well" and curved.keys() == {"B", "C", "D", "E"}
 
 
-def test_the_text_names_what_is_missing():
+def test_the_text_names_the_missing_measurements():
     data = swept(0.004)
     text = identifiability(data, ["brush", "brush-n"]).summary()
     assert "not mu" in text and "slips" in text and "100 rows that count as" in text

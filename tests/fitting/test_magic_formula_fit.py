@@ -43,8 +43,8 @@ def columns(path, forces_, least=1e-9):
 
 
 @pytest.mark.parametrize("version", ["5.2", "6.1"])
-def test_every_coefficient_has_one_part_and_a_prior(version):
-    """Those of the files are those of the stages, but for the scaling factors."""
+def test_every_coefficient_belongs_to_one_part_and_has_a_prior(version):
+    """The coefficients of files are those of the stages, except the scaling factors."""
     of_files = {
         key
         for key, section in COEFFICIENTS.items()
@@ -62,7 +62,7 @@ def test_every_coefficient_has_one_part_and_a_prior(version):
     assert all(published_priors()[name].spread > 0 for name in own)
 
 
-def test_the_shipped_priors_are_those_of_the_published_tires(tmp_path):
+def test_the_shipped_priors_agree_with_the_published_tires(tmp_path):
     priors_script().main(tmp_path / "priors.csv")
     shipped = Path("tirefit/fitting/mf/priors.csv")
     shipped = Path(__file__).parents[2] / shipped
@@ -77,7 +77,7 @@ def test_the_shipped_priors_are_those_of_the_published_tires(tmp_path):
                 assert abs(away) < float(row["spread"]), said
 
 
-def test_signs_that_say_the_same_give_the_same_forces():
+def test_equivalent_signs_give_the_same_forces():
     values = {"PDY1": -0.9, "PDY2": 0.1, "PKY1": -20.0, "RVY1": 0.02, "RVY3": 0.3}
     values |= {"RVY4": -5.0, "RVY5": -1.9, "RVY6": 12.0, "RBX2": -8.0, "RBX1": 9.0}
     values |= {"RCX1": 1.0, "RCY1": 1.0, "RBY1": 11.0}
@@ -111,7 +111,7 @@ def small_problem(rows=300):
     return Problem(tire, names, centre, spread, log, free, blocks)
 
 
-def test_slopes_are_those_of_finite_differences():
+def test_slopes_agree_with_finite_differences():
     problem = small_problem(40)
     generator = np.random.default_rng(1)
     u = 0.1 * generator.standard_normal(len(problem.names))
@@ -124,8 +124,8 @@ def test_slopes_are_those_of_finite_differences():
         np.testing.assert_allclose(slope[:, i], (ahead - behind) / 2e-6, rtol=1e-5, atol=1e-5)
 
 
-def test_the_optimum_is_no_worse_than_that_of_scipy():
-    """From the centres of the priors, and from where the other one ended."""
+def test_the_optimum_is_at_least_as_good_as_scipys():
+    """From the centres of the priors, and from the end of the other search."""
     problem = small_problem()
     start = np.zeros(len(problem.names))
     end = minimise(problem, start)
@@ -151,7 +151,7 @@ def test_the_optimum_is_no_worse_than_that_of_scipy():
         assert ours @ ours <= 2 * peer.cost * (1 + 1e-6)
 
 
-def test_noise_that_grows_with_load_or_force_is_told_from_noise_that_does_not():
+def test_constant_and_growing_noise_are_distinguished():
     generator = np.random.default_rng(3)
     fz = generator.choice([1e3, 2e3, 4e3, 8e3], 20_000)
     force = fz * generator.uniform(-1.2, 1.2, len(fz))
@@ -164,8 +164,8 @@ def test_noise_that_grows_with_load_or_force_is_told_from_noise_that_does_not():
         np.testing.assert_allclose(found.std(fz, force), std, rtol=0.12, atol=3.0)
 
 
-def test_pure_lateral_rows_give_their_coefficients_back():
-    """Against the file that made them, in standard errors."""
+def test_pure_lateral_rows_recover_their_coefficients():
+    """Compared with the file that made them, in standard errors."""
     from tirefit.data.tir import read_tir
 
     table = columns(MF61, ("fy",))
@@ -184,8 +184,8 @@ def test_pure_lateral_rows_give_their_coefficients_back():
     assert result.noise["fy"].std(6e3, 3e3) == pytest.approx(60.0, rel=0.05)
 
 
-def test_what_was_not_varied_is_held_and_said():
-    """Upright and at one pressure, camber and pressure terms are not told."""
+def test_coefficients_without_variation_are_fixed_and_reported():
+    """At zero camber and one pressure, the terms of both are undetermined."""
     table = columns(MF61, ("fy",))
     upright = (table["gamma"] == 0) & (table["pressure"] == 2.6e5)
     table = {k: v[upright] for k, v in table.items() if k not in ("gamma", "pressure")}
@@ -197,7 +197,7 @@ def test_what_was_not_varied_is_held_and_said():
     assert result.status == "not identified"
 
 
-def test_a_given_coefficient_stays_and_a_prior_of_ones_own_is_used():
+def test_given_coefficients_and_priors_are_used():
     table = columns(MF52, ("fx",))
     asked = {"PEX4": {"value": 0.0, "free": False}, "PCX1": {"prior": {"mean": 1.2, "std": 0.001}}}
     config = {"parameters": asked, "noise": {"sigma_x": 1e-3}}
@@ -225,7 +225,7 @@ def test_a_given_coefficient_stays_and_a_prior_of_ones_own_is_used():
         ("mf61", "fy", {"force": ["fx"], "starts": 2}, "force, starts in a Magic"),
     ],
 )
-def test_what_cannot_be_asked_is_refused(model, part, config, said):
+def test_wrong_settings_are_refused(model, part, config, said):
     data = read_frame(columns(MF61, ("fy",)))
     with pytest.raises(UsageError, match=said):
         fit_magic_formula(data, model, part=part, config=config)
@@ -246,5 +246,5 @@ def test_data_without_the_force_or_with_few_rows_are_refused():
         fit_magic_formula(read_frame(in_bar), "mf61")
 
 
-def test_versions_are_those_of_the_models():
+def test_versions_agree_with_the_models():
     assert {k: v.version for k, v in MAGIC_FORMULAS.items()} == VERSIONS

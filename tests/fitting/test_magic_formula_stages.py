@@ -1,4 +1,4 @@
-"""Stages of a Magic Formula fit: what one channel does to another, limits, weights."""
+"""Stages of a Magic Formula fit: influence between channels, limits, weights."""
 
 from functools import cache
 
@@ -31,9 +31,9 @@ GIVEN = {n: {"value": TIRE[n]} for n in ("FNOMIN", "UNLOADED_RADIUS", "NOMPRES")
 LOADS = (1500.0, 2800.0, 4200.0, 5600.0)
 
 
-def test_of_a_rig(seed=0, combined=True, friction=0.12, loads=LOADS):
-    """Columns of a test of TIRE: friction falls over every sweep by this share, and
-    M_z is that of 1.6 times the cornering stiffness, with a ripple."""
+def rig_test(seed=0, combined=True, friction=0.12, loads=LOADS):
+    """Columns of a test of TIRE: friction falls over every sweep by this share, and M_z
+    is that of 1.6 times the cornering stiffness, with a ripple."""
     generator = np.random.default_rng(seed)
     time = np.linspace(0.0, 4.0, 100)
     sweep, parts = np.sin(2 * np.pi * time / 4), []
@@ -64,12 +64,9 @@ def test_of_a_rig(seed=0, combined=True, friction=0.12, loads=LOADS):
     return dict(zip(names, np.concatenate(parts, axis=1), strict=True))
 
 
-test_of_a_rig.__test__ = False
-
-
 @cache
 def fit_of(*channels, combined=True):
-    table = test_of_a_rig()
+    table = rig_test()
     pure = (np.abs(table["alpha"]) < 1e-9) | (np.abs(table["sigma_x"]) < 1e-9)
     kept = pure | combined
     absent = {"fx", "fy", "mz"} - set(channels)
@@ -93,7 +90,7 @@ def test_a_moment_moves_no_coefficient_of_a_force():
         assert abs(one.value - true) < max(3 * one.std, 0.02 * true), name
 
 
-def test_rows_of_combined_slip_keep_what_pure_slip_told():
+def test_combined_slip_rows_keep_the_pure_slip_coefficients():
     whole, pure = fit_of("fx", "fy"), fit_of("fx", "fy", combined=False)
     told = [
         name
@@ -154,7 +151,7 @@ def test_a_fit_needs_no_limit_of_the_curvature():
     np.testing.assert_allclose(ours, other, rtol=1e-9, atol=1e-6)
 
 
-def test_design_effect_is_that_of_residuals_common_to_a_setting():
+def test_the_design_effect_measures_residuals_common_to_a_setting():
     """1 + (m - 1) rho of settings of m residuals with correlation rho (Kish)."""
     generator = np.random.default_rng(2)
     settings, rows = 200, 10
@@ -189,9 +186,9 @@ def test_cells_are_means_of_the_rows_of_one_setting():
 
 
 @pytest.mark.parametrize("left", [LOADS[0], LOADS[2], LOADS[3]])
-def test_bands_hold_rows_of_a_load_that_was_left_out(left):
-    """Inside the loads, and at 1.3 times the largest that was fitted."""
-    table = test_of_a_rig(combined=False, loads=(*LOADS[:3], 4900.0, LOADS[3]))
+def test_bands_contain_rows_of_a_load_that_was_left_out(left):
+    """Within the loads, and at 1.3 times the largest fitted load."""
+    table = rig_test(combined=False, loads=(*LOADS[:3], 4900.0, LOADS[3]))
     near = np.abs(table["fz"] / left - 1) < 0.05
     if left == LOADS[3]:
         near |= np.abs(table["fz"] / 4900.0 - 1) < 0.05
@@ -207,7 +204,7 @@ def test_bands_hold_rows_of_a_load_that_was_left_out(left):
     assert {part.force for part in fit.left_out} == {"fx", "fy", "mz"}
 
 
-def test_guards_tell_what_fails_within_the_data_from_what_fails_beyond():
+def test_guards_distinguish_failures_within_and_beyond_the_data():
     tire = mf_tire("6.1", TIRE | {"PDY2": -0.5})
     ranges = {"kappa": (-0.2, 0.2), "alpha": (-0.2, 0.2), "gamma": (0.0, 0.05)}
     within = check_guards(tire, ranges | {"fz": (1500.0, 6500.0)}, ("fx", "fy"))
@@ -217,7 +214,7 @@ def test_guards_tell_what_fails_within_the_data_from_what_fails_beyond():
     assert not all(guard.holds_inside for guard in wider)
 
 
-def test_a_curve_that_turns_its_sign_within_the_data_is_no_tire():
+def test_a_curve_that_changes_sign_within_the_data_fails_its_guard():
     tir = read_tir(MF61).numbers
     alpha = np.tile(np.linspace(-0.25, 0.25, 100), 3)
     fz = np.repeat([3000.0, 5000.0, 7000.0], 100)
@@ -229,7 +226,7 @@ def test_a_curve_that_turns_its_sign_within_the_data_is_no_tire():
     assert "VERDICT: do not use this fit as it is" in str(fit)
 
 
-def test_friction_that_no_row_reaches_is_no_measurement():
+def test_a_friction_that_no_row_reaches_is_reported():
     alpha = np.tile(np.linspace(-0.02, 0.02, 60), 3)
     fz = np.repeat([3000.0, 5000.0, 7000.0], 60)
     tir = read_tir(MF61).numbers
@@ -258,8 +255,8 @@ def test_a_force_with_few_rows_of_pure_slip_is_fitted_in_one_stage():
 
 
 def test_a_single_part_left_out_gives_a_band_of_the_noise_and_no_nan():
-    """F_x at two loads of which one is left out: no other part makes its band. One
-    setting of a load is enough to leave it out."""
+    """F_x at two loads, one of which is left out: no other part gives its band, and one
+    setting suffices to leave it out."""
     slip, loads = np.linspace(-0.2, 0.2, 41), np.array([1.5e3, 3e3, 4.5e3, 6e3])
     side = TireInputs(0.0, np.tile(slip, 4), np.repeat(loads, 41))
     along = TireInputs(np.tile(slip, 2), 0.0, np.repeat([3e3, 4.5e3], 41))

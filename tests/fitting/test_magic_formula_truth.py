@@ -1,4 +1,4 @@
-"""Tests of known tires: the forces that come back, beside and beyond their rows.
+"""Tests of known tires: recovered forces within and beyond their rows.
 
 The priors of each tire are made without its own family, so that no truth stands in
 them.
@@ -85,7 +85,7 @@ def judged(path, fit, at, seed):
     return shares
 
 
-def test_forces_come_back_inside_and_beyond_the_loads(monkeypatch, tmp_path):
+def test_forces_are_recovered_within_and_beyond_the_loads(monkeypatch, tmp_path):
     """MF 6.1 in pure and combined slip; the file and the record say the same."""
     fit = fit_of(MF61, monkeypatch, n=30, loads=4)
     assert "not converged" not in fit.outcomes and fit.forces == FORCES
@@ -111,7 +111,7 @@ def test_forces_come_back_inside_and_beyond_the_loads(monkeypatch, tmp_path):
             np.testing.assert_allclose(stored[name], own[name], rtol=1e-9, atol=1e-6)
 
 
-def test_a_version_is_converted_to_its_twin():
+def test_a_version_is_converted_to_the_equivalent_one():
     """6.2 has the forces of 6.1."""
     fit = converted(read_tir(MF62), "mf61", 0.3, [3500.0, 7000.0])
     # Two millionths of the force, at which the search rests.
@@ -122,7 +122,7 @@ def test_a_version_is_converted_to_its_twin():
 
 @pytest.mark.statistics
 def test_a_version_is_converted_to_another():
-    """F_x of 5.2 stands in 6.1, and nearly all of F_y."""
+    """F_x of 5.2 is exact in 6.1, and F_y nearly."""
     fit = converted(read_tir(MF52), "mf61", 0.3, [5000.0, 9000.0, 13000.0])
     assert fit.fitted["fx"][0] < 1e-3
     assert fit.fitted["fy"][0] < 10.0
@@ -130,8 +130,8 @@ def test_a_version_is_converted_to_another():
 
 
 @pytest.mark.statistics
-def test_a_drift_beside_a_whole_magic_formula_is_named():
-    """A friction that falls by 8 % over a test whose loads come in no order."""
+def test_a_drift_is_named_with_a_magic_formula_simulator():
+    """A friction that falls by 8 % over a test with loads in random order."""
     table = measured(MF61, n=30, loads=4)
     pure = np.abs(table["sigma_x"]) < 1e-9
     names = ("alpha", "fz", "gamma", "pressure", "fy", "run")
@@ -147,7 +147,7 @@ def test_a_drift_beside_a_whole_magic_formula_is_named():
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("path", TIRES, ids=lambda path: path.stem[-24:])
-def test_every_tire_comes_back(path, monkeypatch):
+def test_every_published_tire_is_recovered(path, monkeypatch):
     """0.5 % of the load inside and 3 % at 1.3 times the loads; of 95 % bands 90 to 99 %
     of new measurements are within, and of true forces in the mean over the seeds.
 
@@ -176,8 +176,8 @@ def test_every_tire_comes_back(path, monkeypatch):
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("path", [TIRES[0], MF61], ids=lambda path: path.stem[-24:])
-def test_loads_that_were_left_out_are_foretold(path, monkeypatch):
-    """Each load of the test, the largest too, from the fit of the others."""
+def test_loads_that_were_left_out_are_predicted(path, monkeypatch):
+    """Each load of the test, including the largest, from the fit of the others."""
     whole = measured(path)
     for left in np.unique(whole["fz"])[1:]:
         fit = fit_of(path, monkeypatch, rows=lambda table, f=left: table["fz"] != f)

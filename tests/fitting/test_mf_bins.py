@@ -1,4 +1,4 @@
-"""Settings of a rig's test, found in rows whose load follows the slip."""
+"""Settings of a rig test, found in rows whose load follows the slip."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def swept(rng, load, wander):
         lambda way: 0.08 * np.abs(way) - 0.04,
     ],
 )
-def test_settings_are_found_whose_load_follows_the_slip(force, wander):
+def test_settings_are_found_if_the_load_follows_the_slip(force, wander):
     rng = np.random.default_rng(1)
     parts, truth = [], []
     for load in LOADS:
@@ -73,7 +73,7 @@ def test_settings_are_found_whose_load_follows_the_slip(force, wander):
     assert len(set(labels)) == len(settings) and np.array_equal(same, code)
 
 
-def test_a_grid_of_points_has_its_other_slip_as_a_setting():
+def test_in_a_grid_the_other_slip_is_a_setting():
     alpha = np.repeat(np.arange(-3, 4) * 3.0, 9) * DEG
     kappa = np.tile(np.linspace(-0.4, 0.4, 9), 7)
     part = (kappa / (1 - kappa), alpha, 1000.0, 0.0, 0.0)
@@ -87,7 +87,7 @@ def test_a_grid_of_points_has_its_other_slip_as_a_setting():
     np.testing.assert_allclose(held[at], alpha[at], atol=1e-9)
 
 
-def test_swept_load_is_cut_into_thirds():
+def test_a_swept_load_is_divided_into_thirds():
     rng = np.random.default_rng(2)
     part = (0.0, rng.uniform(-0.2, 0.2, 900), rng.uniform(1e3, 6e3, 900), 0.0, 2e5)
     settings, code = rig_settings(rows_of("fy", [part]))
@@ -95,7 +95,7 @@ def test_swept_load_is_cut_into_thirds():
     assert np.bincount(code).tolist() == [300, 300, 300]
 
 
-def test_runs_are_settings_of_their_own():
+def test_runs_are_separate_settings():
     part = (0.0, np.linspace(-0.2, 0.2, 60), 1000.0, 0.0, 2e5)
     settings, code = rig_settings(rows_of("fy", [part, part], np.repeat([4, 7], 60)))
     assert [s.run for s in settings] == [4, 7]

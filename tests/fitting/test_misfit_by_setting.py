@@ -1,4 +1,4 @@
-"""A misfit that follows a setting of the test is no noise, and correlated noise is."""
+"""A misfit that depends on a setting is not noise, but correlated noise is."""
 
 import numpy as np
 import pytest
@@ -109,8 +109,8 @@ TRUTH = {"cpa2": 6e4, "mu": 1.05}
 
 
 def filtered(seed, loads=(2000.0, 4000.0, 6000.0), n=600, rho=0.97):
-    """The right model at three loads one after the other, with noise that a filter
-    correlates over 33 rows."""
+    """The right model at three consecutive loads, with noise correlated over 33 rows by
+    a filter."""
     generator = np.random.default_rng(seed)
     time = np.arange(n) / 20
     alpha = 0.12 * np.sin(2 * np.pi * time / 9)
@@ -122,8 +122,8 @@ def filtered(seed, loads=(2000.0, 4000.0, 6000.0), n=600, rho=0.97):
 
 
 def test_correlated_noise_stays_noise():
-    """Of 60 filtered logs nearly none is taken for a misfit, and the intervals hold the
-    truth as often as with rows that count as few."""
+    """Of 60 filtered logs nearly none is taken for a misfit, and the intervals contain
+    the truth as often as with the equivalent number of rows."""
     found, inside = 0, []
     for seed in range(60):
         end = solved(filtered(seed), {"starts": 1})

@@ -1,4 +1,4 @@
-"""M_x and M_y of a whole Magic Formula, fitted beside the forces."""
+"""M_x and M_y of a whole Magic Formula, fitted with the forces."""
 
 from functools import cache
 
@@ -49,7 +49,7 @@ def whole():
     return fitted()
 
 
-def test_the_moments_come_back_in_standard_errors():
+def test_the_moments_are_recovered_within_standard_errors():
     fit, numbers = whole(), read_tir(MF52).numbers
     assert fit.forces == ("fx", "fy", "mx", "my") and "not converged" not in fit.outcomes
     assert fit.parts == ("fx", "fy", "combined", "mx", "my")
@@ -63,7 +63,7 @@ def test_the_moments_come_back_in_standard_errors():
 
 
 def test_the_moments_do_not_move_the_forces():
-    """Even where they are of another tire."""
+    """Even if they come from another tire."""
     alone = fitted(without=("mx", "my"))
     assert not {"mx", "my"} & set(alone.forces)
     assert not any(name.startswith(("QSX", "QSY")) for name in alone.coefficients)
@@ -78,7 +78,7 @@ def test_the_moments_do_not_move_the_forces():
     np.testing.assert_array_equal(covariance, alone.covariance)
 
 
-def test_the_files_give_the_moments_back(tmp_path):
+def test_the_files_reproduce_the_moments(tmp_path):
     fit, (_, true) = whole(), columns()
     save_magic_formula(fit, tmp_path)
     inputs = {k: columns()[0][k] for k in ("sigma_x", "alpha", "fz", "v", "gamma")}
@@ -93,7 +93,7 @@ def test_the_files_give_the_moments_back(tmp_path):
         assert np.max(own) < noise
 
 
-def test_one_moment_is_fitted_with_the_forces_that_it_is_made_of():
+def test_one_moment_is_fitted_with_the_forces_it_depends_on():
     fit = fitted(part="my")
     assert fit.parts == ("fx", "fy", "combined", "my")
     assert fit.coefficients["QSY1"] == whole().coefficients["QSY1"]
@@ -109,15 +109,15 @@ def test_an_overturning_moment_needs_a_lateral_force():
             fitted(without=(name,), part="mx")
 
 
-def test_a_moment_that_is_given_goes_to_the_file():
+def test_given_moment_coefficients_are_written_to_the_file():
     fit = fitted(without=("mx", "my"), part="fx", QSX3={"value": 0.02})
     assert fit.coefficients["QSX3"].origin == "given"
     assert tir_of(fit).numbers["QSX3"] == 0.02 and "QSY1" not in tir_of(fit).numbers
 
 
 @pytest.mark.parametrize(("path", "model"), [(MF62, "mf61"), (MF61, "mf52")])
-def test_another_version_has_the_moments_as_far_as_it_can(path, model):
-    """Exactly in 6.x; in 5.2 an M_x fitted, and the M_y of the nominal state."""
+def test_another_version_gets_the_moments_it_supports(path, model):
+    """Exactly in 6.x; in 5.2 a fitted M_x, and the M_y of the nominal state."""
     tir = read_tir(path)
     nominal = tir.numbers["FNOMIN"]
     fit = converted(tir, model, 0.15, [0.6 * nominal, nominal])

@@ -1,4 +1,4 @@
-"""Stated bands hold 95 % of the rows of every setting, not of all together."""
+"""Stated bands contain 95 % of the rows of every setting, not only of all together."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ CONFIG = {"parameters": {"cpa2": {"per_run": True}}}
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_bands_hold_95_in_100_rows_of_every_setting(name, tmp_path):
+def test_bands_contain_95_percent_of_the_rows_of_every_setting(name, tmp_path):
     data, setting = rig(1, LAWS[name])
     result = fit(data, "brush", config=CONFIG)
     path = tmp_path / "fit.json"
@@ -52,13 +52,13 @@ def test_bands_hold_95_in_100_rows_of_every_setting(name, tmp_path):
         assert np.all((share > 0.90) & (share < 0.985)), share
 
 
-def test_noise_alike_everywhere_stays_one_number():
+def test_uniform_noise_is_one_number():
     seeds = range(10)
     laws = [fit(curve(seed=seed), "brush").noise["fx"].keys() for seed in seeds]
     assert not any({"constant", "by_run"} & set(law) for law in laws)
 
 
-def test_noise_of_a_record_by_hand():
+def test_noise_of_a_record_agrees_with_hand_calculation():
     record = {
         "median_std": 9.0,
         "constant": 3.0,

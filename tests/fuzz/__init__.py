@@ -31,7 +31,7 @@ SECONDS, GIGABYTES = 60, 2.0
 
 
 class Failure(NamedTuple):
-    """An input that neither gave a result nor a clean error."""
+    """An input that gave neither a result nor a clean error."""
 
     kind: str
     number: int
@@ -40,7 +40,7 @@ class Failure(NamedTuple):
 
 
 class TooLong(BaseException):
-    """No reader may catch it."""
+    """An exception that no reader may catch."""
 
 
 def _alarm(*_):
@@ -49,7 +49,7 @@ def _alarm(*_):
 
 @contextmanager
 def _bounded() -> Iterator[None]:
-    """At most so many seconds of the processor's time: others may use it as well."""
+    """Limits the processor time in seconds; other processes may use it as well."""
     signal.signal(signal.SIGPROF, _alarm)
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
     try:
@@ -59,7 +59,7 @@ def _bounded() -> Iterator[None]:
 
 
 def _tried(kind: Kind, path: Path) -> str:
-    """What went wrong while the file was read; empty if nothing did."""
+    """The error while the file was read; empty if there was none."""
     try:
         with _bounded(), warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -73,7 +73,7 @@ def _tried(kind: Kind, path: Path) -> str:
 
 
 def _forget_peak() -> None:
-    """Begins to count the largest memory anew, where the system can."""
+    """Resets the largest memory in use, if the system allows it."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
@@ -87,7 +87,7 @@ def _peak() -> float:
 
 
 def failures(inputs: int, seed: int, kinds=tuple(KINDS), whole: float = 0.0) -> Iterator[Failure]:
-    """Each of the damaged inputs that failed; kinds take turns.
+    """Every damaged input that failed; kinds take turns.
 
     Args:
         kinds: of :data:`KINDS` or :data:`COMMANDS`.

@@ -1,4 +1,4 @@
-"""``python -m tests.fuzz``: as many inputs as are asked for; what fails is kept."""
+"""``python -m tests.fuzz``: the requested number of inputs; failures are kept."""
 
 import argparse
 import json

@@ -1,4 +1,4 @@
-"""Whole commands, each on a damaged file among sound ones."""
+"""Whole commands, each with one damaged file and otherwise sound ones."""
 
 import os
 import re
@@ -57,7 +57,7 @@ LINES = {
 
 
 class Unclean(Exception):
-    """A command that ended otherwise than with a result or a clean error."""
+    """A command that ended neither with a result nor with a clean error."""
 
 
 @contextmanager
@@ -85,7 +85,7 @@ def _arguments(line: str, path: Path) -> list[str]:
 
 
 def _run(line: str, path: Path) -> None:
-    """Raises Unclean, or what the command raised."""
+    """Raises Unclean, or the exception of the command."""
     from typer.testing import CliRunner
 
     from tirefit.cli.commands import app

@@ -1,4 +1,4 @@
-"""Faults at random, by a seed: of bytes, of tokens, of values of a record."""
+"""Random damage from a seed: to bytes, tokens and values of a record."""
 
 import json
 from copy import deepcopy
@@ -33,7 +33,7 @@ def _number_or_word(content: bytes, random) -> tuple[int, int]:
 
 
 def damaged(content: bytes, random: np.random.Generator) -> bytes:
-    """The content with one to four faults."""
+    """The content with one to four errors."""
     for _ in range(int(random.integers(1, 5))):
         n = len(content)
         a, b = sorted(int(x) for x in random.integers(0, n + 1, 2))
@@ -65,7 +65,7 @@ _VALUES = (
 
 
 def changed_record(content: bytes, random: np.random.Generator) -> bytes:
-    """A JSON record with one to three values of another kind, and a right checksum."""
+    """A JSON record with one to three values replaced, and a right checksum."""
     record = json.loads(content)
     record.pop("checksum", None)
     for _ in range(int(random.integers(1, 4))):

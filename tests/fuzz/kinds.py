@@ -1,4 +1,4 @@
-"""Sound files of every kind that is read, and what reads them."""
+"""Sound files of every readable kind, and their readers."""
 
 import gzip
 import json
@@ -14,7 +14,7 @@ __all__ = ["KINDS", "Kind", "fit_json", "log_toml", "short_log", "sweep"]
 
 
 class Kind(NamedTuple):
-    """Sound files of one kind and what reads them: (path) -> anything."""
+    """Sound files of one kind and their reader: (path) -> anything."""
 
     suffix: str
     sound: Callable[[], list[bytes]]
@@ -132,7 +132,7 @@ def fit_json() -> bytes:
 
 
 def _diagnosis() -> bytes:
-    """What an export reads of a diagnosis that names an effect."""
+    """The part of a diagnosis that an export reads, with a named effect."""
     values, id = {"cpa2": 5e4, "mu": 0.9}, "load_friction"
     size = {"value": -0.1, "std": 0.01, "unit": "-", "formula": "a power of the load"}
     content = {
@@ -185,7 +185,7 @@ def log_toml() -> bytes:
 
 
 def _read_vehicle(path: Path):
-    """The vehicle, and a short log by it."""
+    """The vehicle, and a short log derived with it."""
     from tirefit.data.derive import derive
     from tirefit.data.vehicle import load_vehicle
 

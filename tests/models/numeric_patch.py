@@ -1,4 +1,4 @@
-"""The contact patch by numbers: the reference for every brush model.
+"""The contact patch by numerical integration: the reference for every brush model.
 
 Written apart from ``tirefit``: physical coordinates, quadrature, root finding, no
 closed form. A bristle at x in [-a, a] needs c_p sigma (a - x) per length to stick; the
@@ -38,7 +38,7 @@ def reference_density(family, d, xi):
 
 
 def holding_ratio(family, d, xi):
-    """Density over (1 - xi): the demand ratio rho at which the bristle lets go."""
+    """Density over (1 - xi): the demand ratio rho at which the bristle slides."""
     if family == "uniform":
         return 0.5 / np.maximum(1 - xi, 1e-300)
     if family == "quartic":
@@ -102,7 +102,7 @@ def integrate_patch(family, d, cpa2, mu_s, mu_k, fz, slip, a=0.1):
 
 
 def reference_friction(letters, values, v_s):
-    """(mu_s, mu_k) of the friction spelled by the letters of a model's name."""
+    """(mu_s, mu_k) of the friction encoded in the letters of a model's name."""
     mu = values["mu"]
     static, kinetic = mu, mu
     if "m" in letters:

@@ -1,4 +1,4 @@
-"""The flexible carcass against ``fits.flexible_carcass.patch``, written apart from it.
+"""The flexible carcass compared with the independent ``fits.flexible_carcass.patch``.
 
 ``solved`` finds the free breakaway point by collocation and says whether the friction
 holds where bristles stick and is asked for where they slide; ``bristle_by_bristle``
@@ -60,7 +60,7 @@ def upper(kind):
 
 
 def evaluated(tire, slip, load=LOAD):
-    """(F_y, M_z) of a batch of slips; of one shape, so that little is compiled."""
+    """(F_y, M_z) of a batch of slips; of one shape, to compile little."""
     slip = np.asarray(slip, float)
     padded = np.resize(np.arctan(slip), ROWS)
     result = forces(jax.tree.map(jnp.asarray, tire), TireInputs(0.0, padded, load))
@@ -72,7 +72,7 @@ def tire_of(kind, flexibility, pressure):
 
 
 def full_sliding(kind, flexibility):
-    """Demand ratio from which all bristles slide under the parabolic pressure."""
+    """Demand ratio above which all bristles slide with parabolic pressure."""
     return 1.5 + flexibility * {"thread": 1 / 2, "beam": 1 / 5, "parabola": 2}[kind]
 
 
@@ -85,9 +85,9 @@ def numeric(kind, flexibility, density):
 
 @EVERY
 @pytest.mark.parametrize("law", LAWS)
-def test_one_breakaway_point_solves_the_patch(kind, law):
-    """Force and moment, and that the patch with one breakaway point is *the* solution:
-    sticking bristles need less than the friction, sliding ones fall back ever more."""
+def test_the_breakaway_point_solves_the_patch(kind, law):
+    """Force and moment, and that one breakaway point *is* the solution: sticking
+    bristles need less than the friction, sliding ones fall back increasingly."""
     pressure, density = LAWS[law]
     for share in (0.02, 0.3, 1.0):
         flexibility = share * upper(kind)
@@ -107,7 +107,7 @@ def test_one_breakaway_point_solves_the_patch(kind, law):
 
 @EVERY
 @pytest.mark.parametrize("law", ["parabolic", "d = -1/3"])
-def test_bristles_that_are_not_told_agree(kind, law):
+def test_individual_bristles_agree(kind, law):
     """A grid of 160 bristles, each free to slide either way: errors of 1/GRID^2."""
     pressure, density = LAWS[law]
     flexibility = upper(kind)
@@ -126,8 +126,8 @@ def test_bristles_that_are_not_told_agree(kind, law):
 
 
 @pytest.mark.parametrize(("kind", "largest"), [("beam", 76.0), ("parabola", 2.8)])
-def test_beyond_the_bound_the_leading_edge_slides_too(kind, largest):
-    """Why the flexibility is bounded; the thread never needs it."""
+def test_above_the_bound_the_leading_edge_slides(kind, largest):
+    """The reason for the bound on the flexibility; the thread never needs it."""
     density = LAWS["d = -1/3"][1]
     worst = {}
     for flexibility in (upper(kind), largest):
@@ -139,7 +139,7 @@ def test_beyond_the_bound_the_leading_edge_slides_too(kind, largest):
 
 @EVERY
 @pytest.mark.parametrize("law", LAWS)
-def test_infinite_stiffness_is_the_rigid_brush(kind, law):
+def test_infinite_stiffness_gives_the_rigid_brush(kind, law):
     pressure = LAWS[law][0]
     slip = np.array([1e-9, 1e-3, 0.1, 0.35, 0.6, 0.9, 1.2, 3.0, 1e6]) * LIMIT / CPA2
     rigid = evaluated(Brush(CPA2, MU, HALF, pressure), slip)
@@ -150,7 +150,7 @@ def test_infinite_stiffness_is_the_rigid_brush(kind, law):
 
 
 @EVERY
-def test_full_sliding(kind):
+def test_full_sliding_gives_kinetic_friction(kind):
     flexibility = 0.4 * upper(kind)
     tire = tire_of(kind, flexibility, LAWS["parabolic"][0])
     slip = np.array([0.99, 1.0001, 50.0, 1e6]) * full_sliding(kind, flexibility)
@@ -160,7 +160,7 @@ def test_full_sliding(kind):
     np.testing.assert_allclose(mz[1:], 0.0, atol=1e-14)
 
 
-def test_printed_thread_would_stiffen_the_tire():
+def test_the_printed_equation_would_stiffen_the_tire():
     """S(15) as printed, S w'' = +p_y: every bristle sticking, tan for tanh."""
     s = np.arange(1, GRID + 1) * 2 / (GRID + 1)
     full, _ = differences("thread", s[0])
@@ -173,8 +173,8 @@ def test_printed_thread_would_stiffen_the_tire():
     assert slopes[-1] > 1 > slopes[1]
 
 
-def test_references_at_rest():
-    """The closed forms that the contract of the models uses, too."""
+def test_references_hold_at_zero_slip():
+    """The closed forms that the contract of the models also uses."""
     for flexibility in (0.1, 4.0, 25.0):
         k = np.sqrt(flexibility)
         force, moment = slopes_at_rest("thread", flexibility)
@@ -213,7 +213,7 @@ def differentiated(kind):
 
 
 @EVERY
-def test_slopes_are_those_of_finite_differences(kind):
+def test_slopes_agree_with_finite_differences(kind):
     rows = []
     for share in (0.0, 0.1, 0.9):
         flexibility = share * upper(kind)
@@ -237,7 +237,7 @@ def test_slopes_are_those_of_finite_differences(kind):
 
 
 @EVERY
-def test_slope_at_rest_in_closed_form(kind):
+def test_slope_at_zero_slip_agrees_with_closed_form(kind):
     shares = np.array([1e-3, 0.1, 1.0])
     rows = np.array([[CPA2, MU, HALF, 0.1, s * upper(kind), 0, 0, LOAD] for s in shares])
     values, slopes, _ = differentiated(kind)(rows)
@@ -252,7 +252,7 @@ def test_slope_at_rest_in_closed_form(kind):
 @pytest.mark.parametrize(
     ("kind", "dtype"), [*((kind, np.float64) for kind in CARCASSES), ("beam", np.float32)]
 )
-def test_finite_everywhere(kind, dtype):
+def test_forces_and_gradients_are_finite_everywhere(kind, dtype):
     alpha = [0.0, 1e-12, 0.02, -0.3, 1.4]
     grid = np.stack(np.meshgrid(alpha, [0.0, LOCKED], [0.0, 1e-6, 4e3], [0.0, 0.3, 1]))
     alpha, sigma_x, fz, share = grid.reshape(4, -1)
@@ -269,7 +269,7 @@ def test_finite_everywhere(kind, dtype):
     assert (force[~silent] * alpha[~silent] > 0).all()
 
 
-def test_what_the_registry_says():
+def test_the_registry_has_the_model():
     for kind in CARCASSES:
         tire = MODELS[f"carcass-{kind}"]
         assert isinstance(tire, CARCASSES[kind])
@@ -286,7 +286,7 @@ def test_lateral_slip_grows_with_braking_slip():
 
 
 def test_fit_recovers_the_carcass():
-    """Force and moment together tell the carcass from the bristles.
+    """Force and moment together distinguish the carcass from the bristles.
 
     The thread is fitted in ``fits/flexible_carcass``.
     """

@@ -1,4 +1,4 @@
-"""Combined slip: against a patch of bristles in two dimensions, and the sources."""
+"""Combined slip compared with a two-dimensional patch of bristles, and the sources."""
 
 import csv
 from pathlib import Path
@@ -45,7 +45,7 @@ SLIPS = np.array(
 
 
 def patch(sigma_x, alpha, ratio=1.0, d=0.0, m=1.0, v=20.0, n=200_000):
-    """(F_x, F_y, M_z) of n bristles that ride through the patch one after another.
+    """(F_x, F_y, M_z) of n bristles that move through the patch in sequence.
 
     A bristle that entered a time t ago is deflected by (v_sx t, v_sy t), as its base
     moves with the tread, at Omega R_e, and its tip with the road. From the first one
@@ -70,7 +70,7 @@ def on_slips(model, slips=SLIPS, fz=FZ):
 
 
 def close(found, expected, tolerance=1e-12, arm=A):
-    """Relative to the friction limit, and its moment."""
+    """Relative to the friction limit, and the moment of it."""
     scale = MU * FZ * np.array([1, 1, arm])[: found.shape[1]]
     np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=tolerance)
 
@@ -88,7 +88,7 @@ def close(found, expected, tolerance=1e-12, arm=A):
         ("brush-anisotropic-dm", {"stiffness_ratio": 0.6, "d": 0.4, "m": 0.8}),
     ],
 )
-def test_brush_is_the_patch_of_bristles(name, values):
+def test_the_brush_agrees_with_a_patch_of_bristles(name, values):
     tire = with_values(MODELS[name], {"cpa2": C, "mu": MU, "half_length": A, **values})
     kind = {"ratio" if k == "stiffness_ratio" else k: v for k, v in values.items()}
     expected = np.array([patch(*slip, **kind) for slip in SLIPS])
@@ -99,7 +99,7 @@ def test_brush_is_the_patch_of_bristles(name, values):
 
 
 def printed(sigma_x, sigma_y, ratio):
-    """O(12)-(20) as they stand: F_x, F_y and the friction in use."""
+    """O(12)-(20) as printed: F_x, F_y and the friction in use."""
     k_s = 2 * C
     kappa_x, kappa_y = sigma_x, ratio * sigma_y
     kappa = np.sqrt(kappa_x**2 + kappa_y**2)
@@ -109,7 +109,7 @@ def printed(sigma_x, sigma_y, ratio):
     return force * np.cos(theta), force * np.sin(theta), force / (MU * FZ), kappa
 
 
-def test_o12_to_o20_are_the_anisotropic_brush():
+def test_o12_to_o20_give_the_anisotropic_brush():
     rng = np.random.default_rng(1)
     slips = np.column_stack([rng.uniform(-0.2, 0.3, 300), rng.uniform(-0.3, 0.3, 300)])
     sigma_y = np.tan(slips[:, 1]) * (1 + slips[:, 0])
@@ -128,7 +128,7 @@ def brush_force(kappa_x, kappa_y, stiffness, mu):
 
 
 def random_slips(seed, n=50):
-    """kappa_x, kappa_y, K_s, mu (n,) short of full sliding."""
+    """kappa_x, kappa_y, K_s, mu (n,) below full sliding."""
     rng = np.random.default_rng(seed)
     stiffness, mu = rng.uniform(4e4, 2e5, n), rng.uniform(0.2, 1.2, n)
     kappa = rng.uniform(0.05, 0.95, n) * 3 * mu * FZ / stiffness
@@ -136,7 +136,7 @@ def random_slips(seed, n=50):
     return kappa * np.cos(angle), kappa * np.sin(angle), stiffness, mu
 
 
-def test_o21_is_the_slope_along_the_slip():
+def test_o21_gives_the_slope_along_the_slip():
     x, y, stiffness, mu = random_slips(2)
     kappa = np.hypot(x, y)
     slope = jax.vmap(jax.grad(lambda k, s, mu: mu * FZ * mu_rate(k, s, mu * FZ)))(
@@ -146,7 +146,7 @@ def test_o21_is_the_slope_along_the_slip():
     np.testing.assert_allclose(force_slope(rate, stiffness), slope, rtol=1e-9)
 
 
-def test_o22_is_the_slope_along_the_wheel():
+def test_o22_gives_the_slope_along_the_wheel():
     x, y, stiffness, mu = random_slips(3)
     slope = jax.vmap(jax.grad(brush_force))(x, y, stiffness, mu)
     rate = mu_rate(np.hypot(x, y), stiffness, mu * FZ)
@@ -170,7 +170,7 @@ def test_o21_and_o22_hold_for_the_model_itself():
 
 @pytest.mark.parametrize("direction", [0.0, 0.7, np.pi / 2])
 def test_slopes_do_not_depend_on_the_friction(direction):
-    """The same gamma on ice and on asphalt has the same slope; so XBS control holds."""
+    """The same gamma has the same slope on ice and asphalt, as XBS control needs."""
     cos, sin, found = np.cos(direction), np.sin(direction), []
     for mu in (0.1, 0.5, 1.1):
 
@@ -185,7 +185,7 @@ def test_slopes_do_not_depend_on_the_friction(direction):
     np.testing.assert_allclose(found[0], expected, rtol=1e-9)
 
 
-def test_slopes_at_the_ends():
+def test_slopes_are_right_at_the_ends():
     np.testing.assert_allclose(force_slope(jnp.array([0.0, 1.0]), 2 * C), [2 * C, 0])
     across = braking_slope(jnp.array([0.0, 1.0]), 2 * C, np.pi / 2)
     np.testing.assert_allclose(across, [2 * C, 2 * C / 3])
@@ -216,7 +216,7 @@ def below_sliding(seed):
 
 
 @pytest.mark.parametrize("k_ratio", [1.0, 0.5, 2.0])
-def test_liu_peng_is_s21_corrected(k_ratio):
+def test_liu_peng_agrees_with_corrected_s21(k_ratio):
     sigma_x, sigma_y, slips = below_sliding(4)
     found = on_slips(LiuPeng(C, MU, k_ratio), slips)
     close(found, s21(sigma_x, sigma_y, k_ratio, printed=False))
@@ -224,13 +224,13 @@ def test_liu_peng_is_s21_corrected(k_ratio):
     np.testing.assert_allclose(np.hypot(*full.T), MU * FZ, rtol=1e-12)
 
 
-def test_liu_peng_of_one_stiffness_is_the_isotropic_brush():
+def test_liu_peng_with_one_stiffness_gives_the_isotropic_brush():
     found = on_slips(LiuPeng(C, MU, 1.0))
     close(found, on_slips(Brush(C, MU, A))[:, :2])
 
 
-def test_s21_as_printed_is_not_the_brush():
-    """Its last term lacks a mu: off by 10 % of it, and no mu F_z at full sliding."""
+def test_s21_as_printed_does_not_give_the_brush():
+    """Its last term lacks a mu: 10 % error, and not mu F_z at full sliding."""
     sigma_x, sigma_y, slips = below_sliding(5)
     wrong = s21(sigma_x, sigma_y, 1.0, printed=True)
     miss = np.hypot(*(wrong - on_slips(Brush(C, MU, A), slips)[:, :2]).T)
@@ -303,7 +303,7 @@ def test_property_2_small_slip_goes_smoothly_over_to_large_slip():
     np.testing.assert_allclose(large, expected, rtol=0, atol=0.02 * FZ)
     along_line = jax.jit(jax.vmap(force, (0, None)))
     slope_line = jax.jit(jax.vmap(jax.jacfwd(force), (0, None)))
-    # Between them neither value nor slope jumps, nor where full sliding begins.
+    # Value and slope are continuous in between and at full sliding.
     for angle in (0.3, 1.1, 2.0):
         sizes = jnp.linspace(0.01, 0.5, 2001)
         slope = slope_line(sizes, angle)
@@ -392,8 +392,8 @@ def columns(found):
 
 
 @pytest.mark.parametrize("m", [None, 0.8])
-def test_scaling_brush_curves_gives_the_brush(m):
-    """Isotropic: forces and moment, also where the curve is not the parabolic one."""
+def test_scaled_brush_curves_give_the_brush(m):
+    """Isotropic: forces and moment, also for curves that are not parabolic."""
     name, values = ("brush", {}) if m is None else ("brush-m", {"m": m})
     tire = with_values(MODELS[name], {"cpa2": C, "mu": MU, "half_length": A, **values})
     sliding = (3 * MU * FZ / (2 * C),) * 2
@@ -403,7 +403,7 @@ def test_scaling_brush_curves_gives_the_brush(m):
 
 
 def sliding_patch(sigma_x, sigma_y, ratio, n=1000):
-    """(F_x, F_y) of bristles whose friction is against their own sliding velocity.
+    """(F_x, F_y) of bristles whose friction opposes their own sliding velocity.
 
     Going back from the leading edge each deflection grows by the slip, less what the
     bristle slides: along its stress, so far that the stress is the limit.
@@ -426,9 +426,9 @@ def sliding_patch(sigma_x, sigma_y, ratio, n=1000):
     return total
 
 
-def test_a_sliding_bristle_turns_and_the_scaling_knows():
-    """What the anisotropic brush neglects: 0.32 mu F_z in full sliding; the scaling
-    turns sliding bristles at once, and is right there."""
+def test_scaling_accounts_for_the_turning_of_a_sliding_bristle():
+    """The anisotropic brush neglects it: 0.32 mu F_z in full sliding; the scaling
+    rotates sliding bristles at once, and is right there."""
     tire, misses = AnisotropicBrush(C, MU, A, stiffness_ratio=0.5), []
     for size in (0.005, 0.02, 0.15, 0.5):
         slip = (size, np.arctan(size / (1 + size)))
@@ -448,7 +448,7 @@ def test_an_isotropic_bristle_does_not_turn():
     close(found, sliding_patch(0.05, 0.05, 1.0)[None], 1e-3)
 
 
-def test_moment_of_scaled_curves_is_the_trail_times_the_force():
+def test_the_moment_of_scaled_curves_is_trail_times_force():
     tire = AnisotropicBrush(C, MU, A, stiffness_ratio=0.6)
     found = columns(scaled(tire, tire, SLIPS[:4]))
     # The equivalent pure side slip has the same trail.
@@ -484,7 +484,7 @@ def combined_rows(name):
 
 @pytest.mark.parametrize(("number", "least_gain"), [(52, 3.5), (61, 5.0)])
 def test_scaling_predicts_the_combined_slip_of_measured_tires(number, least_gain):
-    """Of their pure-slip curves alone: 4 to 5 % of the load off, root mean square."""
+    """From their pure-slip curves alone: an RMS error of 4 to 5 % of the load."""
     name = f"mfeval_julia/MagicFormula{number}_Parameters.tir"
     file = read_tir(TIR / name)
     tire = mf_tire(file.version, file.numbers)

@@ -1,4 +1,4 @@
-"""What every registered model promises, visited by name."""
+"""The contract of every registered model, checked by name."""
 
 import contextlib
 import functools
@@ -66,8 +66,8 @@ def _values(model):
 
 
 def briefly(model):
-    """Compiles nothing, 44 times, except where a model bisects in a loop: one operation
-    after the other, that takes ten times as long as to compile it."""
+    """Compiles nothing, 44 times, unless a model bisects in a loop, which takes ten
+    times as long uncompiled as compiled."""
     looping = isinstance(model, AbstractCarcass)
     return contextlib.nullcontext() if looping else jax.disable_jit()
 
@@ -95,7 +95,8 @@ def peak(name):
 
 
 def slopes_at_rest(name, fz=4000.0, v=0.0):
-    """d(fx)/d(sigma_x) and d(fy)/d(alpha) at rest, in closed form; None: a jump.
+    """d(fx)/d(sigma_x) and d(fy)/d(alpha) at rest, in closed form; None if
+    discontinuous.
 
     A force that is not modelled has no slope: None, too.
     """
@@ -116,14 +117,14 @@ def slopes_at_rest(name, fz=4000.0, v=0.0):
 
 
 def on_carcass(name):
-    """Slopes of force and moment at rest over those of bristles alone, 2 c_p a^2 and
-    2 c_p a^3."""
+    """Slopes of force and moment at rest relative to those of bristles alone, 2 c_p a^2
+    and 2 c_p a^3."""
     kind = name.removeprefix("carcass-")
     return carcass_at_rest(kind, _values(MODELS[name])["flexibility"])
 
 
 def stacked(result: TireForces):
-    """Modelled outputs as columns; the moment is absent from a Magic Formula."""
+    """Modelled outputs as columns; a Magic Formula has no moment."""
     return jnp.stack([part for part in result if part is not None], axis=-1)
 
 
@@ -148,7 +149,7 @@ def grid_gradients(name):
 
 
 @EVERY
-def test_finite_value_and_gradient(name):
+def test_value_and_gradient_are_finite(name):
     for part in jax.tree.leaves(grid_forces(name)):
         assert np.isfinite(part).all()
     gradient = grid_gradients(name)
@@ -159,7 +160,7 @@ def test_finite_value_and_gradient(name):
 
 
 @EVERY_FORMULA
-def test_forward_gradient_is_the_reverse_one(name):
+def test_forward_and_reverse_gradient_agree(name):
     arrays = jax.tree.map(jnp.asarray, (on_grid(name), INPUTS))
     tangent = jax.tree.map(lambda leaf: 0.1 + jnp.abs(leaf), arrays)
 
@@ -175,7 +176,7 @@ def test_forward_gradient_is_the_reverse_one(name):
 
 
 @EVERY
-def test_odd_in_slip(name):
+def test_forces_are_odd_in_slip(name):
     mirrored = evaluate(on_grid(name), INPUTS._replace(alpha=-INPUTS.alpha))
     ahead = grid_forces(name)
     np.testing.assert_array_equal(ahead.fy, -mirrored.fy)
@@ -193,7 +194,7 @@ def test_odd_in_slip(name):
         np.testing.assert_array_equal(braked.fx, -driven.fx)
 
 
-def test_magic_formula_is_odd_in_kappa():
+def test_the_magic_formula_is_odd_in_kappa():
     kappa = np.array([1e-9, 0.01, 0.2, 0.5])
     plus = forces(MODELS["magic-formula"], TireInputs(kappa / (1 - kappa), 0.0, 3e3))
     minus = forces(MODELS["magic-formula"], TireInputs(-kappa / (1 + kappa), 0.0, 3e3))
@@ -201,7 +202,7 @@ def test_magic_formula_is_odd_in_kappa():
 
 
 @EVERY
-def test_speed_matters_where_the_model_says_so(name):
+def test_speed_matters_only_if_the_model_declares_it(name):
     v = np.array([5.0, 25.0])
     slip, time = np.array([0.02, 0.02, 0.3, 0.3]), np.array([0.0, 0.0, 0.02, 0.02])
     inputs = TireInputs(slip, slip, 4000.0, 0.0, time=time)
@@ -215,7 +216,7 @@ def test_speed_matters_where_the_model_says_so(name):
 
 
 @EVERY
-def test_no_force_without_slip_or_load(name):
+def test_no_slip_or_load_gives_no_force(name):
     result = grid_forces(name)
     silent = ((INPUTS.sigma_x == 0) & (INPUTS.alpha == 0)) | (INPUTS.fz == 0)
     assert silent.sum() > 100
@@ -225,7 +226,7 @@ def test_no_force_without_slip_or_load(name):
 
 
 @EVERY
-def test_slope_at_rest(name):
+def test_slope_at_zero_slip_is_the_declared_stiffness(name):
     gradient = grid_gradients(name)[1]
     for v in SPEEDS:
         expected = slopes_at_rest(name, v=v)
@@ -245,7 +246,7 @@ def test_slope_at_rest(name):
 
 
 @TURNING
-def test_moment_slope_at_rest(name):
+def test_moment_slope_at_zero_slip_is_right(name):
     values = _values(MODELS[name])
     gradient = grid_gradients(name)[1]
     loaded = (INPUTS.sigma_x == 0) & (INPUTS.fz == 4000.0)
@@ -277,7 +278,7 @@ def test_force_is_bounded_by_friction(name):
 
 
 @EVERY
-def test_pytree_round_trip(name):
+def test_pytree_round_trip_keeps_the_model(name):
     model = MODELS[name]
     leaves, structure = jax.tree.flatten(model)
     assert leaves == list(parameter_values(model).values())
@@ -287,7 +288,7 @@ def test_pytree_round_trip(name):
 
 
 @EVERY
-def test_with_values_sets_each_parameter_alone(name):
+def test_with_values_changes_only_the_given_parameter(name):
     model = MODELS[name]
     before = _values(model)
     for key in before:
@@ -299,7 +300,7 @@ def test_with_values_sets_each_parameter_alone(name):
 
 
 @EVERY
-def test_every_parameter_is_specified(name):
+def test_every_parameter_has_a_specification(name):
     model = MODELS[name]
     found = specs(model)
     assert list(found) == list(parameter_values(model))
@@ -318,7 +319,7 @@ SAMPLES = [(0.05, -0.1, 3000.0, 20.0), (4.0, 0.02, 5000.0, 9.0)]
 
 
 @EVERY
-def test_batch_is_a_loop_of_single_samples(name):
+def test_a_batch_agrees_with_single_samples(name):
     with briefly(MODELS[name]):
         batch = forces(MODELS[name], TireInputs(*np.array(SAMPLES).T))
         single = [forces(MODELS[name], TireInputs(*sample)) for sample in SAMPLES]
@@ -332,7 +333,7 @@ def test_batch_is_a_loop_of_single_samples(name):
 
 
 @EVERY_FORMULA
-def test_compiled_is_uncompiled(name):
+def test_compiled_and_uncompiled_agree(name):
     inputs = TireInputs(*np.array(SAMPLES).T)
     compiled = forces(MODELS[name], inputs)
     with jax.disable_jit():
@@ -368,7 +369,7 @@ def in_float32(name):
 
 
 @EVERY
-def test_float32_is_finite_and_near(name):
+def test_float32_is_finite_and_close(name):
     rounded = jax.tree.leaves(evaluate(*in_float32(name)))
     for part, good in zip(rounded, jax.tree.leaves(grid_forces(name)), strict=True):
         assert part.dtype == jnp.float32
@@ -377,8 +378,8 @@ def test_float32_is_finite_and_near(name):
 
 
 @EVERY
-def test_float32_gradient_is_finite_and_near(name):
-    """Also without 64-bit floats at all, zero slip, zero load and full sliding in.
+def test_float32_gradient_is_finite_and_close(name):
+    """Also with 32-bit floats only, including zero slip, zero load and full sliding.
 
     Where two large terms cancel (full sliding), float32 keeps 1e-7 of them: the error
     is measured against the largest derivative of an output over the grid.
@@ -400,7 +401,7 @@ def test_float32_gradient_is_finite_and_near(name):
     + ["magic-formula-combined", "lugre-lumped", "carcass-parabola"],
 )
 def test_second_derivatives_at_rest_are_finite(name):
-    """Of the forces over both slips, at rest and beside it, in 32 bit and in 64."""
+    """Of the forces over both slips, at zero slip and near it, in 32 and 64 bit."""
 
     def second(tire, at):
         def out(slips):
@@ -418,8 +419,8 @@ def test_second_derivatives_at_rest_are_finite(name):
 
 
 @EVERY
-def test_float32_process(name):
-    """What a user without 64-bit floats gets, transient models included."""
+def test_a_float32_process_gives_close_forces(name):
+    """The result of a user without 64-bit floats, including transient models."""
     slips, time = np.array([0.0, 0.02, 0.05, 0.3]), np.arange(4) / 100
     inputs = TireInputs(slips, 0.1 * slips, 4000.0, 20.0, time=time)
     with briefly(MODELS[name]):
@@ -434,7 +435,7 @@ def test_float32_process(name):
 @pytest.mark.parametrize(
     "name", ["brush", "brush-d", "uniform", "quartic", "brush-m", "brush-m-peak"]
 )
-def test_full_sliding_is_kinetic_friction(name):
+def test_full_sliding_gives_kinetic_friction(name):
     values = _values(MODELS[name])
     m = values.get("m", 1.0)
     mu = values.get("mu")
@@ -446,7 +447,7 @@ def test_full_sliding_is_kinetic_friction(name):
     np.testing.assert_allclose(result.fx, m * mu * 4000.0, rtol=tolerance)
 
 
-def test_registry_has_all_spellings():
+def test_the_registry_accepts_all_spellings():
     letters = {level + speed for level in ("", "m") for speed in ("", "n", "ns", "h", "hs")}
     families = ["brush", "brush-d", "uniform", "quartic", "elliptic"]
     spelled = {

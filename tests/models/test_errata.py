@@ -1,4 +1,4 @@
-"""Misprints of the review (S): the printed form fails, the right one holds.
+"""Misprints of the review (S): the printed form fails, the corrected one holds.
 
 The list is §2 of the project's equations; here the entries that concern the tire
 models. Printed forms are kept as they stand in the source.
@@ -289,7 +289,7 @@ def test_s38_holds_to_fifth_order():
 
 
 def s39(n, v, *, falling_static):
-    """S(39); its last term belongs to a static friction that falls as well."""
+    """S(39); its last term belongs to a static friction that also falls."""
     lead = 4 * C**2 / (3 * FZ * MU)
     square = n * v / MU**2 if falling_static else 0.0
     return np.array(
@@ -321,7 +321,7 @@ def test_s39_holds_for_both_frictions_falling():
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_lateral_force_and_aligning_moment(sign):
+def test_printed_lateral_force_and_moment_agree_with_the_brush(sign):
     """Right as printed: F_y and -M_z over theta = 2 c |tan alpha| / (3 F_z)."""
     alpha = np.array([1e-6, 0.01, 0.04, 0.08, 0.107, 0.2, 1.0])
     theta = 2 * C * np.tan(alpha) / (3 * FZ)

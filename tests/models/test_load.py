@@ -1,4 +1,4 @@
-"""Stiffness, contact length and friction that follow the load."""
+"""Stiffness, contact length and friction that depend on the load."""
 
 import numpy as np
 import pytest
@@ -11,13 +11,13 @@ TRUTH = {"cpa2": 6e4, "mu": 0.9, "half_length": 0.08, "fz0": 4000.0}
 SLIPS = np.array([-0.1, -0.02, 0.0, 0.01, 0.05, 0.4])
 
 
-def test_which_letters_it_combines_with():
+def test_load_variants_exist_for_all_allowed_letters():
     letters = {name.removeprefix("brush-load") for name in NAMES}
     assert letters == {"", "-d", "-m", "-n", "-h"}
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_reference_load_is_the_plain_brush(name):
+def test_at_the_reference_load_it_is_the_plain_brush(name):
     tire = with_values(MODELS[name], TRUTH)
     plain = with_values(
         MODELS[name.replace("-load", "")],
@@ -31,9 +31,9 @@ def test_reference_load_is_the_plain_brush(name):
 
 @pytest.mark.parametrize("power", [0.0, 1.0, 2.0])
 @pytest.mark.parametrize("fz", [1500.0, 9000.0])
-def test_parameters_follow_the_load(power, fz):
-    """S §2.1: a in proportion to F_z for a rectangular patch (k = 2), to its root for
-    an elliptic one (k = 1), and c_p a^2 with it."""
+def test_parameters_depend_on_the_load(power, fz):
+    """S §2.1: a proportional to F_z for a rectangular patch (k = 2), to its root for an
+    elliptic one (k = 1), and c_p a^2 accordingly."""
     values = TRUTH | {"stiffness_power": power, "mu_load": -0.15}
     tire = with_values(MODELS["brush-load"], values)
     length = TRUTH["half_length"] * (fz / 4000) ** (power / 2)
@@ -47,7 +47,7 @@ def test_parameters_follow_the_load(power, fz):
     np.testing.assert_allclose(tire.static_friction(fz), mu, rtol=1e-13)
 
 
-def test_friction_never_vanishes_and_no_load_has_no_force():
+def test_friction_stays_positive_and_zero_load_gives_no_force():
     tire = with_values(MODELS["brush-load"], TRUTH | {"mu_load": -0.5})
     np.testing.assert_allclose(tire.static_friction(4e4), 0.009, rtol=1e-12)
     result = forces(tire, TireInputs(0.5, 0.1, np.array([0.0, -100.0, 4e4])))
@@ -55,7 +55,7 @@ def test_friction_never_vanishes_and_no_load_has_no_force():
     np.testing.assert_allclose(np.hypot(result.fx, result.fy)[2], 360.0, rtol=1e-12)
 
 
-def test_reference_load_is_fixed_by_default():
+def test_the_reference_load_is_fixed_by_default():
     found = specs(MODELS["brush-load"])
     assert not found["fz0"].free and found["fz0"].unit == "N"
     assert found["stiffness_power"].free and found["mu_load"].free

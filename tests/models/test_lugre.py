@@ -1,4 +1,4 @@
-"""The steady LuGre tires against S(18) as printed and against the bristles' profile."""
+"""The steady LuGre tires compared with S(18) as printed and the bristle profile."""
 
 import jax
 import jax.numpy as jnp
@@ -47,7 +47,7 @@ SLIPS = [1e-6, 1e-3, 0.02, 0.1, 0.6, 5.0, 100.0]
 
 
 @pytest.mark.parametrize("v", [0.3, 20.0, 60.0])
-def test_is_s18_as_printed(v):
+def test_agrees_with_s18_as_printed(v):
     sigma = np.array(SLIPS[2:])
     found = forces(TIRE, TireInputs(sigma, 0.0, LOAD, v))
     np.testing.assert_allclose(found.fx, LOAD * printed(sigma, v), rtol=1e-12)
@@ -56,7 +56,7 @@ def test_is_s18_as_printed(v):
 
 @pytest.mark.parametrize("slip_x", SLIPS + [-0.01, -0.5])
 @pytest.mark.parametrize("alpha", [0.0, 0.002, -0.3])
-def test_is_the_integral_over_the_profile(slip_x, alpha):
+def test_agrees_with_the_integral_over_the_profile(slip_x, alpha):
     found = forces(TIRE, TireInputs(slip_x, alpha, LOAD, SPEED))
     rolling = SPEED / (1 + slip_x)
     expected = by_profile(np.array([SPEED - rolling, SPEED * np.tan(alpha)]), rolling)
@@ -66,8 +66,8 @@ def test_is_the_integral_over_the_profile(slip_x, alpha):
 
 
 @pytest.mark.parametrize("slip", [1e-12, 1e-9, 1e-6, 1e-5])
-def test_small_slip_is_exact(slip):
-    """The first terms of S(18) about rest; as printed it has lost every digit."""
+def test_small_slip_is_computed_exactly(slip):
+    """The first terms of S(18) at zero slip; as printed all digits are lost."""
     still = LuGre(sigma0=150.0, sigma1=0.0, sigma2=0.0, mu_c=0.9, mu_s=0.9)
 
     def share(tire, slip):
@@ -88,7 +88,7 @@ def test_small_slip_is_exact(slip):
         assert abs(printed(slip, SPEED, still) / expected - 1) > 1e-3
 
 
-def test_patch_means_join_where_the_series_ends():
+def test_patch_means_are_continuous_at_the_end_of_the_series():
     x = np.array([0.0, 1e-9, 0.3, np.nextafter(1, 0), 1.0, 1.1, 40.0, 1e8])
     nodes, weights = np.polynomial.legendre.leggauss(60)
     place, share = (nodes + 1) / 2, weights / 2
@@ -104,7 +104,7 @@ def test_patch_means_join_where_the_series_ends():
     np.testing.assert_allclose(slopes[:-1], slope, rtol=1e-12)
 
 
-def test_slope_at_rest_and_viscous_damping():
+def test_slope_at_zero_slip_and_viscous_damping_are_right():
     def force(slip):
         return TIRE(TireInputs(slip, 0.0, LOAD, SPEED)).fx
 
@@ -112,7 +112,7 @@ def test_slope_at_rest_and_viscous_damping():
     np.testing.assert_allclose(jax.grad(force)(0.0), expected, rtol=1e-14)
 
 
-def test_stiff_bristles_are_the_lumped_tire():
+def test_stiff_bristles_give_the_lumped_tire():
     stiff = LuGre(sigma0=9e5, sigma1=0.0, sigma2=0.004)
     inputs = TireInputs(np.array([0.3, -0.4, 2.0]), np.array([0.0, 0.2, -0.4]), LOAD, 9)
     rising, lumped = forces(stiff, inputs), forces(stiff.lumped, inputs)
@@ -120,8 +120,8 @@ def test_stiff_bristles_are_the_lumped_tire():
     np.testing.assert_allclose(rising.fy, lumped.fy, rtol=1e-4, atol=1e-9)
 
 
-def test_lumped_is_the_rest_of_its_own_equation():
-    """The z that S(17a) holds still, put into S(17b)."""
+def test_lumped_is_the_steady_state_of_its_equation():
+    """The z at which S(17a) is steady, in S(17b)."""
     slip_x, alpha = 0.3, -0.2
     rolling = SPEED / (1 + slip_x)
     sliding = np.array([SPEED - rolling, SPEED * np.tan(alpha)])
@@ -132,13 +132,13 @@ def test_lumped_is_the_rest_of_its_own_equation():
     np.testing.assert_allclose([found.fx, found.fy], force, rtol=1e-12)
 
 
-def test_lumped_jumps_at_rest():
+def test_lumped_is_discontinuous_at_zero_slip():
     found = forces(TIRE.lumped, TireInputs(np.array([-1e-9, 0.0, 1e-9]), 0.0, LOAD, 1))
     jump = LOAD * TIRE.mu_s
     np.testing.assert_allclose(found.fx, [-jump, 0.0, jump], rtol=1e-5)
 
 
-def test_force_turns_with_the_sliding_velocity():
+def test_force_has_the_direction_of_the_sliding_velocity():
     """Isotropic: the same resultant slip and tread speed give the same force."""
     ahead = forces(TIRE, TireInputs(0.2, 0.0, LOAD, 12.0))
     alpha = np.arctan(0.2)
@@ -162,14 +162,14 @@ def sensitivity(v):
     return free, np.stack([getattr(slopes, name) * getattr(TIRE, name) for name in free], axis=-1)
 
 
-def test_length_shows_only_with_sigma0():
+def test_length_and_sigma0_have_the_same_slope():
     free, slopes = sensitivity([5.0, 15.0, 30.0])
     np.testing.assert_allclose(
         slopes[:, free.index("length")], slopes[:, free.index("sigma0")], atol=1e-14
     )
 
 
-def test_speeds_tell_the_six_apart():
+def test_several_speeds_identify_the_six_parameters():
     weakest = [
         np.linalg.svd(sensitivity(v)[1][:, :-1])[1][-1] for v in ([15.0] * 3, [5.0, 15.0, 30.0])
     ]

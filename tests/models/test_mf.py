@@ -1,4 +1,4 @@
-"""The Magic Formula of .tir files: against other implementations and its own limits."""
+"""The Magic Formula of .tir files: other implementations and limiting cases."""
 
 import csv
 from functools import cache, partial
@@ -64,7 +64,7 @@ REFERENCE = reference()
 
 
 @pytest.mark.parametrize("case", REFERENCE, ids=" ".join)
-def test_forces_are_those_of_other_implementations(case):
+def test_forces_agree_with_other_implementations(case):
     rows = REFERENCE[case]
     column = {
         key: np.array([float(row[key] or "nan") for row in rows])
@@ -100,8 +100,8 @@ EVERY = pytest.mark.parametrize("name", [MF52, MF61, TRUCK])
 
 
 @EVERY
-def test_slope_peak_and_shift_are_those_of_the_coefficients(name):
-    """At the nominal load K, D and S_V of the book are a few coefficients each."""
+def test_slope_peak_and_shift_follow_the_coefficients(name):
+    """At the nominal load K, D and S_V of the book have a few coefficients each."""
     tire, c = tire_of(name), values_of(name)
     fz = c["FNOMIN"]
     offset = c["PHX1"]
@@ -123,7 +123,7 @@ def test_slope_peak_and_shift_are_those_of_the_coefficients(name):
 
 
 @EVERY
-def test_pure_slip_is_combined_slip_with_the_other_at_zero(name):
+def test_pure_slip_equals_combined_slip_with_the_other_zero(name):
     """At zero of the other slip no coefficient of combined slip has an effect."""
     tire = tire_of(name)
     combined = [key for key in specs(tire) if key[:2] in ("RB", "RC", "RE", "RH", "RV")]
@@ -147,7 +147,7 @@ ODD = (
 
 @pytest.mark.parametrize("name", [MF52, MF61])
 @pytest.mark.parametrize("starred", [False, True])
-def test_the_other_side_is_the_tire_of_mirrored_coefficients(name, starred):
+def test_the_other_side_has_mirrored_coefficients(name, starred):
     tire = tire_of(name, starred)
     c = parameter_values(tire)
     other = with_values(tire, {key: -c[key] for key in ODD})
@@ -170,8 +170,8 @@ def test_the_other_side_is_the_tire_of_mirrored_coefficients(name, starred):
     assert np.max(abs(iso(tire, **point).fy - expected.fy)) > 10
 
 
-def test_mf52_is_mf61_without_its_new_terms():
-    """The camber of 6.1 thrusts as that of 5.2 does if K_yc0 gamma is S_Vyc."""
+def test_mf52_equals_mf61_without_its_new_terms():
+    """The camber thrust of 6.1 equals that of 5.2 if K_yc0 gamma is S_Vyc."""
     c = values_of(MF52)
     same = {key: value for key, value in c.items() if key != "PHY3"}
     old = mf_tire("5.2", same)
@@ -216,7 +216,7 @@ def test_pressure_acts_on_stiffness_and_friction_as_stated():
 
 
 def moments(tire, **point):
-    """M_z of a cambered wheel without lateral force: the residual moment alone."""
+    """M_z of a cambered wheel without lateral force: only the residual moment."""
     return iso(with_values(tire, {"QDZ1": 0.0, "QDZ2": 0.0}), **point).mz
 
 
@@ -226,7 +226,7 @@ def unshifted(tire, **point):
 
 
 def part(tire, key, channel, **point):
-    """What of a force or moment is there by the grace of one factor."""
+    """The part of a force or moment that depends on one factor."""
     without = iso(with_values(tire, {key: 0.0}), **point)
     return getattr(iso(tire, **point), channel) - getattr(without, channel)
 
@@ -252,7 +252,7 @@ SCALES = {
 
 @pytest.mark.parametrize("factor", SCALES)
 @pytest.mark.parametrize("name", [MF52, MF61])
-def test_scaling_factors_scale(name, factor):
+def test_scaling_factors_scale_their_quantity(name, factor):
     measure, point = SCALES[factor]
     tire = with_values(tire_of(name), {"SSZ1": 0.01})
     once = measure(tire, **point)
@@ -261,7 +261,7 @@ def test_scaling_factors_scale(name, factor):
     np.testing.assert_allclose(twice / once, 2.0, rtol=2e-4)
 
 
-def test_scaled_nominal_load_is_another_nominal_load():
+def test_a_scaled_nominal_load_acts_as_another_nominal_load():
     tire, c = tire_of(MF61), values_of(MF61)
     slip = np.linspace(-0.2, 0.2, 9)
     scaled = iso(with_values(tire, {"LFZO": 1.25}), slip, 0.1, 5000.0, 0.03)
@@ -270,7 +270,7 @@ def test_scaled_nominal_load_is_another_nominal_load():
     np.testing.assert_allclose(scaled.fy, other.fy, rtol=1e-13)
 
 
-def test_slip_speed_lowers_the_friction():
+def test_the_slip_speed_lowers_the_friction():
     tire = with_values(tire_of(MF61), {"LMUV": 0.3})
     assert tire_of(MF61).needs == () and tire.needs == ("v",)
     assert Mirrored(tire).needs == ("v",)
@@ -285,7 +285,7 @@ def test_slip_speed_lowers_the_friction():
 
 
 def test_vertical_shifts_fall_as_in_the_software_or_as_in_the_book():
-    """(4.E8) with A_mu = 1 of MF-Tyre, or 10 of the book, which 5.2 does not have."""
+    """(4.E8) with A_mu = 1 of MF-Tyre, or 10 of the book; 5.2 does not have it."""
     book = 10 * 0.1 / (1 + 9 * 0.1)
     for name, digression, expected in ((MF61, 1.0, 0.1), (MF61, 10.0, book), (MF52, 10.0, 0.1)):
         c = values_of(name)
@@ -297,7 +297,7 @@ def test_vertical_shifts_fall_as_in_the_software_or_as_in_the_book():
     assert tire_of(MF61).digression == 1.0
 
 
-def test_weights_are_one_where_they_are_scaled_away():
+def test_combined_slip_weights_can_be_scaled_to_one():
     tire = with_values(tire_of(MF61), {"LXAL": 0.0, "LYKA": 0.0, "LVYKA": 0.0})
     slip = np.linspace(-0.2, 0.2, 9)
     alone = iso(tire_of(MF61), slip).fx
@@ -354,7 +354,7 @@ def test_values_and_gradients_are_finite_everywhere(name, starred, dtype):
     assert (value[GRID[:, 2] == 4000.0] != 0).all()
 
 
-def test_float32_is_near():
+def test_float32_is_close():
     exact, _ = jacobian(tire_of(MF61))
     near, _ = jacobian(tire_of(MF61), jnp.float32)
     # At alpha = pi/2 the trail is what the rounding of pi/2 makes of it.
@@ -363,7 +363,7 @@ def test_float32_is_near():
     assert (error <= 1e-3 * abs(GRID[ordinary, 2:3])).all()
 
 
-def test_gradient_is_the_slope():
+def test_gradient_agrees_with_finite_differences():
     tire = tire_of(MF61)
     base = np.array([0.05, -0.06, 4500.0, 15.0, 0.03, 2.4e5, 0.0])
 
@@ -380,8 +380,8 @@ def test_gradient_is_the_slope():
 
 
 @pytest.mark.parametrize("keys", ["LMUX LMUY", "PCX1 PCY1", "PKY1", "PKY2 LKY"])
-def test_no_friction_shape_or_stiffness_is_finite(keys):
-    """They stand in denominators."""
+def test_zero_friction_shape_or_stiffness_gives_finite_forces(keys):
+    """These are denominators."""
     value, slopes = jacobian(with_values(tire_of(MF61), dict.fromkeys(keys.split(), 0.0)))
     assert np.isfinite(value).all()
     assert all(np.isfinite(leaf).all() for leaf in slopes)
@@ -399,7 +399,7 @@ def test_absent_coefficients_have_no_effect():
         assert spec.free != key.startswith("L")
 
 
-def test_curvature_of_each_force_is_that_of_its_coefficients():
+def test_curvature_of_each_force_follows_its_coefficients():
     """(4.E14), (4.E24), (4.E56) and (4.E44) by hand."""
     values = {
         "FNOMIN": 4000.0, "PEX1": 0.5, "PEX2": 1.0, "PEX4": 0.2, "PEY1": -1.0,
@@ -417,9 +417,9 @@ def test_curvature_of_each_force_is_that_of_its_coefficients():
     np.testing.assert_allclose(found["mz"], [2.5, 2.5, 0.5, 0.5], rtol=1e-14)
 
 
-def test_the_limit_of_curvature_matters_exactly_where_it_is_reported():
-    """Raising the coefficients of an E that exceeds one changes nothing, of any other
-    E it does: the limit is seen from outside."""
+def test_the_limit_of_curvature_acts_exactly_where_reported():
+    """Raising the coefficients of an E above one changes nothing, for any other E it
+    does: so the limit is observable."""
     rng = np.random.default_rng(40)
     tire = with_values(tire_of(MF61), {"PEY1": 1.5, "PEY2": 1.2, "PEY3": 0.3})
     inputs = TireInputs(alpha=rng.uniform(-0.3, 0.3, 256), fz=rng.uniform(1500.0, 1e4, 256))

@@ -78,7 +78,7 @@ BUSY |= {"QSY2": 0.02, "QSY5": 0.6, "QSY6": -0.3, "LMY": 0.9}
 
 @EVERY
 @pytest.mark.parametrize("busy", [False, True])
-def test_moments_are_those_of_the_manuals(number, busy):
+def test_moments_agree_with_the_manuals(number, busy):
     changes = BUSY if busy else {}
     if number == 52:
         changes = {k: v for k, v in changes.items() if k[0] == "L" or k == "QSY2"}
@@ -102,7 +102,7 @@ def test_a_tire_resists_rolling_and_more_so_under_load(number):
     assert forces(tire_of(number), TireInputs(fz=0.0, v=10.0)).my == 0
 
 
-def test_rolling_resistance_falls_with_pressure_and_is_of_the_nominal_speed():
+def test_rolling_resistance_depends_on_pressure_and_speed():
     tire, c = tire_of(61), numbers(61)
     soft, hard = (forces(tire, TireInputs(fz=4e3, v=10.0, pressure=p)).my for p in (2e5, 3e5))
     np.testing.assert_allclose(hard / soft, 1.5 ** c["QSY8"], rtol=1e-9)
@@ -111,9 +111,9 @@ def test_rolling_resistance_falls_with_pressure_and_is_of_the_nominal_speed():
 
 
 @EVERY
-def test_the_side_of_the_vehicle_mirrors_the_overturning_moment_alone(number):
-    """A symmetric tire has no M_x at zero camber and side force, and is its own mirror
-    image; QSX1 and the ply steer of F_y are what is not symmetric."""
+def test_the_side_of_the_vehicle_mirrors_only_the_overturning_moment(number):
+    """A symmetric tire has no M_x at zero camber and lateral force, and is its own
+    mirror image; QSX1 and the ply steer of F_y are not symmetric."""
     odd = ("PHY1", "PHY2", "PVY1", "PVY2", "PEY3", "RHX1", "RBY3", "RVY1", "RVY2")
     tire = with_values(tire_of(number), dict.fromkeys((*odd, "QSX1"), 0.0))
     at = inputs()
@@ -125,9 +125,9 @@ def test_the_side_of_the_vehicle_mirrors_the_overturning_moment_alone(number):
     assert np.max(np.abs(forces(tire_of(number), at).mx)) > 20
 
 
-def test_the_load_moves_to_the_side_of_the_side_force():
+def test_the_lateral_force_shifts_the_load():
     """F_y of the road pushes the patch to its side, where F_z then acts: M_x = y F_z
-    has the sign of F_y, in ISO-W axes and so in ours."""
+    has the sign of F_y, in ISO-W axes and in ours."""
     found = forces(tire_of(52), TireInputs(0.0, np.array([-0.05, 0.05]), 4e3, 10.0))
     assert (np.sign(found.mx) == np.sign(found.fy)).all()
 

@@ -1,4 +1,4 @@
-"""Combined slip by similarity: against the pure forces, and its own limits."""
+"""Combined slip by similarity: pure forces and limiting cases."""
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ def similar(name, starred=False, **other):
 
 @pytest.mark.parametrize("starred", [False, True])
 @pytest.mark.parametrize("name", [MF52, MF61])
-def test_each_pure_slip_has_its_pure_force(name, starred):
+def test_pure_slip_gives_the_pure_force(name, starred):
     tire, whole = similar(name, starred), tire_of(name, starred)
     assert tire.similarity == ("fx", "fy") and whole.similarity == ()
     for gamma in (0.0, 0.04):
@@ -39,8 +39,8 @@ ISOTROPIC = {
 }  # fmt: skip
 
 
-def test_an_isotropic_tire_pulls_against_its_slip():
-    """(kappa, tan alpha) is then one slip, whose force is the Magic Formula of it."""
+def test_the_force_of_an_isotropic_tire_opposes_the_slip():
+    """(kappa, tan alpha) is then one slip, whose force is its Magic Formula."""
     found = iso(mf_tire("6.1", ISOTROPIC), KAPPA, ALPHA)
     slip = np.hypot(KAPPA, np.tan(ALPHA))
     x = 20.0 / (1.5 * 1.1) * slip
@@ -52,7 +52,7 @@ def test_an_isotropic_tire_pulls_against_its_slip():
 
 
 @pytest.mark.parametrize("name", [MF52, MF61])
-def test_combined_force_keeps_to_the_ellipse_of_the_pure_ones(name):
+def test_the_combined_force_stays_within_the_ellipse_of_the_pure_forces(name):
     tire = similar(name)
     with_ones = mf_tire(
         tire.version,
@@ -67,13 +67,13 @@ def test_combined_force_keeps_to_the_ellipse_of_the_pure_ones(name):
             found = iso(one, KAPPA, ALPHA, fz)
             return np.max((found.fx / largest[0]) ** 2 + (found.fy / largest[1]) ** 2)
 
-        # The other shift at rest dies out as it is, beside the ellipse.
+        # The other shift at zero slip decays independently of the ellipse.
         assert filled(tire) < 1.002
         assert filled(with_ones) > 1.7
 
 
-def test_similarity_is_near_the_measured_combined_slip():
-    """Of the pure curves alone, where pure forces side by side are far off."""
+def test_similarity_is_close_to_measured_combined_slip():
+    """From the pure curves alone; independent pure forces are far off."""
     for name in (MF52, MF61):
         fz = values_of(name)["FNOMIN"]
         kappa, alpha = 0.3 * KAPPA, 0.4 * ALPHA
@@ -103,7 +103,7 @@ def test_values_and_gradients_are_finite_everywhere(dtype):
         assert not bad.any(), GRID[bad][:3]
 
 
-def test_slope_at_rest_is_the_slip_stiffness():
+def test_slope_at_zero_slip_is_the_slip_stiffness():
     tire = mf_tire("6.1", ISOTROPIC)
 
     def found(slips):
@@ -113,7 +113,7 @@ def test_slope_at_rest_is_the_slip_stiffness():
     np.testing.assert_allclose(slope, 80000.0 * np.eye(2), rtol=1e-6, atol=1e-3)
 
 
-def test_what_is_given_decides_which_forces_are_similar():
+def test_given_coefficients_determine_which_forces_use_similarity():
     values = dict(ISOTROPIC, RBX1=10.0, RCX1=1.0)
     assert mf_tire("6.1", values).similarity == ("fy",)
     assert mf_tire("6.1", dict(values, RBY1=0.0, RCY1=0.0)).similarity == ()

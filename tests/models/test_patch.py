@@ -1,4 +1,4 @@
-"""Every brush model against the numeric patch of ``numeric_patch``."""
+"""Every brush model compared with the numeric patch of ``numeric_patch``."""
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ from tirefit.params import parameter_values, with_values
 
 
 def one_patch(model):
-    """A brush with one pressure distribution, whatever the force and load."""
+    """A brush with one pressure distribution, for any force and load."""
     moving = isinstance(getattr(model, "pressure", None), MOVING)
     return type(model) in (Brush, BrushAtPeak) and not moving
 
@@ -41,7 +41,7 @@ DEMAND = [1e-7, 1e-3, 0.05, 0.2, 0.249, 0.251, 0.5, 0.8, 0.97, 0.999, 1.001, 1.3
 
 
 def full_sliding(name, d):
-    """Demand ratio from which every bristle slides."""
+    """Demand ratio above which every bristle slides."""
     family = name.partition("-")[0]
     if family in ("uniform", "elliptic"):
         return np.ones_like(d)
@@ -49,7 +49,7 @@ def full_sliding(name, d):
 
 
 def draw(name, seed, d, m, demand):
-    """Parameter values and inputs, (n,) each: given shape and demand, random rest."""
+    """Parameter values and inputs, (n,) each: given shape and demand, others random."""
     rng = np.random.default_rng(seed)
     n = len(d)
 
@@ -113,7 +113,7 @@ def worst_errors(name, values, inputs):
 
 
 @BRUSHES
-def test_force_and_moment_of_the_patch(name):
+def test_force_and_moment_of_the_patch_agree_with_integrals(name):
     asymmetries = ASYMMETRIES[::3] if "brush-d" in name else [0.0]
     demand, d, m = (axis.ravel() for axis in np.meshgrid(DEMAND, asymmetries, KINETIC))
     values, inputs = draw(name, NAMES.index(name), d, m, demand)
@@ -130,7 +130,7 @@ def test_force_and_moment_of_the_patch(name):
 
 
 @pytest.mark.parametrize("name", ["brush-d", "brush-dm", "brush-dmns"])
-def test_all_asymmetries(name):
+def test_all_asymmetries_agree_with_integrals(name):
     demand, d, m = (axis.ravel() for axis in np.meshgrid(DEMAND, ASYMMETRIES, KINETIC[1::2]))
     values, inputs = draw(name, 7, d, m, demand)
     worst, _ = worst_errors(name, values, inputs)
@@ -147,8 +147,8 @@ LAWS = {
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-def test_breakaway_keeps_its_digits_at_small_demand(law):
-    """Need equals limit at the breakaway point, relative to either."""
+def test_breakaway_is_accurate_at_small_demand(law):
+    """Demand equals limit at the breakaway point, relative to either."""
     rho = jnp.asarray([1e-14, 1e-9, 1e-6, 1e-3, 0.1, 0.24, 0.26, 0.5, 0.9])
     u = law.breakaway(rho)
     partly = (u > 0) & (u < 2)
@@ -158,7 +158,7 @@ def test_breakaway_keeps_its_digits_at_small_demand(law):
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-def test_pressure_integrals_belong_to_the_density(law):
+def test_pressure_integrals_agree_with_the_density(law):
     u = jnp.linspace(0.0, 2.0, 33)
     density = law.density(u)
     np.testing.assert_allclose(jax.vmap(jax.grad(law.cdf))(u), density, atol=1e-14)
@@ -169,8 +169,8 @@ def test_pressure_integrals_belong_to_the_density(law):
     assert float(density.min()) >= 0.0
 
 
-def test_static_friction_decides_the_breakaway():
-    """The reference is no copy of the answer: S(12) and the printed numbers."""
+def test_static_friction_determines_the_breakaway():
+    """The reference is independent: S(12) and the printed numbers."""
     patch = integrate_patch("brush", 0.0, 5e4, 1.0, 1.0, 3600.0, 0.05)
     x = 5e4 * 0.05
     closed = 2 * x - 4 / 3 * x**2 / 3600 + 8 / 27 * x**3 / 3600**2
@@ -181,7 +181,7 @@ def test_static_friction_decides_the_breakaway():
 
 
 @pytest.mark.parametrize("name", ["brush", "brush-d", "uniform", "quartic"])
-def test_constant_friction_takes_the_smaller_of_need_and_limit(name):
+def test_constant_friction_gives_the_smaller_of_demand_and_limit(name):
     """For mu_k = mu_s each of 200,000 bristles gives min(need, limit)."""
     n = 200_000
     xi = -1 + (2 * np.arange(n) + 1) / n
@@ -204,7 +204,7 @@ def test_constant_friction_takes_the_smaller_of_need_and_limit(name):
 
 
 def smooth_samples(name, seed, n=400):
-    """Random samples away from the kinks: sticking ends, full sliding begins, rest."""
+    """Random samples away from the kinks: breakaway, full sliding, zero slip."""
     rng = np.random.default_rng(seed)
     demand = rng.choice([rng.uniform(0.1, 0.23, n), rng.uniform(0.27, 0.8, n)])
     demand = np.where(rng.random(n) < 0.2, rng.uniform(1.6, 3.0, n), demand)
@@ -214,7 +214,7 @@ def smooth_samples(name, seed, n=400):
 
 
 @BRUSHES
-def test_gradient_is_the_central_difference(name):
+def test_gradient_agrees_with_the_central_difference(name):
     """One parameter or input per sample, in turn, with a five-point stencil."""
     values, inputs = smooth_samples(name, 11)
     columns = {**values, **dict(zip(INPUTS, inputs, strict=True))}

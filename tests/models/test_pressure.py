@@ -1,4 +1,4 @@
-"""Pressure laws that move, and laws made of a function or a table."""
+"""Variable pressure laws, and laws from a function or a table."""
 
 import jax
 import jax.numpy as jnp
@@ -46,8 +46,8 @@ RHO = jnp.asarray(np.concatenate([np.geomspace(1e-9, 0.1, 20), np.linspace(0.1, 
 # Elliptic
 
 
-def test_elliptic_force_is_its_integral():
-    """S §4.1 by SciPy's quadrature, apart from any closed form of the patch."""
+def test_elliptic_force_agrees_with_its_integral():
+    """S §4.1 by SciPy's quadrature, independent of closed forms of the patch."""
     k = 2 / np.pi
     for rho in (1e-3, 0.1, 0.5, 2.0, 50.0):
         xi = brentq(lambda x, r=rho: k * np.sqrt((1 + x) / (1 - x)) - r, -1, 1 - 1e-12)
@@ -58,7 +58,7 @@ def test_elliptic_force_is_its_integral():
         np.testing.assert_allclose(force, share * MU * FZ, rtol=1e-9)
 
 
-def test_elliptic_keeps_its_digits_and_slopes_at_both_ends():
+def test_elliptic_is_accurate_at_both_ends():
     law = Elliptic()
     u = jnp.asarray([0.0, 1e-12, 1e-4, 1.0, 2 - 1e-9, 2.0])
     # To leading order P = 4 sqrt(2) / (3 pi) u^(3/2).
@@ -87,7 +87,7 @@ def moved_d(law, rho, braking):
 
 @pytest.mark.parametrize("braking", [1.0, -1.0, 0.6, 0.0])
 @pytest.mark.parametrize(("d", "d_force"), [(0.1, -0.4), (0.5, 0.9), (0.0, -1.0)])
-def test_asymmetry_follows_the_brake_force(d, d_force, braking):
+def test_asymmetry_depends_on_the_brake_force(d, d_force, braking):
     """d is where the line d + d_F F_x / (mu F_z) meets the force of the patch."""
     law = ForceAsymmetric(d, d_force)
     for slip in (1e-3, 0.02, 0.05, 0.09, 0.3):
@@ -102,7 +102,7 @@ def test_asymmetry_follows_the_brake_force(d, d_force, braking):
         assert -1 / 3 <= found <= 1
 
 
-def test_brake_force_moves_the_force_of_the_tire():
+def test_the_brake_force_changes_the_force_of_the_tire():
     truth = {"cpa2": C, "mu": MU, "d": 0.2, "d_force": -0.4}
     tire = with_values(MODELS["brush-d-force"], truth)
     slip = np.array([0.03, 0.05, 0.08])
@@ -121,7 +121,7 @@ def test_brake_force_moves_the_force_of_the_tire():
     np.testing.assert_allclose(sideways, same, rtol=1e-12)
 
 
-def test_slope_of_the_moving_asymmetry_is_the_central_difference():
+def test_slope_of_the_variable_asymmetry_agrees_with_the_difference():
     @jax.jit
     def moved(values):
         rho, d, d_force = values
@@ -135,7 +135,7 @@ def test_slope_of_the_moving_asymmetry_is_the_central_difference():
     np.testing.assert_allclose(jax.jvp(moved, (at,), (at,))[1], slope @ at, rtol=1e-12)
 
 
-def test_asymmetry_follows_the_load():
+def test_asymmetry_depends_on_the_load():
     law = LoadAsymmetric(0.1, 0.5, 4000.0)
     for fz, d in ((4000.0, 0.1), (5000.0, 0.225), (40.0, -1 / 3), (40000.0, 1.0)):
         np.testing.assert_allclose(law.under(0.3, 1.0, fz).d, d, rtol=1e-12)
@@ -190,7 +190,7 @@ def test_function_agrees_with_the_closed_form(law, density):
         np.testing.assert_allclose(mine, part, atol=1e-13)
 
 
-def test_parameters_have_the_gradient_of_the_closed_form():
+def test_gradients_of_parameters_agree_with_the_closed_form():
     made = Tabulated.from_function(lambda xi: 1 - xi**4)
 
     def force(values, law):
@@ -206,7 +206,7 @@ def test_parameters_have_the_gradient_of_the_closed_form():
 
 
 def trapezoid(xi):
-    """The static patch of S Fig. 1: even within, falling over the last fifth."""
+    """The static patch of S Fig. 1: constant, then falling over the last fifth."""
     return np.minimum(1.0, 5 * (1 - np.abs(xi)))
 
 
@@ -231,7 +231,7 @@ def test_table_and_function_with_kinks_agree_with_quadrature():
 
 
 def test_table_of_a_smooth_law_approaches_it():
-    """Chords of n intervals miss the curve by their sagitta, as 1 / n^2."""
+    """Chords of n intervals deviate from the curve by their sagitta, as 1 / n^2."""
     missed = []
     for n in (20, 40):
         xi = np.linspace(-1, 1, n + 1)
@@ -242,7 +242,7 @@ def test_table_of_a_smooth_law_approaches_it():
     np.testing.assert_allclose(coarse / fine, 4, rtol=0.2)
 
 
-def test_tabulated_law_is_a_model_like_any_other():
+def test_a_tabulated_law_satisfies_the_model_contract():
     """Batched, compiled, in combined slip, and finite at the ends."""
     xi = np.linspace(-1, 1, 9)
     tire = Brush(C, MU, pressure=Tabulated.from_table(xi, 1 - xi**4))
@@ -275,7 +275,7 @@ def test_tabulated_law_is_a_model_like_any_other():
         (lambda xi: 1 + np.sin(1e9 * xi), "too many places"),
     ],
 )
-def test_density_that_is_no_pressure_is_refused(density, message):
+def test_a_density_that_is_no_pressure_is_refused(density, message):
     with pytest.raises(UsageError, match=message) as error:
         Tabulated.from_function(density)
     assert error.value.problems[0].remedy
@@ -284,17 +284,17 @@ def test_density_that_is_no_pressure_is_refused(density, message):
 @pytest.mark.parametrize(
     ("text", "problems"),
     [
-        ("xi,density\n-1,0\n0,1\n1,x\n", [(4, "density", "'x' is no number")]),
+        ("xi,density\n-1,0\n0,1\n1,x\n", [(4, "density", "'x' is not a number")]),
         ("x,p\n-1,0\n", [(2, "xi", "no number"), (2, "density", "no number")]),
         (
             "xi,density\n-1,0\n0,-1\n0,1\n",
             [(3, None, "negative"), (4, None, "not increase"), (None, None, "-1 to 0")],
         ),
-        ("xi,density\n-1,0\n", [(None, None, "no two columns")]),
+        ("xi,density\n-1,0\n", [(None, None, "not two columns")]),
         ("xi,density\n-1,0\n0.5,1\n0.8,0.1\n1,0.1\n", [(None, None, "falls at xi")]),
     ],
 )
-def test_wrong_table_names_file_row_and_column(tmp_path, text, problems):
+def test_a_wrong_table_is_refused_with_file_row_and_column(tmp_path, text, problems):
     file = tmp_path / "patch.csv"
     file.write_text(text)
     with pytest.raises(UsageError) as error:
@@ -305,7 +305,7 @@ def test_wrong_table_names_file_row_and_column(tmp_path, text, problems):
         assert reason in found.reason and found.remedy
 
 
-def test_table_from_a_file(tmp_path):
+def test_a_table_is_read_from_a_file(tmp_path):
     file = tmp_path / "patch.csv"
     file.write_text("density, xi\n0.0, -1\n1.0, -0.8\n1.0, 0.8\n0.0, 1\n")
     from_file, given = Tabulated.from_csv(file), Tabulated.from_table(KNOTS, trapezoid(KNOTS))

@@ -1,4 +1,4 @@
-"""The slip that lags behind over a relaxation length."""
+"""A slip that lags by a relaxation length."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ LENGTH, FZ = 0.4, 4000.0
 
 
 def manoeuvre(n=60, seed=0):
-    """Unevenly sampled slips in two runs, standing still for a while in the second."""
+    """Unevenly sampled slips in two runs, with a standstill in the second."""
     rng = np.random.default_rng(seed)
     time = np.cumsum(rng.uniform(0.005, 0.03, n))
     run = np.repeat([3, 1], [n // 2, n - n // 2])
@@ -29,7 +29,7 @@ def manoeuvre(n=60, seed=0):
 
 
 def integrated(slip, travel, first):
-    """Slip felt at the end of each step, by a solver, from steady state at ``first``.
+    """Lagged slip at the end of each step, by a solver, from steady state at ``first``.
 
     The slip is linear in the distance travelled; standing still, nothing is felt.
     """
@@ -57,7 +57,7 @@ def felt():
     return inputs, run, Relaxed(Brush(), LENGTH).felt(arrays, jnp.asarray(run))
 
 
-def test_lag_is_the_solution_of_its_equation(felt):
+def test_the_lag_solves_its_equation(felt):
     inputs, _, result = felt
     speed = np.abs(inputs.v)
     travel = np.append(0, (speed[1:] + speed[:-1]) / 2 * np.diff(inputs.time))
@@ -70,8 +70,8 @@ def test_lag_is_the_solution_of_its_equation(felt):
         np.testing.assert_array_equal(getattr(result, name), getattr(inputs, name))
 
 
-def test_step_decays_over_the_relaxation_length():
-    """A step of slip is felt as 1 - exp(-distance / L), at any speed."""
+def test_a_step_decays_over_the_relaxation_length():
+    """The lagged slip after a step is 1 - exp(-distance / L), at any speed."""
     for v in (2.0, 40.0):
         distance = np.append(0.0, np.linspace(1e-9, 2.0, 41))
         slip = np.append(0.0, np.full(41, 0.1))
@@ -82,14 +82,14 @@ def test_step_decays_over_the_relaxation_length():
         np.testing.assert_allclose(forces(tire, inputs).fx, steady, rtol=1e-6, atol=1e-4)
 
 
-def test_ramp_lags_by_the_relaxation_length():
+def test_a_ramp_lags_by_the_relaxation_length():
     distance = jnp.linspace(0, 8, 81)
     behind = lag(0.01 * distance, jnp.full(81, 0.1), LENGTH, jnp.arange(81) == 0)
     np.testing.assert_allclose(behind[-1], -0.01 * LENGTH, rtol=1e-8)
     assert behind[0] == 0 and (jnp.diff(behind) < 0).all()
 
 
-def test_each_run_starts_in_steady_state_and_order_of_runs_is_free(felt):
+def test_each_run_starts_in_steady_state_in_any_order(felt):
     inputs, run, result = felt
     starts = np.array([0, 30])
     np.testing.assert_array_equal(result.sigma_x[starts], inputs.sigma_x[starts])
@@ -99,8 +99,8 @@ def test_each_run_starts_in_steady_state_and_order_of_runs_is_free(felt):
     np.testing.assert_allclose(again.sigma_x, result.sigma_x[other], atol=1e-14)
 
 
-def test_padding_at_the_end_disturbs_nothing(felt):
-    """Copies of the first row, as a fit pads its arrays with."""
+def test_padding_has_no_effect(felt):
+    """Copies of the first row, with which a fit pads its arrays."""
     inputs, run, result = felt
     padded = [jnp.concatenate([part, jnp.repeat(part[:1], 4)]) for part in inputs]
     codes = jnp.concatenate([run, np.repeat(run[:1], 4)])
@@ -121,7 +121,7 @@ def test_rows_without_time_are_steady():
         assert lagging.needs == ("v", "time")
 
 
-def test_runs_reach_the_forces():
+def test_the_lag_of_each_run_acts_on_the_forces():
     inputs, run = manoeuvre()
     tire = Relaxed(Brush(), LENGTH)
     apart, joined = (
@@ -133,7 +133,7 @@ def test_runs_reach_the_forces():
     assert abs(joined.fx[30] - apart.fx[30]) > 1.0
 
 
-def test_gradients_are_finite_and_right():
+def test_gradients_are_finite_and_agree_with_differences():
     inputs, run = manoeuvre()
     arrays = jax.tree.map(jnp.asarray, inputs)
 

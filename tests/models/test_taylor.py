@@ -1,4 +1,4 @@
-"""Taylor forms S(38), S(39), S(41) against automatic differentiation and the brush."""
+"""Taylor forms S(38), S(39), S(41) compared with differentiation and the brush."""
 
 import jax
 import jax.numpy as jnp
@@ -43,12 +43,12 @@ def by_differentiation(tire, v=0.0):
 
 
 def scaled(terms):
-    """In units of C (C / M)^k: numbers near one."""
+    """In units of C (C / M)^k, to be near one."""
     return np.asarray(terms) / (C * (C / M) ** np.arange(len(terms)))
 
 
 @pytest.mark.parametrize("d", [-1 / 3, -0.2, 0.0, 0.1, 0.5])
-def test_s38_is_the_derivative_of_the_brush(d):
+def test_s38_agrees_with_the_derivative_of_the_brush(d):
     tire = asymmetric(d)
     ours = coefficients(tire, FZ)
     expected = by_differentiation(tire)
@@ -58,7 +58,7 @@ def test_s38_is_the_derivative_of_the_brush(d):
 
 @pytest.mark.parametrize("static_too", [True, False])
 @pytest.mark.parametrize("n", [0.0, 0.01, -0.02])
-def test_s39_is_the_derivative_of_the_brush(n, static_too):
+def test_s39_agrees_with_the_derivative_of_the_brush(n, static_too):
     tire = falling(n, static_too)
     ours = coefficients(tire, FZ, V)
     expected = by_differentiation(tire, V)
@@ -73,7 +73,7 @@ def test_s39_with_only_kinetic_friction_falling_differs_from_the_fourth_term():
     assert abs(kinetic[4] - both[4]) > 0.1 * abs(both[4])
 
 
-def test_s41_is_s38_in_terms_of_the_stiffness():
+def test_s41_equals_s38_in_terms_of_the_stiffness():
     """S(41) with C_x = 2 c_p a^2, and the regressors of S(45), S(46) corrected."""
     d, stiffness = 0.1, 2 * C
     s41 = (
@@ -89,7 +89,7 @@ def test_s41_is_s38_in_terms_of_the_stiffness():
 
 
 @pytest.mark.parametrize(("d", "order"), [(0.0, 3), (-1 / 3, 2)])
-def test_truncated_force_is_exact_to_full_sliding(d, order):
+def test_the_truncated_force_is_exact_up_to_full_sliding(d, order):
     """S §4.3: d = 0 needs three terms, d = -1/3 two."""
     terms = scaled(asymmetric_coefficients(C, M, d))
     np.testing.assert_allclose(terms[order:], 0.0, atol=1e-14)
@@ -110,7 +110,7 @@ def test_truncated_force_is_exact_to_full_sliding(d, order):
     + [(falling(0.02, True), V), (falling(0.02, False), V)],
     ids=["d = -0.2", "d = 0.1", "d = 0.5", "n, static too", "n"],
 )
-def test_radius_is_where_the_error_reaches_its_share(tire, v, order):
+def test_the_radius_is_where_the_error_reaches_its_limit(tire, v, order):
     found = radius(tire, FZ, v, order)
     sigma = found * np.linspace(0.01, 1.0, 100)
     force = jax.vmap(lambda s: tire.pure(s, FZ, v * s / (1 + s))[0])(sigma)
@@ -124,8 +124,8 @@ def test_radius_is_where_the_error_reaches_its_share(tire, v, order):
         np.testing.assert_allclose(found, -0.01 * first / second, rtol=0.05)
 
 
-def test_radius_grows_with_the_order_and_shrinks_with_the_asymmetry():
-    """S §4.3: below d = 0.1 four terms do; higher values are more critical."""
+def test_the_radius_grows_with_order_and_shrinks_with_asymmetry():
+    """S §4.3: below d = 0.1 four terms suffice; higher values are more critical."""
     reach = {
         d: [radius(asymmetric(d), FZ, order=k) * C / M for k in (2, 3, 4, 5)]
         for d in (-0.2, 0.1, 0.5)
@@ -147,13 +147,13 @@ def test_radius_grows_with_the_order_and_shrinks_with_the_asymmetry():
         Brush(pressure=Asymmetric(), friction=Friction((LinearInSpeed(),))),
     ],
 )
-def test_no_form_for_other_brushes(tire):
+def test_other_brushes_are_refused(tire):
     with pytest.raises(ValueError, match=r"no Taylor form.*S\(38\).*S\(39\)"):
         coefficients(tire, FZ)
 
 
 @pytest.mark.parametrize("order", [0, 6])
-def test_order_is_checked(order):
+def test_a_wrong_order_is_refused(order):
     with pytest.raises(ValueError, match="from 1 to 5"):
         asymmetric_coefficients(C, M, order=order)
     with pytest.raises(ValueError, match="from 1 to 5"):

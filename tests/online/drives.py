@@ -1,4 +1,4 @@
-"""Simulated drives, each made once."""
+"""Simulated drives, each computed once."""
 
 from functools import cache
 
@@ -13,7 +13,7 @@ made = cache(lambda items: simulate_drive(Drive(**dict(items))))
 
 
 def drive(**how):
-    """A simulated log; its arrays are shared, to be copied before they are changed."""
+    """A simulated log; its arrays are shared, so copy them before changing them."""
     return made(tuple(how.items()))
 
 

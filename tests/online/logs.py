@@ -1,4 +1,4 @@
-"""Logs of a brush tire that is braked in saw-teeth, made by NumPy alone."""
+"""Logs of a brush tire braked in saw-teeth, computed by NumPy alone."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Wheels that the road shakes, made exactly at the samples by NumPy and SciPy alone."""
+"""Wheels excited by the road, computed exactly at the samples by NumPy and SciPy."""
 
 import numpy as np
 from scipy.linalg import expm
@@ -12,7 +12,7 @@ SCALE = 1.2 / 0.3**2
 
 def discrete(pole, corner=CORNER, rate=RATE):
     """Transition (2, 2) of (speed, force) over an interval and the Cholesky factor of
-    what is added, by Van Loan's block exponential; the force has variance one."""
+    the added noise, by Van Loan's block exponential; the force has unit variance."""
     c = 2 * np.pi * corner
     drift = np.array([[-pole, 1.0], [0.0, -c]])
     block = np.zeros((4, 4))
@@ -24,7 +24,7 @@ def discrete(pole, corner=CORNER, rate=RATE):
 
 
 def speeds(poles, m, seed=0, push=1.0, speed_noise=0.0, settled=2000):
-    """Wheel speeds (n, m) [m/s] less their trend, at poles (n,) [1/s].
+    """Wheel speeds (n, m) [m/s] without their trend, at poles (n,) [1/s].
 
     Args:
         push: std of the road's force over J / r^2 [m/s2].

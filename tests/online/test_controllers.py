@@ -1,4 +1,4 @@
-"""Brake controllers: the protocol that all keep, and the rules of the conventional."""
+"""Brake controllers: the common protocol, and the rules of the conventional one."""
 
 import inspect
 
@@ -43,14 +43,14 @@ def car(w=4):
 
 
 def shaken(k, w=4, truth=True):
-    """Wheels that slip a little and shake, each in its own way."""
+    """Wheels with small slip and vibration, each different."""
     phase = jnp.arange(w) + 0.3 * k
     return measured(k, 14.7 - 0.0125 * k + 0.1 * jnp.sin(phase), truth=truth, w=w)
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 @pytest.mark.parametrize("w", [1, 4])
-def test_every_controller_keeps_the_protocol(name, w):
+def test_every_controller_follows_the_protocol(name, w):
     controller = controller_of(name, car(w))
     assert list(inspect.signature(controller.step).parameters) == ["state", "measurement"]
     state = controller.init(measured(w=w))
@@ -67,7 +67,7 @@ def test_every_controller_keeps_the_protocol(name, w):
 
 
 @pytest.mark.parametrize("name", [n for n, c in CONTROLLERS.items() if not c.reads_truth])
-def test_honest_controllers_do_not_read_the_truth(name):
+def test_controllers_do_not_read_the_truth(name):
     controller = controller_of(name, car())
     states = [controller.init(measured(truth=known)) for known in (True, False)]
     step = eqx.filter_jit(controller.step)
@@ -80,7 +80,7 @@ def test_honest_controllers_do_not_read_the_truth(name):
 
 
 def phases_of(wheels, slowing=2.5, pressure=3e6, **settings):
-    """Phase names of a lone wheel whose speeds are given, sample by sample."""
+    """Phase names of a single wheel for given speeds, sample by sample."""
     controller = ConventionalABS(smoothing=1e-6, **settings)
     state = controller.init(measured(0, [wheels[0]], w=1))
     names, valves = [], []
@@ -92,8 +92,8 @@ def phases_of(wheels, slowing=2.5, pressure=3e6, **settings):
     return names, valves
 
 
-def test_the_rules_go_through_their_cycle():
-    """A wheel that dives, is let go, speeds up, rolls again: phase after phase."""
+def test_the_rules_pass_through_their_cycle():
+    """A wheel decelerates, is released, accelerates and rolls again, phase by phase."""
     free = [15.0 - 0.0125 * k for k in range(4)]
     dive = [14.85, 14.6, 14.2, 13.7]  # beyond 9 m/s2 at once, then 7 % of slip
     stop = [13.65, 13.65, 13.65]
@@ -110,20 +110,20 @@ def test_the_rules_go_through_their_cycle():
     assert by["dump"] == -0.45
 
 
-def test_a_wheel_that_does_not_come_back_is_let_go_further():
-    """On ice a wheel stays slow without slowing: after its patience it is dumped."""
+def test_a_wheel_that_stays_slow_gets_less_pressure():
+    """On ice a wheel stays slow without decelerating: the pressure is released."""
     names, _ = phases_of([15.0, 14.0, 13.0, 13.0, *[12.99] * 20])
     after = names[names.index("wait") :]
     assert "dump" in after and "step" not in after
 
 
-def test_it_is_off_at_walking_pace():
+def test_the_controller_is_off_at_walking_pace():
     names, valves = phases_of([1.2, 0.6, 0.1, 0.0], slowing=0.0)
     assert set(names) == {"build"} and set(valves) == {1.0}
 
 
 def test_reference_speed_falls_no_faster_than_the_car():
-    """All wheels dive: the reference follows the deceleration of the sensor."""
+    """All wheels lock: the reference follows the measured deceleration."""
     controller = ConventionalABS()
     state = controller.init(measured(0, [15.0] * 4))
     for k in range(1, 21):
@@ -135,7 +135,7 @@ def test_reference_speed_falls_no_faster_than_the_car():
 
 
 def test_the_rear_takes_the_lower_pressure():
-    """One rear wheel dives: both rear valves dump, each front one goes on."""
+    """One rear wheel locks: both rear valves release, the front ones continue."""
     controller = ConventionalABS(smoothing=1e-6)
     state = controller.init(measured(0, [15.0] * 4))
     for k, slow in enumerate((15.0, 14.5, 13.5, 12.5)):
@@ -154,13 +154,13 @@ def test_the_rear_takes_the_lower_pressure():
         ({"none.slip": 0.1}, "'none' has no setting 'slip'"),
     ],
 )
-def test_settings_that_cannot_be_are_refused(settings, said):
+def test_impossible_settings_are_refused(settings, said):
     with pytest.raises(UsageError) as error:
         by_owner(settings, {name: CONTROLLERS[name]() for name in ("abs", "none")})
     assert said in str(error.value) and error.value.problems[0].remedy
 
 
-def test_settings_reach_their_controller():
+def test_settings_are_passed_to_their_controller():
     asked = {name: CONTROLLERS[name]() for name in ("abs", "slip")}
     chosen = by_owner({"slip": 0.05, "slip.gain": 3.0}, asked)
     assert chosen == {"abs": {"slip": 0.05}, "slip": {"gain": 3.0}}
@@ -173,7 +173,7 @@ def test_settings_reach_their_controller():
     ("names", "said"),
     [("asb", "did you mean 'abs'"), ("abs,abs", "twice"), (" ,", "no controller")],
 )
-def test_names_are_checked(names, said):
+def test_unknown_names_are_refused(names, said):
     with pytest.raises(UsageError) as error:
         check_names("controller", names, CONTROLLERS)
     assert said in str(error.value)

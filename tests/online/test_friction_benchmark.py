@@ -1,4 +1,4 @@
-"""The benchmark's metrics against series made by hand; a small run without peers."""
+"""The benchmark's metrics on series made by hand; a small run without peers."""
 
 import csv
 
@@ -23,7 +23,7 @@ def trace(mu, std=0.1, supported=True):
     return Trace(time, np.asarray(mu, float), *full, np.zeros(n, bool))
 
 
-def test_accuracy_of_a_known_error():
+def test_accuracy_is_right_for_a_known_error():
     # Errors of 0.3 and -0.1 by turns: mean 0.1, standard deviation 0.2; of the two only
     # the smaller lies within 1.96 times 0.1.
     mu = 0.5 + np.where(np.arange(40) % 2, 0.3, -0.1)
@@ -31,7 +31,7 @@ def test_accuracy_of_a_known_error():
     np.testing.assert_allclose(error, [0.1, 0.2, 0.5, 1.0])
 
 
-def test_rows_that_are_not_supported_are_not_scored_but_counted():
+def test_unsupported_rows_are_counted_but_not_scored():
     one = trace([9.0] * 10 + [0.6] * 30)
     one = one._replace(supported=np.r_[np.zeros(25, bool), np.ones(15, bool)])
     error = accuracy(one, 0.5, begin=0)
@@ -39,7 +39,7 @@ def test_rows_that_are_not_supported_are_not_scored_but_counted():
     assert accuracy(trace([np.nan] * 20), 0.5).supported == 0
 
 
-def test_delay_and_false_alarms_of_known_alarms():
+def test_delay_and_false_alarms_are_right_for_known_alarms():
     # Two before the drop and one long after it are false; the second in the window not.
     found = detection([3, 18, 21.5, 24, 35], drop=20, duration=40)
     assert found == (1.5, 3, 30)
@@ -49,27 +49,27 @@ def test_delay_and_false_alarms_of_known_alarms():
     assert detection([], drop=35, duration=40).seconds == 35
 
 
-def test_crossings_pass_over_what_is_not_supported():
+def test_crossings_ignore_unsupported_rows():
     one = trace([0.9, 0.7, 0.7, 0.9, 0.5, 0.9, 0.7])
     supported = np.array([1, 1, 1, 1, 0, 1, 1], bool)
     crossed = crossings(one._replace(supported=supported), 0.8)
     np.testing.assert_array_equal(crossed, [1, 6])
 
 
-def test_page_finds_a_shift_when_arithmetic_says():
+def test_page_detects_a_shift_at_the_calculated_row():
     # From 0 to 2 with drift 0.5 the sum grows by 1.5: beyond 12 at the ninth sample.
     assert page_test([0.0] * 50 + [2.0] * 12, 12.0) == [58]
 
 
 @pytest.mark.parametrize("use", [0.6, 0.75])
-def test_the_closest_brush_is_that_of_the_other_route(use):
+def test_the_closest_brush_agrees_with_another_method(use):
     # There from rows that are even in force, here from those of the log.
     log = make(Scenario("one", "braking", use, 0, 10.0))
     assert abs(closest_brush(log) - reference()[f"{100 * use:.0f} %: mu"]) < 0.005
     assert np.isnan(closest_brush(make(Scenario("one", "cornering", use, 0, 10.0))))
 
 
-def test_a_cornering_log_is_of_the_brush():
+def test_a_cornering_log_follows_the_brush():
     log = make(Scenario("one", "cornering", 0.75, 3, 4.0, 2.0, 0.6))
     truth = log.truth
     assert set(np.unique(truth["mu"])) == {0.98, 0.6}
@@ -119,7 +119,7 @@ def lines(out):
         return list(csv.DictReader(file))
 
 
-def test_the_truth_scores_perfectly(benchmark):
+def test_the_truth_has_a_perfect_score(benchmark):
     scored = [line for line in lines(benchmark) if line["estimator"] == "truth"]
     assert [(line["log"], float(line["use"])) for line in scored] == [
         (kind, use) for kind, (_, uses, _) in KINDS.items() for use in uses

@@ -1,4 +1,4 @@
-"""The LuGre observer, S section 3.4: its stability, and truths of a simulated wheel."""
+"""The LuGre observer, S section 3.4: its stability, and a simulated wheel as truth."""
 
 from functools import cache
 
@@ -27,7 +27,7 @@ small slip as the patch under an even pressure."""
 
 @cache
 def wheel(theta, rate=2000):
-    """Columns of one noise-free tooth on the very tire of the observer, and z [m]."""
+    """Columns of one noise-free tooth on the tire of the observer, and z [m]."""
     time = np.arange(2 * rate) / rate
     tire = LuGre(mu_s=1.2 * theta, mu_c=0.6 * theta)
     full = 0.7 * RADIUS * float(peak_share(LuGre(), theta, V)) * LOAD
@@ -46,7 +46,7 @@ def wheel(theta, rate=2000):
 
 @cache
 def log(mu, seed=0, teeth=6, **how):
-    """A noisy log of the wheel on the bristles of the whole patch."""
+    """A noisy log of the wheel on bristles over the whole patch."""
     return simulate_braking(Braking(tire="lugre", friction=mu, teeth=teeth, seed=seed, **dict(how)))
 
 
@@ -63,7 +63,7 @@ def path_of(observer, columns, start, dt):
 
 
 def v_along(observer, theta, path, columns, z, rho):
-    """V of the module's text along a path; the tests' own arithmetic."""
+    """V of the module's docstring along a path, computed independently."""
     z_hat, omega, p = path
     b = RADIUS * LOAD / INERTIA
     e_omega, e_z, e_p = columns["omega"] - omega, z - z_hat, 1 / theta - p
@@ -74,9 +74,9 @@ def v_along(observer, theta, path, columns, z, rho):
 
 @pytest.mark.parametrize("theta", [1.0, 0.4])
 @pytest.mark.parametrize("wrong", [0.5, 2.0])
-def test_v_falls_along_a_path_without_noise(theta, wrong):
+def test_the_lyapunov_function_falls_without_noise(theta, wrong):
     columns, z = wheel(theta)
-    # Of little friction there is little to be seen: quicker, lest it take ten teeth.
+    # Low friction is less observable: a faster gain avoids ten teeth.
     settings = {"kappa": 2.0, "adaptation": 1e6 / theta**4}
     observer = with_values(LuGreObserver(), settings)
     low, high, margin = weights_of_v(observer)
@@ -90,7 +90,7 @@ def test_v_falls_along_a_path_without_noise(theta, wrong):
     assert abs(1 / path[2][-1] / theta - 1) < 0.02
 
 
-def test_v_falls_at_once_or_rises_as_the_condition_says():
+def test_the_stability_condition_predicts_the_lyapunov_function():
     # The wheel speed is off and z by as much as makes eta zero: V' = -(m + c + pa) e^2.
     columns, z = wheel(1.0)
     b = RADIUS * LOAD / INERTIA
@@ -104,7 +104,7 @@ def test_v_falls_at_once_or_rises_as_the_condition_says():
     assert grown[1.0] < 1 < grown[0.5]
 
 
-def test_gains_that_are_not_stable_are_refused():
+def test_unstable_gains_are_refused():
     for gain in (0.5, 0.98):
         with pytest.raises(UsageError, match="l1 <= sigma0/sigma1"):
             estimator_of("lugre-observer", LOAD, {"gain": gain})
@@ -113,7 +113,7 @@ def test_gains_that_are_not_stable_are_refused():
     assert estimator_of("lugre-observer", LOAD, {"sigma1": 1.0}).problems() == []
 
 
-def test_the_weights_are_those_of_a_definite_form():
+def test_the_weights_form_a_positive_definite_matrix():
     # Where l1 = tau + c the least weight has a closed form; else by eigenvalues.
     observer = with_values(LuGreObserver(), {"kappa": 2.0, "gain": 1.02})
     low, high, _ = weights_of_v(observer)
@@ -149,7 +149,7 @@ def test_the_truth_lies_within_the_stated_spread():
     assert ends[0].std[-1, 0] < 0.08
 
 
-def test_a_drop_of_friction_is_detected_and_followed():
+def test_a_drop_of_friction_is_detected_and_tracked():
     data = log(0.95, teeth=12, drop=(12.5, 0.5)).columns  # the wheel locks
     _, estimate = run(estimator_of("lugre-observer", LOAD), data)
     alarms = data["time"][estimate.flag == code(Flag.CHANGED)]
@@ -160,7 +160,7 @@ def test_a_drop_of_friction_is_detected_and_followed():
     assert np.all(np.abs(estimate.value[late, 0] - 0.5) < 0.05)
 
 
-def test_it_says_when_little_force_tells_little():
+def test_low_force_is_flagged_as_uninformative():
     data = log(0.95, amplitude=0.08).columns
     _, estimate = run(estimator_of("lugre-observer", LOAD), data)
     assert set(estimate.flag) <= {code(Flag.LITTLE_EXCITATION), code(Flag.LOW_USE)}
@@ -170,7 +170,7 @@ def test_it_says_when_little_force_tells_little():
     assert FLAGS[braked[1].flag[150]] is Flag.LOW_USE
 
 
-def test_scan_is_step_by_step_and_bad_rows_are_survived():
+def test_scan_equals_single_steps_despite_bad_rows():
     data = {k: v.copy() for k, v in log(0.8).columns.items()}
     data["torque"][300:320] = np.nan
     data["omega"][500:520] = 0.0
@@ -197,7 +197,7 @@ def test_scan_is_step_by_step_and_bad_rows_are_survived():
     assert abs(scanned.value[-1, 0] - 0.8) < 3 * scanned.std[-1, 0] < 0.3
 
 
-def test_it_never_diverges_whatever_the_steps():
+def test_it_never_diverges_for_any_time_step():
     data = {k: v[::25].copy() for k, v in log(0.8, teeth=12).columns.items()}
     for settings in ({"sigma1": 1e-3}, {"adaptation": 1e12}, {"sigma0": 1e5}):
         _, estimate = run(estimator_of("lugre-observer", LOAD, settings), data)

@@ -1,4 +1,4 @@
-"""Forces and friction hypotheses, S section 3.2, against other routes and truths."""
+"""Forces and friction hypotheses, S section 3.2, checked independently."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +19,7 @@ def true_state(truth, k):
     return [np.array([truth[name][k] for name in group]) for group in (names, inputs)]
 
 
-def test_the_filters_equations_are_those_of_the_simulated_car():
+def test_the_filter_uses_the_equations_of_the_simulated_car():
     truth = drive(**LONG).truth
     k, dt = 620, 0.02
     x, inputs = true_state(truth, k)
@@ -39,7 +39,7 @@ def test_the_filters_equations_are_those_of_the_simulated_car():
     np.testing.assert_allclose(forces, x[8:], atol=0.05 * np.max(abs(x[8:])))
 
 
-def test_a_correction_is_conditioning_of_a_gaussian():
+def test_a_correction_agrees_with_gaussian_conditioning():
     kind, random = ForceFilter(), np.random.default_rng(0)
     x = np.r_[25, 0, 0.1, 0, [83] * 4, 100 * random.standard_normal(6)]
     root = random.standard_normal((14, 14)) * np.r_[[0.1] * 8, [100] * 6][:, None]
@@ -60,7 +60,7 @@ def test_a_correction_is_conditioning_of_a_gaussian():
     np.testing.assert_allclose(after.covariance, expected, rtol=1e-4, atol=1e-4)
 
 
-def test_the_hypotheses_are_weighed_by_bayes_rule():
+def test_the_hypotheses_are_weighted_by_bayes_rule():
     kind, truth = ForceFilter(), drive(**LONG).truth
     x, inputs = (jnp.array(part) for part in true_state(truth, 620))
     # Slips known exactly: the covariance of what is missed is that of the forces.
@@ -101,7 +101,7 @@ def test_the_truth_lies_within_the_stated_spread():
     assert np.sqrt(np.mean(mu**2)) < 2 and end.std[-1, 0] < 0.2
 
 
-def test_a_drop_of_friction_is_detected_and_steady_friction_is_not():
+def test_only_a_drop_of_friction_is_detected():
     how = {"bend": 0.45, "duration": 60.0}
     for after in (0.6, 0.55):
         log = drive(**how, drop=(40.0, after))
@@ -114,7 +114,7 @@ def test_a_drop_of_friction_is_detected_and_steady_friction_is_not():
         assert not np.any(end.flag == code(Flag.CHANGED))
 
 
-def test_lost_rows_are_flagged_and_survived():
+def test_missing_rows_are_flagged_and_bridged():
     columns = {k: v.copy() for k, v in drive(**LONG).columns.items()}
     columns["torque_fl"][400:410] = np.nan
     kept = np.r_[:600, 700:1250]

@@ -1,4 +1,4 @@
-"""Each online method against another route to the same numbers, and known truths."""
+"""Each online method checked by an independent computation and known truths."""
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ def last(estimate, k=0):
 
 
 @pytest.mark.parametrize("d", [-0.2, 0.0, 0.3])
-def test_regressors_are_the_taylor_terms_of_the_force(d):
+def test_regressors_agree_with_the_taylor_terms_of_the_force(d):
     from fits.source_figures.taylor import asymmetric_coefficients
 
     sample = {"sigma_x": 0.03, "fx": 8e3, "fz": LOAD}
@@ -35,15 +35,15 @@ def test_regressors_are_the_taylor_terms_of_the_force(d):
     np.testing.assert_allclose(x.u2, x.u1**2 * (1 + 3 * d) / (3 * x.u0 * (1 - d)))
 
 
-def test_regressors_are_folded_for_driving():
+def test_regressors_are_mirrored_for_driving():
     braking = regressors({"sigma_x": 0.02, "fx": 5e3, "fz": LOAD}, CPA2, 0.9, 0.1)
     driving = regressors({"sigma_x": -0.02, "fx": -5e3, "fz": LOAD}, CPA2, 0.9, 0.1)
     np.testing.assert_array_equal(braking, driving)
 
 
 def batch(data, average, prior, noise, cubic):
-    """theta by least squares of all averages at once with the prior as two more rows;
-    the cubic term with the theta that it gives, found by repeating."""
+    """theta by least squares of all averages at once, with the prior as two more rows;
+    the cubic term uses the resulting theta, by iteration."""
     means = {k: v.reshape(-1, average).mean(1) for k, v in data.items()}
     u0 = 2 * CPA2 * means["sigma_x"] / LOAD
     u1, u2 = -(u0**2) / (3 * 0.9), cubic * u0**3 / (27 * 0.9**2)
@@ -66,7 +66,7 @@ def batch(data, average, prior, noise, cubic):
     ("d", "cubic", "average", "within"),
     [(-1 / 3, 0, 1, 1e-9), (-1 / 3, 0, 10, 1e-9), (0, 1, 1, 1e-4), (0, 1, 10, 1.5e-3)],
 )
-def test_rls_without_forgetting_is_batch_least_squares(d, cubic, within, average):
+def test_rls_without_forgetting_agrees_with_least_squares(d, cubic, within, average):
     data = log(n=2000, largest=0.04)
     # The jump ends an average early, as it is to: keep to whole ones.
     data = {k: v.reshape(-1, 200)[:, 10:].ravel() for k, v in data.items()}
@@ -94,7 +94,7 @@ def test_rls_without_forgetting_is_batch_least_squares(d, cubic, within, average
     )
 
 
-def test_rls_forgets_as_weighted_least_squares_does():
+def test_rls_with_forgetting_agrees_with_weighted_least_squares():
     data = {k: v[:190] for k, v in log(n=200, largest=0.04).items()}
     settings = KNOWN | {"forgetting": 0.98, "average": 1, "d": -1 / 3}
     settings |= {"prior0": 1e2, "prior1": 1e2, "least_use": 0.0}
@@ -109,7 +109,7 @@ def test_rls_forgets_as_weighted_least_squares_does():
     np.testing.assert_allclose(found, theta, rtol=0.02)
 
 
-def test_the_slope_of_the_mit_rule_is_that_of_its_prediction():
+def test_the_slope_of_the_mit_rule_agrees_with_its_prediction():
     estimator = estimator_of("mit", LOAD, KNOWN)
     sample = {"sigma_x": 0.03, "fx": 9e3, "fz": LOAD, "count": 1.0}
     x = regressors(sample, CPA2, 0.9, 0.0)
@@ -126,7 +126,7 @@ def test_the_slope_of_the_mit_rule_is_that_of_its_prediction():
     np.testing.assert_allclose(moved, -gains * slope, rtol=1e-9)
 
 
-def test_the_claimed_spread_of_the_mit_rule_is_the_spread_of_many():
+def test_the_stated_spread_of_the_mit_rule_agrees_with_repeats():
     settings = KNOWN | {"force_noise": 0.03, "start0": 1.0, "start1": 1.0}
     settings |= {"prior0": 1e-6, "prior1": 1e-6}
     estimator = estimator_of("mit", LOAD, settings)
@@ -138,7 +138,7 @@ def test_the_claimed_spread_of_the_mit_rule_is_the_spread_of_many():
         assert abs(spread / claimed - 1) < 0.25
 
 
-def test_a_kalman_step_is_conditioning_of_a_gaussian(monkeypatch):
+def test_a_kalman_step_agrees_with_gaussian_conditioning(monkeypatch):
     # A force that is linear in the logarithms makes the filter exact.
     slope = np.array([3e3, 5e3])
     monkeypatch.setattr(Ekf, "force", lambda self, x, sigma, fz: slope @ x + 1e5 * sigma)
@@ -163,7 +163,7 @@ def test_a_kalman_step_is_conditioning_of_a_gaussian(monkeypatch):
 
 
 @pytest.mark.parametrize("sliding", [0.01, 0.3, 0.7, 0.99])
-def test_the_cubic_gives_back_the_friction_of_the_brush(sliding):
+def test_the_cubic_recovers_the_friction_of_the_brush(sliding):
     sigma = sliding * 3 * 0.9 * LOAD / (2 * CPA2)
     mu = friction_by_cubic(brush(sigma, CPA2, 0.9), sigma, CPA2, LOAD)
     np.testing.assert_allclose(mu, 0.9, rtol=1e-9)
@@ -174,13 +174,13 @@ def test_the_cubic_gives_back_the_friction_of_the_brush(sliding):
     assert abs(left) < 1e-9 * (c * sigma) ** 3
 
 
-def test_the_cubic_in_full_sliding_and_without_any():
+def test_the_cubic_is_right_with_and_without_full_sliding():
     slides = 3.1 * 0.9 * LOAD / (2 * CPA2)
     assert float(friction_by_cubic(0.9 * LOAD, slides, CPA2, LOAD)) == 0.9  # S(20)
     assert np.isnan(friction_by_cubic(2 * CPA2 * 0.01, 0.01, CPA2, LOAD))
 
 
-def test_the_spread_of_the_cubic_is_that_of_many_samples():
+def test_the_spread_of_the_cubic_agrees_with_many_samples():
     random = np.random.default_rng(0)
     estimator = estimator_of("cubic", LOAD, {"cpa2": CPA2, "force_noise": 0.005})
     sigma, n = 0.06, 4000
@@ -210,7 +210,7 @@ def test_the_truth_lies_within_the_stated_spread(name):
         assert last(ends[0], k)[1] < 0.06 * truth  # and it says something
 
 
-def test_the_mit_rule_comes_closer_and_says_how_close():
+def test_the_mit_rule_converges_with_a_right_spread():
     estimator = estimator_of("mit", LOAD, KNOWN | {"force_noise": 0.03})
     _, estimate = run(estimator, log(n=20_000))
     value, std = last(estimate)
@@ -219,7 +219,7 @@ def test_the_mit_rule_comes_closer_and_says_how_close():
 
 
 @pytest.mark.parametrize("name", ["rls", "mit", "ekf"])
-def test_a_drop_of_friction_is_detected_and_followed(name):
+def test_a_drop_of_friction_is_detected_and_tracked(name):
     settings = {"cpa2": CPA2, "force_noise": 0.03}
     estimator = estimator_of(name, LOAD, settings)
     data = log(n=4000, drop=(20.0, 0.5))
@@ -232,13 +232,13 @@ def test_a_drop_of_friction_is_detected_and_followed(name):
 
 
 @pytest.mark.parametrize("name", ["rls", "mit", "ekf", "cubic"])
-def test_little_use_of_friction_is_said(name):
+def test_low_use_of_friction_is_flagged(name):
     _, estimate = run(estimator_of(name, LOAD), log(n=1000, largest=0.008))
     assert FLAGS[estimate.flag[-1]] is Flag.LOW_USE
     assert set(estimate.flag) <= {code(Flag.LOW_USE), code(Flag.LITTLE_EXCITATION)}
 
 
-def test_names_and_settings_that_are_not_there():
+def test_unknown_names_and_settings_are_refused():
     with pytest.raises(UsageError, match="did you mean 'rls'"):
         check_names("method", "rsl", METHODS)
     with pytest.raises(UsageError, match="given twice"):

@@ -1,4 +1,4 @@
-"""Path prediction, S section 3.8: its parts against other routes, and the whole."""
+"""Path prediction, S section 3.8: its parts checked independently, and the whole."""
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ C_F, C_R, MASS, INERTIA, L_F, L_R, U = 9e4, 8e4, 1500.0, 2500.0, 1.2, 1.4, 25.0
 MATRICES = bicycle(C_F, C_R, MASS, INERTIA, L_F, L_R, jnp.asarray(U))
 
 
-def test_the_bicycle_is_the_force_balance_and_the_printed_one_is_not():
+def test_the_bicycle_satisfies_the_force_balance_unlike_the_printed_one():
     _, dy, aside, r = x = np.array([0.1, 0.7, 0.03, 0.2])
     delta, bend = 0.02, 0.15
     v_y = dy - U * aside
@@ -43,7 +43,7 @@ def test_the_bicycle_is_the_force_balance_and_the_printed_one_is_not():
     np.testing.assert_allclose(a[1, 1], 2 * (c_f + c_r) / (MASS * U))
 
 
-def test_the_lane_is_left_when_scipy_says_so():
+def test_the_lane_departure_time_agrees_with_scipy():
     a, steered, bent = MATRICES
     state, push = jnp.array([0.0, 0.1, 0.0, 0.0]), steered * 0.004 + bent * 0.01
 
@@ -92,7 +92,7 @@ def test_the_observer_finds_the_force_and_its_errors_shrink_as_stated():
     assert abs(np.std(ends) / stated - 1) < 0.2  # 200 runs: 5 %, and p dt = 0.08
 
 
-def test_the_wheels_rls_without_forgetting_is_batch_least_squares():
+def test_rls_of_the_wheel_without_forgetting_agrees_with_least_squares():
     omega, torque = wheel_log(80, noise=0.05, seed=3)
     state = WheelRls(omega[0], 1000.0, 1e12)
     for k in range(1, 80):
@@ -103,7 +103,7 @@ def test_the_wheels_rls_without_forgetting_is_batch_least_squares():
     np.testing.assert_allclose(state.spread, 2 * 0.05**2 / lever**2 / 79, rtol=1e-4)
 
 
-def test_a_correction_by_the_driven_path_is_conditioning_of_a_gaussian():
+def test_a_correction_by_the_path_agrees_with_gaussian_conditioning():
     estimator = estimator_of("path", 1.0)
     random = np.random.default_rng(0)
     root = random.standard_normal((6, 6))
@@ -136,7 +136,7 @@ def test_the_truth_lies_within_the_stated_spread():
         assert abs(pull) < 3 and gentle.std[-1, k] < 0.1 * STIFFNESS[name]
 
 
-def test_a_force_near_the_limit_is_warned_of():
+def test_a_force_near_the_limit_gives_a_warning():
     log = drive(bend=0.7, duration=25.0)
     end = estimated("path", log.columns, {"warn": 0.75})
     truth = abs(log.truth["fy_f"]) / (log.truth["fz_fl"] + log.truth["fz_fr"]) / 0.9
@@ -145,7 +145,7 @@ def test_a_force_near_the_limit_is_warned_of():
     assert np.all(truth[warned] > 0.6) and np.all(warned[truth < 0.5] == 0)
 
 
-def test_lost_rows_are_flagged_and_survived():
+def test_missing_rows_are_flagged_and_bridged():
     log = drive(bend=0.5, brake=0.3, duration=25.0)
     columns = {k: v.copy() for k, v in log.columns.items()}
     columns["torque_fl"][400:410] = np.nan
@@ -159,7 +159,7 @@ def test_lost_rows_are_flagged_and_survived():
     assert np.all(close)
 
 
-def test_scan_is_step_by_step():
+def test_scan_equals_single_steps():
     columns = drive(bend=0.5, brake=0.3, duration=25.0).columns
     rows = {k: v[:120] for k, v in columns.items()}
     scanned, stream = estimated("path", rows), Stream(estimator_of("path", 1.0))

@@ -1,4 +1,4 @@
-"""Lateral friction from positions, S section 3.3, against other routes and truths."""
+"""Lateral friction from positions, S section 3.3, checked independently."""
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from tirefit.online.regression import Regressors
 from tirefit.online.run import Stream
 
 
-def test_the_filter_gives_signals_and_derivatives_as_scipy_does():
+def test_filtered_signals_and_derivatives_agree_with_scipy():
     a, dt = 4.0, 0.005
     time = np.arange(0, 4, dt)
     u = np.sin(2 * time) ** 3
@@ -48,7 +48,7 @@ def test_force_and_slip_follow_the_corrected_equations_not_the_printed():
     assert np.max(abs(printed - truth["fy_f"])[inner]) > 0.5 * largest
 
 
-def test_the_law_is_least_squares_of_all_samples_with_forgetting():
+def test_the_estimate_agrees_with_least_squares_with_forgetting():
     estimator = estimator_of("position", 1.0, {"forgetting": 0.99})
     random = np.random.default_rng(0)
     u0 = random.uniform(0.2, 1.2, 300)
@@ -87,7 +87,7 @@ def test_the_truth_lies_within_the_stated_spread(friction, bend):
     assert np.sqrt(np.mean(np.square(pulls))) < 2
 
 
-def test_a_straight_road_says_nothing_and_that_is_said():
+def test_a_straight_road_is_flagged_as_uninformative():
     log = drive(bend=0.02, duration=10.0)
     end = estimated("position", log.columns)
     said = {code(Flag.SETTLING), code(Flag.LITTLE_EXCITATION)}
@@ -95,7 +95,7 @@ def test_a_straight_road_says_nothing_and_that_is_said():
     assert end.std[-1, 0] > 0.5
 
 
-def test_lost_rows_are_flagged_survived_and_the_filter_settles_anew():
+def test_missing_rows_are_flagged_and_restart_the_filter():
     log = drive(bend=0.5, duration=25.0)
     columns = {k: v.copy() for k, v in log.columns.items()}
     columns["offset"][400:410] = np.nan
@@ -111,7 +111,7 @@ def test_lost_rows_are_flagged_survived_and_the_filter_settles_anew():
     assert np.all(abs(end.value[-1] - whole.value[-1]) < 2 * whole.std[-1])
 
 
-def test_scan_is_step_by_step():
+def test_scan_equals_single_steps():
     columns = {k: v.copy() for k, v in drive(bend=0.5, duration=25.0).columns.items()}
     columns["yaw_rate"][130:140] = np.nan
     rows = {k: v[:250] for k, v in columns.items()}

@@ -1,4 +1,4 @@
-"""The shared runner: whatever the method, whatever happens to the samples."""
+"""The common runner, for any method and any defect of the samples."""
 
 import jax
 import numpy as np
@@ -16,7 +16,7 @@ WITHOUT_MEMORY = ("cubic", "tire-sensor")
 
 
 def near_the_truth(name, estimate):
-    """Whether the last estimates of what is known lie within five stds."""
+    """Whether the last estimates of known parameters lie within five stds."""
     known = [(k, p) for k, p in enumerate(METHODS[name].method.parameters)]
     return all(
         abs(estimate.value[-1, k] - TRUTH[p]) < 5 * estimate.std[-1, k]
@@ -34,7 +34,7 @@ def rows_flagged(estimate, flag):
 
 
 @every_method
-def test_scan_is_step_by_step(name):
+def test_scan_equals_single_steps(name):
     data = log(n=250, slip_noise=0.001)
     data["fx"][100:110] = np.nan
     data["time"][180:] -= 0.5
@@ -49,7 +49,7 @@ def test_scan_is_step_by_step(name):
         np.testing.assert_allclose(one, other, rtol=1e-9)
 
 
-def test_a_run_goes_on_where_it_stopped():
+def test_a_run_continues_where_it_stopped():
     data = log(n=600)
     estimator = estimator_of("rls", LOAD)
     halves = [{k: v[part] for k, v in data.items()} for part in np.s_[:333, 333:]]
@@ -76,7 +76,7 @@ def test_a_stream_is_compiled_once():
 
 @every_method
 @pytest.mark.parametrize("column", ["input", "fz", "time"])
-def test_missing_samples_are_flagged_and_survived(name, column):
+def test_missing_samples_are_flagged_and_bridged(name, column):
     inputs = METHODS[name].method.inputs
     column = inputs[0] if column == "input" else column
     data = log(n=1500)
@@ -93,7 +93,7 @@ def test_missing_samples_are_flagged_and_survived(name, column):
 
 
 @pytest.mark.parametrize("name", ["rls", "ekf"])
-def test_time_without_samples_makes_unsure(name):
+def test_time_without_samples_raises_the_std(name):
     data = log(n=1500)
     data["fx"][700:1300] = np.nan
     std = estimates_of(name, data).std
@@ -106,7 +106,7 @@ def test_time_without_samples_makes_unsure(name):
 
 
 @every_method
-def test_time_that_goes_back_is_flagged_and_survived(name):
+def test_decreasing_time_is_flagged_and_ignored(name):
     data = log(n=1000)
     data["time"][500:] -= 4.0
     data["time"][[700, 701]] = data["time"][[701, 700]]  # two rows swapped
@@ -116,7 +116,7 @@ def test_time_that_goes_back_is_flagged_and_survived(name):
 
 
 @every_method
-def test_a_locked_wheel_and_a_standstill_are_flagged_and_survived(name):
+def test_a_locked_wheel_and_a_standstill_are_flagged(name):
     data = log(n=1500)
     data["sigma_x"][600:650] = 1e6
     data["omega"][650 if "sigma_x" in METHODS[name].method.inputs else 600 : 680] = 0.0
@@ -131,7 +131,7 @@ def test_a_locked_wheel_and_a_standstill_are_flagged_and_survived(name):
 
 
 @every_method
-def test_nothing_diverges_silently(name):
+def test_divergence_is_always_flagged(name):
     data = log(n=1500)
     data["fx"][[700, 720]] = data["fy"][[700, 720]] = 1e200, -1e6
     data["sigma_x"][800] = -1e150
@@ -143,7 +143,7 @@ def test_nothing_diverges_silently(name):
     assert near_the_truth(name, estimate)
 
 
-def test_a_state_that_is_not_finite_starts_anew():
+def test_a_state_that_is_not_finite_is_reset():
     class Broken(METHODS["mit"]):
         def step(self, state, sample):
             after, estimate = super().step(state, sample)
@@ -158,7 +158,7 @@ def test_a_state_that_is_not_finite_starts_anew():
 
 
 @every_method
-def test_a_new_run_starts_anew(name):
+def test_a_new_run_resets_the_state(name):
     data = log(n=1000)
     twice = {k: np.r_[v, v] for k, v in data.items()}
     twice["run"] = np.repeat([0.0, 1.0], 1000)
@@ -174,7 +174,7 @@ def test_false_alarms_are_rare():
 
 
 @every_method
-def test_a_step_has_the_shapes_it_promises(name):
+def test_a_step_returns_the_declared_shapes(name):
     estimator = estimator_of(name, LOAD)
     sample = {k: v[5] for k, v in log(n=10).items()}
     before = start(estimator)

@@ -1,4 +1,4 @@
-"""``slip-slope`` against dense Gaussian conditioning, and roads of a known kind."""
+"""``slip-slope`` compared with dense Gaussian conditioning, and roads of known kind."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def drive(slope, n=4000, offset=0.001, radius=0.0, seed=0, slip_noise=0.001, use
 SETTINGS = {"force_noise": 1e-5, "slip_noise": 0.001, "slope": 20.0}
 
 
-def test_the_filter_is_conditioning_of_a_gaussian():
+def test_the_filter_agrees_with_gaussian_conditioning():
     data = drive(18.0, n=300)
     still = {"drift_slope": 0.0, "drift_offset": 0.0, "average": 1}
     state, estimate = run(estimator_of("slip-slope", LOAD, SETTINGS | still), data)
@@ -72,21 +72,21 @@ def test_the_variance_of_the_radius_is_found():
     ("slope", "radius", "road"),
     [(20, 0, "asphalt"), (18, 0.006, "gravel"), (12, 0, "snow"), (6, 0, "ice")],
 )
-def test_the_road_is_told_by_the_rule(slope, radius, road):
+def test_the_road_is_classified_by_the_rule(slope, radius, road):
     data = drive(slope, radius=radius, n=8000)
     _, estimate = run(estimator_of("slip-slope", LOAD, SETTINGS), data)
     assert ROADS[int(estimate.value[-1, 3]) - 1] == road
     assert 0 <= estimate.std[-1, 3] < 1
 
 
-def test_the_rule_of_the_roads_at_its_limits():
+def test_the_rule_of_the_roads_is_right_at_its_limits():
     cases = {(0.75, False): 1, (0.74, False): 3, (0.45, False): 3, (0.44, False): 4}
     cases |= {(0.75, True): 2, (0.45, True): 2, (0.44, True): 3}
     for (relative, rough), number in cases.items():
         assert float(road_of(relative, rough)) == number
 
 
-def test_a_change_of_the_road_is_detected_and_followed():
+def test_a_change_of_the_road_is_detected_and_tracked():
     slope = np.where(np.arange(8000) < 4000, 20.0, 9.0)
     data = drive(slope, n=8000, use=0.25)
     estimator = estimator_of("slip-slope", LOAD, SETTINGS)
@@ -99,7 +99,7 @@ def test_a_change_of_the_road_is_detected_and_followed():
     assert abs(estimate.value[two, 0] - 9) < 2
 
 
-def test_braking_alone_takes_the_force_from_the_pressure():
+def test_only_braking_takes_the_force_from_the_pressure():
     settings = SETTINGS | {"gain": 5e-4, "gain_spread": 0.1}
     estimator = estimator_of("slip-slope-braking", LOAD, settings)
     _, estimate = run(estimator, drive(20.0, use=0.4))
@@ -114,7 +114,7 @@ def test_braking_alone_takes_the_force_from_the_pressure():
     assert abs(biased.value[-1, 0] / value - 0.8) < 0.02  # an error of the gain is one
 
 
-def test_force_beyond_the_straight_part_is_not_used():
+def test_force_beyond_the_linear_part_is_not_used():
     data = drive(20.0, use=0.8, n=2000)
     _, estimate = run(estimator_of("slip-slope", LOAD, SETTINGS), data)
     large = np.abs(data["fx"]) > 0.5 * LOAD

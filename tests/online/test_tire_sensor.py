@@ -1,4 +1,4 @@
-"""``tire-sensor`` against the brush solved for slip and friction without a network."""
+"""``tire-sensor`` compared with the brush solved for slip and friction directly."""
 
 import jax
 import numpy as np
@@ -37,7 +37,7 @@ def samples(alphas, mus):
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_slip_angle_and_friction_of_a_numeric_patch(side):
+def test_slip_angle_and_friction_of_a_numeric_patch_are_found(side):
     mus = np.repeat([0.3, 0.6, 1.0], 6)
     full = np.arctan(3 * mus * LOAD / (2 * CPA2))
     alphas = full * np.tile([0.2, 0.35, 0.5, 0.65, 0.8, 0.95], 3)
@@ -54,7 +54,7 @@ def test_slip_angle_and_friction_of_a_numeric_patch(side):
     assert not np.any(estimate.flag)
 
 
-def test_force_and_moment_of_the_gough_plot_are_those_of_the_patch():
+def test_the_gough_plot_agrees_with_the_patch():
     alpha, mu = 0.06, 0.7
     sliding = 2 * CPA2 * np.tan(alpha) / (3 * LOAD) / mu
     y, m = gough(sliding, mu)
@@ -63,7 +63,7 @@ def test_force_and_moment_of_the_gough_plot_are_those_of_the_patch():
     np.testing.assert_allclose(force, brush(np.tan(alpha), LOAD, 0.0, CPA2, mu), rtol=1e-4)
 
 
-def test_what_was_not_seen_is_flagged():
+def test_implausible_inputs_are_flagged():
     points = {
         (0.5, 0.02): True,
         (1.3, 0.0): False,  # more force than friction of 1.2 gives
@@ -82,7 +82,7 @@ def test_what_was_not_seen_is_flagged():
     assert np.all(jax.vmap(lambda a, b: seen(*gough(a, b), 1e-9, 1e-9))(sliding, mu))
 
 
-def test_a_flag_says_so_and_the_last_estimate_is_kept():
+def test_a_flagged_row_keeps_the_last_estimate():
     data = samples([0.05, 0.05, 0.05], [0.7, 0.7, 0.7])
     data["mz"][1] = -0.2 * LOAD * LENGTH
     _, estimate = run(estimator_of("tire-sensor", LOAD, SETTINGS), data)
@@ -91,7 +91,7 @@ def test_a_flag_says_so_and_the_last_estimate_is_kept():
     assert FLAGS[estimate.flag[2]] is Flag.OK
 
 
-def test_the_stated_spread_is_that_of_many_samples():
+def test_the_stated_spread_agrees_with_many_samples():
     n, noise = 3000, {"force_noise": 0.01, "moment_noise": 0.002, "own_error": 0.0}
     data = samples([0.06], [0.7])
     random = np.random.default_rng(1)
@@ -103,7 +103,7 @@ def test_the_stated_spread_is_that_of_many_samples():
         assert abs(np.std(estimate.value[:, k]) / np.median(estimate.std[:, k]) - 1) < 0.1
 
 
-def test_the_network_is_the_inverse_of_the_brush():
+def test_the_network_inverts_the_brush():
     # Used friction by a root of the trail, which depends on nothing else.
     for mu, sliding in ((0.4, 0.3), (0.9, 0.6), (1.1, 0.15)):
         y, m = gough(sliding, mu)

@@ -1,4 +1,5 @@
-"""Braking stiffness from the shaking of a wheel, against known poles and other routes.
+"""Braking stiffness from the vibration of a wheel, with known poles and independent
+computations.
 
 The wheels are made by ``shaken`` without a tire; the tire that is simulated with its
 brake is in ``tests/sim/test_xbs_in_the_loop.py``.
@@ -39,7 +40,7 @@ def estimator(**settings):
 
 @jax.jit
 def followed(record, told):
-    """(pole, its std, printed) (n, m, 3) and flags after each sample of told (n, m)."""
+    """(pole, its std, printed) (n, m, 3) and flags after each given sample (n, m)."""
 
     def one(column):
         def step(state, speed):
@@ -64,7 +65,7 @@ def passed(told, rate=RATE, low=2.0, high=20.0):
 
 @pytest.mark.parametrize(("corner", "rate"), [(2.0, 200.0), (20.0, 100.0), (45, 100)])
 @pytest.mark.parametrize("make", [low_pass, high_pass])
-def test_sections_are_those_of_scipy(make, corner, rate):
+def test_filter_sections_agree_with_scipy(make, corner, rate):
     kind = "lowpass" if make is low_pass else "highpass"
     b, a = scipy.signal.butter(2, corner, kind, fs=rate)
     section = make(corner, rate)
@@ -75,7 +76,7 @@ def test_sections_are_those_of_scipy(make, corner, rate):
     np.testing.assert_allclose(section.gain(angle), abs(gain) ** 2, rtol=1e-9)
 
 
-def test_the_filtered_speed_is_that_of_scipy():
+def test_the_filtered_speed_agrees_with_scipy():
     told = 10 - 3 * np.arange(500) / RATE + speeds(np.full(500, 60.0), 1)[:, 0]
     record, state, filtered = estimator(), estimator().init(), []
     step = eqx.filter_jit(record.step)
@@ -86,14 +87,14 @@ def test_the_filtered_speed_is_that_of_scipy():
 
 
 def regression(told, settling):
-    """y and phi of O(3)-(7) with k r^2/J as the unknown, from the settled rows on."""
+    """y and phi of O(3)-(7) with k r^2/J as the unknown, from the settled rows."""
     v = passed(told)
     increments = np.diff(v, prepend=0.0)
     y = np.diff(increments, prepend=0.0)[settling:]
     return y, -increments[settling - 1 : -1] / RATE
 
 
-def test_without_forgetting_it_is_batch_least_squares():
+def test_without_forgetting_it_agrees_with_least_squares():
     told = speeds(np.full(700, 60.0), 1, push=10.0)
     record = estimator(forgetting=1.0)
     numbers, _ = followed(record, told)
@@ -102,7 +103,7 @@ def test_without_forgetting_it_is_batch_least_squares():
     np.testing.assert_allclose(numbers[-1, 0, 2], k, rtol=1e-9)
 
 
-def test_with_forgetting_it_is_the_recursion_of_the_source():
+def test_with_forgetting_it_agrees_with_the_recursion_of_the_source():
     told = speeds(np.full(700, 60.0), 1, push=10.0)
     numbers, _ = followed(estimator(forgetting=0.98), told)
     k, gamma = 0.0, 1e12
@@ -127,7 +128,7 @@ def test_sampling_alone_makes_the_estimate_two_thirds_of_the_pole(pole):
 
 
 @pytest.mark.parametrize("corner", [0.0, 1.0, 200.0])
-def test_the_spectrum_is_the_aliased_one_of_the_continuous_speed(corner):
+def test_the_spectrum_agrees_with_the_aliased_continuous_one(corner):
     angle = np.linspace(0.05, 3.0, 9)
     pole, c = 60.0, 2 * np.pi * corner
     folds = angle + 2 * np.pi * np.arange(-3000, 3001)[:, None]
@@ -150,7 +151,7 @@ def test_the_relation_rises_with_the_pole():
 # 300 wheels know the median of a spread of 30 % to 2.2 %, and a standard deviation by
 # quantiles to 6 %. The error of a ratio of two sums, over a memory of 1 s, adds 3 %.
 @pytest.mark.parametrize("pole", [15.0, 30.0, 60.0, 120.0, 200.0])
-def test_the_pole_is_found_with_the_spread_that_is_said(pole):
+def test_the_pole_is_found_within_the_stated_spread(pole):
     numbers, flags = followed(estimator(), speeds(np.full(1500, pole), 300))
     value, std, printed = np.moveaxis(np.asarray(numbers[-1]), 1, 0)
     spread = np.diff(np.quantile(value, [0.159, 0.841]))[0] / 2
@@ -164,7 +165,7 @@ def test_the_pole_is_found_with_the_spread_that_is_said(pole):
     assert np.mean(np.asarray(flags)[-1] == 0) > 0.9
 
 
-def test_a_slow_pole_is_not_told_from_none():
+def test_a_slow_pole_is_not_distinguished_from_none():
     numbers, _ = followed(estimator(), speeds(np.full(1500, 3.0), 200))
     value, std, _ = np.moveaxis(np.asarray(numbers[-1]), 1, 0)
     # Far below the band: the standard deviation is larger than the value.
@@ -174,8 +175,8 @@ def test_a_slow_pole_is_not_told_from_none():
 
 @pytest.mark.parametrize(("before", "after", "latest"), [(150, 40, 0.4), (40, 150, 2.0)])
 def test_the_delay_is_short_when_the_stiffness_falls(before, after, latest):
-    """The louder of two counts more, so that a fall, which is towards locking, is seen
-    sooner than a rise: half of it within 0.23 s, with a memory of 1 s."""
+    """The noisier estimate has more weight, so that a fall, which leads to locking, is
+    detected sooner than a rise: half of it within 0.23 s, with a memory of 1 s."""
     poles = np.r_[np.full(1500, float(before)), np.full(1500, float(after))]
     numbers, _ = followed(estimator(), speeds(poles, 200))
     median = np.median(np.asarray(numbers)[:, :, 0], axis=1)
@@ -185,7 +186,7 @@ def test_the_delay_is_short_when_the_stiffness_falls(before, after, latest):
     assert latest / 3 < delay < latest
 
 
-def test_noise_of_the_sensor_is_taken_off():
+def test_sensor_noise_is_corrected():
     pole, noise = 60.0, 0.01
     told = speeds(np.full(1500, pole), 200, push=4.0, speed_noise=noise)
     plain, _ = followed(estimator(), told)
@@ -197,7 +198,7 @@ def test_noise_of_the_sensor_is_taken_off():
     assert abs(np.median(std) / np.std(value) - 1) < 0.3
 
 
-def test_what_the_estimate_cannot_say_is_flagged():
+def test_unreliable_estimates_are_flagged():
     random = np.random.default_rng(0)
     noise = 0.01 * random.normal(size=(1000, 1))
     numbers, flags = followed(estimator(speed_noise=0.01), noise)
@@ -213,7 +214,7 @@ def test_what_the_estimate_cannot_say_is_flagged():
     assert FLAGS[int(flags[60, 0])] is Flag.SETTLING
 
 
-def test_the_gain_of_the_servo_is_taken_off():
+def test_the_gain_of_the_servo_is_corrected():
     told = speeds(np.full(800, 60.0), 3)
     sample = {"omega": (SLIDING + told[:, 0]) / 0.3, "time": np.arange(800) / RATE}
     free = run(estimator(), sample)[1]
@@ -222,7 +223,7 @@ def test_the_gain_of_the_servo_is_taken_off():
     np.testing.assert_allclose(free.std[-1, 0], held.std[-1, 0])
 
 
-def test_the_reference_of_the_servo_is_taken_off():
+def test_the_reference_of_the_servo_is_corrected():
     told = speeds(np.full(400, 60.0), 1)[:, 0]
     path = 3 * np.sin(np.arange(400) / 20)  # in the middle of the band
     record = estimator()
@@ -234,7 +235,7 @@ def test_the_reference_of_the_servo_is_taken_off():
     np.testing.assert_allclose(one.value[0], two.value[0], rtol=1e-7)
 
 
-def test_samples_without_use_move_the_filter_alone():
+def test_unusable_samples_update_only_the_filter():
     told = speeds(np.full(900, 60.0), 1)[:, 0]
     record = estimator()
     step, state = eqx.filter_jit(record.step), record.init()
@@ -248,7 +249,7 @@ def test_samples_without_use_move_the_filter_alone():
     assert float(state.sums.weight) < (1 - 0.995**720) / 0.005 + 1e-6
 
 
-def test_a_gap_begins_the_filter_anew_and_the_past_counts_less():
+def test_a_gap_restarts_the_filter_and_reduces_the_past():
     told = SLIDING + speeds(np.full(2000, 60.0), 1)[:, 0]
     time = np.arange(2000) / RATE
     kept = np.r_[:1000, 1040:2000]
@@ -260,13 +261,13 @@ def test_a_gap_begins_the_filter_anew_and_the_past_counts_less():
     np.testing.assert_allclose(rows.value[1060, 0], rows.value[1001, 0])
 
 
-def test_a_log_of_another_rate_is_said():
+def test_a_log_of_another_rate_is_reported():
     told = SLIDING + speeds(np.full(300, 60.0), 1)[:, 0]
     rows = run(estimator(), {"time": np.arange(300) / 100, "omega": told / 0.3})[1]
     assert FLAGS[rows.flag[-1]] is Flag.GAP
 
 
-def test_wheels_beside_each_other_are_each_as_alone():
+def test_several_wheels_give_the_results_of_each_alone():
     told = SLIDING + speeds(np.full(300, 60.0), 4)
     record = estimator()
     both = jax.jit(jax.vmap(lambda s, w: record.step(s, {"omega": w})))
@@ -280,7 +281,7 @@ def test_wheels_beside_each_other_are_each_as_alone():
         np.testing.assert_allclose(together.value[wheel], alone.value, rtol=1e-9)
 
 
-def test_a_rise_is_seen_sooner_where_a_louder_past_is_let_go():
+def test_a_rise_is_detected_sooner_if_a_noisier_past_is_forgotten():
     poles = np.r_[np.full(1500, 20.0), np.full(1000, 250.0)]
     told, delays = speeds(poles, 100), []
     for quiet in (0.0, 0.3):
@@ -296,9 +297,9 @@ def test_a_rise_is_seen_sooner_where_a_louder_past_is_let_go():
 
 
 @pytest.mark.parametrize("delay", [0.01, 0.0125])
-def test_the_delay_of_the_servo_is_in_the_relation(delay):
-    """A wheel of pole p under a servo that acts late, in small steps of NumPy: with the
-    delay known the tire's pole is found, without it is not."""
+def test_the_relation_includes_the_delay_of_the_servo(delay):
+    """A wheel of pole p under a delayed servo, in small steps of NumPy: the tire's pole
+    is found only if the delay is known."""
     gain, pole, m, fine = 60.0, 20.0, 100, 4
     dt, late = 1 / RATE / fine, round(delay * RATE * fine)
     random = np.random.default_rng(0)
@@ -336,7 +337,7 @@ def test_the_rate_of_a_log_is_found(rate):
 
 
 @pytest.mark.parametrize("settings", [{"low": 20.0, "high": 2.0}, {"high": 120.0}])
-def test_a_band_that_the_rate_does_not_carry_is_refused(settings):
+def test_a_band_above_the_sample_rate_is_refused(settings):
     with pytest.raises(ValueError, match="edges must rise and lie below 100 Hz"):
         estimator(**settings)
 
@@ -349,18 +350,18 @@ LOAD = 4000.0
 
 @pytest.mark.parametrize("direction", [0.0, 0.4, 1.2])
 @pytest.mark.parametrize("rate", [0.05, 0.5, 0.9, 0.999])
-def test_the_use_of_friction_turns_the_slope_around(rate, direction):
+def test_the_use_of_friction_inverts_the_slope(rate, direction):
     slope = braking_slope(rate, 6e4, direction)
     np.testing.assert_allclose(rate_in_use(slope, 6e4, direction), rate, rtol=1e-9)
 
 
-def test_slopes_that_no_brush_has():
+def test_impossible_slopes_give_no_use_of_friction():
     assert float(rate_in_use(-1e3, 6e4)) == 1.0
     assert float(rate_in_use(7e4, 6e4)) == 0.0
 
 
 @pytest.mark.parametrize("sigma", [0.005, 0.03, 0.06])
-def test_the_slope_is_the_derivative_of_the_brush(sigma):
+def test_the_slope_agrees_with_the_derivative_of_the_brush(sigma):
     rate = mu_rate(sigma, 6e4, 0.35 * LOAD)
     along = jax.grad(lambda x: BRUSH(TireInputs(x, 0.0, LOAD)).fx)(sigma)
     np.testing.assert_allclose(braking_slope(rate, 6e4, 0.0), along, rtol=1e-9)
@@ -369,7 +370,7 @@ def test_the_slope_is_the_derivative_of_the_brush(sigma):
     np.testing.assert_allclose(friction, 0.35, rtol=1e-9)
 
 
-def test_the_slope_at_combined_slip_is_the_derivative_at_fixed_lateral_slip():
+def test_the_combined_slope_agrees_with_the_derivative_at_fixed_lateral_slip():
     tire = AnisotropicBrush(3e4, 0.35, stiffness_ratio=0.7)
     x, side = 0.03, 0.04  # kappa_x and kappa_y = 0.7 sigma_y
 
@@ -383,7 +384,7 @@ def test_the_slope_at_combined_slip_is_the_derivative_at_fixed_lateral_slip():
 
 
 def test_at_a_given_vehicle_speed_the_slope_is_one_plus_the_slip_larger():
-    """v_w k of O(22) leaves out that the slip is over the wheel's own speed."""
+    """v_w k of O(22) ignores that the slip is relative to the wheel's own speed."""
     v, turning = 15.0, 14.4
     k = -jax.grad(lambda w: BRUSH(TireInputs(v / w - 1, 0.0, LOAD)).fx)(turning)
     sigma = v / turning - 1
@@ -391,7 +392,7 @@ def test_at_a_given_vehicle_speed_the_slope_is_one_plus_the_slip_larger():
     np.testing.assert_allclose(turning * k, (1 + sigma) * braking_slope(rate, 6e4, 0.0), rtol=1e-9)
 
 
-def test_friction_by_pressure_comes_out_of_the_shaking():
+def test_friction_is_estimated_from_pressure_and_vibration():
     """A wheel at 85 % of the friction of a road of 0.35, at a constant speed."""
     rate, speed = 0.85, 12.0
     force = rate * 0.35 * LOAD

@@ -1,4 +1,4 @@
-"""The servo's layers, one by one, and the condition on its gain by other routes."""
+"""The servo's layers, one by one, and the condition on its gain."""
 
 import dataclasses
 
@@ -23,12 +23,12 @@ def largest(matrix):
 
 
 @pytest.mark.parametrize("pole", [-40.0, -10.0, 0.0, 60.0])
-def test_with_an_ideal_actuator_the_condition_is_that_of_the_eigenvalues(pole):
-    """O(11): a wheel of pole p is stable from a = -p on; its pole is then O(8)'s."""
+def test_with_an_ideal_actuator_the_condition_agrees_with_eigenvalues(pole):
+    """O(11): a wheel of pole p is stable above a = -p, with the pole of O(8)."""
     for gain in (-pole - 1.0, -pole + 1.0, -pole + 20.0):
         if gain < 0:
             continue
-        # O(8) by itself: wheel speed and the integral that the torque is of it.
+        # O(8) alone: wheel speed and its integral, the torque.
         ideal = np.array([[-pole, -1.0], [-pole * gain, -gain]])
         eigenvalues = np.linalg.eigvals(ideal)
         moving = eigenvalues[np.argmax(abs(eigenvalues))]
@@ -39,7 +39,7 @@ def test_with_an_ideal_actuator_the_condition_is_that_of_the_eigenvalues(pole):
 
 
 def amplitude(gain, pole, rate, delay, lag, samples=400):
-    """Growth a sample of the same loop in small steps of plain Python."""
+    """Growth per sample of the same loop in small steps of plain Python."""
     fine = 50
     dt, x, q = 1 / rate / fine, 1.0, 0.0
     waiting, sizes = [0.0] * delay, []
@@ -56,7 +56,7 @@ def amplitude(gain, pole, rate, delay, lag, samples=400):
 @pytest.mark.parametrize(
     ("gain", "pole"), [(30, -20), (75, -18.75), (100, -18.75), (100, 0), (10, -20)]
 )
-def test_the_sampled_loop_grows_as_its_eigenvalue_says(gain, pole):
+def test_the_sampled_loop_grows_by_its_eigenvalue(gain, pole):
     eigenvalue = largest(loop_matrix(gain, pole, RATE, 2, 0.005))
     growth = amplitude(gain, pole, RATE, 2, 0.005)
     assert (growth < 1) == (eigenvalue < 1)
@@ -83,7 +83,7 @@ def test_an_unstable_gain_is_refused_with_the_condition_and_its_numbers():
         controller_of("xbs-servo", {}, {"servo_gain": -5.0})
 
 
-def test_the_wheel_that_the_condition_is_hardest_for_decides():
+def test_the_wheel_with_the_strictest_condition_decides():
     car = {"radius": np.array([0.3, 0.33]), "inertia": np.array([1.2, 0.8])}
     refuse_unstable(20.0, -100.0, 1e4, 0.3, 1.2, RATE, 0, 0.001)
     with pytest.raises(UsageError, match=r"r = 0.33 m, J = 0.8"):
@@ -125,9 +125,9 @@ def test_the_torque_is_the_inertia_times_the_gain_times_the_speed_error():
     np.testing.assert_allclose(info["target_pressure"] - 2e6, torque / 1.35e-4)
 
 
-def test_the_pressure_is_where_it_is_to_be_after_the_delay():
-    """Third layer, on a valve that does what its maker says: no steady error, and the
-    commands on their way are reckoned with."""
+def test_the_pressure_reaches_its_target_after_the_delay():
+    """Third layer, on a valve as specified: no steady error, and commands under way are
+    accounted for."""
     servo = ready()
     pressure, coming, moves = 2e6, [0.0, 0.0], []
     expected = jnp.zeros((2, 1))
@@ -165,7 +165,7 @@ def test_the_reference_is_the_slope_of_the_brush_at_the_wanted_share(steering, s
     np.testing.assert_allclose(wanted * turning, jax.grad(fx)(slip), rtol=1e-9)
 
 
-def test_a_stiffness_above_the_wanted_one_pulls_and_one_below_releases():
+def test_stiffness_above_the_target_applies_and_below_releases():
     servo = ready()
     calm = measurement(14.0, 2e6)
     for slope, sign in ((2.0, 1), (0.5, -1), (-0.3, -1)):
@@ -187,7 +187,7 @@ def test_a_stiffness_above_the_wanted_one_pulls_and_one_below_releases():
 
 
 def drive(n=160, wheels=4, seed=0):
-    """Measurements (n, w) of wheels that shake and slow down."""
+    """Measurements (n, w) of wheels that vibrate and slow down."""
     random = np.random.default_rng(seed)
     time = np.arange(n) / RATE
     speed = 15 - 3 * time[:, None] + np.cumsum(0.01 * random.normal(size=(n, wheels)), 0)
@@ -212,7 +212,7 @@ def row_of(rows, i, wheels=slice(None)):
     return jax.tree.map(cut, rows)
 
 
-def test_a_scan_is_step_by_step_and_wheels_do_not_know_each_other():
+def test_scan_equals_single_steps_and_wheels_are_independent():
     servo, rows = ready(), drive()
     start = servo.init(row_of(rows, 0))
 
@@ -231,7 +231,7 @@ def test_a_scan_is_step_by_step_and_wheels_do_not_know_each_other():
     assert set(info) >= {"xbs", "xbs_std", "xbs_wanted", "target_pressure"}
 
 
-def test_a_slow_car_keeps_its_pressures():
+def test_a_slow_car_leaves_the_pressures_unchanged():
     servo = ready()
     state = servo.init(measurement(1.5, 2e6))
     state = state._replace(target=jnp.array([2e6]))

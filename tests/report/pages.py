@@ -1,4 +1,4 @@
-"""Pages as a reader of HTML and as Chromium see them."""
+"""Pages as parsed HTML and as rendered by Chromium."""
 
 import json
 import re
@@ -13,7 +13,7 @@ PHONE = 390
 
 
 class Page(HTMLParser):
-    """Tags that balance, what the page would fetch, and its texts."""
+    """Balance of tags, external resources, and texts of a page."""
 
     VOID = {"meta", "img", "br"}
 
@@ -57,7 +57,7 @@ in_browser = pytest.mark.skipif(
 
 
 def browse(page, folder, *options):
-    """What Chromium makes of a page, and every request that the page made."""
+    """Chromium's result for a page, and every request that the page made."""
     log = folder / "net.json"
     done = subprocess.run(
         [
@@ -79,7 +79,7 @@ def browse(page, folder, *options):
 
 
 def width_on_phone(text: str, folder) -> int:
-    """Width in pixels that a page takes where it has those of a phone."""
+    """Width in pixels of a page on a phone."""
     page = folder / "on_phone.html"
     policy = r'<meta http-equiv="Content-Security-Policy"[^>]*>'
     text = re.sub(policy, "", text)

@@ -1,4 +1,4 @@
-"""What the figures of a stop show, in numbers, and that they can be drawn."""
+"""The numbers shown by the figures of a stop, and that they can be drawn."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def result():
     return braked(request, controllers, seed=1)
 
 
-def test_text_says_the_numbers_and_why(result):
+def test_the_text_gives_numbers_and_reasons(result):
     text = braking_text(result)
     assert "brush-m from 7 m/s on mu=0.3:0.7@4, car" in text
     assert "slip: stopped: slower than 0.1 m/s" in text and "recovery [s]" in text
@@ -33,12 +33,12 @@ def test_text_says_the_numbers_and_why(result):
     assert "BRAKING brush-m" in result._repr_html_()
 
 
-def test_the_upper_limit_is_one(result):
+def test_slip_control_uses_more_friction_than_abs(result):
     used = {k: float(s.summary.mean_friction_used) for k, s in result.stops.items()}
     assert used["slip"] > used["abs"] and used["slip"] > used["none"]
 
 
-def test_curve_has_the_peaks_of_the_road(result):
+def test_the_curve_has_the_peaks_of_the_road(result):
     curves = tire_curve(result.request, 0.4, points=2000)
     assert list(curves) == pytest.approx([0.3, 0.7])
     for mu, (kappa, force) in curves.items():
@@ -57,7 +57,7 @@ def test_a_path_lies_on_the_curve(result):
     np.testing.assert_allclose(path.force[early], expected, atol=0.03)
 
 
-def test_figures_are_drawn_of_one_and_of_all(result, tmp_path):
+def test_figures_are_drawn_for_one_and_for_all_stops(result, tmp_path):
     for draw in (stop_figure, compare_figure, paths_figure):
         picture = draw(result)
         assert picture._repr_png_().startswith(b"\x89PNG")

@@ -1,4 +1,4 @@
-"""Pictures of whatever names a file may hold."""
+"""Figures with any names that a file may have."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -7,8 +7,8 @@ import tirefit
 from tirefit.report.canvas import Picture, save_picture
 
 
-def test_letters_that_the_font_lacks_are_boxes(tmp_path):
-    """No warning, which the tests would make an error, in a file or a notebook."""
+def test_letters_missing_in_the_font_are_boxes(tmp_path):
+    """Without a warning, which the tests turn into an error."""
     picture = Picture(figsize=(1, 1))
     picture.text(0.1, 0.5, "run \x1b 测试 \N{SNOWMAN WITHOUT SNOW}")
     for name in ("a.png", "a.svg"):
@@ -17,7 +17,7 @@ def test_letters_that_the_font_lacks_are_boxes(tmp_path):
 
 
 def test_a_fit_stays_inside_the_axes_of_the_user():
-    """Several loads are several groups, whose legend has no place beside the axes."""
+    """Several loads give several groups, whose legend does not fit next to the axes."""
     slip = np.tile(np.linspace(-0.1, 0.2, 30), 3)
     fz = np.repeat([2e3, 4e3, 6e3], 30)
     fx = fz * np.tanh(20 * slip) + np.random.default_rng(0).normal(0, 20, 90)

@@ -1,4 +1,4 @@
-"""The report of a diagnosis: arrays against known truth, the text, the page."""
+"""The report of a diagnosis: arrays compared with known truth, the text, the page."""
 
 import base64
 import html
@@ -95,7 +95,7 @@ NAME = 'drum <b>$1 & "x"'
 
 
 def rows_of(loads=LOADS, sweeps=60):
-    """Sweeps of both signs over loads and speeds, all of them twice: (n,) columns."""
+    """Sweeps of both signs over loads and speeds, each twice: (n,) columns."""
     # The quarter step keeps growing from shrinking slips apart.
     phase = 2 * np.pi * (np.arange(sweeps) + 0.25) / sweeps
     cases = [(fz, v) for fz in loads for v in SPEEDS] * 2
@@ -191,7 +191,7 @@ def noise_of(channel, inflation=1.25):
 
 
 def said(status, effects, probability=0.6, rivals=(), twins=(), left=LEFT, **others):
-    """A verdict; its first effect has twins."""
+    """A verdict whose first effect has equivalent ones."""
     each = {e: Each(0.2, None, None, ()) for e in (*effects, *rivals)}
     each |= {e: Each(0.91, 0.8, 0.05, tuple(twins)) for e in effects[:1]}
     return VerdictSummary(
@@ -315,7 +315,7 @@ def flat(text):
 
 
 @pytest.mark.parametrize("name", ["fz", "time", "v", "direction"])
-def test_the_map_is_drawn_over_what_carries_the_gap(name):
+def test_the_map_is_drawn_over_the_covariate_of_the_gap(name):
     panel = diagnosis(name).residual_map
     assert panel.covariate == name
     rows = {"fz": 3, "v": 2, "time": 5, "direction": 2}
@@ -324,11 +324,11 @@ def test_the_map_is_drawn_over_what_carries_the_gap(name):
     assert panel.energy.sum() == pytest.approx(1.0)
 
 
-def test_loads_are_preferred_where_nothing_carries_more():
+def test_loads_are_preferred_for_the_map():
     assert diagnosis("offset").residual_map.covariate == "fz"
 
 
-def test_the_map_holds_the_truth():
+def test_the_map_contains_the_truth():
     panel = diagnosis("fz").residual_map
     assert level_labels(panel) == ("2000", "4000", "6000")
     center = (panel.edges[:-1] + panel.edges[1:]) / 2
@@ -345,7 +345,7 @@ def test_the_map_holds_the_truth():
     assert not np.isfinite(panel.mean).all()  # a sweep does not reach every cell
 
 
-def test_no_share_is_drawn_of_a_gap_that_is_not_there():
+def test_no_share_is_drawn_without_a_gap():
     panel = diagnosis("offset", gap=UNRESOLVED).residual_map
     assert not panel.energy.any()
 
@@ -357,14 +357,14 @@ def test_correlated_rows_count_less():
     assert unsure.beyond.sum() < sure.beyond.sum()
 
 
-def test_residuals_before_and_after_are_the_gap_and_nothing():
+def test_residuals_show_the_gap_before_and_nothing_after():
     panel = diagnosis("offset", scatter=0.0).comparison
     np.testing.assert_allclose(panel.before, 100.0)
     np.testing.assert_allclose(panel.after, 0.0, atol=1e-9)
     assert panel.named and after_label(diagnosis()) == "load friction"
 
 
-def test_curves_follow_both_fits_at_three_loads():
+def test_curves_of_both_fits_are_drawn_at_three_loads():
     loads = (1000.0, 2000.0, 3000.0, 4000.0, 5000.0)
     panel = diagnosis("offset", rows=rows_of(loads)).comparison
     assert [load_label(c) for c in panel.curves] == [f"$F_z$ = {n} N" for n in (1000, 3000, 5000)]
@@ -379,14 +379,14 @@ def test_curves_follow_both_fits_at_three_loads():
         assert len(curve.slip) == len(curve.force) == 240
 
 
-def test_what_depends_on_more_than_slip_shows_as_a_band():
+def test_dependence_on_other_inputs_is_drawn_as_a_band():
     curve = diagnosis("direction", scatter=0.0).comparison.curves[2]
     wide = np.abs(curve.center) > 0.15
     # 5 % of 0.9 x 6000 N to both sides.
     assert np.median((curve.high - curve.low)[wide]) == pytest.approx(540, rel=0.1)
 
 
-def test_an_unexplained_gap_is_drawn_as_located():
+def test_an_unexplained_gap_is_drawn_in_its_region():
     found = judged("unknown", [])
     panel = found.comparison
     assert after_label(found) == "base + located gap"
@@ -404,7 +404,7 @@ def test_lateral_slips_are_angles():
     assert np.max(figure.axes[0].lines[0].get_xdata()) > 21  # arctan 0.4 is 21.8 deg
 
 
-def test_a_wheel_that_locks_is_shown_over_its_slip_ratio():
+def test_a_locking_wheel_is_drawn_over_its_slip_ratio():
     rows = rows_of()
     rows.slip = np.where(rows.slip > 0.35, 50.0, rows.slip)
     curve = diagnosis("offset", rows=rows).comparison.curves[0]
@@ -413,7 +413,7 @@ def test_a_wheel_that_locks_is_shown_over_its_slip_ratio():
     assert np.all(np.diff(curve.center) > 0)
 
 
-def test_steps_of_the_ladder_go_by_what_they_change():
+def test_steps_of_the_ladder_are_ordered_by_what_they_change():
     found = diagnosis()
     assert [step_label(found, k) for k in range(6)] == [
         "brush, no effect",
@@ -437,7 +437,7 @@ def test_steps_of_the_ladder_go_by_what_they_change():
     assert bars[2].closed == 0.94
 
 
-def test_the_ladder_stands_first_in_text_and_page():
+def test_the_ladder_is_first_in_text_and_page():
     text = str(diagnosis())
     title, unit = "HOW FAR THE GAP SHRINKS ON DATA LEFT OUT", "rms left out [N]"
     assert f"{title} (6 runs, each left out in turn; 360 rows)" in text and unit in text
@@ -456,7 +456,7 @@ def test_the_ladder_stands_first_in_text_and_page():
     assert document["ladder"][2]["gain"] == 27500.0
 
 
-def test_each_step_of_the_ladder_shows_what_files_held_out_say():
+def test_each_step_of_the_ladder_shows_the_error_on_held_out_files():
     rms = (520.0, 310.0, 410.0)
     closed = (0.0, 0.75, 0.4)
     steps = [
@@ -474,7 +474,7 @@ def test_each_step_of_the_ladder_shows_what_files_held_out_say():
     assert [bar.held_out for bar in ladder_bars(found)] == [*rms, None, None, None]
 
 
-def test_where_nothing_can_be_left_out_the_rows_fitted_are_shown():
+def test_without_held_out_rows_the_fitted_rows_are_shown():
     found = diagnosis(ladder=Ladder())
     assert "no part of these rows can be left out" in flat(found)
     assert "the rows fitted: gap of 125 N (3.1 % of mean F_z) rms" in flat(found)
@@ -484,7 +484,7 @@ def test_where_nothing_can_be_left_out_the_rows_fitted_are_shown():
     assert axes.get_xlabel() == "rms on the rows fitted [N]"
 
 
-def test_probabilities_are_those_of_each_effect():
+def test_each_effect_is_shown_with_its_probability():
     found = judged("named", ["load_friction"], 0.87, ["slip_offset"])
     assert [tuple(bar) for bar in chance_bars(found)] == [
         ("load friction", 0.91, "verdict"),
@@ -496,7 +496,7 @@ def test_probabilities_are_those_of_each_effect():
 WORST = replace(HELD, closed=-1.0, closed_ci=(-1.0, 0.2), remaining_rms=302.0)
 
 
-def test_a_closure_that_ends_at_its_bound_is_said_to_be_a_bound():
+def test_a_closure_at_its_bound_is_reported_as_a_bound():
     line = gap_line(diagnosis(), WORST, "held out")
     assert "302 N (7.5 % of mean F_z) or more with the answer" in line
     closed = "-100 % or worse [-100 % or worse, 20 %], -300 % or worse of its energy"
@@ -507,8 +507,8 @@ def test_a_closure_that_ends_at_its_bound_is_said_to_be_a_bound():
         assert "-100 % or worse [-100 % or worse, 0 %]" in flat(text)
 
 
-def test_a_gap_that_grew_on_the_rows_fitted_is_no_gap_of_which_nothing_closes():
-    # The record ends at zero there; what is left does not.
+def test_a_gap_that_grew_on_fitted_rows_is_reported_as_such():
+    # The record ends at zero there; the remainder does not.
     grew = replace(GAP, closed=0.0, closed_ci=(-0.3, 0.1), remaining_rms=150.0)
     line = gap_line(diagnosis(), grew, "here")
     assert line.endswith("-20 % [-30 %, 10 %], -44 % of its energy")
@@ -516,7 +516,7 @@ def test_a_gap_that_grew_on_the_rows_fitted_is_no_gap_of_which_nothing_closes():
     assert silent.net_closed == 0.0
 
 
-def test_axes_show_the_arrays():
+def test_axes_contain_the_arrays():
     found = diagnosis()
     figures = [Figure() for _ in range(4)]
     panel, bars = found.residual_map, chance_bars(found)
@@ -570,17 +570,17 @@ def test_the_ladder_is_legible_on_a_phone():
         ((0.2, None, ""), "0.2"),
     ],
 )
-def test_an_amplitude_is_said_with_its_unit_as_a_reader_would(amount, said):
+def test_an_amplitude_is_written_with_a_readable_unit(amount, said):
     assert amount_text(*amount) == said
 
 
-def test_no_unit_of_the_library_is_said_with_a_power_of_ten_or_a_dash():
+def test_no_unit_is_written_with_a_power_of_ten_or_a_dash():
     for effect in EFFECTS:
         _, unit = said_unit(effect.unit)
         assert "1e-3" not in unit and not unit.startswith(("-", "1"))
 
 
-def test_units_are_said_in_every_part_of_the_report():
+def test_every_part_of_the_report_has_units():
     amplitude = {"force_offset: amplitude": Amplitude(2.7, 0.3, "1e-3 mean F_z")}
     runs = RunOffsets("1e-3 mean F_z", 3.0, 0.5, 12.0, (8.0, 20.0), 0.01, {"a": (4.0, 1.0)})
     drift = {"slip_zero_drift": 0.012, "force_offset": 5.0}
@@ -638,7 +638,7 @@ def simulated(status="named", effects=("slip_offset",), changes=CHANGES, **other
     return diagnosis(verdict=verdict, **SIMULATED | others)
 
 
-def test_a_simulators_error_is_told_part_by_part():
+def test_the_error_of_a_simulator_is_reported_by_part():
     found = simulated()
     assert budget_table(found, "fx")[1:] == [
         ("whole error of the simulator", "454", "100 %"),
@@ -728,7 +728,7 @@ def test_the_budget_stands_in_figure_and_page():
 
 
 def texts_of(figure):
-    """Everything that a figure says, at any depth."""
+    """All texts of a figure, at any depth."""
     return [text.get_text() for text in figure.findobj(Text)]
 
 
@@ -753,8 +753,8 @@ def test_every_channel_has_a_budget_in_its_unit():
     assert "of M_z" in "".join(Page(diagnosis_page(found)).alternatives)
 
 
-def test_forces_are_diagnosed_not_the_tire_that_stands_in():
-    """Of a simulator known by its forces; one that is a tire goes by its name."""
+def test_the_report_is_about_the_forces_not_the_approximating_tire():
+    """For a simulator known by its forces; a tire is called by its name."""
     found, small = simulated(), "stands in for the simulator"
     tire = found.simulator._replace(kind="model")
     own, fitted = simulated(simulator=tire), diagnosis()
@@ -826,7 +826,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize(("panel", "said"), SHAPES.values(), ids=SHAPES)
-def test_what_is_left_is_drawn(panel, said):
+def test_the_remainder_is_drawn(panel, said):
     assert look_title(panel).startswith(f"What is left: {said}")
     figure = Figure()
     draw_look(figure, panel, "the base fit")
@@ -848,7 +848,7 @@ def test_what_is_left_is_drawn(panel, said):
     np.testing.assert_allclose(drawn, scale * panel.shape)
 
 
-def test_axes_say_what_changes_and_whether_a_wave_is_folded():
+def test_axis_labels_name_the_parameter_and_a_folded_wave():
     labels = {}
     for name, (panel, _) in SHAPES.items():
         figure = Figure()
@@ -862,7 +862,7 @@ def test_axes_say_what_changes_and_whether_a_wave_is_folded():
     assert labels["kink"][1] == "added slip, in its own direction [-]"
 
 
-def test_what_is_left_stands_in_figure_and_page():
+def test_the_remainder_is_in_figure_and_page():
     plain = diagnosis_figure(diagnosis()).get_figheight()
     found, beside = looking(STEP), looking(STEP, "incomplete")
     assert list(panel_pictures(found))[4:] == ["what is left"]
@@ -876,8 +876,8 @@ def test_what_is_left_stands_in_figure_and_page():
     assert "look" not in json.loads(found.to_json())
 
 
-def test_a_p_value_at_its_floor_is_said_as_a_bound():
-    """Of two channels the floor of the smaller p-value is twice that of one."""
+def test_a_p_value_at_its_floor_is_reported_as_a_bound():
+    """With two channels the floor of the smaller p-value is twice that of one."""
     found = judged("incomplete", ["load_friction"])
     both = replace(found, data=replace(found.data, channels=("fx", "fy")))
     for said in (str(found), html.unescape(diagnosis_page(found))):
@@ -899,7 +899,7 @@ def _finite(values):
     return values[np.isfinite(values)]
 
 
-def test_the_figure_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+def test_a_failed_save_leaves_no_figure(tmp_path, monkeypatch):
     path = tmp_path / "drum.png"
     assert save_picture(diagnosis().plot(), path) == path
     picture = matplotlib.image.imread(path)
@@ -983,7 +983,7 @@ def test_an_effect_has_amplitude_probability_closure_and_twins():
     assert alone.startswith(" probability 0.20 that it is there the force")
 
 
-def test_a_measurement_that_hardly_tells_more_is_not_proposed():
+def test_a_useless_measurement_is_not_suggested():
     pair = ("load_friction", "d")
     little = NextMeasurement("the same again", pair, 0.71, 0.75)
     more = NextMeasurement("two more loads", pair, 0.71, 0.80)
@@ -1008,7 +1008,7 @@ def test_a_measurement_that_hardly_tells_more_is_not_proposed():
     assert step_lines(diagnosis(next_measurement=())) == []
 
 
-def test_the_text_is_one_screen_and_full_says_all():
+def test_the_text_fits_one_screen_and_full_lists_all():
     text = str(diagnosis())
     assert len(text.splitlines()) <= 60 and text == diagnosis_text(diagnosis())
     assert "360 rows; noise F_x 19.7 N (standard deviation, given)" in text
@@ -1040,7 +1040,7 @@ def test_the_text_is_one_screen_and_full_says_all():
     assert "a camber gamma that varies, fy: camber thrust" in full
 
 
-def test_a_slip_that_contradicts_the_wheel_speed_is_told():
+def test_a_slip_that_contradicts_the_wheel_speed_is_reported():
     check = SlipCheck(
         read_as="sigma_x",
         fits="kappa",
@@ -1070,7 +1070,7 @@ def test_an_unresolved_gap_claims_nothing():
     assert line.endswith("too uncertain to say how much of it closes")
 
 
-def test_where_nothing_is_named_other_files_have_a_gap_yet_no_closure():
+def test_without_a_name_other_files_have_a_gap_but_no_closure():
     line = gap_line(judged("unknown", []), HELD, "wet")
     assert line == "wet: gap of 151 N (3.8 % of mean F_z) rms beyond the noise"
     settings = replace(diagnosis().settings, holdout=("ab12",))
@@ -1078,7 +1078,7 @@ def test_where_nothing_is_named_other_files_have_a_gap_yet_no_closure():
     assert "files held out (" not in flat(diagnosis())
 
 
-def test_effects_left_out_by_the_caller_are_said():
+def test_effects_excluded_by_the_caller_are_reported():
     settings = diagnosis().settings
     ids = [effect.id for effect in EFFECTS]
 
@@ -1091,7 +1091,7 @@ def test_effects_left_out_by_the_caller_are_said():
     assert lines(set(ids) - {"slip_offset"}) == ["not looked for: slip_offset"]
 
 
-def test_effects_that_would_not_show_are_said():
+def test_effects_below_detection_are_reported():
     forecast = (
         Forecast("combined_slip", 0.1, "-", 0.95, 0.3, "friction_ellipse"),
         Forecast("channel_delay", 0.02, "s", 0.49, 0.1, "toe"),
@@ -1104,7 +1104,7 @@ def test_effects_that_would_not_show_are_said():
     assert named[1].endswith("usual size: channel delay")
 
 
-def test_words_cover_the_library_and_name_models_that_exist():
+def test_texts_cover_the_library_and_name_existing_models():
     library = (*EFFECTS, *NOISE_EFFECTS)
     assert all(effect.means and effect.remedy for effect in library)
     named = [
@@ -1120,7 +1120,7 @@ def test_words_cover_the_library_and_name_models_that_exist():
     assert needs <= set(_NEEDS)
 
 
-def test_an_effect_of_the_users_own_goes_by_its_id():
+def test_a_user_defined_effect_is_shown_by_its_id():
     found = judged("named", ["road_ripple"], candidates=(candidate(["road_ripple"], 1),))
     assert "The gap comes from road ripple. Probability 0.60" in flat(found)
     assert "road ripple (road_ripple)" in diagnosis_page(found)
@@ -1142,7 +1142,7 @@ def test_an_effect_of_the_users_own_goes_by_its_id():
     assert untestable_lines(known, [own]) == ["road camera, wheel speed omega: road ripple"]
 
 
-def test_small_texts():
+def test_ranges_are_written_with_few_digits():
     def region(name, low, high):
         return Region(name, low, high, 0.5, 0.5)
 
@@ -1170,7 +1170,7 @@ def page_text():
     return diagnosis_page(diagnosis())
 
 
-def test_the_page_stands_alone(page_text):
+def test_the_page_is_self_contained(page_text):
     text, page = page_text, Page(page_text)
     assert not {"script", "link", "iframe", "object"} & set(page.seen)
     assert "://" not in text and "url(" not in text and "@import" not in text
@@ -1184,7 +1184,7 @@ def test_the_page_stands_alone(page_text):
     assert 'name="viewport"' in text
 
 
-def test_the_page_holds_the_numbers_of_the_record(page_text):
+def test_the_page_contains_the_numbers_of_the_record(page_text):
     record = html.unescape(page_text.split("<pre>")[1].split("</pre>")[0])
     assert json.loads(record) == json.loads(diagnosis().to_json())
     shown = re.sub(r"<[^>]*>", " ", page_text.split("<pre>")[0])
@@ -1206,7 +1206,7 @@ def test_a_notebook_shows_the_diagnosis():
     assert "style" not in page.seen  # it would restyle the whole notebook
 
 
-def test_panels_stand_by_themselves():
+def test_every_panel_can_be_drawn_alone():
     pictures = panel_pictures(diagnosis())
     assert list(pictures) == ["ladder", "which", "before and after", "where"]
 
@@ -1229,7 +1229,7 @@ def test_chromium_shows_the_page_and_fetches_nothing(tmp_path):
 
 
 @in_browser
-def test_a_page_that_fetched_would_be_seen(page_text, tmp_path):
+def test_a_page_that_fetches_is_detected(page_text, tmp_path):
     page = tmp_path / "fetching.html"
     page.write_text('<!DOCTYPE html><img src="http://tire.invalid/logo.png">')
     _, asked = browse(page, tmp_path, "--dump-dom")
@@ -1259,7 +1259,7 @@ def test_a_diagnosis_is_drawn_for_whoever_saves_it(tmp_path):
         result.plot("were")
 
 
-def test_an_answer_that_other_files_contradict_says_so():
+def test_a_result_contradicted_by_other_files_is_reported():
     rms = (520.0, 310.0, 540.0)
     steps = [step._replace(rms_held_out=r) for step, r in zip(LADDER.steps, rms, strict=False)]
     ladder = LADDER._replace(steps=(*steps, *LADDER.steps[3:]))
@@ -1269,8 +1269,8 @@ def test_an_answer_that_other_files_contradict_says_so():
     assert "does not help" not in answer(diagnosis())
 
 
-def test_an_offset_is_told_in_the_signs_of_the_file_too():
-    """ISO-W: driving slip is positive, so an offset of braking slip turns its sign."""
+def test_an_offset_is_also_given_in_the_signs_of_the_file():
+    """ISO-W: driving slip is positive, so an offset of braking slip changes sign."""
     slip = {"slip_offset: amplitude": Amplitude(0.006, 0.001, "- of slip")}
     candidates = (replace(candidate(["slip_offset"], 0.9), parameters=slip),)
     found = judged("named", ["slip_offset"], 0.9, candidates=candidates)
@@ -1280,7 +1280,7 @@ def test_an_offset_is_told_in_the_signs_of_the_file_too():
     assert "in the file's signs" not in flat(replace(found, data=braking))
 
 
-def test_a_model_that_explains_next_to_nothing_is_doubted():
+def test_a_model_that_explains_almost_nothing_is_doubted():
     found = diagnosis()
     assert "warning: brush explains" not in str(found)
     none = {name: 0 * values for name, values in found.rows["fx"].items()}

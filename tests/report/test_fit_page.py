@@ -1,4 +1,4 @@
-"""The page of a fit: what it says, what it needs, and how it looks on a phone."""
+"""The page of a fit: its content, its resources, and its width on a phone."""
 
 import base64
 import html
@@ -77,7 +77,7 @@ def text(sampled):
     return fit_page(sampled)
 
 
-def test_the_page_stands_alone(text):
+def test_the_page_is_self_contained(text):
     page = Page(text)
     assert not {"script", "link", "iframe", "object"} & set(page.seen)
     assert "://" not in text and "url(" not in text and "@import" not in text
@@ -91,7 +91,7 @@ def test_the_page_stands_alone(text):
     assert "Fx &lt;N&gt;" in text and 'name="viewport"' in text
 
 
-def test_the_page_holds_the_numbers_of_the_record(text, sampled):
+def test_the_page_contains_the_numbers_of_the_record(text, sampled):
     record = html.unescape(text.split("<pre>")[1].split("</pre>")[0])
     assert json.loads(record) == json.loads(sampled.to_json())
     shown = " ".join(re.sub(r"<[^>]*>", " ", text.split("<pre>")[0]).split())
@@ -110,7 +110,7 @@ def test_the_page_holds_the_numbers_of_the_record(text, sampled):
         assert part in shown, part
 
 
-def test_the_page_says_what_the_data_do_not_tell(plain):
+def test_the_page_reports_undetermined_quantities(plain):
     free = Estimate(0.4, None, "-", (0.1, 2.0), identified=False)
     nowhere = Estimate(np.nan, None, "-", (None, None), identified=False)
     correlation = np.array([[1.0, -0.97], [-0.97, 1.0]])
@@ -146,7 +146,7 @@ def test_chromium_shows_the_page_of_a_fit(sampled, text, tmp_path):
     _, asked = browse(page, tmp_path, f"--screenshot={shot}")
     assert asked == []
     assert matplotlib.image.imread(shot)[:, :, :3].std() > 0.05
-    # Tables and pictures that are wider scroll in boxes of their own.
+    # Wider tables and figures scroll in their own boxes.
     assert width_on_phone(text, tmp_path) <= PHONE
 
 
@@ -155,14 +155,14 @@ def test_chromium_shows_the_page_of_a_fit(sampled, text, tmp_path):
 
 @pytest.fixture(scope="module")
 def several():
-    """One tire on roads of four frictions."""
+    """One tire on roads with four frictions."""
     return {
         f"drum_2026-03-12_cold_asphalt_{run}": fit(sweep(f"{run}.csv", mu, seed), "brush", seed=3)
         for seed, (run, mu) in enumerate({"dry": 1.0, "damp": 0.85, "wet": 0.7, "ice": 0.3}.items())
     }
 
 
-def test_the_curves_on_one_another_are_the_models(several, plain):
+def test_overlaid_curves_agree_with_the_models(several, plain):
     overlay = overlay_of(several, "fx")
     assert [one.name for one in overlay.curves] == list(several)
     assert overlay.y_label == "longitudinal force $F_x$ [N]"
@@ -184,7 +184,7 @@ def test_the_curves_on_one_another_are_the_models(several, plain):
     )
 
 
-def test_points_beside_their_curve_are_left_out(plain):
+def test_points_at_other_inputs_than_the_curve_are_omitted(plain):
     problem = plain.problem
     rows = problem.rows
     load = np.array(rows.inputs.fz)

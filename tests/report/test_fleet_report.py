@@ -1,4 +1,4 @@
-"""The table of all results, and the page on it, from a fleet with a known truth."""
+"""The table of all results and its page, for a fleet with a known truth."""
 
 import re
 
@@ -15,7 +15,7 @@ WILD = 17
 
 def records(n, dated=True, seed=0):
     """mu drifts by -0.1 from the first to the last; file 17 has another one; every
-    tenth file does not tell cpa2; the last one failed, and has an evil name."""
+    tenth file does not determine cpa2; the last one failed, with a malicious name."""
     generator = np.random.default_rng(seed)
     for k in range(n - 1):
         mu = 0.9 - 0.1 * k / n + 0.01 * generator.normal() + 0.3 * (k == WILD)
@@ -45,7 +45,7 @@ def table(tmp_path):
     return write
 
 
-def test_the_table_holds_a_row_per_number_and_file(table):
+def test_the_table_has_a_row_per_number_and_file(table):
     import pyarrow.parquet
 
     rows = pyarrow.parquet.read_table(table(30)).to_pylist()
@@ -61,7 +61,7 @@ def test_the_table_holds_a_row_per_number_and_file(table):
     assert rows[-1]["problem"] == "<b>no column & fz</b>"
 
 
-def test_the_table_comes_back_by_quantity(table):
+def test_the_table_is_read_by_quantity(table):
     stored = ResultsTable(table(30))
     assert stored.quantities() == [
         ("parameter", "mu", "-"),
@@ -74,7 +74,7 @@ def test_the_table_comes_back_by_quantity(table):
     assert [len(column) for column in stored.files().values()] == [30] * 8
 
 
-def test_a_table_that_is_not_finished_is_not_there(tmp_path):
+def test_an_unfinished_table_leaves_no_file(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         with records_into(tmp_path / "results.parquet"):
             raise KeyboardInterrupt
@@ -82,7 +82,7 @@ def test_a_table_that_is_not_finished_is_not_there(tmp_path):
 
 
 @pytest.mark.parametrize("dated", [True, False])
-def test_drift_and_the_wild_file_are_found(table, dated):
+def test_drift_and_the_outlying_file_are_found(table, dated):
     fleet = fleet_of(table(200, dated=dated))
     assert (fleet.dates is not None) == dated
     mu, stiffness, rmse = fleet.quantities
@@ -107,7 +107,7 @@ def test_many_files_are_drawn_as_bins_of_neighbours(table, n, binned):
 
 
 def ticks(axis):
-    """Those that can be seen."""
+    """The visible ones."""
     low, high = axis.get_view_interval()
     return np.array([t for t in axis.get_majorticklocs() if low <= t <= high])
 
@@ -122,7 +122,7 @@ def ticks(axis):
         ("parameter", [1.0, 2.0, 2.0], False),
     ],
 )
-def test_axes_that_count_have_no_fractions(kind, values, whole, dated):
+def test_axes_of_counts_have_whole_numbers(kind, values, whole, dated):
     values, zero = np.array(values), np.zeros(len(values))
     number = np.arange(1, len(values) + 1)
     when = 19000.0 + number if dated else 1.0 * number
@@ -135,7 +135,7 @@ def test_axes_that_count_have_no_fractions(kind, values, whole, dated):
         assert np.array_equal(ticks(axes.xaxis), number)
 
 
-def test_the_page_is_small_whole_and_safe(table, tmp_path):
+def test_the_page_is_small_complete_and_escaped(table, tmp_path):
     write_fleet_page(table(600), tmp_path / "fleet.html", "fit")
     page = (tmp_path / "fleet.html").read_text("utf-8")
     assert len(page) < 400_000
@@ -147,7 +147,7 @@ def test_the_page_is_small_whole_and_safe(table, tmp_path):
     assert "iso-w" in page and "seed: 3" in page and "version: 1.2" in page
 
 
-def test_files_that_all_failed_have_a_page(table, tmp_path):
+def test_a_page_is_written_if_all_files_failed(table, tmp_path):
     page = fleet_page(fleet_of(table(1)), "diagnose")
     assert "no quantity of three files or more" in page and "1 failed" in page
 
@@ -165,7 +165,7 @@ def test_files_that_all_failed_have_a_page(table, tmp_path):
         (["1202401311.csv", "1202402011.csv"], None),
     ],
 )
-def test_dates_are_those_of_the_names(names, seconds):
+def test_dates_are_read_from_the_names(names, seconds):
     dates = dates_of(names)
     if seconds is None:
         assert dates is None

@@ -1,4 +1,4 @@
-"""Figures of a Magic Formula fit: what they show, in numbers, and the files."""
+"""Figures of a Magic Formula fit: their numbers, and the files."""
 
 from dataclasses import replace
 
@@ -50,7 +50,7 @@ def fit(table):
     return fit_magic_formula(read_frame(table), "mf61")
 
 
-def test_points_are_medians_of_rows_and_curves_the_tire(fit, table):
+def test_points_are_medians_of_rows_and_curves_show_the_tire(fit, table):
     panel = next(p for p in force_panels(fit, "fx") if "load" in p.title)
     assert [group.label for group in panel.curve.groups] == ["2000 N", "4000 N", "6000 N"]
     for load, group, curve in zip(LOADS, panel.curve.groups, panel.curve.curves, strict=True):
@@ -67,7 +67,7 @@ def test_points_are_medians_of_rows_and_curves_the_tire(fit, table):
         assert np.all(curve.noise_low < curve.force) and np.all(curve.force < curve.noise_high)
 
 
-def test_the_setting_that_is_wrong_is_named(fit):
+def test_a_wrong_setting_is_named(fit):
     panel = residual_panel(fit, "fx")
     assert "4000 N" in panel.curve.note and "slip angle 3 deg" in panel.curve.note
     assert [text for _, text in panel.ticks] == ["2000 N", "4000 N", "6000 N"]
@@ -75,7 +75,7 @@ def test_the_setting_that_is_wrong_is_named(fit):
     assert np.max(of_odd.force) > 0.5 * ODD[2]
 
 
-def test_ellipse_shows_both_forces_of_like_rows(fit, table):
+def test_the_ellipse_shows_both_forces_of_similar_rows(fit, table):
     (panel,) = ellipse_panel(fit)
     assert panel.curve.note == "6000 N, camber 0 deg"
     assert [g.label for g in panel.curve.groups] == [
@@ -88,7 +88,7 @@ def test_ellipse_shows_both_forces_of_like_rows(fit, table):
     assert np.max(panel.curve.groups[2].force) == pytest.approx(ratio.max(), rel=0.03)
 
 
-def test_figures_and_page_are_written_whole(fit, tmp_path):
+def test_figures_and_page_are_written_completely(fit, tmp_path):
     names = {path.name for path in save_pictures(fit, tmp_path, svg=True)}
     assert names == {
         f"{name}.{kind}"
@@ -102,7 +102,7 @@ def test_figures_and_page_are_written_whole(fit, tmp_path):
     assert "data:image/png" in fit._repr_html_()
 
 
-def test_plot_fit_draws_a_fit_of_this_process(fit):
+def test_plot_fit_draws_a_fit_in_memory(fit):
     figure = fit.plot()
     assert len(figure.axes) == 2
     axes = figure.axes[0]

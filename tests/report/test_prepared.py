@@ -1,4 +1,4 @@
-"""What the picture of a prepared test shows, in numbers."""
+"""The numbers in the figure of a prepared test."""
 
 import sys
 from pathlib import Path
@@ -21,7 +21,7 @@ def prepared():
     return prepare(read_frame(seen, "rig", curve=False, mask_bad_rows=True))
 
 
-def test_the_view_says_what_was_kept_and_shows_what_moved(prepared):
+def test_the_view_reports_kept_rows_and_draws_varying_channels(prepared):
     view = view_of(prepared)
     sweeps = sum(part.kind == "sweep" for part in prepared.segments)
     assert view.title.startswith(f"rig: {sweeps} sweeps and")
@@ -42,7 +42,7 @@ def test_the_view_says_what_was_kept_and_shows_what_moved(prepared):
     assert kept == {"sweep up", "sweep down", "steady"}
 
 
-def test_the_picture_has_a_panel_a_channel_and_a_colour_a_kind(prepared):
+def test_the_figure_has_a_panel_per_channel_and_a_colour_per_kind(prepared):
     view, picture = view_of(prepared), prepared_figure(prepared)
     assert len(picture.axes) == len(view.panels)
     (legend,) = picture.legends

@@ -1,4 +1,4 @@
-"""Every result prints, displays itself, is drawn and saved by the same names."""
+"""Every result is printed, displayed, drawn and saved by the same methods."""
 
 import json
 from dataclasses import replace
@@ -130,28 +130,28 @@ def test_a_record_prints_its_summary(made):
     assert " object at 0x" not in repr(record)
 
 
-def test_the_numbers_are_json_and_finite(made):
+def test_a_record_is_finite_json(made):
     record, _ = made
     content = record.to_dict()
     assert json.loads(json.dumps(content, allow_nan=False)) and content
     assert json.loads(record.to_json()).keys() >= content.keys()
 
 
-def test_the_figure_is_drawn(made):
+def test_a_record_draws_a_figure(made):
     record, _ = made
     figure = record.plot()
     assert isinstance(figure, Figure) and figure.axes
     assert figure._repr_png_().startswith(b"\x89PNG")
 
 
-def test_the_notebook_form_shows_a_picture_and_loads_nothing(made):
+def test_a_notebook_shows_a_figure_and_loads_nothing(made):
     record, _ = made
     fragment = record._repr_html_()
     assert "data:image/png;base64," in fragment
     assert "http" not in fragment.replace("http-equiv", "")
 
 
-def test_it_is_saved_as_files_and_as_a_page(made, tmp_path):
+def test_a_record_is_saved_as_files_and_as_a_page(made, tmp_path):
     record, files = made
     written = record.save(tmp_path / "out")
     assert {path.name for path in written} == files
@@ -225,7 +225,7 @@ def test_no_record_has_a_status_of_its_own():
         assert isinstance(cls.outcomes, property) and isinstance(cls.warnings, property)
 
 
-def test_every_function_of_the_family_is_here():
+def test_every_public_function_is_tested_here():
     assert jax.config.read("jax_enable_x64")
     family = "fit fit_many diagnose prepare estimate simulate brake export"
     family += " replay fit_trajectory"
@@ -242,12 +242,12 @@ def test_every_function_of_the_family_is_here():
         ({"kind": "drive", "drop": (99.0, 0.4)}, "time of the drop 99"),
     ],
 )
-def test_a_wrong_setting_of_a_simulation_is_named(asked, said):
+def test_a_wrong_setting_of_a_simulation_is_refused(asked, said):
     with pytest.raises(tirefit.UsageError, match=said):
         tirefit.simulate(**asked)
 
 
-def test_a_simulation_with_the_settings_of_the_command_gives_its_file(tmp_path):
+def test_python_and_command_simulate_the_same_file(tmp_path):
     from typer.testing import CliRunner
 
     from tirefit.cli.commands import app
@@ -259,7 +259,7 @@ def test_a_simulation_with_the_settings_of_the_command_gives_its_file(tmp_path):
     assert out.read_text() == log.files()["log.csv"]
 
 
-def test_a_fitted_tire_brakes_as_its_model_with_its_values():
+def test_a_fitted_tire_brakes_like_its_model():
     fit = tirefit.fit(rig(), "brush")
     how = {"controller": "none", "speed": 3.0, "vehicle": "quarter"}
     values = {k: fit.parameters[k].value for k in ("cpa2", "mu")}

@@ -1,4 +1,4 @@
-"""The report room: arrays against independent evaluation, texts, files, fragments."""
+"""The report room: arrays checked independently, texts, files, fragments."""
 
 import json
 import re
@@ -62,7 +62,7 @@ def plain():
 
 
 def with_chains(result, draws: np.ndarray):
-    """The same fit as if its posterior had these draws (ensembles, draws, p)."""
+    """The fit as if its posterior had these draws (ensembles, draws, p)."""
     labels = result.labels
     each = dict.fromkeys(labels, 1.0)
     summary = PosteriorSummary(
@@ -100,7 +100,7 @@ def vague(result, label: str = "m"):
 
 
 def renamed(result, size: int):
-    """The same fit as if it had so many parameters p0, p1, ... (figures only)."""
+    """The fit as if it had this many parameters p0, p1, ... (only for figures)."""
     labels = tuple(f"p{i}" for i in range(size))
     spec = Spec(1.0, 0.0, 2.0, "N", "", "", "p", True, "linear")
     layout = Layout(tuple(FreeParameter(label, spec) for label in labels))
@@ -117,7 +117,7 @@ def renamed(result, size: int):
 # Arrays
 
 
-def test_curve_is_the_model_at_the_estimate(plain):
+def test_the_curve_is_the_model_at_the_estimate(plain):
     curve = fit_curve(plain)
     values = {k: plain.least_squares[k].value for k in plain.labels}
     model = with_values(MODELS["brush-m"], values)
@@ -130,7 +130,7 @@ def test_curve_is_the_model_at_the_estimate(plain):
         assert one.slip[-1] > plain.table.usable("sigma_x").max()
 
 
-def test_points_are_the_used_rows(plain):
+def test_the_points_are_the_used_rows(plain):
     groups = fit_curve(plain).groups
     used = plain.table.usable("fz") == 4000.0
     np.testing.assert_allclose(groups[1].force, plain.table.usable("fx")[used])
@@ -138,7 +138,7 @@ def test_points_are_the_used_rows(plain):
     assert sum(len(group.slip) for group in groups) == plain.statistics.n == 119
 
 
-def test_band_agrees_with_automatic_derivatives(plain):
+def test_the_band_agrees_with_automatic_derivatives(plain):
     one = fit_curve(plain).curves[1]
     size = len(one.slip)
     inputs = TireInputs(sigma_x=one.slip, fz=4000.0, v=20.0)
@@ -157,7 +157,7 @@ def test_band_agrees_with_automatic_derivatives(plain):
     np.testing.assert_allclose(noise_half, np.hypot(half, quantile * scale), rtol=2e-3)
 
 
-def test_band_of_chains_holds_95_percent_of_the_draws(sampled):
+def test_the_band_of_chains_contains_95_percent_of_the_draws(sampled):
     one = fit_curve(sampled).curves[1]
     draws = sampled.chains.reshape(-1, len(sampled.labels))[::4]
     at = 120
@@ -174,7 +174,7 @@ def test_band_of_chains_holds_95_percent_of_the_draws(sampled):
     assert inside == pytest.approx(0.95, abs=0.03)
 
 
-def test_residuals_are_standardised_and_know_their_inputs(plain):
+def test_residuals_are_standardised_and_have_their_inputs(plain):
     data = residual_panels(plain)
     labels = [panel.label for panel in data.scatters]
     assert [label.split(" [")[0] for label in labels] == [
@@ -201,7 +201,7 @@ def test_residuals_are_standardised_and_know_their_inputs(plain):
     assert data.lags is not None
 
 
-def test_residuals_of_a_fit_limited_in_slip_still_know_the_time():
+def test_residuals_of_a_fit_limited_in_slip_have_the_time():
     limited = fit(synthetic(), "brush", config={"data": {"slip_max": 0.1}})
     panels = residual_panels(limited).scatters
     time = next(panel for panel in panels if panel.label.startswith("time"))
@@ -219,13 +219,13 @@ def test_corner_levels_enclose_their_shares(sampled):
         assert joint[joint >= inner].sum() / joint.sum() == pytest.approx(0.5, abs=0.02)
 
 
-def test_trace_keeps_the_order_of_every_ensemble(sampled):
+def test_the_trace_keeps_the_order_of_every_ensemble(sampled):
     trace = trace_data(sampled)
     np.testing.assert_array_equal(trace.draws, sampled.chains)
     np.testing.assert_allclose(trace.rhat, 1.0012)
 
 
-def test_profile_and_parabola_cross_the_level_at_their_intervals(plain):
+def test_profile_and_parabola_cross_the_level_at_the_intervals(plain):
     for panel, label in zip(profile_data(plain), plain.labels, strict=True):
         low, high = plain.intervals["profile"][label]
         at = np.interp([low, high], panel.value, panel.deviance)
@@ -256,11 +256,11 @@ def test_profile_and_parabola_cross_the_level_at_their_intervals(plain):
         (0.9690351325, 2e-10, "0.9690351 ± 2e-10"),
     ],
 )
-def test_digits_follow_the_std(value, std, text):
+def test_the_number_of_digits_follows_the_std(value, std, text):
     assert format_estimate(value, std) == text
 
 
-def test_intervals_with_open_ends():
+def test_intervals_with_open_ends_are_written():
     assert format_interval((None, None)) == "-"
     assert format_interval((1.0, None)) == "[1, ..]"
     assert format_interval((0.18409, 0.25278), 0.0174) == "[0.184, 0.253]"
@@ -269,7 +269,7 @@ def test_intervals_with_open_ends():
     assert format_number(1e9) == "1e+09"
 
 
-def test_report_holds_every_number_and_ends_with_the_verdict(sampled):
+def test_the_report_has_every_number_and_ends_with_the_verdict(sampled):
     text = fit_report(sampled, full=True)
     lines = text.splitlines()
     assert max(map(len, lines)) <= 88
@@ -288,7 +288,7 @@ def test_report_holds_every_number_and_ends_with_the_verdict(sampled):
     assert last.startswith("VERDICT: ")
 
 
-def test_every_block_says_what_its_numbers_are(plain, sampled):
+def test_every_block_explains_its_numbers(plain, sampled):
     for result, source in (
         (plain, "least squares, profile likelihood"),
         (sampled, "posterior median and central 95 %"),
@@ -300,7 +300,7 @@ def test_every_block_says_what_its_numbers_are(plain, sampled):
         assert f"119 rows; {source}<table" in html.fit_fragment(result)
 
 
-def test_derived_quantities_say_what_they_are(plain):
+def test_derived_quantities_are_explained(plain):
     text = fit_report(plain)
     c_x = plain.derived["C_x"]
     value = re.escape(format_estimate(c_x.value, c_x.std))
@@ -314,7 +314,7 @@ def test_derived_quantities_say_what_they_are(plain):
     assert re.search(r"  slip_at_peak +not defined .*tan\(alpha\) at peak", text)
 
 
-def test_report_says_not_identified(plain):
+def test_the_report_shows_parameters_that_are_not_identified(plain):
     text = fit_report(vague(plain))
     row = next(line for line in text.splitlines() if line.startswith("  m "))
     assert "not identified" in row and "[0, 1]" in row and "±" not in row
@@ -344,14 +344,14 @@ def test_model_tables_name_every_model_and_parameter():
 # Figures
 
 
-def test_draws_on_given_axes(plain):
+def test_figures_are_drawn_on_given_axes(plain):
     axes = Figure().subplots()
     assert plain.plot(ax=axes) is axes.figure
     assert axes.get_xlabel() == r"slip $\sigma_x$ [-]"
     assert len(axes.lines) >= 4
 
 
-def test_of_very_many_points_some_are_drawn_with_the_farthest(plain, monkeypatch):
+def test_a_subset_with_the_farthest_of_many_points_is_drawn(plain, monkeypatch):
     values = np.random.default_rng(0).standard_normal(1000)
     values[[17, 600]] = -40, 70
     np.testing.assert_array_equal(canvas.drawn(values), np.arange(1000))
@@ -369,7 +369,7 @@ def test_of_very_many_points_some_are_drawn_with_the_farthest(plain, monkeypatch
     assert len(points) <= 100 + canvas._FARTHEST
 
 
-def test_every_figure_appears_whole(sampled, tmp_path):
+def test_every_figure_is_complete(sampled, tmp_path):
     written = draw.save_figures(sampled, tmp_path / "new", svg=True)
     names = {path.name for path in written}
     figures = ("fit", "residuals", "profile", "corner", "trace")
@@ -384,7 +384,7 @@ def test_every_figure_appears_whole(sampled, tmp_path):
             assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes()
 
 
-def test_a_failed_save_leaves_nothing_and_keeps_the_old(plain, tmp_path, monkeypatch):
+def test_a_failed_save_keeps_the_earlier_file(plain, tmp_path, monkeypatch):
     (tmp_path / "fit.png").write_bytes(b"old")
 
     def fail(self, file, **options):
@@ -406,7 +406,7 @@ def test_without_a_posterior_there_is_no_corner(plain, tmp_path):
 
 
 @pytest.mark.parametrize("size", [1, 2, 7])
-def test_corner_and_trace_of_any_size_with_a_constant_column(plain, size):
+def test_corner_and_trace_accept_any_size_and_a_constant_column(plain, size):
     draws = np.random.default_rng(1).normal(1.0, 0.1, (4, 50, size))
     draws[..., -1] = 1.0
     result = with_chains(renamed(plain, size), draws)
@@ -431,7 +431,7 @@ def test_a_rare_part_far_away_does_not_stretch_the_corner(plain):
 
 
 @pytest.mark.parametrize("size", [1, 3, 7])
-def test_corner_labels_stand_beside_their_numbers(plain, size):
+def test_corner_labels_do_not_overlap_the_numbers(plain, size):
     scale = 10.0 ** np.resize([0, 4, -3], size)
     draws = np.random.default_rng(1).normal(1.0, 0.1, (4, 200, size)) * scale
     picture = draw_corner.corner_figure(with_chains(renamed(plain, size), draws))
@@ -453,7 +453,7 @@ def test_corner_labels_stand_beside_their_numbers(plain, size):
     assert not gaps["x"] or max(gaps["x"]) < 25
 
 
-def test_figures_say_what_is_not_identified(plain, sampled):
+def test_figures_mark_parameters_that_are_not_identified(plain, sampled):
     labels = [axes.get_xlabel() for axes in vague(plain).plot("profile").axes]
     assert any("not identified" in label for label in labels)
     texts = [text.get_text() for text in vague(sampled).plot("corner").texts]
@@ -462,7 +462,7 @@ def test_figures_say_what_is_not_identified(plain, sampled):
     assert curve.curves[0].limit is None and "not identified" in curve.limit_label
 
 
-def test_a_dollar_in_a_run_name_is_no_mathematics(plain):
+def test_a_dollar_in_a_run_name_is_not_mathematics(plain):
     runs = ("$1 a", "b$")
     table = replace(plain.table, runs=runs)
     layout = replace(plain.problem.layout, runs=runs)
@@ -472,7 +472,7 @@ def test_a_dollar_in_a_run_name_is_no_mathematics(plain):
     assert result.plot("residuals")._repr_png_()[:4] == b"\x89PNG"
 
 
-def test_title_names_model_file_and_verdict(plain):
+def test_the_title_names_model_file_and_verdict(plain):
     texts = [text.get_text() for text in plain.plot("residuals").texts]
     assert texts[0] == "brush-m fitted to " + NAME.replace("$", r"\$")
     assert texts[1].startswith("ok: RMSE")

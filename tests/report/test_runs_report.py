@@ -29,7 +29,7 @@ ROWS = 25
 
 
 def fourteen() -> TireData:
-    """Fourteen files of one session, each with its own friction."""
+    """Fourteen files of one session, each with another friction."""
     generator = np.random.default_rng(4)
     run = np.repeat(np.arange(len(RUNS)), ROWS)
     slip = generator.uniform(0, 0.2, len(run))
@@ -79,7 +79,7 @@ def by_run():
     )
 
 
-def test_every_run_is_told_apart_in_the_report(by_run):
+def test_every_run_is_distinguished_in_the_report(by_run):
     text = fit_report(by_run, full=True)
     assert max(map(len, text.splitlines())) <= 88
     assert "fitted to fx of 14 files," in text
@@ -107,7 +107,7 @@ def test_derived_quantities_have_a_row_per_run(by_run):
     assert "at F_z = 4000 N, v = 20 m/s" in " ".join(text.split())
 
 
-def test_a_summary_holds_every_column_of_every_fit(by_run):
+def test_a_summary_has_every_column_of_every_fit(by_run):
     content = by_run.to_dict()
     text = summary_table([record_of_fit(content, f"all/{run}") for run in RUNS[:3]])
     lines = text.splitlines()
@@ -120,7 +120,7 @@ def test_a_summary_holds_every_column_of_every_fit(by_run):
 
 
 def drawn_texts(picture):
-    """(text, extent in pixels) of everything written on a picture."""
+    """(text, extent in pixels) of every text in a figure."""
     picture.draw_without_rendering()
     ticks = [
         tick.label1
@@ -142,7 +142,7 @@ def overlapping(texts):
     ]
 
 
-def test_a_corner_of_twenty_is_legible(by_run):
+def test_a_corner_of_twenty_parameters_is_legible(by_run):
     picture = corner_figure(by_run)
     texts = drawn_texts(picture)
     labels = [text for text, _ in texts if "(run" in text]
@@ -154,7 +154,7 @@ def test_a_corner_of_twenty_is_legible(by_run):
     assert any("20 of 28 parameters" in text for text, _ in texts)
 
 
-def test_the_grid_holds_what_the_regions_hold(by_run):
+def test_the_grid_shows_the_density_of_the_regions(by_run):
     corner = corner_data(by_run, ["mu"])
     assert len(corner.labels) == 14
     flat = by_run.chains.reshape(-1, 28)[:, 14:]
@@ -171,7 +171,7 @@ def test_the_grid_holds_what_the_regions_hold(by_run):
     assert not image[:bins, bins:].any()
 
 
-def test_corner_and_trace_draw_what_is_asked_for(by_run):
+def test_corner_and_trace_draw_the_requested_parameters(by_run):
     corner = corner_data(by_run, ["cpa2[run02]", f"mu[{RUNS[1]}]"])
     assert [label.split(" [")[0] for label in corner.labels] == [
         "$c_p a^2$ (run02)",
@@ -184,7 +184,7 @@ def test_corner_and_trace_draw_what_is_asked_for(by_run):
     assert "it has cpa2[run01]" in str(caught.value)
 
 
-def test_a_trace_shows_the_chains_that_agree_least(by_run):
+def test_a_trace_shows_the_parameters_that_agree_least(by_run):
     trace = trace_data(by_run)
     worst = by_run.labels[-10:]
     np.testing.assert_allclose(trace.rhat, [by_run.posterior.rhat[label] for label in worst])
@@ -192,7 +192,7 @@ def test_a_trace_shows_the_chains_that_agree_least(by_run):
     assert overlapping(drawn_texts(trace_figure(by_run))) == []
 
 
-def test_long_names_stay_beside_their_panels(by_run):
+def test_long_names_do_not_overlap_their_panels(by_run):
     names = [f"{'x' * i}michelin_{i * 7919}_hot_track_of_monday" for i in range(14)]
     runs = dict(zip(RUNS, names, strict=True))
 
@@ -224,7 +224,7 @@ def test_long_names_stay_beside_their_panels(by_run):
         assert all(low[1] < high[0] for low, high in pairwise(tops))
 
 
-def test_a_profile_of_many_says_how_many(by_run):
+def test_a_profile_of_some_parameters_states_their_number(by_run):
     picture = profile_figure(by_run)
     assert len(picture.axes) == 24
     assert "24 of 28 parameters" in [text.get_text() for text in picture.texts]
@@ -243,7 +243,7 @@ def test_runs_are_drawn_side_by_side(by_run):
     assert overlapping(drawn_texts(picture)) == []
 
 
-def test_a_run_that_tells_nothing_does_not_set_the_scale(by_run):
+def test_an_undetermined_run_does_not_set_the_scale(by_run):
     label = f"mu[{RUNS[5]}]"
     free = replace(
         by_run.parameters[label], value=2.9, std=None, ci95=(0.1, None), identified=False
@@ -254,6 +254,6 @@ def test_a_run_that_tells_nothing_does_not_set_the_scale(by_run):
     assert any("grey: not identified" in text.get_text() for text in picture.texts)
 
 
-def test_one_run_has_no_such_picture(by_run):
+def test_one_run_has_no_comparison_figure(by_run):
     with pytest.raises(UsageError, match="no parameter for each run"):
         replace(by_run, labels=("cpa2", "mu")).plot("runs")

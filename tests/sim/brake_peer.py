@@ -1,4 +1,4 @@
-"""The braked quarter car by another route: SciPy, and the rules in plain Python.
+"""The braked quarter car computed independently: SciPy, and rules in plain Python.
 
 Nothing of tirefit is imported: the brush is the formula of S(31), written out, the
 plant a right-hand side for ``solve_ivp`` that is stopped and restarted where the wheel

@@ -18,7 +18,7 @@ LUMPED = Bristles(np.ones(1), np.ones(1), np.zeros((1, 1)))
 
 
 def contact(inputs: TireInputs) -> Contact:
-    """The motion that slips and speed of steady-state inputs (n,) stand for."""
+    """The motion that gives slips and speed of steady-state inputs (n,)."""
     arrays = [jnp.asarray(value, float) for value in inputs]
     slip_x, alpha, fz, v, *_ = jnp.broadcast_arrays(*arrays)
     rolling = v / (1 + slip_x)
@@ -27,7 +27,7 @@ def contact(inputs: TireInputs) -> Contact:
 
 
 class Response(NamedTuple):
-    """Forces (t,) [N] and deflections (t, n, 2) [m] at the times asked for."""
+    """Forces (t,) [N] and deflections (t, n, 2) [m] at the requested times."""
 
     forces: TireForces
     deflection: Float[Array, "t n 2"]
@@ -63,7 +63,7 @@ def simulate(
     if time.ndim != 1 or len(time) < 2 or not _increases(time):
         raise ValueError("time must be a vector of at least two increasing instants")
     start = jnp.zeros((len(bristles.weight), 2)) if initial is None else initial
-    # As arrays, lest every new value be compiled anew.
+    # As arrays, to avoid a compilation for every new value.
     tire, rtol = jax.tree.map(jnp.asarray, (tire, rtol))
     deflection = _integrate(tire, bristles, time, motion, start, rtol, adjoint)
     forces = jax.vmap(lambda z, now: bristle_forces(tire, bristles, z, now))
@@ -71,7 +71,7 @@ def simulate(
 
 
 def _increases(time) -> bool:
-    """Whether a known time increases; that of a trace is not known."""
+    """Whether a known time increases; that of a trace is unknown."""
     return isinstance(time, jax.core.Tracer) or bool(np.all(np.diff(time) > 0))
 
 

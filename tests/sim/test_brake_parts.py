@@ -1,4 +1,4 @@
-"""Road, hydraulics, sensors and the numbers of a stop, each by what is known of it."""
+"""Road, hydraulics, sensors and the numbers of a stop, each by its known properties."""
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ from tirefit.sim.brake_vehicle import (
 )
 
 
-def test_roads_are_read_as_they_are_written():
+def test_roads_are_read_from_text():
     constant, jump, split = map(road_of, ROADS)
     assert constant.before.tolist() == [0.4, 0.4] and not constant.jumps
     assert jump.after.tolist() == [0.8, 0.8] and jump.jump == 20.0 and jump.jumps
@@ -41,13 +41,13 @@ def test_roads_are_read_as_they_are_written():
 @pytest.mark.parametrize(
     "text", ["0.4", "mu=", "mu=0.3:0.8", "mu=-0.3", "left=0.3", "mu=0.01", "mu=nan"]
 )
-def test_what_is_no_road_is_refused_with_a_remedy(text):
+def test_an_invalid_road_is_refused_with_a_remedy(text):
     with pytest.raises(UsageError) as error:
         road_of(text)
     assert error.value.problems[0].remedy
 
 
-def test_a_peak_is_that_of_the_road():
+def test_the_peak_of_a_curve_is_the_friction_of_the_road():
     """S(33): brush-m peaks where its force is mu' F_z; sigma at the peak by hand."""
     mu, m, cpa2, fz = 0.4, 0.5, 4e4, 4e3
     tire = with_values(MODELS["brush-m"], {"m": m, "cpa2": cpa2, "mu": 1.1})
@@ -80,7 +80,7 @@ def test_loads_of_a_braked_car_balance():
     assert one.mass * GRAVITY == pytest.approx(one.fz[0])
 
 
-def test_pressure_keeps_to_its_rates():
+def test_the_pressure_stays_within_its_rates():
     brakes = Hydraulics()
 
     def flow(t, pressure, valve):
@@ -97,7 +97,7 @@ def test_pressure_keeps_to_its_rates():
     assert (brakes.queue(200.0), brakes.queue(1000.0)) == (2, 10)
 
 
-def test_the_uneven_road_shakes_as_it_says():
+def test_the_uneven_road_has_the_stated_spectrum():
     """Standard deviation, and the correlation e^(-2 pi f dt k) of a first-order one."""
     sensors = Sensors(road_std=0.02, road_corner=1.0)
     noise = draw_noise(jax.random.key(0), sensors, 200_000, 1, 200.0)
@@ -109,7 +109,7 @@ def test_the_uneven_road_shakes_as_it_says():
         assert kept == pytest.approx(np.exp(-2 * np.pi * lag / 200), abs=0.03)
 
 
-def test_wheel_speeds_come_in_steps_and_stand_still():
+def test_wheel_speeds_are_quantised_and_reach_zero():
     sensors = Sensors(speed_std=0.005, speed_step=0.01)
     turning = jnp.asarray([10.0, 10.0, 0.0, 0.002])
     told = wheel_speeds(sensors, turning, jnp.asarray([0.0, 1.2, 5.0, -3.0]))
@@ -118,7 +118,7 @@ def test_wheel_speeds_come_in_steps_and_stand_still():
     np.testing.assert_allclose(fine[:2], 10.005)
 
 
-def test_intervals_hold_the_mean_in_95_of_100():
+def test_intervals_contain_the_mean_in_95_percent():
     random = np.random.default_rng(0)
     held = 0
     for _ in range(2000):
@@ -144,13 +144,13 @@ def test_intervals_hold_the_mean_in_95_of_100():
         ("brush-m", {"time_limit": 1e6}, "--time-limit"),
     ],
 )
-def test_a_manoeuvre_that_cannot_be_is_refused(model, given, said):
+def test_an_impossible_manoeuvre_is_refused(model, given, said):
     with pytest.raises(UsageError) as error:
         check(Request(MODELS[model], model, **given))
     assert said in str(error.value) and all(p.remedy for p in error.value.problems)
 
 
-def test_numbers_of_the_plant_are_known_by_name():
+def test_settings_of_the_plant_are_set_by_name():
     asked = Request(MODELS["brush"], "brush")
     other = with_numbers(asked, {"delay": 0.02, "speed_std": 0.0})
     assert other.hydraulics.delay == 0.02 and other.sensors.speed_std == 0.0
@@ -161,7 +161,7 @@ def test_numbers_of_the_plant_are_known_by_name():
     assert isinstance(plant_of(other).hydraulics.delay, jax.Array)
 
 
-def test_a_fit_with_values_by_run_is_not_one_tire():
+def test_a_fit_with_values_per_run_is_refused_as_a_tire():
     layout = Layout((FreeParameter("mu", specs(MODELS["brush"])["mu"], True),), (), ("a", "b"))
     rest = (np.zeros(2), np.eye(2), {}, {})
     with pytest.raises(UsageError, match="a mu for each run"):

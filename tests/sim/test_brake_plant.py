@@ -1,4 +1,4 @@
-"""The braked plant by other routes: SciPy, energy, textbook, finite differences."""
+"""The braked plant checked by SciPy, energy, textbook and finite differences."""
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ def request(model="brush-m", values=None, **given):
 
 
 def stopped(asked, controller=None, seed=0):
-    """Plant and log (NumPy) of a stop, until it ended."""
+    """Plant and log (NumPy) of a stop, up to its end."""
     controller = NoController() if controller is None else controller
     plant = plant_of(asked)
     log = simulate_stop(
@@ -48,7 +48,7 @@ def stopped(asked, controller=None, seed=0):
 
 
 @pytest.mark.parametrize("mu", [0.15, 0.8])
-def test_closed_loop_is_scipys_step_by_step(mu):
+def test_the_closed_loop_agrees_with_scipy(mu):
     """Plant by solve_ivp, rules in plain Python, the same noise: the same stop."""
     noisy = Sensors(0.005, 0.0, 0.1, 2e4, 0.01)
     asked = request(road=f"mu={mu}", speed=8.0, sensors=noisy)
@@ -90,8 +90,8 @@ def test_closed_loop_is_scipys_step_by_step(mu):
 
 
 @pytest.mark.parametrize("vehicle", ["quarter", "car"])
-def test_energy_is_kept(vehicle):
-    """What the body and wheels lose is what brakes, slip and the uneven road take."""
+def test_energy_is_conserved(vehicle):
+    """The body and wheels lose what brakes, slip and the uneven road absorb."""
     rough = SMOOTH._replace(road_std=0.01)
     asked = request(vehicle=vehicle, road="mu=0.5", sensors=rough, speed=12.0)
     plant, log = stopped(asked, ConventionalABS(), seed=1)
@@ -110,8 +110,8 @@ def test_energy_is_kept(vehicle):
     assert np.sum(braked) > 0.5 * np.sum(power)  # most of it is brakes' work
 
 
-def test_its_program_can_be_kept_between_processes():
-    """None that calls Python back is, and a stop takes seconds to compile."""
+def test_its_program_can_be_cached_between_processes():
+    """A program that calls Python cannot, and a stop takes seconds to compile."""
     asked = request()
     program = simulate_stop.lower(
         plant_of(asked),
@@ -125,8 +125,8 @@ def test_its_program_can_be_kept_between_processes():
     assert "while" in program.as_text() and "callback" not in program.as_text()
 
 
-def test_energy_is_kept_to_the_order_of_the_trapezoid():
-    """A stop without dives: 30 times closer."""
+def test_energy_is_conserved_to_the_order_of_the_trapezoid():
+    """A stop without locking wheels: 30 times closer."""
     gentle = Hydraulics(demand=2e6, ramp=4e6)
     asked = request(road="mu=0.5", hydraulics=gentle, speed=12.0)
     plant, log = stopped(asked)
@@ -142,8 +142,8 @@ def test_energy_is_kept_to_the_order_of_the_trapezoid():
 
 
 @pytest.mark.parametrize("vehicle", ["quarter", "car"])
-def test_locked_wheels_stop_where_the_textbook_says(vehicle):
-    """v^2 / (2 mu g) from where the last wheel locks, and not a rad/s of chatter."""
+def test_the_distance_with_locked_wheels_agrees_with_the_textbook(vehicle):
+    """v^2 / (2 mu g) from the locking of the last wheel, without any chatter."""
     sliding = 0.8 * 0.4  # S(33) at m = 0.5
     plant, log = stopped(request(vehicle=vehicle, road="mu=0.4"))
     s = log.motion
@@ -157,8 +157,8 @@ def test_locked_wheels_stop_where_the_textbook_says(vehicle):
     assert whole == pytest.approx(v**2 / (2 * sliding * GRAVITY), rel=1e-3)
 
 
-def test_a_locked_wheel_turns_again_when_the_brake_lets_go():
-    """Locked on ice, released by ABS, it comes back to the speed of the car."""
+def test_a_locked_wheel_turns_again_after_release():
+    """Locked on ice, released by ABS, it returns to the speed of the car."""
     _, log = stopped(request(road="mu=0.06", speed=4.0), ConventionalABS(slowing=150.0))
     turning = log.motion.omega[:, 0] * 0.3
     stood = np.flatnonzero(turning == 0.0)
@@ -177,7 +177,7 @@ def test_a_locked_wheel_turns_again_when_the_brake_lets_go():
         ("liu-peng", {}),
     ],
 )
-def test_other_tires_stop_by_their_friction(model, values):
+def test_other_tires_stop_according_to_their_friction(model, values):
     asked = request(model, values, vehicle="car", road="mu=0.5", speed=12.0)
     plant, log = stopped(asked, ConventionalABS())
     peak = log.reading.truth.mu
@@ -188,7 +188,7 @@ def test_other_tires_stop_by_their_friction(model, values):
     assert np.max(used) > 0.97
 
 
-def test_a_road_changes_a_brush_by_its_friction_alone():
+def test_a_road_changes_only_the_friction_of_a_brush():
     """Similarity on a brush is exactly another mu; on LuGre another g."""
     plant = plant_of(request("brush", {"mu": 1.3}, road="mu=0.4"))
     other = with_values(MODELS["brush"], {"mu": 0.4})
@@ -210,7 +210,7 @@ def test_a_road_changes_a_brush_by_its_friction_alone():
     assert float(c.fx[0]) == pytest.approx(float(force), rel=1e-9)
 
 
-def test_true_stiffness_is_the_slope_of_the_force():
+def test_the_true_stiffness_is_the_slope_of_the_force():
     plant = plant_of(request(vehicle="car", road="mu=0.4"))
     s = rolling(plant, jnp.asarray(10.0))
     share = jnp.asarray([1.0, 0.98, 0.96, 0.8])
@@ -224,7 +224,7 @@ def test_true_stiffness_is_the_slope_of_the_force():
     assert float(xbs_true(plant, s)[3]) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_turning_car_is_the_single_track_model_at_small_angles():
+def test_a_turning_car_agrees_with_the_single_track_model():
     """Yaw rate of steady cornering: v delta / (L + K v^2), K of the four loads."""
     steer, v = 0.002, 15.0
     # A brush, as brush-m is at m = 1.
@@ -243,7 +243,7 @@ def test_a_turning_car_is_the_single_track_model_at_small_angles():
     assert log.contacts.fz[100][0] > log.contacts.fz[100][2]  # braking, the front
 
 
-def test_a_split_road_turns_the_car_to_the_grip():
+def test_a_split_road_turns_the_car_towards_high_friction():
     asked = request(vehicle="car", road="left=0.2,right=0.8", speed=10.0)
     _, log = stopped(asked, ConventionalABS())
     assert log.motion.heading[60] < -1e-3  # grip on the right: it turns right
@@ -251,7 +251,7 @@ def test_a_split_road_turns_the_car_to_the_grip():
     assert log.contacts.fx[60:160, 1].mean() > 2 * left
 
 
-def test_a_new_road_is_under_the_front_wheels_first():
+def test_the_front_wheels_reach_a_new_road_first():
     asked = request(vehicle="car", road="mu=0.3:0.8@5", speed=10.0)
     _, log = stopped(asked, ConventionalABS())
     mu = log.contacts.mu

@@ -1,4 +1,4 @@
-"""Stops as results: numbers of made-up logs, batches, reasons, columns."""
+"""Results of stops: numbers of made-up logs, batches, reasons, columns."""
 
 import jax
 import jax.numpy as jnp
@@ -32,8 +32,8 @@ def result():
     return braked(request(), controllers, seed=3, stops=STOPS)
 
 
-def test_batch_is_each_stop_alone(result):
-    """The vmapped run of four seeds has, at each, what that seed has alone."""
+def test_a_batch_agrees_with_single_stops(result):
+    """The vmapped run of four seeds gives, for each, the stop of that seed alone."""
     asked = request()
     controller = arrays(ConventionalABS())
     for k in (0, 3):
@@ -46,7 +46,7 @@ def test_batch_is_each_stop_alone(result):
     assert len(set(result.many["abs"].stopping_distance.tolist())) == 4
 
 
-def test_tires_roads_and_seeds_in_one_batch():
+def test_tires_roads_and_seeds_are_simulated_in_one_batch():
     roads = ("mu=0.5", "mu=0.7", "mu=0.4", "mu=0.6")
     plants = [plant_of(request(road=road)) for road in roads]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *plants)
@@ -78,7 +78,7 @@ def test_numbers_follow_from_the_series(result):
         assert len(table[name]) == len(table["time"])
 
 
-def test_a_locked_stop_is_told_as_one(result):
+def test_a_stop_with_locked_wheels_is_reported(result):
     stop = result.stops["none"]
     v = stop.columns()["v"]
     slip = stop.columns()["slip"]
@@ -90,7 +90,7 @@ def test_a_locked_stop_is_told_as_one(result):
     assert result.stops["abs"].to_dict()["pressure_rms_fluctuation"] > 1e5
 
 
-def test_recovery_counts_from_all_wheels_on_the_new_road():
+def test_recovery_begins_with_all_wheels_on_the_new_road():
     """A made-up log: 0.5 of the friction until 0.3 s after the jump, then all of it."""
     asked = request(road="mu=0.3:0.8@4")
     plant = plant_of(asked)
@@ -115,7 +115,7 @@ def test_recovery_counts_from_all_wheels_on_the_new_road():
     assert np.isnan(summarise(plant, never, 1 / 200).recovery_time)
 
 
-def test_a_car_that_does_not_stop_says_why(result):
+def test_a_car_that_does_not_stop_is_reported_with_the_reason(result):
     weak = request(hydraulics=Hydraulics(demand=2e5))
     stop = braked(weak, {"none": NoController()}).stops["none"]
     numbers = stop.to_dict()
@@ -126,7 +126,7 @@ def test_a_car_that_does_not_stop_says_why(result):
     assert stop.reason.startswith("spun"), stop.reason
 
 
-def test_summary_holds_all_controllers_and_seeds(result):
+def test_the_summary_has_all_controllers_and_seeds(result):
     whole = result.to_dict()
     assert whole["schema"] == "tirefit.brake/1" and whole["controller"] == "abs"
     assert whole["stopping_distance"] == whole["controllers"]["abs"]["stopping_distance"]

@@ -1,4 +1,4 @@
-"""The tables of ``fits/braking``: what their rows say, and that they can be made."""
+"""The tables of ``fits/braking``: the meaning of their rows, and their cases."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,8 @@ from fits.braking.__main__ import BRUSH, CASES, CONTROLLERS, SEEDS, STEER, made,
 from tirefit.online.controllers import CONTROLLERS as KNOWN
 
 
-def test_differences_are_paired():
-    """Two controllers that share the road's noise: the interval is of a paired t."""
+def test_differences_are_computed_per_seed():
+    """Two controllers on the same noise of the road: the interval is of a paired t."""
     random = np.random.default_rng(0)
     shared = random.normal(50.0, 5.0, 60)
     first, second = shared + random.normal(-1.0, 0.1, 60), shared
@@ -22,7 +22,7 @@ def test_differences_are_paired():
     assert row["seeds"] == 60 and SEEDS >= 50
 
 
-def test_every_case_can_be_asked_for():
+def test_every_case_can_be_selected():
     """Requests pass their checks, controllers are made: four of them, on each road."""
     assert set(CONTROLLERS) == set(KNOWN)
     for manoeuvres in CASES.values():

@@ -1,4 +1,4 @@
-"""The wheel of S section 5.1 and the rig, against balances and another integrator."""
+"""The wheel of S section 5.1 and the rig: balances and another integrator."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from tirefit.sim.rig import simulate_rig
 from tirefit.sim.wheel import lugre_tire
 
 
-def test_the_source_tire_has_what_is_printed():
+def test_the_source_tire_has_the_printed_values():
     tire = source_tire()
     assert abs(float(tire.pure(0.04, LOAD)) / (PEAK * LOAD) - 0.6) < 1e-12
     assert abs(float(tire.pure(1e-6, LOAD)) / 1e-6 - 5e5) < 1.0
@@ -20,7 +20,7 @@ def test_the_source_tire_has_what_is_printed():
     assert float(softer.pure(np.linspace(0, 1, 500), LOAD).max()) <= 0.5 * LOAD
 
 
-def test_the_wheel_moves_as_scipy_integrates_it():
+def test_the_wheel_motion_agrees_with_scipy():
     how = Braking(amplitude=0.6, teeth=1, slip_variance=0, force_variance=0)
     truth, tire = simulate_braking(how).truth, source_tire()
 
@@ -36,7 +36,7 @@ def test_the_wheel_moves_as_scipy_integrates_it():
     )
 
 
-def test_noise_has_the_variance_asked_for_and_no_other():
+def test_noise_has_exactly_the_requested_variance():
     log = simulate_braking(Braking(teeth=20, slip_variance=1e-5, force_variance=4e-4))
     noise = log.columns["sigma_x"] - log.truth["sigma_x"]
     assert abs(np.var(noise) / 1e-5 - 1) < 0.1
@@ -46,7 +46,7 @@ def test_noise_has_the_variance_asked_for_and_no_other():
     np.testing.assert_array_equal(again.columns["fx"], log.columns["fx"])
 
 
-def test_a_wheel_locks_on_ice_and_comes_back():
+def test_a_wheel_locks_on_ice_and_recovers():
     log = simulate_braking(Braking(amplitude=0.75, teeth=4, drop=(4.5, 0.2)))
     sigma, time = log.truth["sigma_x"], log.truth["time"]
     assert sigma[time < 4.5].max() < 0.1
@@ -57,7 +57,7 @@ def test_a_wheel_locks_on_ice_and_comes_back():
     assert sigma[np.isclose(time, 6.4)] < 0.1
 
 
-def test_a_lugre_wheel_keeps_the_balance_and_its_steady_force():
+def test_a_lugre_wheel_satisfies_the_balance_and_its_steady_force():
     how = Braking(tire="lugre", teeth=1, rate=1000, friction=0.7, amplitude=0.7)
     truth = simulate_braking(how).truth
     slope = np.gradient(truth["omega"], truth["time"])
@@ -75,7 +75,7 @@ def test_a_lugre_wheel_keeps_the_balance_and_its_steady_force():
     np.testing.assert_allclose(tire(at_rest).fx, 2e-6 * truth["cpa2"][0], rtol=1e-4)
 
 
-def test_the_lugre_tire_has_the_peak_asked_for():
+def test_the_lugre_tire_has_the_requested_peak():
     slip = np.linspace(0.005, 3, 4000)
     for peak, v in ((0.98, 20.0), (0.3, 8.0)):
         at = TireInputs(sigma_x=slip, fz=np.ones(4000), v=np.full(4000, v))
@@ -86,13 +86,13 @@ def test_the_lugre_tire_has_the_peak_asked_for():
         simulate_braking(Braking(tire="brush"))
 
 
-def test_the_pressure_of_the_brake_makes_its_torque():
+def test_the_brake_pressure_gives_the_torque():
     log = simulate_braking(Braking(teeth=1)).columns
     np.testing.assert_allclose(log["brake_pressure"] * BRAKE_GAIN * 0.5, log["torque"])
 
 
 @pytest.mark.parametrize("lateral", [False, True])
-def test_a_rig_sweep_is_fitted_back(lateral):
+def test_a_fit_recovers_the_tire_of_a_rig_sweep(lateral):
     values = {"cpa2": 6e4, "mu": 0.8}
     made = simulate_rig("brush", values, lateral=lateral, load=[3e3, 5e3])
     data = tirefit.read_frame(made.columns)

@@ -1,4 +1,4 @@
-"""The simulated drive, against another integrator and against balances."""
+"""The simulated drive, checked by another integrator and by balances."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def wheel_forces(omega, v_x, v_y, r, delta, loads, mu):
     return force * sigma / slip, force * across / slip
 
 
-def test_the_car_moves_as_scipy_integrates_it():
+def test_the_motion_of_the_car_agrees_with_scipy():
     how = Drive(**SHORT)
     truth = simulate_drive(how).truth
     time = truth["time"]
@@ -73,7 +73,7 @@ def test_the_car_moves_as_scipy_integrates_it():
     assert abs(ours[2, 1]) > 0.05 and ours[0, 1] < 24.9  # it turns and brakes
 
 
-def test_forces_and_motion_balance():
+def test_forces_and_motion_are_in_balance():
     truth = simulate_drive(Drive(**SHORT)).truth
     time, n = truth["time"], len(truth["time"])
     inner = slice(5, n - 5)
@@ -91,7 +91,7 @@ def test_forces_and_motion_balance():
     )
 
 
-def test_noise_is_as_stated_and_of_the_seed():
+def test_noise_has_the_stated_level_and_follows_the_seed():
     one, two, other = (simulate_drive(Drive(**SHORT, seed=k)) for k in (1, 1, 2))
     np.testing.assert_array_equal(one.columns["offset"], two.columns["offset"])
     assert np.any(one.columns["offset"] != other.columns["offset"])
@@ -101,7 +101,7 @@ def test_noise_is_as_stated_and_of_the_seed():
     np.testing.assert_array_equal(one.columns["steering"], one.truth["steering"])
 
 
-def test_wheels_lock_on_a_slippery_road_and_the_rest_is_finite():
+def test_wheels_lock_on_a_slippery_road_with_finite_values():
     how = Drive(**SHORT | {"bend": 0.0, "brake": 0.9, "drop": (1.0, 0.2)})
     truth = simulate_drive(how).truth
     assert set(truth["mu"]) == {0.9, 0.2}
@@ -109,7 +109,7 @@ def test_wheels_lock_on_a_slippery_road_and_the_rest_is_finite():
     assert all(np.isfinite(values).all() for values in truth.values())
 
 
-def test_a_drive_that_cannot_be_followed_is_an_error_with_a_remedy():
+def test_an_impossible_drive_is_refused_with_a_remedy():
     said = "(?s)in 300 steps: a car spins.*remedy: reduce the lateral"
     with pytest.raises(UsageError, match=said):
         simulate_drive(Drive(duration=8.0, bend=1.2, brake=1.2), max_steps=300)

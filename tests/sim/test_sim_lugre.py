@@ -1,4 +1,4 @@
-"""The dynamic LuGre tire against its steady states and against SciPy."""
+"""The dynamic LuGre tire compared with its steady states and with SciPy."""
 
 import diffrax
 import jax
@@ -32,7 +32,7 @@ def at(time, motion, t):
 
 
 def give(z, sliding):
-    """S(17a) and (17c), written apart from tirefit; z (..., 2)."""
+    """S(17a) and (17c), written independently; z (..., 2)."""
     speed = np.hypot(*sliding)
     decay = np.exp(-np.sqrt(speed / TIRE.v_st))
     g = TIRE.mu_c + (TIRE.mu_s - TIRE.mu_c) * decay
@@ -100,7 +100,7 @@ SLIPS = [
 
 
 @pytest.mark.parametrize(("slip_x", "alpha", "end"), SLIPS)
-def test_distributed_settles_on_s18(slip_x, alpha, end):
+def test_the_distributed_model_settles_on_s18(slip_x, alpha, end):
     inputs, time, motion = held(slip_x, alpha, end)
     settled = simulate(TIRE, distributed(), time, motion).forces
     steady = forces(TIRE, inputs)
@@ -110,7 +110,7 @@ def test_distributed_settles_on_s18(slip_x, alpha, end):
 
 
 @pytest.mark.parametrize(("slip_x", "alpha", "end"), SLIPS[1:])
-def test_lumped_settles_on_its_steady_state(slip_x, alpha, end):
+def test_the_lumped_model_settles_on_its_steady_state(slip_x, alpha, end):
     inputs, time, motion = held(slip_x, alpha, end)
     settled = simulate(TIRE, LUMPED, time, motion).forces
     steady = forces(TIRE.lumped, inputs)
@@ -119,7 +119,7 @@ def test_lumped_settles_on_its_steady_state(slip_x, alpha, end):
     np.testing.assert_allclose(settled.fy[-1], steady.fy, rtol=0, atol=1e-6 * size)
 
 
-def test_lumped_approaches_exponentially():
+def test_the_lumped_model_approaches_exponentially():
     _, time, motion = held(0.02, 0.0, 0.5)
     found = simulate(TIRE, LUMPED, time, motion).deflection[:, 0, 0]
     speed = 20 * 0.02 / 1.02
@@ -128,7 +128,7 @@ def test_lumped_approaches_exponentially():
     np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-12)
 
 
-def test_lumped_is_scipy():
+def test_the_lumped_model_agrees_with_scipy():
     time, motion = course(0.3)
     mean = by_scipy(
         lambda t, z: give(z, at(time, motion, t)[0]), np.zeros(2), time, rtol=1e-10, atol=1e-13
@@ -137,7 +137,7 @@ def test_lumped_is_scipy():
     np.testing.assert_allclose(found, force_of(mean, time, motion), atol=1e-6 * LOAD)
 
 
-def test_distributed_is_the_limit_of_upwind_differences():
+def test_the_distributed_model_is_the_limit_of_upwind_differences():
     time, motion = course(0.3)
     found = stacked(simulate(TIRE, distributed(), time, motion).forces)
     means = [upwind(cells, time, motion) for cells in (40, 80, 160)]
@@ -160,7 +160,7 @@ def entry_time(time, motion, t, place):
     return np.interp(way[-1] - place * TIRE.length, way, fine)
 
 
-def test_each_bristle_is_followed():
+def test_each_bristle_agrees_with_its_equation():
     time, motion = course(0.3)
     bristles = distributed()
     found = simulate(TIRE, bristles, time, motion).deflection[-1]
@@ -174,8 +174,8 @@ def test_each_bristle_is_followed():
 
 
 def transfer_error(elements, demand, frequency):
-    """Relative error of the mean deflection to a harmonic sliding velocity, with a
-    constant rate of giving way; both over the time a bristle takes through."""
+    """Relative error of the mean deflection for a harmonic sliding velocity and a
+    constant decay rate; both relative to the transit time of a bristle."""
     bristles = distributed(elements)
     n = len(bristles.weight)
     total = demand + 1j * frequency
@@ -185,19 +185,19 @@ def transfer_error(elements, demand, frequency):
 
 
 @pytest.mark.parametrize(("demand", "frequency"), [(3.0, 0.0), (1.0, 6.0)])
-def test_order_seven_in_the_elements(demand, frequency):
+def test_the_error_falls_with_order_seven_in_the_elements(demand, frequency):
     errors = np.array([transfer_error(m, demand, frequency) for m in (2, 4, 8)])
     assert errors[0] < 1e-3
     np.testing.assert_allclose(np.log2(errors[:-1] / errors[1:]), 7.0, atol=0.5)
 
 
-def test_four_elements_give_every_demand():
+def test_four_elements_suffice_for_every_demand():
     errors = [transfer_error(4, demand, 0.0) for demand in np.logspace(-1, 7, 200)]
     assert 1e-9 < max(errors) < 1e-7
 
 
-def test_balance_of_the_patch_is_exact():
-    """d(mean)/dt is the mean give less what the last bristle carries out."""
+def test_the_balance_of_the_patch_is_exact():
+    """d(mean)/dt is the mean deformation rate minus the flow out of the patch."""
     bristles = distributed(3)
     z = np.random.default_rng(0).normal(size=(12, 2)) * 1e-3
     now = Contact(jnp.array([0.7, -0.4]), jnp.array(15.0), jnp.array(LOAD))
@@ -207,19 +207,19 @@ def test_balance_of_the_patch_is_exact():
     np.testing.assert_allclose(rate, give(mean, np.array([0.7, -0.4])) - carried, rtol=1e-11)
 
 
-def test_locked_wheel_deflects_evenly():
+def test_a_locked_wheel_deflects_evenly():
     now = Contact(jnp.array([2.0, 0.0]), jnp.array(0.0), jnp.array(LOAD))
     rate = bristle_rate(TIRE, distributed(), jnp.zeros((16, 2)), now)
     np.testing.assert_array_equal(rate, np.tile([2.0, 0.0], (16, 1)))
 
 
-def test_no_load_no_force():
+def test_zero_load_gives_no_force():
     now = Contact(jnp.array([2.0, 0.0]), jnp.array(5.0), jnp.array(-10.0))
     found = bristle_forces(TIRE, LUMPED, jnp.ones((1, 2)), now)
     assert float(found.fx) == 0 and float(found.fy) == 0
 
 
-def test_turned_motion_turns_the_force():
+def test_rotated_motion_rotates_the_force():
     time, motion = course(0.3)
     turn = np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
     ahead = stacked(simulate(TIRE, distributed(), time, motion).forces)
@@ -228,7 +228,7 @@ def test_turned_motion_turns_the_force():
     np.testing.assert_allclose(found, ahead @ turn.T, atol=1e-6 * LOAD)
 
 
-def test_goes_on_from_where_it_was():
+def test_a_simulation_continues_from_its_state():
     time, motion = course(0.3)
     whole = simulate(TIRE, distributed(), time, motion)
     start = whole.deflection[20]
@@ -253,7 +253,7 @@ def test_a_short_pulse_is_not_stepped_over():
     assert float(found.forces.fx[29]) == 0
 
 
-def test_contact_is_the_kinematics_of_slip():
+def test_the_contact_motion_follows_the_slip():
     found = contact(TireInputs(np.array([0.25, -0.2]), np.array([0.0, 0.1]), LOAD, 20))
     np.testing.assert_allclose(found.rolling, [16.0, 25.0], rtol=1e-15)
     # v_sx = v_x - Omega R_e, v_sy = v_x tan(alpha).
@@ -278,14 +278,14 @@ def central_differences(bristles):
         yield float(change) / (2e-4 * leaf)
 
 
-def test_reverse_gradient_in_the_parameters():
+def test_reverse_gradient_agrees_with_differences():
     gradient = jax.grad(work)(jax.tree.map(jnp.asarray, TIRE), distributed())
     expected = list(central_differences(distributed()))
     assert len(expected) == 8 and all(expected)
     np.testing.assert_allclose(jax.tree.leaves(gradient), expected, rtol=1e-5)
 
 
-def test_forward_gradient_in_the_parameters():
+def test_forward_gradient_agrees_with_differences():
     tire = jax.tree.map(jnp.asarray, TIRE)
     options = {"adjoint": diffrax.ForwardMode()}
     _, found = jax.jvp(lambda x: work(x, LUMPED, **options), (tire,), (tire,))

@@ -1,4 +1,4 @@
-"""Braking stiffness and its servo on the simulated car: what is true is known there."""
+"""Braking stiffness and its servo on the simulated car, where the truth is known."""
 
 import dataclasses
 from functools import cache
@@ -74,7 +74,7 @@ def estimates(record, speeds):
         (3e6, 0.83, 0.75, 1.05),
     ],
 )
-def test_the_estimate_is_the_slope_of_the_tire_over_the_slip(pressure, use, low, high):
+def test_the_estimate_agrees_with_the_slope_of_the_tire(pressure, use, low, high):
     used, true, value, std = under_pressure(pressure)
     assert abs(used[:, 300:].mean() - use) < 0.03
     middle = np.median(value[:, 300:]) / true[:, 300:].mean()
@@ -86,9 +86,9 @@ def test_the_estimate_is_the_slope_of_the_tire_over_the_slip(pressure, use, low,
 
 
 @pytest.mark.parametrize(("start", "expected"), [(4.0, 0.45), (9.0, 0.81)])
-def test_under_the_deceleration_servo_the_estimate_is_that_of_the_tire(start, expected):
-    """O(10): the servo's gain is taken off, with the delay of its valves. Measured over
-    the truth: 1.23 and 0.94."""
+def test_with_the_deceleration_servo_the_estimate_agrees_with_the_tire(start, expected):
+    """O(10): the gain of the servo is corrected, with the delay of its valves. Measured
+    over the truth: 1.23 and 0.94."""
     asked = request()
     settings = {"start_pull": start, "pull": 0.01, "release": 0.0, "servo_gain": 40.0}
     settings |= {"quiet": 0.0, "low": 2.0, "high": 20.0, "forgetting": 0.99}
@@ -128,7 +128,7 @@ def clearly(less, more):
     return np.mean(more) - np.mean(less) > 4 * spread
 
 
-def test_on_a_slippery_road_the_servo_is_calmer_and_uses_more_friction_than_abs():
+def test_on_a_slippery_road_the_servo_is_smoother_and_uses_more_friction():
     """O Figures 8 and 9. Measured: 0.88 against 0.83 of the friction, 42.6 against 45.9
     m (40.5 with the slip at the true peak), 0.15 against 0.40 MPa."""
     servo, abs_ = braked("xbs-servo", "mu=0.3"), braked("abs", "mu=0.3")
@@ -140,21 +140,21 @@ def test_on_a_slippery_road_the_servo_is_calmer_and_uses_more_friction_than_abs(
 
 
 @pytest.mark.parametrize(("mu", "least"), [(0.3, 0.82), (0.5, 0.78)])
-def test_the_share_of_the_friction_hardly_depends_on_it(mu, least):
-    """O(22) needs no friction: the reference is the same on every road."""
+def test_the_use_of_friction_hardly_depends_on_the_road(mu, least):
+    """O(22) does not depend on friction: the reference is the same on every road."""
     used = braked("xbs-servo", f"mu={mu}").mean_friction_used
     assert least < used.mean() < 0.95
 
 
 def test_on_a_dry_road_it_is_not_better():
-    """The pressure rises too slowly, and the first excursion beyond the peak is left
-    at 0.3 m/s2 only: 0.75 of the friction against 0.81, 20.8 against 17.9 m."""
+    """The pressure rises too slowly, and the first excursion beyond the peak ends only
+    at 0.3 m/s2: 0.75 of the friction against 0.81, 20.8 against 17.9 m."""
     servo, abs_ = braked("xbs-servo", "mu=0.8"), braked("abs", "mu=0.8")
     assert clearly(servo.mean_friction_used, abs_.mean_friction_used)
     assert np.all(servo.stopped) and np.mean(servo.mean_friction_used) > 0.65
 
 
-def test_the_servo_is_a_controller_by_name():
+def test_the_servo_is_a_named_controller():
     assert CONTROLLERS["xbs-servo"].reads_truth is False
     asked = request(vehicle="car")
     servo = controller_of("xbs-servo", known_to_controllers(asked))

@@ -1,4 +1,4 @@
-"""What the tests of parameter files share."""
+"""Common parts of the tests of parameter files."""
 
 import re
 import shutil
@@ -34,20 +34,20 @@ def own(source, kappa, alpha, load=LOAD):
 
 
 def largest(miss, kind):
-    """Largest length of a miss (2, n) of the forces that a kind of slip compares."""
+    """Largest length of an error (2, n) of the forces that a kind of slip compares."""
     rows = {"fx": [0], "fy": [1], "both": [0, 1]}[kind]
     return np.max(np.linalg.norm(miss[rows], axis=0))
 
 
 def stated(notes):
-    """The misses over load that an export states, by kind of slip."""
+    """The errors over load that an export states, by kind of slip."""
     text = "; ".join(notes)
     return {KINDS[kind]: float(miss) / 100 for kind, miss in MISS.findall(text)}
 
 
 def held(misses, notes, exact=()):
-    """Asserts that the true misses are those that are stated, rounded up to two digits;
-    a finer grid may find a little more."""
+    """Asserts that the true errors are the stated ones, rounded up to two digits; a
+    finer grid may find slightly more."""
     told = stated(notes)
     assert set(told) == set(misses) - set(exact)
     for kind, miss in misses.items():
@@ -64,7 +64,7 @@ SMALL = {"cpa2": 130.0}
 
 
 def commonroad(path):
-    """CommonRoad's reader on our file beside its own first vehicle."""
+    """CommonRoad's reader on our file next to its own first vehicle."""
     models = pytest.importorskip("vehiclemodels.vehicle_parameters")
     own_files = Path(models.__file__).parent / "parameters"
     shutil.copy(own_files / "parameters_vehicle1.yaml", path.parent)

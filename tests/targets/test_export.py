@@ -1,4 +1,4 @@
-"""Exported files, loaded by the software that they are for, against our own forces."""
+"""Exported files, loaded by their target software, compared with our own forces."""
 
 import ctypes
 import importlib.util
@@ -77,14 +77,14 @@ def loaded(path):
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_numpy_gives_our_forces(source, tmp_path):
+def test_numpy_export_reproduces_the_forces(source, tmp_path):
     path = tmp_path / "tire.py"
     tirefit.export(source, "numpy", path)
     found = np.stack(loaded(path).tire(*inputs_of(source))[:2], axis=1)
     assert np.max(np.abs(found - own(source)) / LOAD[:, None]) < 1e-12
 
 
-def test_the_numpy_file_needs_nothing_of_ours(tmp_path):
+def test_the_numpy_file_does_not_import_tirefit(tmp_path):
     tirefit.export("brush", "numpy", tmp_path / "tire.py")
     code = (
         "import sys, tire; print(tire.tire(0.02, 0.01, 4000.0)[0]);"
@@ -99,7 +99,7 @@ def test_the_numpy_file_needs_nothing_of_ours(tmp_path):
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_casadi_gives_our_forces_and_slopes(source, tmp_path):
+def test_casadi_export_reproduces_forces_and_slopes(source, tmp_path):
     pytest.importorskip("casadi")
     path = tmp_path / "tire.py"
     tirefit.export(source, "casadi", path)
@@ -143,7 +143,7 @@ def built(path, folder, single, *flags):
 @pytest.mark.parametrize("source", ["brush-dmh", "brush-d-force", "lugre", MF61])
 @pytest.mark.parametrize("single", [False, True])
 @pytest.mark.parametrize("flags", [(), ("-DTIREFIT_LOOP",)], ids=["plain", "loop"])
-def test_c_gives_our_forces_and_slopes(source, single, flags, tmp_path):
+def test_c_export_reproduces_forces_and_slopes(source, single, flags, tmp_path):
     path = tmp_path / "tire.h"
     tirefit.export(source, "c", path)
     library, count = built(path, tmp_path, single, *flags)
@@ -173,7 +173,7 @@ def test_c_gives_our_forces_and_slopes(source, single, flags, tmp_path):
 
 
 @pytest.mark.parametrize("convention", ["iso-w", "sae"])
-def test_test_vectors_of_the_header_are_our_forces(convention, tmp_path):
+def test_test_vectors_of_the_header_agree_with_the_forces(convention, tmp_path):
     tirefit.export("brush", "c", tmp_path / "tire.h", convention=convention)
     signs = CONVENTIONS[convention]
     lines = [line for line in (tmp_path / "tire.h").read_text().splitlines() if "->" in line]
@@ -212,7 +212,7 @@ def test_a_pure_formula_is_exported_with_combined_slip(tmp_path):
     assert pure == pytest.approx(-float(alone.fx), rel=1e-9)
 
 
-def test_forces_that_are_asked_for_are_the_only_ones(tmp_path):
+def test_only_the_requested_forces_are_exported(tmp_path):
     whole, part = tmp_path / "whole.py", tmp_path / "part.py"
     tirefit.export(MF61, "numpy", whole)
     tirefit.export(MF61, "numpy", part, forces="fy,fx")
@@ -225,7 +225,7 @@ def test_forces_that_are_asked_for_are_the_only_ones(tmp_path):
     assert done.exit_code == 2 and "which has all forces" in done.stderr
 
 
-def test_shape_finds_a_square_tire_and_wrong_signs():
+def test_the_shape_check_detects_wrong_shapes_and_signs():
     tire = tire_of(TRUCK)
     assert not shape_of(tire, tire.program("iso-w"), "iso-w").sound
     brush = tire_of("brush")
@@ -252,7 +252,7 @@ def test_a_fit_is_exported_with_its_errors_and_range(tmp_path):
         assert any("fx was not fitted" in note for note in done.notes)
 
 
-def test_a_fit_of_braking_states_its_range_in_the_signs_of_the_file(tmp_path):
+def test_a_fit_of_braking_data_states_its_range_in_the_signs_of_the_file(tmp_path):
     slip = np.linspace(-0.1, 0.25, 60)
     force = np.asarray(forces(MODELS["brush"], TireInputs(slip, 0.0, 4000.0)).fx)
     force = force + 20 * np.random.default_rng(1).standard_normal(60)
@@ -268,7 +268,7 @@ def test_a_fit_of_braking_states_its_range_in_the_signs_of_the_file(tmp_path):
         tirefit.export(fit, "c", path, values={"mu": 0.5})
 
 
-def test_a_fitted_magic_formula_is_exported_from_memory_and_from_its_file(tmp_path):
+def test_a_magic_formula_is_exported_from_memory_and_from_file(tmp_path):
     angle, load = (np.tile(np.linspace(-0.2, 0.2, 41), 2), np.repeat([3000.0, 6000.0], 41))
     given = TireInputs(0.0, angle, load)
     force = np.asarray(forces(model_of(MF61), given).fy)
@@ -294,7 +294,7 @@ def test_ranges_of_a_tir_file_keep_its_signs():
     assert f"kappa {low:.4g} to {high:.4g} -" in tire.ranges("iso-w")
 
 
-def test_a_program_folds_and_differentiates():
+def test_an_exported_program_is_simplified_and_differentiated():
     def cubic(x, y):
         return (x**3 + 2 * y, y / 1.0 + 0.0 * x)
 
@@ -335,12 +335,12 @@ def test_all_that_is_wrong_is_reported_at_once(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["double", "lambda", "np"])
-def test_a_word_of_the_language_is_no_name(name, tmp_path):
+def test_a_reserved_word_is_refused_as_a_name(name, tmp_path):
     done = ran("brush", "--to", "c", "--out", tmp_path / f"{name}.h")
     assert done.exit_code == 2 and "not valid as a name" in done.stderr
 
 
-def test_the_ending_is_that_of_the_target_and_no_input_is_replaced(tmp_path):
+def test_a_wrong_file_ending_or_an_input_file_is_refused(tmp_path):
     assert ran("brush", "--to", "c", "--out", tmp_path / "tire.py").exit_code == 2
     source = tmp_path / "tire.tir"
     source.write_bytes(Path(MF61).read_bytes())
@@ -349,7 +349,7 @@ def test_the_ending_is_that_of_the_target_and_no_input_is_replaced(tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
-def test_a_file_name_ends_no_comment(tmp_path):
+def test_a_file_name_cannot_end_a_comment(tmp_path):
     tire = tire_of("brush")
     odd = replace(tire, origin="fit to rigs/*.csv */ int x;\nint y;")
     draft = Draft(odd, odd.program("iso-w"), "iso-w", [odd.origin], "tire")
@@ -370,6 +370,6 @@ def test_the_list_names_every_target():
         assert f"{target} " in done.stdout
 
 
-def test_parameters_are_those_of_the_tire():
+def test_the_exported_parameters_are_those_of_the_tire():
     tire = tire_of("brush", {"mu": 0.7})
     assert json.dumps(parameter_values(tire.model)["mu"]) == "0.7"

@@ -38,7 +38,7 @@ print(json.dumps([[x.tolist() for x in found], float(slope)]))
 
 
 @pytest.mark.parametrize("source", ["brush-d-force", "lugre", MF61])
-def test_a_process_without_tirefit_has_our_forces_and_slopes(source, tmp_path):
+def test_a_process_without_tirefit_reproduces_forces_and_slopes(source, tmp_path):
     tirefit.export(source, "jax", tmp_path / "tire.py")
     names = (tmp_path / "tire.py").read_text().split("def tire(")[1].split(")")[0]
     known = {"kappa": KAPPA, "alpha": ALPHA, "fz": LOAD, "v": 12.0, "gamma": 0.03}
@@ -68,7 +68,7 @@ def test_a_process_without_tirefit_has_our_forces_and_slopes(source, tmp_path):
     assert slope == pytest.approx(float(jax.grad(fy)(0.02)), rel=1e-10)
 
 
-def test_the_file_names_no_file_of_this_machine(tmp_path):
+def test_the_file_contains_no_local_path(tmp_path):
     tirefit.export("brush", "jax", tmp_path / "tire.py")
     text = (tmp_path / "tire.py").read_text()
     program = text.split('"""')[1]

@@ -1,4 +1,4 @@
-"""Parameter files, evaluated by the simulators that they are for."""
+"""Parameter files, evaluated by the simulators they are written for."""
 
 import shutil
 import sys
@@ -47,7 +47,7 @@ def std_forces(formulas, p, kappa, alpha, load=LOAD):
 
 
 @pytest.mark.parametrize("source", ["brush", "lugre", "magic-formula-combined"])
-def test_commonroad_gives_our_forces_within_the_stated_miss(source, tmp_path):
+def test_commonroad_reproduces_the_forces_within_the_stated_error(source, tmp_path):
     pytest.importorskip("vehiclemodels")
     from vehiclemodels.utils import tire_model
 
@@ -78,7 +78,7 @@ def adams_tire():
     return p, mf_tire("5.2", given)
 
 
-def test_a_magic_formula_of_commonroad_comes_back_exactly(tmp_path):
+def test_a_magic_formula_of_commonroad_is_recovered_exactly(tmp_path):
     pytest.importorskip("vehiclemodels")
     from vehiclemodels.utils import tire_model
 
@@ -98,7 +98,7 @@ def test_a_magic_formula_of_commonroad_comes_back_exactly(tmp_path):
             assert np.max(np.abs(got - own(tire, *at, load))) < 1e-9
 
 
-def test_gymkhana_has_the_forces_of_commonroad_under_its_own_keys(tmp_path):
+def test_gymkhana_has_the_forces_of_commonroad_with_other_keys(tmp_path):
     path = tmp_path / "tire.yaml"
     done = tirefit.export("brush", "gymkhana", path)
     p = yaml.safe_load(path.read_text())
@@ -139,7 +139,7 @@ def test_four_coefficients_of_both_axles(target, tmp_path, vehicle):
         held({"fy": miss}, [done.notes[0]] if k == 0 else [], exact)
 
 
-def test_one_tire_is_both_axles_and_one_axle_is_no_car(tmp_path):
+def test_one_tire_serves_both_axles_but_one_axle_is_refused(tmp_path):
     path = tmp_path / "car.yaml"
     done = tirefit.export("magic-formula", "forzaeth", path)
     car = yaml.safe_load(path.read_text())
@@ -170,7 +170,7 @@ def slipx_tyre(path, folder):
     return slipx, spec, slipx.make_mf_lite(given, spec.c_alpha, spec.nominal_load)
 
 
-def test_slipx_gives_our_lateral_force_within_the_stated_miss(tmp_path, vehicle):
+def test_slipx_reproduces_the_lateral_force_within_the_stated_error(tmp_path, vehicle):
     path = tmp_path / "rubber_floor.yaml"
     values = {"cpa2": 70.0}
     done = tirefit.export("brush", "slipx", path, values=values, vehicle=vehicle)
@@ -215,7 +215,7 @@ def test_slipx_falls_with_load_as_the_tire_does(tmp_path):
     held({"fy": worst}, done.notes)
 
 
-def test_slipx_takes_no_car_of_full_size_and_no_other_name(tmp_path):
+def test_slipx_refuses_a_full_size_car_and_other_names(tmp_path):
     done = ran("brush", "--to", "slipx", "--out", tmp_path / "tire.yaml")
     assert done.exit_code == 2 and not list(tmp_path.iterdir())
     for part in ("sponge_SURFACE.yaml", "up to 200", "1:10"):
@@ -263,7 +263,7 @@ class Parameter:
         self.value = np.atleast_1d(nominal)
 
 
-def test_mujoco_has_our_forces_and_a_friction_for_sysid(tmp_path, monkeypatch):
+def test_mujoco_has_the_forces_and_a_friction_for_sysid(tmp_path, monkeypatch):
     path = tmp_path / "tire.py"
     done = tirefit.export("brush", "mujoco", path, values={"mu": 0.7})
     sysid = SimpleNamespace(Parameter=Parameter, ParameterDict=Parameters)

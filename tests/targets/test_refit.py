@@ -1,4 +1,4 @@
-"""Refits of simulators' formulas, and what an export reports and refuses."""
+"""Refits of simulators' formulas; reports and refusals of an export."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -40,7 +40,7 @@ class Broken(AbstractTire):
         return TireForces(None, fy, None)
 
 
-def test_a_tire_without_the_force_or_with_none_in_the_range_is_refused(tmp_path):
+def test_a_tire_without_force_in_the_range_is_refused(tmp_path):
     path = tmp_path / "car.yaml"
     tire = mf_tire("5.2", {"FNOMIN": LOAD}, lacks=["fy"])
     with pytest.raises(UsageError, match="no fy to be written"):
@@ -52,7 +52,7 @@ def test_a_tire_without_the_force_or_with_none_in_the_range_is_refused(tmp_path)
     assert any("no fx: that of the other axis" in note for note in done.notes)
 
 
-def test_the_file_states_range_miss_errors_and_loss_first(tmp_path):
+def test_the_file_begins_with_range_errors_and_losses(tmp_path):
     angle = np.linspace(-0.15, 0.15, 60)
     force = np.asarray(forces(tire_of("brush").model, TireInputs(0.0, angle, 3000.0)).fy)
     force = force + 20 * np.random.default_rng(1).standard_normal(60)
@@ -72,7 +72,7 @@ def test_the_file_states_range_miss_errors_and_loss_first(tmp_path):
         assert any(part in line for line in head)
 
 
-def test_a_large_miss_needs_force(tmp_path):
+def test_a_large_error_is_refused_without_force(tmp_path):
     path = tmp_path / "parameters_tire.yaml"
     given = ["brush", "--to", "commonroad", "--out", path, "--over", "fz=2000:6000"]
     done = ran(*given)
@@ -107,7 +107,7 @@ def test_missing_data_of_the_vehicle_are_named(tmp_path, vehicle):
     assert rates[5] == pytest.approx(force * 0.16 / 0.05, rel=0.01)
 
 
-def test_a_fit_of_an_axle_becomes_one_of_a_tire(tmp_path, vehicle):
+def test_a_fit_of_an_axle_is_converted_to_one_tire(tmp_path, vehicle):
     angle = np.linspace(-0.2, 0.2, 60)
     model = tire_of("brush", SMALL).model
     axle = 3.5 * 9.80665 * 0.17 / 0.33
@@ -122,7 +122,7 @@ def test_a_fit_of_an_axle_becomes_one_of_a_tire(tmp_path, vehicle):
     assert content["linear"]["c_kappa"] == pytest.approx(130.0, rel=1e-3)
 
 
-def test_what_does_not_belong_together_is_refused(tmp_path):
+def test_contradicting_options_are_refused(tmp_path):
     path = tmp_path / "x.yaml"
     done = ran("brush", "--to", "comonroad", "--out", path)
     assert done.exit_code == 2 and "did you mean 'commonroad'" in done.stderr

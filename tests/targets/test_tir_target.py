@@ -1,4 +1,4 @@
-"""Tire property files and Chrono's JSON, read as their programs read them."""
+"""Tire property files and Chrono's JSON, read like their programs read them."""
 
 import json
 from pathlib import Path
@@ -46,7 +46,7 @@ def missed(one, other):
 
 
 @pytest.mark.parametrize("version", ["52", "61", "62"])
-def test_a_file_is_written_again_with_its_forces(version, tmp_path):
+def test_a_rewritten_file_keeps_its_forces(version, tmp_path):
     source = TIR / f"MagicFormula{version}_Parameters.tir"
     done = tirefit.export(source, "tir", tmp_path / "t.tir")
     text = done.path.read_text()
@@ -55,7 +55,7 @@ def test_a_file_is_written_again_with_its_forces(version, tmp_path):
     assert missed(own_tire(read_tir(done.path)), own_tire(read_tir(source))) == 0
 
 
-def test_values_that_are_set_are_in_the_file(tmp_path):
+def test_given_values_are_in_the_file(tmp_path):
     source, path = TIR / "MagicFormula61_Parameters.tir", tmp_path / "t.tir"
     tirefit.export(source, "tir", path, values={"PDX1": 0.5})
     assert read_tir(path).numbers["PDX1"] == 0.5
@@ -78,7 +78,7 @@ def test_a_fitted_magic_formula_keeps_errors_and_range(tmp_path):
         assert read.numbers["FZMAX"] == 6000 and read.numbers["ALPMIN"] == -0.2
 
 
-def test_a_brush_is_reduced_and_says_what_is_lost(tmp_path):
+def test_a_brush_is_reduced_with_reported_losses(tmp_path):
     slip = np.linspace(-0.1, 0.25, 60)
     force = np.asarray(forces(MODELS["brush"], TireInputs(slip, 0.0, 4000.0)).fx)
     force = force + 20 * np.random.default_rng(1).standard_normal(60)
@@ -101,7 +101,7 @@ def test_a_brush_is_reduced_and_says_what_is_lost(tmp_path):
     assert float(told.split("fx ")[1].split("%")[0]) == pytest.approx(worst, abs=0.1)
 
 
-def test_what_a_tir_cannot_hold_is_refused_and_nothing_is_written(tmp_path):
+def test_unsupported_models_are_refused_and_write_nothing(tmp_path):
     path = tmp_path / "t.tir"
     for source, asked, words in (
         ("brush", {}, "radius"),
@@ -135,7 +135,7 @@ def test_the_reduced_form_has_the_slopes_and_the_limit_in_every_version(model, t
             assert found == pytest.approx(wanted, rel=1e-2 if at > 0.1 else 1e-4)
 
 
-def test_chrono_takes_a_brush(tmp_path):
+def test_chrono_accepts_a_brush(tmp_path):
     path, wheel = tmp_path / "wheel.json", WHEEL | {"radius": 0.3, "friction": 0.9}
     tirefit.export("brush", "chrono", path, wheel=wheel, force=True)
     values = chrono_values(path.with_suffix(".tir"))
@@ -143,7 +143,7 @@ def test_chrono_takes_a_brush(tmp_path):
     assert json.loads(path.read_text())["Coefficient of Friction"] == 0.9
 
 
-def test_a_version_is_converted(tmp_path):
+def test_another_version_is_written(tmp_path):
     path = tmp_path / "t.tir"
     source = TIR / "MagicFormula62_Parameters.tir"
     done = tirefit.export(source, "tir", path, model="mf61")
@@ -157,7 +157,7 @@ def test_a_version_is_converted(tmp_path):
 
 
 def chrono_values(path):
-    """What ChPac02Tire of Project Chrono reads: keys by section, up to a blank."""
+    """Values read by ChPac02Tire of Project Chrono: keys by section, up to a blank."""
     found, section = {}, ""
     for line in path.read_text().splitlines():
         line = line.lstrip(" \t")
@@ -212,7 +212,7 @@ TEXTS = {
 }  # fmt: skip
 
 
-def test_chrono_reads_the_pair_and_has_our_forces(tmp_path):
+def test_chrono_reads_both_files_and_reproduces_the_forces(tmp_path):
     source = TIR / "MagicFormula52_Parameters.tir"
     # Coefficients that Chrono does not read.
     unread = dict.fromkeys("PDX3 REX1 REX2 REY1 REY2 RHY2".split(), 0.0)
@@ -238,7 +238,7 @@ def test_chrono_reads_the_pair_and_has_our_forces(tmp_path):
         assert np.max(np.abs(found - wanted[0])) < 1e-4 * fz
 
 
-def test_chrono_says_what_it_limits_and_does_not_read(tmp_path):
+def test_limits_of_chrono_are_reported(tmp_path):
     source, path = TIR / "MagicFormula52_Parameters.tir", tmp_path / "wheel.json"
     with pytest.raises(UsageError, match="limit is 5%"):
         tirefit.export(source, "chrono", path, wheel=WHEEL)
@@ -257,7 +257,7 @@ def test_chrono_says_what_it_limits_and_does_not_read(tmp_path):
     assert shown == pytest.approx(worst, abs=0.02)
 
 
-def test_chrono_writes_both_files_or_none(tmp_path):
+def test_chrono_files_are_written_both_or_not_at_all(tmp_path):
     source, path = TIR / "MagicFormula52_Parameters.tir", tmp_path / "wheel.json"
     beside = path.with_suffix(".tir")
     line = ["export", str(source), "--to", "chrono", "--out", str(path)]

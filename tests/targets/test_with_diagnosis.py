@@ -1,4 +1,4 @@
-"""Tires exported with the effects of a diagnosis, against formulas as printed."""
+"""Tires exported with the effects of a diagnosis, compared with printed formulas."""
 
 import importlib.util
 import json
@@ -58,7 +58,7 @@ def loaded(path):
 
 
 @pytest.mark.parametrize("target", ["numpy", "casadi"])
-def test_friction_that_follows_the_load_is_in_the_forces(target, tmp_path):
+def test_load_dependent_friction_is_in_the_forces(target, tmp_path):
     if target == "casadi":
         pytest.importorskip("casadi")
     said = document(tmp_path / "run.json", ("load_friction", "power", POWER))
@@ -74,7 +74,7 @@ def test_friction_that_follows_the_load_is_in_the_forces(target, tmp_path):
         assert float(function(kappa, 0.0, fz)[0]) == pytest.approx(wanted, rel=1e-9)
 
 
-def test_friction_that_follows_the_speed_brings_the_speed_into_the_function(tmp_path):
+def test_speed_dependent_friction_adds_the_speed_argument(tmp_path):
     effect = ("friction_speed_linear", "n / mu", 0.02)
     said = document(tmp_path / "run.json", effect)
     # The variant of all friction, with the speed of travel.
@@ -86,7 +86,7 @@ def test_friction_that_follows_the_speed_brings_the_speed_into_the_function(tmp_
     assert found == pytest.approx(-MU * (1 - 0.02 * 20) * 4000.0)
 
 
-def test_an_offset_of_a_sensor_and_a_lag_change_no_force(tmp_path):
+def test_a_sensor_offset_and_a_lag_change_no_force(tmp_path):
     pair = (("slip_offset", "amplitude", 0.02), ("relaxation_length", "length", 0.3))
     said = document(tmp_path / "run.json", *pair)
     done = tirefit.export("brush", "numpy", tmp_path / "tire.py", diagnosis=said)
@@ -98,7 +98,7 @@ def test_an_offset_of_a_sensor_and_a_lag_change_no_force(tmp_path):
     assert "it closes 75% of the gap" in told
 
 
-def test_a_pure_formula_is_combined_before_its_effects(tmp_path):
+def test_a_pure_slip_formula_is_combined_before_its_effects(tmp_path):
     own = parameter_values(MagicFormula())
     said = document(
         tmp_path / "run.json",
@@ -115,7 +115,7 @@ def test_a_pure_formula_is_combined_before_its_effects(tmp_path):
     assert np.hypot(fx, fy) < 1.03 * loaded(path).tire(0.3, 0.0, F0)[0]
 
 
-def test_a_fit_takes_the_parameters_beside_the_effects(tmp_path):
+def test_a_fit_gets_the_parameters_found_with_the_effects(tmp_path):
     angle = np.linspace(-0.2, 0.2, 60)
     force = -brush(np.tan(np.abs(angle)), 0.8, 4000.0) * np.sign(angle) * -1
     force = force + 20 * np.random.default_rng(1).standard_normal(60)
@@ -127,7 +127,7 @@ def test_a_fit_takes_the_parameters_beside_the_effects(tmp_path):
     assert any("without standard error" in note for note in done.notes)
 
 
-def test_a_tir_holds_the_parameters_and_says_what_its_effects_lose(tmp_path):
+def test_a_tir_has_the_parameters_and_reports_lost_effects(tmp_path):
     source = "tests/data/tir/mfeval_julia/MagicFormula61_Parameters.tir"
     given = read_tir(source)
     said = document(
@@ -148,7 +148,7 @@ def test_a_tir_holds_the_parameters_and_says_what_its_effects_lose(tmp_path):
     assert 0.5 < miss / 100 / (abs(most) * peak) < 1.1
 
 
-def test_bad_documents_are_refused_and_nothing_is_written(tmp_path):
+def test_bad_documents_are_refused_and_write_nothing(tmp_path):
     path, said = tmp_path / "tire.py", tmp_path / "run.json"
     arguments = ["export", "brush", "--to", "numpy", "--out", str(path)]
     for text in ("", "{", "[]", '{"schema": "tirefit.diagnosis/3"}'):

@@ -1,4 +1,4 @@
-"""The single-track car against SciPy, against steady cornering, and against derive."""
+"""The single-track car compared with SciPy, with steady cornering, and with derive."""
 
 import jax
 import jax.numpy as jnp

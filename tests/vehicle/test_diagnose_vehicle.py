@@ -1,5 +1,5 @@
-"""Diagnoses of simulated cars whose missing effect is known; the simulator is another
-program (fits/withheld_vehicle/drives.py)."""
+"""Diagnoses of simulated cars with a known missing effect; the simulator is an
+independent program (fits/withheld_vehicle/drives.py)."""
 
 import json
 import subprocess
@@ -30,7 +30,7 @@ DELAY = 0.08
 
 
 def logged(folder, effect, size, number=5, off=1.1):
-    """Log, vehicle and tires (stiffness off by a factor) of a drive."""
+    """Log, vehicle and tires (stiffness wrong by a factor) of a drive."""
     one = trial(number, "none")
     one = Trial(number, effect, size, one.car, seconds=24.0)
     log, vehicle = written(one, folder)

@@ -1,4 +1,4 @@
-"""Replays of logs whose car is known."""
+"""Replays of logs of a known car."""
 
 import json
 import subprocess
@@ -51,7 +51,7 @@ def steer(time):
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    """A vehicle file, and logs of a car whose wheels follow at once, and late."""
+    """A vehicle file, and logs of a car with immediate and with delayed steering."""
     folder = tmp_path_factory.mktemp("drive")
     (folder / "vehicle.toml").write_text(TOML)
     time = np.arange(0, 14, 0.01)
@@ -101,7 +101,7 @@ def test_a_car_without_slip_follows_its_wheels(exact, drive):
 
 
 def exact_start(result):
-    """Time of the first start: the filter's settling."""
+    """Time of the first start, which the settling of the filter determines."""
     return tirefit.data.vehicle.Filter(cutoff=15.0).settling
 
 

@@ -1,4 +1,4 @@
-"""Fits by trajectory of simulated drives whose tires and unknowns are known."""
+"""Fits by trajectory of simulated drives with known tires and unknowns."""
 
 import json
 import subprocess
@@ -159,7 +159,7 @@ def test_the_command_writes_files_that_other_commands_read(drive, tmp_path):
 
 def test_wrong_requests_are_refused(drive):
     given = [drive / "drive.csv"], drive / "vehicle.toml"
-    with pytest.raises(UsageError, match="the front tire Brush is no fit"):
+    with pytest.raises(UsageError, match="the front tire Brush has no free parameters"):
         fit_trajectory(*given, Brush())
     with pytest.raises(UsageError, match="(?s)no unknown of a car.*steering_delay"):
         fit_trajectory(*given, unknowns=["steering_dela"])

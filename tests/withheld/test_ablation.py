@@ -34,7 +34,7 @@ def label(kind="singles", effects=(RISING,), **given):
 
 def record(name="t/t0", *, alone=20.0, beside=0.0, errors=9.0, gain=(30.0, 3.0), **of):
     """A file with one good set; ``alone``: its log evidence, ``beside``: that of a
-    sharp shape in what it leaves."""
+    sharp shape in its remainder."""
     key, some = (RISING,), {"smooth": -1.0, "waves": beside}
     hypotheses = [
         ((), 0.0, -1.0, 0.0, True),
@@ -70,14 +70,14 @@ def record(name="t/t0", *, alone=20.0, beside=0.0, errors=9.0, gain=(30.0, 3.0),
 # --- variants -----------------------------------------------------------------------
 
 
-def test_a_set_that_explains_is_named():
+def test_a_sufficient_set_is_named():
     answer = decided(record(), Rules(), NUMBERS)
     assert (answer.status, answer.effects) == (str(Status.NAMED), (RISING,))
     plain = decided(record(), Rules(plain=True), {})
     assert (plain.status, plain.effects) == (answer.status, answer.effects)
 
 
-def test_nothing_is_none_and_odd_noise_is_noise():
+def test_no_gap_gives_none_and_odd_noise_gives_noise():
     quiet = record(alone=-3.0, beside=-3.0)
     for rules in (Rules(), Rules(plain=True)):
         assert decided(quiet, rules, NUMBERS).status == str(Status.NONE)
@@ -93,12 +93,12 @@ def test_nothing_is_none_and_odd_noise_is_noise():
         ({"gain": (1.0, 3.0)}, "gain: no data left out"),
     ],
 )
-def test_a_rule_that_is_off_lets_the_name_pass(weak, off):
+def test_without_a_rule_the_name_passes(weak, off):
     assert decided(record(**weak), Rules(), NUMBERS).effects != (RISING,)
     assert decided(record(**weak), VARIANTS[off], NUMBERS).effects == (RISING,)
 
 
-def test_something_unlisted_takes_no_name_away():
+def test_the_unlisted_removes_no_name():
     strange = record(beside=12.0)
     answer = decided(strange, Rules(), NUMBERS)
     assert (answer.status, answer.effects) == (str(Status.INCOMPLETE), (RISING,))
@@ -109,7 +109,7 @@ def test_something_unlisted_takes_no_name_away():
     assert gains.keys() == {"smooth", "patterns"}
 
 
-def test_stages_are_undone():
+def test_each_stage_can_be_removed():
     pair = (OFFSET, RISING)
     on = weighed_of(record(), Rules()).log_weight
     doubt = weighed_of(record(), Rules(doubt=False)).log_weight
@@ -117,7 +117,7 @@ def test_stages_are_undone():
     assert doubt[(RISING,)] == on[(RISING,)]
 
 
-def test_runs_that_a_climb_predicts_best_are_asked():
+def test_runs_that_the_search_predicts_best_are_used():
     strange = record(beside=12.0)
     out = strange["out"] | {"across_runs": True, "climbed": (OFFSET,)}
     climbed = decided(strange | {"out": out}, Rules(each=False), NUMBERS)
@@ -126,7 +126,7 @@ def test_runs_that_a_climb_predicts_best_are_asked():
     assert off.effects == (RISING,)
 
 
-def test_every_row_of_the_table_switches_something():
+def test_every_row_of_the_table_changes_a_setting():
     assert len(set(VARIANTS.values())) == len(VARIANTS)
     assert VARIANTS["the product"] == Rules(Policy())
 
@@ -134,7 +134,7 @@ def test_every_row_of_the_table_switches_something():
 # --- table --------------------------------------------------------------------------
 
 
-def test_the_table_counts_what_is_named(tmp_path):
+def test_the_table_counts_named_effects(tmp_path):
     first = [record(f"a/t{k}", alone=20.0 - 25.0 * (k % 2)) for k in range(6)]
     for k in range(6):
         strange = label("unlisted", ()) | {"kind": f"k{k}"}
@@ -154,7 +154,7 @@ def test_the_table_counts_what_is_named(tmp_path):
 # --- calibration --------------------------------------------------------------------
 
 
-def test_what_is_said_by_halves_is_as_often_right():
+def test_probabilities_agree_with_the_share_of_right_answers_in_both_halves():
     generator = np.random.default_rng(5)
     told = generator.uniform(0.2, 0.99, 8000)
     right = generator.uniform(size=8000) < expit(-0.4 + 0.5 * logit(told))
@@ -166,7 +166,7 @@ def test_what_is_said_by_halves_is_as_often_right():
     assert said.as_said(lines, "named", 0.7) == pytest.approx(0.7)
 
 
-def test_measured_and_changed_files_teach_nothing_of_what_is_unlisted():
+def test_changed_measured_files_are_not_used_for_the_unlisted():
     some = [record(kind=kind) for kind in ("singles", "injected", "raw")]
     assert len(taught(some, Rules())) == 1
 

@@ -1,4 +1,4 @@
-"""What stands beside the thresholds: goals, reliability, strangers, forest, bound."""
+"""Checks of goals, reliability, unlisted effects, forest and bound."""
 
 import builtins
 from collections import Counter
@@ -58,7 +58,7 @@ def table(*trials_and_answers):
 # --- goals ------------------------------------------------------------------
 
 
-def test_goals_are_of_the_gap_over_the_noise():
+def test_goals_count_only_gaps_above_the_noise():
     found = table(
         (label("unlisted", gap_over_noise=0.9), said("unknown", "unknown")),
         (label("procedural", gap_over_noise=0.9), said("named", "slip_offset")),
@@ -76,7 +76,7 @@ def test_goals_are_of_the_gap_over_the_noise():
     assert found["pairs exact"].verdict == "not measured"
 
 
-def test_who_claims_nothing_is_no_evidence_of_closure():
+def test_an_answer_without_effects_does_not_count_for_closure():
     outcomes = {
         name: judge(name, label("null"), said("none"))._replace(claimed=claimed, closed=closed)
         for name, claimed, closed in (("a", 0.0, 0.0), ("b", 0.8, 0.7), ("c", None, None))
@@ -85,7 +85,7 @@ def test_who_claims_nothing_is_no_evidence_of_closure():
     assert found["closure, claimed against true, median"].found == "0.100 (1)"
 
 
-def test_beside_a_stranger_only_what_is_there_may_be_named():
+def test_with_an_unlisted_effect_only_present_effects_may_be_named():
     truth = label("beside", "slip_offset")
     for answer, right in (
         (said("incomplete", "slip_offset"), True),
@@ -98,7 +98,7 @@ def test_beside_a_stranger_only_what_is_there_may_be_named():
         assert not outcome.exact
 
 
-def test_a_name_beside_a_stranger_counts_whatever_else_is_said():
+def test_a_name_with_an_unlisted_effect_counts_for_any_status():
     truth = label("beside", "slip_offset")
     answers = (
         said("incomplete", "slip_offset"),
@@ -116,7 +116,7 @@ def test_a_name_beside_a_stranger_counts_whatever_else_is_said():
     assert (line.found, line.verdict) == ("0.250 (4)", "FAIL")
 
 
-def test_what_is_left_holds_the_probability_of_something_unlisted():
+def test_the_remainder_has_the_probability_of_something_unlisted():
     answer = said("incomplete", "slip_offset")
     assert judge("t", label("unlisted"), answer).unlisted is None
     answer["verdict"]["left"] = {"unlisted": 0.9}
@@ -126,7 +126,7 @@ def test_what_is_left_holds_the_probability_of_something_unlisted():
 # --- reliability ------------------------------------------------------------
 
 
-def test_reliability_by_hand():
+def test_reliability_agrees_with_hand_calculation():
     right = judge("t", label("null"), said("none", p=0.95))
     wrong = judge("t", label("null"), said("named", "conicity", p=0.95))
     rare = judge("t", label("null"), said("named", "conicity", p=0.25))
@@ -139,7 +139,7 @@ def test_reliability_by_hand():
     assert (high.low, high.high) == pytest.approx((0.493, 0.963), abs=1e-3)
 
 
-def test_the_diagram_is_drawn(tmp_path):
+def test_the_reliability_diagram_is_drawn(tmp_path):
     right = judge("t", label("null"), said("none", p=0.95))
     draw_reliability({"tirefit": reliability([right] * 9)}, tmp_path / "r.png")
     assert np.ptp(imread(tmp_path / "r.png")) > 0.5
@@ -148,7 +148,7 @@ def test_the_diagram_is_drawn(tmp_path):
 # --- mixture and strangers --------------------------------------------------
 
 
-def test_shares_of_the_sets():
+def test_shares_of_the_sets_are_right():
     count, all_sets = Counter(trials.MIXTURE), len(trials.MIXTURE)
     strangers = sum(count[s] for s in trials.HIDDEN)
     assert count["simulators"] / all_sets == pytest.approx(0.25, abs=0.01)
@@ -156,7 +156,7 @@ def test_shares_of_the_sets():
     assert set(count) == set(trials.SETS)
 
 
-def test_at_least_ten_kinds_of_strangers():
+def test_there_are_at_least_ten_unlisted_effects():
     assert len(UNLISTED) >= 10
     assert set(SEALED) < set(UNLISTED)
     for kind in UNLISTED:
@@ -164,7 +164,7 @@ def test_at_least_ten_kinds_of_strangers():
 
 
 @pytest.mark.parametrize("kind", [*UNLISTED, *FOREIGN])
-def test_every_stranger_shows(kind):
+def test_every_unlisted_effect_is_detectable(kind):
     design = next(d for d in (DESIGNS["G"], DESIGNS["H"]) if suits(kind, d))
     g = np.random.default_rng(4)
     world = make_world(design, 450, C, MU, g)
@@ -179,7 +179,7 @@ def test_every_stranger_shows(kind):
     assert 0.002 < np.sqrt(np.mean((off / (MU * world.fz)) ** 2)) < 0.25
 
 
-def test_development_draws_no_sealed_stranger():
+def test_development_trials_have_no_sealed_effect():
     made = trials.draw(521, 60, ["unlisted"], None, ["rig"], [200], False)
     kinds = {trial.label["kind"] for trial in made}
     assert not kinds & set(SEALED)
@@ -188,7 +188,7 @@ def test_development_draws_no_sealed_stranger():
         assert suits(trial.label["kind"], DESIGNS[trial.label["design"]])
 
 
-def test_an_amplifier_cuts_and_play_takes_up_slip():
+def test_an_amplifier_limits_and_play_absorbs_slip():
     world = make_world(DESIGNS["G"], 450, C, MU, np.random.default_rng(4))
     plain = patch.forces(world)["fx"]
     UNLISTED["amplifier_limit"](world, 0.05, None)
@@ -211,8 +211,8 @@ def test_hysteresis_after_a_turn_fades():
     assert off[turn + 20] < 0.5 * off[turn + 1]
 
 
-def test_the_gap_over_the_noise_is_that_of_a_known_offset():
-    """A force zero is no part of a brush that sees one sign: its rms over the noise."""
+def test_the_gap_over_the_noise_is_right_for_a_known_offset():
+    """A brush with one sign cannot absorb a force offset: its RMS over the noise."""
     made = trials.draw(522, 12, ["singles"], ["F"], ["rig"], [900], False)
     for trial in made:
         mark = trial.label
@@ -225,7 +225,7 @@ def test_the_gap_over_the_noise_is_that_of_a_known_offset():
 
 
 def inputs(world, slip_std):
-    """What an observer of a world knows, its force with noise of 1 % of the load."""
+    """The knowledge of an observer of a world, with force noise of 1 % of the load."""
     return library.Inputs(
         world.time,
         world.run,
@@ -239,7 +239,7 @@ def inputs(world, slip_std):
 
 @pytest.fixture(scope="module")
 def plain():
-    """Inputs and forces of a plain brush in sweeps, and the same beside a ripple."""
+    """Inputs and forces of a plain brush in sweeps, and the same with a ripple."""
     g = np.random.default_rng(8)
     world = make_world(DESIGNS["G"], 450, C, MU, g)
     x = inputs(world, 0.001)
@@ -248,7 +248,7 @@ def plain():
     return x, base + noise, 0.05 * MU * world.fz * np.sin(40 * world.slip)
 
 
-def test_lack_of_fit_sees_a_wave_and_is_fair_to_noise():
+def test_lack_of_fit_detects_a_wave_and_accepts_noise():
     g = np.random.default_rng(9)
     noise = g.normal(size=(400, 200))
     for test in (lack_of_fit.runs, lack_of_fit.local_means):
@@ -269,7 +269,7 @@ def test_bic_with_a_check_says_unknown_of_a_ripple(plain):
     assert unknown["candidates"] == named["candidates"]
 
 
-def test_features_have_one_length_and_answer_to_the_gap(plain):
+def test_features_have_one_length_and_respond_to_the_gap(plain):
     x, observed, ripple = plain
     found = forest.features(x, observed)
     made = trials.draw(523, 8, forest.SETS, None, ["rig"], [200], False)
@@ -281,7 +281,7 @@ def test_features_have_one_length_and_answer_to_the_gap(plain):
     assert np.abs(forest.features(x, observed + ripple) - found).max() > 5
 
 
-def test_the_forest_learns_and_leaves_out(plain):
+def test_the_forest_learns_and_can_abstain(plain):
     pytest.importorskip("sklearn")
     x, observed, ripple = plain
     g = np.random.default_rng(10)
@@ -307,7 +307,7 @@ def test_the_forest_learns_and_leaves_out(plain):
     assert without["verdict"]["effects"] != ["drive_brake_asymmetry"]
 
 
-def test_no_forest_without_its_package(monkeypatch, capsys, tmp_path):
+def test_without_its_package_the_forest_is_skipped(monkeypatch, capsys, tmp_path):
     there = builtins.__import__
 
     def missing(name, *rest, **more):
@@ -322,7 +322,7 @@ def test_no_forest_without_its_package(monkeypatch, capsys, tmp_path):
     assert "no features" in capsys.readouterr().out
 
 
-def test_classes():
+def test_labels_are_mapped_to_classes():
     assert forest.class_of(label("null")) == "none"
     assert forest.class_of(label("foreign")) == "unknown"
     assert forest.class_of(label("singles", "conicity")) == "conicity"
@@ -337,9 +337,9 @@ def believed(x, observed, *truth):
     return max(found, key=found.get)
 
 
-def test_the_observer_knows_how_many_effects_there_are_and_in_which_form():
-    """Load friction by a square of the logarithm, no form of the textbook, alone and
-    beside a force zero, in noise; and nothing."""
+def test_the_ideal_observer_knows_number_and_form_of_the_effects():
+    """Load friction by a square of the logarithm, not a textbook form, alone and with a
+    force offset, in noise; and no effect."""
     g = np.random.default_rng(11)
     world = make_world(DESIGNS["F"], 200, C, MU, g)
     kept = ("load_friction", "force_offset", "slip_offset")
@@ -357,9 +357,9 @@ def test_the_observer_knows_how_many_effects_there_are_and_in_which_form():
     assert named() == ()
 
 
-def test_what_is_as_likely_by_evidence_is_as_likely_as_it_is_drawn():
-    """Nothing is drawn as often as all single effects in the ratio of 134 to 200, and
-    these are 3 here, of 3 families."""
+def test_equal_evidence_gives_the_drawn_frequencies():
+    """No effect and single effects are drawn in the ratio 134 to 200; here 3 effects of
+    3 families."""
     world = make_world(DESIGNS["F"], 50, C, MU, np.random.default_rng(1))
     kept = ("load_friction", "force_offset", "pressure_flatness")
     x = inputs(world, 0.001).without([e for e in trials.EFFECTS if e not in kept])
@@ -370,7 +370,7 @@ def test_what_is_as_likely_by_evidence_is_as_likely_as_it_is_drawn():
 
 
 def test_evidence_counts_the_amplitude_once():
-    """Of pure noise a hypothesis gains at most half a square and pays its range."""
+    """Pure noise gains a hypothesis half a square at most and costs its range."""
     g = np.random.default_rng(12)
     world = make_world(DESIGNS["F"], 200, C, MU, g)
     x = inputs(world, 0.0).without([e for e in trials.EFFECTS if e != "force_offset"])
@@ -380,7 +380,7 @@ def test_evidence_counts_the_amplitude_once():
     assert found["force_offset",] < found[()] - 30
 
 
-def test_who_is_told_a_pair_finds_both_only_where_both_show():
+def test_a_known_pair_is_found_only_if_both_effects_show():
     g = np.random.default_rng(13)
     world = make_world(DESIGNS["F"], 200, C, MU, g)
     x = inputs(world, 0.0)
@@ -404,9 +404,9 @@ def test_who_is_told_a_pair_finds_both_only_where_both_show():
     assert expected < 6 * np.mean((0.01 * world.fz) ** 2)
 
 
-def test_who_is_told_the_effect_knows_what_an_answer_closes(tmp_path):
-    """Rows whose base misses a tenth of the true force and whose extended form 3 % of
-    it close 0.7 of the gap; 0.5 was claimed."""
+def test_the_known_effect_gives_the_closure_of_an_answer(tmp_path):
+    """A base with an error of a tenth of the true force and an extended form with 3 %
+    close 0.7 of the gap; 0.5 was claimed."""
     g = np.random.default_rng(14)
     world = make_world(DESIGNS["F"], 200, C, MU, g)
     x, about = inputs(world, 0.001), trials.EFFECTS["force_offset"]
@@ -434,7 +434,7 @@ def test_who_is_told_the_effect_knows_what_an_answer_closes(tmp_path):
     assert bound.bound_rows(tmp_path, tmp_path, labels, {"a": outcome}, 0) == []
 
 
-def test_of_strangers_only_what_no_listed_effect_imitates_can_be_flagged():
+def test_only_unlisted_effects_that_cannot_be_imitated_can_be_flagged():
     labels = {
         "a": label("unlisted", mimic_free=12.0),
         "b": label("procedural", mimic_free=0.4),
@@ -461,8 +461,8 @@ def test_of_strangers_only_what_no_listed_effect_imitates_can_be_flagged():
     ]
 
 
-def test_a_change_of_measured_data_is_as_large_as_it_moves_what_the_brush_leaves():
-    """Linear in a force; next to nothing where a friction near the fit's does it."""
+def test_changes_of_measured_data_are_sized_by_the_change_of_residuals():
+    """Linear in a force; almost zero if a friction near the fitted one explains it."""
     data = injected.half(1)
 
     def size(force):
@@ -480,8 +480,8 @@ def test_a_change_of_measured_data_is_as_large_as_it_moves_what_the_brush_leaves
     assert size(more - usual) / whole < 0.1 * size(late) / np.linalg.norm(late)
 
 
-def test_what_was_injected_and_named_is_counted_by_kind(tmp_path):
-    """A delay of 0.1 s in a driven log shows, one of no time does not."""
+def test_injected_and_named_effects_are_counted_by_kind(tmp_path):
+    """A delay of 0.1 s in a driven log shows, one of zero does not."""
     data = injected.half(1)
     labels = {}
     for name, delay in (("late", 0.1), ("same", 0.0)):

@@ -17,7 +17,7 @@ if __name__ == "__main__":
 """
 
 
-def test_a_pool_ends_with_the_process_that_began_it(tmp_path):
+def test_a_pool_ends_with_its_parent_process(tmp_path):
     script = tmp_path / "pool.py"
     script.write_text(POOL)
     parent = subprocess.Popen(

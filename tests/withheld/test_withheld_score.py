@@ -1,4 +1,4 @@
-"""Judge, scorer and baselines of fits/withheld on answers of known worth."""
+"""Judge, scorer and baselines of fits/withheld on answers of known quality."""
 
 import json
 import signal
@@ -40,7 +40,7 @@ def judged(truth, found):
     return judge("t", truth, found)
 
 
-def test_exact_family_and_neither():
+def test_exact_family_and_wrong_answers_are_distinguished():
     truth = label("friction_speed_linear")
     exact = judged(truth, answer("named", ["friction_speed_linear"], 0.95))
     kin = judged(truth, answer("named", ["friction_speed_exponential"], 0.95))
@@ -75,13 +75,13 @@ def test_half_a_pair_is_wrong():
         (answer("incomplete", ["slip_offset"], 0.7), True),
     ],
 )
-def test_false_alarms(found, flagged):
+def test_false_alarms_are_counted(found, flagged):
     outcome = judged(label(), found)
     assert outcome.flagged == flagged
     assert outcome.right == (not flagged)
 
 
-def test_unlisted_is_unknown_or_incomplete():
+def test_for_the_unlisted_unknown_or_incomplete_is_right():
     truth = label(set="unlisted")
     assert judged(truth, answer("unknown", ["unknown"], 0.8)).right
     assert judged(truth, answer("incomplete", ["slip_offset"], 0.95)).right
@@ -91,19 +91,19 @@ def test_unlisted_is_unknown_or_incomplete():
     assert not judged(truth, answer("cannot_tell", ["slip_offset"], 0.95)).sure_wrong
 
 
-def test_saying_that_it_cannot_tell():
+def test_cannot_tell_is_scored():
     truth = label("force_offset")
     both = answer("cannot_tell", ["slip_offset"], 0.5, also=["force_offset"])
     assert judged(truth, both).exact_or_alias
     assert not judged(truth, both).exact
     other = answer("cannot_tell", ["slip_offset"], 0.5, also=["load_friction"])
     assert not judged(truth, other).exact_or_alias
-    # Alternatives beside a definite answer do not count.
+    # Alternatives to a definite answer do not count.
     sure = answer("named", ["slip_offset"], 0.5, also=["force_offset"])
     assert not judged(truth, sure).exact_or_alias
 
 
-def test_candidates_rank_and_cover():
+def test_rank_and_coverage_of_candidates_are_scored():
     truth = label("slip_offset")
     ranked = [
         (["load_friction"], 0.6),
@@ -117,7 +117,7 @@ def test_candidates_rank_and_cover():
     assert (o.top3, o.covered, o.set_size) == (True, True, 2)
 
 
-def test_probability_of_the_family_is_the_sum():
+def test_the_probability_of_a_family_is_the_sum():
     ranked = [(["friction_speed_linear"], 0.5), (["friction_speed_exponential"], 0.3)]
     found = answer("named", ["friction_speed_linear"], 0.5, candidates=ranked)
     o = judged(label("friction_speed_exponential"), found)
@@ -125,7 +125,7 @@ def test_probability_of_the_family_is_the_sum():
     assert o.probability == 0.5
 
 
-def test_calibration_by_hand():
+def test_calibration_agrees_with_hand_calculation():
     sure = answer("named", ["slip_offset"], 0.95)
     outcomes = [judged(label("slip_offset"), sure)] * 3
     outcomes += [judged(label("conicity"), sure)]
@@ -135,7 +135,7 @@ def test_calibration_by_hand():
     assert thresholds.brier([]) is None
 
 
-def test_true_closure_by_hand():
+def test_true_closure_agrees_with_hand_calculation():
     truth = {"fx": np.array([10.0, 10.0, 10.0, 99.0])}
     rows = {
         "base_fx": np.array([6.0, 14.0, 6.0, 0.0]),
@@ -145,7 +145,7 @@ def test_true_closure_by_hand():
     assert true_closure(rows, truth, "fx") == pytest.approx(0.75)
 
 
-def test_injected_counts_where_the_raw_rows_are_not_said_to_have_it():
+def test_an_injected_effect_counts_only_if_not_found_in_the_raw_rows():
     def half(which, *effects):
         return label(*effects, set="injected" if effects else "raw", half=which)
 
@@ -201,7 +201,7 @@ def perfect(trial, probability=1.0):
     return answer("named" if effects else "none", effects, probability, gap=gap)
 
 
-def test_score_of_perfect_answers(few, tmp_path, capsys):
+def test_perfect_answers_have_a_perfect_score(few, tmp_path, capsys):
     written(tmp_path, [(trial, perfect(trial)) for trial in few])
     score.main([str(tmp_path)])
     document = json.loads((tmp_path / "score.json").read_text())
@@ -218,7 +218,7 @@ def test_score_of_perfect_answers(few, tmp_path, capsys):
     assert checks["pairs in the top 5"] == "not measured"
 
 
-def test_score_of_wrong_answers(few, tmp_path):
+def test_wrong_answers_have_score_zero(few, tmp_path):
     def wrong(trial):
         other = "camber_thrust"
         return answer("named", [other], 0.99)
@@ -250,14 +250,14 @@ def test_missing_answers_are_listed(few, tmp_path):
         ('{"verdict": ', "t0002.json: no answer"),
     ],
 )
-def test_an_answer_that_is_none_is_refused(few, tmp_path, text, reason):
+def test_an_invalid_answer_is_refused(few, tmp_path, text, reason):
     written(tmp_path, [(trial, perfect(trial)) for trial in few])
     next(tmp_path.glob("answers/*/t0002.json")).write_text(text)
     with pytest.raises(SystemExit, match=reason):
         score.main([str(tmp_path)])
 
 
-def test_a_folder_without_trials_is_said(tmp_path):
+def test_a_folder_without_trials_is_refused(tmp_path):
     with pytest.raises(SystemExit, match="no labels"):
         score.main([str(tmp_path)])
     for jobs in ("0", "1"):
@@ -273,7 +273,7 @@ def test_a_broken_seal_is_refused(few, tmp_path):
         score.main([str(tmp_path)])
 
 
-def test_command_of_a_group(tmp_path):
+def test_a_group_runs_with_its_command(tmp_path):
     group = tmp_path / "trials" / "rig00"
     group.mkdir(parents=True)
     for name in ("t0001.csv", "t0000.csv"):
@@ -303,7 +303,7 @@ def as_inputs(world):
 
 @pytest.fixture(scope="module")
 def strong():
-    """Friction that differs between drive and brake, and what a file says of it."""
+    """Friction that differs between drive and brake, and the message about it."""
     world = make_world(DESIGNS["F"], 300, 5e4, 0.9, np.random.default_rng(5))
     x = as_inputs(world)
     truth = library.predict(x, "drive_brake_asymmetry", 0.15, 5e4, 0.9)
@@ -322,7 +322,7 @@ def test_baselines_name_a_strong_effect(strong, method):
     assert "drive_brake_asymmetry" not in listed
 
 
-def test_bic_mostly_names_nothing_where_nothing_is():
+def test_bic_mostly_names_nothing_without_an_effect():
     # It does not count how many effects it tried: some alarms are its nature.
     alarms = 0
     for seed in range(5):
@@ -335,7 +335,7 @@ def test_bic_mostly_names_nothing_where_nothing_is():
     assert alarms <= 2
 
 
-def test_ridge_closes_where_it_was_fitted(strong):
+def test_ridge_closes_the_fitted_rows(strong):
     x, truth, observed = strong
     found = baselines.ridge(x, observed)
     inside = ~found["held"]
@@ -346,11 +346,11 @@ def test_ridge_closes_where_it_was_fitted(strong):
 
 
 def gathered_in(folder):
-    """What the scorer reads of the baselines, as bytes."""
+    """The scorer's reading of the baselines, as bytes."""
     return {path.name: path.read_bytes() for path in folder.glob("baseline_*")}
 
 
-def test_baselines_are_the_same_from_any_jobs_and_after_a_stop(few, tmp_path):
+def test_baselines_do_not_depend_on_jobs_or_interruptions(few, tmp_path):
     written(tmp_path, [(trial, perfect(trial)) for trial in few[::2]], rows=False)
     baselines.main([str(tmp_path), "--jobs", "2"])
     whole = gathered_in(tmp_path)
@@ -368,7 +368,7 @@ def test_baselines_are_the_same_from_any_jobs_and_after_a_stop(few, tmp_path):
     assert all(path.stat().st_mtime_ns > given[path] for path in others)
 
 
-def test_baselines_answer_only_what_is_missing(tmp_path, monkeypatch):
+def test_baselines_compute_only_missing_answers(tmp_path, monkeypatch):
     group, names, asked = tmp_path / "rig00", [f"t000{k}" for k in range(5)], []
     group.mkdir()
     for name in ("rig.toml", *(f"{name}.csv" for name in names)):
@@ -388,12 +388,12 @@ def test_baselines_answer_only_what_is_missing(tmp_path, monkeypatch):
     found, forces = baselines.kept(tmp_path / "out" / f"{names[2]}.npz")
     assert found == {"bic": {"verdict": names[2]}}
     assert forces["base"].tolist() == [1, 1]
-    # A method that was not asked for before is missing everywhere.
+    # A method that was not requested before is missing everywhere.
     baselines.run_group(group, [], {"bic", "forest"}, tmp_path / "out")
     assert asked[-len(names) :] == names
 
 
-def test_baselines_read_what_was_written(few, tmp_path):
+def test_baselines_read_the_written_answers(few, tmp_path):
     written(tmp_path, [(trial, perfect(trial)) for trial in few])
     baselines.main([str(tmp_path)])
     score.main([str(tmp_path)])

@@ -1,4 +1,4 @@
-"""Simulators with wrong parameters beside a measurement: files, truth and score."""
+"""Simulators with wrong parameters for a measurement: files, truth and score."""
 
 import json
 
@@ -20,7 +20,7 @@ def beside():
     return drawn(511, 16)
 
 
-def test_parameters_are_off_by_a_twentieth_to_a_quarter(beside):
+def test_parameter_errors_are_between_5_and_25_percent(beside):
     off = np.array(
         [
             about["simulated"] / about["true"] - 1
@@ -46,7 +46,7 @@ def test_a_lateral_simulator_gives_the_moment_too():
     assert {"fy_sim", "mz_sim"} <= trial.columns.keys()
 
 
-def test_the_budget_adds_up_to_the_measured_distance(beside):
+def test_the_budget_sums_to_the_measured_distance(beside):
     for trial in beside:
         shares = trial.label["budget"]
         assert sum(shares.values()) == pytest.approx(1, abs=1e-4)
@@ -57,7 +57,7 @@ def test_the_budget_adds_up_to_the_measured_distance(beside):
         assert shares["noise"] == pytest.approx(noise / distance, rel=0.35)
 
 
-def test_parameters_alone_are_all_where_nothing_else_is(beside):
+def test_without_effects_the_parameters_have_the_whole_budget(beside):
     alone = [t for t in beside if t.label["of"] == "null"]
     assert alone
     for trial in alone:
@@ -67,7 +67,7 @@ def test_parameters_alone_are_all_where_nothing_else_is(beside):
         assert shares["parameters"] == pytest.approx(1 - shares["noise"], abs=1e-3)
 
 
-def test_a_stranger_has_no_name_in_the_budget(beside):
+def test_an_unlisted_effect_has_no_name_in_the_budget(beside):
     strange = [t for t in beside if t.label["of"] == "procedural"]
     assert strange
     for trial in strange:
@@ -78,12 +78,12 @@ def test_a_stranger_has_no_name_in_the_budget(beside):
         noise = np.mean((trial.columns["fx"] - trial.truth["fx"]) ** 2)
         wanted = rest / noise
         found = label["budget"]["unexplained"] / label["budget"]["noise"]
-        # gap_rms is of the same fit at the slip without its noise.
+        # gap_rms belongs to the same fit at the slip without noise.
         assert found == pytest.approx(wanted, rel=0.3)
 
 
-def test_shares_are_those_of_shapley_where_both_are_known():
-    """A force zero: what closes is known in closed form of both orders."""
+def test_shares_agree_with_shapley_values():
+    """A force offset: the closure has a closed form for both orders."""
     draw = trials.Draw(np.random.default_rng(3), ["F"], ["rig"], [400], False)
     world = draw.tire()
     size = 0.05
@@ -138,7 +138,7 @@ def answered(trial, status="named", off=0.0, wrong=0.0, std=1.0):
     }
 
 
-def test_intervals_and_shares_by_hand(beside):
+def test_intervals_and_shares_agree_with_hand_calculation(beside):
     trial = next(t for t in beside if t.label["of"] == "null")
     inside = judge("t", trial.label, answered(trial, "none", 1.64, 0.03))
     outside = judge("t", trial.label, answered(trial, "none", -1.65))
@@ -147,7 +147,7 @@ def test_intervals_and_shares_by_hand(beside):
     assert inside.right and not inside.flagged  # parameters are no effect
 
 
-def test_a_share_that_stands_at_another_effect_is_nobodys(beside):
+def test_a_share_of_another_effect_is_not_credited(beside):
     trial = next(t for t in beside if t.label["of"] == "singles")
     said = answered(trial)
     right = judge("t", trial.label, said)
@@ -157,7 +157,7 @@ def test_a_share_that_stands_at_another_effect_is_nobodys(beside):
     assert wrong.shares_off[-1] == pytest.approx(trial.label["budget"]["effects"])
 
 
-def test_what_an_effect_scales_is_not_scored():
+def test_parameters_scaled_by_an_effect_are_not_scored():
     made = drawn(513, 30)
     for trial in made:
         if trial.label["of"] != "singles":
@@ -172,7 +172,7 @@ def test_what_an_effect_scales_is_not_scored():
             assert said["mu"]["scored"] and said["cpa2"]["scored"]
 
 
-def test_goals_of_simulators(beside):
+def test_goals_of_simulators_are_checked(beside):
     labels = {str(k): t.label for k, t in enumerate(beside)}
 
     def found(**given):
@@ -195,7 +195,7 @@ def _right_status(trial):
     return {"singles": "named", "null": "none", "procedural": "unknown"}[kind_of(trial.label)]
 
 
-def test_files_of_simulators_are_told_apart(beside, tmp_path):
+def test_files_with_a_simulator_are_recognised(beside, tmp_path):
     plain = trials.draw(514, 4, ["null"], ["F"], ["rig"], [200], False)
     generate.write_all([*beside[:3], *plain], tmp_path)
     told = run.simulated(tmp_path)
@@ -209,7 +209,7 @@ def test_files_of_simulators_are_told_apart(beside, tmp_path):
         assert told[group] == (label["set"] == "simulators")
 
 
-def test_run_asks_for_the_simulator_only_there(tmp_path):
+def test_run_uses_the_simulator_only_for_its_files(tmp_path):
     for group in ("rig00", "rig01"):
         (tmp_path / "trials" / group).mkdir(parents=True)
     (tmp_path / "simulators.json").write_text('{"rig00": true, "rig01": false}')

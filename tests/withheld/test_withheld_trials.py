@@ -1,4 +1,4 @@
-"""The generator of fits/withheld against closed forms, quadrature and analysis."""
+"""The generator of fits/withheld agrees with closed forms, quadrature and analysis."""
 
 import ast
 import json
@@ -71,7 +71,7 @@ SLIPS = np.array([0.002, 0.02, 0.05, 0.08, 0.1, 0.15, 0.3])
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("load", [2000.0, 6000.0])
-def test_patch_is_the_closed_form(effect, form, amplitude, closed, load):
+def test_the_patch_agrees_with_the_closed_form(effect, form, amplitude, closed, load):
     world = steady(SLIPS, load)
     found = changed(world, effect, form, amplitude)["fx"]
     assert found == pytest.approx(closed(SLIPS, load, 15.0), abs=1e-3 * MU * load)
@@ -137,7 +137,7 @@ def by_quadrature(density, slip, mu_s, mu_k, load=4000.0):
         ("pressure_asymmetry", "skewed", 0.4, lambda x: 0.75 * (1 - x**2) * (1 + 0.4 * x)),
     ],
 )
-def test_patch_is_the_integral(effect, form, amplitude, density):
+def test_the_patch_agrees_with_the_integral(effect, form, amplitude, density):
     slips = np.array([0.03, 0.06, 0.1])
     world = steady(slips, force="fy", moment=True)
     found = changed(world, effect, form, amplitude)
@@ -148,7 +148,7 @@ def test_patch_is_the_integral(effect, form, amplitude, density):
         assert found["mz"][k] == pytest.approx(wanted[1], abs=0.4)
 
 
-def test_plain_brush_is_the_plain_patch():
+def test_the_plain_brush_agrees_with_the_patch():
     slip = np.array([-0.2, -0.03, 0.0, 0.01, 0.05, 0.2])
     world = steady(slip, force="fy", moment=True)
     found, closed = patch.forces(world), patch.plain_brush(slip, world.fz, C, MU)
@@ -166,7 +166,7 @@ def test_weakening_lies_between_the_two_frictions():
     assert np.all(slow < static)
 
 
-def test_carcass_takes_its_share_of_the_slip():
+def test_the_carcass_absorbs_its_share_of_the_slip():
     # While all bristles stick, F = 2 c (slip - chi F) in both forms.
     chi = 0.01 / (MU * 4000)
     for form in ("carcass_slip", "carcass_bow"):
@@ -184,7 +184,7 @@ def test_lag_solves_its_equation():
     assert found == pytest.approx(wanted, abs=1e-8)
 
 
-def test_lag_of_slip_and_of_force_agree_while_the_tire_is_linear():
+def test_lag_of_slip_and_force_agree_for_a_linear_tire():
     forms = EFFECTS["relaxation_length"].forms
     first, second = sweep(), sweep()
     for world, form in ((first, "slip_lag"), (second, "force_lag")):
@@ -203,7 +203,7 @@ def test_delay_shifts_within_runs():
     assert found[0] == plain[0]
 
 
-def test_the_moment_is_as_late_as_the_force():
+def test_moment_and_force_have_the_same_delay():
     worlds = [sweep(), sweep()]
     for world in worlds:
         world.force, world.moment = "fy", True
@@ -212,7 +212,7 @@ def test_the_moment_is_as_late_as_the_force():
     assert found[20:] == pytest.approx(plain[:-20], abs=0.1)
 
 
-def test_inertia_is_the_torque_that_spins_the_wheel():
+def test_the_inertia_effect_is_the_torque_of_wheel_acceleration():
     # v_wheel = v/(1+s), s = k t: dv_wheel/dt = -v k/(1+s)^2.
     world = sweep()
     plain = patch.forces(sweep())["fx"]
@@ -232,7 +232,7 @@ def test_combined_slip_is_isotropic():
 
 
 @pytest.mark.parametrize("form", EFFECTS["combined_slip"].forms)
-def test_the_slip_across_that_acts_is_the_one_in_the_file(form):
+def test_the_other_slip_acts_as_in_the_file(form):
     world = steady([0.02, 0.04])
     world.cross = np.array([0.05, 0.03])
     changed(world, "combined_slip", form, 0.1)
@@ -240,7 +240,7 @@ def test_the_slip_across_that_acts_is_the_one_in_the_file(form):
     np.testing.assert_allclose(np.tan(alpha) * [1.02, 1.04], [0.1, 0.06])
 
 
-def test_lugre_is_the_sum_of_its_bristles():
+def test_lugre_agrees_with_the_sum_of_its_bristles():
     # z(x) = (g/sigma0)(1 - exp(-sigma0 slip x/g)) along the patch, S(17) at rest.
     world = steady([0.01, 0.05, 0.2])
     strange.lugre(world, 0, np.random.default_rng(3))
@@ -255,7 +255,7 @@ def test_lugre_is_the_sum_of_its_bristles():
         assert force == pytest.approx(4000 * stress[0] / length, rel=1e-6)
 
 
-def test_no_stranger_is_another_road_for_a_while():
+def test_no_unlisted_effect_is_a_temporary_road_change():
     g = np.random.default_rng(0)
     said = {procedural(sweep(), 0.01, g).split(", ")[0] for _ in range(1500)}
     shapes = {"friction by kinked", "friction by periodic"}
@@ -267,20 +267,20 @@ def test_no_stranger_is_another_road_for_a_while():
     assert "friction by local of slip" in said
 
 
-def test_a_load_cell_with_a_zero_is_a_brush_under_another_load():
+def test_a_load_cell_offset_acts_as_another_load():
     found = changed(steady(SLIPS, 3000.0), "load_offset", "load_zero", 0.06)["fx"]
     right = formulas.brush(SLIPS, 3240.0, 15.0, C, MU)
     assert found == pytest.approx(right, abs=3)
 
 
-def test_the_force_across_leaves_what_an_ellipse_leaves():
+def test_the_lateral_force_reduces_friction_by_an_ellipse():
     world = steady(SLIPS, across=np.full(len(SLIPS), 0.6 * MU * 4000))
     found = changed(world, "friction_ellipse", "friction_ellipse", 1.0)["fx"]
     assert found == pytest.approx(formulas.brush(SLIPS, 4000.0, 15.0, C, 0.8 * MU), abs=4)
 
 
-def test_a_speed_that_is_off_is_so_in_the_slip_of_the_wheel_speed():
-    """(v + a) / (omega R) - 1, by the speeds themselves."""
+def test_a_speed_error_changes_the_computed_slip():
+    """(v + a) / (omega R) - 1, from the speeds themselves."""
     world, zero = steady(SLIPS, v=8.0), 0.05
     EFFECTS["speed_zero"].forms["speed_is_off_of_wheel"](world, zero, NOTHING)
     rim = world.v / (1 + SLIPS)
@@ -288,7 +288,7 @@ def test_a_speed_that_is_off_is_so_in_the_slip_of_the_wheel_speed():
     assert logged == pytest.approx((world.v + zero) / rim - 1, rel=1e-12)
 
 
-def test_the_work_of_sliding_is_that_of_the_closed_form():
+def test_the_work_of_sliding_agrees_with_the_closed_form():
     """A ramp of the slip at full sliding: power, and so work, in closed form."""
     world = sweep()
     world.slip = world.slip + 0.2  # beyond full sliding, at 0.108
@@ -336,7 +336,7 @@ def draws(seed, count=30, sets=("singles", "null", "unlisted"), sealed=False, **
     )
 
 
-def test_a_seed_gives_the_same_trials():
+def test_the_same_seed_gives_the_same_trials():
     first, second, other = draws(3, 9), draws(3, 9), draws(4, 9)
     assert [t.label for t in first] == [t.label for t in second]
     for a, b in zip(first, second, strict=True):
@@ -344,7 +344,7 @@ def test_a_seed_gives_the_same_trials():
     assert [t.label for t in first] != [t.label for t in other]
 
 
-def test_development_never_sees_what_is_sealed():
+def test_development_excludes_sealed_effects():
     def unseen(trial):
         label = trial.label
         if DESIGNS[label["design"]].sealed:
@@ -372,7 +372,7 @@ def plain_trials():
     return [trial for trial in every if trial.label["kind"] == "iid"]
 
 
-def test_noise_is_what_the_rig_says_it_is(plain_trials):
+def test_noise_has_the_level_stated_in_the_rig_file(plain_trials):
     noises = {"rig": [], "seed": []}
     for trial in plain_trials:
         wrong = (trial.columns["fx"] - trial.truth["fx"]) / trial.columns["fz"]
@@ -383,7 +383,7 @@ def test_noise_is_what_the_rig_says_it_is(plain_trials):
     assert np.std(noises["seed"]) == pytest.approx(0.2e-2**0.5, rel=0.15)
 
 
-def test_truth_is_at_the_slip_as_measured(plain_trials):
+def test_the_truth_is_given_at_the_measured_slip(plain_trials):
     for trial in plain_trials:
         x, c, mu = trial.columns, trial.label["c"], trial.label["mu"]
         wanted = patch.plain_brush(x["sigma_x"], x["fz"], c, mu)[0]
@@ -397,7 +397,7 @@ def inputs(world, **given):
     )
 
 
-def test_a_listed_effect_is_free_of_mimics_only_when_left_out():
+def test_an_effect_is_free_of_imitations_only_when_left_out():
     world = make_world(DESIGNS["F"], 300, C, MU, np.random.default_rng(2))
     x = inputs(world)
     truth = library.predict(x, "drive_brake_asymmetry", 0.1, C, MU)
@@ -408,7 +408,7 @@ def test_a_listed_effect_is_free_of_mimics_only_when_left_out():
 @pytest.mark.parametrize(
     ("effect", "amplitude"), [("slip_offset", 0.004), ("slip_definition", 1.0)]
 )
-def test_library_undoes_what_was_logged(effect, amplitude):
+def test_the_library_reverses_logged_effects(effect, amplitude):
     world = make_world(DESIGNS["F"], 100, C, MU, np.random.default_rng(2))
     truth = patch.forces(world)["fx"]
     next(iter(EFFECTS[effect].forms.values()))(world, amplitude, NOTHING)
@@ -417,7 +417,7 @@ def test_library_undoes_what_was_logged(effect, amplitude):
     assert found == pytest.approx(truth, abs=0.01)
 
 
-def test_files_hold_no_label(tmp_path):
+def test_files_contain_no_label(tmp_path):
     digest = generate.write_all(draws(7, 14, list(trials.SETS)), tmp_path)
     assert (tmp_path / "labels.sha256").read_text().startswith(digest)
     labels = json.loads((tmp_path / "labels.json").read_text())
@@ -440,7 +440,7 @@ def test_files_hold_no_label(tmp_path):
         assert (f"{name}_{label['force']}" in truth) == has_truth
 
 
-def test_left_out_families_are_told(tmp_path):
+def test_left_out_families_are_named(tmp_path):
     generate.write_all(draws(8, 6, ["leave_out", "singles"]), tmp_path)
     labels = json.loads((tmp_path / "labels.json").read_text())
     told = json.loads((tmp_path / "leave_out.json").read_text())
@@ -452,7 +452,7 @@ def test_left_out_families_are_told(tmp_path):
             assert without == []
 
 
-def test_other_trials_do_not_go_beside_answers(tmp_path):
+def test_other_trials_are_refused_in_a_folder_with_answers(tmp_path):
     trial = draws(8, 1, ["singles"])
     generate.write_all(trial, tmp_path)
     (tmp_path / "answers").mkdir()
@@ -475,7 +475,7 @@ def test_other_trials_do_not_go_beside_answers(tmp_path):
     ],
     ids=lambda words: words[0],
 )
-def test_what_cannot_be_drawn_is_said(tmp_path, wrong, capsys):
+def test_impossible_draws_are_reported(tmp_path, wrong, capsys):
     words = ["--seed", "5", "--trials", "1", "--out", str(tmp_path)]
     with pytest.raises(SystemExit):
         generate.main([*words, *wrong])
@@ -483,7 +483,7 @@ def test_what_cannot_be_drawn_is_said(tmp_path, wrong, capsys):
     assert not list(tmp_path.iterdir())
 
 
-def test_seeds_are_apart(tmp_path):
+def test_seeds_are_distinct(tmp_path):
     common = ["--trials", "1", "--out", str(tmp_path), "--set", "null"]
     with pytest.raises(SystemExit):
         generate.main(["--seed", "5", "--sealed", *common])
@@ -492,7 +492,7 @@ def test_seeds_are_apart(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_injected_changes_are_what_they_say():
+def test_injected_changes_have_the_stated_size():
     rows = injected.half(0)
     run = rows["run"] == rows["run"][0]
     time = rows["time"][run]

@@ -76,7 +76,7 @@ def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
 def _check_replaced(
     out: Path, names: list[str], figures: bool, inputs: list[Path], sharing: Sharing
 ) -> None:
-    """Raises UsageError if results would replace an input or a file that is no result."""
+    """Raises UsageError if results would replace an input or a file that is not a result."""
     from tirefit.diagnosis.summary.result import SCHEMA
 
     parts = [part for name in names for part in _written(name, figures)]

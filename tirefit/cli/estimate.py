@@ -129,7 +129,7 @@ def _follow(names, chosen, how) -> None:
     how = {key: value for key, value in how.items() if key != "mask_bad_rows"}
     if sys.stdin is None:
         raise UsageError("standard input is closed", "give rows on it, or a file")
-    # A row with bytes that are no text is flagged, and reading continues.
+    # A row with bytes that are not text is flagged, and reading continues.
     sys.stdin.reconfigure(errors="replace")  # type: ignore[union-attr]
     rows = RowReader(sys.stdin, **how)
     for text in rows.assumptions:

@@ -116,5 +116,5 @@ def _ranges(items: list[str] | None, problems: list[InputProblem]):
             found[name] = ends
         else:
             remedy = f"give {', '.join(RANGES)} as NAME=LOW:HIGH, fz above zero"
-            problems.append(InputProblem(f"--over {name}={text} is no range", remedy))
+            problems.append(InputProblem(f"--over {name}={text} is not a range", remedy))
     return found

@@ -216,11 +216,11 @@ def forces_named(force: list[str] | None) -> list[str] | None:
     """The forces of ``--force``; None if it is not given.
 
     Raises:
-        UsageError: of something that is no force.
+        UsageError: of something that is not a force.
     """
     wrong = [name for name in force or [] if name not in ("fx", "fy", "mz")]
     if wrong:
-        raise UsageError(f"--force {wrong[0]!r} is no force", "one of fx, fy, mz")
+        raise UsageError(f"--force {wrong[0]!r} is not a force", "one of fx, fy, mz")
     return force or None
 
 

@@ -53,7 +53,7 @@ def check_replaced(made: Iterable[Path], inputs: Iterable[Path], schema: str = "
         if any(path.samefile(given) for given in inputs):
             reason = "it is an input file, which would be replaced"
         elif schema and path.suffix == ".json" and _is_of_others(path, schema):
-            reason = f"it would be replaced, but is no earlier result ({schema})"
+            reason = f"it would be replaced, but is not an earlier result ({schema})"
         else:
             continue
         remedy = "choose another folder with --out"

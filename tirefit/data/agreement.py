@@ -23,7 +23,7 @@ _NO_DELAY = 0.02
 _GLITCH = 3.0  # multiple of the 99th percentile beyond which a sample is a glitch
 
 _OUTLIER = 5.0
-"""Residuals beyond so many standard deviations (from their median size) are no noise."""
+"""Residuals above this many standard deviations (from their median size) are outliers."""
 
 _AROUND = (-2.0, -1.5, -1.0, 1.0, 1.5, 2.0)
 """Times of the instruments, over the time after which the noise is independent."""

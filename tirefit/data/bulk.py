@@ -212,7 +212,7 @@ def _read(piece: bytes, start: int, number: int, layout: _Layout) -> _Piece | No
 
 
 def _by_numpy(piece: bytes, layout: _Layout) -> np.ndarray | None:
-    """Numbers (columns, n), NaN in columns of text; None if another cell is no number."""
+    """Numbers (columns, n), NaN in columns of text; None if another cell is not a number."""
     if b'"' in piece or b"#" in piece or not piece.strip():
         return None
     source = io.BytesIO(piece.replace(b",", b".") if layout.commas else piece)

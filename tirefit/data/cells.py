@@ -25,7 +25,7 @@ class TextColumn(Sequence[str]):
         return (row[self._index] for row in self._body.rows())
 
     def numbers(self, commas: bool) -> np.ndarray | None:
-        """float64 (n,), NaN where the cell is no number; None if the numbers were read
+        """float64 (n,), NaN where the cell is not a number; None if the numbers were read
         with another decimal mark."""
         if commas != self._body.commas and self.may_hold(","):
             return None

@@ -159,7 +159,9 @@ def _guessed(fault: Fault, track: Track) -> tuple[str, str]:
     if flipped:
         said.append(f"{_names(fault)} {has_or_have} the wrong sign")
     if read.quantity == "steering":
-        return " and ".join(said), "correct [steering] of vehicle.toml"
+        return " and ".join(said), "correct [steering] of vehicle.toml" + (
+            ": reverse the signs of angle" * (flipped and not fault.unit)
+        )
     lines = ", ".join(f'{name} = "{text}"' for name in names)
     options = " ".join(f"--unit {name}={text}" for name in names)
     return " and ".join(said), f"set {lines} in [units] of vehicle.toml, or {options}"
@@ -304,6 +306,8 @@ def _another_clock(pairs, track, vehicle, file) -> list[InputProblem]:
         reason += f" {a.delay_std:.1g} s later than {other}, which changes"
         reason += f" {a.pair.channel} by {100 * changed:.0f} % (rms)"
         remedy = f"shift {late} in the log, or name columns of the same clock in [columns]"
+        if "a_y" in (late, other):
+            remedy += "; leave a_y out of them if its sensor is not at the tracked point"
         if changed > CHANGED and late not in problems:
             problems[late] = InputProblem(reason, remedy, file, column=column.header)
     return list(problems.values())

@@ -19,26 +19,24 @@ CHANGED = 1 - 1 / ALIKE
 point, that is a fault: the change by a gain of ``ALIKE``."""
 
 _NEAR_UNIT, _NEAR, _FARTHEST = math.log(1.2), 2.5, 0.4
-"""Largest |log gain| between a gain and its unit: this, or so many standard errors, with
-a limit."""
+"""Largest |log gain| off a unit: this, or some standard errors, with a limit."""
 
 SURE = 4.0  # standard errors above which an estimate differs from its stated value
 
 _STEERING = (0.4, 8.0)
 """Range of the steering over that of a slowly rolling car; understeer needs more."""
 
-_CLEAR = 5.0  # a gain is known if it is so many standard errors from 0
+_CLEAR = 5.0  # a gain is known if it is this many standard errors from 0
 
 SEEN = 0.5
-"""Smallest share of a term's variation that is no noise, for its gain to be judged."""
+"""A gain is judged if at least this share of the term's variation is not noise."""
 
 RELATED = 0.6  # correlation above which two channels follow each other
 
 _SHARED = 0.9  # correlation above which two sensors share more than noise
 
 _UNRELATED, _SURELY = 0.7, 2.5
-"""Two channels do not follow each other if the correlation plus so many of its standard
-errors is below this."""
+"""Channels are unrelated if correlation plus some standard errors is below this."""
 
 _MUCH = 3.0
 """Multiple of its floor above which a channel moves by more than a hill or a bank causes."""

@@ -13,8 +13,8 @@ _LEAST = 0.005
 step of a logger or drift of a controller. Settings are at least three times as far
 apart."""
 _WIDER = 3.0
-"""A gap separates two settings if it is so many times the next narrower gap, and so many
-times the scatter about the settings. Of 300 normal or uniform samples of 20 rows and
+"""A gap separates two settings if it is this multiple of the next narrower gap, and of
+the scatter about the settings. Of 300 normal or uniform samples of 20 rows and
 more, none is split; settings with a standard deviation of a tenth of their distance are
 found."""
 _ROWS = 2

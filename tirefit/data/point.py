@@ -263,6 +263,11 @@ def _others(motion, vehicle: Vehicle, rows: _Rows, may_flip: bool):
     pose, others = vehicle.columns.motion == POSE, []
     fit = _fitted(_more_inertia, 0.1, motion, vehicle, rows)
     changed = _more_inertia(motion, vehicle, fit.amount)[1]
+    if _sure(fit) and "a_y" in vehicle.columns.motion:  # a_y there has the same effect
+        arm = fit.amount * vehicle.yaw_inertia / (vehicle.mass * vehicle.l_f)
+        where = f"{abs(arm):.2g} m {'ahead of' if arm > 0 else 'behind'} the tracked point"
+        remedy = "leave a_y out of [columns]: it then follows from the speeds"
+        others.append((fit.misfit, f"a_y is measured {where}", remedy))
     if _sure(fit) and set(changed.doubts()) <= set(vehicle.doubts()):
         share = f"{1 + fit.amount:.2g} ± {fit.std:.1g}"
         remedy = f"set yaw_inertia = {changed.yaw_inertia:.3g}"

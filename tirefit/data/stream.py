@@ -51,11 +51,11 @@ class RowReader:
         try:
             header = [cell.strip() for cell in next(self._rows, [])]
         except csv.Error as error:
-            reason = f"the first line is no header: {error}"
+            reason = f"the first line is not a header: {error}"
             raise DataError(reason, "give CSV", name, 1) from None
         if not header or all(is_number(cell) for cell in header):
             remedy = "begin with a line such as time,sigma_x,fx,fz"
-            raise DataError("the first line is no header", remedy, name, 1)
+            raise DataError("the first line is not a header", remedy, name, 1)
         plan = plan_columns(header, None, self._options, name)
         signs = self._options.signs(layout, plan.columns, name)
         if problems := [*plan.problems, *signs.problems]:

@@ -1,7 +1,7 @@
 """Tire property files (``.tir``): :func:`read_tir`, :func:`new_tir`.
 
 The text of a file is kept: sections, order, comments and unknown keys are not changed;
-only changed values are written anew. Numbers are converted to SI on reading and back to
+only changed values are rewritten. Numbers are converted to SI on reading and back to
 the units of the file on writing.
 """
 
@@ -39,7 +39,7 @@ def read_tir(path) -> TirFile:
     """Read a ``.tir`` file.
 
     Raises:
-        DataError: as :func:`parse_tir`; or the file does not exist or is no text.
+        DataError: as :func:`parse_tir`; or the file does not exist or is not text.
     """
     content = content_of(path, TIRE, DataError, "give a .tir file")
     if len(content) > 1 and 0 in content[:2]:  # UTF-16 without byte order mark

@@ -149,7 +149,7 @@ def _twice(tir: TirFile) -> Iterator[InputProblem]:
 
 
 def _no_numbers(tir: TirFile) -> Iterator[InputProblem]:
-    """One problem for all values that are no numbers."""
+    """One problem for all values that are not numbers."""
     bad = [e for e in tir.wanted() if e.text and tir.number(e) is None]
     if bad:
         said = f"{bad[0].key} = {bad[0].value} is not a number"

@@ -228,7 +228,7 @@ class TirFile:
             elif key in SECTIONS:
                 new.setdefault(SECTIONS[key], []).append(f"{key:<24} = {written}")
             else:
-                reason = f"{key} is no key of the file and no coefficient"
+                reason = f"{key} is neither a key of the file nor a coefficient"
                 problems.append(InputProblem(reason, "correct its name", self.path))
         UsageError.raise_for(problems)
         return parsed("".join(_with_new(lines, new)), self.path)[0]
@@ -302,7 +302,7 @@ def parsed(text: str, path: str, notes: Iterable[str] = ()) -> tuple[TirFile, li
             if bare and _key(bare) in KNOWN:
                 held = _key(bare)
             elif broken and (not broken["key"] or _key(broken) in KNOWN):
-                reason = f"{line.strip()[:40]!r} is no section, KEY = VALUE or comment"
+                reason = f"{line.strip()[:40]!r} is not a section, KEY = VALUE or comment"
                 remedy = "close its quotes or brackets, or begin the comment with $"
                 problems.append(InputProblem(reason, remedy, path, row))
             elif not _COMMENT.match(line):

@@ -21,7 +21,7 @@ _CLOSEST = 0.3
 """Samples closer than this share of the sampling period are repeats of one sample."""
 
 _LASTING = 1.0
-"""A run starts anew if time stamps go back and stay back for this time [s]; rows that a
+"""A new run begins if time stamps go back and stay back for this time [s]; rows that a
 recorder wrote late end sooner."""
 
 _HELD, _COARSE = 0.02, 1e-3
@@ -131,8 +131,8 @@ def _labels(table: Table, vehicle: Vehicle, notes: list[str]) -> np.ndarray:
 
 
 def _in_runs(time, label, period: float, max_gap: float, notes: list[str]):
-    """Time (n,) continued where it starts anew, the number of the run of each row (n,),
-    and the names of the runs.
+    """Time (n,) continued where it restarts, the number of the run of each row (n,), and
+    the names of the runs.
 
     Args:
         label: (n,) the names; if they are all the same, runs are found by time only.
@@ -145,7 +145,7 @@ def _in_runs(time, label, period: float, max_gap: float, notes: list[str]):
             again[k] = 1
     if again.any():
         notes.append(
-            f"time starts anew {again.sum()} times: it is continued {2 * max_gap:.3g} s"
+            f"time restarts {again.sum()} times: it is continued {2 * max_gap:.3g} s"
             " after the previous sample, as after a gap"
         )
     if len(set(label)) < 2:
@@ -248,7 +248,7 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
     if text and text != "-" and unit is None and not label:
         problems.append(
             InputProblem(
-                f"unit {text!r} is no unit of {dimension}, as {quantity} needs",
+                f"unit {text!r} is not a unit of {dimension}, as {quantity} needs",
                 f'correct [columns], or set units.{quantity} = "{_SI[dimension]}" in vehicle.toml',
                 table.file,
                 table.header_line,
@@ -256,7 +256,7 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
             )
         )
     if unit is None:
-        where = f" ({text!r} is no unit)" if label else " (no unit stated)"
+        where = f" ({text!r} is not a unit)" if label else " (no unit stated)"
         text, scale = _SI[dimension], 1.0
     else:
         scale = unit.scale

@@ -160,7 +160,7 @@ def _entries(lines, file: str) -> list[_Entry]:
     for line, text in lines:
         entry = _entry(line, text)
         if entry is None:
-            reason = f"this is no channel of TYDEX: {text.strip()!r}"
+            reason = f"this is not a channel of TYDEX: {text.strip()!r}"
             remedy = "give name, comment, unit and conversion factor in columns of 10"
             raise DataError(reason, remedy, file, line)
         if entry.name in [other.name for other in entries]:
@@ -268,7 +268,7 @@ def _words(line: str, missing: int) -> list[str]:
 
 
 def _converted(texts, conversion: _Conversion) -> np.ndarray | list[str]:
-    """Values in the unit of the channel; texts if one of them is no number."""
+    """Values in the unit of the channel; texts if one of them is not a number."""
     factor, before, after = conversion
     try:
         with np.errstate(all="ignore"):  # the reader reports rows that are not finite

@@ -39,8 +39,8 @@ CHECKS = (*POSE, *RATES, "a_y", "a_x")
 
 _FOLLOWS = (
     "a_y follows from the speeds (dv_y/dt + v_x r at the centre of gravity, of the"
-    " filtered channels): it is no independent measurement and checks none of them; a"
-    " channel that a filter or a model computed is no measurement"
+    " filtered channels): it is not an independent measurement and checks none of them; a"
+    " channel that a filter or a model computed is not a measurement"
 )
 _FROUDE = 0.5
 """Default of the lowest speed that is kept, over sqrt(g L): 0.65 m/s for a model car with
@@ -285,7 +285,7 @@ class Vehicle(Section):
         if self.sideslip_offset and self.columns.motion == POSE:
             yield InputProblem(
                 "sideslip_offset applies to a log of rates only",
-                "leave it out: of a pose log, correct yaw_offset",
+                "leave it out; for a pose log, correct yaw_offset",
             )
 
     def _geometry_problems(self) -> Iterator[InputProblem]:

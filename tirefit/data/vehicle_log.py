@@ -12,13 +12,14 @@ _ENDS = {
     "yaw": "yaw psi heading theta",
     "v_x": "vx speedx velx velocityx vlong vlon linearx",
     "v_y": "vy speedy vely velocityy vlat lineary",
-    "yaw_rate": "r yawrate yawvelocity psidot gyroz angularz",
+    "yaw_rate": "r yawrate yawvelocity psidot gyroz angularz angularvelocityz",
     "a_y": "ay accy accely latacc lateralacceleration",
     "steering": "steering steer delta steeringangle steeringwheel steeringwheelangle swa"
     " roadwheelangle",
 }
 """Quantity of a log -> how headers of it end, without separators."""
 
+_OF_ONE = ("yaw", "v_x", "v_y", "yaw_rate")
 _CAR = (
     "mass = 1500         # kg",
     "l_f = 1.2           # m, front axle ahead of the centre of gravity",
@@ -63,11 +64,18 @@ def vehicle_log(headers: Sequence[str], file: str, by_pose: bool = True) -> Inpu
         for name, known in _ENDS.items():
             if name in ("x", "y") and _NO_PLACE.search("".join(words[:-1])):
                 continue
-            # The heading of the message that has the place, not of an IMU before it.
-            beside = name == "yaw" and _message(header) == _message(found.get("x", "")) != ""
-            if ends & set(known.split()) and (beside or name not in found):
+            if name in ("v_x", "v_y") and "angular" in words:
+                continue
+            # Heading and speeds of the message that has the place, not of another sensor.
+            message = _message(found.get("x", ""))
+            beside = _message(header) == message != _message(found.get(name, ""))
+            if ends & set(known.split()) and (name not in found or beside and name in _OF_ONE):
                 found[name] = header
     motion = POSE if by_pose and found.keys() >= {*POSE} else RATES
+    # A message with both has measured both: speeds are differentiated once, not twice.
+    messages = {_message(found.get(name, "")) for name in ("x", *RATES)}
+    if len(messages) == 1 and messages != {""}:
+        motion = RATES
     if not found.keys() >= {*motion}:
         return None
     # The index of a data frame often has no header; in such logs it is the time.

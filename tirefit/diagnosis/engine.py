@@ -240,7 +240,7 @@ def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
 
 
 def _are_known(without: Sequence[str], known: set[str]) -> None:
-    """Raises UsageError if a name to leave out is no effect."""
+    """Raises UsageError if a name to leave out is not an effect."""
     every, problems = ", ".join(sorted(known)), []
     for name in sorted(set(without) - known):
         remedy = f"{did_you_mean(name, known)}known effects: {every}"

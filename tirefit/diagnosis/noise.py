@@ -144,8 +144,8 @@ _OUTLIER = 4.5
 """Standard deviations from which a row is excluded: one normal row in 1.5e5."""
 
 _FEW, _FLAGGED = 3, 0.004
-"""Number and share of excluded rows above which outliers are reported; so many may be at a
-sharp bend of the force."""
+"""Number and share of excluded rows above which outliers are reported; a sharp bend of
+the force may give as many."""
 
 _ROUNDS = 4
 """Largest number of rounds of exclusion, and of weighting by a variance law."""

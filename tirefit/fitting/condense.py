@@ -138,7 +138,7 @@ def _residuals(solved: Solved) -> dict[str, np.ndarray]:
 
 def _changes(solved: Solved, points, sample) -> Float[np.ndarray, "s m"]:
     """The change of each row of the sample from the estimate to each point: of forces in
-    standard deviations of a common row, or of deviances if these are no squares."""
+    standard deviations of a common row, or of deviances if these are not squares."""
     problem, at, changes = solved.problem, solved.at, []
     for point in points:
         if _is_plain(problem):

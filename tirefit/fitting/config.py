@@ -168,7 +168,7 @@ def parse_config(content: dict, source: str = "config") -> FitConfig:
         UsageError: unknown keys, wrong types or values, contradictions; it lists all.
     """
     if isinstance(table := content.get("model"), dict):
-        # [model] with its name, and what it depends on beside it.
+        # [model] with its name, and its further settings.
         rest = {key: value for key, value in table.items() if key != "name"}
         content = {**content, "model": table.get("name"), **rest}
     config = parse_settings(FitConfig, content, source)

@@ -358,7 +358,7 @@ def derived_from_draws(
 
     Args:
         z_draws: draws of the unconstrained parameters, shape (m, p).
-        least_squares: those of least squares, which say what the data identify.
+        least_squares: estimates by least squares, which show what the data identify.
     """
     channel = derived_channel([c.name for c in problem.channels])
     if channel is None or not least_squares:

@@ -153,7 +153,7 @@ def split_rhat(samples: np.ndarray) -> np.ndarray:
     """Split R-hat of ensembles, shape (ensembles, steps, walkers, p) -> (p,).
 
     Each ensemble's first and second half count as one chain each, walkers pooled:
-    walkers of one ensemble depend on each other and are no independent check.
+    walkers of one ensemble depend on each other and are not an independent check.
     """
     half = samples.shape[1] // 2
     parts = np.concatenate([samples[:, :half], samples[:, half : 2 * half]])

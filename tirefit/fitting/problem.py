@@ -1,4 +1,4 @@
-"""From data, a model and a configuration to a well-posed fit."""
+"""Build a well-posed fit from data, a model and a configuration."""
 
 import difflib
 import os

@@ -169,8 +169,8 @@ def _first_gain(alone, together) -> float:
 
 
 def _with_more(slip, std, smooth, standing, weight, iterations: int):
-    """(columns, weights, places) of the smooth parts and the standing slips, of which the
-    last are new; all places are refined."""
+    """(columns, weights, places) of the smooth parts and the standing slips, the last of
+    which are new; all places are refined."""
     new = smooth.shape[1] + len(standing) - len(weight)
     share = np.append((1 - _NEW_SHARE) * weight, np.full(new, _NEW_SHARE / new))
     for _ in range(3):

@@ -74,7 +74,7 @@ def given_tire(
     Raises:
         UsageError: an unknown model or parameter, values beside a fit, signs without a
             ``.tir`` file, or a fit with values by run.
-        DataError: a file that is no fit or no ``.tir`` file.
+        DataError: a file that is neither a fit nor a ``.tir`` file.
     """
     if isinstance(source, GivenTire) and not (values or signs):
         return source

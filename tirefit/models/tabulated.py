@@ -89,7 +89,7 @@ class Tabulated(AbstractPressure):
         """:meth:`from_table` of a file whose header names ``xi`` and ``density``.
 
         Raises:
-            UsageError: no such file or column, a value that is no number, or what
+            UsageError: no such file or column, a value that is not a number, or what
                 :meth:`from_table` refuses; with the row.
         """
         return cls.from_table(*_read(Path(path)), file=str(path))
@@ -318,7 +318,7 @@ def _check_points(xi: np.ndarray, density: np.ndarray, file: str) -> None:
         problems.append(InputProblem(reason, remedy, file, row))
 
     if xi.ndim != 1 or xi.shape != density.shape or len(xi) < 2:
-        reason = f"xi {xi.shape} and density {density.shape} are no two columns"
+        reason = f"xi {xi.shape} and density {density.shape} are not two columns"
         raise UsageError(reason, "give two columns of at least two rows", file)
     bad = ~(np.isfinite(xi) & np.isfinite(density))
     if bad.any():
@@ -350,7 +350,7 @@ def _read(path: Path) -> tuple[list[float], list[float]]:
             try:
                 column.append(float(record[name]))
             except (KeyError, TypeError, ValueError):
-                reason = f"{record.get(name)!r} is no number"
+                reason = f"{record.get(name)!r} is not a number"
                 remedy = "give numbers under the header xi,density"
                 problems.append(InputProblem(reason, remedy, str(path), row, name))
     UsageError.raise_for(problems)

@@ -45,7 +45,7 @@ class Flag(enum.Enum):
     STANDSTILL = "standstill"
     MISSING = "sample missing"
     TIME_BACK = "time went back"
-    RESET = "not finite: started anew"
+    RESET = "not finite: restarted"
 
 
 FLAGS = tuple(Flag)

@@ -16,7 +16,7 @@ from tirefit.results import Outcome
 SCHEMA = "tirefit.estimate/1"
 
 _FAR = 3.0
-"""A detected change is reported if the estimate moved by so many standard deviations."""
+"""A detected change is reported if the estimate moved by this many standard deviations."""
 _SETTLE = 20
 """Rows before an alarm in which a change may already have moved the estimate."""
 

@@ -42,7 +42,7 @@ CUSUM_DRIFT, CUSUM_ALARM = 0.5, 12.0
 """Threshold of Page's test: it detects a shift of one standard deviation in 24 steps, and
 has one false alarm in 5e5 steps of Gaussian noise (Siegmund's approximation)."""
 _MOST_SURPRISING = 4.0
-"""Limit of a single sample in the test, so that one outlier is no change."""
+"""Limit of a single sample in the test, so that one outlier is not a change."""
 
 
 class Guarded(NamedTuple):

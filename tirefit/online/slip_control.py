@@ -32,7 +32,7 @@ class SlipControl(AbstractController):
     meaning: ClassVar[str] = "slip held at the true peak of the road: the upper limit"
     reads_truth: ClassVar[bool] = True
 
-    share: float = par(0.8, (0.1, 2.0), "-", "slip asked for, over that of the peak", "", "s")
+    share: float = par(0.8, (0.1, 2.0), "-", "target slip over that of the peak", "", "s")
     gain: float = par(10.0, (0.0, 100.0), "-", "pressure by slip error", "", "K")
     damping: float = par(0.4, (0.0, 50.0), "-", "torque by rate of the slip speed", "", "D")
     smoothing: float = par(0.0025, (0.0, 1.0), "s", "time constant of that rate", "", "T_f")

@@ -39,7 +39,7 @@ WEIGHTS = Path(__file__).with_name("tire_sensor.json")
 LEAST_FRICTION, MOST_FRICTION, LEAST_FORCE = 0.1, 1.2, 0.03
 """Range of the training: friction [-], and smallest force over load."""
 SCALE = (1.2, 0.13)  # largest force and moment of the training, the scales of the inputs
-_STDS = 3.0  # an input is flagged if it is so many standard deviations out of the range
+_STDS = 3.0  # an input is flagged if it is this many standard deviations out of range
 
 
 def gough(sliding, mu):

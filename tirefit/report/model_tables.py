@@ -150,7 +150,7 @@ def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
         lines += _wrapped("settings", ", ".join(settings))
     rows = [["setting", "unit", "bounds", "default", "meaning"]]
     for key, kinds in known.items():
-        # What most methods have, then those that have it otherwise, by name.
+        # The value that most methods have, then the exceptions by name.
         usual, *others = sorted(kinds.values(), key=len, reverse=True)
         rows.append(_row(key, usual[0][1]))
         for takers in others:
@@ -159,7 +159,7 @@ def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
 
 
 def methods_dict(methods: Mapping[str, type[AbstractEstimator]]) -> dict[str, dict]:
-    """The same content, JSON-able: method name -> what it is."""
+    """The same content for JSON: method name -> its properties."""
     return {
         name: {
             "meaning": kind.method.meaning,

@@ -181,7 +181,7 @@ def advance(
         saveat=diffrax.SaveAt(t1=True), max_steps=4096, throw=False,
     )  # fmt: skip
     end = jax.tree.map(lambda value: value[0], solution.ys)
-    # What a step passed a standstill by is within its tolerance.
+    # A step beyond standstill is within the tolerance of the solver.
     end = end._replace(omega=jnp.maximum(end.omega, 0.0), pressure=jnp.maximum(end.pressure, 0.0))
     fine = solution.result == diffrax.RESULTS.successful
     return end, fine.astype(float)

@@ -1,7 +1,6 @@
 r"""Any tire of the library on a road of given friction, and the slip of its peak.
 
-The friction of the road scales the tire by similarity: the stiffness stays the same, and
-the peak becomes that of the road:
+The friction of the road scales the tire by similarity: same stiffness, peak of the road:
 
 .. math:: F(\sigma) = \lambda F_0(\sigma / \lambda), \qquad
     \lambda = \mu_{road} / \mu_0

@@ -48,7 +48,7 @@ class Target(NamedTuple):
 
     Attributes:
         ending: of the file.
-        what: what the file is, and what it needs.
+        what: description of the file, with the data it needs.
         holds: the models that it holds, and how exactly.
         write: the text of the file, or of several by their endings.
         prepare: (tire, version of the Magic Formula, values of the wheel) -> the tire
@@ -195,7 +195,7 @@ def export(
         model: version of the Magic Formula of a ``.tir``: ``mf52``, ``mf61``, ``mf62``.
         wheel: data that a target needs in addition to the tire, in SI units, see
             :data:`TARGETS`.
-        force: replace a file that is no export, and write one that misses the tire by
+        force: replace a file that is not an export, and write one that misses the tire by
             more than :data:`~tirefit.targets.loss.MOST` of the load.
 
     Returns:
@@ -204,7 +204,7 @@ def export(
 
     Raises:
         UsageError: unknown names, or options that the target does not use; a file that
-            cannot be written, or that exists and is no export; a model that the target
+            cannot be written, or that exists and is not an export; a model that the target
             cannot represent; a diagnosis of another model; missing data of the car.
         DataError: the source or the diagnosis cannot be read.
 

@@ -70,7 +70,7 @@ class ParameterFile(NamedTuple):
 
     Attributes:
         ending: of the file.
-        what: what the file is, and what it needs.
+        what: description of the file, with the data it needs.
         holds: the models that it holds, and how exactly.
         formula: the formula.
         write: the text of the file, or the content of a YAML file.

@@ -107,7 +107,7 @@ class Tire:
         """Names of the forces and moments.
 
         Raises:
-            UsageError: one that is asked for, and that the model does not give.
+            UsageError: a requested force that the model does not give.
         """
         given = modelled(self.model)
         return check_names("force", self.asked, given) if self.asked else given

@@ -107,7 +107,7 @@ def applied(source: VehicleDiagnosis | str | os.PathLike) -> Applied:
     """The effects named by a diagnosis, or by its ``vehicle_diagnosis.json``.
 
     Raises:
-        DataError: a file that is no diagnosis of a car, or of another version.
+        DataError: a file that is not a diagnosis of a car, or of another version.
     """
     if isinstance(source, VehicleDiagnosis):
         return _applied(source.to_dict())

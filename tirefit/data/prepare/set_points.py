@@ -19,7 +19,7 @@ _SHARE = 0.02
 settings, and two settings are further apart."""
 _SCATTERS = 3.0
 """Smallest distance of two settings, in scatters of the channel about a setting."""
-_RESTLESS = 3.0  # a window with so many times the usual movement holds no setting
+_RESTLESS = 3.0  # a window with this multiple of the usual movement has no setting
 _ROOM = 1.3
 """Factor on the usual deviation of a channel from its setting while it is held."""
 _WIDER = 2.5

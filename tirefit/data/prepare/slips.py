@@ -14,14 +14,14 @@ _REVERSAL = 0.02  # share of the range by which a slip goes back when a sweep tu
 _STILL = 0.008  # share of the range within which a slip is held
 _LONGER = 3
 """Factor by which windows are longer if the slip moves too little in shorter ones."""
-_NOISES = 8.0  # largest change [standard deviations of the noise] that is no movement
+_NOISES = 8.0  # smallest change [standard deviations of the noise] that is a movement
 _PAUSE = 0.3
 """A stop shorter than this share of the sweeps next to it is their turning point: a sine
 is within ``_STILL`` of its end for 0.11 of a sweep."""
 _STEP = 0.4
 """A movement shorter than this share of both stops next to it is a step between them."""
 _HURRY = 2.5
-"""A movement so many times as fast as the sweep next to it only takes the slip back."""
+"""A movement faster than the next sweep by this factor only takes the slip back."""
 
 
 class Leg(NamedTuple):

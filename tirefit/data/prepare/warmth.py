@@ -13,8 +13,7 @@ _WARM, _COLD = 0.8, 0.33
 """Shares of the rise of temperature: above the first the tire is warm; a sweep below the
 second is cold."""
 _STILL_WARMING = 0.1
-"""Share of the rise: a tire whose temperature rises by more in the last third was never
-warm."""
+"""Share of the rise above which a tire that still warms in the last third is not warm."""
 _AGREE = 0.03
 """Relative change of the force from one sweep to the next ones above which the tire is
 still warming: twice the difference between sweeps of a warm tire."""

@@ -116,7 +116,7 @@ def findings_of(
     return Findings(
         weighed=weighed,
         sets={
-            part: Fitted(_errors(base, weighed, out, part), gains_of(out, part, floor))
+            part: Fitted(amplitude_over_error(base, weighed, out, part), gains_of(out, part, floor))
             for part in sorted(parts, key=lambda k: (-len(k), -weighed.log_weight[k]))
         },
         across_runs=out.across_runs,
@@ -135,7 +135,7 @@ def gains_of(out: Predicted, key: Key, floor: float) -> dict[str, Gain]:
     return gains
 
 
-def _errors(base: Base, weighed: Weighed, out: Predicted, key: Key):
+def amplitude_over_error(base: Base, weighed: Weighed, out: Predicted, key: Key):
     """Amplitude over its standard error, by effect. The error is that from the rows,
     widened by the remainder of the set and by the slip uncertainty, or that of the
     jackknife over the parts left out, whichever is larger."""

@@ -39,7 +39,7 @@ _PRECISION = np.float32
 """Float type of the simulated residuals; a small one, as they are read many times."""
 
 _WIDEST = 4.0
-"""Residuals are clipped at so many standard deviations, as an outlier is no structure."""
+"""Residuals are clipped at this many standard deviations: outliers are not structure."""
 
 _RUNS = tuple(2**power for power in range(1, 8))
 """Numbers of neighbours whose residuals are summed: smooth misfit adds up, noise does not."""

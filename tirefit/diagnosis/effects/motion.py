@@ -50,7 +50,7 @@ _QUANTITIES = {
     "clock": _Quantity("clock", 0.005, 0.1, "the clocks of the channels to {:.2g} s"),
     "yaw_inertia": _Quantity("yaw_inertia", 0.3, 1, "the yaw inertia to {:.2g} of it"),
 }
-"""Key of ``[vehicle]`` in rig.toml -> the quantity of which it is the standard error."""
+"""Key of ``[vehicle]`` in rig.toml -> the quantity whose standard error it states."""
 
 
 def _error(key: str, prepared, rig) -> tuple[float | None, bool]:
@@ -228,7 +228,7 @@ def lagged(past, length, step):
 
 def _delay(state, delay, constants, rows):
     """Delay the slip, or the forces (at the delayed slip and load), or filter the
-    forces by a first order of which the delay is the time constant [s]."""
+    forces by a first-order lag with the delay as time constant [s]."""
     slip, force, filtered = constants
     # A brush with another load equals one with another friction, see S(12).
     load = 1 + _late(rows.burden, force * delay, rows)

@@ -26,7 +26,7 @@ _FREED, _SINGLES = 6, 8
 are also weighed with other forms and with a discrepancy."""
 
 Key = tuple[str, ...]
-"""A set of effects: their ids in order; () is no effect."""
+"""A set of effects: their ids in order; () means no effect."""
 
 
 class LinearFit(NamedTuple):

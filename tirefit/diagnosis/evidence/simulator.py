@@ -38,7 +38,7 @@ from tirefit.results import InputProblem, UsageError
 from tirefit.slip import CONVENTIONS
 
 STAND_INS = ("brush", "mf61")
-"""Default stand-ins for a simulator of which only the forces are known."""
+"""Models that approximate a simulator by default if only its forces are known."""
 
 _SCALING = {
     "x": (("LMUX", "friction (longitudinal)"), ("LKX", "slip stiffness")),

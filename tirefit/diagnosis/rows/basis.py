@@ -207,7 +207,7 @@ class Generic:
         return self.smooth.T @ self.smooth, _pairs(self.waves)
 
     def left(self, against, residual, expected=None):
-        """Of the remainder of a fit, see :func:`taken_out`: scores and sizes (q,) of
+        """For the remainder of a fit, see :func:`taken_out`: scores and sizes (q,) of
         orthonormal smooth directions, products (K, 3) and scores (K, 2) of waves."""
         unit = taken_out(against, expected)
         rest = residual - unit @ (unit.T @ residual)

@@ -200,7 +200,7 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     curved, seen = _scatter(slip, parts, 2), _scatter(slip, parts, 6)
     if curved > 0.4 * np.std(slip):  # neighbours in time scatter: no sweep
         return still
-    # All estimates of noise agree; a curve gives more in low orders or wide parabolas.
+    # For noise all estimates agree; a curve raises those of low order or wide parabolas.
     long = [part for part in parts if len(part) >= _NOISY]
     left = [_parabolas(slip[p], time[p], _NOISY)[2] for p in long] or [[np.inf]]
     about = np.sqrt(np.median(np.concatenate(left)) / (_NOISY - 3))

@@ -20,7 +20,7 @@ from tirefit.diagnosis.summary.records import HeldOut, Shrinkage
 DRAWS = 400  # number of draws and bootstrap samples; 20 are beyond each end of 90 %
 INTERVAL = (0.05, 0.95)  # quantiles at the ends of a 90 % interval
 _RESOLVED = 3.0
-"""A gap is resolved if its energy exceeds so many standard deviations of that of noise."""
+"""A gap is resolved if its energy exceeds noise by this many standard deviations."""
 WORST = -1.0  # lower limit of the closure: the gap has doubled
 _BLOCKS = 60  # largest number of blocks of a record
 _WIDER = 1.2
@@ -193,7 +193,7 @@ def closure_elsewhere(before, after, variance, run, inflation, generator) -> Shr
 
 
 def block_means(terms, run, inflation, generator) -> np.ndarray:
-    """Means of terms (n, k) over rows drawn anew in blocks: (draws, k)."""
+    """Means of terms (n, k) over rows resampled in blocks: (draws, k)."""
     length = int(max(2 * inflation, len(terms) // _BLOCKS))
     blocks = []
     for code in np.unique(run):

@@ -172,7 +172,7 @@ def _told_apart(blocks: Sequence[_Block], one, two) -> float:
 
 def _sizes(search, weighed) -> dict[str, tuple[int, float]]:
     """Atom and amplitude in prior scales of each testable effect: the usual amplitude, or
-    that of the single refit if it is larger (a refit near zero is no limit)."""
+    that of the single refit if it is larger (a refit near zero is not a limit)."""
     center = np.asarray(search.base.design.prior_center)
     sizes: dict[str, tuple[int, float]] = {}
     for k in search.testable:

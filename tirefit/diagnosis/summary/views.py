@@ -244,7 +244,7 @@ def curve_of(look: Look, values, field, linear: LinearFit) -> LookCurve:
     Args:
         values: the covariate (n,).
         field: whitened force of a unit change of the parameter, (channels, n).
-        linear: what the fit leaves, and what it has used up.
+        linear: the remainder of the fit, and the directions that it has absorbed.
     """
     low, span = float(values.min()), float(np.ptp(values))
     settings, is_folded = settings_of(look.covariate, values), look.shape == "wave"

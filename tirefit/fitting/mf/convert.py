@@ -132,6 +132,6 @@ def converted(
     settings = FitConfig.model_validate({"parameters": given})
     first = None if turned_by(signs) else tir.numbers
     fit = fit_magic_formula(data, model, config=settings, first=first, leave_out="none")
-    # Far rows of a noise-free curve are no outliers.
+    # Far rows of a noise-free curve are not outliers.
     notes = tuple(note for note in fit.notes if "standard deviations" not in note)
     return replace(fit, notes=notes, tire=replace(fit.tire, lacks=tire.lacks))

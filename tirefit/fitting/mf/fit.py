@@ -197,7 +197,7 @@ def _check_settings(model: str, config: FitConfig) -> None:
     brush = {"force", "solver", "starts", "posterior"} & config.model_fields_set
     if brush:
         reason = f"{', '.join(sorted(brush))} in a Magic Formula"
-        remedy = "leave it out: a Magic Formula is fitted in stages of its own"
+        remedy = "leave it out: a Magic Formula is fitted in fixed stages"
         problems.append(InputProblem(reason, remedy, config.source))
     if config.noise.loss not in ("squares", FitConfig().noise.loss):
         reason = f"noise.loss = {config.noise.loss!r} in a Magic Formula"

@@ -27,8 +27,8 @@ _BEYOND = 2.0  # largest load of the grid over that of the data
 
 _LOADS = 9
 _SMALL, _CLEAR = 0.004, 0.06
-"""Slip of the slope at zero, and that from which on shifts and camber thrust do not
-decide the sign of the force."""
+"""Slip at which the slope at zero is taken, and the smallest slip at which shifts and
+camber thrust do not change the sign of the force."""
 
 _KAPPA = np.array([_SMALL, _CLEAR, 0.09, 0.13, 0.18, 0.25, 0.35, 0.5, 0.7, 0.99])
 _ALPHA = np.array([_SMALL, _CLEAR, 0.09, 0.13, 0.18, 0.24, 0.31, 0.38, 0.45, 0.5236])
@@ -37,7 +37,7 @@ _LEAST_PEAK = 0.1
 
 
 class Guard(NamedTuple):
-    """One guard."""
+    """A check of a fitted tire for implausible behaviour, and its result."""
 
     name: str
     holds: bool
@@ -160,7 +160,7 @@ def _falls(grid: _Grid, force: str) -> np.ndarray:
     """States within the data whose largest force is below that at a smaller load."""
     falls = np.zeros(len(grid.fz), bool)
     for peak in _peaks(grid, force):
-        # Of a state and the one before, which has the next smaller load.
+        # Compare each state with the one before it, which has the next smaller load.
         whole = peak * grid.fz
         down = np.diff(whole, prepend=whole[:1]) < 0
         same_state = np.diff(grid.fz, prepend=grid.fz[:1]) > 0

@@ -14,8 +14,8 @@ from tirefit.fitting.mf.stages import Search, without
 from tirefit.fitting.noise import NoiseLaw, noise_law
 
 LEAVE_OUT = ("three", "load", "bin", "none")
-"""What is left out in turn: the bins of three loads (the smallest, a middle one, the
-largest), the bins of each load, each bin, or nothing."""
+"""Parts that are left out in turn: the bins of three loads (smallest, middle, largest),
+the bins of each load, each bin, or nothing."""
 
 _ROWS = 1500
 """Largest number of rows of a force, evenly taken, that a part is judged by."""

@@ -20,7 +20,7 @@ SLIPS_OF: dict[str, tuple[str, ...]] = {
     "mx": ("alpha",),
     "my": ("sigma_x", "alpha"),
 }
-"""Force or moment -> the slips of which the rows need at least one."""
+"""Force or moment -> slips; the rows need at least one of them."""
 
 _BEGINNINGS = {"P": "pure", "Q": "pure", "R": "combined", "S": "combined"}
 
@@ -69,8 +69,8 @@ _OWN = {
 
 
 def parts_named(part: str) -> tuple[str, ...]:
-    """The stages of ``--part``: that one, with ``combined`` and ``all`` all of them; of
-    M_x or M_y those of the forces too, of which it is made.
+    """The stages of ``--part``: that one; for ``combined`` and ``all`` all of them; for
+    M_x or M_y also those of the forces from which it is computed.
 
     Raises:
         UsageError: no such part.

@@ -53,7 +53,7 @@ LOGARITHMIC = ("RBX1", "RBX2", "RBY1", "RBY2", "RVY4", "QSX5", "QSX6")
 RBX1 and RBY1 changes together with RBX3 and RBY4)."""
 
 _EVEN = (*LOGARITHMIC, "QBZ9")
-"""Coefficients of which only the size acts (QBZ9: if QBZ10 is zero)."""
+"""Coefficients whose sign has no effect (QBZ9: if QBZ10 is zero)."""
 
 
 def normal_form(values: Mapping[str, float]) -> dict[str, float]:

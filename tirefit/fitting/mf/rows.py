@@ -110,7 +110,7 @@ def rows_of_part(
         reason = f"--part {part}: the data have too few rows of {part} in pure slip"
         remedy = "leave out --part: its rows of combined slip are fitted too"
         raise DataError(reason, remedy, source)
-    lacking = "mx is not fitted: the data have no fy, of which the model makes it"
+    lacking = "mx is not fitted: the data have no fy, from which the model computes it"
     if part in MOMENTS and part not in rows:
         reason = lacking if part in whole else f"the data have no {part}"
         remedy = f"leave out --part {part}, or see `tirefit inspect`"
