@@ -220,7 +220,7 @@ def test_a_peak_beyond_the_rows_is_said(reach, said):
     assert not said or told[0].startswith(
         "the rows reach 87 % of the fitted peak (largest slip 0.0599"
     ), told
-    assert result.verdict["status"] == "ok"
+    assert result.status == "ok"
 
 
 @pytest.mark.parametrize(("rows", "enough"), [(3, False), (4, True)])
