@@ -89,7 +89,7 @@ def test_road_axes_are_preferred(tmp_path):
     ("change", "expected"),
     [
         (("**MEASURDATA", "**MODELPARAMETERS"), ["has no **MEASURDATA", ".tir files"]),
-        (("MEASNUMB  Meas", "nonsense\nMEASNUMB  Meas"), ["row 22", "no channel"]),
+        (("MEASNUMB  Meas", "nonsense\nMEASNUMB  Meas"), ["row 22", "not a channel"]),
         (("LONGVEL ", "RUNTIME "), ["row 24, column 'RUNTIME'", "is there twice"]),
         (("deg       0.5", "deg       0  "), ["'SLIPANGL'", "conversion factor", "0"]),
     ],

@@ -285,7 +285,7 @@ def test_a_density_that_is_no_pressure_is_refused(density, message):
     ("text", "problems"),
     [
         ("xi,density\n-1,0\n0,1\n1,x\n", [(4, "density", "'x' is not a number")]),
-        ("x,p\n-1,0\n", [(2, "xi", "no number"), (2, "density", "no number")]),
+        ("x,p\n-1,0\n", [(2, "xi", "not a number"), (2, "density", "not a number")]),
         (
             "xi,density\n-1,0\n0,-1\n0,1\n",
             [(3, None, "negative"), (4, None, "not increase"), (None, None, "-1 to 0")],
