@@ -259,11 +259,15 @@ def test_data_that_cannot_be_fitted_are_refused(columns, model, config, said):
     assert "remedy: " in str(caught.value)
 
 
-def test_magic_formula_has_no_moment():
+@pytest.mark.parametrize(
+    ("model", "asked", "missing"),
+    [("magic-formula", ["fy", "mz"], "no mz"), ("carcass-beam", ["fx", "fy"], "no fx")],
+)
+def test_a_force_that_the_model_lacks_is_refused(model, asked, missing):
     slip = curve()["sigma_x"]
     data = curve(extra={"alpha": slip, "mz": slip, "fy": slip})
-    with pytest.raises(UsageError, match="no aligning moment"):
-        build(data, "magic-formula", parse_config({"force": ["fy", "mz"]}))
+    with pytest.raises(UsageError, match=missing):
+        build(data, model, parse_config({"force": asked}))
 
 
 def test_unknown_solver_is_refused():

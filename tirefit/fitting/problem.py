@@ -338,8 +338,10 @@ def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
         reason = f"friction_temperature with the model {name}"
         remedy = "only mf52, mf61 and mf62 have it: remove it from [model]"
         raise UsageError(reason, remedy, config.source)
-    if "mz" in forces and "mz" not in modelled(model):
-        raise UsageError(f"{name} has no aligning moment", "fit fy, or a brush model")
+    if missing := [force for force in forces if force not in modelled(model)]:
+        reason = f"the model {name} has no {' and no '.join(missing)}"
+        remedy = f"it has {', '.join(modelled(model))}: fit these (force), or another model"
+        raise UsageError(reason, remedy)
     require(data, ("fz", *model.needs), f"the model {name}")
     if model.transient:
         slips = dict.fromkeys(CHANNEL_SLIP[force] for force in forces)
