@@ -12,6 +12,7 @@ import tirefit
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.engine import a_model, a_rig, a_seed, names, the_effects
+from tirefit.diagnosis.evidence.simulator import given_simulator
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.models import MODELS, Brush
 from tirefit.report.diagnosis_text import diagnosis_text
@@ -153,9 +154,6 @@ def test_noise_larger_than_the_spread_is_refused(noise, reason):
 
 
 WRONG = {
-    "sim a function": ({"sim": lambda slip: slip}, "sim is of type function"),
-    "sim bytes": ({"sim": b"abc"}, "sim is of type bytes"),
-    "sim unnamed": ({"sim": {0: np.zeros(120)}}, "sim: 0 of shape"),
     "sim no file": ({"sim": Path("no.json")}, "no.json"),
     "no effects": ({"effects": ()}, "effects: none to search"),
     "model empty": ({"model": ""}, "unknown model ''"),
@@ -170,6 +168,20 @@ WRONG = {
 def test_wrong_arguments_are_refused(arguments, said):
     with pytest.raises(TirefitError, match=re.escape(said)):
         tirefit.diagnose(read_frame(rig_data()), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("sim", "said"),
+    [
+        (lambda slip: slip, "sim is of type function"),
+        (b"abc", "sim is of type bytes"),
+        ({0: np.zeros(120)}, "sim: 0 of shape"),
+    ],
+    ids=["function", "bytes", "number as name"],
+)
+def test_wrong_types_of_a_simulator_are_refused(sim, said):
+    with pytest.raises(UsageError, match=re.escape(said)):
+        given_simulator(sim, read_frame(rig_data()))
 
 
 def test_wrong_types_of_rig_and_seed_are_refused():

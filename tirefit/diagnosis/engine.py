@@ -58,7 +58,7 @@ def diagnose(
     forces: str | Sequence[str] | None = None,
     effects: Sequence[Effect] | None = None,
     without: str | Sequence[str] = (),
-    holdout: DataLike | Sequence[DataLike] = (),
+    holdout: DataLike | Sequence[DataLike] | None = (),
     seed: int = 0,
 ) -> Diagnosis:
     """Find the effects that a model lacks, and how far the gap to the data shrinks.
