@@ -381,7 +381,7 @@ def test_an_excluded_force_has_no_influence():
 
 def test_a_missing_simulated_force_names_its_column(frame):
     both = frame | {"alpha": frame["sigma_x"], "fy": frame["fx"]}
-    with pytest.raises(UsageError, match="(?s)no fy_sim.*ask for fx alone"):
+    with pytest.raises(UsageError, match="(?s)no column fy_sim.*diagnose only fx"):
         diagnose(read_frame(both | {"fx_sim": both["fx"]}), sim=True, forces="fy")
 
 

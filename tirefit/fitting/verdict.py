@@ -108,9 +108,12 @@ def _peak_not_reached(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """A sentence if the fitted curve peaks beyond the rows, where its shape is assumed."""
     channel, of = derived_channel(result.forces), result.derived
     peaks = [
-        (one.value, of[label.replace("F_max_over_fz", "slip_at_peak")].value)
+        (one.value, there.value)
         for label, one in of.items()
-        if quantity_of(label) == "F_max_over_fz" and one.identified and not one.fixed
+        if quantity_of(label) == "F_max_over_fz"
+        and one.identified
+        and not one.fixed
+        and (there := of.get(label.replace("F_max_over_fz", "slip_at_peak")))
     ]
     if not peaks or channel is None:
         return []
