@@ -86,7 +86,9 @@ class AbstractTire(eqx.Module):
 
 def modelled(model: AbstractTire) -> tuple[str, ...]:
     """Names of the forces and moments that the model computes."""
-    outputs = jax.eval_shape(lambda: model(TireInputs()))
+    # Traced zeros: a model may divide by an input, which Python's own 0.0 does not allow.
+    zeros = np.zeros(len(TireInputs._fields))
+    outputs = jax.eval_shape(lambda *sample: model(TireInputs(*sample)), *zeros)
     return tuple(name for name, value in outputs._asdict().items() if value is not None)
 
 
