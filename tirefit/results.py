@@ -34,7 +34,7 @@ class Outcome(enum.StrEnum):
     SLIP_CONTRADICTED = (
         "doubtful slip",
         "the slip column contradicts the speeds and the rolling radius: one of them is"
-        " wrong, and if it is the slip, every number of this fit is",
+        " wrong; if it is the slip, all results of this fit are wrong",
     )
     GUARD_FAILED = (
         "not a tire's curve",

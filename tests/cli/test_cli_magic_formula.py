@@ -82,7 +82,7 @@ def test_other_commands_refuse_a_whole_magic_formula(run, sweeps):
         "convert", "--magic-formula", "10,1.5,1,0", "--loads", "4000", "--model",
         "mf61", "--out", "c", exit_code=2,
     )  # fmt: skip
-    assert "--magic-formula with --model mf61" in ended.stderr
+    assert "  --magic-formula with --model mf61" in ended.stderr
 
 
 def test_a_tire_without_combined_coefficients_is_converted(run):

@@ -110,12 +110,7 @@ def convert(
         if signs and file is None:
             raise UsageError("--signs applies to .tir files only", "leave it out")
         if model in MAGIC_FORMULA_NAMES:
-            asked = {
-                "--magic-formula": magic_formula,
-                "--force": force,
-                "--slip-min": slip_min,
-                "--seed": seed,
-            }
+            asked = dict(magic_formula=magic_formula, force=force, slip_min=slip_min, seed=seed)
             only_of_magic_formula(model, {}, asked)
             assert file is not None  # as --magic-formula is not given
             of_file = {"signs": signs, "combination": combination}

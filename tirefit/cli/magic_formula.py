@@ -8,7 +8,7 @@ import typer
 
 from tirefit.cli.fit_one import PAGE, Also, wrote
 from tirefit.cli.notes import warn
-from tirefit.cli.options import complain, progress_bar, say, start_jax
+from tirefit.cli.options import complain, given_options, progress_bar, say, start_jax
 from tirefit.cli.output import check_directories, claimed, is_page, staged
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
@@ -42,15 +42,14 @@ def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
         UsageError: an option of the other kind of fit was given.
     """
     whole = model in MAGIC_FORMULA_NAMES
-    wrong = [f"--{option}" for option, given in unused.items() if given] if whole else []
+    wrong = given_options(unused) if whole else []
     problems = []
     if wrong:
         reason = f"{', '.join(wrong)} with --model {model}"
         remedy = "leave it out: a whole Magic Formula is fitted in fixed stages"
         problems.append(InputProblem(reason, remedy))
     if own and not whole:
-        given = ", ".join(f"--{name.replace('_', '-')}" for name in own)
-        reason = f"{given} without --model {', '.join(MAGIC_FORMULA_NAMES)}"
+        reason = f"{', '.join(given_options(own))} without --model {', '.join(MAGIC_FORMULA_NAMES)}"
         remedy = "leave it out: other models have no such stages"
         problems.append(InputProblem(reason, remedy))
     UsageError.raise_for(problems)

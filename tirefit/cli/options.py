@@ -8,7 +8,7 @@ import re
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from enum import StrEnum
@@ -152,6 +152,11 @@ def takes_data_options(command: Callable) -> Callable:
     return with_options
 
 
+def given_options(values: Mapping[str, Any]) -> list[str]:
+    """Options with a value, as they are written on the command line."""
+    return [f"--{name.replace('_', '-')}" for name, value in values.items() if value]
+
+
 def refuse_with_vehicle(options: DataOptions, unused: dict[str, Any]) -> None:
     """Refuse options without effect where the files are logs of a vehicle.
 
@@ -161,9 +166,7 @@ def refuse_with_vehicle(options: DataOptions, unused: dict[str, Any]) -> None:
     Raises:
         UsageError: some are given; all of them.
     """
-    given = vars(options) | unused
-    wrong = [f"--{name.replace('_', '-')}" for name, value in given.items() if value]
-    if wrong:
+    if wrong := given_options(vars(options) | unused):
         reason = f"{', '.join(wrong)} with --vehicle"
         remedy = "leave it out: vehicle.toml says how logs are read"
         raise UsageError(InputProblem(reason, remedy))

@@ -125,9 +125,8 @@ def _peak_not_reached(result: FitResult) -> list[tuple[Outcome | None, str]]:
     slip = np.hypot(problem.used(inputs.sigma_x), np.tan(problem.used(inputs.alpha)))
     text = (
         f"the rows reach {100 * share:.0f} % of the fitted peak (largest slip"
-        f" {np.max(np.abs(slip)):.3g}, peak at {at:.3g}): peak and"
-        " friction follow from the shape of this model and are as wrong as it is; compare"
-        " brush-d, or measure larger slips"
+        f" {np.max(np.abs(slip)):.3g}, peak at {at:.3g}): peak and friction come from the shape"
+        " of this model, not from the data; compare brush-d, or measure larger slips"
     )
     return [(None, text)]
 

@@ -45,9 +45,7 @@ class Status(StrEnum):
             Status.CANNOT_TELL: {
                 Outcome.NOT_IDENTIFIED: "other effects explain these data as well"
             },
-            Status.INCOMPLETE: {
-                Outcome.INCOMPLETE: "something unlisted is there, likelier than not"
-            },
+            Status.INCOMPLETE: {Outcome.INCOMPLETE: "an unlisted effect is more probable than not"},
             Status.UNKNOWN: {Outcome.INCOMPLETE: "no listed effect explains the gap"},
         }.get(self, {})
 
