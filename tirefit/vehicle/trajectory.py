@@ -19,7 +19,7 @@ from typing import ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from tirefit import __version__
 from tirefit.data.motion import slip_and_force
@@ -332,7 +332,7 @@ class _Problem:
             partial(self.missed, parts=self.parts), z, starts, now, noise, pull, self.data
         )
         std = np.sqrt(np.diag(covariance))
-        reach = student.ppf(0.975, max(blocks - 1, 1))
+        reach = stdtrit(max(blocks - 1, 1), 0.975)
         ends = ends_by(intervals, optimum, std, reach, seed)
         at = np.asarray(z)
         found, car = self.estimates(at, std, ends), self.car(at)
