@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: install demo docs dist test statistics notebooks bench withheld withheld-full measured ablate calibration friction-benchmark fuzz braking posterior-peers lint types clean
+.PHONY: install demo docs dist test test-long statistics notebooks bench withheld withheld-full measured ablate calibration friction-benchmark fuzz braking posterior-peers lint types clean
 
 install: $(STAMP)
 
@@ -22,10 +22,14 @@ demo: install
 
 # One thread of linear algebra: beside another worker a second one only spins, and sums in
 # another order move the last digits, which can choose another way of a search.
-test statistics notebooks measured: export OPENBLAS_NUM_THREADS = 1
+test test-long statistics notebooks measured: export OPENBLAS_NUM_THREADS = 1
 
 test: install
 	$(BIN)/python -m pytest -q -n 2 tests
+
+# The tests that run whole chains of work, which CI runs after the others.
+test-long: install
+	$(BIN)/python -m pytest -q -n 2 -m long --override-ini addopts="" tests
 
 # The long statistical runs: 1,600 data sets for each model and noise level.
 statistics: install

@@ -55,11 +55,12 @@ jax.config.update("jax_enable_x64", True)
 # thresholds a tenth of the suite's time (142 of 1,365 s) goes into looking at them.
 gc.set_threshold(100_000, 20, 20)
 
-# Annotations are executed wherever every call keeps to them.
+# Annotations are checked at run time in the packages that state shapes. In `diagnosis`,
+# which states none, the checks took 40 % of the time.
 install_import_hook(
     [
         f"tirefit.{room}"
-        for room in ("data", "diagnosis", "fitting", "models", "params", "sim", "slip")
+        for room in ("fitting", "models", "sim")
     ],
     "shapes.checked",
 )
@@ -72,10 +73,6 @@ none the size is asked, which takes seconds."""
 
 _APART = ("test_fits.py", "test_notebooks.py")
 """Files of a few long tests: begun first, each test a piece of work of its own."""
-
-_TOGETHER = ("tests/cli/", "tests/diagnosis/")
-"""Folders whose files share long fixtures and traced programs: one piece of work each,
-else both workers make them."""
 
 
 def pytest_configure(config):
@@ -131,9 +128,7 @@ def pytest_xdist_make_scheduler(config, log):
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = nodeid.split("::")[0]
-            if file.endswith(_APART):
-                return nodeid
-            return next((f for f in _TOGETHER if file.startswith(f)), file)
+            return nodeid if file.endswith(_APART) else file
 
     config.option.loadscopereorder = False
     return ByFile(config, log)
