@@ -344,8 +344,8 @@ def test_inspect_lists_identifiable_parameters(run, tmp_path):
     assert "fx brush" in said and "not mu: needs slips" in said
     content = json.loads(run("inspect", "rig.csv", "--model", "brush", "--json").stdout)
     (gate,) = content["identifiability"]["gates"]
-    told = {p["name"]: p["told"] for p in gate["parameters"]}
-    assert told == {"cpa2": "well", "mu": "not"}
+    grades = {p["name"]: p["grade"] for p in gate["parameters"]}
+    assert grades == {"cpa2": "well", "mu": "not"}
     plain = run("inspect", "rig.csv", "--no-gate").stdout
     assert "expected standard errors" not in plain
     run("inspect", "rig.csv", "--model", "brusch", exit_code=2)

@@ -37,7 +37,7 @@ def test_the_expected_scatter_agrees_with_repeated_fits():
     told = {p.name: p for p in gate.parameters}
     assert told["cpa2"].std == pytest.approx(scatter[0], rel=0.2)
     assert told["mu"].std == pytest.approx(scatter[1], rel=0.2)
-    assert {p.told for p in gate.parameters} == {"well"}
+    assert {p.grade for p in gate.parameters} == {"well"}
 
 
 def swept(largest, **more):
@@ -47,7 +47,7 @@ def swept(largest, **more):
 
 def answers(data, model):
     (gate,) = identifiability(data, [model]).gates
-    return {p.name: p.told for p in gate.parameters}
+    return {p.name: p.grade for p in gate.parameters}
 
 
 @pytest.mark.parametrize(
@@ -78,13 +78,13 @@ def test_the_suggested_larger_slips_determine_the_friction(largest):
     (friction,) = [p for p in gate.parameters if p.name == "mu"]
     times = {"twice": 2, "four times": 4, "ten times": 10}
     (factor,) = [times[w] for w in times if f"slips {w} as" in friction.remedy]
-    assert friction.told == "not"
+    assert friction.grade == "not"
     assert answers(swept(factor * largest), "brush")["mu"] != "not"
 
 
 def test_the_suggested_loads_determine_the_load_dependence():
     (gate,) = identifiability(swept(0.15), ["brush-load"]).gates
-    asked = {p.remedy for p in gate.parameters if p.told == "not"}
+    asked = {p.remedy for p in gate.parameters if p.grade == "not"}
     assert asked == {"loads from half to one and a half times as large"}
     wider = swept(0.15, load=(2000.0, 4000.0, 6000.0))
     assert "not" not in answers(wider, "brush-load").values()
@@ -127,14 +127,14 @@ def test_a_bound_does_not_determine_a_parameter():
     for model in ("brush-n", "brush-h"):
         (gate,) = identifiability(read_frame(frame), [model]).gates
         (last,) = gate.parameters[-1:]
-        assert last.name in "nh" and last.told != "well"
+        assert last.name in "nh" and last.grade != "well"
 
 
 def test_default_and_given_models_are_evaluated():
     gates = identifiability(swept(0.15)).gates
     assert tuple(gate.model for gate in gates) == MODELS_ASKED
     assert all(gate.parameters or gate.reason for gate in gates)
-    curved = {p.name: p.told for p in gates[-1].parameters}
+    curved = {p.name: p.grade for p in gates[-1].parameters}
     assert curved["D"] == "well" and curved.keys() == {"B", "C", "D", "E"}
 
 

@@ -23,8 +23,8 @@ def warn(*tables, assumed: Sequence[str] = (), beside: Sequence[str] = ()) -> No
         assumed: assumptions of one table, printed at the end of the block only.
         beside: further warnings on one table.
     """
-    said = [*assumed] if holds_notes() else []
-    notes = [(t.source.path, [*t.source.warnings, *beside], said) for t in tables]
+    messages = [*assumed] if holds_notes() else []
+    notes = [(t.source.path, [*t.source.warnings, *beside], messages) for t in tables]
     if _held is None:
         _print(notes)
     else:
@@ -37,7 +37,7 @@ def _print(notes) -> None:
     alone = f"{notes[0][0]}: " if len(notes) == 1 else ""
     for text in merged((name, doubts) for name, doubts, _ in notes):
         complain(f"warning: {alone}{text}")
-    for text in merged((name, said) for name, _, said in notes):
+    for text in merged((name, messages) for name, _, messages in notes):
         say(fill(f"assumed: {alone}{text}", 88, subsequent_indent=" " * 9))
 
 

@@ -269,8 +269,8 @@ def start_jax() -> None:
 
     jax.config.update("jax_enable_x64", True)
     # On a full disk, programs are compiled again, which is only slower.
-    told = "Error (reading|writing) persistent compilation cache"
-    warnings.filterwarnings("ignore", message=told)
+    reason = "Error (reading|writing) persistent compilation cache"
+    warnings.filterwarnings("ignore", message=reason)
     # JAX declares its options to no type checker.
     chosen = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
     cache = _cache_folder()
@@ -367,7 +367,7 @@ class _Clock:
     """The remaining time, from the time and the share done."""
 
     def __init__(self):
-        self.begun = self.told = time.monotonic()
+        self.begun = self.printed = time.monotonic()
         self.silence = _SOON
 
     def left(self, share: float) -> str:
@@ -379,9 +379,9 @@ class _Clock:
 
     def is_time(self) -> bool:
         """Whether to print a line if there is no bar: soon, then from time to time."""
-        if time.monotonic() - self.told < self.silence:
+        if time.monotonic() - self.printed < self.silence:
             return False
-        self.told, self.silence = time.monotonic(), _NOW_AND_THEN
+        self.printed, self.silence = time.monotonic(), _NOW_AND_THEN
         return True
 
 

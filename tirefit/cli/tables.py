@@ -98,7 +98,7 @@ def inspect(
             try:
                 data = read(file, **how)
                 inspection = look(data)
-                told = _told(data, model) if gate else None
+                identified = _identified(data, model) if gate else None
             except TirefitError as error:
                 if error.exit_code == ExitCode.USAGE:
                     raise
@@ -106,16 +106,16 @@ def inspect(
                 worst = max(worst, error.exit_code)
                 continue
             content = inspection.to_dict()
-            content |= {"identifiability": told.to_dict()} if told else {}
+            content |= {"identifiability": identified.to_dict()} if identified else {}
             if len(files) > 1 and not json:
                 warn(data, assumed=data.source.assumptions)
                 inspection = replace(inspection, warnings=(), assumptions=())
-            text = inspection.summary() + (told.summary() if told else "")
+            text = inspection.summary() + (identified.summary() if identified else "")
             say(dumps(json_safe(content), indent=1) if json else text)
         raise typer.Exit(worst)
 
 
-def _told(data, models):
+def _identified(data, models):
     """How well the data determine the parameters of the models."""
     start_jax()
     from tirefit.fitting.identifiability import identifiability
@@ -224,8 +224,8 @@ def _write(out, table, forces, source, beside: bool) -> None:
     columns = (simulated_table if beside else prediction_table)(table, forces)
     first = f"# tirefit {__version__}: {source} beside, {convention}\n"
     write_csv(out, columns, first if beside else "")
-    for said in table.first_masked():
-        complain(f"warning: excluded, no force: {said}")
+    for messages in table.first_masked():
+        complain(f"warning: excluded, no force: {messages}")
     signs = f"({convention}), {table.source.convention_from}"
     say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} {signs}")
 
@@ -252,12 +252,12 @@ def _predict_tir(source, data, out, how, parameter, of_file: dict, beside) -> No
     for text in (*noted, *moments_noted(tir, table)):
         complain(f"warning: {source}: {text}")
     forces = forces_of(tire, table, values)
-    said = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
-    said += [f"mounted {of_file['side']}"] if of_file["side"] else []
-    said += [f"in signs {signs}"] if signs else []
-    said += ["tan(alpha) and sin(gamma)" if of_file["starred"] else "raw angles"]
-    said += [f"{key} = {value:g}" for key, value in values.items()]
-    say(", ".join(said))
+    messages = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
+    messages += [f"mounted {of_file['side']}"] if of_file["side"] else []
+    messages += [f"in signs {signs}"] if signs else []
+    messages += ["tan(alpha) and sin(gamma)" if of_file["starred"] else "raw angles"]
+    messages += [f"{key} = {value:g}" for key, value in values.items()]
+    say(", ".join(messages))
     _write(out, table, forces, source, beside)
 
 

@@ -274,7 +274,7 @@ def doubt_units(columns: Mapping[str, np.ndarray], headers: Mapping[str, str]) -
         columns: (n,) canonical columns, used rows only.
         headers: the header of each column in the file.
     """
-    said = []
+    messages = []
     for force, slip, least in _LEAST_SLIP:
         if force not in columns or "fz" not in columns:
             continue
@@ -298,7 +298,7 @@ def doubt_units(columns: Mapping[str, np.ndarray], headers: Mapping[str, str]) -
             remedy = f"if {where!r} is in kN, pass --unit {column}=kN"
             if column not in headers:
                 remedy = f"give {where} in N, not in kN"
-        said.append(
+        messages.append(
             f"{name} reaches {much}, {why}: the unit of one of the two is probably wrong"
             f" (kN read as N?); {remedy}"
         )
@@ -306,12 +306,12 @@ def doubt_units(columns: Mapping[str, np.ndarray], headers: Mapping[str, str]) -
         arm = np.percentile(abs(columns["mz"]) / columns["fz"], 99)
         if arm > _LONGEST_ARM:
             name = repr(headers.get("mz", "mz"))
-            said.append(
+            messages.append(
                 f"{name} reaches {arm:.2g} m times the load, an arm that no tire has: one of the"
                 " two is in another unit than it was read in; check the units of mz and of the"
                 " forces (--unit fz=kN, --unit mz=Nmm)"
             )
-    return said
+    return messages
 
 
 def doubt_time(time: np.ndarray, run: np.ndarray, lines: np.ndarray, header: str) -> list[str]:

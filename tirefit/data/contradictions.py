@@ -80,8 +80,8 @@ def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Compar
             problems.append(_swap_problem(swap, track, file))
             off, stray = [], []
         elif faults:
-            said = _fault_problem(faults, alternatives, off, track, motion, vehicle)
-            _file_away(said, faults, track, file, problems, warnings)
+            messages = _fault_problem(faults, alternatives, off, track, motion, vehicle)
+            _file_away(messages, faults, track, file, problems, warnings)
             off = not_explained(pairs, faults)
         for a, k in off:
             if k > 0 and any(a is other and j == 0 for other, j in off):
@@ -152,19 +152,19 @@ def _guessed(fault: Fault, track: Track) -> tuple[str, str]:
     text = fault.unit or read.unit.removeprefix("-")
     if flipped != read.unit.startswith("-"):
         text = f"-{text}"
-    said = []
+    messages = []
     if fault.unit:
         read_in = read.unit or "rad by the map"
-        said.append(f"{_names(fault)} {is_or_are} in {fault.unit}, but read in {read_in}")
+        messages.append(f"{_names(fault)} {is_or_are} in {fault.unit}, but read in {read_in}")
     if flipped:
-        said.append(f"{_names(fault)} {has_or_have} the wrong sign")
+        messages.append(f"{_names(fault)} {has_or_have} the wrong sign")
     if read.quantity == "steering":
-        return " and ".join(said), "correct [steering] of vehicle.toml" + (
+        return " and ".join(messages), "correct [steering] of vehicle.toml" + (
             ": reverse the signs of angle" * (flipped and not fault.unit)
         )
     lines = ", ".join(f'{name} = "{text}"' for name in names)
     options = " ".join(f"--unit {name}={text}" for name in names)
-    return " and ".join(said), f"set {lines} in [units] of vehicle.toml, or {options}"
+    return " and ".join(messages), f"set {lines} in [units] of vehicle.toml, or {options}"
 
 
 def _evidence(a: Agreement, k: int) -> str:
@@ -183,9 +183,9 @@ def _clearness(a, k, faults) -> tuple[bool, float]:
 
 def _fault_problem(faults, alternatives, off, track, motion, vehicle) -> InputProblem:
     clear = max(off, key=lambda item: _clearness(item[0], item[1], faults))
-    said = [_guessed(fault, track) for fault in (*faults, *alternatives)]
+    messages = [_guessed(fault, track) for fault in (*faults, *alternatives)]
     word = " and " if len(faults) > 1 else ", or "
-    reasons, remedies = zip(*said, strict=True)
+    reasons, remedies = zip(*messages, strict=True)
     mirrored = _mirrored(faults, alternatives, track, motion, vehicle)
     if mirrored is not None:
         reasons, remedies = mirrored
@@ -211,9 +211,9 @@ def _mirrored(faults, alternatives, track, motion, vehicle):
         "yaw is measured clockwise, from the y axis",
         f'set yaw = "-{unit}" in [units] and yaw_offset = {turn:.3g}',
     )
-    said = [swapped] if "y" in channels else []
-    said += [compass] if "yaw" in channels else []
-    return tuple(zip(*said, strict=True))
+    messages = [swapped] if "y" in channels else []
+    messages += [compass] if "yaw" in channels else []
+    return tuple(zip(*messages, strict=True))
 
 
 def _used(names: Iterable[str], vehicle: Vehicle) -> bool:
@@ -223,41 +223,41 @@ def _used(names: Iterable[str], vehicle: Vehicle) -> bool:
     return any(needed.get(name, name) in motion for name in names)
 
 
-def _file_away(said, faults, track, file, problems, warnings) -> None:
+def _file_away(messages, faults, track, file, problems, warnings) -> None:
     """Add a fault as an error, or as a warning if ``[columns]`` does not name its column."""
     columns = [_column(track, name) for f in faults for name in f.channels]
     if any(column.named for column in columns):
         header = next(column.header for column in columns if column.named)
-        problems.append(InputProblem(said.reason, said.remedy, file, column=header))
+        problems.append(InputProblem(messages.reason, messages.remedy, file, column=header))
     else:
-        warnings.append(f"{said.reason}; [columns] does not name it, so it is not used here")
+        warnings.append(f"{messages.reason}; [columns] does not name it, so it is not used here")
 
 
 def _unexplained(a, k, vehicle, track, file, problems, warnings) -> None:
     """Add a gain that no unit explains: an error if it is off by 2 and used."""
-    said = f"{_evidence(a, k)}, which no unit explains"
+    message = f"{_evidence(a, k)}, which no unit explains"
     column = _column(track, a.pair.channel)
     names = {a.pair.channel, *a.pair.terms[k].powers}
     far = not 0.5 < a.gains[k] < 2 and a.pair.channel != "steering"
     if far and column.named and _used(names, vehicle):
         remedy = "find the wrong column and correct [columns] or [units], or derive with --believe"
-        reason = f"channels contradict each other: {said}"
+        reason = f"channels contradict each other: {message}"
         problems.append(InputProblem(reason, remedy, file, column=column.header))
     elif k == 0:
-        warnings.append(f"{said}: one of the sensors has a wrong scale or mounting")
+        warnings.append(f"{message}: one of the sensors has a wrong scale or mounting")
 
 
 def _no_relation(a, vehicle, track, file, problems, warnings) -> None:
-    said = f"{a.pair.channel} does not follow {a.pair.words}"
+    message = f"{a.pair.channel} does not follow {a.pair.words}"
     if abs(a.correlation) < RELATED:
-        said += f" (correlation {a.correlation:.2f})"
+        message += f" (correlation {a.correlation:.2f})"
     column = _column(track, a.pair.channel)
     if column.named and _used([a.pair.channel], vehicle):
         remedy = "find the wrong column and correct [columns], or derive with --believe"
-        reason = f"channels contradict each other: {said}"
+        reason = f"channels contradict each other: {message}"
         problems.append(InputProblem(reason, remedy, file, column=column.header))
     else:
-        warnings.append(said)
+        warnings.append(message)
 
 
 def _swap_problem(swap, track, file) -> InputProblem:
@@ -315,7 +315,7 @@ def _another_clock(pairs, track, vehicle, file) -> list[InputProblem]:
 
 def _late_or_off(pairs, vehicle) -> list[str]:
     """Warnings on delay and zero error of the a_y from which forces are computed."""
-    said = []
+    messages = []
     for a in pairs:
         if a.pair.channel != "a_y" or not any(judged(a)):
             continue
@@ -323,18 +323,18 @@ def _late_or_off(pairs, vehicle) -> list[str]:
             continue
         if _has_delay(a) and abs(a.delay) > max(_LATE, 3 * a.delay_std):
             how = "late" if a.delay > 0 else "early"
-            said.append(
+            messages.append(
                 f"a_y is {abs(a.delay):.2g} ± {a.delay_std:.1g} s {how} against"
                 f" {a.pair.words}: fy and alpha are not simultaneous; shift it in the"
                 " log"
             )
         if abs(a.offset) > max(_OFFSET, 3 * a.offset_std):
-            said.append(
+            messages.append(
                 f"a_y is {a.offset:+.2g} ± {a.offset_std:.1g} m/s2 where it is 0 by speeds"
                 f" and yaw rate: fy is wrong by {vehicle.mass * a.offset:.2g} N in total,"
                 " unless the road is banked"
             )
-    return said
+    return messages
 
 
 def _has_delay(a: Agreement) -> bool:
@@ -354,12 +354,12 @@ def _line(pairs, vehicle: Vehicle) -> str:
         ]
         if _has_delay(a) and a.delay_std < _LATE / 3:
             late.append((abs(a.delay), f"{a.pair.channel} against {a.pair.words}"))
-    said = "channels: not compared, too little motion or too few channels"
+    message = "channels: not compared, too little motion or too few channels"
     if gains:
-        said = f"channels compared: {', '.join(gains)} (1: they agree"
+        message = f"channels compared: {', '.join(gains)} (1: they agree"
         steers = any(gain.startswith("steering") for gain in gains)
-        said += "; steering: above 1 if the car understeers)" if steers else ")"
+        message += "; steering: above 1 if the car understeers)" if steers else ")"
         longest, where = max(late)
-        said += f", delays up to {longest:.2f} s ({where})" if longest >= 0.005 else ""
+        message += f", delays up to {longest:.2f} s ({where})" if longest >= 0.005 else ""
     follows = "; a_y is computed from the speeds and checks no other channel"
-    return said + (follows if vehicle.columns.a_y_follows else "")
+    return message + (follows if vehicle.columns.a_y_follows else "")

@@ -106,13 +106,13 @@ class DerivedLog:
                 f" bandwidth {self.bandwidth:.3g} Hz (-3 dB)",
                 *(
                     line
-                    for said in (
+                    for message in (
                         self.compared.line,
                         self.heading,
                         self.point.line,
                         *(f"warning: {w}" for w in self.warnings),
                     )
-                    for line in wrap(said, 80, initial_indent=" " * 4, subsequent_indent=" " * 6)
+                    for line in wrap(message, 80, initial_indent=" " * 4, subsequent_indent=" " * 6)
                 ),
             ]
         )

@@ -78,15 +78,15 @@ def _beyond_grip(columns, kept, vehicle: Vehicle) -> list[str]:
     by_inertia = share > max(_DRY, ALIKE * level)
     if share < _GRIP and not by_inertia:
         return []
-    said = f"|fy| reaches {share:.2g} fz (99th percentile), more than a tire's friction"
+    message = f"|fy| reaches {share:.2g} fz (99th percentile), more than a tire's friction"
     if by_inertia:
         moment = vehicle.yaw_inertia * columns["yaw_acceleration"] / vehicle.wheelbase
-        said += (
+        message += (
             f", while |a_y| reaches {level:.2g} g: yaw_inertia dr/dt / wheelbase alone"
             f" is {high(moment / columns['fz']):.2g} fz, and yaw_inertia"
             f" {vehicle.inertia_ratio:.2g} mass l_f l_r (about 1 of cars)"
         )
-    return [f"{said}: check mass, yaw_inertia and the unit of a_y or of the positions"]
+    return [f"{message}: check mass, yaw_inertia and the unit of a_y or of the positions"]
 
 
 def _stretches(motion: Motion, kept) -> list[np.ndarray]:
@@ -116,7 +116,7 @@ def _cut_by_filter(columns, stretches, vehicle: Vehicle) -> list[str]:
     """Warnings on columns with much variance just below the bandwidth, and so above it."""
     from scipy.signal import welch
 
-    band, said = vehicle.filter.bandwidth, []
+    band, messages = vehicle.filter.bandwidth, []
     window = int(10 * vehicle.filter.sample_rate / band)
     long = [rows for rows in stretches if len(rows) >= window]
     rate, every = vehicle.filter.sample_rate, np.concatenate(stretches)
@@ -129,16 +129,16 @@ def _cut_by_filter(columns, stretches, vehicle: Vehicle) -> list[str]:
         cut = float(np.sum(power[beyond]) * (frequency[1] - frequency[0]))
         share = cut / max(float(np.var(columns[name][every])), _SILENT)
         if share > _MUCH_CUT:
-            said.append(
+            messages.append(
                 f"{100 * share:.0f} % of the variance of {name} lies above"
                 f" {_CUT * band:.2g} Hz, where the filter ({band:.3g} Hz) cuts: raise"
                 " filter.cutoff, unless that is noise"
             )
-    return said
+    return messages
 
 
 def _repeating(columns, stretches, way, vehicle: Vehicle) -> list[str]:
-    said = []
+    messages = []
     speed = np.concatenate([columns["v"][rows] for rows in stretches])
     shortest = float(np.median(speed)) / vehicle.filter.bandwidth
     longest = _LONGEST * vehicle.wheelbase
@@ -152,13 +152,13 @@ def _repeating(columns, stretches, way, vehicle: Vehicle) -> list[str]:
         as_well = ", or in time: the speed hardly varies" if steady else ""
         least = wave.p_value < _LEAST
         chance = f"< {_LEAST:.0e}" if least else f"{wave.p_value:.0e}"
-        said.append(
+        messages.append(
             f"{name} repeats every {wave.length:.3g} m of the road (a wave of"
             f" {factor * wave.size:.2g} {unit}, p {chance}){as_well}: a wheel"
             f" of {1e3 * wave.length / (2 * np.pi):.3g} mm turns once in that; look for"
             " run-out, imbalance or a worn patch"
         )
-    return said
+    return messages
 
 
 def repeats_with_distance(values, way, shortest: float, longest: float) -> Wave | None:

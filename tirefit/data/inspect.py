@@ -114,9 +114,9 @@ class Inspection:
             lines += _wrap(f"{answer} {support.fit}: {support.reason}", "      ")
         if self.warnings:
             lines += ["", "warnings"]
-            lines += [line for said in self.warnings for line in _wrap(said)]
+            lines += [line for message in self.warnings for line in _wrap(message)]
         lines += ["", "what was assumed"] if self.assumptions else []
-        lines += [line for said in self.assumptions for line in _wrap(said)]
+        lines += [line for message in self.assumptions for line in _wrap(message)]
         if self.far_rows:
             lines += ["", "outliers (a fit decides itself which of them to exclude)"]
             lines += [line for why in self.far_rows[:_FAR_ROWS] for line in _wrap(why)]

@@ -10,20 +10,20 @@ _NAMED = 3
 """Largest number of files, or of values that are not numbers, that are listed."""
 
 
-def merged(said: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
+def merged(messages: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
     """Each sentence once, with the files that it holds for.
 
     Sentences that differ in values only are merged, with the range of each value.
 
     Args:
-        said: name and sentences of each file.
+        messages: name and sentences of each file.
 
     Returns:
         The sentences of a single file unchanged. Those of several files, in order of
         appearance: ``72 files: ...`` if all have it, ``a, b: ...`` if up to three have
         it, else ``5 of 72 files: ...``.
     """
-    files = [(name, list(sentences)) for name, sentences in said]
+    files = [(name, list(sentences)) for name, sentences in messages]
     if len(files) == 1:
         return files[0][1]
     kinds: dict[tuple[str, ...], tuple[dict[int, str], list[list[str]]]] = {}

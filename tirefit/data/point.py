@@ -42,16 +42,16 @@ def zero_of_alpha(
         what, logged, turns = "heading", "yaw", "lowers"
         assumed = "the logged yaw is taken as the heading; if the heading is larger, alpha"
         assumed += " is too large by the difference"
-    said = f"{what} offset: none assumed, {assumed}"
+    message = f"{what} offset: none assumed, {assumed}"
     if given:
-        said = f"{what} offset: {given:g} rad were added to the logged {logged}, as"
-        said += f" declared, which {turns} alpha by as much"
+        message = f"{what} offset: {given:g} rad were added to the logged {logged}, as"
+        message += f" declared, which {turns} alpha by as much"
     left = _alpha_at_rest(alpha, fy) if axle == "rear" else None
     if left is None:
-        return said, None
+        return message, None
     takes_out = given + left if pose else given - left
     return (
-        f"{said}; estimated from these data: alpha is {left:+.4f} rad where fy = 0;"
+        f"{message}; estimated from these data: alpha is {left:+.4f} rad where fy = 0;"
         f" for a symmetric tire, {key} = {takes_out:.4f} corrects it"
     ), left
 
@@ -178,8 +178,8 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
         named = [(_flipped if flipped or may_flip else _nothing_fits)(vehicle)]
     reasons, remedies = (", or ".join(words) for words in zip(*named, strict=True))
     if slope > -SURE:
-        said = f"lateral force against slip angle: {reasons}; {remedies}"
-        return check._replace(warnings=(said,))
+        message = f"lateral force against slip angle: {reasons}; {remedies}"
+        return check._replace(warnings=(message,))
     reason = "channels contradict each other: the lateral force acts in the direction"
     reason += f" of the axle's slip ({-slope:.0f} standard errors): {reasons}"
     return check._replace(problems=(InputProblem(reason, remedies, file),))

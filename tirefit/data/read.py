@@ -435,8 +435,8 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
 
 
 def _all_assumptions(reading: _Reading) -> list[str]:
-    said = [*reading.table.notes, *reading.plan.assumptions, str(reading.signs)]
-    return said + reading.assumptions
+    messages = [*reading.table.notes, *reading.plan.assumptions, str(reading.signs)]
+    return messages + reading.assumptions
 
 
 def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:

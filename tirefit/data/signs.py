@@ -230,20 +230,20 @@ def doubt_signs(
             :func:`doubt_convention` checks the slip.
         units: the unit in which each column was read.
     """
-    evidence, said = evidence_of(columns, definition), []
+    evidence, messages = evidence_of(columns, definition), []
     convention, is_declared = signs.convention, signs.is_declared
     for item in evidence:
         of_slip = item.fields == ("slip",)
-        told = _is_refused(item) or item.columns[0] == "omega"
-        if item.trend >= 0 or told or (of_slip and not is_declared):
+        refused = _is_refused(item) or item.columns[0] == "omega"
+        if item.trend >= 0 or refused or (of_slip and not is_declared):
             continue
         names = dict.fromkeys(repr(headers.get(c, c)) for c in item.columns)
         assumed = "" if is_declared else ", which were assumed"
-        said.append(
+        messages.append(
             f"{' and '.join(names)}: {item.rule}, but not with the signs of"
             f" {convention!r}{assumed}: {_remedy(item, evidence, convention, units)}"
         )
-    return said
+    return messages
 
 
 def _remedy(

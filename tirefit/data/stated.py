@@ -59,7 +59,7 @@ def found_in(logs: Sequence) -> dict[str, float]:
 def assumptions_of(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
     """Sentences on bandwidth, model and all assumptions of a log."""
     settings = vehicle.filter
-    said = [
+    messages = [
         f"bandwidth {settings.bandwidth:.3g} Hz (-3 dB): Butterworth of order"
         f" {settings.order}, {settings.cutoff:g} Hz, run both ways, then central"
         f" differences at {settings.sample_rate:g} Hz; neighbouring samples are"
@@ -71,18 +71,18 @@ def assumptions_of(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]
         _SIGNS,
     ]
     if vehicle.h_cg is None:
-        said.append("fz is the static axle load (h_cg is not given)")
+        messages.append("fz is the static axle load (h_cg is not given)")
     else:
-        said.append("fz is the axle load with the load transfer m a_x h_cg / L")
+        messages.append("fz is the axle load with the load transfer m a_x h_cg / L")
     if vehicle.tracked_point is None:
-        said.append("the log describes the centre of gravity (no tracked_point)")
+        messages.append("the log describes the centre of gravity (no tracked_point)")
     if axle == "front":
         assert vehicle.steering is not None
         delay = vehicle.steering.delay
         late = f"{delay:g} s later" if delay else "at once"
-        said.append(f"the road wheels follow the steering command {late}")
+        messages.append(f"the road wheels follow the steering command {late}")
     if vehicle.driven not in (axle, "all"):
-        said.append(f"the {axle} axle neither drives nor brakes")
+        messages.append(f"the {axle} axle neither drives nor brakes")
     elif vehicle.driven == "all" and vehicle.rear_share is None:
-        said.append("the rear axle has half of the drive force (no rear_share)")
-    return (*said, *vehicle.columns.notes, *track.notes)
+        messages.append("the rear axle has half of the drive force (no rear_share)")
+    return (*messages, *vehicle.columns.notes, *track.notes)

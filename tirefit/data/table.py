@@ -218,12 +218,14 @@ def join(tables: Sequence[TireData]) -> TireData:
     dropped = sorted({c for table in tables for c in table.columns} - set(shared))
     short = run_names([table.name for table in tables]).short
     sources = [(name, t.source) for name, t in zip(short, tables, strict=True)]
-    said = merged((name, source.assumptions) for name, source in sources)
+    messages = merged((name, source.assumptions) for name, source in sources)
     if dropped:
-        said.append(f"columns that some files lack were left out: {', '.join(dropped)}")
+        messages.append(f"columns that some files lack were left out: {', '.join(dropped)}")
     signs = dict.fromkeys(table.source.convention for table in tables)
     if len(signs) > 1:
-        said.append(f"files in several conventions: {', '.join(signs)}; each is read in its own")
+        messages.append(
+            f"files in several conventions: {', '.join(signs)}; each is read in its own"
+        )
     digest = hashlib.sha256("".join(t.source.sha256 for t in tables).encode()).hexdigest()
     lines = [t.source.line for t in tables if t.source.line is not None]
     checks = [t.source.slip_check for t in tables if t.source.slip_check is not None]
@@ -234,7 +236,7 @@ def join(tables: Sequence[TireData]) -> TireData:
         slip_check=max(checks, key=lambda check: check.difference, default=None),
         path=", ".join(table.source.path for table in tables),
         sha256=digest,
-        assumptions=tuple(said),
+        assumptions=tuple(messages),
         warnings=(*merged((name, s.warnings) for name, s in sources), *differing),
         masked=tuple(problem for table in tables for problem in table.source.masked),
         line=np.concatenate(lines) if len(lines) == len(tables) else None,

@@ -238,8 +238,8 @@ def new_tir(
         if COEFFICIENTS[key] != section:
             section = COEFFICIENTS[key]
             lines.append(f"[{section}]")
-        said = f"          ${notes[key]}" if key in notes else ""
-        lines.append(f"{key:<24} = {shortest(float(values[key]))}{said}")
+        message = f"          ${notes[key]}" if key in notes else ""
+        lines.append(f"{key:<24} = {shortest(float(values[key]))}{message}")
     for name, (low, high) in ranges.items():
         lines.append(f"[{_RANGES[name]}]")
         for key, value in zip(LIMITS[name], (low, high), strict=True):

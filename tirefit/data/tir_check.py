@@ -46,42 +46,42 @@ def problems_of(tir: TirFile) -> list[InputProblem]:
 
 def notes_on(tir: TirFile) -> list[str]:
     """Sentences on assumptions, and on content that is not used."""
-    said = list(tir.notes)
+    messages = list(tir.notes)
     if tir.numbers.get("FITTYP") not in FITTYP:
-        said.append(f"taken as Magic Formula {tir.version}: {tir.stated.because}")
-    said += [f"no {force} in this file: {why}" for force, why in tir.lacks.items()]
+        messages.append(f"taken as Magic Formula {tir.version}: {tir.stated.because}")
+    messages += [f"no {force} in this file: {why}" for force, why in tir.lacks.items()]
     if tir.commas:
-        said.append(f"{tir.commas} values have a decimal comma: read as decimal point")
+        messages.append(f"{tir.commas} values have a decimal comma: read as decimal point")
     if empty := [e.key for e in tir.wanted() if not e.text]:
-        said.append(f"keys without a value are ignored: {_listed(empty)}")
+        messages.append(f"keys without a value are ignored: {_listed(empty)}")
     if tir.foreign:
-        said.append(
+        messages.append(
             f"MF {tir.version} has no {_listed(tir.foreign)}: ignored, which changes"
             " the tire against programs that use them"
         )
     entry = tir.find("FE_METHOD")
     if entry and entry.text.upper() == "YES":
-        said.append(
+        messages.append(
             "FE_METHOD = 'YES' is not used: combined slip by weighting functions, not"
             " by a friction ellipse"
         )
     use_mode = tir.numbers.get("USE_MODE")
     if use_mode is not None and use_mode % 10 < 4 and not tir.lacks:
-        said.append(f"USE_MODE = {use_mode:g} is not used: all forces, with combined slip")
+        messages.append(f"USE_MODE = {use_mode:g} is not used: all forces, with combined slip")
     if (number := tir.numbers.get("FITTYP")) in _OLDER:
-        said.append(f"FITTYP = {number:g}: the equations of MF {tir.version} are used")
+        messages.append(f"FITTYP = {number:g}: the equations of MF {tir.version} are used")
     if not any(entry.section == "UNITS" for entry in tir.entries):
-        said.append("there is no [UNITS] section: SI units assumed")
+        messages.append("there is no [UNITS] section: SI units assumed")
     if tir.unit("ANGLE") != 1:
-        said.append(
+        messages.append(
             "ANGLE applies to the limits of alpha and gamma only: coefficients are per radian"
         )
     if tir.numbers.get("PKY1", 0) > 0 and tir.numbers.get("PDY1", 0) > 0:
-        said.append(
+        messages.append(
             "PKY1 > 0 gives F_y > 0 for alpha > 0: these are not the ISO-W axes of a"
             " .tir file (--signs adapted-sae reads such a file)"
         )
-    return said
+    return messages
 
 
 def _problem(tir: TirFile, key: str, reason: str, remedy: str) -> InputProblem:
@@ -152,14 +152,14 @@ def _no_numbers(tir: TirFile) -> Iterator[InputProblem]:
     """One problem for all values that are not numbers."""
     bad = [e for e in tir.wanted() if e.text and tir.number(e) is None]
     if bad:
-        said = f"{bad[0].key} = {bad[0].value} is not a number"
+        message = f"{bad[0].key} = {bad[0].value} is not a number"
         if len(bad) > 1:
             some = [f"{entry.key} = {entry.value}" for entry in bad]
-            said = f"{len(bad)} values are not numbers: {_listed(some)}"
+            message = f"{len(bad)} values are not numbers: {_listed(some)}"
         if sum("," in entry.value for entry in bad) == len(bad):
-            said += "; other values have a decimal point"
+            message += "; other values have a decimal point"
         remedy = "give numbers such as 1.5 or -2e-3; removing a line changes the tire"
-        yield InputProblem(said, remedy, tir.path, bad[0].row)
+        yield InputProblem(message, remedy, tir.path, bad[0].row)
 
 
 def _missing(tir: TirFile) -> Iterator[InputProblem]:

@@ -311,8 +311,8 @@ def parsed(text: str, path: str, notes: Iterable[str] = ()) -> tuple[TirFile, li
         value = "" if found["value"] in ("&", "\\") else found["value"]
         entries.append(Entry(section, key, row, value, found.span("value")))
         held = key if not value else None
-    said = list(notes)
+    messages = list(notes)
     if words:
         some = ", ".join(map(str, words[:5])) + (", ..." if len(words) > 5 else "")
-        said.append(f"{len(words)} lines without KEY = VALUE are read as comments: rows {some}")
-    return TirFile(path, lines, tuple(entries), tuple(said)), problems
+        messages.append(f"{len(words)} lines without KEY = VALUE are read as comments: rows {some}")
+    return TirFile(path, lines, tuple(entries), tuple(messages)), problems

@@ -147,12 +147,12 @@ def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
 def _with_units(data: TireData, table: dict) -> dict:
     """The same columns, with units added to headers if the file states them elsewhere, so
     that the written file is read back with the same units."""
-    source, said = data.source, {}
+    source, message = data.source, {}
     for name in source.units_beside:
         unit, header = source.units.get(name), source.columns[name]
         if unit and unit != CANONICAL[base_column(name)][0]:
-            said[header] = f"{header} [{unit}]"
-    return {said.get(header, header): values for header, values in table.items()}
+            message[header] = f"{header} [{unit}]"
+    return {message.get(header, header): values for header, values in table.items()}
 
 
 def _in_unit_of_its_force(data: TireData, name: str, force) -> np.ndarray:

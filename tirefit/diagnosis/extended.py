@@ -234,8 +234,8 @@ def read_document(path: str | PathLike) -> Document:
     try:
         return document_of(raw.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        said = ": ".join(str(error).split("\n")[:2]) or "it is nested too deeply"
-        reason = f"not the document of a diagnosis: {said[:200]}"
+        message = ": ".join(str(error).split("\n")[:2]) or "it is nested too deeply"
+        reason = f"not the document of a diagnosis: {message[:200]}"
         raise DataError(InputProblem(reason, remedy, str(path))) from None
 
 
@@ -337,17 +337,17 @@ def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]
     if whole is None or variant not in range(len(effect.variants)):
         return [], f"not in the forces: {id}: it has no amplitude"
     size, atom = amplitudes[whole], Atom(effect, variant)
-    said = f"{id} {whole.removeprefix(prefix)} = {size.value:.5g} +- {size.std:.2g}"
+    message = f"{id} {whole.removeprefix(prefix)} = {size.value:.5g} +- {size.std:.2g}"
     unit = size.unit.removeprefix("-").strip()
-    said += f"{' ' if unit else ''}{unit}: {effect.means} ({effect.formula})"
+    message += f"{' ' if unit else ''}{unit}: {effect.means} ({effect.formula})"
     if effect.of == "measurement":
-        return [], f"of the measurement, not in the forces: {said}; {effect.remedy}"
+        return [], f"of the measurement, not in the forces: {message}; {effect.remedy}"
     if effect.of == "tire" and _has_inputs(atom, size.value, document.extension):
-        return [(atom, size.value)], f"in the forces: {said}"
+        return [(atom, size.value)], f"in the forces: {message}"
     closed = document.gap.shares.get(id, document.gap.closed)
     lost = "" if closed is None else f"; it closes {closed:.0%} of the gap"
     whose = "" if effect.of == "tire" else f", of the {effect.of}"
-    return [], f"not in the forces{whose}: {said}{lost}"
+    return [], f"not in the forces{whose}: {message}{lost}"
 
 
 def _has_inputs(atom: Atom, amplitude: float, to: Extension) -> bool:

@@ -38,8 +38,8 @@ class BatchFit(Record):
     def limits(self) -> dict[Outcome, str]:
         """How many fits did not converge."""
         off = int(np.sum(~self.converged))
-        said = f"{off} of {len(self.converged)} fits did not converge"
-        return {Outcome.NOT_CONVERGED: said if off else ""}
+        message = f"{off} of {len(self.converged)} fits did not converge"
+        return {Outcome.NOT_CONVERGED: message if off else ""}
 
     def columns(self) -> dict[str, np.ndarray]:
         """``fits.csv``: estimate and standard deviation of each parameter, by fit."""

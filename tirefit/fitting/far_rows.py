@@ -336,22 +336,22 @@ def _far_row(whole: FitTask, judged: _Judged, i: int, kept: bool, beyond: bool, 
         f" {distance:.3g} standard deviations from the {predicted:.4g} {unit} that the"
         " other rows predict"
     )
-    said = [] if suspect is None else [why_far(suspect)]
+    messages = [] if suspect is None else [why_far(suspect)]
     remedy = "check the row"
     if beyond or not kept:
-        said.append(off)
+        messages.append(off)
         remedy = _REMEDY if kept else _KEEP
     elif suspect is not None and distance <= _CLEAR:
-        said.append(f"kept: its {force} is what the other rows predict")
+        messages.append(f"kept: its {force} is what the other rows predict")
     elif suspect is not None:
-        said += [off, "kept: its neighbours or much of its run deviate as well"]
+        messages += [off, "kept: its neighbours or much of its run deviate as well"]
     if kept and judged.leverage[i] > _RESTS:
-        said.append(
+        messages.append(
             f"the fit depends on it: {judged.leverage[i]:.0%} of the information on a"
             " parameter comes from this row"
         )
     row = int(np.flatnonzero(whole.data.used)[i])
-    place = problem_at(whole.data, row, column, "; ".join(said), remedy)
+    place = problem_at(whole.data, row, column, "; ".join(messages), remedy)
     return FarRow(
         place.file, place.row or 0, place.column or column, value, force, predicted,
         distance, not kept, place.reason, place.remedy,

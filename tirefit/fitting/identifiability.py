@@ -56,7 +56,7 @@ class ParameterGate(NamedTuple):
     unit: str
     value: float  # guess at which it was evaluated
     std: float  # standard deviation that a fit would have
-    told: str  # "well", "roughly" or "not"
+    grade: str  # "well", "roughly" or "not"
     is_size: bool  # positive by nature, so that its std is a share of it
     beside: str = ""  # the parameter it is most correlated with
     remedy: str = ""  # rows that would determine it
@@ -103,18 +103,18 @@ class Identifiability:
             if gate.reason:
                 lines.append(f"{start}{gate.reason}")
                 continue
-            known = [_known_text(p) for p in gate.parameters if p.told != NOT]
+            known = [_known_text(p) for p in gate.parameters if p.grade != NOT]
             lines.append(f"{start}{', '.join(known) or 'none'}")
             lines += [
                 f"{'':<{len(start)}}not {_unknown_text(p)}"
                 for p in gate.parameters
-                if p.told == NOT
+                if p.grade == NOT
             ]
         return "\n".join(lines)
 
 
 def _known_text(p: ParameterGate) -> str:
-    about = "" if p.told == WELL else " roughly"
+    about = "" if p.grade == WELL else " roughly"
     if p.is_size:
         return f"{p.name}{about} ±{100 * p.std / p.value:.2g} %"
     unit = "" if p.unit == "-" else f" {p.unit}"
@@ -148,7 +148,7 @@ def identifiability(
 
     Example:
         >>> (gate,) = identifiability(samples / "circles.csv", ["brush"]).gates
-        >>> {one.name: one.told for one in gate.parameters}
+        >>> {one.name: one.grade for one in gate.parameters}
         {'cpa2': 'well', 'mu': 'well'}
     """
     data = as_data(data)
@@ -273,7 +273,7 @@ def _is_size(spec: Spec) -> bool:
     return spec.scale == "log" or spec.lower > 0
 
 
-def _told(spec: Spec, value: float, std: float) -> str:
+def _grade(spec: Spec, value: float, std: float) -> str:
     """How well an interval determines a parameter, by the rules of a fit."""
     half = 1.96 * std
     if _is_size(spec):
@@ -301,7 +301,7 @@ def _parameter(problem: FitProblem, k: int, likely, weight) -> ParameterGate:
         if worst is None or _rank(gate) > _rank(worst):
             worst = gate
     assert worst is not None  # the best point is always likely
-    if worst.told != NOT:
+    if worst.grade != NOT:
         return worst
     return worst._replace(remedy=_remedy(problem, k, likely, weight))
 
@@ -313,7 +313,7 @@ def _information(slopes, weight) -> np.ndarray:
 
 def _rank(gate: ParameterGate) -> tuple[int, float]:
     scale = gate.value if gate.is_size else 1.0
-    return (WELL, ROUGHLY, NOT).index(gate.told), gate.std / scale
+    return (WELL, ROUGHLY, NOT).index(gate.grade), gate.std / scale
 
 
 def _judged(problem: FitProblem, k: int, z, information) -> ParameterGate:
@@ -323,15 +323,15 @@ def _judged(problem: FitProblem, k: int, z, information) -> ParameterGate:
     value = float(constrain(z[k], spec))
     cov = _covariance(information)
     std = slope * float(np.sqrt(cov[k, k]))
-    told, beside = _told(spec, value, std), ""
-    if told != WELL and information[k, k] > 0:
+    grade, beside = _grade(spec, value, std), ""
+    if grade != WELL and information[k, k] > 0:
         alone = slope / float(np.sqrt(information[k, k]))
-        if _told(spec, value, alone) == WELL:
+        if _grade(spec, value, alone) == WELL:
             size = np.sqrt(np.diag(cov))
             other = np.abs(cov[k]) / (size * size[k])
             other[k] = 0.0
             beside = problem.layout.labels[int(np.argmax(other))]
-    return ParameterGate(label, spec.unit, value, std, told, _is_size(spec), beside)
+    return ParameterGate(label, spec.unit, value, std, grade, _is_size(spec), beside)
 
 
 def _remedy(problem: FitProblem, k: int, likely, weight) -> str:
@@ -346,13 +346,13 @@ def _remedy(problem: FitProblem, k: int, likely, weight) -> str:
         ("speeds from half to twice as high", "v", (0.5, 2.0)),
     ):
         wider = [_scaled(problem, name, factor) for factor in times]
-        told = True
+        enough = True
         for z, _, slopes in likely:
             more = _information(slopes, weight)
             for rows in wider:
                 more = more + _information(_at(rows, z)[1], weight)
-            told &= _judged(problem, k, z, more).told != NOT
-        if told:
+            enough &= _judged(problem, k, z, more).grade != NOT
+        if enough:
             return words
     return ""
 

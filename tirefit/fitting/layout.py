@@ -164,10 +164,10 @@ def choose_layout(
         problems += wrong
     for tie in ties:
         if tie.other in free:
-            spec, wrong, said = _narrowed(tie, bounded)
+            spec, wrong, message = _narrowed(tie, bounded)
             bounded[tie.other] = spec
             problems += wrong
-            notes += said
+            notes += message
         else:
             problems.append(_wrong_tie(tie, ties, free, known))
     for name in known:
@@ -233,11 +233,11 @@ def _narrowed(tie: Tie, bounded: Mapping[str, Spec]):
         )
         remedy = f"change the factor, or the bounds of {tie.other}"
         return other, [InputProblem(reason, remedy)], []
-    said = (
+    message = (
         f"{tie.other} held to {_interval(narrow)}, so that {tie.name} = {product} stays"
         f" within {_interval(own)}"
     )
-    return narrow, [], [said]
+    return narrow, [], [message]
 
 
 def _wrong_tie(tie: Tie, ties: Sequence[Tie], free: Sequence[str], known) -> InputProblem:

@@ -286,9 +286,9 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
     forces, notes = _chosen_forces(data, config)
     data = _limited(data, config, CHANNEL_SLIP[forces[0]])
     _check_inputs(data, name, template, forces, config)
-    config, said = _with_reference_load(data, template, config)
+    config, messages = _with_reference_load(data, template, config)
     model, layout, narrowed = _settled(data, template, forces, config)
-    notes += [*said, *narrowed]
+    notes += [*messages, *narrowed]
     size = padded_size(data.n, least_rows)
     observed, scale, channels = {}, {}, []
     slips = dict.fromkeys(CHANNEL_SLIP.values())
@@ -367,5 +367,5 @@ def _with_reference_load(data: TireData, model: AbstractTire, config: FitConfig)
         return config, []
     load = float(f"{np.median(data.usable('fz')):.6g}")
     given = config.parameters | {"fz0": asked.model_copy(update={"value": load})}
-    said = f"reference load fz0: {load:g} N, the median (set parameters.fz0.value)"
-    return config.model_copy(update={"parameters": given}), [said]
+    message = f"reference load fz0: {load:g} N, the median (set parameters.fz0.value)"
+    return config.model_copy(update={"parameters": given}), [message]

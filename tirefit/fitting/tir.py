@@ -87,15 +87,15 @@ def moments_noted(tir: TirFile, data: TireData) -> list[str]:
     """Sentences on M_x and M_y: those that the file lacks, and the assumed speed."""
     there = {key[:3] for key in tir.numbers}
     keys = {"QSX": "mx (overturning moment)", "QSY": "my (rolling resistance moment)"}
-    said = [
+    messages = [
         f"no coefficients {key}...: {name} is not predicted"
         for key, name in keys.items()
         if key not in there
     ]
     if "v" not in data and any(tir.numbers.get(key) for key in ("QSY3", "QSY4")):
         speed = tir.numbers.get("LONGVL", Nominal().LONGVL)
-        said.append(f"no column v: my is computed at {speed:g} m/s (--constant v=SPEED)")
-    return said
+        messages.append(f"no column v: my is computed at {speed:g} m/s (--constant v=SPEED)")
+    return messages
 
 
 def turned_by(signs: str | None) -> frozenset[str]:
@@ -132,24 +132,24 @@ def remarks(
         data: its used rows are checked; None for any rows, with both slips too.
         signs: convention in which the file was written, see :func:`tire_of`.
     """
-    said = notes_on(tir)
+    messages = notes_on(tir)
     mounted = tire.tire if isinstance(tire, Mirrored) else tire
     assert isinstance(mounted, MFTire)
     if data is None:
-        return said + _combination(mounted, "wherever both slips act")
+        return messages + _combination(mounted, "wherever both slips act")
     slips = [np.nan_to_num(_used(data, name)) for name in ("sigma_x", "alpha")]
     if both := np.count_nonzero(slips[0] * slips[1]):
-        said += _combination(mounted, f"{both} of {data.n} rows with both slips")
+        messages += _combination(mounted, f"{both} of {data.n} rows with both slips")
     turned = tire.turned if isinstance(tire, Mirrored) else frozenset()
     limited = _limited(mounted, data, turned)
-    return said + _unused(tir, data) + limited + _outside(tir, data, turned_by(signs))
+    return messages + _unused(tir, data) + limited + _outside(tir, data, turned_by(signs))
 
 
 def _combination(tire: MFTire, where: str) -> list[str]:
     """Sentences on forces whose combined slip the file does not describe."""
-    said = []
+    messages = []
     if similar := [_SYMBOLS[force] for force in tire.similarity]:
-        said.append(
+        messages.append(
             f"{where}: {' and '.join(similar)} by the method of similarity (pure forces"
             " at the resultant normalised slip), as the file has no coefficients of"
             " combined slip; predict --combination none leaves them as in pure slip"
@@ -162,13 +162,13 @@ def _combination(tire: MFTire, where: str) -> list[str]:
     ]
     if whole:
         remedy = "; --combination similarity avoids that" if not tire.lacks else ""
-        said.append(
+        messages.append(
             f"{where}: {' and '.join(whole)} as in pure slip: the weighting function"
             f" is one, so the resultant force may exceed the friction limit{remedy}"
         )
     if "fx" in tire.lacks and "mz" not in tire.lacks:
-        said.append(f"{where}: M_z without the part of F_x, which the file does not give")
-    return said
+        messages.append(f"{where}: M_z without the part of F_x, which the file does not give")
+    return messages
 
 
 def _used(data: TireData, name: str) -> np.ndarray:
@@ -180,18 +180,18 @@ def _unused(tir: TirFile, data: TireData) -> list[str]:
     """Sentences on camber and pressure that vary but change no force of the file."""
     camber, pressure = (np.nan_to_num(_used(data, k)) for k in ("gamma", "pressure"))
     values = {"camber": camber, "pressure": pressure - pressure[:1]}
-    said = []
+    messages = []
     for name, keys in _NEEDED.items():
         acting = any(tir.numbers.get(key) for key in keys.split())
         acting |= name == "camber" and "F_y" in tir.lacks
         count = np.count_nonzero(values[name])
         if count and not acting:
             force = "F_y" if name == "camber" else "force"
-            said.append(
+            messages.append(
                 f"{count} of {data.n} rows with {name}, which changes no {force}: the"
                 " file has no coefficient of it"
             )
-    return said
+    return messages
 
 
 def _limited(tire: MFTire, data: TireData, turned: frozenset[str]) -> list[str]:
@@ -202,19 +202,19 @@ def _limited(tire: MFTire, data: TireData, turned: frozenset[str]) -> list[str]:
     """
     inputs = TireInputs(*(np.nan_to_num(_used(data, k)) for k in TireInputs._fields))
     inputs = turned_inputs(inputs, turned)
-    said = []
+    messages = []
     for force, values in curvatures(tire, inputs).items():
         beyond = np.asarray(values) > 1
         if not beyond.any():
             continue
         loads, largest = np.asarray(inputs.fz)[beyond], np.max(values)
         where = f"{beyond.sum()} of {data.n} rows (F_z {loads.min():.4g} to"
-        said.append(
+        messages.append(
             f"the curvature factor E of {_SYMBOLS[force]} exceeds 1 in {where}"
             f" {loads.max():.4g} N, up to {largest:.3g}) and is limited to 1 there:"
             " programs that do not limit it give other forces"
         )
-    return said
+    return messages
 
 
 def _outside(tir: TirFile, data: TireData, turned: frozenset[str]) -> list[str]:
@@ -223,7 +223,7 @@ def _outside(tir: TirFile, data: TireData, turned: frozenset[str]) -> list[str]:
     Args:
         turned: fields with reversed sign in the file.
     """
-    numbers, said = tir.numbers, []
+    numbers, messages = tir.numbers, []
     for name, (least, most) in LIMITS.items():
         column = "sigma_x" if name == "kappa" else name
         if column not in data:
@@ -238,8 +238,8 @@ def _outside(tir: TirFile, data: TireData, turned: frozenset[str]) -> list[str]:
         margin = 1e-9 * (high - low) if np.isfinite(high - low) else 0.0
         count = np.count_nonzero((values < low - margin) | (values > high + margin))
         if count:
-            said.append(
+            messages.append(
                 f"{count} of {data.n} rows outside {least} = {low:g} to {most} ="
                 f" {high:g}: extrapolated"
             )
-    return said
+    return messages

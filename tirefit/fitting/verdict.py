@@ -171,16 +171,16 @@ def _far_rows(result: FitResult) -> list[str]:
     """Sentences on the outliers that were excluded or kept."""
     aside = [row for row in result.far_rows if row.set_aside]
     kept = [row for row in result.far_rows if not row.set_aside]
-    said = [result.noise["too_many"]] if result.noise.get("too_many") else []
+    messages = [result.noise["too_many"]] if result.noise.get("too_many") else []
     if aside:
-        said.append(
+        messages.append(
             f"{len(aside)} of {result.statistics.n + len(aside)} rows were excluded as"
             f" outliers: {_row_numbers(aside)}; correct or delete them, or fit all rows"
             " with noise.loss = 'squares'"
         )
     if kept:
-        said.append(f"check these outliers, which were kept: {_row_numbers(kept)}")
-    return said
+        messages.append(f"check these outliers, which were kept: {_row_numbers(kept)}")
+    return messages
 
 
 def _row_numbers(rows, most: int = 8) -> str:

@@ -139,9 +139,9 @@ class ForceFilter(AbstractVehicleMethod):
             seconds=jnp.where(due, 0.0, seconds),
             square=jnp.where(due, square, state.square),
         )
-        told = mean / jnp.sqrt(jnp.maximum(state.square, _LEAST_SQUARE))
+        reported = mean / jnp.sqrt(jnp.maximum(state.square, _LEAST_SQUARE))
         after = choose(anew, state, weighed)
-        return after, self._estimate(after, jnp.where(due, told, jnp.nan))
+        return after, self._estimate(after, jnp.where(due, reported, jnp.nan))
 
     def _first(self):
         load = self.mass * GRAVITY

@@ -220,12 +220,12 @@ class LuGreObserver(AbstractEstimator):
         first = self._first().at[2, 2].set(state.covariance[2, 2])
         held = state._replace(waited=jnp.zeros(()), smooth=smooth)
         began = held._replace(x=self._at_rest(u, state.x[2]), covariance=first)
-        moved, told = _summed(held, surprise)
+        moved, reported = _summed(held, surprise)
         moved = moved._replace(x=x, covariance=spread[:7, :7])
         after = choose(anew, began, moved)
         peak = self._peak(1 / after.x[2], jnp.maximum(jnp.abs(u[1]), 0.5))
         after = after._replace(peak=peak)
-        return after, self._estimate(after, jnp.where(anew, jnp.nan, told))
+        return after, self._estimate(after, jnp.where(anew, jnp.nan, reported))
 
     def course(self, u, p) -> Course:
         """Coefficients at inputs (4,) omega, v, fz, torque, and p for the patch."""
@@ -335,9 +335,9 @@ def _summed(state: ObserverState, surprise):
     count = state.summed + 1
     total = state.sum + jnp.clip(surprise, -4.0, 4.0)
     full = count >= _SUMMED
-    told = jnp.where(full, total / jnp.sqrt(1.5 * count), jnp.nan)
+    reported = jnp.where(full, total / jnp.sqrt(1.5 * count), jnp.nan)
     kept = state._replace(sum=jnp.where(full, 0.0, total), summed=jnp.where(full, 0.0, count))
-    return kept, told
+    return kept, reported
 
 
 def weights_of_v(observer: LuGreObserver) -> tuple[float, float, float]:

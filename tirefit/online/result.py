@@ -87,8 +87,8 @@ class Estimates(Record):
     def limits(self) -> dict[Outcome, str]:
         """The methods whose last estimate its sample does not support, and why."""
         last = {name: method.reasons[-1] for name, method in self.methods.items()}
-        said = (f"{name}, last row: {why}" for name, why in last.items() if why)
-        return {Outcome.NOT_IDENTIFIED: "; ".join(said)}
+        message = (f"{name}, last row: {why}" for name, why in last.items() if why)
+        return {Outcome.NOT_IDENTIFIED: "; ".join(message)}
 
     def __getitem__(self, name: str) -> MethodEstimates:
         return self.methods[name]

@@ -103,8 +103,8 @@ def guarded_step(
     broken = ~_all_finite(waited, began.inner)
     kept = state._replace(inner=waited, sums=sums, gathered=count)
     # The last flag is kept until the next step, unless time has made it worse.
-    told = jnp.where(usable, jnp.maximum(state.flag, waiting.flag), unusable)
-    waiting = waiting._replace(flag=told)
+    latest = jnp.where(usable, jnp.maximum(state.flag, waiting.flag), unusable)
+    waiting = waiting._replace(flag=latest)
     # A branch instead of a selection, as nine of ten samples only add to a mean and XLA
     # would repeat shared computations for each of several selections.
     kept, estimate, alarm, broken = jax.lax.cond(

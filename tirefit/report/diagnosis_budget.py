@@ -119,8 +119,8 @@ def waterfall_steps(result: Diagnosis, channel: str | None = None) -> list[Water
     """
     channel = channel or next(iter(result.budgets))
     unit = FORCE_UNIT[channel]
-    said = f"{_rms(result.budgets[channel])} {unit} (rms), 100 %"
-    left, steps = 1.0, [WaterfallBar("simulator's error", 1.0, 0.0, "whole", said)]
+    message = f"{_rms(result.budgets[channel])} {unit} (rms), 100 %"
+    left, steps = 1.0, [WaterfallBar("simulator's error", 1.0, 0.0, "whole", message)]
     for part in result.budgets[channel]:
         rest = max(left - part.share, 0.0) if part.part != "noise" else 0.0
         kind = part.part if part.part in _KINDS else "effect"

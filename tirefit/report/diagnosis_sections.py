@@ -76,9 +76,9 @@ def subject(result: Diagnosis) -> str:
 def answer(result: Diagnosis) -> str:
     """The answer: a sentence on the effects; for a simulator, first its parameters."""
     changes = change_texts(result)
-    said = _on_effects(result, beyond="its parameters and " if changes else "")
-    said = f"The simulator has {listing(changes)}. {said}" if changes else said
-    return " ".join([said, *_how_much(result), *_no_help(result)])
+    message = _on_effects(result, beyond="its parameters and " if changes else "")
+    message = f"The simulator has {listing(changes)}. {message}" if changes else message
+    return " ".join([message, *_how_much(result), *_no_help(result)])
 
 
 def _how_much(result: Diagnosis) -> Iterator[str]:
@@ -303,8 +303,8 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
             for name, amplitude in parameters.items()
             if name.startswith(f"{effect}: ")
         ]
-        said = amounts if named else ["not named"]
-        yield ": ".join([name_with_id(effect), *["; ".join(said)] * bool(said)])
+        message = amounts if named else ["not named"]
+        yield ": ".join([name_with_id(effect), *["; ".join(message)] * bool(message)])
         if (each := verdict.each.get(effect)) is not None:
             yield f"    {_each_text(each)}"
         if means[0]:

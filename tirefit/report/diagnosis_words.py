@@ -254,12 +254,12 @@ def closed_text(closed: float | None, ends=None, energy: float | None = None) ->
     worse`` if the effects double the gap or more."""
     if closed is None:
         return "-"
-    said, worse = _closed(closed), " or worse" if closed <= WORST else ""
+    message, worse = _closed(closed), " or worse" if closed <= WORST else ""
     if ends is not None and ends[0] is not None:
-        said += f" [{_closed(ends[0])}, {_closed(ends[1])}]"
+        message += f" [{_closed(ends[0])}, {_closed(ends[1])}]"
     if energy is not None:
-        said += f", {100 * energy:.0f} %{worse} of its energy"
-    return said
+        message += f", {100 * energy:.0f} %{worse} of its energy"
+    return message
 
 
 def _closed(share: float) -> str:

@@ -232,8 +232,8 @@ def rows_text(result: FitResult) -> str:
     text = f"{data['used']} used of {data['rows']}"
     left_out = {"masked": masked, "excluded as outliers": aside}
     if any(left_out.values()):
-        said = [f"{count} {why}" for why, count in left_out.items() if count]
-        text += f" ({', '.join(said)})"
+        messages = [f"{count} {why}" for why, count in left_out.items() if count]
+        text += f" ({', '.join(messages)})"
     return text + (f", {len(data['runs'])} runs" if len(data["runs"]) > 1 else "")
 
 

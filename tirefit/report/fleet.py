@@ -66,12 +66,12 @@ def fleet_of(path: Path) -> Fleet:
         rows = table.of(kind, name)
         if kind not in _OWN_STD:
             rows["std"] = np.zeros_like(rows["value"])
-        told = np.isfinite(rows["value"] + rows["std"])
-        number, value, std = (rows[c][told] for c in ("number", "value", "std"))
+        known = np.isfinite(rows["value"] + rows["std"])
+        number, value, std = (rows[c][known] for c in ("number", "value", "std"))
         if kind in _KINDS and len(value) >= min(_FEW, len(order)):
             at = when[number - 1]
             across = across_files(value, std, at)
-            untold = int(np.sum(~told))
+            untold = int(np.sum(~known))
             shown.append(Quantity(kind, name, unit, number, at, value, std, untold, across))
     return Fleet(files, dates, sorted(shown, key=lambda one: _KINDS.index(one.kind)))
 

@@ -65,7 +65,7 @@ def _settings(fleet: Fleet, command: str) -> list[str]:
 
 
 def _quantities(fleet: Fleet) -> list[tuple[str, ...]]:
-    head = ("quantity", "unit", "files", "not told", "middle", "scatter between files",
+    head = ("quantity", "unit", "files", "not determined", "middle", "scatter between files",
             "a file's own std", "change, first to last", "differ")  # fmt: skip
     rows: list[tuple[str, ...]] = [head]
     for one in fleet.quantities:

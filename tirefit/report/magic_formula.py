@@ -42,8 +42,8 @@ def _undetermined(fit: MagicFormulaFit) -> list[str]:
     for origin in ORIGINS:
         names = [name for name, one in fit.coefficients.items() if one.origin == origin]
         if names:
-            said = f"{len(names)} coefficients" if origin == "fitted" else ", ".join(names)
-            lines += wrapped(origin, f"{said}: {ORIGINS[origin]}")
+            message = f"{len(names)} coefficients" if origin == "fitted" else ", ".join(names)
+            lines += wrapped(origin, f"{message}: {ORIGINS[origin]}")
     return lines
 
 
@@ -53,8 +53,8 @@ def _tables(fit: MagicFormulaFit) -> list[str]:
     there = {one.part for one in fit.coefficients.values()} - {*fit.parts}
     origins = {one.origin for one in fit.coefficients.values()}
     if left_out := [PARTS[part].meaning for part in PARTS if part in there]:
-        said = f"{', '.join(left_out)}: given, borrowed or at the priors"
-        lines += ["", *wrapped("not fitted", said)]
+        message = f"{', '.join(left_out)}: given, borrowed or at the priors"
+        lines += ["", *wrapped("not fitted", message)]
     lines.append("")
     for origin in (o for o in ORIGINS if o in origins):
         lines += wrapped(origin, ORIGINS[origin])
@@ -100,9 +100,9 @@ def _forces(fit: MagicFormulaFit) -> list[str]:
 def _left_out(fit: MagicFormulaFit) -> list[str]:
     """The predictions of the parts that were left out."""
     if not fit.left_out:
-        said = "nothing (--leave-out none, or fewer than three loads): the bands are"
-        said += " not checked against rows left out"
-        return ["", *wrapped("left out", said)]
+        message = "nothing (--leave-out none, or fewer than three loads): the bands are"
+        message += " not checked against rows left out"
+        return ["", *wrapped("left out", message)]
     head = ["left out", "force", "rows", "RMSE", "RMSE if fitted", "rows in 95 % band"]
     rows = [head]
     for part in fit.left_out:
@@ -127,9 +127,9 @@ def _guards(fit: MagicFormulaFit, full: bool) -> list[str]:
     for guard in fit.guards:
         if guard.name in holding and not full:
             continue
-        said = "holds" if guard.holds else "FAILS beyond the data"
-        said = said if guard.holds_inside else "FAILS WITHIN THE DATA"
-        lines += wrapped(guard.name, f"{said}: {guard.text}")
+        message = "holds" if guard.holds else "FAILS beyond the data"
+        message = message if guard.holds_inside else "FAILS WITHIN THE DATA"
+        lines += wrapped(guard.name, f"{message}: {guard.text}")
     return lines
 
 
@@ -148,8 +148,8 @@ def _verdict(fit: MagicFormulaFit) -> list[str]:
     origins = [one.origin for one in fit.coefficients.values()]
     counts = [f"{origins.count(o)} {o}" for o in ORIGINS if o in origins]
     against = [text for o, text in fit.limits.items() if o is not Outcome.NOT_IDENTIFIED]
-    said = "do not use this fit as it is" if against else "converged"
-    lines = [f"VERDICT: {said}; coefficients: {', '.join(counts)}"]
+    message = "do not use this fit as it is" if against else "converged"
+    lines = [f"VERDICT: {message}; coefficients: {', '.join(counts)}"]
     for text in against:
         lines += wrapped("", text)
     beyond = [one.name for one in fit.guards if one.holds_inside and not one.holds]

@@ -87,8 +87,8 @@ def replay_text(result: Replay) -> str:
             f" {result.horizons[0]:g} s ahead: {each}; the uncertainty of the"
             " parameters explains no more of the error"
         )
-    told = "the tires were fitted to " + (", ".join(fitted) or "none of these logs")
-    lines += ["LOGS", *indented(told)]
+    fitted_to = "the tires were fitted to " + (", ".join(fitted) or "none of these logs")
+    lines += ["LOGS", *indented(fitted_to)]
     if fitted and others:
         lines += indented(f"the tires were not fitted to {', '.join(others)}")
     lines += ["ASSUMED", *(line for note in result.notes for line in indented(note))]

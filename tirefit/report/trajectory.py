@@ -48,9 +48,9 @@ def _answer(fit: TrajectoryFit) -> str:
 
 def trajectory_text(fit: TrajectoryFit) -> str:
     """The report: tires and unknowns of the car, noise, assumptions."""
-    said = [line for note in _notes(fit) for line in indented(note)]
+    messages = [line for note in _notes(fit) for line in indented(note)]
     answer = ["ANSWER", *indented(_answer(fit)), "FOUND", *table(_rows(fit))]
-    return "\n".join([_head(fit), *answer, "NOTES", *said])
+    return "\n".join([_head(fit), *answer, "NOTES", *messages])
 
 
 def trajectory_figure(fit: TrajectoryFit) -> Picture:

@@ -42,15 +42,15 @@ def answer(result: VehicleDiagnosis) -> str:
         f"{format_number(part[channel], 2)}"
         for part in (result.miss.fitted, result.miss.with_effects)
     )
-    told = f"The model of the car lacks {listing(names)}. "
-    told += f"Over {result.window:g} s the rms error of its {_CHANNELS[channel]} is {after}"
-    told += f" {_UNITS[channel]} (noise included) instead of {before}."
+    text = f"The model of the car lacks {listing(names)}. "
+    text += f"Over {result.window:g} s the rms error of its {_CHANNELS[channel]} is {after}"
+    text += f" {_UNITS[channel]} (noise included) instead of {before}."
     if verdict.status == Status.INCOMPLETE:
-        told += " A further error remains that no listed effect explains."
+        text += " A further error remains that no listed effect explains."
     if verdict.also_possible:
         others = listing([*map(name_with_id, verdict.also_possible)], "or")
-        told += f" These logs do not rule out {others}."
-    return told
+        text += f" These logs do not rule out {others}."
+    return text
 
 
 def _effects(result: VehicleDiagnosis) -> list[str]:
@@ -74,8 +74,8 @@ def _remedies(result: VehicleDiagnosis) -> list[str]:
         lines += indented(f"{effect}: {record.means}; {record.remedy}")
     twins = {*result.verdict.also_possible} & {*result.effects}
     for effect in (e for e in result.verdict.each if twins):
-        told = result.effects[effect].told_apart_by
-        lines += indented(f"to distinguish {effect} from similar effects: {told}")
+        how = result.effects[effect].told_apart_by
+        lines += indented(f"to distinguish {effect} from similar effects: {how}")
     return lines
 
 

@@ -176,8 +176,8 @@ def wheel_speeds(sensors: Sensors, turning, noise):
     step = sensors.speed_step
     noisy = turning + sensors.speed_std * noise * (turning > 0)
     safe = jnp.where(step > 0, step, 1.0)
-    told = jnp.where(step > 0, jnp.round(noisy / safe) * step, noisy)
-    return jnp.maximum(told, 0.0)
+    reported = jnp.where(step > 0, jnp.round(noisy / safe) * step, noisy)
+    return jnp.maximum(reported, 0.0)
 
 
 ROADS = ("mu=0.4", "mu=0.3:0.8@20", "left=0.3,right=0.8")

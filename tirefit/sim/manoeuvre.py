@@ -85,6 +85,6 @@ def _tire(source, values: dict[str, float], signs: str | None):
     if source is None:
         source, values = _DEFAULT, _VALUES | values
     given = given_tire(source, values, signs)
-    said = remarks(given.tir, given.tire) if given.tir else ()
+    messages = remarks(given.tir, given.tire) if given.tir else ()
     name = os.fspath(source) if isinstance(source, str | os.PathLike) else given.name
-    return name, given.tire, [f"{name}: {text}" for text in said]
+    return name, given.tire, [f"{name}: {text}" for text in messages]

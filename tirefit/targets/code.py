@@ -175,13 +175,13 @@ def c_source(draft: Draft) -> str:
     name, count = draft.name, len(draft.forces.outputs)
     above = [*draft.above, "test vectors:", *(f"  {line}" for line in vectors(draft))]
     # The text must not contain the beginning or end of a comment.
-    said = [line.replace("/*", "/ *").replace("*/", "* /") for line in above]
+    messages = [line.replace("/*", "/ *").replace("*/", "* /") for line in above]
     force, slope = f"tirefit_real force[{count}]", f"slope[{count}][{ALWAYS}]"
     both = draft.tire.program(draft.convention, jacobian=True)
     return "\n".join(
         [
             "/*",
-            *(f" * {line}" for line in said),
+            *(f" * {line}" for line in messages),
             " */",
             _C_HEAD.format(guard=f"{name.upper()}_H"),
             *_c_function(draft.forces, name, [force], count),

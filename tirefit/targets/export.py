@@ -132,8 +132,8 @@ class Exported(Record):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Failed checks, and those of ``notes`` that are warnings."""
-        said = (n.removeprefix("warning: ") for n in self.notes if n.startswith("warning: "))
-        return (*super().warnings, *said)
+        messages = (n.removeprefix("warning: ") for n in self.notes if n.startswith("warning: "))
+        return (*super().warnings, *messages)
 
     def to_dict(self) -> dict[str, Any]:
         """Target, files, checks and notes."""

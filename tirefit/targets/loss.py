@@ -54,10 +54,10 @@ def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, .
             missed.append(float(np.max(off)))
             alone = float(np.max(off[pure]))
             sizes.append(f"{name} {missed[-1]:.2%} (in pure slip {alone:.2%})")
-    told = ", ".join(
+    where = ", ".join(
         f"{k} {a:.3g} to {b:.3g} {UNITS[k]}" for k, (a, b) in turned_range(ranges, "iso-w").items()
     )
-    sentence = f"largest error of the file in F_z: {', '.join(sizes)}, over {told}"
+    sentence = f"largest error of the file in F_z: {', '.join(sizes)}, over {where}"
     if max(missed) > MOST and not force:
         remedy = "export to c, casadi or numpy, which hold it, or accept it by --force"
         reason = f"{tire.name} for {target}: {sentence}; the limit is {MOST:.0%}"

@@ -125,8 +125,8 @@ def parameter_text(
             tire = replace(tire, load=(low + high) / 2)
         fit = refit(tire, kind.formula, ranges_of(tire, narrowed, axle.static))
         shape = shape_of(tire, kind.formula.program(fit.values, SIGNS), SIGNS)
-        told = [fit.sentence(SIGNS), *fit.other_loads(), *axle.notes]
-        notes += axle.named(told + _lost(tire, kind.formula))
+        answers = [fit.sentence(SIGNS), *fit.other_loads(), *axle.notes]
+        notes += axle.named(answers + _lost(tire, kind.formula))
         sentences += axle.named(shape.sentences)
         named = axle.named([*shape.curves])
         curves |= dict(zip(named, shape.curves.values(), strict=True))

@@ -88,18 +88,18 @@ class Refit(NamedTuple):
     def sentence(self, convention: str) -> str:
         """Sentences on the largest errors and their place."""
         exact = [k for k, miss in self.miss.items() if miss < EXACT]
-        told = [f"{_KINDS[k].words} exactly, by formula" for k in exact]
+        sentences = [f"{_KINDS[k].words} exactly, by formula" for k in exact]
         for kind in [k for k in self.miss if k not in exact]:
             how = "refitted" if kind in self.refitted else "by formula"
             size = f"largest error {percent(self.miss[kind])} % of F_z"
-            told.append(f"{_KINDS[kind].words} {how}: {size}")
+            sentences.append(f"{_KINDS[kind].words} {how}: {size}")
         used, where = {"fz"}.union(*(_KINDS[kind].slips for kind in self.miss)), []
         for name, (low, high) in turned_range(self.ranges, convention).items():
             if name in used:
                 unit = f" {UNITS[name]}".removesuffix(" -")
                 ends = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
                 where.append(f"{name} {ends}{unit}")
-        return f"{'; '.join(told)}; over {', '.join(where)} ({convention})"
+        return f"{'; '.join(sentences)}; over {', '.join(where)} ({convention})"
 
     def other_loads(self) -> list[str]:
         """A sentence on the error at other loads, if the formula was fitted at one."""

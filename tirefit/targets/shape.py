@@ -69,7 +69,7 @@ def _forces(names) -> list[str]:
 
 
 def _at_rest(at: Callable, names, load) -> tuple[str, bool]:
-    told, sound = [], True
+    slopes, sound = [], True
     for name in _forces(names):
         slips = np.array([-2, -1, 0, 1, 2]) * _STEP
         f = at(**{_SLIP_OF[name]: slips})[name] / load
@@ -79,8 +79,8 @@ def _at_rest(at: Callable, names, load) -> tuple[str, bool]:
         smooth &= abs(left - right) < 0.1 * max(abs(left), abs(right))
         sound &= smooth
         how, zero = "continuous" if smooth else "NOT continuous", f[2] + 0.0  # no -0
-        told.append(f"{name} {how}, slope {(left + right) / 2:.4g} F_z, {zero:.3g} F_z at zero")
-    return "zero slip: " + "; ".join(told), sound
+        slopes.append(f"{name} {how}, slope {(left + right) / 2:.4g} F_z, {zero:.3g} F_z at zero")
+    return "zero slip: " + "; ".join(slopes), sound
 
 
 def _standing(at: Callable, names, speed: bool) -> tuple[str, bool]:
@@ -94,20 +94,20 @@ def _standing(at: Callable, names, speed: bool) -> tuple[str, bool]:
 
 
 def _signs(at: Callable, names, signs, load) -> tuple[str, bool]:
-    told, sound = [], True
+    directions, sound = [], True
     for name in _forces(names):
         slip = _SLIP_OF[name]
         f = at(**{slip: np.array([-0.02, 0.02])})[name]
         own = getattr(signs, "slip" if slip == "kappa" else slip) * getattr(signs, name)
         right = bool((f[1] - f[0]) * own > 0)
         sound &= right
-        told.append(f"{name} {'rises' if f[1] > f[0] else 'falls'} with {slip}")
+        directions.append(f"{name} {'rises' if f[1] > f[0] else 'falls'} with {slip}")
     word = "as the convention requires" if sound else "AGAINST the convention"
-    return f"signs: {', '.join(told)}, {word}", sound
+    return f"signs: {', '.join(directions)}, {word}", sound
 
 
 def _peaks(at: Callable, names, load, most) -> tuple[str, bool]:
-    told, sound = [], True
+    peaks, sound = [], True
     for name in _forces(names):
         slip, grid = _SLIP_OF[name], _SLIPS if name == "fx" else _ANGLES
         each = []
@@ -118,8 +118,8 @@ def _peaks(at: Callable, names, load, most) -> tuple[str, bool]:
             # The peak of a plateau is its beginning.
             first = np.abs(grid)[f >= _PLATEAU * f[place]].min(initial=np.inf)
             each.append(f"{f[place]:.3g} F_z at {first:.2g}")
-        told.append(f"{name} {each[0]} (twice the largest load: {each[1]})")
-    return "peak: " + "; ".join(told), sound
+        peaks.append(f"{name} {each[0]} (twice the largest load: {each[1]})")
+    return "peak: " + "; ".join(peaks), sound
 
 
 def _ellipse(at: Callable, names, most) -> tuple[str, bool]:

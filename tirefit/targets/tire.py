@@ -96,11 +96,11 @@ class Tire:
 
     def ranges(self, convention: str) -> str:
         """The measured range of each input as text, in the signs of a convention."""
-        told = []
+        texts = []
         for name, (low, high) in turned_range(self.measured, convention).items():
-            told.append(f"{name} {low:.4g} to {high:.4g} {UNITS[name]}")
-        known = "; beyond it the model extrapolates" if told else "not known"
-        return ", ".join(told) + known
+            texts.append(f"{name} {low:.4g} to {high:.4g} {UNITS[name]}")
+        known = "; beyond it the model extrapolates" if texts else "not known"
+        return ", ".join(texts) + known
 
     @cached_property
     def outputs(self) -> tuple[str, ...]:

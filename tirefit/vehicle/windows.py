@@ -90,12 +90,12 @@ def cut_logs(
 
 def left_out(motion: Motion, vehicle: Vehicle) -> tuple[str, ...]:
     """Sentences on the time in which the car does not drive forward, by reason."""
-    there, said = motion.settled, []
+    there, messages = motion.settled, []
     for reason, rows in not_ahead(motion, vehicle).items():
         if span := np.count_nonzero(there & rows) / vehicle.filter.sample_rate:
-            said.append(f"{span:.3g} s are left out as {reason}")
+            messages.append(f"{span:.3g} s are left out as {reason}")
         there = there & ~rows
-    return tuple(said)
+    return tuple(messages)
 
 
 def _longest(motion: Motion, vehicle: Vehicle) -> float:

@@ -147,7 +147,7 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
     raw = _channels(data, series, absurd)
     is_series = series.rate is not None and series.rate * config.shortest >= _LEAST_ROWS
     look = _looked_at if is_series else _points
-    settings, parts, said = look(data, config, series, raw, slips)
+    settings, parts, messages = look(data, config, series, raw, slips)
     chosen, how = _chosen_filter(config, series, parts) if is_series else (None, "")
     margin = 0
     if is_series:
@@ -168,7 +168,7 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
         reason = f"no rows remain of {', '.join(dict.fromkeys(p.kind for p in parts))}"
         remedy = "look at the segments in the figure, or keep other kinds"
         raise DataError(reason, remedy, data.file)
-    notes = [*said, how] if how else list(said)
+    notes = [*messages, how] if how else list(messages)
     if not any(part.direction for part in parts):
         ranges = [f"{name} {np.min(raw[name]):.3g} to {np.max(raw[name]):.3g}" for name in slips]
         notes.append(
@@ -264,7 +264,9 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
         for name in CONDITIONS
         if name in smooth
     }
-    said = [f"{s.name} is never held: no bins of it" for s in settings.values() if not s.is_held]
+    messages = [
+        f"{s.name} is never held: no bins of it" for s in settings.values() if not s.is_held
+    ]
     conditions = {name: s for name, s in settings.items() if s.is_held}
     conditions |= _held_slips(its_legs, smooth, series, shortest)
     parts = segments_of(
@@ -280,7 +282,7 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
     parts = _standing(parts, settings.get("v"))
     swept = _mostly_swept(parts, slips)
     parts, how = _warmed(parts, config, series, smooth, swept)
-    return conditions, parts, [*said, how]
+    return conditions, parts, [*messages, how]
 
 
 def _warmed(parts, config: PrepareConfig, series: Series, channels, swept: str):
@@ -374,13 +376,13 @@ def _chosen_filter(config: PrepareConfig, series: Series, parts):
         bandwidth = float(f"{bandwidth:.2g}")
     chosen = zero_phase(bandwidth, rate)
     if chosen is None:
-        said = f"not filtered: {rate:.4g} rows per second are too few for"
-        return None, f"{said} {bandwidth:g} Hz"
-    said = (
+        message = f"not filtered: {rate:.4g} rows per second are too few for"
+        return None, f"{message} {bandwidth:g} Hz"
+    message = (
         "all channels by one zero-phase filter (Butterworth, forwards and backwards) of"
         f" {bandwidth:g} Hz (-3 dB; {how}); neighbouring rows are not independent"
     )
-    return chosen, said
+    return chosen, message
 
 
 def _filtered(raw, series: Series, chosen: ZeroPhase | None) -> dict[str, np.ndarray]:
@@ -404,7 +406,7 @@ def _points(data, config: PrepareConfig, series: Series, raw, slips):
             if not here.is_swept:
                 width = np.maximum(here.high - here.center, here.center - here.low)
                 settings[name] = Settings(name, here.center, width, here.code)
-    said = ["no time series: rows in the order of the file, not filtered, no settling times"]
+    messages = ["no time series: rows in the order of the file, not filtered, no settling times"]
     n = len(data)
     key = np.stack([data.run, *(s.code for s in settings.values())], axis=1)
     bins = [slice(begin, end) for begin, end in runs_of(key)]
@@ -425,4 +427,4 @@ def _points(data, config: PrepareConfig, series: Series, raw, slips):
             parts.append(Segment(kind, leg.begin, leg.end, channel, direction, level))
     timeless = {name: raw[name] for name in raw if name != "temperature"}
     parts, how = _warmed(parts, config, series, timeless, swept)
-    return settings, parts, [*said, how]
+    return settings, parts, [*messages, how]

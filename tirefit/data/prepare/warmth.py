@@ -42,8 +42,8 @@ def with_warmth(
     """
     if declared is not None:
         until = time[0] + declared
-        said = f"warm-up: the first {declared:g} s, as declared"
-        return _cut(parts, time, until, None), said
+        message = f"warm-up: the first {declared:g} s, as declared"
+        return _cut(parts, time, until, None), message
     if temperature is not None:
         return _by_temperature(parts, time, temperature)
     if force is not None:
@@ -103,25 +103,25 @@ def _by_temperature(parts, time, temperature):
     start = float(np.median(temperature[begin : begin + max(len(time) // 200, 3)]))
     rise = hot - start
     if rise < _RISE:
-        said = f"{start:.0f} degC at the start, {hot:.0f} degC later"
-        return parts, f"warm-up: none, as the tire was warm at the start ({said})"
+        message = f"{start:.0f} degC at the start, {hot:.0f} degC later"
+        return parts, f"warm-up: none, as the tire was warm at the start ({message})"
     last = max(len(time) // 3, 1)
     still = float(np.median(temperature[-last // 10 :]) - temperature[-last])
     if still > _STILL_WARMING * rise:
-        said = f"{still:.0f} K in the last third of the test"
+        message = f"{still:.0f} K in the last third of the test"
         return parts, (
-            f"warm-up: none cut, as the tire was warming all the time ({said}); if part"
+            f"warm-up: none cut, as the tire was warming all the time ({message}); if part"
             " of it was warm-up, give its end with --warm-up"
         )
     levels = (temperature - start) / rise
     warm = int(np.argmax(levels >= _WARM))
     cold = int(np.argmax(levels >= _COLD))
-    said = (
+    message = (
         f"warm-up: until {time[warm]:.4g} s, when the tire was at"
         f" {temperature[warm]:.0f} degC, {_WARM:.0%} of the way from"
         f" {start:.0f} to {hot:.0f} degC; sweeps below {_COLD:.0%} of it are cold"
     )
-    return _cut(parts, time, time[warm], time[cold]), said
+    return _cut(parts, time, time[warm], time[cold]), message
 
 
 def _by_repeats(parts, slip, force, time):
@@ -138,9 +138,9 @@ def _by_repeats(parts, slip, force, time):
         count = int(np.argmax(settled))
         if count:
             until = time[first[count - 1].end - 1]
-            said = f"warm-up: until {time[first[count].begin]:.4g} s, as the force of"
-            said += f" {count} repeated sweeps was still changing (no temperature)"
-            return _cut(parts, time, until, None), said
+            message = f"warm-up: until {time[first[count].begin]:.4g} s, as the force of"
+            message += f" {count} repeated sweeps was still changing (no temperature)"
+            return _cut(parts, time, until, None), message
     return parts, "warm-up: none seen in repeated sweeps (there is no temperature)"
 
 

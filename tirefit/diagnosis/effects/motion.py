@@ -132,13 +132,13 @@ def said_of_motion(base, rig) -> tuple[str, ...]:
         return ()
     observed = rows.observed["fy"]
     missed = observed - base.forces(base.as_given, base.amplitudes())["fy"]
-    said = (
+    message = (
         f"fy was derived from a_y ({derived.mass:.4g} kg of it) and yaw_acceleration:"
         " it shares its channels with the slip, and so does held-out data"
     )
     if "yaw_rate" in rows.has and derived.mass is not None:
         on_a_path = derived.mass * rows.column("v") * rows.column("yaw_rate")
-        said += (
+        message += (
             "; without any tire model, mass x v x yaw_rate differs from it by"
             f" {_rms(observed + on_a_path):.3g} N rms, the base fit by"
             f" {_rms(missed):.3g} N"
@@ -153,7 +153,7 @@ def said_of_motion(base, rig) -> tuple[str, ...]:
         f" {', '.join(known[True] + known[False])}; [vehicle] of rig.toml states other"
         " standard errors"
     )
-    return (said, priors, *_found(rows.data.source.constants))
+    return (message, priors, *_found(rows.data.source.constants))
 
 
 def _found(constants) -> tuple[str, ...]:

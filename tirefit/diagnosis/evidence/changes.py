@@ -272,14 +272,14 @@ class _Steps:
 def _operation(equation) -> Callable:
     """NumPy function of an equation: arrays that broadcast to the shapes of its
     variables -> tuple of such arrays. JAX evaluates primitives that NumPy lacks."""
-    name, told = equation.primitive.name, equation.params
+    name, parameters = equation.primitive.name, equation.params
     shapes = [variable.aval.shape for variable in equation.invars]
     if name in _ELEMENTWISE:
         return lambda *x: (_ELEMENTWISE[name](*x),)
     if name == "integer_pow":
-        return lambda x: (x ** float(told["y"]),)
+        return lambda x: (x ** float(parameters["y"]),)
     if name == "convert_element_type":
-        return lambda x: (x.astype(told["new_dtype"]),)
+        return lambda x: (x.astype(parameters["new_dtype"]),)
     if name == "select_n" and len(shapes) == 3:
         return lambda which, no, yes: (np.where(which, yes, no),)
     if name == "broadcast_in_dim" and not shapes[0]:
@@ -288,31 +288,31 @@ def _operation(equation) -> Callable:
     def exact(*x):
         whole = [*map(np.broadcast_to, x, shapes)]
         if name in _OF_WHOLE:
-            return (_OF_WHOLE[name](*whole, told),)
-        found = equation.primitive.bind(*whole, **told)
+            return (_OF_WHOLE[name](*whole, parameters),)
+        found = equation.primitive.bind(*whole, **parameters)
         several = equation.primitive.multiple_results
         return tuple(map(np.asarray, found if several else (found,)))
 
     return exact
 
 
-def _broadcast(x, told):
-    shape = np.ones(len(told["shape"]), int)
-    shape[list(told["broadcast_dimensions"])] = x.shape
+def _broadcast(x, parameters):
+    shape = np.ones(len(parameters["shape"]), int)
+    shape[list(parameters["broadcast_dimensions"])] = x.shape
     return np.reshape(x, shape)
 
 
-def _part(x, told):
-    steps = told["strides"] or [1] * x.ndim
-    ranges = zip(told["start_indices"], told["limit_indices"], steps, strict=True)
+def _part(x, parameters):
+    steps = parameters["strides"] or [1] * x.ndim
+    ranges = zip(parameters["start_indices"], parameters["limit_indices"], steps, strict=True)
     return x[tuple(slice(*each) for each in ranges)]
 
 
 _OF_WHOLE: dict[str, Callable] = {
     "broadcast_in_dim": _broadcast,
-    "reduce_sum": lambda x, told: np.sum(x, axis=told["axes"]),
-    "reshape": lambda x, told: np.reshape(x, told["new_sizes"]),
+    "reduce_sum": lambda x, parameters: np.sum(x, axis=parameters["axes"]),
+    "reshape": lambda x, parameters: np.reshape(x, parameters["new_sizes"]),
     "slice": _part,
-    "squeeze": lambda x, told: np.squeeze(x, told["dimensions"]),
+    "squeeze": lambda x, parameters: np.squeeze(x, parameters["dimensions"]),
 }
 """Primitives that need arrays of exactly the shapes of their variables."""

@@ -104,11 +104,11 @@ class Given:
         known = np.all([np.isfinite(force) for force in found.values()], axis=0)
         for name, force in found.items():
             _check_size(force, data, name, known & data.used)
-        said = [] if self.remarks is None else self.remarks(data)
+        messages = [] if self.remarks is None else self.remarks(data)
         if self.forces is not None and (lost := int(np.sum(data.used & ~known))):
             text = f"{lost} of {len(data)} rows without a simulated force are left out"
-            said = [*said, text]
-        source = replace(data.source, warnings=(*data.source.warnings, *said))
+            messages = [*messages, text]
+        source = replace(data.source, warnings=(*data.source.warnings, *messages))
         return replace(data, columns=columns | found, source=source).where(known)
 
     def _forces(self, data: TireData, other: bool) -> dict[str, np.ndarray]:
@@ -293,9 +293,9 @@ def _at_tir(text: str, values: dict[str, float], of_tir: dict) -> Given:
     tire = tire_of(tir, values=values, **of_tir)
     check_values(tire, text, values)
     tire = with_values(tire, values)
-    said = "".join(f", {name} = {value:g}" for name, value in values.items())
-    said += "".join(f", {k} {v}" for k, v in of_tir.items() if v)
-    given = _of_tire(tire, "tir", f"{text}{said}", _digest(text))
+    message = "".join(f", {name} = {value:g}" for name, value in values.items())
+    message += "".join(f", {k} {v}" for k, v in of_tir.items() if v)
+    given = _of_tire(tire, "tir", f"{text}{message}", _digest(text))
     own = partial(remarks, tir, tire, signs=signs)
     return replace(given, otherwise=(TIR_SIGNS, ".tir files"), signs=signs, remarks=own)
 

@@ -87,7 +87,7 @@ def document_of(
     shares = closed_by_each(base, case.chosen) if verdict.status.names else {}
     gap = Gap(**vars(gaps[main]), channels=gaps, holdout=held, shares=shares)
     budgets, curves = budgets_of(case, believed, generator), _what_is_left(case)
-    said = _verdict(case, curves, gap)
+    message = _verdict(case, curves, gap)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown, noise = shown_rows(base, rows[main]), _noise(case)
     missed = base.residual(base.as_given, base.amplitudes())[: prepared.n]
@@ -106,7 +106,7 @@ def document_of(
         where=tuple(regions(base, missed, shown.gap)),
         spots=spots(base, missed, shown.gap),
         map=tuple(parameter_map(base)),
-        verdict=said,
+        verdict=message,
         ladder=ladder,
         candidates=candidates,
         untestable=tuple(case.untestable),
@@ -126,7 +126,7 @@ def document_of(
         table=data,
         mean_load=float(np.mean(data.usable("fz"))),
         residual_map=residual_map(shown, noise.inflation, gap.resolvable),
-        comparison=compared(shown, said.names_an_effect or tuned_alone),
+        comparison=compared(shown, message.names_an_effect or tuned_alone),
         look=next(iter(curves), None),
         library=library,
         meanings={p.name: p.spec.meaning for p in base.layout.free},

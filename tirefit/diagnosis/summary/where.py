@@ -55,8 +55,8 @@ def rank_correlation(one: np.ndarray, other: np.ndarray) -> float:
 
 def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
     """The file of a diagnosis: the table as it was read, with the fit to its rows."""
-    said = base.simulator.doubt if base.simulator else ""
-    doubts = (f"warning: {said}",) if said else ()
+    messages = base.simulator.doubt if base.simulator else ""
+    doubts = (f"warning: {messages}",) if messages else ()
     return DataSummary(
         name=data.name,
         path=data.source.path,
@@ -72,17 +72,17 @@ def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
 
 def moving_together(rows: Prepared) -> tuple[str, ...]:
     """Sentences on pairs of conditions that are correlated."""
-    values, said = quantities(rows, np.zeros(rows.n)), []
+    values, messages = quantities(rows, np.zeros(rows.n)), []
     names = ("time", "fz", "v", "temperature", "gamma", "pressure")
     for one, other in combinations([c for c in names if c in values], 2):
         rank = rank_correlation(values[one], values[other])
         if abs(rank) > _TOGETHER:
             how = "rises" if rank > 0 else "falls"
-            said.append(
+            messages.append(
                 f"{other} {how} with {one} in this file (rank correlation {rank:.2f}):"
                 " an effect of the one may be reported as one of the other"
             )
-    return tuple(said)
+    return tuple(messages)
 
 
 def covariates_of(base: Base) -> dict[str, np.ndarray]:

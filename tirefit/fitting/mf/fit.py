@@ -391,7 +391,7 @@ def _reference(rows: Sequence[ForceRows]) -> dict[str, float]:
 
 def _far(work: Search, rows: Mapping[str, ForceRows], residuals) -> list[str]:
     """Notes on the number of rows of each force that are far from the formula."""
-    said = []
+    messages = []
     for force, missed in residuals.items():
         groups = work.groups[force]
         some = rows[force].part(rows[force].chosen([g.pure for g in groups]))
@@ -399,17 +399,17 @@ def _far(work: Search, rows: Mapping[str, ForceRows], residuals) -> list[str]:
         variance = np.max([g.row_variance(fz, predicted) for g in groups], axis=0)
         far = int(np.count_nonzero(missed**2 > _FAR**2 * variance))
         if far:
-            said.append(
+            messages.append(
                 f"residuals beyond {_FAR:g} standard deviations in {far} of"
                 f" {len(missed)} rows of {force}, which were fitted like the others:"
                 " mask rows that are wrong"
             )
-    return said
+    return messages
 
 
 def _not_reached(work: Search, tire: MFTire) -> list[str]:
     """Notes on friction coefficients that no row reaches."""
-    said = []
+    messages = []
     for force, shape, peak in (("fx", "PCX1", "PDX1"), ("fy", "PCY1", "PDY1")):
         pure = [g.cells for g in work.groups.get(force, ()) if g.pure]
         if not pure or peak not in work.moved:
@@ -421,12 +421,12 @@ def _not_reached(work: Search, tire: MFTire) -> list[str]:
         share = float(np.max(given / fz / friction))
         if share < _REACHED:
             value = work.problem.values(work.u)[peak]
-            said.append(
+            messages.append(
                 f"{peak} = {value:.3g} is not a measured friction: {force} reaches only"
                 f" {share:.0%} of it within the slips of the data, so {peak} and"
                 f" {shape} trade off; measure larger slips, or give one of them"
             )
-    return said
+    return messages
 
 
 def _origin(free: bool, share: float, moved: bool, borrowed: bool) -> str:

@@ -151,13 +151,13 @@ def borrowed_from(
         rows: measured rows, by force.
     """
     values, of_part = normal_form(like.numbers), coefficients_of(tire.version)
-    said = []
+    messages = []
     for force, kinds in _SCALED.items():
         by = next((by for by in (force, *_SCALED) if by in rows), "")
         for kind, names in kinds.items() if by else ():
             scale = _scale(like, tire, rows[by], kind)
             values |= {name: scale * values.get(name, 0.0) for name in names}
-            said.append(f"{kind} of {force} times {scale:.3g} (from the rows of {by})")
+            messages.append(f"{kind} of {force} times {scale:.3g} (from the rows of {by})")
     own = parameter_values(tire)
     priors = {}
     for name in of_part.keys() & values.keys() & own.keys() - config.parameters.keys():
@@ -165,13 +165,13 @@ def borrowed_from(
         if value and (value > 0 or not prior.log):
             spread = ALIKE * prior.spread
             priors[name] = Prior(value, spread, prior.log, (value,))
-    return Borrowed(priors, _notes(like, tire, rows, priors, said))
+    return Borrowed(priors, _notes(like, tire, rows, priors, messages))
 
 
 def _notes(like: TirFile, tire: MFTire, rows, priors, scales) -> tuple[str, ...]:
     """Sentences on the priors and scales, and on forces that have no rows."""
     of_part, name = coefficients_of(tire.version), Path(like.path).name
-    said = [
+    messages = [
         f"priors of {len(priors)} coefficients are those of {name} (MF {like.version}),"
         f" {ALIKE:g} times as wide as the spread of published tires; its forces at"
         f" {own_tire(like).nominal.FNOMIN:g} N are used at FNOMIN ="
@@ -185,11 +185,11 @@ def _notes(like: TirFile, tire: MFTire, rows, priors, scales) -> tuple[str, ...]
         if part.name in parts and not set(part.forces) & rows.keys()
     ]
     if whole:
-        said.append(f"borrowed, since not measured: {', '.join(whole)}")
+        messages.append(f"borrowed, since not measured: {', '.join(whole)}")
     lost = [k for k, v in like.numbers.items() if k in published_priors() and v]
     if lost := [k for k in lost if k not in of_part]:
-        said.append(f"not borrowed, as MF {tire.version} lacks them: {', '.join(lost)}")
-    return tuple(said)
+        messages.append(f"not borrowed, as MF {tire.version} lacks them: {', '.join(lost)}")
+    return tuple(messages)
 
 
 def _scale(like: TirFile, tire: MFTire, rows: ForceRows, kind: str) -> float:

@@ -82,8 +82,8 @@ def _filled(table: TireData, names: Sequence[str]) -> TireData:
         for name in names
         if name not in table
     }
-    said = tuple(f"no column {name}: {_ASIDE[name]}" for name in missing if name in _ASIDE)
-    source: Source = replace(table.source, assumptions=(*table.source.assumptions, *said))
+    messages = tuple(f"no column {name}: {_ASIDE[name]}" for name in missing if name in _ASIDE)
+    source: Source = replace(table.source, assumptions=(*table.source.assumptions, *messages))
     return replace(table, columns={**table.columns, **missing}, source=source)
 
 

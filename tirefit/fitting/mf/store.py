@@ -28,8 +28,8 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
     if missing := {"fx", "fy", "mz"} - set(fit.forces):
         of = {one.origin for one in fit.coefficients.values()}
         other = " or borrowed" if "borrowed" in of else ""
-        said = f"not fitted: {', '.join(sorted(missing))}; values of priors{other}"
-        comment.append(said)
+        message = f"not fitted: {', '.join(sorted(missing))}; values of priors{other}"
+        comment.append(message)
     lost = {k for k, one in fit.coefficients.items() if one.part in fit.tire.lacks}
     values = {k: v for k, v in parameter_values(fit.tire).items() if k not in lost}
     return new_tir(version, values, fit.ranges, notes, comment)
