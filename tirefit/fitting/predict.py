@@ -1,5 +1,6 @@
 """Forces that a fit or a model predicts, row by row, with standard deviations."""
 
+import os
 from collections.abc import Mapping
 
 import jax
@@ -11,6 +12,7 @@ from tirefit.compiled import compiled
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
+from tirefit.data.tir import read_tir
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.likelihood import row_forces
 from tirefit.fitting.mf.parts import SLIPS_OF
@@ -19,13 +21,14 @@ from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.noise import noise_std
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import FitResult
-from tirefit.fitting.store import StoredFit
+from tirefit.fitting.store import StoredFit, load_fit
 from tirefit.fitting.time_series import check_time_series
+from tirefit.fitting.tir import TIR_SIGNS, tire_of
 from tirefit.models import AbstractTire, TireInputs, forces, modelled
 from tirefit.models.mf import MFTire
 from tirefit.params import Values, check_values, parameter_values, with_values
 from tirefit.precision import require_x64
-from tirefit.results import DataError
+from tirefit.results import DataError, UsageError
 
 
 @compiled(static=("layout",), brief=True)
@@ -87,18 +90,18 @@ def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
 
 
 def predict(
-    source: FitResult | MagicFormulaFit | StoredFit | AbstractTire | str,
+    source: FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike,
     data: DataLike,
     values: Mapping[str, float] | None = None,
 ) -> dict[str, np.ndarray]:
     """Return forces row by row, canonical, with a predictive standard deviation for a fit.
 
     Args:
-        source: a fit, a tire, or the name of a model.
+        source: a fit, a ``fit.json``, a ``.tir`` file, a tire, or the name of a model.
         data: rows with slip, load and, where the model needs it, speed: what
-            ``tirefit.read`` gave, or a path (of a file that declares no convention: in
-            that of the fit's data), a frame, a mapping of column to array.
-        values: parameter values of a tire or a named model; its own otherwise.
+            ``tirefit.read`` gave, a frame, a mapping of column to array, or a path. A file
+            that declares no convention is read in that of the fit's data, or of ``.tir``.
+        values: parameter values of a tire, which otherwise has its own; not for a fit.
 
     Returns:
         (n,) arrays. For a tire or a named model: ``fx`` if the data have sigma_x; ``fy``,
@@ -107,8 +110,10 @@ def predict(
         uncertainty and the noise of one measurement. Masked rows are NaN.
 
     Raises:
-        UsageError: unknown model or parameter, value out of bounds, 32-bit floats.
-        DataError: the data lack an input, or have runs that the fit lacks.
+        UsageError: unknown model or parameter, value out of bounds, values beside a fit,
+            32-bit floats.
+        DataError: the data lack an input, or have runs that the fit lacks; a ``fit.json``
+            or ``.tir`` file that cannot be read.
 
     Example:
         >>> rows = {"sigma_x": [0.01, 0.5], "fz": [4000.0, 4000.0]}
@@ -116,30 +121,31 @@ def predict(
         array([ 910., 3600.])
     """
     require_x64("a prediction")
-    data = as_data(data, forces=False, otherwise=_signs_of(source))
-    if isinstance(source, str):
-        return _of_model(find_model(source), source, data, values or {})
-    if isinstance(source, AbstractTire):
-        return _of_model(source, type(source).__name__, data, values or {})
-    if isinstance(source, MagicFormulaFit):
-        source = source.stored
+    given, name, signs = _opened(source)
+    data = as_data(data, forces=False, otherwise=signs)
+    if isinstance(given, AbstractTire):
+        return _of_model(given, name, data, values or {})
+    if values:
+        raise UsageError("values beside a fit, which has its own", "leave them out")
+    if isinstance(given, MagicFormulaFit):
+        given = given.stored
     noise: Mapping[str, Mapping]
-    if isinstance(source, FitResult):
-        problem = source.problem
-        tire, layout, name = problem.model, problem.layout, source.model
-        noise = {force: source.noise[force] for force in source.forces}
-        reference = source.reference
+    if isinstance(given, FitResult):
+        problem = given.problem
+        tire, layout, name = problem.model, problem.layout, given.model
+        noise = {force: given.noise[force] for force in given.forces}
+        reference = given.reference
     else:
-        tire, layout, name, noise = (source.tire, source.layout, source.model, source.noise)
-        reference = source.content["reference"]
+        tire, layout, name, noise = (given.tire, given.layout, given.model, given.noise)
+        reference = given.content["reference"]
     require(data, ("fz", *tire.needs), f"the model {name}")
     if tire.transient:
         check_time_series(data, name)
-    if isinstance(tire, MFTire) and isinstance(source, StoredFit):
-        force, variance = magic_formula_forces(source, tuple(noise), _inputs(data))
+    if isinstance(tire, MFTire) and isinstance(given, StoredFit):
+        force, variance = magic_formula_forces(given, tuple(noise), _inputs(data))
     else:
         force, variance = predict_forces(
-            tire, layout, source.z, source.covariance, _inputs(data), _run_codes(data, layout)
+            tire, layout, given.z, given.covariance, _inputs(data), _run_codes(data, layout)
         )
     force, variance = _all_rows(data, force), _all_rows(data, variance)
     out = {}
@@ -160,12 +166,21 @@ def predict(
     return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
 
 
-def _signs_of(source) -> tuple[str, str] | None:
-    """The convention of a fit's data, and how a message calls it."""
-    if isinstance(source, AbstractTire | str):
-        return None
+def _opened(
+    source,
+) -> tuple[FitResult | MagicFormulaFit | StoredFit | AbstractTire, str, tuple[str, str] | None]:
+    """The fit or the tire, its name, and the convention of data that declare none, with
+    the name that a message gives it."""
+    text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
+    if text.lower().endswith(".tir"):
+        return tire_of(read_tir(text)), text, (TIR_SIGNS, ".tir files")
+    if text and not text.lower().endswith(".json"):
+        return find_model(text), text, None
+    if isinstance(source, AbstractTire):
+        return source, type(source).__name__, None
+    source = load_fit(text) if text else source
     content = source.content if isinstance(source, StoredFit) else vars(source)
-    return content["data"]["convention"], "the fit's data"
+    return source, source.model, (content["data"]["convention"], "the fit's data")
 
 
 def _noise_std(data: TireData, channel: str, record: Mapping | None, force, reference):

@@ -149,7 +149,7 @@ def diagnose_vehicle(
     front: TireLike | GivenTire = "brush",
     rear: TireLike | GivenTire = "brush",
     *,
-    effects: Sequence[Effect] = CAR_EFFECTS,
+    effects: Sequence[Effect] | None = None,
     without: Sequence[str] = (),
     holdout: Sequence[str | Path] = (),
     window: float = WINDOW,
@@ -166,7 +166,7 @@ def diagnose_vehicle(
         front: tire of the axle, as for :func:`tirefit.replay`; a model by its name is
             first fitted to the forces that ``derive`` gives.
         rear: likewise.
-        effects: to look for.
+        effects: to look for; all of the library by default.
         without: ids of effects that are not looked for.
         holdout: logs that only check the answer.
         window: length [s] of the stretches that are predicted.
@@ -188,7 +188,7 @@ def diagnose_vehicle(
         ('none', 9)
     """
     require_x64("a diagnosis")
-    vehicle = known_vehicle(vehicle)
+    vehicle, effects = known_vehicle(vehicle), CAR_EFFECTS if effects is None else effects
     _check(vehicle, effects, without)
     given = axle_tire(front), axle_tire(rear)
 

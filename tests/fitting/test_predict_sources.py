@@ -1,0 +1,49 @@
+"""predict takes a fit, its file, a .tir file, a tire or a model's name."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tirefit
+from tirefit.data.tir import read_tir
+from tirefit.fitting.tir import tire_of
+from tirefit.results import DataError, UsageError
+
+TIR = Path(__file__).parents[1] / "data" / "tir" / "mfeval_julia" / "MagicFormula61_Parameters.tir"
+SLIPS = np.linspace(-0.1, 0.1, 41)
+ROWS = {"sigma_x": SLIPS, "fz": np.full(41, 4e3)}
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    rng = np.random.default_rng(3)
+    force = tirefit.predict("brush", ROWS, {"mu": 0.9})["fx"] + rng.normal(0, 20, 41)
+    return tirefit.fit(ROWS | {"fx": force}, "brush")
+
+
+def test_a_saved_fit_predicts_as_the_fit(fitted, tmp_path):
+    fitted.save(tmp_path)
+    expected, found = tirefit.predict(fitted, ROWS), tirefit.predict(tmp_path / "fit.json", ROWS)
+    assert found.keys() == expected.keys() == {"fx", "fx_std"}
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name], values, rtol=1e-12)
+    with pytest.raises(UsageError, match="values beside a fit"):
+        tirefit.predict(tmp_path / "fit.json", ROWS, {"mu": 0.5})
+
+
+def test_a_tir_file_predicts_as_its_tire(tmp_path):
+    expected = tirefit.predict(tire_of(read_tir(TIR)), ROWS)["fx"]
+    np.testing.assert_array_equal(tirefit.predict(TIR, ROWS)["fx"], expected)
+    with pytest.raises(DataError, match="none.tir"):
+        tirefit.predict(tmp_path / "none.tir", ROWS)
+
+
+def test_a_file_without_signs_is_read_in_those_of_the_tir(tmp_path):
+    path = tmp_path / "rows.csv"
+    path.write_text("sigma_x [-],alpha [rad],fz [N]\n0.05,0.02,4000\n-0.05,-0.03,4000\n")
+    found = tirefit.predict(TIR, path)
+    for convention, same in (("iso-w", True), ("braking", False)):
+        declared = tirefit.read(path, convention=convention, forces=False)
+        expected = tirefit.predict(TIR, declared)
+        assert np.array_equal(found["fx"], expected["fx"]) == same
