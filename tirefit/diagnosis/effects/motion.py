@@ -194,12 +194,16 @@ def _late(past, delay, rows):
 
     Exact for values that are linear between columns.
     """
-    age, ages = jnp.clip(delay / rows.interval, AGES[0], AGES[-1]), jnp.asarray(AGES)
-    passed = jnp.sum(age[:, None] >= ages[None, :], axis=1)
-    low = jnp.clip(passed - 1, 0, ages.size - 2)
-    share = (age - ages[low]) / (ages[low + 1] - ages[low])
-    before = jnp.take_along_axis(past, low[:, None], axis=1)[:, 0]
-    after = jnp.take_along_axis(past, low[:, None] + 1, axis=1)[:, 0]
+    ages, count = jnp.asarray(AGES)[None], len(AGES)
+    age = jnp.clip(delay / rows.interval, AGES[0], AGES[-1])
+    passed = jnp.sum(age[:, None] >= ages, axis=1)
+    low = jnp.clip(passed - 1, 0, count - 2)[:, None]
+    # A column is picked by a sum: NumPy can evaluate it, an index only JAX.
+    (early, before), (late, after) = (
+        [jnp.sum(jnp.where(at, values, 0), axis=1) for values in (ages, past)]
+        for at in (low == jnp.arange(count)[None], low == jnp.arange(-1, count - 1)[None])
+    )
+    share = (age - early) / (late - early)
     return before + share * (after - before) - past[:, AHEAD]
 
 

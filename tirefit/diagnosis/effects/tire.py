@@ -220,7 +220,7 @@ def _by_condition(
         ),
         effect(
             f"{name}_warming", "work", scales[4],
-            multiplies(name, lambda a, c, rows: 1 + a * rows.work @ jnp.asarray(c)),
+            multiplies(name, lambda a, c, rows: 1 + (a * rows.work * jnp.asarray(c)[None]).sum(1)),
             unit=range_of_file, odds=seldom, needs=("work", "v"), variants=choices(3),
             formula=f"{symbol} (1 + amplitude W), dW/dt = |F| v_s - W / cooling",
             means=f"{name} follows the work of sliding: the tire warms up or wears",
