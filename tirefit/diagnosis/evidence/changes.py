@@ -4,7 +4,7 @@ JAX traces each change once and NumPy evaluates it, as XLA needs 15 s of process
 compile the fifty effects of the library, more than a diagnosis takes.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -46,7 +46,7 @@ class _Change:
         self._effect, count = effect, len(rows.fz)
         self._given = 0.0, _nothing(count), np.array(effect.variants[0], float), rows
         self._direct = _traced(self._by_amplitude, *self._given)
-        self._functions: dict[tuple, Callable] = {}
+        self._programs: dict[tuple, _Program] = {}
 
     def _changed(self, amplitude, state, constants, rows) -> list:
         before = State(*state)
@@ -78,12 +78,12 @@ class _Change:
     def _through(self) -> tuple:
         return _traced(self._by_state, *self._given, self._given[1])
 
-    def _evaluated(self, traced: tuple, amplitude, state, constants, *more):
-        """By NumPy, for the variant of these constants, the third argument."""
-        key, constants = (traced is self._direct, constants), np.array(constants, float)
-        if key not in self._functions:
-            self._functions[key] = _by_numpy(traced, {2: constants})
-        return self._functions[key](amplitude, state, constants, *more)
+    def _evaluated(self, traced: tuple, amplitude, state, constants, rows, *more):
+        """By NumPy, for the variant of these constants."""
+        key = traced is self._direct, constants
+        if key not in self._programs:
+            self._programs[key] = _Program(traced, np.array(constants, float))
+        return self._programs[key](amplitude, state, rows, *more)
 
     def added(self, state, amplitude: float, constants, rows: Covariates):
         """The state (F, n) with the change, and its slopes by the amplitude."""
@@ -194,30 +194,57 @@ def _traced(function: Callable, *example: Any) -> tuple[Any, Any]:
     return program, jax.tree.structure(shape)
 
 
-def _by_numpy(traced: tuple, known: Mapping[int, np.ndarray]) -> Callable:
-    """A NumPy function of arrays, or tuples of arrays, from a traced program. Results
-    with one value for all rows may be scalars. ``known`` holds leaves of the arguments
-    by number; values that depend only on them are evaluated once."""
-    closed, structure = traced
-    count = len(closed.jaxpr.invars)
-    steps = _Steps([known.get(k) for k in range(count)])
-    ends = steps.added(closed.jaxpr, closed.consts, list(range(count)))
-    needed, kept = set(ends), list[tuple]()
-    for step in reversed(steps.steps):
-        if needed.intersection(step[2]):
-            needed |= set(step[1])
-            kept.insert(0, step)
+class _Program:
+    """A traced function of (amplitude, state, constants, rows, ...) that NumPy evaluates, for
+    these constants. Results with one value for all rows may be scalars.
 
-    def evaluated(*arguments):
-        found = [*map(np.asarray, jax.tree.leaves(arguments)), *steps.values[count:]]
-        with np.errstate(all="ignore"):
-            for operation, taken, given in kept:
-                result = operation(*[found[place] for place in taken])
-                for place, value in zip(given, result, strict=True):
-                    found[place] = value
-        return jax.tree.unflatten(structure, [found[place] for place in ends])
+    What depends on the rows alone is evaluated once for them: a diagnosis has two of them
+    and thousands of amplitudes.
+    """
 
-    return evaluated
+    def __init__(self, traced: tuple, constants: np.ndarray):
+        (closed, self._structure), known = traced, [None, None, constants]
+        self._count = len(closed.jaxpr.invars)
+        steps = _Steps([*known, *[None] * (self._count - len(known))])
+        self._ends = steps.added(closed.jaxpr, closed.consts, list(range(self._count)))
+        self._values, needed, kept = steps.values, set(self._ends), list[tuple]()
+        for step in reversed(steps.steps):
+            if needed.intersection(step[2]):
+                needed |= set(step[1])
+                kept.insert(0, step)
+        first, varying = 3 + len(Covariates._fields), {0, 1}
+        varying |= {*range(first, self._count)}
+        self._once, self._each = list[tuple](), list[tuple]()
+        for step in kept:
+            varies = not varying.isdisjoint(step[1])
+            varying |= {*step[2]} if varies else set()
+            (self._each if varies else self._once).append(step)
+        needed = {*self._ends}.union(*(step[1] for step in self._each))
+        self._rest = [k for k in range(3, len(self._values)) if k not in needed]
+        self._held: tuple[Covariates | None, list] = None, []
+
+    def __call__(self, amplitude, state, rows: Covariates, *more):
+        if self._held[0] is not rows:
+            found = self._values.copy()
+            found[3 : 3 + len(rows)] = map(np.asarray, rows)
+            _run(self._once, found)
+            for place in self._rest:
+                found[place] = None
+            self._held = rows, found
+        found = self._held[1].copy()
+        found[:2] = np.asarray(amplitude), state
+        found[3 + len(rows) : self._count] = more
+        _run(self._each, found)
+        return jax.tree.unflatten(self._structure, [found[place] for place in self._ends])
+
+
+def _run(steps: list[tuple], found: list) -> None:
+    """Evaluate steps in place."""
+    with np.errstate(all="ignore"):
+        for operation, taken, given in steps:
+            result = operation(*[found[place] for place in taken])
+            for place, value in zip(given, result, strict=True):
+                found[place] = value
 
 
 class _Steps:
