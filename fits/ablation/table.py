@@ -18,10 +18,10 @@ from fits.withheld.thresholds import brier, share, telling
 
 __all__ = ["answered", "row_of", "table"]
 
-BEFORE = "rules before"
+BEFORE = "earlier rules"
 """The row of another version's documents."""
 
-STRANGERS = ("unlisted", "procedural")
+UNLISTED = ("unlisted", "procedural")
 
 
 class Scores:
@@ -69,18 +69,18 @@ def _brier(s: Scores) -> tuple:
 
 COLUMNS: dict[str, Callable[[Scores], tuple]] = {
     "strong: exact": _exact("singles", size=STRONG),
-    "strong: said": _said("singles", size=STRONG),
+    "strong: reported": _said("singles", size=STRONG),
     "weak: exact": _exact("singles", size=WEAK),
-    "weak: said": _said("singles", size=WEAK),
+    "weak: reported": _said("singles", size=WEAK),
     "pairs: exact": _exact("pairs"),
-    "pairs: said": _said("pairs"),
-    "strangers, strong": _flagged(*STRANGERS, size=STRONG),
-    "strangers, weak": _flagged(*STRANGERS, size=WEAK),
-    "surely misnamed": lambda s: share(o.sure_wrong for o in s.of(*STRANGERS)),
+    "pairs: reported": _said("pairs"),
+    "unlisted, strong": _flagged(*UNLISTED, size=STRONG),
+    "unlisted, weak": _flagged(*UNLISTED, size=WEAK),
+    "surely misnamed": lambda s: share(o.sure_wrong for o in s.of(*UNLISTED)),
     "family left out": _flagged("leave_out"),
     "foreign": _flagged("foreign"),
-    "beside: effect named": lambda s: share(o.named for o in s.of("beside")),
-    "false names a case": _false_names,
+    "with unlisted: effect named": lambda s: share(o.named for o in s.of("beside")),
+    "false names per trial": _false_names,
     "false alarms": _alarms,
     "injected": lambda s: share(o.exact for o in telling(s.labels, s.outcomes)),
     "Brier": _brier,
@@ -194,7 +194,7 @@ def table(
     labels = {_bare(r["name"]): r["label"] for r in second}
     scores = Scores(labels, {n: judge(n, labels[n], NOTHING) for n in labels})
     counts = [str(column(scores)[1]) for column in COLUMNS.values()]
-    ends = ["measured: named", "closed, of by hand", "CPU s"]
+    ends = ["measured: named", "closed, share of by hand", "CPU s"]
     lines = [["", *COLUMNS, *ends], ["---"] * (len(COLUMNS) + 4)]
     lines.append(["trials", *counts, "", "", ""])
     for name, rules in VARIANTS.items():

@@ -74,20 +74,20 @@ class Rules:
 
 VARIANTS: dict[str, Rules] = {
     "plain decision": Rules(plain=True),
-    "the product": Rules(),
-    "known: no error bar asked": Rules(Policy(known=0.0)),
+    "as shipped": Rules(),
+    "known: amplitude over error not required": Rules(Policy(known=0.0)),
     "gain: no data left out": Rules(Policy(gain=-ALWAYS)),
     "each effect likelier than not: off": Rules(each=False),
-    "beside something unlisted by its own probability: off": Rules(beside=False),
+    "own probability with an unlisted effect: off": Rules(beside=False),
     "climb off": Rules(climb=False),
     "also possible: off": Rules(Policy(perhaps=NEVER)),
-    "something unlisted as probable as by the evidence": Rules(calibrated=False),
+    "probability of an unlisted effect not calibrated": Rules(calibrated=False),
     "discrepancy: smooth off": Rules(without=("smooth",)),
     "discrepancy: waves off": Rules(without=("waves",)),
     "discrepancy: patterns off": Rules(without=("patterns",)),
     "other forms off": Rules(forms=False),
-    "doubt of the slips off": Rules(doubt=False),
-    "tests of the remainder off": Rules(tests=False),
+    "slip uncertainty off": Rules(doubt=False),
+    "tests of the residual off": Rules(tests=False),
 }
 """The rows of the table."""
 

@@ -89,7 +89,7 @@ def test_no_gap_gives_none_and_odd_noise_gives_noise():
 @pytest.mark.parametrize(
     ("weak", "off"),
     [
-        ({"errors": POLICY.known / 2}, "known: no error bar asked"),
+        ({"errors": POLICY.known / 2}, "known: amplitude over error not required"),
         ({"gain": (1.0, 3.0)}, "gain: no data left out"),
     ],
 )
@@ -128,7 +128,7 @@ def test_runs_that_the_search_predicts_best_are_used():
 
 def test_every_row_of_the_table_changes_a_setting():
     assert len(set(VARIANTS.values())) == len(VARIANTS)
-    assert VARIANTS["the product"] == Rules(Policy())
+    assert VARIANTS["as shipped"] == Rules(Policy())
 
 
 # --- table --------------------------------------------------------------------------
@@ -142,11 +142,11 @@ def test_the_table_counts_named_effects(tmp_path):
     text = table.table(first, first[:1] + first[6:8], before=tmp_path)
     rows = [[cell.strip() for cell in line.split("|")] for line in text.split("\n")]
     head = rows[0]
-    product = next(row for row in rows if row[1:2] == ["the product"])
+    product = next(row for row in rows if row[1:2] == ["as shipped"])
     cells = dict(zip(head, product, strict=True))
     assert cells["strong: exact"] == "1.00"
-    assert cells["strangers, strong"] == "1.00"
-    assert cells["false names a case"] == "1.00"
+    assert cells["unlisted, strong"] == "1.00"
+    assert cells["false names per trial"] == "1.00"
     assert cells["CPU s"] == "1.00"
     assert len([row for row in rows if len(row) > 3]) == 3 + len(VARIANTS)
 
