@@ -69,11 +69,11 @@ def write_all(trials: list[Trial], out: Path) -> str:
     for number, trial in enumerate(trials):
         name = f"t{number:04d}"
         text = trial.rig or rig_text(trial)
-        beside = any(column.endswith("_sim") for column in trial.columns)
-        key = (text, trial.label["leave_out"], beside)
+        with_sim = any(column.endswith("_sim") for column in trial.columns)
+        key = (text, trial.label["leave_out"], with_sim)
         group = rigs.setdefault(key, f"rig{len(rigs):02d}")
         left_out[group] = [e for e in EFFECTS if family_of(e) == trial.label["leave_out"]]
-        simulated[group] = beside
+        simulated[group] = with_sim
         labels[name] = {"file": f"{group}/{name}.csv", **trial.label}
         truth |= {f"{name}_{key}": value for key, value in trial.truth.items()}
     text, kept = json.dumps(labels, indent=1, sort_keys=True), out / "labels.json"

@@ -151,7 +151,7 @@ def _steady(world: World) -> tuple[np.ndarray, np.ndarray]:
             compliance, kind = world.carcass
             if kind == "slip":
                 slip = np.maximum(size - compliance * force, 0)
-            else:  # the same force while all bristles stick: 2 = 4/3 * 3/2
+            else:  # same loss of force as "slip" while all bristles stick: 2 = 4/3 * 3/2
                 bow = 1.5 * np.minimum(compliance * force, 0.6 * size)
         new, moment = _sum(world, slip, used, bow)
         force = 0.5 * (force + new)

@@ -296,13 +296,13 @@ def test_the_forest_learns_and_can_abstain(plain):
         ):
             table.append(forest.features(x, observed + noise + gap))
             classes.append(name)
-    taught = forest.taught(np.array(table), classes)
-    answer = forest.by_forest(taught, x, observed + np.abs(tilt))
+    trained = forest.fitted(np.array(table), classes)
+    answer = forest.by_forest(trained, x, observed + np.abs(tilt))
     assert answer["verdict"]["effects"] == ["drive_brake_asymmetry"]
     assert answer["verdict"]["status"] == "named"
-    assert forest.by_forest(taught, x, observed)["verdict"]["status"] == "none"
+    assert forest.by_forest(trained, x, observed)["verdict"]["status"] == "none"
     without = forest.by_forest(
-        taught, x.without(["drive_brake_asymmetry"]), observed + np.abs(tilt)
+        trained, x.without(["drive_brake_asymmetry"]), observed + np.abs(tilt)
     )
     assert without["verdict"]["effects"] != ["drive_brake_asymmetry"]
 
@@ -316,7 +316,7 @@ def test_without_its_package_the_forest_is_skipped(monkeypatch, capsys, tmp_path
         return there(name, *rest, **more)
 
     monkeypatch.setattr(builtins, "__import__", missing)
-    assert forest.taught(np.zeros((2, 3)), ["none", "unknown"]) is None
+    assert forest.fitted(np.zeros((2, 3)), ["none", "unknown"]) is None
     assert "no scikit-learn" in capsys.readouterr().out
     assert forest.trained(tmp_path / "none.npz") is None
     assert "no features" in capsys.readouterr().out
