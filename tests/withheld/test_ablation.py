@@ -9,8 +9,8 @@ from scipy.special import expit, logit
 
 from fits.ablation import collect, table
 from fits.ablation.records import loaded
-from fits.ablation.variants import VARIANTS, Rules, decided, reproduced, taught, weighed_of
-from fits.calibration import said
+from fits.ablation.variants import VARIANTS, Rules, decided, reproduced, stated_unlisted, weighed_of
+from fits.calibration import logistic
 from fits.withheld import generate
 from tirefit.diagnosis.decide.verdict import POLICY, Policy, Status
 
@@ -159,16 +159,16 @@ def test_probabilities_agree_with_the_share_of_right_answers_in_both_halves():
     told = generator.uniform(0.2, 0.99, 8000)
     right = generator.uniform(size=8000) < expit(-0.4 + 0.5 * logit(told))
     verdicts = list(zip(["none"] * 8000, told, right, strict=True))
-    found = said.checked(verdicts, [k % 2 for k in range(8000)])
+    found = logistic.checked(verdicts, [k % 2 for k in range(8000)])
     assert found["calibration error"] < 0.02 < found["calibration error before"]
-    lines = said.lines_of(verdicts)
+    lines = logistic.lines_of(verdicts)
     assert lines["none"] == pytest.approx([-0.4, 0.5], abs=0.1)
-    assert said.as_said(lines, "named", 0.7) == pytest.approx(0.7)
+    assert logistic.calibrated(lines, "named", 0.7) == pytest.approx(0.7)
 
 
 def test_changed_measured_files_are_not_used_for_the_unlisted():
     some = [record(kind=kind) for kind in ("singles", "injected", "raw")]
-    assert len(taught(some, Rules())) == 1
+    assert len(stated_unlisted(some, Rules())) == 1
 
 
 # --- one trial ----------------------------------------------------------------------
