@@ -1,8 +1,8 @@
-"""The sources' formulas in NumPy, written apart from tirefit: the cases' second route.
+"""The sources' formulas in NumPy, independent of tirefit, for the tests of the cases.
 
 Each is the printed closed form of S ("A survey ...", section 2.3 and 4) with its errata
-mended, not the composition of a pressure and a friction law that tirefit uses. All take
-arrays or scalars, braking positive, SI; ``c`` is c_p a^2.
+corrected, not the composition of a pressure and a friction law that tirefit uses. All
+take arrays or scalars, braking positive, SI; ``c`` is c_p a^2.
 """
 
 import numpy as np
@@ -43,7 +43,7 @@ def brush_m(sigma, fz, v, c, mu, m):
 
 
 def brush_m_peak(sigma, fz, v, c, peak, m):
-    """S(34), sigma^2 term divided by the (3 - 2m)^2 that the print lacks.
+    """S(34), with the factor 1/(3 - 2m)^2 of the sigma^2 term that is missing in print.
 
     ``peak`` is F_max / F_z.
     """
@@ -69,7 +69,7 @@ def brush_h(sigma, fz, v, c, mu, h):
 
 
 def brush_d(sigma, fz, v, c, mu, d):
-    """S(29) mended (sigma multiplies only the second term before the root)."""
+    """S(29) corrected (sigma multiplies only the second term before the root)."""
     if abs(d) < 1e-3:  # S(29) divides by d^3
         return brush(sigma, fz, v, c, mu)
     top = mu * fz
@@ -116,6 +116,6 @@ def fit_scipy(function, observed, starts, lower, upper):
     best = min(found, key=lambda result: result.cost)
     squares = 2 * best.cost
     variance = squares / (len(observed) - len(best.x))
-    # A parameter at its bound has no slope to speak of: pseudo-inverse.
+    # A parameter at its bound has almost no slope: use the pseudo-inverse.
     covariance = np.linalg.pinv(best.jac.T @ best.jac) * variance
     return best.x, np.sqrt(np.diag(covariance)), float(np.sqrt(squares / len(observed)))

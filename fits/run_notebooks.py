@@ -1,7 +1,7 @@
-"""Run the notebooks of ``fits/notebooks`` in place: ``python fits/run_notebooks.py``.
+"""Runs the notebooks of ``fits/notebooks`` in place: ``python fits/run_notebooks.py``.
 
-Outputs hold nothing that changes from run to run or from machine to machine: no
-times, no versions, no paths. A notebook that fails or warns is left as it was.
+Outputs contain nothing that changes between runs or machines: no times, versions or
+paths. A notebook that fails or warns is not changed.
 """
 
 import base64
@@ -31,11 +31,11 @@ def execute(path: Path, **environment: str) -> nbformat.NotebookNode:
 
     Args:
         path: the notebook; it is read, not written.
-        environment: variables of the kernel, over those of this process.
+        environment: variables of the kernel, in addition to those of this process.
 
     Raises:
         CellExecutionError: a cell raised.
-        ValueError: a cell wrote to stderr: a warning, which no reader should meet.
+        ValueError: a cell wrote to stderr, for example a warning.
     """
     notebook = nbformat.read(path, as_version=4)
     with tempfile.TemporaryDirectory() as scratch:
@@ -52,7 +52,7 @@ def execute(path: Path, **environment: str) -> nbformat.NotebookNode:
             kernel_name="python3",
             kernel_spec_manager=specs,
             shutdown_wait_time=2.0,
-            # Sockets on disk where there are any: a port is open to everyone.
+            # Sockets on disk if available: a port is open to everyone.
             transport="ipc" if os.name == "posix" else "tcp",
             connection_file=str(Path(scratch, "kernel.json")),
         )
@@ -70,7 +70,7 @@ def execute(path: Path, **environment: str) -> nbformat.NotebookNode:
 
 
 def _clean(notebook: nbformat.NotebookNode) -> None:
-    """Drop what differs between machines, and shrink figures; refuse warnings."""
+    """Remove machine-dependent output and shrink figures; refuse warnings."""
     notebook.metadata = nbformat.from_dict(_METADATA)
     for cell in notebook.cells:
         cell.metadata = nbformat.from_dict({})
@@ -84,7 +84,7 @@ def _clean(notebook: nbformat.NotebookNode) -> None:
 
 
 def _compact(picture: str) -> str:
-    """The same picture (base64 PNG) in 256 colours: a third of the size."""
+    """The picture (base64 PNG) in 256 colours, with a third of the size."""
     image = Image.open(io.BytesIO(base64.b64decode(picture)))
     small = io.BytesIO()
     image.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(

@@ -1,1 +1,1 @@
-"""What each stage and rule of the diagnosis buys; see fits/withheld/README.md."""
+"""Contribution of each stage and rule of the diagnosis; see fits/withheld/README.md."""

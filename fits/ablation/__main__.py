@@ -2,8 +2,8 @@
 
     python -m fits.ablation out/records/421 out/records/422 --out out/ablation.md
 
-What is learned is taught on the first folder, the table is of the second. With
-``--measured`` come the measured cases, with ``--before`` the answers of another version
+The calibration is fitted to the first folder, the table scores the second.
+``--measured`` adds the measured cases, ``--before`` the answers of another version
 to the second folder's trials (a folder of ``tirefit diagnose``).
 """
 
@@ -27,7 +27,7 @@ def main(arguments: list[str] | None = None) -> None:
     measured = loaded(given.measured) if there else []
     again = [reproduced(record) for record in (*first, *second, *measured)]
     text = table(first, second, measured, given.before)
-    text += f"\nRecords from which the verdict comes out: {sum(again)} of {len(again)}."
+    text += f"\nRecords that reproduce the verdict: {sum(again)} of {len(again)}."
     given.out.write_text(text + "\n")
     print(text)
 

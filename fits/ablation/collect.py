@@ -1,10 +1,10 @@
-"""Diagnoses development trials and keeps what the decision rests on.
+"""Diagnoses development trials and records the inputs of the decision.
 
     python -m fits.ablation.collect out/421 out/422 --out out/records --jobs 2
 
 ``OUT/FOLDER/tNNNN.pickle`` holds plain numbers (see :func:`record_of`), which load
 without tirefit. ``--measured`` adds the measured cases (``fits/measured_changes``).
-What is there already is kept: a second run goes on where the first was stopped.
+Existing records are kept: a second run continues an interrupted one.
 """
 
 import argparse
@@ -29,12 +29,12 @@ from fits.withheld.run import end_with_parent
 __all__ = ["diagnosed", "main", "record_of"]
 
 EVERYTHING = 2.0
-"""A probability that nothing reaches: with it as ``Policy.likely`` the figures of the
-most probable set are made, whatever the clues say of it."""
+"""An unreachable probability: as ``Policy.likely`` it lets ``findings_of`` evaluate the
+most probable set in any case."""
 
 
 def _without_tests(findings, base, weighed, out, key, policy):
-    """Figures of one set; the tests of its remainder decide nothing, and take long."""
+    """Figures of one set, without the slow tests of its residual, which are not needed."""
     from tirefit.diagnosis.decide.verdict import Tests
 
     alone = replace(weighed, log_weight={(): 0.0, key: 1.0})
@@ -44,13 +44,13 @@ def _without_tests(findings, base, weighed, out, key, policy):
 
 
 def record_of(base, search, weighed, out, found, verdict) -> dict:
-    """What :func:`fits.ablation.variants.decided` needs of one file.
+    """Inputs of :func:`fits.ablation.variants.decided` for one file.
 
-    ``hypotheses`` is every set of atoms: its effects, log evidence, log prior, what the
-    doubt of the slips makes of it, whether it was refitted. ``weighed`` is the
-    posterior over sets, ``out`` what each leading set predicts of data left out,
-    ``fitted`` its amplitudes over their errors and what each effect gains there;
-    ``family`` that of each effect; ``found`` and ``verdict`` what the product says.
+    ``hypotheses`` lists every set of atoms: its effects, log evidence, log prior, the part
+    of the evidence due to slip uncertainty, whether it was refitted. ``weighed`` is the
+    posterior over sets; ``out`` the predictions of data left out by each leading set;
+    ``fitted`` its amplitudes over their errors and each effect's gain there;
+    ``family`` the family of each effect; ``found`` and ``verdict`` the results as shipped.
     """
     from tirefit.diagnosis.decide import findings
     from tirefit.diagnosis.decide.verdict import Policy
@@ -96,7 +96,7 @@ def record_of(base, search, weighed, out, found, verdict) -> dict:
 
 
 class _Stopped(Exception):
-    """The verdict stands: nothing more is asked."""
+    """Ends a diagnosis after the verdict."""
 
     def __init__(self, case):
         super().__init__()
@@ -108,21 +108,21 @@ def _stopped(case, *rest):
 
 
 def diagnosed(data, **given) -> dict:
-    """The record of one file, and ``seconds``, the CPU time of its diagnosis up to the
-    verdict, in all and by stage; arguments as in :func:`tirefit.diagnose`."""
+    """The record of one file, with ``seconds``, the CPU time of its diagnosis up to the
+    verdict, total and by stage; arguments as in :func:`tirefit.diagnose`."""
     from tirefit.diagnosis import engine
     from tirefit.diagnosis.decide import findings
 
-    told, spent = [], {}
+    results, spent = [], {}
 
     def timed(module, name):
         of = getattr(module, name)
 
         def stage(*arguments):
             began = time.process_time()
-            told.append(of(*arguments))
+            results.append(of(*arguments))
             spent[name] = spent.get(name, 0.0) + time.process_time() - began
-            return told[-1]
+            return results[-1]
 
         return patch.object(module, name, stage)
 
@@ -139,7 +139,8 @@ def diagnosed(data, **given) -> dict:
         except _Stopped as stopped:
             case = stopped.case
     spent["in all"] = time.process_time() - began
-    record = record_of(case.base, case.search, case.weighed, case.predicted, told[-1], case.verdict)
+    stages = case.base, case.search, case.weighed, case.predicted
+    record = record_of(*stages, results[-1], case.verdict)
     return record | {"seconds": spent}
 
 
@@ -201,18 +202,18 @@ def _write(at: Path, record: dict) -> str:
 
 
 def _work(folders: list[Path], out: Path, measured: bool) -> list[tuple]:
-    """(function, arguments) of what is not there yet, files of one length and force one
-    after the other: one program serves them."""
+    """(function, arguments) of the missing records; files of equal length and force are in
+    succession, because they use the same compiled programs."""
     found: list[tuple] = []
     for folder in folders:
         labels = json.loads((folder / "labels.json").read_text())
-        told = json.loads((folder / "leave_out.json").read_text())
+        left_out = json.loads((folder / "leave_out.json").read_text())
         sims = json.loads((folder / "simulators.json").read_text())
         ranked = sorted(labels, key=lambda n: (labels[n]["n"], labels[n]["force"], n))
         for name in ranked:
             label, at = labels[name], out / folder.name / f"{name}.pickle"
             group = label["file"].split("/")[0]
-            some = (folder, name, label, told[group], bool(sims.get(group)), at)
+            some = (folder, name, label, left_out[group], bool(sims.get(group)), at)
             if not at.exists():
                 found.append((_trial, *some))
     if measured and find_spec("fits.measured_changes"):
@@ -228,7 +229,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("folders", type=Path, nargs="*")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--measured", action="store_true", help="the measured cases as well")
+    parser.add_argument("--measured", action="store_true", help="also diagnose the measured cases")
     given = parser.parse_args(arguments)
     compiled = str((given.out / "compiled").absolute())
     work = _work(given.folders, given.out, given.measured)
@@ -238,7 +239,7 @@ def main(arguments: list[str] | None = None) -> None:
         for number, (one, done) in enumerate(waiting):
             try:
                 name = done.result()
-            except Exception as error:  # one file must not end the others
+            except Exception as error:  # an error in one file must not stop the others
                 print(f"{one[-1]}: {error!r}", flush=True)
                 continue
             if number % 40 == 39:

@@ -1,4 +1,4 @@
-"""Records of diagnoses, as :mod:`fits.ablation.collect` keeps them."""
+"""Records of diagnoses, as written by :mod:`fits.ablation.collect`."""
 
 import pickle
 from pathlib import Path
@@ -10,5 +10,5 @@ def loaded(folder: Path) -> list[dict]:
     """The records of a folder, by name: plain numbers, without tirefit."""
     paths = sorted(folder.glob("*.pickle"))
     if not paths:
-        raise SystemExit(f"{folder}: no records, see fits.ablation.collect")
+        raise SystemExit(f"{folder}: no records; run fits.ablation.collect first")
     return [pickle.loads(path.read_bytes()) for path in paths]

@@ -1,4 +1,4 @@
-"""The table: what the decision says with one stage or rule switched off at a time."""
+"""The table: scores of the decision with one stage or rule switched off at a time."""
 
 import json
 import re
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fits.ablation.variants import VARIANTS, Answer, Rules, decided
-from fits.calibration import said
+from fits.calibration import logistic
 from fits.calibration.__main__ import lines_by
 from fits.withheld.goals import STRONG, WEAK
 from fits.withheld.judge import HIDDEN, Outcome, judge, kind_of
@@ -18,10 +18,10 @@ from fits.withheld.thresholds import brier, share, telling
 
 __all__ = ["answered", "row_of", "table"]
 
-BEFORE = "rules before"
-"""The row of another version's documents."""
+BEFORE = "earlier rules"
+"""Row of the answers of another version."""
 
-STRANGERS = ("unlisted", "procedural")
+UNLISTED = ("unlisted", "procedural")
 
 
 class Scores:
@@ -32,7 +32,7 @@ class Scores:
         self.outcomes = outcomes
 
     def of(self, *sets: str, size=(-np.inf, np.inf)) -> list[Outcome]:
-        """Of these sets, where the gap over the noise is of this size."""
+        """Outcomes of these sets with a gap over the noise within these limits."""
         return [
             o
             for name, o in self.outcomes.items()
@@ -45,7 +45,7 @@ def _exact(*sets, size=(-np.inf, np.inf)) -> Callable:
     return lambda s: share(o.exact for o in s.of(*sets, size=size))
 
 
-def _said(*sets, size=(-np.inf, np.inf)) -> Callable:
+def _reported(*sets, size=(-np.inf, np.inf)) -> Callable:
     return lambda s: share(o.exact_or_alias for o in s.of(*sets, size=size))
 
 
@@ -69,42 +69,41 @@ def _brier(s: Scores) -> tuple:
 
 COLUMNS: dict[str, Callable[[Scores], tuple]] = {
     "strong: exact": _exact("singles", size=STRONG),
-    "strong: said": _said("singles", size=STRONG),
+    "strong: reported": _reported("singles", size=STRONG),
     "weak: exact": _exact("singles", size=WEAK),
-    "weak: said": _said("singles", size=WEAK),
+    "weak: reported": _reported("singles", size=WEAK),
     "pairs: exact": _exact("pairs"),
-    "pairs: said": _said("pairs"),
-    "strangers, strong": _flagged(*STRANGERS, size=STRONG),
-    "strangers, weak": _flagged(*STRANGERS, size=WEAK),
-    "surely misnamed": lambda s: share(o.sure_wrong for o in s.of(*STRANGERS)),
+    "pairs: reported": _reported("pairs"),
+    "unlisted, strong": _flagged(*UNLISTED, size=STRONG),
+    "unlisted, weak": _flagged(*UNLISTED, size=WEAK),
+    "surely misnamed": lambda s: share(o.sure_wrong for o in s.of(*UNLISTED)),
     "family left out": _flagged("leave_out"),
     "foreign": _flagged("foreign"),
-    "beside: effect named": lambda s: share(o.named for o in s.of("beside")),
-    "false names a case": _false_names,
+    "with unlisted: effect named": lambda s: share(o.named for o in s.of("beside")),
+    "false names per trial": _false_names,
     "false alarms": _alarms,
     "injected": lambda s: share(o.exact for o in telling(s.labels, s.outcomes)),
     "Brier": _brier,
 }
-"""Column -> (value, count) of the scores."""
+"""Column -> function of the scores that returns (value, count)."""
 
 SAVED = {
     "climb off": ("climbed",),
     "gain: no data left out": ("predicted",),
     "plain decision": ("climbed", "predicted", "remainder_tests"),
 }
-"""Stages of the record that a row does not need."""
+"""Row -> stages of the diagnosis that it does not need."""
 
 
 def answered(
     first: Sequence[Mapping], second: Sequence[Mapping], rules: Rules
 ) -> dict[str, Answer]:
-    """The answers to the second records by the rules, by name; the first teach the
-    calibration."""
+    """The answers to the second records by the rules, by name, calibrated on the first."""
     lines = lines_by(first, rules)
     found = {}
     for record in second:
         answer = decided(record, rules, lines)
-        probability = said.as_said(lines, answer.kind, answer.probability)
+        probability = logistic.calibrated(lines, answer.kind, answer.probability)
         found[record["name"]] = answer._replace(probability=probability)
     return found
 
@@ -130,8 +129,8 @@ def _seconds(records: Iterable[Mapping], stages: Iterable[str]) -> str:
 
 
 def _measured(records: Sequence[Mapping], answers: Mapping[str, Answer]) -> list[str]:
-    """Of the measured cases: how many are named right of those that have something to
-    name, and mean share of the closure by hand, at most all of it."""
+    """Scores of the measured cases: number named right of those with a known effect, and
+    mean closure over that by hand, each at most 1."""
     hand, right, closed = _by_hand(), [], []
     for record in records:
         label, answer = record["label"], answers[record["name"]]
@@ -158,8 +157,8 @@ def _by_hand() -> dict:
 
 
 def _closed(out: Mapping, effects: Sequence[str]) -> float:
-    """Share of the rms on data left out that a set of effects closes; zero of one that
-    was not refitted there."""
+    """Share of the rms on data left out that a set of effects closes; zero if the set was
+    not refitted there."""
     sets = [tuple(key) for key in out["effects"]]
     key = tuple(sorted(effects))
     if key not in sets:
@@ -186,15 +185,15 @@ def table(
     """The table in Markdown.
 
     Args:
-        first: records on which what is learned is taught, and the rules were chosen.
-        second: records on which every row is judged.
+        first: records for the calibration and for choosing rules.
+        second: records that score every row.
         measured: records of the measured cases.
         before: folder of the answers of another version to the second trials.
     """
     labels = {_bare(r["name"]): r["label"] for r in second}
     scores = Scores(labels, {n: judge(n, labels[n], NOTHING) for n in labels})
     counts = [str(column(scores)[1]) for column in COLUMNS.values()]
-    ends = ["measured: named", "closed, of by hand", "CPU s"]
+    ends = ["measured: named", "closed, share of by hand", "CPU s"]
     lines = [["", *COLUMNS, *ends], ["---"] * (len(COLUMNS) + 4)]
     lines.append(["trials", *counts, "", "", ""])
     for name, rules in VARIANTS.items():
@@ -213,4 +212,4 @@ def table(
 
 
 NOTHING = Answer("none", (), 0.0, ()).document
-"""The document of who says nothing: to count trials by."""
+"""A document without effects, to count trials."""

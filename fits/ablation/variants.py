@@ -1,8 +1,8 @@
-"""The decision of the product, and the same with one stage or rule switched off.
+"""The decision as shipped, and the same with one stage or rule switched off.
 
-Everything is worked out again from the records of :mod:`fits.ablation.collect`. A stage
-that changes which sets the search refits (the prior of kin, the doubt of the slips) is
-undone for the sets that it did refit.
+All is computed again from the records of :mod:`fits.ablation.collect`. A stage that
+changes which sets the search refits (slip uncertainty) is switched off only for the sets
+that were refitted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fits.calibration import said
+from fits.calibration import logistic
 from fits.withheld.judge import HIDDEN, kind_of
 from tirefit.diagnosis.decide.findings import parts_of, probability_by_tests
 from tirefit.diagnosis.decide.verdict import (
@@ -31,33 +31,33 @@ from tirefit.diagnosis.evidence.search import PRIOR_OF_UNKNOWN
 from tirefit.diagnosis.left_out import Gain
 from tirefit.diagnosis.rows.basis import of_any_kind
 
-__all__ = ["VARIANTS", "Answer", "Rules", "decided", "reproduced", "taught", "weighed_of"]
+__all__ = ["VARIANTS", "Answer", "Rules", "decided", "reproduced", "stated_unlisted", "weighed_of"]
 
 ALWAYS = 1e9
-"""Standard errors by which no effect is refused."""
+"""As a limit in standard errors: no effect is refused."""
 
 NEVER = 1.0
-"""A probability that another set never has over that of the best: no rival."""
+"""As a limit of a set's probability over that of the best: no set is a rival."""
 
 
 @dataclass(frozen=True)
 class Rules:
-    """What of the diagnosis is on.
+    """Rules of the diagnosis that are on.
 
     Attributes:
         policy: thresholds of the decision.
-        plain: the likeliest of nothing, a set, a set beside something unlisted, and
-            something unlisted alone, by evidence; nothing else is asked then.
-        climb: beside something unlisted the set that predicts whole runs best is asked.
-        calibrated: the probability of something unlisted is what trials teach of that
-            of the evidence; else the evidence's own.
-        beside: how likely an effect is there beside something unlisted is asked of the
-            runs left out, or of the sets beside a discrepancy; else of all sets.
-        each: an effect must be likelier there than not.
-        forms: listed effects have other forms too.
-        doubt: what the doubt of the slips takes from the evidence of a set.
-        tests: the tests of the remainder may show something unlisted.
-        without: kinds of discrepancy that are not looked for.
+        plain: no rule but the evidence: the most probable of no effect, a set, a set with
+            an unlisted effect, and an unlisted effect alone.
+        climb: with an unlisted effect, the set that predicts whole runs best is used.
+        calibrated: the probability of an unlisted effect is calibrated on trials; else it
+            is that of the evidence.
+        beside: the probability of an effect given an unlisted one comes from the runs
+            left out, or from the sets with a discrepancy; else from all sets.
+        each: an effect needs a probability above one half.
+        forms: listed effects also have other forms.
+        doubt: slip uncertainty lowers the evidence of a set.
+        tests: the tests of the residual may detect an unlisted effect.
+        without: kinds of discrepancy that are not fitted.
     """
 
     policy: Policy = POLICY
@@ -74,26 +74,26 @@ class Rules:
 
 VARIANTS: dict[str, Rules] = {
     "plain decision": Rules(plain=True),
-    "the product": Rules(),
-    "known: no error bar asked": Rules(Policy(known=0.0)),
+    "as shipped": Rules(),
+    "known: amplitude over error not required": Rules(Policy(known=0.0)),
     "gain: no data left out": Rules(Policy(gain=-ALWAYS)),
     "each effect likelier than not: off": Rules(each=False),
-    "beside something unlisted by its own probability: off": Rules(beside=False),
+    "own probability with an unlisted effect: off": Rules(beside=False),
     "climb off": Rules(climb=False),
     "also possible: off": Rules(Policy(perhaps=NEVER)),
-    "something unlisted as probable as by the evidence": Rules(calibrated=False),
+    "probability of an unlisted effect not calibrated": Rules(calibrated=False),
     "discrepancy: smooth off": Rules(without=("smooth",)),
     "discrepancy: waves off": Rules(without=("waves",)),
     "discrepancy: patterns off": Rules(without=("patterns",)),
     "other forms off": Rules(forms=False),
-    "doubt of the slips off": Rules(doubt=False),
-    "tests of the remainder off": Rules(tests=False),
+    "slip uncertainty off": Rules(doubt=False),
+    "tests of the residual off": Rules(tests=False),
 }
 """The rows of the table."""
 
 
 class Answer(NamedTuple):
-    """What a verdict says, as far as it is judged."""
+    """The judged part of a verdict."""
 
     status: str
     effects: tuple[str, ...]
@@ -102,7 +102,7 @@ class Answer(NamedTuple):
 
     @property
     def document(self) -> dict:
-        """The same as the part of a document that the check judges."""
+        """The same in the form of a diagnosis document."""
         return {
             "verdict": {
                 "status": self.status,
@@ -114,15 +114,15 @@ class Answer(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """The status, or "noise" where effects on the noise alone are named."""
+        """The status, or "noise" if only effects on the noise are named."""
         noise = {effect.id for effect in NOISE_EFFECTS}
         on_noise = self.effects and set(self.effects) <= noise
         return "noise" if on_noise else self.status
 
 
 def weighed_of(record: Mapping, rules: Rules) -> Weighed:
-    """The posterior over sets of a record by the rules."""
-    told, best, logs = record["weighed"], {}, {}
+    """The posterior over sets of a record under the rules."""
+    kept, best, logs = record["weighed"], {}, {}
     rest, hidden = [], []
     for key, evidence, prior, due, refitted in record["hypotheses"]:
         evidence -= 0.0 if rules.doubt else due
@@ -136,15 +136,15 @@ def weighed_of(record: Mapping, rules: Rules) -> Weighed:
     total = {key: _sum(values) for key, values in logs.items()}
     evidence = {key: fit[0] for key, fit in best.items()}
     if rules.forms:
-        for key in told["gains"]:
-            # What other forms add, once the formulas' evidence is taken away.
+        for key in kept["gains"]:
+            # The evidence that other forms add to that of the formulas.
             due = 0.0 if rules.doubt else best[key][2]
-            form = told["evidence"][key] - evidence[key] - due
+            form = kept["evidence"][key] - evidence[key] - due
             total[key] += form
             evidence[key] += form
     gains = {
         key: {kind: v for kind, v in of.items() if kind not in rules.without}
-        for key, of in told["gains"].items()
+        for key, of in kept["gains"].items()
     }
     beside = {
         key: total[key] + of_any_kind(of) + float(np.log(PRIOR_OF_UNKNOWN))
@@ -156,7 +156,7 @@ def weighed_of(record: Mapping, rules: Rules) -> Weighed:
         log_weight=total,
         log_beside=beside,
         evidence=evidence,
-        other_form=frozenset(told["other_form"] if rules.forms else ()),
+        other_form=frozenset(kept["other_form"] if rules.forms else ()),
         gains=gains,
         log_total=everything,
         hidden=float(np.sum(np.exp(np.array(hidden) - everything))),
@@ -168,16 +168,16 @@ def _sum(logs: Sequence[float]) -> float:
 
 
 UNLISTED = "unlisted"
-"""What the calibration calls the probability of something unlisted."""
+"""Key of the calibration of the probability of an unlisted effect."""
 
 SHOWS = 3.0
-"""As in tirefit/diagnosis/evidence/posterior.py; the table says how many verdicts come
-out as the product gave them."""
+"""As in tirefit/diagnosis/evidence/posterior.py; the table states how many verdicts are
+reproduced."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Asked(Findings):
-    """Findings of which rules are switched off."""
+    """Findings with some rules switched off."""
 
     rules: Rules = field(default_factory=Rules)
 
@@ -189,9 +189,9 @@ class _Asked(Findings):
         return super().probability(effect, key, policy)
 
 
-def taught(records: Sequence[Mapping], rules: Rules) -> list[said.Said]:
-    """How probable something unlisted is by the evidence, and whether it is there. A
-    measured file is left out: what it holds is not known."""
+def stated_unlisted(records: Sequence[Mapping], rules: Rules) -> list[logistic.Stated]:
+    """Probability of an unlisted effect by the evidence, and whether one is present.
+    Measured files, whose effects are unknown, are omitted."""
     found = []
     for record in records:
         label = record["label"]
@@ -202,7 +202,7 @@ def taught(records: Sequence[Mapping], rules: Rules) -> list[said.Said]:
 
 
 def findings_of(record: Mapping, weighed: Weighed, unlisted: float, rules: Rules) -> Findings:
-    """What the decision is told of a record."""
+    """The findings of a record, the input of ``decide``."""
     out = record["out"]
     key = () if no_gap_shows(weighed, rules.policy) else weighed.best
     if key and unlisted > rules.policy.likely and out["across_runs"] and rules.climb:
@@ -219,8 +219,8 @@ def findings_of(record: Mapping, weighed: Weighed, unlisted: float, rules: Rules
 
 
 def _fitted(record: Mapping, key: Key) -> Fitted:
-    """The figures of a set; of one that the product did not need, each effect's largest
-    amplitude over its error beside others, and no data left out."""
+    """The figures of a set. If they were not recorded: each effect's largest amplitude over
+    its error in other sets, and no data left out."""
     if key in record["fitted"]:
         errors, gains = record["fitted"][key]
         return Fitted(errors, {effect: Gain(*of) for effect, of in gains.items()})
@@ -230,14 +230,14 @@ def _fitted(record: Mapping, key: Key) -> Fitted:
 
 
 def decided(record: Mapping, rules: Rules, lines: Mapping) -> Answer:
-    """The answer to a record by the rules; ``lines`` of :func:`said.lines_of`."""
+    """The answer to a record under the rules; ``lines`` of :func:`logistic.lines_of`."""
     weighed = weighed_of(record, rules)
     if rules.plain:
         answer = _plainly(weighed)
     else:
         unlisted = weighed.unlisted
         if rules.calibrated:
-            unlisted = said.as_said(lines, UNLISTED, unlisted)
+            unlisted = logistic.calibrated(lines, UNLISTED, unlisted)
         if rules.tests:
             tests = Tests(**record["found"].get("tests", {}))
             unlisted = max(unlisted, probability_by_tests(tests))
@@ -254,8 +254,8 @@ def decided(record: Mapping, rules: Rules, lines: Mapping) -> Answer:
 
 
 def _plainly(weighed: Weighed) -> Answer:
-    """The likeliest of nothing, a set of listed effects, a set beside something
-    unlisted, and something unlisted alone."""
+    """The most probable of no effect, a set of listed effects, a set with an unlisted
+    effect, and an unlisted effect alone."""
     listed = max(weighed.sets, key=weighed.sets.__getitem__)
     beside = max(weighed.beside, key=weighed.beside.__getitem__)
     unlisted, nothing = weighed.unlisted, weighed.nothing_shown
@@ -271,17 +271,17 @@ def _plainly(weighed: Weighed) -> Answer:
         if key != best and smaller and log > least:
             also += [effect for effect in key if effect not in best]
     status = Status.CANNOT_TELL if also else Status.NAMED
-    sure = weighed.listed_given_gap(best) * (1 - unlisted)
-    return Answer(str(status), best, sure, tuple(dict.fromkeys(also)))
+    probability = weighed.listed_given_gap(best) * (1 - unlisted)
+    return Answer(str(status), best, probability, tuple(dict.fromkeys(also)))
 
 
 def reproduced(record: Mapping) -> bool:
-    """Whether the verdict comes out of the record as the product gave it."""
+    """Whether the record reproduces the verdict as shipped."""
     rules = Rules()
     weighed = weighed_of(record, rules)
     verdict = decide(findings_of(record, weighed, record["found"]["unlisted"], rules))
-    told = record["verdict"]
+    shipped = record["verdict"]
     return (
-        verdict.effects == tuple(told["effects"])
-        and abs(verdict.probability - told["probability"]) < 1e-6
+        verdict.effects == tuple(shipped["effects"])
+        and abs(verdict.probability - shipped["probability"]) < 1e-6
     )

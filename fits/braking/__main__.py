@@ -1,9 +1,9 @@
-"""Tables and figures of braking under four controllers, over seeds.
+"""Writes tables and figures of braking under four controllers, over seeds.
 
     python -m fits.braking --into fits/braking              # all, 60 seeds
     python -m fits.braking --only low,jump --stops 10 --into out
 
-Every controller meets the same road and noise at each seed, so their differences are
+All controllers have the same road and noise at each seed, so their differences are
 paired. See README.md.
 """
 
@@ -83,7 +83,7 @@ def made(road: str, speed: float, tire, limit: float, steer: float = 0.0):
 
 
 def numbers(controller: str, key: str, values, against) -> dict:
-    """Mean and interval over the seeds, and of the difference to ``abs``."""
+    """Mean and interval over the seeds, and the same of the difference to ``abs``."""
     from tirefit.sim.brake_summary import interval
 
     whole, apart = interval(values), interval(values - against)
@@ -105,7 +105,7 @@ def numbers(controller: str, key: str, values, against) -> dict:
 
 
 def stops(case: str, asked) -> list[dict]:
-    """Numbers of ``tirefit brake`` by controller and road; figures of seed 0."""
+    """Numbers of ``tirefit brake`` by controller and road; writes the figures of seed 0."""
     from tirefit.report.braking import compare_figure, paths_figure, stop_figure
     from tirefit.report.canvas import save_picture
     from tirefit.sim.brake_result import Braking, braked
@@ -167,7 +167,7 @@ def tires(asked) -> list[dict]:
             many[name] = jax.tree.map(np.asarray, numbers_of)
             print(road, tire[0], name, many[name].stopping_distance.mean(), flush=True)
         rows += rows_of(road, tire[0], many)
-        write(asked.into / "tires.csv", rows)  # what is there, should it be cut short
+        write(asked.into / "tires.csv", rows)  # after each road, in case of an interruption
     return rows
 
 
@@ -228,7 +228,7 @@ def draw_turn(points, path: Path) -> None:
     tidy(axes, "$\\mu_y$, mean of the front wheels [–]", "$\\mu_x$ [–]")
     axes.legend(fontsize=8, frameon=False, loc="lower left")
     axes.set_title("braking in a turn, first 2 s (O Figure 11)", loc="left", fontsize=9.5)
-    picture.supxlabel("grey: the friction there is; a point: one seed", fontsize=7)
+    picture.supxlabel("grey: available friction; a point: one seed", fontsize=7)
     save_picture(picture, path)
 
 

@@ -1,9 +1,9 @@
-"""O Figures 3 to 6 on a simulated road of packed snow, and what is asserted of them.
+"""O Figures 3 to 6 on a simulated road of packed snow, and the asserted numbers.
 
-``python -m fits.braking_stiffness.draw`` writes the figures beside this file and prints
+``python -m fits.braking_stiffness.draw`` writes the figures to this folder and prints
 the numbers. The stops are tirefit's simulation of one front wheel with the mass that it
-carries, brake and sensors, under constant pressure: 150 of each, the road another
-each time. The estimates see the wheel's speed alone.
+carries, brake and sensors, under constant pressure: 150 stops each, with a different
+road every time. The estimates use only the wheel speed.
 """
 
 from functools import cache
@@ -41,7 +41,7 @@ jax.config.update("jax_enable_x64", True)
 HERE = Path(__file__).parent
 STOPS = 150
 SENSORS = Sensors(road_std=0.015)
-"""An even road: of one as rough as usual 3 MPa lock the wheel within seconds."""
+"""An even road: on a road of usual roughness 3 MPa lock the wheel within seconds."""
 RATE = 200.0
 SAMPLES = round(UNTIL * RATE) + 1
 ICE = 0.2
@@ -50,9 +50,9 @@ MORE = {FRICTION: (0.5e6, 1e6, 2e6, 2.5e6, 3e6), ICE: (0.5e6, 1e6, 1.5e6)}
 
 
 class Stops(NamedTuple):
-    """Of all stops (stops, samples): speed of the car, of the wheel (as the sensor has
-    it) [m/s], deceleration [m/s2], pressure [Pa], true k [N s/m]; the estimate of k,
-    its std, and the recursion as printed in its place, [N s/m]."""
+    """All stops (stops, samples): speed of the car and of the wheel (as measured) [m/s],
+    deceleration [m/s2], pressure [Pa], true k [N s/m]; the estimate of k, its std, and
+    the estimate by the recursion as printed, [N s/m]."""
 
     v: np.ndarray
     wheel: np.ndarray
@@ -65,7 +65,7 @@ class Stops(NamedTuple):
 
 
 def estimator() -> Xbs:
-    """O's band; the noise of the sensor and the corner of the road are known."""
+    """Estimator with O's band; sensor noise and corner frequency of the road are given."""
     noise = np.hypot(SENSORS.speed_std, SENSORS.speed_step / np.sqrt(12))
     return Xbs(
         rate=RATE,
@@ -100,7 +100,7 @@ def _estimates(record: Xbs, wheels):
 
 @cache
 def stops(pressure: float, friction: float = FRICTION) -> Stops:
-    """All stops under one pressure."""
+    """All stops at one pressure."""
     tire = with_values(MODELS["brush"], {"cpa2": STIFFNESS})
     request = Request(
         tire,
@@ -133,15 +133,15 @@ WINDOW = slice(round(FROM * RATE), round(UNTIL * RATE) + 1)
 
 @cache
 def spectrum(pressure: float):
-    """(frequencies [Hz], power of wheel speed [m2/s2/Hz]) of the window, all stops."""
+    """(frequencies [Hz], power of wheel speed [m2/s2/Hz]) in the window, of all stops."""
     wheel = stops(pressure).wheel[:, WINDOW]
     frequency, power = scipy.signal.welch(wheel, RATE, nperseg=400, detrend="linear")
     return frequency, power.mean(0)
 
 
 def shape(frequency, power, break_frequency):
-    """Of a first-order wheel on a road that is white above its corner, and the noise of
-    the sensor; the simulated road is linear between samples, which takes from its high
+    """Power of a first-order wheel on a road that is white above its corner, with sensor
+    noise; the simulated road is linear between samples, which lowers its high
     frequencies."""
     corner = SENSORS.road_corner
     wheel = (frequency**2 + break_frequency**2) * (frequency**2 + corner**2)
@@ -150,7 +150,7 @@ def shape(frequency, power, break_frequency):
 
 
 def break_frequency(pressure: float) -> np.ndarray:
-    """(power, break frequency [Hz]) closest to the spectrum from 3 to 40 Hz."""
+    """(power, break frequency [Hz]) fitted to the spectrum from 3 to 40 Hz."""
     frequency, power = (part[6:81] for part in spectrum(pressure))
 
     def gap(x):
@@ -160,7 +160,7 @@ def break_frequency(pressure: float) -> np.ndarray:
 
 
 def properties() -> dict[str, float]:
-    """Numbers read off the stops, by name; expected.toml says what they are."""
+    """Numbers of the stops by name, as explained in expected.toml."""
     numbers: dict[str, float] = {}
     for pressure in PRESSURES:
         name, made = f"{pressure / 1e6:.0f} MPa", stops(pressure)
@@ -193,8 +193,8 @@ def properties() -> dict[str, float]:
 
 
 def mean_of(pressure: float, friction: float) -> tuple[float, float, float, float]:
-    """Mean of k over the window and the stops, and its 16 and 84 % of single stops'
-    means; the true mean."""
+    """Mean of k over the window and the stops, the 16 and 84 % quantiles over single
+    stops, and the true mean."""
     made = stops(pressure, friction)
     means = np.nanmean(made.xbs[:, WINDOW], axis=1)
     low, high = np.nanquantile(means, [0.159, 0.841])
@@ -205,7 +205,7 @@ TIME = np.arange(SAMPLES) / RATE
 
 
 def draw_stops() -> None:
-    """O Figure 3: a soft and a hard braking."""
+    """O Figure 3: soft and hard braking."""
     picture = Picture(figsize=(8.2, 4.2), layout="constrained")
     axes = picture.subplots(3, 2, sharex=True, sharey="row", height_ratios=[2, 1, 1])
     for column, pressure in zip(axes.T, (PRESSURES[0], PRESSURES[-1]), strict=True):
@@ -224,7 +224,7 @@ def draw_stops() -> None:
 
 
 def draw_spectrum() -> None:
-    """O Figure 4: the break frequency falls as the brake is pressed harder."""
+    """O Figure 4: the break frequency falls with the pressure."""
     picture = Picture(figsize=(5.4, 3.6), layout="constrained")
     axes = picture.subplots()
     for color, pressure in zip(COLORS, PRESSURES, strict=False):
@@ -252,7 +252,7 @@ def _true_break(pressure: float) -> float:
 
 
 def draw_estimate() -> None:
-    """O Figure 5: the estimate in one hard stop, and all stops."""
+    """O Figure 5: the estimate in one hard stop, and in all stops."""
     picture = Picture(figsize=(8.2, 3.2), layout="constrained")
     left, right = picture.subplots(1, 2, sharey=True)
     made = stops(PRESSURES[-1])
@@ -280,7 +280,7 @@ def draw_means() -> None:
     for color, friction in zip(COLORS, MORE, strict=False):
         pressures = np.array(MORE[friction])
         middle, low, high, true = np.array([mean_of(p, friction) for p in pressures]).T
-        # Beside each other, not on top.
+        # Shifted sideways, so that the bars do not overlap.
         beside = pressures / 1e6 + 0.03 * (friction == ICE)
         axes.errorbar(
             beside,

@@ -1,7 +1,7 @@
 """Independent numbers: ``python -m fits.braking_stiffness.reference``.
 
-NumPy and SciPy alone: a front wheel on snow under constant pressure, force by the
-balance of the wheel that slows with its car, slip by turning the brush S(12) around,
+NumPy and SciPy alone: a front wheel on snow under constant pressure, force from the
+balance of the wheel that decelerates with its car, slip by inverting the brush S(12),
 stiffness by differences of that curve at a given speed of the car, O(2).
 """
 
@@ -14,18 +14,18 @@ PRESSURES = (1e6, 2e6, 3e6)
 LOAD = 1500 * 9.81 * 1.4 / 2.6 / 2
 RADIUS, INERTIA, GAIN = 0.3, 1.2, 1.35e-4
 STIFFNESS = 2e4
-"""c_p a^2 [N]: on snow, a third of what a car's tire has on asphalt."""
+"""c_p a^2 [N] on snow, a third of that of a car's tire on asphalt."""
 FRICTION = 0.37
 SPEED = 20.0
 FROM, UNTIL = 1.0, 3.0
-"""Time [s] over which everything is averaged."""
+"""Time [s] over which all is averaged."""
 
 
 def stiffness(pressure: float, time, friction: float = FRICTION):
-    """(k [N s/m], kappa, speed of the car [m/s]) at times (n,) [s] after the braking
-    began at :data:`SPEED`, the rise of the pressure left out."""
+    """(k [N s/m], kappa, speed of the car [m/s]) at times (n,) [s] after the start of
+    braking at :data:`SPEED`, without the rise of the pressure."""
     mass = LOAD / 9.81
-    # The wheel slows with the car: F (1 + J / (r^2 m)) = T / r, near enough.
+    # The wheel decelerates with the car: approximately F (1 + J / (r^2 m)) = T / r.
     force = GAIN * pressure / RADIUS / (1 + INERTIA / (RADIUS**2 * mass))
 
     def gap(sigma):
@@ -41,7 +41,7 @@ def stiffness(pressure: float, time, friction: float = FRICTION):
 
 
 def reference() -> dict[str, float]:
-    """Mean stiffness, its break frequency k r^2 / (2 pi J), slip; by pressure."""
+    """Mean stiffness, its break frequency k r^2 / (2 pi J), and slip, by pressure."""
     time, numbers = np.linspace(FROM, UNTIL, 401), {}
     for pressure in PRESSURES:
         name = f"{pressure / 1e6:.0f} MPa"

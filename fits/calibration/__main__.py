@@ -1,11 +1,11 @@
-"""Teaches ``tirefit/diagnosis/calibration.json`` on records of known cause.
+"""Fits ``tirefit/diagnosis/calibration.json`` to records of known cause.
 
     python -m fits.calibration out/records/421 out/records/422
 
 The records are those of :mod:`fits.ablation.collect`: development seeds, never the
-designs and forms of the sealed ones. They teach how often something unlisted is there,
-and by status how often verdicts are right. Printed is how well each folder teaches that
-for the other.
+designs and forms of the sealed ones. Two probabilities are calibrated: that of an
+unlisted effect, and by status that of a right verdict. The printed scores are those of
+each folder with the calibration of the other.
 """
 
 import argparse
@@ -14,16 +14,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from fits.ablation.records import loaded
-from fits.ablation.variants import Rules, decided, taught
-from fits.calibration import said
+from fits.ablation.variants import Rules, decided, stated_unlisted
+from fits.calibration import logistic
 from fits.withheld.judge import judge
 
 PLACE = Path(__file__).parents[2] / "tirefit/diagnosis/calibration.json"
 
 
-def verdicts_of(records: Sequence[Mapping], lines, rules) -> list[said.Said]:
-    """Status, probability and whether it is right, of each trial; what a measured file
-    lacks is known to nobody."""
+def verdicts_of(records: Sequence[Mapping], lines, rules) -> list[logistic.Stated]:
+    """Status, probability and whether right, of each trial; measured files, whose effects
+    are unknown, are omitted."""
     found = []
     for record in records:
         if record["label"]["set"] in ("raw", "measured"):
@@ -35,9 +35,9 @@ def verdicts_of(records: Sequence[Mapping], lines, rules) -> list[said.Said]:
 
 
 def lines_by(records: Sequence[Mapping], rules: Rules = Rules()) -> dict:
-    """What ``tirefit/diagnosis/decide/findings.py`` reads."""
-    lines = said.lines_of(taught(records, rules))
-    return lines | said.lines_of(verdicts_of(records, lines, rules))
+    """The calibration, as ``tirefit/diagnosis/decide/findings.py`` reads it."""
+    lines = logistic.lines_of(stated_unlisted(records, rules))
+    return lines | logistic.lines_of(verdicts_of(records, lines, rules))
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -48,15 +48,15 @@ def main(arguments: list[str] | None = None) -> None:
     halves = [loaded(folder) for folder in given.folders]
     lines = lines_by([record for half in halves for record in half])
     given.out.write_text(json.dumps(lines, indent=1) + "\n")
-    of = [k for k, half in enumerate(halves) for _ in taught(half, Rules())]
-    unlisted = [case for half in halves for case in taught(half, Rules())]
-    print(json.dumps(said.checked(unlisted, of), indent=1))
+    of = [k for k, half in enumerate(halves) for _ in stated_unlisted(half, Rules())]
+    unlisted = [case for half in halves for case in stated_unlisted(half, Rules())]
+    print(json.dumps(logistic.checked(unlisted, of), indent=1))
     verdicts, of = [], []
     for k, half in enumerate(halves):
         found = verdicts_of(half, lines_by(halves[1 - k]), Rules())
         verdicts += found
         of += [k] * len(found)
-    print(json.dumps(said.checked(verdicts, of), indent=1))
+    print(json.dumps(logistic.checked(verdicts, of), indent=1))
 
 
 if __name__ == "__main__":

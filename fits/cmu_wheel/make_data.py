@@ -1,4 +1,4 @@
-"""The rows without slip angle: ``python -m fits.cmu_wheel.make_data``."""
+"""Writes the rows without slip angle: ``python -m fits.cmu_wheel.make_data``."""
 
 from pathlib import Path
 

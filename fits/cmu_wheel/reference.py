@@ -1,4 +1,4 @@
-"""The brush by SciPy, weighted by the same deviations: numbers of expected.toml.
+"""Numbers of expected.toml: the brush by SciPy, weighted by the same deviations.
 
 ``python -m fits.cmu_wheel.reference``
 """

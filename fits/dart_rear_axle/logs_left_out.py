@@ -1,8 +1,8 @@
-"""What is named of the axle by five logs, and what it closes on the sixth.
+"""Effects of the axle named on five logs, and the gap that they close on the sixth.
 
-``python -m fits.dart_rear_axle.logs_left_out``: the split stands in README.md and was
-written before anything was diagnosed. The second half is what a remainder is held
-against: the noise of the tracker carried through the filter, and repeats of one state.
+``python -m fits.dart_rear_axle.logs_left_out``: README.md states the split, which was
+fixed before any diagnosis. The second part gives limits of the remainder: the noise of
+the tracker after the filter, and the scatter of repeated states.
 """
 
 from dataclasses import replace
@@ -22,20 +22,20 @@ HERE = Path(__file__).parent
 LOGS = HERE.parent / "dart_jetracer"
 AT_REST = 0.02  # m/s
 ALIKE = {"alpha": 1e-3, "v": 0.03, "alpha_rate": 0.02}
-"""Differences up to which two rows are one state of a tire: rad, m/s, rad/s."""
+"""Largest differences of two rows with the same tire state: rad, m/s, rad/s."""
 TURNING = ALIKE | {"yaw_rate": 0.05}
-"""The same with the yaw rate [rad/s], which no tire knows of."""
-APART = 5.0  # s, from which they are two measurements of it
+"""The same with the yaw rate [rad/s], on which a tire does not depend."""
+APART = 5.0  # s, least time between two measurements of a state
 
 
 def split(data, out: int):
-    """(the other logs, the log left out) as data of their own."""
+    """(the other logs, the log left out) as separate data."""
     codes = [k for k in range(len(data.runs)) if k != out]
     return data.where(data.run != out), data.where(data.run == out), codes
 
 
 def left_out(data) -> list[dict]:
-    """One line a log: what the others name, and what that closes on it."""
+    """One line per log: the effects named on the others, and their closure on it."""
     lines = []
     for out, name in enumerate(data.runs):
         rest, held, _ = split(data, out)
@@ -61,8 +61,8 @@ def left_out(data) -> list[dict]:
 
 
 def tracker_noise() -> dict[str, float]:
-    """Of alpha [rad] and fy [N] at 2 m/s: differences of neighbouring poses of the car
-    at rest, through the filter and the differences that follow it."""
+    """Noise of alpha [rad] and fy [N] at 2 m/s: differences of neighbouring poses of the
+    car at rest, after the filter and the differentiation."""
     vehicle = load_vehicle(LOGS / "vehicle.toml")
     position, heading = [], []
     for path in sorted(LOGS.glob("*/*.csv.gz")):
@@ -95,8 +95,9 @@ def tracker_noise() -> dict[str, float]:
 
 
 def repeats(alike=ALIKE, every: int = 10) -> dict[str, float]:
-    """Scatter of fy [N] between two measurements of one state, by how many logs; each
-    log counts alike. What the state leaves of fy, by its slope, is taken off."""
+    """Scatter of fy [N] between two measurements of one state, within a log and between
+    logs, with equal weight of all pairs. The linear dependence of fy on the remaining
+    difference of state is removed."""
     vehicle = load_vehicle(LOGS / "vehicle.toml")
     logs = [derive(path, vehicle) for path in sorted(LOGS.glob("*/*.csv.gz"))]
     names = (*alike, "time", "fy")

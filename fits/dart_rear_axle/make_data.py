@@ -1,9 +1,9 @@
-"""The derived tables of the axle: ``python -m fits.dart_rear_axle.make_data``.
+"""Writes the derived tables of the axle: ``python -m fits.dart_rear_axle.make_data``.
 
-``free_driving.csv``, of the demo: both logs of free driving through ``derive`` at 100
-Hz; every fifth row is written, which is 20 Hz for a bandwidth of 4 Hz, rounded to 0.01
-mrad and 0.1 mN. ``six_logs.csv``: all six with the vehicle file that corrects nothing
-and the motion of the car; every hundredth row, which keeps the rate of the slip angle.
+``free_driving.csv``, for the demo: both logs of free driving by ``derive`` at 100 Hz;
+every fifth row (20 Hz for a bandwidth of 4 Hz), rounded to 0.01 mrad and 0.1 mN.
+``six_logs.csv``: all six logs without a heading correction, with the motion of the car;
+every hundredth row, which includes the rate of the slip angle.
 """
 
 import csv
@@ -16,7 +16,7 @@ HERE = Path(__file__).parent
 ALL = HERE.parent / "dart_jetracer"
 LOGS = ALL / "free_driving_16_sept_2024"
 DIGITS = {"time": 2, "run": None}
-"""Decimals of a column; six of the others, so that the force still follows exactly."""
+"""Decimals of these columns; six for the others, so that the force can be recomputed."""
 
 
 def six_logs() -> None:

@@ -1,4 +1,4 @@
-"""SciPy's least squares and the jackknife over the six logs: numbers of expected.toml.
+"""Numbers of expected.toml by SciPy's least squares and a jackknife over the six logs.
 
 ``python -m fits.dart_rear_axle.reference``
 """
@@ -53,7 +53,7 @@ def six_logs(vehicle: Path) -> dict[str, np.ndarray]:
 
 
 def jackknife(logs: dict[str, np.ndarray]) -> np.ndarray:
-    """Standard errors (2,) of c_p a^2 and mu: the fit again without each log."""
+    """Jackknife standard errors (2,) of c_p a^2 and mu: fits without each log."""
     left_out = np.array(
         [
             brush_fit(*np.hstack([log for name, log in logs.items() if name != out]))[0]

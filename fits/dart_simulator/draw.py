@@ -1,6 +1,6 @@
-"""The figure, and what is asserted of the diagnosis.
+"""The figure and the asserted numbers of the diagnosis.
 
-``python -m fits.dart_simulator.draw`` writes ``waterfall.png`` beside this file.
+``python -m fits.dart_simulator.draw`` writes ``waterfall.png`` to this folder.
 """
 
 from pathlib import Path
@@ -19,13 +19,13 @@ HERE = Path(__file__).parent
 
 
 def diagnosed():
-    """Free driving against the fit of the other days' circles, as it is."""
+    """Diagnosis of free driving with the unchanged fit of the circles of another day."""
     circles, driving = (
         tirefit.read(HERE / f"{name}.csv", convention="braking")
         for name in ("circles", "free_driving")
     )
     simulator = tirefit.fit(circles, "brush")
-    # The zero of the heading, which was off on the other logs: what SciPy fits as well.
+    # The heading offset, known from the other logs and also fitted by SciPy.
     heading = [effect for effect in EFFECTS if effect.id == "slip_offset"]
     return tirefit.diagnose(driving, sim=simulator, effects=heading)
 

@@ -1,10 +1,10 @@
-"""Two days of one car: ``python -m fits.dart_simulator.make_data``.
+"""Writes two days of one car: ``python -m fits.dart_simulator.make_data``.
 
-``circles.csv``: the four logs of circles of 9 September 2024 through ``derive`` at 100
-Hz, with the vehicle file of ``dart_rear_axle`` that corrects the heading: what the
-simulator was fitted to. ``free_driving.csv``: the two logs of 16 September as they
-were logged, heading and all. Every twentieth row is written, rounded to 0.01 mrad and
-0.1 mN. Fewer of these rows are the samples of ``tirefit demo``.
+``circles.csv``, for the fit of the simulator: the four logs of circles of 9 September
+2024 by ``derive`` at 100 Hz, with the corrected heading of ``dart_rear_axle``.
+``free_driving.csv``: the two logs of 16 September without the correction. Every
+twentieth row is written, rounded to 0.01 mrad and 0.1 mN. A part of these rows are the
+samples of ``tirefit demo``.
 """
 
 import csv
@@ -22,9 +22,9 @@ DAYS = {
 }
 """Table -> folder of its logs, and folder of the vehicle file."""
 EVERY = 20
-"""Rows of 0.01 s from one written row to the next."""
+"""Step between written rows, in rows of 0.01 s."""
 SAMPLED = {"circles": 4, "free_driving": 2}
-"""Written rows from one row of a sample to the next."""
+"""Step between rows of a sample, in written rows."""
 SAMPLES = HERE.parents[1] / "tirefit" / "samples"
 
 

@@ -1,8 +1,8 @@
-"""The simulator, its error on another day and what it is made of, without tirefit.
+"""The simulator, its error on another day and the parts of it, without tirefit.
 
 ``python -m fits.dart_simulator.reference``: SciPy's least squares on S(12) in NumPy,
-every row alike, without effects' priors; shares by the same Shapley formula for two
-players, written out.
+with equal weights, without priors of effects; shares by the Shapley formula for two
+players.
 """
 
 import csv
@@ -24,7 +24,7 @@ def rows_of(name: str) -> np.ndarray:
 
 
 def shift_alone(rows, c: float, mu: float) -> float:
-    """The shift of tan(alpha) that suits a given tire best."""
+    """The shift of tan(alpha) that fits a given tire best."""
     found = fit_scipy(
         lambda shift: force(rows, c, mu, shift), rows[1], [np.zeros(1)], [-0.1], [0.1]
     )

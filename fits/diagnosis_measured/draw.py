@@ -1,6 +1,6 @@
-"""The figure, and what is asserted of the diagnoses.
+"""The figure and the asserted numbers of the diagnoses.
 
-``python -m fits.diagnosis_measured.draw`` writes ``held_out.png`` beside this file.
+``python -m fits.diagnosis_measured.draw`` writes ``held_out.png`` to this folder.
 """
 
 import tomllib
@@ -23,13 +23,13 @@ def axle(name: str):
 
 
 def wheel(name: str):
-    """A rover wheel, read as its own case declares it."""
+    """The rover wheel, read with the settings of ``cmu_wheel``."""
     declared = tomllib.loads((WHEELS / "fit.toml").read_text())["data"]
     return tirefit.read(WHEELS / f"{name}.csv", **declared)
 
 
 def _confident_name(verdict) -> float:
-    """Probability with which effects are named, 0 where none are."""
+    """Probability of the named effects, 0 without any."""
     return 0.0 if verdict.status == "unknown" else verdict.probability
 
 

@@ -1,10 +1,9 @@
-"""Two small tables from six logs: ``python -m fits.diagnosis_measured.make_data``.
+"""Writes two tables from six logs: ``python -m fits.diagnosis_measured.make_data``.
 
-The logs of ``dart_jetracer`` in the order they were recorded: the first three are
-diagnosed, the last three are held out. The split was fixed before anything was
-diagnosed; both halves turn to both sides. Each goes through ``derive`` at 100 Hz with
-the vehicle file that corrects nothing; every twentieth row of each log is written,
-rounded to 0.01 mrad and 0.1 mN.
+Of the logs of ``dart_jetracer`` in the order of recording, the first three are
+diagnosed, the last three are held out. The split was fixed before any diagnosis; both
+halves turn to both sides. ``derive`` processes each log at 100 Hz without a heading
+correction; every twentieth row is written, rounded to 0.01 mrad and 0.1 mN.
 """
 
 import csv
@@ -16,11 +15,11 @@ from tirefit import derive_files
 HERE = Path(__file__).parent
 LOGS = HERE.parent / "dart_jetracer"
 EVERY = 20
-"""Rows of 0.01 s from one written row to the next."""
+"""Step between written rows, in rows of 0.01 s."""
 
 
 def thinned(rows: list[dict], every: int) -> list[str]:
-    """Lines of a CSV file: the header, then every so many rows of each run."""
+    """Lines of a CSV file: the header, then every n-th row of each run."""
     lines = ["time,alpha,fy,fz,v,run"]
     for run in dict.fromkeys(row["run"] for row in rows):
         for row in [row for row in rows if row["run"] == run][::every]:

@@ -1,7 +1,7 @@
-"""The offset, and what it is worth on the held-out logs, without tirefit's engine.
+"""The offset, and its gain on the held-out logs, without tirefit's diagnosis.
 
 ``python -m fits.diagnosis_measured.reference``: SciPy's least squares on S(12) in
-NumPy, every row alike.
+NumPy, with equal weights.
 """
 
 import csv
@@ -30,7 +30,7 @@ def force(rows, c: float, mu: float, shift: float = 0.0):
 
 
 def fitted(rows, shifted: bool):
-    """c_p a^2, mu and, if asked for, the shift, of all rows alike."""
+    """c_p a^2, mu and optionally the shift, with equal weights."""
     start, low, high = [30.0, 0.7], [1.0, 0.01], [1e4, 5.0]
     if shifted:
         start, low, high = [*start, 0.0], [*low, -0.1], [*high, 0.1]

@@ -1,8 +1,8 @@
-"""The shortest way around an obstacle, with exported tires: ``shortest``.
+"""Plans the shortest path around an obstacle with exported tires: ``shortest``.
 
 A single-track car of constant forward speed steers around an obstacle. CasADi's IPOPT
 finds the steering that needs the shortest distance, by 40 steps of Runge-Kutta; the
-tires are modules that ``tirefit export --to casadi`` wrote.
+tires are modules written by ``tirefit export --to casadi``.
 """
 
 from typing import NamedTuple
@@ -11,15 +11,15 @@ import casadi as ca
 import numpy as np
 
 MASS, INERTIA = 5.1, 0.12  # kg, kg m2
-AHEAD = 0.165  # m from the centre of gravity to either axle
-LOAD = MASS * 9.81 / 2  # N on either axle
+AHEAD = 0.165  # m, from the centre of gravity to each axle
+LOAD = MASS * 9.81 / 2  # N, on each axle
 STEPS = 40
 MOST_STEERING, FASTEST = 0.4, 6.0  # rad at the wheel, rad/s
 
 
 class Way(NamedTuple):
-    """The way around an obstacle: time (n,) [s], steering angle (n,) [rad], place x, y
-    (n,) [m], and the ``distance`` ahead of the obstacle at which it begins [m]."""
+    """A path around an obstacle: time (n,) [s], steering angle (n,) [rad], position x, y
+    (n,) [m], and the ``distance`` from the obstacle at which it begins [m]."""
 
     time: np.ndarray
     steering: np.ndarray
@@ -29,16 +29,16 @@ class Way(NamedTuple):
 
 
 def slip_angles(speed: float, state):
-    """Of the front and the rear axle [rad], positive where the axle slides to the left
-    (ISO-W): state is x, y, heading, v_y, yaw rate, steering angle."""
+    """Slip angles of front and rear axle [rad], positive if the axle slides to the left
+    (ISO-W); the state is x, y, heading, v_y, yaw rate, steering angle."""
     sideways, turn, steering = state[3], state[4], state[5]
     front = ca.arctan2(sideways + AHEAD * turn, speed) - steering
     return front, ca.arctan2(sideways - AHEAD * turn, speed)
 
 
 def motion(speed: float, state, rate, front, rear) -> list:
-    """Derivative of the state; ``front`` and ``rear`` give the force to the left [N] of
-    a slip angle, ``rate`` is that of the steering [rad/s]."""
+    """Derivative of the state; ``front`` and ``rear`` map slip angle to force to the left
+    [N], ``rate`` is the steering rate [rad/s]."""
     heading, sideways, turn = state[2], state[3], state[4]
     angles = slip_angles(speed, state)
     forces = [force(a) for force, a in zip((front, rear), angles, strict=True)]
@@ -53,7 +53,7 @@ def motion(speed: float, state, rate, front, rear) -> list:
 
 
 def shortest(front, rear, speed: float = 4.0, aside: float = 0.5) -> Way:
-    """The steering that brings the car ``aside`` [m] in the shortest distance.
+    """The steering that moves the car ``aside`` [m] in the shortest distance.
 
     Args:
         front, rear: exported ``casadi.Function`` of the axles' tires.

@@ -1,8 +1,8 @@
-"""The figure of the case and what is asserted of it: ``python -m fits.export.draw``
-writes ``forces_and_path.png`` beside this file.
+"""The figure and the asserted numbers of the case: ``python -m fits.export.draw``
+writes ``forces_and_path.png`` to this folder.
 
-The brush of each measured axle is fitted, exported, loaded by the program that the file
-is for, and evaluated there.
+The brush of each measured axle is fitted, exported, loaded by the target program, and
+evaluated there.
 """
 
 import importlib.util
@@ -37,7 +37,7 @@ def fitted(axle: str):
 
 
 def own(axle: str) -> np.ndarray:
-    """F_y over F_z at the slip angles, by tirefit, in the signs of ISO-W."""
+    """F_y / F_z at the slip angles by tirefit, in the signs of ISO-W."""
     rows = {"alpha": ANGLES, "fz": np.full(len(ANGLES), LOAD), "v": 3.0 + 0 * ANGLES}
     return -tirefit.predict(fitted(axle), rows)["fy"] / LOAD
 
@@ -62,7 +62,7 @@ def by_casadi(path: Path) -> np.ndarray:
 
 
 def by_commonroad(path: Path) -> np.ndarray:
-    """By the single-track drift model's own formula."""
+    """Forces by the formula of CommonRoad's single-track drift model."""
     from types import SimpleNamespace
 
     from vehiclemodels.utils.tire_model import formula_lateral
@@ -72,19 +72,19 @@ def by_commonroad(path: Path) -> np.ndarray:
 
 
 def by_forzaeth(path: Path) -> np.ndarray:
-    """By the formula of its simulator; their slip angle has the other sign."""
+    """Forces by the formula of ForzaETH's simulator, whose slip angle has the opposite sign."""
     b, c, d, e = yaml.safe_load(path.read_text())["C_Pr"]
     x = b * -ANGLES
     return d * np.sin(c * np.arctan(x - e * (x - np.arctan(x))))
 
 
 BY = {"casadi": by_casadi, "commonroad": by_commonroad, "forzaeth": by_forzaeth}
-"""Target -> F_y over F_z at the slip angles, in the signs of ISO-W."""
+"""Target -> F_y / F_z at the slip angles, in the signs of ISO-W."""
 
 
 @cache
 def compared() -> dict[str, np.ndarray]:
-    """Target -> F_y over F_z of the rear axle, by the software that it is for."""
+    """Target -> F_y / F_z of the rear axle by the target program."""
     with tempfile.TemporaryDirectory() as folder:
         found = {}
         for target, force in BY.items():
@@ -96,7 +96,7 @@ def compared() -> dict[str, np.ndarray]:
 
 @cache
 def way(tires: str):
-    """The shortest way around the obstacle on a set of tires."""
+    """The shortest path around the obstacle on a set of tires."""
     with tempfile.TemporaryDirectory() as folder:
         loaded = []
         for axle in ("front", "rear"):
@@ -160,7 +160,7 @@ def main() -> None:
         right.plot(planned.x, planned.y, color=color, label=label)
     right.axhline(0.5, color=DARK, lw=0.8, ls=":")
     right.set(xlabel="ahead [m]", ylabel="aside [m]")
-    right.set_title("Shortest way around, at 4 m/s", loc="left", fontsize=10)
+    right.set_title("Shortest path around, at 4 m/s", loc="left", fontsize=10)
     right.legend(frameon=False, fontsize=9)
     picture.savefig(HERE / "forces_and_path.png")
 

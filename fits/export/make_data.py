@@ -16,7 +16,7 @@ from fits.measured_changes.logs import Logs, table
 HERE = Path(__file__).parent
 COLUMNS = ("time", "alpha", "fy", "fz", "v")
 SLIDING = 0.6
-"""Slip angle [rad] up to which rows are kept: beyond it the car spins."""
+"""Largest slip angle [rad] of the kept rows; beyond it the car spins."""
 
 
 def main() -> None:

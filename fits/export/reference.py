@@ -1,5 +1,5 @@
-"""The independent route of the case: brush fits and the drive around the obstacle by
-SciPy, with the closed formula of the brush. It imports neither tirefit nor CasADi."""
+"""The independent numbers of the case: brush fits and the drive around the obstacle by
+SciPy, with the closed formula of the brush, without tirefit and CasADi."""
 
 import csv
 from pathlib import Path
@@ -17,7 +17,7 @@ FAR = 4.7  # standard deviations
 
 
 def fitted(name: str) -> np.ndarray:
-    """c_p a^2 [N] and mu of the brush of S(12), all rows alike."""
+    """c_p a^2 [N] and mu of the brush S(12), with equal weights."""
     with (HERE / f"{name}.csv").open() as file:
         next(file)  # it states the convention
         rows = list(csv.DictReader(file))
@@ -26,7 +26,7 @@ def fitted(name: str) -> np.ndarray:
     def missed(z):
         return np.sign(alpha) * brush(np.tan(np.abs(alpha)), fz, 0.0, *z) - fy
 
-    # A few rows are far off: the car was lifted, or hit something.
+    # A few rows are outliers: the car was lifted or hit something.
     rows, z = np.ones(len(alpha), bool), [50.0, 0.7]
     for _ in range(5):
         z = least_squares(lambda z, rows=rows: missed(z)[rows], z).x
@@ -36,7 +36,7 @@ def fitted(name: str) -> np.ndarray:
 
 
 def driven(front, rear, time, steering) -> np.ndarray:
-    """Place (x, y) [m] at the end of a steering angle over time, on two brushes: c_p
+    """Final position (x, y) [m] for a steering angle over time, on two brushes: c_p
     a^2 [N] and mu of each axle."""
 
     def force(alpha, z):
@@ -66,6 +66,6 @@ def reference() -> dict[str, float]:
         for axle, (stiffness, grip) in axles.items():
             found[f"{tires}_{axle} cpa2"], found[f"{tires}_{axle} mu"] = stiffness, grip
         grip = min(grip for _, grip in axles.values())
-        # A point that friction alone moves aside: y = mu g t^2 / 2.
+        # A point mass that friction moves aside: y = mu g t^2 / 2.
         found[f"{tires}: at least"] = SPEED * np.sqrt(2 * ASIDE / (grip * 9.81))
     return found

@@ -1,6 +1,6 @@
-"""What a flexible carcass does to the misfit, and what is asserted of the curves.
+"""The misfit with a flexible carcass, and the asserted numbers of the curves.
 
-``python -m fits.flexible_carcass.draw`` writes the figure beside this file.
+``python -m fits.flexible_carcass.draw`` writes the figure to this folder.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ BEST = {
 }
 """c_p a^2 [N], mu and flexibility of g275_95psi, by reference.py."""
 SOFTER = (0.01, 0.1, 0.4)
-"""Parts of the flexibilities HELD."""
+"""Shares of the flexibilities HELD."""
 LINES = {"thread": "-", "beam": "--", "parabola": ":"}
 
 
@@ -35,7 +35,7 @@ def force(kind, alpha, fz, cpa2, mu, flexibility):
 
 
 def held_fit(curve, kind, flexibility):
-    """Misfit [N], (n,), of the best c_p a^2 and mu for a flexibility."""
+    """Residual [N], (n,), with the best c_p a^2 and mu for a flexibility."""
     alpha, observed, fz = read(curve)
     share = slopes_at_rest(kind, flexibility)[0] if flexibility else 1.0
     start = [observed[0] / alpha[0] / 2 / share, observed.max() / fz]
@@ -53,7 +53,7 @@ def rmse(misfit) -> float:
 
 
 def properties() -> dict[str, float]:
-    """Numbers read off the curves, by name; expected.toml says what they are."""
+    """Numbers of the curves by name, as explained in expected.toml."""
     found = {}
     for curve in CURVES:
         for kind, held in HELD.items():

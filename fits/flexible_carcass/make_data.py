@@ -1,9 +1,8 @@
-"""Three lateral Magic Formula curves: ``python -m fits.flexible_carcass.make_data``.
+"""Writes three lateral Magic Formula curves without noise:
+``python -m fits.flexible_carcass.make_data``. S prints no coefficients of its Figure 13.
 
-No noise. S does not print the coefficients of its Figure 13.
-
-``figure10.csv``: those that S prints with its Figure 10, F_z = 4 kN, to 8 degrees, a
-fourth beyond the peak.
+``figure10.csv``: the coefficients of S Figure 10, F_z = 4 kN, to 8 degrees, a quarter
+beyond the peak.
 ``g275_70psi.csv``, ``g275_95psi.csv``: the lateral coefficients of a Goodyear G275
 335/65R22.5 truck tire, fitted to measurements, from the MF-Tyre files of Project Chrono
 (BSD-3, in tests/data/tir/chrono), at nominal load and without the shifts, to 11

@@ -1,15 +1,15 @@
-"""The patch on a flexible carcass by numbers: the second route of this case and of
-``tests/models/test_carcass.py``.
+"""Numeric solution of the patch on a flexible carcass: the independent route of this case
+and of ``tests/models/test_carcass.py``.
 
-Written apart from ``tirefit``: physical coordinates, z [m] behind the leading edge. A
+Independent of ``tirefit``: physical coordinates, z [m] behind the leading edge. A
 bristle that sticks carries c_p (slip z - w) per length, one that slides mu q_z; the
 carcass deflection w obeys S(15) corrected, S w'' = -p_y, or EI w'''' = p_y, or has the
 shape of a parabola of height F_y / K_c.
 
 ``free_boundary``: collocation, with sliding behind a free point.
-``bristle_by_bristle``: the complementarity problem on a grid, in which no bristle is
-told whether it slides.
-``slopes_at_rest``: closed forms for the patch that sticks everywhere.
+``bristle_by_bristle``: the complementarity problem on a grid, without an assumption on
+which bristles slide.
+``slopes_at_rest``: closed forms for a patch that sticks everywhere.
 """
 
 from typing import NamedTuple
@@ -38,7 +38,7 @@ class Tire(NamedTuple):
     density: object
 
     def held(self, z):
-        """Force per length [N/m] that the road gives at most."""
+        """Largest force per length [N/m] by friction."""
         xi = np.clip(1 - z / self.half, -1, 1)
         return self.limit / self.half * self.density(xi)
 
@@ -63,12 +63,12 @@ _AT_NODES = {kind: _integrals(n, NODES) for kind, n in ORDER.items()}
 
 
 class Solution(NamedTuple):
-    """What the patch gives, and whether it may.
+    """A solution, and the numbers that show whether it is valid.
 
     ``force`` F_y [N]; ``moment`` M_z [N m]; ``stuck``: largest share of the friction
-    that a sticking bristle takes [-], 0 if none sticks; ``slid``: what a sliding
-    bristle would want beyond the friction [N/m], at least, infinite if none slides;
-    ``lag``: the least growth of that towards the rear [N/m].
+    used by a sticking bristle [-], 0 if none sticks; ``slid``: least excess of a sliding
+    bristle's elastic force over the friction [N/m], infinite if none slides;
+    ``lag``: the least growth of that excess towards the rear [N/m].
     """
 
     force: float
@@ -115,7 +115,7 @@ def _wanted_at_edge(tire, slip, edge):
 
 
 def _largest_share(stress, held, edge, length):
-    """Of the friction, that bristles which stick take; 0 where none does."""
+    """Largest share of the friction used by sticking bristles; 0 if none sticks."""
     return np.abs(stress / held).max() if edge > 1e-6 * length else 0.0
 
 
@@ -125,7 +125,7 @@ def _least(lag, edge, length):
 
 
 def _edge(excess, length):
-    """Where the first bristle slides; near an end of the patch if all do, or none."""
+    """Place of the first sliding bristle; near an end of the patch if all or none slide."""
     low, high = 1e-6 * length, length
     if excess(low) >= 0 or excess(high) <= 0:
         return low if excess(low) >= 0 else high
@@ -133,7 +133,7 @@ def _edge(excess, length):
 
 
 def free_boundary(tire: Tire, slip) -> Solution:
-    """Thread and beam."""
+    """The solution for thread and beam."""
     length, order = 2 * tire.half, ORDER[tire.kind]
     edge = _edge(lambda z: _wanted_at_edge(tire, slip, z), length)
     coefficients, slopes, state = _stuck_part(tire, slip, edge)
@@ -151,7 +151,7 @@ def free_boundary(tire: Tire, slip) -> Solution:
 
 
 def _lag(tire, slip, edge, state, count=60):
-    """How much more force per length [N/m] sliding bristles would want, (count,)."""
+    """Excess of the elastic force of sliding bristles per length [N/m], (count,)."""
     order, sign = ORDER[tire.kind], {"thread": -1, "beam": 1}[tire.kind]
     ends = np.linspace(edge, 2 * tire.half, count + 1)[1:]
     steps = np.arange(order)
@@ -165,7 +165,7 @@ def _lag(tire, slip, edge, state, count=60):
 
 
 def assumed_shape(tire: Tire, slip) -> Solution:
-    """The parabola of which the height follows the force."""
+    """The solution for the parabola, whose height is proportional to the force."""
     length = 2 * tire.half
 
     def wanted(z, height):
@@ -179,7 +179,7 @@ def assumed_shape(tire: Tire, slip) -> Solution:
         weights = np.concatenate([edge * WEIGHTS, behind[1]])
         return edge, weights @ force, weights @ (force * (tire.half - z))
 
-    # More than the friction could hold, so that the signs differ in full sliding too.
+    # Above the largest friction, so that the signs also differ in full sliding.
     largest = 1.01 * tire.limit / tire.carcass
     height = brentq(lambda h: solve(h)[1] - tire.carcass * h, 0, largest, xtol=1e-16, rtol=1e-14)
     edge, force, moment = solve(height)
@@ -197,8 +197,8 @@ GRID = 160
 
 
 def bristle_by_bristle(tire: Tire, slip):
-    """(z, wanted, held) per length [N/m] of GRID bristles: each gets what it wants, at
-    most what the road holds. The deflection of thread and beam minimises a convex
+    """(z, elastic force, friction) per length [N/m] of GRID bristles, each of which carries
+    the smaller one. The deflection of thread and beam minimises a convex
     energy, so that there is one solution: damped Newton steps."""
     z = np.arange(1, GRID + 1) * 2 * tire.half / (GRID + 1)
     held, soft = tire.held(z), tire.stiffness
@@ -226,7 +226,7 @@ def bristle_by_bristle(tire: Tire, slip):
         curved = bands.copy()
         curved[-1] += soft * (np.abs(wanted) < held)
         step = solveh_banded(curved, slope)
-        # A fourth difference costs nine digits.
+        # A fourth difference loses nine digits.
         if np.abs(step).max() < 1e-7 * tire.limit / (soft * tire.half):
             return z, wanted, held
         size = 1.0

@@ -1,4 +1,4 @@
-"""The same fits by SciPy on the patch by numbers: the numbers of ``expected.toml``."""
+"""The numbers of ``expected.toml``: the same fits by SciPy on the numeric patch."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ HERE = Path(__file__).parent
 HALF = 0.1
 POWER = {"thread": 2, "beam": 4, "parabola": 1}
 HELD = {"thread": 1.0, "beam": 2.5, "parabola": 0.25}
-"""Flexibilities that take about a quarter of the cornering stiffness away."""
+"""Flexibilities that lower the cornering stiffness by about a quarter."""
 
 
 def parabolic(xi):
@@ -88,8 +88,8 @@ def reference() -> dict[str, float]:
 
 
 def bend(force_at):
-    """B of F = C sigma - B (C sigma)^2 / (mu F_z) + ... at rest, where mu F_z = 1 and
-    c_p a^2 = 1; by Richardson's extrapolation."""
+    """B of F = C sigma - B (C sigma)^2 / (mu F_z) + ... at zero slip, for mu F_z = 1 and
+    c_p a^2 = 1, by Richardson extrapolation."""
     sigma = 1e-3 * np.array([1.0, 2.0, 4.0])
     per_slip = force_at(np.arctan(sigma)) / sigma
     # per_slip = C - B C^2 sigma + D sigma^2: a parabola through three points.

@@ -1,10 +1,10 @@
-"""The benchmark of friction estimators.
+"""Runs the benchmark of friction estimators.
 
     python -m fits.friction_benchmark logs  --out out/friction_benchmark
     python -m fits.friction_benchmark run   --out out/friction_benchmark
     python -m fits.friction_benchmark table --out out/friction_benchmark
 
-``run --traces FOLDER`` scores estimators of others too: FOLDER/NAME/LOG.csv of each log
+``run --traces FOLDER`` also scores other estimators: FOLDER/NAME/LOG.csv of each log
 with columns time, mu, mu_std, supported, alarm. See README.md.
 """
 
@@ -20,11 +20,11 @@ def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser("python -m fits.friction_benchmark")
     parser.add_argument("what", choices=("logs", "run", "table", "all"))
     parser.add_argument("--out", type=Path, default=Path("out/friction_benchmark"))
-    parser.add_argument("--hours", type=float, default=0.5, help="steady, a use")
-    parser.add_argument("--drops", type=int, default=10, help="of each size, a use")
-    parser.add_argument("--method", default="", help="only these, with commas")
+    parser.add_argument("--hours", type=float, default=0.5, help="hours without a drop, per use")
+    parser.add_argument("--drops", type=int, default=10, help="drops of each size, per use")
+    parser.add_argument("--method", default="", help="only these methods, separated by commas")
     parser.add_argument("--no-peers", action="store_true")
-    parser.add_argument("--traces", type=Path, help="folder of others' estimates")
+    parser.add_argument("--traces", type=Path, help="folder of estimates by other programs")
     parser.add_argument("--into", type=Path, help="folder of the table", default=None)
     asked = parser.parse_args(argv)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

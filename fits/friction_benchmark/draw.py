@@ -1,4 +1,4 @@
-"""The figure: what a quicker detection costs in false alarms."""
+"""The figure: delay of the detection against false alarms."""
 
 from pathlib import Path
 
@@ -8,14 +8,14 @@ __all__ = ["draw"]
 
 _MARKS = ("o", "s", "^", "D")
 STYLES = {"ekf": "-", "rls": ":"}
-"""Lines by the method whose surprises are watched."""
+"""Line style by the method that supplies the surprises."""
 
 
 def draw(lines: list[dict[str, str]], path: Path) -> None:
-    """Median delay of a drop to 0.6 against false alarms, a panel a use of friction.
+    """Median delay of a drop to 0.6 against false alarms, one panel per use of friction.
 
     Args:
-        lines: of detectors.csv; hollow marks are thresholds that miss a drop.
+        lines: rows of detectors.csv; hollow marks are thresholds that miss a drop.
     """
     uses = sorted({float(line["use"]) for line in lines})
     picture = Picture(figsize=(8.2, 3.4), layout="constrained")
@@ -32,7 +32,7 @@ def draw(lines: list[dict[str, str]], path: Path) -> None:
                 ]
                 if not rows:
                     continue
-                # None in T hours is drawn at half an alarm in them.
+                # No alarm in T hours is drawn as half an alarm.
                 false = [max(float(r["false_per_hour"]), 0.5 / float(r["hours"])) for r in rows]
                 delay = [float(r["delay_60"]) for r in rows]
                 color = colors[k]

@@ -1,4 +1,4 @@
-"""tirefit's methods on the logs of the benchmark, all that are registered."""
+"""Runs all registered methods of tirefit on the logs of the benchmark."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -20,7 +20,7 @@ __all__ = ["Answer", "lacking", "matched_lugre", "settings_of", "surprises", "tr
 
 
 class Answer(NamedTuple):
-    """Of one log: the trace, and (time, surprise) of the steps that had one (k, 2)."""
+    """Result for one log: the trace, and (time, surprise) of the steps with one (k, 2)."""
 
     trace: Trace
     surprise: np.ndarray
@@ -28,9 +28,9 @@ class Answer(NamedTuple):
 
 @cache
 def matched_lugre() -> dict[str, float]:
-    """The steady LuGre tire closest to the braked wheel's tire: S section 3.4 has all
-    its parameters matched before theta is observed."""
-    kappa = np.geomspace(0.001, 0.5, 100)  # beyond the peak: it tells g's fall
+    """The steady LuGre tire closest to the braked wheel's tire: in S section 3.4 all
+    other parameters are fitted before theta is observed."""
+    kappa = np.geomspace(0.001, 0.5, 100)  # beyond the peak, which determines the fall of g
     sigma, one = kappa / (1 - kappa), np.ones(100)
     curve = np.asarray(source_tire().pure(kappa, LOAD)) / LOAD
     names = ("sigma0", "mu_s", "mu_c")
@@ -46,14 +46,14 @@ def matched_lugre() -> dict[str, float]:
 
 
 def settings_of(name: str, kind: str) -> dict[str, float]:
-    """What a method is told of a log beforehand, beyond its defaults."""
+    """Settings of a method for a log, in addition to its defaults."""
     if name == "lugre-observer":
         return matched_lugre()
     return {"slope": STIFFNESS / LOAD} if kind == "braking" and "slip" in name else {}
 
 
 def lacking(name: str, columns) -> str:
-    """Why a method cannot run on a log; empty if it can."""
+    """The reason why a method cannot run on a log; empty if it can."""
     method = METHODS[name].method
     missing = [c for c in ("time", *method.inputs) if c not in columns]
     if missing:
@@ -62,8 +62,8 @@ def lacking(name: str, columns) -> str:
 
 
 def _closed(name: str, load: float):
-    """The method, deaf to alarms: it does not open up, so its surprises are those of
-    before the first alarm at any threshold."""
+    """The method without its reaction to alarms: it does not widen its uncertainty, so its
+    surprises before the first alarm are the same at any threshold."""
     kind: Any = METHODS[name]
 
     class Closed(kind):
@@ -75,13 +75,13 @@ def _closed(name: str, load: float):
 
 
 def traces(name: str, logs: Sequence[Log], settings=None, *, deaf=False) -> list[Answer]:
-    """One method over logs, each from its start.
+    """Runs one method over logs, each from its start.
 
     Args:
         name: a key of ``METHODS``.
-        logs: which have the method's inputs, of one load.
+        logs: logs with the method's inputs, all of one load.
         settings: of the method.
-        deaf: to its own alarms.
+        deaf: do not react to the method's own alarms.
     """
     columns = set.intersection(*(set(log.columns) for log in logs))
     joined = {key: np.concatenate([log.columns[key] for log in logs]) for key in sorted(columns)}
@@ -107,5 +107,5 @@ def traces(name: str, logs: Sequence[Log], settings=None, *, deaf=False) -> list
 
 
 def surprises(name: str, logs: Sequence[Log]) -> list[np.ndarray]:
-    """(time, surprise) (k, 2) of each log, of the method deaf to its alarms."""
+    """(time, surprise) (k, 2) of each log, without a reaction to alarms."""
     return [answer.surprise for answer in traces(name, logs, deaf=True)]

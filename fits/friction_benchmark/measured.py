@@ -1,8 +1,8 @@
-"""The methods on measured logs, where the offline fit of tirefit stands for the truth.
+"""The methods on measured logs, compared with the offline fit of tirefit.
 
-The DART car logs lateral slip and force. The brush is isotropic, and so tan(alpha) and
-F_y stand in here for sigma_x and F_x. Where the fit is itself a few percent unsure
-(`offline_std`), so is the truth.
+The DART car logs lateral slip and force. The brush is isotropic; therefore tan(alpha) and
+F_y replace sigma_x and F_x. The offline fit itself is uncertain by a few percent
+(`offline_std`).
 """
 
 from collections.abc import Callable, Sequence
@@ -24,12 +24,12 @@ LOGS = {
     "free driving": FITS / "dart_rear_axle" / "free_driving.csv",
     "circles": FITS / "dart_simulator" / "circles.csv",
 }
-"""Name -> file of the measured logs that a time can be had of."""
+"""Name -> file of the measured logs that have a time."""
 UNUSED = {"sand (cmu_wheel)": "no time; and no tire model describes it"}
 
 
 def measured_lines(names: Sequence[str], peers: bool) -> list[dict]:
-    """A line for every measured log and estimator: value, error against the fit."""
+    """A row for every measured log and estimator: value and error against the fit."""
     lines = []
     for title, path in LOGS.items():
         data = tirefit.read(path)
@@ -84,7 +84,7 @@ def _of_peer(title, name, estimate: Callable, fitted, logs) -> dict:
 
 
 def _line(title, name, fitted, logs: Sequence[Log], found: Sequence[Trace]) -> dict:
-    """One estimator on the runs of one log; bias and the rest are of all rows."""
+    """One estimator on the runs of one log, scored over all rows."""
     whole = Trace(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
     error = accuracy(whole, fitted.value)
     at = np.flatnonzero(whole.supported & np.isfinite(whole.mu))

@@ -1,7 +1,7 @@
-"""How good an estimate is against a known truth: NumPy alone, whoever estimated.
+"""Scores an estimate against a known truth, for any estimator, with NumPy alone.
 
-All times in seconds. An estimate counts where its estimator stands by it
-(``supported``); how often it does is a number of the table too.
+All times are in seconds. Only rows that the estimator supports (``supported``) count;
+their share is a score as well.
 """
 
 from typing import NamedTuple
@@ -20,17 +20,17 @@ __all__ = [
 ]
 
 SETTLE = 10.0
-"""Seconds at the start of a log that are not scored for accuracy; alarms are."""
+"""Seconds at the start of a log that are not scored for accuracy; alarms there count."""
 WINDOW = 10.0
-"""Seconds after a drop within which a detection is one: five saw-teeth."""
+"""Seconds after a drop within which an alarm is a detection: five saw-teeth."""
 _QUANTILE = 1.959964
 
 
 class Trace(NamedTuple):
-    """What an estimator said of a log, row by row (n,).
+    """The output of an estimator for a log, row by row (n,).
 
     ``mu`` and its standard deviation ``mu_std`` [-], NaN for none; ``supported``:
-    whether the estimator stands by it (bool); ``alarm``: whether it raised one (bool).
+    whether the estimator supports it (bool); ``alarm``: whether it raised one (bool).
     """
 
     time: np.ndarray
@@ -42,7 +42,7 @@ class Trace(NamedTuple):
 
 class Accuracy(NamedTuple):
     """Mean and standard deviation of the error [-], share of the rows whose stated 95 %
-    interval holds the truth, share of the rows that the estimator stands by."""
+    interval contains the truth, share of the rows that the estimator supports."""
 
     bias: float
     std: float
@@ -51,8 +51,8 @@ class Accuracy(NamedTuple):
 
 
 class Detection(NamedTuple):
-    """``delay`` [s] from a drop to its alarm, NaN where it was missed or none came;
-    ``false`` alarms within ``seconds`` of driving in which each would be one."""
+    """``delay`` [s] from a drop to its alarm, NaN if missed or without a drop; the number of
+    ``false`` alarms in ``seconds`` of driving outside the window after a drop."""
 
     delay: float
     false: int
@@ -81,10 +81,10 @@ def detection(alarms, drop: float, duration: float, window=WINDOW) -> Detection:
 
     Args:
         alarms: times (k,) of alarms.
-        drop: time of the drop, NaN where there is none.
+        drop: time of the drop, NaN for none.
         duration: of the log, which starts at 0.
-        window: after a drop in which alarms belong to it; the first is the detection,
-            the others are neither that nor false.
+        window: time after a drop in which alarms belong to it; the first is the
+            detection, the others do not count.
     """
     alarms = np.sort(np.asarray(alarms, float))
     if np.isnan(drop):
@@ -96,10 +96,10 @@ def detection(alarms, drop: float, duration: float, window=WINDOW) -> Detection:
 
 
 def crossings(trace: Trace, level: float) -> np.ndarray:
-    """Times at which the supported estimate comes down through a level.
+    """Times at which the supported estimate falls below a level.
 
-    The simplest use of an estimate: warn when it says less than the level. Rows that
-    are not supported are passed over; a first estimate below the level counts.
+    This is the simplest use of an estimate: a warning below the level. Rows that are not
+    supported are skipped; a first estimate below the level counts.
     """
     kept = trace.supported & np.isfinite(trace.mu)
     below = trace.mu[kept] < level

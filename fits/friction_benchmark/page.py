@@ -1,7 +1,8 @@
 """Change detection on a series of surprises, each detector at a chosen threshold.
 
-A surprise is the error of a prediction over its standard deviation, about Gaussian of
-variance one while nothing changes. Each function returns indices of alarms.
+A surprise is a normalized innovation: the error of a prediction over its standard
+deviation, about Gaussian with variance one without a change. Each function returns
+indices of alarms.
 """
 
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ __all__ = ["DETECTORS", "OFFLINE", "adwin", "page_hinkley", "page_test", "pelt"]
 
 
 def page_test(surprise: Sequence[float], threshold: float, drift: float = 0.5):
-    """Page's two-sided cumulative sum, started again at each alarm: tirefit's own."""
+    """Page's two-sided cumulative sum, restarted at each alarm, as in tirefit."""
     rise = fall = 0.0
     alarms = []
     for k, z in enumerate(np.clip(surprise, -4.0, 4.0).tolist()):
@@ -24,7 +25,7 @@ def page_test(surprise: Sequence[float], threshold: float, drift: float = 0.5):
 
 
 def page_hinkley(surprise: Sequence[float], threshold: float):
-    """river's Page-Hinkley; its mean is of all since the last alarm."""
+    """river's Page-Hinkley; its mean is over all values since the last alarm."""
     from river.drift import PageHinkley
 
     detector = PageHinkley(min_instances=20, delta=0.25, threshold=threshold, alpha=1.0)
@@ -32,7 +33,7 @@ def page_hinkley(surprise: Sequence[float], threshold: float):
 
 
 def adwin(surprise: Sequence[float], threshold: float):
-    """river's ADWIN; ``threshold`` is its delta, the smaller the fewer alarms."""
+    """river's ADWIN; ``threshold`` is its delta: a smaller one gives fewer alarms."""
     from river.drift import ADWIN
 
     return _drifts(ADWIN(delta=threshold, clock=1), surprise)
@@ -48,9 +49,9 @@ def _drifts(detector, surprise):
 
 
 def pelt(surprise: Sequence[float], threshold: float):
-    """ruptures' PELT with the l2 cost: it sees the whole log, the future too.
+    """ruptures' PELT with the l2 cost: it uses the whole log, including future samples.
 
-    An index is where it places the change, not when it could have known of it.
+    An index is the place of the change, not the time of the detection.
     """
     import ruptures
 
@@ -67,6 +68,6 @@ DETECTORS = {
     "river ADWIN": (adwin, (0.2, 0.05, 0.01, 2e-3, 1e-4, 1e-6)),
     "ruptures PELT (offline)": (pelt, (5, 10, 15, 20, 30, 60)),
 }
-"""Name -> detector and thresholds from many alarms to few."""
+"""Name -> detector and thresholds, in the order of fewer alarms."""
 OFFLINE = ("ruptures PELT (offline)",)
-"""Detectors that need the log whole."""
+"""Detectors that need the whole log."""

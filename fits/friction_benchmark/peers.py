@@ -1,7 +1,7 @@
-"""The same estimates by other libraries: ``pip install`` the group ``benchmark``.
+"""Estimates by other libraries (dependency group ``benchmark``).
 
-Both get what tirefit's methods get: means of ten samples, the same expected stiffness,
-the same rule for samples of little excitation.
+Both get the same inputs as tirefit's methods: means of ten samples, the same expected
+stiffness, the same rule for samples of little excitation.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ _JUMP = 0.02
 def means(columns):
     """(row, sigma, force over load) of every ten rows, and the load [N].
 
-    Ten rows that hold a locked wheel or a jump of the slip are left out.
+    Ten rows with a locked wheel or a jump of the slip are left out.
     """
     n = len(columns["time"]) // _AVERAGE * _AVERAGE
     parts = {k: columns[k][:n].reshape(-1, _AVERAGE) for k in ("sigma_x", "fx", "fz")}
@@ -41,7 +41,7 @@ def means(columns):
 
 
 def _held(columns, rows, mu, std, alarm) -> Trace:
-    """Row by row: every estimate until the next one."""
+    """Row by row: every estimate is held until the next one."""
     n = len(columns["time"])
     last = np.searchsorted(rows, np.arange(n), side="right") - 1
     there = last >= 0
@@ -55,8 +55,8 @@ def _held(columns, rows, mu, std, alarm) -> Trace:
 
 def statsmodels_rls(columns) -> Trace:
     """statsmodels' RecursiveLS on y = c1 u + c2 u^2 + c3 u^3, S(49) with three free
-    coefficients: mu = -c1^2 / (3 c2). It does not forget. Its alarm is its own CUSUM
-    of recursive residuals, when it leaves the 5 % lines."""
+    coefficients: mu = -c1^2 / (3 c2), without forgetting. Its alarm is its CUSUM of
+    recursive residuals outside the 5 % lines."""
     import statsmodels.api as sm
 
     rows, sigma, y, _ = means(columns)
@@ -74,7 +74,7 @@ def statsmodels_rls(columns) -> Trace:
 
 
 def _left(fit, n):
-    """Where the CUSUM of recursive residuals leaves its 5 % lines (n,)."""
+    """Rows (n,) at which the CUSUM of recursive residuals leaves its 5 % lines."""
     sums = np.asarray(fit.cusum)
     skipped, root = n - len(sums), np.sqrt(len(sums))
     # The lines of Brown, Durbin and Evans (1975), as RecursiveLSResults draws them.
@@ -86,9 +86,9 @@ def _left(fit, n):
 def filterpy_ekf(columns) -> Trace:
     """filterpy's ExtendedKalmanFilter on (ln c_p a^2, ln mu) through the brush S(12).
 
-    The same model, noise and random walk as tirefit's ekf, without its care for
-    misfit and changes. The library detects none: its alarm is Page's test on the
-    innovations at tirefit's threshold.
+    The same model, noise and random walk as tirefit's ekf, without its treatment of
+    misfit and changes. The library has no change detection: the alarm is Page's test on
+    the innovations at tirefit's threshold.
     """
     from filterpy.kalman import ExtendedKalmanFilter
 

@@ -1,4 +1,4 @@
-"""Every estimator over every log: the lines of the tables."""
+"""Runs every estimator on every log; returns the rows of the tables."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -17,19 +17,19 @@ from tirefit.online.methods import METHODS
 __all__ = ["run_all"]
 
 SURPRISED = ("rls", "ekf")
-"""Methods whose surprises the detectors of changes are tried on."""
+"""Methods that supply the surprises for the change detectors."""
 
 
 def run_all(
     folder: Path, *, names: Sequence[str] = (), peers: bool = True, foreign: Path | None = None
 ) -> dict[str, list[dict]]:
-    """Tables by name, as lists of lines.
+    """Tables by name, as lists of rows.
 
     Args:
-        folder: of the logs.
-        names: of tirefit's methods; all if none.
-        peers: also other libraries; those that are not installed get a line saying so.
-        foreign: folder of others' traces, NAME/LOG.csv.
+        folder: folder of the logs.
+        names: tirefit's methods; all if empty.
+        peers: also run other libraries; a missing one gets a row that states so.
+        foreign: folder of traces of other estimators, NAME/LOG.csv.
     """
     logs = [read_log(folder, scenario) for scenario in read_index(folder)]
     by_kind = {k: [one for one in logs if one.scenario.kind == k] for k in KINDS}
@@ -49,7 +49,7 @@ def run_all(
 
 
 def _of_method(name: str, by_kind: Mapping[str, Sequence[Log]]) -> list[dict]:
-    """Lines of a method on every kind of log that has its inputs."""
+    """Rows of a method on every kind of log that has its inputs."""
     lines, reasons = [], []
     for kind, logs in by_kind.items():
         reason = lacking(name, logs[0].columns) if logs else "no logs"
@@ -64,7 +64,7 @@ def _of_method(name: str, by_kind: Mapping[str, Sequence[Log]]) -> list[dict]:
 
 
 def _lines(name: str, logs: Sequence[Log], found: Sequence[Trace]) -> list[dict]:
-    """A line for every kind of log and use of friction among logs."""
+    """A row for every kind of log and use of friction among the logs."""
     groups: dict[tuple[str, float], list[tuple[Log, Trace]]] = {}
     for log, trace in zip(logs, found, strict=True):
         key = (log.scenario.kind, log.scenario.use)
@@ -102,7 +102,7 @@ def _of_others(folder: Path, logs: Sequence[Log]) -> list[dict]:
 
 
 def _foreign(path: Path, log: Log) -> Trace:
-    """A trace from a file; its rows are those of the log."""
+    """A trace from a file, with the same rows as the log."""
     columns = read_columns(path)
     missing = [name for name in Trace._fields if name not in columns]
     if missing or len(columns["time"]) != len(log.columns["time"]):
@@ -115,7 +115,7 @@ def _foreign(path: Path, log: Log) -> Trace:
 def _detectors(
     names: Sequence[str], logs: Sequence[Log], peers: bool
 ) -> list[dict[str, float | str]]:
-    """Every detector at every threshold on the surprises of every method."""
+    """Rows of every detector at every threshold on the surprises of every method."""
     lines: list[dict[str, float | str]] = []
     for name in names:
         series = surprises(name, logs)

@@ -1,8 +1,8 @@
-"""The logs of the benchmark: what is driven, how often, from which seeds.
+"""The logs of the benchmark: scenarios, their number and seeds.
 
-A log is two CSV files of canonical columns, NAME.csv (what was measured) and
-NAME.truth.csv, and a line in index.csv. The kinds are the keys of ``KINDS``: a further
-one is a function that makes logs from a :class:`Scenario`, and its uses of friction.
+A log is two CSV files of canonical columns, NAME.csv (measured) and NAME.truth.csv, and a
+line in index.csv. The kinds are the keys of ``KINDS``: a further kind needs a function
+that makes logs from a :class:`Scenario`, and its uses of friction.
 """
 
 import csv
@@ -16,13 +16,13 @@ from tirefit.sim.braking import LOAD, PEAK, STIFFNESS, Braking, SimulatedLog, si
 from tirefit.sim.drive import Drive, simulate_drive
 
 DROPS = (0.6, 0.8)
-"""Friction after a drop from 0.98: to wet, and to a little less."""
+"""Friction after a drop from 0.98: a wet road, and a slightly lower friction."""
 TOOTH = 2.0
 """Period [s] of the saw-tooth."""
 BEND = 5.0
 """Period [s] of the bends of a drive."""
 HALF_LENGTH = 0.1
-"""Of the contact patch [m], where the aligning moment is measured."""
+"""Half length of the contact patch [m], for logs with aligning moment."""
 TRUE = ("time", "mu", "cpa2", "sigma_x", "fx")
 
 
@@ -65,7 +65,7 @@ def scenarios(hours: float = 0.5, drops: int = 10) -> list[Scenario]:
                 listed.append(Scenario(name, kind, use, seed, duration))
             for after in DROPS:
                 for k in range(drops):
-                    # Anywhere within a tooth: what is not used cannot be noticed.
+                    # Spread over a tooth: unused friction cannot be detected.
                     when = 20 + period * (k + 0.5) / drops
                     name = f"{percent}_drop_{100 * after:.0f}_{k}"
                     seed = 1000 + 100 * DROPS.index(after) + k
@@ -98,7 +98,7 @@ def _drive(scenario: Scenario) -> SimulatedLog:
 
 
 def _cornering(scenario: Scenario) -> SimulatedLog:
-    """A tire that is steered in saw-teeth, a brush: lateral force and moment."""
+    """A brush that is steered in saw-teeth: lateral force and moment."""
     n = round(100 * scenario.duration)
     time, random = np.arange(n) / 100, np.random.default_rng(scenario.seed)
     mu = np.full(n, PEAK)
@@ -133,9 +133,9 @@ KINDS = {
     "cornering": (_cornering, (0.5, 0.6, 0.75), TOOTH),
     "drive": (_drive, (0.25, 0.35, 0.45), BEND),
 }
-"""Kind of log -> what makes one, its low, medium and high use of friction, and the
-period [s] after which the use repeats. The use is that of the first friction; a car
-cannot be kept on a road of 0.6 beyond 0.45 of 0.98."""
+"""Kind of log -> the function that makes it, its low, medium and high use of friction, and
+the period [s] of the use. The use refers to the first friction; on a friction of 0.6 a
+car cannot be held above 0.45 of 0.98."""
 
 
 def make(scenario: Scenario) -> Log:
@@ -189,7 +189,7 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
         begin = file.tell()
         try:
             cells = np.loadtxt(file, delimiter=",", ndmin=2)
-        except ValueError:  # an empty cell, which only the slow reader knows
+        except ValueError:  # an empty cell, which only genfromtxt accepts
             file.seek(begin)
             cells = np.genfromtxt(file, delimiter=",", ndmin=2)
     return dict(zip(header, cells.T, strict=True))

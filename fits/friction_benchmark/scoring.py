@@ -12,11 +12,11 @@ from fits.friction_benchmark.scenarios import DROPS, Log, Scenario
 __all__ = ["BEFORE", "COLUMNS", "closest_brush", "detections_of", "pooled", "score"]
 
 BEFORE = 0.98
-"""Friction before a drop, and where there is none."""
+"""Friction before a drop, and in logs without one."""
 MIDWAY = 0.79
-"""Level of the simplest warning: midway from 0.98 to 0.60."""
+"""Level of the simplest warning: halfway from 0.98 to 0.60."""
 AFTER = 8.0
-"""Seconds after a drop from which an estimate should have followed it."""
+"""Seconds after a drop from which the estimate is scored against the new friction."""
 
 COLUMNS = (
     "estimator", "log", "use", "bias", "bias_brush", "std", "covered", "supported",
@@ -27,17 +27,17 @@ COLUMNS = (
     *(f"below_{key}" for key in ("found", "delay", "false_per_hour")),
     "hours", "note",
 )  # fmt: skip
-"""Columns of table.csv; README.md says what they are."""
+"""Columns of table.csv, explained in README.md."""
 
 
 def score(log: Log, trace: Trace) -> dict[str, float]:
-    """What one estimator made of one log, as numbers."""
+    """Scores of one estimator on one log."""
     scenario, truth = log.scenario, log.truth["mu"]
     steady = np.isnan(scenario.drop)
     begin = SETTLE if steady else scenario.drop + AFTER
     error = accuracy(trace, truth, begin)
     alarm = detection(trace.time[trace.alarm], scenario.drop, scenario.duration)
-    # Of a drop to 0.8 the level does not tell.
+    # The level does not detect a drop to 0.8.
     level = detection(crossings(trace, MIDWAY), scenario.drop, scenario.duration)
     return {
         **error._asdict(),
@@ -55,16 +55,16 @@ def _mean(rows: Iterable[Mapping[str, float]], key: str) -> float:
 
 
 def detections_of(delays: Sequence[float]) -> tuple[float, float]:
-    """Share of drops that were found, median delay [s] of those."""
+    """Share of drops found, and their median delay [s]."""
     found = np.isfinite(delays)
     median = float(np.median(np.asarray(delays)[found])) if found.any() else np.nan
     return float(np.mean(found)), median
 
 
 def closest_brush(log: Log) -> float:
-    """Friction of the brush that comes closest to the true forces of a steady log, in
-    the rows in which the force is at least a tenth of the load; NaN where it is not of
-    a tire along its heading, and so of a brush."""
+    """Friction of the brush closest to the true forces of a steady log, over rows with at
+    least a tenth of the load as force; NaN without longitudinal forces, where the true
+    tire is a brush."""
     if not {"sigma_x", "fx"} <= log.truth.keys():
         return np.nan
     fz = log.columns["fz"]
@@ -84,10 +84,10 @@ def pooled(
     scored: Sequence[tuple[Scenario, dict[str, float]]],
     brush_mu: float,
 ) -> dict[str, float | str]:
-    """One line of the table: an estimator at one use of friction.
+    """One row of the table: an estimator at one use of friction.
 
-    Logs count by their length; drops one by one. ``brush_mu``: what the closest brush
-    has, NaN where the truth is one.
+    Logs are weighted by their length, drops equally. ``brush_mu``: friction of the closest
+    brush, NaN if the truth is a brush.
     """
     steady = [row for scenario, row in scored if np.isnan(scenario.drop)]
     by_drop = {
@@ -114,7 +114,7 @@ def pooled(
         share, delay = detections_of([row["delay"] for row in rows])
         line |= {f"found_{100 * after:.0f}": share, f"delay_{100 * after:.0f}": delay}
     share, delay = detections_of([row["below_delay"] for row in deep])
-    # Before a drop to 0.8 too, friction is 0.98: only after it does the level mislead.
+    # Before a drop to 0.8 friction is 0.98 too; the level misleads only after it.
     high = [row for scenario, row in scored if scenario.after != DROPS[1]]
     exposed = sum(row["seconds"] for row in high) / 3600
     return line | {

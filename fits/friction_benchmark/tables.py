@@ -1,4 +1,4 @@
-"""The tables as CSV and Markdown, and the figure, from what ``run`` wrote."""
+"""Writes the tables as CSV and Markdown, and the figure, from the results of ``run``."""
 
 import csv
 import shutil
@@ -13,7 +13,7 @@ _SCORES = {
     "bias": "bias",
     "bias_brush": "bias against the closest brush",
     "std": "std",
-    "covered": "95 % interval holds the truth",
+    "covered": "95 % interval contains the truth",
     "supported": "rows supported",
     "bias_after": "bias after a drop",
     "covered_after": "interval after a drop",
@@ -27,10 +27,10 @@ _CHANGES = {
     "delay_60": "delay [s]",
     "found_80": "drop to 0.8 found",
     "delay_80": "delay [s]",
-    "false_per_hour": "false alarms an hour",
+    "false_per_hour": "false alarms per hour",
     "below_found": "below 0.79 after a drop to 0.6",
     "below_delay": "delay [s]",
-    "below_false_per_hour": "below 0.79 for nothing, an hour",
+    "below_false_per_hour": "below 0.79 without a drop, per hour",
 }
 _MEASURED = {
     "log": "log",
@@ -40,7 +40,7 @@ _MEASURED = {
     "last_std": "± std",
     "bias": "bias",
     "std": "std",
-    "covered": "interval holds the offline value",
+    "covered": "interval contains the offline value",
     "supported": "rows supported",
     "alarms": "alarms",
     "note": "",
@@ -54,7 +54,7 @@ _DETECTORS = {
     "delay_60": "delay [s]",
     "found_80": "drop to 0.8 found",
     "delay_80": "delay [s]",
-    "false_per_hour": "false alarms an hour",
+    "false_per_hour": "false alarms per hour",
 }
 _SHARES = ("use", "covered", "supported", "covered_after", "found_", "below_found")
 _SIGNED = ("bias",)
@@ -79,7 +79,7 @@ def _cell(key: str, text: str) -> str:
 
 
 def markdown(lines: list[dict[str, str]], columns: dict[str, str]) -> str:
-    """A table of chosen columns, key -> heading; numbers as people read them."""
+    """A table of chosen columns, key -> heading, with rounded numbers."""
     rows = [[_cell(key, line[key]) for key in columns] for line in lines]
     head = [list(columns.values()), ["---"] * len(columns)]
     return "\n".join("| " + " | ".join(row) + " |" for row in [*head, *rows])
@@ -97,10 +97,10 @@ def publish(results: Path, into: Path) -> str:
     run = [line for line in scores if not line["note"]]
     parts = [
         "# Friction estimators on the same logs",
-        "Made by `make friction-benchmark`; [README.md](README.md) says what it means.",
-        "## Friction, where it does not change and after it fell to 0.6",
+        "Written by `make friction-benchmark`; explained in [README.md](README.md).",
+        "## Friction: constant, and after a drop to 0.6",
         markdown(scores, _SCORES),
-        "## A drop of friction: alarms, and the estimate coming below 0.79",
+        "## A drop of friction: alarms, and estimates below 0.79",
         markdown(run, _CHANGES),
         "## Measured logs, against the offline fit",
         markdown(measured, _MEASURED),

@@ -1,6 +1,6 @@
-"""The LuGre observer of S section 3.4 on a simulated wheel.
+"""Runs the LuGre observer of S section 3.4 on a simulated wheel.
 
-``python -m fits.friction_lugre_observer.draw`` writes the figure beside this file and
+``python -m fits.friction_lugre_observer.draw`` writes the figure to this folder and
 prints the numbers. The wheel has the bristles of the whole patch, the observer only
 their mean.
 """
@@ -28,7 +28,7 @@ DROP = (10.5, 0.6)
 
 @cache
 def observed(friction: float, seed: int = 0, drop=None):
-    """A log and the estimates of it, that begin at theta = 1."""
+    """A log and its estimates, which start at theta = 1."""
     how = Braking(AMPLITUDE, TEETH, TOOTH, friction=friction, seed=seed, drop=drop, tire="lugre")
     log = simulate_braking(how)
     return log, run(estimator_of("lugre-observer", LOAD), log.columns)[1]

@@ -1,7 +1,7 @@
 """Independent numbers: ``python -m fits.friction_lugre_observer.reference``.
 
-NumPy and SciPy alone: the largest steady force of S(18), by quadrature over the patch,
-gives the theta that has a wanted peak.
+NumPy and SciPy alone: theta for a given peak, from the largest steady force of S(18) by
+quadrature over the patch.
 """
 
 import numpy as np
@@ -15,8 +15,8 @@ _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(400)
 
 
 def share(slip, theta):
-    """Force over load of S(18) with theta g: the mean over the bristles, which S(17a)
-    deflects as they travel."""
+    """Force over load of S(18) with theta g: the mean over the bristles, with the
+    deflection by S(17a)."""
     rolling = V / (1 + slip)
     v_s = slip * rolling
     g = theta * (MU_C + (MU_S - MU_C) * np.exp(-((v_s / V_ST) ** EXPONENT)))
@@ -35,7 +35,7 @@ def peak(theta):
 
 
 def reference() -> dict[str, float]:
-    """theta whose steady peak is each friction at 20 m/s."""
+    """theta with each friction as steady peak at 20 m/s."""
     return {
         f"mu = {mu:g}: theta": brentq(lambda theta, m=mu: peak(theta) - m, 0.1, 3.0)
         for mu in FRICTIONS

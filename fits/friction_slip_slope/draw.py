@@ -1,6 +1,6 @@
-"""The slope of the slip curve on a wheel that is braked gently, S section 3.1.
+"""Estimates the slope of the slip curve of a gently braked wheel, S section 3.1.
 
-``python -m fits.friction_slip_slope.draw`` writes the figure beside this file and
+``python -m fits.friction_slip_slope.draw`` writes the figure to this folder and
 prints the numbers. The logs are tirefit's simulation of S section 5.1.
 """
 

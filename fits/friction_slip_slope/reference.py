@@ -1,7 +1,7 @@
 """Independent numbers: ``python -m fits.friction_slip_slope.reference``.
 
-NumPy and SciPy alone: the straight line closest to the Magic Formula S(40) below a use
-of friction, slip over force, which is what a slope of the slip curve can be at best.
+NumPy and SciPy alone: the straight line (slip over force) closest to the Magic Formula
+S(40) up to a use of friction, the best possible slope of the slip curve.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ USE = 0.25
 
 
 def reference() -> dict[str, float]:
-    """Slope and offset of the closest line; slope at rest."""
+    """Slope and offset of the closest line; slope at zero slip."""
     curve = truck()
     load = curve["fz"]
     share = np.linspace(0.001, USE, 400) * curve["D"]

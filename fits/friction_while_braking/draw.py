@@ -1,8 +1,8 @@
-"""S Figures 21-24 and 26, and what is asserted of them.
+"""S Figures 21-24 and 26, and the asserted numbers.
 
-``python -m fits.friction_while_braking.draw`` writes the figures beside this file and
-prints the numbers; ``... .draw spread`` prints the standard errors that the tolerances
-of expected.toml come from. The logs are tirefit's simulation of S section 5.1, the
+``python -m fits.friction_while_braking.draw`` writes the figures to this folder and
+prints the numbers; ``... .draw spread`` prints the standard errors from which the
+tolerances of expected.toml follow. The logs are tirefit's simulation of S section 5.1, the
 estimates ``tirefit.estimate``.
 """
 
@@ -33,7 +33,7 @@ SOURCE = {
     "rls.prior0": 0.0171,
     "rls.prior1": 0.0382,
 }
-"""S section 5.3: every sample and the near-zero force too, its P0, lambda, theta_0."""
+"""S section 5.3: all samples, also near zero force, with its P0, lambda, theta_0."""
 TOOTH = 2.0
 PEAK = 0.98
 
@@ -57,7 +57,7 @@ def two_terms(d: float, seed: int = 0):
 
 @cache
 def estimates(amplitude: float, seed: int = 0, drop: float | None = None):
-    """(log, estimates as they are by default, those with the settings of S)."""
+    """(log, estimates with default settings, estimates with the settings of S)."""
     change = None if drop is None else (TEETH + 0.0, drop)
     how = Braking(amplitude=amplitude, teeth=TEETH, seed=seed, drop=change)
     log = simulate_braking(how)
@@ -67,7 +67,7 @@ def estimates(amplitude: float, seed: int = 0, drop: float | None = None):
 
 
 def finals(seeds=SEEDS) -> dict[str, list[float]]:
-    """Last estimates by name, one of each seed."""
+    """Last estimates by name, one per seed."""
     ends: dict[str, list[float]] = {}
 
     def put(key, value):
@@ -98,7 +98,7 @@ def reference_of(name: str) -> float:
 
 
 def properties() -> dict[str, float]:
-    """Numbers read off the estimates, by name; expected.toml says what they are."""
+    """Numbers of the estimates by name, as explained in expected.toml."""
     numbers = {}
     for key, ends in finals().items():
         if key.endswith(", pull"):
@@ -114,7 +114,7 @@ def properties() -> dict[str, float]:
 
 
 def start() -> dict[str, float]:
-    """What is irregular at the start, at 75 % of the peak."""
+    """Irregularities at the start, at 75 % of the peak."""
     _, ours, source = estimates(0.75)
     early = ours.time < 2 * TOOTH
     target = reference_of("75 %: mu")
@@ -130,7 +130,7 @@ def start() -> dict[str, float]:
 
 
 def drops() -> dict[str, float]:
-    """Detections by ekf of a drop to 0.6 half way through five logs."""
+    """Detections by ekf of a drop to 0.6 in the middle of five logs."""
     found, alarms = [], 0
     for seed in SEEDS:
         ours = estimates(0.6, seed, 0.6)[1]

@@ -1,7 +1,7 @@
 """Independent numbers: ``python -m fits.friction_while_braking.reference``.
 
 NumPy and SciPy alone: the brush S(12) closest to the Magic Formula S(40) up to
-the largest slip of each amplitude, which is what the estimators could find at best.
+the largest slip of each amplitude, the best possible result of the estimators.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from fits.magic_formula_curve.make_data import truck
 
 AMPLITUDES = (0.5, 0.6, 0.75)
 LESS = 0.875
-"""Peak of the second tire of S Figure 24: 50 % of the first's peak is 56 % of its."""
+"""Peak of the second tire of S Figure 24: 56 % of it is 50 % of the first peak."""
 ASYMMETRIES = (-0.2, 0.0, 0.2)
 """Of S Figure 26."""
 
@@ -21,7 +21,7 @@ def reference() -> dict[str, float]:
     """Largest slip and closest brush of both tires; mu of two terms."""
     curve = truck()
     peak = curve["D"]
-    # The same stiffness: B C D stays.
+    # The same stiffness: B C D is not changed.
     other = curve | {"D": LESS, "B": curve["B"] * peak / LESS}
     numbers = closest(curve, peak, "")
     numbers |= closest(other, peak, ", second tire")
@@ -29,14 +29,14 @@ def reference() -> dict[str, float]:
 
 
 def rows(curve, force):
-    """Slips sigma even in force, as the torque rises evenly, and the forces."""
+    """Slips sigma with equal steps of force, as the torque rises linearly, and the forces."""
     forces = np.linspace(0.1, 1, 200) * force
     kappas = [brentq(lambda k, f=f: magic_formula(k, **curve) - f, 1e-6, 0.4) for f in forces]
     return np.array(kappas) / (1 - np.array(kappas)), forces
 
 
 def two_terms(curve) -> dict[str, float]:
-    """mu of S(38) cut after two terms, from 60 % of the peak, by linear regression."""
+    """mu by S(38) with two terms, from 60 % of the peak, by linear regression."""
     load = curve["fz"]
     sigma, force = rows(curve, 0.6 * curve["D"] * load)
     linear, square = np.linalg.lstsq(np.c_[sigma, sigma**2], force)[0]
@@ -48,7 +48,7 @@ def two_terms(curve) -> dict[str, float]:
 
 
 def closest(curve, peak: float, suffix: str) -> dict[str, float]:
-    """Largest slip and closest brush at shares of a peak, which need not be its own."""
+    """Largest slip and closest brush at shares of a peak, its own or that of another tire."""
     load = curve["fz"]
     numbers = {}
     for amplitude in AMPLITUDES:

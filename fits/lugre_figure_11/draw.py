@@ -1,6 +1,6 @@
-"""S Figure 11, and what is asserted of its curves.
+"""S Figure 11, and the asserted numbers of its curves.
 
-``python -m fits.lugre_figure_11.draw`` writes it beside this file. The LuGre curve is
+``python -m fits.lugre_figure_11.draw`` writes it to this folder. The LuGre curve is
 tirefit's, with the parameters that SciPy fits to the Magic Formula (reference.py).
 """
 
@@ -31,7 +31,7 @@ def curves(kappa):
 
 
 def properties() -> dict[str, float]:
-    """Numbers read off the drawn curves, by name; expected.toml says what they are."""
+    """Numbers of the drawn curves by name, as explained in expected.toml."""
     kappa = np.linspace(0, 1, 20_001)[1:-1]
     found = {}
     pair = curves(kappa)

@@ -1,4 +1,4 @@
-"""The data of this case: ``python -m fits.lugre_figure_11.make_data``.
+"""Writes the data of this case: ``python -m fits.lugre_figure_11.make_data``.
 
 ``figure10.csv``: the Magic Formula of S Figure 10 at F_z = 4 kN and v = 20 m/s over the
 whole range of slip, no noise.

@@ -1,4 +1,4 @@
-"""The same fit by SciPy on S(18) as printed: the numbers of ``expected.toml``."""
+"""The numbers of ``expected.toml``: the same fit by SciPy on S(18) as printed."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ ALMOST_ZERO = 6.1441746e-6
 
 
 def almost_zero(kappa, force, fz, v, best) -> float:
-    """sigma1 of the best fit with sigma2 as near zero as a fit of tirefit gets."""
+    """sigma1 of the best fit with the smallest sigma2 of a fit by tirefit."""
     values, _, _ = fit_scipy(
         lambda s0, s1, *rest: lugre(kappa, fz, v, s0, s1, ALMOST_ZERO, *rest),
         force,
@@ -27,7 +27,7 @@ def almost_zero(kappa, force, fz, v, best) -> float:
 
 
 def held_friction(kappa, force, fz, v, best) -> dict[str, float]:
-    """log(S / S_min) with mu_c held below its estimate, each from the one before."""
+    """log(S / S_min) with mu_c held below its estimate, each started from the last fit."""
     last = np.delete(best, 4)
     smallest = np.sum((lugre(kappa, fz, v, *best) - force) ** 2)
     found = {}
@@ -46,7 +46,7 @@ def held_friction(kappa, force, fz, v, best) -> dict[str, float]:
 
 
 def reference() -> dict[str, float]:
-    """Parameters, ``rmse`` [N], ``gap`` (largest miss over F_z) of figure10's fit."""
+    """Parameters, ``rmse`` [N] and ``gap`` (largest error over F_z) of the fit of figure10."""
     kappa, force, fz, v = np.loadtxt(HERE / "figure10.csv", delimiter=",", skiprows=1, unpack=True)
     starts = [
         np.array([140.0, 0.1, 0.001, 3 * mu, 0.5, v_st]) for mu in (0.3, 0.9) for v_st in (0.5, 5.0)

@@ -1,8 +1,8 @@
-"""S Figures 13, 15, 17 and 18, and what is asserted of their curves.
+"""S Figures 13, 15, 17 and 18, and the asserted numbers of their curves.
 
-``python -m fits.magic_formula_curve.draw`` writes them beside this file.
+``python -m fits.magic_formula_curve.draw`` writes them to this folder.
 S prints no coefficients for them: solid lines are the truck curve of ``make_data.py``,
-in the lateral panel the coefficients of S Figure 10. Brush curves share its slope.
+in the lateral panel the coefficients of S Figure 10. Brush curves have its slope.
 """
 
 from pathlib import Path
@@ -34,7 +34,7 @@ def brush(model: str, slip, fz: float = LOAD, force: str = "fx", **values):
 
 
 def _similar(kappa, ratio: float):
-    """The truck curve on a road of other friction: lambda F(kappa / lambda)."""
+    """The truck curve at another friction: lambda F(kappa / lambda)."""
     return ratio * magic_formula(kappa / ratio, **TRUCK)
 
 
@@ -106,7 +106,7 @@ def figure_18(picture: Picture) -> None:
         tidy(axes, "slip κ [%]", "brake force $F_x$ [kN]" if axes is left else "")
         axes.set_title(f"{title}, v = {SPEED:g} m/s", fontsize=9)
     for i, n in enumerate((0.0075, 0.015)):
-        for model, line, said in (
+        for model, line, words in (
             ("brush-n", "-", "$µ_s = µ_0$"),
             ("brush-ns", "o", "$µ_s = µ_k$"),
         ):
@@ -118,15 +118,15 @@ def figure_18(picture: Picture) -> None:
                 markevery=30,
                 markersize=3.5,
                 mfc="none",
-                label=f"n = {n:g} s/m, {said}",
+                label=f"n = {n:g} s/m, {words}",
             )
-    for i, (model, said) in enumerate((("brush-h", "$µ_s = µ_0$"), ("brush-hs", "$µ_s = µ_k$"))):
+    for i, (model, words) in enumerate((("brush-h", "$µ_s = µ_0$"), ("brush-hs", "$µ_s = µ_k$"))):
         right.plot(
             100 * KAPPA,
             brush(model, KAPPA, mu=1.3, h=0.4) / 1e3,
             LINES[i],
             color=COLORS[i],
-            label=f"h = 0.4, µ = 1.3, {said}",
+            label=f"h = 0.4, µ = 1.3, {words}",
         )
 
 
@@ -144,7 +144,7 @@ def _with_truck(picture: Picture):
 
 
 def _full_sliding(d: float) -> float:
-    """First sigma where the force rests at mu F_z, read off the curve."""
+    """First sigma at which the force stays at mu F_z."""
     sigma = np.linspace(0, 0.5, 100_001)
     force = brush("brush-d", sigma / (1 + sigma), mu=PEAK, d=d)
     return float(sigma[np.argmax(force >= PEAK * LOAD * (1 - 1e-13))])
@@ -159,7 +159,7 @@ def _peak(model: str, **values) -> tuple[float, float]:
 
 
 def properties() -> dict[str, float]:
-    """Numbers read off the drawn curves, by name; expected.toml says what they are."""
+    """Numbers of the drawn curves by name, as explained in expected.toml."""
     fine = np.linspace(0, 0.999, 999_001)
     curve, small = magic_formula(fine, **TRUCK), np.array([1e-6])
     car = magic_formula(fine, **FIGURE10)

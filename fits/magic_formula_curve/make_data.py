@@ -1,6 +1,5 @@
-"""Two Magic Formula curves: ``python -m fits.magic_formula_curve.make_data``.
-
-No noise.
+"""Writes two Magic Formula curves without noise:
+``python -m fits.magic_formula_curve.make_data``.
 
 ``figure10.csv``: the coefficients S prints with its Figure 10, at F_z = 4 kN.
 ``truck.csv``: D = 0.98 and C_x = BCD F_z = 5e5 N at F_z = 27 kN (S section 5); of the

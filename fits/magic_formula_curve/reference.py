@@ -1,4 +1,4 @@
-"""The same fits by SciPy on S's closed forms: the numbers of ``expected.toml``."""
+"""The numbers of ``expected.toml``: the same fits by SciPy on S's closed forms."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ MODELS = {
 
 
 def curve_numbers() -> dict[str, float]:
-    """What draw.py reads off its figures, where no closed form gives it."""
+    """Numbers of the figures of draw.py that have no closed form."""
     from fits.magic_formula_curve.make_data import truck
 
     tire, load, c, v = truck(), 27e3, 2.5e5, 20.0

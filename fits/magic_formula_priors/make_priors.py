@@ -1,4 +1,4 @@
-"""Write ``tirefit/fitting/mf/priors.csv``: python make_priors.py"""
+"""Writes ``tirefit/fitting/mf/priors.csv``: python make_priors.py"""
 
 import csv
 import math
@@ -19,7 +19,7 @@ FAMILIES = {
     "mf52": ["mfeval_julia/MagicFormula52_Parameters.tir"],
     "mf6": [f"mfeval_julia/MagicFormula{n}_Parameters.tir" for n in (61, 62)],
 }
-"""Tires by name; the files of one are the same tire at other pressures or versions."""
+"""Tire -> its files, for different pressures or versions of the format."""
 
 
 CENTRED = {
@@ -34,8 +34,8 @@ CENTRED = {
 }  # fmt: skip
 """Coefficient of a shape -> (centre, smallest spread).
 
-RVY4 to RVY6 shape the effect of RVY1 to RVY3, QSX5 to QSX9 and QSX11 those of QSX4 and
-QSX10. At zero they would suppress it.
+RVY4 to RVY6 are shape coefficients of RVY1 to RVY3, QSX5 to QSX9 and QSX11 of QSX4 and
+QSX10. At zero they would suppress the effect.
 """
 
 AROUND_ZERO = {
@@ -58,7 +58,7 @@ AROUND_ZERO = {
 """Smallest spread -> coefficients that are zero in a tire without the effect.
 
 With this value the effect, at twice the nominal load, 0.1 rad of camber or a pressure
-off by half, is about as large as the quantity that it changes.
+off by 50 %, is about as large as the quantity that it changes.
 """
 
 FLOORS = {name: size for size, names in AROUND_ZERO.items() for name in names.split()}
@@ -71,8 +71,8 @@ def priors_of(families: Mapping[str, Sequence[Mapping[str, float]]]) -> dict[str
     """The prior of every coefficient from published tires.
 
     Args:
-        families: name -> coefficients of files of one tire (at other pressures, in
-            other versions), whose mean counts. A zero counts as not measured.
+        families: name -> coefficients of the files of one tire (at other pressures, in
+            other versions); their mean is used. A zero is taken as not measured.
     """
     priors = {}
     for name in (*CENTRED, *FLOORS):
@@ -98,7 +98,7 @@ def _prior(name: str, published: list[float]) -> Prior:
 
 
 def priors_without(*left_out: str) -> dict[str, Prior]:
-    """The table from all families but these."""
+    """The table from all families except these."""
     return priors_of(
         {
             family: [read_tir(TIRES / file).numbers for file in files]

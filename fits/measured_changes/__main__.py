@@ -1,4 +1,4 @@
-"""The command; see :mod:`fits.measured_changes.run`."""
+"""Runs the command of :mod:`fits.measured_changes.run`."""
 
 from fits.measured_changes.run import main
 

@@ -1,8 +1,8 @@
-"""The best that SciPy does by hand, with rows left out: nothing of tirefit in here.
+"""The best correction by hand, with SciPy and rows left out; it shares no code with tirefit.
 
-A brush S(12) in NumPy, changed by the effects of :data:`EFFECTS`, fitted by least
+A brush S(12) in NumPy, changed by the effects of :data:`EFFECTS`, is fitted by least
 squares to the rows that are not left out. ``python -m fits.measured_changes.by_hand``
-writes ``by_hand.json``: every single effect of a case, then the best combinations.
+writes ``by_hand.json``: the rms of every single effect of a case, then of combinations.
 """
 
 import json
@@ -19,18 +19,18 @@ from fits.measured_changes.cases import CASES
 from fits.measured_changes.logs import RATE, Table, table
 
 FILE = Path(__file__).with_name("by_hand.json")
-WAY = 0.05  # m, grid of distance of the relaxation
-SLOWEST = 0.02  # m/s of sliding
-FAR = 0.05  # m that a tracked point may be off
+WAY = 0.05  # m, grid of the distance travelled, for the relaxation
+SLOWEST = 0.02  # m/s, least sliding speed
+FAR = 0.05  # m, largest error of the tracked point
 FOLDS = 5
-"""Folds of blocks of time, where there are fewer than three runs."""
+"""Number of folds of blocks of time, for fewer than three runs."""
 ENOUGH = 0.99
-"""A further effect must take the rms left out below this share of what it was."""
-MOST = 3  # effects of a combination
+"""A further effect must lower the rms left out at least to this share."""
+MOST = 3  # effects in a combination
 
 
 def _lag(values: np.ndarray, steps: float) -> np.ndarray:
-    """A lag of first order; the past before the beginning is at rest."""
+    """A first-order lag, in steady state at the beginning."""
     keep = np.exp(-1 / max(steps, 1e-3))
     return lfilter([1 - keep], [1, -keep], values, zi=[keep * values[0]])[0]
 
@@ -41,14 +41,14 @@ def _late(rows: Table, name: str, delay: float) -> np.ndarray:
 
 
 def _slow(rows: Table, name: str, time: float) -> np.ndarray:
-    """Change of a column by a lag of first order with a time constant [s]."""
+    """Change of a column by a first-order lag with a time constant [s]."""
     values = rows.columns[name]
     slow = np.concatenate([_lag(values[part], time * RATE) for part in rows.parts])
     return (slow - values)[rows.kept]
 
 
 def _relaxed(rows: Table, length: float) -> np.ndarray:
-    """Change of the slip angle by a lag of first order over a distance [m]."""
+    """Change of the slip angle by a first-order lag over a distance [m]."""
     slip, whole = rows.columns["alpha"], []
     for part in rows.parts:
         way = np.cumsum(rows.columns["v"][part]) / RATE
@@ -91,17 +91,17 @@ _OF_CASES = {
     "load_transfer": ("friction", lambda r, u, k: k * r["a_x"], 0, -0.2, 0.2),
 }
 _TRIED = {"f": ("yaw_delay",), "j": ("load_transfer",)}
-"""Letter of a case -> effects that are tried for it alone."""
+"""Letter of a case -> effects that are tried only for it."""
 EFFECTS = _OF_ALL | _STEERED | _OF_RUNS | _OF_CASES
-"""Name -> (what it changes; by how much: (rows, sliding speed [m/s], its parameter);
-start, lowest and highest value of the parameter, None without one). Names are those of
-tirefit where it has the effect."""
+"""Name -> (quantity; function of (rows, sliding speed [m/s], parameter) that gives its
+change; start, lowest and highest value of the parameter, None without one). Names are
+those of tirefit if it has the effect."""
 FACTORS = ("stiffness", "friction")
-"""They are multiplied by 1 + the change, all else is added to."""
+"""Quantities multiplied by 1 + the change; the change is added to all others."""
 
 
 def _count(name: str, rows: Table) -> int:
-    """Parameters of an effect."""
+    """Number of parameters of an effect."""
     return int(rows.codes.max() if name in _OF_RUNS else EFFECTS[name][2] is not None)
 
 
@@ -128,7 +128,7 @@ def predicted(values, effects: Sequence[str], rows: Table) -> np.ndarray:
 
 
 def fitted(effects: Sequence[str], rows: Table, use=slice(None), start=None):
-    """Values of all parameters, from the kept rows ``use``."""
+    """Values of all parameters, fitted to the kept rows ``use``."""
     limits = [(40.0, 1.0, 1e5), (0.7, 0.05, 5.0)]
     for name in effects:
         limits += [EFFECTS[name][2:]] * _count(name, rows)
@@ -145,13 +145,13 @@ def fitted(effects: Sequence[str], rows: Table, use=slice(None), start=None):
 
 
 def rms(values, effects: Sequence[str], rows: Table) -> float:
-    """rms [N] of observed less predicted at the kept rows."""
+    """rms [N] of observed minus predicted force at the kept rows."""
     missed = rows["fy"] - predicted(values, effects, rows)
     return float(np.sqrt(np.mean(missed**2)))
 
 
 def folds(rows: Table, in_time: bool = False) -> tuple[str, list[np.ndarray]]:
-    """How the kept rows are left out, and which (bool) in each fold."""
+    """The kind of folds in words, and the mask (bool) of each fold."""
     count = rows.codes.max() + 1
     if count >= 3 and not in_time:
         return f"{count} runs, each left out in turn", [rows.codes == k for k in range(count)]
@@ -163,7 +163,7 @@ def folds(rows: Table, in_time: bool = False) -> tuple[str, list[np.ndarray]]:
 
 
 def rms_left_out(effects: Sequence[str], rows: Table, parts) -> float:
-    """rms [N] of observed less predicted on rows left out, all folds together."""
+    """rms [N] of observed minus predicted force on rows left out, over all folds."""
     start, missed = fitted(effects, rows), np.zeros(len(parts[0]))
     for out in parts:
         values = fitted(effects, rows, ~out, start)
@@ -172,8 +172,8 @@ def rms_left_out(effects: Sequence[str], rows: Table, parts) -> float:
 
 
 def best(rows: Table, parts, library: Sequence[str]) -> dict[str, float]:
-    """Set of effects (joined by +) -> rms left out: nothing, each alone, then the best
-    set with each that was of use before, until no further one is worth it."""
+    """Set of effects (joined by +) -> rms left out: no effect, each alone, then the best
+    set with each other effect, while one lowers the rms to :data:`ENOUGH`."""
     found, chosen = {"": rms_left_out((), rows, parts)}, ()
     while len(chosen) < MOST and library:
         last = found["+".join(chosen)]
@@ -191,7 +191,7 @@ def best(rows: Table, parts, library: Sequence[str]) -> dict[str, float]:
 
 
 def by_hand(case) -> dict:
-    """All that is known by hand of one case, of :mod:`fits.measured_changes.cases`."""
+    """The result by hand of one case of :mod:`fits.measured_changes.cases`."""
     rows = table(case.logs)
     on, parts = folds(rows, case.in_time)
     library = [
@@ -220,7 +220,7 @@ def by_hand(case) -> dict:
 
 
 def rounded(value):
-    """The same with five significant digits."""
+    """The value with its numbers rounded to five significant digits."""
     if isinstance(value, dict):
         return {key: rounded(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -229,7 +229,7 @@ def rounded(value):
 
 
 def main() -> None:
-    """Write ``by_hand.json`` for all cases, or again for those named."""
+    """Write ``by_hand.json`` for all cases, or for those given as arguments."""
     known = json.loads(FILE.read_text()) if FILE.exists() else {}
     for case in CASES:
         if not sys.argv[1:] or case.name in sys.argv[1:]:

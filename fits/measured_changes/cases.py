@@ -1,4 +1,4 @@
-"""The cases: which measured logs, what somebody changed in them, what must be named."""
+"""The cases: measured logs, the known change in them, and the effects to be named."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,17 +7,17 @@ from fits.measured_changes.logs import Logs
 
 CHOOSING, JUDGING = "choosing", "judging"
 STRAIGHT = {"yaw_offset": 0.0096}
-"""The heading zero of the dart car, taken out."""
+"""The heading offset of the dart car, corrected."""
 ZERO = "slip_offset|speed_zero|slip_offset_speed|force_offset"
-"""A zero of slip, force or speed that is the same in every run."""
+"""A zero offset of slip, force or speed that is the same in every run."""
 RISING = "friction_speed.*|friction_sliding.*"
 STEERING = "steering_(delay|lag|late).*"
 DRIVE = "friction_ellipse|drive_force.*|combined_slip"
 BY_RUN = "friction.*_run"
 INERTIA = "yaw_inertia"
-ZEROED, DOUBLED = "slip zero -9.7 mrad", "yaw inertia doubled"
+ZEROED, DOUBLED = "slip offset -9.7 mrad", "yaw inertia doubled"
 SIX = f"{ZEROED}; friction rises with the sliding speed"
-DRIVEN, LATE = "the drive force takes friction", "steering 90 to 150 ms late"
+DRIVEN, LATE = "the drive force uses friction", "steering 90 to 150 ms late"
 CONTROL, SAME = "control: nothing changed", {"mu": False, "cpa2": False}
 
 
@@ -26,19 +26,19 @@ class Case:
     """One case.
 
     Attributes:
-        name: of the case and of its files.
-        letter: of the list in README.md.
+        name: name of the case and of its files.
+        letter: kind of change.
         use: "choosing" or "judging".
-        logs: what is diagnosed.
-        truth: what is known of it, in words.
+        logs: the diagnosed logs.
+        truth: the known change, in words.
         named: regular expressions; each must match the id of a named effect.
-        never: what must match none.
+        never: regular expression that no named effect may match.
         fitted_on: the brush fitted to these logs is the simulator; None for no
             simulator.
-        change: parameter of the simulator -> True where it has changed, and the change
-            must agree with SciPy's, False where it must not be said to differ.
+        change: parameter of the simulator -> True if it has changed, and the change
+            must agree with SciPy's; False if it must not be reported to differ.
         held_out: logs on which the named effects are judged at the end.
-        in_time: leave out blocks of time though there are three runs or more.
+        in_time: leave out blocks of time even for three or more runs.
     """
 
     name: str
@@ -63,7 +63,7 @@ def _car(of: str, axle: str = "rear", part: str = "all", **changed) -> Logs:
 
 
 def _of_dart():
-    """Cases of the dart car; ``vehicle.toml`` has its heading corrected in most."""
+    """Cases of the dart car; most correct its heading in ``vehicle.toml``."""
     right = {"vehicle": STRAIGHT}
     even, odd = _dart(**right, part="even"), _dart(**right, part="odd")
     free, circles = _dart("free", **right), _dart("circles", **right)
@@ -76,7 +76,7 @@ def _of_dart():
         "e",
         CHOOSING,
         _dart(**right),
-        "that zero taken out; rising friction",
+        "heading offset corrected; rising friction",
         (RISING,),
         ZERO,
     )
@@ -85,7 +85,7 @@ def _of_dart():
         "e",
         CHOOSING,
         _dart(vehicle={"yaw_offset": 0.0196}),
-        "slip zero +10 mrad put in",
+        "slip offset of +10 mrad added",
         ("slip_offset",),
     )
     yield Case(
@@ -93,7 +93,7 @@ def _of_dart():
         "f",
         CHOOSING,
         _dart(**right, late={"vicon yaw": 0.01}),
-        "yaw read 10 ms late",
+        "yaw delayed by 10 ms",
         (".*delay.*|tracked_point",),
     )
     yield Case("dart_halves", "b", CHOOSING, odd, CONTROL, fitted_on=even, change=SAME)
@@ -138,7 +138,7 @@ def _of_one_set(s: str):
         "e",
         use,
         _car(s, vehicle={"sideslip_offset": 0.02}),
-        "slip zero -20 mrad put in",
+        "slip offset of -20 mrad added",
         ("slip_offset",),
     )
     yield Case(
@@ -146,7 +146,7 @@ def _of_one_set(s: str):
         "f",
         use,
         _car(s, late={"fy": 0.06}),
-        "side force read 60 ms late",
+        "lateral force delayed by 60 ms",
         ("channel_delay",),
     )
     yield Case(
@@ -167,7 +167,7 @@ def _of_one_set(s: str):
 
 
 def _of_both():
-    """Two sets of tires, the one fitted, the other diagnosed, or joined; more of A."""
+    """Two sets of tires, one fitted and the other diagnosed, or joined; further cases of A."""
     for one, other in ("ad", "da"):
         for axle in ("rear", "front"):
             yield Case(
@@ -200,7 +200,7 @@ def _of_both():
         "i",
         CHOOSING,
         _car("a", "front", late={"delta": 0.097}),
-        "those 97 ms taken out",
+        "delay of 97 ms removed",
         never=f"{STEERING}|channel_delay|relaxation_length",
     )
     yield Case(

@@ -1,7 +1,7 @@
-"""Measured logs, with the change that a case asks for, as tables of one axle.
+"""Measured logs with the change of a case, as tables of one axle.
 
-:func:`table` reads the shipped logs, puts the change into the log or into the vehicle
-file, and derives slip angle and force at 100 Hz. ``kept`` are the rows diagnosed.
+:func:`table` reads the shipped logs, applies the change to the log or to the vehicle
+file, and derives slip angle and force at 100 Hz. ``kept`` marks the diagnosed rows.
 """
 
 import csv
@@ -28,27 +28,27 @@ FOLDERS = {
     "later": HERE / "dart_later",
 }
 POINT = {"a": 0.170, "d": 0.195, "others": 0.295}
-"""Tracked point of the f1tenth car [m ahead of the rear axle], by force and slip."""
-MASS = {True: 5.1, False: 1.58}  # kg: of the f1tenth car, of the dart car
-RATE = 100.0  # Hz of a whole table
-TENTHS = 10  # blocks of a run
+"""Tracked point of the f1tenth car [m ahead of the rear axle], from force and slip."""
+MASS = {True: 5.1, False: 1.58}  # kg, of the f1tenth car and of the dart car
+RATE = 100.0  # Hz, before rows are selected
+TENTHS = 10  # blocks per run
 
 
 @dataclass(frozen=True)
 class Logs:
-    """Which measured logs, of which axle, with which change.
+    """A choice of measured logs, axle and change.
 
     Attributes:
         of: "circles", "free", "later" of the dart car, or "a", "d", "others" of the
             f1tenth car; several are joined.
         axle: "rear" or "front".
-        vehicle: keys of ``vehicle.toml`` with another value.
-        late: channel of the log, or fy as derived -> time [s] by which it is late.
+        vehicle: keys of ``vehicle.toml`` with their changed values.
+        late: channel of the log, or derived fy -> delay [s].
         scaled: derived column -> factor.
         runs: "each" log is a run, or each "set" (each item of ``of``) is one.
         part: "all" rows; "odd" or "even" tenths of every run.
         only: runs to keep, by name; all if empty.
-        every: rows at 100 Hz from one diagnosed row to the next.
+        every: step between diagnosed rows, in rows at 100 Hz.
     """
 
     of: tuple[str, ...]
@@ -64,10 +64,10 @@ class Logs:
 
 @dataclass(frozen=True)
 class Table:
-    """Columns (n,) at 100 Hz, the run (n,) of each row, and the rows diagnosed (n,).
+    """Columns (n,) at 100 Hz, the run (n,) of each row, and the mask of diagnosed rows (n,).
 
-    Beside the derived columns: push, the force that accelerates the car [N], and turn,
-    the slip angle by a point 1 m further behind [rad].
+    In addition to the derived columns: push, the force that accelerates the car [N], and
+    turn, the change of slip angle per 1 m of distance to the rear [rad].
     """
 
     columns: Mapping[str, np.ndarray]
@@ -84,19 +84,19 @@ class Table:
 
     @cached_property
     def codes(self) -> np.ndarray:
-        """The run of each kept row, counted from 0."""
+        """The number of the run of each kept row, from 0."""
         names = {name: k for k, name in enumerate(dict.fromkeys(self.run))}
         return np.array([names[name] for name in self.run[self.kept]])
 
     @cached_property
     def parts(self) -> list[np.ndarray]:
-        """Indices of all rows, cut between runs and where the time jumps."""
+        """Indices of all rows, split between runs and at jumps of the time."""
         step = np.diff(self.columns["time"])
         jump = (step > 1.5 / RATE) | (step < 0) | (self.run[1:] != self.run[:-1])
         return np.split(np.arange(len(self.run)), np.flatnonzero(jump) + 1)
 
     def late(self, name: str, delay: float) -> np.ndarray:
-        """A column a time [s] ago, all rows; a part begins at rest."""
+        """A column delayed by a time [s], all rows; before a part its first value holds."""
         time, values = self.columns["time"], self.columns[name]
         before = (np.interp(time[p] - delay, time[p], values[p]) for p in self.parts)
         return np.concatenate([*before])
@@ -104,7 +104,7 @@ class Table:
 
 @cache
 def _raw(source: str) -> dict[str, dict[str, np.ndarray]]:
-    """Log -> header -> (n,) of one set as it is shipped, angles unwrapped."""
+    """Log -> header -> column (n,) of one set as shipped, angles unwrapped."""
     if source in FOLDERS:
         paths = sorted(FOLDERS[source].glob("*.csv.gz"), key=lambda path: path.name)
         keep = {"vicon time", "vicon x", "vicon y", "vicon yaw", "safety_value"}
@@ -131,12 +131,12 @@ def _columns(path: Path) -> dict[str, np.ndarray]:
 
 
 def _vehicle(source: str, logs: Logs) -> Vehicle:
-    """What ``vehicle.toml`` of one set states, with the change."""
+    """The vehicle of one set by its ``vehicle.toml``, with the change."""
     at = HERE / "f1tenth" if source in POINT else DART
     content = tomllib.loads((at / "vehicle.toml").read_text())
     if source in POINT:
         content["tracked_point"] = [POINT[source], 0.0]
-        # F_x = m a_x / 2; at the front a late steering would spoil F_y by it.
+        # F_x = m a_x / 2; at the front, F_y would then depend on the late steering.
         if "driven" in Vehicle.model_fields and logs.axle == "rear":
             content["driven"] = "all"
     return parse_settings(Vehicle, content | dict(logs.vehicle), source)
@@ -165,7 +165,7 @@ def _derived(source: str, logs: Logs) -> dict[str, dict[str, np.ndarray]]:
 
 
 def table(logs: Logs) -> Table:
-    """The derived table of the logs, with the change that was asked for."""
+    """The derived table of the logs, with the change."""
     parts, runs = [], []
     for source in logs.of:
         start = 0.0
@@ -191,13 +191,13 @@ def table(logs: Logs) -> Table:
     for column, delay in logs.late.items():
         if column in joined:
             joined[column] = made.late(column, delay)
-            for part in made.parts:  # its past is not known
+            for part in made.parts:  # the values before its first row are not known
                 kept[part[: round(delay * RATE)]] = False
     return Table(joined, run, kept)
 
 
 def data(made: Table, name: str):
-    """The diagnosed rows as ``tirefit`` reads them."""
+    """The diagnosed rows as data of ``tirefit``."""
     columns = {key: made[key] for key in made.columns if key not in ("push", "turn")}
     columns["run"] = made.run[made.kept]
     return tirefit.read_frame(columns, name, convention="braking")

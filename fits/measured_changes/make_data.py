@@ -1,4 +1,4 @@
-"""Copy the logs that the cases need: ``python -m fits.measured_changes.make_data SRC``.
+"""Copies the logs of the cases: ``python -m fits.measured_changes.make_data SRC``.
 
 ``SRC`` holds ``f1tenth_tires/`` (three tables of GitHub
 TeoIlie/Learning-dynamics-models-for-velocity-estimation, commit c40ad24,
@@ -15,12 +15,12 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 CARS = {"a": "iros_hoons_1_with_friction", "d": "xray_duck_all_test", "others": "different_tires"}
-"""Name of a set of tires here -> the table of the source."""
+"""Name of a set of tires -> table of the source."""
 FAST_RAMP = "circles_27_sept_2024_fast_ramp/car_1_Datarecording_09_27_2024_18_18_37"
 
 
 def copied(source: Path, target: Path, columns: dict[str, tuple[str, str]]) -> None:
-    """Write the columns (here -> (header there, format)) of one gzipped CSV file."""
+    """Write columns (name -> (header of the source, format)) of one gzipped CSV file."""
     with gzip.open(source, "rt") as file:
         rows = list(csv.DictReader(file))
     lines = [",".join(columns)]

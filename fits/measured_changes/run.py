@@ -1,7 +1,7 @@
 """Diagnose the cases: ``python -m fits.measured_changes [--case NAME] --out DIR``.
 
-Writes ``DIR/NAME.json`` (the diagnosis), ``DIR/table.json`` and ``DIR/table.md``. Cases
-that are done in ``DIR`` stay in the table; those asked for are diagnosed again.
+Writes ``DIR/NAME.json`` (the diagnosis), ``DIR/table.json`` and ``DIR/table.md``. Earlier
+results in ``DIR`` stay in the table; the chosen cases are diagnosed again.
 """
 
 import argparse
@@ -21,18 +21,18 @@ from fits.measured_changes import by_hand
 from fits.measured_changes.cases import CASES, Case
 from fits.measured_changes.logs import Table, data, table
 
-SAME = {"friction_ellipse": "drive_share"}  # tirefit's effect -> by hand
+SAME = {"friction_ellipse": "drive_share"}  # effect of tirefit -> effect by hand
 PARAMETERS = {"cpa2": (0, "stiffness"), "mu": (1, "friction")}
-"""Parameter -> its place among SciPy's, and what the effects on it have in the name."""
+"""Parameter -> its index in SciPy's values, and the word in the names of effects on it."""
 COLUMNS = (
-    "case", "use", "what is known", "nothing", "by hand", "tool", "of by hand",
+    "case", "use", "known change", "no effect", "by hand", "tool", "of by hand",
     "named", "status", "right", "s",
 )  # fmt: skip
 
 
 def of_ladder(found) -> tuple[float, float] | None:
-    """rms [N] left out with nothing and with what is named, by the tool's own ladder;
-    where the names are no step of it, by its longest step within them."""
+    """rms [N] left out without effects and with the named ones, from the tool's ladder; if
+    the named set is no step of it, from its longest step within that set."""
     ladder, named = getattr(found, "ladder", None), set(found.verdict.effects)
     if ladder is None or not ladder.steps:
         return None
@@ -43,8 +43,8 @@ def of_ladder(found) -> tuple[float, float] | None:
 
 
 def closes(found, case: Case, rows: Table) -> tuple[float, float, str]:
-    """rms [N] with nothing and with what is named, and where: on the tool's ladder;
-    without one on rows left out, fitted by hand; else on the rows diagnosed."""
+    """rms [N] without effects and with the named ones, and its source: the tool's ladder;
+    without one, a fit by hand on rows left out; else the diagnosed rows."""
     if (own := of_ladder(found)) is not None:
         return *own, "ladder"
     known = [SAME.get(n, n) for n in found.verdict.effects if n != "unknown"]
@@ -57,7 +57,7 @@ def closes(found, case: Case, rows: Table) -> tuple[float, float, str]:
 
 
 def judged(line: dict, case: Case, hand: dict) -> tuple[str, list[str]]:
-    """Right, said (not named, but a twin or also possible) or wrong; and why."""
+    """Right, said (not named, but a twin or also possible) or wrong; and the reasons."""
 
     def one_of(names, pattern):
         return [name for name in names if re.fullmatch(pattern, name)]
@@ -80,7 +80,7 @@ def judged(line: dict, case: Case, hand: dict) -> tuple[str, list[str]]:
 
 
 def diagnosed(case: Case, out: Path) -> dict:
-    """What the tool says of a case; writes the document of the diagnosis."""
+    """Diagnoses a case, writes the document, and returns the row of the table."""
     jax.config.update("jax_enable_x64", True)
     rows, sim = table(case.logs), None
     if case.fitted_on is not None:
@@ -111,7 +111,7 @@ def diagnosed(case: Case, out: Path) -> dict:
 
 
 def scored(line: dict, case: Case, hand: dict) -> dict:
-    """The line with what is known of the case, by hand too, and whether it is right."""
+    """The row with the known change, the result by hand, and whether it is right."""
     right, why = judged(line, case, hand)
     before, best = hand["rms"][""], hand["rms"][hand["best"]]
     closed = 1 - line["tool"] / line["tool_nothing"]
@@ -131,7 +131,7 @@ def scored(line: dict, case: Case, hand: dict) -> dict:
 
 
 def markdown(lines: list[dict]) -> str:
-    """The table; rms in N, on rows left out but where the tool's has a star."""
+    """The table; rms in N on rows left out, except where the tool's has a star."""
     text = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|\n"
     for line in lines:
         share, star = line["of_possible"], "*" * (line["tool_on"] == "rows diagnosed")
@@ -143,24 +143,24 @@ def markdown(lines: list[dict]) -> str:
             f"{line['by_hand']:.3f} {line['best'].replace('+', ' + ')}",
             f"{line['tool_nothing']:.3f} → {line['tool']:.3f}{star}",
             "-" if share is None else f"{100 * share:.0f} %",
-            ", ".join(line["named"]) or "nothing",
+            ", ".join(line["named"]) or "none",
             f"{line['status']} {line['probability']:.2f}",
             ": ".join(filter(None, (line["right"], "; ".join(line["why"])))),
             f"{line['seconds']:.0f}",
         )
         text += f"| {' | '.join(cell.replace('|', ' or ') for cell in cells)} |\n"
-    said = [f"{name} {n}" for name, n in Counter(x["right"] for x in lines).items()]
+    counts = [f"{name} {n}" for name, n in Counter(x["right"] for x in lines).items()]
     shares = [x["of_possible"] for x in lines if x["of_possible"] is not None]
     mean = f"{100 * np.mean(shares):.0f} %" if shares else "-"
-    return f"{text}\n{len(lines)} cases: {', '.join(said)}; of by hand {mean}\n"
+    return f"{text}\n{len(lines)} cases: {', '.join(counts)}; of by hand {mean}\n"
 
 
 def main() -> None:
-    """Run the cases, and write the table after each."""
+    """Diagnose the cases, and write the table after each."""
     parser = argparse.ArgumentParser(prog="python -m fits.measured_changes")
     parser.add_argument("--case", action="append", choices=[c.name for c in CASES])
     parser.add_argument("--use", choices=["choosing", "judging"])
-    parser.add_argument("--table", action="store_true", help="only the table again")
+    parser.add_argument("--table", action="store_true", help="only score again and write the table")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
     asked = parser.parse_args()

@@ -1,10 +1,10 @@
-"""Posteriors by tirefit and by its peers on the same synthetic data.
+"""Compares posteriors of tirefit and other programs on the same synthetic data.
 
     python -m fits.posterior_peers --into fits/posterior_peers         # all
     python -m fits.posterior_peers --only brush --sets 20 --chains 4   # quicker
 
-Every interval goes to ``--out``, table and figure to ``--into``.
-The peers need ``pip install`` of the group ``peers``. See README.md.
+All intervals go to ``--out``, table and figure to ``--into``. The other programs need the
+dependency group ``peers``. See README.md.
 """
 
 import argparse
@@ -22,9 +22,9 @@ import numpy as np
 from fits.posterior_peers.cases import CASES, Case
 
 SETS, CHAINED = 100, 12
-"""Data sets of a case, and how many of them the chains run on."""
+"""Data sets per case, and the number on which the chains run."""
 CONVERGENCE = 8
-"""Data sets on which the guides run three times as long."""
+"""Data sets on which the guides also run three times as many steps."""
 TIMED = 3
 
 
@@ -35,7 +35,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--chains", type=int, default=CHAINED)
     parser.add_argument("--time", help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path, default=Path("out/posterior_peers"))
-    parser.add_argument("--into", type=Path, help="folder of table.md; --out if none")
+    parser.add_argument("--into", type=Path, help="folder of table.md; by default --out")
     asked = parser.parse_args(argv)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import jax
@@ -62,7 +62,7 @@ def write(path: Path, rows: list[dict]) -> None:
 
 
 def intervals_to(out: Path, name: str, sets: int, chains: int) -> None:
-    """Every interval of a case, a line each, method by method as they come."""
+    """Writes all intervals of a case, one line each, after every method."""
     from fits.posterior_peers.methods import CHAINS, METHODS, fits_of, intervals_of
 
     case, rows = CASES[name], []
@@ -78,7 +78,7 @@ def intervals_to(out: Path, name: str, sets: int, chains: int) -> None:
 
 
 def _longer(method: str, case: Case, results) -> list[dict]:
-    """The same with three times the steps: has the ELBO settled?"""
+    """The same with three times the steps, to check that the ELBO has converged."""
     from fits.posterior_peers.methods import intervals_of
     from fits.posterior_peers.variational import STEPS
 
@@ -86,7 +86,7 @@ def _longer(method: str, case: Case, results) -> list[dict]:
     return _lines(f"{method}, 3 x", case, results, *ends)
 
 
-def _lines(method: str, case: Case, results, intervals, said) -> list[dict]:
+def _lines(method: str, case: Case, results, intervals, notes) -> list[dict]:
     return [
         {
             "method": method,
@@ -95,7 +95,7 @@ def _lines(method: str, case: Case, results, intervals, said) -> list[dict]:
             "truth": case.truth[label],
             "low": f"{low:.7g}",
             "high": f"{high:.7g}",
-            "said": said[k],
+            "said": notes[k],
         }
         for k, result in enumerate(results)
         for label, (low, high) in zip(result.labels, intervals[k], strict=True)
@@ -106,8 +106,8 @@ METHODS_TIMED = ("fit", "importance", "emcee", "nuts", "mean-field", "full-rank"
 
 
 def timed(method: str, name: str = "magic-formula") -> dict:
-    """Processor seconds of a method on one data set, the fit before it not counted: at
-    first, when it is compiled, and in the median of the next ones."""
+    """Processor seconds of a method on one data set, without the fit before it: the first
+    time, with compilation, and the median of the next times."""
     from fits.posterior_peers.methods import fits_of, intervals_of
 
     def run(k):
@@ -127,7 +127,7 @@ def timed(method: str, name: str = "magic-formula") -> dict:
 
 
 def _in_a_process(method: str) -> dict:
-    """:func:`timed` where nothing was compiled before."""
+    """:func:`timed` in a new process with an empty cache of compiled programs."""
     with tempfile.TemporaryDirectory() as cache:
         apart = os.environ | {"XDG_CACHE_HOME": cache, "OPENBLAS_NUM_THREADS": "1"}
         apart.pop("JAX_COMPILATION_CACHE_DIR", None)

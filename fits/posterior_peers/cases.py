@@ -1,7 +1,7 @@
-"""Synthetic data sets of known truth, as those of ``synthetic_recovery``.
+"""Synthetic data sets of known truth, like those of ``synthetic_recovery``.
 
-The slip is known exactly: with noise on it tirefit integrates the true slip of each row
-out, which a model in NumPyro would sample, a latent number a row.
+The slip is known exactly: tirefit integrates slip noise out, whereas a model in NumPyro
+would sample the true slip, one latent number per row.
 """
 
 from typing import NamedTuple
@@ -20,7 +20,7 @@ NOISE = 0.01
 
 
 class Case(NamedTuple):
-    """A model with its truth, and the largest physical slip that is measured."""
+    """A model with its true parameters and the largest measured physical slip."""
 
     model: str
     truth: dict[str, float]
@@ -44,7 +44,7 @@ CASES = {
 
 
 def synthetic(case: Case, seed: int) -> TireData:
-    """200 rows, slips uniform from 0.001, three loads in turn; by fits/formulas.py."""
+    """200 rows by fits/formulas.py: uniform slips from 0.001, three loads in turn."""
     generator = np.random.default_rng(seed)
     sigma = generator.uniform(0.001, case.largest, ROWS)
     fz = FZ[np.arange(ROWS) % len(FZ)]

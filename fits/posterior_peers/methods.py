@@ -1,4 +1,4 @@
-"""Every method on one data set or many: its 95 % intervals (B, p, 2)."""
+"""All methods on B data sets: their 95 % intervals (B, p, 2)."""
 
 import numpy as np
 
@@ -13,11 +13,11 @@ __all__ = ["CHAINS", "METHODS", "fits_of", "intervals_of"]
 
 CHAINS = ("emcee", "nuts")
 WALKERS = {"emcee": 16, "nuts": 8, "importance": 16}
-"""Of an ensemble (importance sampling hands over to emcee): fewer than a fit takes by
-itself, for the time it takes."""
+"""Walkers of an ensemble (importance sampling may switch to emcee): fewer than the default
+of a fit, to save time."""
 
 MOST_STEPS = 1000
-"""Of a chain; one that is too short by then is used as it is, and counted."""
+"""Steps of a chain; a chain that is still too short is used and counted."""
 
 METHODS = (
     "profile",
@@ -29,37 +29,37 @@ METHODS = (
     "emcee",
     "nuts",
 )
-"""The slow ones last: what is there can be read before they are done."""
+"""The slow methods are last, so that the other results can be read earlier."""
 
 
 def fits_of(case: Case, seeds) -> list[FitResult]:
-    """The fits that every sampler begins with, noise given."""
+    """The fits from which every sampler starts, with given noise."""
     noise = {"fx_relative": NOISE, "loss": "squares"}
     config = {"noise": noise, "solver": "gauss-newton"}
     return [fit(synthetic(case, k), case.model, config=config, seed=k) for k in seeds]
 
 
 def intervals_of(method: str, case: Case, results: list[FitResult], steps=None):
-    """Intervals (B, p, 2) and what is to be said of each data set, (B,) texts."""
+    """Intervals (B, p, 2) and a note on each data set, (B,) texts."""
     if method in ("mean-field", "full-rank"):
-        # NumPyro is a peer: the rest runs without it.
+        # Imported here, because the other methods run without NumPyro.
         from fits.posterior_peers.variational import vary
 
         intervals, elbo = vary(results, method, steps)
         return intervals, [f"{value:.4f}" for value in elbo]
-    nothing = [""] * len(results)
+    empty = [""] * len(results)
     if method == "lmfit":
-        return np.array([_lmfit(case, result) for result in results]), nothing
-    intervals, said = [], []
+        return np.array([_lmfit(case, result) for result in results]), empty
+    intervals, notes = [], []
     for result in results:
         name = method
         if method not in result.intervals:
             result, word = _sampled(method, result)
             name = "posterior"
-            said.append(word)
+            notes.append(word)
         ends = result.intervals[name]
         intervals.append([ends[label] for label in result.labels])
-    return np.array(intervals, float), said or nothing
+    return np.array(intervals, float), notes or empty
 
 
 def _sampled(method: str, result: FitResult) -> tuple[FitResult, str]:
@@ -78,7 +78,7 @@ def _sampled(method: str, result: FitResult) -> tuple[FitResult, str]:
 
 
 def _lmfit(case: Case, result: FitResult) -> np.ndarray:
-    """Value +- 1.96 stderr (p, 2) of lmfit with the model written by hand in NumPy."""
+    """Value +- 1.96 stderr (p, 2) of lmfit with the model written in NumPy."""
     import lmfit
 
     data = result.table.columns

@@ -1,4 +1,4 @@
-"""Coverage, widths and times of all methods as a table in Markdown and a figure."""
+"""Writes coverage, widths and times of all methods as a Markdown table and a figure."""
 
 import csv
 from pathlib import Path
@@ -20,7 +20,7 @@ METHODS = {
     "covariance": "tirefit, covariance",
     "lmfit": "lmfit, standard errors",
 }
-"""In the order of the tables, with the words for them."""
+"""Methods in the order of the tables, with their names there."""
 
 _REFERENCE = "emcee"
 
@@ -31,7 +31,7 @@ def _read(path: Path) -> list[dict[str, str]]:
 
 
 def _error(inside: int, sets: int) -> float:
-    """Standard error of a share, by Jeffreys' posterior of it: not zero where all are
+    """Standard error of a share, by Jeffreys' posterior: it is not zero if all are
     inside."""
     share = (inside + 0.5) / (sets + 1)
     return float(np.sqrt(share * (1 - share) / (sets + 2)))
@@ -39,7 +39,7 @@ def _error(inside: int, sets: int) -> float:
 
 def summary(lines: list[dict[str, str]]) -> list[dict]:
     """By method and parameter: sets, coverage with its binomial standard error, median
-    width over that of emcee's interval on the same data sets, and what was said."""
+    width over that of emcee's interval on the same data sets, and the notes."""
     ends: dict[tuple[str, str], dict[int, np.ndarray]] = {}
     said: dict[tuple[str, str], list[str]] = {}
     truth = {line["parameter"]: float(line["truth"]) for line in lines}
@@ -69,7 +69,7 @@ def summary(lines: list[dict[str, str]]) -> list[dict]:
 
 
 def _settled(lines: list[dict[str, str]], method: str) -> str:
-    """What three times the steps bring, on the same data sets."""
+    """The effect of three times as many steps, on the same data sets."""
 
     def elbo(name):
         return {int(line["set"]): float(line["said"]) for line in lines if line["method"] == name}
@@ -132,7 +132,7 @@ def write_page(folder: Path, into: Path) -> None:
 
 
 def draw(cases: dict[str, list[dict]], folder: Path) -> None:
-    """Coverage and width, a column a case; marks beside each other are methods."""
+    """Coverage and width, one column per case; adjacent marks are methods."""
     picture = Picture(figsize=(8.4, 4.6), dpi=100, layout="constrained")
     count = [len({row["parameter"] for row in rows}) for rows in cases.values()]
     panels = picture.subplots(

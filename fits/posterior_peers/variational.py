@@ -1,8 +1,8 @@
 """Stochastic variational inference by NumPyro: ``pip install`` the group ``peers``.
 
-The model is written as one writes it for NumPyro, a site for each parameter and one for
-the forces; bounds, prior, noise and rows are those of tirefit's fit, and so is the
-starting point. ``mean-field`` is ``AutoNormal``, ``full-rank`` is
+The model is written as usual in NumPyro, with a site for each parameter and one for the
+forces; bounds, prior, noise, rows and starting point are those of tirefit's fit.
+``mean-field`` is ``AutoNormal``, ``full-rank`` is
 ``AutoMultivariateNormal``: a Gaussian in NumPyro's unconstrained coordinates, without
 and with correlations.
 """
@@ -32,19 +32,19 @@ __all__ = ["GUIDES", "Fitted", "Given", "given", "log_joint", "tire_model", "var
 GUIDES = {"mean-field": AutoNormal, "full-rank": AutoMultivariateNormal}
 
 FIRST_RATE, LAST_RATE = 0.02, 1e-5
-"""Adam's rate falls from one to the other, exponentially: a constant one leaves a
-Gaussian of a hundredth wide shaking by more than its width."""
+"""First and last rate of Adam, with exponential decay: at a constant rate a Gaussian with a
+width of 0.01 would fluctuate by more than its width."""
 
 WIDTH = 0.01
-"""First width of a guide. From NumPyro's own 0.1 the same ELBO takes some four times as
-many steps: the posteriors here are about 0.003 to 0.1 wide in its coordinates."""
+"""First width of a guide. From NumPyro's default of 0.1 the same ELBO needs about four times
+as many steps: these posteriors are about 0.003 to 0.1 wide in its coordinates."""
 
 STEPS = {"mean-field": 20_000, "full-rank": 50_000}
-"""Steps from which three times as many gain less than 0.1 in the ELBO."""
+"""Steps after which three times as many raise the ELBO by less than 0.1."""
 
 
 class Given(NamedTuple):
-    """What a fit of tirefit hands over: rows (n,), and a first value by parameter."""
+    """The data of a fit of tirefit: rows (n,), and a first value by parameter."""
 
     slip: jax.Array
     fz: jax.Array
@@ -54,10 +54,10 @@ class Given(NamedTuple):
 
 
 def given(problem: FitProblem, first: Mapping[str, float]) -> Given:
-    """Rows and noise of a fit of F_x with known slip, beside a first value.
+    """Rows and noise of a fit of F_x with known slip, and first values.
 
-    The noise is the one that its intervals are made with: raised by the root of how
-    many rows count as one.
+    The noise is that of the fit's intervals: multiplied by the square root of the number
+    of rows that count as one.
     """
     rows, inflation = problem.rows, problem.rules["fx"].inflation
     noise = rows.scale["fx"] * jnp.sqrt(inflation)
@@ -108,7 +108,7 @@ def _gaussian(name: str, parameters: dict) -> tuple[jax.Array, jax.Array]:
 
 
 def _starting(name: str, first: dict, specs: dict[str, Spec]) -> dict:
-    """Where the guide stands at first: at the optimum of least squares."""
+    """The start of the guide: the optimum of least squares."""
     there = {
         k: biject_to(dist.Uniform(specs[k].lower, specs[k].upper).support).inv(v)
         for k, v in first.items()
@@ -120,7 +120,7 @@ def _starting(name: str, first: dict, specs: dict[str, Spec]) -> dict:
 
 @partial(jax.jit, static_argnames=("name", "steps", "particles"))
 def _run(problem, batch: Given, name: str, steps: int, seed, particles: int = 2000):
-    """Gaussian and ELBO of each data set of a batch, side by side."""
+    """Gaussian and ELBO of each data set of a batch, vectorized."""
     rate = jnp.log(LAST_RATE / FIRST_RATE) / steps
     optimizer = Adam(lambda step: FIRST_RATE * jnp.exp(rate * step))
     one = jax.tree.map(lambda part: part[0], batch)

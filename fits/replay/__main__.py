@@ -1,11 +1,11 @@
-"""Measured 1:10 cars, predicted on logs that no tire was fitted to.
+"""Predicts logs of measured 1:10 cars with tires that were fitted to other logs.
 
     python -m fits.replay --out out/replay [--only a]
 
-Each car's logs are halved; tires fitted to one half predict the other. Beside the fit
-by trajectory stand ``derive`` and ``fit``, with the steering as stated and
-with what the trajectories found of it. ``--out`` receives ``table.md``, ``table.json``
-and the pictures of the f1tenth car.
+Each car's logs are split in two; tires fitted to one half predict the other. The fit by
+trajectory is compared with ``derive`` and ``fit``, with the steering as stated and as
+estimated by the fit by trajectory. ``--out`` receives ``table.md``, ``table.json`` and
+the figures of the f1tenth car.
 """
 
 import argparse
@@ -41,7 +41,7 @@ def derived(logs, toml: Path, folder: Path) -> list:
 
 
 def tires_of(source: str, logs, toml: Path, folder: Path) -> dict:
-    """Way -> (vehicle file, front, rear), and the fit by trajectory."""
+    """Method -> (vehicle file, front, rear), and the fit by trajectory."""
     fit = tirefit.fit_trajectory(logs, toml, unknowns=UNKNOWNS[source])
     found = folder / "found.toml"
     found.write_text(vehicle_toml(fit.vehicle, "by trajectory"))
@@ -54,7 +54,7 @@ def tires_of(source: str, logs, toml: Path, folder: Path) -> dict:
 
 
 def rms(logs, vehicle, front, rear) -> dict:
-    """Quantity -> rms at the horizons, of these tires and of the floor."""
+    """Model (these tires, their linear form, the floor) -> rms at the horizons."""
     result = tirefit.replay(logs, vehicle, front, rear, horizons=HORIZONS)
     assert not any(result.logs.values()), "a tire was fitted to these logs"
     return {k: result.models[k].rms() for k in ("tire", "linear tire", "floor")} | {
@@ -63,7 +63,7 @@ def rms(logs, vehicle, front, rear) -> dict:
 
 
 def halves(source: str, folder: Path) -> list[dict]:
-    """Each half of the logs, predicted by tires of the other one."""
+    """Predictions of each half of the logs with tires fitted to the other half."""
     logs, toml = write_logs(source, folder)
     found = []
     for k in (0, 1):
@@ -91,8 +91,8 @@ HEAD = """\
 
 
 def other_tires(folder: Path, pictures: Path) -> tuple[list[dict], list[str]]:
-    """Tires of set A against logs of set D, and the change of friction."""
-    fits, said, found = {}, [], []
+    """Predictions of logs D with tires A and D, and the change of friction."""
+    fits, notes, found = {}, [], []
     for source in ("a", "d"):
         logs, toml = write_logs(source, folder / source)
         fits[source] = tirefit.fit_trajectory(logs, toml)
@@ -107,7 +107,7 @@ def other_tires(folder: Path, pictures: Path) -> tuple[list[dict], list[str]]:
         a, d = (fits[k].parameters[f"{axle}.mu"] for k in ("a", "d"))
         ratio = d.value / a.value
         std = ratio * ((a.std / a.value) ** 2 + (d.std / d.value) ** 2) ** 0.5
-        said.append(f"{axle} friction D over A: {ratio:.3f} ± {std:.3f}")
+        notes.append(f"{axle} friction D over A: {ratio:.3f} ± {std:.3f}")
     logs, _ = write_logs("a", folder / "a")
     result = tirefit.replay(logs, fits["a"].vehicle, *fits["a"].axles.values())
     for name, picture in (
@@ -116,12 +116,12 @@ def other_tires(folder: Path, pictures: Path) -> tuple[list[dict], list[str]]:
         ("tires", trajectory_figure(fits["a"])),
     ):
         save_picture(picture, pictures / f"{name}.png")
-    return found, said
+    return found, notes
 
 
 def diagnosed(folder: Path, pictures: Path) -> list[str]:
-    """What the car of set A lacks by three of its logs, and the other two predicted
-    with and without it, on tires of ``derive`` and ``fit``."""
+    """Effects of the car of set A, diagnosed on three logs, and predictions of the other two
+    with and without them, on tires of ``derive`` and ``fit``."""
     logs, toml = write_logs("a", folder)
     tires = derived(logs[:3], toml, folder)
     found = tirefit.diagnose_vehicle(logs[:3], toml, *tires, holdout=logs[3:])
@@ -137,17 +137,17 @@ def main() -> None:
     parser.add_argument("--only", choices=("a", "d", "dart", "tires", "diagnosis"))
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
-    found, said = [], []
+    found, notes = [], []
     with tempfile.TemporaryDirectory() as folder:
         for source in ("a", "d", "dart"):
             if asked.only in (None, source):
                 found += halves(source, Path(folder) / source)
         if asked.only in (None, "tires"):
-            more, said = other_tires(Path(folder), asked.out)
+            more, notes = other_tires(Path(folder), asked.out)
             found += more
         if asked.only in (None, "diagnosis"):
-            said += diagnosed(Path(folder), asked.out)
-    text = HEAD + "\n".join(map(line, found)) + "\n\n" + "\n\n".join(said) + "\n"
+            notes += diagnosed(Path(folder), asked.out)
+    text = HEAD + "\n".join(map(line, found)) + "\n\n" + "\n\n".join(notes) + "\n"
     (asked.out / "table.json").write_text(json.dumps(found, indent=1) + "\n")
     (asked.out / "table.md").write_text(text)
     print(text)

@@ -1,4 +1,4 @@
-"""The measured logs of both 1:10 cars as ``tirefit`` reads them: :func:`write_logs`."""
+"""Writes the measured logs of both 1:10 cars for ``tirefit``: :func:`write_logs`."""
 
 import csv
 import gzip
@@ -13,8 +13,8 @@ SHORTEST = 4.0  # s
 
 STEERING = """
 [steering]
-command = [-1.0, 1.0]  # of the DART car: what full lock is worth is not stated, so that
-angle = [-0.35, 0.35]  # its ratio is among the unknowns of a fit [rad]
+command = [-1.0, 1.0]  # of the DART car: the angle at full lock is not stated; the ratio
+angle = [-0.35, 0.35]  # is therefore estimated by the fit [rad]
 """
 
 

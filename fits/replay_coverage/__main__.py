@@ -1,13 +1,13 @@
-"""Do the 95 % intervals of a fit by trajectory hold the truth? Simulated drives.
+"""Counts on simulated drives how often intervals of a fit by trajectory contain the truth.
 
     python -m fits.replay_coverage --drives 400 --jobs 2 --out out/coverage
 
-Each drive, of a single-track car on brushes (``--wheels``: of the four-wheeled car of
-``tirefit.sim.drive``, which rolls), is logged at 100, 50 and 20 Hz: noisy, the yaw rate
-and the steering in steps, the steering early by a delay and less an offset.
+Each drive of a single-track car on brushes (``--wheels``: of the four-wheeled car with
+roll of ``tirefit.sim.drive``) is logged at 100, 50 and 20 Hz with noise, the yaw rate
+and the steering in steps, the steering early by a delay and reduced by an offset.
 ``fit_trajectory`` gets the log and the vehicle without delay and offset; ``derive`` and
-``fit`` get the same. ``--out`` receives ``logs.jsonl``, a line a log, which a later run
-goes on from, and ``table.md``.
+``fit`` get the same. ``--out`` receives ``logs.jsonl``, one line per log, which a later
+run continues, and ``table.md``.
 """
 
 import argparse
@@ -25,7 +25,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--drives", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="seed of the first drive")
-    parser.add_argument("--wheels", action="store_true", help="the richer car")
+    parser.add_argument("--wheels", action="store_true", help="the four-wheeled car")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
     asked = parser.parse_args()

@@ -1,4 +1,4 @@
-"""Simulated drives of known tires, their logs, and both ways to fit them."""
+"""Simulates drives of known tires, writes their logs, and fits them by both methods."""
 
 import tempfile
 import time
@@ -16,7 +16,7 @@ from tirefit.data.vehicle import Vehicle  # noqa: E402
 from tirefit.sim.drive import Car, Drive, simulate_drive  # noqa: E402
 
 RATES = (100, 50, 20)  # Hz
-DURATION, FINE = 40.0, 200.0  # s, Hz of the drive that the logs are taken from
+DURATION, FINE = 40.0, 200.0  # s, Hz of the simulated drive before logging
 V_STD, YAW_STD, A_Y_STD = 0.03, 0.002, 0.05  # m/s, rad/s, m/s2
 GRAVITY = 9.81  # m/s2
 YAW_STEP, STEERING_STEP = 0.005, 0.002  # rad/s, rad
@@ -52,7 +52,7 @@ def drive(seed: int, wheels: bool):
 
 
 def single_track(car: Car, how: Drive, truth, random) -> dict[str, np.ndarray]:
-    """A car of two axles on brushes, steered by two sines: Runge and Kutta in NumPy."""
+    """A single-track car on brushes, steered by two sines: Runge-Kutta in NumPy."""
     time = np.arange(round(how.duration * FINE)) / FINE
     base, step = car.l_f + car.l_r, 1 / FINE
     weight = car.mass * GRAVITY / base
@@ -109,7 +109,7 @@ def single_track(car: Car, how: Drive, truth, random) -> dict[str, np.ndarray]:
 
 
 def log_of(log, truth, rate: int, seed: int, path: Path) -> None:
-    """Write what a logger of this rate would have."""
+    """Write the log at this rate."""
     random = np.random.default_rng([23, seed, rate])
     time, late = log["time"], truth["steering_delay"]
 
@@ -146,7 +146,7 @@ def vehicle_of(car: Car, rate: int) -> Vehicle:
 
 
 def trial(seed: int, wheels: bool = False) -> list[dict]:
-    """One drive: at each rate the estimates by both ways, with the truth."""
+    """One drive: at each rate the truth and the estimates by both methods."""
     log, car, truth = drive(seed, wheels)
     found = []
     for rate in RATES:
@@ -175,7 +175,7 @@ def trial(seed: int, wheels: bool = False) -> list[dict]:
 
 
 def table(trials: list[dict]) -> str:
-    """Coverage, bias and spread of each parameter by rate, both ways, in Markdown."""
+    """Coverage, bias and spread of each parameter by rate and method, in Markdown."""
     lines = [
         "| rate | parameter | holds | bias | spread | derive + fit: holds | bias | spread |",
         "|---|---|---|---|---|---|---|---|",

@@ -1,7 +1,7 @@
 """The arrays of S Figures 9, 10, 12, 14, 16, 19, 20 and 25, from tirefit's models.
 
-``draw.py`` draws them and reads the asserted numbers off them. S prints values for
-Figure 10 alone; the others show the tires named here.
+``draw.py`` draws them and computes the asserted numbers. S prints values only for
+Figure 10; the others use the tires given here.
 """
 
 import jax
@@ -39,9 +39,9 @@ EXPANDED = {"19, d = -0.2": -0.2, "19, d = 0.1": 0.1}
 MU_0, FALL = 1.05, 0.0075
 """mu_0 and n [s/m], as printed with Figure 18."""
 OPTIMISED = (-0.2, 0.0, 0.2)
-"""d of Figure 25: those that S gives for Figure 26."""
+"""d of Figure 25, as given by S for Figure 26."""
 INTERVAL = np.linspace(0, 0.04, 201)[1:]
-"""kappa over which Figure 25 optimises: to 60 % of the peak (S section 5.4)."""
+"""kappa of the fit of Figure 25: up to 60 % of the peak (S section 5.4)."""
 
 
 def brake_force(tire, sigma, fz, v=0.0):
@@ -108,7 +108,7 @@ def convergence(name: str, sigma) -> dict[str, np.ndarray]:
 
 
 def optimised(d: float, order: int) -> tuple[float, float]:
-    """(c_p a^2 [N], mu F_z [N]) by which S(38), truncated, fits the truck curve."""
+    """(c_p a^2 [N], mu F_z [N]) of the fit of truncated S(38) to the truck curve."""
     sigma, force = INTERVAL / (1 - INTERVAL), magic_formula(INTERVAL, **TRUCK)
     start = np.array([TRUCK_STIFFNESS, TRUCK["D"] * TRUCK["fz"]])
 

@@ -1,6 +1,6 @@
-"""S Figures 9, 10, 12, 14, 16, 19, 20 and 25, and what is asserted of their curves.
+"""S Figures 9, 10, 12, 14, 16, 19, 20 and 25, and the asserted numbers of their curves.
 
-``python -m fits.source_figures.draw`` writes them beside this file.
+``python -m fits.source_figures.draw`` writes them to this folder.
 """
 
 from pathlib import Path
@@ -34,7 +34,7 @@ from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
 
 HERE = Path(__file__).parent
 LOAD = TRUCK["fz"]
-# One grid a figure: what is drawn is what is asserted.
+# One grid per figure, for the drawing and for the asserted numbers.
 SIGMA = np.linspace(0, 0.25, 25_001)
 KAPPA = np.linspace(0, 1, 10_001)
 ALPHA = np.arctan(np.linspace(0, 0.2, 20_001))
@@ -45,7 +45,7 @@ TO_SLIDING = np.linspace(0, 0.25, 25_001)
 
 def figure_9(picture: Picture) -> None:
     pair = picture.subplots(1, 2, sharey=True)
-    for axes, family, said in zip(
+    for axes, family, words in zip(
         pair, ("brush", "uniform"), ("parabolic", "uniform"), strict=True
     ):
         for i, (mu, cpa2) in enumerate(TIRES):
@@ -55,7 +55,7 @@ def figure_9(picture: Picture) -> None:
                 color=COLORS[i],
                 label=f"µ = {mu:g}, $c_p a^2$ = {cpa2 / 1e3:g} kN",
             )
-        axes.set_title(f"{said} pressure, $F_z$ = 4 kN", fontsize=9)
+        axes.set_title(f"{words} pressure, $F_z$ = 4 kN", fontsize=9)
         tidy(axes, "slip σ [–]", "$F_x / F_z$ [–]" if axes is pair[0] else "")
 
 
@@ -102,8 +102,8 @@ def figure_16(picture: Picture) -> None:
         ("fourth order", "--", COLORS[0]),
         ("parabolic", "-.", COLORS[1]),
     ):
-        said = "Magic Formula (truck)" if color == DARK else f"brush, {name} pressure"
-        axes.plot(100 * TO_PEAK, curves[name], line, color=color, label=said)
+        words = "Magic Formula (truck)" if color == DARK else f"brush, {name} pressure"
+        axes.plot(100 * TO_PEAK, curves[name], line, color=color, label=words)
     tidy(axes, "slip κ [%]", "$F_x / F_z$ [–]")
 
 
@@ -125,10 +125,10 @@ def _converging(axes, name: str) -> None:
     curves = convergence(name, TO_SLIDING)
     styles = {"exact": ("-", DARK), "4 terms": ("--", COLORS[0]), "3 terms": ("-.", COLORS[1])}
     for label, (line, color) in styles.items():
-        # Past full sliding a polynomial means nothing.
+        # A polynomial is not valid past full sliding.
         end = _sliding(name) if label != "exact" else len(TO_SLIDING)
-        said = "brush" if label == "exact" else f"Taylor form, {label}"
-        axes.plot(TO_SLIDING[:end], curves[label][:end], line, color=color, label=said)
+        words = "brush" if label == "exact" else f"Taylor form, {label}"
+        axes.plot(TO_SLIDING[:end], curves[label][:end], line, color=color, label=words)
     tidy(axes, "slip σ [–]", "$F_x / F_z$ [–]")
 
 
@@ -161,7 +161,7 @@ def figure_25(picture: Picture) -> None:
 
 
 def _sliding(name: str) -> int:
-    """Index of the first slip of Figure 19 or 20 where all bristles slide."""
+    """Index of the first slip of Figure 19 or 20 at which all bristles slide."""
     exact, tire = convergence(name, TO_SLIDING)["exact"], expanded(name)
     level = tire.friction.kinetic(tire.mu, SPEED * TO_SLIDING / (1 + TO_SLIDING))
     return int(np.argmax(exact >= np.asarray(level) * (1 - 1e-13)))
@@ -270,7 +270,7 @@ def _of_25() -> dict[str, float]:
 
 
 def properties() -> dict[str, float]:
-    """Numbers read off the drawn curves, by name; expected.toml says what they are."""
+    """Numbers of the drawn curves by name, as explained in expected.toml."""
     parts = (_of_9, _of_10, _of_12, _of_14, _of_16, _of_19_20, _of_25)
     return {name: float(value) for part in parts for name, value in part().items()}
 

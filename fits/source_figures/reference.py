@@ -1,7 +1,7 @@
 """The numbers of ``expected.toml`` without tirefit: SciPy on bristles and on S's forms.
 
-The brushes of Figures 9, 12 and 16 are integrated bristle by bristle: each carries what
-its deflection demands or what the road gives, whichever is less.
+The brushes of Figures 9, 12 and 16 are integrated bristle by bristle: each carries the
+smaller of its elastic force and the friction.
 """
 
 import numpy as np
@@ -36,7 +36,7 @@ def patch(pressure, ratio, mu, power=0):
     def spare(x):
         return mu * pressure(x) - ratio * (1 - x)
 
-    # One change from sliding to sticking, or none.
+    # At most one change from sliding to sticking.
     ends = (-1 + 1e-12, 1 - 1e-9)
     changes = spare(ends[0]) < 0 < spare(ends[1])
     parts = [-1.0, *([brentq(spare, *ends)] if changes else []), 1.0]

@@ -1,9 +1,8 @@
 r"""Taylor forms of the brush force at small slip, S(38), S(39) and S(41).
 
 A polynomial in the slip, :math:`F \approx \sum_k a_k \sigma^k`, is linear in its
-coefficients, which estimation with least squares likes (S §4.3, §5). It holds up to a
-slip that :func:`radius` gives; with an asymmetric pressure that may be a small part of
-the way to full sliding.
+coefficients, as linear least squares needs (S §4.3, §5). It is valid up to a slip given
+by :func:`radius`, which with an asymmetric pressure may be far below full sliding.
 """
 
 import jax
@@ -58,7 +57,7 @@ def speed_coefficients(
 ) -> Float[Array, "k ..."]:
     """Coefficients of sigma, sigma^2, ... for friction falling with speed, S(39).
 
-    S(39) to order 4 is the case ``static_too``; the fifth term is derived alike.
+    S(39) to order 4 is the case ``static_too``; the fifth term is derived in the same way.
 
     Args:
         cpa2: bristle stiffness c_p a^2 [N].
@@ -119,11 +118,11 @@ def truncated_force(coefficients, sigma):
 
 
 _GRID = np.geomspace(1e-6, 1e3, 4001)
-"""Demand ratios c sigma / (mu F_z) among which a radius is looked for."""
+"""Demand ratios c sigma / (mu F_z) in the search for a radius."""
 
 
 def radius(tire: Brush, fz: float, v: float = 0.0, order: int = 5, share=0.01) -> float:
-    """Physical slip up to which truncation costs less than ``share`` of the force.
+    """Physical slip up to which the truncation error is below ``share`` of the force.
 
     Args:
         tire: as for :func:`coefficients`, braking.
@@ -133,8 +132,8 @@ def radius(tire: Brush, fz: float, v: float = 0.0, order: int = 5, share=0.01) -
         share: error allowed, relative to the force.
 
     Returns:
-        the smallest slip at which the error reaches ``share``; beyond full sliding
-        where the polynomial is exact up to there.
+        the smallest slip at which the error reaches ``share``; a slip beyond full sliding
+        if the polynomial is exact up to full sliding.
 
     Raises:
         ValueError: no Taylor form of this brush; or the order.

@@ -1,11 +1,10 @@
-"""Data of known truth, seed 0: ``python -m fits.synthetic_recovery.make_data``.
+"""Writes data of known truth, seed 0: ``python -m fits.synthetic_recovery.make_data``.
 
-400 rows a file, true sigma uniform on 0.001..0.3, three speeds and loads in turn; the
-forces are those of ``fits/formulas.py``, not of tirefit. Noise by its standard
-deviation: ``rig`` 0.001 of slip and 1 % of the load; ``s51`` as S section 5.1, whose
-figures are variances: slip sqrt(0.2e-4), force sqrt(0.2e-2) of the load.
-``low_utilisation`` is the brush at rig noise where less than 60 % of the friction is
-used.
+400 rows per file, true sigma uniform on 0.001..0.3, three speeds and loads in turn; the
+forces are those of ``fits/formulas.py``, not of tirefit. Standard deviations of the
+noise: ``rig`` 0.001 of slip and 1 % of the load; ``s51`` as in S section 5.1, which
+gives variances: slip sqrt(0.2e-4), force sqrt(0.2e-2) of the load.
+``low_utilisation`` is the brush at rig noise with less than 60 % of the friction used.
 """
 
 from pathlib import Path
@@ -29,7 +28,7 @@ SPEED = np.array([10.0, 20.0, 30.0])
 
 
 def largest_slip(share: float, c: float, mu: float, fz: float) -> float:
-    """sigma at which a brush uses this share of its friction: 1 - (1 - 2rho/3)^3."""
+    """sigma at which a brush uses a share 1 - (1 - 2rho/3)^3 of its friction."""
     return 1.5 * mu * fz / c * (1 - (1 - share) ** (1 / 3))
 
 

@@ -1,6 +1,6 @@
 """The Gough plot S Figure 12 and the error of ``tire-sensor`` over it.
 
-``python -m fits.tire_sensor.draw`` writes the figure beside this file.
+``python -m fits.tire_sensor.draw`` writes the figure to this folder.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ FRICTIONS = (0.2, 0.4, 0.6, 0.8, 1.0, 1.2)
 
 
 def outputs(y, m):
-    """theta and used friction by the network that comes with the package."""
+    """theta and used friction by the network of the package."""
     weights = trained()
     theta, used = jax.vmap(lambda a, b: network(weights, a, b))(y, m)
     return np.asarray(theta), np.asarray(used)

@@ -1,7 +1,7 @@
 """Independent numbers: ``python -m fits.tire_sensor.reference``.
 
-NumPy and SciPy alone: S section 3.6 as printed, in NumPy, at points of the Gough plot,
-and its inverse by a root of the trail.
+S section 3.6 as printed, in NumPy, at points of the Gough plot, and its inverse by a
+root of the trail with SciPy.
 """
 
 from scipy.optimize import brentq

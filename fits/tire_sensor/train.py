@@ -1,9 +1,10 @@
-"""The weights of ``tire-sensor``: ``python -m fits.tire_sensor.train``.
+"""Trains the weights of ``tire-sensor``: ``python -m fits.tire_sensor.train``.
 
-The network learns this library's brush: friction even from 0.1 to 1.2, used friction
-even from 0.05 to 1 and, as many again, the sliding share even, or the slip angle would
-be poor near full sliding; force and moment by ``Brush.pure``. SciPy's L-BFGS on all
-points at once, from fixed first weights: the same on every run of one machine.
+The network is trained on tirefit's brush (``Brush.pure``): friction uniform from 0.1 to
+1.2; used friction uniform from 0.05 to 1 for a part of the points, the sliding share
+uniform for the others, so that the slip angle is accurate near full sliding. SciPy's
+L-BFGS uses all points at once, from fixed first weights, and is reproducible on one
+machine.
 """
 
 import json
@@ -22,7 +23,7 @@ STEPS = 3000
 
 
 def training_points():
-    """y, m, theta, used (n,) of the brush of the library at unit load and length."""
+    """y, m, theta, used (n,) of tirefit's brush at unit load and length."""
     by_use = 1 - np.cbrt(1 - np.linspace(0.05, 1, 30))
     sliding = np.r_[by_use, np.linspace(by_use[0], 1, 40)]
     mu, sliding = np.meshgrid(np.linspace(LEAST_FRICTION, MOST_FRICTION, 45), sliding)
@@ -36,7 +37,7 @@ def training_points():
 
 
 def train(steps: int = STEPS, seed: int = 0):
-    """Layers (matrix, offsets), and the mean square error they reach."""
+    """Layers (matrix, offsets), and their mean square error."""
     random = np.random.default_rng(seed)
     first = [
         (random.normal(size=(b, a)) / np.sqrt(a), np.zeros(b))

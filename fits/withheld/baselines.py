@@ -1,18 +1,18 @@
-"""Plain methods on the same files, none of them tirefit's: what a diagnosis must beat.
+"""Simple methods without tirefit on the same files, for comparison with the diagnosis.
 
     python -m fits.withheld.baselines out/withheld --jobs 2
 
-``bic``: each listed effect fitted beside c and mu, the five nearest refitted by
-SciPy, the smallest BIC named. ``residual``: the effect whose shape, not projected,
-correlates best with what the plain brush leaves. Both know the textbook forms exactly.
-``bic_checked`` says "unknown" where what the best of BIC leaves fails a runs test or a
-test of local means (``lack_of_fit.py``). ``forest`` (with ``--forest FEATURES.npz``): a
+``bic`` fits each listed effect together with c and mu, refits the best five by SciPy
+and names the smallest BIC. ``residual`` names the effect whose shape (not projected)
+correlates best with the residual of the plain brush. Both use the textbook forms.
+``bic_checked`` answers "unknown" if the residual of the best BIC fails a runs test or a
+test of local means (``lack_of_fit.py``). ``forest`` (with ``--forest FEATURES.npz``) is a
 random forest on features of the residual (``forest.py``).
-``ridge``: a smooth discrepancy over slip, load, speed and time, fitted without the
-highest load (or the largest slips): it names nothing, it closes. No label is opened.
+``ridge`` is a smooth discrepancy over slip, load, speed and time, fitted without the
+highest load (or the largest slips); it names no effect. No label is opened.
 
-Every file's answers go to ``FOLDER/baselines/GROUP`` as soon as they are there, so that
-``--resume`` goes on where a run stopped; at the end they are gathered in
+The answers of each file are written to ``FOLDER/baselines/GROUP`` at once, so that
+``--resume`` continues an interrupted run; at the end they are collected in
 ``FOLDER/baseline_*``, which the scorer reads.
 """
 
@@ -53,24 +53,24 @@ __all__ = [
 
 REFITTED = 5
 ALARM_OF_FIT = 0.01  # p-value of lack of fit
-ALARM = 3.5  # standard errors of a correlation, of some twenty tried
+ALARM = 3.5  # standard errors of a correlation; some twenty are tested
 LIMIT = 4.0  # of an amplitude, in typical ones
 
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:
-    """Columns of a table, NaN where nothing stands."""
+    """Columns of a table; empty cells are NaN."""
     with path.open() as lines:
         rows = list(csv.DictReader(lines))
     return {key: np.array([float(row[key] or "nan") for row in rows]) for key in rows[0]}
 
 
 def read_trial(path: Path, rig: dict) -> tuple[Inputs, np.ndarray]:
-    """Inputs and the forces (moment behind them) of a file, all rows."""
+    """Inputs and forces (followed by moments) of a file, all rows."""
     return from_columns(read_columns(path), rig)
 
 
 def from_columns(columns: dict, rig: dict) -> tuple[Inputs, np.ndarray]:
-    """The same of columns."""
+    """The same from columns."""
     force = "fx" if "sigma_x" in columns else "fy"
     slip = columns["sigma_x"] if force == "fx" else np.tan(columns["alpha"])
     time, fz = columns["time"], columns["fz"]
@@ -101,7 +101,7 @@ def from_columns(columns: dict, rig: dict) -> tuple[Inputs, np.ndarray]:
 
 
 def smoothed(slip: np.ndarray, run: np.ndarray, std: float) -> tuple[np.ndarray, float]:
-    """Slip of a sweep, seven points at a time where it moves slowly enough."""
+    """Slip and its std; slow sweeps are smoothed over seven points."""
     if std == 0 or np.median(np.abs(np.diff(slip))) > 2 * std:
         return slip, std
     out = slip.copy()
@@ -113,13 +113,13 @@ def smoothed(slip: np.ndarray, run: np.ndarray, std: float) -> tuple[np.ndarray,
 
 
 def bounds_of(effect: str) -> tuple[float, float]:
-    """Of an amplitude, in typical ones."""
+    """Bounds of an amplitude, in typical ones."""
     sign = EFFECTS[effect].sign
     return (-LIMIT, LIMIT) if sign == 0 else (0.02, LIMIT)
 
 
 class Plain(NamedTuple):
-    """The plain brush on a file, and what each effect would do to it (``shapes``)."""
+    """The plain brush on a file, and the change of its forces by each effect (``shapes``)."""
 
     c: float
     mu: float
@@ -134,12 +134,12 @@ class Plain(NamedTuple):
 
 
 def by_bic(x: Inputs, observed: np.ndarray) -> dict:
-    """A diagnosis in the document's form, by BIC over none and every single effect."""
+    """A diagnosis as a document, by BIC over no effect and every single effect."""
     return _bic(x, observed, Plain.of(x, observed))[0]
 
 
 def checked(x: Inputs, observed: np.ndarray, plain: Plain | None = None) -> tuple[dict, dict]:
-    """The diagnosis by BIC, and the same with a check of what its best leaves."""
+    """The diagnosis by BIC, and the same with a check of the best fit's residual."""
     found, left = _bic(x, observed, plain or Plain.of(x, observed))
     p = lack_of_fit(x, left)
     if p > ALARM_OF_FIT:
@@ -149,7 +149,7 @@ def checked(x: Inputs, observed: np.ndarray, plain: Plain | None = None) -> tupl
 
 
 def _bic(x: Inputs, observed: np.ndarray, plain: Plain) -> tuple[dict, np.ndarray]:
-    """The diagnosis, and what the best model leaves (n,), standardised."""
+    """The diagnosis, and the standardised residual (n,) of the best model."""
     c, mu, misses, std, shaped = plain
     n = len(misses)
     base = directions(x, c, mu) / std[:, None]
@@ -195,7 +195,7 @@ def _bic(x: Inputs, observed: np.ndarray, plain: Plain) -> tuple[dict, np.ndarra
 
 
 def by_residual(x: Inputs, observed: np.ndarray, plain: Plain | None = None) -> dict:
-    """A diagnosis by the largest correlation of the residual with an effect's shape."""
+    """A diagnosis by the largest correlation between the residual and an effect's shape."""
     _, _, misses, std, shaped = plain or Plain.of(x, observed)
     n = len(misses)
     strength = {(): ALARM**2}
@@ -209,7 +209,7 @@ def by_residual(x: Inputs, observed: np.ndarray, plain: Plain | None = None) -> 
 
 
 def document(values: dict, factor: float) -> dict:
-    """Verdict and candidates of weights exp(factor * value)."""
+    """Verdict and candidates with weights exp(factor * value)."""
     logs = {key: factor * value for key, value in values.items()}
     top = max(logs.values())
     weights = {key: np.exp(value - top) for key, value in logs.items()}
@@ -266,7 +266,7 @@ def ridge(x: Inputs, observed: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def basis(x: Inputs, c: float, mu: float) -> np.ndarray:
-    """Bells over the share of full sliding, times load, speed and time, (n, p)."""
+    """Gaussian bells over the share of full sliding, times load, speed and time, (n, p)."""
     u = np.clip(c * x.slip / (1.5 * mu * x.fz), -2, 2)
     centres = np.linspace(-2, 2, 13) if u.min() < -0.1 else np.linspace(0, 2, 9)
     bells = np.exp(-(((u[:, None] - centres) / 0.3) ** 2) / 2)
@@ -280,7 +280,7 @@ def basis(x: Inputs, c: float, mu: float) -> np.ndarray:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A file to write that becomes ``path`` at the end: never half of it is there."""
+    """A temporary file that replaces ``path`` when it is complete."""
     part = path.with_name(f".{path.name}.part")
     yield part
     part.replace(path)
@@ -289,7 +289,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def answered(
     path: Path, rig: dict, without: Sequence[str], forest: Forest | None
 ) -> tuple[dict[str, dict], dict[str, np.ndarray]]:
-    """Of one file: the diagnosis of every method, and the forces of the ridge."""
+    """The diagnosis of every method for one file, and the forces of the ridge."""
     x, observed = read_trial(path, rig)
     x = x.without(without)
     plain = Plain.of(x, observed)
@@ -301,7 +301,7 @@ def answered(
 
 
 def kept(path: Path) -> tuple[dict[str, dict], dict[str, np.ndarray]]:
-    """The same as ``run_group`` wrote it; nothing where there is no such file."""
+    """The same as written by ``run_group``; empty if there is no such file."""
     if not path.exists():
         return {}, {}
     with np.load(path) as file:
@@ -309,17 +309,17 @@ def kept(path: Path) -> tuple[dict[str, dict], dict[str, np.ndarray]]:
     return json.loads(str(forces.pop("answers"))), forces
 
 
-_taught: list[Forest | None] = [None]
-"""The forest of a process: too large to go with every group."""
+_trained: list[Forest | None] = [None]
+"""The forest of a process: too large to be sent with every group."""
 
 
 def _begin(forest: Forest | None) -> None:
     end_with_parent()
-    _taught[0] = forest
+    _trained[0] = forest
 
 
 def run_group(group: Path, without: Sequence[str], names: set[str], out: Path) -> None:
-    """Answers of every file of a group that has none of all these methods yet."""
+    """Writes the answers of every file of a group that lacks one of these methods."""
     out.mkdir(parents=True, exist_ok=True)
     begun, files = time.perf_counter(), sorted(group.glob("*.csv"))
     rig = tomllib.loads((group / "rig.toml").read_text())
@@ -327,7 +327,7 @@ def run_group(group: Path, without: Sequence[str], names: set[str], out: Path) -
         path = out / f"{file.stem}.npz"
         if names <= kept(path)[0].keys():
             continue
-        found, forces = answered(file, rig, without, _taught[0])
+        found, forces = answered(file, rig, without, _trained[0])
         with replacing(path) as part, part.open("wb") as opened:
             np.savez(opened, answers=json.dumps(found), **forces)
     spent = time.perf_counter() - begun
@@ -335,7 +335,7 @@ def run_group(group: Path, without: Sequence[str], names: set[str], out: Path) -
 
 
 def gathered(folder: Path, names: Sequence[str]) -> int:
-    """Writes what the scorer reads, in the order of the files; how many there are."""
+    """Writes the files for the scorer, in the order of the trials; returns their number."""
     answers: dict[str, dict] = {name: {} for name in names}
     closed = {}
     for group in sorted((folder / "trials").iterdir()):
@@ -356,22 +356,22 @@ def gathered(folder: Path, names: Sequence[str]) -> int:
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Baselines on a folder of trials")
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--forest", type=Path, help="features of fits.withheld.forest")
+    parser.add_argument("--forest", type=Path, help="features written by fits.withheld.forest")
     parser.add_argument("--jobs", type=int, default=1, help="groups at a time")
-    parser.add_argument("--resume", action="store_true", help="keep answers given")
+    parser.add_argument("--resume", action="store_true", help="keep existing answers")
     given = parser.parse_args(arguments)
     forest = trained(given.forest)
-    told = json.loads((given.folder / "leave_out.json").read_text())
+    left_out = json.loads((given.folder / "leave_out.json").read_text())
     names = ["bic", "bic_checked", "residual", *(["forest"] if forest else [])]
     out = given.folder / "baselines"
     if not given.resume:
         shutil.rmtree(out, ignore_errors=True)
-    # Before the processes import NumPy: more threads spin on each other's cores.
+    # Before the processes import NumPy: waiting threads would use other processes' cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     apart = get_context("spawn")
     with ProcessPoolExecutor(given.jobs, apart, _begin, (forest,)) as pool:
         waiting = [
-            pool.submit(run_group, group, told[group.name], set(names), out / group.name)
+            pool.submit(run_group, group, left_out[group.name], set(names), out / group.name)
             for group in largest_first(given.folder)
         ]
         for one in waiting:

@@ -1,10 +1,10 @@
-"""What was possible: of an observer who knows every form of the generator, of what no
-listed effect imitates, and of what shows beside what measured data lack themselves.
+"""The best possible scores: of an observer who knows every form of the generator, of
+unlisted effects that no listed one can fit, and of changes of measured data.
 
-The observer names the set of effects of the largest evidence, and must find out how
-many there are: none, one, or two. On the average over such trials hardly any method
-that sees the file alone is right more often. Told the effects and their forms, he says
-whether they show, and how much of the gap an answer closes.
+The observer names the set of effects with the largest evidence among none, one and two
+effects. Hardly any method that has only the file is right more often, on average over
+such trials. Given the effects and their forms, the observer also decides whether there
+is evidence for each, and how much of the gap an answer closes.
 """
 
 import tomllib
@@ -20,7 +20,7 @@ from fits.withheld.goals import STRONG, WEAK
 from fits.withheld.injected import MU, C, half
 from fits.withheld.judge import Outcome, true_closure
 from fits.withheld.library import Inputs, base_fit
-from fits.withheld.observer import beliefs, evidence, told
+from fits.withheld.observer import beliefs, evidence, given_effects
 from fits.withheld.patch import plain_brush
 
 __all__ = [
@@ -28,18 +28,18 @@ __all__ = [
     "injected_that_show",
     "observer_rows",
     "size_of_change",
-    "strangers_that_show",
+    "unlisted_that_show",
 ]
 
-SHOWS = 3.0  # standard errors: found in 9 of 10 by who looks for it at 4 % alarms
+SHOWS = 3.0  # standard errors: a test for this change finds 9 of 10 at 4 % false alarms
 SHAPES = 1000
-"""Shapes of what is not listed that who does not know it has to look for: over every
-quantity kinks, steps, bumps and waves, of stiffness, friction, slip and force."""
+"""Number of shapes that a search for an unknown effect has to test: kinks, steps, bumps
+and waves over every quantity, of stiffness, friction, slip and force."""
 
 _ALARMS = 0.04
 
 _STATED = ("iid", "slip_classical")
-"""Laws of the noise of which the rig file states all."""
+"""Noise laws that the rig file states completely."""
 
 _SIZES = (
     ("any gap", 0, np.inf, "root_lambda"),
@@ -47,16 +47,16 @@ _SIZES = (
     ("strong", *STRONG, "gap_over_noise"),
     ("weak", *WEAK, "gap_over_noise"),
 )
-"""Of a gap: name, smallest, largest, and which number of the label it is."""
+"""Ranges of the gap: name, smallest, largest, and the number of the label."""
 
 
-def strangers_that_show(labels: dict, outcomes: dict) -> list[list[str]]:
-    """[of what, n, possible, answered]: whether anything shows that no listed effect,
-    at any size, does as well, and whether it was flagged; the same for who looks for
-    any of :data:`SHAPES`, the true one among them, at as many false alarms."""
+def unlisted_that_show(labels: dict, outcomes: dict) -> list[list[str]]:
+    """Rows [group, n, possible, answered]: share of trials with a gap that no listed effect
+    fits at any amplitude, and share flagged; then the share found by a search over
+    :data:`SHAPES` shapes that include the true one, at the same rate of false alarms."""
     groups = {
-        "not listed, strong": (("unlisted", "procedural"), *STRONG),
-        "not listed, weak": (("unlisted", "procedural"), *WEAK),
+        "unlisted, strong": (("unlisted", "procedural"), *STRONG),
+        "unlisted, weak": (("unlisted", "procedural"), *WEAK),
         "family left out": (("leave_out",), 0, np.inf),
         "foreign tire": (("foreign",), 0, np.inf),
     }
@@ -79,11 +79,11 @@ def strangers_that_show(labels: dict, outcomes: dict) -> list[list[str]]:
 
 
 def size_of_change(before: dict, after: dict) -> float:
-    """How far a change of measured data moves what the brush leaves of them, in
-    standard errors of who is told which change it is.
+    """Norm of the change of the brush's residual by a change of measured data, in standard
+    errors of a test for that change.
 
-    What it leaves is taken for noise that remembers (first order, within a run);
-    stiffness and friction adapt to the change.
+    The residual is taken as AR(1) noise within a run; stiffness and friction are
+    refitted to the change.
 
     Args:
         before, after: columns of the file as measured and with the change.
@@ -107,8 +107,8 @@ def size_of_change(before: dict, after: dict) -> float:
 
 
 def injected_that_show(folder: Path, labels: dict, outcomes: dict) -> list[list[str]]:
-    """[of what, n, possible, answered]: whether a change of measured data shows, and
-    whether it was named."""
+    """Rows [group, n, possible, answered]: share of changes of measured data of at least
+    :data:`SHOWS` standard errors, and share named."""
     sizes: dict[str, list[tuple[bool, bool]]] = {}
     for name, outcome in outcomes.items():
         label = labels[name]
@@ -126,9 +126,10 @@ def injected_that_show(folder: Path, labels: dict, outcomes: dict) -> list[list[
 
 
 class _Observed(NamedTuple):
-    """One trial: what the observer believes most, how much, and whether it is so; what
-    was answered. ``shows``: whether the effects do, to who is told them; ``off``: by
-    how much he and the answer miss what the answer closes, where it claims any."""
+    """One trial: whether the observer's most probable set is right, its probability, and
+    the scores of the answer. ``shows``: whether there is evidence for each effect, given
+    the effects; ``off``: errors of the observer's and the answer's closure, where the
+    answer claims one."""
 
     size: int
     strength: float
@@ -136,7 +137,7 @@ class _Observed(NamedTuple):
     right: bool
     chance: float
     exact: bool
-    said: bool
+    reported: bool
     answered_right: bool
     answered_chance: float
     shows: bool = False
@@ -144,7 +145,7 @@ class _Observed(NamedTuple):
 
 
 def _observed(folder: Path, label: dict, outcome: Outcome, answer: Path) -> _Observed:
-    """``answer``: the rows that an answer wrote."""
+    """``answer``: the file of rows that an answer wrote."""
     trial = _trial(folder, label)
     truth = tuple(sorted(label["effects"]))
     found = beliefs(trial.x, evidence(trial.x, trial.observed, truth, pairs=True))
@@ -163,7 +164,7 @@ def _observed(folder: Path, label: dict, outcome: Outcome, answer: Path) -> _Obs
     if not truth:
         return seen
     forms = dict(zip(label["effects"], label["forms"], strict=True))
-    known = told(trial.x, trial.observed, forms, np.random.default_rng(0))
+    known = given_effects(trial.x, trial.observed, forms, np.random.default_rng(0))
     seen = seen._replace(shows=known.shows)
     if not outcome.claimed or outcome.closed is None:
         return seen
@@ -178,10 +179,10 @@ def _observed(folder: Path, label: dict, outcome: Outcome, answer: Path) -> _Obs
 def observer_rows(
     folder: Path, answers: Path, labels: dict, outcomes: dict, count: int
 ) -> list[list[str]]:
-    """[of what, n, possible, answered] of as many trials without an effect, in the
-    noise that is stated, with one and with two: how often who knows all forms names the
-    set, the Brier score of what he believes of it; of those with effects, whether who
-    is told which they are sees them, and how far off he says what is closed."""
+    """Rows [group, n, possible, answered] of ``count`` trials each without an effect (in the
+    stated noise), with one and with two: how often the observer names the set, and the
+    Brier score of its probability; given the effects, how often there is evidence for
+    each, and the error of the closure."""
     each = []
     for of in ("null", "singles", "pairs"):
         names = [
@@ -223,22 +224,22 @@ def observer_rows(
     ]
     rows += [
         [
-            f"{of}, told which; or said so",
+            f"{of}, effects given; or reported",
             str(len(one)),
             f"{np.mean([o.shows for o in one]):.3f}",
-            f"{np.mean([o.said for o in one]):.3f}",
+            f"{np.mean([o.reported for o in one]):.3f}",
         ]
         for of, one in groups.items()
         if one and one[0].size
     ]
     if each:
         mine = np.mean([(o.chance - o.right) ** 2 for o in each])
-        said = np.mean([(o.answered_chance - o.answered_right) ** 2 for o in each])
-        rows.append(["Brier score of all these", str(len(each)), f"{mine:.3f}", f"{said:.3f}"])
+        theirs = np.mean([(o.answered_chance - o.answered_right) ** 2 for o in each])
+        rows.append(["Brier score of all these", str(len(each)), f"{mine:.3f}", f"{theirs:.3f}"])
     if off := [o.off for o in each if o.off]:
         rows += [
             [
-                f"closure, told which: {name}",
+                f"closure, effects given: {name}",
                 str(len(off)),
                 *(f"{value:.3f}" for value in np.quantile(off, level, axis=0)),
             ]
@@ -250,23 +251,23 @@ def observer_rows(
 def bound_rows(
     folder: Path, answers: Path, labels: dict, outcomes: dict, count: int
 ) -> list[list[str]]:
-    """[of what, n, possible, answered] for a table.
+    """Rows [group, n, possible, answered] of a table.
 
-    Of the first ``count`` trials of each kind that have an answer, by name; of all
-    with something that is not listed, or with a change of measured data.
+    They use the first ``count`` answered trials of each kind, by name, and all trials
+    with an unlisted effect or with a change of measured data.
     """
     if not count:
         return []
     return [
         *observer_rows(folder, answers, labels, outcomes, count),
-        *strangers_that_show(labels, outcomes),
+        *unlisted_that_show(labels, outcomes),
         *injected_that_show(folder, labels, outcomes),
     ]
 
 
 class _Trial(NamedTuple):
-    """A file: its inputs, what was ``observed``, and what the force (n,) is more at the
-    slip as logged than at that of the inputs: the noise of the slip is no gap."""
+    """A file: its inputs, the ``observed`` force, and ``more`` (n,), the force at the slip as
+    logged minus that at the smoothed slip of the inputs: slip noise is no gap."""
 
     x: Inputs
     observed: np.ndarray

@@ -1,9 +1,10 @@
-"""A car of four wheels on a drive, and what may be wrong with it or with its log.
+"""A four-wheeled car on a drive, with faults of the car or of its log.
 
-The second route for the effects of a vehicle: two wheels to an axle, each with its own
-load, slip angle and closed-form brush, integrated in time. Nothing is shared with
-tirefit. Axes by ISO 8855; alpha and the force of an axle as in ``tirefit.slip``:
-positive where it slides to the left, and the force then acts to the right.
+This is the independent route for the effects of a vehicle: two wheels per axle, each
+with its own load, slip angle and closed-form brush, integrated in time. No code is
+shared with tirefit. Axes by ISO 8855; alpha and the force of an axle as in
+``tirefit.slip``: alpha is positive if the axle slides to the left, and the force then
+acts to the right.
 """
 
 from dataclasses import dataclass
@@ -20,21 +21,21 @@ WHEELBASE, TRACK = 2.6, 1.5  # m
 STIFFNESS, FRICTION = 4.5e4, 0.9  # c_p a^2 [N] and mu of an axle
 
 _ROUNDS = 12
-"""In which a_y and the loads that it moves settle to 0.02 %."""
+"""Iterations after which a_y and the load transfer have converged to 0.02 %."""
 
 
 @dataclass(frozen=True)
 class Car:
-    """What the model of an axle does not know, and what the log has wrong.
+    """Faults that the model of an axle does not contain, and faults of the log.
 
     Attributes:
-        height: of the centre of gravity [m]; 0 moves no load.
-        with_load: powers of the load of a wheel that its stiffness and friction follow.
-        toe: of both rear wheels, inwards [rad].
-        unlike: friction of the left tires over the mean, less one.
-        slope, downhill: of the floor, and the heading that points down it [rad].
-        logged_inertia: yaw inertia that forces are derived with, over the true one.
-        ahead: of the axle the logged slip angle is so far [m].
+        height: of the centre of gravity [m]; 0: no load transfer.
+        with_load: exponents of stiffness and friction over the load of a wheel.
+        toe: toe-in of both rear wheels [rad].
+        unlike: friction of the left tires over the mean, minus one.
+        slope, downhill: of the floor, and the heading that points downhill [rad].
+        logged_inertia: yaw inertia used to derive the forces, over the true one.
+        ahead: distance of the point of the logged slip angle ahead of the axle [m].
         logged_steer: logged road wheel angle over the true one.
         logged_load: whether fz is logged with the longitudinal transfer.
     """
@@ -51,14 +52,14 @@ class Car:
     logged_load: bool = True
 
     def load(self, axle: str, a_x):
-        """Of an axle [N]."""
+        """Load of an axle [N]."""
         arm = ARMS["rear" if axle == "front" else "front"]
         moved = MASS * a_x * self.height / WHEELBASE
         static = MASS * GRAVITY * arm / WHEELBASE
         return static + (moved if axle == "rear" else -moved)
 
     def force(self, axle: str, alpha, a_x, a_y):
-        """Of both wheels [N]; a_y moves load to the right wheel in a left turn."""
+        """Force of both wheels [N]; a_y > 0 (left turn) moves load to the right wheel."""
         load, total = self.load(axle, a_x), 0.0
         for side in (-1.0, 1.0):  # left, right
             share = 0.5 + side * a_y * self.height / (GRAVITY * TRACK)
@@ -83,7 +84,7 @@ def speed_rate(time):
 
 
 def steer(time):
-    """Road wheel angle [rad]: turns of both sides, one side more."""
+    """Road wheel angle [rad]: turns to both sides, more to one."""
     swing = np.sin(1.1 * time) + 0.7 * np.sin(2.3 * time + 1) + 0.4 * np.sin(5.1 * time)
     return 0.012 + 0.05 * (0.5 + 0.5 * np.sin(0.13 * time)) * swing
 
@@ -97,11 +98,11 @@ def _angles(time, v_y, yaw_rate):
 
 
 def _accelerations(car: Car, time, yaw, v_y, yaw_rate):
-    """(a_y, yaw acceleration, forces by axle); a_y moves the load that it comes of."""
+    """(a_y, yaw acceleration, forces by axle), iterated: a_y changes the loads."""
     angles, a_x = _angles(time, v_y, yaw_rate), speed_rate(time) - v_y * yaw_rate
     pull = GRAVITY * car.slope * np.sin(car.downhill - yaw)
     a_y = v_y * 0.0
-    # No load moves where the height is zero: then the first round is the last.
+    # Without height there is no load transfer, and one iteration is enough.
     for _ in range(_ROUNDS if car.height else 1):
         forces = {axle: car.force(axle, angles[axle], a_x, a_y) for axle in angles}
         front = forces["front"] * np.cos(steer(time))
@@ -117,8 +118,8 @@ def drive(
     """The log of one axle, (n,) each, at 10 Hz.
 
     Args:
-        measured: the force by transducers in the hubs; else derived from the motion.
-        seed: of the noise: 0.5 mrad of slip angle, 0.5 % of the load in the force.
+        measured: the force is measured in the hubs; otherwise derived from the motion.
+        seed: of the noise: 0.5 mrad in the slip angle, 0.5 % of the load in the force.
     """
     generator, time = np.random.default_rng(seed), np.arange(rows) * 0.1
 
@@ -139,7 +140,7 @@ def drive(
     if measured:
         force = forces[axle] + noisy
     else:
-        # A noise of the acceleration is one of the force.
+        # Noise of the acceleration, equal to that of the force.
         a_y = a_y + noisy * WHEELBASE / (MASS * other)
         inertial = np.sign(arm) * car.logged_inertia * INERTIA * turn
         force = -(MASS * other * a_y + inertial) / WHEELBASE
@@ -171,4 +172,4 @@ FAULTS = {
     "load_transfer": (Car(height=0.6, logged_load=False), "rear", True),
     "steering_gain": (Car(logged_steer=1.15), "front", True),
 }
-"""Effect -> a car that has it, the axle that shows it, whether force is measured."""
+"""Effect -> a car with it, the axle that shows it, whether the force is measured."""

@@ -1,4 +1,4 @@
-"""How a tire is measured: the inputs of every row, by design.
+"""Designs of measurements: the inputs of every row.
 
 Slips are sigma_x, or tan(alpha) in the lateral designs. Rows are in the order of time.
 """
@@ -15,8 +15,8 @@ __all__ = ["DESIGNS", "Design", "make_world"]
 class Design(NamedTuple):
     """``order``: "random" points in blocks, "sweeps" in time, "pulses", "slalom".
 
-    ``lowest``/``highest``: range of slip. ``shuffled``: loads and speeds at random
-    from point to point instead of block by block. ``sealed``: not for development.
+    ``lowest``/``highest``: range of slip. ``shuffled``: loads and speeds in random order
+    instead of in blocks. ``sealed``: not used in development.
     """
 
     loads: tuple[float, ...]
@@ -31,7 +31,7 @@ class Design(NamedTuple):
 
     @property
     def properties(self) -> set[str]:
-        """What effects may ask for (``needs``), columns apart."""
+        """Properties that effects may need (``needs``), without columns."""
         return {
             *({"loads"} if len(self.loads) > 1 else ()),
             *({"speeds"} if len(self.speeds) > 1 else ()),
@@ -64,7 +64,7 @@ PULSE = 0.6  # s
 
 
 def _shares(n: int, parts: int) -> np.ndarray:
-    """(n,) index of the part, in order, parts as equal as can be."""
+    """(n,) index of the part of each row, in order, with parts of nearly equal length."""
     return np.arange(n) * parts // n
 
 
@@ -98,7 +98,7 @@ def _sweeps(design: Design, n: int, generator):
 
 
 def _pulses(design: Design, n: int, generator):
-    """Saw-tooth braking at 100 Hz: slow rise, quick release, load follows braking."""
+    """Saw-tooth braking at 100 Hz: slow rise, quick release; the load rises with braking."""
     time = 0.01 * np.arange(n)
     number = np.floor(time / PULSE).astype(int)
     height = generator.uniform(0.4, 1, number.max() + 1)[number]
@@ -111,7 +111,7 @@ def _pulses(design: Design, n: int, generator):
 
 
 def _slalom(design: Design, n: int, generator):
-    """A sine of growing height at 100 Hz; the load moves with the cornering."""
+    """A sine of growing amplitude at 100 Hz; the load changes with the cornering."""
     time = 0.01 * np.arange(n)
     growth = 0.3 + 0.7 * time / time.max()
     wave = np.sin(2 * np.pi * 0.5 * time) * growth
@@ -124,7 +124,7 @@ _ORDERS = {"random": _steady, "sweeps": _sweeps, "pulses": _pulses, "slalom": _s
 
 
 def make_world(design: Design, n: int, c: float, mu: float, generator) -> World:
-    """A plain tire measured by this design, with every column an effect may ask for."""
+    """A plain tire in this design, with every column that an effect may need."""
     time, run, slip, fz, v = _ORDERS[design.order](design, n, generator)
     world = World(time, run, slip, fz, v, design.force, c, mu, moment=design.moment)
     elapsed = (time - time.min()) / (time.max() - time.min())
@@ -133,7 +133,7 @@ def make_world(design: Design, n: int, c: float, mu: float, generator) -> World:
     swing = np.sin(2 * np.pi * (3.3 * elapsed + generator.uniform()))
     world.gamma = 0.05 * swing + 0.02 * generator.choice([-1, 1])
     world.cross = 0.05 * np.abs(np.cos(np.pi * (2.3 * elapsed + generator.uniform())))
-    # Four fillings, and a force across that comes and goes: no chance in either.
+    # Four inflation pressures and a sinusoidal cross force, both without random draws.
     filling = np.floor(4 * ((2.6 * elapsed + 0.2) % 1))
     world.inflation = 2.2e5 * (0.8 + 0.4 / 3 * filling)
     world.across = 0.5 * mu * fz * np.sin(2 * np.pi * 4.7 * elapsed + 1)

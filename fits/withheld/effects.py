@@ -1,6 +1,6 @@
-"""Effects by id: typical amplitude, what they need, and several forms of each.
+"""Effects by id: typical amplitude, needs, and several forms of each.
 
-The first form is the textbook one; the last is kept for sealed trials. A form takes
+The first form is the textbook one; the last is used only in sealed trials. A form takes
 (world, amplitude, generator) and changes the world.
 """
 
@@ -178,5 +178,5 @@ EFFECTS = {
 
 
 def family_of(effect: str) -> str:
-    """Family of an effect's id; noise ids are of the family "noise"."""
+    """Family of an effect's id; "noise" for ids of noise."""
     return "noise" if effect in NOISE_EFFECTS else EFFECTS[effect].family

@@ -1,14 +1,14 @@
-"""A random forest on features of the residual, taught on development trials.
+"""A random forest on features of the residual, trained on development trials.
 
     python -m fits.withheld.forest --trials 1500 --out out/forest.npz   # the features
     python -m fits.withheld.baselines out/withheld --forest out/forest.npz --jobs 2
 
-What an engineer would do who has many labelled examples and no physics beyond the plain
-brush. The features are those of what the brush leaves, in standard deviations: its mean
+This is the approach with many labelled examples and no physics beyond the plain brush.
+The features describe the residual of the brush, in standard deviations: its mean
 over the slip fraction, load, speed and time, by the sign of the slip and its direction,
 its autocorrelation in time and over the slip, spread and tails, its correlation with
-every column times smooth functions of the slip fraction. The classes are nothing, every
-effect, and a stranger. It takes scikit-learn (dependency group "check").
+every column times smooth functions of the slip fraction. The classes are no effect, every
+listed effect, and an unlisted effect. It needs scikit-learn (dependency group "check").
 """
 
 import argparse
@@ -25,7 +25,7 @@ from fits.withheld.library import Inputs, base_fit
 __all__ = ["Forest", "by_forest", "class_of", "features", "main", "trained"]
 
 TREES = 400
-SEED = 701  # of the trials that it is taught: a development seed
+SEED = 701  # of the training trials: a development seed
 LAGS = (1, 2, 5, 10, 20)
 SETS = ("singles", "singles", "null", "unlisted", "singles", "procedural", "foreign",
         "singles", "null", "singles")  # fmt: skip
@@ -37,7 +37,7 @@ class Forest(NamedTuple):
 
 
 def _means(values, place, parts) -> list[float]:
-    """Mean times the root of the count, over parts: standard errors."""
+    """Mean times the square root of the count for each part, in standard errors."""
     out = []
     for k in range(parts):
         inside = values[place == k]
@@ -46,7 +46,7 @@ def _means(values, place, parts) -> list[float]:
 
 
 def _parts(values, parts) -> np.ndarray:
-    """(n,) index of equal parts of the range; 0 where it does not vary."""
+    """(n,) index of equal parts of the range; 0 for constant values."""
     width = np.ptp(values)
     if width < 1e-9:
         return np.zeros(len(values), int)
@@ -59,7 +59,7 @@ def _correlation(a, b) -> float:
 
 
 def features(x: Inputs, observed: np.ndarray) -> np.ndarray:
-    """Features of the main channel's residual, NaN never; the length is fixed."""
+    """Features of the main channel's residual: finite values, fixed length."""
     n = len(x.slip)
     (c, mu), misses, _ = base_fit(x, observed)
     e, sign = misses[:n], np.where(x.slip < 0, -1.0, 1.0)
@@ -105,8 +105,8 @@ def class_of(label: dict) -> str:
     return label["effects"][0] if label["effects"] else "none"
 
 
-def taught(table: np.ndarray, classes: Sequence[str]) -> Forest | None:
-    """None, and a line that says so, where there is no scikit-learn."""
+def fitted(table: np.ndarray, classes: Sequence[str]) -> Forest | None:
+    """The trained forest; without scikit-learn None, and a printed line."""
     try:
         from sklearn.ensemble import RandomForestClassifier
     except ImportError:
@@ -118,16 +118,16 @@ def taught(table: np.ndarray, classes: Sequence[str]) -> Forest | None:
 
 
 def trained(path: Path | None) -> Forest | None:
-    """The forest of a file of features; None, and a line, where there is none."""
+    """The forest trained on a file of features; without it None, and a printed line."""
     if path is None or not path.exists():
         print("forest: skipped, no features of development trials (--forest)")
         return None
     with np.load(path) as kept:
-        return taught(kept["features"], kept["classes"].tolist())
+        return fitted(kept["features"], kept["classes"].tolist())
 
 
 def by_forest(forest: Forest, x: Inputs, observed: np.ndarray) -> dict:
-    """A diagnosis in the document's form; what is off the list is not named."""
+    """A diagnosis as a document; effects that are left out are not named."""
     share = forest.model.predict_proba(features(x, observed)[None])[0]
     found = {
         name: float(p)
@@ -158,7 +158,7 @@ def main(arguments: list[str] | None = None) -> None:
     from fits.withheld.generate import rig_text
     from fits.withheld.trials import draw
 
-    parser = argparse.ArgumentParser(description="Features that teach a random forest")
+    parser = argparse.ArgumentParser(description="Write the features that train a random forest")
     parser.add_argument("--trials", type=int, default=1500)
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args(arguments)

@@ -1,4 +1,4 @@
-"""What an effect does to a world, in one functional form or another.
+"""Forms of the effects of tire and measurement.
 
 Each takes (world, amplitude, generator) and changes the world; the textbook form of an
 effect is the first that ``effects.py`` lists.
@@ -27,7 +27,7 @@ def skewed_beta(world, d, _):
 
 
 def skewed_warp(world, d, _):
-    """A parabola whose top is moved from the middle to 0.4 d."""
+    """A parabola whose peak is shifted from the centre to 0.4 d."""
     top = 0.4 * d
 
     def pressure(xi, used):
@@ -55,7 +55,7 @@ def sixth_order(world, w, _):
 
 
 def trapezoid(world, w, _):
-    """Mixture of the parabola and a trapezoid, edges of a quarter."""
+    """Mixture of the parabola and a trapezoid with ramps of a quarter."""
     w = 0.7 * min(w, 1.0)
     world.pressure = lambda xi, used: (
         (1 - w) * 0.75 * (1 - xi**2) + w * np.minimum((1 - np.abs(xi)) / 0.25, 1) / 1.75
@@ -108,7 +108,7 @@ def speed_power(world, n, _):
 
 
 def speed_root(world, e, _):
-    """S(37): v_st = 30 m/s, exponent 1/2, the share 1 - h that can fall 2.5 e."""
+    """S(37): v_st = 30 m/s, exponent 1/2, 1 - h = 2.5 e."""
     decay = np.exp(-np.sqrt(world.sliding_speed / 30))
     world.scale_friction(1 - 2.5 * e * (1 - decay))
 
@@ -168,7 +168,7 @@ def friction_heat(world, a, _):
 
 
 def friction_heat_bell(world, a, _):
-    """A best temperature off to one side."""
+    """Friction with a maximum at a temperature off the centre."""
     top = np.sign(a) * 1.5
     world.scale_friction(1 - abs(a) / 3 * ((_heat(world) - top) ** 2 - top**2))
 
@@ -220,7 +220,7 @@ def road_blend(world, a, generator):
 
 
 def road_stretch(world, a, generator):
-    """Another road for a third of the record."""
+    """A different road for a third of the record."""
     at = generator.uniform(0.2, 0.45)
     inside = (_elapsed(world) > at) & (_elapsed(world) < at + 0.35)
     world.scale_friction(1 + a * inside)
@@ -239,7 +239,7 @@ def hysteresis_smooth(world, a, _):
 
 
 def hysteresis_polarised(world, a, _):
-    """The more of the friction is used, the larger the difference."""
+    """The difference grows with the used friction."""
     u = np.minimum(np.abs(world.slip) * world.c / (1.5 * world.mu * world.fz), 1)
     world.scale_friction(1 + 1.2 * a * u * np.sign(world.loading))
 
@@ -273,7 +273,7 @@ def force_zero(world, a, _):
 
 
 def force_tare(world, a, _):
-    """The zero wanders by a fifth around its mean, slowly."""
+    """The zero varies slowly by a fifth around its mean."""
     wander = 1 + 0.2 * np.cos(np.pi * (world.time / world.time.max()))
     world.after.append(lambda w, force: force + a * NOMINAL_LOAD * wander)
 
@@ -283,7 +283,7 @@ def practical_slip(world, a, _):
 
 
 def inverse_slip(world, a, _):
-    """sigma computed once more from what already was sigma."""
+    """The conversion from kappa to sigma applied to a slip that already is sigma."""
     world.logged.append(lambda w, slip: slip / (1 - slip))
 
 
@@ -297,7 +297,7 @@ def delay(world, a, _):
 
 
 def delay_of_filter(world, a, _):
-    """Two equal poles after the force, same total delay."""
+    """Two equal poles after the force, with the same total delay."""
     rate = np.full(len(world.slip), 2 / a)
     world.late.append(lambda w, force: lagged(w, lagged(w, force, rate), rate))
 
@@ -311,7 +311,7 @@ def force_lag(world, a, _):
 
 
 def shortening_lag(world, a, _):
-    """The relaxation length falls as more of the patch slides."""
+    """The relaxation length falls with the sliding part of the patch."""
     u = np.minimum(np.abs(world.slip) * world.c / (1.5 * world.mu * world.fz), 1)
     world.late.append(lambda w, force: lagged(w, force, w.v / (1.4 * a * (1 - 0.8 * u))))
 
@@ -364,7 +364,7 @@ def camber_force(world, a, _):
 
 
 def camber_angle(world, a, _):
-    """Camber acts as so much more slip angle, and saturates with it."""
+    """Camber acts as an additional slip angle, and saturates with it."""
     world.slip = world.slip + a * world.gamma * world.fz / (2 * world.c)
 
 

@@ -1,4 +1,4 @@
-"""What sensors, rigs, vehicles and a tire without a thermometer do to a world.
+"""Forms of the effects of sensors, rigs, vehicles and the tire's unmeasured temperature.
 
 As in ``forms.py``: (world, amplitude, generator) -> None, the textbook form first.
 """
@@ -19,7 +19,7 @@ def _elapsed(world: World) -> np.ndarray:
     return span / span.max()
 
 
-# --- zeros that move --------------------------------------------------------
+# --- drifting zeros ---------------------------------------------------------
 
 
 def slip_zero_creeps(world, a, _):
@@ -31,7 +31,7 @@ def slip_zero_settles(world, a, _):
 
 
 def slip_zero_turns(world, a, _):
-    """Half a cosine: at rest at both ends of the record."""
+    """Half a cosine: constant at both ends of the record."""
     world.logged.append(lambda w, slip: slip - a / 2 * np.cos(np.pi * _elapsed(w)))
 
 
@@ -49,7 +49,7 @@ def force_zero_root(world, a, _):
     world.after.append(lambda w, force: force + a * NOMINAL_LOAD * (np.sqrt(_elapsed(w)) - 0.6))
 
 
-# --- channels that leak -----------------------------------------------------
+# --- crosstalk --------------------------------------------------------------
 
 
 def load_leaks(world, a, _):
@@ -57,7 +57,7 @@ def load_leaks(world, a, _):
 
 
 def load_leaks_evenly(world, a, _):
-    """Less than in proportion: rolling resistance at a rig's usual pressures."""
+    """Less than proportional: rolling resistance at the usual pressures of a rig."""
     world.after.append(lambda w, force: force + a * NOMINAL_LOAD**0.2 * w.fz**0.8)
 
 
@@ -70,7 +70,7 @@ def load_zero(world, a, _):
 
 
 def load_zero_bent(world, a, _):
-    """The zero shrinks as the cell is loaded."""
+    """The zero offset falls with the load."""
     world.load = world.fz + a * NOMINAL_LOAD * (1.3 - 0.3 * world.fz / NOMINAL_LOAD)
 
 
@@ -83,7 +83,7 @@ def across_leaks(world, a, _):
 
 
 def across_leaks_bent(world, a, _):
-    """More at large forces: the balance bends."""
+    """Grows faster than the force: the balance deflects."""
     most = np.abs(world.across).max()
     world.after.append(
         lambda w, force: force + a * w.across * (0.7 + 0.4 * np.abs(w.across) / most)
@@ -106,7 +106,7 @@ def dry_friction_smooth(world, a, _):
 
 
 def dry_friction_grows(world, a, _):
-    """The guides press harder under a larger force."""
+    """The friction of the guides grows with the force."""
 
     def change(w, force):
         pressed = 0.5 + np.abs(force) / np.abs(force).max()
@@ -123,7 +123,7 @@ def slip_follows_load(world, a, _):
 
 
 def radius_under_load(world, a, _):
-    """The radius of the slip is that of the usual load."""
+    """The slip is computed with the radius at the usual load."""
     world.logged.append(lambda w, slip: (1 + slip) * (1 + a * (w.fz / NOMINAL_LOAD - 1)) - 1)
 
 
@@ -178,7 +178,7 @@ def friction_ellipse(world, a, _):
 
 
 def friction_ellipse_of_force(world, a, _):
-    """The whole force shrinks, as of a vehicle model's last line."""
+    """Also scales the whole force, as vehicle models do."""
     left = np.sqrt(1 - np.minimum(a * _taken(world) ** 2, 0.9))
     world.after.append(lambda w, force: force * (0.4 + 0.6 * left))
     world.scale_friction(0.5 + 0.5 * left)
@@ -193,7 +193,7 @@ def friction_superellipse(world, a, _):
 
 
 def _inflated(world: World) -> np.ndarray:
-    """Inflation over its usual value, less one, in units of the range of a rig."""
+    """Relative deviation of the inflation from its usual value, in units of a rig's range."""
     return (world.inflation / 2.2e5 - 1) / 0.4
 
 
@@ -223,7 +223,7 @@ def stiffness_inflated_saturating(world, a, _):
 
 
 def _work(world: World, lasts: float | None) -> np.ndarray:
-    """Work of sliding so far, -1/2 to 1/2 over the record; it fades over ``lasts``."""
+    """Accumulated work of sliding, scaled to a range of one; it decays over ``lasts``."""
     force = plain_brush(world.slip, world.fz, world.c, world.mu)[0]
     power = np.abs(force) * world.sliding_speed
     out, warmth, elapsed = np.zeros(len(power)), 0.0, _elapsed(world)

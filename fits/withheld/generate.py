@@ -1,12 +1,12 @@
-"""Trials whose cause is known to nobody who diagnoses them.
+"""Writes trials: measurements with a hidden cause, and the labels with that cause.
 
     python -m fits.withheld.generate --seed 1 --trials 60 --set singles,null,unlisted \\
         --design G,C,B --noise rig,seed --out out/withheld
 
 Writes ``OUT/trials/GROUP/tNNNN.csv`` with its ``rig.toml`` (no label in either), and
-beside them ``OUT/labels.json``, ``OUT/truth.npz`` and ``OUT/labels.sha256``.
-``OUT/leave_out.json`` says which effects each group is diagnosed without, if any, and
-``OUT/simulators.json`` which groups hold the forces of a simulator.
+``OUT/labels.json``, ``OUT/truth.npz`` and ``OUT/labels.sha256``. ``OUT/leave_out.json``
+lists the effects without which each group is diagnosed, and ``OUT/simulators.json`` the
+groups that contain the forces of a simulator.
 """
 
 import argparse
@@ -37,7 +37,7 @@ wheel_inertia = 1.0    # kg m2
 
 
 def rig_text(trial: Trial) -> str:
-    """rig.toml of a trial: what is stated, true or not."""
+    """rig.toml of a trial: what is stated about the rig, true or not."""
     slip, share, moment = NOISE[trial.label["noise"]]
     design = DESIGNS[trial.label["design"]]
     lateral = design.force == "fy"
@@ -60,26 +60,26 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
 def write_all(trials: list[Trial], out: Path) -> str:
     """Writes files, labels and truth; returns the SHA-256 of the label file.
 
-    Trials that the folder holds already are removed.
+    Earlier trials in the folder are removed.
 
     Raises:
-        SystemExit: the folder holds answers, to other trials.
+        SystemExit: the folder contains answers to other trials.
     """
-    labels, truth, rigs, told, simulated = {}, {}, {}, {}, {}
+    labels, truth, rigs, left_out, simulated = {}, {}, {}, {}, {}
     for number, trial in enumerate(trials):
         name = f"t{number:04d}"
         text = trial.rig or rig_text(trial)
-        beside = any(column.endswith("_sim") for column in trial.columns)
-        key = (text, trial.label["leave_out"], beside)
+        with_sim = any(column.endswith("_sim") for column in trial.columns)
+        key = (text, trial.label["leave_out"], with_sim)
         group = rigs.setdefault(key, f"rig{len(rigs):02d}")
-        told[group] = [e for e in EFFECTS if family_of(e) == trial.label["leave_out"]]
-        simulated[group] = beside
+        left_out[group] = [e for e in EFFECTS if family_of(e) == trial.label["leave_out"]]
+        simulated[group] = with_sim
         labels[name] = {"file": f"{group}/{name}.csv", **trial.label}
         truth |= {f"{name}_{key}": value for key, value in trial.truth.items()}
     text, kept = json.dumps(labels, indent=1, sort_keys=True), out / "labels.json"
     same = kept.exists() and kept.read_text() == text
     if (out / "answers").exists() and not same:
-        raise SystemExit(f"{out} holds answers to other trials: take another folder")
+        raise SystemExit(f"{out} contains answers to other trials: choose another folder")
     shutil.rmtree(out / "trials", ignore_errors=True)
     for (rig, *_), group in rigs.items():
         (out / "trials" / group).mkdir(parents=True)
@@ -87,7 +87,7 @@ def write_all(trials: list[Trial], out: Path) -> str:
     for label, trial in zip(labels.values(), trials, strict=True):
         write_csv(out / "trials" / label["file"], trial.columns)
     kept.write_text(text)
-    (out / "leave_out.json").write_text(json.dumps(told, indent=1))
+    (out / "leave_out.json").write_text(json.dumps(left_out, indent=1))
     (out / "simulators.json").write_text(json.dumps(simulated, indent=1))
     np.savez_compressed(out / "truth.npz", **truth)
     digest = hashlib.sha256(text.encode()).hexdigest()
@@ -99,17 +99,19 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--trials", type=int, required=True)
-    parser.add_argument("--set", default="all", help=f"of {', '.join(SETS)}, or all")
-    parser.add_argument("--design", default="", help=f"of {', '.join(DESIGNS)}")
+    parser.add_argument("--set", default="all", help=f"any of {', '.join(SETS)}, or all")
+    parser.add_argument("--design", default="", help=f"any of {', '.join(DESIGNS)}")
     parser.add_argument("--noise", default="rig,seed")
     parser.add_argument("--rows", default="200,900,2000")
     parser.add_argument("--sealed", action="store_true", help="sealed designs and forms")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args(arguments)
     if given.sealed != (given.seed >= FIRST_SEALED_SEED):
-        parser.error(f"--sealed takes seeds from {FIRST_SEALED_SEED}, others below")
+        parser.error(
+            f"--sealed needs a seed of at least {FIRST_SEALED_SEED}; without it, a smaller one"
+        )
     if given.seed < 0 or given.trials < 1:
-        parser.error("--seed is 0 or more, --trials 1 or more")
+        parser.error("--seed must be at least 0, --trials at least 1")
     sets = list(MIXTURE) if given.set == "all" else given.set.split(",")
     designs = given.design.split(",") if given.design else []
     open_to = DESIGNS if given.sealed else DEVELOPMENT
@@ -120,9 +122,9 @@ def main(arguments: list[str] | None = None) -> None:
     ):
         if unknown := [name for name in asked if name not in known]:
             listed = ", ".join(known)
-            parser.error(f"{option}: no {', '.join(map(repr, unknown))} of {listed}")
+            parser.error(f"{option}: unknown {', '.join(map(repr, unknown))}; choose from {listed}")
     if not all(n.isdecimal() and int(n) > 0 for n in given.rows.split(",")):
-        parser.error("--rows: numbers of rows, as 200,900")
+        parser.error("--rows: give numbers of rows, such as 200,900")
     trials = draw(
         given.seed,
         given.trials,

@@ -1,4 +1,4 @@
-"""The goals of the widened check, beside the thresholds: limit, found, pass or not."""
+"""The goals of the extended check, in addition to the thresholds: limit, found, verdict."""
 
 from collections.abc import Iterable
 
@@ -19,35 +19,31 @@ __all__ = ["STRONG", "WEAK", "goals"]
 
 STRONG = (0.8, np.inf)
 WEAK = (0.15, 0.5)
-"""Rms of the gap that the best plain brush leaves, over the noise (the label's
+"""Range of the rms of the gap after the best plain brush, over the noise (the label's
 ``gap_over_noise``)."""
 
 
 def _between(s: Scored, bounds: tuple[float, float], *kinds: str) -> list:
-    """Outcomes of sets, with a gap of this size."""
+    """Outcomes of these sets whose gap over the noise is within bounds."""
     low, high = bounds
     return s.that(lambda x, o: x["set"] in kinds and low <= x["gap_over_noise"] <= high)
 
 
-def _said(outcomes: Iterable) -> tuple:
+def _reported(outcomes: Iterable) -> tuple:
     return share(o.exact_or_alias for o in outcomes)
 
 
 def _hidden(s: Scored) -> list[Check]:
-    out, strangers = [], ("unlisted", "procedural")
+    out, unlisted = [], ("unlisted", "procedural")
     for size, bounds, limit in (
         ("gap >= 0.8 of the noise", STRONG, 0.91),
         ("gap 0.15-0.5 of the noise", WEAK, 0.65),
     ):
-        of = _between(s, bounds, *strangers)
+        of = _between(s, bounds, *unlisted)
         out += [
-            check(1, f"not listed, {size}: flagged", limit, False, share(o.unknown for o in of)),
+            check(1, f"unlisted, {size}: flagged", limit, False, share(o.unknown for o in of)),
             check(
-                1,
-                f"not listed, {size}: surely misnamed",
-                0.03,
-                True,
-                share(o.sure_wrong for o in of),
+                1, f"unlisted, {size}: surely misnamed", 0.03, True, share(o.sure_wrong for o in of)
             ),
         ]
     return out
@@ -59,16 +55,16 @@ def _listed(s: Scored) -> list[Check]:
     return [
         check(2, "listed, strong: exact", 0.95, False, share(o.exact for o in strong)),
         check(2, "listed, weak: exact", 0.88, False, share(o.exact for o in weak)),
-        check(3, "exact or said so, strong", 0.98, False, _said(strong)),
-        check(3, "exact or said so, weak", 0.95, False, _said(weak)),
-        check(3, "exact or said so, pairs", 0.85, False, _said(pairs)),
+        check(3, "exact or reported, strong", 0.98, False, _reported(strong)),
+        check(3, "exact or reported, weak", 0.95, False, _reported(weak)),
+        check(3, "exact or reported, pairs", 0.85, False, _reported(pairs)),
         check(4, "pairs exact", 0.65, False, share(o.exact for o in pairs)),
     ]
 
 
 def _others(s: Scored, labels: dict, outcomes: dict) -> list[Check]:
     alarms = s.that(lambda x, o: kind_of(x) == "null")
-    # What the measured data lack beside an injected change is known to nobody.
+    # The other effects in the raw measured data are unknown.
     known = s.that(lambda x, o: x["set"] != "raw")
     return [
         check(5, "false alarms", 0.04, True, share(o.flagged for o in alarms)),
@@ -76,9 +72,9 @@ def _others(s: Scored, labels: dict, outcomes: dict) -> list[Check]:
               share(o.unknown for o in s.where("leave_out"))),
         check(6, "foreign tire: flagged", 0.88, False,
               share(o.unknown for o in s.where("foreign"))),
-        check(6, "a listed effect beside a stranger: the effect named", 0.75, False,
+        check(6, "a listed and an unlisted effect: the listed one named", 0.75, False,
               share(o.named for o in s.where("beside"))),
-        check(6, "false names beside something unlisted, a case", 0.15, True,
+        check(6, "false names with an unlisted effect, per trial", 0.15, True,
               _mean([o.false_names for o in s.where(*HIDDEN)])),
         check(6, "injected into measured data: named", 0.80, False,
               share(o.exact for o in telling(labels, outcomes))),
@@ -97,11 +93,11 @@ def _quantile(values: list[float], level: float) -> tuple[float | None, int]:
 
 
 def _simulators(s: Scored) -> list[Check]:
-    beside = s.where("simulators")
-    held = share(inside for o in beside for inside in o.within)
-    off = [part for o in beside for part in o.shares_off]
+    trials = s.where("simulators")
+    held = share(inside for o in trials for inside in o.within)
+    off = [part for o in trials for part in o.shares_off]
     return [
-        check(8, "simulator: 90 % intervals hold the true parameter", 0.85, False, held),
+        check(8, "simulator: 90 % intervals contain the true parameter", 0.85, False, held),
         check(8, "simulator: the same, no more than", 0.95, True, held),
         check(
             8,
@@ -114,9 +110,9 @@ def _simulators(s: Scored) -> list[Check]:
 
 
 def _closure(s: Scored) -> list[Check]:
-    # Who names nothing claims nothing, and is right about it: that is no evidence.
-    told = s.that(lambda x, o: o.claimed and o.closed is not None)
-    off = [abs(o.claimed - o.closed) for o in told]
+    # An answer without effects claims no closure, and is no evidence.
+    claims = s.that(lambda x, o: o.claimed and o.closed is not None)
+    off = [abs(o.claimed - o.closed) for o in claims]
     return [
         check(9, "closure, claimed against true, median", 0.02, True, _quantile(off, 0.5)),
         check(9, "closure, claimed against true, 90 %", 0.09, True, _quantile(off, 0.9)),
@@ -124,6 +120,6 @@ def _closure(s: Scored) -> list[Check]:
 
 
 def goals(labels: dict, outcomes: dict) -> list[Check]:
-    """Every goal that the trials can answer; n stands behind each number."""
+    """All goals that the trials can answer, each with its number of trials."""
     s = Scored(labels, outcomes)
     return [*_hidden(s), *_listed(s), *_others(s, labels, outcomes), *_simulators(s), *_closure(s)]

@@ -1,7 +1,7 @@
 """Known changes put into measured data: the rear axle of ``fits/dart_rear_axle``.
 
-The file has a gap of its own, so what counts is whether the change is named, beside
-whatever else is, where it is not named for the same rows as they were measured.
+The file has other effects, too. The score is whether the change is named, whatever else
+is named, provided that it is not named for the unchanged rows.
 """
 
 from pathlib import Path
@@ -15,11 +15,11 @@ __all__ = ["CHANGES", "half", "injected", "raw"]
 
 FILE = Path(__file__).parents[1] / "dart_rear_axle" / "free_driving.csv"
 C, MU = 39.3, 0.702  # N, -: the fit of fits/dart_rear_axle
-RIG = "# A car, its axle's slip angle and force derived from its motion.\n"
+RIG = "# A car; slip angle and force of an axle are derived from its motion.\n"
 
 
 def read_axle() -> dict[str, np.ndarray]:
-    """Columns of the measured file; ``run`` counts the logs."""
+    """Columns of the measured file; ``run`` is the number of the log."""
     names = FILE.read_text().split("\n", 1)[0].split(",")
     text = np.genfromtxt(FILE, delimiter=",", skip_header=1, dtype=str)
     columns = {name: text[:, k] for k, name in enumerate(names)}
@@ -45,7 +45,7 @@ def _heading(data, size, _):
 
 
 def _friction(data, size, g):
-    """The friction of a brush changes after a moment in the middle of the record."""
+    """The friction of a brush changes at a time in the middle of the record."""
     start = np.quantile(data["time"], g.uniform(0.3, 0.7))
     slip = np.tan(data["alpha"])
     before = plain_brush(slip, data["fz"], C, MU)[0]
@@ -78,7 +78,7 @@ def _label(which: int, n: int) -> dict:
 
 
 def raw(which: int) -> tuple[dict, dict, str]:
-    """Columns, label and rig text of a half as it was measured."""
+    """Columns, label and rig text of a half as measured."""
     data = half(which)
     return data, {**_label(which, len(data["time"])), "set": "raw"}, RIG
 

@@ -1,4 +1,4 @@
-"""What one answer is worth against its label: pure functions of two documents."""
+"""Scores one answer against its label: pure functions of two documents."""
 
 from typing import NamedTuple
 
@@ -14,34 +14,34 @@ HIDDEN = ("unlisted", "leave_out", "foreign", "procedural", "beside")
 
 
 def kind_of(label: dict) -> str:
-    """The set that a trial is judged as: beside a simulator, that of what it holds."""
+    """The set as which a trial is judged; of a trial with a simulator, the set it was drawn as."""
     return label.get("of", label["set"])
 
 
 class Outcome(NamedTuple):
-    """One trial scored; None where the question does not arise."""
+    """The scores of one trial; None where a score does not apply."""
 
     name: str
-    flagged: bool  # a gap in the mean is claimed
+    flagged: bool  # the answer claims a gap in the mean
     exact: bool
     family: bool
     top3: bool
     top5: bool
     exact_or_alias: bool
-    unknown: bool  # says that something not listed is there
-    right: bool  # the verdict as a whole, for calibration
+    unknown: bool  # the answer reports an unlisted effect
+    right: bool  # the whole verdict, for calibration
     family_right: bool
     sure_wrong: bool
     probability: float
     family_probability: float
-    covered: bool  # truth among the candidates that make up 90 %
+    covered: bool  # truth among the candidates that together have 90 %
     set_size: int
     status: str
     effects: tuple[str, ...]
     also: tuple[str, ...]
-    named: bool = False  # every effect that is there
-    false_names: int = 0  # effects named that are not there
-    unlisted: float | None = None  # said probability of something that is not listed
+    named: bool = False  # every effect that is present
+    false_names: int = 0  # named effects that are absent
+    unlisted: float | None = None  # reported probability of an unlisted effect
     claimed: float | None = None
     claimed_ci: tuple | None = None
     closed: float | None = None
@@ -52,7 +52,7 @@ class Outcome(NamedTuple):
 
 
 def families(effects, listed=None) -> frozenset:
-    """Families of ids; of an id not in the table, as the answer calls it."""
+    """Families of ids; of an id not in the table, the family given in the answer."""
     listed = listed or {}
     return frozenset(
         family_of(e) if e in EFFECTS or e in NOISE_EFFECTS else listed.get(e, e) for e in effects
@@ -62,11 +62,11 @@ def families(effects, listed=None) -> frozenset:
 class Answer(NamedTuple):
     status: str
     effects: tuple[str, ...]
-    mean: frozenset  # ids that change the mean: neither noise nor "unknown"
+    mean: frozenset  # ids of effects on the mean: neither noise nor "unknown"
     also: tuple[str, ...]
     probability: float
     ranked: list  # (frozenset of effects, probability), best first
-    names: dict  # families of ids that the table does not have
+    names: dict  # families of ids that are not in the table
 
 
 def answer_of(result: dict) -> Answer:
@@ -88,7 +88,7 @@ def answer_of(result: dict) -> Answer:
 
 
 def _credible(ranked, level=0.9) -> list:
-    """The best candidates that together hold this probability, or all there are."""
+    """The best candidates that together have this probability, or all."""
     held, out = 0.0, []
     for effects, probability in ranked:
         out.append(effects)
@@ -99,40 +99,40 @@ def _credible(ranked, level=0.9) -> list:
 
 
 def _family_probability(answer: Answer) -> float:
-    """Probability of all candidates of the verdict's families, at least its own."""
+    """Probability of all candidates of the verdict's families, at least that of the verdict."""
     mine = families(answer.mean, answer.names)
     same = [p for e, p in answer.ranked if families(e, answer.names) == mine]
     return min(max(sum(same), answer.probability), 1.0) if mine else answer.probability
 
 
 def judge(name: str, label: dict, result: dict) -> Outcome:
-    """Scores one diagnosis. The rules are those of README.md, "What counts"."""
+    """Scores one diagnosis by the rules of README.md, "What is checked"."""
     a, truth = answer_of(result), frozenset(label["effects"])
     unknown = a.status in ("unknown", "incomplete") or "unknown" in a.effects
     flagged = a.status != "none" and (bool(a.mean) or unknown)
     hidden = kind_of(label) in HIDDEN
     exact = flagged and not hidden and bool(truth) and a.mean == truth
-    if label["set"] == "injected":  # the measured data has a gap of its own as well
+    if label["set"] == "injected":  # the measured data have another gap as well
         exact = truth <= a.mean
-    kin = flagged and not hidden and bool(truth)
-    kin = kin and families(a.mean, a.names) == families(truth)
-    said = a.mean | frozenset(a.also)
-    alias = a.status == "cannot_tell" and bool(truth) and truth <= said
+    family = flagged and not hidden and bool(truth)
+    family = family and families(a.mean, a.names) == families(truth)
+    possible = a.mean | frozenset(a.also)
+    alias = a.status == "cannot_tell" and bool(truth) and truth <= possible
     if hidden:
         right = family_right = unknown
-        if label["set"] == "beside":  # what it names must be there
+        if label["set"] == "beside":  # named effects must be present
             right = family_right = unknown and a.mean <= truth
     elif label["set"] == "injected":
         right, family_right = exact, exact
     elif truth:
-        right, family_right = exact and not unknown, kin and not unknown
+        right, family_right = exact and not unknown, family and not unknown
     else:
         right = family_right = not flagged
     named = bool(a.mean) and a.status == "named"
     best = [effects for effects, _ in a.ranked]
     credible = _credible(a.ranked)
     return Outcome(
-        name=name, flagged=flagged, exact=exact, family=kin,
+        name=name, flagged=flagged, exact=exact, family=family,
         top3=exact or truth in best[:3], top5=exact or truth in best[:5],
         exact_or_alias=exact or alias, unknown=unknown, right=right,
         family_right=family_right,
@@ -147,18 +147,18 @@ def judge(name: str, label: dict, result: dict) -> Outcome:
 
 
 def _simulator(label: dict, result: dict) -> dict:
-    """Whether the intervals of the parameters hold the truth, and how far the shares
-    of the budget are from the true ones: parameters, effects, what has no name.
+    """Whether the parameters' intervals contain the truth, and the errors of the budget's
+    shares: parameters, effects, unexplained.
 
-    A share that stands at an effect which is not there is nobody's.
+    The share of a named effect that is absent counts nowhere.
     """
     if label["set"] != "simulators":
         return {}
-    said = result["verdict"].get("parameters") or {}
+    found = result["verdict"].get("parameters") or {}
     within = tuple(
-        abs(said[name]["measured"] - about["true"]) <= INTERVAL * said[name]["std"]
+        abs(found[name]["measured"] - about["true"]) <= INTERVAL * found[name]["std"]
         for name, about in label["parameters"].items()
-        if about["scored"] and name in said
+        if about["scored"] and name in found
     )
     shares = {part["part"]: part["share"] for part in result.get("budget", [])}
     if not shares:
@@ -182,7 +182,7 @@ def _gap(result: dict) -> dict:
 
 
 def true_closure(rows: dict, truth: dict, channel: str) -> float | None:
-    """1 - RMS(truth - extended) / RMS(truth - base) of a channel, masked rows out."""
+    """1 - RMS(truth - extended) / RMS(truth - base) of a channel, without masked rows."""
     base, extended = rows[f"base_{channel}"], rows[f"extended_{channel}"]
     keep = (rows["masked"] == 0) & np.isfinite(base) & np.isfinite(extended)
     before = np.sqrt(np.mean((truth[channel] - base)[keep] ** 2))

@@ -1,4 +1,4 @@
-"""Whether what a model leaves looks like noise: runs of signs, local means."""
+"""Tests whether the residual of a model resembles noise: runs of signs, local means."""
 
 import numpy as np
 from scipy.stats import f as variance_ratio
@@ -8,11 +8,11 @@ from fits.withheld.library import Inputs
 
 __all__ = ["lack_of_fit", "local_means", "runs"]
 
-LEAST = 6  # rows of a block
+LEAST = 6  # rows per block
 
 
 def runs(values: np.ndarray) -> float:
-    """p-value of so few changes of sign (Wald and Wolfowitz), one-sided."""
+    """One-sided p-value of the number of sign changes (Wald and Wolfowitz)."""
     above = values > np.median(values)
     n, ups = len(values), int(above.sum())
     pairs = 2.0 * ups * (n - ups)
@@ -24,7 +24,7 @@ def runs(values: np.ndarray) -> float:
 
 
 def local_means(values: np.ndarray) -> float:
-    """p-value of block means that differ so much: analysis of variance over blocks."""
+    """p-value of the spread of block means: analysis of variance over blocks."""
     n = len(values)
     parts = max(min(int(np.sqrt(n)), n // LEAST), 1)
     if parts < 2:
@@ -38,8 +38,8 @@ def local_means(values: np.ndarray) -> float:
 
 
 def lack_of_fit(x: Inputs, left: np.ndarray) -> float:
-    """p-value (Bonferroni) of a remainder (n,), in the order of time, of slip, and of
-    slip within every load and speed."""
+    """p-value (Bonferroni) of a residual (n,), ordered by time, by slip, and by slip within
+    each load and speed."""
     cells = np.lexsort((x.slip, np.round(x.v, 1), np.round(x.fz / x.fz.mean(), 1)))
     orders = [np.argsort(x.time, kind="stable"), np.argsort(x.slip), cells]
     tests = [test(left[order]) for order in orders for test in (runs, local_means)]

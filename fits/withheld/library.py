@@ -1,4 +1,4 @@
-"""The listed effects as models of data: what the baselines fit and what can mimic.
+"""The listed effects as models of a file, for the baselines and for ``mimic_free``.
 
 Textbook forms only, on the bristle patch of ``patch.py``.
 """
@@ -14,14 +14,14 @@ from fits.withheld.patch import World, forces, plain_brush
 
 __all__ = ["Inputs", "STEP_TIMES", "base_fit", "mimic_free", "predict", "shapes", "spread"]
 
-STEP_TIMES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the stretch in which a road may change
+STEP_TIMES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the range in which a road may change
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a file says of each row (n,), None where it does not.
+    """Columns (n,) of a file, None if absent.
 
-    ``slip`` is as logged; ``stds`` are of slip [-], of the force [N] (n,) and of the
+    ``slip`` is as logged; ``stds`` are those of slip [-], force [N] (n,) and
     moment [N m] (n,).
     """
 
@@ -42,12 +42,12 @@ class Inputs:
     left_out: tuple[str, ...] = ()
 
     def without(self, effects) -> "Inputs":
-        """The same data with these effects off the list."""
+        """The same data without these effects in the list."""
         return replace(self, left_out=tuple(effects))
 
     @property
     def properties(self) -> set[str]:
-        """What effects may ask for (``needs``)."""
+        """Properties that effects may need (``needs``)."""
         has = {
             "loads": np.ptp(self.fz) > 0.3 * self.fz.mean(),
             "speeds": np.ptp(self.v) > 0.3 * self.v.mean(),
@@ -67,7 +67,7 @@ class Inputs:
 
     @property
     def effects(self) -> list[str]:
-        """Effects that these columns and this design can have."""
+        """Effects that these columns and this design allow."""
         have = self.properties
         return [
             name
@@ -77,7 +77,7 @@ class Inputs:
 
 
 class _Share:
-    """In place of a random generator: always this share of the range."""
+    """Replaces a random generator: ``uniform`` returns this share of the range."""
 
     def __init__(self, share: float):
         self.share = share
@@ -87,11 +87,11 @@ class _Share:
 
 
 _UNDONE = ("slip_offset", "slip_definition")
-"""Effects on the logged slip whose inverse is written out."""
+"""Effects on the logged slip with an explicit inverse."""
 
 
 def _slip_behind(world: World) -> np.ndarray:
-    """The slip that was logged as this one, to first order of the changes."""
+    """The slip before the changes of its logging, to first order."""
     slip = world.slip
     for change in world.logged:
         slip = change(world, slip)
@@ -99,7 +99,7 @@ def _slip_behind(world: World) -> np.ndarray:
 
 
 def _true_slip(effect: str, slip: np.ndarray, amplitude: float) -> np.ndarray:
-    """The slip behind a logged one (the inverse of the form's ``logged``)."""
+    """The slip before logging (the inverse of the form's ``logged``)."""
     if effect == "slip_offset":
         return slip - amplitude
     if effect == "slip_definition":  # amplitude 1: kappa was logged as sigma
@@ -110,10 +110,10 @@ def _true_slip(effect: str, slip: np.ndarray, amplitude: float) -> np.ndarray:
 def predict(
     x: Inputs, effect: str | None, amplitude, c, mu, share=0.5, form: str = ""
 ) -> np.ndarray:
-    """Force [N], with the moment behind it where measured: (n,) or (2n,).
+    """Force [N] (n,), followed by the moment [N m] if measured (2n,).
 
-    ``form`` is the textbook one where none is said; ``share`` stands for its random
-    draws, of their range.
+    ``form``: the textbook form by default; ``share`` replaces its random draws by this
+    share of their range.
     """
     if effect is None:
         return _forces(x, x.slip, (), c, mu)
@@ -126,8 +126,8 @@ def predict(
 
 
 def predict_together(x: Inputs, parts: Sequence[tuple], c, mu) -> np.ndarray:
-    """The same with several (effect, form, amplitude, share) at once; what was done to
-    the logged slip is undone to first order."""
+    """The same for several (effect, form, amplitude, share) at once; changes of the logged
+    slip are inverted to first order."""
     return _forces(x, x.slip, parts, c, mu)
 
 
@@ -146,7 +146,7 @@ def _forces(x: Inputs, slip, parts, c, mu, behind: bool = True) -> np.ndarray:
 
 
 def spread(x: Inputs, c: float, mu: float) -> np.ndarray:
-    """Standard deviation of force (and moment), the noise of the slip within."""
+    """Standard deviation of force (and moment), including the noise of the slip."""
     slip_std, force_std, moment_std = x.stds
     step = 1e-4
     steep = [
@@ -164,7 +164,7 @@ def spread(x: Inputs, c: float, mu: float) -> np.ndarray:
 
 
 def base_fit(x: Inputs, observed: np.ndarray, c=5e4, mu=0.9, loss="linear"):
-    """Least squares of the plain brush: (c, mu), standardised misses, their std."""
+    """Least squares of the plain brush: (c, mu), standardised residuals, their std."""
 
     def model(p):
         force, moment = plain_brush(x.slip, x.fz, *np.exp(p))
@@ -196,7 +196,7 @@ def directions(x: Inputs, c: float, mu: float) -> np.ndarray:
 
 
 def shapes(x: Inputs, effects, c: float, mu: float) -> dict[str, list[np.ndarray]]:
-    """What each effect of typical size does to the forces, unscaled."""
+    """Change of the forces by each effect of typical amplitude, not standardised."""
     plain = predict(x, None, 0, c, mu)
     return {
         effect: [
@@ -208,9 +208,10 @@ def shapes(x: Inputs, effects, c: float, mu: float) -> dict[str, list[np.ndarray
 
 
 def mimic_free(x: Inputs, truth: np.ndarray) -> float:
-    """What no listed effect can imitate of a noise-free truth, in standard errors.
+    """The part of a noise-free gap that no listed effect can fit, in standard errors.
 
-    Each effect enters by its shape at typical size, freely scaled, beside c and mu.
+    Each effect is fitted together with c and mu, as its shape at typical amplitude times
+    a free factor.
     """
     (c, mu), misses, std = base_fit(x, truth)
     base = directions(x, c, mu) / std[:, None]

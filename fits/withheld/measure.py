@@ -1,4 +1,4 @@
-"""A world measured: noise, the columns of the file, the truth and the gap behind it."""
+"""Measures a world: noise, the columns of the file, the truth and the gap."""
 
 import numpy as np
 
@@ -8,16 +8,16 @@ from fits.withheld.patch import World, forces, plain_brush
 
 __all__ = ["NOISE", "logged_slip", "measure"]
 
-RADIUS = 0.3  # m, as every rig.toml says
+RADIUS = 0.3  # m, as stated in every rig.toml
 NOISE = {"rig": (0.001, 0.01, 0.001), "seed": (0.2e-4**0.5, 0.2e-2**0.5, 0.004)}
 """Standard deviations: slip, force and moment [m] as shares of the load."""
 
 
 def measure(world: World, noise: str, law: str, extras: set[str], g) -> tuple:
-    """Columns of the file, the noise-free truth, and the size of the gap.
+    """Columns of the file, the noise-free truth, and the numbers of the gap.
 
-    ``law`` is that of the noise (``disturbed``), ``extras`` the columns beyond the
-    needed, ``g`` the random generator.
+    ``law`` is the law of the noise (``disturbed``), ``extras`` are additional columns, ``g``
+    is the random generator.
     """
     fz, name, n = world.fz, world.force, len(world.fz)
     slip_std, share, moment = NOISE[noise]
@@ -34,7 +34,7 @@ def measure(world: World, noise: str, law: str, extras: set[str], g) -> tuple:
     across = "fy" if name == "fx" else "fx"
     for key in sorted(extras):
         columns[across if key == "across" else key] = _extra(world, key, g)
-    # The truth at the slip as measured, so that noise of the slip is no gap.
+    # The truth is taken at the measured slip, so that slip noise is no gap.
     plain = plain_brush(logged, fz, world.c, world.mu)
     moved = plain_brush(measured, fz, world.c, world.mu)
     truth = {name: clean[name] + moved[0] - plain[0]}
@@ -51,7 +51,7 @@ def logged_slip(world: World) -> np.ndarray:
 
 
 def _extra(world: World, column: str, g) -> np.ndarray:
-    if column == "omega":  # of the stated radius: a wrong one moves the slip as well
+    if column == "omega":  # with the stated radius; a wrong one changes the slip as well
         slip = world.sensed
         for change in world.logged:
             if slip_radius.__name__ in change.__qualname__:
@@ -71,7 +71,7 @@ def _extra(world: World, column: str, g) -> np.ndarray:
 
 def _gap(world, clean, logged, noise, extras) -> dict:
     """Gap of the best plain brush: sqrt(lambda) in standard errors, rms [N], and rms
-    in standard deviations of the noise (that of the slip within)."""
+    in standard deviations of the noise (including that of the slip)."""
     slip_std, share, moment = NOISE[noise]
     x = Inputs(
         world.time,

@@ -1,8 +1,8 @@
-"""The exact evidence with the generator's own forms: what an observer would know.
+"""The exact evidence with the generator's own forms, as an ideal observer has it.
 
-He knows the plain brush, every form that the generator has of every effect, the prior
-of the amplitudes and the law of the noise. Amplitude, stiffness and friction are
-profiled (Laplace).
+The observer knows the plain brush, every form of every effect in the generator, the
+prior of the amplitudes and the law of the noise. Amplitude, stiffness and friction are fitted,
+and Laplace's method gives the evidence.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,7 +16,7 @@ from scipy.special import softmax
 from fits.withheld.effects import EFFECTS
 from fits.withheld.library import Inputs, base_fit, directions, predict, predict_together
 
-__all__ = ["Told", "beliefs", "evidence", "told"]
+__all__ = ["Given", "beliefs", "evidence", "given_effects"]
 
 REFITTED = 10
 SHARES = tuple(np.linspace(0.05, 0.95, 10))  # of the range of a form's random draws
@@ -26,7 +26,7 @@ DRAWN = {0: 134, 1: 200, 2: 33}  # trials without an effect, with one, with two
 
 
 def _hypotheses(x: Inputs) -> Iterator[tuple]:
-    """(effect, form, share, sign) of all that one amplitude makes."""
+    """Keys (effect, form, share, sign) of all hypotheses with one amplitude."""
     for effect in x.effects:
         about = EFFECTS[effect]
         for form in about.forms:
@@ -47,8 +47,8 @@ def _force(x: Inputs, keys: Sequence[tuple], strengths, c, mu) -> np.ndarray:
 
 
 class _Fit(NamedTuple):
-    """Forms fitted at once: logarithms of c, mu (in their spreads) and of each
-    amplitude, between ``low`` and ``high``; ``evidence`` is its logarithm, up to a
+    """A joint fit of forms: ``p`` are the logarithms of c, mu (in their spreads) and of each
+    amplitude, between ``low`` and ``high``; ``evidence`` is the log evidence, up to a
     constant that all hypotheses share."""
 
     p: np.ndarray
@@ -58,14 +58,14 @@ class _Fit(NamedTuple):
     evidence: float
 
     def drawn(self, generator) -> np.ndarray:
-        """One draw of the posterior, normal about the fit and held within bounds."""
+        """One draw of the posterior: normal about the fit, clipped to the bounds."""
         square = self.jacobian.T @ self.jacobian + 1e-9 * np.eye(len(self.p))
         step = np.linalg.solve(np.linalg.cholesky(square).T, generator.standard_normal(len(self.p)))
         return np.clip(self.p + step, self.low, self.high)
 
 
 def _refitted(x, observed, std, keys: Sequence[tuple], c, mu) -> _Fit:
-    """Forms at once, at the amplitudes that the file shows."""
+    """The joint fit of these forms to the file."""
 
     def rest(p):
         ratio = np.exp(p[:2] * SPREAD)
@@ -87,7 +87,7 @@ def _refitted(x, observed, std, keys: Sequence[tuple], c, mu) -> _Fit:
 
 
 def _laplace(along: np.ndarray, base: np.ndarray) -> float:
-    """Log of the share of the prior's range that the data leave to the amplitudes.
+    """Log of the posterior over the prior width of the amplitudes.
 
     Args:
         along: (n, k) or (n,) whitened change with the logarithm of each amplitude.
@@ -101,7 +101,7 @@ def _laplace(along: np.ndarray, base: np.ndarray) -> float:
 
 
 class _Screen(NamedTuple):
-    """All that one amplitude makes of a file, at typical size, around the plain brush.
+    """The change of the forces by each single effect of typical size, at the plain brush.
 
     ``misses`` (n,), ``base`` (n, 2) and ``shapes`` (n, K) of the ``keys`` are whitened.
     """
@@ -138,7 +138,7 @@ def _first_of_one(seen: _Screen) -> dict[tuple, float]:
 
 
 def _first_of_two(seen: _Screen) -> dict[tuple[tuple, tuple], float]:
-    """The same of every two keys of two families, amplitudes bounded."""
+    """The same for every two keys of different families, with bounded amplitudes."""
     unit = np.linalg.qr(seen.base)[0]
     own = seen.shapes - unit @ (unit.T @ seen.shapes)
     rest = seen.misses - unit @ (unit.T @ seen.misses)
@@ -164,18 +164,18 @@ def _first_of_two(seen: _Screen) -> dict[tuple[tuple, tuple], float]:
 
 
 def _draws(key: tuple) -> int:
-    """Keys that an effect has."""
+    """Number of keys of an effect."""
     about = EFFECTS[key[0]]
     of_form = len(SHARES) if key[1].startswith("road_") else 1
     return of_form * (2 - abs(about.sign)) * len(about.forms)
 
 
 def _refitted_sets(x, observed, seen: _Screen, first: dict, more) -> dict:
-    """Log evidence of sets of effects from that of their keys, of which the nearest are
-    refitted, and of the set ``more`` the nearest in any case."""
+    """Log evidence of sets of effects, from refits of the keys with the largest evidence to
+    first order, and in any case of the best keys of the set ``more``."""
     nearest = sorted(first, key=first.get, reverse=True)[:REFITTED]
-    told = [keys for keys in first if {key[0] for key in keys} == set(more)]
-    nearest += sorted(told, key=first.get, reverse=True)[: REFITTED // 2]
+    wanted = [keys for keys in first if {key[0] for key in keys} == set(more)]
+    nearest += sorted(wanted, key=first.get, reverse=True)[: REFITTED // 2]
     parts: dict = {}
     for keys in dict.fromkeys(nearest):
         value = _refitted(x, observed, seen.std, keys, seen.c, seen.mu).evidence
@@ -187,12 +187,12 @@ def _refitted_sets(x, observed, seen: _Screen, first: dict, more) -> dict:
 def evidence(
     x: Inputs, observed: np.ndarray, more: Sequence[str] = (), pairs: bool = False
 ) -> dict[tuple[str, ...], float]:
-    """Log evidence of nothing, (), and of single effects, over their forms; with
-    ``pairs`` of two of different families too. Of the sets those that look nearest to
-    first order are refitted, the others left out.
+    """Log evidence of no effect, (), and of single effects, over their forms; with
+    ``pairs`` also of two effects of different families. Only the sets that are best to
+    first order are refitted; the others are omitted.
 
     Args:
-        more: effects whose set is refitted, however far it looks.
+        more: effects whose set is refitted in any case.
     """
     seen = _screen(x, observed)
     ones = {(key,): value for key, value in _first_of_one(seen).items()}
@@ -203,8 +203,8 @@ def evidence(
 
 
 def beliefs(x: Inputs, evidences: dict[tuple[str, ...], float]) -> dict:
-    """Probability of nothing, of each single effect and of each pair, of which
-    :func:`evidence` is known, as common as the check draws them."""
+    """Probability of no effect, each single effect and each pair from :func:`evidence`, with
+    the frequencies of the check as prior."""
     families = [EFFECTS[effect].family for effect in x.effects]
     two = sum(a != b for k, a in enumerate(families) for b in families[:k])
     sets = {0: 1, 1: len(families), 2: max(two, 1)}
@@ -213,16 +213,16 @@ def beliefs(x: Inputs, evidences: dict[tuple[str, ...], float]) -> dict:
     return dict(zip(keys, softmax(logs).tolist(), strict=True))
 
 
-class Told(NamedTuple):
-    """What who is told the effects knows: whether each of them ``shows`` beside the
-    others, and draws of the forces (d, n) of their posterior."""
+class Given(NamedTuple):
+    """Results for given effects: whether there is evidence for each of them (``shows``),
+    and posterior draws of the forces (d, n)."""
 
     shows: bool
     forces: np.ndarray
 
 
 def _keys_of(forms: dict[str, str]) -> list[tuple]:
-    """All keys of effects in these forms at once: their signs and random draws."""
+    """All joint keys of effects in these forms: their signs and random draws."""
     signs = [(EFFECTS[e].sign,) if EFFECTS[e].sign else (-1, 1) for e in forms]
     road = any(form.startswith("road_") for form in forms.values())
     return [
@@ -231,13 +231,13 @@ def _keys_of(forms: dict[str, str]) -> list[tuple]:
     ]
 
 
-def told(
+def given_effects(
     x: Inputs, observed: np.ndarray, forms: dict[str, str], generator, draws: int = 100
-) -> Told:
-    """What is known to who is told which effects there are in which form.
+) -> Given:
+    """Evidence for effects that are given with their forms, and their posterior.
 
-    They show where the evidence for all is more than that for the others without any
-    one, or for nothing. Who must find out which effects there are is right less often.
+    ``shows`` is true if the evidence for all is larger than for all but any one of them
+    (or for no effect). An observer without that knowledge is right less often.
 
     Args:
         forms: form of each effect.
@@ -263,4 +263,4 @@ def told(
         p = fit.drawn(generator)
         ratio = np.exp(p[:2] * SPREAD)
         drawn.append(_force(x, key, np.exp(p[2:]), c * ratio[0], mu * ratio[1]))
-    return Told(evidence_of(whole) > max(without), np.array(drawn))
+    return Given(evidence_of(whole) > max(without), np.array(drawn))

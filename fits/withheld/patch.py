@@ -1,6 +1,6 @@
-"""A tire contact patch summed bristle by bristle, and what may happen to it.
+"""A tire contact patch, summed bristle by bristle, that effects can change.
 
-The second route of ``tirefit diagnose``: nothing here is shared with tirefit. A
+This is the independent route for ``tirefit diagnose``: it shares no code with tirefit. A
 :class:`World` holds the true inputs of every row and the properties of the patch;
 an effect (``effects.py``) changes a world; :func:`forces` sums the bristles.
 """
@@ -13,10 +13,10 @@ import numpy as np
 __all__ = ["World", "forces", "lagged", "parabola", "plain_brush", "shifted"]
 
 BRISTLES = 128
-ROWS = 256  # at a time: larger tables cost more in fresh memory than in sums
+ROWS = 256  # at a time: larger tables spend more time on memory than on sums
 HALF_LENGTH = 0.1  # m
 FIXED_POINT_STEPS = 14
-LAG_STEPS = 8  # of the lag's differential equation, between two samples
+LAG_STEPS = 8  # integration steps of a lag between two samples
 
 
 def parabola(xi: np.ndarray, used: np.ndarray) -> np.ndarray:
@@ -28,15 +28,15 @@ def parabola(xi: np.ndarray, used: np.ndarray) -> np.ndarray:
 class World:
     """True inputs (n,) of every row and the properties of the patch in that row.
 
-    ``force`` is the channel that answers to ``slip``: "fx" (sigma_x) or "fy"
-    (tan alpha). ``stiffness`` is c_p a^2 [N]; ``mu_s`` holds a bristle, ``mu_k``
-    slides. ``carcass`` is (compliance [1/N], "slip" or "bow"), ``weakening`` the length
-    over which friction falls from mu_s to mu_k behind the breakaway point (of
-    half-lengths). ``fz`` is the load as measured, ``load`` what the patch carries;
-    ``inflation`` [Pa] and ``across`` [N], the other force, are columns. ``slip`` is
-    what the patch feels, ``sensed`` what a faultless sensor reads. Changes, all of
-    (world, values): ``after`` of the force, ``late`` of force
-    and moment, ``logged`` of the slip.
+    ``force`` is the channel that depends on ``slip``: "fx" (sigma_x) or "fy"
+    (tan alpha). ``stiffness`` is c_p a^2 [N]; ``mu_s`` is static friction, ``mu_k``
+    sliding friction. ``carcass`` is (compliance [1/N], "slip" or "bow"), ``weakening`` the
+    length over which friction falls from mu_s to mu_k behind the breakaway point (in
+    half-lengths). ``fz`` is the measured load, ``load`` the load on the patch;
+    ``inflation`` [Pa] and ``across`` [N], the other force, are columns. ``slip`` acts on
+    the patch, ``sensed`` is the reading of a perfect sensor. Changes are functions of
+    (world, values): ``after`` changes the force, ``late`` force and moment, ``logged`` the
+    slip.
     """
 
     time: np.ndarray
@@ -61,8 +61,8 @@ class World:
     pressure: Callable = parabola
     weakening: float | None = None
     carcass: tuple[float, str] | None = None
-    slides_across: bool = False  # whether ``cross`` is more than a trace
-    bites: bool = False  # whether the patch shares its friction with it
+    slides_across: bool = False  # whether ``cross`` is logged in full
+    bites: bool = False  # whether ``cross`` uses part of the friction
     cross_stiffness: float = 1.0
     after: list = field(default_factory=list)
     late: list = field(default_factory=list)
@@ -88,7 +88,7 @@ class World:
 
     @property
     def loading(self) -> np.ndarray:
-        """Rate at which |slip| grows [1/s], within runs."""
+        """Rate of |slip| [1/s], within runs."""
         rate = np.zeros(len(self.slip))
         for run in np.unique(self.run):
             rows = np.flatnonzero(self.run == run)
@@ -98,7 +98,7 @@ class World:
 
 
 def _sum(world: World, slip: np.ndarray, used: np.ndarray, bow: np.ndarray):
-    """Force [N] and moment [N m] of the bristles at the slip's size (n,) >= 0."""
+    """Force [N] and moment [N m] of the bristles at the magnitude of the slip (n,) >= 0."""
     step = 2 / BRISTLES
     xi = 1 - step * (np.arange(BRISTLES) + 0.5)
     density = np.atleast_2d(world.pressure(xi, used[:, None]))
@@ -113,7 +113,7 @@ def _sum(world: World, slip: np.ndarray, used: np.ndarray, bow: np.ndarray):
 
 
 def _stress(world: World, rows: slice, xi, density, slip, bow) -> np.ndarray:
-    """What every bristle of these rows bears [N], (rows, BRISTLES)."""
+    """Force of every bristle of these rows [N], (rows, BRISTLES)."""
     step = 2 / BRISTLES
     demand = world.stiffness[rows, None] * (slip[:, None] * (1 - xi) - bow[:, None] * (1 - xi**2))
     carried = world.load[rows, None] * density
@@ -135,7 +135,7 @@ def _stress(world: World, rows: slice, xi, density, slip, bow) -> np.ndarray:
 
 
 def _steady(world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Signed force and moment (n,) along ``slip``, before any ``after``."""
+    """Signed force and moment (n,) along ``slip``, before the changes of ``after``."""
     along, across = world.slip, np.zeros(len(world.slip))
     if world.bites:
         across = world.cross_stiffness * world.cross
@@ -151,7 +151,7 @@ def _steady(world: World) -> tuple[np.ndarray, np.ndarray]:
             compliance, kind = world.carcass
             if kind == "slip":
                 slip = np.maximum(size - compliance * force, 0)
-            else:  # same loss of force while all bristles stick: 2 = 4/3 * 3/2
+            else:  # same loss of force as "slip" while all bristles stick: 2 = 4/3 * 3/2
                 bow = 1.5 * np.minimum(compliance * force, 0.6 * size)
         new, moment = _sum(world, slip, used, bow)
         force = 0.5 * (force + new)
@@ -159,7 +159,7 @@ def _steady(world: World) -> tuple[np.ndarray, np.ndarray]:
 
 
 def forces(world: World) -> dict[str, np.ndarray]:
-    """The noise-free forces (n,) of a world: fx, or fy and perhaps mz."""
+    """The noise-free forces (n,) of a world: fx, or fy and optionally mz."""
     force, moment = _steady(world)
     for change in world.after:
         force = change(world, force)
@@ -183,7 +183,7 @@ def plain_brush(slip, fz, c, mu) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shifted(world: World, values: np.ndarray, delay: float) -> np.ndarray:
-    """``values`` (n,) as they were ``delay`` [s] ago, run by run."""
+    """``values`` (n,) delayed by ``delay`` [s], run by run."""
     out = values.copy()
     for run in np.unique(world.run):
         rows = world.run == run

@@ -1,9 +1,9 @@
-"""Strangers made by chance: some function of some quantity acts on some parameter.
+"""Random unlisted effects: a random function of a random quantity changes a parameter.
 
-A list of strangers is soon known by heart. Here the quantity, the parameter and the
-shape are drawn, and the shape has kinks, steps, waves or one place, so that no formula
-of a list draws it: a shape that only rises or falls is left to the quantities by which
-no textbook varies a tire.
+A fixed list of unlisted effects would soon be known to the developer. Here quantity,
+parameter and shape are drawn. The shape has kinks, steps, waves or a local bump that no
+listed formula has; a monotonic shape is used only with quantities on which no textbook
+makes that parameter depend.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ __all__ = ["PARAMETERS", "QUANTITIES", "SHAPES", "procedural"]
 
 
 def _spread(values: np.ndarray) -> np.ndarray:
-    """0 to 1 over the rows."""
+    """The values scaled to 0 to 1 over the rows."""
     return (values - values.min()) / max(np.ptp(values), 1e-12)
 
 
@@ -40,7 +40,7 @@ QUANTITIES: dict[str, Callable[[World], np.ndarray]] = {
     "time": lambda w: w.time,
     "distance": _distance,
 }
-"""What the change depends on; a design has those that vary in it."""
+"""Quantities on which the change may depend, if they vary in the design."""
 
 
 def _smooth(u, g):
@@ -74,7 +74,7 @@ SHAPES: dict[str, Callable] = {
     "periodic": _periodic,
     "local": _local,
 }
-"""(values from 0 to 1, generator) -> shape, of any scale."""
+"""Functions of (values from 0 to 1, generator) that give a shape of any scale."""
 
 
 def _stiffness(world, change):
@@ -99,11 +99,11 @@ PARAMETERS: dict[str, Callable] = {
     "force": _force,
     "slip": _slip,
 }
-"""(world, change) of a change of about one: 35 % of the stiffness, 15 % of the
-friction, 5 % of the largest force, 0.006 of the slip."""
+"""Functions of (world, change) that apply a change; 1 is 35 % of the stiffness, 15 % of
+the friction, 5 % of the largest force, 0.006 of the slip."""
 
-# What a textbook varies with what: there a threshold or one smooth bend is a form of
-# something listed, and only shapes that go up and down are strange.
+# Textbook dependences (parameter, quantity): a threshold or a smooth bend is a form of a
+# listed effect there, and only shapes that rise and fall are unlisted.
 _KNOWN = {
     ("friction", "load"), ("stiffness", "load"), ("friction", "speed"),
     ("friction", "time"), ("stiffness", "time"), ("friction", "signed slip"),
@@ -115,12 +115,12 @@ _KNOWN = {
 }  # fmt: skip
 _UP_AND_DOWN = ("kinked", "periodic", "local")
 
-# One place of the record is another road for a while: a form of friction_step.
+# A local change in the record is a different road for a while: a form of friction_step.
 _STRETCHES = {("friction", "time"), ("friction", "distance")}
 
 
 def _strange_shapes(parameter: str, quantity: str) -> list[str]:
-    """Those by which no textbook has the parameter vary with the quantity."""
+    """Shapes with which no textbook makes the parameter depend on the quantity."""
     dependence = parameter, quantity
     shapes = _UP_AND_DOWN if dependence in _KNOWN else SHAPES
     known = {"local"} if dependence in _STRETCHES else set()
@@ -128,10 +128,10 @@ def _strange_shapes(parameter: str, quantity: str) -> list[str]:
 
 
 def procedural(world: World, size: float, g) -> str:
-    """Change the world by a stranger; says which.
+    """Applies a random unlisted effect to the world and returns its description.
 
     Args:
-        size: of the change, 1 as in :data:`PARAMETERS`.
+        size: of the change, in the units of :data:`PARAMETERS`.
     """
     varies = [name for name, q in QUANTITIES.items() if len(np.unique(q(world))) > 8]
     quantity = str(g.choice(varies))

@@ -15,7 +15,7 @@ LEVEL = 0.9  # of the error bars
 
 
 class Bin(NamedTuple):
-    """A tenth of the probability: mean probability, share right with its interval."""
+    """One tenth of the probability: mean probability, share right with its interval."""
 
     probability: float
     right: float
@@ -25,7 +25,7 @@ class Bin(NamedTuple):
 
 
 def reliability(outcomes: Sequence) -> list[Bin]:
-    """Tenths that hold any outcome; the exact binomial (Clopper-Pearson) 90 %."""
+    """Tenths with at least one outcome; intervals: binomial (Clopper-Pearson), 90 %."""
     p = np.array([o.probability for o in outcomes], float)
     right = np.array([o.right for o in outcomes], bool)
     place = np.minimum((p * BINS).astype(int), BINS - 1)
@@ -40,7 +40,7 @@ def reliability(outcomes: Sequence) -> list[Bin]:
 
 
 def draw_reliability(methods: Mapping[str, Sequence[Bin]], path: Path) -> None:
-    """The diagram of one or more methods, the first with error bars, as PNG."""
+    """Writes the diagram of one or more methods as PNG; the first has error bars."""
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
@@ -48,7 +48,7 @@ def draw_reliability(methods: Mapping[str, Sequence[Bin]], path: Path) -> None:
         2, 1, figsize=(5.2, 6.2), sharex=True, height_ratios=[4, 1], layout="constrained"
     )
     above.plot([0, 1], [0, 1], color="0.6", linewidth=1, zorder=0)
-    above.annotate("as often right as said", (0.02, 0.02), rotation=45, color="0.45",
+    above.annotate("calibrated", (0.02, 0.02), rotation=45, color="0.45",
                    rotation_mode="anchor", transform_rotates_text=True, fontsize=8,
                    xytext=(0, 4), textcoords="offset points")  # fmt: skip
     colours = ["C0", "0.35", "C1", "C2", "C4", "C5"]

@@ -2,14 +2,14 @@
 
     python -m fits.withheld.run out/withheld --jobs 2
 
-It opens the files and rig.toml of ``FOLDER/trials``, ``FOLDER/leave_out.json`` (which
-effects a group is diagnosed without) and ``FOLDER/simulators.json`` (which groups hold
-a simulator's forces, and are diagnosed with ``--sim``), nothing else. The answers go
-to ``FOLDER/answers/GROUP``.
+It opens only the files and rig.toml of ``FOLDER/trials``, ``FOLDER/leave_out.json`` (the
+effects without which a group is diagnosed) and ``FOLDER/simulators.json`` (the groups
+with a simulator's forces, which are diagnosed with ``--sim``). The answers go to
+``FOLDER/answers/GROUP``.
 
-The commands run in ``--jobs`` processes that each go on to the next group: what a
-process has traced and compiled serves it to the end, and the others by JAX's cache. One
-thread of OpenBLAS each: more of them spin while they wait, on each other's cores.
+The commands run in ``--jobs`` processes, each for several groups in turn, so that compiled
+programs are reused, by the other processes through JAX's cache. Each process has one
+thread of OpenBLAS, because waiting threads would use the cores of other processes.
 """
 
 import argparse
@@ -29,7 +29,7 @@ __all__ = ["command", "end_with_parent", "largest_first", "main", "more_words", 
 
 
 def command(group: Path, without: list[str], out: Path, *more: str) -> list[str]:
-    """The command line for all files of a group, which share their rig.toml."""
+    """The command line for all files of a group, which have the same rig.toml."""
     program = Path(sys.executable).with_name("tirefit")
     files = sorted(str(path) for path in group.glob("*.csv"))
     left_out = [word for effect in without for word in ("--without", effect)]
@@ -54,8 +54,8 @@ def _in_this_process(words: list[str]) -> int:
 
 
 def end_with_parent() -> None:
-    """Ends this process where its parent ends: a pool's workers that are not told would
-    go on with what is waiting."""
+    """Ends this process when its parent ends; workers of a pool would otherwise continue
+    with waiting tasks."""
 
     def wait() -> None:
         if parent := parent_process():
@@ -66,40 +66,40 @@ def end_with_parent() -> None:
 
 
 def _begin(compiled: str) -> None:
-    """What a process is told before it imports anything heavy."""
+    """Sets the environment of a process before it imports JAX and NumPy."""
     end_with_parent()
-    told = {
+    values = {
         "JAX_COMPILATION_CACHE_DIR": compiled,
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
         "OPENBLAS_NUM_THREADS": "1",
     }
-    for name, value in told.items():
+    for name, value in values.items():
         os.environ.setdefault(name, value)
 
 
 def simulated(folder: Path) -> dict[str, bool]:
-    """Whether a group's files hold a simulator's forces; folders of old say nothing."""
-    told = folder / "simulators.json"
-    return json.loads(told.read_text()) if told.exists() else {}
+    """Whether each group has a simulator's forces; empty for old folders."""
+    path = folder / "simulators.json"
+    return json.loads(path.read_text()) if path.exists() else {}
 
 
 def more_words(folder: Path, resume: bool) -> dict[str, list[str]]:
     """Options of the command for each group."""
-    beside, keep = simulated(folder), ["--resume"] if resume else []
+    with_sim, keep = simulated(folder), ["--resume"] if resume else []
     return {
-        group.name: [*keep, *(["--sim"] if beside.get(group.name) else [])]
+        group.name: [*keep, *(["--sim"] if with_sim.get(group.name) else [])]
         for group in (folder / "trials").iterdir()
     }
 
 
 def largest_first(folder: Path) -> list[Path]:
-    """The groups in this order, so that the processes end at about the same time."""
+    """The groups, largest first, so that the processes end at about the same time."""
     groups = list((folder / "trials").iterdir())
     return sorted(groups, key=lambda group: (-len(list(group.iterdir())), group))
 
 
 def run_group(group: Path, without: list[str], out: Path, *more: str) -> float:
-    """Seconds that one group took. Without ``--resume`` old answers are removed."""
+    """Runs one group; returns its time [s]. Without ``--resume`` old answers are removed."""
     if "--resume" not in more:
         shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True, exist_ok=True)
@@ -118,13 +118,13 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Diagnose a folder of trials")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--jobs", type=int, default=1, help="groups at a time")
-    parser.add_argument("--resume", action="store_true", help="keep answers given")
+    parser.add_argument("--resume", action="store_true", help="keep existing answers")
     given = parser.parse_args(arguments)
     if given.jobs < 1:
-        parser.error("--jobs is 1 or more")
+        parser.error("--jobs must be at least 1")
     if not (given.folder / "leave_out.json").is_file():
-        parser.error(f"{given.folder}: no trials, see fits.withheld.generate")
-    told = json.loads((given.folder / "leave_out.json").read_text())
+        parser.error(f"{given.folder}: no trials; run fits.withheld.generate first")
+    left_out = json.loads((given.folder / "leave_out.json").read_text())
     more = more_words(given.folder, given.resume)
     groups = largest_first(given.folder)
     answers = given.folder / "answers"
@@ -132,7 +132,9 @@ def main(arguments: list[str] | None = None) -> None:
     apart = get_context("spawn")
     with ProcessPoolExecutor(given.jobs, apart, _begin, (compiled,)) as pool:
         waiting = [
-            pool.submit(run_group, group, told[group.name], answers / group.name, *more[group.name])
+            pool.submit(
+                run_group, group, left_out[group.name], answers / group.name, *more[group.name]
+            )
             for group in groups
         ]
         spent = sum(one.result() for one in waiting)

@@ -1,9 +1,10 @@
-"""Opens the labels once and scores the answers:
+"""Scores the answers against the labels.
 
     python -m fits.withheld.score out/withheld --answers out/withheld/answers
 
-Prints the tables (Markdown); ``score.md``, ``score.json`` and ``reliability.png`` go
-beside the labels. ``--bound 40`` adds what was possible, on so many trials.
+Prints the tables (Markdown) and writes ``score.md``, ``score.json`` and
+``reliability.png`` to the folder. ``--bound 40`` adds the best possible score, from 40
+trials of each kind.
 """
 
 import argparse
@@ -27,18 +28,18 @@ WORSE = "held out, worse than the base"
 
 
 def opened(folder: Path) -> dict:
-    """The labels, after their seal was compared."""
+    """The labels, after a check of their SHA-256."""
     if not (folder / "labels.json").is_file():
-        raise SystemExit(f"{folder}: no labels, see fits.withheld.generate")
+        raise SystemExit(f"{folder}: no labels; run fits.withheld.generate first")
     text = (folder / "labels.json").read_text()
     sealed = (folder / "labels.sha256").read_text().split()[0]
     if hashlib.sha256(text.encode()).hexdigest() != sealed:
-        raise SystemExit(f"{folder}/labels.json is not what was sealed: {sealed}")
+        raise SystemExit(f"{folder}/labels.json was changed: its SHA-256 is not {sealed}")
     return json.loads(text)
 
 
 def load(folder: Path, answers: Path, labels: dict) -> tuple[dict, list[str]]:
-    """Outcomes by trial, and the trials without an answer."""
+    """Outcomes by trial, and the names of trials without an answer."""
     truth = np.load(folder / "truth.npz")
     outcomes, missing = {}, []
     for name, label in labels.items():
@@ -49,11 +50,11 @@ def load(folder: Path, answers: Path, labels: dict) -> tuple[dict, list[str]]:
         try:
             answer = json.loads(path.read_text())
         except ValueError as error:
-            raise SystemExit(f"{path}: no answer ({error}): run it again") from None
-        said = answer.get("data", {}).get("sha256")  # baselines say none
+            raise SystemExit(f"{path}: unreadable answer ({error}): run it again") from None
+        digest = answer.get("data", {}).get("sha256")  # absent in baselines
         trial = folder / "trials" / label["file"]
-        if said and said != hashlib.sha256(trial.read_bytes()).hexdigest():
-            raise SystemExit(f"{path}: an answer to another trial: run it again")
+        if digest and digest != hashlib.sha256(trial.read_bytes()).hexdigest():
+            raise SystemExit(f"{path}: the answer belongs to another trial: run it again")
         outcome = judge(name, label, answer)
         rows = path.with_suffix(".rows.csv")
         if rows.exists() and f"{name}_{label['force']}" in truth:
@@ -65,7 +66,7 @@ def load(folder: Path, answers: Path, labels: dict) -> tuple[dict, list[str]]:
 
 
 def summary(labels: dict, outcomes: dict[str, Outcome]) -> dict:
-    """The numbers of a method, by name: (value, count) pairs."""
+    """The scores of a method, by name: (value, number of trials)."""
 
     def of(kinds, **wanted):
         kinds = kinds.split()
@@ -78,7 +79,7 @@ def summary(labels: dict, outcomes: dict[str, Outcome]) -> dict:
     singles, pairs, unlisted = of("singles"), of("pairs"), of("unlisted")
     kinds = sorted({labels[o.name]["kind"] for o in of("null")})
     large = [o for o in singles if labels[o.name]["root_lambda"] >= 5]
-    # What the measured data lack beside an injected change is known to nobody.
+    # The other effects in the raw measured data are unknown.
     everything = [o for name, o in outcomes.items() if labels[name]["set"] != "raw"]
     out = {"false alarm": share(o.flagged for o in of("null"))}
     for kind in kinds:
@@ -118,19 +119,19 @@ def summary(labels: dict, outcomes: dict[str, Outcome]) -> dict:
 
 
 def simulator_numbers(of) -> dict:
-    """Beside a simulator: the verdict by what the trial holds, the parameters, and the
-    error of the budget's shares; ``of(sets, **label)`` selects outcomes."""
+    """Scores of trials with a simulator: the verdict by the kind of trial, the parameters, and
+    the error of the budget's shares; ``of(sets, **label)`` selects outcomes."""
     every = of("simulators")
     alone = of("simulators", of="null")
     named = of("simulators", of="singles")
-    strangers = of("simulators", of="procedural")
+    unlisted = of("simulators", of="procedural")
     worst = [max(o.shares_off) for o in every if o.shares_off]
     parts = [part for o in every for part in o.shares_off]
     return {
         "simulator, no effect: false alarm": share(o.flagged for o in alone),
         "simulator, one effect: exact": share(o.exact for o in named),
         "simulator, one effect: exact or said so": share(o.exact_or_alias for o in named),
-        "simulator, stranger: flagged": share(o.unknown for o in strangers),
+        "simulator, stranger: flagged": share(o.unknown for o in unlisted),
         "simulator, intervals hold the parameter": share(
             inside for o in every for inside in o.within
         ),
@@ -155,7 +156,7 @@ def closure_numbers(outcomes: list[Outcome], large: list[Outcome]) -> dict:
 
 
 def discrepancy_numbers(folder: Path, labels: dict, outcomes: dict) -> dict:
-    """True closures of the smooth discrepancy in and out of the rows it fitted."""
+    """True closures of the smooth discrepancy on the fitted rows and on rows left out."""
     path = folder / "baseline_ridge.npz"
     if not path.exists():
         return {}
@@ -192,7 +193,7 @@ def table(header: list[str], rows: list[list[str]]) -> str:
 
 
 def cells(labels, outcomes, key) -> list[list[str]]:
-    """Detection, top-1, family, top-3 of the singles by a key of the label."""
+    """Rows of detection, top-1, family and top-3 of single effects, grouped by ``key``."""
     groups: dict = {}
     for name, outcome in outcomes.items():
         if labels[name]["set"] == "singles":
@@ -206,20 +207,20 @@ def cells(labels, outcomes, key) -> list[list[str]]:
 
 
 def confusions(labels, outcomes) -> list[list[str]]:
-    """The most frequent wrong answers to single effects that could be seen."""
+    """The most frequent wrong answers to single effects with sqrt(lambda) >= 5."""
     counts: dict = {}
     for name, o in outcomes.items():
         label = labels[name]
         if label["set"] == "singles" and not o.exact and label["root_lambda"] >= 5:
-            said = " + ".join(o.effects) or "none"
-            key = (label["effects"][0], said)
+            answer = " + ".join(o.effects) or "none"
+            key = (label["effects"][0], answer)
             counts.setdefault(key, []).append(o.status)
     ranked = sorted(counts.items(), key=lambda item: -len(item[1]))
     return [[*key, str(len(found)), ", ".join(sorted(set(found)))] for key, found in ranked[:25]]
 
 
 def by_kind(labels, outcomes) -> list[list[str]]:
-    """Strangers by kind: trials, flagged, surely misnamed."""
+    """Unlisted effects by kind: number of trials, share flagged, share surely misnamed."""
     groups: dict = {}
     for name, o in outcomes.items():
         label = labels[name]
@@ -238,25 +239,25 @@ def by_kind(labels, outcomes) -> list[list[str]]:
 
 
 def tables(labels: dict, outcomes: dict, summaries: dict, seconds=None, bound=()) -> str:
-    """All tables in Markdown; ``summaries``: method -> its numbers, tirefit first;
-    ``bound``: rows of what was possible, if it was asked for."""
+    """All tables in Markdown; ``summaries``: method -> its scores, tirefit first;
+    ``bound``: rows of the best possible scores, if ``--bound`` is given."""
     keys = {key: None for found in summaries.values() for key in found}
     rows = [
         [key, *(shown(found.get(key, (None, 0))) for found in summaries.values())] for key in keys
     ]
-    columns = ["n", "detected", "top-1", "family", "top-3", "or said so", "sure, wrong"]
+    columns = ["n", "detected", "top-1", "family", "top-3", "or reported", "surely wrong"]
     asked, wanted = (
         [[str(c.number), c.requirement, c.limit, c.found, c.verdict] for c in checks]
         for checks in (check_all(labels, outcomes, seconds), goals(labels, outcomes))
     )
-    told = [o for name, o in outcomes.items() if labels[name]["set"] != "raw"]
+    known = [o for name, o in outcomes.items() if labels[name]["set"] != "raw"]
     tenths = [
         [f"{b.probability:.2f}", f"{b.right:.2f}", f"{b.low:.2f}-{b.high:.2f}", str(b.count)]
-        for b in reliability(told)
+        for b in reliability(known)
     ]
     possible = (
         {
-            "What was possible: exact evidence with the generator's own forms": table(
+            "Possible: exact evidence with the generator's own forms": table(
                 ["", "n", "possible", "answered"], bound
             )
         }
@@ -271,8 +272,8 @@ def tables(labels: dict, outcomes: dict, summaries: dict, seconds=None, bound=()
         "Reliability (reliability.png)": table(
             ["probability", "share right", "90 % of it", "n"], tenths
         ),
-        "Strangers by kind": table(
-            ["kind", "n", "flagged", "sure, wrong"], by_kind(labels, outcomes)
+        "Unlisted effects by kind": table(
+            ["kind", "n", "flagged", "surely wrong"], by_kind(labels, outcomes)
         ),
         "By effect": table(
             ["effect", *columns], cells(labels, outcomes, lambda x: x["effects"][0])
@@ -297,7 +298,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Score answers against sealed labels")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--answers", type=Path)
-    parser.add_argument("--bound", type=int, default=0, help="trials to say what was possible of")
+    parser.add_argument(
+        "--bound", type=int, default=0, help="trials of each kind for the best possible score"
+    )
     given = parser.parse_args(arguments)
     answers = given.answers or given.folder / "answers"
     labels = opened(given.folder)

@@ -1,8 +1,8 @@
-"""Somebody's simulator beside a measurement: the plain brush with wrong parameters.
+"""Trials with a simulator: a plain brush with wrong parameters.
 
-Both parameters are off, each by 5 to 25 % of the true one, up or down on its own. The
-simulated forces are free of noise, at the slip as it was logged. The label keeps what
-a diagnosis should find: the true parameters, and the budget of the distance.
+Each parameter is off by 5 to 25 % of the true one, independently up or down. The
+simulated forces have no noise and use the slip as logged. The label holds what a
+diagnosis should find: the true parameters, and the budget of the error.
 """
 
 from collections.abc import Callable
@@ -20,11 +20,11 @@ from fits.withheld.patch import World, forces, plain_brush
 __all__ = ["at_other_values", "true_budget", "with_simulator"]
 
 LEAST, MOST = 0.05, 0.25  # of a parameter
-TRIED = 14  # strengths of an effect that alone has to close what it can
+TRIED = 14  # evaluations to find the factor of the effects alone
 
 
 def at_other_values(plain: World, changes: list[tuple]) -> Callable:
-    """(c, mu, factor) -> the world with these parameters and its changes times factor.
+    """(c, mu, factor) -> the world with these parameters and the changes times factor.
 
     Args:
         plain: before any change.
@@ -43,7 +43,7 @@ def at_other_values(plain: World, changes: list[tuple]) -> Callable:
 
 
 def with_simulator(trial, draw):
-    """The trial (of ``trials.py``) with a simulator's forces in its file."""
+    """The trial (of ``trials.py``) with the forces of a simulator in its file."""
     label, columns, g = trial.label, dict(trial.columns), draw.generator
     c, mu = (label[name] * (1 + g.choice([-1, 1]) * g.uniform(LEAST, MOST)) for name in ("c", "mu"))
     force = label["force"]
@@ -64,9 +64,9 @@ def with_simulator(trial, draw):
 def _parameters(label: dict, c: float, mu: float) -> dict:
     """Simulated and true value of each, and whether the true one can be scored.
 
-    Where an effect scales a parameter by a covariate, its value is that of a reference
-    (a load, a time, a temperature) that everybody chooses for himself; beside a
-    stranger it is anybody's guess. Neither is scored.
+    If an effect scales a parameter by a covariate, the true value depends on the chosen
+    reference (a load, a time, a temperature); with an unlisted effect it is not
+    defined. Neither is scored.
     """
     known = label["set"] in ("singles", "null")
     scales = [family.split(" x ")[0] for family in label["families"]]
@@ -79,11 +79,11 @@ def _parameters(label: dict, c: float, mu: float) -> dict:
 
 
 def true_budget(trial, slip, simulated, c: float, mu: float) -> dict[str, float]:
-    """Shares of the energy of (measured - simulated force), first channel, add to one.
+    """Shares of the energy of (measured - simulated force), first channel; they sum to one.
 
     Parameters and effects are refitted to the noise-free force, alone and together; the
-    share of each is the mean of what it closes first and second (Shapley). Together
-    they close all, unless the truth is a stranger: then the rest is "unexplained".
+    share of each is the mean of its closures as first and as second (Shapley). Together
+    they close all, except with an unlisted effect: the remainder is then "unexplained".
 
     Args:
         trial: as measured.
@@ -120,7 +120,7 @@ def true_budget(trial, slip, simulated, c: float, mu: float) -> dict[str, float]
 
 
 def _by_effects_alone(trial, x: Inputs, std, c: float, mu: float) -> float:
-    """Mean square [N^2] left where the effects have any strength beside c and mu."""
+    """Least mean square [N^2] over a common factor of the effects, at fixed c and mu."""
     truth = trial.truth[x.force]
 
     def left(factor: float) -> np.ndarray:

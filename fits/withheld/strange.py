@@ -1,4 +1,4 @@
-"""Truths that no list of effects has: disturbances and other tire models."""
+"""Unlisted effects: disturbances and other tire models that no list of effects has."""
 
 import numpy as np
 
@@ -36,14 +36,14 @@ def bump(world, size, g):
 
 
 def gated(world, size, g):
-    """A step of the force beyond a slip and, where there are several, beyond a load."""
+    """A step of the force above a slip and, if there are several loads, above a load."""
     gate = np.median(world.fz) * 1.01 if np.ptp(world.fz) > 0 else 0.0
     from_slip = g.uniform(0.3, 0.6) * np.abs(world.slip).max()
     _add(world, lambda w: size * (w.fz > gate) * (np.abs(w.slip) > from_slip) * np.sign(w.slip))
 
 
 def magic_formula(world, _, g):
-    """S(16) with peak and stiffness that move with the load."""
+    """S(16) with load-dependent peak and stiffness."""
     shape, bend = g.uniform(1.3, 1.8), g.uniform(-1, 0.6)
     peak, stiff = g.uniform(-0.15, -0.05), g.uniform(0.2, 0.6)
 
@@ -76,11 +76,11 @@ def lugre(world, _, g):
 
 UNLISTED = {"ripple": ripple, "periodic": periodic, "bump": bump, "gated": gated, **RIG_KINDS}
 SEALED = ("dead_zone", "joints", "amplifier_limit", "uneven_lag", "gated_cross")
-"""Kinds that no development ever sees."""
+"""Kinds that are never used in development."""
 
 FOREIGN = {"magic_formula": magic_formula, "lugre": lugre}
 
 
 def suits(kind: str, design: Design) -> bool:
-    """Whether a kind of stranger shows in a design at all."""
+    """Whether a kind of unlisted effect has an influence in a design."""
     return NEEDS.get(kind, frozenset()) <= design.properties

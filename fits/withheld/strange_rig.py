@@ -1,7 +1,7 @@
-"""More strangers: what rigs, roads and cars do to a measurement, and no list names.
+"""More unlisted effects: disturbances by rigs, roads and cars.
 
 Each takes (world, size, generator) and changes the world; ``size`` is 0.02 to 0.08 of
-the friction force, of either sign. Why an engineer meets it stands in its docstring.
+the friction force, of either sign. The docstring gives an example from practice.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from fits.withheld.patch import World, lagged
 
 __all__ = ["NEEDS", "RIG_KINDS"]
 
-SHORTEST = 9  # samples of a wave in time: shorter ones would be noise to any reader
+SHORTEST = 9  # samples per wave: a shorter one could not be separated from noise
 
 
 def _add(world: World, change) -> None:
@@ -18,7 +18,7 @@ def _add(world: World, change) -> None:
 
 
 def _distance(world: World) -> np.ndarray:
-    """Metres rolled, pauses between runs left out."""
+    """Distance rolled [m], without the pauses between runs."""
     steps = np.diff(world.time, prepend=world.time[0])
     return np.cumsum(world.v * np.minimum(steps, 5 * np.median(steps)))
 
@@ -32,8 +32,8 @@ def _by_run(world: World, values: np.ndarray, change) -> np.ndarray:
 
 
 def after_turn(world, size, g):
-    """Hysteresis that fades with the slip travelled since the direction changed: the
-    rubber of a tread block creeps back before it works the other way."""
+    """Hysteresis that decays with the slip since the direction changed: the rubber of a
+    tread block creeps back before it deforms the other way."""
     width = g.uniform(0.08, 0.2) * np.ptp(world.slip)
 
     def faded(slip):
@@ -50,8 +50,8 @@ def after_turn(world, size, g):
 
 
 def uneven_lag(world, size, g):
-    """A force that builds up late and lets go at once: a brake's hydraulics, a friction
-    clutch, a belt that is driven one way only."""
+    """A force that builds up slowly and drops quickly, or the reverse: a brake's hydraulics,
+    a friction clutch, a belt that is driven in one direction only."""
     time = g.uniform(0.6, 1.2) * abs(size)  # s
     late = bool(g.integers(2))
 
@@ -63,8 +63,8 @@ def uneven_lag(world, size, g):
 
 
 def tread_blocks(world, size, g):
-    """Ripple with the distance rolled: tread blocks that enter the patch, a belt's
-    joint, a drum that is not round."""
+    """Ripple over the distance rolled: tread blocks that enter the patch, the joint of a
+    belt, a drum out of round."""
     way = _distance(world)
     per_wave = g.uniform(SHORTEST, 3 * SHORTEST)
     length, phase = per_wave * np.median(np.diff(way)), g.uniform(0, 6)
@@ -72,8 +72,8 @@ def tread_blocks(world, size, g):
 
 
 def chatter(world, size, g):
-    """Stick-slip above a slip: squeal and judder, a saw tooth at the rate of the
-    suspension or the spindle, seen at the sample rate."""
+    """Stick-slip above a slip: squeal and judder, a saw tooth at the frequency of the
+    suspension or the spindle, as sampled."""
     above = g.uniform(0.35, 0.6) * np.abs(world.slip).max()
     step = np.median(np.diff(world.time))
     period = g.uniform(SHORTEST, 2 * SHORTEST) * step
@@ -82,8 +82,8 @@ def chatter(world, size, g):
 
 
 def resonance(world, size, g):
-    """One speed at which the rig or the axle is in resonance and the mean force
-    moves: a wheel bench's hub, a drum's first mode."""
+    """A change of the mean force at one speed, where the rig or the axle is in resonance:
+    the hub of a wheel bench, the first mode of a drum."""
     speed = g.choice(np.unique(world.v))
     at = g.uniform(0.1, 0.5) * np.abs(world.slip).max()
     near = np.exp(-(((world.v / speed - 1) / 0.15) ** 2) / 2)
@@ -91,21 +91,21 @@ def resonance(world, size, g):
 
 
 def gated_cross(world, size, g):
-    """Cross-coupling above a speed only: a control loop of the rig that is switched
-    over, a downforce that comes in and goes with the other axis."""
+    """Cross-coupling above a speed only: a control loop of the rig that switches, or a
+    downforce that depends on the other axis."""
     speeds = np.unique(world.v)
     beyond = world.v >= speeds[-1 if len(speeds) < 3 else g.integers(1, len(speeds))]
     _add(world, lambda w: 1.5 * size * beyond * w.across / (0.5 * w.mu * w.fz))
 
 
 def quantised(world, size, _):
-    """Slip in steps: a wheel's encoder with few teeth, a logger with few bits."""
+    """Slip in steps: a wheel encoder with few teeth, a logger with few bits."""
     step = 0.5 * abs(size)
     world.logged.append(lambda w, slip: step * np.round(slip / step))
 
 
 def amplifier_limit(world, size, _):
-    """The largest forces are cut off: a bridge amplifier or a logger at its end."""
+    """The largest forces are clipped: a bridge amplifier or a logger at its limit."""
 
     def cut(w, force):
         top = np.abs(force).max() * (1 - 4 * abs(size))
@@ -115,14 +115,14 @@ def amplifier_limit(world, size, _):
 
 
 def dead_zone(world, size, _):
-    """Play: a worn ball joint or a slack belt takes up the first bit of slip."""
+    """Play: a worn ball joint or a slack belt takes the first part of the slip."""
     play = 0.15 * abs(size)
     world.slip = np.sign(world.slip) * np.maximum(np.abs(world.slip) - play, 0)
 
 
 def joints(world, size, g):
-    """Patches of another surface at even distances: joints of concrete slabs, tar,
-    the overlap of a safety-walk belt."""
+    """Patches of another surface at equal distances: joints of concrete slabs, tar, the
+    overlap of a safety-walk belt."""
     way = _distance(world)
     length = g.uniform(12, 40) * np.median(np.diff(way))
     world.scale_friction(1 + 2.5 * size * (way / length % 1 < g.uniform(0.15, 0.35)))
@@ -150,4 +150,4 @@ NEEDS = {
     "joints": frozenset({"knee"}),
     "amplifier_limit": frozenset({"loads", "knee"}),
 }
-"""Properties of a design (``Design.properties``) without which a kind cannot show."""
+"""Properties of a design (``Design.properties``) that a kind needs to have an influence."""

@@ -1,4 +1,4 @@
-"""The requirements, each with its limit, what was found, and whether it passes."""
+"""The requirements, each with its limit, the value found, and whether it passes."""
 
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
@@ -19,7 +19,7 @@ __all__ = [
 ]
 
 STRESS = ("ar1", "outliers", "misstated", "heteroscedastic")
-# Told apart by nothing to first order with one load and one sign.
+# Not separable to first order with one load and one sign.
 CONFOUNDED = ({"slip_offset", "force_offset"}, {"slip_definition", "pressure_asymmetry"})
 
 
@@ -32,14 +32,14 @@ class Check(NamedTuple):
 
 
 def share(flags: Iterable[bool]) -> tuple[float | None, int]:
-    """Share of True and the count; None of nothing."""
+    """Share of True and the count; share None for no flags."""
     flags = list(flags)
     return (float(np.mean(flags)) if flags else None), len(flags)
 
 
 def telling(labels: dict, outcomes: dict) -> list:
-    """Outcomes of injected changes that the raw rows are not said to have already."""
-    said = {
+    """Outcomes of injected changes that are not named for the raw rows as well."""
+    named = {
         labels[name]["half"]: set(o.effects)
         for name, o in outcomes.items()
         if labels[name]["set"] == "raw"
@@ -48,7 +48,7 @@ def telling(labels: dict, outcomes: dict) -> list:
         o
         for name, o in outcomes.items()
         if labels[name]["set"] == "injected"
-        and not set(labels[name]["effects"]) & said.get(labels[name]["half"], set())
+        and not set(labels[name]["effects"]) & named.get(labels[name]["half"], set())
     ]
 
 
@@ -66,7 +66,7 @@ def expected_calibration_error(outcomes, family: bool = False) -> float | None:
 
 
 def brier(outcomes, family: bool = False) -> float | None:
-    """Mean square of probability minus right (1) or wrong (0)."""
+    """Mean square of the probability minus 1 (right) or 0 (wrong)."""
     if not outcomes:
         return None
     p, right = _claims(outcomes, family)
@@ -111,12 +111,12 @@ def check(number, requirement, limit: float, upper: bool, found: tuple) -> Check
 
 
 def _new(label: dict) -> bool:
-    """Sets that the goals alone speak of (``goals.py``)."""
+    """Sets that only the goals (``goals.py``) use."""
     return label["set"] in ("simulators", "beside")
 
 
 def check_all(labels: dict, outcomes: dict, seconds: float | None) -> list[Check]:
-    """Every requirement that the trials can answer; n stands behind each number."""
+    """All requirements that the trials can answer, each with its number of trials."""
     s = Scored(labels, {k: o for k, o in outcomes.items() if not _new(labels[k])})
     checks = [
         *_alarms(s), *_singles(s), *_independent(s), *_calibration(s), *_hidden(s),
@@ -146,8 +146,8 @@ def _alarms(s: Scored) -> list[Check]:
 def _singles(s: Scored) -> list[Check]:
     sure = [o for o in s.where("singles") if o.probability >= 0.9 and o.flagged]
     out = [
-        check(3, "top-1 where said at >= .9", 0.95, False, share(o.exact for o in sure)),
-        check(3, "family where said at >= .9", 0.97, False, share(o.family for o in sure)),
+        check(3, "top-1 at a probability >= .9", 0.95, False, share(o.exact for o in sure)),
+        check(3, "family at a probability >= .9", 0.97, False, share(o.family for o in sure)),
         check(
             5,
             "confident and wrong, listed effects",
@@ -168,7 +168,7 @@ def _singles(s: Scored) -> list[Check]:
         ]
     named = [o for o in s.where("singles") if o.exact]
     out.append(
-        check(12, "right, yet called incomplete", 0.03, True, share(o.unknown for o in named))
+        check(12, "right, but reported as incomplete", 0.03, True, share(o.unknown for o in named))
     )
     return out
 
@@ -216,7 +216,9 @@ def _calibration(s: Scored) -> list[Check]:
             True,
             (expected_calibration_error(listed, family=True), len(listed)),
         ),
-        check(8, "90 % set holds the truth, design G", 0.88, False, share(o.covered for o in rich)),
+        check(
+            8, "90 % set contains the truth, design G", 0.88, False, share(o.covered for o in rich)
+        ),
         check(8, "mean size of the 90 % set, design G", 3.0, True, (mean_size, len(sizes))),
     ]
     for noise, limit in (("rig", 0.10), ("seed", 0.25)):
@@ -265,8 +267,8 @@ def _pairs(s: Scored) -> list[Check]:
 
 
 def _closure(s: Scored) -> list[Check]:
-    told = s.that(lambda x, o: o.claimed_ci is not None and o.closed is not None)
-    held = [o.claimed_ci[0] <= o.closed <= o.claimed_ci[1] for o in told]
+    claims = s.that(lambda x, o: o.claimed_ci is not None and o.closed is not None)
+    held = [o.claimed_ci[0] <= o.closed <= o.claimed_ci[1] for o in claims]
     kept = s.that(lambda x, o: o.holdout is not None and x["set"] == "singles")
     kept = [o for o in kept if o.resolvable]
     energy = [1 - (1 - o.holdout) ** 2 for o in kept if o.exact]
@@ -276,18 +278,18 @@ def _closure(s: Scored) -> list[Check]:
         )
     )
     return [
-        check(14, "held-out closure of energy, named rightly, median", 0.95, False,
+        check(14, "held-out closure of energy, named correctly, median", 0.95, False,
                (float(np.median(energy)) if energy else None, len(energy))),
         check(14, "held out, worse than the base", 0.03, True,
                share(o.holdout < 0 for o in kept)),
-        check(15, "closure interval holds the true closure", 0.85, False, share(held)),
-        check(15, "refused where half the least gap to be told", 1.0, False,
+        check(15, "closure interval contains the true closure", 0.85, False, share(held)),
+        check(15, "refused below half the least resolvable gap", 1.0, False,
                share(not o.resolvable for o in small)),
     ]  # fmt: skip
 
 
 def _confounded(s: Scored) -> list[Check]:
-    """One load, one sign: naming both, or saying that it cannot tell."""
+    """One load, one sign: the answer names both effects or has status ``cannot_tell``."""
 
     def asks(label, outcome):
         return (
@@ -302,4 +304,4 @@ def _confounded(s: Scored) -> list[Check]:
         return pair <= {*o.effects, *o.also} or o.status == "cannot_tell"
 
     found = [says(label, o) for label, o in s.pairs if asks(label, o)]
-    return [check(16, "one load, one sign: exact confusion said", 0.95, False, share(found))]
+    return [check(16, "one load, one sign: exact confusion reported", 0.95, False, share(found))]

@@ -1,4 +1,4 @@
-"""One trial: a tire, a design, an effect (or none, or several), and noise."""
+"""Draws trials: a tire, a design, no, one or several effects, and noise."""
 
 from collections.abc import Callable
 from copy import deepcopy
@@ -28,16 +28,16 @@ NULLS = {
 DEVELOPMENT = tuple(name for name, design in DESIGNS.items() if not design.sealed)
 COLUMNS = {"omega", "alpha", "gamma", "temperature", "pressure", "across"}
 HIDDEN = ("unlisted", "leave_out", "foreign", "procedural", "beside")
-SPARE = 0.3  # share of trials with a column that nothing asks for
-TEXTBOOK = 0.4  # share of effects in their textbook form
+SPARE = 0.3  # probability of each column that no effect needs
+TEXTBOOK = 0.4  # probability of the textbook form
 
 
 @dataclass
 class Trial:
-    """``truth`` holds noise-free forces, ``rig`` the text of an own rig.toml.
+    """``truth`` are the noise-free forces, ``rig`` the text of the trial's own rig.toml.
 
-    ``again(c, mu, factor)``: the same world, unmeasured, with other parameters and so
-    many times the effects; None where there is no such thing.
+    ``again(c, mu, factor)``: the same world, not measured, with other parameters and the
+    effects' amplitudes times factor; None if not available.
     """
 
     columns: dict
@@ -62,12 +62,12 @@ class Draw:
         return str(self.generator.choice(list(choices)))
 
     def possible(self, design: str) -> list[str]:
-        """Effects that a design can have, whatever columns they need."""
+        """Effects that a design allows; any column can be added."""
         have = DESIGNS[design].properties | COLUMNS
         return [name for name, effect in EFFECTS.items() if effect.needs <= have]
 
     def effect(self) -> str:
-        """Any effect of the designs alike, then a design that can have it."""
+        """A random effect of all designs, each equally likely, then a design that allows it."""
         union = {e for design in self.designs for e in self.possible(design)}
         effect = self.pick(sorted(union))
         self.design = self.pick(d for d in self.designs if effect in self.possible(d))
@@ -79,7 +79,7 @@ class Draw:
         return make_world(DESIGNS[self.design], self.n, c, mu, g)
 
     def form(self, effect: str) -> str:
-        """The last form of an effect is drawn only when sealed."""
+        """A random form of an effect; the last form only for sealed trials."""
         forms = list(EFFECTS[effect].forms)
         others = forms[1:] if self.sealed else forms[1:-1]
         if not others or self.generator.uniform() < TEXTBOOK:
@@ -94,7 +94,7 @@ class Draw:
         return float(size * (about.sign or self.generator.choice([-1, 1])))
 
     def extras(self, effects) -> set[str]:
-        """Columns that the effects need, and now and then one that nothing needs."""
+        """Columns that the effects need, and at random others."""
         needed = {need for effect in effects for need in EFFECTS[effect].needs}
         plan = DESIGNS[self.design]
         offered = ["temperature", "alpha" if plan.force == "fx" else "gamma"]
@@ -105,7 +105,7 @@ class Draw:
 
 
 def trial(draw: Draw, world: World, law: str, effects=(), **label) -> Trial:
-    """A world measured, with its label."""
+    """The measurement of a world, with its label."""
     columns, truth, size = measure(world, draw.noise, law, draw.extras(effects), draw.generator)
     free = size.pop("free")
     label = {
@@ -159,7 +159,7 @@ def null(draw: Draw) -> Trial:
 
 
 def strange(draw: Draw, kinds: dict, name: str) -> Trial:
-    """A stranger of a list, any kind alike, in a design in which it shows."""
+    """An unlisted effect of a random kind, in a design in which it has an influence."""
     open_to = [k for k in kinds if draw.sealed or k not in SEALED]
     fit = {k: [d for d in draw.designs if suits(k, DESIGNS[d])] for k in open_to}
     kind = draw.pick(k for k in open_to if fit[k])
@@ -183,7 +183,7 @@ def by_chance(draw: Draw) -> Trial:
 
 
 def beside(draw: Draw) -> Trial:
-    """A listed effect and a stranger at once."""
+    """A listed and an unlisted effect."""
     effect = draw.effect()
     form, size = draw.form(effect), draw.amplitude(effect)
     world = draw.tire()
@@ -201,7 +201,7 @@ def foreign(draw: Draw) -> Trial:
 
 
 def simulator(draw: Draw) -> Trial:
-    """A measurement as in another set, beside a simulator with wrong parameters."""
+    """A measurement as in another set, and a simulator with wrong parameters."""
     kinds = (single, single, null, by_chance)
     return with_simulator(kinds[draw.generator.integers(len(kinds))](draw), draw)
 
@@ -241,13 +241,13 @@ MIXTURE = (
     "beside",
     "injected",
 )
-"""Sets in turn when all are asked for: a quarter simulators, more strangers."""
+"""The order of sets for ``--set all``: a quarter simulators, more with unlisted effects."""
 
 
 def draw(seed, count, sets, designs, noises, rows, sealed) -> list[Trial]:
-    """``count`` trials, sets in turn, each from its own random stream; shuffled.
+    """``count`` trials, shuffled: sets in turn, each trial from its own random stream.
 
-    With the injected ones come the halves of the measured file as they are.
+    Injected trials are accompanied by the unchanged halves of the measured file.
     """
     streams = np.random.SeedSequence(seed).spawn(count + 1)
     open_to = designs or (list(DESIGNS) if sealed else list(DEVELOPMENT))

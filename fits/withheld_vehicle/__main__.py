@@ -1,8 +1,8 @@
-"""Which withheld effects of simulated cars does the diagnosis name?
+"""Counts the withheld effects of simulated cars that the diagnosis names.
 
     python -m fits.withheld_vehicle --first 3000 --trials 100 --out out/withheld_vehicle
 
-``--out`` receives ``trials.jsonl``, a line a trial.
+``--out`` receives ``trials.jsonl``, one line per trial.
 """
 
 import argparse

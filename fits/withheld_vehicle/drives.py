@@ -1,5 +1,5 @@
-"""Simulated drives of cars with one withheld effect, in plain NumPy: another program
-than the one that is judged, with other forms of the effects.
+"""Simulated drives of cars with one withheld effect, in plain NumPy: independent of
+tirefit, with other forms of the effects.
 
 Every trial is a car, a drive, sensors and one withheld effect (listed, unlisted or
 none), drawn from its number.
@@ -29,7 +29,7 @@ UNLISTED = ("gusts", "friction_patches", "sway")
 
 @dataclass
 class Trial:
-    """What is simulated; ``size`` of the effect in its own unit."""
+    """One simulated drive; ``size``: amplitude of the effect in its own unit."""
 
     number: int
     effect: str = ""
@@ -40,7 +40,7 @@ class Trial:
 
 
 def trial(number: int, kind: str) -> Trial:
-    """The trial of a number; kind: listed, unlisted or none."""
+    """The trial of a number; ``kind`` is listed, unlisted or none."""
     rng = np.random.default_rng([number, 4343])
     small = rng.random() < 0.4
     if small:
@@ -57,7 +57,7 @@ def trial(number: int, kind: str) -> Trial:
     mu = rng.uniform(0.6, 1.0)
     inertia = mass * l_f * l_r * rng.uniform(0.8, 1.2)
     loads = mass * G * l_r / wheelbase, mass * G * l_f / wheelbase
-    # Slip at which the axles slide; the rear is the stiffer one.
+    # Slip at which the axles slide; the rear axle is stiffer.
     slides = rng.uniform(0.15, 0.3), rng.uniform(0.1, 0.16)
     tires = [(1.5 * mu * f / s, mu) for f, s in zip(loads, slides, strict=True)]
     effect, size = "", 0.0
@@ -111,7 +111,7 @@ def drive(one: Trial):
     count = int(one.seconds / STEP)
     time = STEP * np.arange(count)
     wheelbase = car["l_f"] + car["l_r"]
-    scale = 1.0 if car["small"] else 0.6  # pace of the driver [Hz]
+    scale = 1.0 if car["small"] else 0.6  # factor of the driver's frequencies
     slow = sum(
         a * np.sin(2 * np.pi * f * time + p)
         for a, f, p in zip((1, 0.7), (0.05, 0.11), rng.uniform(0, 6.3, 2), strict=True)
@@ -126,7 +126,7 @@ def drive(one: Trial):
         for a, f, p in zip(*waves, strict=True)
     )
     wish *= car["grip"] * car["mu"] * G / 1.6
-    # Steering of a driver who knows the car without its effect, roughly.
+    # Steering of a driver who roughly knows the car without the effect.
     curvature = wish / v_x**2
     angle = np.arctan(wheelbase * curvature) + 0.02 * wish / G
     logged = angle.copy()
@@ -218,7 +218,7 @@ def drive(one: Trial):
     lateral[-1] = lateral[-2]
     v_y, r = states.T
     if is_("sway"):
-        # The sensor stands on a body that rolls.
+        # The sensor is mounted on the rolling body.
         sway = np.gradient(_lag(lateral, 0.1), STEP)
         v_y = v_y + 0.3 * np.std(v_y) * sway / np.std(sway)
     if is_("sideslip_zero"):
@@ -286,12 +286,12 @@ KINDS = ("listed", "none", "unlisted")
 
 
 def kind_of(number: int) -> str:
-    """Two of four trials have a listed effect, one has none, one an unlisted one."""
+    """Of four trials, two have a listed effect, one has none, one an unlisted effect."""
     return ("listed", "listed", "none", "unlisted")[(number // 16 + number) % 4]
 
 
 def judged(number: int, folder: Path) -> dict:
-    """What the diagnosis says of a trial."""
+    """The trial and the result of its diagnosis."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -307,18 +307,18 @@ def judged(number: int, folder: Path) -> dict:
         )
         for c, m in one.car["tires"]
     ]
-    told = {"number": number, "kind": kind, "effect": one.effect, "size": one.size}
+    about = {"number": number, "kind": kind, "effect": one.effect, "size": one.size}
     try:
         found = tirefit.diagnose_vehicle([log], vehicle, *tires)
     except tirefit.DataError as error:
-        return told | {"outcome": "refused", "reason": str(error)}
+        return about | {"outcome": "refused", "reason": str(error)}
     verdict = found.verdict
     outcome = verdict.status.value
     if one.effect in verdict.effects:
         outcome = "right"
     elif one.effect in verdict.also_possible:
         outcome = "twin"
-    return told | {
+    return about | {
         "outcome": outcome,
         "status": verdict.status.value,
         "effects": verdict.effects,

@@ -9,7 +9,7 @@ from conftest_diagnosis import RIG, brush, patterns_of, record
 from scipy.integrate import quad
 from scipy.special import expit, logit
 
-from fits.calibration.said import lines_of
+from fits.calibration.logistic import lines_of
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.decide import findings
 from tirefit.diagnosis.decide.findings import as_often_right

@@ -9,8 +9,8 @@ from scipy.special import expit, logit
 
 from fits.ablation import collect, table
 from fits.ablation.records import loaded
-from fits.ablation.variants import VARIANTS, Rules, decided, reproduced, taught, weighed_of
-from fits.calibration import said
+from fits.ablation.variants import VARIANTS, Rules, decided, reproduced, stated_unlisted, weighed_of
+from fits.calibration import logistic
 from fits.withheld import generate
 from tirefit.diagnosis.decide.verdict import POLICY, Policy, Status
 
@@ -89,7 +89,7 @@ def test_no_gap_gives_none_and_odd_noise_gives_noise():
 @pytest.mark.parametrize(
     ("weak", "off"),
     [
-        ({"errors": POLICY.known / 2}, "known: no error bar asked"),
+        ({"errors": POLICY.known / 2}, "known: amplitude over error not required"),
         ({"gain": (1.0, 3.0)}, "gain: no data left out"),
     ],
 )
@@ -128,7 +128,7 @@ def test_runs_that_the_search_predicts_best_are_used():
 
 def test_every_row_of_the_table_changes_a_setting():
     assert len(set(VARIANTS.values())) == len(VARIANTS)
-    assert VARIANTS["the product"] == Rules(Policy())
+    assert VARIANTS["as shipped"] == Rules(Policy())
 
 
 # --- table --------------------------------------------------------------------------
@@ -142,11 +142,11 @@ def test_the_table_counts_named_effects(tmp_path):
     text = table.table(first, first[:1] + first[6:8], before=tmp_path)
     rows = [[cell.strip() for cell in line.split("|")] for line in text.split("\n")]
     head = rows[0]
-    product = next(row for row in rows if row[1:2] == ["the product"])
+    product = next(row for row in rows if row[1:2] == ["as shipped"])
     cells = dict(zip(head, product, strict=True))
     assert cells["strong: exact"] == "1.00"
-    assert cells["strangers, strong"] == "1.00"
-    assert cells["false names a case"] == "1.00"
+    assert cells["unlisted, strong"] == "1.00"
+    assert cells["false names per trial"] == "1.00"
     assert cells["CPU s"] == "1.00"
     assert len([row for row in rows if len(row) > 3]) == 3 + len(VARIANTS)
 
@@ -159,16 +159,16 @@ def test_probabilities_agree_with_the_share_of_right_answers_in_both_halves():
     told = generator.uniform(0.2, 0.99, 8000)
     right = generator.uniform(size=8000) < expit(-0.4 + 0.5 * logit(told))
     verdicts = list(zip(["none"] * 8000, told, right, strict=True))
-    found = said.checked(verdicts, [k % 2 for k in range(8000)])
+    found = logistic.checked(verdicts, [k % 2 for k in range(8000)])
     assert found["calibration error"] < 0.02 < found["calibration error before"]
-    lines = said.lines_of(verdicts)
+    lines = logistic.lines_of(verdicts)
     assert lines["none"] == pytest.approx([-0.4, 0.5], abs=0.1)
-    assert said.as_said(lines, "named", 0.7) == pytest.approx(0.7)
+    assert logistic.calibrated(lines, "named", 0.7) == pytest.approx(0.7)
 
 
 def test_changed_measured_files_are_not_used_for_the_unlisted():
     some = [record(kind=kind) for kind in ("singles", "injected", "raw")]
-    assert len(taught(some, Rules())) == 1
+    assert len(stated_unlisted(some, Rules())) == 1
 
 
 # --- one trial ----------------------------------------------------------------------

@@ -67,7 +67,7 @@ def test_goals_count_only_gaps_above_the_noise():
         (label("singles", "slip_offset", gap_over_noise=0.3), said("named", "conicity")),
         (label("singles", "slip_offset"), said("named", "slip_offset")),
     )
-    strong, weak = ("not listed, gap >= 0.8 of the noise", "not listed, gap 0.15-0.5 of the")
+    strong, weak = ("unlisted, gap >= 0.8 of the noise", "unlisted, gap 0.15-0.5 of the")
     assert found[f"{strong}: flagged"].found == "0.500 (2)"
     assert found[f"{strong}: surely misnamed"].found == "0.500 (2)"
     assert found[f"{weak} noise: flagged"].verdict == "pass"
@@ -110,9 +110,9 @@ def test_a_name_with_an_unlisted_effect_counts_for_any_status():
     assert [o.named for o in outcomes] == [True, True, False, False]
     assert [o.false_names for o in outcomes] == [0, 1, 0, 0]
     found = table(*((truth, answer) for answer in answers))
-    line = found["a listed effect beside a stranger: the effect named"]
+    line = found["a listed and an unlisted effect: the listed one named"]
     assert (line.found, line.verdict) == ("0.500 (4)", "FAIL")
-    line = found["false names beside something unlisted, a case"]
+    line = found["false names with an unlisted effect, per trial"]
     assert (line.found, line.verdict) == ("0.250 (4)", "FAIL")
 
 
@@ -296,13 +296,13 @@ def test_the_forest_learns_and_can_abstain(plain):
         ):
             table.append(forest.features(x, observed + noise + gap))
             classes.append(name)
-    taught = forest.taught(np.array(table), classes)
-    answer = forest.by_forest(taught, x, observed + np.abs(tilt))
+    trained = forest.fitted(np.array(table), classes)
+    answer = forest.by_forest(trained, x, observed + np.abs(tilt))
     assert answer["verdict"]["effects"] == ["drive_brake_asymmetry"]
     assert answer["verdict"]["status"] == "named"
-    assert forest.by_forest(taught, x, observed)["verdict"]["status"] == "none"
+    assert forest.by_forest(trained, x, observed)["verdict"]["status"] == "none"
     without = forest.by_forest(
-        taught, x.without(["drive_brake_asymmetry"]), observed + np.abs(tilt)
+        trained, x.without(["drive_brake_asymmetry"]), observed + np.abs(tilt)
     )
     assert without["verdict"]["effects"] != ["drive_brake_asymmetry"]
 
@@ -316,7 +316,7 @@ def test_without_its_package_the_forest_is_skipped(monkeypatch, capsys, tmp_path
         return there(name, *rest, **more)
 
     monkeypatch.setattr(builtins, "__import__", missing)
-    assert forest.taught(np.zeros((2, 3)), ["none", "unknown"]) is None
+    assert forest.fitted(np.zeros((2, 3)), ["none", "unknown"]) is None
     assert "no scikit-learn" in capsys.readouterr().out
     assert forest.trained(tmp_path / "none.npz") is None
     assert "no features" in capsys.readouterr().out
@@ -393,9 +393,9 @@ def test_a_known_pair_is_found_only_if_both_effects_show():
     alone = library.predict(x, "force_offset", sizes["force_offset"], C, MU)
     np.testing.assert_allclose(one, alone, rtol=1e-12)
     both = library.predict_together(x, parts, C, MU)
-    known = observer.told(x, both + noise, pair, g)
+    known = observer.given_effects(x, both + noise, pair, g)
     assert known.shows
-    assert not observer.told(x, one + noise, pair, g).shows
+    assert not observer.given_effects(x, one + noise, pair, g).shows
     # His draws scatter about the truth by as much as they claim: of four directions
     # (two sizes, c and mu) each is off by about one standard error.
     off, each = known.forces.mean(0) - both, known.forces - known.forces.mean(0)
@@ -426,9 +426,9 @@ def test_the_known_effect_gives_the_closure_of_an_answer(tmp_path):
     outcome = outcome._replace(claimed=0.5, closed=0.7)
     rows = bound.bound_rows(tmp_path, tmp_path / "answers", labels, {"a": outcome}, 1)
     found = {of: (float(his), float(ours)) for of, _, his, ours in rows}
-    assert found["one effect, any gap, told which; or said so"] == (1.0, 1.0)
+    assert found["one effect, any gap, effects given; or reported"] == (1.0, 1.0)
     for level in ("median error", "90 %"):
-        his, ours = found[f"closure, told which: {level}"]
+        his, ours = found[f"closure, effects given: {level}"]
         assert ours == pytest.approx(0.2)
         assert 0 < his < 0.1
     assert bound.bound_rows(tmp_path, tmp_path, labels, {"a": outcome}, 0) == []
@@ -450,12 +450,12 @@ def test_only_unlisted_effects_that_cannot_be_imitated_can_be_flagged():
         "e": said("named", "slip_offset"),
     }
     outcomes = {k: judge(k, labels[k], told[k]) for k in labels}
-    assert bound.strangers_that_show(labels, outcomes) == [
-        ["not listed, strong", "2", "0.500", "0.500"],
-        ["not listed, strong, one of 1000 shapes", "2", "0.500", "0.500"],
-        ["not listed, weak", "1", "1.000", "0.000"],
+    assert bound.unlisted_that_show(labels, outcomes) == [
+        ["unlisted, strong", "2", "0.500", "0.500"],
+        ["unlisted, strong, one of 1000 shapes", "2", "0.500", "0.500"],
+        ["unlisted, weak", "1", "1.000", "0.000"],
         # One of a thousand shapes must stand out by 4.1 standard errors.
-        ["not listed, weak, one of 1000 shapes", "1", "0.457", "0.000"],
+        ["unlisted, weak, one of 1000 shapes", "1", "0.457", "0.000"],
         ["family left out", "1", "0.000", "1.000"],
         ["family left out, one of 1000 shapes", "1", "0.018", "1.000"],
     ]

@@ -246,8 +246,8 @@ def test_missing_answers_are_listed(few, tmp_path):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ('{"data": {"sha256": "0"}}', "t0002.json: an answer to another trial"),
-        ('{"verdict": ', "t0002.json: no answer"),
+        ('{"data": {"sha256": "0"}}', "t0002.json: the answer belongs to another trial"),
+        ('{"verdict": ', "t0002.json: unreadable answer"),
     ],
 )
 def test_an_invalid_answer_is_refused(few, tmp_path, text, reason):
@@ -269,7 +269,7 @@ def test_a_broken_seal_is_refused(few, tmp_path):
     written(tmp_path, [(trial, perfect(trial)) for trial in few], rows=False)
     path = tmp_path / "labels.json"
     path.write_text(path.read_text().replace("rig", "rug", 1))
-    with pytest.raises(SystemExit, match="not what was sealed"):
+    with pytest.raises(SystemExit, match="was changed"):
         score.main([str(tmp_path)])
 
 

@@ -182,7 +182,7 @@ def test_goals_of_simulators_are_checked(beside):
         }
         return {c.requirement: c.verdict for c in goals(labels, outcomes)}
 
-    hold = "simulator: 90 % intervals hold the true parameter"
+    hold = "simulator: 90 % intervals contain the true parameter"
     shares = "simulator: shares of the budget, median error of a part"
     good, bad = found(), found(off=3.0, wrong=0.2)
     assert (good[hold], bad[hold]) == ("pass", "FAIL")

@@ -458,7 +458,7 @@ def test_other_trials_are_refused_in_a_folder_with_answers(tmp_path):
     (tmp_path / "answers").mkdir()
     generate.write_all(trial, tmp_path)
     before = (tmp_path / "labels.json").read_text()
-    with pytest.raises(SystemExit, match="holds answers to other trials"):
+    with pytest.raises(SystemExit, match="contains answers to other trials"):
         generate.write_all(draws(9, 1, ["singles"]), tmp_path)
     assert (tmp_path / "labels.json").read_text() == before
 
