@@ -203,8 +203,16 @@ def _check(seed):
 A_HANDFUL = {4: "noise", 33: "kappa", 47: "order", 55: "late", 74: "step", 81: "half"}
 """What each has beside others; 47, 55 and 74 are lateral, 47 has no time."""
 
+_LATER = (55, 74, 81)
 
-@pytest.mark.parametrize("seed", A_HANDFUL, ids=A_HANDFUL.get)
+
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(k, marks=pytest.mark.long if k in _LATER else (), id=A_HANDFUL[k])
+        for k in A_HANDFUL
+    ],
+)
 def test_a_document_has_plausible_values(seed):
     _check(seed)
 

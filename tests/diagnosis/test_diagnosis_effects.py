@@ -99,20 +99,21 @@ def test_a_named_effect_states_the_formula_of_its_amplitude(said):
 
 
 @pytest.mark.parametrize(
-    ("truth", "effect"),
-    [(_of_the_sliding_speed, "friction_speed_linear"), (_with_an_offset, "slip_offset")],
+    ("truth", "effect", "size"),
+    [
+        (_of_the_sliding_speed, "friction_speed_linear", MODEL_CAR),
+        (_with_an_offset, "slip_offset", SECOND),
+    ],
 )
-def test_the_verdict_does_not_depend_on_the_scale(truth, effect):
+def test_the_verdict_does_not_depend_on_the_scale(truth, effect, size):
     frame, _ = record(truth, seed=3)
-    first = diagnose(read_frame(frame), rig=RIG)
+    first, found = (diagnose(read_frame(f), rig=RIG) for f in (frame, at_size(frame, **size)))
     assert first.effects == (effect,) and first.verdict.status == "named"
-    for size in (MODEL_CAR, SECOND):
-        found = diagnose(read_frame(at_size(frame, **size)), rig=RIG)
-        assert found.verdict.status == first.verdict.status
-        assert found.effects == first.effects
-        assert found.verdict.probability == pytest.approx(first.verdict.probability, abs=0.01)
-        for one, other in zip(first.candidates[:2], found.candidates[:2], strict=True):
-            assert one.effects == other.effects
+    assert found.verdict.status == first.verdict.status
+    assert found.effects == first.effects
+    assert found.verdict.probability == pytest.approx(first.verdict.probability, abs=0.01)
+    for one, other in zip(first.candidates[:2], found.candidates[:2], strict=True):
+        assert one.effects == other.effects
 
 
 def test_friction_may_rise_with_the_sliding_speed():

@@ -139,7 +139,7 @@ def test_an_unlisted_effect_leaves_a_remainder():
 @pytest.mark.parametrize("late", [True, False])
 def test_a_delay_in_a_measured_log_is_named(late):
     """Free driving of a measured axle: force delayed by 31 ms, and unchanged."""
-    data = half(1)
+    data = {name: values[-512:] for name, values in half(1).items()}
     change, *_ = CHANGES["channel_delay"]
     found = diagnose(read_frame(data | change(data, 0.031, None) if late else data))
     assert ("channel_delay" in found.effects) == late

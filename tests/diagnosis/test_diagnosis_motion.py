@@ -30,7 +30,7 @@ MASS_REAR, ARM = 1400 * 1.2 / 2.6, 2300 / (1400 * 1.2)
 
 @pytest.fixture(scope="module")
 def driven():
-    return drive(Car())
+    return drive(Car(), rows=480)
 
 
 def prior(effect, frame, rig=RIG):
@@ -52,7 +52,7 @@ def test_a_derived_force_is_recognised_by_its_channels(driven):
     front = derived_from(read_frame(drive(Car(), "front")), "fy")
     assert front.steered and front.mass == pytest.approx(1400 * 1.4 / 2.6)
     # Even a good transducer has noise.
-    noisy = driven["fy"] * (1 + 0.005 * np.sin(np.arange(700)))
+    noisy = driven["fy"] * (1 + 0.005 * np.sin(np.arange(480)))
     assert derived_from(read_frame(driven | {"fy": noisy}), "fy") is None
     without = {name: x for name, x in driven.items() if name != "a_y"}
     assert derived_from(read_frame(without), "fy") is None
@@ -60,7 +60,7 @@ def test_a_derived_force_is_recognised_by_its_channels(driven):
 
 
 def test_priors_of_a_derived_force_follow_the_stated_vehicle(driven):
-    measured = drive(Car(), measured=True)
+    measured = drive(Car(), measured=True, rows=480)
     assert prior("tracked_point", driven).scale == pytest.approx(0.03 * ARM)
     assert prior("tracked_point", measured).scale > 5 * 0.03 * ARM
     assert prior("channel_delay", driven).scale == pytest.approx(0.005)
@@ -106,17 +106,19 @@ def test_the_acceleration_of_a_derived_force_explains_nothing(driven):
     assert "the yaw inertia to 1 of it (yaw_inertia is not stated: measure it)" in said
     whole = diagnosis_text(found, full=True)
     assert said.split(";")[0] in " ".join(whole.split())
-    measured = drive(Car(), measured=True)
+    measured = drive(Car(), measured=True, rows=480)
     assert not diagnose(read_frame(measured), rig=RIG, effects=effects).data.motion
     assert found.verdict.status == "none"
 
 
-OFTEN = ("tracked_point", "yaw_inertia", "floor_slope")
-"""Faults of every run of the suite; the others take as long and are run on request."""
+OFTEN, LATER = ("yaw_inertia",), ("tracked_point", "floor_slope")
+"""Faults of ``make test`` and of ``make test-long``; the others are run on request."""
 
 
 def _marks(effect: str) -> list:
-    return [] if effect in OFTEN else [pytest.mark.statistics]
+    if effect in OFTEN:
+        return []
+    return [pytest.mark.long if effect in LATER else pytest.mark.statistics]
 
 
 @pytest.mark.parametrize("effect", [pytest.param(e, marks=_marks(e)) for e in FAULTS])
@@ -177,13 +179,16 @@ def test_without_noise_the_past_slip_is_the_measured_one(interval):
     assert np.sqrt(np.mean((np.asarray(late) - right) ** 2)) < 1e-4
 
 
-@pytest.mark.parametrize("rate", [80, 200])
-def test_relaxation_in_fast_sweeps_is_the_only_named_effect(rate):
-    """The equation itself, integrated between the rows, from 0.15 to 2 Hz."""
-    time, length = np.arange(0.0, 20.0, 1 / rate), 0.3
-    v = np.where(time < 10, 10.0, 20.0)
-    swept = np.where(time < 10, time, time - 10)
-    slip = 0.09 * np.sin(2 * np.pi * (0.15 * swept + 1.85 * swept**2 / 20))
+@pytest.mark.parametrize(
+    ("rate", "each"), [(80, 3.0), pytest.param(200, 10.0, marks=pytest.mark.long)]
+)
+def test_relaxation_in_fast_sweeps_is_the_only_named_effect(rate, each):
+    """The equation itself, integrated between the rows, from 0.15 to 2 Hz, in two sweeps
+    of ``each`` seconds."""
+    time, length = np.arange(0.0, 2 * each, 1 / rate), 0.3
+    v = np.where(time < each, 10.0, 20.0)
+    swept = np.where(time < each, time, time - each)
+    slip = 0.09 * np.sin(2 * np.pi * (0.15 * swept + 1.85 * swept**2 / 2 / each))
     late, behind = np.zeros(len(time)), 0.0
     for row in range(1, len(time)):
         rise = (slip[row] - slip[row - 1]) * rate * length / v[row]
@@ -205,7 +210,7 @@ def test_relaxation_in_fast_sweeps_is_the_only_named_effect(rate):
 
 
 def test_a_relaxation_of_10_ms_is_named_from_thinned_rows():
-    time, slip, rate, late = np.arange(0.0, 100.0, 0.2), 0.0, 0.0, 0.0
+    time, slip, rate, late = np.arange(0.0, 50.0, 0.2), 0.0, 0.0, 0.0
     for size, turn, phase in ((0.05, 5.3, 0.0), (0.04, 13.1, 1.0)):
         angle, behind = turn * time + phase, turn * 0.01
         slip = slip + size * np.sin(angle)
@@ -338,18 +343,21 @@ def test_an_interval_from_few_runs_uses_students_t():
     assert len(without_each(terms, np.zeros(6, int))) == 0
 
 
-REAR = pytest.mark.xfail(
-    strict=True,
-    reason="carcass, relaxation and toe together draw what the motion knows of it:"
-    " none is known to half its size, and the status is unknown at 0.5",
-)
+REAR = [
+    pytest.mark.long,
+    pytest.mark.xfail(
+        strict=True,
+        reason="carcass, relaxation and toe together draw what the motion knows of it:"
+        " none is known to half its size, and the status is unknown at 0.5",
+    ),
+]
 
 
 @pytest.mark.parametrize(("axle", "seed"), [("front", 2), pytest.param("rear", 3, marks=REAR)])
 def test_exact_motion_channels_with_noisy_slip_give_no_effect(axle, seed):
     """The only error is a noise of the slip angle, 3 mrad, stated in the rig file; yaw
     rate and accelerations are exact and together nearly determine the slip."""
-    frame = drive(Car(), axle, measured=True)
+    frame = drive(Car(), axle, measured=True, rows=480)
     noise = 0.003 * np.random.default_rng(seed).normal(size=len(frame["alpha"]))
     noisy = read_frame(frame | {"alpha": frame["alpha"] + noise})
     verdict = diagnose(noisy, rig=Rig(noise={"alpha": 0.003})).verdict

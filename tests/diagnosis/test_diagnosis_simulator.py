@@ -214,8 +214,8 @@ def test_a_simulator_that_is_no_brush_is_approximated_by_another_model(offset):
         assert change.differs and change.simulated == pytest.approx(1)
         assert change.measured == pytest.approx(true, abs=0.01 + 2 * change.std)
     # Who asks for another gets it.
-    asked = diagnose(read_frame(frame, "a"), "brush-load", sim=sim, rig=RIG)
-    assert asked.simulator.surrogate.model == "brush-load"
+    asked = studied(frame, sim, model="brush")
+    assert asked.simulator.surrogate.model == "brush"
 
 
 def test_changes_of_a_simulator_are_approximated_to_first_order():
@@ -242,6 +242,7 @@ def dugoff(slip, fz, friction=0.9, stiffness=9e4):
     return stiffness * slip * np.where(used < 1, used * (2 - used), 1.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "offset",
     [
@@ -274,7 +275,7 @@ def test_errors_of_the_approximation_are_not_named_as_effects(offset):
 def test_an_effect_excluded_by_its_refit_is_not_also_possible():
     """With a slip offset, friction that depends on the speed looks like an offset to
     first order, but its refit explains nothing."""
-    slip, fz = (rows(count=100)[0][name] for name in ("sigma_x", "fz"))
+    slip, fz = (rows(count=80)[0][name] for name in ("sigma_x", "fz"))
     noise = NOISE * np.random.default_rng(4).standard_normal(len(slip))
     frame = {"sigma_x": slip, "fz": fz, "fx": curved(slip, fz) + noise, "v": 15 + 0 * fz}
     found = diagnose(read_frame(frame, "a"), sim=curved(slip + 0.006, fz), rig=RIG)

@@ -5,8 +5,11 @@ import pytest
 from conftest_diagnosis import brush
 
 from tirefit.data.read import read_frame
+from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.evidence.base import shown_slip_noise
 from tirefit.diagnosis.noise import slip_scatter
+from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 
 ROWS, NOISE = 600, 0.002
@@ -57,7 +60,7 @@ def steady(seed, slip_noise):
     return {"time": 0.5 * TIME, "sigma_x": slip, "fx": force, "fz": fz}
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_undeclared_slip_noise_gives_no_gap(seed):
     noise = 2 * NOISE
     found = diagnose(read_frame(steady(seed, noise)))
@@ -75,13 +78,16 @@ def test_a_slip_offset_is_not_taken_for_slip_noise(seed):
     slip, fz = np.tile(np.linspace(-0.2, 0.2, 32), 3), np.repeat(LOADS[::200], 32)
     force = brush(slip + 0.006, 5e4, 0.9, fz) + 20 * generator.normal(size=96)
     rig = Rig(noise={"fx": 20.0})
-    found = diagnose(read_frame({"sigma_x": slip, "fx": force, "fz": fz}), rig=rig)
+    few = [e for e in EFFECTS if e.id in ("slip_offset", "force_offset", "load_friction")]
+    found = diagnose(read_frame({"sigma_x": slip, "fx": force, "fz": fz}), rig=rig, effects=few)
     assert found.effects == ("slip_offset",)
     assert found.noise.slip == 0
 
 
 def test_stated_slip_noise_is_not_estimated():
     columns = steady(1, 2 * NOISE)
-    found = diagnose(read_frame(columns | {"sigma_x_std": np.full(ROWS, 0.001)}))
-    assert found.noise.slip == 0.001
-    assert "sigma_x_std" in found.noise.slip_source
+    stated = read_frame(columns | {"sigma_x_std": np.full(ROWS, 0.001)})
+    prepared = prepare(stated, Rig(), ("fx",))
+    assert shown_slip_noise(prepared, "brush", EFFECTS, Rig()) == 0.0
+    assert np.all(prepared.slip_std == 0.001)
+    assert "sigma_x_std" in prepared.slip_source

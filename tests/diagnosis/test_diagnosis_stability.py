@@ -77,7 +77,10 @@ CHANGES = {"order": (shuffled, 0), "digits": (moved, 0), "seed": (None, 5)}
 
 @pytest.mark.parametrize(
     ("name", "change"),
-    [*(("synthetic", change) for change in CHANGES), *(("measured", change) for change in CHANGES)],
+    [
+        *(("synthetic", change) for change in CHANGES),
+        *(pytest.param("measured", change, marks=pytest.mark.long) for change in CHANGES),
+    ],
 )
 def test_stored_verdicts_are_reproduced(found, name, change):
     plain, other = found(name), found(name, *CHANGES[change])
@@ -87,6 +90,7 @@ def test_stored_verdicts_are_reproduced(found, name, change):
     np.testing.assert_allclose(closures(other), closures(plain), atol=CLOSE)
 
 
+@pytest.mark.long
 def test_six_measured_logs_name_the_slip_offset(found):
     """Fourteen standard errors by hand, the same in every run."""
     of = found("measured")
@@ -100,7 +104,8 @@ def test_six_measured_logs_name_the_slip_offset(found):
     assert of.ladder.on == "6 runs left out in turn"
 
 
-@pytest.mark.parametrize("count", [3, 4, 5])
+@pytest.mark.long
+@pytest.mark.parametrize("count", [4, 5])
 def test_an_agreeing_log_removes_no_name(found, count):
     """For nested subsets of the measured logs."""
     fewer = found("measured", count=count)

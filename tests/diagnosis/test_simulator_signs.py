@@ -9,7 +9,7 @@ from tirefit.data.read import read_frame
 from tirefit.data.tir import read_tir
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.evidence.base import fit_base
-from tirefit.diagnosis.evidence.simulator import Given, simulator_at
+from tirefit.diagnosis.evidence.simulator import Given, check_signs, simulator_at
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.fitting.tir import tire_of
@@ -46,17 +46,24 @@ def frame(channels="fy mz", cambers=(0.0,), offset=0.0, mu=1.0, forces_of=None, 
     return columns
 
 
-def doubt(columns, given: Given, **declared):
-    """The message about the signs, before any search."""
+RIG = Rig(noise=NOISE)
+
+
+def rows_of(columns, given: Given, **declared):
     data = given.beside(read_frame(columns, "rig", **declared))
-    channels = given.channels(data, ("fx", "fy", "mz"))
-    prepared = prepare(data, Rig(noise=NOISE), channels)
-    return fit_base(prepared, None, FEW, Rig(noise=NOISE), given).simulator.doubt
+    return prepare(data, RIG, given.channels(data, ("fx", "fy", "mz")))
 
 
-def refused(*arguments, **declared):
+def doubt(columns, given: Given, stand_in: Given | None = None, **declared):
+    """The message about the signs, without the fit that follows it."""
+    prepared = rows_of(columns, given, **declared)
+    tire, z, _ = (stand_in or given).tire_for(prepared, FEW)
+    return check_signs(prepared, tire, z, given)
+
+
+def refused(*arguments, check=doubt, **declared):
     with pytest.raises(DataError) as caught:
-        doubt(*arguments, **declared)
+        check(*arguments, **declared)
     (problem,) = caught.value.problems
     return problem.reason, problem.remedy
 
@@ -99,9 +106,14 @@ def test_camber_distinguishes_sae_from_a_mirrored_tire():
 
 
 def test_a_moment_of_the_other_sign_is_reported():
+    """As in a diagnosis, which fits its base first."""
+
+    def fitted(columns, given, **declared):
+        fit_base(rows_of(columns, given, **declared), None, FEW, RIG, given)
+
     columns = frame()
     turned = columns | {"mz": -columns["mz"]}
-    reason, remedy = refused(turned, simulator_at(str(TIR)), **BRAKING)
+    reason, remedy = refused(turned, simulator_at(str(TIR)), check=fitted, **BRAKING)
     assert "mirrored in mz: mz" in reason and "--unit mz=-Nm" in remedy
 
 
@@ -138,12 +150,13 @@ def test_columns_of_a_mirrored_simulator_are_reported():
     columns = frame("fy")
     simulated = frame("fy", signs="sae", mu=1.0)["fy"]
     given = Given(kind="columns", source="columns")
-    beside = columns | {"fy_sim": simulated}
-    reason, remedy = refused(beside, given, **BRAKING)
+    beside, sae = columns | {"fy_sim": simulated}, simulator_at(str(TIR), signs="sae")
+    reason, remedy = refused(beside, given, sae, **BRAKING)
     assert "mirrored in alpha and fy" in reason and "in the simulator" in remedy
     kept = Given(kind="columns", source="columns", signs="braking")
-    assert "mirrored in alpha and fy" in doubt(beside, kept, **BRAKING)
-    assert doubt(columns | {"fy_sim": columns["fy"] * 1.1}, given, **BRAKING) == ""
+    assert "mirrored in alpha and fy" in doubt(beside, kept, sae, **BRAKING)
+    larger = columns | {"fy_sim": columns["fy"] * 1.1}
+    assert doubt(larger, given, simulator_at(str(TIR)), **BRAKING) == ""
 
 
 def test_simulated_columns_may_have_other_signs():
