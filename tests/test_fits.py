@@ -14,6 +14,9 @@ from fits_support import (
 )
 
 NAMES = [case.name for case in CASES]
+LONG = ("rig_test", "flexible_carcass", "braking_stiffness", "friction_lugre_observer")
+"""Cases of 15 s and more of processor time whose models, estimators and simulations the
+tests of their packages run as well."""
 
 
 @pytest.mark.parametrize("case", CASES, ids=NAMES)
@@ -27,7 +30,13 @@ def test_expected_is_well_formed(case):
     assert max(path.stat().st_size for path in figures) < 120_000
 
 
-@pytest.mark.parametrize("case", CASES, ids=NAMES)
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, id=case.name, marks=[pytest.mark.long] * (case.name in LONG))
+        for case in CASES
+    ],
+)
 def test_case(case, tmp_path):
     expected = load(case)
     reference = part_of(case, "reference", "reference")

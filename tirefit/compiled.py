@@ -127,7 +127,9 @@ class Compiled:
         leaves, structure = jax.tree.flatten(dynamic)
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return self._jitted(*args, **kwargs)
-        shapes = [jax.typeof(leaf).str_short() for leaf in leaves]
+        # A Magic Formula has a hundred numbers, whose types cost as much as its forces.
+        scalars = {type(one): jax.typeof(one).str_short() for one in (0.0, 0, False)}
+        shapes = [scalars.get(type(one)) or jax.typeof(one).str_short() for one in leaves]
         key = (self, *static.values(), structure, *shapes)
         if key not in _loaded:
             _loaded[key] = self._program(static, structure, leaves, shapes)

@@ -6,13 +6,15 @@ the programs of the commands before them, and those of the last run.
 """
 
 import os
-from contextlib import ExitStack, contextmanager
+import pickle
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import jax
 import pytest
 from typer.testing import CliRunner
 
+from tirefit.cli import fleet
 from tirefit.cli.cluster import cluster
 from tirefit.cli.commands import app
 
@@ -48,21 +50,26 @@ def own_cache():
         yield
 
 
-_SHARED = ExitStack()
-
-
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def two():
-    """A client of a cluster of two workers, which end with the tests of this folder:
-    even idle, they use a twentieth of the processor time of an xdist worker."""
-    with commands_cache():
-        return _SHARED.enter_context(cluster(2))
+    """A client of a cluster of two workers. Even idle, they use a twentieth of the
+    processor time, so one file holds all tests of them."""
+    with cluster(2) as client:
+        yield client
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_runtest_teardown(item, nextitem):
-    if nextitem is None or Path(__file__).parent not in nextitem.path.parents:
-        _SHARED.close()
+@pytest.fixture
+def workers_here(monkeypatch):
+    """The work of ``--jobs`` in this process, last piece first, sent and returned as
+    bytes: the workers of ``test_cli_fleet.py`` are real."""
+
+    def here(work, pieces, client):
+        for number, piece in reversed(list(enumerate(pieces))):
+            taken, given = pickle.loads(pickle.dumps((work, piece)))
+            yield number, pickle.loads(pickle.dumps(taken(given)))
+
+    monkeypatch.setattr(fleet, "shared", here)
+    monkeypatch.setattr(fleet, "cluster", lambda *how: nullcontext())
 
 
 @pytest.fixture
@@ -78,3 +85,15 @@ def run(tmp_path, monkeypatch):
         return result
 
     return command
+
+
+@pytest.fixture
+def no_figures(monkeypatch):
+    """Fits write an empty ``fit.png``: figures take half of the time of a command."""
+
+    def figures(result, folder, svg=False):
+        (folder / "fit.png").touch()
+        return [folder / "fit.png"]
+
+    monkeypatch.setattr("tirefit.report.draw.save_figures", figures)
+    monkeypatch.setattr("tirefit.report.mf_draw.save_pictures", figures)

@@ -2,16 +2,14 @@
 
 import csv
 import json
-from pathlib import Path
 
 import pytest
-
-ROOT = Path(__file__).parents[2]
 
 QUICK = ("--speed", "6", "--road", "mu=0.5", "--vehicle", "quarter")
 
 
-def test_controllers_are_compared_on_each_road(run, tmp_path):
+def test_controllers_are_compared_on_each_road(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("tirefit.report.brake_animation._RATE", 2)
     said = run(
         "brake", "--controller", "abs,none", *QUICK, "--seed", "4", "--stops", "3",
         "--out", "o", "--animate",
@@ -54,33 +52,22 @@ def test_controllers_are_compared_on_each_road(run, tmp_path):
     assert made == {"summary.json", "series.csv", "stop.png", "slip.png"}
 
 
-def test_fits_and_files_are_accepted_as_tires(run, tmp_path):
-    """A fitted brush brakes like the brush with its values; a .tir file works too."""
+def test_fits_are_accepted_as_tires(run, tmp_path):
+    """A fitted brush brakes like the brush with its values."""
     run(
-        "simulate", "rig", "--out", "r.csv", "--set", "mu=0.8", "--set", "cpa2=4e4",
-        "--force-std", "0.001",
+        "simulate", "rig", "--out", "r.csv", "--model", "brush-m", "--set", "mu=0.8",
+        "--set", "cpa2=4e4", "--force-std", "0.001",
     )  # fmt: skip
-    run("fit", "r.csv", "--model", "brush", "--out", "f", "--no-posterior")
+    run("fit", "r.csv", "--model", "brush-m", "--out", "f", "--no-posterior")
     braked = ("brake", *QUICK, "--controller", "abs", "--tire")
     run(*braked, "f/fit.json", "--out", "o")
-    run(*braked, "brush", "--set", "cpa2=4e4", "--out", "p")
+    run(*braked, "brush-m", "--set", "cpa2=4e4", "--out", "p")
     fitted, named = (json.loads((tmp_path / name / "summary.json").read_text()) for name in "op")
     assert fitted["manoeuvre"]["tire"] == "f/fit.json"
     assert fitted["manoeuvre"]["parameters"]["mu"] == pytest.approx(0.8, rel=0.01)
     assert fitted["stopping_distance"] == pytest.approx(named["stopping_distance"], rel=0.02)
     result = run("brake", "--tire", "f/fit.json", "--set", "mu=1", "--out", "q", exit_code=2)
     assert "(--set) together with a fit" in result.stderr
-
-
-def test_a_tire_of_a_tir_file_brakes(run, tmp_path):
-    """Its coefficients decide whether it depends on the speed, also when compiled."""
-    tir = ROOT / "tests/data/tir/mfeval_julia/MagicFormula61_Parameters.tir"
-    short = ("--controller", "none", "--time-limit", "0.2")
-    said = run("brake", *QUICK, *short, "--tire", tir, "--out", "o").stdout
-    assert f"BRAKING {tir} from 6 m/s" in said
-    summary = json.loads((tmp_path / "o" / "summary.json").read_text())
-    # Shorter than what the pressure's running mean runs over, and than the stop.
-    assert 0 < summary["mean_friction_used"] < 1 and not summary["stopped"]
 
 
 @pytest.mark.parametrize(

@@ -76,7 +76,7 @@ def test_brush_of_a_tir_agrees_with_scipy(run):
     assert {path.name for path in Path("out").iterdir()} >= {"fit.json", "fit.png"}
 
 
-def test_brush_of_a_magic_formula_curve_agrees_with_scipy(run):
+def test_brush_of_a_magic_formula_curve_agrees_with_scipy(run, no_figures):
     b, c, d, e = 12.0, 1.4, 0.9, -0.5
 
     def force(sigma, fz):
@@ -117,9 +117,8 @@ def test_a_reduced_tir_has_slope_and_peak_of_the_brush(run):
         np.testing.assert_allclose(np.max(force), 0.9 * 4000, rtol=1e-3)
 
 
-@pytest.mark.parametrize("force", ["fx", "fy"])
-@pytest.mark.parametrize("model", ["brush", "brush-d"])
-def test_a_brush_is_recovered_exactly_from_its_tir(run, model, force):
+@pytest.mark.parametrize(("model", "force"), [("brush", "fx"), ("brush-d", "fy")])
+def test_a_brush_is_recovered_exactly_from_its_tir(run, no_figures, model, force):
     run("convert", *REDUCED, "--out", "reduced.tir")
     options = ("--model", model, "--force", force, "--out", "out")
     result = run("convert", "reduced.tir", *options)

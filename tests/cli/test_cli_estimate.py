@@ -12,7 +12,9 @@ from tirefit.cli.commands import app
 from tirefit.online.methods import METHODS
 
 NAMES = "rls,ekf"
-LOG = ("simulate", "braking", "--out", "log.csv", "--teeth", "4", "--seed", "3")
+# Of one length, for which a method and a simulation are compiled once.
+SIMULATED = ("simulate", "braking", "--teeth", "4")
+LOG = (*SIMULATED, "--out", "log.csv", "--seed", "3")
 
 
 def rows_of(text):
@@ -161,12 +163,12 @@ def test_methods_lists_all_methods(run):
 
 
 def test_a_wheel_that_locks_is_flagged_as_locked(run, tmp_path):
-    run("simulate", "braking", "--out", "log.csv", "--drop", "5=0.4")
+    run(*SIMULATED, "--out", "log.csv", "--drop", "3=0.4")
     names = "rls,slip-slope-braking,lugre-observer"
     result = run("estimate", "log.csv", "--method", names, "--out", "out")
     # One line for what cannot be used, one for how much of it there is.
     assert result.stderr.count("warning") == 2
-    assert "of 1000 rows cannot be used" in result.stderr
+    assert "of 800 rows cannot be used" in result.stderr
     flags = json.loads((tmp_path / "out" / "summary.json").read_text())["methods"]
     for name in names.split(","):
         assert flags[name]["flags"]["wheel locked"] > 100
@@ -174,7 +176,7 @@ def test_a_wheel_that_locks_is_flagged_as_locked(run, tmp_path):
 
 
 def test_a_lugre_wheel_is_simulated_and_observed(run, tmp_path):
-    run("simulate", "braking", "--out", "l.csv", "--tire", "lugre", "--friction", "0.8")
+    run(*SIMULATED, "--out", "l.csv", "--tire", "lugre", "--friction", "0.8")
     run("estimate", "l.csv", "--method", "lugre-observer", "--out", "out")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     final = summary["methods"]["lugre-observer"]["final"]

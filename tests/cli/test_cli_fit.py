@@ -1,9 +1,14 @@
 """``tirefit fit``: directories, exit codes and output for given files."""
 
 import json
+import shutil
+from contextlib import chdir
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
+
+from tirefit.cli.commands import app
 
 STIFFNESS, FZ = 5e4, 4000.0
 # The same static choices in every test, so that one compilation serves them all.
@@ -31,9 +36,34 @@ def content(directory):
     return json.loads((directory / "fit.json").read_text())
 
 
-def test_fit_of_one_file_writes_its_posterior(run, rig, tmp_path):
-    result = run("fit", rig, "--config", "fit.toml")
-    found = tmp_path / "rig"  # named after the file
+def sampled(folder, toml, code):
+    """The output of a fit of ``rig.csv`` with its posterior, beside it in ``folder``."""
+    (folder / "fit.toml").write_text(toml)
+    write(folder / "rig.csv")
+    words = ("fit", "rig.csv", "--config", "fit.toml")
+    with chdir(folder):
+        result = CliRunner().invoke(app, words)
+    assert result.exit_code == code, result.output
+    return result
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A folder with a fit, and the output of its command."""
+    folder = tmp_path_factory.mktemp("whole")
+    return folder, sampled(folder, FAST, 0)
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """A folder with a fit whose chain is too short, and the output of its command."""
+    folder = tmp_path_factory.mktemp("short")
+    return folder, sampled(folder, FAST + "max_steps = 100\n", 4)
+
+
+def test_fit_of_one_file_writes_its_posterior(whole):
+    folder, result = whole
+    found = folder / "rig"  # named after the file
     names = {path.name for path in found.iterdir()}
     assert {"fit.json", "posterior.nc", "chain.npz", "fit.png", "corner.png"} <= names
     assert not any(name.endswith(".svg") or name.startswith(".") for name in names)
@@ -186,26 +216,23 @@ def test_not_identified_gives_exit_code_5_only_with_strict(run, tmp_path):
     assert record["identified"] is False and record["std"] is None
 
 
-def test_a_short_chain_gives_exit_code_4_and_can_be_resumed(run, rig, tmp_path):
-    short = FAST + "max_steps = 100\n"
-    (tmp_path / "short.toml").write_text(short)
-    result = run("fit", rig, "--config", "short.toml", exit_code=4)
+def test_a_short_chain_gives_exit_code_4_and_can_be_resumed(run, whole, short, tmp_path):
+    folder, result = short
     assert "--resume" in result.stdout
-    assert content(tmp_path / "rig")["posterior"]["steps"] == 100
-    run("fit", rig, "--config", "fit.toml", "--resume")
-    resumed = content(tmp_path / "rig")
+    assert content(folder / "rig")["posterior"]["steps"] == 100
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "fit.toml").write_text(FAST)
+    run("fit", "rig.csv", "--config", "fit.toml", "--resume")
+    resumed, expected = content(tmp_path / "rig"), content(whole[0] / "rig")
     assert resumed["posterior"]["outcome"] == "converged"
-    run("fit", rig, "--config", "fit.toml", "--out", "whole")
-    whole = content(tmp_path / "whole")
-    assert resumed["parameters"] == whole["parameters"]
-    assert resumed["posterior"] == whole["posterior"]
+    assert resumed["parameters"] == expected["parameters"]
+    assert resumed["posterior"] == expected["posterior"]
 
 
-def test_resume_of_another_fit_gives_exit_code_2(run, rig, tmp_path):
-    (tmp_path / "short.toml").write_text(FAST + "max_steps = 100\n")
-    run("fit", rig, "--config", "short.toml", exit_code=4)
-    write(rig, seed=9)
-    result = run("fit", rig, "--config", "short.toml", "--resume", exit_code=2)
+def test_resume_of_another_fit_gives_exit_code_2(run, short, tmp_path):
+    shutil.copytree(short[0], tmp_path, dirs_exist_ok=True)
+    write(tmp_path / "rig.csv", seed=9)
+    result = run("fit", "rig.csv", "--config", "fit.toml", "--resume", exit_code=2)
     assert "another fit" in result.stderr
 
 
@@ -286,7 +313,8 @@ def test_least_squares_results_are_written_before_the_posterior(run, rig, tmp_pa
     assert content(tmp_path / "rig") == seen["fit"]
 
 
-def test_interrupted_chain_is_kept_and_resumed(run, rig, tmp_path, monkeypatch):
+def test_an_interrupted_chain_is_kept_like_a_short_one(run, rig, short, tmp_path, monkeypatch):
+    """So that it can be resumed as that can."""
     from tirefit.fitting import posterior
 
     start, chunk = posterior.SAMPLERS["emcee"]
@@ -306,5 +334,5 @@ def test_interrupted_chain_is_kept_and_resumed(run, rig, tmp_path, monkeypatch):
     assert "interrupted: the last 1 of 2 not fitted\n" in result.stderr
     assert not (tmp_path / "wet").exists()
     assert content(tmp_path / "rig")["posterior"]["steps"] == 100
-    run("fit", rig, "--config", "fit.toml", "--resume")
-    assert content(tmp_path / "rig")["posterior"]["outcome"] == "converged"
+    kept, expected = (folder / "rig" / "chain.npz" for folder in (tmp_path, short[0]))
+    assert kept.read_bytes() == expected.read_bytes()

@@ -1,12 +1,14 @@
-"""``fit`` and ``diagnose`` by the workers of a cluster give the results of the plain
-loop, also if a worker dies, if a file kills workers, and after ``--resume``."""
+"""``fit`` by the workers of a cluster gives the results of the plain loop, also if a
+worker dies, if a file kills workers, and after ``--resume``; order, losses and end of
+the work that a cluster shares."""
 
 import json
 import os
 import signal
 import threading
 import time
-from contextlib import nullcontext, suppress
+from contextlib import closing, nullcontext, suppress
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -14,15 +16,73 @@ import pytest
 from test_cli_fit import FAST, write
 
 from tirefit.cli import fleet
-from tirefit.cli.cluster import Ended
+from tirefit.cli.cluster import Ended, cluster, shared
 from tirefit.data.records import ResultsTable
+from tirefit.results import UsageError
 
-NAMES = tuple("abcd")
+NAMES = tuple("abc")
 
 
-@pytest.fixture
-def scheduler(two):
-    return two.scheduler.address
+def doubled(number):
+    return 2 * number, os.getpid()
+
+
+def fatal(worker_of, number):
+    """Piece 3 kills every worker that takes it; piece 5 only the first one."""
+    if number == 3 or (number == 5 and not (worker_of / "5").exists()):
+        (worker_of / str(number)).touch()
+        os._exit(7)
+    return number
+
+
+def held(folder, number):
+    """Piece 0 is done at once; the others run until they are released."""
+    (folder / f"begun{number}").touch()
+    while number and not (folder / "go").exists():
+        time.sleep(0.01)
+    return number
+
+
+def left_waiting(dask_worker):
+    return len(dask_worker.state.ready)
+
+
+def test_every_piece_runs_once_in_the_requested_number_of_processes(two):
+    results = dict(shared(doubled, range(40), two))
+    assert {number: value for number, (value, _) in results.items()} == {
+        number: 2 * number for number in range(40)
+    }
+    processes = {process for _, process in results.values()}
+    assert os.getpid() not in processes and len(processes) <= 2
+
+
+def test_a_piece_that_kills_workers_fails_alone(two, tmp_path):
+    results = list(shared(partial(fatal, tmp_path), range(8), two))
+    numbers = [number for number, _ in results]
+    assert sorted(numbers) == list(range(8))
+    assert dict(results) == {k: k for k in range(8)} | {3: Ended(2)}
+    assert (tmp_path / "5").exists()
+
+
+def test_an_early_end_cancels_pending_pieces(two, tmp_path):
+    """Of four pieces one is done, two are running and one waits."""
+    with closing(shared(partial(held, tmp_path), range(30), two)) as results:
+        assert next(results) == (0, 0)
+    for _ in range(1000):  # until the workers know
+        if not any(two.run(left_waiting).values()):
+            break
+        time.sleep(0.01)
+    (tmp_path / "go").touch()
+    # What waited still would have its turn before these.
+    assert len(dict(shared(doubled, range(8), two))) == 8
+    assert len(list(tmp_path.glob("begun*"))) <= 3
+
+
+def test_a_missing_scheduler_is_a_usage_error(monkeypatch):
+    monkeypatch.setattr("tirefit.cli.cluster._CONNECT", 0.2)
+    with pytest.raises(UsageError, match="no scheduler answers at 127.0.0.1:1"):
+        with cluster(1, "127.0.0.1:1"):
+            pass
 
 
 @pytest.fixture
@@ -33,7 +93,7 @@ def files(tmp_path):
         write(tmp_path / f"{name}.csv", mu=0.9 + 0.01 * seed, seed=seed)
         for seed, name in enumerate(NAMES)
     ]
-    return [Path(path.name) for path in (*good[:3], tmp_path / "bad.csv", *good[3:])]
+    return [Path(path.name) for path in (*good, tmp_path / "bad.csv")]
 
 
 HOW = ("--config", "fit.toml", "--no-posterior")
@@ -100,7 +160,8 @@ def opened_by(process):
     return names
 
 
-def test_a_dead_worker_or_a_bad_file_changes_no_other_result(run, files, scheduler, tmp_path):
+def test_a_dead_worker_or_a_bad_file_changes_no_other_result(run, files, two, tmp_path):
+    files, scheduler = [*files[:2], files[3], files[2]], two.scheduler.address
     alone = run("fit", *files, *HOW, "--out", "one", exit_code=3)
     killer = Killer(tmp_path / "c.csv", times=1)
     killer.start()
@@ -115,24 +176,20 @@ def test_a_dead_worker_or_a_bad_file_changes_no_other_result(run, files, schedul
     assert "bad.csv" in shared.stderr and "remedy" in shared.stderr
     table = ResultsTable(tmp_path / "two" / "results.parquet")
     friction = table.of("parameter", "mu")
-    assert friction["number"].tolist() == [1, 2, 3, 5]
+    assert friction["number"].tolist() == [1, 2, 4]
     stored = [
         json.loads((tmp_path / "one" / name / "fit.json").read_text())["parameters"]
         for name in NAMES
     ]
     assert friction["value"].tolist() == [one["mu"]["value"] for one in stored]
-    assert table.files()["status"] == ["ok", "ok", "ok", "failed", "ok"]
+    assert table.files()["status"] == ["ok", "ok", "failed", "ok"]
 
 
 @pytest.fixture
-def quick(monkeypatch):
+def quick(monkeypatch, no_figures):
     """The work is done in this process without figures, and ``b.csv`` ends whoever
     takes it while ``fatal`` contains a word."""
     fatal = ["b.csv"]
-
-    def figures(result, folder, svg):
-        (folder / "fit.png").touch()
-        return [folder / "fit.png"]
 
     def here(work, pieces, client):
         for number, piece in reversed(list(enumerate(pieces))):
@@ -142,7 +199,6 @@ def quick(monkeypatch):
             else:
                 yield number, work(piece)
 
-    monkeypatch.setattr("tirefit.report.draw.save_figures", figures)
     monkeypatch.setattr(fleet, "shared", here)
     monkeypatch.setattr(fleet, "cluster", lambda *how: nullcontext())
     return fatal

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-FILES = 6
+FILES = 3
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_note_is_printed_once_with_its_count(run, sweeps, name):
+def test_every_note_is_printed_once_with_its_count(run, sweeps, no_figures, name):
     first, *rest = COMMANDS[name]
     done = run(first, *sweeps, *rest)
     stderr, stdout = (" ".join(text.split()) for text in (done.stderr, done.stdout))

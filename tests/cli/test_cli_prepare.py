@@ -12,6 +12,7 @@ from tirefit.data.read import read
 sys.path.insert(0, str(Path(__file__).parents[1] / "data"))
 from rig_file import METRIC_UNITS, ttc
 from rig_script import cornering, measured
+from test_cli_tutorials import undocumented
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +48,7 @@ def test_a_prepared_recording_can_be_fitted(run, recording, tmp_path):
     rows = np.round(data["time"] * script.rate).astype(int)
     # White noise of 1 % of the largest load, of which the filter leaves its share.
     record = json.loads((out / "run7.prepare.json").read_text())
+    assert undocumented(out / "run7.prepare.json") == []
     left = np.sqrt(2 * record["filter"]["bandwidth"] / script.rate)
     miss = np.std(data["fy"] - clean["fy"][rows]) / clean["fz"].max()
     assert miss == pytest.approx(0.01 * left, rel=0.15)
@@ -69,13 +71,12 @@ def test_a_prepared_recording_can_be_fitted(run, recording, tmp_path):
     assert record["rows"]["kept"] == len(data)
 
 
-def test_workers_give_the_result_of_one_process(run, recording, two, tmp_path):
+def test_workers_give_the_result_of_one_process(run, recording, workers_here, tmp_path):
     path, _, _ = recording
     (tmp_path / "no.csv").write_text("a,b\n1,2\n")
     files = (path, "no.csv")
     alone = run("prepare", *files, "--out", "one", exit_code=3)
-    address = two.scheduler.address
-    shared = run("prepare", *files, "--out", "two", "--scheduler", address, exit_code=3)
+    shared = run("prepare", *files, "--out", "two", "--jobs", 2, exit_code=3)
     one, both = (
         {p.name: p.read_bytes() for p in (tmp_path / name).iterdir()} for name in ("one", "two")
     )

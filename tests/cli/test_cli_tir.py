@@ -1,6 +1,7 @@
 """``tirefit predict FILE.tir``."""
 
 import csv
+import json
 import re
 from pathlib import Path
 
@@ -268,8 +269,14 @@ def test_unused_columns_and_the_limit_of_e_are_reported(run):
     assert found and found.groups()[1:] == ("4000", "6000")
 
 
-def test_a_car_brakes_on_a_tire_without_combined_coefficients(run):
+def test_a_wheel_brakes_on_a_tire_without_combined_coefficients(run):
+    """Its coefficients decide whether it depends on the speed, also when compiled."""
     without_combined(MF52)
-    options = ("--vehicle", "quarter", "--speed", 5, "--controller", "none")
-    said = run("brake", "--tire", "plain.tir", *options, "--out", "out").stderr
-    assert "wherever both slips act: F_x and F_y by the method of similarity" in said
+    options = ("--vehicle", "quarter", "--speed", 6, "--controller", "none")
+    short = ("--road", "mu=0.5", "--time-limit", "0.2")
+    said = run("brake", "--tire", "plain.tir", *options, *short, "--out", "out")
+    assert "BRAKING plain.tir from 6 m/s" in said.stdout
+    assert "wherever both slips act: F_x and F_y by the method of similarity" in said.stderr
+    summary = json.loads(Path("out/summary.json").read_text())
+    # Shorter than what the pressure's running mean runs over, and than the stop.
+    assert 0 < summary["mean_friction_used"] < 1 and not summary["stopped"]

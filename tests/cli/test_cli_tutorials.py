@@ -70,7 +70,13 @@ def run(command):
     return done.stdout
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=page.stem, marks=[pytest.mark.long] * (page.stem == "rig"))
+        for page in PAGES
+    ],
+)
 def test_commands_of_a_page_print_the_shown_output(page, tmp_path, monkeypatch):
     text = page.read_text(encoding="utf-8")
     large = shutil.ignore_patterns("*.png", "*.ipynb")

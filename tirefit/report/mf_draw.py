@@ -1,6 +1,6 @@
 """Draw the figures of a Magic Formula fit, and write its files."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tirefit.fitting.mf.result import MagicFormulaFit
@@ -61,12 +61,16 @@ def plot_magic_formula(fit: MagicFormulaFit, ax=None):
         fit: a fit of this process, which has its data.
         ax: axes to draw only the first force on.
     """
-    panels = panels_of(fit)
-    first = [panels[force][0] for force in fit.binned if force in panels]
+    first = _first(fit, panels_of(fit))
     if ax is None:
         return stacked(first, _title(fit))
     _draw(ax, first[0])
     return ax.figure
+
+
+def _first(fit: MagicFormulaFit, panels: Mapping[str, Sequence[Panel]]) -> list[Panel]:
+    """The first panel of each force."""
+    return [panels[force][0] for force in fit.binned if force in panels]
 
 
 def magic_formula_page(fit: MagicFormulaFit) -> str:
@@ -84,10 +88,9 @@ def magic_formula_page(fit: MagicFormulaFit) -> str:
 
 def save_pictures(fit: MagicFormulaFit, folder: Path, svg: bool = False) -> list[Path]:
     """Write the figures as PNG, and as SVG if ``svg``; returns the files."""
-    written = []
-    pictures = {"fit": plot_magic_formula(fit)}
-    pictures |= {name: stacked(p, _title(fit)) for name, p in panels_of(fit).items()}
-    for name, picture in pictures.items():
+    written, panels = [], panels_of(fit)
+    for name, shown in {"fit": _first(fit, panels), **panels}.items():
+        picture = stacked(shown, _title(fit))
         for suffix in (".png", ".svg") if svg else (".png",):
             written.append(save_picture(picture, folder / f"{name}{suffix}"))
     return written

@@ -165,8 +165,8 @@ def _passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
             block.force,
             names,
             problem.tire,
-            jnp.asarray(natural[at]),
-            jnp.asarray(scale[at]),
+            natural[at],
+            scale[at],
             block.inputs,
             block.observed,
             block.weight,
@@ -205,9 +205,7 @@ def _all_passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
     for force, inputs in problem.limits.items():
         names, at = problem.columns(force)
         natural, scale = problem.natural(u)[at], problem.scale(u)[at]
-        value, slope = _excess(
-            force, names, problem.tire, jnp.asarray(natural), jnp.asarray(scale), inputs
-        )
+        value, slope = _excess(force, names, problem.tire, natural, scale, inputs)
         yield at, np.asarray(value), np.asarray(slope)
 
 
