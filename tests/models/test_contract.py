@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from visits import FRICTIONS, PRESSURES, REPEATS, spelled, visiting
 
 from fits.flexible_carcass.patch import slopes_at_rest as carcass_at_rest
 from tirefit.models import MODELS, TireForces, TireInputs, forces, modelled
@@ -16,32 +17,8 @@ from tirefit.models.carcass import AbstractCarcass
 from tirefit.params import parameter_values, specs, with_values
 from tirefit.slip import LOCKED
 
-
-def spelled(pressure, letters):
-    """Name of the brush of a pressure law with a friction law."""
-    return f"{pressure}{'-' * (bool(letters) and pressure != 'brush-d')}{letters}"
-
-
-PRESSURES = ["brush", "brush-d", "uniform", "quartic", "elliptic"]
-FRICTIONS = [level + speed for level in ("", "m") for speed in ("", "n", "ns", "h", "hs")]
-
-# A brush is a pressure law with a friction law: parabolic pressure visits every friction law,
-# the other pressure laws the simplest ones and those of most terms.
-REPEATS = {
-    spelled(pressure, letters)
-    for pressure in PRESSURES[1:]
-    for letters in set(FRICTIONS) - {"", "hs", "mns", "mhs"}
-}
-
-
-def visiting(names, later=frozenset(REPEATS)):
-    """A test of each of these models, of which some run with the long ones."""
-    each = [pytest.param(k, marks=pytest.mark.long) if k in later else k for k in sorted(names)]
-    return pytest.mark.parametrize("name", each)
-
-
-DECLARED = visiting(MODELS, later=())
-EVERY = visiting(MODELS)
+DECLARED = visiting(later=())
+EVERY = visiting()
 TURNING = visiting(k for k in MODELS if "mz" in modelled(MODELS[k]))
 """Models with an aligning moment."""
 
@@ -421,7 +398,7 @@ def test_float32_is_finite_and_close_beside_float64(name):
     assert_close_in_float32(name, evaluate(*in_float32(name)))
 
 
-@visiting(MODELS, later={*REPEATS, "carcass-beam", "carcass-thread"})
+@visiting(later={*REPEATS, "carcass-beam", "carcass-thread"})
 def test_float32_with_its_gradient_is_finite_and_close(name):
     """Also with 32-bit floats only, including zero slip, zero load and full sliding.
 
