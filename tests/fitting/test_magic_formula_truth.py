@@ -85,9 +85,10 @@ def judged(path, fit, at, seed):
     return shares
 
 
+@pytest.mark.long
 def test_forces_are_recovered_within_and_beyond_the_loads(monkeypatch, tmp_path):
     """MF 6.1 in pure and combined slip; the file and the record say the same."""
-    fit = fit_of(MF61, monkeypatch, n=20, loads=4)
+    fit = fit_of(MF61, monkeypatch, n=30, loads=4)
     assert "not converged" not in fit.outcomes and fit.forces == FORCES
     assert fit.parts == ("fx", "fy", "mz", "combined")
     plan = Plan(MF61)
