@@ -50,7 +50,7 @@ def one_program(monkeypatch):
     [("rig", "brush-d")]
     + [
         pytest.param(*case, marks=pytest.mark.long)
-        for case in [("seed", "brush-d"), ("rig", "brush-m"), ("seed", "brush-h")]
+        for case in [("rig", "brush-m"), ("seed", "brush-h")]
     ],
 )
 def test_profile_intervals_cover(setting, model):

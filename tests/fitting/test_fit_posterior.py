@@ -186,7 +186,7 @@ def test_an_unknown_sampler_is_refused(given):
 
 
 def test_unidentified_friction_keeps_its_width(vague):
-    result = sample(vague, max_steps=6 * CHUNK)
+    result = sample(vague, max_steps=3 * CHUNK)
     mu = result.parameters["mu"]
     assert mu.std is None and not mu.identified
     low, high = mu.ci95

@@ -217,7 +217,7 @@ def test_arviz_reads_weighted_draws(weighted, tmp_path):
 
 
 def test_nuts_agrees_with_emcee(given, sampled):
-    result = sample(given, sampler="nuts", effective_samples=2000)
+    result = sample(given, sampler="nuts", effective_samples=1000)
     summary = result.posterior
     assert summary.outcome is Outcome.CONVERGED and summary.divergences == 0
     assert (summary.ensembles, summary.walkers) == (4, 8)
@@ -254,8 +254,8 @@ def test_nuts_counts_divergences():
         rest = jnp.sum(u[:, 1:] ** 2, axis=1) * jnp.exp(-neck)
         return -(u[:, 0] ** 2 + rest + (u.shape[1] - 1) * neck) / 2
 
-    state = nuts_start(funnel, 6, 4, 8, 0)
-    *_, state = nuts_chunk(funnel, state, 100)
+    state = nuts_start(funnel, 3, 4, 8, 0)
+    *_, state = nuts_chunk(funnel, state, 50)
     assert state["divergences"] > 0
 
 
@@ -278,7 +278,7 @@ def test_nuts_samples_many_parameters():
     config = GIVEN | {"parameters": {"mu": each, "cpa2": each}}
     result = fit(runs_of(4), "brush", config=config)
     assert len(result.labels) == 8
-    drawn = sample(result, sampler="nuts", effective_samples=1000)
+    drawn = sample(result, sampler="nuts", effective_samples=500)
     assert drawn.posterior.outcome is Outcome.CONVERGED
     assert drawn.posterior.divergences == 0
     for label in result.labels:

@@ -42,7 +42,7 @@ def scipy_answer(model):
     ("model", "solver"),
     [
         *((model, "gauss-newton") for model in CASES),
-        *(("brush-d", solver) for solver in SOLVERS if solver != "gauss-newton"),
+        ("brush", "jaxopt"),
         ("magic-formula", "optimistix"),
         pytest.param("magic-formula", "jaxopt", marks=pytest.mark.long),
     ],

@@ -24,11 +24,11 @@ NOMINAL = {"FNOMIN": {"value": read_tir(MF52).numbers["FNOMIN"]}}
 
 @cache
 def warming_test():
-    """A tire that warms up over the loads of a braking test and within each sweep."""
+    """A tire that warms up over the loads of a test of pure slip and within each sweep."""
     inputs, run = sweeps(Plan(MF52), 0, 24, 4)
-    straight = np.asarray(inputs.alpha) == 0
-    inputs = TireInputs(*(np.asarray(column)[straight] for column in inputs))
-    run = run[straight]
+    pure = (np.asarray(inputs.sigma_x) == 0) | (np.asarray(inputs.alpha) == 0)
+    inputs = TireInputs(*(np.asarray(column)[pure] for column in inputs))
+    run = run[pure]
     row = np.arange(len(run))
     warm = 50 + 25 * (1 - np.exp(-2 * row / len(row))) + 6 * np.abs(np.sin(row / 8))
     tire, reference = tire_of(MF52), np.round(np.median(warm))
@@ -37,10 +37,11 @@ def warming_test():
         return with_values(tire, {"LMUX": 1 + change, "LMUY": 1 + change})(sample)
 
     true = jax.vmap(one)(inputs, PER_KELVIN * (warm - reference))
-    noise = 0.01 * inputs.fz * np.random.default_rng(5).standard_normal(len(run))
-    columns = {k: getattr(inputs, k) for k in ("sigma_x", "fz", "gamma")}
-    columns |= {"fx": np.asarray(true.fx) + noise, "temperature": warm, "run": run}
-    return columns, reference
+    noise = 0.01 * inputs.fz * np.random.default_rng(5).standard_normal((2, len(run)))
+    columns = {k: getattr(inputs, k) for k in ("sigma_x", "alpha", "fz", "gamma")}
+    forces = {"fx": true.fx + noise[0], "fy": true.fy + noise[1]}
+    forces = {name: np.asarray(column) for name, column in forces.items()}
+    return columns | forces | {"temperature": warm, "run": run}, reference
 
 
 @cache

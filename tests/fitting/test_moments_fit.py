@@ -14,7 +14,7 @@ from tirefit.fitting.mf.parts import parts_named
 from tirefit.fitting.mf.store import save_magic_formula, tir_of
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit
-from tirefit.models import forces
+from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
 from tirefit.results import DataError
 
@@ -24,8 +24,12 @@ NOMINAL = ("FNOMIN", "UNLOADED_RADIUS", "LONGVL")
 
 @cache
 def columns():
-    """A test of the tire of MF 5.2 at several speeds, with noise, and what is true."""
+    """A test of the tire of MF 5.2 in pure slip at several speeds, with noise, and what is
+    true."""
     inputs, run = sweeps(Plan(MF52), 0, 24, 4)
+    pure = (np.asarray(inputs.sigma_x) == 0) | (np.asarray(inputs.alpha) == 0)
+    inputs = TireInputs(*(np.asarray(column)[pure] for column in inputs))
+    run = run[pure]
     draw = np.random.default_rng(4)
     inputs = inputs._replace(v=draw.uniform(5, 40, len(run)))
     true = {k: np.asarray(v) for k, v in forces(tire_of(MF52), inputs)._asdict().items()}
