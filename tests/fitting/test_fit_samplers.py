@@ -271,6 +271,7 @@ def runs_of(count: int):
     return table(columns, run=np.repeat(np.arange(count), 60), runs=names)
 
 
+@pytest.mark.long
 def test_nuts_samples_many_parameters():
     """Four runs with separate stiffness and friction: 8 parameters, whose posterior
     factors into runs, so that each interval agrees with its profile."""

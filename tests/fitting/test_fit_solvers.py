@@ -44,7 +44,6 @@ def scipy_answer(model):
         *((model, "gauss-newton") for model in CASES),
         ("brush", "jaxopt"),
         ("magic-formula", "optimistix"),
-        pytest.param("magic-formula", "jaxopt", marks=pytest.mark.long),
     ],
 )
 def test_solver_agrees_with_scipy(model, solver):
