@@ -34,15 +34,14 @@ def derived(model, values, channel="fx"):
 
 # Demand ratio of full sliding: S(11), S(30), and S(11) for S(25), p = 5/8 (1 - xi^4).
 @pytest.mark.parametrize(
-    ("model", "extra", "rho"),
+    ("channel", "model", "extra", "rho"),
     [
-        ("brush", {}, 1.5),
-        ("brush-d", {"d": 0.3}, 1.5 * 1.3),
-        ("brush-d", {"d": -0.2}, 1.5 * 0.8),
-        ("quartic", {}, 2.5),
+        ("fx", "brush", {}, 1.5),
+        ("fx", "brush-d", {"d": 0.3}, 1.5 * 1.3),
+        ("fy", "brush-d", {"d": -0.2}, 1.5 * 0.8),
+        ("fx", "quartic", {}, 2.5),
     ],
 )
-@pytest.mark.parametrize("channel", ["fx", "fy"])
 def test_the_plateau_begins_at_full_sliding(model, extra, rho, channel):
     found = derived(model, TRUTH | extra, channel)
     slip = rho * TRUTH["mu"] * FZ / TRUTH["cpa2"]
