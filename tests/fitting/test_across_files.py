@@ -31,7 +31,7 @@ def test_scatter_between_files_excludes_their_own_error(scatter):
     assert mean == pytest.approx(scatter, rel=0.06, abs=0.0025)
 
 
-@pytest.mark.parametrize(("n", "draws"), [(12, 300), (200, 60)])
+@pytest.mark.parametrize(("n", "draws"), [(12, 150), (200, 60)])
 def test_drift_is_found_with_its_error(n, draws):
     """Errors of the drift over their standard error are Gaussian."""
     results = [across_files(*made(s, n=n, drift=0.05)) for s in range(draws)]

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 from recipes import ESTIMATED, GIVEN, STD, curve, table
+from recipes import solved as least_squares
 
 from tirefit.fitting import condense, posterior
 from tirefit.fitting.condense import cells_of, condensed
-from tirefit.fitting.estimate import fit
 from tirefit.fitting.inference import deviance
 from tirefit.fitting.posterior import sample
 from tirefit.models import MODELS
@@ -63,8 +63,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_cells_follow_the_slope_of_their_rows(case):
     make, config = CASES[case]
-    result = fit(make(), config=config)
-    solved = result.solved
+    solved = least_squares(make(), config)
     ends = around(solved, 6, 2.5)
     cells = cells_of(solved, ends, MOST, 1e-3)
     points = around(solved)
@@ -85,7 +84,7 @@ def test_cells_of_repeated_rows_lose_nothing():
     data = curve()
     slip = np.round(data["sigma_x"], 2)
     repeated = table(dict(data.columns) | {"sigma_x": slip})
-    solved = fit(repeated, config=GIVEN).solved
+    solved = least_squares(repeated, GIVEN)
     cells = cells_of(solved, around(solved, 12, 6), MOST, 0.0)
     # Those beyond full sliding have one force, whatever their slip.
     assert cells.n <= len(np.unique(slip)) < 40
@@ -96,7 +95,7 @@ def test_cells_of_repeated_rows_lose_nothing():
 
 def test_no_cell_contains_rows_of_two_runs():
     make, config = CASES["a parameter for each run"]
-    solved = fit(make(), config=config).solved
+    solved = least_squares(make(), config)
     cells = cells_of(solved, around(solved, 6), MOST, 0.2)
     weight = np.asarray(cells.rows.weight) ** 2
     run = np.asarray(cells.rows.run)

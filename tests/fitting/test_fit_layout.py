@@ -13,7 +13,7 @@ from tirefit.fitting.layout import FreeParameter, Layout, Tie, choose_layout
 from tirefit.fitting.least_squares import damped_gauss_newton
 from tirefit.fitting.likelihood import root_deviance
 from tirefit.fitting.problem import build
-from tirefit.fitting.solve import solve_problem
+from tirefit.fitting.solve import with_scale
 from tirefit.models import MODELS
 from tirefit.params import specs
 from tirefit.results import UsageError
@@ -219,8 +219,10 @@ def test_sparse_slopes_agree_with_dense_slopes(slip_noise):
     noise = STD * np.random.default_rng(8).standard_normal(len(slip))
     columns = {"sigma_x": slip, "fx": force + noise, "fz": np.full(len(slip), FZ)}
     config = parse_config({"noise": {"fx": STD} | slip_noise, "parameters": PER_RUN})
-    end = solve_problem(build(table(columns, run=run, runs=RUNS), "brush", config), config)
-    problem, z = end.problem, jnp.asarray(end.z)
+    task = build(table(columns, run=run, runs=RUNS), "brush", config)
+    problem = with_scale(task.problem, task.slip_density, {}, 1e5)
+    truth = {"cpa2": 5e4, "mu[dry]": 1.0, "mu[wet]": 0.7, "mu[ice]": 0.4}
+    z = jnp.asarray(problem.layout.unconstrained(truth))
     assert problem.layout.is_sparse and problem.layout.size == 4
     slopes = {
         **jax.jacfwd(lambda z: root_deviance(problem, z))(z),
@@ -230,6 +232,8 @@ def test_sparse_slopes_agree_with_dense_slopes(slip_noise):
     assert set(found) == set(slopes)
     for name, dense in slopes.items():
         np.testing.assert_allclose(found[name], dense, atol=1e-9)
+    if slip_noise:
+        return
     start = z + 0.3
     dense = damped_gauss_newton(lambda z: residuals(problem, z), start)
     ends = minima(problem, np.array([start]))

@@ -72,10 +72,12 @@ def test_split_rhat_agrees_with_its_definition():
 
 
 def test_seed_reproduces_bit_for_bit(given, sampled):
-    again = sample(given, effective_samples=500)
+    # The limit of steps at which it converges is accepted.
+    again = sample(given, effective_samples=500, max_steps=sampled.posterior.steps)
+    assert again.posterior.outcome is Outcome.CONVERGED
     assert np.array_equal(again.walkers, sampled.walkers)
     assert again.to_json() == sampled.to_json()
-    other = sample(given, effective_samples=500, seed=1)
+    other = sample(given, effective_samples=500, seed=1, max_steps=CHUNK)
     assert not np.array_equal(other.walkers[:, :, :50], sampled.walkers[:, :, :50])
 
 
@@ -93,14 +95,14 @@ def interrupt_at(count):
 
 @pytest.mark.parametrize("sampler", ["emcee", "nuts"])
 def test_a_resumed_run_equals_an_uninterrupted_one(given, tmp_path, sampler):
-    settings = {"sampler": sampler, "effective_samples": 10**9, "max_steps": 3 * CHUNK}
+    settings = {"sampler": sampler, "effective_samples": 10**9, "max_steps": 2 * CHUNK}
     whole = sample(given, **settings)
     path = tmp_path / "chain.npz"
     broken = sample(given, **settings, checkpoint=path, progress=interrupt_at(1))
     assert broken.outcomes == (Outcome.INTERRUPTED,)
     assert broken.posterior.steps == CHUNK and path.exists()
     resumed = sample(given, **settings, checkpoint=path, resume=True)
-    assert resumed.posterior.steps == 3 * CHUNK
+    assert resumed.posterior.steps == 2 * CHUNK
     assert np.array_equal(resumed.walkers, whole.walkers)
     assert resumed.posterior == whole.posterior
     assert [p.name for p in tmp_path.iterdir()] == ["chain.npz"]
@@ -129,12 +131,6 @@ def test_resume_completes_a_larger_target(given, tmp_path):
     assert done.posterior.steps > CHUNK
     again = sample(given, **settings, effective_samples=500, resume=True)
     assert again.posterior == done.posterior  # nothing left to do
-
-
-def test_a_chain_that_converges_at_the_limit_is_accepted(given, sampled):
-    steps = sampled.posterior.steps
-    result = sample(given, effective_samples=500, max_steps=steps)
-    assert result.posterior.outcome is Outcome.CONVERGED
 
 
 def test_a_walker_that_never_moved_has_infinite_autocorrelation_time(given, monkeypatch):
@@ -190,7 +186,7 @@ def test_an_unknown_sampler_is_refused(given):
 
 
 def test_unidentified_friction_keeps_its_width(vague):
-    result = sample(vague, max_steps=6 * CHUNK)
+    result = sample(vague, max_steps=3 * CHUNK)
     mu = result.parameters["mu"]
     assert mu.std is None and not mu.identified
     low, high = mu.ci95

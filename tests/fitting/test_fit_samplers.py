@@ -165,7 +165,7 @@ def test_importance_is_reproduced_by_its_seed_alone(given, weighted, tmp_path):
     assert not np.array_equal(other.walkers[:, :, :50], weighted.walkers[:, :, :50])
 
 
-def test_refused_importance_sampling_falls_back_to_emcee_with_a_note(given, monkeypatch):
+def test_refused_importance_sampling_falls_back_to_emcee_with_a_note(given, sampled, monkeypatch):
     from tirefit.fitting import posterior
 
     real = draw_weighted
@@ -175,8 +175,7 @@ def test_refused_importance_sampling_falls_back_to_emcee_with_a_note(given, monk
 
     monkeypatch.setattr(posterior, "draw_weighted", far)
     result = sample(given, sampler="importance", effective_samples=500)
-    alone = sample(given, effective_samples=500)
-    assert np.array_equal(result.walkers, alone.walkers)
+    assert np.array_equal(result.walkers, sampled.walkers)
     summary = result.posterior
     assert summary.sampler == "emcee" and summary.k_hat > 0.7
     assert "importance sampling refused (k-hat" in summary.note
@@ -218,7 +217,7 @@ def test_arviz_reads_weighted_draws(weighted, tmp_path):
 
 
 def test_nuts_agrees_with_emcee(given, sampled):
-    result = sample(given, sampler="nuts", effective_samples=2000)
+    result = sample(given, sampler="nuts", effective_samples=1000)
     summary = result.posterior
     assert summary.outcome is Outcome.CONVERGED and summary.divergences == 0
     assert (summary.ensembles, summary.walkers) == (4, 8)
@@ -255,8 +254,8 @@ def test_nuts_counts_divergences():
         rest = jnp.sum(u[:, 1:] ** 2, axis=1) * jnp.exp(-neck)
         return -(u[:, 0] ** 2 + rest + (u.shape[1] - 1) * neck) / 2
 
-    state = nuts_start(funnel, 6, 4, 8, 0)
-    *_, state = nuts_chunk(funnel, state, 100)
+    state = nuts_start(funnel, 3, 4, 8, 0)
+    *_, state = nuts_chunk(funnel, state, 50)
     assert state["divergences"] > 0
 
 
@@ -272,14 +271,15 @@ def runs_of(count: int):
     return table(columns, run=np.repeat(np.arange(count), 60), runs=names)
 
 
+@pytest.mark.long
 def test_nuts_samples_many_parameters():
-    """Eight runs with separate stiffness and friction: 16 parameters, whose posterior
+    """Four runs with separate stiffness and friction: 8 parameters, whose posterior
     factors into runs, so that each interval agrees with its profile."""
     each = {"per_run": True}
     config = GIVEN | {"parameters": {"mu": each, "cpa2": each}}
-    result = fit(runs_of(8), "brush", config=config)
-    assert len(result.labels) == 16
-    drawn = sample(result, sampler="nuts", effective_samples=2000)
+    result = fit(runs_of(4), "brush", config=config)
+    assert len(result.labels) == 8
+    drawn = sample(result, sampler="nuts", effective_samples=500)
     assert drawn.posterior.outcome is Outcome.CONVERGED
     assert drawn.posterior.divergences == 0
     for label in result.labels:

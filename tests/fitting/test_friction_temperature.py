@@ -24,9 +24,11 @@ NOMINAL = {"FNOMIN": {"value": read_tir(MF52).numbers["FNOMIN"]}}
 
 @cache
 def warming_test():
-    """A tire that warms up over the loads of a test and within each sweep."""
+    """A tire that warms up over the loads of a test of pure slip and within each sweep."""
     inputs, run = sweeps(Plan(MF52), 0, 24, 4)
-    inputs = TireInputs(*(np.asarray(column) + np.zeros(len(run)) for column in inputs))
+    pure = (np.asarray(inputs.sigma_x) == 0) | (np.asarray(inputs.alpha) == 0)
+    inputs = TireInputs(*(np.asarray(column)[pure] for column in inputs))
+    run = run[pure]
     row = np.arange(len(run))
     warm = 50 + 25 * (1 - np.exp(-2 * row / len(row))) + 6 * np.abs(np.sin(row / 8))
     tire, reference = tire_of(MF52), np.round(np.median(warm))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rig import MF52, MF61, MF62, NOISE, TIRES, Plan, family_of, measured, points, sweeps, tire_of
+from rig import MF52, MF61, NOISE, TIRES, Plan, family_of, measured, points, sweeps, tire_of
 
 from tirefit.data.read import read_frame
 from tirefit.data.tir import read_tir
@@ -85,6 +85,7 @@ def judged(path, fit, at, seed):
     return shares
 
 
+@pytest.mark.long
 def test_forces_are_recovered_within_and_beyond_the_loads(monkeypatch, tmp_path):
     """MF 6.1 in pure and combined slip; the file and the record say the same."""
     fit = fit_of(MF61, monkeypatch, n=30, loads=4)
@@ -109,15 +110,6 @@ def test_forces_are_recovered_within_and_beyond_the_loads(monkeypatch, tmp_path)
         np.testing.assert_allclose(of_file[force], own[force], rtol=1e-9, atol=1e-6)
         for name in (force, f"{force}_std"):
             np.testing.assert_allclose(stored[name], own[name], rtol=1e-9, atol=1e-6)
-
-
-def test_a_version_is_converted_to_the_equivalent_one():
-    """6.2 has the forces of 6.1."""
-    fit = converted(read_tir(MF62), "mf61", 0.3, [3500.0, 7000.0])
-    # Two millionths of the force, at which the search rests.
-    assert (
-        "not converged" not in fit.outcomes and max(rmse for rmse, _ in fit.fitted.values()) < 0.02
-    )
 
 
 @pytest.mark.statistics

@@ -10,10 +10,11 @@ from tirefit.data.read import read_frame
 from tirefit.data.tir import read_tir
 from tirefit.fitting.mf.convert import converted
 from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.mf.parts import parts_named
 from tirefit.fitting.mf.store import save_magic_formula, tir_of
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit
-from tirefit.models import forces
+from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
 from tirefit.results import DataError
 
@@ -23,8 +24,12 @@ NOMINAL = ("FNOMIN", "UNLOADED_RADIUS", "LONGVL")
 
 @cache
 def columns():
-    """A test of the tire of MF 5.2 at several speeds, with noise, and what is true."""
+    """A test of the tire of MF 5.2 in pure slip at several speeds, with noise, and what is
+    true."""
     inputs, run = sweeps(Plan(MF52), 0, 24, 4)
+    pure = (np.asarray(inputs.sigma_x) == 0) | (np.asarray(inputs.alpha) == 0)
+    inputs = TireInputs(*(np.asarray(column)[pure] for column in inputs))
+    run = run[pure]
     draw = np.random.default_rng(4)
     inputs = inputs._replace(v=draw.uniform(5, 40, len(run)))
     true = {k: np.asarray(v) for k, v in forces(tire_of(MF52), inputs)._asdict().items()}
@@ -67,7 +72,7 @@ def test_the_moments_do_not_move_the_forces():
     alone = fitted(without=("mx", "my"))
     assert not {"mx", "my"} & set(alone.forces)
     assert not any(name.startswith(("QSX", "QSY")) for name in alone.coefficients)
-    assert "QSX1" not in tir_of(alone).numbers
+    assert not {"QSX1", "QSY1"} & set(tir_of(alone).numbers)
     for name, one in alone.coefficients.items():
         assert whole().coefficients[name] == one
     for key in ("fx", "fy"):
@@ -93,6 +98,11 @@ def test_the_files_reproduce_the_moments(tmp_path):
         assert np.max(own) < noise
 
 
+def test_one_moment_needs_the_forces_it_depends_on():
+    assert parts_named("my") == ("fx", "fy", "combined", "my")
+
+
+@pytest.mark.long
 def test_one_moment_is_fitted_with_the_forces_it_depends_on():
     fit = fitted(part="my")
     assert fit.parts == ("fx", "fy", "combined", "my")
@@ -101,7 +111,9 @@ def test_one_moment_is_fitted_with_the_forces_it_depends_on():
 
 
 def test_an_overturning_moment_needs_a_lateral_force():
-    fit = fitted(without=("fy",))
+    """A given coefficient of it is written to the file all the same."""
+    fit = fitted(without=("fy",), QSX3={"value": 0.02})
+    assert fit.coefficients["QSX3"].origin == "given" and tir_of(fit).numbers["QSX3"] == 0.02
     assert "mx" not in fit.forces and "my" in fit.forces
     assert any("mx is not fitted: the data have no fy" in note for note in fit.notes)
     for name, said in (("fy", "mx is not fitted: the data have no fy"), ("mx", "no mx")):
@@ -109,18 +121,18 @@ def test_an_overturning_moment_needs_a_lateral_force():
             fitted(without=(name,), part="mx")
 
 
-def test_given_moment_coefficients_are_written_to_the_file():
-    fit = fitted(without=("mx", "my"), part="fx", QSX3={"value": 0.02})
-    assert fit.coefficients["QSX3"].origin == "given"
-    assert tir_of(fit).numbers["QSX3"] == 0.02 and "QSY1" not in tir_of(fit).numbers
-
-
-@pytest.mark.parametrize(("path", "model"), [(MF62, "mf61"), (MF61, "mf52")])
-def test_another_version_gets_the_moments_it_supports(path, model):
+@pytest.mark.parametrize(
+    ("path", "model"), [(MF62, "mf61"), pytest.param(MF61, "mf52", marks=pytest.mark.long)]
+)
+def test_another_version_gets_the_forces_and_moments_it_supports(path, model):
     """Exactly in 6.x; in 5.2 a fitted M_x, and the M_y of the nominal state."""
     tir = read_tir(path)
     nominal = tir.numbers["FNOMIN"]
     fit = converted(tir, model, 0.15, [0.6 * nominal, nominal])
+    if model == "mf61":
+        # Two millionths of the force, at which the search rests.
+        assert "not converged" not in fit.outcomes
+        assert max(rmse for rmse, _ in fit.fitted.values()) < 0.02
     inputs = {"sigma_x": np.linspace(-0.05, 0.1, 9), "alpha": np.linspace(-0.1, 0.1, 9)}
     inputs |= {"fz": np.full(9, nominal), "gamma": np.full(9, 0.0), "v": np.full(9, 30.0)}
     found = predict(fit.tire, inputs)

@@ -482,7 +482,9 @@ def combined_rows(name):
     return inputs, -np.stack([fx, fy], axis=1)
 
 
-@pytest.mark.parametrize(("number", "least_gain"), [(52, 3.5), (61, 5.0)])
+@pytest.mark.parametrize(
+    ("number", "least_gain"), [pytest.param(52, 3.5, marks=pytest.mark.long), (61, 5.0)]
+)
 def test_scaling_predicts_the_combined_slip_of_measured_tires(number, least_gain):
     """From their pure-slip curves alone: an RMS error of 4 to 5 % of the load."""
     name = f"mfeval_julia/MagicFormula{number}_Parameters.tir"

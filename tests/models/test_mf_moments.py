@@ -13,6 +13,8 @@ from tirefit.params import parameter_values, with_values
 
 FOLDER = Path(__file__).parents[1] / "data" / "tir" / "mfeval_julia"
 EVERY = pytest.mark.parametrize("number", [52, 61, 62])
+# 6.2 has the moments of 6.1.
+EITHER = pytest.mark.parametrize("number", [52, 61])
 N = 300
 
 
@@ -94,7 +96,7 @@ def test_moments_agree_with_the_manuals(number, busy):
     np.testing.assert_allclose(found.my, -expected, rtol=1e-10)
 
 
-@EVERY
+@EITHER
 def test_a_tire_resists_rolling_and_more_so_under_load(number):
     fz = np.linspace(500, 9000, 20)
     rolling = np.asarray(forces(tire_of(number), TireInputs(fz=fz, v=10.0)).my)
@@ -110,7 +112,7 @@ def test_rolling_resistance_depends_on_pressure_and_speed():
     assert forces(tire, TireInputs(fz=4e3)).my == stated
 
 
-@EVERY
+@EITHER
 def test_the_side_of_the_vehicle_mirrors_only_the_overturning_moment(number):
     """A symmetric tire has no M_x at zero camber and lateral force, and is its own
     mirror image; QSX1 and the ply steer of F_y are not symmetric."""
@@ -132,9 +134,8 @@ def test_the_lateral_force_shifts_the_load():
     assert (np.sign(found.mx) == np.sign(found.fy)).all()
 
 
-@EVERY
-def test_without_coefficients_there_is_no_moment(number):
-    c = numbers(number)
+def test_without_coefficients_there_is_no_moment():
+    c = numbers(61)
     for start, name in (("QSX", "mx"), ("QSY", "my")):
         less = {key: value for key, value in c.items() if not key.startswith(start)}
         tire = mf_tire("6.1", less)

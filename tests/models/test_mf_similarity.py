@@ -21,8 +21,7 @@ def similar(name, starred=False, **other):
     return mf_tire(tire.version, values | other, starred=starred)
 
 
-@pytest.mark.parametrize("starred", [False, True])
-@pytest.mark.parametrize("name", [MF52, MF61])
+@pytest.mark.parametrize(("name", "starred"), [(MF52, False), (MF61, True)])
 def test_pure_slip_gives_the_pure_force(name, starred):
     tire, whole = similar(name, starred), tire_of(name, starred)
     assert tire.similarity == ("fx", "fy") and whole.similarity == ()
@@ -94,12 +93,12 @@ def test_similarity_is_close_to_measured_combined_slip():
         assert misses[0] < 0.07 and misses[1] > 4 * misses[0]
 
 
-@pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
+@pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.long)])
 def test_values_and_gradients_are_finite_everywhere(dtype):
-    value, slopes = jacobian(similar(MF61, starred=True, LMUV=0.1), dtype)
+    value, slopes = jacobian(similar(MF61, starred=True, LMUV=0.1), dtype=dtype)
     assert np.isfinite(value).all()
     for leaf in slopes:
-        bad = ~np.isfinite(leaf).all(axis=0)
+        bad = ~np.isfinite(leaf)
         assert not bad.any(), GRID[bad][:3]
 
 

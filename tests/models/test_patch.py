@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numeric_patch import holding_ratio, integrate_patch, reference_tire
+from visits import visiting
 
 from tirefit.models import (
     MODELS,
@@ -30,7 +31,7 @@ def one_patch(model):
 
 MOVING = (ForceAsymmetric, LoadAsymmetric)
 NAMES = sorted(name for name, model in MODELS.items() if one_patch(model))
-BRUSHES = pytest.mark.parametrize("name", NAMES)
+BRUSHES = visiting(NAMES)
 
 ASYMMETRIES = [-1 / 3, -0.3, -1e-8, -1e-12, 0.0, 1e-12, 1e-8, 0.4, 0.9, 1.0]
 KINETIC = [0.0, 0.35, 0.8, 1.0]

@@ -103,7 +103,7 @@ def test_the_truncated_force_is_exact_up_to_full_sliding(d, order):
     assert radius(tire, FZ, order=order) > full
 
 
-@pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("order", [1, 3, 5])
 @pytest.mark.parametrize(
     ("tire", "v"),
     [(asymmetric(-0.2), 0.0), (asymmetric(0.1), 0.0), (asymmetric(0.5), 0.0)]

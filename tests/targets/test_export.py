@@ -1,11 +1,13 @@
 """Exported files, loaded by their target software, compared with our own forces."""
 
 import ctypes
+import functools
 import importlib.util
 import json
 import shutil
 import subprocess
 import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -115,6 +117,12 @@ def test_casadi_export_reproduces_forces_and_slopes(source, tmp_path):
     assert slopes[1, 1] == pytest.approx(wanted, rel=1e-4, abs=1e-2)
 
 
+@functools.cache
+def header_of(source):
+    with tempfile.TemporaryDirectory() as folder:
+        return tirefit.export(source, "c", Path(folder) / "tire.h").path.read_text()
+
+
 def built(path, folder, single, *flags):
     """The header's functions in a shared library."""
     source = folder / f"use{single}.c"
@@ -141,11 +149,14 @@ def built(path, folder, single, *flags):
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 @pytest.mark.parametrize("source", ["brush-dmh", "brush-d-force", "lugre", MF61])
-@pytest.mark.parametrize("single", [False, True])
-@pytest.mark.parametrize("flags", [(), ("-DTIREFIT_LOOP",)], ids=["plain", "loop"])
+@pytest.mark.parametrize(
+    ("single", "flags"),
+    [(False, ()), (True, ("-DTIREFIT_LOOP",))],
+    ids=["double", "loop in single precision"],
+)
 def test_c_export_reproduces_forces_and_slopes(source, single, flags, tmp_path):
     path = tmp_path / "tire.h"
-    tirefit.export(source, "c", path)
+    path.write_text(header_of(source))
     library, count = built(path, tmp_path, single, *flags)
     kind = ctypes.c_float if single else ctypes.c_double
     found, slopes = [], []

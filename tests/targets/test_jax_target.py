@@ -37,7 +37,7 @@ print(json.dumps([[x.tolist() for x in found], float(slope)]))
 """
 
 
-@pytest.mark.parametrize("source", ["brush-d-force", "lugre", MF61])
+@pytest.mark.parametrize("source", ["lugre", pytest.param(MF61, marks=pytest.mark.long)])
 def test_a_process_without_tirefit_reproduces_forces_and_slopes(source, tmp_path):
     tirefit.export(source, "jax", tmp_path / "tire.py")
     names = (tmp_path / "tire.py").read_text().split("def tire(")[1].split(")")[0]

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from typer.testing import CliRunner
 import tirefit
 from tirefit.cli.commands import app
 from tirefit.data.tir import brush_of, read_tir
+from tirefit.fitting.mf import convert
 from tirefit.fitting.mf.store import save_magic_formula
 from tirefit.fitting.tir import own_tire
 from tirefit.models import MODELS, TireInputs, forces
@@ -143,6 +145,23 @@ def test_chrono_accepts_a_brush(tmp_path):
     assert json.loads(path.read_text())["Coefficient of Friction"] == 0.9
 
 
+def test_the_refitted_version_is_written(tmp_path, monkeypatch):
+    """The refit itself is that of the tests of `converted`."""
+    refitted = own_tire(read_tir(TIR / "MagicFormula61_Parameters.tir"))
+
+    def converted(tir, model, slip_max, loads):
+        assert (tir.version, model) == ("6.2", "mf61") and len(loads) > 2
+        return SimpleNamespace(tire=refitted, coefficients={})
+
+    monkeypatch.setattr(convert, "converted", converted)
+    path = tmp_path / "t.tir"
+    source = TIR / "MagicFormula62_Parameters.tir"
+    done = tirefit.export(source, "tir", path, model="mf61", force=True)
+    assert missed(own_tire(read_tir(path)), refitted) < 1e-9
+    assert any("refitted from Magic Formula 6.2 to 6.1" in note for note in done.notes)
+
+
+@pytest.mark.long
 def test_another_version_is_written(tmp_path):
     path = tmp_path / "t.tir"
     source = TIR / "MagicFormula62_Parameters.tir"
@@ -247,12 +266,11 @@ def test_limits_of_chrono_are_reported(tmp_path):
     assert "does not read PDX3, REX1, REX2, REY1, REY2, RHY2" in told
     values = chrono_values(path.with_suffix(".tir"))
     shown = float(told.split("differs by up to ")[1].split("%")[0]) / 100
-    tire, worst = own_tire(read_tir(path.with_suffix(".tir"))), 0.0
-    for kappa in np.linspace(-0.23, 0.428, 80):
-        for fz in np.array([0.5, 0.75, 1, 1.25, 1.5]) * tire.nominal.FNOMIN:
-            at = np.array([kappa]), np.zeros(1), np.array([fz])
-            found = of_chrono(values, kappa, 0.0, fz)[0]
-            worst = max(worst, abs(found - given_by(tire, *at)[0, 0]) / fz)
+    tire = own_tire(read_tir(path.with_suffix(".tir")))
+    loads = np.array([0.5, 0.75, 1, 1.25, 1.5]) * tire.nominal.FNOMIN
+    kappa, fz = (one.ravel() for one in np.meshgrid(np.linspace(-0.23, 0.428, 80), loads))
+    of_file = [of_chrono(values, *row)[0] for row in zip(kappa, 0 * kappa, fz, strict=True)]
+    worst = np.max(np.abs(of_file - given_by(tire, kappa, 0 * kappa, fz)[:, 0]) / fz)
     # The shifts of the curve, which the sentence leaves out, are small.
     assert shown == pytest.approx(worst, abs=0.02)
 

@@ -84,11 +84,16 @@ class AbstractTire(eqx.Module):
         return inputs
 
 
+def _of_sample(model: AbstractTire, sample: TireInputs) -> TireForces:
+    """One function for all calls: JAX traces it once for each structure of a model."""
+    return model(sample)
+
+
 def modelled(model: AbstractTire) -> tuple[str, ...]:
     """Names of the forces and moments that the model computes."""
     # Traced zeros: a model may divide by an input, which Python's own 0.0 does not allow.
     zeros = np.zeros(len(TireInputs._fields))
-    outputs = jax.eval_shape(lambda *sample: model(TireInputs(*sample)), *zeros)
+    outputs = jax.eval_shape(_of_sample, model, TireInputs(*zeros))
     return tuple(name for name, value in outputs._asdict().items() if value is not None)
 
 

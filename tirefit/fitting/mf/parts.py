@@ -1,5 +1,6 @@
 """The parts of a Magic Formula: their coefficients, and the rows that fit them."""
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -94,6 +95,7 @@ def coefficients_of(version: str) -> dict[str, str]:
     }
 
 
+@cache
 def influences(version: str, force: str) -> tuple[str, ...]:
     """The coefficients that a force depends on, in the order of the equations."""
     of = {"mz": ("fx", "fy", "mz"), "mx": ("fy", "mx"), "my": ("fx", "my")}
