@@ -14,11 +14,7 @@ from tirefit.models import modelled
 from tirefit.results import DataError
 
 FOLDER = Path(__file__).parent / "tir"
-FILES = [
-    *sorted(FOLDER.glob("mfeval_julia/*.tir")),
-    # One of four that differ in their numbers alone.
-    FOLDER / "chrono/335_65R22_5_G275MSA_70psi.tir",
-]
+FILES = sorted(FOLDER.glob("*/*.tir"))
 MF52, MF61 = (FOLDER / f"mfeval_julia/MagicFormula{number}_Parameters.tir" for number in (52, 61))
 VALUE = re.compile(r"(?m)^(\w+[ \t]*=[ \t]*)([-+]?[\d.]+(?:[eEdD][-+]?\d+)?)(?=[ \t\r$]|$)")
 
