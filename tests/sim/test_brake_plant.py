@@ -194,6 +194,7 @@ def test_other_tires_have_the_friction_of_the_road(model, values):
     assert np.interp(at[0], slips.kappa, used) == pytest.approx(np.max(used), abs=1e-3)
 
 
+@pytest.mark.long
 def test_a_tire_whose_peak_depends_on_speed_stops_according_to_its_friction():
     plant, log = stopped(request("lugre", {}, road="mu=0.5", speed=12.0), ConventionalABS())
     used = log.contacts.fx / (log.reading.truth.mu * log.contacts.fz)

@@ -1,4 +1,7 @@
-"""Braking stiffness and its servo on the simulated car, where the truth is known."""
+"""Braking stiffness and its servo on the simulated car, where the truth is known.
+
+Two programs of 50 stops, which take 10 s each to compile: long tests.
+"""
 
 import dataclasses
 from functools import cache
@@ -72,6 +75,7 @@ def estimates(record, speeds):
 
 # Share of friction by pressure; the stiffness falls from 0.85 to 0.4 of that at rest.
 # Near the peak the road moves k itself, and what is soft is loud: the bias grows there.
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("pressure", "use", "low", "high"),
     [
@@ -92,6 +96,7 @@ def test_the_estimate_agrees_with_the_slope_of_the_tire(pressure, use, low, high
     assert abs(np.median(std[:, 300::20]) / spread - 1) < 0.35
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("start", "expected"), [(4.0, 0.45), (9.0, 0.81)])
 def test_with_the_deceleration_servo_the_estimate_agrees_with_the_tire(start, expected):
     """O(10): the gain of the servo is corrected, with the delay of its valves. Measured
@@ -128,6 +133,7 @@ def clearly(less, more):
     return np.mean(more) - np.mean(less) > 4 * spread
 
 
+@pytest.mark.long
 def test_on_a_slippery_road_the_servo_is_smoother_and_uses_more_friction():
     """O Figures 8 and 9. Measured: 0.88 against 0.83 of the friction, 42.6 against 45.9
     m (40.5 with the slip at the true peak), 0.15 against 0.40 MPa."""
@@ -139,6 +145,7 @@ def test_on_a_slippery_road_the_servo_is_smoother_and_uses_more_friction():
     assert np.mean(calm) < 0.5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("mu", "least"), [(0.3, 0.82), (0.5, 0.78)])
 def test_the_use_of_friction_hardly_depends_on_the_road(mu, least):
     """O(22) does not depend on friction: the reference is the same on every road."""
@@ -146,6 +153,7 @@ def test_the_use_of_friction_hardly_depends_on_the_road(mu, least):
     assert least < used.mean() < 0.95
 
 
+@pytest.mark.long
 def test_on_a_dry_road_it_is_not_better():
     """The pressure rises too slowly, and the first excursion beyond the peak ends only
     at 0.3 m/s2: 0.75 of the friction against 0.81, 20.8 against 17.9 m."""
