@@ -116,7 +116,13 @@ RECORDS = {
 """Function -> a result of it, and the files that it saves."""
 
 
-@pytest.fixture(scope="module", params=RECORDS, ids=str)
+# Two of 5 s each, of which tests/vehicle prints, draws and saves one.
+LONG = dict.fromkeys(("replay", "fit_trajectory"), pytest.mark.long)
+
+
+@pytest.fixture(
+    scope="module", params=[pytest.param(k, marks=LONG.get(k, ()), id=k) for k in RECORDS]
+)
 def made(request, tmp_path_factory):
     make, files = RECORDS[request.param]
     return make(tmp_path_factory.mktemp(request.param)), files

@@ -1,6 +1,5 @@
 """The dynamic LuGre tire compared with its steady states and with SciPy."""
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -276,20 +275,6 @@ def test_the_gradients_of_a_bristle_agree_with_differences():
 
             given = jax.tree.map(jnp.asarray, TIRE), z, now
             check_grads(jax.jit(of), given, 1, rtol=1e-4, atol=1e-4)
-
-
-def work(tire):
-    time, motion = course(0.3)
-    options = {"rtol": 1e-10, "adjoint": diffrax.ForwardMode()}
-    result = simulate(tire, LUMPED, time, motion, **options).forces
-    return jnp.sum(result.fx**2) / LOAD**2 + jnp.sum(result.fy) / LOAD
-
-
-def test_the_forward_gradient_of_a_response_agrees_with_differences():
-    tire = jax.tree.map(jnp.asarray, TIRE)
-    _, found = jax.jvp(work, (tire,), (tire,))
-    above, below = (work(jax.tree.map(lambda x, h=h: x * (1 + h), tire)) for h in (1e-4, -1e-4))
-    np.testing.assert_allclose(float(found), float(above - below) / 2e-4, rtol=1e-5)
 
 
 @pytest.mark.parametrize("time", [np.array([0.0]), np.array([0.0, 0.1, 0.1])])

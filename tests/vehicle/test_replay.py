@@ -222,7 +222,7 @@ def test_a_tire_without_a_steady_lateral_force_is_refused(drive):
 
 def test_a_horizon_longer_than_every_stretch_gives_no_number(drive):
     log, toml = drive / "exact.csv", drive / "vehicle.toml"
-    found = replay([log], toml, FRONT, REAR, horizons=(0.5, 60.0))
+    found = replay([log], toml, FRONT, REAR, horizons=(0.5, 15.0))
     assert found.windows[1] == 0 and found.models["tire"].rms()["heading"][1] is None
     assert "0.5 s after a start, the predicted car" in replay_text(found)
     json.loads(found.to_json(), parse_constant=pytest.fail)  # no NaN
