@@ -29,12 +29,12 @@ def test_a_measured_log_is_accepted_only_at_its_reference_point(path, tmp_path):
     assert right.warnings == () and std < 0.03
     assert at == pytest.approx(0.115, abs=3 * std)
     assert f"± {std:.1g} m" in right.summary()
-    for wrong in (0.115 - 0.13, 0.115 + 0.13):
-        result = derive(path, dart(tmp_path, wrong), believe=True)
-        (said,) = (text for text in result.warnings if "tracked_point" in text)
-        # What is stated does not move the estimate.
-        assert result.point.estimate == pytest.approx((at, std), rel=0.05, abs=1e-4)
-        assert f"set tracked_point = [{at:.3g}, -0.01] in vehicle.toml" in said
+    wrong = 0.115 + (-0.13, 0.13)[DART_LOGS.index(path) % 2]
+    result = derive(path, dart(tmp_path, wrong), believe=True)
+    (said,) = (text for text in result.warnings if "tracked_point" in text)
+    # What is stated does not move the estimate.
+    assert result.point.estimate == pytest.approx((at, std), rel=0.05, abs=1e-4)
+    assert f"set tracked_point = [{at:.3g}, -0.01] in vehicle.toml" in said
 
 
 def test_a_reference_point_too_far_behind_is_refused(tmp_path):
@@ -53,11 +53,11 @@ def moved(log, ahead):
     return log | {"c2": log["c2"] + ahead * log["c3"], "c4": log["c4"] + ahead * turning}
 
 
-@pytest.mark.parametrize("ahead", [-0.5, 0.0, 1.2])
+@pytest.mark.parametrize("ahead", [-0.5, 1.2])
 @pytest.mark.parametrize("name", ["turns", "turns and brakes", "slow"])
 def test_the_reference_point_is_recovered_within_its_error(tmp_path, name, ahead):
     off = []
-    for seed in range(10):
+    for seed in range(5):
         log = moved(log_of(seed, name), ahead)
         at, std = derived(tmp_path, log, RATES, believe=True).point.estimate
         off.append((at - L_R - ahead) / std)

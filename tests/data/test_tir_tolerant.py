@@ -1,6 +1,7 @@
 """Tire property files in common variants: read as other programs do, force by force."""
 
 import re
+from functools import cache
 from pathlib import Path
 
 import equinox as eqx
@@ -27,9 +28,12 @@ def tire(tir):
     return own_tire(tir.with_values({"FITTYP": 61}) if tir.version == "6.2" else tir)
 
 
+published = cache(lambda path: tire(read_tir(path)))
+
+
 def same(tir, path):
     """Whether a file has exactly the coefficients of a published one."""
-    return bool(eqx.tree_equal(tire(tir), tire(read_tir(path))))
+    return bool(eqx.tree_equal(tire(tir), published(path)))
 
 
 def shuffled(text, random):

@@ -79,14 +79,22 @@ def test_controllers_do_not_read_the_truth(name):
         np.testing.assert_array_equal(*valves)
 
 
+stepped = eqx.filter_jit(ConventionalABS.step)
+
+
+def rules(**settings):
+    """The conventional controller; arrays, so that all settings share a program."""
+    return jax.tree.map(jnp.asarray, ConventionalABS(**settings))
+
+
 def phases_of(wheels, slowing=2.5, pressure=3e6, **settings):
     """Phase names of a single wheel for given speeds, sample by sample."""
-    controller = ConventionalABS(smoothing=1e-6, **settings)
+    controller = rules(smoothing=1e-6, **settings)
     state = controller.init(measured(0, [wheels[0]], w=1))
     names, valves = [], []
     for k, wheel in enumerate(wheels):
         now = measured(k, [wheel], pressure, slowing, w=1)
-        state, command, _ = controller.step(state, now)
+        state, command, _ = stepped(controller, state, now)
         names.append(PHASES[int(state.phase[0])])
         valves.append(float(command.valve[0]))
     return names, valves
@@ -124,11 +132,11 @@ def test_the_controller_is_off_at_walking_pace():
 
 def test_reference_speed_falls_no_faster_than_the_car():
     """All wheels lock: the reference follows the measured deceleration."""
-    controller = ConventionalABS()
+    controller = rules()
     state = controller.init(measured(0, [15.0] * 4))
     for k in range(1, 21):
         now = measured(k, [8.0] * 4, slowing=3.0)
-        state, _, info = controller.step(state, now)
+        state, _, info = stepped(controller, state, now)
     expected = 15.0 - 20 * 0.005 * (3.0 + 0.3)
     assert float(state.reference) == pytest.approx(expected)
     assert info["reference_speed"].tolist() == pytest.approx([expected] * 4)
@@ -136,11 +144,11 @@ def test_reference_speed_falls_no_faster_than_the_car():
 
 def test_the_rear_takes_the_lower_pressure():
     """One rear wheel locks: both rear valves release, the front ones continue."""
-    controller = ConventionalABS(smoothing=1e-6)
+    controller = rules(smoothing=1e-6)
     state = controller.init(measured(0, [15.0] * 4))
     for k, slow in enumerate((15.0, 14.5, 13.5, 12.5)):
         now = measured(k, [14.99, 14.99, slow, 14.99])
-        state, command, _ = controller.step(state, now)
+        state, command, _ = stepped(controller, state, now)
     assert command.valve[2] == command.valve[3] < 0
     assert command.valve[0] == command.valve[1] == 1.0
 

@@ -119,6 +119,7 @@ def lines(out):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.long
 def test_the_truth_has_a_perfect_score(benchmark):
     scored = [line for line in lines(benchmark) if line["estimator"] == "truth"]
     assert [(line["log"], float(line["use"])) for line in scored] == [
@@ -132,6 +133,7 @@ def test_the_truth_has_a_perfect_score(benchmark):
         assert float(line["false_per_hour"]) == 0
 
 
+@pytest.mark.long
 def test_a_small_benchmark_has_a_line_for_every_method_and_use(benchmark):
     names = [line["estimator"] for line in lines(benchmark)]
     expected = [*["tirefit ekf"] * 3, *["tirefit cubic"] * 3, *["tirefit path"] * 3]

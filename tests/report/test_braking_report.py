@@ -13,16 +13,29 @@ from tirefit.report.brake_animation import outline, save_animation
 from tirefit.report.braking import braking_text, compare_figure, path_of, paths_figure, stop_figure
 from tirefit.sim.brake_request import Request, known_to_controllers, tire_curve
 from tirefit.sim.brake_result import braked
+from tirefit.sim.brake_vehicle import four_wheels
 
 
 @pytest.fixture(scope="module")
 def result():
     tire = with_values(MODELS["brush-m"], {"cpa2": 4e4, "m": 0.5})
     # As long as the stops of tests/sim, with which it shares its programs.
-    request = Request(tire, "brush-m", speed=7.0, road="mu=0.3:0.7@4", time_limit=12.0)
+    how = {"speed": 7.0, "road": "mu=0.3:0.7@4", "time_limit": 12.0}
+    request = Request(tire, "brush-m", vehicle="quarter", **how)
     car = known_to_controllers(request)
-    controllers = {name: controller_of(name, car) for name in ("abs", "slip", "none")}
-    return braked(request, controllers, seed=1)
+    controllers = {name: controller_of(name, car) for name in ("abs", "slip")}
+    controllers["none"] = controller_of("abs", car, {"off": 10.0})  # open valves
+    found = braked(request, controllers, seed=1)
+    # Drawn as a car whose wheels all move as the one that was simulated.
+    stops = {
+        name: replace(stop, log=jax.tree.map(four, stop.log), wheels=four_wheels().wheels)
+        for name, stop in found.stops.items()
+    }
+    return replace(found, request=replace(request, vehicle="car"), stops=stops)
+
+
+def four(leaf):
+    return np.repeat(leaf, 4, axis=1) if leaf.ndim == 2 else leaf
 
 
 def test_the_text_gives_numbers_and_reasons(result):
@@ -65,13 +78,9 @@ def test_figures_are_drawn_for_one_and_for_all_stops(result, tmp_path):
     corners = outline(1.0, 2.0, np.pi / 2, (4.0, 2.0))
     np.testing.assert_allclose(corners.mean(axis=0), [1.0, 2.0])
     assert np.ptp(corners[:, 1]) == pytest.approx(4.0)
-    # The first fifth of a second: every picture of a film costs as much.
-    begun = replace(
-        result,
-        stops={
-            name: replace(stop, log=jax.tree.map(lambda leaf: leaf[:40], stop.log))
-            for name, stop in result.stops.items()
-        },
-    )
+    # The first tenth of a second of one stop: every picture of a film costs as much.
+    stop = result.stops["abs"]
+    stop = replace(stop, log=jax.tree.map(lambda leaf: leaf[:20], stop.log))
+    begun = replace(result, stops={"abs": stop})
     path = save_animation(begun, tmp_path / "stop.gif")
     assert path.read_bytes().startswith(b"GIF89a")

@@ -309,6 +309,23 @@ def judged(status, effects, probability=0.6, rivals=(), twins=(), left=LEFT, **c
     return diagnosis(verdict=verdict, **changes)
 
 
+def words_page(result):
+    """The page without its pictures, which take most of its time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Picture, "_repr_png_", lambda self: b"")
+        return diagnosis_page(result)
+
+
+@pytest.fixture(scope="module")
+def page_text():
+    return diagnosis_page(diagnosis())
+
+
+@pytest.fixture(scope="module")
+def simulator_page():
+    return diagnosis_page(simulated())
+
+
 def flat(text):
     """Text without its line breaks."""
     return re.sub(r"\s+", " ", str(text))
@@ -437,7 +454,7 @@ def test_steps_of_the_ladder_are_ordered_by_what_they_change():
     assert bars[2].closed == 0.94
 
 
-def test_the_ladder_is_first_in_text_and_page():
+def test_the_ladder_is_first_in_text_and_page(page_text):
     text = str(diagnosis())
     title, unit = "HOW FAR THE GAP SHRINKS ON DATA LEFT OUT", "rms left out [N]"
     assert f"{title} (6 runs, each left out in turn; 360 rows)" in text and unit in text
@@ -448,7 +465,7 @@ def test_the_ladder_is_first_in_text_and_page():
     ]
     assert all(row in flat(text) for row in rows)
     assert text.index("ANSWER") < text.index(title) < text.index("EFFECTS")
-    page = re.sub(r"<[^>]*>", " ", diagnosis_page(diagnosis()))
+    page = re.sub(r"<[^>]*>", " ", page_text)
     assert page.index("How far the gap") < page.index("Effects") < page.index("Details")
     document = json.loads(diagnosis().to_json())
     assert document["ladder_on"] == "6 runs, each left out in turn"
@@ -503,7 +520,7 @@ def test_a_closure_at_its_bound_is_reported_as_a_bound():
     assert line.endswith(f"closed [90 % interval]: {closed}")
     poor = candidate(["load_friction"], 0.87, -1.0)
     found = diagnosis(candidates=(replace(poor, closed_ci=(-1.0, 0.0)),))
-    for text in (diagnosis_text(found, True), diagnosis_page(found)):
+    for text in (diagnosis_text(found, True), words_page(found)):
         assert "-100 % or worse [-100 % or worse, 0 %]" in flat(text)
 
 
@@ -599,7 +616,7 @@ def test_every_part_of_the_report_has_units():
     assert "0.300 ± 0.050 % of the mean F_z for all 1 runs" in text
     assert "between runs 1.2 % of the mean F_z [0.8, 2]" in text
     assert "each run [% of the mean F_z]: a 0.40 ± 0.10" in text
-    page = diagnosis_page(found).split("<pre")[0]
+    page = words_page(found).split("<pre")[0]
     assert "0.270 ± 0.030 % of the mean F_z" in page
 
 
@@ -717,14 +734,13 @@ def test_the_waterfall_ends_at_the_noise():
     assert figure.axes[0].get_xlabel() == "share of the squared error [%]"
 
 
-def test_the_budget_stands_in_figure_and_page():
+def test_the_budget_stands_in_figure_and_page(page_text, simulator_page):
     found = simulated()
     assert len(panel_pictures(found)) == 5 and len(panel_pictures(diagnosis())) == 4
     tall, low = (diagnosis_figure(one).get_figheight() for one in (found, diagnosis()))
     assert tall > 1.2 * low
-    page = diagnosis_page(found)
-    assert "Budget of the simulator" in page and "12 % [10 %, 20 %]" in page
-    assert "Budget of the simulator" not in diagnosis_page(diagnosis())
+    assert "Budget of the simulator" in simulator_page and "12 % [10 %, 20 %]" in simulator_page
+    assert "Budget of the simulator" not in page_text
 
 
 def texts_of(figure):
@@ -738,7 +754,8 @@ def test_every_channel_has_a_budget_in_its_unit():
     assert force[0][:2] == ("F_y, part of the error", "rms [N]")
     assert moment[0][:2] == ("M_z, part of the error", "rms [N m]")
     assert moment[1][1] == "26" and moment[2][1] == "24"
-    for text in (str(found), html.unescape(diagnosis_page(found))):
+    page = words_page(found)
+    for text in (str(found), html.unescape(page)):
         assert "M_z, part of the error" in text and "rms [N m]" in text
     steps = waterfall_steps(found, "mz")
     left = [1, 1, 100 / 676, 64 / 676]
@@ -750,26 +767,27 @@ def test_every_channel_has_a_budget_in_its_unit():
     assert "Budget of M_z: from the simulator" in " ".join(
         texts_of(pictures["budget of M_z"])
     ).replace("\\", "")
-    assert "of M_z" in "".join(Page(diagnosis_page(found)).alternatives)
+    assert "of M_z" in "".join(Page(page).alternatives)
 
 
-def test_the_report_is_about_the_forces_not_the_approximating_tire():
+def test_the_report_is_about_the_forces_not_the_approximating_tire(page_text, simulator_page):
     """For a simulator known by its forces; a tire is called by its name."""
     found, small = simulated(), "stands in for the simulator"
     tire = found.simulator._replace(kind="model")
     own, fitted = simulated(simulator=tire), diagnosis()
-    for one, title in (
-        (found, f"{NAME} against the simulator's own forces"),
-        (own, f"{NAME} against brush"),
-        (fitted, f"{NAME} against brush"),
+    for one, title, page in (
+        (found, f"{NAME} against the simulator's own forces", simulator_page),
+        (own, f"{NAME} against brush", words_page(own)),
+        (fitted, f"{NAME} against brush", page_text),
     ):
         drawn = "".join(texts_of(diagnosis_figure(one))).replace("\\", "")
-        page, fragment = (html.unescape(text) for text in (diagnosis_page(one), one._repr_html_()))
+        page = html.unescape(page)
         text = re.sub(r"\s+", " ", str(one))
-        for where in (drawn, page, fragment, text):
+        for where in (drawn, page, text):
             assert title in where
         for where in (text, page.split("<pre>")[0]):
             assert (small in where) == (one is not fitted)
+    assert f"{NAME} against the simulator" in html.unescape(found._repr_html_())
 
 
 LOOK = Look("friction", "fz", "threshold", 5000.0, 0.0, -0.049, 0.97, 0.8)
@@ -867,7 +885,7 @@ def test_the_remainder_is_in_figure_and_page():
     found, beside = looking(STEP), looking(STEP, "incomplete")
     assert list(panel_pictures(found))[4:] == ["what is left"]
     assert diagnosis_figure(found).get_figheight() > 1.2 * plain
-    page = Page(diagnosis_page(found))
+    page = Page(words_page(found))
     assert len(page.links) == 5
     assert any("Remainder: change of a parameter" in one for one in page.alternatives)
     said = [" ".join(texts_of(panel_pictures(one)["what is left"])) for one in (found, beside)]
@@ -880,7 +898,7 @@ def test_a_p_value_at_its_floor_is_reported_as_a_bound():
     """With two channels the floor of the smaller p-value is twice that of one."""
     found = judged("incomplete", ["load_friction"])
     both = replace(found, data=replace(found.data, channels=("fx", "fy")))
-    for said in (str(found), html.unescape(diagnosis_page(found))):
+    for said in (str(found), html.unescape(words_page(found))):
         assert (
             "detected by 2 of 4 tests (p: probability under noise alone): residuals of"
             " neighbouring rows in time agree (p < 1e-06); residuals of neighbouring"
@@ -957,7 +975,7 @@ STATUSES = {
 def test_every_verdict_has_its_sentence(verdict, sentence):
     found = judged(*verdict)
     assert answer(found) == sentence
-    text, page = flat(found), html.unescape(diagnosis_page(found))
+    text, page = flat(found), html.unescape(words_page(found))
     assert sentence in text and sentence in page
     # What can be done, for each effect that is named.
     for effect in verdict[1]:
@@ -1057,7 +1075,7 @@ def test_a_slip_that_contradicts_the_wheel_speed_is_reported():
         "slip, read as sigma_x, against omega, v and a rolling radius of 0.305 m: 0.012"
         " rms apart, offset 0.00410 ± 0.00020, follows kappa"
     )
-    assert sentence in flat(found) and sentence in diagnosis_page(found)
+    assert sentence in flat(found) and sentence in words_page(found)
     agrees = diagnosis(slip_check=check._replace(fits="sigma_x"))
     assert "rolling radius of" not in str(agrees)
     assert "rolling radius of" in flat(diagnosis_text(agrees, full=True))
@@ -1123,7 +1141,7 @@ def test_texts_cover_the_library_and_name_existing_models():
 def test_a_user_defined_effect_is_shown_by_its_id():
     found = judged("named", ["road_ripple"], candidates=(candidate(["road_ripple"], 1),))
     assert "The gap comes from road ripple. Probability 0.60" in flat(found)
-    assert "road ripple (road_ripple)" in diagnosis_page(found)
+    assert "road ripple (road_ripple)" in words_page(found)
     mine = Effect(
         id="road_ripple",
         family="friction x time",
@@ -1136,7 +1154,7 @@ def test_a_user_defined_effect_is_shown_by_its_id():
     )
     verdict = found.verdict
     known = diagnosis(verdict=verdict, library=(*EFFECTS, mine))
-    for page in (str(known), diagnosis_page(known)):
+    for page in (str(known), words_page(known)):
         assert "the road has waves; to do: measure elsewhere" in page
     own = Untestable("road_ripple", ("road camera", "omega"))
     assert untestable_lines(known, [own]) == ["road camera, wheel speed omega: road ripple"]
@@ -1163,11 +1181,6 @@ def test_ranges_are_written_with_few_digits():
     assert listing(["a"]) == "a" and listing(["a", "b", "c"], "or") == "a, b or c"
     assert set_name(()) == "no effect" and name_with_id("toe") == "toe"
     assert set_name(["toe", "slip_offset"]) == "toe + slip offset"
-
-
-@pytest.fixture(scope="module")
-def page_text():
-    return diagnosis_page(diagnosis())
 
 
 def test_the_page_is_self_contained(page_text):

@@ -20,6 +20,7 @@ from tirefit.fitting.result import FitResult, Verdict
 from tirefit.fitting.source import given_tire
 from tirefit.models import Brush
 from tirefit.online.result import Estimates
+from tirefit.report.canvas import Picture
 from tirefit.results import Outcome, exit_code
 from tirefit.sim.brake_result import Braking
 from tirefit.targets.export import Exported
@@ -71,14 +72,15 @@ AXLES = Brush(cpa2=40.0, mu=0.9), Brush(cpa2=120.0, mu=0.75)
 
 
 def drive(folder):
-    """A car's log of 8 s with noise, as a file."""
+    """A car's log with noise, as a file; as long as that of tests/vehicle, with which a
+    fit by trajectory shares its programs."""
     step, generator = 0.01, np.random.default_rng(3)
-    time = np.arange(0.0, 8.0, step)
+    time = np.arange(0.0, 24.0, step)
     steering = 0.2 * np.sin(1.7 * time) + 0.1 * np.sin(6.1 * time)
     given = np.full_like(time, 3.0), steering
     path = predicted(car_of(CAR, *AXLES), State(0, 0, 0, 0, 0), *given, step, 2)
     columns = {"time": time, "x": path.x, "y": path.y, "yaw": path.heading}
-    noisy = {k: v + 1e-3 * generator.standard_normal(800) for k, v in columns.items()}
+    noisy = {k: v + 1e-3 * generator.standard_normal(len(time)) for k, v in columns.items()}
     rows = noisy | {"time": time, "steering": steering}
     out = folder / "drive.csv"
     values = np.stack(list(rows.values()), axis=1)
@@ -86,6 +88,7 @@ def drive(folder):
     return [out]
 
 
+STOP = {"controller": "none", "speed": 3.0, "vehicle": "quarter"}
 RECORDS = {
     "fit": (lambda _: tirefit.fit(rig(), "brush"), {"fit.json"}),
     "fit_many": (lambda _: many(), {"fits.csv"}),
@@ -99,10 +102,7 @@ RECORDS = {
         {"estimates.csv", "summary.json"},
     ),
     "simulate": (lambda _: tirefit.simulate(teeth=1), {"log.csv", "log.truth.csv"}),
-    "brake": (
-        lambda _: tirefit.brake(controller="none", speed=3.0, vehicle="quarter"),
-        {"summary.json", "series.csv"},
-    ),
+    "brake": (lambda _: tirefit.brake("brush", **STOP), {"summary.json", "series.csv"}),
     "export": (exported, {"tire.py"}),
     "replay": (
         lambda folder: tirefit.replay(drive(folder), CAR, *AXLES, horizons=(0.5,)),
@@ -116,7 +116,13 @@ RECORDS = {
 """Function -> a result of it, and the files that it saves."""
 
 
-@pytest.fixture(scope="module", params=RECORDS, ids=str)
+# Two of 5 s each, of which tests/vehicle prints, draws and saves one.
+LONG = dict.fromkeys(("replay", "fit_trajectory"), pytest.mark.long)
+
+
+@pytest.fixture(
+    scope="module", params=[pytest.param(k, marks=LONG.get(k, ()), id=k) for k in RECORDS]
+)
 def made(request, tmp_path_factory):
     make, files = RECORDS[request.param]
     return make(tmp_path_factory.mktemp(request.param)), files
@@ -151,8 +157,9 @@ def test_a_notebook_shows_a_figure_and_loads_nothing(made):
     assert "http" not in fragment.replace("http-equiv", "")
 
 
-def test_a_record_is_saved_as_files_and_as_a_page(made, tmp_path):
+def test_a_record_is_saved_as_files_and_as_a_page(made, tmp_path, monkeypatch):
     record, files = made
+    monkeypatch.setattr(Picture, "_repr_png_", lambda self: b"")  # drawn above
     written = record.save(tmp_path / "out")
     assert {path.name for path in written} == files
     assert {path.name for path in (tmp_path / "out").iterdir()} == files
@@ -261,12 +268,11 @@ def test_python_and_command_simulate_the_same_file(tmp_path):
 
 def test_a_fitted_tire_brakes_like_its_model():
     fit = tirefit.fit(rig(), "brush")
-    how = {"controller": "none", "speed": 3.0, "vehicle": "quarter"}
     values = {k: fit.parameters[k].value for k in ("cpa2", "mu")}
-    one, other = tirefit.brake(fit, **how), tirefit.brake("brush", values=values, **how)
+    one, other = tirefit.brake(fit, **STOP), tirefit.brake("brush", values=values, **STOP)
     distance = [float(x.stops["none"].summary.stopping_distance) for x in (one, other)]
     assert distance[0] == pytest.approx(distance[1], rel=1e-6)
     with pytest.raises(tirefit.UsageError, match="leave them out, or name a model"):
-        tirefit.brake(fit, values={"mu": 1.0}, **how)
+        tirefit.brake(fit, values={"mu": 1.0}, **STOP)
     with pytest.raises(tirefit.UsageError, match="leave them out, or name a model"):
         given_tire(given_tire(fit), values={"mu": 1.0})

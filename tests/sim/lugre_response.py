@@ -41,42 +41,34 @@ def simulate(
     *,
     initial: Float[Array, "n 2"] | None = None,
     rtol: float = 1e-8,
-    adjoint: diffrax.AbstractAdjoint = diffrax.RecursiveCheckpointAdjoint(),
 ) -> Response:
     """The tire's response to a given motion.
 
     Args:
-        tire: parameters; differentiable, as are ``motion`` and ``initial``.
+        tire: parameters.
         bristles: ``LUMPED`` or ``distributed(elements)``.
         time: increasing instants [s]; a jump takes two of them close together.
         motion: the patch at these instants (t,), linear between them.
         initial: deflections at the first instant [m]; none unless given.
         rtol: relative tolerance of the integration; the absolute one is a thousandth
             of it in m, a deflection being of the order of 1 mm.
-        adjoint: how diffrax differentiates: by default in reverse mode,
-            ``diffrax.ForwardMode()`` for ``jax.jvp`` and ``jax.jacfwd``.
 
     Raises:
         ValueError: ``time`` is not a vector of at least two increasing instants.
     """
     time = jnp.asarray(time, float)
-    if time.ndim != 1 or len(time) < 2 or not _increases(time):
+    if time.ndim != 1 or len(time) < 2 or not np.all(np.diff(time) > 0):
         raise ValueError("time must be a vector of at least two increasing instants")
     start = jnp.zeros((len(bristles.weight), 2)) if initial is None else initial
     # As arrays, to avoid a compilation for every new value.
     tire, rtol = jax.tree.map(jnp.asarray, (tire, rtol))
-    deflection = _integrate(tire, bristles, time, motion, start, rtol, adjoint)
+    deflection = _integrate(tire, bristles, time, motion, start, rtol)
     forces = jax.vmap(lambda z, now: bristle_forces(tire, bristles, z, now))
     return Response(forces(deflection, motion), deflection)
 
 
-def _increases(time) -> bool:
-    """Whether a known time increases; that of a trace is unknown."""
-    return isinstance(time, jax.core.Tracer) or bool(np.all(np.diff(time) > 0))
-
-
 @eqx.filter_jit
-def _integrate(tire, bristles, time, motion, start, rtol, adjoint):
+def _integrate(tire, bristles, time, motion, start, rtol):
     course = diffrax.LinearInterpolation(time, motion)
     term = diffrax.ODETerm(lambda t, z, tire: bristle_rate(tire, bristles, z, course.evaluate(t)))
     # A step across a sample could miss a short pulse.
@@ -86,6 +78,6 @@ def _integrate(tire, bristles, time, motion, start, rtol, adjoint):
     solution = diffrax.diffeqsolve(
         term, diffrax.Tsit5(), time[0], time[-1], None, start, tire,
         saveat=diffrax.SaveAt(ts=time), stepsize_controller=controller,
-        adjoint=adjoint, max_steps=2**20,
+        max_steps=2**20,
     )  # fmt: skip
     return solution.ys

@@ -1,5 +1,6 @@
 """The braked plant checked by SciPy, energy, textbook and finite differences."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,11 +9,12 @@ from brake_peer import PlainABS, QuarterCar, Valves, stop
 
 from tirefit.models import MODELS, TireInputs
 from tirefit.online.abs import ConventionalABS
-from tirefit.online.controller import NoController
 from tirefit.params import parameter_values, with_values
 from tirefit.sim.brake import simulate_stop, xbs_true
 from tirefit.sim.brake_plant import contacts, rolling
 from tirefit.sim.brake_request import Request, arrays, plant_of
+from tirefit.sim.brake_summary import reason_of, summarise
+from tirefit.sim.brake_tire import Slips
 from tirefit.sim.brake_vehicle import GRAVITY, Hydraulics, Sensors, draw_noise
 
 VALUES = {"cpa2": 4e4, "m": 0.5}
@@ -20,6 +22,9 @@ SMOOTH = Sensors(0.0, 0.0, 0.0, 0.0, 0.0)
 RATE = 200.0
 SAMPLES = 2400
 """Of every stop, which all end sooner: one program serves all roads and speeds."""
+OFF = ConventionalABS(off=1e3)
+"""Open valves at all speeds, as without a controller, by the program of the others."""
+touched = eqx.filter_jit(contacts)
 
 
 def request(model="brush-m", values=None, **given):
@@ -28,9 +33,8 @@ def request(model="brush-m", values=None, **given):
     return Request(with_values(MODELS[model], values), model, **given)
 
 
-def stopped(asked, controller=None, seed=0):
+def stopped(asked, controller=OFF, seed=0):
     """Plant and log (NumPy) of a stop, up to its end."""
-    controller = NoController() if controller is None else controller
     plant = plant_of(asked)
     log = simulate_stop(
         plant,
@@ -115,7 +119,7 @@ def test_its_program_can_be_cached_between_processes():
     asked = request()
     program = simulate_stop.lower(
         plant_of(asked),
-        NoController(),
+        arrays(OFF),
         arrays(asked.sensors),
         jnp.asarray(asked.speed, float),
         jax.random.key(0),
@@ -177,25 +181,34 @@ def test_a_locked_wheel_turns_again_after_release():
         ("liu-peng", {}),
     ],
 )
-def test_other_tires_stop_according_to_their_friction(model, values):
-    asked = request(model, values, vehicle="car", road="mu=0.5", speed=12.0)
-    plant, log = stopped(asked, ConventionalABS())
-    peak = log.reading.truth.mu
+def test_other_tires_have_the_friction_of_the_road(model, values):
+    plant = plant_of(request(model, values, vehicle="car", road="mu=0.5", speed=12.0))
+    fz, n = plant.vehicle.fz, 400
+    peak, at = plant.tire.peaks(jnp.full(4, 0.5), jnp.full(4, 12.0), fz)
     # Load and sliding speed move a peak a bit; no force exceeds it.
-    assert peak[0, 0] == pytest.approx(0.5, rel=0.05)
-    used = log.contacts.fx / (peak * log.contacts.fz)
-    assert np.max(used) < 1 + 1e-3 and np.mean(used[40:]) > 0.6
-    assert np.max(used) > 0.97
+    assert peak[0] == pytest.approx(0.5, rel=0.05)
+    slips = Slips(jnp.linspace(0.0, 0.99, n), jnp.zeros(n), jnp.full(n, 12.0))
+    fx, fy = plant.tire.forces(jnp.full(n, 0.5), slips, jnp.full(n, fz[0]))
+    used = np.asarray(fx / (peak[0] * fz[0]))
+    assert 0.97 < np.max(used) < 1 + 1e-3 and not np.any(fy)
+    assert np.interp(at[0], slips.kappa, used) == pytest.approx(np.max(used), abs=1e-3)
+
+
+@pytest.mark.long
+def test_a_tire_whose_peak_depends_on_speed_stops_according_to_its_friction():
+    plant, log = stopped(request("lugre", {}, road="mu=0.5", speed=12.0), ConventionalABS())
+    used = log.contacts.fx / (log.reading.truth.mu * log.contacts.fz)
+    assert 0.97 < np.max(used) < 1 + 1e-3 and np.mean(used[40:]) > 0.6
 
 
 def test_a_road_changes_only_the_friction_of_a_brush():
     """Similarity on a brush is exactly another mu; on LuGre another g."""
-    plant = plant_of(request("brush", {"mu": 1.3}, road="mu=0.4"))
+    plant = plant_of(request(values={"mu": 1.3, "m": 1.0}, road="mu=0.4"))
     other = with_values(MODELS["brush"], {"mu": 0.4})
     moved = rolling(plant, jnp.asarray(15.0))
     for share in (0.999, 0.97, 0.9, 0.3, 0.0):
         s = moved._replace(omega=share * moved.omega)
-        c = contacts(plant, s)
+        c = touched(plant, s)
         sigma = c.slips.kappa / (1 - c.slips.kappa)
         force, _ = other.pure(sigma[0], c.fz[0], 0.0)
         assert float(c.fx[0]) == pytest.approx(float(force), rel=1e-9)
@@ -204,7 +217,7 @@ def test_a_road_changes_only_the_friction_of_a_brush():
     factor = 0.4 / float(plant.tire.usual)
     scaled = values | {"mu_s": 0.9 * factor, "mu_c": 0.5 * factor}
     other = with_values(MODELS["lugre"], scaled)
-    c = contacts(plant, moved._replace(omega=0.8 * moved.omega))
+    c = touched(plant, moved._replace(omega=0.8 * moved.omega))
     sigma = c.slips.kappa[0] / (1 - c.slips.kappa[0])
     force = other(TireInputs(sigma, 0.0, c.fz[0], 15.0)).fx
     assert float(c.fx[0]) == pytest.approx(float(force), rel=1e-9)
@@ -216,7 +229,7 @@ def test_the_true_stiffness_is_the_slope_of_the_force():
     share = jnp.asarray([1.0, 0.98, 0.96, 0.8])
     s = s._replace(omega=s.omega * share)
     step = 1e-4
-    ahead, behind = (contacts(plant, s._replace(omega=s.omega + h)).fx for h in (step, -step))
+    ahead, behind = (touched(plant, s._replace(omega=s.omega + h)).fx for h in (step, -step))
     slope = -(ahead - behind) / (2 * step * plant.vehicle.radius)
     np.testing.assert_allclose(xbs_true(plant, s), slope, rtol=1e-5, atol=1.0)
     # At rest it is C_x / v; in full sliding of a brush nothing.
@@ -249,6 +262,13 @@ def test_a_split_road_turns_the_car_towards_high_friction():
     assert log.motion.heading[60] < -1e-3  # grip on the right: it turns right
     left = log.contacts.fx[60:160, 0].mean()
     assert log.contacts.fx[60:160, 1].mean() > 2 * left
+
+
+def test_a_car_that_spins_is_reported_as_spun():
+    asked = request(road="left=0.1,right=0.9", speed=25.0, vehicle="car")
+    plant, log = stopped(asked)
+    summary = jax.jit(summarise, static_argnums=2)(plant, log, 1 / RATE)
+    assert reason_of(summary).startswith("spun")
 
 
 def test_the_front_wheels_reach_a_new_road_first():

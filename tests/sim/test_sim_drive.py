@@ -110,6 +110,6 @@ def test_wheels_lock_on_a_slippery_road_with_finite_values():
 
 
 def test_an_impossible_drive_is_refused_with_a_remedy():
-    said = "(?s)than 300 steps: a car spins.*remedy: reduce the lateral"
+    said = "(?s)than 30 steps: a car spins.*remedy: reduce the lateral"
     with pytest.raises(UsageError, match=said):
-        simulate_drive(Drive(duration=8.0, bend=1.2, brake=1.2), max_steps=300)
+        simulate_drive(Drive(**SHORT), max_steps=30)

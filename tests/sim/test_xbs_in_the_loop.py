@@ -1,4 +1,7 @@
-"""Braking stiffness and its servo on the simulated car, where the truth is known."""
+"""Braking stiffness and its servo on the simulated car, where the truth is known.
+
+Two programs of 50 stops, which take 10 s each to compile: long tests.
+"""
 
 import dataclasses
 from functools import cache
@@ -10,45 +13,52 @@ import numpy as np
 import pytest
 
 from tirefit.models import MODELS
-from tirefit.online.controller import NoController
+from tirefit.online.abs import ConventionalABS
 from tirefit.online.controllers import CONTROLLERS, controller_of
 from tirefit.online.xbs import Xbs
 from tirefit.params import with_values
 from tirefit.sim.brake import simulate_stop
 from tirefit.sim.brake_request import Request, arrays, known_to_controllers, plant_of
-from tirefit.sim.brake_result import many_stops
+from tirefit.sim.brake_summary import summarise
 from tirefit.sim.brake_vehicle import Hydraulics, Sensors
 
-RATE, STOPS = 200.0, 50
+RATE, STOPS, SAMPLES = 200.0, 50, 1400
+"""One program of a controller serves all tires, roads and speeds."""
 SPEED = 18.0
-SNOW = with_values(MODELS["brush"], {"cpa2": 2e4})
+SNOW = {"cpa2": 2e4, "m": 1.0}
 SENSORS = Sensors(road_std=0.015)
 NOISE = float(np.hypot(SENSORS.speed_std, SENSORS.speed_step / np.sqrt(12)))
 
 
 @eqx.filter_jit
-def stops(plant, controller, sensors, samples, queue):
-    keys = jax.vmap(jax.random.key)(jnp.arange(STOPS))
-    speed = jnp.asarray(SPEED)
-    return jax.vmap(
-        lambda key: simulate_stop(plant, controller, sensors, speed, key, samples, queue)
-    )(keys)
+def _stops(plant, controller, sensors, speed):
+    def one(key):
+        log = simulate_stop(plant, controller, sensors, speed, key, SAMPLES, 2)
+        return log, summarise(plant, log, 1 / controller.rate)
+
+    return jax.vmap(one)(jax.vmap(jax.random.key)(jnp.arange(STOPS)))
+
+
+def stops(asked, controller):
+    """Logs and summaries of stops, (STOPS, ...)."""
+    given = plant_of(asked), arrays(controller), arrays(asked.sensors)
+    return _stops(*given, jnp.asarray(asked.speed, float))
 
 
 def request(**more):
     how = {"road": "mu=0.4", "speed": SPEED, "vehicle": "quarter", "sensors": SENSORS}
-    return Request(SNOW, "brush", **(how | more))
+    return Request(with_values(MODELS["brush-m"], SNOW), "brush-m", **(how | more))
 
 
 @cache
 def under_pressure(pressure):
     """Use of friction, true k, estimate, std; (stops, samples) at a pressure [Pa]."""
     asked = request(hydraulics=Hydraulics(demand=pressure, ramp=2e7))
-    log = stops(plant_of(asked), NoController(), arrays(SENSORS), 500, 0)
+    log, _ = stops(asked, ConventionalABS(off=1e3))  # valves open
     record = Xbs(rate=RATE, road_corner=SENSORS.road_corner, speed_noise=NOISE)
-    value, std = estimates(record, log.reading.wheel_speed[..., 0])
+    value, std = estimates(record, log.reading.wheel_speed[:, :500, 0])
     use = log.contacts.fx / log.contacts.fz / log.reading.truth.mu
-    return tuple(map(np.asarray, (use[..., 0], log.xbs_true[..., 0], value, std)))
+    return *(np.asarray(part[:, :500, 0]) for part in (use, log.xbs_true)), value, std
 
 
 @eqx.filter_jit
@@ -65,6 +75,7 @@ def estimates(record, speeds):
 
 # Share of friction by pressure; the stiffness falls from 0.85 to 0.4 of that at rest.
 # Near the peak the road moves k itself, and what is soft is loud: the bias grows there.
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("pressure", "use", "low", "high"),
     [
@@ -85,6 +96,7 @@ def test_the_estimate_agrees_with_the_slope_of_the_tire(pressure, use, low, high
     assert abs(np.median(std[:, 300::20]) / spread - 1) < 0.35
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("start", "expected"), [(4.0, 0.45), (9.0, 0.81)])
 def test_with_the_deceleration_servo_the_estimate_agrees_with_the_tire(start, expected):
     """O(10): the gain of the servo is corrected, with the delay of its valves. Measured
@@ -94,9 +106,9 @@ def test_with_the_deceleration_servo_the_estimate_agrees_with_the_tire(start, ex
     settings |= {"quiet": 0.0, "low": 2.0, "high": 20.0, "forgetting": 0.99}
     servo = controller_of("xbs-servo", known_to_controllers(asked), settings)
     servo = dataclasses.replace(servo, speed_noise=jnp.asarray(NOISE))
-    log = stops(plant_of(asked), jax.tree.map(jnp.asarray, servo), arrays(SENSORS), 500, 2)
+    log, _ = stops(asked, servo)
     use = (log.contacts.fx / log.contacts.fz / log.reading.truth.mu)[..., 0]
-    late = np.s_[:, 300:]
+    late = np.s_[:, 300:500]
     true, value = (np.asarray(x)[..., 0] for x in (log.xbs_true, log.info["xbs"]))
     assert abs(use[late].mean() - expected) < 0.06
     assert 0.85 < np.nanmedian(value[late]) / true[late].mean() < 1.35
@@ -109,16 +121,9 @@ USUAL = with_values(MODELS["brush-m"], {"cpa2": 4e4, "m": 0.5})
 
 @cache
 def braked(name, road):
-    """Numbers of 24 stops from 15 m/s."""
-    # One time limit, so that one program serves all roads.
-    asked = Request(USUAL, "brush-m", road=road, speed=15.0, vehicle="quarter", time_limit=7.0)
-    controller = controller_of(name, known_to_controllers(asked))
-    plant = plant_of(asked)
-    plants = jax.tree.map(lambda x: jnp.repeat(x[None], 24, 0), plant)
-    how = asked.samples(controller.rate), asked.hydraulics.queue(controller.rate)
-    keys = jax.vmap(jax.random.key)(jnp.arange(24))
-    speed = jnp.asarray(15.0, float)
-    made = many_stops(plants, controller, arrays(asked.sensors), speed, keys, *how)
+    """Numbers of the stops from 15 m/s."""
+    asked = Request(USUAL, "brush-m", road=road, speed=15.0, vehicle="quarter")
+    _, made = stops(asked, controller_of(name, known_to_controllers(asked)))
     return jax.tree.map(np.asarray, made)
 
 
@@ -128,6 +133,7 @@ def clearly(less, more):
     return np.mean(more) - np.mean(less) > 4 * spread
 
 
+@pytest.mark.long
 def test_on_a_slippery_road_the_servo_is_smoother_and_uses_more_friction():
     """O Figures 8 and 9. Measured: 0.88 against 0.83 of the friction, 42.6 against 45.9
     m (40.5 with the slip at the true peak), 0.15 against 0.40 MPa."""
@@ -139,6 +145,7 @@ def test_on_a_slippery_road_the_servo_is_smoother_and_uses_more_friction():
     assert np.mean(calm) < 0.5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("mu", "least"), [(0.3, 0.82), (0.5, 0.78)])
 def test_the_use_of_friction_hardly_depends_on_the_road(mu, least):
     """O(22) does not depend on friction: the reference is the same on every road."""
@@ -146,6 +153,7 @@ def test_the_use_of_friction_hardly_depends_on_the_road(mu, least):
     assert least < used.mean() < 0.95
 
 
+@pytest.mark.long
 def test_on_a_dry_road_it_is_not_better():
     """The pressure rises too slowly, and the first excursion beyond the peak ends only
     at 0.3 m/s2: 0.75 of the friction against 0.81, 20.8 against 17.9 m."""

@@ -2,29 +2,22 @@
 independent program (fits/withheld_vehicle/drives.py)."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import tirefit
 from fits.withheld_vehicle.drives import LISTED, Trial, trial, written
+from tirefit.cli.commands import app
 from tirefit.models import Brush
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle.car import cubic, delayed, lagged, with_play
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples, Setting
 
-FEW = (
-    "steering_ratio",
-    "steering_delay",
-    "yaw_inertia",
-    "bank",
-    "steering_offset",
-    "relaxation_length",
-)
+FEW = ("steering_delay", "yaw_inertia", "steering_offset", "relaxation_length")
 LIBRARY = tuple(effect for effect in CAR_EFFECTS if effect.id in FEW)
 DELAY = 0.08
 
@@ -104,15 +97,14 @@ def test_no_effect_is_named_if_none_is_missing(tmp_path):
 
 def test_the_command_refuses_wrong_use_and_writes_results(late, tmp_path):
     log, vehicle, _ = late
-    command = [
-        sys.executable, "-m", "tirefit", "diagnose", log, "--vehicle", vehicle,
-        "--holdout", log.parent / "none.csv", "--out", tmp_path / "out",
-    ]  # fmt: skip
-    done = subprocess.run([*map(str, command)], capture_output=True, text=True)
-    assert done.returncode == 3 and "none.csv" in done.stderr
-    command[7:9] = ["--rig", "rig.toml", "--convention", "iso-w"]
-    done = subprocess.run([*map(str, command)], capture_output=True, text=True)
-    assert done.returncode == 2 and "--convention, --rig with --vehicle" in done.stderr
+    command = ["diagnose", log, "--vehicle", vehicle, "--out", tmp_path / "out"]
+    bad = {
+        (3, "none.csv"): ["--holdout", log.parent / "none.csv"],
+        (2, "--convention, --rig with --vehicle"): ["--rig", "rig.toml", "--convention", "iso-w"],
+    }
+    for (code, said), more in bad.items():
+        done = CliRunner().invoke(app, [*map(str, [*command, *more])])
+        assert done.exit_code == code and said in done.stderr
 
 
 def test_an_unknown_effect_and_a_log_without_windows_are_refused(late):

@@ -1,16 +1,16 @@
 """Replays of logs of a known car."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from test_car import GRAVITY, INERTIA, L_F, L_R, MASS, TIRES, slopes
+from typer.testing import CliRunner
 
 import tirefit
+from tirefit.cli.commands import app
 from tirefit.data.tir import read_tir
 from tirefit.fitting.source import axle_tire
 from tirefit.fitting.tir import tire_of
@@ -129,7 +129,7 @@ def test_the_band_of_a_fit_contains_the_true_motion(drive):
         drive / "vehicle.toml",
         fits["front"],
         fits["rear"],
-        horizons=(0.25, 0.5),
+        horizons=(0.5,),
     )
     assert found.logs == {"exact": True, "late": False}
     assert found.held.keys() == QUANTITIES.keys()
@@ -138,12 +138,15 @@ def test_the_band_of_a_fit_contains_the_true_motion(drive):
 
 def test_the_command_writes_numbers_and_figure(drive, tmp_path):
     line = [
-        sys.executable, "-m", "tirefit", "replay", str(drive / "exact.csv"),
+        "replay", str(drive / "exact.csv"),
         "--vehicle", str(drive / "vehicle.toml"), "--front", "brush", "--rear", "brush",
         "--horizon", "0.5", "--html", "--out", str(tmp_path / "out"),
     ]  # fmt: skip
-    done = subprocess.run(line, capture_output=True, text=True, check=True)
-    assert "0.5 s after a start, the predicted car has an rms error of" in done.stdout
+    done = CliRunner().invoke(app, line)
+    assert (
+        done.exit_code == 0
+        and "0.5 s after a start, the predicted car has an rms error of" in done.stdout
+    )
     content = json.loads((tmp_path / "out" / "replay.json").read_text())
     assert content["schema"] == "tirefit.replay/1" and content["horizons"] == [0.5]
     assert set(content["rms"]) == {"tire", "linear tire", "no slip", "floor"}
@@ -219,9 +222,9 @@ def test_a_tire_without_a_steady_lateral_force_is_refused(drive):
 
 def test_a_horizon_longer_than_every_stretch_gives_no_number(drive):
     log, toml = drive / "exact.csv", drive / "vehicle.toml"
-    found = replay([log], toml, FRONT, REAR, horizons=(0.1, 60.0))
+    found = replay([log], toml, FRONT, REAR, horizons=(0.5, 15.0))
     assert found.windows[1] == 0 and found.models["tire"].rms()["heading"][1] is None
-    assert "0.1 s after a start, the predicted car" in replay_text(found)
+    assert "0.5 s after a start, the predicted car" in replay_text(found)
     json.loads(found.to_json(), parse_constant=pytest.fail)  # no NaN
 
 

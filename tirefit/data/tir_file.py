@@ -188,6 +188,8 @@ class TirFile:
     def _size(self, key: str) -> float:
         """Size in SI of the unit in which a key is written."""
         dimension = DIMENSIONS.get(key)
+        if dimension is None:
+            return 1.0
         length, force = self.unit("LENGTH"), self.unit("FORCE")
         if dimension == "pressure" and self.find("PRESSURE", "UNITS"):
             return self.unit("PRESSURE")
@@ -196,7 +198,6 @@ class TirFile:
         if all(abs(self.number(limit) or 0.0) < math.pi for limit in limits):
             angle = 1.0  # limits in degrees would be below 3.2 deg
         return {
-            None: 1.0,
             "angle": angle,
             "length": length,
             "force": force,

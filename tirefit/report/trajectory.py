@@ -1,9 +1,8 @@
 """A fit by trajectory as text and as a picture."""
 
-import jax
 import numpy as np
 
-from tirefit.models import TireInputs
+from tirefit.models import TireInputs, forces
 from tirefit.report.canvas import BLUE, GREY, Picture, panel_title, tidy
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.text import indented, table
@@ -73,14 +72,11 @@ def trajectory_figure(fit: TrajectoryFit) -> Picture:
         reach = np.percentile(np.abs(rows["alpha"]), _REACH)
         alpha, fz, v = np.linspace(-reach, reach, 121), rows["fz"][0], rows["v"].mean()
 
-        def curve(tire, alpha=alpha, fz=fz, v=v):
-            one = lambda a: tire(TireInputs(alpha=a, fz=fz, v=v)).fy  # noqa: E731
-            return np.asarray(jax.vmap(one)(alpha))
-
-        drawn = [curve(one) for one in tire.drawn(generator, _DRAWN)]
+        at = TireInputs(alpha=alpha, fz=fz, v=v)
+        drawn = [forces(one, at).fy for one in tire.drawn(generator, _DRAWN)]
         low, high = np.percentile(drawn, (2.5, 97.5), axis=0)
         ax.fill_between(alpha, low, high, color=BLUE, alpha=0.3, lw=0, label="95 %")
-        ax.plot(alpha, curve(tire.tire), color=BLUE, lw=1.4, label=tire.name)
+        ax.plot(alpha, forces(tire.tire, at).fy, color=BLUE, lw=1.4, label=tire.name)
         tidy(ax, "slip angle [rad]", "lateral force of the axle [N]")
         panel_title(ax, f"{axle.capitalize()} axle, by trajectory")
         ax.legend(frameon=False, fontsize=7.5)

@@ -4,6 +4,7 @@ The balance is :math:`J \dot\Omega = R F - T`. The force is that of a tire in st
 at the slip, or that of a transient LuGre tire with bristles (:mod:`tirefit.sim.lugre`).
 """
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import diffrax
@@ -26,6 +27,7 @@ STEADY = Bristles(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
 """No bristles: the force of a tire in steady state follows the slip without lag."""
 
 
+@cache
 def lugre_tire(peak: float, v: float) -> LuGre:
     """The LuGre tire with a given peak: g is replaced by theta g, S section 3.4.
 

@@ -183,6 +183,7 @@ def predicted(
             lambda x: jnp.broadcast_to(jnp.asarray(x, float), count + 1)[:-1], changes
         )
 
+    @jax.jit  # traced once for the four slopes of a step
     def slope(state: State, speed, angle, change, late) -> State:
         motion = state.v_y, state.yaw_rate
         lateral, yaw = accelerations(car, speed, angle, *motion, change, late)
