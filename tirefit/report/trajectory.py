@@ -73,7 +73,7 @@ def trajectory_figure(fit: TrajectoryFit) -> Picture:
         alpha, fz, v = np.linspace(-reach, reach, 121), rows["fz"][0], rows["v"].mean()
 
         at = TireInputs(alpha=alpha, fz=fz, v=v)
-        drawn = [forces(one, at).fy for one in tire.drawn(generator, _DRAWN)]
+        drawn = [np.asarray(forces(one, at).fy) for one in tire.drawn(generator, _DRAWN)]
         low, high = np.percentile(drawn, (2.5, 97.5), axis=0)
         ax.fill_between(alpha, low, high, color=BLUE, alpha=0.3, lw=0, label="95 %")
         ax.plot(alpha, forces(tire.tire, at).fy, color=BLUE, lw=1.4, label=tire.name)
