@@ -10,10 +10,12 @@ from test_motion import CAR, KEEP, RATES, pose_log, pose_vehicle, steer, truth, 
 from test_motion import write_log as write
 
 from tirefit.data.derive import derive, derive_files
+from tirefit.data.motion import read_motion
 from tirefit.data.read import read
 from tirefit.data.track import read_track
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle.replay import replay
+from tirefit.vehicle.windows import left_out
 
 NO_A_Y = RATES.replace('a_y = "ay"\n', "")
 F1TENTH = Path(__file__).parents[2] / "fits" / "measured_changes" / "f1tenth"
@@ -235,7 +237,9 @@ def test_a_wrong_reference_point_is_not_reported_as_a_wrong_sign(tmp_path):
         assert "tracked_point = [0.19" in said and "sign" not in said
 
 
-def test_a_replay_reports_the_excluded_time(tmp_path):
+@pytest.fixture
+def interrupted(tmp_path):
+    """A log with a second backwards and a second of standstill, and its vehicle."""
     log = rates_log()
     del log["ay"]
     log["wheel"] = steer(log["t"])
@@ -243,10 +247,20 @@ def test_a_replay_reports_the_excluded_time(tmp_path):
     log["vx"][900:1000], log["vy"][900:1000] = 0.0, 0.0
     text = CAR + NO_A_Y.replace("[columns]\n", '[columns]\nsteering = "wheel"\n')
     text += KEEP + "[steering]\ncommand = [-1, 1]\nangle = [-1, 1]\n"
-    path = write(tmp_path / "a.csv", log)
-    found = replay([path], vehicle(tmp_path, text), "brush", "brush", horizons=[0.5])
-    notes = "\n".join(found.notes)
-    assert "a_y follows from the speeds" in notes
+    return write(tmp_path / "a.csv", log), vehicle(tmp_path, text)
+
+
+def test_the_excluded_time_is_stated_by_reason(interrupted):
+    path, settings = interrupted
+    notes = "\n".join(left_out(read_motion(path, settings)[1], settings))
     for why in ("spinning or reversing", "slower than 0.8 m/s"):
         span = float(re.search(rf"([\d.]+) s are left out as {why}", notes)[1])
         assert span == pytest.approx(1.0, abs=0.3)
+
+
+@pytest.mark.long
+def test_a_replay_reports_the_excluded_time(interrupted):
+    path, settings = interrupted
+    found = replay([path], settings, "brush", "brush", horizons=[0.5])
+    assert any("a_y follows from the speeds" in note for note in found.notes)
+    assert {*left_out(read_motion(path, settings)[1], settings)} <= {*found.notes}

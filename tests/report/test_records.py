@@ -101,7 +101,7 @@ RECORDS = {
         lambda _: tirefit.estimate(tirefit.simulate(teeth=2).columns),
         {"estimates.csv", "summary.json"},
     ),
-    "simulate": (lambda _: tirefit.simulate(teeth=1), {"log.csv", "log.truth.csv"}),
+    "simulate": (lambda _: tirefit.simulate(teeth=2), {"log.csv", "log.truth.csv"}),
     "brake": (lambda _: tirefit.brake("brush", **STOP), {"summary.json", "series.csv"}),
     "export": (exported, {"tire.py"}),
     "replay": (
@@ -260,9 +260,9 @@ def test_python_and_command_simulate_the_same_file(tmp_path):
     from tirefit.cli.commands import app
 
     out = tmp_path / "d.csv"
-    words = ["simulate", "drive", "--duration", "2", "--gps-std", "0.1", "--drop", "1=0.4"]
+    words = "simulate braking --teeth 2 --slip-variance 1e-5 --drop 1=0.4".split()
     assert CliRunner().invoke(app, [*words, "--out", str(out)]).exit_code == 0
-    log = tirefit.simulate("drive", duration=2.0, gps_std=0.1, drop=(1.0, 0.4))
+    log = tirefit.simulate("braking", teeth=2, slip_variance=1e-5, drop=(1.0, 0.4))
     assert out.read_text() == log.files()["log.csv"]
 
 
