@@ -273,12 +273,9 @@ def curvatures(tire: MFTire, inputs: TireInputs) -> dict[str, Float[Array, " n"]
         That of M_z does not include those of F_x and F_y, on which M_z also depends.
     """
     arrays = [jnp.atleast_1d(jnp.asarray(value, float)) for value in inputs]
-    return _all_largest(tire, TireInputs(*jnp.broadcast_arrays(*arrays)))
-
-
-@jax.jit
-def _all_largest(tire: MFTire, inputs: TireInputs) -> dict:
-    return jax.vmap(lambda sample: _largest(tire, sample))(inputs)
+    return jax.vmap(lambda sample: _largest(tire, sample))(
+        TireInputs(*jnp.broadcast_arrays(*arrays))
+    )
 
 
 def _largest(tire: MFTire, inputs: TireInputs) -> dict:
