@@ -14,9 +14,16 @@ from fits_support import (
 )
 
 NAMES = [case.name for case in CASES]
-LONG = ("rig_test", "flexible_carcass", "braking_stiffness", "friction_lugre_observer")
-"""Cases of 15 s and more of processor time whose models, estimators and simulations the
-tests of their packages run as well."""
+LONG = (
+    "rig_test",
+    "flexible_carcass",
+    "dart_rear_axle",
+    "synthetic_recovery",
+    "braking_stiffness",
+    "friction_lugre_observer",
+)
+"""The dearest cases. Pages of the manual fit and diagnose the same axle; other tests run
+the same models, estimators and simulations."""
 
 
 @pytest.mark.parametrize("case", CASES, ids=NAMES)

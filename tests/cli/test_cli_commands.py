@@ -56,7 +56,7 @@ def test_predicted_forces_use_convention_and_unit_of_the_file(run, tmp_path):
     np.testing.assert_allclose(rows_of("f.csv")["fx"], -parabolic(SLIP) / 1000, atol=1e-9)
 
 
-def test_fit_of_an_iso_file_predicts_its_forces(run, tmp_path):
+def test_fit_of_an_iso_file_predicts_its_forces(run, no_figures, tmp_path):
     generator = np.random.default_rng(3)
     slip = generator.uniform(-0.2, 0.2, 400)
     force = parabolic(slip) + 40 * generator.standard_normal(400)
@@ -127,7 +127,7 @@ def test_unwritable_outputs_are_refused(run, tmp_path, command, out, said):
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_data_options_have_the_same_meaning_in_every_command(run, tmp_path):
+def test_data_options_have_the_same_meaning_in_every_command(run, no_figures, tmp_path):
     kappa = SLIP / (1 + SLIP)
     write(tmp_path / "d.csv", "a,b", -100 * kappa, -parabolic(SLIP) / 1000)
     (tmp_path / "fit.toml").write_text(

@@ -37,7 +37,7 @@ INTO_FOLDERS = {
     "convert": ("convert", "--magic-formula", "10,1.9,1,0.97", "--loads", "4000"),
     "diagnose": ("diagnose", "one.csv", *READ, *WITHOUT),
     "estimate": ("estimate", "log.csv", "--method", "slip-slope"),
-    "brake": ("brake", "--controller", "abs", *QUICK),
+    "brake": ("brake", "--tire", "brush", "--controller", "abs", *QUICK),
 }
 """Commands that write folders, their modules, and a word of their reports."""
 MODULES = {
@@ -282,6 +282,7 @@ Path("said.json").write_text(json.dumps(said))
 """
 
 
+@pytest.mark.long
 def test_a_fit_on_a_full_disk_keeps_the_files_written_before(inputs, tmp_path):
     """Disk too small for the posterior's chain; for its result; then large enough."""
     if shutil.which("unshare") is None:

@@ -89,7 +89,7 @@ def test_out_names_the_directory_and_svg_doubles_the_figures(run, rig, tmp_path)
     assert content(found)["posterior"] is None
 
 
-def test_several_files_get_a_directory_each(run, rig, tmp_path):
+def test_several_files_get_a_directory_each(run, no_figures, rig, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
     (tmp_path / "all").mkdir()
     (tmp_path / "all" / "fits.html").write_text("an earlier page, tirefit.fit/1")
@@ -103,7 +103,7 @@ def test_several_files_get_a_directory_each(run, rig, tmp_path):
         assert any(line.strip().startswith(name) for line in summary)
 
 
-def test_several_files_get_directories_named_after_them(run, rig, tmp_path):
+def test_several_files_get_directories_named_after_them(run, no_figures, rig, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
     run("fit", rig, "wet.csv", "--config", "fit.toml", "--no-posterior")
     assert (tmp_path / "rig" / "fit.json").exists()
@@ -167,7 +167,7 @@ def test_wrong_use_gives_exit_code_2(run, rig, tmp_path, arguments, said):
     assert not (tmp_path / "rig").exists()
 
 
-def test_a_doubtful_convention_is_reported_before_and_in_the_report(run, rig, tmp_path):
+def test_a_doubtful_convention_is_reported_before_and_in_the_report(run, no_figures, rig, tmp_path):
     rows = [line.split(",") for line in rig.read_text().splitlines()[1:]]
     iso = [f"{-float(slip)},{-float(force)},{fz}" for slip, force, fz in rows]
     (tmp_path / "iso.csv").write_text("\n".join(["sigma_x,fx,fz", *iso]) + "\n")
@@ -195,7 +195,7 @@ def test_an_unknown_key_of_the_configuration_is_refused(run, rig, tmp_path):
     assert "did you mean 'model'" in result.stderr and "bad.toml" in result.stderr
 
 
-def test_command_line_overrides_the_configuration(run, rig, tmp_path):
+def test_command_line_overrides_the_configuration(run, no_figures, rig, tmp_path):
     (tmp_path / "other.toml").write_text("model = 'brush-d'\nseed = 4\n" + FAST)
     run("fit", rig, "--config", "other.toml", "--model", "brush", "--seed", "7", "--no-posterior")
     record = content(tmp_path / "rig")
@@ -204,7 +204,7 @@ def test_command_line_overrides_the_configuration(run, rig, tmp_path):
     assert record["noise"]["fx"]["source"] == "given"
 
 
-def test_not_identified_gives_exit_code_5_only_with_strict(run, tmp_path):
+def test_not_identified_gives_exit_code_5_only_with_strict(run, no_figures, tmp_path):
     # Slip to 17 % of full sliding, and noise that hides the bend.
     write(tmp_path / "low.csv", reach=0.02, noise=1200.0, seed=3)
     (tmp_path / "fit.toml").write_text(FAST.replace("40", "1200"))
@@ -216,7 +216,9 @@ def test_not_identified_gives_exit_code_5_only_with_strict(run, tmp_path):
     assert record["identified"] is False and record["std"] is None
 
 
-def test_a_short_chain_gives_exit_code_4_and_can_be_resumed(run, whole, short, tmp_path):
+def test_a_short_chain_gives_exit_code_4_and_can_be_resumed(
+    run, no_figures, whole, short, tmp_path
+):
     folder, result = short
     assert "--resume" in result.stdout
     assert content(folder / "rig")["posterior"]["steps"] == 100
@@ -271,7 +273,7 @@ def test_html_writes_a_page_of_the_fit(run, rig, tmp_path):
     assert not page.exists()
 
 
-def test_force_option_selects_the_lateral_force(run, tmp_path):
+def test_force_option_selects_the_lateral_force(run, no_figures, tmp_path):
     write(tmp_path / "both.csv", header="alpha,fy,fz")
     text = (tmp_path / "both.csv").read_text().splitlines()
     rows = [f"{row},0.01,500" for row in text[1:]]
@@ -313,7 +315,9 @@ def test_least_squares_results_are_written_before_the_posterior(run, rig, tmp_pa
     assert content(tmp_path / "rig") == seen["fit"]
 
 
-def test_an_interrupted_chain_is_kept_like_a_short_one(run, rig, short, tmp_path, monkeypatch):
+def test_an_interrupted_chain_is_kept_like_a_short_one(
+    run, no_figures, rig, short, tmp_path, monkeypatch
+):
     """So that it can be resumed as that can."""
     from tirefit.fitting import posterior
 

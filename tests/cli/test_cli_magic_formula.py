@@ -33,11 +33,13 @@ def sweeps(tmp_path_factory):
     return path
 
 
-def test_a_fit_writes_a_tir_that_predicts(run, sweeps):
+def test_a_fit_writes_a_tir_that_predicts(run, sweeps, monkeypatch):
     command = ("fit", sweeps, "--model", "mf61", "--part", "fx", "--out", "out")
     said = run(*command).stdout
     assert "VERDICT: converged" in said and "GUARDS" in said
     assert "camber squared" not in said and len(said.splitlines()) <= 45
+    assert {"fx.png", "residuals.png"} <= {path.name for path in Path("out").iterdir()}
+    monkeypatch.setattr("tirefit.report.mf_draw.save_pictures", lambda *_: [])
     said = run(*command, "--full").stdout
     assert "camber squared" in said and "held" in said
     written = read_tir("out/fit.tir")

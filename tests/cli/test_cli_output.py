@@ -38,7 +38,7 @@ def test_a_foreign_page_is_not_overwritten(tmp_path):
     assert is_page(page, SCHEMA)
 
 
-def test_a_second_process_in_the_same_folder_is_refused(run, rig, tmp_path):
+def test_a_second_process_in_the_same_folder_is_refused(run, no_figures, rig, tmp_path):
     with claimed(tmp_path / "o"):
         result = run(*ARGUMENTS, exit_code=2)
         assert "o: another tirefit is writing" in result.stderr
@@ -234,7 +234,7 @@ def on_terminal(monkeypatch, *arguments):
     return code, b"".join(shown).decode()
 
 
-def test_a_terminal_shows_files_and_bars(rig, tmp_path, monkeypatch, capsys):
+def test_a_terminal_shows_files_and_bars(rig, no_figures, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.csv").write_text("sigma_x,fx,fz\n")
     arguments = ("fit", "rig.csv", "bad.csv", "--config", "fit.toml")
@@ -249,7 +249,7 @@ def test_a_terminal_shows_files_and_bars(rig, tmp_path, monkeypatch, capsys):
     assert content(tmp_path / "rig")["posterior"]["outcome"] == "converged"
 
 
-def test_no_bars_are_shown_without_a_terminal(run, rig, tmp_path):
+def test_no_bars_are_shown_without_a_terminal(run, no_figures, rig, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
     result = run("fit", rig, "wet.csv", "--config", "fit.toml", "--no-posterior")
     assert result.stderr == ""

@@ -140,14 +140,18 @@ class MFTire(AbstractTire):
 
 def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
     """Friction coefficients D / F_z of F_x and F_y at inputs of arrays (n,)."""
+    arrays = TireInputs(*(jnp.asarray(column, float) for column in inputs))
+    return {force: np.asarray(mu) for force, mu in _frictions(tire, arrays).items()}
 
+
+@jax.jit
+def _frictions(tire: MFTire, inputs: TireInputs) -> dict:
     def one(sample):
         at, fz0 = tire.point(sample), tire.nominal.FNOMIN * tire.scaling.LFZO
         side = tire.lateral.pure(at, tire.scaling, fz0)
         return {"fx": tire.longitudinal.friction(at, tire.scaling), "fy": side.mu}
 
-    arrays = TireInputs(*(jnp.asarray(column, float) for column in inputs))
-    return {force: np.asarray(mu) for force, mu in jax.vmap(one)(arrays).items()}
+    return jax.vmap(one)(inputs)
 
 
 OTHER_SIDE = frozenset(("alpha", "gamma", "fy", "mz", "mx"))
