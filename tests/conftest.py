@@ -57,7 +57,13 @@ gc.set_threshold(100_000, 20, 20)
 
 # Annotations are checked at run time in the packages that state shapes. In `diagnosis`,
 # which states none, the checks took 40 % of the time.
-install_import_hook([f"tirefit.{room}" for room in ("fitting", "models", "sim")], "shapes.checked")
+install_import_hook(
+    [
+        f"tirefit.{room}"
+        for room in ("fitting", "models", "sim")
+    ],
+    "shapes.checked",
+)
 
 from tirefit.compiled import release_programs  # noqa: E402  after the hook
 
