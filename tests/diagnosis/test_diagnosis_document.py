@@ -17,7 +17,7 @@ from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.summary.forecast import _MOMENT, _with_moment, next_measurements
 from tirefit.diagnosis.summary.result import Diagnosis
-from tirefit.models import Asymmetric, Brush, TireInputs
+from tirefit.models import Asymmetric, Brush, TireInputs, forces
 
 GAP = ["rms", "resolvable", "closed", "closed_ci", "remaining_rms"]
 KEYS = {
@@ -125,16 +125,15 @@ def rich():
 
 
 DESIGNS = {
-    "one load, one sign": lambda: sweep([4e3], np.linspace(0.004, 0.2, 120)),
-    "two loads, both signs": lambda: sweep([2e3, 5e3], np.linspace(-0.2, 0.2, 60)),
+    "one load, one sign": lambda: sweep([4e3], np.linspace(0.004, 0.2, 240)),
+    "two loads, both signs": lambda: sweep([2e3, 5e3], np.linspace(-0.2, 0.2, 120)),
     "lateral, no M_z": lambda: sweep([2e3, 5e3], np.linspace(-0.2, 0.2, 60), channel="fy"),
     "sweeps at three loads and two speeds": rich,
 }
 
 
 ALMOST_NO_NOISE = {"sigma_x": 1e-6, "alpha": 1e-6}
-"""Of the slips: the compiled programs of the tests whose slips are noisy serve here
-too."""
+"""Of the slips: the compiled programs of other tests whose slips are noisy serve too."""
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +182,7 @@ def test_undecidable_pairs_have_a_next_measurement_or_a_reason(studied, design):
     " its prior: below a tenth no rival is reported",
 )
 def test_one_load_and_one_sign_suggest_another_sign_or_load():
-    data = read_frame(sweep([4e3], np.linspace(0.004, 0.2, 120)), "one sign")
+    data = read_frame(sweep([4e3], np.linspace(0.004, 0.2, 240)), "one sign")
     found = engine.diagnose(data, rig=Rig(noise={"fx_relative": 0.01, **ALMOST_NO_NOISE}))
     assert found.verdict.status == "cannot_tell"
     assert {"slip_offset", "force_offset"} <= {*found.effects, *found.verdict.also_possible}
@@ -205,12 +204,7 @@ def test_the_predicted_moment_agrees_with_the_model(studied):
 
     def moment(d):
         tire = Brush(cpa2=float(values["cpa2"]), mu=float(values["mu"]), pressure=Asymmetric(d))
-        return np.array(
-            [
-                float(tire(TireInputs(0.0, np.arctan(slip), fz, 10.0)).mz)
-                for slip, fz in zip(slips, loads, strict=True)
-            ]
-        )
+        return np.asarray(forces(tire, TireInputs(0.0, np.arctan(slips), loads, 10.0)).mz)
 
     slope = (moment(1e-4) - moment(-1e-4)) / 2e-4
     ours = columns[n : 2 * n, k]

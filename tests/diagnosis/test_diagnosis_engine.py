@@ -13,7 +13,6 @@ from tirefit.data.read import read_frame
 from tirefit.diagnosis import engine
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS
 from tirefit.diagnosis.engine import diagnose
-from tirefit.models import MODELS, TireInputs, forces
 from tirefit.report.diagnosis_words import range_text
 from tirefit.results import DataError, UsageError
 
@@ -136,7 +135,7 @@ def test_an_unlisted_effect_leaves_a_remainder():
     assert found.verdict.left.unlisted > 0.5
 
 
-@pytest.mark.parametrize("late", [True, False])
+@pytest.mark.parametrize("late", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_a_delay_in_a_measured_log_is_named(late):
     """Free driving of a measured axle: force delayed by 31 ms, and unchanged."""
     data = {name: values[-512:] for name, values in half(1).items()}
@@ -332,12 +331,8 @@ def test_zero_slip_has_no_side():
 
 def test_a_large_file_is_diagnosed_on_some_rows(monkeypatch):
     """The base fit and the diagnosis use the same rows."""
-    monkeypatch.setattr("tirefit.diagnosis.engine._MOST_ROWS", 220)
-    slip = np.random.default_rng(0).uniform(-0.2, 0.2, 400)
-    load = np.random.default_rng(1).choice([2000.0, 4000.0, 6000.0], 400)
-    given = TireInputs(slip + 0.008, 0.0, load)
-    noise = np.random.default_rng(2).normal(0, 60, 400)
-    force = np.asarray(forces(MODELS["brush"], given).fx) + noise
-    found = diagnose(read_frame({"sigma_x": slip, "fz": load, "fx": force}, "large"))
+    monkeypatch.setattr(engine, "_MOST_ROWS", 240)
+    frame, _ = record(TRUTHS["slip_offset"], seed=3, rows=80)
+    found = diagnose(read_frame(frame, "large"), rig=RIG)
     assert found.verdict.effects == ("slip_offset",)
-    assert np.isfinite(found.rows["fx"]["extended"]).all() and found.n == 400
+    assert found.n == len(found.rows["fx"]["extended"]) == 480

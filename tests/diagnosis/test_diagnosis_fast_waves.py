@@ -76,7 +76,7 @@ def test_hum_is_in_the_report():
     def humming(slip, time, fz, v):
         return brush(slip, 5e4, 0.9, fz) + 0.02 * fz * np.sin(2 * np.pi * time / 0.13)
 
-    columns, _ = record(humming, seed=5, rows=100)
+    columns, _ = record(humming, seed=5, rows=80)
     found = diagnose(read_frame(columns, "hum", convention="braking"), rig=RIG, holdout=())
     first = found.verdict.left.looks_like[0]
     assert found.verdict.status == "unknown"

@@ -127,7 +127,7 @@ def test_errors_of_a_vehicle_are_named(effect):
     # A path of some curvature at some speed has one road wheel angle: a yaw rate over
     # speed and a lateral acceleration together are that angle, but for its lead.
     without = ("toe",) if effect == "steering_gain" else ()
-    data = read_frame(drive(*FAULTS[effect]))
+    data = read_frame(drive(*FAULTS[effect], rows=480 if effect in OFTEN else 700))
     found = diagnose(data, rig=RIG, without=without)
     # What a brush on two wheels lacks of a car may be there as well.
     assert effect in (*found.effects, *found.verdict.also_possible)
@@ -343,21 +343,19 @@ def test_an_interval_from_few_runs_uses_students_t():
     assert len(without_each(terms, np.zeros(6, int))) == 0
 
 
-REAR = [
-    pytest.mark.long,
-    pytest.mark.xfail(
-        strict=True,
-        reason="carcass, relaxation and toe together draw what the motion knows of it:"
-        " none is known to half its size, and the status is unknown at 0.5",
-    ),
-]
+REAR = pytest.mark.xfail(
+    strict=True,
+    reason="carcass, relaxation and toe together draw what the motion knows of it:"
+    " none is known to half its size, and the status is unknown at 0.5",
+)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("axle", "seed"), [("front", 2), pytest.param("rear", 3, marks=REAR)])
 def test_exact_motion_channels_with_noisy_slip_give_no_effect(axle, seed):
     """The only error is a noise of the slip angle, 3 mrad, stated in the rig file; yaw
     rate and accelerations are exact and together nearly determine the slip."""
-    frame = drive(Car(), axle, measured=True, rows=480)
+    frame = drive(Car(), axle, measured=True)
     noise = 0.003 * np.random.default_rng(seed).normal(size=len(frame["alpha"]))
     noisy = read_frame(frame | {"alpha": frame["alpha"] + noise})
     verdict = diagnose(noisy, rig=Rig(noise={"alpha": 0.003})).verdict

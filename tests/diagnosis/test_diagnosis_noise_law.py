@@ -134,13 +134,13 @@ def test_scatter_above_the_stated_noise_is_reported(times):
     """White noise above the stated level: no effect, but a wrongly stated noise, with
     the factor."""
     generator = np.random.default_rng(2)
-    slip = generator.uniform(0.0, 0.05, 300)
+    slip = generator.uniform(0.0, 0.05, 240)
     frame = {
-        "time": np.arange(300.0),
+        "time": np.arange(240.0),
         "sigma_x": slip,
-        "v": np.full(300, 15.0),
-        "fz": np.full(300, 4000.0),
-        "fx": brush(slip, 5e4, 0.9, 4000.0) + times * 40 * generator.normal(size=300),
+        "v": np.full(240, 15.0),
+        "fz": np.full(240, 4000.0),
+        "fx": brush(slip, 5e4, 0.9, 4000.0) + times * 40 * generator.normal(size=240),
     }
     found = diagnose(read_frame(frame), rig=Rig(noise={"fx": 40.0}))
     assert not set(found.verdict.effects) - {"noise_misstated"}

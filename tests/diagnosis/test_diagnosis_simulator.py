@@ -194,7 +194,7 @@ def curved(slip, fz, mu=1.0, stiffness=1.0):
     return peak * np.tanh(slope * slip / (1 + slip) / peak)
 
 
-@pytest.mark.parametrize("offset", [0.0, OFFSET])
+@pytest.mark.parametrize("offset", [pytest.param(0.0, marks=pytest.mark.long), OFFSET])
 def test_a_simulator_that_is_no_brush_is_approximated_by_another_model(offset):
     """Friction 10 % too high, stiffness 15 % too low: alone, or with a slip offset;
     approximated by a brush, the rest would be named as an effect."""
@@ -275,7 +275,7 @@ def test_errors_of_the_approximation_are_not_named_as_effects(offset):
 def test_an_effect_excluded_by_its_refit_is_not_also_possible():
     """With a slip offset, friction that depends on the speed looks like an offset to
     first order, but its refit explains nothing."""
-    slip, fz = (rows(count=80)[0][name] for name in ("sigma_x", "fz"))
+    slip, fz = (rows(count=60)[0][name] for name in ("sigma_x", "fz"))
     noise = NOISE * np.random.default_rng(4).standard_normal(len(slip))
     frame = {"sigma_x": slip, "fz": fz, "fx": curved(slip, fz) + noise, "v": 15 + 0 * fz}
     found = diagnose(read_frame(frame, "a"), sim=curved(slip + 0.006, fz), rig=RIG)

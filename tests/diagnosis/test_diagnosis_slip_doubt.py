@@ -150,6 +150,7 @@ def test_load_transfer_in_cornering_names_no_effect():
     assert not verdict.names_an_effect and verdict.status != "unknown"
 
 
+@pytest.mark.long
 @pytest.mark.xfail(
     strict=True,
     reason="a smooth discrepancy alone is as probable as the drift: unknown, with the"

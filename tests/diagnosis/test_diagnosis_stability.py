@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_left_out import RIG, logs
+from test_left_out import LIBRARY, RIG, logs
 
 import tirefit
 from tirefit.data.read import read_frame
@@ -58,7 +58,9 @@ def found():
             columns, rig = columns_of(name)
             columns = only(columns, count) if count else columns
             columns = change(columns) if change else columns
-            known[key] = diagnose(read_frame(columns, name), rig=rig, seed=seed)
+            library = LIBRARY if name == "synthetic" else None
+            data = read_frame(columns, name)
+            known[key] = diagnose(data, rig=rig, effects=library, seed=seed)
         return known[key]
 
     return find

@@ -242,7 +242,7 @@ def ends():
 TRUE = {"slip_offset", "friction_speed_linear"}
 
 
-@pytest.mark.parametrize("count", [3, 4, 5, 6])
+@pytest.mark.parametrize("count", [3, 5])
 def test_the_search_finds_the_effects_of_every_run(ends, count):
     """Another run that agrees removes no name."""
     base, found, end = ends(count)

@@ -136,7 +136,7 @@ OTHER_GAPS = {
     "an offset the other way": {"offset": -0.004},
     "friction and an offset": {"offset": 0.002, "mu": 0.85},
     "longitudinal": {"channels": "fx", "offset": 0.004},
-    "under camber": {"cambers": (-0.05, 0.0, 0.05), "offset": 0.003, "mu": 1.1},
+    "under camber": {"cambers": (-0.05, 0.05), "offset": 0.003, "mu": 1.1},
 }
 
 

@@ -351,7 +351,7 @@ def gathered_in(folder):
 
 
 def test_baselines_do_not_depend_on_jobs_or_interruptions(few, tmp_path):
-    written(tmp_path, [(trial, perfect(trial)) for trial in few[::2]], rows=False)
+    written(tmp_path, [(trial, perfect(trial)) for trial in few[::4]], rows=False)
     baselines.main([str(tmp_path), "--jobs", "2"])
     whole = gathered_in(tmp_path)
     assert len(whole) == 4
@@ -394,12 +394,12 @@ def test_baselines_compute_only_missing_answers(tmp_path, monkeypatch):
 
 
 def test_baselines_read_the_written_answers(few, tmp_path):
-    written(tmp_path, [(trial, perfect(trial)) for trial in few])
+    written(tmp_path, [(trial, perfect(trial)) for trial in few[2:]])
     baselines.main([str(tmp_path)])
     score.main([str(tmp_path)])
     document = json.loads((tmp_path / "score.json").read_text())
     assert set(document["methods"]) == {"tirefit", "bic", "bic_checked", "residual", "ridge"}
-    assert document["methods"]["bic"]["top-1 exact"][1] == 4
+    assert document["methods"]["bic"]["top-1 exact"][1] == 2
     group = next((tmp_path / "trials").iterdir())
     rig = tomllib.loads((group / "rig.toml").read_text())
     path = sorted(group.glob("*.csv"))[0]
