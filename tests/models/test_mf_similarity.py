@@ -93,9 +93,9 @@ def test_similarity_is_close_to_measured_combined_slip():
         assert misses[0] < 0.07 and misses[1] > 4 * misses[0]
 
 
-@pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.long)])
-def test_values_and_gradients_are_finite_everywhere(dtype):
-    value, slopes = jacobian(similar(MF61, starred=True, LMUV=0.1), dtype=dtype)
+def test_values_and_gradients_are_finite_everywhere():
+    """In 32 bit, in which squares of small slips are zero."""
+    value, slopes = jacobian(similar(MF61, starred=True, LMUV=0.1), dtype=jnp.float32)
     assert np.isfinite(value).all()
     for leaf in slopes:
         bad = ~np.isfinite(leaf)

@@ -161,17 +161,6 @@ def test_the_refitted_version_is_written(tmp_path, monkeypatch):
     assert any("refitted from Magic Formula 6.2 to 6.1" in note for note in done.notes)
 
 
-@pytest.mark.long
-def test_another_version_is_written(tmp_path):
-    path = tmp_path / "t.tir"
-    source = TIR / "MagicFormula62_Parameters.tir"
-    done = tirefit.export(source, "tir", path, model="mf61")
-    read = read_tir(path)
-    assert read.version == "6.1" and any("refitted" in note for note in done.notes)
-    told = next(note for note in done.notes if "largest error" in note)
-    assert float(told.split("fx ")[1].split("%")[0]) < 5
-
-
 # --- Project Chrono -----------------------------------------------------------------
 
 
