@@ -273,9 +273,12 @@ def curvatures(tire: MFTire, inputs: TireInputs) -> dict[str, Float[Array, " n"]
         That of M_z does not include those of F_x and F_y, on which M_z also depends.
     """
     arrays = [jnp.atleast_1d(jnp.asarray(value, float)) for value in inputs]
-    return jax.vmap(lambda sample: _largest(tire, sample))(
-        TireInputs(*jnp.broadcast_arrays(*arrays))
-    )
+    return _all_largest(tire, TireInputs(*jnp.broadcast_arrays(*arrays)))
+
+
+@jax.jit
+def _all_largest(tire: MFTire, inputs: TireInputs) -> dict:
+    return jax.vmap(lambda sample: _largest(tire, sample))(inputs)
 
 
 def _largest(tire: MFTire, inputs: TireInputs) -> dict:
@@ -294,8 +297,8 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict:
         if force in tire.similarity:
             return 0.0
         # Without the other slip the weight is one for any E.
-        moved = weight.curve.x - weight.x_at_rest
-        return acting(Curve(moved, weight.curve.curvature), weight.shape)
+        other = at.alpha if force == "fx" else at.kappa
+        return acting(Curve(other, weight.curve.curvature), weight.shape)
 
     along, across = tire.longitudinal, tire.lateral
     weights = {"fx": along.weight(at, scale), "fy": across.weight(at, scale)}
