@@ -151,6 +151,7 @@ def test_an_unwritable_directory_is_no_error(tmp_path):
         keep_programs_in(None)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not os.path.exists("/proc/self/maps"), reason="no /proc here")
 def test_programs_are_released_above_the_memory_limit(directory):
     def mappings():

@@ -229,7 +229,7 @@ BEFORE = re.search(
 """What the page says is run before each example."""
 
 
-LONG = {"diagnose_vehicle": pytest.mark.long}
+LONG = dict.fromkeys(("diagnose_vehicle", "fit_trajectory"), pytest.mark.long)
 """Examples above 10 s, most of which is compilation."""
 
 

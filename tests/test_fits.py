@@ -21,6 +21,10 @@ LONG = (
     "synthetic_recovery",
     "braking_stiffness",
     "friction_lugre_observer",
+    "magic_formula_curve",
+    "diagnosis_measured",
+    "cmu_wheel",
+    "lugre_figure_11",
 )
 """The dearest cases. Pages of the manual fit and diagnose the same axle; other tests run
 the same models, estimators and simulations."""

@@ -48,6 +48,7 @@ def test_controllers_are_compared_on_each_road(run, tmp_path, monkeypatch):
     assert (tmp_path / "o" / "stop.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_fits_are_accepted_as_tires(run, tmp_path):
     """A fitted brush brakes like the brush with its values; files of an earlier
     comparison are removed."""

@@ -56,6 +56,7 @@ def assert_converted(stdout, values, loads, rmse):
     return content
 
 
+@pytest.mark.long
 def test_brush_of_a_tir_agrees_with_scipy(run):
     tir = read_tir(TRUCK)
     tire, fnomin = mf_tire(tir.version, tir.numbers), tir.numbers["FNOMIN"]

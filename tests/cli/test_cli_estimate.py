@@ -162,6 +162,7 @@ def test_methods_lists_all_methods(run):
             assert float(row[row.index("]") + 1 :].split()[0]) == pytest.approx(default, rel=1e-2)
 
 
+@pytest.mark.long
 def test_a_wheel_that_locks_is_flagged_as_locked(run, tmp_path):
     run(*SIMULATED, "--out", "log.csv", "--drop", "3=0.4")
     names = "rls,slip-slope-braking,lugre-observer"
@@ -175,6 +176,7 @@ def test_a_wheel_that_locks_is_flagged_as_locked(run, tmp_path):
         assert flags[name]["flags"]["sample missing"] < 20
 
 
+@pytest.mark.long
 def test_a_lugre_wheel_is_simulated_and_observed(run, tmp_path):
     run(*SIMULATED, "--out", "l.csv", "--tire", "lugre", "--friction", "0.8")
     run("estimate", "l.csv", "--method", "lugre-observer", "--out", "out")

@@ -89,6 +89,7 @@ def test_other_commands_refuse_a_whole_magic_formula(run, sweeps):
     assert "  --magic-formula with --model mf61" in ended.stderr
 
 
+@pytest.mark.long
 def test_a_tire_without_combined_coefficients_is_converted(run, no_figures):
     """Combined slip by similarity; messages suggest only existing options."""
     text = (FOLDER / "mfeval_julia/MagicFormula52_Parameters.tir").read_text()

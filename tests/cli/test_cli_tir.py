@@ -269,6 +269,7 @@ def test_unused_columns_and_the_limit_of_e_are_reported(run):
     assert found and found.groups()[1:] == ("4000", "6000")
 
 
+@pytest.mark.long
 def test_a_wheel_brakes_on_a_tire_without_combined_coefficients(run):
     """Its coefficients decide whether it depends on the speed, also when compiled."""
     without_combined(MF52)

@@ -146,6 +146,7 @@ def test_a_fit_of_other_data_is_a_simulator(tmp_path, frame):
         assert again.budget == found.budget
 
 
+@pytest.mark.long
 def test_a_tir_file_is_adapted_by_its_scaling_factors():
     slip, fz = np.tile(np.linspace(-0.15, 0.15, 60), 3), np.repeat((2e3, 4e3, 6e3), 60)
     data = read_frame({"sigma_x": slip, "fx": 0 * slip + fz, "fz": fz}, "tir")

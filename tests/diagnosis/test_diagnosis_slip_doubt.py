@@ -145,6 +145,7 @@ def slalom(friction=lambda time: 0.9, rows=1000):
     return read_frame(frame, "slalom")
 
 
+@pytest.mark.long
 def test_load_transfer_in_cornering_names_no_effect():
     verdict = diagnose(slalom(), rig=SLALOM_RIG).verdict
     assert not verdict.names_an_effect and verdict.status != "unknown"

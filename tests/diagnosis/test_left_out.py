@@ -290,6 +290,7 @@ def test_a_diagnosis_names_the_effects_of_the_search(count):
         assert each.closed_left_out > 3 * each.closed_left_out_std
 
 
+@pytest.mark.long
 def test_the_repeatability_of_the_axle_agrees_with_its_readme():
     """Repeats of one state on the same day and on another, and the tracker's noise."""
     tire = logs_left_out.repeats()

@@ -89,6 +89,7 @@ def test_a_tire_in_sae_signs_is_reported_with_a_remedy(mu):
     assert "mirrored in alpha" in said and "used as given" in said
 
 
+@pytest.mark.long
 def test_camber_distinguishes_sae_from_a_mirrored_tire():
     cambers = (0.0, 0.06)
     given = simulator_at(str(TIR))

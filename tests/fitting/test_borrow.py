@@ -57,6 +57,7 @@ def borrowing():
     return fitted(other())
 
 
+@pytest.mark.long
 def test_an_unmeasured_force_is_scaled_from_the_other_tire():
     fit, true = borrowing(), tire_of(MF52)
     slip = np.array([-0.1, -0.05, -0.02, -0.005, 0.005, 0.02, 0.05, 0.1])

@@ -218,6 +218,7 @@ def test_other_combined_models_are_recovered(name):
         np.testing.assert_allclose(values[key], value, rtol=0.05, atol=0.1)
 
 
+@pytest.mark.long
 def test_slip_noise_of_combined_rows_causes_no_bias():
     tau = 0.003
     noise = NOISE | {"sigma_x": tau}

@@ -108,6 +108,7 @@ def small_files_too(monkeypatch):
     monkeypatch.setattr(condense, "_TRIES", ((MOST, 1e-3),))
 
 
+@pytest.mark.long
 def test_the_posterior_by_cells_agrees_with_the_rows(given, sampled, small_files_too):
     cells = sample(given, sampler="importance", effective_samples=4000)
     assert "400 rows as" in cells.posterior.note

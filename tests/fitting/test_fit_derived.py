@@ -196,6 +196,7 @@ def test_the_peak_is_right_with_a_parameter_at_its_bound():
     np.testing.assert_allclose(found.std, np.ptp(found.ci95) / 3.92, rtol=1e-3)
 
 
+@pytest.mark.long
 def test_slope_of_a_redundant_form_agrees_with_brute_force():
     """A Magic Formula below its peak: one parameter is undetermined, but the slope is
     known to 2 %."""

@@ -120,6 +120,7 @@ def test_an_interrupt_before_any_sample_is_reported(given, monkeypatch):
     assert result.posterior is None
 
 
+@pytest.mark.long
 def test_resume_completes_a_larger_target(given, tmp_path):
     path = tmp_path / "chain.npz"
     settings = {"sampler": "emcee", "checkpoint": path}

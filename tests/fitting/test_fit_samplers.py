@@ -216,6 +216,7 @@ def test_arviz_reads_weighted_draws(weighted, tmp_path):
         assert ess / weighted.posterior.ess[label] == pytest.approx(1, abs=0.15)
 
 
+@pytest.mark.long
 def test_nuts_agrees_with_emcee(given, sampled):
     result = sample(given, sampler="nuts", effective_samples=1000)
     summary = result.posterior

@@ -219,6 +219,7 @@ def test_fit_recovers_the_load_dependence_of_parameters():
 # A pressure of one's own
 
 
+@pytest.mark.long
 def test_a_tabulated_pressure_is_fitted_under_its_name(monkeypatch):
     """A table of the parabola gives the same estimate and covariance."""
     law = Tabulated.from_function(lambda xi: 1 - xi**2)

@@ -52,6 +52,7 @@ def fitted(friction_temperature):
     return fit_magic_formula(read_frame(table), "mf52", config=config, leave_out="none")
 
 
+@pytest.mark.long
 def test_friction_and_its_temperature_dependence_are_recovered():
     found, true = fitted(True), read_tir(MF52).numbers
     b, std, reference = found.warmth

@@ -76,7 +76,8 @@ def fit_of(*channels, combined=True):
     )
 
 
-@pytest.mark.parametrize("combined", [False, pytest.param(True, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("combined", [False, True])
 def test_a_moment_moves_no_coefficient_of_a_force(combined):
     """A channel that the formula describes badly: M_z of another stiffness."""
     whole = fit_of("fx", "fy", "mz", combined=combined)

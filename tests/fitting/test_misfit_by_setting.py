@@ -42,6 +42,7 @@ def five_loads():
     return data, fit(data, "magic-formula")
 
 
+@pytest.mark.long
 def test_misfit_over_the_load_is_reported_as_systematic(five_loads):
     _, result = five_loads
     assert result.statistics.r2 > 0.99

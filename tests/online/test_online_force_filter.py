@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from drives import drive, estimated
 from scipy.stats import multivariate_normal
 
@@ -103,6 +104,7 @@ def test_the_truth_lies_within_the_stated_spread():
     assert np.sqrt(np.mean(mu**2)) < 2 and end.std[-1, 0] < 0.2
 
 
+@pytest.mark.long
 def test_only_a_drop_of_friction_is_detected():
     how = {"bend": 0.45, "duration": 60.0}
     for after in (0.6, 0.55):

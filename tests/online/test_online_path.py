@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from drives import STIFFNESS, drive, estimated
 from scipy.integrate import solve_ivp
 
@@ -119,6 +120,7 @@ def test_a_correction_by_the_path_agrees_with_gaussian_conditioning():
     )
 
 
+@pytest.mark.long
 def test_the_truth_lies_within_the_stated_spread():
     log = drive(bend=0.5, brake=0.3, duration=25.0)
     truth, end = log.truth, estimated("path", log.columns)

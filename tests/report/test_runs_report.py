@@ -79,6 +79,7 @@ def by_run():
     )
 
 
+@pytest.mark.long
 def test_every_run_is_distinguished_in_the_report(by_run):
     text = fit_report(by_run, full=True)
     assert max(map(len, text.splitlines())) <= 88

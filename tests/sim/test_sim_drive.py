@@ -25,6 +25,7 @@ def wheel_forces(omega, v_x, v_y, r, delta, loads, mu):
     return force * sigma / slip, force * across / slip
 
 
+@pytest.mark.long
 def test_the_motion_of_the_car_agrees_with_scipy():
     how = Drive(**SHORT)
     truth = simulate_drive(how).truth

@@ -198,6 +198,7 @@ def test_slipx_has_the_relaxation_length(tmp_path, vehicle):
     assert car.params_for_tier(slipx.Tier.L2_DoubleTrack).tyre_front.relax_length == 0.06
 
 
+@pytest.mark.long
 def test_slipx_falls_with_load_as_the_tire_does(tmp_path):
     # The cornering stiffness is -15 F_z.
     given = {"PDY1": 1.0, "PDY2": -0.1, "PKY1": -7.5e6, "PKY2": 1e6, "PCY1": 1.5}

@@ -71,6 +71,7 @@ def test_the_record_prints_draws_and_saves(found, tmp_path):
     assert found.plot().axes
 
 
+@pytest.mark.long
 def test_a_replay_with_the_effects_reaches_the_noise(late, found, tmp_path):
     log, vehicle, tires = late
     found.save(tmp_path)

@@ -117,6 +117,7 @@ def test_a_steering_delay_is_detected_and_can_be_declared(drive):
     assert stated["lateral"][0] < 0.2 * as_logged["lateral"][0]
 
 
+@pytest.mark.long
 def test_the_band_of_a_fit_contains_the_true_motion(drive):
     """Tires fitted to the derived axles of the same log, with their uncertainty."""
     fits = {}

@@ -110,6 +110,7 @@ def test_the_saved_fit_is_accepted_by_the_other_commands(found, tmp_path):
     assert tire_of(tmp_path / "front.json").spread["mu"] > 0
 
 
+@pytest.mark.long
 def test_profile_and_covariance_intervals_agree_if_nearly_normal(found, drive):
     for how in ("profile", "importance"):
         other = fit_trajectory([drive / "drive.csv"], drive / "vehicle.toml", intervals=how)
@@ -122,6 +123,7 @@ def test_profile_and_covariance_intervals_agree_if_nearly_normal(found, drive):
             assert other.parameters[name].ci95 != one.ci95
 
 
+@pytest.mark.long
 def test_inertia_and_centre_of_gravity_are_found_or_reported_open(drive):
     vehicle = load_vehicle(drive / "vehicle.toml")
     moved = {"l_f": L_F + 0.01, "l_r": L_R - 0.01, "yaw_inertia": 1.3 * INERTIA}

@@ -179,6 +179,7 @@ def test_every_unlisted_effect_is_detectable(kind):
     assert 0.002 < np.sqrt(np.mean((off / (MU * world.fz)) ** 2)) < 0.25
 
 
+@pytest.mark.long
 def test_development_trials_have_no_sealed_effect():
     made = trials.draw(521, 60, ["unlisted"], None, ["rig"], [200], False)
     kinds = {trial.label["kind"] for trial in made}

@@ -350,6 +350,7 @@ def gathered_in(folder):
     return {path.name: path.read_bytes() for path in folder.glob("baseline_*")}
 
 
+@pytest.mark.long
 def test_baselines_do_not_depend_on_jobs_or_interruptions(few, tmp_path):
     written(tmp_path, [(trial, perfect(trial)) for trial in few[::4]], rows=False)
     baselines.main([str(tmp_path), "--jobs", "2"])
