@@ -1,11 +1,10 @@
 """``jax.jit`` with the compiled programs stored on disk, for later processes.
 
-JAX's own cache stores compiled programs as well, but a new process still traces and lowers
-every function first. The name of a file here is a digest of everything that the program
-depends on: the sources of the package, the versions of its libraries, the device with the
-features of its processor, the flags of XLA, the pickled static arguments, and the
-structure, shapes and types of the others. An unreadable file is rewritten; the programs
-used least recently are removed.
+JAX's own cache stores compiled programs as well, but a new process still traces and lowers every
+function first. The name of a file here is a digest of everything that the program depends on: the
+sources of the package, the versions of its libraries, the device with the features of its
+processor, the flags of XLA, the pickled static arguments, and the structure, shapes and types of
+the others. An unreadable file is rewritten; the programs used least recently are removed.
 
 ``brief`` marks a program that runs a few times in a process, so that it takes longer to
 compile than to run: it is compiled with fewer optimisations.
@@ -48,10 +47,9 @@ _ABOVE = ("cli", "report", "targets")
 """Rooms that no program depends on: imports go down only."""
 
 _PLAINLY: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
-"""A program compiles in 0.56 of the time (all programs of a first fit of ``carcass-beam``:
-6.3 s instead of 11.1 s of processor time) and runs up to twice as long (eight searches
-of 400 rows: 78 instead of 65 ms for that model, 55 instead of 28 ms for
-``carcass-thread``)."""
+"""A program compiles in 0.56 of the time (all programs of a first fit of ``carcass-beam``: 6.3 s
+instead of 11.1 s of processor time) and runs up to twice as long (eight searches of 400 rows: 78
+instead of 65 ms for that model, 55 instead of 28 ms for ``carcass-thread``)."""
 
 _MOST_MAPPINGS = 30_000
 """Number of memory mappings of a process above which its programs are released. A program

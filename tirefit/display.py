@@ -112,8 +112,7 @@ class Record(Displayed):
         raise NotImplementedError
 
     def save(self, path: str | os.PathLike, name: str = "") -> list[Path]:
-        """Write the files that the command writes, or one page; each completely or not at
-        all.
+        """Write the files that the command writes, or one page; each completely or not at all.
 
         Args:
             path: a folder, created if needed; or a page, a name that ends in ``.html``.

@@ -187,8 +187,7 @@ class TirefitError(Exception):
 class DataError(TirefitError):
     """The measured data cannot be used as they are (exit code 3).
 
-    ``problems`` holds each problem with reason, remedy and, where known, file, row and
-    column.
+    ``problems`` holds each problem with reason, remedy and, where known, file, row and column.
 
     Example:
         >>> try:

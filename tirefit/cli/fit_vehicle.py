@@ -35,8 +35,7 @@ def fit_vehicle(
     """Fit the car, print the report and write the files.
 
     Args:
-        how: keywords of :func:`~tirefit.vehicle.trajectory.fit_trajectory`; None for
-            its defaults.
+        how: keywords of :func:`~tirefit.vehicle.trajectory.fit_trajectory`; None for its defaults.
     """
     models, out = models_of(model), out or Path(f"{vehicle.stem}.fit")
     check_directories([out])

@@ -90,8 +90,7 @@ def claimed(directory: Path) -> Iterator[None]:
     """
     made = [path for path in (directory, *directory.parents) if not path.exists()]
     directory.mkdir(parents=True, exist_ok=True)
-    # A lock on the directory itself ends with the process in any case, and leaves no
-    # file.
+    # A lock on the directory itself ends with the process in any case, and leaves no file.
     handle = None if fcntl is None else os.open(directory, os.O_RDONLY)
     try:
         if handle is not None and not took_lock(handle):

@@ -80,8 +80,7 @@ def prepare(
     jobs: Jobs = None,
     scheduler: Scheduler = None,
 ) -> None:
-    """Cut the recording of a test rig into sweeps and bins, filter it, and write the
-    rows to fit.
+    """Cut the recording of a test rig into sweeps and bins, filter it, and write the rows to fit.
 
     For each FILE: NAME.csv (rows to fit, with run, segment, bin), NAME.segments.csv,
     NAME.png (the whole test), NAME.prepare.json (all that was done).

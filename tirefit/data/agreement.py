@@ -243,9 +243,8 @@ def instrumented(values, sides, near, zero: Callable) -> _Fit | None:
 
 
 def _share(columns, seen, k: int) -> float:
-    """Share of the variation of the k-th column, beyond the other columns, that the
-    instruments explain: small for noise and for a combination of the other columns
-    (Sanderson, Windmeijer).
+    """Share of the variation of the k-th column, beyond the other columns, that the instruments
+    explain: small for noise and for a combination of the other columns (Sanderson, Windmeijer).
 
     Args:
         columns: (n, m); seen: their prediction from the instruments.

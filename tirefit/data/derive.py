@@ -10,9 +10,8 @@ the centre of gravity, left positive. Then, with the canonical signs (drawing in
     F_y,rear    = -(m l_f a_y - J_z r') / (l_f + l_r)
     F_y,front   = -(m l_r a_y + J_z r') / (l_f + l_r) / cos(delta)
 
-F_x of a driven axle is the force along its wheels that the longitudinal acceleration
-needs (:func:`tirefit.data.motion.force_along`); F_y at the front is then smaller by
-F_x tan(delta).
+F_x of a driven axle is the force along its wheels that the longitudinal acceleration needs
+(:func:`tirefit.data.motion.force_along`); F_y at the front is then smaller by F_x tan(delta).
 
 The filter (see :class:`tirefit.data.vehicle.Vehicle`) sets the bandwidth of the result:
 neighbouring samples are correlated and do not count as independent.

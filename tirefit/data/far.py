@@ -55,12 +55,11 @@ class FarValue(NamedTuple):
 def far_values(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> tuple[FarValue, ...]:
     """The outliers of single rows, in the order of the rows.
 
-    A value is far from its file if the gap to all others is three times their range. It
-    is far from its neighbours if it is outside their range by four times that range and
-    by a quarter of the range of the file. In a log the neighbours are the rows before
-    and after; elsewhere, the neighbours of a force are rows of similar slip and load, and
-    its slip determines its sign. A row is reported once for each column. Rules that find
-    more than one row in twenty are ignored.
+    A value is far from its file if the gap to all others is three times their range. It is far from
+    its neighbours if it is outside their range by four times that range and by a quarter of the
+    range of the file. In a log the neighbours are the rows before and after; elsewhere, the
+    neighbours of a force are rows of similar slip and load, and its slip determines its sign. A row
+    is reported once for each column. Rules that find more than one row in twenty are ignored.
 
     Args:
         columns: those to check; names that the data lack are ignored.

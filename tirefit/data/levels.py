@@ -9,14 +9,12 @@ FEW_SETTINGS = 6
 """Largest number of levels that count as settings; a column with more is a range."""
 
 _LEAST = 0.005
-"""A gap is ignored below this share of the range and of the largest value: it may be a
-step of a logger or drift of a controller. Settings are at least three times as far
-apart."""
+"""A gap is ignored below this share of the range and of the largest value: it may be a step of a
+logger or drift of a controller. Settings are at least three times as far apart."""
 _WIDER = 3.0
-"""A gap separates two settings if it is this multiple of the next narrower gap, and of
-the scatter about the settings. Of 300 normal or uniform samples of 20 rows and
-more, none is split; settings with a standard deviation of a tenth of their distance are
-found."""
+"""A gap separates two settings if it is this multiple of the next narrower gap, and of the scatter
+about the settings. Of 300 normal or uniform samples of 20 rows and more, none is split; settings
+with a standard deviation of a tenth of their distance are found."""
 _ROWS = 2
 """Smallest number of rows of a setting; a single one is an outlier or part of a sweep."""
 

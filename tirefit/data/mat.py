@@ -51,8 +51,7 @@ def channels_of_mat(content: bytes, file: str, is_known: Callable[[str], bool]) 
     Args:
         content: bytes of the file.
         file: named in the problems.
-        is_known: whether a name is that of a known column; the struct with most of them
-            is read.
+        is_known: whether a name is that of a known column; the struct with most of them is read.
 
     Raises:
         DataError: the file is damaged, has no vectors, or has several structs with as

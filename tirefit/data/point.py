@@ -81,8 +81,7 @@ def turns_both_ways(share: np.ndarray) -> bool:
 
 
 _MODERATE = 0.5
-"""Largest force in the fit over the strong force (95th percentile), where the cubic is
-valid."""
+"""Largest force in the fit over the strong force (95th percentile), where the cubic is valid."""
 
 _ZERO = 0.02
 """Zero error [rad] of heading or mounting that is assumed if a log turns to one side

@@ -82,9 +82,8 @@ def read(
             contradicts them is read, with a warning.
         mask_bad_rows: keep rows that break a rule as unused rows, listed in
             ``source.masked``, instead of raising.
-        forces: False if forces will be predicted: no force column is needed, one
-            operating point is enough, and a unit declared for a force that the file
-            lacks is used for writing it.
+        forces: False if forces will be predicted: no force column is needed, one operating point is
+            enough, and a unit declared for a force that the file lacks is used for writing it.
         curve: False for a log of a vehicle, which need not have slip, force and load;
             the caller checks its columns (:func:`require`).
         otherwise: convention of the model that the data are compared with, and the
@@ -114,8 +113,7 @@ def read_frame(frame: Columns, name: str = "data", **options) -> TireData:
     """Read a frame or arrays into canonical, checked data.
 
     Args:
-        frame: a frame of pandas or polars, a structured array, or a mapping of name to
-            (n,) array.
+        frame: a frame of pandas or polars, a structured array, or a mapping of name to (n,) array.
         name: what reports call the data.
         options: arguments of :func:`read`.
 

@@ -80,8 +80,7 @@ def file_at(place: str | os.PathLike | RemoteFile) -> Place:
 
 
 def expanded(files: Iterable[Place]) -> list[Any]:
-    """Replace patterns (``s3://rig/2024-*/*.csv``) by all files that match, sorted by
-    name.
+    """Replace patterns (``s3://rig/2024-*/*.csv``) by all files that match, sorted by name.
 
     Patterns serve for lists that are too long for a command line, and for addresses,
     which shells do not expand. A file with exactly that name has precedence.

@@ -8,8 +8,7 @@ from tirefit.data.columns import is_number
 from tirefit.data.units import known_unit
 
 _BELOW = 3
-"""The first row of numbers is at most this many lines below the header, after units or
-a ruling."""
+"""The first row of numbers is at most this many lines below the header, after units or a ruling."""
 
 _TOKEN = re.compile(r'"[^"]*"|\S+')
 _WIDE_GAP = re.compile(r"\s{2,}|\t")

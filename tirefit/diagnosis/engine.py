@@ -71,15 +71,13 @@ def diagnose(
             convention is read in that of a file ``sim``.
         model: name of the base model, the brush by default; a whole Magic Formula
             (``mf52``, ``mf61``, ``mf62``) is fitted in stages, then not changed.
-        sim: a simulator instead of a fit of ``model``: a tire model with its values, a
-            fit, a ``fit.json`` or ``.tir`` file, True for the columns ``fx_sim``,
-            ``fy_sim``, ``mz_sim`` of the data, or arrays (n,) by channel, in canonical
-            signs. If only its forces are known, ``model``, fitted to them, is used for
-            the changes of a hypothesis: the brush by default, or mf61 if the brush does
-            not follow them closely.
-        signs: convention, a key of ``slip.CONVENTIONS``, of the ``.tir`` file ``sim``
-            ("iso-w" if None), or of the columns ``fx_sim``, ... (that of the data if
-            None).
+        sim: a simulator instead of a fit of ``model``: a tire model with its values, a fit, a
+            ``fit.json`` or ``.tir`` file, True for the columns ``fx_sim``, ``fy_sim``, ``mz_sim``
+            of the data, or arrays (n,) by channel, in canonical signs. If only its forces are
+            known, ``model``, fitted to them, is used for the changes of a hypothesis: the brush by
+            default, or mf61 if the brush does not follow them closely.
+        signs: convention, a key of ``slip.CONVENTIONS``, of the ``.tir`` file ``sim`` ("iso-w" if
+            None), or of the columns ``fx_sim``, ... (that of the data if None).
         rig: known properties (noise, radius, inertia), or a path of ``rig.toml``.
         forces: those of fx, fy, mz to diagnose; None for all that were measured.
         effects: the library to search, :data:`EFFECTS` if None; you may add to it.
@@ -88,12 +86,11 @@ def diagnose(
         seed: of the simulated null distributions and bootstraps.
 
     Returns:
-        ``verdict.effects`` are the named effects, ``verdict.probability`` that of
-        exactly this set, and ``verdict.each`` has for each effect the probability that
-        it or a twin is present, the share of the gap that it closes on data left out,
-        and its twins: effects that these data cannot distinguish from it.
-        ``verdict.left`` describes the remainder, ``ladder`` the rms on data left out
-        with one effect after the other. ``verdict.status`` is
+        ``verdict.effects`` are the named effects, ``verdict.probability`` that of exactly this set,
+        and ``verdict.each`` has for each effect the probability that it or a twin is present, the
+        share of the gap that it closes on data left out, and its twins: effects that these data
+        cannot distinguish from it. ``verdict.left`` describes the remainder, ``ladder`` the rms on
+        data left out with one effect after the other. ``verdict.status`` is
 
         - ``none``: no gap beyond the noise;
         - ``named``: effects are named, and an unlisted one is unlikely;

@@ -23,8 +23,7 @@ LEAST_RUNS = 4
 side, do not show a slip offset that four logs show at 14 standard errors."""
 
 _BLOCKS, _LEAST_ROWS = 8, 12
-"""Largest number of blocks of time or parts of the slip; smallest number of rows of a
-fold."""
+"""Largest number of blocks of time or parts of the slip; smallest number of rows of a fold."""
 
 _UNRESOLVED = 0.01
 """Energy of the smallest gap that is resolved, over the energy of the noise."""
@@ -80,10 +79,9 @@ class Predicted(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """The gain of a set of effects over another on data left out: the difference of the
-    sums of squares over the noise (all channels), and the share of the gap beyond the
-    noise that it closes (first channel), with standard errors over the ``parts`` that
-    were left out."""
+    """The gain of a set of effects over another on data left out: the difference of the sums of
+    squares over the noise (all channels), and the share of the gap beyond the noise that it closes
+    (first channel), with standard errors over the ``parts`` that were left out."""
 
     gain: float
     std: float
@@ -99,8 +97,7 @@ class Step(NamedTuple):
         effects: ids of the set; ("as given",) first, of a simulator whose parameters
             are not refitted; ("anything smooth",) and ("noise",) at the end.
         rms_left_out: of observed minus predicted on the rows left out [N].
-        closed: share of what the first step leaves beyond the noise that is closed
-            there.
+        closed: share of what the first step leaves beyond the noise that is closed there.
         closed_std: its standard error over the parts left out.
         gain: decrease of the mean square by the step [N^2]; the last two steps are
             compared with the last set of effects.

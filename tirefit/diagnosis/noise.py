@@ -414,9 +414,8 @@ def _growth(white, values, keep) -> float:
 def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) -> float:
     """Standard deviation of the slip noise from the forces, zero if not significant.
 
-    An error of the slip moves the force in proportion to its slope, so neighbours
-    scatter more where the curve is steep. Errors that consecutive rows share are not
-    noise.
+    An error of the slip moves the force in proportion to its slope, so neighbours scatter more
+    where the curve is steep. Errors that consecutive rows share are not noise.
 
     Args:
         residual: (n,) [N].

@@ -11,8 +11,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 HUBER = 1.345
-"""Standard deviations beyond which a file gets a lower weight (95 % efficient; Huber
-1964)."""
+"""Standard deviations beyond which a file gets a lower weight (95 % efficient; Huber 1964)."""
 
 _MEDIAN = float(ndtri(0.75))
 

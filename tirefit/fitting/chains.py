@@ -24,8 +24,7 @@ _SECONDS_BETWEEN = 5.0
 
 
 class Chain(NamedTuple):
-    """Samples of all ensembles in the whitened space, and the state to continue
-    from."""
+    """Samples of all ensembles in the whitened space, and the state to continue from."""
 
     samples: np.ndarray  # (ensembles, steps, walkers, p)
     log_density: np.ndarray  # (ensembles, steps, walkers)

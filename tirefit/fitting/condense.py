@@ -115,8 +115,7 @@ def _is_plain(problem: FitProblem) -> bool:
 
 
 def _places(solved: Solved) -> Float[np.ndarray, "n d"]:
-    """Coordinates by which rows are grouped: inputs, and residuals if they have slip
-    noise."""
+    """Coordinates by which rows are grouped: inputs, and residuals if they have slip noise."""
     problem = solved.problem
     columns = [problem.used(column) for column in problem.rows.inputs]
     columns += [problem.used(std) for std in problem.rows.slip_std.values()]

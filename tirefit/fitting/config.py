@@ -74,12 +74,11 @@ class ParameterConfig(Section):
 
 
 class NoiseConfig(Section):
-    """Standard deviations of the noise. Missing ones are estimated; missing slip noise is
-    zero. ``<force>_relative`` is a fraction of the load; ``<slip>_speed`` [m/s] is noise
-    of the slip velocity of the patch, a slip noise of this over v. A column of the data
-    with the noise of every row, such as ``fx_std``, has precedence. ``loss``: squares of
-    all rows, or (``trimmed``) without outliers (``fitting.far_rows``), or a robust
-    function of the residuals of all rows."""
+    """Standard deviations of the noise. Missing ones are estimated; missing slip noise is zero.
+    ``<force>_relative`` is a fraction of the load; ``<slip>_speed`` [m/s] is noise of the slip
+    velocity of the patch, a slip noise of this over v. A column of the data with the noise of every
+    row, such as ``fx_std``, has precedence. ``loss``: squares of all rows, or (``trimmed``) without
+    outliers (``fitting.far_rows``), or a robust function of the residuals of all rows."""
 
     fx: PositiveFloat | None = None
     fy: PositiveFloat | None = None

@@ -27,9 +27,8 @@ def curve(
 ) -> TireData:
     """The pure-slip curve of a tire over slip and load, as if measured.
 
-    The loads are the runs and the slips of each are ascending: the misfit of another
-    model is then an autocorrelated residual, which reduces the effective number of
-    rows.
+    The loads are the runs and the slips of each are ascending: the misfit of another model is then
+    an autocorrelated residual, which reduces the effective number of rows.
 
     Args:
         tire: the tire, or the name of a model.

@@ -31,8 +31,7 @@ from tirefit.params import with_values
 _LARGEST_SLIP = 3.0
 _AT_ONCE = 8
 _GRID = np.append(0.0, np.geomspace(1e-5, _LARGEST_SLIP, 199))
-"""Number of slips at which the peak is searched, and how many are evaluated
-together."""
+"""Number of slips at which the peak is searched, and how many are evaluated together."""
 
 _NARROWED = 16  # rounds of refinement, to 1e-15 of the distance of two of them
 

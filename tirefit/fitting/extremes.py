@@ -66,8 +66,7 @@ def _stepped(solved: Solved, quantity: Callable, sign: int) -> float:
         total, slope, curvature = here
         scale = share * (1 - share)
         value, pull = quantity(logit(share))
-        # The deviance of rows with slip noise is not a square: use the curvature at the
-        # estimate.
+        # The deviance of rows with slip noise is not a square: use the curvature at the estimate.
         curvature = fixed if solved.problem.rows.nodes else curvature
         step = _step(
             slope / scale,

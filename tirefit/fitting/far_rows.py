@@ -6,11 +6,10 @@ of error: a wrong unit, a wrong sign, a stuck channel. The deviance of a row is 
 .. math::
    \min(r^2, c^2)
 
-of its standardised residual r: squares up to the distance c, and constant beyond. The
-rows beyond c are excluded and listed; the others are fitted as if there were no more,
-so that intervals, profiles and posteriors are those of normal noise. The distance c
-grows with the number of rows so that fewer than one in 200 clean files loses a row:
-clean data are fitted by plain least squares.
+of its standardised residual r: squares up to the distance c, and constant beyond. The rows beyond c
+are excluded and listed; the others are fitted as if there were no more, so that intervals, profiles
+and posteriors are those of normal noise. The distance c grows with the number of rows so that fewer
+than one in 200 clean files loses a row: clean data are fitted by plain least squares.
 
 Each row is compared with what the *other* rows predict for it, with the uncertainty of
 that prediction: a row that alone determines a parameter is kept, however extreme its
@@ -109,10 +108,9 @@ class _Judged(NamedTuple):
 def settle(data: TireData, name: str, config: FitConfig) -> Settled:
     """Solve a fit without outliers.
 
-    Values far from the others of their column are excluded at first, so that they do
-    not affect the prediction; rows are then excluded and restored until the set is
-    stable. With a loss other than ``trimmed`` all rows are kept, and the outliers are
-    only listed.
+    Values far from the others of their column are excluded at first, so that they do not affect the
+    prediction; rows are then excluded and restored until the set is stable. With a loss other than
+    ``trimmed`` all rows are kept, and the outliers are only listed.
 
     Raises:
         UsageError, DataError: as ``problem.build``.

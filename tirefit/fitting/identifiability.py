@@ -335,8 +335,7 @@ def _judged(problem: FitProblem, k: int, z, information) -> ParameterGate:
 
 
 def _remedy(problem: FitProblem, k: int, likely, weight) -> str:
-    """The first wider test that would determine the parameter, in words; empty if
-    none."""
+    """The first wider test that would determine the parameter, in words; empty if none."""
     slip = problem.slip_name
     for words, name, times in (
         (f"slips twice as large ({slip})", slip, (2.0,)),

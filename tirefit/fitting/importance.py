@@ -1,12 +1,11 @@
 """Importance sampling of the posterior: points around the optimum, weighted.
 
 Nine in ten points come from a multivariate Student's t in the whitened space, where a
-well-identified posterior is nearly a unit Gaussian, and one in ten from anywhere within
-the bounds. They are weighted by posterior over proposal; the largest weights are
-smoothed by a generalized Pareto distribution, whose shape k-hat says whether the
-proposal covers the posterior at all (PSIS: Vehtari, Simpson, Gelman, Yao and Gabry,
-Journal of Machine Learning Research 25(72), 2024). One evaluation of the posterior per
-point, no chain, and nothing to tune.
+well-identified posterior is nearly a unit Gaussian, and one in ten from anywhere within the bounds.
+They are weighted by posterior over proposal; the largest weights are smoothed by a generalized
+Pareto distribution, whose shape k-hat says whether the proposal covers the posterior at all (PSIS:
+Vehtari, Simpson, Gelman, Yao and Gabry, Journal of Machine Learning Research 25(72), 2024). One
+evaluation of the posterior per point, no chain, and nothing to tune.
 
 Without that tenth a bulk far from the optimum is missed: k-hat was 0.46 for a brush on
 ``fits/cmu_wheel`` (smooth wheel, straight): its stiffness is 4 to 16 N around the best

@@ -164,8 +164,7 @@ def deviance(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""]:
 
 
 class Linearised(NamedTuple):
-    """Residuals of every row at z, slopes, moments of the forces given the measured
-    slip."""
+    """Residuals of every row at z, slopes, moments of the forces given the measured slip."""
 
     values: dict[str, Array]  # (n,) by block; Gaussian priors are the block ``prior``
     slopes: dict[str, Array]  # (n, p) by block

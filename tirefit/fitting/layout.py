@@ -203,8 +203,7 @@ def _interval(spec: Spec) -> str:
 
 
 def _bounded(name: str, spec: Spec, asked: ParameterConfig):
-    """The spec with the bounds of the configuration, and the problems of these
-    bounds."""
+    """The spec with the bounds of the configuration, and the problems of these bounds."""
     lower = spec.lower if asked.lower is None else asked.lower
     upper = spec.upper if asked.upper is None else asked.upper
     if spec.lower <= lower < upper <= spec.upper:
@@ -254,8 +253,7 @@ def _wrong_tie(tie: Tie, ties: Sequence[Tie], free: Sequence[str], known) -> Inp
 
 
 def _misplaced(name: str, spec: Spec, asked: ParameterConfig, free: bool) -> Iterator[InputProblem]:
-    """Problems: values and priors outside the bounds, keys that a fixed parameter
-    ignores."""
+    """Problems: values and priors outside the bounds, keys that a fixed parameter ignores."""
     key, prior = f"parameters.{name}", asked.prior
     if asked.value is not None and not spec.lower <= asked.value <= spec.upper:
         reason = f"value {asked.value:g} outside its bounds {_interval(spec)}"

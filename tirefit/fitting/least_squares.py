@@ -156,13 +156,12 @@ def damped_gauss_newton(
 ) -> Minimum:
     """Levenberg-Marquardt on the normal equations of a handful of parameters.
 
-    Used because it is faster here than optimistix's Levenberg-Marquardt, which
-    factorises the Jacobian, at the same minimum. 512 fits of 400 rows, time per fit on
-    two shared cores, median costs equal to eight digits for the brush: under vmap (64
-    at once) 34 us against 282 us for the brush and 0.83 ms against 5.7 ms for the
-    Magic Formula; one after the other 53 against 211 us and 0.28 against 0.55 ms. It
-    takes 5 to 6 steps against 14 to 15, and half as long to compile (0.8 to 1.5 s
-    against 1.4 to 3.1 s).
+    Used because it is faster here than optimistix's Levenberg-Marquardt, which factorises the
+    Jacobian, at the same minimum. 512 fits of 400 rows, time per fit on two shared cores, median
+    costs equal to eight digits for the brush: under vmap (64 at once) 34 us against 282 us for the
+    brush and 0.83 ms against 5.7 ms for the Magic Formula; one after the other 53 against 211 us
+    and 0.28 against 0.55 ms. It takes 5 to 6 steps against 14 to 15, and half as long to compile
+    (0.8 to 1.5 s against 1.4 to 3.1 s).
 
     Args:
         residual: residuals and scoring weights; p up to about ten.

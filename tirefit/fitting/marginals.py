@@ -4,9 +4,8 @@ import numpy as np
 
 _BINS = 36
 _FAR = 6.0
-"""Length of an axis from the median, in units of the distance to the end of the central
-68.27 % on that side: 6 standard deviations of a Gaussian. A rare bulk far away does
-not stretch the axis."""
+"""Length of an axis from the median, in units of the distance to the end of the central 68.27 % on
+that side: 6 standard deviations of a Gaussian. A rare bulk far away does not stretch the axis."""
 _SHARES = (0.001, 0.15866, 0.5, 0.84134, 0.999)
 """Ends of 99.8 % of the draws, of the central 68.27 %, and the median."""
 _KERNEL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
@@ -63,8 +62,7 @@ def near_level(deviance, level: float) -> np.ndarray:
 
 
 def dense_profile(value, deviance, best: float, logarithmic: bool):
-    """A profile on a dense grid, interpolated by its signed root (linear if
-    quadratic)."""
+    """A profile on a dense grid, interpolated by its signed root (linear if quadratic)."""
     value, first = np.unique(value, return_index=True)
     root = np.sign(value - best) * np.sqrt(np.maximum(deviance[first], 0.0))
     space = np.geomspace if logarithmic else np.linspace

@@ -84,9 +84,8 @@ def law_shares(residual, terms, known=0.0) -> np.ndarray:
 
 
 def non_negative(normal, aim) -> np.ndarray:
-    """The x >= 0 (k,) that minimises x' normal x / 2 - aim' x. All 2^k sets of non-zero
-    entries are tried: for three entries this is faster than importing
-    ``scipy.optimize``."""
+    """The x >= 0 (k,) that minimises x' normal x / 2 - aim' x. All 2^k sets of non-zero entries are
+    tried: for three entries this is faster than importing ``scipy.optimize``."""
     best, least = np.zeros(len(aim)), 0.0
     for free in itertools.product((False, True), repeat=len(aim)):
         at = np.flatnonzero(free)
@@ -173,8 +172,7 @@ def effective_inflation(scores, run, time) -> float:
     # A parameter without information has no direction.
     left, size, _ = np.linalg.svd(scores, full_matrices=False)
     known = size > 1e-8 * max(size.max(), 1e-300)
-    # Also the directions of the parameters: the SVD is arbitrary for equal singular
-    # values.
+    # Also the directions of the parameters: the SVD is arbitrary for equal singular values.
     directions = np.concatenate([left[:, known], scores], axis=1)
     order = np.arange(len(run)) if time is None else np.lexsort((time, run))
     parts = [order[run[order] == code] for code in np.unique(run)]

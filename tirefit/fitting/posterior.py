@@ -378,8 +378,7 @@ def _of_chain(
     weighted,
     notes: list[str],
 ) -> FitResult:
-    """The posterior of a chain; ``weighted`` is the rejected weighted sample, if
-    any."""
+    """The posterior of a chain; ``weighted`` is the rejected weighted sample, if any."""
     health = _health(chain.samples, run.target, sampler == "nuts")
     labels = result.labels
     divergences = chain.state.get("divergences")

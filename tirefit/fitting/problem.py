@@ -166,8 +166,7 @@ def _noise_column(data: TireData, column: str, wrong, beside: str) -> InputProbl
 
 
 def _settled(data: TireData, model: AbstractTire, forces, config: FitConfig):
-    """Result of ``choose_layout``; its problems and those of the noise are raised
-    together."""
+    """Result of ``choose_layout``; its problems and those of the noise are raised together."""
     of_columns, of_settings = _noise_problems(data, forces, config)
     try:
         chosen = choose_layout(model, config, data.runs, forces)

@@ -10,8 +10,7 @@ from tirefit.fitting.noise import autocorrelation
 from tirefit.fitting.result import FitResult
 
 _BINS = 12
-"""Largest number of settings with a mean each; more are grouped into bins of equal
-size."""
+"""Largest number of settings with a mean each; more are grouped into bins of equal size."""
 _FEWEST = 3  # fewest rows of a bin whose scatter gives an error of its mean
 _HALF_95 = 1.96  # half of a 95 % interval of a normal distribution, in standard errors
 _LAGS = 40  # largest lag, but at most a quarter of the longest run

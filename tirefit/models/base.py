@@ -69,8 +69,7 @@ class AbstractTire(eqx.Module):
         return False
 
     def static_friction(self, fz):
-        """Static friction coefficient [-] at load fz [N]; None if the model has
-        none."""
+        """Static friction coefficient [-] at load fz [N]; None if the model has none."""
         del fz
         return getattr(self, "mu", None)
 

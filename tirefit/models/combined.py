@@ -149,10 +149,9 @@ def scaled_to_combined(
     .. math:: \psi = \sqrt{(\sigma_x / \sigma^\circ_x)^2
                            + (\sigma_y / \sigma^\circ_y)^2},
 
-    and the part :math:`A = 3 (1-\psi)^2 / (3 - 3\psi + \psi^2)` of the pure-slip force at
-    the same :math:`\psi` comes from sticking bristles, the remainder from sliding ones.
-    The first has the direction of the elastic deflection, the second is opposite to the
-    sliding velocity:
+    and the part :math:`A = 3 (1-\psi)^2 / (3 - 3\psi + \psi^2)` of the pure-slip force at the same
+    :math:`\psi` comes from sticking bristles, the remainder from sliding ones. The first has the
+    direction of the elastic deflection, the second is opposite to the sliding velocity:
 
     .. math::
        F_x = \hat F_x(\sigma^\circ_x \psi) \left[A \frac{\sigma_x}{\sigma^\circ_x \psi}

@@ -52,10 +52,9 @@ class Command(NamedTuple):
 
 
 Info = Mapping[str, Float[Array, " w"]]
-"""Values for the log, by the name of the column in SI units (``xbs`` [N s/m],
-``reference_speed`` [m/s], ``target_pressure`` [Pa], ...); they have no effect on the
-control. Names and shapes are the same at every step; values of the whole vehicle are
-repeated for every wheel."""
+"""Values for the log, by the name of the column in SI units (``xbs`` [N s/m], ``reference_speed``
+[m/s], ``target_pressure`` [Pa], ...); they have no effect on the control. Names and shapes are the
+same at every step; values of the whole vehicle are repeated for every wheel."""
 
 
 class AbstractController(eqx.Module):

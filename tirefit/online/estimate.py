@@ -52,9 +52,8 @@ def estimate(
     """Estimate friction and stiffness row by row, as while driving.
 
     Args:
-        data: a log in time order, a result of ``tirefit.read(file,
-            mask_bad_rows=True)``, or a path, a frame, a mapping of column -> array;
-            methods restart at a new run.
+        data: a log in time order, a result of ``tirefit.read(file, mask_bad_rows=True)``, or a
+            path, a frame, a mapping of column -> array; methods restart at a new run.
         methods: names of ``tirefit methods``, as a list or separated by commas.
         settings: values of the methods' settings by ``METHOD.NAME`` or ``NAME``.
         seed: of random numbers; rls, mit, ekf and cubic use none.

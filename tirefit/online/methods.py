@@ -52,8 +52,7 @@ def estimator_of(
         settings: values of the fields of the method.
 
     Raises:
-        UsageError: unknown settings, values out of bounds, or settings that do not
-            work together.
+        UsageError: unknown settings, values out of bounds, or settings that do not work together.
     """
     template = METHODS[name]()
     known, values = specs(template), dict(settings or {})

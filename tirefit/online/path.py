@@ -10,8 +10,7 @@ It has four parts of the source:
 * friction from S(21): the longitudinal and lateral force of the brush at the resultant
   slip are compared with F and with :math:`m a_y l_r / (l_f + l_r)`;
 * the bicycle S(22), whose :math:`C_f, C_r` are corrected by the difference of driven and
-  predicted path: an extended Kalman filter on its states and on
-  :math:`\ln C_f, \ln C_r`;
+  predicted path: an extended Kalman filter on its states and on :math:`\ln C_f, \ln C_r`;
 * the time to lane crossing with constant steering and road curvature, and its standard
   deviation from the covariance of that filter.
 
@@ -109,8 +108,7 @@ class Observer(NamedTuple):
 def observer_step(state: Observer, omega, torque, dt, radius, inertia, pole):
     """The observer after ``dt`` [s] with a torque [N m], corrected by a wheel speed.
 
-    With these gains both errors of the discrete loop shrink by exp(-pole dt) per sample,
-    at any dt.
+    With these gains both errors of the discrete loop shrink by exp(-pole dt) per sample, at any dt.
 
     Args:
         omega: measured wheel speed [rad/s]; pole: p [1/s].

@@ -1,12 +1,11 @@
 r"""Recursive least squares on the brush, S(50)-(51), and the MIT rule, S(52).
 
-S(50) subtracts the cubic term, with the previous estimate, from the output, which gives
-a linear regression: :math:`y' = y - \theta_2 u_2` with
-:math:`\theta_2 = \theta_1^2 / \theta_0`. As printed, this is done once for each sample,
-so the errors of the first, poor estimates stay in the memory. Here y and :math:`u_2` are
-regressed separately, with the same gain; with their coefficients :math:`\varphi` and
-:math:`\psi` the estimate is :math:`\theta = \varphi - \theta_2 \psi`, which uses the
-newest :math:`\theta_2` for all samples. For a constant :math:`\theta_2` both agree.
+S(50) subtracts the cubic term, with the previous estimate, from the output, which gives a linear
+regression: :math:`y' = y - \theta_2 u_2` with :math:`\theta_2 = \theta_1^2 / \theta_0`. As printed,
+this is done once for each sample, so the errors of the first, poor estimates stay in the memory.
+Here y and :math:`u_2` are regressed separately, with the same gain; with their coefficients
+:math:`\varphi` and :math:`\psi` the estimate is :math:`\theta = \varphi - \theta_2 \psi`, which
+uses the newest :math:`\theta_2` for all samples. For a constant :math:`\theta_2` both agree.
 
 The covariance is :math:`s^2 M^{-1} P M^{-T}` with :math:`M = I + \psi \nabla\theta_2^T`
 and :math:`s^2` the weighted mean square of the errors of prediction. With forgetting, it
@@ -183,10 +182,9 @@ class MitState(NamedTuple):
 class Mit(AbstractRegression):
     r"""The MIT rule on the brush, S(52): a step down the slope of the squared error.
 
-    The rule gives no uncertainty. As it is linear in the error, the covariance follows
-    from that of the noise and of the start:
-    :math:`P \leftarrow (I - k g^T) P (I - k g^T)^T + k k^T s^2`, with g the slope of
-    the prediction and :math:`k = \Gamma g`.
+    The rule gives no uncertainty. As it is linear in the error, the covariance follows from that of
+    the noise and of the start: :math:`P \leftarrow (I - k g^T) P (I - k g^T)^T + k k^T s^2`, with g
+    the slope of the prediction and :math:`k = \Gamma g`.
 
     The gains (0.5, 3) 1e-10 of the source are for regressors in newtons; times F_z^2 they
     are (0.0364, 0.219) at its 27 kN. These are dimensionless and apply to every load.

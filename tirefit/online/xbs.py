@@ -7,15 +7,14 @@ Least squares with a forgetting factor on the band-passed speed, O(3)-(7) and O(
 
 .. math:: \hat p = (1 - \rho_1) / \tau
 
-where :math:`\rho_1` is the correlation of one increment of the filtered speed with the
-next. **That is not p.** Sampling gives 2/3 p (the increments are means of the
-deceleration over an interval), and the band-pass removes everything outside the band:
-with 2 to 20 Hz at 200 samples per second it is between 3.7 and 24.8 1/s for all p from
-zero to infinity. But it rises with p, and for a white disturbance w it can be computed:
-the sampled speed has the spectrum of :func:`speed_spectrum` and the filter is known, so
-:math:`\hat p` is a ratio of two integrals over frequency. The record computes that
-relation once and inverts it. The same integrals give the variance of the estimate; P of
-the recursion assumes white errors.
+where :math:`\rho_1` is the correlation of one increment of the filtered speed with the next. **That
+is not p.** Sampling gives 2/3 p (the increments are means of the deceleration over an interval),
+and the band-pass removes everything outside the band: with 2 to 20 Hz at 200 samples per second it
+is between 3.7 and 24.8 1/s for all p from zero to infinity. But it rises with p, and for a white
+disturbance w it can be computed: the sampled speed has the spectrum of :func:`speed_spectrum` and
+the filter is known, so :math:`\hat p` is a ratio of two integrals over frequency. The record
+computes that relation once and inverts it. The same integrals give the variance of the estimate; P
+of the recursion assumes white errors.
 
 The data determine the square of p; poles far below or above the band are not resolved.
 

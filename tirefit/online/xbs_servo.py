@@ -3,24 +3,22 @@ r"""A brake control by extended braking stiffness, O sections 3.1 and 3.2.
 It has three layers, each with a few numbers per wheel (O Figure 7):
 
 * **stiffness to deceleration**: the target of the extended braking stiffness
-  :math:`\hat k` (:mod:`tirefit.online.xbs`) is :math:`k_0` of O(22), that of a given
-  share :math:`\gamma` of the friction, whatever the friction is. The target deceleration
-  of the wheel is that of the vehicle plus ``pull`` times
-  :math:`e = (\hat k - k_0)/k_0`, so that its slip velocity grows while there is a
-  margin; for negative e, plus ``release`` times e, so that it shrinks;
+  :math:`\hat k` (:mod:`tirefit.online.xbs`) is :math:`k_0` of O(22), that of a given share
+  :math:`\gamma` of the friction, whatever the friction is. The target deceleration of the wheel is
+  that of the vehicle plus ``pull`` times :math:`e = (\hat k - k_0)/k_0`, so that its slip velocity
+  grows while there is a margin; for negative e, plus ``release`` times e, so that it shrinks;
 * **deceleration to pressure**: torque proportional to the speed of the wheel above a
   reference with that deceleration, :math:`T = (J a / r) (v_w - v_0)`, O(8). It makes a
   wheel stable beyond the peak if O(11) holds;
 * **pressure to valve**: the share of the next interval for which the inlet or the
   outlet must be open, considering commands that have not yet taken effect.
 
-O(11) is checked when the record is made, and also an upper limit of the gain by the delay
-of the valves, which O does not state. That delay is part of the relation of the estimator
-as well. There are three differences from O. The estimator uses 3-30 Hz, where the pole is
-at a share of 90 %, and the speed itself instead of :math:`v_w - v_0`: both are equivalent
-if :math:`v_0` slows evenly, but a wheel with p far above a hardly follows a reference
-that does not. It drops a past that is much stronger than the present (``quiet``). And the
-deceleration of the vehicle is measured.
+O(11) is checked when the record is made, and also an upper limit of the gain by the delay of the
+valves, which O does not state. That delay is part of the relation of the estimator as well. There
+are three differences from O. The estimator uses 3-30 Hz, where the pole is at a share of 90 %, and
+the speed itself instead of :math:`v_w - v_0`: both are equivalent if :math:`v_0` slows evenly, but
+a wheel with p far above a hardly follows a reference that does not. It drops a past that is much
+stronger than the present (``quiet``). And the deceleration of the vehicle is measured.
 
 Small gains are no disadvantage: the estimate has a delay of 0.3 s, and a slip velocity
 that grows by 0.5 m/s2 crosses the peak of a road of 0.3 in less than a second.

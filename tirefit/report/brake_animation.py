@@ -82,8 +82,7 @@ def save_animation(result: Braking, path: Path) -> Path:
 
 
 def _scene(axes, stop: Stop, vehicle, result: Braking, period: float):
-    """Draw the fixed parts of one controller; return the function that draws sample
-    k."""
+    """Draw the fixed parts of one controller; return the function that draws sample k."""
     road, bars = axes
     s = stop.log.motion
     reach = max(float(np.ptp(s.x)), 5.0)

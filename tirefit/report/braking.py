@@ -179,8 +179,7 @@ def _stiffness_limit(stop: Stop) -> float:
 
 
 def _slip_limit(stop: Stop) -> float:
-    """Upper axis limit of the slips while the car is fast, at least three times the
-    peak."""
+    """Upper axis limit of the slips while the car is fast, at least three times the peak."""
     fast = stop.log.motion.v_x > 0.3 * stop.log.motion.v_x[0]
     kappa = stop.log.contacts.slips.kappa[fast]
     least = 3 * float(np.max(stop.log.reading.truth.peak))
@@ -298,8 +297,7 @@ def path_of(stop: Stop, wheel: int = 0) -> Path:
 
 
 def paths_figure(result: Braking) -> Picture:
-    """Slip and friction of each controller on the curve of the tire, and their mean, O
-    Figure 10.
+    """Slip and friction of each controller on the curve of the tire, and their mean, O Figure 10.
 
     Below: the share of time that it spent at each slip, locked wheels at the right end.
     """

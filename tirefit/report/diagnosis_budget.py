@@ -81,9 +81,8 @@ def budget_table(result: Diagnosis, channel: str) -> list[tuple[str, ...]]:
 
 
 _ROUGH = 0.5
-"""Largest error of a stand-in over the gap for an accurate budget: of twelve simulators
-of other tires, four were diagnosed correctly with a brush, eleven with a tire that
-followed them."""
+"""Largest error of a stand-in over the gap for an accurate budget: of twelve simulators of other
+tires, four were diagnosed correctly with a brush, eleven with a tire that followed them."""
 
 
 def stand_in_line(result: Diagnosis) -> str:

@@ -243,8 +243,7 @@ def _draw_load(axes, curve: LoadCurve, axis: SlipAxis, color: str) -> None:
 
 
 def draw_waterfall(figure, steps: list[WaterfallBar], channel: str = "") -> None:
-    """Draw the parts from a simulator's error down to the noise, as shares of its mean
-    square.
+    """Draw the parts from a simulator's error down to the noise, as shares of its mean square.
 
     Args:
         channel: " of F_x", where several are simulated.

@@ -15,8 +15,7 @@ _KINDS = ("parameter", "effect", "gap", "derived", "statistic")
 """Kinds of quantities in the order of the page, without given values (``base``)."""
 
 _OWN_STD = ("parameter", "effect", "derived")
-"""Kinds whose numbers have a standard deviation; without one a number counts as
-unknown."""
+"""Kinds whose numbers have a standard deviation; without one a number counts as unknown."""
 
 _FEW = 3  # smallest number of files for a quantity to be shown
 _MOST = 300  # largest number of files drawn one by one; with more, as many bins of files
@@ -91,9 +90,8 @@ class Points(NamedTuple):
 
 
 def points(quantity: Quantity, most: int = _MOST) -> Points:
-    """Files with their standard deviations; for many files, medians and the central 68 %
-    of bins of equally many consecutive files. The ``most`` files that differ most are
-    separate points."""
+    """Files with their standard deviations; for many files, medians and the central 68 % of bins of
+    equally many consecutive files. The ``most`` files that differ most are separate points."""
     apart = quantity.across.outlier
     order = np.argsort(quantity.when, kind="stable")
     order = order[~apart[order]]

@@ -29,8 +29,7 @@ _SHOWN = {"gamma": 180 / np.pi, "pressure": 1e-3}
 
 
 class Scatter(NamedTuple):
-    """Standardised residuals against one input: points (n,), and means over bins
-    (k,)."""
+    """Standardised residuals against one input: points (n,), and means over bins (k,)."""
 
     label: str
     x: np.ndarray

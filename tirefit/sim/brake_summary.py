@@ -14,8 +14,7 @@ LOCKED_SLIP = 0.9  # slip kappa above which a wheel counts as locked
 RECOVERED = 0.8
 """Share of the available friction at which a controller has adapted to a new road."""
 _SLOW = 2.0
-"""Speed [m/s] below which locking and pressure are ignored: brake controllers switch off
-there."""
+"""Speed [m/s] below which locking and pressure are ignored: brake controllers switch off there."""
 _WINDOW = 1.0  # length [s] of the running mean from which fluctuations are measured
 _BUILT_UP = 0.5  # time [s] after which the first rise of the pressure is over
 _HELD = 0.1  # time [s] over which a recovered friction is averaged

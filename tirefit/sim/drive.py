@@ -253,10 +253,9 @@ def simulate_drive(
         max_steps: limit of integration steps; a spinning car would need any number.
 
     Returns:
-        The measured canonical columns: time, steering, road_heading without noise,
-        offset, heading, v, x, y, yaw_rate, roll_rate, a_x, a_y, omega and torque of the
-        wheels. The true columns are these without noise, v_y, the slips, slip angles,
-        loads and forces of the tires, and mu.
+        The measured canonical columns: time, steering, road_heading without noise, offset, heading,
+        v, x, y, yaw_rate, roll_rate, a_x, a_y, omega and torque of the wheels. The true columns are
+        these without noise, v_y, the slips, slip angles, loads and forces of the tires, and mu.
 
     Raises:
         UsageError: the drive needs more steps.

@@ -28,8 +28,7 @@ _POINTS = 4
 
 
 class Bristles(NamedTuple):
-    """The places of the bristles and their transport by the tread; z = 0 at the leading
-    edge."""
+    """The places of the bristles and their transport by the tread; z = 0 at the leading edge."""
 
     place: np.ndarray  # (n,) distance from the leading edge over the patch length
     weight: np.ndarray  # (n,) of each bristle in the mean over the patch

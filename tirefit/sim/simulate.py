@@ -33,8 +33,7 @@ def simulate(kind: str = "braking", **settings) -> SimulatedLog:
         The measured and the true columns, braking positive, in SI units.
 
     Raises:
-        UsageError: unknown kinds or settings, or numbers out of their limits; it lists
-            all of them.
+        UsageError: unknown kinds or settings, or numbers out of their limits; it lists all of them.
 
     Example:
         >>> log = simulate("rig", model="brush", values={"mu": 0.8}, points=50)

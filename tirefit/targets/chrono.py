@@ -50,9 +50,8 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
 
     Args:
         model: None or ``mf52``.
-        wheel: SI values by :data:`_WHEEL` that the file of the tire does not state,
-            ``radius`` for a model without one, and ``friction`` of the road, 0.8 if not
-            given.
+        wheel: SI values by :data:`_WHEEL` that the file of the tire does not state, ``radius`` for
+            a model without one, and ``friction`` of the road, 0.8 if not given.
 
     Raises:
         UsageError: another version, a value of the wheel that is missing, or a tire

@@ -195,8 +195,7 @@ def c_source(draft: Draft) -> str:
 
 
 def _c_function(program: Program, name: str, given, count: int) -> list[str]:
-    """A C function; outputs after the first ``count`` are derivatives, see
-    :meth:`Tire.program`."""
+    """A C function; outputs after the first ``count`` are derivatives, see :meth:`Tire.program`."""
     inputs = [f"tirefit_real {one}" for one in program.inputs]
     used = {args[0] for op, args in program.operations if op == "input"}
     unused = [one for k, one in enumerate(program.inputs) if k not in used]

@@ -39,8 +39,7 @@ _TAKEN = frozenset(
     " floor fmax fmin fmod hypot log log1p log10 pow round sin sinh sqrt tan tanh"
     " trunc".split()
 )
-"""Keywords of C that are not in Python, functions of math.h, and other names in exported
-files."""
+"""Keywords of C that are not in Python, functions of math.h, and other names in exported files."""
 
 
 class Target(NamedTuple):
@@ -193,8 +192,7 @@ def export(
         convention: signs of inputs and forces in the file.
         name: of the function in the file; the file name by default.
         model: version of the Magic Formula of a ``.tir``: ``mf52``, ``mf61``, ``mf62``.
-        wheel: data that a target needs in addition to the tire, in SI units, see
-            :data:`TARGETS`.
+        wheel: data that a target needs in addition to the tire, in SI units, see :data:`TARGETS`.
         force: replace a file that is not an export, and write one that misses the tire by
             more than :data:`~tirefit.targets.loss.MOST` of the load.
 

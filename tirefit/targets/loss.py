@@ -22,8 +22,7 @@ _SLIPS = ("kappa", "alpha")
 def grid_of(
     ranges: Mapping[str, tuple[float, float]], kappa: int, alpha: int, fz: int
 ) -> np.ndarray:
-    """Slips and loads (3, n) on a grid with these numbers of points; with 0, a slip is
-    zero."""
+    """Slips and loads (3, n) on a grid with these numbers of points; with 0, a slip is zero."""
     counts = {"kappa": kappa, "alpha": alpha, "fz": fz}
     axes = [np.linspace(*ranges[k], n) if n else [0.0] for k, n in counts.items()]
     return np.stack([one.ravel() for one in np.meshgrid(*axes, indexing="ij")])

@@ -155,8 +155,7 @@ def _evaluate(graph: Graph, jaxpr, consts, given) -> list[np.ndarray]:
     def read(atom):
         if not isinstance(atom, core.Literal):
             return known[atom]
-        # A smaller number, which keeps a length from being zero, would be zero in single
-        # precision.
+        # A smaller number, which keeps a length from being zero, would be zero in single precision.
         value = np.asarray(atom.val)
         return np.maximum(value, LEAST) if 0 < value < LEAST else value
 

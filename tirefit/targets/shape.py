@@ -1,5 +1,4 @@
-"""Check an exported tire at rest, at large slip and at large load, where simulators can
-fail."""
+"""Check an exported tire at rest, at large slip and at large load, where simulators can fail."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple

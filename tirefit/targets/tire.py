@@ -55,8 +55,7 @@ class Tire:
         origin: sentences on where it comes from.
         load: a usual load [N], at which the tire is checked.
         spread: standard errors of the fitted parameters.
-        measured: (smallest, largest) value of the known ones of :data:`INPUTS`, in
-            canonical signs.
+        measured: (smallest, largest) value of the known ones of :data:`INPUTS`, in canonical signs.
         notes: sentences on what was assumed.
         bare: the model without the effects of a diagnosis; None if it has none.
         tir: the file that states the model, for targets that write one.

@@ -303,9 +303,8 @@ def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
 
 
 def samples_of(motion: Motion, own, vehicle: Vehicle, tires, passed: float = 0.0) -> Samples:
-    """The quantities on which effects depend, at the rows (w, k) of a log. ``across`` and
-    ``turn`` are zero until they are set from a fit; ``passed`` [s] is the duration of the
-    previous logs."""
+    """The quantities on which effects depend, at the rows (w, k) of a log. ``across`` and ``turn``
+    are zero until they are set from a fit; ``passed`` [s] is the duration of the previous logs."""
     g, count = vehicle.gravity, len(own)
     weight, wheelbase = vehicle.mass * g, vehicle.l_f + vehicle.l_r
     loads = weight * vehicle.l_r / wheelbase, weight * vehicle.l_f / wheelbase

@@ -1,5 +1,4 @@
-"""Fit the tires and unknown parameters of a car to its trajectories:
-:func:`fit_trajectory`.
+"""Fit the tires and unknown parameters of a car to its trajectories: :func:`fit_trajectory`.
 
 A log is cut into windows. In each the car of :mod:`tirefit.vehicle.car` runs freely
 from a start state of its own; the tires of both axles, the unknowns of the car and all

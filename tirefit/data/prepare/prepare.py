@@ -32,9 +32,8 @@ _LEAST_ROWS = 4
 """Smallest number of rows in the shortest hold: with fewer, rows are single points and no
 series. Also the smallest number of rows of a sweep among points."""
 _CYCLES = 40.0
-"""Bandwidth times the duration of a fast sweep. The filter then changes a brush that
-slides above a fifth of the largest slip by 0.2 % of its peak in sweeps of constant speed,
-by 0.5 % in sines."""
+"""Bandwidth times the duration of a fast sweep. The filter then changes a brush that slides above a
+fifth of the largest slip by 0.2 % of its peak in sweeps of constant speed, by 0.5 % in sines."""
 _STANDING = 0.02  # share of the highest speed below which the wheel does not roll
 _FASTEST = 0.1  # quantile of the durations of sweeps that counts as fast
 _LOWEST, _HIGHEST = 2.0, 25.0  # range of the bandwidth [Hz] that is chosen
@@ -227,8 +226,7 @@ def _standing(parts: list[Segment], speed: Settings | None) -> list[Segment]:
 
 
 def _channels(data: TireData, series: Series, absurd: np.ndarray) -> dict[str, np.ndarray]:
-    """All channels (n,) without gaps and ``absurd`` rows; the slip as a ratio, which is
-    bounded."""
+    """All channels (n,) without gaps and ``absurd`` rows; the slip as a ratio, which is bounded."""
     out = {}
     for name, values in data.columns.items():
         if name == "time" or name.endswith("_std") or not np.isfinite(values).any():

@@ -20,8 +20,7 @@ still warming: twice the difference between sweeps of a warm tire."""
 _SHARED = 0.8
 """Share of the range of the widest sweep over which forces are compared."""
 _REPEATS = 4
-"""Smallest number of consecutive sweeps of one bin and direction whose change shows a
-warm-up."""
+"""Smallest number of consecutive sweeps of one bin and direction whose change shows a warm-up."""
 
 
 def with_warmth(

@@ -59,8 +59,7 @@ class Policy:
         likely: probability above which an effect counts as present (even odds).
         known: amplitude over its standard error above which an effect may be named: a
             standard error of half the value.
-        gain: standard errors by which an effect must improve the prediction of data
-            left out.
+        gain: standard errors by which an effect must improve the prediction of data left out.
         perhaps: probability above which something is possible: no gap, if no effect can
             be named, or an effect that is not named; and probability of a set over that
             of the best above which it is a rival.

@@ -28,10 +28,9 @@ class Form(NamedTuple):
     """``field`` of the state changes by ``size`` times the smooth functions
     ``shapes(rows, u)`` (n, k); u is slip over that of full sliding, (n,).
 
-    A form is not used if the data lack ``needs`` (at one speed, any function of the
-    sliding speed is one of the slip), or if the covariate ``by`` is a function of the
-    slip, as it would fit any remainder. A form may add 1/8 to 1/2 of the usual change by
-    the formula."""
+    A form is not used if the data lack ``needs`` (at one speed, any function of the sliding speed
+    is one of the slip), or if the covariate ``by`` is a function of the slip, as it would fit any
+    remainder. A form may add 1/8 to 1/2 of the usual change by the formula."""
 
     field: str
     size: float
@@ -106,8 +105,7 @@ def _at_a_turn(rows, u):
 
 
 def _guided(rows, u):
-    """A force that depends on the direction: functions of the size of the slip, times the
-    load."""
+    """A force that depends on the direction: functions of the size of the slip, times the load."""
     return _by_slip("turning")(rows, u) * (rows.side * rows.fz * rows.load)[:, None]
 
 

@@ -49,8 +49,7 @@ class Effect:
         id: its name in every output.
         family: which parameter varies with which quantity.
         of: whether it is a property of the tire, vehicle or measurement.
-        change: (state, amplitude, constants, covariates) -> state; amplitude 0
-            changes nothing.
+        change: (state, amplitude, constants, covariates) -> state; amplitude 0 changes nothing.
         scale: prior standard deviation of the amplitude, a judgement: twice as wide
             lowers the log evidence of a certain effect by log 2.
         per: field of :class:`rows.covariates.Sizes` that is the unit of ``scale``,
@@ -125,8 +124,7 @@ class Effect:
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseEffect:
-    """A law of the noise, named if no effect on the mean is; fields as in
-    :class:`Effect`."""
+    """A law of the noise, named if no effect on the mean is; fields as in :class:`Effect`."""
 
     id: str
     flag: str = ""  # of :class:`noise.level.NoiseLevel` that names it; "": none

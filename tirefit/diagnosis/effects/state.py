@@ -20,8 +20,7 @@ from tirefit.params import Values
 
 
 class Covariates(NamedTuple):
-    """The quantities on which effects may depend: one value per row, (n,), or (n, k) where
-    noted.
+    """The quantities on which effects may depend: one value per row, (n,), or (n, k) where noted.
 
     They are zero if the data lack a column. Columns (n, k) of the past are at the times
     of :class:`rows.slips.Past`; they are zero without sweeps.

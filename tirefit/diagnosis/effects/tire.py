@@ -43,8 +43,7 @@ _STRETCHES = tuple(
     for length, begins in ((3, range(-8, 8, 2)), (7, range(-8, 4, 2)))
     for begin in begins
 )
-"""Begin and end of a stretch of another road, in the same unit: 1/7 and 1/3 of the
-record."""
+"""Begin and end of a stretch of another road, in the same unit: 1/7 and 1/3 of the record."""
 
 _DRIFTS = ((1.0, 1.0), (0.0, 0.12), (0.0, 0.35))
 """(1 for a linear drift, else 0; time constant of a drift that is fast at first, as a

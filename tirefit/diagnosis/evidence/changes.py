@@ -188,8 +188,7 @@ _WITHIN = {"jit": "jaxpr", "custom_jvp_call": "call_jaxpr"}
 
 
 def _traced(function: Callable, *example: Any) -> tuple[Any, Any]:
-    """The program of a function for arguments like the example, and the structure of
-    its result."""
+    """The program of a function for arguments like the example, and the structure of its result."""
     program, shape = jax.make_jaxpr(function, return_shape=True)(*example)
     return program, jax.tree.structure(shape)
 

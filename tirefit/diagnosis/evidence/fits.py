@@ -246,8 +246,7 @@ def with_offset(prepared: Prepared, tire: Tire, design: Design, z):
 def first_fit(
     prepared: Prepared, name: str, data, effects, rig
 ) -> tuple[Tire, np.ndarray, np.ndarray]:
-    """(tire, z, first guess of z) by least squares with Huber's loss at the measured
-    slips."""
+    """(tire, z, first guess of z) by least squares with Huber's loss at the measured slips."""
     if prepared.n < data.n:  # a large file is diagnosed on some of its rows
         used = np.zeros(len(data), bool)
         used[np.flatnonzero(data.used)[prepared.kept]] = True

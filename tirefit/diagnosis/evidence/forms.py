@@ -69,8 +69,7 @@ def follows(values, slip_fraction) -> bool:
 
 
 def shape_of_change(time, friction, used_up, residual, blocks) -> np.ndarray:
-    """Step or stretch of the friction at the time and of the width that explain most:
-    (n,).
+    """Step or stretch of the friction at the time and of the width that explain most: (n,).
 
     Args:
         time: (n,) from -1/2 to 1/2.

@@ -72,9 +72,8 @@ class Design(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """A fit linearised, whitened: residual r (m,), J = d force / dz (m, p), T = d force
-    / d amplitude in units of prior scales (m, K), and d force / d field of the state
-    (m, F)."""
+    """A fit linearised, whitened: residual r (m,), J = d force / dz (m, p), T = d force / d
+    amplitude in units of prior scales (m, K), and d force / d field of the state (m, F)."""
 
     residual: np.ndarray
     jacobian: np.ndarray
@@ -277,9 +276,8 @@ class Tire:
         return Linear(*map(flat, (observed - mean, by_z, columns, fields)))
 
     def slopes(self, points, sets, design: Design) -> Iterator:
-        """Mean forces (C, n) of each hypothesis, a set of atoms at a point (z,
-        amplitudes, ...), and slopes (p + k, C, n) by z and amplitudes in prior
-        scales."""
+        """Mean forces (C, n) of each hypothesis, a set of atoms at a point (z, amplitudes, ...),
+        and slopes (p + k, C, n) by z and amplitudes in prior scales."""
         p, scale, by_amplitude = self.layout.size, design.prior_scale, []
 
         def states():

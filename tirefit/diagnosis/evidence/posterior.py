@@ -147,8 +147,7 @@ class Weighed:
         return dict(zip(log, softmax([*log.values()]).tolist(), strict=True))
 
     def holding(self, effects) -> float:
-        """Probability of the sets that hold these effects, given an effect and no
-        discrepancy."""
+        """Probability of the sets that hold these effects, given an effect and no discrepancy."""
         return _holding({k: p for k, p in self.listed.items() if k}, effects)
 
     def holding_beside(self, effects) -> float:

@@ -23,14 +23,12 @@ PRIOR_OF_UNKNOWN = 0.1
 """Prior probability of an unlisted effect, in addition to any set."""
 
 _WITHIN = 15.0
-"""A single effect is refitted if its log evidence in the linear screen, which is
-inaccurate for a large gap, is at most this far below the best. Sets that are twice as far
-below are not extended."""
+"""A single effect is refitted if its log evidence in the linear screen, which is inaccurate for a
+large gap, is at most this far below the best. Sets that are twice as far below are not extended."""
 
 _SOME, _BEYOND_TWO = 6, (2, 4)
-"""Smallest numbers of refits: single effects, pairs of the linear screen, and effects
-added to the best sets of one; number of sets of two that are extended, and of effects
-added to each."""
+"""Smallest numbers of refits: single effects, pairs of the linear screen, and effects added to the
+best sets of one; number of sets of two that are extended, and of effects added to each."""
 
 _WORTH_A_REFIT = 4.0
 """A set is not refitted if its log weight by the linear step is this far below the best:
@@ -41,8 +39,7 @@ _FAR, _SMALL, _TINY = 4.0, 0.3, 0.1
 amplitude of an effect with one sign."""
 
 _LIKELY = 3
-"""Number of variants of an effect that are refitted, and of single effects that are
-extended."""
+"""Number of variants of an effect that are refitted, and of single effects that are extended."""
 
 
 @dataclass(frozen=True)

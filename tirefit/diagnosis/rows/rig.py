@@ -82,9 +82,8 @@ class Rig:
     Attributes:
         rolling_radius: effective radius of the wheel [m].
         wheel_inertia: moment of inertia of the wheel about its axle [kg m2].
-        noise: standard deviations: of a force [N] or over the load (``fx_relative``),
-            of the slip [-] or slip angle [rad], of the sliding speed [m/s]
-            (``sigma_x_speed``).
+        noise: standard deviations: of a force [N] or over the load (``fx_relative``), of the slip
+            [-] or slip angle [rad], of the sliding speed [m/s] (``sigma_x_speed``).
         vehicle: standard errors of the inputs of a derived log: ``position`` [m] of the
             tracked point, ``clock`` [s] between channels, ``yaw_inertia`` (relative).
         run_order: ``random`` or ``sequential``, the order in which runs were measured.

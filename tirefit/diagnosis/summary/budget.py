@@ -159,9 +159,8 @@ def _spread(case, widening: float) -> np.ndarray:
 
 
 def parameter_changes(case, widening: float) -> Mapping[str, Change]:
-    """The parameters of the simulator as given, and as fitted with the effects of the
-    verdict; empty if a form was fitted. ``widening`` is a factor on the variances, as for
-    amplitudes."""
+    """The parameters of the simulator as given, and as fitted with the effects of the verdict;
+    empty if a form was fitted. ``widening`` is a factor on the variances, as for amplitudes."""
     base, z, changes = case.base, np.asarray(case.chosen.z), {}
     if base.simulator is None:
         return {}

@@ -138,9 +138,8 @@ def _shrinkage(rms, closed, fewer, resolvable: bool) -> Shrinkage:
 
 
 def closure_on_rows(truth, before, after, variance, run, inflation) -> Shrinkage:
-    """Closure on the fitted rows: median and interval of its draws. The gap is resolvable
-    if at most one draw in twenty is below 3 sqrt(2 / n_effective) of the energy of the
-    noise.
+    """Closure on the fitted rows: median and interval of its draws. The gap is resolvable if at
+    most one draw in twenty is below 3 sqrt(2 / n_effective) of the energy of the noise.
 
     Args:
         truth: (n, draws) of :func:`plausible_forces` [N].

@@ -176,8 +176,7 @@ class Change(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A part of the distance from a base to the measurement of a channel; shares add to
-    one."""
+    """A part of the distance from a base to the measurement of a channel; shares add to one."""
 
     part: str  # parameters, the id of an effect, unexplained or noise
     rms: float  # root of its mean square

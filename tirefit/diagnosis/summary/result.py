@@ -47,11 +47,10 @@ _NOT_WRITTEN = {"written": False}
 class Diagnosis(Record):
     """The diagnosis of a file: the records of the document, in its order, then arrays.
 
-    ``budget`` is that of the first channel, ``budgets`` those of all.
-    ``next_measurement`` has the largest gain first; if it is empty,
-    ``next_measurement_reason`` is the reason. ``slip_check`` compares the slip column
-    with the slip of the wheel speed; None if that is not known. ``runs`` describes the
-    differences of the runs, by kind of offset; empty for a single run. ``spots`` are
+    ``budget`` is that of the first channel, ``budgets`` those of all. ``next_measurement`` has the
+    largest gain first; if it is empty, ``next_measurement_reason`` is the reason. ``slip_check``
+    compares the slip column with the slip of the wheel speed; None if that is not known. ``runs``
+    describes the differences of the runs, by kind of offset; empty for a single run. ``spots`` are
     short stretches within the regions of ``where``.
 
     ``rows`` holds arrays (n,) by channel for all rows of the file, canonical, NaN if

@@ -62,8 +62,7 @@ class ResidualMap(NamedTuple):
 
 
 class LoadCurve(NamedTuple):
-    """One level of load: measured points (n,), both fits as means over bins of slip
-    (k,)."""
+    """One level of load: measured points (n,), both fits as means over bins of slip (k,)."""
 
     load: tuple[float, float]  # [N] from and to
     slip: np.ndarray  # (n,)

@@ -57,8 +57,7 @@ class Setting(NamedTuple):
 
 
 class SlipBins(NamedTuple):
-    """The rows of one setting, of all runs, in m bins of the swept slip; arrays
-    (m,)."""
+    """The rows of one setting, of all runs, in m bins of the swept slip; arrays (m,)."""
 
     setting: Setting
     slip: np.ndarray  # median (rad, or kappa)

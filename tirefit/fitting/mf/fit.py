@@ -70,11 +70,10 @@ def fit_magic_formula(
 ) -> MagicFormulaFit:
     """Fit every coefficient of a Magic Formula, with its standard error and origin.
 
-    Each force is fitted to its own rows, pure slip before combined slip. The moments
-    follow; they do not move coefficients of the forces. Gaussian priors from published
-    tires keep coefficients that the data do not determine at physical values. Then
-    parts of the data are left out in turn and predicted from the others; the errors of
-    these predictions set the bands.
+    Each force is fitted to its own rows, pure slip before combined slip. The moments follow; they
+    do not move coefficients of the forces. Gaussian priors from published tires keep coefficients
+    that the data do not determine at physical values. Then parts of the data are left out in turn
+    and predicted from the others; the errors of these predictions set the bands.
 
     Args:
         data: the result of ``tirefit.read``, or a file that it reads; a list of these
