@@ -28,7 +28,7 @@ def test_a_saved_fit_predicts_as_the_fit(fitted, tmp_path):
     assert found.keys() == expected.keys() == {"fx", "fx_std"}
     for name, values in expected.items():
         np.testing.assert_allclose(found[name], values, rtol=1e-12)
-    with pytest.raises(UsageError, match="values beside a fit"):
+    with pytest.raises(UsageError, match="values together with a fit"):
         tirefit.predict(tmp_path / "fit.json", ROWS, {"mu": 0.5})
 
 

@@ -110,7 +110,7 @@ def predict(
         uncertainty and the noise of one measurement. Masked rows are NaN.
 
     Raises:
-        UsageError: unknown model or parameter, value out of bounds, values beside a fit,
+        UsageError: unknown model or parameter, value out of bounds, values with a fit,
             32-bit floats.
         DataError: the data lack an input, or have runs that the fit lacks; a ``fit.json``
             or ``.tir`` file that cannot be read.
@@ -126,7 +126,7 @@ def predict(
     if isinstance(given, AbstractTire):
         return _of_model(given, name, data, values or {})
     if values:
-        raise UsageError("values beside a fit, which has its own", "leave them out")
+        raise UsageError("values together with a fit, which has its own", "leave them out")
     if isinstance(given, MagicFormulaFit):
         given = given.stored
     noise: Mapping[str, Mapping]
