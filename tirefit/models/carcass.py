@@ -12,10 +12,11 @@ and the carcass, fixed at the rim at both ends of the patch, deflects by
    S\, w'' = -q, \qquad \frac{EI}{a^2} w'''' = q, \qquad
    w = \frac{F_y}{a K_c} s (2 - s)
 
-(thread; beam, with :math:`w'' = 0` at its ends; a parabola of height :math:`F_y/K_c`, whatever the
-distribution). Forces below are over :math:`\mu F_z`, so that one demand ratio :math:`\rho = c_p a^2
-\sigma_y / (\mu F_z)` and one flexibility :math:`\lambda = c_p a^2/S`, :math:`c_p a^4/EI` or
-:math:`c_p a/K_c` remain; :math:`\lambda = 0` is the rigid brush.
+(thread; beam, with :math:`w'' = 0` at its ends; a parabola of height :math:`F_y/K_c`,
+whatever the distribution). Forces below are over :math:`\mu F_z`, so that one demand
+ratio :math:`\rho = c_p a^2 \sigma_y / (\mu F_z)` and one flexibility
+:math:`\lambda = c_p a^2/S`, :math:`c_p a^4/EI` or :math:`c_p a/K_c` remain;
+:math:`\lambda = 0` is the rigid brush.
 
 **One breakaway point.** If every bristle is bent towards its slip, bristles slide behind
 one point and stick before it, since q is then convex in s and the pressure concave (or

@@ -1,9 +1,11 @@
-r"""The LuGre tire in steady state: distributed over the patch, S(18), and lumped, S(17).
+r"""The LuGre tire in steady state: distributed over the patch, S(18), and lumped,
+S(17).
 
-A bristle that has rolled a distance :math:`\zeta` from the leading edge is deflected by :math:`z =
-\frac{g}{\sigma_0} (1 - e^{-\sigma_0 |\lambda| \zeta / g})` along the sliding velocity :math:`v_s`.
-The mean over the patch of length 2a of :math:`\sigma_0 z + \sigma_1 \dot z + \sigma_2 v_s` is
-S(18), written here without its cancellation at small slip:
+A bristle that has rolled a distance :math:`\zeta` from the leading edge is deflected by
+:math:`z = \frac{g}{\sigma_0} (1 - e^{-\sigma_0 |\lambda| \zeta / g})` along the sliding
+velocity :math:`v_s`. The mean over the patch of length 2a of
+:math:`\sigma_0 z + \sigma_1 \dot z + \sigma_2 v_s` is S(18), written here without its
+cancellation at small slip:
 
 .. math:: F = F_z \lambda \, [\sigma_0 2a \, \varphi_2(x)
               + (\sigma_1 \varphi_1(x) + \sigma_2) |\Omega R_e|],

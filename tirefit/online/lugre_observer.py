@@ -8,8 +8,9 @@ the patch is its mean deflection, which the tread carries out at the rate c:
        \quad c = \kappa |\omega R| / L \\
    J \dot\omega &= R F_z [\sigma_0 z + \sigma_1 (v_s - p a z) + \sigma_2 v_s] - T
 
-:math:`\sigma_1` damps the bristles as they travel. With :math:`b = R F_z / J, \tau =
-\sigma_0/\sigma_1` and the errors :math:`e_x = x - \hat x` the observer is
+:math:`\sigma_1` damps the bristles as they travel. With
+:math:`b = R F_z / J, \tau = \sigma_0/\sigma_1` and the errors
+:math:`e_x = x - \hat x` the observer is
 
 .. math::
    \dot{\hat z} &= v_s - \hat p a \hat z - c \hat z, \quad

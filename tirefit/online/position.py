@@ -8,12 +8,13 @@ line, the heading :math:`\psi`, that of the road :math:`\psi_d` and the yaw rate
          + \frac{I_z}{m l_r} \dot r\right), \quad
    \alpha_f = \delta_f - \arctan \frac{\dot e_y - (\psi - \psi_d) V + l_f r}{V}
 
-with every signal passed through :math:`b^2 (s + b)^{-2}`, which gives its derivatives without
-differences. The brush is linear in :math:`\Theta = [C, C^2/\mu, C^3/\mu^2]` over :math:`\Phi =
-[|\tan\alpha|, -|\tan\alpha|^2/(3F_z), |\tan\alpha|^3/(27F_z^2)]`; force and :math:`\Phi`, with
-their signs, pass the filter :math:`(s + a)^{-2}` of the source. A single filter before :math:`\Phi`
-would have to be as slow as a, and the brush of a filtered slip is not the filtered brush: at a =
-3/s and 60 % use, mu was 60 % too high.
+with every signal passed through :math:`b^2 (s + b)^{-2}`, which gives its derivatives
+without differences. The brush is linear in
+:math:`\Theta = [C, C^2/\mu, C^3/\mu^2]` over
+:math:`\Phi = [|\tan\alpha|, -|\tan\alpha|^2/(3F_z), |\tan\alpha|^3/(27F_z^2)]`; force
+and :math:`\Phi`, with their signs, pass the filter :math:`(s + a)^{-2}` of the source. A
+single filter before :math:`\Phi` would have to be as slow as a, and the brush of a
+filtered slip is not the filtered brush: at a = 3/s and 60 % use, mu was 60 % too high.
 
 The source leaves the adaptive law to its reference [7]. Here it is least squares with
 forgetting on :math:`\ln C` and :math:`1/\mu`, so that the three parts of :math:`\Theta`
