@@ -244,14 +244,14 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
             tire = with_values(MODELS["brush"], written)
             values = ", ".join(f"{key} = {x:g}" for key, x in written.items())
             name = f"{file}: the .tir of a brush, {values}, whose curve is used"
-    message = (
+    assumptions = (
         f"{name}: {force.value} at {len(slips)} slips, {CHANNEL_SLIP[force]} ="
         f" {slips[0]:g} to {slips[-1]:g}, F_z ="
         f" {', '.join(f'{load:g}' for load in loads)} N",
         "the curve has no noise: errors are those of the systematic misfit over these"
         " slips and loads, with the effective number of rows",
     )
-    source = Source(path=str(file or ""), assumptions=message)
+    source = Source(path=str(file or ""), assumptions=assumptions)
     data = curve(tire, force, slips, loads, values=coefficients, v=v, source=source)
     for text in remarks(tir, of_file, data, signs) if tir else ():
         complain(f"warning: {file}: {text}")

@@ -88,7 +88,7 @@ class Outcome(NamedTuple):
 
     code: ExitCode
     last: bool = False
-    message: str = ""
+    output: str = ""
     complained: str = ""
     record: "FileRecord | None" = None
     notes: tuple = ()
@@ -120,7 +120,7 @@ def fleet(
             merged_notes(len(pieces) > 1) as notes,
         ):
             for outcome in _in_order(results, pieces, progress, left):
-                typer.echo(outcome.message, nl=False)
+                typer.echo(outcome.output, nl=False)
                 typer.echo(outcome.complained, nl=False, err=True)
                 if outcome.last:
                     raise typer.Exit(outcome.code)
@@ -191,8 +191,8 @@ def _unpacked(content: bytes) -> tuple[Attempt, Any]:
 
 def _apart(packed: _Packed, piece: Piece) -> Outcome:
     """Process one file in a worker without output; errors become its outcome."""
-    message, complained = Unheard(), Unheard()
-    with redirect_stdout(message), redirect_stderr(complained), merged_notes() as held:
+    output, complained = Unheard(), Unheard()
+    with redirect_stdout(output), redirect_stderr(complained), merged_notes() as held:
         try:
             with errors_to_exit(), _where_the_command_runs(packed):
                 code, record = attempted(*_unpacked(packed.content), piece)
@@ -203,8 +203,8 @@ def _apart(packed: _Packed, piece: Piece) -> Outcome:
         held.clear()
     text = complained.getvalue()
     if record is None:
-        return _failed(piece, code, text)._replace(message=message.getvalue())
-    return Outcome(code, False, message.getvalue(), text, record, notes)
+        return _failed(piece, code, text)._replace(output=output.getvalue())
+    return Outcome(code, False, output.getvalue(), text, record, notes)
 
 
 def _where_the_command_runs(packed: _Packed) -> chdir:

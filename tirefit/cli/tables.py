@@ -224,8 +224,8 @@ def _write(out, table, forces, source, beside: bool) -> None:
     columns = (simulated_table if beside else prediction_table)(table, forces)
     first = f"# tirefit {__version__}: {source} beside, {convention}\n"
     write_csv(out, columns, first if beside else "")
-    for messages in table.first_masked():
-        complain(f"warning: excluded, no force: {messages}")
+    for row in table.first_masked():
+        complain(f"warning: excluded, no force: {row}")
     signs = f"({convention}), {table.source.convention_from}"
     say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} {signs}")
 

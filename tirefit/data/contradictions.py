@@ -80,8 +80,8 @@ def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Compar
             problems.append(_swap_problem(swap, track, file))
             off, stray = [], []
         elif faults:
-            messages = _fault_problem(faults, alternatives, off, track, motion, vehicle)
-            _file_away(messages, faults, track, file, problems, warnings)
+            problem = _fault_problem(faults, alternatives, off, track, motion, vehicle)
+            _file_away(problem, faults, track, file, problems, warnings)
             off = not_explained(pairs, faults)
         for a, k in off:
             if k > 0 and any(a is other and j == 0 for other, j in off):
@@ -223,14 +223,14 @@ def _used(names: Iterable[str], vehicle: Vehicle) -> bool:
     return any(needed.get(name, name) in motion for name in names)
 
 
-def _file_away(messages, faults, track, file, problems, warnings) -> None:
+def _file_away(problem, faults, track, file, problems, warnings) -> None:
     """Add a fault as an error, or as a warning if ``[columns]`` does not name its column."""
     columns = [_column(track, name) for f in faults for name in f.channels]
     if any(column.named for column in columns):
         header = next(column.header for column in columns if column.named)
-        problems.append(InputProblem(messages.reason, messages.remedy, file, column=header))
+        problems.append(InputProblem(problem.reason, problem.remedy, file, column=header))
     else:
-        warnings.append(f"{messages.reason}; [columns] does not name it, so it is not used here")
+        warnings.append(f"{problem.reason}; [columns] does not name it, so it is not used here")
 
 
 def _unexplained(a, k, vehicle, track, file, problems, warnings) -> None:

@@ -303,8 +303,8 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
             for name, amplitude in parameters.items()
             if name.startswith(f"{effect}: ")
         ]
-        message = amounts if named else ["not named"]
-        yield ": ".join([name_with_id(effect), *["; ".join(message)] * bool(message)])
+        sizes = amounts if named else ["not named"]
+        yield ": ".join([name_with_id(effect), *["; ".join(sizes)] * bool(sizes)])
         if (each := verdict.each.get(effect)) is not None:
             yield f"    {_each_text(each)}"
         if means[0]:

@@ -89,8 +89,8 @@ def virtual_test(
     names = tuple(f"sweep {i}" for i in range(len(parts)))
     data = TireData(tir.path, columns, used, run, names, Source(path=tir.path))
     noise = "the test has no noise: standard errors come from misfit of the version"
-    message = (noise, *remarks(tir, own, data, signs))
-    return replace(data, source=replace(data.source, assumptions=message))
+    assumptions = (noise, *remarks(tir, own, data, signs))
+    return replace(data, source=replace(data.source, assumptions=assumptions))
 
 
 def converted(
