@@ -27,7 +27,9 @@ test test-long statistics notebooks measured: export OPENBLAS_NUM_THREADS = 1
 test: install
 	$(BIN)/python -m pytest -q -n 2 tests
 
-# The tests that run whole chains of work, which CI runs after the others.
+# The tests that run whole chains of work, which CI runs after the others: with programs
+# optimised as usual.
+test-long statistics: export XLA_FLAGS = --xla_backend_optimization_level=3
 test-long: install
 	$(BIN)/python -m pytest -q -n 2 -m long --override-ini addopts="" tests
 

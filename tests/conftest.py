@@ -16,6 +16,9 @@ from pathlib import Path
 # Two workers have the cores: a second thread of linear algebra would only spin while it
 # waits. The libraries read it when NumPy is first imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# As the command does: programs without calls of Python are kept. Equinox reads it when
+# it is first imported.
+os.environ.setdefault("EQX_ON_ERROR", "off")
 
 import jax
 import pytest
@@ -35,6 +38,8 @@ _SETTINGS = {
     # What XLA would keep of its own, of GPUs alone: it names this directory in what an
     # entry is found by, so that nobody finds what a command compiled, or a copy holds.
     "jax_persistent_cache_enable_xla_caches": "none",
+    # Where in the sources an operation comes from, which takes 1 % of the time to note.
+    "jax_traceback_in_locations_limit": 0,
 }
 for _name, _value in _SETTINGS.items():
     jax.config.update(_name, _value)
@@ -44,9 +49,13 @@ for _name, _value in _SETTINGS.items():
 # instead of 9.3 s for the programs of a brush-d with slip noise), and most programs of
 # a test run once. A program in one piece is the same code in 0.85 to 0.9 of the time,
 # and takes 24 instead of 39 mappings (see below): pieces are for cores that idle. XLA
-# reads them when the first program is compiled.
+# reads them when the first program is compiled. Without optimisation, a quarter of the
+# files took 305 instead of 383 s, all programs compiled anew; `make test-long`, whose
+# programs run for longer, has it as users have.
 _QUICKER = ["--xla_cpu_use_fusion_emitters=false", "--xla_cpu_parallel_codegen_split_count=1"]
 _FLAGS = os.environ.get("XLA_FLAGS", "").split()
+if not any("xla_backend_optimization_level" in flag for flag in _FLAGS):
+    _QUICKER += ["--xla_backend_optimization_level=0", "--xla_llvm_disable_expensive_passes=true"]
 os.environ["XLA_FLAGS"] = " ".join(dict.fromkeys([*_FLAGS, *_QUICKER]))
 # Commands and kernels choose their precision themselves, which is tested.
 jax.config.update("jax_enable_x64", True)

@@ -21,7 +21,7 @@ from tirefit.models import (
     TireInputs,
     forces,
 )
-from tirefit.models.base import AbstractTire
+from tirefit.models.base import AbstractTire, largest
 from tirefit.models.combined import (
     braking_slope,
     force_slope,
@@ -356,6 +356,11 @@ def test_property_4_nominal_values_come_from_the_pure_slip_curves():
     # So the curves alone make the model.
     made = columns(scaled(ALONG, ACROSS, SLIPS))
     np.testing.assert_allclose(made, on_slips(MF), rtol=0, atol=2e-3 * FZ)
+
+
+def test_the_largest_value_has_the_slope_of_one_value():
+    value, slope = jax.value_and_grad(largest)(jnp.array([1.0, 3.0, 2.0, 3.0]))
+    assert value == 3.0 and slope.tolist() == [0.0, 1.0, 0.0, 0.0]
 
 
 def test_property_5_braking_and_driving_keep_their_curves():

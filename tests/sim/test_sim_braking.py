@@ -8,7 +8,7 @@ import tirefit
 from tirefit.models import LuGre, TireInputs
 from tirefit.sim.braking import BRAKE_GAIN, LOAD, PEAK, Braking, simulate_braking, source_tire
 from tirefit.sim.rig import simulate_rig
-from tirefit.sim.wheel import lugre_tire
+from tirefit.sim.wheel import STEADY, WheelNumbers, braked_wheel, lugre_tire
 
 
 def test_the_source_tire_has_the_printed_values():
@@ -36,6 +36,14 @@ def test_the_wheel_motion_agrees_with_scipy():
     np.testing.assert_allclose(
         truth["sigma_x"], how.speed / (truth["omega"] * how.radius) - 1, rtol=1e-9
     )
+
+
+@pytest.mark.long
+def test_a_braking_of_too_many_steps_is_refused_with_a_remedy():
+    numbers = WheelNumbers(4e3, 2.0, 0.3, 1.0, 12.0, LOAD, np.inf, 0.01)
+    tires = source_tire(), source_tire()
+    with pytest.raises(tirefit.UsageError, match="(?s)more than 3 steps.*remedy: shorten"):
+        braked_wheel(numbers, tires, STEADY, np.arange(5) / 100, 1, max_steps=3)
 
 
 def test_noise_has_exactly_the_requested_variance():

@@ -134,3 +134,12 @@ def forces(
     runs = jnp.broadcast_to(jnp.asarray(run, int), shape or (1,))
     result = _batched(model, batch, runs)
     return result if shape else jax.tree.map(lambda array: array[0], result)
+
+
+def largest(values: Float[Array, " n"]) -> Float[Array, ""]:
+    """The largest value, with the slope of that one.
+
+    The derivative of ``jnp.max`` compares the maximum with the values. A program may compute
+    these twice, and is NaN where the last digits differ.
+    """
+    return values[jnp.argmax(values)]

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.models.base import AbstractTire, TireForces, TireInputs
+from tirefit.models.base import AbstractTire, TireForces, TireInputs, largest
 from tirefit.models.brush import Brush, bristle_stiffness, friction_coefficient, polar, resultant
 from tirefit.models.magic_formula import MagicFormula
 from tirefit.params import par, specs
@@ -128,7 +128,7 @@ def nominal_sliding_slip(tire: AbstractTire, channel: str, inputs: TireInputs):
     def force(slip):
         return getattr(_pure(tire, channel, inputs, slip), channel)
 
-    return 3 * jnp.max(jax.vmap(force)(jnp.asarray(_GRID))) / jax.grad(force)(0.0)
+    return 3 * largest(jax.vmap(force)(jnp.asarray(_GRID))) / jax.grad(force)(0.0)
 
 
 def _pure(tire: AbstractTire, channel: str, inputs: TireInputs, slip) -> TireForces:

@@ -15,6 +15,7 @@ import numpy as np
 
 from tirefit.models import LuGre
 from tirefit.online.lugre_observer import peak_share
+from tirefit.results import UsageError
 from tirefit.sim.lugre import Bristles, Contact, bristle_forces, bristle_rate, distributed
 
 SLOWEST = 0.01
@@ -59,7 +60,7 @@ class WheelNumbers(NamedTuple):
 
 
 def braked_wheel(
-    numbers: WheelNumbers, tires: tuple, bristles: Bristles, time, teeth: int
+    numbers: WheelNumbers, tires: tuple, bristles: Bristles, time, teeth: int, max_steps=2**22
 ) -> tuple[np.ndarray, ...]:
     """Wheel speed [rad/s], force [N] and mean deflection [m] at the times (n,).
 
@@ -68,14 +69,22 @@ def braked_wheel(
         tires: before and after the change, two :class:`LuGre` or two steady tires.
         bristles: :data:`PATCH` for LuGre tires; :data:`STEADY` for steady tires.
         time: increasing instants [s]; ``teeth``: number of saw-teeth.
+        max_steps: limit of integration steps.
+
+    Raises:
+        UsageError: the braking needs more steps.
     """
     traced = jax.tree.map(lambda x: jnp.asarray(x, float), (numbers, tires))
-    moved = _integrate(traced, bristles, jnp.asarray(time), teeth)
+    *moved, followed = _integrate(traced, bristles, jnp.asarray(time), teeth, max_steps)
+    if not followed:
+        raise UsageError(
+            f"the braking needs more than {max_steps} steps", "shorten it or raise the inertia"
+        )
     return tuple(np.asarray(part) for part in moved)
 
 
 @eqx.filter_jit
-def _integrate(traced, bristles, time, teeth: int):
+def _integrate(traced, bristles, time, teeth: int, max_steps: int):
     numbers, tires = traced
     _, period, radius, inertia, v, fz, change, interval = numbers
 
@@ -114,11 +123,12 @@ def _integrate(traced, bristles, time, teeth: int):
         rest,
         saveat=diffrax.SaveAt(ts=time),
         stepsize_controller=controller,
-        max_steps=2**22,
+        max_steps=max_steps,
+        throw=False,
     )
 
     def seen(t, y):
         turning, force, _ = parts(t, y)
         return turning * v / radius, force, jnp.asarray(bristles.weight) @ y[1][:, 0]
 
-    return jax.vmap(seen)(time, solution.ys)
+    return *jax.vmap(seen)(time, solution.ys), diffrax.is_successful(solution.result)

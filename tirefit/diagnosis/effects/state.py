@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from tirefit.models import Asymmetric, Brush, Quartic, TireInputs
+from tirefit.models.base import largest
 from tirefit.models.friction import Friction
 from tirefit.models.pressure import AbstractPressure, Parabolic
 from tirefit.params import Values
@@ -203,7 +204,7 @@ def peak_ratio(base, fz, v):
             return fx
         return base(TireInputs(alpha=jnp.arctan(slip), fz=fz, v=v)).fy
 
-    return jnp.max(jax.vmap(force)(slips)) / fz
+    return largest(jax.vmap(force)(slips)) / fz
 
 
 def slope_at_rest(base, inputs: TireInputs, mode: str):
