@@ -23,7 +23,7 @@ NOMINAL = {"FNOMIN": {"value": read_tir(MF52).numbers["FNOMIN"]}}
 
 
 @cache
-def warming_test():
+def warming_test(per_kelvin=PER_KELVIN):
     """A tire that warms up over the loads of a test of pure slip and within each sweep."""
     inputs, run = sweeps(Plan(MF52), 0, 24, 4)
     pure = (np.asarray(inputs.sigma_x) == 0) | (np.asarray(inputs.alpha) == 0)
@@ -36,7 +36,7 @@ def warming_test():
     def one(sample, change):
         return with_values(tire, {"LMUX": 1 + change, "LMUY": 1 + change})(sample)
 
-    true = jax.vmap(one)(inputs, PER_KELVIN * (warm - reference))
+    true = jax.vmap(one)(inputs, per_kelvin * (warm - reference))
     noise = 0.01 * inputs.fz * np.random.default_rng(5).standard_normal((2, len(run)))
     columns = {k: getattr(inputs, k) for k in ("sigma_x", "alpha", "fz", "gamma")}
     forces = {"fx": true.fx + noise[0], "fy": true.fy + noise[1]}
@@ -66,6 +66,26 @@ def test_friction_and_its_temperature_dependence_are_recovered():
     # Without it the warmth of the heavy loads looks like an effect of load.
     assert abs(plain.coefficients["PDX2"].value - true["PDX2"]) > 0.02
     assert found.fitted["fx"][0] < plain.fitted["fx"][0]
+
+
+@pytest.mark.long
+def test_standard_errors_include_that_of_the_temperature_dependence():
+    """Of the load dependence of friction, which warmth over the loads looks like: as in a
+    fit with known temperature dependence, and one with it wrong by its standard error."""
+
+    def along(per_kelvin, friction_temperature):
+        table = warming_test(per_kelvin)[0]
+        pure = table["alpha"] == 0
+        table = {name: values[pure] for name, values in table.items() if name != "fy"}
+        config = {"parameters": NOMINAL, "model": {"friction_temperature": friction_temperature}}
+        found = fit_magic_formula(read_frame(table), "mf52", config=config, leave_out="none")
+        return found.coefficients["PDX2"], found.warmth
+
+    found, (_, std, _) = along(PER_KELVIN, True)
+    known, wrong = along(0.0, False)[0], along(std, False)[0]
+    expected = np.hypot(known.std, wrong.value - known.value)
+    assert abs(found.std / expected - 1) < 0.1 and expected > 1.5 * known.std
+    assert abs(found.value - read_tir(MF52).numbers["PDX2"]) < 2 * found.std
 
 
 def test_temperature_dependence_is_reported_in_percent_and_written():

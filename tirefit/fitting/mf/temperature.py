@@ -3,7 +3,8 @@
 The friction is mu (1 + b (T - T_ref)). The coefficients hold at T_ref: with b, the
 measured forces are corrected to T_ref before the fit. F_x and F_y together determine b.
 Its slope is made orthogonal to those of the coefficients (Frisch and Waugh), so b and
-the coefficients are estimated jointly.
+the coefficients are estimated jointly. The covariance of the coefficients of pure slip
+includes that of b.
 """
 
 from collections.abc import Callable, Mapping
@@ -77,11 +78,12 @@ def at_reference(
     now, b = rows, 0.0
     for _ in range(_ROUNDS):
         work = fitted(now)
-        step, std = _step(work, now, warmth)
+        step, std, shift = _step(work, now, warmth)
         b += step
         now = {f: _corrected(work, of, b * warmth[f]) for f, of in rows.items()}
         if abs(step) < _SETTLED * std:
             break
+    work = replace(work, covariance=work.covariance + std**2 * np.outer(shift, shift))
     return work, now, FrictionTemperature(b, std, reference)
 
 
@@ -104,9 +106,9 @@ def _corrected(work: Search, rows: ForceRows, change: np.ndarray) -> ForceRows:
     return replace(rows, observed=rows.observed - change * (slope + change * half))
 
 
-def _step(work: Search, rows: Rows, warmth) -> tuple[float, float]:
-    """The Gauss-Newton step of b, and its standard error."""
-    information, downhill = 0.0, 0.0
+def _step(work: Search, rows: Rows, warmth) -> tuple[float, float, np.ndarray]:
+    """The Gauss-Newton step of b, its standard error, and du/db (p,) of the best fit."""
+    information, downhill, shift = 0.0, 0.0, np.zeros(len(work.u))
     of_part = coefficients_of(work.problem.tire.version)
     for force in (force for force in _FORCES if force in work.groups):
         # Pure slip only: its stage ended at the optimum of the coefficients it moved.
@@ -120,8 +122,9 @@ def _step(work: Search, rows: Rows, warmth) -> tuple[float, float]:
         residual, gradient = row_gradients(problem, work.u)
         gradient, u = gradient[:, problem.free], work.u[problem.free]
         normal = gradient.T @ gradient + np.eye(len(u))
-        alone = slope - gradient @ np.linalg.solve(normal, gradient.T @ slope)
+        follows = np.linalg.solve(normal, gradient.T @ slope)
+        shift[problem.free] -= follows
+        alone = slope - gradient @ follows
         information += float(alone @ slope)
-        downhill -= float(alone @ residual)
-        downhill += float(slope @ gradient @ np.linalg.solve(normal, u))
-    return downhill / information, float(1 / np.sqrt(information))
+        downhill += float(follows @ u - alone @ residual)
+    return downhill / information, float(1 / np.sqrt(information)), shift
