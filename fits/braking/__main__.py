@@ -214,20 +214,20 @@ def turn(asked) -> list[dict]:
 def draw_turn(points, path: Path) -> None:
     import numpy as np
 
-    from tirefit.report.canvas import COLORS, GREY, Picture, save_picture, tidy
+    from tirefit.report.canvas import BLUE, DARK, GREEN, GREY, ORANGE, Picture, save_picture, tidy
 
     picture = Picture(figsize=(5.2, 5.0), layout="constrained")
     axes = picture.subplots()
     angle = np.linspace(0, np.pi / 2, 100)
     axes.plot(0.3 * np.cos(angle), 0.3 * np.sin(angle), color=GREY, linewidth=1)
-    for color, (name, each) in zip(COLORS, points.items(), strict=False):
+    for color, (name, each) in zip((BLUE, ORANGE, GREEN, DARK), points.items(), strict=True):
         axes.plot(each["mu_y"], each["mu_x"], ".", color=color, markersize=5, label=name, alpha=0.6)
     axes.set_xlim(-0.02, 0.32)
     axes.set_ylim(0.0, 0.32)
     axes.set_aspect("equal")
     tidy(axes, "$\\mu_y$, mean of the front wheels [–]", "$\\mu_x$ [–]")
     axes.legend(fontsize=8, frameon=False, loc="lower left")
-    axes.set_title("braking in a turn, first 2 s (O Figure 11)", loc="left", fontsize=9.5)
+    axes.set_title("Braking in a turn: friction used in the first 2 s", loc="left", fontsize=9.5)
     picture.supxlabel("grey: available friction; a point: one seed", fontsize=7)
     save_picture(picture, path)
 

@@ -159,7 +159,7 @@ def main() -> None:
         label = f"tires {tires.upper()}: {planned.distance:.2f} m"
         right.plot(planned.x, planned.y, color=color, label=label)
     right.axhline(0.5, color=DARK, lw=0.8, ls=":")
-    right.set(xlabel="ahead [m]", ylabel="aside [m]")
+    right.set(xlabel="longitudinal distance [m]", ylabel="lateral displacement [m]")
     right.set_title("Shortest path around, at 4 m/s", loc="left", fontsize=10)
     right.legend(frameon=False, fontsize=9)
     picture.savefig(HERE / "forces_and_path.png")
