@@ -72,7 +72,7 @@ def given_tire(
             :func:`tirefit.fitting.tir.tire_of`.
 
     Raises:
-        UsageError: an unknown model or parameter, values beside a fit, signs without a
+        UsageError: an unknown model or parameter, values together with a fit, signs without a
             ``.tir`` file, or a fit with values by run.
         DataError: a file that is neither a fit nor a ``.tir`` file.
     """
@@ -87,7 +87,7 @@ def given_tire(
         return GivenTire(f"MF {tir.version}", tire, tir=tir)
     if signs:
         raise UsageError("--signs applies to .tir files only", "leave it out")
-    if isinstance(source, AbstractTire) or text and not text.endswith(".json"):
+    if isinstance(source, AbstractTire) or text and not text.lower().endswith(".json"):
         from tirefit.fitting.problem import find_model
 
         name = text or type(source).__name__
