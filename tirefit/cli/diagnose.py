@@ -102,7 +102,11 @@ def diagnose(
     ] = None,
     parameter: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="use MODEL unchanged, with this value"),
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="value of a parameter of MODEL, which is not fitted then",
+        ),
     ] = None,
     sim: Annotated[
         bool,
@@ -120,7 +124,9 @@ def diagnose(
     ] = None,
     holdout: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE...", help="files on which the result is checked only"),
+        typer.Option(
+            metavar="FILE...", help="files that are not fitted, only used to check the result"
+        ),
     ] = None,
     without: Annotated[
         list[str] | None,
