@@ -102,11 +102,7 @@ def diagnose(
     ] = None,
     parameter: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help="value of a parameter of MODEL, which is not fitted then",
-        ),
+        typer.Option("--set", metavar="NAME=VALUE", help="use MODEL unchanged, with this value"),
     ] = None,
     sim: Annotated[
         bool,
@@ -124,9 +120,7 @@ def diagnose(
     ] = None,
     holdout: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="FILE...", help="files that are not fitted, only used to check the result"
-        ),
+        typer.Option(metavar="FILE...", help="files that are only used to check the result"),
     ] = None,
     without: Annotated[
         list[str] | None,
