@@ -81,10 +81,10 @@ def test_other_sources_give_other_programs(directory, monkeypatch):
 
 
 def test_a_program_depends_on_all_sources_below_the_report(monkeypatch):
-    from tests.test_layers import FLOORS
+    from tests.test_layers import LAYERS
 
-    highest = FLOORS["vehicle"]
-    assert set(module._ABOVE) == {room for room, floor in FLOORS.items() if floor > highest}
+    highest = LAYERS["vehicle"]
+    assert set(module._ABOVE) == {name for name, layer in LAYERS.items() if layer > highest}
 
 
 def test_another_device_gives_another_program(directory, monkeypatch):

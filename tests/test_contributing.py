@@ -3,18 +3,18 @@
 import re
 from pathlib import Path
 
-from test_layers import FLOORS, PACKAGE
+from test_layers import LAYERS, PACKAGE
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-FLOOR = re.compile(r"^    (\d)  (\w+) ", re.MULTILINE)
+LAYER = re.compile(r"^    (\d)  (\w+) ", re.MULTILINE)
 
 
 def test_the_documented_layers_are_right():
-    rooms = {name: int(floor) for floor, name in FLOOR.findall(TEXT)}
-    assert rooms == {name: FLOORS[name] for name in rooms} and len(rooms) == 16
+    layers = {name: int(layer) for layer, name in LAYER.findall(TEXT)}
+    assert layers == {name: LAYERS[name] for name in layers} and len(layers) == 16
     folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
-    assert folders <= set(rooms)
+    assert folders <= set(layers)
 
 
 def test_the_named_files_exist():

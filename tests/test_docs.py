@@ -263,7 +263,7 @@ SCORES = {
     "listed, weak: exact": "{:.0%} of weak ones ({}",
     "pairs: exact": "both named in {:.0%} ({}",
     "unlisted effect: strong": "flagged in {:.0%} of strong cases ({}",
-    "false names with an unlisted effect": "{:.2f} false names a case on trials ({}",
+    "false names with an unlisted effect": "{:.2f} absent effects are named per trial ({}",
     "false alarms": "a false alarm in {:.0%} ({}",
 }
 """Row of the sealed trials -> what the limits say of its first score."""
@@ -304,7 +304,7 @@ def test_the_documented_gain_of_each_step_agrees_with_the_ablation(row):
     page = (DOCS / "how-it-works" / "diagnosis.md").read_text(encoding="utf-8")
     ablation = (CASES / "withheld" / "README.md").read_text(encoding="utf-8")
     every = _cells(ablation, SWITCHED_OFF[row])
-    # Strong and weak effects, strong strangers, false names, measured cases.
+    # Strong and weak effects, strong unlisted effects, false names, measured cases.
     assert _cells(page, row) == [every[k] for k in (0, 2, 6, 12, 16)]
 
 

@@ -1,4 +1,4 @@
-"""The rules of the structure that a parser can check: floors, owners, sizes."""
+"""The rules of the structure that a parser can check: layers, owners, sizes."""
 
 import ast
 from pathlib import Path
@@ -8,8 +8,8 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "tirefit"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-# A room imports from lower floors and from itself. A new room needs a line here.
-FLOORS = {
+# A module or package imports from lower layers and from itself. A new one needs a line.
+LAYERS = {
     "results": 0,
     "files": 0,
     "padding": 0,
@@ -56,7 +56,7 @@ def place(path):
     return path.relative_to(PACKAGE).as_posix()
 
 
-def room_of(file):
+def module_of(file):
     return file.split("/")[0].removesuffix(".py")
 
 
@@ -70,8 +70,8 @@ def imported(tree):
             yield "." * node.level + (node.module or ""), [a.name for a in node.names]
 
 
-def rooms_used(tree):
-    """Rooms of tirefit that a file imports; a relative import is '.'."""
+def modules_used(tree):
+    """Modules of tirefit that a file imports; a relative import is '.'."""
     for module, names in imported(tree):
         if module.startswith("."):
             yield "."
@@ -83,13 +83,13 @@ def rooms_used(tree):
 
 def layer_faults(file, tree):
     """Imports of a file that do not point downwards."""
-    here = room_of(file)
-    if here in ("__init__", "__main__"):  # the roof: re-exports, starts the cli
+    here = module_of(file)
+    if here in ("__init__", "__main__"):  # above all layers: re-exports, starts the cli
         return []
     return [
         f"{file} imports {used}"
-        for used in rooms_used(tree)
-        if used != here and FLOORS.get(used, 99) >= FLOORS[here]
+        for used in modules_used(tree)
+        if used != here and LAYERS.get(used, 99) >= LAYERS[here]
     ]
 
 
@@ -152,7 +152,7 @@ def test_every_file_follows_the_rules(path):
     source = path.read_text()
     tree = ast.parse(source)
     file = place(path)
-    assert room_of(file) in {*FLOORS, "__init__", "__main__"}, "a room without a floor"
+    assert module_of(file) in {*LAYERS, "__init__", "__main__"}, "a module without a layer"
     assert layer_faults(file, tree) == []
     assert owner_faults(file, tree) == []
     assert private_faults(file, tree) == []

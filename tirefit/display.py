@@ -1,6 +1,6 @@
 """Base classes of results: text, numbers, figures, files and notebook display.
 
-Results are defined on low floors, their text and figures on the report floor. A result
+Results are defined in low layers, their text and figures in the report layer. A result
 class therefore names these functions as text; they are imported when they are called.
 """
 

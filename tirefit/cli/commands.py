@@ -15,12 +15,12 @@ COMMANDS = {
     "export": "Write a tire as source code or as a file of another program.",
     "replay": "Predict measured drives of a car from its tires; report the error over time.",
     "diagnose": "Find the effects that explain the gap between a model or simulator and data.",
-    "estimate": "Estimate friction and stiffness row by row, as known while driving.",
+    "estimate": "Estimate friction and stiffness at each row, from the rows up to it.",
     "brake": "Simulate braking with a controller: stopping distance, friction used, figures.",
     "prepare": "Cut the recording of a test rig into sweeps and bins, filter it, and write the"
     " rows to fit.",
     "models": "List the models: parameters, units, bounds, meaning, source equation.",
-    "methods": "List the online methods: inputs, estimates, valid use of friction, source.",
+    "methods": "List the online methods: inputs, estimates, valid range of used friction, source.",
     "inspect": "Show how a file was read, which fits it supports, and how well it determines the"
     " parameters of models.",
     "derive": "Compute slip angle and lateral force of an axle from vehicle logs.",

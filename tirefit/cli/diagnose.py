@@ -120,7 +120,7 @@ def diagnose(
     ] = None,
     holdout: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE...", help="files on which the result is checked only"),
+        typer.Option(metavar="FILE...", help="files that are only used to check the result"),
     ] = None,
     without: Annotated[
         list[str] | None,

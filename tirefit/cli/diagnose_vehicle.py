@@ -15,7 +15,9 @@ FILES = ("vehicle_diagnosis.json", "vehicle_diagnosis.png", "vehicle_diagnosis.h
 
 TireOption = Annotated[
     str | None,
-    typer.Option(metavar="FIT.json|FILE.tir|MODEL", help="--vehicle: tire of the axle (brush)"),
+    typer.Option(
+        metavar="FIT.json|FILE.tir|MODEL", help="--vehicle: tire of this axle (default: brush)"
+    ),
 ]
 
 

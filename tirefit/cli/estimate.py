@@ -52,7 +52,7 @@ def estimate(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")] = 0,
 ) -> None:
-    """Estimate friction and stiffness row by row, as known while driving."""
+    """Estimate friction and stiffness at each row, from the rows up to it."""
     with errors_to_exit():
         values = _checked(log, out, follow, setting)
         from tirefit.online.methods import METHODS

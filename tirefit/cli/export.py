@@ -13,7 +13,7 @@ RANGES = ("kappa", "alpha", "fz")
 """Inputs of a tire whose range --over states."""
 
 _OVER = "range of a refit: kappa, alpha [rad], fz [N], iso-w signs"
-_DIAGNOSIS = "of `tirefit diagnose`: the effects that it names change the tire"
+_DIAGNOSIS = "result of `tirefit diagnose`; the effects that it names change the tire"
 
 
 def _path(metavar: str, help: str):
@@ -26,7 +26,7 @@ File = Path | None
 
 
 def export(
-    source: Annotated[Text, Argument(metavar="[FIT.json|FILE.tir|MODEL]")] = None,
+    source: Annotated[Text, Argument(metavar="[FIT.json|FILE.tir|MODEL]", help="the tire")] = None,
     *,
     to: Annotated[Text, Option(metavar="TARGET", help="target program (--list)")] = None,
     out: Annotated[File, _path("FILE", "file to write")] = None,
@@ -59,7 +59,7 @@ def export(
     Source code contains the model itself. A simulator with its own formula gets its
     parameters, refitted if the formula cannot represent the model, and the largest
     error. Each file states the parameters with standard errors, the measured range, and
-    checks of the tire at rest, at large slip and at twice the largest load.
+    checks of the tire at standstill, at large slip and at twice the largest load.
     """
     with errors_to_exit():
         from tirefit.targets.export import TARGETS, Target, export

@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
 Jobs = Annotated[
-    int | None, typer.Option(min=1, metavar="N", help="processes that share the files")
+    int | None, typer.Option(min=1, metavar="N", help="number of processes that share the files")
 ]
 Scheduler = Annotated[
     str | None,

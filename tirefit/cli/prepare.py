@@ -74,7 +74,7 @@ def prepare(
         typer.Option(
             metavar="PREPARE.JSON",
             parser=named_path,
-            help="repeat the steps of this record on its file or on others",
+            help="repeat the steps of this record, on the same file or on others",
         ),
     ] = None,
     jobs: Jobs = None,

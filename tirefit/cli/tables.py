@@ -59,7 +59,7 @@ def models(json: JsonOption = False) -> None:
 
 
 def methods(json: JsonOption = False) -> None:
-    """List the online methods: inputs, estimates, valid use of friction, source."""
+    """List the online methods: inputs, estimates, valid range of used friction, source."""
     from tirefit.online.methods import METHODS
     from tirefit.report.model_tables import methods_dict, methods_table
 
@@ -160,8 +160,8 @@ def derive(
 
 @takes_data_options
 def predict(
-    source: Annotated[str, typer.Argument(metavar="FIT.json|FILE.tir|MODEL")],
-    data: Annotated[Path, typer.Argument(metavar="DATA.csv")],
+    source: Annotated[str, typer.Argument(metavar="FIT.json|FILE.tir|MODEL", help="the tire")],
+    data: Annotated[Path, typer.Argument(metavar="DATA.csv", help="rows with slips and load")],
     out: OutFile,
     options: DataOptions,
     parameter: SetOption = None,

@@ -44,7 +44,7 @@ _TELLS_MORE = 0.1
 """Smallest gain in the probability of distinguishing two effects for which a measurement
 is proposed."""
 
-_CLOSED = "closed: removed share of the first row's mean square beyond the noise, ± std"
+_CLOSED = "closed: removed share of the first row's rms beyond the noise, ± std"
 
 TESTS = {
     "time": "residuals of neighbouring rows in time agree",

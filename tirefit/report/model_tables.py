@@ -133,7 +133,7 @@ def _row(label: str, spec: Spec) -> list[str]:
 
 
 def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
-    """Every method with inputs, estimates, valid use of friction, source, settings."""
+    """Every method with inputs, estimates, valid range of used friction, source, settings."""
     lines = ["METHODS of `tirefit estimate`"]
     known: dict[str, dict[tuple, list[tuple[str, Spec]]]] = {}
     for name, kind in methods.items():

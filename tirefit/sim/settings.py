@@ -62,13 +62,14 @@ class Settings:
 
 @dataclass(frozen=True)
 class Braking(Settings):
-    """How a wheel is braked and measured. Defaults are those of S section 5.1; what it
-    does not give is that of a truck wheel, sampled at the rate of a brake controller."""
+    """Simulate the log of a wheel that is braked in saw-teeth. Defaults are those of S
+    section 5.1; values that it does not state are those of a truck wheel, at the sample
+    rate of a brake controller."""
 
     amplitude: float = _of(0.75, "largest brake torque over that of the friction peak", 0.01, 2.0)
     teeth: int = _of(5, "number of saw-teeth of the torque", 1)
     period: float = _of(2.0, "period of a saw-tooth [s]", 0.1, 1e4)
-    rate: float = _of(100.0, "rows a second", 1.0)
+    rate: float = _of(100.0, "rows per second", 1.0)
     speed: float = _of(20.0, "vehicle speed, constant [m/s]", 1.0, 1e3)
     load: float = _of(LOAD, "wheel load, constant [N]", 1.0, 1e9)
     friction: float = _of(PEAK, "largest steady force over the load", *_FRICTION)
@@ -87,16 +88,16 @@ class Braking(Settings):
 
 @dataclass(frozen=True)
 class Drive(Settings):
-    """How a car is driven and measured. The car follows a ``bend`` up to about 0.75 of
-    the smallest friction, less while braking."""
+    """Simulate the log of a car on a winding road. It can follow a bend of up to about
+    0.75 of the smallest friction, less while braking."""
 
     duration: float = _of(30.0, "duration of the drive [s]", 0.1, 1e4)
-    rate: float = _of(50.0, "rows a second", 1.0)
+    rate: float = _of(50.0, "rows per second", 1.0)
     speed: float = _of(25.0, "speed that the driver keeps [m/s]", 1.0, 100.0)
     bend: float = _of(0.6, "largest lateral acceleration over mu g", 0.0, 1.0)
     bend_period: float = _of(5.0, "period of the road's curvature [s]", 0.5, 1e3)
     brake: float = _of(0.0, "largest deceleration over mu g, in saw-teeth", 0.0, 2.0)
-    brake_period: float = _of(4.0, "of a braking [s]", 0.5, 1e3)
+    brake_period: float = _of(4.0, "period of the saw-teeth [s]", 0.5, 1e3)
     friction: float = _of(0.9, "friction coefficient of the road", *_FRICTION)
     drop: Drop = _of(None, "time [s] of a change of friction, and the new friction")
     gps_std: float = _of(0.02, "noise of positions [m]", 0.0, 1e3)
@@ -124,7 +125,7 @@ class Sweeps(Settings):
     largest: float = _of(0.2, "largest slip sigma, or slip angle [rad]", 1e-4, 1.5)
     points: int = _of(100, "rows of a sweep", 2)
     lateral: bool = _of(False, "sweep the slip angle alpha instead of sigma")
-    rate: float = _of(100.0, "rows a second", 1e-3, 1e9)
+    rate: float = _of(100.0, "rows per second", 1e-3, 1e9)
     slip_std: float = _of(0.0, "noise of the slip [- or rad]", 0.0, 1.0)
     force_std: float = _of(0.01, "noise of the forces over the load", 0.0, 1.0)
     seed: int = _of(0, "seed of the noise", 0, 2**32 - 1)

@@ -134,26 +134,26 @@ STEERING = (
         id="steering_ratio", of="vehicle", family="steering ratio", scale=0.15,
         change=_adds("steering", "ratio", lambda a, c, rows: a),
         formula="wheel angle (1 + amplitude)", bounds=((-0.8, 2.0),),
-        means="the ratio of wheel angle to logged steering is another",
+        means="the ratio of wheel angle to logged steering is not the stated one",
         remedy="scale steering.angle of vehicle.toml by 1 + amplitude",
         looks_like=("compliance_steer", "centre_of_gravity"),
-        told_apart_by="slow circles at a walking pace, where no tire slips: there only"
-        " the ratio shows",
+        told_apart_by="circles at a walking pace, where the tires have no slip: there"
+        " only the ratio has an effect",
     ),
     Effect(
         id="steering_offset", of="vehicle", family="steering zero", scale=0.02,
         unit="rad", change=_adds("steering", "offset", lambda a, c, rows: a),
         formula="wheel angle + amplitude", bounds=((-0.3, 0.3),),
-        means="the wheels do not stand straight at the logged zero",
+        means="the wheels are not straight at the logged zero",
         remedy="add amplitude to steering.angle of vehicle.toml",
         looks_like=("bank", "sideslip_zero", "yaw_rate_zero"),
-        told_apart_by="the same straight road both ways: a bank changes its side, the"
-        " steering does not",
+        told_apart_by="the same straight road in both directions: a bank changes its"
+        " side, the steering does not",
     ),
     Effect(
         id="steering_delay", of="vehicle", family="steering in time", scale=0.05,
         unit="s", change=_adds("steering", "delay", lambda a, c, rows: a),
-        formula="wheel angle of the time t - amplitude", bounds=((0.0, 0.28),),
+        formula="wheel angle at the time t - amplitude", bounds=((0.0, 0.28),),
         means="the wheels follow the logged steering with a delay",
         remedy="give the delay to the simulator, or shift the channel",
         looks_like=("steering_lag", "relaxation_length"),
@@ -171,12 +171,12 @@ STEERING = (
     Effect(
         id="steering_play", of="vehicle", family="steering play", scale=0.01,
         unit="rad", change=_adds("steering", "play", lambda a, c, rows: a),
-        formula="the wheels stay until the steering has moved by amplitude",
+        formula="the wheels do not move until the steering has moved by amplitude",
         bounds=((0.0, 0.2),), means="the steering has play, or sticks",
         remedy="add play (backlash) between steering and wheels to the simulator",
         looks_like=("steering_delay", "steering_lag"),
-        told_apart_by="slow steering to and fro: a delay shrinks with the pace, play"
-        " does not",
+        told_apart_by="slow steering to and fro: the effect of a delay decreases with"
+        " the rate, that of play does not",
     ),
     Effect(
         id="compliance_steer", of="vehicle", family="steering compliance", scale=0.02,
@@ -194,8 +194,8 @@ MASSES = (
         id="yaw_inertia", of="vehicle", family="yaw inertia", scale=0.3,
         change=_sets("car", "inertia", lambda a, rows: jnp.exp(a)),
         formula="yaw inertia exp(amplitude)", bounds=((-1.5, 1.5),),
-        means="the yaw inertia is another, or the mass by the reciprocal factor: with"
-        " fitted tires, both have the same effect",
+        means="the yaw inertia is not the stated one, or the mass differs by the"
+        " reciprocal factor: with fitted tires, both have the same effect",
         remedy="scale yaw_inertia of vehicle.toml by exp(amplitude)",
         looks_like=("steering_lag", "relaxation_length"),
         told_apart_by="the mass on a scale, and quick steering at several speeds",
@@ -205,7 +205,7 @@ MASSES = (
         unit="of the wheelbase", bounds=((-0.3, 0.3),),
         change=_sets("car", "ahead", lambda a, rows: a * rows.wheelbase),
         formula="l_f - amplitude L, l_r + amplitude L",
-        means="the centre of gravity is elsewhere",
+        means="the centre of gravity is not at the stated place",
         remedy="correct l_f and l_r of vehicle.toml",
         looks_like=("tracked_point", "steering_ratio"),
         told_apart_by="the loads of the axles on scales",
@@ -218,10 +218,10 @@ LOADS = (
         scale=0.3, bounds=((-0.9, 0.9),), variants=_EACH, which=_which,
         change=_scales("friction", lambda a, rows: -a * rows.across**2),
         formula="friction (1 - amplitude (a_y / g)^2)",
-        means="the tires of an axle lose grip as the load moves to the outer one",
+        means="the friction of an axle falls as the load moves to the outer tire",
         remedy="model both tires of an axle, with a friction that falls with load",
         looks_like=("sliding_friction", "compliance_steer"),
-        told_apart_by="the same bends at another height of the centre of gravity",
+        told_apart_by="the same bends with another height of the centre of gravity",
     ),
     Effect(
         id="longitudinal_load_transfer", of="vehicle", family="load x acceleration",
@@ -269,9 +269,11 @@ TIRES = (
         bounds=((-0.9, 0.9),), variants=_EACH, which=_which,
         change=_scales("friction", lambda a, rows: a * rows.time),
         formula="friction (1 + amplitude t), t from -1/2 to 1/2 over the logs",
-        means="tires or road change while driving (warmth, wear, dirt)",
+        means="the friction changes while driving (temperature, wear or dirt of tires"
+        " or road)",
         remedy="take logs of one state, or let mu follow the tire's temperature",
-        looks_like=("friction_speed",), told_apart_by="the first lap once more",
+        looks_like=("friction_speed",),
+        told_apart_by="the first lap driven again at the end",
     ),
     Effect(
         id="relaxation_length", of="tire", family="tire in space", scale=0.15,
@@ -281,8 +283,8 @@ TIRES = (
         means="the side forces build up over a distance",
         remedy="give the tires of the simulator a relaxation length",
         looks_like=("steering_delay", "steering_lag", "yaw_inertia"),
-        told_apart_by="steering steps at two speeds: a lag in time stays, one in space"
-        " shrinks with speed",
+        told_apart_by="steering steps at two speeds: a lag in time stays the same, a"
+        " lag over a distance takes less time at the higher speed",
     ),
     Effect(
         id="drive_force", of="vehicle", family="friction x drive force", scale=1.0,
@@ -292,7 +294,7 @@ TIRES = (
         means="the drive or brake force reduces the lateral force",
         remedy="put drive and brake forces on the friction ellipse",
         looks_like=("longitudinal_load_transfer",),
-        told_apart_by="driving and braking alike in bends",
+        told_apart_by="both driving and braking in bends",
     ),
     Effect(
         id="yaw_resistance", of="vehicle", family="yaw moment", scale=0.1,
@@ -313,20 +315,20 @@ GROUND = (
     Effect(
         id="bank", of="vehicle", family="side force", scale=0.02, unit="rad",
         change=_adds("car", "force", lambda a, c, rows: a * rows.weight),
-        formula="force to the left amplitude m g", bounds=((-0.3, 0.3),),
+        formula="force to the left, amplitude m g", bounds=((-0.3, 0.3),),
         means="the road is banked, or a constant force acts to one side",
         remedy="give the bank to the simulator",
         looks_like=("steering_offset", "sideslip_zero"),
-        told_apart_by="the same straight road both ways",
+        told_apart_by="the same straight road in both directions",
     ),
     Effect(
         id="floor_slope", of="vehicle", family="side force x heading", scale=0.02,
         unit="rad", change=_tilt, bounds=((-0.3, 0.3),),
         variants=((1.0, 0.0), (0.0, 1.0), (0.7, 0.7), (0.7, -0.7)), needs=("heading",),
-        formula="force to the left amplitude m g by the heading",
+        formula="force to the left, amplitude m g times a sinusoid of the heading",
         means="the ground slopes: the side force depends on the heading",
         remedy="give the slope to the simulator",
-        told_apart_by="the same lap the other way round",
+        told_apart_by="the same lap in the other direction",
     ),
 )  # fmt: skip
 
@@ -336,7 +338,7 @@ LOG = (
         scale=0.02, unit="rad", bounds=((-0.3, 0.3),),
         change=_adds("reading", "sideslip", lambda a, c, rows: a),
         formula="logged sideslip (heading) - amplitude",
-        means="the speed sensor (the heading) is mounted at an angle",
+        means="the speed sensor (or the zero of the heading) is at an angle to the car",
         remedy="set sideslip_offset (yaw_offset) of vehicle.toml",
         looks_like=("steering_offset", "bank"),
         told_apart_by="a straight road, driven slowly",
