@@ -70,10 +70,14 @@ def run(command):
     return done.stdout
 
 
+LONG = ("rig", "simulator", "vehicle-log")
+"""Pages of the dearest commands, each of which other tests of its own file run."""
+
+
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, id=page.stem, marks=[pytest.mark.long] * (page.stem == "rig"))
+        pytest.param(page, id=page.stem, marks=[pytest.mark.long] * (page.stem in LONG))
         for page in PAGES
     ],
 )
