@@ -88,6 +88,17 @@ def run(tmp_path, monkeypatch):
 
 
 @pytest.fixture
+def unrendered(monkeypatch):
+    """Pictures are put together, but their files hold no more than their kind."""
+
+    def written(picture, target, kind, **how):
+        content = kind.encode()
+        target.write_bytes(content) if isinstance(target, Path) else target.write(content)
+
+    monkeypatch.setattr("tirefit.report.canvas.Picture.write", written)
+
+
+@pytest.fixture
 def no_figures(monkeypatch):
     """Fits write an empty ``fit.png``: figures take half of the time of a command."""
 
