@@ -290,7 +290,7 @@ def test_a_fit_on_a_full_disk_keeps_the_files_written_before(inputs, tmp_path):
     if shutil.which("unshare") is None:
         pytest.skip("no unshare: no file system of our own")
     short = "walkers = 8\nmax_steps = 200\n"
-    (tmp_path / "fit.toml").write_text(FAST + short)
+    (tmp_path / "fit.toml").write_text(FAST.replace("walkers = 16\n", short))
     program = ["unshare", "-rm", sys.executable, "-c", FULL]
     done = subprocess.run(program, capture_output=True, text=True)
     if done.returncode == 77 or "unshare failed" in done.stderr:

@@ -12,7 +12,7 @@ from tirefit.cli.commands import app
 
 STIFFNESS, FZ = 5e4, 4000.0
 # The same static choices in every test, so that one compilation serves them all.
-FAST = "solver = 'gauss-newton'\n[noise]\nfx = 40\n[posterior]\neffective_samples = 500\n"
+FAST = "solver = 'gauss-newton'\n[noise]\nfx = 40\n[posterior]\nwalkers = 16\n"
 
 
 def write(path, mu=1.0, reach=0.2, n=400, seed=1, header="sigma_x,fx,fz", noise=40.0):

@@ -81,7 +81,7 @@ LONG = ("rig", "simulator", "vehicle-log")
         for page in PAGES
     ],
 )
-def test_commands_of_a_page_print_the_shown_output(page, tmp_path, monkeypatch):
+def test_commands_of_a_page_print_the_shown_output(page, unrendered, tmp_path, monkeypatch):
     text = page.read_text(encoding="utf-8")
     large = shutil.ignore_patterns("*.png", "*.ipynb")
     shutil.copytree(ROOT / "fits", tmp_path / "fits", ignore=large)

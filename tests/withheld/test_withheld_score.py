@@ -4,6 +4,7 @@ import json
 import signal
 import sys
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -394,7 +395,10 @@ def test_baselines_compute_only_missing_answers(tmp_path, monkeypatch):
     assert asked[-len(names) :] == names
 
 
-def test_baselines_read_the_written_answers(few, tmp_path):
+def test_baselines_read_the_written_answers(few, tmp_path, monkeypatch):
+    # In this process: those of `--jobs` are compared above.
+    here = ThreadPoolExecutor(1)
+    monkeypatch.setattr(baselines, "ProcessPoolExecutor", lambda *_: here)
     written(tmp_path, [(trial, perfect(trial)) for trial in few[3:5]])
     baselines.main([str(tmp_path)])
     score.main([str(tmp_path)])
