@@ -74,8 +74,9 @@ def remembered(data, **settings):
 
 
 @pytest.fixture(scope="module")
-def studied(tmp_path_factory):
-    """A folder with files diagnosed by one command, and the output of the command."""
+def studied(tmp_path_factory, rendered_only):
+    """A folder with files diagnosed by one command, and the output of the command. Of the
+    pictures only ``load.png`` is rendered."""
     folder = tmp_path_factory.mktemp("diagnosed")
     write(folder / "offset.csv", offset=OFFSET, seed=1, spoiled=(3, 40))
     write(folder / "load.csv", power=POWER, seed=2)
@@ -84,7 +85,7 @@ def studied(tmp_path_factory):
     (folder / "rig.toml").write_text(f"[noise]\nfx = {NOISE}\n")
     files = [str(folder / name) for name in ("offset.csv", "bad.csv", "load.csv", "one.csv")]
     settings = ["--rig", str(folder / "rig.toml"), "--out", str(folder / "out")]
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, rendered_only("load"):
         patch.setattr(engine, "diagnose", remembered)
         words = ["diagnose", *files, *READ, *WITHOUT, *settings, "--figures"]
         return folder, CliRunner().invoke(app, words)
@@ -441,7 +442,7 @@ def test_held_out_data_check_the_closure(again, tmp_path):
     assert len(set(document["settings"]["holdout"])) == 2
 
 
-def test_an_earlier_result_survives_a_failed_write(again, known, tmp_path, monkeypatch):
+def test_an_earlier_result_survives_a_failed_write(again, known, unrendered, tmp_path, monkeypatch):
     before = contents(tmp_path / "out")
 
     def full(result):

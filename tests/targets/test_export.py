@@ -168,11 +168,13 @@ def built(path, folder, single, *flags):
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
-@pytest.mark.parametrize("source", ["brush-dmh", "brush-d-force", "lugre", MF61])
 @pytest.mark.parametrize(
     ("single", "flags"),
     [(False, ()), (True, ("-DTIREFIT_LOOP",))],
     ids=["double", "loop in single precision"],
+)
+@pytest.mark.parametrize(
+    "source", [pytest.param("brush-dmh", marks=pytest.mark.long), "brush-d-force", "lugre", MF61]
 )
 def test_c_export_reproduces_forces_and_slopes(source, single, flags, tmp_path):
     path = tmp_path / "tire.h"

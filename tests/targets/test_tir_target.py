@@ -47,7 +47,7 @@ def missed(one, other):
     return np.max(np.abs(given_by(one) - given_by(other)) / LOAD[:, None])
 
 
-@pytest.mark.parametrize("version", ["52", "61", "62"])
+@pytest.mark.parametrize("version", ["52", pytest.param("61", marks=pytest.mark.long), "62"])
 def test_a_rewritten_file_keeps_its_forces(version, tmp_path):
     source = TIR / f"MagicFormula{version}_Parameters.tir"
     done = tirefit.export(source, "tir", tmp_path / "t.tir")
@@ -144,7 +144,7 @@ def test_unsupported_models_are_refused_and_write_nothing(tmp_path):
     assert brush_of(read_tir(path)) is not None
 
 
-@pytest.mark.parametrize("model", ["mf52", "mf61", "mf62"])
+@pytest.mark.parametrize("model", ["mf52", "mf61", pytest.param("mf62", marks=pytest.mark.long)])
 def test_the_reduced_form_has_the_slopes_and_the_limit_in_every_version(model, tmp_path):
     path, values = tmp_path / "t.tir", {"cpa2": 3e4, "mu": 0.4}
     wheel = {"radius": 0.3}
