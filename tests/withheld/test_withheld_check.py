@@ -242,9 +242,9 @@ def inputs(world, slip_std):
 def plain():
     """Inputs and forces of a plain brush in sweeps, and the same with a ripple."""
     g = np.random.default_rng(8)
-    world = make_world(DESIGNS["G"], 450, C, MU, g)
+    world = make_world(DESIGNS["G"], 240, C, MU, g)
     x = inputs(world, 0.001)
-    noise = library.spread(x, C, MU) * g.normal(size=450)
+    noise = library.spread(x, C, MU) * g.normal(size=240)
     base = library.predict(x, None, 0, C, MU)
     return x, base + noise, 0.05 * MU * world.fz * np.sin(40 * world.slip)
 
@@ -289,7 +289,7 @@ def test_the_forest_learns_and_can_abstain(plain):
     table, classes = [], []
     tilt = 0.05 * MU * x.fz * np.sign(x.slip)
     for _ in range(12):
-        noise = 0.01 * x.fz * g.normal(size=450)
+        noise = 0.01 * x.fz * g.normal(size=len(x.fz))
         for name, gap in (
             ("none", 0),
             ("drive_brake_asymmetry", np.abs(tilt)),

@@ -305,10 +305,10 @@ def as_inputs(world):
 @pytest.fixture(scope="module")
 def strong():
     """Friction that differs between drive and brake, and the message about it."""
-    world = make_world(DESIGNS["F"], 300, 5e4, 0.9, np.random.default_rng(5))
+    world = make_world(DESIGNS["F"], 150, 5e4, 0.9, np.random.default_rng(5))
     x = as_inputs(world)
     truth = library.predict(x, "drive_brake_asymmetry", 0.15, 5e4, 0.9)
-    noise = 0.01 * world.fz * np.random.default_rng(6).normal(size=300)
+    noise = 0.01 * world.fz * np.random.default_rng(6).normal(size=150)
     return x, truth, truth + noise
 
 
