@@ -80,12 +80,13 @@ def test_every_public_name_and_command_is_in_the_reference(site):
 @pytest.mark.parametrize(
     ("text", "faults"),
     [
-        ("[fine](index.md#here)", []),
         (
-            "[nothing](nowhere.md) [no section](index.md#there) [name][tirefit.nought]",
+            "[fine](index.md#here) [nothing](nowhere.md) [no section](index.md#there)"
+            " [name][tirefit.nought]",
             ["'nowhere.md'", "#there'", "'tirefit.nought'"],
         ),
-        ("::: tirefit.nothing", ["tirefit.nothing"]),
+        pytest.param("[fine](index.md#here)", [], marks=pytest.mark.long),
+        pytest.param("::: tirefit.nothing", ["tirefit.nothing"], marks=pytest.mark.long),
     ],
 )
 def test_a_broken_link_or_reference_fails(tmp_path, text, faults):
@@ -229,8 +230,8 @@ BEFORE = re.search(
 """What the page says is run before each example."""
 
 
-LONG = dict.fromkeys(("diagnose_vehicle", "fit_trajectory"), pytest.mark.long)
-"""Examples above 10 s, most of which is compilation."""
+LONG = dict.fromkeys(("brake", "diagnose_vehicle", "fit_trajectory", "replay"), pytest.mark.long)
+"""The dearest examples; other tests run the same programs."""
 
 
 @pytest.mark.parametrize(

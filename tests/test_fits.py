@@ -14,20 +14,9 @@ from fits_support import (
 )
 
 NAMES = [case.name for case in CASES]
-LONG = (
-    "rig_test",
-    "flexible_carcass",
-    "dart_rear_axle",
-    "synthetic_recovery",
-    "braking_stiffness",
-    "friction_lugre_observer",
-    "magic_formula_curve",
-    "diagnosis_measured",
-    "cmu_wheel",
-    "lugre_figure_11",
-)
-"""The dearest cases. Pages of the manual fit and diagnose the same axle; other tests run
-the same models, estimators and simulations."""
+QUICK = ("source_figures", "tire_sensor")
+"""Run with the suite. The others take seconds to minutes: pages of the manual fit and
+diagnose the same axle; other tests run the same models, estimators and simulations."""
 
 
 @pytest.mark.parametrize("case", CASES, ids=NAMES)
@@ -44,7 +33,7 @@ def test_expected_is_well_formed(case):
 @pytest.mark.parametrize(
     "case",
     [
-        pytest.param(case, id=case.name, marks=[pytest.mark.long] * (case.name in LONG))
+        pytest.param(case, id=case.name, marks=[pytest.mark.long] * (case.name not in QUICK))
         for case in CASES
     ],
 )

@@ -24,9 +24,6 @@ DATA = (
     Path("measured_changes", "f1tenth", "vehicle.toml"),
 )
 NAMES = [path.stem for path in NOTEBOOKS]
-QUICKEST = "export_a_tire"
-"""Runs with the suite; the fits and diagnoses of the others are those of cases and
-tutorials, which the suite runs too."""
 
 execute = runpy.run_path(str(ROOT / "fits" / "run_notebooks.py"))["execute"]
 
@@ -88,13 +85,8 @@ def test_committed_notebooks_are_clean(path):
     assert machine is None, content[machine.start() - 40 : machine.end() + 40]
 
 
-@pytest.mark.parametrize(
-    "path",
-    [
-        pytest.param(path, id=path.stem, marks=[pytest.mark.long] * (path.stem != QUICKEST))
-        for path in NOTEBOOKS
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=NAMES)
 def test_notebooks_reproduce_their_stored_output(path, tmp_path):
     place = tmp_path / "fits" / "notebooks" / path.name
     for source, target in (

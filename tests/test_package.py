@@ -1,5 +1,6 @@
 """The wheel contains everything the package needs, and its demo runs with it."""
 
+import csv
 import zipfile
 from pathlib import Path
 
@@ -8,7 +9,6 @@ import pytest
 from hatchling.builders.wheel import WheelBuilder
 from typer.testing import CliRunner
 
-import tirefit
 from tirefit.cli.commands import app
 from tirefit.data.vehicle import load_vehicle
 from tirefit.diagnosis import engine
@@ -53,17 +53,27 @@ def test_samples_are_rows_of_measured_cases(name):
     assert len(rows) > 300 and set(rows) <= set(case)
 
 
-def test_the_sample_of_a_drive_is_what_simulate_gives():
-    columns = tirefit.simulate("drive", duration=10.0).columns
-    path = PACKAGE / "samples" / "drive.csv"
-    names = path.read_text().partition("\n")[0].split(",")
-    rows = np.loadtxt(path, delimiter=",", skiprows=1)
-    np.testing.assert_allclose(rows, np.stack([columns[k] for k in names], 1), atol=6e-4)
+def table_of(path):
+    with path.open() as file:
+        rows = list(csv.DictReader(line for line in file if line[0] != "#"))
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+def test_the_sample_of_a_drive_is_what_simulate_gives(tmp_path):
+    out, truth = tmp_path / "d.csv", tmp_path / "t.csv"
+    words = ["simulate", "drive", "--duration", "10", "--out", str(out), "--truth", str(truth)]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0 and "500 rows" in result.stdout and "omega_rr" in result.stdout
+    columns = table_of(out)
+    for name, values in table_of(PACKAGE / "samples" / "drive.csv").items():
+        np.testing.assert_allclose(values, columns[name], atol=6e-4)
+    assert set(table_of(truth)["mu"]) == {0.9}
     car, ours = load_vehicle(PACKAGE / "samples" / "vehicle.toml"), Car()
     for name in ("mass", "l_f", "l_r", "yaw_inertia"):
         assert getattr(car, name) == getattr(ours, name)
 
 
+@pytest.mark.long
 def test_the_demo_prints_its_commands_and_where_the_results_are(tmp_path, monkeypatch):
     """It tries one effect here; ``docs/tutorials/simulator.md`` has all of them."""
     few = [effect for effect in EFFECTS if effect.id == EFFECT_NAMES[0]]

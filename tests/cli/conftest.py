@@ -87,6 +87,38 @@ def run(tmp_path, monkeypatch):
     return command
 
 
+@pytest.fixture(scope="session")
+def rendered_only():
+    """A context: pictures are put together, but they hold no more than their kind, except
+    in files with this word in their name."""
+
+    @contextmanager
+    def only(word):
+        from tirefit.report.canvas import Picture
+
+        render = Picture.write
+
+        def written(picture, target, kind, **how):
+            if not isinstance(target, Path):
+                target.write(kind.encode())
+            elif word in target.name:
+                render(picture, target, kind, **how)
+            else:
+                target.write_bytes(kind.encode())
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Picture, "write", written)
+            yield
+
+    return only
+
+
+@pytest.fixture
+def unrendered(rendered_only):
+    with rendered_only("no file"):
+        yield
+
+
 @pytest.fixture
 def no_figures(monkeypatch):
     """Fits write an empty ``fit.png``: figures take half of the time of a command."""

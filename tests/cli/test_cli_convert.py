@@ -130,10 +130,13 @@ def test_a_brush_is_recovered_exactly_from_its_tir(run, no_figures, model, force
         np.testing.assert_allclose(estimate["ci95"], value, rtol=1e-4)
     said = " ".join(result.stdout.split())
     assert "the .tir of a brush, cpa2 = 50000, mu = 0.9, whose curve" in said
-    # What was changed since is a Magic Formula like any other.
+
+
+def test_a_changed_tir_of_a_brush_is_converted_like_any_magic_formula(run, no_figures):
+    run("convert", *REDUCED, "--out", "reduced.tir")
     tir = re.sub(r"(PEX1 += )-0.44", r"\g<1>-0.4", Path("reduced.tir").read_text())
     Path("other.tir").write_text(tir)
-    run("convert", "other.tir", *options)
+    run("convert", "other.tir", "--out", "out")
     content = json.loads(Path("out/fit.json").read_text())
     assert "Magic Formula 6.1" in " ".join(content["data"]["assumptions"])
 

@@ -99,7 +99,7 @@ def there(folder):
 
 @pytest.mark.parametrize("name", INTO_FOLDERS)
 def test_full_and_missing_folders_are_named_and_the_report_printed(
-    run, inputs, tmp_path, monkeypatch, name
+    run, unrendered, inputs, tmp_path, monkeypatch, name
 ):
     """A quota while files are written; then a folder that is removed meanwhile."""
 
@@ -153,7 +153,7 @@ def test_a_process_waits_while_another_replaces_its_files(tmp_path):
     assert one.read_text() == two.read_text() == "a"
 
 
-def test_one_full_folder_does_not_stop_the_other_files(run, inputs, tmp_path):
+def test_one_full_folder_does_not_stop_the_other_files(run, unrendered, inputs, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
     (tmp_path / "o" / "rig" / "fit.png").mkdir(parents=True)
     files = ("fit", "rig.csv", "wet.csv", "--config", "fit.toml", "--no-posterior")
@@ -222,7 +222,9 @@ def test_a_read_only_folder_is_reported_before_the_work(run, inputs, read_only, 
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="root writes anyway")
-def test_a_folder_that_becomes_read_only_keeps_its_files(run, inputs, tmp_path, monkeypatch):
+def test_a_folder_that_becomes_read_only_keeps_its_files(
+    run, unrendered, inputs, tmp_path, monkeypatch
+):
     """Like a disk that is remounted read-only while the command runs."""
     run(*INTO_FOLDERS["fit"], "--out", "o")
     before = there(tmp_path / "o")
@@ -288,7 +290,7 @@ def test_a_fit_on_a_full_disk_keeps_the_files_written_before(inputs, tmp_path):
     if shutil.which("unshare") is None:
         pytest.skip("no unshare: no file system of our own")
     short = "walkers = 8\nmax_steps = 200\n"
-    (tmp_path / "fit.toml").write_text(FAST + short)
+    (tmp_path / "fit.toml").write_text(FAST.replace("walkers = 16\n", short))
     program = ["unshare", "-rm", sys.executable, "-c", FULL]
     done = subprocess.run(program, capture_output=True, text=True)
     if done.returncode == 77 or "unshare failed" in done.stderr:
@@ -320,7 +322,7 @@ def test_a_full_standard_output_is_reported(inputs):
     with open("/dev/full", "w") as full:
         said = {"stdout": full, "stderr": subprocess.PIPE, "text": True}
         helped = subprocess.run([*program, "--help"], **said)
-        looked = subprocess.run([*program, "inspect", "rig.csv"], **said)
+        looked = subprocess.run([*program, "inspect", "rig.csv", "--no-gate"], **said)
         silent = subprocess.run([*program, "inspect", "none.csv"], stderr=full)
     assert helped.returncode == looked.returncode == silent.returncode - 1 == 2
     assert helped.stderr == "error: output: No space left on device\n"

@@ -6,9 +6,11 @@ import json
 import os
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_cli_tutorials import undocumented
 from typer.testing import CliRunner
 
 from tirefit.cli.commands import app
@@ -60,9 +62,21 @@ def column(rows, name):
     return np.array([float(row[name] or "nan") for row in rows])
 
 
+DONE = {}
+
+
+def remembered(data, **settings):
+    """The diagnosis of the data with these settings, computed once."""
+    key = (data.name, data["fx"].tobytes(), repr(settings))
+    if key not in DONE:
+        DONE[key] = DIAGNOSE(data, **settings)
+    return DONE[key]
+
+
 @pytest.fixture(scope="module")
-def studied(tmp_path_factory):
-    """A folder with files diagnosed by one command, and the output of the command."""
+def studied(tmp_path_factory, rendered_only):
+    """A folder with files diagnosed by one command, and the output of the command. Of the
+    pictures only ``load.png`` is rendered."""
     folder = tmp_path_factory.mktemp("diagnosed")
     write(folder / "offset.csv", offset=OFFSET, seed=1, spoiled=(3, 40))
     write(folder / "load.csv", power=POWER, seed=2)
@@ -71,8 +85,10 @@ def studied(tmp_path_factory):
     (folder / "rig.toml").write_text(f"[noise]\nfx = {NOISE}\n")
     files = [str(folder / name) for name in ("offset.csv", "bad.csv", "load.csv", "one.csv")]
     settings = ["--rig", str(folder / "rig.toml"), "--out", str(folder / "out")]
-    result = CliRunner().invoke(app, ["diagnose", *files, *READ, *WITHOUT, *settings, "--figures"])
-    return folder, result
+    with pytest.MonkeyPatch.context() as patch, rendered_only("load"):
+        patch.setattr(engine, "diagnose", remembered)
+        words = ["diagnose", *files, *READ, *WITHOUT, *settings, "--figures"]
+        return folder, CliRunner().invoke(app, words)
 
 
 @pytest.fixture
@@ -102,21 +118,11 @@ def calls(monkeypatch):
     return names
 
 
-@pytest.fixture(scope="module")
-def found():
-    """The diagnosis of ``load.csv``, once there is one."""
-    return []
-
-
 @pytest.fixture
-def known(monkeypatch, found):
-    """From now on a diagnosis is that of ``load.csv``, computed once."""
-
-    def study(data, **settings):
-        found.extend([] if found else [DIAGNOSE(data, **settings)])
-        return found[0]
-
-    monkeypatch.setattr(engine, "diagnose", study)
+def known(studied, monkeypatch):
+    """From now on a diagnosis is that of ``load.csv`` with another seed."""
+    (found,) = (result for (name, *_), result in DONE.items() if name == "load")
+    monkeypatch.setattr(engine, "diagnose", lambda data, **how: replace(found, seed=how["seed"]))
 
 
 def contents(folder):
@@ -134,9 +140,12 @@ def test_one_bad_file_does_not_stop_the_others(studied):
     assert set(contents(folder / "out")) == names
 
 
-def test_several_workers_give_the_result_of_one_process(studied, again, workers_here, tmp_path):
+def test_several_workers_give_the_result_of_one_process(
+    studied, again, workers_here, unrendered, tmp_path, monkeypatch
+):
     """Files, words, order and exit code; and they know what is done. Beside the files
     stand the table of all results and its page."""
+    monkeypatch.setattr(engine, "diagnose", remembered)
     files = [studied[0] / f"{name}.csv" for name in ("bad", "one")]
     shutil.rmtree(tmp_path / "out")
     alone = again(*files, "--figures", exit_code=3)
@@ -178,6 +187,7 @@ def test_the_summary_gives_a_remedy(studied):
 def test_the_document_satisfies_the_schema(studied):
     text = (studied[0] / "out" / "offset.json").read_text("utf-8")
     document = json.loads(text)
+    assert undocumented(studied[0] / "out" / "offset.json") == []
     assert "NaN" not in text and "Infinity" not in text
     assert document["schema"] == "tirefit.diagnosis/3"
     assert {
@@ -397,7 +407,7 @@ def test_resume_repeats_a_case_with_a_corrupt_document(again, calls, tmp_path, t
     assert calls == ["load"]
 
 
-def test_a_case_repeated_without_figures_has_none(again, tmp_path):
+def test_a_case_repeated_without_figures_has_none(again, known, tmp_path):
     again("offset.csv", "--seed", "1")
     kinds = {name for name in contents(tmp_path / "out") if name.startswith("offset")}
     assert kinds == {"offset.json", "offset.rows.csv"}
@@ -432,7 +442,7 @@ def test_held_out_data_check_the_closure(again, tmp_path):
     assert len(set(document["settings"]["holdout"])) == 2
 
 
-def test_an_earlier_result_survives_a_failed_write(again, known, tmp_path, monkeypatch):
+def test_an_earlier_result_survives_a_failed_write(again, known, unrendered, tmp_path, monkeypatch):
     before = contents(tmp_path / "out")
 
     def full(result):

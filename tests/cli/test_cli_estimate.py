@@ -3,11 +3,15 @@
 import csv
 import io
 import json
+import shutil
+from contextlib import chdir
+from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import tirefit
 from tirefit.cli.commands import app
 from tirefit.online.methods import METHODS
 
@@ -21,23 +25,32 @@ def rows_of(text):
     return list(csv.DictReader(io.StringIO(text)))
 
 
+@pytest.fixture(scope="module")
+def estimated(tmp_path_factory):
+    """A folder with a simulated log, the truth and the estimates from it."""
+    folder = tmp_path_factory.mktemp("estimated")
+    of_log = (*LOG, "--truth", "truth.csv", "--drop", "4=0.5")
+    with chdir(folder):
+        made = CliRunner().invoke(app, of_log)
+        done = CliRunner().invoke(app, ["estimate", "log.csv", "--method", NAMES, "--out", "out"])
+    assert "800 rows" in made.stdout and "seed 3" in made.stdout
+    assert done.exit_code == 0 and "ONLINE ESTIMATES" in done.stdout
+    return folder
+
+
 @pytest.fixture
-def log(run, tmp_path):
-    said = run(*LOG, "--truth", "truth.csv", "--drop", "4=0.5").stdout
-    assert "800 rows" in said and "seed 3" in said
-    return tmp_path / "log.csv"
+def log(estimated, tmp_path):
+    return Path(shutil.copy(estimated / "log.csv", tmp_path))
 
 
-def test_estimates_of_a_simulated_log_are_right(run, tmp_path, log):
-    said = run("estimate", log, "--method", NAMES, "--out", "out").stdout
-    assert "ONLINE ESTIMATES" in said
-    rows = rows_of((tmp_path / "out" / "estimates.csv").read_text())
+def test_estimates_of_a_simulated_log_are_right(estimated):
+    rows = rows_of((estimated / "out" / "estimates.csv").read_text())
     assert len(rows) == 800
     assert list(rows[0]) == [
         "time", "rls_mu", "rls_mu_std", "rls_cpa2", "rls_cpa2_std", "rls_flag",
         "ekf_mu", "ekf_mu_std", "ekf_cpa2", "ekf_cpa2_std", "ekf_flag",
     ]  # fmt: skip
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    summary = json.loads((estimated / "out" / "summary.json").read_text())
     assert summary["schema"] == "tirefit.estimate/1"
     ekf = summary["methods"]["ekf"]
     assert ekf["model"] == "brush"
@@ -49,19 +62,18 @@ def test_estimates_of_a_simulated_log_are_right(run, tmp_path, log):
     assert 4 < change["time"] < 6 and change["after"] < 0.55 < change["before"]
     flagged = sum(row["ekf_flag"] != "" for row in rows)
     assert flagged == sum(ekf["flags"].values()) > 0
-    assert (tmp_path / "out" / "estimates.png").read_bytes().startswith(b"\x89PNG")
-    truth = rows_of((tmp_path / "truth.csv").read_text())
+    assert (estimated / "out" / "estimates.png").read_bytes().startswith(b"\x89PNG")
+    truth = rows_of((estimated / "truth.csv").read_text())
     assert {row["mu"] for row in truth} == {"0.98", "0.5"}
 
 
-def test_a_stream_gives_the_rows_of_the_file(run, tmp_path, log):
-    run("estimate", log, "--method", NAMES, "--out", "out")
-    lines = log.read_text().splitlines(keepends=True)[:200]
+def test_a_stream_gives_the_rows_of_the_file(estimated):
+    lines = (estimated / "log.csv").read_text().splitlines(keepends=True)[:200]
     text = "".join(lines)
     result = CliRunner().invoke(app, ["estimate", "-", "--follow", "--method", NAMES], input=text)
     assert result.exit_code == 0, result.stderr
     streamed = rows_of(result.stdout)
-    whole = rows_of((tmp_path / "out" / "estimates.csv").read_text())[:199]
+    whole = rows_of((estimated / "out" / "estimates.csv").read_text())[:199]
     assert [r["rls_flag"] for r in streamed] == [r["rls_flag"] for r in whole]
     for key in ("time", "rls_mu", "ekf_cpa2_std"):
         one, other = ([float(r[key]) for r in rows] for rows in (streamed, whole))
@@ -132,6 +144,7 @@ def test_simulate_writes_rig_sweeps_and_reports_wrong_options(run, tmp_path):
         (("rig", "--points", "1000000000"), "number of rows 1e+09 is out"),
         (("rig", "--force-std", "inf"), "0 to 1"),
         (("drive", "--rate", "1e9"), "number of rows 3e+10 is out"),
+        (("drive", "--bend", "2"), "bend 2 is out of range"),
         (("rig", "--truth", "t.xlsx"), "t.xlsx: the output is a CSV"),
     ):
         result = run("simulate", *arguments, "--out", "x.csv", exit_code=2)
@@ -195,6 +208,7 @@ def test_a_lugre_wheel_is_simulated_and_observed(run, tmp_path):
     run("estimate", "l.csv", *arguments)  # a setting of the tire within the method
 
 
+@pytest.mark.long
 def test_a_drive_is_simulated_read_and_estimated(run, tmp_path):
     options = ("--duration", "6", "--bend", "0.5", "--seed", "2")
     said = run("simulate", "drive", "--out", "d.csv", "--truth", "t.csv", *options)
@@ -210,11 +224,13 @@ def test_a_drive_is_simulated_read_and_estimated(run, tmp_path):
     assert summary["units"]["tlc"] == "s"
     truth = rows_of((tmp_path / "t.csv").read_text())
     assert {row["mu"] for row in truth} == {"0.9"}
-    # The message names the inputs of the method, not those of a fit.
-    result = run("estimate", "d.csv", "--out", "p", exit_code=3)
+
+
+def test_missing_inputs_of_a_method_are_named(run):
+    """Those of the method, not those of a fit."""
+    sample = Path(tirefit.__file__).parent / "samples" / "drive.csv"
+    result = run("estimate", sample, "--out", "p", exit_code=3)
     assert "method 'rls' needs sigma_x" in result.stderr
-    result = run("simulate", "drive", "--bend", "2", "--out", "e.csv", exit_code=2)
-    assert "bend 2 is out of range" in result.stderr
 
 
 def test_a_log_with_time_backwards_is_refused(run, log):

@@ -12,7 +12,7 @@ from tirefit.cli.commands import app
 
 STIFFNESS, FZ = 5e4, 4000.0
 # The same static choices in every test, so that one compilation serves them all.
-FAST = "solver = 'gauss-newton'\n[noise]\nfx = 40\n[posterior]\neffective_samples = 500\n"
+FAST = "solver = 'gauss-newton'\n[noise]\nfx = 40\n[posterior]\nwalkers = 16\n"
 
 
 def write(path, mu=1.0, reach=0.2, n=400, seed=1, header="sigma_x,fx,fz", noise=40.0):
@@ -58,7 +58,9 @@ def whole(tmp_path_factory):
 def short(tmp_path_factory):
     """A folder with a fit whose chain is too short, and the output of its command."""
     folder = tmp_path_factory.mktemp("short")
-    return folder, sampled(folder, FAST + "max_steps = 100\n", 4)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tirefit.report.draw.save_figures", lambda *_, **__: [])
+        return folder, sampled(folder, FAST + "max_steps = 100\n", 4)
 
 
 def test_fit_of_one_file_writes_its_posterior(whole):
@@ -78,7 +80,7 @@ def test_fit_of_one_file_writes_its_posterior(whole):
     assert len(result.stdout.splitlines()) <= 45 and "covariance" not in result.stdout
 
 
-def test_out_names_the_directory_and_svg_doubles_the_figures(run, rig, tmp_path):
+def test_out_names_the_directory_and_svg_doubles_the_figures(run, unrendered, rig, tmp_path):
     run("fit", rig, "--config", "fit.toml", "--no-posterior", "--out", "a/b", "--svg")
     found = tmp_path / "a" / "b"
     names = {path.name for path in found.iterdir()}
@@ -110,7 +112,7 @@ def test_several_files_get_directories_named_after_them(run, no_figures, rig, tm
     assert (tmp_path / "wet" / "fit.json").exists()
 
 
-def test_one_bad_file_does_not_stop_the_others(run, rig, tmp_path):
+def test_one_bad_file_does_not_stop_the_others(run, unrendered, rig, tmp_path):
     (tmp_path / "bad.csv").write_text("sigma_x,fx,fz\n0.1,oops,4000\n")
     result = run(
         "fit", "bad.csv", rig, "--config", "fit.toml", "--no-posterior", "--html", exit_code=3
@@ -238,7 +240,7 @@ def test_resume_of_another_fit_gives_exit_code_2(run, short, tmp_path):
     assert "another fit" in result.stderr
 
 
-def test_joint_fit_shares_the_tire_but_not_the_friction(run, rig, tmp_path):
+def test_joint_fit_shares_the_tire_but_not_the_friction(run, unrendered, rig, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
     (tmp_path / "joint.toml").write_text(FAST + "[parameters.mu]\nper_run = true\n")
     run(
@@ -261,7 +263,7 @@ def test_joint_fit_shares_the_tire_but_not_the_friction(run, rig, tmp_path):
     assert not (tmp_path / "rig").exists()
 
 
-def test_html_writes_a_page_of_the_fit(run, rig, tmp_path):
+def test_html_writes_a_page_of_the_fit(run, unrendered, rig, tmp_path):
     quick = ("fit", rig, "--config", "quick.toml", "--no-posterior", "--out", "out")
     (tmp_path / "quick.toml").write_text(FAST)
     result = run(*quick, "--html")
@@ -293,7 +295,9 @@ def test_force_option_selects_the_lateral_force(run, no_figures, tmp_path):
     assert content(tmp_path / "both")["forces"] == ["fy"]
 
 
-def test_least_squares_results_are_written_before_the_posterior(run, rig, tmp_path, monkeypatch):
+def test_least_squares_results_are_written_before_the_posterior(
+    run, unrendered, rig, tmp_path, monkeypatch
+):
     """Even if the sampling process is killed."""
     from tirefit.fitting import posterior
 

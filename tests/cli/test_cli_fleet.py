@@ -11,6 +11,7 @@ from itertools import islice
 from pathlib import Path
 
 import pytest
+from pieces import doubled, fatal, held, left_waiting
 from test_cli_fit import FAST, write
 
 from tirefit.cli import fleet
@@ -19,30 +20,6 @@ from tirefit.data.records import ResultsTable
 from tirefit.results import UsageError
 
 NAMES = tuple("abc")
-
-
-def doubled(number):
-    return 2 * number, os.getpid()
-
-
-def fatal(worker_of, number):
-    """Piece 3 kills every worker that takes it; piece 5 only the first one."""
-    if number == 3 or (number == 5 and not (worker_of / "5").exists()):
-        (worker_of / str(number)).touch()
-        os._exit(7)
-    return number
-
-
-def held(folder, number):
-    """Piece 0 is done at once; the others run until they are released."""
-    (folder / f"begun{number}").touch()
-    while number and not (folder / "go").exists():
-        time.sleep(0.01)
-    return number
-
-
-def left_waiting(dask_worker):
-    return len(dask_worker.state.ready)
 
 
 def test_every_piece_runs_once_in_the_requested_number_of_processes(two):
@@ -106,25 +83,32 @@ def results(folder):
     }
 
 
-def test_workers_and_a_bad_file_change_no_other_result(run, files, two, tmp_path):
-    files, scheduler = [files[0], files[3], files[1]], two.scheduler.address
+def same_results(run, files, tmp_path, *workers):
+    """Asserts that these workers give the results of the plain loop, of a bad file too."""
+    files = [files[3], files[0]]
     alone = run("fit", *files, *HOW, "--out", "one", exit_code=3)
-    shared = run("fit", *files, *HOW, "--out", "two", "--scheduler", scheduler, exit_code=3)
+    shared = run("fit", *files, *HOW, "--out", "two", *workers, exit_code=3)
     expected = results(tmp_path / "one")
-    assert {path.parts[0] for path in expected} == {"a", "b"}
+    assert {path.parts[0] for path in expected} == {"a"}
     assert results(tmp_path / "two") == expected
     said = [line for line in shared.stdout.splitlines() if not line.startswith("all res")]
     assert said == alone.stdout.replace("one/", "two/").splitlines()
     assert "bad.csv" in shared.stderr and "remedy" in shared.stderr
     table = ResultsTable(tmp_path / "two" / "results.parquet")
     friction = table.of("parameter", "mu")
-    assert friction["number"].tolist() == [1, 3]
-    stored = [
-        json.loads((tmp_path / "one" / name / "fit.json").read_text())["parameters"]
-        for name in ("a", "b")
-    ]
-    assert friction["value"].tolist() == [one["mu"]["value"] for one in stored]
-    assert table.files()["status"] == ["ok", "failed", "ok"]
+    assert friction["number"].tolist() == [2]
+    stored = json.loads((tmp_path / "one" / "a" / "fit.json").read_text())["parameters"]
+    assert friction["value"].tolist() == [stored["mu"]["value"]]
+    assert table.files()["status"] == ["failed", "ok"]
+
+
+def test_jobs_and_a_bad_file_change_no_other_result(run, files, workers_here, no_figures, tmp_path):
+    same_results(run, files, tmp_path, "--jobs", "2")
+
+
+@pytest.mark.long
+def test_workers_and_a_bad_file_change_no_other_result(run, files, two, tmp_path):
+    same_results(run, files, tmp_path, "--scheduler", two.scheduler.address)
 
 
 @pytest.fixture

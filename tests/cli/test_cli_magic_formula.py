@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_cli_damage import cache_of_one
 from test_cli_tutorials import undocumented
 
 from tirefit.data.tir import read_tir
+from tirefit.fitting.mf import fit as mf_fit
 from tirefit.fitting.tir import own_tire
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
@@ -33,13 +35,13 @@ def sweeps(tmp_path_factory):
     return path
 
 
-def test_a_fit_writes_a_tir_that_predicts(run, sweeps, monkeypatch):
+def test_a_fit_writes_a_tir_that_predicts(run, unrendered, sweeps, monkeypatch):
+    monkeypatch.setattr(mf_fit, "fit_magic_formula", cache_of_one(mf_fit.fit_magic_formula))
     command = ("fit", sweeps, "--model", "mf61", "--part", "fx", "--out", "out")
     said = run(*command).stdout
     assert "VERDICT: converged" in said and "GUARDS" in said
     assert "camber squared" not in said and len(said.splitlines()) <= 45
     assert {"fx.png", "residuals.png"} <= {path.name for path in Path("out").iterdir()}
-    monkeypatch.setattr("tirefit.report.mf_draw.save_pictures", lambda *_: [])
     said = run(*command, "--full").stdout
     assert "camber squared" in said and "held" in said
     written = read_tir("out/fit.tir")

@@ -55,7 +55,7 @@ def test_the_report_of_one_file_has_all_notes(run, sweeps):
     assert done.stderr == ""
 
 
-def test_each_page_has_its_notes_and_the_summary_page_counts_them(run, sweeps):
+def test_each_page_has_its_notes_and_the_summary_page_counts_them(run, unrendered, sweeps):
     run("fit", *sweeps[:2], "--no-posterior", "--html", "--out", "o")
     text = Path("o/fits.html").read_text()
     assert text.count("columns not read") == 1

@@ -71,7 +71,7 @@ def test_a_prepared_recording_can_be_fitted(run, recording, tmp_path):
     assert record["rows"]["kept"] == len(data)
 
 
-def test_workers_give_the_result_of_one_process(run, recording, workers_here, tmp_path):
+def test_workers_give_the_result_of_one_process(run, unrendered, recording, workers_here, tmp_path):
     path, _, _ = recording
     (tmp_path / "no.csv").write_text("a,b\n1,2\n")
     files = (path, "no.csv")
@@ -86,7 +86,7 @@ def test_workers_give_the_result_of_one_process(run, recording, workers_here, tm
     assert said[:-1] == alone.stdout.splitlines() and "no.csv" in shared.stderr
 
 
-def test_the_stored_settings_reproduce_the_result(run, recording, tmp_path):
+def test_the_stored_settings_reproduce_the_result(run, unrendered, recording, tmp_path):
     path, _, _ = recording
     copy = tmp_path / "run7.dat"
     copy.write_bytes(path.read_bytes())
@@ -106,7 +106,7 @@ def test_the_stored_settings_reproduce_the_result(run, recording, tmp_path):
     assert other["config"]["bandwidth"] == 6.0
 
 
-def test_settings_come_from_the_configuration(run, recording, tmp_path):
+def test_settings_come_from_the_configuration(run, unrendered, recording, tmp_path):
     path, _, _ = recording
     (tmp_path / "fit.toml").write_text("[prepare]\nfilter = false\nkeep = ['cold']\n")
     run("prepare", path, "--config", "fit.toml", "--out", "out")
@@ -119,7 +119,7 @@ def test_settings_come_from_the_configuration(run, recording, tmp_path):
     assert "did you mean 'bandwidth'?" in said.stderr
 
 
-def test_one_bad_file_does_not_stop_the_others(run, recording, tmp_path):
+def test_one_bad_file_does_not_stop_the_others(run, unrendered, recording, tmp_path):
     path, _, _ = recording
     (tmp_path / "no.csv").write_text("time,fz\n0,1000\n1,1000\n2,1000\n")
     said = run("prepare", "no.csv", path, "--out", "out", exit_code=3)

@@ -210,7 +210,7 @@ def test_missing_combined_slip_coefficients_are_reported_and_replaced(run):
     np.testing.assert_allclose(alone["fy"][1], similar["fy"][1], atol=1e-3)
     assert (np.hypot(alone["fx"], alone["fy"])[2:] > 1.15 * size[2:]).all()
     # Rows of one slip do not depend on it, and a whole file says nothing.
-    Path("points.csv").write_text("kappa,alpha,fz\n-0.1,0,4000\n")
+    Path("points.csv").write_text("kappa,alpha,fz\n" + 4 * "-0.1,0,4000\n")
     assert "slips" not in run("predict", "plain.tir", "points.csv", *ISO).stderr
     points_of(MF61)
     assert "slips" not in run("predict", MF61, "points.csv", *ISO).stderr

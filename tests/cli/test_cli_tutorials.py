@@ -70,14 +70,18 @@ def run(command):
     return done.stdout
 
 
+LONG = ("rig", "simulator", "vehicle-log")
+"""Pages of the dearest commands, each of which other tests of its own file run."""
+
+
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, id=page.stem, marks=[pytest.mark.long] * (page.stem == "rig"))
+        pytest.param(page, id=page.stem, marks=[pytest.mark.long] * (page.stem in LONG))
         for page in PAGES
     ],
 )
-def test_commands_of_a_page_print_the_shown_output(page, tmp_path, monkeypatch):
+def test_commands_of_a_page_print_the_shown_output(page, unrendered, tmp_path, monkeypatch):
     text = page.read_text(encoding="utf-8")
     large = shutil.ignore_patterns("*.png", "*.ipynb")
     shutil.copytree(ROOT / "fits", tmp_path / "fits", ignore=large)

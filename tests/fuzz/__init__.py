@@ -14,6 +14,7 @@ import traceback
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -86,6 +87,11 @@ def _peak() -> float:
     return 0.0
 
 
+@cache
+def _sound(kind: Kind) -> list[bytes]:
+    return kind.sound()
+
+
 def failures(inputs: int, seed: int, kinds=tuple(KINDS), whole: float = 0.0) -> Iterator[Failure]:
     """Every damaged input that failed; kinds take turns.
 
@@ -100,7 +106,7 @@ def failures(inputs: int, seed: int, kinds=tuple(KINDS), whole: float = 0.0) -> 
             if whole and random.random() < whole:
                 name = list(COMMANDS)[int(random.integers(len(COMMANDS)))]
             kind = COMMANDS.get(name) or KINDS[name]
-            sound = kind.sound()
+            sound = _sound(kind)
             one = sound[int(random.integers(len(sound)))]
             forged = kind.suffix == ".json" and random.random() < 0.5
             content = (changed_record if forged else damaged)(one, random)

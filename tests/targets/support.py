@@ -21,7 +21,7 @@ SLIPS = np.linspace(-0.2, 0.2, 401)
 
 def grids():
     """ISO-W kappa, alpha (n,) by kind of slip, finer than those of the export."""
-    zero, some = np.zeros_like(SLIPS), np.linspace(-0.2, 0.2, 61)
+    zero, some = np.zeros_like(SLIPS), np.linspace(-0.2, 0.2, 41)
     both = [one.ravel() for one in np.meshgrid(some, some)]
     return {"fx": (SLIPS, zero), "fy": (zero, SLIPS), "both": both}
 

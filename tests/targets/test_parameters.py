@@ -46,7 +46,9 @@ def std_forces(formulas, p, kappa, alpha, load=LOAD):
     return np.array(found).T / load
 
 
-@pytest.mark.parametrize("source", ["brush", "lugre", "magic-formula-combined"])
+@pytest.mark.parametrize(
+    "source", ["brush", pytest.param("lugre", marks=pytest.mark.long), "magic-formula-combined"]
+)
 def test_commonroad_reproduces_the_forces_within_the_stated_error(source, tmp_path):
     pytest.importorskip("vehiclemodels")
     from vehiclemodels.utils import tire_model
@@ -94,6 +96,7 @@ def test_a_magic_formula_of_commonroad_is_recovered_exactly(tmp_path):
         assert getattr(found, f"r_{name}") == pytest.approx(getattr(truth, f"r_{name}"))
     for load in (2500.0, 6000.0):
         for at in grids().values():
+            at = [slip[::4] for slip in at]
             got = std_forces(tire_model, found, *at, load)
             assert np.max(np.abs(got - own(tire, *at, load))) < 1e-9
 

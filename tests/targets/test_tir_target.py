@@ -47,7 +47,7 @@ def missed(one, other):
     return np.max(np.abs(given_by(one) - given_by(other)) / LOAD[:, None])
 
 
-@pytest.mark.parametrize("version", ["52", "61", "62"])
+@pytest.mark.parametrize("version", ["52", pytest.param("61", marks=pytest.mark.long), "62"])
 def test_a_rewritten_file_keeps_its_forces(version, tmp_path):
     source = TIR / f"MagicFormula{version}_Parameters.tir"
     done = tirefit.export(source, "tir", tmp_path / "t.tir")
@@ -63,14 +63,22 @@ def test_given_values_are_in_the_file(tmp_path):
     assert read_tir(path).numbers["PDX1"] == 0.5
 
 
-def test_a_fitted_magic_formula_keeps_errors_and_range(tmp_path):
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    """A Magic Formula fitted to F_y, and the file of the fit."""
     angle, load = (np.tile(np.linspace(-0.2, 0.2, 41), 2), np.repeat([3000.0, 6000.0], 41))
     source = own_tire(read_tir(TIR / "MagicFormula61_Parameters.tir"))
     force = np.asarray(forces(source, TireInputs(0.0, angle, load)).fy)
     force = force + 20 * np.random.default_rng(1).standard_normal(82)
     fit = tirefit.fit_magic_formula({"alpha": angle, "fz": load, "fy": force}, "mf61")
-    save_magic_formula(fit, tmp_path)
-    for given in (fit, tmp_path / "fit.json"):
+    folder = tmp_path_factory.mktemp("fit")
+    save_magic_formula(fit, folder)
+    return fit, folder / "fit.json"
+
+
+def test_a_fitted_magic_formula_keeps_errors_and_range(fitted, tmp_path):
+    fit = fitted[0]
+    for given in fitted:
         done = tirefit.export(given, "tir", tmp_path / "t.tir")
         read = read_tir(done.path)
         assert missed(own_tire(read), fit.tire) < 1e-9
@@ -78,6 +86,20 @@ def test_a_fitted_magic_formula_keeps_errors_and_range(tmp_path):
         std = fit.coefficients["PDY1"].std
         assert float(line.split("+-")[1]) == pytest.approx(std, rel=0.01)
         assert read.numbers["FZMAX"] == 6000 and read.numbers["ALPMIN"] == -0.2
+
+
+def test_a_fitted_magic_formula_is_exported_as_source_code(fitted, tmp_path):
+    fit = fitted[0]
+    wanted = given_by(fit.tire)[:, 1]
+    for given in fitted:
+        done = tirefit.export(given, "numpy", tmp_path / "tire.py")
+        exec(done.path.read_text(), code := {})
+        found = dict(zip(("fx", "fy"), code["tire"](KAPPA, ALPHA, LOAD), strict=False))
+        assert np.max(np.abs(found["fy"] - wanted) / LOAD) < 1e-9
+        assert any("fx was not fitted" in note for note in done.notes)
+        std = fit.coefficients["PDY1"].std
+        line = next(x for x in done.path.read_text().splitlines() if "PDY1 =" in x)
+        assert float(line.split("+-")[1].split()[0]) == pytest.approx(std, rel=0.06)
 
 
 def test_a_brush_is_reduced_with_reported_losses(tmp_path):
@@ -122,7 +144,7 @@ def test_unsupported_models_are_refused_and_write_nothing(tmp_path):
     assert brush_of(read_tir(path)) is not None
 
 
-@pytest.mark.parametrize("model", ["mf52", "mf61", "mf62"])
+@pytest.mark.parametrize("model", ["mf52", "mf61", pytest.param("mf62", marks=pytest.mark.long)])
 def test_the_reduced_form_has_the_slopes_and_the_limit_in_every_version(model, tmp_path):
     path, values = tmp_path / "t.tir", {"cpa2": 3e4, "mu": 0.4}
     wheel = {"radius": 0.3}

@@ -242,9 +242,9 @@ def inputs(world, slip_std):
 def plain():
     """Inputs and forces of a plain brush in sweeps, and the same with a ripple."""
     g = np.random.default_rng(8)
-    world = make_world(DESIGNS["G"], 450, C, MU, g)
+    world = make_world(DESIGNS["G"], 240, C, MU, g)
     x = inputs(world, 0.001)
-    noise = library.spread(x, C, MU) * g.normal(size=450)
+    noise = library.spread(x, C, MU) * g.normal(size=240)
     base = library.predict(x, None, 0, C, MU)
     return x, base + noise, 0.05 * MU * world.fz * np.sin(40 * world.slip)
 
@@ -289,7 +289,7 @@ def test_the_forest_learns_and_can_abstain(plain):
     table, classes = [], []
     tilt = 0.05 * MU * x.fz * np.sign(x.slip)
     for _ in range(12):
-        noise = 0.01 * x.fz * g.normal(size=450)
+        noise = 0.01 * x.fz * g.normal(size=len(x.fz))
         for name, gap in (
             ("none", 0),
             ("drive_brake_asymmetry", np.abs(tilt)),
@@ -342,12 +342,12 @@ def test_the_ideal_observer_knows_number_and_form_of_the_effects():
     """Load friction by a square of the logarithm, not a textbook form, alone and with a
     force offset, in noise; and no effect."""
     g = np.random.default_rng(11)
-    world = make_world(DESIGNS["F"], 200, C, MU, g)
+    world = make_world(DESIGNS["F"], 100, C, MU, g)
     kept = ("load_friction", "force_offset", "slip_offset")
     x = inputs(world, 0.001).without([e for e in trials.EFFECTS if e not in kept])
     friction = ("load_friction", "friction_log_square", -0.15, 0.5)
     zero = ("force_offset", "force_zero", trials.EFFECTS["force_offset"].typical, 0.5)
-    noise = library.spread(x, C, MU) * g.normal(size=200)
+    noise = library.spread(x, C, MU) * g.normal(size=100)
 
     def named(*parts):
         truth = library.predict_together(x, parts, C, MU)
@@ -409,13 +409,13 @@ def test_the_known_effect_gives_the_closure_of_an_answer(tmp_path):
     """A base with an error of a tenth of the true force and an extended form with 3 %
     close 0.7 of the gap; 0.5 was claimed."""
     g = np.random.default_rng(14)
-    world = make_world(DESIGNS["F"], 200, C, MU, g)
+    world = make_world(DESIGNS["F"], 100, C, MU, g)
     x, about = inputs(world, 0.001), trials.EFFECTS["force_offset"]
     size = about.typical * (about.sign or 1)
     true = library.predict(x, "force_offset", size, C, MU)
     columns = {"time": world.time, "sigma_x": x.slip, "fz": world.fz, "v": world.v}
-    measured = {"fx": true + 0.01 * world.fz * g.normal(size=200)}
-    of_answer = {"masked": np.zeros(200), "base_fx": 0.9 * true, "extended_fx": 0.97 * true}
+    measured = {"fx": true + 0.01 * world.fz * g.normal(size=100)}
+    of_answer = {"masked": np.zeros(100), "base_fx": 0.9 * true, "extended_fx": 0.97 * true}
     for folder, name in (("trials", "a.csv"), ("answers", "a.rows.csv")):
         (tmp_path / folder).mkdir()
         written = columns | measured if folder == "trials" else of_answer

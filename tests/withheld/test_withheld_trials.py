@@ -257,7 +257,7 @@ def test_lugre_agrees_with_the_sum_of_its_bristles():
 
 def test_no_unlisted_effect_is_a_temporary_road_change():
     g = np.random.default_rng(0)
-    said = {procedural(sweep(), 0.01, g).split(", ")[0] for _ in range(1500)}
+    said = {procedural(sweep(51), 0.01, g).split(", ")[0] for _ in range(1500)}
     shapes = {"friction by kinked", "friction by periodic"}
     for quantity in ("time", "distance"):
         of = {kind for kind in said if kind.endswith(f" of {quantity}")}

@@ -79,6 +79,8 @@ def _checked(log, out, follow, setting) -> dict[str, float]:
         problems.append(InputProblem(reason, "give - and rows on standard input"))
     if log == "-" and not follow:
         problems.append(InputProblem("- without --follow", "add --follow"))
+    if follow and sys.stdin is None:
+        problems.append(InputProblem("standard input is closed", "give rows on it, or a file"))
     if follow and out is not None:
         reason = "--follow with --out"
         problems.append(InputProblem(reason, "its rows go to standard output"))
@@ -127,8 +129,6 @@ def _follow(names, chosen, how) -> None:
     from tirefit.online.estimate import Streams
 
     how = {key: value for key, value in how.items() if key != "mask_bad_rows"}
-    if sys.stdin is None:
-        raise UsageError("standard input is closed", "give rows on it, or a file")
     # A row with bytes that are not text is flagged, and reading continues.
     sys.stdin.reconfigure(errors="replace")  # type: ignore[union-attr]
     rows = RowReader(sys.stdin, **how)

@@ -106,19 +106,18 @@ def _grid(tire: MFTire, ranges, within: bool) -> _Grid:
     alpha = np.concatenate([-_ALPHA[::-1], _ALPHA])
     if within:
         kappa, alpha = (_within(kappa, ranges["kappa"]), _within(alpha, ranges["alpha"]))
-    at = fz, gamma, pressure
-    pure = {
-        "fx": _evaluated(tire, *at, kappa, 0 * kappa)["fx"],
-        "fy": _evaluated(tire, *at, 0 * alpha, alpha)["fy"],
-    }
     # Every second slip, from the ones at which a force is clear of shifts.
     one, other = (
         np.array([slip for slip in slips if abs(slip) in steps[1:8:2]])
         for slips, steps in ((kappa, _KAPPA), (alpha, _ALPHA))
     )
-    one, other = np.meshgrid(one, other)
-    both = _evaluated(tire, *at, one.ravel(), other.ravel())
-    signs = {"fx": np.sign(one.ravel()), "fy": np.sign(other.ravel())}
+    one, other = (slips.ravel() for slips in np.meshgrid(one, other))
+    along, across = np.r_[kappa, 0 * alpha, one], np.r_[0 * kappa, alpha, other]
+    found = _evaluated(tire, fz, gamma, pressure, along, across)
+    cuts = np.cumsum([len(kappa), len(alpha)])
+    (fx, _, fx_both), (_, fy, fy_both) = (np.split(found[k], cuts, axis=1) for k in ("fx", "fy"))
+    pure, both = {"fx": fx, "fy": fy}, {"fx": fx_both, "fy": fy_both}
+    signs = {"fx": np.sign(one), "fy": np.sign(other)}
     inside = fz <= ranges["fz"][1] * (1 + 1e-9)
     slips = {"fx": kappa, "fy": alpha}
     return _Grid(pure, slips, both, signs, fz, gamma, pressure, inside)
