@@ -45,7 +45,7 @@ def followed(record, told):
     rows, columns = 1500 if n <= 1500 else 3000, next(x for x in (1, 100, 300) if m <= x)
     padded = np.zeros((rows, columns))
     padded[:n, :m] = told
-    numbers, flags = _followed(record, padded)
+    numbers, flags = map(np.asarray, _followed(record, padded))
     return numbers[:n, :m], flags[:n, :m]
 
 
@@ -86,7 +86,7 @@ def test_filter_sections_agree_with_scipy(make, corner, rate):
 
 
 def test_the_filtered_speed_agrees_with_scipy():
-    told = 10 - 3 * np.arange(500) / RATE + speeds(np.full(500, 60.0), 1)[:, 0]
+    told = 10 - 3 * np.arange(300) / RATE + speeds(np.full(300, 60.0), 1)[:, 0]
     record, state, filtered = estimator(), estimator().init(), []
     step = eqx.filter_jit(record.step)
     for speed in told:
@@ -283,7 +283,7 @@ def test_several_wheels_give_the_results_of_each_alone():
     states = jax.vmap(lambda _: record.init())(jnp.arange(4))
     for row in told / 0.3:
         states, together = both(states, row)
-    for wheel in range(4):
+    for wheel in (0, 3):
         stream = Stream(record)
         for i in range(120):
             alone = stream.push({"time": i / RATE, "omega": told[i, wheel] / 0.3})
