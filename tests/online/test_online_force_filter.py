@@ -11,7 +11,7 @@ from tirefit.data.table import WHEELS
 from tirefit.online.base import Flag, code
 from tirefit.online.force_filter import HYPOTHESES, ForceFilter
 
-LONG = {"bend": 0.5, "brake": 0.3, "duration": 60.0}
+LONG = {"bend": 0.5, "brake": 0.3, "duration": 40.0}
 modelled, rates_of, seen_of = map(
     jax.jit, (ForceFilter.modelled, ForceFilter.rates, ForceFilter.seen)
 )
@@ -125,7 +125,7 @@ def test_only_a_drop_of_friction_is_detected():
 def test_missing_rows_are_flagged_and_bridged():
     columns = {k: v.copy() for k, v in drive(**LONG).columns.items()}
     columns["torque_fl"][400:410] = np.nan
-    kept = np.r_[:600, 700:3000]
+    kept = np.r_[:600, 700:2000]
     end = estimated("force-filter", {k: v[kept] for k, v in columns.items()})
     assert np.all(end.flag[400:410] == code(Flag.MISSING))
     assert end.flag[600] == code(Flag.GAP)
