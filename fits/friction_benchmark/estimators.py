@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from fits.friction_benchmark.metrics import Trace
 from fits.friction_benchmark.scenarios import Log
-from tirefit.models import LuGre, TireInputs
+from tirefit.models import LuGre, TireInputs, forces
 from tirefit.online.base import Flag, code
 from tirefit.online.methods import METHODS, estimator_of
 from tirefit.online.run import run
@@ -39,7 +39,7 @@ def matched_lugre() -> dict[str, float]:
         values = dict(zip(names, np.exp(logs), strict=True))
         tire = with_values(LuGre(), values)
         at = TireInputs(sigma_x=sigma, fz=one, v=20 * one)
-        return np.asarray(tire(at).fx) - curve
+        return np.asarray(forces(tire, at).fx) - curve
 
     best = least_squares(missed, np.log([150.0, 1.2, 0.6]))
     return dict(zip(names, np.exp(best.x).tolist(), strict=True))

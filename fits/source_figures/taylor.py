@@ -5,10 +5,12 @@ coefficients, as linear least squares needs (S §4.3, §5). It is valid up to a 
 by :func:`radius`, which with an asymmetric pressure may be far below full sliding.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from scipy.optimize import brentq
 
 from tirefit.models.brush import Brush
@@ -23,7 +25,7 @@ def _check_order(order: int) -> None:
         raise ValueError(f"order {order}: the Taylor forms go from 1 to {_HIGHEST}")
 
 
-def asymmetric_coefficients(cpa2, mu_fz, d=0.0, order: int = 5) -> Float[Array, "k ..."]:
+def asymmetric_coefficients(cpa2, mu_fz, d=0.0, order: int = 5) -> Float[np.ndarray, "k ..."]:
     """Coefficients of sigma, sigma^2, ... for the asymmetric pressure, S(38).
 
     With ``order`` 3 and C_x = 2 c_p a^2 that is S(41).
@@ -38,7 +40,7 @@ def asymmetric_coefficients(cpa2, mu_fz, d=0.0, order: int = 5) -> Float[Array, 
         ValueError: the order is not one of them.
     """
     _check_order(order)
-    q, lean = 1 / (1 - jnp.asarray(d, float)), 1 + 3 * jnp.asarray(d, float)
+    q, lean = 1 / (1 - np.asarray(d, float)), 1 + 3 * np.asarray(d, float)
     terms = (
         2.0,
         -4 / 3 * q,
@@ -47,14 +49,14 @@ def asymmetric_coefficients(cpa2, mu_fz, d=0.0, order: int = 5) -> Float[Array, 
         128 / 81 * lean * d**2 * q**7,
     )
     ratio = cpa2 / mu_fz
-    return jnp.stack(
-        jnp.broadcast_arrays(*(term * cpa2 * ratio**k for k, term in enumerate(terms[:order])))
+    return np.stack(
+        np.broadcast_arrays(*(term * cpa2 * ratio**k for k, term in enumerate(terms[:order])))
     )
 
 
 def speed_coefficients(
     cpa2, mu_fz, loss=0.0, order: int = 5, *, static_too: bool = True
-) -> Float[Array, "k ..."]:
+) -> Float[np.ndarray, "k ..."]:
     """Coefficients of sigma, sigma^2, ... for friction falling with speed, S(39).
 
     S(39) to order 4 is the case ``static_too``; the fifth term is derived in the same way.
@@ -70,7 +72,7 @@ def speed_coefficients(
         ValueError: the order is not one of them.
     """
     _check_order(order)
-    ratio, w = cpa2 / mu_fz, jnp.asarray(loss, float)
+    ratio, w = cpa2 / mu_fz, np.asarray(loss, float)
     square = 4 / 3 * cpa2 * ratio
     cube = 8 / 27 * cpa2 * ratio**2
     if static_too:
@@ -80,10 +82,10 @@ def speed_coefficients(
         fourth = w * (square + 2 * cube)
         fifth = -fourth
     terms = (2.0 * cpa2, -square, cube - square * w, fourth, fifth)
-    return jnp.stack(jnp.broadcast_arrays(*map(jnp.asarray, terms[:order])))
+    return np.stack(np.broadcast_arrays(*terms[:order]))
 
 
-def coefficients(tire: Brush, fz, v=0.0, order: int = 5) -> Float[Array, "k ..."]:
+def coefficients(tire: Brush, fz, v=0.0, order: int = 5) -> Float[np.ndarray, "k ..."]:
     """Coefficients of sigma, sigma^2, ... of the braking force of a brush.
 
     Args:
@@ -121,6 +123,13 @@ _GRID = np.geomspace(1e-6, 1e3, 4001)
 """Demand ratios c sigma / (mu F_z) in the search for a radius."""
 
 
+@jax.jit
+def _excess(tire, terms, fz, v, share, sigma):
+    """Truncation error beyond ``share`` of the force [N]."""
+    force, _ = tire.pure(sigma, fz, v * sigma / (1 + sigma))
+    return jnp.abs(truncated_force(terms, sigma) - force) - share * jnp.abs(force)
+
+
 def radius(tire: Brush, fz: float, v: float = 0.0, order: int = 5, share=0.01) -> float:
     """Physical slip up to which the truncation error is below ``share`` of the force.
 
@@ -138,14 +147,8 @@ def radius(tire: Brush, fz: float, v: float = 0.0, order: int = 5, share=0.01) -
     Raises:
         ValueError: no Taylor form of this brush; or the order.
     """
-    terms = coefficients(tire, fz, v, order)
-
-    @jax.jit
-    def excess(sigma):
-        force, _ = tire.pure(sigma, fz, v * sigma / (1 + sigma))
-        return jnp.abs(truncated_force(terms, sigma) - force) - share * jnp.abs(force)
-
+    excess = functools.partial(_excess, tire, coefficients(tire, fz, v, order), fz, v, share)
     grid = _GRID * float(tire.mu * fz / tire.cpa2)
-    over = np.asarray(excess(jnp.asarray(grid))) > 0
+    over = np.asarray(excess(grid)) > 0
     first = int(np.argmax(over))
     return float(brentq(lambda s: float(excess(s)), grid[first - 1], grid[first]))

@@ -1,6 +1,7 @@
 """Combined slip compared with a two-dimensional patch of bristles, and the sources."""
 
 import csv
+import functools
 from pathlib import Path
 
 import jax
@@ -63,10 +64,18 @@ def patch(sigma_x, alpha, ratio=1.0, d=0.0, m=1.0, v=20.0, n=200_000):
     return np.array([*stress.sum(axis=1), A * (xi * stress[1]).sum()])
 
 
+ROWS = 300
+"""Of every batch: each size is compiled."""
+
+
+def resized(slips):
+    return np.resize(slips, (ROWS, 2))
+
+
 def on_slips(model, slips=SLIPS, fz=FZ):
     """Modelled forces, (rows, 2 or 3)."""
-    found = forces(model, TireInputs(*np.asarray(slips).T, fz))
-    return np.stack([part for part in found if part is not None], axis=1)
+    found = forces(model, TireInputs(*resized(slips).T, fz))
+    return columns(found)[: len(slips)]
 
 
 def close(found, expected, tolerance=1e-12, arm=A):
@@ -116,15 +125,28 @@ def test_o12_to_o20_give_the_anisotropic_brush():
     fx, fy, rate, kappa = printed(slips[:, 0], sigma_y, 0.65)
     tire = AnisotropicBrush(C, MU, A, stiffness_ratio=0.65)
     close(on_slips(tire, slips)[:, :2], np.stack([fx, fy], axis=1))
-    found = mu_rate(kappa, 2 * C, MU * FZ)
+    found = rate_of(kappa, 2 * C, MU * FZ)
     np.testing.assert_allclose(found, rate, rtol=0, atol=1e-12)
     assert 0.1 < np.mean(rate < 1) < 0.9
+
+
+rate_of = jax.jit(mu_rate)
+
+
+@jax.jit
+@jax.vmap
+@functools.partial(jax.grad, argnums=0)
+def slope_at(kappa, stiffness, mu):
+    return mu * FZ * mu_rate(kappa, stiffness, mu * FZ)
 
 
 def brush_force(kappa_x, kappa_y, stiffness, mu):
     """F_x of the anisotropic brush over its own two slips."""
     kappa = jnp.hypot(kappa_x, kappa_y)
     return mu * FZ * mu_rate(kappa, stiffness, mu * FZ) * kappa_x / kappa
+
+
+along_wheel = jax.jit(jax.grad(brush_force))
 
 
 def random_slips(seed, n=50):
@@ -139,18 +161,16 @@ def random_slips(seed, n=50):
 def test_o21_gives_the_slope_along_the_slip():
     x, y, stiffness, mu = random_slips(2)
     kappa = np.hypot(x, y)
-    slope = jax.vmap(jax.grad(lambda k, s, mu: mu * FZ * mu_rate(k, s, mu * FZ)))(
-        kappa, stiffness, mu
-    )
-    rate = mu_rate(kappa, stiffness, mu * FZ)
-    np.testing.assert_allclose(force_slope(rate, stiffness), slope, rtol=1e-9)
+    slope = slope_at(kappa, stiffness, mu)
+    rate = rate_of(kappa, stiffness, mu * FZ)
+    np.testing.assert_allclose(jax.jit(force_slope)(rate, stiffness), slope, rtol=1e-9)
 
 
 def test_o22_gives_the_slope_along_the_wheel():
     x, y, stiffness, mu = random_slips(3)
-    slope = jax.vmap(jax.grad(brush_force))(x, y, stiffness, mu)
-    rate = mu_rate(np.hypot(x, y), stiffness, mu * FZ)
-    found = braking_slope(rate, stiffness, np.arctan2(y, x))
+    slope = jax.jit(jax.vmap(jax.grad(brush_force)))(x, y, stiffness, mu)
+    rate = rate_of(np.hypot(x, y), stiffness, mu * FZ)
+    found = jax.jit(braking_slope)(rate, stiffness, np.arctan2(y, x))
     np.testing.assert_allclose(found, slope, rtol=1e-8)
 
 
@@ -161,11 +181,15 @@ def test_o21_and_o22_hold_for_the_model_itself():
     def braking(sigma):
         return tire(TireInputs(sigma, 0.0, FZ)).fx
 
-    for sigma in (0.0, 0.01, 0.05, 0.1):
+    @jax.jit
+    @jax.vmap
+    def slopes(sigma):
         rate = mu_rate(sigma, 2 * C, MU * FZ)
-        slope = jax.grad(braking)(sigma)
-        np.testing.assert_allclose(force_slope(rate, 2 * C), slope, rtol=1e-9)
-        np.testing.assert_allclose(braking_slope(rate, 2 * C, 0.0), slope, rtol=1e-9)
+        return jax.grad(braking)(sigma), force_slope(rate, 2 * C), braking_slope(rate, 2 * C, 0.0)
+
+    slope, along, of_wheel = slopes(np.array([0.0, 0.01, 0.05, 0.1]))
+    np.testing.assert_allclose(along, slope, rtol=1e-9)
+    np.testing.assert_allclose(of_wheel, slope, rtol=1e-9)
 
 
 @pytest.mark.parametrize("direction", [0.0, 0.7, np.pi / 2])
@@ -175,11 +199,10 @@ def test_slopes_do_not_depend_on_the_friction(direction):
     for mu in (0.1, 0.5, 1.1):
 
         def excess(k, mu=mu):
-            return float(mu_rate(k, 2 * C, mu * FZ)) - 0.8
+            return float(rate_of(k, 2 * C, mu * FZ)) - 0.8
 
         kappa = brentq(excess, 0, 3 * mu * FZ / (2 * C), xtol=1e-15)
-        slope = jax.grad(brush_force)(kappa * cos, kappa * sin, 2 * C, mu)
-        found.append(float(slope))
+        found.append(float(along_wheel(kappa * cos, kappa * sin, 2 * C, mu)))
     np.testing.assert_allclose(found, found[0], rtol=1e-9)
     expected = float(braking_slope(0.8, 2 * C, direction))
     np.testing.assert_allclose(found[0], expected, rtol=1e-9)
@@ -242,8 +265,8 @@ def test_s21_as_printed_does_not_give_the_brush():
 def test_liu_peng_turns_the_force_but_not_the_curve():
     """Both pure slips have the slope 2 c_p a^2, whatever k_y / k_x."""
     tire = LiuPeng(C, MU, 0.4)
-    slopes = jax.jacfwd(lambda s: jnp.stack(tire(TireInputs(s[0], s[1], FZ))[:2]))
-    np.testing.assert_allclose(slopes(jnp.zeros(2)), 2 * C * np.eye(2), rtol=1e-12)
+    slopes = jax.jit(jax.jacfwd(lambda s: jnp.stack(tire(TireInputs(s[0], s[1], FZ))[:2])))
+    np.testing.assert_allclose(slopes(np.zeros(2)), 2 * C * np.eye(2), rtol=1e-12)
     pure = on_slips(tire, [(0.03, 0.0), (0.0, np.arctan(0.03))])
     np.testing.assert_allclose(pure[0, 0], pure[1, 1], rtol=1e-12)
 
@@ -269,47 +292,46 @@ class OneSided(AbstractTire):
 
 def test_property_1_pure_slip_is_the_empirical_model():
     slip = np.array([-0.6, -0.1, -1e-3, 0.0, 1e-9, 0.02, 0.15, 0.9, 20.0, LOCKED])
-    found = forces(MF, TireInputs(slip, 0.0, FZ))
-    np.testing.assert_allclose(
-        found.fx, forces(ALONG, TireInputs(slip, 0.0, FZ)).fx, rtol=1e-9, atol=1e-9
-    )
-    np.testing.assert_array_equal(found.fy, 0.0)
+    straight = np.stack([slip, 0 * slip], axis=1)
+    fx, fy = on_slips(MF, straight).T
+    np.testing.assert_allclose(fx, on_slips(ALONG, straight)[:, 0], rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(fy, 0.0)
     alpha = np.array([-1.2, -0.2, -1e-3, 0.0, 1e-9, 0.05, 0.4, 1.5])
-    found = forces(MF, TireInputs(0.0, alpha, FZ))
-    expected = forces(ACROSS, TireInputs(0.0, alpha, FZ)).fy
-    np.testing.assert_allclose(found.fy, expected, rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(found.fx, 0.0)
+    aside = np.stack([0 * alpha, alpha], axis=1)
+    fx, fy = on_slips(MF, aside).T
+    np.testing.assert_allclose(fy, on_slips(ACROSS, aside)[:, 1], rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(fx, 0.0)
 
 
 def test_property_2_small_slip_goes_smoothly_over_to_large_slip():
     """Two independent stiffnesses, then a force against the sliding velocity."""
 
-    @jax.jit
     def force(size, angle):
         sigma_x, sigma_y = size * jnp.cos(angle), size * jnp.sin(angle)
         inputs = TireInputs(sigma_x, jnp.arctan(sigma_y / (1 + sigma_x)), FZ)
         return jnp.stack(MF(inputs)[:2])
 
-    stiffness = FZ * np.array([14 * 1.6 * 1.1, 9 * 1.4 * 0.95])
+    each = jax.jit(jax.vmap(lambda *at: (force(*at), jax.jacfwd(force)(*at))))
     angles = np.linspace(-3, 3, 13)
-    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    small = jax.vmap(force, (None, 0))(1e-6, angles) / 1e-6
-    np.testing.assert_allclose(small, stiffness * directions, rtol=0, atol=5)
-    # The ends of the two curves are the half-axes of an ellipse.
     ahead = angles[np.abs(angles) < 1.4]
-    large = jax.vmap(force, (None, 0))(50.0, ahead)
-    ends = np.array([force(50.0, 0.0)[0], force(50.0, np.pi / 2)[1]])
-    expected = ends * np.stack([np.cos(ahead), np.sin(ahead)], axis=1)
+    across = np.array([0.3, 1.1, 2.0])
+    sizes = np.linspace(0.01, 0.5, 2001)
+    blocks = [(1e-6, angles), (50.0, ahead), (50.0, np.array([0.0, np.pi / 2]))]
+    blocks += [(sizes, np.full(len(sizes), angle)) for angle in across]
+    blocks = [np.broadcast_arrays(*block) for block in blocks]
+    values, slopes = map(np.asarray, each(*np.concatenate(blocks, axis=1)))
+    ends = np.cumsum([len(block[0]) for block in blocks])[:-1]
+    (small, large, pure, *lines), slopes = np.split(values, ends), np.split(slopes, ends)[3:]
+    stiffness = FZ * np.array([14 * 1.6 * 1.1, 9 * 1.4 * 0.95])
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    np.testing.assert_allclose(small / 1e-6, stiffness * directions, rtol=0, atol=5)
+    # The ends of the two curves are the half-axes of an ellipse.
+    expected = np.diag(pure) * np.stack([np.cos(ahead), np.sin(ahead)], axis=1)
     np.testing.assert_allclose(large, expected, rtol=0, atol=0.02 * FZ)
-    along_line = jax.jit(jax.vmap(force, (0, None)))
-    slope_line = jax.jit(jax.vmap(jax.jacfwd(force), (0, None)))
     # Value and slope are continuous in between and at full sliding.
-    for angle in (0.3, 1.1, 2.0):
-        sizes = jnp.linspace(0.01, 0.5, 2001)
-        slope = slope_line(sizes, angle)
+    for value, slope in zip(lines, slopes, strict=True):
         steps = np.abs(np.diff(slope, axis=0)).max()
         assert steps < 0.01 * stiffness.max()
-        value = along_line(sizes, angle)
         drawn = np.diff(value, axis=0) / float(sizes[1] - sizes[0])
         middle = (slope[1:] + slope[:-1]) / 2
         np.testing.assert_allclose(drawn, middle, rtol=0, atol=0.002 * stiffness.max())
@@ -332,10 +354,10 @@ def test_property_3_nothing_is_added_but_two_slips_of_full_sliding():
         sigma_y = np.tan(slip[1]) * (1 + slip[0])
         psi = np.hypot(slip[0] / (3 / (14 * 1.6)), sigma_y / limit)
         sigma = np.hypot(slip[0], sigma_y)
-        brake = float(ALONG(TireInputs(3 / (14 * 1.6) * psi, 0.0, FZ)).fx)
-        drive = -float(ALONG(TireInputs(-3 / (14 * 1.6) * psi, 0.0, FZ)).fx)
+        reach = 3 / (14 * 1.6) * psi
+        brake, drive = on_slips(ALONG, [(reach, 0.0), (-reach, 0.0)])[:, 0] * [1, -1]
         cos = slip[0] / sigma
-        side = float(ACROSS(TireInputs(0.0, np.arctan(limit * psi), FZ)).fy)
+        side = on_slips(ACROSS, [(0.0, np.arctan(limit * psi))])[0, 1]
         end = ((1 + cos) * brake + (1 - cos) * drive) / 2
         return np.hypot(row[0] / end, row[1] / side)
 
@@ -346,12 +368,13 @@ def test_property_3_nothing_is_added_but_two_slips_of_full_sliding():
 def test_property_4_nominal_values_come_from_the_pure_slip_curves():
     inputs = TireInputs(0.1, 0.1, FZ)
     # A Magic Formula whose peak is D: 3 D / (B C D).
-    np.testing.assert_allclose(nominal_sliding_slip(ALONG, "fx", inputs), 3 / (14 * 1.6), rtol=1e-3)
-    np.testing.assert_allclose(nominal_sliding_slip(ACROSS, "fy", inputs), 3 / (9 * 1.4), rtol=1e-3)
+    nominal = jax.jit(nominal_sliding_slip, static_argnums=1)
+    np.testing.assert_allclose(nominal(ALONG, "fx", inputs), 3 / (14 * 1.6), rtol=1e-3)
+    np.testing.assert_allclose(nominal(ACROSS, "fy", inputs), 3 / (9 * 1.4), rtol=1e-3)
     # A brush: the slip from which every bristle slides.
     tire = AnisotropicBrush(C, MU, A, stiffness_ratio=0.6)
     full = 3 * MU * FZ / (2 * C)
-    found = [nominal_sliding_slip(tire, name, inputs) for name in ("fx", "fy")]
+    found = [nominal(tire, name, inputs) for name in ("fx", "fy")]
     np.testing.assert_allclose(found, [full, full / 0.6], rtol=1e-12)
     # So the curves alone make the model.
     made = columns(scaled(ALONG, ACROSS, SLIPS))
@@ -359,7 +382,7 @@ def test_property_4_nominal_values_come_from_the_pure_slip_curves():
 
 
 def test_the_largest_value_has_the_slope_of_one_value():
-    value, slope = jax.value_and_grad(largest)(jnp.array([1.0, 3.0, 2.0, 3.0]))
+    value, slope = jax.jit(jax.value_and_grad(largest))(np.array([1.0, 3.0, 2.0, 3.0]))
     assert value == 3.0 and slope.tolist() == [0.0, 1.0, 0.0, 0.0]
 
 
@@ -371,7 +394,7 @@ def test_property_5_braking_and_driving_keep_their_curves():
         return scaled(along, ACROSS, slips, sliding).fx
 
     pure = combined(tire, np.stack([slip, 0 * slip], axis=1))
-    expected = forces(tire, TireInputs(slip, 0.0, FZ)).fx
+    expected = on_slips(tire, np.stack([slip, 0 * slip], axis=1))[:, 0]
     np.testing.assert_allclose(pure, expected, rtol=1e-9)
     # With some side slip too, braking is still of the one curve, driving of the other.
     for sigma_x, own, other in ((0.3, ALONG, DRIVEN), (-0.3, DRIVEN, ALONG)):
@@ -384,12 +407,18 @@ def test_property_5_braking_and_driving_keep_their_curves():
     assert braked[1] < driven[1] - 50
 
 
-@jax.jit
 def scaled(along, across, slip, sliding=None):
     """One slip (2,), or a batch of them (n, 2)."""
+    slip = np.atleast_2d(slip)
+    found = _scaled(along, across, resized(slip), sliding)
+    return jax.tree.map(lambda part: np.asarray(part)[: len(slip)], found)
+
+
+@jax.jit
+def _scaled(along, across, slips, sliding):
     return jax.vmap(
         lambda s: scaled_to_combined(along, across, TireInputs(s[0], s[1], FZ), sliding)
-    )(jnp.atleast_2d(jnp.asarray(slip)))
+    )(slips)
 
 
 def columns(found):
@@ -460,8 +489,8 @@ def test_the_moment_of_scaled_curves_is_trail_times_force():
     full_x = 3 * MU * FZ / (2 * C)
     sigma_y = np.tan(SLIPS[:4, 1]) * (1 + SLIPS[:4, 0])
     psi = np.hypot(SLIPS[:4, 0] / full_x, 0.6 * sigma_y / full_x)
-    pure = forces(tire, TireInputs(0.0, np.arctan(psi * full_x / 0.6), FZ))
-    np.testing.assert_allclose(found[:, 2] / found[:, 1], pure.mz / pure.fy, rtol=1e-9)
+    pure = on_slips(tire, np.stack([0 * psi, np.arctan(psi * full_x / 0.6)], axis=1))
+    np.testing.assert_allclose(found[:, 2] / found[:, 1], pure[:, 2] / pure[:, 1], rtol=1e-9)
     assert scaled(ALONG, ACROSS, (0.1, 0.1)).mz is None
 
 

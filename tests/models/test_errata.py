@@ -12,7 +12,7 @@ from numeric_patch import breakaway_point, holding_ratio, integrate_patch
 from scipy.integrate import quad
 
 from tirefit.models import MODELS, TireInputs, forces, mu_from_peak, peak_from_mu
-from tirefit.params import constrain, parameter_values, specs, with_values
+from tirefit.params import constrain, specs, with_values
 
 C = 5e4  # c_p a^2 [N]
 MU, FZ = 0.9, 4000.0
@@ -194,13 +194,18 @@ def test_s31_breakaway_point_is_proportional_to_a():
         np.testing.assert_allclose(ours, s31(sigma, mu_s, m * mu_s), rtol=1e-11)
 
 
+@jax.jit
+def with_slope(tire, sigma):
+    return jax.value_and_grad(lambda s: tire(TireInputs(s, 0.0, FZ)).fx)(sigma)
+
+
 @pytest.mark.parametrize("m", [0.0, 0.3, 0.6, 0.9])
 def test_s32_s33_peak(m):
     mu_k = m * MU
     at = 3 * MU**2 * FZ / (2 * C * (3 * MU - 2 * mu_k))
     largest = (4 * MU - 3 * mu_k) * MU**2 / (3 * MU - 2 * mu_k) ** 2 * FZ
     tire = with_values(MODELS["brush-m"], {"cpa2": C, "mu": MU, "m": m})
-    value, slope = jax.value_and_grad(lambda s: tire(TireInputs(s, 0.0, FZ)).fx)(at)
+    value, slope = with_slope(tire, at)
     np.testing.assert_allclose(value, largest, rtol=1e-13)
     assert abs(slope) < 1e-9 * C
     everywhere = force("brush-m", np.linspace(0, 3 * M / (2 * C), 5001), m=m)
@@ -236,85 +241,6 @@ def test_s34_square_term_is_divided(m):
     printed = s34(sigma, mu_peak, m, printed=True)
     off = np.abs(printed - right).max()
     assert off == 0 if m == 1.0 else off > 300  # at m = 1 the factor is 1
-
-
-# S(38), S(39): Taylor coefficients of our force at rest
-
-
-def taylor(name, order, values, v=0.0):
-    """Coefficients (order, n) of sigma^1 .. at sigma = 0, from the braking side.
-
-    Args:
-        values: parameters, each (n,); the others are the file's.
-        v: forward speed, (n,) or a scalar.
-    """
-    given = {**parameter_values(MODELS[name]), "cpa2": C, "mu": MU, **values}
-    shape = np.broadcast_shapes(*map(np.shape, given.values()))
-    arrays = [jnp.asarray(np.broadcast_to(x, shape)) for x in (*given.values(), v)]
-    tires = with_values(MODELS[name], dict(zip(given, arrays, strict=False)))
-
-    def all_forces(sigma):
-        return jax.vmap(lambda tire, s, v: tire.pure(s, FZ, v * s / (1 + s))[0])(
-            tires, sigma, arrays[-1]
-        )
-
-    function, coefficients, factorial = all_forces, [], 1.0
-    rest = jnp.zeros(arrays[-1].shape)
-    for k in range(1, order + 1):
-        function = _derivative(function)
-        factorial *= k
-        with jax.disable_jit():
-            coefficients.append(np.asarray(function(rest)) / factorial)
-    return np.stack(coefficients)
-
-
-def _derivative(function):
-    return lambda s: jax.jvp(function, (s,), (jnp.ones_like(s),))[1]
-
-
-def test_s38_holds_to_fifth_order():
-    d = np.array([-1 / 3, -0.2, 0.0, 0.1, 0.5])
-    ours = taylor("brush-d", 5, {"d": d})
-    printed = np.array(
-        [
-            2 * C * np.ones_like(d),
-            4 / 3 * C**2 / ((d - 1) * M),
-            -8 / 27 * (3 * d + 1) * C**3 / ((d - 1) ** 3 * M**2),
-            16 / 27 * (3 * d + 1) * C**4 * d / ((d - 1) ** 5 * M**3),
-            -128 / 81 * (3 * d + 1) * C**5 * d**2 / ((d - 1) ** 7 * M**4),
-        ]
-    )
-    scale = C * (C / M) ** np.arange(5)[:, None]
-    np.testing.assert_allclose(ours / scale, printed / scale, rtol=1e-10, atol=1e-10)
-
-
-def s39(n, v, *, falling_static):
-    """S(39); its last term belongs to a static friction that also falls."""
-    lead = 4 * C**2 / (3 * FZ * MU)
-    square = n * v / MU**2 if falling_static else 0.0
-    return np.array(
-        [
-            2 * C * np.ones_like(n),
-            -lead * np.ones_like(n),
-            lead * (2 * C / (9 * FZ * MU) - n * v / MU),
-            lead * n * v * (4 * C / (9 * FZ * MU**2) + 1 / MU - square),
-        ]
-    )
-
-
-def test_s39_holds_for_both_frictions_falling():
-    n, v = np.array([0.0, 0.01, 0.03, 0.03]), np.array([20.0, 20.0, 25.0, 40.0])
-    both = taylor("brush-ns", 4, {"n": n}, v)
-    np.testing.assert_allclose(both, s39(n, v, falling_static=True), rtol=1e-10)
-    # With only mu_k falling, sigma^3 stays and sigma^4 loses its -(n v / mu_0)^2.
-    only_kinetic = taylor("brush-n", 4, {"n": n}, v)
-    right = s39(n, v, falling_static=False)
-    np.testing.assert_allclose(only_kinetic, right, rtol=1e-10)
-    np.testing.assert_allclose(only_kinetic[:3], both[:3], rtol=1e-10)
-    expected = 4 * C**2 / (3 * FZ * MU) * (n * v / MU) ** 2
-    apart = only_kinetic[3] - both[3]
-    np.testing.assert_allclose(apart, expected, rtol=1e-8, atol=1e-3)
-    assert apart[-1] > 0.2 * both[3, -1]
 
 
 # S §3.6

@@ -1,5 +1,7 @@
 """The steady LuGre tires compared with S(18) as printed and the bristle profile."""
 
+from functools import cache, partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -65,13 +67,16 @@ def test_agrees_with_the_integral_over_the_profile(slip_x, alpha):
     np.testing.assert_allclose(force, expected, rtol=1e-9, atol=0)
 
 
+@jax.jit
+@partial(jax.value_and_grad, argnums=(0, 1))
+def share(tire, slip):
+    return tire(TireInputs(slip, 0.0, 1.0, SPEED)).fx
+
+
 @pytest.mark.parametrize("slip", [1e-12, 1e-9, 1e-6, 1e-5])
 def test_small_slip_is_computed_exactly(slip):
     """The first terms of S(18) at zero slip; as printed all digits are lost."""
     still = LuGre(sigma0=150.0, sigma1=0.0, sigma2=0.0, mu_c=0.9, mu_s=0.9)
-
-    def share(tire, slip):
-        return tire(TireInputs(slip, 0.0, 1.0, SPEED)).fx
 
     stiffness = 150.0 * 0.2
     demand = stiffness * slip / 0.9
@@ -80,8 +85,8 @@ def test_small_slip_is_computed_exactly(slip):
     slope = stiffness * (1 / 2 - demand / 3 + demand**2 / 8 - demand**3 / 30)
     softer = stiffness * slip * (1 / 6 - demand / 12 + demand**2 / 40) * demand / 0.9
     tire = jax.tree.map(jnp.asarray, still)
-    by_tire, by_slip = jax.grad(share, (0, 1))(tire, jnp.asarray(slip))
-    np.testing.assert_allclose(share(still, slip), expected, rtol=1e-12)
+    found, (by_tire, by_slip) = share(tire, slip)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
     np.testing.assert_allclose(by_slip, slope, rtol=1e-12)
     np.testing.assert_allclose(by_tire.mu_s + by_tire.mu_c, softer, rtol=1e-10)
     if slip == 1e-12:
@@ -96,11 +101,12 @@ def test_patch_means_are_continuous_at_the_end_of_the_series():
     first = np.exp(-fine * place) @ share
     second = (np.exp(-fine * place) * (1 - place)) @ share
     slope = -(np.exp(-fine * place) * (1 - place) * place) @ share
-    found = patch_means(jnp.asarray(x))
+    found, slopes = jax.jit(
+        lambda x: (patch_means(x), jax.vmap(jax.grad(lambda x: patch_means(x)[1]))(x))
+    )(x)
     np.testing.assert_allclose(found[0][:-1], first, rtol=1e-13)
     np.testing.assert_allclose(found[1][:-1], second, rtol=1e-13)
     np.testing.assert_allclose([found[0][-1], found[1][-1]], 1e-8, rtol=2e-8)
-    slopes = jax.vmap(jax.grad(lambda x: patch_means(x)[1]))(jnp.asarray(x))
     np.testing.assert_allclose(slopes[:-1], slope, rtol=1e-12)
 
 
@@ -109,7 +115,7 @@ def test_slope_at_zero_slip_and_viscous_damping_are_right():
         return TIRE(TireInputs(slip, 0.0, LOAD, SPEED)).fx
 
     expected = LOAD * (150.0 * 0.25 / 2 + (0.08 + 0.002) * SPEED)
-    np.testing.assert_allclose(jax.grad(force)(0.0), expected, rtol=1e-14)
+    np.testing.assert_allclose(jax.jit(jax.grad(force))(0.0), expected, rtol=1e-14)
 
 
 def test_stiff_bristles_give_the_lumped_tire():
@@ -153,17 +159,23 @@ def test_six_parameters_are_free():
     assert sorted(lumped) == ["mu_c", "mu_s", "sigma2", "v_st"]
 
 
-def sensitivity(v):
+@jax.jit
+def slopes_of(tire, inputs):
+    return jax.jacfwd(lambda tire: forces(tire, inputs).fx)(tire)
+
+
+@cache
+def sensitivity(*v):
     """dF / d(log parameter) (n, p) of the free parameters and the length."""
     free = [name for name, spec in specs(TIRE).items() if spec.free] + ["length"]
     kappa, speed = (x.ravel() for x in np.meshgrid(np.linspace(0.01, 0.9, 60), v))
     inputs = TireInputs(kappa / (1 - kappa), 0.0, 1.0, speed)
-    slopes = jax.jacfwd(lambda tire: forces(tire, inputs).fx)(jax.tree.map(jnp.asarray, TIRE))
+    slopes = slopes_of(jax.tree.map(jnp.asarray, TIRE), inputs)
     return free, np.stack([getattr(slopes, name) * getattr(TIRE, name) for name in free], axis=-1)
 
 
 def test_length_and_sigma0_have_the_same_slope():
-    free, slopes = sensitivity([5.0, 15.0, 30.0])
+    free, slopes = sensitivity(5.0, 15.0, 30.0)
     np.testing.assert_allclose(
         slopes[:, free.index("length")], slopes[:, free.index("sigma0")], atol=1e-14
     )
@@ -171,6 +183,6 @@ def test_length_and_sigma0_have_the_same_slope():
 
 def test_several_speeds_identify_the_six_parameters():
     weakest = [
-        np.linalg.svd(sensitivity(v)[1][:, :-1])[1][-1] for v in ([15.0] * 3, [5.0, 15.0, 30.0])
+        np.linalg.svd(sensitivity(*v)[1][:, :-1])[1][-1] for v in ([15.0] * 3, [5.0, 15.0, 30.0])
     ]
     assert 0 < weakest[0] * 20 < weakest[1]

@@ -21,7 +21,11 @@ def similar(name, starred=False, **other):
     return mf_tire(tire.version, values | other, starred=starred)
 
 
-@pytest.mark.parametrize(("name", "starred"), [(MF52, False), (MF61, True)])
+EACH = pytest.mark.parametrize(("name", "starred"), [(MF52, True), (MF61, False)])
+"""The programs of this file: each with similarity, and with its own weights."""
+
+
+@EACH
 def test_pure_slip_gives_the_pure_force(name, starred):
     tire, whole = similar(name, starred), tire_of(name, starred)
     assert tire.similarity == ("fx", "fy") and whole.similarity == ()
@@ -38,9 +42,13 @@ ISOTROPIC = {
 }  # fmt: skip
 
 
+def isotropic():
+    return mf_tire("6.1", ISOTROPIC | {"QSX1": 0.0, "QSY1": 0.0})
+
+
 def test_the_force_of_an_isotropic_tire_opposes_the_slip():
     """(kappa, tan alpha) is then one slip, whose force is its Magic Formula."""
-    found = iso(mf_tire("6.1", ISOTROPIC), KAPPA, ALPHA)
+    found = iso(isotropic(), KAPPA, ALPHA)
     slip = np.hypot(KAPPA, np.tan(ALPHA))
     x = 20.0 / (1.5 * 1.1) * slip
     # The lateral curve is over alpha, the longitudinal one over kappa.
@@ -50,14 +58,15 @@ def test_the_force_of_an_isotropic_tire_opposes_the_slip():
         np.testing.assert_allclose(force, 4400.0 * curve * part / slip, atol=1e-3)
 
 
-@pytest.mark.parametrize("name", [MF52, MF61])
-def test_the_combined_force_stays_within_the_ellipse_of_the_pure_forces(name):
-    tire = similar(name)
+@EACH
+def test_the_combined_force_stays_within_the_ellipse_of_the_pure_forces(name, starred):
+    tire = similar(name, starred)
     with_ones = mf_tire(
         tire.version,
         values_of(name) | dict.fromkeys([k for k in specs(tire) if k[:2] in COMBINED], 0.0),
+        starred=starred,
     )
-    grid = np.linspace(-0.99, 3.0, 2000)
+    grid = np.concatenate([-np.geomspace(0.02, 0.99, 128), np.geomspace(0.02, 3.0, 128)])
     for fz in (2000.0, 4000.0, 8000.0):
         largest_x = np.max(np.abs(iso(tire, grid, 0.0, fz).fx))
         largest_y = np.max(np.abs(iso(tire, 0.0, np.arctan(grid), fz).fy))
@@ -71,26 +80,23 @@ def test_the_combined_force_stays_within_the_ellipse_of_the_pure_forces(name):
         assert filled(with_ones) > 1.7
 
 
-def test_similarity_is_close_to_measured_combined_slip():
+@EACH
+def test_similarity_is_close_to_measured_combined_slip(name, starred):
     """From the pure curves alone; independent pure forces are far off."""
-    for name in (MF52, MF61):
-        fz = values_of(name)["FNOMIN"]
-        kappa, alpha = 0.3 * KAPPA, 0.4 * ALPHA
-        true, found = (iso(t, kappa, alpha) for t in (tire_of(name), similar(name)))
-        ones = iso(
-            mf_tire(
-                tire_of(name).version,
-                {k: v for k, v in values_of(name).items() if k[:2] not in COMBINED},
-                combination="none",
-            ),
-            kappa,
-            alpha,
+    values = {k: v for k, v in values_of(name).items() if k[:2] not in COMBINED}
+    true, found, ones = (
+        iso(tire, 0.3 * KAPPA, 0.4 * ALPHA)
+        for tire in (
+            tire_of(name, starred),
+            similar(name, starred),
+            mf_tire(tire_of(name).version, values, combination="none", starred=starred),
         )
-        misses = [
-            np.sqrt(np.mean((x.fx - true.fx) ** 2 + (x.fy - true.fy) ** 2)) / fz
-            for x in (found, ones)
-        ]
-        assert misses[0] < 0.07 and misses[1] > 4 * misses[0]
+    )
+    misses = [
+        np.sqrt(np.mean((x.fx - true.fx) ** 2 + (x.fy - true.fy) ** 2)) / values["FNOMIN"]
+        for x in (found, ones)
+    ]
+    assert misses[0] < 0.07 and misses[1] > 4 * misses[0]
 
 
 def test_values_and_gradients_are_finite_everywhere():
@@ -103,12 +109,12 @@ def test_values_and_gradients_are_finite_everywhere():
 
 
 def test_slope_at_zero_slip_is_the_slip_stiffness():
-    tire = mf_tire("6.1", ISOTROPIC)
+    tire = isotropic()
 
     def found(slips):
         return jnp.stack(tire(TireInputs(slips[0], slips[1], 4000.0))[:2])
 
-    slope = np.asarray(jax.jacfwd(found)(jnp.zeros(2)))
+    slope = np.asarray(jax.jit(jax.jacfwd(found))(jnp.zeros(2)))
     np.testing.assert_allclose(slope, 80000.0 * np.eye(2), rtol=1e-6, atol=1e-3)
 
 

@@ -1,5 +1,7 @@
 """Every brush model compared with the numeric patch of ``numeric_patch``."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -80,17 +82,25 @@ def draw(name, seed, d, m, demand):
     return values, np.stack([sigma_x, alpha, fz, v])
 
 
+ROWS = 2000
+"""Of every batch: all share the programs of single operations."""
+
+
 def evaluate(name, values, inputs):
     """Forces of pure slip, fx of sigma_x and fy, mz of alpha, one sample per value."""
+    n = len(inputs[0])
+    if n < ROWS:
+        values, inputs = jax.tree.map(lambda part: np.resize(part, ROWS), (values, list(inputs)))
     model = with_values(MODELS[name], {key: jnp.asarray(val) for key, val in values.items()})
-    still = jnp.zeros(len(inputs[0]))
+    still = jnp.zeros(ROWS)
     samples = TireInputs(*map(jnp.asarray, inputs), still, still, still)
     with jax.disable_jit():  # operation by operation: 43 compilations less
         along, across = (
             jax.vmap(lambda tire, sample: tire(sample))(model, pure)
             for pure in (samples._replace(alpha=still), samples._replace(sigma_x=still))
         )
-    return across._replace(fx=along.fx)
+    found = across._replace(fx=along.fx)
+    return found if n == ROWS else jax.tree.map(lambda part: np.asarray(part)[:n], found)
 
 
 def worst_errors(name, values, inputs):
@@ -147,26 +157,42 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+DEMANDS = np.array([1e-14, 1e-9, 1e-6, 1e-3, 0.1, 0.24, 0.26, 0.5, 0.9])
+PLACES = np.linspace(0.0, 2.0, 33)
+
+
+@jax.jit
+def of_law(law):
+    """Breakaway points and the density there; density, load and moment of the places,
+    the last two with their slopes."""
+    points = law.breakaway(jnp.asarray(DEMANDS))
+    places = jnp.asarray(PLACES)
+    sums = (jax.vmap(jax.value_and_grad(part))(places) for part in (law.cdf, law.moment))
+    return points, law.density(points), law.density(places), *sums
+
+
+@cache
+def numbers_of(name):
+    return jax.tree.map(np.asarray, of_law(jax.tree.map(jnp.asarray, LAWS[name])))
+
+
+@pytest.mark.parametrize("law", LAWS)
 def test_breakaway_is_accurate_at_small_demand(law):
     """Demand equals limit at the breakaway point, relative to either."""
-    rho = jnp.asarray([1e-14, 1e-9, 1e-6, 1e-3, 0.1, 0.24, 0.26, 0.5, 0.9])
-    u = law.breakaway(rho)
+    u, density, *_ = numbers_of(law)
     partly = (u > 0) & (u < 2)
-    assert partly.sum() == (3 if isinstance(law, Uniform) else 9)
-    u, rho = u[partly], rho[partly]
-    np.testing.assert_allclose(law.density(u), rho * (2 - u), rtol=1e-13)
+    assert partly.sum() == (3 if law == "uniform" else 9)
+    expected = DEMANDS[partly] * (2 - u[partly])
+    np.testing.assert_allclose(density[partly], expected, rtol=1e-13)
 
 
-@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+@pytest.mark.parametrize("law", LAWS)
 def test_pressure_integrals_agree_with_the_density(law):
-    u = jnp.linspace(0.0, 2.0, 33)
-    density = law.density(u)
-    np.testing.assert_allclose(jax.vmap(jax.grad(law.cdf))(u), density, atol=1e-14)
-    moment = jax.vmap(jax.grad(law.moment))(u)
-    np.testing.assert_allclose(moment, (u - 1) * density, atol=1e-14)
-    assert law.cdf(u[0]) == law.moment(u[0]) == 0.0
-    np.testing.assert_allclose(law.cdf(u[-1]), 1.0, rtol=1e-15)
+    *_, density, (load, of_load), (moment, of_moment) = numbers_of(law)
+    np.testing.assert_allclose(of_load, density, atol=1e-14)
+    np.testing.assert_allclose(of_moment, (PLACES - 1) * density, atol=1e-14)
+    assert load[0] == moment[0] == 0.0
+    np.testing.assert_allclose(load[-1], 1.0, rtol=1e-15)
     assert float(density.min()) >= 0.0
 
 
@@ -219,7 +245,7 @@ def test_gradient_agrees_with_the_central_difference(name):
     """One parameter or input per sample, in turn, with a five-point stencil."""
     values, inputs = smooth_samples(name, 11)
     columns = {**values, **dict(zip(INPUTS, inputs, strict=True))}
-    n = len(inputs[0])
+    n = len(inputs[0])  # of five copies: four moved ones and the point itself
     which = np.arange(n) % len(columns)
     direction = {key: 1.0 * (which == i) for i, key in enumerate(columns)}
     step = {key: 1e-3 * np.maximum(np.abs(x), 1e-3) for key, x in columns.items()}
@@ -229,16 +255,17 @@ def test_gradient_agrees_with_the_central_difference(name):
         result = evaluate(name, {key: columns[key] for key in values}, inputs)
         return jnp.stack(result[:3], axis=-1)
 
-    shifts = (-2, -1, 1, 2)
+    shifts = (-2, -1, 1, 2, 0)
     moved = {
         key: np.concatenate([x + k * step[key] * direction[key] for k in shifts])
         for key, x in columns.items()
     }
-    far_back, back, ahead, far = np.asarray(outputs(moved)).reshape(4, n, 3)
+    turned = {key: np.concatenate([0 * x] * 4 + [x]) for key, x in direction.items()}
+    found = jax.jvp(outputs, *((jax.tree.map(jnp.asarray, part),) for part in (moved, turned)))
+    (far_back, back, ahead, far, _), tangent = (np.asarray(x).reshape(5, n, 3) for x in found)
+    tangent = tangent[-1]
     size = sum(step[key] * direction[key] for key in columns)[:, None]
     difference = (8 * (ahead - back) - (far - far_back)) / (12 * size)
-    arrays, tangents = jax.tree.map(jnp.asarray, (columns, direction))
-    _, tangent = jax.jvp(outputs, (arrays,), (tangents,))
     # Elasticity: the change for a change of the parameter by its own size.
     load = inputs[2] * np.array([[1.0], [1.0], [0.1]])
     error = np.abs(tangent - difference) * (1e3 * size) / load.T

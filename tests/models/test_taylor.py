@@ -1,5 +1,7 @@
 """Taylor forms S(38), S(39), S(41) compared with differentiation and the brush."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,42 +29,114 @@ def falling(n, static_too):
     return Brush(C, MU, friction=Friction((law,)))
 
 
+def all_orders(function, order):
+    """A function, and its derivatives up to an order, by forward mode."""
+
+    def terms(s):
+        return (function(s),)
+
+    for _ in range(order):
+
+        def terms(s, lower=terms):
+            (value, *_), slopes = jax.jvp(lower, (s,), (jnp.ones_like(s),))
+            return value, *slopes
+
+    return terms
+
+
 @jax.jit
-def by_differentiation(tire, v=0.0):
-    """Coefficients (5,) of the braking force at rest, by nested forward derivatives."""
+@jax.vmap
+def by_differentiation(tire, v):
+    """Coefficients (5,) of the braking force at rest, each tire at its speed."""
 
     def force(sigma):
         return tire.pure(sigma, FZ, v * sigma / (1 + sigma))[0]
 
-    found, function, factorial = [], force, 1.0
-    for k in range(1, 6):
-        function = jax.jacfwd(function)
-        factorial *= k
-        found.append(function(0.0) / factorial)
-    return jnp.stack(found)
+    return jnp.stack(all_orders(force, 5)(jnp.zeros(()))[1:]) / jnp.array([1, 2, 6, 24, 120.0])
+
+
+LEANS = np.array([-1 / 3, -0.2, 0.0, 0.1, 0.5])
+FALLS = np.array([0.0, 0.01, -0.02, 0.0, 0.01, 0.03, 0.03])
+SPEEDS = np.array([V, V, V, 20.0, 20.0, 25.0, 40.0])
+
+
+@cache
+def at_rest(kind):
+    """Coefficients (n, 5) of the brush, for each lean, or each fall at its speed."""
+    if kind == "asymmetric":
+        tires, v = [asymmetric(d) for d in LEANS], 0 * LEANS
+    else:
+        tires, v = [falling(n, kind == "static too") for n in FALLS], SPEEDS
+    stacked = jax.tree.map(lambda *leaves: np.array(leaves, float), *tires)
+    return np.asarray(by_differentiation(stacked, v))
 
 
 def scaled(terms):
     """In units of C (C / M)^k, to be near one."""
-    return np.asarray(terms) / (C * (C / M) ** np.arange(len(terms)))
+    return np.asarray(terms) / (C * (C / M) ** np.arange(np.shape(terms)[-1]))
 
 
-@pytest.mark.parametrize("d", [-1 / 3, -0.2, 0.0, 0.1, 0.5])
-def test_s38_agrees_with_the_derivative_of_the_brush(d):
-    tire = asymmetric(d)
-    ours = coefficients(tire, FZ)
-    expected = by_differentiation(tire)
-    np.testing.assert_allclose(scaled(ours), scaled(expected), rtol=1e-10, atol=1e-11)
-    np.testing.assert_array_equal(coefficients(tire, FZ, order=2), ours[:2])
+@jax.jit
+def braking(tire, sigma, v):
+    """Braking forces (n,) at slips (n,)."""
+    return jax.vmap(lambda s: tire.pure(s, FZ, v * s / (1 + s))[0])(sigma)
 
 
-@pytest.mark.parametrize("static_too", [True, False])
-@pytest.mark.parametrize("n", [0.0, 0.01, -0.02])
-def test_s39_agrees_with_the_derivative_of_the_brush(n, static_too):
-    tire = falling(n, static_too)
-    ours = coefficients(tire, FZ, V)
-    expected = by_differentiation(tire, V)
-    np.testing.assert_allclose(scaled(ours), scaled(expected), rtol=1e-10, atol=1e-11)
+def test_s38_agrees_with_the_derivative_of_the_brush():
+    for d, expected in zip(LEANS, at_rest("asymmetric"), strict=True):
+        ours = coefficients(asymmetric(d), FZ)
+        np.testing.assert_allclose(scaled(ours), scaled(expected), rtol=1e-10, atol=1e-11)
+        np.testing.assert_array_equal(coefficients(asymmetric(d), FZ, order=2), ours[:2])
+
+
+def test_s38_as_printed_holds_to_fifth_order():
+    d = LEANS
+    printed = np.array(
+        [
+            2 * C * np.ones_like(d),
+            4 / 3 * C**2 / ((d - 1) * M),
+            -8 / 27 * (3 * d + 1) * C**3 / ((d - 1) ** 3 * M**2),
+            16 / 27 * (3 * d + 1) * C**4 * d / ((d - 1) ** 5 * M**3),
+            -128 / 81 * (3 * d + 1) * C**5 * d**2 / ((d - 1) ** 7 * M**4),
+        ]
+    )
+    ours = at_rest("asymmetric")
+    np.testing.assert_allclose(scaled(ours), scaled(printed.T), rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["static too", "kinetic"])
+def test_s39_agrees_with_the_derivative_of_the_brush(kind):
+    for n, v, expected in zip(FALLS, SPEEDS, at_rest(kind), strict=True):
+        ours = coefficients(falling(n, kind == "static too"), FZ, v)
+        np.testing.assert_allclose(scaled(ours), scaled(expected), rtol=1e-10, atol=1e-11)
+
+
+def s39(n, v, *, falling_static):
+    """S(39) as printed; its last term belongs to a static friction that also falls."""
+    lead = 4 * C**2 / (3 * FZ * MU)
+    square = n * v / MU**2 if falling_static else 0.0
+    return np.array(
+        [
+            2 * C * np.ones_like(n),
+            -lead * np.ones_like(n),
+            lead * (2 * C / (9 * FZ * MU) - n * v / MU),
+            lead * n * v * (4 * C / (9 * FZ * MU**2) + 1 / MU - square),
+        ]
+    )
+
+
+def test_s39_as_printed_holds_for_both_frictions_falling():
+    n, v = FALLS, SPEEDS
+    both, only_kinetic = (at_rest(kind).T[:4] for kind in ("static too", "kinetic"))
+    np.testing.assert_allclose(both, s39(n, v, falling_static=True), rtol=1e-10)
+    # With only mu_k falling, sigma^3 stays and sigma^4 loses its -(n v / mu_0)^2.
+    right = s39(n, v, falling_static=False)
+    np.testing.assert_allclose(only_kinetic, right, rtol=1e-10)
+    np.testing.assert_allclose(only_kinetic[:3], both[:3], rtol=1e-10)
+    expected = 4 * C**2 / (3 * FZ * MU) * (n * v / MU) ** 2
+    apart = only_kinetic[3] - both[3]
+    np.testing.assert_allclose(apart, expected, rtol=1e-8, atol=1e-3)
+    assert apart[-1] > 0.2 * both[3, -1]
 
 
 def test_s39_with_only_kinetic_friction_falling_differs_from_the_fourth_term():
@@ -96,8 +170,8 @@ def test_the_truncated_force_is_exact_up_to_full_sliding(d, order):
     assert abs(terms[order - 1]) > 0.2
     tire = asymmetric(d)
     full = 1.5 * (1 + d) * M / C
-    sigma = jnp.linspace(0, full, 21)
-    force = jax.vmap(lambda s: tire.pure(s, FZ, 0.0)[0])(sigma)
+    sigma = np.linspace(0, full, 100)
+    force = braking(tire, sigma, 0.0)
     ours = truncated_force(coefficients(tire, FZ, order=order), sigma)
     np.testing.assert_allclose(ours, force, rtol=1e-12)
     assert radius(tire, FZ, order=order) > full
@@ -113,7 +187,7 @@ def test_the_truncated_force_is_exact_up_to_full_sliding(d, order):
 def test_the_radius_is_where_the_error_reaches_its_limit(tire, v, order):
     found = radius(tire, FZ, v, order)
     sigma = found * np.linspace(0.01, 1.0, 100)
-    force = jax.vmap(lambda s: tire.pure(s, FZ, v * s / (1 + s))[0])(sigma)
+    force = np.asarray(braking(tire, sigma, v))
     ours = truncated_force(coefficients(tire, FZ, v, order), sigma)
     error = np.abs(ours / force - 1)
     np.testing.assert_allclose(error[-1], 0.01, rtol=1e-6)

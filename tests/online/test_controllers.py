@@ -1,6 +1,7 @@
 """Brake controllers: the common protocol, and the rules of the conventional one."""
 
 import inspect
+from functools import cache
 
 import equinox as eqx
 import jax
@@ -30,12 +31,10 @@ def measured(k=0, wheel=None, pressure=2e6, slowing=2.5, truth=True, w=4):
     """A sample at k of a car that slows from 15 m/s, its wheels as given."""
     time = 0.005 * k
     v = 15.0 - slowing * time
-    wheel = jnp.full(w, v) if wheel is None else jnp.asarray(wheel, float)
-    known = [jnp.full(w, x) for x in (v, 0.01, 0.03, 0.3, 3700.0)]
-    if not truth:
-        known = [jnp.full(w, jnp.nan)] * 5
-    scalars = [jnp.asarray(x) for x in (slowing, 12e6, 0.0, 0.0)]
-    return Measurement(jnp.asarray(time), wheel, jnp.full(w, pressure), *scalars, Truth(*known))
+    wheel = np.full(w, v) if wheel is None else np.asarray(wheel, float)
+    known = [np.full(w, x if truth else np.nan) for x in (v, 0.01, 0.03, 0.3, 3700.0)]
+    rows = time, wheel, np.full(w, pressure), slowing, 12e6, 0.0, 0.0, Truth(*known)
+    return jax.tree.map(jnp.asarray, Measurement(*rows))
 
 
 def car(w=4):
@@ -44,17 +43,23 @@ def car(w=4):
 
 def shaken(k, w=4, truth=True):
     """Wheels with small slip and vibration, each different."""
-    phase = jnp.arange(w) + 0.3 * k
-    return measured(k, 14.7 - 0.0125 * k + 0.1 * jnp.sin(phase), truth=truth, w=w)
+    phase = np.arange(w) + 0.3 * k
+    return measured(k, 14.7 - 0.0125 * k + 0.1 * np.sin(phase), truth=truth, w=w)
+
+
+@cache
+def compiled(name, w):
+    """A controller of w wheels; its beginning and its step, each one program."""
+    controller = controller_of(name, car(w))
+    return controller, eqx.filter_jit(controller.init), eqx.filter_jit(controller.step)
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 @pytest.mark.parametrize("w", [1, 4])
 def test_every_controller_follows_the_protocol(name, w):
-    controller = controller_of(name, car(w))
+    controller, init, step = compiled(name, w)
     assert list(inspect.signature(controller.step).parameters) == ["state", "measurement"]
-    state = controller.init(measured(w=w))
-    step = eqx.filter_jit(controller.step)
+    state = init(measured(w=w))
     for k in range(30):
         after, command, info = step(state, shaken(k, w))
         assert isinstance(command, Command) and command.valve.shape == (w,)
@@ -68,9 +73,8 @@ def test_every_controller_follows_the_protocol(name, w):
 
 @pytest.mark.parametrize("name", [n for n, c in CONTROLLERS.items() if not c.reads_truth])
 def test_controllers_do_not_read_the_truth(name):
-    controller = controller_of(name, car())
-    states = [controller.init(measured(truth=known)) for known in (True, False)]
-    step = eqx.filter_jit(controller.step)
+    _, init, step = compiled(name, 4)
+    states = [init(measured(truth=known)) for known in (True, False)]
     for k in range(60):
         valves = []
         for j, known in enumerate((True, False)):
@@ -79,7 +83,7 @@ def test_controllers_do_not_read_the_truth(name):
         np.testing.assert_array_equal(*valves)
 
 
-stepped = eqx.filter_jit(ConventionalABS.step)
+begun, stepped = eqx.filter_jit(ConventionalABS.init), eqx.filter_jit(ConventionalABS.step)
 
 
 def rules(**settings):
@@ -90,7 +94,7 @@ def rules(**settings):
 def phases_of(wheels, slowing=2.5, pressure=3e6, **settings):
     """Phase names of a single wheel for given speeds, sample by sample."""
     controller = rules(smoothing=1e-6, **settings)
-    state = controller.init(measured(0, [wheels[0]], w=1))
+    state = begun(controller, measured(0, [wheels[0]], w=1))
     names, valves = [], []
     for k, wheel in enumerate(wheels):
         now = measured(k, [wheel], pressure, slowing, w=1)
@@ -133,7 +137,7 @@ def test_the_controller_is_off_at_walking_pace():
 def test_reference_speed_falls_no_faster_than_the_car():
     """All wheels lock: the reference follows the measured deceleration."""
     controller = rules()
-    state = controller.init(measured(0, [15.0] * 4))
+    state = begun(controller, measured(0, [15.0] * 4))
     for k in range(1, 21):
         now = measured(k, [8.0] * 4, slowing=3.0)
         state, _, info = stepped(controller, state, now)
@@ -145,7 +149,7 @@ def test_reference_speed_falls_no_faster_than_the_car():
 def test_the_rear_takes_the_lower_pressure():
     """One rear wheel locks: both rear valves release, the front ones continue."""
     controller = rules(smoothing=1e-6)
-    state = controller.init(measured(0, [15.0] * 4))
+    state = begun(controller, measured(0, [15.0] * 4))
     for k, slow in enumerate((15.0, 14.5, 13.5, 12.5)):
         now = measured(k, [14.99, 14.99, slow, 14.99])
         state, command, _ = stepped(controller, state, now)

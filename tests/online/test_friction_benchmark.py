@@ -12,7 +12,7 @@ from fits.friction_benchmark.page import page_test
 from fits.friction_benchmark.scenarios import KINDS, Scenario, make
 from fits.friction_benchmark.scoring import closest_brush
 from fits.friction_while_braking.reference import reference
-from tirefit.models import Brush, LuGre, TireInputs
+from tirefit.models import Brush, LuGre, TireInputs, forces
 from tirefit.sim.braking import LOAD, STIFFNESS, source_tire
 
 
@@ -82,9 +82,9 @@ def test_a_cornering_log_follows_the_brush():
 
 
 def test_the_matched_lugre_tire_lies_on_the_curve():
-    kappa = np.linspace(0.005, 0.3, 40)
-    at = TireInputs(sigma_x=kappa / (1 - kappa), fz=np.ones(40), v=np.full(40, 20.0))
-    share = np.asarray(LuGre(**matched_lugre())(at).fx)
+    kappa = np.linspace(0.005, 0.3, 100)
+    at = TireInputs(sigma_x=kappa / (1 - kappa), fz=1.0, v=20.0)
+    share = np.asarray(forces(LuGre(**matched_lugre()), at).fx)
     curve = np.asarray(source_tire().pure(kappa, LOAD)) / LOAD
     assert np.max(np.abs(share - curve)) < 0.05
 

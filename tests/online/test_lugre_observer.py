@@ -47,8 +47,8 @@ def wheel(theta, rate=2000):
 
 @cache
 def log(mu, seed=0, **how):
-    """A noisy log of 12 teeth of the wheel on bristles over the whole patch."""
-    return simulate_braking(Braking(tire="lugre", friction=mu, teeth=12, seed=seed, **dict(how)))
+    """A noisy log of 8 teeth of the wheel on bristles over the whole patch."""
+    return simulate_braking(Braking(tire="lugre", friction=mu, teeth=8, seed=seed, **dict(how)))
 
 
 def path_of(observer, columns, start, dt):
@@ -148,21 +148,21 @@ def test_friction_is_found_from_wrong_starts(mu, theta):
 
 def test_the_truth_lies_within_the_stated_spread():
     estimator = estimator_of("lugre-observer", LOAD)
-    ends = [run(estimator, log(0.8, seed=seed).columns)[1] for seed in range(6)]
+    ends = [run(estimator, log(0.8, seed=seed).columns)[1] for seed in range(4)]
     pulls = [(end.value[-1, 0] - 0.8) / end.std[-1, 0] for end in ends]
-    # The random walk allows for changes that do not come; 6 runs leave 0.3 open.
+    # The random walk allows for changes that do not come; 4 runs leave 0.35 open.
     assert 0.2 < np.sqrt(np.mean(np.square(pulls))) < 1.5
     assert ends[0].std[-1, 0] < 0.08
 
 
 def test_a_drop_of_friction_is_detected_and_tracked():
-    data = log(0.95, drop=(12.5, 0.5)).columns  # the wheel locks
+    data = log(0.95, drop=(8.5, 0.5)).columns  # the wheel locks
     _, estimate = run(estimator_of("lugre-observer", LOAD), data)
     alarms = data["time"][estimate.flag == code(Flag.CHANGED)]
-    assert len(alarms) and 12.5 < alarms[0] < 14
+    assert len(alarms) and 8.5 < alarms[0] < 10
     held = estimate.flag == code(Flag.LOCKED)
-    assert np.all(data["sigma_x"][held] > 5) and np.count_nonzero(held) > 100
-    late = data["time"] > 15
+    assert np.all(data["sigma_x"][held] > 5) and np.count_nonzero(held) > 50
+    late = data["time"] > 11
     assert np.all(np.abs(estimate.value[late, 0] - 0.5) < 0.05)
 
 
@@ -178,27 +178,26 @@ def test_low_force_is_flagged_as_uninformative():
 
 def test_scan_equals_single_steps_despite_bad_rows():
     data = {k: v.copy() for k, v in log(0.8).columns.items()}
-    data["torque"][300:320] = np.nan
-    data["omega"][500:520] = 0.0
-    data["v"][700:720] = 0.2
-    data["omega"][850] *= 3.0
-    data["time"][1000:] -= 3.0
-    data["fz"][1100] = -1.0
+    data["torque"][50:60] = np.nan
+    data["omega"][80:90] = 0.0
+    data["v"][110:120] = 0.2
+    data["omega"][150] *= 3.0
+    data["time"][200:] -= 1.5
+    data["fz"][220] = -1.0
     estimator = estimator_of("lugre-observer", LOAD)
     _, scanned = run(estimator, data)
     stream = Stream(estimator)
-    rows = [{k: v[i] for k, v in data.items()} for i in range(1200)]
-    scanned = jax.tree.map(lambda part: part[:1200], scanned)
+    rows = [{k: v[i] for k, v in data.items()} for i in range(240)]
     streamed = [stream.push(row) for row in rows]
     for part in ("value", "std", "flag"):
         each = np.stack([getattr(one, part) for one in streamed])
-        np.testing.assert_allclose(getattr(scanned, part), each, rtol=1e-9)
+        np.testing.assert_allclose(getattr(scanned, part)[:240], each, rtol=1e-9)
     for rows, flag in (
-        (np.r_[300:320], Flag.MISSING),
-        (np.r_[500:520], Flag.LOCKED),
-        (np.r_[700:720], Flag.STANDSTILL),
-        ([1000], Flag.TIME_BACK),
-        ([1100], Flag.NO_LOAD),
+        (np.r_[50:60], Flag.MISSING),
+        (np.r_[80:90], Flag.LOCKED),
+        (np.r_[110:120], Flag.STANDSTILL),
+        ([200], Flag.TIME_BACK),
+        ([220], Flag.NO_LOAD),
     ):
         np.testing.assert_array_equal(np.flatnonzero(scanned.flag == code(flag)), rows)
     assert abs(scanned.value[-1, 0] - 0.8) < 3 * scanned.std[-1, 0] < 0.3
@@ -206,7 +205,7 @@ def test_scan_equals_single_steps_despite_bad_rows():
 
 def test_it_never_diverges_for_any_time_step():
     # Every 25th row, repeated up to the length of the other logs.
-    data = {k: np.tile(v[::25], 22) for k, v in log(0.8).columns.items()}
+    data = {k: np.resize(v[::25], len(v)) for k, v in log(0.8).columns.items()}
     data["time"] = 0.25 * np.arange(len(data["time"]))
     for settings in ({"sigma1": 1e-3}, {"adaptation": 1e12}, {"sigma0": 1e5}):
         _, estimate = run(estimator_of("lugre-observer", LOAD, settings), data)

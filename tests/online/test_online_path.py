@@ -45,25 +45,19 @@ def test_the_bicycle_satisfies_the_force_balance_unlike_the_printed_one():
 
 
 def test_the_lane_departure_time_agrees_with_scipy():
-    a, steered, bent = MATRICES
-    state, push = jnp.array([0.0, 0.1, 0.0, 0.0]), steered * 0.004 + bent * 0.01
+    a, steered, bent = map(np.asarray, MATRICES)
+    state, push = np.array([0.0, 0.1, 0.0, 0.0]), steered * 0.004 + bent * 0.01
 
     def edge(t, x):
         return abs(x[0]) - 0.9
 
     edge.terminal = True
-    peer = solve_ivp(
-        lambda t, x: np.array(a) @ x + np.array(push),
-        (0, 4),
-        state,
-        events=edge,
-        rtol=1e-9,
-        atol=1e-9,
-    )
-    time = lane_crossing(state, a, push, 0.9, 4.0)
+    peer = solve_ivp(lambda t, x: a @ x + push, (0, 4), state, events=edge, rtol=1e-9, atol=1e-9)
+    crossing = jax.jit(lane_crossing)
+    time = crossing(state, a, push, 0.9, 4.0)
     # Between steps of 0.1 s the path is taken to be straight.
     assert abs(float(time) - peer.t_events[0][0]) < 5e-3
-    assert np.isnan(lane_crossing(jnp.zeros(4), a, 0 * push, 0.9, 4.0))
+    assert np.isnan(crossing(np.zeros(4), a, 0 * push, 0.9, 4.0))
 
 
 def wheel_log(n, force=2500.0, noise=0.0, seed=0, dt=0.01):
@@ -110,7 +104,7 @@ def test_a_correction_by_the_path_agrees_with_gaussian_conditioning():
     state = estimator.init()._replace(z=jnp.array(mean), covariance=jnp.array(covariance))
     seen = np.array([0.05, 0.01, -0.02])
     sample = dict(zip(("offset", "heading", "yaw_rate"), seen, strict=True))
-    after = estimator._corrected(state, sample | {"road_heading": 0.0})
+    after = jax.jit(estimator._corrected)(state, sample | {"road_heading": 0.0})
     rows = np.eye(6)[[0, 2, 3]]
     joint = rows @ covariance @ rows.T + np.diag([0.02, 0.002, 0.002]) ** 2
     gain = covariance @ rows.T @ np.linalg.inv(joint)

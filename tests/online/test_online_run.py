@@ -108,7 +108,7 @@ def test_time_without_samples_raises_the_std(name):
 
 @every_method
 def test_decreasing_time_is_flagged_and_ignored(name):
-    data = log(n=1000)
+    data = log(n=1020)
     data["time"][500:] -= 4.0
     data["time"][[700, 701]] = data["time"][[701, 700]]  # two rows swapped
     estimate = estimates_of(name, data)
@@ -160,11 +160,11 @@ def test_a_state_that_is_not_finite_is_reset():
 
 @every_method
 def test_a_new_run_resets_the_state(name):
-    data = log(n=500)
+    data = log(n=510)
     twice = {k: np.r_[v, v] for k, v in data.items()}
-    twice["run"] = np.repeat([0.0, 1.0], 500)
+    twice["run"] = np.repeat([0.0, 1.0], 510)
     estimate = estimates_of(name, twice)
-    np.testing.assert_allclose(estimate.value[:500], estimate.value[500:])
+    np.testing.assert_allclose(estimate.value[:510], estimate.value[510:])
     assert not rows_flagged(estimate, Flag.TIME_BACK)
 
 

@@ -45,7 +45,7 @@ def followed(record, told):
     rows, columns = 1500 if n <= 1500 else 3000, next(x for x in (1, 100, 300) if m <= x)
     padded = np.zeros((rows, columns))
     padded[:n, :m] = told
-    numbers, flags = _followed(record, padded)
+    numbers, flags = map(np.asarray, _followed(record, padded))
     return numbers[:n, :m], flags[:n, :m]
 
 
@@ -85,12 +85,22 @@ def test_filter_sections_agree_with_scipy(make, corner, rate):
     np.testing.assert_allclose(section.gain(angle), abs(gain) ** 2, rtol=1e-9)
 
 
+@eqx.filter_jit
+def _stepped(record, state, sample):
+    return record.step(state, sample)
+
+
+def stepped(record, state, speed, reference=0.0, use=1.0):
+    """State and estimate after one more sample, by one program."""
+    sample = {"omega": speed / 0.3, "reference": reference, "use": use}
+    return _stepped(record, state, {key: np.asarray(value) for key, value in sample.items()})
+
+
 def test_the_filtered_speed_agrees_with_scipy():
-    told = 10 - 3 * np.arange(500) / RATE + speeds(np.full(500, 60.0), 1)[:, 0]
+    told = 10 - 3 * np.arange(300) / RATE + speeds(np.full(300, 60.0), 1)[:, 0]
     record, state, filtered = estimator(), estimator().init(), []
-    step = eqx.filter_jit(record.step)
     for speed in told:
-        state, _ = step(state, {"omega": speed / record.radius})
+        state, _ = stepped(record, state, speed)
         filtered.append(float(state.filtered))
     np.testing.assert_allclose(filtered, passed(told), atol=1e-12)
 
@@ -233,29 +243,28 @@ def test_the_gain_of_the_servo_is_corrected():
 
 
 def test_the_reference_of_the_servo_is_corrected():
-    told = speeds(np.full(400, 60.0), 1)[:, 0]
-    path = 3 * np.sin(np.arange(400) / 20)  # in the middle of the band
+    told = speeds(np.full(200, 60.0), 1)[:, 0]
+    path = 3 * np.sin(np.arange(200) / 20)  # in the middle of the band
     record = estimator()
-    step = eqx.filter_jit(record.step)
     plain = moved = record.init()
     for speed, reference in zip(told, path, strict=True):
-        plain, one = step(plain, {"omega": speed / 0.3, "reference": 0.0})
-        moved, two = step(moved, {"omega": (speed + reference) / 0.3, "reference": reference})
+        plain, one = stepped(record, plain, speed)
+        moved, two = stepped(record, moved, speed + reference, reference)
+    assert np.isfinite(one.value[0])
     np.testing.assert_allclose(one.value[0], two.value[0], rtol=1e-7)
 
 
 def test_unusable_samples_update_only_the_filter():
-    told = speeds(np.full(900, 60.0), 1)[:, 0]
+    told = speeds(np.full(300, 60.0), 1)[:, 0]
     record = estimator()
-    step, state = eqx.filter_jit(record.step), record.init()
+    state = record.init()
     for i, speed in enumerate(told):
         before = state
-        use = float(not 400 <= i < 500)
-        state, _ = step(state, {"omega": speed / 0.3, "use": use})
-        if i == 450:
+        state, _ = stepped(record, state, speed, use=float(not 150 <= i < 200))
+        if i == 170:
             assert float(state.sums.square) == float(before.sums.square)
             assert float(state.filtered) != float(before.filtered)
-    assert float(state.sums.weight) < (1 - 0.995**720) / 0.005 + 1e-6
+    assert float(state.sums.weight) < (1 - 0.995**170) / 0.005 + 1e-6
 
 
 def test_a_gap_restarts_the_filter_and_reduces_the_past():
@@ -283,7 +292,7 @@ def test_several_wheels_give_the_results_of_each_alone():
     states = jax.vmap(lambda _: record.init())(jnp.arange(4))
     for row in told / 0.3:
         states, together = both(states, row)
-    for wheel in range(4):
+    for wheel in (0, 3):
         stream = Stream(record)
         for i in range(120):
             alone = stream.push({"time": i / RATE, "omega": told[i, wheel] / 0.3})
@@ -406,12 +415,12 @@ def test_friction_is_estimated_from_pressure_and_vibration():
     rate, speed = 0.85, 12.0
     force = rate * 0.35 * LOAD
     pole = float(braking_slope(rate, 6e4, 0.0)) / speed / SCALE
-    told = speed + speeds(np.full(3000, pole), 40)
+    told = speed + speeds(np.full(3000, pole), 40)[-2000:]
     record = XbsBraking(rate=RATE, road_corner=CORNER, stiffness=6e4, gain=4e-4)
     ends = []
     for column in told.T:
-        log = {"time": np.arange(3000) / RATE, "omega": column / 0.3}
-        log |= {"brake_pressure": np.full(3000, force / 4e-4), "fz": np.full(3000, LOAD)}
+        log = {"time": np.arange(2000) / RATE, "omega": column / 0.3}
+        log |= {"brake_pressure": np.full(2000, force / 4e-4), "fz": np.full(2000, LOAD)}
         rows = run(record, log)[1]
         ends.append(np.r_[rows.value[-1], rows.std[-1]])
     ends = np.array(ends)

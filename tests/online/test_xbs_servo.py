@@ -91,19 +91,15 @@ def test_the_wheel_with_the_strictest_condition_decides():
 
 
 def measurement(speed, pressure, slowing=3.0, demand=12e6, time=0.0, **more):
-    speed = jnp.atleast_1d(jnp.asarray(speed, float))
-    nothing = jnp.full_like(speed, jnp.nan)
+    speed = np.atleast_1d(np.asarray(speed, float))
+    nothing = np.full_like(speed, np.nan)
     given = {"steering": 0.0, "yaw_rate": 0.0} | more
-    return Measurement(
-        jnp.asarray(time),
-        speed,
-        jnp.full_like(speed, pressure),
-        jnp.asarray(slowing),
-        jnp.asarray(demand),
-        jnp.asarray(given["steering"]),
-        jnp.asarray(given["yaw_rate"]),
-        Truth(*[nothing] * 5),
-    )
+    sensed = slowing, demand, given["steering"], given["yaw_rate"]
+    rows = time, speed, np.full_like(speed, pressure), *sensed, Truth(*[nothing] * 5)
+    return jax.tree.map(jnp.asarray, Measurement(*rows))
+
+
+begun, stepped = eqx.filter_jit(XbsServo.init), eqx.filter_jit(XbsServo.step)
 
 
 def ready(**settings):
@@ -113,16 +109,16 @@ def ready(**settings):
 def test_the_torque_is_the_inertia_times_the_gain_times_the_speed_error():
     """Second layer: T = (J a / r) (v_w - v_0), sample by sample."""
     servo = ready()
-    state = servo.init(measurement(15.0, 0.0))
+    state = begun(servo, measurement(15.0, 0.0))
     state = state._replace(
         target=jnp.array([2e6]), slowing=jnp.asarray(3.0), coming=0 * state.coming
     )
-    state, _, info = servo.step(state, measurement(14.98, 2e6))
-    pull = servo.start_pull
+    state, _, info = stepped(servo, state, measurement(14.98, 2e6))
+    pull = float(servo.start_pull)
     np.testing.assert_allclose(info["target_deceleration"], 3.0 + pull)
     error = (14.98 - 15.0) + (3.0 + pull) / RATE
     torque = 1.2 * 75.0 / 0.3 * error
-    np.testing.assert_allclose(info["target_pressure"] - 2e6, torque / 1.35e-4)
+    np.testing.assert_allclose(np.asarray(info["target_pressure"]) - 2e6, torque / 1.35e-4)
 
 
 def test_the_pressure_reaches_its_target_after_the_delay():
@@ -150,7 +146,7 @@ def test_the_reference_is_the_slope_of_the_brush_at_the_wanted_share(steering, s
     servo = ready(share=0.8, steered=1.0)
     vehicle, turning = 15.0, 15.0 / (1 + slip)
     now = measurement(turning, 2e6, steering=steering)
-    wanted = float(servo._wanted(now, jnp.asarray(vehicle))[0])
+    wanted = float(eqx.filter_jit(XbsServo._wanted)(servo, now, jnp.asarray(vehicle))[0])
     # The same tire at that direction, with as much friction as makes 80 % of it.
     across = 0.7 * np.tan(steering) * (1 + slip)
     resultant = np.hypot(slip, across)
@@ -162,26 +158,25 @@ def test_the_reference_is_the_slope_of_the_brush_at_the_wanted_share(steering, s
         angle = jnp.arctan(across / 0.7 / (1 + sigma))
         return tire(TireInputs(sigma, angle, 4000.0)).fx
 
-    np.testing.assert_allclose(wanted * turning, jax.grad(fx)(slip), rtol=1e-9)
+    np.testing.assert_allclose(wanted * turning, jax.jit(jax.grad(fx))(slip), rtol=1e-9)
 
 
 def test_stiffness_above_the_target_applies_and_below_releases():
-    servo = ready()
-    calm = measurement(14.0, 2e6)
-    for slope, sign in ((2.0, 1), (0.5, -1), (-0.3, -1)):
-        made = []
+    servo, calm = ready(), measurement(14.0, 2e6)
 
-        def fixed(self, s, speed, use, slope=slope):
+    class Fixed(XbsServo):
+        slope: float = 1.0  # over the wanted one
+
+        def _slope(self, s, speed, use):
             wanted = self._wanted(calm, s.vehicle)
-            return s.xbs, slope * wanted, 0 * wanted, jnp.zeros(1, int)
+            return s.xbs, self.slope * wanted, 0 * wanted, jnp.zeros(1, int)
 
-        class Fixed(XbsServo):
-            _slope = fixed
+    @jax.jit
+    def told(lone):
+        return lone.step(lone.init(calm), calm)[2]["target_deceleration"][0]
 
-        lone = Fixed()
-        state = lone.init(calm)
-        _, _, info = lone.step(state, calm)
-        made.append(float(info["target_deceleration"][0]) - 3.0 * (1 / 11))
+    for slope, sign in ((2.0, 1), (0.5, -1), (-0.3, -1)):
+        made = float(told(dataclasses.replace(Fixed(), slope=slope))) - 3.0 * (1 / 11)
         gain = float(servo.pull if sign > 0 else servo.release)
         np.testing.assert_allclose(made, gain * (slope - 1), rtol=1e-2)
 
@@ -191,18 +186,9 @@ def drive(n=160, wheels=4, seed=0):
     random = np.random.default_rng(seed)
     time = np.arange(n) / RATE
     speed = 15 - 3 * time[:, None] + np.cumsum(0.01 * random.normal(size=(n, wheels)), 0)
-    truth = Truth(*[jnp.full((n, wheels), jnp.nan)] * 5)
     row = np.ones((n, wheels))
-    return Measurement(
-        jnp.asarray(time),
-        jnp.asarray(speed),
-        jnp.asarray(2e6 * row),
-        jnp.full(n, 3.0),
-        jnp.full(n, 12e6),
-        jnp.zeros(n),
-        jnp.zeros(n),
-        truth,
-    )
+    sensed = np.full(n, 3.0), np.full(n, 12e6), np.zeros(n), np.zeros(n)
+    return Measurement(time, speed, 2e6 * row, *sensed, Truth(*[np.nan * row] * 5))
 
 
 def row_of(rows, i, wheels=slice(None)):
@@ -214,18 +200,18 @@ def row_of(rows, i, wheels=slice(None)):
 
 def test_scan_equals_single_steps_and_wheels_are_independent():
     servo, rows = ready(), drive()
-    start = servo.init(row_of(rows, 0))
 
     def step(state, now):
         state, command, info = servo.step(state, now)
         return state, (command.valve, info["target_pressure"])
 
-    _, (valve, target) = jax.jit(lambda s, r: jax.lax.scan(step, s, r))(start, rows)
-    alone = eqx.filter_jit(servo.step)
-    state = servo.init(row_of(rows, 0, slice(2, 3)))
+    first = jax.tree.map(jnp.asarray, row_of(rows, 0))
+    scan = jax.jit(lambda now, rows: jax.lax.scan(step, servo.init(now), rows)[1])
+    valve, target = map(np.asarray, scan(first, rows))
+    state = begun(servo, row_of(rows, 0, slice(2, 3)))
     # Of one wheel: the speed of the vehicle at the start is that of the fastest.
     for i in range(160):
-        state, command, info = alone(state, row_of(rows, i, slice(2, 3)))
+        state, command, info = stepped(servo, state, row_of(rows, i, slice(2, 3)))
         np.testing.assert_allclose(command.valve[0], valve[i, 2], rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(info["target_pressure"][0], target[i, 2], rtol=1e-9, atol=1e-3)
     assert set(info) >= {"xbs", "xbs_std", "xbs_wanted", "target_pressure"}
@@ -233,9 +219,9 @@ def test_scan_equals_single_steps_and_wheels_are_independent():
 
 def test_a_slow_car_leaves_the_pressures_unchanged():
     servo = ready()
-    state = servo.init(measurement(1.5, 2e6))
+    state = begun(servo, measurement(1.5, 2e6))
     state = state._replace(target=jnp.array([2e6]))
     for speed in (1.49, 1.3, 1.0):
-        state, command, info = servo.step(state, measurement(speed, 2e6))
+        state, command, info = stepped(servo, state, measurement(speed, 2e6))
         np.testing.assert_allclose(info["target_pressure"], 2e6)
         np.testing.assert_allclose(command.valve, 0.0, atol=1e-12)

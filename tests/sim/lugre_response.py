@@ -62,9 +62,7 @@ def simulate(
     start = jnp.zeros((len(bristles.weight), 2)) if initial is None else initial
     # As arrays, to avoid a compilation for every new value.
     tire, rtol = jax.tree.map(jnp.asarray, (tire, rtol))
-    deflection = _integrate(tire, bristles, time, motion, start, rtol)
-    forces = jax.vmap(lambda z, now: bristle_forces(tire, bristles, z, now))
-    return Response(forces(deflection, motion), deflection)
+    return _integrate(tire, bristles, time, motion, start, rtol)
 
 
 @eqx.filter_jit
@@ -80,4 +78,5 @@ def _integrate(tire, bristles, time, motion, start, rtol):
         saveat=diffrax.SaveAt(ts=time), stepsize_controller=controller,
         max_steps=2**20,
     )  # fmt: skip
-    return solution.ys
+    forces = jax.vmap(lambda z, now: bristle_forces(tire, bristles, z, now))
+    return Response(forces(solution.ys, motion), solution.ys)

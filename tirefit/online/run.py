@@ -259,6 +259,9 @@ def run(
     return after, Estimate(*(np.asarray(part)[:n] for part in parts))
 
 
+_step = eqx.filter_jit(guarded_step)
+
+
 class Stream:
     """An estimator that takes samples as they come; compiled once.
 
@@ -269,11 +272,10 @@ class Stream:
     def __init__(self, estimator: AbstractEstimator):
         self.estimator = estimator
         self.state = start(estimator)
-        self._step = eqx.filter_jit(guarded_step)
 
     def push(self, sample: Mapping[str, float]) -> Estimate:
         """The estimate after the next sample, which must have the same columns."""
         names = dict.fromkeys((*GUARDED, *self.estimator.method.inputs))
         row = {k: np.asarray(sample[k], float) for k in names if k in sample}
-        self.state, estimate = self._step(self.estimator, self.state, row)
+        self.state, estimate = _step(self.estimator, self.state, row)
         return estimate

@@ -1,4 +1,4 @@
-"""Results of stops: numbers of made-up logs, batches, reasons, columns."""
+"""The braked quarter car: its plant by SciPy and energy; results of stops, batches."""
 
 from dataclasses import replace
 
@@ -6,22 +6,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brake_peer import PlainABS, QuarterCar, Valves, stop
+from stops import OFF, RATE, SAMPLES, VALUES, check_energy, check_locked_distance, smooth, stopped
 
 from tirefit.models import MODELS
 from tirefit.online.abs import ConventionalABS
-from tirefit.params import with_values
+from tirefit.params import parameter_values, with_values
 from tirefit.sim.brake import simulate_stop
 from tirefit.sim.brake_request import Request, arrays, plant_of
 from tirefit.sim.brake_result import braked, many_stops
 from tirefit.sim.brake_summary import UNITS, summarise
-from tirefit.sim.brake_vehicle import Hydraulics
+from tirefit.sim.brake_vehicle import Hydraulics, Sensors, draw_noise
 
 TIRE = with_values(MODELS["brush-m"], {"cpa2": 4e4, "m": 0.5})
-SAMPLES, STOPS = 2400, 4
-"""Of every stop, and stops in every batch: one program serves all, and the single one
-that of test_brake_plant.py, too."""
-OFF = ConventionalABS(off=1e3)
-"""Open valves at all speeds, as without a controller, by the program of the other."""
+STOPS = 4
+"""Stops in every batch."""
 
 
 def request(**given):
@@ -144,3 +143,94 @@ def test_the_summary_has_all_controllers_and_seeds(result):
     first = len(result.stops["abs"].log.moving)
     assert columns["controller"][first - 1 : first + 1] == ["abs", "none"]
     assert np.isnan(columns["reference_speed"][-1])
+
+
+@pytest.mark.parametrize("mu", [0.15, 0.8])
+def test_the_closed_loop_agrees_with_scipy(mu):
+    """Plant by solve_ivp, rules in plain Python, the same noise: the same stop."""
+    noisy = Sensors(0.005, 0.0, 0.1, 2e4, 0.01)
+    asked = smooth(road=f"mu={mu}", speed=8.0, sensors=noisy)
+    controller = ConventionalABS()
+    plant, log = stopped(asked, controller, seed=1)
+    car = plant.vehicle
+    drawn = draw_noise(jax.random.key(1), arrays(noisy), SAMPLES, 1, RATE)
+    noise = {
+        "speed": np.asarray(drawn.speed)[:, 0],
+        "road": np.asarray(drawn.road)[:, 0],
+        "pressure": np.asarray(drawn.pressure)[:, 0],
+        "deceleration": np.asarray(drawn.deceleration),
+    }
+    numbers = [float(x[0]) for x in (car.fz, car.radius, car.inertia, car.brake_gain)]
+    hydraulics = {k: v for k, v in Hydraulics()._asdict().items() if k != "delay"}
+    rows = stop(
+        QuarterCar(*numbers, VALUES["cpa2"], VALUES["m"], mu),
+        Valves(**hydraulics),
+        PlainABS(parameter_values(controller), 1 / RATE, 8.0),
+        noisy._asdict(),
+        noise,
+        8.0,
+        RATE,
+        SAMPLES,
+        2,
+    )
+    assert len(rows) == len(log.moving)
+    np.testing.assert_allclose(log.valve[:, 0], rows[:, 4], atol=1e-9)
+    s = log.motion
+    for ours, theirs, scale in (
+        (s.distance, rows[:, 0], 1.0),
+        (s.v_x, rows[:, 1], 1.0),
+        (s.omega[:, 0], rows[:, 2], 30.0),
+        (s.pressure[:, 0], rows[:, 3], 1e6),
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=3e-4 * scale)
+    # The stop has what makes it hard: a wheel that dives, and that stands at the end.
+    assert rows[:, 2].min() == 0.0 and log.contacts.slips.kappa.max() > 0.2
+
+
+def test_energy_is_conserved():
+    check_energy("quarter")
+
+
+def test_its_program_can_be_cached_between_processes():
+    """A program that calls Python cannot, and a stop takes seconds to compile."""
+    asked = smooth()
+    program = simulate_stop.lower(
+        plant_of(asked),
+        arrays(OFF),
+        arrays(asked.sensors),
+        jnp.asarray(asked.speed, float),
+        jax.random.key(0),
+        SAMPLES,
+        2,
+    )
+    assert "while" in program.as_text() and "callback" not in program.as_text()
+
+
+def test_energy_is_conserved_to_the_order_of_the_trapezoid():
+    """A stop without locking wheels: 30 times closer."""
+    gentle = Hydraulics(demand=2e6, ramp=4e6)
+    asked = smooth(road="mu=0.5", hydraulics=gentle, speed=12.0)
+    plant, log = stopped(asked)
+    s, c = log.motion, log.contacts
+    fast = s.v_x > 1.0
+    car = jax.tree.map(np.asarray, plant.vehicle)
+    kinetic = 0.5 * (car.mass * s.v_x**2 + car.inertia[0] * s.omega[:, 0] ** 2)
+    power = car.brake_gain[0] * s.pressure[:, 0] * s.omega[:, 0]
+    power = power + c.fx[:, 0] * (s.v_x - s.omega[:, 0] * car.radius[0])
+    last = np.flatnonzero(fast)[-1]
+    lost = np.trapezoid(power[: last + 1], log.reading.time[: last + 1])
+    assert lost == pytest.approx(kinetic[0] - kinetic[last], rel=1e-4)
+
+
+def test_the_distance_with_locked_wheels_agrees_with_the_textbook():
+    check_locked_distance("quarter")
+
+
+def test_a_locked_wheel_turns_again_after_release():
+    """Locked on ice, released by ABS, it returns to the speed of the car."""
+    _, log = stopped(smooth(road="mu=0.06", speed=4.0), ConventionalABS(slowing=150.0))
+    turning = log.motion.omega[:, 0] * 0.3
+    stood = np.flatnonzero(turning == 0.0)
+    assert len(stood) and log.motion.v_x[stood[0]] > 2.0
+    again = turning[stood[0] :] / np.maximum(log.motion.v_x[stood[0] :], 0.1)
+    assert np.max(again) > 0.97
