@@ -38,9 +38,15 @@ def settings(tmp_path, yaw):
     return vehicle(tmp_path, CAR + POSE.replace('"psi"', f'"{yaw}"') + KEEP)
 
 
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """The result of the heading itself."""
+    folder = tmp_path_factory.mktemp("heading")
+    return derive(write_log(folder / "a.csv", pose_log()), settings(folder, "psi"))
+
+
 @pytest.mark.parametrize("header", SPELLINGS)
-def test_a_quaternion_gives_the_result_of_its_heading(tmp_path, header):
-    sound = derive(write_log(tmp_path / "a.csv", pose_log()), settings(tmp_path, "psi"))
+def test_a_quaternion_gives_the_result_of_its_heading(tmp_path, sound, header):
     path = write_log(tmp_path / "b.csv", quaternion_log(header, norm=1.02))
     log = derive(path, settings(tmp_path, SPELLINGS[header]))
     for name in ("alpha", "fy"):

@@ -203,7 +203,7 @@ def _check(seed):
 A_HANDFUL = {4: "noise", 33: "kappa", 47: "order", 55: "late", 74: "step", 81: "half"}
 """What each has beside others; 47, 55 and 74 are lateral, 47 has no time."""
 
-_LATER = (55, 74, 81)
+_LATER = (4, 55, 74, 81)
 
 
 @pytest.mark.parametrize(

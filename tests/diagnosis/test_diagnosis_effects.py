@@ -85,8 +85,15 @@ FORMULAS = {
 }  # fmt: skip
 """What is said -> (effect, friction over its usual, amplitude, how nearly)."""
 
+OFTEN = ("with the speed of travel", "in proportion to log(F_z / F_z0)")
 
-@pytest.mark.parametrize("said", FORMULAS)
+
+def later(every, often):
+    """All cases, of which only some run in ``make test``."""
+    return [pytest.param(k, marks=[] if k in often else pytest.mark.long) for k in every]
+
+
+@pytest.mark.parametrize("said", later(FORMULAS, OFTEN))
 def test_a_named_effect_states_the_formula_of_its_amplitude(said):
     effect, friction, amplitude, rel = FORMULAS[said]
     frame, _ = record(lambda s, t, fz, v: brush(s, 5e4, 0.9 * friction(s, t, fz, v), fz), 5, 80)
@@ -102,7 +109,7 @@ def test_a_named_effect_states_the_formula_of_its_amplitude(said):
     ("truth", "effect", "size"),
     [
         (_of_the_sliding_speed, "friction_speed_linear", MODEL_CAR),
-        (_with_an_offset, "slip_offset", SECOND),
+        pytest.param(_with_an_offset, "slip_offset", SECOND, marks=pytest.mark.long),
     ],
 )
 def test_the_verdict_does_not_depend_on_the_scale(truth, effect, size):
@@ -116,6 +123,7 @@ def test_the_verdict_does_not_depend_on_the_scale(truth, effect, size):
         assert one.effects == other.effects
 
 
+@pytest.mark.long
 def test_friction_may_rise_with_the_sliding_speed():
     """Rubber at the speeds of a model car, by the logarithm of the sliding speed."""
 
@@ -211,7 +219,9 @@ TRUTHS = {
 }
 
 
-@pytest.mark.parametrize("effect", ["load_crosstalk", "speed_zero", "stiffness_speed"])
+@pytest.mark.parametrize(
+    "effect", later(["load_crosstalk", "speed_zero", "stiffness_speed"], ["speed_zero"])
+)
 def test_common_effects_of_a_rig_are_named(effect):
     frame, _ = record(TRUTHS[effect], seed=6)
     assert diagnose(read_frame(frame), rig=RIG).effects == (effect,)
@@ -229,7 +239,7 @@ OTHER_FORMS = {
 """A stretch of another road; both parameters by the side; a root of the load."""
 
 
-@pytest.mark.parametrize("effect", OTHER_FORMS)
+@pytest.mark.parametrize("effect", later(OTHER_FORMS, ["friction_step"]))
 def test_effects_of_another_form_are_named(effect):
     frame, _ = record(OTHER_FORMS[effect], seed=6)
     found = diagnose(read_frame(frame), rig=RIG)
@@ -309,7 +319,7 @@ def _lateral(seed=8):
     return {"time": time, "alpha": np.arctan(slip), "fz": fz, "v": v}, motion, noise
 
 
-@pytest.mark.parametrize("effect", ["tracked_point", "load_transfer"])
+@pytest.mark.parametrize("effect", later(["tracked_point", "load_transfer"], ["load_transfer"]))
 def test_common_effects_of_a_vehicle_are_named(effect):
     """A slip angle of a point 0.15 m off the axle; a load that moves with a_x."""
     frame, motion, noise = _lateral()

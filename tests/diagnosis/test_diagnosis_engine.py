@@ -121,6 +121,7 @@ def test_the_document_has_the_probability_of_something_unlisted(diagnosed, name)
         assert min(p for p in verdict["left"]["tests"].values() if p) < 0.005
 
 
+@pytest.mark.long
 def test_an_unlisted_effect_leaves_a_remainder():
     """Friction with a sharp peak at one load: load and pressure effects describe most
     of it, but not the peak."""
@@ -135,7 +136,8 @@ def test_an_unlisted_effect_leaves_a_remainder():
     assert found.verdict.left.unlisted > 0.5
 
 
-@pytest.mark.parametrize("late", [True, pytest.param(False, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("late", [True, False])
 def test_a_delay_in_a_measured_log_is_named(late):
     """Free driving of a measured axle: force delayed by 31 ms, and unchanged."""
     data = {name: values[-512:] for name, values in half(1).items()}
@@ -295,7 +297,7 @@ def test_the_wheel_speed_identifies_the_slip_definition():
 
 def test_an_excluded_effect_is_not_named(diagnosed):
     frame, _ = record(TRUTHS["slip_offset"], seed=3)
-    found = diagnose(read_frame(frame), rig=RIG, without=("slip_offset",))
+    found = diagnose(read_frame(frame), rig=RIG, effects=FEW, without=("slip_offset",))
     every = {e for c in found.candidates for e in c.effects}
     assert "slip_offset" not in every | set(found.effects)
     assert "slip_offset" not in found.settings.effects
@@ -333,6 +335,6 @@ def test_a_large_file_is_diagnosed_on_some_rows(monkeypatch):
     """The base fit and the diagnosis use the same rows."""
     monkeypatch.setattr(engine, "_MOST_ROWS", 240)
     frame, _ = record(TRUTHS["slip_offset"], seed=3, rows=80)
-    found = diagnose(read_frame(frame, "large"), rig=RIG)
+    found = diagnose(read_frame(frame, "large"), rig=RIG, effects=FEW)
     assert found.verdict.effects == ("slip_offset",)
     assert found.n == len(found.rows["fx"]["extended"]) == 480

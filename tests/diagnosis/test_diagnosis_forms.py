@@ -106,6 +106,7 @@ def test_a_delayed_force_and_moment_are_named_a_delay():
     assert (verdict.status, verdict.effects) == ("named", ("channel_delay",))
 
 
+@pytest.mark.long
 def test_one_speed_does_not_separate_a_filter_from_relaxation():
     """The same equation over time and over distance: neither is named alone, whatever
     its prior."""

@@ -1,6 +1,7 @@
 """Stated and estimated properties of a derived file: vehicle, steering, drive force."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -116,9 +117,14 @@ def test_estimates_of_derive_are_reported_with_the_verdict(driven, plain):
 DELAY = 0.12
 
 
+@cache
+def front_axle():
+    return drive(Car(), "front", rows=240)
+
+
 def front(logged):
     """The front axle, its road wheel angle logged as ``logged(time)``."""
-    frame = drive(Car(), "front", rows=240)
+    frame = dict(front_axle())
     time, true = frame["time"], frame["steering"]
     other = logged(time)
     frame["alpha"] = frame["alpha"] + true - other
@@ -162,7 +168,10 @@ def test_a_steering_delay_changes_the_slip_by_the_angle(effect, logged, amplitud
 
 @pytest.mark.parametrize(
     ("effect", "logged", "amplitude"),
-    [("steering_delay", lambda time: steer(time + DELAY), DELAY), ("steering_lag", lagging, 0.15)],
+    [
+        ("steering_delay", lambda time: steer(time + DELAY), DELAY),
+        pytest.param("steering_lag", lagging, 0.15, marks=pytest.mark.long),
+    ],
 )
 def test_a_steering_delay_is_named(effect, logged, amplitude):
     found = diagnose(read_frame(front(logged)), rig=RIG, effects=LIBRARY)
@@ -240,8 +249,8 @@ def two_tires(frictions, stiffnesses, seed=0):
     [
         ((0.9, 0.6), (5e4, 5e4), {"friction_run"}),
         ((0.9, 0.6), (5e4, 3.5e4), {"friction_run", "stiffness_run"}),
-        ((0.9, 0.7, 0.8, 1.0), (5e4,) * 4, {"friction_run"}),
-        ((0.9, 0.9), (5e4, 5e4), set()),
+        pytest.param((0.9, 0.7, 0.8, 1.0), (5e4,) * 4, {"friction_run"}, marks=pytest.mark.long),
+        pytest.param((0.9, 0.9), (5e4, 5e4), set(), marks=pytest.mark.long),
     ],
 )
 def test_tires_that_differ_from_run_to_run_are_named(frictions, stiffnesses, named):

@@ -1,12 +1,12 @@
 """A vehicle log: forces derived from the motion, rates, runs that differ."""
 
-import itertools
 from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest_diagnosis import brush
+from scipy.signal import lfilter
 from scipy.stats import norm, t
 
 from fits.withheld.car import FAULTS, Car, drive
@@ -30,7 +30,7 @@ MASS_REAR, ARM = 1400 * 1.2 / 2.6, 2300 / (1400 * 1.2)
 
 @pytest.fixture(scope="module")
 def driven():
-    return drive(Car(), rows=480)
+    return drive(Car(), rows=240)
 
 
 def prior(effect, frame, rig=RIG):
@@ -52,7 +52,7 @@ def test_a_derived_force_is_recognised_by_its_channels(driven):
     front = derived_from(read_frame(drive(Car(), "front")), "fy")
     assert front.steered and front.mass == pytest.approx(1400 * 1.4 / 2.6)
     # Even a good transducer has noise.
-    noisy = driven["fy"] * (1 + 0.005 * np.sin(np.arange(480)))
+    noisy = driven["fy"] * (1 + 0.005 * np.sin(np.arange(240)))
     assert derived_from(read_frame(driven | {"fy": noisy}), "fy") is None
     without = {name: x for name, x in driven.items() if name != "a_y"}
     assert derived_from(read_frame(without), "fy") is None
@@ -60,7 +60,7 @@ def test_a_derived_force_is_recognised_by_its_channels(driven):
 
 
 def test_priors_of_a_derived_force_follow_the_stated_vehicle(driven):
-    measured = drive(Car(), measured=True, rows=480)
+    measured = drive(Car(), measured=True, rows=240)
     assert prior("tracked_point", driven).scale == pytest.approx(0.03 * ARM)
     assert prior("tracked_point", measured).scale > 5 * 0.03 * ARM
     assert prior("channel_delay", driven).scale == pytest.approx(0.005)
@@ -106,7 +106,7 @@ def test_the_acceleration_of_a_derived_force_explains_nothing(driven):
     assert "the yaw inertia to 1 of it (yaw_inertia is not stated: measure it)" in said
     whole = diagnosis_text(found, full=True)
     assert said.split(";")[0] in " ".join(whole.split())
-    measured = drive(Car(), measured=True, rows=480)
+    measured = drive(Car(), measured=True, rows=240)
     assert not diagnose(read_frame(measured), rig=RIG, effects=effects).data.motion
     assert found.verdict.status == "none"
 
@@ -127,7 +127,7 @@ def test_errors_of_a_vehicle_are_named(effect):
     # A path of some curvature at some speed has one road wheel angle: a yaw rate over
     # speed and a lateral acceleration together are that angle, but for its lead.
     without = ("toe",) if effect == "steering_gain" else ()
-    data = read_frame(drive(*FAULTS[effect], rows=480 if effect in OFTEN else 700))
+    data = read_frame(drive(*FAULTS[effect], rows=240 if effect in OFTEN else 700))
     found = diagnose(data, rig=RIG, without=without)
     # What a brush on two wheels lacks of a car may be there as well.
     assert effect in (*found.effects, *found.verdict.also_possible)
@@ -167,9 +167,8 @@ def test_without_noise_the_past_slip_is_the_measured_one(interval):
 
     fine = np.arange(0.0, 16.0, interval / 50)
     ways = interval / 50 / 0.03
-    behind = np.zeros(len(fine))
-    for k, (before, now) in enumerate(itertools.pairwise(slip(fine))):
-        behind[k + 1] = behind[k] + (1 - np.exp(-ways)) * ((before + now) / 2 - behind[k])
+    share = 1 - np.exp(-ways)
+    behind = np.append(0.0, lfilter([share / 2, share / 2], [1, share - 1], slip(fine))[1:])
     found = slip_rate(slip(time), time, np.zeros(len(time), int))
     steps = jnp.full(len(time), found.past.interval)
     late = lagged(jnp.asarray(found.past.path), 0.03, steps)
@@ -179,9 +178,8 @@ def test_without_noise_the_past_slip_is_the_measured_one(interval):
     assert np.sqrt(np.mean((np.asarray(late) - right) ** 2)) < 1e-4
 
 
-@pytest.mark.parametrize(
-    ("rate", "each"), [(80, 3.0), pytest.param(200, 10.0, marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("rate", "each"), [(80, 3.0), (200, 10.0)])
 def test_relaxation_in_fast_sweeps_is_the_only_named_effect(rate, each):
     """The equation itself, integrated between the rows, from 0.15 to 2 Hz, in two sweeps
     of ``each`` seconds."""
@@ -278,10 +276,10 @@ def of_runs(offsets, seed=0):
     """Free driving on both sides in runs with different offsets of the slip angle."""
     generator, blocks = np.random.default_rng(seed), []
     for number, offset in enumerate(offsets):
-        time = np.arange(120) * 0.1
+        time = np.arange(50) * 0.24
         slip = 0.15 * np.sin(0.9 * time + number)
         force = brush(slip + offset, 5e4, 0.9, 4000.0)
-        force = force + 20 * generator.standard_normal(120)
+        force = force + 20 * generator.standard_normal(50)
         blocks.append([time + 20 * number, np.arctan(slip), force, 0 * time + number])
     time, alpha, fy, run = np.concatenate(blocks, axis=1)
     run = np.array([f"r{k:.0f}" for k in run])

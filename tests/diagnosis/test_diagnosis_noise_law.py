@@ -129,7 +129,7 @@ def test_noise_never_exceeds_the_residuals():
     assert np.median(base.noise["fy"].std) < 1.25 * left
 
 
-@pytest.mark.parametrize("times", [1.5, 6.0])
+@pytest.mark.parametrize("times", [1.5, pytest.param(6.0, marks=pytest.mark.long)])
 def test_scatter_above_the_stated_noise_is_reported(times):
     """White noise above the stated level: no effect, but a wrongly stated noise, with
     the factor."""

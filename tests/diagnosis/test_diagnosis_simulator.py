@@ -16,15 +16,17 @@ from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.evidence.fits import as_measured
 from tirefit.diagnosis.evidence.forms import not_followed
-from tirefit.diagnosis.evidence.simulator import simulator_at
+from tirefit.diagnosis.evidence.simulator import given_simulator, simulator_at
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.summary.budget import _energies
 from tirefit.diagnosis.summary.closure import block_means
 from tirefit.diagnosis.summary.result import rows_in_file_terms
 from tirefit.fitting.estimate import fit
+from tirefit.fitting.layout import FreeParameter, Layout
 from tirefit.fitting.predict import predict
-from tirefit.fitting.store import load_fit
-from tirefit.params import with_values
+from tirefit.fitting.store import StoredFit, load_fit
+from tirefit.models import MODELS
+from tirefit.params import specs, with_values
 from tirefit.results import DataError, UsageError
 
 TIR = Path(__file__).parents[1] / "data/tir/mfeval_julia/MagicFormula52_Parameters.tir"
@@ -141,9 +143,9 @@ def test_a_fit_of_other_data_is_a_simulator(tmp_path, frame):
     assert mu.simulated == pytest.approx(stored.least_squares["mu"].value)
     assert mu.differs and abs(mu.measured - TRUE["mu"]) < 3 * mu.std
     # From the record in memory, and from the file read by the user: the same.
-    for same in (stored, load_fit(tmp_path / "fit.json")):
-        again = studied(frame, same)
-        assert again.budget == found.budget
+    assert studied(frame, stored).budget == found.budget
+    of_file, read = simulator_at(str(tmp_path / "fit.json")), load_fit(tmp_path / "fit.json")
+    np.testing.assert_array_equal(given_simulator(read, read_frame(frame)).z, of_file.z)
 
 
 @pytest.mark.long
@@ -195,15 +197,23 @@ def curved(slip, fz, mu=1.0, stiffness=1.0):
     return peak * np.tanh(slope * slip / (1 + slip) / peak)
 
 
-@pytest.mark.parametrize("offset", [pytest.param(0.0, marks=pytest.mark.long), OFFSET])
-def test_a_simulator_that_is_no_brush_is_approximated_by_another_model(offset):
+@pytest.mark.parametrize(
+    ("offset", "effects"),
+    [
+        (OFFSET, LIBRARY),
+        pytest.param(OFFSET, EFFECTS, marks=pytest.mark.long),
+        pytest.param(0.0, EFFECTS, marks=pytest.mark.long),
+    ],
+    ids=["offset", "offset among all effects", "no effect"],
+)
+def test_a_simulator_that_is_no_brush_is_approximated_by_another_model(offset, effects):
     """Friction 10 % too high, stiffness 15 % too low: alone, or with a slip offset;
     approximated by a brush, the rest would be named as an effect."""
     slip, fz = (rows()[0][name] for name in ("sigma_x", "fz"))
     noise = NOISE * np.random.default_rng(1).standard_normal(len(slip))
     frame = {"sigma_x": slip, "fz": fz, "fx": curved(slip + offset, fz) + noise}
     sim = curved(slip, fz, 1.1, 0.85)
-    found = diagnose(read_frame(frame, "a"), sim=sim, rig=RIG)
+    found = diagnose(read_frame(frame, "a"), sim=sim, rig=RIG, effects=effects)
     assert found.simulator.surrogate.model == found.model == "mf61"
     assert found.simulator.surrogate.of_force < 0.01
     if offset:
@@ -273,6 +283,7 @@ def test_errors_of_the_approximation_are_not_named_as_effects(offset):
     assert abs(change.measured - 1.25) < 0.01 + 3 * change.std < 0.05
 
 
+@pytest.mark.long
 def test_an_effect_excluded_by_its_refit_is_not_also_possible():
     """With a slip offset, friction that depends on the speed looks like an offset to
     first order, but its refit explains nothing."""
@@ -457,11 +468,10 @@ def test_rows_without_a_simulated_force_are_masked(frame):
 
 
 def test_a_fit_with_parameters_per_run_is_refused(frame):
-    run = np.where(np.arange(180) % 2, "a", "b")
-    runs = read_frame(frame | {"run": run}, "runs")
-    config = {"parameters": {"mu": {"per_run": True}}}
+    tire = MODELS["brush"]
+    layout = Layout((FreeParameter("mu", specs(tire)["mu"], True),), (), ("a", "b"))
     with pytest.raises(UsageError, match="each run"):
-        studied(frame, fit(runs, "brush", config=config))
+        studied(frame, StoredFit("brush", tire, layout, np.zeros(2), np.eye(2), {}, {}))
 
 
 def test_missing_coefficients_of_a_tir_are_reported(tmp_path):

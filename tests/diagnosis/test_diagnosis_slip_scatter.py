@@ -15,6 +15,7 @@ from tirefit.diagnosis.rows.rig import Rig
 ROWS, NOISE = 600, 0.002
 LOADS = np.repeat([2000.0, 4000.0, 6000.0], ROWS // 3)
 TIME = np.arange(ROWS)
+FEW = [e for e in EFFECTS if e.id in ("slip_offset", "force_offset", "load_friction")]
 
 
 def shown(seed, slip_noise, own=0.005 * LOADS, off=0.0):
@@ -60,10 +61,14 @@ def steady(seed, slip_noise):
     return {"time": 0.5 * TIME, "sigma_x": slip, "fx": force, "fz": fz}
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_undeclared_slip_noise_gives_no_gap(seed):
+@pytest.mark.parametrize(
+    ("seed", "effects"),
+    [(1, FEW), *(pytest.param(k, EFFECTS, marks=pytest.mark.long) for k in (1, 2))],
+    ids=["few effects", "all effects", "all effects, another seed"],
+)
+def test_undeclared_slip_noise_gives_no_gap(seed, effects):
     noise = 2 * NOISE
-    found = diagnose(read_frame(steady(seed, noise)))
+    found = diagnose(read_frame(steady(seed, noise)), effects=effects)
     assert found.verdict.status == "none"
     assert found.noise.slip == pytest.approx(noise, rel=0.15)
     assert found.noise.slip_source == "scatter where the force is steep"
@@ -78,8 +83,7 @@ def test_a_slip_offset_is_not_taken_for_slip_noise(seed):
     slip, fz = np.tile(np.linspace(-0.2, 0.2, 32), 3), np.repeat(LOADS[::200], 32)
     force = brush(slip + 0.006, 5e4, 0.9, fz) + 20 * generator.normal(size=96)
     rig = Rig(noise={"fx": 20.0})
-    few = [e for e in EFFECTS if e.id in ("slip_offset", "force_offset", "load_friction")]
-    found = diagnose(read_frame({"sigma_x": slip, "fx": force, "fz": fz}), rig=rig, effects=few)
+    found = diagnose(read_frame({"sigma_x": slip, "fx": force, "fz": fz}), rig=rig, effects=FEW)
     assert found.effects == ("slip_offset",)
     assert found.noise.slip == 0
 

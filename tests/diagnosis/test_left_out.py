@@ -276,7 +276,7 @@ def test_the_search_rejects_an_effect_of_one_run():
     assert set(end.effects) <= TRUE and "slip_offset" in end.effects
 
 
-@pytest.mark.parametrize("count", [4, 6])
+@pytest.mark.parametrize("count", [4, pytest.param(6, marks=pytest.mark.long)])
 def test_a_diagnosis_names_the_effects_of_the_search(count):
     found = diagnose(read_frame(logs(count), "logs"), rig=RIG, effects=LIBRARY)
     assert set(found.effects) == TRUE

@@ -14,6 +14,7 @@ from fits.withheld_vehicle.drives import LISTED, Trial, trial, written
 from tirefit.cli.commands import app
 from tirefit.models import Brush
 from tirefit.results import DataError, UsageError
+from tirefit.vehicle import evidence
 from tirefit.vehicle.car import cubic, delayed, lagged, with_play
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples, Setting
 
@@ -25,10 +26,18 @@ DELAY = 0.08
 def logged(folder, effect, size, number=5, off=1.1):
     """Log, vehicle and tires (stiffness wrong by a factor) of a drive."""
     one = trial(number, "none")
-    one = Trial(number, effect, size, one.car, seconds=24.0)
+    one = Trial(number, effect, size, one.car, seconds=16.0)
     log, vehicle = written(one, folder)
     tires = [Brush(cpa2=off * c, mu=mu) for c, mu in one.car["tires"]]
     return log, vehicle, tires
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_windows():
+    """Programs of the fifteen windows of these logs: padding to 48 takes longer."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evidence, "_LEAST_WINDOWS", 16)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +99,7 @@ def test_a_replay_with_the_effects_reaches_the_noise(late, found, tmp_path):
         tirefit.replay([log], vehicle, *tires, effects=given)
 
 
+@pytest.mark.long
 def test_no_effect_is_named_if_none_is_missing(tmp_path):
     log, vehicle, tires = logged(tmp_path, "", 0.0, number=6)
     found = tirefit.diagnose_vehicle([log], vehicle, *tires, effects=LIBRARY)
@@ -114,7 +124,7 @@ def test_an_unknown_effect_and_a_log_without_windows_are_refused(late):
         tirefit.diagnose_vehicle([log], vehicle, *tires, without=["steering_dely"])
     with pytest.raises(DataError, match="shorter window"):
         tirefit.diagnose_vehicle([log], vehicle, *tires, window=100.0)
-    with pytest.raises(DataError, match="4 windows of 5 s; a diagnosis needs 8"):
+    with pytest.raises(DataError, match="3 windows of 5 s; a diagnosis needs 8"):
         tirefit.diagnose_vehicle([log], vehicle, *tires, window=5.0)
 
 

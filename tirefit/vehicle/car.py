@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from tirefit.data.vehicle import Vehicle
@@ -154,13 +155,18 @@ def steps_a_sample(car: Car, slowest: float, rate: float) -> int:
 
 def stiffest(car: Car, slowest: float) -> float:
     """Fastest rate [1/s] of the dynamics of the car, at its slowest speed [m/s]."""
+    return float(np.abs(np.linalg.eigvals(_slopes(car, slowest))).max())
+
+
+@jax.jit
+def _slopes(car: Car, speed):
+    """Derivatives of the rates of v_y and yaw rate by both, driving straight ahead."""
 
     def moved(motion):
-        lateral, yaw = accelerations(car, slowest, 0.0, *motion)
-        return jnp.stack([lateral - slowest * motion[1], yaw])
+        lateral, yaw = accelerations(car, speed, 0.0, *motion)
+        return jnp.stack([lateral - speed * motion[1], yaw])
 
-    slopes = jax.jacfwd(moved)(jnp.zeros(2))
-    return float(jnp.max(jnp.abs(jnp.linalg.eigvals(slopes))))
+    return jax.jacfwd(moved)(jnp.zeros(2))
 
 
 def predicted(
