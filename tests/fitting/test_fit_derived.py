@@ -15,7 +15,7 @@ from tirefit.fitting.estimate import fit, with_fixed
 from tirefit.fitting.extremes import _bowl
 from tirefit.fitting.inference import deviance
 from tirefit.fitting.layout import FreeParameter, Layout
-from tirefit.fitting.posterior import CHUNK, sample
+from tirefit.fitting.posterior import sample
 from tirefit.fitting.problem import build
 from tirefit.fitting.result import Estimate
 from tirefit.models import MODELS
@@ -259,8 +259,8 @@ def test_curvature_of_the_deviance_agrees_with_the_covariance(given):
     np.testing.assert_allclose(curvature @ end.covariance, np.eye(2), atol=1e-9)
 
 
-def test_posterior_quantities_use_the_posterior_draws(given):
-    sampled = sample(given, max_steps=CHUNK)
+def test_posterior_quantities_use_the_posterior_draws(given, chunk):
+    sampled = sample(given, max_steps=chunk, walkers=16)
     cpa2, mu = sampled.chains.reshape(-1, 2).T
     for name, draws in (
         ("C_x", 2 * cpa2),

@@ -11,7 +11,7 @@ from tirefit.fitting.inference import deviance, minima
 from tirefit.report.text import fit_report
 
 LOADS = (1500.0, 3000.0, 4500.0, 6000.0, 7500.0)
-SLIP = np.linspace(-0.2, 0.2, 110)
+SLIP = np.linspace(-0.2, 0.2, 60)
 
 
 def four_coefficients(alpha, B, C, D, E, fz):

@@ -84,7 +84,8 @@ def _scatter(residual: np.ndarray, std: np.ndarray) -> float:
 
     def is_too_small(tau: float) -> bool:
         scale = np.hypot(std, tau)
-        return bool(np.median(np.abs(residual) - _MEDIAN * scale) > 0)
+        above = np.sort(np.abs(residual) - _MEDIAN * scale)
+        return bool(above[len(above) // 2] + above[(len(above) - 1) // 2] > 0)  # the median
 
     low, high = 0.0, float(np.max(np.abs(residual))) / _MEDIAN
     if not is_too_small(low):
