@@ -207,7 +207,7 @@ def test_other_combined_models_are_recovered(name):
     for force, std in NOISE.items():
         noise = std * generator.standard_normal(400)
         columns[force] = np.asarray(getattr(found, force)) + noise
-    config = {"force": ["fx", "fy"], "noise": NOISE, "solver": "gauss-newton", "starts": 2}
+    config = {"force": ["fx", "fy"], "noise": NOISE, "solver": "gauss-newton"}
     end = solved(table(columns), config, name)
     values = end.problem.layout.natural(end.z)
     z = np.asarray(end.problem.layout.unconstrained(TRUTHS[name]))

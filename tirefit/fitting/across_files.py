@@ -82,12 +82,13 @@ def across_files(value, std, when) -> AcrossFiles:
 def _scatter(residual: np.ndarray, std: np.ndarray) -> float:
     """tau at which the median of |r_i| / sqrt(s_i^2 + tau^2) is that of a Gaussian."""
 
-    def is_too_small(tau: float) -> bool:
-        scale = np.hypot(std, tau)
-        above = np.sort(np.abs(residual) - _MEDIAN * scale)
-        return bool(above[len(above) // 2] + above[(len(above) - 1) // 2] > 0)  # the median
+    size, middles = np.abs(residual), [(len(residual) - 1) // 2, len(residual) // 2]
 
-    low, high = 0.0, float(np.max(np.abs(residual))) / _MEDIAN
+    def is_too_small(tau: float) -> bool:
+        # np.median would take three times as long.
+        return bool(np.sum(np.sort(size - _MEDIAN * np.hypot(std, tau))[middles]) > 0)
+
+    low, high = 0.0, float(np.max(size)) / _MEDIAN
     if not is_too_small(low):
         return 0.0
     for _ in range(20):
