@@ -83,17 +83,16 @@ def _scatter(residual: np.ndarray, std: np.ndarray) -> float:
     """tau at which the median of |r_i| / sqrt(s_i^2 + tau^2) is that of a Gaussian."""
 
     size, middles = np.abs(residual), [(len(residual) - 1) // 2, len(residual) // 2]
-
-    def is_too_small(tau: float) -> bool:
+    low, high, tau = 0.0, float(np.max(size)) / _MEDIAN, 0.0
+    for _ in range(21):  # first at zero
         # np.median would take three times as long.
-        return bool(np.sum(np.sort(size - _MEDIAN * np.hypot(std, tau))[middles]) > 0)
-
-    low, high = 0.0, float(np.max(size)) / _MEDIAN
-    if not is_too_small(low):
-        return 0.0
-    for _ in range(20):
-        middle = (low + high) / 2
-        low, high = (middle, high) if is_too_small(middle) else (low, middle)
+        if np.sum(np.sort(size - _MEDIAN * np.hypot(std, tau))[middles]) > 0:
+            low = tau
+        else:
+            high = tau
+        if high == 0.0:
+            break
+        tau = (low + high) / 2
     return high
 
 
