@@ -68,18 +68,17 @@ def test_intervals_cover_with_estimated_noise():
     assert all(low <= share <= high for share in inside.values()), inside
 
 
-@pytest.mark.parametrize(
-    ("setting", "count"), [("rig", 20), pytest.param("seed", 60, marks=pytest.mark.long)]
-)
-def test_intervals_at_low_friction_use_cover_or_are_reported(setting, count):
+@pytest.mark.long
+@pytest.mark.parametrize("setting", ["rig", "seed"])
+def test_intervals_at_low_friction_use_cover_or_are_reported(setting):
     # 60 % of the friction: 1 - (1 - u)^3 = 0.6 at u = 0.263 of full sliding.
     outcomes = [
         holds_or_says(
             "brush", SETTINGS[setting], synthetic("brush", SETTINGS[setting], 120, 0.26, seed)
         )
-        for seed in range(count)
+        for seed in range(60)
     ]
-    low = binom.ppf(0.0005, count, 0.95) / count
+    low = binom.ppf(0.0005, 60, 0.95) / 60
     assert np.mean(outcomes) >= low
 
 

@@ -126,7 +126,7 @@ def test_the_posterior_by_cells_agrees_with_the_rows(given, sampled, small_files
 
 def test_inaccurate_cells_are_replaced_by_the_rows(given, monkeypatch):
     problem = given.solved.problem
-    observed = {"fx": np.asarray(problem.rows.observed["fx"]) * 1.01}
+    observed = {"fx": np.asarray(problem.rows.observed["fx"]) * 1.002}
     wrong = problem.with_rows(observed=observed).with_rules(problem.rules)
     by_rows = sample(given, sampler="importance", effective_samples=500)
     monkeypatch.setattr(posterior, "condensed", lambda *_: wrong)
