@@ -141,7 +141,7 @@ class MFTire(AbstractTire):
 
 def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
     """Friction coefficients D / F_z of F_x and F_y at inputs of arrays (n,)."""
-    size = len(inputs.fz)
+    size = len(np.asarray(inputs.fz))
     padded = TireInputs(*(pad_rows(column, padded_size(size, 1024)) for column in inputs))
     return {force: np.asarray(mu)[:size] for force, mu in _frictions(tire, padded).items()}
 
