@@ -132,8 +132,9 @@ def forces(
     if any(array.ndim > 1 for array in arrays):
         raise ValueError("inputs must be scalars or one-dimensional arrays")
     shape = jnp.broadcast_shapes(*(array.shape for array in arrays))
-    batch = TireInputs(*(numbers.broadcast_to(array, shape or (1,)) for array in arrays))
-    runs = numbers.broadcast_to(numbers.asarray(run, int), shape or (1,))
+    arrays.append(numbers.asarray(run, int))
+    *columns, runs = (jnp.asarray(numbers.broadcast_to(one, shape or (1,))) for one in arrays)
+    batch = TireInputs(*columns)
     result = _batched(model, batch, runs)
     return result if shape else jax.tree.map(lambda array: array[0], result)
 
