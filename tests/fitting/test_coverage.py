@@ -74,7 +74,7 @@ def test_intervals_at_low_friction_use_cover_or_are_reported(setting):
     # 60 % of the friction: 1 - (1 - u)^3 = 0.6 at u = 0.263 of full sliding.
     outcomes = [
         holds_or_says(
-            "brush", SETTINGS[setting], synthetic("brush", SETTINGS[setting], 120, 0.26, seed)
+            "brush", SETTINGS[setting], synthetic("brush", SETTINGS[setting], 400, 0.26, seed)
         )
         for seed in range(60)
     ]
