@@ -1,8 +1,9 @@
 """Fits shared by several files: few models and one size, to compile little."""
 
 import pytest
-from recipes import ESTIMATED, GIVEN, STD, VAGUE_NOISE, curve
+from recipes import ESTIMATED, GIVEN, SAMPLING, STD, VAGUE_NOISE, curve
 
+from tirefit.fitting import posterior
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.posterior import sample
 
@@ -21,7 +22,14 @@ def estimated():
 
 @pytest.fixture(scope="package")
 def sampled(given):
-    return sample(given, effective_samples=500)
+    return sample(given, **SAMPLING)
+
+
+@pytest.fixture
+def chunk(monkeypatch):
+    """Steps between two checks of convergence, a fifth of the usual ones."""
+    monkeypatch.setattr(posterior, "CHUNK", 20)
+    return posterior.CHUNK
 
 
 @pytest.fixture(scope="package")

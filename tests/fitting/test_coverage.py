@@ -15,8 +15,8 @@ from tirefit.fitting import solve
 MODELS = ["brush", "brush-d", "brush-m", "brush-n", "brush-h"]
 FEW, MANY = 200, 1600
 
-ROWS = 120
-"""Of a data set in the suite: half the time of 400, and further from the many rows at
+ROWS = 64
+"""Of a data set in the suite: a third of the time of 400, and further from the many rows at
 which every interval is right."""
 
 
@@ -62,24 +62,23 @@ def test_profile_intervals_cover(setting, model):
 
 
 def test_intervals_cover_with_estimated_noise():
-    # Few rows, so that a normal in place of Student's t would show: 88 % at 6 rows.
-    inside, _ = coverage("brush", "plain", FEW, rows=12, estimated=True)
-    low, high = binom.ppf([0.0005, 0.9995], FEW, 0.95) / FEW
+    # So few rows that a normal in place of Student's t would show: 88 %.
+    inside, _ = coverage("brush", "plain", 100, rows=6, estimated=True)
+    low, high = binom.ppf([0.0005, 0.9995], 100, 0.95) / 100
     assert all(low <= share <= high for share in inside.values()), inside
 
 
-@pytest.mark.parametrize(
-    ("setting", "count"), [("rig", 20), pytest.param("seed", 60, marks=pytest.mark.long)]
-)
-def test_intervals_at_low_friction_use_cover_or_are_reported(setting, count):
+@pytest.mark.long
+@pytest.mark.parametrize("setting", ["rig", "seed"])
+def test_intervals_at_low_friction_use_cover_or_are_reported(setting):
     # 60 % of the friction: 1 - (1 - u)^3 = 0.6 at u = 0.263 of full sliding.
     outcomes = [
         holds_or_says(
             "brush", SETTINGS[setting], synthetic("brush", SETTINGS[setting], 400, 0.26, seed)
         )
-        for seed in range(count)
+        for seed in range(60)
     ]
-    low = binom.ppf(0.0005, count, 0.95) / count
+    low = binom.ppf(0.0005, 60, 0.95) / 60
     assert np.mean(outcomes) >= low
 
 

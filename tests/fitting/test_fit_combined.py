@@ -198,14 +198,14 @@ TRUTHS = {
 
 @pytest.mark.parametrize("name", TRUTHS)
 def test_other_combined_models_are_recovered(name):
-    columns, generator = rows(n=600), np.random.default_rng(7)
-    columns["sigma_x"] = generator.uniform(-0.3, 0.6, 600)
-    columns["alpha"] = generator.uniform(-0.35, 0.35, 600)
+    columns, generator = rows(), np.random.default_rng(7)
+    columns["sigma_x"] = generator.uniform(-0.3, 0.6, 400)
+    columns["alpha"] = generator.uniform(-0.35, 0.35, 400)
     tire = with_values(MODELS[name], TRUTHS[name])
     names = ("sigma_x", "alpha", "fz")
     found = forces(tire, TireInputs(*(columns[key] for key in names)))
     for force, std in NOISE.items():
-        noise = std * generator.standard_normal(600)
+        noise = std * generator.standard_normal(400)
         columns[force] = np.asarray(getattr(found, force)) + noise
     config = {"force": ["fx", "fy"], "noise": NOISE, "solver": "gauss-newton"}
     end = solved(table(columns), config, name)

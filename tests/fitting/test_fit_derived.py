@@ -10,16 +10,16 @@ from scipy.optimize import brentq, least_squares, minimize_scalar
 from scipy.stats import norm
 
 from tirefit.fitting.config import parse_config
-from tirefit.fitting.derived import derived_channel, derived_from_draws, derived_values, quantities
+from tirefit.fitting.derived import derived_channel, derived_values, quantities
 from tirefit.fitting.estimate import fit, with_fixed
 from tirefit.fitting.extremes import _bowl
 from tirefit.fitting.inference import deviance
 from tirefit.fitting.layout import FreeParameter, Layout
-from tirefit.fitting.posterior import CHUNK, sample
+from tirefit.fitting.posterior import sample
 from tirefit.fitting.problem import build
 from tirefit.fitting.result import Estimate
 from tirefit.models import MODELS
-from tirefit.params import constrain, specs
+from tirefit.params import specs
 from tirefit.report.fit_tables import derived_by_run
 
 
@@ -259,8 +259,8 @@ def test_curvature_of_the_deviance_agrees_with_the_covariance(given):
     np.testing.assert_allclose(curvature @ end.covariance, np.eye(2), atol=1e-9)
 
 
-def test_posterior_quantities_use_the_posterior_draws(given):
-    sampled = sample(given, max_steps=CHUNK)
+def test_posterior_quantities_use_the_posterior_draws(given, chunk):
+    sampled = sample(given, max_steps=chunk, walkers=16)
     cpa2, mu = sampled.chains.reshape(-1, 2).T
     for name, draws in (
         ("C_x", 2 * cpa2),
@@ -339,29 +339,6 @@ def test_quantities_per_run_agree_with_separate_fits(by_run):
             np.testing.assert_allclose(found.std, expected.std, rtol=1e-3)
             # Both levels are for one parameter: the other run has no influence.
             np.testing.assert_allclose(found.ci95, expected.ci95, rtol=1e-4)
-
-
-def test_only_run_dependent_quantities_are_per_run(by_run):
-    data = by_run[0].table
-    config = GIVEN | {"parameters": {"mu": {"per_run": True}}}
-    result = fit(data, config=config)
-    peaks = {f"{q}[{run}]" for q in quantities("fx") for run in data.runs}
-    assert set(result.derived) == {"C_x"} | {
-        label for label in peaks if not label.startswith("C_x")
-    }
-    stiffness = result.least_squares["cpa2"].value
-    np.testing.assert_allclose(result.derived["C_x"].value, 2 * stiffness, rtol=1e-9)
-    z = np.random.default_rng(0).multivariate_normal(result.z, result.covariance, 5000)
-    of_draws = derived_from_draws(result.problem, z, result.derived)
-    assert list(of_draws) == list(result.derived)
-    for run in data.runs:
-        label = f"F_max[{run}]"
-        layout = result.problem.layout
-        mu = layout.labels.index(f"mu[{run}]")
-        draws = constrain(z[:, mu], layout.elements[mu][1].spec)
-        np.testing.assert_allclose(
-            of_draws[label].ci95, FZ * np.quantile(draws, [0.025, 0.975]), rtol=1e-9
-        )
 
 
 def test_undefined_quantities_have_no_number():

@@ -7,7 +7,6 @@ import pytest
 from recipes import FZ, STD, brush_force, curve, table
 
 from tirefit.fitting.config import parse_config
-from tirefit.fitting.estimate import fit
 from tirefit.fitting.inference import linearise, minima, residuals
 from tirefit.fitting.layout import FreeParameter, Layout, Tie, choose_layout
 from tirefit.fitting.least_squares import damped_gauss_newton
@@ -72,14 +71,15 @@ def test_without_priors_there_are_no_pseudo_measurements():
     assert plain.prior_residual(jnp.zeros(1)).shape == (0,)
 
 
-@pytest.mark.parametrize("shift", [-3.0, 0.0, 2.0])
-def test_log_volume_is_the_jacobian_up_to_a_constant(shift):
-    def by_autodiff(z):
-        return jnp.linalg.slogdet(jax.jacfwd(LAYOUT.vector)(z))[1]
+def test_log_volume_is_the_jacobian_up_to_a_constant():
+    @jax.jit
+    @jax.vmap
+    def both(z):
+        return LAYOUT.log_volume(z), jnp.linalg.slogdet(jax.jacfwd(LAYOUT.vector)(z))[1]
 
-    z, origin = shift + jnp.arange(5) / 3, jnp.zeros(5)
-    found = LAYOUT.log_volume(z) - LAYOUT.log_volume(origin)
-    np.testing.assert_allclose(found, by_autodiff(z) - by_autodiff(origin), atol=1e-9)
+    shifted = [shift + np.arange(5) / 3 for shift in (-3.0, 0.0, 2.0)]
+    found, expected = both(np.stack([np.zeros(5), *shifted]))
+    np.testing.assert_allclose(found - found[0], expected - expected[0], atol=1e-9)
 
 
 def test_names_of_runs_do_not_cause_a_new_compilation():
@@ -187,21 +187,6 @@ def test_free_fixed_and_per_run_follow_the_configuration():
     assert layout.labels == ("cpa2", "mu", "half_length")
 
 
-def test_interval_of_a_parameter_tied_by_a_negative_factor_is_in_order():
-    truth = {"cpa2": 5e4, "mu": 1.0, "d": -0.2}
-    config = {
-        "noise": {"fx": STD},
-        "solver": "gauss-newton",
-        "parameters": {"d": {"tied": "mu", "factor": -0.2}},
-    }
-    result = fit(curve(truth, n=100), "brush-d", config=config)
-    d, mu = result.parameters["d"], result.parameters["mu"]
-    assert d.ci95[0] < d.value < d.ci95[1]
-    np.testing.assert_allclose(d.ci95, -0.2 * np.array(mu.ci95[::-1]), rtol=1e-12)
-    assert abs(d.value + 0.2) < 4 * d.std
-    assert any(note.startswith("mu held to") for note in result.noise["notes"])
-
-
 RUNS = ("dry", "wet", "ice")
 PER_RUN = {
     "mu": {"per_run": True, "prior": {"mean": 0.8, "std": 0.3}},
@@ -224,10 +209,11 @@ def test_sparse_slopes_agree_with_dense_slopes(slip_noise):
     truth = {"cpa2": 5e4, "mu[dry]": 1.0, "mu[wet]": 0.7, "mu[ice]": 0.4}
     z = jnp.asarray(problem.layout.unconstrained(truth))
     assert problem.layout.is_sparse and problem.layout.size == 4
-    slopes = {
-        **jax.jacfwd(lambda z: root_deviance(problem, z))(z),
-        "prior": jax.jacfwd(problem.layout.prior_residual)(z),
-    }
+
+    def whole(z):
+        return {**root_deviance(problem, z), "prior": problem.layout.prior_residual(z)}
+
+    slopes = jax.jit(jax.jacfwd(whole))(z)
     found = linearise(problem, z).slopes
     assert set(found) == set(slopes)
     for name, dense in slopes.items():

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from recipes import STD, TRUTH, brush_force, curve, solved, table
-from scipy.integrate import quad
+from scipy.integrate import trapezoid
 
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.likelihood import LOSSES, root_deviance, row_moments
@@ -66,19 +66,13 @@ def marginal_deviance(slip, force, tau, density):
     """-2 log of the likelihood of one row over that of a row without force noise."""
     knots, heights = density
 
-    def prior(s):
-        gauss = np.exp(-0.5 * ((s - slip) / tau) ** 2)
-        return gauss * np.interp(s, knots, heights, left=0.0, right=0.0)
-
-    def both(s):
-        residual = (force - brush_force(np.array([s]), **OFF)[0]) / STD
-        return prior(s) * np.exp(-0.5 * residual**2)
-
-    ends = slip - 8 * tau, slip + 8 * tau
-    inside = np.concatenate([knots, slip + tau * np.linspace(-6, 6, 49)])
-    inside = np.sort(inside[(inside > ends[0]) & (inside < ends[1])])
-    numerator = quad(both, *ends, points=inside, limit=500)[0]
-    return -2 * np.log(numerator / quad(prior, *ends, points=inside, limit=500)[0])
+    s = slip + tau * np.linspace(-8, 8, 40_001)
+    inside = knots[(knots > s[0]) & (knots < s[-1])]
+    s = np.union1d(s, inside)
+    prior = np.exp(-0.5 * ((s - slip) / tau) ** 2)
+    prior = prior * np.interp(s, knots, heights, left=0.0, right=0.0)
+    both = prior * np.exp(-0.5 * ((force - brush_force(s, **OFF)) / STD) ** 2)
+    return -2 * np.log(trapezoid(both, s) / trapezoid(prior, s))
 
 
 def test_slip_noise_block_is_the_marginal_likelihood():
@@ -143,7 +137,7 @@ def test_outliers_bias_squares_but_not_robust_losses(loss):
 def test_force_noise_of_rows_with_noisy_slip_is_estimated():
     # The residuals hold the slip's noise too (up to 2.7 times the force's).
     data = curve(seed=10, slip_std=0.001)
-    end = solved(data, {"noise": {"sigma_x": 0.001}, "solver": "gauss-newton"})
+    end = solved(data, {"noise": {"sigma_x": 0.001}, "solver": "gauss-newton", "starts": 1})
     scale = float(end.problem.rows.scale["fx"][0])
     np.testing.assert_allclose(scale, STD, rtol=0.12)
     values = end.problem.layout.natural(end.z)

@@ -71,14 +71,17 @@ def test_split_rhat_agrees_with_its_definition():
     assert split_rhat(drifting)[0] > 1.1
 
 
-def test_seed_reproduces_bit_for_bit(given, sampled):
-    # The limit of steps at which it converges is accepted.
-    again = sample(given, effective_samples=500, max_steps=sampled.posterior.steps)
-    assert again.posterior.outcome is Outcome.CONVERGED
-    assert np.array_equal(again.walkers, sampled.walkers)
-    assert again.to_json() == sampled.to_json()
-    other = sample(given, effective_samples=500, seed=1, max_steps=CHUNK)
-    assert not np.array_equal(other.walkers[:, :, :50], sampled.walkers[:, :, :50])
+def test_seed_reproduces_bit_for_bit(given, chunk, monkeypatch):
+    # Content with few steps: the limit of steps at which it converges is accepted.
+    monkeypatch.setattr(posterior, "_STEPS_PER_TAU", 1)
+    monkeypatch.setattr(posterior, "_RHAT", 2.0)
+    settings = {"effective_samples": 50, "walkers": 16, "max_steps": chunk}
+    one, again = (sample(given, **settings) for _ in range(2))
+    assert one.posterior.outcome is Outcome.CONVERGED and one.posterior.steps == chunk
+    assert np.array_equal(again.walkers, one.walkers)
+    assert again.to_json() == one.to_json()
+    other = sample(given, **settings, seed=1)
+    assert not np.array_equal(other.walkers, one.walkers)
 
 
 def interrupt_at(count):
@@ -94,15 +97,16 @@ def interrupt_at(count):
 
 
 @pytest.mark.parametrize("sampler", ["emcee", "nuts"])
-def test_a_resumed_run_equals_an_uninterrupted_one(given, tmp_path, sampler):
-    settings = {"sampler": sampler, "effective_samples": 10**9, "max_steps": 2 * CHUNK}
+def test_a_resumed_run_equals_an_uninterrupted_one(given, chunk, tmp_path, sampler):
+    settings = {"sampler": sampler, "effective_samples": 10**9, "max_steps": 2 * chunk}
+    settings["walkers"] = 16 if sampler == "emcee" else 2
     whole = sample(given, **settings)
     path = tmp_path / "chain.npz"
     broken = sample(given, **settings, checkpoint=path, progress=interrupt_at(1))
     assert broken.outcomes == (Outcome.INTERRUPTED,)
-    assert broken.posterior.steps == CHUNK and path.exists()
+    assert broken.posterior.steps == chunk and path.exists()
     resumed = sample(given, **settings, checkpoint=path, resume=True)
-    assert resumed.posterior.steps == 2 * CHUNK
+    assert resumed.posterior.steps == 2 * chunk
     assert np.array_equal(resumed.walkers, whole.walkers)
     assert resumed.posterior == whole.posterior
     assert [p.name for p in tmp_path.iterdir()] == ["chain.npz"]
@@ -134,20 +138,20 @@ def test_resume_completes_a_larger_target(given, tmp_path):
     assert again.posterior == done.posterior  # nothing left to do
 
 
-def test_a_walker_that_never_moved_has_infinite_autocorrelation_time(given, monkeypatch):
+def test_a_walker_that_never_moved_has_infinite_autocorrelation_time(given, chunk, monkeypatch):
     """Without a warning; the posterior is one draw per walker."""
     chains = synthetic_chains()
     chains[0, :, 0] = 0
     assert np.all(np.isinf(posterior._autocorrelation_times(chains)))
     monkeypatch.setattr(posterior, "_autocorrelation_times", lambda s: np.full(s.shape[-1], np.inf))
-    result = sample(given, max_steps=CHUNK)
+    result = sample(given, max_steps=chunk, walkers=16)
     assert all(ess == 0 for ess in result.posterior.ess.values())
     assert result.chains.shape[1] == result.posterior.walkers
 
 
-def test_checkpoint_of_another_fit_is_refused(given, tmp_path):
+def test_checkpoint_of_another_fit_is_refused(given, chunk, tmp_path):
     path = tmp_path / "chain.npz"
-    sample(given, effective_samples=10**9, max_steps=CHUNK, checkpoint=path)
+    sample(given, effective_samples=10**9, max_steps=chunk, walkers=16, checkpoint=path)
     # Twice the noise: the same best fit, but not the same posterior.
     noisier = fit(given.table, config=GIVEN | {"noise": {"fx": 2 * STD}})
     others = {
@@ -157,10 +161,10 @@ def test_checkpoint_of_another_fit_is_refused(given, tmp_path):
         "other sampler": (given, {"sampler": "nuts"}),
         "other walkers": (given, {"walkers": 40}),
     }
-    accepted = []
+    same, accepted = {"walkers": 16}, []
     for name, (result, changes) in others.items():
         try:
-            sample(result, max_steps=CHUNK, checkpoint=path, resume=True, **changes)
+            sample(result, max_steps=chunk, checkpoint=path, resume=True, **same | changes)
         except UsageError as error:
             assert "another fit" in str(error)
         else:
@@ -187,7 +191,7 @@ def test_an_unknown_sampler_is_refused(given):
 
 
 def test_unidentified_friction_keeps_its_width(vague):
-    result = sample(vague, max_steps=3 * CHUNK)
+    result = sample(vague, max_steps=3 * CHUNK, walkers=16)
     mu = result.parameters["mu"]
     assert mu.std is None and not mu.identified
     low, high = mu.ci95

@@ -1,5 +1,7 @@
 """NUTS and importance sampling compared with known posteriors, ArviZ and emcee."""
 
+from functools import partial
+
 import arviz
 import jax
 import jax.numpy as jnp
@@ -165,7 +167,7 @@ def test_importance_is_reproduced_by_its_seed_alone(given, weighted, tmp_path):
     assert not np.array_equal(other.walkers[:, :, :50], weighted.walkers[:, :, :50])
 
 
-def test_refused_importance_sampling_falls_back_to_emcee_with_a_note(given, sampled, monkeypatch):
+def test_refused_importance_sampling_falls_back_to_emcee_with_a_note(given, chunk, monkeypatch):
     from tirefit.fitting import posterior
 
     real = draw_weighted
@@ -174,8 +176,9 @@ def test_refused_importance_sampling_falls_back_to_emcee_with_a_note(given, samp
         return real(heavy, *arguments)
 
     monkeypatch.setattr(posterior, "draw_weighted", far)
-    result = sample(given, sampler="importance", effective_samples=500)
-    assert np.array_equal(result.walkers, sampled.walkers)
+    settings = {"max_steps": chunk, "walkers": 16}
+    result = sample(given, sampler="importance", **settings)
+    assert np.array_equal(result.walkers, sample(given, **settings).walkers)
     summary = result.posterior
     assert summary.sampler == "emcee" and summary.k_hat > 0.7
     assert "importance sampling refused (k-hat" in summary.note
@@ -229,34 +232,33 @@ def test_nuts_agrees_with_emcee(given, sampled):
     assert "4 ensembles × 8 chains" in text and "0 divergences" in text
 
 
+ROOT = np.array([[0.02, 0.0], [4.0, 3.0]])
+INVERSE = np.linalg.inv(ROOT)
+
+
+def gaussian_or_funnel(u, funnel):
+    """Spreads of 0.02 and 5 and a correlation, without any whitening; or a funnel, whose
+    neck is narrower than any one step size reaches (Neal 2003). One program for both."""
+    neck = 3 * u[..., 0]
+    of_funnel = u[..., 0] ** 2 + u[..., 1] ** 2 * jnp.exp(-neck) + neck
+    return -jnp.where(funnel, of_funnel, jnp.sum((u @ INVERSE.T) ** 2, axis=-1)) / 2
+
+
 def test_nuts_adapts_a_mass():
-    """Spreads of 0.02 and 5 and a correlation, without any whitening."""
-    root = np.array([[0.02, 0.0], [4.0, 3.0]])
-    inverse = jnp.linalg.inv(root)
-
-    def density(u):
-        return -jnp.sum((u @ inverse.T) ** 2, axis=-1) / 2
-
+    density = partial(gaussian_or_funnel, funnel=np.array(False))
     state = nuts_start(density, 2, 4, 8, 0)
-    samples, values, accepted, state = nuts_chunk(density, state, 100)
-    *_, state = nuts_chunk(density, state, 100)
-    assert samples.shape == (4, 100, 8, 2) and values.shape == (4, 100, 8)
+    samples, values, accepted, state = nuts_chunk(density, state, 50)
+    *_, state = nuts_chunk(density, state, 50)
+    assert samples.shape == (4, 50, 8, 2) and values.shape == (4, 50, 8)
     np.testing.assert_allclose(values, density(samples), rtol=1e-9)
     assert 0.6 < accepted < 0.95 and state["divergences"] == 0
     covariance = np.cov(samples.reshape(-1, 2).T)
-    np.testing.assert_allclose(covariance, root @ root.T, rtol=0.25)
+    np.testing.assert_allclose(covariance, ROOT @ ROOT.T, rtol=0.25)
 
 
 def test_nuts_counts_divergences():
-    """A funnel: its neck is narrower than any one step size reaches (Neal 2003)."""
-
-    def funnel(u):
-        neck = 3 * u[:, 0]
-        rest = jnp.sum(u[:, 1:] ** 2, axis=1) * jnp.exp(-neck)
-        return -(u[:, 0] ** 2 + rest + (u.shape[1] - 1) * neck) / 2
-
-    state = nuts_start(funnel, 3, 4, 8, 0)
-    *_, state = nuts_chunk(funnel, state, 50)
+    density = partial(gaussian_or_funnel, funnel=np.array(True))
+    *_, state = nuts_chunk(density, nuts_start(density, 2, 4, 8, 0), 50)
     assert state["divergences"] > 0
 
 

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from recipes import FZ, STD, TRUTH, brush_force, curve, table
 
+from tirefit.fitting.derived import derived_from_draws, quantities
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit
+from tirefit.params import constrain
 from tirefit.results import DataError, UsageError
 
 NEW = table({"sigma_x": np.linspace(-0.15, 0.2, 36), "fz": np.full(36, 3500.0)}, "new")
@@ -165,6 +167,24 @@ def test_joint_fit_recovers_both_frictions(joint):
     stiffness = joint.least_squares["cpa2"]
     assert abs(stiffness.value - 5e4) < 4 * stiffness.std
     assert joint.status == "ok"
+
+
+def test_only_run_dependent_quantities_are_per_run(joint):
+    runs = joint.table.runs
+    peaks = {f"{q}[{run}]" for q in quantities("fx") if q != "C_x" for run in runs}
+    assert set(joint.derived) == {"C_x", *peaks}
+    stiffness = joint.least_squares["cpa2"].value
+    np.testing.assert_allclose(joint.derived["C_x"].value, 2 * stiffness, rtol=1e-9)
+    z = np.random.default_rng(0).multivariate_normal(joint.z, joint.covariance, 5000)
+    of_draws = derived_from_draws(joint.problem, z, joint.derived)
+    assert list(of_draws) == list(joint.derived)
+    layout = joint.problem.layout
+    for run in runs:
+        mu = layout.labels.index(f"mu[{run}]")
+        draws = constrain(z[:, mu], layout.elements[mu][1].spec)
+        np.testing.assert_allclose(
+            of_draws[f"F_max[{run}]"].ci95, FZ * np.quantile(draws, [0.025, 0.975]), rtol=1e-9
+        )
 
 
 def test_a_fit_per_run_survives_storing(joint, two_runs, tmp_path):

@@ -33,9 +33,10 @@ def priors_script():
     return module
 
 
+@cache
 def columns(path, forces_, least=1e-9):
     """A test's rows of pure slip for these forces, as columns."""
-    table = measured(path)
+    table = measured(path, n=28, loads=4)
     other = "alpha" if forces_ == ("fx",) else "sigma_x"
     rows = np.abs(table[other]) < least
     drop = {"fx", "fy", "mz", other} - set(forces_)
@@ -170,7 +171,9 @@ def test_pure_lateral_rows_recover_their_coefficients():
 
     table = columns(MF61, ("fy",))
     nominal = {"FNOMIN": {"value": 6752.0}, "NOMPRES": {"value": 2.6e5}}
-    result = fit_magic_formula(read_frame(table), "mf61", part="fy", config={"parameters": nominal})
+    result = fit_magic_formula(
+        read_frame(table), "mf61", part="fy", config={"parameters": nominal}, leave_out="none"
+    )
     assert result.parts == ("fy",) and result.forces == ("fy",)
     true = normal_form(read_tir(MF61).numbers)
     away = [
@@ -189,7 +192,7 @@ def test_coefficients_without_variation_are_fixed_and_reported():
     table = columns(MF61, ("fy",))
     upright = (table["gamma"] == 0) & (table["pressure"] == 2.6e5)
     table = {k: v[upright] for k, v in table.items() if k not in ("gamma", "pressure")}
-    result = fit_magic_formula(read_frame(table), "mf62", part="fy")
+    result = fit_magic_formula(read_frame(table), "mf62", part="fy", leave_out="none")
     held = {k for k, one in result.coefficients.items() if one.origin == "held"}
     assert {"PKY3", "PKY5", "PKY6", "PVY3", "PPY1", "PPY5", "PDY3", "PEY4"} <= held
     assert not {"PDY1", "PDY2", "PCY1", "PKY1", "PHY1", "PVY1"} & held
@@ -198,11 +201,13 @@ def test_coefficients_without_variation_are_fixed_and_reported():
 
 
 def test_given_coefficients_and_priors_are_used():
-    table = columns(MF52, ("fx",))
+    table = dict(columns(MF52, ("fx",)))
     asked = {"PEX4": {"value": 0.0, "free": False}, "PCX1": {"prior": {"mean": 1.2, "std": 0.001}}}
     config = {"parameters": asked, "noise": {"sigma_x": 1e-3}}
-    table["fx"][100] += 0.5 * table["fz"][100]
-    result = fit_magic_formula(read_frame(table), "mf52", part="fx", config=config)
+    table["fx"] = table["fx"] + 0.5 * table["fz"] * (np.arange(len(table["fz"])) == 100)
+    result = fit_magic_formula(
+        read_frame(table), "mf52", part="fx", config=config, leave_out="none"
+    )
     assert any(
         "standard deviations in 1 of" in note and "rows of fx" in note for note in result.notes
     )

@@ -1,5 +1,7 @@
 """A misfit that depends on a setting is not noise, but correlated noise is."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from recipes import brush_force, solved, table
@@ -11,7 +13,7 @@ from tirefit.fitting.inference import deviance, minima
 from tirefit.report.text import fit_report
 
 LOADS = (1500.0, 3000.0, 4500.0, 6000.0, 7500.0)
-SLIP = np.linspace(-0.2, 0.2, 110)
+SLIP = np.linspace(-0.2, 0.2, 60)
 
 
 def four_coefficients(alpha, B, C, D, E, fz):
@@ -30,21 +32,15 @@ def over_settings(column, values, force, noise=0.006):
     return table(dict(zip(both, np.concatenate(parts, axis=1), strict=True)))
 
 
-@pytest.fixture(scope="module")
-def five_loads():
+@pytest.mark.long
+def test_misfit_over_the_load_is_reported_as_systematic():
     """A tire whose stiffness factor and friction fall with the load."""
 
     def force(alpha, fz):
         B, D = 11.0 * (fz / 4000) ** -0.3, 1.3 - 0.1 * fz / 4000
         return four_coefficients(alpha, B, 1.45, D, -0.6, fz)
 
-    data = over_settings("fz", LOADS, force)
-    return data, fit(data, "magic-formula")
-
-
-@pytest.mark.long
-def test_misfit_over_the_load_is_reported_as_systematic(five_loads):
-    _, result = five_loads
+    result = fit(over_settings("fz", LOADS, force), "magic-formula")
     assert result.statistics.r2 > 0.99
     assert "not identified" not in result.outcomes
     assert result.status == "systematic misfit"
@@ -54,51 +50,57 @@ def test_misfit_over_the_load_is_reported_as_systematic(five_loads):
     assert not any("anything from" in s for s in result.warnings)
 
 
-def test_intervals_of_independent_rows_are_those_of_scipy(five_loads):
-    data, result = five_loads
-    alpha, fz = np.array(data["alpha"]), np.array(data["fz"])
-    # All rows alike: the noise of this fit is one number.
-    values, covariance = curve_fit(
-        lambda x, *p: four_coefficients(x, *p, fz), alpha, data["fy"], [10.0, 1.5, 1.2, 0.0]
-    )
-    beside = result.intervals["independent"]
-    for i, name in enumerate("BCDE"):
-        low, high = beside[name]
-        np.testing.assert_allclose(result.parameters[name].value, values[i], rtol=1e-3)
-        # The interval is symmetric in z, scipy's in the value itself.
-        half = 1.964 * np.sqrt(covariance[i, i])
-        np.testing.assert_allclose(high - low, 2 * half, rtol=0.1)
-        wide = result.parameters[name].ci95
-        assert wide[0] < low and high < wide[1]
-    assert " independent" in fit_report(result, full=True)
-
-
 def kinetic(alpha, mu, cpa2=6e4, fz=4000.0):
     slip = np.tan(alpha)
     return np.sign(slip) * np.abs(brush_force(slip, cpa2, mu, fz=fz))
 
 
-@pytest.mark.parametrize(
-    ("column", "values", "force", "name", "other"),
-    [
-        ("fz", LOADS, lambda a, fz: kinetic(a, 1.3 - 4e-5 * fz, 15 * fz, fz), "load", "brush-load"),
-        (
-            "pressure",
-            (1.6e5, 2.4e5),
-            lambda a, p: kinetic(a, 1.35 - 1e-6 * p, 0.3 * p),
-            "pressure",
-            "mf61",
-        ),
-        ("v", (6.0, 28.0), lambda a, v: kinetic(a, 1.25 - 0.01 * v), "speed", "brush-h"),
-        ("gamma", (0.0, 0.07), lambda a, g: kinetic(a + 0.3 * g, 1.1), "camber", "mf61"),
-    ],
-)
-def test_verdict_names_the_column_that_the_residuals_depend_on(column, values, force, name, other):
-    result = fit(over_settings(column, values, force), "brush")
+CASES = {
+    "load": ("fz", LOADS, lambda a, fz: kinetic(a, 1.3 - 4e-5 * fz, 15 * fz, fz), "brush-load"),
+    "pressure": (
+        "pressure",
+        (1.6e5, 2.4e5),
+        lambda a, p: kinetic(a, 1.35 - 1e-6 * p, 0.3 * p),
+        "mf61",
+    ),
+    "speed": ("v", (6.0, 28.0), lambda a, v: kinetic(a, 1.25 - 0.01 * v), "brush-h"),
+    "camber": ("gamma", (0.0, 0.07), lambda a, g: kinetic(a + 0.3 * g, 1.1), "mf61"),
+}
+"""Input -> its column, its values, the force, and a model that depends on it."""
+
+
+@cache
+def fitted(name):
+    data = over_settings(*CASES[name][:3])
+    return data, fit(data, "brush")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_verdict_names_the_column_that_the_residuals_depend_on(name):
+    _, result = fitted(name)
     sentences = result.warnings
     (said,) = [s for s in sentences if "how the force depends on" in s]
-    assert f"depends on the {name}:" in said and other in said
+    assert f"depends on the {name}:" in said and CASES[name][3] in said
     assert "not identified" not in result.outcomes
+
+
+def test_intervals_of_independent_rows_are_those_of_scipy():
+    data, result = fitted("load")
+    alpha, fz = np.array(data["alpha"]), np.array(data["fz"])
+    # All rows alike: the noise of this fit is one number.
+    values, covariance = curve_fit(
+        lambda x, mu, cpa2: kinetic(x, mu, 1e4 * cpa2, fz), alpha, data["fy"], [1.0, 6.0]
+    )
+    beside = result.intervals["independent"]
+    for i, (name, unit) in enumerate({"mu": 1.0, "cpa2": 1e4}.items()):
+        low, high = beside[name]
+        np.testing.assert_allclose(result.parameters[name].value, unit * values[i], rtol=1e-3)
+        # The interval is symmetric in z, scipy's in the value itself.
+        half = 1.964 * unit * np.sqrt(covariance[i, i])
+        np.testing.assert_allclose(high - low, 2 * half, rtol=0.1)
+        wide = result.parameters[name].ci95
+        assert wide[0] < low and high < wide[1]
+    assert " independent" in fit_report(result, full=True)
 
 
 def test_the_right_model_has_no_misfit():

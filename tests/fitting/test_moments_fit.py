@@ -1,5 +1,6 @@
 """M_x and M_y of a whole Magic Formula, fitted with the forces."""
 
+import re
 from functools import cache
 
 import numpy as np
@@ -8,6 +9,7 @@ from rig import MF52, MF61, MF62, Plan, sweeps, tire_of
 
 from tirefit.data.read import read_frame
 from tirefit.data.tir import read_tir
+from tirefit.data.tir_keys import PRESSURE_TERMS
 from tirefit.fitting.mf.convert import converted
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.parts import parts_named
@@ -46,7 +48,9 @@ def fitted(without=(), part="all", **more):
     numbers = read_tir(MF52).numbers
     given = {name: {"value": numbers[name]} for name in NOMINAL} | more
     table = {k: v for k, v in table.items() if k not in without}
-    return fit_magic_formula(read_frame(table), "mf52", part=part, config={"parameters": given})
+    return fit_magic_formula(
+        read_frame(table), "mf52", part=part, config={"parameters": given}, leave_out="none"
+    )
 
 
 @cache
@@ -121,23 +125,39 @@ def test_an_overturning_moment_needs_a_lateral_force():
             fitted(without=(name,), part="mx")
 
 
-@pytest.mark.parametrize(
-    ("path", "model"), [(MF62, "mf61"), pytest.param(MF61, "mf52", marks=pytest.mark.long)]
-)
-def test_another_version_gets_the_forces_and_moments_it_supports(path, model):
-    """Exactly in 6.x; in 5.2 a fitted M_x, and the M_y of the nominal state."""
-    tir = read_tir(path)
+def assert_moments_agree(fit, tir, most):
+    """The M_y of the nominal state, and M_x up to a share of its largest value."""
     nominal = tir.numbers["FNOMIN"]
-    fit = converted(tir, model, 0.15, [0.6 * nominal, nominal])
-    if model == "mf61":
-        # Two millionths of the force, at which the search rests.
-        assert "not converged" not in fit.outcomes
-        assert max(rmse for rmse, _ in fit.fitted.values()) < 0.02
     inputs = {"sigma_x": np.linspace(-0.05, 0.1, 9), "alpha": np.linspace(-0.1, 0.1, 9)}
     inputs |= {"fz": np.full(9, nominal), "gamma": np.full(9, 0.0), "v": np.full(9, 30.0)}
     found = predict(fit.tire, inputs)
     true = predict(mf_tire(tir.version, tir.numbers), inputs)
     np.testing.assert_allclose(found["my"], true["my"], rtol=1e-3)
     away = np.max(np.abs(found["mx"] - true["mx"]))
-    most = 0.01 if model == "mf61" else 0.35
     assert away < most * np.max(np.abs(true["mx"]))
+
+
+@pytest.mark.parametrize(
+    "sections", ["LONGITUDINAL|ALIGNING", pytest.param("NOTHING", marks=pytest.mark.long)]
+)
+def test_a_version_with_all_coefficients_of_the_moments_gets_them_exactly(sections, tmp_path):
+    """A tire with the lateral force alone, at one pressure, and the whole tire."""
+    path = tmp_path / "tire.tir"
+    text = re.sub(rf"(?ms)^\[({sections})_COEFF.*?(?=^\[|\Z)", "", MF62.read_text())
+    path.write_text(text)
+    tir = read_tir(path)
+    if sections != "NOTHING":
+        tir = tir.with_values(dict.fromkeys({*PRESSURE_TERMS} & {*tir.numbers}, 0.0))
+    nominal = tir.numbers["FNOMIN"]
+    fit = converted(tir, "mf61", 0.15, [0.6 * nominal, nominal])
+    # Two millionths of the force, at which the search rests.
+    assert "not converged" not in fit.outcomes
+    assert max(rmse for rmse, _ in fit.fitted.values()) < 0.02
+    assert_moments_agree(fit, tir, 0.01)
+
+
+@pytest.mark.long
+def test_a_version_without_a_coefficient_of_the_moments_gets_them_fitted():
+    tir = read_tir(MF61)
+    fit = converted(tir, "mf52", 0.15, [0.6 * tir.numbers["FNOMIN"], tir.numbers["FNOMIN"]])
+    assert_moments_agree(fit, tir, 0.35)

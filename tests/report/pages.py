@@ -8,8 +8,17 @@ from html.parser import HTMLParser
 
 import pytest
 
+from tirefit.report.canvas import Picture
+
 PHONE = 390
 """Pixels of the page that a phone shows."""
+
+
+def without_pictures(make):
+    """What ``make()`` writes, without its pictures, which take most of its time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Picture, "_repr_png_", lambda self: b"")
+        return make()
 
 
 class Page(HTMLParser):

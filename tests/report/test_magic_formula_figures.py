@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pages import Page
+from pages import Page, without_pictures
 
 from tirefit.data.read import read_frame
 from tirefit.fitting.mf.fit import fit_magic_formula
@@ -95,7 +95,7 @@ def test_figures_and_page_are_written_completely(fit, tmp_path):
         for name in ("fit", "fx", "fy", "residuals", "ellipse")
         for kind in ("png", "svg")
     }
-    page = magic_formula_page(fit)
+    page = without_pictures(lambda: magic_formula_page(fit))
     links = Page(page).links
     assert len(links) == 6 and all(x.startswith("data:image/png") for x in links)
     assert "MAGIC FORMULA mf61" in page

@@ -82,16 +82,17 @@ def across_files(value, std, when) -> AcrossFiles:
 def _scatter(residual: np.ndarray, std: np.ndarray) -> float:
     """tau at which the median of |r_i| / sqrt(s_i^2 + tau^2) is that of a Gaussian."""
 
-    def is_too_small(tau: float) -> bool:
-        scale = np.hypot(std, tau)
-        return bool(np.median(np.abs(residual) - _MEDIAN * scale) > 0)
-
-    low, high = 0.0, float(np.max(np.abs(residual))) / _MEDIAN
-    if not is_too_small(low):
-        return 0.0
-    for _ in range(20):
-        middle = (low + high) / 2
-        low, high = (middle, high) if is_too_small(middle) else (low, middle)
+    size, middles = np.abs(residual), [(len(residual) - 1) // 2, len(residual) // 2]
+    low, high, tau = 0.0, float(np.max(size)) / _MEDIAN, 0.0
+    for _ in range(21):  # first at zero
+        # np.median would take three times as long.
+        if np.sum(np.sort(size - _MEDIAN * np.hypot(std, tau))[middles]) > 0:
+            low = tau
+        else:
+            high = tau
+        if high == 0.0:
+            break
+        tau = (low + high) / 2
     return high
 
 

@@ -126,12 +126,15 @@ def forces(
         >>> np.asarray(forces(tire, sliding).fy).round()
         array([ 3600., -3600.])
     """
-    arrays = [jnp.asarray(value, float) for value in inputs]
+    # In NumPy where nothing is JAX's: of JAX each of these is a program for every shape.
+    numbers = jnp if any(isinstance(value, jax.Array) for value in (*inputs, run)) else np
+    arrays = [numbers.asarray(value, float) for value in inputs]
     if any(array.ndim > 1 for array in arrays):
         raise ValueError("inputs must be scalars or one-dimensional arrays")
     shape = jnp.broadcast_shapes(*(array.shape for array in arrays))
-    batch = TireInputs(*(jnp.broadcast_to(array, shape or (1,)) for array in arrays))
-    runs = jnp.broadcast_to(jnp.asarray(run, int), shape or (1,))
+    arrays.append(numbers.asarray(run, int))
+    *columns, runs = (jnp.asarray(numbers.broadcast_to(one, shape or (1,))) for one in arrays)
+    batch = TireInputs(*columns)
     result = _batched(model, batch, runs)
     return result if shape else jax.tree.map(lambda array: array[0], result)
 

@@ -18,6 +18,7 @@ from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
 from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.models.mf.similarity import similar_forces
+from tirefit.padding import pad_rows, padded_size
 from tirefit.params import specs, with_values
 from tirefit.slip import LOCKED, kappa_from_sigma, sigma_from_kappa
 
@@ -140,8 +141,9 @@ class MFTire(AbstractTire):
 
 def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
     """Friction coefficients D / F_z of F_x and F_y at inputs of arrays (n,)."""
-    arrays = TireInputs(*(jnp.asarray(column, float) for column in inputs))
-    return {force: np.asarray(mu) for force, mu in _frictions(tire, arrays).items()}
+    size = len(np.asarray(inputs.fz))
+    padded = TireInputs(*(pad_rows(column, padded_size(size, 1024)) for column in inputs))
+    return {force: np.asarray(mu)[:size] for force, mu in _frictions(tire, padded).items()}
 
 
 @jax.jit
