@@ -12,6 +12,7 @@ from pathlib import Path
 
 import jax
 import pytest
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from typer.testing import CliRunner
 
 from tirefit.cli import fleet
@@ -35,9 +36,11 @@ def commands_cache():
         patch.setenv("XDG_CACHE_HOME", str(commands))
         patch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
         jax.config.update("jax_compilation_cache_dir", None)
+        reset_cache()  # JAX would use the directory that it opened first
         yield
     for name, value in before.items():
         jax.config.update(name, value)
+    reset_cache()
     keep_programs_in(None)
 
 
