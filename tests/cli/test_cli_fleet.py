@@ -31,6 +31,7 @@ def test_every_piece_runs_once_in_the_requested_number_of_processes(two):
     assert os.getpid() not in processes and len(processes) <= 2
 
 
+@pytest.mark.long
 def test_a_piece_that_kills_workers_fails_alone(two, tmp_path):
     results = list(shared(partial(fatal, tmp_path), range(8), two))
     numbers = [number for number, _ in results]

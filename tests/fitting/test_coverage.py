@@ -45,6 +45,7 @@ def one_program(monkeypatch):
     monkeypatch.setattr(solve, "_bucket", lambda steep: max(exact(steep), most))
 
 
+@pytest.mark.long
 def test_profile_intervals_cover_in_60():
     inside, _ = coverage("brush-d", "rig", 60, rows=ROWS)
     low, high = binom.ppf([0.0005, 0.9995], 60, 0.95) / 60

@@ -244,6 +244,7 @@ def gaussian_or_funnel(u, funnel):
     return -jnp.where(funnel, of_funnel, jnp.sum((u @ INVERSE.T) ** 2, axis=-1)) / 2
 
 
+@pytest.mark.long
 def test_nuts_adapts_a_mass():
     density = partial(gaussian_or_funnel, funnel=np.array(False))
     state = nuts_start(density, 2, 4, 8, 0)

@@ -246,6 +246,7 @@ def test_a_friction_that_no_row_reaches_is_reported():
     assert any("is not a measured friction" in note for note in fit.notes)
 
 
+@pytest.mark.long
 def test_a_force_with_few_rows_of_pure_slip_is_fitted_in_one_stage():
     """Brake sweeps at two angles: M_z and F_y have a dozen rows without kappa."""
     kappa = np.tile(np.linspace(-0.2, 0.25, 45), 12)

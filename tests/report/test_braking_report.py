@@ -71,6 +71,7 @@ def test_a_path_lies_on_the_curve(result):
     np.testing.assert_allclose(path.force[early], expected, atol=0.03)
 
 
+@pytest.mark.long
 def test_figures_are_drawn_for_one_and_for_all_stops(result, tmp_path, monkeypatch):
     pictures = [draw(result) for draw in (stop_figure, compare_figure, paths_figure)]
     assert all(picture._repr_png_().startswith(b"\x89PNG") for picture in pictures)

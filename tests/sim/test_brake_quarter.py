@@ -34,6 +34,7 @@ def result():
     return braked(request(), controllers, seed=3, stops=STOPS)
 
 
+@pytest.mark.long
 def test_a_batch_agrees_with_single_stops(result):
     """The vmapped run of four seeds gives, for each, the stop of that seed alone."""
     asked = request()
