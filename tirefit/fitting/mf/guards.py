@@ -26,9 +26,6 @@ GUARDS = {
 _BEYOND = 2.0  # largest load of the grid over that of the data
 
 _LOADS = 9
-_LEAST = 1024
-"""Smallest number of points of one evaluation, for which the fit has a program already."""
-
 _SMALL, _CLEAR = 0.004, 0.06
 """Slip at which the slope at zero is taken, and the smallest slip at which shifts and
 camber thrust do not change the sign of the force."""
@@ -84,7 +81,7 @@ def _evaluated(tire: MFTire, fz, gamma, pressure, kappa, alpha):
         sigma_x[None], alpha[None], fz[:, None], gamma[:, None], pressure[:, None]
     )
     slip, angle, load, camber, inflation = (
-        pad_rows(cell.ravel(), padded_size(cell.size, _LEAST)) for cell in cells
+        pad_rows(cell.ravel(), padded_size(cell.size)) for cell in cells
     )
     inputs = TireInputs(slip, angle, load, gamma=camber, pressure=inflation)
     given = forces(tire, inputs)
