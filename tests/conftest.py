@@ -16,8 +16,8 @@ from pathlib import Path
 # Two workers have the cores: a second thread of linear algebra would only spin while it
 # waits. The libraries read it when NumPy is first imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# As the command does: programs without calls of Python are kept. Equinox reads it when
-# it is first imported.
+# As the command does: without checks that call Python, JAX stores the programs of the
+# simulations. Equinox reads the variable when it is first imported.
 os.environ.setdefault("EQX_ON_ERROR", "off")
 
 import jax
@@ -51,7 +51,7 @@ for _name, _value in _SETTINGS.items():
 # and takes 24 instead of 39 mappings (see below): pieces are for cores that idle. XLA
 # reads them when the first program is compiled. Without optimisation, a quarter of the
 # files took 305 instead of 383 s, all programs compiled anew; `make test-long`, whose
-# programs run for longer, has it as users have.
+# programs run for longer, optimises them as for users.
 _QUICKER = ["--xla_cpu_use_fusion_emitters=false", "--xla_cpu_parallel_codegen_split_count=1"]
 _FLAGS = os.environ.get("XLA_FLAGS", "").split()
 if not any("xla_backend_optimization_level" in flag for flag in _FLAGS):

@@ -81,19 +81,21 @@ def across_files(value, std, when) -> AcrossFiles:
 
 def _scatter(residual: np.ndarray, std: np.ndarray) -> float:
     """tau at which the median of |r_i| / sqrt(s_i^2 + tau^2) is that of a Gaussian."""
-
-    size, middles = np.abs(residual), [(len(residual) - 1) // 2, len(residual) // 2]
-    low, high, tau = 0.0, float(np.max(size)) / _MEDIAN, 0.0
-    for _ in range(21):  # first at zero
-        # np.median would take three times as long.
-        if np.sum(np.sort(size - _MEDIAN * np.hypot(std, tau))[middles]) > 0:
-            low = tau
-        else:
-            high = tau
-        if high == 0.0:
-            break
-        tau = (low + high) / 2
+    size = np.abs(residual)
+    low, high = 0.0, float(np.max(size)) / _MEDIAN
+    if not _is_too_small(low, size, std):
+        return 0.0
+    for _ in range(20):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _is_too_small(middle, size, std) else (low, middle)
     return high
+
+
+def _is_too_small(tau: float, size: np.ndarray, std: np.ndarray) -> bool:
+    """Whether the median of |r_i| over its spread exceeds that of a Gaussian."""
+    excess = np.sort(size - _MEDIAN * np.hypot(std, tau))
+    # The sign of the median; np.median takes three times as long.
+    return bool(excess[(len(excess) - 1) // 2] + excess[len(excess) // 2] > 0)
 
 
 def _std(design: np.ndarray, pulls: np.ndarray, scale: np.ndarray) -> float:

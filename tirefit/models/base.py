@@ -126,7 +126,8 @@ def forces(
         >>> np.asarray(forces(tire, sliding).fy).round()
         array([ 3600., -3600.])
     """
-    # In NumPy where nothing is JAX's: of JAX each of these is a program for every shape.
+    # JAX compiles each of these operations for every shape; NumPy does not, and serves
+    # where no input is an array of JAX.
     numbers = jnp if any(isinstance(value, jax.Array) for value in (*inputs, run)) else np
     arrays = [numbers.asarray(value, float) for value in inputs]
     if any(array.ndim > 1 for array in arrays):
@@ -142,7 +143,7 @@ def forces(
 def largest(values: Float[Array, " n"]) -> Float[Array, ""]:
     """The largest value, with the slope of that one.
 
-    The derivative of ``jnp.max`` compares the maximum with the values. A program may compute
-    these twice, and is NaN where the last digits differ.
+    The derivative of ``jnp.max`` compares the values with their maximum. A compiled program
+    may compute the values twice; where their last digits differ, that derivative is NaN.
     """
     return values[jnp.argmax(values)]
