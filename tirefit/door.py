@@ -142,7 +142,8 @@ def read_record(path: str | Path, schema: str, remedy: str) -> dict:
     except RecursionError:
         raise refused("not JSON that tirefit wrote: it is nested too deeply") from None
     except ValueError as error:
-        raise refused(f"not JSON: {str(error)[:200]}") from None
+        what = "JSON with comments or a fault" if raw.lstrip().startswith(b"{") else "not JSON"
+        raise refused(f"{what}, which tirefit did not write: {str(error)[:200]}") from None
     if not isinstance(content, dict) or content.get("schema") != schema:
         raise refused(f"its schema is not {schema}")
     if outrageous(content, 0.0, math.inf):

@@ -80,6 +80,7 @@ _UNFINISHED = {
     Outcome.NOT_CONVERGED,
     Outcome.GUARD_FAILED,
     Outcome.WORSENED,
+    Outcome.UNSOUND,
     Outcome.CHAIN_TOO_SHORT,
     Outcome.INTERRUPTED,
 }

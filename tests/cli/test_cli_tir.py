@@ -225,9 +225,12 @@ def test_missing_combined_slip_coefficients_are_reported_and_replaced(run):
 def test_zeros_of_a_file_are_kept_and_reported(run):
     """RCY1 = 0 is kept unless the user requests a replacement."""
     Path("points.csv").write_text("kappa,alpha,fz\n-0.1,0.1,20000\n")
-    said = run("predict", TRUCK, "points.csv", *ISO).stderr
+    said = run("predict", TRUCK, "points.csv", "--combination", "none", *ISO).stderr
     assert "1 of 1 rows with both slips: F_y as in pure slip" in said
     plain = predicted()
+    said = run("predict", TRUCK, "points.csv", *ISO).stderr
+    assert "1 of 1 rows with both slips: F_x and F_y by the friction ellipse" in said
+    assert abs(predicted()["fy"]) < abs(plain["fy"])
     said = run("predict", TRUCK, "points.csv", "--combination", "similarity", *ISO)
     assert "F_x and F_y by the method of similarity" in said.stderr
     assert abs(predicted()["fy"]) < abs(plain["fy"])

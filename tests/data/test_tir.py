@@ -65,7 +65,9 @@ def test_values_version_and_side_are_read():
     assert truck.numbers["PDY1"] == -0.73151 and truck.numbers["FNOMIN"] == 21674
     assert "0.000" not in truck.numbers  # a row of a table is no key
     notes = " ".join(notes_on(truck))
-    assert "FE_METHOD" in notes and "FITTYP = 5" in notes
+    assert truck.ellipse and "FE_METHOD" not in notes and "FITTYP = 5" in notes
+    newer = truck.with_values({"FITTYP": 61.0})
+    assert not newer.ellipse and "FE_METHOD = 'YES' is not used" in " ".join(notes_on(newer))
     assert notes_on(tir) == []
 
 
@@ -133,7 +135,7 @@ def test_new_coefficients_are_written_to_their_sections():
     assert len(kept) == len(tir.lines) - 1
     assert all(line.endswith("\r\n") for line in new.lines)
     parse_tir(new.text)
-    with pytest.raises(UsageError, match="(?s)NONSENSE is neither a key.*GARBAGE"):
+    with pytest.raises(UsageError, match="(?s)NONSENSE is not a key of the file.*GARBAGE"):
         tir.with_values({"NONSENSE": 1.0, "GARBAGE": 2.0})
 
 
@@ -159,7 +161,7 @@ def test_encodings_and_spellings_are_accepted(tmp_path):
 
 BAD = {
     "version": ("^FITTYP.*", "FITTYP = 70", "FITTYP = 70 is not a", "61 (MF 6.1)"),
-    "other model": ("= +'USER'", "= 'FIALA'", "PROPERTY_FILE_FORMAT = 'FIALA': the Fiala", "5.2"),
+    "other model": ("= +'USER'", "= 'FIALA'", "model Fiala (PROPERTY_FILE_FORMAT", "5.2"),
     "file type": ("'tir'", "'rdf'", "FILE_TYPE = 'rdf'", "tire property file"),
     "no load": ("^FNOMIN .*", "", "FNOMIN is missing", "[VERTICAL]"),
     "no pressure": ("^NOMPRES .*", "", "to which PPX1 refers", "PPMX1, QSY8 to 0"),

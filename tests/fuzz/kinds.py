@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import re
 import tempfile
 from collections.abc import Callable
 from functools import cache
@@ -76,6 +77,22 @@ def _tables() -> list[bytes]:
     rows = b"".join(b"%g,%g,4000\n" % (s / 100, 3e3 * s / 20) for s in range(-9, 20))
     head = _files("fits/dart_rear_axle/free_driving.csv")[0].splitlines(keepends=True)
     return [b"kappa,Fx [N],Fz\n" + rows, b"".join(head[:200]), short_log()]
+
+
+def _vbo() -> bytes:
+    head = "File created on 07/12/2014 at 09:02:23\n\n[header]\nsatellites\ntime\nvelocity kmh\n"
+    head += (
+        "\n[channel units]\n%\nkN\nN\n\n[column names]\nsats time velocity kappa fx fz\n\n[data]\n"
+    )
+    rows = (f"012 0902{k:05.2f} 072.00 {k - 9} {np.tanh(k / 9):.4f} 4000\n" for k in range(20))
+    return (head + "".join(rows)).encode()
+
+
+def _infofile() -> bytes:
+    text = (ROOT / "tests/data/tir/mfeval_julia/MagicFormula52_Parameters.tir").read_text()
+    pairs = re.findall(r"(?m)^([A-Z]\w+)\s*=\s*([-+.\deE]+)", text)
+    lines = (f"Lat.{key} = {value}" for key, value in pairs)
+    return "\n".join(["#INFOFILE1.1", "FileIdent = CarMaker-Tire-MF 2", *lines]).encode()
 
 
 def _aim() -> bytes:
@@ -254,6 +271,9 @@ KINDS = {
     "tire.tir": Kind(".tir", lambda: _files("tests/data/tir/*/*.tir"), _read_tir),
     "data.csv": Kind(".csv", _tables, _read_table),
     "aim.csv": Kind(".csv", lambda: [_aim()], _read_table),
+    "motec.csv": Kind(".csv", lambda: [_aim().replace(b"AiM", b"MoTeC")], _read_table),
+    "log.vbo": Kind(".vbo", lambda: [_vbo()], _read_table),
+    "infofile": Kind("", lambda: [_infofile()], _read_tir),
     "rig.tdx": Kind(".tdx", lambda: [_tydex()], _read_table),
     "rig.xls": Kind(".xls", lambda: _files("tests/data/xls/*.xls"), _read_table),
     "log.csv": Kind(".csv", lambda: [short_log()], _read_log),

@@ -127,5 +127,5 @@ def test_given_coefficients_determine_which_forces_use_similarity():
     assert set(both.similarity) == {"fx", "fy"}
     lateral = mf_tire("6.1", ISOTROPIC, lacks=["fx"])
     assert lateral.similarity == () and modelled(lateral) == ("fy", "mz")
-    with pytest.raises(ValueError, match="ellipse"):
-        mf_tire("6.1", values, combination="ellipse")
+    with pytest.raises(ValueError, match="none, similarity, ellipse"):
+        mf_tire("6.1", values, combination="circle")

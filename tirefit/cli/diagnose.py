@@ -41,6 +41,7 @@ from tirefit.cli.output import (
     staged,
 )
 from tirefit.data.remote import expanded
+from tirefit.data.tire_file import tire_kind
 from tirefit.names import EFFECT_NAMES, MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
@@ -177,7 +178,7 @@ def diagnose(
             asked = {"model": plain, "seed": seed, "force": force}
             _warn_of_unused(config, how, asked)
         start_jax()
-        known = [Path(model)] if model and _is_file(model) else []
+        known = [Path(model)] if model and tire_kind(model) else []
         known += [path for path in (rig, options.config) if path is not None]
         inputs = [*files, *(holdout or []), *known]
         _check_replaced(out, names, figures, inputs, sharing)
@@ -240,7 +241,7 @@ def _settings(model: str | None, rig: Path | None, without, how: dict) -> dict:
     from tirefit.diagnosis.rows.rig import load_rig
     from tirefit.fitting.problem import find_model
 
-    if model and not _is_file(model) and model not in MAGIC_FORMULA_NAMES:
+    if model and not tire_kind(model) and model not in MAGIC_FORMULA_NAMES:
         find_model(model)
     known = load_rig(rig)
     for note in known.notes:
@@ -248,10 +249,6 @@ def _settings(model: str | None, rig: Path | None, without, how: dict) -> dict:
     if how["rolling_radius"] is None and known.rolling_radius is not None:
         how["rolling_radius"] = known.rolling_radius
     return {"model": model, "rig": known, "without": tuple(without or [])}
-
-
-def _is_file(model: str) -> bool:
-    return model.lower().endswith((".json", ".tir"))
 
 
 def _simulator(model: str | None, parameter, sim: bool, how: dict, of_tir: dict) -> dict:
@@ -263,21 +260,22 @@ def _simulator(model: str | None, parameter, sim: bool, how: dict, of_tir: dict)
     """
     problems: list[InputProblem] = []
     values = numbers("--set", parameter, problems)
-    if sim and (values or (model and _is_file(model))):
+    kind = tire_kind(model) if model else ""
+    if sim and (values or kind):
         other = "--set" if values else f"--model {model}"
         reason = f"--sim together with {other}"
         remedy = "with --sim, --model names the model that represents the simulator"
         problems.append(InputProblem(reason, remedy))
     of_columns = {"side", "combination"} if sim else set(of_tir)
     wrong = [f"--{name}" for name in of_columns if of_tir[name] is not None]
-    if wrong and not (model or "").lower().endswith(".tir"):
+    if wrong and kind != "tir":
         reason = f"{' and '.join(sorted(wrong))} without --model FILE.tir"
         problems.append(InputProblem(reason, "leave it out"))
     UsageError.raise_for(problems)
     if sim:
         return {"sim": True, "signs": of_tir["signs"]}
     assert model is not None, "it has a default if no simulated forces are given"
-    if not values and not _is_file(model):
+    if not (values or kind):
         return {}
     from tirefit.diagnosis.evidence.simulator import simulator_at
 

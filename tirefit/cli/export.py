@@ -4,10 +4,10 @@ import math
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Option
+from typer import Argument, Exit, Option
 
 from tirefit.cli.options import complain, errors_to_exit, named_path, numbers, pairs, say, start_jax
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import InputProblem, UsageError, exit_code
 
 RANGES = ("kappa", "alpha", "fz")
 """Inputs of a tire whose range --over states."""
@@ -99,6 +99,7 @@ def export(
         if not isinstance(TARGETS[to], Target):
             convention = "of its own"
         say(f"wrote {out} for {to}, signs {convention}")
+        raise Exit(exit_code(done.outcomes))
 
 
 def _ranges(items: list[str] | None, problems: list[InputProblem]):

@@ -18,15 +18,17 @@ MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
 class Combination(StrEnum):
     none = "none"
     similarity = "similarity"
+    ellipse = "ellipse"
 
 
 CombinationOption = Annotated[
     Combination | None,
     typer.Option(
         "--combination",
-        help="FILE.tir, combined slip: by its weighting functions only (none), or by"
-        " the method of similarity (default: similarity for forces without coefficients"
-        " of combined slip)",
+        help="FILE.tir, combined slip: by its weighting functions only (none), by the method"
+        " of similarity or by the friction ellipse of PAC2002 (default: ellipse if the file"
+        " says FE_METHOD = YES, else similarity for forces without coefficients of combined"
+        " slip)",
     ),
 ]
 

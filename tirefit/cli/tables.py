@@ -32,6 +32,7 @@ from tirefit.cli.options import (
     takes_data_options,
 )
 from tirefit.data.remote import expanded
+from tirefit.data.tire_file import tire_kind
 from tirefit.files import json_safe
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
@@ -188,14 +189,15 @@ def predict(
         how = read_options(options, read_config(options.config))
         of_file: dict = {"side": side, "signs": signs, "combination": combination}
         of_file["starred"] = starred_angles
-        if source.lower().endswith(".tir"):
+        kind = tire_kind(source)
+        if kind == "tir":
             _predict_tir(source, data, out, how, parameter, of_file, beside)
             return
         if any(of_file.values()):
             own = "--starred-angles, --side, --signs and --combination"
             reason = f"{own} apply to .tir files only"
             raise UsageError(reason, f"leave them out with {source}")
-        is_file = source.endswith(".json") or Path(source).is_file()
+        is_file = kind == "fit"
         values = _checked_request(source, is_file, data, out, parameter)
         start_jax()
         from tirefit.data.read import read

@@ -10,6 +10,7 @@ import numpy as np
 from tirefit.data import logs, tables, tydex
 from tirefit.data.bulk import table_of_large
 from tirefit.data.columns import guess
+from tirefit.data.loggers import is_vbo
 from tirefit.data.mat import Channels, channels_of_mat, is_mat
 from tirefit.data.remote import Place
 from tirefit.data.table import Layout
@@ -21,7 +22,9 @@ from tirefit.data.text import (
     stem_of,
     table_of_rows,
     table_of_text,
+    table_of_vbo,
 )
+from tirefit.data.tire_file import describes_tir, other_tire
 from tirefit.results import DataError, InputProblem
 
 _AS_TEXT = "export it as CSV, or save it as Parquet or as a MATLAB file"
@@ -41,6 +44,8 @@ _UNREADABLE = {
     rb"\x80[\x02-\x05]|\((dp|lp)\d+\n": ("a pickle, which could run code", _PICKLE),
 }
 """Pattern of the first bytes of a file that is not read -> its kind and the remedy."""
+_HEAD = 2**16
+"""First bytes of a .vbo file, which hold its sections up to the data."""
 _JSON = re.compile(rb"(\xef\xbb\xbf)?\s*(\{\s*[\"}]|\[\s*[\[{\]])")
 _OUR_FIT = re.compile(rb"\"schema\"\s*:\s*\"tirefit\.fit/")
 
@@ -80,10 +85,16 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
     if tables.is_excel(content):
         sheet = tables.sheet_of_excel(content, file, is_known)
         return table_of_rows(sheet.rows, sheet.numbers, path, digest, list(sheet.notes))
+    if is_vbo(content[:_HEAD].decode("latin-1")):
+        text, notes = decoded(content, path)
+        return table_of_vbo(text, path, digest, notes)
     table = table_of_large(content, path, digest, declared)
     if table is not None:
         return table
     text, notes = decoded(content, path)
+    DataError.raise_for(other_tire(text, file))
+    if describes_tir(text):
+        raise DataError(_of_tire("a file of Magic Formula coefficients", file))
     if tydex.is_tydex(text):
         return tydex.table_of_tydex(text, path, digest, notes)
     return table_of_text(text, path, digest, declared, notes)
@@ -92,13 +103,20 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
 def _of_json(content: bytes, file: str) -> InputProblem:
     """The error for a JSON file, from which no command reads measurements."""
     if _OUR_FIT.search(content):
-        reason = "this is the JSON of a fit, a tire and no table of measurements"
-        remedy = "give the measurements here, and this file as the tire: --model"
-        remedy += f" {file} of diagnose, or `tirefit predict {file} DATA.csv`"
-        return InputProblem(reason, remedy, file)
+        return _of_tire("the JSON of a fit", file)
+    if other := other_tire(content.decode("latin-1"), file):
+        return other[0]
     reason = "this is JSON, which is not read as a table of measurements"
     remedy = "write its columns as CSV; in Python, read_frame takes a dict of columns"
     return InputProblem(reason, f"{remedy} or a frame (pandas.read_json)", file)
+
+
+def _of_tire(what: str, file: str) -> InputProblem:
+    """The error for a tire in the place of measurements."""
+    reason = f"this is {what}, a tire and no table of measurements"
+    remedy = "give the measurements here, and this file as the tire: --model"
+    remedy += f" {file} of diagnose, or `tirefit predict {file} DATA.csv`"
+    return InputProblem(reason, remedy, file)
 
 
 def _digest(folder: Path) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
 from tirefit.data.declared import stated_convention
+from tirefit.data.loggers import exported_by, vbo_table
 from tirefit.data.remote import Place
 from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
@@ -29,9 +30,6 @@ _DELIMITERS = "\t;|,"
 _END = "\0"
 _CONSTANT = re.compile(r"([A-Za-z_]+)=(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)\b")
 """A constant of the tire in the first line of a table that this package wrote."""
-_AIM = re.compile(r'"?Format"?\s*[,;\t]\s*"?AiM CSV File', re.IGNORECASE)
-"""First line of an export of AiM RaceStudio. Keys and values, a blank line, names,
-units and, in some versions, channel numbers follow."""
 _SEARCHED = 60  # first lines with content, which must contain the header
 _LONGEST = 10  # largest number of lines of a header with quoted line ends
 
@@ -143,7 +141,7 @@ def table_of_text(
     searched = list(itertools.islice(content, _SEARCHED))
     if not searched:
         raise _refusal("the file is empty", "give a header line and data rows", path)
-    if aim := _AIM.match(raw[0]):
+    if logger := exported_by(raw[0]):
         blank = lines.index("\n") if "\n" in lines else 0
         searched = [index for index in searched if index > blank] or searched
     start, delimiter, words = _find_header(lines, searched, declared)
@@ -153,17 +151,27 @@ def table_of_text(
     if start != searched[0]:
         notes.append(f"lines before the header in line {start + 1} skipped")
     rows, numbers = split_rows(lines[start:], delimiter, start, path)
-    if aim:
-        notes.append("export of AiM RaceStudio")
+    if logger:
+        notes.append(f"export of {logger}")
+        # Names, units and, in some versions of AiM, channel numbers.
         kept = [k for k, r in enumerate(rows) if not (0 < k < 4 and _counts_up(r))]
         rows, numbers = [rows[k] for k in kept], [numbers[k] for k in kept]
-    common = 0.0 if aim else 0.5
+    common = 0.0 if logger else 0.5
     table = table_of_rows(rows, numbers, path, digest, notes, delimiter, common)
     layout, doubts = stated_convention(raw[:start], str(path))
     above = raw[0] if raw[0].startswith(("# tirefit ", "# tirefit:")) else ""
     stated = re.findall(r".*, constants (.*)", above)
     constants = {k: float(v) for k, v in _CONSTANT.findall("".join(stated))}
     return replace(table, layout=layout, doubts=doubts, constants=constants)
+
+
+def table_of_vbo(text: str, path: Place, digest: str, notes: list[str]) -> Table:
+    """Cells of a .vbo file of Racelogic."""
+    found = vbo_table(text, str(path))
+    notes = [*notes, "read as a .vbo file of Racelogic", *found.notes]
+    table = table_of_rows(found.rows, found.numbers, path, digest, notes)
+    layout = Layout(units_from="[channel units], or standard in .vbo files")
+    return replace(table, units_row=found.units, layout=layout)
 
 
 def content_lines(lines: list[str]) -> list[str]:

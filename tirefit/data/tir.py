@@ -15,6 +15,7 @@ from tirefit.data.text import decoded
 from tirefit.data.tir_check import notes_on, problems_of
 from tirefit.data.tir_file import TirFile, parsed, shortest
 from tirefit.data.tir_keys import COEFFICIENTS, LIMITS, ONLY_IN
+from tirefit.data.tire_file import other_tire
 from tirefit.door import TIRE, content_of, control_character
 from tirefit.files import write_text_atomic
 from tirefit.results import DataError, InputProblem, UsageError
@@ -29,6 +30,7 @@ def parse_tir(text: str, path: str = "", notes: Sequence[str] = ()) -> TirFile:
         DataError: text that cannot be understood, missing or contradicting keys, content
             that is not supported; it lists all problems, each with key and remedy.
     """
+    DataError.raise_for(other_tire(text, path))
     tir, problems = parsed(text, path, notes)
     problems += problems_of(tir)
     DataError.raise_for(problems)

@@ -6,7 +6,6 @@ from tirefit.data.tir_file import Entry, TirFile
 from tirefit.data.tir_keys import (
     COEFFICIENTS,
     FITTYP,
-    FORMATS_REFUSED,
     LIMITS,
     POSITIVE,
     PRESSURE_TERMS,
@@ -60,17 +59,16 @@ def notes_on(tir: TirFile) -> list[str]:
             " the tire against programs that use them"
         )
     entry = tir.find("FE_METHOD")
-    if entry and entry.text.upper() == "YES":
-        messages.append(
-            "FE_METHOD = 'YES' is not used: combined slip by weighting functions, not"
-            " by a friction ellipse"
-        )
+    if entry and entry.text.upper() == "YES" and not tir.ellipse:
+        messages.append(f"FE_METHOD = 'YES' is not used: MF {tir.version} has no friction ellipse")
     use_mode = tir.numbers.get("USE_MODE")
     if use_mode is not None and use_mode % 10 < 4 and not tir.lacks:
         messages.append(f"USE_MODE = {use_mode:g} is not used: all forces, with combined slip")
     if (number := tir.numbers.get("FITTYP")) in _OLDER:
         messages.append(f"FITTYP = {number:g}: the equations of MF {tir.version} are used")
-    if not any(entry.section == "UNITS" for entry in tir.entries):
+    if tir.is_infofile:
+        messages.append("read as an infofile of CarMaker, in SI units")
+    elif not any(entry.section == "UNITS" for entry in tir.entries):
         messages.append("there is no [UNITS] section: SI units assumed")
     if tir.unit("ANGLE") != 1:
         messages.append(
@@ -114,12 +112,6 @@ def _of_model(tir: TirFile) -> Iterator[InputProblem]:
         known = ", ".join(f"{number} (MF {name})" for number, name in FITTYP.items())
         remedy = f"write FITTYP to [MODEL]: {known}"
         yield _problem(tir, "FITTYP", tir.stated.because, remedy)
-    entry = tir.find("PROPERTY_FILE_FORMAT")
-    if entry and entry.text.upper() in FORMATS_REFUSED:
-        model = FORMATS_REFUSED[entry.text.upper()]
-        reason = f"PROPERTY_FILE_FORMAT = {entry.value}: the {model} model"
-        remedy = "it is not supported; give a file of MF 5.2, 6.1 or 6.2"
-        yield InputProblem(reason, remedy, tir.path, entry.row)
     entry = tir.find("FILE_TYPE")
     if entry and entry.text.lower() != "tir":
         reason = f"FILE_TYPE = {entry.value}, not 'tir'"

@@ -32,7 +32,10 @@ _VALUE = (
 """A quoted text, a number or other words; a following comment needs no mark."""
 _SECTION = re.compile(r"\s*\[\s*([A-Za-z]\w{3}[^\]]*)\]")
 """A name has at least four letters: [N] and [rad] are units in a wrapped comment."""
-_ENTRY = re.compile(r"\s*(?P<key>[A-Za-z]\w*)\s*=" + _VALUE)
+INFOFILE = re.compile(r"(?m)^[ \t]*FileIdent[ \t]*=[ \t]*CarMaker-Tire-(\S+)")
+"""The first key of a CarMaker infofile of a tire, and the model."""
+_ENTRY = re.compile(r"\s*(?:(?P<group>[A-Za-z]\w*)\.)?(?P<key>[A-Za-z]\w*)\s*=" + _VALUE)
+"""In an infofile of CarMaker the section stands before each key: ``Vertical.FNOMIN``."""
 _CONTINUED = re.compile(rf"\s*(?=[='\"]|{_NUMBER}\s*(?:{_MARKS}|[A-Za-z]|$))=?{_VALUE}")
 _BARE = re.compile(rf"\s*(?P<key>[A-Za-z]\w*)\s*(?:{_MARKS}|$)")
 _COMMENT = re.compile(r"\s*([$!#%;/*{(]|[-+.\d]|$)")
@@ -180,6 +183,18 @@ class TirFile:
         entry = self.find("TYRESIDE")
         return (entry.text.upper() if entry else "") or "UNKNOWN"
 
+    @property
+    def is_infofile(self) -> bool:
+        """Whether it is an infofile of CarMaker, whose sections stand before each key."""
+        return INFOFILE.search(self.text) is not None
+
+    @property
+    def ellipse(self) -> bool:
+        """Whether combined slip is by a friction ellipse, which MF 6 does not have."""
+        entry = self.find("FE_METHOD")
+        asked = entry is not None and entry.text.upper() == "YES"
+        return asked and self.stated.name == "5.2"
+
     def unit(self, quantity: str) -> float:
         """Size in SI of a quantity of [UNITS]; 1 if it is not stated."""
         entry = self.find(quantity, "UNITS")
@@ -226,11 +241,13 @@ class TirFile:
                 start, end = entry.place
                 line = lines[entry.row - 1]
                 lines[entry.row - 1] = line[:start] + written + line[end:]
-            elif key in SECTIONS:
+            elif key in SECTIONS and not self.is_infofile:
                 new.setdefault(SECTIONS[key], []).append(f"{key:<24} = {written}")
             else:
-                reason = f"{key} is neither a key of the file nor a coefficient"
-                problems.append(InputProblem(reason, "correct its name", self.path))
+                reason, remedy = f"{key} is not a key of the file", "correct its name"
+                if self.is_infofile:
+                    remedy += ", or add it to the infofile"
+                problems.append(InputProblem(reason, remedy, self.path))
         UsageError.raise_for(problems)
         return parsed("".join(_with_new(lines, new)), self.path)[0]
 
@@ -288,8 +305,11 @@ def parsed(text: str, path: str, notes: Iterable[str] = ()) -> tuple[TirFile, li
     lines = tuple(io.StringIO(text, newline=""))
     entries: list[Entry] = []
     problems, words, section, held = [], [], "", None
+    infofile = INFOFILE.search(text) is not None
     for row, line in enumerate(lines, 1):
         key, held = held, None
+        if infofile and line[:1] in "\t ":  # a text or a table below its key
+            continue
         if key and (found := _CONTINUED.match(line)):
             if entries and (entries[-1].key, entries[-1].value) == (key, ""):
                 entries.pop()
@@ -310,7 +330,9 @@ def parsed(text: str, path: str, notes: Iterable[str] = ()) -> tuple[TirFile, li
                 words.append(row)
             continue
         value = "" if found["value"] in ("&", "\\") else found["value"]
-        entries.append(Entry(section, key, row, value, found.span("value")))
+        group = found.groupdict().get("group")
+        inside = group.upper() if group else section
+        entries.append(Entry(inside, key, row, value, found.span("value")))
         held = key if not value else None
     messages = list(notes)
     if words:

@@ -8,19 +8,6 @@ FITTYP: dict[float, str] = dict.fromkeys((5, 6, 21, 51, 52), "5.2")
 FITTYP |= {60: "6.1", 61: "6.1", 62: "6.2"}
 """Value of FITTYP -> version of the Magic Formula whose equations are used."""
 
-FORMATS_REFUSED = {
-    "FIALA": "Fiala",
-    "UA": "University of Arizona",
-    "521": "Interpolation",
-    "PAC89": "Pacejka '89",
-    "PAC94": "Pacejka '94",
-    "PAC_MC": "motorcycle PAC MC",
-    "PAC-TIME": "PAC-TIME",
-    "FTIRE": "FTire",
-    "TMEASY": "TMeasy",
-}
-"""PROPERTY_FILE_FORMAT of other tire models -> the model."""
-
 SIDES = ("LEFT", "RIGHT", "SYMMETRIC", "UNKNOWN")
 
 COEFFICIENTS = {

@@ -1,7 +1,7 @@
 """Recognise the log of a vehicle by its headers: :func:`vehicle_log`."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from tirefit.results import InputProblem
 
@@ -10,12 +10,13 @@ _ENDS = {
     "x": "x",
     "y": "y",
     "yaw": "yaw psi heading theta",
-    "v_x": "vx speedx velx velocityx vlong vlon linearx",
-    "v_y": "vy speedy vely velocityy vlat lineary",
+    "v_x": "vx speedx velx velocityx vlong vlon linearx groundspeed corrspeed gpsspeed"
+    " vehiclespeed velocity",
+    "v_y": "vy speedy vely velocityy vlat lineary lateralvel lateralvelocity",
     "yaw_rate": "r yawrate yawvelocity psidot gyroz angularz angularvelocityz",
-    "a_y": "ay accy accely latacc lateralacceleration",
-    "steering": "steering steer delta steeringangle steeringwheel steeringwheelangle swa"
-    " roadwheelangle",
+    "a_y": "ay accy accely latacc lateralacceleration gforcelat accellateral",
+    "steering": "steering steer delta steeringangle steeredangle steerangle steeringwheel"
+    " steeringwheelangle swa roadwheelangle",
 }
 """Quantity of a log -> how headers of it end, without separators."""
 
@@ -43,10 +44,31 @@ def _message(header: str) -> str:
     return header.partition(".")[0] if header.startswith("/") else ""
 
 
+_MANY = 2
+"""Quantities of a car's motion in one file, of those that no test rig measures, from which on
+it is the log of a vehicle also where it does not determine the slip."""
+
+
+def _incomplete(found: Mapping[str, str], file: str) -> InputProblem | None:
+    """The problem of a log with too few channels for ``tirefit derive``, which needs them."""
+    there = [name for name in ("v_x", "v_y", "yaw_rate", "a_y", "steering") if name in found]
+    if "time" not in found or len(there) < _MANY:
+        return None
+    has = ", ".join(f"{name} ({found[name]!r})" for name in there)
+    lacks = " and ".join(name for name in ("v_x", "v_y", "yaw_rate") if name not in found)
+    remedy = (
+        "tirefit derive computes those of an axle from v_x, v_y and yaw_rate, or from the pose"
+        f" x, y and yaw (VEHICLE.md). This log has {has}, and no {lacks}: add it, as from an"
+        " optical sensor or a GPS with two antennas, or name its column in vehicle.toml"
+    )
+    return InputProblem(IS_VEHICLE_LOG, remedy, file)
+
+
 def vehicle_log(headers: Sequence[str], file: str, by_pose: bool = True) -> InputProblem | None:
     """The problem that a file is the log of a vehicle, with the command that computes
-    forces from it; None if the file has neither a pose nor rates. In a file with a slip,
-    x, y and yaw may have other meanings: with ``by_pose=False`` only rates count.
+    forces from it, or with the channels that it lacks for that; None for another file. In a
+    file with a slip, x, y and yaw may have other meanings: with ``by_pose=False`` only rates
+    count.
 
     Example:
         >>> found = vehicle_log(["t", "vx", "vy", "yaw_rate [deg/s]"], "log.csv")
@@ -77,7 +99,7 @@ def vehicle_log(headers: Sequence[str], file: str, by_pose: bool = True) -> Inpu
     if len(messages) == 1 and messages != {""}:
         motion = RATES
     if not found.keys() >= {*motion}:
-        return None
+        return _incomplete(found, file)
     # The index of a data frame often has no header; in such logs it is the time.
     found.setdefault("time", "" if "" in headers else "HEADER")
     names = ("time", *motion, *(("a_y",) if motion == RATES else ()), "steering")

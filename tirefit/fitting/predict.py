@@ -13,6 +13,7 @@ from tirefit.data.accept import DataLike, as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.data.tir import read_tir
+from tirefit.data.tire_file import tire_kind
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.likelihood import row_forces
 from tirefit.fitting.mf.parts import SLIPS_OF
@@ -172,9 +173,10 @@ def _opened(
     """The fit or the tire, its name, and the convention of data that declare none, with
     the name that a message gives it."""
     text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
-    if text.lower().endswith(".tir"):
+    kind = tire_kind(text) if text else ""
+    if kind == "tir":
         return tire_of(read_tir(text)), text, (TIR_SIGNS, ".tir files")
-    if text and not text.lower().endswith(".json"):
+    if text and not kind:
         return find_model(text), text, None
     if isinstance(source, AbstractTire):
         return source, type(source).__name__, None

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tirefit.data.tir import TirFile, read_tir
+from tirefit.data.tire_file import tire_kind
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.tir import tire_of
 from tirefit.models import AbstractTire, modelled
@@ -80,14 +81,15 @@ def given_tire(
         return source
     text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
     values = dict(values or {})
-    if text.lower().endswith(".tir"):
+    kind = tire_kind(text) if text else ""
+    if kind == "tir":
         tir = read_tir(text)
         tire = tire_of(tir, values=values, signs=signs)
         check_values(tire, text, values)
         return GivenTire(f"MF {tir.version}", tire, tir=tir)
     if signs:
         raise UsageError("--signs applies to .tir files only", "leave it out")
-    if isinstance(source, AbstractTire) or text and not text.lower().endswith(".json"):
+    if isinstance(source, AbstractTire) or text and not kind:
         from tirefit.fitting.problem import find_model
 
         name = text or type(source).__name__

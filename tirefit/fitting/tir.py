@@ -51,7 +51,7 @@ def own_tire(
         tir.version,
         tir.numbers | dict(values or {}),
         starred=starred,
-        combination=combination,
+        combination=combination or ("ellipse" if tir.ellipse else None),
         lacks=lacks,
     )
 
@@ -148,6 +148,10 @@ def remarks(
 def _combination(tire: MFTire, where: str) -> list[str]:
     """Sentences on forces whose combined slip the file does not describe."""
     messages = []
+    if tire.ellipse:
+        messages.append(
+            f"{where}: F_x and F_y by the friction ellipse, as FE_METHOD or --combination asks"
+        )
     if similar := [_SYMBOLS[force] for force in tire.similarity]:
         messages.append(
             f"{where}: {' and '.join(similar)} by the method of similarity (pure forces"
@@ -158,7 +162,7 @@ def _combination(tire: MFTire, where: str) -> list[str]:
     whole = [
         _SYMBOLS[force]
         for force, keys in WEIGHTS.items()
-        if force not in (*tire.similarity, *tire.lacks) and any(values[key] == 0 for key in keys)
+        if force not in (*tire.unweighted, *tire.lacks) and any(values[key] == 0 for key in keys)
     ]
     if whole:
         remedy = "; --combination similarity avoids that" if not tire.lacks else ""

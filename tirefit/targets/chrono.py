@@ -77,7 +77,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
         "PROPERTY_FILE_FORMAT": "PAC2002",
         "USE_MODE": 4.0,
         "TYRESIDE": held.tir.side,
-        "FE_METHOD": "NO" if combined else "YES",
+        "FE_METHOD": "YES" if held.model.ellipse or not combined else "NO",
     }
     added |= {key: whole[name] for name, key in _WHEEL.items()}
     tir = tir.with_values(added)
@@ -88,7 +88,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
     ]
     if unread:
         notes.append(f"Chrono 8 does not read {', '.join(unread)}: zero there")
-    if not combined:
+    if not (combined or held.model.ellipse):
         notes.append("without coefficients of combined slip Chrono uses its ellipse")
     if tir.numbers.get("LKY", 1.0) != tir.numbers.get("LMUY", 1.0):
         notes.append("Chrono scales the cornering stiffness by LMUY, not by LKY")

@@ -126,7 +126,8 @@ class Exported(Record):
     @property
     def limits(self) -> dict[Outcome, str]:
         """Whether a check of the tire's forces fails."""
-        return {Outcome.UNSOUND: "" if self.shape.sound else Outcome.UNSOUND.message}
+        failed = "; ".join(self.shape.failed)
+        return {Outcome.UNSOUND: f"{Outcome.UNSOUND.message}: {failed}" if failed else ""}
 
     @property
     def warnings(self) -> tuple[str, ...]:

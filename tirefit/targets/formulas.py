@@ -90,7 +90,7 @@ def magic_formula_of(model: AbstractTire):
     if isinstance(model, CombinedMagicFormula):
         along = _floats(model.Bx, model.Cx, model.Dx, model.Ex)
         return along, _floats(model.By, model.Cy, model.Dy, model.Ey), {}
-    if not isinstance(model, MFTire) or model.lacks or model.similarity:
+    if not isinstance(model, MFTire) or model.lacks or model.unweighted:
         return None
     scale, fz0 = model.scaling, model.nominal.FNOMIN * model.scaling.LFZO
     at = model.point(TireInputs(0.0, 0.0, fz0))

@@ -117,7 +117,7 @@ def parameter_text(
     kind = PARAMETER_FILES[target]
     car = None if vehicle is None else vehicle_of(vehicle, target, kind.needs)
     narrowed = turned_range(over or {}, SIGNS)
-    fits, axles, notes, sentences, sound = [], [], [], [], True
+    fits, axles, notes, sentences, failed = [], [], [], [], []
     curves: dict[str, tuple] = {}
     for axle in axles_of(target, kind.tires, tires, car):
         tire, (low, high) = axle.tire, narrowed.get("fz", (0.0, math.inf))
@@ -130,7 +130,7 @@ def parameter_text(
         sentences += axle.named(shape.sentences)
         named = axle.named([*shape.curves])
         curves |= dict(zip(named, shape.curves.values(), strict=True))
-        sound &= shape.sound
+        failed += axle.named(shape.failed)
         fits.append(fit)
         axles.append(axle._replace(tire=tire))
     notes += [note for tire in tires.values() for note in tire.notes]
@@ -160,7 +160,7 @@ def parameter_text(
     if not isinstance(text, str):
         lines = [*(f"# {line}" for line in sheet.above), *_yaml(text)]
         text = "\n".join(lines) + "\n"
-    return text, Shape(tuple(sentences), sound, curves), tuple(notes)
+    return text, Shape(tuple(sentences), tuple(failed), curves), tuple(notes)
 
 
 _TAKEN_AT = {"v": f"{SPEED:g} m/s", "gamma": "no camber", "pressure": "nominal pressure"}

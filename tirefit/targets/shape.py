@@ -29,12 +29,17 @@ _FEW = _SLIPS[::4, None], _ANGLES[::4]
 
 
 class Shape(NamedTuple):
-    """Five sentences on a tire; ``sound`` is False if one of them is a warning.
-    ``curves``: force -> slip and pure force [N] of the file at the usual load."""
+    """Five sentences on a tire, and those of them that a check fails. ``curves``: force ->
+    slip and pure force [N] of the file at the usual load."""
 
     sentences: tuple[str, ...]
-    sound: bool
+    failed: tuple[str, ...]
     curves: Mapping[str, tuple[np.ndarray, np.ndarray]]
+
+    @property
+    def sound(self) -> bool:
+        """Whether the tire passes all checks."""
+        return not self.failed
 
 
 def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
@@ -57,7 +62,8 @@ def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
     found.append(_ellipse(at, names, most))
     grids = {"fx": _SLIPS, "fy": _ANGLES}
     pure = {n: (grids[n], at(**{_SLIP_OF[n]: grids[n]})[n]) for n in _forces(names)}
-    return Shape(tuple(s for s, _ in found), all(sound for _, sound in found), pure)
+    failed = tuple(sentence for sentence, sound in found if not sound)
+    return Shape(tuple(sentence for sentence, _ in found), failed, pure)
 
 
 _SLIP_OF = {"fx": "kappa", "fy": "alpha"}

@@ -42,7 +42,8 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
     own = tire.model if tire.bare is None else tire.bare
     notes = [re.sub("^in the forces:", "not in this file:", one) for one in tire.notes]
     if isinstance(own, MFTire):
-        tir = tire.tir or new_file(replace(tire, model=own))
+        kept = tire.tir if tire.tir and not tire.tir.is_infofile else None
+        tir = kept or new_file(replace(tire, model=own))
     else:
         tir = _reduced(own, tire, wheel, model)
         notes.append(
@@ -115,12 +116,13 @@ def new_file(tire: Tire) -> TirFile:
     notes = {k: f"{known[k].meaning} +- {std:.3g}" for k, std in tire.spread.items()}
     ranges = turned_range(tire.measured, TIR_SIGNS)
     ranges = {k: ends for k, ends in ranges.items() if k in LIMITS}
-    return new_tir(model.version, values, ranges, notes)
+    tir = new_tir(model.version, values, ranges, notes)
+    return tir.with_values({"FE_METHOD": "YES"}) if model.ellipse else tir
 
 
 def _alike(one: MFTire, other: MFTire) -> bool:
     """Whether two tires differ only by the rounding of a file."""
-    same = ("version", "similarity", "lacks", "starred", "digression")
+    same = ("version", "similarity", "ellipse", "lacks", "starred", "digression")
     if any(getattr(one, name) != getattr(other, name) for name in same):
         return False
     values, others = parameter_values(one), parameter_values(other)

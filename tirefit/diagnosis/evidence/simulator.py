@@ -15,6 +15,7 @@ import numpy as np
 
 from tirefit.data.table import CANONICAL, SIMULATED, TireData
 from tirefit.data.tir import read_tir
+from tirefit.data.tire_file import tire_kind
 from tirefit.data.units import sign_of
 from tirefit.diagnosis.evidence.forward import Tire
 from tirefit.diagnosis.negligible import NONZERO
@@ -270,9 +271,10 @@ def simulator_at(
             :func:`tirefit.fitting.tir.tire_of`.
     """
     values = dict(values or {})
-    if text.lower().endswith(".tir"):
+    kind = tire_kind(text)
+    if kind == "tir":
         return _at_tir(text, values, of_tir)
-    if text.endswith(".json"):
+    if kind == "fit":
         if values:
             reason, remedy = "--set with a fit.json", "use it with the name of a model"
             raise UsageError(InputProblem(reason, remedy))

@@ -41,8 +41,15 @@ class Longitudinal(eqx.Module):
         """F_x0 / F_z and K_xk / F_z at zero slip angle, (4.E9) to (4.E18)."""
         mu, stiffness = self.friction(at, scale), self.stiffness(at, scale)
         angle = self.PCX1 * scale.LCX * bent(*self.curve(at, scale))
-        shift = (self.PVX1 + self.PVX2 * at.dfz) * scale.LVX * at.shift_x
-        return mu * jnp.sin(angle) + shift, stiffness
+        return mu * jnp.sin(angle) + self.shift(at, scale), stiffness
+
+    def shift(self, at: Point, scale: Scaling):
+        """S_Vx / F_z, (4.E18)."""
+        return (self.PVX1 + self.PVX2 * at.dfz) * scale.LVX * at.shift_x
+
+    def offset(self, at: Point, scale: Scaling):
+        """S_Hx, (4.E17)."""
+        return (self.PHX1 + self.PHX2 * at.dfz) * scale.LHX
 
     def friction(self, at: Point, scale: Scaling):
         """mu_x, (4.E13)."""
@@ -64,7 +71,7 @@ class Longitudinal(eqx.Module):
 
     def curve(self, at: Point, scale: Scaling) -> Curve:
         """B_x kappa_x and E_x, (4.E10) to (4.E17)."""
-        kappa = at.kappa + (self.PHX1 + self.PHX2 * at.dfz) * scale.LHX
+        kappa = at.kappa + self.offset(at, scale)
         curvature = (
             (self.PEX1 + at.dfz * (self.PEX2 + self.PEX3 * at.dfz))
             * (1 - self.PEX4 * jnp.sign(kappa))

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import resultant
 from tirefit.models.mf.aligning import Aligning
+from tirefit.models.mf.ellipse import elliptic_forces
 from tirefit.models.mf.fields import Curve, Nominal, Point, Scaling, cos_arctan, ratio, weighting
 from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
@@ -24,6 +25,9 @@ from tirefit.slip import LOCKED, kappa_from_sigma, sigma_from_kappa
 
 WEIGHTS = {"fx": ("RBX1", "RCX1"), "fy": ("RBY1", "RCY1")}
 """Force -> coefficients without which its weighting function is one."""
+
+COMBINATIONS = ("none", "similarity", "ellipse")
+"""Names of the ways to combine both slips, see :func:`mf_tire`."""
 
 
 class MFTire(AbstractTire):
@@ -39,7 +43,8 @@ class MFTire(AbstractTire):
     ``digression``: A_mu of (4.E8) in MF 6; the larger it is, the less the vertical
     shifts decrease with scaled friction (LMUX, LMUY, LMUV). It is 1 in the software of
     TNO that reads and writes the files; the book recommends 10. MF 5.2 has none.
-    ``similarity``: combined slip by :mod:`.similarity`, not by weighting functions.
+    ``similarity``: forces in combined slip by :mod:`.similarity`, not by weighting functions.
+    ``ellipse``: both forces in combined slip by :mod:`.ellipse`.
     ``lacks``: forces that the tire does not have; they are None.
     """
 
@@ -54,11 +59,17 @@ class MFTire(AbstractTire):
     starred: bool = eqx.field(static=True, default=False)
     digression: float = eqx.field(static=True, default=1.0)
     similarity: tuple[str, ...] = eqx.field(static=True, default=())
+    ellipse: bool = eqx.field(static=True, default=False)
     lacks: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def needs(self) -> tuple[str, ...]:
         return ("v",) if self.scaling.LMUV != 0 else ()
+
+    @property
+    def unweighted(self) -> tuple[str, ...]:
+        """Forces whose combined slip is not by weighting functions."""
+        return tuple(WEIGHTS) if self.ellipse else self.similarity
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         scale, nominal = self.scaling, self.nominal
@@ -77,12 +88,13 @@ class MFTire(AbstractTire):
             upright_at = at._replace(gamma=0.0 * at.gamma)
             upright = self.lateral.pure(upright_at, scale, fz0)
         turned = side_weight * upright.force
-        if self.similarity:
-            similar = partial(similar_forces, self.longitudinal, self.lateral)
-            both = similar(at, scale, fz0)
-            fx = both[0] if "fx" in self.similarity else fx
-            if "fy" in self.similarity:
-                fy, turned = both[1], similar(upright_at, scale, fz0)[1]
+        if self.unweighted:
+            method = elliptic_forces if self.ellipse else similar_forces
+            combined = partial(method, self.longitudinal, self.lateral)
+            both = combined(at, scale, fz0)
+            fx = both[0] if "fx" in self.unweighted else fx
+            if "fy" in self.unweighted:
+                fy, turned = both[1], combined(upright_at, scale, fz0)[1]
         fx, fy, turned = load * fx, load * fy, load * turned
         slip = ratio(along_stiffness, side.stiffness) * at.kappa
         if "fx" in self.lacks:  # the moment is then that of a freely rolling wheel
@@ -228,8 +240,9 @@ def mf_tire(
             QSX14 there is no M_x, without any of QSY1 to QSY8 no M_y.
         starred, digression: see :class:`MFTire`.
         combination: ``none`` for weighting functions, which are one if their
-            coefficients are missing; ``similarity`` for :mod:`.similarity`; None for
-            similarity of the forces whose coefficients are missing.
+            coefficients are missing; ``similarity`` for :mod:`.similarity`; ``ellipse``
+            for :mod:`.ellipse`; None for similarity of the forces whose coefficients are
+            missing.
         lacks: forces that the values do not describe; they are None.
 
     Raises:
@@ -237,12 +250,14 @@ def mf_tire(
     """
     if version not in ("5.2", "6.1", "6.2"):
         raise ValueError(f"Magic Formula {version}: 5.2, 6.1 and 6.2 are known")
-    if combination not in (None, "none", "similarity"):
-        raise ValueError(f"combination {combination!r}: none and similarity are known")
+    if combination not in (None, *COMBINATIONS):
+        raise ValueError(f"combination {combination!r} is none of {', '.join(COMBINATIONS)}")
     absent = [f for f, keys in WEIGHTS.items() if not all(k in values for k in keys)]
-    similar = {None: absent, "none": (), "similarity": WEIGHTS}[combination]
-    # The method of similarity needs both pure forces.
-    similar = () if set(WEIGHTS) & set(lacks) else similar
+    similar = {None: absent, "similarity": list(WEIGHTS)}.get(combination, [])
+    ellipse = combination == "ellipse"
+    # Both methods need both pure forces.
+    if set(WEIGHTS) & set(lacks):
+        similar, ellipse = [], False
     begin = {key[:3] for key in values}
     tire = MFTire(
         overturning=Overturning() if "QSX" in begin else None,
@@ -251,6 +266,7 @@ def mf_tire(
         starred=starred,
         digression=digression,
         similarity=tuple(similar),
+        ellipse=ellipse,
         lacks=tuple(lacks),
     )
     if "NOMPRES" in values:
@@ -296,7 +312,7 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict:
         return jnp.where(acts, curve.curvature, 0.0)
 
     def weighting(force, weight):
-        if force in tire.similarity:
+        if force in tire.unweighted:
             return 0.0
         # Without the other slip the weight is one for any E.
         other = at.alpha if force == "fx" else at.kappa
