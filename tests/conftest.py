@@ -24,6 +24,11 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
+if not hasattr(jax, "enable_x64"):  # JAX before 0.8 has it elsewhere
+    from jax.experimental import enable_x64
+
+    jax.enable_x64 = enable_x64
+
 ROOT = Path(__file__).parents[1]
 COMPILED = Path(
     os.environ.setdefault(
@@ -92,6 +97,9 @@ def pytest_configure(config):
         shutil.rmtree(COMPILED)
     COMPILED.mkdir(parents=True, exist_ok=True)
     _mark().touch()
+    # In an empty home it lists the fonts, and says so to stderr where that takes 5 s:
+    # here, before tests look at what commands print.
+    import matplotlib.font_manager  # noqa: F401
 
 
 def pytest_unconfigure(config):
