@@ -52,8 +52,9 @@ def smoothed_by(arviz, log_weights):
 
 @pytest.mark.parametrize("shape", [0.0, 0.2, 0.5, 0.9, 1.5])
 def test_smoothed_weights_agree_with_arviz(arviz, shape):
-    generator = np.random.default_rng(0)
-    spread = generator.standard_exponential(5000)
+    # 3 sqrt(4900) is a whole number: versions 0 and 1 round the length of the tail
+    # differently.
+    spread = np.random.default_rng(0).standard_exponential(4900)
     log_weights = shape * spread if shape else -(spread**2)
     weights, k_hat = smoothed(log_weights)
     expected, k_expected = smoothed_by(arviz, log_weights)
