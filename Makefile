@@ -3,8 +3,9 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+LOWEST := .venv-lowest
 
-.PHONY: install demo docs dist test test-long statistics notebooks bench withheld withheld-full measured ablate calibration friction-benchmark fuzz braking posterior-peers lint types clean
+.PHONY: install demo docs dist test test-long lowest statistics notebooks bench withheld withheld-full measured ablate calibration friction-benchmark fuzz braking posterior-peers lint types clean
 
 install: $(STAMP)
 
@@ -22,7 +23,7 @@ demo: install
 
 # One thread of linear algebra: beside another worker a second one only spins, and sums in
 # another order move the last digits, which can choose another way of a search.
-test test-long statistics notebooks measured: export OPENBLAS_NUM_THREADS = 1
+test test-long lowest statistics notebooks measured: export OPENBLAS_NUM_THREADS = 1
 
 test: install
 	$(BIN)/python -m pytest -q -n 2 tests
@@ -32,6 +33,18 @@ test: install
 test-long statistics: export XLA_FLAGS = --xla_backend_optimization_level=3
 test-long: install
 	$(BIN)/python -m pytest -q -n 2 -m long --override-ini addopts="" tests
+
+# The tests with the oldest versions that pyproject.toml allows, in an environment of their
+# own. Some of these warn about the newer libraries beside them, which is no error here.
+lowest: PIP = $(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check
+lowest:
+	$(PYTHON) -m venv $(LOWEST)
+	$(PIP) uv hatchling
+	$(LOWEST)/bin/uv pip compile --quiet --python $(LOWEST)/bin/python --resolution lowest-direct \
+	  --all-extras --group test --output-file $(LOWEST)/lowest.txt pyproject.toml
+	$(PIP) -r $(LOWEST)/lowest.txt
+	$(PIP) --no-deps --no-build-isolation -e .
+	$(LOWEST)/bin/python -m pytest -q -n 2 --override-ini filterwarnings="" tests
 
 # The long statistical runs: 1,600 data sets for each model and noise level.
 statistics: install
@@ -111,4 +124,4 @@ types: install
 	$(BIN)/mypy
 
 clean:
-	rm -rf $(VENV) out build dist site
+	rm -rf $(VENV) $(LOWEST) out build dist site

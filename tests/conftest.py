@@ -24,6 +24,11 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
+if not hasattr(jax, "enable_x64"):  # JAX before 0.8 has it elsewhere
+    from jax.experimental import enable_x64
+
+    jax.enable_x64 = enable_x64
+
 ROOT = Path(__file__).parents[1]
 COMPILED = Path(
     os.environ.setdefault(
@@ -52,7 +57,9 @@ for _name, _value in _SETTINGS.items():
 # reads them when the first program is compiled. Without optimisation, a quarter of the
 # files took 305 instead of 383 s, all programs compiled anew; `make test-long`, whose
 # programs run for longer, optimises them as for users.
-_QUICKER = ["--xla_cpu_use_fusion_emitters=false", "--xla_cpu_parallel_codegen_split_count=1"]
+_QUICKER = ["--xla_cpu_parallel_codegen_split_count=1"]
+if jax.__version_info__ < (0, 11, 1):  # later ones know no older way, and stop at the name
+    _QUICKER += ["--xla_cpu_use_fusion_emitters=false"]
 _FLAGS = os.environ.get("XLA_FLAGS", "").split()
 if not any("xla_backend_optimization_level" in flag for flag in _FLAGS):
     _QUICKER += ["--xla_backend_optimization_level=0", "--xla_llvm_disable_expensive_passes=true"]
@@ -92,6 +99,9 @@ def pytest_configure(config):
         shutil.rmtree(COMPILED)
     COMPILED.mkdir(parents=True, exist_ok=True)
     _mark().touch()
+    # In an empty home it lists the fonts, and says so to stderr where that takes 5 s:
+    # here, before tests look at what commands print.
+    import matplotlib.font_manager  # noqa: F401
 
 
 def pytest_unconfigure(config):

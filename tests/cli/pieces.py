@@ -25,5 +25,6 @@ def held(folder, number):
     return number
 
 
-def left_waiting(dask_worker):
-    return len(dask_worker.state.ready)
+def received(keys, dask_worker):
+    """Whether the worker has received one of these tasks."""
+    return not dask_worker.state.tasks.keys().isdisjoint(keys)

@@ -28,7 +28,7 @@ from test_cli_fit import FAST, write
 from tirefit.cli.options import _cache_folder, complain, say
 from tirefit.cli.output import claimed, staged
 from tirefit.diagnosis import engine
-from tirefit.files import write_texts
+from tirefit.files import took_lock, write_texts
 
 LOG = ("sigma_x,fx,fz,v,time", *(f"{0.0005 * k},{50 * k},4000,20,{k / 100}" for k in range(60)))
 
@@ -141,14 +141,30 @@ def test_the_second_process_in_a_folder_is_refused(run, inputs, tmp_path, name):
         assert result.stdout == "" and there(tmp_path / "o") == []
 
 
-def test_a_process_waits_while_another_replaces_its_files(tmp_path):
+def test_a_process_waits_while_another_replaces_its_files(tmp_path, monkeypatch):
     """The second one begins after the first has replaced its files."""
     one, two = tmp_path / "one", tmp_path / "two"
+    waits_or_done = threading.Event()
+
+    def watched(handle):
+        took = took_lock(handle)
+        if not took:
+            waits_or_done.set()
+        return took
+
+    def written():
+        try:
+            write_texts({one: "a", two: "a"})
+        finally:
+            waits_or_done.set()
+
+    monkeypatch.setattr("tirefit.files.took_lock", watched)
+    monkeypatch.setattr("tirefit.files._PATIENCE", float("inf"))
+    writer = threading.Thread(target=written)
     with claimed(tmp_path):
-        writer = threading.Thread(target=write_texts, args=({one: "a", two: "a"},))
         writer.start()
-        writer.join(0.1)
-        assert writer.is_alive() and there(tmp_path) == []
+        waits_or_done.wait()
+        assert there(tmp_path) == []
     writer.join()
     assert one.read_text() == two.read_text() == "a"
 

@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 
 import pytest
-from pieces import doubled, fatal, held, left_waiting
+from pieces import doubled, fatal, held, received
 from test_cli_fit import FAST, write
 
 from tirefit.cli import fleet
@@ -41,17 +41,20 @@ def test_a_piece_that_kills_workers_fails_alone(two, tmp_path):
 
 
 def test_an_early_end_cancels_pending_pieces(two, tmp_path):
-    """Of four pieces one is done, two are running and one waits."""
+    """Of four submitted pieces one ends and two are held by the workers: the fourth one
+    never begins."""
+    two.wait_for_workers(2)
     with closing(shared(partial(held, tmp_path), range(30), two)) as results:
         assert next(results) == (0, 0)
-    for _ in range(1000):  # until the workers know
-        if not any(two.run(left_waiting).values()):
-            break
+    # Messages to a worker arrive in order: a worker that has received this task has
+    # received the cancellation before.
+    later = [two.submit(doubled, 1, workers=[place], pure=False) for place in two.nthreads()]
+    while not all(two.run(received, [task.key for task in later]).values()):
         time.sleep(0.01)
     (tmp_path / "go").touch()
-    # What waited still would have its turn before these.
-    assert len(dict(shared(doubled, range(8), two))) == 8
-    assert len(list(tmp_path.glob("begun*"))) <= 3
+    assert [value for value, _ in two.gather(later)] == [2, 2]
+    begun = {path.name for path in tmp_path.glob("begun*")}
+    assert "begun0" in begun < {f"begun{number}" for number in range(4)}
 
 
 def test_a_missing_scheduler_is_a_usage_error(monkeypatch):

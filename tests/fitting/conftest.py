@@ -1,5 +1,7 @@
 """Fits shared by several files: few models and one size, to compile little."""
 
+import warnings
+
 import pytest
 from recipes import ESTIMATED, GIVEN, SAMPLING, STD, VAGUE_NOISE, curve
 
@@ -38,3 +40,19 @@ def vague():
     noise = VAGUE_NOISE * STD
     config = GIVEN | {"noise": {"fx": noise}}
     return fit(curve(reach=0.2, noise=noise), config=config)
+
+
+@pytest.fixture(scope="session")
+def arviz(tmp_path_factory):
+    """ArviZ, imported when the first test asks for it.
+
+    Version 0.23, the last one for Python 3.11, warns once a day and stores the date in
+    the user's cache folder, which fails where two workers do so at the same time: each
+    worker imports it with a cache folder of its own.
+    """
+    cache = tmp_path_factory.mktemp("arviz")
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+        patch.setattr("platformdirs.user_cache_dir", lambda *names: str(cache))
+        warnings.filterwarnings("ignore", r"\s*ArviZ is undergoing", FutureWarning)
+        import arviz
+    return arviz

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import arviz
 import numpy as np
 import pytest
 import xarray as xr
@@ -199,7 +198,7 @@ def test_unidentified_friction_keeps_its_width(vague):
     assert result.status == "not identified"
 
 
-def test_arviz_reads_the_posterior(sampled, tmp_path):
+def test_arviz_reads_the_posterior(arviz, sampled, tmp_path):
     path = tmp_path / "posterior.nc"
     write_posterior(sampled, path)
     assert [p.name for p in tmp_path.iterdir()] == ["posterior.nc"]
@@ -219,7 +218,7 @@ def test_arviz_reads_the_posterior(sampled, tmp_path):
         assert float(arviz.rhat(posterior[label].values)) < 1.1
 
 
-def test_arviz_opens_the_file_itself(sampled, tmp_path):
+def test_arviz_opens_the_file_itself(arviz, sampled, tmp_path):
     path = tmp_path / "posterior.nc"
     write_posterior(sampled, path)
     data = arviz.from_netcdf(path, engine="h5netcdf")

@@ -1,5 +1,8 @@
 """Least squares: every solver compared with SciPy and certified values."""
 
+import subprocess
+import sys
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -138,3 +141,26 @@ def test_with_a_parameter_at_its_bound_the_others_converge(start):
     assert end.z[1] > 7
     np.testing.assert_allclose(end.z[0], a, atol=2e-3)
     np.testing.assert_allclose(end.cost, 1e4 * np.sum((a * x + x**2 - y) ** 2), rtol=1e-3)
+
+
+DEFAULT_FIT = """
+import sys
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+import tirefit
+
+fitted = tirefit.fit(tirefit.read(sys.argv[1], convention="braking"), "brush")
+print(fitted.status, "optimistix" in sys.modules, "jaxopt" in sys.modules)
+"""
+
+
+def test_a_fit_imports_jaxopt_only_if_it_is_chosen(tmp_path):
+    """The default solver works where jaxopt does not work with the installed JAX."""
+    data = curve()
+    rows = np.transpose([data[name] for name in ("sigma_x", "fx", "fz")])
+    np.savetxt(tmp_path / "d.csv", rows, delimiter=",", header="sigma_x,fx,fz", comments="")
+    program = [sys.executable, "-c", DEFAULT_FIT, tmp_path / "d.csv"]
+    done = subprocess.run(program, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "ok False False\n"), done.stderr
