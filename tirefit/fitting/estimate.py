@@ -27,7 +27,7 @@ from tirefit.fitting.profile import profile_all
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, Verdict, information
 from tirefit.fitting.solve import Solved
 from tirefit.fitting.trials import tried
-from tirefit.fitting.verdict import effects_to_try, judge
+from tirefit.fitting.verdict import effects_to_try, is_noise, judge
 from tirefit.models import TireInputs
 from tirefit.params import constrain, parameter_values, specs
 from tirefit.precision import require_x64
@@ -257,14 +257,9 @@ def _summarise(settled: Settled, data: TireData, config) -> FitResult:
         table=settled.data,
         far_rows=settled.far,
     )
-    solved_rows = task, solved
-    return judge(
-        replace(
-            result,
-            peak_range=peak_ranges(*solved_rows, result.derived, config),
-            trials=tried(effects_to_try(result), *solved_rows, config),
-        )
-    )
+    ranges = peak_ranges(task, solved, result.derived, config, is_noise(result))
+    trials = tried(effects_to_try(result), task, solved, config)
+    return judge(replace(result, peak_range=ranges, trials=trials))
 
 
 def with_fixed(estimates: dict[str, Estimate], problem: FitProblem):

@@ -93,7 +93,7 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
         known = more[best]
     if not found:
         return Misfit()
-    rest, _ = _remainder(values, known)
+    rest, _ = remainder(values, known)
     run = np.tile(problem.used(problem.rows.run)[some], len(at.mean))
     time = None if time is None else np.tile(time[some], len(at.mean))
     inflation = effective_inflation(rest[:, None] * slopes, run, time)
@@ -103,14 +103,14 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
 
 def _explained(values, known, more) -> float:
     """Sum of squares that ``more`` explains beyond ``known``; 0 if not significant."""
-    (before, fewer), (rest, rank) = _remainder(values, known), _remainder(values, more)
+    (before, fewer), (rest, rank) = remainder(values, known), remainder(values, more)
     explained, left = float(before @ before - rest @ rest), float(rest @ rest)
     effective = len(rest) / autocorrelation_time([rest])
     clear = effective * explained > chdtri(rank - fewer, _CHANCE) * max(left, 1e-300)
     return explained if clear else 0.0
 
 
-def _remainder(values, columns):
+def remainder(values, columns):
     """Residuals (n,) of a regression of the values on columns (n, k), and its rank."""
     solution, _, rank, _ = np.linalg.lstsq(columns, values)
     return values - columns @ solution, int(rank)

@@ -105,6 +105,11 @@ def _structure(result: FitResult) -> list[tuple[Outcome | None, str]]:
     return [(Outcome.SYSTEMATIC_MISFIT if value > _SYSTEMATIC else None, text)]
 
 
+def is_noise(result: FitResult) -> bool:
+    """Whether the residuals are noise rather than rounding or a systematic misfit."""
+    return not _exactness(result) and result.statistics.slip_structure <= _SYSTEMATIC
+
+
 def _peak_not_reached(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """A sentence with the range of the peak if the rows do not reach it."""
     if not result.peak_range:
@@ -116,8 +121,8 @@ def _peak_not_reached(result: FitResult) -> list[tuple[Outcome | None, str]]:
     if more := len(result.peak_range) - 1:
         text += f" ({more} more in fit.json)"
     if one.worse:
-        text += f" ({', '.join(one.worse)}: the rows contradict this shape)"
-    return [(Outcome.SHAPE_DEPENDENT, f"{text}; the stiffness does not depend on the shape")]
+        text += f"; {', '.join(one.worse)} fit{'s' * (len(one.worse) == 1)} worse"
+    return [(Outcome.SHAPE_DEPENDENT, text)]
 
 
 def range_text(one: PeakRange) -> str:
