@@ -19,6 +19,9 @@ _STRUCTURE_SIGMAS = 6.0
 _SYSTEMATIC = 0.5
 """Correlation of neighbours above which half of the residual variance is misfit."""
 
+_WHOLE = ("fz", "gamma", "pressure")
+"""Columns that a whole Magic Formula has terms for; it is fitted in stages, not here."""
+
 
 def disagreements(result: FitResult) -> dict[str, str]:
     """Sentences on routes to an interval that differ, by label of the parameter.
@@ -149,13 +152,15 @@ def effects_to_try(result: FitResult) -> list[str]:
 def _advice(result: FitResult, column: str) -> str:
     """A model that was tried and is better, or why those tried are not; empty without trials."""
     tried = [one for one in result.trials if one.column == column]
+    if not tried and column in _WHOLE:
+        return "; not tried: a whole Magic Formula (mf61), which has terms for it"
     for one in tried:
         if one.better:
             unit = "N m" if result.forces[0] == "mz" else "N"
             before, after = one.left_out
             return (
                 f"; use {one.model}: tried on these rows, it lowers the rms of rows left"
-                f" out from {before:.3g} to {after:.3g} {unit}"
+                f" out from {before:.4g} to {after:.4g} {unit}"
             )
     return "".join(f"; {one.model} was tried: {one.against}" for one in tried)
 
