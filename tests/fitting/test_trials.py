@@ -107,11 +107,13 @@ def test_candidates_have_the_effect_and_never_include_the_model(name, column, mo
 
 def test_only_a_bound_of_the_user_can_be_widened():
     """``parameters.mu.upper`` above 5 is refused, so nobody is told to widen it to that."""
-    data = curve(reach=0.05)
-    ours = fit(data, "brush", config={"parameters": {"mu": {"upper": 0.3}}})
+    data = curve(reach=0.05, noise=4 * STD, seed=2)
+    ours = fit(data, "brush", config={"parameters": {"mu": {"upper": 4.0}}})
     (said,) = [one for one in ours.warnings if one.startswith("mu is not identified")]
-    assert said.endswith("stopped at the bound 0.3: widen the bound in parameters.mu")
-    free = fit(curve(reach=0.05, noise=STD / 100), "brush-n")
+    assert said.endswith("stopped at the bound 4: widen the bound in parameters.mu")
+    free = fit(data, "brush")
+    (said,) = [one for one in free.warnings if one.startswith("mu is not identified")]
+    assert said.endswith("stopped at the bound 5, that of the model")
 
 
 def test_a_friction_law_without_friction_is_reported_with_the_law_that_was_tried():
