@@ -50,8 +50,7 @@ class Outcome(enum.StrEnum):
     SYSTEMATIC_MISFIT = "systematic misfit"
     SHAPE_DEPENDENT = (
         "friction rests on the shape of the model",
-        "the rows do not reach the peak, or another shape describes them better: models of"
-        " other shapes have another peak",
+        "models of other shapes describe the rows as well, or better, and have another peak",
     )
     UNSOUND = "unsound", "the tire fails a check of its forces"
     NOT_IDENTIFIED = "not identified", "the data do not identify this parameter"
