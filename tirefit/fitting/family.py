@@ -110,10 +110,11 @@ def peak_ranges(
     worse, ranges = tuple(name for name in every if name not in as_good), {}
     for label, share in shares.items():
         low, high = derived[label].ci95
-        there = [_of(peaks[name], label).value for name in as_good]
-        inside = (low or 0.0) <= min(there) and max(there) <= (high or np.inf)
-        if share < NEAR_PEAK or not inside:
-            ends = {name: _ends(_of(peaks[name], label)) for name in as_good}
+        found = {name: one for name in as_good if (one := _of(peaks[name], label))}
+        found = found or {task.name: derived[label]}
+        inside = [(low or 0.0) <= one.value <= (high or np.inf) for one in found.values()]
+        if share < NEAR_PEAK or not all(inside):
+            ends = {name: _ends(one) for name, one in found.items()}
             lows, highs = zip(*ends.values(), strict=True)
             bottom = None if None in lows else min(lows)
             top = None if None in highs else max(highs)
@@ -173,9 +174,10 @@ def _peaks(solved: Solved) -> dict[str, Estimate]:
     return derived_from_profile(solved, profiles, list(estimates.values()), only=("F_max",))
 
 
-def _of(peaks: Mapping[str, Estimate], label: str) -> Estimate:
-    """The peak of a label; that of all runs in a model without one for each run."""
-    return peaks.get(label) or peaks[quantity_of(label)]
+def _of(peaks: Mapping[str, Estimate], label: str) -> Estimate | None:
+    """The peak of a label, or that of all runs; None if the peak of the model differs by run
+    where that of the fit does not."""
+    return peaks.get(label) or peaks.get(quantity_of(label))
 
 
 def _ends(one: Estimate) -> tuple[float | None, float | None]:
