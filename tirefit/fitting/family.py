@@ -110,11 +110,11 @@ def peak_ranges(
     worse, ranges = tuple(name for name in every if name not in as_good), {}
     for label, share in shares.items():
         low, high = derived[label].ci95
-        found = {name: one for name in as_good if (one := _of(peaks[name], label))}
+        found = {name: peak for name in as_good if (peak := _of(peaks[name], label))}
         found = found or {task.name: derived[label]}
-        inside = [(low or 0.0) <= one.value <= (high or np.inf) for one in found.values()]
+        inside = [(low or 0.0) <= peak.value <= (high or np.inf) for peak in found.values()]
         if share < NEAR_PEAK or not all(inside):
-            ends = {name: _ends(one) for name, one in found.items()}
+            ends = {name: _ends(peak) for name, peak in found.items()}
             lows, highs = zip(*ends.values(), strict=True)
             bottom = None if None in lows else min(lows)
             top = None if None in highs else max(highs)

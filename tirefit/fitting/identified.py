@@ -39,7 +39,8 @@ def profile_estimates(
     A parameter is identified if its profile interval is limited or, where misfit widens
     the interval, if the interval from noise alone is limited.
     """
-    estimates, by_covariance = {}, {}
+    estimates = {}
+    by_covariance: dict[str, tuple[float | None, float | None]] = {}
     dof = max(solved.n_effective - solved.problem.layout.size, 1.0)
     noise = solved.of_noise
     ends = None if noise is None else _ends_by(solved, noise, dof)

@@ -34,29 +34,26 @@ SLIDING = "v_s"
 """Column of a trial: a linear friction law has no friction at the fastest rows."""
 
 
-def candidates(name: str, column: str) -> list[str]:
-    """Names of models like ``name`` whose force depends on a column as well."""
+def candidate(name: str, column: str) -> str:
+    """Name of a model like ``name`` whose force depends on a column as well; empty if there
+    is none. One of each, as a first fit of a model takes 3 s of processor: over the speed a
+    friction that changes linearly, in either direction."""
     if column == "fz":
         names = [name.replace("brush", "brush-load", 1)]
     elif column == "v":
-        names = [f"{name}{dash}{law}" for law in "hn" for dash in ("-", "")]
+        names = [f"{name}-n", f"{name}n"]
     else:
         names = [re.sub(r"n(s?)$", r"h\1", name)] if column == SLIDING else []
-    return [one for one in names if one in MODELS and one != name]
+    return next((one for one in names if one in MODELS and one != name), "")
 
 
 def tried(
     columns: Iterable[str], task: FitTask, solved: Solved, config: FitConfig
 ) -> tuple[Trial, ...]:
-    """Trials of models that depend on these columns, up to the first better one of each."""
-    trials: list[Trial] = []
-    for column in columns:
-        for name in candidates(task.name, column):
-            one = _tried(name, column, task, solved, config)
-            trials += [one] if one else []
-            if one and one.better:
-                break
-    return tuple(trials)
+    """Trials of models that depend on these columns, one of each."""
+    pairs = [(column, candidate(task.name, column)) for column in columns]
+    trials = (_tried(name, column, task, solved, config) for column, name in pairs if name)
+    return tuple(one for one in trials if one)
 
 
 def _tried(
