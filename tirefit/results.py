@@ -21,6 +21,7 @@ class ExitCode(enum.IntEnum):
     DATA = 3
     NOT_CONVERGED = 4
     NOT_IDENTIFIED = 5
+    SHAPE_DEPENDENT = 6
 
 
 class Outcome(enum.StrEnum):
@@ -47,6 +48,10 @@ class Outcome(enum.StrEnum):
     )
     WORSENED = "worsened", "rows of combined slip worsened the curve of pure slip"
     SYSTEMATIC_MISFIT = "systematic misfit"
+    SHAPE_DEPENDENT = (
+        "friction rests on the shape of the model",
+        "models of other shapes describe the rows as well, or better, and have another peak",
+    )
     UNSOUND = "unsound", "the tire fails a check of its forces"
     NOT_IDENTIFIED = "not identified", "the data do not identify this parameter"
     INCOMPLETE = "incomplete"
@@ -96,6 +101,8 @@ def exit_code(outcomes: Collection[Outcome], strict: bool = False) -> ExitCode:
         return ExitCode.NOT_CONVERGED
     if strict and Outcome.NOT_IDENTIFIED in outcomes:
         return ExitCode.NOT_IDENTIFIED
+    if Outcome.SHAPE_DEPENDENT in outcomes:
+        return ExitCode.SHAPE_DEPENDENT
     return ExitCode.OK
 
 

@@ -38,7 +38,7 @@ _STYLE: dict[str, Any] = {"rich_markup_mode": None, "pretty_exceptions_enable": 
 app = typer.Typer(
     name="tirefit",
     epilog="Exit codes: 0 ok, 2 usage, 3 data, 4 not converged, 5 not identified"
-    " (with --strict), 130 interrupted.",
+    " (with --strict), 6 friction rests on the shape of the model, 130 interrupted.",
     no_args_is_help=True,
     **_STYLE,
 )

@@ -9,7 +9,7 @@ held at different loads or speeds, like bins of a rig, it is evaluated at those 
 run; otherwise at those of the file, so that runs can be compared.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -257,12 +257,16 @@ def _moved(evaluate: Callable, z, low, high):
 
 
 def derived_from_profile(
-    solved: Solved, profiles: Sequence[Profile], estimates: Sequence[Estimate]
+    solved: Solved,
+    profiles: Sequence[Profile],
+    estimates: Sequence[Estimate],
+    only: Collection[str] = (),
 ) -> dict[str, Estimate]:
     """Derived quantities at the least-squares estimate, with profile intervals.
 
     Args:
         profiles, estimates: of every element of z, in order.
+        only: quantities to compute; all if empty.
 
     Returns:
         By name, or by ``name[run]`` if runs differ; in the order of the report, with the
@@ -277,7 +281,7 @@ def derived_from_profile(
     own = np.array([p.per_run for _, p in problem.layout.elements])
     derived: dict[str, Estimate] = {}
     for code, run in [(None, ""), *enumerate(problem.layout.runs if own.any() else ())]:
-        part = _of_run(solved, channel, code, (low, high), estimates, own)
+        part = _of_run(solved, channel, code, (low, high), estimates, own, only)
         for name, estimate in part:
             derived[name if code is None else f"{name}[{run}]"] = estimate
     order = list(quantities(channel))
@@ -286,7 +290,7 @@ def derived_from_profile(
 
 
 def _of_run(
-    solved: Solved, channel: str, run: int | None, ends, estimates, own: np.ndarray
+    solved: Solved, channel: str, run: int | None, ends, estimates, own: np.ndarray, only
 ) -> Iterator[tuple[str, Estimate]]:
     """(quantity, estimate) of the quantities that depend on a per-run element (``own``
     (p,)), or of the other quantities if ``run`` is None; ``ends`` (low, high) are those
@@ -301,6 +305,8 @@ def _of_run(
         same = np.abs(moved - value) <= 1e-7 * abs(value)
         involved = np.flatnonzero(~same.all(axis=0))
         if name == "F_max_over_fz" or own[involved].any() == (run is None):
+            continue
+        if only and name not in only:
             continue
         if not np.isfinite(value):
             estimate = Estimate(value, None, unit, (None, None), identified=False)

@@ -2,7 +2,7 @@
 
 import importlib.metadata
 import platform
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -12,101 +12,25 @@ from tirefit.data.accept import DataLike, as_data
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, parse_config
 from tirefit.fitting.derived import derived_from_profile, reference_points
+from tirefit.fitting.family import peak_ranges
 from tirefit.fitting.far_rows import FarRow, Settled, settle
-from tirefit.fitting.inference import REACH, half_width_95
+from tirefit.fitting.identified import (
+    at_bound,
+    independent_intervals,
+    minus_two_log_likelihood,
+    profile_estimates,
+)
 from tirefit.fitting.layout import Tie
 from tirefit.fitting.likelihood import FitProblem
 from tirefit.fitting.noise import noise_by_row
-from tirefit.fitting.profile import Profile, profile_all
+from tirefit.fitting.profile import profile_all
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, Verdict, information
 from tirefit.fitting.solve import Solved
-from tirefit.fitting.verdict import judge
+from tirefit.fitting.trials import tried
+from tirefit.fitting.verdict import effects_to_try, is_noise, judge
 from tirefit.models import TireInputs
-from tirefit.params import constrain, log_jacobian, parameter_values, specs
+from tirefit.params import constrain, parameter_values, specs
 from tirefit.precision import require_x64
-
-
-def limited(spec, low: float, high: float) -> bool:
-    """Whether an interval within the bounds identifies the parameter."""
-    ends = low <= spec.lower, high >= spec.upper
-    return not _not_identified(spec, low, high, *ends)
-
-
-def _not_identified(spec, low, high, open_low: bool, open_high: bool) -> bool:
-    """Whether an interval does not really limit the parameter.
-
-    That is the case if it is open on both sides; or open on one side and wider than half
-    of the allowed range; or wider than 0.8 of the range; or, for a positive quantity, if
-    its ends differ by a factor of ten (three for a friction coefficient).
-    """
-    if spec.scale == "log":
-        return open_low or open_high or high / low > 10
-    share = (high - low) / (spec.upper - spec.lower)
-    open_ends = open_low + open_high
-    if spec.lower > 0 and high / low > 3:
-        return True
-    return open_ends == 2 or (open_ends == 1 and share > 0.5) or share > 0.8
-
-
-def _profile_estimates(solved: Solved, profiles: list[Profile]):
-    """Least-squares estimates with profile intervals, and covariance intervals.
-
-    A parameter is identified if its profile interval is limited or, where misfit widens
-    the interval, if the interval from noise alone is limited.
-    """
-    estimates, by_covariance = {}, {}
-    dof = max(solved.n_effective - solved.problem.layout.size, 1.0)
-    noise = solved.of_noise
-    ends = None if noise is None else _ends_by(solved, noise, dof)
-    quantile = half_width_95(solved.problem.noise_estimated, dof)
-    for i, (label, parameter) in enumerate(solved.problem.layout.elements):
-        spec, z = parameter.spec, solved.z[i]
-        value, slope = float(constrain(z, spec)), float(np.exp(log_jacobian(z, spec)))
-        std = slope * float(np.sqrt(solved.covariance[i, i]))
-        profile = profiles[i]
-        low = spec.lower if profile.open_low else float(constrain(profile.low, spec))
-        high = spec.upper if profile.open_high else float(constrain(profile.high, spec))
-        free = _not_identified(spec, low, high, profile.open_low, profile.open_high)
-        if free and ends is not None:
-            left, right = ends[:, i]
-            free = _not_identified(
-                spec,
-                float(constrain(left, spec)),
-                float(constrain(right, spec)),
-                left <= -REACH,
-                right >= REACH,
-            )
-        identified = not free
-        at_bound = _at_bound(spec, value)
-        estimates[label] = Estimate(
-            value, std if identified and not at_bound else None, spec.unit, (low, high), identified
-        )
-        by_covariance[label] = (value - quantile * std, value + quantile * std)
-    return estimates, by_covariance
-
-
-def _ends_by(solved: Solved, covariance: np.ndarray, dof: float) -> np.ndarray:
-    """Ends (2, p) in z of the 95 % intervals from a covariance, cut at the reach."""
-    quantile = half_width_95(solved.problem.noise_estimated, dof)
-    half = quantile * np.sqrt(np.diag(covariance))
-    return np.clip(solved.z + np.array([[-1], [1]]) * half, -REACH, REACH)
-
-
-def _independent_intervals(solved: Solved) -> dict:
-    """95 % intervals for rows that are independent of each other."""
-    dof = solved.problem.n - solved.problem.layout.size
-    low, high = _ends_by(solved, solved.independent, dof)
-    return {
-        label: (float(constrain(low[i], p.spec)), float(constrain(high[i], p.spec)))
-        for i, (label, p) in enumerate(solved.problem.layout.elements)
-    }
-
-
-def _at_bound(spec, value: float) -> bool:
-    if spec.scale == "log":
-        return not spec.lower * 1.01 < value < spec.upper / 1.01
-    margin = 1e-3 * (spec.upper - spec.lower)
-    return not spec.lower + margin < value < spec.upper - margin
 
 
 def _statistics(solved: Solved) -> FitStatistics:
@@ -115,13 +39,13 @@ def _statistics(solved: Solved) -> FitStatistics:
     observed = problem.used(problem.rows.observed[name])
     residual = observed - solved.at.mean[name]
     parameters = problem.layout.size + sum(c.noise_estimated for c in problem.channels)
-    minus_two_log = _minus_two_log_likelihood(solved)
+    minus_two_log = minus_two_log_likelihood(solved)
     rows = problem.n * len(problem.channels)
     aicc, bic = information(minus_two_log, rows, solved.n_effective, parameters)
     labels = tuple(
         label
         for i, (label, p) in enumerate(problem.layout.elements)
-        if _at_bound(p.spec, float(constrain(solved.z[i], p.spec)))
+        if at_bound(p.spec, float(constrain(solved.z[i], p.spec)))
     )
     total = float(np.sum((observed - observed.mean()) ** 2))
     return FitStatistics(
@@ -141,18 +65,6 @@ def _statistics(solved: Solved) -> FitStatistics:
         starts_agreeing=solved.agreeing,
         slip_structure=_slip_structure(problem, residual),
     )
-
-
-def _minus_two_log_likelihood(solved: Solved) -> float:
-    """-2 log likelihood of all rows as if independent, at the noise scales in use."""
-    problem, total = solved.problem, 0.0
-    for name in problem.rules:
-        block = solved.at.values[name]
-        for channel in problem.block_channels(name):
-            scale = problem.used(problem.rows.scale[channel.name])
-            total += float(np.sum(np.log(2 * np.pi * scale**2)))
-        total += float(block @ block)
-    return total
 
 
 def _slip_structure(problem: FitProblem, residual) -> float:
@@ -305,7 +217,7 @@ def _summarise(settled: Settled, data: TireData, config) -> FitResult:
     task, solved = settled.task, settled.solved
     problem = solved.problem
     profiles = profile_all(problem, solved.z, solved.covariance, solved.level)
-    estimates, by_covariance = _profile_estimates(solved, profiles)
+    estimates, by_covariance = profile_estimates(solved, profiles)
     std = np.sqrt(np.diag(solved.covariance))
     elements = problem.layout.elements
     result = FitResult(
@@ -316,7 +228,7 @@ def _summarise(settled: Settled, data: TireData, config) -> FitResult:
         intervals={
             "covariance": by_covariance,
             "profile": {label: value.ci95 for label, value in estimates.items()},
-            "independent": _independent_intervals(solved),
+            "independent": independent_intervals(solved),
         },
         derived=derived_from_profile(solved, profiles, list(estimates.values())),
         statistics=_statistics(solved),
@@ -345,7 +257,9 @@ def _summarise(settled: Settled, data: TireData, config) -> FitResult:
         table=settled.data,
         far_rows=settled.far,
     )
-    return judge(result)
+    ranges = peak_ranges(task, solved, result.derived, config, is_noise(result))
+    trials = tried(effects_to_try(result), task, solved, config)
+    return judge(replace(result, peak_range=ranges, trials=trials))
 
 
 def with_fixed(estimates: dict[str, Estimate], problem: FitProblem):

@@ -1,4 +1,4 @@
-"""Find inputs that the residuals of a fit depend on, and name models that have them."""
+"""Find inputs that the residuals of a fit depend on."""
 
 from typing import NamedTuple
 
@@ -9,16 +9,13 @@ from tirefit.fitting.inference import Linearised
 from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.noise import autocorrelation_time, effective_inflation
 
-_LOAD = {"brush": "brush-load"} | {f"brush-{k}": f"brush-load-{k}" for k in "dmnh"}
-"""Brush with constant stiffness and friction -> brush in which both vary with load."""
-
 _COLUMNS = {
-    "fz": ("load", "N", "mf61"),
-    "v": ("speed", "m/s", "brush-h (or brush-n, brush-stribeck)"),
-    "gamma": ("camber", "rad", "mf61"),
-    "pressure": ("pressure", "Pa", "mf61"),
+    "fz": ("load", "N"),
+    "v": ("speed", "m/s"),
+    "gamma": ("camber", "rad"),
+    "pressure": ("pressure", "Pa"),
 }
-"""Input that a test varies -> its name, its unit, and the models that depend on it."""
+"""Input that a test varies -> its name and its unit."""
 
 _VARIES = 0.2  # smallest relative range (central 95 %) of a column that is tested
 
@@ -38,16 +35,14 @@ class Followed(NamedTuple):
     high: float
     share: float
 
-    def sentence(self, model: str) -> str:
-        """The dependence that the fitted model does not describe, and a model with it."""
-        name, unit, other = _COLUMNS[self.column]
-        advice = f"use {other}, which depends on it, or fit parameters per run (per_run = true)"
-        if self.column == "fz" and model in _LOAD:
-            advice = f"use {_LOAD[model]}, whose stiffness and friction vary with the load"
+    @property
+    def sentence(self) -> str:
+        """The dependence that the fitted model does not describe."""
+        name, unit = _COLUMNS[self.column]
         return (
             f"the model does not describe how the force depends on the {name}: for"
             f" {name}s from {self.low:.4g} to {self.high:.4g} {unit}, trends with it explain"
-            f" {100 * self.share:.0f} % of the variance of the residuals; {advice}"
+            f" {100 * self.share:.0f} % of the variance of the residuals"
         )
 
 
@@ -98,7 +93,7 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
         known = more[best]
     if not found:
         return Misfit()
-    rest, _ = _remainder(values, known)
+    rest, _ = remainder(values, known)
     run = np.tile(problem.used(problem.rows.run)[some], len(at.mean))
     time = None if time is None else np.tile(time[some], len(at.mean))
     inflation = effective_inflation(rest[:, None] * slopes, run, time)
@@ -108,14 +103,14 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
 
 def _explained(values, known, more) -> float:
     """Sum of squares that ``more`` explains beyond ``known``; 0 if not significant."""
-    (before, fewer), (rest, rank) = _remainder(values, known), _remainder(values, more)
+    (before, fewer), (rest, rank) = remainder(values, known), remainder(values, more)
     explained, left = float(before @ before - rest @ rest), float(rest @ rest)
     effective = len(rest) / autocorrelation_time([rest])
     clear = effective * explained > chdtri(rank - fewer, _CHANCE) * max(left, 1e-300)
     return explained if clear else 0.0
 
 
-def _remainder(values, columns):
+def remainder(values, columns):
     """Residuals (n,) of a regression of the values on columns (n, k), and its rank."""
     solution, _, rank, _ = np.linalg.lstsq(columns, values)
     return values - columns @ solution, int(rank)

@@ -112,6 +112,36 @@ class PosteriorSummary:
     note: str = ""  # a further remark for the report
 
 
+class PeakRange(NamedTuple):
+    """Range of peak force over load over models, where the rows do not reach the peak.
+
+    ``models`` holds the 95 % interval of each model that describes the rows as well as
+    the best one; ``low`` and ``high`` are the ends of all of them. An end is None where
+    the rows do not limit it. ``worse`` are the models that describe the rows worse.
+    """
+
+    low: float | None
+    high: float | None
+    share: float  # of the fitted peak that the rows reach
+    models: Mapping[str, tuple[float | None, float | None]]
+    worse: tuple[str, ...]
+
+
+class Trial(NamedTuple):
+    """A model with an effect of a column, tried on the rows of a fit."""
+
+    column: str
+    model: str
+    against: str  # reason not to use it; empty if it is better
+    left_out: tuple[float, ...] = ()
+    """rms error of the first force in rows left out, of the model of the fit and of this one."""
+
+    @property
+    def better(self) -> bool:
+        """Whether it is identified and predicts rows left out better."""
+        return not self.against
+
+
 class Verdict(NamedTuple):
     """What a fit is worth: its outcomes; the sentences on it, that of the gravest
     outcome first; and by label where the routes to an interval differ."""
@@ -166,6 +196,9 @@ class FitResult(Record):
     solved: Solved
     table: TireData
     far_rows: tuple[FarRow, ...] = ()
+    peak_range: dict[str, PeakRange] = field(default_factory=dict)
+    """By label of ``derived``, of each peak that the rows do not reach."""
+    trials: tuple[Trial, ...] = ()
     posterior: PosteriorSummary | None = None
     asked: str = ""
     """Digest of the command's data and options, from which a rerun sees what is done."""
@@ -225,6 +258,8 @@ class FitResult(Record):
             "least_squares": {k: asdict(v) for k, v in self.least_squares.items()},
             "intervals": self.intervals,
             "derived": {k: asdict(v) for k, v in self.derived.items()},
+            "peak_range": {k: v._asdict() for k, v in self.peak_range.items()},
+            "trials": [one._asdict() for one in self.trials],
             "reference": self.reference,
             "correlation": {"labels": list(self.labels), "matrix": self.correlation},
             "fit": asdict(self.statistics),

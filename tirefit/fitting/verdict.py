@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from tirefit.data.run_names import label_of_run
-from tirefit.fitting.derived import derived_channel, quantity_of
-from tirefit.fitting.result import FitResult, Verdict
+from tirefit.fitting.derived import quantity_of
+from tirefit.fitting.result import FitResult, PeakRange, Verdict
+from tirefit.fitting.trials import SLIDING
+from tirefit.params import specs
 from tirefit.results import Outcome
 
 _EXACT = 1e-9  # RMSE over the range of the force below which residuals are rounding
@@ -14,9 +16,11 @@ _EXACT = 1e-9  # RMSE over the range of the force below which residuals are roun
 _POOR_CHI2 = 2.0
 _POOR_R2 = 0.8
 _STRUCTURE_SIGMAS = 6.0
-_NEAR_PEAK = 0.95  # a brush has this share of its peak at 0.63 of the slip of full sliding
 _SYSTEMATIC = 0.5
 """Correlation of neighbours above which half of the residual variance is misfit."""
+
+_WHOLE = ("fz", "gamma", "pressure")
+"""Columns that a whole Magic Formula has terms for; it is fitted in stages, not here."""
 
 
 def disagreements(result: FitResult) -> dict[str, str]:
@@ -104,31 +108,31 @@ def _structure(result: FitResult) -> list[tuple[Outcome | None, str]]:
     return [(Outcome.SYSTEMATIC_MISFIT if value > _SYSTEMATIC else None, text)]
 
 
+def is_noise(result: FitResult) -> bool:
+    """Whether the residuals are noise rather than rounding or a systematic misfit."""
+    return not _exactness(result) and result.statistics.slip_structure <= _SYSTEMATIC
+
+
 def _peak_not_reached(result: FitResult) -> list[tuple[Outcome | None, str]]:
-    """A sentence if the fitted curve peaks beyond the rows, where its shape is assumed."""
-    channel, of = derived_channel(result.forces), result.derived
-    peaks = [
-        (one.value, there.value)
-        for label, one in of.items()
-        if quantity_of(label) == "F_max_over_fz"
-        and one.identified
-        and not one.fixed
-        and (there := of.get(label.replace("F_max_over_fz", "slip_at_peak")))
-    ]
-    if not peaks or channel is None:
+    """A sentence with the range of the peak if the rows do not reach it."""
+    if not result.peak_range:
         return []
-    problem, (peak, at) = result.solved.problem, max(peaks)
-    inputs, mean = problem.rows.inputs, result.solved.at.mean[channel]
-    share = float(np.max(np.abs(mean) / problem.used(inputs.fz))) / peak
-    if not share < _NEAR_PEAK or not np.isfinite(at):
-        return []
-    slip = np.hypot(problem.used(inputs.sigma_x), np.tan(problem.used(inputs.alpha)))
-    text = (
-        f"the rows reach {100 * share:.0f} % of the fitted peak (largest slip"
-        f" {np.max(np.abs(slip)):.3g}, peak at {at:.3g}): peak and friction come from the shape"
-        " of this model, not from the data; compare brush-d, or measure larger slips"
-    )
-    return [(None, text)]
+    label, one = min(result.peak_range.items(), key=lambda item: item[1].share)
+    text = f"{range_text(one)}; rows reach {100 * one.share:.0f} % of the peak"
+    if quantity_of(label) != label:
+        text += f" of run {_short(result, label)[len(quantity_of(label)) + 1 : -1]}"
+    if more := len(result.peak_range) - 1:
+        text += f" ({more} more in fit.json)"
+    if one.worse:
+        text += f"; {', '.join(one.worse)} fit{'s' * (len(one.worse) == 1)} worse"
+    return [(Outcome.SHAPE_DEPENDENT, text)]
+
+
+def range_text(one: PeakRange) -> str:
+    """The range of the peak, and the models that it is over."""
+    low, high = (None if end is None else f"{end:.3g}" for end in (one.low, one.high))
+    span = f"mu {low} to {high}" if low and high else f"mu above {low}" if low else "any mu"
+    return f"{span} over {', '.join(one.models)}"
 
 
 def _lacking(result: FitResult) -> list[tuple[Outcome | None, str]]:
@@ -136,7 +140,29 @@ def _lacking(result: FitResult) -> list[tuple[Outcome | None, str]]:
     columns = result.solved.misfit.columns
     is_most = sum(one.share for one in columns) > _SYSTEMATIC
     outcome = Outcome.SYSTEMATIC_MISFIT if is_most else None
-    return [(outcome, one.sentence(result.model)) for one in columns]
+    return [(outcome, f"{one.sentence}{_advice(result, one.column)}") for one in columns]
+
+
+def effects_to_try(result: FitResult) -> list[str]:
+    """Columns whose effect the residuals show, for ``trials.tried``."""
+    columns = [] if _exactness(result) else [one.column for one in result.solved.misfit.columns]
+    return columns + [SLIDING] * bool(_speed_limit(result))
+
+
+def _advice(result: FitResult, column: str) -> str:
+    """A model that was tried and is better, or why those tried are not; empty without trials."""
+    tried = [one for one in result.trials if one.column == column]
+    if not tried and column in _WHOLE:
+        return "; not tried: a whole Magic Formula (mf61), which has terms for it"
+    for one in tried:
+        if one.better:
+            unit = "N m" if result.forces[0] == "mz" else "N"
+            before, after = one.left_out
+            return (
+                f"; use {one.model}: tried on these rows, it lowers the rms of rows left"
+                f" out from {before:.4g} to {after:.4g} {unit}"
+            )
+    return "".join(f"; {one.model} was tried: {one.against}" for one in tried)
 
 
 def _correlated(result: FitResult) -> list[tuple[Outcome | None, str]]:
@@ -217,10 +243,8 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
                 f" from {low:.4g} to {high:.4g} fits as well (95 %)"
             )
             if label in statistics.at_bound:
-                text += (
-                    f"; the best fit stopped at the bound {estimate.value:.4g}: check"
-                    " the units, or widen the bound"
-                )
+                text += f"; the best fit stopped at the bound {estimate.value:.4g}"
+                text += _of_bound(result, label)
             findings.append((Outcome.NOT_IDENTIFIED, text))
     at_bound = [label for label in statistics.at_bound if result.least_squares[label].identified]
     if at_bound:
@@ -236,6 +260,15 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     findings += [(None, text) for text in _speed_limit(result)]
     findings += [] if exact else _correlated(result)
     return findings
+
+
+def _of_bound(result: FitResult, label: str) -> str:
+    """What to do about a bound: only one inside that of the model can be widened."""
+    name = quantity_of(label)
+    ours = next(p.spec for p in result.problem.layout.free if p.name == name)
+    model = specs(result.problem.model)[name]
+    own = (ours.lower, ours.upper) != (model.lower, model.upper)
+    return f": widen the bound in parameters.{name}" if own else ", that of the model"
 
 
 def judge(result: FitResult) -> FitResult:
@@ -271,6 +304,6 @@ def _speed_limit(result: FitResult) -> list[str]:
         return []
     return [
         f"n max(v_s) = {n.value * fastest:.3g} is not below mu = {mu.value:.3g}: the"
-        " linear friction law has no friction at the fastest rows; use a model with an"
-        " exponential law (h)"
+        " linear friction law has no friction at the fastest rows"
+        f"{_advice(result, SLIDING)}"
     ]

@@ -29,7 +29,8 @@ from tirefit.display import Record
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.fitting.config import FitConfig
-from tirefit.fitting.estimate import data_record, limited
+from tirefit.fitting.estimate import data_record
+from tirefit.fitting.identified import limited
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.problem import build

@@ -1,0 +1,185 @@
+"""Below the peak the verdict gives the range of the peak over models of other shapes."""
+
+import json
+
+import numpy as np
+import pytest
+from recipes import FULL_SLIDING, FZ, STD, TRUTH, brush_force, curve, magic_force, table
+
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.family import family_of, probabilities, reached, shape_in_doubt
+from tirefit.fitting.others import solved_as
+from tirefit.fitting.problem import build
+from tirefit.fitting.solve import solve_problem
+from tirefit.report.text import fit_report
+from tirefit.results import ExitCode, Outcome, exit_code
+
+HALF = 0.5  # of full sliding, where a brush has 1 - 0.5^3 = 87.5 % of its peak
+
+
+@pytest.fixture(scope="module")
+def below():
+    return fit(curve(reach=HALF))
+
+
+def test_first_line_of_the_verdict_gives_the_range(below):
+    assert below.status == "friction rests on the shape of the model"
+    report = " ".join(fit_report(below).split())
+    line = report[report.index("VERDICT: ") :]
+    one = below.peak_range["F_max_over_fz"]
+    assert line.startswith(
+        "VERDICT: friction rests on the shape of the model:"
+        f" mu {one.low:.3g} to {one.high:.3g} over brush, brush-d; rows reach"
+        f" {100 * one.share:.0f} % of the peak"
+    )
+
+
+def test_range_holds_the_interval_of_the_fit_and_the_truth(below):
+    (one,) = below.peak_range.values()
+    low, high = below.derived["F_max_over_fz"].ci95
+    assert one.low <= low < high <= one.high
+    assert one.low < TRUTH["mu"] < one.high
+    # The asymmetry d of a brush-d is free below the peak: the range is twice as wide at least.
+    assert one.high - one.low > 2 * (high - low)
+    # By the closed form, and the noise of 400 rows: 40 N / 4000 N / sqrt(400) is 5e-4.
+    np.testing.assert_allclose(one.share, 1 - (1 - HALF) ** 3, atol=0.02)
+
+
+def test_range_is_that_of_separate_fits(below):
+    (one,) = below.peak_range.values()
+    alone = fit(curve(reach=HALF), "brush-d").derived["F_max_over_fz"].ci95
+    np.testing.assert_allclose(one.models["brush-d"], alone, rtol=1e-3)
+    # A curve that is analytic at zero slip does not bend as a brush: both sides contradict it.
+    assert one.worse == ("magic-formula",)
+
+
+def test_file_has_the_range(below):
+    stored = json.loads(below.to_json())
+    (one,) = below.peak_range.values()
+    assert stored["peak_range"]["F_max_over_fz"]["low"] == one.low
+    assert stored["verdict"]["status"] == below.status
+    assert stored["outcomes"] == ["shape_dependent"]
+
+
+def test_exit_code_is_its_own():
+    assert exit_code([Outcome.SHAPE_DEPENDENT]) == ExitCode.SHAPE_DEPENDENT == 6
+    both = [Outcome.SHAPE_DEPENDENT, Outcome.NOT_IDENTIFIED]
+    assert exit_code(both, strict=True) == ExitCode.NOT_IDENTIFIED
+    assert exit_code([Outcome.NOT_CONVERGED, *both]) == ExitCode.NOT_CONVERGED
+
+
+def test_rows_that_reach_the_peak_are_ok():
+    # 0.8 of full sliding: 99 % of the peak.
+    result = fit(curve(reach=0.8))
+    assert result.status == "ok" and not result.peak_range
+
+
+def test_a_shape_that_the_rows_contradict_is_reported_above_the_peak():
+    """A brush fitted to a skewed pressure: its peak is too high, by more than its interval."""
+    truth = TRUTH | {"d": 0.3}
+    data = curve(truth, reach=1.2, noise=STD * 2)
+    result = fit(data, "brush")
+    low, high = result.derived["F_max_over_fz"].ci95
+    assert not low < TRUTH["mu"] < high
+    assert result.status == "friction rests on the shape of the model"
+    (one,) = result.peak_range.values()
+    assert one.share > 0.98 and one.low < TRUTH["mu"] < one.high
+    assert "brush" in one.worse and "brush-d" in one.models
+    assert fit(data, "brush-d").status == "ok"
+
+
+def test_probability_of_a_nested_model_is_uniform():
+    """Of brush in brush-d, for data of a brush: the test of Wilks, so that of 40 sets some
+    four are below 0.1 (0 to 9 with probability 0.995)."""
+    low = 0
+    for seed in range(40):
+        data, config = curve(reach=1.2, seed=100 + seed, n=100), parse_config({"starts": 1})
+        solved = {
+            name: solve_problem(build(data, name, config), config) for name in ("brush", "brush-d")
+        }
+        low += probabilities(solved)["brush"] < 0.1
+    assert low <= 9
+
+
+def test_a_peak_is_compared_with_the_rows_of_its_run():
+    """Two surfaces, one of which slides and the other does not."""
+    generator, mu = np.random.default_rng(3), np.repeat([0.5, 1.0], 200)
+    slip = generator.uniform(0, 0.6 * FULL_SLIDING, 400)
+    force = np.concatenate([brush_force(slip[:200], 5e4, 0.5), brush_force(slip[200:], 5e4, 1.0)])
+    columns = {"sigma_x": slip, "fx": force + STD * generator.normal(size=400)}
+    data = table(
+        columns | {"fz": np.full(400, FZ)}, run=(mu > 0.7).astype(int), runs=("wet", "dry")
+    )
+    config = {"parameters": {"mu": {"per_run": True}}}
+    result = fit(data, "brush", config=config)
+    assert list(result.peak_range) == ["F_max_over_fz[dry]"]
+    one = result.peak_range["F_max_over_fz[dry]"]
+    # By the closed form at 0.6 of full sliding.
+    np.testing.assert_allclose(one.share, 1 - 0.4**3, atol=0.02)
+    assert "of the peak of run dry" in result.warnings[0]
+
+
+def test_share_counts_both_forces_in_combined_slip():
+    """Every row slides fully, at 45 degrees: each force alone is 71 % of the friction."""
+    generator = np.random.default_rng(4)
+    sigma = generator.uniform(0.0, 0.3, 300)
+    total = brush_force(np.hypot(sigma, sigma), 5e4, 1.0)
+    noise = STD * generator.normal(size=(2, 300))
+    both = {"fx": total / np.sqrt(2) + noise[0], "fy": total / np.sqrt(2) + noise[1]}
+    # The lateral slip of the patch is tan(alpha) (1 + sigma_x).
+    columns = {"sigma_x": sigma, "alpha": np.arctan(sigma / (1 + sigma)), "fz": np.full(300, FZ)}
+    data, config = table(columns | both), parse_config({"force": ["fx", "fy"]})
+    task = build(data, "brush", config)
+    assert family_of(task) == ["brush-d", "magic-formula-combined"]
+    result = fit(data, "brush", config=config)
+    (share,) = reached(result.solved, result.derived).values()
+    np.testing.assert_allclose(share, 1.0, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "others"),
+    [
+        ("brush", ["brush-d", "magic-formula"]),
+        ("brush-d", ["brush", "magic-formula"]),
+        ("magic-formula", ["brush", "brush-d"]),
+        ("brush-dmn", ["brush-mn", "magic-formula"]),
+        ("brush-load", ["brush-load-d", "magic-formula"]),
+        ("elliptic", ["brush", "brush-d", "magic-formula"]),
+        ("brush-anisotropic-m", ["brush-anisotropic-dm", "magic-formula"]),
+    ],
+)
+def test_family_keeps_what_the_model_has_beside_its_shape(name, others):
+    data = curve(extra={"v": np.full(400, 20.0)})
+    assert family_of(build(data, name, parse_config({}))) == others
+
+
+def test_settings_of_the_peak_and_the_slope_go_with_it():
+    """A prior of mu is one of D, which is the same quantity; a stiffness by run is one."""
+    run = (np.arange(400) >= 200).astype(int)
+    data = table(dict(curve(reach=1.2).columns), run=run, runs=("a", "b"))
+    settings = {"mu": {"prior": {"mean": 0.9, "std": 0.01}}, "cpa2": {"per_run": True}}
+    config = parse_config({"parameters": settings})
+    other = solved_as("magic-formula", build(data, "brush", config), config)
+    priors = {p.name: p.prior for p in other.solved.problem.layout.free}
+    assert priors["D"] == (0.9, 0.01) and priors["B"] is None
+    assert other.solved.problem.layout.labels[:2] == ("B[a]", "B[b]")
+    assert solved_as("brush-n", build(data, "brush", config), config) is None  # no speed
+
+
+def test_doubt_on_the_shape_is_rare_for_the_right_one_and_sure_for_another():
+    """30 % of sets of the right model, by the probability that it is tested at: of 40 sets,
+    0 to 19 with probability 0.994."""
+    config = parse_config({"starts": 1})
+    of_brush = {"force": brush_force, "truth": TRUTH}
+    of_magic = {"force": magic_force, "truth": {"B": 10.0, "C": 1.6, "D": 1.0, "E": 0.2}}
+    doubts = [
+        sum(
+            shape_in_doubt(
+                solve_problem(build(curve(seed=seed, reach=2.0, **how), "brush", config), config)
+            )
+            for seed in range(40)
+        )
+        for how in (of_brush, of_magic)
+    ]
+    assert doubts[0] <= 19 and doubts[1] == 40
