@@ -53,10 +53,10 @@ def noise_law(residual, fz, force, known=0.0, each=1.0, beyond=0.0) -> NoiseLaw:
         each: number of residuals per independent residual, (n,) or a number.
         beyond: (n,) of :func:`beyond_loads` for the loads of the fit, or zero.
     """
-    terms = [np.full(len(fz), 1.0), fz**2, force**2]
+    columns = [np.full(len(fz), 1.0), fz**2, force**2]
     if np.any(beyond):
-        terms.append((beyond * force) ** 2)
-    terms = np.stack(terms, axis=1)
+        columns.append((beyond * force) ** 2)
+    terms = np.stack(columns, axis=1)
     without = np.delete(terms, 2, axis=1)
     plain = np.insert(law_shares(residual, without, known), 2, 0.0)
     shares = law_shares(residual, terms, known)
