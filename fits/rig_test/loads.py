@@ -46,7 +46,6 @@ def _laws() -> dict[str, Callable]:
     return {
         "formula": lambda fz: (1.0, 1.0),
         "power": lambda fz: (over(fz) ** -0.12, over(fz) ** 0.15),
-        "power 2": lambda fz: (over(fz) ** -0.06, over(fz) ** -0.12),
         "quadratic": lambda fz: (1 + 0.25 * (over(fz) - 0.6) ** 2, 1 - 0.4 * (over(fz) - 0.6) ** 2),
         "step": lambda fz: (
             1 - 0.08 * np.tanh((fz - 500) / 150),
@@ -84,17 +83,14 @@ class Case(NamedTuple):
         return f"{Path(self.base).stem}, {self.law}"
 
 
-_CHRONO, _MFEVAL = (
-    "chrono/335_65R22_5_G275MSA_{}psi.tir",
-    "mfeval_julia/MagicFormula{}_Parameters.tir",
-)
+_CHRONO = "chrono/335_65R22_5_G275MSA_{}psi.tir"
+_MFEVAL = "mfeval_julia/MagicFormula{}_Parameters.tir"
 CHOSEN = (
     Case("racing", "formula"),
     Case("racing", "power"),
     Case(_CHRONO.format(70), "formula"),
     Case("racing 1", "quadratic"),
     Case("racing 2", "formula"),
-    Case("racing 3", "power 2"),
 )
 """Tires on which the error beyond the loads of ``left_out.py`` was chosen."""
 
