@@ -220,11 +220,11 @@ def _band(parts: Sequence[_Sample], fitted: _Sample) -> Band:
     inside = [law._replace(beyond=0.0) for law in laws]
     sizes = [np.mean(law.variance(fitted.fz, fitted.predicted)) for law in inside]
     outer = sum(bool(np.median(part.beyond) > 0) for part in parts)
-    beyond = _beyond(laws[0].beyond, outer)
+    beyond = beyond_of(laws[0].beyond, outer)
     return Band(inside[int(np.argmax(sizes))]._replace(beyond=beyond, loads=fitted.loads), wider)
 
 
-def _beyond(found: float, outer: int) -> float:
+def beyond_of(found: float, outer: int) -> float:
     """The error of the formula beyond the loads, from that ``found`` in ``outer`` loads.
 
     It is one number per load, as all rows of a load are wrong alike. Its variance is
