@@ -209,8 +209,10 @@ def _band(parts: Sequence[_Sample], fitted: _Sample) -> Band:
     Standard errors are widened to the size of the shifts if these are larger than the
     errors at the level of 5 %. The noise is that of the left-out rows or that of the
     ``fitted`` rows, whichever is larger on the fitted rows: in a left-out part the
-    errors of the coefficients may account for the whole residual. The error of the
-    formula beyond the loads is that of the parts beyond the others.
+    errors of the coefficients may account for the whole residual. It is raised if fewer
+    than 95 % of the fitted rows would be in the band, as those of one load may be worse
+    than the law. The error of the formula beyond the loads is that of the parts beyond
+    the others.
     """
     squares = sum(part.shift[0] for part in parts)
     count = sum(part.shift[1] for part in parts)
@@ -219,9 +221,14 @@ def _band(parts: Sequence[_Sample], fitted: _Sample) -> Band:
     laws = [_law_of(some, wider) for some in (parts, [fitted]) if some]
     inside = [law._replace(beyond=0.0) for law in laws]
     sizes = [np.mean(law.variance(fitted.fz, fitted.predicted)) for law in inside]
+    law = inside[int(np.argmax(sizes))]
+    needed = (fitted.residual / _IN_95) ** 2 - wider**2 * fitted.variance
+    needed = needed / np.maximum(law.variance(fitted.fz, fitted.predicted), 1e-300)
+    raised = float(np.sqrt(max(np.quantile(needed, 0.95), 1.0)))
     outer = sum(bool(np.median(part.beyond) > 0) for part in parts)
     beyond = beyond_of(laws[0].beyond, outer)
-    return Band(inside[int(np.argmax(sizes))]._replace(beyond=beyond, loads=fitted.loads), wider)
+    law = NoiseLaw(*(raised * x for x in law[:3]), beyond, fitted.loads)
+    return Band(law, wider)
 
 
 def beyond_of(found: float, outer: int) -> float:
