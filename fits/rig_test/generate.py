@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from scipy.signal import lfilter
 
-from fits.rig_test.tire import NOMINAL, true_forces, write_true_tire
+from fits.rig_test.tire import NOMINAL, RACING, RigTire, true_forces, write_true_tire
 from tirefit.models import TireInputs
 
 __all__ = ["LOADS", "SMALL", "Recording", "recordings", "write"]
@@ -31,6 +31,8 @@ LOADS = (889.6, 667.2, 222.4, 1112.1, 444.8)
 CAMBERS = (0.0, 2 * DEG, 4 * DEG)
 PRESSURES = (82.7e3, 96.5e3)
 """Inflation pressures [Pa]: 12 and 14 psi."""
+States = tuple[Sequence[float], Sequence[float]]
+"""Pressures [Pa] and cambers [rad] of a test."""
 SPEED = 11.18
 """Speed of the belt [m/s]: 25 mph."""
 ANGLE, ANGLE_RATE = 12 * DEG, 4 * DEG
@@ -111,7 +113,7 @@ class _Script:
 
 
 def _commands(
-    swept: str, angles: Sequence[float], loads: Sequence[float]
+    swept: str, angles: Sequence[float], loads: Sequence[float], states: States
 ) -> tuple[dict[str, np.ndarray], int]:
     """Commands of a test that sweeps one slip, and the number of its warm-up rows.
 
@@ -119,14 +121,15 @@ def _commands(
         swept: ``alpha`` or ``kappa``.
         angles: slip angles [rad] that are held; of the cornering test, zero.
         loads: wheel loads [N].
+        states: pressures and cambers.
     """
     sweep = (swept, ANGLE, ANGLE_RATE) if swept == "alpha" else (swept, SLIP, SLIP_RATE)
-    script = _Script(fz=LOADS[0], gamma=0.0, pressure=PRESSURES[0])
+    script = _Script(fz=LOADS[0], gamma=0.0, pressure=states[0][0])
     script.move()
     for _ in range(WARM_UP):
         script.sweep(*sweep)
     warm_up = script.rows
-    for pressure, gamma, alpha, fz in product(PRESSURES, CAMBERS, angles, loads):
+    for pressure, gamma, alpha, fz in product(*states, angles, loads):
         script.move(fz=fz, gamma=gamma, pressure=pressure, alpha=alpha)
         script.sweep(*sweep)
     return script.commands(), warm_up
@@ -196,14 +199,14 @@ def _temperatures(power: np.ndarray) -> np.ndarray:
     return out
 
 
-def _state(inputs: TireInputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _state(inputs: TireInputs, tire: RigTire) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Temperature, and the factors of friction and stiffness, of each row.
 
     The sliding power depends on the force, and so on the temperature: three rounds.
     """
     friction = stiffness = np.full(len(inputs.fz), 1.0)
     for _ in range(3):
-        given = true_forces(inputs, friction, stiffness)
+        given = true_forces(inputs, friction, stiffness, tire)
         kappa = inputs.sigma_x / (1 + inputs.sigma_x)
         sliding = given["fx"] * kappa + given["fy"] * np.tan(inputs.alpha)
         power = np.abs(sliding) * inputs.v
@@ -273,7 +276,11 @@ def _thinned(values: np.ndarray, thin: int) -> np.ndarray:
 
 
 def recordings(
-    seed: int, thin: int = 1, loads: Sequence[float] = LOADS
+    seed: int,
+    thin: int = 1,
+    loads: Sequence[float] = LOADS,
+    tire: RigTire = RACING,
+    states: States = (PRESSURES, CAMBERS),
 ) -> tuple[Recording, Recording]:
     """The cornering test, and the brake and drive test.
 
@@ -281,16 +288,18 @@ def recordings(
         seed: seed of the noise and of the errors of the controllers.
         thin: number of 100 Hz rows that are averaged into one.
         loads: wheel loads [N] of the sweeps after the warm-up.
+        tire: the true tire.
+        states: pressures and cambers.
     """
     made = []
     tests = {"cornering": ("alpha", (0.0,)), "drive_brake": ("kappa", HELD_ANGLES)}
     for number, (name, (swept, angles)) in enumerate(tests.items()):
         rng = np.random.default_rng([seed, number])
-        command, warm_up = _commands(swept, angles, loads)
+        command, warm_up = _commands(swept, angles, loads, states)
         exposed = _exposed(command, rng)
         felt = _inputs(exposed)
-        temperature, friction, stiffness = _state(felt)
-        given = true_forces(felt, friction, stiffness)
+        temperature, friction, stiffness = _state(felt, tire)
+        given = true_forces(felt, friction, stiffness, tire)
         measured = _measured(exposed, felt, temperature, given, rng)
         warm = np.arange(len(friction)) >= warm_up
         made.append(

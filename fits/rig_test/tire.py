@@ -1,6 +1,8 @@
 """The true tire of the rig test: its coefficients, and its forces without noise."""
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,7 +10,15 @@ from tirefit.data.tir import new_tir, write_tir
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MFTire, mf_tire
 
-__all__ = ["MOMENT_STIFFNESS", "TRUE", "true_forces", "true_tire", "write_true_tire"]
+__all__ = [
+    "MOMENT_STIFFNESS",
+    "NOMINAL",
+    "RACING",
+    "TRUE",
+    "RigTire",
+    "true_forces",
+    "write_true_tire",
+]
 
 NOMINAL = {
     "FNOMIN": 1100.0,
@@ -51,15 +61,34 @@ MOMENT_STIFFNESS = 1.6
 of a Magic Formula cannot describe all three, as with a measured tire."""
 
 
-def true_tire(moment: bool = False) -> MFTire:
-    """The tire of the forces, or the tire of M_z with its larger slip stiffnesses."""
-    factor = MOMENT_STIFFNESS if moment else 1.0
-    stiffer = {name: factor * TRUE[name] for name in ("PKX1", "PKX2", "PKY1")}
-    return mf_tire("6.1", TRUE | stiffer)
+def _as_the_formula(fz):
+    return 1.0, 1.0
+
+
+class RigTire(NamedTuple):
+    """A true tire: its coefficients, and how it departs from the formula."""
+
+    values: Mapping[str, float] = TRUE
+    version: str = "6.1"
+    of_load: Callable = _as_the_formula
+    """Load [N] (n,) -> factors of friction and slip stiffness that no formula has."""
+
+    def tire(self, moment: bool = False) -> MFTire:
+        """The tire of the forces, or that of M_z with its larger slip stiffnesses."""
+        factor = MOMENT_STIFFNESS if moment else 1.0
+        stiffer = {name: factor * self.values[name] for name in ("PKX1", "PKX2", "PKY1")}
+        return mf_tire(self.version, {**self.values, **stiffer})
+
+
+RACING = RigTire()
+"""The tire of :data:`TRUE`."""
 
 
 def true_forces(
-    inputs: TireInputs, friction: float | np.ndarray = 1.0, stiffness=1.0
+    inputs: TireInputs,
+    friction: float | np.ndarray = 1.0,
+    stiffness: float | np.ndarray = 1.0,
+    tire: RigTire = RACING,
 ) -> dict[str, np.ndarray]:
     """Forces without noise at any inputs, in the signs of ``tirefit.slip``.
 
@@ -68,18 +97,21 @@ def true_forces(
 
     Args:
         inputs: arrays (n,) in canonical units and signs.
-        friction: m of each row (n,), 1 for the tire of :data:`TRUE`.
+        friction: m of each row (n,), 1 for the tire itself.
         stiffness: k of each row (n,).
+        tire: the tire.
 
     Returns:
         ``fx``, ``fy`` [N], ``mz`` [N m], and ``mx`` [N m] in the axes of ISO-W, where
         it has the same sign as in those of SAE; arrays (n,).
     """
+    of_friction, of_stiffness = tire.of_load(np.asarray(inputs.fz))
+    friction, stiffness = friction * of_friction, stiffness * of_stiffness
     share = np.asarray(stiffness / friction)
     kappa = share * np.asarray(inputs.sigma_x) / (1 + np.asarray(inputs.sigma_x))
     scaled = inputs._replace(sigma_x=kappa / (1 - kappa), alpha=share * np.asarray(inputs.alpha))
-    of_forces = forces(true_tire(), scaled)
-    of_moment = forces(true_tire(moment=True), scaled)
+    of_forces = forces(tire.tire(), scaled)
+    of_moment = forces(tire.tire(moment=True), scaled)
     fx, fy = friction * np.asarray(of_forces.fx), friction * np.asarray(of_forces.fy)
     radius, nominal = NOMINAL["UNLOADED_RADIUS"], NOMINAL["FNOMIN"]
     arm = OVERTURNING["QSX1"] - OVERTURNING["QSX2"] * np.asarray(inputs.gamma)

@@ -1,20 +1,27 @@
 """Stages of a Magic Formula fit: influence between channels, limits, weights."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from rig import MF61
+from scipy.stats import t
 
 from tirefit.data.read import read_frame
 from tirefit.data.tir import read_tir
-from tirefit.fitting.mf.cells import cells_of
-from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.config import FitConfig, parse_config
+from tirefit.fitting.mf.cells import cells_of, groups_of
+from tirefit.fitting.mf.fit import fit_magic_formula, nominal_of, problem_from
 from tirefit.fitting.mf.guards import check_guards
+from tirefit.fitting.mf.left_out import beyond_of
 from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
-from tirefit.fitting.noise import design_effect
+from tirefit.fitting.mf.solve import curvature_at
+from tirefit.fitting.mf.stages import problem_of, search
+from tirefit.fitting.noise import beyond_loads, design_effect, noise_law
 from tirefit.fitting.predict import predict
+from tirefit.fitting.store import load_fit
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import curvatures, mf_tire
 from tirefit.results import Outcome
@@ -209,8 +216,93 @@ def test_bands_contain_rows_of_a_load_that_was_left_out(left, channels):
     given = predict(fit, {k: v for k, v in gone.items() if k not in ("fx", "fy", "mz")})
     for force in ("fx", "fy"):
         within = np.abs(given[force] - gone[force]) < 1.96 * given[f"{force}_std"]
-        assert 0.9 <= np.mean(within) <= 0.995, force
+        # Beyond the loads the formula may err by more than that of this tire does.
+        assert 0.9 <= np.mean(within) <= (1.0 if left == LOADS[3] else 0.995), force
     assert {part.force for part in fit.left_out} == set(channels)
+
+
+def test_bands_beyond_the_loads_know_that_no_formula_follows_the_load(tmp_path):
+    """Friction ~ F_z^-0.35, the smallest load unseen: a band of coefficients and noise
+    alone holds few of its rows.
+
+    All rows of a load are wrong alike, so the share in a right band may be one.
+    """
+    loads = np.array([700.0, 1500.0, 2300.0, 3100.0, 3900.0, 4700.0])
+    fz, alpha = np.repeat(loads, 81), np.tile(np.linspace(-0.2, 0.2, 81), 6)
+    fy = np.asarray(forces(mf_tire("6.1", TIRE), TireInputs(alpha=alpha, fz=fz)).fy)
+    fy = fy * (fz / 3000) ** -0.35
+    fy = fy + 0.01 * fz * np.random.default_rng(0).standard_normal(len(fz))
+    out = fz == loads[0]
+    columns = {"alpha": alpha, "fz": fz}
+    fit = fit_magic_formula(
+        read_frame({k: v[~out] for k, v in (columns | {"fy": fy}).items()}),
+        "mf61",
+        part="fy",
+        config={"parameters": GIVEN},
+    )
+    fit.save(tmp_path)
+
+    def share(source, chosen):
+        given = predict(source, {k: v[chosen] for k, v in columns.items()})
+        return np.mean(np.abs(given["fy"] - fy[chosen]) < 1.96 * given["fy_std"])
+
+    without = replace(fit, noise={"fy": fit.noise["fy"]._replace(beyond=0.0)})
+    assert share(without, out) < 0.5
+    assert share(fit, out) == share(load_fit(tmp_path / "fit.json"), out) >= 0.9
+    # Without raising the noise to 95 % of the fitted rows, the share is 0.88.
+    assert 0.93 < share(fit, ~out) < 0.985
+    assert "beyond" in str(fit)
+
+
+def test_the_error_beyond_the_loads_is_that_of_few_loads():
+    """Two left-out loads predict a third: in more than 95 % of tires as good as the
+    prior, and in 88 % of those that are much worse (Student's t, two draws counted as
+    three)."""
+    errors = np.random.default_rng(4).standard_normal((3, 20_000))
+    least = 2 * t.cdf(t.ppf(0.975, 3) * np.sqrt(2 / 3), 2) - 1
+    for size, low, high in ((0.05, 0.95, 1.0), (0.1, 0.95, 1.0), (10.0, least, least)):
+        found = size * np.sqrt(np.mean(errors[:2] ** 2, axis=0))
+        half = 1.96 * np.array([beyond_of("fx", one, 2) for one in found])
+        share = np.mean(np.abs(size * errors[2]) < half)
+        assert low - 0.006 < share < high + 0.006, size  # 2.5 standard errors
+    assert beyond_of("fx", 0.0, 0) > 2 * beyond_of("fx", 0.0, 2) > 0
+
+
+def test_noise_beyond_the_loads_grows_with_the_ratio_of_loads():
+    generator = np.random.default_rng(5)
+    loads = (1000.0, 4000.0)
+    fz = generator.choice([500.0, 1000.0, 2000.0, 4000.0, 8000.0], 20_000)
+    force = fz * generator.uniform(-1.2, 1.2, len(fz))
+    ratio = {500.0: np.log(2), 8000.0: np.log(2)}
+    distance = np.array([ratio.get(one, 0.0) for one in fz])
+    np.testing.assert_allclose(beyond_loads(fz, loads), distance)
+    std = np.sqrt(20.0**2 + (0.1 * distance * force) ** 2)
+    missed = std * generator.standard_normal(len(fz))
+    found = noise_law(missed, fz, force, beyond=distance)._replace(loads=loads)
+    assert found.beyond == pytest.approx(0.1, rel=0.05)  # of 8,000 rows: 1 %
+    np.testing.assert_allclose(found.std(fz, force), std, rtol=0.1, atol=1.0)
+
+
+def test_the_covariance_holds_the_coefficients_that_are_not_identified():
+    """It is the inverse of the curvature of rows and priors in all coefficients of the
+    stage: one that is held is correlated with the fitted ones."""
+    fz, alpha = np.repeat([1500.0, 3000.0, 4500.0], 61), np.tile(np.linspace(-0.2, 0.2, 61), 3)
+    inputs = TireInputs(*np.zeros((7, len(fz))))._replace(alpha=alpha, fz=fz, gamma=0 * fz + 0.002)
+    fy = np.asarray(forces(mf_tire("6.1", TIRE), inputs).fy)
+    fy = fy + 0.02 * fz * np.random.default_rng(0).standard_normal(len(fz))
+    true = np.full(len(fz), True)
+    rows = {"fy": ForceRows("fy", inputs, fy, 0.02 * fz, False, np.zeros(len(fz), int), true)}
+    tire, _ = nominal_of("mf61", rows, parse_config({"parameters": GIVEN}))
+    problem, _ = problem_from(tire, FitConfig())
+    work = search(problem, rows, groups_of(rows, {"fy": np.repeat([0, 1, 2], 61)}, False))
+    names = [n for n in work.moved if n in own_coefficients("6.1", "fy")]
+    at = np.flatnonzero(np.isin(problem.names, names))
+    last = problem_of(work, "fy", 1, names)
+    expected = np.linalg.inv(curvature_at(last, work.u)[np.ix_(at, at)] + np.eye(len(at)))
+    np.testing.assert_allclose(work.covariance[np.ix_(at, at)], expected, rtol=1e-6, atol=1e-9)
+    held = [i for i in at if problem.names[i] in work.held]
+    fitted = [i for i in at if problem.names[i] not in work.held]
+    assert held and np.max(np.abs(work.covariance[np.ix_(held, fitted)])) > 1e-3
 
 
 def test_guards_distinguish_failures_within_and_beyond_the_data():

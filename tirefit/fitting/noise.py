@@ -1,5 +1,5 @@
-"""Noise of the forces: its scale, its law (a constant, a share of load and a share of
-force) and the effective number of samples."""
+"""Noise of the forces: its scale, its law (a constant, a share of load, a share of force,
+and one beyond the measured loads) and the effective number of samples."""
 
 import itertools
 from collections.abc import Mapping
@@ -15,22 +15,33 @@ _ROUNDS, _SETTLED = 50, 1e-4
 
 
 class NoiseLaw(NamedTuple):
-    """Variance of one value: constant^2 + (share F_z)^2 + (of_force F)^2."""
+    """Variance of one value: constant^2 + (share F_z)^2 + (of_force F)^2, and beyond the
+    loads + (beyond x F)^2, x of :func:`beyond_loads`."""
 
     constant: float  # [N, N m] noise of the sensor
     share: float  # [-, m] proportional to load
     of_force: float = 0.0  # [-] with force, as friction that varies between sweeps
+    beyond: float = 0.0  # [-] error of the formula at e times the largest load
+    loads: tuple[float, float] = (0.0, np.inf)  # [N] (least, largest) measured
 
     def variance(self, fz, force):
         """Variance at loads fz [N] and forces [N, N m], any shape."""
-        return self.constant**2 + (self.share * fz) ** 2 + (self.of_force * force) ** 2
+        of_force = self.of_force**2 + (self.beyond * beyond_loads(fz, self.loads)) ** 2
+        return self.constant**2 + (self.share * fz) ** 2 + of_force * force**2
 
     def std(self, fz, force):
         """Standard deviation at loads fz [N] and forces [N, N m], any shape."""
         return np.sqrt(self.variance(fz, force))
 
 
-def noise_law(residual, fz, force, known=0.0, each=1.0) -> NoiseLaw:
+def beyond_loads(fz, loads: tuple[float, float]):
+    """Logarithm of a load fz [N] (any shape) over the nearest of the (least, largest)
+    ``loads``, positive on either side; zero between them."""
+    fz = np.maximum(fz, 1e-9)
+    return np.log(np.maximum(np.maximum(loads[0] / fz, fz / loads[1]), 1.0))
+
+
+def noise_law(residual, fz, force, known=0.0, each=1.0, beyond=0.0) -> NoiseLaw:
     """Fit the law to the squares of residuals.
 
     The share of force is zero unless it raises the likelihood at the level of 0.1 %.
@@ -40,9 +51,14 @@ def noise_law(residual, fz, force, known=0.0, each=1.0) -> NoiseLaw:
         fz, force: load [N] and force of each, (n,).
         known: known part of each variance, (n,) or a number.
         each: number of residuals per independent residual, (n,) or a number.
+        beyond: (n,) of :func:`beyond_loads` for the loads of the fit, or zero.
     """
-    terms = np.stack([np.full(len(fz), 1.0), fz**2, force**2], axis=1)
-    plain = np.append(law_shares(residual, terms[:, :2], known), 0.0)
+    columns = [np.full(len(fz), 1.0), fz**2, force**2]
+    if np.any(beyond):
+        columns.append((beyond * force) ** 2)
+    terms = np.stack(columns, axis=1)
+    without = np.delete(terms, 2, axis=1)
+    plain = np.insert(law_shares(residual, without, known), 2, 0.0)
     shares = law_shares(residual, terms, known)
     deviances = [_deviance(residual, terms @ x + known, each) for x in (plain, shares)]
     is_clear = deviances[0] - deviances[1] > _CLEAR_TERM
@@ -85,7 +101,7 @@ def law_shares(residual, terms, known=0.0) -> np.ndarray:
 
 def non_negative(normal, aim) -> np.ndarray:
     """The x >= 0 (k,) that minimises x' normal x / 2 - aim' x. All 2^k sets of non-zero entries are
-    tried: for three entries this is faster than importing ``scipy.optimize``."""
+    tried: for four entries this is faster than importing ``scipy.optimize``."""
     best, least = np.zeros(len(aim)), 0.0
     for free in itertools.product((False, True), repeat=len(aim)):
         at = np.flatnonzero(free)
@@ -275,7 +291,9 @@ def noise_std(record: Mapping[str, Any], fz, force, runs=None, reference=None):
     std = np.broadcast_to(float(record["median_std"]), np.shape(fz))
     if "share_of_load" in record:
         shares = record["share_of_load"], record.get("share_of_force", 0.0)
-        std = NoiseLaw(record["constant"], *shares).std(fz, force)
+        loads = tuple(record.get("loads", (0.0, np.inf)))
+        law = NoiseLaw(record["constant"], *shares, record.get("share_beyond", 0.0), loads)
+        std = law.std(fz, force)
     elif record.get("proportional_to_load"):
         std = std * fz / reference
     factors = record.get("by_run", {})

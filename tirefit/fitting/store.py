@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from tirefit.data.records import FileRecord, Row
 from tirefit.door import outrageous, read_record
@@ -115,6 +115,8 @@ class _Noise(_Part):
     constant: NonNegativeFloat = 0.0
     share_of_load: NonNegativeFloat = 0.0
     share_of_force: NonNegativeFloat = 0.0
+    share_beyond: NonNegativeFloat = 0.0
+    loads: tuple[NonNegativeFloat, PositiveFloat] = Field((0.0, 1e300), strict=False)
     by_run: dict[str, NonNegativeFloat] = {}
 
 

@@ -1,6 +1,6 @@
 """The report of a fitted Magic Formula as text and as HTML."""
 
-from math import isnan
+from math import isnan, log
 
 from tirefit.data.table import CANONICAL, FORCES
 from tirefit.fitting.mf.parts import PARTS
@@ -94,7 +94,11 @@ def _forces(fit: MagicFormulaFit) -> list[str]:
                 "every row" if each < 1.5 else f"1 in {each:.0f}",
             ]
         )
-    return ["", "FORCES", *table(rows, right=(1, 2, 3, 4, 5, 6))]
+    lines = ["", "FORCES", *table(rows, right=(1, 2, 3, 4, 5, 6))]
+    errors = ", ".join(f"{f} {log(2) * law.beyond:.0%}" for f, law in fit.noise.items())
+    message = "the measured loads, the bands contain an error of the formula. At twice the"
+    message += f" largest load its standard deviation is, of the force: {errors}"
+    return [*lines, *wrapped("beyond", message)]
 
 
 def _left_out(fit: MagicFormulaFit) -> list[str]:

@@ -7,11 +7,12 @@ import numpy as np
 from scipy.special import chdtrc
 
 from tirefit.data.levels import levels
+from tirefit.fitting.inference import half_width_95
 from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import blocks_of, propagated
 from tirefit.fitting.mf.stages import Search, without
-from tirefit.fitting.noise import NoiseLaw, noise_law
+from tirefit.fitting.noise import NoiseLaw, beyond_loads, noise_law
 
 LEAVE_OUT = ("three", "load", "bin", "none")
 """Parts that are left out in turn: the bins of three loads (smallest, middle, largest),
@@ -31,6 +32,15 @@ coefficients that the part determines."""
 _FEWEST_LOADS = 3
 """Smallest number of loads for one to be left out: two others predict it."""
 
+_ENDS = (0.01, 0.99)
+"""Quantiles of the loads of fitted rows that are the ends of their range: the load of a
+rig also falls to zero between settings."""
+
+_BEYOND, _WORTH = {"fx": 0.1, "fy": 0.1, "mz": 0.3, "mx": 0.1, "my": 0.1}, 1.0
+"""Error of the formula, relative to the force, at e times the largest load or 1/e of the
+smallest, before any load is left out; and the number of left-out loads that it counts as.
+M_z is a product of two functions of load. ``fits/rig_test/loads.py`` judges both."""
+
 
 class LeftOut(NamedTuple):
     """One part of the data of a force, predicted by a fit to the other parts."""
@@ -44,8 +54,8 @@ class LeftOut(NamedTuple):
 
 
 class Band(NamedTuple):
-    """The band of a measurement: its noise law, and the factor by which the standard
-    errors of the coefficients are widened."""
+    """The band of a measurement: its noise law, with the error of the formula beyond the
+    loads, and the factor by which the standard errors of the coefficients are widened."""
 
     law: NoiseLaw
     wider: float
@@ -60,7 +70,13 @@ class _Sample(NamedTuple):
     variance: np.ndarray  # (n,) of the prediction, from the errors of the coefficients
     rows: int  # that it was taken from
     each: float  # rows that count as one
-    shift: tuple[float, int]  # see :func:`_shift`
+    loads: tuple[float, float]  # ends of the loads of the rows that were fitted
+    shift: tuple[float, int] = (0.0, 0)  # see :func:`_shift`
+
+    @property
+    def beyond(self) -> np.ndarray:
+        """Distance (n,) from the fitted loads."""
+        return beyond_loads(self.fz, self.loads)
 
     @property
     def rmse(self) -> float:
@@ -93,21 +109,23 @@ def cross_validated(
         }
         fitted = without(work, keeps)
         for force in fitted.groups:
-            own = _chosen(work, rows[force]) & np.isin(settings[force][1], gone[force])
+            chosen = _chosen(work, rows[force])
+            own = chosen & np.isin(settings[force][1], gone[force])
             if np.any(own):
-                part = _sample(fitted, rows[force], own, _shift(fitted, work, force))
-                whole = _sample(work, rows[force], own)
-                samples[force].append((label, part, whole))
+                part = _sample(fitted, rows[force], own, chosen & ~own)
+                part = part._replace(shift=_shift(fitted, work, force))
+                samples[force].append((label, part, _sample(work, rows[force], own, chosen)))
     found, bands = [], {}
     for force, parts in samples.items():
-        fitted_rows = _sample(work, rows[force], _chosen(work, rows[force]))
+        chosen = _chosen(work, rows[force])
+        fitted_rows = _sample(work, rows[force], chosen, chosen)
         for label, part, whole in parts:
             others = [other for _, other, _ in parts if other is not part]
-            band = _band(others, fitted_rows)
+            band = _band(force, others, fitted_rows)
             within = _within(part, band) if others else float("nan")
             sizes = part.rmse, whole.rmse
             found.append(LeftOut(label, force, part.rows, *sizes, within))
-        bands[force] = _band([part for _, part, _ in parts], fitted_rows)
+        bands[force] = _band(force, [part for _, part, _ in parts], fitted_rows)
     return tuple(found), bands
 
 
@@ -148,7 +166,8 @@ def _parts(rows, settings, which: str) -> dict[str, dict[str, list[int]]]:
     }
 
 
-def _sample(work: Search, rows: ForceRows, chosen, shift=(0.0, 0)) -> _Sample:
+def _sample(work: Search, rows: ForceRows, chosen, fitted) -> _Sample:
+    """A sample of the ``chosen`` rows (n,) under the fit of the ``fitted`` rows (n,)."""
     at = np.flatnonzero(chosen)
     count = len(at)
     if count > _ROWS:
@@ -160,8 +179,8 @@ def _sample(work: Search, rows: ForceRows, chosen, shift=(0.0, 0)) -> _Sample:
     residual, variance = propagated(problem, work.u, work.covariance)
     each = max(work.rows_per_one(rows.force) * len(at) / count, 1.0)
     predicted = residual + some.observed
-    fz = some.column("fz")
-    return _Sample(residual, fz, predicted, variance, count, each, shift)
+    fz, ends = some.column("fz"), np.quantile(rows.column("fz")[fitted], _ENDS).tolist()
+    return _Sample(residual, fz, predicted, variance, count, each, (ends[0], ends[1]))
 
 
 def _shift(fitted: Search, whole: Search, force: str) -> tuple[float, int]:
@@ -185,34 +204,58 @@ def _shift(fitted: Search, whole: Search, force: str) -> tuple[float, int]:
     return float(np.sum(shift**2 / (sizes[determined] - 1))), len(shift)
 
 
-def _band(parts: Sequence[_Sample], fitted: _Sample) -> Band:
+def _band(force: str, parts: Sequence[_Sample], fitted: _Sample) -> Band:
     """The band that rows of left-out parts follow.
 
     Standard errors are widened to the size of the shifts if these are larger than the
     errors at the level of 5 %. The noise is that of the left-out rows or that of the
     ``fitted`` rows, whichever is larger on the fitted rows: in a left-out part the
-    errors of the coefficients may account for the whole residual.
+    errors of the coefficients may account for the whole residual. It is raised if fewer
+    than 95 % of the fitted rows would be in the band, as those of one load may be worse
+    than the law. The error of the formula beyond the loads is that of the parts beyond
+    the others.
     """
     squares = sum(part.shift[0] for part in parts)
     count = sum(part.shift[1] for part in parts)
     is_clear = count > 0 and chdtrc(count, squares) < _CHANCE
     wider = float(np.sqrt(squares / count)) if is_clear else 1.0
     laws = [_law_of(some, wider) for some in (parts, [fitted]) if some]
-    sizes = [np.mean(law.variance(fitted.fz, fitted.predicted)) for law in laws]
-    return Band(laws[int(np.argmax(sizes))], wider)
+    inside = [law._replace(beyond=0.0) for law in laws]
+    sizes = [np.mean(law.variance(fitted.fz, fitted.predicted)) for law in inside]
+    law = inside[int(np.argmax(sizes))]
+    needed = (fitted.residual / _IN_95) ** 2 - wider**2 * fitted.variance
+    needed = needed / np.maximum(law.variance(fitted.fz, fitted.predicted), 1e-300)
+    raised = float(np.sqrt(max(np.quantile(needed, 0.95), 1.0)))
+    outer = sum(bool(np.median(part.beyond) > 0) for part in parts)
+    beyond = beyond_of(force, laws[0].beyond, outer)
+    law = NoiseLaw(*(raised * x for x in law[:3]), beyond, fitted.loads)
+    return Band(law, wider)
+
+
+def beyond_of(force: str, found: float, outer: int) -> float:
+    """The error of the formula beyond the loads, from that ``found`` in ``outer`` loads.
+
+    It is one number per load, as all rows of a load are wrong alike. Its variance is
+    therefore that of few draws, to which the prior adds one, and its distribution is
+    Student's t: the error is scaled so that 1.96 times it is the interval of 95 %.
+    """
+    count = outer + _WORTH
+    variance = (outer * found**2 + _WORTH * _BEYOND[force] ** 2) / count
+    return float(np.sqrt(variance)) * half_width_95(True, count) / _IN_95
 
 
 def _law_of(parts: Sequence[_Sample], wider: float) -> NoiseLaw:
     """The noise law of some rows, given the errors of the coefficients."""
-    residual, fz, predicted, variance = (
+    residual, fz, predicted, variance, beyond = (
         np.concatenate([getattr(part, name) for part in parts])
-        for name in ("residual", "fz", "predicted", "variance")
+        for name in ("residual", "fz", "predicted", "variance", "beyond")
     )
     each = np.concatenate([np.full(len(part.fz), part.each) for part in parts])
-    return noise_law(residual, fz, predicted, wider**2 * variance, each)
+    return noise_law(residual, fz, predicted, wider**2 * variance, each, beyond)
 
 
 def _within(one: _Sample, band: Band) -> float:
     """Share of the rows of a sample in the 95 % band."""
-    variance = band.law.variance(one.fz, one.predicted) + band.wider**2 * one.variance
+    law = band.law._replace(loads=one.loads)
+    variance = law.variance(one.fz, one.predicted) + band.wider**2 * one.variance
     return float(np.mean(np.abs(one.residual) <= _IN_95 * np.sqrt(variance)))

@@ -153,6 +153,8 @@ class MagicFormulaFit(Record):
             "constant": law.constant,
             "share_of_load": law.share,
             "share_of_force": law.of_force,
+            "share_beyond": law.beyond,
+            "loads": law.loads,
             "source": "estimated" if self.noise_estimated[force] else "given",
         }
 

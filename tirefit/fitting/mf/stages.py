@@ -179,13 +179,14 @@ def _one_stage(work: Search, force: str, count: int, rows: ForceRows | None) -> 
         if _learn_noise(work, force, count, rows) < _SETTLED:
             break
     _learn_weight(work, force, count, names)
-    problem = problem_of(work, force, count, names)
+    moved = problem = problem_of(work, force, count, names)
     end = minimise(problem, work.u)
     if is_last:
-        problem, end = _hold(work, problem, end)
+        moved, end = _hold(work, problem, end)
     work.u, work.moved = end.u, work.moved | set(names)
+    # With the coefficients held: where these ended, the rows may determine them.
     work.covariance = _covariance(work.covariance, problem, end.u)
-    _note(work, force, count, problem, end)
+    _note(work, force, count, moved, end)
 
 
 def _to_move(work: Search, force: str, is_last: bool) -> list[str]:
@@ -267,8 +268,6 @@ def _hold(work: Search, problem: Problem, end: Minimum) -> tuple[Problem, Minimu
     work.held = (work.held - set(own)) | set(held)
     u, at = end.u.copy(), np.isin(problem.names, held)
     u[at] = 0.0
-    work.covariance[at], work.covariance[:, at] = 0.0, 0.0
-    work.covariance[at, at] = 1.0
     moved = [problem.names[i] for i in moving if problem.names[i] not in held]
     problem = problem.with_free(moved)
     return problem, minimise(problem, u)
