@@ -190,6 +190,7 @@ def derive(
         compared=compared,
         warnings=(
             *(f"{p.reason}; {p.remedy}" for p in contradictions),
+            *track.missing,
             *compared.warnings,
             *point.warnings,
             *warnings,
