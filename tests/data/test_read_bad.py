@@ -48,7 +48,9 @@ CASES = {
         table("time,kappa,fx,fz", list("abcdef"), SLIP, UP, LOAD), {},
         ["column 'time': 6 of 6 rows ('a' in row 2, ...): is text", "rename this one"],
     ),
-    "empty cell": (lines("0.1,,4000"), {}, ["column 'fx'", "1 of 5 rows (20%) lack a value (row 6)"]),
+    "empty cell": (
+        lines("0.1,,4000"), {}, ["column 'fx'", "1 of 5 rows (20%) lack a value (row 6)"]
+    ),
     "nan": (lines("nan,1,4000"), {}, ["column 'kappa'", "1 of 5 rows (20%)", "(row 6)"]),
     "inf": (lines("0.1,1,-inf"), {}, ["row 6, column 'fz'", "-inf is infinite"]),
     "overflow": (lines("0.1,1e300,1"), {}, ["row 6, column 'fx'", "larger than any"]),

@@ -45,7 +45,7 @@ def excluded(
         lines: (n,) line of the file of each row.
         limited: whether more than :data:`MOST` of the rows are an error.
     """
-    rows = np.unique(np.concatenate([np.asarray(f.rows, int) for f in faults] or [[]]))
+    rows = np.unique(np.array([row for fault in faults for row in fault.rows], int))
     if not len(rows):
         return None, []
     places: dict[str | None, set[int]] = {}

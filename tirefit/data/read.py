@@ -441,6 +441,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
                 reading.signs.convention,
                 reading.file,
                 reading.plan.slip or "sigma_x",
+                "wheelbase" in reading.table.constants,
             )
         elif reading.options.mask_bad_rows or not of_rows:
             remedy = "see the rows' problems without --mask-bad-rows"
