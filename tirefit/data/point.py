@@ -19,6 +19,7 @@ import numpy as np
 from tirefit.data.agreement import EACH, FEWEST, around, instrumented, surrounded
 from tirefit.data.candidates import candidates_of
 from tirefit.data.faults import ALIKE, CHANGED, SURE
+from tirefit.data.findings import point_words
 from tirefit.data.motion import Motion, further_ahead, slip_and_force
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.results import InputProblem
@@ -155,18 +156,15 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     stated = vehicle.l_r - vehicle.cg_from_tracked[0]
     tried = candidates_of(motion, vehicle, kept, fit.amount)
     low, high = (share * vehicle.wheelbase for share in _ON_CAR)
-    found = fit.slope > 0 and fit.std < _KNOWN * vehicle.wheelbase and tried.fits_found
+    found = fit.slope > 0 and fit.std < _KNOWN * vehicle.wheelbase
+    found &= tried.fits_found or not _sure(fit)
     on_car = low < stated + fit.amount < high
     check = check._replace(line=f"{check.line}{tried.words}")
     off = found and _is_off(fit)
     asked = tried.asked if not off else None
     if found and on_car and not asked:
-        side = "ahead of" if fit.amount > 0 else "behind"
-        check = PointCheck(
-            f"tracked point: by force against slip {abs(fit.amount):.2g} ±"
-            f" {fit.std:.1g} m {side} the stated one",
-            (stated + fit.amount, fit.std),
-        )
+        words = f"tracked point: {point_words(fit.amount, fit.std)}"
+        check = PointCheck(words, (stated + fit.amount, fit.std))
     flipped = not found and _fits_flipped(motion, vehicle, free)
     if not (off or flipped or asked) and slope > -SURE:
         return check

@@ -17,6 +17,7 @@ from tirefit.data.cells import words_of
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Plan, plan_columns
 from tirefit.data.declared import Options, Signs
+from tirefit.data.findings import findings
 from tirefit.data.kinds import read_table
 from tirefit.data.quaternion import with_headings
 from tirefit.data.remote import Place, file_at
@@ -457,7 +458,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
 
 def _all_assumptions(reading: _Reading) -> list[str]:
     messages = [*reading.table.notes, *reading.plan.assumptions, str(reading.signs)]
-    return messages + reading.assumptions
+    return [*messages, *reading.assumptions, *findings(reading.table.constants)]
 
 
 def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:
