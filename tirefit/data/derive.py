@@ -255,8 +255,9 @@ def derive_files(
         name: np.concatenate([log.columns[name] for log in logs]) for name in logs[0].columns
     }
     columns["run"] = np.concatenate([log.run for log in logs])
-    stated = {**stated_of(vehicle), **found_in(logs)}
-    first = _FIRST.format(" ".join(f"{k}={v:.4g}" for k, v in stated.items()))
+    written = {k: f"{v:.4g}" for k, v in {**stated_of(vehicle), **found_in(logs)}.items()}
+    first = _FIRST.format(" ".join(f"{k}={v}" for k, v in written.items()))
+    stated = {k: float(v) for k, v in written.items()}  # as every reader of the file has them
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
     try:
         write_texts({metadata: content + "\n", out: first + csv_text(columns)})
