@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tirefit.data.read import read
+from tirefit.results import DataError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data"))
 from rig_file import METRIC_UNITS, ttc
@@ -36,12 +37,15 @@ def test_a_prepared_recording_can_be_fitted(run, recording, tmp_path):
     said = run("prepare", path, "--out", "out").stdout
     assert "convention braking, SI units" in said and "zero-phase" in said
     out = tmp_path / "out"
+    assert [p.name for p in out.glob("*.csv")] == ["run7.csv"]  # all tables to fit
     assert {p.name for p in out.iterdir()} == {
         "run7.csv",
-        "run7.segments.csv",
+        "run7.segments.tsv",
         "run7.prepare.json",
         "run7.png",
     }
+    with pytest.raises(DataError, match="table of segments that tirefit prepare writes"):
+        read(out / "run7.segments.tsv")
     data = read(out / "run7.csv")
     assert data.source.convention == "braking" and not data.source.warnings
     assert data.runs == ("run7",)
@@ -93,7 +97,7 @@ def test_the_stored_settings_reproduce_the_result(run, unrendered, recording, tm
     run("prepare", copy, "--out", "one", "--bandwidth", 6, "--keep", "sweep")
     record = "one/run7.prepare.json"
     run("prepare", "--repeat", record, "--out", "two")
-    for name in ("run7.csv", "run7.segments.csv", "run7.prepare.json"):
+    for name in ("run7.csv", "run7.segments.tsv", "run7.prepare.json"):
         one, two = (tmp_path / folder / name for folder in ("one", "two"))
         assert one.read_bytes() == two.read_bytes()
     said = run("prepare", "--repeat", record, "--rate", 9, "--out", "x", exit_code=2)

@@ -1,6 +1,8 @@
 """The drive force of a derived file, and the stated properties of its vehicle."""
 
 import json
+import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from test_motion import (
 )
 
 from tirefit.data.derive import derive, derive_files
+from tirefit.data.findings import findings, found_in
 from tirefit.data.read import read
 from tirefit.results import UsageError
 
@@ -147,6 +150,46 @@ def test_derived_files_contain_the_estimates_of_their_logs(tmp_path):
     # The curvature of the path follows the tires, which follow the steering.
     assert -0.2 < late["late_steering"] < -0.08
     assert 0 < late["late_steering_std"] < 0.05
+
+
+def test_derive_and_the_reader_of_its_file_report_the_same_words(tmp_path):
+    """Two logs that differ: means, with the scatter of the logs in the standard errors."""
+    logs = []
+    for name, turned in (("a", -0.01), ("b", -0.02)):
+        columns = pose_log()
+        logs.append(write_log(tmp_path / f"{name}.csv", columns | {"psi": columns["psi"] + turned}))
+    pose_vehicle(tmp_path, "")
+    done = derive_files(logs, tmp_path / "vehicle.toml", tmp_path / "axle.csv")
+    (said,) = (text for text in read(done.data).source.assumptions if "found by" in text)
+    assert said in " ".join(done.summary().split())
+    assert "alpha is +0.0150 rad where fy = 0" in said and "the stated one" in said
+    (lag,) = re.findall("the yaw rate acts .*? ± .*? s", said) or [""]
+    for log in done.logs:
+        assert bool(lag) == ("the yaw rate acts" in log.summary())
+
+
+def test_the_scatter_of_logs_counts_in_their_mean():
+    """By hand: 80 ± 3 and 30 ± 4 ms have the mean 62 ms, and scatter 10 times their errors."""
+    logs = [
+        SimpleNamespace(
+            zero=None,
+            point=SimpleNamespace(estimate=(0.1, 0.001)),
+            compared=SimpleNamespace(pairs=[_pair("yaw", late, std), _pair("a_y", 0.3, 0.01)]),
+        )
+        for late, std in ((0.08, 0.003), (0.03, 0.004))
+    ]
+    found = found_in(logs)
+    assert found["late_yaw"] == pytest.approx((0.08 / 9 + 0.03 / 16) / (1 / 9 + 1 / 16))
+    assert found["late_yaw_std"] == pytest.approx(0.0024 * 0.05 / 0.005)
+    assert found["found_point_std"] == pytest.approx(0.001 / 2**0.5)
+    assert "late_a_y" not in found  # not exact: dynamics of the car may cause it
+    (said,) = findings(found)
+    assert "the yaw rate acts 0.062 ± 0.02 s after" in said
+
+
+def _pair(channel, delay, std):
+    pair = SimpleNamespace(channel=channel, exact=False)
+    return SimpleNamespace(pair=pair, delay=delay, delay_std=std)
 
 
 def test_the_steering_rate_is_computed_at_the_full_sample_rate(tmp_path):

@@ -78,6 +78,31 @@ def test_priors_of_a_derived_force_follow_the_stated_vehicle(driven):
     assert lifted.scale <= 0.4 * np.ptp(driven["a_x"]) / 9.8
 
 
+def of_derive(frame, found, std=0.002, stated=0.115):
+    """The data as a derived file states them, with the tracked point that derive found."""
+    data = read_frame(frame)
+    constants = {"tracked_point": stated, "found_point": found, "found_point_std": std}
+    source = replace(data.source, constants={**data.source.constants, **constants})
+    return replace(data, source=source)
+
+
+def test_the_estimate_of_derive_is_the_prior_of_the_tracked_point(driven):
+    prepared = prepare(of_derive(driven, 0.085), RIG, ("fy",))
+    known = atoms_of([KNOWN["tracked_point"]])[0].prior(prepared, RIG)
+    assert (known.center, known.scale) == pytest.approx((0.03, 0.002))
+    assert known.low < 0 < 0.03 < known.high
+    effect = KNOWN["tracked_point"]
+    assert effect.doubts(0.028, prepared) == ""
+    assert "+30 ± 2 mm" in effect.doubts(0.02, prepared)
+    assert effect.doubts(0.02, prepare(read_frame(driven), RIG, ("fy",))) == ""
+
+
+@pytest.mark.parametrize(("found", "searched"), [(0.115, False), (0.120, False), (0.125, True)])
+def test_a_point_that_derive_confirms_is_not_searched(driven, found, searched):
+    prepared = prepare(of_derive(driven, found), RIG, ("fy",))
+    assert (set(KNOWN["tracked_point"].needs) <= prepared.has) is searched
+
+
 def test_stated_properties_of_a_vehicle_are_read_and_checked(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text("[vehicle]\nposition = 0.002\nclock = 1e-3\n")

@@ -95,13 +95,13 @@ RECORDS = {
     "diagnose": (lambda _: tirefit.diagnose(rig()), {"rig.json", "rig.rows.csv"}),
     "prepare": (
         lambda _: tirefit.prepare(recording()),
-        {"drum.csv", "drum.segments.csv", "drum.prepare.json"},
+        {"drum.csv", "drum.segments.tsv", "drum.prepare.json"},
     ),
     "estimate": (
         lambda _: tirefit.estimate(tirefit.simulate(teeth=2).columns),
         {"estimates.csv", "summary.json"},
     ),
-    "simulate": (lambda _: tirefit.simulate(teeth=2), {"log.csv", "log.truth.csv"}),
+    "simulate": (lambda _: tirefit.simulate(teeth=2), {"log.csv", "log.truth.tsv"}),
     "brake": (lambda _: tirefit.brake("brush", **STOP), {"summary.json", "series.csv"}),
     "export": (exported, {"tire.py"}),
     "replay": (

@@ -82,7 +82,7 @@ def prepare(
 ) -> None:
     """Cut the recording of a test rig into sweeps and bins, filter it, and write the rows to fit.
 
-    For each FILE: NAME.csv (rows to fit, with run, segment, bin), NAME.segments.csv,
+    For each FILE: NAME.csv (rows to fit, with run, segment, bin), NAME.segments.tsv,
     NAME.png (the whole test), NAME.prepare.json (all that was done).
     """
     with errors_to_exit():
@@ -107,7 +107,7 @@ def prepare(
         names = [Path(file.name.removesuffix(".gz")).stem for file in files]
         check_distinct(names, "prepare them into different --out")
         check_directories([out])
-        ends = (".csv", ".segments.csv", ".png", ".prepare.json")
+        ends = (".csv", ".segments.tsv", ".png", ".prepare.json")
         made = [out / f"{name}{end}" for name in names for end in ends]
         check_replaced(made, files)
         sharing.check(out, files, made)
@@ -187,7 +187,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     data = read(file, **(how | {"mask_bad_rows": True, "curve": False}))
     warn(data)
     prepared = replace(prepare_data(data, task.config), read=how)
-    names = [f"{name}.{end}" for end in ("csv", "segments.csv", "prepare.json", "png")]
+    names = [f"{name}.{end}" for end in ("csv", "segments.tsv", "prepare.json", "png")]
     with staged(out, names, prepared, f".{name}") as folder:
         save_picture(prepared.plot(), folder / names[-1])
         prepared.save(folder, name)

@@ -99,8 +99,10 @@ def _file_problems(out: Path, truth: Path | None) -> list[InputProblem]:
 
 
 def _write(made, out: Path, truth: Path | None, seed: int) -> None:
-    measured, without_noise = made.files().values()
-    write_texts({out: measured} | ({} if truth is None else {truth: without_noise}))
+    from tirefit.data.write import csv_text
+
+    tables = {out: made.columns} | ({} if truth is None else {truth: made.truth})
+    write_texts({path: csv_text(table) for path, table in tables.items()})
     rows = len(made.columns["time"])
     columns = ", ".join(made.columns)
     say(f"wrote {out}: {rows} rows, {columns} (braking positive, SI), seed {seed}")

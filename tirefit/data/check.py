@@ -15,6 +15,7 @@ import numpy as np
 from tirefit.data.cells import TextColumn, may_hold
 from tirefit.data.columns import is_number
 from tirefit.data.evidence import evidence_of, fitting_conventions
+from tirefit.data.own_tables import own_table
 from tirefit.data.vehicle_log import vehicle_log
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
@@ -42,6 +43,10 @@ _SECONDS = (
 _OF_WHOLE_COLUMN = {_IS_TEXT: _NO_NUMBERS, _IS_CLOCK: _SECONDS}
 """Faults that are faults of the column if all rows have them: correcting or masking rows
 is no remedy then."""
+_EMPTY, _NOT_A_NUMBER = "where a number is needed", "is not a number"
+NO_VALUE, NO_RUN = "the value is not available", "is not a run's name"
+_MISSING = (_EMPTY, _NOT_A_NUMBER, NO_VALUE, NO_RUN)
+"""Rules that cells without a value break: their rows are excluded, not refused."""
 _SHARES = (5e-3, 5.0)
 _HEAVIEST = 1e3
 """Largest median load [N] for which kN are suggested: no wheel carries a meganewton."""
@@ -58,6 +63,11 @@ class BadRows(NamedTuple):
     rule: str
     remedy: str = _CORRECT
     is_systematic: bool = False  # most rows break it: the column is wrong, not its rows
+
+    @property
+    def is_missing(self) -> bool:
+        """Whether the cells hold no value, instead of a wrong one."""
+        return self.rule in _MISSING
 
 
 class Rule(NamedTuple):
@@ -225,6 +235,9 @@ def check_columns(
     problems: list[InputProblem] = []
     has_slip = {"alpha", *SLIP_DEFINITIONS} & set(columns)
     has_force = {"fx", "fy", "mz"} & set(columns)
+    own = None if has_slip and has_force else own_table(headers, file)
+    if own is not None:
+        return [own]
     # A log may have a sideslip angle that is read as alpha, so look for a force.
     no_tire = not has_slip or (forces and "fz" not in columns)
     if no_tire and not (has_force or idle):
@@ -358,7 +371,7 @@ def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False, g
         header: named in the faults.
         ragged: (n,) bool, rows already known to be bad.
         commas: whether a comma is the decimal point.
-        gaps: whether empty cells (NaN in a frame) are allowed.
+        gaps: whether cells without a value (empty, NaN, NA) are allowed.
 
     Returns:
         float64 (n,) with NaN for every fault, and the faults by kind.
@@ -371,9 +384,9 @@ def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False, g
     is_sane = abs(values) < _LARGEST
     kinds: dict[str, list[tuple[int, str]]] = {}
     for row in np.flatnonzero(~is_sane & ~ragged):
-        if gaps and str(cells[row]).strip() in ("", "nan"):
-            continue
         shown, kind = _fault_of(str(cells[row]))
+        if gaps and kind in _MISSING:
+            continue
         kinds.setdefault(kind, []).append((int(row), shown))
     whole, faults = np.count_nonzero(~ragged), []
     for kind, there in kinds.items():
@@ -401,7 +414,7 @@ def _fault_of(cell: str) -> tuple[str, str]:
     """The text by which a message quotes a cell without a finite number, and its fault."""
     text = cell.strip()
     if not text:
-        return "an empty cell", "where a number is needed"
+        return "an empty cell", _EMPTY
     shown = text if len(text) <= 30 else text[:27] + "..."
     word = text.lstrip("+-").casefold()
     if word in ("inf", "infinity"):
@@ -409,9 +422,9 @@ def _fault_of(cell: str) -> tuple[str, str]:
     if is_number(text):
         return shown, f"is larger than any measured value (beyond {_LARGEST:g})"
     if word == "nan":
-        return text, "is not a number"
-    if word in ("notavail", "n/a", "na", "null", "none"):
-        return f"{text}:", "the value is not available"
+        return text, _NOT_A_NUMBER
+    if word in ("notavail", "n/a", "#n/a", "na", "null", "none"):
+        return f"{text}:", NO_VALUE
     if "," in text and is_number(text.replace(",", "")):
         return repr(shown), "has a comma: write 4000.5, without group separators"
     if _CLOCK.match(text):

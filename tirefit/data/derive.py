@@ -28,6 +28,7 @@ import numpy as np
 
 from tirefit.data.contradictions import Comparison, compare
 from tirefit.data.doubts import doubts
+from tirefit.data.findings import delays, findings, found_in
 from tirefit.data.merged import merged
 from tirefit.data.motion import (
     Motion,
@@ -40,7 +41,7 @@ from tirefit.data.motion import (
 )
 from tirefit.data.point import PointCheck, check_point, zero_of_alpha
 from tirefit.data.remote import Place, file_at
-from tirefit.data.stated import assumptions_of, found_in, stated_of
+from tirefit.data.stated import assumptions_of, stated_of
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
@@ -109,6 +110,7 @@ class DerivedLog:
                         self.compared.line,
                         self.heading,
                         self.point.line,
+                        *delays(found_in([self])),
                         *(f"warning: {w}" for w in self.warnings),
                     )
                     for line in wrap(message, 80, initial_indent=" " * 4, subsequent_indent=" " * 6)
@@ -124,10 +126,12 @@ class DerivedFiles:
     data: Path
     metadata: Path
     logs: tuple[DerivedLog, ...] = field(repr=False)
+    stated: Mapping[str, float] = field(repr=False)  # constants in the first line of the CSV
 
     def summary(self) -> str:
-        """The summary of each log, then the files written."""
-        return f"{_summary(self.logs)}\nwrote {self.data} and {self.metadata}"
+        """The summary of each log, what they show together, then the files written."""
+        together = _together(self.logs, self.stated)
+        return f"{_summary(self.logs)}{together}\nwrote {self.data} and {self.metadata}"
 
 
 def derive(
@@ -190,6 +194,7 @@ def derive(
         compared=compared,
         warnings=(
             *(f"{p.reason}; {p.remedy}" for p in contradictions),
+            *track.missing,
             *compared.warnings,
             *point.warnings,
             *warnings,
@@ -250,8 +255,9 @@ def derive_files(
         name: np.concatenate([log.columns[name] for log in logs]) for name in logs[0].columns
     }
     columns["run"] = np.concatenate([log.run for log in logs])
-    stated = {**stated_of(vehicle), **found_in(logs)}
-    first = _FIRST.format(" ".join(f"{k}={v:.4g}" for k, v in stated.items()))
+    written = {k: f"{v:.4g}" for k, v in {**stated_of(vehicle), **found_in(logs)}.items()}
+    first = _FIRST.format(" ".join(f"{k}={v}" for k, v in written.items()))
+    stated = {k: float(v) for k, v in written.items()}  # as every reader of the file has them
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
     try:
         write_texts({metadata: content + "\n", out: first + csv_text(columns)})
@@ -259,7 +265,7 @@ def derive_files(
         if unwritten is not None:
             unwritten(_summary(logs))
         raise
-    return DerivedFiles(out, metadata, tuple(logs))
+    return DerivedFiles(out, metadata, tuple(logs), stated)
 
 
 def _summary(logs: Sequence[DerivedLog]) -> str:
@@ -270,6 +276,12 @@ def _summary(logs: Sequence[DerivedLog]) -> str:
     for text in merged((log.name, log.warnings) for log in logs):
         lines.append(fill(f"warning: {text}", 80, subsequent_indent="  "))
     return "\n".join(lines)
+
+
+def _together(logs: Sequence[DerivedLog], stated: Mapping[str, float]) -> str:
+    """What several logs show together, in the words of ``fit`` and ``diagnose``."""
+    texts = findings(stated) if len(logs) > 1 else ()
+    return "".join(f"\n{fill(text, 80, subsequent_indent='  ')}" for text in texts)
 
 
 def _refuse(problems: Sequence[InputProblem], believe: bool) -> None:

@@ -17,8 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.agreement import EACH, FEWEST, around, instrumented, surrounded
+from tirefit.data.candidates import candidates_of
 from tirefit.data.faults import ALIKE, CHANGED, SURE
-from tirefit.data.motion import Motion, slip_and_force
+from tirefit.data.findings import point_words
+from tirefit.data.motion import Motion, further_ahead, slip_and_force
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.results import InputProblem
 
@@ -152,29 +154,41 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     slope = min(_slope(motion, vehicle, some) for some in (rows, free))
     fit, rows = _point(motion, vehicle, every, step)
     stated = vehicle.l_r - vehicle.cg_from_tracked[0]
+    tried = candidates_of(motion, vehicle, kept, fit.amount)
     low, high = (share * vehicle.wheelbase for share in _ON_CAR)
     found = fit.slope > 0 and fit.std < _KNOWN * vehicle.wheelbase
+    found &= tried.fits_found or not _sure(fit)
     on_car = low < stated + fit.amount < high
-    if found and on_car:
-        side = "ahead of" if fit.amount > 0 else "behind"
-        check = PointCheck(
-            f"tracked point: by force against slip {abs(fit.amount):.2g} ±"
-            f" {fit.std:.1g} m {side} the stated one",
-            (stated + fit.amount, fit.std),
-        )
+    check = check._replace(line=f"{check.line}{tried.words}")
     off = found and _is_off(fit)
+    asked = tried.asked if not off else None
+    if found and on_car and not asked:
+        words = f"tracked point: {point_words(fit.amount, fit.std)}"
+        check = PointCheck(words, (stated + fit.amount, fit.std))
     flipped = not found and _fits_flipped(motion, vehicle, free)
-    if not (off or flipped) and slope > -SURE:
+    if not (off or flipped or asked) and slope > -SURE:
         return check
     may_flip = _may_flip(motion, vehicle, every, step, found)
-    others = _others(motion, vehicle, rows, may_flip)
-    best = fit.misfit if off else min((misfit for misfit, *_ in others), default=0.0)
-    named = [(reason, remedy) for m, reason, remedy in others if m <= best * ALIKE]
+    named = _named(motion, vehicle, fit if off else None, rows, may_flip)
     named = [_words(fit, stated, vehicle), *named] if off and on_car else named
-    if not named and slope > -SURE and not flipped:
+    if asked:
+        named = [asked]
+    elif not named and slope > -SURE and not flipped:
         return check
-    if flipped or not named:
+    elif flipped or not named:
         named = [(_flipped if flipped or may_flip else _nothing_fits)(vehicle)]
+    return _judged(check, named, slope, file)
+
+
+def _named(motion, vehicle: Vehicle, off: _Fit | None, rows: _Rows, may_flip: bool):
+    """Reason and remedy of each other fault that fits as well as the point ``off``."""
+    others = _others(motion, vehicle, rows, may_flip)
+    best = off.misfit if off else min((misfit for misfit, *_ in others), default=0.0)
+    return [(reason, remedy) for m, reason, remedy in others if m <= best * ALIKE]
+
+
+def _judged(check: PointCheck, named, slope: float, file: str) -> PointCheck:
+    """The check with a warning, or with a problem if the force acts along the slip."""
     reasons, remedies = (", or ".join(words) for words in zip(*named, strict=True))
     if slope > -SURE:
         message = f"lateral force against slip angle: {reasons}; {remedies}"
@@ -193,13 +207,6 @@ def _sure(fit: _Fit) -> bool:
 
 
 # --- changes --------------------------------------------------------------------
-
-
-def _further_ahead(motion: Motion, vehicle: Vehicle, x: float):
-    """Move the tracked point x [m] ahead: changes v_y and a_y only."""
-    v_y = motion.v_y - x * motion.yaw_rate
-    a_y = motion.a_y - x * motion.yaw_acceleration
-    return replace(motion, v_y=v_y, a_y=a_y), vehicle
 
 
 def _more_inertia(motion: Motion, vehicle: Vehicle, x: float):
@@ -334,7 +341,7 @@ def _point(motion, vehicle, every, step: int) -> tuple[_Fit, _Rows]:
     few = Motion(**{name: getattr(motion, name)[every] for name in names})
     for share in np.arange(_ON_CAR[0], _ON_CAR[1] + 0.01, 0.1):
         x = float(share) * vehicle.wheelbase - stated
-        moved, _ = _further_ahead(few, vehicle, x)
+        moved, _ = further_ahead(few, vehicle, x)
         rows = _moderate(moved, vehicle, np.arange(len(every)), step)
         alpha, force = (values[rows.rows] for values in slip_and_force(moved, vehicle)[:2])
         one = np.ones((len(alpha), 1 if rows.offset else 0))
@@ -342,10 +349,10 @@ def _point(motion, vehicle, every, step: int) -> tuple[_Fit, _Rows]:
         theta = np.linalg.lstsq(sides, alpha)[0]
         if theta[0] > 0:
             best = min(best, (float(np.var(alpha - sides @ theta)), x))
-    moved, _ = _further_ahead(motion, vehicle, best[1])
+    moved, _ = further_ahead(motion, vehicle, best[1])
     rows = _moderate(moved, vehicle, every, step)
     small = 0.01 * vehicle.wheelbase
-    fit = _fitted(_further_ahead, small, motion, vehicle, rows, best[1])
+    fit = _fitted(further_ahead, small, motion, vehicle, rows, best[1])
     # With instruments, the bias of least squares over their F statistic remains: Bound,
     # Jaeger, Baker, JASA 1995, eq. 7.
     bias = abs(fit.amount - best[1]) / max(fit.strength - 1, 1e-9)

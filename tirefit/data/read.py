@@ -12,11 +12,12 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tirefit.data import check, signs
+from tirefit.data import check, missing, signs
 from tirefit.data.cells import words_of
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Plan, plan_columns
 from tirefit.data.declared import Options, Signs
+from tirefit.data.findings import findings
 from tirefit.data.kinds import read_table
 from tirefit.data.quaternion import with_headings
 from tirefit.data.remote import Place, file_at
@@ -248,7 +249,7 @@ def _runs(reading: _Reading) -> tuple[np.ndarray, tuple[str, ...]]:
     empty = [i for i, name in enumerate(names) if name in ("", "nan") and not skip[i]]
     if empty:
         values = ["an empty cell"] * len(empty)
-        reading.faults.append(BadRows(column.header, empty, values, "is not a run's name"))
+        reading.faults.append(BadRows(column.header, empty, values, check.NO_RUN))
     codes: dict[str, int] = {}
     run = [codes.setdefault(name, len(codes)) for name in names]
     return np.array(run, int), tuple(codes)
@@ -263,13 +264,20 @@ def _numbers_to_si(reading: _Reading) -> None:
     if commas:
         reading.assumptions.append("numbers read with a decimal comma (1,5 is 1.5)")
     for column in numeric:
-        # Rows without pressure are at nominal pressure; other values must not be missing.
-        gaps = column.name == "pressure"
+        gaps = missing.may_miss(column.name, reading.options.forces)
         values, faults = check.read_numbers(
             cells[column.name], column.header, table.ragged, commas, gaps
         )
+        count = sum(len(fault.rows) for fault in faults if fault.is_missing)
+        declared = column.name in reading.options.columns or reading.options.mask_bad_rows
+        if not declared and missing.is_spare(column.name, count, len(values)):
+            reading.doubts.append(
+                f"column {column.header!r} is not read: {count} of its {len(values)} cells have"
+                f" no value; --column {column.name}={column.header} reads it"
+            )
+            continue
         reading.faults += faults
-        if gaps and np.isnan(values[~table.ragged]).any():
+        if column.name == "pressure" and np.isnan(values[~table.ragged]).any():
             sentence = f"rows without {column.header!r} are at nominal pressure"
             reading.assumptions.append(sentence)
         if column.unit is None:
@@ -396,10 +404,23 @@ def _drop_idle_forces(reading: _Reading) -> None:
             reading.assumptions.append(sentence)
 
 
+def _problems_of_rows(reading: _Reading) -> tuple[list[InputProblem], list[InputProblem]]:
+    """Problems of single rows and of whole columns; adds a warning of rows without a value."""
+    faults, lines, file = reading.faults, reading.table.lines, reading.file
+    if reading.options.mask_bad_rows:
+        return check.list_problems(faults, lines, file)
+    absent = [fault for fault in faults if fault.is_missing]
+    warning, too_many = missing.excluded(absent, lines, file, reading.options.forces)
+    reading.doubts += [warning] if warning else []
+    faults = [fault for fault in faults if not fault.is_missing]
+    of_rows, of_columns = check.list_problems(faults, lines, file)
+    return of_rows + too_many, of_columns
+
+
 def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
     """Raises DataError with all problems that masking does not solve; returns those of
-    masked rows."""
-    of_rows, of_columns = check.list_problems(reading.faults, reading.table.lines, reading.file)
+    masked rows. Rows that only lack a value are excluded with a warning."""
+    of_rows, of_columns = _problems_of_rows(reading)
     plan = reading.plan.columns.items()
     named = {_canonical(name) for name, c in plan if c.header not in reading.idle}
     there = named | set(reading.columns)
@@ -421,9 +442,12 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
                 reading.signs.convention,
                 reading.file,
                 reading.plan.slip or "sigma_x",
+                "wheelbase" in reading.table.constants,
             )
-        elif reading.options.mask_bad_rows:
+        elif reading.options.mask_bad_rows or not of_rows:
             remedy = "see the rows' problems without --mask-bad-rows"
+            if not reading.options.mask_bad_rows:
+                remedy = "every row lacks a value in a column that is needed"
             whole.append(InputProblem("no usable rows are left", remedy, reading.file))
     if any(one.reason == IS_VEHICLE_LOG for one in whole):
         of_rows = []  # a vehicle log has no slip and force to check
@@ -434,7 +458,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
 
 def _all_assumptions(reading: _Reading) -> list[str]:
     messages = [*reading.table.notes, *reading.plan.assumptions, str(reading.signs)]
-    return messages + reading.assumptions
+    return [*messages, *reading.assumptions, *findings(reading.table.constants)]
 
 
 def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:

@@ -43,6 +43,7 @@ def check_signs(
     convention: str,
     file: str,
     definition: str = "sigma_x",
+    is_derived: bool = False,
 ) -> list[InputProblem]:
     """Problems if force and slip have a negative correlation in canonical signs.
 
@@ -52,6 +53,7 @@ def check_signs(
         convention: the one in which the file was read.
         file: named in the problems.
         definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
+        is_derived: whether ``tirefit derive`` wrote the file, whose signs are known.
     """
     evidence = evidence_of(columns, definition)
     wrong = [item for item in evidence if item.trend < 0 and _is_refused(item)]
@@ -70,7 +72,17 @@ def check_signs(
             "if the sign of one column differs, put a minus before its unit:"
             f" --unit {force}=-N, or {force}=-kN if it is in kN"
         )
-        if fitting:
+        if is_derived:
+            reason = (
+                f"{names} have the wrong signs against each other: the force would act in the"
+                " direction of the axle's slip"
+            )
+            remedy = (
+                "tirefit derive wrote this file: correct tracked_point, or the signs in [units],"
+                " of vehicle.toml and derive it again; its report says which point the log"
+                " asks for"
+            )
+        elif fitting:
             remedy = f"these signs fit --convention {' or '.join(fitting)}; {remedy}"
         problems.append(InputProblem(reason, remedy, file, column=headers.get(force, force)))
     return problems

@@ -1,8 +1,4 @@
-"""Statements of a derived file on its vehicle, on errors of the logs, and assumptions."""
-
-from collections.abc import Sequence
-
-import numpy as np
+"""Statements of a derived file on its vehicle, and assumptions."""
 
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
@@ -10,7 +6,6 @@ from tirefit.data.vehicle import POSE, Vehicle
 _POSE_CLOCK = 0.005
 """Standard error [s] of the time between x, y and yaw, which are from one instrument."""
 
-_DELAYED = 3.0  # standard errors from which a delay between two channels is reported
 
 _SIGNS = (
     "alpha > 0 where the axle slides to the left; fy > 0 to the right, as the force"
@@ -30,30 +25,6 @@ def stated_of(vehicle: Vehicle) -> dict[str, float]:
         wheel_radius=vehicle.wheel_radius,
     )
     return {key: value for key, value in stated.items() if value is not None}
-
-
-def found_in(logs: Sequence) -> dict[str, float]:
-    """Errors that the logs show, as means over the logs: alpha_zero [rad], found_point
-    [m ahead of the rear axle] and late_CHANNEL [s], with standard errors.
-
-    Args:
-        logs: results of :func:`tirefit.data.derive.derive`.
-    """
-    found, zeros = {}, [log.zero for log in logs if log.zero is not None]
-    if zeros:
-        found["alpha_zero"] = float(np.mean(zeros))
-    estimates = {"found_point": [log.point.estimate for log in logs]}
-    for pair in (pair for log in logs for pair in log.compared.pairs):
-        late = estimates.setdefault(f"late_{pair.pair.channel}", [])
-        late.append((pair.delay, pair.delay_std))
-    for name, each in estimates.items():
-        known = np.array([one for one in each if one and 0 < one[1] < np.inf])
-        if len(known):
-            weight = known[:, 1] ** -2
-            mean, std = weight @ known[:, 0] / weight.sum(), weight.sum() ** -0.5
-            if name == "found_point" or abs(mean) > _DELAYED * std:
-                found |= {name: float(mean), f"{name}_std": float(std)}
-    return found
 
 
 def assumptions_of(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:

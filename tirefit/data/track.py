@@ -1,13 +1,15 @@
 """Read the usable samples of a vehicle log, in SI: :func:`read_track`."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tirefit.data.cells import TextColumn, words_of
+from tirefit.data.check import NO_VALUE, BadRows
 from tirefit.data.columns import guess, stated_unit
+from tirefit.data.missing import excluded
 from tirefit.data.quaternion import with_headings
 from tirefit.data.read import Table, read_table
 from tirefit.data.remote import Place
@@ -15,7 +17,7 @@ from tirefit.data.units import known_unit
 from tirefit.data.vehicle import CHECKS, POSE, QUANTITIES, Vehicle, unit_of
 from tirefit.results import DataError, InputProblem
 
-_MISSING = {"", "nan", "na", "null", "none"}
+_MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none"}
 _MOST_PROBLEMS = 10
 _CLOSEST = 0.3
 """Samples closer than this share of the sampling period are repeats of one sample."""
@@ -73,6 +75,7 @@ class Track:
     notes: tuple[str, ...]  # assumptions in reading the file
     run: np.ndarray  # (n,) int, number of the run of each sample
     runs: tuple[str, ...]  # names of the runs; "" if the log is one run
+    missing: tuple[str, ...] = ()  # a sentence on the rows that lack a needed value
 
 
 def read_track(path: Place, vehicle: Vehicle) -> Track:
@@ -93,6 +96,7 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     label = _labels(table, vehicle, notes)
     needed = len(vehicle.columns.motion) + (vehicle.steering is not None)
     finite = np.isfinite(time) & np.isfinite(signals[:, :needed]).all(axis=1)
+    lacking = _lacking(table, [clock, *channels[:needed]], columns)
     time, signals, active = time[finite], signals[finite], active[finite]
     period = _period(time, vehicle, table.file)
     max_gap = vehicle.filter.max_gap or 3.5 * period
@@ -115,8 +119,16 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     return Track(
         time[fresh] - time[fresh][0], signals, tuple(channels), active[fresh],
         max_gap, float(time[fresh][0]), len(table.lines), dropped, table.sha256,
-        tuple(notes), run[fresh], runs,
+        tuple(notes), run[fresh], runs, lacking,
     )  # fmt: skip
+
+
+def _lacking(table: Table, channels: Sequence[Channel], columns) -> tuple[str, ...]:
+    """A sentence that names the rows without a value in one of the channels, if any."""
+    absent = {c.header: np.flatnonzero(~np.isfinite(columns[c.header])) for c in channels}
+    faults = [BadRows(header, rows, (), NO_VALUE) for header, rows in absent.items()]
+    warning, _ = excluded([f for f in faults if len(f.rows)], table.lines, table.file, False)
+    return (warning,) if warning else ()
 
 
 def _labels(table: Table, vehicle: Vehicle, notes: list[str]) -> np.ndarray:

@@ -48,8 +48,8 @@ def write_csv(path, columns: Mapping[str, object], above: str = "") -> None:
     write_text_atomic(path, above + csv_text(columns))
 
 
-def csv_text(columns: Mapping[str, object]) -> str:
-    """Columns as the text of a CSV file.
+def csv_text(columns: Mapping[str, object], delimiter: str = ",") -> str:
+    """Columns as the text of a CSV file, or of another delimiter.
 
     Args:
         columns: header -> (n,) array or list of numbers or texts. Numbers are written
@@ -60,7 +60,7 @@ def csv_text(columns: Mapping[str, object]) -> str:
     """
     cells = [_cells(values) for values in columns.values()]
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+    writer = csv.writer(text, delimiter=delimiter, lineterminator="\n")
     writer.writerow(columns)
     writer.writerows(zip(*cells, strict=True))
     return text.getvalue()

@@ -29,8 +29,13 @@ from tirefit.report.diagnosis_words import (
 from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number
 
-_OF_SIGNS = ("signs read as", "sign convention declared", "warning: the simulator")
-"""Parts of the notes on the signs of the data, or of a simulator."""
+_SHOWN = (
+    "signs read as",
+    "sign convention declared",
+    "warning: the simulator",
+    "found by tirefit derive",
+)
+"""Parts of the notes on the signs of the data, on a simulator, and of derive."""
 
 _BEYOND = 1.5
 """Ratio of the noise to the stated noise above which it is reported."""
@@ -153,7 +158,7 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
     yield f"{result.n} rows; noise {levels} (standard deviation, {noise.source})"
     if noise.excess > _BEYOND:
         yield f"the noise is {noise.excess:.2g} times what is stated"
-    yield from (s for s in data.assumptions if any(part in s for part in _OF_SIGNS))
+    yield from (s for s in data.assumptions if any(part in s for part in _SHOWN))
     yield from _hardly_a_model(result)
     check = result.slip_check
     if check is not None and check.fits != check.read_as:

@@ -35,6 +35,7 @@ _NEEDS = {
     "heading": "a heading that turns",
     "steering": "a road wheel angle of this axle that varies",
     "derived force": "a force derived from a_y and yaw_acceleration (tirefit derive)",
+    "doubted point": "a stated tracked point that tirefit derive does not confirm",
     "runs": "several runs (a column run)",
     "mz": "the aligning moment mz",
     "fx": "fx",

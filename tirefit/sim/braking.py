@@ -62,10 +62,10 @@ class SimulatedLog(Record):
         return json_safe({"columns": self.columns, "truth": self.truth})
 
     def files(self, name: str = "log") -> dict[str, str]:
-        """``NAME.csv``, and the true values without noise, ``NAME.truth.csv``."""
+        """``NAME.csv``, and the true values without noise, ``NAME.truth.tsv``."""
         name = name or "log"
-        texts = csv_text(self.columns), csv_text(self.truth)
-        return dict(zip((f"{name}.csv", f"{name}.truth.csv"), texts, strict=True))
+        truth = csv_text(self.truth, "\t")  # a pattern of tables, *.csv, does not match it
+        return {f"{name}.csv": csv_text(self.columns), f"{name}.truth.tsv": truth}
 
 
 def simulate_braking(how: Braking | None = None) -> SimulatedLog:

@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from tirefit import __version__
+from tirefit.data.merged import merged
 from tirefit.data.motion import Motion
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.diagnosis.decide.verdict import Verdict, decide
@@ -237,7 +238,7 @@ def diagnose_vehicle(
         held_out,
         {name: lacks for name, lacks in untestable.items() if lacks},
         {effect.id: effect for effect in effects},
-        _notes(given, tires),
+        (*_notes(given, tires), *merged((k, log.missing) for k, log in found.items())),
     )
 
 
@@ -281,7 +282,7 @@ def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
     """The windows of all logs, and the needs of effects that they meet."""
     data, rows, log = [], [], []
     passed = 0.0
-    for number, (motion, (windows, own), _) in enumerate(found.values()):
+    for number, (motion, (windows, own), *_) in enumerate(found.values()):
         data.append(windows)
         rows.append(samples_of(motion, own, vehicle, tires, passed))
         log.append(np.full(len(own), number))

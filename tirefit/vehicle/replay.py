@@ -263,7 +263,7 @@ def replay(
         )
     again = [_compared(car, each, steps, rate, parts)[0] for each in noisy]
     models["floor"] = _floor(tire, again)
-    left = merged((k, left_out(log.motion, vehicle)) for k, log in found.items())
+    left = merged((k, (*log.missing, *left_out(log.motion, vehicle))) for k, log in found.items())
     held = _held(car, tires, joined, steps, rate, parts, generator)
     counts = np.isfinite(tire.of["yaw_rate"]).sum(axis=0)
     return Replay(

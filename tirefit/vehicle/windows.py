@@ -25,6 +25,7 @@ class CutLog(NamedTuple, Generic[Cut]):
     motion: Motion
     windows: Cut
     runs: tuple[str, ...]
+    missing: tuple[str, ...] = ()  # see :class:`tirefit.data.track.Track`
 
 
 def known_vehicle(vehicle: Vehicle | str | Path) -> Vehicle:
@@ -83,7 +84,9 @@ def cut_logs(
             remedy = f"use {shorter}, or lower keep.v_min of vehicle.toml"
             problems.append(InputProblem(reason, remedy, str(file)))
         else:
-            found[run_name(file)] = CutLog(motion, windows, names_of_runs(file, track))
+            found[run_name(file)] = CutLog(
+                motion, windows, names_of_runs(file, track), track.missing
+            )
     DataError.raise_for(problems)
     return found
 

@@ -92,11 +92,14 @@ def _segment(prepared: Prepared, k: int, part: Segment) -> dict[str, Any]:
 
 
 def save_prepared(prepared: Prepared, folder: Path, name: str = "") -> list[Path]:
-    """Write ``NAME.csv``, ``NAME.segments.csv`` and ``NAME.prepare.json``."""
+    """Write ``NAME.csv``, ``NAME.segments.tsv`` and ``NAME.prepare.json``.
+
+    Only the table to fit ends in ``.csv``, so that a pattern of tables matches nothing else.
+    """
     name = name or prepared.data.name
     texts = {
         f"{name}.csv": prepared_csv(prepared),
-        f"{name}.segments.csv": csv_text(segment_columns(prepared)),
+        f"{name}.segments.tsv": csv_text(segment_columns(prepared), "\t"),
     }
     digests = {key: hashlib.sha256(text.encode()).hexdigest() for key, text in texts.items()}
     texts[f"{name}.prepare.json"] = json_text(record_of(prepared, digests))

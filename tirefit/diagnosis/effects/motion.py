@@ -7,18 +7,21 @@ effect is therefore the error of a measured quantity if the file states it (``ti
 derive`` copies it from vehicle.toml), else the error of a guess.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
+from tirefit.data.findings import error_of_point
 from tirefit.diagnosis.effects.free_forms import SHIFT_BY_DELAY, SHIFT_BY_LAG
 from tirefit.diagnosis.effects.record import Effect, choices, scaled
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.covariates import wheelbase
 from tirefit.diagnosis.rows.slips import AGES, AHEAD
 from tirefit.slip import GRAVITY
+
+_CONTRADICTS = 3.0
+"""Standard errors of derive's estimate beyond which another value contradicts it."""
 
 _HEIGHT, _FAR = 0.4, 6.0
 """Height of the centre of gravity over the arm of an axle (cars have 0.3 to 0.6);
@@ -88,8 +91,33 @@ def _of_quantity(key: str, prior, prepared, rig):
     return _narrowed(prior, error) if stated else _of_scale(prior, error)
 
 
-of_a_known_position = partial(_of_quantity, "position")
-"""Prior of a distance along the vehicle; a stated one was measured with a ruler."""
+def of_a_known_position(prior, prepared, rig):
+    """Prior of an error of the tracked point along the vehicle.
+
+    It is the error that ``tirefit derive`` estimated from the same logs; without an
+    estimate, that of a ruler for a stated point.
+    """
+    known = error_of_point(prepared.data.source.constants)
+    if known is None or "position" in rig.vehicle:
+        return _of_quantity("position", prior, prepared, rig)
+    error, std = known
+    reach = _FAR * std  # no error remains within the bounds
+    return prior._replace(
+        scale=std, center=error, low=min(error, 0.0) - reach, high=max(error, 0.0) + reach
+    )
+
+
+def against_derive(distance: float, prepared) -> str:
+    """A sentence if an error of the tracked point contradicts the estimate of derive."""
+    known = error_of_point(prepared.data.source.constants)
+    if known is None or abs(distance - known[0]) < _CONTRADICTS * known[1]:
+        return ""
+    error, std = known
+    return (
+        f"tirefit derive finds this error as {1e3 * error:+.2g} ± {1e3 * std:.1g} mm by force"
+        f" against moderate slip in the same logs, not {1e3 * distance:+.2g} mm: leave the stated"
+        " point as it is, and look for another effect that follows the yaw rate"
+    )
 
 
 def of_a_known_inertia(prior, prepared, rig):
@@ -153,36 +181,7 @@ def said_of_motion(base, rig) -> tuple[str, ...]:
         f" {', '.join(known[True] + known[False])}; [vehicle] of rig.toml states other"
         " standard errors"
     )
-    return (message, priors, *_found(rows.data.source.constants))
-
-
-def _found(constants) -> tuple[str, ...]:
-    """Findings of ``tirefit derive`` in the same logs, with the effect of each."""
-    found = []
-    if "alpha_zero" in constants:
-        zero = constants["alpha_zero"]
-        found.append(f"alpha is {zero:+.4f} rad where fy = 0 (slip_offset)")
-    if "found_point" in constants:
-        place, std = constants["found_point"], constants["found_point_std"]
-        stated = constants.get("tracked_point")
-        against = "" if stated is None else f", stated {stated:.3g} m"
-        found.append(
-            f"the tracked point is {place:.3g} ± {std:.1g} m"
-            f" ahead of the rear axle{against} (tracked_point)"
-        )
-    for key, late in constants.items():
-        if key.startswith("late_") and not key.endswith("_std"):
-            channel, how = key.removeprefix("late_"), "late" if late > 0 else "early"
-            error = f"{abs(late):.2g} ± {constants[f'{key}_std']:.1g} s {how}"
-            effect = f"{channel}_delay" if channel == "steering" else "channel_delay"
-            found.append(f"{channel} is {error} ({effect})")
-    if not found:
-        return ()
-    return (
-        "tirefit derive found in the same logs, without a tire model:"
-        f" {'; '.join(found)}. If the effect in brackets is not named, it is within its"
-        " error or appears as another effect",
-    )
+    return message, priors
 
 
 def _rms(values) -> float:

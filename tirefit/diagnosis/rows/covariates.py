@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.data.findings import point_confirmed
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
@@ -249,6 +250,7 @@ def needs_met(
         "work": np.any(rows.work) and np.any(rows.time),
         "runs": len(shown_runs(data.run[data.used], data.runs)) > 1,
         "derived force": derived is not None,
+        "doubted point": not point_confirmed(data.source.constants),
         "yaw_acceleration": varies("yaw_acceleration"),
         # The vehicle drives in several directions.
         "heading": np.std(np.cos(heading)) + np.std(np.sin(heading)) > 0.5,

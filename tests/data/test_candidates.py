@@ -1,0 +1,124 @@
+"""The point that a log describes, by the relation of force and slip, on simulated cars."""
+
+import numpy as np
+import pytest
+
+from tirefit.data.derive import derive, derive_files
+from tirefit.data.read import read
+from tirefit.data.vehicle import load_vehicle
+from tirefit.data.write import csv_text
+from tirefit.results import DataError
+from tirefit.sim.drive import Car, simulate_drive
+from tirefit.sim.settings import Drive
+
+CAR = Car(l_r=1.5)
+BASE = CAR.l_f + CAR.l_r
+POSE = 'x = "x"\ny = "y"\nyaw = "heading"'
+RATES = 'v_x = "vx"\nv_y = "vy"\nyaw_rate = "r"'
+SLOW = {
+    "bends of 5 s": {"speed": 8.0, "bend": 0.4, "gps_std": 0.005},
+    "bends of 10 s": {"speed": 8.0, "bend": 0.4, "bend_period": 10.0, "gps_std": 0.005},
+    "noise of 2 cm": {"speed": 8.0, "bend": 0.4, "bend_period": 6.0},
+    "faster": {"speed": 12.0, "bend": 0.4, "gps_std": 0.005},
+}
+FAST = {"fast": {}, "gentle": {"bend": 0.2, "speed": 15.0}, "brakes": {"brake": 0.3, "bend": 0.4}}
+
+
+def log_at(tmp_path, ahead, how, seed=0, columns=POSE):
+    """Path of the log of a point this far ahead of the centre of gravity [m]."""
+    log = simulate_drive(Drive(seed=seed, **how), CAR)
+    seen, true = log.columns, log.truth
+    heading = true["heading"]
+    out = {
+        "time": seen["time"],
+        "x": seen["x"] + ahead * np.cos(heading),
+        "y": seen["y"] + ahead * np.sin(heading),
+        "heading": seen["heading"],
+    }
+    if columns == RATES:
+        noise = 0.02 * np.random.default_rng(seed).standard_normal((3, len(heading)))
+        out = {
+            "time": seen["time"],
+            "vx": true["v"] + noise[0],
+            "vy": true["v_y"] + ahead * true["yaw_rate"] + noise[1],
+            "r": true["yaw_rate"] + 0.1 * noise[2],
+        }
+    path = tmp_path / "log.csv"
+    path.write_text(csv_text(out))
+    return path
+
+
+def vehicle(tmp_path, point=None, columns=POSE, cutoff=2.0):
+    stated = "" if point is None else f"tracked_point = [{point}, 0.0]"
+    path = tmp_path / "vehicle.toml"
+    path.write_text(
+        f"mass = {CAR.mass}\nl_f = {CAR.l_f}\nl_r = {CAR.l_r}\nyaw_inertia = {CAR.yaw_inertia}\n"
+        f'{stated}\n[columns]\ntime = "time"\n{columns}\n[filter]\ncutoff = {cutoff}\n'
+        "sample_rate = 50.0\n"
+    )
+    return load_vehicle(path)
+
+
+def of_the_point(log, car):
+    """The sentences on the tracked point: warnings, or the reason and remedy of a refusal."""
+    try:
+        found = derive(log, car)
+    except DataError as error:
+        return " ".join(f"{p.reason}; {p.remedy}" for p in error.problems)
+    return " ".join(found.point.warnings)
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", SLOW)
+def test_a_log_of_the_front_axle_asks_for_it(tmp_path, name, seed):
+    log = log_at(tmp_path, CAR.l_f, SLOW[name], seed)
+    said = of_the_point(log, vehicle(tmp_path))
+    assert "set tracked_point = [2." in said and "--" not in said
+    right = derive(log, vehicle(tmp_path, BASE))
+    assert right.point.warnings == () and right.point.problems == ()
+
+
+@pytest.mark.parametrize("columns", [POSE, RATES])
+def test_the_correlations_and_what_was_assumed_are_named(tmp_path, columns):
+    log = log_at(tmp_path, CAR.l_f, SLOW["bends of 10 s"], columns=columns)
+    said = of_the_point(log, vehicle(tmp_path, columns=columns, cutoff=1.0))
+    for words in (
+        "this log asks for the front axle, not for the centre of gravity, which is assumed, as"
+        " tracked_point is not stated",
+        "with the rear axle",
+        "if the log describes the front axle, set tracked_point = [2.7, 0] in vehicle.toml",
+    ):
+        assert words in said
+    # The oracle is the simulator: its own force and slip of the rear axle.
+    truth = simulate_drive(Drive(**SLOW["bends of 10 s"]), CAR).truth
+    slip = np.arctan2(truth["v_y"] - CAR.l_r * truth["yaw_rate"], truth["v"])
+    force = CAR.l_f * truth["a_y"]
+    assert np.corrcoef(slip, -force)[0, 1] > 0.99
+
+
+def test_a_stated_point_is_doubted_but_kept(tmp_path):
+    log = log_at(tmp_path, CAR.l_f, SLOW["bends of 10 s"])
+    found = derive(log, vehicle(tmp_path, CAR.l_r - 0.1, cutoff=1.0), believe=True)
+    (said,) = found.warnings
+    assert "asks for the front axle, not for the stated point, 1.4 m ahead of the rear axle" in said
+    other = derive(log, vehicle(tmp_path, BASE, cutoff=1.0))
+    assert not np.allclose(found.columns["alpha"], other.columns["alpha"], atol=1e-3)
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", SLOW | FAST)
+def test_the_right_point_is_not_doubted(tmp_path, name, seed):
+    log = log_at(tmp_path, 0.0, (SLOW | FAST)[name], seed)
+    for cutoff in (2.0, 5.0):
+        assert of_the_point(log, vehicle(tmp_path, cutoff=cutoff)) == ""
+
+
+def test_a_fit_of_the_derived_file_names_the_vehicle_file(tmp_path):
+    log = log_at(tmp_path, CAR.l_f, SLOW["bends of 10 s"])
+    vehicle(tmp_path, cutoff=1.0)
+    out = derive_files([log], tmp_path / "vehicle.toml", tmp_path / "axle.csv", believe=True).data
+    with pytest.raises(DataError) as caught:
+        read(out)
+    (problem,) = caught.value.problems
+    assert "correct tracked_point" in problem.remedy and "vehicle.toml" in problem.remedy
+    assert "--convention" not in f"{problem}"

@@ -1,0 +1,86 @@
+"""Correlation of the rear axle's force and slip with the points that a log may describe.
+
+The force of an axle acts against its slip, so the two are correlated only with the right
+point. Both are compared below a fifth of the filter's cutoff, as redundant channels are:
+noise of a point differentiated twice would hide the relation.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.data.faults import ALIKE, RELATED
+from tirefit.data.motion import Motion, further_ahead, low_passed, slip_and_force
+from tirefit.data.vehicle import Vehicle
+
+_SLOWER = 5.0
+
+
+class Candidates(NamedTuple):
+    """What the correlation says of the tracked point."""
+
+    words: str = ""  # the correlations in brackets; empty if unknown or in ``asked``
+    asked: tuple[str, str] | None = None  # reason and remedy if another point is asked for
+    fits_found: bool = True  # False if the point found by a fit fits worse than the stated
+
+
+def candidates_of(motion: Motion, vehicle: Vehicle, kept, found: float) -> Candidates:
+    """The correlations with the axles, the centre of gravity and the stated point.
+
+    Args:
+        kept: (n,) bool, the samples that will be written.
+        found: estimate of the point by a fit [m ahead of the stated one].
+    """
+    kept = kept & (motion.within >= _SLOWER * vehicle.filter.settling)
+    stated = vehicle.l_r - vehicle.cg_from_tracked[0]
+
+    def correlation(at: float) -> float:
+        moved, _ = further_ahead(motion, vehicle, at - stated)
+        slow = _slowly(np.stack(slip_and_force(moved, vehicle)[:2], axis=1), motion, vehicle)
+        there = slow[kept & np.isfinite(slow).all(axis=1)]
+        if len(there) < 3 or not np.all(np.ptp(there, axis=0)):
+            return math.nan
+        return float(np.corrcoef(there.T)[0, 1])
+
+    own = correlation(stated)
+    if math.isnan(own):
+        return Candidates()
+    points = {
+        "the rear axle": 0.0,
+        "the centre of gravity": vehicle.l_r,
+        "the front axle": vehicle.wheelbase,
+    }
+    given = "the centre of gravity"
+    if vehicle.tracked_point is not None:
+        given = f"the stated point, {stated:.3g} m ahead of the rear axle"
+        points[given] = stated
+    each = {name: correlation(at) for name, at in points.items()}
+    words = ", ".join(f"{r:+.2f} with {name}" for name, r in each.items())
+    words = f"force and slip correlate by {words}"
+    best = max(each, key=lambda name: each[name])
+    fits = 1 - correlation(stated + found) ** 2 <= ALIKE**2 * (1 - own**2)
+    if not own < RELATED <= each[best]:
+        return Candidates(f" ({words})", None, fits)
+    assumed = "" if vehicle.tracked_point else ", which is assumed, as tracked_point is not stated"
+    left = (vehicle.tracked_point or (0.0, 0.0))[1]
+    return Candidates(
+        "",
+        (
+            f"{words}: this log asks for {best}, not for {given}{assumed}",
+            f"if the log describes {best}, set tracked_point = [{points[best]:.3g}, {left:g}] in"
+            " vehicle.toml",
+        ),
+        fits,
+    )
+
+
+def _slowly(values: np.ndarray, motion: Motion, vehicle: Vehicle) -> np.ndarray:
+    """Values (n, k) low-passed in each stretch; NaN in a stretch that is too short."""
+    slow = np.full_like(values, np.nan)
+    for number in np.unique(motion.part):
+        rows = motion.part == number
+        smooth = low_passed(np.nan_to_num(values[rows]), vehicle, _SLOWER)
+        if smooth is not None:
+            slow[rows] = smooth
+    return slow

@@ -1,0 +1,76 @@
+"""Rows that lack a value: they are excluded and counted, up to a tenth of the rows."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tirefit.data.check import SHOWN, BadRows
+from tirefit.data.units import base_column
+from tirefit.results import InputProblem
+from tirefit.slip import SLIP_DEFINITIONS
+
+MOST = 0.1
+"""Largest share of rows that are excluded unasked: without a tenth of the rows a standard
+error is 5 % larger (1 / sqrt(0.9))."""
+
+_INPUTS = {"run", "time", "alpha", "fz", "v", "gamma", "omega", *SLIP_DEFINITIONS}
+_NEEDED = _INPUTS | {"fx", "fy", "mz"}
+
+
+def may_miss(name: str, forces: bool) -> bool:
+    """Whether rows without this canonical column are used.
+
+    Rows without pressure are at nominal pressure; a prediction needs only what a model
+    reads.
+
+    Args:
+        forces: False if forces will be predicted.
+    """
+    return name == "pressure" or (not forces and base_column(name) not in _INPUTS)
+
+
+def is_spare(name: str, missing: int, rows: int) -> bool:
+    """Whether a canonical column is not read because too many of its cells are empty: one
+    beside slip, load and forces, of which ``missing`` of ``rows`` cells have no value."""
+    return base_column(name) not in _NEEDED and missing > MOST * rows
+
+
+def excluded(
+    faults: Sequence[BadRows], lines: np.ndarray, file: str, limited: bool
+) -> tuple[str | None, list[InputProblem]]:
+    """A warning that names the rows without a value, or problems if they are too many.
+
+    Args:
+        faults: missing values only.
+        lines: (n,) line of the file of each row.
+        limited: whether more than :data:`MOST` of the rows are an error.
+    """
+    rows = np.unique(np.array([row for fault in faults for row in fault.rows], int))
+    if not len(rows):
+        return None, []
+    places: dict[str | None, set[int]] = {}
+    for fault in faults:
+        places.setdefault(fault.column, set()).update(map(int, fault.rows))
+    where = {column: _listed(sorted(each), lines) for column, each in places.items()}
+    if limited and len(rows) > MOST * len(lines):
+        remedy = f"fill the cells, or exclude the rows with --mask-bad-rows: up to {MOST:.0%} of"
+        remedy += " the rows are excluded unasked"
+        return None, [
+            InputProblem(
+                f"{len(each)} of {len(lines)} rows ({len(each) / len(lines):.0%}) lack a value"
+                f" ({where[column]})",
+                remedy,
+                file,
+                column=column,
+            )
+            for column, each in places.items()
+        ]
+    named = "; ".join(f"{column!r} in {where[column]}" for column in places)
+    return f"excluded {len(rows)} of {len(lines)} rows, which lack a value: {named}", []
+
+
+def _listed(rows: Sequence[int], lines: np.ndarray) -> str:
+    """The first rows by their lines, and the number of the others."""
+    first = ", ".join(str(lines[row]) for row in rows[:SHOWN])
+    more = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
+    return f"row{'s' if len(rows) > 1 else ''} {first}{more}"
