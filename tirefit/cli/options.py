@@ -265,7 +265,7 @@ def start_jax() -> None:
     """Switch on 64-bit floats, and a compilation cache for later processes."""
     import jax
 
-    from tirefit.compiled import keep_programs_in
+    from tirefit.compiled import open_entries
 
     jax.config.update("jax_enable_x64", True)
     # On a full disk, programs are compiled again, which is only slower.
@@ -273,12 +273,12 @@ def start_jax() -> None:
     warnings.filterwarnings("ignore", message=reason)
     # JAX declares its options to no type checker.
     chosen = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    cache = _cache_folder()
-    if chosen is None and cache is not None:
+    cache = _cache_folder() if chosen is None else None
+    if cache is not None:
+        open_entries(cache)
         jax.config.update("jax_compilation_cache_dir", str(cache))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-        keep_programs_in(cache / "programs")
 
 
 class Unheard(StringIO):
@@ -287,11 +287,18 @@ class Unheard(StringIO):
 
 def _cache_folder() -> Path | None:
     """The directory of programs stored between runs; None if there cannot be one."""
+    from tirefit.compiled import doubt_about
+
     try:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         cache = Path(base) / "tirefit"
-        cache.mkdir(parents=True, exist_ok=True)
+        cache.mkdir(mode=0o700, parents=True, exist_ok=True)
+        doubt = doubt_about(cache)
     except (OSError, RuntimeError):  # a read-only disk; a user without a home
+        return None
+    if doubt:
+        remedy = "make it yours alone (chmod 700), or set XDG_CACHE_HOME to another folder"
+        complain(f"warning: {cache} is not used for compiled programs: {doubt}: {remedy}")
         return None
     return cache if os.access(cache, os.W_OK | os.X_OK) else None
 
