@@ -54,8 +54,10 @@ def _of_variables(error: Exception) -> Exception:
     """The error of starting JAX, as one of the variables that it names, or of all."""
     given = {k: v for k, v in os.environ.items() if k.startswith(_READ_BY_JAX)}
     cause = " ".join(str(error).split())
-    named = {k: v for k, v in given.items() if k.lower() in cause.lower()}
-    named = named or {k: v for k, v in given.items() if k != "EQX_ON_ERROR"}  # set by us
+    mentioned = [name for name in given if name.lower() in cause.lower()]
+    # JAX gives no text where it knows a platform and finds no device of it.
+    names = mentioned or [name for name in given if name == "JAX_PLATFORMS"] or [*given]
+    named = {name: given[name] for name in names}
     if not named:
         return error
     reason = f"JAX does not start with {', '.join(f'{k}={v!r}' for k, v in named.items())}"
