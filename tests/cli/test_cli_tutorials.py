@@ -120,7 +120,7 @@ def run(command):
         result = CliRunner().invoke(app, words[1:], input=given)
         assert result.exit_code == 0, (command, result.output, result.exception)
         return result.output
-    assert words[0] in ("python", "gcc", "./call")
+    assert words[0] in ("python", "gcc", "./call", "mkdir")
     words[0] = sys.executable if words[0] == "python" else words[0]
     return subprocess.run(words, capture_output=True, text=True, check=True).stdout
 
@@ -159,7 +159,7 @@ SHORT = ("docs/getting-started.md", "docs/tutorials/friction.md", "docs/how-to/m
 def test_commands_of_a_page_print_the_shown_output(page, unrendered, tmp_path, monkeypatch):
     large = shutil.ignore_patterns("*.png", "*.ipynb")
     shutil.copytree(ROOT / "fits", tmp_path / "fits", ignore=large)
-    for samples in ("docs/samples", "tirefit/samples"):
+    for samples in ("docs/samples", "tirefit/samples", "tests/data/tir"):
         shutil.copytree(ROOT / samples, tmp_path / samples)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
