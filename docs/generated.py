@@ -1,6 +1,8 @@
 """What the manual takes from the package: effects, models, commands, the API."""
 
+import inspect
 import re
+import textwrap
 from pathlib import Path
 
 import effect_pages
@@ -32,13 +34,41 @@ def _module_of(name):
 
 
 def _api():
-    """A section for each public name, with the docstring by mkdocstrings."""
+    """A section for each public name: its call, and its docstring as Markdown."""
     names = sorted(tirefit.__all__, key=str.lower)
-    return "\n\n".join(
-        f"## {name}\n\n::: tirefit.{_module_of(name)}.{name}\n"
-        f"    options:\n      heading: tirefit.{name}"
-        for name in names
-    )
+    return "\n\n".join(f"## {name}\n\n{_described(name, getattr(tirefit, name))}" for name in names)
+
+
+def _described(name, shown):
+    called = f"from {tirefit.__name__}.{_module_of(name)}"
+    if not callable(shown):
+        return f"`tirefit.{name}`, {called}."
+    given = [
+        f"    {one.replace(annotation=one.empty)},"
+        for one in inspect.signature(shown).parameters.values()
+    ]
+    call = "\n".join([f"tirefit.{name}(", *given, ")"] if given else [f"tirefit.{name}()"])
+    return f"```python\n{call}\n```\n\n{as_markdown(inspect.getdoc(shown) or '')}"
+
+
+ROLE = re.compile(r":\w+:`~?([^`]+)`")
+SECTION = re.compile(r"^([A-Z]\w+):\n((?:    .*(?:\n|$)|\n(?=\n*    ))+)", re.MULTILINE)
+ITEM = re.compile(r"^(\S[^\n:]*): ?", re.MULTILINE)
+
+
+def as_markdown(docstring):
+    """A docstring with sections such as ``Args:`` as Markdown."""
+    text = SECTION.sub(lambda found: _section(*found.groups()), ROLE.sub(r"`\1`", docstring))
+    return re.sub(r"::$", ":", text, flags=re.MULTILINE)
+
+
+def _section(title, text):
+    text = textwrap.dedent(text).strip("\n")
+    if title == "Example":
+        return f"**{title}**\n\n```pycon\n{text}\n```\n"
+    if title in ("Args", "Attributes", "Raises"):
+        text = ITEM.sub(r"- `\1`: ", text)
+    return f"**{title}**\n\n{text}\n"
 
 
 def _commands():

@@ -1,170 +1,181 @@
-"""Programs cached on disk give the same numbers, and are really used."""
+"""Compiled programs are stored in a folder of the user's own, and nothing else is run from it."""
 
+import json
 import os
+import pickle
 import subprocess
 import sys
+from functools import partial
+from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tirefit import compiled as module
-from tirefit.compiled import compiled, keep_programs_in, release_programs
+from tirefit.compiled import BRIEF, doubt_about, list_entries, open_entries, release_programs
+
+ONLY_POSIX = pytest.mark.skipif(not hasattr(os, "getuid"), reason="owners of files are POSIX")
+
+COMMAND = """
+import sys
+from tirefit.cli.options import start_jax
+start_jax()
+import jax, numpy as np
+twice, thrice = (jax.jit(lambda x, k=k: (k * x, x.sum())[: k - 1]) for k in (2, 3))
+print(float(twice(np.ones(3))[0][0]), float(thrice(np.ones(3))[0][0]))
+"""
+"""Two programs of the same arguments and other results, as a command compiles them."""
 
 
 @pytest.fixture
-def directory(tmp_path):
-    keep_programs_in(tmp_path)
-    yield tmp_path
-    keep_programs_in(None)
+def run(tmp_path):
+    """Runs the programs in another process that stores them in ``tmp_path``; its errors."""
+
+    def runs():
+        environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+        environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+        line = [sys.executable, "-c", COMMAND]
+        done = subprocess.run(line, env=environment, capture_output=True, text=True)
+        assert (done.returncode, done.stdout) == (0, "2.0 3.0\n"), done.stderr
+        return done.stderr
+
+    return runs
 
 
-def counted(traces):
-    @compiled(static=("power",))
-    def scaled(x, factor, power):
-        traces.append(power)
-        return {"value": factor * x**power}
-
-    return scaled
+def entries(folder):
+    return sorted(folder.glob("*-cache"))
 
 
-def test_a_cached_program_is_not_traced_again(directory):
-    traces = []
-    x = np.linspace(0, 1, 5)
-    first = counted(traces)(x, 2.0, power=3)["value"]
-    assert traces == [3] and len(list(directory.iterdir())) == 1
-    again = counted(traces)(x, 2.0, power=3)["value"]
-    assert traces == [3]
-    np.testing.assert_allclose(first, 2 * x**3, rtol=1e-15)
-    np.testing.assert_array_equal(first, again)
+def test_a_program_is_stored_for_the_next_process_in_a_folder_of_the_user_alone(run, tmp_path):
+    assert run() == ""
+    folder = tmp_path / "tirefit"
+    assert os.name == "nt" or folder.stat().st_mode & 0o777 == 0o700
+    before = {path: path.stat().st_mtime_ns for path in entries(folder)}
+    assert len(before) >= 2 and run() == ""
+    assert {path: path.stat().st_mtime_ns for path in entries(folder)} == before
 
 
-SOLVED = """
-import sys
-import jax.numpy as jnp, numpy as np
-from tirefit.compiled import compiled, keep_programs_in
-keep_programs_in(sys.argv[1])
-solved = compiled()(lambda a, b: jnp.linalg.solve(a, b) + jnp.cumsum(b))
-print(solved(np.diag(np.float32([2, 4])), np.ones(2, np.float32)))
-"""
+def _swap(one, other):
+    content = one.read_bytes(), other.read_bytes()
+    one.write_bytes(content[1])
+    other.write_bytes(content[0])
 
 
-def test_a_program_of_lapack_runs_in_another_process_whatever_jax_keeps(tmp_path):
-    of_jax = {
-        "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "jax"),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-    }
-    line = [sys.executable, "-c", SOLVED, str(tmp_path / "kept")]
-    for after in ("removed", "kept", "kept"):
-        done = subprocess.run(line, env=os.environ | of_jax, capture_output=True, text=True)
-        assert (done.returncode, done.stdout) == (0, "[1.5  2.25]\n"), done.stderr
-        (program,) = (tmp_path / "kept").iterdir()
-        if after == "removed":  # as where the sources changed, but not this program
-            program.unlink()
+def _rename(one, other):
+    aside = one.with_name("aside")
+    one.rename(aside)
+    other.rename(one)
+    aside.rename(other)
 
 
-def test_static_arguments_shapes_and_types_give_other_programs(directory):
-    traces = []
-    function = counted(traces)
-    for x, power in [(np.ones(3), 2), (np.ones(4), 2), (np.ones(3), 3), (1.0, 2)]:
-        np.testing.assert_allclose(function(x, 1.0, power)["value"], np.ones_like(x))
-    assert traces == [2, 2, 3, 2] and len(list(directory.iterdir())) == 4
+def _truncate(one, other):
+    one.write_bytes(one.read_bytes()[:50])
+    other.write_bytes(b"")
 
 
-def test_other_sources_give_other_programs(directory, monkeypatch):
-    traces = []
-    counted(traces)(np.ones(3), 1.0, 2)
-    monkeypatch.setattr(module, "_sources", lambda: b"edited")
-    counted(traces)(np.ones(3), 1.0, 2)
-    assert traces == [2, 2]
+@pytest.mark.parametrize("change", [_swap, _rename, _truncate])
+def test_a_changed_program_is_not_run(change, run, tmp_path):
+    run()
+    change(*(path for path in entries(tmp_path / "tirefit") if "lambda" in path.name))
+    assert run() == ""  # and the numbers are right
 
 
-def test_a_program_depends_on_all_sources_below_the_report(monkeypatch):
-    from tests.test_layers import LAYERS
-
-    highest = LAYERS["vehicle"]
-    assert set(module._ABOVE) == {name for name, layer in LAYERS.items() if layer > highest}
-
-
-def test_another_device_gives_another_program(directory, monkeypatch):
-    traces = []
-    counted(traces)(np.ones(3), 1.0, 2)
-    monkeypatch.setattr(module, "_device", lambda: "gpu H200")
-    counted(traces)(np.ones(3), 1.0, 2)
-    assert traces == [2, 2] and len(list(directory.iterdir())) == 2
+def test_a_damaged_list_is_written_again(run, tmp_path):
+    run()
+    kept = tmp_path / "tirefit" / "entries.json"
+    for damaged in ("{", "[1]", "3", '{"a": 1}'):
+        kept.write_text(damaged, encoding="utf-8")
+        assert run() == ""
+        assert set(json.loads(kept.read_text("utf-8"))) == {p.name for p in entries(kept.parent)}
 
 
-def test_the_least_recently_used_programs_are_removed(directory, monkeypatch):
-    monkeypatch.setattr(module, "_MOST_PROGRAMS", 2)
-    traces = []
-    for age, size in ((30, 1), (20, 2)):
-        counted(traces)(np.ones(size), 1.0, 2)
-        newest = max(directory.iterdir(), key=lambda path: path.stat().st_mtime)
-        os.utime(newest, (newest.stat().st_mtime - age,) * 2)
-    counted(traces)(np.ones(1), 1.0, 2)  # used again: now it is the newer one
-    counted(traces)(np.ones(3), 1.0, 2)
-    assert len(list(directory.iterdir())) == 2 and len(traces) == 3
-    counted(traces)(np.ones(1), 1.0, 2)
-    assert len(traces) == 3
-    counted(traces)(np.ones(2), 1.0, 2)
-    assert len(traces) == 4
+class Planted:
+    """Writes a file where it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
 
 
-def test_a_damaged_file_is_replaced(directory):
-    traces = []
-    counted(traces)(np.ones(3), 1.0, 2)
-    (file,) = directory.iterdir()
-    whole = file.read_bytes()
-    file.write_bytes(whole[:50])
-    assert counted(traces)(np.ones(3), 3.0, 2)["value"][0] == 3.0
-    assert traces == [2, 2] and file.read_bytes()[:50] == whole[:50]
-    assert len(file.read_bytes()) > 50
+def test_a_planted_pickle_is_never_unpickled(run, tmp_path):
+    run()
+    folder, mark = tmp_path / "tirefit", tmp_path / "executed"
+    planted = pickle.dumps(Planted(mark))
+    (folder / "programs").mkdir()
+    (folder / "programs" / "fit.program").write_bytes(planted)
+    for path in (*entries(folder), folder / "entries.json"):
+        path.write_bytes(planted)
+    assert run() == "" and not mark.exists()
+    pickle.loads(planted)
+    assert mark.exists()
 
 
-def test_a_brief_program_is_compiled_without_options(directory, monkeypatch):
+@ONLY_POSIX
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o722])
+def test_a_folder_that_others_can_write_to_is_not_used(mode, run, tmp_path):
+    folder = tmp_path / "tirefit"
+    folder.mkdir()
+    folder.chmod(mode)
+    said = run()
+    assert said.count("\n") == 1 and "other users can write to it" in said
+    assert str(folder) in said and "XDG_CACHE_HOME" in said
+    assert list(folder.iterdir()) == []
+
+
+@ONLY_POSIX
+def test_a_folder_of_another_user_is_doubted(tmp_path, monkeypatch):
+    tmp_path.chmod(0o755)
+    assert doubt_about(tmp_path) is None
+    monkeypatch.setattr(os, "getuid", lambda: tmp_path.stat().st_uid + 1)
+    assert doubt_about(tmp_path) == "it belongs to another user"
+
+
+def test_only_entries_are_removed_and_the_oldest_first(tmp_path, monkeypatch):
+    names = [f"jit_f-{k:064x}-cache" for k in range(4)]
+    for k, name in enumerate(names):
+        (tmp_path / name).write_bytes(b"x")
+        os.utime(tmp_path / name, (k, k))
+    (tmp_path / "my-cache").write_text("of the user")
+    list_entries(tmp_path)
+    (tmp_path / f"jit_f-{9:064x}-cache").write_bytes(b"planted")
+    monkeypatch.setattr("tirefit.compiled._MOST_ENTRIES", 3)
+    monkeypatch.setattr("atexit.register", lambda *call: None)
+    open_entries(tmp_path)
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {*names[2:], "my-cache", "entries.json"}
+
+
+def test_a_brief_program_gets_options_that_the_compiler_knows():
     def doubled(x):
         return 2 * x
 
     x = np.arange(3.0)
-    np.testing.assert_array_equal(compiled(brief=True)(doubled)(x), 2 * x)
-    # Only a program that gets the options can refuse them.
-    monkeypatch.setattr(module, "_PLAINLY", {"xla_no_such_option": True})
-    np.testing.assert_array_equal(compiled()(doubled)(x), 2 * x)
+    brief = jax.jit(doubled, compiler_options=BRIEF)
+    np.testing.assert_array_equal(brief(x), 2 * x)
+    unknown = jax.jit(doubled, compiler_options={"xla_no_such_option": True})
     with pytest.raises(RuntimeError, match="xla_no_such_option"):
-        compiled(brief=True)(doubled)(x)
-
-
-def test_within_a_trace_it_is_an_ordinary_function(directory):
-    function = counted([])
-    slope = jax.grad(lambda x: jnp.sum(function(x, 1.0, 3)["value"]))(jnp.array([2.0]))
-    np.testing.assert_allclose(slope, [12.0])
-    assert list(directory.iterdir()) == []
-
-
-def test_an_unwritable_directory_is_no_error(tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    keep_programs_in(tmp_path / "file")
-    try:
-        assert counted([])(np.ones(2), 1.0, 2)["value"].tolist() == [1.0, 1.0]
-    finally:
-        keep_programs_in(None)
+        unknown(x)
 
 
 @pytest.mark.long
 @pytest.mark.skipif(not os.path.exists("/proc/self/maps"), reason="no /proc here")
-def test_programs_are_released_above_the_memory_limit(directory):
+def test_programs_are_released_above_the_memory_limit():
     def mappings():
         with open("/proc/self/maps", "rb") as file:
             return sum(1 for _ in file)
 
+    def scaled(x, factor, power):
+        return factor * x**power
+
     x = np.linspace(0, 1, 5)
-    kept = [counted([]) for _ in range(20)]
-    before = [scaled(x, 2.0, power=k)["value"] for k, scaled in enumerate(kept)]
+    kept = [jax.jit(partial(scaled, power=k)) for k in range(20)]
+    before = [scaled(x, 2.0) for scaled in kept]
     held = mappings()
     assert not release_programs(most=held + 1000)
     assert release_programs(most=100)
     # Each program held at least a mapping for its code.
     assert mappings() <= held - len(kept)
-    for k, scaled in enumerate(kept):
-        np.testing.assert_array_equal(scaled(x, 2.0, power=k)["value"], before[k])
+    for scaled, value in zip(kept, before, strict=True):
+        np.testing.assert_array_equal(scaled(x, 2.0), value)

@@ -1,8 +1,7 @@
 """The command line in this process, with separate caches in a directory of the tests.
 
-A command keeps its programs beside those of JAX where nobody chose a cache for JAX, as
-a user's does; so do those that tests start and the workers of a cluster, which then have
-the programs of the commands before them, and those of the last run.
+Nobody chose a cache for JAX, as for a user; the commands that tests start and the workers of a
+cluster have the programs of the commands before them, and those of the last run.
 """
 
 import os
@@ -18,13 +17,12 @@ from typer.testing import CliRunner
 from tirefit.cli import fleet
 from tirefit.cli.cluster import cluster
 from tirefit.cli.commands import app
+from tirefit.compiled import list_entries
 
 
 @contextmanager
 def commands_cache():
     """No cache for JAX is set, and the cache of commands is in a test directory."""
-    from tirefit.compiled import keep_programs_in
-
     names = (
         "jax_compilation_cache_dir",
         "jax_persistent_cache_min_compile_time_secs",
@@ -37,11 +35,13 @@ def commands_cache():
         patch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
         jax.config.update("jax_compilation_cache_dir", None)
         reset_cache()  # JAX would use the directory that it opened first
+        # What the other worker has not listed yet is not removed.
+        patch.setattr("tirefit.compiled.open_entries", lambda folder: None)
         yield
+        list_entries(commands / "tirefit")
     for name, value in before.items():
         jax.config.update(name, value)
     reset_cache()
-    keep_programs_in(None)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -25,7 +25,7 @@ from test_cli_diagnose import LOADS, READ, WITHOUT
 from test_cli_diagnose import write as write_sweeps
 from test_cli_fit import FAST, write
 
-from tirefit.cli.options import _cache_folder, complain, say
+from tirefit.cli.options import complain, say
 from tirefit.cli.output import claimed, staged
 from tirefit.diagnosis import engine
 from tirefit.files import took_lock, write_texts
@@ -351,14 +351,6 @@ def test_a_closed_standard_input_is_an_error():
         f"{shlex.join(program)} <&-", shell=True, capture_output=True, text=True
     )
     assert closed.returncode == 2 and "standard input is closed" in closed.stderr
-
-
-def test_compiled_programs_are_cached_if_possible(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "new"))
-    assert _cache_folder() == tmp_path / "new" / "tirefit"
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert _cache_folder() is None
 
 
 def test_terminal_control_characters_are_not_printed(capsys):

@@ -1,36 +1,85 @@
 """The commands of the manual run as printed, and print what the manual shows."""
 
+import io
 import json
 import re
 import shlex
 import shutil
 import subprocess
 import sys
+from contextlib import redirect_stdout
+from glob import glob
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from typer.testing import CliRunner
 
 from tirefit.cli.commands import app
+from tirefit.models import MODELS
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "docs" / "getting-started.md", *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
 FILES = (ROOT / "docs" / "reference" / "files.md").read_text(encoding="utf-8")
-BLOCK = re.compile(r"^```console\n(.*?)^```", re.MULTILINE | re.DOTALL)
-PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r'^ *```(\w*)(?: title="(.*)")?$')
+SHELL = ("console", "sh")
+
+NOT_RUN = {"docs/how-to/cluster.md": "needs a scheduler and workers on other machines"}
+"""Page -> why its commands are not run."""
 
 
-def steps(text):
-    """(command, lines of output that the page shows) of each command of a page."""
-    found = []
-    for line in "".join(BLOCK.findall(text)).splitlines():
-        if line.startswith("$ "):
-            found.append((line[2:], []))
-        elif found[-1][0].endswith("\\"):
-            found[-1] = (found[-1][0][:-1] + line.strip(), [])
-        else:
-            found[-1][1].append(line)
+class Block(NamedTuple):
+    """A fenced or indented block of a page."""
+
+    language: str  # of its fence; "console" of indented commands, else ""
+    title: str | None
+    lines: list[str]
+
+
+def blocks(text):
+    """All blocks of a page, in order."""
+    found, within = [], None
+    for line in text.splitlines():
+        fence = FENCE.match(line)
+        if fence and within != "fence":
+            found.append(Block(fence[1], fence[2], []))
+            within = "fence"
+        elif fence:
+            within = None
+        elif within == "fence":
+            found[-1].lines.append(line)
+        elif line.startswith("    "):
+            if within is None:
+                found.append(Block("console" if line.startswith("    $ ") else "", None, []))
+            within = "indent"
+            found[-1].lines.append(line[4:])
+        elif line:
+            within = None  # an empty line does not end an indented block
     return found
+
+
+def steps(block):
+    """(command, lines of output that the page shows) of each command of a block."""
+    found = []
+    for line in block.lines:
+        begins = line.startswith("$ ") or block.language == "sh"
+        if found and found[-1][0].endswith("\\"):
+            found[-1] = (found[-1][0][:-1] + line.strip(), [])
+        elif begins:
+            found.append((line.removeprefix("$ "), []))
+        elif found:
+            found[-1][1].append(line)
+    return [(command, shown) for command, shown in found if command.strip()]
+
+
+def has_commands(text):
+    return any(block.language in (*SHELL, "python", "c") for block in blocks(text))
+
+
+PAGES = {
+    str(path.relative_to(ROOT)): path
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
+    if has_commands(path.read_text(encoding="utf-8"))
+}
 
 
 def missing(shown, printed):
@@ -60,42 +109,73 @@ def undocumented(path):
 
 
 def run(command):
-    program, *words = shlex.split(command)
-    if program == "tirefit":
-        result = CliRunner().invoke(app, words)
-        assert result.exit_code == 0, result.output
+    """Run a command here if it is tirefit, else as a process; what it prints."""
+    words = shlex.split(command, comments=True)
+    given = None
+    if "<" in words:
+        given = Path(words[words.index("<") + 1]).read_text(encoding="utf-8")
+        words = words[: words.index("<")]
+    words[1:] = [one for word in words[1:] for one in (sorted(glob(word)) or [word])]
+    if words[0] == "tirefit":
+        result = CliRunner().invoke(app, words[1:], input=given)
+        assert result.exit_code == 0, (command, result.output, result.exception)
         return result.output
-    assert program == "python"
-    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True)
-    return done.stdout
+    assert words[0] in ("python", "gcc", "./call", "mkdir")
+    words[0] = sys.executable if words[0] == "python" else words[0]
+    return subprocess.run(words, capture_output=True, text=True, check=True).stdout
 
 
-LONG = ("rig", "simulator", "vehicle-log")
-"""Pages of the dearest commands, each of which other tests of its own file run."""
+def run_block(block, names):
+    """Run the commands or the code of a block; what code printed."""
+    if block.title and "." in block.title:  # a file that later commands read
+        text = "\n".join([*block.lines, ""])
+        Path(block.title).write_text(text, encoding="utf-8")
+    elif block.language == "python":
+        printed = io.StringIO()
+        with redirect_stdout(printed):
+            exec("\n".join(block.lines), names)
+        return printed.getvalue()
+    elif block.language in SHELL:
+        for command, shown in steps(block):
+            if command.startswith(("gcc", "./call")) and shutil.which("gcc") is None:
+                continue
+            printed = run(command)
+            assert missing(shown, printed) is None, (command, printed)
+    return ""
+
+
+SHORT = ("docs/getting-started.md", "docs/tutorials/friction.md", "docs/how-to/model.md")
+"""Pages whose commands take less than 10 s of processor time."""
 
 
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, id=page.stem, marks=[pytest.mark.long] * (page.stem in LONG))
-        for page in PAGES
+        pytest.param(name, marks=[pytest.mark.long] * (name not in SHORT))
+        for name in PAGES
+        if name not in NOT_RUN
     ],
 )
 def test_commands_of_a_page_print_the_shown_output(page, unrendered, tmp_path, monkeypatch):
-    text = page.read_text(encoding="utf-8")
     large = shutil.ignore_patterns("*.png", "*.ipynb")
     shutil.copytree(ROOT / "fits", tmp_path / "fits", ignore=large)
+    for samples in ("docs/samples", "tirefit/samples", "tests/data/tir"):
+        shutil.copytree(ROOT / samples, tmp_path / samples)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("COLUMNS", "88")
-    assert steps(text)
-    for command, shown in steps(text):
-        printed = run(command)
-        assert missing(shown, printed) is None, (command, printed)
-    for code in PYTHON.findall(text):
-        exec(code, {})
-    written = [*tmp_path.glob("*.json"), *tmp_path.glob("[!f]*/**/*.json")]
+    monkeypatch.setitem(MODELS, "saturating", None)  # which one page adds for good
+    names, printed = {"__name__": "page"}, ""
+    for block in blocks(PAGES[page].read_text(encoding="utf-8")):
+        if not block.language and printed:  # the output of the code above it
+            assert missing(block.lines, printed) is None, printed
+        printed = run_block(block, names)
+    written = [*tmp_path.glob("*.json"), *tmp_path.glob("[!fdt]*/**/*.json")]
     assert {str(path): undocumented(path) for path in written if undocumented(path)} == {}
+
+
+def test_a_page_that_is_not_run_exists():
+    assert NOT_RUN.keys() <= PAGES.keys()
 
 
 @pytest.mark.parametrize(
@@ -114,5 +194,14 @@ def test_a_line_that_is_not_printed_is_detected(shown, absent):
 
 
 def test_commands_and_their_output_are_taken_from_a_page():
-    page = "Text\n\n```console\n$ tirefit fit a \\\n    --out b\nout\n...\n$ c\n```\n"
-    assert steps(page) == [("tirefit fit a --out b", ["out", "..."]), ("c", [])]
+    page = (
+        "Text\n\n```console\n$ tirefit fit a \\\n    --out b\nout\n...\n$ c\n```\n"
+        "```sh\nd  # why\ne \\\n  f\n```\n\n    $ g\n    said\n\n    more\n\nText\n\n    h\n"
+        '\n```c title="call.c"\nint i;\n```\n'
+    )
+    found = blocks(page)
+    assert [block.language for block in found] == ["console", "sh", "console", "", "c"]
+    assert steps(found[0]) == [("tirefit fit a --out b", ["out", "..."]), ("c", [])]
+    assert steps(found[1]) == [("d  # why", []), ("e f", [])]
+    assert steps(found[2]) == [("g", ["said", "more"])]
+    assert (found[4].title, found[4].lines) == ("call.c", ["int i;"])

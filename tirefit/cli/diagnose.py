@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperCommand
 
 from tirefit.cli.diagnose_vehicle import TireOption, diagnose_car, refuse_tires
+from tirefit.cli.fit_one import wrote
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, attempted, fleet
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import merged_notes, warn
@@ -350,6 +351,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
             save_picture(result.plot(), folder / f"{name}.png")
             result.save(folder / f"{name}.html")
     say(result.summary(full=task.full))
+    say(wrote(out, [Path(one) for one in expected]))
     return exit_code(result.outcomes), record_of_document(document)
 
 

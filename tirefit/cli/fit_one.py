@@ -105,6 +105,7 @@ def fit_into(directory, data, settings, posterior=False, resume=False, also=Also
             result = _sampled(result, directory, settings, resume)
         try:
             written = _save(replace(result, asked=asked), directory, also)
+            written += [directory / CHAIN] if posterior and (directory / CHAIN).exists() else []
         except OSError as error:
             if posterior and (directory / CHAIN).exists():
                 error.add_note("--resume continues from its chain")

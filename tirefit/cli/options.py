@@ -3,11 +3,9 @@
 import errno
 import inspect
 import math
-import os
 import re
 import sys
 import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
@@ -262,38 +260,16 @@ def read_options(given: DataOptions, config) -> dict[str, Any]:
 
 
 def start_jax() -> None:
-    """Switch on 64-bit floats, and a compilation cache for later processes."""
-    import jax
+    """Start JAX as all commands use it; see :func:`tirefit.cli.start.start`."""
+    from tirefit.cli.start import start
 
-    from tirefit.compiled import keep_programs_in
-
-    jax.config.update("jax_enable_x64", True)
-    # On a full disk, programs are compiled again, which is only slower.
-    reason = "Error (reading|writing) persistent compilation cache"
-    warnings.filterwarnings("ignore", message=reason)
-    # JAX declares its options to no type checker.
-    chosen = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    cache = _cache_folder()
-    if chosen is None and cache is not None:
-        jax.config.update("jax_compilation_cache_dir", str(cache))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-        keep_programs_in(cache / "programs")
+    with errors_to_exit():
+        if warning := start():
+            complain(warning)
 
 
 class Unheard(StringIO):
     """Replacement of standard error whose text is shown at the end; without progress."""
-
-
-def _cache_folder() -> Path | None:
-    """The directory of programs stored between runs; None if there cannot be one."""
-    try:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        cache = Path(base) / "tirefit"
-        cache.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):  # a read-only disk; a user without a home
-        return None
-    return cache if os.access(cache, os.W_OK | os.X_OK) else None
 
 
 def say(text: str) -> None:

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.compiled import compiled
+from tirefit.compiled import BRIEF
 from tirefit.fitting.extremes import extreme
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
@@ -149,7 +149,7 @@ def _start_and_peak(force):
     return start, jnp.where(slip < 0.999 * _LARGEST_SLIP, slip, jnp.nan), peak
 
 
-@compiled(static=("layout", "channel"), brief=True)
+@partial(jax.jit, static_argnames=("layout", "channel"), compiler_options=BRIEF)
 def derived_values(model, layout: Layout, z, channel, fz, v, run=0):
     """Derived quantities of a batch of parameter vectors.
 

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.special import ndtri, stdtrit
 
-from tirefit.compiled import compiled
+from tirefit.compiled import BRIEF
 from tirefit.fitting.least_squares import Solution, damped_gauss_newton, directions, solve
 from tirefit.fitting.likelihood import FitProblem, Rule, blocks_and_moments, root_deviance
 from tirefit.params import Values
@@ -58,7 +58,7 @@ class Minima(NamedTuple):
     steps: Int[Array, " m"]
 
 
-@compiled()
+@jax.jit
 def _minima(problem: FitProblem, starts, index, values, count) -> Minima:
     """:func:`minima` of the first ``count`` of m searches; the others are skipped."""
     blocks = len(problem.rules)
@@ -121,7 +121,7 @@ def minima(
     return jax.tree.map(lambda *all: np.concatenate(all), *parts)
 
 
-@compiled(static=("solver",))
+@partial(jax.jit, static_argnames=("solver",))
 def _library_minima(problem: FitProblem, starts, solver: str) -> Solution:
     return solve(partial(residuals, problem), starts, solver)
 
@@ -154,7 +154,7 @@ def _of_squares(rule: Rule, squares, library):
     return library.where(rule.smallest > 0, estimated, known)
 
 
-@compiled()
+@jax.jit
 def deviance(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""]:
     """-2 log likelihood at z relative to the best fit, priors included."""
     total = jnp.sum(problem.layout.prior_residual(z) ** 2)
@@ -172,7 +172,7 @@ class Linearised(NamedTuple):
     variance: dict[str, Array]  # (n,) by force
 
 
-@compiled(brief=True)
+@partial(jax.jit, compiler_options=BRIEF)
 def linearise(problem: FitProblem, z: Float[Values, " p"]) -> Linearised:
     """Residuals, slopes and moments at z, from one compiled program."""
 
@@ -208,7 +208,7 @@ def deviance_at(problem: FitProblem, at: Linearised) -> float:
     )
 
 
-@compiled(brief=True)
+@partial(jax.jit, compiler_options=BRIEF)
 def _hessian(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, "p p"]:
     def half(z):
         values, _ = residuals(problem, z)

@@ -17,6 +17,7 @@ carry over.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -25,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tirefit.compiled import compiled
+from tirefit.compiled import BRIEF
 from tirefit.fitting.layout import Layout
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.params import Values, with_values
@@ -252,7 +253,7 @@ def _moments(problem: FitProblem, forces):
     return mean, variance
 
 
-@compiled()
+@jax.jit
 def root_deviance(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Float[Array, " n"]]:
     """Residuals whose squares sum to -2 log likelihood, by block.
 
@@ -263,7 +264,7 @@ def root_deviance(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Floa
     return _blocks(problem, _channel_forces(problem, z))
 
 
-@compiled(brief=True)
+@partial(jax.jit, compiler_options=BRIEF)
 def moments(problem: FitProblem, z: Float[Values, " p"]):
     """Mean and variance of each fitted force given the measured slip, by channel (n,).
 
@@ -287,7 +288,7 @@ def row_moments(problem: FitProblem, z) -> tuple[dict, dict]:
     )
 
 
-@compiled(brief=True)
+@partial(jax.jit, compiler_options=BRIEF)
 def noise_factor(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""]:
     """Factor on all force scales that maximises the likelihood of rows with noisy slip.
 

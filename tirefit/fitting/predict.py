@@ -2,13 +2,14 @@
 
 import os
 from collections.abc import Mapping
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from tirefit.compiled import compiled
+from tirefit.compiled import BRIEF
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
@@ -32,7 +33,7 @@ from tirefit.precision import require_x64
 from tirefit.results import DataError, UsageError
 
 
-@compiled(static=("layout",), brief=True)
+@partial(jax.jit, static_argnames=("layout",), compiler_options=BRIEF)
 def _linearised(model, layout, z, covariance, inputs, run):
     def force(z):
         each = row_forces(model, layout, z, inputs, run)

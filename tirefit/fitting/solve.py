@@ -109,7 +109,8 @@ def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
         return dict.fromkeys(estimated, float(noise_factor(problem, z)))
     if not estimated:
         return {}
-    mean, _ = row_moments(problem, z)
+    # By the program that the end of the fit needs as well.
+    mean = _used(problem, linearise(problem, z)).mean
     factors = {}
     for name in estimated:
         scale = problem.used(problem.rows.scale[name])

@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tirefit.compiled import compiled
 from tirefit.online.base import AbstractEstimator, Estimate, Flag, code, flag_of
 from tirefit.padding import padded_size
 
@@ -206,7 +205,7 @@ def _all_finite(inner, began):
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(a) | jnp.isnan(b)) for a, b in leaves]))
 
 
-@compiled()
+@jax.jit
 def _scan(estimator, state, log):
     """Scan columns (m, _CHUNK); returns leaves of the state and arrays (m _CHUNK, ...).
 

@@ -174,6 +174,10 @@ def c_source(draft: Draft) -> str:
     """A C header: forces, and forces with their Jacobian by kappa, alpha and fz."""
     name, count = draft.name, len(draft.forces.outputs)
     above = [*draft.above, "test vectors:", *(f"  {line}" for line in vectors(draft))]
+    above += [
+        f"call: tirefit_real force[{count}]; {name}({', '.join(draft.forces.inputs)}, force);"
+    ]
+    above += [f"force[{k}] is {one}" for k, one in enumerate(draft.forces.outputs)]
     # The text must not contain the beginning or end of a comment.
     messages = [line.replace("/*", "/ *").replace("*/", "* /") for line in above]
     force, slope = f"tirefit_real force[{count}]", f"slope[{count}][{ALWAYS}]"

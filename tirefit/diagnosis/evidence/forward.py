@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.compiled import compiled
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.effects.state import (
     Covariates,
@@ -150,7 +149,7 @@ def _each(count, one: Callable, z, states):
     return jax.lax.fori_loop(0, count, body, blank)
 
 
-@compiled(static=("layout", "mode"))
+@partial(jax.jit, static_argnames=("layout", "mode"))
 def _forces_of(model, layout, mode: str, z, states, count, where: _Where):
     """Mean and variance over the latent slip of the forces (b, C, n) of the first
     ``count`` fits, of z (b, p) and states with effects (b, F, n)."""
@@ -165,7 +164,7 @@ def _forces_of(model, layout, mode: str, z, states, count, where: _Where):
     return _each(count, one, z, states)
 
 
-@compiled(static=("layout", "mode"))
+@partial(jax.jit, static_argnames=("layout", "mode"))
 def _slopes_of(model, layout, mode: str, z, states, count, where: _Where):
     """Mean forces (b, C, n) of some fits and their slopes by z (b, C, p, n) and by the
     fields of the state (b, C, F, n). A row's force depends on z and its own state
@@ -195,7 +194,7 @@ def _slopes_of(model, layout, mode: str, z, states, count, where: _Where):
     return _each(count, one, z, states)
 
 
-@compiled(static=("layout", "mode"))
+@partial(jax.jit, static_argnames=("layout", "mode"))
 def _brush_of(model, layout, mode: str, z, where: _Where):
     return _reference(with_values(model, layout.natural(z)), where, mode)[:2]
 

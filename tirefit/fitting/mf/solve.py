@@ -11,13 +11,14 @@ sizes, so that all files, forces and stages share three compiled programs.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.compiled import compiled
+from tirefit.compiled import BRIEF
 from tirefit.fitting.mf.parts import influences
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MFTire, curvatures
@@ -147,7 +148,7 @@ def _gradients(force: str, names: tuple[str, ...], tire: MFTire, theta, inputs):
     return value, jnp.stack(columns)
 
 
-@compiled(static=("force", "names"), brief=True)
+@partial(jax.jit, static_argnames=("force", "names"), compiler_options=BRIEF)
 def _pass(force, names, tire, theta, scale, inputs, observed, weight):
     """Residuals (n,) of a block over the noise, and their derivatives in u (p, n)."""
     value, slope = _gradients(force, names, tire, theta, inputs)
@@ -174,7 +175,7 @@ def _passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
         yield block, at, np.asarray(residual), np.asarray(slope)
 
 
-@compiled(static=("force", "names"), brief=True)
+@partial(jax.jit, static_argnames=("force", "names"), compiler_options=BRIEF)
 def _excess(force, names, tire, theta, scale, inputs):
     """Excess (n,) of curvature factors over their limit, and its derivatives (p, n)."""
 

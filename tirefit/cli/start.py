@@ -1,0 +1,115 @@
+"""Start JAX: precision, settings of the user that end a command, stored programs."""
+
+import os
+import sys
+import threading
+import warnings
+from contextlib import suppress
+from pathlib import Path
+
+from tirefit.results import InputProblem, UsageError
+
+_READ_BY_JAX = ("JAX_", "XLA_", "EQX_")
+"""First letters of the environment variables of JAX, its compiler and Equinox."""
+
+_SETTINGS = {
+    "jax_enable_x64": True,
+    # For searching faults in JAX programs: NaN marks here what is missing or has no end.
+    "jax_debug_nans": False,
+    "jax_debug_infs": False,
+    "jax_disable_jit": False,
+    "jax_check_tracer_leaks": False,
+    "jax_numpy_dtype_promotion": "standard",
+    "jax_transfer_guard": "allow",
+}
+"""Settings of JAX that commands need, whatever the environment says."""
+
+
+def start() -> str | None:
+    """Start JAX and open the folder of stored programs; returns a warning for the user.
+
+    Raises:
+        UsageError: JAX does not start with the environment variables; it names them.
+    """
+    _refuse_flags()
+    try:
+        import equinox  # noqa: F401  reads variables of its own
+        import jax
+
+        jax.devices()
+    except Exception as error:
+        raise _of_variables(error) from error
+    for name, value in _SETTINGS.items():
+        jax.config.update(name, value)
+    # On a full disk, programs are compiled again, which is only slower.
+    reason = "Error (reading|writing) persistent compilation cache"
+    warnings.filterwarnings("ignore", message=reason)
+    # JAX declares its options to no type checker.
+    if jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
+        return _store_programs(jax.config)
+    return None
+
+
+def _of_variables(error: Exception) -> Exception:
+    """The error of starting JAX, as one of the variables that it names, or of all."""
+    given = {k: v for k, v in os.environ.items() if k.startswith(_READ_BY_JAX)}
+    cause = " ".join(str(error).split())
+    mentioned = [name for name in given if name.lower() in cause.lower()]
+    # JAX gives no text where it knows a platform and finds no device of it.
+    names = mentioned or [name for name in given if name == "JAX_PLATFORMS"] or [*given]
+    named = {name: given[name] for name in names}
+    if not named:
+        return error
+    reason = f"JAX does not start with {', '.join(f'{k}={v!r}' for k, v in named.items())}"
+    cause = f": {cause[:200]}" if cause else ""
+    return UsageError(InputProblem(reason + cause, _remedy(named)))
+
+
+def _remedy(names) -> str:
+    return f"correct or unset {', '.join(names)}"
+
+
+def _refuse_flags() -> None:
+    """Try the flags of XLA in a child, as XLA ends a process that has an unknown flag.
+
+    Raises:
+        UsageError: XLA ended the child.
+    """
+    flags = os.environ.get("XLA_FLAGS")
+    alone = threading.active_count() == 1 and "jax" not in sys.modules
+    if not flags or not alone or not hasattr(os, "fork"):
+        return
+    child = os.fork()
+    if child == 0:
+        with suppress(BaseException):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+            import jax
+
+            jax.devices()
+        os._exit(0)  # an exception comes in the parent as well
+    if os.waitpid(child, 0)[1]:
+        raise UsageError(
+            InputProblem(f"XLA does not start with XLA_FLAGS={flags!r}", _remedy(["XLA_FLAGS"]))
+        )
+
+
+def _store_programs(config) -> str | None:
+    """Have JAX store programs in the folder of the user; a warning if they may not be."""
+    from tirefit.compiled import doubt_about, open_entries
+
+    try:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        folder = Path(base) / "tirefit"
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        doubt = doubt_about(folder)
+    except (OSError, RuntimeError):  # a read-only disk; a user without a home
+        return None
+    if doubt:
+        remedy = "make it yours alone (chmod 700), or set XDG_CACHE_HOME to another folder"
+        return f"warning: {folder} is not used for compiled programs: {doubt}: {remedy}"
+    if os.access(folder, os.W_OK | os.X_OK):
+        open_entries(folder)
+        config.update("jax_compilation_cache_dir", str(folder))
+        config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    return None
