@@ -12,7 +12,7 @@ from test_cli_fit import FAST, content, write
 
 from tirefit.cli import options
 from tirefit.cli.commands import app
-from tirefit.cli.output import _interrupts_held, check_directories, claimed, is_page, staged
+from tirefit.cli.output import _interrupts_held, check_results, claimed, is_page, staged
 from tirefit.fitting.result import SCHEMA
 from tirefit.results import UsageError
 
@@ -94,11 +94,11 @@ def test_a_failed_write_keeps_the_earlier_result(
 def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
     for name in ("fit.json", "corner.png", "notes.txt", "chain.npz"):
         (tmp_path / name).write_text("old")
-    (tmp_path / ".writing").mkdir()  # of a process that was killed
-    (tmp_path / ".writing" / "trace.png").write_text("torn")
-    (tmp_path / ".chain.npz.abc.part").write_text("torn")
+    (tmp_path / ".tirefit-writing").mkdir()  # of a process that was killed
+    (tmp_path / ".tirefit-writing" / "trace.png").write_text("torn")
+    (tmp_path / ".chain.npz.abc.tirefit-part").write_text("torn")
     with claimed(tmp_path):
-        assert not (tmp_path / ".chain.npz.abc.part").exists()
+        assert not (tmp_path / ".chain.npz.abc.tirefit-part").exists()
     known = ["fit.json", "corner.png", "trace.png"]
     with staged(tmp_path, known, "") as folder:
         (folder / "fit.json").write_text("new")
@@ -131,13 +131,13 @@ def test_all_unwritable_directories_are_named(tmp_path, monkeypatch):
     file = tmp_path / "file"
     file.write_text("")
     with pytest.raises(UsageError) as caught:
-        check_directories([file, file / "below", tmp_path / "new" / "one"])
+        check_results([file / "a", file / "below" / "a", tmp_path / "new" / "one" / "a"])
     first, second = (str(problem) for problem in caught.value.problems)
     assert "file: no folder for the results: it is a file" in first
     assert f"{file} is a file" in second and "--out" in second
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everywhere
     with pytest.raises(UsageError, match=f"write into the folder {tmp_path}"):
-        check_directories([tmp_path / "new" / "one"])
+        check_results([tmp_path / "new" / "one" / "a"])
 
 
 PROGRAM = """

@@ -20,6 +20,14 @@ if TYPE_CHECKING:  # NumPy, which completion does not wait for
 PAGE, CHAIN = "fit.html", "chain.npz"
 
 
+def fit_files(directory: Path) -> list[Path]:
+    """Every file that a fit may write or replace in its folder."""
+    from tirefit.report.draw import FIGURE_FILES
+
+    names = ("fit.json", "posterior.nc", CHAIN, PAGE, *FIGURE_FILES)
+    return [directory / name for name in names]
+
+
 class Also(NamedTuple):
     """Options on what is written and printed in addition to result and figures."""
 

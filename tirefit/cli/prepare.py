@@ -23,7 +23,7 @@ from tirefit.cli.options import (
     say,
     takes_data_options,
 )
-from tirefit.cli.output import check_directories, check_distinct, check_replaced, claimed, staged
+from tirefit.cli.output import check_distinct, check_results, claimed, staged
 from tirefit.data.remote import expanded, file_at
 from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
@@ -106,11 +106,9 @@ def prepare(
             raise UsageError("no FILE given", "name one, or --repeat")
         names = [Path(file.name.removesuffix(".gz")).stem for file in files]
         check_distinct(names, "prepare them into different --out")
-        check_directories([out])
         ends = (".csv", ".segments.csv", ".png", ".prepare.json")
         made = [out / f"{name}{end}" for name in names for end in ends]
-        check_replaced(made, files)
-        sharing.check(out, files, made)
+        check_results([*made, *sharing.files(out, made)], files)
         task = _Task(out, how, config)
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
         with claimed(out), merged_notes(len(files) > 1):
