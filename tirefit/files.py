@@ -76,7 +76,7 @@ def _temporary(path: Path) -> Iterator[Path]:
     try:
         yield Path(name)
     except OSError as error:
-        if error.errno is None or error.filename not in (None, name):
+        if error.errno is None or str(error.filename or name) != name:
             raise
         # The user does not know the temporary name, so name ``path``.
         raise _of(path, error) from None

@@ -172,10 +172,9 @@ def over_problems(over: Ranges) -> list[InputProblem]:
             remedy = "give kappa, alpha or fz as NAME=LOW:HIGH"
             problems.append(InputProblem(f"--over {name}={low:g}:{high:g} is not a range", remedy))
         elif high - low <= least or name == "fz" and low <= 0:
-            reason = f"--over {name}={low:g}:{high:g} is too narrow a range, or none"
-            remedy = "give fz above zero, LOW below HIGH; or leave it out for one load"
-            if name != "fz":
-                remedy = f"give LOW below HIGH, at least {least:g} apart"
+            reason = f"--over {name}={low:g}:{high:g} is not a range"
+            remedy = f"NAME=LOW:HIGH with LOW below HIGH by more than {least:g}"
+            remedy += ", and fz above zero; without it, one load" if name == "fz" else ""
             problems.append(InputProblem(reason, remedy))
     return problems
 
