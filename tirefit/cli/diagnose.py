@@ -340,7 +340,7 @@ def _of_before(document: Path) -> "FileRecord | None":
 
     try:
         return record_of_document(document)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
 
 
@@ -373,7 +373,7 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
             content["version"],
             content["settings"],
         ]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return False
     source, rig, given = table.source, settings["rig"], settings.get("sim")
     # The stand-in for a simulator follows from the data.

@@ -132,24 +132,23 @@ def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]
         reason = "--repeat with other settings"
         raise UsageError(reason, "give only the files, or no --repeat")
     from tirefit.data.prepare.settings import PrepareConfig
-    from tirefit.data.prepare.store import SCHEMA
-    from tirefit.door import read_record
+    from tirefit.data.prepare.store import load_record
     from tirefit.settings import parse_settings
 
-    content = read_record(record, SCHEMA, "give a NAME.prepare.json of tirefit prepare")
-    config = parse_settings(PrepareConfig, content["config"], str(record))
+    content = load_record(record)
+    config, how = parse_settings(PrepareConfig, content.config, str(record)), dict(content.read)
     if files:
-        return files, content["read"], config
-    file = Path(content["input"]["path"])
+        return files, how, config
+    file = Path(content.input.path)
     if not file.is_file():
         reason = f"{file}, from which it was made, does not exist"
         remedy = "name the file: tirefit prepare FILE --repeat ..."
         raise DataError(reason, remedy, str(record))
-    if hashlib.sha256(file.read_bytes()).hexdigest() != content["input"]["sha256"]:
+    if hashlib.sha256(file.read_bytes()).hexdigest() != content.input.sha256:
         reason = f"{file} is not the file from which it was made: its sha256 differs"
         remedy = f"to prepare it anyway: tirefit prepare {file} --repeat {record}"
         raise DataError(reason, remedy, str(record))
-    return [file], content["read"], config
+    return [file], how, config
 
 
 @dataclass(frozen=True)

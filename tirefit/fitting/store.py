@@ -4,10 +4,10 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from tirefit.data.records import FileRecord, Row
 from tirefit.door import outrageous, read_record
@@ -18,6 +18,7 @@ from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
 from tirefit.params import specs, with_values
 from tirefit.results import DataError, UsageError
+from tirefit.settings import faults_in
 from tirefit.slip import CONVENTIONS
 
 
@@ -107,6 +108,11 @@ class _Prediction(_Part):
 
 class _Data(_Part):
     convention: Literal[tuple(CONVENTIONS)]  # type: ignore[valid-type]
+    file: str
+    sha256: str | None
+    used: int
+    runs: list[str]
+    range: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] = {}
 
 
 class _Noise(_Part):
@@ -122,6 +128,12 @@ class _Reference(_Part):
     fz: PositiveFloat
 
 
+class _Estimate(_Part):
+    value: float | list[float]
+    std: NonNegativeFloat | list[NonNegativeFloat] | None
+    fixed: bool = False
+
+
 class _Record(_Part):
     model: str
     forces: list[Literal["fx", "fy", "mz", "mx", "my"]]
@@ -129,6 +141,18 @@ class _Record(_Part):
     data: _Data
     reference: _Reference
     prediction: _Prediction
+    parameters: dict[str, _Estimate] = {}
+    coefficients: dict[str, _Estimate] = {}  # of a whole Magic Formula
+    seed: int | None = None
+    outcomes: list[str] = []
+
+    @model_validator(mode="after")
+    def _estimated(self):
+        if not (self.parameters or self.coefficients):
+            raise ValueError("no parameters")
+        if not self.forces:
+            raise ValueError("no forces")
+        return self
 
 
 def load_fit(path: str | os.PathLike) -> StoredFit:
@@ -182,7 +206,7 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
             raise ValueError("z has another length than the layout")
     except (ValueError, KeyError, UsageError) as error:
         # The checksum is right, so another version wrote the file, or somebody by hand.
-        reason = f"it does not hold a fit: {str(error).splitlines()[0][:200]}"
+        reason = f"it does not hold a fit: {faults_in(error)}"
         raise DataError(reason, remedy, str(path)) from None
     return StoredFit(
         record.model,
