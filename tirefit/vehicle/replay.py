@@ -50,7 +50,11 @@ HORIZONS = (0.25, 0.5, 1.0, 2.0, 5.0)
 """Times [s] after the start at which the prediction is compared."""
 
 EVERY = 0.25
-"""Time [s] from one start to the next."""
+"""Time [s] from one start to the next; a multiple of it in a log of many."""
+
+_MOST = 10_000
+"""Most windows of a log: of 5 s at 50 Hz with their predictions they take 2 GB. They
+overlap, so more of them hardly change the errors."""
 
 QUANTITIES = {
     "yaw_rate": "rad/s",
@@ -234,10 +238,11 @@ def replay(
     generator = np.random.default_rng(seed)
     named = None if effects is None else applied(effects)
     apply = named and partial(named.channels, vehicle, tires)
+    thinned: list[str] = []
     found = cut_logs(
         logs,
         vehicle,
-        partial(_windows, vehicle, horizons, generator, apply),
+        partial(_windows, vehicle, horizons, generator, apply, thinned),
         f"as long as the shortest horizon, {horizons[0]:g} s",
         "shorter horizons",
     )
@@ -273,7 +278,7 @@ def replay(
         models,
         held,
         _fans(found, states),
-        (*_notes(vehicle, tires), *left),
+        (*_notes(vehicle, tires), *dict.fromkeys(thinned), *left),
     )
 
 
@@ -324,7 +329,7 @@ def replace_tires(car: Car, front: AbstractTire, rear: AbstractTire) -> Car:
 
 
 def _windows(
-    vehicle: Vehicle, horizons, generator, apply, track: Track, motion: Motion
+    vehicle: Vehicle, horizons, generator, apply, thinned, track: Track, motion: Motion
 ) -> list[_Windows] | None:
     """The windows of a log, from a start every :data:`EVERY` seconds where the log is
     settled and the car fast enough, to the longest horizon; None of none. Behind them
@@ -336,6 +341,10 @@ def _windows(
     good &= np.isfinite(_channels(motion, vehicle)).all(axis=0)
     each = stretches(good, motion.part)
     step = max(round(EVERY * rate), 1)
+    times = math.ceil(sum(max(last - first - least, 0) for first, last in each) / step / _MOST)
+    if times > 1:
+        step *= times
+        thinned.append(f"a log is long: its windows start every {step / rate:.3g} s")
     begun = [(k, last) for first, last in each for k in range(first, last - least + 1, step)]
     if not begun:
         return None
