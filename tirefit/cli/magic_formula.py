@@ -90,8 +90,8 @@ def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path, of_
     from tirefit.data.table import CANONICAL
     from tirefit.data.tir import read_tir
 
-    tir = read_tir(file)
     check_results(_files(out))
+    tir = read_tir(file)
     start_jax()
     from tirefit.fitting.mf.convert import converted
     from tirefit.fitting.tir import USUAL_SHARES
