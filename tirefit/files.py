@@ -139,14 +139,15 @@ def write_text_atomic(path: str | os.PathLike, text: str) -> None:
     write_texts({path: text})
 
 
-def write_texts(texts: Mapping[Any, str]) -> None:
+def write_texts(texts: Mapping[Any, str | bytes], gone: Iterable[Path] = ()) -> None:
     """Write several files that belong together, as :func:`write_text_atomic`.
 
     All content is on the disk before the first file is replaced. If two processes write
     the same files, or one is killed, all of them are from one process.
 
     Args:
-        texts: path -> content.
+        texts: path -> content; the document that the others belong to is the last.
+        gone: earlier files of a result, which have no successor.
 
     Raises:
         OSError: naming the path that could not be written.
@@ -158,12 +159,13 @@ def write_texts(texts: Mapping[Any, str]) -> None:
         for path, text in texts.items():
             path = Path(path)
             temporary = waiting.enter_context(_temporary(path))
-            temporary.write_text(text, encoding="utf-8", newline="")
+            temporary.write_bytes(text if isinstance(text, bytes) else text.encode())
             os.chmod(temporary, _mode(path))
             made[path] = temporary
-        if len(made) > 1:
-            replace_together(made)
-        for path, temporary in made.items() if len(made) == 1 else ():
+        gone = [path for path in gone if os.path.lexists(path)]
+        if len(made) + len(gone) > 1:
+            replace_together(made, gone)
+        for path, temporary in made.items() if len(made) + len(gone) == 1 else ():
             os.replace(temporary, path)
 
 

@@ -2,6 +2,7 @@
 
 import os
 import pty
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import threading
 import pytest
 from test_cli_fit import FAST, content, write
 
+from tests.killed import steps_of
 from tirefit.cli import options
 from tirefit.cli.commands import app
 from tirefit.cli.output import _interrupts_held, check_results, claimed, is_page, staged
@@ -105,6 +107,38 @@ def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
         assert (tmp_path / "fit.json").read_text() == "old"
     kept = {"fit.json": b"new", "notes.txt": b"old", "chain.npz": b"old"}
     assert files_of(tmp_path) == kept
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
+    """The document is there only with the figures of its result, and the next command
+    removes what is left of a killed one."""
+    old = ["fit.json", "fit.png", "corner.png", "posterior.nc", "notes.txt"]
+    new = ["fit.json", "fit.png", "trace.png"]
+    known = ["fit.png", "corner.png", "trace.png", "posterior.nc"]
+
+    def restore():
+        shutil.rmtree(tmp_path)
+        tmp_path.mkdir()
+        for name in old:
+            (tmp_path / name).write_text("old")
+
+    def work():
+        with staged(tmp_path, known, "") as folder:
+            for name in new:
+                (folder / name).write_text("new")
+
+    states = set()
+    for _ in steps_of(work, restore):
+        with claimed(tmp_path):
+            pass
+        there = {name: text.decode() for name, text in files_of(tmp_path).items()}
+        assert there.pop("notes.txt") == "old"
+        if "fit.json" in there:
+            names = old[:-1] if there["fit.json"] == "old" else new
+            assert there == dict.fromkeys(names, there["fit.json"])
+            states.add(there["fit.json"])
+    assert states == {"old", "new"}
 
 
 @pytest.fixture

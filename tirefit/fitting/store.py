@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFlo
 
 from tirefit.data.records import FileRecord, Row
 from tirefit.door import outrageous, read_record
-from tirefit.files import replacing, write_text_atomic
+from tirefit.files import write_texts
 from tirefit.fitting.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import SCHEMA, FitResult
@@ -219,11 +219,10 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
     )
 
 
-def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
-    """Write the posterior as netCDF: an xarray DataTree in the InferenceData layout.
+def posterior_content(result: FitResult) -> bytes:
+    """The posterior as netCDF: an xarray DataTree in the InferenceData layout.
 
-    Every walker is a chain, as tools take the draws of a chain for a sequence. The file
-    is written to a temporary name, then renamed.
+    Every walker is a chain, as tools take the draws of a chain for a sequence.
     """
     import xarray as xr  # slow to import, and used for posteriors only
 
@@ -262,23 +261,18 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
     )
     # Made in memory, as HDF5 ends the process if the disk is full.
     content = tree.to_netcdf(None, engine="h5netcdf")
-    with replacing(path) as temporary:
-        temporary.write_bytes(content)
+    return content
 
 
 def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:
-    """Write ``fit.json`` and, if sampled, ``posterior.nc``, each completely or not at all."""
+    """Write ``fit.json`` and, if sampled, ``posterior.nc``, both or none."""
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    written = []
-    if result.walkers is None:
-        # The posterior of an earlier fit would be mistaken for that of this fit.json.
-        (directory / "posterior.nc").unlink(missing_ok=True)
-    else:
-        write_posterior(result, directory / "posterior.nc")
-        written.append(directory / "posterior.nc")
-    write_text_atomic(directory / "fit.json", result.to_json())
-    return [directory / "fit.json", *written]
+    document, posterior = directory / "fit.json", directory / "posterior.nc"
+    sampled = {} if result.walkers is None else {posterior: posterior_content(result)}
+    # The posterior of an earlier fit would be mistaken for that of this fit.json.
+    write_texts({**sampled, document: result.to_json()}, [] if sampled else [posterior])
+    return [document, *sampled]
 
 
 _STATISTICS = ("rmse", "r2", "chi2_dof", "n", "n_effective")
