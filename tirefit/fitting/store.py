@@ -261,7 +261,7 @@ def posterior_content(result: FitResult) -> bytes:
     )
     # Made in memory, as HDF5 ends the process if the disk is full.
     content = tree.to_netcdf(None, engine="h5netcdf")
-    return content
+    return bytes(content)
 
 
 def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:

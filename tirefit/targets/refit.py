@@ -151,7 +151,7 @@ def beyond_measured(tire: Tire, ranges: Ranges, convention: str) -> str:
     own = {"kappa": "fx", "alpha": "fy"}
     used, known = (turned_range(one, convention) for one in (ranges, tire.measured))
     for name in [name for name in used if name in known]:
-        (low, high), (least, most) = used[name], known[name]
+        low, high, least, most = (end + 0.0 for end in (*used[name], *known[name]))  # no -0
         less, more = least - _NARROW, most + _NARROW
         if name == "fz":
             less, more = (share * end for share, end in zip(OTHER_LOADS, known[name], strict=True))
