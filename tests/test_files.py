@@ -89,7 +89,6 @@ def test_files_that_belong_together_are_written_together(tmp_path):
     assert (one.read_text(), two.read_text()) == ("new", "newer")
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_a_killed_process_leaves_no_mixture_of_files(tmp_path):
     """Of three files, or two of them, written together: those that are there are of one
     result if the last is there."""

@@ -156,15 +156,14 @@ def write_texts(texts: Mapping[Any, str | bytes], gone: Iterable[Path] = ()) -> 
     with ExitStack() as waiting:
         if len(texts) > 1:
             waiting.enter_context(_alone({Path(path).parent for path in texts}))
-        for path, text in texts.items():
-            path = Path(path)
+        for path, text in reversed([(Path(path), text) for path, text in texts.items()]):
             temporary = waiting.enter_context(_temporary(path))
             temporary.write_bytes(text if isinstance(text, bytes) else text.encode())
             os.chmod(temporary, _mode(path))
             made[path] = temporary
         gone = [path for path in gone if os.path.lexists(path)]
         if len(made) + len(gone) > 1:
-            replace_together(made, gone)
+            replace_together(dict(reversed(made.items())), gone)
         for path, temporary in made.items() if len(made) + len(gone) == 1 else ():
             os.replace(temporary, path)
 

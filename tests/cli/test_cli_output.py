@@ -109,7 +109,6 @@ def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
     assert files_of(tmp_path) == kept
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
     """The document is there only with the figures of its result, and the next command
     removes what is left of a killed one."""

@@ -40,6 +40,7 @@ from tirefit.vehicle.windows import (
     integrated,
     known_vehicle,
     left_out,
+    starts_in,
     steering_problems,
     stretches,
 )
@@ -51,10 +52,6 @@ HORIZONS = (0.25, 0.5, 1.0, 2.0, 5.0)
 
 EVERY = 0.25
 """Time [s] from one start to the next; a multiple of it in a log of many."""
-
-_MOST = 10_000
-"""Most windows of a log: of 5 s at 50 Hz with their predictions they take 2 GB. They
-overlap, so more of them hardly change the errors."""
 
 QUANTITIES = {
     "yaw_rate": "rad/s",
@@ -234,8 +231,7 @@ def replay(
         vehicle = vehicle.model_copy(update={"steering": late})
     tires = axle_tire(front), axle_tire(rear)
     fitted = {run for tire in tires for run in tire.runs}
-    rate = vehicle.filter.sample_rate
-    generator = np.random.default_rng(seed)
+    rate, generator = vehicle.filter.sample_rate, np.random.default_rng(seed)
     named = None if effects is None else applied(effects)
     apply = named and partial(named.channels, vehicle, tires)
     thinned: list[str] = []
@@ -289,8 +285,7 @@ def _checked(vehicle: Vehicle, horizons: Sequence[float], delay: float) -> list[
         problems.append(InputProblem(reason, "give seconds, zero or more"))
     given = [float(h) for h in horizons]
     least = 1 / vehicle.filter.sample_rate
-    rises = given and sorted(set(given)) == given
-    if not (rises and least <= given[0] and given[-1] < math.inf):
+    if not (given and sorted({*given}) == given and least <= given[0] and given[-1] < math.inf):
         reason = f"horizons {', '.join(f'{h:g}' for h in given)} do not rise"
         remedy = f"give times from {least:g} s on, in order, such as 0.5 1 2"
         problems.append(InputProblem(reason, remedy))
@@ -340,14 +335,11 @@ def _windows(
     good = motion.settled & (motion.v_x > vehicle.v_min)
     good &= np.isfinite(_channels(motion, vehicle)).all(axis=0)
     each = stretches(good, motion.part)
-    step = max(round(EVERY * rate), 1)
-    times = math.ceil(sum(max(last - first - least, 0) for first, last in each) / step / _MOST)
-    if times > 1:
-        step *= times
-        thinned.append(f"a log is long: its windows start every {step / rate:.3g} s")
-    begun = [(k, last) for first, last in each for k in range(first, last - least + 1, step)]
+    begun, step = starts_in(each, least, max(round(EVERY * rate), 1))
     if not begun:
         return None
+    if step > max(round(EVERY * rate), 1):
+        thinned.append(f"a log is long: its windows start every {step / rate:.3g} s")
     starts, ends = np.array(begun).T
     rows = starts[:, None] + np.arange(most)
     there = rows < ends[:, None]
