@@ -65,8 +65,8 @@ def test_a_usual_name_is_accepted_and_compiles(name, tmp_path):
     path = tmp_path / f"{name}.h"
     tirefit.export("brush", "c", path)
     main = f'#include "{path.name}"\n#include <stdio.h>\n#include <stdlib.h>\n#include <string.h>\n'
-    main += f"int main(void) {{ double force[3]; {name}(0.1, 0.1, 4000.0, force);\n"
-    main += 'return printf("%.17g %.17g %.17g\\n", force[0], force[1], force[2]) < 0; }\n'
+    main += f"int main(void) {{ double out[3]; {name}(0.1, 0.1, 4000.0, out);\n"
+    main += 'return printf("%.17g %.17g %.17g\\n", out[0], out[1], out[2]) < 0; }\n'
     (tmp_path / "main.c").write_text(main)
     options = ["-std=c99", "-Wall", "-Werror", "main.c", "-lm", "-o", "main"]
     done = subprocess.run(["cc", *options], cwd=tmp_path, capture_output=True, text=True)
