@@ -6,6 +6,7 @@ import os
 import numpy as np
 import pytest
 
+from tests.killed import steps_of
 from tirefit.data.write import write_csv
 from tirefit.files import json_safe, json_text, replacing, write_text_atomic, write_texts
 from tirefit.results import Outcome
@@ -86,3 +87,53 @@ def test_files_that_belong_together_are_written_together(tmp_path):
     two.parent.mkdir()
     write_texts({one: "new", two: "newer"})
     assert (one.read_text(), two.read_text()) == ("new", "newer")
+
+
+def test_a_killed_process_leaves_no_mixture_of_files(tmp_path):
+    """Of three files, or two of them, written together: those that are there are of one
+    result if the last is there."""
+    paths = [tmp_path / name for name in ("a.png", "b.csv", "c.json")]
+
+    def restore():
+        for path in tmp_path.iterdir():
+            path.unlink()
+        for path in (*paths, tmp_path / "notes.txt"):
+            path.write_text("old")
+
+    killed = 0
+    for _ in steps_of(lambda: write_texts(dict.fromkeys(paths, "new")), restore):
+        killed += 1
+        there = [path.read_text() for path in paths if path.exists()]
+        if paths[-1].exists():
+            assert len(there) == 3 and len(set(there)) == 1
+        assert (tmp_path / "notes.txt").read_text() == "old"
+    assert killed >= 6
+    restore()
+    write_texts(dict.fromkeys(paths, "new"))
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
+        **dict.fromkeys([path.name for path in paths], "new"),
+        "notes.txt": "old",
+    }
+
+
+def test_a_renaming_that_fails_undoes_the_others(tmp_path, monkeypatch):
+    paths = [tmp_path / name for name in ("a", "b", "c")]
+    for path in paths[:2]:
+        path.write_text("old")
+    before = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    rename, failed = os.replace, 0
+    for step in range(5):  # two are set aside, three put in place
+        left = [step]
+
+        def failing(one, other, left=left):
+            left[0] -= 1
+            if left[0] == -1:
+                raise OSError(5, "fault", str(other))
+            rename(one, other)
+
+        monkeypatch.setattr(os, "replace", failing)
+        with pytest.raises(OSError, match="fault"):
+            write_texts(dict.fromkeys(paths, "new"))
+        failed += 1
+        assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
+    assert failed == 5

@@ -7,8 +7,10 @@ itself contain a checksum, which detects a single flipped bit.
 import hashlib
 import json
 import math
+import os
 import re
 import tomllib
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,9 @@ from tirefit.results import DataError, InputProblem, TirefitError, UsageError
 MIB = 2**20
 SETTINGS, TIRE, RECORD, CHAIN, DATA = (1 * MIB, 8 * MIB, 256 * MIB, 1024 * MIB, 1024 * MIB)
 """Largest sizes: settings, ``.tir``, JSON, stored chains, data (also when unpacked)."""
+
+COLUMNS = 10_000
+"""Most columns of a table; recordings of whole cars have some thousands."""
 
 _DEEPEST = 16  # most levels of nested tables and lists; valid files have up to 6
 
@@ -50,6 +55,39 @@ def content_of(
     if len(content) > most:
         raise too_large(path, most, error)
     return content
+
+
+def replaced_inputs(
+    made: Iterable[str | Path], read: Mapping[str, Iterable[object]]
+) -> list[InputProblem]:
+    """The problems of files to write that are inputs, also by a link or another name.
+
+    Args:
+        made: the files to write.
+        read: option or argument -> the files that it names, among other things.
+    """
+    known: dict[tuple[int, int] | None, str] = {}
+    for option, given in read.items():
+        for one in given:
+            if isinstance(one, str | Path) and (there := _identity(one)):
+                known.setdefault(there, option)
+    problems = []
+    for path in made:
+        there = _identity(path)
+        if there in known:
+            of = f" ({known[there]})" if known[there] else ""
+            reason = f"it is an input file{of}, which would be replaced"
+            problems.append(InputProblem(reason, "choose another --out", str(path)))
+    return problems
+
+
+def _identity(path: str | Path) -> tuple[int, int] | None:
+    """What all names of an existing file have in common."""
+    try:
+        found = os.stat(path)
+    except (OSError, ValueError):  # ValueError: a NUL in the path
+        return None
+    return found.st_dev, found.st_ino
 
 
 def control_character(text: str) -> tuple[int, str] | None:
@@ -152,6 +190,21 @@ def read_record(path: str | Path, schema: str, remedy: str) -> dict:
     if seal != _digest(content):
         raise refused("it was changed or damaged since it was written: its checksum")
     return content
+
+
+UNSEALED = "checksum 0000000000000000"
+"""Place of the checksum of a text, see :func:`sealed_text`."""
+
+
+def sealed_text(text: str) -> str:
+    """The text with its checksum at every :data:`UNSEALED`."""
+    return text.replace(UNSEALED, f"checksum {hashlib.sha256(text.encode()).hexdigest()[:16]}")
+
+
+def is_sealed_text(text: str) -> bool:
+    """Whether the text is as :func:`sealed_text` returned it."""
+    found = re.search("checksum [0-9a-f]{16}", text)
+    return found is not None and sealed_text(text.replace(found.group(), UNSEALED)) == text
 
 
 def sealed_bytes(kind: str, content: bytes) -> bytes:

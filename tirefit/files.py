@@ -1,12 +1,13 @@
 """Write files completely or not at all, and convert content to JSON."""
 
 import enum
+import errno
 import json
 import math
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
@@ -18,8 +19,9 @@ try:
 except ImportError:  # Windows has no such locks: two processes may write at once
     fcntl = None
 
-PART = ".part"
-"""End of the name of a file that is not complete yet; the name begins with a dot."""
+PART = ".tirefit-part"
+"""End of the name of a file that is not complete yet, or that is replaced now; the name
+begins with a dot."""
 
 
 def json_text(content: Any) -> str:
@@ -56,6 +58,15 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
         OSError: naming ``path``, if it was not written; a note tells what it holds.
     """
     path = Path(path)
+    with _temporary(path) as temporary:
+        yield temporary
+        os.chmod(temporary, _mode(path))
+        os.replace(temporary, path)
+
+
+@contextmanager
+def _temporary(path: Path) -> Iterator[Path]:
+    """Context manager: a temporary file beside ``path``, which errors name instead of it."""
     try:
         # In the same directory, so that renaming is one step of the file system.
         handle, name = tempfile.mkstemp(PART, f".{path.name}.", path.parent)
@@ -64,16 +75,46 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     os.close(handle)
     try:
         yield Path(name)
-        os.chmod(name, _mode(path))
-        os.replace(name, path)
     except OSError as error:
-        if error.errno is None or error.filename not in (None, name):
+        if error.errno is None or str(error.filename or name) != name:
             raise
         # The user does not know the temporary name, so name ``path``.
         raise _of(path, error) from None
     finally:
         with suppress(OSError):  # its folder may have been removed
             os.unlink(name)
+
+
+def replace_together(made: Mapping[Path, Path], gone: Iterable[Path] = ()) -> None:
+    """Replace files that belong together, so that a killed process leaves no mixture.
+
+    All earlier files are renamed before the first new one takes its place, the last of
+    ``made`` first. Whoever finds the last file, finds the others of the same result.
+
+    Args:
+        made: path -> the new file that is renamed to it.
+        gone: earlier files that have no successor.
+
+    Raises:
+        OSError: a file could not be renamed; then all are as before.
+    """
+    for path in made:
+        if path.is_dir():  # found before the first file is replaced
+            raise IsADirectoryError(errno.EISDIR, "there is a folder", str(path))
+    done: list[tuple[Path, Path]] = []
+    earlier = [path for path in [*reversed(list(made)), *gone] if os.path.lexists(path)]
+    aside = {path: path.with_name(f".{path.name}.old{PART}") for path in earlier}
+    try:
+        for one, other in [*aside.items(), *((new, path) for path, new in made.items())]:
+            os.replace(one, other)
+            done.append((one, other))
+    except OSError:
+        for one, other in reversed(done):
+            os.replace(other, one)
+        raise
+    for other in aside.values():
+        with suppress(OSError):  # the next command in this folder removes it
+            other.unlink()
 
 
 def _of(path: Path, error: OSError) -> OSError:
@@ -98,25 +139,33 @@ def write_text_atomic(path: str | os.PathLike, text: str) -> None:
     write_texts({path: text})
 
 
-def write_texts(texts: Mapping[Any, str]) -> None:
+def write_texts(texts: Mapping[Any, str | bytes], gone: Iterable[Path] = ()) -> None:
     """Write several files that belong together, as :func:`write_text_atomic`.
 
     All content is on the disk before the first file is replaced. If two processes write
-    the same files, all of them are from one process.
+    the same files, or one is killed, all of them are from one process.
 
     Args:
-        texts: path -> content.
+        texts: path -> content; the document that the others belong to is the last.
+        gone: earlier files of a result, which have no successor.
 
     Raises:
         OSError: naming the path that could not be written.
     """
+    made: dict[Path, Path] = {}
     with ExitStack() as waiting:
         if len(texts) > 1:
             waiting.enter_context(_alone({Path(path).parent for path in texts}))
-        # The context entered last is left first, so its file is replaced first.
-        for path, text in reversed(list(texts.items())):
-            temporary = waiting.enter_context(replacing(path))
-            temporary.write_text(text, encoding="utf-8", newline="")
+        for path, text in reversed([(Path(path), text) for path, text in texts.items()]):
+            temporary = waiting.enter_context(_temporary(path))
+            temporary.write_bytes(text if isinstance(text, bytes) else text.encode())
+            os.chmod(temporary, _mode(path))
+            made[path] = temporary
+        gone = [path for path in gone if os.path.lexists(path)]
+        if len(made) + len(gone) > 1:
+            replace_together(dict(reversed(made.items())), gone)
+        for path, temporary in made.items() if len(made) + len(gone) == 1 else ():
+            os.replace(temporary, path)
 
 
 # --- two processes --------------------------------------------------------------

@@ -150,8 +150,25 @@ def _problems(kind: type[Section], detail: Any) -> list[InputProblem]:
 def _in_words(detail: Any) -> str:
     if detail["type"] in ("dict_type", "model_type"):
         return "must be a table"
-    text = detail["msg"].replace(" after validation", "")
+    text = detail["msg"].replace(" after validation", "").removeprefix("Value error, ")
     return re.sub("^(Input|List) should", "must", text)
+
+
+_MOST = 3  # faults of a document in one sentence
+
+
+def faults_in(error: Exception) -> str:
+    """Key and reason of the first faults that reading a document found, in a line."""
+    if not isinstance(error, ValidationError):
+        text = f"the key {error}" if isinstance(error, KeyError) else str(error)
+        return (text.splitlines() or ["it is nested too deeply"])[0][:200]
+    details = error.errors(include_url=False)
+    each = [
+        f"{'.'.join(map(str, detail['loc']))[:80]}: {_in_words(detail)}".removeprefix(": ")
+        for detail in details[:_MOST]
+    ]
+    more = f"; and {len(details) - _MOST} more" if len(details) > _MOST else ""
+    return "; ".join(each) + more
 
 
 def _shown(value: Any) -> str:

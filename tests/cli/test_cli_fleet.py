@@ -124,7 +124,7 @@ def quick(monkeypatch, no_figures):
     def here(work, pieces, client):
         for number, piece in reversed(list(enumerate(pieces))):
             if piece.file.name in fatal:
-                (piece.to / ".writing").mkdir(parents=True)
+                (piece.to / ".tirefit-writing").mkdir(parents=True)
                 yield number, Ended(2)
             else:
                 yield number, work(piece)
@@ -160,7 +160,7 @@ def test_a_file_that_kills_workers_is_reported_once(run, files, quick, tmp_path)
 def test_an_interrupt_keeps_only_complete_results(run, files, quick, tmp_path, monkeypatch):
     def interrupted(*sharing):
         yield from islice(here(*sharing), 1)
-        (tmp_path / "out" / "b" / ".writing").mkdir(parents=True)
+        (tmp_path / "out" / "b" / ".tirefit-writing").mkdir(parents=True)
         raise KeyboardInterrupt
 
     here = fleet.shared
@@ -215,16 +215,17 @@ def test_workers_of_another_version_or_place_are_refused(files, tmp_path):
         assert outcome.last and outcome.code == 2 and said in outcome.complained
 
 
+INPUT = "it is an input file (FILES), which would be replaced"
 TWICE = "it would be both the result of one file and that of all"
 
 
 @pytest.mark.parametrize(
     ("command", "name", "said"),
     [
-        (("diagnose", "--force", "fx"), "results.parquet", "it is an input file"),
+        (("diagnose", "--force", "fx"), "results.parquet", INPUT),
         (("diagnose", "--figures"), "fleet.csv", TWICE),
-        (("prepare",), "fleet.html", "it is an input file"),
-        (("fit", *HOW), "results.parquet", "it is an input file"),
+        (("prepare",), "fleet.html", INPUT),
+        (("fit", *HOW), "results.parquet", INPUT),
         (("fit", *HOW, "a.csv"), "results.parquet.csv", TWICE),
     ],
 )
@@ -233,7 +234,7 @@ def test_summary_files_do_not_overwrite_other_files(run, files, tmp_path, comman
     out.mkdir()
     file = out / name
     file.write_bytes(files[0].read_bytes())
-    ended = run(*command, file, "--out", out, "--jobs", "1", exit_code=2)
+    ended = run(*command, file, "--out", out, "--jobs", "1", exit_code=3 if said == INPUT else 2)
     assert said in ended.stderr
     assert list(out.iterdir()) == [file]
     assert file.read_bytes() == files[0].read_bytes()

@@ -2,6 +2,7 @@
 
 import os
 import pty
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,9 +11,10 @@ import threading
 import pytest
 from test_cli_fit import FAST, content, write
 
+from tests.killed import steps_of
 from tirefit.cli import options
 from tirefit.cli.commands import app
-from tirefit.cli.output import _interrupts_held, check_directories, claimed, is_page, staged
+from tirefit.cli.output import _interrupts_held, check_results, claimed, is_page, staged
 from tirefit.fitting.result import SCHEMA
 from tirefit.results import UsageError
 
@@ -94,17 +96,48 @@ def test_a_failed_write_keeps_the_earlier_result(
 def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
     for name in ("fit.json", "corner.png", "notes.txt", "chain.npz"):
         (tmp_path / name).write_text("old")
-    (tmp_path / ".writing").mkdir()  # of a process that was killed
-    (tmp_path / ".writing" / "trace.png").write_text("torn")
-    (tmp_path / ".chain.npz.abc.part").write_text("torn")
+    (tmp_path / ".tirefit-writing").mkdir()  # of a process that was killed
+    (tmp_path / ".tirefit-writing" / "trace.png").write_text("torn")
+    (tmp_path / ".chain.npz.abc.tirefit-part").write_text("torn")
     with claimed(tmp_path):
-        assert not (tmp_path / ".chain.npz.abc.part").exists()
+        assert not (tmp_path / ".chain.npz.abc.tirefit-part").exists()
     known = ["fit.json", "corner.png", "trace.png"]
     with staged(tmp_path, known, "") as folder:
         (folder / "fit.json").write_text("new")
         assert (tmp_path / "fit.json").read_text() == "old"
     kept = {"fit.json": b"new", "notes.txt": b"old", "chain.npz": b"old"}
     assert files_of(tmp_path) == kept
+
+
+def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
+    """The document is there only with the figures of its result, and the next command
+    removes what is left of a killed one."""
+    old = ["fit.json", "fit.png", "corner.png", "posterior.nc", "notes.txt"]
+    new = ["fit.json", "fit.png", "trace.png"]
+    known = ["fit.png", "corner.png", "trace.png", "posterior.nc"]
+
+    def restore():
+        shutil.rmtree(tmp_path)
+        tmp_path.mkdir()
+        for name in old:
+            (tmp_path / name).write_text("old")
+
+    def work():
+        with staged(tmp_path, known, "") as folder:
+            for name in new:
+                (folder / name).write_text("new")
+
+    states = set()
+    for _ in steps_of(work, restore):
+        with claimed(tmp_path):
+            pass
+        there = {name: text.decode() for name, text in files_of(tmp_path).items()}
+        assert there.pop("notes.txt") == "old"
+        if "fit.json" in there:
+            names = old[:-1] if there["fit.json"] == "old" else new
+            assert there == dict.fromkeys(names, there["fit.json"])
+            states.add(there["fit.json"])
+    assert states == {"old", "new"}
 
 
 @pytest.fixture
@@ -131,13 +164,13 @@ def test_all_unwritable_directories_are_named(tmp_path, monkeypatch):
     file = tmp_path / "file"
     file.write_text("")
     with pytest.raises(UsageError) as caught:
-        check_directories([file, file / "below", tmp_path / "new" / "one"])
+        check_results([file / "a", file / "below" / "a", tmp_path / "new" / "one" / "a"])
     first, second = (str(problem) for problem in caught.value.problems)
     assert "file: no folder for the results: it is a file" in first
     assert f"{file} is a file" in second and "--out" in second
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everywhere
     with pytest.raises(UsageError, match=f"write into the folder {tmp_path}"):
-        check_directories([tmp_path / "new" / "one"])
+        check_results([tmp_path / "new" / "one" / "a"])
 
 
 PROGRAM = """

@@ -129,7 +129,7 @@ def test_one_bad_file_does_not_stop_the_others(run, unrendered, recording, tmp_p
     said = run("prepare", "no.csv", path, "--out", "out", exit_code=3)
     assert "no slip" in said.stderr and (tmp_path / "out/run7.csv").exists()
     run("prepare", "--out", "out", exit_code=2)
-    said = run("prepare", "no.csv", "--out", ".", exit_code=2).stderr
+    said = run("prepare", "no.csv", "--out", ".", exit_code=3).stderr
     assert "an input file" in said and (tmp_path / "no.csv").exists()
     said = run("prepare", path, path, "--out", "out", exit_code=2).stderr
     assert "several input files are named run7" in said

@@ -420,7 +420,8 @@ def test_logs_and_vehicle_files_are_not_overwritten(tmp_path, replaced):
     (log if replaced == "log" else vehicle).rename(companion)
     log, vehicle = (companion, vehicle) if replaced == "log" else (log, companion)
     before = companion.read_bytes()
-    with pytest.raises(UsageError, match="--out is an input file") as caught:
+    option = "LOG" if replaced == "log" else "--vehicle"
+    with pytest.raises(DataError, match=rf"it is an input file \({option}\)") as caught:
         derive_files([log], vehicle, tmp_path / "axle.csv")
     assert caught.value.problems[0].file == str(companion)
     assert companion.read_bytes() == before

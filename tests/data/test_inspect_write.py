@@ -164,12 +164,8 @@ def test_csv_has_all_digits_and_empty_cells_for_nan(tmp_path):
 def test_unwritable_outputs_are_refused_before_the_work(tmp_path, monkeypatch):
     path = tmp_path / "a.csv"
     assert output_problems(path) == []
-    path.write_text("")
-    assert output_problems(path, inputs=[tmp_path / "b.csv"]) == []
-    (problem,) = output_problems(path, inputs=[tmp_path / "." / "a.csv"])
-    assert "input file" in problem.reason and problem.file == str(path)
-    assert output_problems(tmp_path / "a.CSV", ending=".csv") == []
-    (problem,) = output_problems(tmp_path / "a.parquet", ending=".csv")
+    assert output_problems(tmp_path / "a.CSV", ".csv") == []
+    (problem,) = output_problems(tmp_path / "a.parquet", ".csv")
     assert (problem.reason, problem.remedy) == ("the output is a CSV", "end it in .csv")
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everywhere
     (problem,) = output_problems(path)

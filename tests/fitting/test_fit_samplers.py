@@ -13,7 +13,7 @@ from tirefit.fitting.estimate import fit
 from tirefit.fitting.importance import draw_weighted, smoothed
 from tirefit.fitting.nuts import nuts_chunk, nuts_start
 from tirefit.fitting.posterior import _density, sample
-from tirefit.fitting.store import write_posterior
+from tirefit.fitting.store import posterior_content
 from tirefit.report.draw import save_figures
 from tirefit.report.text import fit_report
 from tirefit.results import Outcome, UsageError
@@ -219,7 +219,7 @@ def test_importance_reports_that_it_has_no_trace(weighted, tmp_path):
 
 def test_arviz_reads_weighted_draws(arviz, weighted, tmp_path):
     path = tmp_path / "posterior.nc"
-    write_posterior(weighted, path)
+    path.write_bytes(posterior_content(weighted))
     with xr.open_datatree(path, engine="h5netcdf") as tree:
         posterior = tree["posterior"].to_dataset().load()
     assert posterior.attrs["sampler"] == "importance"

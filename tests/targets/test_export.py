@@ -343,8 +343,9 @@ def test_a_wrong_file_ending_or_an_input_file_is_refused(tmp_path):
     assert ran("brush", "--to", "c", "--out", tmp_path / "tire.py").exit_code == 2
     source = tmp_path / "tire.tir"
     source.write_bytes(Path(MF61).read_bytes())
-    done = ran(source, "--to", "c", "--out", source, "--force")
-    assert done.exit_code == 2 and source.read_bytes() == Path(MF61).read_bytes()
+    done = ran(source, "--to", "tir", "--out", source, "--force")
+    assert done.exit_code == 3 and "it is an input file (SOURCE)" in done.stderr
+    assert source.read_bytes() == Path(MF61).read_bytes()
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")

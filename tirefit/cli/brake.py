@@ -17,7 +17,7 @@ from tirefit.cli.options import (
     say,
     start_jax,
 )
-from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.cli.output import check_results, claimed, staged
 from tirefit.results import InputProblem, UsageError
 
 ANIMATION = "stop.gif"
@@ -90,7 +90,7 @@ def brake(
         settings = numbers("--tune", tune, problems)
         plant_values = numbers("--plant", plant, problems)
         UsageError.raise_for(problems)
-        check_directories([out])
+        check_results([out / name for name in FILES])
         start_jax()
         from tirefit.sim.manoeuvre import brake as braked
 

@@ -61,7 +61,11 @@ class LazyCommand(TyperCommand):
         return self.help or ""  # whole, not cut at a line
 
     def make_context(self, info_name, args, parent=None, **extra):
-        return self.loaded().make_context(info_name, args, parent, **extra)
+        context = self.loaded().make_context(info_name, args, parent, **extra)
+        from tirefit.cli.options import CONTEXT  # imported with the command
+
+        CONTEXT.set(context)
+        return context
 
 
 for _name, _help in COMMANDS.items():

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.fit_one import fit_into
+from tirefit.cli.fit_one import fit_files, fit_into
 from tirefit.cli.magic_formula import (
     MAGIC_FORMULA_NAMES,
     CombinationOption,
@@ -22,7 +22,7 @@ from tirefit.cli.options import (
     say,
     start_jax,
 )
-from tirefit.cli.output import check_directories
+from tirefit.cli.output import check_results
 from tirefit.results import InputProblem, TirefitError, UsageError, exit_code
 
 _SLIPS = 61  # slips of the grid, both ends included
@@ -189,7 +189,7 @@ def _checked(file, magic_formula, slip_min, slip_max, loads, out):
         reason = f"slips from {low:g} to {high:g}"
         problems.append(InputProblem(reason, "-1 < --slip-min < --slip-max < 1"))
     try:
-        check_directories([out])
+        check_results(fit_files(out))
     except UsageError as error:
         problems += error.problems
     UsageError.raise_for(problems)

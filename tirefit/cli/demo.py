@@ -1,5 +1,6 @@
 """``tirefit demo``: run the two main commands on measured samples of the package."""
 
+import filecmp
 import shlex
 import shutil
 from importlib.resources import as_file, files
@@ -9,7 +10,8 @@ from typing import Annotated
 import typer
 
 from tirefit.cli.options import errors_to_exit, named_path, say
-from tirefit.cli.output import check_directories
+from tirefit.cli.output import check_results
+from tirefit.results import DataError, InputProblem
 
 
 def demo(
@@ -20,9 +22,10 @@ def demo(
 ) -> None:
     """Fit and diagnose measured samples that ship with tirefit."""
     with errors_to_exit():
-        check_directories([out])
         samples = out / "samples"
         with as_file(files("tirefit") / "samples") as shipped:
+            check_results([samples / one.name for one in shipped.iterdir()])
+            _check_unchanged(shipped, samples)
             shutil.copytree(shipped, samples, dirs_exist_ok=True)
     say(
         "A car of scale 1:10 drove circles on one day and freely on another.\n"
@@ -44,6 +47,17 @@ def demo(
         "      the tire for another program\n"
         "  tirefit --help"
     )
+
+
+def _check_unchanged(shipped: Path, samples: Path) -> None:
+    """Raises DataError for files of the user that have the name of a sample."""
+    _, other, unread = filecmp.cmpfiles(
+        shipped, samples, [one.name for one in shipped.iterdir()], shallow=False
+    )
+    changed = [samples / name for name in [*other, *unread] if (samples / name).exists()]
+    reason = "it would be replaced, but is not the sample as it ships"
+    remedy = "choose another folder with --out, or rename the file"
+    DataError.raise_for([InputProblem(reason, remedy, str(path)) for path in changed])
 
 
 def _run(context: typer.Context, *words) -> None:

@@ -33,14 +33,7 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import (
-    check_directories,
-    check_distinct,
-    check_replaced,
-    claimed,
-    is_page,
-    staged,
-)
+from tirefit.cli.output import check_distinct, check_results, claimed, is_page, staged
 from tirefit.data.remote import expanded
 from tirefit.data.tire_file import tire_kind
 from tirefit.names import EFFECT_NAMES, MODEL_NAMES
@@ -73,18 +66,6 @@ def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
     """Files that a case writes: always, and as figures."""
     drawn = [f"{name}.png", f"{name}.html"]
     return [f"{name}.json", f"{name}.rows.csv"], drawn if figures else []
-
-
-def _check_replaced(
-    out: Path, names: list[str], figures: bool, inputs: list[Path], sharing: Sharing
-) -> None:
-    """Raises UsageError if results would replace an input or a file that is not a result."""
-    from tirefit.diagnosis.summary.result import SCHEMA
-
-    parts = [part for name in names for part in _written(name, figures)]
-    made = [out / one for part in parts for one in part]
-    check_replaced(made, inputs, SCHEMA.rpartition("/")[0])
-    sharing.check(out, inputs, made)
 
 
 @takes_data_options
@@ -171,7 +152,9 @@ def diagnose(
         refuse_tires(front, rear)
         names = [Path(file.name.removesuffix(".gz")).stem for file in files]
         check_distinct(names, "rename one: their results would overwrite each other")
-        check_directories([out])
+        parts = [part for name in names for part in _written(name, figures)]
+        made = [out / one for part in parts for one in part]
+        check_results([*made, *sharing.files(out, made)], files)
         config = read_config(options.config)
         how, plain = read_options(options, config), _PLAIN if model is None else model
         if config is not None:
@@ -179,10 +162,6 @@ def diagnose(
             asked = {"model": plain, "seed": seed, "force": force}
             _warn_of_unused(config, how, asked)
         start_jax()
-        known = [Path(model)] if model and tire_kind(model) else []
-        known += [path for path in (rig, options.config) if path is not None]
-        inputs = [*files, *(holdout or []), *known]
-        _check_replaced(out, names, figures, inputs, sharing)
         # A simulator known by its forces is represented by the best stand-in.
         base = model if sim else plain
         settings = _settings(base, rig, without, how)
@@ -361,7 +340,7 @@ def _of_before(document: Path) -> "FileRecord | None":
 
     try:
         return record_of_document(document)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
 
 
@@ -394,7 +373,7 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
             content["version"],
             content["settings"],
         ]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return False
     source, rig, given = table.source, settings["rig"], settings.get("sim")
     # The stand-in for a simulator follows from the data.

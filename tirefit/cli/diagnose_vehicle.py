@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from tirefit.cli.options import say, start_jax
-from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.cli.output import check_results, claimed, staged
 from tirefit.results import InputProblem, UsageError
 
 FILES = ("vehicle_diagnosis.json", "vehicle_diagnosis.png", "vehicle_diagnosis.html")
@@ -40,7 +40,7 @@ def diagnose_car(
     figures: bool,
 ) -> None:
     """Diagnose the car, print the report and write the files."""
-    check_directories([out])
+    check_results([out / name for name in FILES], logs)
     start_jax()
     from tirefit.report.canvas import save_picture
     from tirefit.vehicle.diagnose import diagnose_vehicle

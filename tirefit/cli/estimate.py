@@ -20,7 +20,7 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.cli.output import check_results, claimed, staged
 from tirefit.results import InputProblem, UsageError
 
 FILES = ("estimates.csv", "summary.json", "estimates.png")
@@ -89,7 +89,7 @@ def _checked(log, out, follow, setting) -> dict[str, float]:
         problems.append(InputProblem(reason, "name one with --out"))
     UsageError.raise_for(problems)
     if out is not None:
-        check_directories([out])
+        check_results([out / name for name in FILES])
     return values
 
 

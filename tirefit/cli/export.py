@@ -1,16 +1,13 @@
 """``tirefit export``: write a fitted tire as a file of another program."""
 
-import math
 from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Exit, Option
 
 from tirefit.cli.options import complain, errors_to_exit, named_path, numbers, pairs, say, start_jax
+from tirefit.cli.output import check_inputs_kept
 from tirefit.results import InputProblem, UsageError, exit_code
-
-RANGES = ("kappa", "alpha", "fz")
-"""Inputs of a tire whose range --over states."""
 
 _OVER = "range of a refit: kappa, alpha [rad], fz [N], iso-w signs"
 _DIAGNOSIS = "result of `tirefit diagnose`; the effects that it names change the tire"
@@ -50,7 +47,10 @@ def export(
     ] = "iso-w",
     name: Annotated[Text, Option(help="name of the function (default: that of the file)")] = None,
     force: Annotated[
-        bool, Option("--force", help="replace any file; accept errors above 5 %")
+        bool,
+        Option(
+            "--force", help="replace any file; accept errors above 5 %, and a range not measured"
+        ),
     ] = False,
     list_: Annotated[bool, Option("--list", help="list the targets and exit")] = False,
 ) -> None:
@@ -83,6 +83,7 @@ def export(
         if problems:
             raise UsageError(problems)
         assert to and out
+        check_inputs_kept([out])
         start_jax()
         done = export(
             source, to, out, front=front, rear=rear, vehicle=vehicle, over=ranges,
@@ -108,14 +109,8 @@ def _ranges(items: list[str] | None, problems: list[InputProblem]):
     for name, text in pairs("--over", items).items():
         low, _, high = text.partition(":")
         try:
-            ends = float(low), float(high)
-            usable = name in RANGES and -math.inf < ends[0] <= ends[1] < math.inf
-            usable &= name != "fz" or ends[0] > 0
+            found[name] = float(low), float(high)
         except ValueError:
-            usable = False
-        if usable:
-            found[name] = ends
-        else:
-            remedy = f"give {', '.join(RANGES)} as NAME=LOW:HIGH, fz above zero"
+            remedy = "give kappa, alpha or fz as NAME=LOW:HIGH"
             problems.append(InputProblem(f"--over {name}={text} is not a range", remedy))
     return found

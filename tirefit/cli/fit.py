@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_one
+from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_files, fit_one
 from tirefit.cli.fit_vehicle import Intervals, fit_vehicle
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, only_of_magic_formula
@@ -28,7 +28,7 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_directories, check_distinct, is_page
+from tirefit.cli.output import check_distinct, check_results, is_page
 from tirefit.data.remote import expanded
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
@@ -196,19 +196,20 @@ def fit(
             code = fit_whole(files, directory, settings, how, whole, strict, also)
             raise typer.Exit(code)
         directories = _output_directories(files, out, joint)
-        check_directories(directories)
         start_jax()
         from tirefit.fitting.problem import find_model
 
         find_model(settings.model or "brush")
         # The page of several fits needs all of them, also those done before.
         apart = sharing.apart and not joint
+        made = [file for directory in directories for file in fit_files(directory)]
+        made += [directories[0].parent / PAGE_OF_ALL] if len(directories) > 1 else []
+        made += sharing.files(out or Path(), directories) if apart else []
+        check_results(made, files)
         keep = resume and (apart or not html or len(files) == 1)
         also = Also(svg, html, full)
         task = FitTask(settings, how, posterior, resume, keep, also, strict)
         if apart:
-            known = [] if options.config is None else [options.config]
-            sharing.check(out or Path(), [*files, *known], directories)
             worst = _fit_apart(files, directories, task, sharing, out or Path())
         else:
             groups = [files] if joint else [[file] for file in files]

@@ -20,6 +20,14 @@ if TYPE_CHECKING:  # NumPy, which completion does not wait for
 PAGE, CHAIN = "fit.html", "chain.npz"
 
 
+def fit_files(directory: Path) -> list[Path]:
+    """Every file that a fit may write or replace in its folder."""
+    from tirefit.report.draw import FIGURE_FILES
+
+    names = ("fit.json", "posterior.nc", CHAIN, PAGE, *FIGURE_FILES)
+    return [directory / name for name in names]
+
+
 class Also(NamedTuple):
     """Options on what is written and printed in addition to result and figures."""
 
@@ -61,20 +69,21 @@ def fit_one(files, directory: Path, task: FitTask) -> tuple["FileRecord", "FitRe
     tables = [read(file, **task.how) for file in files]
     warn(*tables, assumed=tables[0].source.assumptions)
     asked = task.digest(tables)
-    content = _done(directory, asked, task) if task.keep else None
-    if content is not None:
+    before = _done(directory, asked, task) if task.keep else None
+    if before is not None:
         say(f"{files[0]}: done before, kept: {directory}")
-        return record_of_fit(content, str(directory)), None
+        return before, None
     data = tables[0] if len(tables) == 1 else join(tables)
     result = fit_into(directory, data, task.settings, task.posterior, task.resume, task.also, asked)
     return record_of_fit(result.to_dict(), str(directory)), result
 
 
-def _done(directory: Path, asked: str, task: FitTask) -> dict | None:
-    """Content of an existing ``fit.json`` for the same data and options, with all its
+def _done(directory: Path, asked: str, task: FitTask) -> "FileRecord | None":
+    """The record of an existing ``fit.json`` for the same data and options, with all its
     files; else None."""
     from tirefit.door import read_record
     from tirefit.fitting.result import SCHEMA
+    from tirefit.fitting.store import record_of_fit
 
     expected = ["fit.json", "fit.png"]
     expected += ["posterior.nc"] if task.posterior else []
@@ -84,11 +93,12 @@ def _done(directory: Path, asked: str, task: FitTask) -> dict | None:
         return None
     try:
         content = read_record(directory / "fit.json", SCHEMA, "")
-    except TirefitError:
+        record = record_of_fit(content, str(directory))
+        # A chain that can be continued is not done.
+        open_ended = {"chain_too_short", "interrupted"} & {*record.outcomes}
+    except (TirefitError, ValueError, LookupError, TypeError, AttributeError):
         return None
-    # A chain that can be continued is not done.
-    open_ended = {"chain_too_short", "interrupted"} & set(content["outcomes"])
-    return None if open_ended or content.get("asked") != asked else content
+    return None if open_ended or content.get("asked") != asked else record
 
 
 def fit_into(directory, data, settings, posterior=False, resume=False, also=Also(), asked=""):

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from tirefit.cli.options import say, start_jax
-from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.cli.output import check_results, claimed, staged
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 FIGURE = "trajectory.png"
@@ -38,7 +38,7 @@ def fit_vehicle(
         how: keywords of :func:`~tirefit.vehicle.trajectory.fit_trajectory`; None for its defaults.
     """
     models, out = models_of(model), out or Path(f"{vehicle.stem}.fit")
-    check_directories([out])
+    check_results([out / name for name in FILES], logs)
     start_jax()
     from tirefit.report.canvas import save_picture
     from tirefit.vehicle.trajectory import fit_trajectory

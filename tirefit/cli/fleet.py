@@ -27,7 +27,7 @@ from tirefit.cli.options import (
     say,
     start_jax,
 )
-from tirefit.cli.output import check_replaced, swept
+from tirefit.cli.output import swept
 from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
@@ -62,17 +62,20 @@ class Sharing:
     def apart(self) -> bool:
         return self.jobs is not None or self.scheduler is not None
 
-    def check(self, out: Path, inputs: Iterable[Path], made: Iterable[Path]) -> None:
-        """Raises UsageError if the table of all results in ``out``, or its page, would
-        replace an input or a result of one file (``made``)."""
+    def files(self, out: Path, made: Iterable[Path]) -> list[Path]:
+        """The table of all results in ``out``, and its page; none in this process.
+
+        Raises:
+            UsageError: one is the result of one file as well (``made``).
+        """
         if not self.apart:
-            return
+            return []
         ours = [out / TABLE, out / PAGE]
-        check_replaced(ours, inputs)
         if both := sorted(set(ours) & set(made)):
             reason = "it would be both the result of one file and that of all"
             remedy = "rename the file, or leave out --jobs and --scheduler"
             raise UsageError(reason, remedy, str(both[0]))
+        return ours
 
 
 class Piece(NamedTuple):

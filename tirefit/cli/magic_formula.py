@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.fit_one import PAGE, Also, wrote
+from tirefit.cli.fit_one import PAGE, Also, fit_files, wrote
 from tirefit.cli.notes import warn
 from tirefit.cli.options import complain, given_options, progress_bar, say, start_jax
-from tirefit.cli.output import check_directories, claimed, is_page, staged
+from tirefit.cli.output import check_results, claimed, is_page, staged
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
@@ -68,7 +68,7 @@ def fit_whole(
     from tirefit.data.read import read
     from tirefit.data.tir import notes_on, read_tir
 
-    check_directories([out])
+    check_results(_files(out), files)
     if like := options.get("like"):
         options = options | {"like": read_tir(like)}
         for text in notes_on(options["like"]):
@@ -92,8 +92,8 @@ def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path, of_
     from tirefit.data.table import CANONICAL
     from tirefit.data.tir import read_tir
 
+    check_results(_files(out))
     tir = read_tir(file)
-    check_directories([out])
     start_jax()
     from tirefit.fitting.mf.convert import converted
     from tirefit.fitting.tir import USUAL_SHARES
@@ -113,6 +113,13 @@ def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path, of_
 
 _ADVICE = "give starting values in fit.toml or fix a parameter"
 """Advice in the report of a fit that does not converge; `convert` has no fit.toml."""
+
+
+def _files(out: Path) -> list[Path]:
+    """Every file that a fit of a whole Magic Formula may write or replace."""
+    from tirefit.report.mf_draw import MAGIC_FORMULA_FILES
+
+    return [*fit_files(out), *(out / name for name in ("fit.tir", *MAGIC_FORMULA_FILES))]
 
 
 def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -> None:

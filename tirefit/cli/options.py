@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from functools import wraps
@@ -21,6 +22,9 @@ from tirefit.data.remote import file_at
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
+
+CONTEXT: ContextVar[Any] = ContextVar("CONTEXT", default=None)
+"""The command that runs, with the values of its options; None in a worker."""
 
 
 def named_path(text: str) -> Path:

@@ -1,8 +1,8 @@
 """Write folders of results: by one process at a time, each result completely or not."""
 
-import errno
 import json
 import os
+import re
 import shutil
 import signal
 import threading
@@ -10,18 +10,27 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from tirefit.cli.options import say
-from tirefit.files import PART, fcntl, took_lock
-from tirefit.results import InputProblem, UsageError
+from tirefit.cli.options import CONTEXT, say
+from tirefit.door import replaced_inputs
+from tirefit.files import PART, fcntl, replace_together, took_lock
+from tirefit.results import DataError, InputProblem, UsageError
 
 
-def check_directories(directories: Sequence[Path]) -> None:
-    """Raises UsageError for folders that cannot be created or written, before the work.
+def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None:
+    """Check all files that a command may write or replace in folders, before the work.
 
-    They are created later, with their parent folders.
+    Their folders are created later, with the parent folders.
+
+    Args:
+        made: the files.
+        inputs: files that are read and that no option of the command names.
+
+    Raises:
+        UsageError: a folder cannot be created or written.
+        DataError: a file is an input, or a JSON or TOML file that tirefit did not write.
     """
     problems = []
-    for directory in directories:
+    for directory in dict.fromkeys(path.parent for path in made):
         there = next(p for p in (directory, *directory.absolute().parents) if _is(p))
         reason, remedy = "", "choose another folder with --out"
         if not there.is_dir():
@@ -32,6 +41,11 @@ def check_directories(directories: Sequence[Path]) -> None:
         if reason:
             problems.append(InputProblem(reason, remedy, str(directory)))
     UsageError.raise_for(problems)
+    check_inputs_kept(made, inputs)
+    reason = "it would be replaced, but tirefit did not write it"
+    remedy = "choose another folder with --out, or rename the file"
+    others = [path for path in made if _is(path) and _is_of_others(path)]
+    DataError.raise_for([InputProblem(reason, remedy, str(path)) for path in others])
 
 
 def check_distinct(names: Sequence[str], remedy: str) -> None:
@@ -41,35 +55,59 @@ def check_distinct(names: Sequence[str], remedy: str) -> None:
         raise UsageError(f"several input files are named {', '.join(twice)}", remedy)
 
 
-def check_replaced(made: Iterable[Path], inputs: Iterable[Path], schema: str = "") -> None:
-    """Raises UsageError for results that would replace an input, or a JSON file that is no
-    earlier result; before the work.
+def check_inputs_kept(made: Iterable[Path], inputs: Iterable[object] = ()) -> None:
+    """Raises DataError for files to write that are inputs of this command.
 
-    Args:
-        schema: of every earlier result; empty files may be replaced.
+    Inputs are all files that an argument or option names, so that a new option needs no
+    line here, and ``inputs``.
     """
-    problems, inputs = [], [path for path in inputs if _is(path)]
-    for path in filter(_is, made):
-        if any(path.samefile(given) for given in inputs):
-            reason = "it is an input file, which would be replaced"
-        elif schema and path.suffix == ".json" and _is_of_others(path, schema):
-            reason = f"it would be replaced, but is not an earlier result ({schema})"
-        else:
+    DataError.raise_for(replaced_inputs(made, {**_named_files(), "": inputs}))
+
+
+_WRITTEN = ("out", "truth")
+"""Options that name files to write."""
+
+
+def _named_files() -> dict[str, list[object]]:
+    """Option of this command -> what it names, which may be files."""
+    context = CONTEXT.get()
+    if context is None:  # in a worker: the command has checked before
+        return {}
+    found: dict[str, list[object]] = {}
+    for one in context.command.params:
+        given = context.params.get(one.name)
+        if one.name in _WRITTEN or given is None:
             continue
-        remedy = "choose another folder with --out"
-        problems.append(InputProblem(reason, remedy, str(path)))
-    UsageError.raise_for(problems)
+        values = given if isinstance(given, list | tuple) else [given]
+        # Text may be NAME=FILE,NAME=FILE, as in front=a.json,rear=b.json.
+        parts = [p for v in values if isinstance(v, str) for p in re.split("[=,]", v)]
+        name = one.opts[0] if one.param_type_name == "option" else str(one.name).upper()
+        found[name] = [*values, *parts]
+    return found
 
 
-def _is_of_others(path: Path, schema: str) -> bool:
-    """Whether this is another JSON file; an unreadable one may be a damaged result."""
+_OURS = {".json": '"schema": "tirefit.', ".toml": "that tirefit fit estimated"}
+"""Text in a result, by the ending of the file."""
+
+
+def _is_of_others(path: Path) -> bool:
+    """Whether this is a JSON or TOML file that is no result of tirefit; a damaged JSON
+    file is one if it has a schema of tirefit."""
+    mark = _OURS.get(path.suffix)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        text = path.read_text(encoding="utf-8", errors="replace") if mark else ""
+    except OSError:
         return False
-    if not isinstance(content, dict):
+    if mark is None or not text.strip():
         return False
-    return not str(content.get("schema")).startswith(schema)
+    if path.suffix == ".toml":
+        return mark not in text.partition("\n")[0]
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        return mark not in text
+    schema = content.get("schema") if isinstance(content, dict) else None
+    return not str(schema).startswith("tirefit.")
 
 
 def _is(path: Path) -> bool:
@@ -115,7 +153,7 @@ def _remove_what_a_kill_left(directory: Path) -> None:
             left.unlink()
 
 
-_WRITING = ".writing"
+_WRITING = ".tirefit-writing"
 """Beginning of the name of the folder to which a result is written until complete."""
 
 
@@ -171,17 +209,10 @@ def is_page(path: Path, schema: str) -> bool:
 
 def _move(folder: Path, directory: Path, known: Collection[str]) -> None:
     """Move the files of the folder to the directory, and remove known ones it lacks."""
-    made = list(folder.iterdir())
-    for path in made:
-        target = directory / path.name
-        if target.is_dir():  # found before the first file is replaced
-            raise IsADirectoryError(errno.EISDIR, "there is a folder", str(target))
-    for name in known:
-        if not (folder / name).exists():
-            (directory / name).unlink(missing_ok=True)
     # The document is moved last, so that the other files belong to it.
-    for path in sorted(made, key=lambda path: path.suffix == ".json"):
-        os.replace(path, directory / path.name)
+    made = sorted(folder.iterdir(), key=lambda path: path.suffix == ".json")
+    gone = [directory / name for name in known if not (folder / name).exists()]
+    replace_together({directory / path.name: path for path in made}, gone)
 
 
 def _of(directory: Path, folder: Path, error: OSError) -> OSError:

@@ -23,7 +23,7 @@ from tirefit.cli.options import (
     say,
     takes_data_options,
 )
-from tirefit.cli.output import check_directories, check_distinct, check_replaced, claimed, staged
+from tirefit.cli.output import check_distinct, check_results, claimed, staged
 from tirefit.data.remote import expanded, file_at
 from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
@@ -106,11 +106,9 @@ def prepare(
             raise UsageError("no FILE given", "name one, or --repeat")
         names = [Path(file.name.removesuffix(".gz")).stem for file in files]
         check_distinct(names, "prepare them into different --out")
-        check_directories([out])
         ends = (".csv", ".segments.tsv", ".png", ".prepare.json")
         made = [out / f"{name}{end}" for name in names for end in ends]
-        check_replaced(made, files)
-        sharing.check(out, files, made)
+        check_results([*made, *sharing.files(out, made)], files)
         task = _Task(out, how, config)
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
         with claimed(out), merged_notes(len(files) > 1):
@@ -134,24 +132,23 @@ def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]
         reason = "--repeat with other settings"
         raise UsageError(reason, "give only the files, or no --repeat")
     from tirefit.data.prepare.settings import PrepareConfig
-    from tirefit.data.prepare.store import SCHEMA
-    from tirefit.door import read_record
+    from tirefit.data.prepare.store import load_record
     from tirefit.settings import parse_settings
 
-    content = read_record(record, SCHEMA, "give a NAME.prepare.json of tirefit prepare")
-    config = parse_settings(PrepareConfig, content["config"], str(record))
+    content = load_record(record)
+    config, how = parse_settings(PrepareConfig, content.config, str(record)), dict(content.read)
     if files:
-        return files, content["read"], config
-    file = Path(content["input"]["path"])
+        return files, how, config
+    file = Path(content.input.path)
     if not file.is_file():
         reason = f"{file}, from which it was made, does not exist"
         remedy = "name the file: tirefit prepare FILE --repeat ..."
         raise DataError(reason, remedy, str(record))
-    if hashlib.sha256(file.read_bytes()).hexdigest() != content["input"]["sha256"]:
+    if hashlib.sha256(file.read_bytes()).hexdigest() != content.input.sha256:
         reason = f"{file} is not the file from which it was made: its sha256 differs"
         remedy = f"to prepare it anyway: tirefit prepare {file} --repeat {record}"
         raise DataError(reason, remedy, str(record))
-    return [file], content["read"], config
+    return [file], how, config
 
 
 @dataclass(frozen=True)

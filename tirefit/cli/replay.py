@@ -6,11 +6,12 @@ from typing import Annotated
 import typer
 
 from tirefit.cli.options import errors_to_exit, named_path, say, start_jax
-from tirefit.cli.output import claimed, staged
+from tirefit.cli.output import check_results, claimed, staged
 from tirefit.data.remote import file_at
 from tirefit.results import InputProblem, UsageError
 
 RECORD, FIGURES, PAGE = "replay.json", ("replay.png", "series.png"), "replay.html"
+FILES = (RECORD, *FIGURES, PAGE)
 
 
 def replay(
@@ -64,6 +65,7 @@ def replay(
         if not logs:
             reason, remedy = "a log is missing", "name one log or more"
             raise UsageError(InputProblem(reason, remedy))
+        check_results([out / name for name in FILES])
         start_jax()
         from tirefit.report.canvas import save_picture
         from tirefit.vehicle.replay import HORIZONS
@@ -81,7 +83,7 @@ def replay(
                 effects=effects,
                 seed=seed,
             )
-            with staged(out, (RECORD, *FIGURES, PAGE), result) as folder:
+            with staged(out, FILES, result) as folder:
                 result.save(folder)
                 for what, name in zip(("path", "series"), FIGURES, strict=True):
                     save_picture(result.plot(what), folder / name)

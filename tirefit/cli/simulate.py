@@ -92,7 +92,7 @@ def _file_problems(out: Path, truth: Path | None) -> list[InputProblem]:
 
     problems = []
     for path in filter(None, (out, truth)):
-        problems += output_problems(path, ending=".csv")
+        problems += output_problems(path, ".csv")
     if truth is not None and truth.absolute() == out.absolute():
         problems.append(InputProblem("--truth is the same file as --out", "give another name"))
     return problems

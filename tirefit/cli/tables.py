@@ -31,6 +31,7 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
+from tirefit.cli.output import check_inputs_kept
 from tirefit.data.remote import expanded
 from tirefit.data.tire_file import tire_kind
 from tirefit.files import json_safe
@@ -267,11 +268,12 @@ def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
     """Values of ``--set``; raises UsageError with all problems before the work."""
     from tirefit.data.write import output_problems
 
-    problems = output_problems(out, inputs=[data, source], ending=".csv")
+    problems = output_problems(out, ".csv")
     values = numbers("--set", parameter, problems)
     if is_file and values:
         problems.append(InputProblem("--set with a fit.json", "use it with a model name"))
     UsageError.raise_for(problems)
+    check_inputs_kept([out])
     return values
 
 

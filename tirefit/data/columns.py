@@ -72,6 +72,10 @@ _DECLARED_BY = {
 }
 
 
+_LONGEST = 200
+"""Characters of the longest header; a longer text is a line that was not split."""
+
+
 class Guess(NamedTuple):
     """The meaning of a header: the name of the column and, if stated, its unit."""
 
@@ -111,6 +115,8 @@ class Plan:
 def guess(header: str) -> Guess | None:
     """Name and unit that a header states, or None. ``Fx_std_N`` is fx_std in N, and
     ``Fx_sim`` the fx of a simulator."""
+    if len(header) > _LONGEST:
+        return None
     bracketed = _BRACKETED.match(header)
     text, unit = bracketed.groups() if bracketed else (header, None)
     words = [word for word in re.split(_SEPARATORS, text.strip()) if word]

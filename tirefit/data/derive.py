@@ -45,6 +45,7 @@ from tirefit.data.stated import assumptions_of, stated_of
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
+from tirefit.door import replaced_inputs
 from tirefit.files import write_texts
 from tirefit.results import DataError, InputProblem, UsageError
 
@@ -447,10 +448,9 @@ def name_problems(paths: Sequence[str | Place]) -> list[InputProblem]:
 def _check_names(
     paths: Sequence[str | Place], vehicle_toml: str | Path, made: tuple[Path, Path]
 ) -> None:
-    """Raise UsageError unless the first of ``made`` can be written as CSV, no input would
-    be replaced, and all logs have different names."""
-    given = [str(path) for path in (*paths, vehicle_toml)]
+    """Raise an error unless the first of ``made`` can be written as CSV, all logs have
+    different names, and no input would be replaced."""
     out, beside = made
-    problems = output_problems(out, given, ".csv") or output_problems(beside, given)
-    problems += name_problems(paths)
-    UsageError.raise_for(problems)
+    problems = output_problems(out, ".csv") or output_problems(beside)
+    UsageError.raise_for([*problems, *name_problems(paths)])
+    DataError.raise_for(replaced_inputs(made, {"LOG": paths, "--vehicle": [vehicle_toml]}))

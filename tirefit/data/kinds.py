@@ -25,6 +25,7 @@ from tirefit.data.text import (
     table_of_vbo,
 )
 from tirefit.data.tire_file import describes_tir, other_tire
+from tirefit.door import COLUMNS
 from tirefit.results import DataError, InputProblem
 
 _AS_TEXT = "export it as CSV, or save it as Parquet or as a MATLAB file"
@@ -54,8 +55,17 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
     """Read a file of any kind into cells; ``declared`` headers help to find columns.
 
     Raises:
-        DataError: the file does not exist, is damaged, of unknown kind, or has no table.
+        DataError: the file does not exist, is damaged, of unknown kind, or has no table,
+            or more columns than :data:`~tirefit.door.COLUMNS`.
     """
+    table = _read(path, declared)
+    if len(table.headers) > COLUMNS:
+        reason = f"it has {len(table.headers)} columns, more than {COLUMNS}"
+        raise DataError(reason, "keep the columns of slips, load and forces", str(path))
+    return table
+
+
+def _read(path: Place, declared: Collection[str]) -> Table:
     is_known = _knower(declared)
     # The folder of a ROS 2 bag.
     if isinstance(path, Path) and (path / "metadata.yaml").is_file():

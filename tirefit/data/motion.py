@@ -5,9 +5,11 @@ zero-phase low-pass, moved to the centre of gravity and differentiated. Axes are
 ISO 8855: x forward, y left, yaw counter-clockwise.
 """
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -42,11 +44,16 @@ class Motion:
         """Time derivative (n,) of values (n,), by central differences within each
         stretch; NaN in a stretch of a single sample."""
         rate = np.full(len(values), np.nan)
-        for number in np.unique(self.part):
-            rows = self.part == number
-            if rows.sum() > 1:
+        for rows in self.stretches:
+            if rows.stop - rows.start > 1:
                 rate[rows] = np.gradient(values[rows], self.time[rows])
         return rate
+
+    @property
+    def stretches(self) -> list[slice]:
+        """The rows of each stretch between gaps."""
+        cuts = (np.flatnonzero(np.diff(self.part)) + 1).tolist()
+        return [slice(a, b) for a, b in itertools.pairwise([0, *cuts, len(self.part)])]
 
 
 def read_motion(path: str | Place, vehicle: Vehicle) -> tuple[Track, Motion, int]:
@@ -167,15 +174,23 @@ def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0):
     Returns:
         None if there are too few samples.
     """
-    from scipy.signal import butter, sosfiltfilt  # slow, and no other reader needs it
+    from scipy.signal import sosfiltfilt  # slow, and no other reader needs it
 
     settings = vehicle.filter
     rate, cutoff = settings.sample_rate, settings.cutoff / slower
     padding = math.ceil(slower * settings.settling * rate)
     if len(uniform) <= 2 * padding:
         return None
-    sections = butter(settings.order, cutoff, fs=rate, output="sos")
+    sections = _sections(settings.order, cutoff, rate)
     return sosfiltfilt(sections, uniform, axis=0, padlen=padding)
+
+
+@cache
+def _sections(order: int, cutoff: float, rate: float) -> np.ndarray:
+    """The filter, which takes longer to design than to apply to a short stretch."""
+    from scipy.signal import butter
+
+    return butter(order, cutoff, fs=rate, output="sos")
 
 
 _SHARE_STATED, _SHARE_ASSUMED, _SHARE_BRAKING = 0.05, 0.15, 0.3

@@ -97,8 +97,7 @@ def _slowly(track: Track, motion: Motion, vehicle: Vehicle) -> dict[str, np.ndar
     """Channel -> values (n,) on the grid, low-passed; NaN where it is not known."""
     slow = np.full_like(motion.logged, np.nan)
     reach = round(_SLOWER * vehicle.filter.settling * vehicle.filter.sample_rate)
-    for number in np.unique(motion.part):
-        rows = motion.part == number
+    for rows in motion.stretches:
         known = np.isfinite(motion.logged[rows])
         smooth = low_passed(np.where(known, motion.logged[rows], 0.0), vehicle, _SLOWER)
         if smooth is not None:

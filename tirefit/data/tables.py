@@ -10,6 +10,7 @@ import numpy as np
 
 from tirefit.data.extras import extra
 from tirefit.data.mat import Channels
+from tirefit.door import DATA, MIB, too_large
 from tirefit.results import DataError
 
 _PARQUET, _ARROW = b"PAR1", b"ARROW1"
@@ -46,7 +47,11 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
     pyarrow = extra("pyarrow", f"{kind} files", file)
     try:
         if is_parquet:
-            table = extra("pyarrow.parquet", "", file).read_table(io.BytesIO(content))
+            packed = extra("pyarrow.parquet", "", file).ParquetFile(io.BytesIO(content))
+            # A value that is repeated takes no room in the file.
+            if packed.metadata.num_rows * packed.metadata.num_columns * 8 > DATA:
+                raise too_large(file, DATA)
+            table = packed.read()
         else:
             table = extra("pyarrow.ipc", "", file).open_file(content).read_all()
         table.validate(full=True)
@@ -57,6 +62,8 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
             for key in _UNIT_KEYS
             if key in (field.metadata or {})
         }
+    except DataError:
+        raise
     except Exception as error:  # pyarrow raises many kinds on damaged files
         reason = f"the {kind} file cannot be read: {error}"
         raise DataError(reason, "write it again", file) from error
@@ -154,8 +161,11 @@ def _sheets(content: bytes, file: str) -> dict[str, list[tuple[int, list[str]]]]
     if content.startswith(_OLE):
         module, age, cells = "xlrd", " of before 2007 (.xls)", _cells_of_xls
     library = extra(module, f"Excel files{age}", file)
+    _check_unpacked(content, file)
     try:
-        return {title: _rows(rows) for title, rows in cells(library, content)}
+        return {title: _rows(rows, file) for title, rows in cells(library, content)}
+    except DataError:
+        raise
     except Exception as error:  # both raise many kinds on damaged files
         reason = f"the Excel file{age} cannot be read: {error}"
         remedy = "save it again, as .xlsx and without a password"
@@ -188,10 +198,34 @@ def _cells_of_xls(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
         yield sheet.name, ([value(cell) for cell in row] for row in sheet.get_rows())
 
 
-def _rows(cells: Iterable) -> list[tuple[int, list[str]]]:
-    """Rows with content as (number in the sheet, texts), all of one length."""
-    rows = []
+_UNPACKED, _CELLS = 128 * MIB, 4_000_000
+"""Largest size of a workbook when unpacked, and most cells of a sheet, empty ones included.
+400,000 numbers have 14 MiB, and take openpyxl 4 s of processor time."""
+
+
+def _check_unpacked(content: bytes, file: str) -> None:
+    """Raises DataError if a workbook states a larger size when unpacked."""
+    if content.startswith(_OLE):
+        return
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        size = sum(one.file_size for one in archive.infolist())
+    if size > _UNPACKED:
+        reason = f"unpacked, the workbook has {size / MIB:.0f} MiB, more than {_UNPACKED // MIB}"
+        raise DataError(reason, "export the sheet as CSV, or save it as Parquet", file)
+
+
+def _rows(cells: Iterable, file: str) -> list[tuple[int, list[str]]]:
+    """Rows with content as (number in the sheet, texts), all of one length.
+
+    Raises:
+        DataError: more than :data:`_CELLS` cells.
+    """
+    rows, count = [], 0
     for number, row in enumerate(cells, 1):
+        count += len(row)
+        if count > _CELLS:
+            reason = f"a sheet has more than {_CELLS:,} cells"
+            raise DataError(reason, "export the sheet as CSV, or save it as Parquet", file)
         texts = [_text(cell) for cell in row]
         if any(texts):
             rows.append((number, texts))

@@ -149,12 +149,16 @@ def _in_runs(time, label, period: float, max_gap: float, notes: list[str]):
     Args:
         label: (n,) the names; if they are all the same, runs are found by time only.
     """
-    time, lasting = time.copy(), round(_LASTING / period)
-    again = np.zeros(len(time), int)
+    lasting = round(_LASTING / period)
+    again, shift = np.zeros(len(time), int), np.zeros(len(time))
+    first, latest = 0, -np.inf
     for k in np.flatnonzero(np.diff(time) < -max_gap) + 1:
         if k + lasting <= len(time) and np.all(time[k : k + lasting] < time[k - 1]):
-            time[k:] += np.max(time[:k]) - time[k] + 2 * max_gap
-            again[k] = 1
+            # Later samples are shifted by the sum of all steps, added up at the end.
+            latest = max(latest, np.max(time[first:k]) + shift[first])
+            shift[k] = latest - time[k] + 2 * max_gap
+            again[k], first = 1, int(k)
+    time = time + shift[np.maximum.accumulate(np.where(again, np.arange(len(time)), 0))]
     if again.any():
         notes.append(
             f"time restarts {again.sum()} times: it is continued {2 * max_gap:.3g} s"

@@ -16,18 +16,16 @@ from tirefit.results import InputProblem
 _PLOTTED = ("time", "sigma_x", "alpha", "gamma", "fz", "v", "pressure")
 
 
-def output_problems(path, inputs: Sequence = (), ending: str = "") -> list[InputProblem]:
+def output_problems(path, ending: str = "") -> list[InputProblem]:
     """The problems that prevent writing a file at ``path``, to check before the work.
 
-    An existing file will be replaced, unless it is one of ``inputs``. ``ending`` is that
-    of the kind of file, such as ``.csv``.
+    Args:
+        ending: that of the kind of file, such as ``.csv``.
     """
     path = Path(path)
     folder = path.parent
     remedy = "choose another name with --out"
-    if path.exists() and any(Path(given).exists() and path.samefile(given) for given in inputs):
-        reason = "--out is an input file"
-    elif path.is_dir():
+    if path.is_dir():
         reason = "is a folder, where a file is to be written"
     elif not folder.exists():
         reason, remedy = f"the folder {folder} does not exist", "make it first"

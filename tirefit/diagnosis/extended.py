@@ -36,6 +36,7 @@ from tirefit.door import RECORD, content_of, outrageous
 from tirefit.models import AbstractTire, TireForces, TireInputs
 from tirefit.params import check_values, specs, with_values
 from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.settings import faults_in
 from tirefit.slip import lateral_slip
 
 SCHEMA = "tirefit.diagnosis/3"
@@ -234,8 +235,7 @@ def read_document(path: str | PathLike) -> Document:
     try:
         return document_of(raw.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        message = ": ".join(str(error).split("\n")[:2]) or "it is nested too deeply"
-        reason = f"not the document of a diagnosis: {message[:200]}"
+        reason = f"not the document of a diagnosis: {faults_in(error)}"
         raise DataError(InputProblem(reason, remedy, str(path))) from None
 
 

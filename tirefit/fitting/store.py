@@ -4,20 +4,21 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from tirefit.data.records import FileRecord, Row
 from tirefit.door import outrageous, read_record
-from tirefit.files import replacing, write_text_atomic
+from tirefit.files import write_texts
 from tirefit.fitting.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
 from tirefit.params import specs, with_values
 from tirefit.results import DataError, UsageError
+from tirefit.settings import faults_in
 from tirefit.slip import CONVENTIONS
 
 
@@ -107,6 +108,11 @@ class _Prediction(_Part):
 
 class _Data(_Part):
     convention: Literal[tuple(CONVENTIONS)]  # type: ignore[valid-type]
+    file: str
+    sha256: str | None
+    used: int
+    runs: list[str]
+    range: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] = {}
 
 
 class _Noise(_Part):
@@ -124,6 +130,12 @@ class _Reference(_Part):
     fz: PositiveFloat
 
 
+class _Estimate(_Part):
+    value: float | list[float]
+    std: NonNegativeFloat | list[NonNegativeFloat] | None
+    fixed: bool = False
+
+
 class _Record(_Part):
     model: str
     forces: list[Literal["fx", "fy", "mz", "mx", "my"]]
@@ -131,6 +143,18 @@ class _Record(_Part):
     data: _Data
     reference: _Reference
     prediction: _Prediction
+    parameters: dict[str, _Estimate] = {}
+    coefficients: dict[str, _Estimate] = {}  # of a whole Magic Formula
+    seed: int | None = None
+    outcomes: list[str] = []
+
+    @model_validator(mode="after")
+    def _estimated(self):
+        if not (self.parameters or self.coefficients):
+            raise ValueError("no parameters")
+        if not self.forces:
+            raise ValueError("no forces")
+        return self
 
 
 def load_fit(path: str | os.PathLike) -> StoredFit:
@@ -184,7 +208,7 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
             raise ValueError("z has another length than the layout")
     except (ValueError, KeyError, UsageError) as error:
         # The checksum is right, so another version wrote the file, or somebody by hand.
-        reason = f"it does not hold a fit: {str(error).splitlines()[0][:200]}"
+        reason = f"it does not hold a fit: {faults_in(error)}"
         raise DataError(reason, remedy, str(path)) from None
     return StoredFit(
         record.model,
@@ -197,11 +221,10 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
     )
 
 
-def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
-    """Write the posterior as netCDF: an xarray DataTree in the InferenceData layout.
+def posterior_content(result: FitResult) -> bytes:
+    """The posterior as netCDF: an xarray DataTree in the InferenceData layout.
 
-    Every walker is a chain, as tools take the draws of a chain for a sequence. The file
-    is written to a temporary name, then renamed.
+    Every walker is a chain, as tools take the draws of a chain for a sequence.
     """
     import xarray as xr  # slow to import, and used for posteriors only
 
@@ -240,23 +263,18 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
     )
     # Made in memory, as HDF5 ends the process if the disk is full.
     content = tree.to_netcdf(None, engine="h5netcdf")
-    with replacing(path) as temporary:
-        temporary.write_bytes(content)
+    return bytes(content)
 
 
 def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:
-    """Write ``fit.json`` and, if sampled, ``posterior.nc``, each completely or not at all."""
+    """Write ``fit.json`` and, if sampled, ``posterior.nc``, both or none."""
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    written = []
-    if result.walkers is None:
-        # The posterior of an earlier fit would be mistaken for that of this fit.json.
-        (directory / "posterior.nc").unlink(missing_ok=True)
-    else:
-        write_posterior(result, directory / "posterior.nc")
-        written.append(directory / "posterior.nc")
-    write_text_atomic(directory / "fit.json", result.to_json())
-    return [directory / "fit.json", *written]
+    document, posterior = directory / "fit.json", directory / "posterior.nc"
+    sampled = {} if result.walkers is None else {posterior: posterior_content(result)}
+    # The posterior of an earlier fit would be mistaken for that of this fit.json.
+    write_texts({**sampled, document: result.to_json()}, [] if sampled else [posterior])
+    return [document, *sampled]
 
 
 _STATISTICS = ("rmse", "r2", "chi2_dof", "n", "n_effective")

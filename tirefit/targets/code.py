@@ -187,7 +187,7 @@ def c_source(draft: Draft) -> str:
             "/*",
             *(f" * {line}" for line in messages),
             " */",
-            _C_HEAD.format(guard=f"{name.upper()}_H"),
+            _C_HEAD.format(guard=f"TIREFIT_FILE_{name}"),
             *_c_function(draft.forces, name, [force], count),
             "",
             *_c_function(both, f"{name}_jacobian", [force, f"tirefit_real {slope}"], count),

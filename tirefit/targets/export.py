@@ -1,6 +1,5 @@
 """Export a fitted tire as a file of another program: :func:`export`."""
 
-import keyword
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,16 +9,19 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from tirefit import __version__
 from tirefit.data.write import output_problems
 from tirefit.display import Record
+from tirefit.door import MIB, UNSEALED, content_of, is_sealed_text, replaced_inputs, sealed_text
 from tirefit.files import write_texts
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.tir import TIR_SIGNS
-from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
+from tirefit.results import DataError, InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS
 from tirefit.targets.chrono import chrono_source, held_by_chrono
 from tirefit.targets.code import Draft, c_source, casadi_source, header, numpy_source
+from tirefit.targets.identifiers import reserved
 from tirefit.targets.loss import check_loss
 from tirefit.targets.mujoco import mujoco_source
 from tirefit.targets.parameters import PARAMETER_FILES, ParameterFile, one_line, parameter_text
+from tirefit.targets.refit import over_problems
 from tirefit.targets.shape import Shape, shape_of
 from tirefit.targets.stablehlo import jax_source
 from tirefit.targets.tir import held_as_tir, tir_source
@@ -28,18 +30,8 @@ from tirefit.targets.tire import Tire, tire_of
 if TYPE_CHECKING:
     from tirefit.diagnosis.summary.result import Diagnosis
 
-MARK = "written by tirefit export"
-"""Text in the first line of every exported file."""
-
-_TAKEN = frozenset(
-    "auto case char const default do double enum extern float goto inline int long"
-    " register restrict short signed sizeof static struct switch typedef union unsigned"
-    " void volatile np ca jax jnp base64 sysid_parameters main _Bool _Complex"
-    " _Imaginary tirefit_real acos asin atan atan2 ceil cos cosh erf exp expm1 fabs"
-    " floor fmax fmin fmod hypot log log1p log10 pow round sin sinh sqrt tan tanh"
-    " trunc".split()
-)
-"""Keywords of C that are not in Python, functions of math.h, and other names in exported files."""
+_MOST = 256 * MIB
+"""Largest size of an exported file that is replaced without ``force``."""
 
 
 class Target(NamedTuple):
@@ -194,8 +186,9 @@ def export(
         name: of the function in the file; the file name by default.
         model: version of the Magic Formula of a ``.tir``: ``mf52``, ``mf61``, ``mf62``.
         wheel: data that a target needs in addition to the tire, in SI units, see :data:`TARGETS`.
-        force: replace a file that is not an export, and write one that misses the tire by
-            more than :data:`~tirefit.targets.loss.MOST` of the load.
+        force: replace a file that is not an unchanged export, and write one that misses
+            the tire by more than :data:`~tirefit.targets.loss.MOST` of the load, or that
+            uses the tire far from where it was measured.
 
     Returns:
         The file, its error, and checks of the tire; ``shape.sound`` is False if a force
@@ -203,9 +196,9 @@ def export(
 
     Raises:
         UsageError: unknown names, or options that the target does not use; a file that
-            cannot be written, or that exists and is not an export; a model that the target
+            cannot be written, or that exists and is no unchanged export; a model that the target
             cannot represent; a diagnosis of another model; missing data of the car.
-        DataError: the source or the diagnosis cannot be read.
+        DataError: the source or the diagnosis cannot be read, or would be replaced.
 
     Example:
         >>> done = export("brush", "numpy", folder / "tire.py")
@@ -221,10 +214,14 @@ def export(
     car = vehicle is not None or over or "" not in given
     problems = [*_unknown(target, given, convention)]
     problems += _useless(target, model, wheel, forces, convention, car)
-    problems += _unwritable(chosen, path, name, given.values(), force)
+    problems += over_problems(over or {})
+    made = _files(chosen, path)
+    problems += _unwritable(chosen, made, name, force)
     UsageError.raise_for(problems)
+    read = {"the tire": given.values(), "--vehicle": [vehicle], "--diagnosis": [diagnosis]}
+    DataError.raise_for(replaced_inputs([path for path, _ in made], read))
     tires = {axle: tire_of(one, values, diagnosis) for axle, one in given.items()}
-    first = f"{MARK}, tirefit {__version__}: "
+    first = f"written by tirefit export, {UNSEALED}, tirefit {__version__}: "
     first += f"{' and '.join(tire.name for tire in tires.values())} for {target}"
     if isinstance(chosen, ParameterFile):
         found = parameter_text(target, tires, path, first, vehicle, over, force)
@@ -254,6 +251,7 @@ def export(
 
 
 def _written(target, path: Path, shape: Shape, notes, texts) -> Exported:
+    texts = {path: sealed_text(text) for path, text in texts.items()}
     write_texts(texts)
     named = {path.name: text for path, text in texts.items()}
     return Exported(target, path, shape, notes, named)
@@ -289,20 +287,23 @@ def _useless(target: str, model, wheel, forces, convention, car):
         yield InputProblem(reason, "leave them out, or see --list")
 
 
-def _unwritable(chosen: Target | ParameterFile | None, path: Path, name, given, force):
-    """Problems of the name of the function, and of the files to write."""
-    taken = keyword.iskeyword(name) or name in _TAKEN
-    if _is_code(chosen) and (taken or not (name.isidentifier() and name.isascii())):
-        remedy = "name the function with --name: letters, digits and _, no keyword"
-        yield InputProblem(f"{name!r} is not valid as a name of a function", remedy)
-    files = [one for one in given if isinstance(one, str | os.PathLike)]
-    ending = chosen.ending if chosen else ""
+def _files(chosen: Target | ParameterFile | None, path: Path) -> list[tuple[Path, str]]:
+    """The files to write, and the endings that they must have."""
     beside = chosen.beside if isinstance(chosen, Target) else ()
-    for one, end in [(path, ending), *((path.with_suffix(e), e) for e in beside)]:
-        if problems := output_problems(one, files, end):
+    ending = chosen.ending if chosen else ""
+    return [(path, ending), *((path.with_suffix(end), end) for end in beside)]
+
+
+def _unwritable(chosen: Target | ParameterFile | None, made, name, force):
+    """Problems of the name of the function, and of the files to write."""
+    if _is_code(chosen) and (why := reserved(name)):
+        remedy = "name the function with --name, as in --name my_tire"
+        yield InputProblem(f"{name!r} is not valid as a name of a function: {why}", remedy)
+    for one, end in made:
+        if problems := output_problems(one, end):
             yield from problems
         elif one.exists() and not force and not _exported(one):
-            reason = "the file exists and was not written by an export"
+            reason = "the file exists and is not an export, or was changed since"
             remedy = "choose another file, or replace it with --force"
             yield InputProblem(reason, remedy, str(one))
 
@@ -313,9 +314,8 @@ def _is_code(chosen: Target | ParameterFile | None) -> bool:
 
 
 def _exported(path: Path) -> bool:
-    """Whether an export wrote the file, by its first lines."""
+    """Whether an export wrote the file, and nobody changed it."""
     try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            return MARK in file.read(400)
-    except OSError:
+        return is_sealed_text(content_of(path, _MOST).decode())
+    except (DataError, UnicodeError):
         return False

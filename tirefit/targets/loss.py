@@ -13,9 +13,6 @@ from tirefit.targets.tire import UNITS, Tire, turned_range
 MOST = 0.05
 """Largest error over the load that is written without ``force``."""
 
-SPEED = 10.0
-"""Speed [m/s] at which tires are compared."""
-
 _SLIPS = ("kappa", "alpha")
 
 
@@ -44,7 +41,7 @@ def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, .
         ranges[name] = float(low), float(high)
     along, across = (31 if k in slips else 0 for k in _SLIPS)
     kappa, alpha, fz = grid_of(ranges, along, across, 5)
-    at = TireInputs(sigma_from_kappa(kappa), alpha, fz, SPEED)
+    at = TireInputs(sigma_from_kappa(kappa), alpha, fz, tire.speed)
     both = [forces(one.model, at)._asdict() for one in (tire, held)]
     pure, missed, sizes = kappa * alpha == 0, [0.0], []
     for name in ("fx", "fy"):

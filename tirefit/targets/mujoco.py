@@ -39,7 +39,7 @@ def sysid_parameters(geoms):
 def mujoco_source(draft: Draft) -> str:
     """A Python module: the forces by NumPy, and the parameter of ``mujoco.sysid``."""
     tire, names = draft.tire, list(draft.forces.outputs)
-    at = {"fz": CONVENTIONS[draft.convention].fz * tire.load, "v": 10.0}
+    at = {"fz": CONVENTIONS[draft.convention].fz * tire.load, "v": tire.speed}
     slip, peak = np.linspace(0.0, 0.95, 191), 0.0
     for force, own in (("fx", "kappa"), ("fy", "alpha")):
         if force in names:

@@ -14,8 +14,8 @@ from tirefit.data.vehicle import Vehicle
 from tirefit.results import InputProblem, UsageError
 from tirefit.targets.car import Axle, axles_of, vehicle_of
 from tirefit.targets.formulas import COMMONROAD, GAZEBO, PACEJKA, SLIPX, Formula
-from tirefit.targets.loss import MOST, SPEED
-from tirefit.targets.refit import Ranges, Refit, percent, ranges_of, refit
+from tirefit.targets.loss import MOST
+from tirefit.targets.refit import Ranges, Refit, beyond_measured, percent, ranges_of, refit
 from tirefit.targets.shape import Shape, shape_of
 from tirefit.targets.tire import Tire, turned_range
 
@@ -123,7 +123,10 @@ def parameter_text(
         tire, (low, high) = axle.tire, narrowed.get("fz", (0.0, math.inf))
         if not axle.static and not low <= tire.load <= high:
             tire = replace(tire, load=(low + high) / 2)
-        fit = refit(tire, kind.formula, ranges_of(tire, narrowed, axle.static))
+        ranges = ranges_of(tire, narrowed, axle.static)
+        if far := beyond_measured(tire, ranges, SIGNS):
+            notes += [f"warning: {line}" for line in _far(axle.named([far]), target, force)]
+        fit = refit(tire, kind.formula, ranges)
         shape = shape_of(tire, kind.formula.program(fit.values, SIGNS), SIGNS)
         answers = [fit.sentence(SIGNS), *fit.other_loads(), *axle.notes]
         notes += axle.named(answers + _lost(tire, kind.formula))
@@ -163,16 +166,27 @@ def parameter_text(
     return text, Shape(tuple(sentences), tuple(failed), curves), tuple(notes)
 
 
-_TAKEN_AT = {"v": f"{SPEED:g} m/s", "gamma": "no camber", "pressure": "nominal pressure"}
+def _far(where: list[str], target: str, force: bool) -> list[str]:
+    """Sentences on ranges beyond the measured ones.
+
+    Raises:
+        UsageError: without ``force``.
+    """
+    reason = f"{target} would use this tire far from where it was measured: {where[0]}"
+    remedy = "give a tire measured there, or another range (--over), or accept it by --force"
+    if not force:
+        raise UsageError(InputProblem(reason, remedy))
+    return [reason]
 
 
 def _lost(tire: Tire, formula: Formula) -> list[str]:
     """Sentences on forces and inputs of the tire that the formula does not have."""
+    at = {"v": f"{tire.speed:.4g} m/s", "gamma": "no camber", "pressure": "nominal pressure"}
     beyond = [name for name in tire.modelled if name not in formula.outputs]
     needs = [name for name in tire.model.needs if name != "time"]
     absent = [name for name in formula.outputs if name not in tire.modelled]
     lost = [f"{', '.join(beyond)} of the tire is not included"] if beyond else []
-    lost += [f"{name} is not included: forces at {_TAKEN_AT[name]}" for name in needs]
+    lost += [f"{name} is not included: forces at {at[name]}" for name in needs]
     return lost + [f"the tire has no {name}: that of the other axis" for name in absent]
 
 

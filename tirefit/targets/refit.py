@@ -15,8 +15,8 @@ from tirefit.results import InputProblem, UsageError
 from tirefit.slip import sigma_from_kappa
 from tirefit.targets.code import compiled
 from tirefit.targets.formulas import Curves, Formula, magic_formula_of
-from tirefit.targets.loss import SPEED, grid_of
-from tirefit.targets.tire import UNITS, Tire, turned_range
+from tirefit.targets.loss import grid_of
+from tirefit.targets.tire import ALWAYS, INPUTS, UNITS, Tire, turned_range
 
 EXACT = 1e-9
 """Error over load below which a formula represents a tire exactly."""
@@ -140,6 +140,45 @@ def ranges_of(tire: Tire, over: Ranges, static: bool = False) -> Ranges:
     return found
 
 
+def beyond_measured(tire: Tire, ranges: Ranges, convention: str) -> str:
+    """Ranges in which a file describes a tire far from what was measured, beside the
+    measured ones; empty if there are none, or nothing was measured.
+
+    Loads may differ from the measured ones as they do in a drive (:data:`OTHER_LOADS`).
+    A slip whose force was not fitted is not judged: the notes of the tire state that.
+    """
+    found = []
+    own = {"kappa": "fx", "alpha": "fy"}
+    used, known = (turned_range(one, convention) for one in (ranges, tire.measured))
+    for name in [name for name in used if name in known]:
+        low, high, least, most = (end + 0.0 for end in (*used[name], *known[name]))  # no -0
+        less, more = least - _NARROW, most + _NARROW
+        if name == "fz":
+            less, more = (share * end for share, end in zip(OTHER_LOADS, known[name], strict=True))
+        judged = name == "fz" or not tire.fitted or own[name] in tire.fitted
+        if judged and (low < less or high > more):
+            unit = f" {UNITS[name]}".removesuffix(" -")
+            wide = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
+            found.append(f"{name} {wide}{unit}, measured {least:.4g} to {most:.4g}{unit}")
+    return "; ".join(found)
+
+
+def over_problems(over: Ranges) -> list[InputProblem]:
+    """Problems of the ranges that a user states for a refit."""
+    problems = []
+    for name, (low, high) in over.items():
+        least = 0.0 if name == "fz" else _NARROW
+        if name not in INPUTS[:ALWAYS] or not math.isfinite(high - low):
+            remedy = "give kappa, alpha or fz as NAME=LOW:HIGH"
+            problems.append(InputProblem(f"--over {name}={low:g}:{high:g} is not a range", remedy))
+        elif high - low <= least or name == "fz" and low <= 0:
+            reason = f"--over {name}={low:g}:{high:g} is not a range"
+            remedy = f"NAME=LOW:HIGH with LOW below HIGH by more than {least:g}"
+            remedy += ", and fz above zero; without it, one load" if name == "fz" else ""
+            problems.append(InputProblem(reason, remedy))
+    return problems
+
+
 def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     """Fit a formula's parameters to the forces of a tire.
 
@@ -147,7 +186,7 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     least squares fits the parameters of each stage of the formula.
 
     Args:
-        tire: upright, at nominal pressure and :data:`~tirefit.targets.loss.SPEED`. Its
+        tire: upright, at nominal pressure and :attr:`Tire.speed`. Its
             load is the nominal load of the formula.
         formula: the formula.
         ranges: as from :func:`ranges_of`.
@@ -207,7 +246,7 @@ def _forces(tire: Tire, kinds: Sequence[str], grids) -> list[np.ndarray]:
     """Canonical forces of a tire over load (rows, n) on each grid: those of its kind of
     slip; zero if the tire has none."""
     kappa, alpha, fz = np.concatenate(grids, axis=1)
-    given = forces(tire.model, TireInputs(sigma_from_kappa(kappa), alpha, fz, SPEED))
+    given = forces(tire.model, TireInputs(sigma_from_kappa(kappa), alpha, fz, tire.speed))
     ends, found = np.cumsum([grid.shape[1] for grid in grids])[:-1], {}
     for name in ("fx", "fy"):
         force = getattr(given, name)

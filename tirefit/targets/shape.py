@@ -47,7 +47,7 @@ def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
     signs = CONVENTIONS[convention]
     force, names = compiled(program), list(program.outputs)
     load, most = tire.load, 2 * tire.largest_load
-    middle = {"v": 10.0, "gamma": 0.0, "pressure": 0.0}
+    middle = {"v": tire.speed, "gamma": 0.0, "pressure": 0.0}
 
     def at(kappa=0.0, alpha=0.0, fz=load, **others) -> dict[str, np.ndarray]:
         values = middle | {"kappa": kappa, "alpha": alpha, "fz": signs.fz * fz} | others

@@ -113,7 +113,9 @@ def new_file(tire: Tire) -> TirFile:
     assert isinstance(model, MFTire)
     lost = {k for force in model.lacks for k in specs(getattr(model, _PARTS[force]))}
     values = {k: v for k, v in parameter_values(model).items() if k not in lost}
-    notes = {k: f"{known[k].meaning} +- {std:.3g}" for k, std in tire.spread.items()}
+    # A tire that was converted has errors of its former parameters as well.
+    errors = {k: std for k, std in tire.spread.items() if k in known}
+    notes = {k: f"{known[k].meaning} +- {std:.3g}" for k, std in errors.items()}
     ranges = turned_range(tire.measured, TIR_SIGNS)
     ranges = {k: ends for k, ends in ranges.items() if k in LIMITS}
     tir = new_tir(model.version, values, ranges, notes)

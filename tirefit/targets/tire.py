@@ -39,6 +39,9 @@ ALWAYS = 3
 _USUAL_LOAD = 4000.0
 """Default load [N], of a tire of a passenger car."""
 
+_SPEED = 10.0
+"""Speed [m/s] at which tires are compared if it was measured, or nothing was."""
+
 UNITS = {
     "kappa": "-", "alpha": "rad", "fz": "N", "v": "m/s", "gamma": "rad",
     "pressure": "Pa", "fx": "N", "fy": "N", "mz": "N m", "mx": "N m", "my": "N m",
@@ -61,6 +64,7 @@ class Tire:
         tir: the file that states the model, for targets that write one.
         relaxation: relaxation length [m], which is not in the forces; None without.
         asked: forces and moments to export; empty for all.
+        fitted: forces that were fitted to the measured range; empty without a fit.
     """
 
     model: AbstractTire
@@ -74,11 +78,18 @@ class Tire:
     tir: TirFile | None = None
     relaxation: float | None = None
     asked: tuple[str, ...] = ()
+    fitted: tuple[str, ...] = ()
 
     @property
     def largest_load(self) -> float:
         """The largest load that was measured [N]."""
         return max(self.load, self.measured.get("fz", (0.0, 0.0))[1])
+
+    @property
+    def speed(self) -> float:
+        """The speed [m/s] at which forces are compared: a measured one."""
+        low, high = self.measured.get("v", (_SPEED, _SPEED))
+        return float(min(max(_SPEED, low), high))
 
     @property
     def modelled(self) -> tuple[str, ...]:
@@ -214,7 +225,8 @@ def _of_fit(given: GivenTire, path: str) -> Tire:
     absent = [f for f in modelled(given.tire) if f not in content["forces"]]
     notes = tuple(f"{f} was not fitted: it follows from the model" for f in absent)
     load = content["reference"]["fz"]
-    return Tire(given.tire, model, origin, load, spread, ranges, notes)
+    fitted = tuple(content["forces"])
+    return Tire(given.tire, model, origin, load, spread, ranges, notes, fitted=fitted)
 
 
 def _of_tir(given: GivenTire, path: str, values: Mapping[str, float]) -> Tire:

@@ -10,13 +10,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from pydantic import BaseModel, ConfigDict, FiniteFloat, PositiveFloat, model_validator
 
 from tirefit.data.motion import Motion
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.diagnosis.effects import effects_by_id
 from tirefit.diagnosis.effects.record import Atom
-from tirefit.door import RECORD, content_of
+from tirefit.door import RECORD, content_of, outrageous
 from tirefit.results import DataError, InputProblem
+from tirefit.settings import faults_in
 from tirefit.vehicle.car import Changes, State
 from tirefit.vehicle.diagnose import SCHEMA, VehicleDiagnosis, samples_of
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
@@ -68,8 +70,8 @@ class Applied:
         samples = jax.tree.map(lambda x: x[0], self.samples(motion, rows, vehicle, tires))
         of = self.at(samples).steering
         found = np.full(len(steering), np.nan)
-        for number in np.unique(motion.part):
-            own = np.flatnonzero((motion.part == number) & np.isfinite(steering))
+        for rows_of in motion.stretches:
+            own = rows_of.start + np.flatnonzero(np.isfinite(steering[rows_of]))
             if len(own) > 2:
                 step = 1 / vehicle.filter.sample_rate
                 across = np.nan_to_num(samples.across[own])
@@ -115,21 +117,53 @@ def applied(source: VehicleDiagnosis | str | os.PathLike) -> Applied:
     raw = content_of(Path(source), RECORD, DataError, remedy)
     try:
         content = json.loads(raw.decode("utf-8"))
-        if content["schema"] != SCHEMA:
+        if not isinstance(content, dict) or content.get("schema") != SCHEMA:
             raise ValueError(f"its schema is not {SCHEMA}")
+        if odd := outrageous(content, 0.0):
+            raise ValueError(": ".join(odd))
         return _applied(content)
-    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
-        reason = f"not the document of a diagnosis of a car: {str(error)[:200]}"
+    except (ValueError, RecursionError) as error:
+        reason = f"not the document of a diagnosis of a car: {faults_in(error)}"
         raise DataError(InputProblem(reason, remedy, str(source))) from None
 
 
+class _Amplitude(BaseModel):
+    value: FiniteFloat
+
+
+class _Factor(BaseModel):
+    value: PositiveFloat
+
+
+class _Document(BaseModel):
+    """The parts of ``vehicle_diagnosis.json`` that a prediction needs."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+    amplitudes: dict[str, _Amplitude]
+    variants: dict[str, int]
+    parameters: dict[str, _Factor]
+    speed: PositiveFloat
+
+    @model_validator(mode="after")
+    def _known(self):
+        library = effects_by_id(CAR_EFFECTS)
+        for name in self.amplitudes:
+            if name not in library or self.variants.get(name) not in range(
+                len(library[name].variants)
+            ):
+                raise ValueError(f"{name!r} is not an effect of a car, or has no such form")
+        if missing := set(PARAMETERS) - set(self.parameters):
+            raise ValueError(f"no parameters.{missing.pop()}")
+        return self
+
+
 def _applied(content: dict) -> Applied:
-    library, sizes = effects_by_id(CAR_EFFECTS), content["amplitudes"]
-    atoms = tuple(Atom(library[k], int(content["variants"][k])) for k in sizes)
+    library, document = effects_by_id(CAR_EFFECTS), _Document.model_validate(content)
+    sizes = document.amplitudes
+    atoms = tuple(Atom(library[k], document.variants[k]) for k in sizes)
     scales = tuple(atom.effect.scale for atom in atoms)
-    of_tires = [np.log(content["parameters"][name]["value"]) for name in PARAMETERS]
-    own = [one["value"] / s for one, s in zip(sizes.values(), scales, strict=True)]
+    of_tires = [np.log(document.parameters[name].value) for name in PARAMETERS]
+    own = [one.value / s for one, s in zip(sizes.values(), scales, strict=True)]
     z = np.array([*of_tires, *own, *[0.0] * (2 * SHAPES)], float)
-    if not np.isfinite(z).all():
-        raise ValueError("a number is not finite")
-    return Applied(Model(atoms, scales, 2), z, float(content["speed"]))
+    return Applied(Model(atoms, scales, 2), z, document.speed)

@@ -40,6 +40,7 @@ from tirefit.vehicle.windows import (
     integrated,
     known_vehicle,
     left_out,
+    starts_in,
     steering_problems,
     stretches,
 )
@@ -50,7 +51,7 @@ HORIZONS = (0.25, 0.5, 1.0, 2.0, 5.0)
 """Times [s] after the start at which the prediction is compared."""
 
 EVERY = 0.25
-"""Time [s] from one start to the next."""
+"""Time [s] from one start to the next; a multiple of it in a log of many."""
 
 QUANTITIES = {
     "yaw_rate": "rad/s",
@@ -230,14 +231,14 @@ def replay(
         vehicle = vehicle.model_copy(update={"steering": late})
     tires = axle_tire(front), axle_tire(rear)
     fitted = {run for tire in tires for run in tire.runs}
-    rate = vehicle.filter.sample_rate
-    generator = np.random.default_rng(seed)
+    rate, generator = vehicle.filter.sample_rate, np.random.default_rng(seed)
     named = None if effects is None else applied(effects)
     apply = named and partial(named.channels, vehicle, tires)
+    thinned: list[str] = []
     found = cut_logs(
         logs,
         vehicle,
-        partial(_windows, vehicle, horizons, generator, apply),
+        partial(_windows, vehicle, horizons, generator, apply, thinned),
         f"as long as the shortest horizon, {horizons[0]:g} s",
         "shorter horizons",
     )
@@ -273,7 +274,7 @@ def replay(
         models,
         held,
         _fans(found, states),
-        (*_notes(vehicle, tires), *left),
+        (*_notes(vehicle, tires), *dict.fromkeys(thinned), *left),
     )
 
 
@@ -284,8 +285,7 @@ def _checked(vehicle: Vehicle, horizons: Sequence[float], delay: float) -> list[
         problems.append(InputProblem(reason, "give seconds, zero or more"))
     given = [float(h) for h in horizons]
     least = 1 / vehicle.filter.sample_rate
-    rises = given and sorted(set(given)) == given
-    if not (rises and least <= given[0] and given[-1] < math.inf):
+    if not (given and sorted({*given}) == given and least <= given[0] and given[-1] < math.inf):
         reason = f"horizons {', '.join(f'{h:g}' for h in given)} do not rise"
         remedy = f"give times from {least:g} s on, in order, such as 0.5 1 2"
         problems.append(InputProblem(reason, remedy))
@@ -324,7 +324,7 @@ def replace_tires(car: Car, front: AbstractTire, rear: AbstractTire) -> Car:
 
 
 def _windows(
-    vehicle: Vehicle, horizons, generator, apply, track: Track, motion: Motion
+    vehicle: Vehicle, horizons, generator, apply, thinned, track: Track, motion: Motion
 ) -> list[_Windows] | None:
     """The windows of a log, from a start every :data:`EVERY` seconds where the log is
     settled and the car fast enough, to the longest horizon; None of none. Behind them
@@ -335,10 +335,11 @@ def _windows(
     good = motion.settled & (motion.v_x > vehicle.v_min)
     good &= np.isfinite(_channels(motion, vehicle)).all(axis=0)
     each = stretches(good, motion.part)
-    step = max(round(EVERY * rate), 1)
-    begun = [(k, last) for first, last in each for k in range(first, last - least + 1, step)]
+    begun, step = starts_in(each, least, max(round(EVERY * rate), 1))
     if not begun:
         return None
+    if step > max(round(EVERY * rate), 1):
+        thinned.append(f"a log is long: its windows start every {step / rate:.3g} s")
     starts, ends = np.array(begun).T
     rows = starts[:, None] + np.arange(most)
     there = rows < ends[:, None]

@@ -1,5 +1,6 @@
 """Cut vehicle logs into windows over which a car is predicted."""
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -114,6 +115,30 @@ def stretches(good: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
     broken = np.flatnonzero(~good[1:] | ~good[:-1] | (np.diff(part) != 0)) + 1
     ends = zip([0, *broken], [*broken, len(good)], strict=True)
     return [(int(first), int(last)) for first, last in ends if good[first]]
+
+
+_MOST = 10_000
+"""Most windows of a log: of 5 s at 50 Hz, with their predictions, they take 2 GB. They
+overlap, so that more of them hardly change the errors."""
+
+
+def starts_in(
+    each: Sequence[tuple[int, int]], least: int, step: int
+) -> tuple[list[tuple[int, int]], int]:
+    """Starts of windows in stretches, and the rows from one to the next.
+
+    Args:
+        each: first row of each stretch, and the row after its end.
+        least: rows of the shortest window.
+        step: rows from one start to the next; a multiple of it in a long log.
+
+    Returns:
+        (start, end of its stretch) of each window, about :data:`_MOST` or fewer unless
+        there are as many stretches; and the step.
+    """
+    room = sum(max(last - first - least, 0) for first, last in each)
+    step *= max(math.ceil(room / step / _MOST), 1)
+    return [(k, last) for first, last in each for k in range(first, last - least + 1, step)], step
 
 
 def integrated(motion: Motion, rate: float):

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from tirefit import __version__
 from tirefit.data.prepare.prepare import Prepared
@@ -13,8 +14,10 @@ from tirefit.data.prepare.segments import Segment
 from tirefit.data.prepare.set_points import SHOWN
 from tirefit.data.table import CANONICAL
 from tirefit.data.write import csv_text
-from tirefit.door import sealed
+from tirefit.door import read_record, sealed
 from tirefit.files import json_safe, json_text, write_texts
+from tirefit.results import DataError
+from tirefit.settings import faults_in
 
 SCHEMA = "tirefit.prepare/1"
 
@@ -159,6 +162,49 @@ def record_of(prepared: Prepared, files: Mapping[str, str]) -> dict:
         "files": dict(files),
     }
     return sealed(json_safe(content))
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(strict=True, allow_inf_nan=False, extra="forbid")
+
+
+class _Input(_Part):
+    path: str
+    sha256: str
+
+
+class _Read(_Part):
+    """Arguments of ``tirefit.read``."""
+
+    columns: dict[str, str]
+    units: dict[str, str]
+    constants: dict[str, float]
+    convention: str | None
+    slip: str | None
+    rolling_radius: float | None
+    mask_bad_rows: bool
+
+
+class StoredRecord(BaseModel):
+    """The parts of ``NAME.prepare.json`` that a repetition needs."""
+
+    input: _Input
+    read: _Read
+    config: dict[str, Any]
+
+
+def load_record(path: str | Path) -> StoredRecord:
+    """Read a ``NAME.prepare.json``.
+
+    Raises:
+        DataError: no such file, not of this schema, or its checksum is wrong.
+    """
+    remedy = "give a NAME.prepare.json of tirefit prepare"
+    try:
+        return StoredRecord.model_validate(read_record(path, SCHEMA, remedy))
+    except ValidationError as error:
+        reason = f"it does not hold the steps of a prepared test: {faults_in(error)}"
+        raise DataError(reason, remedy, str(path)) from None
 
 
 def summary(prepared: Prepared) -> str:

@@ -3,9 +3,9 @@
 import os
 from pathlib import Path
 
-from tirefit.data.tir import new_tir, write_tir
+from tirefit.data.tir import new_tir
 from tirefit.data.tir_file import TirFile
-from tirefit.files import write_text_atomic
+from tirefit.files import write_texts
 from tirefit.fitting.mf.parts import VERSIONS
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.params import parameter_values, specs
@@ -36,9 +36,9 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
 
 
 def save_magic_formula(fit: MagicFormulaFit, directory: str | os.PathLike) -> list[Path]:
-    """Write ``fit.tir`` and ``fit.json``, each completely or not at all."""
+    """Write ``fit.tir`` and ``fit.json``, both or none."""
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    write_tir(tir_of(fit), directory / "fit.tir")
-    write_text_atomic(directory / "fit.json", fit.to_json())
-    return [directory / "fit.tir", directory / "fit.json"]
+    texts = {"fit.tir": tir_of(fit).text, "fit.json": fit.to_json()}
+    write_texts({directory / name: text for name, text in texts.items()})
+    return [directory / name for name in texts]
