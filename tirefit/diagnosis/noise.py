@@ -455,6 +455,30 @@ def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) ->
     return float(np.sqrt(max(variance, 0.0)))
 
 
+def noise_in_motion(residual, slope, off, scatter: float) -> float | None:
+    """Standard deviation of the slip noise in a slip that scatters about its path; None if
+    all of that ``scatter`` is noise.
+
+    The force follows what the slip did and not its noise: a residual at the measured slips
+    contains minus the slope times the noise of its row. The path of a row does not contain
+    the noise of the row.
+
+    Args:
+        residual: (n,) [N] at the measured slips.
+        slope: (n,) of the force over the slip [N].
+        off: (n,) slips minus their path.
+    """
+    near = [np.abs(x) <= _OUTLIER * MAD * np.median(np.abs(x)) for x in (residual, off)]
+    kept = np.all(near, axis=0)
+    weight = max(float(slope[kept] @ slope[kept]), NONZERO)
+    parts = -slope[kept] * residual[kept] * off[kept]
+    variance = float(np.sum(parts)) / weight
+    error = float(np.sqrt(np.sum(parts**2))) / weight
+    if variance + _CLEAR * error >= scatter**2:
+        return None
+    return float(np.sqrt(variance)) if variance > CORRELATED * error else 0.0
+
+
 def _middle(values, weight: float):
     """Each row, except the first and the last, plus ``weight`` times its neighbours."""
     return values[1:-1] + weight * (values[2:] + values[:-2])

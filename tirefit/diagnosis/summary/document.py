@@ -80,7 +80,7 @@ def document_of(
     # Random numbers are drawn in this order: true forces, held-out data, budget.
     believed, main = rows_of(case, base), prepared.channels[0]
     truth = plausible_forces(case, generator)
-    ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base))
+    ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base, case.predicted))
     held, ladder = held_out(case, holdout, rig, ladder, generator)
     verdict, gaps = case.verdict, _gaps(case, rows, truth)
     candidates = _candidates(case, rows[main]["base"], truth[main])
