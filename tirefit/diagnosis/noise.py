@@ -455,28 +455,33 @@ def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) ->
     return float(np.sqrt(max(variance, 0.0)))
 
 
-def noise_in_motion(residual, slope, off, scatter: float) -> float | None:
-    """Standard deviation of the slip noise in a slip that scatters about its path; None if
-    all of that ``scatter`` is noise.
+def is_motion(residual, slope, off, scatter: float) -> bool:
+    """Whether a part of the ``scatter`` of a slip about its path is motion and not noise.
 
-    The force follows what the slip did and not its noise: a residual at the measured slips
-    contains minus the slope times the noise of its row. The path of a row does not contain
-    the noise of the row.
+    The force follows what the slip did: a residual at the measured slips contains minus
+    the slope times the noise of its own row, and so does ``off``.
 
     Args:
         residual: (n,) [N] at the measured slips.
         slope: (n,) of the force over the slip [N].
-        off: (n,) slips minus their path.
+        off: (n,) slips minus the mean of the two neighbours in time, see :func:`between`.
     """
-    near = [np.abs(x) <= _OUTLIER * MAD * np.median(np.abs(x)) for x in (residual, off)]
-    kept = np.all(near, axis=0)
+    # The residual scatters more where the force is steep.
+    size = np.hypot(MAD * np.median(np.abs(residual)), slope * scatter)
+    near = np.abs(residual) <= _OUTLIER * size
+    kept = near & (np.abs(off) <= _OUTLIER * MAD * np.median(np.abs(off))) & (off != 0)
     weight = max(float(slope[kept] @ slope[kept]), NONZERO)
     parts = -slope[kept] * residual[kept] * off[kept]
-    variance = float(np.sum(parts)) / weight
-    error = float(np.sqrt(np.sum(parts**2))) / weight
-    if variance + _CLEAR * error >= scatter**2:
-        return None
-    return float(np.sqrt(variance)) if variance > CORRELATED * error else 0.0
+    noise, error = float(np.sum(parts)), float(np.sqrt(np.sum(parts**2)))
+    return noise + _CLEAR * error < scatter**2 * weight
+
+
+def between(values, in_time: Sequence[np.ndarray]) -> np.ndarray:
+    """Values (n,) minus the mean of the two neighbours in time; zero at both ends."""
+    off = np.zeros(len(values))
+    for rows in (rows for rows in in_time if len(rows) > 2):
+        off[rows[1:-1]] = _middle(values[rows], -0.5)
+    return off
 
 
 def _middle(values, weight: float):

@@ -14,13 +14,22 @@ from tirefit.diagnosis.evidence.simulator import STAND_INS, Given, Simulated, ch
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.noise import (
     NoiseLevel,
+    between,
     in_order,
+    is_motion,
     judge_noise,
-    noise_in_motion,
     slip_scatter,
 )
 from tirefit.diagnosis.rows.basis import Generic, smooth_basis, wave_basis
-from tirefit.diagnosis.rows.prepared import NOT_STATED, SCATTER, Prepared, neighbours, on_scale_of
+from tirefit.diagnosis.rows.prepared import (
+    NOT_STATED,
+    SCATTER,
+    Prepared,
+    neighbours,
+    on_scale_of,
+    order_of,
+    slip_of,
+)
 from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
@@ -259,14 +268,19 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float | Non
 
     slope = (force(_SMALL) - force(-_SMALL)) / (2 * _SMALL)
     residual = prepared.observed[channel] - force(0.0)
+    in_time = in_order(*order_of(prepared.data))
     if sweeps:
-        off = prepared.slip - prepared.path
-        return noise_in_motion(residual, slope, off, float(prepared.slip_std[0]))
+        off = between(slip_of(prepared.data, prepared.mode), in_time)[prepared.kept]
+        if not is_motion(residual, slope, off, float(prepared.slip_std[0])):
+            return None
+        if prepared.mode == "xy":
+            return 0.0
     # Where the slip changes its sign the curve bends, and a shift of it is a gap.
     side, groups = prepared.slip > 0, neighbours(prepared)
     one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
     in_time = in_order(prepared.time, prepared.run)
-    return slip_scatter(residual, slope**2, prepared.inputs.fz, one_sided, in_time) or None
+    found = slip_scatter(residual, slope**2, prepared.inputs.fz, one_sided, in_time)
+    return found if sweeps else found or None
 
 
 def _under(noise: Mapping[str, NoiseLevel], fit: Fit) -> Base:

@@ -122,15 +122,15 @@ def prepare(data: TireData, rig: Rig, model, shown: float | None = None) -> Prep
     forces, used if it is not stated; None for the scatter about sweeps. Raises DataError."""
     check_data(data, (), rig)
     mode = _mode(data)
-    tan_alpha = np.tan(table.column(data, "alpha"))
-    slip = tan_alpha if mode == "y" else table.column(data, "sigma_x")
-    second = tan_alpha if mode == "xy" else np.zeros(data.n)
+    slip, second = slip_of(data, mode), np.zeros(data.n)
+    if mode == "xy":
+        second = np.tan(table.column(data, "alpha"))
     channels = tuple(c for c in MODES[mode] if c in data and c in model)
     if not channels:
         reason = f"{' or '.join(MODES[mode])}, whose slip varies, is not simulated"
         remedy = f"the model gives {', '.join(model) or 'no force'}: choose another"
         raise unfit(data, reason, remedy)
-    time, run = data.usable("time") if "time" in data else None, data.run[data.used]
+    time, run = order_of(data)
     stated, _ = _slip_std(data, mode, rig, 0.0, None)
     rate = None
     if mode == "y" and "alpha_rate" in data:
@@ -167,6 +167,18 @@ def prepare(data: TireData, rig: Rig, model, shown: float | None = None) -> Prep
         check_slip(data, rig.rolling_radius),
         sizes._replace(wheel=radius or table.wheel_radius(data, derived)), derived, shown,
     )  # fmt: skip
+
+
+def slip_of(data: TireData, mode: str) -> np.ndarray:
+    """The primary slip [-] of the used rows, (n,)."""
+    if mode == "y":
+        return np.tan(table.column(data, "alpha"))
+    return table.column(data, "sigma_x")
+
+
+def order_of(data: TireData) -> tuple[np.ndarray | None, np.ndarray]:
+    """Time, or None, and run (n,) of the used rows."""
+    return data.usable("time") if "time" in data else None, data.run[data.used]
 
 
 def on_scale_of(prepared: Prepared, fitted: Prepared) -> Prepared:
