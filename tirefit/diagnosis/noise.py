@@ -118,15 +118,10 @@ def in_order(time, run) -> list[np.ndarray]:
 
 
 def correlation(white, time, run) -> float:
-    """Number of rows per independent row of a remainder (n,), at least 1; excluded rows
-    are zero."""
-    parts = [white[rows] for rows in in_order(time, run)]
-    together = sum(float(p[1:] @ p[:-1]) for p in parts)
-    lag_one = together / max(float(white @ white), NONZERO)
-    if lag_one < CORRELATED / np.sqrt(len(white)):
-        return 1.0
-    first_order = (1 + lag_one) / max(1 - lag_one, ROUNDING)
-    return min(max(autocorrelation_time(parts), first_order), len(white) / _FACTS)
+    """Number of rows per independent row of a remainder (n,), at least 1 and at most that
+    of :data:`_FACTS` independent rows; excluded rows are zero."""
+    each = autocorrelation_time([white[rows] for rows in in_order(time, run)])
+    return min(each, len(white) / _FACTS)
 
 
 _FINEST = 1e-5
@@ -237,6 +232,9 @@ def judge_noise(
         if local < 1:
             std = np.maximum(std * local, floor)
             memory = smooth.memory(rest / std, in_time)
+        # A noise that is not stated is a part of the residual.
+        most = np.sqrt(np.mean(residual[keep] ** 2) / np.mean(std[keep] ** 2))
+        std = std * min(float(most), 1.0)
     std = np.maximum(std, floor)
     if np.all(std <= floor):  # forces from a formula have rounding errors but no noise
         memory = (FORGETFUL,)

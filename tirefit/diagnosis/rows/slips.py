@@ -185,7 +185,7 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None, shown=None) -> Swe
     Args:
         noise: stated noise of the slip; 0 where unknown.
         rate: (n,) [1/s] measured rate, for rows too far apart to show it, or None.
-        shown: noise of the slip by the forces, instead of the scatter about its path.
+        shown: noise of the slip by the forces, in place of a white scatter about its path.
     """
     count = len(slip)
     none = np.repeat(np.arange(count)[:, None], len(AGES), axis=1)
@@ -209,7 +209,7 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None, shown=None) -> Swe
     scatter = seen if FLAT * np.std(slip) < most < _MORE * seen else 0.0
     seen = max(seen, FLAT * np.std(slip))
     level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
-    if shown is not None and not noise:
+    if shown is not None and scatter and not noise:
         level = max(shown, FLAT * np.std(slip))
     paths = [_path_of(slip[part], time[part], level) for part in parts]
     usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
