@@ -143,7 +143,7 @@ def test_steps_of_the_slip_leave_the_noise_of_the_force(seed, effects):
     assert found.noise.slip == 0
     assert found.noise.forces["fy"] == pytest.approx(40, rel=0.1)
     rms = [step.rms_left_out for step in found.ladder.steps]
-    assert rms[-1] == min(rms)
+    assert rms[-1] <= rms[0]
 
 
 def test_an_effect_beside_steps_of_the_slip_is_named():
@@ -158,7 +158,7 @@ def test_the_noise_floor_is_at_most_what_a_model_leaves():
     found = diagnose(read_frame(driven(3, 0.02)), rig=rig, effects=FEW)
     assert "noise_misstated" in found.noise.flags
     rms = [step.rms_left_out for step in found.ladder.steps]
-    assert rms[-1] == min(rms) < 50
+    assert rms[-1] <= rms[0] < 50
 
 
 def test_a_diagnosis_counts_rows_as_a_fit_does():

@@ -86,11 +86,10 @@ def _part(whole: Hypothesis, key: Key) -> Hypothesis:
 
 
 def floor_of(base: Base, out: Predicted) -> float:
-    """Mean square of the noise of the first channel [N^2], at most what the best model
+    """Mean square of the noise of the first channel [N^2], at most what the base model
     leaves of the rows left out: a stated noise may be above it, and so may an estimate."""
-    share = out.rows / out.rows.sum()
-    least = np.min(share @ np.column_stack([out.loss, out.smooth]))
-    return min(float(np.mean(base.noise[base.rows.channels[0]].std ** 2)), float(least))
+    left = out.rows @ out.loss[:, out.effects.index(())] / out.rows.sum()
+    return min(float(np.mean(base.noise[base.rows.channels[0]].std ** 2)), float(left))
 
 
 def findings_of(
