@@ -453,8 +453,9 @@ def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) ->
     return float(np.sqrt(max(variance, 0.0)))
 
 
-def is_motion(residual, slope, off, scatter: float) -> bool:
-    """Whether a part of the ``scatter`` of a slip about its path is motion and not noise.
+def noise_in_motion(residual, slope, off, scatter: float) -> float | None:
+    """Standard deviation of the noise of a slip of which a part of the ``scatter`` about its
+    path is motion, zero if not significant; None if all may be noise.
 
     The force follows what the slip did: a residual at the measured slips contains minus
     the slope times the noise of its own row, and so does ``off``.
@@ -470,8 +471,10 @@ def is_motion(residual, slope, off, scatter: float) -> bool:
     kept = near & (np.abs(off) <= _OUTLIER * MAD * np.median(np.abs(off))) & (off != 0)
     weight = max(float(slope[kept] @ slope[kept]), NONZERO)
     parts = -slope[kept] * residual[kept] * off[kept]
-    noise, error = float(np.sum(parts)), float(np.sqrt(np.sum(parts**2)))
-    return noise + _CLEAR * error < scatter**2 * weight
+    variance, error = float(np.sum(parts)) / weight, float(np.sqrt(np.sum(parts**2))) / weight
+    if variance + _CLEAR * error >= scatter**2:
+        return None
+    return float(np.sqrt(variance)) if variance > CORRELATED * error else 0.0
 
 
 def between(values, in_time: Sequence[np.ndarray]) -> np.ndarray:

@@ -16,8 +16,8 @@ from tirefit.diagnosis.noise import (
     NoiseLevel,
     between,
     in_order,
-    is_motion,
     judge_noise,
+    noise_in_motion,
     slip_scatter,
 )
 from tirefit.diagnosis.rows.basis import Generic, smooth_basis, wave_basis
@@ -268,19 +268,19 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float | Non
 
     slope = (force(_SMALL) - force(-_SMALL)) / (2 * _SMALL)
     residual = prepared.observed[channel] - force(0.0)
-    in_time = in_order(*order_of(prepared.data))
+    moving: float | None = 0.0
     if sweeps:
-        off = between(slip_of(prepared.data, prepared.mode), in_time)[prepared.kept]
-        if not is_motion(residual, slope, off, float(prepared.slip_std[0])):
-            return None
-        if prepared.mode == "xy":
-            return 0.0
+        stretches = in_order(*order_of(prepared.data))
+        off = between(slip_of(prepared.data, prepared.mode), stretches)[prepared.kept]
+        moving = noise_in_motion(residual, slope, off, float(prepared.slip_std[0]))
+    if moving is None or prepared.mode == "xy":
+        return moving
     # Where the slip changes its sign the curve bends, and a shift of it is a gap.
     side, groups = prepared.slip > 0, neighbours(prepared)
     one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
     in_time = in_order(prepared.time, prepared.run)
     found = slip_scatter(residual, slope**2, prepared.inputs.fz, one_sided, in_time)
-    return found if sweeps else found or None
+    return max(found, moving) if sweeps else found or None
 
 
 def _under(noise: Mapping[str, NoiseLevel], fit: Fit) -> Base:
