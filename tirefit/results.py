@@ -42,6 +42,7 @@ class Outcome(enum.StrEnum):
         "within the loads and slips of the data the fitted curve is not that of a tire",
     )
     POOR_FIT = "poor fit"
+    NOISE_OVERSTATED = "overstated noise"
     STARTS_DISAGREE = (
         "not unique",
         "the starts ended in different minima of equal cost: the estimate is not unique",

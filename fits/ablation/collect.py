@@ -82,7 +82,7 @@ def record_of(base, search, weighed, out, found, verdict) -> dict:
             "on": out.on, "across_runs": out.across_runs, "effects": out.effects,
             "loss": out.loss, "whitened": out.whitened, "rows": out.rows,
             "smooth": out.smooth, "climbed": out.climbed,
-            "floor": findings.floor_of(base),
+            "floor": findings.floor_of(base, out),
         },
         "fitted": fitted,
         "found": {"sets": list(found.sets), "unlisted": found.unlisted,

@@ -11,6 +11,7 @@ from tirefit.diagnosis.evidence.base import shown_slip_noise
 from tirefit.diagnosis.noise import slip_scatter
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.fitting.estimate import fit
 
 ROWS, NOISE = 600, 0.002
 LOADS = np.repeat([2000.0, 4000.0, 6000.0], ROWS // 3)
@@ -92,6 +93,80 @@ def test_stated_slip_noise_is_not_estimated():
     columns = steady(1, 2 * NOISE)
     stated = read_frame(columns | {"sigma_x_std": np.full(ROWS, 0.001)})
     prepared = prepare(stated, Rig(), ("fx",))
-    assert shown_slip_noise(prepared, "brush", EFFECTS, Rig()) == 0.0
+    assert shown_slip_noise(prepared, "brush", EFFECTS, Rig()) is None
     assert np.all(prepared.slip_std == 0.001)
     assert "sigma_x_std" in prepared.slip_source
+
+
+def driven(seed, steps, noise=0.0, own=40.0, rows=ROWS, effect=0.0):
+    """A slip angle that goes up and down at 20 Hz with independent steps on it, measured
+    with white ``noise``; a force that follows all of the slip, with noise ``own`` [N]."""
+    generator = np.random.default_rng(seed)
+    time, load = np.arange(rows) / 20, np.full(rows, 4000.0)
+    alpha = 0.15 * np.sin(1.3 * time) + steps * generator.normal(size=rows)
+    force = brush(np.tan(alpha + effect), 4e4, 0.9, load) + own * generator.normal(size=rows)
+    alpha = alpha + noise * generator.normal(size=rows)
+    return {"time": time, "alpha": alpha, "fy": force, "fz": load, "v": np.full(rows, 20.0)}
+
+
+def judged(seed, steps, noise, own=40.0):
+    """Noise of the slip by the forces, None for all of its scatter about sweeps."""
+    prepared = prepare(read_frame(driven(seed, steps, noise, own)), Rig(), ("fy",))
+    assert prepared.slip_source == "scatter about smooth sweeps"
+    return shown_slip_noise(prepared, "brush", FEW, Rig())
+
+
+@pytest.mark.parametrize(("steps", "own"), [(0.02, 40.0), (0.02, 200.0), (0.005, 10.0)])
+def test_steps_that_the_force_follows_are_no_noise(steps, own):
+    assert [judged(seed, steps, 0.0, own) for seed in range(6)] == [0.0] * 6
+
+
+@pytest.mark.parametrize(("noise", "own"), [(0.01, 40.0), (0.01, 200.0), (0.002, 10.0)])
+def test_scatter_that_the_force_does_not_follow_is_noise(noise, own):
+    """At four standard errors, one record in 30,000 is taken for motion."""
+    assert [judged(seed, 0.0, noise, own) for seed in range(6)] == [None] * 6
+
+
+def test_noise_beside_steps_is_found():
+    found = [judged(seed, 0.02, 0.005) for seed in range(6)]
+    assert np.mean(found) == pytest.approx(0.005, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("seed", "effects"),
+    [(1, FEW), *(pytest.param(k, EFFECTS, marks=pytest.mark.long) for k in range(10))],
+)
+def test_steps_of_the_slip_leave_the_noise_of_the_force(seed, effects):
+    """The noise of 600 rows has a standard error of 3 %."""
+    found = diagnose(read_frame(driven(seed, 0.02)), effects=effects)
+    assert found.verdict.status == "none"
+    assert found.noise.slip == 0
+    assert found.noise.forces["fy"] == pytest.approx(40, rel=0.1)
+    rms = [step.rms_left_out for step in found.ladder.steps]
+    assert rms[-1] <= rms[0]
+
+
+def test_an_effect_beside_steps_of_the_slip_is_named():
+    found = diagnose(read_frame(driven(2, 0.02, effect=0.01)), effects=FEW)
+    assert found.effects == ("slip_offset",)
+    assert found.noise.forces["fy"] == pytest.approx(40, rel=0.1)
+
+
+def test_the_noise_floor_is_at_most_what_a_model_leaves():
+    """Also where the stated noise is far above the scatter: it is flagged instead."""
+    rig = Rig(noise={"fy": 4000.0})
+    found = diagnose(read_frame(driven(3, 0.02)), rig=rig, effects=FEW)
+    assert "noise_misstated" in found.noise.flags
+    rms = [step.rms_left_out for step in found.ladder.steps]
+    assert rms[-1] <= rms[0] < 50
+
+
+def test_a_diagnosis_counts_rows_as_a_fit_does():
+    """Both count the residuals of the brush, whose misfit is slow: the stiffness drifts."""
+    columns = driven(4, 0.0, own=100.0)
+    columns["fy"] *= 1 + 0.1 * np.sin(columns["time"])
+    data = read_frame(columns)
+    by_fit = fit(data, "brush", config={"solver": "gauss-newton"}).statistics
+    found = diagnose(data, effects=FEW)
+    assert by_fit.n_effective < 0.3 * ROWS
+    assert found.n_effective == pytest.approx(by_fit.n_effective, rel=0.1)

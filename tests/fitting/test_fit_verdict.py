@@ -302,3 +302,31 @@ def test_a_fit_with_slip_noise_at_several_loads_has_a_verdict():
     result = fit(data, "brush", config={"noise": {"sigma_x": 0.001}})
     assert result.status != "ok"
     assert "brush-load lets" not in " ".join(result.warnings)
+
+
+@pytest.mark.parametrize("factor", [2.0, 1000.0])
+@pytest.mark.parametrize("column", [False, True])
+def test_a_stated_noise_far_above_the_scatter_is_the_verdict(factor, column):
+    extra = {"fx_std": np.full(400, factor * STD)} if column else {}
+    config = ESTIMATED if column else GIVEN | {"noise": {"fx": factor * STD}}
+    result = fit(curve(extra=extra), config=config)
+    assert result.status == "overstated noise"
+    assert result.noise["fx"]["median_std"] == pytest.approx(factor * STD)
+    assert f"({factor * STD:.3g} N" in result.warnings[0]
+    # The residuals of 400 rows give their scatter within 3.5 standard errors.
+    said = float(result.warnings[0].split(" times the stated noise")[0].split()[-1])
+    assert said == pytest.approx(1 / factor, rel=3.5 / np.sqrt(800))
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.25])
+def test_a_stated_noise_somewhat_off_is_told_beside_the_verdict(factor):
+    """400 residuals give their scatter to 3.5 %: 20 % is 5 standard errors, and no failure."""
+    result = fit(curve(), config=GIVEN | {"noise": {"fx": factor * STD}})
+    assert result.status == "ok"
+    assert any("times the stated noise" in text for text in result.warnings)
+
+
+def test_a_stated_noise_that_is_right_is_rarely_doubted():
+    """The test has a level of 0.1 % to each side."""
+    found = [fit(curve(seed=seed, n=60), config=GIVEN) for seed in range(20)]
+    assert not any("stated noise" in text for result in found for text in result.warnings)

@@ -159,7 +159,7 @@ def diagnose(
         whole = prepare(data, rig, gives)
         form = STAND_INS[0] if plain in MAGIC_FORMULAS else plain
         some = thinned(whole, _MOST_ROWS)
-        if shown := shown_slip_noise(some, form, effects, rig):
+        if (shown := shown_slip_noise(some, form, effects, rig)) is not None:
             some = thinned(whole := prepare(data, rig, gives, shown), _MOST_ROWS)
         case = studied(some, model, rig, effects, without, generator, given)
         name, simulated = plain, case.base.simulator

@@ -118,15 +118,10 @@ def in_order(time, run) -> list[np.ndarray]:
 
 
 def correlation(white, time, run) -> float:
-    """Number of rows per independent row of a remainder (n,), at least 1; excluded rows
-    are zero."""
-    parts = [white[rows] for rows in in_order(time, run)]
-    together = sum(float(p[1:] @ p[:-1]) for p in parts)
-    lag_one = together / max(float(white @ white), NONZERO)
-    if lag_one < CORRELATED / np.sqrt(len(white)):
-        return 1.0
-    first_order = (1 + lag_one) / max(1 - lag_one, ROUNDING)
-    return min(max(autocorrelation_time(parts), first_order), len(white) / _FACTS)
+    """Number of rows per independent row of a remainder (n,), at least 1 and at most that
+    of :data:`_FACTS` independent rows; excluded rows are zero."""
+    each = autocorrelation_time([white[rows] for rows in in_order(time, run)])
+    return min(each, len(white) / _FACTS)
 
 
 _FINEST = 1e-5
@@ -237,6 +232,9 @@ def judge_noise(
         if local < 1:
             std = np.maximum(std * local, floor)
             memory = smooth.memory(rest / std, in_time)
+        # A noise that is not stated is a part of the residual.
+        most = np.sqrt(np.mean(residual[keep] ** 2) / np.mean(std[keep] ** 2))
+        std = std * min(float(most), 1.0)
     std = np.maximum(std, floor)
     if np.all(std <= floor):  # forces from a formula have rounding errors but no noise
         memory = (FORGETFUL,)
@@ -453,6 +451,38 @@ def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) ->
     sizes, *_ = np.linalg.lstsq(columns, local[first] * local[next_to], rcond=None)
     variance = _law(square, parts)[-1] - max(float(sizes[1]), 0.0)
     return float(np.sqrt(max(variance, 0.0)))
+
+
+def noise_in_motion(residual, slope, off, scatter: float) -> float | None:
+    """Standard deviation of the noise of a slip of which a part of the ``scatter`` about its
+    path is motion, zero if not significant; None if all may be noise.
+
+    The force follows what the slip did: a residual at the measured slips contains minus
+    the slope times the noise of its own row, and so does ``off``.
+
+    Args:
+        residual: (n,) [N] at the measured slips.
+        slope: (n,) of the force over the slip [N].
+        off: (n,) slips minus the mean of the two neighbours in time, see :func:`between`.
+    """
+    # The residual scatters more where the force is steep.
+    size = np.hypot(MAD * np.median(np.abs(residual)), slope * scatter)
+    near = np.abs(residual) <= _OUTLIER * size
+    kept = near & (np.abs(off) <= _OUTLIER * MAD * np.median(np.abs(off))) & (off != 0)
+    weight = max(float(slope[kept] @ slope[kept]), NONZERO)
+    parts = -slope[kept] * residual[kept] * off[kept]
+    variance, error = float(np.sum(parts)) / weight, float(np.sqrt(np.sum(parts**2))) / weight
+    if variance + _CLEAR * error >= scatter**2:
+        return None
+    return float(np.sqrt(variance)) if variance > CORRELATED * error else 0.0
+
+
+def between(values, in_time: Sequence[np.ndarray]) -> np.ndarray:
+    """Values (n,) minus the mean of the two neighbours in time; zero at both ends."""
+    off = np.zeros(len(values))
+    for rows in (rows for rows in in_time if len(rows) > 2):
+        off[rows[1:-1]] = _middle(values[rows], -0.5)
+    return off
 
 
 def _middle(values, weight: float):

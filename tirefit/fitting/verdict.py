@@ -3,8 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import chdtr, chdtrc
 
 from tirefit.data.run_names import label_of_run
+from tirefit.data.table import CANONICAL
 from tirefit.fitting.derived import quantity_of
 from tirefit.fitting.result import FitResult, PeakRange, Verdict
 from tirefit.fitting.trials import SLIDING
@@ -15,6 +17,7 @@ _EXACT = 1e-9  # RMSE over the range of the force below which residuals are roun
 
 _POOR_CHI2 = 2.0
 _POOR_R2 = 0.8
+_CHANCE = 1e-3  # one-sided; the intervals are widened at the same level
 _STRUCTURE_SIGMAS = 6.0
 _SYSTEMATIC = 0.5
 """Correlation of neighbours above which half of the residual variance is misfit."""
@@ -70,6 +73,39 @@ def _fit_quality(result: FitResult) -> list[str]:
             f" variance of {result.forces[0]}"
         )
     return sentences
+
+
+def _stated_noise(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    """A sentence for each force whose residuals contradict its stated noise, by chi-square at
+    the effective number of rows. The noise stays as stated; :func:`_fit_quality` judges
+    residuals far above it."""
+    statistics, at, problem = result.statistics, result.solved.at, result.solved.problem
+    found: list[tuple[Outcome | None, str]] = []
+    for channel in problem.channels:
+        observed = problem.used(problem.rows.observed[channel.name])
+        square = np.mean((observed - at.mean[channel.name]) ** 2 / at.variance[channel.name])
+        size, dof = float(np.sqrt(square)), max(statistics.dof, 1.0)
+        chance = min(chdtr(dof, size**2 * dof), chdtrc(dof, size**2 * dof))
+        if channel.noise_estimated or (statistics.chi2_dof or 0.0) > _POOR_CHI2:
+            continue
+        if chance > _CHANCE:
+            continue
+        stated = result.noise[channel.name]["median_std"]
+        text = (
+            f"the residuals of {channel.name} are {size:.2g} times the stated noise"
+            f" ({stated:.3g} {CANONICAL[channel.name][0]}; such a noise gives this with a"
+            f" probability below {_CHANCE:g}): "
+        )
+        if size > 1:
+            found.append((None, f"{text}the intervals are widened; check the stated noise"))
+            continue
+        text += (
+            f"it is stated too large, and so are the intervals, by up to {1 / size:.2g}; check its"
+            " unit, or leave it out, and it is estimated from the residuals"
+        )
+        outcome = Outcome.NOISE_OVERSTATED if size**2 * _POOR_CHI2 < 1 else None
+        found.append((outcome, text))
+    return found
 
 
 def _misfit(result: FitResult) -> float:
@@ -231,6 +267,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     if exact:
         findings.append((None, exact))
     else:
+        findings += _stated_noise(result)
         findings += _lacking(result) + _structure(result)
     findings += _peak_not_reached(result)
     if result.solved.ambiguous:

@@ -192,7 +192,10 @@ def _settings(result: Diagnosis) -> Iterator[str]:
     data, settings, noise = result.data, result.settings, result.noise
     yield f"data: {data.path or data.name}, sha256 {data.sha256 or '-'}"
     yield (
-        f"{result.n} rows count as {result.n_effective:.0f} independent ones; noise of"
+        f"{result.n} rows count as {result.n_effective:.0f} in a fit of the model, whose"
+        " residuals contain its misfit, and as"
+        f" {result.n / noise.inflation:.0f} where only the noise counts, after smooth functions"
+        " that represent any gap; noise of"
         f" {noise.slip_name} {format_number(noise.slip, 3)} ({noise.slip_source});"
         f" {noise.outliers} rows excluded as outliers"
         f"{'; noise ' * bool(noise.flags)}{', '.join(noise.flags)}"

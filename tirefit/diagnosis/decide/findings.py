@@ -85,9 +85,11 @@ def _part(whole: Hypothesis, key: Key) -> Hypothesis:
     )
 
 
-def floor_of(base: Base) -> float:
-    """Mean square of the noise of the first channel [N^2]."""
-    return float(np.mean(base.noise[base.rows.channels[0]].std ** 2))
+def floor_of(base: Base, out: Predicted) -> float:
+    """Mean square of the noise of the first channel [N^2], at most what the base model
+    leaves of the rows left out: a stated noise may be above it, and so may an estimate."""
+    left = out.rows @ out.loss[:, out.effects.index(())] / out.rows.sum()
+    return min(float(np.mean(base.noise[base.rows.channels[0]].std ** 2)), float(left))
 
 
 def findings_of(
@@ -111,7 +113,7 @@ def findings_of(
         # The evidence assumes a known noise. If an unlisted effect is present, it is
         # overconfident on the effects that resemble it.
         key = out.climbed or tuple(e for e in key if e not in of_one_run(base))
-    floor = floor_of(base)
+    floor = floor_of(base, out)
     parts = [part for part in parts_of(key) if part in weighed.log_weight]
     return Findings(
         weighed=weighed,

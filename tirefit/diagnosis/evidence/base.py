@@ -12,9 +12,24 @@ from tirefit.diagnosis.evidence import fits, forms
 from tirefit.diagnosis.evidence.forward import Design, Linear, Tire, with_force
 from tirefit.diagnosis.evidence.simulator import STAND_INS, Given, Simulated, check_signs
 from tirefit.diagnosis.negligible import FLAT
-from tirefit.diagnosis.noise import NoiseLevel, in_order, judge_noise, slip_scatter
+from tirefit.diagnosis.noise import (
+    NoiseLevel,
+    between,
+    in_order,
+    judge_noise,
+    noise_in_motion,
+    slip_scatter,
+)
 from tirefit.diagnosis.rows.basis import Generic, smooth_basis, wave_basis
-from tirefit.diagnosis.rows.prepared import NOT_STATED, Prepared, neighbours, on_scale_of
+from tirefit.diagnosis.rows.prepared import (
+    NOT_STATED,
+    SCATTER,
+    Prepared,
+    neighbours,
+    on_scale_of,
+    order_of,
+    slip_of,
+)
 from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
@@ -235,27 +250,37 @@ def fit_base(
     return forms.with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
 
 
-def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
-    """Noise of the slip, estimated from the measured forces and the model ``name``. Zero
-    if it is known, if both slips drive, or if the force was derived from the motion,
-    which has the same errors as the slip."""
-    known = prepared.slip_source != NOT_STATED or prepared.derived is not None
-    if known or prepared.mode == "xy":
-        return 0.0
+def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float | None:
+    """Noise of the slip, estimated from the measured forces and the model ``name``. None if
+    it is stated, if the forces do not show it, if the scatter of the slip about its path is
+    all noise, or if the force was derived from the motion, which has the errors of the slip.
+    """
+    sweeps = prepared.slip_source == SCATTER
+    known = prepared.slip_source != NOT_STATED and not sweeps
+    if known or prepared.derived is not None or (prepared.mode == "xy" and not sweeps):
+        return None
     tire, z, _ = fits.first_fit(prepared, name, prepared.data, effects, rig)
-    noisy = replace(prepared, slip_std=np.full(prepared.n, _SMALL))
-    channel, design = prepared.channels[0], fits.design_of(noisy, effects, rig)
-    mean, spread = tire.moments(z, design, prepared.n)
+    channel, design = prepared.channels[0], fits.design_of(prepared, effects, rig)
+
+    def force(off: float):
+        moved = replace(prepared, slip=prepared.slip + off)
+        return tire.moments(z, fits.measured_slips(design, moved), prepared.n)[0][channel]
+
+    slope = (force(_SMALL) - force(-_SMALL)) / (2 * _SMALL)
+    residual = prepared.observed[channel] - force(0.0)
+    moving: float | None = 0.0
+    if sweeps:
+        stretches = in_order(*order_of(prepared.data))
+        off = between(slip_of(prepared.data, prepared.mode), stretches)[prepared.kept]
+        moving = noise_in_motion(residual, slope, off, float(prepared.slip_std[0]))
+    if moving is None or prepared.mode == "xy":
+        return moving
     # Where the slip changes its sign the curve bends, and a shift of it is a gap.
     side, groups = prepared.slip > 0, neighbours(prepared)
     one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
-    return slip_scatter(
-        prepared.observed[channel] - mean[channel],
-        spread[channel] / _SMALL**2,
-        prepared.inputs.fz,
-        one_sided,
-        in_order(prepared.time, prepared.run),
-    )
+    in_time = in_order(prepared.time, prepared.run)
+    found = slip_scatter(residual, slope**2, prepared.inputs.fz, one_sided, in_time)
+    return max(found, moving) if sweeps else found or None
 
 
 def _under(noise: Mapping[str, NoiseLevel], fit: Fit) -> Base:

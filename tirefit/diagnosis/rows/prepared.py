@@ -19,7 +19,7 @@ from tirefit.models import TireInputs
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that cause the forces -> forces that may be diagnosed."""
 
-_SCATTER = "scatter about smooth sweeps"
+SCATTER = "scatter about smooth sweeps"
 _SHOWN = "scatter where the force is steep"
 NOT_STATED = "none assumed"
 
@@ -58,6 +58,7 @@ class Prepared:
     slip_check: SlipCheck | None
     sizes: table.Sizes
     derived: table.Derived | None  # None if the force was measured
+    shown: float | None  # noise of the slip by the forces, None if it is not judged by them
 
     @property
     def n(self) -> int:
@@ -75,11 +76,6 @@ class Prepared:
         if self.slip_law is None:
             return np.zeros(self.n)
         return self.slip_law.moments(self.slip, self.slip_std)[2]
-
-    @property
-    def slip_scatter(self) -> float:
-        """Noise of the slip estimated from the forces; zero if known otherwise."""
-        return float(self.slip_std[0]) if self.slip_source == _SHOWN else 0.0
 
     @property
     def path(self) -> np.ndarray | None:
@@ -121,27 +117,27 @@ def _mode(data: TireData) -> str:
     return "x" if along else "y"
 
 
-def prepare(data: TireData, rig: Rig, model, slip_scatter: float = 0.0) -> Prepared:
-    """The used rows, for the forces of a model. ``slip_scatter`` is the noise of the slip,
-    used if it is neither stated nor visible in sweeps. Raises DataError."""
+def prepare(data: TireData, rig: Rig, model, shown: float | None = None) -> Prepared:
+    """The used rows, for the forces of a model. ``shown`` is the noise of the slip by the
+    forces, used if it is not stated; None for the scatter about sweeps. Raises DataError."""
     check_data(data, (), rig)
     mode = _mode(data)
-    tan_alpha = np.tan(table.column(data, "alpha"))
-    slip = tan_alpha if mode == "y" else table.column(data, "sigma_x")
-    second = tan_alpha if mode == "xy" else np.zeros(data.n)
+    slip, second = slip_of(data, mode), np.zeros(data.n)
+    if mode == "xy":
+        second = np.tan(table.column(data, "alpha"))
     channels = tuple(c for c in MODES[mode] if c in data and c in model)
     if not channels:
         reason = f"{' or '.join(MODES[mode])}, whose slip varies, is not simulated"
         remedy = f"the model gives {', '.join(model) or 'no force'}: choose another"
         raise unfit(data, reason, remedy)
-    time, run = data.usable("time") if "time" in data else None, data.run[data.used]
-    stated, _ = _slip_std(data, mode, rig, 0.0, 0.0)
+    time, run = order_of(data)
+    stated, _ = _slip_std(data, mode, rig, 0.0, None)
     rate = None
     if mode == "y" and "alpha_rate" in data:
         rate = data.usable("alpha_rate") * (1 + slip**2)
-    sweeps = slip_rate(slip, time, run, float(np.median(stated)), rate)
-    std, source = _slip_std(data, mode, rig, sweeps.noise, slip_scatter)
-    if source != _SCATTER:
+    sweeps = slip_rate(slip, time, run, float(np.median(stated)), rate, shown)
+    std, source = _slip_std(data, mode, rig, sweeps.noise, shown)
+    if source != SCATTER:
         check_slip_noise(data, "alpha" if mode == "y" else "sigma_x", std)
     check_data(data, channels, rig)
     radius = rig.radius_for(data)
@@ -169,8 +165,20 @@ def prepare(data: TireData, rig: Rig, model, slip_scatter: float = 0.0) -> Prepa
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
         rig.run_order == "random", np.arange(data.n),
         check_slip(data, rig.rolling_radius),
-        sizes._replace(wheel=radius or table.wheel_radius(data, derived)), derived,
+        sizes._replace(wheel=radius or table.wheel_radius(data, derived)), derived, shown,
     )  # fmt: skip
+
+
+def slip_of(data: TireData, mode: str) -> np.ndarray:
+    """The primary slip [-] of the used rows, (n,)."""
+    if mode == "y":
+        return np.tan(table.column(data, "alpha"))
+    return table.column(data, "sigma_x")
+
+
+def order_of(data: TireData) -> tuple[np.ndarray | None, np.ndarray]:
+    """Time, or None, and run (n,) of the used rows."""
+    return data.usable("time") if "time" in data else None, data.run[data.used]
 
 
 def on_scale_of(prepared: Prepared, fitted: Prepared) -> Prepared:
@@ -204,16 +212,17 @@ def thinned(prepared: Prepared, most: int) -> Prepared:
     )
 
 
-def _slip_std(data: TireData, mode: str, rig: Rig, scatter: float, shown: float):
-    """(noise of the slip (n,), its source): stated, else the ``scatter`` about smooth
-    sweeps, else the one ``shown`` by the forces."""
+def _slip_std(data: TireData, mode: str, rig: Rig, scatter: float, shown: float | None):
+    """(noise of the slip (n,), its source): stated, else the one ``shown`` by the forces,
+    else the ``scatter`` about smooth sweeps."""
     name = "alpha" if mode == "y" else "sigma_x"
     if f"{name}_std" in data:
         return np.nan_to_num(data.usable(f"{name}_std")), f"column {name}_std"
     given, of_speed = rig.slip_noise(name), rig.slip_noise(name, "_speed")
     if of_speed is not None:
         return std_with_speed(given or 0.0, of_speed, speed_of(data)), "given"
-    for size, source in ((given, "given"), (scatter, _SCATTER), (shown, _SHOWN)):
+    found = (scatter, SCATTER) if shown is None else (shown, _SHOWN)
+    for size, source in ((given, "given"), found):
         if size:
             return np.full(data.n, size), source
     return np.zeros(data.n), NOT_STATED

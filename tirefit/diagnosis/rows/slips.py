@@ -179,12 +179,13 @@ class Sweeps(NamedTuple):
     noise: float  # scatter of the slip about its path, 0 where unknown
 
 
-def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
+def slip_rate(slip, time, run, noise: float = 0.0, rate=None, shown=None) -> Sweeps:
     """Rate of change of slips (n,) at times (n,) [s], or None, of runs (n,).
 
     Args:
         noise: stated noise of the slip; 0 where unknown.
         rate: (n,) [1/s] measured rate, for rows too far apart to show it, or None.
+        shown: noise of the slip by the forces, in place of a white scatter about its path.
     """
     count = len(slip)
     none = np.repeat(np.arange(count)[:, None], len(AGES), axis=1)
@@ -208,6 +209,8 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     scatter = seen if FLAT * np.std(slip) < most < _MORE * seen else 0.0
     seen = max(seen, FLAT * np.std(slip))
     level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
+    if shown is not None and scatter and not noise:
+        level = max(shown, FLAT * np.std(slip))
     paths = [_path_of(slip[part], time[part], level) for part in parts]
     usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
     rate = np.sqrt(np.mean(np.concatenate([path.slope for path in paths]) ** 2))

@@ -257,7 +257,7 @@ def _on_files(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
     sets += [(h.z, amplitudes_of(base, h)) for h in (case.chosen, *steps.values())]
     parts = []
     for data in holdout:
-        other = on_rows(base, prepare(data, rig, rows.channels, rows.slip_scatter), rig)
+        other = on_rows(base, prepare(data, rig, rows.channels, rows.shown), rig)
         observed = other.rows.observed[main]
         missed = [observed - other.forces(*one)[main] for one in sets]
         variance, run = (scale * other.rows.inputs.fz) ** 2, other.rows.run + runs

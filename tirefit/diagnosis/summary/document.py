@@ -46,6 +46,7 @@ from tirefit.diagnosis.summary.views import (
     shown_rows,
 )
 from tirefit.diagnosis.summary.where import data_summary, parameter_map, regions, spots
+from tirefit.fitting.noise import effective_inflation
 
 _LISTED, _MENTIONED = 10, 1e-3
 """Largest number of candidates; smallest probability of the unknown to be one."""
@@ -80,7 +81,7 @@ def document_of(
     # Random numbers are drawn in this order: true forces, held-out data, budget.
     believed, main = rows_of(case, base), prepared.channels[0]
     truth = plausible_forces(case, generator)
-    ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base))
+    ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base, case.predicted))
     held, ladder = held_out(case, holdout, rig, ladder, generator)
     verdict, gaps = case.verdict, _gaps(case, rows, truth)
     candidates = _candidates(case, rows[main]["base"], truth[main])
@@ -98,7 +99,7 @@ def document_of(
         model=model,
         simulator=simulator_summary(base, model, gap.rms),
         n=data.n,
-        n_effective=prepared.n / noise.inflation,
+        n_effective=_rows_of_fit(base),
         noise=noise,
         gap=gap,
         budget=budgets[main],
@@ -158,6 +159,15 @@ def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
             closed = float(np.clip(found.closed, 0.0, 1.0))
             gaps[channel] = replace(gaps[channel], closed=closed)
     return gaps
+
+
+def _rows_of_fit(base: Base) -> float:
+    """Effective number of rows of the fit without effects, counted as by ``tirefit fit``: its
+    residuals contain the misfit of the model, which the noise does not."""
+    rows, (residual, jacobian, *_) = base.rows, base.at_null
+    scores = np.split(residual[:, None] * jacobian, len(rows.channels))
+    each = [effective_inflation(part, rows.run, rows.time) for part in scores]
+    return float(np.mean([rows.n / one for one in each]))
 
 
 def _noise(case: Case) -> NoiseSummary:
