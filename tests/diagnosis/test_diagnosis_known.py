@@ -9,7 +9,8 @@ from conftest_diagnosis import brush
 from scipy.interpolate import CubicSpline
 
 from fits.withheld.car import Car, drive, steer
-from tirefit.data.read import read_frame
+from tirefit.data.read import read, read_frame
+from tirefit.data.write import csv_text
 from tirefit.diagnosis.effects import EFFECTS, atoms_of, effects_by_id
 from tirefit.diagnosis.effects.state import null_state
 from tirefit.diagnosis.engine import diagnose
@@ -96,20 +97,18 @@ def test_an_undeclared_reference_point_is_found():
     assert KNOWN["tracked_point"].remedy.startswith("measure")
 
 
-def test_estimates_of_derive_are_reported_with_the_verdict(driven, plain):
-    shown = {
-        "alpha_zero": -0.0098,
-        "found_point": 0.11,
-        "found_point_std": 0.002,
-        "late_steering": -0.127,
-        "late_steering_std": 0.015,
-    }
-    data = stating(driven, **STATED, **shown)
-    said = diagnose(data, rig=RIG, effects=LIBRARY[:2]).data.motion[-1]
-    assert "alpha is -0.0098 rad where fy = 0 (slip_offset)" in said
-    assert "0.11 ± 0.002 m ahead of the rear axle, stated 0 m (tracked_point)" in said
-    assert "steering is 0.13 ± 0.01 s early (steering_delay)" in said
-    assert "tirefit derive found" not in " ".join(plain.data.motion)
+def test_estimates_of_derive_are_reported_with_the_verdict(driven, plain, tmp_path):
+    shown = "alpha_zero=-0.0098 tracked_point=0 found_point=0.11 found_point_std=0.002"
+    shown += " late_steering=-0.127 late_steering_std=0.015"
+    path = tmp_path / "axle.csv"
+    path.write_text(f"# tirefit: convention braking, constants {shown}\n{csv_text(driven)}")
+    found = diagnose(read(path), rig=RIG, effects=LIBRARY[:2])
+    (said,) = (text for text in found.data.assumptions if "found by tirefit derive" in text)
+    assert "alpha is -0.0098 rad where fy = 0" in said
+    assert "by force against slip 0.11 ± 0.002 m ahead of the stated one: correct it" in said
+    assert "the steering acts 0.13 ± 0.01 s before the path's curvature" in said
+    assert said in " ".join(diagnosis_text(found).split())  # once, in the short report
+    assert "found by tirefit derive" not in " ".join(plain.data.assumptions)
 
 
 # --- the steering -----------------------------------------------------------------

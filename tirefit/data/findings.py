@@ -51,7 +51,7 @@ def findings(constants: Mapping[str, float]) -> tuple[str, ...]:
         found.append(f"alpha is {constants['alpha_zero']:+.4f} rad where fy = 0")
     known = error_of_point(constants)
     if known is not None:
-        keep = ", within its error: keep that" if point_confirmed(constants) else ""
+        keep = ", within its error: keep that" if point_confirmed(constants) else ": correct it"
         found.append(f"the tracked point is {point_words(-known[0], known[1])}{keep}")
     elif "found_point" in constants:
         place, std = constants["found_point"], constants["found_point_std"]

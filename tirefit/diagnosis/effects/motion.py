@@ -23,6 +23,9 @@ from tirefit.slip import GRAVITY
 _CONTRADICTS = 3.0
 """Standard errors of derive's estimate beyond which another value contradicts it."""
 
+_CERTAIN = 30.0
+"""Largest log odds: an error of one in 10^13, beyond which nothing changes."""
+
 _HEIGHT, _FAR = 0.4, 6.0
 """Height of the centre of gravity over the arm of an axle (cars have 0.3 to 0.6);
 bounds in standard deviations."""
@@ -105,6 +108,13 @@ def of_a_known_position(prior, prepared, rig):
     return prior._replace(
         scale=std, center=error, low=min(error, 0.0) - reach, high=max(error, 0.0) + reach
     )
+
+
+def odds_of_derive(prepared) -> float:
+    """Prior log odds of an error of the tracked point: the log likelihood of the error that
+    ``tirefit derive`` found against that of none."""
+    known = error_of_point(prepared.data.source.constants)
+    return 0.0 if known is None else min((known[0] / known[1]) ** 2 / 2, _CERTAIN)
 
 
 def against_derive(distance: float, prepared) -> str:

@@ -7,6 +7,7 @@ import numpy as np
 from tirefit.diagnosis.effects import free_forms as free
 from tirefit.diagnosis.effects.motion import (
     against_derive,
+    odds_of_derive,
     of_a_known_force,
     of_a_known_height,
     of_a_known_inertia,
@@ -179,6 +180,7 @@ SPEEDS = (
         means="the slip angle is that of another point than the axle",
         remedy="measure tracked_point of vehicle.toml: its error along the vehicle is"
         " the amplitude", prior=of_a_known_position, doubts=against_derive,
+        odds=odds_of_derive,
         needs=("yaw_rate", "v", "doubted point"), channels=("fy", "mz"),
         told_apart_by="speeds",
         looks_like=("slip_offset", "carcass_flexibility"),
