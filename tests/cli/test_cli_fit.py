@@ -210,7 +210,7 @@ def test_rows_below_the_peak_give_exit_code_6_and_their_range(run, no_figures, t
     """To 0.42 of full sliding, where a brush has 1 - 0.58^3 = 80 % of its peak."""
     write(tmp_path / "below.csv", reach=0.05)
     words = ("fit", "below.csv", "--no-posterior", "--html", "--out", "out")
-    output = " ".join(run(*words, code=6).split())
+    output = " ".join(run(*words, exit_code=6).stdout.split())
     assert "VERDICT: friction rests on the shape of the model: mu 0." in output
     stored = content(tmp_path / "out")
     one = stored["peak_range"]["F_max_over_fz"]
