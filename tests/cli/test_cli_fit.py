@@ -206,6 +206,20 @@ def test_command_line_overrides_the_configuration(run, no_figures, rig, tmp_path
     assert record["noise"]["fx"]["source"] == "given"
 
 
+def test_rows_below_the_peak_give_exit_code_6_and_their_range(run, no_figures, tmp_path):
+    """To 0.42 of full sliding, where a brush has 1 - 0.58^3 = 80 % of its peak."""
+    write(tmp_path / "below.csv", reach=0.05)
+    words = ("fit", "below.csv", "--no-posterior", "--html", "--out", "out")
+    output = " ".join(run(*words, exit_code=6).stdout.split())
+    assert "VERDICT: friction rests on the shape of the model: mu 0." in output
+    stored = content(tmp_path / "out")
+    one = stored["peak_range"]["F_max_over_fz"]
+    assert one["low"] < 1.0 < one["high"] and 0.75 < one["share"] < 0.85
+    page = (tmp_path / "out" / "fit.html").read_text()
+    assert "friction rests on the shape of the model" in page and f"{one['high']:.3g}" in page
+    assert stored["outcomes"] == ["shape_dependent"]
+
+
 def test_not_identified_gives_exit_code_5_only_with_strict(run, no_figures, tmp_path):
     # Slip to 17 % of full sliding, and noise that hides the bend.
     write(tmp_path / "low.csv", reach=0.02, noise=1200.0, seed=3)
