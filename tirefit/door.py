@@ -20,7 +20,7 @@ MIB = 2**20
 SETTINGS, TIRE, RECORD, CHAIN, DATA = (1 * MIB, 8 * MIB, 256 * MIB, 1024 * MIB, 1024 * MIB)
 """Largest sizes: settings, ``.tir``, JSON, stored chains, data (also when unpacked)."""
 
-COLUMNS = 10_000
+COLUMNS = 20_000
 """Most columns of a table; recordings of whole cars have some thousands."""
 
 _DEEPEST = 16  # most levels of nested tables and lists; valid files have up to 6

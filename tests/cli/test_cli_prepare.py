@@ -105,8 +105,10 @@ def test_the_stored_settings_reproduce_the_result(run, unrendered, recording, tm
     copy.write_text(copy.read_text().replace("0.02\t", "0.021\t", 1))
     said = run("prepare", "--repeat", record, "--out", "x", exit_code=3).stderr
     assert "its sha256 differs" in said
-    run("prepare", copy, "--repeat", record, "--out", "one")
-    other = json.loads((tmp_path / record).read_text())
+    said = run("prepare", copy, "--repeat", record, "--out", "one", exit_code=3).stderr
+    assert f"{record}: it is an input file (--repeat), which would be replaced" in said
+    run("prepare", copy, "--repeat", record, "--out", "three")
+    other = json.loads((tmp_path / "three" / "run7.prepare.json").read_text())
     assert other["config"]["bandwidth"] == 6.0
 
 

@@ -17,6 +17,7 @@ from tirefit.models.mf import MFTire
 from tirefit.models.relaxation import Relaxed
 from tirefit.params import check_names, parameter_values, specs, with_values
 from tirefit.precision import require_x64
+from tirefit.results import UsageError
 from tirefit.slip import CONVENTIONS, LOCKED, kappa_from_sigma
 from tirefit.targets.program import Program, traced
 
@@ -257,9 +258,16 @@ def _with_effects(tire: Tire, diagnosis) -> Tire:
     known = isinstance(diagnosis, Diagnosis)
     document = document_of(diagnosis.to_json()) if known else read_document(diagnosis)
     require_x64("an export")
-    report = extend(
-        tire.model, tire.name, document, lambda model: _exportable(replace(tire, model=model)).model
-    )
+    try:
+        report = extend(
+            tire.model,
+            tire.name,
+            document,
+            lambda model: _exportable(replace(tire, model=model)).model,
+        )
+    except UsageError as error:
+        file = "" if known else os.fspath(diagnosis)
+        raise UsageError([replace(one, file=file) for one in error.problems]) from None
     own, before = document.extended_parameters, parameter_values(tire.model)
     notes = _exportable(tire).notes + report.sentences
     far = [k for k, x in own.items() if abs(x - before[k]) > abs(before[k])]
