@@ -144,7 +144,7 @@ def run_block(block, names):
     return ""
 
 
-SHORT = ("docs/getting-started.md", "docs/tutorials/friction.md", "docs/how-to/model.md")
+SHORT = ("docs/getting-started.md", "docs/tutorials/friction.md")
 """Pages whose commands take less than 10 s of processor time."""
 
 

@@ -4,6 +4,7 @@ import ctypes
 import functools
 import importlib.util
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -144,7 +145,8 @@ def header_of(source):
 
 
 def built(path, folder, single, *flags):
-    """The header's functions in a shared library."""
+    """The header's functions in a shared library; the call that its head shows compiles."""
+    (call,) = re.findall(r"^ \* call: (.*)$", path.read_text(), re.MULTILINE)
     source = folder / f"use{single}.c"
     args = [
         line.split("(")[1].split(", tirefit_real force")[0]
@@ -159,6 +161,7 @@ def built(path, folder, single, *flags):
         f"void one({args}, tirefit_real *f) {{ tire({given}, f); }}\n"
         f"void two({args}, tirefit_real *f) {{ tirefit_real g[16];"
         f" tire_jacobian({given}, g, (tirefit_real (*)[3])f); }}\n"
+        f"void three({args});\nvoid three({args}) {{ {call} }}\n"
     )
     library = folder / f"lib{single}.so"
     command = ["cc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-shared"]
