@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from rig import MF61
+from scipy.stats import t
 
 from tirefit.data.read import read_frame
 from tirefit.data.tir import read_tir
@@ -220,18 +221,18 @@ def test_bands_contain_rows_of_a_load_that_was_left_out(left, channels):
     assert {part.force for part in fit.left_out} == set(channels)
 
 
-@pytest.mark.parametrize("at", [0, 5])
-def test_bands_beyond_the_loads_know_that_no_formula_follows_the_load(at, tmp_path):
-    """Friction ~ F_z^-0.2: a band of coefficients and noise alone holds few of the rows.
+def test_bands_beyond_the_loads_know_that_no_formula_follows_the_load(tmp_path):
+    """Friction ~ F_z^-0.35, the smallest load unseen: a band of coefficients and noise
+    alone holds few of its rows.
 
-    The share is that of one load, where all rows are wrong alike, so it may be one.
+    All rows of a load are wrong alike, so the share in a right band may be one.
     """
     loads = np.array([700.0, 1500.0, 2300.0, 3100.0, 3900.0, 4700.0])
     fz, alpha = np.repeat(loads, 81), np.tile(np.linspace(-0.2, 0.2, 81), 6)
     fy = np.asarray(forces(mf_tire("6.1", TIRE), TireInputs(alpha=alpha, fz=fz)).fy)
-    fy = fy * (fz / 3000) ** -0.2
+    fy = fy * (fz / 3000) ** -0.35
     fy = fy + 0.01 * fz * np.random.default_rng(0).standard_normal(len(fz))
-    out = fz == loads[at]
+    out = fz == loads[0]
     columns = {"alpha": alpha, "fz": fz}
     fit = fit_magic_formula(
         read_frame({k: v[~out] for k, v in (columns | {"fy": fy}).items()}),
@@ -245,22 +246,25 @@ def test_bands_beyond_the_loads_know_that_no_formula_follows_the_load(at, tmp_pa
         given = predict(source, {k: v[chosen] for k, v in columns.items()})
         return np.mean(np.abs(given["fy"] - fy[chosen]) < 1.96 * given["fy_std"])
 
-    law = fit.noise["fy"]
-    without = replace(fit, noise={"fy": law._replace(beyond=0.0)})
-    assert share(without, out) < 0.8
+    without = replace(fit, noise={"fy": fit.noise["fy"]._replace(beyond=0.0)})
+    assert share(without, out) < 0.5
     assert share(fit, out) == share(load_fit(tmp_path / "fit.json"), out) >= 0.9
-    # Of 405 rows: 0.95 +- 0.011.
-    assert 0.915 < share(fit, ~out) < 0.985
+    # Without raising the noise to 95 % of the fitted rows, the share is 0.88.
+    assert 0.93 < share(fit, ~out) < 0.985
     assert "beyond" in str(fit)
 
 
 def test_the_error_beyond_the_loads_is_that_of_few_loads():
-    """Errors of two left-out loads predict that of a third in 95 % of tires."""
+    """Two left-out loads predict a third: in more than 95 % of tires as good as the
+    prior, and in 88 % of those that are much worse (Student's t, two draws counted as
+    three)."""
     errors = np.random.default_rng(4).standard_normal((3, 20_000))
-    for size, least, most in ((0.02, 0.99, 1.0), (0.1, 0.94, 0.98), (0.3, 0.87, 0.95)):
+    least = 2 * t.cdf(t.ppf(0.975, 3) * np.sqrt(2 / 3), 2) - 1
+    for size, low, high in ((0.05, 0.95, 1.0), (0.1, 0.95, 1.0), (10.0, least, least)):
         found = size * np.sqrt(np.mean(errors[:2] ** 2, axis=0))
         half = 1.96 * np.array([beyond_of(one, 2) for one in found])
-        assert least <= np.mean(np.abs(size * errors[2]) < half) <= most, size
+        share = np.mean(np.abs(size * errors[2]) < half)
+        assert low - 0.006 < share < high + 0.006, size  # 2.5 standard errors
     assert beyond_of(0.0, 0) > 2 * beyond_of(0.0, 2) > 0
 
 

@@ -291,8 +291,9 @@ def noise_std(record: Mapping[str, Any], fz, force, runs=None, reference=None):
     std = np.broadcast_to(float(record["median_std"]), np.shape(fz))
     if "share_of_load" in record:
         shares = record["share_of_load"], record.get("share_of_force", 0.0)
-        beyond = record.get("share_beyond", 0.0), record.get("loads", (0.0, np.inf))
-        std = NoiseLaw(record["constant"], *shares, *beyond).std(fz, force)
+        loads = tuple(record.get("loads", (0.0, np.inf)))
+        law = NoiseLaw(record["constant"], *shares, record.get("share_beyond", 0.0), loads)
+        std = law.std(fz, force)
     elif record.get("proportional_to_load"):
         std = std * fz / reference
     factors = record.get("by_run", {})
