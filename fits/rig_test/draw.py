@@ -46,6 +46,10 @@ def properties() -> dict[str, float]:
         ]
         found[f"{force}: rows in the band"] = float(np.mean(np.concatenate(inside)))
         found[f"{force}: settings"] = float(len(fit.binned[force]))
+    for force in (*FORCES, "mx"):
+        shares = [part.within for part in fit.left_out if part.force == force]
+        for load, share in zip(("smallest", "middle", "largest"), shares, strict=True):
+            found[f"{force}: {load} load left out, rows in the band"] = share
     peer = staged_fit([(one.inputs, one.data) for one in rows])
     for force, (of_rows, _) in residuals(rows, [peer(o.inputs) for o in rows]).items():
         found[f"{force}: rms of the rows by SciPy"] = of_rows
