@@ -262,10 +262,10 @@ def test_the_error_beyond_the_loads_is_that_of_few_loads():
     least = 2 * t.cdf(t.ppf(0.975, 3) * np.sqrt(2 / 3), 2) - 1
     for size, low, high in ((0.05, 0.95, 1.0), (0.1, 0.95, 1.0), (10.0, least, least)):
         found = size * np.sqrt(np.mean(errors[:2] ** 2, axis=0))
-        half = 1.96 * np.array([beyond_of(one, 2) for one in found])
+        half = 1.96 * np.array([beyond_of("fx", one, 2) for one in found])
         share = np.mean(np.abs(size * errors[2]) < half)
         assert low - 0.006 < share < high + 0.006, size  # 2.5 standard errors
-    assert beyond_of(0.0, 0) > 2 * beyond_of(0.0, 2) > 0
+    assert beyond_of("fx", 0.0, 0) > 2 * beyond_of("fx", 0.0, 2) > 0
 
 
 def test_noise_beyond_the_loads_grows_with_the_ratio_of_loads():

@@ -36,9 +36,10 @@ _ENDS = (0.01, 0.99)
 """Quantiles of the loads of fitted rows that are the ends of their range: the load of a
 rig also falls to zero between settings."""
 
-_BEYOND, _WORTH = 0.1, 1.0
+_BEYOND, _WORTH = {"fx": 0.1, "fy": 0.1, "mz": 0.3, "mx": 0.1, "my": 0.1}, 1.0
 """Error of the formula, relative to the force, at e times the largest load or 1/e of the
-smallest, before any load is left out; and the number of left-out loads that it counts as."""
+smallest, before any load is left out; and the number of left-out loads that it counts as.
+M_z is a product of two functions of load. ``fits/rig_test/loads.py`` judges both."""
 
 
 class LeftOut(NamedTuple):
@@ -120,11 +121,11 @@ def cross_validated(
         fitted_rows = _sample(work, rows[force], chosen, chosen)
         for label, part, whole in parts:
             others = [other for _, other, _ in parts if other is not part]
-            band = _band(others, fitted_rows)
+            band = _band(force, others, fitted_rows)
             within = _within(part, band) if others else float("nan")
             sizes = part.rmse, whole.rmse
             found.append(LeftOut(label, force, part.rows, *sizes, within))
-        bands[force] = _band([part for _, part, _ in parts], fitted_rows)
+        bands[force] = _band(force, [part for _, part, _ in parts], fitted_rows)
     return tuple(found), bands
 
 
@@ -203,7 +204,7 @@ def _shift(fitted: Search, whole: Search, force: str) -> tuple[float, int]:
     return float(np.sum(shift**2 / (sizes[determined] - 1))), len(shift)
 
 
-def _band(parts: Sequence[_Sample], fitted: _Sample) -> Band:
+def _band(force: str, parts: Sequence[_Sample], fitted: _Sample) -> Band:
     """The band that rows of left-out parts follow.
 
     Standard errors are widened to the size of the shifts if these are larger than the
@@ -226,12 +227,12 @@ def _band(parts: Sequence[_Sample], fitted: _Sample) -> Band:
     needed = needed / np.maximum(law.variance(fitted.fz, fitted.predicted), 1e-300)
     raised = float(np.sqrt(max(np.quantile(needed, 0.95), 1.0)))
     outer = sum(bool(np.median(part.beyond) > 0) for part in parts)
-    beyond = beyond_of(laws[0].beyond, outer)
+    beyond = beyond_of(force, laws[0].beyond, outer)
     law = NoiseLaw(*(raised * x for x in law[:3]), beyond, fitted.loads)
     return Band(law, wider)
 
 
-def beyond_of(found: float, outer: int) -> float:
+def beyond_of(force: str, found: float, outer: int) -> float:
     """The error of the formula beyond the loads, from that ``found`` in ``outer`` loads.
 
     It is one number per load, as all rows of a load are wrong alike. Its variance is
@@ -239,7 +240,7 @@ def beyond_of(found: float, outer: int) -> float:
     Student's t: the error is scaled so that 1.96 times it is the interval of 95 %.
     """
     count = outer + _WORTH
-    variance = (outer * found**2 + _WORTH * _BEYOND**2) / count
+    variance = (outer * found**2 + _WORTH * _BEYOND[force] ** 2) / count
     return float(np.sqrt(variance)) * half_width_95(True, count) / _IN_95
 
 
