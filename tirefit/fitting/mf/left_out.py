@@ -224,7 +224,7 @@ def _band(force: str, parts: Sequence[_Sample], fitted: _Sample) -> Band:
     sizes = [np.mean(law.variance(fitted.fz, fitted.predicted)) for law in inside]
     law = inside[int(np.argmax(sizes))]
     needed = (fitted.residual / _IN_95) ** 2 - wider**2 * fitted.variance
-    needed = needed / np.maximum(law.variance(fitted.fz, fitted.predicted), 1e-300)
+    needed = needed / np.maximum(law.variance(fitted.fz, fitted.predicted), 1e-200)
     raised = float(np.sqrt(max(np.quantile(needed, 0.95), 1.0)))
     outer = sum(bool(np.median(part.beyond) > 0) for part in parts)
     beyond = beyond_of(force, laws[0].beyond, outer)
