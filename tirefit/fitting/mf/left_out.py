@@ -228,8 +228,8 @@ def _band(force: str, parts: Sequence[_Sample], fitted: _Sample) -> Band:
     raised = float(np.sqrt(max(np.quantile(needed, 0.95), 1.0)))
     outer = sum(bool(np.median(part.beyond) > 0) for part in parts)
     beyond = beyond_of(force, laws[0].beyond, outer)
-    law = NoiseLaw(*(raised * x for x in law[:3]), beyond, fitted.loads)
-    return Band(law, wider)
+    constant, share, of_force = (raised * x for x in law[:3])
+    return Band(NoiseLaw(constant, share, of_force, beyond, fitted.loads), wider)
 
 
 def beyond_of(force: str, found: float, outer: int) -> float:
