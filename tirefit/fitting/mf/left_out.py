@@ -224,12 +224,12 @@ def _band(force: str, parts: Sequence[_Sample], fitted: _Sample) -> Band:
     sizes = [np.mean(law.variance(fitted.fz, fitted.predicted)) for law in inside]
     law = inside[int(np.argmax(sizes))]
     needed = (fitted.residual / _IN_95) ** 2 - wider**2 * fitted.variance
-    needed = needed / np.maximum(law.variance(fitted.fz, fitted.predicted), 1e-300)
+    needed = needed / np.maximum(law.variance(fitted.fz, fitted.predicted), 1e-200)
     raised = float(np.sqrt(max(np.quantile(needed, 0.95), 1.0)))
     outer = sum(bool(np.median(part.beyond) > 0) for part in parts)
     beyond = beyond_of(force, laws[0].beyond, outer)
-    law = NoiseLaw(*(raised * x for x in law[:3]), beyond, fitted.loads)
-    return Band(law, wider)
+    constant, share, of_force = (raised * x for x in law[:3])
+    return Band(NoiseLaw(constant, share, of_force, beyond, fitted.loads), wider)
 
 
 def beyond_of(force: str, found: float, outer: int) -> float:
