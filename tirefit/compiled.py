@@ -16,7 +16,8 @@ import jax
 
 from tirefit.files import replacing
 
-BRIEF: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
+_HAS_EMITTERS = jax.__version_info__ < (0, 11, 1)  # later versions refuse the option
+BRIEF: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False} if _HAS_EMITTERS else {}
 """``compiler_options`` of a program that takes longer to compile than to run in a process: it
 compiles in 0.56 of the time (all programs of a first fit of ``carcass-beam``: 6.3 s instead of
 11.1 s of processor time) and runs up to twice as long (eight searches of 400 rows: 78 instead of
