@@ -232,9 +232,8 @@ def judge_noise(
         if local < 1:
             std = np.maximum(std * local, floor)
             memory = smooth.memory(rest / std, in_time)
-        # A noise that is not stated is a part of the residual.
         most = np.sqrt(np.mean(residual[keep] ** 2) / np.mean(std[keep] ** 2))
-        std = std * min(float(most), 1.0)
+        std = std * min(float(most), 1.0)  # the noise is a part of the residual
     std = np.maximum(std, floor)
     if np.all(std <= floor):  # forces from a formula have rounding errors but no noise
         memory = (FORGETFUL,)
@@ -248,9 +247,8 @@ def judge_noise(
     inflation = sum(one.chance * one.rows_each for one in memory)
     if inflation > 1 and np.any(std > floor):
         flags.append("autocorrelated")
-        left = np.where(keep, rest, 0) / std
-        most = len(left) / _FACTS
-        inflation = min(max(inflation, correlation(left, time, run)), most)
+        left = correlation(np.where(keep, rest, 0) / std, time, run)
+        inflation = max(min(inflation, len(rest) / _FACTS), left)
     else:
         inflation = 1.0
     # At small forces, noise that grows with the force is that of the sensor.
