@@ -245,12 +245,10 @@ def judge_noise(
     if np.count_nonzero(~keep) > max(_FEW, _FLAGGED * len(residual)):
         flags.append("outliers")
     inflation = sum(one.chance * one.rows_each for one in memory)
-    if inflation > 1 and np.any(std > floor):
+    if inflation > 1:
         flags.append("autocorrelated")
         left = correlation(np.where(keep, rest, 0) / std, time, run)
         inflation = max(min(inflation, len(rest) / _FACTS), left)
-    else:
-        inflation = 1.0
     # At small forces, noise that grows with the force is that of the sensor.
     ratio = float(np.quantile(std / np.sqrt(base**2 + spread), 0.1)) if stated else 1.0
     return NoiseLevel(std, memory, inflation, ~keep, tuple(flags), source, ratio)
