@@ -232,9 +232,8 @@ def judge_noise(
         if local < 1:
             std = np.maximum(std * local, floor)
             memory = smooth.memory(rest / std, in_time)
-        # A noise that is not stated is a part of the residual.
         most = np.sqrt(np.mean(residual[keep] ** 2) / np.mean(std[keep] ** 2))
-        std = std * min(float(most), 1.0)
+        std = std * min(float(most), 1.0)  # the noise is a part of the residual
     std = np.maximum(std, floor)
     if np.all(std <= floor):  # forces from a formula have rounding errors but no noise
         memory = (FORGETFUL,)
@@ -246,13 +245,10 @@ def judge_noise(
     if np.count_nonzero(~keep) > max(_FEW, _FLAGGED * len(residual)):
         flags.append("outliers")
     inflation = sum(one.chance * one.rows_each for one in memory)
-    if inflation > 1 and np.any(std > floor):
+    if inflation > 1:
         flags.append("autocorrelated")
-        left = np.where(keep, rest, 0) / std
-        most = len(left) / _FACTS
-        inflation = min(max(inflation, correlation(left, time, run)), most)
-    else:
-        inflation = 1.0
+        left = correlation(np.where(keep, rest, 0) / std, time, run)
+        inflation = max(min(inflation, len(rest) / _FACTS), left)
     # At small forces, noise that grows with the force is that of the sensor.
     ratio = float(np.quantile(std / np.sqrt(base**2 + spread), 0.1)) if stated else 1.0
     return NoiseLevel(std, memory, inflation, ~keep, tuple(flags), source, ratio)
@@ -453,9 +449,15 @@ def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) ->
     return float(np.sqrt(max(variance, 0.0)))
 
 
+_MOST = 0.5
+"""Share of the variance of a scatter below which the noise is estimated from the forces. In
+measured logs .55 and .58 are noise (standard errors .05 and .09); there, the scatter gives
+effects that hold on other logs, and the estimate does not."""
+
+
 def noise_in_motion(residual, slope, off, scatter: float) -> float | None:
-    """Standard deviation of the noise of a slip of which a part of the ``scatter`` about its
-    path is motion, zero if not significant; None if all may be noise.
+    """Standard deviation of the noise of a slip whose ``scatter`` about its path is mostly
+    motion, zero if not significant; None if most may be noise.
 
     The force follows what the slip did: a residual at the measured slips contains minus
     the slope times the noise of its own row, and so does ``off``.
@@ -472,7 +474,7 @@ def noise_in_motion(residual, slope, off, scatter: float) -> float | None:
     weight = max(float(slope[kept] @ slope[kept]), NONZERO)
     parts = -slope[kept] * residual[kept] * off[kept]
     variance, error = float(np.sum(parts)) / weight, float(np.sqrt(np.sum(parts**2))) / weight
-    if variance + _CLEAR * error >= scatter**2:
+    if variance + _CLEAR * error >= _MOST * scatter**2:
         return None
     return float(np.sqrt(variance)) if variance > CORRELATED * error else 0.0
 

@@ -59,6 +59,7 @@ class Prepared:
     sizes: table.Sizes
     derived: table.Derived | None  # None if the force was measured
     shown: float | None  # noise of the slip by the forces, None if it is not judged by them
+    scatter: float  # white scatter of the slip about its path, zero without
 
     @property
     def n(self) -> int:
@@ -166,6 +167,7 @@ def prepare(data: TireData, rig: Rig, model, shown: float | None = None) -> Prep
         rig.run_order == "random", np.arange(data.n),
         check_slip(data, rig.rolling_radius),
         sizes._replace(wheel=radius or table.wheel_radius(data, derived)), derived, shown,
+        sweeps.noise,
     )  # fmt: skip
 
 

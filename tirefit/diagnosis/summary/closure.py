@@ -257,7 +257,10 @@ def _on_files(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
     sets += [(h.z, amplitudes_of(base, h)) for h in (case.chosen, *steps.values())]
     parts = []
     for data in holdout:
-        other = on_rows(base, prepare(data, rig, rows.channels, rows.shown), rig)
+        left_out, shown = prepare(data, rig, rows.channels), rows.shown
+        if shown is not None and rows.scatter:  # only a part of the scatter is noise
+            shown = min(shown, left_out.scatter)
+        other = on_rows(base, prepare(data, rig, rows.channels, shown), rig)
         observed = other.rows.observed[main]
         missed = [observed - other.forces(*one)[main] for one in sets]
         variance, run = (scale * other.rows.inputs.fz) ** 2, other.rows.run + runs
