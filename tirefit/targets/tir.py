@@ -92,7 +92,7 @@ def _reduced(
 ) -> TirFile:
     values = parameter_values(own)
     if not {"cpa2", "mu"} <= values.keys():
-        reason = f"a .tir file describes a Magic Formula, or c_p a^2 and mu; not {tire.name}"
+        reason = f"a .tir file describes a whole Magic Formula, or c_p a^2 and mu; not {tire.name}"
         remedy = "fit mf52, mf61 or mf62 to the data, or a brush"
         raise UsageError(InputProblem(reason, remedy))
     if "radius" not in wheel:
