@@ -23,7 +23,11 @@ FILES = (ROOT / "docs" / "reference" / "files.md").read_text(encoding="utf-8")
 FENCE = re.compile(r'^ *```(\w*)(?: title="(.*)")?$')
 SHELL = ("console", "sh")
 
-NOT_RUN = {"docs/how-to/cluster.md": "needs a scheduler and workers on other machines"}
+NOT_RUN = {
+    "docs/how-to/cluster.md": "needs a scheduler and workers on other machines",
+    "docs/how-to/magic-formula.md": "the commands of docs/tutorials/rig.md",
+    "docs/how-to/diagnose-a-car.md": "two diagnoses of a car take minutes",
+}
 """Page -> why its commands are not run."""
 
 
@@ -99,6 +103,8 @@ def missing(shown, printed):
 def undocumented(path):
     """Keys of a JSON file that the reference of its schema does not list."""
     content = json.loads(path.read_text(encoding="utf-8"))
+    if "schema" not in content:  # a file of another program
+        return []
     section = FILES.partition(f"## {content['schema']}\n")[2].partition("\n## ")[0]
     keys = {
         key
