@@ -400,11 +400,19 @@ def test_resume_repeats_a_case_with_an_empty_file(again, calls, tmp_path, name):
     assert calls == ["load"]
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"schema": "tirefit.diagnosis/3"}'])
+@pytest.mark.parametrize("text", ["", '{"schema": "tirefit.diagnosis/3"}'])
 def test_resume_repeats_a_case_with_a_corrupt_document(again, calls, tmp_path, text):
     (tmp_path / "out" / "load.json").write_text(text)
     again("load.csv", "--resume", exit_code=3)
     assert calls == ["load"]
+
+
+@pytest.mark.parametrize("text", ["{", "[]"])
+def test_a_document_that_may_be_of_the_user_is_kept(again, calls, tmp_path, text):
+    path = tmp_path / "out" / "load.json"
+    path.write_text(text)
+    again("load.csv", "--resume", exit_code=3)
+    assert calls == [] and path.read_text() == text
 
 
 def test_a_case_repeated_without_figures_has_none(again, known, tmp_path):

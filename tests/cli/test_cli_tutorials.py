@@ -125,6 +125,8 @@ def run(command):
         result = CliRunner().invoke(app, words[1:], input=given)
         assert result.exit_code == 0, (command, result.output, result.exception)
         return result.output
+    if words[0] in ("make", "source", "pip"):  # the installation, which the tests stand on
+        return ""
     assert words[0] in ("python", "gcc", "./call", "mkdir")
     words[0] = sys.executable if words[0] == "python" else words[0]
     return subprocess.run(words, capture_output=True, text=True, check=True).stdout

@@ -1052,7 +1052,7 @@ def test_the_text_fits_one_screen_and_full_lists_all():
         " carcass flexibility"
     ) in full
     assert "force offset of" not in full  # these rows tell it
-    assert "cpa2 [N] 51234 51235" in full and "287 independent ones" in full
+    assert "cpa2 [N] 51234 51235" in full and "360 rows count as 287 in a fit" in full
     assert "a camber gamma that varies, fy: camber thrust" in full
 
 
@@ -1202,7 +1202,7 @@ def test_the_page_contains_the_numbers_of_the_record(page_text):
     for part in (
         "0.870", "0.061", "0.1234 ± 0.0056", "12.3", "4.5", "80 % [70 %, 85 %]", "81 %",
         "&lt; 1e-12", "0.21", "0.96", "0.71", "0.00041", "0.0021 s", "19.7 N",
-        "0.00123", "outliers", "360 rows", "287 independent",
+        "0.00123", "outliers", "360 rows count as 287 in a fit",
         "ab12", "51234", "0.912", "fx_relative = 0.01", "F&lt;x&gt;", "iso-w", "125 N",
         "45.3 N", "seed 3", "27500 ± 5000", "94.0 ± 3.0 %",
     ):  # fmt: skip

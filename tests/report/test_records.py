@@ -191,7 +191,7 @@ def changed(record):
         spun = stop.summary._replace(stopped=0.0, heading=2.0)
         return replace(record, stops={name: replace(stop, summary=spun)})
     if isinstance(record, Exported):
-        return replace(record, shape=record.shape._replace(sound=False))
+        return replace(record, shape=record.shape._replace(failed=("combined slip",)))
     if isinstance(record, Replay):
         return replace(record, windows=(0,))
     if isinstance(record, Estimates):
@@ -208,7 +208,7 @@ STATUS = {
     "estimate": ("not identified", 0),
     "brake": ("incomplete", 0),
     "replay": ("incomplete", 0),
-    "export": ("unsound", 0),
+    "export": ("unsound", 4),
     "prepare": ("ok", 0),
     "simulate": ("ok", 0),
 }

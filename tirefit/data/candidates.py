@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.faults import ALIKE, RELATED
+from tirefit.data.faults import RELATED
 from tirefit.data.motion import Motion, further_ahead, low_passed, slip_and_force
 from tirefit.data.vehicle import Vehicle
 
@@ -22,15 +22,13 @@ class Candidates(NamedTuple):
 
     words: str = ""  # the correlations in brackets; empty if unknown or in ``asked``
     asked: tuple[str, str] | None = None  # reason and remedy if another point is asked for
-    fits_found: bool = True  # False if the point found by a fit fits worse than the stated
 
 
-def candidates_of(motion: Motion, vehicle: Vehicle, kept, found: float) -> Candidates:
+def candidates_of(motion: Motion, vehicle: Vehicle, kept) -> Candidates:
     """The correlations with the axles, the centre of gravity and the stated point.
 
     Args:
         kept: (n,) bool, the samples that will be written.
-        found: estimate of the point by a fit [m ahead of the stated one].
     """
     kept = kept & (motion.within >= _SLOWER * vehicle.filter.settling)
     stated = vehicle.l_r - vehicle.cg_from_tracked[0]
@@ -59,9 +57,8 @@ def candidates_of(motion: Motion, vehicle: Vehicle, kept, found: float) -> Candi
     words = ", ".join(f"{r:+.2f} with {name}" for name, r in each.items())
     words = f"force and slip correlate by {words}"
     best = max(each, key=lambda name: each[name])
-    fits = 1 - correlation(stated + found) ** 2 <= ALIKE**2 * (1 - own**2)
     if not own < RELATED <= each[best]:
-        return Candidates(f" ({words})", None, fits)
+        return Candidates(f" ({words})")
     assumed = "" if vehicle.tracked_point else ", which is assumed, as tracked_point is not stated"
     left = (vehicle.tracked_point or (0.0, 0.0))[1]
     return Candidates(
@@ -71,7 +68,6 @@ def candidates_of(motion: Motion, vehicle: Vehicle, kept, found: float) -> Candi
             f"if the log describes {best}, set tracked_point = [{points[best]:.3g}, {left:g}] in"
             " vehicle.toml",
         ),
-        fits,
     )
 
 

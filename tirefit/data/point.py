@@ -154,10 +154,9 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     slope = min(_slope(motion, vehicle, some) for some in (rows, free))
     fit, rows = _point(motion, vehicle, every, step)
     stated = vehicle.l_r - vehicle.cg_from_tracked[0]
-    tried = candidates_of(motion, vehicle, kept, fit.amount)
+    tried = candidates_of(motion, vehicle, kept)
     low, high = (share * vehicle.wheelbase for share in _ON_CAR)
     found = fit.slope > 0 and fit.std < _KNOWN * vehicle.wheelbase
-    found &= tried.fits_found or not _sure(fit)
     on_car = low < stated + fit.amount < high
     check = check._replace(line=f"{check.line}{tried.words}")
     off = found and _is_off(fit)

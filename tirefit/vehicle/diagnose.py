@@ -282,7 +282,8 @@ def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
     """The windows of all logs, and the needs of effects that they meet."""
     data, rows, log = [], [], []
     passed = 0.0
-    for number, (motion, (windows, own), *_) in enumerate(found.values()):
+    for number, each in enumerate(found.values()):
+        motion, (windows, own) = each.motion, each.windows
         data.append(windows)
         rows.append(samples_of(motion, own, vehicle, tires, passed))
         log.append(np.full(len(own), number))

@@ -234,7 +234,8 @@ def _check(vehicle: Vehicle, unknowns, given, intervals: str) -> None:
 def derived_rows(found, vehicle: Vehicle, axle: str) -> TireData:
     """Slip angle and force of an axle by the equations of ``derive``, of all logs."""
     columns: dict[str, list] = {"alpha": [], "fy": [], "v": [], "run": []}
-    for motion, _, (name, *_) in found.values():
+    for log in found.values():
+        motion, (name, *_) = log.motion, log.runs
         alpha, force, speed = slip_and_force(motion, vehicle, axle)
         good = motion.settled & (motion.v_x > vehicle.v_min)
         good &= (np.abs(alpha) < np.pi / 2) & (speed > 0)  # not while the car spins
