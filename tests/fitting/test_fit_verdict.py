@@ -319,7 +319,7 @@ def test_a_stated_noise_far_above_the_scatter_is_the_verdict(factor, column):
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.25])
-def test_a_stated_noise_somewhat_off_is_told_beside_the_verdict(factor):
+def test_a_stated_noise_somewhat_off_is_reported_beside_the_verdict(factor):
     """400 residuals give their scatter to 3.5 %: 20 % is 5 standard errors, and no failure."""
     result = fit(curve(), config=GIVEN | {"noise": {"fx": factor * STD}})
     assert result.status == "ok"

@@ -135,7 +135,7 @@ FAR = {
 
 
 @pytest.mark.parametrize("name", FAR)
-def test_a_range_far_from_the_measured_one_is_refused_and_told(name, tmp_path):
+def test_a_range_far_from_the_measured_one_is_refused_by_both_ranges(name, tmp_path):
     ranges, target, how, said = FAR[name]
     fit = fit_of("brush", load=np.mean(ranges.get("fz", MIDDLE)), **ranges)
     if how.get("vehicle"):
