@@ -25,7 +25,7 @@ class Candidates(NamedTuple):
     fits_found: bool = True  # False if the found point fits worse than the stated one
 
 
-def candidates_of(motion: Motion, vehicle: Vehicle, kept, found: float) -> Candidates:
+def candidates_of(motion: Motion, vehicle: Vehicle, kept: np.ndarray, found: float) -> Candidates:
     """Compare force and slip at the axles, the centre of gravity and the stated point.
 
     Args:

@@ -455,7 +455,9 @@ forces. In two measured logs the share is .55 and .58 (standard errors .05 and .
 noise by the scatter gives effects that hold on other logs, and the estimate does not."""
 
 
-def noise_in_motion(residual, slope, off, scatter: float) -> float | None:
+def noise_in_motion(
+    residual: np.ndarray, slope: np.ndarray, off: np.ndarray, scatter: float
+) -> float | None:
     """Standard deviation of the noise of a slip whose ``scatter`` about its path is mostly
     motion, zero if not significant; None if most may be noise.
 
@@ -479,7 +481,7 @@ def noise_in_motion(residual, slope, off, scatter: float) -> float | None:
     return float(np.sqrt(variance)) if variance > CORRELATED * error else 0.0
 
 
-def between(values, in_time: Sequence[np.ndarray]) -> np.ndarray:
+def between(values: np.ndarray, in_time: Sequence[np.ndarray]) -> np.ndarray:
     """Values (n,) minus the mean of the two neighbours in time; zero at both ends."""
     off = np.zeros(len(values))
     for rows in (rows for rows in in_time if len(rows) > 2):
