@@ -286,7 +286,7 @@ def test_residuals_that_follow_the_load_hint_at_brush_load(stiffness_power, mu_l
     made = simulate_rig("brush-load", values, load=[2000.0, 4000.0, 6000.0], seed=1)
     data = read_frame(dict(made.columns), convention="braking")
     said = " ".join(fit(data, "brush").warnings)
-    assert ("use brush-load: tried on these rows" in said) is hinted
+    assert ("use brush-load: fitted to these rows" in said) is hinted
     assert ("loads from 2000 to 6000 N" in said) is hinted
     assert "brush-load lets" not in " ".join(fit(data, "brush-load").warnings)
 
