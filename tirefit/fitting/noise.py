@@ -34,7 +34,7 @@ class NoiseLaw(NamedTuple):
         return np.sqrt(self.variance(fz, force))
 
 
-def beyond_loads(fz: np.ndarray | float, loads: tuple[float, float]) -> np.ndarray:
+def beyond_loads(fz, loads: tuple[float, float]):
     """Logarithm of a load fz [N] (any shape) over the nearest of the (least, largest)
     ``loads``, positive on either side; zero between them."""
     fz = np.maximum(fz, 1e-9)
