@@ -35,7 +35,7 @@ test-long: install
 	$(BIN)/python -m pytest -q -n 2 -m long --override-ini addopts="" tests
 
 # The tests with the oldest versions that pyproject.toml allows, in an environment of their
-# own. Some of these warn about the newer libraries beside them, which is no error here.
+# own. Old versions warn about newer libraries beside them: these warnings are no errors here.
 lowest: PIP = $(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check
 lowest:
 	$(PYTHON) -m venv $(LOWEST)
@@ -51,7 +51,7 @@ statistics: install
 	$(BIN)/python -m pytest -q -n 2 -m statistics --override-ini addopts="" tests
 
 # The manual as a site, in site/; a broken link or reference fails.
-# MkDocs 1 announces its end at each build; CONTRIBUTING.md says what follows it.
+# This hides the notice of the end of MkDocs 1; CONTRIBUTING.md names its successor.
 docs: export NO_MKDOCS_2_WARNING = 1
 docs: install
 	$(BIN)/python docs/manual.py

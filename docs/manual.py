@@ -38,7 +38,7 @@ def sources():
 
 
 def write(folder=FOLDER):
-    """Write all pages and the files that they link to into an empty folder."""
+    """Delete the folder, and write all pages and the files that they link to into it."""
     shutil.rmtree(folder, ignore_errors=True)
     for path in sources():
         target = folder / path.relative_to(ROOT)
@@ -49,8 +49,8 @@ def write(folder=FOLDER):
         else:
             shutil.copyfile(path, target)
     for name, content in generated.pages().items():
-        kind = content if isinstance(content, bytes) else content.encode()
-        (folder / name).write_bytes(kind)
+        data = content if isinstance(content, bytes) else content.encode()
+        (folder / name).write_bytes(data)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 import pytest
 
-from tirefit.compiled import BRIEF, doubt_about, list_entries, open_entries, release_programs
+from tirefit.compiled import BRIEF, list_entries, open_entries, release_programs, why_unsafe
 
 ONLY_POSIX = pytest.mark.skipif(not hasattr(os, "getuid"), reason="owners of files are POSIX")
 
@@ -125,11 +125,11 @@ def test_a_folder_that_others_can_write_to_is_not_used(mode, run, tmp_path):
 
 
 @ONLY_POSIX
-def test_a_folder_of_another_user_is_doubted(tmp_path, monkeypatch):
+def test_a_folder_of_another_user_is_unsafe(tmp_path, monkeypatch):
     tmp_path.chmod(0o755)
-    assert doubt_about(tmp_path) is None
+    assert why_unsafe(tmp_path) is None
     monkeypatch.setattr(os, "getuid", lambda: tmp_path.stat().st_uid + 1)
-    assert doubt_about(tmp_path) == "it belongs to another user"
+    assert why_unsafe(tmp_path) == "it belongs to another user"
 
 
 def test_only_entries_are_removed_and_the_oldest_first(tmp_path, monkeypatch):

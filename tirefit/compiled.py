@@ -34,7 +34,7 @@ _ENTRY = re.compile(r".+-[0-9a-f]{64}-cache")
 _LIST = "entries.json"
 
 
-def doubt_about(folder: Path) -> str | None:
+def why_unsafe(folder: Path) -> str | None:
     """Why another user could have written the programs in a folder; None if nobody could."""
     if not hasattr(os, "getuid"):  # Windows, where the folders of users are private
         return None

@@ -60,7 +60,7 @@ def content_of(
 def replaced_inputs(
     made: Iterable[str | Path], read: Mapping[str, Iterable[object]]
 ) -> list[InputProblem]:
-    """The problems of files to write that are inputs, also by a link or another name.
+    """A problem for each file to write that is an input, also by a link or another name.
 
     Args:
         made: the files to write.
@@ -82,7 +82,7 @@ def replaced_inputs(
 
 
 def _identity(path: str | Path) -> tuple[int, int] | None:
-    """What all names of an existing file have in common."""
+    """Device and inode of a file, the same for all of its names; None if it does not exist."""
     try:
         found = os.stat(path)
     except (OSError, ValueError):  # ValueError: a NUL in the path
@@ -193,7 +193,7 @@ def read_record(path: str | Path, schema: str, remedy: str) -> dict:
 
 
 UNSEALED = "checksum 0000000000000000"
-"""Place of the checksum of a text, see :func:`sealed_text`."""
+"""Placeholder of the checksum in a text, see :func:`sealed_text`."""
 
 
 def sealed_text(text: str) -> str:

@@ -2,9 +2,9 @@
 
 ``python -m fits.rig_test.loads`` simulates a test of each tire, fits it without its
 smallest, middle or largest load, and prints the share of the rows at that load in the
-95 % band, by force. The load of a tire is followed by the formula, or by none: friction
-and slip stiffness then have factors of load that no Magic Formula has. Priors of a
-published tire are made without its family.
+95 % band, by force. Some tires depend on load as the formula does. In the others, friction
+and slip stiffness have factors of load that no Magic Formula can describe. The priors for
+a published tire are made without its family.
 """
 
 import argparse
@@ -65,7 +65,7 @@ LAWS = _laws()
 class Case(NamedTuple):
     """A tire, and the law of its load dependence (a key of :data:`LAWS`)."""
 
-    base: str  # racing, racing and the seed of its changes, or a published file
+    base: str  # "racing", "racing SEED" (changed at random), or a published file
     law: str
 
     @property
@@ -75,7 +75,7 @@ class Case(NamedTuple):
 
     @property
     def family(self) -> str:
-        """The family of priors that the tire belongs to, or nothing."""
+        """The family of published tires that it belongs to; empty for the racing tires."""
         return next((name for name, files in FAMILIES.items() if self.base in files), "")
 
     @property
@@ -104,7 +104,7 @@ CASES = (
     Case(_CHRONO.format(95), "decay"),
     Case("racing 7", "step"),
 )
-"""Tires that had no part in it."""
+"""Tires that were not used in that choice."""
 
 
 def _base(name: str) -> tuple[str, dict[str, float]]:
@@ -118,8 +118,8 @@ def _base(name: str) -> tuple[str, dict[str, float]]:
         generator = np.random.default_rng([77, int(name.split()[1])])
         for key in values:
             of_load = key[:3] in ("PDX", "PDY", "PKX", "PKY", "QDZ", "QBZ") and key[-1] != "1"
-            size = _CHANGED_WITH_LOAD if of_load else _CHANGED
-            values[key] *= 1 + size * generator.standard_normal()
+            spread = _CHANGED_WITH_LOAD if of_load else _CHANGED
+            values[key] *= 1 + spread * generator.standard_normal()
     return "6.1", values
 
 

@@ -18,7 +18,6 @@ from tirefit.names import EFFECT_NAMES, MODEL_NAMES
 
 FZ = 4000.0
 VEHICLE = Path(__file__).parents[2] / "fits" / "dart_jetracer" / "vehicle.toml"
-PARABOLIC = {"cpa2": 5e4, "mu": 1.0}
 
 
 def parabolic(slip):

@@ -70,7 +70,7 @@ def of_the_point(log, car):
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", SLOW)
-def test_a_log_of_the_front_axle_asks_for_it(tmp_path, name, seed):
+def test_a_log_of_the_front_axle_names_it(tmp_path, name, seed):
     log = log_at(tmp_path, CAR.l_f, SLOW[name], seed)
     said = of_the_point(log, vehicle(tmp_path))
     assert "set tracked_point = [2." in said and "--" not in said
@@ -83,7 +83,7 @@ def test_the_correlations_and_what_was_assumed_are_named(tmp_path, columns):
     log = log_at(tmp_path, CAR.l_f, SLOW["bends of 10 s"], columns=columns)
     said = of_the_point(log, vehicle(tmp_path, columns=columns, cutoff=1.0))
     for words in (
-        "this log asks for the front axle, not for the centre of gravity, which is assumed, as"
+        "this fits the front axle, not the centre of gravity, which is assumed, as"
         " tracked_point is not stated",
         "with the rear axle",
         "if the log describes the front axle, set tracked_point = [2.7, 0] in vehicle.toml",
@@ -100,7 +100,7 @@ def test_a_stated_point_is_doubted_but_kept(tmp_path):
     log = log_at(tmp_path, CAR.l_f, SLOW["bends of 10 s"])
     found = derive(log, vehicle(tmp_path, CAR.l_r - 0.1, cutoff=1.0), believe=True)
     (said,) = found.warnings
-    assert "asks for the front axle, not for the stated point, 1.4 m ahead of the rear axle" in said
+    assert "fits the front axle, not the stated point, 1.4 m ahead of the rear axle" in said
     other = derive(log, vehicle(tmp_path, BASE, cutoff=1.0))
     assert not np.allclose(found.columns["alpha"], other.columns["alpha"], atol=1e-3)
 

@@ -163,9 +163,9 @@ def test_derive_and_the_reader_of_its_file_report_the_same_words(tmp_path):
     (said,) = (text for text in read(done.data).source.assumptions if "found by" in text)
     assert said in " ".join(done.summary().split())
     assert "alpha is +0.0150 rad where fy = 0" in said and "the stated one" in said
-    (lag,) = re.findall("the yaw rate acts .*? ± .*? s", said) or [""]
+    (lag,) = re.findall("the yaw rate changes .*? ± .*? s", said) or [""]
     for log in done.logs:
-        assert bool(lag) == ("the yaw rate acts" in log.summary())
+        assert bool(lag) == ("the yaw rate changes" in log.summary())
 
 
 def test_the_scatter_of_logs_counts_in_their_mean():
@@ -184,7 +184,7 @@ def test_the_scatter_of_logs_counts_in_their_mean():
     assert found["found_point_std"] == pytest.approx(0.001 / 2**0.5)
     assert "late_a_y" not in found  # not exact: dynamics of the car may cause it
     (said,) = findings(found)
-    assert "the yaw rate acts 0.062 ± 0.02 s after" in said
+    assert "the yaw rate changes 0.062 ± 0.02 s after" in said
 
 
 def _pair(channel, delay, std):

@@ -67,7 +67,7 @@ def test_json_with_comments_is_not_called_no_json(tmp_path):
 
 
 def test_a_tir_in_the_place_of_data_is_named(tmp_path):
-    with pytest.raises(DataError, match="Magic Formula coefficients, a tire and no table"):
+    with pytest.raises(DataError, match="Magic Formula coefficients, which describes a tire"):
         read(MF52)
 
 

@@ -106,7 +106,7 @@ def test_estimates_of_derive_are_reported_with_the_verdict(driven, plain, tmp_pa
     (said,) = (text for text in found.data.assumptions if "found by tirefit derive" in text)
     assert "alpha is -0.0098 rad where fy = 0" in said
     assert "by force against slip 0.11 ± 0.002 m ahead of the stated one: correct it" in said
-    assert "the steering acts 0.13 ± 0.01 s before the path's curvature" in said
+    assert "the steering changes 0.13 ± 0.01 s before the path's curvature" in said
     assert said in " ".join(diagnosis_text(found).split())  # once, in the short report
     assert "found by tirefit derive" not in " ".join(plain.data.assumptions)
 

@@ -286,7 +286,7 @@ def test_residuals_that_follow_the_load_hint_at_brush_load(stiffness_power, mu_l
     made = simulate_rig("brush-load", values, load=[2000.0, 4000.0, 6000.0], seed=1)
     data = read_frame(dict(made.columns), convention="braking")
     said = " ".join(fit(data, "brush").warnings)
-    assert ("use brush-load: tried on these rows" in said) is hinted
+    assert ("use brush-load: fitted to these rows" in said) is hinted
     assert ("loads from 2000 to 6000 N" in said) is hinted
     assert "brush-load lets" not in " ".join(fit(data, "brush-load").warnings)
 
@@ -319,7 +319,7 @@ def test_a_stated_noise_far_above_the_scatter_is_the_verdict(factor, column):
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.25])
-def test_a_stated_noise_somewhat_off_is_told_beside_the_verdict(factor):
+def test_a_stated_noise_somewhat_off_is_reported_beside_the_verdict(factor):
     """400 residuals give their scatter to 3.5 %: 20 % is 5 standard errors, and no failure."""
     result = fit(curve(), config=GIVEN | {"noise": {"fx": factor * STD}})
     assert result.status == "ok"

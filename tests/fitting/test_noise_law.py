@@ -73,7 +73,7 @@ def test_noise_of_a_record_agrees_with_hand_calculation():
     np.testing.assert_allclose(noise_std({"median_std": 9.0}, fz, force), 9.0)
 
 
-def testnon_negative_least_squares_is_that_of_scipy():
+def test_non_negative_least_squares_is_that_of_scipy():
     generator = np.random.default_rng(0)
     for k in (2, 3):
         for _ in range(100):

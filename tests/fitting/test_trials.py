@@ -34,7 +34,7 @@ def test_a_better_model_is_advised_with_what_it_improves():
     assert trial.better and trial.column == "v"
     before, after = trial.left_out
     (said,) = [one for one in result.warnings if "use " in one]
-    assert f"use {trial.model}: tried on these rows" in said
+    assert f"use {trial.model}: fitted to these rows" in said
     assert f"from {before:.4g} to {after:.4g} N" in said
     # Who follows the advice has the noise as residual, and no further advice.
     followed = fit(sliding(0.08), trial.model)

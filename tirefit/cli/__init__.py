@@ -47,7 +47,7 @@ def main() -> None:
     # simulated drive took 5.2 instead of 3.2 s of processor time. Without these checks,
     # the simulations read from the result whether the integration succeeded.
     os.environ.setdefault("EQX_ON_ERROR", "off")
-    os.environ["MPLBACKEND"] = "agg"  # figures are written to files, whatever is set
+    os.environ["MPLBACKEND"] = "agg"  # figures are only written to files
     gc.set_threshold(_YOUNG)
     atexit.register(gc.freeze)  # at the end, a search for garbage would take 0.4 s
     # A job that a shell starts in the background ignores Ctrl-C: do not change that.

@@ -55,7 +55,7 @@ def _check_unchanged(shipped: Path, samples: Path) -> None:
         shipped, samples, [one.name for one in shipped.iterdir()], shallow=False
     )
     changed = [samples / name for name in [*other, *unread] if (samples / name).exists()]
-    reason = "it would be replaced, but is not the sample as it ships"
+    reason = "it would be replaced, but differs from the sample that ships with tirefit"
     remedy = "choose another folder with --out, or rename the file"
     DataError.raise_for([InputProblem(reason, remedy, str(path)) for path in changed])
 

@@ -63,10 +63,11 @@ class Sharing:
         return self.jobs is not None or self.scheduler is not None
 
     def files(self, out: Path, made: Iterable[Path]) -> list[Path]:
-        """The table of all results in ``out``, and its page; none in this process.
+        """Paths of the table of all results and of its page in ``out``; empty if the files
+        are not shared among processes.
 
         Raises:
-            UsageError: one is the result of one file as well (``made``).
+            UsageError: one of them is also a result of one file (``made``).
         """
         if not self.apart:
             return []

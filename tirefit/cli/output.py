@@ -22,8 +22,8 @@ def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None
     Their folders are created later, with the parent folders.
 
     Args:
-        made: the files.
-        inputs: files that are read and that no option of the command names.
+        made: the files to write.
+        inputs: files that are read, in addition to those that the options name.
 
     Raises:
         UsageError: a folder cannot be created or written.
@@ -58,8 +58,8 @@ def check_distinct(names: Sequence[str], remedy: str) -> None:
 def check_inputs_kept(made: Iterable[Path], inputs: Iterable[object] = ()) -> None:
     """Raises DataError for files to write that are inputs of this command.
 
-    Inputs are all files that an argument or option names, so that a new option needs no
-    line here, and ``inputs``.
+    Inputs are ``inputs``, and all files that an argument or option names: a new option
+    needs no line here.
     """
     DataError.raise_for(replaced_inputs(made, {**_named_files(), "": inputs}))
 
@@ -69,7 +69,7 @@ _WRITTEN = ("out", "truth")
 
 
 def _named_files() -> dict[str, list[object]]:
-    """Option of this command -> what it names, which may be files."""
+    """Argument or option of this command -> its values, some of which may name files."""
     context = CONTEXT.get()
     if context is None:  # in a worker: the command has checked before
         return {}
@@ -87,12 +87,12 @@ def _named_files() -> dict[str, list[object]]:
 
 
 _OURS = {".json": '"schema": "tirefit.', ".toml": "that tirefit fit estimated"}
-"""Text in a result, by the ending of the file."""
+"""Text that marks a result of tirefit, by the ending of the file."""
 
 
 def _is_of_others(path: Path) -> bool:
-    """Whether this is a JSON or TOML file that is no result of tirefit; a damaged JSON
-    file is one if it has a schema of tirefit."""
+    """Whether this is a JSON or TOML file that tirefit did not write. A damaged JSON file
+    counts as written by tirefit if it names a schema of tirefit."""
     mark = _OURS.get(path.suffix)
     try:
         text = path.read_text(encoding="utf-8", errors="replace") if mark else ""

@@ -1,4 +1,4 @@
-"""Start JAX: precision, settings of the user that end a command, stored programs."""
+"""Start JAX: 64-bit floats, variables of the environment that it refuses, stored programs."""
 
 import os
 import sys
@@ -14,7 +14,7 @@ _READ_BY_JAX = ("JAX_", "XLA_", "EQX_")
 
 _SETTINGS = {
     "jax_enable_x64": True,
-    # For searching faults in JAX programs: NaN marks here what is missing or has no end.
+    # For debugging JAX programs; here NaN and infinity mark missing values and open ends.
     "jax_debug_nans": False,
     "jax_debug_infs": False,
     "jax_disable_jit": False,
@@ -26,10 +26,11 @@ _SETTINGS = {
 
 
 def start() -> str | None:
-    """Start JAX and open the folder of stored programs; returns a warning for the user.
+    """Start JAX and open the folder of stored programs; returns a warning for the user, or
+    None.
 
     Raises:
-        UsageError: JAX does not start with the environment variables; it names them.
+        UsageError: JAX does not start with variables of the environment; it names them.
     """
     _refuse_flags()
     try:
@@ -51,11 +52,12 @@ def start() -> str | None:
 
 
 def _of_variables(error: Exception) -> Exception:
-    """The error of starting JAX, as one of the variables that it names, or of all."""
+    """A UsageError that names the variables of the environment in the error of JAX, or all
+    that JAX reads; the same error if none is set."""
     given = {k: v for k, v in os.environ.items() if k.startswith(_READ_BY_JAX)}
     cause = " ".join(str(error).split())
     mentioned = [name for name in given if name.lower() in cause.lower()]
-    # JAX gives no text where it knows a platform and finds no device of it.
+    # The error of JAX has no text if it knows the platform and finds no device of it.
     names = mentioned or [name for name in given if name == "JAX_PLATFORMS"] or [*given]
     named = {name: given[name] for name in names}
     if not named:
@@ -70,7 +72,7 @@ def _remedy(names) -> str:
 
 
 def _refuse_flags() -> None:
-    """Try the flags of XLA in a child, as XLA ends a process that has an unknown flag.
+    """Try the flags of XLA in a child process: XLA ends a process that has an unknown flag.
 
     Raises:
         UsageError: XLA ended the child.
@@ -86,7 +88,7 @@ def _refuse_flags() -> None:
             import jax
 
             jax.devices()
-        os._exit(0)  # an exception comes in the parent as well
+        os._exit(0)  # the parent meets the same exception
     if os.waitpid(child, 0)[1]:
         raise UsageError(
             InputProblem(f"XLA does not start with XLA_FLAGS={flags!r}", _remedy(["XLA_FLAGS"]))
@@ -94,19 +96,20 @@ def _refuse_flags() -> None:
 
 
 def _store_programs(config) -> str | None:
-    """Have JAX store programs in the folder of the user; a warning if they may not be."""
-    from tirefit.compiled import doubt_about, open_entries
+    """Have JAX store programs in the folder of the user; returns a warning if the folder is
+    not safe, else None."""
+    from tirefit.compiled import open_entries, why_unsafe
 
     try:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         folder = Path(base) / "tirefit"
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        doubt = doubt_about(folder)
+        unsafe = why_unsafe(folder)
     except (OSError, RuntimeError):  # a read-only disk; a user without a home
         return None
-    if doubt:
+    if unsafe:
         remedy = "make it yours alone (chmod 700), or set XDG_CACHE_HOME to another folder"
-        return f"warning: {folder} is not used for compiled programs: {doubt}: {remedy}"
+        return f"warning: {folder} is not used for compiled programs: {unsafe}: {remedy}"
     if os.access(folder, os.W_OK | os.X_OK):
         open_entries(folder)
         config.update("jax_compilation_cache_dir", str(folder))

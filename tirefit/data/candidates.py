@@ -18,14 +18,14 @@ _SLOWER = 5.0
 
 
 class Candidates(NamedTuple):
-    """What the correlation says of the tracked point."""
+    """Result of :func:`candidates_of`."""
 
-    words: str = ""  # the correlations in brackets; empty if unknown or in ``asked``
-    asked: tuple[str, str] | None = None  # reason and remedy if another point is asked for
+    words: str = ""  # the correlations in brackets; empty if unknown or in ``other``
+    other: tuple[str, str] | None = None  # reason and remedy if another point fits
 
 
-def candidates_of(motion: Motion, vehicle: Vehicle, kept) -> Candidates:
-    """The correlations with the axles, the centre of gravity and the stated point.
+def candidates_of(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> Candidates:
+    """Compare force and slip at the axles, the centre of gravity and the stated point.
 
     Args:
         kept: (n,) bool, the samples that will be written.
@@ -64,7 +64,7 @@ def candidates_of(motion: Motion, vehicle: Vehicle, kept) -> Candidates:
     return Candidates(
         "",
         (
-            f"{words}: this log asks for {best}, not for {given}{assumed}",
+            f"{words}: this fits {best}, not {given}{assumed}",
             f"if the log describes {best}, set tracked_point = [{points[best]:.3g}, {left:g}] in"
             " vehicle.toml",
         ),
@@ -74,8 +74,7 @@ def candidates_of(motion: Motion, vehicle: Vehicle, kept) -> Candidates:
 def _slowly(values: np.ndarray, motion: Motion, vehicle: Vehicle) -> np.ndarray:
     """Values (n, k) low-passed in each stretch; NaN in a stretch that is too short."""
     slow = np.full_like(values, np.nan)
-    for number in np.unique(motion.part):
-        rows = motion.part == number
+    for rows in motion.stretches:
         smooth = low_passed(np.nan_to_num(values[rows]), vehicle, _SLOWER)
         if smooth is not None:
             slow[rows] = smooth

@@ -258,7 +258,7 @@ def derive_files(
     columns["run"] = np.concatenate([log.run for log in logs])
     written = {k: f"{v:.4g}" for k, v in {**stated_of(vehicle), **found_in(logs)}.items()}
     first = _FIRST.format(" ".join(f"{k}={v}" for k, v in written.items()))
-    stated = {k: float(v) for k, v in written.items()}  # as every reader of the file has them
+    stated = {k: float(v) for k, v in written.items()}  # rounded as in the file
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
     try:
         write_texts({metadata: content + "\n", out: first + csv_text(columns)})
@@ -280,7 +280,7 @@ def _summary(logs: Sequence[DerivedLog]) -> str:
 
 
 def _together(logs: Sequence[DerivedLog], stated: Mapping[str, float]) -> str:
-    """What several logs show together, in the words of ``fit`` and ``diagnose``."""
+    """The findings of several logs in the words of ``fit`` and ``diagnose``; empty for one."""
     texts = findings(stated) if len(logs) > 1 else ()
     return "".join(f"\n{fill(text, 80, subsequent_indent='  ')}" for text in texts)
 

@@ -7,8 +7,8 @@ import numpy as np
 _DELAYED = 3.0  # standard errors from which a delay between two channels is reported
 
 _LAGS = {
-    "yaw": ("the yaw rate acts", "the rate of the direction of travel"),
-    "steering": ("the steering acts", "the path's curvature"),
+    "yaw": ("the yaw rate changes", "the rate of the direction of travel"),
+    "steering": ("the steering changes", "the path's curvature"),
 }
 """Channel that differs from its prediction by the car's own motion (sideslip, response) ->
 the words for its lag. Simulated drives without a delay show lags of 0.03 to 0.3 s."""
@@ -44,15 +44,17 @@ def found_in(logs: Sequence) -> dict[str, float]:
 
 
 def findings(constants: Mapping[str, float]) -> tuple[str, ...]:
-    """The sentence on errors that derive found, by the constants of the derived file; ``derive``,
-    ``fit`` and ``diagnose`` report it in these words. Empty without a finding."""
+    """One sentence on the errors that ``derive`` found, from the constants of the derived file;
+    empty without a finding. ``derive``, ``fit`` and ``diagnose`` report it in these words."""
     found = []
     if "alpha_zero" in constants:
         found.append(f"alpha is {constants['alpha_zero']:+.4f} rad where fy = 0")
     known = error_of_point(constants)
     if known is not None:
-        keep = ", within its error: keep that" if point_confirmed(constants) else ": correct it"
-        found.append(f"the tracked point is {point_words(-known[0], known[1])}{keep}")
+        advice = ": correct it"
+        if point_confirmed(constants):
+            advice = f", less than {_DELAYED:g} standard errors: keep the stated point"
+        found.append(f"the tracked point is {point_words(-known[0], known[1])}{advice}")
     elif "found_point" in constants:
         place, std = constants["found_point"], constants["found_point_std"]
         found.append(f"the tracked point is {place:.3g} ± {std:.1g} m ahead of the rear axle")
@@ -82,18 +84,22 @@ def _late_words(channel: str, late: float, std: float) -> str:
         return f"{channel} is {size} {'late' if late > 0 else 'early'}"
     what, other = _LAGS[channel]
     after = "after" if late > 0 else "before"
-    return f"{what} {size} {after} {other}, as cars do: not by itself a delay of the log"
+    return (
+        f"{what} {size} {after} {other} (the motion of a car causes such a lag: it is not by itself"
+        " a delay of the log)"
+    )
 
 
 def error_of_point(constants: Mapping[str, float]) -> tuple[float, float] | None:
-    """Stated less found tracked point, ahead [m], and the standard error; None if unknown."""
+    """Stated minus found position of the tracked point [m], ahead positive, and its standard
+    error; None if unknown."""
     if not {"tracked_point", "found_point", "found_point_std"} <= constants.keys():
         return None
     return constants["tracked_point"] - constants["found_point"], constants["found_point_std"]
 
 
 def point_confirmed(constants: Mapping[str, float]) -> bool:
-    """Whether the found tracked point is the stated one within its error, so that no other
-    search for an error of it is needed."""
+    """Whether the found tracked point is within 3 standard errors of the stated one, so that a
+    diagnosis does not search for an error of it."""
     known = error_of_point(constants)
     return known is not None and abs(known[0]) < _DELAYED * known[1]

@@ -123,7 +123,7 @@ def _of_json(content: bytes, file: str) -> InputProblem:
 
 def _of_tire(what: str, file: str) -> InputProblem:
     """The error for a tire in the place of measurements."""
-    reason = f"this is {what}, a tire and no table of measurements"
+    reason = f"this is {what}, which describes a tire and is no table of measurements"
     remedy = "give the measurements here, and this file as the tire: --model"
     remedy += f" {file} of diagnose, or `tirefit predict {file} DATA.csv`"
     return InputProblem(reason, remedy, file)

@@ -10,7 +10,7 @@ from tirefit.results import InputProblem
 from tirefit.slip import SLIP_DEFINITIONS
 
 MOST = 0.1
-"""Largest share of rows that are excluded unasked: without a tenth of the rows a standard
+"""Largest share of rows that are excluded without an option: without a tenth of the rows a standard
 error is 5 % larger (1 / sqrt(0.9))."""
 
 _INPUTS = {"run", "time", "alpha", "fz", "v", "gamma", "omega", *SLIP_DEFINITIONS}
@@ -18,7 +18,7 @@ _NEEDED = _INPUTS | {"fx", "fy", "mz"}
 
 
 def may_miss(name: str, forces: bool) -> bool:
-    """Whether rows without this canonical column are used.
+    """Whether rows without a value in this canonical column are used.
 
     Rows without pressure are at nominal pressure; a prediction needs only what a model
     reads.
@@ -30,15 +30,21 @@ def may_miss(name: str, forces: bool) -> bool:
 
 
 def is_spare(name: str, missing: int, rows: int) -> bool:
-    """Whether a canonical column is not read because too many of its cells are empty: one
-    beside slip, load and forces, of which ``missing`` of ``rows`` cells have no value."""
+    """Whether a canonical column is left out because too many of its cells are empty.
+
+    Columns of slip, load and forces are never left out.
+
+    Args:
+        missing: number of cells without a value.
+        rows: number of all cells.
+    """
     return base_column(name) not in _NEEDED and missing > MOST * rows
 
 
 def excluded(
     faults: Sequence[BadRows], lines: np.ndarray, file: str, limited: bool
 ) -> tuple[str | None, list[InputProblem]]:
-    """A warning that names the rows without a value, or problems if they are too many.
+    """A warning that names the rows without a value; problems instead if they are too many.
 
     Args:
         faults: missing values only.
@@ -54,7 +60,7 @@ def excluded(
     where = {column: _listed(sorted(each), lines) for column, each in places.items()}
     if limited and len(rows) > MOST * len(lines):
         remedy = f"fill the cells, or exclude the rows with --mask-bad-rows: up to {MOST:.0%} of"
-        remedy += " the rows are excluded unasked"
+        remedy += " the rows are excluded without it"
         return None, [
             InputProblem(
                 f"{len(each)} of {len(lines)} rows ({len(each) / len(lines):.0%}) lack a value"

@@ -187,7 +187,7 @@ def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0):
 
 @cache
 def _sections(order: int, cutoff: float, rate: float) -> np.ndarray:
-    """The filter, which takes longer to design than to apply to a short stretch."""
+    """The filter, stored because its design takes longer than its use on a short stretch."""
     from scipy.signal import butter
 
     return butter(order, cutoff, fs=rate, output="sos")

@@ -160,18 +160,18 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     on_car = low < stated + fit.amount < high
     check = check._replace(line=f"{check.line}{tried.words}")
     off = found and _is_off(fit)
-    asked = tried.asked if not off else None
-    if found and on_car and not asked:
+    other = tried.other if not off else None
+    if found and on_car and not other:
         words = f"tracked point: {point_words(fit.amount, fit.std)}"
         check = PointCheck(words, (stated + fit.amount, fit.std))
     flipped = not found and _fits_flipped(motion, vehicle, free)
-    if not (off or flipped or asked) and slope > -SURE:
+    if not (off or flipped or other) and slope > -SURE:
         return check
     may_flip = _may_flip(motion, vehicle, every, step, found)
     named = _named(motion, vehicle, fit if off else None, rows, may_flip)
     named = [_words(fit, stated, vehicle), *named] if off and on_car else named
-    if asked:
-        named = [asked]
+    if other:
+        named = [other]
     elif not named and slope > -SURE and not flipped:
         return check
     elif flipped or not named:

@@ -79,8 +79,8 @@ def check_signs(
             )
             remedy = (
                 "tirefit derive wrote this file: correct tracked_point, or the signs in [units],"
-                " of vehicle.toml and derive it again; its report says which point the log"
-                " asks for"
+                " of vehicle.toml and derive it again; its report names the point that the log"
+                " fits"
             )
         elif fitting:
             remedy = f"these signs fit --convention {' or '.join(fitting)}; {remedy}"

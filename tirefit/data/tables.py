@@ -48,7 +48,7 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
     try:
         if is_parquet:
             packed = extra("pyarrow.parquet", "", file).ParquetFile(io.BytesIO(content))
-            # A value that is repeated takes no room in the file.
+            # Repeated values are compressed: a small file may hold a large table.
             if packed.metadata.num_rows * packed.metadata.num_columns * 8 > DATA:
                 raise too_large(file, DATA)
             table = packed.read()

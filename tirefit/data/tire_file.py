@@ -47,14 +47,14 @@ _REMEDY = (
 
 
 def tire_kind(source: str) -> TireKind:
-    """Whether a text names a fit (JSON), a file of coefficients (``.tir``), or no file.
+    """The kind of tire file that a text names: ``fit`` (JSON), ``tir``, or "" for neither.
 
     Args:
         source: path of a file, or the name of a model.
 
     Returns:
-        ``fit`` or ``tir``, of a missing file by the ending of its name; "" for the name of a
-        model, and for a file of another kind.
+        The kind by the content, or by the ending of the name if the file does not exist; "" for
+        the name of a model, and for a file of another kind.
 
     Raises:
         DataError: the file describes a tire of a model that is not read.
@@ -68,7 +68,7 @@ def tire_kind(source: str) -> TireKind:
             head = file.read(_HEAD)
     except (OSError, ValueError):  # ValueError: a NUL in the path
         return named
-    # Without its NULs, UTF-16 is read well enough to recognise words.
+    # UTF-16 without its NULs has the same ASCII words.
     text = head.decode("latin-1").replace("\0", "")
     DataError.raise_for(other_tire(text, source))
     if named or not text.strip():

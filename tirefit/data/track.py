@@ -75,7 +75,7 @@ class Track:
     notes: tuple[str, ...]  # assumptions in reading the file
     run: np.ndarray  # (n,) int, number of the run of each sample
     runs: tuple[str, ...]  # names of the runs; "" if the log is one run
-    missing: tuple[str, ...] = ()  # a sentence on the rows that lack a needed value
+    missing: tuple[str, ...] = ()  # a sentence that names the rows without a needed value
 
 
 def read_track(path: Place, vehicle: Vehicle) -> Track:

@@ -45,8 +45,8 @@ def _message(header: str) -> str:
 
 
 _MANY = 2
-"""Quantities of a car's motion in one file, of those that no test rig measures, from which on
-it is the log of a vehicle also where it does not determine the slip."""
+"""Number of quantities that no test rig measures (speeds, yaw rate, lateral acceleration,
+steering) from which on a file is a vehicle log, even if it lacks those for the slip."""
 
 
 def _incomplete(found: Mapping[str, str], file: str) -> InputProblem | None:

@@ -47,7 +47,7 @@ def write_csv(path, columns: Mapping[str, object], above: str = "") -> None:
 
 
 def csv_text(columns: Mapping[str, object], delimiter: str = ",") -> str:
-    """Columns as the text of a CSV file, or of another delimiter.
+    """Columns as the text of a CSV file, or with another delimiter.
 
     Args:
         columns: header -> (n,) array or list of numbers or texts. Numbers are written

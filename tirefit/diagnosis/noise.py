@@ -118,8 +118,8 @@ def in_order(time, run) -> list[np.ndarray]:
 
 
 def correlation(white, time, run) -> float:
-    """Number of rows per independent row of a remainder (n,), at least 1 and at most that
-    of :data:`_FACTS` independent rows; excluded rows are zero."""
+    """Number of rows per independent row of a remainder (n,), at least 1 and at most
+    n / :data:`_FACTS`; excluded rows are zero."""
     each = autocorrelation_time([white[rows] for rows in in_order(time, run)])
     return min(each, len(white) / _FACTS)
 
@@ -450,17 +450,19 @@ def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) ->
 
 
 _MOST = 0.5
-"""Share of the variance of a scatter below which the noise is estimated from the forces. In
-measured logs .55 and .58 are noise (standard errors .05 and .09); there, the scatter gives
-effects that hold on other logs, and the estimate does not."""
+"""Largest share of noise in the variance of a scatter at which the noise is estimated from the
+forces. In two measured logs the share is .55 and .58 (standard errors .05 and .09): there, the
+noise by the scatter gives effects that hold on other logs, and the estimate does not."""
 
 
-def noise_in_motion(residual, slope, off, scatter: float) -> float | None:
+def noise_in_motion(
+    residual: np.ndarray, slope: np.ndarray, off: np.ndarray, scatter: float
+) -> float | None:
     """Standard deviation of the noise of a slip whose ``scatter`` about its path is mostly
     motion, zero if not significant; None if most may be noise.
 
-    The force follows what the slip did: a residual at the measured slips contains minus
-    the slope times the noise of its own row, and so does ``off``.
+    The force follows the true slip: a residual at the measured slip contains minus the slope
+    times the noise of its own row, and ``off`` contains the same noise.
 
     Args:
         residual: (n,) [N] at the measured slips.
@@ -479,7 +481,7 @@ def noise_in_motion(residual, slope, off, scatter: float) -> float | None:
     return float(np.sqrt(variance)) if variance > CORRELATED * error else 0.0
 
 
-def between(values, in_time: Sequence[np.ndarray]) -> np.ndarray:
+def between(values: np.ndarray, in_time: Sequence[np.ndarray]) -> np.ndarray:
     """Values (n,) minus the mean of the two neighbours in time; zero at both ends."""
     off = np.zeros(len(values))
     for rows in (rows for rows in in_time if len(rows) > 2):

@@ -123,11 +123,11 @@ def peak_ranges(
 
 
 def shape_in_doubt(solved: Solved) -> bool:
-    """Whether a curve of another shape describes the residuals significantly.
+    """Whether a curve of another shape may explain a part of the residuals.
 
-    The residuals are regressed on the force times the slip, and times the force: the
-    curves of the other shapes differ from the fitted one by nearly that. With noise of the
-    slip a row has no residual, and nothing is tested.
+    The residuals are regressed on the force times the slip and on the force times itself,
+    which are nearly the differences of the other shapes from the fitted curve. Forces whose
+    slip has noise are not tested, as their rows have no residual.
     """
     problem, chance = solved.problem, 1.0
     for channel in problem.channels:
@@ -181,4 +181,5 @@ def _of(peaks: Mapping[str, Estimate], label: str) -> Estimate | None:
 
 
 def _ends(one: Estimate) -> tuple[float | None, float | None]:
+    """The 95 % interval of a peak, without an upper end if the peak is not identified."""
     return one.ci95 if one.identified else (one.ci95[0], None)

@@ -110,7 +110,7 @@ def _explained(values, known, more) -> float:
     return explained if clear else 0.0
 
 
-def remainder(values, columns):
+def remainder(values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, int]:
     """Residuals (n,) of a regression of the values on columns (n, k), and its rank."""
     solution, _, rank, _ = np.linalg.lstsq(columns, values)
     return values - columns @ solution, int(rank)

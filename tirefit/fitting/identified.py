@@ -6,10 +6,10 @@ from tirefit.fitting.inference import REACH, half_width_95
 from tirefit.fitting.profile import Profile
 from tirefit.fitting.result import Estimate
 from tirefit.fitting.solve import Solved
-from tirefit.params import constrain, log_jacobian
+from tirefit.params import Spec, constrain, log_jacobian
 
 
-def limited(spec, low: float, high: float) -> bool:
+def limited(spec: Spec, low: float, high: float) -> bool:
     """Whether an interval within the bounds identifies the parameter."""
     ends = low <= spec.lower, high >= spec.upper
     return not _not_identified(spec, low, high, *ends)
@@ -88,7 +88,7 @@ def independent_intervals(solved: Solved) -> dict[str, tuple[float | None, float
     }
 
 
-def at_bound(spec, value: float) -> bool:
+def at_bound(spec: Spec, value: float) -> bool:
     """Whether a fitted value lies at a bound of its parameter."""
     if spec.scale == "log":
         return not spec.lower * 1.01 < value < spec.upper / 1.01

@@ -113,7 +113,7 @@ class PosteriorSummary:
 
 
 class PeakRange(NamedTuple):
-    """Range of peak force over load over models, where the rows do not reach the peak.
+    """Range of F_max / F_z over models of other shapes, if the peak depends on the shape.
 
     ``models`` holds the 95 % interval of each model that describes the rows as well as
     the best one; ``low`` and ``high`` are the ends of all of them. An end is None where
@@ -128,13 +128,13 @@ class PeakRange(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A model with an effect of a column, tried on the rows of a fit."""
+    """A model whose force depends on a further column, tried on the rows of a fit."""
 
     column: str
     model: str
     against: str  # reason not to use it; empty if it is better
     left_out: tuple[float, ...] = ()
-    """rms error of the first force in rows left out, of the model of the fit and of this one."""
+    """rms errors [N, N m] of the first force on left-out rows: model of the fit, this model."""
 
     @property
     def better(self) -> bool:
@@ -197,7 +197,7 @@ class FitResult(Record):
     table: TireData
     far_rows: tuple[FarRow, ...] = ()
     peak_range: dict[str, PeakRange] = field(default_factory=dict)
-    """By label of ``derived``, of each peak that the rows do not reach."""
+    """By label of ``derived``, of each peak that depends on the shape of the model."""
     trials: tuple[Trial, ...] = ()
     posterior: PosteriorSummary | None = None
     asked: str = ""

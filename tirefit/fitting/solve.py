@@ -109,7 +109,7 @@ def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
         return dict.fromkeys(estimated, float(noise_factor(problem, z)))
     if not estimated:
         return {}
-    # By the program that the end of the fit needs as well.
+    # This program is needed at the end of the fit anyway, so no other one is compiled.
     mean = _used(problem, linearise(problem, z)).mean
     factors = {}
     for name in estimated:

@@ -150,7 +150,7 @@ def _combination(tire: MFTire, where: str) -> list[str]:
     messages = []
     if tire.ellipse:
         messages.append(
-            f"{where}: F_x and F_y by the friction ellipse, as FE_METHOD or --combination asks"
+            f"{where}: F_x and F_y by the friction ellipse (FE_METHOD or --combination)"
         )
     if similar := [_SYMBOLS[force] for force in tire.similarity]:
         messages.append(

@@ -31,13 +31,16 @@ predicts better: of 20 models without a gain one is advised."""
 
 
 SLIDING = "v_s"
-"""Column of a trial: a linear friction law has no friction at the fastest rows."""
+"""``column`` of a trial for a linear friction law that has no friction at the fastest rows: the
+sliding speed, which is no column of the file."""
 
 
 def candidate(name: str, column: str) -> str:
-    """Name of a model like ``name`` whose force depends on a column as well; empty if there
-    is none. One of each, as a first fit of a model takes 3 s of processor: over the speed a
-    friction that changes linearly, in either direction."""
+    """Name of a model like ``name`` whose force also depends on a column; empty without one.
+
+    It is one model for each column, as the first fit of a model takes 3 s of processor time. For
+    the speed, its friction changes linearly, in either direction.
+    """
     if column == "fz":
         names = [name.replace("brush", "brush-load", 1)]
     elif column == "v":
@@ -50,7 +53,7 @@ def candidate(name: str, column: str) -> str:
 def tried(
     columns: Iterable[str], task: FitTask, solved: Solved, config: FitConfig
 ) -> tuple[Trial, ...]:
-    """Trials of models that depend on these columns, one of each."""
+    """Trials of one model for each of these columns that has one."""
     pairs = [(column, candidate(task.name, column)) for column in columns]
     trials = (_tried(name, column, task, solved, config) for column, name in pairs if name)
     return tuple(one for one in trials if one)
@@ -89,7 +92,7 @@ def _blocks(task: FitTask) -> list[np.ndarray]:
 
 
 def errors_left_out(solved: Solved, task: FitTask) -> dict[str, np.ndarray]:
-    """Error (n,) of each force, of a fit to the other blocks of rows."""
+    """Error (n,) of each force [N, N m] in each block, predicted by a fit to the other blocks."""
     problem = solved.problem
     errors = {channel.name: np.zeros(problem.n) for channel in problem.channels}
     for block in _blocks(task):

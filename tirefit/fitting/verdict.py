@@ -93,15 +93,15 @@ def _stated_noise(result: FitResult) -> list[tuple[Outcome | None, str]]:
         stated = result.noise[channel.name]["median_std"]
         text = (
             f"the residuals of {channel.name} are {size:.2g} times the stated noise"
-            f" ({stated:.3g} {CANONICAL[channel.name][0]}; such a noise gives this with a"
-            f" probability below {_CHANCE:g}): "
+            f" ({stated:.3g} {CANONICAL[channel.name][0]}; if it were right, the probability of"
+            f" this would be below {_CHANCE:g}): "
         )
         if size > 1:
             found.append((None, f"{text}the intervals are widened; check the stated noise"))
             continue
         text += (
-            f"it is stated too large, and so are the intervals, by up to {1 / size:.2g}; check its"
-            " unit, or leave it out, and it is estimated from the residuals"
+            f"the intervals are too wide, by a factor of up to {1 / size:.2g}; check the unit of"
+            " the stated noise, or leave it out: it is then estimated from the residuals"
         )
         outcome = Outcome.NOISE_OVERSTATED if size**2 * _POOR_CHI2 < 1 else None
         found.append((outcome, text))
@@ -150,7 +150,7 @@ def is_noise(result: FitResult) -> bool:
 
 
 def _peak_not_reached(result: FitResult) -> list[tuple[Outcome | None, str]]:
-    """A sentence with the range of the peak if the rows do not reach it."""
+    """A sentence with the range of the peak if it depends on the shape of the model."""
     if not result.peak_range:
         return []
     label, one = min(result.peak_range.items(), key=lambda item: item[1].share)
@@ -165,7 +165,7 @@ def _peak_not_reached(result: FitResult) -> list[tuple[Outcome | None, str]]:
 
 
 def range_text(one: PeakRange) -> str:
-    """The range of the peak, and the models that it is over."""
+    """The range of the peak as text, with the names of its models."""
     low, high = (None if end is None else f"{end:.3g}" for end in (one.low, one.high))
     span = f"mu {low} to {high}" if low and high else f"mu above {low}" if low else "any mu"
     return f"{span} over {', '.join(one.models)}"
@@ -186,7 +186,7 @@ def effects_to_try(result: FitResult) -> list[str]:
 
 
 def _advice(result: FitResult, column: str) -> str:
-    """A model that was tried and is better, or why those tried are not; empty without trials."""
+    """Text that advises the better of the tried models, or states why none is better."""
     tried = [one for one in result.trials if one.column == column]
     if not tried and column in _WHOLE:
         return "; not tried: a whole Magic Formula (mf61), which has terms for it"
@@ -195,8 +195,8 @@ def _advice(result: FitResult, column: str) -> str:
             unit = "N m" if result.forces[0] == "mz" else "N"
             before, after = one.left_out
             return (
-                f"; use {one.model}: tried on these rows, it lowers the rms of rows left"
-                f" out from {before:.4g} to {after:.4g} {unit}"
+                f"; use {one.model}: fitted to these rows, it lowers the rms error on left-out"
+                f" rows from {before:.4g} to {after:.4g} {unit}"
             )
     return "".join(f"; {one.model} was tried: {one.against}" for one in tried)
 
@@ -300,7 +300,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
 
 
 def _of_bound(result: FitResult, label: str) -> str:
-    """What to do about a bound: only one inside that of the model can be widened."""
+    """Text on the bound of a parameter: advice to widen it if it is not that of the model."""
     name = quantity_of(label)
     ours = next(p.spec for p in result.problem.layout.free if p.name == name)
     model = specs(result.problem.model)[name]

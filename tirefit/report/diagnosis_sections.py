@@ -35,7 +35,7 @@ _SHOWN = (
     "warning: the simulator",
     "found by tirefit derive",
 )
-"""Parts of the notes on the signs of the data, on a simulator, and of derive."""
+"""Texts that mark the notes to show: on signs, on a simulator, and on findings of derive."""
 
 _BEYOND = 1.5
 """Ratio of the noise to the stated noise above which it is reported."""

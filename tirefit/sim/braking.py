@@ -64,7 +64,7 @@ class SimulatedLog(Record):
     def files(self, name: str = "log") -> dict[str, str]:
         """``NAME.csv``, and the true values without noise, ``NAME.truth.tsv``."""
         name = name or "log"
-        truth = csv_text(self.truth, "\t")  # a pattern of tables, *.csv, does not match it
+        truth = csv_text(self.truth, "\t")  # *.csv, a pattern of logs, does not match it
         return {f"{name}.csv": csv_text(self.columns), f"{name}.truth.tsv": truth}
 
 

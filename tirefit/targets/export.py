@@ -117,7 +117,7 @@ class Exported(Record):
 
     @property
     def limits(self) -> dict[Outcome, str]:
-        """Whether a check of the tire's forces fails."""
+        """The outcome of a failed check of the tire's forces -> its text, empty if none fails."""
         failed = "; ".join(self.shape.failed)
         return {Outcome.UNSOUND: f"{Outcome.UNSOUND.message}: {failed}" if failed else ""}
 
@@ -288,7 +288,7 @@ def _useless(target: str, model, wheel, forces, convention, car):
 
 
 def _files(chosen: Target | ParameterFile | None, path: Path) -> list[tuple[Path, str]]:
-    """The files to write, and the endings that they must have."""
+    """The files to write, each with the ending that its name must have."""
     beside = chosen.beside if isinstance(chosen, Target) else ()
     ending = chosen.ending if chosen else ""
     return [(path, ending), *((path.with_suffix(end), end) for end in beside)]

@@ -5,8 +5,8 @@ import keyword
 import re
 
 _SHAPE = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", re.ASCII)
-"""CasADi and C++ reserve two underscores in a row, C and Python one at the beginning. At
-the end one would meet that of ``_jacobian``."""
+"""CasADi and C++ reserve two underscores in a row, C and Python one at the beginning. One at
+the end and that of ``_jacobian`` would be two in a row."""
 
 _KEYWORDS = frozenset(
     "alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t"
@@ -19,7 +19,7 @@ _KEYWORDS = frozenset(
     " thread_local throw true try typedef typeid typename typeof typeof_unqual union unix"
     " unsigned using virtual void volatile while xor xor_eq".split()
 )
-"""Keywords of C to C23 and C++, macros with their meaning, and those that GCC defines."""
+"""Keywords of C to C23 and of C++, macros that replace keywords, and macros of GCC."""
 
 _MATH = frozenset(
     "acos acosh acospi asin asinh asinpi atan atan2 atan2pi atanh atanpi cabs cacos cacosh"
@@ -78,7 +78,7 @@ def reserved(name: str) -> str:
     if not _SHAPE.fullmatch(name):
         return "it is not letters and digits, with single underscores between them"
     if not re.search("[a-z]", name):
-        return "it has no small letter, as macros of C"
+        return "it has no lower-case letter, like a macro of C"
     stem = name[:-1] if name[-1] in "fl" else name
     if {name, stem} & _MATH or name in _KEYWORDS | _LIBRARY or _GROUPS.fullmatch(name):
         return "C has this name"

@@ -29,8 +29,8 @@ _FEW = _SLIPS[::4, None], _ANGLES[::4]
 
 
 class Shape(NamedTuple):
-    """Five sentences on a tire, and those of them that a check fails. ``curves``: force ->
-    slip and pure force [N] of the file at the usual load."""
+    """Five sentences on a tire; ``failed``: those of them that report a failed check.
+    ``curves``: force -> slip and pure force [N] of the file at the usual load."""
 
     sentences: tuple[str, ...]
     failed: tuple[str, ...]

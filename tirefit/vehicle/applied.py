@@ -70,8 +70,8 @@ class Applied:
         samples = jax.tree.map(lambda x: x[0], self.samples(motion, rows, vehicle, tires))
         of = self.at(samples).steering
         found = np.full(len(steering), np.nan)
-        for rows_of in motion.stretches:
-            own = rows_of.start + np.flatnonzero(np.isfinite(steering[rows_of]))
+        for stretch in motion.stretches:
+            own = stretch.start + np.flatnonzero(np.isfinite(steering[stretch]))
             if len(own) > 2:
                 step = 1 / vehicle.filter.sample_rate
                 across = np.nan_to_num(samples.across[own])

@@ -97,7 +97,7 @@ def _segment(prepared: Prepared, k: int, part: Segment) -> dict[str, Any]:
 def save_prepared(prepared: Prepared, folder: Path, name: str = "") -> list[Path]:
     """Write ``NAME.csv``, ``NAME.segments.tsv`` and ``NAME.prepare.json``.
 
-    Only the table to fit ends in ``.csv``, so that a pattern of tables matches nothing else.
+    Only the table to fit ends in ``.csv``, so that ``*.csv`` matches no other table.
     """
     name = name or prepared.data.name
     texts = {

@@ -86,8 +86,8 @@ def _part(whole: Hypothesis, key: Key) -> Hypothesis:
 
 
 def floor_of(base: Base, out: Predicted) -> float:
-    """Mean square of the noise of the first channel [N^2], at most what the base model
-    leaves of the rows left out: a stated noise may be above it, and so may an estimate."""
+    """Mean square of the noise of the first channel [N^2], at most the mean square error of
+    the base model on left-out rows, which a stated or an estimated noise may exceed."""
     left = out.rows @ out.loss[:, out.effects.index(())] / out.rows.sum()
     return min(float(np.mean(base.noise[base.rows.channels[0]].std ** 2)), float(left))
 

@@ -111,20 +111,21 @@ def of_a_known_position(prior, prepared, rig):
 
 
 def odds_of_derive(prepared) -> float:
-    """Prior log odds of an error of the tracked point: the log likelihood of the error that
-    ``tirefit derive`` found against that of none."""
+    """Prior log odds of an error of the tracked point: log likelihood ratio of the error that
+    ``tirefit derive`` found against no error; 0 without an estimate."""
     known = error_of_point(prepared.data.source.constants)
     return 0.0 if known is None else min((known[0] / known[1]) ** 2 / 2, _CERTAIN)
 
 
 def against_derive(distance: float, prepared) -> str:
-    """A sentence if an error of the tracked point contradicts the estimate of derive."""
+    """A sentence if an error of the tracked point [m] contradicts the estimate of derive; else
+    empty."""
     known = error_of_point(prepared.data.source.constants)
     if known is None or abs(distance - known[0]) < _CONTRADICTS * known[1]:
         return ""
     error, std = known
     return (
-        f"tirefit derive finds this error as {1e3 * error:+.2g} ± {1e3 * std:.1g} mm by force"
+        f"tirefit derive estimates this error as {1e3 * error:+.2g} ± {1e3 * std:.1g} mm by force"
         f" against moderate slip in the same logs, not {1e3 * distance:+.2g} mm: leave the stated"
         " point as it is, and look for another effect that follows the yaw rate"
     )

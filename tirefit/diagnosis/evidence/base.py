@@ -251,9 +251,11 @@ def fit_base(
 
 
 def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float | None:
-    """Noise of the slip, estimated from the measured forces and the model ``name``. None if
-    it is stated, if the forces do not show it, if the scatter of the slip about its path may
-    mostly be noise, or if the force was derived from the motion, which has the errors of the slip.
+    """Noise of the slip [-], estimated from the measured forces and the model ``name``; or None.
+
+    It is None if the noise is stated, if the forces do not show it, if most of the scatter of
+    the slip about its path may be noise, or if the force was derived from the motion and so
+    has the errors of the slip.
     """
     sweeps = prepared.slip_source == SCATTER
     known = prepared.slip_source != NOT_STATED and not sweeps

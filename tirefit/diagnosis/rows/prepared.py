@@ -58,8 +58,8 @@ class Prepared:
     slip_check: SlipCheck | None
     sizes: table.Sizes
     derived: table.Derived | None  # None if the force was measured
-    shown: float | None  # noise of the slip by the forces, None if it is not judged by them
-    scatter: float  # white scatter of the slip about its path, zero without
+    shown: float | None  # noise of the slip estimated from the forces, None without an estimate
+    scatter: float  # white scatter of the slip about its path, 0 without a path
 
     @property
     def n(self) -> int:

@@ -211,9 +211,9 @@ def _band(force: str, parts: Sequence[_Sample], fitted: _Sample) -> Band:
     errors at the level of 5 %. The noise is that of the left-out rows or that of the
     ``fitted`` rows, whichever is larger on the fitted rows: in a left-out part the
     errors of the coefficients may account for the whole residual. It is raised if fewer
-    than 95 % of the fitted rows would be in the band, as those of one load may be worse
-    than the law. The error of the formula beyond the loads is that of the parts beyond
-    the others.
+    than 95 % of the fitted rows would be in the band, as the rows of one load may scatter
+    more than the law. The error of the formula beyond the loads is estimated from the
+    parts whose loads lie beyond those of the other parts.
     """
     squares = sum(part.shift[0] for part in parts)
     count = sum(part.shift[1] for part in parts)

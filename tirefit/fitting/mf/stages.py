@@ -184,7 +184,7 @@ def _one_stage(work: Search, force: str, count: int, rows: ForceRows | None) -> 
     if is_last:
         moved, end = _hold(work, problem, end)
     work.u, work.moved = end.u, work.moved | set(names)
-    # With the coefficients held: where these ended, the rows may determine them.
+    # The covariance includes the held coefficients: the rows may determine them at this end.
     work.covariance = _covariance(work.covariance, problem, end.u)
     _note(work, force, count, moved, end)
 
