@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtrc
 
@@ -21,10 +20,17 @@ from tirefit.fitting.inference import (
     solve_starts,
     threshold,
 )
-from tirefit.fitting.likelihood import FitProblem, Rule, SlipNodes, noise_factor, row_moments
+from tirefit.fitting.latent_slip import OFFSETS, SlipNodes
+from tirefit.fitting.likelihood import (
+    FitProblem,
+    Rule,
+    noise_factor,
+    row_moments,
+    slip_information,
+)
 from tirefit.fitting.noise import effective_inflation, robust_scale
 from tirefit.fitting.problem import FitTask
-from tirefit.fitting.slip_noise import latent_nodes
+from tirefit.fitting.slip_noise import slip_density
 
 _SETTLED = 1e-3
 """Deviance still to gain below which an estimate has converged: 0.03 standard errors."""
@@ -32,6 +38,9 @@ _SETTLED = 1e-3
 _DOUBLED = 6.0
 """Degrees of freedom whose 95 % quantile of t^2 equals their own number: the interval
 then ends where the sum of squares has doubled."""
+
+_STANDING = 1e-5
+"""Change in z below which the nodes of the slips are not laid out again."""
 
 _ONE_MINIMUM = 1e-5  # distance in z below which two estimates are the same
 
@@ -72,34 +81,32 @@ def starting_points(task: FitTask, count: int, seed: int) -> np.ndarray:
     return np.concatenate([first[None], first + scatter * widths])
 
 
-def with_scale(
-    problem: FitProblem,
-    slip_density: Mapping[str, tuple[np.ndarray, np.ndarray]],
-    factors: Mapping[str, float],
-    slope: float,
-) -> FitProblem:
-    """The same problem with scaled force noise, and nodes of latent slip for it.
+def laid_out(problem: FitProblem, factors: Mapping[str, float], z, counted=None) -> FitProblem:
+    """The same problem with scaled force noise, and nodes of the true slips for z.
 
     Args:
-        slip_density: distribution of the true values of each noisy slip.
         factors: of the force noise, by channel; 1 for channels without one.
-        slope: largest slope of force over slip [N]; sets the number of nodes.
+        counted: (n,) bool, rows by which the density of the slips is estimated; None: all.
     """
     rows, nodes = problem.rows, {}
     scale = {k: np.asarray(v) * factors.get(k, 1.0) for k, v in rows.scale.items()}
+    if not rows.slip_std:
+        return problem.with_rows(scale=scale)
+    elements = problem.layout.elements_of(np.asarray(rows.run))
     for slip, std in rows.slip_std.items():
-        forces = [c.name for c in problem.channels if c.slip == slip]
-        force_std = min(float(np.median(problem.used(scale[k]))) for k in forces)
-        steep = _bucket(slope * float(np.max(std)) / force_std)
         # A padding row repeats the first row, so it has nodes as well.
-        values = np.asarray(getattr(rows.inputs, slip))
-        nodes[slip] = SlipNodes(*latent_nodes(values, np.asarray(std), slip_density[slip], steep))
-    return problem.with_rows(scale=scale, nodes=nodes)
-
-
-def _bucket(steepness: float) -> float:
-    """Round up to a power of sqrt(2), so that few shapes are compiled."""
-    return float(2 ** (np.ceil(2 * np.log2(max(steepness, 1.0))) / 2))
+        slips = np.asarray(getattr(rows.inputs, slip))
+        slips = slips[:, None] + np.asarray(std)[:, None] * OFFSETS
+        shift = np.zeros((*slips.shape, elements.shape[1]))
+        nodes[slip] = SlipNodes(slips, np.ones(slips.shape), shift, np.asarray(z)[elements])
+    problem = problem.with_rows(scale=scale, nodes=nodes)
+    measured = np.zeros(len(elements), bool)
+    measured[: problem.n] = True if counted is None else counted
+    for slip, (shift, likelihood) in slip_information(problem, z).items():
+        std, likelihood = np.asarray(rows.slip_std[slip]), np.asarray(likelihood)
+        density = slip_density(nodes[slip].slip, likelihood, std, measured)
+        nodes[slip] = nodes[slip]._replace(density=density, shift=shift)
+    return problem.with_rows(nodes=nodes)
 
 
 def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
@@ -124,39 +131,26 @@ def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
 
 
 def _settle_noise(task: FitTask, z, solver: str):
-    """Estimate parameters and noise scales in turn until the scales no longer change."""
+    """Estimate parameters, noise scales and densities of the slips in turn until neither the
+    scales nor, where a slip has noise, the parameters change."""
     problem = task.problem
-    slope = _largest_slope(problem, z) if problem.slip_noise else 0.0
-    factors = _scale_updates(problem, z)
-    problem = with_scale(problem, task.slip_density, factors, slope)
+    noisy = bool(problem.slip_noise)
+    problem = laid_out(problem, _scale_updates(problem, z), z)
     several = len(problem.channels) > 1 or problem.loss != "squares"
     several = several or any(p.prior for p in problem.layout.free)
-    if problem.slip_noise:
-        rounds = 12 if problem.noise_estimated else 1
-    else:
-        rounds = 12 if problem.noise_estimated and several else 0
+    rounds = 12 if noisy or (problem.noise_estimated and several) else 0
     for _ in range(rounds):
-        z = solve_starts(problem, z[None], "gauss-newton").z[0]
+        before, z = z, solve_starts(problem, z[None], "gauss-newton").z[0]
         factors = _scale_updates(problem, z)
-        if all(abs(np.log(factor)) < 1e-3 for factor in factors.values()):
+        moved = np.max(np.abs(z - before), where=np.abs(z) < REACH / 2, initial=0.0)
+        if all(abs(np.log(factor)) < 1e-3 for factor in factors.values()) and (
+            not noisy or moved < _STANDING
+        ):
             break
-        problem = with_scale(problem, task.slip_density, factors, slope)
+        problem = laid_out(problem, factors, z)
     if rounds:
         z = solve_starts(problem, z[None], solver).z[0]
     return problem, z
-
-
-def _largest_slope(problem: FitProblem, z) -> float:
-    """Largest slope [N] of a force over slip among the rows, by finite differences."""
-    slip, inputs = problem.channels[0].slip, problem.rows.inputs
-    values = np.asarray(getattr(inputs, slip))
-    step = 1e-4 * float(np.ptp(problem.used(values)))
-    there = inputs._replace(**{slip: jnp.asarray(values + step)})
-    moved = problem.with_rows(inputs=there)
-    (before, _), (after, _) = row_moments(problem, z), row_moments(moved, z)
-    names = [c.name for c in problem.channels if c.slip == slip and c.name != "mz"]
-    changes = [np.abs(after[name] - before[name]) for name in names or ["mz"]]
-    return float(np.max(changes)) / step
 
 
 def _used(problem: FitProblem, at: Linearised) -> Linearised:
@@ -231,10 +225,8 @@ def on_rows(whole: FitTask, kept, task: FitTask, solved: Solved) -> tuple[FitPro
         mine = whole.problem.used(whole.problem.rows.scale[channel.name])[kept]
         fitted = solved.problem.used(solved.problem.rows.scale[channel.name])
         scales[channel.name] = float(np.median(fitted / mine))
-    noisy = bool(task.problem.slip_noise)
-    slope = _largest_slope(task.problem, solved.z) if noisy else 0.0
     problem = replace(whole.problem, model=solved.problem.model)
-    problem = with_scale(problem, task.slip_density, scales, slope)
+    problem = laid_out(problem, scales, solved.z, kept)
     every = _used(problem, linearise(problem, solved.z))
 
     def joined(all_rows, fitted):
