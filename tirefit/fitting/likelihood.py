@@ -108,6 +108,10 @@ class FitProblem(eqx.Module):
     layout: Layout = eqx.field(static=True)
     channels: tuple[Channel, ...] = eqx.field(static=True)
     loss: str = eqx.field(static=True)
+    warp: tuple[Array, Array] | None = None
+    """Centre (p,) and matrix (p, p): the rows are compared with the model at centre +
+    matrix (z - centre), so that their deviance has the curvature that the scatter of the
+    estimate calls for (Chandler and Bate, Biometrika 94, 2007)."""
 
     @property
     def n(self) -> int:
@@ -137,6 +141,13 @@ class FitProblem(eqx.Module):
     def block_channels(self, block: str) -> tuple[Channel, ...]:
         """The channels in one block."""
         return tuple(c for c in self.channels if self.block_of(c) == block)
+
+    def warped(self, z: Float[Values, " p"]) -> Float[Values, " p"]:
+        """The z with which the rows are compared."""
+        if self.warp is None:
+            return z
+        centre, matrix = self.warp
+        return centre + matrix @ (z - centre)
 
     def used(self, array) -> np.ndarray:
         """An array over padded rows without its padding, shape (n,)."""
@@ -294,6 +305,7 @@ def root_deviance(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Floa
         dict of arrays (n,): one per channel, or one per slip name where that slip has
         noise (its channels share the latent slip). Padding rows are zero.
     """
+    z = problem.warped(z)
     return _blocks(problem, z, _channel_forces(problem, z))
 
 
@@ -308,6 +320,7 @@ def moments(problem: FitProblem, z: Float[Values, " p"]):
 
 def blocks_and_moments(problem: FitProblem, z: Float[Values, " p"]):
     """:func:`root_deviance` and :func:`moments` from one evaluation."""
+    z = problem.warped(z)
     forces = _channel_forces(problem, z)
     return _blocks(problem, z, forces), *_moments(problem, forces)
 

@@ -15,6 +15,7 @@ from tirefit.fitting.inference import (
     Linearised,
     best_of,
     covariance,
+    hessian,
     inflation,
     linearise,
     solve_starts,
@@ -39,8 +40,12 @@ _DOUBLED = 6.0
 """Degrees of freedom whose 95 % quantile of t^2 equals their own number: the interval
 then ends where the sum of squares has doubled."""
 
-_STANDING = 1e-5
-"""Change in z below which the nodes of the slips are not laid out again."""
+_SLIP_ROUNDS, _SLIP_STEP = 40, 0.3
+"""Steps of a search with noisy slips, and the longest one in z."""
+_SETTLED_SLIPS = 1e-5
+"""Deviance that the last step could gain: 0.003 standard errors."""
+_LARGEST_RATIO = 4.0
+"""Of two curvatures: beyond it, the model is not identified and neither is a scatter."""
 
 _ONE_MINIMUM = 1e-5  # distance in z below which two estimates are the same
 
@@ -131,26 +136,81 @@ def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
 
 
 def _settle_noise(task: FitTask, z, solver: str):
-    """Estimate parameters, noise scales and densities of the slips in turn until neither the
-    scales nor, where a slip has noise, the parameters change."""
+    """Estimate parameters and noise scales in turn until the scales no longer change."""
     problem = task.problem
-    noisy = bool(problem.slip_noise)
     problem = laid_out(problem, _scale_updates(problem, z), z)
+    if problem.slip_noise:
+        return _settle_slips(problem, z)
     several = len(problem.channels) > 1 or problem.loss != "squares"
     several = several or any(p.prior for p in problem.layout.free)
-    rounds = 12 if noisy or (problem.noise_estimated and several) else 0
+    rounds = 12 if problem.noise_estimated and several else 0
     for _ in range(rounds):
-        before, z = z, solve_starts(problem, z[None], "gauss-newton").z[0]
+        z = solve_starts(problem, z[None], "gauss-newton").z[0]
         factors = _scale_updates(problem, z)
-        moved = np.max(np.abs(z - before), where=np.abs(z) < REACH / 2, initial=0.0)
-        if all(abs(np.log(factor)) < 1e-3 for factor in factors.values()) and (
-            not noisy or moved < _STANDING
-        ):
+        if all(abs(np.log(factor)) < 1e-3 for factor in factors.values()):
             break
         problem = laid_out(problem, factors, z)
     if rounds:
         z = solve_starts(problem, z[None], solver).z[0]
     return problem, z
+
+
+def _settle_slips(problem: FitProblem, z):
+    """Parameters at which the slope of the deviance is zero if the nodes and the density of
+    the slips are those of the same parameters.
+
+    A search with fixed nodes would leave the range in which they move linearly.
+    """
+    for _ in range(_SLIP_ROUNDS):
+        slope, scores = _slope_and_scores(problem, z)
+        step = -np.linalg.solve(scores, slope)
+        z = np.clip(z + np.clip(step, -_SLIP_STEP, _SLIP_STEP), -REACH, REACH)
+        problem = laid_out(problem, _scale_updates(problem, z), z)
+        if -slope @ step < _SETTLED_SLIPS:
+            break
+    return _with_curvature(problem, z), z
+
+
+def _slope_and_scores(problem: FitProblem, z):
+    """Half the slope (p,) of the deviance at z, and the sum of the outer products of the
+    slopes of its rows (p, p)."""
+    at = linearise(problem, z)
+    slope, scores = np.zeros(z.size), np.eye(z.size) / REACH**2
+    for name, values in at.values.items():
+        values, slopes = np.asarray(values), np.asarray(at.slopes[name])
+        slope += slopes.T @ values
+        if name in problem.rows.nodes:
+            slopes = slopes * values[:, None]
+        scores += slopes.T @ slopes
+    return slope, scores
+
+
+def _with_curvature(problem: FitProblem, z) -> FitProblem:
+    """The problem with a deviance whose curvature is the inverse of the scatter of z.
+
+    That scatter follows from the slopes of the rows and from the change of the slope with z
+    where nodes and density change as well (Godambe 1960). A layout per run is left as it is.
+    """
+    if problem.layout.is_sparse:
+        return problem
+    _, scores = _slope_and_scores(problem, z)
+    steps = np.diag(0.1 / np.sqrt(np.diag(scores)))
+    change = np.array(
+        [_slope_at(problem, z + step) - _slope_at(problem, z - step) for step in steps]
+    )
+    change = (change / (2 * np.diag(steps)[:, None])).T
+    wanted = change.T @ np.linalg.solve(scores, change)
+    values, axes = np.linalg.eigh(np.asarray(hessian(problem, z)))
+    if values.min() < 1 / REACH**2:
+        return problem
+    root, inverse = (axes * values**power @ axes.T for power in (0.5, -0.5))
+    ratios, axes = np.linalg.eigh(inverse @ wanted @ inverse)
+    stretch = np.sqrt(np.clip(ratios, 1 / _LARGEST_RATIO, _LARGEST_RATIO))
+    return replace(problem, warp=(z, inverse @ (axes * stretch @ axes.T) @ root))
+
+
+def _slope_at(problem: FitProblem, z):
+    return _slope_and_scores(laid_out(problem, {}, z), z)[0]
 
 
 def _used(problem: FitProblem, at: Linearised) -> Linearised:
