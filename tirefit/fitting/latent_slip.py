@@ -75,7 +75,7 @@ def shifts(std, slope: dict, change: dict, scale: dict) -> Float[Array, "n q w"]
         slope, change: by force, its derivatives in the slip (n, q) and in z (n, q, w).
         scale: by force, its noise (n,).
     """
-    square, product = std[:, None] ** -2.0, 0.0
+    square, product = jnp.asarray(std[:, None] ** -2.0), jnp.zeros(())
     for name, along in slope.items():
         precision = scale[name][:, None] ** -2.0
         square = square + precision * along**2
@@ -113,7 +113,7 @@ def integrals(place: Float[Array, "n q"], residuals: list[Float[Array, "n q"]]):
         the sum of weights and density.
     """
     left, wide = place[:, :-1], jnp.diff(place, axis=1)
-    precision, pull, square = 1.0, 0.0, 0.0
+    precision, pull, square = jnp.ones_like(left), jnp.zeros_like(left), jnp.zeros_like(left)
     for residual in residuals:
         slope = -jnp.diff(residual, axis=1) / wide
         there = residual[:, :-1] + slope * left  # at the measured slip

@@ -19,17 +19,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from tirefit.compiled import compiled
-from tirefit.fitting.latent_slip import (
-    SlipNodes,
-    integrals,
-    node_weights,
-    places,
-    shifts,
-    unbent,
-)
+from tirefit.fitting.latent_slip import SlipNodes, integrals, node_weights, places, shifts, unbent
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.least_squares import directions
 from tirefit.models import AbstractTire, TireInputs
@@ -94,6 +87,20 @@ class Rule(NamedTuple):
     within: Float[Array, ""] | float = 0.0  # sum of squares within cells, to be added
 
 
+class Curvature(NamedTuple):
+    """How rows with noisy slips enter the deviance, so that its curvature at the estimate is
+    the inverse of the scatter of the estimate.
+
+    If ``compared`` is true, the rows are compared with the model at centre + matrix (z -
+    centre) (Chandler and Bate, Biometrika 94, 2007); otherwise the squares of matrix (z -
+    centre) are their deviance.
+    """
+
+    centre: Float[Array, " p"]
+    matrix: Float[Array, "p p"]
+    compared: Bool[Array, ""]
+
+
 class FitProblem(eqx.Module):
     """A fit ready to solve, as one pytree; its rows are on the device.
 
@@ -108,10 +115,7 @@ class FitProblem(eqx.Module):
     layout: Layout = eqx.field(static=True)
     channels: tuple[Channel, ...] = eqx.field(static=True)
     loss: str = eqx.field(static=True)
-    warp: tuple[Array, Array] | None = None
-    """Centre (p,) and matrix (p, p): the rows are compared with the model at centre +
-    matrix (z - centre), so that their deviance has the curvature that the scatter of the
-    estimate calls for (Chandler and Bate, Biometrika 94, 2007)."""
+    curvature: "Curvature | None" = None
 
     @property
     def n(self) -> int:
@@ -142,12 +146,12 @@ class FitProblem(eqx.Module):
         """The channels in one block."""
         return tuple(c for c in self.channels if self.block_of(c) == block)
 
-    def warped(self, z: Float[Values, " p"]) -> Float[Values, " p"]:
-        """The z with which the rows are compared."""
-        if self.warp is None:
+    def compared_at(self, z: Float[Values, " p"]) -> Float[Values, " p"]:
+        """The z at which the model is compared with the rows."""
+        if self.curvature is None:
             return z
-        centre, matrix = self.warp
-        return centre + matrix @ (z - centre)
+        centre, matrix, compared = self.curvature
+        return jnp.where(compared, centre + matrix @ (z - centre), z)
 
     def used(self, array) -> np.ndarray:
         """An array over padded rows without its padding, shape (n,)."""
@@ -282,6 +286,20 @@ def _blocks(problem: FitProblem, z, forces) -> dict[str, Float[Array, " n"]]:
     return blocks
 
 
+def _as_curved(problem: FitProblem, z, blocks):
+    """The blocks, or squares of the curvature where those are the deviance."""
+    if problem.curvature is None:
+        return blocks
+    centre, matrix, compared = problem.curvature
+    found, first = {}, next(iter(problem.rows.nodes))
+    for name, block in blocks.items():
+        square = jnp.zeros_like(block)
+        if name == first:
+            square = square.at[: z.size].set(matrix @ (z - centre))
+        found[name] = jnp.where(compared, block, square)
+    return found
+
+
 def _moments(problem: FitProblem, forces):
     """:func:`moments` of known forces."""
     rows, mean, variance = problem.rows, {}, {}
@@ -305,8 +323,8 @@ def root_deviance(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Floa
         dict of arrays (n,): one per channel, or one per slip name where that slip has
         noise (its channels share the latent slip). Padding rows are zero.
     """
-    z = problem.warped(z)
-    return _blocks(problem, z, _channel_forces(problem, z))
+    there = problem.compared_at(z)
+    return _as_curved(problem, z, _blocks(problem, there, _channel_forces(problem, there)))
 
 
 @compiled(brief=True)
@@ -320,9 +338,10 @@ def moments(problem: FitProblem, z: Float[Values, " p"]):
 
 def blocks_and_moments(problem: FitProblem, z: Float[Values, " p"]):
     """:func:`root_deviance` and :func:`moments` from one evaluation."""
-    z = problem.warped(z)
-    forces = _channel_forces(problem, z)
-    return _blocks(problem, z, forces), *_moments(problem, forces)
+    there = problem.compared_at(z)
+    forces = _channel_forces(problem, there)
+    blocks = _as_curved(problem, z, _blocks(problem, there, forces))
+    return blocks, *_moments(problem, forces)
 
 
 def row_moments(problem: FitProblem, z) -> tuple[dict, dict]:

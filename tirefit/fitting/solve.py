@@ -23,6 +23,7 @@ from tirefit.fitting.inference import (
 )
 from tirefit.fitting.latent_slip import OFFSETS, SlipNodes
 from tirefit.fitting.likelihood import (
+    Curvature,
     FitProblem,
     Rule,
     noise_factor,
@@ -45,7 +46,7 @@ _SLIP_ROUNDS, _SLIP_STEP = 40, 0.3
 _SETTLED_SLIPS = 1e-5
 """Deviance that the last step could gain: 0.003 standard errors."""
 _LARGEST_RATIO = 4.0
-"""Of two curvatures: beyond it, the model is not identified and neither is a scatter."""
+"""Of two curvatures in any direction, up to which one is stretched to the other."""
 
 _ONE_MINIMUM = 1e-5  # distance in z below which two estimates are the same
 
@@ -110,7 +111,7 @@ def laid_out(problem: FitProblem, factors: Mapping[str, float], z, counted=None)
     for slip, (shift, likelihood) in slip_information(problem, z).items():
         std, likelihood = np.asarray(rows.slip_std[slip]), np.asarray(likelihood)
         density = slip_density(nodes[slip].slip, likelihood, std, measured)
-        nodes[slip] = nodes[slip]._replace(density=density, shift=shift)
+        nodes[slip] = SlipNodes(nodes[slip].slip, density, shift, nodes[slip].origin)
     return problem.with_rows(nodes=nodes)
 
 
@@ -168,7 +169,7 @@ def _settle_slips(problem: FitProblem, z):
         problem = laid_out(problem, _scale_updates(problem, z), z)
         if -slope @ step < _SETTLED_SLIPS:
             break
-    return _with_curvature(problem, z), z
+    return problem, z
 
 
 def _slope_and_scores(problem: FitProblem, z):
@@ -189,24 +190,28 @@ def _with_curvature(problem: FitProblem, z) -> FitProblem:
     """The problem with a deviance whose curvature is the inverse of the scatter of z.
 
     That scatter follows from the slopes of the rows and from the change of the slope with z
-    where nodes and density change as well (Godambe 1960). A layout per run is left as it is.
+    where nodes and density change as well (Godambe 1960). Where the deviance with fixed nodes
+    has a very different curvature, it is replaced by the square of the distance. A layout
+    per run is left as it is.
     """
-    if problem.layout.is_sparse:
+    if not problem.slip_noise or problem.layout.is_sparse:
         return problem
-    _, scores = _slope_and_scores(problem, z)
+    plain = problem.with_rows()
+    _, scores = _slope_and_scores(plain, z)
     steps = np.diag(0.1 / np.sqrt(np.diag(scores)))
-    change = np.array(
-        [_slope_at(problem, z + step) - _slope_at(problem, z - step) for step in steps]
-    )
-    change = (change / (2 * np.diag(steps)[:, None])).T
+    moved = [_slope_at(plain, z + step) - _slope_at(plain, z - step) for step in steps]
+    change = (np.array(moved) / (2 * np.diag(steps)[:, None])).T
     wanted = change.T @ np.linalg.solve(scores, change)
-    values, axes = np.linalg.eigh(np.asarray(hessian(problem, z)))
-    if values.min() < 1 / REACH**2:
-        return problem
+    values, axes = np.linalg.eigh(np.asarray(hessian(plain, z)))
+    values = np.maximum(values, 1 / REACH**2)
     root, inverse = (axes * values**power @ axes.T for power in (0.5, -0.5))
-    ratios, axes = np.linalg.eigh(inverse @ wanted @ inverse)
-    stretch = np.sqrt(np.clip(ratios, 1 / _LARGEST_RATIO, _LARGEST_RATIO))
-    return replace(problem, warp=(z, inverse @ (axes * stretch @ axes.T) @ root))
+    ratios, turned = np.linalg.eigh(inverse @ wanted @ inverse)
+    compared = bool(np.all((ratios > 1 / _LARGEST_RATIO) & (ratios < _LARGEST_RATIO)))
+    matrix = inverse @ (turned * np.sqrt(np.maximum(ratios, 0)) @ turned.T) @ root
+    if not compared:
+        values, axes = np.linalg.eigh(wanted)
+        matrix = (axes * np.sqrt(np.maximum(values, 0.0))).T
+    return replace(problem, curvature=jax.device_put(Curvature(z, matrix, compared)))
 
 
 def _slope_at(problem: FitProblem, z):
@@ -335,6 +340,7 @@ def solve_problem(task: FitTask, config: FitConfig) -> Solved:
     at = _used(problem, linearise(problem, z))
     misfit = misfit_by_setting(problem, at, task.time)
     problem, chi2_dof, n_effective = _judged(problem, task.time, at, config, misfit)
+    problem = _with_curvature(problem, z)
     cov = covariance(problem, z, at)
     converged = bool(np.all(np.isfinite(z))) and (
         converged or _still_to_gain(problem, at, z, cov) < _SETTLED
