@@ -60,15 +60,16 @@ def node_weights(std: Float[Array, " n"]) -> Float[Array, "n q"]:
 
 def places(nodes: SlipNodes, own: Float[Array, "n w"], std) -> Float[Array, "n q"]:
     """Slips of the nodes for the elements of z that each row has, rising along a row."""
-    move = jnp.sum(nodes.shift * (own - nodes.origin)[:, None], axis=-1)
+    move = jnp.einsum("nqw,nw->nq", nodes.shift, own - nodes.origin)
     most = _FARTHEST * std[:, None]
     slip = nodes.slip + most * jnp.tanh(move / jnp.maximum(most, 1e-300))
     apart = jnp.maximum(jnp.diff(slip, axis=1), _CLOSEST * jnp.diff(nodes.slip, axis=1))
     return jnp.concatenate([slip[:, :1], slip[:, :1] + jnp.cumsum(apart, axis=1)], axis=1)
 
 
-def shifts(std, slope: dict, change: dict, scale: dict) -> Float[Array, "n q w"]:
-    """Change of the slip of each node per element of z that the row has.
+def shifts(std, slope: dict, change: dict, scale: dict):
+    """Change of the slip of each node per element of z that the row has (n, q, w), and the
+    root of the information on a slip there (n, q), one without a force.
 
     Args:
         std: (n,) slip noise.
@@ -80,15 +81,15 @@ def shifts(std, slope: dict, change: dict, scale: dict) -> Float[Array, "n q w"]
         precision = scale[name][:, None] ** -2.0
         square = square + precision * along**2
         product = product + (precision * along)[..., None] * change[name]
-    return -product / square[..., None]
+    return -product / square[..., None], std[:, None] * jnp.sqrt(square)
 
 
 def unbent(force: Float[Array, "n q"]) -> Float[Array, "n q"]:
     """Forces at the nodes whose chords have no error on average: chords of a curve lie on
     its inner side."""
-    bend = 2 * jnp.diff(jnp.diff(force, axis=1) / _SPACING, axis=1)
-    bend = bend / (_SPACING[1:] + _SPACING[:-1])
-    off = bend * (_SPACING[1:] ** 2 + _SPACING[:-1] ** 2) / 24
+    bend = 2 * jnp.diff(jnp.diff(force, axis=1) / _SPACING[None], axis=1)
+    bend = bend / (_SPACING[1:] + _SPACING[:-1])[None]
+    off = bend * (_SPACING[1:] ** 2 + _SPACING[:-1] ** 2)[None] / 24
     return force.at[:, 1:-1].add(-off)
 
 
@@ -125,7 +126,7 @@ def integrals(place: Float[Array, "n q"], residuals: list[Float[Array, "n q"]]):
     low, high = (left - peak) / std, (left + wide - peak) / std
     mass, first, log = _normal_part(low, high)
     share = jnp.clip((first / mass - low) * std / wide, 0.0, 1.0)
-    log_mass = jnp.log(mass * std * _SPACING / wide) - least + log
+    log_mass = jnp.log(mass * std * _SPACING[None] / wide) - least + log
     most = jax.lax.stop_gradient(jnp.max(log_mass, axis=1))
     part = jnp.exp(log_mass - most[:, None])
     weight = jnp.pad(part * (1 - share), ((0, 0), (0, 1)))

@@ -248,8 +248,8 @@ def _node_likelihood(problem: FitProblem, z, forces, slip: str):
 
 @compiled(brief=True)
 def slip_information(problem: FitProblem, z: Float[Values, " p"]):
-    """By noisy slip: shifts of the nodes (n, q, w) at z, and their likelihoods (n, q) by the
-    force and the measured slip."""
+    """By noisy slip: the results of :func:`latent_slip.shifts` at z, and the likelihoods of
+    the nodes (n, q) by the force and the measured slip."""
     rows, found = problem.rows, {}
     elements = problem.layout.elements_of(rows.run)
     for slip, nodes in rows.nodes.items():
@@ -261,8 +261,8 @@ def slip_information(problem: FitProblem, z: Float[Values, " p"]):
             return jax.jvp(at, (z,), (direction,))[1]
 
         change = jax.vmap(push, out_axes=-1)(directions(elements, z.size))
-        shift = shifts(rows.slip_std[slip], slope, change, rows.scale)
-        found[slip] = shift, _node_likelihood(problem, z, forces, slip)[1]
+        shift, known = shifts(rows.slip_std[slip], slope, change, rows.scale)
+        found[slip] = shift, known, _node_likelihood(problem, z, forces, slip)[1]
     return found
 
 

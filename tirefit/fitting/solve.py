@@ -108,9 +108,12 @@ def laid_out(problem: FitProblem, factors: Mapping[str, float], z, counted=None)
     problem = problem.with_rows(scale=scale, nodes=nodes)
     measured = np.zeros(len(elements), bool)
     measured[: problem.n] = True if counted is None else counted
-    for slip, (shift, likelihood) in slip_information(problem, z).items():
-        std, likelihood = np.asarray(rows.slip_std[slip]), np.asarray(likelihood)
-        density = slip_density(nodes[slip].slip, likelihood, std, measured)
+    for slip, (shift, known, likelihood) in slip_information(problem, z).items():
+        std, known = np.asarray(rows.slip_std[slip]), np.asarray(known)
+        # Smooth is the density over what a force tells of the slip. Where a curve saturates
+        # it tells little: a density smooth over the slip would extend into that part from the
+        # steep one, and lower the friction by a standard error or more.
+        density = known * slip_density(nodes[slip].slip, known * likelihood, std, measured)
         nodes[slip] = SlipNodes(nodes[slip].slip, density, shift, nodes[slip].origin)
     return problem.with_rows(nodes=nodes)
 
