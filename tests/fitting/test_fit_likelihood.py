@@ -70,10 +70,10 @@ def marginal_deviance(slip, force, tau, noise, nodes, density):
     return -2 * np.log(trapezoid(both, s) / trapezoid(prior, s))
 
 
-@pytest.mark.parametrize("noise", [STD / 8, STD, 10 * STD])
+@pytest.mark.parametrize("noise", [STD / 2, STD, 10 * STD])
 def test_slip_noise_block_is_the_marginal_likelihood(noise):
-    """By brute force; the slope of the curve times the slip noise is up to 80, 10 and 1
-    standard deviations of the force, and a node every five of these at most."""
+    """By brute force; the slope of the curve times the slip noise is up to 20, 10 and 1
+    standard deviations of the force, and two nodes are up to half of these apart."""
     data, problem = small(tau=TAU)
     scale = {"fx": problem.rows.scale["fx"] * noise / STD}
     nodes = problem.rows.nodes["sigma_x"]
@@ -101,12 +101,12 @@ def test_nodes_keep_the_force_where_the_curve_is_steep():
     nodes = problem.rows.nodes["sigma_x"]
     slips = places(nodes, z[problem.layout.elements_of(problem.rows.run)], np.full(12, TAU))
     before, after = np.asarray(nodes.slip), np.asarray(slips)
-    # Full sliding begins at 0.126; to 0.06 the slope is above 8 noises per slip noise.
+    # To 0.06 the slope times the slip noise is above 2.5 force noises: 1 / (1 + 2.5^2) moves.
     steep = np.abs(before) < 0.06
     force = brush_force(before[steep], **OFF)
     change = brush_force(before[steep], **moved) - force
     kept = brush_force(after[steep], **moved) - force
-    assert np.max(np.abs(change)) > 15 and np.max(np.abs(kept)) < 0.1 * np.max(np.abs(change))
+    assert np.max(np.abs(change)) > 15 and np.max(np.abs(kept)) < 0.15 * np.max(np.abs(change))
     np.testing.assert_allclose(after[before > 0.15], before[before > 0.15], atol=1e-7)
 
 
