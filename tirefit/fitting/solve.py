@@ -104,7 +104,8 @@ def laid_out(problem: FitProblem, factors: Mapping[str, float], z, counted=None)
         slips = np.asarray(getattr(rows.inputs, slip))
         slips = slips[:, None] + np.asarray(std)[:, None] * OFFSETS
         shift = np.zeros((*slips.shape, elements.shape[1]))
-        nodes[slip] = SlipNodes(slips, np.ones(slips.shape), shift, np.asarray(z)[elements])
+        flat = slips, np.ones(slips.shape), shift, np.asarray(z)[elements]
+        nodes[slip] = SlipNodes(*jax.device_put(flat))
     problem = problem.with_rows(scale=scale, nodes=nodes)
     measured = np.zeros(len(elements), bool)
     measured[: problem.n] = True if counted is None else counted
@@ -113,8 +114,9 @@ def laid_out(problem: FitProblem, factors: Mapping[str, float], z, counted=None)
         # Smooth is the density over what a force tells of the slip. Where a curve saturates
         # it tells little: a density smooth over the slip would extend into that part from the
         # steep one, and lower the friction by a standard error or more.
-        density = known * slip_density(nodes[slip].slip, known * likelihood, std, measured)
-        nodes[slip] = SlipNodes(nodes[slip].slip, density, shift, nodes[slip].origin)
+        slips = np.asarray(nodes[slip].slip)
+        density = known * slip_density(slips, known * likelihood, std, measured)
+        nodes[slip] = nodes[slip]._replace(density=jax.device_put(density), shift=shift)
     return problem.with_rows(nodes=nodes)
 
 
@@ -214,7 +216,7 @@ def _with_curvature(problem: FitProblem, z) -> FitProblem:
     if not compared:
         values, axes = np.linalg.eigh(wanted)
         matrix = (axes * np.sqrt(np.maximum(values, 0.0))).T
-    return replace(problem, curvature=jax.device_put(Curvature(z, matrix, compared)))
+    return replace(problem, curvature=Curvature(*jax.device_put((z, matrix, compared))))
 
 
 def _slope_at(problem: FitProblem, z):
