@@ -114,8 +114,8 @@ def laid_out(problem: FitProblem, factors: Mapping[str, float], z, counted=None)
         # Smooth is the density over what a force tells of the slip. Where a curve saturates
         # it tells little: a density smooth over the slip would extend into that part from the
         # steep one, and lower the friction by a standard error or more.
-        slips = np.asarray(nodes[slip].slip)
-        density = known * slip_density(slips, known * likelihood, std, measured)
+        places = np.asarray(nodes[slip].slip)
+        density = known * slip_density(places, known * likelihood, std, measured)
         nodes[slip] = nodes[slip]._replace(density=jax.device_put(density), shift=shift)
     return problem.with_rows(nodes=nodes)
 
