@@ -10,8 +10,6 @@ import pytest
 from coverage import SETTINGS, coverage, holds_or_says, synthetic
 from scipy.stats import binom
 
-from tirefit.fitting import solve
-
 MODELS = ["brush", "brush-d", "brush-m", "brush-n", "brush-h"]
 FEW, MANY = 200, 1600
 
@@ -35,14 +33,6 @@ def half_or_all(model, setting):
         return first
     second, _ = coverage(model, setting, half, first=half, rows=ROWS)
     return {label: (first[label] + second[label]) / 2 for label in first}
-
-
-@pytest.fixture(autouse=True)
-def one_program(monkeypatch):
-    """The same number of latent slips for all data sets of both settings, so that they
-    share one program."""
-    exact, most = solve._bucket, 2**1.5
-    monkeypatch.setattr(solve, "_bucket", lambda steep: max(exact(steep), most))
 
 
 @pytest.mark.long

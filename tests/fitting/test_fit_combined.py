@@ -12,7 +12,7 @@ from tirefit.fitting.config import load_config, parse_config
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.likelihood import root_deviance, row_moments
 from tirefit.fitting.problem import build
-from tirefit.fitting.solve import with_scale
+from tirefit.fitting.solve import laid_out
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 from tirefit.report.curves import fit_curve
@@ -123,19 +123,18 @@ def test_all_forces_share_one_noisy_slip():
     """The block of a row is its marginal likelihood over the latent sigma_x."""
     tau, columns = 0.004, rows(n=40, seed=3, slip_std=0.004, loads=(FZ,))
     task = noisy_task("brush-anisotropic", {"sigma_x": tau}, columns)
-    problem = with_scale(task.problem, task.slip_density, {}, 1e5)
+    z = np.asarray(task.problem.layout.unconstrained(TRUTH))
+    problem = laid_out(task.problem, {}, z)
     assert {c.name: c.slip for c in problem.channels} == {"fx": "sigma_x", "fy": "sigma_x"}
-    z = problem.layout.unconstrained(TRUTH)
     blocks = root_deviance(problem, z)
     assert list(blocks) == ["sigma_x"]
-    grid, density = task.slip_density["sigma_x"]
+    nodes = problem.rows.nodes["sigma_x"]
     mean, _ = row_moments(problem, z)
     checked = 0
     for i in range(40):
         row = {name: column[i] for name, column in columns.items()}
         latent = row["sigma_x"] + tau * np.linspace(-4, 4, 20_001)
-        floor = 1e-9 * density.max()
-        weight = np.interp(latent, grid, density, left=0, right=0) + floor
+        weight = np.interp(latent, np.asarray(nodes.slip[i]), np.asarray(nodes.density[i]))
         weight = weight * np.exp(-0.5 * ((latent - row["sigma_x"]) / tau) ** 2)
         true = combined_force(latent, row["alpha"], row["fz"], **TRUTH)
         pairs = zip(NOISE, true, strict=True)

@@ -22,7 +22,6 @@ from tirefit.data.read import read_frame
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.problem import build
-from tirefit.fitting.slip_noise import slip_density
 from tirefit.fitting.verdict import disagreements, judge
 from tirefit.report.text import fit_report
 from tirefit.results import DataError, Outcome, UsageError
@@ -261,12 +260,6 @@ def test_a_force_that_the_model_lacks_is_refused(model, asked, missing):
 def test_unknown_solver_is_refused():
     with pytest.raises(UsageError, match="solver"):
         fit(curve(), solver="newton")
-
-
-def test_few_slips_with_noise_stay_finite():
-    knots, density = slip_density(np.full(30, 0.1), np.full(30, 0.01))
-    assert np.isfinite(density).all()
-    np.testing.assert_allclose(np.trapezoid(density, knots), 1.0, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -239,8 +239,8 @@ def _of_cells(solved: Solved, code: Int[np.ndarray, " n"], size: int) -> FitProb
 
     def mean(values, weight=whole) -> np.ndarray:
         if np.ndim(values) > 1:
-            columns = [mean(column, weight) for column in problem.used(values).T]
-            return np.stack(columns, axis=1)
+            columns = np.moveaxis(problem.used(values), -1, 0)
+            return np.stack([mean(column, weight) for column in columns], axis=-1)
         total = np.bincount(code, problem.used(values) * weight)
         return total[given] / np.bincount(code, weight)[given]
 

@@ -221,6 +221,8 @@ def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judg
         unit = np.sqrt(at.variance[channel.name])
         observed = problem.used(problem.rows.observed[channel.name])
         residual = (observed - at.mean[channel.name]) / unit
+        if problem.block_channels(channel.slip) == (channel,):
+            residual = np.sign(residual) * _by_density(problem, at, channel)
         # A kept row pulls the fit towards itself, so its residual is too small.
         spread = np.where(kept, np.maximum(1 - share, _ROUNDING), 1 + share)
         off = np.nan_to_num(residual / np.sqrt(spread), nan=np.inf)
@@ -239,6 +241,14 @@ def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judg
         by_channel.append((np.abs(off), ratio, at.mean[channel.name]))
     distance, ratio, predicted = map(np.array, zip(*by_channel, strict=True))
     return _Judged(distance, ratio, predicted, leverage)
+
+
+def _by_density(problem: FitProblem, at: Linearised, channel) -> Float[np.ndarray, " n"]:
+    """Distances of forces whose slip is noisy, from the density of the force at the measured
+    slip: it is not normal where the curve bends within the noise of the slip."""
+    scale = problem.used(problem.rows.scale[channel.name])
+    spread = np.log(at.variance[channel.name] / scale**2)
+    return np.sqrt(np.maximum(at.values[channel.slip] ** 2 - spread, 0.0))
 
 
 def _limits(n: int, suspects: dict[int, FarValue], limit: float):

@@ -209,7 +209,9 @@ def deviance_at(problem: FitProblem, at: Linearised) -> float:
 
 
 @partial(jax.jit, compiler_options=BRIEF)
-def _hessian(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, "p p"]:
+def hessian(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, "p p"]:
+    """Half the curvature of the sum of squares, priors included."""
+
     def half(z):
         values, _ = residuals(problem, z)
         return values @ values / 2
@@ -227,7 +229,7 @@ def covariance(
     variance of a parameter spread over its whole range.
     """
     if problem.rows.nodes:
-        information = _hessian(problem, z)
+        information = hessian(problem, z)
     else:
         information = sum(
             slope.T @ slope / inflation(problem, name)

@@ -4,15 +4,10 @@ A problem is one pytree, :class:`FitProblem`. Every function of a fit takes it a
 unconstrained parameters z (p,). Every solver, the profile and the
 samplers use the one function :func:`root_deviance`. Without slip noise its entries are
 the whitened residuals. With slip noise of standard deviation :math:`\tau` the true slip
-of a row is latent, integrated over the distribution of this file's slips:
-
-.. math::
-   L_i = \int N(F_i \mid f(s), \sigma)\, N(s_i \mid s, \tau)\, g(s)\, ds
-
-by the trapezoid rule on nodes around the measured slip (spectrally accurate for smooth
-integrands). The entry is then :math:`\sqrt{2 (\log L_i^{max} - \log L_i)}`, which is
-the absolute whitened residual in the limit of no slip noise, so Gauss-Newton steps
-carry over.
+of a row is latent, and its likelihood an integral over the true slip, see
+:mod:`tirefit.fitting.latent_slip`. The entry is then
+:math:`\sqrt{2 (\log L_i^{max} - \log L_i)}`, which is the absolute whitened residual in
+the limit of no slip noise, so Gauss-Newton steps carry over.
 """
 
 from collections.abc import Mapping
@@ -24,10 +19,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from tirefit.compiled import BRIEF
+from tirefit.fitting.latent_slip import SlipNodes, integrals, node_weights, places, shifts, unbent
 from tirefit.fitting.layout import Layout
+from tirefit.fitting.least_squares import directions
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.params import Values, with_values
 
@@ -69,13 +66,6 @@ class Channel:
         object.__setattr__(self, "slip", self.slip or CHANNEL_SLIP[self.name])
 
 
-class SlipNodes(NamedTuple):
-    """Latent slips of every row and the log of their weight, each (n, nodes)."""
-
-    slip: Float[Array, "n q"]
-    log_weight: Float[Array, "n q"]
-
-
 class Rows(NamedTuple):
     """The used rows of a data set, padded so that few shapes are compiled."""
 
@@ -85,7 +75,7 @@ class Rows(NamedTuple):
     observed: dict[str, Float[Array, " n"]]  # by channel
     scale: dict[str, Float[Array, " n"]]  # by channel
     slip_std: dict[str, Float[Array, " n"]]  # noise of each slip that has one
-    nodes: dict[str, SlipNodes]  # its latent values, once they are laid out
+    nodes: dict[str, SlipNodes]  # its true values, once they are laid out
 
 
 class Rule(NamedTuple):
@@ -95,6 +85,20 @@ class Rule(NamedTuple):
     effective: Float[Array, ""] | float = 1.0  # number of independent rows
     smallest: Float[Array, ""] | float = 0.0  # sum of squares at best; 0: noise given
     within: Float[Array, ""] | float = 0.0  # sum of squares within cells, to be added
+
+
+class Curvature(NamedTuple):
+    """How rows with noisy slips enter the deviance, so that its curvature at the estimate is
+    the inverse of the scatter of the estimate.
+
+    If ``compared`` is true, the rows are compared with the model at centre + matrix (z -
+    centre) (Chandler and Bate, Biometrika 94, 2007); otherwise the squares of matrix (z -
+    centre) are their deviance.
+    """
+
+    centre: Float[Array, " p"]
+    matrix: Float[Array, "p p"]
+    compared: Bool[Array, ""]
 
 
 class FitProblem(eqx.Module):
@@ -111,6 +115,7 @@ class FitProblem(eqx.Module):
     layout: Layout = eqx.field(static=True)
     channels: tuple[Channel, ...] = eqx.field(static=True)
     loss: str = eqx.field(static=True)
+    curvature: "Curvature | None" = None
 
     @property
     def n(self) -> int:
@@ -140,6 +145,13 @@ class FitProblem(eqx.Module):
     def block_channels(self, block: str) -> tuple[Channel, ...]:
         """The channels in one block."""
         return tuple(c for c in self.channels if self.block_of(c) == block)
+
+    def compared_at(self, z: Float[Values, " p"]) -> Float[Values, " p"]:
+        """The z at which the model is compared with the rows."""
+        if self.curvature is None:
+            return z
+        centre, matrix, compared = self.curvature
+        return jnp.where(compared, centre + matrix @ (z - centre), z)
 
     def used(self, array) -> np.ndarray:
         """An array over padded rows without its padding, shape (n,)."""
@@ -191,8 +203,8 @@ def predict(
     return row_forces(problem.model, problem.layout, z, inputs, problem.rows.run)
 
 
-def _at_nodes(problem: FitProblem, z, slip: str) -> dict[str, Float[Array, "n q"]]:
-    """Forces at each latent slip, of the channels whose slip it is."""
+def _forces_at(problem: FitProblem, z, slip: str, slips) -> dict[str, Float[Array, "n q"]]:
+    """Forces at true slips (n, q), of the channels whose slip it is."""
     rows = problem.rows
     names = [c.name for c in problem.channels if c.slip == slip]
 
@@ -200,7 +212,14 @@ def _at_nodes(problem: FitProblem, z, slip: str) -> dict[str, Float[Array, "n q"
         forces = predict(problem, z, rows.inputs._replace(**{slip: slips}))
         return {name: forces[name] for name in names}
 
-    return jax.vmap(at, in_axes=1, out_axes=1)(rows.nodes[slip].slip)
+    return jax.vmap(at, in_axes=1, out_axes=1)(slips)
+
+
+def _slips(problem: FitProblem, z, slip: str) -> Float[Array, "n q"]:
+    """True slips of the nodes at z."""
+    rows = problem.rows
+    own = z[problem.layout.elements_of(rows.run)]
+    return places(rows.nodes[slip], own, rows.slip_std[slip])
 
 
 def _channel_forces(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Array]:
@@ -211,32 +230,74 @@ def _channel_forces(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Ar
     # Channels are always forces that the model computes.
     forces = {k: v for k, v in predicted.items() if k in plain and v is not None}
     for slip in nodes:
-        forces |= _at_nodes(problem, z, slip)
+        forces |= _forces_at(problem, z, slip, _slips(problem, z, slip))
     return forces
 
 
-def _blocks(problem: FitProblem, forces) -> dict[str, Float[Array, " n"]]:
+def _node_likelihood(problem: FitProblem, z, forces, slip: str):
+    """:func:`latent_slip.integrals` of the forces at the nodes of one noisy slip."""
+    rows = problem.rows
+    measured, std = getattr(rows.inputs, slip)[:, None], rows.slip_std[slip][:, None]
+    place = (_slips(problem, z, slip) - measured) / std
+    residuals = [
+        (rows.observed[name][:, None] - unbent(forces[name])) / rows.scale[name][:, None]
+        for name in (c.name for c in problem.channels if c.slip == slip)
+    ]
+    return integrals(place, residuals)
+
+
+@partial(jax.jit, compiler_options=BRIEF)
+def slip_information(problem: FitProblem, z: Float[Values, " p"]):
+    """By noisy slip: the results of :func:`latent_slip.shifts` at z, and the likelihoods of
+    the nodes (n, q) by the force and the measured slip."""
+    rows, found = problem.rows, {}
+    elements = problem.layout.elements_of(rows.run)
+    for slip, nodes in rows.nodes.items():
+        along = partial(_forces_at, problem, z, slip)
+        forces, slope = jax.jvp(along, (nodes.slip,), (jnp.ones_like(nodes.slip),))
+
+        def push(direction, slip=slip, nodes=nodes):
+            at = partial(_forces_at, problem, slip=slip, slips=nodes.slip)
+            return jax.jvp(at, (z,), (direction,))[1]
+
+        change = jax.vmap(push, out_axes=-1)(directions(elements, z.size))
+        shift, known = shifts(rows.slip_std[slip], slope, change, rows.scale)
+        found[slip] = shift, known, _node_likelihood(problem, z, forces, slip)[1]
+    return found
+
+
+def _blocks(problem: FitProblem, z, forces) -> dict[str, Float[Array, " n"]]:
     """:func:`root_deviance` of known forces."""
     rows, loss = problem.rows, LOSSES[problem.loss]
     blocks: dict[str, Array] = {}
-    squares: dict[str, Array] = {}
     for channel in problem.channels:
-        name, block = channel.name, problem.block_of(channel)
-        observed, scale = rows.observed[name], rows.scale[name]
-        if block == name:
-            residual = (observed - forces[name]) / scale
+        name = channel.name
+        if problem.block_of(channel) == name:
+            residual = (rows.observed[name] - forces[name]) / rows.scale[name]
             blocks[name] = rows.weight * _signed_root(loss, residual, problem.loss)
-        else:
-            residual = (observed[:, None] - forces[name]) / scale[:, None]
-            squares[block] = squares.get(block, 0.0) + loss(residual**2)
-    for slip, square in squares.items():
-        log_weight = rows.nodes[slip].log_weight
-        log_most = jax.nn.logsumexp(log_weight, axis=1)
-        log_row = jax.nn.logsumexp(log_weight - square / 2, axis=1)
+    for slip, nodes in rows.nodes.items():
+        log, weight = _node_likelihood(problem, z, forces, slip)
+        log_row = log + jnp.log(jnp.sum(weight * nodes.density, axis=1))
+        known = node_weights(rows.slip_std[slip])
+        log_most = jnp.log(jnp.sum(known * nodes.density, axis=1))
         # The floor keeps the slope of the root finite for a perfect row.
         row_deviance = jnp.maximum(2 * (log_most - log_row), 1e-12)
-        blocks[slip] = rows.weight * jnp.sqrt(row_deviance)
+        blocks[slip] = rows.weight * jnp.sqrt(loss(row_deviance))
     return blocks
+
+
+def _as_curved(problem: FitProblem, z, blocks):
+    """The blocks, or squares of the curvature where those are the deviance."""
+    if problem.curvature is None:
+        return blocks
+    centre, matrix, compared = problem.curvature
+    found, first = {}, next(iter(problem.rows.nodes))
+    for name, block in blocks.items():
+        square = jnp.zeros_like(block)
+        if name == first:
+            square = square.at[: z.size].set(matrix @ (z - centre))
+        found[name] = jnp.where(compared, block, square)
+    return found
 
 
 def _moments(problem: FitProblem, forces):
@@ -246,7 +307,8 @@ def _moments(problem: FitProblem, forces):
         name, force = channel.name, forces[channel.name]
         mean[name], variance[name] = force, rows.scale[name] ** 2
         if channel.slip in rows.nodes:
-            weight = jax.nn.softmax(rows.nodes[channel.slip].log_weight, axis=1)
+            weight = rows.nodes[channel.slip].density * node_weights(rows.slip_std[channel.slip])
+            weight = weight / jnp.sum(weight, axis=1, keepdims=True)
             mean[name] = jnp.sum(weight * force, axis=1)
             spread = jnp.sum(weight * (force - mean[name][:, None]) ** 2, axis=1)
             variance[name] = variance[name] + spread
@@ -261,22 +323,25 @@ def root_deviance(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Floa
         dict of arrays (n,): one per channel, or one per slip name where that slip has
         noise (its channels share the latent slip). Padding rows are zero.
     """
-    return _blocks(problem, _channel_forces(problem, z))
+    there = problem.compared_at(z)
+    return _as_curved(problem, z, _blocks(problem, there, _channel_forces(problem, there)))
 
 
 @partial(jax.jit, compiler_options=BRIEF)
 def moments(problem: FitProblem, z: Float[Values, " p"]):
     """Mean and variance of each fitted force given the measured slip, by channel (n,).
 
-    Where the slip has noise, both are over the latent slips of the row.
+    Where the slip has noise, both are over the true slips of the row, whatever its force.
     """
     return _moments(problem, _channel_forces(problem, z))
 
 
 def blocks_and_moments(problem: FitProblem, z: Float[Values, " p"]):
     """:func:`root_deviance` and :func:`moments` from one evaluation."""
-    forces = _channel_forces(problem, z)
-    return _blocks(problem, forces), *_moments(problem, forces)
+    there = problem.compared_at(z)
+    forces = _channel_forces(problem, there)
+    blocks = _as_curved(problem, z, _blocks(problem, there, forces))
+    return blocks, *_moments(problem, forces)
 
 
 def row_moments(problem: FitProblem, z) -> tuple[dict, dict]:

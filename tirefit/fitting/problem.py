@@ -15,7 +15,7 @@ from tirefit.fitting.combined_slip import slip_of_forces
 from tirefit.fitting.config import FitConfig, NoiseConfig, ParameterConfig
 from tirefit.fitting.layout import Layout, choose_layout
 from tirefit.fitting.likelihood import CHANNEL_SLIP, Channel, FitProblem, Rows, Rule
-from tirefit.fitting.slip_noise import slip_density, speed_of, std_with_speed
+from tirefit.fitting.slip_noise import speed_of, std_with_speed
 from tirefit.fitting.time_series import check_time_series, check_whole_series
 from tirefit.models import MODELS, AbstractTire, TireInputs, modelled
 from tirefit.padding import pad_rows, padded_size
@@ -30,7 +30,6 @@ class FitTask:
     name: str
     problem: FitProblem
     guess: Mapping[str, float]  # first value of every free parameter
-    slip_density: Mapping[str, tuple[np.ndarray, np.ndarray]]  # knots, density
     time: np.ndarray | None  # (n,) orders the rows
     notes: tuple[str, ...]  # what was assumed
     data: TireData  # its used rows are those of the problem
@@ -300,14 +299,13 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         channels.append(Channel(force, estimated, slip_of[force]))
         notes.append(note)
     _check_size(data, layout, channels, data.n * len(forces))
-    slip_std, densities = {}, {}
+    slip_std = {}
     for slip in dict.fromkeys(slip_of.values()):
         std, note = _slip_scale(data, slip, config.noise)
         notes.append(note)
         if std is not None:
             check_slip_noise(data, slip, std)
             slip_std[slip] = _put(std, size)
-            densities[slip] = slip_density(data.usable(slip), std)
     rows = Rows(
         inputs=_inputs(data, size),
         run=_put(data.run[data.used].astype(int), size),
@@ -329,7 +327,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         loss="squares" if config.noise.loss == "trimmed" else config.noise.loss,
     )
     time = data.usable("time") if "time" in data else None
-    return FitTask(name, problem, guess, densities, time, tuple(notes), data)
+    return FitTask(name, problem, guess, time, tuple(notes), data)
 
 
 def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):

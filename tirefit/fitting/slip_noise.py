@@ -1,9 +1,8 @@
 """The distribution of the true slips of a file, from slips measured with noise.
 
-A piecewise linear density, fitted by maximum likelihood (expectation maximisation), is
-the empirical-Bayes prior of each row's latent slip. With a flat prior the friction is
-biased where many rows have similar slips (S §5.1 noise: by 0.6 standard deviations; with
-the estimated distribution by less than 0.1).
+It is the empirical-Bayes prior of the true slip of each row. A fit estimates it together with
+its parameters, from slips and forces (:func:`slip_density`); a diagnosis, which compares many
+models of the force, from the slips alone (:func:`slip_distribution`).
 """
 
 from typing import NamedTuple
@@ -12,10 +11,6 @@ import numpy as np
 
 from tirefit.data.table import TireData
 from tirefit.results import DataError
-
-_REACH = 4.0
-"""Nodes span this many slip standard deviations on both sides of the measured slip."""
-
 
 _STANDS = 0.03
 """Share of the median speed below which the slip noise no longer grows: the noise of a
@@ -55,17 +50,81 @@ _STEPS, _STEPS_AFTER = 200, 60
 _MOST_STANDING = 40
 
 
-def slip_density(slip, std):
-    """Density of the true slips of measured ones (n,) with standard deviations (n,).
+_ENOUGH = 4000  # rows that give a distribution as well as more do
+_KNOTS = 30
+_BESIDE = 2.0
+"""Slip standard deviations from the outermost measured slips to the outermost knots."""
+_WEAKEST = 0.01
+"""Curvature of the log density that is always penalised: without it a step test would give a
+density of single peaks, which does not change for any distance from them."""
+_FLOOR = 1e-9  # density over the largest one, so that no slip is impossible
 
-    Returns:
-        (grid, density): knots of a piecewise linear density, shape (hats + 2,), which
-        is zero at the first and last and integrates to one.
+
+def slip_density(nodes, likelihood, std, counted):
+    """Density of the true slips at possible values (n, q) of n rows, up to a factor.
+
+    The logarithm of the density is piecewise linear over its knots. It is the most likely
+    one with a penalty on its second differences, whose weight has the largest marginal
+    likelihood (Wood and Fasiolo, Biometrics 73, 2017).
+
+    Args:
+        nodes: (n, q) possible true slips of each row.
+        likelihood: (n, q) of each, by all that was measured in the row.
+        std: (n,) slip noise; the outermost knots lie beyond the middle nodes by it.
+        counted: (n,) bool, the rows that were measured; others are only evaluated.
     """
-    slip, std = _some(slip, std)
-    knots, spacing, hat = _hats(slip, std, _HATS)
-    weight = _weights(hat, np.full(hat.shape[1], 1 / hat.shape[1]), _STEPS)
-    return knots, np.concatenate([[0.0], weight / spacing, [0.0]])
+    middle = nodes[counted, nodes.shape[1] // 2]
+    low = np.min(middle - _BESIDE * std[counted])
+    high = np.max(middle + _BESIDE * std[counted])
+    spacing = max((high - low) / (_KNOTS - 1), 1e-300)
+    place = np.clip((nodes - low) / spacing + 1, 0.0, _KNOTS + 1 - 1e-9)
+    below = place.astype(int)
+    beyond = place - below
+    some = np.flatnonzero(counted)
+    some = some[:: max(len(some) // _ENOUGH, 1)]
+    parts, rows = np.zeros((len(some), _KNOTS + 2)), np.arange(len(some))[:, None]
+    np.add.at(parts, (rows, below[some]), (likelihood * (1 - beyond))[some])
+    np.add.at(parts, (rows, below[some] + 1), (likelihood * beyond)[some])
+    heights = np.pad(_smooth_weights(parts[:, 1:-1]), 1)
+    density = heights[below] * (1 - beyond) + heights[below + 1] * beyond
+    return density + _FLOOR * heights.max()
+
+
+def _smooth_weights(parts):
+    """Weights (k,) of the parts of a density, from the likelihood (n, k) of each row for
+    each: penalised maximum likelihood."""
+    count = parts.shape[1]
+    parts = parts / np.maximum(parts.max(axis=1, keepdims=True), 1e-300) + 1e-12
+    bend = np.diff(np.eye(count), 2, axis=0)
+    penalty, ridge, strength = bend.T @ bend, 0.01 * np.eye(count), 1.0
+    log = np.zeros(count)
+
+    def value(log):
+        fit = np.sum(np.log(parts @ _shares(log)))
+        return fit - log @ (strength * penalty + ridge) @ log / 2
+
+    for _ in range(_STEPS):
+        before, total = log, strength * penalty + ridge
+        share = _shares(log)
+        each = parts * share
+        each = each / each.sum(axis=1, keepdims=True) - share
+        inverse = np.linalg.inv(each.T @ each + total + 1e-6 * np.eye(count))
+        step = inverse @ (each.sum(axis=0) - total @ log)
+        tries = [log + step / 2**k for k in range(6)]
+        best = max([log, *tries], key=value)
+        log = best
+        settled = np.max(np.abs(log - before)) < 1e-3
+        last = strength
+        used = count - 2 - strength * np.trace(inverse @ penalty)
+        strength = np.clip(used / max(log @ penalty @ log, 1e-12), _WEAKEST, 1e6)
+        if settled and abs(np.log(strength / last)) < 1e-2:
+            break
+    return _shares(log)
+
+
+def _shares(log):
+    share = np.exp(log - log.max())
+    return share / share.sum()
 
 
 class SlipDistribution(NamedTuple):
@@ -85,7 +144,7 @@ class SlipDistribution(NamedTuple):
         it. Each row is given the variance of its own noise instead: the variance of
         their mean is then that of the place.
         """
-        offset = np.linspace(-_REACH, _REACH, 41)
+        offset = np.linspace(-4, 4, 41)
         nodes = slip[:, None] + std[:, None] * offset
         moving = np.interp(nodes, self.knots, self.density, left=0.0, right=0.0)
         moving = (moving + 1e-6 * self.density.max()) * _gauss(offset) * np.diff(offset)[0]
@@ -198,7 +257,7 @@ def _gauss(x):
 
 def _some(slip, std):
     """Every k-th slip: some thousands give the same distribution as all of them."""
-    every = max(len(slip) // 4000, 1)
+    every = max(len(slip) // _ENOUGH, 1)
     return slip[::every], std[::every]
 
 
@@ -225,26 +284,3 @@ def _hat_likelihood(slip, std, knots, spacing):
     true = slip[:, None] + std[:, None] * offset
     hat = 1 - np.abs(true[..., None] - knots[1:-1]) / spacing
     return np.einsum("q,nqk->nk", mass / mass.sum(), np.maximum(hat, 0)) / spacing
-
-
-def latent_nodes(slip, std, density, steepness):
-    """Trapezoid nodes of the latent slip and the log of their weights.
-
-    Args:
-        slip: measured slips, shape (n,).
-        std: their standard deviations, shape (n,).
-        density: the result of :func:`slip_density` for them.
-        steepness: largest value of (slope of the force x slip std / force std): sets
-            the number of nodes, so that the force changes little between two of them.
-
-    Returns:
-        (slips, log weights): arrays of shape (n, nodes).
-    """
-    grid, density = density
-    count = int(np.clip(np.ceil(2 * _REACH * np.hypot(1, steepness)), 9, 400)) + 1
-    offset = np.linspace(-_REACH, _REACH, count)
-    nodes = slip[:, None] + std[:, None] * offset
-    prior = np.interp(nodes, grid, density, left=0.0, right=0.0)
-    # A floor far below the share of one row, so that no latent slip has zero density.
-    log_weight = np.log(prior + 1e-9 * density.max()) - 0.5 * offset**2
-    return nodes, log_weight

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtrc
 
@@ -16,15 +15,17 @@ from tirefit.fitting.inference import (
     Linearised,
     best_of,
     covariance,
+    hessian,
     inflation,
     linearise,
     solve_starts,
     threshold,
 )
-from tirefit.fitting.likelihood import FitProblem, Rule, SlipNodes, noise_factor, row_moments
+from tirefit.fitting.latent_slip import OFFSETS, SlipNodes
+from tirefit.fitting.likelihood import Curvature, FitProblem, Rule, noise_factor, slip_information
 from tirefit.fitting.noise import effective_inflation, robust_scale
 from tirefit.fitting.problem import FitTask
-from tirefit.fitting.slip_noise import latent_nodes
+from tirefit.fitting.slip_noise import slip_density
 
 _SETTLED = 1e-3
 """Deviance still to gain below which an estimate has converged: 0.03 standard errors."""
@@ -32,6 +33,13 @@ _SETTLED = 1e-3
 _DOUBLED = 6.0
 """Degrees of freedom whose 95 % quantile of t^2 equals their own number: the interval
 then ends where the sum of squares has doubled."""
+
+_SLIP_ROUNDS, _SLIP_STEP = 40, 0.3
+"""Steps of a search with noisy slips, and the longest one in z."""
+_SETTLED_SLIPS = 1e-5
+"""Deviance that the last step could gain: 0.003 standard errors."""
+_LARGEST_RATIO = 4.0
+"""Of two curvatures in any direction, up to which one is stretched to the other."""
 
 _ONE_MINIMUM = 1e-5  # distance in z below which two estimates are the same
 
@@ -72,34 +80,37 @@ def starting_points(task: FitTask, count: int, seed: int) -> np.ndarray:
     return np.concatenate([first[None], first + scatter * widths])
 
 
-def with_scale(
-    problem: FitProblem,
-    slip_density: Mapping[str, tuple[np.ndarray, np.ndarray]],
-    factors: Mapping[str, float],
-    slope: float,
-) -> FitProblem:
-    """The same problem with scaled force noise, and nodes of latent slip for it.
+def laid_out(problem: FitProblem, factors: Mapping[str, float], z, counted=None) -> FitProblem:
+    """The same problem with scaled force noise, and nodes of the true slips for z.
 
     Args:
-        slip_density: distribution of the true values of each noisy slip.
         factors: of the force noise, by channel; 1 for channels without one.
-        slope: largest slope of force over slip [N]; sets the number of nodes.
+        counted: (n,) bool, rows by which the density of the slips is estimated; None: all.
     """
     rows, nodes = problem.rows, {}
     scale = {k: np.asarray(v) * factors.get(k, 1.0) for k, v in rows.scale.items()}
+    if not rows.slip_std:
+        return problem.with_rows(scale=scale)
+    elements = problem.layout.elements_of(np.asarray(rows.run))
     for slip, std in rows.slip_std.items():
-        forces = [c.name for c in problem.channels if c.slip == slip]
-        force_std = min(float(np.median(problem.used(scale[k]))) for k in forces)
-        steep = _bucket(slope * float(np.max(std)) / force_std)
         # A padding row repeats the first row, so it has nodes as well.
-        values = np.asarray(getattr(rows.inputs, slip))
-        nodes[slip] = SlipNodes(*latent_nodes(values, np.asarray(std), slip_density[slip], steep))
-    return problem.with_rows(scale=scale, nodes=nodes)
-
-
-def _bucket(steepness: float) -> float:
-    """Round up to a power of sqrt(2), so that few shapes are compiled."""
-    return float(2 ** (np.ceil(2 * np.log2(max(steepness, 1.0))) / 2))
+        slips = np.asarray(getattr(rows.inputs, slip))
+        slips = slips[:, None] + np.asarray(std)[:, None] * OFFSETS
+        shift = np.zeros((*slips.shape, elements.shape[1]))
+        flat = slips, np.ones(slips.shape), shift, np.asarray(z)[elements]
+        nodes[slip] = SlipNodes(*jax.device_put(flat))
+    problem = problem.with_rows(scale=scale, nodes=nodes)
+    measured = np.zeros(len(elements), bool)
+    measured[: problem.n] = True if counted is None else counted
+    for slip, (shift, known, likelihood) in slip_information(problem, z).items():
+        width, known = np.asarray(rows.slip_std[slip]), np.asarray(known)
+        # Smooth is the density over what a force tells of the slip. Where a curve saturates
+        # it tells little: a density smooth over the slip would extend into that part from the
+        # steep one, and lower the friction by a standard error or more.
+        places = np.asarray(nodes[slip].slip)
+        density = known * slip_density(places, known * likelihood, width, measured)
+        nodes[slip] = nodes[slip]._replace(density=jax.device_put(density), shift=shift)
+    return problem.with_rows(nodes=nodes)
 
 
 def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
@@ -127,37 +138,83 @@ def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
 def _settle_noise(task: FitTask, z, solver: str):
     """Estimate parameters and noise scales in turn until the scales no longer change."""
     problem = task.problem
-    slope = _largest_slope(problem, z) if problem.slip_noise else 0.0
-    factors = _scale_updates(problem, z)
-    problem = with_scale(problem, task.slip_density, factors, slope)
+    problem = laid_out(problem, _scale_updates(problem, z), z)
+    if problem.slip_noise:
+        return _settle_slips(problem, z)
     several = len(problem.channels) > 1 or problem.loss != "squares"
     several = several or any(p.prior for p in problem.layout.free)
-    if problem.slip_noise:
-        rounds = 12 if problem.noise_estimated else 1
-    else:
-        rounds = 12 if problem.noise_estimated and several else 0
+    rounds = 12 if problem.noise_estimated and several else 0
     for _ in range(rounds):
         z = solve_starts(problem, z[None], "gauss-newton").z[0]
         factors = _scale_updates(problem, z)
         if all(abs(np.log(factor)) < 1e-3 for factor in factors.values()):
             break
-        problem = with_scale(problem, task.slip_density, factors, slope)
+        problem = laid_out(problem, factors, z)
     if rounds:
         z = solve_starts(problem, z[None], solver).z[0]
     return problem, z
 
 
-def _largest_slope(problem: FitProblem, z) -> float:
-    """Largest slope [N] of a force over slip among the rows, by finite differences."""
-    slip, inputs = problem.channels[0].slip, problem.rows.inputs
-    values = np.asarray(getattr(inputs, slip))
-    step = 1e-4 * float(np.ptp(problem.used(values)))
-    there = inputs._replace(**{slip: jnp.asarray(values + step)})
-    moved = problem.with_rows(inputs=there)
-    (before, _), (after, _) = row_moments(problem, z), row_moments(moved, z)
-    names = [c.name for c in problem.channels if c.slip == slip and c.name != "mz"]
-    changes = [np.abs(after[name] - before[name]) for name in names or ["mz"]]
-    return float(np.max(changes)) / step
+def _settle_slips(problem: FitProblem, z):
+    """Parameters at which the slope of the deviance is zero if the nodes and the density of
+    the slips are those of the same parameters.
+
+    A search with fixed nodes would leave the range in which they move linearly.
+    """
+    for _ in range(_SLIP_ROUNDS):
+        slope, scores = _slope_and_scores(problem, z)
+        step = -np.linalg.solve(scores, slope)
+        z = np.clip(z + np.clip(step, -_SLIP_STEP, _SLIP_STEP), -REACH, REACH)
+        problem = laid_out(problem, _scale_updates(problem, z), z)
+        if -slope @ step < _SETTLED_SLIPS:
+            break
+    return problem, z
+
+
+def _slope_and_scores(problem: FitProblem, z):
+    """Half the slope (p,) of the deviance at z, and the sum of the outer products of the
+    slopes of its rows (p, p)."""
+    at = linearise(problem, z)
+    slope, scores = np.zeros(z.size), np.eye(z.size) / REACH**2
+    for name, values in at.values.items():
+        values, slopes = np.asarray(values), np.asarray(at.slopes[name])
+        slope += slopes.T @ values
+        if name in problem.rows.nodes:
+            slopes = slopes * values[:, None]
+        scores += slopes.T @ slopes
+    return slope, scores
+
+
+def _with_curvature(problem: FitProblem, z) -> FitProblem:
+    """The problem with a deviance whose curvature is the inverse of the scatter of z.
+
+    That scatter follows from the slopes of the rows and from the change of the slope with z
+    where nodes and density change as well (Godambe 1960). Where the deviance with fixed nodes
+    has a very different curvature, it is replaced by the square of the distance. A layout
+    per run is left as it is.
+    """
+    if not problem.slip_noise or problem.layout.is_sparse:
+        return problem
+    plain = problem.with_rows()
+    _, scores = _slope_and_scores(plain, z)
+    steps = np.diag(0.1 / np.sqrt(np.diag(scores)))
+    moved = [_slope_at(plain, z + step) - _slope_at(plain, z - step) for step in steps]
+    change = (np.array(moved) / (2 * np.diag(steps)[:, None])).T
+    wanted = change.T @ np.linalg.solve(scores, change)
+    values, axes = np.linalg.eigh(np.asarray(hessian(plain, z)))
+    values = np.maximum(values, 1 / REACH**2)
+    root, inverse = (axes * values**power @ axes.T for power in (0.5, -0.5))
+    ratios, turned = np.linalg.eigh(inverse @ wanted @ inverse)
+    compared = bool(np.all((ratios > 1 / _LARGEST_RATIO) & (ratios < _LARGEST_RATIO)))
+    matrix = inverse @ (turned * np.sqrt(np.maximum(ratios, 0)) @ turned.T) @ root
+    if not compared:
+        values, axes = np.linalg.eigh(wanted)
+        matrix = (axes * np.sqrt(np.maximum(values, 0.0))).T
+    return replace(problem, curvature=Curvature(*jax.device_put((z, matrix, compared))))
+
+
+def _slope_at(problem: FitProblem, z):
+    return _slope_and_scores(laid_out(problem, {}, z), z)[0]
 
 
 def _used(problem: FitProblem, at: Linearised) -> Linearised:
@@ -232,10 +289,8 @@ def on_rows(whole: FitTask, kept, task: FitTask, solved: Solved) -> tuple[FitPro
         mine = whole.problem.used(whole.problem.rows.scale[channel.name])[kept]
         fitted = solved.problem.used(solved.problem.rows.scale[channel.name])
         scales[channel.name] = float(np.median(fitted / mine))
-    noisy = bool(task.problem.slip_noise)
-    slope = _largest_slope(task.problem, solved.z) if noisy else 0.0
     problem = replace(whole.problem, model=solved.problem.model)
-    problem = with_scale(problem, task.slip_density, scales, slope)
+    problem = laid_out(problem, scales, solved.z, kept)
     every = _used(problem, linearise(problem, solved.z))
 
     def joined(all_rows, fitted):
@@ -284,6 +339,7 @@ def solve_problem(task: FitTask, config: FitConfig) -> Solved:
     at = _used(problem, linearise(problem, z))
     misfit = misfit_by_setting(problem, at, task.time)
     problem, chi2_dof, n_effective = _judged(problem, task.time, at, config, misfit)
+    problem = _with_curvature(problem, z)
     cov = covariance(problem, z, at)
     converged = bool(np.all(np.isfinite(z))) and (
         converged or _still_to_gain(problem, at, z, cov) < _SETTLED
