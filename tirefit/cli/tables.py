@@ -31,7 +31,7 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_inputs_kept
+from tirefit.cli.output import check_inputs_kept, check_results
 from tirefit.data.remote import expanded
 from tirefit.data.tire_file import tire_kind
 from tirefit.files import json_safe
@@ -156,6 +156,7 @@ def derive(
 
     with errors_to_exit():
         units = pairs("--unit", unit)
+        check_results([out.with_name(f"{out.stem}.derive.json")])
         written = derive_files(files, vehicle, out, axle.value, units, believe, say)
         say(written.summary())
 

@@ -104,9 +104,9 @@ def laid_out(problem: FitProblem, factors: Mapping[str, float], z, counted=None)
     measured[: problem.n] = True if counted is None else counted
     for slip, (shift, known, likelihood) in slip_information(problem, z).items():
         width, known = np.asarray(rows.slip_std[slip]), np.asarray(known)
-        # Smooth is the density over what a force tells of the slip. Where a curve saturates
-        # it tells little: a density smooth over the slip would extend into that part from the
-        # steep one, and lower the friction by a standard error or more.
+        # The density is smooth over the information of the force on the slip. Where a curve
+        # saturates there is little: a density that is smooth over the slip itself would extend
+        # from the steep part into that one, and lower the friction by a standard error or more.
         places = np.asarray(nodes[slip].slip)
         density = known * slip_density(places, known * likelihood, width, measured)
         nodes[slip] = nodes[slip]._replace(density=jax.device_put(density), shift=shift)
