@@ -116,7 +116,10 @@ def peak_ranges(
         if share < NEAR_PEAK or not all(inside):
             ends = {name: _ends(peak) for name, peak in found.items()}
             lows, highs = zip(*ends.values(), strict=True)
-            bottom = None if None in lows else min(lows)
+            # Rows that reach a force show that the peak is not below it, up to the error of
+            # the fit: a shape that a few effective rows leave open does not say otherwise.
+            least = min(low or 0.0, share * derived[label].value)
+            bottom = None if None in lows else max(min(lows), least)
             top = None if None in highs else max(highs)
             ranges[label] = PeakRange(bottom, top, share, ends, worse)
     return ranges
