@@ -171,7 +171,7 @@ def table_of_vbo(text: str, path: Place, digest: str, notes: list[str]) -> Table
     notes = [*notes, "read as a .vbo file of Racelogic", *found.notes]
     table = table_of_rows(found.rows, found.numbers, path, digest, notes)
     layout = Layout(units_from="[channel units], or standard in .vbo files")
-    return replace(table, units_row=found.units, layout=layout)
+    return replace(table, units_row=found.units, layout=layout, doubts=found.doubts)
 
 
 def content_lines(lines: list[str]) -> list[str]:
