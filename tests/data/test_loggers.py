@@ -301,3 +301,39 @@ def test_the_course_of_a_vbo_file_is_no_yaw_and_minutes_are_no_metres(tmp_path):
         problems = refused(derive, path, car(tmp_path, **pose, units=units))
         arcs = [p for p in problems if p.column in ("lat", "long")]
         assert len(arcs) == 2 and all("minutes of arc" in p.reason for p in arcs)
+
+
+NAMES = ("Time", "Ground Speed", "Lat Vel", "Gyro Yaw Velocity", "Steered Angle")
+
+
+def motec_log(unit="deg", names=NAMES):
+    """The slalom as an export of MoTeC, with a steering column in ``unit``."""
+    t, v, v_y, rate, steering = motion()
+    steered = np.degrees(steering) if unit == "deg" else steering
+    columns = [t, 3.6 * v, 3.6 * v_y, np.degrees(rate), steered]
+    return motec(columns, dict(zip(names, ["s", "km/h", "km/h", "deg/s", unit], strict=True)))
+
+
+@pytest.mark.parametrize("unit", ["deg", "rad"])
+def test_the_shown_vehicle_file_derives_the_front_axle_of_a_log(tmp_path, unit):
+    path, toml = tmp_path / "log.csv", tmp_path / "car.toml"
+    path.write_text(motec_log(unit), newline="")
+    (problem,) = refused(read, path)
+    toml.write_text(problem.remedy.partition("\n")[2])
+    assert "steering ratio" in toml.read_text()
+    vehicle = load_vehicle(toml)
+    assert vehicle.columns.v_y == "Lat Vel"
+    found = derive(path, vehicle, "front").columns
+    steering = np.interp(found["time"], motion()[0], motion()[-1])
+    np.testing.assert_allclose(found["steering"], steering, atol=5e-4)  # 5 Hz low-pass
+
+
+def test_the_vehicle_file_of_a_log_without_a_lateral_speed_shows_what_it_lacks(tmp_path):
+    path, toml = tmp_path / "log.csv", tmp_path / "car.toml"
+    path.write_text(motec_log(names=[*NAMES[:2], "Other", *NAMES[3:]]), newline="")
+    (problem,) = refused(read, path)
+    text, _, listed = problem.remedy.partition("\n")[2].partition("The columns of this log: ")
+    assert listed == ", ".join(map(repr, [*NAMES[:2], "Other", *NAMES[3:]]))
+    assert '# v_y = "..."  # not in this log' in text
+    toml.write_text(text.replace('# v_y = "..."', 'v_y = "Other"'))
+    assert len(derive(path, load_vehicle(toml), "front")) > 100
