@@ -303,6 +303,28 @@ def test_the_course_of_a_vbo_file_is_no_yaw_and_minutes_are_no_metres(tmp_path):
         assert len(arcs) == 2 and all("minutes of arc" in p.reason for p in arcs)
 
 
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("blanks", [(0, 2), (0, 0), (2, 0), (1, 1), "inside"])
+def test_a_motec_export_is_read_with_any_blank_lines(tmp_path, blanks, known):
+    slip = np.linspace(-5, 20, 50)
+    names = ["Time", "Slip Ratio", "Long Force", "Load"]
+    if not known:
+        names = ["Time", "A", "B", "C", "D", "E", "F"]  # as wide as some lines of keys
+    units = dict(zip(names, ["s", "%", "kN", "N", "", "", ""], strict=False))
+    columns = [np.arange(50) / 20, slip, np.tanh(slip / 8), np.full(50, 4000), *[slip] * 3]
+    above, rest = motec(columns[: len(names)], units).split("\r\n\r\n\r\n", 1)
+    below, rows = rest.split("\r\n\r\n\r\n", 1)
+    if blanks == "inside":
+        above, blanks = above.replace('"Device"', '\r\n"Device"'), (0, 0)
+    path = tmp_path / "run.csv"
+    ends = ["\r\n" * (1 + count) for count in blanks]
+    path.write_text(above + ends[0] + below + ends[1] + rows, newline="")
+    declared = {} if known else dict(kappa="A", fx="B", fz="C")
+    data = read(path, columns=declared, slip="kappa")
+    np.testing.assert_allclose(data["fx"], 1e3 * columns[2], rtol=1e-8)
+    np.testing.assert_allclose(data["time"], columns[0], rtol=1e-8)
+
+
 NAMES = ("Time", "Ground Speed", "Lat Vel", "Gyro Yaw Velocity", "Steered Angle")
 
 
