@@ -9,12 +9,12 @@ import numpy as np
 from tirefit.data.cells import TextColumn, words_of
 from tirefit.data.check import NO_VALUE, BadRows
 from tirefit.data.columns import guess, stated_unit
-from tirefit.data.loggers import ARC
+from tirefit.data.loggers import ARC, NO_UNIT
 from tirefit.data.missing import excluded
 from tirefit.data.quaternion import with_headings
 from tirefit.data.read import Table, read_table
 from tirefit.data.remote import Place
-from tirefit.data.units import known_unit
+from tirefit.data.units import known_unit, units_of
 from tirefit.data.vehicle import CHECKS, POSE, QUANTITIES, Vehicle, unit_of
 from tirefit.results import DataError, InputProblem
 
@@ -262,6 +262,9 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
         where = " (units row)"
     elif text is not None and in_header not in (None, text):
         where = f" (declared; the header says {in_header!r})"
+    if text == NO_UNIT:
+        remedy = f"state it: {quantity} = ... in [units] of vehicle.toml, or --unit {quantity}=..."
+        remedy += f" ({', '.join(units_of(dimension))})"
     unit = unit_of(text, quantity) if text else None
     # Round brackets may contain other text, as in ``W (IMU)``.
     label = f"({in_header})" in header and text == in_header
