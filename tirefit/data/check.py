@@ -225,12 +225,17 @@ def without_masking(problem: InputProblem) -> InputProblem:
 
 
 def check_columns(
-    columns, headers: Sequence[str], idle: Sequence[str], file: str, forces: bool = True
+    columns,
+    headers: Sequence[str],
+    idle: Sequence[str],
+    file: str,
+    forces: bool = True,
+    units: Sequence[str] | None = None,
 ) -> list[InputProblem]:
     """Problems of columns that every fit needs: a slip, a force if ``forces``, the load.
 
     ``columns`` are those read, ``headers`` all headers of the file; ``idle`` are the
-    headers of forces that are zero in all rows.
+    headers of forces that are zero in all rows; ``units`` are those of a row of units.
     """
     problems: list[InputProblem] = []
     has_slip = {"alpha", *SLIP_DEFINITIONS} & set(columns)
@@ -241,7 +246,7 @@ def check_columns(
     # A log may have a sideslip angle that is read as alpha, so look for a force.
     no_tire = not has_slip or (forces and "fz" not in columns)
     if no_tire and not (has_force or idle):
-        log = vehicle_log(headers, file, by_pose=not has_slip)
+        log = vehicle_log(headers, file, not has_slip, units)
         if log is not None:
             return [log]
     header_list = ", ".join(repr(header) for header in headers)

@@ -10,7 +10,7 @@ import numpy as np
 from tirefit.data import logs, tables, tydex
 from tirefit.data.bulk import table_of_large
 from tirefit.data.columns import guess
-from tirefit.data.loggers import is_vbo
+from tirefit.data.loggers import VBO, is_vbo
 from tirefit.data.mat import Channels, channels_of_mat, is_mat
 from tirefit.data.remote import Place
 from tirefit.data.table import Layout
@@ -45,8 +45,6 @@ _UNREADABLE = {
     rb"\x80[\x02-\x05]|\((dp|lp)\d+\n": ("a pickle, which could run code", _PICKLE),
 }
 """Pattern of the first bytes of a file that is not read -> its kind and the remedy."""
-_HEAD = 2**16
-"""First bytes of a .vbo file, which hold its sections up to the data."""
 _JSON = re.compile(rb"(\xef\xbb\xbf)?\s*(\{\s*[\"}]|\[\s*[\[{\]])")
 _OUR_FIT = re.compile(rb"\"schema\"\s*:\s*\"tirefit\.fit/")
 
@@ -95,9 +93,10 @@ def _read(path: Place, declared: Collection[str]) -> Table:
     if tables.is_excel(content):
         sheet = tables.sheet_of_excel(content, file, is_known)
         return table_of_rows(sheet.rows, sheet.numbers, path, digest, list(sheet.notes))
-    if is_vbo(content[:_HEAD].decode("latin-1")):
+    if VBO.search(content):
         text, notes = decoded(content, path)
-        return table_of_vbo(text, path, digest, notes)
+        if is_vbo(text):
+            return table_of_vbo(text, path, digest, notes)
     table = table_of_large(content, path, digest, declared)
     if table is not None:
         return table

@@ -14,29 +14,38 @@ from tirefit.results import DataError
 _EXPORT = re.compile(r'"?Format"?\s*[,;\t]\s*"?(AiM|MoTeC) CSV File', re.IGNORECASE)
 _NAMES = {"aim": "AiM RaceStudio", "motec": "MoTeC i2"}
 
-_VBO = re.compile(r"(?mi)^\[column names\][ \t\r]*$")
+VBO = re.compile(rb"\[\0?d\0?a\0?t\0?a\0?\]", re.IGNORECASE)
+"""In the bytes of every .vbo file, in UTF-16 as well."""
+_SECTION = re.compile(r"(?i)(?:^|[\r\n])[ \t]*\[(header|column names|data)\][ \t]*(?=[\r\n]|$)")
 _TITLE = re.compile(r"\[([\w ]+)\]\s*$")
 
-_STANDARD = {
-    "sats": "", "time": "s", "lat": "", "long": "", "velocity": "km/h", "heading": "deg",
-    "height": "m", "vert-vel": "m/s", "vertvel": "m/s", "longacc": "g", "latacc": "g",
-    "event1": "", "event-1": "", "tsample": "s", "sampleperiod": "s", "solution_type": "",
-    "velocity_quality": "", "avifileindex": "", "avitime": "",
+ARC = "minutes of arc"  # unit of latitude and longitude
+_GPS = {
+    "sats": "", "time": "s", "lat": ARC, "long": ARC,
+    "velocity": "km/h", "heading": "deg", "height": "m", "vertvel": "m/s",
 }  # fmt: skip
-"""Standard column of a .vbo file -> its unit, for which [channel units] has no line. Time of
-day is written as HHMMSS.SS, and read as seconds since midnight."""
+"""Column of a .vbo file, without separators -> its unit, for which [channel units] has no
+line. Time of day is written as HHMMSS.SS, and read as seconds since midnight."""
+_MORE = {
+    "longacc": "g", "latacc": "g", "event1": "", "tsample": "s", "sampleperiod": "s",
+    "solutiontype": "", "velocityquality": "", "avifileindex": "", "avitime": "",
+}  # fmt: skip
+"""The same for columns for which some programs write a line in [channel units]."""
+NO_UNIT = "not stated"
+"""Unit of a column whose line in [channel units] is not known: no reader accepts it."""
 
 _KNOTS = "velocity knots"  # title in [header] of a velocity in knots, else it is in km/h
-_DAY = 86_400.0
+_DAY, _HOUR = 86_400.0, 3600.0
 
 
 class VboTable(NamedTuple):
-    """Header, rows, their lines in the file (from 1), units of the columns, and notes."""
+    """Header, rows, their lines in the file (from 1), units of the columns, notes, warnings."""
 
     rows: list[list[str]]
     numbers: list[int]
     units: list[str]
     notes: list[str]
+    doubts: tuple[str, ...]
 
 
 def exported_by(line: str) -> str:
@@ -46,8 +55,9 @@ def exported_by(line: str) -> str:
 
 
 def is_vbo(text: str) -> bool:
-    """Whether a text is, or begins as, a .vbo file."""
-    return bool(_VBO.search(text)) and "[data]" in text.casefold()
+    """Whether a text is a .vbo file, perhaps one that has lost its column names."""
+    titles = {title.casefold() for title in _SECTION.findall(text)}
+    return "data" in titles and len(titles) > 1
 
 
 def vbo_table(text: str, file: str) -> VboTable:
@@ -56,19 +66,26 @@ def vbo_table(text: str, file: str) -> VboTable:
     Raises:
         DataError: the file has no columns or no data.
     """
-    sections = _sections(text.splitlines())
+    sections = _sections(re.split(r"\r\n?|\n", text))
     names = [(k, line) for k, line in sections.get("column names", []) if line]
     data = [(k, line.split()) for k, line in sections.get("data", []) if line]
     if not (names and data):
-        reason = "a .vbo file without columns or data"
+        reason = "a .vbo file without columns or data: [column names] or [data] is empty or missing"
         raise DataError(reason, "record it again, or export it as CSV", file)
     header = names[0][1].split()
-    units, notes = _units(header, sections)
-    if "time" in header:
-        _to_seconds([cells for _, cells in data], header.index("time"))
-        notes.append("time of day read as seconds since midnight")
+    units, doubts = _units(header, sections)
+    notes = []
+    for k, name in enumerate(header):
+        if _plain(name) == "time":
+            _to_seconds([cells for _, cells in data], k)
+            notes.append("time of day read as seconds since midnight")
+        elif _plain(name) == "heading":
+            header[k] = "course"
+            notes.append(
+                f"{name!r} is named 'course' and not read as a yaw: it is the way of travel"
+            )
     rows = [header, *(cells for _, cells in data)]
-    return VboTable(rows, [names[0][0], *(k for k, _ in data)], units, notes)
+    return VboTable(rows, [names[0][0], *(k for k, _ in data)], units, notes, doubts)
 
 
 def _sections(lines: Sequence[str]) -> dict[str, list[tuple[int, str]]]:
@@ -83,31 +100,72 @@ def _sections(lines: Sequence[str]) -> dict[str, list[tuple[int, str]]]:
     return sections
 
 
-def _units(header: Sequence[str], sections) -> tuple[list[str], list[str]]:
-    """The unit of each column, and notes. Columns that are not standard have one line each
-    in [channel units], which may be blank; a blank line ends the section."""
+def _units(header: Sequence[str], sections) -> tuple[list[str], tuple[str, ...]]:
+    """The unit of each column, and warnings.
+
+    [channel units] has a line, which may be blank, for each column beyond those of the GPS,
+    or for each that is not standard at all; a blank line ends the section. If its lines fit
+    neither, or both with different results, they are not used.
+    """
     titles = [line.casefold() for _, line in sections.get("header", [])]
-    known = dict(_STANDARD, velocity="knot") if _KNOTS in titles else _STANDARD
-    own = [name for name in header if name.casefold() not in known]
+    gps = dict(_GPS, velocity="knot") if _KNOTS in titles else _GPS
+    standard = [(gps | _MORE).get(_plain(name)) for name in header]
     lines = [line for _, line in sections.get("channel units", [])]
-    stated = [line for line in lines if line]
-    if len(stated) != len(own):
-        stated = lines[:-1] if lines and not lines[-1] else lines
-    notes = []
-    if any(stated) and len(stated) != len(own):
-        notes.append(f"[channel units] has {len(stated)} lines for {len(own)} columns: not used")
-    units = dict(zip(own, stated, strict=True)) if len(stated) == len(own) else {}
-    return [units.get(name, known.get(name.casefold(), "")) for name in header], notes
+    lines = lines[:-1] if lines and not lines[-1] else lines
+    fitting: list[dict[int, str]] = []
+    owners = []
+    for known in (gps, gps | _MORE):
+        own = owners = [k for k, name in enumerate(header) if _plain(name) not in known]
+        for stated in ([line for line in lines if line], lines):
+            if own and len(stated) == len(own) and any(stated):
+                units = {k: unit for k, unit in zip(own, stated, strict=True) if unit}
+                fitting += [units] if units not in fitting else []
+    if len(fitting) == 1:
+        return [fitting[0].get(k) or standard[k] or "" for k in range(len(header))], ()
+    if any(lines):
+        owners = [k for k, name in enumerate(header) if _plain(name) not in gps]
+    if not owners:
+        return [unit or "" for unit in standard], ()
+    listed = ", ".join(repr(header[k]) for k in owners)
+    doubt = f"[channel units] has {sum(map(bool, lines))} lines for {len(owners)} columns: not used"
+    doubt += f"; the units of {listed} are not known"
+    return [NO_UNIT if k in owners else unit or "" for k, unit in enumerate(standard)], (doubt,)
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[-_ ]", "", name.casefold())
 
 
 def _to_seconds(rows: Sequence[list[str]], column: int) -> None:
-    """Rewrite times of day, HHMMSS.SS, as seconds since midnight of the first row's day."""
+    """Rewrite times of day, HHMMSS.SS, as seconds since midnight of the first row's day.
+
+    Another text becomes no number, so that the check of numbers reports row and column. A
+    new day begins after an evening if two of three rows are of a morning; a single one is
+    an error of the clock, as is one of the evening before in the new day.
+    """
+    clocks = [(cells, _second(cells[column])) for cells in rows if len(cells) > column]
+    for cells, second in clocks:
+        if second is None:
+            cells[column] += " (no time of day)"
+    known = [(cells, second) for cells, second in clocks if second is not None]
     days, last = 0, 0.0
-    for cells in rows:
-        if len(cells) <= column or not re.fullmatch(r"\d{6}(\.\d*)?", cells[column]):
-            continue  # the check of numbers reports the cell
-        clock = cells[column]
-        second = 3600 * int(clock[:2]) + 60 * int(clock[2:4]) + float(clock[4:])
-        days += second < last - _DAY / 2
-        last = second
-        cells[column] = f"{days * _DAY + second:.10g}"
+    for k, (cells, second) in enumerate(known):
+        is_morning, was_evening = second < 6 * _HOUR, last > 18 * _HOUR
+        day = days
+        if is_morning and was_evening:
+            if any(later < 6 * _HOUR for _, later in known[k + 1 : k + 3]):
+                days = day = days + 1
+                last = second
+        elif days and last < 6 * _HOUR and second > 18 * _HOUR:
+            day = days - 1
+        else:
+            last = second
+        cells[column] = f"{day * _DAY + second:.10g}"
+
+
+def _second(clock: str) -> float | None:
+    """Seconds since midnight of HHMMSS.SS; None for another text."""
+    found = re.fullmatch(r"(\d\d)(\d\d)(\d\d(?:\.\d*)?)", clock)
+    hour, minute, second = map(float, found.groups()) if found else (24.0, 0.0, 0.0)
+    is_time = hour < 24 and minute < 60 and second < 61
+    return 3600 * hour + 60 * minute + second if is_time else None

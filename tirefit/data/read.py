@@ -427,8 +427,9 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
     whole = reading.problems + of_columns
     forces, curve = reading.options.forces, reading.options.curve
     if curve:
+        table = reading.table
         whole += check.check_columns(
-            there, reading.table.headers, reading.idle, reading.file, forces
+            there, table.headers, reading.idle, table.file, forces, table.units_row
         )
     good = ~reading.bad()
     if not whole:

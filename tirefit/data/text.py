@@ -7,7 +7,7 @@ import io
 import itertools
 import re
 import zlib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -142,8 +142,8 @@ def table_of_text(
     if not searched:
         raise _refusal("the file is empty", "give a header line and data rows", path)
     if logger := exported_by(raw[0]):
-        blank = lines.index("\n") if "\n" in lines else 0
-        searched = [index for index in searched if index > blank] or searched
+        start = _names_of_export(lines, searched)
+        searched = [index for index in searched if index >= start] or searched
     start, delimiter, words = _find_header(lines, searched, declared)
     if words:
         notes.append(SPACED)
@@ -171,7 +171,7 @@ def table_of_vbo(text: str, path: Place, digest: str, notes: list[str]) -> Table
     notes = [*notes, "read as a .vbo file of Racelogic", *found.notes]
     table = table_of_rows(found.rows, found.numbers, path, digest, notes)
     layout = Layout(units_from="[channel units], or standard in .vbo files")
-    return replace(table, units_row=found.units, layout=layout)
+    return replace(table, units_row=found.units, layout=layout, doubts=found.doubts)
 
 
 def content_lines(lines: list[str]) -> list[str]:
@@ -300,6 +300,34 @@ def _seconds(values: np.ndarray) -> np.ndarray:
         known = values[~np.isnat(values)]
         values = values - (known.min() if len(known) else np.datetime64(0, "s"))
     return values / np.timedelta64(1, "s")
+
+
+def _names_of_export(lines: Sequence[str], searched: Sequence[int]) -> int:
+    """Index of the line of names in the export of a logger: the last one above the numbers
+    that is as wide as they are and no row of units; else the line below the first blank one."""
+    for delimiter in _DELIMITERS:
+        try:
+            split = [next(csv.reader([lines[i]], delimiter=delimiter)) for i in searched]
+        except csv.Error:
+            continue
+        cells = [[cell.strip(' "') for cell in row] for row in split]
+        rows = dict(zip(searched, cells, strict=True))
+        found = [i for i, row in rows.items() if _is_numeric(row) and not _counts_up(row)]
+        names = [
+            i
+            for i, row in rows.items()
+            if found and i < found[0] and len(row) == len(rows[found[0]])
+            if row[0] and not _counts_up(row) and known_unit(row[0]) is None
+        ]
+        if names:
+            return names[-1]
+    return lines.index("\n") + 1 if "\n" in lines else 1
+
+
+def _is_numeric(row: Sequence[str]) -> bool:
+    """Whether a row has several cells, all numbers or empty."""
+    cells = [cell.replace(",", ".", 1) for cell in row if cell]
+    return len(cells) > 1 and all(map(is_number, cells))
 
 
 def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:

@@ -9,11 +9,12 @@ import numpy as np
 from tirefit.data.cells import TextColumn, words_of
 from tirefit.data.check import NO_VALUE, BadRows
 from tirefit.data.columns import guess, stated_unit
+from tirefit.data.loggers import ARC, NO_UNIT
 from tirefit.data.missing import excluded
 from tirefit.data.quaternion import with_headings
 from tirefit.data.read import Table, read_table
 from tirefit.data.remote import Place
-from tirefit.data.units import known_unit
+from tirefit.data.units import known_unit, units_of
 from tirefit.data.vehicle import CHECKS, POSE, QUANTITIES, Vehicle, unit_of
 from tirefit.results import DataError, InputProblem
 
@@ -75,7 +76,7 @@ class Track:
     notes: tuple[str, ...]  # assumptions in reading the file
     run: np.ndarray  # (n,) int, number of the run of each sample
     runs: tuple[str, ...]  # names of the runs; "" if the log is one run
-    missing: tuple[str, ...] = ()  # a sentence that names the rows without a needed value
+    missing: tuple[str, ...] = ()  # sentences on what the file lacks: units, values of rows
 
 
 def read_track(path: Place, vehicle: Vehicle) -> Track:
@@ -119,7 +120,7 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     return Track(
         time[fresh] - time[fresh][0], signals, tuple(channels), active[fresh],
         max_gap, float(time[fresh][0]), len(table.lines), dropped, table.sha256,
-        tuple(notes), run[fresh], runs, lacking,
+        tuple(notes), run[fresh], runs, (*table.doubts, *lacking),
     )  # fmt: skip
 
 
@@ -250,6 +251,10 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
     dimension = QUANTITIES[quantity]
     text, where = vehicle.units.get(quantity), ""
     in_header = stated_unit(header)
+    remedy = f'correct [columns], or set units.{quantity} = "{_SI[dimension]}" in vehicle.toml'
+    remedy += f" (--unit {quantity}={_SI[dimension]})"
+    if table.units_row is not None and table.units_row[table.headers.index(header)] == ARC:
+        text, remedy = ARC, "name columns in metres; these are latitude and longitude"
     if text is None and in_header:
         text, where = in_header, ""
     elif text is None and table.units_row is not None:
@@ -257,6 +262,9 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
         where = " (units row)"
     elif text is not None and in_header not in (None, text):
         where = f" (declared; the header says {in_header!r})"
+    if text == NO_UNIT:
+        remedy = f"state it: {quantity} = ... in [units] of vehicle.toml, or --unit {quantity}=..."
+        remedy += f" ({', '.join(units_of(dimension))})"
     unit = unit_of(text, quantity) if text else None
     # Round brackets may contain other text, as in ``W (IMU)``.
     label = f"({in_header})" in header and text == in_header
@@ -265,7 +273,7 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
         problems.append(
             InputProblem(
                 f"unit {text!r} is not a unit of {dimension}, as {quantity} needs",
-                f'correct [columns], or set units.{quantity} = "{_SI[dimension]}" in vehicle.toml',
+                remedy,
                 table.file,
                 table.header_line,
                 header,
