@@ -2,13 +2,22 @@
 
 import json
 import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
-from tests.killed import steps_of
+from tests.killed import killed_at, steps_of
 from tirefit.data.write import write_csv
-from tirefit.files import json_safe, json_text, replacing, write_text_atomic, write_texts
+from tirefit.files import (
+    json_safe,
+    json_text,
+    remove_left,
+    replacing,
+    write_text_atomic,
+    write_texts,
+)
 from tirefit.results import Outcome
 
 
@@ -114,6 +123,43 @@ def test_a_killed_process_leaves_no_mixture_of_files(tmp_path):
         **dict.fromkeys([path.name for path in paths], "new"),
         "notes.txt": "old",
     }
+
+
+def test_files_of_an_ended_process_are_removed_and_no_others(tmp_path):
+    program = "import os, sys\nfrom tirefit.files import replacing\n"
+    program += "with replacing(sys.argv[1]):\n    os.kill(os.getpid(), 9)\n"
+    subprocess.run([sys.executable, "-c", program, str(tmp_path / "a")])
+    assert len(list(tmp_path.iterdir())) == 1
+    with replacing(tmp_path / "b") as temporary:
+        remove_left(tmp_path)
+        assert list(tmp_path.iterdir()) == [temporary]
+
+
+def test_an_interrupted_replacement_is_undone_before_the_next_one(tmp_path, monkeypatch):
+    """Also by Ctrl-C; a damaged journal, or one that names other folders, moves nothing."""
+    paths = [tmp_path / name for name in ("a", "b", "c")]
+    write_texts(dict.fromkeys(paths[1:], "old"))
+    for step in range(5):
+        assert killed_at(step, lambda: write_texts(dict.fromkeys(paths, "new")))
+        write_text_atomic(tmp_path / ".c.x.tirefit-moves", '{"../other": false')
+        remove_left(tmp_path)
+        assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"b": "old", "c": "old"}
+    rename, left = os.replace, [3]
+
+    def interrupted(one, other):
+        left[0] -= 1
+        rename(one, other)
+        if left[0] == 0:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_texts(dict.fromkeys(paths, "new"))
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"b": "old", "c": "old"}
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / ".c.x.tirefit-moves").write_text('{"../b": false}')
+    remove_left(tmp_path / "sub")
+    assert paths[1].exists()
 
 
 def test_a_renaming_that_fails_undoes_the_others(tmp_path, monkeypatch):

@@ -207,6 +207,20 @@ def is_sealed_text(text: str) -> bool:
     return found is not None and sealed_text(text.replace(found.group(), UNSEALED)) == text
 
 
+def unsealed(path: Path, remedy: str) -> list[InputProblem]:
+    """A problem if there is a file that :func:`sealed_text` did not make, or that was
+    changed since."""
+    if not path.exists():
+        return []
+    try:
+        if is_sealed_text(content_of(path, RECORD).decode()):
+            return []
+    except (DataError, UnicodeError):
+        pass
+    reason = "the file exists and is not an export, or was changed since"
+    return [InputProblem(reason, remedy, str(path))]
+
+
 def sealed_bytes(kind: str, content: bytes) -> bytes:
     """Content of a binary file of this package: kind and checksum, then the content."""
     head = f"{kind} {hashlib.sha256(content).hexdigest()}\n"

@@ -118,6 +118,19 @@ def test_a_reduced_tir_has_slope_and_peak_of_the_brush(run):
         np.testing.assert_allclose(np.max(force), 0.9 * 4000, rtol=1e-3)
 
 
+def test_a_reduced_tir_replaces_only_an_unchanged_one(run):
+    Path("mine.tir").write_text("mine")
+    said = run("convert", *REDUCED, "--out", "mine.tir", exit_code=2).stderr
+    assert "mine.tir: the file exists and is not an export" in said and "--out" in said
+    assert Path("mine.tir").read_text() == "mine"
+    run("convert", *REDUCED, "--out", "own.tir")
+    run("convert", *REDUCED[:-1], 0.4, "--out", "own.tir")
+    text = Path("own.tir").read_text()
+    assert read_tir("own.tir").numbers["UNLOADED_RADIUS"] == 0.4
+    Path("own.tir").write_text(text + "$ a note of mine\n")
+    run("convert", *REDUCED, "--out", "own.tir", exit_code=2)
+
+
 @pytest.mark.parametrize(("model", "force"), [("brush", "fx"), ("brush-d", "fy")])
 def test_a_brush_is_recovered_exactly_from_its_tir(run, no_figures, model, force):
     run("convert", *REDUCED, "--out", "reduced.tir")

@@ -106,6 +106,14 @@ def same_results(run, files, tmp_path, *workers):
     assert table.files()["status"] == ["failed", "ok"]
 
 
+def test_jobs_of_one_file_write_the_table_beside_its_result(
+    run, files, workers_here, no_figures, tmp_path
+):
+    run("fit", files[0], *HOW, "--out", "one", "--jobs", "2")
+    table = ResultsTable(tmp_path / "one" / "results.parquet")
+    assert table.files()["status"] == ["ok"] and (tmp_path / "one" / "fit.json").exists()
+
+
 def test_jobs_and_a_bad_file_change_no_other_result(run, files, workers_here, no_figures, tmp_path):
     same_results(run, files, tmp_path, "--jobs", "2")
 

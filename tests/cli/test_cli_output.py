@@ -15,6 +15,7 @@ from tests.killed import steps_of
 from tirefit.cli import options
 from tirefit.cli.commands import app
 from tirefit.cli.output import _interrupts_held, check_results, claimed, is_page, staged
+from tirefit.files import replacing
 from tirefit.fitting.result import SCHEMA
 from tirefit.results import UsageError
 
@@ -110,8 +111,8 @@ def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
 
 
 def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
-    """The document is there only with the figures of its result, and the next command
-    removes what is left of a killed one."""
+    """The next command removes what is left of a killed one: there is the earlier result or
+    the new one, with its figures only."""
     old = ["fit.json", "fit.png", "corner.png", "posterior.nc", "notes.txt"]
     new = ["fit.json", "fit.png", "trace.png"]
     known = ["fit.png", "corner.png", "trace.png", "posterior.nc"]
@@ -128,16 +129,30 @@ def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
                 (folder / name).write_text("new")
 
     states = set()
-    for _ in steps_of(work, restore):
+
+    def claim():
         with claimed(tmp_path):
+            pass
+
+    for _ in steps_of(work, restore):
+        # The next commands are killed too, each one step later.
+        for _ in steps_of(claim, lambda: None):
             pass
         there = {name: text.decode() for name, text in files_of(tmp_path).items()}
         assert there.pop("notes.txt") == "old"
-        if "fit.json" in there:
-            names = old[:-1] if there["fit.json"] == "old" else new
-            assert there == dict.fromkeys(names, there["fit.json"])
-            states.add(there["fit.json"])
+        names = old[:-1] if there["fit.json"] == "old" else new
+        assert there == dict.fromkeys(names, there["fit.json"])
+        states.add(there["fit.json"])
     assert states == {"old", "new"}
+
+
+def test_a_folder_is_claimed_without_the_files_of_living_processes(tmp_path):
+    """A worker claims the folder in which the command writes the table of all results."""
+    with replacing(tmp_path / "results.parquet") as temporary:
+        with claimed(tmp_path):
+            assert temporary.exists()
+        temporary.write_text("new")
+    assert files_of(tmp_path) == {"results.parquet": b"new"}
 
 
 @pytest.fixture

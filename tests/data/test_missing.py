@@ -115,9 +115,18 @@ def test_more_than_a_tenth_is_an_error_that_names_them(count, refused, tmp_path)
         read(path)
     (problem,) = caught.value.problems
     assert (problem.file, problem.column) == (str(path), "fy")
-    assert problem.reason == f"9 of {N} rows (11%) lack a value (rows 2, 3, 4, 5, 6 and 4 more)"
+    assert problem.reason == f"9 of {N} rows (11.2%) lack a value (rows 2, 3, 4, 5, 6 and 4 more)"
     assert "--mask-bad-rows" in problem.remedy
     assert read(path, mask_bad_rows=True).n == N - count
+
+
+def test_the_share_that_is_refused_is_above_a_tenth_as_printed(tmp_path):
+    short = "run,alpha,fz,fy\n" + "".join(
+        f"a,{0.1 - 1e-4 * k},4000,{'' if k < 101 else k - 1000}\n" for k in range(1000)
+    )
+    (tmp_path / "a.csv").write_text(short)
+    with pytest.raises(DataError, match=r"101 of 1000 rows \(10\.1%\) lack a value"):
+        read(tmp_path / "a.csv")
 
 
 def test_a_column_that_no_model_needs_costs_no_row_where_it_is_mostly_empty(tmp_path):

@@ -49,9 +49,9 @@ CASES = {
         ["column 'time': 6 of 6 rows ('a' in row 2, ...): is text", "rename this one"],
     ),
     "empty cell": (
-        lines("0.1,,4000"), {}, ["column 'fx'", "1 of 5 rows (20%) lack a value (row 6)"]
+        lines("0.1,,4000"), {}, ["column 'fx'", "1 of 5 rows (20.0%) lack a value (row 6)"]
     ),
-    "nan": (lines("nan,1,4000"), {}, ["column 'kappa'", "1 of 5 rows (20%)", "(row 6)"]),
+    "nan": (lines("nan,1,4000"), {}, ["column 'kappa'", "1 of 5 rows (20.0%)", "(row 6)"]),
     "inf": (lines("0.1,1,-inf"), {}, ["row 6, column 'fz'", "-inf is infinite"]),
     "overflow": (lines("0.1,1e300,1"), {}, ["row 6, column 'fx'", "larger than any"]),
     "underscore": (lines("0.1,1_0,4000"), {}, ["row 6, column 'fx'", "'1_0' is text"]),

@@ -303,7 +303,9 @@ def test_a_missing_value_in_parquet_masks_the_row(tmp_path):
     columns = {name: list(values) for name, values in PLAIN.items()}
     columns["fx"][2] = None
     save_parquet(tmp_path / "a.parquet", arrow_table(columns))
-    assert "column 'fx': 1 of 7 rows (14%) lack a value (row 3)" in refusal(tmp_path / "a.parquet")
+    assert "column 'fx': 1 of 7 rows (14.3%) lack a value (row 3)" in refusal(
+        tmp_path / "a.parquet"
+    )
     data = read(tmp_path / "a.parquet", mask_bad_rows=True)
     assert np.flatnonzero(~data.used).tolist() == [2]
 

@@ -20,6 +20,7 @@ _OLD = (
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal"
     " stdarg stdbool stddef stdint stdio stdlib string tgmath time wchar wctype".split()
 )
+_POSIX = "fcntl pthread signal strings sys/stat sys/time sys/types unistd".split()
 
 
 def included(names):
@@ -30,7 +31,8 @@ LIBRARIES = {
     "c99": included(_OLD),
     "c11": included([*_OLD, *_NEW]),
     "c2x": included([*_OLD, *_NEW]),
-    "gnu17": included(["math", "complex"]),
+    "gnu17": included([*_OLD, *_NEW, *_POSIX]),
+    "gnu11": "#define _GNU_SOURCE\n" + included([*_OLD, *_NEW, *_POSIX]),
 }
 
 
@@ -92,6 +94,7 @@ def test_headers_whose_names_differ_in_case_only_are_both_included(tmp_path):
 
 
 BAD = "logb y0 true NAN double lambda np lgammaf_r class strtod M_PI fesetround size_t a__b _a a_"
+BAD += " index read environ sleep kill ffs getline setenv pthread_create stat64 sinf64x"
 BAD += " jac print signbit static_assert INFINITY 1x été math_errhandling atomic_load x.y"
 
 

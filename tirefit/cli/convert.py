@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from tirefit import __version__
 from tirefit.cli.fit_one import fit_files, fit_into
 from tirefit.cli.magic_formula import (
     MAGIC_FORMULA_NAMES,
@@ -126,10 +127,12 @@ def convert(
 
 
 def _write_reduced(brush: dict, mixed: list[str], out: Path) -> None:
-    from tirefit.data.tir import reduced_tir, write_tir
+    from tirefit.data.tir import reduced_tir
     from tirefit.data.write import output_problems
+    from tirefit.door import UNSEALED, sealed_text, unsealed
+    from tirefit.files import write_text_atomic
 
-    problems = output_problems(out)
+    problems = output_problems(out) or unsealed(out, "choose another file with --out")
     if mixed:
         reason = f"{', '.join(mixed)} with --cpa2, --mu, --fz, --radius"
         remedy = "either convert a Magic Formula, or write the .tir of a brush"
@@ -144,7 +147,8 @@ def _write_reduced(brush: dict, mixed: list[str], out: Path) -> None:
     except TirefitError as error:
         problems += error.problems
     UsageError.raise_for(problems)
-    write_tir(tir, out)
+    head = f"$ written by tirefit convert, {UNSEALED}, tirefit {__version__}\n"
+    write_text_atomic(out, sealed_text(head + tir.text))
     start_jax()
     from tirefit.fitting.convert import reduced_misfit
 

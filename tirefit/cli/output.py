@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tirefit.cli.options import CONTEXT, say
 from tirefit.door import replaced_inputs
-from tirefit.files import PART, fcntl, replace_together, took_lock
+from tirefit.files import fcntl, remove_left, replace_together, took_lock
 from tirefit.results import DataError, InputProblem, UsageError
 
 
@@ -135,7 +135,9 @@ def claimed(directory: Path) -> Iterator[None]:
             reason = "another tirefit is writing its results into this folder"
             remedy = "wait until it has ended, or choose another folder with --out"
             raise UsageError(reason, remedy, str(directory))
-        _remove_what_a_kill_left(directory)
+        remove_left(directory)
+        for left in directory.glob(f"{_WRITING}*"):
+            shutil.rmtree(left, ignore_errors=True)
         yield
     finally:
         for path in made:
@@ -143,14 +145,6 @@ def claimed(directory: Path) -> Iterator[None]:
                 path.rmdir()
         if handle is not None:
             os.close(handle)
-
-
-def _remove_what_a_kill_left(directory: Path) -> None:
-    for left in directory.glob(f"{_WRITING}*"):
-        shutil.rmtree(left, ignore_errors=True)
-    for left in directory.glob(f".*{PART}"):
-        with suppress(OSError):
-            left.unlink()
 
 
 _WRITING = ".tirefit-writing"

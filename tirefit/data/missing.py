@@ -63,7 +63,7 @@ def excluded(
         remedy += " the rows are excluded without it"
         return None, [
             InputProblem(
-                f"{len(each)} of {len(lines)} rows ({len(each) / len(lines):.0%}) lack a value"
+                f"{len(each)} of {len(lines)} rows ({len(each) / len(lines):.1%}) lack a value"
                 f" ({where[column]})",
                 remedy,
                 file,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from tirefit import __version__
 from tirefit.data.write import output_problems
 from tirefit.display import Record
-from tirefit.door import MIB, UNSEALED, content_of, is_sealed_text, replaced_inputs, sealed_text
+from tirefit.door import UNSEALED, replaced_inputs, sealed_text, unsealed
 from tirefit.files import write_texts
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.tir import TIR_SIGNS
@@ -29,9 +29,6 @@ from tirefit.targets.tire import Tire, tire_of
 
 if TYPE_CHECKING:
     from tirefit.diagnosis.summary.result import Diagnosis
-
-_MOST = 256 * MIB
-"""Largest size of an exported file that is replaced without ``force``."""
 
 
 class Target(NamedTuple):
@@ -302,20 +299,10 @@ def _unwritable(chosen: Target | ParameterFile | None, made, name, force):
     for one, end in made:
         if problems := output_problems(one, end):
             yield from problems
-        elif one.exists() and not force and not _exported(one):
-            reason = "the file exists and is not an export, or was changed since"
-            remedy = "choose another file, or replace it with --force"
-            yield InputProblem(reason, remedy, str(one))
+        elif not force:
+            yield from unsealed(one, "choose another file, or replace it with --force")
 
 
 def _is_code(chosen: Target | ParameterFile | None) -> bool:
     """Whether a target is source code: a named function, in any signs."""
     return chosen is None or isinstance(chosen, Target) and chosen.prepare is None
-
-
-def _exported(path: Path) -> bool:
-    """Whether an export wrote the file, and nobody changed it."""
-    try:
-        return is_sealed_text(content_of(path, _MOST).decode())
-    except (DataError, UnicodeError):
-        return False
