@@ -141,7 +141,7 @@ def test_the_loss_of_a_force_without_measured_slip_is_over_usual_slips(tmp_path)
     worst = 100 * np.max(np.abs(np.asarray(forces(own, at).fx - forces(read, at).fx))) / 4000.0
     assert worst > 3 and "kappa -0.3 to 0.3" in told
     pure = float(told.split("fx ")[1].split("in pure slip ")[1].split("%")[0])
-    assert pure == pytest.approx(worst, abs=0.1)  # between the points of the grid
+    assert pure == pytest.approx(worst, abs=0.2)  # between the points of the grid
 
 
 def test_unsupported_models_are_refused_and_write_nothing(tmp_path):
@@ -328,7 +328,7 @@ def test_chrono_files_are_written_both_or_not_at_all(tmp_path):
     assert beside.read_text() == "mine" and not path.exists()
     done = CliRunner().invoke(app, [*line, "--force"])
     # At twice the largest load the forces of this file exceed the ellipse.
-    assert done.exit_code == 4 and "NOT within it" in done.stderr
+    assert done.exit_code == 4 and "NOT within 1.05 of it" in done.stderr
     assert path.exists() and "written by tirefit export" in beside.read_text()
     done = CliRunner().invoke(app, ["export", "--list"])
     assert "chrono " in done.stdout and "tir " in done.stdout
