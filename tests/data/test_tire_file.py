@@ -124,4 +124,4 @@ def test_a_failed_check_of_an_export_is_its_outcome(tmp_path):
     both = {"with_ellipse": truck, "without": plain}
     sound, failed = (export(f, "numpy", tmp_path / f"{name}.py") for name, f in both.items())
     assert sound.status == "ok" and not sound.shape.failed
-    assert failed.status == "unsound" and "NOT within it" in failed.warnings[0]
+    assert failed.status == "unsound" and "NOT within 1.05 of it" in failed.warnings[0]

@@ -23,6 +23,7 @@ from tirefit.data.vehicle import (
 from tirefit.results import UsageError
 
 TEXT = (Path(__file__).parents[2] / "VEHICLE.md").read_text(encoding="utf-8")
+EXAMPLE = TEXT.partition("```toml\n")[2].partition("```")[0]
 
 
 def loaded(tmp_path, text, units=None):
@@ -61,8 +62,7 @@ def test_documented_dimensions_and_defaults_are_right():
 
 
 def test_the_documented_example_is_valid(tmp_path):
-    example = TEXT.partition("```toml\n")[2].partition("```")[0]
-    vehicle = loaded(tmp_path, example)
+    vehicle = loaded(tmp_path, EXAMPLE)
     assert vehicle.columns.motion == ("v_x", "v_y", "yaw_rate", "a_y")
     assert vehicle.keep == Keep() and vehicle.filter == Filter()
     assert vehicle.v_min == pytest.approx(math.sqrt(9.80665 * 2.6) / 2)
@@ -145,3 +145,20 @@ def test_a_measured_a_x_is_used_and_filtered(tmp_path):
     np.testing.assert_allclose(result.columns["a_x"], right, atol=0.02)
     found = [p for p in result.compared.as_dicts() if p["channel"] == "a_x"]
     assert found[0]["gains"][0]["value"] == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("key", "text"),
+    [
+        ("l_f", "1e19"),
+        ("l_r", "60.0"),
+        ("l_f", "1e-9"),
+        ("h_cg", "1e19"),
+        ("tracked_point", "[0.0, -1e19]"),
+    ],
+)
+def test_lengths_that_no_vehicle_has_are_refused(tmp_path, key, text):
+    lines = [line for line in EXAMPLE.splitlines() if not re.match(rf"{key} *=", line)]
+    with pytest.raises(UsageError, match=key) as caught:
+        loaded(tmp_path, "\n".join([f"{key} = {text}", *lines]))
+    assert caught.value.exit_code == 2

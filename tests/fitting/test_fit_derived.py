@@ -341,6 +341,33 @@ def test_quantities_per_run_agree_with_separate_fits(by_run):
             np.testing.assert_allclose(found.ci95, expected.ci95, rtol=1e-4)
 
 
+@pytest.mark.parametrize("step", [0.0, 1e-6])
+def test_quantities_of_a_run_that_shows_nothing_are_not_identified(step):
+    """At (almost) zero slip, any friction of the second run fits as well: the slip at
+    its peak, mu times a known number, spans the bounds of mu."""
+    road = curve(n=150)
+    slip = step * np.arange(10)
+    noise = STD * np.random.default_rng(2).standard_normal(10)
+    columns = {
+        "sigma_x": np.append(road["sigma_x"], slip),
+        "fx": np.append(road["fx"], brush_force(slip, **TRUTH) + noise),
+        "fz": np.full(160, FZ),
+    }
+    runs = table(columns, run=np.repeat([0, 1], [150, 10]), runs=("a", "b"))
+    result = fit(runs, config=GIVEN | {"parameters": {"mu": {"per_run": True}}})
+    for name in ("F_max", "F_max_over_fz", "mu_fz", "slip_at_peak"):
+        assert result.derived[f"{name}[a]"].identified
+        found = result.derived[f"{name}[b]"]
+        assert not found.identified and found.std is None
+    low, high = result.derived["slip_at_peak[b]"].ci95
+    factor = 1.5 * FZ / result.parameters["cpa2"].value
+    # The stiffness adds its own error, below a percent.
+    np.testing.assert_allclose(
+        [low, high], factor * np.array(specs(MODELS["brush"])["mu"].bounds), rtol=0.03
+    )
+    assert result.derived["C_x"].identified
+
+
 def test_undefined_quantities_have_no_number():
     slip = fit(curve(), "uniform", config=GIVEN).derived["slip_at_peak"]
     assert not slip.identified and np.isnan(slip.value)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from recipes import FZ, STD, TRUTH, brush_force, curve, table
 
+from tirefit.door import sealed
 from tirefit.fitting.derived import derived_from_draws, quantities
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.predict import predict
@@ -240,3 +241,16 @@ def test_a_tied_fit_with_other_bounds_survives_storing(tied, tmp_path):
     stored = predict(load_fit(tmp_path / "fit.json"), NEW)
     for name, values in predict(tied, NEW).items():
         np.testing.assert_allclose(stored[name], values, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "ends", [("sigma_x", -1.0, 0.2), ("fz", 4e3, 3e3), ("fz", -1.0, 4e3), ("alpha", 0.0, 2.0)]
+)
+def test_ranges_that_no_data_have_are_refused(given, tmp_path, ends):
+    given.save(tmp_path)
+    path = tmp_path / "fit.json"
+    content = json.loads(path.read_text())
+    content["data"]["range"][ends[0]] = list(ends[1:])
+    path.write_text(json.dumps(sealed(content)))
+    with pytest.raises(DataError, match=f"data.range.*{ends[0]}"):
+        load_fit(path)

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 import tirefit
+from tirefit.data.accept import as_data
 from tirefit.data.tir import read_tir
+from tirefit.fitting.predict import outside_fit
+from tirefit.fitting.store import load_fit
 from tirefit.fitting.tir import tire_of
 from tirefit.results import DataError, UsageError
 
@@ -30,6 +33,18 @@ def test_a_saved_fit_predicts_as_the_fit(fitted, tmp_path):
         np.testing.assert_allclose(found[name], values, rtol=1e-12)
     with pytest.raises(UsageError, match="values together with a fit"):
         tirefit.predict(tmp_path / "fit.json", ROWS, {"mu": 0.5})
+
+
+def test_rows_outside_the_fitted_ranges_are_counted(fitted, tmp_path):
+    fitted.save(tmp_path)
+    stored = load_fit(tmp_path / "fit.json")
+    assert outside_fit(stored, as_data(ROWS, forces=False)) == []
+    far = {"sigma_x": [-0.1, 0.0, 0.3], "fz": [4e3, 3e4, 3e4], "v": [9.0, 9.0, 9.0]}
+    said = outside_fit(stored, as_data(far, forces=False))
+    assert said == [
+        "1 of 3 rows outside the fitted sigma_x = -0.1 to 0.1 -: extrapolated",
+        "2 of 3 rows outside the fitted fz = 4000 to 4000 N: extrapolated",
+    ]
 
 
 def test_a_tir_file_predicts_as_its_tire(tmp_path):

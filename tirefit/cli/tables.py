@@ -203,6 +203,7 @@ def predict(
         values = _checked_request(source, is_file, data, out, parameter)
         start_jax()
         from tirefit.data.read import read
+        from tirefit.fitting.predict import outside_fit
         from tirefit.fitting.predict import predict as forces_of
         from tirefit.fitting.store import load_fit
 
@@ -211,6 +212,8 @@ def predict(
             how["otherwise"] = fitted.content["data"]["convention"], source
         table = read(data, **how, forces=False)
         warn(table)
+        for text in () if isinstance(fitted, str) else outside_fit(fitted, table):
+            complain(f"warning: {source}: {text}")
         forces = forces_of(fitted, table, values)
         if not is_file:
             say(f"{source} with {_values_text(source, values)}")

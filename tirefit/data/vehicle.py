@@ -194,9 +194,18 @@ _DENSITIES, _INERTIAS, _ARMS = (5.0, 3000.0), (0.15, 4.0), (0.2, 5.0)
 _HEIGHTS, _GRAVITIES = (0.0, 1.0), (9.7, 9.9)
 """Ranges of road vehicles, including racing cars (17 kg/m3) and scale models (300)."""
 
+_SHORTEST, _LONGEST = 0.005, 50.0
+"""Lengths [m] that a vehicle can have: below those of scale models, above those of lorries."""
+
 _Arm = Annotated[
-    PositiveFloat, Field(description="give l_f and l_r, or mass_front, mass_rear and wheelbase")
+    float,
+    Field(
+        ge=_SHORTEST,
+        le=_LONGEST,
+        description="give l_f and l_r, or mass_front, mass_rear and wheelbase",
+    ),
 ]
+_Coordinate = Annotated[float, Field(ge=-_LONGEST, le=_LONGEST)]
 
 
 class Vehicle(Section):
@@ -224,10 +233,12 @@ class Vehicle(Section):
     mass_rear: PositiveFloat | None = None  # likewise
     wheelbase: _Arm  # l_f + l_r [m]; needed if axle masses replace l_f and l_r
     yaw_inertia: PositiveFloat  # about the centre of gravity [kg m2]
-    tracked_point: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+    tracked_point: Annotated[list[_Coordinate], Field(min_length=2, max_length=2)] | None = None
     yaw_offset: float = 0.0
     sideslip_offset: float = 0.0
-    h_cg: NonNegativeFloat | None = None  # [m]; None keeps the load static
+    h_cg: Annotated[float, Field(ge=0, le=_LONGEST)] | None = (
+        None  # [m]; None keeps the load static
+    )
     gravity: PositiveFloat = GRAVITY  # [m/s2]
     driven: Literal["rear", "front", "all"] | None = None
     rear_share: Annotated[float, Field(ge=0, le=1)] | None = None

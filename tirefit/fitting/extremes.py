@@ -28,6 +28,11 @@ _NEXT_TO_BOUND = 1e-9
 
 _LONGEST_SHARE = 0.3  # share of an element's range that one step may cross
 
+_LEAST_CURVATURE = 1.0
+"""Curvature of the deviance in shares below which a direction counts as free: its standard
+error is the whole range. The step then goes to a bound; without a floor, a direction with
+no information would be left out, as if it were known exactly."""
+
 
 def _step(slope, pull, curvature, room: float, share):
     """The step (p,) of :func:`_stepped` from shares at (p,).
@@ -36,7 +41,8 @@ def _step(slope, pull, curvature, room: float, share):
     """
     free, step = np.ones(len(share), bool), np.zeros(len(share))
     for _ in range(2):
-        inverse = np.linalg.pinv(curvature[np.ix_(free, free)], hermitian=True)
+        values, axes = np.linalg.eigh(curvature[np.ix_(free, free)])
+        inverse = (axes / np.maximum(values, _LEAST_CURVATURE)) @ axes.T
         left = room + slope[free] @ inverse @ slope[free]
         reach = pull[free] @ inverse @ pull[free]
         size = np.sqrt(max(left, 0.0) / max(reach, 1e-300))

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from tirefit.compiled import BRIEF
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.read import require
-from tirefit.data.table import TireData
+from tirefit.data.table import CANONICAL, TireData
 from tirefit.data.tir import read_tir
 from tirefit.data.tire_file import tire_kind
 from tirefit.fitting.layout import Layout
@@ -25,7 +25,7 @@ from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit, load_fit
 from tirefit.fitting.time_series import check_time_series
-from tirefit.fitting.tir import TIR_SIGNS, tire_of
+from tirefit.fitting.tir import TIR_SIGNS, beyond, tire_of
 from tirefit.models import AbstractTire, TireInputs, forces, modelled
 from tirefit.models.mf import MFTire
 from tirefit.params import Values, check_values, parameter_values, with_values
@@ -184,6 +184,19 @@ def _opened(
     source = load_fit(text) if text else source
     content = source.content if isinstance(source, StoredFit) else vars(source)
     return source, source.model, (content["data"]["convention"], "the fit's data")
+
+
+def outside_fit(fit: StoredFit, data: TireData) -> list[str]:
+    """Sentences on used rows outside the fitted ranges of load, slips and what else the
+    tire depends on, canonical."""
+    acting = {"fz", "sigma_x", "alpha", *fit.tire.needs}
+    acting |= {"gamma", "pressure"} if isinstance(fit.tire, MFTire) else set()
+    messages = []
+    for name, (low, high) in fit.content["data"].get("range", {}).items():
+        if name in acting and name in data:
+            ends = f"the fitted {name} = {low:.4g} to {high:.4g} {CANONICAL[name][0]}"
+            messages += beyond(data.usable(name), low, high, ends)
+    return messages
 
 
 def _noise_std(data: TireData, channel: str, record: Mapping | None, force, reference):

@@ -7,9 +7,18 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    field_validator,
+    model_validator,
+)
 
 from tirefit.data.records import FileRecord, Row
+from tirefit.data.units import SPINNING
 from tirefit.door import outrageous, read_record
 from tirefit.files import write_texts
 from tirefit.fitting.layout import FreeParameter, Layout, Tie
@@ -19,7 +28,7 @@ from tirefit.models import AbstractTire
 from tirefit.params import specs, with_values
 from tirefit.results import DataError, UsageError
 from tirefit.settings import faults_in
-from tirefit.slip import CONVENTIONS
+from tirefit.slip import CONVENTIONS, LOCKED
 
 
 @dataclass(frozen=True)
@@ -60,6 +69,17 @@ def at_estimate(template: AbstractTire, layout: Layout, z) -> AbstractTire:
 _LARGEST = 1e20
 _ROUNDING = 1e-9
 """Rounding: the smallest eigenvalue may be this share of the largest below zero."""
+
+
+_RANGES = {
+    "sigma_x": (SPINNING, LOCKED),
+    "alpha": (-np.pi / 2, np.pi / 2),
+    "gamma": (-np.pi / 2, np.pi / 2),
+    "fz": (0.0, np.inf),
+    "v": (0.0, np.inf),
+    "pressure": (0.0, np.inf),
+}
+"""Input -> least and largest value that read data can have, canonical."""
 
 
 class _Part(BaseModel):
@@ -113,6 +133,16 @@ class _Data(_Part):
     used: int
     runs: list[str]
     range: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] = {}
+
+    @field_validator("range")
+    @classmethod
+    def _physical(cls, given):
+        for name, (low, high) in given.items():
+            least, most = _RANGES.get(name, (-np.inf, np.inf))
+            if not least <= low <= high <= most:
+                reason = f"{name} {low:g} to {high:g} is not a range in {least:g} to {most:g}"
+                raise ValueError(reason)
+        return given
 
 
 class _Noise(_Part):

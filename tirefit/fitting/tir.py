@@ -238,12 +238,14 @@ def _outside(tir: TirFile, data: TireData, turned: frozenset[str]) -> list[str]:
         if {"kappa": "slip"}.get(name, name) in turned:
             values = -values
         low, high = numbers.get(least, -np.inf), numbers.get(most, np.inf)
-        # The conversions of a slip lose some digits.
-        margin = 1e-9 * (high - low) if np.isfinite(high - low) else 0.0
-        count = np.count_nonzero((values < low - margin) | (values > high + margin))
-        if count:
-            messages.append(
-                f"{count} of {data.n} rows outside {least} = {low:g} to {most} ="
-                f" {high:g}: extrapolated"
-            )
+        messages += beyond(values, low, high, f"{least} = {low:g} to {most} = {high:g}")
     return messages
+
+
+def beyond(values: np.ndarray, low: float, high: float, ends: str) -> list[str]:
+    """A sentence on the values (n,) of rows outside a range, ``ends`` its text; none if
+    all are within."""
+    # The conversions of a slip lose some digits.
+    margin = 1e-9 * (high - low) if np.isfinite(high - low) else 0.0
+    count = np.count_nonzero((values < low - margin) | (values > high + margin))
+    return [f"{count} of {len(values)} rows outside {ends}: extrapolated"] if count else []

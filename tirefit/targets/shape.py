@@ -141,5 +141,5 @@ def _ellipse(at: Callable, names, most) -> tuple[str, bool]:
     how = "within" if sound else "NOT within"
     return (
         f"combined slip: at most {worst:.3f} of the ellipse of the pure forces, {how}"
-        f" it, to F_z {most:.4g} N"
+        f" {_SQUARE:g} of it, to F_z {most:.4g} N"
     ), sound

@@ -111,7 +111,8 @@ class Group:
             predicted: (m,) force of the formula.
         """
         known = self.known(predicted)
-        mean_square = float(np.mean(self.cells.observed**2))
+        # A force that is zero everywhere gives no size: 1 N, or 1 N m.
+        mean_square = float(np.mean(self.cells.observed**2)) or 1.0
         if self.misfit is None:
             return known + _AT_FIRST**2 * mean_square
         misfit = self.misfit.variance(np.asarray(self.cells.inputs.fz), predicted)
