@@ -39,10 +39,14 @@ in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
 - Canudas-de-Wit, C., Tsiotras, P., Velenis, E., Basset, M., Gissinger, G.: Dynamic
   friction models for road/tire longitudinal interaction. Vehicle System Dynamics 39
   (2003) 189-226. The LuGre tire of S(17) and S(18).
+- Chandler, R. E., Bate, S.: Inference for clustered data using the independence
+  loglikelihood. Biometrika 94 (2007) 167-183.
 - Foreman-Mackey, D., Hogg, D. W., Lang, D., Goodman, J.: emcee: The MCMC Hammer.
   Publications of the Astronomical Society of the Pacific 125 (2013) 306-312.
 - Gäfvert, M., Svendenius, J.: A novel semi-empirical tire model for combined slips.
   Vehicle System Dynamics 43 (2005) 351-384.
+- Godambe, V. P.: An optimum property of regular maximum likelihood estimation. Annals of
+  Mathematical Statistics 31 (1960) 1208-1211.
 - Hausman, J. A.: Specification tests in econometrics. Econometrica 46 (1978) 1251-1271.
 - Hoffman, M. D., Gelman, A.: The No-U-Turn Sampler. Journal of Machine Learning
   Research 15 (2014) 1593-1623.
@@ -54,6 +58,8 @@ in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
   squares. Quarterly of Applied Mathematics 2 (1944) 164-168.
 - Liu, C.-S., Peng, H.: Road friction coefficient estimation for vehicle path
   prediction. Vehicle System Dynamics 25, supplement (1996) 413-425.
+- Murphy, S. A., van der Vaart, A. W.: On profile likelihood. Journal of the American
+  Statistical Association 95 (2000) 449-465.
 - Neal, R. M.: MCMC using Hamiltonian dynamics. Handbook of Markov Chain Monte Carlo,
   chapter 5. Chapman & Hall/CRC, 2011.
 - Pacejka, H. B.: Tire and Vehicle Dynamics, 3rd edition. Butterworth-Heinemann, 2012.
@@ -73,6 +79,9 @@ in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
 - Zhang, J., Stephens, M. A.: A new and efficient estimation method for the generalized
   Pareto distribution. Technometrics 51 (2009) 316-325.
 """
+- Wood, S. N., Fasiolo, M.: A generalized Fellner-Schall method for smoothing parameter
+  optimization with application to Tweedie location, scale and shape models. Biometrics 73
+  (2017) 1071-1081.
 
 import lazy_loader as _lazy
 
