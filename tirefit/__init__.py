@@ -76,12 +76,12 @@ in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
   sampling. Journal of Machine Learning Research 25 (2024) 72.
 - Venzon, D. J., Moolgavkar, S. H.: A method for computing profile-likelihood-based
   confidence intervals. Applied Statistics 37 (1988) 87-94.
-- Zhang, J., Stephens, M. A.: A new and efficient estimation method for the generalized
-  Pareto distribution. Technometrics 51 (2009) 316-325.
-"""
 - Wood, S. N., Fasiolo, M.: A generalized Fellner-Schall method for smoothing parameter
   optimization with application to Tweedie location, scale and shape models. Biometrics 73
   (2017) 1071-1081.
+- Zhang, J., Stephens, M. A.: A new and efficient estimation method for the generalized
+  Pareto distribution. Technometrics 51 (2009) 316-325.
+"""
 
 import lazy_loader as _lazy
 
