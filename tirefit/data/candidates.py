@@ -11,10 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.faults import RELATED
-from tirefit.data.motion import Motion, further_ahead, low_passed, slip_and_force
+from tirefit.data.motion import SLOWER, Motion, further_ahead, slip_and_force, slowed
 from tirefit.data.vehicle import Vehicle
-
-_SLOWER = 5.0
 
 
 class Candidates(NamedTuple):
@@ -30,12 +28,12 @@ def candidates_of(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> Candida
     Args:
         kept: (n,) bool, the samples that will be written.
     """
-    kept = kept & (motion.within >= _SLOWER * vehicle.filter.settling)
+    kept = kept & (motion.within >= SLOWER * vehicle.filter.settling)
     stated = vehicle.l_r - vehicle.cg_from_tracked[0]
 
     def correlation(at: float) -> float:
         moved, _ = further_ahead(motion, vehicle, at - stated)
-        slow = _slowly(np.stack(slip_and_force(moved, vehicle)[:2], axis=1), motion, vehicle)
+        slow = slowed(np.stack(slip_and_force(moved, vehicle)[:2], axis=1), motion, vehicle)
         there = slow[kept & np.isfinite(slow).all(axis=1)]
         if len(there) < 3 or not np.all(np.ptp(there, axis=0)):
             return math.nan
@@ -69,13 +67,3 @@ def candidates_of(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> Candida
             " vehicle.toml",
         ),
     )
-
-
-def _slowly(values: np.ndarray, motion: Motion, vehicle: Vehicle) -> np.ndarray:
-    """Values (n, k) low-passed in each stretch; NaN in a stretch that is too short."""
-    slow = np.full_like(values, np.nan)
-    for rows in motion.stretches:
-        smooth = low_passed(np.nan_to_num(values[rows]), vehicle, _SLOWER)
-        if smooth is not None:
-            slow[rows] = smooth
-    return slow

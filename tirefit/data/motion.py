@@ -185,6 +185,23 @@ def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0):
     return sosfiltfilt(sections, uniform, axis=0, padlen=padding)
 
 
+SLOWER = 5.0
+"""Factor by which signals that are compared with each other are slower than the filter's
+cutoff: noise of a point differentiated twice would hide a relation of faster ones."""
+
+
+def slowed(signals: np.ndarray, motion: "Motion", vehicle: Vehicle) -> np.ndarray:
+    """Signals (n, k) low-passed at the cutoff over :data:`SLOWER` in each stretch, with zero
+    where they are not known; NaN in a stretch that is too short."""
+    slow = np.full_like(signals, np.nan)
+    for rows in motion.stretches:
+        known = np.where(np.isfinite(signals[rows]), signals[rows], 0.0)
+        smooth = low_passed(known, vehicle, SLOWER)
+        if smooth is not None:
+            slow[rows] = smooth
+    return slow
+
+
 @cache
 def _sections(order: int, cutoff: float, rate: float) -> np.ndarray:
     """The filter, stored because its design takes longer than its use on a short stretch."""

@@ -16,11 +16,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from tirefit.data.agreement import Agreement, Pair, Term, agreement
-from tirefit.data.motion import Motion, low_passed
+from tirefit.data.motion import SLOWER, Motion, slowed
 from tirefit.data.track import Track
 from tirefit.data.vehicle import Vehicle
 
-_SLOWER = 5.0
 _STANDING = 0.1
 """Share of the high speeds (95th percentile) below which rows are not compared."""
 
@@ -65,7 +64,7 @@ def agreements(
     rate, cutoff = vehicle.filter.sample_rate, vehicle.filter.cutoff
 
     def held(pairs: list[Pair]) -> list[Agreement]:
-        some = (agreement(p, motion.part, usable, rate, _SLOWER / cutoff) for p in pairs)
+        some = (agreement(p, motion.part, usable, rate, SLOWER / cutoff) for p in pairs)
         return [result for result in some if result is not None]
 
     compared = []
@@ -95,13 +94,11 @@ def heading_off_path(track: Track, motion: Motion, vehicle: Vehicle, sign: int) 
 
 def _slowly(track: Track, motion: Motion, vehicle: Vehicle) -> dict[str, np.ndarray]:
     """Channel -> values (n,) on the grid, low-passed; NaN where it is not known."""
-    slow = np.full_like(motion.logged, np.nan)
-    reach = round(_SLOWER * vehicle.filter.settling * vehicle.filter.sample_rate)
+    slow = slowed(motion.logged, motion, vehicle)
+    reach = round(SLOWER * vehicle.filter.settling * vehicle.filter.sample_rate)
     for rows in motion.stretches:
-        known = np.isfinite(motion.logged[rows])
-        smooth = low_passed(np.where(known, motion.logged[rows], 0.0), vehicle, _SLOWER)
-        if smooth is not None:
-            slow[rows] = np.where(_far_from(~known, reach), smooth, np.nan)
+        unknown = ~np.isfinite(motion.logged[rows])
+        slow[rows] = np.where(_far_from(unknown, reach), slow[rows], np.nan)
     names = [channel.quantity for channel in track.channels]
     of = dict(zip(names, slow.T.copy(), strict=True))
     if "steering" in of:
@@ -122,7 +119,7 @@ def _far_from(marked: np.ndarray, reach: int) -> np.ndarray:
 def _usable(track: Track, motion: Motion, vehicle: Vehicle, of: Signals) -> np.ndarray:
     """Grid samples (n,) bool: driven, in motion, and away from edges."""
     last_row = np.searchsorted(track.time, motion.time, side="right") - 1
-    settled = motion.within >= _SLOWER * vehicle.filter.settling
+    settled = motion.within >= SLOWER * vehicle.filter.settling
     if "v_x" in vehicle.columns.motion:
         speed = np.hypot(of["v_x"], of["v_y"])
     else:
