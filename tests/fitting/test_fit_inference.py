@@ -6,7 +6,8 @@ from recipes import FZ, GIVEN, STD, TRUTH, VAGUE_NOISE, brush_force, curve, solv
 from scipy import optimize, stats
 
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.inference import deviance, threshold
+from tirefit.fitting.inference import _of_squares, deviance, threshold
+from tirefit.fitting.likelihood import Rule
 
 
 def test_threshold_of_given_noise_is_chi_squared():
@@ -23,6 +24,13 @@ def test_threshold_of_estimated_noise_is_students_t(n, p):
 
 def test_threshold_with_fewer_rows_than_parameters_is_finite_and_wide():
     assert 10 < threshold(True, 3, 3) < 1e3
+
+
+def test_a_block_without_squares_has_a_deviance_only_if_its_noise_is_given():
+    """On the host, where a logarithm of zero warns, which is an error in tests."""
+    assert _of_squares(Rule(inflation=2.0), 0.0, np) == 0.0
+    with pytest.warns(RuntimeWarning, match="divide by zero"):
+        _of_squares(Rule(smallest=1.0), 0.0, np)
 
 
 def squares(data, cpa2, mu, std=STD):

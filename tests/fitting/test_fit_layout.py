@@ -9,7 +9,7 @@ from recipes import FZ, STD, brush_force, curve, table
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import linearise, minima, residuals
 from tirefit.fitting.layout import FreeParameter, Layout, Tie, choose_layout
-from tirefit.fitting.least_squares import damped_gauss_newton
+from tirefit.fitting.least_squares import least_squares
 from tirefit.fitting.likelihood import root_deviance
 from tirefit.fitting.problem import build
 from tirefit.fitting.solve import laid_out
@@ -221,7 +221,7 @@ def test_sparse_slopes_agree_with_dense_slopes(slip_noise):
     if slip_noise:
         return
     start = z + 0.3
-    dense = damped_gauss_newton(lambda z: residuals(problem, z), start)
+    dense = least_squares(lambda z: residuals(problem, z), start)
     ends = minima(problem, np.array([start]))
     np.testing.assert_allclose(ends.z[0], dense.z, atol=1e-6)
     np.testing.assert_allclose(ends.cost[0], dense.cost, rtol=1e-9)

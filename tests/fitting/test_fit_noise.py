@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tirefit.fitting.latent_slip import OFFSETS
+from tirefit.fitting.latent_slip import OFFSETS, slips_of_nodes
 from tirefit.fitting.noise import autocorrelation_time, effective_inflation, robust_scale
-from tirefit.fitting.slip_noise import slip_density, slip_distribution
+from tirefit.fitting.slip_noise import slip_density, slip_distribution, slip_knots
 
 
 def autoregressive(rho, n, seed):
@@ -89,11 +89,11 @@ def noisy_slips(n=4000, std=0.03, seed=4):
 
 
 def density_of(slip, std):
-    """Density at the middle nodes, from the measured slips alone."""
-    nodes = slip[:, None] + std[:, None] * OFFSETS
+    """Density at the measured slips, from these alone."""
+    nodes = slips_of_nodes(slip, std)
     known = np.exp(-(OFFSETS**2) / 2) * np.convolve(np.diff(OFFSETS), [0.5, 0.5])
-    found = slip_density(nodes, np.tile(known, (len(slip), 1)), std, np.ones(len(slip), bool))
-    return found[:, len(OFFSETS) // 2]
+    found = slip_density(slip_knots(slip, std), nodes, np.tile(known, (len(slip), 1)))
+    return found.at(slip)
 
 
 def test_slip_density_recovers_a_known_density():

@@ -14,7 +14,7 @@ from rig import MF52, MF61, NOISE, TIRES, Plan, family_of, measured, points, swe
 
 from tirefit.data.read import read_frame
 from tirefit.data.tir import read_tir
-from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.diagnose import diagnose
 from tirefit.fitting.mf import fit as fit_module
 from tirefit.fitting.mf.convert import converted
 from tirefit.fitting.mf.fit import fit_magic_formula

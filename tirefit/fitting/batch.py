@@ -14,7 +14,7 @@ from tirefit.data.write import csv_text
 from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.fitting.layout import FreeParameter, Layout
-from tirefit.fitting.least_squares import damped_gauss_newton
+from tirefit.fitting.least_squares import least_squares
 from tirefit.fitting.problem import find_model, guess_from_curve
 from tirefit.models import TireInputs
 from tirefit.params import Values, specs, with_values
@@ -121,10 +121,9 @@ def _solve_all(template, layout, slip, force, fz, v, axis, batch):
                 inputs = TireInputs(fz=fz, v=v)._replace(**{slip_name: slip})
                 return getattr(tire(inputs), axis)
 
-            values = (force - jax.vmap(at)(slip, fz, v)) / jnp.mean(fz)
-            return values, jnp.ones_like(values)
+            return (force - jax.vmap(at)(slip, fz, v)) / jnp.mean(fz), None
 
-        end = damped_gauss_newton(residual, _guess(template, layout, *data))
+        end = least_squares(residual, _guess(template, layout, *data))
         noise = end.cost / (slip.size - layout.size)
         slope = jax.jacfwd(layout.vector)(end.z)
         cov = slope @ jnp.linalg.inv(end.normal) @ slope.T * noise

@@ -21,6 +21,7 @@ from tirefit.fitting.identified import (
     profile_estimates,
 )
 from tirefit.fitting.layout import Tie
+from tirefit.fitting.least_squares import Solver, solver_name
 from tirefit.fitting.likelihood import FitProblem
 from tirefit.fitting.noise import noise_by_row
 from tirefit.fitting.profile import profile_all
@@ -169,7 +170,9 @@ def _config(config: FitConfig | dict | None, **changes) -> FitConfig:
     elif isinstance(config, dict):
         config = parse_config(config)
     given = {key: value for key, value in changes.items() if value is not None}
-    parse_config(given, "fit()")
+    written = {k: v for k, v in given.items() if k != "solver" or isinstance(v, str)}
+    parse_config(written, "fit()")
+    solver_name(given.get("solver", config.solver))
     return config.model_copy(update=given)
 
 
@@ -178,7 +181,7 @@ def fit(
     model: str | None = None,
     *,
     config: FitConfig | dict | None = None,
-    solver: str | None = None,
+    solver: Solver | None = None,
     seed: int | None = None,
 ) -> FitResult:
     """Fit a tire model by least squares, with covariance and profile intervals.
@@ -188,14 +191,15 @@ def fit(
             path, a frame, a mapping of column -> (n,) array.
         model: a name of ``tirefit.MODELS``; by default that of ``config``, or ``brush``.
         config: content of ``fit.toml`` as a dict or a ``FitConfig``.
-        solver: ``gauss-newton``; ``optimistix`` or ``jaxopt`` to check it.
+        solver: ``gauss-newton``; to check it, ``optimistix``, ``jaxopt`` or a least-squares
+            solver of optimistix. Profiles are by ``gauss-newton``.
         seed: of the random starts and of all sampling.
 
     Returns:
         The fit; ``sample`` adds the posterior.
 
     Raises:
-        UsageError: unknown model, parameter or option; or 32-bit floats in use.
+        UsageError: unknown model, parameter, solver or option; or 32-bit floats in use.
         DataError: missing columns that the model needs, or too few rows.
 
     Example:
@@ -204,6 +208,10 @@ def fit(
         >>> mu = found.parameters["mu"]
         >>> str(found.status), round(mu.value, 3), round(mu.std, 3)
         ('ok', 0.899, 0.001)
+        >>> import optimistix as optx
+        >>> checked = fit(swept.columns, solver=optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8))
+        >>> checked.solver, round(checked.parameters["mu"].value / mu.value, 6)
+        ('LevenbergMarquardt', 1.0)
     """
     require_x64("a fit")
     release_programs()
@@ -238,7 +246,7 @@ def _summarise(settled: Settled, data: TireData, config) -> FitResult:
         correlation=solved.covariance / np.outer(std, std),
         data=data_record(data, problem.n, settled.far),
         reference=reference_points(problem),
-        solver=config.solver,
+        solver=solver_name(config.solver),
         seed=config.seed,
         version=importlib.metadata.version("tirefit"),
         versions=_versions(),

@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.special import expit, logit
 
-from tirefit.fitting.inference import deviance_at, inflation, linearise
+from tirefit.fitting.inference import REACH, deviance_at, inflation, linearise
+from tirefit.fitting.least_squares import Normal, NormalEquations, on_host
 from tirefit.fitting.solve import Solved
 
 
@@ -111,65 +112,23 @@ _ENDLESS = 1e3  # multiple of the estimate above which a quantity has no end
 _NARROWED_ENDS = 12
 _ON_LEVEL = 2e-3  # distance from the level, in standard errors, that counts as there
 
-_ROUNDS = 100
-_FLATTEST = 1e-9  # curvature, and damping of it, below which a direction is flat
-
 _SETTLED = 1e-7
-"""Change of the deviance over the level below which a point has converged."""
+"""Decrease of the deviance by one more step, over the level, at a point that has converged."""
 
 
-def _settled(solved: Solved, quantity: Callable, share, target: float, spread: float):
+def _settled(solved: Solved, quantity: Callable, z, target: float, spread: float):
     """The minimum of deviance + ((quantity - target) / spread)^2, which has the smallest
-    deviance for its value of the quantity: (share, value, deviance). By Levenberg's
-    damping (1944), in shares of the range of each element."""
+    deviance for its value of the quantity: (z, value, deviance)."""
 
-    def at(share):
-        z, scale = logit(share), share * (1 - share)
+    def at(z) -> Normal:
         total, slope, curvature = _bowl(solved, z)
         value, pull = quantity(z)
         miss, pull = (value - target) / spread, pull / spread
-        return (
-            total + miss**2,
-            (slope + miss * pull) / scale,
-            (curvature + np.outer(pull, pull)) / np.outer(scale, scale),
-            value,
-            total,
-        )
+        return Normal(total + miss**2, curvature + np.outer(pull, pull), slope + miss * pull)
 
-    here, damping = at(share), 1e-3
-    for _ in range(_ROUNDS):
-        height, slope, curvature, *_ = here
-        trial = _damped(share, slope, curvature, damping)
-        there = at(trial)
-        if not there[0] < height:
-            damping *= 10
-            if damping > 1e8:
-                break
-            continue
-        share, here, damping = trial, there, max(damping / 5, _FLATTEST)
-        if height - here[0] < _SETTLED * solved.level:
-            break
-    return share, here[3], here[4]
-
-
-def _damped(share, slope, curvature, damping: float):
-    """The next shares; elements that would leave their range are held at its end."""
-    free, trial = np.ones(len(share), bool), share.copy()
-    for _ in range(len(share)):
-        part = curvature[np.ix_(free, free)]
-        # An element without effect is not changed.
-        size = np.sqrt(np.maximum(np.diag(part), _FLATTEST))
-        part = part / np.outer(size, size) + damping * np.eye(len(size))
-        trial[free] = share[free] - np.linalg.solve(part, slope[free] / size) / size
-        out = free & (_inside(trial) != trial)
-        if not out.any():
-            break
-        trial[out], free = _inside(trial[out]), free & ~out
-        # The contribution of held elements by their remaining distance.
-        slope = slope + curvature[:, out] @ (trial[out] - share[out])
-        if not free.any():
-            break
-    return trial
+    law = NormalEquations(0.0, _SETTLED * solved.level)
+    z = on_host(at, z, law, lower=-REACH, upper=REACH).z
+    return z, quantity(z)[0], _bowl(solved, z)[0]
 
 
 def _walked(solved: Solved, quantity: Callable, sign: int) -> float:
@@ -181,32 +140,32 @@ def _walked(solved: Solved, quantity: Callable, sign: int) -> float:
     std = float(np.sqrt(pull @ solved.covariance @ pull))
     spread = float(np.clip(std, 1e-3 * abs(first), 0.1 * abs(first)))
 
-    def reached(share, target):
+    def reached(z, target):
         """The point of convergence, its value, and the excess over the level, which is
         linear in the target if the deviance is quadratic."""
-        share, value, total = _settled(solved, quantity, share, target, spread)
-        return share, value, np.sqrt(max(total - base, 0.0)) - np.sqrt(solved.level)
+        z, value, total = _settled(solved, quantity, z, target, spread)
+        return z, value, np.sqrt(max(total - base, 0.0)) - np.sqrt(solved.level)
 
-    share, value, below = _inside(expit(solved.z)), first, -float(np.sqrt(solved.level))
+    z, value, below = solved.z, first, -float(np.sqrt(solved.level))
     inside, stride = float(first), 0.3 * spread
     for _ in range(_STRIDES):
         outside = inside + sign * stride
-        there, farther, above = reached(share, outside)
+        there, farther, above = reached(z, outside)
         if above > 0:
             break
         if not abs(farther) < _ENDLESS * abs(first):
             return float("nan")
-        share, value, inside, below, stride = there, farther, outside, above, 2 * stride
+        z, value, inside, below, stride = there, farther, outside, above, 2 * stride
     else:
         return float("nan")
     for _ in range(_NARROWED_ENDS):
         part = np.clip(below / (below - above), 0.1, 0.9)
         middle = inside + part * (outside - inside)
-        there, between, height = reached(share, middle)
+        there, between, height = reached(z, middle)
         if height > 0:
             outside, above = middle, height
         else:
-            share, value, inside, below = there, between, middle, height
+            z, value, inside, below = there, between, middle, height
         if abs(height) < _ON_LEVEL:
             return float(between)
     return float(value)

@@ -248,7 +248,7 @@ def _by_density(problem: FitProblem, at: Linearised, channel) -> Float[np.ndarra
     slip: it is not normal where the curve bends within the noise of the slip."""
     scale = problem.used(problem.rows.scale[channel.name])
     spread = np.log(at.variance[channel.name] / scale**2)
-    return np.sqrt(np.maximum(at.values[channel.slip] ** 2 - spread, 0.0))
+    return np.sqrt(np.maximum(at.unlikely[channel.slip] - spread, 0.0))
 
 
 def _limits(n: int, suspects: dict[int, FarValue], limit: float):

@@ -104,5 +104,5 @@ def minus_two_log_likelihood(solved: Solved) -> float:
         for channel in problem.block_channels(name):
             scale = problem.used(problem.rows.scale[channel.name])
             total += float(np.sum(np.log(2 * np.pi * scale**2)))
-        total += float(block @ block)
+        total += float(np.sum(solved.at.unlikely[name] if name in solved.at.unlikely else block**2))
     return total

@@ -12,6 +12,7 @@ Everything rests on one function of z, the *deviance* D(z) = -2 log L + 2 log L(
 from functools import partial
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.special import ndtri, stdtrit
 
 from tirefit.compiled import BRIEF
-from tirefit.fitting.least_squares import Solution, damped_gauss_newton, directions, solve
+from tirefit.fitting.least_squares import SOLVERS, Solver, directions, least_squares
 from tirefit.fitting.likelihood import FitProblem, Rule, blocks_and_moments, root_deviance
 from tirefit.params import Values
 
@@ -43,11 +44,6 @@ def residuals(
     return jnp.concatenate(values), jnp.concatenate(weights)
 
 
-def _within_reach(z: Float[Values, " p"]) -> Float[Array, " p"]:
-    """Clip z near a bound, where the bijection goes to infinity."""
-    return jnp.clip(z, -REACH, REACH)
-
-
 class Minima(NamedTuple):
     """Ends of several searches, in order: see :class:`least_squares.Solution`."""
 
@@ -58,9 +54,10 @@ class Minima(NamedTuple):
     steps: Int[Array, " m"]
 
 
-@jax.jit
-def _minima(problem: FitProblem, starts, index, values, count) -> Minima:
+@partial(jax.jit, static_argnames=("solver",))
+def _minima(problem: FitProblem, starts, index, values, count, arrays, solver) -> Minima:
     """:func:`minima` of the first ``count`` of m searches; the others are skipped."""
+    solver = eqx.combine(arrays, solver)
     blocks = len(problem.rules)
     elements = None
     if problem.layout.is_sparse:
@@ -71,11 +68,13 @@ def _minima(problem: FitProblem, starts, index, values, count) -> Minima:
         def held(z):
             return z.at[index[k]].set(values[k], mode="drop")
 
-        end = damped_gauss_newton(
+        end = least_squares(
             lambda z: residuals(problem, held(z)),
             starts[k],
+            solver,
             elements=elements,
-            allowed=_within_reach,
+            lower=-REACH,
+            upper=REACH,
         )
         z = held(end.z)
         here = Minima(z, end.cost, deviance(problem, z), end.converged, end.steps)
@@ -93,6 +92,7 @@ def minima(
     starts: Float[np.ndarray, "m p"],
     index: Int[np.ndarray, " m"] | None = None,
     values: Float[np.ndarray, " m"] | None = None,
+    solver: Solver = "gauss-newton",
 ) -> Minima:
     """Least squares from several starts, with one element of each held if requested.
 
@@ -102,7 +102,10 @@ def minima(
         starts: first z of every search.
         index: element that a search holds; None: none.
         values: value at which it is held.
+        solver: a name, or a least-squares solver of optimistix.
     """
+    # A solver with arrays in it cannot be hashed.
+    chosen = eqx.partition(SOLVERS.get(solver) if isinstance(solver, str) else solver, eqx.is_array)
     count, size = np.shape(starts)
     index = np.full(count, size) if index is None else index
     values = np.zeros(count) if values is None else values
@@ -116,26 +119,13 @@ def minima(
             np.asarray(index)[filled],
             np.asarray(values)[filled],
             len(rows),
+            *chosen,
         )
         parts.append(jax.tree.map(lambda a, n=len(rows): np.asarray(a)[:n], ends))
     return jax.tree.map(lambda *all: np.concatenate(all), *parts)
 
 
-@partial(jax.jit, static_argnames=("solver",))
-def _library_minima(problem: FitProblem, starts, solver: str) -> Solution:
-    return solve(partial(residuals, problem), starts, solver)
-
-
-def solve_starts(
-    problem: FitProblem, starts: Float[np.ndarray, "m p"], solver: str
-) -> Minima | Solution:
-    """Least squares from every start, by the named solver."""
-    if solver == "gauss-newton":
-        return minima(problem, starts)
-    return jax.tree.map(np.asarray, _library_minima(problem, starts, solver))
-
-
-def best_of(solution: Minima | Solution) -> int:
+def best_of(solution: Minima) -> int:
     """Index of the lowest finite cost, converged starts preferred."""
     cost = np.where(np.isfinite(solution.cost), solution.cost, np.inf)
     settled = np.where(solution.converged, cost, np.inf)
@@ -149,9 +139,10 @@ def _of_squares(rule: Rule, squares, library):
     """Deviance of a block from the sum of its squares."""
     squares = squares + rule.within
     known = squares / rule.inflation
-    safe = library.where(rule.smallest > 0, rule.smallest, 1.0)
-    estimated = rule.effective * library.log(squares / safe)
-    return library.where(rule.smallest > 0, estimated, known)
+    given = rule.smallest <= 0
+    # Both branches are evaluated: the logarithm of one where the noise is given.
+    ratio = library.where(given, 1.0, squares) / library.where(given, 1.0, rule.smallest)
+    return library.where(given, known, rule.effective * library.log(ratio))
 
 
 @jax.jit
@@ -170,6 +161,7 @@ class Linearised(NamedTuple):
     slopes: dict[str, Array]  # (n, p) by block
     mean: dict[str, Array]  # (n,) by force
     variance: dict[str, Array]  # (n,) by force
+    unlikely: dict[str, Array]  # (n,) by noisy slip: -2 log likelihood of the forces
 
 
 @partial(jax.jit, compiler_options=BRIEF)
@@ -177,8 +169,8 @@ def linearise(problem: FitProblem, z: Float[Values, " p"]) -> Linearised:
     """Residuals, slopes and moments at z, from one compiled program."""
 
     def everything(z):
-        values, mean, variance = blocks_and_moments(problem, z)
-        return values | {"prior": problem.layout.prior_residual(z)}, (mean, variance)
+        values, *rest = blocks_and_moments(problem, z)
+        return values | {"prior": problem.layout.prior_residual(z)}, rest
 
     def push(direction):
         return jax.jvp(everything, (z,), (direction,), has_aux=True)
@@ -191,13 +183,13 @@ def linearise(problem: FitProblem, z: Float[Values, " p"]) -> Linearised:
     elements = layout.elements_of(problem.rows.run)
     each = directions(elements, z.size) if layout.is_sparse else jnp.eye(z.size)
     # One pass of forward tangents, so that the model is compiled once.
-    values, slopes, (mean, variance) = jax.vmap(push, out_axes=(None, -1, None))(each)
+    values, slopes, rest = jax.vmap(push, out_axes=(None, -1, None))(each)
     if layout.is_sparse:
         slopes = {
             k: spread(v, layout.prior_elements if k == "prior" else elements)
             for k, v in slopes.items()
         }
-    return Linearised(values, slopes, mean, variance)
+    return Linearised(values, slopes, *rest)
 
 
 def deviance_at(problem: FitProblem, at: Linearised) -> float:
@@ -208,15 +200,24 @@ def deviance_at(problem: FitProblem, at: Linearised) -> float:
     )
 
 
-@partial(jax.jit, compiler_options=BRIEF)
-def hessian(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, "p p"]:
-    """Half the curvature of the sum of squares, priors included."""
+_STEP = 1e-4
+"""Of z, for central differences of the slope: their error is of its square."""
 
-    def half(z):
-        values, _ = residuals(problem, z)
-        return values @ values / 2
 
-    return jax.hessian(half)(z)
+def _curvature(problem: FitProblem, z: Float[Values, " p"]) -> Float[np.ndarray, "p p"]:
+    """Half the curvature of the deviance, priors included, from differences of its slope: a
+    program for the exact one takes longer to compile than the whole fit."""
+
+    def slope(z):
+        at, total = linearise(problem, z), np.zeros(len(z))
+        for name, values in at.values.items():
+            total += np.asarray(at.slopes[name]).T @ np.asarray(values) / inflation(problem, name)
+        return total
+
+    z = np.asarray(z)
+    steps = _STEP * np.eye(len(z))
+    rows = np.array([slope(z + step) - slope(z - step) for step in steps]) / (2 * _STEP)
+    return (rows + rows.T) / 2
 
 
 def covariance(
@@ -224,12 +225,12 @@ def covariance(
 ) -> Float[np.ndarray, "p p"]:
     """Covariance of z: the inverse of the curvature of the deviance.
 
-    The Gauss-Newton curvature J'J; with slip noise the exact Hessian, because the
+    The Gauss-Newton curvature J'J; with slip noise the Hessian, because the
     deviance is then not a sum of squares. Directions without information get the
     variance of a parameter spread over its whole range.
     """
     if problem.rows.nodes:
-        information = hessian(problem, z)
+        information = _curvature(problem, z)
     else:
         information = sum(
             slope.T @ slope / inflation(problem, name)

@@ -1,33 +1,45 @@
-"""Least squares: our Gauss-Newton, and optimistix and jaxopt to check it.
+"""Least squares: the solver of every fit, and solvers of other libraries in its place.
 
-The only importer of optimistix and jaxopt. All three minimise the sum of squares of a
-residual function and return the same record; :func:`damped_gauss_newton` also serves
-the profiles, the batches of fits and the refits of a diagnosis.
+The only importer of optimistix and jaxopt. :class:`NormalEquations` has the interface of
+optimistix: :func:`least_squares` runs it, or any other least-squares solver of that
+library, in a compiled program; :func:`on_host` runs it where NumPy code collects the
+normal equations of a large problem.
 """
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+import numpy as np
+import optimistix as optx
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int
+
+from tirefit.compiled import BRIEF
+from tirefit.params import Values
+from tirefit.results import UsageError
 
 TOLERANCE = 1e-9  # share of the cost that a step could change, at the end of a search
 MAX_STEPS = 200
 
 
 class Solution(NamedTuple):
-    """End of one start: estimate (p,), sum of squares, whether it converged, steps."""
+    """End of a search: z (p,), sum of squares, whether it converged, steps, and the normal
+    matrix (p, p) there, half the curvature of the sum; None from another library."""
 
-    z: Float[Array, " p"]
-    cost: Float[Array, ""]
-    converged: Bool[Array, ""]
-    steps: Int[Array, ""]
+    z: Any
+    cost: Any
+    converged: Any
+    steps: Any
+    normal: Any = None
 
 
-Residual = Callable[[Float[Array, " p"]], tuple[Float[Array, " n"], Float[Array, " n"]]]
-"""z (p,) -> (residuals, scoring weights), each (n,).
+Residual = Callable[[Float[Array, " p"]], tuple[Float[Array, " n"], Float[Array, " n"] | None]]
+"""z (p,) -> (residuals, scoring weights), each (n,); None: all weights are 1.
 
 The weight is 1 for an ordinary residual r. With a noisy slip the square of r is the
 deviance of a row: r has no sign and r'r no curvature. The weight is then r itself,
@@ -35,27 +47,6 @@ before any inflation, so that weight x slope is the gradient of the row's log
 likelihood, whose outer products estimate the information (Berndt, Hall, Hall & Hausman
 1974).
 """
-
-
-class Minimum(NamedTuple):
-    """End of :func:`damped_gauss_newton`: z (p,), its sum of squares, and the normal
-    matrix (p, p) there, half the curvature of the sum of squares."""
-
-    z: Float[Array, " p"]
-    cost: Float[Array, ""]
-    normal: Float[Array, "p p"]
-    converged: Bool[Array, ""]
-    steps: Int[Array, ""]
-
-
-class _State(NamedTuple):
-    best: Minimum
-    gradient: Float[Array, " p"]
-    trial: Float[Array, " p"]
-    damping: Float[Array, ""]
-    promised: Float[Array, ""]
-    done: Bool[Array, ""]
-
 
 FIRST_DAMPING = 1e-3
 """Share of the diagonal added to the normal matrix, before the first trial."""
@@ -70,9 +61,9 @@ GOOD, FAIR = 0.75, 0.25
 """Shares of the predicted decrease above which a trial is good, or fair."""
 
 EASE, EASE_A_LITTLE, STIFFEN = 1 / 10, 1 / 3, 2.0
-"""Factors of the damping after a good, a fair and any other trial. A factor of ten up
-and down oscillates at the edge of a valley: magic-formula on ``fits/cmu_wheel`` took
-all 200 trials from two of eight starts; with these it takes 51 to 80 from each."""
+"""Factors of the damping after a good, a fair and any other trial; the last is doubled at
+each further one. A factor of ten up and down oscillates at the edge of a
+valley: magic-formula on ``fits/cmu_wheel`` took all 200 trials from two of eight starts."""
 
 LEAST_DAMPING = 1e-9
 """A lower damping has no effect in rounding; this keeps a singular matrix solvable."""
@@ -86,6 +77,26 @@ NO_CURVATURE = 1e-9
 """Added to the diagonal, so that an element without information does not move."""
 
 
+class Normal(NamedTuple):
+    """Sum of squares at a point, half its curvature (p, p) and half its gradient (p,)."""
+
+    cost: Any
+    normal: Any
+    gradient: Any
+    beside: Any = 0.0
+    """Decrease of the sum by unknowns that were eliminated and move with the next trial."""
+
+
+class _State(NamedTuple):
+    best: Normal
+    trial: Any
+    damping: Any
+    stiffen: Any  # factor of the damping after the next refusal
+    promised: Any  # decrease by the trial, if the residuals are linear
+    done: Any
+    aux: Any
+
+
 def directions(elements: Int[Array, "n q"], size: int) -> Float[Array, "q size"]:
     """Tangents (q, size) that give all derivatives in q passes: a row depends on only q
     elements of z, one in each column of ``elements``."""
@@ -94,7 +105,7 @@ def directions(elements: Int[Array, "n q"], size: int) -> Float[Array, "q size"]
 
 
 def _linearise(residual: Residual, z: Float[Array, " p"], elements=None):
-    """Cost, normal matrix and gradient from one pass of forward tangents."""
+    """Normal equations, and the weights, from one pass of forward tangents."""
     each = jnp.eye(z.size) if elements is None else directions(elements, z.size)
 
     def push(direction):
@@ -103,21 +114,22 @@ def _linearise(residual: Residual, z: Float[Array, " p"], elements=None):
     values, rows, weights = jax.vmap(push, out_axes=(None, 0, None))(each)
     # Otherwise the compiler recomputes every tangent for each product.
     values, rows = jax.lax.optimization_barrier((values, rows))
-    weighted = rows * weights[None]
+    weighted = rows if weights is None else rows * weights[None]
     if elements is None:
-        return values @ values, weighted @ weighted.T, rows @ values
+        return Normal(values @ values, weighted @ weighted.T, rows @ values), weights
     pairs = weighted.T[:, :, None] * weighted.T[:, None, :]
     normal = jnp.zeros((z.size, z.size))
     normal = normal.at[elements[:, :, None], elements[:, None, :]].add(pairs)
     gradient = jnp.zeros(z.size).at[elements].add(rows.T * values[:, None])
-    return values @ values, normal, gradient
+    return Normal(values @ values, normal, gradient), weights
 
 
-def _anywhere(z: Float[Array, " p"]) -> Float[Array, " p"]:
-    return z
+def _gain(move, at: Normal):
+    """Predicted decrease of the cost if the residuals are linear."""
+    return at.beside - move @ (2 * at.gradient + at.normal @ move)
 
 
-def _after_step(z, normal, gradient, damping, allowed: Callable, longest: float):
+def _after_step(z, at: Normal, damping, allowed: Callable, longest):
     """z (p,) after one damped step in which no element moves by more than longest.
 
     Elements that would move further, or leave their range, are limited, and the step of
@@ -129,83 +141,130 @@ def _after_step(z, normal, gradient, damping, allowed: Callable, longest: float)
         asked = z + jnp.clip(move, -longest, longest)
         return allowed(asked), asked
 
-    size = jnp.diagonal(normal)
+    size = jnp.diagonal(at.normal)
     size = jnp.maximum(size, LEAST_SCALE * jnp.max(size)) + NO_CURVATURE
-    system = normal + damping * jnp.diag(size)
-    move = -jnp.linalg.solve(system, gradient)
+    system = at.normal + damping * jnp.diag(size)
+    move = -jnp.linalg.solve(system, at.gradient)
     reached, asked = limited(move)
     free = (reached == asked) & (jnp.abs(move) <= longest)
     fixed = jnp.where(free, 0.0, reached - z)
     system = jnp.where(free[:, None] & free[None, :], system, jnp.eye(z.size))
-    beside = jnp.where(free, -gradient - normal @ fixed, fixed)
+    beside = jnp.where(free, -at.gradient - at.normal @ fixed, fixed)
     return limited(jnp.linalg.solve(system, beside))[0]
 
 
-def _gain(move, normal, gradient):
-    """Predicted decrease of the cost if the residuals are linear."""
-    return -move @ (2 * gradient + normal @ move)
+class NormalEquations(optx.AbstractLeastSquaresSolver):
+    """Levenberg's method (1944) on the normal equations of some parameters, for optimistix.
 
+    optimistix's Levenberg-Marquardt factorises the Jacobian, and finds the same minimum. 512 fits
+    of 400 rows side by side took 34 us against 282 us a fit for the brush, and 0.83 against 5.7 ms
+    for the Magic Formula, in 5 to 6 steps against 14 to 15; it compiles in half of the time.
 
-def damped_gauss_newton(
-    residual: Residual,
-    start: Float[Array, " p"],
-    *,
-    elements: Int[Array, "n q"] | None = None,
-    allowed: Callable = _anywhere,
-    max_steps: int = MAX_STEPS,
-) -> Minimum:
-    """Levenberg-Marquardt on the normal equations of a handful of parameters.
-
-    Used because it is faster here than optimistix's Levenberg-Marquardt, which factorises the
-    Jacobian, at the same minimum. 512 fits of 400 rows, time per fit on two shared cores, median
-    costs equal to eight digits for the brush: under vmap (64 at once) 34 us against 282 us for the
-    brush and 0.83 ms against 5.7 ms for the Magic Formula; one after the other 53 against 211 us
-    and 0.28 against 0.55 ms. It takes 5 to 6 steps against 14 to 15, and half as long to compile
-    (0.8 to 1.5 s against 1.4 to 3.1 s).
-
-    Args:
-        residual: residuals and scoring weights; p up to about ten.
-        start: first z.
-        elements: elements of z that each residual depends on, or None for all.
-        allowed: maps a trial z to the nearest permitted one.
-        max_steps: largest number of trials, including the start.
-
-    A trial is accepted only if its cost is lower, so NaN is rejected. The start is the
+    The function may return (residuals, weights), with ``has_aux=True``: see :data:`Residual`. A
+    trial is accepted only if its sum of squares is lower, so NaN is rejected. The start is the
     first trial, so that the residuals are compiled only once.
+
+    Attributes:
+        rtol, atol: the search ends where an undamped step would lower the sum of squares by
+            less than this share of it, or this amount.
+        first_damping: before the first trial; a large one stays near the start.
+
+    Options:
+        lower, upper: smallest and largest z (p,) of a trial.
+        elements: (n, q) elements of z that each residual depends on; all if missing.
+
+    Example:
+        >>> import optimistix as optx
+        >>> def rosenbrock(z, _):
+        ...     return jnp.stack([10 * (z[1] - z[0] ** 2), 1 - z[0]])
+        >>> end = optx.least_squares(rosenbrock, NormalEquations(), jnp.array([-1.2, 1.0]))
+        >>> end.value.round(6)
+        Array([1., 1.], dtype=float64)
     """
 
-    def step(state: _State) -> _State:
-        best = state.best
-        cost, normal, gradient = _linearise(residual, state.trial, elements)
-        better, share = cost < best.cost, (best.cost - cost) / state.promised
+    rtol: float = TOLERANCE
+    atol: float = TOLERANCE**2
+    first_damping: float = FIRST_DAMPING
+    norm: Callable = eqx.field(default=optx.max_norm, static=True)  # of the interface, unused
 
-        def keep(new: Array, old: Array) -> Array:
-            return jnp.where(better, new, old)
-
-        z, cost = keep(state.trial, best.z), keep(cost, best.cost)
-        normal, gradient = keep(normal, best.normal), keep(gradient, state.gradient)
+    def begin(self, z: Float[Values, " p"], aux: Any = None) -> _State:
+        """State before the first trial, which is z."""
         # The start has no predicted decrease, so its share is infinite.
+        nothing = Normal(np.inf, np.eye(z.size), np.zeros(z.size), 0.0)
+        return _State(nothing, z, self.first_damping, STIFFEN, 1.0, False, aux)
+
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
+        aux = jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), aux_struct)
+        return jax.tree.map(jnp.asarray, self.begin(ravel_pytree(y)[0], aux))
+
+    def step(self, fn, y, args, options, state: _State, tags):
+        z, whole = ravel_pytree(y)
+
+        def residual(z):
+            values, weights = fn(whole(z), args)
+            return ravel_pytree(values)[0], weights
+
+        found, aux = _linearise(residual, state.trial, options.get("elements"))
+        better = found.cost < state.best.cost
+        aux = jax.tree.map(partial(jnp.where, better), aux, state.aux)
+        limits = options.get("lower"), options.get("upper")
+        z, state = self.advance(z, state._replace(aux=aux), found, *limits)
+        return whole(z), state, aux
+
+    def terminate(self, fn, y, args, options, state: _State, tags):
+        failed = state.done & ~jnp.isfinite(state.best.cost)
+        results = optx.RESULTS
+        return state.done, results.where(failed, results.nonfinite, results.successful)
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        return y, aux, {}
+
+    def advance(self, z, state: _State, found: Normal, lower=None, upper=None):
+        """(z, state) after the normal equations ``found`` at the trial: the better of trial
+        and z, the damping that follows from it, and the next trial."""
+        best = state.best
+        better, share = found.cost < best.cost, (best.cost - found.cost) / state.promised
+        keep = partial(jax.tree.map, partial(jnp.where, better))
+        z, best = keep(state.trial, z), keep(found, best)
         eased = jnp.where(share > GOOD, EASE, EASE_A_LITTLE)
         fair = better & (share > FAIR)
-        damping = state.damping * jnp.where(fair, eased, STIFFEN)
+        damping = state.damping * jnp.where(fair, eased, state.stiffen)
         damping = jnp.maximum(damping, LEAST_DAMPING)
-        ahead = z, normal, gradient
-        whole = _after_step(*ahead, LEAST_DAMPING, allowed, jnp.inf)
-        settled = jnp.abs(_gain(whole - z, normal, gradient)) <= (TOLERANCE * cost + TOLERANCE**2)
-        trial = _after_step(*ahead, damping, allowed, LONGEST_STEP)
-        promised = _gain(trial - z, normal, gradient)
-        done = settled | (damping > STUCK)
-        best = Minimum(z, cost, normal, done & jnp.isfinite(cost), best.steps + 1)
-        return _State(best, gradient, trial, damping, promised, done)
+        stiffen = jnp.where(fair, STIFFEN, 2 * state.stiffen)
+        limits = partial(jnp.clip, min=lower, max=upper)
+        whole = _after_step(z, best, LEAST_DAMPING, limits, jnp.inf)
+        settled = jnp.abs(_gain(whole - z, best)) <= self.rtol * best.cost + self.atol
+        trial = _after_step(z, best, damping, limits, LONGEST_STEP)
+        promised = _gain(trial - z, best)
+        return z, _State(
+            best, trial, damping, stiffen, promised, settled | (damping > STUCK), state.aux
+        )
 
-    def going(state: _State):
-        return ~state.done & (state.best.steps < max_steps)
 
-    size, no = start.size, jnp.array(False)
-    nothing = Minimum(start, jnp.array(jnp.inf), jnp.eye(size), no, jnp.array(0))
-    one = jnp.array(1.0)
-    first = _State(nothing, jnp.zeros(size), start, FIRST_DAMPING * one, one, no)
-    return jax.lax.while_loop(going, step, first).best
+_advance = jax.jit(NormalEquations.advance, compiler_options=BRIEF)
+
+
+def on_host(
+    linearise: Callable[[np.ndarray], Normal],
+    start: Float[Values, " p"],
+    solver: NormalEquations | None = None,
+    *,
+    lower: Values | float | None = None,
+    upper: Values | float | None = None,
+    max_steps: int = MAX_STEPS,
+) -> Solution:
+    """Least squares from ``start`` (p,), of a function that gives the normal equations."""
+    solver, z, steps = solver or NormalEquations(), np.asarray(start, float), 0
+    state = solver.begin(z)
+    while steps < max_steps and not state.done:
+        found = linearise(np.asarray(state.trial))
+        # One type of every number: one compiled program.
+        known = jax.tree.map(np.asarray, (z, state, found))
+        z, state = _advance(solver, *known, lower, upper)
+        steps += 1
+    cost = float(state.best.cost)
+    ended = bool(state.done) and np.isfinite(cost)
+    return Solution(np.asarray(z), cost, ended, steps, np.asarray(state.best.normal))
 
 
 def _ordinary(residual: Residual, start) -> Callable:
@@ -215,7 +274,7 @@ def _ordinary(residual: Residual, start) -> Callable:
     a constant, and near the start Gauss-Newton has the curvature of scoring.
     """
     first, weights = residual(start)
-    deviance_row = weights != 1.0
+    deviance_row = False if weights is None else weights != 1.0
 
     def ordinary(z):
         values, _ = residual(z)
@@ -227,27 +286,7 @@ def _ordinary(residual: Residual, start) -> Callable:
     return ordinary
 
 
-def _optimistix(residual: Residual, start) -> Solution:
-    import optimistix as optx  # slow to import, and for this solver alone
-
-    ordinary = _ordinary(residual, start)
-    solver: optx.LevenbergMarquardt[Array, Array, Any] = optx.LevenbergMarquardt(
-        rtol=1e-8, atol=1e-8
-    )
-    solution: optx.Solution[Array, Any] = optx.least_squares(
-        lambda z, _: ordinary(z), solver, start, max_steps=MAX_STEPS, throw=False
-    )
-    values, _ = residual(solution.value)
-    return Solution(
-        solution.value,
-        values @ values,
-        jnp.asarray(solution.result == optx.RESULTS.successful),
-        solution.stats["num_steps"],
-    )
-
-
-def _jaxopt(residual: Residual, start) -> Solution:
-    ordinary = _ordinary(residual, start)
+def _jaxopt(residual: Callable, start):
     with warnings.catch_warnings():
         # jaxopt announces at import that it is no longer maintained.
         warnings.simplefilter("ignore")
@@ -256,28 +295,70 @@ def _jaxopt(residual: Residual, start) -> Solution:
         # Its accepted and rejected steps are blended by multiplication, so a single
         # non-finite residual would stall it for good.
         solver = jaxopt.LevenbergMarquardt(
-            residual_fun=lambda z: jnp.nan_to_num(ordinary(z), nan=1e6, posinf=1e6),
+            residual_fun=lambda z: jnp.nan_to_num(residual(z), nan=1e6, posinf=1e6),
             maxiter=MAX_STEPS,
             tol=1e-6,
             xtol=1e-10,
             gtol=1e-6,
         )
         z, state = solver.run(start)
+    return z, state.iter_num < MAX_STEPS, state.iter_num
+
+
+Solver = optx.AbstractLeastSquaresSolver | str
+SOLVERS: dict[str, Solver] = {
+    "gauss-newton": NormalEquations(),
+    "optimistix": optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8),
+    "jaxopt": "jaxopt",
+}
+"""Solver by its name in ``fit.toml``; the last has another interface."""
+
+
+def solver_name(solver: object) -> str:
+    """Name of a solver in results.
+
+    Raises:
+        UsageError: neither a name nor a least-squares solver of optimistix.
+    """
+    if isinstance(solver, str) and solver in SOLVERS:
+        return solver
+    if isinstance(solver, optx.AbstractLeastSquaresSolver):
+        return type(solver).__name__
+    given = solver.__name__ + " itself" if isinstance(solver, type) else repr(solver)
+    remedy = f"valid: {', '.join(SOLVERS)}, or a least-squares solver of optimistix"
+    raise UsageError(
+        f"solver is {given}", remedy + ", such as optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8)"
+    )
+
+
+def least_squares(
+    residual: Residual,
+    start: Float[Array, " p"],
+    solver: Solver = "gauss-newton",
+    max_steps: int = MAX_STEPS,
+    **options: Any,
+) -> Solution:
+    """Least squares from a start, by any solver; can be compiled and vmapped.
+
+    Args:
+        residual: residuals and scoring weights.
+        start: first z.
+        solver: a name of :data:`SOLVERS`, or a least-squares solver of optimistix.
+        max_steps: largest number of trials, including the start.
+        options: of :class:`NormalEquations`.
+    """
+    chosen: Any = SOLVERS[solver] if isinstance(solver, str) else solver
+    own = isinstance(chosen, NormalEquations)
+    function: Any = residual if own else _ordinary(residual, start)
+    if isinstance(chosen, str):
+        z, converged, steps = _jaxopt(function, start)
+    else:
+        settings: Any = {"options": options, "has_aux": own, "max_steps": max_steps, "throw": False}
+        end: Any = optx.least_squares(lambda z, _: function(z), chosen, start, **settings)
+        converged = jnp.asarray(end.result == optx.RESULTS.successful)
+        z, steps = end.value, end.stats["num_steps"]
+        if own:
+            return Solution(z, end.state.best.cost, converged, steps, end.state.best.normal)
     values, _ = residual(z)
     cost = values @ values
-    converged = jnp.isfinite(cost) & (state.iter_num < MAX_STEPS)
-    return Solution(z, cost, converged, state.iter_num)
-
-
-def _gauss_newton(residual: Residual, start) -> Solution:
-    end = damped_gauss_newton(residual, start)
-    return Solution(end.z, end.cost, end.converged, end.steps)
-
-
-SOLVERS = {"gauss-newton": _gauss_newton, "optimistix": _optimistix, "jaxopt": _jaxopt}
-"""Solver name -> (residual, start) -> Solution; each can be vmapped over starts."""
-
-
-def solve(residual: Residual, starts, solver: str) -> Solution:
-    """All starts at once; every field has a leading axis (starts,)."""
-    return jax.vmap(lambda start: SOLVERS[solver](residual, start))(starts)
+    return Solution(z, cost, converged & jnp.isfinite(cost), steps)

@@ -19,12 +19,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from tirefit.compiled import BRIEF
-from tirefit.fitting.latent_slip import SlipNodes, integrals, node_weights, places, shifts, unbent
+from tirefit.fitting.latent_slip import SlipNodes, integrals, node_weights, unbent
 from tirefit.fitting.layout import Layout
-from tirefit.fitting.least_squares import directions
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.params import Values, with_values
 
@@ -87,18 +86,16 @@ class Rule(NamedTuple):
     within: Float[Array, ""] | float = 0.0  # sum of squares within cells, to be added
 
 
-class Curvature(NamedTuple):
-    """How rows with noisy slips enter the deviance, so that its curvature at the estimate is
-    the inverse of the scatter of the estimate.
+class Widened(NamedTuple):
+    """A map of z by which the deviance of rows with noisy slips has the curvature of the
+    profile over the density of the slips, although it is computed with a fixed density.
 
-    If ``compared`` is true, the rows are compared with the model at centre + matrix (z -
-    centre) (Chandler and Bate, Biometrika 94, 2007); otherwise the squares of matrix (z -
-    centre) are their deviance.
+    The rows are compared with the model at centre + matrix (z - centre) (Chandler and Bate,
+    Biometrika 94, 2007).
     """
 
     centre: Float[Array, " p"]
     matrix: Float[Array, "p p"]
-    compared: Bool[Array, ""]
 
 
 class FitProblem(eqx.Module):
@@ -115,7 +112,7 @@ class FitProblem(eqx.Module):
     layout: Layout = eqx.field(static=True)
     channels: tuple[Channel, ...] = eqx.field(static=True)
     loss: str = eqx.field(static=True)
-    curvature: "Curvature | None" = None
+    widened: Widened | None = None
 
     @property
     def n(self) -> int:
@@ -148,10 +145,9 @@ class FitProblem(eqx.Module):
 
     def compared_at(self, z: Float[Values, " p"]) -> Float[Values, " p"]:
         """The z at which the model is compared with the rows."""
-        if self.curvature is None:
+        if self.widened is None:
             return z
-        centre, matrix, compared = self.curvature
-        return jnp.where(compared, centre + matrix @ (z - centre), z)
+        return self.widened.centre + self.widened.matrix @ (z - self.widened.centre)
 
     def used(self, array) -> np.ndarray:
         """An array over padded rows without its padding, shape (n,)."""
@@ -215,13 +211,6 @@ def _forces_at(problem: FitProblem, z, slip: str, slips) -> dict[str, Float[Arra
     return jax.vmap(at, in_axes=1, out_axes=1)(slips)
 
 
-def _slips(problem: FitProblem, z, slip: str) -> Float[Array, "n q"]:
-    """True slips of the nodes at z."""
-    rows = problem.rows
-    own = z[problem.layout.elements_of(rows.run)]
-    return places(rows.nodes[slip], own, rows.slip_std[slip])
-
-
 def _channel_forces(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Array]:
     """Forces by channel: (n,), or (n, q) at the latent slips where there are some."""
     nodes = problem.rows.nodes
@@ -230,43 +219,64 @@ def _channel_forces(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Ar
     # Channels are always forces that the model computes.
     forces = {k: v for k, v in predicted.items() if k in plain and v is not None}
     for slip in nodes:
-        forces |= _forces_at(problem, z, slip, _slips(problem, z, slip))
+        forces |= _forces_at(problem, z, slip, nodes[slip].slip)
     return forces
 
 
-def _node_likelihood(problem: FitProblem, z, forces, slip: str):
-    """:func:`latent_slip.integrals` of the forces at the nodes of one noisy slip."""
-    rows = problem.rows
-    measured, std = getattr(rows.inputs, slip)[:, None], rows.slip_std[slip][:, None]
-    place = (_slips(problem, z, slip) - measured) / std
+def _places(rows: Rows, slip: str) -> Float[Array, "n q"]:
+    """Nodes from the measured slip, in its standard deviations."""
+    measured = getattr(rows.inputs, slip)[:, None]
+    return (rows.nodes[slip].slip - measured) / rows.slip_std[slip][:, None]
+
+
+def _slip_likelihoods(problem: FitProblem, forces, slip: str):
+    """Logs (n,) of the likelihood of the forces and the measured slip, and of the forces
+    alone (None where that is not needed); the weights of the nodes in the first."""
+    rows, nodes = problem.rows, problem.rows.nodes[slip]
+    place = _places(rows, slip)
     residuals = [
-        (rows.observed[name][:, None] - unbent(forces[name])) / rows.scale[name][:, None]
+        (rows.observed[name][:, None] - unbent(forces[name], place)) / rows.scale[name][:, None]
         for name in (c.name for c in problem.channels if c.slip == slip)
     ]
-    return integrals(place, residuals)
+
+    def log_of(factor, weight):
+        return factor + jnp.log(jnp.sum(weight * nodes.density, axis=1))
+
+    log, weight = integrals(place, residuals)
+    of_force = None
+    if nodes.of_force is not None:
+        of_force = log_of(*integrals(place, residuals, measured=False))
+    return log_of(log, weight), of_force, weight
+
+
+def _log_of_slip(rows: Rows, slip: str):
+    """Log of the density (n,) of the measured slips."""
+    return jnp.log(jnp.sum(node_weights(_places(rows, slip)) * rows.nodes[slip].density, axis=1))
 
 
 @partial(jax.jit, compiler_options=BRIEF)
-def slip_information(problem: FitProblem, z: Float[Values, " p"]):
-    """By noisy slip: the results of :func:`latent_slip.shifts` at z, and the likelihoods of
-    the nodes (n, q) by the force and the measured slip."""
-    rows, found = problem.rows, {}
-    elements = problem.layout.elements_of(rows.run)
-    for slip, nodes in rows.nodes.items():
+def slip_weights(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Float[Array, "n q"]]:
+    """Likelihood of each row for a true slip at each node, times the width of the node and
+    up to a factor of the row, by noisy slip."""
+    forces = _channel_forces(problem, z)
+    return {slip: _slip_likelihoods(problem, forces, slip)[2] for slip in problem.rows.nodes}
+
+
+@partial(jax.jit, compiler_options=BRIEF)
+def steepness(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""]:
+    """Largest change of a force for one standard deviation of its slip, in standard
+    deviations of the force."""
+    rows, most = problem.rows, jnp.zeros(())
+    for slip, std in rows.slip_std.items():
+        here = getattr(rows.inputs, slip)[:, None]
         along = partial(_forces_at, problem, z, slip)
-        forces, slope = jax.jvp(along, (nodes.slip,), (jnp.ones_like(nodes.slip),))
-
-        def push(direction, slip=slip, nodes=nodes):
-            at = partial(_forces_at, problem, slip=slip, slips=nodes.slip)
-            return jax.jvp(at, (z,), (direction,))[1]
-
-        change = jax.vmap(push, out_axes=-1)(directions(elements, z.size))
-        shift, known = shifts(rows.slip_std[slip], slope, change, rows.scale)
-        found[slip] = shift, known, _node_likelihood(problem, z, forces, slip)[1]
-    return found
+        _, slopes = jax.jvp(along, (here,), (std[:, None],))
+        for name, slope in slopes.items():
+            most = jnp.maximum(most, jnp.max(jnp.abs(slope[:, 0]) / rows.scale[name]))
+    return most
 
 
-def _blocks(problem: FitProblem, z, forces) -> dict[str, Float[Array, " n"]]:
+def _blocks(problem: FitProblem, forces) -> dict[str, Float[Array, " n"]]:
     """:func:`root_deviance` of known forces."""
     rows, loss = problem.rows, LOSSES[problem.loss]
     blocks: dict[str, Array] = {}
@@ -275,29 +285,23 @@ def _blocks(problem: FitProblem, z, forces) -> dict[str, Float[Array, " n"]]:
         if problem.block_of(channel) == name:
             residual = (rows.observed[name] - forces[name]) / rows.scale[name]
             blocks[name] = rows.weight * _signed_root(loss, residual, problem.loss)
-    for slip, nodes in rows.nodes.items():
-        log, weight = _node_likelihood(problem, z, forces, slip)
-        log_row = log + jnp.log(jnp.sum(weight * nodes.density, axis=1))
-        known = node_weights(rows.slip_std[slip])
-        log_most = jnp.log(jnp.sum(known * nodes.density, axis=1))
+    for slip in rows.nodes:
+        log_row, log_force, _ = _slip_likelihoods(problem, forces, slip)
+        # The largest value of the likelihood, so that no deviance is negative.
+        log_most = _log_of_slip(rows, slip) if log_force is None else log_force
         # The floor keeps the slope of the root finite for a perfect row.
         row_deviance = jnp.maximum(2 * (log_most - log_row), 1e-12)
         blocks[slip] = rows.weight * jnp.sqrt(loss(row_deviance))
     return blocks
 
 
-def _as_curved(problem: FitProblem, z, blocks):
-    """The blocks, or squares of the curvature where those are the deviance."""
-    if problem.curvature is None:
-        return blocks
-    centre, matrix, compared = problem.curvature
-    found, first = {}, next(iter(problem.rows.nodes))
-    for name, block in blocks.items():
-        square = jnp.zeros_like(block)
-        if name == first:
-            square = square.at[: z.size].set(matrix @ (z - centre))
-        found[name] = jnp.where(compared, block, square)
-    return found
+def _unlikely(problem: FitProblem, forces) -> dict[str, Float[Array, " n"]]:
+    """-2 log likelihood of the forces given the measured slip, over its smallest value."""
+    rows = problem.rows
+    return {
+        slip: 2 * (_log_of_slip(rows, slip) - _slip_likelihoods(problem, forces, slip)[0])
+        for slip in rows.nodes
+    }
 
 
 def _moments(problem: FitProblem, forces):
@@ -307,7 +311,7 @@ def _moments(problem: FitProblem, forces):
         name, force = channel.name, forces[channel.name]
         mean[name], variance[name] = force, rows.scale[name] ** 2
         if channel.slip in rows.nodes:
-            weight = rows.nodes[channel.slip].density * node_weights(rows.slip_std[channel.slip])
+            weight = rows.nodes[channel.slip].density * node_weights(_places(rows, channel.slip))
             weight = weight / jnp.sum(weight, axis=1, keepdims=True)
             mean[name] = jnp.sum(weight * force, axis=1)
             spread = jnp.sum(weight * (force - mean[name][:, None]) ** 2, axis=1)
@@ -324,7 +328,7 @@ def root_deviance(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Floa
         noise (its channels share the latent slip). Padding rows are zero.
     """
     there = problem.compared_at(z)
-    return _as_curved(problem, z, _blocks(problem, there, _channel_forces(problem, there)))
+    return _blocks(problem, _channel_forces(problem, there))
 
 
 @partial(jax.jit, compiler_options=BRIEF)
@@ -337,11 +341,9 @@ def moments(problem: FitProblem, z: Float[Values, " p"]):
 
 
 def blocks_and_moments(problem: FitProblem, z: Float[Values, " p"]):
-    """:func:`root_deviance` and :func:`moments` from one evaluation."""
-    there = problem.compared_at(z)
-    forces = _channel_forces(problem, there)
-    blocks = _as_curved(problem, z, _blocks(problem, there, forces))
-    return blocks, *_moments(problem, forces)
+    """:func:`root_deviance`, :func:`moments` and :func:`_unlikely` from one evaluation."""
+    forces = _channel_forces(problem, problem.compared_at(z))
+    return _blocks(problem, forces), *_moments(problem, forces), _unlikely(problem, forces)
 
 
 def row_moments(problem: FitProblem, z) -> tuple[dict, dict]:
@@ -365,8 +367,10 @@ def noise_factor(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""
 
     def objective(log_factor):
         scale = {k: v * jnp.exp(log_factor) for k, v in rows.scale.items()}
-        blocks = root_deviance(replace(problem, rows=rows._replace(scale=scale)), z)
-        squares = sum(jnp.sum(block**2) for block in blocks.values())
+        # The likelihood of the slips for the forces says little of the noise of the forces.
+        nodes = {k: v._replace(of_force=None) for k, v in rows.nodes.items()}
+        there = replace(problem, rows=rows._replace(scale=scale, nodes=nodes))
+        squares = sum(jnp.sum(block**2) for block in root_deviance(there, z).values())
         return squares / 2 + jnp.sum(rows.weight) * len(problem.channels) * log_factor
 
     def step(_, log_factor):

@@ -50,76 +50,97 @@ _STEPS, _STEPS_AFTER = 200, 60
 _MOST_STANDING = 40
 
 
-_ENOUGH = 4000  # rows that give a distribution as well as more do
+_ENOUGH = 4000
+"""Rows from which a diagnosis estimates a distribution: more rows change it little."""
 _KNOTS = 30
+"""Knots of a density. In 24 files each of 400 rows with five levels of noise, estimates with
+them scattered by 0.93 to 1.03 of those with the true density."""
 _BESIDE = 2.0
 """Slip standard deviations from the outermost measured slips to the outermost knots."""
-_WEAKEST = 0.01
-"""Curvature of the log density that is always penalised: without it a step test would give a
-density of single peaks, which does not change for any distance from them."""
-_FLOOR = 1e-9  # density over the largest one, so that no slip is impossible
+SMOOTH, SMOOTH_STEEP = 10.0, 1.0
+"""Weights of the squared second differences of the log density, where it is profiled and
+where slips are judged for the forces. A weight estimated for each file falls to nothing where
+a rig holds set points, and the profiled estimates then scatter by twice as much. For steep
+forces only the part matters where the curve saturates, into which a smooth density extends:
+of friction at 20 N and 0.02 rad, 16 files of a sine are off by 0.007 with 10, 0.003 with 1."""
+_WEAK = 0.01
+"""Weight of the squared log density, so that it is finite where there are no slips."""
+_FLOOR = 1e-9
+"""Density over its largest value, so that no slip is impossible."""
+_SETTLED = 1e-6  # gain in log likelihood of the last step
+_MOST_STEPS, _HALVINGS = 50, 8
 
 
-def slip_density(nodes, likelihood, std, counted):
-    """Density of the true slips at possible values (n, q) of n rows, up to a factor.
+def slip_knots(slip, std) -> np.ndarray:
+    """Knots (k,) of the density of the true slips of measured ones (n,)."""
+    beside = _BESIDE * std
+    return np.linspace(np.min(slip - beside), np.max(slip + beside), _KNOTS)
 
-    The logarithm of the density is piecewise linear over its knots. It is the most likely
-    one with a penalty on its second differences, whose weight has the largest marginal
-    likelihood (Wood and Fasiolo, Biometrics 73, 2017).
+
+class SlipDensity(NamedTuple):
+    """A density over knots, and the slopes (n, k) of the log likelihood of each row over the
+    logarithms of its heights; ``penalty`` (k, k) is half the curvature of their prior."""
+
+    knots: np.ndarray
+    heights: np.ndarray
+    scores: np.ndarray
+    penalty: np.ndarray
+
+    def at(self, slips) -> np.ndarray:
+        """Density at slips of any shape."""
+        found = np.interp(slips, self.knots, self.heights, left=0.0, right=0.0)
+        return found + _FLOOR * self.heights.max()
+
+    def profiled(self, scores) -> np.ndarray:
+        """Information (p, p) on parameters that is left if the density is unknown, from the
+        slopes (n, p) of the log likelihood of the rows over these parameters."""
+        mixed = self.scores.T @ scores
+        inner = self.scores.T @ self.scores + self.penalty
+        return scores.T @ scores - mixed.T @ np.linalg.solve(inner, mixed)
+
+
+def slip_density(knots, nodes, weights, smooth: float = SMOOTH) -> SlipDensity:
+    """The density of the true slips of a file: penalised maximum likelihood.
 
     Args:
+        knots: (k,) rising, equally spaced. The density is linear between them.
         nodes: (n, q) possible true slips of each row.
-        likelihood: (n, q) of each, by all that was measured in the row.
-        std: (n,) slip noise; the outermost knots lie beyond the middle nodes by it.
-        counted: (n,) bool, the rows that were measured; others are only evaluated.
+        weights: (n, q) of each, by the force and the measured slip of the row.
+        smooth: weight of the penalty on a log density that is not straight.
     """
-    middle = nodes[counted, nodes.shape[1] // 2]
-    low = np.min(middle - _BESIDE * std[counted])
-    high = np.max(middle + _BESIDE * std[counted])
-    spacing = max((high - low) / (_KNOTS - 1), 1e-300)
-    place = np.clip((nodes - low) / spacing + 1, 0.0, _KNOTS + 1 - 1e-9)
-    below = place.astype(int)
-    beyond = place - below
-    some = np.flatnonzero(counted)
-    some = some[:: max(len(some) // _ENOUGH, 1)]
-    parts, rows = np.zeros((len(some), _KNOTS + 2)), np.arange(len(some))[:, None]
-    np.add.at(parts, (rows, below[some]), (likelihood * (1 - beyond))[some])
-    np.add.at(parts, (rows, below[some] + 1), (likelihood * beyond)[some])
-    heights = np.pad(_smooth_weights(parts[:, 1:-1]), 1)
-    density = heights[below] * (1 - beyond) + heights[below + 1] * beyond
-    return density + _FLOOR * heights.max()
-
-
-def _smooth_weights(parts):
-    """Weights (k,) of the parts of a density, from the likelihood (n, k) of each row for
-    each: penalised maximum likelihood."""
-    count = parts.shape[1]
+    count, spacing = len(knots), knots[1] - knots[0]
+    place = np.clip((nodes - knots[0]) / spacing + 1, 0.0, count + 1 - 1e-9)
+    below, rows = place.astype(int), np.arange(len(nodes))[:, None]
+    parts = np.zeros((len(nodes), count + 2))
+    np.add.at(parts, (rows, below), weights * (below + 1 - place))
+    np.add.at(parts, (rows, below + 1), weights * (place - below))
+    parts = parts[:, 1:-1]
+    # A row without likelihood at any knot (an outlier) says nothing of the density.
     parts = parts / np.maximum(parts.max(axis=1, keepdims=True), 1e-300) + 1e-12
     bend = np.diff(np.eye(count), 2, axis=0)
-    penalty, ridge, strength = bend.T @ bend, 0.01 * np.eye(count), 1.0
+    penalty = smooth * bend.T @ bend + _WEAK * np.eye(count)
     log = np.zeros(count)
 
     def value(log):
-        fit = np.sum(np.log(parts @ _shares(log)))
-        return fit - log @ (strength * penalty + ridge) @ log / 2
+        return np.sum(np.log(parts @ _shares(log))) - log @ penalty @ log / 2
 
-    for _ in range(_STEPS):
-        before, total = log, strength * penalty + ridge
-        share = _shares(log)
-        each = parts * share
-        each = each / each.sum(axis=1, keepdims=True) - share
-        inverse = np.linalg.inv(each.T @ each + total + 1e-6 * np.eye(count))
-        step = inverse @ (each.sum(axis=0) - total @ log)
-        tries = [log + step / 2**k for k in range(6)]
-        best = max([log, *tries], key=value)
-        log = best
-        settled = np.max(np.abs(log - before)) < 1e-3
-        last = strength
-        used = count - 2 - strength * np.trace(inverse @ penalty)
-        strength = np.clip(used / max(log @ penalty @ log, 1e-12), _WEAKEST, 1e6)
-        if settled and abs(np.log(strength / last)) < 1e-2:
+    best = value(log)
+    for _ in range(_MOST_STEPS):
+        scores = _scores(parts, log)
+        step = np.linalg.solve(scores.T @ scores + penalty, scores.sum(axis=0) - penalty @ log)
+        before, tries = best, [log + step / 2**k for k in range(_HALVINGS)]
+        log = next((new for new in tries if value(new) > before), log)
+        best = value(log)
+        if best - before < _SETTLED:
             break
-    return _shares(log)
+    return SlipDensity(knots, _shares(log), _scores(parts, log), penalty)
+
+
+def _scores(parts, log):
+    """Slopes (n, k) of the log likelihood of the rows over the logarithms of the shares."""
+    share = _shares(log)
+    each = parts * share
+    return each / each.sum(axis=1, keepdims=True) - share
 
 
 def _shares(log):
