@@ -27,7 +27,7 @@ from test_cli_fit import FAST, write
 
 from tirefit.cli.options import complain, say
 from tirefit.cli.output import claimed, staged
-from tirefit.diagnosis import engine
+from tirefit.diagnosis import diagnose as engine
 from tirefit.files import took_lock, write_texts
 
 LOG = ("sigma_x,fx,fz,v,time", *(f"{0.0005 * k},{50 * k},4000,20,{k / 100}" for k in range(60)))
@@ -187,17 +187,13 @@ def test_a_failed_write_leaves_the_file_unchanged(run, inputs, tmp_path, name):
         assert "File too large; nothing was written\n" in result.stderr
         assert ("samples kept" in result.stdout) == (name == "derive")  # its report
         assert there(tmp_path) == inputs
-    for file in ("o.csv", "truth.csv"):
-        (tmp_path / file).write_text("old")
-    if name == "convert":  # which replaces only a file of its own
-        (tmp_path / "o.csv").unlink()
-        run(*INTO_FILES[name], "--out", "o.csv")
-    old = (tmp_path / "o.csv").read_text()
+    run(*INTO_FILES[name], "--out", "o.csv")  # a command replaces only files of its own
+    before = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
     with files_of_at_most(64):
         result = run(*INTO_FILES[name], "--out", "o.csv", exit_code=2)
     assert "File too large; it is as it was before\n" in result.stderr
-    assert (tmp_path / "o.csv").read_text() == old
-    assert there(tmp_path) == sorted([*inputs, "o.csv", "truth.csv"])
+    assert before == {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+    assert {*there(tmp_path)} >= {*inputs, "o.csv"}
 
 
 # --- permissions ----------------------------------------------------------------

@@ -14,7 +14,7 @@ from test_cli_tutorials import undocumented
 from typer.testing import CliRunner
 
 from tirefit.cli.commands import app
-from tirefit.diagnosis import engine
+from tirefit.diagnosis import diagnose as engine
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.summary.forecast import separability
 from tirefit.results import DataError, InputProblem
@@ -177,7 +177,7 @@ def test_several_workers_give_the_result_of_one_process(
 def test_the_summary_gives_a_remedy(studied):
     report = " ".join(studied[1].stdout.split())
     assert "DIAGNOSIS of offset against brush" in report
-    assert "The gap comes from slip offset. Probability" in report
+    assert "The gap comes from slip offset (" in report
     assert "slip offset (slip_offset): 0.00" in report
     assert "check the rolling radius" in report
     assert "The gap comes from load friction" in report and "fit brush-load" in report
@@ -189,7 +189,7 @@ def test_the_document_satisfies_the_schema(studied):
     document = json.loads(text)
     assert undocumented(studied[0] / "out" / "offset.json") == []
     assert "NaN" not in text and "Infinity" not in text
-    assert document["schema"] == "tirefit.diagnosis/3"
+    assert document["schema"] == "tirefit.diagnosis/4"
     assert {
         "schema", "data", "model", "n", "n_effective", "noise", "gap", "where",
         "budget", "simulator", "verdict", "candidates", "untestable", "resolution",
@@ -269,9 +269,9 @@ def test_the_page_contains_the_document(studied):
     record = html.unescape(page.split("<pre>")[1].split("</pre>")[0])
     document = json.loads((folder / "out" / "load.json").read_text())
     assert json.loads(record) == document
-    assert "The gap comes from load friction" in page and "://" not in page
-    probability = document["verdict"]["probability"]
-    assert f"Probability {probability:.2f} of exactly this effect" in page
+    assert "://" not in page
+    probability = document["verdict"]["each"]["load_friction"]["probability"]
+    assert f"The gap comes from load friction ({probability:.2f})" in page
     picture = (folder / "out" / "load.png").read_bytes()
     assert picture.startswith(b"\x89PNG") and len(picture) > 30_000
 
@@ -400,7 +400,7 @@ def test_resume_repeats_a_case_with_an_empty_file(again, calls, tmp_path, name):
     assert calls == ["load"]
 
 
-@pytest.mark.parametrize("text", ["", '{"schema": "tirefit.diagnosis/3"}'])
+@pytest.mark.parametrize("text", ["", '{"schema": "tirefit.diagnosis/4"}'])
 def test_resume_repeats_a_case_with_a_corrupt_document(again, calls, tmp_path, text):
     (tmp_path / "out" / "load.json").write_text(text)
     again("load.csv", "--resume", exit_code=3)
@@ -624,7 +624,8 @@ def test_simulator_parameters_and_forces_exclude_each_other(run, tmp_path):
         assert parts == ["parameters", "slip_offset", "unexplained", "noise"]
     assert given["model"] == "brush, cpa2 = 50000, mu = 0.99"
     assert (given["simulator"]["kind"], forces["simulator"]["kind"]) == ("model", "columns")
-    assert forces["gap"]["rms"] == pytest.approx(given["gap"]["rms"], rel=1e-6)
+    # By draws of the true force, about refits that stop within their tolerance.
+    assert forces["gap"]["rms"] == pytest.approx(given["gap"]["rms"], rel=1e-3)
     row = rows_of(tmp_path / "o" / "beside.rows.csv")[20]
     assert float(row["sim_fx"]) == pytest.approx(float(there[20]["fx_sim"]), rel=1e-6)
     assert row["base_fx"] == row["sim_fx"] != row["tuned_fx"] != row["extended_fx"]

@@ -108,7 +108,7 @@ CASES = {
         "o/p.csv",
         "--config",
     ),
-    "a log that is derived": (["derive", "o/p.csv", *CAR, "--out", "o/p.csv"], "o/p.csv", "LOG"),
+    "a log that is derived": (["derive", "o/p.csv", *CAR, "--out", "o/p.csv"], "o/p.csv", "FILES"),
     "a vehicle beside derived rows": (
         ["derive", LOG, "--vehicle", "o/p.derive.json", "--out", "o/p.csv"],
         "o/p.derive.json",
@@ -208,6 +208,56 @@ def test_a_file_of_another_origin_is_not_replaced(run, tmp_path, name):
     ended = run("fit", "drive.csv", *arguments, "--out", ".", exit_code=3)
     assert f"{name}: it would be replaced, but tirefit did not write it" in ended.stderr
     assert contents(tmp_path) == before
+
+
+OF_OTHERS = {
+    "a figure of a fit": (["fit", LOG, "--out", "o"], "o/fit.png"),
+    "a vector figure of a fit": (["fit", LOG, "--out", "o"], "o/residuals.svg"),
+    "a posterior": (["fit", LOG, "--out", "o"], "o/posterior.nc"),
+    "a page of fits": (["fit", LOG, "circles.csv", "--out", "o"], "o/fits.html"),
+    "a figure of a car": (["fit", LOG, *CAR, "--out", "o"], "o/trajectory.png"),
+    "the curve of a whole tire": (["fit", LOG, "--model", "mf61", "--out", "o"], "o/fx.png"),
+    "a converted tire": (["convert", "t.tir", "--out", "o"], "o/fit.png"),
+    "rows of a diagnosis": (["diagnose", LOG, "--out", "o"], "o/drive.rows.csv"),
+    "a page of a diagnosis": (["diagnose", LOG, "--figures", "--out", "o"], "o/drive.html"),
+    "a figure of a diagnosed car": (
+        ["diagnose", LOG, *CAR, "--out", "o"],
+        "o/vehicle_diagnosis.png",
+    ),
+    "a prepared table": (["prepare", LOG, "--out", "o"], "o/drive.csv"),
+    "a figure of a recording": (["prepare", LOG, "--out", "o"], "o/drive.png"),
+    "a table of many files": (["diagnose", LOG, "--jobs", "2", "--out", "o"], "o/results.parquet"),
+    "a replay": (["replay", LOG, *CAR, *TIRES, "--out", "o"], "o/replay.png"),
+    "estimates": (["estimate", LOG, "--out", "o"], "o/estimates.csv"),
+    "a simulated stop": (["brake", "--out", "o"], "o/stops.csv"),
+    "derived rows": (["derive", LOG, *CAR, "--out", "o/p.csv"], "o/p.csv"),
+    "predicted forces": (["predict", "brush", "circles.csv", "--out", "o/p.csv"], "o/p.csv"),
+    "a simulated log": (["simulate", "drive", "--duration", "2", "--out", "o/p.csv"], "o/p.csv"),
+    "true values": (
+        ["simulate", "drive", "--duration", "2", "--out", "o/q.csv", "--truth", "o/p.csv"],
+        "o/p.csv",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OF_OTHERS)
+def test_a_figure_or_table_of_another_origin_is_not_replaced(run, tmp_path, name):
+    """Files that cannot name tirefit: there is no document of its result beside them."""
+    arguments, kept = OF_OTHERS[name]
+    shutil.copytree(SAMPLES, tmp_path, dirs_exist_ok=True)
+    shutil.copy(SAMPLES / "vehicle.toml", tmp_path / "car.toml")
+    (tmp_path / "o").mkdir()
+    (tmp_path / kept).write_text("mine,too\n1,2\n")
+    before = contents(tmp_path)
+    ended = run(*arguments, exit_code=3)
+    assert f"{kept}: it would be replaced, but" in ended.stderr
+    assert contents(tmp_path) == before
+
+
+def test_an_own_table_is_replaced(run, tmp_path):
+    shutil.copytree(SAMPLES, tmp_path, dirs_exist_ok=True)
+    for mu in ("0.8", "0.9"):
+        run("predict", "brush", "circles.csv", "--set", f"mu={mu}", "--out", "p.csv")
 
 
 def test_the_demo_does_not_replace_changed_samples(run, tmp_path):

@@ -211,10 +211,13 @@ def test_missing_combined_slip_coefficients_are_reported_and_replaced(run):
     assert (np.hypot(alone["fx"], alone["fy"])[2:] > 1.15 * size[2:]).all()
     # Rows of one slip do not depend on it, and a whole file says nothing.
     Path("points.csv").write_text("kappa,alpha,fz\n" + 4 * "-0.1,0,4000\n")
+    Path("out.csv").unlink()  # other columns
     assert "slips" not in run("predict", "plain.tir", "points.csv", *ISO).stderr
+    Path("out.csv").unlink()
     points_of(MF61)
     assert "slips" not in run("predict", MF61, "points.csv", *ISO).stderr
     values = ("--set", "RBX1=10", "--set", "RCX1=1")
+    Path("out.csv").unlink()
     without_combined(MF52)
     said = run("predict", "plain.tir", "points.csv", *values, *ISO).stderr
     assert "both slips: F_y by the method" in said

@@ -167,3 +167,27 @@ def test_tables_that_tirefit_wrote_beside_its_results_are_named(tmp_path):
     (tmp_path / "a.rows.csv").write_text(csv_text(rows))
     with pytest.raises(DataError, match="table of rows of tirefit diagnose"):
         read(tmp_path / "a.rows.csv")
+
+
+@pytest.mark.parametrize("name", ["fx", "mz", "gamma", "omega", "v", "kappa", "temperature", "run"])
+def test_a_column_without_any_value_that_nobody_needs_is_not_read(tmp_path, name):
+    path = text(tmp_path / "a.csv", COLUMNS | {name: np.full(N, np.nan)})
+    if name == "run":  # it divides the rows: never guessed
+        with pytest.raises(DataError, match="run"):
+            read(path)
+        return
+    data = read(path)
+    canonical = "sigma_x" if name == "kappa" else name
+    assert data.n == N and canonical not in data and canonical not in data.source.units
+    assert f"column '{name}' is not read: {N} of its {N} cells have no value" in "".join(
+        data.source.warnings
+    )
+
+
+@pytest.mark.parametrize("name", ["alpha", "fy", "fz"])
+def test_a_needed_column_without_any_value_is_named(tmp_path, name):
+    path = text(tmp_path / "a.csv", COLUMNS | {name: np.full(N, np.nan)})
+    with pytest.raises(DataError) as caught:
+        read(path)
+    (problem,) = caught.value.problems
+    assert f"column '{name}' is not read: {N} of its {N} cells have no value" in problem.reason

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rig_script import DEG, Script, combined, cornering, drum, flat, measured
 
+import tirefit
 from tirefit.data.prepare.prepare import prepare
 from tirefit.data.prepare.series import zero_phase
 from tirefit.data.prepare.set_points import Settings, setting_names
@@ -459,11 +460,66 @@ def test_the_chosen_bandwidth_keeps_the_slip_curve(shape, most):
 
     seen["fy"] = 3000 * brush(seen["alpha"])
     result = prepared(seen, warm_up=0.0, settle=0.0)
-    rows = np.flatnonzero(result.kept)[200:-200]
-    assert len(rows) > 2000 and result.filter is not None
+    rows = np.flatnonzero(result.kept)[25:-25]
+    assert len(rows) > 250 and result.filter is not None
     kept = {name: result.columns[name][rows] for name in ("alpha", "fy")}
     miss = kept["fy"] / 3000 - brush(kept["alpha"])
     assert 0.1 * most < np.max(np.abs(miss)) < most
+
+
+def true_brush(seed, steps=0.0, alpha_noise=0.0):
+    """Sweeps of 1 s at 200 Hz, force noise of 40 N; ``steps`` [rad]: movement of each row."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 16.0, 0.005)
+    alpha = 0.15 * (4 * np.abs(time / 2 - np.floor(time / 2 + 0.5)) - 1)
+    alpha += steps * rng.normal(size=len(time))
+    share = np.minimum(np.abs(np.tan(alpha)) * 8e4 / (3 * 3800.0), 1)
+    force = 3800.0 * np.sign(alpha) * (3 * share - 3 * share**2 + share**3)
+    columns = {"time": time, "alpha": alpha, "fz": np.full_like(time, 4000.0)}
+    columns["alpha"] = alpha + alpha_noise * rng.normal(size=len(time))
+    return columns | {"fy": force + 40.0 * rng.normal(size=len(time))}
+
+
+def test_kept_rows_are_independent():
+    """White noise after the filter, at the spacing of the kept rows; 4 standard errors."""
+    rng = np.random.default_rng(7)
+    for bandwidth, rate in ((25.0, 200.0), (25.0, 1000.0), (8.0, 100.0), (25.0, 100.0)):
+        chosen = zero_phase(bandwidth, rate)
+        kept = chosen(rng.normal(size=200_000))[:: chosen.step]
+        at = 2 * bandwidth * chosen.step / rate  # spacing over half a cycle
+        assert 1.0 <= at < 1 + 2 * bandwidth / rate
+        correlation = np.mean(kept[1:] * kept[:-1]) / np.mean(kept**2)
+        assert -0.13 < correlation < 0.01 + 4 / np.sqrt(len(kept))
+    result = prepared(true_brush(1))
+    data = result.to_data()
+    steps = np.diff(data["time"][data.used])
+    assert np.min(steps) > 0.019 and np.median(steps) == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize("seed", [101, 102, 103])
+def test_a_fit_and_a_diagnosis_of_a_prepared_brush_find_no_fault(seed):
+    """Seeds that no number of the filter was chosen on."""
+    data = prepared(true_brush(seed)).to_data()
+    fit = tirefit.fit(data, "brush")
+    assert fit.status == "ok"
+    for name, true in (("cpa2", 4e4), ("mu", 0.95)):
+        found = fit.parameters[name]
+        assert abs(found.value - true) < 4 * found.std
+    assert tirefit.diagnose(data, "brush").verdict.status == "none"
+
+
+def test_a_slip_that_moves_beyond_the_filter_is_not_filtered():
+    """The force of a filtered slip is not the filtered force: by both, a brush loses 7 % of its
+    stiffness (40 standard errors). Noise of the slip alone is filtered."""
+    moved, noisy = true_brush(103, steps=0.02), true_brush(103, alpha_noise=0.02)
+    result = prepared(moved)
+    assert result.filter is None and any("follows the slip" in note for note in result.notes)
+    assert prepared(noisy).filter is not None
+    stiffness = tirefit.fit(result.to_data(), "brush").parameters["cpa2"]
+    assert abs(stiffness.value - 4e4) < 4 * stiffness.std
+    declared = prepared(moved, bandwidth=25.0)
+    assert declared.filter is not None and "give filter = false" in "".join(declared.notes)
+    assert abs(tirefit.fit(declared.to_data(), "brush").parameters["cpa2"].value - 4e4) > 2000.0
 
 
 def test_the_filter_keeps_a_parabola_at_uneven_times():

@@ -257,7 +257,7 @@ def _simulator(model: str | None, parameter, sim: bool, how: dict, of_tir: dict)
     assert model is not None, "it has a default if no simulated forces are given"
     if not (values or kind):
         return {}
-    from tirefit.diagnosis.evidence.simulator import simulator_at
+    from tirefit.diagnosis.rows.simulator import simulator_at
 
     given = simulator_at(model, values, **of_tir)
     how["otherwise"] = given.otherwise
@@ -306,7 +306,7 @@ def _one_by_one(pieces: list[Piece], task: _Task) -> list[ExitCode]:
 
 def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     """Diagnose one file, unless its result exists."""
-    from tirefit.diagnosis.engine import diagnose as study
+    from tirefit.diagnosis.diagnose import diagnose as study
     from tirefit.diagnosis.summary.result import SCHEMA, record_of_document
 
     file, name = piece

@@ -1,12 +1,13 @@
 """``tirefit diagnose --vehicle``: find the effects that the model of a car lacks."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import say, start_jax
+from tirefit.cli.options import complain, progress_bar, say, start_jax
 from tirefit.cli.output import check_results, claimed, staged
 from tirefit.results import InputProblem, UsageError
 
@@ -45,10 +46,13 @@ def diagnose_car(
     from tirefit.report.canvas import save_picture
     from tirefit.vehicle.diagnose import diagnose_vehicle
 
+    # The first line of progress at once, as programs take seconds to compile.
     with claimed(out):
-        result = diagnose_vehicle(
-            logs, vehicle, front or "brush", rear or "brush", holdout=holdout, without=without
-        )
+        with _told_where(out), progress_bar("diagnose", soon=0.0) as progress:
+            result = diagnose_vehicle(
+                logs, vehicle, front or "brush", rear or "brush",
+                holdout=holdout, without=without, progress=progress,
+            )  # fmt: skip
         with staged(out, FILES, result) as folder:
             result.save(folder)
             if figures:
@@ -57,3 +61,13 @@ def diagnose_car(
     say(str(result))
     written = FILES if figures else FILES[:1]
     say("wrote " + ", ".join(str(out / name) for name in written))
+
+
+@contextmanager
+def _told_where(out: Path) -> Iterator[None]:
+    """Context manager: report, at an interrupt, the state of the folder of the results."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        complain(f"{out}: the diagnosis was not complete, so its files are as before")
+        raise

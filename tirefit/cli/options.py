@@ -346,9 +346,9 @@ def has_terminal() -> bool:
 class _Clock:
     """The remaining time, from the time and the share done."""
 
-    def __init__(self):
+    def __init__(self, soon: float):
         self.begun = self.printed = time.monotonic()
-        self.silence = _SOON
+        self.silence = soon
 
     def left(self, share: float) -> str:
         if not share:
@@ -366,12 +366,16 @@ class _Clock:
 
 
 @contextmanager
-def progress_bar(title: str) -> Iterator[Any]:
-    """Show a bar on a terminal, else print a line from time to time."""
+def progress_bar(title: str, soon: float = _SOON) -> Iterator[Any]:
+    """Show a bar on a terminal, else print a line from time to time.
+
+    Args:
+        soon: seconds until the first line.
+    """
     if isinstance(sys.stderr, Unheard):
         yield lambda share, note: None
         return
-    clock = _Clock()
+    clock = _Clock(soon)
     if not has_terminal():
 
         def tell(share, note):

@@ -27,7 +27,7 @@ def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None
 
     Raises:
         UsageError: a folder cannot be created or written.
-        DataError: a file is an input, or a JSON or TOML file that tirefit did not write.
+        DataError: a file is an input, or one that tirefit did not write.
     """
     problems = []
     for directory in dict.fromkeys(path.parent for path in made):
@@ -44,7 +44,7 @@ def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None
     check_inputs_kept(made, inputs)
     reason = "it would be replaced, but tirefit did not write it"
     remedy = "choose another folder with --out, or rename the file"
-    others = [path for path in made if _is(path) and _is_of_others(path)]
+    others = [path for path in made if _is(path) and _is_of_others(path, made)]
     DataError.raise_for([InputProblem(reason, remedy, str(path)) for path in others])
 
 
@@ -90,15 +90,56 @@ _OURS = {".json": '"schema": "tirefit.', ".toml": "that tirefit fit estimated"}
 """Text that marks a result of tirefit, by the ending of the file."""
 
 
-def _is_of_others(path: Path) -> bool:
-    """Whether this is a JSON or TOML file that tirefit did not write. A damaged JSON file
-    counts as written by tirefit if it names a schema of tirefit."""
-    mark = _OURS.get(path.suffix)
+_FORCES = ("fx", "fy", "mz", "mx", "my")
+
+
+def check_table(path: Path, text: str) -> None:
+    """Raises DataError if there is a table with other columns than the ``text`` to write,
+    forces aside: another model gives other forces."""
+    first = text.partition("\n")[0]
     try:
-        text = path.read_text(encoding="utf-8", errors="replace") if mark else ""
+        with path.open(encoding="utf-8", errors="replace") as lines:
+            there = lines.readline(10 * len(first) + 100).rstrip("\r\n")
+    except OSError:  # none, or writing it raises the error
+        return
+    one, other = (
+        [name for name in line.split(",") if name.partition("_")[0] not in _FORCES]
+        for line in (there, first)
+    )
+    if there and one != other and "tirefit" not in there:
+        reason = "it would be replaced, but it has other columns: tirefit did not write it so"
+        raise DataError(reason, "choose another --out, or remove the file", str(path))
+
+
+def _is_of_others(path: Path, made: Collection[Path]) -> bool:
+    """Whether tirefit did not write this file.
+
+    A file that does not name tirefit, as a figure, is ours if a document of its result is:
+    a JSON file or page among ``made`` in its folder, of the same name if there is one.
+    """
+    if path.suffix in _OURS:
+        return _is_other_text(path)
+    try:
+        content = path.read_bytes()
     except OSError:
         return False
-    if mark is None or not text.strip():
+    if not content or b"tirefit" in content or path.suffix == ".html":
+        return content != b"" and b"tirefit" not in content
+    documents = [p for p in made if p.suffix in (".json", ".html") and p.parent == path.parent]
+    own = [one for one in documents if path.name.startswith(f"{one.name.partition('.')[0]}.")]
+    documents = own or documents
+    return bool(documents) and all(not _is(p) or _is_of_others(p, ()) for p in documents)
+
+
+def _is_other_text(path: Path) -> bool:
+    """Whether this is a JSON or TOML file that tirefit did not write. A damaged JSON file
+    counts as written by tirefit if it names a schema of tirefit."""
+    mark = _OURS[path.suffix]
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
+    if not text.strip():
         return False
     if path.suffix == ".toml":
         return mark not in text.partition("\n")[0]

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from tirefit.cli.options import errors_to_exit, named_path, numbers, say, start_jax
+from tirefit.cli.output import check_table
 from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.settings import KINDS
@@ -102,7 +103,10 @@ def _write(made, out: Path, truth: Path | None, seed: int) -> None:
     from tirefit.data.write import csv_text
 
     tables = {out: made.columns} | ({} if truth is None else {truth: made.truth})
-    write_texts({path: csv_text(table) for path, table in tables.items()})
+    texts = {path: csv_text(table) for path, table in tables.items()}
+    for path, text in texts.items():
+        check_table(path, text)
+    write_texts(texts)
     rows = len(made.columns["time"])
     columns = ", ".join(made.columns)
     say(f"wrote {out}: {rows} rows, {columns} (braking positive, SI), seed {seed}")

@@ -31,7 +31,7 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_inputs_kept, check_results
+from tirefit.cli.output import check_inputs_kept, check_results, check_table
 from tirefit.data.remote import expanded
 from tirefit.data.tire_file import tire_kind
 from tirefit.files import json_safe
@@ -157,7 +157,7 @@ def derive(
     with errors_to_exit():
         units = pairs("--unit", unit)
         if out.parent.is_dir() and not out.is_dir():  # others are refused with the CSV
-            check_results([out.with_name(f"{out.stem}.derive.json")])
+            check_results([out, out.with_name(f"{out.stem}.derive.json")])
         written = derive_files(files, vehicle, out, axle.value, units, believe, say)
         say(written.summary())
 
@@ -226,12 +226,15 @@ def _write(out, table, forces, source, beside: bool) -> None:
 
     The first line of a table for `diagnose --sim` states the convention.
     """
-    from tirefit.data.write import prediction_table, simulated_table, write_csv
+    from tirefit.data.write import csv_text, prediction_table, simulated_table
+    from tirefit.files import write_text_atomic
 
     convention = f"convention {table.source.convention}"
     columns = (simulated_table if beside else prediction_table)(table, forces)
     first = f"# tirefit {__version__}: {source} beside, {convention}\n"
-    write_csv(out, columns, first if beside else "")
+    text = (first if beside else "") + csv_text(columns)
+    check_table(out, text)
+    write_text_atomic(out, text)
     for row in table.first_masked():
         complain(f"warning: excluded, no force: {row}")
     signs = f"({convention}), {table.source.convention_from}"

@@ -32,13 +32,28 @@ def may_miss(name: str, forces: bool) -> bool:
 def is_spare(name: str, missing: int, rows: int) -> bool:
     """Whether a canonical column is left out because too many of its cells are empty.
 
-    Columns of slip, load and forces are never left out.
+    Columns of slip, load and forces are left out only if all their cells are: what then
+    lacks for a fit is an error of the columns.
 
     Args:
         missing: number of cells without a value.
         rows: number of all cells.
     """
-    return base_column(name) not in _NEEDED and missing > MOST * rows
+    if name == "pressure":  # rows without it are at nominal pressure
+        return False
+    return missing == rows if base_column(name) in _NEEDED else missing > MOST * rows
+
+
+def unread(name: str, header: str, missing: int, rows: int) -> str:
+    """A sentence on a column that :func:`is_spare` leaves out."""
+    text = f"column {header!r} is not read: {missing} of its {rows} cells have no value"
+    return text + (f"; --column {name}={header} reads it" if missing < rows else "")
+
+
+def of_read(notes: Sequence[str], unread: Sequence[str]) -> list[str]:
+    """The notes on columns without those on columns that were left out."""
+    out = tuple(f"{text.partition(' is not read')[0]} read as " for text in unread)
+    return [note for note in notes if not note.startswith(out)]
 
 
 def excluded(

@@ -168,6 +168,7 @@ class _Reading:
     headers: dict[str, str] = field(default_factory=dict)
     faults: list[BadRows] = field(default_factory=list)
     idle: list[str] = field(default_factory=list)
+    unread: list[str] = field(default_factory=list)
     problems: list[InputProblem] = field(default_factory=list)
     assumptions: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
@@ -257,7 +258,7 @@ def _runs(reading: _Reading) -> tuple[np.ndarray, tuple[str, ...]]:
 
 def _numbers_to_si(reading: _Reading) -> None:
     """Fill ``columns`` with values in canonical units and signs; the slip as defined."""
-    plan, table = reading.plan, reading.table
+    table, plan = reading.table, reading.plan
     numeric = [column for name, column in plan.columns.items() if name != "run"]
     cells = {column.name: table.cells[column.index] for column in numeric}
     commas = table.delimiter not in ("", ",") and check.has_decimal_comma(cells.values())
@@ -269,12 +270,10 @@ def _numbers_to_si(reading: _Reading) -> None:
             cells[column.name], column.header, table.ragged, commas, gaps
         )
         count = sum(len(fault.rows) for fault in faults if fault.is_missing)
-        declared = column.name in reading.options.columns or reading.options.mask_bad_rows
-        if not declared and missing.is_spare(column.name, count, len(values)):
-            reading.doubts.append(
-                f"column {column.header!r} is not read: {count} of its {len(values)} cells have"
-                f" no value; --column {column.name}={column.header} reads it"
-            )
+        told = column.name in reading.options.columns or reading.options.mask_bad_rows
+        if not told and missing.is_spare(column.name, count, len(values)):
+            reading.unread.append(missing.unread(column.name, column.header, count, len(values)))
+            del plan.columns[column.name]
             continue
         reading.faults += faults
         if column.name == "pressure" and np.isnan(values[~table.ragged]).any():
@@ -428,9 +427,10 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
     forces, curve = reading.options.forces, reading.options.curve
     if curve:
         table = reading.table
-        whole += check.check_columns(
+        lacking = check.check_columns(
             there, table.headers, reading.idle, table.file, forces, table.units_row
         )
+        whole += [replace(p, reason="; ".join([p.reason, *reading.unread])) for p in lacking]
     good = ~reading.bad()
     if not whole:
         used = {name: values[good] for name, values in reading.columns.items()}
@@ -458,8 +458,9 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
 
 
 def _all_assumptions(reading: _Reading) -> list[str]:
-    messages = [*reading.table.notes, *reading.plan.assumptions, str(reading.signs)]
-    return [*messages, *reading.assumptions, *findings(reading.table.constants)]
+    read = missing.of_read(reading.plan.assumptions, reading.unread)
+    messages = [*reading.table.notes, *read, str(reading.signs), *reading.assumptions]
+    return [*messages, *findings(reading.table.constants)]
 
 
 def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:
@@ -473,7 +474,7 @@ def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:
     doubts = [doubt] if doubt else []
     units = {c.name: c.unit_text for c in reading.plan.columns.values()}
     doubts += signs.doubt_signs(used, reading.headers, definition, read_as, units)
-    doubts += reading.doubts + check.doubt_units(used, reading.headers)
+    doubts += reading.unread + reading.doubts + check.doubt_units(used, reading.headers)
     if "time" in used and reading.options.curve:
         header = reading.headers.get("time", "time")
         doubts += check.doubt_time(used["time"], run[good], lines, header)

@@ -97,6 +97,8 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     label = _labels(table, vehicle, notes)
     needed = len(vehicle.columns.motion) + (vehicle.steering is not None)
     finite = np.isfinite(time) & np.isfinite(signals[:, :needed]).all(axis=1)
+    if not finite.any():
+        raise DataError(_no_row(table.file, [clock, *channels[:needed]], columns))
     lacking = _lacking(table, [clock, *channels[:needed]], columns)
     time, signals, active = time[finite], signals[finite], active[finite]
     period = _period(time, vehicle, table.file)
@@ -304,6 +306,19 @@ def _numbers(table: Table, channels, active: str | None) -> dict[str, np.ndarray
             shown.append(InputProblem(f"and {more} more cells like these", file=table.file))
         raise DataError(shown)
     return columns
+
+
+def _no_row(file: str, needed: Sequence[Channel], columns) -> list[InputProblem]:
+    """The columns without any value, or that no row has a value in all of them."""
+    remedy = "fill the column, or name another one in [columns] of vehicle.toml"
+    empty = [c for c in needed if not np.isfinite(columns[c.header]).any()]
+    if empty:
+        reason = "has no value in any row, but {} is needed"
+        return [
+            InputProblem(reason.format(c.quantity), remedy, file, None, c.header) for c in empty
+        ]
+    names = ", ".join(repr(c.header) for c in needed)
+    return [InputProblem(f"no row has a value in all of {names}", remedy, file)]
 
 
 def _column(table: Table, name: str, problems: list[InputProblem]) -> np.ndarray:

@@ -74,6 +74,15 @@ class Columns(Section):
 
     def contradictions(self) -> Iterator[InputProblem]:
         given = [name for name in CHECKS if getattr(self, name) is not None]
+        names: dict[str, list[str]] = {}
+        for name in ("time", *given, "run"):
+            header = getattr(self, name)
+            for one in header if isinstance(header, list) else [header] if header else []:
+                names.setdefault(one, []).append(f"columns.{name}")
+        for header, keys in names.items():
+            if len(keys) > 1:
+                reason = f"{' and '.join(keys)} are the same column {header!r}"
+                yield InputProblem(reason, "name the column of each quantity")
         if not (set(POSE) <= set(given) or set(RATES) <= set(given)):
             yield InputProblem(
                 f"neither a pose log nor a log of rates: named are"

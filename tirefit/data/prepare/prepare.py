@@ -34,6 +34,10 @@ series. Also the smallest number of rows of a sweep among points."""
 _CYCLES = 40.0
 """Bandwidth times the duration of a fast sweep. The filter then changes a brush that slides above a
 fifth of the largest slip by 0.2 % of its peak in sweeps of constant speed, by 0.5 % in sines."""
+_FOLLOWED = 0.02
+"""Movement of the force with the slip beyond the bandwidth, over its peak, from which nothing is
+filtered: the force of a filtered slip is not the filtered force. A brush with steps of slip at
+each row lost 0.4, 1.8 and 7 % of its stiffness at 0.026, 0.052 and 0.105."""
 _STANDING = 0.02  # share of the highest speed below which the wheel does not roll
 _FASTEST = 0.1  # quantile of the durations of sweeps that counts as fast
 _LOWEST, _HIGHEST = 2.0, 25.0  # range of the bandwidth [Hz] that is chosen
@@ -147,7 +151,7 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
     is_series = series.rate is not None and series.rate * config.shortest >= _LEAST_ROWS
     look = _looked_at if is_series else _points
     settings, parts, messages = look(data, config, series, raw, slips)
-    chosen, how = _chosen_filter(config, series, parts) if is_series else (None, "")
+    chosen, how = _chosen_filter(config, series, parts, raw) if is_series else (None, "")
     margin = 0
     if is_series:
         reach = chosen.reach if chosen else 0.0
@@ -163,6 +167,8 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
             first = part.first if part.is_held else part.begin
             kept[first : part.last if part.is_held else part.end] = True
     kept &= data.used
+    if chosen is not None:
+        kept &= chosen.independent(series)
     if not kept.any():
         reason = f"no rows remain of {', '.join(dict.fromkeys(p.kind for p in parts))}"
         remedy = "look at the segments in the figure, or keep other kinds"
@@ -249,7 +255,7 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
     shortest = max(round(config.shortest * rate), 2)
     look = zero_phase(min(_LOOK, _SHARE_OF_RATE * rate), rate)
     assert look is not None  # the bandwidth is below the limit of the rate
-    smooth = {name: _smoothed(raw[name], series, look) for name in raw}
+    smooth = {name: look.smoothed(raw[name], series) for name in raw}
     its_legs = {}
     for name in slips:
         rest = raw[name] - smooth[name]
@@ -291,13 +297,6 @@ def _warmed(parts, config: PrepareConfig, series: Series, channels, swept: str):
     if config.warm_up is None and not config.cut_last:
         cut = last_sweeps_kept(parts, cut, config.keep)
     return cut, how
-
-
-def _smoothed(values, series: Series, look: ZeroPhase) -> np.ndarray:
-    out = np.array(values, float)
-    for piece in series.pieces:
-        out[piece] = look(values[piece], series.time[piece])
-    return out
 
 
 def _windows(its_legs, n: int, second: int) -> list[Window]:
@@ -358,7 +357,7 @@ def _mostly_swept(parts: list[Segment], slips: list[str]) -> str:
     return max(slips, key=lambda name: rows[name])
 
 
-def _chosen_filter(config: PrepareConfig, series: Series, parts):
+def _chosen_filter(config: PrepareConfig, series: Series, parts, raw):
     """The filter of all channels, and a note on it."""
     rate = series.hertz
     if not config.filter:
@@ -376,18 +375,38 @@ def _chosen_filter(config: PrepareConfig, series: Series, parts):
     if chosen is None:
         message = f"not filtered: {rate:.4g} rows per second are too few for"
         return None, f"{message} {bandwidth:g} Hz"
+    beyond = _followed(chosen, series, parts, raw)
+    if beyond > _FOLLOWED:
+        warning = f"beyond {bandwidth:g} Hz the force follows the slip by {beyond:.0%} of its peak"
+        if config.bandwidth is None:
+            return None, f"not filtered: {warning}, and the filter would change the tire's curve"
+        how += f"; {warning}, so the filter changes the tire's curve: give filter = false"
     message = (
         "all channels by one zero-phase filter (Butterworth, forwards and backwards) of"
-        f" {bandwidth:g} Hz (-3 dB; {how}); neighbouring rows are not independent"
+        f" {bandwidth:g} Hz (-3 dB; {how})"
     )
+    if chosen.step > 1:
+        message += f"; each row of {chosen.step} is kept, as those between are not independent"
     return chosen, message
+
+
+def _followed(chosen: ZeroPhase, series: Series, parts, raw) -> float:
+    """The largest movement of a force with its slip beyond the bandwidth, see
+    :meth:`~tirefit.data.prepare.series.ZeroPhase.force_beyond`."""
+    found = [0.0]
+    for slip, force in FORCE_OF.items():
+        swept = [p for p in parts if p.direction and slip in p.channel.split("+")]
+        if swept and force in raw:
+            rows = np.concatenate([np.arange(p.begin, p.end) for p in swept])
+            found.append(chosen.force_beyond(series, raw[slip], raw[force], rows))
+    return max(found)
 
 
 def _filtered(raw, series: Series, chosen: ZeroPhase | None) -> dict[str, np.ndarray]:
     """The filtered channels (n,), with the slip as sigma_x again."""
     out = {}
     for name, values in raw.items():
-        done = values if chosen is None else _smoothed(values, series, chosen)
+        done = values if chosen is None else chosen.smoothed(values, series)
         out[name] = slip_to_sigma(done, "slip_ratio") if name == "sigma_x" else done
     return out
 

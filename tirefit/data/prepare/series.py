@@ -76,6 +76,7 @@ _ORDER = 2  # of one pass; both passes together have 80 dB per decade
 _HIGHEST = 0.4  # largest bandwidth over the sampling rate; above, a filter has no effect
 _UNEVEN = 0.1
 """Largest deviation of a time stamp from an even grid, in sampling steps."""
+_CLEAR = 4.0  # standard errors of a significant correlation of slip and force
 
 
 class ZeroPhase(NamedTuple):
@@ -91,6 +92,12 @@ class ZeroPhase(NamedTuple):
         """Time [s] on either side over which a sample has a noticeable effect: beyond it,
         the response to a step is within 1 % of its end value."""
         return 0.7 / self.bandwidth
+
+    @property
+    def step(self) -> int:
+        """Rows from one independent row to the next: white noise is uncorrelated after half
+        a cycle of the bandwidth (correlation 0.01; from there on -0.13 to 0.03)."""
+        return max(int(np.ceil(round(self.rate / (2 * self.bandwidth), 3))), 1)
 
     def gain(self, frequency):
         """Gain (as a factor) at frequencies [Hz], by the formula of the filter."""
@@ -116,6 +123,39 @@ class ZeroPhase(NamedTuple):
         count = max(len(time), round((time[-1] - time[0]) * self.rate) + 1)
         grid = np.linspace(time[0], time[-1], count)
         return np.interp(time, grid, self._even(np.interp(grid, time, values)))
+
+    def smoothed(self, values: np.ndarray, series: Series) -> np.ndarray:
+        """The values (n,), each piece of the series filtered."""
+        out = np.array(values, float)
+        for piece in series.pieces:
+            out[piece] = self(values[piece], series.time[piece])
+        return out
+
+    def independent(self, series: Series) -> np.ndarray:
+        """The rows (n,) bool that are independent after the filter: each ``step`` of a piece."""
+        rows = np.zeros(len(series.time), bool)
+        for piece in series.pieces:
+            rows[piece.start : piece.stop : self.step] = True
+        return rows
+
+    def force_beyond(self, series: Series, slip, force, rows) -> float:
+        """Movement of the force with the slip beyond the bandwidth, over its largest value.
+
+        There, the noises of slip and force are independent, but what the tire does is not.
+        Zero if the correlation is not significant.
+
+        Args:
+            slip, force: (n,) unfiltered.
+            rows: those that are compared.
+        """
+        fast = [(values - self.smoothed(values, series))[rows] for values in (slip, force)]
+        sizes = [float(np.sqrt(np.mean(one**2))) for one in fast]
+        if min(sizes) == 0:
+            return 0.0
+        shared = abs(float(np.mean(fast[0] * fast[1]))) / (sizes[0] * sizes[1])
+        if shared < _CLEAR / np.sqrt(len(rows)):
+            return 0.0
+        return shared * sizes[1] / float(np.quantile(np.abs(force[rows]), 0.99))
 
     def _even(self, values: np.ndarray) -> np.ndarray:
         # Extend the series beyond its ends by point reflection.
