@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 LOWEST := .venv-lowest
 
-.PHONY: install demo docs dist test test-long lowest statistics notebooks bench withheld withheld-full measured ablate calibration friction-benchmark fuzz braking posterior-peers lint types clean
+.PHONY: install demo docs dist test test-long lowest statistics notebooks bench withheld withheld-full measured calibration friction-benchmark fuzz braking posterior-peers lint types clean
 
 install: $(STAMP)
 
@@ -79,20 +79,15 @@ withheld withheld-full: install
 	$(BIN)/python -m fits.withheld.baselines out/$@ --forest out/forest.npz --jobs 2
 	$(BIN)/python -m fits.withheld.score out/$@ --bound 60
 
-# What each stage and rule of the diagnosis buys: chosen on the first seed, judged on the
-# second; see fits/withheld.
-ablate: RECORDS = out/ablate/records
-ablate: install
-	for seed in 421 422; do \
-	  test -f out/ablate/$$seed/labels.json || \
-	  $(BIN)/python -m fits.withheld.generate --seed $$seed --trials 480 --rows 200,900 --out out/ablate/$$seed \
+# The learned numbers of the diagnosis, from development trials; see fits/calibration.
+calibration: TRIALS = 561-beside-160 562-unlisted-80 563-procedural-80 564-singles-120 565-pairs-60 566-null-80 567-foreign-24
+calibration: install
+	for one in $(TRIALS); do \
+	  set -- $$(echo $$one | tr - " "); \
+	  test -f out/$@/trials/$$1/labels.json || \
+	  $(BIN)/python -m fits.withheld.generate --seed $$1 --set $$2 --trials $$3 --rows 200,900 --out out/$@/trials/$$1 \
 	  || exit 1; done
-	$(BIN)/python -m fits.ablation.collect out/ablate/421 out/ablate/422 --measured --out $(RECORDS) --jobs 2
-	$(BIN)/python -m fits.ablation $(RECORDS)/421 $(RECORDS)/422 --measured $(RECORDS)/measured --out out/ablate/table.md
-
-# The learned numbers of the diagnosis, from these records; see fits/calibration.
-calibration: ablate
-	$(BIN)/python -m fits.calibration out/ablate/records/421 out/ablate/records/422
+	$(BIN)/python -m fits.calibration out/$@/trials/* --records out/$@/records --jobs 2
 
 # What diagnose says of changes that somebody made, in measured data; see
 # fits/measured_changes.

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from fits.withheld.car import Car, drive
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.evidence.base import fit_base
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.subject import fit_base
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.report.diagnosis_words import name_of
 

@@ -60,13 +60,12 @@ def _page(effect, amplitude):
     name, unit = name_of(effect.id), effect.unit.removeprefix("-")
     unit = f" {unit.strip()}" if unit else ""
     relative = PER.get(effect.per[0], unit.strip())
-    free = " and smooth free shapes" if effect.forms else ""
     rows = {
         "id": f"`{effect.id}`",
         "family": effect.family,
         "formula": f"`{effect.formula}`",
         "prior of the amplitude": f"standard deviation {effect.scale:g} {relative}",
-        "variants tried": f"{len(effect.variants)} of the formula{free}",
+        "variants tried": f"{len(effect.variants)} of the formula",
         "forces that change": ", ".join(f"`{c}`" for c in effect.channels) or "all",
         "needs": needs_text(effect.needs) or "slip, force, load",
         "resembles": ", ".join(map(_link, effect.looks_like)) or "none of the others",

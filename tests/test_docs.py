@@ -287,34 +287,6 @@ def test_the_documented_limits_agree_with_the_sealed_trials(row):
     assert SCORES[row].format(float(score), count) in said
 
 
-SWITCHED_OFF = {
-    "none: as shipped": "as shipped",
-    "other formulas of an effect": "other forms off",
-    "each effect likelier than not": "each effect likelier than not: off",
-    "data left out": "gain: no data left out",
-    "climb (adding effects one by one to the best sets)": "climb off",
-    "discrepancy: patterns": "discrepancy: patterns off",
-    "discrepancy: waves": "discrepancy: waves off",
-    "tests of the remainder": "tests of the residual off",
-    "uncertainty of the slips": "slip uncertainty off",
-}
-"""Row of the manual -> row of the ablation."""
-
-
-def _cells(text, row):
-    line = next(x for x in text.splitlines() if x.startswith(f"| {row} |"))
-    return [cell.strip().partition(" of ")[0] for cell in line.split("|")[2:-1]]
-
-
-@pytest.mark.parametrize("row", SWITCHED_OFF)
-def test_the_documented_gain_of_each_step_agrees_with_the_ablation(row):
-    page = (DOCS / "how-it-works" / "diagnosis.md").read_text(encoding="utf-8")
-    ablation = (CASES / "withheld" / "README.md").read_text(encoding="utf-8")
-    every = _cells(ablation, SWITCHED_OFF[row])
-    # Strong and weak effects, strong unlisted effects, false names, measured cases.
-    assert _cells(page, row) == [every[k] for k in (0, 2, 6, 12, 16)]
-
-
 def test_the_version_is_the_same_everywhere():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["version"] == tirefit.__version__

@@ -34,6 +34,19 @@ LAYERS = {
     "cli": 7,
 }
 
+# The same within a package. All parts may use effects, which read constants of rows.
+WITHIN = {
+    "diagnosis": {
+        "negligible": 0,
+        "engine": 1,
+        "effects": 2,
+        "rows": 2,
+        "extended": 3,
+        "summary": 4,
+        "diagnose": 5,
+    }
+}
+
 # Third party -> where it may be imported, at the top or inside a function.
 OWNERS = {
     "optimistix": "fitting/least_squares.py",
@@ -97,6 +110,17 @@ def layer_faults(file, tree):
     ]
 
 
+def order_faults(file, tree):
+    """Imports of a file from a higher part of its package."""
+    package, here = f"{file}/".split("/")[:2]
+    order, here = WITHIN.get(package, {}), here.removesuffix(".py")
+    if here in ("", "__init__") or not order:
+        return []
+    used = (f"{module}.".split(".") for module, _ in imported(tree))
+    parts = {way[2] for way in used if way[:2] == ["tirefit", package]} - {"effects"}
+    return [f"{file} imports {part}" for part in sorted(parts) if order[part] > order[here]]
+
+
 def owner_faults(file, tree):
     """Libraries imported outside the file or folder that owns them."""
     faults = []
@@ -158,6 +182,7 @@ def test_every_file_follows_the_rules(path):
     file = place(path)
     assert module_of(file) in {*LAYERS, "__init__", "__main__"}, "a module without a layer"
     assert layer_faults(file, tree) == []
+    assert order_faults(file, tree) == []
     assert owner_faults(file, tree) == []
     assert private_faults(file, tree) == []
     assert size_faults(file, source, tree) == []
@@ -188,6 +213,21 @@ def test_every_exception_is_still_needed():
 )
 def test_the_layer_check_detects_violations(file, source, faults):
     assert len(layer_faults(file, ast.parse(source))) == faults
+
+
+@pytest.mark.parametrize(
+    ("file", "module", "faults"),
+    [
+        ("diagnosis/engine/x.py", "tirefit.diagnosis.negligible", 0),
+        ("diagnosis/engine/x.py", "tirefit.diagnosis.rows.subject", 1),
+        ("diagnosis/rows/x.py", "tirefit.diagnosis.engine.fit", 0),
+        ("diagnosis/extended.py", "tirefit.diagnosis.summary.records", 1),
+        ("diagnosis/engine/x.py", "tirefit.models", 0),
+        ("vehicle/x.py", "tirefit.diagnosis.diagnose", 0),
+    ],
+)
+def test_the_order_within_a_package_is_checked(file, module, faults):
+    assert len(order_faults(file, ast.parse(f"from {module} import x"))) == faults
 
 
 @pytest.mark.parametrize(
@@ -228,3 +268,52 @@ def test_the_size_check_detects_violations():
     assert faults("y = 1\n" * 401) == ["x.py: 401 lines, limit 400"]
     in_class = "class A:\n    def f(self):\n" + "        y = 1\n" * 61
     assert faults(in_class) == ["x.py:f: 61 lines, limit 60"]
+
+
+def imports_of(root):
+    """Module -> modules of the same root that it imports at its top."""
+    files = {}
+    for path in root.rglob("*.py"):
+        name = ".".join(path.relative_to(root.parent).with_suffix("").parts)
+        files[name.removesuffix(".__init__")] = path
+    found = {}
+    for name, path in files.items():
+        used = set()
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ImportFrom) and node.module:
+                each = [f"{node.module}.{alias.name}" for alias in node.names]
+                used |= {one if one in files else node.module for one in each}
+            elif isinstance(node, ast.Import):
+                used |= {alias.name for alias in node.names}
+        found[name] = used & set(files) - {name}
+    return found
+
+
+def circle(imports):
+    """Modules that import each other in a circle; empty without one."""
+    done = set()
+
+    def walk(name, path):
+        if name in path:
+            return path[path.index(name) :]
+        if name in done:
+            return []
+        done.add(name)
+        for used in sorted(imports[name]):
+            if found := walk(used, [*path, name]):
+                return found
+        return []
+
+    for name in sorted(imports):
+        if found := walk(name, []):
+            return found
+    return []
+
+
+@pytest.mark.parametrize("root", [PACKAGE, PACKAGE.parent / "fits"], ids=lambda root: root.name)
+def test_no_modules_import_each_other_in_a_circle(root):
+    assert circle(imports_of(root)) == []
+
+
+def test_a_circle_is_found():
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()}) == ["b", "c"]

@@ -120,7 +120,7 @@ def test_rms_of_the_ladder_is_right():
     steps = [SimpleNamespace(effects=k, rms_left_out=v) for k, v in rms.items()]
     for named, expected in ((("x", "y"), 0.2), (("x", "z"), 0.3), ((), 0.6)):
         found = SimpleNamespace(
-            verdict=SimpleNamespace(effects=named), ladder=SimpleNamespace(steps=steps)
+            verdict=SimpleNamespace(helping=named), ladder=SimpleNamespace(steps=steps)
         )
         assert run.of_ladder(found) == (0.6, expected)
     found.ladder.steps = []

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from tirefit.cli.commands import app
 from tirefit.data.vehicle import load_vehicle
-from tirefit.diagnosis import engine
+from tirefit.diagnosis import diagnose as engine
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.names import EFFECT_NAMES
 from tirefit.sim.drive import Car

@@ -41,6 +41,8 @@ in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
   (2003) 189-226. The LuGre tire of S(17) and S(18).
 - Chandler, R. E., Bate, S.: Inference for clustered data using the independence
   loglikelihood. Biometrika 94 (2007) 167-183.
+- DerSimonian, R., Laird, N.: Meta-analysis in clinical trials. Controlled Clinical Trials 7
+  (1986) 177-188.
 - Foreman-Mackey, D., Hogg, D. W., Lang, D., Goodman, J.: emcee: The MCMC Hammer.
   Publications of the Astronomical Society of the Pacific 125 (2013) 306-312.
 - Gäfvert, M., Svendenius, J.: A novel semi-empirical tire model for combined slips.
@@ -93,7 +95,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "data.prepare.prepare": ["prepare"],
         "data.read": ["read", "read_frame"],
         "diagnosis.effects": ["EFFECTS", "Effect"],
-        "diagnosis.engine": ["diagnose"],
+        "diagnosis.diagnose": ["diagnose"],
         "diagnosis.rows.rig": ["Rig", "load_rig"],
         "fitting.batch": ["fit_many"],
         "fitting.estimate": ["fit"],

@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 __all__ = ["calibrated", "checked", "lines_of"]
 
-FARTHEST = 7.0  # limit of the log odds, as in decide/findings.py
+FARTHEST = 7.0  # limit of the log odds, as in tirefit/diagnosis/engine/decide.py
 RIDGE = 2.0  # 1 / variance of offset and slope about 0 and 1
 
 Stated = tuple[str, float, bool]

@@ -26,28 +26,28 @@ PARAMETERS = {"cpa2": (0, "stiffness"), "mu": (1, "friction")}
 """Parameter -> its index in SciPy's values, and the word in the names of effects on it."""
 COLUMNS = (
     "case", "use", "known change", "no effect", "by hand", "tool", "of by hand",
-    "named", "status", "right", "s",
+    "named", "acts like", "status", "right", "s",
 )  # fmt: skip
 
 
 def of_ladder(found) -> tuple[float, float] | None:
-    """rms [N] left out without effects and with the named ones, from the tool's ladder; if
-    the named set is no step of it, from its longest step within that set."""
-    ladder, named = getattr(found, "ladder", None), set(found.verdict.effects)
-    if ladder is None or not ladder.steps:
+    """rms [N] left out without effects and with those that help, from the tool's ladder; if
+    their set is no step of it, from its longest step within that set."""
+    ladder, helping = found.ladder, set(found.verdict.helping)
+    if not ladder.steps:
         return None
-    inside = [s for s in ladder.steps[:-2] if set(s.effects) <= named]
+    inside = [s for s in ladder.steps[:-2] if set(s.effects) <= helping]
     own = max(inside, key=lambda step: len(step.effects))
     base = next(step for step in ladder.steps if not step.effects)
     return base.rms_left_out, own.rms_left_out
 
 
 def closes(found, case: Case, rows: Table) -> tuple[float, float, str]:
-    """rms [N] without effects and with the named ones, and its source: the tool's ladder;
+    """rms [N] without effects and with those that help, and its source: the tool's ladder;
     without one, a fit by hand on rows left out; else the diagnosed rows."""
     if (own := of_ladder(found)) is not None:
         return *own, "ladder"
-    known = [SAME.get(n, n) for n in found.verdict.effects if n != "unknown"]
+    known = [SAME.get(n, n) for n in found.verdict.helping]
     if case.fitted_on is None and set(known) <= set(by_hand.EFFECTS):
         parts = by_hand.folds(rows, case.in_time)[1]
         some = (by_hand.rms_left_out(names, rows, parts) for names in ((), known))
@@ -57,7 +57,8 @@ def closes(found, case: Case, rows: Table) -> tuple[float, float, str]:
 
 
 def judged(line: dict, case: Case, hand: dict) -> tuple[str, list[str]]:
-    """Right, said (not named, but a twin or also possible) or wrong; and the reasons."""
+    """Right, said (not named, but acts like it, a twin or also possible) or wrong; and the
+    reasons."""
 
     def one_of(names, pattern):
         return [name for name in names if re.fullmatch(pattern, name)]
@@ -92,14 +93,16 @@ def diagnosed(case: Case, out: Path) -> dict:
     (out / f"{case.name}.json").write_text(found.to_json())
     nothing, tool, on = closes(found, case, rows)
     verdict, gap = found.verdict, found.gap.holdout if held else None
-    twins = [t for each in getattr(verdict, "each", {}).values() for t in each.twins]
+    twins = [t for each in verdict.each.values() for t in each.twins]
     return by_hand.rounded(
         {
             "case": case.name,
             "named": list(verdict.effects),
+            "acts_like": list(verdict.acts_like),
+            "each": {k: one.probability for k, one in verdict.each.items()},
             "status": str(verdict.status),
             "probability": verdict.probability,
-            "said": [*verdict.also_possible, *twins],
+            "said": [*verdict.acts_like, *verdict.also_possible, *twins],
             "parameters": {k: p._asdict() for k, p in verdict.parameters.items()},
             "tool_nothing": nothing,
             "tool": tool,
@@ -130,6 +133,11 @@ def scored(line: dict, case: Case, hand: dict) -> dict:
     }
 
 
+def _stated(line: dict, effects: list[str]) -> str:
+    """Effects with the probability that they are the cause."""
+    return ", ".join(f"{e} ({line['each'][e]:.2f})" if e in line["each"] else e for e in effects)
+
+
 def markdown(lines: list[dict]) -> str:
     """The table; rms in N on rows left out, except where the tool's has a star."""
     text = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|\n"
@@ -143,7 +151,8 @@ def markdown(lines: list[dict]) -> str:
             f"{line['by_hand']:.3f} {line['best'].replace('+', ' + ')}",
             f"{line['tool_nothing']:.3f} → {line['tool']:.3f}{star}",
             "-" if share is None else f"{100 * share:.0f} %",
-            ", ".join(line["named"]) or "none",
+            _stated(line, line["named"]) or "none",
+            _stated(line, line["acts_like"]),
             f"{line['status']} {line['probability']:.2f}",
             ": ".join(filter(None, (line["right"], "; ".join(line["why"])))),
             f"{line['seconds']:.0f}",

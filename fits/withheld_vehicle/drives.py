@@ -296,15 +296,14 @@ def judged(number: int, folder: Path) -> dict:
 
     jax.config.update("jax_enable_x64", True)
     import tirefit
+    from tirefit.models import Brush
 
     kind = kind_of(number)
     one = trial(number, kind)
     log, vehicle = written(one, folder / f"{number}")
     rng = np.random.default_rng(number)
     tires = [
-        tirefit.MODELS["brush"](
-            cpa2=c * np.exp(rng.normal(0, 0.15)), mu=m * np.exp(rng.normal(0, 0.1))
-        )
+        Brush(cpa2=c * np.exp(rng.normal(0, 0.15)), mu=m * np.exp(rng.normal(0, 0.1)))
         for c, m in one.car["tires"]
     ]
     about = {"number": number, "kind": kind, "effect": one.effect, "size": one.size}

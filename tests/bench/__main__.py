@@ -336,45 +336,6 @@ def diagnosis(cases: int = 8) -> None:
     say(name, *medians(times), "s", "lower")
 
 
-def patterns_of_a_remainder(rows: int = 1000, columns: int = 12) -> None:
-    """Thousands of patterns compared with a fit, a dozen times per case; the peer holds
-    every pattern as a column. The products are limited by arithmetic: the shapes are
-    read once for all four parameters, and stay in the cache."""
-    from types import SimpleNamespace
-
-    from tirefit.diagnosis.rows.patterns import PARAMETERS, patterns
-
-    generator = np.random.default_rng(0)
-    prepared = SimpleNamespace(
-        n=rows,
-        channels=("fx",),
-        has=frozenset(("time", "signs")),
-        covariates=None,
-        time=np.linspace(0, 60, rows),
-        inputs=SimpleNamespace(fz=np.full(rows, FZ)),
-    )
-    fields = {name: generator.standard_normal(rows) for name in PARAMETERS}
-    among = patterns(prepared, generator.uniform(-1.5, 1.5, rows), fields)
-    against = generator.standard_normal((rows, columns))
-    dense = among.columns(np.arange(len(among.of))).astype(np.float32)
-    single = against.astype(np.float32)
-
-    def ours():
-        return among.products(against)
-
-    def peer():
-        return dense.T @ single
-
-    np.testing.assert_allclose(ours(), peer(), atol=1e-4 * np.abs(peer()).max())
-    mine, other = medians([(seconds(ours), seconds(peer)) for _ in range(50)])
-    name = f"{len(among.of)} patterns x {columns} columns (dense)"
-    say(name, mine * 1e3, other * 1e3, "ms", "lower")
-    shapes = sum(one.shapes.shape[1] for one in among.over)
-    count, peak = 2 * rows * shapes * len(PARAMETERS) * columns, flops_peak(np.float32)
-    limit = f"{peak / 1e9:.0f} Gflop/s, single precision"
-    print(f"  {count / mine / peak:.0%} of the arithmetic ({limit})")
-
-
 class Process(NamedTuple):
     """Wall and processor time [s] of a process and its children, and the most memory
     that one of them held [GiB]."""
@@ -591,7 +552,7 @@ ENTRIES = (
     braking_stops, whole_magic_formula, exported_tire,
 )  # fmt: skip
 
-OF_DIAGNOSIS = (diagnosis, patterns_of_a_remainder, diagnosis_of_many, diagnosis_of_a_log, fleet)
+OF_DIAGNOSIS = (diagnosis, diagnosis_of_many, diagnosis_of_a_log, fleet)
 """In a process of their own, with one thread of OpenBLAS, as the command line has: the
 other one spins while it waits, and its processor time would be counted. The peak that
 other entries are measured against is that of all cores."""

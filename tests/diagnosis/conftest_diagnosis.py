@@ -1,14 +1,20 @@
-"""One rich synthetic record and its diagnoses, each of which compiles for seconds."""
+"""A linear subject of the engine; one rich synthetic record and its diagnoses, each of
+which compiles for seconds."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import null_space
+from scipy.optimize import lsq_linear
+from scipy.stats import multivariate_normal
 
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.evidence.posterior import Weighed
-from tirefit.diagnosis.evidence.search import Hypothesis
-from tirefit.diagnosis.rows.patterns import Over, Patterns
+from tirefit.diagnosis.diagnose import diagnose
+from tirefit.diagnosis.engine.discrepancy import Discrepancy
+from tirefit.diagnosis.engine.fit import Fit, Folds, Priors, Start, fitted
+from tirefit.diagnosis.engine.posterior import Weighed
 from tirefit.diagnosis.rows.rig import Rig
 
 FZ, SPEEDS = (2000.0, 4000.0, 6000.0), (6.0, 24.0)
@@ -21,40 +27,19 @@ def brush(slip, cpa2, mu, fz):
     return np.sign(slip) * mu * fz * (3 * u - 3 * u**2 + u**3)
 
 
-def patterns_of(columns):
-    """Patterns of these columns, all equally likely."""
-    rows, count = columns.shape
-    over = Over(
-        "time",
-        columns.astype(np.float32),
-        [("local", k, 1) for k in range(count)],
-        np.full(count, -np.log(max(count, 1))),
-        {"force": 0},
-    )
-    return Patterns(np.ones((1, rows, 1)), [over])
-
-
 def bare(key=(), **known):
-    """A refitted set of effects with no further information."""
-    none = np.zeros(0)
-    blank = {"atoms": (), "effects": key, "log_evidence": 0.0, "log_prior": 0.0}
-    blank |= {"z": none, "amplitude": none, "covariance": np.zeros((0, 0))}
-    return Hypothesis(**blank | {"chi2": 0.0} | known)
+    """A fitted set of effects with no further information."""
+    blank = {"atoms": (), "effects": key, "z": np.zeros(0), "amplitude": np.zeros(0)}
+    blank |= {"residual": np.zeros(1), "columns": np.zeros((1, 0))}
+    blank |= {"pull": np.zeros(0), "off": np.zeros(0), "log_evidence": 0.0}
+    return Fit(**blank | known)
 
 
 def refitted(base, *effects):
     """A set of effects, refitted from one prior scale each."""
     names = [atom.effect.id for atom in base.atoms]
     atoms = tuple(sorted(names.index(effect) for effect in effects))
-    refit = base.refit([(base.z, np.ones(len(atoms)))], [atoms])
-    p, size = len(refit.z[0]), len(atoms)
-    return bare(
-        tuple(names[k] for k in atoms),
-        atoms=atoms,
-        z=refit.z[0],
-        amplitude=refit.amplitude[0][:size],
-        covariance=refit.covariance[0][: p + size, : p + size],
-    )
+    return base.refit([Start(base.z, np.ones(len(atoms)))], [atoms])[0]
 
 
 def weighed_of(alone, beside=None, **known):
@@ -62,8 +47,75 @@ def weighed_of(alone, beside=None, **known):
     log, more = ({key: float(np.log(p)) for key, p in of.items()} for of in (alone, beside or {}))
     given = {"best_of": {key: bare(key) for key in log}, "log_weight": log}
     given |= {"log_beside": more, "evidence": {key: 9.0 * len(key) for key in log}}
-    given |= {"other_form": frozenset(), "gains": {}, "log_total": 0.0, "hidden": 0.0}
-    return Weighed(**given | known)
+    return Weighed(**given | {"log_total": 0.0, "hidden": 0.0} | known)
+
+
+class Toy:
+    """A linear subject of the engine with unit noise: observed = columns z + tangents a.
+
+    Args:
+        names: id of the effect of each tangent; ids of one family begin with its letter.
+        low, center: of the amplitudes, whose priors are normal of unit width.
+        smooth: discrepancy, none if not given.
+        parts: number of blocks that are left out in turn.
+    """
+
+    floor, given_residual, is_covered = 1.0, None, True
+
+    def __init__(self, observed, columns, tangents, names, low=-9.0, center=0.0, **other):
+        self.observed, self.columns, self.slopes = observed, columns, tangents
+        count, self.names = len(names), names
+        self.atoms = tuple(
+            SimpleNamespace(effect=SimpleNamespace(id=name, family=name[0], far=False))
+            for name in names
+        )
+        self.testable = tuple(range(count))
+        full = (np.broadcast_to(value, count) + 0.0 for value in (center, low, 9.0, 0.0))
+        self.priors, self.start = Priors(*full), Start(np.zeros(columns.shape[1]), np.zeros(0))
+        self.discrepancy = other.get("smooth", Discrepancy(np.zeros((len(observed), 0)), ()))
+        self.unit = other.get("unit", np.ones(len(observed)))
+        self.parts, self.refits = other.get("parts", 6), []
+
+    def groups(self):
+        return {"time": np.arange(len(self.observed)) + 0.0}
+
+    def folds(self, effects):
+        code = np.arange(len(self.observed)) * self.parts // len(self.observed)
+        return Folds(code, f"{self.parts} blocks", True)
+
+    def refit(self, starts, sets):
+        self.refits += list(sets)
+        return [self.fit(atoms) for atoms in sets]
+
+    def fit(self, atoms):
+        """The best parameters and amplitudes within their bounds, by SciPy."""
+        index, p = list(atoms), self.columns.shape[1]
+        both = np.concatenate([self.columns, self.slopes[:, index]], axis=1)
+        center, low, high = (part[index] for part in self.priors[:3])
+        prior = np.eye(p + len(index))[p:]
+        low, high = (np.append(np.full(p, far), x) for far, x in ((-np.inf, low), (np.inf, high)))
+        target = np.append(self.observed, center)
+        best = lsq_linear(np.vstack([both, prior]), target, (low, high), tol=1e-14).x
+        return fitted(
+            atoms,
+            [self.names[k] for k in atoms],
+            Start(best[:p], best[p:]),
+            (self.observed - both @ best, both),
+            np.append(np.zeros(p), np.ones(len(index))),
+            np.append(np.zeros(p), best[p:] - center),
+            self.priors.sign[index],
+            (low[p:], high[p:]),
+        )
+
+    def tangents(self, fit):
+        return self.slopes
+
+
+def log_normal(residual, covariance, flat):
+    """Log density (plus a constant) of a residual with this covariance beside columns
+    ``flat`` whose coefficients are free: projected out, dense."""
+    unit = null_space(flat.T) if flat.shape[1] else np.eye(len(residual))
+    return multivariate_normal(cov=unit.T @ covariance @ unit).logpdf(unit.T @ residual)
 
 
 def record(change=None, seed=0, rows=40):

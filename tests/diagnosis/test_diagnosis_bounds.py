@@ -16,5 +16,5 @@ def test_a_heading_offset_is_named_if_the_plain_fit_has_no_friction(zero):
     result = tirefit.diagnose(read_frame(data | change(data, zero, None)))
     # Slips of one sign, shifted past zero: nothing slides, by the plain fit.
     assert result.base_parameters["mu"] > 0.99 * specs(Brush())["mu"].upper
-    assert "slip_offset" in result.verdict.effects
+    assert "slip_offset" in result.verdict.helping
     assert 0.6 < result.extended_parameters["mu"] < 1.1

@@ -1,61 +1,22 @@
 """Closure against known truths: of draws, of the interval, and on held-out rows."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest_diagnosis import patterns_of, weighed_of
+from conftest_diagnosis import Toy, log_normal, weighed_of
 from scipy.special import softmax
-from scipy.stats import multivariate_normal
 
-from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.forward import Design, Linear
-from tirefit.diagnosis.evidence.search import Hypothesis
-from tirefit.diagnosis.rows.basis import Generic, bumps, orthogonal, without
+from tirefit.diagnosis.engine.discrepancy import Cell, Discrepancy, places_of
+from tirefit.diagnosis.rows.forces import Design
+from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary import closure
 from tirefit.diagnosis.summary.case import Case
-from tirefit.diagnosis.summary.closure import (
-    closure_elsewhere,
-    closure_on_rows,
-    drawn_functions,
-    plausible_forces,
-)
+from tirefit.diagnosis.summary.closure import closure_elsewhere, closure_on_rows, plausible_forces
 
 ROWS = 240
 ALONE = np.zeros(ROWS, int)
-
-
-def given_residual(bases, scales, residual):
-    """Mean and variance (m,) of a sum of columns whose coefficients have one of these
-    standard deviations, by conditioning a dense Gaussian; any basis is as likely."""
-    log, means, variances = [], [], []
-    for basis in bases:
-        for scale in scales:
-            covariance = scale**2 * basis @ basis.T
-            whole = covariance + np.eye(len(residual))
-            log.append(multivariate_normal(cov=whole).logpdf(residual))
-            solved = np.linalg.solve(whole, covariance)
-            means.append(solved.T @ residual)
-            variances.append(np.diag(covariance - covariance @ solved))
-    weight = softmax(log)
-    mean = weight @ means
-    return mean, weight @ (np.array(variances) + np.square(means - mean))
-
-
-def test_draws_of_a_discrepancy_agree_with_a_dense_gaussian(monkeypatch):
-    generator, sizes = np.random.default_rng(0), np.array([0.5, 3.0])
-    against = generator.standard_normal((60, 2))
-    columns = generator.standard_normal((60, 6)) / 8
-    residual = without(2 * columns[:, 0] + generator.standard_normal(60), against)
-    monkeypatch.setattr(closure, "_SIZES", sizes)
-    parts = columns[:, :4], columns[:, 4:]
-    bases = [(*orthogonal(part, against), 0.0) for part in parts]
-    drawn = drawn_functions(bases, residual, 8000, generator)
-    left = [without(part, against) for part in parts]
-    mean, variance = given_residual(left, sizes, residual)
-    error = np.sqrt(variance / 8000)
-    assert np.max(np.abs(drawn.mean(axis=1) - mean) / error) < 5
-    np.testing.assert_allclose(drawn.var(axis=1), variance, rtol=0.2)
 
 
 class Straight(Base):
@@ -65,45 +26,39 @@ class Straight(Base):
     def __init__(self, generator):
         x = np.linspace(-1, 1, ROWS)
         columns = np.stack([x, 0.3 * (x**2 - 0.2)], axis=1)
-        smooth = bumps(x, 12) / np.linalg.norm(bumps(x, 12), axis=0)
-        truth = columns @ [3.0, 12.0] + another_form(columns, smooth, generator)
+        shapes, places = places_of(x, None, 12)
+        smooth = Discrepancy(shapes, (Cell("force", "slip", 0, 12, places, False),))
+        truth = columns @ [3.0, 12.0]
+        # Smooth functions with the prior of the discrepancy, of about the size of the noise.
+        truth = truth + 0.5 * smooth.additive @ generator.standard_normal(12)
         observed = {"fx": truth + generator.standard_normal(ROWS)}
-        one = SimpleNamespace(effect=SimpleNamespace(id="one", forms=()))
+        one = SimpleNamespace(effect=SimpleNamespace(id="one"))
         nothing = Design(*[None] * len(Design._fields))
-        design = nothing._replace(
-            keep=np.ones(ROWS), scale={"fx": np.ones(ROWS)}, prior_scale=np.ones(1)
-        )
+        design = nothing._replace(scale={"fx": np.ones(ROWS)}, prior_scale=np.ones(1))
         rows = SimpleNamespace(channels=("fx",), n=ROWS, observed=observed, covariates=None)
-        sharp = patterns_of(smooth)
         self.__dict__ |= {
-            "columns": columns,
+            "slopes": columns,
             "truth": truth,
             "atoms": (one,),
             "rows": rows,
             "design": design,
-            "slip_fraction": x,
-            "generic": Generic(smooth, smooth, sharp),
-            "doubt": np.zeros((ROWS, 1)),
-            "proxies": np.zeros((ROWS, 0)),
+            "_smooth_columns": smooth,
+            "discrepancy": smooth,
         }
 
-    prepared = property(lambda self: self.rows)
     measured = property(lambda self: self)
 
     def forces(self, z, amplitudes):
-        return {"fx": self.columns @ np.append(z, amplitudes)}
+        return {"fx": self.slopes @ np.append(z, amplitudes)}
 
-    def linearised(self, z, amplitudes):
-        residual = self.rows.observed["fx"] - self.forces(z, amplitudes)["fx"]
-        fields = np.zeros((ROWS, 1))
-        return Linear(residual, self.columns[:, :1], self.columns[:, 1:], fields)
+    def columns_at(self, fit):
+        return self.slopes
 
     def fitted(self):
-        inverse = np.linalg.inv(self.columns.T @ self.columns)
-        z, amplitude = inverse @ self.columns.T @ self.rows.observed["fx"]
-        return Hypothesis(
-            (0,), ("one",), 9.0, 0.0, np.array([z]), np.array([amplitude]), inverse, 0.0
-        )
+        """The least-squares fit, with a wide prior of the amplitude."""
+        toy = Toy(self.rows.observed["fx"], self.slopes, self.slopes[:, :0], ())
+        fit = toy.fit(())
+        return replace(fit, effects=("one",), atoms=(0,), z=fit.z[:1], amplitude=fit.z[1:])
 
     def case(self):
         """It is known that the effect is there and no other."""
@@ -113,15 +68,37 @@ class Straight(Base):
         return case
 
 
-def another_form(columns, smooth, generator):
-    """The truth beyond the formula (n,): as large as the estimator expects."""
-    part = np.linalg.norm(without(columns[:, 1] * 12, columns[:, :1]))
-    left, size = orthogonal(smooth, columns)
-    share = np.clip(0.1 * np.exp(generator.standard_normal()), 0.005, 1.0)
-    off = left @ (size * generator.standard_normal(len(size)))
-    off = off * share * part / np.linalg.norm(size)
-    rest = 0.03 * np.exp(generator.standard_normal()) * part / np.sqrt(ROWS)
-    return off + rest * generator.standard_normal(ROWS)
+def test_draws_of_the_force_agree_with_a_dense_gaussian(monkeypatch):
+    """Parameters are free; a smooth remainder has any of the sizes, by their evidence."""
+    monkeypatch.setattr(closure, "_UNDRAWN", 0.0)
+    base = Straight(np.random.default_rng(4))
+    drawn = plausible_forces(base.case(), np.random.default_rng(0))["fx"]
+    observed, flat, smooth = base.rows.observed["fx"], base.slopes, base.smooth
+    columns, logs, means, squares = np.concatenate([flat, smooth], axis=1), [], [], []
+    for size in closure._SIZES:
+        logs.append(log_normal(observed, np.eye(ROWS) + size**2 * smooth @ smooth.T, flat))
+        ridge = np.append(np.zeros(2), np.full(smooth.shape[1], size**-2.0))
+        covariance = np.linalg.inv(columns.T @ columns + np.diag(ridge))
+        means.append(columns @ covariance @ columns.T @ observed)
+        squares.append(np.einsum("mi,ij,mj->m", columns, covariance, columns) + means[-1] ** 2)
+    weight = softmax(logs)
+    mean = weight @ means
+    std = np.sqrt(weight @ squares - mean**2)
+    assert drawn.shape == (ROWS, closure.DRAWS)
+    # 400 draws: five standard errors of a mean, and 20 % of a standard deviation.
+    assert np.max(np.abs(drawn.mean(axis=1) - mean) / std) < 5 / np.sqrt(400)
+    np.testing.assert_allclose(drawn.std(axis=1), std, rtol=0.2)
+
+
+def test_draws_have_a_remainder_of_other_shapes():
+    """Beside the smooth one, with its median share; of no shape, so without neighbours."""
+    base = Straight(np.random.default_rng(4))
+    given = base.case(), np.random.default_rng(0)
+    drawn = plausible_forces(*given)["fx"]
+    rough = np.diff(drawn, n=2, axis=0) / np.sqrt(6)
+    smooth = drawn - base.slopes @ np.linalg.lstsq(base.slopes, drawn, rcond=None)[0]
+    share = np.sqrt(np.mean(rough**2, axis=0) / np.mean(smooth**2, axis=0))
+    assert 0.2 < np.median(share) < 0.5
 
 
 def rms(values):
@@ -129,13 +106,13 @@ def rms(values):
 
 
 def test_an_interval_of_closure_contains_the_truth_in_90_percent():
-    """An effect of another form, mostly below the noise, in 150 files."""
+    """An effect beside smooth functions below the noise, in 150 files."""
     held, off = [], []
     for seed in range(150):
         generator = np.random.default_rng(seed)
         base = Straight(generator)
         best = base.fitted()
-        x = base.columns[:, 0]
+        x = base.slopes[:, 0]
         before = x * (x @ base.rows.observed["fx"] / (x @ x))
         after = base.forces(best.z, best.amplitude)["fx"]
         truth = plausible_forces(base.case(), generator)["fx"]
@@ -144,7 +121,8 @@ def test_an_interval_of_closure_contains_the_truth_in_90_percent():
         held.append(found.closed_ci[0] <= closed <= found.closed_ci[1])
         off.append(found.closed - closed)
     assert 0.82 <= np.mean(held) <= 0.97
-    assert abs(np.mean(off)) < 0.02 and np.median(np.abs(off)) < 0.06
+    # A remainder of other shapes, which is not here, is allowed for: a bias of .025.
+    assert abs(np.mean(off)) < 0.04 and np.median(np.abs(off)) < 0.06
 
 
 def test_closure_of_draws_is_computed_from_their_forces():

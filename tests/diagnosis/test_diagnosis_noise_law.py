@@ -5,12 +5,12 @@ import pytest
 from conftest_diagnosis import brush
 
 from tirefit.data.read import read_frame
+from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.evidence.base import fit_base
-from tirefit.diagnosis.noise import judge_noise
+from tirefit.diagnosis.rows.noise import judge_noise
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.subject import fit_base
 
 ROWS = 900
 SLIP = np.random.default_rng(0).uniform(0, 1, ROWS)

@@ -9,8 +9,8 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest_diagnosis import RIG, brush, patterns_of, record
-from scipy.integrate import dblquad, quad
+from conftest_diagnosis import RIG, brush, record
+from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
@@ -19,16 +19,19 @@ from tirefit.data.read import read_frame
 from tirefit.data.table import Source
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, atoms_of
 from tirefit.diagnosis.effects.state import force_of_state, null_state
-from tirefit.diagnosis.evidence.base import fit_base
-from tirefit.diagnosis.evidence.forms import PLACE, form_columns, shape_of_change
-from tirefit.diagnosis.noise import judge_noise
+from tirefit.diagnosis.engine.discrepancy import Cell, Found
+from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.rows import slips
-from tirefit.diagnosis.rows.basis import Generic, gains, of_any_kind, waves_within
+from tirefit.diagnosis.rows.basis import waves_within
+from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of
+from tirefit.diagnosis.rows.noise import judge_noise
 from tirefit.diagnosis.rows.prepared import blocks_of_settings, coincides, prepare
 from tirefit.diagnosis.rows.rig import Rig, load_rig
 from tirefit.diagnosis.rows.slips import AGES, AHEAD, segments, slip_rate
+from tirefit.diagnosis.rows.subject import fit_base
 from tirefit.diagnosis.summary.budget import shapley
 from tirefit.diagnosis.summary.forecast import recognition, scores_of_nothing, separability
+from tirefit.diagnosis.summary.views import _look_curve
 from tirefit.diagnosis.summary.where import regions, spots
 from tirefit.models import Brush, TireInputs
 from tirefit.results import UsageError
@@ -170,30 +173,6 @@ def test_fields_agree_with_central_differences(base):
         )
 
 
-def test_shape_of_a_change_is_found():
-    generator = np.random.default_rng(0)
-    time = np.linspace(-0.5, 0.5, 600)
-    friction = 20 * (1 + 0.3 * np.sin(40 * time))
-    truth = 0.5 * np.tanh((time - 0.13) / 0.05)
-    residual = 0.2 * friction * truth + generator.standard_normal(600)
-    none = np.zeros((0, 2))
-    found = shape_of_change(time, friction, friction[:, None], residual, none)
-    assert np.max(np.abs(found - truth)) < 0.06
-
-
-def test_a_change_in_time_is_found_unless_a_setting_explains_it():
-    generator = np.random.default_rng(0)
-    time = np.linspace(-0.5, 0.5, 600)
-    friction = 20 * (1 + 0.3 * np.sin(40 * time))
-    truth = ((time > -0.17) & (time < 0.17)) - 0.5
-    residual = 0.2 * friction * truth + generator.standard_normal(600)
-    given = time, friction, friction[:, None], residual
-    found = shape_of_change(*given, np.zeros((0, 2)))
-    assert np.mean(np.abs(found - truth) > 0.1) < 0.03
-    held = shape_of_change(*given, np.array([[-1 / 6, 1 / 6]]))
-    assert np.mean(np.abs(held - truth) > 0.1) > 0.05
-
-
 def test_settings_held_only_once_are_blocks():
     frame, _ = record(None)
     blocks = blocks_of_settings(prepare(read_frame(frame), RIG, ("fx",)))
@@ -207,25 +186,6 @@ def test_settings_held_only_once_are_blocks():
     shuffled = {name: values[mixed] for name, values in frame.items()}
     shuffled["time"] = frame["time"]
     assert not len(blocks_of_settings(prepare(read_frame(shuffled), RIG, ("fx",))))
-
-
-def _forms(base, *families, without=()):
-    effects = [effect for effect in EFFECTS if effect.family in families]
-    fields = base.linearised(base.z, np.zeros(len(base.atoms))).fields
-    prepared = replace(base.prepared, has=base.prepared.has - set(without))
-    return form_columns(effects, fields, prepared, base.slip_fraction)
-
-
-def test_forms_belong_to_the_families(base):
-    assert _forms(base, "force x force").shape[1] == 0
-    both = _forms(base, "friction x load", "friction x time")
-    # One column for each of three loads, four over the time.
-    assert both.shape == (base.prepared.n, 7)
-    fields = base.linearised(base.z, np.zeros(len(base.atoms))).fields
-    friction = fields[:, PLACE["friction"]]
-    # What they have in common is the friction itself.
-    np.testing.assert_allclose(both[:, :3].sum(1), 0.0, atol=1e-12)
-    assert np.ptp(both[friction != 0, 0] / friction[friction != 0]) == pytest.approx(0.03)
 
 
 def _history(base, values, interval, step):
@@ -281,12 +241,6 @@ def test_a_delay_uses_the_earlier_slip(base, delay):
     np.testing.assert_allclose(found.friction, 1 + right / now, atol=1e-12)
 
 
-def test_one_speed_has_no_speed_forms(base):
-    """At one speed any function of the sliding speed is one of the slip."""
-    assert _forms(base, "friction x speed").size
-    assert not _forms(base, "friction x speed", without=["speeds"]).size
-
-
 def test_the_example_effect_of_the_manual_is_found(tmp_path, monkeypatch, capsys):
     """Its lines find an existing ripple."""
     page = Path(__file__).parents[2] / "docs" / "how-to" / "effect.md"
@@ -317,7 +271,8 @@ def test_the_example_effect_of_the_manual_is_found(tmp_path, monkeypatch, capsys
     )
     exec(printed.replace("(data, ", '(data, rig=tirefit.load_rig("rig.toml"), '), {})
     text = re.sub(r"\s+", " ", capsys.readouterr().out)
-    assert "The gap comes from road ripple. Probability" in text
+    # That of something unlisted beside it is about even.
+    assert re.search("The gap comes (in part )?from road ripple", text)
     assert "the road has waves; to do: measure on another road" in text
 
 
@@ -394,70 +349,6 @@ def test_segments_break_at_pauses_and_runs():
     run = np.array([0, 0, 0, 0, 0, 1, 1])
     parts = segments(time, run)
     assert [part.tolist() for part in parts] == [[0, 1, 2], [3, 4], [5, 6]]
-
-
-def test_evidence_gain_agrees_with_gaussian_integrals():
-    """Compared with the Gaussian integral over one coefficient, by quadrature."""
-    generator = np.random.default_rng(0)
-    column = generator.standard_normal(50)
-    column /= np.linalg.norm(column)
-    residual = generator.standard_normal(50) + 4 * column
-    against = np.ones((50, 1))
-    wave = np.stack([np.sin(np.arange(50.0)), np.cos(np.arange(50.0))], axis=1)
-    narrow = patterns_of(10 * column[:, None])
-    bases = Generic(column[:, None], wave / np.linalg.norm(wave, axis=0), narrow)
-    kinds = gains(bases, against, residual)
-    lone = column - column.mean()
-
-    def likelihood(a, scale):
-        fit = np.sum((residual - a * lone) ** 2 - residual**2)
-        return np.exp(-0.5 * fit - 0.5 * (a / scale) ** 2) / scale / np.sqrt(2 * np.pi)
-
-    scales = (2, 6, 18, 54)
-    one = np.mean([quad(likelihood, -60, 60, args=(s,), points=[4])[0] for s in scales])
-
-    # The wave has two coefficients: the same integral in the plane.
-    flat = bases.waves - bases.waves.mean(axis=0)
-
-    def in_plane(b, a, scale):
-        fit = np.sum((residual - flat @ [a, b]) ** 2 - residual**2)
-        return np.exp(-0.5 * fit - 0.5 * (a**2 + b**2) / scale**2) / scale**2 / 2 / np.pi
-
-    two = np.mean([dblquad(in_plane, -12, 12, -12, 12, args=(s,))[0] for s in scales])
-    np.testing.assert_allclose(kinds["smooth"], np.log(one), rtol=1e-4)
-    np.testing.assert_allclose(kinds["waves"], np.log(two), rtol=1e-4)
-    assert min(kinds.values()) < of_any_kind(kinds) < max(kinds.values())
-    assert of_any_kind(dict.fromkeys(kinds, 3.0)) == pytest.approx(3.0)
-
-
-def test_remainder_evidence_agrees_with_dense_normal_distributions():
-    """Forms that are poorly determined leave their part of the rows."""
-    generator = np.random.default_rng(4)
-    forms = generator.standard_normal((50, 3)) * [2.0, 0.2, 0.01]
-    column = 0.3 * forms[:, :2] @ [0.1, 1.0] + 0.1 * generator.standard_normal(50)
-    residual = generator.standard_normal(50) + 30 * column
-    flat = generator.standard_normal((50, 2))
-    wave = np.column_stack([column, generator.standard_normal(50)])
-    bases = Generic(column[:, None], wave, patterns_of(column[:, None]))
-    found = gains(bases, flat, residual, forms)
-
-    wide = np.eye(50) + forms @ forms.T + 1e7 * flat @ flat.T
-
-    def log_density(more, scale):
-        covariance = wide + scale**2 * more @ more.T
-        fit = residual @ np.linalg.solve(covariance, residual)
-        return -0.5 * (fit + np.linalg.slogdet(covariance)[1])
-
-    for kind, more, scales in (
-        ("smooth", column[:, None], (2, 6, 18, 54)),
-        ("waves", wave, (2, 6, 18, 54)),
-        ("patterns", column[:, None], (0.5, 2, 8)),
-    ):
-        each = [log_density(more, scale) - log_density(more, 0.0) for scale in scales]
-        mean = np.logaddexp.reduce(each) - np.log(len(each))
-        assert found[kind] == pytest.approx(mean, abs=1e-3)
-    free = gains(bases, np.column_stack([flat, forms]), residual)
-    assert found["smooth"] > free["smooth"] + 3
 
 
 def test_one_wave_among_many_is_found():
@@ -631,9 +522,9 @@ def test_every_effect_stays_within_its_bounds(base):
     sets = [(k,) for k in range(len(base.atoms))]
     for far in (-50.0, 50.0):
         some = sets[:64] if far < 0 else sets[-64:]
-        every = base.refit([(base.z, [far])] * len(some), some)
-        for (k,), amplitude in zip(some, every.amplitude[:, 0], strict=True):
-            assert low[k] <= amplitude <= high[k], base.atoms[k].effect.id
+        for fit in base.refit([Start(base.z, np.array([far]))] * len(some), some):
+            (k,) = fit.atoms
+            assert low[k] <= fit.amplitude[0] <= high[k], base.atoms[k].effect.id
     for k, atom in enumerate(base.atoms):
         prior = atom.prior(base.prepared, RIG)
         assert prior.low == pytest.approx(low[k] * scale[k])
@@ -755,15 +646,55 @@ def test_data_and_rig_narrow_the_prior_of_an_amplitude():
     assert _prior("channel_delay", data, RIG, variant=2).low == 0.0
 
 
-def test_effects_of_one_family_share_their_free_forms():
-    """Otherwise a step and a drift would count the same columns twice."""
-    records = {effect.id: effect for effect in EFFECTS}
-    assert records["friction_step"].forms is records["friction_drift"].forms
-    shape = records["pressure_asymmetry"].forms
-    assert all(
-        records[name].forms is shape
-        for name in ("pressure_flatness", "kinetic_friction", "carcass_flexibility")
-    )
-    for effect in EFFECTS:
-        assert {len(constants) for constants in effect.variants} in ({0}, {1}, {2}, {3}, {4})
-        assert len(effect.bounds) in (1, len(effect.variants))
+def test_cells_of_the_discrepancy_hold_the_forces_of_changed_parameters(base):
+    """Usual changes of each parameter, by the closed brush: 3 % of friction, 6 % of
+    stiffness, .002 of slip, 1 % of the load; per setting of the load, and over the slip."""
+    values = base.layout.natural(base.z)
+    c, mu = float(values["cpa2"]), float(values["mu"])
+    slip, fz = base.prepared.slip, np.asarray(base.prepared.inputs.fz)
+    unit = np.asarray(base.design.scale["fx"])[: base.prepared.n]
+    changed = {
+        "friction": brush(slip, c, 1.01 * mu, fz) - brush(slip, c, 0.99 * mu, fz),
+        "stiffness": brush(slip, 1.01 * c, mu, fz) - brush(slip, 0.99 * c, mu, fz),
+        "slip": brush(slip + 5e-4, c, mu, fz) - brush(slip - 5e-4, c, mu, fz),
+        "force": 0.02 * fz,
+    }
+    usual = {"friction": 1.5, "stiffness": 3.0, "slip": 2.0, "force": 0.5}
+    found = discrepancy_of(base)
+    cells = {(cell.quantity, cell.covariate): cell for cell in found.cells}
+    for name, right in changed.items():
+        cell = cells[name, "fz"]
+        assert cell.settings and list(cell.places) == [2000.0, 4000.0, 6000.0]
+        for k, load in enumerate(cell.places):
+            own = usual[name] * np.where(fz == load, right, 0.0) / unit
+            # The noise of the slip blurs the curve.
+            size = np.abs(own).max()
+            off = found.columns[:, cell.first + k] - own
+            assert np.sqrt(np.mean(off**2)) < 0.03 * size
+        # Over the size of the slip, an offset has its sign.
+        cell = cells[name, "slip_fraction"]
+        side = np.sign(slip) if name in ("slip", "force") else 1.0
+        whole = found.columns[:, cell.first : cell.end].sum(axis=1)
+        np.testing.assert_allclose(
+            whole, side * found.columns[:, slice(*cells[name, "fz"][2:4])].sum(axis=1), atol=1e-9
+        )
+    waves = {(wave.quantity, wave.covariate): wave for wave in found.waves}
+    assert {name for name, _ in waves} == {"friction", "force"}
+    wave = waves["force", "time"]
+    np.testing.assert_allclose(wave.weight, 0.01 * fz / unit, rtol=0.01)
+    time = base.prepared.time
+    np.testing.assert_allclose(time[0] + wave.clock * wave.tick, time, atol=0.51 * wave.tick)
+
+
+def test_a_function_of_the_remainder_is_shown_in_the_units_of_its_parameter():
+    cell = Cell("slip", "slip_fraction", 0, 3, np.array([0.0, 0.5, 1.0]), False)
+    found = Found(cell, 5.0, 0.8, 0.3, np.array([1.0, -4.0, 2.0]), np.array([0.5, 1.0, 1.5]))
+    curve = _look_curve(found)
+    np.testing.assert_allclose(curve.change, [0.002, -0.008, 0.004])
+    np.testing.assert_allclose(curve.std, [0.001, 0.002, 0.003])
+    assert curve.is_mirrored and not curve.at_settings
+    look = curve.look
+    assert (look.at, look.size, look.probability, look.explains) == (0.5, -0.008, 0.8, 0.3)
+    # Of a wave the period is stated.
+    wave = found._replace(cell=cell._replace(covariate="time"), is_wave=True)
+    assert _look_curve(wave).look.at == 1.0 and not _look_curve(wave).is_mirrored

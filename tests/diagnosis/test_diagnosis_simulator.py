@@ -12,12 +12,11 @@ from conftest_diagnosis import brush
 from scipy.optimize import least_squares
 
 from tirefit.data.read import read_frame
+from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.evidence.fits import as_measured
-from tirefit.diagnosis.evidence.forms import not_followed
-from tirefit.diagnosis.evidence.simulator import given_simulator, simulator_at
+from tirefit.diagnosis.rows.fits import as_measured, not_followed
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.simulator import given_simulator, simulator_at
 from tirefit.diagnosis.summary.budget import _energies
 from tirefit.diagnosis.summary.closure import block_means
 from tirefit.diagnosis.summary.result import rows_in_file_terms
@@ -275,7 +274,7 @@ def test_errors_of_the_approximation_are_not_named_as_effects(offset):
     force = dugoff(slip + offset, fz) + noise
     data = read_frame({"sigma_x": slip, "fz": fz, "fx": force}, "a")
     found = diagnose(data, sim=dugoff(slip, fz, stiffness=0.8 * 9e4), rig=RIG)
-    assert found.verdict.status in ("none", "named")
+    assert found.verdict.status in (("named",) if offset else ("none", "unknown"))
     assert found.verdict.names_an_effect == bool(offset)
     if offset:
         assert found.verdict.effects == ("slip_offset",)

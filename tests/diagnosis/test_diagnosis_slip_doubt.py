@@ -2,22 +2,15 @@
 
 import numpy as np
 import pytest
-from conftest_diagnosis import brush
-from scipy.stats import multivariate_normal
+from conftest_diagnosis import brush, refitted
 
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.decide.findings import amplitude_over_error
-from tirefit.diagnosis.decide.remainder import widening
+from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.evidence.base import fit_base
-from tirefit.diagnosis.evidence.posterior import due_to_doubt, gains_beside, linear_at, weigh
-from tirefit.diagnosis.evidence.search import Search, amplitudes_of
-from tirefit.diagnosis.left_out import Predicted
-from tirefit.diagnosis.rows.basis import SCALES, without
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.slips import slip_doubt, slip_law, slip_nodes, slip_proxies
+from tirefit.diagnosis.rows.subject import fit_base
 
 ROWS, STD = 300, 0.0045
 
@@ -165,123 +158,38 @@ def test_a_load_correlated_with_the_slip_hides_no_effect():
 
 @pytest.fixture(scope="module")
 def doubted():
-    """A search on 200 rows of a slalom with uncertain slips."""
-    prepared = prepare(slalom(rows=200), SLALOM_RIG, ("fx",))
-    base = fit_base(prepared, "brush", EFFECTS, SLALOM_RIG)
-    names = [atom.effect.id for atom in base.atoms]
-    wanted = "slip_offset", "slip_offset_load", "load_stiffness"
-    return base, Search(base, [names.index(name) for name in wanted])
+    """The base fit of 200 rows of a slalom with uncertain slips."""
+    few = tuple(e for e in EFFECTS if e.id in ("slip_offset", "load_stiffness"))
+    rows = prepare(slalom(rows=200), SLALOM_RIG, ("fx",))
+    return fit_base(rows, "brush", few, SLALOM_RIG)
 
 
 def test_slip_doubt_acts_as_added_noise(doubted):
-    base, _ = doubted
-    assert base.doubt.shape[1] > 0
-    values = np.random.default_rng(0).standard_normal((len(base.doubt), 3))
-    covariance = np.eye(len(values)) + base.doubt @ base.doubt.T
-    twice = base.sure(base.sure(values))
-    np.testing.assert_allclose(twice, np.linalg.solve(covariance, values), atol=1e-9)
+    """Sums of squares after whitening are those of the covariance I + doubt doubt'."""
+    assert doubted.doubt.shape[1] > 0
+    values = np.random.default_rng(0).standard_normal((len(doubted.doubt), 3))
+    covariance = np.eye(len(values)) + doubted.doubt @ doubted.doubt.T
+    sure = doubted.sure(values)
+    right = values.T @ np.linalg.solve(covariance, values)
+    np.testing.assert_allclose(sure.T @ sure, right, atol=1e-9)
 
 
-def test_evidence_with_slip_doubt_is_bounded_by_the_normal_law(doubted):
-    base, searcher = doubted
-    residual, jacobian, columns, _ = base.at_null
-    flat = jacobian / np.linalg.norm(jacobian, axis=0) * 1e4
-
-    def evidence(doubt, atoms):
-        parts = np.concatenate([doubt, flat, columns[:, atoms]], axis=1)
-        law = multivariate_normal(cov=np.eye(len(parts)) + parts @ parts.T)
-        return law.logpdf(residual)
-
-    def over_nothing(doubt, atoms):
-        return evidence(doubt, atoms) - evidence(doubt, [])
-
-    changes = {}
-    for atom in searcher.testable:
-        assert searcher.sign[atom] == searcher.center[atom] == 0
-        certain = over_nothing(base.doubt[:, :0], [atom])
-        changes[atom] = over_nothing(base.doubt, [atom]) - certain
-        wanted = pytest.approx(min(changes[atom], 0.0), abs=0.01)
-        assert searcher._due_to_doubt((atom,)) == wanted
-    # It takes from some here, and what it would add to others is not added.
-    assert min(changes.values()) < -0.1 and max(changes.values()) > 0.0
-
-
-def test_slip_doubt_around_a_fit_acts_as_added_noise(doubted):
-    """Laplace's evidence around the fit of each set, with the dense covariance."""
-    base, searcher = doubted
-    searcher.refit([(atom,) for atom in searcher.testable], {})
-    covariance = np.eye(len(base.doubt)) + base.doubt @ base.doubt.T
-    for atom in searcher.testable:
-        fit = searcher.tried[(atom,)]
-        linear = linear_at(base, fit)
-        columns, residual = linear.used_up, linear.residual
-        prior = np.diag([0.0] * (columns.shape[1] - 1) + [1.0])
-
-        def cost(noise, columns=columns, residual=residual, prior=prior):
-            normal = columns.T @ np.linalg.solve(noise, columns) + prior
-            misfit = residual @ np.linalg.solve(noise, residual)
-            return misfit + np.linalg.slogdet(normal)[1]
-
-        wanted = 0.5 * (cost(np.eye(len(residual))) - cost(covariance))
-        assert due_to_doubt(base, fit, linear) == pytest.approx(wanted, abs=1e-3)
-
-
-def test_slip_doubt_acts_as_added_noise_for_the_unlisted(doubted):
-    """The density of a normal distribution with and without doubt: doubt gives little
-    evidence of something unlisted, and adds none."""
-    base, searcher = doubted
-    at_fit = linear_at(base, searcher.tried[()])
-    flat = at_fit.explained / np.linalg.norm(at_fit.explained, axis=0) * 1e4
-    smooth = base.generic.smooth
-
-    def widest(columns):
-        left = without(columns, at_fit.explained)
-        return left[:, np.argmax(np.linalg.norm(left, axis=0))]
-
-    def over_nothing(doubt, residual):
-        def evidence(more):
-            parts = np.concatenate([doubt, flat, more], axis=1)
-            law = multivariate_normal(cov=np.eye(len(parts)) + parts @ parts.T)
-            return law.logpdf(residual)
-
-        nothing = evidence(smooth[:, :0])
-        each = [evidence(scale * smooth) - nothing for scale in SCALES]
-        return np.logaddexp.reduce(each) - np.log(len(each))
-
-    found = {}
-    for kind, columns, size in (("doubt", base.doubt, 40), ("smooth", smooth, 25)):
-        change = size * widest(columns)
-        linear = at_fit._replace(residual=at_fit.residual + change)
-        sure = over_nothing(base.doubt[:, :0], linear.residual)
-        wanted = min(sure, over_nothing(base.doubt, linear.residual))
-        assert gains_beside(base, linear, False)["smooth"] == pytest.approx(wanted, abs=0.02)
-        assert sure > 5
-        found[kind] = wanted / sure
-    assert found["doubt"] < 0.3 < found["smooth"]
-
-
-@pytest.mark.parametrize("parts", [None, np.array([0.0, 30.0, -10.0, 4.0])])
-def test_error_of_an_amplitude_includes_slip_uncertainty_and_jackknife(doubted, parts):
-    """Against refits of simulated slip errors, and the textbook sum of the jackknife."""
-    base, searcher = doubted
-    atom = searcher.testable[0]
-    searcher.refit([(atom,)], {})
-    weighed, key = weigh(searcher), (base.atoms[atom].effect.id,)
-    none, sets = np.zeros((0, 0)), () if parts is None else (key,)
-    amplitude = () if parts is None else (parts[:, None],)
-    out = Predicted("rows", False, sets, none, none, none, amplitude, none)
-    fit = weighed.best_of[key]
-    linear, p = linear_at(base, fit), len(fit.z)
-    draws = np.random.default_rng(8).standard_normal((base.doubt.shape[1], 20_000))
-    prior = np.eye(p + 1)[[p]]
-    wrong = np.concatenate([base.doubt @ draws, np.zeros((1, 20_000))])
-    refits = np.linalg.lstsq(np.concatenate([linear.used_up, prior]), wrong, rcond=None)[0]
-    left = base.residual(fit.z, amplitudes_of(base, fit))
-    known = fit.covariance[p, p] * widening(base, left)
-    error = np.hypot(np.sqrt(known), refits[p].std())
-    assert refits[p].std() > 0.1 * error
-    if parts is not None:
-        count = len(parts)
-        error = np.sqrt((count - 1) / count * np.sum((parts - parts.mean()) ** 2))
-    found = amplitude_over_error(base, weighed, out, key)
-    assert found == {key[0]: pytest.approx(abs(fit.amplitude[0]) / error, rel=0.02)}
+def test_evidence_includes_the_slip_uncertainty(doubted):
+    """Laplace's evidence of a set over none, with the dense covariance of its rows."""
+    doubt = doubted.doubt
+    covariance = np.eye(len(doubt)) + doubt @ doubt.T
+    logs = []
+    for fit in (refitted(doubted), refitted(doubted, "load_stiffness")):
+        columns = doubted.columns_at(fit)
+        residual = doubted.residual(fit.z, doubted.amplitudes(fit.atoms, fit.amplitude))
+        k = len(fit.amplitude)
+        prior = np.diag([0.0] * len(fit.z) + [1.0] * k)
+        off = np.append(np.zeros(len(fit.z)), fit.amplitude)
+        solved = np.linalg.solve(covariance, np.column_stack([columns, residual]))
+        normal = columns.T @ solved[:, :-1] + prior
+        gradient = columns.T @ solved[:, -1] - off * np.diag(prior)
+        misfit = residual @ solved[:, -1] + off @ prior @ off
+        misfit -= gradient @ np.linalg.solve(normal, gradient)
+        logs.append((fit.log_evidence, -0.5 * (misfit + np.linalg.slogdet(normal)[1])))
+    found, right = np.diff(np.array(logs), axis=0)[0]
+    assert found == pytest.approx(right, abs=1e-3)

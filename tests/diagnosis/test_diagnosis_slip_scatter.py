@@ -5,12 +5,12 @@ import pytest
 from conftest_diagnosis import brush
 
 from tirefit.data.read import read_frame
+from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.evidence.base import shown_slip_noise
-from tirefit.diagnosis.noise import slip_scatter
+from tirefit.diagnosis.rows.noise import slip_scatter
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.subject import shown_slip_noise
 from tirefit.fitting.estimate import fit
 
 ROWS, NOISE = 600, 0.002

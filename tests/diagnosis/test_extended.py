@@ -9,10 +9,10 @@ from conftest_diagnosis import bare, brush
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS, Atom
-from tirefit.diagnosis.evidence.base import fit_base
 from tirefit.diagnosis.extended import Document, document_of, extend, extension_of
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.subject import fit_base
 from tirefit.models import MODELS, TireInputs, forces, modelled
 from tirefit.results import UsageError
 
@@ -59,7 +59,7 @@ def document(base, atom, size, to, **known):
         "simulator": None, "gap": {"closed": 0.8, "shares": {}},
         "verdict": {
             "status": "named", "effects": [effect.id], "probability": 0.9,
-            "also_possible": [],
+            "acts_like": [], "also_possible": [],
         },
         "candidates": [{
             "effects": [effect.id],
@@ -107,7 +107,7 @@ def test_each_tire_effect_gives_the_forces_of_the_diagnosis(mode, model, expecte
         if atom.variant >= variants or (expected is OF_SHAPE and effect.id not in expected):
             continue
         size = (-0.5 if effect.sign < 0 else 0.5) * scale
-        to = extension_of(base, only(base, k), False)
+        to = extension_of(base, only(base, k))
         found = extend(
             MODELS[model], model, document(base, atom, size, to, model=model), lambda tire: tire
         )
@@ -133,7 +133,7 @@ def test_effects_of_measurement_vehicle_and_past_are_only_reported():
         ("friction_drift", "it closes 80% of the gap"),
     ):
         k = [atom.effect.id for atom in base.atoms].index(id)
-        to = extension_of(base, only(base, k), False)
+        to = extension_of(base, only(base, k))
         at = document(base, Atom(every[id]), 0.3, to)
         found = extend(MODELS["brush"], "brush", at, lambda tire: tire)
         assert found.names == () and words in found.sentences[1]
@@ -142,7 +142,7 @@ def test_effects_of_measurement_vehicle_and_past_are_only_reported():
 def test_a_tire_with_effects_is_finite_at_rest_and_without_load():
     base = based("y", "brush")
     k = [atom.effect.id for atom in base.atoms].index("load_friction")
-    at = document(base, base.atoms[k], -0.3, extension_of(base, only(base, k), False))
+    at = document(base, base.atoms[k], -0.3, extension_of(base, only(base, k)))
     found = extend(MODELS["brush"], "brush", at, lambda tire: tire)
     still = forces(found.tire, TireInputs(0.0, 0.0, np.array([0.0, 4000.0]), 0.0))
     assert np.all(np.asarray(still.fy) == 0)
@@ -150,10 +150,10 @@ def test_a_tire_with_effects_is_finite_at_rest_and_without_load():
 
 def test_a_diagnosis_of_another_model_or_of_columns_is_refused():
     base = based("x", "brush")
-    at = document(base, base.atoms[0], 0.1, extension_of(base, only(base, 0), False))
+    at = document(base, base.atoms[0], 0.1, extension_of(base, only(base, 0)))
     for changes in ({"model": "brush-d"}, {"simulator": {"kind": "columns"}}):
         text = at.model_dump_json()
-        content = json.loads(text) | changes | {"schema": "tirefit.diagnosis/3"}
+        content = json.loads(text) | changes | {"schema": "tirefit.diagnosis/4"}
         other = document_of(json.dumps(content))
         with pytest.raises(UsageError, match="the tire is a brush"):
             extend(MODELS["brush"], "brush", other, lambda tire: tire)

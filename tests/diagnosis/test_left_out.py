@@ -7,25 +7,13 @@ from scipy.optimize import least_squares
 
 from fits.dart_rear_axle import logs_left_out
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.decide.verdict import POLICY
+from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.evidence.base import fit_base
-from tirefit.diagnosis.evidence.search import search
-from tirefit.diagnosis.left_out import (
-    NOISE,
-    SMOOTH,
-    Folds,
-    Predicted,
-    climbed,
-    folds_of,
-    gained,
-    jackknife_error,
-    ladder_of,
-    predicted,
-)
+from tirefit.diagnosis.engine.left_out import predicted
+from tirefit.diagnosis.rows.parts import folds_of
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.subject import fit_base
 
 RIG, STD = Rig(noise={"fy": 20.0, "alpha": 1e-6}), 20.0
 FEW = (
@@ -142,14 +130,15 @@ def test_losses_agree_with_refits_without_the_fold(five):
     """With no effect, and with the offset and its prior of one prior scale."""
     folds = folds_of(five.rows, 1.0)
     none, offset = refitted(five), refitted(five, "slip_offset")
-    found = predicted(five, [none, offset], folds)
+    found = predicted(five, [none, offset], none, folds)
     assert found.effects == ((), ("slip_offset",))
     assert found.on == folds.on and found.across_runs
     for fold in range(folds.number):
         for k in (0, 1):
             loss, size = by_scipy(five, fold, folds.code, bool(k))
-            assert found.loss[fold, k] == pytest.approx(loss, rel=1e-3)
-        assert found.amplitude[1][fold, 0] == pytest.approx(size, rel=1e-3)
+            # By one linear step from the fit of all runs.
+            assert found.loss[fold, k] == pytest.approx(loss, rel=0.01)
+        assert found.amplitude[1][fold, 0] == pytest.approx(size, rel=0.01)
     # The noise is one number here, but for that of the slip.
     rows = found.rows[:, None]
     np.testing.assert_allclose(found.whitened, found.loss * rows / STD**2, rtol=1e-4)
@@ -158,122 +147,13 @@ def test_losses_agree_with_refits_without_the_fold(five):
 
 def test_a_smooth_remainder_is_predicted_down_to_the_noise(five):
     folds = folds_of(five.rows, 1.0)
-    found = predicted(five, [refitted(five)], folds)
+    none = refitted(five)
+    found = predicted(five, [none], none, folds)
     assert np.mean(found.smooth) < 0.5 * np.mean(found.loss[:, 0])
     assert np.mean(found.smooth) > 0.8 * STD**2
 
 
-def drawn(seed=0, parts=6):
-    """Losses of four sets with the truth a + b: (Predicted, floor)."""
-    generator = np.random.default_rng(seed)
-    sets, truth = ((), ("a",), ("b",), ("a", "b")), np.array([900.0, 400, 700, 150])
-    loss = truth * generator.uniform(0.7, 1.3, (parts, 4))
-    rows = generator.integers(20, 90, parts)
-    return Predicted(
-        "6 parts",
-        True,
-        sets,
-        loss,
-        loss * rows[:, None] / 100,
-        rows,
-        tuple(np.ones((parts, len(s))) for s in sets),
-        loss[:, 3] - 20,
-    ), 100.0
-
-
-def closed_by_hand(after, before, rows, floor):
-    gap, left = (np.average(x, weights=rows) - floor for x in (before, after))
-    return 1 - np.sqrt(left / gap)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_gain_and_its_error_agree_with_a_loop_over_the_parts(seed):
-    out, floor = drawn(seed)
-    gain = gained(out, 1, 0, floor)
-    each = [out.whitened[f, 0] - out.whitened[f, 1] for f in range(6)]
-    assert gain.gain == pytest.approx(sum(each)) and gain.parts == 6
-    # A sum of six independent parts.
-    assert gain.std == pytest.approx(np.sqrt(6) * np.std(each, ddof=1))
-    closed, one_less = closed_by_hand(*out.loss[:, [1, 0]].T, out.rows, floor), []
-    for f in range(6):
-        kept = [k for k in range(6) if k != f]
-        of = out.loss[np.ix_(kept, [1, 0])].T
-        one_less.append(closed_by_hand(*of, out.rows[kept], floor))
-    assert gain.closed == pytest.approx(closed)
-    jackknife = np.sqrt(5 / 6 * np.sum((one_less - np.mean(one_less)) ** 2))
-    assert gain.closed_std == pytest.approx(jackknife)
-
-
-def test_the_ladder_descends_from_no_effect_to_the_noise():
-    out, floor = drawn()
-    ladder = ladder_of(out, ("a", "b"), floor)
-    names = [step.effects for step in ladder.steps]
-    assert names == [(), ("a",), ("a", "b"), SMOOTH, NOISE] and ladder.on == "6 parts"
-    squares = [step.rms_left_out**2 for step in ladder.steps]
-    assert squares == sorted(squares)[::-1] and squares[-1] == pytest.approx(floor)
-    # Each step gains what the rms falls by; the last two against the last set.
-    gains = [step.gain for step in ladder.steps]
-    falls = [0, *(-np.diff(squares[:4])), squares[2] - squares[4]]
-    np.testing.assert_allclose(gains, falls, atol=1e-9)
-    assert ladder.steps[0].closed == 0 and ladder.steps[-1].closed == 1
-    assert 0 < ladder.steps[1].closed < ladder.steps[2].closed < 1
-    # Neither a set without a refit nor an unnamed one is a step.
-    less = out._replace(effects=((), ("a",), ("c",), ("a", "b")))
-    assert [s.effects for s in ladder_of(less, ("a", "b"), floor).steps] == names
-    assert [s.effects for s in ladder_of(out, (), floor).steps] == [(), SMOOTH, NOISE]
-
-
-@pytest.fixture(scope="module")
-def ends():
-    """The result of the search on the first runs of one set of logs."""
-    known = {}
-
-    def end(count):
-        if count not in known:
-            base = based(logs(count))
-            found = search(base, range(len(base.atoms)))
-            folds = folds_of(base.rows, 1.0)
-            known[count] = base, found, climbed(base, found, folds, POLICY.gain)
-        return known[count]
-
-    return end
-
-
 TRUE = {"slip_offset", "friction_speed_linear"}
-
-
-@pytest.mark.parametrize("count", [3, 5])
-def test_the_search_finds_the_effects_of_every_run(ends, count):
-    """Another run that agrees removes no name."""
-    base, found, end = ends(count)
-    assert set(end.effects) == TRUE
-    sizes = base.amplitudes(end.atoms, end.amplitude)
-    (offset,) = (sizes[k] for k in end.atoms if base.atoms[k].effect.id[:4] == "slip")
-    assert offset == pytest.approx(OFFSET, rel=0.15)
-    # Every set on the way is among those of the search.
-    assert end.atoms in found.tried and found.tried[end.atoms].refitted
-
-
-def test_a_search_without_sufficient_gain_finds_no_effect(ends):
-    base, found, _ = ends(5)
-    folds = folds_of(base.rows, 1.0)
-    assert climbed(base, found, folds, 1e3).effects == ()
-
-
-def test_the_search_rejects_an_effect_of_one_run():
-    """Friction is a third lower in one of five runs: it is not an effect of all runs, and
-    the offset that all have is kept."""
-    frame = logs(5)
-    odd = frame["run"] == "r4"
-    slip = np.tan(frame["alpha"])
-    low = brush(slip + OFFSET, 5e4, 0.6 * (1 + RISE * frame["v"] * np.abs(slip)), 4e3)
-    noise = frame["fy"] - brush(
-        slip + OFFSET, 5e4, 0.9 * (1 + RISE * frame["v"] * np.abs(slip)), 4e3
-    )
-    base = based(frame | {"fy": np.where(odd, low + noise, frame["fy"])})
-    found = search(base, range(len(base.atoms)))
-    end = climbed(base, found, Folds(base.rows.run, "", True), POLICY.gain)
-    assert set(end.effects) <= TRUE and "slip_offset" in end.effects
 
 
 @pytest.mark.parametrize("count", [4, pytest.param(6, marks=pytest.mark.long)])
@@ -302,10 +182,3 @@ def test_the_repeatability_of_the_axle_agrees_with_its_readme():
     noise = logs_left_out.tracker_noise()
     assert noise["alpha"] == pytest.approx(4e-5, rel=0.1)
     assert noise["fy"] == pytest.approx(8e-4, rel=0.1)
-
-
-def test_jackknife_error_of_a_mean_is_its_standard_error():
-    """For a mean the jackknife is exact: the sample deviation over the root of n."""
-    sample = np.random.default_rng(4).normal([3.0, -1.0], [0.2, 5.0], (7, 2))
-    means = [np.delete(sample, k, axis=0).mean(axis=0) for k in range(7)]
-    np.testing.assert_allclose(jackknife_error(means), sample.std(axis=0, ddof=1) / np.sqrt(7))

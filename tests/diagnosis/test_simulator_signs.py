@@ -8,10 +8,10 @@ import pytest
 from tirefit.data.read import read_frame
 from tirefit.data.tir import read_tir
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.evidence.base import fit_base
-from tirefit.diagnosis.evidence.simulator import Given, check_signs, simulator_at
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.simulator import Given, check_signs, simulator_at
+from tirefit.diagnosis.rows.subject import fit_base
 from tirefit.fitting.tir import tire_of
 from tirefit.models import TireInputs, forces
 from tirefit.results import DataError

@@ -153,15 +153,16 @@ def _diagnosis() -> bytes:
     values, id = {"cpa2": 5e4, "mu": 0.9}, "load_friction"
     size = {"value": -0.1, "std": 0.01, "unit": "-", "formula": "a power of the load"}
     content = {
-        "schema": "tirefit.diagnosis/3", "data": {"name": "run", "sha256": "ab" * 32},
+        "schema": "tirefit.diagnosis/4", "data": {"name": "run", "sha256": "ab" * 32},
         "model": "brush", "simulator": None, "gap": {"closed": 0.9, "shares": {}},
         "verdict": {
-            "status": "named", "effects": [id], "probability": 0.9, "also_possible": [],
+            "status": "named", "effects": [id], "probability": 0.9,
+            "acts_like": [], "also_possible": [],
         },
         "candidates": [{"effects": [id], "parameters": {f"{id}: power": size}}],
         "base_parameters": values, "extended_parameters": values,
         "extension": {
-            "mode": "x", "variants": {id: 0}, "other_form": False, "fz": 3600.0,
+            "mode": "x", "variants": {id: 0}, "fz": 3600.0,
             "load": 4e3, "at": [4e3, 12.0], "slowest": 0.4, "brisk": 5.0,
             "cruise": 12.0, "rise": 0.04, "peak": 0.9, "used": 0.9,
             "pressure": [2e5, 4e4],

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 import tirefit
 from tirefit.data.vehicle import Filter, Keep, Steering, Vehicle
-from tirefit.diagnosis.decide.verdict import Status
+from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.display import Record
 from tirefit.fitting.batch import BatchFit

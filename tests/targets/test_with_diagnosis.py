@@ -22,11 +22,11 @@ def document(path, *effects, model="brush", parameters=None, **known):
     values = {"cpa2": CPA2, "mu": MU} if parameters is None else parameters
     names = [id for id, _, _ in effects]
     content = {
-        "schema": "tirefit.diagnosis/3", "data": {"name": "run", "sha256": "ab" * 32},
+        "schema": "tirefit.diagnosis/4", "data": {"name": "run", "sha256": "ab" * 32},
         "model": model, "simulator": None, "gap": {"closed": 0.75, "shares": {}},
         "verdict": {
             "status": "named", "effects": names, "probability": 0.9,
-            "also_possible": [],
+            "acts_like": [], "also_possible": [],
         },
         "candidates": [{"effects": names, "parameters": {
             f"{id}: {name}": {"value": value, "std": 0.01, "unit": "-", "formula": ""}
@@ -34,7 +34,7 @@ def document(path, *effects, model="brush", parameters=None, **known):
         }}],
         "base_parameters": values, "extended_parameters": values,
         "extension": {
-            "mode": "x", "variants": dict.fromkeys(names, 0), "other_form": False,
+            "mode": "x", "variants": dict.fromkeys(names, 0),
             "fz": F0, "load": 4000.0, "at": [4000.0, 12.0], "slowest": 0.4,
             "brisk": 5.0, "cruise": 12.0, "rise": 0.04, "peak": 0.9, "used": 0.9,
             "pressure": [2e5, 0.0],
@@ -151,7 +151,7 @@ def test_a_tir_has_the_parameters_and_reports_lost_effects(tmp_path):
 def test_bad_documents_are_refused_and_write_nothing(tmp_path):
     path, said = tmp_path / "tire.py", tmp_path / "run.json"
     arguments = ["export", "brush", "--to", "numpy", "--out", str(path)]
-    for text in ("", "{", "[]", '{"schema": "tirefit.diagnosis/3"}'):
+    for text in ("", "{", "[]", '{"schema": "tirefit.diagnosis/4"}'):
         said.write_text(text)
         with pytest.raises(DataError, match="diagnose"):
             tirefit.export("brush", "numpy", path, diagnosis=said)

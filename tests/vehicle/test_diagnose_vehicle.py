@@ -14,7 +14,7 @@ from fits.withheld_vehicle.drives import LISTED, Trial, trial, written
 from tirefit.cli.commands import app
 from tirefit.models import Brush
 from tirefit.results import DataError, UsageError
-from tirefit.vehicle import evidence
+from tirefit.vehicle import subject
 from tirefit.vehicle.car import cubic, delayed, lagged, with_play
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples, Setting
 
@@ -36,7 +36,7 @@ def logged(folder, effect, size, number=5, off=1.1):
 def few_windows():
     """Programs of the fifteen windows of these logs: padding to 48 takes longer."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evidence, "_LEAST_WINDOWS", 16)
+        patch.setattr(subject, "_LEAST_WINDOWS", 16)
         yield
 
 

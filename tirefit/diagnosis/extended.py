@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
 
-from tirefit.diagnosis.decide.verdict import UNKNOWN
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Atom, effects_by_id
 from tirefit.diagnosis.effects.state import (
     Covariates,
@@ -29,9 +28,10 @@ from tirefit.diagnosis.effects.state import (
     slope_at_rest,
     with_offsets,
 )
-from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.search import Hypothesis
+from tirefit.diagnosis.engine.decide import UNKNOWN
+from tirefit.diagnosis.engine.fit import Fit
 from tirefit.diagnosis.rows.covariates import column, slowest
+from tirefit.diagnosis.rows.subject import Base
 from tirefit.door import RECORD, content_of, outrageous
 from tirefit.models import AbstractTire, TireForces, TireInputs
 from tirefit.params import check_values, specs, with_values
@@ -39,7 +39,7 @@ from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.settings import faults_in
 from tirefit.slip import lateral_slip
 
-SCHEMA = "tirefit.diagnosis/3"
+SCHEMA = "tirefit.diagnosis/4"
 
 _NO_LOAD = 1e-6
 """Share of the mean load below which laws of the load are constant, as powers of the load
@@ -55,7 +55,6 @@ class Extension(NamedTuple):
     Attributes:
         mode: slip that causes the forces: x, y or xy.
         variants: number of the formula of each fitted effect, by its id.
-        other_form: whether the data prefer another form to these formulas.
         fz: geometric mean of the load [N].
         load: mean load [N].
         at: median load [N] and speed [m/s].
@@ -67,7 +66,6 @@ class Extension(NamedTuple):
 
     mode: Annotated[str, Field(pattern="^(x|y|xy)$")]
     variants: Mapping[str, int]
-    other_form: bool
     fz: PositiveFloat
     load: PositiveFloat
     at: tuple[float, float]
@@ -80,8 +78,8 @@ class Extension(NamedTuple):
     pressure: tuple[float, float]
 
 
-def extension_of(base: Base, chosen: Hypothesis, other_form: bool) -> Extension:
-    """The extension of a file, for the effects of a refitted set."""
+def extension_of(base: Base, chosen: Fit) -> Extension:
+    """The extension of a file, for the effects of a fitted set."""
     rows, prepared = base.design.rows, base.prepared
     inflation = column(prepared.data, "pressure")
     atoms = [base.atoms[k] for k in chosen.atoms]
@@ -91,7 +89,6 @@ def extension_of(base: Base, chosen: Hypothesis, other_form: bool) -> Extension:
     return Extension(
         mode=prepared.mode,
         variants={a.effect.id: a.variant for a in atoms},
-        other_form=other_form,
         fz=float(fz[0] / prepared.covariates.fz[0]),
         at=(float(base.design.reference[0]), float(base.design.reference[1])),
         slowest=slowest(column(prepared.data, "v")),
@@ -195,8 +192,14 @@ class _Candidate(_Part):
 class _Verdict(_Part):
     status: str
     effects: list[str]
+    acts_like: list[str]
     probability: float
     also_possible: list[str]
+
+    @property
+    def helping(self) -> list[str]:
+        """The effects of the extended model: causes, then those that act like one."""
+        return [e for e in (*self.effects, *self.acts_like) if e != UNKNOWN]
 
 
 class _Gap(_Part):
@@ -295,10 +298,8 @@ def extend(tire: AbstractTire, name: str, document: Document, finish: Callable) 
     if verdict.also_possible:
         others = ", ".join(verdict.also_possible)
         sentences.append(f"these data do not rule out {others} instead")
-    if document.extension.other_form:
-        sentences.append("another shape fits the data better than the formulas of the effects")
     held = []
-    for effect in verdict.effects:
+    for effect in verdict.helping or verdict.effects:
         atom, sentence = _judged(effect, document)
         held += atom
         sentences.append(sentence)
@@ -329,7 +330,7 @@ def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]
         what = "of the noise" if effect else "not in the library of effects"
         what = "no listed effect explains it" if id == UNKNOWN else what
         return [], f"not in the forces: {id}: {what}"
-    prefix, named = f"{id}: ", set(document.verdict.effects)
+    prefix, named = f"{id}: ", set(document.verdict.helping)
     sets = (one.parameters for one in document.candidates if set(one.effects) == named)
     amplitudes = next(sets, {})
     whole = next((key for key in amplitudes if key.startswith(prefix)), None)

@@ -7,7 +7,7 @@ from tirefit.diagnosis.effects.per_run import RELATIVE
 from tirefit.diagnosis.summary.result import SCHEMA, Diagnosis
 from tirefit.models import MODELS
 from tirefit.params import specs
-from tirefit.report.diagnosis_sections import TESTS, Section, gap_line
+from tirefit.report.diagnosis_sections import Section, gap_line
 from tirefit.report.diagnosis_words import (
     amount_text,
     amplitude_text,
@@ -42,7 +42,6 @@ def details(result: Diagnosis) -> list[Section]:
             "Candidates (probability of exactly this set, by the evidence)",
             list(_candidate_lines(result)),
         ),
-        Section("Tests of what is left", (), _tests(result)),
         Section("Parameters", (), _parameters(result)),
         Section("Hard to tell on this data (forecast)", confused_lines(result)),
         Section("Smallest amplitudes that would be seen", smallest_lines(result)),
@@ -128,12 +127,6 @@ def _candidate_lines(result: Diagnosis) -> Iterator[str]:
                 f" {format_number(one.z_given_rivals, 3)} beside the others"
             )
         yield line
-
-
-def _tests(result: Diagnosis) -> list[tuple[str, ...]]:
-    tests = result.verdict.left.tests.items()
-    rows = [(TESTS.get(name, name), p_text(p)) for name, p in tests if p is not None]
-    return [("test", "p of noise"), *rows]
 
 
 def _parameters(result: Diagnosis) -> list[tuple[str, ...]]:

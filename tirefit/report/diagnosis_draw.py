@@ -32,6 +32,7 @@ from tirefit.report.diagnosis_panels import (
     chance_bars,
     covariate_label,
     draw_look,
+    draw_sizes,
     ladder_bars,
     level_labels,
     load_label,
@@ -49,7 +50,7 @@ _NARROW = 0.035
 _SQUARE, _FOOT = 4, 0.36
 """Number of panels in pairs; relative height of a panel below them."""
 _PHONE = (4.2, 3.4)
-"""Size of the ladder's picture: its letters are 11 pixels high at a width of 400."""
+"""Size of the pictures of ladder and sizes: letters of 10 pixels and more at a width of 400."""
 
 _KIND = {
     "base": GREY,
@@ -111,7 +112,7 @@ def draw_ladder(figure, bars: Sequence[LadderBar], unit: str, on: str) -> None:
 
 
 def draw_chances(figure, bars: Sequence[ChanceBar]) -> None:
-    """Draw the probability that each effect is present, named ones in blue."""
+    """Draw the probability that each effect is a cause, named ones in blue."""
     axes = figure.subplots()
     top = max(len(bars), 3)
     places = top - 1 - np.arange(len(bars))
@@ -127,11 +128,11 @@ def draw_chances(figure, bars: Sequence[ChanceBar]) -> None:
             ha="right" if inside else "left",
             color="white" if inside else DARK,
         )
-    tidy(axes, "probability that it (or a twin) is present")
+    tidy(axes, "probability that it (or a twin) is a cause")
     axes.set_yticks(places, [textwrap.fill(bar.label, 18) for bar in bars])
     axes.set_ylim(-0.6, top - 0.4)
     axes.set_xlim(0, 1)
-    panel_title(axes, "Which effects are present", "blue: named; orange: not named")
+    panel_title(axes, "Which effects are causes", "blue: named; orange: only acts like a cause")
 
 
 def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
@@ -298,6 +299,8 @@ def panels_of(result: Diagnosis) -> dict[str, Callable]:
     if result.look is not None:
         beside = after if result.comparison.named else "the base fit"
         panels["what is left"] = partial(draw_look, panel=result.look, beside=beside)
+    if any(result.verdict.sizes.get(effect) for effect in result.verdict.helping):
+        panels["sizes"] = partial(draw_sizes, result=result)
     several = len(result.budgets) > 1
     for channel in result.budgets if result.simulator else ():
         of = f" of {channel_name(channel)}" * several
@@ -310,7 +313,7 @@ def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
     """Each panel as a separate picture, for phones."""
     pictures = {}
     for name, draw in panels_of(result).items():
-        size = _PHONE if name == "ladder" else _PANEL
+        size = _PHONE if name in ("ladder", "sizes") else _PANEL
         pictures[name] = Picture(figsize=size, layout="constrained")
         draw(pictures[name])
     return pictures

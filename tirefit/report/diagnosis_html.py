@@ -17,12 +17,12 @@ from tirefit.report.diagnosis_sections import (
 from tirefit.report.html import GOOD, OPEN, image_of, rendered
 
 _ALTERNATIVES = {
+    "sizes": "Size of each effect that helps, in groups of the rows",
     "ladder": "Rms on data left out, step by step, down to the noise",
-    "which": "Probability that each effect is present, as bars",
+    "which": "Probability that each effect is a cause, as bars",
     "where": "Map of measured minus fitted force over slip and another quantity",
     "before and after": "Force over slip and residuals, of the base fit and after it",
-    "what is left": "Remainder: change of a parameter over the quantity that it"
-    " depends on, and the fitted shape",
+    "what is left": "Remainder: change of a parameter over the quantity that it depends on",
     "budget": "Waterfall from the simulator's error, part by part, to the noise",
 }
 

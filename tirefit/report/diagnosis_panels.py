@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.left_out import AS_GIVEN, NOISE, SMOOTH, Step
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH, Step
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.diagnosis.summary.views import LoadCurve, LookCurve, ResidualMap
 from tirefit.report.canvas import BLUE, DARK, GREY, panel_title, tidy
@@ -16,7 +16,6 @@ from tirefit.report.diagnosis_words import (
     NAMED_VALUES,
     covariate_text,
     covariate_unit,
-    look_place,
     look_text,
     name_of,
 )
@@ -75,6 +74,7 @@ def chance_bars(result: Diagnosis) -> list[ChanceBar]:
     """Probability of every effect of the verdict, named ones first, unlisted last."""
     verdict = result.verdict
     kinds = dict.fromkeys(verdict.also_possible, "other")
+    kinds |= dict.fromkeys(verdict.acts_like, "other")
     kinds |= dict.fromkeys(verdict.effects, "verdict")
     named_first = sorted(verdict.each, key=lambda e: e not in verdict.effects)
     bars = [
@@ -111,7 +111,7 @@ def after_label(result: Diagnosis) -> str:
     """Name of the curves after the diagnosis."""
     if not result.comparison.named:
         return "base + located gap"
-    named = map(name_of, result.effects) if result.verdict.names_an_effect else ()
+    named = map(name_of, result.verdict.helping)
     return " + ".join((*(["parameters"] if result.simulator else []), *named))
 
 
@@ -138,44 +138,74 @@ def _axis_label(panel: LookCurve) -> str:
     unit = covariate_unit(look.covariate)
     tail = f" [{unit}]" if unit else ""
     words = covariate_text(look.covariate)
-    if panel.is_folded:
-        return f"{words}, folded over the period of {look_place(look)}{tail}"
-    return f"{words}{tail}"
+    return f"{words}, within a period{tail}" if look.is_wave else f"{words}{tail}"
 
 
 def draw_look(figure, panel: LookCurve, beside: str) -> None:
-    """Draw the local change of a parameter in bins ± standard error, and its shape.
+    """Draw the change of a parameter over a covariate ± standard error.
 
     Args:
         beside: the model to which the change is added.
     """
     axes = figure.subplots()
     scale = 1.0 if panel.look.parameter == "slip" else 100.0
+    change, std = scale * panel.change, scale * panel.std
     axes.axhline(0.0, color=GREY, lw=0.8, zorder=1)
     if panel.at_settings:
         # There are no measurements between settings.
-        half = 0.25 * np.min(np.diff(np.sort(panel.x)))
-        axes.hlines(
-            scale * panel.shape, panel.x - half, panel.x + half, color=BLUE, lw=2.0, zorder=2
-        )
+        axes.errorbar(panel.x, change, std, fmt="o", ms=4, color=BLUE, ecolor=GREY, zorder=3)
         axes.set_xticks(panel.x)
     else:
-        axes.plot(panel.x, scale * panel.shape, color=BLUE, lw=1.6, zorder=2)
-    axes.errorbar(
-        panel.center,
-        scale * panel.change,
-        scale * panel.std,
-        fmt="o",
-        ms=3.5,
-        color=DARK,
-        ecolor=GREY,
-        elinewidth=1.0,
-        zorder=3,
-    )
+        axes.fill_between(panel.x, change - std, change + std, color=BLUE, alpha=0.2, lw=0)
+        axes.plot(panel.x, change, color=BLUE, lw=1.6, zorder=2)
     labels = _ALONG if panel.is_mirrored else _CHANGES
     tidy(axes, _axis_label(panel), labels[panel.look.parameter])
     panel_title(
         axes,
         textwrap.fill(look_title(panel).replace(" %", "\u00a0%"), _LETTERS),
-        f"points: bins of the data ± standard error; line: fitted; on top of {beside}",
+        f"most probable function ± standard error; on top of {beside}",
     )
+
+
+def draw_sizes(figure, result: Diagnosis) -> None:
+    """Draw the size of each effect that helps by groups of the covariate in which it is most
+    unequal, over the size that fits all."""
+    axes, row, ticks, labels = figure.subplots(), 0.0, [], []
+    axes.axvline(1.0, color=DARK, lw=0.8, zorder=1)
+    for effect in result.verdict.helping:
+        for one in result.verdict.sizes.get(effect, ())[:1]:
+            size, std = (np.asarray(x) / whole_size(result, effect) for x in (one.size, one.std))
+            places, error = row - np.arange(len(size)), np.abs(std)
+            known = error < _READABLE
+            axes.errorbar(
+                size[known], places[known], xerr=error[known], fmt="o", ms=4.5, color=BLUE,
+                ecolor=GREY, zorder=3,
+            )  # fmt: skip
+            ticks += places.tolist()
+            unit = covariate_unit(one.covariate)
+            labels += [f"{format_number(at, 3)} {unit}".rstrip() for at in one.at]
+            axes.text(
+                0.01, row + 0.5, f"{name_of(effect)}, by {covariate_text(one.covariate)}",
+                transform=axes.get_yaxis_transform(), fontsize=8.5, color=DARK,
+                bbox={"color": "white", "pad": 0.5},
+            )  # fmt: skip
+            row -= len(size) + 1.2
+    axes.set_yticks(ticks, labels)
+    axes.set_ylim(row + 1.5, 1.4)
+    left, right = axes.get_xlim()
+    axes.set_xlim(min(left, 0.0), max(right, 2.0))  # nearly equal sizes look so
+    tidy(axes, "size over the size that fits all [-]", size=9)
+    note = "equal sizes speak for a cause; bar: standard error"
+    panel_title(axes, "Is each effect of one size everywhere?", note)
+
+
+_READABLE = 3.0
+"""A group with a larger error, over the size that fits all, is not drawn."""
+
+
+def whole_size(result: Diagnosis, effect: str) -> float:
+    """The amplitude of a named effect."""
+    named = set(result.verdict.helping)
+    candidates = (one.parameters for one in result.candidates if set(one.effects) == named)
+    found = next(candidates, {})
+    return next(v.value for k, v in found.items() if k.startswith(f"{effect}: "))

@@ -6,22 +6,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.decide.remainder import LEAST_P, LEVEL
-from tirefit.diagnosis.left_out import AS_GIVEN, NOISE, SMOOTH, Step
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH, Step
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.records import Each, NextMeasurement, Shrinkage, Status
+from tirefit.diagnosis.summary.records import Each, NextMeasurement, Shrinkage, SizeByGroup, Status
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_table, change_texts, channel_name, stand_in_line
 from tirefit.report.diagnosis_words import (
     amplitude_text,
     closed_text,
+    covariate_text,
     in_the_file,
     listing,
     look_text,
     name_of,
     name_with_id,
-    p_text,
+    said_unit,
     slip_check_line,
     untestable_lines,
     words_on,
@@ -51,15 +51,6 @@ is proposed."""
 
 _CLOSED = "closed: removed share of the first row's rms beyond the noise, ± std"
 
-TESTS = {
-    "time": "residuals of neighbouring rows in time agree",
-    "slip_order": "residuals of neighbouring slips agree",
-    "line": "one frequency dominates the residuals",
-    "pure_error": "the misfit exceeds the scatter of repeated settings",
-    "local": "the misfit lies in one region",
-}
-"""Test of the remainder -> what it detects."""
-
 
 class Section(NamedTuple):
     """A part of the report: title, a table under its header, lines, and names of the
@@ -87,14 +78,14 @@ def answer(result: Diagnosis) -> str:
 
 
 def _how_much(result: Diagnosis) -> Iterator[str]:
-    """The rms of the gap without and with the named effects, or that it is small."""
+    """The rms of the gap without and with the effects that help, or that it is small."""
     gap, channel = result.gap, result.data.channels[0]
     unit = FORCE_UNIT[channel]
-    if not result.verdict.names_an_effect:
+    if not result.verdict.helping:
         return
     before, after = (format_number(x, 2) for x in (gap.rms, gap.remaining_rms))
     if gap.resolvable:
-        takes = "This takes" if len(result.verdict.effects) == 1 else "These take"
+        takes = "This takes" if len(result.verdict.helping) == 1 else "These take"
         yield f"{takes} the gap from {before} to {after} {unit} (rms)."
     else:
         noise = format_number(result.noise.forces[channel], 2)
@@ -105,7 +96,7 @@ def _no_help(result: Diagnosis) -> Iterator[str]:
     """A sentence if the named effects predict the held-out files worse."""
     steps = [s for s in result.ladder.steps if s.rms_held_out is not None]
     plain = next((s for s in steps if not s.effects), None)
-    if plain is None or not result.verdict.names_an_effect:
+    if plain is None or not result.verdict.helping:
         return
     before, after = plain.rms_held_out, steps[-1].rms_held_out
     if before is not None and after is not None and after > before:
@@ -119,28 +110,43 @@ def _no_help(result: Diagnosis) -> Iterator[str]:
 
 def _on_effects(result: Diagnosis, beyond: str) -> str:
     verdict = result.verdict
-    chance = f"Probability {verdict.probability:.2f} of"
+    like = _acting(result, "the error" if verdict.names_an_effect else "it")
     if verdict.status == Status.UNKNOWN:
         return (
-            f"There is a gap beyond {beyond}the noise, and no listed effect explains"
-            f" it. Probability {verdict.left.unlisted:.2f} of an unlisted effect."
+            f"There is a gap beyond {beyond}the noise, and no listed effect is its likely"
+            f" cause. Probability {verdict.left.unlisted:.2f} of an unlisted effect.{like}"
         )
     if not verdict.names_an_effect:
         of_noise = [name_of(e) for e in verdict.effects if e != "unknown"]
         tail = f" The noise shows {listing(of_noise)}." if of_noise else ""
-        none = "no effect, listed or unlisted."
-        return f"There is no gap beyond {beyond}the noise. {chance} {none}{tail}"
-    parts = [name_of(effect) + _or_twins(result, effect) for effect in verdict.effects]
-    these = f"exactly {'this effect' if len(parts) == 1 else 'these effects'} and"
-    if verdict.status == Status.INCOMPLETE:
         return (
-            f"The gap comes in part from {listing(parts)}; an unlisted effect is likely"
-            f" as well. {chance} {these} an unlisted effect."
+            f"There is no gap beyond {beyond}the noise. Probability"
+            f" {verdict.probability:.2f} of no effect, listed or unlisted.{tail}"
         )
-    return f"The gap comes from {listing(parts)}. {chance} {these} no unlisted effect."
+    parts = [
+        f"{name_of(effect)}{or_twins(result, effect)} ({verdict.each[effect].probability:.2f})"
+        for effect in verdict.effects
+    ]
+    beside = (
+        f"; an unlisted effect is likely as well ({verdict.left.unlisted:.2f})"
+        if verdict.status == Status.INCOMPLETE
+        else ""
+    )
+    part = " in part" if beside or like else ""
+    return f"The gap comes{part} from {listing(parts)}{beside}.{like}"
 
 
-def _or_twins(result: Diagnosis, effect: str) -> str:
+def _acting(result: Diagnosis, what: str) -> str:
+    """A sentence on effects that help without being the likely cause; empty for none."""
+    parts = [
+        f"{name_of(e)} ({result.verdict.each[e].probability:.2f} that this is the cause)"
+        for e in result.verdict.acts_like
+    ]
+    return f" In the model, {what} acts like {listing(parts)}." if parts else ""
+
+
+def or_twins(result, effect: str) -> str:
+    """Words on the effects that the data cannot distinguish from a named one."""
     each = result.verdict.each.get(effect)
     if each is None or not each.twins:
         return ""
@@ -274,7 +280,7 @@ def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
 
     line = f"{where}: gap of {size(gap.rms)} rms beyond the noise"
     closed = gap.net_closed
-    if not (result.verdict.names_an_effect or result.simulator):
+    if not (result.verdict.helping or result.simulator):
         return line
     if not gap.resolvable or closed is None:
         return f"{line}, too uncertain to say how much of it closes"
@@ -299,10 +305,11 @@ def _budget(result: Diagnosis, channel: str) -> Section:
 
 def _effect_lines(result: Diagnosis) -> Iterator[str]:
     verdict = result.verdict
-    chosen = [c for c in result.candidates if set(c.effects) == set(verdict.effects)]
+    helping = verdict.helping or verdict.effects
+    chosen = [c for c in result.candidates if set(c.effects) == set(helping)]
     parameters = chosen[0].parameters if chosen else {}
-    for effect in (*verdict.effects, *verdict.also_possible):
-        named, means = effect in verdict.effects, words_on(effect, result.library)
+    for effect in (*helping, *verdict.also_possible):
+        named, means = effect in helping, words_on(effect, result.library)
         amounts = [
             amplitude_text(amplitude) + in_the_file(result, amplitude)
             for name, amplitude in parameters.items()
@@ -311,16 +318,20 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
         sizes = amounts if named else ["not named"]
         yield ": ".join([name_with_id(effect), *["; ".join(sizes)] * bool(sizes)])
         if (each := verdict.each.get(effect)) is not None:
-            yield f"    {_each_text(each)}"
+            yield f"    {each_text(each)}"
+        if groups := verdict.sizes.get(effect):
+            unit = next((a.unit for k, a in parameters.items() if k.startswith(f"{effect}: ")), "")
+            yield f"    {sizes_text(groups[0], unit)}"
         if means[0]:
             yield f"    {means[0]}" + (f"; to do: {means[1]}" if named else "")
-    if verdict.names_an_effect and result.simulator:
+    if verdict.helping and result.simulator:
         yield "amplitudes are measurement minus simulator; either may be wrong"
 
 
-def _each_text(each: Each) -> str:
+def each_text(each: Each) -> str:
+    """Probability, twins and closure of a named effect."""
     what = listing(["it", *map(name_of, each.twins)], "or")
-    text = f"probability {each.probability:.2f} that {what} is there"
+    text = f"probability {each.probability:.2f} that {what} is the cause"
     if each.twins:
         text += ": this data cannot tell them apart"
     if each.closed_left_out is not None:
@@ -329,28 +340,28 @@ def _each_text(each: Each) -> str:
     return text
 
 
+def sizes_text(sizes: SizeByGroup, unit: str) -> str:
+    """The sizes of an effect, of this unit, in the groups in which they are most unequal."""
+    (factor, tail), pairs = said_unit(unit), zip(sizes.size, sizes.std, strict=True)
+    each = ", ".join(format_estimate(factor * size, factor * std) for size, std in pairs)
+    return (
+        f"size by {covariate_text(sizes.covariate)}: {f'{each} {tail}'.rstrip()}; beyond"
+        f" their errors they spread by {100 * sizes.spread:.0f} % of the whole"
+    )
+
+
 def left_lines(result: Diagnosis) -> Iterator[str]:
-    """The remainder: its rms, the tests that detect it, the closest simple shape."""
+    """The remainder: its rms, and the function that it resembles."""
     left, unit = result.verdict.left, FORCE_UNIT[result.data.channels[0]]
     of_gap = f", {100 * left.share:.0f} % of the gap's mean square" * result.gap.resolvable
     yield (
         f"{format_number(left.rms, 3)} {unit} rms beyond the noise{of_gap}; probability"
         f" {left.unlisted:.2f} of an unlisted effect"
     )
-    tested = {name: p for name, p in left.tests.items() if p is not None}
-    least = LEAST_P * len(result.data.channels)
-    seen = [
-        f"{TESTS.get(name, name)} (p {p_text(p, least)})" for name, p in tested.items() if p < LEVEL
-    ]
-    if seen:
-        seen_by = f"detected by {len(seen)} of {len(tested)} tests"
-        yield f"{seen_by} (p: probability under noise alone): {'; '.join(seen)}"
-    elif tested:
-        yield f"detected by none of {len(tested)} tests (p >= {LEVEL:g})"
     for look in left.looks_like[:1]:
         yield (
-            f"closest simple shape: {look_text(look)} (probability"
-            f" {look.probability:.2f} among such shapes; explains"
+            f"it resembles this: {look_text(look)} (probability"
+            f" {look.probability:.2f} among such functions; explains"
             f" {100 * look.explains:.0f} % of its mean square)"
         )
     if not result.verdict.names_an_effect:
@@ -365,7 +376,7 @@ def step_lines(result: Diagnosis) -> list[str]:
     if not steps:
         if result.verdict.status != Status.CANNOT_TELL or why is None:
             return []
-        for effect in (*result.effects, *result.verdict.also_possible):
+        for effect in (*result.verdict.helping, *result.verdict.also_possible):
             why = why.replace(effect, name_of(effect))
         return [why]
     worth = [step for step in steps if step.p_after - step.p_now >= _TELLS_MORE]
@@ -400,7 +411,7 @@ def first_screen(result: Diagnosis) -> list[Section]:
     effects, left = list(_effect_lines(result)), list(left_lines(result))
     return [
         *sections,
-        Section("Effects", effects, (), ("which", "before and after")),
+        Section("Effects", effects, (), ("which", "sizes", "before and after")),
         Section("What is left", left, (), ("what is left", "where")),
         Section("Next measurement", steps[:_MOST_STEPS]),
         Section("Not testable on this data (missing: effects that need it)", missing),

@@ -5,10 +5,9 @@ from collections.abc import Sequence
 
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
-from tirefit.diagnosis.rows.patterns import Look
 from tirefit.diagnosis.rows.rig import SlipCheck
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.records import Amplitude, Region, Spot, Untestable
+from tirefit.diagnosis.summary.records import Amplitude, Look, Region, Spot, Untestable
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.slip import CONVENTIONS
@@ -62,18 +61,14 @@ _COVARIATES = {
     "gamma": "camber gamma",
     "used_friction": "share of friction used",
     "slip": "signed slip / slip of full sliding",
+    "signed_slip": "signed slip",
+    "slip_rate": "rate of the slip",
     "distance": "distance travelled",
     "pressure": "inflation pressure",
 }
 _OF_FULL_SLIDING = ("slip_fraction", "slip")
 _FAR = 100.0  # largest multiple of the slip of full sliding that is printed
 
-_SHAPES = {
-    "wave": "goes up and down with {covariate}, period {at}, by ± {size}",
-    "threshold": "steps at a {covariate} of {at} by {size}",
-    "kink": "bends at a {covariate} of {at}, by {size} from there to the end",
-    "local": "differs about a {covariate} of {at} by {size}",
-}
 NAMED_VALUES = {
     "direction": {-1.0: "shrinking", 0.0: "steady", 1.0: "growing"},
     "sign": {-1.0: "negative", 0.0: "zero", 1.0: "positive"},
@@ -137,15 +132,17 @@ def range_text(region: Region | Spot) -> str:
 
 
 def covariate_unit(name: str) -> str:
-    """Unit of the covariate of a pattern; empty if it has none."""
-    # The slip of a pattern is relative to the slip of full sliding.
-    units = {"distance": "m", "slip": ""}
+    """Unit of a covariate of figures; empty if it has none."""
+    units = {"distance": "m", "slip": "", "slip_rate": "1/s"}
     unit = units.get(name, CANONICAL.get(name, ("", ""))[0])
     return "" if unit == "-" else unit
 
 
 def look_place(look: Look) -> str:
-    """The place of a pattern, or the period of a wave: ``60 s``."""
+    """The place of the largest change, or the period of a wave: ``60 s``."""
+    named = NAMED_VALUES.get(look.covariate, {})
+    if round(look.at) in named:
+        return named[round(look.at)]
     unit = covariate_unit(look.covariate)
     return f"{format_number(look.at, 3)} {unit}".rstrip()
 
@@ -159,13 +156,12 @@ def look_size(parameter: str, size: float) -> str:
 
 
 def look_text(look: Look) -> str:
-    """The shape that a remainder resembles: ``friction steps at a time of 60 s by -7 %``."""
-    how = _SHAPES[look.shape].format(
-        covariate=covariate_text(look.covariate),
-        at=look_place(look),
-        size=look_size(look.parameter, look.size),
-    )
-    return f"{look.parameter} {how}"
+    """What a remainder resembles: ``friction changes with time, by -7 % at 60 s``."""
+    covariate, at = covariate_text(look.covariate), look_place(look)
+    size = look_size(look.parameter, look.size)
+    if look.is_wave:
+        return f"{look.parameter} goes up and down with {covariate}, period {at}, by ± {size}"
+    return f"{look.parameter} changes with {covariate}, by {size} at {at}"
 
 
 def _end(value: float, largest: float) -> str:

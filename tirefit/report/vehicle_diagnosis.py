@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from tirefit.diagnosis.decide.verdict import Status
+from tirefit.diagnosis.engine.decide import Status
+from tirefit.diagnosis.engine.left_out import NOISE
 from tirefit.report.canvas import BLUE, GREY, ORANGE, Picture, panel_title, tidy
+from tirefit.report.diagnosis_sections import each_text, or_twins, sizes_text
 from tirefit.report.diagnosis_words import amount_text, listing, name_with_id, set_name, share_text
 from tirefit.report.numbers import format_number
 from tirefit.report.text import indented, table
@@ -34,49 +36,48 @@ def answer(result: VehicleDiagnosis) -> str:
             "With fitted tires, the error of the car is within the noise of these logs:"
             " they show no missing effect."
         )
-    if not verdict.status.names:
-        return "There is an error that no listed effect explains well enough to be named."
-    names = [_effect_text(result, effect) for effect in verdict.effects]
+    like = [
+        f"{_effect_text(result, e)} ({verdict.each[e].probability:.2f} that this is the cause)"
+        for e in verdict.acts_like
+    ]
+    acting = f" In the model, the error acts like {listing(like)}." if like else ""
+    names = [
+        f"{_effect_text(result, e)}{or_twins(result, e)} ({verdict.each[e].probability:.2f})"
+        for e in verdict.effects
+        if e in verdict.each
+    ]
+    text = f"The model of the car lacks {listing(names)}." if names else ""
+    if not names:
+        text = "There is an error, and no listed effect is its likely cause."
+    text += acting
+    if not verdict.key:
+        return text
     channel = next(c for c in ("yaw_rate", "heading") if c in result.noise)
     before, after = (
         f"{format_number(part[channel], 2)}"
         for part in (result.miss.fitted, result.miss.with_effects)
     )
-    text = f"The model of the car lacks {listing(names)}. "
-    text += f"Over {result.window:g} s the rms error of its {_CHANNELS[channel]} is {after}"
+    text += f" Over {result.window:g} s the rms error of its {_CHANNELS[channel]} is {after}"
     text += f" {_UNITS[channel]} (noise included) instead of {before}."
     if verdict.status == Status.INCOMPLETE:
         text += " A further error remains that no listed effect explains."
-    if verdict.also_possible:
-        others = listing([*map(name_with_id, verdict.also_possible)], "or")
-        text += f" These logs do not rule out {others}."
+    twins = {twin for each in verdict.each.values() for twin in each.twins}
+    if others := [e for e in verdict.also_possible if e not in twins]:
+        text += f" These logs do not rule out {listing([*map(name_with_id, others)], 'or')}."
     return text
 
 
 def _effects(result: VehicleDiagnosis) -> list[str]:
-    rows = [["effect", "size", "probability", "closes of the gap"]]
-    for effect, each in result.verdict.each.items():
-        rows.append(
-            [
-                effect,
-                amount_text(*result.amplitudes[effect]),
-                f"{each.probability:.2f}",
-                share_text(each.closed_left_out),
-            ]
-        )
-    return table(rows, (2, 3))
-
-
-def _remedies(result: VehicleDiagnosis) -> list[str]:
     lines = []
-    for effect in result.verdict.each:
+    for effect, each in result.verdict.each.items():
         record = result.effects[effect]
-        lines += indented(f"{effect}: {record.means}; {record.remedy}")
-    twins = {*result.verdict.also_possible} & {*result.effects}
-    for effect in (e for e in result.verdict.each if twins):
-        how = result.effects[effect].told_apart_by
-        lines += indented(f"to distinguish {effect} from similar effects: {how}")
-    return lines
+        lines += [f"{_effect_text(result, effect)}: {each_text(each)}"]
+        if sizes := result.sizes.get(effect):
+            lines += [sizes_text(sizes[0], result.amplitudes[effect][2])]
+        lines += [f"{record.means}; {record.remedy}"]
+        if each.twins or result.verdict.also_possible:
+            lines += [f"to distinguish it from similar effects: {record.told_apart_by}"]
+    return [line for text in lines for line in indented(text)]
 
 
 def _miss_rows(result: VehicleDiagnosis, miss: Miss) -> list[str]:
@@ -88,11 +89,15 @@ def _miss_rows(result: VehicleDiagnosis, miss: Miss) -> list[str]:
     return table(rows, (1, 2, 3, 4))
 
 
+def _steps(result: VehicleDiagnosis) -> list[str]:
+    """Names of the steps of the ladder."""
+    return [set_name(s.effects) if s.effects else "tires fitted" for s in result.ladder.steps]
+
+
 def _ladder(result: VehicleDiagnosis) -> list[str]:
     rows = [["step", "rms over the noise", "closed"]]
-    for step in result.ladder.steps:
-        name = set_name(step.effects) if step.effects else "tires fitted"
-        closed = share_text(step.closed) if step.effects != ("noise",) else "-"
+    for name, step in zip(_steps(result), result.ladder.steps, strict=True):
+        closed = share_text(step.closed) if step.effects != NOISE else "-"
         rows.append([name, format_number(step.rms_left_out, 3), closed])
     return table(rows, (1, 2))
 
@@ -104,7 +109,6 @@ def vehicle_diagnosis_text(result: VehicleDiagnosis) -> str:
     lines += ["ANSWER", *indented(answer(result))]
     if result.verdict.each:
         lines += ["EFFECTS", *_effects(result)]
-        lines += ["WHAT TO DO", *_remedies(result)]
     lines += ["ERROR OF THE CAR", *_miss_rows(result, result.miss)]
     if result.held_out:
         lines += ["ERROR ON THE HELD-OUT LOGS", *_miss_rows(result, result.held_out)]
@@ -126,7 +130,7 @@ def vehicle_diagnosis_figure(result: VehicleDiagnosis) -> Picture:
     picture = Picture(figsize=(10.0, 3.6), layout="constrained")
     left, right = picture.subplots(1, 2, width_ratios=(1.5, 1))
     steps = result.ladder.steps
-    names = [set_name(s.effects) if s.effects else "tires fitted" for s in steps]
+    names = _steps(result)
     values = [step.rms_left_out for step in steps]
     colors = [GREY if n in ("noise", "anything smooth") else BLUE for n in names]
     places = np.arange(len(steps))[::-1]

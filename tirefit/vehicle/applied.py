@@ -20,9 +20,10 @@ from tirefit.door import RECORD, content_of, outrageous
 from tirefit.results import DataError, InputProblem
 from tirefit.settings import faults_in
 from tirefit.vehicle.car import Changes, State
-from tirefit.vehicle.diagnose import SCHEMA, VehicleDiagnosis, samples_of
+from tirefit.vehicle.diagnose import SCHEMA, VehicleDiagnosis
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
-from tirefit.vehicle.evidence import PARAMETERS, SHAPES, Model, steered
+from tirefit.vehicle.model import PARAMETERS, Model, steered
+from tirefit.vehicle.samples import samples_of
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Applied:
 
     def at(self, samples: Samples) -> Any:
         """The setting at samples (n,)."""
-        return self.model.setting(self.z, samples, jnp.zeros((1, SHAPES)))
+        return self.model.setting(self.z, samples)
 
     def samples(self, motion: Motion, rows, vehicle: Vehicle, tires) -> Samples:
         """The quantities on which effects depend, at rows (w, k) of the motion of a log;
@@ -165,5 +166,5 @@ def _applied(content: dict) -> Applied:
     scales = tuple(atom.effect.scale for atom in atoms)
     of_tires = [np.log(document.parameters[name].value) for name in PARAMETERS]
     own = [one.value / s for one, s in zip(sizes.values(), scales, strict=True)]
-    z = np.array([*of_tires, *own, *[0.0] * (2 * SHAPES)], float)
+    z = np.array([*of_tires, *own], float)
     return Applied(Model(atoms, scales, 2), z, document.speed)

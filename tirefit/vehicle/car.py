@@ -29,7 +29,7 @@ _STABLE, _MOST_PARTS = 0.5, 50
 """Largest step of the integration over the car's shortest time constant; most steps
 from one sample to the next."""
 
-_AT_ONCE = 1e-9  # time constant [s] that means no lag
+AT_ONCE = 1e-9  # time constant [s] that means no lag
 _TOUCH = 1e-9  # play [rad] that means no play, with distinct sides of the gap
 
 
@@ -181,6 +181,11 @@ def predicted(
         parts: steps of Runge-Kutta of the fourth order from one sample to the next.
         changes: numbers or (n,), each held until the next sample; None for none.
     """
+    return followed(car, start, v_x, steering, step, parts, changes)[0]
+
+
+def followed(car: Car, start: State, v_x, steering, step: float, parts: int, changes=None):
+    """:func:`predicted`, and the lag (n, 2) of the slip angles [rad] at every sample."""
     width, count = step / parts, len(v_x) - 1
     lags = changes is not None
     held = NO_CHANGES
@@ -234,12 +239,12 @@ def predicted(
             return then, late
 
         carried = jax.lax.fori_loop(0, parts, small, carried)
-        return carried, carried[0]
+        return carried, carried
 
-    start = State(*(jnp.asarray(s, float) for s in start))
+    first = State(*(jnp.asarray(s, float) for s in start)), jnp.zeros(2)
     given = _with_bends(v_x), _with_bends(steering), held if lags else None
-    _, states = jax.lax.scan(onward, (start, jnp.zeros(2)), given)
-    return jax.tree.map(lambda first, rest: jnp.append(first, rest), start, states)
+    _, found = jax.lax.scan(onward, first, given)
+    return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), first, found)
 
 
 def cubic(share, first, last, bend, next_bend):
@@ -268,7 +273,7 @@ def delayed(values, samples):
 def _later(late, rate, time, step: float):
     """Distance, a step later, of a first-order lag with a time constant [s] from its
     input; exact for an input with constant rate, and smooth at a time constant of zero."""
-    kept = jnp.exp(-step / jnp.maximum(time, _AT_ONCE))
+    kept = jnp.exp(-step / jnp.maximum(time, AT_ONCE))
     return late * kept - time * rate * (1 - kept)
 
 

@@ -6,51 +6,62 @@ with factors on stiffness and friction of both axles' tires. Evidence, predictio
 left out and decision are those of a diagnosis of forces.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-import jax
 import numpy as np
 
 from tirefit import __version__
 from tirefit.data.merged import merged
-from tirefit.data.motion import Motion
-from tirefit.data.vehicle import POSE, Vehicle
-from tirefit.diagnosis.decide.verdict import Verdict, decide
+from tirefit.data.vehicle import Vehicle
 from tirefit.diagnosis.effects import Effect, atoms_of
-from tirefit.diagnosis.effects.state import peak_ratio, slope_at_rest
-from tirefit.diagnosis.left_out import Ladder, ladder_of
+from tirefit.diagnosis.engine.decide import (
+    Verdict,
+    calibration,
+    decide,
+    findings_of,
+    floor_of,
+    predictions,
+)
+from tirefit.diagnosis.engine.fit import Fit
+from tirefit.diagnosis.engine.left_out import Ladder, Predicted, jackknife_error, ladder_of
+from tirefit.diagnosis.engine.search import Effort, Search, searched
+from tirefit.diagnosis.summary.document import sizes_of
+from tirefit.diagnosis.summary.records import SizeByGroup
 from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import GivenTire, axle_tire
-from tirefit.models import TireInputs
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.vehicle.car import car_of
-from tirefit.vehicle.effects import CAR_EFFECTS, Samples
-from tirefit.vehicle.evidence import PARAMETERS, SHAPES, Base, Cut, Fit, Model
-from tirefit.vehicle.search import errors, findings, searched
+from tirefit.vehicle.effects import CAR_EFFECTS
+from tirefit.vehicle.model import PARAMETERS, Model
+from tirefit.vehicle.samples import LEAST_WINDOWS, Cut, joined_windows
 from tirefit.vehicle.shooting import CHANNELS, windows_of
+from tirefit.vehicle.subject import Windows
 from tirefit.vehicle.trajectory import derived_rows, started
-from tirefit.vehicle.windows import cut_logs, known_vehicle, steering_problems
+from tirefit.vehicle.windows import CutLog, cut_logs, known_vehicle, steering_problems
 
 SCHEMA = "tirefit.vehicle_diagnosis/1"
 
 WINDOW = 1.0
 """Length [s] of a window."""
 
-_MOST_SAMPLES = 4000
-"""Largest number of samples of all windows, evenly spread."""
+EFFORT = Effort(singles=8, variants=1, beam=2, width=3, pairs=2, near=5.0)
+"""Sets that are refitted: fewer than for rows, as a refit integrates the car."""
 
-_LEAST_WINDOWS = 8
-"""Smallest number of windows of a diagnosis."""
+_ROUNDS = 2
+"""Number of times that the noise is estimated for the car without effects."""
 
-_VARIES = 0.02
-"""Smallest spread of the forward acceleration over g, and of the speed over its mean, that
-shows effects of these."""
+_STEPS = 40
+"""Usual number of refits of a search."""
+
+_OTHER_NOISE = 0.25
+"""Change of the log noise above which the search is repeated."""
 
 
 class Amplitude(NamedTuple):
@@ -78,6 +89,7 @@ class VehicleDiagnosis(Record):
         logs: names of the logs; windows: number of windows of ``window`` seconds.
         verdict: which effects are there, and what is left.
         ladder: how the rms over the noise shrinks on windows left out.
+        sizes: of each named effect by groups of each covariate, the most unequal first.
         amplitudes: of each named effect; which: text on its form; variants: the number
             of its form; speed: mean speed [m/s], to which effects of the speed refer.
         parameters: factor on each number of the tires in the fit of the named effects.
@@ -96,6 +108,7 @@ class VehicleDiagnosis(Record):
     window: float
     verdict: Verdict
     ladder: Ladder
+    sizes: Mapping[str, tuple[SizeByGroup, ...]]
     amplitudes: Mapping[str, Amplitude]
     which: Mapping[str, str]
     variants: Mapping[str, int]
@@ -113,6 +126,11 @@ class VehicleDiagnosis(Record):
         """Where the answer of ``verdict`` is open."""
         return self.verdict.status.limits
 
+    @property
+    def probability(self) -> float:
+        """Share of verdicts of this status and probability that are right."""
+        return calibration().often(self.verdict.status.value, self.verdict.probability)
+
     def to_dict(self) -> dict[str, Any]:
         """All numbers, as in ``vehicle_diagnosis.json``."""
         verdict = self.verdict
@@ -121,10 +139,12 @@ class VehicleDiagnosis(Record):
             "windows": self.windows, "window": self.window,
             "verdict": {
                 "status": verdict.status.value, "effects": verdict.effects,
-                "probability": verdict.probability,
+                "acts_like": verdict.acts_like,
+                "probability": self.probability,
                 "each": {k: v._asdict() for k, v in verdict.each.items()},
                 "also_possible": verdict.also_possible, "unlisted": verdict.unlisted,
             },
+            "sizes": {k: [one._asdict() for one in v] for k, v in self.sizes.items()},
             "amplitudes": {k: v._asdict() for k, v in self.amplitudes.items()},
             "forms": dict(self.which), "variants": dict(self.variants),
             "speed": self.speed,
@@ -154,6 +174,7 @@ def diagnose_vehicle(
     without: Sequence[str] = (),
     holdout: Sequence[str | Path] = (),
     window: float = WINDOW,
+    progress: Callable[[float, str], None] | None = None,
 ) -> VehicleDiagnosis:
     """Find the effects that the model of a car on these tires lacks, from measured logs.
 
@@ -171,6 +192,7 @@ def diagnose_vehicle(
         without: ids of effects that are not looked for.
         holdout: logs that only check the answer.
         window: length [s] of the stretches that are predicted.
+        progress: called with the share done and the present step.
 
     Returns:
         ``verdict`` as in :class:`tirefit.Diagnosis`; ``amplitudes``; ``miss``: errors of
@@ -192,6 +214,8 @@ def diagnose_vehicle(
     vehicle, effects = known_vehicle(vehicle), CAR_EFFECTS if effects is None else effects
     _check(vehicle, effects, without)
     given = axle_tire(front), axle_tire(rear)
+    tell = _Progress(progress or (lambda share, note: None))
+    tell("reading logs")
 
     def cut(some):
         return cut_logs(
@@ -207,56 +231,94 @@ def diagnose_vehicle(
         started(tire, derived_rows(found, vehicle, axle))
         for axle, tire in zip(("front", "rear"), given, strict=True)
     ]
-    windows, has = _joined(found, vehicle, tires)
-    _enough(windows, window)
     library = [e for e in effects if e.id not in without]
-    untestable = {e.id: tuple(n for n in e.needs if n not in has) for e in library}
-    base = _base(windows, vehicle, tires, library, untestable)
-    weighed, out, tests = searched(base)
-    verdict = decide(findings(weighed, out, tests))
+    subject, untestable = subject_of(found, vehicle, tires, library)
+    windows = subject.cut
+    _enough(windows, window)
+    tell("the car without effects")
+    base, search = _searched(replace(subject, tick=partial(tell, "sets of effects")))
+    tell("data left out")
+    weighed, out = predictions(search)
+    verdict = decide(findings_of(search, weighed, out))
     null, best = weighed.best_of[()], weighed.best_of[verdict.key]
-    std = errors(weighed, out, verdict.key)
     held_out = None
     if others is not None:
-        other = _base(_joined(others, vehicle, tires)[0], vehicle, tires, library, {})
-        other.noise = base.noise
-        other.follow(replace(null, starts=other.cut.data.start))
-        held_out = _miss(other, null, best)
+        other = replace(subject_of(others, vehicle, tires, library)[0], noise=base.noise)
+        started_there = replace(null, state=other.cut.data.start)
+        held_out = _miss(other.following(started_there), null, best)
     return VehicleDiagnosis(
         tuple(found),
         len(windows.log),
         window,
         verdict,
-        ladder_of(out, verdict.key, 1.0),
-        _amplitudes(base, best, std),
+        ladder_of(out, verdict.key, floor_of(base, out)),
+        sizes_of(best, base.model.scales, base.groups()),
+        _amplitudes(base, best, _errors(best, out)),
         _words(base, best),
-        {a.effect.id: a.variant for a in (base.model.atoms[k] for k in best.atoms)},
+        {a.effect.id: a.variant for a in (base.atoms[k] for k in best.atoms)},
         float(np.mean(windows.data.v_x)),
         _parameters(best),
-        _by_channel(base, base.noise / np.sqrt(base.inflation)),
+        _by_channel(base, base.noise),
         _miss(base, null, best),
         held_out,
-        {name: lacks for name, lacks in untestable.items() if lacks},
+        untestable,
         {effect.id: effect for effect in effects},
         (*_notes(given, tires), *merged((k, log.missing) for k, log in found.items())),
     )
 
 
+class _Progress:
+    """Reports steps and their share in about :data:`_STEPS` of them, slower near the end."""
+
+    def __init__(self, report: Callable[[float, str], None]):
+        self.report, self.done = report, 0
+
+    def __call__(self, note: str) -> None:
+        self.done += 1
+        self.report(self.done / (self.done + max(_STEPS - self.done, 0.1 * self.done)), note)
+
+
+def _searched(subject: Windows) -> tuple[Windows, Search]:
+    """The subject with its noise, and the search of the effects. The search is repeated if
+    the remainder of its best set shows another noise."""
+    subject = replace(subject, noise=subject.rms(subject.coefficients()))
+    for _ in range(_ROUNDS):
+        subject = subject.following(subject.refit([subject.start], [()])[0])
+        fit = subject.refit([subject.start], [()])[0]
+        subject = subject.with_noise_of(fit)
+    search = searched(subject, EFFORT)
+    judged = subject.with_noise_of(search.ranked[0])
+    wide = (one.noise * np.sqrt(one.inflation) for one in (judged, subject))
+    if np.any(np.abs(np.log(np.divide(*wide))) > _OTHER_NOISE):
+        subject = judged
+        search = searched(subject, EFFORT)
+    return subject, search
+
+
+def _errors(fit: Fit, out: Predicted) -> np.ndarray:
+    """Standard errors of the amplitudes, in prior scales: from the curvature, or from the
+    jackknife over the parts left out if that is larger."""
+    if fit.key not in out.effects:
+        return fit.errors
+    left_out = jackknife_error(out.amplitude[out.effects.index(fit.key)])
+    return np.maximum(fit.errors, left_out)
+
+
 def _enough(windows: Cut, window: float) -> None:
     count = len(windows.log)
-    if count < _LEAST_WINDOWS:
-        reason = f"{count} windows of {window:g} s; a diagnosis needs {_LEAST_WINDOWS}"
+    if count < LEAST_WINDOWS:
+        reason = f"{count} windows of {window:g} s; a diagnosis needs {LEAST_WINDOWS}"
         raise DataError(InputProblem(reason, "give longer logs, or more of them"))
 
 
-def _by_channel(base: Base, values) -> dict[str, float]:
+def _by_channel(base: Windows, values) -> dict[str, float]:
     names = CHANNELS[base.model.channels]
     return dict(zip(names, map(float, values), strict=True))
 
 
-def _miss(base: Base, null: Fit, best: Fit) -> Miss:
-    each = np.zeros(base.model.size), null.z, best.z
-    return Miss(*(_by_channel(base, base.rms(z)) for z in each))
+def _miss(base: Windows, null: Fit, best: Fit) -> Miss:
+    each = (), (null.z,), (best.z, best.atoms, best.amplitude)
+    return Miss(*(_by_channel(base, base.rms(base.coefficients(*one))) for one in each))
 
 
 def _notes(given, tires) -> tuple[str, ...]:
@@ -278,82 +340,32 @@ def _check(vehicle: Vehicle, effects, without) -> None:
     UsageError.raise_for(problems)
 
 
-def _joined(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
-    """The windows of all logs, and the needs of effects that they meet."""
-    data, rows, log = [], [], []
-    passed = 0.0
-    for number, each in enumerate(found.values()):
-        motion, (windows, own) = each.motion, each.windows
-        data.append(windows)
-        rows.append(samples_of(motion, own, vehicle, tires, passed))
-        log.append(np.full(len(own), number))
-        passed += float(motion.time[-1] - motion.time[0])
-    joined = jax.tree.map(lambda *part: np.concatenate(part), *data)
-    joint = jax.tree.map(lambda *part: np.concatenate(part), *rows)
-    speed = joint.speed / np.mean(joint.speed)
-    joint = joint._replace(speed=speed, time=joint.time / passed - 0.5)
-    has = {"heading"} if vehicle.columns.motion == POSE else {"rates"}
-    has |= {"acceleration"} if np.std(joint.along) > _VARIES else set()
-    has |= {"speeds"} if np.std(speed) > _VARIES else set()
-    shapes = np.zeros((*speed.shape, SHAPES))  # until they are set from a fit
-    cut = Cut(joined, joint, shapes, np.concatenate(log))
-    most = max(_MOST_SAMPLES // speed.shape[1], _LEAST_WINDOWS)
-    if len(cut.log) > most:
-        kept = np.linspace(0, len(cut.log) - 1, most).round().astype(int)
-        cut = jax.tree.map(lambda part: part[kept], cut)
-    return cut, has
-
-
-def samples_of(motion: Motion, own, vehicle: Vehicle, tires, passed: float = 0.0) -> Samples:
-    """The quantities on which effects depend, at the rows (w, k) of a log. ``across`` and ``turn``
-    are zero until they are set from a fit; ``passed`` [s] is the duration of the previous logs."""
-    g, count = vehicle.gravity, len(own)
-    weight, wheelbase = vehicle.mass * g, vehicle.l_f + vehicle.l_r
-    loads = weight * vehicle.l_r / wheelbase, weight * vehicle.l_f / wheelbase
-    v_x = motion.v_x[own]
-    sliding = [
-        _sliding(one, load, float(v_x.mean())) for one, load in zip(tires, loads, strict=True)
-    ]
-    heading = motion.heading if vehicle.columns.motion == POSE else 0 * motion.time
-    return Samples(
-        speed=v_x,
-        along=motion.a_x[own] / g,
-        across=0 * v_x,
-        turn=0 * v_x,
-        time=passed + motion.time[own] - motion.time[0],
-        heading=heading[own],
-        weight=np.full(count, weight),
-        wheelbase=np.full(count, wheelbase),
-        sliding=np.tile(sliding, (count, 1)),
-    )
-
-
-def _sliding(axle: GivenTire, load: float, speed: float) -> float:
-    """Slip above which a brush with slope and peak of the tire slides."""
-    at_rest = TireInputs(fz=load, v=speed)
-    slope = slope_at_rest(axle.tire, at_rest, "y")
-    return float(3 * peak_ratio(axle.tire, load, speed) * load / slope)
-
-
-def _base(cut: Cut, vehicle: Vehicle, tires, library, untestable) -> Base:
+def subject_of(
+    found: Mapping[str, CutLog], vehicle: Vehicle, tires, library: Sequence[Effect]
+) -> tuple[Windows, dict[str, tuple[str, ...]]]:
+    """The subject of a diagnosis of cut logs with unit noise, and the needs that they do
+    not meet, by effect."""
+    cut, has = joined_windows(found, vehicle, tires)
+    lacks = {e.id: tuple(n for n in e.needs if n not in has) for e in library}
+    lacks = {name: needs for name, needs in lacks.items() if needs}
     atoms = atoms_of(library)
-    scales = tuple(a.effect.scale for a in atoms)
-    model = Model(atoms, scales, cut.data.logged.shape[-1])
-    testable = [k for k, a in enumerate(atoms) if not untestable.get(a.effect.id)]
+    model = Model(atoms, tuple(a.effect.scale for a in atoms), cut.data.logged.shape[-1])
+    testable = tuple(k for k, a in enumerate(atoms) if a.effect.id not in lacks)
     car = car_of(vehicle, tires[0].tire, tires[1].tire)
-    return Base(model, car, cut, 1 / vehicle.filter.sample_rate, testable)
+    step = 1 / vehicle.filter.sample_rate
+    return Windows(model, car, cut, step, testable, np.ones(model.channels)), lacks
 
 
-def _amplitudes(base: Base, fit: Fit, std: np.ndarray) -> dict[str, Amplitude]:
+def _amplitudes(base: Windows, fit: Fit, std: np.ndarray) -> dict[str, Amplitude]:
     found = {}
     for k, size, error in zip(fit.atoms, fit.amplitude, std, strict=True):
-        effect, scale = base.model.atoms[k].effect, base.model.scales[k]
+        effect, scale = base.atoms[k].effect, base.model.scales[k]
         found[effect.id] = Amplitude(float(scale * size), float(scale * error), effect.unit)
     return found
 
 
-def _words(base: Base, fit: Fit) -> dict[str, str]:
-    atoms = [base.model.atoms[k] for k in fit.atoms]
+def _words(base: Windows, fit: Fit) -> dict[str, str]:
+    atoms = [base.atoms[k] for k in fit.atoms]
     return {
         atom.effect.id: atom.effect.which(atom.constants, base.cut.rows, None)  # type: ignore
         for atom in atoms
@@ -363,7 +375,7 @@ def _words(base: Base, fit: Fit) -> dict[str, str]:
 
 def _parameters(fit: Fit) -> dict[str, Amplitude]:
     std = np.sqrt(np.diag(fit.covariance))
-    factors = np.exp(fit.z[: len(PARAMETERS)])
+    factors = np.exp(fit.z)
     return {
         name: Amplitude(float(factor), float(factor * error), "-")
         for name, factor, error in zip(PARAMETERS, factors, std, strict=False)

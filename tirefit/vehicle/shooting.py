@@ -11,11 +11,13 @@ import numpy as np
 from tirefit.data.motion import Motion, road_wheel
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
+from tirefit.fitting import least_squares as law
+from tirefit.fitting.least_squares import MAX_STEPS, Normal, NormalEquations, on_host
 from tirefit.vehicle.windows import stretches
 
 _LEAD = 0.3
 """Time [s] of steering before a window, for its delay."""
-_ITERATIONS = 40
+_SETTLED = 1e-8  # share of the squares that one more step would take off
 _BLOCKS = 40
 """Largest number of blocks of windows of the sandwich, whose scores are independent."""
 
@@ -118,45 +120,47 @@ def eliminated(missed, by_z, by_start, noise, damping=0.0):
 eliminate = jax.jit(eliminated)
 
 
-def minimised(run, z, starts, now, data, noise, pull, bounds=(-np.inf, np.inf), tolerance=1e-6):
-    """Levenberg-Marquardt on z within its bounds and on all start states; ``now`` is the
-    result of ``run`` there. Returns the end values, and whether it converged: a step
-    changed the cost by less than ``tolerance`` of it."""
+class _Windows:
+    """Normal equations of z whose start states follow every step of z."""
 
-    def cost_of(missed, z):
-        return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
+    def __init__(self, run, z, starts, now, data, noise, pull):
+        self.run, self.data, self.noise, self.pull = run, data, noise, np.asarray(pull)
+        self.z, self.starts, self.now = np.asarray(z), starts, now
+        self.cost, self.damping = np.inf, law.FIRST_DAMPING / law.EASE
+        self.step, self.tied = 0.0, None
 
-    damping, converged = 1e-3, False
-    cost = cost_of(now[0], z)
-    for _ in range(_ITERATIONS):
-        while damping < 1e9:
-            score, information, step, tied = eliminate(*now, noise, damping)
-            gradient = np.asarray(score.sum(axis=0) + pull * z)
-            matrix = np.asarray(information.sum(axis=0)) + np.diag(pull)
-            # A parameter at a bound with a step across it is held.
-            still = (z <= bounds[0]) & (gradient > 0)
-            still |= (z >= bounds[1]) & (gradient < 0)
-            free = np.flatnonzero(~np.asarray(still))
-            damped = matrix + damping * np.diag(np.diag(matrix) + 1e-12)
-            move = np.zeros(len(z))
-            move[free] = -np.linalg.solve(damped[np.ix_(free, free)], gradient[free])
-            new_z = jnp.clip(z + move, *bounds)
-            new_starts = starts + step + tied @ (new_z - z)
-            trial = run(new_z, new_starts, data)
-            new_cost = cost_of(trial[0], new_z)
-            if np.isfinite(new_cost) and new_cost < cost:
-                break
-            if abs(new_cost - cost) < tolerance * cost:
-                return z, starts, now, True
-            damping *= 10
+    def __call__(self, z) -> Normal:
+        starts, now = self.starts, self.now
+        if self.tied is not None:
+            starts = starts + self.step + self.tied @ (z - self.z)
+            now = self.run(z, starts, self.data)
+        cost = self.squares(now[0]) + float(self.pull @ z**2)
+        if cost < self.cost:
+            self.z, self.starts, self.now, self.cost = z, starts, now, cost
+            self.damping = max(self.damping * law.EASE, law.LEAST_DAMPING)
         else:
-            return z, starts, now, True
-        gained, damping = cost - new_cost, max(damping / 10, 1e-9)
-        z, starts, now, cost = new_z, new_starts, trial, new_cost
-        if gained < tolerance * cost:
-            converged = True
-            break
-    return z, starts, now, converged
+            self.damping /= law.EASE
+        score, information, self.step, self.tied = eliminate(*self.now, self.noise, self.damping)
+        missed, _, by_start = self.now
+        after = missed + jnp.einsum("wkcs,ws->wkc", by_start, self.step)
+        beside = self.squares(missed) - self.squares(after)
+        normal = np.asarray(information.sum(axis=0)) + np.diag(self.pull)
+        return Normal(cost, normal, np.asarray(score.sum(axis=0)) + self.pull * z, beside)
+
+    def squares(self, missed) -> float:
+        return float(jnp.sum((missed / self.noise[None, None]) ** 2))
+
+
+def minimised(
+    run, z, starts, now, data, noise, pull, bounds=(None, None), tolerance=_SETTLED, most=MAX_STEPS
+):
+    """Least squares in z within its bounds and in all start states; ``now`` is the result
+    of ``run`` there. Returns the end values, and whether it converged in at most ``most``
+    trials: a step would change the cost by less than ``tolerance`` of it."""
+    at = _Windows(run, z, starts, now, data, noise, pull)
+    solver, (lower, upper) = NormalEquations(tolerance), bounds
+    end = on_host(at, z, solver, lower=lower, upper=upper, max_steps=most)
+    return jnp.asarray(at.z), at.starts, at.now, end.converged
 
 
 def sandwich(missed, by_z, by_start, noise, pull):

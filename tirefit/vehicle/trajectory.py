@@ -88,7 +88,7 @@ class TrajectoryFit(Record):
         noise: channel -> rms of predicted - logged, used as its noise.
         windows: number of windows; ``blocks`` of them are independent.
         vehicle: with what was found of it.
-        converged: whether the last step changed the cost by less than a millionth.
+        converged: whether one more step would change the cost by less than 1e-8 of it.
         intervals: method of the 95 % intervals.
         axles: ``front``, ``rear`` -> the tire with its uncertainty and the content of a
             ``fit.json``; :func:`tirefit.replay` takes it.

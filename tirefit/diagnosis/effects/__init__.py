@@ -6,7 +6,7 @@ fits, tests and ranks them all. A user's own effect is one more record::
     from tirefit.diagnosis.effects import EFFECTS, Effect
 
     def change(state, amplitude, constants, rows):
-        ripple = jnp.sin(12 * rows.time)
+        ripple = np.sin(12 * rows.time)
         return state._replace(friction=state.friction * (1 + amplitude * ripple))
 
     mine = Effect(
@@ -18,7 +18,6 @@ fits, tests and ranks them all. A user's own effect is one more record::
 """
 
 from tirefit.diagnosis.effects import measurement, motion, per_run, tire, vehicle
-from tirefit.diagnosis.effects.free_forms import Form
 from tirefit.diagnosis.effects.record import (
     NOISE_EFFECTS,
     Atom,
@@ -34,7 +33,6 @@ __all__ = [
     "NOISE_EFFECTS",
     "Atom",
     "Effect",
-    "Form",
     "NoiseEffect",
     "Prior",
     "atoms_of",

@@ -1,9 +1,7 @@
 """Effects of the measurement: offsets, drifting zeros, the definition of the slip, the
 inertia of the wheel, crosstalk of channels, camber and conicity."""
 
-import jax.numpy as jnp
-
-from tirefit.diagnosis.effects import free_forms as free
+from tirefit.diagnosis.effects.arrays import xp
 from tirefit.diagnosis.effects.record import (
     PER_MILLE,
     Effect,
@@ -82,7 +80,7 @@ def _camber(state, share, constants, rows):
 
 def _settled(rows, constants):
     """A drift that is linear over the record, or faster at first; zero at the middle."""
-    late = 0.5 - jnp.exp(-(rows.time + 0.5) / _WARMING)
+    late = 0.5 - xp.exp(-(rows.time + 0.5) / _WARMING)
     return blend(constants, rows.time, late)
 
 
@@ -115,7 +113,7 @@ OFFSETS = (
         formula="slip + amplitude", means="the slip is off by a constant",
         remedy="add it to the slip; check the rolling radius, or the zero of heading or"
         " steering", bounds=((-4.0, 4.0),), prior=_seen_between_slips,
-        forms=free.over("shift", 0.03, "time"), looks_like=("force_offset",),
+        looks_like=("force_offset",),
         told_apart_by="both signs",
     ),
     Effect(
@@ -124,7 +122,7 @@ OFFSETS = (
         change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load),
         formula="force + amplitude", means="the force is off by a constant",
         remedy="subtract it; check the zero of the force sensor", told_apart_by="loads",
-        bounds=((-500.0, 500.0),), forms=free.over("force", 0.004, "time"),
+        bounds=((-500.0, 500.0),),
         looks_like=("slip_offset",),
     ),
     Effect(
@@ -158,13 +156,13 @@ OFFSETS = (
         formula="slip angle + amplitude gamma", bounds=((-3.0, 3.0),), needs=("gamma",),
         means="camber adds to the lateral force", channels=("fy", "mz"),
         remedy="measure without camber, or correct for it", variants=choices(2),
-        parameter="camber stiffness / cornering stiffness", forms=free.SHIFT_BY_CAMBER,
+        parameter="camber stiffness / cornering stiffness",
         told_apart_by="opposite camber",
     ),
     _in_proportion(
         "conicity", "lateral inputs", "F_y + amplitude F_z",
         "measure again with the tire mounted in reverse, and take the mean",
-        channels=("fy", "mz"), forms=(*free.SHIFT_BY_CAMBER, *free.FORCE_BY_LOAD),
+        channels=("fy", "mz"),
         told_apart_by="loads",
     ),
 )  # fmt: skip
@@ -178,7 +176,7 @@ SENSORS = (
         means="the zero of the slip moves over the record", bounds=((-6.0, 6.0),),
         remedy="zero heading, steering or wheel speed between runs, and cut runs"
         " shorter", odds=seldom, needs=("time",), variants=choices(2),
-        forms=free.over("shift", 0.1, "time"), told_apart_by="both signs",
+        told_apart_by="both signs",
         looks_like=("force_zero_drift", "stiffness_drift", "friction_drift"),
     ),
     Effect(
@@ -189,7 +187,7 @@ SENSORS = (
         means="the zero of the force sensor moves over the record", odds=seldom,
         remedy="tare between runs; subtract the zeros before and after, shared by time",
         bounds=((-700.0, 700.0),), needs=("time",), variants=choices(2),
-        forms=free.over("force", 0.01, "time"), told_apart_by="both signs",
+        told_apart_by="both signs",
         looks_like=("slip_zero_drift", "friction_drift"),
     ),
     _in_proportion(
@@ -197,7 +195,7 @@ SENSORS = (
         "F_x + amplitude F_z; crosstalk of a balance, or rolling resistance",
         "calibrate the crosstalk of F_z; subtract the rolling resistance", odds=seldom,
         of="measurement",
-        channels=("fx",), forms=free.FORCE_BY_LOAD, told_apart_by="both signs",
+        channels=("fx",), told_apart_by="both signs",
     ),
     Effect(
         id="load_offset", of="measurement",
@@ -210,7 +208,7 @@ SENSORS = (
         formula="F_z + amplitude", means="the load is off by a constant",
         remedy="check the zero of the load cell, and the mass of rim and hub",
         bounds=((-400.0, 400.0),), odds=seldom, needs=("loads",),
-        forms=free.FRICTION_BY_LOAD, looks_like=("load_friction", "load_stiffness"),
+        looks_like=("load_friction", "load_stiffness"),
         told_apart_by="loads",
     ),
     Effect(
@@ -230,7 +228,7 @@ SENSORS = (
         means="the force sensor reads differently for rising and for falling slip",
         remedy="grease or unload the guides of the sensor; take the mean of both",
         bounds=((-400.0, 400.0),), needs=("sweeps",), variants=choices(2),
-        forms=free.FORCE_BY_DIRECTION, told_apart_by="two ramp rates",
+        told_apart_by="two ramp rates",
         looks_like=("friction_hysteresis", "channel_delay", "relaxation_length"),
     ),
 )  # fmt: skip

@@ -9,11 +9,10 @@ derive`` copies it from vehicle.toml), else the error of a guess.
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from tirefit.data.findings import error_of_point
-from tirefit.diagnosis.effects.free_forms import SHIFT_BY_DELAY, SHIFT_BY_LAG
+from tirefit.diagnosis.effects.arrays import xp
 from tirefit.diagnosis.effects.record import Effect, choices, scaled
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.covariates import wheelbase
@@ -204,21 +203,18 @@ def _late(past, delay, rows):
 
     Exact for values that are linear between columns.
     """
-    ages, count = jnp.asarray(AGES)[None], len(AGES)
-    age = jnp.clip(delay / rows.interval, AGES[0], AGES[-1])
-    passed = jnp.sum(age[:, None] >= ages, axis=1)
-    low = jnp.clip(passed - 1, 0, count - 2)[:, None]
-    # A column is picked by a sum: NumPy can evaluate it, an index only JAX.
+    age = xp.clip(delay / rows.interval, AGES[0], AGES[-1])
+    low = xp.clip(xp.searchsorted(AGES, age, side="right") - 1, 0, len(AGES) - 2)
     (early, before), (late, after) = (
-        [jnp.sum(jnp.where(at, values, 0), axis=1) for values in (ages, past)]
-        for at in (low == jnp.arange(count)[None], low == jnp.arange(-1, count - 1)[None])
+        (xp.take(AGES, at), xp.take_along_axis(past, at[:, None], axis=1)[:, 0])
+        for at in (low, low + 1)
     )
     share = (age - early) / (late - early)
     return before + share * (after - before) - past[:, AHEAD]
 
 
-def lagged(past, length, step):
-    """Change of values (n, k) by a first-order lag over a length: (n,).
+def lag(length, step):
+    """The change of values (n, k) by a first-order lag over a length: values -> (n,).
 
     Exact for values that are constant before the first column and linear between
     columns. A negative length counts as zero.
@@ -228,40 +224,46 @@ def lagged(past, length, step):
         step: (n,) of one of :data:`AGES`.
     """
     # At a length of zero the slope is that of positive lengths.
-    length = jnp.where(length < 0, 0.0, length) + _NO_LENGTH * step
-    one = (step / length)[:, None]
-    ways, gone = (one * of[None] for of in (np.diff(AGES[AHEAD:]), AGES[AHEAD:]))
+    length = xp.where(length < 0, 0.0, length) + _NO_LENGTH * step
+    ways = (step / length)[:, None] * np.diff(AGES[AHEAD:])[None]
     # Response to values that rise over the distance, and its remainder at the row.
-    decay, since = jnp.exp(-ways), jnp.exp(-gone)
-    share = jnp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)
-    after, before = past[:, AHEAD:-1], past[:, AHEAD + 1 :]
-    risen = share * after + (1 - share - decay) * before
-    behind = jnp.sum(since[:, :-1] * risen, axis=1) + since[:, -1] * past[:, -1]
-    return behind - past[:, AHEAD]
+    decay = xp.exp(-ways)
+    since = xp.cumprod(decay, axis=1)
+    share = xp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)
+
+    def change(past):
+        after, before = past[:, AHEAD:-1], past[:, AHEAD + 1 :]
+        risen = before + share * (after - before) - decay * before
+        earlier = xp.sum(since[:, :-1] * risen[:, 1:], axis=1)
+        return risen[:, 0] + earlier + since[:, -1] * past[:, -1] - past[:, AHEAD]
+
+    return change
+
+
+def _with_lag(state, length, step, rows):
+    """The forces behind by a first-order lag."""
+    change = lag(length, step)
+    force, moment = state.force + change(rows.pull), state.moment + change(rows.twist)
+    return state._replace(force=force, moment=moment)
 
 
 def _delay(state, delay, constants, rows):
     """Delay the slip, or the forces (at the delayed slip and load), or filter the
     forces by a first-order lag with the delay as time constant [s]."""
-    slip, force, filtered = constants
-    # A brush with another load equals one with another friction, see S(12).
-    load = 1 + _late(rows.burden, force * delay, rows)
-    moved = scaled(state, "friction", load)
-    constant = filtered * delay
-    return moved._replace(
-        shift=state.shift + _late(rows.past, (slip + force) * delay, rows),
-        force=state.force + filtered * lagged(rows.pull, constant, rows.interval),
-        moment=state.moment + filtered * lagged(rows.twist, constant, rows.interval),
-    )
+    _, force, filtered = constants
+    if filtered:
+        return _with_lag(state, delay, rows.interval, rows)
+    if force:
+        # A brush with another load equals one with another friction, see S(12).
+        state = scaled(state, "friction", 1 + _late(rows.burden, delay, rows))
+    return state._replace(shift=state.shift + _late(rows.past, delay, rows))
 
 
 def _relax(state, length, constants, rows):
-    slip, force = constants
-    return state._replace(
-        shift=state.shift + slip * lagged(rows.past, length, rows.step),
-        force=state.force + force * lagged(rows.pull, length, rows.step),
-        moment=state.moment + force * lagged(rows.twist, length, rows.step),
-    )
+    _, force = constants
+    if force:
+        return _with_lag(state, length, rows.step, rows)
+    return state._replace(shift=state.shift + lag(length, rows.step)(rows.past))
 
 
 def _steer(late):
@@ -271,7 +273,7 @@ def _steer(late):
     def change(state, amplitude, constants, rows):
         slip, turned = rows.past[:, AHEAD], late(rows.steered, amplitude, rows)
         return state._replace(
-            shift=state.shift + jnp.tan(jnp.arctan(slip) - turned) - slip,
+            shift=state.shift + xp.tan(xp.arctan(slip) - turned) - slip,
             force=state.force + rows.pivot * turned,
         )
 
@@ -309,7 +311,7 @@ EFFECTS = (
         means="force and slip are shifted in time", parameter="delay", doubts=_too_late,
         remedy="measure the delay (clock in vehicle.toml) and shift the force by it",
         bounds=((-3.0, 3.0), (-3.0, 3.0), (0.0, 3.0)), prior=_of_a_known_clock,
-        needs=("sweeps",), variants=choices(3), forms=SHIFT_BY_DELAY,
+        needs=("sweeps",), variants=choices(3),
         told_apart_by="speeds", looks_like=("relaxation_length", "friction_hysteresis"),
     ),
     Effect(
@@ -317,7 +319,7 @@ EFFECTS = (
         per=("way",), formula="d slip'/dt = v / amplitude (slip - slip')",
         means="the force lags the slip over a rolling distance", parameter="length",
         remedy="fit brush-relaxation", bounds=((0.0, 3.0),), doubts=_too_long,
-        needs=("sweeps", "v"), variants=choices(2), forms=SHIFT_BY_LAG,
+        needs=("sweeps", "v"), variants=choices(2),
         looks_like=("channel_delay", "friction_hysteresis"), told_apart_by="speeds",
     ),
     Effect(
@@ -333,7 +335,7 @@ EFFECTS = (
     Effect(
         id="steering_lag", of="vehicle",
         family="slip x steering", scale=0.08, unit="s",
-        change=_steer(lambda past, a, rows: lagged(past, a, rows.interval)),
+        change=_steer(lambda past, a, rows: lag(a, rows.interval)(past)),
         formula="amplitude d(angle)/dt = steering - angle, of the road wheels",
         means="the road wheels follow the steering slowly: a servo, soft linkage",
         remedy="measure the road wheel angle, or lag the steering by the constant",

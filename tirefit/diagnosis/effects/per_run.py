@@ -2,9 +2,9 @@
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
+from tirefit.diagnosis.effects.arrays import xp
 from tirefit.diagnosis.effects.record import PER_MILLE, SYMBOLS, Effect, adds, multiplies, seldom
 from tirefit.diagnosis.rows.slips import shown_runs
 
@@ -52,7 +52,7 @@ def _run(id: str, family: str, told_apart_by: str, **given: Any) -> Effect:
 
 def _parameter_of_runs(name: str, fitted: str, scale: float, *looks_like: str):
     def factor(a, _, rows):
-        return jnp.exp(a * getattr(rows, OFFSETS[name].pattern))
+        return xp.exp(a * getattr(rows, OFFSETS[name].pattern))
 
     return _run(
         f"{name}_run",

@@ -4,10 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-from jaxtyping import Array
-
-from tirefit.diagnosis.effects.free_forms import Form
+from tirefit.diagnosis.effects.arrays import xp
 from tirefit.diagnosis.effects.state import Covariates, State
 
 PER_MILLE = 1e-3
@@ -23,7 +20,7 @@ SHARE = (-1.9, 1.9)
 SYMBOLS = {"friction": "mu", "stiffness": "c_p a^2"}
 """Field of the state that is multiplied -> its symbol in formulas."""
 
-Change = Callable[[State, float, Array | tuple[float, ...], Covariates], State]
+Change = Callable[[State, float, tuple[float, ...], Covariates], State]
 
 
 class Prior(NamedTuple):
@@ -49,7 +46,8 @@ class Effect:
         id: its name in every output.
         family: which parameter varies with which quantity.
         of: whether it is a property of the tire, vehicle or measurement.
-        change: (state, amplitude, constants, covariates) -> state; amplitude 0 changes nothing.
+        change: (state, amplitude, constants, covariates) -> state, by functions of NumPy, JAX or
+            both (:data:`effects.arrays.xp`); amplitude 0 changes nothing.
         scale: prior standard deviation of the amplitude, a judgement: twice as wide
             lowers the log evidence of a certain effect by log 2.
         per: field of :class:`rows.covariates.Sizes` that is the unit of ``scale``,
@@ -68,10 +66,8 @@ class Effect:
         which: (constants, covariates, time [s] or None) -> text for the formula of a
             variant, with the values to which its amplitude refers.
         doubts: (amplitude, prepared rows) -> why the amplitude is implausible, or "".
-        forms: other shapes in which the parameter may vary with the quantity.
         during: constants -> begin and end of the stretch that a variant changes (shares
             of the record about its middle); not tried if a setting was held during it.
-        scans_time: variants are times of a sudden change, whose shape is fitted later.
         singular: its tangent at zero vanishes; it is always refitted.
         looks_like: ids of effects that it is confused with.
         told_apart_by: the measurement that separates it from them.
@@ -102,9 +98,7 @@ class Effect:
     variants: tuple[tuple[float, ...], ...] = ((),)
     which: Callable[[tuple[float, ...], Covariates, object], str] | None = None
     doubts: Callable[[float, object], str] | None = None
-    forms: tuple[Form, ...] = ()
     during: Callable[[tuple[float, ...]], tuple[float, float]] | None = None
-    scans_time: bool = False
     singular: bool = False
     looks_like: tuple[str, ...] = ()
     told_apart_by: str = ""
@@ -214,7 +208,7 @@ def blend(constants, *values):
 
 def scaled(state: State, name: str, factor) -> State:
     """The state with one field multiplied by a factor, which is kept positive."""
-    factor = jnp.maximum(factor, LEAST_FACTOR)
+    factor = xp.maximum(factor, LEAST_FACTOR)
     return state._replace(**{name: getattr(state, name) * factor})
 
 

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from tirefit.models import Asymmetric, Brush, Quartic, TireInputs
 from tirefit.models.base import largest
@@ -68,38 +67,36 @@ class Covariates(NamedTuple):
     run_force: Values  # the same of force offsets
     run_friction: Values  # the same of log friction
     run_stiffness: Values  # the same of log stiffness
-    change: Values  # -1/2 to 1/2, found by :func:`evidence.forms.shape_of_change`
     traction: Values  # force of the base model over the mean load
 
 
 class State(NamedTuple):
     """A tire and its measurement with all effects applied; arrays (n,) or scalars."""
 
-    shift: Array  # added to the slip
-    curvature: Array  # w: the slip x becomes x / (1 - w x)
-    other: Array  # the other slip
-    stiffness: Array  # factor
-    friction: Array  # factor
-    skew: Array  # d of S(24)
-    flat: Array  # share of the quartic law S(25)
-    static: Array  # excess of static over kinetic friction, 1/m - 1
-    kinetic: Array  # factor on the kinetic friction only
-    force: Array  # added to the measured force [N]
-    moment: Array  # added to the moment [N m]
+    shift: Values | float  # added to the slip
+    curvature: Values | float  # w: the slip x becomes x / (1 - w x)
+    other: Values | float  # the other slip
+    stiffness: Values | float  # factor
+    friction: Values | float  # factor
+    skew: Values | float  # d of S(24)
+    flat: Values | float  # share of the quartic law S(25)
+    static: Values | float  # excess of static over kinetic friction, 1/m - 1
+    kinetic: Values | float  # factor on the kinetic friction only
+    force: Values | float  # added to the measured force [N]
+    moment: Values | float  # added to the moment [N m]
 
 
 def null_state() -> State:
     """The state without any effect."""
-    zero, one = jnp.zeros(()), jnp.ones(())
-    factors = {"stiffness": one, "friction": one, "kinetic": one}
-    return State(**dict.fromkeys(State._fields, zero) | factors)
+    factors = {"stiffness", "friction", "kinetic"}
+    return State(*(float(name in factors) for name in State._fields))
 
 
 class _Shaped(AbstractPressure):
     """Asymmetric pressure, partly flattened to the quartic law."""
 
-    skew: Array
-    flat: Array
+    skew: Values | float
+    flat: Values | float
 
     def _mix(self, name: str, u):
         # Users give a number; here it is a traced value of a hypothesis.
@@ -172,8 +169,8 @@ def _breakaway_slope(primals, tangents):
 class _TwoFrictions(Friction):
     """Static friction above the kinetic one, at any speed."""
 
-    excess: Array | float = 0.0
-    factor: Array | float = 1.0
+    excess: Values | float = 0.0
+    factor: Values | float = 1.0
 
     def static(self, mu, v_s):
         return mu * (1 + self.excess)

@@ -4,10 +4,9 @@ with speed, load, temperature, inflation, time, work, direction, side or other s
 from functools import partial
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
-from tirefit.diagnosis.effects import free_forms as free
+from tirefit.diagnosis.effects.arrays import xp
 from tirefit.diagnosis.effects.record import (
     LEAST_FACTOR,
     SHARE,
@@ -33,7 +32,7 @@ _FALLS = ((0.15, 1.0), (0.6, 1.0), (0.6, 0.5), (2.0, 1.0), (4.0, 0.5), (0.1, 0.0
 """(v_st over the largest sliding speed of the file, exponent) of the falls of friction
 that are tried: exponential, S(37), and with exponent 0 by log(1 + v_s / v_st)."""
 
-STEPS = tuple(float(t) for t in np.linspace(-0.42, 0.42, 15))
+STEPS = tuple(float(t) for t in np.linspace(-0.45, 0.45, 25))
 """Times of a sudden change that are tried, as shares of the record about its middle."""
 
 _NO_END = 1.0  # end, outside the record, of a change that lasts
@@ -60,16 +59,16 @@ _LEAST_KINETIC = 1e-3  # smallest kinetic friction over its usual value
 
 
 def _skewed(state, change):
-    return state._replace(skew=jnp.clip(state.skew + change, *_SKEWS))
+    return state._replace(skew=xp.clip(state.skew + change, *_SKEWS))
 
 
 def _skew_with(state, d, constants, rows):
-    moving = blend(constants, rows.force, rows.usage, jnp.log(rows.fz))
+    moving = blend(constants, rows.force, rows.usage, xp.log(rows.fz))
     return _skewed(state, d * moving)
 
 
 def _kinetic_times(state, factor):
-    return state._replace(kinetic=state.kinetic * jnp.maximum(factor, _LEAST_KINETIC))
+    return state._replace(kinetic=state.kinetic * xp.maximum(factor, _LEAST_KINETIC))
 
 
 def _linear_loss(state, loss, constants, rows):
@@ -84,11 +83,12 @@ def _fall(state, share, constants, rows):
     on the kinetic friction or on both. A negative share is a rise."""
     v_st, exponent, both = constants
     # The power is not differentiable at rest, where the patch does not slide.
-    speed = jnp.maximum(rows.sliding / rows.brisk, FLAT) / v_st
-    decay = -jnp.expm1(-(speed ** jnp.where(exponent > 0, exponent, 1.0)))
+    speed = xp.maximum(rows.sliding / rows.brisk, FLAT) / v_st
     # The share is the loss at the largest sliding speed of the file.
-    slow = jnp.log1p(speed) / jnp.log1p(1 / v_st)
-    fall = share * jnp.where(exponent > 0, decay, slow)
+    if exponent:
+        fall = -share * xp.expm1(-(speed**exponent))
+    else:
+        fall = share * xp.log1p(speed) / xp.log1p(1 / v_st)
     state = _kinetic_times(state, 1 - (1 - both) * fall)
     return scaled(state, "friction", 1 - both * fall)
 
@@ -121,9 +121,9 @@ def _which_drift(constants, rows, time) -> str:
 
 
 def _which_step(constants, rows, time) -> str:
-    begin, end, shaped = constants
-    change, share = (np.asarray(v)[: len(time)] for v in (rows.change, rows.time))
-    inside = change > 0 if shaped else (share > begin) & (share < end)
+    begin, end = constants
+    share = np.asarray(rows.time)[: len(time)]
+    inside = (share > begin) & (share < end)
     order = np.argsort(time, kind="stable")
     turns = np.flatnonzero(np.diff(inside[order]))
     at = [f"{t:.4g}" for t in (time[order][turns] + time[order][turns + 1]) / 2]
@@ -136,15 +136,14 @@ def _drift(share, constants, rows):
     """A drift that is linear over the record, or fast at first as 1 - exp(-t / tau); zero
     at the middle."""
     even, way = constants
-    late = 0.5 - jnp.exp(-(rows.time + 0.5) / way)
+    late = 0.5 - xp.exp(-(rows.time + 0.5) / way)
     return 1 + share * blend((even, 1 - even), rows.time, late)
 
 
 def _step(share, constants, rows):
-    """A change at one time, between two times, or with the shape that was found."""
-    begin, end, shaped = constants
-    sudden = jnp.where((rows.time > begin) & (rows.time < end), 0.5, -0.5)
-    return 1 + share * blend((1 - shaped, shaped), sudden, rows.change)
+    """A change at one time, or between two times."""
+    begin, end = constants
+    return 1 + share * xp.where((rows.time > begin) & (rows.time < end), 0.5, -0.5)
 
 
 def _other(state, share, constants, rows):
@@ -152,25 +151,22 @@ def _other(state, share, constants, rows):
     that falls with the other slip, cos(arctan B alpha), Pacejka 4.3.2."""
     shared, weighted = constants
     taken = share * _OF_FRICTION * rows.other / (rows.rise * rows.fz)
-    factor = 1 - weighted * (1 - 1 / jnp.sqrt(1 + taken**2))
+    factor = 1 - weighted * (1 - 1 / xp.sqrt(1 + taken**2))
     state = state._replace(other=state.other + shared * share * rows.other)
     return scaled(scaled(state, "friction", factor), "stiffness", factor)
 
 
 def _with_load(name, state, amplitude, constants, rows):
     """A dependence on the load: a power, linear, or linear in its logarithm."""
-    linear = jnp.maximum(1 + amplitude * (rows.fz - 1), LEAST_FACTOR)
-    slow = jnp.maximum(1 + amplitude * jnp.log(rows.fz), LEAST_FACTOR)
+    linear = xp.maximum(1 + amplitude * (rows.fz - 1), LEAST_FACTOR)
+    slow = xp.maximum(1 + amplitude * xp.log(rows.fz), LEAST_FACTOR)
     factor = blend(constants, rows.fz**amplitude, linear, slow)
     return state._replace(**{name: getattr(state, name) * factor})
 
 
-def _by_condition(
-    name: str, fitted: str, scales, by_load, by_time, sizes, like_load, like_time
-) -> tuple[Effect, ...]:
+def _by_condition(name: str, fitted: str, scales, like_load, like_time) -> tuple[Effect, ...]:
     """Effects of friction or stiffness with load, temperature, time, pressure, work."""
     symbol, range_of_file = SYMBOLS[name], "over its range in the file"
-    heat, inflation, work = sizes
 
     def effect(id, covariate, scale, change, bounds=SHARE, **given: Any) -> Effect:
         return Effect(
@@ -186,7 +182,7 @@ def _by_condition(
     drift, temperature = f"{name}_drift", f"{name}_temperature"
     return (
         effect(
-            f"load_{name}", "load", scales[0], partial(_with_load, name), forms=by_load,
+            f"load_{name}", "load", scales[0], partial(_with_load, name),
             formula=f"{symbol} (F_z / F_z0)^amplitude, S 2.1", remedy="fit brush-load",
             means=f"{name} is a power of the load", parameter="power", needs=("loads",),
             bounds=_POWERS, which=_which_power, variants=choices(3),
@@ -199,13 +195,12 @@ def _by_condition(
             per=("temperature",), means=f"{name} changes with temperature",
             needs=("temperature",), looks_like=(drift,),
             remedy=f"fit {fitted} for each range of temperature",
-            forms=free.over(name, heat, "temperature", free.BOTH_WAYS),
         ),
         effect(
             drift, "time", scales[2], multiplies(name, _drift), unit="per record",
             which=_which_drift, formula=f"{symbol} (1 + amplitude t)", needs=("time",),
             variants=_DRIFTS, means=f"{name} changes slowly over the record",
-            forms=by_time, remedy=f"cut the record into runs and fit {fitted} per run",
+            remedy=f"cut the record into runs and fit {fitted} per run",
             looks_like=(f"load_{name}", temperature, *like_time),
         ),
         effect(
@@ -215,61 +210,41 @@ def _by_condition(
             formula=f"{symbol} (1 + amplitude (p - p0) / range), Besselink 2010",
             needs=("pressure",), remedy=f"fit {fitted} for each pressure",
             looks_like=(drift, temperature),
-            forms=free.over(name, inflation, "inflation"),
         ),
         effect(
             f"{name}_warming", "work", scales[4],
-            multiplies(name, lambda a, c, rows: 1 + (a * rows.work * jnp.asarray(c)[None]).sum(1)),
+            multiplies(name, lambda a, c, rows: 1 + (a * rows.work) @ xp.asarray(c)),
             unit=range_of_file, odds=seldom, needs=("work", "v"), variants=choices(3),
             formula=f"{symbol} (1 + amplitude W), dW/dt = |F| v_s - W / cooling",
             means=f"{name} follows the work of sliding: the tire warms up or wears",
             remedy="measure the temperature; warm up first and pause between runs",
-            forms=(free.Form(name, work, lambda rows, u: rows.work),),
             looks_like=(drift, temperature),
         ),
     )  # fmt: skip
 
 
-_BY_TIME = free.over("friction", 0.02, "time")
 _FRICTION = _by_condition(
-    "friction",
-    "mu",
-    (0.12, 0.15, 0.12, 0.12, 0.15),
-    free.FRICTION_BY_LOAD,
-    _BY_TIME,
-    (0.03, 0.03, 0.15),
-    ("force_offset",),
-    ("friction_step",),
+    "friction", "mu", (0.12, 0.15, 0.12, 0.12, 0.15), ("force_offset",), ("friction_step",)
 )
-_STIFFNESS = _by_condition(
-    "stiffness",
-    "cpa2",
-    (0.5, 0.2, 0.18, 0.2, 0.2),
-    free.over("stiffness", 0.06, "fz"),
-    free.over("stiffness", 0.04, "time"),
-    (0.06, 0.06, 0.2),
-    (),
-    (),
-)
+_STIFFNESS = _by_condition("stiffness", "cpa2", (0.5, 0.2, 0.18, 0.2, 0.2), (), ())
 
 PATCH = (
     Effect(
         id="pressure_asymmetry", family="pressure", scale=0.24, remedy="fit brush-d",
         change=lambda state, d, constants, rows: _skewed(state, d), parameter="d",
         formula="p = 3/4 (1 - xi^2)(1 + d xi), S(24)", bounds=(_SKEWS,),
-        means="the contact pressure is skewed", forms=free.SHAPE_OF_THE_CURVE,
+        means="the contact pressure is skewed",
         looks_like=("carcass_flexibility", "pressure_flatness", "slip_definition"),
         told_apart_by="mz",
     ),
     Effect(
         id="pressure_flatness", family="pressure", scale=0.6,
         change=lambda state, share, constants, rows: state._replace(
-            flat=jnp.clip(state.flat + share, *_FLATNESSES)
+            flat=xp.clip(state.flat + share, *_FLATNESSES)
         ),
         formula="p from the parabola towards 5/8 (1 - xi^4), S(25)", parameter="share",
         means="the contact pressure is flatter or sharper than a parabola",
         remedy="fit quartic or elliptic", bounds=(_FLATNESSES,), told_apart_by="mz",
-        forms=free.SHAPE_OF_THE_CURVE,
         looks_like=("pressure_asymmetry", "carcass_flexibility"),
     ),
     Effect(
@@ -278,14 +253,14 @@ PATCH = (
         formula="mu_k = mu_s / (1 + amplitude), S(31)",
         means="friction falls when the bristles begin to slide", remedy="fit brush-m",
         parameter="mu_s / mu_k - 1", bounds=((0.0, 4.0),),  # a fifth of the grip stays
-        forms=free.SHAPE_OF_THE_CURVE, singular=True, told_apart_by="speeds",
+        singular=True, told_apart_by="speeds",
     ),
     Effect(
         id="pressure_shift_load", family="pressure x force", change=_skew_with,
         scale=0.24, means="the contact pressure shifts with force or load",
         formula="d moves by amplitude F / (mu F_z), or with the load, S 4.1",
         remedy="fit brush-d-force or brush-d-load", parameter="d", variants=choices(3),
-        told_apart_by="loads", bounds=((-2.0, 2.0),), forms=free.SKEW_BY_LOAD,
+        told_apart_by="loads", bounds=((-2.0, 2.0),),
         looks_like=("pressure_asymmetry",),
     ),
     Effect(
@@ -295,7 +270,7 @@ PATCH = (
         per=("slip",), formula="slip - amplitude F / F_z, S(15)",
         means="the carcass yields under the force",
         remedy="fit a model of tirefit.models.carcass; M_z separates it from pressure",
-        parameter="compliance", bounds=((0.0, 10.0),), forms=free.SHAPE_OF_THE_CURVE,
+        parameter="compliance", bounds=((0.0, 10.0),),
         looks_like=("pressure_asymmetry", "pressure_flatness"), told_apart_by="mz",
     ),
 )  # fmt: skip
@@ -307,7 +282,7 @@ _BY_SPEED = (
         formula="mu_k = mu (1 - amplitude v_s), S(35)", parameter="n / mu",
         means="friction changes in proportion to the speed", bounds=((-2.0, 2.0),),
         remedy="fit brush-n; where all friction changes, mu for each speed",
-        variants=choices(3), which=_which_speed, forms=free.FRICTION_BY_SPEED,
+        variants=choices(3), which=_which_speed,
         looks_like=("friction_speed_exponential",), told_apart_by="speeds",
     ),
     Effect(
@@ -317,7 +292,7 @@ _BY_SPEED = (
         remedy="fit brush-h with this v_st; where all friction changes, mu for each"
         " speed", parameter="1 - h",
         bounds=((-1.0, 1.0),),  # at low sliding speeds, the friction of rubber may rise
-        needs=("v",), which=_which_fall, forms=free.FRICTION_BY_SPEED,
+        needs=("v",), which=_which_fall,
         variants=tuple((*fall, both) for both in (0.0, 1.0) for fall in _FALLS),
         looks_like=("friction_speed_linear",), told_apart_by="speeds",
     ),
@@ -325,14 +300,12 @@ _BY_SPEED = (
 _BY_STATE = (
     Effect(
         id="friction_step", family="friction x time", scale=0.15, bounds=(SHARE,),
-        change=multiplies("friction", _step), needs=("time",), forms=_BY_TIME,
-        formula="mu changes by amplitude at one time, or between two", scans_time=True,
+        change=multiplies("friction", _step), needs=("time",),
+        formula="mu changes by amplitude at one time, or between two",
         means="friction changes at one time, or for a stretch", which=_which_step,
         remedy="cut the record there and fit mu per run", told_apart_by="random order",
         variants=(
-            *((at, _NO_END, 0.0) for at in STEPS),
-            *((*stretch, 0.0) for stretch in _STRETCHES),
-            (0.0, _NO_END, 1.0),
+            *((at, _NO_END) for at in STEPS), *_STRETCHES,
         ), during=lambda constants: (constants[0], constants[1]),
         looks_like=("friction_drift",),
     ),
@@ -342,7 +315,7 @@ _BY_STATE = (
         formula="mu differs by amplitude between growing and shrinking slip",
         means="friction differs between growing and shrinking slip", needs=("sweeps",),
         remedy="fit the two parts as separate runs", bounds=((-1.2, 1.2),),
-        forms=free.FRICTION_BY_DIRECTION, told_apart_by="two ramp rates",
+        told_apart_by="two ramp rates",
         looks_like=("channel_delay", "relaxation_length"),
     ),
     Effect(
@@ -351,14 +324,14 @@ _BY_STATE = (
         formula="mu differs by amplitude between the two signs of slip",
         means="friction differs between the two signs of slip", bounds=(SHARE,),
         remedy="fit the two parts as separate runs", needs=("signs",),
-        forms=free.BY_SIDE, looks_like=("force_offset",), told_apart_by="loads",
+        looks_like=("force_offset",), told_apart_by="loads",
     ),
     Effect(
         id="combined_slip", family="inputs", change=_other, scale=0.15, center=1.0,
         formula="the other slip shares the friction", parameter="share", singular=True,
         means="the other slip uses a part of the friction", bounds=((-3.0, 3.0),),
         remedy="fit brush-anisotropic or magic-formula-combined to both slips",
-        needs=("other slip",), variants=choices(2), forms=free.BY_OTHER_SLIP,
+        needs=("other slip",), variants=choices(2),
         told_apart_by="pure slip",
     ),
 )  # fmt: skip
@@ -383,7 +356,6 @@ WARMTH = (
         ), formula="c_p a^2 (v / v0)^amplitude", remedy="fit cpa2 for each speed",
         means="stiffness is a power of the speed: rubber and belt stiffen", odds=seldom,
         bounds=((-1.5, 1.5),), needs=("speeds",), told_apart_by="speeds",
-        forms=free.over("stiffness", 0.05, "v"),
         looks_like=("relaxation_length", "stiffness_drift"),
     ),
 )  # fmt: skip

@@ -1,10 +1,9 @@
 """Effects of the vehicle: changing radii, speed offsets, the other force, load transfer,
 inertia, the ground, the two wheels of an axle, steering."""
 
-import jax.numpy as jnp
 import numpy as np
 
-from tirefit.diagnosis.effects import free_forms as free
+from tirefit.diagnosis.effects.arrays import xp
 from tirefit.diagnosis.effects.motion import (
     against_derive,
     odds_of_derive,
@@ -57,7 +56,7 @@ def _ellipse(state, share, constants, rows):
     """Factor on the friction, or on the whole force."""
     (whole,) = constants
     used = rows.across / (rows.peak * rows.fz * rows.load)
-    left = jnp.sqrt(1 - jnp.clip(share * used**2, _DOUBLED, _ALL_BUT))
+    left = xp.sqrt(1 - xp.clip(share * used**2, _DOUBLED, _ALL_BUT))
     stiffness = state.stiffness * (1 - whole * (1 - left))
     return state._replace(friction=state.friction * left, stiffness=stiffness)
 
@@ -77,14 +76,8 @@ def _one_load(prepared) -> float:
 
 def _slope(slope, constants, rows):
     along, across = constants
-    towards = along * jnp.cos(rows.heading) + across * jnp.sin(rows.heading)
+    towards = along * xp.cos(rows.heading) + across * xp.sin(rows.heading)
     return slope * rows.load * rows.fz * towards
-
-
-def _round_the_floor(rows, u):
-    """Force over load by the heading, for slopes and a bent floor: (n, 4)."""
-    turns = [wave(k * rows.heading) for k in (1, 2) for wave in (np.cos, np.sin)]
-    return np.stack(turns, axis=1) * (rows.load * rows.fz)[:, None]
 
 
 def _of_the_axle(id: str, factor, **given) -> Effect:
@@ -92,7 +85,7 @@ def _of_the_axle(id: str, factor, **given) -> Effect:
 
     def change(state, amplitude, constants, rows):
         friction, stiffness = constants
-        times = jnp.maximum(factor(amplitude, rows.lean), LEAST_FACTOR)
+        times = xp.maximum(factor(amplitude, rows.lean), LEAST_FACTOR)
         return state._replace(
             friction=state.friction * times**friction, stiffness=state.stiffness * times**stiffness
         )
@@ -106,7 +99,6 @@ def _of_the_axle(id: str, factor, **given) -> Effect:
         needs=("a_y",),
         channels=("fy", "mz"),
         variants=_OF_BOTH,
-        forms=free.over("friction", 0.02, "lean"),
         **given,
     )
 
@@ -123,7 +115,7 @@ SPEEDS = (
         means="the zero of the slip moves with load",
         remedy="use a rolling radius (steering zero) that depends on the load",
         bounds=((-4.0, 4.0),), odds=_one_load, needs=("loads",),
-        variants=((1.0,), (0.0,)), forms=free.over("shift", 0.1, "fz"),
+        variants=((1.0,), (0.0,)),
         looks_like=("load_crosstalk", "conicity", "load_stiffness"),
         told_apart_by="both signs",
     ),
@@ -136,7 +128,7 @@ SPEEDS = (
         remedy="use a rolling radius that depends on the speed; for lateral slip, check"
         " what steers the wheel or shifts the heading with speed", needs=("speeds",),
         variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0)),
-        forms=free.SHIFT_BY_SPEED, looks_like=("speed_zero", "speed_drag"),
+        looks_like=("speed_zero", "speed_drag"),
         told_apart_by="both signs",
     ),
     Effect(
@@ -147,7 +139,7 @@ SPEEDS = (
         means="a speed has a constant error, so the slip is wrong at low speed",
         remedy="check the zeros of the speed sensors at rest (ahead, across, of the"
         " wheel)", odds=_one_speed_of_the_slip, needs=("speeds",),
-        forms=free.SHIFT_BY_SPEED, looks_like=("slip_offset_speed", "speed_drag"),
+        looks_like=("slip_offset_speed", "speed_drag"),
         told_apart_by="both signs",
     ),
     Effect(
@@ -157,7 +149,7 @@ SPEEDS = (
         formula="force + amplitude v / v0, or amplitude (v / v0)^2", channels=("fx",),
         means="the tire force contains a force that follows the speed: drag, bearings",
         remedy="coast down and subtract the force measured then", variants=choices(2),
-        odds=_one_speed_of_the_slip, forms=free.over("force", 0.01, "v"),
+        odds=_one_speed_of_the_slip,
         looks_like=("slip_offset_speed", "speed_zero"), told_apart_by="both signs",
     ),
     Effect(
@@ -167,10 +159,7 @@ SPEEDS = (
         means="the other force (drive, brake, cornering) uses a part of the friction",
         remedy="fit a combined model to both forces, or exclude rows with other force",
         prior=of_a_known_force, needs=("other force",), variants=((0.0,), (1.0,)),
-        forms=(
-            *free.over("friction", 0.03, "across", free.BOTH_WAYS),
-            *free.over("stiffness", 0.03, "across", free.BOTH_WAYS),
-        ), looks_like=("combined_slip", "force_crosstalk"), told_apart_by="pure slip",
+        looks_like=("combined_slip", "force_crosstalk"), told_apart_by="pure slip",
     ),
     Effect(
         id="tracked_point", of="measurement",
@@ -193,7 +182,7 @@ SPEEDS = (
         formula="F_z + amplitude (geometric mean F_z) a_x: m h a_x / wheelbase",
         means="acceleration moves load between the axles, which fz does not include",
         parameter="share", bounds=(SHARE,), prior=of_a_known_height, needs=("a_x",),
-        forms=free.over("friction", 0.03, "ahead"), told_apart_by="loads",
+        told_apart_by="loads",
         looks_like=("drive_brake_asymmetry", "friction_ellipse"),
     ),
 )  # fmt: skip
@@ -220,7 +209,6 @@ CHASSIS = (
         remedy="use level ground, or drive each test in both directions and average",
         needs=("heading", "derived force"), channels=("fy",),
         variants=tuple((float(np.cos(d)), float(np.sin(d))) for d in _DIRECTIONS),
-        forms=(free.Form("force", 0.005, _round_the_floor),),
         looks_like=("slip_offset", "force_offset"), told_apart_by="random order",
     ),
     Effect(
@@ -258,7 +246,6 @@ CHASSIS = (
         means="the steering ratio is wrong, or the steering yields under load",
         remedy="measure the road wheel angle over the command with the wheels loaded",
         parameter="error of the ratio", channels=("fy", "mz"), told_apart_by="speeds",
-        forms=free.over("shift", 0.1, "steering"),
         looks_like=("tracked_point", "toe", "slip_offset"),
     ),
 )  # fmt: skip

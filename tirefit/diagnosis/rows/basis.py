@@ -1,24 +1,13 @@
-"""Generic bases for a remainder that no listed effect explains."""
-
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+"""Smooth functions and waves that represent any gap while the noise is estimated."""
 
 import numpy as np
 
 from tirefit.data.levels import levels
 from tirefit.diagnosis.negligible import FLAT, ROUNDING, UNSEEN
-from tirefit.diagnosis.rows.patterns import (
-    FULL_SLIDING,
-    ROWS_OF_A_WAVE,
-    WAVES,
-    Patterns,
-    patterns_gain,
-    turns,
-)
+from tirefit.diagnosis.rows.discrepancy import FULL_SLIDING
 
-SCALES = 2.0 * 3.0 ** np.arange(4)
-"""Standard deviations of a basis function's coefficient that are averaged over."""
+WAVES, ROWS_OF_A_WAVE = 96, 5
+"""Largest number of waves in a record, and smallest number of rows of a wave."""
 
 _BUMPS = (4, 8)  # smallest and largest number of functions of the slip for each sign
 _LEVELS = 4  # largest number of settings of a covariate with a coefficient each
@@ -29,14 +18,6 @@ def bumps(values, count: int) -> np.ndarray:
     centers = np.linspace(values.min(), values.max(), count)
     width = max((centers[1] - centers[0]), FLAT)
     return np.exp(-0.5 * ((values[:, None] - centers) / width) ** 2)
-
-
-def functions_of(values, count: int) -> np.ndarray:
-    """Smooth functions of a covariate, or one for each of its few settings: (n, k)."""
-    settings = levels(values)
-    if settings.few(_LEVELS):
-        return np.eye(len(settings.center))[settings.code]
-    return bumps(values, count)
 
 
 def _by_side(slip_fraction, factors, scale, most: int) -> np.ndarray:
@@ -118,51 +99,14 @@ def wave_basis(prepared, scale) -> np.ndarray:
     return columns / np.maximum(size, ROUNDING)
 
 
-def orthogonal(basis, against) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal directions (n, q) of a basis orthogonal to ``against`` (n, p), and their
-    sizes (q,)."""
-    left = without(basis, against)
-    turned, size = _principal(left.T @ left)
-    return left @ turned, size
-
-
-def _principal(gram) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (b, q) of orthonormal combinations of columns with these products,
-    and their singular values (q,)."""
-    values, vectors = np.linalg.eigh(gram)
-    good = values > UNSEEN * max(values.max(), ROUNDING)
-    size = np.sqrt(values[good])
-    return vectors[:, good] / size, size
-
-
-def without(basis, against):
-    """Part of columns, or one (m,), that is orthogonal to ``against`` (m, p)."""
-    unit, _ = np.linalg.qr(against)
-    return basis - unit @ (unit.T @ basis)
-
-
-def taken_out(against, expected=None) -> np.ndarray:
-    """Columns Q (m, q): ``1 - Q Q'`` is the precision of the rows after a fit of
-    columns ``against`` (m, p) with free coefficients and ``expected`` (m, k) with
-    coefficients of unit standard deviation."""
-    unit, _ = np.linalg.qr(against)
-    if expected is None or not expected.shape[1]:
-        return unit
-    left, size = orthogonal(expected, against)
-    return np.concatenate([unit, left * (size / np.hypot(1.0, size))], axis=1)
-
-
-def gain(score, size) -> float:
-    """Log evidence of coefficients over none: scores (q,) of orthonormal directions,
-    prior standard deviations ``size`` (q,)."""
-    t = size**2
-    return float(0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t)))
-
-
-def mean_gain(score, size, scales=SCALES) -> float:
-    """Log evidence of a basis over none, averaged over its scales; see :func:`gain`."""
-    gains = [gain(score, scale * size) for scale in scales]
-    return float(np.logaddexp.reduce(gains) - np.log(len(scales)))
+def turns(share, counts) -> np.ndarray:
+    """Sine and cosine, in turn, of evenly spaced numbers of turns (k,): (n, 2 k)."""
+    # One product for each instead of a sine and a cosine: i exp(-i x) = sin + i cos.
+    step = counts[1] - counts[0] if len(counts) > 1 else 0.0
+    parts = np.empty((len(share), len(counts)), complex)
+    parts[:, :1] = 1j * np.exp(-2j * np.pi * counts[:1] * share[:, None])
+    parts[:, 1:] = np.exp(-2j * np.pi * step * share)[:, None]
+    return np.cumprod(parts, axis=1).view(float)
 
 
 def _in_pairs(gram, score, ridge):
@@ -187,71 +131,3 @@ def waves_within(waves, against, residual):
     rest = residual - unit @ (unit.T @ residual)
     gram, score = _pairs(waves) - _pairs(unit.T @ waves), waves.T @ rest
     return _in_pairs(gram, score.reshape(-1, 2), FLAT)[0]
-
-
-@dataclass(frozen=True, eq=False)
-class Generic:
-    """Whitened: smooth functions (m, b), many waves (m, 2 x waves), many patterns."""
-
-    smooth: np.ndarray
-    waves: np.ndarray
-    patterns: Patterns
-
-    @cached_property
-    def columns(self) -> np.ndarray:
-        """All but the patterns, side by side."""
-        return np.concatenate([self.smooth, self.waves], axis=1)
-
-    @cached_property
-    def _grams(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.smooth.T @ self.smooth, _pairs(self.waves)
-
-    def left(self, against, residual, expected=None):
-        """For the remainder of a fit, see :func:`taken_out`: scores and sizes (q,) of
-        orthonormal smooth directions, products (K, 3) and scores (K, 2) of waves."""
-        unit = taken_out(against, expected)
-        rest = residual - unit @ (unit.T @ residual)
-        both = np.concatenate([unit, rest[:, None]], axis=1).T @ self.columns
-        ends = self.smooth.shape[1]
-        used, score = np.split(both[:-1], [ends], axis=1), np.split(both[-1], [ends])
-        gram, waves = self._grams
-        turned, size = _principal(gram - used[0].T @ used[0])
-        left = score[0] @ turned, size
-        return left, waves - _pairs(used[1]), score[1].reshape(-1, 2)
-
-
-def gains(bases: Generic, against, residual, expected=None) -> dict[str, float]:
-    """Log evidence of each kind of remainder over none, see :meth:`Generic.left`."""
-    smooth, gram, score = bases.left(against, residual, expected)
-    waves = []
-    for scale in SCALES:
-        chi2, size = _in_pairs(gram, score, scale**-2)
-        waves.append(0.5 * chi2 - 0.5 * np.log(scale**4 * size))
-    unit = taken_out(against, expected)
-    return {
-        "smooth": mean_gain(*smooth),
-        "waves": float(np.logaddexp.reduce(waves, axis=None) - np.log(np.size(waves))),
-        "patterns": patterns_gain(bases.patterns, unit, residual),
-    }
-
-
-def of_any_kind(kinds: Mapping[str, float]) -> float:
-    """Log evidence of a remainder of any kind, from :func:`gains`."""
-    return float(np.logaddexp.reduce(list(kinds.values())) - np.log(len(kinds)))
-
-
-def located(bases: Generic, against, residual):
-    """Smooth part of the residual, by smooth functions and waves; its variance (m,)."""
-    _, gram, of_waves = bases.left(against, residual)
-    chi2, _ = _in_pairs(gram, of_waves, FLAT)
-    # 8 over the largest of as many waves of noise: 55 to 1.
-    strong = np.flatnonzero(chi2 > 2 * np.log(len(chi2)) + 8)
-    strong = strong[np.argsort(-chi2[strong])][:4]
-    waves = bases.waves[:, np.ravel(strong[:, None] * 2 + [0, 1])]
-    left, size = orthogonal(np.concatenate([bases.smooth, waves], axis=1), against)
-    score = left.T @ residual
-    # Empirical Bayes: the scale with the largest evidence, from 0.3 of the noise on.
-    scale = max(np.geomspace(0.3, 300, 25), key=lambda one: gain(score, one * size))
-    t = (scale * size) ** 2
-    shrink = t / (1 + t)
-    return left @ (shrink * score), np.einsum("mq,q,mq->m", left, shrink, left)

@@ -193,7 +193,7 @@ def covariates_of(data: TireData, mode: str, sweeps: Sweeps, slip, second, radiu
     steering, past = column(data, "steering"), sweeps.past
     steering_rate = column(data, "steering_rate") if "steering_rate" in data else None
     of_runs = (name for name in Covariates._fields if name.startswith("run_"))
-    of_the_fit = ("force", "usage", "change", "traction", *of_runs)
+    of_the_fit = ("force", "usage", "traction", *of_runs)
     return Covariates(
         fz=fz / np.exp(np.mean(np.log(fz))), v=v, time=_over_range(time),
         temperature=(temperature - np.mean(temperature)) / 20.0,

@@ -7,15 +7,19 @@ from math import comb
 
 import numpy as np
 
-from tirefit.diagnosis.decide.verdict import POLICY
-from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.fits import missed_share
-from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
+from tirefit.diagnosis.engine.fit import Fit
+from tirefit.diagnosis.engine.left_out import jackknife_error
 from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.rows.fits import missed_share
+from tirefit.diagnosis.rows.subject import Base
+from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.closure import INTERVAL, block_means, of_so_few_runs, without_each
 from tirefit.diagnosis.summary.records import Change, Part, SimulatorSummary, Surrogate
 
 PARAMETERS = "parameters"
+
+_DIFFERS = 2.0
+"""Standard errors from which a parameter of a simulator counts as different."""
 
 _HELD = 1e4
 """Stiffness that holds parameters z: they move by 1e-8 of the gradient."""
@@ -41,7 +45,7 @@ def shapley(players: tuple, worth: Callable[[tuple], float]) -> dict:
     return values
 
 
-def closed_by_each(base: Base, chosen: Hypothesis) -> dict[str, float]:
+def closed_by_each(base: Base, chosen: Fit) -> dict[str, float]:
     """Shares of the effects of a hypothesis in the energy of the misfit, over the noise,
     that they remove; they sum to one. Empty for fewer than two effects."""
     if len(chosen.atoms) < 2:
@@ -79,7 +83,7 @@ def _budget(case, channel: str, missed, extended, generator) -> tuple[Part, ...]
     parts = shapley(players, lambda subset: whole - missed[subset] ** 2)
     rest = (base.rows.observed[channel] - extended) ** 2
     for atom in chosen.atoms:
-        # A form other than the formulas is attributed to the effects that have it.
+        # Rounding of a refit is attributed to the effects.
         parts[atom] = parts[atom] + (missed[players] ** 2 - rest) / len(chosen.atoms)
     fitted = (len(chosen.z) + len(chosen.atoms)) * noise.inflation / base.rows.n
     rows = [*parts.values(), rest, max(1 - fitted, 0.0) * noise.std**2, whole]
@@ -118,18 +122,18 @@ def _energies(means):
     return np.concatenate([parts, rest], axis=-1)
 
 
-def _missed(base: Base, chosen: Hypothesis) -> dict[str, dict[tuple, np.ndarray]]:
+def _missed(base: Base, chosen: Fit) -> dict[str, dict[tuple, np.ndarray]]:
     """Residual (n,) of every channel for each subset of the players. All subsets are
     refitted; the parameters of the simulator are held unless they are in the subset."""
     atoms, sets = chosen.atoms, subsets(chosen.atoms)
     guess = [chosen.amplitude[[atoms.index(k) for k in s]] for s in sets]
-    refit = base.refit([(chosen.z, a) for a in guess], sets)
+    refit = base.refitted([(chosen.z, a) for a in guess], sets, base.design)
     free = dict(zip(sets, zip(refit.z, refit.amplitude, strict=True), strict=True))
     free[atoms] = chosen.z, chosen.amplitude
     fits: dict[tuple, tuple] = {**free}
     if base.simulator is not None:
         start, held = base.simulator.z, base.design._replace(hold=np.array(_HELD))
-        stuck = base.refit([(start, a) for a in guess], sets, held)
+        stuck = base.refitted([(start, a) for a in guess], sets, held)
         fits = {(PARAMETERS, *s): fit for s, fit in free.items()}
         fits |= {s: (start, a) for s, a in zip(sets, stuck.amplitude, strict=True)}
     missed: dict[str, dict] = {channel: {} for channel in base.rows.channels}
@@ -141,34 +145,31 @@ def _missed(base: Base, chosen: Hypothesis) -> dict[str, dict[tuple, np.ndarray]
     return missed
 
 
-def _spread(case, widening: float) -> np.ndarray:
-    """Standard errors (p,) of the parameters z fitted with the effects of the verdict:
-    those of the mixture of all sets by their probability, but at least those of the fit
-    of the verdict. The slips have the uncertainty ``Base.doubt``."""
-    base, chosen, listed = case.base, case.chosen, case.weighed.listed
-    each, p = [case.weighed.best_of[key] for key in listed], len(chosen.z)
-    linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
-    columns = [linear.jacobian, linear.columns[:, list(chosen.atoms)]]
-    moved = np.linalg.lstsq(np.concatenate(columns, axis=1), base.doubt, rcond=None)[0]
-    doubt = np.sum(moved[:p] ** 2, axis=1)
-    variance = np.array([np.diag(h.covariance)[:p] for h in [chosen, *each]])
-    variance = np.maximum(variance, 0.0) * widening + doubt
-    off = np.array([h.z for h in each]) - np.asarray(chosen.z)
-    mixed = np.array([*listed.values()]) @ (variance[1:] + off**2)
-    return np.sqrt(np.maximum(variance[0], mixed))
+def _spread(case: Case) -> np.ndarray:
+    """Standard errors (p,) of the parameters z fitted with the effects that help: those of
+    the mixture of the parts of their set, and at least those of the jackknife over the parts
+    of the data that are left out."""
+    chosen, out, p = case.chosen, case.predicted, len(case.chosen.z)
+    each = [case.weighed.best_of[key] for key in case.parts]
+    variance = np.array([np.diag(fit.covariance)[:p] for fit in [chosen, *each]])
+    variance = np.maximum(variance, 0.0) * case.widening
+    off = np.array([fit.z for fit in each]) - chosen.z
+    mixed = np.array([*case.parts.values()]) @ (variance[1:] + off**2)
+    by_parts = jackknife_error(out.parameters[out.effects.index(chosen.key)])
+    return np.sqrt(np.maximum.reduce([variance[0], mixed, by_parts**2]))
 
 
-def parameter_changes(case, widening: float) -> Mapping[str, Change]:
+def parameter_changes(case: Case) -> Mapping[str, Change]:
     """The parameters of the simulator as given, and as fitted with the effects of the verdict;
-    empty if a form was fitted. ``widening`` is a factor on the variances, as for amplitudes."""
+    empty if a form was fitted."""
     base, z, changes = case.base, np.asarray(case.chosen.z), {}
     if base.simulator is None:
         return {}
-    values, spread = base.layout.vector, _spread(case, widening)
+    values, spread = base.layout.vector, _spread(case)
     std = np.abs(values(z + spread) - values(z - spread)) / 2
     ends = values(base.simulator.z), values(z), std
     for name, given, measured, error in zip(base.layout.labels, *ends, strict=True):
-        differs = bool(abs(measured - given) > POLICY.known * error)
+        differs = bool(abs(measured - given) > _DIFFERS * error)
         changes[name] = Change(float(given), float(measured), float(error), differs)
     return changes
 

@@ -1,18 +1,22 @@
 """The state of a diagnosis after its verdict, and the forces of every row of the file: of
 the base, with the named effects, and the located gap."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from tirefit.diagnosis.decide.verdict import Status, Verdict
 from tirefit.diagnosis.effects import NOISE_EFFECTS
-from tirefit.diagnosis.evidence.base import Base, on_rows
-from tirefit.diagnosis.evidence.posterior import Weighed, fitted_form, linear_at
-from tirefit.diagnosis.evidence.search import Hypothesis, Search, amplitudes_of
-from tirefit.diagnosis.left_out import Predicted
-from tirefit.diagnosis.rows.basis import located, without
+from tirefit.diagnosis.engine.decide import POLICY, Status, Verdict
+from tirefit.diagnosis.engine.discrepancy import Beside
+from tirefit.diagnosis.engine.fit import Fit, Key, without
+from tirefit.diagnosis.engine.left_out import Predicted
+from tirefit.diagnosis.engine.posterior import Weighed
+from tirefit.diagnosis.engine.search import Search, parts_of
+from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.rows.noise import correlation
 from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.rows.subject import Base, on_rows
 from tirefit.diagnosis.summary.records import Untestable
 
 
@@ -28,9 +32,23 @@ class Case:
     untestable: list[Untestable]
 
     @property
-    def chosen(self) -> Hypothesis:
+    def chosen(self) -> Fit:
         """The fit of the named effects, or of none."""
         return self.weighed.best_of[self.verdict.key]
+
+    @property
+    def parts(self) -> dict[Key, float]:
+        """Probability of each part of the set that helps: its effects are causes with their
+        own probabilities. A size and a parameter are uncertain by the differences of these
+        fits: an effect that only acts like a cause may have taken a part of either."""
+        each = {effect: one.probability for effect, one in self.verdict.each.items()}
+        found = {}
+        for key in [*parts_of(self.verdict.key), ()]:
+            if key in self.weighed.best_of:
+                chances = (p if effect in key else 1 - p for effect, p in each.items())
+                found[key] = math.prod(chances)
+        whole = max(sum(found.values()), NONZERO)
+        return {key: value / whole for key, value in found.items()}
 
     @property
     def noise_flags(self) -> tuple[str, ...]:
@@ -46,13 +64,23 @@ class Case:
         of_flag = {effect.flag: effect.id for effect in NOISE_EFFECTS if effect.flag}
         return tuple(of_flag[f] for f in self.noise_flags if f in of_flag)
 
+    @property
+    def widening(self) -> float:
+        """Factor on the variance of amplitudes: mean square of the remainder, times its
+        rows per independent row; one if the remainder is noise."""
+        base, fit, n = self.base, self.chosen, self.base.rows.n
+        left = base.residual(fit.z, base.amplitudes(fit.atoms, fit.amplitude))
+        parts = np.split(left, len(left) // n)
+        rows_each = max(correlation(part, base.rows.time, base.rows.run) for part in parts)
+        return max(float(np.mean(left**2)) * rows_each, 1.0)
+
 
 def _both(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
     """Forces of the base and of the fit of the verdict by channel, at the slips of ``at``;
     for a simulator, also its forces as given and tuned."""
-    base = case.base
+    base, fit = case.base, case.chosen
     before = at.forces(base.as_given, base.amplitudes())
-    after = at.forces(case.chosen.z, amplitudes_of(base, case.chosen))
+    after = at.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude))
     channels = base.prepared.channels
     forces = {c: {"base": before[c], "extended": after[c]} for c in channels}
     if base.simulator:
@@ -69,41 +97,40 @@ def rows_of(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
         at: the base fit at the slips that the forces are wanted for.
     """
     smooth, deviation = _smoothed_remainder(case)
-    form, n = form_part(case, case.chosen), case.base.prepared.n
-    forces = _both(case, at)
+    forces, n = _both(case, at), case.base.prepared.n
     for k, (channel, parts) in enumerate(forces.items()):
         scale = np.asarray(case.base.design.scale[channel])[:n]
         part = slice(k * n, (k + 1) * n)
-        gap = parts["extended"] - parts["base"] + (form + smooth)[part] * scale
-        parts["extended"] = parts["extended"] + form[part] * scale
+        gap = parts["extended"] - parts["base"] + smooth[part] * scale
         parts |= {"gap": gap, "gap_std": deviation[part] * scale}
     return forces
 
 
-def form_part(case: Case, hypothesis: Hypothesis) -> np.ndarray:
-    """The force that another form of the effects adds to the formulas, whitened (m,)."""
-    base, key = case.base, tuple(sorted(hypothesis.effects))
-    if key not in case.weighed.other_form:
-        return np.zeros(len(base.prepared.channels) * base.prepared.n)
-    return fitted_form(linear_at(base, hypothesis))
-
-
-def _smoothed_remainder(case: Case):
-    """Whitened generic remainder of the chosen fit and the standard deviation of the
+def _smoothed_remainder(case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """Whitened smooth remainder of the chosen fit and the standard deviation of the
     located gap, (m,) each; the remainder is zero if the verdict explains all."""
-    base, chosen, p = case.base, case.chosen, len(case.chosen.z)
-    linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
-    own = linear.columns[:, list(chosen.atoms)]
-    used_up = np.concatenate([linear.jacobian, own], axis=1)
-    # The gap of a simulator includes the error of its parameters.
-    moved = used_up if base.simulator else without(own, linear.jacobian)
-    known = chosen.covariance if base.simulator else chosen.covariance[p:, p:]
+    base, fit, p = case.base, case.chosen, len(case.chosen.z)
+    columns = base.columns_at(fit)
+    # The gap of a simulator includes the error of its parameters; a form that is refitted
+    # without the effects takes over what its parameters can represent.
+    first = 0 if base.simulator else p
+    moved = columns if base.simulator else without(columns[:, p:], columns[:, :p])
+    known = fit.covariance[first:, first:]
     variance = np.einsum("mi,ij,mj->m", moved, known, moved)
     smooth = np.zeros(len(variance))
-    if case.verdict.status not in (Status.NAMED, Status.CANNOT_TELL):
-        smooth, unsure = located(base.generic, used_up, linear.residual)
-        variance = variance + unsure
+    if case.verdict.unlisted > POLICY.likely or not case.verdict.key:
+        value, root = Beside(base.discrepancy.additive, fit).best()
+        shapes = beside(base, fit)
+        smooth = shapes @ value
+        variance = variance + np.sum((shapes @ root) ** 2, axis=1)
     return smooth, np.sqrt(np.maximum(variance, 0))
+
+
+def beside(base: Base, fit: Fit) -> np.ndarray:
+    """Whitened forces (m, q) of the smooth functions, less the part that the parameters and
+    amplitudes of a fit take over."""
+    taken = fit.covariance @ (fit.columns.T @ base.discrepancy.additive)
+    return base.smooth - base.columns_at(fit) @ taken
 
 
 def all_rows(case: Case, whole: Prepared, rig, rows):

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import softmax, stdtrit
 
-from tirefit.diagnosis.evidence.base import on_rows
-from tirefit.diagnosis.evidence.posterior import linear_at
-from tirefit.diagnosis.evidence.search import amplitudes_of
-from tirefit.diagnosis.left_out import AS_GIVEN, Ladder, jackknife_error
+from tirefit.diagnosis.engine.discrepancy import Beside
+from tirefit.diagnosis.engine.fit import Fit
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, jackknife_error
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
-from tirefit.diagnosis.rows.basis import gain, orthogonal, without
-from tirefit.diagnosis.rows.patterns import weights_of_sizes
 from tirefit.diagnosis.rows.prepared import prepare
-from tirefit.diagnosis.summary.case import Case
+from tirefit.diagnosis.rows.subject import Base, on_rows
+from tirefit.diagnosis.summary.case import Case, beside
 from tirefit.diagnosis.summary.records import HeldOut, Shrinkage
 
 DRAWS = 400  # number of draws and bootstrap samples; 20 are beyond each end of 90 %
@@ -23,92 +21,50 @@ _RESOLVED = 3.0
 """A gap is resolved if its energy exceeds noise by this many standard deviations."""
 WORST = -1.0  # lower limit of the closure: the gap has doubled
 _BLOCKS = 60  # largest number of blocks of a record
-_WIDER = 1.2
-"""Factor on the errors of parameters, as the form of the fit is not exact."""
 _SETS = 3  # number of the most probable sets of effects in the draws
-_SIZES = np.geomspace(0.03, 300, 20)
-"""Sizes of the coefficients of a discrepancy over the noise, all equally likely."""
-_SHAPES = 30  # number of the most probable sharp shapes of a discrepancy in the draws
-_FAR = 6.0  # range of an energy, in standard errors
+_SIZES = np.geomspace(0.03, 30, 16)
+"""Sizes of a smooth remainder, in usual changes, all equally likely."""
 _UNDRAWN, _FACTOR = 0.4, 1.5
-"""Discrepancy of other shapes, over the drawn one: median, and standard deviation of the
+"""Remainder of other shapes, over the smooth one: median, and standard deviation of the
 logarithm. Development trials have .2 to .6."""
+_FAR = 6.0  # range of an energy, in standard errors
 _NINETY = 1.645  # standard errors on both sides of a 90 % interval
 
 
-def plausible_forces(case, generator) -> dict[str, np.ndarray]:
+def plausible_forces(case: Case, generator: np.random.Generator) -> dict[str, np.ndarray]:
     """Draws of the true force of every used row at its measured slip: (n, draws) by
     channel. Each is of one set of effects, by its probability in a ``Case``, with an
-    error of its parameters and a discrepancy."""
+    error of its parameters and a smooth remainder."""
     base, weighed, at = case.base, case.weighed, case.base.measured
-    beside = weighed.beside
-    total = {key: alone + beside.get(key, 0.0) for key, alone in weighed.sets.items()}
+    total = {k: alone + weighed.beside.get(k, 0.0) for k, alone in weighed.sets.items()}
     likely = sorted(total, key=lambda key: -total[key])[:_SETS]
     chances = np.array([total[key] for key in likely])
     counts = generator.multinomial(DRAWS, chances / chances.sum())
-    n = base.rows.n
     drawn: dict[str, list] = {channel: [] for channel in base.rows.channels}
     for key, count in zip(likely, counts, strict=True):
         if not count:
             continue
-        hypothesis = weighed.best_of[key]
-        force = at.forces(hypothesis.z, amplitudes_of(base, hypothesis))
-        off = _off(base, hypothesis, count, generator)
-        for k, (channel, parts) in enumerate(drawn.items()):
-            scale = np.asarray(base.design.scale[channel])[:n, None]
-            parts.append(force[channel][:, None] + scale * off[k * n : (k + 1) * n])
+        fit = weighed.best_of[key]
+        force = at.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude))
+        off = np.split(_off(base, fit, count, generator), len(drawn))
+        for (channel, parts), own in zip(drawn.items(), off, strict=True):
+            scale = np.asarray(base.design.scale[channel])[: base.rows.n, None]
+            parts.append(force[channel][:, None] + scale * own)
     return {channel: np.concatenate(parts, axis=1) for channel, parts in drawn.items()}
 
 
-def _off(base, hypothesis, count: int, generator) -> np.ndarray:
-    """Draws of the error of a refitted set of effects, whitened: (m, count)."""
-    linear = linear_at(base, hypothesis)
-    values, vectors = np.linalg.eigh(hypothesis.covariance)
+def _off(base: Base, fit: Fit, count: int, generator: np.random.Generator) -> np.ndarray:
+    """Draws (m, count) of the error of a fit, whitened: of its parameters and amplitudes, of
+    a smooth remainder, and of one of other shapes."""
+    values, vectors = np.linalg.eigh(fit.covariance)
     # A symmetric root, so that the signs of eigenvectors do not change the draws.
-    spread = _WIDER * (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-    misled = np.linalg.lstsq(linear.used_up, base.doubt, rcond=None)[0]
-    spread = np.concatenate([spread, misled], axis=1)
-    off = spread @ generator.standard_normal((spread.shape[1], count))
-    bases = [
-        (*orthogonal(basis, linear.explained), 0.0)
-        for basis in (base.generic.smooth, linear.forms)
-        if basis.shape[1]
-    ]
-    among = base.generic.patterns
-    unit, _ = np.linalg.qr(linear.explained)
-    *_, log = weights_of_sizes(among, unit, linear.residual)
-    best = np.argsort(-log.max(axis=0))[:_SHAPES]
-    sharp = without(among.columns(best), linear.explained)
-    size = np.maximum(np.linalg.norm(sharp, axis=0), ROUNDING)
-    each = (sharp / size).T[:, :, None], size[:, None], among.log_prior[best]
-    bases += zip(*each, strict=True)
-    discrepancy = drawn_functions(bases, linear.residual, count, generator)
-    # A discrepancy of other shapes.
+    spread = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    own = base.columns_at(fit) @ (spread @ generator.standard_normal((len(spread), count)))
+    smooth = Beside(base.discrepancy.additive, fit, _SIZES).drawn(count, generator)
+    discrepancy = beside(base, fit) @ smooth
     share = _UNDRAWN * np.exp(_FACTOR * generator.standard_normal(count))
     rms = share * np.sqrt(np.mean(discrepancy**2, axis=0))
-    unseen = rms * generator.standard_normal(discrepancy.shape)
-    return linear.used_up @ off + discrepancy + unseen
-
-
-def drawn_functions(bases, residual, count: int, generator) -> np.ndarray:
-    """Draws (m, count) of functions of one of the bases, given the residual; each is
-    (left, size) of :func:`tirefit.diagnosis.rows.basis.orthogonal`, and a log prior."""
-    scores = [left.T @ residual for left, *_ in bases]
-    log = [
-        [gain(score, scale * size) + prior for scale in _SIZES]
-        for score, (_, size, prior) in zip(scores, bases, strict=True)
-    ]
-    chosen = generator.choice(np.size(log), count, p=softmax(log).ravel())
-    which, at = np.divmod(chosen, len(_SIZES))
-    drawn = np.empty((len(residual), count))
-    for k in np.unique(which):
-        (left, size, _), mine = bases[k], which == k
-        t = (_SIZES[at[mine]] * size[:, None]) ** 2
-        shrink = t / (1 + t)
-        unit = left.T @ generator.standard_normal((len(left), int(mine.sum())))
-        mean = shrink * scores[k][:, None]
-        drawn[:, mine] = left @ (mean + np.sqrt(shrink) * unit)
-    return drawn
+    return own + discrepancy + rms * generator.standard_normal(discrepancy.shape)
 
 
 def _closed(gap, left) -> np.ndarray:
@@ -232,7 +188,7 @@ def held_out(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
     if holdout:
         return _on_files(case, holdout, rig, ladder, generator)
     steps = ladder.steps[:-2]
-    if not case.verdict.status.names or not steps or not steps[-1].effects:
+    if not case.verdict.key or not steps or not steps[-1].effects:
         return None, ladder
     base, step, floor = steps[0], steps[-1], ladder.steps[-1]
     rms = np.sqrt(max(base.rms_left_out**2 - floor.rms_left_out**2, 0.0))
@@ -254,7 +210,9 @@ def _on_files(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
     keys = [tuple(sorted(step.effects)) for step in ladder.steps]
     steps = {k: case.weighed.best_of[k] for k in keys if k in case.weighed.best_of}
     sets = [(base.as_given, base.amplitudes())]
-    sets += [(h.z, amplitudes_of(base, h)) for h in (case.chosen, *steps.values())]
+    sets += [
+        (one.z, base.amplitudes(one.atoms, one.amplitude)) for one in (case.chosen, *steps.values())
+    ]
     parts = []
     for data in holdout:
         left_out, shown = prepare(data, rig, rows.channels), rows.shown
@@ -271,7 +229,7 @@ def _on_files(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
     closure = closure_elsewhere(before, after, variance, run, inflation, generator)
     gap = np.mean(before**2 - variance)
 
-    def beside(step, missed):
+    def extended(step, missed):
         left = np.array([max(np.mean(missed**2 - variance), 0.0)])
         share = float(_closed(gap, left)[0])
         rms = float(np.sqrt(np.mean(missed**2)))
@@ -281,7 +239,7 @@ def _on_files(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
     missed_by = {(): before, AS_GIVEN: before}
     missed_by |= dict(zip(steps, others, strict=True))
     added = [
-        beside(step, missed_by[key]) if key in missed_by else step
+        extended(step, missed_by[key]) if key in missed_by else step
         for step, key in zip(ladder.steps, keys, strict=True)
     ]
     on = ", ".join(data.name for data in holdout)

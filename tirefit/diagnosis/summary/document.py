@@ -5,26 +5,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from tirefit.diagnosis.decide.findings import as_often_right, floor_of
-from tirefit.diagnosis.decide.remainder import widening
-from tirefit.diagnosis.decide.verdict import Status
-from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.forms import offsets_of_runs, with_fast_waves
-from tirefit.diagnosis.evidence.posterior import linear_at
-from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
+from tirefit.diagnosis.engine.decide import Status, calibration, floor_of
+from tirefit.diagnosis.engine.fit import Fit
+from tirefit.diagnosis.engine.left_out import jackknife_error, ladder_of
+from tirefit.diagnosis.engine.sizes import sizes_by_group
 from tirefit.diagnosis.extended import Extension, extension_of
-from tirefit.diagnosis.left_out import ladder_of
-from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
-from tirefit.diagnosis.rows.basis import without
-from tirefit.diagnosis.rows.patterns import looks
+from tirefit.diagnosis.negligible import NONZERO, ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.rows.runs import offsets_of_runs
+from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary.budget import (
     budgets_of,
     closed_by_each,
     parameter_changes,
     simulator_summary,
 )
-from tirefit.diagnosis.summary.case import Case, all_rows, form_part, rows_of
+from tirefit.diagnosis.summary.case import Case, all_rows, rows_of
 from tirefit.diagnosis.summary.closure import closure_on_rows, held_out, plausible_forces
 from tirefit.diagnosis.summary.forecast import confusion, next_measurements
 from tirefit.diagnosis.summary.records import (
@@ -35,13 +31,14 @@ from tirefit.diagnosis.summary.records import (
     NoiseSummary,
     Resolution,
     Shrinkage,
+    SizeByGroup,
     VerdictSummary,
 )
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.diagnosis.summary.views import (
     LookCurve,
     compared,
-    look_curve,
+    look_curves,
     residual_map,
     shown_rows,
 )
@@ -50,8 +47,6 @@ from tirefit.fitting.noise import effective_inflation
 
 _LISTED, _MENTIONED = 10, 1e-3
 """Largest number of candidates; smallest probability of the unknown to be one."""
-
-_SHOWN = 0.05  # smallest probability of a shape of the remainder that is reported
 
 _SEEN = 3.3
 """Standard errors of an amplitude that is detected four times in five: 0.84 above 2.46,
@@ -85,9 +80,9 @@ def document_of(
     held, ladder = held_out(case, holdout, rig, ladder, generator)
     verdict, gaps = case.verdict, _gaps(case, rows, truth)
     candidates = _candidates(case, rows[main]["base"], truth[main])
-    shares = closed_by_each(base, case.chosen) if verdict.status.names else {}
+    shares = closed_by_each(base, case.chosen) if verdict.key else {}
     gap = Gap(**vars(gaps[main]), channels=gaps, holdout=held, shares=shares)
-    budgets, curves = budgets_of(case, believed, generator), _what_is_left(case)
+    budgets, curves = budgets_of(case, believed, generator), look_curves(case)
     message = _verdict(case, curves, gap)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown, noise = shown_rows(base, rows[main]), _noise(case)
@@ -106,7 +101,7 @@ def document_of(
         budgets=budgets,
         where=tuple(regions(base, missed, shown.gap)),
         spots=spots(base, missed, shown.gap),
-        map=tuple(parameter_map(base)),
+        map=tuple(parameter_map(base, case.search.null)),
         verdict=message,
         ladder=ladder,
         candidates=candidates,
@@ -127,7 +122,7 @@ def document_of(
         table=data,
         mean_load=float(np.mean(data.usable("fz"))),
         residual_map=residual_map(shown, noise.inflation, gap.resolvable),
-        comparison=compared(shown, message.names_an_effect or tuned_alone),
+        comparison=compared(shown, bool(verdict.key) or tuned_alone),
         look=next(iter(curves), None),
         library=library,
         meanings={p.name: p.spec.meaning for p in base.layout.free},
@@ -140,18 +135,17 @@ def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
     Args:
         truth: (n, draws) by channel: draws of the true force.
     """
-    base, status, gaps = case.base, case.verdict.status, {}
+    base, verdict, gaps = case.base, case.verdict, {}
     # The parameters of a simulator close a part for every verdict on effects.
     is_simulator = base.simulator is not None
     for channel, parts in rows.items():
-        alone = status == Status.UNKNOWN and not is_simulator
-        noise, after = base.noise[channel], parts["base" if alone else "extended"]
+        noise, after = base.noise[channel], parts["extended"]
         found = closure_on_rows(
             truth[channel], parts["base"], after, noise.std**2, base.prepared.run, noise.inflation
         )
-        shows = found.resolvable and (status != Status.NONE or is_simulator)
+        shows = found.resolvable and (verdict.status != Status.NONE or is_simulator)
         gaps[channel] = replace(found, resolvable=shows)
-        if not status.names and not is_simulator:
+        if not verdict.key and not is_simulator:
             gaps[channel] = replace(
                 gaps[channel], closed=0.0, closed_ci=(0.0, 0.0), remaining_rms=found.rms
             )
@@ -180,25 +174,9 @@ def _noise(case: Case) -> NoiseSummary:
         source="; ".join(dict.fromkeys(level.source for level in levels.values())),
         flags=case.noise_flags,
         excess=max(one.excess for one in base.noise.values()),
-        inflation=max(level.inflation for level in levels.values()),
+        inflation=base.inflation,
         outliers=sum(int(level.outlier.sum()) for level in levels.values()),
     )
-
-
-def _what_is_left(case: Case) -> tuple[LookCurve, ...]:
-    """The shapes that the remainder resembles, the likeliest first; empty if an unlisted
-    effect is unlikely."""
-    base = case.base
-    if case.verdict.status not in (Status.UNKNOWN, Status.INCOMPLETE):
-        return ()
-    linear = linear_at(base, case.chosen)
-    if case.verdict.key in case.weighed.other_form:
-        linear = linear.in_other_form()
-    among, left = base.generic.patterns, without(linear.residual, linear.explained)
-    if base.rows.time is not None:
-        among = with_fast_waves(among, base.rows.time, left)
-    alike = looks(among, linear.explained, linear.residual)
-    return tuple(look_curve(case.chosen, base, look) for look in alike if look.probability > _SHOWN)
 
 
 def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSummary:
@@ -206,7 +184,7 @@ def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSumm
     right; if no effect on the mean is found, the effects on the noise."""
     verdict, noise = case.verdict, case.on_the_noise
     status = "noise" if noise else verdict.status
-    probability = as_often_right(status, verdict.probability)
+    probability = calibration().often(str(status), verdict.probability)
     # Only one of the two probabilities includes the absence of an unlisted effect.
     unlisted = verdict.unlisted
     if verdict.status == Status.INCOMPLETE:
@@ -216,6 +194,7 @@ def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSumm
     return VerdictSummary(
         status=Status.NAMED if noise else verdict.status,
         effects=noise or verdict.effects,
+        acts_like=verdict.acts_like,
         probability=probability,
         each=verdict.each,
         also_possible=verdict.also_possible,
@@ -223,11 +202,35 @@ def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSumm
             rms=gap.remaining_rms,
             share=(gap.remaining_rms / max(gap.rms, ROUNDING)) ** 2,
             unlisted=unlisted,
-            tests=verdict.tests._asdict(),
             looks_like=tuple(curve.look for curve in curves),
         ),
-        parameters=parameter_changes(case, _widening(case.base, case.chosen)),
+        sizes=_sizes(case),
+        parameters=parameter_changes(case),
     )
+
+
+def _sizes(case: Case) -> dict[str, tuple[SizeByGroup, ...]]:
+    scale = np.asarray(case.base.design.prior_scale)
+    return sizes_of(case.chosen, scale, case.base.groups(), case.widening)
+
+
+def sizes_of(fit: Fit, scale, groups, widening=1.0) -> dict[str, tuple[SizeByGroup, ...]]:
+    """The sizes of each effect of a fit by groups of covariates (m,); ``scale`` (K,) are the
+    units of all amplitudes."""
+    found = {}
+    for atom, effect in zip(fit.atoms, fit.effects, strict=True):
+        unit = float(scale[atom])
+        found[effect] = tuple(
+            SizeByGroup(
+                one.covariate,
+                tuple(one.middle.tolist()),
+                tuple((unit * one.size).tolist()),
+                tuple((abs(unit) * one.std).tolist()),
+                one.spread,
+            )
+            for one in sizes_by_group(fit, atom, groups, widening)
+        )
+    return found
 
 
 def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
@@ -242,7 +245,7 @@ def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
         _candidate(case, key, total[key], _closure_by(case, key, before, truth))
         for key in ranked[:_LISTED]
     ]
-    alone = verdict.unlisted if not verdict.status.names else 0.0
+    alone = verdict.unlisted if not verdict.key else 0.0
     if alone > _MENTIONED:
         unknown = Candidate(
             effects=("unknown",),
@@ -261,7 +264,7 @@ def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
 def _chances(case: Case) -> dict:
     """Probability of every refitted set: that of the verdict; others by evidence."""
     verdict, listed = case.verdict, case.weighed.listed
-    named = verdict.status.names
+    named = bool(verdict.key)
     some = {k: p for k, p in listed.items() if k and not (named and k == verdict.key)}
     alone = verdict.status in (Status.NAMED, Status.CANNOT_TELL)
     rest = 1 - verdict.unlisted - verdict.probability * alone
@@ -272,16 +275,14 @@ def _chances(case: Case) -> dict:
     return shared | ({verdict.key: verdict.probability} if named else {})
 
 
-def _widening(base: Base, hypothesis: Hypothesis) -> float:
-    """Amplitudes by the formulas alone; if another form is used, with its larger errors."""
-    return widening(base, base.residual(hypothesis.z, amplitudes_of(base, hypothesis)))
-
-
 def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
-    p, parameters = len(hypothesis.z), {}
-    spread = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
-    spread = spread * np.sqrt(_widening(base, hypothesis))
+    spread, parameters = hypothesis.errors * np.sqrt(case.widening), {}
+    if key in case.predicted.effects:
+        left_out = case.predicted.amplitude[case.predicted.effects.index(key)]
+        spread = np.maximum(spread, jackknife_error(left_out))
+    if key == case.verdict.key:
+        spread = np.maximum(spread, _between_parts(case))
     ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
     atoms = [base.atoms[k] for k in hypothesis.atoms]
     scale = np.asarray(base.design.prior_scale)[list(hypothesis.atoms)]
@@ -306,13 +307,27 @@ def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candi
     )
 
 
+def _between_parts(case: Case) -> np.ndarray:
+    """Differences (k,) of the amplitudes between the parts of the set that helps, root of the
+    mean square by their probability."""
+    fit, square = case.chosen, np.zeros(len(case.chosen.atoms))
+    total = np.full(len(fit.atoms), NONZERO)
+    for key, chance in case.parts.items():
+        part = case.weighed.best_of[key]
+        for place, effect in enumerate(fit.effects):
+            if effect in part.effects:
+                own = part.amplitude[part.effects.index(effect)]
+                square[place] += chance * (own - fit.amplitude[place]) ** 2
+                total[place] += chance
+    return np.sqrt(square / total)
+
+
 def _closure_by(case: Case, key, before, truth) -> Shrinkage:
-    """Closure of the gap of the first channel by a set of effects, in any form; arguments
-    as in :func:`_candidates`."""
+    """Closure of the gap of the first channel by a set of effects; arguments as in
+    :func:`_candidates`."""
     at, hypothesis = case.base.measured, case.weighed.best_of[key]
-    main, n = at.prepared.channels[0], len(before)
-    after = at.forces(hypothesis.z, amplitudes_of(at, hypothesis))[main]
-    after = after + form_part(case, hypothesis)[:n] * at.design.scale[main][:n]
+    main = at.prepared.channels[0]
+    after = at.forces(hypothesis.z, at.amplitudes(hypothesis.atoms, hypothesis.amplitude))[main]
     noise = at.noise[main]
     given = noise.std**2, at.prepared.run, noise.inflation
     return closure_on_rows(truth, before, after, *given)
@@ -323,10 +338,10 @@ def _resolution(case: Case) -> Resolution:
     their own units, that would be detected four times in five."""
     base, n = case.base, case.base.prepared.n
     scale = np.asarray(base.design.scale[base.prepared.channels[0]])[:n]
-    directions = min(base.generic.smooth.shape[1], _DIRECTIONS)
+    directions = min(base.discrepancy.columns.shape[1], _DIRECTIONS)
     needed = np.sqrt(_SEEN_ENERGY * np.sqrt(2 * directions) / n)
     size, smallest = np.linalg.norm(case.search.projected, axis=0), {}
-    for k in case.search.testable:
+    for k in base.testable:
         effect = base.atoms[k].effect
         if effect.id not in smallest and size[k] > UNSEEN and not effect.singular:
             std = float(base.design.prior_scale[k] / size[k])
@@ -336,8 +351,7 @@ def _resolution(case: Case) -> Resolution:
 
 
 def _extension(case: Case) -> Extension:
-    other_form = case.verdict.key in case.weighed.other_form
-    return extension_of(case.base, case.chosen, other_form)
+    return extension_of(case.base, case.chosen)
 
 
 def _base_parameters(base: Base, z) -> dict[str, float]:

@@ -9,10 +9,10 @@ from functools import cache
 import numpy as np
 from scipy.special import ndtr
 
-from tirefit.diagnosis.evidence.base import Base
+from tirefit.diagnosis.engine.fit import without
 from tirefit.diagnosis.negligible import FLAT, UNSEEN
-from tirefit.diagnosis.rows.basis import without
 from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary.records import Forecast, NextMeasurement
 from tirefit.diagnosis.summary.where import LEVEL
 from tirefit.models import modelled
@@ -74,9 +74,9 @@ def recognition(directions, names: Sequence[str], truth: int, size: float, noise
 
 def confusion(search) -> list[Forecast]:
     """For each testable effect of usual size, whether it is detected or confused."""
-    base, left = search.base, search.projected
+    base, left = search.subject, search.projected
     length = np.linalg.norm(left, axis=0)
-    use = [k for k in search.testable if length[k] > UNSEEN]
+    use = [k for k in search.subject.testable if length[k] > UNSEEN]
     if not use:
         return []
     directions = left[:, use] / length[use]
@@ -173,10 +173,10 @@ def _told_apart(blocks: Sequence[_Block], one, two) -> float:
 def _sizes(search, weighed) -> dict[str, tuple[int, float]]:
     """Atom and amplitude in prior scales of each testable effect: the usual amplitude, or
     that of the single refit if it is larger (a refit near zero is not a limit)."""
-    center = np.asarray(search.base.design.prior_center)
+    center = np.asarray(search.subject.design.prior_center)
     sizes: dict[str, tuple[int, float]] = {}
-    for k in search.testable:
-        name, usual = search.base.atoms[k].effect.id, abs(float(center[k])) or 1.0
+    for k in search.subject.testable:
+        name, usual = search.subject.atoms[k].effect.id, abs(float(center[k])) or 1.0
         alone = weighed.best_of.get((name,))
         if alone is not None and abs(alone.amplitude[0]) > usual:
             sizes[name] = alone.atoms[0], abs(float(alone.amplitude[0]))
@@ -187,9 +187,9 @@ def _sizes(search, weighed) -> dict[str, tuple[int, float]]:
 def _pairs(search, weighed, verdict, known) -> list[tuple[str, str]]:
     """Pairs of known effects that the data may confuse: the named ones with other possible
     ones and with those they resemble, then the most probable single effects."""
-    alike = {atom.effect.id: atom.effect.looks_like for atom in search.base.atoms}
-    pairs = [(e, other) for e in verdict.effects for other in verdict.also_possible]
-    pairs += [(e, other) for e in verdict.effects for other in alike.get(e, ())]
+    alike = {atom.effect.id: atom.effect.looks_like for atom in search.subject.atoms}
+    pairs = [(e, other) for e in verdict.key for other in verdict.also_possible]
+    pairs += [(e, other) for e in verdict.key for other in alike.get(e, ())]
     log = {key[0]: w for key, w in weighed.log_weight.items() if len(key) == 1}
     ranked = sorted(log, key=lambda effect: -log[effect])
     pairs += [(ranked[0], other) for other in ranked[1:_FEW]]

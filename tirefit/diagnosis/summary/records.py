@@ -8,9 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from tirefit.diagnosis.decide.verdict import Each, Status
 from tirefit.diagnosis.effects import NOISE_EFFECTS
-from tirefit.diagnosis.rows.patterns import Look
+from tirefit.diagnosis.engine.decide import Each, Status
 from tirefit.diagnosis.rows.rig import Rig
 
 
@@ -133,13 +132,24 @@ class Cell(NamedTuple):
     explains: float
 
 
+class Look(NamedTuple):
+    """A quantity as a function of a covariate that fits the remainder."""
+
+    parameter: str
+    covariate: str
+    is_wave: bool
+    at: float  # covariate of the largest change; period of a wave
+    size: float  # largest change: relative (stiffness, friction), a slip, force over load
+    probability: float  # among all such functions
+    explains: float  # share of the mean square of the remainder
+
+
 class Left(NamedTuple):
     """The remaining gap beyond the noise."""
 
     rms: float
     share: float  # of the gap's energy
     unlisted: float  # probability that an unlisted effect is present
-    tests: Mapping[str, float | None]  # p-values, None if rows have no such order
     looks_like: tuple[Look, ...] = ()  # shapes it resembles, the most probable first
 
 
@@ -147,15 +157,18 @@ class Left(NamedTuple):
 class VerdictSummary:
     """The effects that are present, and the remainder: a
     :class:`~tirefit.diagnosis.decide.verdict.Verdict` for the report, with a calibrated
-    ``probability``, the share of such verdicts that are right; ``parameters`` are those
-    of a given simulator, empty for a fitted form."""
+    ``probability``, the share of such verdicts that are right; ``sizes`` of each named effect
+    by groups of each covariate, the most unequal first; ``parameters`` are those of a given
+    simulator, empty for a fitted form."""
 
     status: Status
     effects: tuple[str, ...]
+    acts_like: tuple[str, ...] = ()
     probability: float
     each: Mapping[str, Each] = field(default_factory=dict)
     also_possible: tuple[str, ...] = ()
     left: Left
+    sizes: Mapping[str, tuple["SizeByGroup", ...]] = field(default_factory=dict)
     parameters: Mapping[str, "Change"] = field(default_factory=dict)
 
     @property
@@ -164,6 +177,24 @@ class VerdictSummary:
         of_noise = {effect.id for effect in NOISE_EFFECTS}
         on_mean = [e for e in self.effects if e not in of_noise]
         return bool(on_mean) and on_mean != ["unknown"]
+
+    @property
+    def helping(self) -> tuple[str, ...]:
+        """The effects of the ladder: named causes, then those that act like one."""
+        return (*self.effects, *self.acts_like) if self.names_an_effect else self.acts_like
+
+
+class SizeByGroup(NamedTuple):
+    """The size of an effect in groups of one covariate, in the unit of its amplitude; values
+    in ascending order of the covariate. ``spread`` is the standard deviation of the sizes
+    beyond that of their errors, over the size that fits all: near zero for a cause, often a
+    quarter and more for an effect that stands in for another one."""
+
+    covariate: str
+    at: tuple[float, ...]  # its median in each group
+    size: tuple[float, ...]
+    std: tuple[float, ...]
+    spread: float
 
 
 class Change(NamedTuple):

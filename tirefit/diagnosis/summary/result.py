@@ -12,10 +12,10 @@ from tirefit.data.records import FileRecord, Row
 from tirefit.data.table import TireData
 from tirefit.data.write import csv_text, to_convention
 from tirefit.diagnosis.effects import Effect
-from tirefit.diagnosis.evidence.forms import RunOffsets
+from tirefit.diagnosis.engine.left_out import Ladder
 from tirefit.diagnosis.extended import SCHEMA, Extension
-from tirefit.diagnosis.left_out import Ladder
 from tirefit.diagnosis.rows.rig import SlipCheck
+from tirefit.diagnosis.rows.runs import RunOffsets
 from tirefit.diagnosis.summary.records import (
     Candidate,
     Cell,
@@ -166,12 +166,12 @@ def record_of_document(path: Path) -> FileRecord:
     unit = "N m" if data["channels"][0] == "mz" else "N"
     template = MODELS.get(content["model"])
     units = {k: s.unit for k, s in specs(template).items()} if template else {}
-    base, named = content["base_parameters"], set(verdict["effects"])
+    base, helping = content["base_parameters"], {*verdict["effects"], *verdict["acts_like"]}
     rows = [Row("base", k, x, unit=units.get(k, "")) for k, x in base.items()]
     rows += [Row("gap", k, gap[k], unit=unit) for k in ("rms", "remaining_rms")]
     rows += [Row("gap", "closed", gap["closed"])]
     rows += [Row("gap", "probability", verdict["probability"])]
-    best = (one for one in content["candidates"] if set(one["effects"]) == named)
+    best = (one for one in content["candidates"] if set(one["effects"]) == helping - {"unknown"})
     for name, amplitude in next(best, {"parameters": {}})["parameters"].items():
         value, std, unit = (amplitude[k] for k in ("value", "std", "unit"))
         rows.append(Row("effect", name, value, std, unit=unit))

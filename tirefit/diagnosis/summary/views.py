@@ -7,19 +7,12 @@ import numpy as np
 from scipy.special import stdtr
 
 from tirefit.data.levels import cells, levels
-from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.forms import PLACE
-from tirefit.diagnosis.evidence.posterior import LinearFit, linear_at
+from tirefit.diagnosis.engine.decide import POLICY
+from tirefit.diagnosis.engine.discrepancy import Found
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
-from tirefit.diagnosis.rows.basis import FULL_SLIDING, without
-from tirefit.diagnosis.rows.patterns import (
-    PARAMETERS,
-    Look,
-    Pattern,
-    is_mirrored,
-    quantities,
-    settings_of,
-)
+from tirefit.diagnosis.rows.discrepancy import FULL_SLIDING, PARAMETERS, is_mirrored
+from tirefit.diagnosis.summary.case import Case
+from tirefit.diagnosis.summary.records import Look
 from tirefit.diagnosis.summary.where import FEWEST_ROWS, LEVEL, adjusted, binned, covariates_of
 
 _BANDS, _BINS, _STEPS = 5, 13, 60
@@ -29,6 +22,7 @@ _FEWEST = 4  # smallest number of rows of a cell for its scatter to be known
 _TENTHS = (0.1, 0.9)  # quantiles that hold 80 % of the rows of a bin
 _BETTER = 0.05
 """Another map replaces that over the load if it shows more energy by this share."""
+_SHOWN = 0.05  # smallest probability of a function of the remainder that is reported
 _POINTS, _CURVES = 300, 3  # largest numbers of points and curves in a figure
 _SHOWN_OVER = ("fz", "v", "time", "direction", "gamma")
 """Covariates of the map, the usual one first."""
@@ -193,102 +187,41 @@ def compared(rows: ShownRows, named: bool) -> Comparison:
 
 
 class LookCurve(NamedTuple):
-    """The local change of the parameter of a :class:`Look` over its covariate, in the
-    units of the look."""
+    """The change of the parameter of a :class:`Look` over its covariate, or over the period
+    of a wave, in the units of the look."""
 
     look: Look
-    center: np.ndarray  # (k,) bins of the covariate
+    x: np.ndarray  # (k,) of the covariate
     change: np.ndarray  # (k,) estimates
     std: np.ndarray  # (k,) standard errors
-    x: np.ndarray  # (p,) of the shape
-    shape: np.ndarray  # (p,) fitted; scaled by the amplitude of a wave or end of a kink
     is_mirrored: bool  # changes in the direction of the slip
-    is_folded: bool  # a wave, shown within one period
-    at_settings: bool  # bins are settings
+    at_settings: bool  # x are its only values
 
 
-def shape_of(one: Pattern | Look, values, low: float, span: float) -> np.ndarray:
-    """The shape of a pattern at values of its covariate, which begins at ``low`` in the
-    data and has this ``span``: (n, 1); for a wave sine and cosine, (n, 2)."""
-    off = np.asarray(values, float) - one.at
-    if one.shape == "wave":
-        angle = 2 * np.pi * (np.asarray(values, float) - low) / one.at
-        return np.stack([np.sin(angle), np.cos(angle)], axis=1)
-    if one.shape == "kink":
-        return np.maximum(off, 0.0)[:, None] / span
-    if one.shape == "threshold":
-        return (off > 0)[:, None] - 0.5
-    if one.width:
-        return np.exp(-0.5 * (off[:, None] / one.width) ** 2)
-    return 1.0 * np.isclose(values, one.at)[:, None]
-
-
-def look_curve(chosen, base: Base, look: Look) -> LookCurve:
-    """The shape that the remainder of a fit resembles, with the data."""
-    values = quantities(base.rows, base.slip_fraction)[look.covariate]
-    place = PLACE[PARAMETERS[look.parameter][0]]
-    field = np.asarray(base.at_null.fields)[:, place].reshape(-1, base.rows.n)
-    if look.parameter == "force":
-        field = field * np.asarray(base.rows.inputs.fz)
-    if is_mirrored(look.parameter, look.covariate):
-        field = field * np.where(base.slip_fraction < 0, -1.0, 1.0)
-    values, linear = np.asarray(values, float), linear_at(base, chosen)
-    return curve_of(look, values, field, linear)
-
-
-def curve_of(look: Look, values, field, linear: LinearFit) -> LookCurve:
-    """The points are partial residuals (Larsen and McCleary, 1972, Technometrics
-    14:781) of the shape, fitted together with the base's parameters.
-
-    Args:
-        values: the covariate (n,).
-        field: whitened force of a unit change of the parameter, (channels, n).
-        linear: the remainder of the fit, and the directions that it has absorbed.
-    """
-    low, span = float(values.min()), float(np.ptp(values))
-    settings, is_folded = settings_of(look.covariate, values), look.shape == "wave"
-    if settings is not None:
-        values = settings.center[settings.code]
-    shapes = shape_of(look, values, low, span)
-    columns = (field[:, :, None] * shapes).reshape(-1, shapes.shape[1])
-    lone = without(columns, linear.used_up)
-    residual = without(linear.residual, linear.used_up)
-    coefficient = np.linalg.lstsq(lone, residual, rcond=None)[0]
-    left = (residual - lone @ coefficient).reshape(field.shape)
-    information = np.sum(field**2, axis=0)
-    estimate = information * (shapes @ coefficient) + np.sum(field * left, axis=0)
-
-    place, begin = (np.mod(values - low, look.at), 0.0) if is_folded else (values, low)
-    if settings is not None:
-        codes, x = settings.code, settings.center
-    else:
-        codes = equally_known(place, information)
-        x = np.linspace(begin, begin + (look.at if is_folded else span), _POINTS)
-    total, *sums = (np.bincount(codes, x) for x in (information, information * place, estimate))
-    there = total > 0
-    center, change = (part[there] / total[there] for part in sums)
-    curve = shape_of(look, x, begin, span) @ coefficient
-    size = curve[-1] if look.shape == "kink" else coefficient[0]
-    size = float(np.linalg.norm(coefficient)) if is_folded else float(size)
-    return LookCurve(
-        look._replace(size=size),
-        center,
-        change,
-        1 / np.sqrt(total[there]),
-        x,
-        curve,
-        is_mirrored(look.parameter, look.covariate),
-        is_folded,
-        settings is not None,
+def look_curves(case: Case) -> tuple[LookCurve, ...]:
+    """The functions that the remainder of the verdict resembles, the likeliest first; empty
+    if an unlisted effect is unlikely."""
+    if case.verdict.unlisted <= POLICY.likely:
+        return ()
+    return tuple(
+        _look_curve(found)
+        for found in case.base.discrepancy.found(case.chosen)
+        if found.probability > _SHOWN
     )
 
 
-def equally_known(place, information) -> np.ndarray:
-    """Bins (n,) of the place, in each of which the parameter has the same accuracy."""
-    count = max(min(len(place) // FEWEST_ROWS, _BINS), 1)
-    order = np.argsort(place, kind="stable")
-    known = np.cumsum(information[order])
-    middle = (known - 0.5 * information[order]) / known[-1]
-    codes = np.empty(len(place), int)
-    codes[order] = np.minimum(count * middle, count - 1).astype(int)
-    return codes
+def _look_curve(found: Found) -> LookCurve:
+    cell, usual = found.cell, PARAMETERS[found.cell.quantity][1]
+    change = usual * found.value
+    largest = int(np.argmax(np.abs(change)))
+    look = Look(
+        cell.quantity,
+        cell.covariate,
+        found.is_wave,
+        float(cell.places[-1] if found.is_wave else cell.places[largest]),
+        float(change[largest]),
+        found.probability,
+        found.explains,
+    )
+    mirrored = is_mirrored(cell.quantity, cell.covariate)
+    return LookCurve(look, cell.places, change, usual * found.std, mirrored, cell.settings)

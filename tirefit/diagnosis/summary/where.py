@@ -9,13 +9,12 @@ from scipy.special import chdtrc
 from tirefit.data.levels import levels
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.motion import said_of_motion
-from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.forms import PLACE
+from tirefit.diagnosis.engine.fit import Fit
 from tirefit.diagnosis.negligible import NONZERO
-from tirefit.diagnosis.rows.basis import FULL_SLIDING, functions_of, mean_gain, orthogonal
-from tirefit.diagnosis.rows.patterns import PARAMETERS, USUAL_SIZES, quantities
+from tirefit.diagnosis.rows.discrepancy import quantities
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary.records import Cell, DataSummary, Region, Spot
 
 LEVEL = 0.05
@@ -26,7 +25,6 @@ FEWEST_ROWS = 8
 """Smallest number of rows of a region, and of a bin on average; and number of neighbours
 in slip whose misfits are summed: a smooth misfit adds up, noise does not."""
 _DENSE = 4.0  # smallest ratio of the share of the gap to that of the rows for a spot
-_FUNCTIONS = 6  # smooth functions of a covariate that a parameter may follow
 _TOGETHER = 0.9
 """Rank correlation above which two conditions are reported as related."""
 
@@ -170,24 +168,12 @@ def spots(base: Base, residual, gap) -> tuple[Spot, ...]:
     return tuple(sorted(dense, key=lambda spot: -spot.share)[:_PARTS])
 
 
-def parameter_map(base: Base) -> list[Cell]:
-    """Every parameter with every covariate that varies, the strongest evidence first. A
-    gap of one cause also appears in cells that resemble it."""
-    residual, jacobian, _, fields = base.at_null
-    load, channels = np.asarray(base.prepared.inputs.fz), len(base.prepared.channels)
-    misfit = max(float(residual @ residual), NONZERO)
-    cells = []
-    for covariate, values in covariates_of(base).items():
-        most = FULL_SLIDING if covariate == "slip_fraction" else np.inf
-        shapes = functions_of(np.minimum(values, most).astype(float), _FUNCTIONS)
-        for parameter, (field, size) in PARAMETERS.items():
-            scaled = size * (load[:, None] if field == "force" else 1.0) * shapes
-            columns = fields[:, [PLACE[field]]] * np.tile(scaled, (channels, 1))
-            left, length = orthogonal(columns, jacobian)
-            score = left.T @ residual
-            evidence = mean_gain(score, length, USUAL_SIZES)
-            shrink = (USUAL_SIZES[-1] * length) ** 2
-            shrink = shrink / (1 + shrink)
-            explained = float(np.sum(shrink * score**2)) / misfit
-            cells.append(Cell(parameter, covariate, evidence, explained))
-    return sorted(cells, key=lambda cell: -cell.log_evidence)
+def parameter_map(base: Base, fit: Fit) -> list[Cell]:
+    """Every parameter with every covariate that varies, beside a fit, the strongest evidence
+    first. A gap of one cause also appears in cells that resemble it."""
+    shapes = base.discrepancy
+    return [
+        Cell(one.cell.quantity, one.cell.covariate, one.log_evidence, one.explains)
+        for one in shapes.found(fit, 2 * len(shapes.cells))
+        if not one.is_wave
+    ]

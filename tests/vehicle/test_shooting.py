@@ -1,0 +1,67 @@
+"""Least squares over windows, the start states eliminated, compared with SciPy."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import optimize
+
+from tirefit.vehicle.shooting import Data, linearised, minimised
+
+TIME = np.linspace(0.0, 1.0, 21)
+NOISE, PULL = np.array([0.02, 0.05]), np.array([0.0, 4.0, 0.0])
+WINDOWS = 6
+
+
+def missed(z, start, window, parts):
+    """A decaying state that saturates, seen through two channels."""
+    fall = start[0] * jnp.exp(-jnp.exp(z[0]) * TIME) + start[1]
+    seen = [jnp.tanh(z[1] + fall), z[2] * fall + window.v_x]
+    return jnp.stack(seen, axis=1) - window.logged
+
+
+def problem():
+    generator = np.random.default_rng(0)
+    truth, starts = np.array([0.7, 0.2, 1.5]), generator.normal(0.0, 1.0, (WINDOWS, 2))
+    speed = np.sin(3 * TIME) + generator.normal(0.0, 0.1, (WINDOWS, len(TIME)))
+    empty = np.zeros((WINDOWS, len(TIME), 2))
+    clean = linearised(missed, 1)(truth, starts, Data(speed, speed, empty, starts))[0]
+    logged = np.asarray(clean) + NOISE * generator.standard_normal(empty.shape)
+    return Data(speed, speed, logged, starts + generator.normal(0.0, 0.4, starts.shape))
+
+
+@pytest.mark.parametrize("highest", [np.inf, 1.3])
+def test_windows_have_the_minimum_of_scipy_in_all_unknowns(highest):
+    data, run = problem(), linearised(missed, 1)
+    z, bounds = np.array([0.0, 0.0, 1.0]), (-np.inf, np.array([np.inf, np.inf, highest]))
+
+    def residual(x):
+        found = run(x[:3], x[3:].reshape(WINDOWS, 2), data)[0]
+        return np.concatenate([np.ravel(np.asarray(found) / NOISE), np.sqrt(PULL) * x[:3]])
+
+    high = np.concatenate([bounds[1], np.full(2 * WINDOWS, np.inf)])
+    peer = optimize.least_squares(
+        residual, np.concatenate([z, data.start.ravel()]), "3-point",
+        bounds=(-np.inf, high), xtol=1e-14, ftol=1e-14, gtol=1e-12,
+    )  # fmt: skip
+    began = run(z, data.start, data)
+    found, starts, now, converged = minimised(
+        run, jnp.asarray(z), data.start, began, data, NOISE, PULL, bounds
+    )
+    assert converged
+    # A billionth of the cost: 1e-5 standard errors.
+    here = residual(np.concatenate([found, np.ravel(starts)]))
+    np.testing.assert_allclose(here @ here, 2 * peer.cost, rtol=1e-8)
+    np.testing.assert_allclose(found, peer.x[:3], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(np.ravel(starts), peer.x[3:], rtol=1e-3, atol=1e-4)
+    np.testing.assert_array_equal(now[0], run(found, starts, data)[0])
+
+
+def test_start_states_alone_are_found():
+    """At z of the minimum its own slope is zero, whatever the start states are."""
+    data, run = problem(), linearised(missed, 1)
+    z, starts = np.array([0.0, 0.0, 1.0]), data.start
+    z, starts, now, _ = minimised(run, z, starts, run(z, starts, data), data, NOISE, PULL)
+    away = starts + 1e-3
+    began = run(z, away, data)
+    _, again, *_ = minimised(run, z, away, began, data, NOISE, PULL, tolerance=1e-5)
+    np.testing.assert_allclose(again, starts, atol=3e-5)

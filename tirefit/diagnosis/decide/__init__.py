@@ -1,1 +1,0 @@
-"""Decide a verdict from the evidence and from predictions of data left out."""

@@ -1,0 +1,319 @@
+"""Diagnose one file: the noise, the place of the gap, its effects, the closure, and what
+to measure next."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from os import PathLike
+
+import numpy as np
+from threadpoolctl import ThreadpoolController
+
+from tirefit.compiled import release_programs
+from tirefit.data.accept import DataLike, as_data
+from tirefit.data.far import without_far
+from tirefit.data.read import require
+from tirefit.data.table import TireData
+from tirefit.diagnosis.effects import EFFECTS, Effect
+from tirefit.diagnosis.engine.decide import decide, findings_of, predictions
+from tirefit.diagnosis.engine.search import searched
+from tirefit.diagnosis.rows.prepared import (
+    Prepared,
+    blocks_of_settings,
+    coincides,
+    prepare,
+    thinned,
+)
+from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
+from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, simulator_at
+from tirefit.diagnosis.rows.subject import Base, fit_base, shown_slip_noise, with_noise_judged
+from tirefit.diagnosis.summary.case import Case
+from tirefit.diagnosis.summary.document import document_of
+from tirefit.diagnosis.summary.records import Settings, Untestable
+from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.mf.result import TireLike
+from tirefit.fitting.problem import find_model
+from tirefit.models import modelled
+from tirefit.models.mf import MAGIC_FORMULAS
+from tirefit.params import Values
+from tirefit.precision import require_x64
+from tirefit.results import InputProblem, UsageError, did_you_mean
+
+_CHANGED = 0.1
+"""Change of the log noise level after which the search is repeated."""
+
+_MOST_ROWS = 6000
+"""Number of rows, evenly spread, on which the search runs; the verdict uses all rows."""
+
+
+def diagnose(
+    data: DataLike,
+    model: str | None = None,
+    *,
+    sim: TireLike | Given | Mapping[str, Values] | Values | bool | None = None,
+    signs: str | None = None,
+    rig: Rig | str | PathLike | None = None,
+    forces: str | Sequence[str] | None = None,
+    effects: Sequence[Effect] | None = None,
+    without: str | Sequence[str] = (),
+    holdout: DataLike | Sequence[DataLike] | None = (),
+    seed: int = 0,
+) -> Diagnosis:
+    """Find the effects that a model lacks, and how far the gap to the data shrinks.
+
+    ``print(found)`` shows one screen; ``found.plot()`` draws it.
+
+    Args:
+        data: a result of ``tirefit.read``, or data that it reads with its defaults: a
+            path, a frame, a mapping of column -> (n,) array. A file that declares no
+            convention is read in that of a file ``sim``.
+        model: name of the base model, the brush by default; a whole Magic Formula
+            (``mf52``, ``mf61``, ``mf62``) is fitted in stages, then not changed.
+        sim: a simulator instead of a fit of ``model``: a tire model with its values, a fit, a
+            ``fit.json`` or ``.tir`` file, True for the columns ``fx_sim``, ``fy_sim``, ``mz_sim``
+            of the data, or arrays (n,) by channel, in canonical signs. If only its forces are
+            known, ``model``, fitted to them, is used for the changes of a hypothesis: the brush by
+            default, or mf61 if the brush does not follow them closely.
+        signs: convention, a key of ``slip.CONVENTIONS``, of the ``.tir`` file ``sim`` ("iso-w" if
+            None), or of the columns ``fx_sim``, ... (that of the data if None).
+        rig: known properties (noise, radius, inertia), or a path of ``rig.toml``.
+        forces: those of fx, fy, mz to diagnose; None for all that were measured.
+        effects: the library to search, :data:`EFFECTS` if None; you may add to it.
+        without: ids of effects that are not looked for.
+        holdout: data of the same kinds, or a list of such, to check closure on.
+        seed: of the simulated null distributions and bootstraps.
+
+    Returns:
+        ``verdict.effects`` are the likely causes, ``verdict.acts_like`` other effects that predict
+        data left out better, and ``verdict.each`` has for both the probability that it or a twin is
+        the cause, in a world that also holds effects which the library does not list; the share
+        of the gap that it closes on data left out; and its twins: effects that these data
+        cannot distinguish from it. ``verdict.sizes`` has the size of each by load, speed,
+        slip, time and run. ``verdict.left`` describes the remainder, ``ladder`` the rms on
+        data left out with one effect after the other. ``verdict.status`` is
+
+        - ``none``: no gap beyond the noise;
+        - ``named``: effects are named, and an unlisted one is unlikely;
+        - ``cannot_tell``: the same, but a named effect has twins;
+        - ``incomplete``: effects are named, and an unlisted one is probably present;
+        - ``unknown``: there is a gap, and no listed effect is its likely cause.
+
+    Raises:
+        UsageError: an unknown model, force, or effect to leave out; an argument of
+            another type; or 32-bit floats in use.
+        DataError: no force with a slip that varies, no load, too few rows, no simulated
+            forces, a model that does not follow them, ``data`` held out too.
+
+    The example is a brush whose slip sensor is off by 0.006.
+
+    Example:
+        >>> slip = np.tile(np.linspace(-0.2, 0.2, 32), 3)
+        >>> load = np.repeat([2000.0, 4000.0, 6000.0], 32)
+        >>> true = {"sigma_x": slip + 0.006, "fz": load}
+        >>> force = predict("brush", true, {"cpa2": 5e4, "mu": 0.9})["fx"]
+        >>> force = force + np.random.default_rng(1).normal(0, 20, len(slip))
+        >>> measured = {"sigma_x": slip, "fz": load, "fx": force}
+        >>> names = ("slip_offset", "force_offset", "load_friction")
+        >>> few = [effect for effect in EFFECTS if effect.id in names]
+        >>> found = diagnose(measured, rig=Rig(noise={"fx": 20.0}), effects=few)
+        >>> str(found.status), str(found.verdict.status), found.verdict.effects
+        ('ok', 'named', ('slip_offset',))
+    """
+    require_x64("a diagnosis")
+    release_programs()
+    effects = the_effects(EFFECTS if effects is None else effects)
+    model, without = a_model(model), names(without, "without")
+    asked = None if forces is None else names(forces, "forces")
+    if isinstance(sim, str | PathLike):
+        sim = simulator_at(str(sim), signs=signs)
+    otherwise = sim.otherwise if isinstance(sim, Given) else None
+    data = as_data(data, otherwise=otherwise)
+    others = [as_data(one, otherwise=otherwise) for one in several(holdout)]
+    rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
+    _are_others(data, others)
+    data, others = without_far(data), [without_far(other) for other in others]
+    _are_known(without, {effect.id for effect in effects})
+    if model in MAGIC_FORMULAS and sim is None:
+        # Its coefficients are fitted to all rows; a hypothesis adapts scaling factors.
+        sim = fit_magic_formula(data, model)
+    plain = STAND_INS[0] if model is None else model
+    given, own = None, modelled(MAGIC_FORMULAS.get(plain) or find_model(plain))
+    gives = own
+    if sim is not None:
+        given = given_simulator(sim, data, signs)
+        data, others = given.beside(data), [given.beside(x, True) for x in others]
+        gives = given.channels(data, own)
+        own = own if given.tire is None else ()
+    if asked is not None:
+        gives = _asked_for(asked, data, gives, own)
+    library = tuple(effect for effect in effects if effect.id not in without)
+    settings = Settings(
+        rig=rig,
+        effects=tuple(effect.id for effect in library),
+        forces=asked,
+        holdout=tuple(other.source.sha256 for other in others),
+    )
+    # One thread: the matrices are too small for two, and another order of summation
+    # changes last digits, which can change the course of a search.
+    with ThreadpoolController().limit(limits=1, user_api="blas"):
+        whole = prepare(data, rig, gives)
+        form = STAND_INS[0] if plain in MAGIC_FORMULAS else plain
+        some = thinned(whole, _MOST_ROWS)
+        if (shown := shown_slip_noise(some, form, effects, rig)) is not None:
+            some = thinned(whole := prepare(data, rig, gives, shown), _MOST_ROWS)
+        case = studied(some, model, rig, effects, without, given)
+        name, simulated = plain, case.base.simulator
+        if simulated is not None:
+            given = simulated.given
+            name = simulated.stand_in if given.tire is None else given.source
+        made = settings, library, others, generator, name, seed
+        return document_of(case, whole, *made)
+
+
+# --- arguments: a single value counts as a list of one; all raise UsageError ----------
+
+
+def names(given: object, argument: str) -> tuple[str, ...]:
+    """Names as a tuple; a single text is one name."""
+    several = (given,) if isinstance(given, str) else given
+    if isinstance(several, Iterable):
+        several = tuple(several)
+        if all(isinstance(one, str) for one in several):
+            return several
+    raise UsageError(f"{argument} = {given!r}", "give a name, or several")
+
+
+def the_effects(given: object) -> tuple[Effect, ...]:
+    """Effects to search, at least one."""
+    several = tuple(given) if isinstance(given, Iterable) else ()
+    if several and all(isinstance(one, Effect) for one in several):
+        return several
+    reason = f"effects = {given!r}" if several else "effects: none to search"
+    remedy = "leave the argument out for all of the library, or give Effect records: "
+    remedy += "(*EFFECTS, mine) adds one, without=... leaves single ones out"
+    raise UsageError(reason, remedy)
+
+
+def a_model(given: object) -> str | None:
+    """Name of a model, or none."""
+    if given is None or isinstance(given, str):
+        return given
+    remedy = "give a model's name; a tire model with its values is a simulator: sim=..."
+    raise UsageError(f"model is of type {type(given).__name__}", remedy)
+
+
+def several(given: object) -> list:
+    """The data of several held-out sets, of one, or of none."""
+    every = given if isinstance(given, list | tuple) else [given]
+    return [one for one in every if one is not None]
+
+
+def a_rig(given: object) -> Rig:
+    """The rig: None, a record of it, or a file ``rig.toml``."""
+    if given is None or isinstance(given, Rig):
+        return given or Rig()
+    if isinstance(given, str | PathLike):
+        return load_rig(str(given))
+    remedy = "give a Rig(...), or the path of a rig.toml"
+    raise UsageError(f"rig is of type {type(given).__name__}", remedy)
+
+
+def a_seed(given: object) -> int:
+    """The seed of all random numbers."""
+    if isinstance(given, int | np.integer) and 0 <= given < 2**32:
+        return int(given)
+    raise UsageError(f"seed = {given!r}", "give a whole number from 0 to 2^32 - 1")
+
+
+def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
+    """Raises DataError if held-out rows are among those that are diagnosed."""
+    for other in holdout:
+        source = other.source.sha256
+        same = source and source == data.source.sha256 and len(other) == len(data)
+        if (same or other.columns is data.columns) and np.any(other.used & data.used):
+            reason = "the held-out data are those that are diagnosed"
+            remedy = "give other data with --holdout, or none: parts are then left out"
+            raise unfit(other, reason, remedy)
+
+
+def _are_known(without: Sequence[str], known: set[str]) -> None:
+    """Raises UsageError if a name to leave out is not an effect."""
+    every, problems = ", ".join(sorted(known)), []
+    for name in sorted(set(without) - known):
+        remedy = f"{did_you_mean(name, known)}known effects: {every}"
+        problems.append(InputProblem(f"--without: no effect {name!r}", remedy))
+    UsageError.raise_for(problems)
+
+
+def _asked_for(forces, data: TireData, gives, in_columns) -> tuple[str, ...]:
+    """The forces to diagnose among those of the model; ``in_columns`` are the simulated
+    columns, if the simulator is given by columns."""
+    problems = []
+    for name in (name for name in forces if name not in gives):
+        reason, remedy = f"the model gives no {name}", f"it gives {', '.join(gives)}"
+        if name in in_columns:
+            reason = f"the simulated {name} is missing: there is no column {name}_sim"
+            remedy = f"add it, or diagnose only {' or '.join(gives)}"
+        problems.append(InputProblem(reason, remedy))
+    UsageError.raise_for(problems)
+    require(data, forces, "a diagnosis of them")
+    return tuple(name for name in gives if name in forces)
+
+
+def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[Untestable]]:
+    """Atoms that the data can show, and the missing needs of the others."""
+    possible, missing = [], {}
+    blocks = blocks_of_settings(prepared)
+    for k, atom in enumerate(atoms):
+        effect = atom.effect
+        during = effect.during and effect.during(atom.constants)
+        if effect.id in without or (during and coincides(during[0], during[1], blocks)):
+            continue
+        lacks = [need for need in effect.needs if need not in prepared.has]
+        if effect.channels and not set(effect.channels) & set(prepared.channels):
+            lacks += list(effect.channels)
+        if lacks:
+            missing[effect.id] = Untestable(effect.id, tuple(lacks))
+        else:
+            possible.append(k)
+    return possible, list(missing.values())
+
+
+def _changed(judged: Base, base: Base) -> bool:
+    """Whether the noise level changed, or other rows are excluded."""
+    for channel, old in base.noise.items():
+        new = judged.noise[channel]
+        level = np.median(new.std) / np.median(old.std)
+        level *= np.sqrt(new.inflation / old.inflation)
+        if abs(np.log(level)) > _CHANGED or np.any(new.outlier != old.outlier):
+            return True
+    return False
+
+
+def studied(
+    prepared: Prepared, model: str | None, rig: Rig, effects, without, given: Given | None = None
+) -> Case:
+    """Noise, search and verdict of prepared rows; arguments as in :func:`diagnose`."""
+    base = fit_base(prepared, model, effects, rig, given)
+    testable, untestable = _testable(prepared, base.atoms, without)
+    _are_smooth(base, testable)
+    base = replace(base, testable=tuple(testable))
+    search = searched(base)
+    # The remainder of the best set shows the noise better than that of no effect.
+    best = search.ranked[0]
+    judged = with_noise_judged(base, rig, best.z, base.amplitudes(best.atoms, best.amplitude))
+    if _changed(judged, base):
+        base = replace(judged, testable=base.testable)
+        search = searched(base)
+    weighed, out = predictions(search)
+    verdict = decide(findings_of(search, weighed, out))
+    return Case(base, search, weighed, out, verdict, untestable)
+
+
+def _are_smooth(base: Base, testable: Sequence[int]) -> None:
+    """Raises UsageError for an effect whose slope at amplitude zero is not finite."""
+    finite = np.asarray(np.isfinite(base.at_null.columns).all(axis=0))
+    if wrong := sorted({base.atoms[k].effect.id for k in testable if not finite[k]}):
+        reason = f"effect {wrong[0]!r}: its change at amplitude 0 is not finite"
+        remedy = "give a change that is smooth there and finite for all rows"
+        raise UsageError(reason, remedy)

@@ -1,0 +1,379 @@
+"""Decide a verdict from the posterior over sets, the predictions of data left out, and the
+sizes of effects by group. Only :func:`decide`, a pure function, sets a status.
+
+Two questions about an effect have two answers. Does it help: does the model with it predict
+data left out better? And is it the cause: is it there, in a world that also holds effects
+which the library does not list? An effect that helps without being the likely cause acts like
+the cause: it belongs into a simulator, but says little about the car.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cache
+from importlib import resources
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import expit, logit, stdtr
+
+from tirefit.diagnosis.engine.fit import Forward, Key
+from tirefit.diagnosis.engine.left_out import Gain, Predicted, gained, predicted
+from tirefit.diagnosis.engine.posterior import Weighed, weighed
+from tirefit.diagnosis.engine.search import Search, parts_of
+from tirefit.diagnosis.engine.sizes import sizes_by_group
+from tirefit.diagnosis.negligible import NONZERO
+from tirefit.results import Outcome
+
+UNKNOWN = "unknown"
+"""The id of an effect that the library does not list."""
+
+_FARTHEST = 7.0
+"""Largest log odds that are distinguished."""
+
+_WIDEST, _EVEN = 3.0, 0.05
+"""Largest spread of sizes that is distinguished; a spread that is as good as none."""
+
+_LEADING = 6
+"""Numbers of the most probable sets, and of the most probable single effects, that predict
+the data left out."""
+
+
+class Status(StrEnum):
+    """The conclusion of a diagnosis. It follows from two answers: which effects are
+    present, and what remains."""
+
+    NONE = "none"
+    """No gap is found: the residuals of the model may be noise."""
+    NAMED = "named"
+    """Listed effects explain the gap; an unlisted effect is less likely than none."""
+    CANNOT_TELL = "cannot_tell"
+    """As ``named``, but other effects explain the data as well: see ``also_possible``."""
+    INCOMPLETE = "incomplete"
+    """Effects are named, but an unlisted effect in addition is likelier than none."""
+    UNKNOWN = "unknown"
+    """There is a gap, and no listed effect can be named."""
+
+    @property
+    def names(self) -> bool:
+        """Whether listed effects are named."""
+        return self in (Status.NAMED, Status.CANNOT_TELL, Status.INCOMPLETE)
+
+    @property
+    def limits(self) -> dict[Outcome, str]:
+        """Outcome -> sentence where the answer is open, for a record."""
+        return {
+            Status.CANNOT_TELL: {
+                Outcome.NOT_IDENTIFIED: "other effects explain these data as well"
+            },
+            Status.INCOMPLETE: {Outcome.INCOMPLETE: "an unlisted effect is more probable than not"},
+            Status.UNKNOWN: {Outcome.INCOMPLETE: "no listed effect explains the gap"},
+        }.get(self, {})
+
+
+@dataclass(frozen=True)
+class Policy:
+    """The thresholds of :func:`decide`.
+
+    Attributes:
+        likely: probability above which an effect counts as present (even odds).
+        gain: standard errors by which an effect must improve the prediction of data left out.
+        perhaps: probability above which something is possible: no gap, if no effect can
+            be named, or an effect that is not named; and probability of a set over that
+            of the best above which it is a rival.
+    """
+
+    likely: float = 0.5
+    gain: float = 1.0
+    perhaps: float = 0.1
+
+
+POLICY = Policy()
+
+
+class Features(NamedTuple):
+    """What tells a cause from an effect that stands in for another one.
+
+    Attributes:
+        spread: logarithm of the mean spread of its sizes over groups, see
+            :class:`~tirefit.diagnosis.engine.sizes.Sizes`.
+        unequal: root of the largest share of the remainder that unequal sizes explain.
+        listed: log odds of the sets that hold it, all effects listed.
+        beside: log odds of the sets that hold it, beside an unlisted effect.
+        unlisted: log odds of an unlisted effect.
+        closed: share of the gap that it closes on data left out.
+        known: logarithm of its amplitude over its standard error.
+        left: logarithm of the mean square of the remainder over the noise.
+        others: number of effects of its set.
+    """
+
+    spread: float
+    unequal: float
+    listed: float
+    beside: float
+    unlisted: float
+    closed: float
+    known: float
+    left: float
+    others: float
+
+
+class Each(NamedTuple):
+    """One effect that helps: the probability that it or one of its twins is the cause; the
+    share of the gap that it closes on data left out, in addition to the others, with its
+    standard error; and its ``twins``: effects that these data cannot distinguish from it."""
+
+    probability: float
+    closed_left_out: float | None
+    closed_left_out_std: float | None
+    twins: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """All inputs of a verdict: the posterior over sets; by set (empty if no gap is found,
+    first the one that explains most, then its subsets, the largest and most probable
+    first) the gain of each effect on data left out in addition to the others, and the
+    features of each; and the probability of an unlisted effect, not calibrated."""
+
+    weighed: Weighed
+    gains: Mapping[Key, Mapping[str, Gain]]
+    features: Mapping[Key, Mapping[str, Features]]
+    unlisted: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """The two answers: which effects are present, and what remains.
+
+    ``effects`` are ids of likely causes, the one that gains most on data left out first;
+    empty without a gap, ``("unknown",)`` if there is none; ``acts_like`` are the others that
+    help; ``key`` is the set of both. ``probability`` is that of exactly these causes
+    without an unlisted effect or, for ``incomplete``, with one. ``also_possible`` are ids
+    that these data do not rule out, ``unlisted`` is the probability of an unlisted effect.
+    """
+
+    status: Status
+    effects: tuple[str, ...] = ()
+    acts_like: tuple[str, ...] = ()
+    key: Key = ()
+    probability: float
+    each: Mapping[str, Each] = field(default_factory=dict)
+    also_possible: tuple[str, ...] = ()
+    unlisted: float
+
+
+class Learned(NamedTuple):
+    """The calibration, learned from trials whose cause is known, a third of them with
+    listed effects only, a third with a listed one beside an unlisted one, a third with an
+    unlisted one alone (``python -m fits.calibration`` writes ``calibration.json``).
+
+    Attributes:
+        lines: offset and slope in log odds, by status; "noise" of a verdict that names
+            only an effect on the noise; "unlisted" of the probability of an unlisted effect.
+        weights: of :class:`Features`, after an offset.
+    """
+
+    lines: Mapping[str, tuple[float, float]]
+    weights: tuple[float, ...]
+
+    def often(self, status: str, probability: float) -> float:
+        """Share of verdicts of this status and this probability that are right."""
+        offset, slope = self.lines.get(status, (0.0, 1.0))
+        return float(expit(offset + slope * _odds(probability)))
+
+    def cause(self, features: Features) -> float:
+        """Probability that an effect with these features is there."""
+        offset, *weights = self.weights
+        return float(expit(offset + np.dot(weights, features)))
+
+
+@cache
+def calibration() -> Learned:
+    """The calibration of the package."""
+    text = (resources.files("tirefit.diagnosis") / "calibration.json").read_text()
+    content = json.loads(text)
+    lines = {status: tuple(line) for status, line in content["lines"].items()}
+    return Learned(lines, tuple(content["cause"].values()))
+
+
+def predictions(search: Search) -> tuple[Weighed, Predicted]:
+    """The posterior, and the predictions of data left out by the leading sets and their
+    subsets."""
+    found = weighed(search)
+    search.refit_parts(found.best_of[found.best_beside])
+    found = weighed(search)
+    ranked = found.ranked
+    singles = [k for k in ranked if len(k) == 1]
+    wanted = [(), *ranked[:_LEADING], *singles[:_LEADING]]
+    wanted += [part for key in (*ranked[:2], found.best_beside) for part in parts_of(key)]
+    sets = [found.best_of[key] for key in dict.fromkeys(wanted) if key in found.best_of]
+    folds = search.subject.folds(found.best)
+    return found, predicted(search.subject, sets, search.null, folds)
+
+
+def floor_of(subject: Forward, out: Predicted) -> float:
+    """Mean square of the noise of the first channel, at most the mean square error of the
+    model without effects on data left out, which an estimated noise may exceed."""
+    left = out.rows @ out.loss[:, out.effects.index(())] / out.rows.sum()
+    return min(subject.floor, float(left))
+
+
+def findings_of(
+    search: Search, found: Weighed, out: Predicted, policy: Policy = POLICY
+) -> Findings:
+    """The findings of the search and of the data left out."""
+    subject, unlisted = search.subject, found.unlisted
+    if subject.is_covered:
+        # Nothing unlisted is claimed where smooth functions predict no better, but for what
+        # no other part could predict, such as a gust.
+        better = out.whitened[:, out.effects.index(found.best)] - out.smooth_whitened
+        error = max(np.sqrt(len(better)) * np.std(better, ddof=1), NONZERO)
+        predicts = float(stdtr(len(better) - 1, better.sum() / error))
+        local = subject.discrepancy.local_share(found.best_of[found.best])
+        unlisted = max(min(unlisted, predicts), local * unlisted)
+    # Evidence of sets alone takes the noise for all that is left.
+    first = found.best_beside if unlisted > policy.likely else found.best
+    wholes = () if no_gap_shows(found, policy) else dict.fromkeys((first, found.best))
+    floor, gains = floor_of(subject, out), dict[Key, dict[str, Gain]]()
+    for whole in wholes:
+        parts = [part for part in parts_of(whole) if part in out.effects]
+        for part in sorted(parts, key=lambda k: (-len(k), -found.log_weight[k])):
+            each = gains_of(out, part, floor)
+            if len(each) == len(part):
+                gains.setdefault(part, each)
+    return Findings(
+        weighed=found,
+        gains=gains,
+        features={
+            part: _features(subject, found, part, each, unlisted) for part, each in gains.items()
+        },
+        unlisted=unlisted,
+    )
+
+
+def _features(
+    subject: Forward, found: Weighed, key: Key, gains: Mapping[str, Gain], unlisted: float
+) -> dict[str, Features]:
+    """The features of each effect of a set."""
+    fit, groups = found.best_of[key], subject.groups()
+    rest = fit.remainder()
+    left = max(float(rest @ rest) / len(fit.residual), NONZERO)
+    each = {}
+    for place, (atom, effect) in enumerate(zip(fit.atoms, fit.effects, strict=True)):
+        sizes = sizes_by_group(fit, atom, groups, left)
+        spread = np.mean([one.spread for one in sizes]) if sizes else 0.0
+        each[effect] = Features(
+            spread=math.log(min(float(spread), _WIDEST) + _EVEN),
+            unequal=math.sqrt(max((one.explains for one in sizes), default=0.0)),
+            listed=_odds(found.holding((effect,))),
+            beside=_odds(found.holding_beside((effect,))),
+            unlisted=_odds(unlisted),
+            closed=float(np.clip(gains[effect].closed, -1.0, 1.0)),
+            known=math.log(max(abs(fit.amplitude[place]) / fit.errors[place], NONZERO)),
+            left=math.log(left),
+            others=float(len(key)),
+        )
+    return each
+
+
+def _odds(probability: float) -> float:
+    """Log odds, limited."""
+    with np.errstate(divide="ignore"):
+        return float(np.clip(logit(np.clip(probability, 0.0, 1.0)), -_FARTHEST, _FARTHEST))
+
+
+def gains_of(out: Predicted, key: Key, floor: float) -> dict[str, Gain]:
+    """The gain of each effect of a set in addition to the others."""
+    at, gains = {one: k for k, one in enumerate(out.effects)}, {}
+    for effect in key:
+        less = tuple(sorted(set(key) - {effect}))
+        if key in at and less in at:
+            gains[effect] = gained(out, at[key], at[less], floor)
+    return gains
+
+
+def no_gap_shows(found: Weighed, policy: Policy = POLICY) -> bool:
+    """Whether the residuals of the model without effects may be noise."""
+    return found.nothing_shown > policy.likely >= found.unlisted or not found.best
+
+
+def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = None) -> Verdict:
+    """The verdict that the findings support.
+
+    The largest part of the most probable set helps whose every effect predicts data left
+    out better. Its effects are causes if they are likelier there than not.
+
+    Args:
+        learned: the calibration; None for that of the package.
+    """
+    learned = learned or calibration()
+    sets, unlisted = found.weighed, learned.often("unlisted", found.unlisted)
+    more = unlisted > policy.likely
+
+    def verdict(status: Status, probability: float, **answers) -> Verdict:
+        return Verdict(status=status, probability=probability, unlisted=unlisted, **answers)
+
+    key = helping(found, policy)
+    best = next(iter(found.gains), ())
+    rivals = _rivals(sets, best, policy) if best else {}
+    also = tuple(dict.fromkeys(e for of in (best, *rivals.values()) for e in of))
+    gains, each = found.gains.get(key, {}), {}
+    for e in sorted(key, key=lambda e: -gains[e].gain):
+        twins = rivals.get(e, ())
+        there = learned.cause(_with_twins(sets, found.features[key][e], (e, *twins)))
+        each[e] = Each(there, gains[e].closed, gains[e].closed_std, twins)
+    effects = tuple(e for e, one in each.items() if one.probability > policy.likely)
+    acts_like = tuple(e for e in each if e not in effects)
+    also = tuple(e for e in also if e not in each)
+    answers = {"acts_like": acts_like, "key": key, "each": each, "also_possible": also}
+    if not effects:
+        shown = best and sets.nothing_shown <= policy.perhaps
+        if not (key or more or shown):
+            return verdict(Status.NONE, 1 - unlisted, also_possible=also)
+        there = max(unlisted, policy.likely)
+        return verdict(Status.UNKNOWN, there, effects=(UNKNOWN,), **answers)
+    exact = math.prod(each[e].probability for e in effects)
+    status = Status.CANNOT_TELL if also else Status.NAMED
+    return verdict(
+        Status.INCOMPLETE if more else status,
+        exact * (unlisted if more else 1 - unlisted),
+        effects=effects,
+        **answers,
+    )
+
+
+def helping(found: Findings, policy: Policy = POLICY) -> Key:
+    """The largest part of the most probable set whose every effect predicts data left out
+    better."""
+
+    def helps(gains: Mapping[str, Gain]) -> bool:
+        return all(gain.gain > policy.gain * gain.std for gain in gains.values())
+
+    return next((key for key, gains in found.gains.items() if helps(gains)), ())
+
+
+def _with_twins(sets: Weighed, features: Features, alike: Sequence[str]) -> Features:
+    """The features of an effect and its twins: a twin in its place is the same claim, so
+    their probabilities count together."""
+    listed = min(sum(sets.holding((e,)) for e in alike), 1.0)
+    beside = min(sum(sets.holding_beside((e,)) for e in alike), 1.0)
+    return features._replace(listed=_odds(listed), beside=_odds(beside))
+
+
+def _rivals(sets: Weighed, best: Key, policy: Policy) -> dict[str, tuple[str, ...]]:
+    """Effects of other sets that are nearly as probable, by the effect that they replace;
+    those in addition to the whole set have the empty name."""
+    found: dict[str, list[str]] = {}
+    least = policy.perhaps * sets.listed[sets.best]
+    ranked = sorted(sets.listed, key=sets.listed.__getitem__, reverse=True)
+    for key in ranked:
+        if key == best or sets.listed[key] < least:
+            continue
+        new, old = set(key) - set(best), set(best) - set(key)
+        if len(key) <= len(best) or not old:
+            place = min(old) if len(old) == len(new) == 1 else ""
+            found.setdefault(place, []).extend(sorted(new))
+    return {place: tuple(dict.fromkeys(of)) for place, of in found.items()}

@@ -1,0 +1,250 @@
+"""An effect that the library does not list: smooth functions with a Gaussian prior.
+
+Each :class:`Cell` is one quantity of the model (a force, a friction, ...) that varies with one
+covariate as a Gaussian process (Matern 3/2), or with time as a wave. Which cell, its length
+scale and its size are averaged over; the same functions show where a gap lies and what is left.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp, softmax
+
+from tirefit.diagnosis.negligible import NONZERO, ROUNDING
+
+if TYPE_CHECKING:
+    from tirefit.diagnosis.engine.fit import Fit
+
+LENGTHS = (0.06, 0.2, 0.7)
+"""Length scales of the functions over the range of their covariate."""
+
+SIZES = 0.5 * 4.0 ** np.arange(4)
+"""Standard deviations of the functions, in usual changes of their quantity."""
+
+
+_FEWEST, _FIRST = 16, 3
+"""Smallest number of places of a record with waves; fewest half turns of a wave in it."""
+
+
+class Cell(NamedTuple):
+    """A quantity that varies with a covariate: its columns are ``first`` to ``end``, the
+    values at ``places`` of the covariate; ``settings``: these are its only values;
+    ``is_local``: a value belongs to one part of the data, and no other part predicts it."""
+
+    quantity: str
+    covariate: str
+    first: int
+    end: int
+    places: np.ndarray
+    settings: bool
+    is_local: bool = False
+
+
+class Wave(NamedTuple):
+    """A quantity that may be a wave over a covariate, such as time: whitened weights (m,) of
+    a usual change, the place (m,) of each residual in even steps of the covariate, -1 for
+    none, and the length of such a step."""
+
+    quantity: str
+    covariate: str
+    weight: np.ndarray
+    clock: np.ndarray
+    tick: float
+
+
+class Found(NamedTuple):
+    """A cell in the remainder of a fit: its log evidence, its probability among all, the
+    share of the mean square of the remainder that it explains, the function with its
+    standard deviation at the places of the cell, in usual changes of its quantity. The
+    places of a wave are within its period."""
+
+    cell: Cell
+    log_evidence: float
+    probability: float
+    explains: float
+    value: np.ndarray
+    std: np.ndarray
+    is_wave: bool = False
+
+
+def places_of(values: np.ndarray, centers: np.ndarray | None, count: int):
+    """Weights (n, k) of the values at evenly spaced places, by linear interpolation; at the
+    ``centers`` if the covariate has only these settings. Returns them and the places."""
+    if centers is not None:
+        nearest = np.abs(values[:, None] - centers).argmin(axis=1)
+        return np.eye(len(centers))[nearest], centers
+    places = np.linspace(values.min(), values.max(), count)
+    share = (values[:, None] - places) / max(places[1] - places[0], NONZERO)
+    return np.maximum(1 - np.abs(share), 0.0), places
+
+
+def _root(cell: Cell, length: float) -> np.ndarray:
+    """Root (k, k) of the prior covariance of the values at the places of a cell."""
+    count = len(cell.places)
+    if cell.settings:
+        return np.eye(count)
+    apart = np.sqrt(3) * np.abs(np.subtract.outer(*2 * [np.linspace(0, 1, count)])) / length
+    return np.linalg.cholesky((1 + apart) * np.exp(-apart) + 1e-9 * np.eye(count))
+
+
+@dataclass(frozen=True, eq=False)
+class Discrepancy:
+    """Columns (m, q) of the cells, whitened, for usual changes of their quantities."""
+
+    columns: np.ndarray
+    cells: tuple[Cell, ...]
+    waves: tuple[Wave, ...] = ()
+
+    @cached_property
+    def _roots(self) -> np.ndarray:
+        """Roots (cells, lengths, k, k) of the priors, padded with zeros."""
+        most = max((len(cell.places) for cell in self.cells), default=0)
+        roots = np.zeros((len(self.cells), len(LENGTHS), most, most))
+        for k, cell in enumerate(self.cells):
+            size = len(cell.places)
+            for j, length in enumerate(LENGTHS):
+                roots[k, j, :size, :size] = _root(cell, length)
+        return roots
+
+    @cached_property
+    def _grams(self) -> list[np.ndarray]:
+        parts = (self.columns[:, cell.first : cell.end] for cell in self.cells)
+        return [part.T @ part for part in parts]
+
+    def _beside(self, fit: "Fit") -> tuple[np.ndarray, np.ndarray]:
+        """Products (cells, k, k) and scores (cells, k) of each cell beside a fit."""
+        used = self.columns.T @ fit.unit[: len(self.columns)]
+        score = self.columns.T @ fit.remainder()[: len(self.columns)]
+        most = self._roots.shape[-1]
+        grams, scores = np.zeros((len(self.cells), most, most)), np.zeros((len(self.cells), most))
+        for k, (cell, gram) in enumerate(zip(self.cells, self._grams, strict=True)):
+            own, size = used[cell.first : cell.end], len(cell.places)
+            grams[k, :size, :size] = gram - own @ own.T
+            scores[k, :size] = score[cell.first : cell.end]
+        return grams, scores
+
+    def log_evidence_by_cell(self, fit: "Fit") -> np.ndarray:
+        """Log evidence (cells,) of each beside a fit, over none."""
+        return _averaged(self._gains(fit)[0], (1, 2))
+
+    def _gains(self, fit: "Fit"):
+        """Log evidence (cells, lengths, sizes), and what gives the functions."""
+        if not self.cells:
+            return np.zeros((0, len(LENGTHS), len(SIZES))), ()
+        grams, scores = self._beside(fit)
+        roots = self._roots
+        turned = np.swapaxes(roots, 2, 3) @ grams[:, None] @ roots
+        values, vectors = np.linalg.eigh(turned)
+        values = np.maximum(values, 0.0)[..., None, :]
+        along = np.einsum("clij,cli->clj", roots @ vectors, np.tile(scores[:, None], (1, 3, 1)))
+        t = SIZES[:, None] ** 2
+        gains = 0.5 * (t * along[..., None, :] ** 2 / (1 + t * values) - np.log1p(t * values))
+        return gains.sum(axis=-1), (roots @ vectors, values, along)
+
+    def log_evidence(self, fit: "Fit") -> float:
+        """Log evidence of an unlisted effect beside a fit, over none: each cell, and each
+        quantity as a wave, is equally likely."""
+        waves = [one.log_evidence for one in self._of_waves(fit)]
+        each = [*self.log_evidence_by_cell(fit), *waves]
+        return float(_averaged(np.array(each), 0)) if each else -np.inf
+
+    def _of_waves(self, fit: "Fit") -> list[Found]:
+        """The most probable wave of each quantity, with the evidence of all of them."""
+        return [found for wave in self.waves if (found := _wave_in(fit, wave)) is not None]
+
+    def local_share(self, fit: "Fit") -> float:
+        """Share of the evidence beside a fit that local cells have."""
+        found = self.found(fit, len(self.cells) + len(self.waves))
+        return sum(one.probability for one in found if one.cell.is_local)
+
+    def found(self, fit: "Fit", most: int = 3) -> list[Found]:
+        """The most probable functions and waves in the remainder of a fit, the first one
+        first."""
+        gains, parts = self._gains(fit)
+        rest, found = fit.remainder(), self._of_waves(fit)
+        energy = max(float(rest @ rest), ROUNDING)
+        for k, (cell, log) in enumerate(zip(self.cells, _averaged(gains, (1, 2)), strict=True)):
+            size = len(cell.places)
+            j, s = np.unravel_index(np.argmax(gains[k]), gains[k].shape)
+            ways, values, along = (part[k, j] for part in parts)
+            t = SIZES[s] ** 2
+            shrunk = t / (1 + t * values[0])
+            value = (ways @ (shrunk * along))[:size]
+            std = np.sqrt(np.maximum((ways**2 @ shrunk)[:size], 0.0))
+            explains = min(float(np.sum(shrunk * along**2)) / energy, 1.0)
+            found.append(Found(cell, float(log), 0.0, explains, value, std))
+        logs = np.array([one.log_evidence for one in found])
+        chances = np.exp(logs - logsumexp(logs)) if found else logs
+        ranked = np.argsort(-logs, kind="stable")[:most]
+        return [found[k]._replace(probability=float(chances[k])) for k in ranked]
+
+    @cached_property
+    def additive(self) -> np.ndarray:
+        """Columns (m, q) whose coefficients have unit prior variance each: the sum of all
+        cells, with the middle length scale, at usual size."""
+        parts = [
+            self.columns[:, cell.first : cell.end] @ _root(cell, LENGTHS[1]) for cell in self.cells
+        ]
+        many = max(len(parts), 1) ** 0.5
+        return np.concatenate([self.columns[:, :0], *parts], axis=1) / many
+
+
+def _wave_in(fit: "Fit", wave: Wave) -> Found | None:
+    """The most probable wave in the remainder of a fit, from three half turns over the record
+    on, with the evidence of all, averaged over frequency and size."""
+    count, weight = int(wave.clock.max(initial=-1)) + 1, wave.weight
+    if count < _FEWEST:
+        return None
+    rest, there = fit.remainder(), wave.clock >= 0
+    own = (weight * rest[: len(weight)])[there]
+    sums = np.fft.rfft(np.bincount(wave.clock[there], own, count), 2 * count)[_FIRST:]
+    # Sine and cosine of unit size share the square of the weights.
+    half = max(0.5 * float(weight @ weight), NONZERO)
+    t = SIZES[:, None] ** 2
+    logs = _averaged(0.5 * t * np.abs(sums) ** 2 / (1 + t * half) - np.log1p(t * half), 0)
+    best = int(np.argmax(logs))
+    size, angle = np.abs(sums[best]) / half, np.angle(sums[best])
+    period = 2 * count / (best + _FIRST) * wave.tick
+    at = np.linspace(0.0, period, 41)
+    value = size * np.cos(2 * np.pi * at / period + angle)
+    explains = min(size**2 * half / max(float(rest @ rest), ROUNDING), 1.0)
+    cell = Cell(wave.quantity, wave.covariate, 0, 0, at, False)
+    std = np.full(len(at), half**-0.5)
+    return Found(cell, float(_averaged(logs, 0)), 0.0, explains, value, std, True)
+
+
+def _averaged(logs: np.ndarray, axis) -> np.ndarray:
+    """Logarithm of the mean of exponentials."""
+    axes = (axis,) if isinstance(axis, int) else axis
+    count = np.prod([logs.shape[a] for a in axes])
+    if not logs.size:
+        return np.zeros(0)
+    return logsumexp(logs, axis=axis) - np.log(count)
+
+
+class Beside:
+    """Further columns (m, q) beside a fit, whose coefficients have a normal prior of a common
+    size: the evidence of each size and the coefficients there."""
+
+    def __init__(self, columns: np.ndarray, fit: "Fit", sizes: np.ndarray = SIZES):
+        left = fit.remainder(columns)
+        values, self.ways = np.linalg.eigh(left.T @ left)
+        self.along = self.ways.T @ (left.T @ fit.remainder())
+        t = sizes[:, None] ** 2
+        curved = 1 + t * np.maximum(values, 0.0)
+        self.shrunk = t / curved  # variance (sizes, q) of each direction
+        self.log = 0.5 * np.sum(self.shrunk * self.along**2 - np.log(curved), axis=1)
+
+    def best(self) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (q,) and root (q, q) of their covariance, at the likeliest size."""
+        shrunk = self.shrunk[int(np.argmax(self.log))]
+        return self.ways @ (shrunk * self.along), self.ways * np.sqrt(shrunk)
+
+    def drawn(self, count: int, generator: np.random.Generator) -> np.ndarray:
+        """Draws (q, count) of the coefficients, of a size by its evidence each."""
+        sizes = generator.choice(len(self.log), count, p=softmax(self.log))
+        shrunk = self.shrunk[sizes].T
+        unit = generator.standard_normal(shrunk.shape)
+        return self.ways @ (shrunk * self.along[:, None] + np.sqrt(shrunk) * unit)

@@ -1,0 +1,216 @@
+"""Predict data left out by each set of effects: one linear step from the fit to all data. One
+partition serves naming, the ladder and the errors of amplitudes."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import softmax
+
+from tirefit.diagnosis.engine.discrepancy import SIZES
+from tirefit.diagnosis.engine.fit import Fit, Folds, Forward, Key
+from tirefit.diagnosis.negligible import FLAT, NONZERO
+
+_UNRESOLVED = 0.01
+"""Energy of the smallest gap that is resolved, over the energy of the noise."""
+
+AS_GIVEN: Key = ("as given",)
+"""``Step.effects`` of a simulator as given, the first step of its ladder."""
+
+SMOOTH: Key = ("anything smooth",)
+NOISE: Key = ("noise",)
+"""``Step.effects`` of the last two steps of a ladder: the part that smooth functions
+close, and the noise floor."""
+
+
+class Predicted(NamedTuple):
+    """Sets of effects fitted without each part, and their errors on it.
+
+    ``on`` and ``across_runs`` are those of :class:`Folds`. ``loss`` (F, S) is the mean
+    squared error of set s in part f, first channel, in its unit; ``whitened`` (F, S) the
+    sum of squares of all channels over the noise; ``rows`` (F,) the number of values of
+    the first channel; ``parameters`` (F, p) and ``amplitude`` (F, k) by set, the latter in
+    prior scales. ``smooth`` and ``smooth_whitened`` (F,) are the same of "anything smooth",
+    ``as_given`` (F,) the loss of a simulator whose parameters are not refitted.
+    """
+
+    on: str
+    across_runs: bool
+    effects: tuple[Key, ...]
+    loss: np.ndarray
+    whitened: np.ndarray
+    rows: np.ndarray
+    parameters: tuple[np.ndarray, ...]
+    amplitude: tuple[np.ndarray, ...]
+    smooth: np.ndarray
+    smooth_whitened: np.ndarray
+    as_given: np.ndarray | None = None
+
+
+class Gain(NamedTuple):
+    """The gain of a set of effects over another on data left out: the difference of the sums of
+    squares over the noise (all channels), and the share of the gap beyond the noise that it closes
+    (first channel), with standard errors over the ``parts`` that were left out."""
+
+    gain: float
+    std: float
+    closed: float
+    closed_std: float
+    parts: int
+
+
+class Step(NamedTuple):
+    """One step of the ladder.
+
+    Attributes:
+        effects: ids of the set; ("as given",) first, of a simulator whose parameters
+            are not refitted; ("anything smooth",) and ("noise",) at the end.
+        rms_left_out: of observed minus predicted on the data left out.
+        closed: share of what the first step leaves beyond the noise that is closed there.
+        closed_std: its standard error over the parts left out.
+        gain: decrease of the mean square by the step; the last two steps are compared
+            with the last set of effects.
+        gain_std: its standard error.
+        rms_held_out: rms on the held-out files; None without such files, for a set
+            that was not refitted, and for the last two steps.
+        closed_held_out: share of the gap closed there, beyond the noise.
+    """
+
+    effects: Key
+    rms_left_out: float
+    closed: float
+    closed_std: float
+    gain: float
+    gain_std: float
+    rms_held_out: float | None = None
+    closed_held_out: float | None = None
+
+
+class Ladder(NamedTuple):
+    """The steps, and in ``on`` what was left out; no steps if nothing could be."""
+
+    on: str = ""
+    steps: tuple[Step, ...] = ()
+
+
+def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) -> Predicted:
+    """Errors of every set on each part, by a linear step to the other parts."""
+    unit = subject.unit
+    outs = [folds.code == number for number in range(folds.number)]
+    first = [out & (unit > 0) for out in outs]
+    loss, whitened = np.empty((2, len(outs), len(sets)))
+    parameters, sizes = [], []
+    for s, fit in enumerate(sets):
+        moved = np.array([fit.without(out) for out in outs])
+        for f, (out, own) in enumerate(zip(outs, first, strict=True)):
+            left = fit.residual - fit.columns @ moved[f]
+            loss[f, s] = np.mean((left * unit)[own] ** 2)
+            whitened[f, s] = np.sum(left[out] ** 2)
+        parameters.append(fit.z + moved[:, : len(fit.z)])
+        sizes.append(fit.amplitude + moved[:, len(fit.z) :])
+    smooth = [_smooth(subject, null, out) for out in outs]
+    given = subject.given_residual
+    return Predicted(
+        folds.on,
+        folds.across_runs,
+        tuple(fit.key for fit in sets),
+        loss,
+        whitened,
+        np.array([own.sum() for own in first]),
+        tuple(parameters),
+        tuple(sizes),
+        np.array([np.mean((x * unit)[own] ** 2) for x, own in zip(smooth, first, strict=True)]),
+        np.array([np.sum(x[out] ** 2) for x, out in zip(smooth, outs, strict=True)]),
+        None if given is None else np.array([np.mean((given * unit)[own] ** 2) for own in first]),
+    )
+
+
+def _smooth(subject: Forward, null: Fit, out: np.ndarray) -> np.ndarray:
+    """Residuals (m,) of the model without effects and smooth functions fitted to the rest,
+    averaged over their size by its evidence there."""
+    columns = np.concatenate([null.columns, subject.discrepancy.additive], axis=1)
+    own, rest, p = columns[~out], null.residual[~out], null.columns.shape[1]
+    gram, score = own.T @ own, own.T @ rest
+    logs, fits = [], []
+    for size in SIZES:
+        ridge = np.full(columns.shape[1], size**-2.0)
+        ridge[:p] = np.maximum(null.pull**2, FLAT)
+        found = np.linalg.solve(gram + np.diag(ridge), score)
+        curvature = np.linalg.slogdet(gram + np.diag(ridge))[1]
+        logs.append(0.5 * (score @ found - curvature + np.sum(np.log(ridge[p:]))))
+        fits.append(found)
+    return null.residual - columns @ (softmax(logs) @ np.array(fits))
+
+
+def _error(parts) -> float:
+    """Standard error of a sum of independent parts (F,)."""
+    return float(np.sqrt(len(parts)) * np.std(parts, ddof=1))
+
+
+def gained(out: Predicted, new: int, old: int, floor: float) -> Gain:
+    """The gain of set ``new`` over set ``old``.
+
+    Args:
+        floor: mean square of the noise of the first channel.
+    """
+    parts = out.whitened[:, old] - out.whitened[:, new]
+    closed, error = _closed(out.rows, out.loss[:, new], out.loss[:, old], floor)
+    return Gain(float(parts.sum()), _error(parts), closed, error, len(parts))
+
+
+def jackknife_error(values) -> np.ndarray | np.floating:
+    """Standard error of an estimate by the jackknife, of shape (...).
+
+    Args:
+        values: (parts, ...) the estimate with each part of the data left out.
+    """
+    return np.sqrt(len(values) - 1) * np.std(values, axis=0)
+
+
+def _closed(rows, after, before, floor: float) -> tuple[float, float]:
+    """1 - rms(after) / rms(before) beyond the noise, and its error by the jackknife
+    over the parts left out."""
+    weights = rows * np.vstack([np.ones(len(rows)), 1 - np.eye(len(rows))])
+    shares = weights / weights.sum(axis=1, keepdims=True)
+    gap = np.maximum(shares @ before - floor, max(_UNRESOLVED * floor, NONZERO))
+    left = np.maximum(shares @ after - floor, 0.0)
+    whole, *each = np.clip(1 - np.sqrt(left / gap), -1.0, 1.0)
+    return float(whole), float(jackknife_error(each))
+
+
+def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
+    """The steps from no effect to a set of effects, then the limits of any model.
+
+    Each step adds the effect that predicts the data left out best.
+
+    Args:
+        key: the named effects; the step to a set that was not refitted is left out.
+        floor: mean square of the noise of the first channel.
+    """
+    share = out.rows / out.rows.sum()
+    loss = dict(zip(out.effects, out.loss.T, strict=True))
+    total = dict(zip(out.effects, out.whitened.sum(axis=0), strict=True))
+    first = loss[()] if out.as_given is None else out.as_given
+
+    def step(effects: Key, after, before) -> Step:
+        parts, rms = share * (before - after), float(np.sqrt(share @ after))
+        closed = (1.0, 0.0)
+        if effects != NOISE:
+            closed = _closed(out.rows, after, first, floor)
+        return Step(effects, rms, *closed, float(parts.sum()), _error(parts))
+
+    now: Key = ()
+    order: Key = ()
+    steps = [step((), loss[()], first)]
+    if out.as_given is not None:
+        steps.insert(0, step(AS_GIVEN, first, first))
+    for size in range(1, len(key) + 1):
+        larger = [k for k in loss if len(k) == size and {*now} < {*k} <= {*key}]
+        if larger:
+            best = min(larger, key=lambda k: total[k])
+            order += tuple(e for e in best if e not in order)
+            steps.append(step(order, loss[best], loss[now]))
+            now = best
+    steps.append(step(SMOOTH, out.smooth, loss[now]))
+    steps.append(step(NOISE, np.full(len(share), floor), loss[now]))
+    return Ladder(out.on, tuple(steps))

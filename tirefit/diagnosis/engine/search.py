@@ -1,0 +1,272 @@
+"""A beam search over sets of effects: the linear evidence of further effects proposes sets,
+refits weigh them."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain, combinations
+from math import factorial
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from tirefit.diagnosis.engine.fit import Fit, Forward, Start
+from tirefit.diagnosis.negligible import UNSEEN
+
+MOST_EFFECTS = 3
+"""Largest number of effects of a set."""
+
+PRIOR_OF_SIZE = (0.4, 0.4, 0.1, 0.015)
+"""Prior probability by number of effects: none and one are equally likely, and each
+further effect is four to seven times rarer."""
+
+_WITHIN = 15.0
+"""A single effect is refitted if its log evidence in the linear screen, which is inaccurate for a
+large gap, is at most this far below the best."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How many sets are refitted.
+
+    Attributes:
+        singles: smallest number of single effects; ``variants`` of each.
+        beam: number of sets of each size that are extended; ``width``: of effects that
+            are added to each.
+        pairs: number of pairs of the linear screen.
+        near: log evidence below the best within which a single effect is refitted.
+    """
+
+    singles: int = 6
+    variants: int = 3
+    beam: int = 3
+    width: int = 6
+    pairs: int = 6
+    near: float = _WITHIN
+
+
+_WORTH_A_REFIT = 4.0
+"""A set is not refitted if its log weight by the linear step is this far below the best:
+less than a fiftieth of its weight."""
+
+_FAR, _SMALL, _TINY = 4.0, 0.3, 0.1
+"""Starts of a refit, in prior scales: largest amplitude, second start, and smallest
+amplitude of an effect with one sign."""
+
+
+def parts_of(key: tuple) -> list[tuple]:
+    """A set of effects and its subsets, the largest first."""
+    sizes = range(len(key), 0, -1)
+    return list(chain.from_iterable(combinations(key, size) for size in sizes))
+
+
+def log_bayes(gram, score, center, sign, sets) -> np.ndarray:
+    """Log Bayes factors (s,) of Gaussian amplitudes, prior scale 1, on the columns of
+    each of the sets (s, k), all of one size."""
+    sets = np.asarray(sets)
+    own = np.arange(sets.shape[1])
+    g, m = gram[sets[:, :, None], sets[:, None, :]], center[sets]
+    gm = np.einsum("sij,sj->si", g, m)
+    shifted = score[sets] - gm
+    a = g + np.eye(len(own))
+    # Solve instead of inverting, which loses most digits for similar effects.
+    solved = np.linalg.solve(a, shifted[:, :, None])[:, :, 0]
+    value = np.sum((score[sets] - 0.5 * gm) * m + 0.5 * shifted * solved, axis=1)
+    value -= 0.5 * np.linalg.slogdet(a)[1]
+    z = (m + solved) / np.sqrt(np.linalg.inv(a)[:, own, own])
+    one_sided = np.log(2) + log_ndtr(sign[sets] * z)
+    # Round, as identical variants differ in last digits; only units of evidence count.
+    return np.round(value + np.sum(np.where(sign[sets] != 0, one_sided, 0.0), axis=1), 6)
+
+
+class Search:
+    """The search on one subject. ``fits`` holds every refitted set of atoms, ``guessed`` the
+    log weight and log evidence of sets that are too improbable to refit."""
+
+    def __init__(self, subject: Forward, effort: Effort = Effort()):
+        self.subject, self.effort = subject, effort
+        self.effects = [atom.effect for atom in subject.atoms]
+        self.ids = [effect.id for effect in self.effects]
+        self.variants = Counter(self.ids[k] for k in subject.testable)
+        kinds = {(self.effects[k].family, self.ids[k]) for k in subject.testable}
+        self.forms = Counter(family for family, _ in kinds)
+        self.sign = subject.priors.sign
+        self.fits: dict[tuple[int, ...], Fit] = {}
+        self.guessed: dict[tuple[int, ...], tuple[float, float]] = {}
+        self.fits[()] = subject.refit([subject.start], [()])[0]
+        self.gram, self.scores, self.projected = self.further(self.null)
+
+    @property
+    def null(self) -> Fit:
+        """The fit without effects."""
+        return self.fits[()]
+
+    def further(self, fit: Fit):
+        """Products, scores and columns of all atoms beside a fit."""
+        return fit.further(self.subject.tangents(fit))
+
+    def evidence(self, fit: Fit) -> float:
+        """Log evidence over no effect."""
+        return fit.log_evidence - self.null.log_evidence
+
+    def weight(self, fit: Fit) -> float:
+        """Log evidence plus log prior."""
+        return self.evidence(fit) + self.log_prior(fit.atoms)
+
+    @property
+    def ranked(self) -> list[Fit]:
+        """All fits, the most probable first."""
+        return sorted(self.fits.values(), key=self.weight, reverse=True)
+
+    @property
+    def score(self) -> dict[str, float]:
+        """Score of each effect at the base fit in standard errors: the largest one of its
+        variants."""
+        largest: dict[str, float] = {}
+        for k in self.subject.testable:
+            if self.gram[k, k] > UNSEEN:
+                z = float(self.scores[k] / np.sqrt(self.gram[k, k]))
+                largest[self.ids[k]] = max(largest.get(self.ids[k], 0.0), z, key=abs)
+        return largest
+
+    def log_prior(self, atoms: tuple[int, ...]) -> float:
+        """Log prior of a set: equal for families, then forms, then variants."""
+        total = np.log(PRIOR_OF_SIZE[len(atoms)])
+        for k in atoms:
+            total -= np.log(len(self.forms) * self.forms[self.effects[k].family])
+            total += self.subject.priors.odds[k] - np.log(self.variants[self.ids[k]])
+        return float(total + np.log(factorial(len(atoms))))
+
+    def refit(self, sets: Sequence[tuple[int, ...]], starts: dict) -> None:
+        """Refit sets of atoms from their starts, by set; the better one of several counts."""
+        sets = [s for s in dict.fromkeys(sets) if s and s not in self.fits]
+        begin = [start for s in sets for start in starts[s]]
+        index = [s for s in sets for _ in starts[s]]
+        for fit in self.subject.refit(begin, index) if sets else ():
+            known = self.fits.get(fit.atoms)
+            if np.isfinite(fit.log_evidence) and (
+                known is None or fit.log_evidence > known.log_evidence
+            ):
+                self.fits[fit.atoms] = fit
+
+    def best_variants(self, gram, score, inside: Sequence[str] = ()):
+        """For each further effect its atoms, the best effect first: [[(log evidence,
+        atom), ...], ...]."""
+        open_to = [
+            k for k in self.subject.testable if gram[k, k] >= UNSEEN and self.ids[k] not in inside
+        ]
+        if not open_to:
+            return []
+        values = self._screened(gram, score, [(k,) for k in open_to])
+        found: dict[str, list[tuple[float, int]]] = {}
+        for value, k in zip(values, open_to, strict=True):
+            found.setdefault(self.ids[k], []).append((value, k))
+        return sorted((sorted(v, reverse=True) for v in found.values()), reverse=True)
+
+    def _screened(self, gram, score, sets) -> list[float]:
+        center = self.subject.priors.center
+        return log_bayes(gram, score, center, self.sign, sets).tolist()
+
+    def _clipped(self, atoms, amplitude) -> np.ndarray:
+        priors, index = self.subject.priors, list(atoms)
+        return np.clip(amplitude, priors.low[index], priors.high[index])
+
+    def _with(self, fit: Fit, k: int, gram, score) -> tuple[tuple[int, ...], list[Start]]:
+        """A set with one more atom, and the starts of its refit: the step that the linear
+        score suggests, and a small one of the other sign for a tangent that misleads."""
+        center = self.subject.priors.center[k]
+        shift = (score[k] - gram[k, k] * center) / (gram[k, k] + 1)
+        first = float(np.clip(center + shift, -_FAR, _FAR))
+        if self.sign[k]:  # a start at zero would stay there
+            first = self.sign[k] * max(self.sign[k] * first, _TINY)
+        atoms = tuple(sorted((*fit.atoms, k)))
+        order = np.argsort((*fit.atoms, k))
+
+        def start(size: float) -> Start:
+            sizes = np.append(fit.amplitude, self._clipped((k,), [size]))[order]
+            return Start(fit.z, sizes, fit.state)
+
+        starts = [start(first)]
+        if any(self.effects[j].far for j in atoms):
+            starts.append(start(center or _SMALL * (self.sign[k] or -1.0)))
+        return atoms, starts
+
+    def singles(self) -> None:
+        """Refit the likeliest single effects, and those whose tangent misleads."""
+        ranked, starts = self.best_variants(self.gram, self.scores), {}
+        for rank, variants in enumerate(ranked):
+            near = variants[0][0] > ranked[0][0][0] - self.effort.near
+            if rank < self.effort.singles or near or self.effects[variants[0][1]].far:
+                for _, k in variants[: self.effort.variants]:
+                    atoms, begin = self._with(self.null, k, self.gram, self.scores)
+                    starts[atoms] = begin
+        self.refit(list(starts), starts)
+
+    def pairs(self) -> None:
+        """Refit pairs of effects that are visible only together."""
+        ranked = self.best_variants(self.gram, self.scores)
+        best = sorted(variants[0][1] for variants in ranked)
+        sets = list(combinations(best, 2))
+        if not sets:
+            return
+        values = zip(self._screened(self.gram, self.scores, sets), sets, strict=True)
+        chosen = [s for _, s in sorted(values, reverse=True)[: self.effort.pairs]]
+
+        def start(pair, sizes) -> Start:
+            priors = self.subject.priors
+            wanted = np.where(priors.center[list(pair)] != 0, priors.center[list(pair)], sizes)
+            wanted = np.where(self.sign[list(pair)] != 0, self.sign[list(pair)], wanted)
+            return Start(self.null.z, self._clipped(pair, wanted), self.null.state)
+
+        self.refit(chosen, {s: [start(s, self._step(s)), start(s, -_SMALL)] for s in chosen})
+
+    def _step(self, atoms) -> np.ndarray:
+        """Amplitudes of a set by the linear step from no effect."""
+        index = np.ix_(atoms, atoms)
+        found = np.linalg.solve(self.gram[index] + np.eye(len(atoms)), self.scores[list(atoms)])
+        return np.clip(found, -_FAR, _FAR)
+
+    def extend(self, size: int) -> None:
+        """Extend the best sets of this size by the effects that their remainders suggest."""
+        leading = [fit for fit in self.ranked if len(fit.atoms) == size][: self.effort.beam]
+        starts: dict[tuple[int, ...], list[Start]] = {}
+        top = max(self.weight(self.ranked[0]), *[w for w, _ in self.guessed.values()], -np.inf)
+        for fit in leading:
+            if self.weight(fit) < top - 2 * _WITHIN and fit is not leading[0]:
+                continue
+            gram, score, _ = self.further(fit)
+            ranked = self.best_variants(gram, score, fit.effects)
+            for value, k in [variants[0] for variants in ranked[: self.effort.width]]:
+                atoms, begin = self._with(fit, k, gram, score)
+                evidence = self.evidence(fit) + value
+                weight = evidence + self.log_prior(atoms)
+                if weight > top - _WORTH_A_REFIT:
+                    starts.setdefault(atoms, begin)
+                elif atoms not in self.fits:
+                    self.guessed.setdefault(atoms, (weight, evidence))
+        self.refit(list(starts), starts)
+
+    def refit_parts(self, fit: Fit) -> None:
+        """Refit the subsets of the effects of a fit."""
+        sets, starts = parts_of(fit.atoms)[1:], {}
+        for part in sets:
+            kept = [fit.atoms.index(k) for k in part]
+            starts[part] = [Start(fit.z, fit.amplitude[kept], fit.state)]
+        self.refit(sets, starts)
+
+    def rest(self) -> list[tuple[float, float]]:
+        """(log weight, log evidence) of the sets that were not refitted."""
+        return [both for atoms, both in self.guessed.items() if atoms not in self.fits]
+
+
+def searched(subject: Forward, effort: Effort = Effort()) -> Search:
+    """The fits of single effects, then of the best sets with further ones."""
+    search = Search(subject, effort)
+    search.singles()
+    search.extend(1)
+    search.pairs()
+    for size in range(2, MOST_EFFECTS):
+        search.extend(size)
+    for fit in search.ranked[:2]:
+        search.refit_parts(fit)
+    return search

@@ -1,1 +1,0 @@
-"""Forward model, search over sets of effects, posterior with a discrepancy."""

@@ -1,0 +1,139 @@
+"""The unlisted effect of rows of forces: a parameter of the tire, its slip or its force as a
+function of one covariate."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tirefit.data.levels import Levels, levels
+from tirefit.diagnosis.effects.state import State
+from tirefit.diagnosis.engine.discrepancy import Cell, Discrepancy, Wave, places_of
+from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.rows.slips import segments
+
+if TYPE_CHECKING:
+    from tirefit.diagnosis.rows.subject import Base
+
+FULL_SLIDING = 3.0
+"""Slip over that of full sliding above which the force no longer depends on it."""
+
+PARAMETERS = {
+    "stiffness": ("stiffness", 0.06),
+    "friction": ("friction", 0.03),
+    "slip": ("shift", 0.002),
+    "force": ("force", 0.01),
+}
+"""Field of each parameter; usual change (relative, a slip, or force over load)."""
+
+PLACE = {name: k for k, name in enumerate(State._fields)}
+"""Column of each field of the state in :class:`rows.forces.Linear`."""
+
+_PLACES = {"slip_fraction": 20, "slip": 28, "time": 28, "distance": 28}
+_USUAL = 12
+"""Numbers of places of the covariates at which a function has its values."""
+
+_SET_BY_RIG = ("fz", "v", "temperature", "gamma", "pressure", "direction", "run")
+"""Covariates that may have few settings, each with a value of its own."""
+
+_WAVES = ("friction", "force")
+"""Parameters that may be waves in time, such as mains hum, chatter or an uneven road."""
+
+_FINER = 4
+"""A record with more sampling times for each row is not sampled evenly."""
+
+
+def travelled(prepared: Prepared) -> np.ndarray:
+    """Distance since the start of each unbroken stretch [m]: (n,)."""
+    way = np.zeros(prepared.n)
+    if prepared.time is None:
+        return way
+    for rows in segments(prepared.time, prepared.run):
+        pace = np.abs(prepared.covariates.v[rows])
+        steps = 0.5 * (pace[1:] + pace[:-1]) * np.diff(prepared.time[rows])
+        way[rows[1:]] = np.cumsum(steps)
+    return way
+
+
+def quantities(prepared: Prepared, slip_fraction: np.ndarray) -> dict[str, np.ndarray]:
+    """Covariates that vary: (n,) each. ``slip_fraction`` is signed."""
+    has, rows = prepared.has, prepared.covariates
+    signed = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
+    values = {"slip_fraction": np.abs(signed)}
+    if "signs" in has:
+        values["slip"] = signed
+    if "loads" in has:
+        values["fz"] = np.asarray(prepared.inputs.fz)
+    if "speeds" in has:
+        values["v"] = rows.v
+    if "time" in has:
+        values["time"] = prepared.time
+    if "time" in has and "speeds" in has:  # at constant speed, distance is time
+        values["distance"] = travelled(prepared)
+    if "sweeps" in has:
+        values["direction"] = np.sign(rows.turning)
+    named = ("temperature", "gamma", "pressure")
+    return values | {name: prepared.column(name) for name in named if name in has}
+
+
+def settings_of(covariate: str, values: np.ndarray) -> Levels | None:
+    """The few settings of a covariate; None if it has a range."""
+    settings = levels(values)
+    return settings if covariate in _SET_BY_RIG and settings.few() else None
+
+
+def is_mirrored(parameter: str, covariate: str) -> bool:
+    """Whether the change has the sign of the slip."""
+    return covariate == "slip_fraction" and parameter in ("force", "slip")
+
+
+def discrepancy_of(base: "Base") -> Discrepancy:
+    """The cells of every parameter with every covariate that varies."""
+    rows, fields = base.rows, np.asarray(base.at_null.fields)
+    channels, load = len(rows.channels), np.asarray(rows.inputs.fz)
+    side = np.where(base.slip_fraction < 0, -1.0, 1.0)
+    weights = {}
+    for name, (field, usual) in PARAMETERS.items():
+        own = usual * fields[:, PLACE[field]]
+        weights[name] = own * np.tile(load, channels) if field == "force" else own
+    columns: list[np.ndarray] = [np.zeros((len(fields), 0))]
+    cells, first = [], 0
+    for covariate, values in quantities(rows, base.slip_fraction).items():
+        settings = settings_of(covariate, np.asarray(values))
+        shapes, places = places_of(
+            np.asarray(values, float),
+            None if settings is None else settings.center,
+            _PLACES.get(covariate, _USUAL),
+        )
+        for parameter, weight in weights.items():
+            own = shapes * side[:, None] if is_mirrored(parameter, covariate) else shapes
+            columns.append(weight[:, None] * np.tile(own, (channels, 1)))
+            end = first + len(places)
+            cells.append(Cell(parameter, covariate, first, end, places, settings is not None))
+            first = end
+    shapes = np.concatenate(columns, axis=1)
+    return Discrepancy(shapes, tuple(cells), _waves(rows, weights))
+
+
+def _waves(rows: Prepared, weights: dict[str, np.ndarray]) -> tuple[Wave, ...]:
+    """Waves over time, and over distance where the speed varies: of mains hum or chatter, and
+    of the turning wheel."""
+    over: dict[str, np.ndarray] = {}
+    if rows.time is not None and "time" in rows.has and not rows.random_order:
+        over["time"] = rows.time
+        if "speeds" in rows.has:
+            over["distance"] = travelled(rows)
+    return tuple(
+        Wave(name, covariate, weights[name], np.tile(clock, len(rows.channels)), tick)
+        for covariate, values in over.items()
+        for clock, tick in (_clock(values),)
+        for name in _WAVES
+    )
+
+
+def _clock(values: np.ndarray) -> tuple[np.ndarray, float]:
+    """Place (n,) of each value in even steps, -1 for values that need too many of them, and
+    the step: the median one."""
+    moments = np.unique(values)
+    step = float(np.median(np.diff(moments))) if len(moments) > 1 else 1.0
+    places = np.rint((values - moments[0]) / step).astype(int)
+    return (places if places.max() < _FINER * len(values) else np.full(len(values), -1)), step

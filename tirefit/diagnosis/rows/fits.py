@@ -1,0 +1,381 @@
+"""Least-squares fits: the first fit of a base model, the tire that stands in for a
+simulator known by its forces, and refits of hypotheses."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.data.table import CANONICAL, TireData
+from tirefit.diagnosis.effects import atoms_of
+from tirefit.diagnosis.effects.state import Covariates
+from tirefit.diagnosis.engine.search import MOST_EFFECTS
+from tirefit.diagnosis.negligible import FLAT, NONZERO
+from tirefit.diagnosis.rows.forces import Design, Tire
+from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.rows.rig import unfit
+from tirefit.diagnosis.rows.simulator import STAND_INS, Given
+from tirefit.diagnosis.rows.slips import slip_nodes
+from tirefit.fitting import least_squares as one_start
+from tirefit.fitting.across_files import HUBER
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.inference import REACH
+from tirefit.fitting.least_squares import MAX_STEPS, TOLERANCE
+from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.problem import build
+from tirefit.fitting.solve import starting_points
+from tirefit.models import TireInputs
+from tirefit.models.mf import MAGIC_FORMULAS
+from tirefit.padding import pad_rows, padded_size
+from tirefit.results import DataError
+
+_STEPS, _TOLERANCE, _FARTHEST = 26, 1e-3, 20.0
+"""Largest number of steps of a refit; chi-squared that one more step may gain (whole
+units of evidence matter); and largest amplitude in prior scales."""
+
+_LEAST_ROWS = 256
+"""Smallest number of rows for which a diagnosis is compiled; small files share it."""
+
+_FARTHEST_OFF, _CLOSELY = 0.2, 0.01
+"""Largest error of a stand-in for a simulator over the simulated force (rms), and error
+up to which the simplest stand-in is used."""
+
+
+class Refit(NamedTuple):
+    """Refitted hypotheses: parameters, amplitudes in prior scales, sum of squares, log
+    determinant of the curvature, covariance of (z, amplitudes), and squared distance of
+    the amplitudes from their expected values."""
+
+    z: np.ndarray
+    amplitude: np.ndarray
+    chi2: np.ndarray
+    log_det: np.ndarray
+    covariance: np.ndarray
+    penalty: np.ndarray
+
+
+def one_of(every: Refit, k: int) -> Refit:
+    """One of the hypotheses."""
+    return Refit(*(np.asarray(part)[k] for part in every))
+
+
+class Normal(NamedTuple):
+    """Sums of squares (h,), half their curvatures (h, w, w) and gradients (h, w)."""
+
+    cost: np.ndarray
+    normal: np.ndarray
+    gradient: np.ndarray
+
+
+class _Hypotheses:
+    """Sets of atoms, each on some sets of rows, to be refitted from ``starts`` (h, w).
+    Smaller sets are padded with amplitudes without effect."""
+
+    def __init__(self, model: Tire, starts, sets, keeps, design: Design):
+        self.model, self.design, self.p = model, design, len(starts[0][0])
+        begin = np.zeros((len(sets), self.p + MOST_EFFECTS))
+        for row, (z, amplitude) in zip(begin, starts, strict=True):
+            row[: self.p + len(amplitude)] = *z, *amplitude
+        self.starts = np.tile(begin, (len(keeps), 1))
+        self.sets = [tuple(atoms) for _ in keeps for atoms in sets]
+        self.weights = [w for w in map(design.weights, keeps) for _ in sets]
+        self.forces, none = design.forces, len(design.prior_scale)
+        index = [[*s, *[none] * (MOST_EFFECTS - len(s))] for s in self.sets]
+        self.center = np.append(design.prior_center, 0.0)[index]
+        self.low = np.maximum(np.append(design.low, -np.inf), -_FARTHEST)[index]
+        self.high = np.minimum(np.append(design.high, np.inf), _FARTHEST)[index]
+
+    def allowed(self, numbers, points) -> np.ndarray:
+        """The points (k, w) with the amplitudes clipped to their bounds."""
+        amplitudes = np.clip(points[:, self.p :], self.low[numbers], self.high[numbers])
+        return np.concatenate([points[:, : self.p], amplitudes], axis=1)
+
+    def at(self, numbers, points) -> Normal:
+        """Normal equations at points (k, w), priors included."""
+        held, center = self.starts[numbers, : self.p], self.center[numbers]
+        pull = np.ones(points.shape[1])
+        pull[: self.p] = float(self.design.hold) ** 2
+        off = points - np.concatenate([held, center], axis=1)
+        cost, gradient = np.sum(pull * off**2, axis=1), pull * off
+        normal = np.tile(np.diag(pull), (len(points), 1, 1))
+        sets = [self.sets[number] for number in numbers]
+        found = self.model.slopes(points, sets, self.design)
+        for k, (mean, columns) in enumerate(found):
+            weight, own = self.weights[numbers[k]], slice(len(columns))
+            rows = (columns * weight).reshape(len(columns), -1)
+            missed = ((self.forces - mean) * weight).reshape(-1)
+            cost[k] += missed @ missed
+            normal[k, own, own] += rows @ rows.T
+            gradient[k, own] -= rows @ missed
+        return Normal(cost, normal, gradient)
+
+
+def refit_folds(model: Tire, starts, sets, keeps, design: Design) -> Refit:
+    """Sets of atoms refitted from starts (z, amplitudes in prior scales), each on every
+    set of rows ``keeps`` (f, n), 0 or 1: leading axes (f, sets)."""
+    those = _Hypotheses(model, starts, sets, keeps, design)
+    z, best = minimised(those.at, those.starts, those.allowed, 0.0, _TOLERANCE, _STEPS)
+    p, shape = those.p, (len(keeps), len(sets))
+    penalty = np.sum((z[:, p:] - those.center) ** 2, axis=1)
+    # A parameter at its bound has no curvature; its remainder cancels.
+    curvature = best.normal + FLAT * np.eye(z.shape[1])
+    found = (
+        z[:, :p],
+        z[:, p:],
+        best.cost - penalty,
+        np.linalg.slogdet(curvature)[1],
+        np.linalg.inv(curvature),
+        penalty,
+    )
+    return Refit(*(values.reshape(*shape, *values.shape[1:]) for values in found))
+
+
+def refit(model: Tire, starts, sets, design: Design) -> Refit:
+    """The same on the rows of the design: leading axis (sets,)."""
+    return one_of(refit_folds(model, starts, sets, [design.keep], design), 0)
+
+
+def _after_step(z, at: Normal, allowed: Callable, damping, longest: float):
+    """Damped steps of many fits, as in :mod:`tirefit.fitting.least_squares`."""
+
+    def limited(system, right):
+        move = np.linalg.solve(system, right[..., None])[..., 0]
+        asked = z + np.clip(move, -longest, longest)
+        reached = allowed(asked)
+        return reached, (reached == asked) & (np.abs(move) <= longest)
+
+    size, one = np.diagonal(at.normal, axis1=1, axis2=2), np.eye(z.shape[1])
+    size = np.maximum(size, one_start.LEAST_SCALE * size.max(axis=1, keepdims=True))
+    size = (size + one_start.NO_CURVATURE) * damping[:, None]
+    system = at.normal + size[:, :, None] * one
+    reached, free = limited(system, -at.gradient)
+    if free.all():
+        return reached
+    fixed = np.where(free, 0.0, reached - z)
+    both = free[:, :, None] & free[:, None, :]
+    steep = at.gradient + (at.normal @ fixed[:, :, None])[..., 0]
+    beside = np.where(free, -steep, fixed)
+    return limited(np.where(both, system, one), beside)[0]
+
+
+def _gain(move, at: Normal):
+    """Decrease of the costs for linear residuals."""
+    straight = 2 * at.gradient + (at.normal @ move[:, :, None])[..., 0]
+    return -np.sum(move * straight, axis=1)
+
+
+def minimised(
+    at: Callable, starts, allowed: Callable, relative: float, absolute: float, most: int
+) -> tuple[np.ndarray, Normal]:
+    """``least_squares.damped_gauss_newton`` from each of some starts (h, w): ``at`` and
+    ``allowed`` take numbers of these (k,) and points (k, w)."""
+    going, law = np.arange(len(starts)), one_start
+    h, w = starts.shape
+    best = Normal(np.full(h, np.inf), np.tile(np.eye(w), (h, 1, 1)), np.zeros((h, w)))
+    trial = allowed(going, starts)
+    z, damping, promised = trial.copy(), np.full(h, law.FIRST_DAMPING), np.ones(h)
+    for _ in range(most):
+        new = at(going, trial[going])
+        better = new.cost < best.cost[going]
+        with np.errstate(all="ignore"):
+            share = (best.cost[going] - new.cost) / promised[going]
+        mine = going[better]
+        z[mine] = trial[mine]
+        for old, here in zip(best, new, strict=True):
+            old[mine] = here[better]
+        eased = np.where(share > law.GOOD, law.EASE, law.EASE_A_LITTLE)
+        factor = np.where(better & (share > law.FAIR), eased, law.STIFFEN)
+        damping[going] = np.maximum(damping[going] * factor, law.LEAST_DAMPING)
+        around, here = Normal(*(part[going] for part in best)), z[going]
+        step = partial(_after_step, here, around, partial(allowed, going))
+        whole = step(np.full(len(going), law.LEAST_DAMPING), np.inf)
+        gain = np.abs(_gain(whole - here, around))
+        trial[going] = step(damping[going], law.LONGEST_STEP)
+        promised[going] = _gain(trial[going] - here, around)
+        settled = gain <= relative * around.cost + absolute
+        going = going[~(settled | (damping[going] > law.STUCK))]
+        if not len(going):
+            break
+    return z, best
+
+
+def design_of(prepared: Prepared, effects, rig) -> Design:
+    """The rows as padded arrays."""
+    size = padded_size(prepared.n, _LEAST_ROWS)
+    slips, weight = slip_nodes(prepared.slip_law, prepared.slip, prepared.slip_std)
+    observed, fz, v = prepared.observed, prepared.inputs.fz, prepared.inputs.v
+    priors = [atom.prior(prepared, rig) for atom in atoms_of(effects)]
+    scale, center, low, high = (np.array(part) for part in zip(*priors, strict=True))
+    return Design(
+        inputs=TireInputs(*(pad_rows(x, size) for x in prepared.inputs)),
+        slip=pad_rows(slips, size),
+        weight=pad_rows(weight, size),
+        second=pad_rows(prepared.second, size),
+        observed={c: pad_rows(x, size) for c, x in observed.items()},
+        # A first guess; the noise is estimated later.
+        scale={c: np.full(size, 0.05 * np.std(x)) for c, x in observed.items()},
+        offset={c: np.zeros(size) for c in observed},
+        hold=np.zeros(()),
+        keep=(np.arange(size) < prepared.n).astype(float),
+        rows=Covariates(*(pad_rows(x, size) for x in prepared.covariates)),
+        prior_scale=scale,
+        prior_center=center / scale,
+        low=low / scale,
+        high=high / scale,
+        reference=np.array([np.median(fz), np.median(v)]),
+    )
+
+
+def measured_slips(design: Design, prepared: Prepared) -> Design:
+    """The same design at the measured slips."""
+    slips = np.repeat(prepared.slip[:, None], design.slip.shape[1], axis=1)
+    return design._replace(slip=pad_rows(slips, len(design.keep)))
+
+
+def with_offset(prepared: Prepared, tire: Tire, design: Design, z):
+    """The design with the offset of a simulator from its tire at the measured slips;
+    that offset by channel (n,)."""
+    own = tire.moments(z, measured_slips(design, prepared), prepared.n)[0]
+    missed = {c: prepared.column(f"{c}_sim") - own[c] for c in prepared.channels}
+    offset = {c: pad_rows(values, len(design.keep)) for c, values in missed.items()}
+    return design._replace(offset=offset), missed
+
+
+def first_fit(
+    prepared: Prepared, name: str, data, effects, rig
+) -> tuple[Tire, np.ndarray, np.ndarray]:
+    """(tire, z, first guess of z) by least squares with Huber's loss at the measured slips."""
+    if prepared.n < data.n:  # a large file is diagnosed on some of its rows
+        used = np.zeros(len(data), bool)
+        used[np.flatnonzero(data.used)[prepared.kept]] = True
+        data = replace(data, used=used)
+    # Half the starts of `tirefit fit`.
+    config = parse_config({"force": list(prepared.channels), "starts": 4})
+    task = build(data, name, config, _LEAST_ROWS)
+    model, layout, rows = task.problem.model, task.problem.layout, task.problem.rows
+    tire = Tire(model, layout, tuple(effects), prepared.mode)
+    observed, scale = (
+        {c: np.asarray(x) for c, x in part.items()} for part in (rows.observed, rows.scale)
+    )
+    design = measured_slips(design_of(prepared, effects, rig), prepared)
+    design = design._replace(observed=observed, scale=scale)
+    weights, forces = design.weights(), design.forces
+
+    def at(numbers, points) -> Normal:
+        found = []
+        for mean, columns in tire.slopes(points, [()] * len(points), design):
+            missed = ((forces - mean) * weights).reshape(-1)
+            size = np.abs(missed)
+            root = np.sqrt(np.maximum(2 * HUBER * size - HUBER**2, HUBER**2))
+            far = size > HUBER
+            missed = np.where(far, np.sign(missed) * root, missed)
+            by = (columns * weights).reshape(len(columns), -1)
+            by = by * np.where(far, HUBER / root, 1.0)
+            found.append((missed @ missed, by @ by.T, -by @ missed))
+        return Normal(*(np.array(part) for part in zip(*found, strict=True)))
+
+    def allowed(numbers, points):
+        return np.clip(points, -REACH, REACH)
+
+    starts = starting_points(task, config.starts, 0)
+    z, ends = minimised(at, starts, allowed, TOLERANCE, TOLERANCE**2, MAX_STEPS)
+    return tire, z[int(np.argmin(ends.cost))], starts[0]
+
+
+def begin(prepared: Prepared, tire: Tire, z, guess, rig, simulated: bool):
+    """(tire, design of the rows, z, guess, offset of a simulator by channel (n,))."""
+    design, missed = design_of(prepared, tire.effects, rig), {}
+    if simulated:
+        design, missed = with_offset(prepared, tire, design, z)
+    return tire, design, z, guess, missed
+
+
+def as_measured(data: TireData, channels) -> TireData:
+    """The data with the simulated forces in place of the measured ones."""
+    dropped = {f"{c}_std" for c in channels}
+    columns = {k: v for k, v in data.columns.items() if k not in dropped}
+    return replace(data, columns=columns | {c: data[f"{c}_sim"] for c in channels})
+
+
+def _rms(values) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def missed_share(prepared, channel: str, values) -> float:
+    """Error (n,) of a tire as a share of the simulated force, rms."""
+    return _rms(values) / max(_rms(prepared.column(f"{channel}_sim")), NONZERO)
+
+
+def check_followed(prepared, missed: dict, name: str) -> None:
+    """Raises DataError if the stand-in ``name`` does not follow the simulated forces;
+    ``missed`` is its error (n,) by channel."""
+    for c, values in missed.items():
+        share = missed_share(prepared, c, values)
+        if share > _FARTHEST_OFF:
+            reason = (
+                f"the tire fitted to the simulator ({name}) does not follow it: the error"
+                f" of {c}_sim is {_rms(values):.3g} {CANONICAL[c][0]} rms,"
+                f" {100 * share:.0f} % of it ({100 * _FARTHEST_OFF:.0f} % at most)"
+            )
+            remedy = "choose a base model closer to the simulator with --model, and check"
+            remedy += f" sign, unit and row order of {c}_sim"
+            raise unfit(prepared.data, reason, remedy)
+
+
+def standing_in(prepared: Prepared, name, effects, rig, given: Given):
+    """:func:`begin` of a tire fitted to a simulator's forces, and its model: ``name``, or
+    the first of :data:`STAND_INS` that follows closely, else the better one."""
+    simulated = as_measured(prepared.data, prepared.channels)
+
+    def tried(model: str):
+        if model in MAGIC_FORMULAS:
+            # Its coefficients follow the simulator; only scaling factors are adapted.
+            own = replace(given, tire=fit_magic_formula(simulated, model).tire)
+            fitted = own.tire_for(prepared, effects)
+        else:
+            fitted = first_fit(prepared, model, simulated, effects, rig)
+        return begin(prepared, *fitted, rig, True), model
+
+    if name is not None:
+        return tried(name)
+    plain, flexible = STAND_INS
+    first = tried(plain)
+    off = [missed_share(prepared, c, v) for c, v in first[0][-1].items()]
+    if max(off) <= _CLOSELY:
+        return first
+    try:
+        other = tried(flexible)
+    except DataError:  # too few rows for its coefficients
+        return first
+
+    def energy(one):
+        return sum(float(np.mean(values**2)) for values in one[0][-1].values())
+
+    return min(first, other, key=energy)
+
+
+_AROUND = 4
+"""Number of rows on either side for the slope of the error of a stand-in."""
+
+
+def not_followed(missed, slip, groups, changed: float) -> np.ndarray:
+    """Changes of a simulator beyond those of its stand-in: columns (n, 2), to first
+    order. If the stand-in has the error e, friction times 1 + a and stiffness times 1 + b
+    add a (e - slip e') + b slip e' to the change of the stand-in.
+
+    Args:
+        missed: e, simulated force minus that of the stand-in, (n,).
+        groups: index arrays of like rows in the order of their slip.
+        changed: typical size of a and b, at least a tenth.
+    """
+    steep, wide = np.zeros(len(slip)), 2 * _AROUND + 1
+    for rows in (rows for rows in groups if len(rows) >= wide):
+        x, y = (
+            np.lib.stride_tricks.sliding_window_view(np.pad(v, _AROUND, "edge"), wide)
+            for v in (slip[rows], missed[rows])
+        )
+        x, y = (view - view.mean(axis=1, keepdims=True) for view in (x, y))
+        steep[rows] = np.sum(x * y, axis=1) / np.maximum(np.sum(x * x, axis=1), NONZERO)
+    return max(changed, 0.1) * np.stack([missed, slip * steep], axis=1)

@@ -1,0 +1,356 @@
+"""Forces of every row under a base model with effects, and their slopes."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.diagnosis.effects import Effect, atoms_of
+from tirefit.diagnosis.effects.state import (
+    Covariates,
+    State,
+    arm_of,
+    force_of_state,
+    is_plain,
+    peak_ratio,
+    slip_of_state,
+    slope_at_rest,
+    with_offsets,
+)
+from tirefit.diagnosis.effects.states import States
+from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.fitting.layout import Layout
+from tirefit.models import AbstractTire, TireInputs
+from tirefit.padding import pad_rows
+from tirefit.params import Values, with_values
+
+_AT_ONCE, _MOST_ROWS = 16, 16384
+"""Largest number of fits in one call of a program, and of rows of all of them."""
+
+
+class Design(NamedTuple):
+    """Data of a refit as arrays, padded to few shapes.
+
+    ``slip`` and ``weight`` (n, q) are the nodes of the latent slip and their
+    probabilities. ``observed``, ``scale`` and ``offset`` (force of a simulator minus that
+    of its tire) are (n,) by channel; ``keep`` (n,) is 0 for padding and outliers.
+    ``hold`` is the stiffness that pulls z to the start of a refit. For the amplitudes
+    (K,), ``prior_scale`` is in their own units, center, ``low`` and ``high`` are in prior
+    scales. ``reference`` is load and speed.
+    """
+
+    inputs: TireInputs
+    slip: Values
+    weight: Values
+    second: Values
+    observed: Mapping[str, Values]
+    scale: Mapping[str, Values]
+    offset: Mapping[str, Values]
+    keep: Values
+    hold: Values
+    rows: Covariates
+    prior_scale: Values
+    prior_center: Values
+    low: Values
+    high: Values
+    reference: Values
+
+    @property
+    def forces(self) -> np.ndarray:
+        """Observed forces (C, n), in the order of their names."""
+        return np.stack([self.observed[c] for c in sorted(self.observed)])
+
+    def weights(self, keep=None) -> np.ndarray:
+        """Reciprocal noise (C, n), zero where ``keep``, or another one given, is."""
+        scales = np.stack([self.scale[c] for c in sorted(self.observed)])
+        return np.asarray(self.keep if keep is None else keep, float) / scales
+
+
+class Linear(NamedTuple):
+    """A fit linearised, whitened: residual r (m,), J = d force / dz (m, p), T = d force / d
+    amplitude in units of prior scales (m, K), and d force / d field of the state (m, F)."""
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    columns: np.ndarray
+    fields: np.ndarray
+
+
+class _Where(NamedTuple):
+    """The part of a :class:`Design` that forces depend on."""
+
+    inputs: TireInputs
+    slip: Values
+    weight: Values
+    second: Values
+    offset: Mapping[str, Values]
+    reference: Values
+
+    @classmethod
+    def of(cls, design: Design) -> "_Where":
+        return cls(*(getattr(design, name) for name in cls._fields))
+
+    def each(self):
+        return self.slip, self.weight, self.second, self.inputs
+
+
+def _reference(tire, where: _Where, mode: str):
+    """(c_p a^2 (n,), mu, half-length) of the brush with the base's slope and peak."""
+    stiffness = jax.vmap(lambda one: slope_at_rest(tire, one, mode))(where.inputs) / 2
+    return stiffness, peak_ratio(tire, *where.reference), arm_of(tire)
+
+
+def _mean_and_spread(model, layout, mode: str, where: _Where) -> Callable:
+    """(z, reference, state, slips, weights, second, inputs) of one row -> mean and
+    variance of each force over the latent slip, without offset: two tuples."""
+
+    def row(z, reference, state, slips, weights, second, inputs):
+        tire = with_values(model, layout.natural(z))
+
+        def at(slip):
+            moved = slip_of_state(state, slip)
+            pair = (state.other, moved) if mode == "y" else (moved, state.other)
+            if mode == "xy":
+                pair = (moved, second * (1 + moved))
+            found = force_of_state(tire, reference, state, *pair, inputs)
+            found = with_offsets(found, state, mode)
+            forces = dict(zip(("fx", "fy", "mz"), found, strict=True))
+            return tuple(forces[channel] for channel in where.offset)
+
+        forces = jax.vmap(at)(slips)
+        means = [jnp.sum(force * weights) for force in forces]
+        pairs = zip(forces, means, strict=True)
+        return means, [jnp.sum((f - mean) ** 2 * weights) for f, mean in pairs]
+
+    return row
+
+
+def _carrier(model, layout, mode: str, z, where: _Where):
+    """:func:`_reference` for changes of shape, each (n,); None for the plain brush."""
+    if is_plain(model):
+        return None
+    found = _reference(with_values(model, layout.natural(z)), where, mode)
+    return tuple(jnp.broadcast_to(value, where.second.shape) for value in found)
+
+
+def _each(count, one: Callable, z, states):
+    """``one`` for each of the first ``count`` fits in turn; zero for the others."""
+    shapes = jax.eval_shape(one, z[0], states[0])
+    blank = jax.tree.map(lambda a: jnp.zeros((len(z), *a.shape), a.dtype), shapes)
+
+    def body(k, found):
+        here = one(z[k], states[k])
+        return jax.tree.map(lambda all, new: all.at[k].set(new), found, here)
+
+    return jax.lax.fori_loop(0, count, body, blank)
+
+
+@partial(jax.jit, static_argnames=("layout", "mode"))
+def _forces_of(model, layout, mode: str, z, states, count, where: _Where):
+    """Mean and variance over the latent slip of the forces (b, C, n) of the first
+    ``count`` fits, of z (b, p) and states with effects (b, F, n)."""
+    row = _mean_and_spread(model, layout, mode, where)
+    row = jax.vmap(row, (None, 0, 0, 0, 0, 0, 0))
+
+    def one(z, state):
+        carrier = _carrier(model, layout, mode, z, where)
+        mean, spread = row(z, carrier, State(*state), *where.each())
+        return jnp.stack(mean) + jnp.stack([*where.offset.values()]), jnp.stack(spread)
+
+    return _each(count, one, z, states)
+
+
+@partial(jax.jit, static_argnames=("layout", "mode"))
+def _slopes_of(model, layout, mode: str, z, states, count, where: _Where):
+    """Mean forces (b, C, n) of some fits and their slopes by z (b, C, p, n) and by the
+    fields of the state (b, C, F, n). A row's force depends on z and its own state
+    alone: one pass back for each channel serves all, with a z for every row."""
+    row = jax.vmap(_mean_and_spread(model, layout, mode, where))
+
+    def one(z, state):
+        def mean(z, carrier, state):
+            return jnp.stack(row(z, carrier, State(*state), *where.each())[0])
+
+        def carried(z):
+            return _carrier(model, layout, mode, z, where)
+
+        spread = jnp.broadcast_to(z, (state.shape[1], z.size))
+        value, back = jax.vjp(mean, spread, carried(z), state)
+        each = jnp.repeat(jnp.eye(len(value)), state.shape[1], axis=1)
+        each = each.reshape(len(value), len(value), -1)
+        by_z, by_carrier, by_field = jax.lax.map(back, each)
+        by_z = jnp.swapaxes(by_z, 1, 2)
+        if by_carrier is not None:
+            ahead = partial(jax.jvp, carried, (z,))
+            moved = jax.lax.map(lambda e: ahead((e,))[1], jnp.eye(z.size))
+            for by, change in zip(by_carrier, moved, strict=True):
+                by_z += by[:, None, :] * change[None]
+        return value + jnp.stack([*where.offset.values()]), by_z, by_field
+
+    return _each(count, one, z, states)
+
+
+@partial(jax.jit, static_argnames=("layout", "mode"))
+def _brush_of(model, layout, mode: str, z, where: _Where):
+    return _reference(with_values(model, layout.natural(z)), where, mode)[:2]
+
+
+@dataclass(frozen=True)
+class Tire:
+    """A base model with all effects. ``mode`` says which slip drives (x, y or xy),
+    ``layout`` holds the places of the parameters in z."""
+
+    model: AbstractTire
+    layout: Layout
+    effects: tuple[Effect, ...]
+    mode: str
+
+    def states(self, design: Design) -> States:
+        """States of the rows of a design under hypotheses of these effects."""
+        return States(atoms_of(self.effects), design.rows, design.prior_scale)
+
+    def _run(self, program, points, states, design: Design) -> Iterator:
+        """Results of a program for z (h, p) and the states (F, n) of fits, one by one;
+        the next states are computed while JAX evaluates the last ones."""
+        size, where, waiting = len(design.keep), _Where.of(design), None
+        room = int(np.clip(_MOST_ROWS // size, 1, _AT_ONCE))
+        for first in range(0, len(points), room):
+            some = points[first : first + room]
+            z = np.zeros((room, some.shape[1]))
+            several = np.zeros((room, len(State._fields), size))
+            z[: len(some)] = some
+            for state in several[: len(some)]:
+                state[:] = next(states)
+            tire = self.model, self.layout, self.mode
+            found = program(*tire, z, several, len(some), where)
+            if waiting is not None:
+                yield from _one_by_one(*waiting)
+            waiting = found, len(some)
+        if waiting is not None:
+            yield from _one_by_one(*waiting)
+
+    def forces(self, fits, design: Design) -> Iterator:
+        """Mean forces (C, n) of each of some (z, amplitudes of all atoms), and their
+        variances over the slip."""
+        points = np.array([z for z, _ in fits])
+        states = self.states(design)
+        some = (states.state(_present(a)) for _, a in fits)
+        return self._run(_forces_of, points, some, design)
+
+    def moments(self, z, design: Design, n: int, amplitudes=()):
+        """Mean and variance for one fit, of the first n rows, by channel."""
+        both, names = self.forces([(z, amplitudes)], design), sorted(design.observed)
+        return tuple({c: x[:n] for c, x in zip(names, part, strict=True)} for part in next(both))
+
+    def brush(self, z, design: Design):
+        """(c_p a^2 (n,), mu) of the brush of its slope and peak."""
+        return _brush_of(self.model, self.layout, self.mode, z, _Where.of(design))
+
+    @np.errstate(invalid="ignore")  # the engine refuses an effect without a slope
+    def linearised(self, z, amplitudes, design: Design, n: int) -> Linear:
+        """The first n rows linearised in everything."""
+        present, points = _present(amplitudes), np.asarray(z)[None]
+        states, scale = self.states(design), design.prior_scale
+        state, changes = states.state(present), states.changes(present, design.prior_center)
+        mean, by_z, fields = next(self._run(_slopes_of, points, iter([state]), design))
+        weight, observed = design.weights(), design.forces
+        columns = np.zeros((len(scale), *mean.shape))
+        for atom, slopes in changes.slopes.items():
+            columns[atom] = _along(fields, slopes, float(scale[atom]))
+        points = np.repeat(points, len(changes.ends), axis=0)
+        ends = self._run(_forces_of, points, iter(changes.ends.values()), design)
+        for (atom, size), (far, _) in zip(changes.sizes.items(), ends, strict=True):
+            columns[atom] = (far - mean) / size
+
+        def flat(values):
+            """Of the first n rows, whitened, from (..., C, n)."""
+            values = (values * weight)[..., :n]
+            return np.ascontiguousarray(values.reshape(*values.shape[:-2], -1).T)
+
+        by_z, fields = np.swapaxes(by_z, 0, 1), np.swapaxes(fields, 0, 1)
+        return Linear(*map(flat, (observed - mean, by_z, columns, fields)))
+
+    def slopes(self, points, sets, design: Design) -> Iterator:
+        """Mean forces (C, n) of each hypothesis, a set of atoms at a point (z, amplitudes, ...),
+        and slopes (p + k, C, n) by z and amplitudes in prior scales."""
+        p, scale, by_amplitude = self.layout.size, design.prior_scale, []
+        of_rows = self.states(design)
+
+        def states():
+            for point, atoms in zip(points, sets, strict=True):
+                sizes = point[p : p + len(atoms)] * scale[list(atoms)]
+                present = list(zip(atoms, sizes.tolist(), strict=True))
+                state, slopes = of_rows.slopes(present)
+                by_amplitude.append(slopes)
+                yield state
+
+        found = self._run(_slopes_of, points[:, :p], states(), design)
+        for atoms, (mean, by_z, by_field) in zip(sets, found, strict=True):
+            columns = np.empty((p + len(atoms), *mean.shape))
+            columns[:p] = np.swapaxes(by_z, 0, 1)
+            each = zip(columns[p:], atoms, by_amplitude.pop(0), strict=True)
+            for column, atom, slopes in each:
+                column[:] = _along(by_field, slopes, float(scale[atom]))
+            yield mean, columns
+
+
+def _present(amplitudes) -> list[tuple[int, float]]:
+    """Atoms with an amplitude, from amplitudes of all (K,) in their own units."""
+    return [(int(k), float(amplitudes[k])) for k in np.flatnonzero(amplitudes)]
+
+
+def _one_by_one(found, count: int) -> Iterator:
+    """Results of a program for each of the first ``count`` fits."""
+    parts = [np.asarray(part) for part in found]
+    yield from (tuple(part[k] for part in parts) for k in range(count))
+
+
+def _along(by_field, slopes, size: float) -> np.ndarray:
+    """Slopes of the forces (C, n) for these changes of the fields of the state."""
+    return sum(by_field[:, field] * (size * slope) for field, slope in slopes.items())
+
+
+def with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
+    """The force of the base model over its peak, for effects that depend on it."""
+    channel, fz = prepared.channels[0], prepared.inputs.fz
+    mean = tire.moments(z, design, prepared.n)[0][channel]
+    size = len(design.keep)
+    share = pad_rows(mean / (np.max(np.abs(mean) / fz) * fz), size)
+    before = _pull(prepared, tire, design, z)
+    rows = design.rows._replace(
+        force=share,
+        usage=np.abs(share),
+        traction=pad_rows(mean / prepared.covariates.load, size),
+        pull=pad_rows(before[channel], size),
+        twist=pad_rows(before.get("mz", np.zeros_like(before[channel])), size),
+    )
+    if prepared.derived is not None:
+        # The measured acceleration contains the force itself, so it must not explain it.
+        rows = rows._replace(lean=pad_rows(-mean / fz, size))
+    return design._replace(rows=rows)
+
+
+def _pull(prepared, tire: Tire, design: Design, z) -> dict[str, np.ndarray]:
+    """Forces of the base model at the past of every row: (n, k) by channel."""
+    past = prepared.covariates.past
+    if "sweeps" not in prepared.has:
+        return {c: np.zeros_like(past) for c in prepared.channels}
+    alone, size = np.zeros_like(design.weight), len(design.keep)
+    alone[:, 0] = 1.0
+    columns = []
+    for k in range(past.shape[1]):
+        slip = np.repeat(pad_rows(past[:, [k]], size), alone.shape[1], axis=1)
+        earlier = (pad_rows(part[:, k], size) for part in prepared.before)
+        # The past of a simulator beyond its tire is not known.
+        then = design._replace(
+            slip=slip,
+            weight=alone,
+            inputs=type(design.inputs)(*earlier),
+            offset={c: np.zeros(size) for c in design.offset},
+        )
+        columns.append(tire.moments(z, then, prepared.n)[0])
+    return {c: np.stack([one[c] for one in columns], axis=1) for c in columns[0]}

@@ -1,0 +1,459 @@
+"""Fit the base model and estimate its noise, as the start of a diagnosis."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from tirefit.diagnosis.effects import Atom, atoms_of
+from tirefit.diagnosis.engine.discrepancy import Discrepancy
+from tirefit.diagnosis.engine.fit import Fit as EngineFit
+from tirefit.diagnosis.engine.fit import Folds, Key, Priors, Start, fitted
+from tirefit.diagnosis.negligible import FLAT
+from tirefit.diagnosis.rows import fits
+from tirefit.diagnosis.rows.basis import smooth_basis, wave_basis
+from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of
+from tirefit.diagnosis.rows.forces import Design, Linear, Tire, with_force
+from tirefit.diagnosis.rows.noise import (
+    NoiseLevel,
+    between,
+    in_order,
+    judge_noise,
+    noise_in_motion,
+    slip_scatter,
+)
+from tirefit.diagnosis.rows.parts import folds_of
+from tirefit.diagnosis.rows.prepared import (
+    NOT_STATED,
+    SCATTER,
+    Prepared,
+    neighbours,
+    on_scale_of,
+    order_of,
+    slip_of,
+)
+from tirefit.diagnosis.rows.runs import with_runs
+from tirefit.diagnosis.rows.simulator import STAND_INS, Given, Simulated, check_signs
+from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
+from tirefit.padding import pad_rows
+
+_SMALL = 1e-3
+"""Step of the slip, in standard deviations of its noise, for the slope of a force."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A tire fitted to rows without effects: parameters z, the first ``guess`` of them,
+    and the slip over that of full sliding (n,). With a ``simulator``, the fit adapts
+    its parameters to the data."""
+
+    rows: Prepared
+    tire: Tire
+    design: Design
+    z: np.ndarray
+    guess: np.ndarray
+    slip_fraction: np.ndarray
+    simulator: Simulated | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Base(Fit):
+    """The subject "rows": the base fit of a diagnosis with the estimated noise, by channel.
+    ``alone`` is the refit without effects that gave z. Whitened values are over the used
+    rows of all channels, (m, ...). ``linear`` caches the last linearised fits, by (z, amplitudes).
+    """
+
+    alone: fits.Refit
+    noise: Mapping[str, NoiseLevel]
+    testable: tuple[int, ...] = ()
+    linear: dict[tuple[bytes, ...], Linear] = field(default_factory=dict, init=False)
+
+    @property
+    def as_given(self) -> np.ndarray:
+        """Parameters z that define the gap: those of the simulator, else of the fit."""
+        return self.z if self.simulator is None else self.simulator.z
+
+    @property
+    def prepared(self) -> Prepared:
+        return self.rows
+
+    @property
+    def layout(self):
+        return self.tire.layout
+
+    def off_bounds(self, z) -> np.ndarray:
+        """Parameters z, with the first guess for those at a bound, where the slope is
+        zero and a refit could not leave the bound."""
+        on_bound = np.abs(z) > 6.0  # 0.25 % of the interval
+        return np.where(on_bound, self.guess, z)
+
+    @property
+    def slip_noise(self) -> float:
+        """Typical standard deviation of the slip."""
+        return float(np.median(self.rows.slip_std))
+
+    @cached_property
+    def atoms(self) -> tuple[Atom, ...]:
+        return atoms_of(self.tire.effects)
+
+    @cached_property
+    def doubt(self) -> np.ndarray:
+        """Error of the residual that rows share through the unknown true slips: columns
+        (m, k), each times an independent unit normal number."""
+        rows = self.rows
+        off = slip_doubt(rows.slip_law, rows.slip, rows.slip_std, rows.path)
+        return np.concatenate([self._forces_of(off), self._proxies], axis=1)
+
+    @cached_property
+    def _doubtful(self) -> tuple[np.ndarray, np.ndarray]:
+        """Orthonormal directions (m, k) of the slip uncertainty, and the share (k,) of
+        the residual along each that is removed."""
+        along, size, _ = np.linalg.svd(self.doubt, full_matrices=False)
+        return along, 1 - 1 / np.sqrt(1 + size**2)
+
+    def sure(self, values) -> np.ndarray:
+        """Whitened values (m, ...), also whitened for the slip uncertainty."""
+        along, unknown = self._doubtful
+        return values - (along * unknown) @ (along.T @ values)
+
+    @cached_property
+    def _proxies(self) -> np.ndarray:
+        """Columns (m, k) of the residual that no effect explains: :func:`slip_proxies`
+        and :func:`fits.not_followed`."""
+        rows = self.rows
+        given = rows.slip_law, rows.slip, rows.slip_std, rows.moving
+        off = slip_proxies(*given, rows.path, rows.past)
+        return np.concatenate([self._forces_of(off), self._not_followed], axis=1)
+
+    @cached_property
+    def _not_followed(self) -> np.ndarray:
+        """Columns (m, k) of :func:`fits.not_followed`, whitened, of each channel."""
+        rows, n, blocks = self.rows, self.rows.n, []
+        if self.simulator is None or self.simulator.given.tire is not None:
+            return np.zeros((len(rows.channels) * n, 0))
+        given = self.layout.vector(self.simulator.z)
+        changed = np.abs(self.layout.vector(self.z) / np.where(given, given, 1.0) - 1)
+        around, most = neighbours(rows), min(float(np.max(changed)), 1.0)
+        for channel in rows.channels:
+            missed = np.asarray(self.design.offset[channel])[:n]
+            weight = np.asarray(self.design.keep) / self.design.scale[channel]
+            off = fits.not_followed(missed, rows.slip, around, most)
+            blocks.append(off * weight[:n, None])
+        found = block_diag(*blocks)
+        return found[:, np.linalg.norm(found, axis=0) > 0.1]  # standard errors
+
+    def _forces_of(self, slips) -> np.ndarray:
+        """Whitened forces (m, k) of small changes of the slips (n, k)."""
+        steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
+        return steep[:, None] * np.tile(slips, (len(self.rows.channels), 1))
+
+    @cached_property
+    def at_null(self) -> Linear:
+        """:meth:`linearised` at the base fit."""
+        return self.linearised(self.z, self.amplitudes())
+
+    @cached_property
+    def measured(self) -> "Base":
+        """The same fit at the measured slips."""
+        return self.on(fits.measured_slips(self.design, self.rows))
+
+    def on(self, design: Design, rows: Prepared | None = None) -> "Base":
+        """The same fit on another design, of other rows if given."""
+        return replace(self, design=design, rows=rows or self.rows)
+
+    def linearised(self, z, amplitudes) -> Linear:
+        """The used rows, linearised in everything."""
+        key = np.asarray(z).tobytes(), amplitudes.tobytes()
+        if key not in self.linear:
+            if len(self.linear) == 24:  # of 10 MB each at most
+                self.linear.pop(next(iter(self.linear)))
+            given = z, amplitudes, self.design, self.rows.n
+            self.linear[key] = self.tire.linearised(*given)
+        return self.linear[key]
+
+    def refitted(self, starts, sets, design: Design) -> fits.Refit:
+        """Sets of atoms refitted on another design, by :func:`fits.refit`."""
+        return fits.refit(self.tire, starts, sets, design)
+
+    # --- what the engine asks of its subject, see engine.fit.Forward -----------------
+
+    is_covered: ClassVar[bool] = False  # a part may be a stretch of slip or time
+
+    @cached_property
+    def priors(self) -> Priors:
+        """Of the amplitudes of all atoms."""
+        design, effects = self.design, [atom.effect for atom in self.atoms]
+        odds = np.array([e.odds(self.rows) if e.odds else 0.0 for e in effects])
+        center, low, high = map(np.asarray, (design.prior_center, design.low, design.high))
+        return Priors(center, low, high, odds)
+
+    @property
+    def start(self) -> Start:
+        """Of the refit without effects."""
+        return Start(self.z, np.zeros(0))
+
+    @property
+    def floor(self) -> float:
+        """Mean square of the noise of the first channel."""
+        return float(np.mean(self.noise[self.rows.channels[0]].std ** 2))
+
+    @property
+    def inflation(self) -> float:
+        """Rows per independent row."""
+        return max(level.inflation for level in self.noise.values())
+
+    @cached_property
+    def unit(self) -> np.ndarray:
+        """(m,) noise of the first channel [N], zero for other channels and excluded rows."""
+        n, scale = self.rows.n, self.design.scale[self.rows.channels[0]]
+        own = np.asarray(scale)[:n] * np.asarray(self.design.keep)[:n]
+        return np.concatenate([own, np.zeros(n * (len(self.rows.channels) - 1))])
+
+    @cached_property
+    def _smooth_columns(self) -> Discrepancy:
+        return discrepancy_of(self)
+
+    @cached_property
+    def discrepancy(self) -> Discrepancy:
+        """The unlisted effect, with the slip uncertainty projected out."""
+        plain = self._smooth_columns
+        return replace(plain, columns=self.sure(plain.columns))
+
+    @property
+    def smooth(self) -> np.ndarray:
+        """Whitened forces (m, q) of the smooth functions."""
+        return self._smooth_columns.additive
+
+    def columns_at(self, fit: EngineFit) -> np.ndarray:
+        """Whitened slopes (m, p + k) of the forces at a fit."""
+        linear = self.linearised(fit.z, self.amplitudes(fit.atoms, fit.amplitude))
+        return np.concatenate([linear.jacobian, linear.columns[:, list(fit.atoms)]], axis=1)
+
+    @property
+    def given_residual(self) -> np.ndarray | None:
+        """(m,) whitened, of a simulator whose parameters are not refitted."""
+        return self.residual(self.as_given, self.amplitudes()) if self.simulator else None
+
+    def groups(self) -> dict[str, np.ndarray]:
+        """Covariates (m,) in whose groups the size of an effect is compared."""
+        rows, count = self.rows, len(self.rows.channels)
+        values = {
+            "slip_fraction": np.abs(self.slip_fraction),
+            "signed_slip": rows.slip,
+            "fz": np.asarray(rows.inputs.fz),
+            "v": np.asarray(rows.covariates.v),
+            "time": np.zeros(rows.n) if rows.time is None else rows.time,
+            "slip_rate": np.asarray(rows.covariates.rate),
+            "run": rows.run.astype(float),
+        }
+        return {k: np.tile(v, count) for k, v in values.items() if np.ptp(v) > 0}
+
+    def folds(self, effects: Key) -> Folds:
+        """The parts that are left out, for the naming of these effects: whole runs cannot
+        show an effect that belongs to one of them."""
+        own = {a.effect.id for a in self.atoms if "runs" in a.effect.needs}
+        folds = folds_of(self.rows, self.inflation, not own & {*effects})
+        return folds._replace(code=np.tile(folds.code, len(self.rows.channels)))
+
+    def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[EngineFit]:
+        """Sets of atoms fitted from these starts, see :class:`engine.fit.Forward`."""
+        begin = [(self.off_bounds(s.z) if a else s.z, s.amplitude)
+                 for s, a in zip(starts, sets, strict=True)]  # fmt: skip
+        found = fits.refit(self.tire, begin, sets, self.design)
+        points = np.concatenate([found.z, found.amplitude], axis=1)
+        n, weight, observed = self.rows.n, self.design.weights(), self.design.forces
+        made, p, priors = [], found.z.shape[1], self.priors
+        slopes = self.tire.slopes(points, sets, self.design)
+        for k, (atoms, (mean, by)) in enumerate(zip(sets, slopes, strict=True)):
+            index = list(atoms)
+            residual = ((observed - mean) * weight)[:, :n].reshape(-1)
+            columns = (by * weight)[..., :n].reshape(len(by), -1).T
+            amplitude = found.amplitude[k, : len(atoms)]
+            made.append(
+                fitted(
+                    atoms,
+                    [self.atoms[a].effect.id for a in atoms],
+                    Start(found.z[k], amplitude),
+                    (self.sure(residual), self.sure(columns)),
+                    np.append(np.zeros(p), np.ones(len(atoms))),
+                    np.append(np.zeros(p), amplitude - priors.center[index]),
+                    priors.sign[index],
+                    (priors.low[index], priors.high[index]),
+                )
+            )
+        return made
+
+    def tangents(self, fit: EngineFit) -> np.ndarray:
+        """Whitened slopes (m, K) by the amplitudes of all atoms at a fit."""
+        amplitudes = self.amplitudes(fit.atoms, fit.amplitude)
+        return self.sure(self.linearised(fit.z, amplitudes).columns)
+
+    def amplitudes(self, atoms: Sequence[int] = (), sizes=()) -> np.ndarray:
+        """Amplitudes of all atoms (K,) in their own units, from those of some atoms in
+        prior scales; the others are zero."""
+        full, index = np.zeros(len(self.atoms)), list(atoms)
+        scale = np.asarray(self.design.prior_scale)[index]
+        full[index] = np.asarray(sizes)[: len(index)] * scale
+        return full
+
+    def residual(self, z, amplitudes) -> np.ndarray:
+        """Whitened residual of the used rows, zero for outliers: (m,)."""
+        n, scale, keep = self.rows.n, self.design.scale, self.design.keep
+        each = self.forces(z, amplitudes).items()
+        parts = [keep[:n] * (self.rows.observed[c] - f) / scale[c][:n] for c, f in each]
+        return np.concatenate(parts)
+
+    def forces_each(self, fits) -> np.ndarray:
+        """Mean forces (h, C, n) of every used row of each of some (z, amplitudes), the
+        channels in the order of their names."""
+        found = self.tire.forces(fits, self.design)
+        return np.array([mean[:, : self.rows.n] for mean, _ in found])
+
+    def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
+        """Mean force of every used row, by channel."""
+        return self.tire.moments(z, self.design, self.rows.n, amplitudes)[0]
+
+
+def fit_base(
+    prepared: Prepared, name: str | None, effects, rig, given: Given | None = None
+) -> Base:
+    """Fit the base model, judge the noise, and fit again under it.
+
+    Args:
+        name: of the model; None for the brush, or the best stand-in for a simulator.
+        given: a simulator, whose forces are in the data: the base is this simulator,
+            adapted; if only its forces are known, the model ``name`` is its stand-in.
+
+    Raises:
+        DataError: the model does not follow the simulator, or that has other signs.
+    """
+    simulator, stand_in = None, name or STAND_INS[0]
+    if given is None:
+        fitted = fits.first_fit(prepared, stand_in, prepared.data, effects, rig)
+        begun = fits.begin(prepared, *fitted, rig, False)
+    elif given.tire is None:
+        begun, stand_in = fits.standing_in(prepared, name, effects, rig, given)
+    else:
+        begun = fits.begin(prepared, *given.tire_for(prepared, effects), rig, True)
+    tire, design, z, guess, missed = begun
+    if given is not None:
+        fits.check_followed(prepared, missed, stand_in)
+        doubt = check_signs(prepared, tire, z, given)
+        simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
+        z = fits.refit(tire, [(z, ())], [()], design).z[0]
+    fit = Fit(
+        rows=prepared,
+        tire=tire,
+        design=design,
+        z=z,
+        guess=guess,
+        simulator=simulator,
+        slip_fraction=_slip_fraction(prepared, tire, z, design),
+    )
+    base = _under(_noise(fit, rig), fit)
+    return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
+
+
+def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float | None:
+    """Noise of the slip [-], estimated from the measured forces and the model ``name``; or None.
+
+    It is None if the noise is stated, if the forces do not show it, if most of the scatter of
+    the slip about its path may be noise, or if the force was derived from the motion and so
+    has the errors of the slip.
+    """
+    sweeps = prepared.slip_source == SCATTER
+    known = prepared.slip_source != NOT_STATED and not sweeps
+    if known or prepared.derived is not None or (prepared.mode == "xy" and not sweeps):
+        return None
+    tire, z, _ = fits.first_fit(prepared, name, prepared.data, effects, rig)
+    channel, design = prepared.channels[0], fits.design_of(prepared, effects, rig)
+
+    def force(off: float):
+        moved = replace(prepared, slip=prepared.slip + off)
+        return tire.moments(z, fits.measured_slips(design, moved), prepared.n)[0][channel]
+
+    slope = (force(_SMALL) - force(-_SMALL)) / (2 * _SMALL)
+    residual = prepared.observed[channel] - force(0.0)
+    moving: float | None = 0.0
+    if sweeps:
+        stretches = in_order(*order_of(prepared.data))
+        off = between(slip_of(prepared.data, prepared.mode), stretches)[prepared.kept]
+        moving = noise_in_motion(residual, slope, off, float(prepared.slip_std[0]))
+    if moving is None or prepared.mode == "xy":
+        return moving
+    # Where the slip changes its sign the curve bends, and a shift of it is a gap.
+    side, groups = prepared.slip > 0, neighbours(prepared)
+    one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
+    in_time = in_order(prepared.time, prepared.run)
+    found = slip_scatter(residual, slope**2, prepared.inputs.fz, one_sided, in_time)
+    return max(found, moving) if sweeps else found or None
+
+
+def _under(noise: Mapping[str, NoiseLevel], fit: Fit) -> Base:
+    """The base refitted with this noise."""
+    size, n, levels = len(fit.design.keep), fit.rows.n, noise.values()
+    wide = np.sqrt(max(level.inflation for level in levels))
+    scale = {c: pad_rows(level.std * wide, size) for c, level in noise.items()}
+    keep = (np.arange(size) < n).astype(float)
+    keep[:n] = ~np.any([level.outlier for level in levels], axis=0)
+    design = fit.design._replace(scale=scale, keep=keep)
+    alone = fits.refit(fit.tire, [(fit.z, ())], [()], design)
+    return Base(
+        rows=fit.rows,
+        tire=fit.tire,
+        design=design,
+        z=alone.z[0],
+        guess=fit.guess,
+        slip_fraction=fit.slip_fraction,
+        simulator=fit.simulator,
+        alone=alone,
+        noise=noise,
+    )
+
+
+def with_noise_judged(base: Base, rig, z, amplitudes) -> Base:
+    """The base refitted with the noise of the remainder of a fit (z, amplitudes).
+    Outliers are excluded, which requires a fit without a gross gap."""
+    return _under(_noise(replace(base, z=z), rig, amplitudes, outliers=True), base)
+
+
+def on_rows(base: Base, prepared: Prepared, rig) -> Base:
+    """The same fit on other rows, for its forces; the noise is that of its own rows."""
+    tire, prepared = base.tire, on_scale_of(prepared, base.rows)
+    design = fits.design_of(prepared, tire.effects, rig)
+    if base.simulator is not None:
+        design, _ = fits.with_offset(prepared, tire, design, base.simulator.z)
+    return base.on(with_force(prepared, tire, design, base.z), prepared)
+
+
+def _slip_fraction(prepared: Prepared, tire: Tire, z, design):
+    """Slip (n,) over that of full sliding, 3 mu F_z / (2 c) for the brush with slope and
+    peak of the base."""
+    stiffness, mu = tire.brush(z, design)
+    stiffness = np.maximum(np.asarray(stiffness)[: prepared.n], FLAT)
+    size = np.hypot(prepared.slip, prepared.second)
+    side = np.where(prepared.slip < 0, -1.0, 1.0)
+    return side * size / (1.5 * float(mu) * prepared.inputs.fz / stiffness)
+
+
+def _noise(fit: Fit, rig, amplitudes=(), outliers=False) -> dict[str, NoiseLevel]:
+    """Noise of each channel, estimated from the remainder of a fit."""
+    rows, fz = fit.rows, fit.rows.inputs.fz
+    mean, spread = fit.tire.moments(fit.z, fit.design, rows.n, amplitudes)
+    typical, most = fz / np.mean(fz), rows.n // 6
+    basis = smooth_basis(rows, fit.slip_fraction, typical, most, runs=True)
+    waves, groups, levels = wave_basis(rows, typical), neighbours(rows), {}
+    for c in rows.channels:
+        given = rig.force_noise(c, fz)
+        if f"{c}_std" in rows.data:
+            given = rows.column(f"{c}_std")
+        common = spread[c] * rows.common
+        level = judge_noise(
+            rows.observed[c] - mean[c], spread[c] - common, fz, mean[c], given, basis,
+            waves, groups, rows.time, rows.run, outliers,
+        )  # fmt: skip
+        levels[c] = level._replace(std=np.sqrt(level.std**2 + common))
+    return levels

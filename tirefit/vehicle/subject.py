@@ -1,0 +1,375 @@
+"""The subject "windows of a car" of the diagnosis engine: :class:`Windows`.
+
+A window is predicted from its own start state, which is projected out of residuals and
+columns. Effects and unlisted forces depend on the predicted motion, as that of the log has
+the noise of the channels that they explain.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.diagnosis.effects import Atom
+from tirefit.diagnosis.engine.discrepancy import SIZES, Cell, Discrepancy, places_of
+from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
+from tirefit.diagnosis.engine.search import MOST_EFFECTS
+from tirefit.diagnosis.negligible import UNSEEN
+from tirefit.padding import pad_rows, padded_size
+from tirefit.vehicle.car import Car, steps_a_sample
+from tirefit.vehicle.model import TIRES, Linear, Model, Slopes, inputs, moved
+from tirefit.vehicle.samples import Cut
+from tirefit.vehicle.shooting import minimised
+
+_COARSER = 2.0
+"""Step of the integration over that of a replay: one time constant of the car at its slowest
+speed, where the method is stable up to 2.8."""
+
+_TOLERANCE, _STEPS = 1e-4, 10
+"""Relative gain in cost of a step below which a refit ends, one unit of chi square at ten
+thousand residuals; largest number of its steps."""
+
+_STARTS = 3
+"""Number of steps to the best start states of a car without a refit."""
+
+_MOST_OFF = 1.5
+"""Largest logarithm of a factor on a tire."""
+
+_FAR = 0.7
+"""Logarithm of a factor on the tires from which a refit also begins at the tires as given:
+without an effect, the tires are distorted to replace it."""
+
+_COLUMNS = TIRES + MOST_EFFECTS
+"""Number of columns of the compiled program that differentiates the inputs."""
+
+_LEAST_WINDOWS = 48
+"""Smallest number of windows for which programs are compiled."""
+
+LEAST_LOGS = 4
+"""Smallest number of logs of which each is left out in turn."""
+
+_BLOCKS = 8
+"""Number of parts of the time that are left out in turn if there are fewer logs."""
+
+_PLACES = {"time": 12}
+_USUAL_PLACES = 8
+"""Numbers of places of the covariates at which an unlisted force has its values."""
+
+_USUAL = 0.03
+"""Usual change of a force over the load of its axle."""
+
+
+def _filled(windows):
+    """Arrays (w, ...) padded by copies of the first window to a few sizes."""
+    return jax.tree.map(
+        lambda part: pad_rows(part, padded_size(len(part), _LEAST_WINDOWS)), windows
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """A car on windows: the subject of a search, see :class:`engine.fit.Forward`.
+
+    Attributes:
+        model, car, cut: with their effects and windows; step: time between samples [s].
+        testable: numbers of the atoms that the logs can show.
+        noise: of the channels (c,): the remainder of all functions together;
+            ``inflation``: samples per independent sample.
+        begin: the fit without effects from which others start.
+        tick: called at every refit.
+    """
+
+    model: Model
+    car: Car
+    cut: Cut
+    step: float
+    testable: tuple[int, ...]
+    noise: np.ndarray
+    inflation: float = 1.0
+    begin: Start | None = None
+    tick: Callable[[], None] = field(default=lambda: None)
+
+    # --- the linearised car ------------------------------------------------------------
+
+    @cached_property
+    def _given(self):
+        """Car, grid, windows and samples for :func:`moved`, of few shapes."""
+        # As arrays, so that another car uses the same compiled program.
+        car = jax.tree.map(lambda x: jnp.asarray(x, float), self.car)
+        slowest = float(np.min(self.cut.data.v_x))
+        steps = steps_a_sample(self.car, slowest, _COARSER / self.step)
+        grid = jnp.asarray(self.step), steps
+        return car, grid, *_filled((self.cut.data, self.cut.rows))
+
+    def linear(self, z: np.ndarray, starts, columns: Sequence[int] = ()):
+        """The motion from all coefficients and start states (w, s), linearised, and its
+        derivatives (w, k, c, q) by some coefficients."""
+        car, grid, data, rows = self._given
+        count, slopes, columns = len(self.cut.log), [], list(columns)
+        for first in range(0, max(len(columns), 1), _COLUMNS):
+            some = columns[first : first + _COLUMNS]
+            ways = np.zeros((self.model.size, _COLUMNS))
+            ways[some, range(len(some))] = 1.0
+            given, more = inputs(self.model, grid[0], jnp.asarray(z), ways, data, rows)
+            slopes.append([np.asarray(x)[:count, ..., : len(some)] for x in more])
+        found = moved(self.model.channels, car, grid, _filled(starts), data, given)
+        now = jax.tree.map(lambda part: np.asarray(part)[:count], found)
+        relaxation = np.asarray(given[1])[:count, :, -1]
+        now = Linear(now, self.cut.data.v_x, relaxation, self.step, grid[1])
+        joined = [np.concatenate(x, axis=-1) for x in zip(*slopes, strict=True)]
+        return now, now.by_inputs(Slopes(*joined))
+
+    def coefficients(self, z=(), atoms: Sequence[int] = (), amplitude=()) -> np.ndarray:
+        """All coefficients (4 + K,) of the factors on the tires and of some atoms."""
+        found = np.zeros(self.model.size)
+        found[: len(z)] = z
+        found[[TIRES + k for k in atoms]] = amplitude
+        return found
+
+    def at(self, fit: Fit, columns: Sequence[int] = ()):
+        """:meth:`linear` at a fit."""
+        z = self.coefficients(fit.z, fit.atoms, fit.amplitude)
+        return self.linear(z, fit.state, columns)
+
+    @property
+    def is_covered(self) -> bool:
+        """Windows of every part have the slips and speeds of the others."""
+        return True
+
+    @property
+    def _states(self) -> int:
+        """Number of start states of a window."""
+        return self.cut.data.start.shape[1]
+
+    def projected(self, now: Linear, columns: np.ndarray) -> np.ndarray:
+        """Columns (w, k, c, q) whitened and orthogonal to the start states: (m, q)."""
+        weight = 1 / (self.noise * np.sqrt(self.inflation))[:, None]
+        by_start = now.by_start(self._states)
+        flat = [(x * weight).reshape(len(x), -1, x.shape[3]) for x in (columns, by_start)]
+        unit, _ = np.linalg.qr(flat[1])
+        left = flat[0] - unit @ (np.swapaxes(unit, 1, 2) @ flat[0])
+        return left.reshape(-1, columns.shape[3])
+
+    def _residual(self, now: Linear) -> np.ndarray:
+        """(m,) logged - predicted, whitened and orthogonal to the start states."""
+        return -self.projected(now, now.motion.missed[..., None])[:, 0]
+
+    def at_best_starts(self, z: np.ndarray) -> Linear:
+        """:meth:`linear` without a refit, from the best start states."""
+        starts, weight = np.asarray(self.cut.data.start), (1 / self.noise)[:, None]
+        for _ in range(_STARTS):
+            now, w = self.linear(z, starts)[0], len(starts)
+            slopes = (now.by_start(self._states) * weight).reshape(w, -1, self._states)
+            unit, size = np.linalg.qr(slopes)
+            rest = (now.motion.missed * weight[:, 0]).reshape(w, -1, 1)
+            starts = starts - np.linalg.solve(size, np.swapaxes(unit, 1, 2) @ rest)[..., 0]
+        return self.linear(z, starts)[0]
+
+    def rms(self, z: np.ndarray) -> np.ndarray:
+        """Rms (c,) of predicted - logged, from the best start states."""
+        return np.sqrt(np.mean(self.at_best_starts(z).motion.missed ** 2, axis=(0, 1)))
+
+    # --- what the engine asks of its subject ---------------------------------------------
+
+    @property
+    def atoms(self) -> tuple[Atom, ...]:
+        """The variants of all effects (K)."""
+        return self.model.atoms
+
+    @cached_property
+    def priors(self) -> Priors:
+        """Of the amplitudes of all atoms."""
+        pairs = [np.array(a.effect.bounds[0]) / s
+                 for a, s in zip(self.atoms, self.model.scales, strict=True)]  # fmt: skip
+        low, high = np.array(pairs).reshape(-1, 2).T
+        return Priors(np.zeros(len(low)), low, high, np.zeros(len(low)))
+
+    @property
+    def start(self) -> Start:
+        """Of the refit without effects; at first the tires and the states as given."""
+        return self.begin or Start(np.zeros(TIRES), np.zeros(0), self.cut.data.start)
+
+    @property
+    def floor(self) -> float:
+        """Mean square of the noise, over itself."""
+        return 1.0
+
+    @cached_property
+    def unit(self) -> np.ndarray:
+        """(m,) from residuals to the rms over the noise of all channels, for samples that
+        the start states leave free."""
+        shape = self.cut.data.logged.shape
+        each = shape[1] * shape[2]
+        scale = np.sqrt(self.inflation * each / (each - self._states))
+        return np.full(shape[0] * each, scale)
+
+    @cached_property
+    def given_residual(self) -> np.ndarray:
+        """(m,) whitened residual of the car as given, at its best start states."""
+        return self._residual(self.at_best_starts(self.coefficients()))
+
+    def folds(self, effects: Key) -> Folds:
+        """Logs, or blocks of time if there are few logs."""
+        log, count = self.cut.log, len(self.cut.log)
+        each = int(np.prod(self.cut.data.logged.shape[1:]))
+        number = int(log.max()) + 1
+        if number >= LEAST_LOGS:
+            return Folds(np.repeat(log, each), f"{number} logs left out in turn", True)
+        number = min(_BLOCKS, count)
+        part = np.arange(count) * number // count
+        return Folds(np.repeat(part, each), f"{number} blocks of time left out in turn")
+
+    def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[Fit]:
+        """Sets of atoms fitted from these starts, see :class:`engine.fit.Forward`."""
+        found = []
+        for start, atoms in zip(starts, sets, strict=True):
+            tries = [self._refit(start, atoms)]
+            if np.max(np.abs(start.z)) > _FAR:
+                fresh = Start(0 * start.z, start.amplitude, self.cut.data.start)
+                tries.append(self._refit(fresh, atoms))
+            found.append(max(tries, key=lambda fit: fit.log_evidence))
+            self.tick()
+        return found
+
+    def _refit(self, start: Start, atoms: tuple[int, ...]) -> Fit:
+        size, fill = TIRES + len(atoms), MOST_EFFECTS - len(atoms)
+        places = [*range(TIRES), *(TIRES + k for k in atoms)]
+        # Sets of every size share the compiled programs.
+
+        def run(own, starts, _):
+            z = np.zeros(self.model.size)
+            z[places] = np.asarray(own)[:size]
+            now, by = self.linear(z, starts, places)
+            by = np.pad(by, ((0, 0), (0, 0), (0, 0), (0, fill)))
+            return now.motion.missed, by, now.by_start(self._states)
+
+        index, priors = list(atoms), self.priors
+        sides = [
+            np.concatenate([[side] * TIRES, own[index], [0.0] * fill])
+            for side, own in ((-_MOST_OFF, priors.low), (_MOST_OFF, priors.high))
+        ]
+        own = np.concatenate([start.z, start.amplitude, [0.0] * fill])
+        own, states, _, _ = minimised(
+            run,
+            jnp.asarray(own),
+            jnp.asarray(start.state),
+            run(own, start.state, None),
+            None,
+            jnp.asarray(self.noise * np.sqrt(self.inflation)),
+            np.ones(len(own)),
+            sides,
+            _TOLERANCE,
+            _STEPS,
+        )
+        own = np.asarray(own)[:size]
+        z = self.coefficients(own[:TIRES], atoms, own[TIRES:])
+        now, by = self.linear(z, states, places)
+        return fitted(
+            atoms,
+            [self.atoms[k].effect.id for k in atoms],
+            Start(own[:TIRES], own[TIRES:], np.asarray(states)),
+            (self._residual(now), self.projected(now, by)),
+            np.ones(size),
+            own,
+            priors.sign[index],
+            (priors.low[index], priors.high[index]),
+        )
+
+    def tangents(self, fit: Fit) -> np.ndarray:
+        """Whitened slopes (m, K) by the amplitudes of all atoms at a fit."""
+        return self.projected(*self.at(fit, range(TIRES, self.model.size)))
+
+    @cached_property
+    def covariates(self) -> dict[str, np.ndarray]:
+        """Quantities (w, k) that vary over the windows, at the start fit."""
+        now, rows = self._at_start, self.cut.rows
+        front, rear = np.moveaxis(now.motion.angles, 2, 0)
+        values = {"front slip": front, "rear slip": rear, "speed": rows.speed,
+                  "forward acceleration": rows.along, "time": rows.time}  # fmt: skip
+        return {k: np.asarray(v) for k, v in values.items() if np.ptp(v) > UNSEEN}
+
+    @cached_property
+    def _at_start(self) -> Linear:
+        start = self.start
+        return self.linear(self.coefficients(start.z), start.state)[0]
+
+    @cached_property
+    def discrepancy(self) -> Discrepancy:
+        """An unlisted force: of each axle, as a function of one covariate, and of both
+        axles, of any course in time."""
+        now, loads = self._at_start, self.car.loads
+        shape = now.motion.missed.shape[:2]
+        columns: list[np.ndarray] = []
+        cells: list[Cell] = []
+
+        def add(axles, covariate, shapes, places, settings=False):
+            sizes = _USUAL * shapes.reshape(*shape, -1)
+            each = [now.by_force(k, sizes * float(loads[k])) for k in axles]
+            columns.append(self.projected(now, np.sum(each, axis=0)))
+            first = cells[-1].end if cells else 0
+            quantity = ("front force", "rear force", "side force")[sum(axles) + len(axles) - 1]
+            cells.append(
+                Cell(quantity, covariate, first, first + len(places), places, settings, settings)
+            )
+
+        for covariate, values in self.covariates.items():
+            ends = np.quantile(values, [0.01, 0.99]) if "slip" in covariate else (-np.inf, np.inf)
+            shapes, places = places_of(
+                np.clip(values, *ends).ravel(), None, _PLACES.get(covariate, _USUAL_PLACES)
+            )
+            for axle in (0, 1):
+                add([axle], covariate, shapes, places)
+        window = np.repeat(np.eye(shape[0]), shape[1], axis=0)
+        add([0, 1], "window", window, np.arange(shape[0]), True)
+        return Discrepancy(np.concatenate(columns, axis=1), tuple(cells))
+
+    def groups(self) -> dict[str, np.ndarray]:
+        """Covariates (m,) by whose values the size of an effect may differ."""
+        shape = self.cut.data.logged.shape
+        values = {**self.covariates, "yaw rate": self._at_start.motion.states.yaw_rate}
+        if self.cut.log.max():
+            values["log"] = np.repeat(self.cut.log[:, None], shape[1], axis=1)
+        return {
+            name: np.repeat(x[..., None], shape[2], axis=2).ravel() for name, x in values.items()
+        }
+
+    # --- noise and motion from a fit ------------------------------------------------------
+
+    def following(self, fit: Fit) -> "Windows":
+        """The same windows with effects that depend on the motion of a fit."""
+        now, rows = self.at(fit)[0], self.cut.rows
+        rows = rows._replace(
+            across=now.motion.lateral / float(self.car.gravity),
+            turn=now.motion.states.yaw_rate / self.cut.data.v_x,
+        )
+        return replace(self, cut=self.cut._replace(rows=rows), begin=fit.start)
+
+    def with_noise_of(self, fit: Fit) -> "Windows":
+        """The same windows with the noise of the remainder of a fit with all listed effects
+        and unlisted forces, and with the ratio of the scatter of sums over windows to that
+        of independent samples as inflation."""
+        atoms, shape = self.tangents(fit), self.cut.data.logged.shape
+        seen = np.concatenate([fit.columns, atoms, self.discrepancy.additive], axis=1)
+        own, listed = len(fit.pull), len(fit.pull) + atoms.shape[1]
+        pull = np.full(seen.shape[1], SIZES[1] ** -2.0)
+        pull[:own], off = fit.pull**2, np.zeros(len(pull))
+        off[:own] = pull[:own] * fit.off
+        gram = seen.T @ seen
+        inverse = np.linalg.inv(gram + np.diag(pull))
+        rest = fit.residual - seen @ (inverse @ (seen.T @ fit.residual - off))
+        free = len(rest) - shape[0] * self._states - np.sum(inverse * gram)
+        squares = rest.reshape(shape) ** 2
+        level = np.mean(squares, axis=(0, 1)) * len(rest) / max(free, 1.0)
+        # Sums over windows of white noise, which the fit reduces, and of the remainder.
+        each = seen.reshape(shape[0], -1, len(pull))
+        cross = np.swapaxes(each[..., :listed], 1, 2) @ each
+        size = np.diag(gram)[:listed]
+        white = size - np.einsum("wpq,qr,wpr->p", cross, inverse, cross, optimize=True)
+        sums = np.einsum("wmp,wm->wp", each[..., :listed], rest.reshape(shape[0], -1)) ** 2
+        there = white > UNSEEN * size
+        scatter = np.median(sums.sum(axis=0)[there] / white[there]) / level.mean()
+        noise = self.noise * np.sqrt(self.inflation * level)
+        return replace(self, noise=noise, inflation=max(float(scatter), 1.0))
