@@ -12,7 +12,7 @@ from tirefit.data.table import CANONICAL, TireData
 from tirefit.diagnosis.effects import atoms_of
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.engine.search import MOST_EFFECTS
-from tirefit.diagnosis.negligible import FLAT, NONZERO
+from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.forces import Design, Tire
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import unfit
@@ -44,21 +44,11 @@ up to which the simplest stand-in is used."""
 
 
 class Refit(NamedTuple):
-    """Refitted hypotheses: parameters, amplitudes in prior scales, sum of squares, log
-    determinant of the curvature, covariance of (z, amplitudes), and squared distance of
-    the amplitudes from their expected values."""
+    """Refitted hypotheses: parameters (h, p), and amplitudes in prior scales
+    (h, :data:`MOST_EFFECTS`)."""
 
     z: np.ndarray
     amplitude: np.ndarray
-    chi2: np.ndarray
-    log_det: np.ndarray
-    covariance: np.ndarray
-    penalty: np.ndarray
-
-
-def one_of(every: Refit, k: int) -> Refit:
-    """One of the hypotheses."""
-    return Refit(*(np.asarray(part)[k] for part in every))
 
 
 class Normal(NamedTuple):
@@ -70,17 +60,15 @@ class Normal(NamedTuple):
 
 
 class _Hypotheses:
-    """Sets of atoms, each on some sets of rows, to be refitted from ``starts`` (h, w).
-    Smaller sets are padded with amplitudes without effect."""
+    """Sets of atoms to be refitted from ``starts`` (h, w). Smaller sets are padded with
+    amplitudes without effect."""
 
-    def __init__(self, model: Tire, starts, sets, keeps, design: Design):
+    def __init__(self, model: Tire, starts, sets, design: Design):
         self.model, self.design, self.p = model, design, len(starts[0][0])
-        begin = np.zeros((len(sets), self.p + MOST_EFFECTS))
-        for row, (z, amplitude) in zip(begin, starts, strict=True):
+        self.starts = np.zeros((len(sets), self.p + MOST_EFFECTS))
+        for row, (z, amplitude) in zip(self.starts, starts, strict=True):
             row[: self.p + len(amplitude)] = *z, *amplitude
-        self.starts = np.tile(begin, (len(keeps), 1))
-        self.sets = [tuple(atoms) for _ in keeps for atoms in sets]
-        self.weights = [w for w in map(design.weights, keeps) for _ in sets]
+        self.sets, self.weights = [tuple(atoms) for atoms in sets], design.weights()
         self.forces, none = design.forces, len(design.prior_scale)
         index = [[*s, *[none] * (MOST_EFFECTS - len(s))] for s in self.sets]
         self.center = np.append(design.prior_center, 0.0)[index]
@@ -103,38 +91,20 @@ class _Hypotheses:
         sets = [self.sets[number] for number in numbers]
         found = self.model.slopes(points, sets, self.design)
         for k, (mean, columns) in enumerate(found):
-            weight, own = self.weights[numbers[k]], slice(len(columns))
-            rows = (columns * weight).reshape(len(columns), -1)
-            missed = ((self.forces - mean) * weight).reshape(-1)
+            own = slice(len(columns))
+            rows = (columns * self.weights).reshape(len(columns), -1)
+            missed = ((self.forces - mean) * self.weights).reshape(-1)
             cost[k] += missed @ missed
             normal[k, own, own] += rows @ rows.T
             gradient[k, own] -= rows @ missed
         return Normal(cost, normal, gradient)
 
 
-def refit_folds(model: Tire, starts, sets, keeps, design: Design) -> Refit:
-    """Sets of atoms refitted from starts (z, amplitudes in prior scales), each on every
-    set of rows ``keeps`` (f, n), 0 or 1: leading axes (f, sets)."""
-    those = _Hypotheses(model, starts, sets, keeps, design)
-    z, best = minimised(those.at, those.starts, those.allowed, 0.0, _TOLERANCE, _STEPS)
-    p, shape = those.p, (len(keeps), len(sets))
-    penalty = np.sum((z[:, p:] - those.center) ** 2, axis=1)
-    # A parameter at its bound has no curvature; its remainder cancels.
-    curvature = best.normal + FLAT * np.eye(z.shape[1])
-    found = (
-        z[:, :p],
-        z[:, p:],
-        best.cost - penalty,
-        np.linalg.slogdet(curvature)[1],
-        np.linalg.inv(curvature),
-        penalty,
-    )
-    return Refit(*(values.reshape(*shape, *values.shape[1:]) for values in found))
-
-
 def refit(model: Tire, starts, sets, design: Design) -> Refit:
-    """The same on the rows of the design: leading axis (sets,)."""
-    return one_of(refit_folds(model, starts, sets, [design.keep], design), 0)
+    """Sets of atoms refitted from starts (z, amplitudes in prior scales)."""
+    those = _Hypotheses(model, starts, sets, design)
+    z, _ = minimised(those.at, those.starts, those.allowed, 0.0, _TOLERANCE, _STEPS)
+    return Refit(z[:, : those.p], z[:, those.p :])
 
 
 def _after_step(z, at: Normal, allowed: Callable, damping, longest: float):

@@ -64,10 +64,10 @@ class Design(NamedTuple):
         """Observed forces (C, n), in the order of their names."""
         return np.stack([self.observed[c] for c in sorted(self.observed)])
 
-    def weights(self, keep=None) -> np.ndarray:
-        """Reciprocal noise (C, n), zero where ``keep``, or another one given, is."""
+    def weights(self) -> np.ndarray:
+        """Reciprocal noise (C, n), zero where ``keep`` is."""
         scales = np.stack([self.scale[c] for c in sorted(self.observed)])
-        return np.asarray(self.keep if keep is None else keep, float) / scales
+        return np.asarray(self.keep, float) / scales
 
 
 class Linear(NamedTuple):

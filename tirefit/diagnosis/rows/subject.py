@@ -62,11 +62,10 @@ class Fit:
 @dataclass(frozen=True, kw_only=True)
 class Base(Fit):
     """The subject "rows": the base fit of a diagnosis with the estimated noise, by channel.
-    ``alone`` is the refit without effects that gave z. Whitened values are over the used
-    rows of all channels, (m, ...). ``linear`` caches the last linearised fits, by (z, amplitudes).
+    Whitened values are over the used rows of all channels, (m, ...). ``linear`` caches the
+    last linearised fits, by (z, amplitudes).
     """
 
-    alone: fits.Refit
     noise: Mapping[str, NoiseLevel]
     testable: tuple[int, ...] = ()
     linear: dict[tuple[bytes, ...], Linear] = field(default_factory=dict, init=False)
@@ -400,16 +399,14 @@ def _under(noise: Mapping[str, NoiseLevel], fit: Fit) -> Base:
     keep = (np.arange(size) < n).astype(float)
     keep[:n] = ~np.any([level.outlier for level in levels], axis=0)
     design = fit.design._replace(scale=scale, keep=keep)
-    alone = fits.refit(fit.tire, [(fit.z, ())], [()], design)
     return Base(
         rows=fit.rows,
         tire=fit.tire,
         design=design,
-        z=alone.z[0],
+        z=fits.refit(fit.tire, [(fit.z, ())], [()], design).z[0],
         guess=fit.guess,
         slip_fraction=fit.slip_fraction,
         simulator=fit.simulator,
-        alone=alone,
         noise=noise,
     )
 
