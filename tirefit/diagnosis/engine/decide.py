@@ -236,7 +236,9 @@ def findings_of(
         unlisted = max(min(unlisted, predicts), local * unlisted)
     # Evidence of sets alone takes the noise for all that is left.
     first = found.best_beside if unlisted > policy.likely else found.best
-    wholes = () if no_gap_shows(found, policy) else dict.fromkeys((first, found.best))
+    wholes = [] if no_gap_shows(found, policy) else [*dict.fromkeys((first, found.best))]
+    # Smooth functions may take the place of a listed effect; data left out tell.
+    wholes.sort(key=lambda whole: out.whitened[:, out.effects.index(whole)].sum())
     floor, gains = floor_of(subject, out), dict[Key, dict[str, Gain]]()
     for whole in wholes:
         parts = [part for part in parts_of(whole) if part in out.effects]
