@@ -134,9 +134,10 @@ class Each(NamedTuple):
 @dataclass(frozen=True, kw_only=True)
 class Findings:
     """All inputs of a verdict: the posterior over sets; by set (empty if no gap is found,
-    first the one that explains most, then its subsets, the largest and most probable
-    first) the gain of each effect on data left out in addition to the others, and the
-    features of each; and the probability of an unlisted effect, not calibrated."""
+    of the leading sets first the one that predicts data left out best, then its subsets,
+    the largest and most probable first) the gain of each effect on data left out in
+    addition to the others, and the features of each; and the probability of an unlisted
+    effect, not calibrated."""
 
     weighed: Weighed
     gains: Mapping[Key, Mapping[str, Gain]]
@@ -305,8 +306,8 @@ def no_gap_shows(found: Weighed, policy: Policy = POLICY) -> bool:
 def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = None) -> Verdict:
     """The verdict that the findings support.
 
-    The largest part of the most probable set helps whose every effect predicts data left
-    out better. Its effects are causes if they are likelier there than not.
+    The first set of ``gains`` helps whose every effect predicts data left out better. Its
+    effects are causes if they are likelier there than not.
 
     Args:
         learned: the calibration; None for that of the package.
@@ -348,8 +349,7 @@ def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = N
 
 
 def helping(found: Findings, policy: Policy = POLICY) -> Key:
-    """The largest part of the most probable set whose every effect predicts data left out
-    better."""
+    """The first set of ``gains`` whose every effect predicts data left out better."""
 
     def helps(gains: Mapping[str, Gain]) -> bool:
         return all(gain.gain > policy.gain * gain.std for gain in gains.values())
