@@ -203,9 +203,10 @@ def calibration() -> Learned:
 def predictions(search: Search) -> tuple[Weighed, Predicted]:
     """The posterior, and the predictions of data left out by the leading sets and their
     subsets."""
-    found = weighed(search)
+    found, known = weighed(search), len(search.fits)
     search.refit_parts(found.best_of[found.best_beside])
-    found = weighed(search)
+    if len(search.fits) > known:
+        found = weighed(search)
     ranked = found.ranked
     singles = [k for k in ranked if len(k) == 1]
     wanted = [(), *ranked[:_LEADING], *singles[:_LEADING]]
