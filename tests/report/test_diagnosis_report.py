@@ -985,8 +985,8 @@ STATUSES = {
     ),
     "cannot_tell": (
         ("cannot_tell", ["load_friction"], 0.6, ["friction_drift"], ["friction_drift"]),
-        "The gap comes from load friction (or friction drift, which this data cannot"
-        " tell from it) (0.91). This takes the gap from 125 to 25 N (rms).",
+        "The gap comes from load friction or friction drift, which this data cannot tell"
+        " apart (0.91). This takes the gap from 125 to 25 N (rms).",
     ),
 }
 

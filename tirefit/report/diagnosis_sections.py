@@ -151,7 +151,7 @@ def or_twins(result, effect: str) -> str:
     if each is None or not each.twins:
         return ""
     twins = listing([name_of(twin) for twin in each.twins], "or")
-    return f" (or {twins}, which this data cannot tell from it)"
+    return f" or {twins}, which this data cannot tell apart"
 
 
 def head_lines(result: Diagnosis) -> Iterator[str]:
