@@ -81,7 +81,7 @@ class Toy:
 
     def folds(self, effects):
         code = np.arange(len(self.observed)) * self.parts // len(self.observed)
-        return Folds(code, f"{self.parts} blocks", True)
+        return Folds(code, f"{self.parts} blocks")
 
     def refit(self, starts, sets):
         self.refits += list(sets)

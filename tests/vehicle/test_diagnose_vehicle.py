@@ -95,7 +95,7 @@ def test_a_replay_with_the_effects_reaches_the_noise(late, found, tmp_path):
             assert after < 0.6 * before and after < 2 * floor, quantity
     assert "With the effects" in replayed.summary()
     given.write_text('{"schema": "tirefit.vehicle_diagnosis/1"}')
-    with pytest.raises(DataError, match="not the document of a diagnosis of a car"):
+    with pytest.raises(DataError, match="not vehicle_diagnosis.json of"):
         tirefit.replay([log], vehicle, *tires, effects=given)
 
 

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH, Step
+from tirefit.diagnosis.engine.sizes import SizeByGroup
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.records import Each, NextMeasurement, Shrinkage, SizeByGroup, Status
+from tirefit.diagnosis.summary.records import Each, NextMeasurement, Shrinkage, Status
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_table, change_texts, channel_name, stand_in_line
 from tirefit.report.diagnosis_words import (

@@ -23,8 +23,8 @@ _STATES = ("as given", "tires fitted", "with the effects")
 
 
 def _effect_text(result: VehicleDiagnosis, effect: str) -> str:
-    amplitude, form = result.amplitudes[effect], result.which.get(effect)
-    amount = amount_text(*amplitude)
+    amplitude, form = result.amplitudes[effect], result.forms.get(effect)
+    amount = amount_text(*amplitude[:3])
     return f"{name_with_id(effect)}, {amount}" + (f" {form}" if form else "")
 
 

@@ -7,7 +7,7 @@ left out and decision are those of a diagnosis of forces.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -29,8 +29,10 @@ from tirefit.diagnosis.engine.decide import (
 from tirefit.diagnosis.engine.fit import Fit
 from tirefit.diagnosis.engine.left_out import Ladder, Predicted, jackknife_error, ladder_of
 from tirefit.diagnosis.engine.search import Effort, Search, searched
+from tirefit.diagnosis.engine.sizes import SizeByGroup
 from tirefit.diagnosis.summary.document import sizes_of
-from tirefit.diagnosis.summary.records import SizeByGroup
+from tirefit.diagnosis.summary.records import Amplitude
+from tirefit.diagnosis.summary.result import NOT_WRITTEN, mappings
 from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.fitting.mf.result import TireLike
@@ -64,14 +66,6 @@ _OTHER_NOISE = 0.25
 """Change of the log noise above which the search is repeated."""
 
 
-class Amplitude(NamedTuple):
-    """An amplitude with its standard error."""
-
-    value: float
-    std: float
-    unit: str
-
-
 class Miss(NamedTuple):
     """Rms of predicted - logged by channel over windows, each from its best start state:
     of the car as given, with fitted tires, and with the effects."""
@@ -90,7 +84,7 @@ class VehicleDiagnosis(Record):
         verdict: which effects are there, and what is left.
         ladder: how the rms over the noise shrinks on windows left out.
         sizes: of each named effect by groups of each covariate, the most unequal first.
-        amplitudes: of each named effect; which: text on its form; variants: the number
+        amplitudes: of each named effect; forms: text on its form; variants: the number
             of its form; speed: mean speed [m/s], to which effects of the speed refer.
         parameters: factor on each number of the tires in the fit of the named effects.
         noise: channel -> noise of the log: the remainder of all effects together.
@@ -110,7 +104,7 @@ class VehicleDiagnosis(Record):
     ladder: Ladder
     sizes: Mapping[str, tuple[SizeByGroup, ...]]
     amplitudes: Mapping[str, Amplitude]
-    which: Mapping[str, str]
+    forms: Mapping[str, str]
     variants: Mapping[str, int]
     speed: float
     parameters: Mapping[str, Amplitude]
@@ -118,7 +112,7 @@ class VehicleDiagnosis(Record):
     miss: Miss
     held_out: Miss | None
     untestable: Mapping[str, tuple[str, ...]]
-    effects: Mapping[str, Effect]
+    effects: Mapping[str, Effect] = field(metadata=NOT_WRITTEN)
     notes: tuple[str, ...]
 
     @property
@@ -133,31 +127,10 @@ class VehicleDiagnosis(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers, as in ``vehicle_diagnosis.json``."""
-        verdict = self.verdict
-        return json_safe({
-            "schema": SCHEMA, "version": __version__, "logs": self.logs,
-            "windows": self.windows, "window": self.window,
-            "verdict": {
-                "status": verdict.status.value, "effects": verdict.effects,
-                "acts_like": verdict.acts_like,
-                "probability": self.probability,
-                "each": {k: v._asdict() for k, v in verdict.each.items()},
-                "also_possible": verdict.also_possible, "unlisted": verdict.unlisted,
-            },
-            "sizes": {k: [one._asdict() for one in v] for k, v in self.sizes.items()},
-            "amplitudes": {k: v._asdict() for k, v in self.amplitudes.items()},
-            "forms": dict(self.which), "variants": dict(self.variants),
-            "speed": self.speed,
-            "parameters": {k: v._asdict() for k, v in self.parameters.items()},
-            "noise": dict(self.noise),
-            "ladder": {
-                "left_out": self.ladder.on,
-                "steps": [step._asdict() for step in self.ladder.steps],
-            },
-            "miss": self.miss._asdict(),
-            "held_out": self.held_out._asdict() if self.held_out else None,
-            "untestable": dict(self.untestable), "notes": self.notes,
-        })  # fmt: skip
+        verdict = mappings(self.verdict) | {"probability": self.probability}
+        ladder = {"left_out": self.ladder.on, "steps": mappings(self.ladder.steps)}
+        content = {"schema": SCHEMA, "version": __version__, **mappings(self)}
+        return json_safe(content | {"verdict": verdict, "ladder": ladder})
 
     def files(self, name: str = "") -> dict[str, str]:
         """``vehicle_diagnosis.json``."""

@@ -217,7 +217,7 @@ class Windows:
         each = int(np.prod(self.cut.data.logged.shape[1:]))
         number = int(log.max()) + 1
         if number >= LEAST_LOGS:
-            return Folds(np.repeat(log, each), f"{number} logs left out in turn", True)
+            return Folds(np.repeat(log, each), f"{number} logs left out in turn")
         number = min(_BLOCKS, count)
         part = np.arange(count) * number // count
         return Folds(np.repeat(part, each), f"{number} blocks of time left out in turn")

@@ -57,11 +57,6 @@ class Status(StrEnum):
     """There is a gap, and no listed effect can be named."""
 
     @property
-    def names(self) -> bool:
-        """Whether listed effects are named."""
-        return self in (Status.NAMED, Status.CANNOT_TELL, Status.INCOMPLETE)
-
-    @property
     def limits(self) -> dict[Outcome, str]:
         """Outcome -> sentence where the answer is open, for a record."""
         return {
@@ -98,7 +93,7 @@ class Features(NamedTuple):
 
     Attributes:
         spread: logarithm of the mean spread of its sizes over groups, see
-            :class:`~tirefit.diagnosis.engine.sizes.Sizes`.
+            :class:`~tirefit.diagnosis.engine.sizes.SizeByGroup`.
         unequal: root of the largest share of the remainder that unequal sizes explain.
         listed: log odds of the sets that hold it, all effects listed.
         beside: log odds of the sets that hold it, beside an unlisted effect.

@@ -27,12 +27,10 @@ class Start(NamedTuple):
 
 class Folds(NamedTuple):
     """A partition of the data. ``code`` (m,) is the part of each residual, -1 for one that
-    is never left out; ``on`` names the parts for the report; ``across_runs``: whether
-    the parts are whole runs."""
+    is never left out; ``on`` names the parts for the report."""
 
     code: np.ndarray
     on: str
-    across_runs: bool = False
 
     @property
     def number(self) -> int:

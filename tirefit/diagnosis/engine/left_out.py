@@ -26,16 +26,15 @@ close, and the noise floor."""
 class Predicted(NamedTuple):
     """Sets of effects fitted without each part, and their errors on it.
 
-    ``on`` and ``across_runs`` are those of :class:`Folds`. ``loss`` (F, S) is the mean
-    squared error of set s in part f, first channel, in its unit; ``whitened`` (F, S) the
-    sum of squares of all channels over the noise; ``rows`` (F,) the number of values of
-    the first channel; ``parameters`` (F, p) and ``amplitude`` (F, k) by set, the latter in
-    prior scales. ``smooth`` and ``smooth_whitened`` (F,) are the same of "anything smooth",
-    ``as_given`` (F,) the loss of a simulator whose parameters are not refitted.
+    ``on`` is that of :class:`Folds`. ``loss`` (F, S) is the mean squared error of set s in
+    part f, first channel, in its unit; ``whitened`` (F, S) the sum of squares of all
+    channels over the noise; ``rows`` (F,) the number of values of the first channel;
+    ``parameters`` (F, p) and ``amplitude`` (F, k) by set, the latter in prior scales.
+    ``smooth`` and ``smooth_whitened`` (F,) are the same of "anything smooth", ``as_given``
+    (F,) the loss of a simulator whose parameters are not refitted.
     """
 
     on: str
-    across_runs: bool
     effects: tuple[Key, ...]
     loss: np.ndarray
     whitened: np.ndarray
@@ -50,13 +49,12 @@ class Predicted(NamedTuple):
 class Gain(NamedTuple):
     """The gain of a set of effects over another on data left out: the difference of the sums of
     squares over the noise (all channels), and the share of the gap beyond the noise that it closes
-    (first channel), with standard errors over the ``parts`` that were left out."""
+    (first channel), with standard errors over the parts that were left out."""
 
     gain: float
     std: float
     closed: float
     closed_std: float
-    parts: int
 
 
 class Step(NamedTuple):
@@ -112,7 +110,6 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
     given = subject.given_residual
     return Predicted(
         folds.on,
-        folds.across_runs,
         tuple(fit.key for fit in sets),
         loss,
         whitened,
@@ -155,7 +152,7 @@ def gained(out: Predicted, new: int, old: int, floor: float) -> Gain:
     """
     parts = out.whitened[:, old] - out.whitened[:, new]
     closed, error = _closed(out.rows, out.loss[:, new], out.loss[:, old], floor)
-    return Gain(float(parts.sum()), _error(parts), closed, error, len(parts))
+    return Gain(float(parts.sum()), _error(parts), closed, error)
 
 
 def jackknife_error(values) -> np.ndarray | np.floating:

@@ -86,10 +86,6 @@ class Weighed:
         """Probability of the sets that hold these effects, beside an unlisted one."""
         return _holding(self.beside, effects)
 
-    def listed_given_gap(self, key: Key) -> float:
-        """Probability of exactly this set, given an effect, all listed."""
-        return self.listed[key] / max(1 - self.listed.get((), 0.0), NONZERO)
-
     @property
     def nothing_shown(self) -> float:
         """Probability of the sets that these data could not show."""

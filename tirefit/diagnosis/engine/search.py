@@ -118,17 +118,6 @@ class Search:
         """All fits, the most probable first."""
         return sorted(self.fits.values(), key=self.weight, reverse=True)
 
-    @property
-    def score(self) -> dict[str, float]:
-        """Score of each effect at the base fit in standard errors: the largest one of its
-        variants."""
-        largest: dict[str, float] = {}
-        for k in self.subject.testable:
-            if self.gram[k, k] > UNSEEN:
-                z = float(self.scores[k] / np.sqrt(self.gram[k, k]))
-                largest[self.ids[k]] = max(largest.get(self.ids[k], 0.0), z, key=abs)
-        return largest
-
     def log_prior(self, atoms: tuple[int, ...]) -> float:
         """Log prior of a set: equal for families, then forms, then variants."""
         total = np.log(PRIOR_OF_SIZE[len(atoms)])

@@ -19,23 +19,24 @@ _KNOWN = 3.0
 """A group whose size is known to worse than this many times the size itself says nothing."""
 
 
-class Sizes(NamedTuple):
-    """An effect by groups of one covariate.
+class SizeByGroup(NamedTuple):
+    """The size of an effect in groups of one covariate, in ascending order of the covariate.
 
     Attributes:
-        covariate: of the groups; ``middle`` (g,) its median in each.
-        size: (g,) in prior scales; ``std`` (g,) their standard errors.
+        covariate: of the groups; ``at`` its median in each.
+        size: in the unit of the amplitude; ``std`` their standard errors.
         spread: standard deviation of the sizes beyond that of their errors, over the size
-            that fits all.
+            that fits all: near zero for a cause, often a quarter and more for an effect that
+            stands in for another one.
         explains: share of the mean square of the remainder that unequal sizes explain.
     """
 
     covariate: str
-    middle: np.ndarray
-    size: np.ndarray
-    std: np.ndarray
+    at: tuple[float, ...]
+    size: tuple[float, ...]
+    std: tuple[float, ...]
     spread: float
-    explains: float
+    explains: float = 0.0
 
 
 def grouped(values: np.ndarray) -> np.ndarray:
@@ -48,24 +49,27 @@ def grouped(values: np.ndarray) -> np.ndarray:
 
 
 def sizes_by_group(
-    fit: Fit, atom: int, groups: Mapping[str, np.ndarray], noise: float = 1.0
-) -> list[Sizes]:
+    fit: Fit, atom: int, groups: Mapping[str, np.ndarray], noise: float = 1.0, unit: float = 1.0
+) -> list[SizeByGroup]:
     """The size of one effect of a fit in the groups of each covariate, most unequal first.
 
     Args:
         atom: number of the effect's atom in the fit.
         groups: values (m,) of each covariate for the residuals.
         noise: mean square of the remainder, at least one, that widens the errors.
+        unit: prior scale of the amplitude in its own unit.
     """
     found = [
         one
         for name, values in groups.items()
-        if (one := _sizes(fit, fit.atoms.index(atom), name, values, noise)) is not None
+        if (one := _sizes(fit, fit.atoms.index(atom), name, values, noise, unit)) is not None
     ]
     return sorted(found, key=lambda one: -one.spread)
 
 
-def _sizes(fit: Fit, place: int, name: str, values: np.ndarray, noise: float) -> Sizes | None:
+def _sizes(
+    fit: Fit, place: int, name: str, values: np.ndarray, noise: float, unit: float
+) -> SizeByGroup | None:
     """:func:`sizes_by_group` for one covariate; None for a single group."""
     code, own = grouped(values), len(fit.z) + place
     whole, amplitude = fit.columns[:, own], float(fit.amplitude[place])
@@ -88,11 +92,11 @@ def _sizes(fit: Fit, place: int, name: str, values: np.ndarray, noise: float) ->
     inverse = np.linalg.inv(split.T @ split + ROUNDING * np.eye(len(groups)))
     size = inverse @ (split.T @ target)
     std = np.sqrt(np.maximum(np.diag(inverse), 0.0) * max(noise, 1.0))
-    return Sizes(
+    return SizeByGroup(
         name,
-        np.array([np.median(values[code == k]) for k in groups]),
-        size,
-        std,
+        tuple(float(np.median(values[code == k])) for k in groups),
+        tuple((unit * size).tolist()),
+        tuple((abs(unit) * std).tolist()),
         _spread(size, std, amplitude),
         float(gained) / max(float(rest @ rest), NONZERO),
     )

@@ -30,7 +30,7 @@ def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> 
         code = np.full(prepared.n, -1)
         for number, run in enumerate(runs):
             code[prepared.run == run] = number
-        return Folds(code, f"{len(runs)} runs left out in turn", True)
+        return Folds(code, f"{len(runs)} runs left out in turn")
     most = int(prepared.n // max(_LEAST_ROWS, 4 * rows_each))
     count = max(min(_BLOCKS, most), 2)
     if prepared.time is not None and np.ptp(prepared.time) and not prepared.random_order:

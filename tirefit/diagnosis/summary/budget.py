@@ -45,25 +45,6 @@ def shapley(players: tuple, worth: Callable[[tuple], float]) -> dict:
     return values
 
 
-def closed_by_each(base: Base, chosen: Fit) -> dict[str, float]:
-    """Shares of the effects of a hypothesis in the energy of the misfit, over the noise,
-    that they remove; they sum to one. Empty for fewer than two effects."""
-    if len(chosen.atoms) < 2:
-        return {}
-    energy = dict.fromkeys(subsets(chosen.atoms), 0.0)
-    tuned = (PARAMETERS,) if base.simulator else ()
-    for channel, missed in _missed(base, chosen).items():
-        noise = base.noise[channel]
-        for subset in energy:
-            scaled = (missed[(*tuned, *subset)] / noise.std)[~noise.outlier]
-            energy[subset] += float(scaled @ scaled)
-    closed = energy[()] - energy[chosen.atoms]
-    if not closed > 0:
-        return {}
-    values = shapley(chosen.atoms, lambda subset: -energy[subset] / closed)
-    return {base.atoms[k].effect.id: value for k, value in values.items()}
-
-
 def budgets_of(case, rows, generator) -> dict[str, tuple[Part, ...]]:
     """Parts of the energy of every channel: parameters (of a simulator), each named
     effect, unexplained, noise; their shares add to one. ``rows`` holds by channel

@@ -81,7 +81,7 @@ def _both(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
     base, fit = case.base, case.chosen
     before = at.forces(base.as_given, base.amplitudes())
     after = at.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude))
-    channels = base.prepared.channels
+    channels = base.rows.channels
     forces = {c: {"base": before[c], "extended": after[c]} for c in channels}
     if base.simulator:
         tuned = at.forces(base.z, base.amplitudes())
@@ -97,7 +97,7 @@ def rows_of(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
         at: the base fit at the slips that the forces are wanted for.
     """
     smooth, deviation = _smoothed_remainder(case)
-    forces, n = _both(case, at), case.base.prepared.n
+    forces, n = _both(case, at), case.base.rows.n
     for k, (channel, parts) in enumerate(forces.items()):
         scale = np.asarray(case.base.design.scale[channel])[:n]
         part = slice(k * n, (k + 1) * n)
@@ -136,8 +136,8 @@ def beside(base: Base, fit: Fit) -> np.ndarray:
 def all_rows(case: Case, whole: Prepared, rig, rows):
     """The rows of the whole file, NaN where masked: {channel: {name: (n,)}}; between
     thinned rows the located gap is interpolated in their order."""
-    data, kept, every = whole.data, case.base.prepared.kept, np.arange(whole.n)
-    if case.base.prepared.n < whole.n:
+    data, kept, every = whole.data, case.base.rows.kept, np.arange(whole.n)
+    if case.base.rows.n < whole.n:
         forces = _both(case, on_rows(case.base, whole, rig).measured)
         for channel, parts in forces.items():
             few = rows[channel]

@@ -8,18 +8,13 @@ import numpy as np
 from tirefit.diagnosis.engine.decide import Status, calibration, floor_of
 from tirefit.diagnosis.engine.fit import Fit
 from tirefit.diagnosis.engine.left_out import jackknife_error, ladder_of
-from tirefit.diagnosis.engine.sizes import sizes_by_group
-from tirefit.diagnosis.extended import Extension, extension_of
+from tirefit.diagnosis.engine.sizes import SizeByGroup, sizes_by_group
+from tirefit.diagnosis.extended import extension_of
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.runs import offsets_of_runs
 from tirefit.diagnosis.rows.subject import Base
-from tirefit.diagnosis.summary.budget import (
-    budgets_of,
-    closed_by_each,
-    parameter_changes,
-    simulator_summary,
-)
+from tirefit.diagnosis.summary.budget import budgets_of, parameter_changes, simulator_summary
 from tirefit.diagnosis.summary.case import Case, all_rows, rows_of
 from tirefit.diagnosis.summary.closure import closure_on_rows, held_out, plausible_forces
 from tirefit.diagnosis.summary.forecast import confusion, next_measurements
@@ -31,7 +26,6 @@ from tirefit.diagnosis.summary.records import (
     NoiseSummary,
     Resolution,
     Shrinkage,
-    SizeByGroup,
     VerdictSummary,
 )
 from tirefit.diagnosis.summary.result import Diagnosis
@@ -42,7 +36,7 @@ from tirefit.diagnosis.summary.views import (
     residual_map,
     shown_rows,
 )
-from tirefit.diagnosis.summary.where import data_summary, parameter_map, regions, spots
+from tirefit.diagnosis.summary.where import data_summary, regions
 from tirefit.fitting.noise import effective_inflation
 
 _LISTED, _MENTIONED = 10, 1e-3
@@ -71,7 +65,7 @@ def document_of(
         holdout: tables that the search did not use.
     """
     data, base, rig = whole.data, case.base, settings.rig
-    prepared = base.prepared
+    prepared = base.rows
     rows = rows_of(case, base.measured)
     # Random numbers are drawn in this order: true forces, held-out data, budget.
     believed, main = rows_of(case, base), prepared.channels[0]
@@ -79,9 +73,7 @@ def document_of(
     ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base, case.predicted))
     held, ladder = held_out(case, holdout, rig, ladder, generator)
     verdict, gaps = case.verdict, _gaps(case, rows, truth)
-    candidates = _candidates(case, rows[main]["base"], truth[main])
-    shares = closed_by_each(base, case.chosen) if verdict.key else {}
-    gap = Gap(**vars(gaps[main]), channels=gaps, holdout=held, shares=shares)
+    gap = Gap(**vars(gaps[main]), channels=gaps, holdout=held)
     budgets, curves = budgets_of(case, believed, generator), look_curves(case)
     message = _verdict(case, curves, gap)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
@@ -100,11 +92,9 @@ def document_of(
         budget=budgets[main],
         budgets=budgets,
         where=tuple(regions(base, missed, shown.gap)),
-        spots=spots(base, missed, shown.gap),
-        map=tuple(parameter_map(base, case.search.null)),
         verdict=message,
         ladder=ladder,
-        candidates=candidates,
+        candidates=_candidates(case),
         untestable=tuple(case.untestable),
         resolution=_resolution(case),
         forecast=tuple(confusion(case.search)),
@@ -114,7 +104,7 @@ def document_of(
         runs=offsets_of_runs(base, case.chosen),
         base_parameters=_base_parameters(base, base.as_given),
         extended_parameters=_base_parameters(base, case.chosen.z),
-        extension=_extension(case),
+        extension=extension_of(base, case.chosen),
         settings=settings,
         seed=seed,
         version=importlib.metadata.version("tirefit"),
@@ -141,7 +131,7 @@ def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
     for channel, parts in rows.items():
         noise, after = base.noise[channel], parts["extended"]
         found = closure_on_rows(
-            truth[channel], parts["base"], after, noise.std**2, base.prepared.run, noise.inflation
+            truth[channel], parts["base"], after, noise.std**2, base.rows.run, noise.inflation
         )
         shows = found.resolvable and (verdict.status != Status.NONE or is_simulator)
         gaps[channel] = replace(found, resolvable=shows)
@@ -168,9 +158,9 @@ def _noise(case: Case) -> NoiseSummary:
     base, levels = case.base, case.base.noise
     return NoiseSummary(
         forces={c: float(np.median(level.std)) for c, level in levels.items()},
-        slip_name="alpha" if base.prepared.mode == "y" else "sigma_x",
+        slip_name="alpha" if base.rows.mode == "y" else "sigma_x",
         slip=base.slip_noise,
-        slip_source=base.prepared.slip_source,
+        slip_source=base.rows.slip_source,
         source="; ".join(dict.fromkeys(level.source for level in levels.values())),
         flags=case.noise_flags,
         excess=max(one.excess for one in base.noise.values()),
@@ -204,60 +194,31 @@ def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSumm
             unlisted=unlisted,
             looks_like=tuple(curve.look for curve in curves),
         ),
-        sizes=_sizes(case),
+        sizes=sizes_of(
+            case.chosen, case.base.design.prior_scale, case.base.groups(), case.widening
+        ),
         parameters=parameter_changes(case),
     )
-
-
-def _sizes(case: Case) -> dict[str, tuple[SizeByGroup, ...]]:
-    scale = np.asarray(case.base.design.prior_scale)
-    return sizes_of(case.chosen, scale, case.base.groups(), case.widening)
 
 
 def sizes_of(fit: Fit, scale, groups, widening=1.0) -> dict[str, tuple[SizeByGroup, ...]]:
     """The sizes of each effect of a fit by groups of covariates (m,); ``scale`` (K,) are the
     units of all amplitudes."""
-    found = {}
-    for atom, effect in zip(fit.atoms, fit.effects, strict=True):
-        unit = float(scale[atom])
-        found[effect] = tuple(
-            SizeByGroup(
-                one.covariate,
-                tuple(one.middle.tolist()),
-                tuple((unit * one.size).tolist()),
-                tuple((abs(unit) * one.std).tolist()),
-                one.spread,
-            )
-            for one in sizes_by_group(fit, atom, groups, widening)
-        )
-    return found
+    return {
+        effect: tuple(sizes_by_group(fit, atom, groups, widening, float(scale[atom])))
+        for atom, effect in zip(fit.atoms, fit.effects, strict=True)
+    }
 
 
-def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
-    """The most probable sets of effects, and the unknown.
-
-    Args:
-        before, truth: (n,) base force, (n, draws) of the true one, first channel.
-    """
+def _candidates(case: Case) -> tuple[Candidate, ...]:
+    """The most probable sets of effects, and the unknown."""
     total, verdict = _chances(case), case.verdict
     ranked = sorted(total, key=lambda k: (k == verdict.key, total[k]), reverse=True)
-    listed = [
-        _candidate(case, key, total[key], _closure_by(case, key, before, truth))
-        for key in ranked[:_LISTED]
-    ]
+    listed = [_candidate(case, key, total[key]) for key in ranked[:_LISTED]]
     alone = verdict.unlisted if not verdict.key else 0.0
     if alone > _MENTIONED:
-        unknown = Candidate(
-            effects=("unknown",),
-            family="unknown",
-            parameters={},
-            z=None,
-            probability=alone,
-            z_given_rivals=None,
-            closed=0.0,
-            closed_ci=(0.0, 0.0),
-        )
-        listed.append(unknown)
+        unknown = {"effects": ("unknown",), "family": "unknown", "parameters": {}}
+        listed.append(Candidate(**unknown, probability=alone))
     return tuple(listed)
 
 
@@ -275,7 +236,7 @@ def _chances(case: Case) -> dict:
     return shared | ({verdict.key: verdict.probability} if named else {})
 
 
-def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candidate:
+def _candidate(case: Case, key, probability: float) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
     spread, parameters = hypothesis.errors * np.sqrt(case.widening), {}
     if key in case.predicted.effects:
@@ -283,7 +244,6 @@ def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candi
         spread = np.maximum(spread, jackknife_error(left_out))
     if key == case.verdict.key:
         spread = np.maximum(spread, _between_parts(case))
-    ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
     atoms = [base.atoms[k] for k in hypothesis.atoms]
     scale = np.asarray(base.design.prior_scale)[list(hypothesis.atoms)]
     sizes = hypothesis.amplitude * scale
@@ -294,16 +254,11 @@ def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candi
         name = f"{atom.effect.id}: {atom.effect.parameter}"
         unit = atom.effect.unit
         parameters[name] = Amplitude(float(size), float(error), unit, formula)
-    score = case.search.score
     return Candidate(
         effects=key,
         family=" + ".join(dict.fromkeys(atom.effect.family for atom in atoms)),
         probability=probability,
         parameters=parameters,
-        z=max((score.get(effect, 0.0) for effect in hypothesis.effects), key=abs),
-        z_given_rivals=float(np.min(np.abs(ratio))),
-        closed=closure.closed,
-        closed_ci=closure.closed_ci,
     )
 
 
@@ -322,22 +277,11 @@ def _between_parts(case: Case) -> np.ndarray:
     return np.sqrt(square / total)
 
 
-def _closure_by(case: Case, key, before, truth) -> Shrinkage:
-    """Closure of the gap of the first channel by a set of effects; arguments as in
-    :func:`_candidates`."""
-    at, hypothesis = case.base.measured, case.weighed.best_of[key]
-    main = at.prepared.channels[0]
-    after = at.forces(hypothesis.z, at.amplitudes(hypothesis.atoms, hypothesis.amplitude))[main]
-    noise = at.noise[main]
-    given = noise.std**2, at.prepared.run, noise.inflation
-    return closure_on_rows(truth, before, after, *given)
-
-
 def _resolution(case: Case) -> Resolution:
     """The smallest generic remainder, rms [N], and the smallest amplitudes of effects, in
     their own units, that would be detected four times in five."""
-    base, n = case.base, case.base.prepared.n
-    scale = np.asarray(base.design.scale[base.prepared.channels[0]])[:n]
+    base, n = case.base, case.base.rows.n
+    scale = np.asarray(base.design.scale[base.rows.channels[0]])[:n]
     directions = min(base.discrepancy.columns.shape[1], _DIRECTIONS)
     needed = np.sqrt(_SEEN_ENERGY * np.sqrt(2 * directions) / n)
     size, smallest = np.linalg.norm(case.search.projected, axis=0), {}
@@ -348,10 +292,6 @@ def _resolution(case: Case) -> Resolution:
             smallest[effect.id] = _SEEN * abs(std)
     remainder = float(np.median(scale) * needed)
     return Resolution(remainder=remainder, smallest_effects=smallest)
-
-
-def _extension(case: Case) -> Extension:
-    return extension_of(case.base, case.chosen)
 
 
 def _base_parameters(base: Base, z) -> dict[str, float]:

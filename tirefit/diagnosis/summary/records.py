@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.engine.decide import Each, Status
+from tirefit.diagnosis.engine.sizes import SizeByGroup
 from tirefit.diagnosis.rows.rig import Rig
 
 
@@ -25,7 +26,6 @@ class DataSummary:
     assumptions: tuple[str, ...]
     set_aside: tuple[str, ...] = ()  # the first excluded rows with reasons, and a count
     motion: tuple[str, ...] = ()  # notes on a force derived from it
-    together: tuple[str, ...] = ()  # on conditions that move together
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,24 +92,10 @@ class HeldOut(Shrinkage):
 
 @dataclass(frozen=True, kw_only=True)
 class Gap(Shrinkage):
-    """The gap of the first channel on the rows of the file, and of every channel;
-    ``shares`` are those of several effects in the closed energy (Shapley)."""
+    """The gap of the first channel on the rows of the file, and of every channel."""
 
     channels: Mapping[str, Shrinkage]
     holdout: HeldOut | None
-    shares: Mapping[str, float] = field(default_factory=dict)
-
-
-class Spot(NamedTuple):
-    """A short stretch of a covariate with a share of the gap far above its share of the
-    rows; the p-value is corrected as for a :class:`Region`."""
-
-    covariate: str
-    low: float
-    high: float
-    rows: float
-    share: float
-    p_value: float
 
 
 class Region(NamedTuple):
@@ -120,16 +106,6 @@ class Region(NamedTuple):
     high: float
     share: float  # of the gap's energy
     p_value: float  # of its misfit, Benjamini-Yekutieli
-
-
-class Cell(NamedTuple):
-    """One parameter as a free function of one covariate: its log evidence over the base
-    fit, and the largest share of the energy of the misfit that it can remove."""
-
-    parameter: str
-    covariate: str
-    log_evidence: float
-    explains: float
 
 
 class Look(NamedTuple):
@@ -168,7 +144,7 @@ class VerdictSummary:
     each: Mapping[str, Each] = field(default_factory=dict)
     also_possible: tuple[str, ...] = ()
     left: Left
-    sizes: Mapping[str, tuple["SizeByGroup", ...]] = field(default_factory=dict)
+    sizes: Mapping[str, tuple[SizeByGroup, ...]] = field(default_factory=dict)
     parameters: Mapping[str, "Change"] = field(default_factory=dict)
 
     @property
@@ -182,19 +158,6 @@ class VerdictSummary:
     def helping(self) -> tuple[str, ...]:
         """The effects of the ladder: named causes, then those that act like one."""
         return (*self.effects, *self.acts_like) if self.names_an_effect else self.acts_like
-
-
-class SizeByGroup(NamedTuple):
-    """The size of an effect in groups of one covariate, in the unit of its amplitude; values
-    in ascending order of the covariate. ``spread`` is the standard deviation of the sizes
-    beyond that of their errors, over the size that fits all: near zero for a cause, often a
-    quarter and more for an effect that stands in for another one."""
-
-    covariate: str
-    at: tuple[float, ...]  # its median in each group
-    size: tuple[float, ...]
-    std: tuple[float, ...]
-    spread: float
 
 
 class Change(NamedTuple):
@@ -245,16 +208,12 @@ class Amplitude(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A set of effects that may explain the gap; scores of the unknown are None."""
+    """A set of effects that may explain the gap."""
 
     effects: tuple[str, ...]
     family: str
     probability: float
     parameters: Mapping[str, Amplitude]  # ``effect: parameter`` -> size
-    z: float | None  # score at the base fit
-    z_given_rivals: float | None  # smallest amplitude over error in the set
-    closed: float | None
-    closed_ci: tuple[float | None, float | None]
 
 
 class Untestable(NamedTuple):

@@ -18,7 +18,6 @@ from tirefit.diagnosis.rows.rig import SlipCheck
 from tirefit.diagnosis.rows.runs import RunOffsets
 from tirefit.diagnosis.summary.records import (
     Candidate,
-    Cell,
     DataSummary,
     Forecast,
     Gap,
@@ -29,7 +28,6 @@ from tirefit.diagnosis.summary.records import (
     Resolution,
     Settings,
     SimulatorSummary,
-    Spot,
     Untestable,
     VerdictSummary,
 )
@@ -40,7 +38,7 @@ from tirefit.models import MODELS
 from tirefit.params import specs
 from tirefit.results import Outcome
 
-_NOT_WRITTEN = {"written": False}
+NOT_WRITTEN = {"written": False}
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -50,8 +48,7 @@ class Diagnosis(Record):
     ``budget`` is that of the first channel, ``budgets`` those of all. ``next_measurement`` has the
     largest gain first; if it is empty, ``next_measurement_reason`` is the reason. ``slip_check``
     compares the slip column with the slip of the wheel speed; None if that is not known. ``runs``
-    describes the differences of the runs, by kind of offset; empty for a single run. ``spots`` are
-    short stretches within the regions of ``where``.
+    describes the differences of the runs, by kind of offset; empty for a single run.
 
     ``rows`` holds arrays (n,) by channel for all rows of the file, canonical, NaN if
     masked: ``base``, ``extended``, ``gap``, ``gap_std``; for a simulator, ``base`` and
@@ -77,8 +74,6 @@ class Diagnosis(Record):
     budget: tuple[Part, ...]
     budgets: Mapping[str, tuple[Part, ...]]
     where: tuple[Region, ...]
-    spots: tuple[Spot, ...] = ()
-    map: tuple[Cell, ...]
     verdict: VerdictSummary
     ladder: Ladder = Ladder()
     candidates: tuple[Candidate, ...]
@@ -95,14 +90,14 @@ class Diagnosis(Record):
     settings: Settings
     seed: int
     version: str
-    rows: Mapping[str, Mapping[str, np.ndarray]] = field(metadata=_NOT_WRITTEN)
-    table: TireData = field(metadata=_NOT_WRITTEN)
-    mean_load: float = field(metadata=_NOT_WRITTEN)
-    residual_map: ResidualMap = field(metadata=_NOT_WRITTEN)
-    comparison: Comparison = field(metadata=_NOT_WRITTEN)
-    look: LookCurve | None = field(metadata=_NOT_WRITTEN)
-    library: tuple[Effect, ...] = field(metadata=_NOT_WRITTEN)
-    meanings: Mapping[str, str] = field(metadata=_NOT_WRITTEN)
+    rows: Mapping[str, Mapping[str, np.ndarray]] = field(metadata=NOT_WRITTEN)
+    table: TireData = field(metadata=NOT_WRITTEN)
+    mean_load: float = field(metadata=NOT_WRITTEN)
+    residual_map: ResidualMap = field(metadata=NOT_WRITTEN)
+    comparison: Comparison = field(metadata=NOT_WRITTEN)
+    look: LookCurve | None = field(metadata=NOT_WRITTEN)
+    library: tuple[Effect, ...] = field(metadata=NOT_WRITTEN)
+    meanings: Mapping[str, str] = field(metadata=NOT_WRITTEN)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -116,7 +111,7 @@ class Diagnosis(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """Content of ``NAME.json``."""
-        content = {"schema": SCHEMA} | _mappings(self)
+        content = {"schema": SCHEMA} | mappings(self)
         on, steps = content["ladder"].values()
         return json_safe(content | {"ladder": steps, "ladder_on": on})
 
@@ -128,19 +123,19 @@ class Diagnosis(Record):
         return {f"{name}.rows.csv": rows, f"{name}.json": self.to_json()}
 
 
-def _mappings(value: Any) -> Any:
+def mappings(value: Any) -> Any:
     """Records at any depth as mappings: keys are the names of their fields."""
     if hasattr(value, "as_json"):
-        return _mappings(value.as_json())
+        return mappings(value.as_json())
     if is_dataclass(value):
         written = (f.name for f in fields(value) if f.metadata.get("written", True))
-        return {name: _mappings(getattr(value, name)) for name in written}
+        return {name: mappings(getattr(value, name)) for name in written}
     if hasattr(value, "_asdict"):
-        return _mappings(value._asdict())
+        return mappings(value._asdict())
     if isinstance(value, Mapping):
-        return {key: _mappings(item) for key, item in value.items()}
+        return {key: mappings(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_mappings(item) for item in value]
+        return [mappings(item) for item in value]
     return value
 
 

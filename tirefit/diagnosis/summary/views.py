@@ -83,7 +83,7 @@ class Comparison(NamedTuple):
 def shown_rows(base, parts) -> ShownRows:
     """The rows of a base fit; ``parts`` are ``base``, ``extended`` and ``gap`` (n,) of
     the first channel."""
-    rows, varying = base.prepared, covariates_of(base)
+    rows, varying = base.rows, covariates_of(base)
     channel, is_lateral = rows.channels[0], rows.mode == "y"
     return ShownRows(
         channel,
