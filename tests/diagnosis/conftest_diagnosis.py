@@ -14,7 +14,7 @@ from tirefit.data.read import read_frame
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.engine.discrepancy import Discrepancy
 from tirefit.diagnosis.engine.fit import Fit, Folds, Priors, Start, fitted
-from tirefit.diagnosis.engine.posterior import Weighed
+from tirefit.diagnosis.engine.search import Weighed
 from tirefit.diagnosis.rows.rig import Rig
 
 FZ, SPEEDS = (2000.0, 4000.0, 6000.0), (6.0, 24.0)

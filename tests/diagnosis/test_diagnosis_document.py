@@ -61,9 +61,6 @@ KEYS = {
         "value", "std", "unit", "formula",
     ],
     "untestable 0": ["effect", "needs"],
-    "resolution": [
-        "smallest unlisted remainder that would have been seen", "smallest_effects"
-    ],
     "forecast 0": [
         "effect", "amplitude", "unit", "seen", "recognised", "taken_for"
     ],

@@ -22,17 +22,15 @@ from tirefit.diagnosis.effects.state import force_of_state, null_state
 from tirefit.diagnosis.engine.discrepancy import Cell, Found
 from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.rows import slips
-from tirefit.diagnosis.rows.basis import waves_within
-from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of
+from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, waves_within
 from tirefit.diagnosis.rows.noise import judge_noise
 from tirefit.diagnosis.rows.prepared import blocks_of_settings, coincides, prepare
 from tirefit.diagnosis.rows.rig import Rig, load_rig
 from tirefit.diagnosis.rows.slips import AGES, AHEAD, segments, slip_rate
 from tirefit.diagnosis.rows.subject import fit_base
-from tirefit.diagnosis.summary.budget import shapley
+from tirefit.diagnosis.summary.closure import shapley
 from tirefit.diagnosis.summary.forecast import recognition, scores_of_nothing, separability
-from tirefit.diagnosis.summary.views import _look_curve
-from tirefit.diagnosis.summary.where import regions
+from tirefit.diagnosis.summary.views import _look_curve, regions
 from tirefit.models import Brush, TireInputs
 from tirefit.results import UsageError
 

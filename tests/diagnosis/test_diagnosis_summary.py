@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import false_discovery_control
 
-from tirefit.diagnosis.summary.where import adjusted
+from tirefit.diagnosis.summary.views import adjusted
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 50])

@@ -15,7 +15,7 @@ from tirefit.diagnosis.engine.discrepancy import (
     Wave,
     places_of,
 )
-from tirefit.diagnosis.engine.sizes import grouped, sizes_by_group
+from tirefit.diagnosis.engine.left_out import grouped, sizes_by_group
 
 ROWS = 72
 X = np.linspace(-1, 1, ROWS)

@@ -18,10 +18,9 @@ from tirefit.diagnosis.engine.left_out import (
     jackknife_error,
     ladder_of,
     predicted,
+    sizes_by_group,
 )
-from tirefit.diagnosis.engine.posterior import PRIOR_OF_UNKNOWN, weighed
-from tirefit.diagnosis.engine.search import searched
-from tirefit.diagnosis.engine.sizes import sizes_by_group
+from tirefit.diagnosis.engine.search import PRIOR_OF_UNKNOWN, searched, weighed
 
 ROWS = 96
 X = np.linspace(-1, 1, ROWS)

@@ -17,34 +17,37 @@ from pages import PHONE, Page, browse, in_browser, width_on_phone, without_pictu
 from tirefit.data.table import Source, TireData
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect
 from tirefit.diagnosis.engine.decide import Each, Status
-from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, Step
-from tirefit.diagnosis.engine.sizes import SizeByGroup
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, SizeByGroup, Step
 from tirefit.diagnosis.extended import Extension
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck
 from tirefit.diagnosis.rows.runs import RunOffsets
-from tirefit.diagnosis.summary.records import (
+from tirefit.diagnosis.summary.case import Untestable
+from tirefit.diagnosis.summary.result import (
     Amplitude,
     Candidate,
     Change,
-    DataSummary,
+    Diagnosis,
     Forecast,
     Gap,
     HeldOut,
     Left,
-    Look,
     NextMeasurement,
     NoiseSummary,
     Part,
-    Region,
-    Resolution,
     Settings,
     SimulatorSummary,
     Surrogate,
-    Untestable,
     VerdictSummary,
 )
-from tirefit.diagnosis.summary.result import Diagnosis
-from tirefit.diagnosis.summary.views import LookCurve, ShownRows, compared, residual_map
+from tirefit.diagnosis.summary.views import (
+    DataSummary,
+    Look,
+    LookCurve,
+    Region,
+    ShownRows,
+    compared,
+    residual_map,
+)
 from tirefit.models import MODELS
 from tirefit.report.canvas import Picture, save_picture
 from tirefit.report.diagnosis_budget import (
@@ -222,10 +225,7 @@ def records(channel):
         "verdict": said("named", ["load_friction"], 0.87),
         "ladder": LADDER,
         "candidates": CANDIDATES, "untestable": UNTESTABLE,
-        "resolution": Resolution(
-            remainder=6.3,
-            smallest_effects={"slip_offset": 0.00041, "channel_delay": 0.0021},
-        ),
+        "resolution": 6.3,
         "forecast": (
             Forecast(
                 "pressure_asymmetry", 0.24, "-", 0.9, 0.5, "carcass_flexibility"
@@ -585,19 +585,16 @@ def test_no_unit_is_written_with_a_power_of_ten_or_a_dash():
 def test_every_part_of_the_report_has_units():
     amplitude = {"force_offset: amplitude": Amplitude(2.7, 0.3, "1e-3 mean F_z")}
     runs = RunOffsets("1e-3 mean F_z", 3.0, 0.5, 12.0, (8.0, 20.0), 0.01, {"a": (4.0, 1.0)})
-    drift = {"slip_zero_drift": 0.012, "force_offset": 5.0}
     found = judged(
         "none",
         [],
         runs={"force_offset": runs},
         candidates=(replace(candidate(["force_offset"], 0.9), parameters=amplitude),),
-        resolution=Resolution(remainder=6.3, smallest_effects=drift),
         forecast=(Forecast("force_offset", 25.0, "1e-3 mean F_z", 1.0, 0.1, "toe"),),
     )
     text = flat(diagnosis_text(found, full=True))
     assert "; force offset 0.270 ± 0.030 % of the mean F_z" in text
     assert "force offset of 2.5 % of the mean F_z: recognised" in text
-    assert "slip zero drift 0.012 of slip per record, force offset 0.5 % of the mean F_z" in text
     assert "0.300 ± 0.050 % of the mean F_z for all 1 runs" in text
     assert "between runs 1.2 % of the mean F_z [0.8, 2]" in text
     assert "each run [% of the mean F_z]: a 0.40 ± 0.10" in text

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.effects.per_run import RELATIVE
+from tirefit.diagnosis.effects.measurement import RELATIVE
 from tirefit.diagnosis.summary.result import SCHEMA, Diagnosis
 from tirefit.models import MODELS
 from tirefit.params import specs
@@ -39,7 +39,6 @@ def details(result: Diagnosis) -> list[Section]:
         ),
         Section("Parameters", (), _parameters(result)),
         Section("Hard to tell on this data (forecast)", confused_lines(result)),
-        Section("Smallest amplitudes that would be seen", smallest_lines(result)),
         Section("Not testable", untestable_lines(result, result.untestable)),
         Section("Data and settings", list(_settings(result))),
     ]
@@ -132,16 +131,6 @@ def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
     ]
     at_usual_size = f"not seen here at their usual size: {', '.join(unseen)}"
     return lines[:most] + [at_usual_size] * bool(unseen)
-
-
-def smallest_lines(result: Diagnosis) -> list[str]:
-    """The smallest amplitudes that would be detected with probability 0.8."""
-    units = {effect.id: effect.unit for effect in result.library}
-    parts = (
-        f"{name_of(effect)} {amount_text(value, None, units.get(effect, ''), 2)}"
-        for effect, value in result.resolution.smallest_effects.items()
-    )
-    return [", ".join(parts)] if result.resolution.smallest_effects else []
 
 
 def _settings(result: Diagnosis) -> Iterator[str]:

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
 from tirefit.diagnosis.rows.rig import SlipCheck
+from tirefit.diagnosis.summary.case import Untestable
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.records import Amplitude, Look, Region, Untestable
-from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.result import Amplitude, Diagnosis
+from tirefit.diagnosis.summary.views import Look, Region
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.slip import CONVENTIONS
 

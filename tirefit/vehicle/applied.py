@@ -19,7 +19,7 @@ from tirefit.vehicle.car import Changes, State
 from tirefit.vehicle.diagnose import SCHEMA, VehicleDiagnosis
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
 from tirefit.vehicle.model import PARAMETERS, Model, steered
-from tirefit.vehicle.samples import samples_of
+from tirefit.vehicle.windows import samples_of
 
 
 @dataclass(frozen=True)

@@ -27,12 +27,16 @@ from tirefit.diagnosis.engine.decide import (
     predictions,
 )
 from tirefit.diagnosis.engine.fit import Fit
-from tirefit.diagnosis.engine.left_out import Ladder, Predicted, jackknife_error, ladder_of
+from tirefit.diagnosis.engine.left_out import (
+    Ladder,
+    Predicted,
+    SizeByGroup,
+    jackknife_error,
+    ladder_of,
+)
 from tirefit.diagnosis.engine.search import Effort, Search, searched
-from tirefit.diagnosis.engine.sizes import SizeByGroup
 from tirefit.diagnosis.summary.document import sizes_of
-from tirefit.diagnosis.summary.records import Amplitude
-from tirefit.diagnosis.summary.result import NOT_WRITTEN, mappings
+from tirefit.diagnosis.summary.result import NOT_WRITTEN, Amplitude, mappings
 from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.fitting.mf.result import TireLike
@@ -42,11 +46,19 @@ from tirefit.results import DataError, InputProblem, Outcome, UsageError, did_yo
 from tirefit.vehicle.car import car_of
 from tirefit.vehicle.effects import CAR_EFFECTS
 from tirefit.vehicle.model import PARAMETERS, Model
-from tirefit.vehicle.samples import LEAST_WINDOWS, Cut, joined_windows
-from tirefit.vehicle.shooting import CHANNELS, windows_of
 from tirefit.vehicle.subject import Windows
 from tirefit.vehicle.trajectory import derived_rows, started
-from tirefit.vehicle.windows import CutLog, cut_logs, known_vehicle, steering_problems
+from tirefit.vehicle.windows import (
+    CHANNELS,
+    LEAST_WINDOWS,
+    Cut,
+    CutLog,
+    cut_logs,
+    joined_windows,
+    known_vehicle,
+    steering_problems,
+    windows_of,
+)
 
 SCHEMA = "tirefit.vehicle_diagnosis/1"
 

@@ -46,8 +46,17 @@ from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.vehicle.car import Car, State, car_of, delayed, predicted, steps_a_sample
 from tirefit.vehicle.effects import Reading
 from tirefit.vehicle.model import logged
-from tirefit.vehicle.shooting import CHANNELS, Data, linearised, minimised, sandwich, windows_of
-from tirefit.vehicle.windows import cut_logs, known_vehicle, steering_problems
+from tirefit.vehicle.windows import (
+    CHANNELS,
+    Data,
+    cut_logs,
+    known_vehicle,
+    linearised,
+    minimised,
+    sandwich,
+    steering_problems,
+    windows_of,
+)
 
 
 class Unknown(NamedTuple):

@@ -17,7 +17,7 @@ fits, tests and ranks them all. A user's own effect is one more record::
     tirefit.diagnose(data, effects=EFFECTS + (mine,))
 """
 
-from tirefit.diagnosis.effects import measurement, motion, per_run, tire, vehicle
+from tirefit.diagnosis.effects import measurement, motion, tire, vehicle
 from tirefit.diagnosis.effects.record import (
     NOISE_EFFECTS,
     Atom,
@@ -49,5 +49,5 @@ EFFECTS: tuple[Effect, ...] = (
     *vehicle.SPEEDS,
     *tire.WARMTH,
     *vehicle.CHASSIS,
-    *per_run.EFFECTS,
+    *measurement.RUNS,
 )

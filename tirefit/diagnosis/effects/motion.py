@@ -12,15 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.findings import error_of_point
-from tirefit.diagnosis.effects.arrays import xp
-from tirefit.diagnosis.effects.record import Effect, choices, scaled
-from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.effects.record import Effect, choices, scaled, xp
+from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.rows.covariates import wheelbase
 from tirefit.diagnosis.rows.slips import AGES, AHEAD
 from tirefit.slip import GRAVITY
-
-_CONTRADICTS = 3.0
-"""Standard errors of derive's estimate beyond which another value contradicts it."""
 
 _CERTAIN = 30.0
 """Largest log odds: an error of one in 10^13, beyond which nothing changes."""
@@ -32,9 +28,6 @@ bounds in standard deviations."""
 _NO_LENGTH = 1e-12
 """A length below this share of a step counts as zero; the slope there is one-sided."""
 
-_RELAXED, _FILTERED = 2.0, 0.1
-"""Longest relaxation of a tire, in radii of its wheel, and delay of a filter [s]."""
-
 _FEW_WAYS = 1e-4
 """Steps over the length below which the response is the first term of its series."""
 
@@ -45,15 +38,14 @@ class _Quantity(NamedTuple):
     key: str  # in vehicle.toml
     stated: float  # standard error if that file states it
     guessed: float  # standard error if it does not
-    words: str
 
 
 _QUANTITIES = {
     # Errors over the arm of an axle (1 mm on a 1:10 car, 4 cm on a car) and over the
     # wheelbase. The yaw inertia of most vehicle files is an estimate.
-    "position": _Quantity("tracked_point", 0.03, 0.1, "the tracked point to {:.2g} m"),
-    "clock": _Quantity("clock", 0.005, 0.1, "the clocks of the channels to {:.2g} s"),
-    "yaw_inertia": _Quantity("yaw_inertia", 0.3, 1, "the yaw inertia to {:.2g} of it"),
+    "position": _Quantity("tracked_point", 0.03, 0.1),
+    "clock": _Quantity("clock", 0.005, 0.1),
+    "yaw_inertia": _Quantity("yaw_inertia", 0.3, 1),
 }
 """Key of ``[vehicle]`` in rig.toml -> the quantity whose standard error it states."""
 
@@ -116,20 +108,6 @@ def odds_of_derive(prepared) -> float:
     return 0.0 if known is None else min((known[0] / known[1]) ** 2 / 2, _CERTAIN)
 
 
-def against_derive(distance: float, prepared) -> str:
-    """A sentence if an error of the tracked point [m] contradicts the estimate of derive; else
-    empty."""
-    known = error_of_point(prepared.data.source.constants)
-    if known is None or abs(distance - known[0]) < _CONTRADICTS * known[1]:
-        return ""
-    error, std = known
-    return (
-        f"tirefit derive estimates this error as {1e3 * error:+.2g} ± {1e3 * std:.1g} mm by force"
-        f" against moderate slip in the same logs, not {1e3 * distance:+.2g} mm: leave the stated"
-        " point as it is, and look for another effect that follows the yaw rate"
-    )
-
-
 def of_a_known_inertia(prior, prepared, rig):
     """Prior of an error of the yaw inertia over the wheelbase."""
     if prepared.derived is None:
@@ -163,8 +141,8 @@ def _within_the_past(prior, prepared, rig):
     return prior._replace(low=max(prior.low, first), high=min(prior.high, last))
 
 
-def said_of_motion(base, rig) -> tuple[str, ...]:
-    """Sentences about a base fit's force if it was derived from the motion."""
+def said_of_motion(base) -> tuple[str, ...]:
+    """A sentence about a base fit's force if it was derived from the motion."""
     rows, derived = base.rows, base.rows.derived
     if derived is None:
         return ()
@@ -181,17 +159,7 @@ def said_of_motion(base, rig) -> tuple[str, ...]:
             f" {_rms(observed + on_a_path):.3g} N rms, the base fit by"
             f" {_rms(missed):.3g} N"
         )
-    known: dict[bool, list[str]] = {True: [], False: []}
-    for key, of in _QUANTITIES.items():
-        error, stated = _error(key, rows, rig)
-        guess = "" if stated else f" ({of.key} is not stated: measure it)"
-        known[stated].append(of.words.format(error) + guess)
-    priors = (
-        "priors of effects with yaw rate or acceleration use these standard errors:"
-        f" {', '.join(known[True] + known[False])}; [vehicle] of rig.toml states other"
-        " standard errors"
-    )
-    return message, priors
+    return (message,)
 
 
 def _rms(values) -> float:
@@ -280,23 +248,6 @@ def _steer(late):
     return change
 
 
-_CAUSE = "so look for another cause: a delay of the steering or of a sensor"
-
-
-def _too_long(length: float, prepared) -> str:
-    """Why a relaxation length is implausible; empty for one that tires have."""
-    wheel = prepared.sizes.wheel
-    if not wheel or length <= _RELAXED * wheel:
-        return ""
-    return f"doubtful: {length / wheel:.2g} wheel radii, {_CAUSE}"
-
-
-def _too_late(delay: float, prepared) -> str:
-    if abs(delay) <= _FILTERED:
-        return ""
-    return f"doubtful: more than the {_FILTERED:g} s of a filter, {_CAUSE}"
-
-
 def _of_a_known_clock(prior, prepared, rig):
     """Prior of a delay between channels of one log."""
     known = _of_quantity("clock", prior, prepared, rig)
@@ -308,7 +259,7 @@ EFFECTS = (
         id="channel_delay", of="measurement",
         family="measurement", change=_delay, scale=0.15, unit="s",
         per=("period",), formula="force(t) belongs to slip(t - amplitude)",
-        means="force and slip are shifted in time", parameter="delay", doubts=_too_late,
+        means="force and slip are shifted in time", parameter="delay",
         remedy="measure the delay (clock in vehicle.toml) and shift the force by it",
         bounds=((-3.0, 3.0), (-3.0, 3.0), (0.0, 3.0)), prior=_of_a_known_clock,
         needs=("sweeps",), variants=choices(3),
@@ -318,7 +269,7 @@ EFFECTS = (
         id="relaxation_length", family="transient", change=_relax, scale=0.15, unit="m",
         per=("way",), formula="d slip'/dt = v / amplitude (slip - slip')",
         means="the force lags the slip over a rolling distance", parameter="length",
-        remedy="fit brush-relaxation", bounds=((0.0, 3.0),), doubts=_too_long,
+        remedy="fit brush-relaxation", bounds=((0.0, 3.0),),
         needs=("sweeps", "v"), variants=choices(2),
         looks_like=("channel_delay", "friction_hysteresis"), told_apart_by="speeds",
     ),

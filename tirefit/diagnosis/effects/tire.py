@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from tirefit.diagnosis.effects.arrays import xp
 from tirefit.diagnosis.effects.record import (
     LEAST_FACTOR,
     SHARE,
@@ -18,8 +17,9 @@ from tirefit.diagnosis.effects.record import (
     multiplies,
     scaled,
     seldom,
+    xp,
 )
-from tirefit.diagnosis.negligible import FLAT
+from tirefit.diagnosis.engine import FLAT
 
 _SKEWS = (-0.32, 0.95)
 """Range of d of S(24) in which the pressure and its slope at the edge keep their signs."""

@@ -3,9 +3,7 @@ inertia, the ground, the two wheels of an axle, steering."""
 
 import numpy as np
 
-from tirefit.diagnosis.effects.arrays import xp
 from tirefit.diagnosis.effects.motion import (
-    against_derive,
     odds_of_derive,
     of_a_known_force,
     of_a_known_height,
@@ -22,6 +20,7 @@ from tirefit.diagnosis.effects.record import (
     choices,
     multiplies,
     seldom,
+    xp,
 )
 
 _ALL_BUT, _DOUBLED = 0.95, -3.0
@@ -168,7 +167,7 @@ SPEEDS = (
         formula="slip angle + amplitude (yaw rate) / v", bounds=((-6.0, 6.0),),
         means="the slip angle is that of another point than the axle",
         remedy="measure tracked_point of vehicle.toml: its error along the vehicle is"
-        " the amplitude", prior=of_a_known_position, doubts=against_derive,
+        " the amplitude", prior=of_a_known_position,
         odds=odds_of_derive,
         needs=("yaw_rate", "v", "doubted point"), channels=("fy", "mz"),
         told_apart_by="speeds",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.special import logsumexp, softmax
 
-from tirefit.diagnosis.negligible import NONZERO, ROUNDING
+from tirefit.diagnosis.engine import NONZERO, ROUNDING
 
 if TYPE_CHECKING:
     from tirefit.diagnosis.engine.fit import Fit

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from tirefit.diagnosis.effects import Atom
+from tirefit.diagnosis.engine import FLAT, ROUNDING
 from tirefit.diagnosis.engine.discrepancy import Discrepancy
-from tirefit.diagnosis.negligible import FLAT, ROUNDING
 
 Key = tuple[str, ...]
 """A set of effects: their ids in order; () means no effect."""

@@ -13,9 +13,9 @@ from scipy.ndimage import convolve1d, median_filter
 from scipy.optimize import nnls
 from scipy.special import chdtr, chdtrc
 
-from tirefit.diagnosis.negligible import NONZERO, ROUNDING, SILENT, UNSEEN
-from tirefit.diagnosis.rows.basis import waves_within
+from tirefit.diagnosis.engine import NONZERO, ROUNDING, SILENT, UNSEEN
 from tirefit.diagnosis.rows.covariates import LOADS
+from tirefit.diagnosis.rows.discrepancy import waves_within
 from tirefit.fitting.noise import MAD, autocorrelation_time
 
 

@@ -9,12 +9,11 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from tirefit.diagnosis.effects import Atom, atoms_of
+from tirefit.diagnosis.engine import FLAT
 from tirefit.diagnosis.engine.discrepancy import Discrepancy
 from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
-from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.rows import fits
-from tirefit.diagnosis.rows.basis import smooth_basis, wave_basis
-from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of
+from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, smooth_basis, wave_basis
 from tirefit.diagnosis.rows.forces import Design, Linear, Tire, with_force
 from tirefit.diagnosis.rows.noise import (
     NoiseLevel,
@@ -24,7 +23,6 @@ from tirefit.diagnosis.rows.noise import (
     noise_in_motion,
     slip_scatter,
 )
-from tirefit.diagnosis.rows.parts import folds_of
 from tirefit.diagnosis.rows.prepared import (
     NOT_STATED,
     SCATTER,
@@ -34,7 +32,7 @@ from tirefit.diagnosis.rows.prepared import (
     order_of,
     slip_of,
 )
-from tirefit.diagnosis.rows.runs import with_runs
+from tirefit.diagnosis.rows.runs import folds_of, with_runs
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, Simulated, check_signs
 from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
 from tirefit.padding import pad_rows

@@ -3,21 +3,27 @@ the base, with the named effects, and the located gap."""
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.diagnosis.effects import NOISE_EFFECTS
+from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.decide import POLICY, Status, Verdict
 from tirefit.diagnosis.engine.discrepancy import Beside
 from tirefit.diagnosis.engine.fit import Fit, Key, without
 from tirefit.diagnosis.engine.left_out import Predicted
-from tirefit.diagnosis.engine.posterior import Weighed
-from tirefit.diagnosis.engine.search import Search, parts_of
-from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.engine.search import Search, Weighed, parts_of
 from tirefit.diagnosis.rows.noise import correlation
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.subject import Base, on_rows
-from tirefit.diagnosis.summary.records import Untestable
+
+
+class Untestable(NamedTuple):
+    """An effect that these data cannot show, and the data that it needs."""
+
+    effect: str
+    needs: tuple[str, ...]
 
 
 @dataclass(frozen=True)

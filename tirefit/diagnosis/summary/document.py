@@ -5,50 +5,56 @@ from dataclasses import replace
 
 import numpy as np
 
+from tirefit.diagnosis.engine import NONZERO, ROUNDING
 from tirefit.diagnosis.engine.decide import Status, calibration, floor_of
 from tirefit.diagnosis.engine.fit import Fit
-from tirefit.diagnosis.engine.left_out import jackknife_error, ladder_of
-from tirefit.diagnosis.engine.sizes import SizeByGroup, sizes_by_group
+from tirefit.diagnosis.engine.left_out import (
+    SizeByGroup,
+    jackknife_error,
+    ladder_of,
+    sizes_by_group,
+)
 from tirefit.diagnosis.extended import extension_of
-from tirefit.diagnosis.negligible import NONZERO, ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.runs import offsets_of_runs
 from tirefit.diagnosis.rows.subject import Base
-from tirefit.diagnosis.summary.budget import budgets_of, parameter_changes, simulator_summary
 from tirefit.diagnosis.summary.case import Case, all_rows, rows_of
-from tirefit.diagnosis.summary.closure import closure_on_rows, held_out, plausible_forces
+from tirefit.diagnosis.summary.closure import (
+    budgets_of,
+    closure_on_rows,
+    held_out,
+    parameter_changes,
+    plausible_forces,
+    simulator_summary,
+)
 from tirefit.diagnosis.summary.forecast import confusion, next_measurements
-from tirefit.diagnosis.summary.records import (
+from tirefit.diagnosis.summary.result import (
     Amplitude,
     Candidate,
+    Diagnosis,
     Gap,
     Left,
     NoiseSummary,
-    Resolution,
     Shrinkage,
     VerdictSummary,
 )
-from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.diagnosis.summary.views import (
     LookCurve,
     compared,
+    data_summary,
     look_curves,
+    regions,
     residual_map,
     shown_rows,
 )
-from tirefit.diagnosis.summary.where import data_summary, regions
 from tirefit.fitting.noise import effective_inflation
 
 _LISTED, _MENTIONED = 10, 1e-3
 """Largest number of candidates; smallest probability of the unknown to be one."""
 
-_SEEN = 3.3
-"""Standard errors of an amplitude that is detected four times in five: 0.84 above 2.46,
-which noise exceeds once in 72 files."""
-
 _SEEN_ENERGY = 2.5
-"""The same for the energy of a generic remainder, in standard deviations of that of
-noise: 0.84 above 1.65, which noise exceeds once in 20 files."""
+"""Energy of a generic remainder that is detected four times in five, in standard deviations of
+that of noise: 0.84 above 1.65, which noise exceeds once in 20 files."""
 
 _DIRECTIONS = 40
 """Largest number of smooth directions with noise; a force over slip has fewer."""
@@ -60,7 +66,7 @@ def document_of(
     """The document of the verdict on the rows of ``case``, for all rows of ``whole``.
 
     Args:
-        settings: :class:`~tirefit.diagnosis.summary.records.Settings`.
+        settings: :class:`~tirefit.diagnosis.summary.result.Settings`.
         library: effects that were looked for.
         holdout: tables that the search did not use.
     """
@@ -250,7 +256,7 @@ def _candidate(case: Case, key, probability: float) -> Candidate:
     # However bad the fit, the error is at most that of the prior.
     errors = np.minimum(spread, 1.0) * scale
     for atom, size, error in zip(atoms, sizes, errors, strict=True):
-        formula = atom.formula(base.design.rows, base.rows.time, size, base.rows)
+        formula = atom.formula(base.design.rows, base.rows.time)
         name = f"{atom.effect.id}: {atom.effect.parameter}"
         unit = atom.effect.unit
         parameters[name] = Amplitude(float(size), float(error), unit, formula)
@@ -277,21 +283,12 @@ def _between_parts(case: Case) -> np.ndarray:
     return np.sqrt(square / total)
 
 
-def _resolution(case: Case) -> Resolution:
-    """The smallest generic remainder, rms [N], and the smallest amplitudes of effects, in
-    their own units, that would be detected four times in five."""
+def _resolution(case: Case) -> float:
+    """The smallest generic remainder, rms [N], that would be detected four times in five."""
     base, n = case.base, case.base.rows.n
     scale = np.asarray(base.design.scale[base.rows.channels[0]])[:n]
     directions = min(base.discrepancy.columns.shape[1], _DIRECTIONS)
-    needed = np.sqrt(_SEEN_ENERGY * np.sqrt(2 * directions) / n)
-    size, smallest = np.linalg.norm(case.search.projected, axis=0), {}
-    for k in base.testable:
-        effect = base.atoms[k].effect
-        if effect.id not in smallest and size[k] > UNSEEN and not effect.singular:
-            std = float(base.design.prior_scale[k] / size[k])
-            smallest[effect.id] = _SEEN * abs(std)
-    remainder = float(np.median(scale) * needed)
-    return Resolution(remainder=remainder, smallest_effects=smallest)
+    return float(np.median(scale) * np.sqrt(_SEEN_ENERGY * np.sqrt(2 * directions) / n))
 
 
 def _base_parameters(base: Base, z) -> dict[str, float]:

@@ -9,12 +9,12 @@ from functools import cache
 import numpy as np
 from scipy.special import ndtr
 
+from tirefit.diagnosis.engine import FLAT, UNSEEN
 from tirefit.diagnosis.engine.fit import without
-from tirefit.diagnosis.negligible import FLAT, UNSEEN
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.subject import Base
-from tirefit.diagnosis.summary.records import Forecast, NextMeasurement
-from tirefit.diagnosis.summary.where import LEVEL
+from tirefit.diagnosis.summary.result import Forecast, NextMeasurement
+from tirefit.diagnosis.summary.views import LEVEL
 from tirefit.models import modelled
 
 DRAWS = 2000  # draws of noise; a probability of 5 % then has an error of 0.5 %
