@@ -48,7 +48,7 @@ _TABLES: dict[str, type[Section]] = {"noise": _Noise, "vehicle": _Vehicle}
 class _RigFile(Section):
     rolling_radius: _Length = None
     wheel_inertia: _Inertia = None
-    noise: Section = _Noise()
+    noise: _Noise = _Noise()  # type: ignore[valid-type]
     vehicle: _Vehicle = _Vehicle()
     run_order: Literal["random", "sequential"] | None = None
 
