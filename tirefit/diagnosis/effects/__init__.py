@@ -26,6 +26,7 @@ from tirefit.diagnosis.effects.record import (
     Prior,
     atoms_of,
     effects_by_id,
+    library,
 )
 
 __all__ = [
@@ -39,15 +40,6 @@ __all__ = [
     "effects_by_id",
 ]
 
-# The order decides between effects of equal evidence.
-EFFECTS: tuple[Effect, ...] = (
-    *tire.PATCH,
-    *tire.CONDITIONS,
-    *measurement.OFFSETS,
-    *motion.EFFECTS,
-    *measurement.SENSORS,
-    *vehicle.SPEEDS,
-    *tire.WARMTH,
-    *vehicle.CHASSIS,
-    *measurement.RUNS,
+EFFECTS: tuple[Effect, ...] = library(
+    "tirefit.diagnosis.effects", measurement.CODE | motion.CODE | tire.CODE | vehicle.CODE
 )

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.findings import error_of_point
-from tirefit.diagnosis.effects.record import Effect, choices, scaled, xp
+from tirefit.diagnosis.effects.record import code, scaled, xp
 from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.rows.covariates import wheelbase
 from tirefit.diagnosis.rows.slips import AGES, AHEAD
@@ -254,44 +254,9 @@ def _of_a_known_clock(prior, prepared, rig):
     return _within_the_past(known, prepared, rig)
 
 
-EFFECTS = (
-    Effect(
-        id="channel_delay", of="measurement",
-        family="measurement", change=_delay, scale=0.15, unit="s",
-        per=("period",), formula="force(t) belongs to slip(t - amplitude)",
-        means="force and slip are shifted in time", parameter="delay",
-        remedy="measure the delay (clock in vehicle.toml) and shift the force by it",
-        bounds=((-3.0, 3.0), (-3.0, 3.0), (0.0, 3.0)), prior=_of_a_known_clock,
-        needs=("sweeps",), variants=choices(3),
-        told_apart_by="speeds", looks_like=("relaxation_length", "friction_hysteresis"),
-    ),
-    Effect(
-        id="relaxation_length", family="transient", change=_relax, scale=0.15, unit="m",
-        per=("way",), formula="d slip'/dt = v / amplitude (slip - slip')",
-        means="the force lags the slip over a rolling distance", parameter="length",
-        remedy="fit brush-relaxation", bounds=((0.0, 3.0),),
-        needs=("sweeps", "v"), variants=choices(2),
-        looks_like=("channel_delay", "friction_hysteresis"), told_apart_by="speeds",
-    ),
-    Effect(
-        id="steering_delay", of="measurement",
-        family="slip x steering", change=_steer(_late), scale=0.08,
-        unit="s", formula="road wheel angle(t) = steering(t - amplitude)",
-        means="the road wheels steer later than logged: a delay of the servo or a clock",
-        remedy="measure the road wheel angle, or shift the steering by the delay",
-        parameter="delay", bounds=((-0.15, 0.5),), prior=_within_the_past,
-        needs=("steering", "sweeps"), channels=("fy", "mz"), told_apart_by="speeds",
-        looks_like=("relaxation_length", "channel_delay", "steering_lag"),
-    ),
-    Effect(
-        id="steering_lag", of="vehicle",
-        family="slip x steering", scale=0.08, unit="s",
-        change=_steer(lambda past, a, rows: lag(a, rows.interval)(past)),
-        formula="amplitude d(angle)/dt = steering - angle, of the road wheels",
-        means="the road wheels follow the steering slowly: a servo, soft linkage",
-        remedy="measure the road wheel angle, or lag the steering by the constant",
-        parameter="time constant", bounds=((0.0, 0.5),), needs=("steering", "sweeps"),
-        channels=("fy", "mz"), told_apart_by="speeds",
-        looks_like=("steering_delay", "relaxation_length", "channel_delay"),
-    ),
-)  # fmt: skip
+CODE = {
+    "channel_delay": code(_delay, prior=_of_a_known_clock),
+    "relaxation_length": code(_relax),
+    "steering_delay": code(_steer(_late), prior=_within_the_past),
+    "steering_lag": code(_steer(lambda past, a, rows: lag(a, rows.interval)(past))),
+}

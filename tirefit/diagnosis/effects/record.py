@@ -5,8 +5,10 @@ A diagnosis changes the state of every row thousands of times, on plain arrays o
 would compile the fifty effects for 15 s of processor time. A tire with effects
 (:mod:`tirefit.diagnosis.extended`) is traced by JAX."""
 
+import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from typing import Any, NamedTuple
 
 import jax
@@ -39,12 +41,6 @@ PER_MILLE = 1e-3
 LEAST_FACTOR = 0.05
 """Smallest friction or stiffness over its usual value, as a linear law would become
 negative at amplitudes that a search tries."""
-
-SHARE = (-1.9, 1.9)
-"""Bounds of a relative change between two ends: below 2, both ends stay positive."""
-
-SYMBOLS = {"friction": "mu", "stiffness": "c_p a^2"}
-"""Field of the state that is multiplied -> its symbol in formulas."""
 
 Change = Callable[[State, float, tuple[float, ...], Covariates], State]
 
@@ -259,6 +255,35 @@ _SELDOM = -1.0
 def seldom(prepared) -> float:
     """Prior log odds of an effect that most files do not have."""
     return _SELDOM
+
+
+Code = dict[str, dict[str, Any]]
+"""Id of an effect -> the fields of its record that are code."""
+
+
+def code(change: Change, **others: Any) -> dict[str, Any]:
+    """The fields of a record that are code: its change, and others."""
+    return {"change": change, **others}
+
+
+def library(package: str, codes: Code) -> tuple[Effect, ...]:
+    """The effects of ``effects.toml`` in a package, each with its code."""
+    tables = tomllib.loads((resources.files(package) / "effects.toml").read_text("utf-8"))
+    return tuple(Effect(id=id, **_fields(table), **codes[id]) for id, table in tables.items())
+
+
+def _fields(table: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a record from a table: of its kinds of shorthand, see ``effects.toml``."""
+    found = {key: _tuples(value) for key, value in table.items()}
+    if found.pop("seldom", False):
+        found["odds"] = seldom
+    if isinstance(found.get("variants"), int):
+        found["variants"] = choices(found["variants"])
+    return found
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 _STEP = 1e-5
