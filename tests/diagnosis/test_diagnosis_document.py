@@ -197,7 +197,7 @@ def test_the_predicted_moment_agrees_with_the_model(studied):
     n = base.rows.n
     (k,) = (i for i, a in enumerate(base.atoms) if a.effect.id == "pressure_asymmetry")
     _, columns = _with_moment(base, base.z)
-    values = base.layout.natural(base.z)
+    values = base.tire.layout.natural(base.z)
     slips, loads = base.rows.slip, base.rows.inputs.fz
 
     def moment(d):

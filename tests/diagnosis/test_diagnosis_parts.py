@@ -111,7 +111,7 @@ def base():
 
 
 def test_the_base_fit_recovers_the_truth(base):
-    values = base.layout.natural(base.z)
+    values = base.tire.layout.natural(base.z)
     assert float(values["cpa2"]) == pytest.approx(5e4, rel=0.02)
     assert float(values["mu"]) == pytest.approx(0.9, rel=0.01)
     assert base.noise["fx"].flags == ()
@@ -631,7 +631,7 @@ def test_data_and_rig_narrow_the_prior_of_an_amplitude():
 def test_cells_of_the_discrepancy_hold_the_forces_of_changed_parameters(base):
     """Usual changes of each parameter, by the closed brush: 3 % of friction, 6 % of
     stiffness, .002 of slip, 1 % of the load; per setting of the load, and over the slip."""
-    values = base.layout.natural(base.z)
+    values = base.tire.layout.natural(base.z)
     c, mu = float(values["cpa2"]), float(values["mu"])
     slip, fz = base.rows.slip, np.asarray(base.rows.inputs.fz)
     unit = np.asarray(base.design.scale["fx"])[: base.rows.n]

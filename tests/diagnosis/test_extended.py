@@ -53,7 +53,7 @@ def document(base, atom, size, to, **known):
     """The part of a document that names one effect."""
     effect = atom.effect
     amplitude = {"value": size, "std": abs(size) / 10, "unit": effect.unit}
-    values = {k: float(v) for k, v in base.layout.natural(base.z).items()}
+    values = {k: float(v) for k, v in base.tire.layout.natural(base.z).items()}
     return Document.model_validate({
         "data": {"name": "data", "sha256": "0" * 64}, "model": "brush",
         "simulator": None,

@@ -141,7 +141,7 @@ class NoiseEffect:
     """A law of the noise, named if no effect on the mean is; fields as in :class:`Effect`."""
 
     id: str
-    flag: str = ""  # of :class:`noise.level.NoiseLevel` that names it; "": none
+    flag: str = ""  # of :class:`rows.noise.NoiseLevel` that names it; "": none
     means: str
     remedy: str
     family: str = "noise"

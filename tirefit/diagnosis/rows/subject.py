@@ -66,20 +66,11 @@ class Base:
         """Parameters z that define the gap: those of the simulator, else of the fit."""
         return self.z if self.simulator is None else self.simulator.z
 
-    @property
-    def layout(self):
-        return self.tire.layout
-
     def off_bounds(self, z) -> np.ndarray:
         """Parameters z, with the first guess for those at a bound, where the slope is
         zero and a refit could not leave the bound."""
         on_bound = np.abs(z) > 6.0  # 0.25 % of the interval
         return np.where(on_bound, self.guess, z)
-
-    @property
-    def slip_noise(self) -> float:
-        """Typical standard deviation of the slip."""
-        return float(np.median(self.rows.slip_std))
 
     @cached_property
     def atoms(self) -> tuple[Atom, ...]:
@@ -120,8 +111,8 @@ class Base:
         rows, n, blocks = self.rows, self.rows.n, []
         if self.simulator is None or self.simulator.given.tire is not None:
             return np.zeros((len(rows.channels) * n, 0))
-        given = self.layout.vector(self.simulator.z)
-        changed = np.abs(self.layout.vector(self.z) / np.where(given, given, 1.0) - 1)
+        given = self.tire.layout.vector(self.simulator.z)
+        changed = np.abs(self.tire.layout.vector(self.z) / np.where(given, given, 1.0) - 1)
         around, most = neighbours(rows), min(float(np.max(changed)), 1.0)
         for channel in rows.channels:
             missed = np.asarray(self.design.offset[channel])[:n]
@@ -160,10 +151,6 @@ class Base:
             self.linear[key] = self.tire.linearised(*given)
         return self.linear[key]
 
-    def refitted(self, starts, sets, design: Design) -> fits.Refit:
-        """Sets of atoms refitted on another design, by :func:`fits.refit`."""
-        return fits.refit(self.tire, starts, sets, design)
-
     # --- what the engine asks of its subject, see engine.fit.Forward -----------------
 
     is_covered: ClassVar[bool] = False  # a part may be a stretch of slip or time
@@ -199,19 +186,15 @@ class Base:
         return np.concatenate([own, np.zeros(n * (len(self.rows.channels) - 1))])
 
     @cached_property
-    def _smooth_columns(self) -> Discrepancy:
+    def plain_discrepancy(self) -> Discrepancy:
+        """The unlisted effect, without regard to the slip uncertainty."""
         return discrepancy_of(self)
 
     @cached_property
     def discrepancy(self) -> Discrepancy:
         """The unlisted effect, with the slip uncertainty projected out."""
-        plain = self._smooth_columns
+        plain = self.plain_discrepancy
         return replace(plain, columns=self.sure(plain.columns))
-
-    @property
-    def smooth(self) -> np.ndarray:
-        """Whitened forces (m, q) of the smooth functions."""
-        return self._smooth_columns.additive
 
     def columns_at(self, fit: Fit) -> np.ndarray:
         """Whitened slopes (m, p + k) of the forces at a fit."""

@@ -136,7 +136,7 @@ def beside(base: Base, fit: Fit) -> np.ndarray:
     """Whitened forces (m, q) of the smooth functions, less the part that the parameters and
     amplitudes of a fit take over."""
     taken = fit.covariance @ (fit.columns.T @ base.discrepancy.additive)
-    return base.smooth - base.columns_at(fit) @ taken
+    return base.plain_discrepancy.additive - base.columns_at(fit) @ taken
 
 
 def all_rows(case: Case, whole: Prepared, rig, rows):

@@ -14,7 +14,7 @@ from tirefit.diagnosis.engine import NONZERO, ROUNDING
 from tirefit.diagnosis.engine.discrepancy import Beside
 from tirefit.diagnosis.engine.fit import Fit
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, jackknife_error
-from tirefit.diagnosis.rows.fits import missed_share
+from tirefit.diagnosis.rows.fits import missed_share, refit
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.subject import Base, on_rows
 from tirefit.diagnosis.summary.case import Case, beside
@@ -350,13 +350,13 @@ def _missed(base: Base, chosen: Fit) -> dict[str, dict[tuple, np.ndarray]]:
     refitted; the parameters of the simulator are held unless they are in the subset."""
     atoms, sets = chosen.atoms, subsets(chosen.atoms)
     guess = [chosen.amplitude[[atoms.index(k) for k in s]] for s in sets]
-    refit = base.refitted([(chosen.z, a) for a in guess], sets, base.design)
-    free = dict(zip(sets, zip(refit.z, refit.amplitude, strict=True), strict=True))
+    freed = refit(base.tire, [(chosen.z, a) for a in guess], sets, base.design)
+    free = dict(zip(sets, zip(freed.z, freed.amplitude, strict=True), strict=True))
     free[atoms] = chosen.z, chosen.amplitude
     fits: dict[tuple, tuple] = {**free}
     if base.simulator is not None:
         start, held = base.simulator.z, base.design._replace(hold=np.array(_HELD))
-        stuck = base.refitted([(start, a) for a in guess], sets, held)
+        stuck = refit(base.tire, [(start, a) for a in guess], sets, held)
         fits = {(PARAMETERS, *s): fit for s, fit in free.items()}
         fits |= {s: (start, a) for s, a in zip(sets, stuck.amplitude, strict=True)}
     missed: dict[str, dict] = {channel: {} for channel in base.rows.channels}
@@ -388,10 +388,10 @@ def parameter_changes(case: Case) -> Mapping[str, Change]:
     base, z, changes = case.base, np.asarray(case.chosen.z), {}
     if base.simulator is None:
         return {}
-    values, spread = base.layout.vector, _spread(case)
+    values, spread = base.tire.layout.vector, _spread(case)
     std = np.abs(values(z + spread) - values(z - spread)) / 2
     ends = values(base.simulator.z), values(z), std
-    for name, given, measured, error in zip(base.layout.labels, *ends, strict=True):
+    for name, given, measured, error in zip(base.tire.layout.labels, *ends, strict=True):
         differs = bool(abs(measured - given) > _DIFFERS * error)
         changes[name] = Change(float(given), float(measured), float(error), differs)
     return changes

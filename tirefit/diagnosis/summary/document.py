@@ -121,7 +121,7 @@ def document_of(
         comparison=compared(shown, bool(verdict.key) or tuned_alone),
         look=next(iter(curves), None),
         library=library,
-        meanings={p.name: p.spec.meaning for p in base.layout.free},
+        meanings={p.name: p.spec.meaning for p in base.tire.layout.free},
     )
 
 
@@ -165,7 +165,7 @@ def _noise(case: Case) -> NoiseSummary:
     return NoiseSummary(
         forces={c: float(np.median(level.std)) for c, level in levels.items()},
         slip_name="alpha" if base.rows.mode == "y" else "sigma_x",
-        slip=base.slip_noise,
+        slip=float(np.median(base.rows.slip_std)),
         slip_source=base.rows.slip_source,
         source="; ".join(dict.fromkeys(level.source for level in levels.values())),
         flags=case.noise_flags,
@@ -292,5 +292,5 @@ def _resolution(case: Case) -> float:
 
 
 def _base_parameters(base: Base, z) -> dict[str, float]:
-    values = base.layout.natural(z)
+    values = base.tire.layout.natural(z)
     return {name: float(np.asarray(v).ravel()[0]) for name, v in values.items()}

@@ -119,7 +119,7 @@ class Left(NamedTuple):
 @dataclass(frozen=True, kw_only=True)
 class VerdictSummary:
     """The effects that are present, and the remainder: a
-    :class:`~tirefit.diagnosis.decide.verdict.Verdict` for the report, with a calibrated
+    :class:`~tirefit.diagnosis.engine.decide.Verdict` for the report, with a calibrated
     ``probability``, the share of such verdicts that are right; ``sizes`` of each named effect
     by groups of each covariate, the most unequal first; ``parameters`` are those of a given
     simulator, empty for a fitted form."""
