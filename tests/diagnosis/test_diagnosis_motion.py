@@ -13,7 +13,7 @@ from fits.withheld.car import FAULTS, Car, drive
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS, atoms_of, effects_by_id
-from tirefit.diagnosis.effects.motion import lag
+from tirefit.diagnosis.effects.vehicle import lag
 from tirefit.diagnosis.rows.covariates import derived_from
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig, load_rig

@@ -17,7 +17,7 @@ fits, tests and ranks them all. A user's own effect is one more record::
     tirefit.diagnose(data, effects=EFFECTS + (mine,))
 """
 
-from tirefit.diagnosis.effects import measurement, motion, tire, vehicle
+from tirefit.diagnosis.effects import measurement, tire, vehicle
 from tirefit.diagnosis.effects.record import (
     NOISE_EFFECTS,
     Atom,
@@ -41,5 +41,5 @@ __all__ = [
 ]
 
 EFFECTS: tuple[Effect, ...] = library(
-    "tirefit.diagnosis.effects", measurement.CODE | motion.CODE | tire.CODE | vehicle.CODE
+    "tirefit.diagnosis.effects", measurement.CODE | tire.CODE | vehicle.CODE
 )

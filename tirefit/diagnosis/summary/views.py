@@ -10,7 +10,7 @@ from scipy.special import chdtrc, stdtr
 
 from tirefit.data.levels import cells, levels
 from tirefit.data.table import TireData
-from tirefit.diagnosis.effects.motion import said_of_motion
+from tirefit.diagnosis.effects.vehicle import said_of_motion
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
 from tirefit.diagnosis.engine.decide import POLICY
 from tirefit.diagnosis.engine.discrepancy import Found
