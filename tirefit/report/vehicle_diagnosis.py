@@ -23,9 +23,9 @@ _STATES = ("as given", "tires fitted", "with the effects")
 
 
 def _effect_text(result: VehicleDiagnosis, effect: str) -> str:
-    amplitude, form = result.amplitudes[effect], result.forms.get(effect)
+    amplitude = result.amplitudes[effect]
     amount = amount_text(*amplitude[:3])
-    return f"{name_with_id(effect)}, {amount}" + (f" {form}" if form else "")
+    return f"{name_with_id(effect)}, {amount} {amplitude.formula}".rstrip()
 
 
 def answer(result: VehicleDiagnosis) -> str:

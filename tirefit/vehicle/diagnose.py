@@ -96,8 +96,8 @@ class VehicleDiagnosis(Record):
         verdict: which effects are there, and what is left.
         ladder: how the rms over the noise shrinks on windows left out.
         sizes: of each named effect by groups of each covariate, the most unequal first.
-        amplitudes: of each named effect; forms: text on its form; variants: the number
-            of its form; speed: mean speed [m/s], to which effects of the speed refer.
+        amplitudes: of each named effect; variants: the number of its form; speed: mean
+            speed [m/s], to which effects of the speed refer.
         parameters: factor on each number of the tires in the fit of the named effects.
         noise: channel -> noise of the log: the remainder of all effects together.
         miss: errors on these logs; held_out: errors on held-out logs, None without.
@@ -116,7 +116,6 @@ class VehicleDiagnosis(Record):
     ladder: Ladder
     sizes: Mapping[str, tuple[SizeByGroup, ...]]
     amplitudes: Mapping[str, Amplitude]
-    forms: Mapping[str, str]
     variants: Mapping[str, int]
     speed: float
     parameters: Mapping[str, Amplitude]
@@ -239,7 +238,6 @@ def diagnose_vehicle(
         ladder_of(out, verdict.key, floor_of(base, out)),
         sizes_of(best, base.model.scales, base.groups()),
         _amplitudes(base, best, _errors(best, out)),
-        _words(base, best),
         {a.effect.id: a.variant for a in (base.atoms[k] for k in best.atoms)},
         float(np.mean(windows.data.v_x)),
         _parameters(best),
@@ -344,18 +342,10 @@ def subject_of(
 def _amplitudes(base: Windows, fit: Fit, std: np.ndarray) -> dict[str, Amplitude]:
     found = {}
     for k, size, error in zip(fit.atoms, fit.amplitude, std, strict=True):
-        effect, scale = base.atoms[k].effect, base.model.scales[k]
-        found[effect.id] = Amplitude(float(scale * size), float(scale * error), effect.unit)
+        atom, scale = base.atoms[k], base.model.scales[k]
+        values = float(scale * size), float(scale * error), atom.effect.unit
+        found[atom.effect.id] = Amplitude(*values, atom.formula(None, None))
     return found
-
-
-def _words(base: Windows, fit: Fit) -> dict[str, str]:
-    atoms = [base.atoms[k] for k in fit.atoms]
-    return {
-        atom.effect.id: atom.effect.which(atom.constants, base.cut.rows, None)  # type: ignore
-        for atom in atoms
-        if atom.effect.which
-    }
 
 
 def _parameters(fit: Fit) -> dict[str, Amplitude]:

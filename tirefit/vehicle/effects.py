@@ -63,16 +63,6 @@ def _which(constants, rows, time) -> str:
     return _WORDS[_EACH.index(tuple(constants))]
 
 
-def _sets(part: str, name: str, value):
-    """The change of an effect that sets a number of a part."""
-
-    def change(setting, amplitude, constants, rows):
-        new = value(amplitude, rows)
-        return setting._replace(**{part: getattr(setting, part)._replace(**{name: new})})
-
-    return change
-
-
 def _adds(part: str, name: str, value):
     """The change of an effect that adds to a number of a part."""
 
@@ -121,11 +111,11 @@ def _transfer(setting, height, constants, rows):
     return scaled_axles(setting, "load", (1 - 2 * moved, 1 + 2 * moved))
 
 
-def _tilt(setting, slope, constants, rows):
+def _tilt(slope, constants, rows):
+    """Force to the left of a slope of the ground."""
     along, across = constants
     towards = across * jnp.cos(rows.heading) - along * jnp.sin(rows.heading)
-    force = setting.car.force + slope * rows.weight * towards
-    return setting._replace(car=setting.car._replace(force=force))
+    return slope * rows.weight * towards
 
 
 CODE = {
@@ -135,21 +125,21 @@ CODE = {
     "steering_lag": code(_adds("steering", "lag", lambda a, c, rows: a)),
     "steering_play": code(_adds("steering", "play", lambda a, c, rows: a)),
     "compliance_steer": code(_adds("steering", "yields", lambda a, c, rows: a)),
-    "yaw_inertia": code(_sets("car", "inertia", lambda a, rows: jnp.exp(a))),
-    "centre_of_gravity": code(_sets("car", "ahead", lambda a, rows: a * rows.wheelbase)),
+    "yaw_inertia": code(_adds("car", "inertia", lambda a, c, rows: jnp.expm1(a))),
+    "centre_of_gravity": code(_adds("car", "ahead", lambda a, c, rows: a * rows.wheelbase)),
     "lateral_load_transfer": _scales("friction", lambda a, rows: -a * rows.across**2),
     "longitudinal_load_transfer": code(_transfer),
     "aerodynamic_load": _scales("load", lambda a, rows: a * (rows.speed**2 - 1)),
     "friction_speed": _scales("friction", lambda a, rows: -a * (rows.speed - 1)),
     "sliding_friction": code(_falls, which=_which),
     "friction_drift": _scales("friction", lambda a, rows: a * rows.time),
-    "relaxation_length": code(_sets("car", "relaxation", lambda a, rows: a * rows.wheelbase)),
+    "relaxation_length": code(_adds("car", "relaxation", lambda a, c, rows: a * rows.wheelbase)),
     "drive_force": _scales("friction", lambda a, rows: -a * rows.along**2),
     "yaw_resistance": code(
         _adds("car", "moment", lambda a, c, rows: -a * rows.turn * rows.weight * rows.wheelbase**2)
     ),
     "bank": code(_adds("car", "force", lambda a, c, rows: a * rows.weight)),
-    "floor_slope": code(_tilt),
+    "floor_slope": code(_adds("car", "force", _tilt)),
     "sideslip_zero": code(_adds("reading", "sideslip", lambda a, c, rows: a)),
     "yaw_rate_zero": code(_adds("reading", "yaw_rate", lambda a, c, rows: a)),
     "tracked_point": code(_adds("reading", "ahead", lambda a, c, rows: a * rows.wheelbase)),

@@ -191,7 +191,7 @@ class Atom:
         prior = Prior(effect.scale, effect.center, *pair).times(size)
         return prior if effect.prior is None else effect.prior(prior, prepared, rig)
 
-    def formula(self, rows: Covariates, time) -> str:
+    def formula(self, rows: Covariates | None, time) -> str:
         """Text on the formula of the variant, empty if the effect has one only."""
         of = self.effect
         return of.which(self.constants, rows, time) if of.which else ""
