@@ -114,7 +114,7 @@ def vehicle_diagnosis_text(result: VehicleDiagnosis) -> str:
         lines += ["ERROR ON THE HELD-OUT LOGS", *_miss_rows(result, result.held_out)]
     lines += [f"STEP BY STEP, {result.ladder.on}", *_ladder(result)]
     rows = [["factor on", "value"]]
-    rows += [[name, amount_text(*one)] for name, one in result.parameters.items()]
+    rows += [[name, amount_text(*one[:3])] for name, one in result.parameters.items()]
     lines += ["TIRES, FITTED WITH THE EFFECTS", *table(rows)]
     left = f"probability of an unlisted effect: {result.verdict.unlisted:.2f}"
     lines += ["WHAT IS LEFT", *indented(left), "NOTES"]

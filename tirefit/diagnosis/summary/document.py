@@ -223,8 +223,10 @@ def _candidates(case: Case) -> tuple[Candidate, ...]:
     listed = [_candidate(case, key, total[key]) for key in ranked[:_LISTED]]
     alone = verdict.unlisted if not verdict.key else 0.0
     if alone > _MENTIONED:
-        unknown = {"effects": ("unknown",), "family": "unknown", "parameters": {}}
-        listed.append(Candidate(**unknown, probability=alone))
+        unknown = Candidate(
+            effects=("unknown",), family="unknown", probability=alone, parameters={}
+        )
+        listed.append(unknown)
     return tuple(listed)
 
 
