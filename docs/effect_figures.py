@@ -103,14 +103,14 @@ def figures():
         for k, atom in enumerate(base.atoms):
             effect = atom.effect
             shows = channel in (effect.channels or (channel,))
-            met = set(effect.needs) <= base.prepared.has
+            met = set(effect.needs) <= base.rows.has
             if effect.id not in found and shows and met:
                 found[effect.id] = _figure(frame, channel, base, k)
     return found
 
 
 def _figure(frame, channel, base, k):
-    atom, rows = base.atoms[k], base.prepared
+    atom, rows = base.atoms[k], base.rows
 
     def force(size):
         return base.forces(base.z, base.amplitudes([k], [size]))[channel]

@@ -323,5 +323,5 @@ def judged(number: int, folder: Path) -> dict:
         "effects": verdict.effects,
         "also_possible": verdict.also_possible,
         "unlisted": verdict.unlisted,
-        "amplitudes": {k: list(v) for k, v in found.amplitudes.items()},
+        "amplitudes": {k: list(v[:3]) for k, v in found.amplitudes.items()},
     }

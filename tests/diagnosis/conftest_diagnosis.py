@@ -14,7 +14,7 @@ from tirefit.data.read import read_frame
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.engine.discrepancy import Discrepancy
 from tirefit.diagnosis.engine.fit import Fit, Folds, Priors, Start, fitted
-from tirefit.diagnosis.engine.posterior import Weighed
+from tirefit.diagnosis.engine.search import Weighed
 from tirefit.diagnosis.rows.rig import Rig
 
 FZ, SPEEDS = (2000.0, 4000.0, 6000.0), (6.0, 24.0)
@@ -81,7 +81,7 @@ class Toy:
 
     def folds(self, effects):
         code = np.arange(len(self.observed)) * self.parts // len(self.observed)
-        return Folds(code, f"{self.parts} blocks", True)
+        return Folds(code, f"{self.parts} blocks")
 
     def refit(self, starts, sets):
         self.refits += list(sets)

@@ -42,7 +42,7 @@ class Straight(Base):
             "atoms": (one,),
             "rows": rows,
             "design": design,
-            "_smooth_columns": smooth,
+            "plain_discrepancy": smooth,
             "discrepancy": smooth,
         }
 
@@ -73,7 +73,7 @@ def test_draws_of_the_force_agree_with_a_dense_gaussian(monkeypatch):
     monkeypatch.setattr(closure, "_UNDRAWN", 0.0)
     base = Straight(np.random.default_rng(4))
     drawn = plausible_forces(base.case(), np.random.default_rng(0))["fx"]
-    observed, flat, smooth = base.rows.observed["fx"], base.slopes, base.smooth
+    observed, flat, smooth = base.rows.observed["fx"], base.slopes, base.plain_discrepancy.additive
     columns, logs, means, squares = np.concatenate([flat, smooth], axis=1), [], [], []
     for size in closure._SIZES:
         logs.append(log_normal(observed, np.eye(ROWS) + size**2 * smooth @ smooth.T, flat))

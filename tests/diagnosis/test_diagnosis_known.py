@@ -183,19 +183,6 @@ def test_the_rear_axle_has_no_steering_effect(plain):
     assert "steering_delay" in {one.effect for one in plain.untestable}
 
 
-def test_an_implausible_relaxation_length_is_doubted(driven):
-    prepared = prepare(stating(driven, wheel_radius=0.3, **STATED), RIG, ("fy",))
-    rows, relaxation = prepared.covariates, atoms_of([KNOWN["relaxation_length"]])[0]
-    assert "4 wheel radii" in relaxation.formula(rows, prepared.time, 1.2, prepared)
-    assert relaxation.formula(rows, prepared.time, 0.5, prepared) == ""
-    # By the wheelbase, where the radius is not stated.
-    unstated = prepare(stating(driven, wheelbase=2.6), RIG, ("fy",))
-    assert unstated.sizes.wheel == pytest.approx(0.39)
-    delay = atoms_of([KNOWN["channel_delay"]])[0]
-    assert "0.1 s of a filter" in delay.formula(rows, prepared.time, -0.12, prepared)
-    assert delay.formula(rows, prepared.time, 0.08, prepared) == ""
-
-
 # --- the drive force --------------------------------------------------------------
 
 

@@ -22,17 +22,15 @@ from tirefit.diagnosis.effects.state import force_of_state, null_state
 from tirefit.diagnosis.engine.discrepancy import Cell, Found
 from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.rows import slips
-from tirefit.diagnosis.rows.basis import waves_within
-from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of
+from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, waves_within
 from tirefit.diagnosis.rows.noise import judge_noise
 from tirefit.diagnosis.rows.prepared import blocks_of_settings, coincides, prepare
 from tirefit.diagnosis.rows.rig import Rig, load_rig
 from tirefit.diagnosis.rows.slips import AGES, AHEAD, segments, slip_rate
 from tirefit.diagnosis.rows.subject import fit_base
-from tirefit.diagnosis.summary.budget import shapley
+from tirefit.diagnosis.summary.closure import shapley
 from tirefit.diagnosis.summary.forecast import recognition, scores_of_nothing, separability
-from tirefit.diagnosis.summary.views import _look_curve
-from tirefit.diagnosis.summary.where import regions, spots
+from tirefit.diagnosis.summary.views import _look_curve, regions
 from tirefit.models import Brush, TireInputs
 from tirefit.results import UsageError
 
@@ -113,7 +111,7 @@ def base():
 
 
 def test_the_base_fit_recovers_the_truth(base):
-    values = base.layout.natural(base.z)
+    values = base.tire.layout.natural(base.z)
     assert float(values["cpa2"]) == pytest.approx(5e4, rel=0.02)
     assert float(values["mu"]) == pytest.approx(0.9, rel=0.01)
     assert base.noise["fx"].flags == ()
@@ -131,7 +129,7 @@ def test_every_null_amplitude_changes_nothing(base):
 def test_tangents_agree_with_central_differences(base):
     _, jacobian, tangent, _ = base.linearised(base.z, np.zeros(len(base.atoms)))
     scale = np.asarray(base.design.prior_scale)
-    n = base.prepared.n
+    n = base.rows.n
     spread = np.asarray(base.design.scale["fx"])[:n]
 
     def force(z, amplitudes):
@@ -158,7 +156,7 @@ def test_fields_agree_with_central_differences(base):
     """The force per field of the state, compared with effects that change only that."""
     linear = base.linearised(base.z, np.zeros(len(base.atoms)))
     scale = np.asarray(base.design.prior_scale)
-    rows = base.prepared.covariates
+    rows = base.rows.covariates
     for name, field, factor in (
         ("slip_offset", "shift", 1.0),
         ("drive_brake_asymmetry", "friction", 0.5 * rows.side),
@@ -447,8 +445,8 @@ def test_the_noise_is_estimated_despite_a_gap():
 
 
 def test_regions_contain_all_the_energy(base):
-    n = base.prepared.n
-    gap = np.where(base.prepared.inputs.fz == 6000, 100.0, 1.0)
+    n = base.rows.n
+    gap = np.where(base.rows.inputs.fz == 6000, 100.0, 1.0)
     residual, *_ = base.at_null
     found = regions(base, residual[:n], gap)
     loads = [r for r in found if r.covariate == "fz"]
@@ -458,22 +456,6 @@ def test_regions_contain_all_the_energy(base):
     for name in {r.covariate for r in found}:
         shares = sum(r.share for r in found if r.covariate == name)
         assert shares == pytest.approx(1.0), name
-
-
-def test_an_error_in_the_first_seconds_is_a_spot(base):
-    """Five standard errors in one row of forty, not significant in any quarter."""
-    n, residual = base.prepared.n, np.zeros(base.prepared.n)
-    time = np.asarray(base.prepared.time)
-    first = np.argsort(time)[: n // 40]
-    residual[first] = 5.0
-    gap = 100.0 * residual + 1.0
-    told = spots(base, residual, gap)
-    assert told[0].covariate == "time" and told[0].p_value < 1e-6
-    assert told[0].low == time.min() and told[0].rows < 0.07 and told[0].share > 0.9
-    noise = np.random.default_rng(3).standard_normal(n)
-    assert spots(base, noise, np.abs(noise)) == ()
-    # Spread evenly, a gap is nowhere denser.
-    assert spots(base, np.full(n, 5.0), np.full(n, 100.0)) == ()
 
 
 def test_a_rig_file_is_read_and_checked(tmp_path):
@@ -526,7 +508,7 @@ def test_every_effect_stays_within_its_bounds(base):
             (k,) = fit.atoms
             assert low[k] <= fit.amplitude[0] <= high[k], base.atoms[k].effect.id
     for k, atom in enumerate(base.atoms):
-        prior = atom.prior(base.prepared, RIG)
+        prior = atom.prior(base.rows, RIG)
         assert prior.low == pytest.approx(low[k] * scale[k])
         assert prior.low < prior.high == pytest.approx(high[k] * scale[k])
     filtered = next(
@@ -649,10 +631,10 @@ def test_data_and_rig_narrow_the_prior_of_an_amplitude():
 def test_cells_of_the_discrepancy_hold_the_forces_of_changed_parameters(base):
     """Usual changes of each parameter, by the closed brush: 3 % of friction, 6 % of
     stiffness, .002 of slip, 1 % of the load; per setting of the load, and over the slip."""
-    values = base.layout.natural(base.z)
+    values = base.tire.layout.natural(base.z)
     c, mu = float(values["cpa2"]), float(values["mu"])
-    slip, fz = base.prepared.slip, np.asarray(base.prepared.inputs.fz)
-    unit = np.asarray(base.design.scale["fx"])[: base.prepared.n]
+    slip, fz = base.rows.slip, np.asarray(base.rows.inputs.fz)
+    unit = np.asarray(base.design.scale["fx"])[: base.rows.n]
     changed = {
         "friction": brush(slip, c, 1.01 * mu, fz) - brush(slip, c, 0.99 * mu, fz),
         "stiffness": brush(slip, 1.01 * c, mu, fz) - brush(slip, 0.99 * c, mu, fz),
@@ -682,7 +664,7 @@ def test_cells_of_the_discrepancy_hold_the_forces_of_changed_parameters(base):
     assert {name for name, _ in waves} == {"friction", "force"}
     wave = waves["force", "time"]
     np.testing.assert_allclose(wave.weight, 0.01 * fz / unit, rtol=0.01)
-    time = base.prepared.time
+    time = base.rows.time
     np.testing.assert_allclose(time[0] + wave.clock * wave.tick, time, atol=0.51 * wave.tick)
 
 

@@ -17,8 +17,7 @@ from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.rows.fits import as_measured, not_followed
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.simulator import given_simulator, simulator_at
-from tirefit.diagnosis.summary.budget import _energies
-from tirefit.diagnosis.summary.closure import block_means
+from tirefit.diagnosis.summary.closure import _energies, block_means
 from tirefit.diagnosis.summary.result import rows_in_file_terms
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.layout import FreeParameter, Layout

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from tirefit.diagnosis.effects import EFFECTS, Atom, Effect, atoms_of
-from tirefit.diagnosis.effects.arrays import xp
+from tirefit.diagnosis.effects.record import States, xp
 from tirefit.diagnosis.effects.state import Covariates, State, null_state
-from tirefit.diagnosis.effects.states import States
 from tirefit.diagnosis.rows.slips import AGES
 from tirefit.results import UsageError
 

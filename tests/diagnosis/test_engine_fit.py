@@ -228,16 +228,6 @@ def test_priors_sum_to_those_of_their_size():
     assert sum(PRIOR_OF_SIZE) <= 1
 
 
-def test_the_score_is_the_amplitude_over_its_error():
-    subject = toy([(0, 2.0)])
-    search = Search(subject)
-    both = np.column_stack([subject.columns, subject.slopes[:, 0]])
-    size, *_ = np.linalg.lstsq(both, subject.observed, rcond=None)
-    error = np.sqrt(np.linalg.inv(both.T @ both)[2, 2])
-    assert search.score["a1"] == pytest.approx(size[2] / error, rel=1e-6)
-    assert set(search.score) == set(NAMES)
-
-
 def test_parts_of_a_set_come_largest_first():
     assert parts_of(("a", "b", "c"))[:2] == [("a", "b", "c"), ("a", "b")]
     assert [len(k) for k in parts_of(("a", "b", "c"))] == [3, 2, 2, 2, 1, 1, 1]

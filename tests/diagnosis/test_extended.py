@@ -53,10 +53,10 @@ def document(base, atom, size, to, **known):
     """The part of a document that names one effect."""
     effect = atom.effect
     amplitude = {"value": size, "std": abs(size) / 10, "unit": effect.unit}
-    values = {k: float(v) for k, v in base.layout.natural(base.z).items()}
+    values = {k: float(v) for k, v in base.tire.layout.natural(base.z).items()}
     return Document.model_validate({
         "data": {"name": "data", "sha256": "0" * 64}, "model": "brush",
-        "simulator": None, "gap": {"closed": 0.8, "shares": {}},
+        "simulator": None,
         "verdict": {
             "status": "named", "effects": [effect.id], "probability": 0.9,
             "acts_like": [], "also_possible": [],
@@ -97,7 +97,7 @@ def only(base, k):
 )
 def test_each_tire_effect_gives_the_forces_of_the_diagnosis(mode, model, expected, variants):
     base, held = based(mode, model), set()
-    rows, name = base.prepared, f"f{mode}"
+    rows, name = base.rows, f"f{mode}"
     given = {"alpha": np.arctan(rows.slip)} if mode == "y" else {"sigma_x": rows.slip}
     inputs = rows.inputs._replace(**given)
     for k, atom in enumerate(base.atoms):
@@ -130,7 +130,7 @@ def test_effects_of_measurement_vehicle_and_past_are_only_reported():
         ("slip_offset", "of the measurement, not in the forces: slip_offset"),
         ("relaxation_length", "not in the forces: relaxation_length length = 0.3 +-"),
         ("speed_drag", "not in the forces, of the vehicle: speed_drag"),
-        ("friction_drift", "it closes 80% of the gap"),
+        ("friction_drift", "not in the forces: friction_drift"),
     ):
         k = [atom.effect.id for atom in base.atoms].index(id)
         to = extension_of(base, only(base, k))

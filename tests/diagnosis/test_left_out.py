@@ -10,9 +10,9 @@ from tirefit.data.read import read_frame
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine.left_out import predicted
-from tirefit.diagnosis.rows.parts import folds_of
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.runs import folds_of
 from tirefit.diagnosis.rows.subject import fit_base
 
 RIG, STD = Rig(noise={"fy": 20.0, "alpha": 1e-6}), 20.0

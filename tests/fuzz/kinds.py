@@ -154,7 +154,7 @@ def _diagnosis() -> bytes:
     size = {"value": -0.1, "std": 0.01, "unit": "-", "formula": "a power of the load"}
     content = {
         "schema": "tirefit.diagnosis/4", "data": {"name": "run", "sha256": "ab" * 32},
-        "model": "brush", "simulator": None, "gap": {"closed": 0.9, "shares": {}},
+        "model": "brush", "simulator": None,
         "verdict": {
             "status": "named", "effects": [id], "probability": 0.9,
             "acts_like": [], "also_possible": [],

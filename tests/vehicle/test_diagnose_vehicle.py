@@ -54,7 +54,7 @@ def found(late):
 
 def test_a_steering_delay_is_named_with_its_size(found):
     assert found.verdict.effects == ("steering_delay",)
-    value, std, unit = found.amplitudes["steering_delay"]
+    value, std, unit, _ = found.amplitudes["steering_delay"]
     assert unit == "s" and abs(value - DELAY) < 4 * std + 1e-3
 
 
@@ -67,7 +67,7 @@ def test_the_effect_reduces_the_error_to_the_noise(found):
 
 def test_the_tires_are_recovered_with_the_effect(found):
     for axle in ("front", "rear"):
-        factor, std, _ = found.parameters[f"{axle}.stiffness"]
+        factor, std, *_ = found.parameters[f"{axle}.stiffness"]
         assert abs(factor - 1 / 1.1) < 5 * std
 
 
@@ -95,7 +95,7 @@ def test_a_replay_with_the_effects_reaches_the_noise(late, found, tmp_path):
             assert after < 0.6 * before and after < 2 * floor, quantity
     assert "With the effects" in replayed.summary()
     given.write_text('{"schema": "tirefit.vehicle_diagnosis/1"}')
-    with pytest.raises(DataError, match="not the document of a diagnosis of a car"):
+    with pytest.raises(DataError, match="not vehicle_diagnosis.json of"):
         tirefit.replay([log], vehicle, *tires, effects=given)
 
 

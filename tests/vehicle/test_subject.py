@@ -19,8 +19,7 @@ from tirefit.vehicle import subject
 from tirefit.vehicle.diagnose import subject_of
 from tirefit.vehicle.effects import CAR_EFFECTS
 from tirefit.vehicle.model import TIRES
-from tirefit.vehicle.shooting import windows_of
-from tirefit.vehicle.windows import cut_logs
+from tirefit.vehicle.windows import cut_logs, windows_of
 
 FEW = ("steering_delay", "yaw_inertia", "steering_offset", "relaxation_length")
 """The library of test_diagnose_vehicle.py, so that both use the same compiled programs."""

@@ -111,19 +111,6 @@ def test_the_saved_fit_is_accepted_by_the_other_commands(found, tmp_path):
 
 
 @pytest.mark.long
-def test_profile_and_covariance_intervals_agree_if_nearly_normal(found, drive):
-    for how in ("profile", "importance"):
-        other = fit_trajectory([drive / "drive.csv"], drive / "vehicle.toml", intervals=how)
-        assert other.intervals == how
-        for name, one in found.parameters.items():
-            # Draws of importance sampling: the end of an interval is good to a tenth.
-            np.testing.assert_allclose(
-                other.parameters[name].ci95, one.ci95, atol=0.5 * one.std, err_msg=name
-            )
-            assert other.parameters[name].ci95 != one.ci95
-
-
-@pytest.mark.long
 def test_inertia_and_centre_of_gravity_are_found_or_reported_open(drive):
     vehicle = load_vehicle(drive / "vehicle.toml")
     moved = {"l_f": L_F + 0.01, "l_r": L_R - 0.01, "yaw_inertia": 1.3 * INERTIA}
@@ -165,7 +152,5 @@ def test_wrong_requests_are_refused(drive):
         fit_trajectory(*given, Brush())
     with pytest.raises(UsageError, match="(?s)no unknown of a car.*steering_delay"):
         fit_trajectory(*given, unknowns=["steering_dela"])
-    with pytest.raises(UsageError, match="(?s)no kind of interval.*did you mean"):
-        fit_trajectory(*given, intervals="profil")
     with pytest.raises(DataError, match="no stretch above 1 m/s is 60 s long"):
         fit_trajectory(*given, window=60.0)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_files, fit_one
-from tirefit.cli.fit_vehicle import Intervals, fit_vehicle
+from tirefit.cli.fit_vehicle import fit_vehicle
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, only_of_magic_formula
 from tirefit.cli.notes import merged_notes
@@ -137,10 +137,6 @@ def fit(
         float | None,
         typer.Option(min=0.05, help="--vehicle: length of a window [s] (default: 0.5)"),
     ] = None,
-    intervals: Annotated[
-        Intervals | None,
-        typer.Option(help="--vehicle: method of the 95 % intervals (default: covariance)"),
-    ] = None,
     joint: Annotated[
         bool, typer.Option("--joint", help="fit all files together, each file as a run")
     ] = False,
@@ -170,13 +166,13 @@ def fit(
         whole = {name: value for name, value in whole.items() if value is not None}
         unused: dict[str, Any] = dict(solver=solver, sampler=sampler, force=force)
         unused |= dict(resume=resume, jobs=jobs, scheduler=scheduler)
-        own = {"unknowns": unknown, "window": window, "intervals": intervals}
+        own = {"unknowns": unknown, "window": window}
         if vehicle is not None:
-            others = dict(joint=joint, html=html, svg=svg, strict=strict)
+            others = dict(joint=joint, html=html, svg=svg, strict=strict, seed=seed)
             refuse_with_vehicle(options, unused | whole | others)
-            raise typer.Exit(fit_vehicle(files, vehicle, model, out, **own, seed=seed))
+            raise typer.Exit(fit_vehicle(files, vehicle, model, out, **own))
         if any(own.values()):
-            reason = "--unknown, --window or --intervals without --vehicle"
+            reason = "--unknown or --window without --vehicle"
             raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))
         base = read_config(options.config) or FitConfig()
         how = read_options(options, base)

@@ -1,6 +1,5 @@
 """``tirefit fit --vehicle``: fit the tires and unknown parameters of a car to its logs."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +9,6 @@ from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 FIGURE = "trajectory.png"
 FILES = ("trajectory.json", "front.json", "rear.json", "vehicle.toml", FIGURE)
-
-
-class Intervals(StrEnum):
-    covariance = "covariance"
-    profile = "profile"
-    importance = "importance"
 
 
 def models_of(text: str | None) -> dict[str, Any]:

@@ -26,10 +26,9 @@ from tirefit.diagnosis.rows.prepared import (
 from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, simulator_at
 from tirefit.diagnosis.rows.subject import Base, fit_base, shown_slip_noise, with_noise_judged
-from tirefit.diagnosis.summary.case import Case
+from tirefit.diagnosis.summary.case import Case, Untestable
 from tirefit.diagnosis.summary.document import document_of
-from tirefit.diagnosis.summary.records import Settings, Untestable
-from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.result import Diagnosis, Settings
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.problem import find_model

@@ -9,7 +9,7 @@ import json
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -80,7 +80,7 @@ class Extension(NamedTuple):
 
 def extension_of(base: Base, chosen: Fit) -> Extension:
     """The extension of a file, for the effects of a fitted set."""
-    rows, prepared = base.design.rows, base.prepared
+    rows, prepared = base.design.rows, base.rows
     inflation = column(prepared.data, "pressure")
     atoms = [base.atoms[k] for k in chosen.atoms]
     first = {name: float(getattr(rows, name)[0]) for name in ("load", *_OF_RUN)}
@@ -202,11 +202,6 @@ class _Verdict(_Part):
         return [e for e in (*self.effects, *self.acts_like) if e != UNKNOWN]
 
 
-class _Gap(_Part):
-    closed: float | None
-    shares: dict[str, float]
-
-
 class _Data(_Part):
     name: str
     sha256: str
@@ -218,7 +213,6 @@ class Document(_Part):
     data: _Data
     model: str
     simulator: dict[str, Any] | None
-    gap: _Gap
     verdict: _Verdict
     candidates: list[_Candidate]
     base_parameters: dict[str, float]
@@ -226,30 +220,47 @@ class Document(_Part):
     extension: Extension
 
 
-def read_document(path: str | PathLike) -> Document:
-    """The document of a diagnosis.
+Parsed = TypeVar("Parsed", bound=BaseModel)
+
+
+def read_checked(path: str | PathLike, kind: type[Parsed], schema: str, what: str) -> Parsed:
+    """The parts of a document of this schema.
+
+    Args:
+        kind: of the parts.
+        what: the document and the command that writes it, in words.
 
     Raises:
-        DataError: no such file, no document of a diagnosis, or one of an earlier
-            version that lacks the quantities to which the amplitudes refer.
+        DataError: no such file, no such document, or one of another version.
     """
-    remedy = "give NAME.json of `tirefit diagnose`; run it again for an older file"
+    name, command = what.split(" of ", 1)
+    remedy = f"give {name} of {command}; run it again for an older file"
     raw = content_of(Path(path), RECORD, DataError, remedy)
     try:
-        return document_of(raw.decode("utf-8"))
+        return parsed(raw.decode("utf-8"), kind, schema)
     except (ValueError, RecursionError) as error:
-        reason = f"not the document of a diagnosis: {faults_in(error)}"
+        reason = f"not {name} of {command}: {faults_in(error)}"
         raise DataError(InputProblem(reason, remedy, str(path))) from None
+
+
+def parsed(text: str, kind: type[Parsed], schema: str) -> Parsed:
+    """:func:`read_checked` of a text; ValueError if it is no such document."""
+    content = json.loads(text)
+    if not isinstance(content, dict) or content.get("schema") != schema:
+        raise ValueError(f"its schema is not {schema}")
+    if odd := outrageous(content, 0.0):
+        raise ValueError(": ".join(odd))
+    return kind.model_validate(content)
+
+
+def read_document(path: str | PathLike) -> Document:
+    """The document of a diagnosis; raises DataError as :func:`read_checked`."""
+    return read_checked(path, Document, SCHEMA, "NAME.json of `tirefit diagnose`")
 
 
 def document_of(text: str) -> Document:
     """The document from its text; ValueError if it is none."""
-    content = json.loads(text)
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise ValueError(f"its schema is not {SCHEMA}")
-    if odd := outrageous(content, 0.0):
-        raise ValueError(": ".join(odd))
-    return Document.model_validate(content)
+    return parsed(text, Document, SCHEMA)
 
 
 class Report(NamedTuple):
@@ -345,10 +356,8 @@ def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]
         return [], f"of the measurement, not in the forces: {message}; {effect.remedy}"
     if effect.of == "tire" and _has_inputs(atom, size.value, document.extension):
         return [(atom, size.value)], f"in the forces: {message}"
-    closed = document.gap.shares.get(id, document.gap.closed)
-    lost = "" if closed is None else f"; it closes {closed:.0%} of the gap"
     whose = "" if effect.of == "tire" else f", of the {effect.of}"
-    return [], f"not in the forces{whose}: {message}{lost}"
+    return [], f"not in the forces{whose}: {message}"
 
 
 def _has_inputs(atom: Atom, amplitude: float, to: Extension) -> bool:

@@ -5,8 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.summary.records import Change, Part
-from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.result import Change, Diagnosis, Part
 from tirefit.report.diagnosis_words import name_of, share_text
 from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number

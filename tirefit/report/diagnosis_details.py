@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.effects.per_run import RELATIVE
+from tirefit.diagnosis.effects.measurement import RELATIVE
 from tirefit.diagnosis.summary.result import SCHEMA, Diagnosis
 from tirefit.models import MODELS
 from tirefit.params import specs
@@ -11,7 +11,6 @@ from tirefit.report.diagnosis_sections import Section, gap_line
 from tirefit.report.diagnosis_words import (
     amount_text,
     amplitude_text,
-    closed_text,
     covariate_text,
     name_of,
     p_text,
@@ -25,9 +24,6 @@ from tirefit.report.diagnosis_words import (
 from tirefit.report.numbers import format_estimate, format_number
 
 _LEAST = 0.005  # smallest probability of a candidate that is listed
-_MOST = 10  # largest number of parameters in the map
-
-
 _SEEN = 0.5  # an effect with a lower probability of detection may be present unseen
 
 
@@ -36,15 +32,13 @@ def details(result: Diagnosis) -> list[Section]:
     sections = [
         Section("Gap on the rows fitted", list(_gap_lines(result))),
         Section("Runs (each fitted with its own offset)", list(run_lines(result))),
-        Section("Where the gap lies", _spot_lines(result), _where(result)),
-        Section("A parameter that varies freely", (), _map(result)),
+        Section("Where the gap lies", (), _where(result)),
         Section(
             "Candidates (probability of exactly this set, by the evidence)",
             list(_candidate_lines(result)),
         ),
         Section("Parameters", (), _parameters(result)),
         Section("Hard to tell on this data (forecast)", confused_lines(result)),
-        Section("Smallest amplitudes that would be seen", smallest_lines(result)),
         Section("Not testable", untestable_lines(result, result.untestable)),
         Section("Data and settings", list(_settings(result))),
     ]
@@ -56,9 +50,6 @@ def _gap_lines(result: Diagnosis) -> Iterator[str]:
     yield gap_line(result, gap, f"the {result.n} rows fitted")
     if gap.holdout is not None:
         yield gap_line(result, gap.holdout, gap.holdout.on)
-    if gap.shares:
-        parts = (f"{name_of(k)} {share_text(share)}" for k, share in gap.shares.items())
-        yield f"shares of the gap's mean square, whatever the order: {', '.join(parts)}"
 
 
 def run_lines(result: Diagnosis) -> Iterator[str]:
@@ -90,42 +81,13 @@ def _where(result: Diagnosis) -> list[tuple[str, ...]]:
     return [("quantity", "range", "share of energy", "p of noise"), *rows]
 
 
-def _spot_lines(result: Diagnosis) -> list[str]:
-    return [
-        f"one place: {covariate_text(spot.covariate)} {range_text(spot)}:"
-        f" {share_text(spot.share)} of the energy, {share_text(spot.rows)} of the rows"
-        for spot in result.spots
-    ]
-
-
-def _map(result: Diagnosis) -> list[tuple[str, ...]]:
-    rows = [
-        (
-            cell.parameter,
-            covariate_text(cell.covariate),
-            format_number(cell.log_evidence, 3),
-            share_text(cell.explains),
-        )
-        for cell in result.map[:_MOST]
-        if cell.log_evidence > 0
-    ]
-    return [("parameter", "varies with", "log evidence", "misfit, at most"), *rows]
-
-
 def _candidate_lines(result: Diagnosis) -> Iterator[str]:
     for one in result.candidates:
         if one.probability < _LEAST:
             continue
         line = f"{one.probability:.3f}  {set_name(one.effects)}"
-        if one.closed:
-            line += f"; closes {closed_text(one.closed, one.closed_ci)} of the gap"
         for name, amplitude in one.parameters.items():
             line += f"; {name_of(name.partition(': ')[0])} {amplitude_text(amplitude)}"
-        if one.z is not None and one.z_given_rivals is not None:
-            line += (
-                f"; {format_number(abs(one.z), 3)} standard errors by itself,"
-                f" {format_number(one.z_given_rivals, 3)} beside the others"
-            )
         yield line
 
 
@@ -171,16 +133,6 @@ def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
     return lines[:most] + [at_usual_size] * bool(unseen)
 
 
-def smallest_lines(result: Diagnosis) -> list[str]:
-    """The smallest amplitudes that would be detected with probability 0.8."""
-    units = {effect.id: effect.unit for effect in result.library}
-    parts = (
-        f"{name_of(effect)} {amount_text(value, None, units.get(effect, ''), 2)}"
-        for effect, value in result.resolution.smallest_effects.items()
-    )
-    return [", ".join(parts)] if result.resolution.smallest_effects else []
-
-
 def _settings(result: Diagnosis) -> Iterator[str]:
     data, settings, noise = result.data, result.settings, result.noise
     yield f"data: {data.path or data.name}, sha256 {data.sha256 or '-'}"
@@ -204,4 +156,4 @@ def _settings(result: Diagnosis) -> Iterator[str]:
         yield f"not looked for: {', '.join(out)}"
     yield f"files held out: {len(settings.holdout) or 'none'}; {SCHEMA}"
     yield from (f"excluded: {reason}" for reason in data.set_aside)
-    yield from (*data.motion, *data.together, *data.assumptions)
+    yield from (*data.motion, *data.assumptions)

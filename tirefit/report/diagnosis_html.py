@@ -2,8 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from tirefit.diagnosis.summary.records import Status
-from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.result import Diagnosis, Status
 from tirefit.report.diagnosis_details import details
 from tirefit.report.diagnosis_draw import diagnosis_figure, panel_pictures, panels_of
 from tirefit.report.diagnosis_sections import (

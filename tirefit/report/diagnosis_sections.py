@@ -6,11 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH, Step
-from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.engine import NONZERO
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH, SizeByGroup, Step
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.records import Each, NextMeasurement, Shrinkage, SizeByGroup, Status
-from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.result import Diagnosis, Each, NextMeasurement, Shrinkage, Status
 from tirefit.report.diagnosis_budget import budget_table, change_texts, channel_name, stand_in_line
 from tirefit.report.diagnosis_words import (
     amplitude_text,
@@ -365,7 +364,7 @@ def left_lines(result: Diagnosis) -> Iterator[str]:
             f" {100 * look.explains:.0f} % of its mean square)"
         )
     if not result.verdict.names_an_effect:
-        smallest = format_number(result.resolution.remainder, 3)
+        smallest = format_number(result.resolution, 3)
         yield f"smallest unlisted effect that would be detected: {smallest} {unit} rms"
 
 

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
 from tirefit.diagnosis.rows.rig import SlipCheck
+from tirefit.diagnosis.summary.case import Untestable
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.records import Amplitude, Look, Region, Spot, Untestable
-from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.result import Amplitude, Diagnosis
+from tirefit.diagnosis.summary.views import Look, Region
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.slip import CONVENTIONS
 
@@ -111,8 +112,8 @@ def covariate_text(name: str) -> str:
     return _COVARIATES.get(name, name)
 
 
-def range_text(region: Region | Spot) -> str:
-    """The place of a region or spot: a value or a range, with its unit."""
+def range_text(region: Region) -> str:
+    """The place of a region: a value or a range, with its unit."""
     name, low, high = region.covariate, region.low, region.high
     if name in NAMED_VALUES:
         # The few steady rows among growing or shrinking ones do not determine the name.

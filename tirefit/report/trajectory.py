@@ -27,7 +27,7 @@ def _rows(fit: TrajectoryFit) -> list[list[str]]:
 def _notes(fit: TrajectoryFit) -> list[str]:
     return [
         *fit.warnings,
-        f"95 % by {fit.intervals}; {fit.blocks} blocks of windows count as independent",
+        f"95 % by covariance; {fit.blocks} blocks of windows count as independent",
         "speed and steering are those of the log; axle loads are static; no drive force",
     ]
 

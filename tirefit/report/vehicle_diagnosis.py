@@ -23,9 +23,9 @@ _STATES = ("as given", "tires fitted", "with the effects")
 
 
 def _effect_text(result: VehicleDiagnosis, effect: str) -> str:
-    amplitude, form = result.amplitudes[effect], result.which.get(effect)
-    amount = amount_text(*amplitude)
-    return f"{name_with_id(effect)}, {amount}" + (f" {form}" if form else "")
+    amplitude = result.amplitudes[effect]
+    amount = amount_text(*amplitude[:3])
+    return f"{name_with_id(effect)}, {amount} {amplitude.formula}".rstrip()
 
 
 def answer(result: VehicleDiagnosis) -> str:
@@ -114,7 +114,7 @@ def vehicle_diagnosis_text(result: VehicleDiagnosis) -> str:
         lines += ["ERROR ON THE HELD-OUT LOGS", *_miss_rows(result, result.held_out)]
     lines += [f"STEP BY STEP, {result.ladder.on}", *_ladder(result)]
     rows = [["factor on", "value"]]
-    rows += [[name, amount_text(*one)] for name, one in result.parameters.items()]
+    rows += [[name, amount_text(*one[:3])] for name, one in result.parameters.items()]
     lines += ["TIRES, FITTED WITH THE EFFECTS", *table(rows)]
     left = f"probability of an unlisted effect: {result.verdict.unlisted:.2f}"
     lines += ["WHAT IS LEFT", *indented(left), "NOTES"]

@@ -1,10 +1,8 @@
 """Apply the effects that a diagnosis of a car names to its prediction."""
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -16,14 +14,12 @@ from tirefit.data.motion import Motion
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.diagnosis.effects import effects_by_id
 from tirefit.diagnosis.effects.record import Atom
-from tirefit.door import RECORD, content_of, outrageous
-from tirefit.results import DataError, InputProblem
-from tirefit.settings import faults_in
+from tirefit.diagnosis.extended import read_checked
 from tirefit.vehicle.car import Changes, State
 from tirefit.vehicle.diagnose import SCHEMA, VehicleDiagnosis
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
 from tirefit.vehicle.model import PARAMETERS, Model, steered
-from tirefit.vehicle.samples import samples_of
+from tirefit.vehicle.windows import samples_of
 
 
 @dataclass(frozen=True)
@@ -113,19 +109,9 @@ def applied(source: VehicleDiagnosis | str | os.PathLike) -> Applied:
         DataError: a file that is not a diagnosis of a car, or of another version.
     """
     if isinstance(source, VehicleDiagnosis):
-        return _applied(source.to_dict())
-    remedy = "give vehicle_diagnosis.json of tirefit diagnose --vehicle"
-    raw = content_of(Path(source), RECORD, DataError, remedy)
-    try:
-        content = json.loads(raw.decode("utf-8"))
-        if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-            raise ValueError(f"its schema is not {SCHEMA}")
-        if odd := outrageous(content, 0.0):
-            raise ValueError(": ".join(odd))
-        return _applied(content)
-    except (ValueError, RecursionError) as error:
-        reason = f"not the document of a diagnosis of a car: {faults_in(error)}"
-        raise DataError(InputProblem(reason, remedy, str(source))) from None
+        return _applied(_Document.model_validate(source.to_dict()))
+    what = "vehicle_diagnosis.json of `tirefit diagnose --vehicle`"
+    return _applied(read_checked(source, _Document, SCHEMA, what))
 
 
 class _Amplitude(BaseModel):
@@ -159,9 +145,8 @@ class _Document(BaseModel):
         return self
 
 
-def _applied(content: dict) -> Applied:
-    library, document = effects_by_id(CAR_EFFECTS), _Document.model_validate(content)
-    sizes = document.amplitudes
+def _applied(document: _Document) -> Applied:
+    library, sizes = effects_by_id(CAR_EFFECTS), document.amplitudes
     atoms = tuple(Atom(library[k], document.variants[k]) for k in sizes)
     scales = tuple(atom.effect.scale for atom in atoms)
     of_tires = [np.log(document.parameters[name].value) for name in PARAMETERS]

@@ -7,7 +7,7 @@ left out and decision are those of a diagnosis of forces.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -27,10 +27,16 @@ from tirefit.diagnosis.engine.decide import (
     predictions,
 )
 from tirefit.diagnosis.engine.fit import Fit
-from tirefit.diagnosis.engine.left_out import Ladder, Predicted, jackknife_error, ladder_of
+from tirefit.diagnosis.engine.left_out import (
+    Ladder,
+    Predicted,
+    SizeByGroup,
+    jackknife_error,
+    ladder_of,
+)
 from tirefit.diagnosis.engine.search import Effort, Search, searched
 from tirefit.diagnosis.summary.document import sizes_of
-from tirefit.diagnosis.summary.records import SizeByGroup
+from tirefit.diagnosis.summary.result import NOT_WRITTEN, Amplitude, mappings
 from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.fitting.mf.result import TireLike
@@ -40,11 +46,19 @@ from tirefit.results import DataError, InputProblem, Outcome, UsageError, did_yo
 from tirefit.vehicle.car import car_of
 from tirefit.vehicle.effects import CAR_EFFECTS
 from tirefit.vehicle.model import PARAMETERS, Model
-from tirefit.vehicle.samples import LEAST_WINDOWS, Cut, joined_windows
-from tirefit.vehicle.shooting import CHANNELS, windows_of
 from tirefit.vehicle.subject import Windows
 from tirefit.vehicle.trajectory import derived_rows, started
-from tirefit.vehicle.windows import CutLog, cut_logs, known_vehicle, steering_problems
+from tirefit.vehicle.windows import (
+    CHANNELS,
+    LEAST_WINDOWS,
+    Cut,
+    CutLog,
+    cut_logs,
+    joined_windows,
+    known_vehicle,
+    steering_problems,
+    windows_of,
+)
 
 SCHEMA = "tirefit.vehicle_diagnosis/1"
 
@@ -62,14 +76,6 @@ _STEPS = 40
 
 _OTHER_NOISE = 0.25
 """Change of the log noise above which the search is repeated."""
-
-
-class Amplitude(NamedTuple):
-    """An amplitude with its standard error."""
-
-    value: float
-    std: float
-    unit: str
 
 
 class Miss(NamedTuple):
@@ -90,8 +96,8 @@ class VehicleDiagnosis(Record):
         verdict: which effects are there, and what is left.
         ladder: how the rms over the noise shrinks on windows left out.
         sizes: of each named effect by groups of each covariate, the most unequal first.
-        amplitudes: of each named effect; which: text on its form; variants: the number
-            of its form; speed: mean speed [m/s], to which effects of the speed refer.
+        amplitudes: of each named effect; variants: the number of its form; speed: mean
+            speed [m/s], to which effects of the speed refer.
         parameters: factor on each number of the tires in the fit of the named effects.
         noise: channel -> noise of the log: the remainder of all effects together.
         miss: errors on these logs; held_out: errors on held-out logs, None without.
@@ -110,7 +116,6 @@ class VehicleDiagnosis(Record):
     ladder: Ladder
     sizes: Mapping[str, tuple[SizeByGroup, ...]]
     amplitudes: Mapping[str, Amplitude]
-    which: Mapping[str, str]
     variants: Mapping[str, int]
     speed: float
     parameters: Mapping[str, Amplitude]
@@ -118,7 +123,7 @@ class VehicleDiagnosis(Record):
     miss: Miss
     held_out: Miss | None
     untestable: Mapping[str, tuple[str, ...]]
-    effects: Mapping[str, Effect]
+    effects: Mapping[str, Effect] = field(metadata=NOT_WRITTEN)
     notes: tuple[str, ...]
 
     @property
@@ -133,31 +138,10 @@ class VehicleDiagnosis(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers, as in ``vehicle_diagnosis.json``."""
-        verdict = self.verdict
-        return json_safe({
-            "schema": SCHEMA, "version": __version__, "logs": self.logs,
-            "windows": self.windows, "window": self.window,
-            "verdict": {
-                "status": verdict.status.value, "effects": verdict.effects,
-                "acts_like": verdict.acts_like,
-                "probability": self.probability,
-                "each": {k: v._asdict() for k, v in verdict.each.items()},
-                "also_possible": verdict.also_possible, "unlisted": verdict.unlisted,
-            },
-            "sizes": {k: [one._asdict() for one in v] for k, v in self.sizes.items()},
-            "amplitudes": {k: v._asdict() for k, v in self.amplitudes.items()},
-            "forms": dict(self.which), "variants": dict(self.variants),
-            "speed": self.speed,
-            "parameters": {k: v._asdict() for k, v in self.parameters.items()},
-            "noise": dict(self.noise),
-            "ladder": {
-                "left_out": self.ladder.on,
-                "steps": [step._asdict() for step in self.ladder.steps],
-            },
-            "miss": self.miss._asdict(),
-            "held_out": self.held_out._asdict() if self.held_out else None,
-            "untestable": dict(self.untestable), "notes": self.notes,
-        })  # fmt: skip
+        verdict = mappings(self.verdict) | {"probability": self.probability}
+        ladder = {"left_out": self.ladder.on, "steps": mappings(self.ladder.steps)}
+        content = {"schema": SCHEMA, "version": __version__, **mappings(self)}
+        return json_safe(content | {"verdict": verdict, "ladder": ladder})
 
     def files(self, name: str = "") -> dict[str, str]:
         """``vehicle_diagnosis.json``."""
@@ -254,7 +238,6 @@ def diagnose_vehicle(
         ladder_of(out, verdict.key, floor_of(base, out)),
         sizes_of(best, base.model.scales, base.groups()),
         _amplitudes(base, best, _errors(best, out)),
-        _words(base, best),
         {a.effect.id: a.variant for a in (base.atoms[k] for k in best.atoms)},
         float(np.mean(windows.data.v_x)),
         _parameters(best),
@@ -359,18 +342,10 @@ def subject_of(
 def _amplitudes(base: Windows, fit: Fit, std: np.ndarray) -> dict[str, Amplitude]:
     found = {}
     for k, size, error in zip(fit.atoms, fit.amplitude, std, strict=True):
-        effect, scale = base.atoms[k].effect, base.model.scales[k]
-        found[effect.id] = Amplitude(float(scale * size), float(scale * error), effect.unit)
+        atom, scale = base.atoms[k], base.model.scales[k]
+        values = float(scale * size), float(scale * error), atom.effect.unit
+        found[atom.effect.id] = Amplitude(*values, atom.formula(None, None))
     return found
-
-
-def _words(base: Windows, fit: Fit) -> dict[str, str]:
-    atoms = [base.atoms[k] for k in fit.atoms]
-    return {
-        atom.effect.id: atom.effect.which(atom.constants, base.cut.rows, None)  # type: ignore
-        for atom in atoms
-        if atom.effect.which
-    }
 
 
 def _parameters(fit: Fit) -> dict[str, Amplitude]:

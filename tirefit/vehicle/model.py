@@ -30,7 +30,7 @@ from tirefit.vehicle.car import (
     with_play,
 )
 from tirefit.vehicle.effects import Reading, Samples, Setting, Steering, scaled_axles
-from tirefit.vehicle.shooting import Data
+from tirefit.vehicle.windows import Data
 
 PARAMETERS = ("front.stiffness", "front.friction", "rear.stiffness", "rear.friction")
 """Coefficients that are fitted with every set of effects: logarithms of factors on the
@@ -254,7 +254,7 @@ def inputs(model: Model, step, z, ways, data: Data, rows: Samples):
 
 
 def logged(channels: int, state: State, reading: Reading, v_x):
-    """What the log has of a state: (c,)."""
+    """What the log has of a state: (c, ...)."""
     if channels == 2:
         v_y = state.v_y + reading.sideslip * v_x + reading.ahead * state.yaw_rate
         return jnp.stack([v_y, state.yaw_rate + reading.yaw_rate])

@@ -14,15 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.diagnosis.effects import Atom
+from tirefit.diagnosis.engine import UNSEEN
 from tirefit.diagnosis.engine.discrepancy import SIZES, Cell, Discrepancy, places_of
 from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
 from tirefit.diagnosis.engine.search import MOST_EFFECTS
-from tirefit.diagnosis.negligible import UNSEEN
 from tirefit.padding import pad_rows, padded_size
 from tirefit.vehicle.car import Car, steps_a_sample
 from tirefit.vehicle.model import TIRES, Linear, Model, Slopes, inputs, moved
-from tirefit.vehicle.samples import Cut
-from tirefit.vehicle.shooting import minimised
+from tirefit.vehicle.windows import Cut, minimised
 
 _COARSER = 2.0
 """Step of the integration over that of a replay: one time constant of the car at its slowest
@@ -217,7 +216,7 @@ class Windows:
         each = int(np.prod(self.cut.data.logged.shape[1:]))
         number = int(log.max()) + 1
         if number >= LEAST_LOGS:
-            return Folds(np.repeat(log, each), f"{number} logs left out in turn", True)
+            return Folds(np.repeat(log, each), f"{number} logs left out in turn")
         number = min(_BLOCKS, count)
         part = np.arange(count) * number // count
         return Folds(np.repeat(part, each), f"{number} blocks of time left out in turn")

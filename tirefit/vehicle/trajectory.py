@@ -44,9 +44,19 @@ from tirefit.params import constrain, with_values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.vehicle.car import Car, State, car_of, delayed, predicted, steps_a_sample
-from tirefit.vehicle.intervals import INTERVALS, Optimum, ends_by
-from tirefit.vehicle.shooting import CHANNELS, Data, linearised, minimised, sandwich, windows_of
-from tirefit.vehicle.windows import cut_logs, known_vehicle, steering_problems
+from tirefit.vehicle.effects import Reading
+from tirefit.vehicle.model import logged
+from tirefit.vehicle.windows import (
+    CHANNELS,
+    Data,
+    cut_logs,
+    known_vehicle,
+    linearised,
+    minimised,
+    sandwich,
+    steering_problems,
+    windows_of,
+)
 
 
 class Unknown(NamedTuple):
@@ -89,7 +99,6 @@ class TrajectoryFit(Record):
         windows: number of windows; ``blocks`` of them are independent.
         vehicle: with what was found of it.
         converged: whether one more step would change the cost by less than 1e-8 of it.
-        intervals: method of the 95 % intervals.
         axles: ``front``, ``rear`` -> the tire with its uncertainty and the content of a
             ``fit.json``; :func:`tirefit.replay` takes it.
         rows: ``front``, ``rear`` -> slip angle and force as derived, for comparison.
@@ -106,7 +115,6 @@ class TrajectoryFit(Record):
     blocks: int
     vehicle: Vehicle
     converged: bool
-    intervals: str = "covariance"
     axles: Mapping[str, GivenTire] = field(default_factory=dict)
     rows: Mapping[str, TireData] = field(default_factory=dict)
 
@@ -134,7 +142,6 @@ class TrajectoryFit(Record):
                 "windows": self.windows,
                 "blocks": self.blocks,
                 "converged": self.converged,
-                "intervals": self.intervals,
                 "parameters": {k: asdict(v) for k, v in self.parameters.items()},
                 "noise": dict(self.noise),
                 "vehicle": self.vehicle.model_dump(),
@@ -163,8 +170,6 @@ def fit_trajectory(
     *,
     unknowns: Sequence[str] = ("steering_delay", "steering_offset"),
     window: float = WINDOW,
-    intervals: str = "covariance",
-    seed: int = 0,
 ) -> TrajectoryFit:
     """Fit both axles' tires, and unknowns of the car, to windows of its logs.
 
@@ -176,17 +181,14 @@ def fit_trajectory(
         rear: likewise.
         unknowns: names of :data:`UNKNOWNS` to estimate with the tires.
         window: length of a window [s].
-        intervals: ``covariance``, ``profile`` or ``importance``: how the 95 % intervals
-            are found, see :mod:`tirefit.vehicle.intervals`.
-        seed: of the draws of ``importance``.
 
     Returns:
         Tires and unknowns with standard errors and intervals; its ``save`` writes what
         ``tirefit replay`` reads.
 
     Raises:
-        UsageError: an unknown or a kind of interval that is not known, a vehicle
-            without a steering map, or a tire without a free parameter.
+        UsageError: an unknown that is not known, a vehicle without a steering map, or a
+            tire without a free parameter.
         DataError: a log that cannot be read, or no window in it.
 
     Example:
@@ -198,7 +200,7 @@ def fit_trajectory(
     require_x64("a fit by trajectory")
     vehicle = known_vehicle(vehicle)
     given = {"front": axle_tire(front), "rear": axle_tire(rear)}
-    _check(vehicle, unknowns, given, intervals)
+    _check(vehicle, unknowns, given)
     rate = vehicle.filter.sample_rate
     found = cut_logs(
         logs,
@@ -212,18 +214,14 @@ def fit_trajectory(
     rows = {axle: derived_rows(found, vehicle, axle) for axle in given}
     tires = [started(tire, rows[axle]) for axle, tire in given.items()]
     problem = _Problem(vehicle, tires, tuple(unknowns), rate, data)
-    return replace(problem.solved(intervals, seed, rows), rows=rows)
+    return replace(problem.solved(rows), rows=rows)
 
 
-def _check(vehicle: Vehicle, unknowns, given, intervals: str) -> None:
+def _check(vehicle: Vehicle, unknowns, given) -> None:
     problems = steering_problems(vehicle, "a fit by trajectory")
-    for name, known, what in (
-        *((name, UNKNOWNS, "unknown of a car") for name in unknowns),
-        (intervals, INTERVALS, "kind of interval"),
-    ):
-        if name not in known:
-            remedy = f"{did_you_mean(name, known)}valid: {', '.join(known)}"
-            problems.append(InputProblem(f"{name!r} is no {what}", remedy))
+    for name in (name for name in unknowns if name not in UNKNOWNS):
+        remedy = f"{did_you_mean(name, UNKNOWNS)}valid: {', '.join(UNKNOWNS)}"
+        problems.append(InputProblem(f"{name!r} is no unknown of a car", remedy))
     for axle, tire in given.items():
         if tire.fit is None and tire.name not in MODELS:
             reason = f"the {axle} tire {tire.name} has no free parameters"
@@ -307,18 +305,12 @@ class _Problem:
         steering = steering + self.unknown(z, "steering_offset")
         whole = jnp.concatenate([start, jnp.zeros(5 - len(start))])
         states = predicted(self.car(z), State(*whole), window.v_x, steering, step, parts)
-        zero, ahead = self.unknown(z, "sideslip_zero"), self.unknown(z, "cg_ahead")
         # The log is for the point at which the centre of gravity was assumed.
-        if len(self.names) == 2:
-            v_y = states.v_y - ahead * states.yaw_rate
-            found = [v_y + zero * window.v_x, states.yaw_rate]
-        else:
-            x = states.x - ahead * jnp.cos(states.heading)
-            y = states.y - ahead * jnp.sin(states.heading)
-            found = [states.heading - zero, x, y]
-        return jnp.stack(found, axis=1) - window.logged
+        ahead = -self.unknown(z, "cg_ahead")
+        reading = Reading(sideslip=self.unknown(z, "sideslip_zero"), ahead=ahead)
+        return logged(len(self.names), states, reading, window.v_x).T - window.logged
 
-    def solved(self, intervals: str, seed: int, rows) -> TrajectoryFit:
+    def solved(self, rows) -> TrajectoryFit:
         z, starts = jnp.asarray(self.z), jnp.asarray(self.data.start)
         pull, now = self.pulls(), self.run(z, starts, self.data)
         for _ in range(_ROUNDS):
@@ -329,14 +321,9 @@ class _Problem:
         count = missed.shape[0] * missed.shape[1]
         noise = jnp.sqrt(jnp.sum(missed**2, axis=(0, 1)) / max(count - free / len(self.names), 1))
         covariance, blocks = sandwich(missed, by_z, by_start, noise, pull)
-        optimum = Optimum(
-            partial(self.missed, parts=self.parts), z, starts, now, noise, pull, self.data
-        )
-        std = np.sqrt(np.diag(covariance))
+        at, std = np.asarray(z), np.sqrt(np.diag(covariance))
         reach = stdtrit(max(blocks - 1, 1), 0.975)
-        ends = ends_by(intervals, optimum, std, reach, seed)
-        at = np.asarray(z)
-        found, car = self.estimates(at, std, ends), self.car(at)
+        found, car = self.estimates(at, std, at + reach * np.outer((-1, 1), std)), self.car(at)
         axles = {
             axle: self.axle(k, axle, at, covariance, found, rows[axle])
             for k, axle in enumerate(("front", "rear"))
@@ -350,7 +337,6 @@ class _Problem:
             blocks,
             self.found_vehicle(found),
             bool(converged),
-            intervals,
             axles,
         )
 

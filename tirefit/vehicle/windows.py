@@ -1,4 +1,6 @@
-"""Cut vehicle logs into windows over which a car is predicted."""
+"""Windows of logs, in each of which a car is predicted from its own start state: their cut,
+the quantities at their samples on which effects depend, and least squares over all windows
+with the start states eliminated."""
 
 import math
 import re
@@ -7,24 +9,32 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Generic, NamedTuple, TypeVar
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from tirefit.data.contradictions import compare
 from tirefit.data.derive import name_problems, names_of_runs, run_name
-from tirefit.data.motion import Motion, not_ahead, read_motion
+from tirefit.data.motion import Motion, not_ahead, read_motion, road_wheel
 from tirefit.data.remote import file_at
 from tirefit.data.track import Track
-from tirefit.data.vehicle import Vehicle, load_vehicle
+from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
+from tirefit.diagnosis.effects.state import peak_ratio, slope_at_rest
+from tirefit.fitting import least_squares as law
+from tirefit.fitting.least_squares import MAX_STEPS, Normal, NormalEquations, on_host
+from tirefit.fitting.source import GivenTire
+from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.vehicle.effects import Samples
 
-Cut = TypeVar("Cut")
+Piece = TypeVar("Piece")
 
 
-class CutLog(NamedTuple, Generic[Cut]):
+class CutLog(NamedTuple, Generic[Piece]):
     """A log, cut up, and the names of its runs."""
 
     motion: Motion
-    windows: Cut
+    windows: Piece
     runs: tuple[str, ...]
     missing: tuple[str, ...] = ()  # see :class:`tirefit.data.track.Track`
 
@@ -46,10 +56,10 @@ def steering_problems(vehicle: Vehicle, what: str) -> list[InputProblem]:
 def cut_logs(
     logs: Sequence[str | Path],
     vehicle: Vehicle,
-    cut: Callable[[Track, Motion], Cut | None],
+    cut: Callable[[Track, Motion], Piece | None],
     long_enough: str,
     shorter: str,
-) -> dict[str, CutLog[Cut]]:
+) -> dict[str, CutLog[Piece]]:
     """Motion and windows of each log, under the name of the log.
 
     Args:
@@ -63,7 +73,7 @@ def cut_logs(
             channels contradict each other, or without a stretch that is long enough.
     """
     UsageError.raise_for(name_problems(logs))
-    found: dict[str, CutLog[Cut]] = {}
+    found: dict[str, CutLog[Piece]] = {}
     problems: list[InputProblem] = []
     for path in logs:
         file = file_at(path)
@@ -152,3 +162,238 @@ def integrated(motion: Motion, rate: float):
 def _summed(values: np.ndarray) -> np.ndarray:
     """Cumulative integral by the trapezoidal rule, from zero."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))])
+
+
+_LEAD = 0.3
+"""Time [s] of steering before a window, for its delay."""
+_SETTLED = 1e-8  # share of the squares that one more step would take off
+_BLOCKS = 40
+"""Largest number of blocks of windows of the sandwich, whose scores are independent."""
+
+CHANNELS = {2: ("v_y", "yaw_rate"), 3: ("heading", "x", "y")}
+"""Names of the logged channels of a log of rates, and of one of poses."""
+
+
+class Data(NamedTuple):
+    """Windows: speed (w, k), steering (w, l + k) with its lead, logged channels
+    (w, k, c), NaN where they are not known, and start states (w, s)."""
+
+    v_x: jax.Array
+    steering: jax.Array
+    logged: jax.Array
+    start: jax.Array
+
+
+def windows_of(track: Track, motion: Motion, vehicle: Vehicle, window: float):
+    """:class:`Data` of a log, and the rows (w, k) of its motion; None without a window."""
+    rate = vehicle.filter.sample_rate
+    count, lead = round(window * rate) + 1, round(_LEAD * rate)
+    logged, state, command = logged_channels(track, motion, vehicle)
+    steering = road_wheel(replace(motion, command=command), vehicle)
+    good = motion.settled & (motion.v_x > vehicle.v_min)
+    good &= np.isfinite(np.column_stack([motion.v_x, logged, steering])).all(axis=1)
+    starts = [
+        k
+        for first, last in stretches(good, motion.part)
+        for k in range(first + lead, last - count + 1, count - 1)
+    ]
+    if not starts:
+        return None
+    rows = np.array(starts)[:, None] + np.arange(-lead, count)
+    own = rows[:, lead:]
+    cut = motion.v_x[own], steering[rows], logged[own], state[own[:, 0]]
+    return Data(*map(jnp.asarray, cut)), own
+
+
+def logged_channels(track: Track, motion: Motion, vehicle: Vehicle):
+    """Values of the log for the centre of gravity, on the grid, unfiltered: channels
+    (n, c), start states (n, s), and the steering command (n,)."""
+    names = [channel.quantity for channel in track.channels]
+    raw = {
+        name: np.interp(motion.time, track.time, track.signals[:, k])
+        for k, name in enumerate(names)
+        if np.isfinite(track.signals[:, k]).all()
+    }
+    ahead, left = vehicle.cg_from_tracked
+    command = raw.get("steering", motion.command)
+    if vehicle.columns.motion == POSE:
+        yaw = raw["yaw"]
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        place = raw["x"] + ahead * cos - left * sin, raw["y"] + ahead * sin + left * cos
+        logged = np.column_stack([yaw, *place])
+        state = np.column_stack([motion.v_y, motion.yaw_rate, logged])
+        return logged, state, command
+    cos, sin = np.cos(vehicle.sideslip_offset), np.sin(vehicle.sideslip_offset)
+    v_y = cos * raw["v_y"] + sin * raw["v_x"] + ahead * raw["yaw_rate"]
+    logged = np.column_stack([v_y, raw["yaw_rate"]])
+    return logged, np.column_stack([motion.v_y, motion.yaw_rate]), command
+
+
+def linearised(missed, parts: int):
+    """Residuals (w, k, c) and their derivatives by z (w, k, c, p) and by the start of
+    the own window (w, k, c, s), compiled."""
+
+    def one(z, start, window):
+        def both(z, start):
+            found = missed(z, start, window, parts)
+            return found, found
+
+        slopes, found = jax.jacfwd(both, (0, 1), has_aux=True)(z, start)
+        return found, *slopes
+
+    return jax.jit(jax.vmap(one, (None, 0, 0)))
+
+
+def eliminated(missed, by_z, by_start, noise, damping=0.0):
+    """The normal equations of z without the start states: score (w, p), information
+    (w, p, p), and the terms of the step of each start: (w, s) and (w, s, p).
+
+    A start state that the car forgets quickly is hardly determined; its steps are damped.
+    """
+    w = len(missed)
+    weight = 1 / noise[None, None]
+    r = (missed * weight).reshape(w, -1)
+    a = (by_z * weight[..., None]).reshape(w, r.shape[1], -1)
+    b = (by_start * weight[..., None]).reshape(w, r.shape[1], -1)
+    own = jnp.einsum("wms,wmt->wst", b, b)
+    trace = jnp.trace(own, axis1=1, axis2=2)[:, None, None]
+    eye = jnp.eye(own.shape[1])[None]
+    own = own + damping * own * eye + 1e-9 * trace * eye
+    step = -jnp.linalg.solve(own, jnp.einsum("wms,wm->ws", b, r)[..., None])[..., 0]
+    tied = -jnp.linalg.solve(own, jnp.einsum("wms,wmp->wsp", b, a))
+    rest = a + jnp.einsum("wms,wsp->wmp", b, tied)
+    score = jnp.einsum("wmp,wm->wp", rest, r)
+    return score, jnp.einsum("wmp,wmq->wpq", rest, a), step, tied
+
+
+eliminate = jax.jit(eliminated)
+
+
+class _Windows:
+    """Normal equations of z whose start states follow every step of z."""
+
+    def __init__(self, run, z, starts, now, data, noise, pull):
+        self.run, self.data, self.noise, self.pull = run, data, noise, np.asarray(pull)
+        self.z, self.starts, self.now = np.asarray(z), starts, now
+        self.cost, self.damping = np.inf, law.FIRST_DAMPING / law.EASE
+        self.step, self.tied = 0.0, None
+
+    def __call__(self, z) -> Normal:
+        starts, now = self.starts, self.now
+        if self.tied is not None:
+            starts = starts + self.step + self.tied @ (z - self.z)
+            now = self.run(z, starts, self.data)
+        cost = self.squares(now[0]) + float(self.pull @ z**2)
+        if cost < self.cost:
+            self.z, self.starts, self.now, self.cost = z, starts, now, cost
+            self.damping = max(self.damping * law.EASE, law.LEAST_DAMPING)
+        else:
+            self.damping /= law.EASE
+        score, information, self.step, self.tied = eliminate(*self.now, self.noise, self.damping)
+        missed, _, by_start = self.now
+        after = missed + jnp.einsum("wkcs,ws->wkc", by_start, self.step)
+        beside = self.squares(missed) - self.squares(after)
+        normal = np.asarray(information.sum(axis=0)) + np.diag(self.pull)
+        return Normal(cost, normal, np.asarray(score.sum(axis=0)) + self.pull * z, beside)
+
+    def squares(self, missed) -> float:
+        return float(jnp.sum((missed / self.noise[None, None]) ** 2))
+
+
+def minimised(
+    run, z, starts, now, data, noise, pull, bounds=(None, None), tolerance=_SETTLED, most=MAX_STEPS
+):
+    """Least squares in z within its bounds and in all start states; ``now`` is the result
+    of ``run`` there. Returns the end values, and whether it converged in at most ``most``
+    trials: a step would change the cost by less than ``tolerance`` of it."""
+    at = _Windows(run, z, starts, now, data, noise, pull)
+    solver, (lower, upper) = NormalEquations(tolerance), bounds
+    end = on_host(at, z, solver, lower=lower, upper=upper, max_steps=most)
+    return jnp.asarray(at.z), at.starts, at.now, end.converged
+
+
+def sandwich(missed, by_z, by_start, noise, pull):
+    """Covariance (p, p) of z from the scores of blocks of windows, and their number."""
+    score, information, *_ = eliminate(missed, by_z, by_start, noise)
+    inverse = np.linalg.inv(np.asarray(information.sum(axis=0)) + np.diag(pull))
+    blocks = np.array_split(np.asarray(score), min(_BLOCKS, len(score)))
+    sums = np.array([block.sum(axis=0) for block in blocks])
+    count = len(blocks)
+    middle = count / max(count - 1, 1) * sums.T @ sums
+    return inverse @ (middle + np.diag(pull)) @ inverse, count
+
+
+_MOST_SAMPLES = 4000
+"""Largest number of samples of all windows, evenly spread."""
+
+LEAST_WINDOWS = 8
+"""Smallest number of windows of a diagnosis."""
+
+_VARIES = 0.02
+"""Smallest spread of the forward acceleration over g, and of the speed over its mean, that
+shows effects of these."""
+
+
+class Cut(NamedTuple):
+    """Windows (w, k) of all logs: :class:`Data`, :class:`Samples` of effects, and the
+    log (w,) of each."""
+
+    data: Data
+    rows: Samples
+    log: np.ndarray
+
+
+def joined_windows(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
+    """The windows of all logs, and the needs of effects that they meet."""
+    data, rows, log = [], [], []
+    passed = 0.0
+    for number, each in enumerate(found.values()):
+        motion, (windows, own) = each.motion, each.windows
+        data.append(windows)
+        rows.append(samples_of(motion, own, vehicle, tires, passed))
+        log.append(np.full(len(own), number))
+        passed += float(motion.time[-1] - motion.time[0])
+    whole = jax.tree.map(lambda *part: np.concatenate(part), *data)
+    joint = jax.tree.map(lambda *part: np.concatenate(part), *rows)
+    speed = joint.speed / np.mean(joint.speed)
+    joint = joint._replace(speed=speed, time=joint.time / passed - 0.5)
+    has = {"heading"} if vehicle.columns.motion == POSE else {"rates"}
+    has |= {"acceleration"} if np.std(joint.along) > _VARIES else set()
+    has |= {"speeds"} if np.std(speed) > _VARIES else set()
+    cut = Cut(whole, joint, np.concatenate(log))
+    most = max(_MOST_SAMPLES // speed.shape[1], LEAST_WINDOWS)
+    if len(cut.log) > most:
+        kept = np.linspace(0, len(cut.log) - 1, most).round().astype(int)
+        cut = jax.tree.map(lambda part: part[kept], cut)
+    return cut, has
+
+
+def samples_of(motion: Motion, own, vehicle: Vehicle, tires, passed: float = 0.0) -> Samples:
+    """The quantities on which effects depend, at the rows (w, k) of a log. ``across`` and ``turn``
+    are zero until they are set from a fit; ``passed`` [s] is the duration of the previous logs."""
+    g, count = vehicle.gravity, len(own)
+    weight, wheelbase = vehicle.mass * g, vehicle.l_f + vehicle.l_r
+    loads = weight * vehicle.l_r / wheelbase, weight * vehicle.l_f / wheelbase
+    v_x = motion.v_x[own]
+    sliding = [
+        _sliding(one, load, float(v_x.mean())) for one, load in zip(tires, loads, strict=True)
+    ]
+    heading = motion.heading if vehicle.columns.motion == POSE else 0 * motion.time
+    return Samples(
+        speed=v_x,
+        along=motion.a_x[own] / g,
+        across=0 * v_x,
+        turn=0 * v_x,
+        time=passed + motion.time[own] - motion.time[0],
+        heading=heading[own],
+        weight=np.full(count, weight),
+        wheelbase=np.full(count, wheelbase),
+        sliding=np.tile(sliding, (count, 1)),
+    )
+
+
+def _sliding(axle: GivenTire, load: float, speed: float) -> float:
+    """Slip above which a brush with slope and peak of the tire slides."""
+    at_rest = TireInputs(fz=load, v=speed)
+    slope = slope_at_rest(axle.tire, at_rest, "y")
+    return float(3 * peak_ratio(axle.tire, load, speed) * load / slope)

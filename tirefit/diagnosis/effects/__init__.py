@@ -17,7 +17,7 @@ fits, tests and ranks them all. A user's own effect is one more record::
     tirefit.diagnose(data, effects=EFFECTS + (mine,))
 """
 
-from tirefit.diagnosis.effects import measurement, motion, per_run, tire, vehicle
+from tirefit.diagnosis.effects import measurement, tire, vehicle
 from tirefit.diagnosis.effects.record import (
     NOISE_EFFECTS,
     Atom,
@@ -26,6 +26,7 @@ from tirefit.diagnosis.effects.record import (
     Prior,
     atoms_of,
     effects_by_id,
+    library,
 )
 
 __all__ = [
@@ -39,15 +40,6 @@ __all__ = [
     "effects_by_id",
 ]
 
-# The order decides between effects of equal evidence.
-EFFECTS: tuple[Effect, ...] = (
-    *tire.PATCH,
-    *tire.CONDITIONS,
-    *measurement.OFFSETS,
-    *motion.EFFECTS,
-    *measurement.SENSORS,
-    *vehicle.SPEEDS,
-    *tire.WARMTH,
-    *vehicle.CHASSIS,
-    *per_run.EFFECTS,
+EFFECTS: tuple[Effect, ...] = library(
+    "tirefit.diagnosis.effects", measurement.CODE | tire.CODE | vehicle.CODE
 )

@@ -1,11 +1,39 @@
-"""The record of an effect: its formula, prior, needs and texts, and its variants."""
+"""The record of an effect: its formula, prior, needs and texts, and its variants; and the
+state of every row with some effects applied, with its slopes by their amplitudes.
 
+A diagnosis changes the state of every row thousands of times, on plain arrays of NumPy: XLA
+would compile the fifty effects for 15 s of processor time. A tire with effects
+(:mod:`tirefit.diagnosis.extended`) is traced by JAX."""
+
+import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from typing import Any, NamedTuple
 
-from tirefit.diagnosis.effects.arrays import xp
-from tirefit.diagnosis.effects.state import Covariates, State
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.diagnosis.effects.state import Covariates, State, null_state
+from tirefit.diagnosis.engine import ROUNDING
+from tirefit.results import InputProblem, UsageError
+
+
+class _Arrays:
+    def __getattr__(self, name: str):
+        def function(*given, **options):
+            traced = any(isinstance(one, jax.Array) for one in given)
+            return getattr(jnp if traced else np, name)(*given, **options)
+
+        setattr(self, name, function)
+        return function
+
+
+xp: Any = _Arrays()
+"""``xp.exp`` and so on: the function of JAX if an argument is an array of JAX or a tracer,
+else that of NumPy."""
+
 
 PER_MILLE = 1e-3
 """Unit of amplitudes of a force: over the mean load, so that one prior serves all tires."""
@@ -13,12 +41,6 @@ PER_MILLE = 1e-3
 LEAST_FACTOR = 0.05
 """Smallest friction or stiffness over its usual value, as a linear law would become
 negative at amplitudes that a search tries."""
-
-SHARE = (-1.9, 1.9)
-"""Bounds of a relative change between two ends: below 2, both ends stay positive."""
-
-SYMBOLS = {"friction": "mu", "stiffness": "c_p a^2"}
-"""Field of the state that is multiplied -> its symbol in formulas."""
 
 Change = Callable[[State, float, tuple[float, ...], Covariates], State]
 
@@ -47,7 +69,7 @@ class Effect:
         family: which parameter varies with which quantity.
         of: whether it is a property of the tire, vehicle or measurement.
         change: (state, amplitude, constants, covariates) -> state, by functions of NumPy, JAX or
-            both (:data:`effects.arrays.xp`); amplitude 0 changes nothing.
+            both (:data:`effects.record.xp`); amplitude 0 changes nothing.
         scale: prior standard deviation of the amplitude, a judgement: twice as wide
             lowers the log evidence of a certain effect by log 2.
         per: field of :class:`rows.covariates.Sizes` that is the unit of ``scale``,
@@ -65,7 +87,6 @@ class Effect:
         variants: constants of each formula that is tried; all of one length.
         which: (constants, covariates, time [s] or None) -> text for the formula of a
             variant, with the values to which its amplitude refers.
-        doubts: (amplitude, prepared rows) -> why the amplitude is implausible, or "".
         during: constants -> begin and end of the stretch that a variant changes (shares
             of the record about its middle); not tried if a setting was held during it.
         singular: its tangent at zero vanishes; it is always refitted.
@@ -96,8 +117,7 @@ class Effect:
     needs: tuple[str, ...] = ()
     channels: tuple[str, ...] = ()
     variants: tuple[tuple[float, ...], ...] = ((),)
-    which: Callable[[tuple[float, ...], Covariates, object], str] | None = None
-    doubts: Callable[[float, object], str] | None = None
+    which: Callable[[tuple[float, ...], Any, object], str] | None = None
     during: Callable[[tuple[float, ...]], tuple[float, float]] | None = None
     singular: bool = False
     looks_like: tuple[str, ...] = ()
@@ -121,7 +141,7 @@ class NoiseEffect:
     """A law of the noise, named if no effect on the mean is; fields as in :class:`Effect`."""
 
     id: str
-    flag: str = ""  # of :class:`noise.level.NoiseLevel` that names it; "": none
+    flag: str = ""  # of :class:`rows.noise.NoiseLevel` that names it; "": none
     means: str
     remedy: str
     family: str = "noise"
@@ -171,15 +191,10 @@ class Atom:
         prior = Prior(effect.scale, effect.center, *pair).times(size)
         return prior if effect.prior is None else effect.prior(prior, prepared, rig)
 
-    def formula(self, rows: Covariates, time, amplitude=0.0, prepared=None) -> str:
-        """Text on the formula of the variant, empty if the effect has one only, and the
-        reason why an amplitude is implausible, if ``prepared`` is given."""
-        of, parts = self.effect, []
-        if of.which:
-            parts.append(of.which(self.constants, rows, time))
-        if of.doubts and prepared is not None:
-            parts.append(of.doubts(float(amplitude), prepared))
-        return ", ".join(part for part in parts if part)
+    def formula(self, rows: Covariates | None, time) -> str:
+        """Text on the formula of the variant, empty if the effect has one only."""
+        of = self.effect
+        return of.which(self.constants, rows, time) if of.which else ""
 
     def change(self, state: State, amplitude, rows: Covariates) -> State:
         """The state with this variant added."""
@@ -240,3 +255,157 @@ _SELDOM = -1.0
 def seldom(prepared) -> float:
     """Prior log odds of an effect that most files do not have."""
     return _SELDOM
+
+
+Code = dict[str, dict[str, Any]]
+"""Id of an effect -> the fields of its record that are code."""
+
+
+def code(change: Change, **others: Any) -> dict[str, Any]:
+    """The fields of a record that are code: its change, and others."""
+    return {"change": change, **others}
+
+
+def library(package: str, codes: Code) -> tuple[Effect, ...]:
+    """The effects of ``effects.toml`` in a package, each with its code."""
+    tables = tomllib.loads((resources.files(package) / "effects.toml").read_text("utf-8"))
+    return tuple(Effect(id=id, **_fields(table), **codes[id]) for id, table in tables.items())
+
+
+def _fields(table: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a record from a table: of its kinds of shorthand, see ``effects.toml``."""
+    found = {key: _tuples(value) for key, value in table.items()}
+    if found.pop("seldom", False):
+        found["odds"] = seldom
+    if isinstance(found.get("variants"), int):
+        found["variants"] = choices(found["variants"])
+    return found
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+_STEP = 1e-5
+"""Step of a numerical slope over the prior scale: the error of the parabola is its square,
+that of rounding 1e-16 over it, so both are about 1e-10 of the change by one scale."""
+
+_LEAST_NEXT = 0.9
+"""Smallest second step of a state over the first, from amplitude 0. It is below 1 by about
+the step unless the slope there is infinite, as that of a root."""
+
+Present = Sequence[tuple[int, float]]
+"""Numbers and amplitudes, in their own units, of the atoms of a hypothesis."""
+
+Slopes = dict[int, np.ndarray]
+"""Derivatives (n,) of the fields of a state that an amplitude changes, by their number."""
+
+
+class Changes(NamedTuple):
+    """Changes of a state by each atom: ``slopes`` over its amplitude. If the slope of an
+    atom vanishes or misleads, ``ends`` has the state (F, n) at ``sizes`` prior scales."""
+
+    slopes: dict[int, Slopes]
+    ends: dict[int, np.ndarray]
+    sizes: dict[int, float]
+
+
+class States:
+    """States of some rows under hypotheses of atoms.
+
+    Args:
+        scale: prior scales (K,) of the amplitudes of all atoms, in their own units.
+    """
+
+    def __init__(self, atoms: Sequence[Atom], rows: Covariates, scale):
+        self._atoms, self._scale = atoms, scale
+        self._rows = Covariates(*(_constant(part, np.shape(part)) for part in rows))
+        self._null = State(*(_constant(value, np.shape(rows.fz)) for value in null_state()))
+
+    def state(self, present: Present) -> np.ndarray:
+        """The state (F, n) with every atom that is present."""
+        return np.array(self._after(self._null, present))
+
+    def slopes(self, present: Present) -> tuple[np.ndarray, list[Slopes]]:
+        """The state with every atom, and its slopes by each of their amplitudes."""
+        before = [self._null]
+        for one in present:
+            before.append(self._after(before[-1], [one]))
+        slopes = [
+            self._slope(before[k], one, present[k + 1 :], before[-1])
+            for k, one in enumerate(present)
+        ]
+        return np.array(before[-1]), slopes
+
+    def changes(self, present: Present, center) -> Changes:
+        """Changes by each atom in addition to those present. ``center`` are the expected
+        amplitudes (K,) in prior scales."""
+        whole, amplitudes = self._after(self._null, present), dict(present)
+        found = Changes({}, {}, {})
+        for number, atom in enumerate(self._atoms):
+            others, amplitude = whole, amplitudes.get(number, 0.0)
+            if number in amplitudes:
+                others = self._after(self._null, [p for p in present if p[0] != number])
+            if atom.effect.far:
+                expected = float(center[number])
+                size = max(abs(expected), 1.0) * (-1.0 if expected < 0 else 1.0)
+                far = amplitude + size * float(self._scale[number])
+                found.ends[number] = np.array(self._after(others, [(number, far)]))
+                found.sizes[number] = size
+            else:
+                one = number, amplitude
+                found.slopes[number] = self._slope(others, one, [], self._after(others, [one]))
+        return found
+
+    @np.errstate(all="ignore")  # the engine refuses slopes that are not finite
+    def _slope(self, before: State, one: tuple[int, float], later: Present, here: State) -> Slopes:
+        """Slopes by the amplitude of an atom between those before it and later ones, by the
+        parabola through three points; ``here`` is the state with all of them.
+
+        The points lie towards zero, from zero on the positive side: amplitudes on a bound
+        stay within it, and a lag, which has no negative length, has its slope at zero.
+        """
+        number, amplitude = one
+        step = -np.copysign(_STEP * float(self._scale[number]), amplitude or -1.0)
+        near, far = (self._after(before, [(number, amplitude + k * step), *later]) for k in (1, 2))
+        found = {}
+        for field, (a, b, c) in enumerate(zip(here, near, far, strict=True)):
+            if a is c or np.array_equal(a, c):
+                continue
+            first, second = b - a, c - b
+            found[field] = (3 * first - second) / (2 * step)
+            shrinks = _size(second) + ROUNDING * _size(b) < _LEAST_NEXT * _size(first)
+            if shrinks and not amplitude:
+                found[field] = np.full_like(a, np.inf)
+        return found
+
+    @np.errstate(all="ignore")
+    def _after(self, state: State, present: Present) -> State:
+        """The state with further atoms, applied in their order."""
+        for number, amplitude in present:
+            state = _changed(state, self._atoms[number], amplitude, self._rows)
+        return state
+
+
+def _changed(state: State, atom: Atom, amplitude: float, rows: Covariates) -> State:
+    """The state with an atom; fields that it does not change stay the same arrays."""
+    try:
+        pairs = zip(state, atom.change(state, amplitude, rows), strict=True)
+        return State(*(a if b is a else _constant(b, np.shape(a)) for a, b in pairs))
+    except Exception as error:  # the function of a user may raise any error
+        reason = f"effect {atom.effect.id!r}: {type(error).__name__}: {error}"
+        remedy = "its change takes (state, amplitude, constants, rows) and gives"
+        remedy += " a state, each field a number or one for each row"
+        raise UsageError(InputProblem(reason, remedy)) from error
+
+
+def _size(values) -> float:
+    return float(np.sqrt(np.vdot(values, values)))
+
+
+def _constant(values, shape: tuple[int, ...]) -> np.ndarray:
+    """Values that no function of a user can write to, as hypotheses share them."""
+    array = np.asarray(values, float)
+    view = array.view() if array.shape == shape else np.broadcast_to(array, shape)
+    view.flags.writeable = False
+    return view

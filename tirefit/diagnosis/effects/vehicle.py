@@ -1,28 +1,275 @@
-"""Effects of the vehicle: changing radii, speed offsets, the other force, load transfer,
-inertia, the ground, the two wheels of an axle, steering."""
+"""Effects of the vehicle: of the past (delays, relaxation, steering lag), changing radii, speed
+offsets, the other force, load transfer, inertia, the ground, the two wheels of an axle, steering.
+
+A force derived from the motion shares its channels with the slip, so an effect of yaw rate or
+acceleration may fit any remainder, also on held-out data. The prior of such an effect is
+therefore the error of a measured quantity if the file states it (``tirefit derive`` copies it
+from vehicle.toml), else the error of a guess."""
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.effects.arrays import xp
-from tirefit.diagnosis.effects.motion import (
-    against_derive,
-    odds_of_derive,
-    of_a_known_force,
-    of_a_known_height,
-    of_a_known_inertia,
-    of_a_known_position,
-)
+from tirefit.data.findings import error_of_point
 from tirefit.diagnosis.effects.record import (
     LEAST_FACTOR,
     PER_MILLE,
-    SHARE,
-    Effect,
     adds,
     blend,
-    choices,
+    code,
     multiplies,
+    scaled,
     seldom,
+    xp,
 )
+from tirefit.diagnosis.engine import NONZERO
+from tirefit.diagnosis.rows.covariates import wheelbase
+from tirefit.diagnosis.rows.slips import AGES, AHEAD
+from tirefit.slip import GRAVITY
+
+_CERTAIN = 30.0
+"""Largest log odds: an error of one in 10^13, beyond which nothing changes."""
+
+_HEIGHT, _FAR = 0.4, 6.0
+"""Height of the centre of gravity over the arm of an axle (cars have 0.3 to 0.6);
+bounds in standard deviations."""
+
+_NO_LENGTH = 1e-12
+"""A length below this share of a step counts as zero; the slope there is one-sided."""
+
+_FEW_WAYS = 1e-4
+"""Steps over the length below which the response is the first term of its series."""
+
+
+class _Quantity(NamedTuple):
+    """A quantity of the vehicle."""
+
+    key: str  # in vehicle.toml
+    stated: float  # standard error if that file states it
+    guessed: float  # standard error if it does not
+
+
+_QUANTITIES = {
+    # Errors over the arm of an axle (1 mm on a 1:10 car, 4 cm on a car) and over the
+    # wheelbase. The yaw inertia of most vehicle files is an estimate.
+    "position": _Quantity("tracked_point", 0.03, 0.1),
+    "clock": _Quantity("clock", 0.005, 0.1),
+    "yaw_inertia": _Quantity("yaw_inertia", 0.3, 1),
+}
+"""Key of ``[vehicle]`` in rig.toml -> the quantity whose standard error it states."""
+
+
+def _error(key: str, prepared, rig) -> tuple[float | None, bool]:
+    """Standard error [m, s, share], and whether it or the quantity is stated; None if the
+    force was measured and neither is stated."""
+    of, derived = _QUANTITIES[key], prepared.derived
+    if key in rig.vehicle:
+        return rig.vehicle[key], True
+    if derived is None:
+        return None, False
+    constants = prepared.data.source.constants
+    stated = of.key in constants
+    error = of.stated if stated else of.guessed
+    if key == "clock" and stated:
+        error = constants[of.key]
+    if key == "position":
+        error *= derived.arm if stated else wheelbase(prepared.data, derived)
+    return error, stated
+
+
+def _of_scale(prior, scale: float):
+    return prior._replace(scale=scale, low=-_FAR * scale, high=_FAR * scale)
+
+
+def _narrowed(prior, scale: float):
+    """The prior with at most this scale."""
+    own = _of_scale(prior, min(prior.scale, scale))
+    return own._replace(low=max(prior.low, own.low), high=min(prior.high, own.high))
+
+
+def _of_quantity(key: str, prior, prepared, rig):
+    error, stated = _error(key, prepared, rig)
+    if error is None:
+        return prior
+    return _narrowed(prior, error) if stated else _of_scale(prior, error)
+
+
+def of_a_known_position(prior, prepared, rig):
+    """Prior of an error of the tracked point along the vehicle.
+
+    It is the error that ``tirefit derive`` estimated from the same logs; without an
+    estimate, that of a ruler for a stated point.
+    """
+    known = error_of_point(prepared.data.source.constants)
+    if known is None or "position" in rig.vehicle:
+        return _of_quantity("position", prior, prepared, rig)
+    error, std = known
+    reach = _FAR * std  # no error remains within the bounds
+    return prior._replace(
+        scale=std, center=error, low=min(error, 0.0) - reach, high=max(error, 0.0) + reach
+    )
+
+
+def odds_of_derive(prepared) -> float:
+    """Prior log odds of an error of the tracked point: log likelihood ratio of the error that
+    ``tirefit derive`` found against no error; 0 without an estimate."""
+    known = error_of_point(prepared.data.source.constants)
+    return 0.0 if known is None else min((known[0] / known[1]) ** 2 / 2, _CERTAIN)
+
+
+def of_a_known_inertia(prior, prepared, rig):
+    """Prior of an error of the yaw inertia over the wheelbase."""
+    if prepared.derived is None:
+        return prior
+    share, _ = _error("yaw_inertia", prepared, rig)
+    return _of_scale(prior, share * prepared.derived.inertia)
+
+
+def of_a_known_height(prior, prepared, rig):
+    """Prior of the load transfer m h a_x / wheelbase over the range of a_x."""
+    if "a_x" not in prepared.data:
+        return prior
+    span = float(np.ptp(prepared.column("a_x"))) / GRAVITY
+    return _narrowed(prior, _HEIGHT * span)
+
+
+def of_a_known_force(prior, prepared, rig):
+    """Prior of the share of the friction that the other force uses, widened by the error
+    of that force (twice, for its square)."""
+    name = "fx_std" if prepared.mode == "y" else "fy_std"
+    if name not in prepared.data:
+        return prior
+    size = _rms(np.asarray(prepared.covariates.across))
+    error = 2 * prior.center * _rms(prepared.column(name)) / max(size, NONZERO)
+    return prior._replace(scale=float(np.hypot(prior.scale, error)))
+
+
+def _within_the_past(prior, prepared, rig):
+    """The prior within the past and future that each row has."""
+    first, last = AGES[[0, -1]] * float(prepared.covariates.interval[0])
+    return prior._replace(low=max(prior.low, first), high=min(prior.high, last))
+
+
+def said_of_motion(base) -> tuple[str, ...]:
+    """A sentence about a base fit's force if it was derived from the motion."""
+    rows, derived = base.rows, base.rows.derived
+    if derived is None:
+        return ()
+    observed = rows.observed["fy"]
+    missed = observed - base.forces(base.as_given, base.amplitudes())["fy"]
+    message = (
+        f"fy was derived from a_y ({derived.mass:.4g} kg of it) and yaw_acceleration:"
+        " it shares its channels with the slip, and so does held-out data"
+    )
+    if "yaw_rate" in rows.has and derived.mass is not None:
+        on_a_path = derived.mass * rows.column("v") * rows.column("yaw_rate")
+        message += (
+            "; without any tire model, mass x v x yaw_rate differs from it by"
+            f" {_rms(observed + on_a_path):.3g} N rms, the base fit by"
+            f" {_rms(missed):.3g} N"
+        )
+    return (message,)
+
+
+def _rms(values) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _late(past, delay, rows):
+    """Change of values (n, k) by a delay [s]: (n,).
+
+    Exact for values that are linear between columns.
+    """
+    age = xp.clip(delay / rows.interval, AGES[0], AGES[-1])
+    low = xp.clip(xp.searchsorted(AGES, age, side="right") - 1, 0, len(AGES) - 2)
+    (early, before), (late, after) = (
+        (xp.take(AGES, at), xp.take_along_axis(past, at[:, None], axis=1)[:, 0])
+        for at in (low, low + 1)
+    )
+    share = (age - early) / (late - early)
+    return before + share * (after - before) - past[:, AHEAD]
+
+
+def lag(length, step):
+    """The change of values (n, k) by a first-order lag over a length: values -> (n,).
+
+    Exact for values that are constant before the first column and linear between
+    columns. A negative length counts as zero.
+
+    Args:
+        length: of the response, in the unit of ``step``.
+        step: (n,) of one of :data:`AGES`.
+    """
+    # At a length of zero the slope is that of positive lengths.
+    length = xp.where(length < 0, 0.0, length) + _NO_LENGTH * step
+    ways = (step / length)[:, None] * np.diff(AGES[AHEAD:])[None]
+    # Response to values that rise over the distance, and its remainder at the row.
+    decay = xp.exp(-ways)
+    since = xp.cumprod(decay, axis=1)
+    share = xp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)
+
+    def change(past):
+        after, before = past[:, AHEAD:-1], past[:, AHEAD + 1 :]
+        risen = before + share * (after - before) - decay * before
+        earlier = xp.sum(since[:, :-1] * risen[:, 1:], axis=1)
+        return risen[:, 0] + earlier + since[:, -1] * past[:, -1] - past[:, AHEAD]
+
+    return change
+
+
+def _with_lag(state, length, step, rows):
+    """The forces behind by a first-order lag."""
+    change = lag(length, step)
+    force, moment = state.force + change(rows.pull), state.moment + change(rows.twist)
+    return state._replace(force=force, moment=moment)
+
+
+def _delay(state, delay, constants, rows):
+    """Delay the slip, or the forces (at the delayed slip and load), or filter the
+    forces by a first-order lag with the delay as time constant [s]."""
+    _, force, filtered = constants
+    if filtered:
+        return _with_lag(state, delay, rows.interval, rows)
+    if force:
+        # A brush with another load equals one with another friction, see S(12).
+        state = scaled(state, "friction", 1 + _late(rows.burden, delay, rows))
+    return state._replace(shift=state.shift + _late(rows.past, delay, rows))
+
+
+def _relax(state, length, constants, rows):
+    _, force = constants
+    if force:
+        return _with_lag(state, length, rows.step, rows)
+    return state._replace(shift=state.shift + lag(length, rows.step)(rows.past))
+
+
+def _steer(late):
+    """Change by a road wheel angle that differs from the logged one by ``late(past,
+    amplitude, rows)`` (n,) [rad]; a force derived across the wheels turns with them."""
+
+    def change(state, amplitude, constants, rows):
+        slip, turned = rows.past[:, AHEAD], late(rows.steered, amplitude, rows)
+        return state._replace(
+            shift=state.shift + xp.tan(xp.arctan(slip) - turned) - slip,
+            force=state.force + rows.pivot * turned,
+        )
+
+    return change
+
+
+def _of_a_known_clock(prior, prepared, rig):
+    """Prior of a delay between channels of one log."""
+    known = _of_quantity("clock", prior, prepared, rig)
+    return _within_the_past(known, prepared, rig)
+
+
+_PAST = {
+    "channel_delay": code(_delay, prior=_of_a_known_clock),
+    "relaxation_length": code(_relax),
+    "steering_delay": code(_steer(_late), prior=_within_the_past),
+    "steering_lag": code(_steer(lambda past, a, rows: lag(a, rows.interval)(past))),
+}
+
 
 _ALL_BUT, _DOUBLED = 0.95, -3.0
 """Largest share of the friction that the other force uses, and largest share that it
@@ -34,9 +281,6 @@ smaller standard deviation of log F_z, it is hardly separable from a constant on
 
 _DIRECTIONS = tuple(np.radians([0.0, 45.0, 90.0, 135.0]))
 """Directions of a slope of the ground; opposite ones have the opposite sign."""
-
-_OF_BOTH = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
-"""Exponents of a factor on friction and stiffness: on one of them, or on both."""
 
 
 def _slip_speed(share, constants, rows):
@@ -80,7 +324,7 @@ def _slope(slope, constants, rows):
     return slope * rows.load * rows.fz * towards
 
 
-def _of_the_axle(id: str, factor, **given) -> Effect:
+def _of_the_axle(factor) -> dict[str, Any]:
     """A factor that depends on the lateral acceleration, on friction, stiffness or both."""
 
     def change(state, amplitude, constants, rows):
@@ -90,162 +334,36 @@ def _of_the_axle(id: str, factor, **given) -> Effect:
             friction=state.friction * times**friction, stiffness=state.stiffness * times**stiffness
         )
 
-    return Effect(
-        id=id,
-        of="vehicle",
-        family="friction x lateral acceleration",
-        change=change,
-        odds=seldom,
-        needs=("a_y",),
-        channels=("fy", "mz"),
-        variants=_OF_BOTH,
-        **given,
-    )
+    return code(change)
 
 
-SPEEDS = (
-    Effect(
-        id="slip_offset_load", of="measurement",
-        family="slip x load", scale=0.2, per=("slip",),
-        # Zero at the usual load, or at zero load.
-        change=adds("shift", lambda a, about, rows: a * (rows.fz - about[0])),
-        unit="- of slip",
-        formula="slip + amplitude (F_z / F_z0 - 1); effective rolling radius,"
-        " Pacejka 1.2",
-        means="the zero of the slip moves with load",
-        remedy="use a rolling radius (steering zero) that depends on the load",
-        bounds=((-4.0, 4.0),), odds=_one_load, needs=("loads",),
-        variants=((1.0,), (0.0,)),
-        looks_like=("load_crosstalk", "conicity", "load_stiffness"),
-        told_apart_by="both signs",
+CODE = {
+    **_PAST,
+    "slip_offset_load": code(
+        adds("shift", lambda a, about, rows: a * (rows.fz - about[0])), odds=_one_load
     ),
-    Effect(
-        id="slip_offset_speed", of="measurement",
-        family="slip x speed", scale=0.3, per=("growth",),
-        change=adds("shift", _slip_speed), unit="s/m", bounds=((-6.0, 6.0),),
-        formula="slip + amplitude v: a tire that grows with its speed",
-        means="the zero of the slip moves with speed", odds=_one_speed_of_the_slip,
-        remedy="use a rolling radius that depends on the speed; for lateral slip, check"
-        " what steers the wheel or shifts the heading with speed", needs=("speeds",),
-        variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0)),
-        looks_like=("speed_zero", "speed_drag"),
-        told_apart_by="both signs",
+    "slip_offset_speed": code(adds("shift", _slip_speed), odds=_one_speed_of_the_slip),
+    "speed_zero": code(
+        adds("shift", lambda a, _, rows: a / rows.pace), odds=_one_speed_of_the_slip
     ),
-    Effect(
-        id="speed_zero", of="measurement",
-        family="slip x speed", scale=0.3, per=("inverse_speed",),
-        change=adds("shift", lambda a, _, rows: a / rows.pace), unit="m/s",
-        formula="slip + amplitude / v", parameter="zero", bounds=((-6.0, 6.0),),
-        means="a speed has a constant error, so the slip is wrong at low speed",
-        remedy="check the zeros of the speed sensors at rest (ahead, across, of the"
-        " wheel)", odds=_one_speed_of_the_slip, needs=("speeds",),
-        looks_like=("slip_offset_speed", "speed_drag"),
-        told_apart_by="both signs",
-    ),
-    Effect(
-        id="speed_drag", of="vehicle",
-        family="force x speed", change=adds("force", _drag),
-        scale=25.0, unit="1e-3 mean F_z", bounds=((-500.0, 500.0),), needs=("speeds",),
-        formula="force + amplitude v / v0, or amplitude (v / v0)^2", channels=("fx",),
-        means="the tire force contains a force that follows the speed: drag, bearings",
-        remedy="coast down and subtract the force measured then", variants=choices(2),
-        odds=_one_speed_of_the_slip,
-        looks_like=("slip_offset_speed", "speed_zero"), told_apart_by="both signs",
-    ),
-    Effect(
-        id="friction_ellipse", family="friction x force", change=_ellipse, scale=0.3,
-        formula="mu, or the whole force, times sqrt(1 - amplitude (F_across / (mu"
-        " F_z))^2)", parameter="share", bounds=((0.0, 6.0),), center=1.0,
-        means="the other force (drive, brake, cornering) uses a part of the friction",
-        remedy="fit a combined model to both forces, or exclude rows with other force",
-        prior=of_a_known_force, needs=("other force",), variants=((0.0,), (1.0,)),
-        looks_like=("combined_slip", "force_crosstalk"), told_apart_by="pure slip",
-    ),
-    Effect(
-        id="tracked_point", of="measurement",
-        family="slip x yaw", scale=0.3, per=("lever",), unit="m",
-        change=adds("shift", lambda a, _, rows: a * rows.yaw), parameter="distance",
-        formula="slip angle + amplitude (yaw rate) / v", bounds=((-6.0, 6.0),),
-        means="the slip angle is that of another point than the axle",
-        remedy="measure tracked_point of vehicle.toml: its error along the vehicle is"
-        " the amplitude", prior=of_a_known_position, doubts=against_derive,
+    "speed_drag": code(adds("force", _drag), odds=_one_speed_of_the_slip),
+    "friction_ellipse": code(_ellipse, prior=of_a_known_force),
+    "tracked_point": code(
+        adds("shift", lambda a, _, rows: a * rows.yaw),
         odds=odds_of_derive,
-        needs=("yaw_rate", "v", "doubted point"), channels=("fy", "mz"),
-        told_apart_by="speeds",
-        looks_like=("slip_offset", "carcass_flexibility"),
+        prior=of_a_known_position,
     ),
-    Effect(
-        id="load_transfer", of="measurement",
-        family="friction x acceleration", scale=0.15,
-        change=multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
-        unit="over its range in the file", remedy="add m h a_x / wheelbase to fz",
-        formula="F_z + amplitude (geometric mean F_z) a_x: m h a_x / wheelbase",
-        means="acceleration moves load between the axles, which fz does not include",
-        parameter="share", bounds=(SHARE,), prior=of_a_known_height, needs=("a_x",),
-        told_apart_by="loads",
-        looks_like=("drive_brake_asymmetry", "friction_ellipse"),
+    "load_transfer": code(
+        multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
+        prior=of_a_known_height,
     ),
-)  # fmt: skip
-
-CHASSIS = (
-    Effect(
-        id="yaw_inertia", of="measurement",
-        family="force x yaw acceleration", scale=0.03, per=("swing",),
-        unit="kg m", change=adds("force", lambda a, _, rows: a * rows.swing),
-        formula="F_y + amplitude r', r' the yaw acceleration; Milliken 1995, 5.3",
-        means="the yaw inertia over the wheelbase or the position of the centre of"
-        " gravity is wrong", bounds=((-0.6, 0.6),), prior=of_a_known_inertia,
-        remedy="measure yaw_inertia of vehicle.toml: swing the vehicle on a pendulum",
-        parameter="error of inertia / wheelbase", channels=("fy",),
-        needs=("yaw_acceleration", "derived force"), told_apart_by="two ramp rates",
-        looks_like=("channel_delay", "relaxation_length", "tracked_point"),
-    ),
-    Effect(
-        id="floor_slope", of="measurement",
-        family="force x heading", change=adds("force", _slope),
-        scale=0.01, parameter="slope", bounds=((-0.1, 0.1),), odds=seldom,
-        formula="F_y + amplitude F_z cos(heading - direction): m g sin(slope)",
-        means="the ground is not level: the weight has a component along it",
-        remedy="use level ground, or drive each test in both directions and average",
-        needs=("heading", "derived force"), channels=("fy",),
+    "yaw_inertia": code(adds("force", lambda a, _, rows: a * rows.swing), prior=of_a_known_inertia),
+    "floor_slope": code(
+        adds("force", _slope),
         variants=tuple((float(np.cos(d)), float(np.sin(d))) for d in _DIRECTIONS),
-        looks_like=("slip_offset", "force_offset"), told_apart_by="random order",
     ),
-    Effect(
-        id="toe", of="vehicle",
-        family="slip x lateral acceleration", scale=0.01, unit="rad / g",
-        change=adds("shift", lambda a, _, rows: a * rows.lean), parameter="steer",
-        formula="slip angle + amplitude a_y / g; roll steer, Gillespie 1992, 6",
-        means="the wheels steer as the axle rolls: toe of the outer wheel, roll steer,"
-        " soft mounts", bounds=((-0.06, 0.06),), odds=seldom, needs=("a_y",),
-        remedy="measure toe against roll and side force on the axle and correct for it",
-        channels=("fy", "mz"), told_apart_by="loads",
-        looks_like=("carcass_flexibility", "stiffness_speed", "tracked_point"),
-    ),
-    _of_the_axle(
-        "lateral_load_transfer", lambda a, lean: 1 - a * lean**2, scale=0.15,
-        unit="1 / g^2", parameter="loss", bounds=((0.0, 0.9),), told_apart_by="loads",
-        formula="1 - amplitude (a_y / g)^2 on friction or stiffness; Milliken 1995, 7",
-        means="the load is uneven on the wheels of the axle, which reduces the friction",
-        remedy="give the load of each wheel, or fit a model whose friction falls with"
-        " load",
-        looks_like=("pressure_flatness", "load_friction", "friction_speed_linear"),
-    ),
-    _of_the_axle(
-        "unlike_tires", lambda a, lean: 1 + a * lean, scale=0.1, unit="1 / g",
-        formula="1 + amplitude a_y / g on friction or stiffness", bounds=((-0.6, 0.6),),
-        means="the two tires of the axle differ, and the one with more load dominates",
-        remedy="swap the tires of the axle, and measure again", parameter="difference",
-        told_apart_by="both signs", looks_like=("drive_brake_asymmetry", "slip_offset"),
-    ),
-    Effect(
-        id="steering_gain", of="measurement",
-        family="slip x steering", scale=0.1, bounds=((-0.6, 0.6),),
-        change=adds("shift", lambda a, _, rows: a * rows.steering), odds=seldom,
-        formula="slip angle + amplitude (road wheel angle)", needs=("steering",),
-        means="the steering ratio is wrong, or the steering yields under load",
-        remedy="measure the road wheel angle over the command with the wheels loaded",
-        parameter="error of the ratio", channels=("fy", "mz"), told_apart_by="speeds",
-        looks_like=("tracked_point", "toe", "slip_offset"),
-    ),
-)  # fmt: skip
+    "toe": code(adds("shift", lambda a, _, rows: a * rows.lean)),
+    "lateral_load_transfer": _of_the_axle(lambda a, lean: 1 - a * lean**2),
+    "unlike_tires": _of_the_axle(lambda a, lean: 1 + a * lean),
+    "steering_gain": code(adds("shift", lambda a, _, rows: a * rows.steering)),
+}

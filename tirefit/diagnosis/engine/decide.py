@@ -19,12 +19,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import expit, logit, stdtr
 
+from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.fit import Forward, Key
-from tirefit.diagnosis.engine.left_out import Gain, Predicted, gained, predicted
-from tirefit.diagnosis.engine.posterior import Weighed, weighed
-from tirefit.diagnosis.engine.search import Search, parts_of
-from tirefit.diagnosis.engine.sizes import sizes_by_group
-from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.engine.left_out import Gain, Predicted, gained, predicted, sizes_by_group
+from tirefit.diagnosis.engine.search import Search, Weighed, parts_of, weighed
 from tirefit.results import Outcome
 
 UNKNOWN = "unknown"
@@ -55,11 +53,6 @@ class Status(StrEnum):
     """Effects are named, but an unlisted effect in addition is likelier than none."""
     UNKNOWN = "unknown"
     """There is a gap, and no listed effect can be named."""
-
-    @property
-    def names(self) -> bool:
-        """Whether listed effects are named."""
-        return self in (Status.NAMED, Status.CANNOT_TELL, Status.INCOMPLETE)
 
     @property
     def limits(self) -> dict[Outcome, str]:
@@ -98,7 +91,7 @@ class Features(NamedTuple):
 
     Attributes:
         spread: logarithm of the mean spread of its sizes over groups, see
-            :class:`~tirefit.diagnosis.engine.sizes.Sizes`.
+            :class:`~tirefit.diagnosis.engine.left_out.SizeByGroup`.
         unequal: root of the largest share of the remainder that unequal sizes explain.
         listed: log odds of the sets that hold it, all effects listed.
         beside: log odds of the sets that hold it, beside an unlisted effect.
@@ -159,7 +152,7 @@ class Verdict:
     status: Status
     effects: tuple[str, ...] = ()
     acts_like: tuple[str, ...] = ()
-    key: Key = ()
+    key: Key = field(default=(), metadata={"written": False})
     probability: float
     each: Mapping[str, Each] = field(default_factory=dict)
     also_possible: tuple[str, ...] = ()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.special import logsumexp, softmax
 
-from tirefit.diagnosis.negligible import NONZERO, ROUNDING
+from tirefit.diagnosis.engine import NONZERO, ROUNDING
 
 if TYPE_CHECKING:
     from tirefit.diagnosis.engine.fit import Fit
@@ -125,10 +125,6 @@ class Discrepancy:
             scores[k, :size] = score[cell.first : cell.end]
         return grams, scores
 
-    def log_evidence_by_cell(self, fit: "Fit") -> np.ndarray:
-        """Log evidence (cells,) of each beside a fit, over none."""
-        return _averaged(self._gains(fit)[0], (1, 2))
-
     def _gains(self, fit: "Fit"):
         """Log evidence (cells, lengths, sizes), and what gives the functions."""
         if not self.cells:
@@ -147,7 +143,7 @@ class Discrepancy:
         """Log evidence of an unlisted effect beside a fit, over none: each cell, and each
         quantity as a wave, is equally likely."""
         waves = [one.log_evidence for one in self._of_waves(fit)]
-        each = [*self.log_evidence_by_cell(fit), *waves]
+        each = [*_averaged(self._gains(fit)[0], (1, 2)), *waves]
         return float(_averaged(np.array(each), 0)) if each else -np.inf
 
     def _of_waves(self, fit: "Fit") -> list[Found]:

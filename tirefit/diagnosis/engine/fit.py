@@ -9,8 +9,8 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from tirefit.diagnosis.effects import Atom
+from tirefit.diagnosis.engine import FLAT, ROUNDING
 from tirefit.diagnosis.engine.discrepancy import Discrepancy
-from tirefit.diagnosis.negligible import FLAT, ROUNDING
 
 Key = tuple[str, ...]
 """A set of effects: their ids in order; () means no effect."""
@@ -27,12 +27,10 @@ class Start(NamedTuple):
 
 class Folds(NamedTuple):
     """A partition of the data. ``code`` (m,) is the part of each residual, -1 for one that
-    is never left out; ``on`` names the parts for the report; ``across_runs``: whether
-    the parts are whole runs."""
+    is never left out; ``on`` names the parts for the report."""
 
     code: np.ndarray
     on: str
-    across_runs: bool = False
 
     @property
     def number(self) -> int:

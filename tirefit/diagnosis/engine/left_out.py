@@ -1,15 +1,18 @@
 """Predict data left out by each set of effects: one linear step from the fit to all data. One
-partition serves naming, the ladder and the errors of amplitudes."""
+partition serves naming, the ladder and the errors of amplitudes.
 
-from collections.abc import Sequence
+Does one size fit all? A cause has the same size at every load, speed, slip and time; an
+effect that stands in for another one needs other sizes in other places."""
+
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import softmax
 
+from tirefit.diagnosis.engine import FLAT, NONZERO, ROUNDING, UNSEEN
 from tirefit.diagnosis.engine.discrepancy import SIZES
-from tirefit.diagnosis.engine.fit import Fit, Folds, Forward, Key
-from tirefit.diagnosis.negligible import FLAT, NONZERO
+from tirefit.diagnosis.engine.fit import Fit, Folds, Forward, Key, without
 
 _UNRESOLVED = 0.01
 """Energy of the smallest gap that is resolved, over the energy of the noise."""
@@ -26,16 +29,15 @@ close, and the noise floor."""
 class Predicted(NamedTuple):
     """Sets of effects fitted without each part, and their errors on it.
 
-    ``on`` and ``across_runs`` are those of :class:`Folds`. ``loss`` (F, S) is the mean
-    squared error of set s in part f, first channel, in its unit; ``whitened`` (F, S) the
-    sum of squares of all channels over the noise; ``rows`` (F,) the number of values of
-    the first channel; ``parameters`` (F, p) and ``amplitude`` (F, k) by set, the latter in
-    prior scales. ``smooth`` and ``smooth_whitened`` (F,) are the same of "anything smooth",
-    ``as_given`` (F,) the loss of a simulator whose parameters are not refitted.
+    ``on`` is that of :class:`Folds`. ``loss`` (F, S) is the mean squared error of set s in
+    part f, first channel, in its unit; ``whitened`` (F, S) the sum of squares of all
+    channels over the noise; ``rows`` (F,) the number of values of the first channel;
+    ``parameters`` (F, p) and ``amplitude`` (F, k) by set, the latter in prior scales.
+    ``smooth`` and ``smooth_whitened`` (F,) are the same of "anything smooth", ``as_given``
+    (F,) the loss of a simulator whose parameters are not refitted.
     """
 
     on: str
-    across_runs: bool
     effects: tuple[Key, ...]
     loss: np.ndarray
     whitened: np.ndarray
@@ -50,13 +52,12 @@ class Predicted(NamedTuple):
 class Gain(NamedTuple):
     """The gain of a set of effects over another on data left out: the difference of the sums of
     squares over the noise (all channels), and the share of the gap beyond the noise that it closes
-    (first channel), with standard errors over the ``parts`` that were left out."""
+    (first channel), with standard errors over the parts that were left out."""
 
     gain: float
     std: float
     closed: float
     closed_std: float
-    parts: int
 
 
 class Step(NamedTuple):
@@ -112,7 +113,6 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
     given = subject.given_residual
     return Predicted(
         folds.on,
-        folds.across_runs,
         tuple(fit.key for fit in sets),
         loss,
         whitened,
@@ -155,7 +155,7 @@ def gained(out: Predicted, new: int, old: int, floor: float) -> Gain:
     """
     parts = out.whitened[:, old] - out.whitened[:, new]
     closed, error = _closed(out.rows, out.loss[:, new], out.loss[:, old], floor)
-    return Gain(float(parts.sum()), _error(parts), closed, error, len(parts))
+    return Gain(float(parts.sum()), _error(parts), closed, error)
 
 
 def jackknife_error(values) -> np.ndarray | np.floating:
@@ -214,3 +214,107 @@ def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
     steps.append(step(SMOOTH, out.smooth, loss[now]))
     steps.append(step(NOISE, np.full(len(share), floor), loss[now]))
     return Ladder(out.on, tuple(steps))
+
+
+GROUPS = 4
+"""Number of groups of a covariate, of as many values each."""
+
+_KNOWN = 3.0
+"""A group whose size is known to worse than this many times the size itself says nothing."""
+
+
+class SizeByGroup(NamedTuple):
+    """The size of an effect in groups of one covariate, in ascending order of the covariate.
+
+    Attributes:
+        covariate: of the groups; ``at`` its median in each.
+        size: in the unit of the amplitude; ``std`` their standard errors.
+        spread: standard deviation of the sizes beyond that of their errors, over the size
+            that fits all: near zero for a cause, often a quarter and more for an effect that
+            stands in for another one.
+        explains: share of the mean square of the remainder that unequal sizes explain.
+    """
+
+    covariate: str
+    at: tuple[float, ...]
+    size: tuple[float, ...]
+    std: tuple[float, ...]
+    spread: float
+    explains: float = 0.0
+
+
+def grouped(values: np.ndarray) -> np.ndarray:
+    """Group (n,) of each value: its settings if there are few, else parts of equal number."""
+    settings = np.unique(values)
+    if len(settings) <= GROUPS:
+        return np.searchsorted(settings, values)
+    edges = np.unique(np.quantile(values, np.arange(1, GROUPS) / GROUPS))
+    return np.searchsorted(edges, values, side="right")
+
+
+def sizes_by_group(
+    fit: Fit, atom: int, groups: Mapping[str, np.ndarray], noise: float = 1.0, unit: float = 1.0
+) -> list[SizeByGroup]:
+    """The size of one effect of a fit in the groups of each covariate, most unequal first.
+
+    Args:
+        atom: number of the effect's atom in the fit.
+        groups: values (m,) of each covariate for the residuals.
+        noise: mean square of the remainder, at least one, that widens the errors.
+        unit: prior scale of the amplitude in its own unit.
+    """
+    found = [
+        one
+        for name, values in groups.items()
+        if (one := _sizes(fit, fit.atoms.index(atom), name, values, noise, unit)) is not None
+    ]
+    return sorted(found, key=lambda one: -one.spread)
+
+
+def _sizes(
+    fit: Fit, place: int, name: str, values: np.ndarray, noise: float, unit: float
+) -> SizeByGroup | None:
+    """:func:`sizes_by_group` for one covariate; None for a single group."""
+    code, own = grouped(values), len(fit.z) + place
+    whole, amplitude = fit.columns[:, own], float(fit.amplitude[place])
+    felt = np.bincount(code, whole**2) > UNSEEN * float(whole @ whole)
+    groups = np.flatnonzero(felt)
+    if len(groups) < 2:
+        return None
+    split = whole[:, None] * (code[:, None] == groups)
+    # Unequal sizes beside everything that is in the fit.
+    left, rest = fit.remainder(split), fit.remainder()
+    score = left.T @ rest
+    gained = score @ np.linalg.pinv(left.T @ left, hermitian=True, rcond=UNSEEN) @ score
+    # Each size, beside the others of the set.
+    others = np.concatenate(
+        [np.delete(fit.columns, own, axis=1), np.diag(np.delete(fit.pull, own))]
+    )
+    target = np.concatenate([fit.residual + whole * amplitude, np.zeros(len(fit.pull) - 1)])
+    split = np.concatenate([split, np.zeros((len(fit.pull) - 1, len(groups)))])
+    split = without(split, others)
+    inverse = np.linalg.inv(split.T @ split + ROUNDING * np.eye(len(groups)))
+    size = inverse @ (split.T @ target)
+    std = np.sqrt(np.maximum(np.diag(inverse), 0.0) * max(noise, 1.0))
+    return SizeByGroup(
+        name,
+        tuple(float(np.median(values[code == k])) for k in groups),
+        tuple((unit * size).tolist()),
+        tuple((abs(unit) * std).tolist()),
+        _spread(size, std, amplitude),
+        float(gained) / max(float(rest @ rest), NONZERO),
+    )
+
+
+def _spread(size: np.ndarray, std: np.ndarray, whole: float) -> float:
+    """Spread of sizes beyond their errors over the whole size; by the groups that know it."""
+    known = (std > 0) & (std < _KNOWN * max(abs(whole), NONZERO))
+    if known.sum() < 2:
+        return 0.0
+    weight = 1 / std[known] ** 2
+    mean = float(weight @ size[known]) / float(weight.sum())
+    # DerSimonian and Laird (1986): variance between groups beyond their errors.
+    square = float(weight @ (size[known] - mean) ** 2)
+    scale = weight.sum() - np.sum(weight**2) / weight.sum()
+    between = max(square - (known.sum() - 1), 0.0) / max(float(scale), NONZERO)
+    return float(np.sqrt(between)) / max(abs(whole), NONZERO)

@@ -8,7 +8,7 @@ import numpy as np
 from tirefit.data.findings import point_confirmed
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.state import Covariates
-from tirefit.diagnosis.negligible import FLAT, ROUNDING
+from tirefit.diagnosis.engine import FLAT, ROUNDING
 from tirefit.diagnosis.rows.rig import STANDS
 from tirefit.diagnosis.rows.slips import Sweeps, segments, shown_runs, slip_rate
 from tirefit.slip import GRAVITY
@@ -36,7 +36,6 @@ class Sizes(NamedTuple):
     lever: float = 1.0  # changes the slip by ``slip`` at the usual yaw rate over v [m]
     inertia: float = 1.0  # of the carried mass at the rolling radius [kg m^2]
     swing: float = 1.0  # changes the force by the load at the usual r' [kg m]
-    wheel: float = 0.0  # radius of the wheel [m], 0 where unknown
 
 
 def _largest(values) -> float:
@@ -116,15 +115,6 @@ def derived_from(data: TireData, channel: str) -> Derived | None:
     best = min(found, key=lambda one: one[0])
     # A measured force does not agree with accelerometers to a thousandth.
     return best[1] if best[0] < 1e-3 else None
-
-
-def wheel_radius(data: TireData, derived: Derived | None) -> float:
-    """Radius of the wheel [m]: stated, else 0.15 of the wheelbase (cars 0.11, some model
-    cars 0.19); zero if neither is known."""
-    stated = data.source.constants
-    if "wheel_radius" in stated:
-        return stated["wheel_radius"]
-    return 0.15 * wheelbase(data, derived) if derived else 0.0
 
 
 def wheelbase(data: TireData, derived: Derived) -> float:

@@ -1,5 +1,6 @@
 """The unlisted effect of rows of forces: a parameter of the tire, its slip or its force as a
-function of one covariate."""
+function of one covariate; and the smooth functions and waves that represent any gap while
+the noise is estimated."""
 
 from typing import TYPE_CHECKING
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from tirefit.data.levels import Levels, levels
 from tirefit.diagnosis.effects.state import State
+from tirefit.diagnosis.engine import FLAT, ROUNDING, UNSEEN
 from tirefit.diagnosis.engine.discrepancy import Cell, Discrepancy, Wave, places_of
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.slips import segments
@@ -137,3 +139,130 @@ def _clock(values: np.ndarray) -> tuple[np.ndarray, float]:
     step = float(np.median(np.diff(moments))) if len(moments) > 1 else 1.0
     places = np.rint((values - moments[0]) / step).astype(int)
     return (places if places.max() < _FINER * len(values) else np.full(len(values), -1)), step
+
+
+WAVES, ROWS_OF_A_WAVE = 96, 5
+"""Largest number of waves in a record, and smallest number of rows of a wave."""
+
+_BUMPS = (4, 8)  # smallest and largest number of functions of the slip for each sign
+_LEVELS = 4  # largest number of settings of a covariate with a coefficient each
+
+
+def bumps(values, count: int) -> np.ndarray:
+    """Radial functions over the range of the values: (n, count)."""
+    centers = np.linspace(values.min(), values.max(), count)
+    width = max((centers[1] - centers[0]), FLAT)
+    return np.exp(-0.5 * ((values[:, None] - centers) / width) ** 2)
+
+
+def _by_side(slip_fraction, factors, scale, most: int) -> np.ndarray:
+    """Bumps over the size of the slip times each factor (n,), separately by sign if each
+    sign has a twentieth of the rows: about ``most`` whitened columns."""
+    inside = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
+    sides = [inside >= 0, inside < 0]
+    if min(np.mean(side) for side in sides) <= 0.05:
+        sides = [np.ones(len(inside), bool)]
+    count = int(np.clip(most // (len(sides) * len(factors)), *_BUMPS))
+    shapes = bumps(np.abs(inside), count)
+    chosen = factors[: max(most // (len(sides) * count), 1)]
+    columns = [shapes * (side * one)[:, None] for one in chosen for side in sides]
+    return _scaled(np.concatenate(columns, axis=1), scale)
+
+
+def _standard(values):
+    spread = np.std(values)
+    return (values - values.mean()) / spread if spread > UNSEEN else None
+
+
+def _modulations(prepared) -> list[np.ndarray]:
+    """Factors of the bumps in the order of importance: (n,) each."""
+    rows = prepared.covariates
+    first, second = [np.ones(prepared.n)], []
+    plain = (rows.v, rows.time, rows.temperature, rows.gamma, rows.other)
+    for values in (np.log(rows.fz), *plain):
+        if (unit := _standard(values)) is not None:
+            first.append(unit)
+            if not levels(values).few(_LEVELS - 1):
+                second.append(unit**2 - 1)
+    if "sweeps" in prepared.has:
+        first.append(rows.turning)
+        if (speed := _standard(rows.v)) is not None:
+            first.append(rows.turning * speed)
+    return first + second
+
+
+def _scaled(columns, scale):
+    """Whitened unit columns, reduced to a basis with the same covariance."""
+    basis = columns * scale[:, None]
+    size = np.linalg.norm(basis, axis=0)
+    basis = basis[:, size > FLAT] / size[size > FLAT]
+    if not basis.shape[1]:
+        return basis
+    values, vectors = np.linalg.eigh(basis.T @ basis)
+    return basis @ vectors[:, values > UNSEEN * values.max()]
+
+
+def smooth_basis(prepared, slip_fraction, scale, most: int, runs: bool = False) -> np.ndarray:
+    """Smooth functions of slip, times load, speed, time and direction (n, b).
+
+    Args:
+        slip_fraction: signed slip over that of full sliding, (n,).
+        scale: (n,) typical force over the noise of each row.
+        most: approximate number of columns.
+        runs: whether each run has functions of its own too.
+    """
+    factors = _modulations(prepared)
+    if runs and "runs" in prepared.has:
+        own = [_standard(prepared.run == k) for k in np.unique(prepared.run)[1:]]
+        factors[1:1] = [unit for unit in own[:_LEVELS] if unit is not None]
+    return _by_side(slip_fraction, factors, scale, most)
+
+
+def wave_basis(prepared, scale) -> np.ndarray:
+    """Sine and cosine of slip and of time, side by side: (n, 2 x waves)."""
+    slip = prepared.slip
+    span = max(np.ptp(slip), FLAT)
+    most = int(np.clip(prepared.n // ROWS_OF_A_WAVE, 2 * _BUMPS[0], WAVES))
+    most_over_slip = min(most // 2, WAVES // 4)
+    waves = [turns((slip - slip.min()) / span, np.arange(1.0, most_over_slip + 1))]
+    if "time" in prepared.has:
+        # With half waves: between two whole numbers of waves a third of the energy is lost.
+        counts = np.arange(1, most + 0.1, 0.5)
+        waves.append(turns(prepared.covariates.time, counts))
+    columns = np.concatenate(waves, axis=1) * scale[:, None]
+    size = np.sqrt(np.einsum("nk,nk->k", columns, columns))
+    return columns / np.maximum(size, ROUNDING)
+
+
+def turns(share, counts) -> np.ndarray:
+    """Sine and cosine, in turn, of evenly spaced numbers of turns (k,): (n, 2 k)."""
+    # One product for each instead of a sine and a cosine: i exp(-i x) = sin + i cos.
+    step = counts[1] - counts[0] if len(counts) > 1 else 0.0
+    parts = np.empty((len(share), len(counts)), complex)
+    parts[:, :1] = 1j * np.exp(-2j * np.pi * counts[:1] * share[:, None])
+    parts[:, 1:] = np.exp(-2j * np.pi * step * share)[:, None]
+    return np.cumprod(parts, axis=1).view(float)
+
+
+def _in_pairs(gram, score, ridge):
+    """chi-squared and determinant of each wave, from the products ``gram`` (K, 3) of
+    :func:`_pairs` and ``score`` (K, 2) with the residual; ``ridge`` adds to squares."""
+    a, b, c = gram[:, 0] + ridge, gram[:, 1], gram[:, 2] + ridge
+    sine, cosine = score.T
+    size = a * c - b * b
+    return (c * sine**2 - 2 * b * sine * cosine + a * cosine**2) / size, size
+
+
+def _pairs(columns) -> np.ndarray:
+    """Products sine-sine, sine-cosine, cosine-cosine of waves (m, 2 K): (K, 3)."""
+    sine, cosine = columns[:, ::2], columns[:, 1::2]
+    each = ((sine, sine), (sine, cosine), (cosine, cosine))
+    return np.stack([np.einsum("mk,mk->k", *pair) for pair in each], axis=1)
+
+
+def waves_within(waves, against, residual):
+    """chi-squared (K,), two degrees of freedom each, of every wave."""
+    unit, _ = np.linalg.qr(against)
+    rest = residual - unit @ (unit.T @ residual)
+    gram, score = _pairs(waves) - _pairs(unit.T @ waves), waves.T @ rest
+    return _in_pairs(gram, score.reshape(-1, 2), FLAT)[0]

@@ -11,8 +11,8 @@ import numpy as np
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.diagnosis.effects import atoms_of
 from tirefit.diagnosis.effects.state import Covariates
+from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.search import MOST_EFFECTS
-from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.forces import Design, Tire
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import unfit

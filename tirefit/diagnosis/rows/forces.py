@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.diagnosis.effects import Effect, atoms_of
+from tirefit.diagnosis.effects.record import States
 from tirefit.diagnosis.effects.state import (
     Covariates,
     State,
@@ -21,7 +22,6 @@ from tirefit.diagnosis.effects.state import (
     slope_at_rest,
     with_offsets,
 )
-from tirefit.diagnosis.effects.states import States
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.fitting.layout import Layout
 from tirefit.models import AbstractTire, TireInputs

@@ -13,9 +13,9 @@ from scipy.ndimage import convolve1d, median_filter
 from scipy.optimize import nnls
 from scipy.special import chdtr, chdtrc
 
-from tirefit.diagnosis.negligible import NONZERO, ROUNDING, SILENT, UNSEEN
-from tirefit.diagnosis.rows.basis import waves_within
+from tirefit.diagnosis.engine import NONZERO, ROUNDING, SILENT, UNSEEN
 from tirefit.diagnosis.rows.covariates import LOADS
+from tirefit.diagnosis.rows.discrepancy import waves_within
 from tirefit.fitting.noise import MAD, autocorrelation_time
 
 
@@ -164,12 +164,10 @@ _TOGETHER = 1.94
 
 
 class NoiseLevel(NamedTuple):
-    """Noise of one force: standard deviation (n,), possible correlations, rows per
-    independent row, excluded rows (n,) bool, flags, source of the level, and ratio to
-    the stated noise (1 without one)."""
+    """Noise of one force: standard deviation (n,), rows per independent row, excluded rows
+    (n,) bool, flags, source of the level, and ratio to the stated noise (1 without one)."""
 
     std: np.ndarray
-    memory: tuple[Memory, ...]
     inflation: float
     outlier: np.ndarray
     flags: tuple[str, ...]
@@ -251,7 +249,7 @@ def judge_noise(
         inflation = max(min(inflation, len(rest) / _FACTS), left)
     # At small forces, noise that grows with the force is that of the sensor.
     ratio = float(np.quantile(std / np.sqrt(base**2 + spread), 0.1)) if stated else 1.0
-    return NoiseLevel(std, memory, inflation, ~keep, tuple(flags), source, ratio)
+    return NoiseLevel(std, inflation, ~keep, tuple(flags), source, ratio)
 
 
 def _overruled(white, smooth: "_Smooth", size: float, groups, in_time):

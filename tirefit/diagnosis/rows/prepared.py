@@ -166,7 +166,7 @@ def prepare(data: TireData, rig: Rig, model, shown: float | None = None) -> Prep
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
         rig.run_order == "random", np.arange(data.n),
         check_slip(data, rig.rolling_radius),
-        sizes._replace(wheel=radius or table.wheel_radius(data, derived)), derived, shown,
+        sizes, derived, shown,
         sweeps.noise,
     )  # fmt: skip
 

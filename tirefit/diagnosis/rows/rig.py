@@ -4,14 +4,14 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, create_model
 
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_from_speeds
-from tirefit.diagnosis.negligible import UNSEEN
+from tirefit.diagnosis.engine import UNSEEN
 from tirefit.door import read_toml
 from tirefit.results import DataError, UsageError
 from tirefit.settings import Section, parse_settings
@@ -26,23 +26,14 @@ _Time = Annotated[float | None, Field(ge=1e-9, le=1e2)]  # s
 _Inertia = Annotated[float | None, Field(ge=1e-9, le=1e6)]  # kg m2
 
 
-class _Noise(Section):
-    fx: _Force = None
-    fy: _Force = None
-    mz: _Force = None
-    force: _Force = None
-    fx_relative: _Share = None
-    fy_relative: _Share = None
-    mz_relative: _Share = None
-    force_relative: _Share = None
-    sigma_x: _Slip = None
-    kappa: _Slip = None
-    slip: _Slip = None
-    alpha: _Slip = None
-    sigma_x_speed: _Speed = None
-    kappa_speed: _Speed = None
-    slip_speed: _Speed = None
-    alpha_speed: _Speed = None
+_NOISE = {
+    _Force: ("fx", "fy", "mz", "force"),
+    _Share: ("fx_relative", "fy_relative", "mz_relative", "force_relative"),
+    _Slip: ("sigma_x", "kappa", "slip", "alpha"),
+    _Speed: ("sigma_x_speed", "kappa_speed", "slip_speed", "alpha_speed"),
+}
+_KEYS: dict[str, Any] = {key: (kind, None) for kind, keys in _NOISE.items() for key in keys}
+_Noise = create_model("_Noise", __base__=Section, **_KEYS)
 
 
 class _Vehicle(Section):
@@ -57,7 +48,7 @@ _TABLES: dict[str, type[Section]] = {"noise": _Noise, "vehicle": _Vehicle}
 class _RigFile(Section):
     rolling_radius: _Length = None
     wheel_inertia: _Inertia = None
-    noise: _Noise = _Noise()
+    noise: _Noise = _Noise()  # type: ignore[valid-type]
     vehicle: _Vehicle = _Vehicle()
     run_order: Literal["random", "sequential"] | None = None
 

@@ -1,5 +1,5 @@
 """Differences between the runs of a file: offsets of slip and force, factors on friction and
-stiffness."""
+stiffness; and the parts of a file that are left out in turn."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -7,10 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from tirefit.diagnosis.effects.per_run import OFFSETS, RELATIVE
-from tirefit.diagnosis.engine.fit import without
-from tirefit.diagnosis.negligible import NONZERO, UNSEEN
+from tirefit.data.levels import levels
+from tirefit.diagnosis.effects.measurement import RELATIVE, RUN_OFFSETS
+from tirefit.diagnosis.engine import NONZERO, UNSEEN
+from tirefit.diagnosis.engine.fit import Folds, without
 from tirefit.diagnosis.rows.discrepancy import PLACE
+from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.slips import shown_runs
 from tirefit.padding import pad_rows
 
@@ -86,7 +88,7 @@ def _estimates(base, kind: str, hypothesis=None):
         (codes, values (R,), covariance (R, R)) in the units of the field; None with
         fewer than two long runs, or without any slope.
     """
-    rows, offset = base.rows, OFFSETS[kind]
+    rows, offset = base.rows, RUN_OFFSETS[kind]
     codes = shown_runs(rows.run, rows.data.runs)
     if len(codes) < 2:
         return None
@@ -128,7 +130,7 @@ def _estimates(base, kind: str, hypothesis=None):
 def offsets_of_runs(base, hypothesis) -> dict[str, RunOffsets]:
     """Differences of the runs in addition to a hypothesis, by kind; empty for one run."""
     offsets = {}
-    for kind, offset in OFFSETS.items():
+    for kind, offset in RUN_OFFSETS.items():
         if (seen := _estimates(base, kind, hypothesis)) is not None:
             law = shrunk(*seen[1:])
             names = [base.rows.data.runs[code] for code in seen[0]]
@@ -156,6 +158,54 @@ def with_runs(base):
         return base
     size, rows = len(base.design.keep), base.design.rows
     differences = {
-        offset.pattern: pad_rows(_pattern(base, kind), size) for kind, offset in OFFSETS.items()
+        offset.pattern: pad_rows(_pattern(base, kind), size) for kind, offset in RUN_OFFSETS.items()
     }
     return base.on(base.design._replace(rows=rows._replace(**differences)))
+
+
+LEAST_RUNS = 4
+"""Smallest number of runs for leaving out whole runs: three measured circles, two to one
+side, do not show a slip offset that four logs show at 14 standard errors."""
+
+_BLOCKS, _LEAST_ROWS = 8, 12
+"""Largest number of blocks of time or parts of the slip; smallest number of rows of a fold."""
+
+
+def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> Folds:
+    """The partition of the used rows: whole runs if there are four or more, else blocks of
+    time, else settings and parts of the slip.
+
+    Args:
+        rows_each: rows per independent row of the noise; a block of time holds several
+            times as many.
+        across_runs: whether runs may be left out; an effect that belongs to one run
+            cannot be predicted from the others.
+    """
+    runs = shown_runs(prepared.run, prepared.data.runs)
+    if across_runs and len(runs) >= LEAST_RUNS:
+        code = np.full(prepared.n, -1)
+        for number, run in enumerate(runs):
+            code[prepared.run == run] = number
+        return Folds(code, f"{len(runs)} runs left out in turn")
+    most = int(prepared.n // max(_LEAST_ROWS, 4 * rows_each))
+    count = max(min(_BLOCKS, most), 2)
+    if prepared.time is not None and np.ptp(prepared.time) and not prepared.random_order:
+        # Order runs by name, as their codes follow the order of the rows.
+        place = np.argsort(np.argsort(prepared.data.runs))
+        code = _in_parts(np.lexsort((prepared.time, place[prepared.run])), count)
+        return Folds(code, f"{count} blocks of time left out in turn")
+    settings = [levels(prepared.inputs.fz), levels(prepared.covariates.v)]
+    each = [found.code for found in settings if found.few()]
+    if each:
+        _, code, sizes = np.unique(each, axis=1, return_inverse=True, return_counts=True)
+        if len(sizes) > 2 and sizes.min() >= _LEAST_ROWS:
+            on = f"{len(sizes)} settings of load and speed left out in turn"
+            return Folds(code, on)
+    parts = _in_parts(np.argsort(prepared.slip, kind="stable"), 2 * count) % count
+    return Folds(parts, f"{count} parts of the slip range left out in turn")
+
+
+def _in_parts(order: np.ndarray, count: int) -> np.ndarray:
+    code = np.empty(len(order), int)
+    code[order] = np.arange(len(order)) * count // len(order)
+    return code

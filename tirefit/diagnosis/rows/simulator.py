@@ -17,7 +17,7 @@ from tirefit.data.table import CANONICAL, SIMULATED, TireData
 from tirefit.data.tir import read_tir
 from tirefit.data.tire_file import tire_kind
 from tirefit.data.units import sign_of
-from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.rows.forces import Tire
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import unfit

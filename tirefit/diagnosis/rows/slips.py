@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import comb, softmax
 
-from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
+from tirefit.diagnosis.engine import FLAT, NONZERO, ROUNDING
 from tirefit.diagnosis.rows.rig import LEAST_ROWS
 from tirefit.fitting.noise import MAD
 from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution

@@ -9,13 +9,11 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from tirefit.diagnosis.effects import Atom, atoms_of
+from tirefit.diagnosis.engine import FLAT
 from tirefit.diagnosis.engine.discrepancy import Discrepancy
-from tirefit.diagnosis.engine.fit import Fit as EngineFit
-from tirefit.diagnosis.engine.fit import Folds, Key, Priors, Start, fitted
-from tirefit.diagnosis.negligible import FLAT
+from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
 from tirefit.diagnosis.rows import fits
-from tirefit.diagnosis.rows.basis import smooth_basis, wave_basis
-from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of
+from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, smooth_basis, wave_basis
 from tirefit.diagnosis.rows.forces import Design, Linear, Tire, with_force
 from tirefit.diagnosis.rows.noise import (
     NoiseLevel,
@@ -25,7 +23,6 @@ from tirefit.diagnosis.rows.noise import (
     noise_in_motion,
     slip_scatter,
 )
-from tirefit.diagnosis.rows.parts import folds_of
 from tirefit.diagnosis.rows.prepared import (
     NOT_STATED,
     SCATTER,
@@ -35,7 +32,7 @@ from tirefit.diagnosis.rows.prepared import (
     order_of,
     slip_of,
 )
-from tirefit.diagnosis.rows.runs import with_runs
+from tirefit.diagnosis.rows.runs import folds_of, with_runs
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, Simulated, check_signs
 from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
@@ -45,10 +42,13 @@ _SMALL = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
-    """A tire fitted to rows without effects: parameters z, the first ``guess`` of them,
-    and the slip over that of full sliding (n,). With a ``simulator``, the fit adapts
-    its parameters to the data."""
+class Base:
+    """The subject "rows": a tire fitted to rows without effects, with the estimated noise, by
+    channel. Parameters z, the first ``guess`` of them, and the slip over that of full sliding
+    (n,). With a ``simulator``, the fit adapts its parameters to the data. Whitened values are
+    over the used rows of all channels, (m, ...). ``linear`` caches the last linearised fits,
+    by (z, amplitudes).
+    """
 
     rows: Prepared
     tire: Tire
@@ -57,16 +57,7 @@ class Fit:
     guess: np.ndarray
     slip_fraction: np.ndarray
     simulator: Simulated | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Base(Fit):
-    """The subject "rows": the base fit of a diagnosis with the estimated noise, by channel.
-    Whitened values are over the used rows of all channels, (m, ...). ``linear`` caches the
-    last linearised fits, by (z, amplitudes).
-    """
-
-    noise: Mapping[str, NoiseLevel]
+    noise: Mapping[str, NoiseLevel] = field(default_factory=dict)
     testable: tuple[int, ...] = ()
     linear: dict[tuple[bytes, ...], Linear] = field(default_factory=dict, init=False)
 
@@ -75,24 +66,11 @@ class Base(Fit):
         """Parameters z that define the gap: those of the simulator, else of the fit."""
         return self.z if self.simulator is None else self.simulator.z
 
-    @property
-    def prepared(self) -> Prepared:
-        return self.rows
-
-    @property
-    def layout(self):
-        return self.tire.layout
-
     def off_bounds(self, z) -> np.ndarray:
         """Parameters z, with the first guess for those at a bound, where the slope is
         zero and a refit could not leave the bound."""
         on_bound = np.abs(z) > 6.0  # 0.25 % of the interval
         return np.where(on_bound, self.guess, z)
-
-    @property
-    def slip_noise(self) -> float:
-        """Typical standard deviation of the slip."""
-        return float(np.median(self.rows.slip_std))
 
     @cached_property
     def atoms(self) -> tuple[Atom, ...]:
@@ -133,8 +111,8 @@ class Base(Fit):
         rows, n, blocks = self.rows, self.rows.n, []
         if self.simulator is None or self.simulator.given.tire is not None:
             return np.zeros((len(rows.channels) * n, 0))
-        given = self.layout.vector(self.simulator.z)
-        changed = np.abs(self.layout.vector(self.z) / np.where(given, given, 1.0) - 1)
+        given = self.tire.layout.vector(self.simulator.z)
+        changed = np.abs(self.tire.layout.vector(self.z) / np.where(given, given, 1.0) - 1)
         around, most = neighbours(rows), min(float(np.max(changed)), 1.0)
         for channel in rows.channels:
             missed = np.asarray(self.design.offset[channel])[:n]
@@ -173,10 +151,6 @@ class Base(Fit):
             self.linear[key] = self.tire.linearised(*given)
         return self.linear[key]
 
-    def refitted(self, starts, sets, design: Design) -> fits.Refit:
-        """Sets of atoms refitted on another design, by :func:`fits.refit`."""
-        return fits.refit(self.tire, starts, sets, design)
-
     # --- what the engine asks of its subject, see engine.fit.Forward -----------------
 
     is_covered: ClassVar[bool] = False  # a part may be a stretch of slip or time
@@ -212,21 +186,17 @@ class Base(Fit):
         return np.concatenate([own, np.zeros(n * (len(self.rows.channels) - 1))])
 
     @cached_property
-    def _smooth_columns(self) -> Discrepancy:
+    def plain_discrepancy(self) -> Discrepancy:
+        """The unlisted effect, without regard to the slip uncertainty."""
         return discrepancy_of(self)
 
     @cached_property
     def discrepancy(self) -> Discrepancy:
         """The unlisted effect, with the slip uncertainty projected out."""
-        plain = self._smooth_columns
+        plain = self.plain_discrepancy
         return replace(plain, columns=self.sure(plain.columns))
 
-    @property
-    def smooth(self) -> np.ndarray:
-        """Whitened forces (m, q) of the smooth functions."""
-        return self._smooth_columns.additive
-
-    def columns_at(self, fit: EngineFit) -> np.ndarray:
+    def columns_at(self, fit: Fit) -> np.ndarray:
         """Whitened slopes (m, p + k) of the forces at a fit."""
         linear = self.linearised(fit.z, self.amplitudes(fit.atoms, fit.amplitude))
         return np.concatenate([linear.jacobian, linear.columns[:, list(fit.atoms)]], axis=1)
@@ -257,7 +227,7 @@ class Base(Fit):
         folds = folds_of(self.rows, self.inflation, not own & {*effects})
         return folds._replace(code=np.tile(folds.code, len(self.rows.channels)))
 
-    def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[EngineFit]:
+    def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[Fit]:
         """Sets of atoms fitted from these starts, see :class:`engine.fit.Forward`."""
         begin = [(self.off_bounds(s.z) if a else s.z, s.amplitude)
                  for s, a in zip(starts, sets, strict=True)]  # fmt: skip
@@ -285,7 +255,7 @@ class Base(Fit):
             )
         return made
 
-    def tangents(self, fit: EngineFit) -> np.ndarray:
+    def tangents(self, fit: Fit) -> np.ndarray:
         """Whitened slopes (m, K) by the amplitudes of all atoms at a fit."""
         amplitudes = self.amplitudes(fit.atoms, fit.amplitude)
         return self.sure(self.linearised(fit.z, amplitudes).columns)
@@ -304,12 +274,6 @@ class Base(Fit):
         each = self.forces(z, amplitudes).items()
         parts = [keep[:n] * (self.rows.observed[c] - f) / scale[c][:n] for c, f in each]
         return np.concatenate(parts)
-
-    def forces_each(self, fits) -> np.ndarray:
-        """Mean forces (h, C, n) of every used row of each of some (z, amplitudes), the
-        channels in the order of their names."""
-        found = self.tire.forces(fits, self.design)
-        return np.array([mean[:, : self.rows.n] for mean, _ in found])
 
     def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
         """Mean force of every used row, by channel."""
@@ -343,7 +307,7 @@ def fit_base(
         doubt = check_signs(prepared, tire, z, given)
         simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
         z = fits.refit(tire, [(z, ())], [()], design).z[0]
-    fit = Fit(
+    fit = Base(
         rows=prepared,
         tire=tire,
         design=design,
@@ -391,7 +355,7 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float | Non
     return max(found, moving) if sweeps else found or None
 
 
-def _under(noise: Mapping[str, NoiseLevel], fit: Fit) -> Base:
+def _under(noise: Mapping[str, NoiseLevel], fit: Base) -> Base:
     """The base refitted with this noise."""
     size, n, levels = len(fit.design.keep), fit.rows.n, noise.values()
     wide = np.sqrt(max(level.inflation for level in levels))
@@ -399,16 +363,8 @@ def _under(noise: Mapping[str, NoiseLevel], fit: Fit) -> Base:
     keep = (np.arange(size) < n).astype(float)
     keep[:n] = ~np.any([level.outlier for level in levels], axis=0)
     design = fit.design._replace(scale=scale, keep=keep)
-    return Base(
-        rows=fit.rows,
-        tire=fit.tire,
-        design=design,
-        z=fits.refit(fit.tire, [(fit.z, ())], [()], design).z[0],
-        guess=fit.guess,
-        slip_fraction=fit.slip_fraction,
-        simulator=fit.simulator,
-        noise=noise,
-    )
+    z = fits.refit(fit.tire, [(fit.z, ())], [()], design).z[0]
+    return replace(fit, design=design, z=z, noise=noise, testable=())
 
 
 def with_noise_judged(base: Base, rig, z, amplitudes) -> Base:
@@ -436,7 +392,7 @@ def _slip_fraction(prepared: Prepared, tire: Tire, z, design):
     return side * size / (1.5 * float(mu) * prepared.inputs.fz / stiffness)
 
 
-def _noise(fit: Fit, rig, amplitudes=(), outliers=False) -> dict[str, NoiseLevel]:
+def _noise(fit: Base, rig, amplitudes=(), outliers=False) -> dict[str, NoiseLevel]:
     """Noise of each channel, estimated from the remainder of a fit."""
     rows, fz = fit.rows, fit.rows.inputs.fz
     mean, spread = fit.tire.moments(fit.z, fit.design, rows.n, amplitudes)

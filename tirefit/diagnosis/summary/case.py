@@ -3,21 +3,27 @@ the base, with the named effects, and the located gap."""
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.diagnosis.effects import NOISE_EFFECTS
+from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.decide import POLICY, Status, Verdict
 from tirefit.diagnosis.engine.discrepancy import Beside
 from tirefit.diagnosis.engine.fit import Fit, Key, without
 from tirefit.diagnosis.engine.left_out import Predicted
-from tirefit.diagnosis.engine.posterior import Weighed
-from tirefit.diagnosis.engine.search import Search, parts_of
-from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.engine.search import Search, Weighed, parts_of
 from tirefit.diagnosis.rows.noise import correlation
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.subject import Base, on_rows
-from tirefit.diagnosis.summary.records import Untestable
+
+
+class Untestable(NamedTuple):
+    """An effect that these data cannot show, and the data that it needs."""
+
+    effect: str
+    needs: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -81,7 +87,7 @@ def _both(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
     base, fit = case.base, case.chosen
     before = at.forces(base.as_given, base.amplitudes())
     after = at.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude))
-    channels = base.prepared.channels
+    channels = base.rows.channels
     forces = {c: {"base": before[c], "extended": after[c]} for c in channels}
     if base.simulator:
         tuned = at.forces(base.z, base.amplitudes())
@@ -97,7 +103,7 @@ def rows_of(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
         at: the base fit at the slips that the forces are wanted for.
     """
     smooth, deviation = _smoothed_remainder(case)
-    forces, n = _both(case, at), case.base.prepared.n
+    forces, n = _both(case, at), case.base.rows.n
     for k, (channel, parts) in enumerate(forces.items()):
         scale = np.asarray(case.base.design.scale[channel])[:n]
         part = slice(k * n, (k + 1) * n)
@@ -130,14 +136,14 @@ def beside(base: Base, fit: Fit) -> np.ndarray:
     """Whitened forces (m, q) of the smooth functions, less the part that the parameters and
     amplitudes of a fit take over."""
     taken = fit.covariance @ (fit.columns.T @ base.discrepancy.additive)
-    return base.smooth - base.columns_at(fit) @ taken
+    return base.plain_discrepancy.additive - base.columns_at(fit) @ taken
 
 
 def all_rows(case: Case, whole: Prepared, rig, rows):
     """The rows of the whole file, NaN where masked: {channel: {name: (n,)}}; between
     thinned rows the located gap is interpolated in their order."""
-    data, kept, every = whole.data, case.base.prepared.kept, np.arange(whole.n)
-    if case.base.prepared.n < whole.n:
+    data, kept, every = whole.data, case.base.rows.kept, np.arange(whole.n)
+    if case.base.rows.n < whole.n:
         forces = _both(case, on_rows(case.base, whole, rig).measured)
         for channel, parts in forces.items():
             few = rows[channel]

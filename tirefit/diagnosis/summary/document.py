@@ -5,56 +5,56 @@ from dataclasses import replace
 
 import numpy as np
 
+from tirefit.diagnosis.engine import NONZERO, ROUNDING
 from tirefit.diagnosis.engine.decide import Status, calibration, floor_of
 from tirefit.diagnosis.engine.fit import Fit
-from tirefit.diagnosis.engine.left_out import jackknife_error, ladder_of
-from tirefit.diagnosis.engine.sizes import sizes_by_group
-from tirefit.diagnosis.extended import Extension, extension_of
-from tirefit.diagnosis.negligible import NONZERO, ROUNDING, UNSEEN
+from tirefit.diagnosis.engine.left_out import (
+    SizeByGroup,
+    jackknife_error,
+    ladder_of,
+    sizes_by_group,
+)
+from tirefit.diagnosis.extended import extension_of
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.runs import offsets_of_runs
 from tirefit.diagnosis.rows.subject import Base
-from tirefit.diagnosis.summary.budget import (
+from tirefit.diagnosis.summary.case import Case, all_rows, rows_of
+from tirefit.diagnosis.summary.closure import (
     budgets_of,
-    closed_by_each,
+    closure_on_rows,
+    held_out,
     parameter_changes,
+    plausible_forces,
     simulator_summary,
 )
-from tirefit.diagnosis.summary.case import Case, all_rows, rows_of
-from tirefit.diagnosis.summary.closure import closure_on_rows, held_out, plausible_forces
 from tirefit.diagnosis.summary.forecast import confusion, next_measurements
-from tirefit.diagnosis.summary.records import (
+from tirefit.diagnosis.summary.result import (
     Amplitude,
     Candidate,
+    Diagnosis,
     Gap,
     Left,
     NoiseSummary,
-    Resolution,
     Shrinkage,
-    SizeByGroup,
     VerdictSummary,
 )
-from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.diagnosis.summary.views import (
     LookCurve,
     compared,
+    data_summary,
     look_curves,
+    regions,
     residual_map,
     shown_rows,
 )
-from tirefit.diagnosis.summary.where import data_summary, parameter_map, regions, spots
 from tirefit.fitting.noise import effective_inflation
 
 _LISTED, _MENTIONED = 10, 1e-3
 """Largest number of candidates; smallest probability of the unknown to be one."""
 
-_SEEN = 3.3
-"""Standard errors of an amplitude that is detected four times in five: 0.84 above 2.46,
-which noise exceeds once in 72 files."""
-
 _SEEN_ENERGY = 2.5
-"""The same for the energy of a generic remainder, in standard deviations of that of
-noise: 0.84 above 1.65, which noise exceeds once in 20 files."""
+"""Energy of a generic remainder that is detected four times in five, in standard deviations of
+that of noise: 0.84 above 1.65, which noise exceeds once in 20 files."""
 
 _DIRECTIONS = 40
 """Largest number of smooth directions with noise; a force over slip has fewer."""
@@ -66,12 +66,12 @@ def document_of(
     """The document of the verdict on the rows of ``case``, for all rows of ``whole``.
 
     Args:
-        settings: :class:`~tirefit.diagnosis.summary.records.Settings`.
+        settings: :class:`~tirefit.diagnosis.summary.result.Settings`.
         library: effects that were looked for.
         holdout: tables that the search did not use.
     """
     data, base, rig = whole.data, case.base, settings.rig
-    prepared = base.prepared
+    prepared = base.rows
     rows = rows_of(case, base.measured)
     # Random numbers are drawn in this order: true forces, held-out data, budget.
     believed, main = rows_of(case, base), prepared.channels[0]
@@ -79,9 +79,7 @@ def document_of(
     ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base, case.predicted))
     held, ladder = held_out(case, holdout, rig, ladder, generator)
     verdict, gaps = case.verdict, _gaps(case, rows, truth)
-    candidates = _candidates(case, rows[main]["base"], truth[main])
-    shares = closed_by_each(base, case.chosen) if verdict.key else {}
-    gap = Gap(**vars(gaps[main]), channels=gaps, holdout=held, shares=shares)
+    gap = Gap(**vars(gaps[main]), channels=gaps, holdout=held)
     budgets, curves = budgets_of(case, believed, generator), look_curves(case)
     message = _verdict(case, curves, gap)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
@@ -100,11 +98,9 @@ def document_of(
         budget=budgets[main],
         budgets=budgets,
         where=tuple(regions(base, missed, shown.gap)),
-        spots=spots(base, missed, shown.gap),
-        map=tuple(parameter_map(base, case.search.null)),
         verdict=message,
         ladder=ladder,
-        candidates=candidates,
+        candidates=_candidates(case),
         untestable=tuple(case.untestable),
         resolution=_resolution(case),
         forecast=tuple(confusion(case.search)),
@@ -114,7 +110,7 @@ def document_of(
         runs=offsets_of_runs(base, case.chosen),
         base_parameters=_base_parameters(base, base.as_given),
         extended_parameters=_base_parameters(base, case.chosen.z),
-        extension=_extension(case),
+        extension=extension_of(base, case.chosen),
         settings=settings,
         seed=seed,
         version=importlib.metadata.version("tirefit"),
@@ -125,7 +121,7 @@ def document_of(
         comparison=compared(shown, bool(verdict.key) or tuned_alone),
         look=next(iter(curves), None),
         library=library,
-        meanings={p.name: p.spec.meaning for p in base.layout.free},
+        meanings={p.name: p.spec.meaning for p in base.tire.layout.free},
     )
 
 
@@ -141,7 +137,7 @@ def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
     for channel, parts in rows.items():
         noise, after = base.noise[channel], parts["extended"]
         found = closure_on_rows(
-            truth[channel], parts["base"], after, noise.std**2, base.prepared.run, noise.inflation
+            truth[channel], parts["base"], after, noise.std**2, base.rows.run, noise.inflation
         )
         shows = found.resolvable and (verdict.status != Status.NONE or is_simulator)
         gaps[channel] = replace(found, resolvable=shows)
@@ -168,9 +164,9 @@ def _noise(case: Case) -> NoiseSummary:
     base, levels = case.base, case.base.noise
     return NoiseSummary(
         forces={c: float(np.median(level.std)) for c, level in levels.items()},
-        slip_name="alpha" if base.prepared.mode == "y" else "sigma_x",
-        slip=base.slip_noise,
-        slip_source=base.prepared.slip_source,
+        slip_name="alpha" if base.rows.mode == "y" else "sigma_x",
+        slip=float(np.median(base.rows.slip_std)),
+        slip_source=base.rows.slip_source,
         source="; ".join(dict.fromkeys(level.source for level in levels.values())),
         flags=case.noise_flags,
         excess=max(one.excess for one in base.noise.values()),
@@ -204,58 +200,31 @@ def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSumm
             unlisted=unlisted,
             looks_like=tuple(curve.look for curve in curves),
         ),
-        sizes=_sizes(case),
+        sizes=sizes_of(
+            case.chosen, case.base.design.prior_scale, case.base.groups(), case.widening
+        ),
         parameters=parameter_changes(case),
     )
-
-
-def _sizes(case: Case) -> dict[str, tuple[SizeByGroup, ...]]:
-    scale = np.asarray(case.base.design.prior_scale)
-    return sizes_of(case.chosen, scale, case.base.groups(), case.widening)
 
 
 def sizes_of(fit: Fit, scale, groups, widening=1.0) -> dict[str, tuple[SizeByGroup, ...]]:
     """The sizes of each effect of a fit by groups of covariates (m,); ``scale`` (K,) are the
     units of all amplitudes."""
-    found = {}
-    for atom, effect in zip(fit.atoms, fit.effects, strict=True):
-        unit = float(scale[atom])
-        found[effect] = tuple(
-            SizeByGroup(
-                one.covariate,
-                tuple(one.middle.tolist()),
-                tuple((unit * one.size).tolist()),
-                tuple((abs(unit) * one.std).tolist()),
-                one.spread,
-            )
-            for one in sizes_by_group(fit, atom, groups, widening)
-        )
-    return found
+    return {
+        effect: tuple(sizes_by_group(fit, atom, groups, widening, float(scale[atom])))
+        for atom, effect in zip(fit.atoms, fit.effects, strict=True)
+    }
 
 
-def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
-    """The most probable sets of effects, and the unknown.
-
-    Args:
-        before, truth: (n,) base force, (n, draws) of the true one, first channel.
-    """
+def _candidates(case: Case) -> tuple[Candidate, ...]:
+    """The most probable sets of effects, and the unknown."""
     total, verdict = _chances(case), case.verdict
     ranked = sorted(total, key=lambda k: (k == verdict.key, total[k]), reverse=True)
-    listed = [
-        _candidate(case, key, total[key], _closure_by(case, key, before, truth))
-        for key in ranked[:_LISTED]
-    ]
+    listed = [_candidate(case, key, total[key]) for key in ranked[:_LISTED]]
     alone = verdict.unlisted if not verdict.key else 0.0
     if alone > _MENTIONED:
         unknown = Candidate(
-            effects=("unknown",),
-            family="unknown",
-            parameters={},
-            z=None,
-            probability=alone,
-            z_given_rivals=None,
-            closed=0.0,
-            closed_ci=(0.0, 0.0),
+            effects=("unknown",), family="unknown", probability=alone, parameters={}
         )
         listed.append(unknown)
     return tuple(listed)
@@ -275,7 +244,7 @@ def _chances(case: Case) -> dict:
     return shared | ({verdict.key: verdict.probability} if named else {})
 
 
-def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candidate:
+def _candidate(case: Case, key, probability: float) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
     spread, parameters = hypothesis.errors * np.sqrt(case.widening), {}
     if key in case.predicted.effects:
@@ -283,27 +252,21 @@ def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candi
         spread = np.maximum(spread, jackknife_error(left_out))
     if key == case.verdict.key:
         spread = np.maximum(spread, _between_parts(case))
-    ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
     atoms = [base.atoms[k] for k in hypothesis.atoms]
     scale = np.asarray(base.design.prior_scale)[list(hypothesis.atoms)]
     sizes = hypothesis.amplitude * scale
     # However bad the fit, the error is at most that of the prior.
     errors = np.minimum(spread, 1.0) * scale
     for atom, size, error in zip(atoms, sizes, errors, strict=True):
-        formula = atom.formula(base.design.rows, base.rows.time, size, base.rows)
+        formula = atom.formula(base.design.rows, base.rows.time)
         name = f"{atom.effect.id}: {atom.effect.parameter}"
         unit = atom.effect.unit
         parameters[name] = Amplitude(float(size), float(error), unit, formula)
-    score = case.search.score
     return Candidate(
         effects=key,
         family=" + ".join(dict.fromkeys(atom.effect.family for atom in atoms)),
         probability=probability,
         parameters=parameters,
-        z=max((score.get(effect, 0.0) for effect in hypothesis.effects), key=abs),
-        z_given_rivals=float(np.min(np.abs(ratio))),
-        closed=closure.closed,
-        closed_ci=closure.closed_ci,
     )
 
 
@@ -322,38 +285,14 @@ def _between_parts(case: Case) -> np.ndarray:
     return np.sqrt(square / total)
 
 
-def _closure_by(case: Case, key, before, truth) -> Shrinkage:
-    """Closure of the gap of the first channel by a set of effects; arguments as in
-    :func:`_candidates`."""
-    at, hypothesis = case.base.measured, case.weighed.best_of[key]
-    main = at.prepared.channels[0]
-    after = at.forces(hypothesis.z, at.amplitudes(hypothesis.atoms, hypothesis.amplitude))[main]
-    noise = at.noise[main]
-    given = noise.std**2, at.prepared.run, noise.inflation
-    return closure_on_rows(truth, before, after, *given)
-
-
-def _resolution(case: Case) -> Resolution:
-    """The smallest generic remainder, rms [N], and the smallest amplitudes of effects, in
-    their own units, that would be detected four times in five."""
-    base, n = case.base, case.base.prepared.n
-    scale = np.asarray(base.design.scale[base.prepared.channels[0]])[:n]
+def _resolution(case: Case) -> float:
+    """The smallest generic remainder, rms [N], that would be detected four times in five."""
+    base, n = case.base, case.base.rows.n
+    scale = np.asarray(base.design.scale[base.rows.channels[0]])[:n]
     directions = min(base.discrepancy.columns.shape[1], _DIRECTIONS)
-    needed = np.sqrt(_SEEN_ENERGY * np.sqrt(2 * directions) / n)
-    size, smallest = np.linalg.norm(case.search.projected, axis=0), {}
-    for k in base.testable:
-        effect = base.atoms[k].effect
-        if effect.id not in smallest and size[k] > UNSEEN and not effect.singular:
-            std = float(base.design.prior_scale[k] / size[k])
-            smallest[effect.id] = _SEEN * abs(std)
-    remainder = float(np.median(scale) * needed)
-    return Resolution(remainder=remainder, smallest_effects=smallest)
-
-
-def _extension(case: Case) -> Extension:
-    return extension_of(case.base, case.chosen)
+    return float(np.median(scale) * np.sqrt(_SEEN_ENERGY * np.sqrt(2 * directions) / n))
 
 
 def _base_parameters(base: Base, z) -> dict[str, float]:
-    values = base.layout.natural(z)
+    values = base.tire.layout.natural(z)
     return {name: float(np.asarray(v).ravel()[0]) for name, v in values.items()}

@@ -9,12 +9,12 @@ from functools import cache
 import numpy as np
 from scipy.special import ndtr
 
+from tirefit.diagnosis.engine import FLAT, UNSEEN
 from tirefit.diagnosis.engine.fit import without
-from tirefit.diagnosis.negligible import FLAT, UNSEEN
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.subject import Base
-from tirefit.diagnosis.summary.records import Forecast, NextMeasurement
-from tirefit.diagnosis.summary.where import LEVEL
+from tirefit.diagnosis.summary.result import Forecast, NextMeasurement
+from tirefit.diagnosis.summary.views import LEVEL
 from tirefit.models import modelled
 
 DRAWS = 2000  # draws of noise; a probability of 5 % then has an error of 0.5 %
@@ -109,7 +109,7 @@ def _changes(prepared: Prepared) -> dict[str, dict]:
 
 def _changed(base: Base, change: dict) -> Base:
     """The design under other conditions; of two conditions, in turn from row to row."""
-    design, n, size = base.design, base.prepared.n, len(base.design.keep)
+    design, n, size = base.design, base.rows.n, len(base.design.keep)
     inputs, rows, slip = design.inputs, design.rows, change.get("slip", 1.0)
     scaled = {k: np.resize(change[k], size) for k in ("fz", "v") if k in change}
     inputs = inputs._replace(**{k: getattr(inputs, k) * f for k, f in scaled.items()})
@@ -142,8 +142,8 @@ def _with_moment(base: Base, z) -> _Block:
     """Lateral runs at the slips and loads of these rows, with F_y and M_z measured. F_y has
     the noise of the present force, M_z the same share of its peak. The contact length, a
     factor on M_z, is unknown: it is the last column of the parameters."""
-    n, channels = base.prepared.n, ("fy", "mz")
-    scale = np.asarray(base.design.scale[base.prepared.channels[0]])
+    n, channels = base.rows.n, ("fy", "mz")
+    scale = np.asarray(base.design.scale[base.rows.channels[0]])
     none = dict.fromkeys(channels, np.zeros_like(scale))
     rows = replace(base.rows, mode="y", channels=channels)
     design = base.design._replace(observed=none, offset=none, scale=dict.fromkeys(channels, scale))
@@ -203,7 +203,7 @@ def next_measurements(
     """Further measurements, of as many rows as the file has, that would distinguish
     confused effects, the largest gain first; and the reason if there are none."""
     sizes, z = _sizes(search, weighed), weighed.best_of[()].z
-    here, changes = _block(base, base.z), _changes(base.prepared)
+    here, changes = _block(base, base.z), _changes(base.rows)
 
     @cache
     def added(name: str) -> _Block:
@@ -217,7 +217,7 @@ def next_measurements(
         now, names = _told_apart([here], one, two), list(changes)
         by = {base.atoms[k].effect.told_apart_by for k, _ in (one, two)}
         has_moment = "mz" in modelled(base.tire.model)
-        if "mz" in by and "mz" not in base.prepared.has and has_moment:
+        if "mz" in by and "mz" not in base.rows.has and has_moment:
             names.append(_MOMENT)
         for name in names if now <= 1 - _WORTHWHILE else [_SAME_AGAIN]:
             after = _told_apart([here, added(name)], one, two)

@@ -1,57 +1,251 @@
-"""The result of a diagnosis (:class:`Diagnosis`): ``NAME.json`` and ``NAME.rows.csv``."""
+"""The result of a diagnosis (:class:`Diagnosis`): ``NAME.json``, whose keys are the fields of
+these records, and ``NAME.rows.csv``.
+
+Forces are in N, moments in N m, slips without unit, angles in rad; ids of effects are
+those of :data:`tirefit.diagnosis.effects.EFFECTS`."""
 
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from tirefit.data.records import FileRecord, Row
 from tirefit.data.table import TireData
 from tirefit.data.write import csv_text, to_convention
-from tirefit.diagnosis.effects import Effect
-from tirefit.diagnosis.engine.left_out import Ladder
+from tirefit.diagnosis.effects import NOISE_EFFECTS, Effect
+from tirefit.diagnosis.engine.decide import Each, Status
+from tirefit.diagnosis.engine.left_out import Ladder, SizeByGroup
 from tirefit.diagnosis.extended import SCHEMA, Extension
-from tirefit.diagnosis.rows.rig import SlipCheck
+from tirefit.diagnosis.rows.rig import Rig, SlipCheck
 from tirefit.diagnosis.rows.runs import RunOffsets
-from tirefit.diagnosis.summary.records import (
-    Candidate,
-    Cell,
+from tirefit.diagnosis.summary.case import Untestable
+from tirefit.diagnosis.summary.views import (
+    Comparison,
     DataSummary,
-    Forecast,
-    Gap,
-    NextMeasurement,
-    NoiseSummary,
-    Part,
+    Look,
+    LookCurve,
     Region,
-    Resolution,
-    Settings,
-    SimulatorSummary,
-    Spot,
-    Untestable,
-    VerdictSummary,
+    ResidualMap,
 )
-from tirefit.diagnosis.summary.views import Comparison, LookCurve, ResidualMap
 from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.models import MODELS
 from tirefit.params import specs
 from tirefit.results import Outcome
 
-_NOT_WRITTEN = {"written": False}
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseSummary:
+    """Standard deviations of the noise."""
+
+    forces: Mapping[str, float]  # median over the rows
+    slip_name: str
+    slip: float
+    slip_source: str
+    source: str
+    flags: tuple[str, ...]
+    inflation: float  # rows per independent row
+    outliers: int  # number of excluded rows
+    excess: float = 1.0  # over the stated noise, 1 where none was stated
+
+    def as_json(self) -> Mapping:
+        """Each level under the name of its column."""
+        return {
+            **self.forces,
+            self.slip_name: self.slip,
+            f"{self.slip_name}_source": self.slip_source,
+            "source": self.source,
+            "flags": self.flags,
+            "inflation": self.inflation,
+            "outliers": self.outliers,
+            "excess": self.excess,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shrinkage:
+    """The rms gap beyond the noise and its closure: ``closed`` is 1 - remaining_rms / rms
+    with its 90 % interval, None if the gap is not ``resolvable``. Its lower limit is zero
+    on the fitted rows, elsewhere :data:`tirefit.diagnosis.summary.closure.WORST`, which
+    includes all worse values."""
+
+    rms: float
+    resolvable: bool
+    closed: float | None
+    closed_ci: tuple[float | None, float | None]
+    remaining_rms: float
+
+    @property
+    def net_closed(self) -> float | None:
+        """``closed``, negative if the gap has become larger."""
+        if self.closed != 0 or self.remaining_rms <= self.rms:
+            return self.closed
+        return 1 - self.remaining_rms / self.rms
+
+    @property
+    def energy_closed(self) -> float | None:
+        """Share of the gap's energy that is closed."""
+        closed = self.net_closed
+        return None if closed is None else 1 - (1 - closed) ** 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOut(Shrinkage):
+    """The gap on data not used; ``on`` says which."""
+
+    on: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gap(Shrinkage):
+    """The gap of the first channel on the rows of the file, and of every channel."""
+
+    channels: Mapping[str, Shrinkage]
+    holdout: HeldOut | None
+
+
+class Left(NamedTuple):
+    """The remaining gap beyond the noise."""
+
+    rms: float
+    share: float  # of the gap's energy
+    unlisted: float  # probability that an unlisted effect is present
+    looks_like: tuple[Look, ...] = ()  # shapes it resembles, the most probable first
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerdictSummary:
+    """The effects that are present, and the remainder: a
+    :class:`~tirefit.diagnosis.engine.decide.Verdict` for the report, with a calibrated
+    ``probability``, the share of such verdicts that are right; ``sizes`` of each named effect
+    by groups of each covariate, the most unequal first; ``parameters`` are those of a given
+    simulator, empty for a fitted form."""
+
+    status: Status
+    effects: tuple[str, ...]
+    acts_like: tuple[str, ...] = ()
+    probability: float
+    each: Mapping[str, Each] = field(default_factory=dict)
+    also_possible: tuple[str, ...] = ()
+    left: Left
+    sizes: Mapping[str, tuple[SizeByGroup, ...]] = field(default_factory=dict)
+    parameters: Mapping[str, "Change"] = field(default_factory=dict)
+
+    @property
+    def names_an_effect(self) -> bool:
+        """Whether effects on the mean force are named, and not only on the noise."""
+        of_noise = {effect.id for effect in NOISE_EFFECTS}
+        on_mean = [e for e in self.effects if e not in of_noise]
+        return bool(on_mean) and on_mean != ["unknown"]
+
+    @property
+    def helping(self) -> tuple[str, ...]:
+        """The effects of the ladder: named causes, then those that act like one."""
+        return (*self.effects, *self.acts_like) if self.names_an_effect else self.acts_like
+
+
+class Change(NamedTuple):
+    """A parameter as simulated and as measured."""
+
+    simulated: float
+    measured: float
+    std: float  # standard error of ``measured``
+    differs: bool  # whether they differ by more than two standard errors
+
+
+class Part(NamedTuple):
+    """A part of the distance from a base to the measurement of a channel; shares add to one."""
+
+    part: str  # parameters, the id of an effect, unexplained or noise
+    rms: float  # root of its mean square
+    share: float  # of the mean square
+    closed_ci: tuple[float, float]  # 90 % interval of the share
+
+
+class Surrogate(NamedTuple):
+    """The tire that stands in for a simulator: its rms error [N] in the simulated force
+    of the first channel, and that error over the force and over the gap."""
+
+    model: str
+    rms: float
+    of_force: float
+    of_gap: float
+
+
+class SimulatorSummary(NamedTuple):
+    """A simulator that was diagnosed; ``kind`` is columns, model, fit or tir."""
+
+    kind: str
+    source: str
+    sha256: str | None
+    surrogate: Surrogate
+
+
+class Amplitude(NamedTuple):
+    """Amplitude of an effect with its standard error, in its own unit."""
+
+    value: float
+    std: float
+    unit: str
+    formula: str = ""  # which of the effect's, in words; "" where there is one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A set of effects that may explain the gap."""
+
+    effects: tuple[str, ...]
+    family: str
+    probability: float
+    parameters: Mapping[str, Amplitude]  # ``effect: parameter`` -> size
+
+
+class Forecast(NamedTuple):
+    """Forecast probabilities for an effect of usual size on these rows."""
+
+    effect: str
+    amplitude: float
+    unit: str
+    seen: float
+    recognised: float  # detected and recognised
+    taken_for: str | None  # effect found most often instead; None: hardly any
+
+
+class NextMeasurement(NamedTuple):
+    """A further measurement, the two effects that it distinguishes, and the probabilities
+    of distinguishing them without and with it."""
+
+    add: str
+    separates: tuple[str, str]
+    p_now: float
+    p_after: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Settings of the diagnosis."""
+
+    rig: Rig
+    effects: tuple[str, ...]  # ids searched
+    holdout: tuple[str, ...]  # sha256 of held-out files
+    forces: tuple[str, ...] | None = None  # that matter, None for all
+
+
+NOT_WRITTEN = {"written": False}
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Diagnosis(Record):
     """The diagnosis of a file: the records of the document, in its order, then arrays.
 
+    ``resolution`` is the rms [N] of the smallest unlisted remainder that would have been seen.
     ``budget`` is that of the first channel, ``budgets`` those of all. ``next_measurement`` has the
     largest gain first; if it is empty, ``next_measurement_reason`` is the reason. ``slip_check``
     compares the slip column with the slip of the wheel speed; None if that is not known. ``runs``
-    describes the differences of the runs, by kind of offset; empty for a single run. ``spots`` are
-    short stretches within the regions of ``where``.
+    describes the differences of the runs, by kind of offset; empty for a single run.
 
     ``rows`` holds arrays (n,) by channel for all rows of the file, canonical, NaN if
     masked: ``base``, ``extended``, ``gap``, ``gap_std``; for a simulator, ``base`` and
@@ -77,13 +271,11 @@ class Diagnosis(Record):
     budget: tuple[Part, ...]
     budgets: Mapping[str, tuple[Part, ...]]
     where: tuple[Region, ...]
-    spots: tuple[Spot, ...] = ()
-    map: tuple[Cell, ...]
     verdict: VerdictSummary
     ladder: Ladder = Ladder()
     candidates: tuple[Candidate, ...]
     untestable: tuple[Untestable, ...]
-    resolution: Resolution
+    resolution: float
     forecast: tuple[Forecast, ...]
     next_measurement: tuple[NextMeasurement, ...]
     next_measurement_reason: str | None
@@ -95,14 +287,14 @@ class Diagnosis(Record):
     settings: Settings
     seed: int
     version: str
-    rows: Mapping[str, Mapping[str, np.ndarray]] = field(metadata=_NOT_WRITTEN)
-    table: TireData = field(metadata=_NOT_WRITTEN)
-    mean_load: float = field(metadata=_NOT_WRITTEN)
-    residual_map: ResidualMap = field(metadata=_NOT_WRITTEN)
-    comparison: Comparison = field(metadata=_NOT_WRITTEN)
-    look: LookCurve | None = field(metadata=_NOT_WRITTEN)
-    library: tuple[Effect, ...] = field(metadata=_NOT_WRITTEN)
-    meanings: Mapping[str, str] = field(metadata=_NOT_WRITTEN)
+    rows: Mapping[str, Mapping[str, np.ndarray]] = field(metadata=NOT_WRITTEN)
+    table: TireData = field(metadata=NOT_WRITTEN)
+    mean_load: float = field(metadata=NOT_WRITTEN)
+    residual_map: ResidualMap = field(metadata=NOT_WRITTEN)
+    comparison: Comparison = field(metadata=NOT_WRITTEN)
+    look: LookCurve | None = field(metadata=NOT_WRITTEN)
+    library: tuple[Effect, ...] = field(metadata=NOT_WRITTEN)
+    meanings: Mapping[str, str] = field(metadata=NOT_WRITTEN)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -116,7 +308,7 @@ class Diagnosis(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """Content of ``NAME.json``."""
-        content = {"schema": SCHEMA} | _mappings(self)
+        content = {"schema": SCHEMA} | mappings(self)
         on, steps = content["ladder"].values()
         return json_safe(content | {"ladder": steps, "ladder_on": on})
 
@@ -128,19 +320,19 @@ class Diagnosis(Record):
         return {f"{name}.rows.csv": rows, f"{name}.json": self.to_json()}
 
 
-def _mappings(value: Any) -> Any:
+def mappings(value: Any) -> Any:
     """Records at any depth as mappings: keys are the names of their fields."""
     if hasattr(value, "as_json"):
-        return _mappings(value.as_json())
+        return mappings(value.as_json())
     if is_dataclass(value):
         written = (f.name for f in fields(value) if f.metadata.get("written", True))
-        return {name: _mappings(getattr(value, name)) for name in written}
+        return {name: mappings(getattr(value, name)) for name in written}
     if hasattr(value, "_asdict"):
-        return _mappings(value._asdict())
+        return mappings(value._asdict())
     if isinstance(value, Mapping):
-        return {key: _mappings(item) for key, item in value.items()}
+        return {key: mappings(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_mappings(item) for item in value]
+        return [mappings(item) for item in value]
     return value
 
 
