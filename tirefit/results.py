@@ -128,6 +128,21 @@ class InputProblem:
         return f"{text}\n    remedy: {self.remedy}" if self.remedy else text
 
 
+def unknown_names(
+    noun: str, names: Iterable[str | None], known: Iterable[str]
+) -> list["InputProblem"]:
+    """A problem for each name that is not known, with the valid names; None is no name."""
+    there = list(known)
+    return [
+        InputProblem(
+            f"{noun}: {name!r} is not known",
+            f"{did_you_mean(name, there)}valid: {', '.join(there)}",
+        )
+        for name in names
+        if name is not None and name not in there
+    ]
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Beginning of the remedy for an unknown name: ``did you mean 'mu'? ``, with a
     trailing space; empty if no known name resembles it."""

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tirefit.data.evidence import evidence_of
 from tirefit.data.read import read_frame
+from tirefit.data.signs import evidence_of
 from tirefit.results import DataError
 from tirefit.slip import CONVENTIONS
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from tirefit.data.cells import TextColumn, may_hold
 from tirefit.data.columns import is_number
-from tirefit.data.evidence import evidence_of, fitting_conventions
 from tirefit.data.own_tables import own_table
+from tirefit.data.signs import evidence_of, fitting_conventions
 from tirefit.data.vehicle_log import vehicle_log
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS

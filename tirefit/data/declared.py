@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from tirefit.data.table import CANONICAL, SIMULATED, Layout
 from tirefit.data.units import base_column, sign_of
-from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
+from tirefit.results import DataError, InputProblem, UsageError, unknown_names
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
 _STATED = re.compile(r"\bconvention\b\W*(?:is +)?([\w-]+(?: +sae\b)?)", re.IGNORECASE)
@@ -103,11 +103,11 @@ class Options(NamedTuple):
         readable = [*named, "run", *(f"{name}_std" for name in named), *SIMULATED]
         constant = [name for name in readable if base_column(name) in CANONICAL]
         problems = [
-            *_unknown("--column", self.columns, readable),
-            *_unknown("--unit", self.units, [n for n in readable if n != "run"]),
-            *_unknown("--constant", self.constants, constant),
-            *_unknown("--convention", [self.convention], CONVENTIONS),
-            *_unknown("--slip", [self.slip], SLIP_DEFINITIONS),
+            *unknown_names("--column", self.columns, readable),
+            *unknown_names("--unit", self.units, [n for n in readable if n != "run"]),
+            *unknown_names("--constant", self.constants, constant),
+            *unknown_names("--convention", [self.convention], CONVENTIONS),
+            *unknown_names("--slip", [self.slip], SLIP_DEFINITIONS),
         ]
         radius = self.rolling_radius
         if radius is not None and not 0 < radius < float("inf"):
@@ -121,13 +121,3 @@ class Options(NamedTuple):
                 reason = f"--constant {name}={value:g} is not {kind} number"
                 problems.append(InputProblem(reason, "give it in SI units and signs"))
         UsageError.raise_for(problems)
-
-
-def _unknown(option: str, given, known) -> list[InputProblem]:
-    problems = []
-    for value in given:
-        if value is None or value in known:
-            continue
-        remedy = f"{did_you_mean(str(value), known)}valid: {', '.join(known)}"
-        problems.append(InputProblem(f"{option}: {value!r} is not known", remedy))
-    return problems

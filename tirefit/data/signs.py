@@ -1,17 +1,167 @@
-"""Whether the signs of the data fit the convention in which they were read."""
+"""Whether the signs of the data fit the convention in which they were read.
 
-from collections.abc import Mapping
+In the canonical signs of :mod:`tirefit.slip`, physics determines how some columns are
+related: the force rises with the slip, the aligning moment reduces a small slip angle, a
+tire pushes to the side to which it leans, and a brake slows the wheel.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.data.declared import Signs
-from tirefit.data.evidence import Evidence, evidence_of
-from tirefit.data.evidence import fitting_conventions as _fitting
-from tirefit.data.evidence import turning as turning_of
 from tirefit.data.table import SlipCheck
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
+
+_SMALL_ANGLE = np.radians(4.0)
+"""Slip angle up to which the aligning moment does not change its sign."""
+
+_SMALL_SLIP = 0.03  # largest longitudinal slip of rows that show the effect of alpha
+
+_LEAST_ANGLE, _LEAST_CAMBER = np.radians([0.5, 1.0])
+_FEWEST = 10  # rows that show the effect of camber
+_LEAST_BRAKING = 0.5  # acceleration [m/s2] above the noise of its sensor
+
+
+class Evidence(NamedTuple):
+    """Two related columns. ``trend`` is 1 if they are related as physics requires in
+    canonical signs, -1 if in the opposite way, 0 if the data do not determine it."""
+
+    fields: tuple[str, ...]  # fields of a convention whose signs multiply in the trend
+    columns: tuple[str, str]  # the canonical columns
+    trend: int
+    rule: str  # the relation that must hold, for messages
+
+
+def trend(x: np.ndarray, y: np.ndarray, least: float) -> int:
+    """Sign of a significant straight line through zero; 0 if there is none.
+
+    Significant: correlation above 0.25, t above 5, and some |x| above ``least``.
+    """
+    energy = np.sum(x * x) * np.sum(y * y)
+    if len(x) < 3 or energy == 0 or np.max(abs(x)) < least:
+        return 0
+    correlation = np.clip(np.sum(x * y) / np.sqrt(energy), -1, 1)
+    unexplained = max(1 - correlation**2, 1e-12)
+    t = correlation * np.sqrt((len(x) - 1) / unexplained)
+    return int(np.sign(correlation)) if abs(t) > 5 and abs(correlation) > 0.25 else 0
+
+
+def evidence_of(columns: Mapping[str, np.ndarray], definition: str = "kappa") -> list[Evidence]:
+    """The evidence of the columns on their signs.
+
+    Args:
+        columns: (n,) canonical columns, finite, used rows only.
+        definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
+    """
+    return [
+        *_of_forces(columns),
+        *_of_small_angles(columns),
+        *_of_brakes(columns),
+        *_of_slip(columns, definition),
+    ]
+
+
+def _of_forces(columns) -> Iterator[Evidence]:
+    for end in ("", "_sim"):
+        if {"sigma_x", f"fx{end}"} <= columns.keys():
+            slip = slip_ratio_from_sigma(columns["sigma_x"])
+            sign = trend(slip, columns[f"fx{end}"], 0.005)
+            rule = "the force rises with the slip"
+            yield Evidence(("slip", "fx"), ("sigma_x", f"fx{end}"), sign, rule)
+        if {"alpha", f"fy{end}"} <= columns.keys():
+            sign = trend(columns["alpha"], columns[f"fy{end}"], _LEAST_ANGLE)
+            rule = "the side force rises with the slip angle"
+            yield Evidence(("alpha", "fy"), ("alpha", f"fy{end}"), sign, rule)
+
+
+def _of_small_angles(columns) -> Iterator[Evidence]:
+    """Evidence of the aligning moment, and of camber thrust (the part of F_y / F_z that
+    alpha does not explain), in rows of small slip angle and no other slip."""
+    if "alpha" not in columns:
+        return
+    angle = abs(columns["alpha"])
+    free = abs(columns.get("sigma_x", 0 * angle)) < _SMALL_SLIP
+    rows = (angle < _SMALL_ANGLE) & free
+    if "mz" in columns and rows.any():
+        alpha, moment = columns["alpha"][rows], columns["mz"][rows]
+        sign = -trend(alpha - alpha.mean(), moment - moment.mean(), _LEAST_ANGLE)
+        rule = "the aligning moment reduces a small slip angle"
+        yield Evidence(("alpha", "mz"), ("alpha", "mz"), sign, rule)
+    rows = (angle < _SMALL_ANGLE / 2) & free
+    if {"fy", "fz", "gamma"} <= columns.keys() and np.count_nonzero(rows) >= _FEWEST:
+        alpha, gamma, fy, fz = (columns[k][rows] for k in ("alpha", "gamma", "fy", "fz"))
+        if np.ptp(gamma) < _LEAST_CAMBER:
+            return
+        others = np.stack([np.ones(len(gamma)), alpha], axis=1)
+        both = np.stack([gamma, fy / fz], axis=1)
+        left = both - others @ np.linalg.lstsq(others, both)[0]
+        sign = trend(left[:, 0], left[:, 1], _LEAST_CAMBER / 4)
+        rule = "a tire pushes to the side that it leans to"
+        yield Evidence(("gamma", "fy"), ("gamma", "fy"), sign, rule)
+
+
+def _of_brakes(columns) -> Iterator[Evidence]:
+    """Evidence of the brake pressure and of the acceleration of the vehicle."""
+    if {"brake_pressure", "fx"} <= columns.keys():
+        pressure, force = columns["brake_pressure"], columns["fx"]
+        sign = trend(pressure - pressure.mean(), force - force.mean(), 1.0)
+        rule = "the braking force rises with the brake pressure"
+        yield Evidence(("fx",), ("brake_pressure", "fx"), sign, rule)
+    if {"a_x", "fx"} <= columns.keys():
+        sign = -trend(columns["a_x"], columns["fx"], _LEAST_BRAKING)
+        rule = "a force that brakes slows the vehicle"
+        yield Evidence(("fx",), ("a_x", "fx"), sign, rule)
+
+
+def _of_slip(columns, definition: str) -> Iterator[Evidence]:
+    """Evidence of the speeds of wheel and vehicle, and of a locked wheel."""
+    if "sigma_x" not in columns:
+        return
+    rule = "a braked wheel turns slower than a freely rolling one (omega / v)"
+    yield Evidence(("slip",), ("omega", "sigma_x"), -turning(columns), rule)
+    if definition in ("kappa", "s") and len(columns["sigma_x"]):
+        slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
+        low, high = np.percentile(slip, [1, 99])
+        sign = int(high > 0.98 and low > -0.9) - int(low < -0.98 and high < 0.9)
+        rule = "a slip of 1 is that of a wheel locked by its brake"
+        yield Evidence(("slip",), ("sigma_x", "sigma_x"), sign, rule)
+
+
+def turning(columns: Mapping[str, np.ndarray]) -> int:
+    """Sign of the trend of omega / v over the slip; 0 if there is none."""
+    if not {"omega", "v"} <= columns.keys():
+        return 0
+    moving = columns["v"] > 0
+    if not moving.any():
+        return 0
+    slip = slip_ratio_from_sigma(columns["sigma_x"][moving])
+    wheel = columns["omega"][moving] / columns["v"][moving]
+    return trend(slip - slip.mean(), wheel - wheel.mean(), 0.005)
+
+
+def fitting_conventions(evidence: Sequence[Evidence], convention: str, load: int = 1) -> list[str]:
+    """Conventions in which all evidence, and the load, would have the right sign.
+
+    Args:
+        evidence: of columns that were read in ``convention``.
+        convention: a key of ``slip.CONVENTIONS``.
+        load: 1 if the loads read are positive, -1 if they are negative.
+    """
+    read = CONVENTIONS[convention]
+    fitting = []
+    for name, other in CONVENTIONS.items():
+        turned = {f: getattr(read, f) * getattr(other, f) for f in read._fields[1:]}
+        signs = [
+            item.trend * int(np.prod([turned[field] for field in item.fields])) for item in evidence
+        ]
+        if turned["fz"] == load and min(signs, default=1) >= 0:
+            fitting.append(name)
+    return fitting
+
 
 _REFUSED = ("fx", "fy", "fx_sim", "fy_sim")
 """Forces that must rise with their slip: the opposite sign is an error."""
@@ -55,18 +205,17 @@ def check_signs(
         definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
         is_derived: whether ``tirefit derive`` wrote the file, whose signs are known.
     """
-    evidence = evidence_of(columns, definition)
-    wrong = [item for item in evidence if item.trend < 0 and _is_refused(item)]
-    if not wrong:
-        return []
-    fitting = _fitting(evidence, convention)
-    problems = []
-    for item in wrong:
+    evidence, signs = evidence_of(columns, definition), CONVENTIONS[convention]
+    fitting, problems = fitting_conventions(evidence, convention), []
+    for item in evidence:
+        if item.trend >= 0 or not _is_refused(item):
+            continue
         (field, other), (slip, force) = item.fields, item.columns
         names = f"{headers.get(slip, slip)!r} and {headers.get(force, force)!r}"
+        relation = "equal" if getattr(signs, field) == getattr(signs, other) else "opposite"
         reason = (
-            f"signs contradict the convention {convention!r}: {names} have"
-            f" {_relation(convention, field, other)} signs there, but not in the data"
+            f"signs contradict the convention {convention!r}: {names} have {relation}"
+            " signs there, but not in the data"
         )
         remedy = (
             "if the sign of one column differs, put a minus before its unit:"
@@ -90,11 +239,6 @@ def check_signs(
 
 def _is_refused(item: Evidence) -> bool:
     return item.columns[0] in ("sigma_x", "alpha") and item.columns[1] in _REFUSED
-
-
-def _relation(convention: str, field: str, force: str) -> str:
-    signs = CONVENTIONS[convention]
-    return "equal" if getattr(signs, field) == getattr(signs, force) else "opposite"
 
 
 def check_slip(
@@ -183,12 +327,12 @@ def doubt_convention(
     """
     if "sigma_x" not in headers or "sigma_x" not in columns:
         return None  # no slip column: computed from speeds, or none at all
-    turning = turning_of(columns)
+    sense = turning(columns)
     pairs, convention = evidence_of(columns, definition), signs.convention
     if signs.is_declared:
-        if turning <= 0:
+        if sense <= 0:
             return None
-        fitting = _fitting(pairs, convention)
+        fitting = fitting_conventions(pairs, convention)
         remedy = f"these signs fit --convention {' or '.join(fitting)}"
         return (
             f"the slip contradicts omega / v: by the signs of {convention!r}, the wheel turns"
@@ -198,7 +342,7 @@ def doubt_convention(
     slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
     low, high = np.percentile(slip, [1, 99])
     has_driving = low < -_LEAST_DRIVING
-    if turning < 0 or not (turning or has_driving):
+    if sense < 0 or not (sense or has_driving):
         return None
     brakes = sign > 0  # whether a positive slip was read as braking
     taken = f"{'' if brakes else 'minus '}{header!r} is taken as braking"
@@ -209,7 +353,7 @@ def doubt_convention(
     now, other = ("braking", "driving")[::sign]
     whose = signs.whose.removeprefix("assumed")
     reason = ""
-    if turning > 0:
+    if sense > 0:
         way = "rises" if brakes else "falls"
         reason = f", but the wheel turns faster as it {way} (omega / v)"
     elif definition in ("kappa", "s") and low < -0.98 and high < 0.9:
@@ -217,7 +361,7 @@ def doubt_convention(
     elif brakes and header in _DRIVING_POSITIVE:
         reason = f", but in {_DRIVING_POSITIVE[header]} files driving is positive"
     forces = [item for item in pairs if _is_refused(item)]
-    either = _fitting(pairs, convention), _fitting(forces, convention)
+    either = fitting_conventions(pairs, convention), fitting_conventions(forces, convention)
     turned = [[n for n in names if CONVENTIONS[n].slip != sign] for names in either]
     fitting = turned[0] or turned[1]
     return (
@@ -263,10 +407,10 @@ def _remedy(
 ) -> str:
     """The remedies: a declaration that fits, or one that flips a column."""
     ways = []
-    fitting = _fitting(evidence, convention)
+    fitting = fitting_conventions(evidence, convention)
     if fitting:
         ways.append(f"these signs fit --convention {' or '.join(fitting)}")
-    elif turned := _fitting(evidence, convention, load=-1):
+    elif turned := fitting_conventions(evidence, convention, load=-1):
         both = " or ".join(turned)
         ways.append(
             f"if the sign of F_z was turned: --convention {both} --unit fz=-{units.get('fz', 'N')}"

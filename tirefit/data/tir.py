@@ -8,7 +8,8 @@ the units of the file on writing.
 import math
 import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from tirefit.data.text import decoded
@@ -17,10 +18,9 @@ from tirefit.data.tir_file import TirFile, parsed, shortest
 from tirefit.data.tir_keys import COEFFICIENTS, LIMITS, ONLY_IN
 from tirefit.data.tire_file import other_tire
 from tirefit.door import TIRE, content_of, control_character
-from tirefit.files import write_text_atomic
 from tirefit.results import DataError, InputProblem, UsageError
 
-__all__ = ["TirFile", "brush_of", "notes_on", "parse_tir", "read_tir", "reduced_tir", "write_tir"]
+__all__ = ["TirFile", "brush_of", "notes_on", "parse_tir", "read_tir", "reduced_tir"]
 
 
 def parse_tir(text: str, path: str = "", notes: Sequence[str] = ()) -> TirFile:
@@ -60,11 +60,6 @@ def read_tir(path) -> TirFile:
     return parse_tir(text, str(path), notes)
 
 
-def write_tir(tir: TirFile, path) -> None:
-    """Write the file completely or not at all."""
-    write_text_atomic(path, tir.text)
-
-
 _UNITS = """\
 [UNITS]
 LENGTH                   = 'meter'
@@ -74,50 +69,16 @@ MASS                     = 'kg'
 TIME                     = 'second'
 """
 
-_REDUCED = """\
-[MDI_HEADER]
-FILE_TYPE                = 'tir'
-FILE_VERSION             = 3.0
-FILE_FORMAT              = 'ASCII'
-$ Reduced: an isotropic brush tire of constant friction as a Magic Formula. At FNOMIN
-$ both pure slips have the slope 2 c_p a^2 at rest and tend to mu F_z without a peak
-$ before (C = 1); E follows the curve of the brush, which no Magic Formula has. The
-$ lateral stiffness is that of the brush at every load, the longitudinal one stationary
-$ at FNOMIN. Combined slip keeps to the friction circle there. No aligning moment.
-$ c_p a^2 = PKX1 FNOMIN / 2 and mu = PDX1, exactly: tirefit reads them back.
-{units}[MODEL]
-FITTYP                   = 61
-TYRESIDE                 = 'SYMMETRIC'
-[DIMENSION]
-UNLOADED_RADIUS          = {radius}          $Free tyre radius
-[VERTICAL]
-FNOMIN                   = {fz}          $Nominal wheel load
-[LONGITUDINAL_COEFFICIENTS]
-PCX1                     = 1          $Shape: no peak
-PDX1                     = {mu}          $mu
-PEX1                     = {curvature}          $Curvature of the brush
-PKX1                     = {stiffness}          $2 c_p a^2 / FNOMIN
-PKX3                     = -1          $Stiffness stationary at FNOMIN
-RBX1                     = {weight}          $2 c_p a^2 / (mu FNOMIN)
-RBX2                     = {weight}          $2 c_p a^2 / (mu FNOMIN)
-RCX1                     = 1          $Friction circle
-[LATERAL_COEFFICIENTS]
-PCY1                     = 1          $Shape: no peak
-PDY1                     = {mu}          $mu
-PEY1                     = {curvature}          $Curvature of the brush
-PKY1                     = -{stiffness}          $-2 c_p a^2 / FNOMIN
-PKY2                     = 1e-08          $Stiffness the same at every load
-PKY4                     = 1          $Stiffness the same at every load
-RBY1                     = {weight}          $2 c_p a^2 / (mu FNOMIN)
-RBY2                     = {weight}          $2 c_p a^2 / (mu FNOMIN)
-RCY1                     = 1          $Friction circle
-[ALIGNING_COEFFICIENTS]
-QBZ1                     = 0          $No aligning moment
-QCZ1                     = 1
-QDZ1                     = 0
-"""
-
 _CURVATURE = -0.44  # E that follows the brush best where C = 1, see :func:`reduced_tir`
+
+_REDUCED = (
+    "Reduced: an isotropic brush tire of constant friction as a Magic Formula. At FNOMIN",
+    "both pure slips have the slope 2 c_p a^2 at rest and tend to mu F_z without a peak",
+    "before (C = 1); E follows the curve of the brush, which no Magic Formula has. The",
+    "lateral stiffness is that of the brush at every load, the longitudinal one stationary",
+    "at FNOMIN. Combined slip keeps to the friction circle there. No aligning moment.",
+    "c_p a^2 = PKX1 FNOMIN / 2 and mu = PDX1, exactly: tirefit reads them back.",
+)
 
 
 def reduced_tir(cpa2: float, mu: float, fz: float, radius: float) -> TirFile:
@@ -151,16 +112,24 @@ def reduced_tir(cpa2: float, mu: float, fz: float, radius: float) -> TirFile:
                 for name in wrong
             ]
         )
-    text = _REDUCED.format(
-        units=_UNITS,
-        radius=_exact(radius),
-        fz=_exact(fz),
-        mu=_exact(mu),
-        stiffness=_exact(2 * cpa2 / fz),
-        weight=_exact(2 * cpa2 / (mu * fz)),
-        curvature=shortest(_CURVATURE),
-    )
-    return parse_tir(text, "reduced.tir")
+    slope, weight = 2 * cpa2 / fz, 2 * cpa2 / (mu * fz)
+    values = {"UNLOADED_RADIUS": radius, "FNOMIN": fz, "QBZ1": 0.0, "QCZ1": 1.0, "QDZ1": 0.0}
+    # The same lateral stiffness at every load; the longitudinal one stationary at FNOMIN.
+    values |= {"PKX3": -1.0, "PKY2": 1e-8, "PKY4": 1.0}
+    notes = {}
+    for axis, sign in (("X", 1), ("Y", -1)):  # in ISO-W axes the cornering stiffness is negative
+        for start, value, note in (
+            ("PC", 1.0, "Shape: no peak"),
+            ("PD", mu, "mu"),
+            ("PE", _CURVATURE, "Curvature of the brush"),
+            ("PK", sign * slope, f"{2 * sign} c_p a^2 / FNOMIN"),
+            ("RB", weight, "2 c_p a^2 / (mu FNOMIN)"),
+            ("RC", 1.0, "Friction circle"),
+        ):
+            values[f"{start}{axis}1"], notes[f"{start}{axis}1"] = value, note
+        values[f"RB{axis}2"] = weight
+    tir = new_tir("6.1", values, {}, notes, _REDUCED, number=_exact)
+    return replace(tir.with_values({"TYRESIDE": "SYMMETRIC"}), path="reduced.tir")
 
 
 def _exact(number: float) -> str:
@@ -214,6 +183,7 @@ def new_tir(
     ranges: Mapping[str, tuple[float, float]],
     notes: Mapping[str, str],
     comment: Sequence[str] = (),
+    number: Callable[[float], str] = shortest,
 ) -> TirFile:
     """A file of this version with these coefficients, in SI units.
 
@@ -223,6 +193,7 @@ def new_tir(
         ranges: (least, largest) value by input of :data:`tir_keys.LIMITS`, in ISO-W.
         notes: comment behind the value of a key.
         comment: lines above the first section of values.
+        number: the text of a value.
 
     Raises:
         DataError: values that do not describe a tire.
@@ -241,7 +212,7 @@ def new_tir(
             section = COEFFICIENTS[key]
             lines.append(f"[{section}]")
         message = f"          ${notes[key]}" if key in notes else ""
-        lines.append(f"{key:<24} = {shortest(float(values[key]))}{message}")
+        lines.append(f"{key:<24} = {number(float(values[key]))}{message}")
     for name, (low, high) in ranges.items():
         lines.append(f"[{_RANGES[name]}]")
         for key, value in zip(LIMITS[name], (low, high), strict=True):

@@ -21,7 +21,7 @@ from tirefit.data.remote import Place
 from tirefit.data.table import Layout
 from tirefit.data.text import Table, stem_of
 from tirefit.data.units import known_unit
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 _KEYWORD = re.compile(r"^\s*\*\*\s*([A-Za-z]+)", re.MULTILINE)
 _NAMES = {
@@ -59,6 +59,7 @@ _LARGEST = 2.1
 _RULE = re.compile(r"!\s*(-|Key\b)", re.IGNORECASE)
 """A ruling or a heading in a section, as many files have them."""
 
+_SECTIONS = "HEADER COMMENTS CONSTANTS MEASURCHANNELS MEASURDATA END".split()
 _MISSING = {"NOTAVAIL", "NOT_AVAIL", "N/A", "NA", "NAN"}
 _WIDTH = 10
 _SEARCHED = 50
@@ -72,6 +73,12 @@ class _Entry(NamedTuple):
     unit: str
     values: tuple[str, ...]
     line: int
+
+    @property
+    def conversion(self) -> tuple[float, float, float]:
+        """Factor, measurement offset and physical offset of a channel."""
+        factor, before, after = (*self.values, "", "", "")[:3]
+        return float(factor or 1), float(before or 0), float(after or 0)
 
 
 def is_tydex(text: str) -> bool:
@@ -99,25 +106,24 @@ def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Tab
             reason = f"the TYDEX file has no **{keyword}"
             remedy = "give a file of measurements: tire models are read from .tir files"
             raise DataError(reason, remedy, file)
-    channels = _entries(sections["MEASURCHANNELS"], file)
-    conversions = [_conversion(channel, file) for channel in channels]
+    channels = _channels(sections["MEASURCHANNELS"], file)
     rows, lines, faults = _records(sections["MEASURDATA"], len(channels))
     if not rows:
         reason, remedy = "there are no data rows below **MEASURDATA", "give some"
         raise DataError(reason, remedy, file)
-    columns = list(zip(*rows, strict=True))
-    cells = [
-        _converted(column, conversion)
-        for column, conversion in zip(columns, conversions, strict=True)
-    ]
+    pairs = zip(zip(*rows, strict=True), channels, strict=True)
+    cells = [_converted(texts, *channel.conversion) for texts, channel in pairs]
     constants, others = _constants(sections.get("CONSTANTS", []), channels)
     of_tire, origins = _of_tire(others, sections.get("HEADER", []))
     unread = [line.split()[0] for _, line in others if line not in origins]
     meant = _meant([channel.name for channel in channels], constants)
     ragged = np.zeros(len(rows), bool)
     ragged[[row for fault in faults for row in fault.rows]] = True
-    notes = [*notes, *_said(sections, channels, conversions, constants, unread, meant)]
-    notes += origins.values()
+    moved = ", ".join(channel.name for channel in channels if channel.conversion[1])
+    doubts = (
+        f"the measurement offset of {moved} was added before the factor, but in some"
+        " files it must be subtracted: compare a value with the report of the rig"
+    )
     return Table(
         file,
         stem_of(path),
@@ -128,10 +134,10 @@ def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Tab
         channels[0].line,
         units_row=[entry.unit for entry in (*channels, *constants)],
         sha256=digest,
-        notes=tuple(notes),
+        notes=(*notes, *_said(sections, channels, constants, unread, meant), *origins.values()),
         faults=faults,
         layout=Layout(meant, "unit of the channel", "iso-w"),
-        doubts=_doubts(channels, conversions),
+        doubts=(doubts,) if moved else (),
         constants=of_tire,
     )
 
@@ -155,19 +161,23 @@ def _sections(text: str) -> dict[str, list[tuple[int, str]]]:
     return sections
 
 
-def _entries(lines, file: str) -> list[_Entry]:
-    entries: list[_Entry] = []
+def _channels(lines, file: str) -> list[_Entry]:
+    channels: list[_Entry] = []
     for line, text in lines:
         entry = _entry(line, text)
         if entry is None:
             reason = f"this is not a channel of TYDEX: {text.strip()!r}"
             remedy = "give name, comment, unit and conversion factor in columns of 10"
             raise DataError(reason, remedy, file, line)
-        if entry.name in [other.name for other in entries]:
+        if entry.name in [other.name for other in channels]:
             reason, remedy = f"the channel {entry.name} is there twice", "rename one"
             raise DataError(reason, remedy, file, line, entry.name)
-        entries.append(entry)
-    return entries
+        if entry.conversion[0] == 0:
+            reason = f"the conversion factor of {entry.name} is 0"
+            remedy = "give the factor that turns its values into its unit"
+            raise DataError(reason, remedy, file, line, entry.name)
+        channels.append(entry)
+    return channels
 
 
 def _entry(number: int, line: str) -> _Entry | None:
@@ -177,7 +187,8 @@ def _entry(number: int, line: str) -> _Entry | None:
     fields = [line[at : at + _WIDTH].strip() for at in (50, 60, 70)]
     given = [field for field in fields if field]
     is_name = len(line[:10].split()) == 1 and len(line) > 50
-    if is_name and fields[0] and all(map(is_number, given)) and _is_unit(unit):
+    is_unit = len(unit.split()) < 2 or known_unit(unit) is not None
+    if is_name and fields[0] and all(map(is_number, given)) and is_unit:
         return _Entry(line[:10].strip(), unit, tuple(fields), number)
     words = line.split()
     numbers: list[str] = []
@@ -189,43 +200,6 @@ def _entry(number: int, line: str) -> _Entry | None:
     if len(words) > 2 and known_unit("".join(words[-2:])):
         unit = "".join(words[-2:])
     return _Entry(words[0], unit, tuple(numbers), number)
-
-
-def _is_unit(text: str) -> bool:
-    return text in ("", "-") or known_unit(text) is not None or len(text.split()) == 1
-
-
-def _doubts(channels, conversions) -> tuple[str, ...]:
-    """A warning on measurement offsets, which programs write with different meanings."""
-    names = [
-        channel.name
-        for channel, conversion in zip(channels, conversions, strict=True)
-        if conversion.measured_offset
-    ]
-    if not names:
-        return ()
-    listed = ", ".join(names)
-    return (
-        f"the measurement offset of {listed} was added before the factor, but in some"
-        " files it must be subtracted: compare a value with the report of the rig",
-    )
-
-
-class _Conversion(NamedTuple):
-    factor: float
-    measured_offset: float
-    physical_offset: float
-
-
-def _conversion(channel: _Entry, file: str) -> _Conversion:
-    texts = [*channel.values, "", "", ""]
-    factor = float(texts[0] or 1)
-    if factor == 0:
-        reason = f"the conversion factor of {channel.name} is 0"
-        remedy = "give the factor that turns its values into its unit"
-        problem = InputProblem(reason, remedy, file, channel.line, channel.name)
-        raise DataError(problem)
-    return _Conversion(factor, float(texts[1] or 0), float(texts[2] or 0))
 
 
 def _records(lines, width: int) -> tuple[list[list[str]], list[int], tuple]:
@@ -267,9 +241,8 @@ def _words(line: str, missing: int) -> list[str]:
     return columns if touching else words
 
 
-def _converted(texts, conversion: _Conversion) -> np.ndarray | list[str]:
+def _converted(texts, factor: float, before: float, after: float) -> np.ndarray | list[str]:
     """Values in the unit of the channel; texts if one of them is not a number."""
-    factor, before, after = conversion
     try:
         with np.errstate(all="ignore"):  # the reader reports rows that are not finite
             return factor * (np.array(texts, float) + before) + after
@@ -365,7 +338,8 @@ def _meant(names, constants) -> dict[str, str]:
     return meant
 
 
-def _said(sections, channels, conversions, constants, unread, meant) -> Iterator[str]:
+def _said(sections, channels, constants, unread, meant) -> Iterator[str]:
+    """Sentences on the signs, the header, and what was read how or not at all."""
     header = {
         line.split()[0].upper(): line[40:].strip() or line.split()[-1]
         for _, line in sections.get("HEADER", [])
@@ -377,8 +351,9 @@ def _said(sections, channels, conversions, constants, unread, meant) -> Iterator
             yield f"{key} = {header[key]}"
     for _, line in sections.get("COMMENTS", []):
         yield f"comment: {line.strip()}"
-    for channel, (factor, before, after) in zip(channels, conversions, strict=True):
-        if (factor, before, after) != (1, 0, 0):
+    for channel in channels:
+        factor, before, after = channel.conversion
+        if channel.conversion != (1, 0, 0):
             value = f"(value + {before:g})" if before else "value"
             yield (
                 f"{channel.name} = {factor:g} * {value}"
@@ -394,13 +369,6 @@ def _said(sections, channels, conversions, constants, unread, meant) -> Iterator
             yield f"{name} is in axes H, at the wheel centre: read as if at the road"
     if unread:
         yield f"constants not read: {', '.join(unread)}"
-    others = set(sections) - {
-        "HEADER",
-        "COMMENTS",
-        "CONSTANTS",
-        "MEASURCHANNELS",
-        "MEASURDATA",
-        "END",
-    }
+    others = {*sections} - {*_SECTIONS}
     if others:
         yield f"sections not read: {', '.join(sorted(others))}"

@@ -12,7 +12,7 @@ from tirefit.models.mf import OTHER_SIDE, WEIGHTS, MFTire, Mirrored, curvatures,
 from tirefit.models.mf.fields import Nominal
 from tirefit.models.mf.tire import turned_inputs
 from tirefit.params import parameter_values
-from tirefit.results import DataError, UsageError, did_you_mean
+from tirefit.results import DataError, UsageError, unknown_names
 from tirefit.slip import CONVENTIONS, kappa_from_sigma
 
 TIR_SIGNS = "iso-w"  # convention of ``.tir`` files: that of the axes TYDEX W
@@ -105,9 +105,7 @@ def turned_by(signs: str | None) -> frozenset[str]:
     Raises:
         UsageError: there is no such convention.
     """
-    if signs is not None and signs not in CONVENTIONS:
-        remedy = f"{did_you_mean(signs, CONVENTIONS)}valid: {', '.join(CONVENTIONS)}"
-        raise UsageError(f"--signs: {signs!r} is not known", remedy)
+    UsageError.raise_for(unknown_names("--signs", [signs], CONVENTIONS))
     own = CONVENTIONS[TIR_SIGNS]
     return own.turned(CONVENTIONS[signs or TIR_SIGNS]) - {"fz"}
 
