@@ -163,6 +163,11 @@ def floats(*values) -> Float[Array, " n"]:
     return jnp.stack([jnp.asarray(value, float) for value in values])
 
 
+def widest(covariance, prior) -> Float[Array, "n n"]:
+    """The larger of the variances (n,) in a covariance and a prior, without correlation."""
+    return jnp.diag(jnp.maximum(jnp.diag(covariance), jnp.diag(prior)))
+
+
 def nominal_stiffness():
     """Field of the expected stiffness; by default from the load."""
     return par(

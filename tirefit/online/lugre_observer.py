@@ -38,6 +38,7 @@ V shows that the error vanishes without noise. The error with noise is the covar
 the observer's error, computed from the slopes of its step.
 """
 
+from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -83,17 +84,7 @@ def peak_share(tire: LuGre, theta, v):
     Args:
         tire: with theta one; theta: factor of g.
     """
-    level = theta * floats(tire.mu_s, tire.mu_c)
-    other = LuGre(
-        level[0],
-        level[1],
-        tire.v_st,
-        tire.exponent,
-        tire.sigma2,
-        tire.sigma0,
-        tire.sigma1,
-        tire.length,
-    )
+    other = replace(tire, mu_s=theta * tire.mu_s, mu_c=theta * tire.mu_c)
     one = jnp.ones(len(_SLIPS))
     at = TireInputs(sigma_x=jnp.asarray(_SLIPS), fz=one, v=v * one)
     return jnp.max(jnp.asarray(other(at).fx))
@@ -279,7 +270,7 @@ class LuGreObserver(AbstractEstimator):
         """``moved``, and the slopes of (x, missed) over x (8, 7) and over u (8, 4)."""
 
         def flat(x, u):
-            return jnp.concatenate([(out := self.moved(x, u, dt))[0], out[1][None]])
+            return jnp.append(*self.moved(x, u, dt))
 
         after = flat(x, u)
         into, noise_into = jax.jacfwd(flat, argnums=(0, 1))(x, u)
