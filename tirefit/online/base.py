@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tirefit.params import par
-from tirefit.results import InputProblem
 
 Sample = Mapping[str, Float[Array, ""]]
 """Inputs of a method by canonical column, each the mean of ``count`` samples (a further
@@ -128,10 +127,6 @@ class AbstractEstimator(eqx.Module):
     method: ClassVar[Method]
 
     average: float = par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
-
-    def problems(self) -> list[InputProblem]:
-        """Problems of settings that are within bounds but do not work together."""
-        return []
 
     def init(self) -> Any:
         """The state before the first sample."""
