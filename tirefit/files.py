@@ -23,8 +23,9 @@ PART = ".tirefit-part"
 """End of the name of a file that is not complete yet, or that is replaced now; the name
 begins with a dot."""
 
-_MOVES = ".tirefit-moves"
-"""End of the name of the journal of files that are being replaced together."""
+_ABANDONED = 86_400.0
+"""Age [s] of a temporary file above which its process was killed: no command takes a day to
+write one."""
 
 
 def json_text(content: Any) -> str:
@@ -70,63 +71,27 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
 @contextmanager
 def _temporary(path: Path) -> Iterator[Path]:
     """Context manager: a temporary file beside ``path``, which errors name instead of it."""
+    name = ""
     try:
-        handle, name = _locked_file(path, PART)
-    except OSError as error:
-        raise _of(path, error) from None
-    if fcntl is None:  # Windows renames no open file
+        # In the same directory, so that renaming is one step of the file system.
+        handle, name = tempfile.mkstemp(PART, f".{path.name}.", path.parent)
         os.close(handle)
-    try:
         yield Path(name)
     except OSError as error:
-        if error.errno is None or str(error.filename or name) != name:
+        if name and (error.errno is None or str(error.filename or name) != name):
             raise
         # The user does not know the temporary name, so name ``path``.
         raise _of(path, error) from None
     finally:
-        try:
-            with suppress(OSError):  # its folder may have been removed
-                os.unlink(name)
-        finally:
-            if fcntl is not None:
-                os.close(handle)
-
-
-def _locked_file(path: Path, end: str) -> tuple[int, str]:
-    """Handle and name of a new file beside ``path``; its lock ends with this process."""
-    while True:
-        # In the same directory, so that renaming is one step of the file system.
-        handle, name = tempfile.mkstemp(end, f".{path.name}.", path.parent)
-        if took_lock(handle) and os.path.lexists(name):
-            return handle, name
-        os.close(handle)  # another process removes it, as it was not locked yet
-
-
-@contextmanager
-def _left(path: Path, without_locks: bool) -> Iterator[bool]:
-    """Context manager: whether the process that wrote the file has ended; if so, no other
-    process finds that within the block.
-
-    Args:
-        without_locks: the answer where the file system has no locks.
-    """
-    try:
-        handle = os.open(path, os.O_RDONLY)
-    except OSError:
-        yield False
-        return
-    try:
-        yield took_lock(handle, without_locks)
-    finally:
-        os.close(handle)
+        with suppress(OSError):  # it was renamed, or its folder was removed
+            os.unlink(name)
 
 
 def replace_together(made: Mapping[Path, Path], gone: Iterable[Path] = ()) -> None:
     """Replace files that belong together, so that a killed process leaves no mixture.
 
     All earlier files are renamed before the first new one takes its place, the last of
-    ``made`` first. Whoever finds the last file, finds the others of the same result. A
-    journal tells :func:`remove_left` how to undo the work of a killed process.
+    ``made`` first: whoever finds the last file, finds the others of the same result.
 
     Args:
         made: path -> the new file that is renamed to it.
@@ -139,77 +104,33 @@ def replace_together(made: Mapping[Path, Path], gone: Iterable[Path] = ()) -> No
         if path.is_dir():  # found before the first file is replaced
             raise IsADirectoryError(errno.EISDIR, "there is a folder", str(path))
     places = list(dict.fromkeys([*gone, *made]))
-    folders = {path.parent for path in places}
-    for folder in folders:
-        _undo_left(folder)
-    for path in places:
-        _aside(path).unlink(missing_ok=True)
-    earlier = [path for path in reversed(places) if os.path.lexists(path)]
-    moves = [*((path, _aside(path)) for path in earlier), *((made[path], path) for path in made)]
-    journals: dict[Path, str] = {}
-    with ExitStack() as handles:
-        for folder in folders:
-            handle, journals[folder] = _locked_file(folder / places[-1].name, _MOVES)
-            handles.callback(os.close, handle)
-            there = {p.name: p in earlier for p in places if p.parent == folder}
-            Path(journals[folder]).write_text(json.dumps(there), encoding="utf-8")
-        try:
-            for one, other in moves:
-                os.replace(one, other)
-        except BaseException:  # Ctrl-C too
-            for folder, journal in journals.items():
-                _undo(folder, Path(journal))
-            raise
-        for journal in journals.values():
-            os.unlink(journal)
-    for path in earlier:
-        with suppress(OSError):  # the next command in this folder removes it
-            _aside(path).unlink()
-
-
-def _aside(path: Path) -> Path:
-    """The name of an earlier file while its successor takes its place."""
-    return path.with_name(f".{path.name}.old{PART}")
-
-
-def _undo(folder: Path, journal: Path) -> None:
-    """Put the earlier files of a journal back, then remove it; may be repeated.
-
-    The journal holds for each name, the last of a result last, whether there was a file.
-    """
+    earlier = {
+        path: path.with_name(f".{path.name}.old{PART}")
+        for path in reversed(places)
+        if os.path.lexists(path)
+    }
+    for aside in earlier.values():  # of a process that was killed
+        aside.unlink(missing_ok=True)
     try:
-        known = json.loads(journal.read_text(encoding="utf-8"))
-        there = {str(name): bool(was) for name, was in known.items() if Path(name).name == name}
-    except (ValueError, AttributeError):  # it was not complete: nothing was moved
-        there = {}
-    replaced = {name: os.path.lexists(_aside(folder / name)) for name in there}
-    for name, was in reversed(there.items()):
-        if replaced[name] or not was:
-            (folder / name).unlink(missing_ok=True)
-    for name in there:
-        if replaced[name]:
-            os.replace(_aside(folder / name), folder / name)
-    journal.unlink()
-
-
-def _undo_left(folder: Path) -> None:
-    for journal in folder.glob(f".*{_MOVES}"):
-        with _left(journal, without_locks=True) as left:
-            if left:
-                _undo(folder, journal)
+        for one, other in (*earlier.items(), *((made[path], path) for path in made)):
+            os.replace(one, other)
+    except BaseException:  # Ctrl-C too
+        for path in reversed(places):
+            if os.path.lexists(earlier.get(path, "")):
+                os.replace(earlier[path], path)
+            elif path not in earlier:
+                path.unlink(missing_ok=True)
+        raise
+    for aside in earlier.values():
+        with suppress(OSError):  # a later command in this folder removes it
+            aside.unlink()
 
 
 def remove_left(folder: Path) -> None:
-    """Undo replacements that a killed process began, and remove its temporary files; those
-    of living processes stay.
-
-    Raises:
-        OSError: an earlier file could not be put back; then nothing is removed.
-    """
-    _undo_left(folder)
+    """Remove temporary files that no living process can still need: they are old."""
     for path in folder.glob(f".*{PART}"):
-        with _left(path, without_locks=False) as left, suppress(OSError):
-            if left and not any(folder.glob(f".*{_MOVES}")):
+        with suppress(OSError):
+            if time.time() - path.lstat().st_mtime > _ABANDONED:
                 path.unlink()
 
 

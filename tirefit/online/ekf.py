@@ -28,6 +28,7 @@ from tirefit.online.base import (
     nominal_friction,
     nominal_stiffness,
     slip_noise,
+    widest,
 )
 from tirefit.online.regression import RESOLVED
 from tirefit.params import par
@@ -106,20 +107,16 @@ class Ekf(AbstractEstimator):
         return after, self._estimate(after, idle, jnp.where(idle, jnp.nan, surprise))
 
     def hold(self, state: EkfState, dt, steps) -> tuple[EkfState, Estimate]:
-        held = self._walked(state, dt)
+        grown = jnp.diag(floats(self.drift_cpa2, self.drift_mu) ** 2) * dt
+        held = state._replace(covariance=state.covariance + grown)
         return held, self._estimate(held, False, jnp.nan)
 
     def open(self, state: EkfState) -> EkfState:
         """The initial uncertainty of both is restored, without their correlation."""
-        widest = jnp.maximum(jnp.diag(state.covariance), jnp.diag(self._prior()))
-        return state._replace(covariance=jnp.diag(widest))
+        return state._replace(covariance=widest(state.covariance, self._prior()))
 
     def _prior(self):
         return jnp.diag(floats(self.prior_cpa2, self.prior_mu) ** 2)
-
-    def _walked(self, state: EkfState, dt) -> EkfState:
-        grown = jnp.diag(floats(self.drift_cpa2, self.drift_mu) ** 2) * dt
-        return state._replace(covariance=state.covariance + grown)
 
     def _estimate(self, state: EkfState, idle, surprise) -> Estimate:
         widened = jnp.sqrt(jnp.maximum(state.misfit, 1.0))

@@ -17,17 +17,16 @@ the patch is its mean deflection, which the tread carries out at the rate c:
    \dot{\hat\omega} = (R \hat F - T)/J + l_1 e_\omega, \quad
    \dot{\hat p} = -\gamma b \sigma_1 a \hat z e_\omega
 
-For :math:`V = (e_\omega^2 + \varrho \eta^2 + e_p^2/\gamma)/2` with
-:math:`\eta = e_\omega - b \sigma_1 e_z` and constant load and friction, the terms with
-e_p in the derivative cancel, and with :math:`m = l_1 - \tau - c`
+with :math:`l_1 = \tau + c`. For :math:`V = (e_\omega^2 + \varrho \eta^2 + e_p^2/\gamma)/2`
+with :math:`\eta = e_\omega - b \sigma_1 e_z` and constant load and friction, the terms with
+e_p in the derivative cancel, and
 
-.. math:: -\dot V = (m + c + pa) e_\omega^2 + (\tau - pa + \varrho m) e_\omega \eta
+.. math:: -\dot V = (c + pa) e_\omega^2 + (\tau - pa) e_\omega \eta
     + \varrho (\tau + c) \eta^2
 
-which is positive for every slip only if :math:`l_1 > \tau`; at :math:`m = 0` for every
-:math:`\varrho > (\tau - pa)^2 / 4 (c + pa)(\tau + c)`. Gains without a :math:`\varrho`
-for all slips and speeds are refused. Steps are implicit, so that fast bristles do not
-make the sampled observer diverge.
+which is positive at every slip and speed for :math:`\varrho > (\tau - pa)^2 / 4 (c + pa)(\tau +
+c)`. With another :math:`l_1` there is no such :math:`\varrho` for some tires. Steps are
+implicit, so that fast bristles do not make the sampled observer diverge.
 
 This assumes a known c. Unless ``kappa`` is given, it is that of the patch at the present
 :math:`\hat p`, :math:`\kappa = \varphi_1(x)/\varphi_2(x)` at :math:`x = \hat p
@@ -38,6 +37,7 @@ V shows that the error vanishes without noise. The error with noise is the covar
 the observer's error, computed from the slopes of its step.
 """
 
+from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -60,7 +60,6 @@ from tirefit.online.base import (
 from tirefit.online.regression import RESOLVED
 from tirefit.online.run import LOCKED_SLIP
 from tirefit.params import par
-from tirefit.results import InputProblem
 
 _SUBSTEPS = 4
 _LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
@@ -73,8 +72,6 @@ wheel of S section 5."""
 _LEAST, _MOST = 0.05, 4.0  # limits of theta
 _SLIPS = np.geomspace(0.01, 3.0, 64)
 """Slips at which the peak of the steady force is searched: in steps of 9 %."""
-_SPEEDS, _SLIDING = np.geomspace(2.0, 60.0, 12), np.r_[0.0, np.geomspace(1e-4, 1, 40)]
-"""Speeds [m/s] and slips v_s/v at which the gains must be stable."""
 
 
 def peak_share(tire: LuGre, theta, v):
@@ -83,17 +80,7 @@ def peak_share(tire: LuGre, theta, v):
     Args:
         tire: with theta one; theta: factor of g.
     """
-    level = theta * floats(tire.mu_s, tire.mu_c)
-    other = LuGre(
-        level[0],
-        level[1],
-        tire.v_st,
-        tire.exponent,
-        tire.sigma2,
-        tire.sigma0,
-        tire.sigma1,
-        tire.length,
-    )
+    other = replace(tire, mu_s=theta * tire.mu_s, mu_c=theta * tire.mu_c)
     one = jnp.ones(len(_SLIPS))
     at = TireInputs(sigma_x=jnp.asarray(_SLIPS), fz=one, v=v * one)
     return jnp.max(jnp.asarray(other(at).fx))
@@ -145,9 +132,6 @@ class LuGreObserver(AbstractEstimator):
         "S §3.4",
         r"\kappa",
     )
-    gain: float = par(
-        1.0, (0.01, 100.0), "-", "correction of omega, l1 over sigma0/sigma1 + c", "S §3.4", "l_1"
-    )
     adaptation: float = par(
         1e6, (0.0, 1e12), "1/s2", "speed of adaptation, gamma b^2", "S §3.4", r"\gamma", scale="log"
     )
@@ -165,21 +149,6 @@ class LuGreObserver(AbstractEstimator):
     v_std: float = par(0.03, (0.0, 10.0), "m/s", "of v", "", r"\sigma_v")
     load_std: float = par(0.02, (0.0, 1.0), "-", "of fz, over fz", "", r"\sigma_z")
     torque_std: float = par(0.01, (0.0, 1.0), "-", "of the torque, over fz R", "", r"\sigma_T")
-
-    def problems(self) -> list[InputProblem]:
-        """Problems of the gains by the conditions in the docstring of the module."""
-        low, high, margin = weights_of_v(self)
-        if margin <= 0:
-            reason = f"lugre-observer.gain = {self.gain:g}: l1 <= sigma0/sigma1, and V"
-            remedy = "may grow; 1 makes l1 = sigma0/sigma1 + c, which is stable"
-            return [InputProblem(reason, remedy)]
-        if not low < high:
-            reason = (
-                f"lugre-observer.gain = {self.gain:g}: no weight rho makes V fall at"
-                f" all slips (above {low:.3g} at one, below {high:.3g} at another)"
-            )
-            return [InputProblem(reason, "give 1, which is stable for every tire")]
-        return []
 
     def init(self) -> ObserverState:
         x = jnp.zeros(7).at[2].set(1 / self.theta)
@@ -243,10 +212,6 @@ class LuGreObserver(AbstractEstimator):
         tire, give = self.tire, now.v_s - p * now.a * z
         return tire.sigma0 * z + tire.sigma1 * give + tire.sigma2 * now.v_s
 
-    def correction(self, now: Course):
-        """l_1 [1/s]."""
-        return self.gain * (self.tire.sigma0 / self.tire.sigma1 + now.c)
-
     def moved(self, x, u, dt):
         """One interval of dt [s], at whose end the inputs are u (4,).
 
@@ -268,7 +233,7 @@ class LuGreObserver(AbstractEstimator):
             idle = jnp.abs(share) < self.least_use
             gamma = jnp.where(idle, 0.0, self.adaptation / now.b**2)
             phi = now.b * self.tire.sigma1 * now.a * z
-            lead = self.correction(now)
+            lead = self.tire.sigma0 / self.tire.sigma1 + now.c  # l_1
             off = there[0] - omega - h * pushed
             off = off / (1 + h * lead + h * h * gamma * phi * phi)
             omega = there[0] - off
@@ -279,7 +244,7 @@ class LuGreObserver(AbstractEstimator):
         """``moved``, and the slopes of (x, missed) over x (8, 7) and over u (8, 4)."""
 
         def flat(x, u):
-            return jnp.concatenate([(out := self.moved(x, u, dt))[0], out[1][None]])
+            return jnp.append(*self.moved(x, u, dt))
 
         after = flat(x, u)
         into, noise_into = jax.jacfwd(flat, argnums=(0, 1))(x, u)
@@ -338,33 +303,3 @@ def _summed(state: ObserverState, surprise):
     reported = jnp.where(full, total / jnp.sqrt(1.5 * count), jnp.nan)
     kept = state._replace(sum=jnp.where(full, 0.0, total), summed=jnp.where(full, 0.0, count))
     return kept, reported
-
-
-def weights_of_v(observer: LuGreObserver) -> tuple[float, float, float]:
-    """Weights rho for which V falls at every slip, speed and theta, and a margin.
-
-    Returns:
-        Lower and upper limit of rho; and the smallest l1 - sigma0/sigma1 + p a, which
-        must be positive, over sigma0/sigma1.
-    """
-    tire = observer.tire
-    tau = float(tire.sigma0 / tire.sigma1)
-    v, slip = np.meshgrid(_SPEEDS, _SLIDING)
-    level = np.asarray(tire.level(v * slip))
-    kappas = np.array([observer.kappa] if observer.kappa > 0 else [1.0, 2.0])
-    c = kappas[:, None, None] * v * (1 - slip) / tire.length
-    low, high, margin = 0.0, np.inf, np.inf
-    m = (observer.gain - 1) * (tau + c)
-    for p in (1 / _MOST, 1.0, 1 / _LEAST):
-        x = p * tire.sigma0 * v * slip / level
-        margin = min(margin, np.min(m + c + x) / tau)
-        # (tau - x + rho m)^2 < 4 rho (m + c + x)(tau + c), solved for rho.
-        half = 2 * (m + c + x) * (tau + c) - m * (tau - x)
-        inner = half**2 - (m * (tau - x)) ** 2
-        if np.any(half <= 0) or np.any(inner < 0):
-            low, high = np.inf, 0.0
-            continue
-        low = max(low, np.max((tau - x) ** 2 / (half + np.sqrt(inner))))
-        with np.errstate(divide="ignore"):
-            high = min(high, np.min((half + np.sqrt(inner)) / m**2))
-    return float(low), float(high), float(margin)

@@ -29,8 +29,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tirefit.online.base import Estimate, Flag, Method, Sample, choose, code, flag_of
-from tirefit.online.regression import RESOLVED, Regressors, regressors
+from tirefit.online.base import Estimate, Flag, Method, Sample, choose, code, flag_of, floats
+from tirefit.online.regression import RESOLVED, SLIDING, Regressors, regressors
 from tirefit.online.vehicle import AbstractVehicleMethod, wrapped
 from tirefit.params import par
 
@@ -43,9 +43,6 @@ _SAMPLES_OF_NOISE = 20.0
 """Weight, in samples, of the stated noise relative to the observed errors."""
 _FARTHEST = 0.5  # largest step per sample, where the slope is valid
 _LEAST_INVERSE = 0.1  # smallest expected mu over mu: mu is limited to ten times that
-_SLIDING = 0.37
-"""Force over that without sliding, with nine tenths of the patch sliding; the polynomial
-S(49) is not valid below."""
 _EXPECTED = (0.0, 1.0)
 _KEPT = 0.02  # weight of the past after a change
 _STIFFEST = 2.0  # largest stiffness over the expected one by which sliding is detected
@@ -248,7 +245,7 @@ class Position(AbstractVehicleMethod):
             moved = moved._replace(x=self._closer(moved))
         steepest = jnp.minimum(jnp.exp(law.x[0]), _STIFFEST)
         flag = flag_of(
-            (y < _SLIDING * steepest * u[0] - 3 * noise, Flag.OUT_OF_RANGE),
+            (y < SLIDING * steepest * u[0] - 3 * noise, Flag.OUT_OF_RANGE),
             (u[0] < self.least_use, Flag.LITTLE_EXCITATION),
         )
         return moved, flag, surprise
@@ -262,7 +259,7 @@ class Position(AbstractVehicleMethod):
 
     def _information(self, law: LawState, noise):
         slope = jax.jacfwd(coefficients)(law.x)
-        prior = jnp.stack([jnp.asarray(self.prior_stiffness), jnp.asarray(self.prior_mu)])
+        prior = floats(self.prior_stiffness, self.prior_mu)
         gathered = slope.T @ law.products[:3, :3] @ slope / noise**2
         return gathered + jnp.diag(1 / prior**2), slope, prior
 

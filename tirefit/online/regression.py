@@ -24,6 +24,7 @@ from tirefit.online.base import (
     Sample,
     excitation,
     flag_of,
+    floats,
     force_noise,
     nominal_friction,
     nominal_stiffness,
@@ -34,8 +35,10 @@ RESOLVED = 0.15
 """Relative standard deviation above which mu is not resolved: asphalt, gravel and snow
 differ by 0.2 to 0.3, two of these standard deviations."""
 
-_SLIDING = 0.37
-"""Force over that without sliding, with nine tenths of the patch sliding."""
+SLIDING = 0.37
+"""Force over that without sliding, with nine tenths of the patch sliding; the polynomial
+S(49) is not valid below."""
+_LEAST_THETA = 1e-3
 
 
 class Regressors(NamedTuple):
@@ -45,6 +48,11 @@ class Regressors(NamedTuple):
     u0: Float[Array, ""]
     u1: Float[Array, ""]
     u2: Float[Array, ""]
+
+    @property
+    def u(self) -> Float[Array, "2"]:
+        """u_0 and u_1."""
+        return jnp.stack([self.u0, self.u1])
 
 
 def regressors(sample: Sample, cpa2, mu, d, third=1.0) -> Regressors:
@@ -65,6 +73,11 @@ def regressors(sample: Sample, cpa2, mu, d, third=1.0) -> Regressors:
     return Regressors(side * sample["fx"] / sample["fz"], u0, u1, u2)
 
 
+def limited(theta) -> Float[Array, "2"]:
+    """theta (2,) with theta_0, by which S(50) divides, at least a thousandth of the expected."""
+    return theta.at[0].max(_LEAST_THETA)
+
+
 class AbstractRegression(AbstractEstimator):
     """Settings and derived parameters that estimators on theta share."""
 
@@ -81,6 +94,10 @@ class AbstractRegression(AbstractEstimator):
     force_noise: float = force_noise()
     least_use: float = excitation()
 
+    def prior(self) -> Float[Array, "2 2"]:
+        """Covariance of the first theta."""
+        return jnp.diag(floats(self.prior0, self.prior1) ** 2)
+
     def regressors(self, sample: Sample) -> Regressors:
         return regressors(sample, self.cpa2, self.mu, self.d, self.third)
 
@@ -92,31 +109,27 @@ class AbstractRegression(AbstractEstimator):
         standard deviations prevents that noise selects the samples.
         """
         noise = 3 * self.force_noise / jnp.sqrt(count)
-        slides = x.y < _SLIDING * theta0 * x.u0 - noise
+        slides = x.y < SLIDING * theta0 * x.u0 - noise
         return x.u0 < self.least_use, slides
 
-    def estimate(self, theta0, theta1, v00, v01, v11, idle, slides, surprise) -> Estimate:
+    def estimate(self, theta, covariance, idle, slides, surprise) -> Estimate:
         """mu and c_p a^2 by S(47)-(48), their stds by the delta method.
 
         Args:
-            theta0, theta1: estimates [-]; mu needs a positive theta_1.
-            v00, v01, v11: their covariance.
+            theta: estimates (2,) [-]; mu needs a positive theta_1.
+            covariance: (2, 2) of them.
             idle, slides: from :meth:`beyond`.
             surprise: of the sample.
         """
-        curved = theta1 > 0
-        safe = jnp.where(curved, theta1, 1.0)
-        mu = jnp.where(curved, theta0 * theta0 / safe * self.mu, jnp.nan)
-        a, b = 2 / theta0, -1 / safe
-        mu_std = mu * jnp.sqrt(a * a * v00 + 2 * a * b * v01 + b * b * v11)
+        curved = theta[1] > 0
+        safe = jnp.where(curved, theta[1], 1.0)
+        mu = jnp.where(curved, theta[0] ** 2 / safe * self.mu, jnp.nan)
+        slope = jnp.stack([2 / theta[0], -1 / safe])  # of ln mu
+        mu_std = mu * jnp.sqrt(slope @ covariance @ slope)
         flag = flag_of(
             (~(mu_std < RESOLVED * mu), Flag.LOW_USE),
             (slides, Flag.OUT_OF_RANGE),
             (idle, Flag.LITTLE_EXCITATION),
         )
-        return Estimate(
-            jnp.stack([mu, theta0 * self.cpa2]),
-            jnp.stack([mu_std, jnp.sqrt(v00) * self.cpa2]),
-            flag,
-            surprise,
-        )
+        stiffness = self.cpa2 * jnp.stack([theta[0], jnp.sqrt(covariance[0, 0])])
+        return Estimate(*jnp.stack([jnp.stack([mu, mu_std]), stiffness], 1), flag, surprise)

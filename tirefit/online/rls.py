@@ -14,32 +14,25 @@ allows for a change; for a constant tire its errors are too wide by about sqrt(2
 
 from typing import ClassVar, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tirefit.online.base import Estimate, Method, Sample, choose
-from tirefit.online.regression import AbstractRegression
+from tirefit.online.base import Estimate, Method, Sample, choose, floats, widest
+from tirefit.online.regression import AbstractRegression, limited
 from tirefit.params import par
 
 _SAMPLES_OF_NOISE = 20.0
 """Weight, in samples, of the stated noise relative to the observed errors."""
-_LEAST_THETA = 1e-3
 
 
 class RlsState(NamedTuple):
-    """theta [-] with the coefficients of y and u_2 from which it follows, P over the
+    """theta [-] with the coefficients of y and of u_2 from which it follows, P over the
     variance of the noise, and the weighted squares of the errors."""
 
-    theta0: Float[Array, ""]
-    theta1: Float[Array, ""]
-    phi0: Float[Array, ""]
-    phi1: Float[Array, ""]
-    psi0: Float[Array, ""]
-    psi1: Float[Array, ""]
-    p00: Float[Array, ""]
-    p01: Float[Array, ""]
-    p11: Float[Array, ""]
+    theta: Float[Array, "2"]
+    of_y: Float[Array, "2"]
+    of_u2: Float[Array, "2"]
+    p: Float[Array, "2 2"]
     squares: Float[Array, ""]
     weight: Float[Array, ""]
 
@@ -67,45 +60,30 @@ class Rls(AbstractRegression):
     )
 
     def init(self) -> RlsState:
-        p00, p11 = self._prior()
-        noise = self.force_noise * self.force_noise
-        values = (
-            self.start0, self.start1, self.start0, self.start1, 0.0, 0.0,
-            p00, 0.0, p11, _SAMPLES_OF_NOISE * noise, _SAMPLES_OF_NOISE,
-        )  # fmt: skip
-        return RlsState(*(jnp.asarray(value, float) for value in values))
+        theta, noise = floats(self.start0, self.start1), self.force_noise**2
+        first = _SAMPLES_OF_NOISE * floats(noise, 1.0)
+        return RlsState(theta, theta, jnp.zeros(2), self.prior() / noise, *first)
 
     def step(self, state: RlsState, sample: Sample) -> tuple[RlsState, Estimate]:
-        x = self.regressors(sample)
-        s, count = state, sample["count"]
+        s, x, count = state, self.regressors(sample), sample["count"]
         forget = self.forgetting**count
-        k0 = s.p00 * x.u0 + s.p01 * x.u1
-        k1 = s.p01 * x.u0 + s.p11 * x.u1
-        spread = x.u0 * k0 + x.u1 * k1
+        k = s.p @ x.u
+        spread = x.u @ k
         # The mean of several samples has the weight of all of them.
-        gain = count / (forget + count * spread)
-        theta2 = s.theta1 * s.theta1 / s.theta0
-        error = x.y - s.theta0 * x.u0 - s.theta1 * x.u1 - theta2 * x.u2
-        square = count * error * error / (1 + count * spread)
-        of_y = gain * (x.y - s.phi0 * x.u0 - s.phi1 * x.u1)
-        of_u2 = gain * (x.u2 - s.psi0 * x.u0 - s.psi1 * x.u1)
-        phi0, phi1 = s.phi0 + k0 * of_y, s.phi1 + k1 * of_y
-        psi0, psi1 = s.psi0 + k0 * of_u2, s.psi1 + k1 * of_u2
+        gain = count / (forget + count * spread) * k
+        theta2 = s.theta[1] ** 2 / s.theta[0]
+        error = x.y - s.theta @ x.u - theta2 * x.u2
+        of_y = s.of_y + gain * (x.y - s.of_y @ x.u)
+        of_u2 = s.of_u2 + gain * (x.u2 - s.of_u2 @ x.u)
         updated = RlsState(
-            # S(50) divides by theta_0: limit it to a thousandth of the expected value.
-            jnp.maximum(phi0 - theta2 * psi0, _LEAST_THETA),
-            phi1 - theta2 * psi1,
-            phi0,
-            phi1,
-            psi0,
-            psi1,
-            *self._forgotten(
-                s.p00 - gain * k0 * k0, s.p01 - gain * k0 * k1, s.p11 - gain * k1 * k1, 1 / forget
-            ),
-            forget * s.squares + square,
+            limited(of_y - theta2 * of_u2),
+            of_y,
+            of_u2,
+            self._forgotten(s.p - jnp.outer(gain, k), 1 / forget),
+            forget * s.squares + count * error**2 / (1 + count * spread),
             forget * s.weight + 1,
         )
-        idle, slides = self.beyond(x, s.theta0, count)
+        idle, slides = self.beyond(x, s.theta[0], count)
         unused = idle | slides
         surprise = error / jnp.sqrt(s.squares / s.weight * (1 / count + spread))
         after = choose(unused, state, updated)
@@ -113,70 +91,31 @@ class Rls(AbstractRegression):
         return after, self._estimate(after, idle, slides, surprise)
 
     def hold(self, state: RlsState, dt, steps) -> tuple[RlsState, Estimate]:
-        p = (state.p00, state.p01, state.p11)
-        p = jax.lax.cond(
-            steps > 0, lambda: self._forgotten(*p, self.forgetting ** (-steps)), lambda: p
-        )
-        held = state._replace(p00=p[0], p01=p[1], p11=p[2])
+        held = state._replace(p=self._forgotten(state.p, self.forgetting ** (-steps)))
         return held, self._estimate(held, False, False, jnp.nan)
 
     def open(self, state: RlsState) -> RlsState:
-        p00, p11 = self._prior()
-        nothing = jnp.zeros_like(state.psi0)
-        return state._replace(
-            phi0=state.theta0,
-            phi1=state.theta1,
-            psi0=nothing,
-            psi1=nothing,
-            p00=jnp.maximum(p00, state.p00),
-            p01=nothing,
-            p11=jnp.maximum(p11, state.p11),
-        )
+        p = widest(state.p, self.prior() / self.force_noise**2)
+        return state._replace(of_y=state.theta, of_u2=jnp.zeros(2), p=p)
 
-    def _prior(self):
-        noise = self.force_noise * self.force_noise
-        return self.prior0 * self.prior0 / noise, self.prior1 * self.prior1 / noise
-
-    def _forgotten(self, p00, p01, p11, growth) -> tuple[Array, Array, Array]:
+    def _forgotten(self, p, growth) -> Float[Array, "2 2"]:
         """P increased, at most to its initial value, to prevent wind-up."""
-        first0, first1 = self._prior()
-        room = jnp.minimum(first0 / p00, first1 / p11)
-        growth = jnp.clip(room, 1.0, growth)
-        return p00 * growth, p01 * growth, p11 * growth
+        first = jnp.diag(self.prior()) / self.force_noise**2
+        return p * jnp.clip(jnp.min(first / jnp.diag(p)), 1.0, growth)
 
     def _estimate(self, s: RlsState, idle, slides, surprise) -> Estimate:
-        variance = s.squares / s.weight
-        ratio = s.theta1 / s.theta0
-        to0, to1 = -ratio * ratio, 2 * ratio
-        m00, m01 = 1 + s.psi0 * to0, s.psi0 * to1
-        m10, m11 = s.psi1 * to0, 1 + s.psi1 * to1
-        scale = variance / (m00 * m11 - m01 * m10) ** 2
-
-        def spread(a0, a1, b0, b1):
-            """Covariance of two rows of M^-1 times its determinant."""
-            return scale * (a0 * b0 * s.p00 + (a0 * b1 + a1 * b0) * s.p01 + a1 * b1 * s.p11)
-
-        one, two = (m11, -m01), (-m10, m00)
-        return self.estimate(
-            s.theta0,
-            s.theta1,
-            spread(*one, *one),
-            spread(*one, *two),
-            spread(*two, *two),
-            idle,
-            slides,
-            surprise,
-        )
+        ratio = s.theta[1] / s.theta[0]
+        slope = jnp.stack([-(ratio**2), 2 * ratio])  # of theta_2 over theta
+        inverse = jnp.eye(2) - jnp.outer(s.of_u2, slope) / (1 + slope @ s.of_u2)
+        covariance = s.squares / s.weight * (inverse @ s.p @ inverse.T)
+        return self.estimate(s.theta, covariance, idle, slides, surprise)
 
 
 class MitState(NamedTuple):
     """theta [-] and its covariance."""
 
-    theta0: Float[Array, ""]
-    theta1: Float[Array, ""]
-    v00: Float[Array, ""]
-    v01: Float[Array, ""]
-    v11: Float[Array, ""]
+    theta: Float[Array, "2"]
+    covariance: Float[Array, "2 2"]
 
 
 class Mit(AbstractRegression):
@@ -203,28 +142,22 @@ class Mit(AbstractRegression):
     gain1: float = par(0.219, (0.0, 1.0), "-", "gain of theta_1 a sample", "S §5.3", r"\gamma_1")
 
     def init(self) -> MitState:
-        values = (self.start0, self.start1, self.prior0**2, 0.0, self.prior1**2)
-        return MitState(*(jnp.asarray(value, float) for value in values))
+        return MitState(floats(self.start0, self.start1), self.prior())
 
     def step(self, state: MitState, sample: Sample) -> tuple[MitState, Estimate]:
         s, x, count = state, self.regressors(sample), sample["count"]
-        ratio = s.theta1 / s.theta0
-        error = x.y - s.theta0 * x.u0 - s.theta1 * x.u1 - s.theta1 * ratio * x.u2
+        ratio = s.theta[1] / s.theta[0]
+        error = x.y - s.theta @ x.u - s.theta[1] * ratio * x.u2
         # The slope of the prediction S(49).
-        g0, g1 = x.u0 - ratio * ratio * x.u2, x.u1 + 2 * ratio * x.u2
-        noise = self.force_noise * self.force_noise / count
-        h0, h1 = s.v00 * g0 + s.v01 * g1, s.v01 * g0 + s.v11 * g1
-        spread = g0 * h0 + g1 * h1 + noise
+        g = x.u + x.u2 * jnp.stack([-(ratio**2), 2 * ratio])
+        h = s.covariance @ g
+        spread = g @ h + self.force_noise**2 / count
         # The mean of several samples moves the estimate as far as all of them.
-        k0, k1 = count * self.gain0 * g0, count * self.gain1 * g1
-        updated = MitState(
-            jnp.maximum(s.theta0 + k0 * error, _LEAST_THETA),
-            s.theta1 + k1 * error,
-            s.v00 - 2 * k0 * h0 + k0 * k0 * spread,
-            s.v01 - k0 * h1 - k1 * h0 + k0 * k1 * spread,
-            s.v11 - 2 * k1 * h1 + k1 * k1 * spread,
-        )
-        idle, slides = self.beyond(x, s.theta0, count)
+        k = count * floats(self.gain0, self.gain1) * g
+        crossed = jnp.outer(k, h)
+        covariance = s.covariance - crossed - crossed.T + spread * jnp.outer(k, k)
+        updated = MitState(limited(s.theta + k * error), covariance)
+        idle, slides = self.beyond(x, s.theta[0], count)
         after: MitState = choose(idle | slides, state, updated)
         surprise = jnp.where(idle | slides, jnp.nan, error / jnp.sqrt(spread))
         return after, self.estimate(*after, idle, slides, surprise)
@@ -235,8 +168,4 @@ class Mit(AbstractRegression):
 
     def open(self, state: MitState) -> MitState:
         """The gains are kept; only the stated uncertainty is restored."""
-        return state._replace(
-            v00=jnp.maximum(state.v00, self.prior0**2),
-            v01=jnp.zeros_like(state.v01),
-            v11=jnp.maximum(state.v11, self.prior1**2),
-        )
+        return state._replace(covariance=widest(state.covariance, self.prior()))

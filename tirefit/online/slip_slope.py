@@ -25,8 +25,10 @@ from tirefit.online.base import (
     Sample,
     choose,
     flag_of,
+    floats,
     force_noise,
     slip_noise,
+    widest,
 )
 from tirefit.online.regression import RESOLVED
 from tirefit.params import par
@@ -58,11 +60,8 @@ def road_of(relative, rough) -> Float[Array, ""]:
 class SlipSlopeState(NamedTuple):
     """1/k and the offset [-], their covariance, mean square error of one sample."""
 
-    inverse: Float[Array, ""]
-    offset: Float[Array, ""]
-    p00: Float[Array, ""]
-    p01: Float[Array, ""]
-    p11: Float[Array, ""]
+    x: Float[Array, "2"]
+    covariance: Float[Array, "2 2"]
     square: Float[Array, ""]
 
 
@@ -120,16 +119,11 @@ class SlipSlope(AbstractEstimator):
     slip_noise: float = slip_noise()
 
     def init(self) -> SlipSlopeState:
-        inverse = 1 / self.slope
-        values = (
-            inverse,
-            0.0,
-            (self.prior_slope * inverse) ** 2,
-            0.0,
-            self.prior_offset**2,
-            self._noise(inverse),
-        )
-        return SlipSlopeState(*(jnp.asarray(value, float) for value in values))
+        inverse = jnp.asarray(1 / self.slope, float)
+        return SlipSlopeState(floats(inverse, 0.0), self._first(), self._noise(inverse))
+
+    def _first(self):
+        return jnp.diag(floats(self.prior_slope / self.slope, self.prior_offset) ** 2)
 
     def use(self, sample: Sample):
         """Force over load [-] of a sample."""
@@ -145,16 +139,14 @@ class SlipSlope(AbstractEstimator):
 
     def step(self, state: SlipSlopeState, sample: Sample) -> tuple[SlipSlopeState, Estimate]:
         s, use, count = state, self.use(sample), sample["count"]
-        noise = jnp.maximum(s.square, self._noise(s.inverse)) / count
-        error = sample["sigma_x"] - use * s.inverse - s.offset
-        h0, h1 = s.p00 * use + s.p01, s.p01 * use + s.p11
-        spread = use * h0 + h1 + noise
+        noise = jnp.maximum(s.square, self._noise(s.x[0])) / count
+        row = jnp.stack([use, jnp.ones(())])
+        error = sample["sigma_x"] - row @ s.x
+        lever = s.covariance @ row
+        spread = row @ lever + noise
         updated = SlipSlopeState(
-            s.inverse + h0 * error / spread,
-            s.offset + h1 * error / spread,
-            s.p00 - h0 * h0 / spread,
-            s.p01 - h0 * h1 / spread,
-            s.p11 - h1 * h1 / spread,
+            s.x + lever * error / spread,
+            s.covariance - jnp.outer(lever, lever) / spread,
             _MEMORY * s.square + (1 - _MEMORY) * count * error * error * noise / spread,
         )
         unused = ~self.applies(use)
@@ -163,26 +155,25 @@ class SlipSlope(AbstractEstimator):
         return after, self._estimate(after, unused, surprise)
 
     def hold(self, state: SlipSlopeState, dt, steps) -> tuple[SlipSlopeState, Estimate]:
-        held = state._replace(
-            p00=state.p00 + (self.drift_slope / self.slope) ** 2 * dt,
-            p11=state.p11 + self.drift_offset**2 * dt,
-        )
+        walk = floats(self.drift_slope / self.slope, self.drift_offset) ** 2
+        held = state._replace(covariance=state.covariance + dt * jnp.diag(walk))
         return held, self._estimate(held, False, jnp.nan)
 
     def open(self, state: SlipSlopeState) -> SlipSlopeState:
         """Restore the uncertainty of the slope; that of the radius is kept."""
-        first = (self.prior_slope / self.slope) ** 2
-        return state._replace(p00=jnp.maximum(state.p00, first), p01=0 * state.p01)
+        first = self._first().at[1, 1].set(0.0)
+        return state._replace(covariance=widest(state.covariance, first))
 
     def _noise(self, inverse):
         """Variance of the error of one sample on a smooth road."""
         return self.slip_noise**2 + (self.force_noise * inverse) ** 2
 
     def _estimate(self, s: SlipSlopeState, unused, surprise) -> Estimate:
-        sane = s.inverse > 0
-        inverse = jnp.where(sane, s.inverse, 1.0)
+        sane = s.x[0] > 0
+        inverse = jnp.where(sane, s.x[0], 1.0)
+        inverse_std, offset_std = jnp.sqrt(jnp.diag(s.covariance))
         slope = jnp.where(sane, 1 / inverse, jnp.nan)
-        relative = jnp.hypot(jnp.sqrt(s.p00) / inverse, self.gain_std())
+        relative = jnp.hypot(inverse_std / inverse, self.gain_std())
         variance = jnp.maximum(s.square - self._noise(inverse), 0.0)
         variance_std = s.square * jnp.sqrt(2 / _STEPS)
         radius = jnp.sqrt(variance)
@@ -193,8 +184,8 @@ class SlipSlope(AbstractEstimator):
         nothing = jnp.where(resolved, 0.0, jnp.nan)
         flag = flag_of((unused, Flag.OUT_OF_RANGE), (~resolved, Flag.LITTLE_EXCITATION))
         return Estimate(
-            jnp.stack([slope, s.offset, radius, road + nothing]),
-            jnp.stack([slope * relative, jnp.sqrt(s.p11), radius_std, road_std]),
+            jnp.stack([slope, s.x[1], radius, road + nothing]),
+            jnp.stack([slope * relative, offset_std, radius_std, road_std]),
             flag,
             surprise,
         )

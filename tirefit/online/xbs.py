@@ -61,32 +61,13 @@ class Section(NamedTuple):
         y = self.b0 * x + s1
         return (self.b1 * x - self.a1 * y + s2, self.b2 * x - self.a2 * y), y
 
-    def gain(self, angle):
-        """Squared gain at an angle [rad a sample]."""
-        z = np.exp(-1j * angle)
-        top = self.b0 + self.b1 * z + self.b2 * z * z
-        return np.abs(top / (1 + self.a1 * z + self.a2 * z * z)) ** 2
 
+def butterworth(kind: str, corner: float, rate: float) -> Section:
+    """Butterworth of second order, ``low`` or ``high``; corner and rate in Hz."""
+    from scipy.signal import butter
 
-def _poles(corner, rate):
-    """Butterworth's two poles by the bilinear transform: scale, warped edge, a1, a2."""
-    edge = np.tan(np.pi * corner / rate)
-    scale = 1 / (1 + np.sqrt(2) * edge + edge * edge)
-    a1 = 2 * scale * (edge * edge - 1)
-    return scale, edge, a1, scale * (1 - np.sqrt(2) * edge + edge * edge)
-
-
-def low_pass(corner: float, rate: float) -> Section:
-    """Butterworth of second order; corner and rate in Hz."""
-    scale, edge, a1, a2 = _poles(corner, rate)
-    gain = scale * edge * edge
-    return Section(gain, 2 * gain, gain, a1, a2)
-
-
-def high_pass(corner: float, rate: float) -> Section:
-    """Butterworth of second order; corner and rate in Hz."""
-    scale, _, a1, a2 = _poles(corner, rate)
-    return Section(scale, -2 * scale, scale, a1, a2)
+    top, bottom = butter(2, corner, kind, fs=rate)
+    return Section(*top, *bottom[1:])
 
 
 def speed_spectrum(angle, pole, corner, period):
@@ -132,30 +113,26 @@ class Relation(NamedTuple):
     noise1: float
 
 
-def servo_spectrum(angle, pole, gain, delay, rate):
-    r"""Factor on the power of the wheel speed by the delay of a deceleration servo.
-
-    :math:`|i\omega + p|^2 / |i\omega + p - a + a e^{-i\omega T}|^2`; the servo of O(8) has
-    no delay, T = 0. Aliasing of the difference is ignored.
-
-    Args:
-        angle: frequency [rad a sample].
-        pole: p [1/s], a included; gain: a [1/s]; delay: T [s]; rate: samples a second.
-    """
-    omega = 1j * angle * rate
-    ideal = omega + pole
-    return np.abs(ideal / (ideal + gain * np.expm1(-omega * delay))) ** 2
-
-
 @lru_cache
 def relation(
     rate: float, low: float, high: float, corner: float, gain: float = 0.0, delay: float = 0.0
 ) -> Relation:
-    """The relation for samples per second, band [Hz], corner of the road [Hz], and gain
-    [1/s] and delay [s] of a servo; poles include the gain."""
+    r"""The relation for samples per second, band [Hz], corner of the road [Hz], and gain a
+    [1/s] and delay T [s] of a servo; poles p include the gain.
+
+    The delay multiplies the power of the wheel speed by
+    :math:`|i\omega + p|^2 / |i\omega + p - a + a e^{-i\omega T}|^2`; the servo of O(8) has
+    none. Aliasing of the difference is ignored.
+    """
+    from scipy.signal import freqz
+
     # The mean over frequencies is accurate for such smooth spectra.
     angle = (np.arange(_FREQUENCIES) + 0.5) * np.pi / _FREQUENCIES
-    band = high_pass(low, rate).gain(angle) * low_pass(high, rate).gain(angle)
+    band = np.ones(_FREQUENCIES)
+    for filtered in (butterworth("high", low, rate), butterworth("low", high, rate)):
+        band *= np.abs(freqz(filtered[:3], (1.0, *filtered[3:]), angle)[1]) ** 2
+    turning = 1j * angle * rate
+    delayed = gain * np.expm1(-turning * delay)
     noise = band * (2 - 2 * np.cos(angle))
     noise0, noise1 = np.mean(noise), np.mean(noise * np.cos(angle))
     noise = noise / noise0
@@ -164,7 +141,7 @@ def relation(
     rows = []
     for pole in poles:
         signal = band * speed_spectrum(angle, pole, 2 * np.pi * corner, 1 / rate)
-        signal = signal * servo_spectrum(angle, pole, gain, delay, rate)
+        signal = signal * np.abs((turning + pole) / (turning + pole + delayed)) ** 2
         signal = signal / np.mean(signal)
         printed = np.mean(weight * signal)
         off = (weight - printed) ** 2
@@ -301,7 +278,7 @@ class Xbs(AbstractEstimator):
                 f"band {low:g} to {high:g} Hz at {rate:g} samples a second: the edges"
                 f" must rise and lie below {rate / 2:g} Hz"
             )
-        self.sections = high_pass(low, rate), low_pass(high, rate)
+        self.sections = butterworth("high", low, rate), butterworth("low", high, rate)
         servo = float(self.servo_gain), float(self.servo_delay)
         self.relation = relation(rate, low, high, float(self.road_corner), *servo)
 
