@@ -57,6 +57,7 @@ def test_fits_are_accepted_as_tires(run, tmp_path):
     braked = ("brake", *QUICK, "--controller", "abs", "--tire")
     run(*braked, "f/fit.json", "--out", "o")
     (tmp_path / "p").mkdir()
+    for name in ("compare.png", "stops.csv"):
         (tmp_path / "p" / name).touch()
     said = run(*braked, "brush", "--set", "cpa2=4e4", "--out", "p").stdout
     assert "BRAKING brush from 6 m/s on mu=0.5, quarter" in said
