@@ -9,8 +9,6 @@ import pytest
 from tirefit.models import MODELS
 from tirefit.online.controllers import controller_of
 from tirefit.params import with_values
-from tirefit.report import brake_animation
-from tirefit.report.brake_animation import outline, save_animation
 from tirefit.report.braking import braking_text, compare_figure, path_of, paths_figure, stop_figure
 from tirefit.sim.brake_request import Request, known_to_controllers, tire_curve
 from tirefit.sim.brake_result import braked
@@ -72,18 +70,7 @@ def test_a_path_lies_on_the_curve(result):
 
 
 @pytest.mark.long
-def test_figures_are_drawn_for_one_and_for_all_stops(result, tmp_path, monkeypatch):
+def test_figures_are_drawn_for_one_and_for_all_stops(result):
     pictures = [draw(result) for draw in (stop_figure, compare_figure, paths_figure)]
     assert all(picture._repr_png_().startswith(b"\x89PNG") for picture in pictures)
     assert len(pictures[0].axes) == 18
-    corners = outline(1.0, 2.0, np.pi / 2, (4.0, 2.0))
-    np.testing.assert_allclose(corners.mean(axis=0), [1.0, 2.0])
-    assert np.ptp(corners[:, 1]) == pytest.approx(4.0)
-    # The first third of a second of one stop, of which a film at this rate shows two
-    # pictures, and the last one for a second: every picture costs as much.
-    monkeypatch.setattr(brake_animation, "_RATE", 4)
-    stop = result.stops["abs"]
-    stop = replace(stop, log=jax.tree.map(lambda leaf: leaf[:60], stop.log))
-    begun = replace(result, stops={"abs": stop})
-    path = save_animation(begun, tmp_path / "stop.gif")
-    assert path.read_bytes().startswith(b"GIF89a")

@@ -1,7 +1,6 @@
 """``tirefit brake``: a braking manoeuvre in closed loop, with any controller."""
 
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -14,22 +13,13 @@ from tirefit.cli.options import (
     errors_to_exit,
     numbers,
     progress_bar,
-    say,
     start_jax,
 )
-from tirefit.cli.output import check_results, claimed, staged
+from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.results import InputProblem, UsageError
 
-ANIMATION = "stop.gif"
-FILES = (
-    "summary.json",
-    "series.csv",
-    "stops.csv",
-    "stop.png",
-    "compare.png",
-    "slip.png",
-    ANIMATION,
-)
+_FIGURES = {"stop.png": "stop", "slip.png": "slip", "compare.png": "compare"}
+FILES = ("summary.json", "series.csv", "stops.csv", *_FIGURES)
 
 
 class Vehicle(StrEnum):
@@ -78,9 +68,6 @@ def brake(
     stops: Annotated[
         int, typer.Option(min=1, max=100_000, help="number of stops, each with its own seed")
     ] = 1,
-    animate: Annotated[
-        bool, typer.Option("--animate", help="write the animation stop.gif")
-    ] = False,
     seed: Annotated[int, typer.Option(min=0, max=2**31, help="seed of noise and road")] = 0,
 ) -> None:
     """Simulate braking with a controller: stopping distance, friction used, figures."""
@@ -102,21 +89,6 @@ def brake(
             )  # fmt: skip
             for text in result.notes:
                 complain(f"warning: {text}")
-            _write(result, animate, out)
-
-
-def _write(result, animate: bool, out: Path) -> None:
-    from tirefit.report.canvas import save_picture
-
-    figures = {"stop.png": "stop", "slip.png": "slip"}
-    figures |= {"compare.png": "compare"} if len(result.stops) > 1 else {}
-    with staged(out, FILES, result) as folder:
-        written = result.save(folder)
-        for name, what in figures.items():
-            written.append(save_picture(result.plot(what), folder / name))
-        if animate:
-            from tirefit.report.brake_animation import save_animation
-
-            written.append(save_animation(result, folder / ANIMATION))
-    say(str(result))
-    say("wrote " + ", ".join(str(out / path.name) for path in written))
+            several = len(result.stops) > 1
+            figures = {k: v for k, v in _FIGURES.items() if several or v != "compare"}
+            write_result(result, out, FILES, figures)

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import complain, progress_bar, say, start_jax
-from tirefit.cli.output import check_results, claimed, staged
+from tirefit.cli.options import complain, progress_bar, start_jax
+from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.results import InputProblem, UsageError
 
 FILES = ("vehicle_diagnosis.json", "vehicle_diagnosis.png", "vehicle_diagnosis.html")
@@ -43,7 +43,6 @@ def diagnose_car(
     """Diagnose the car, print the report and write the files."""
     check_results([out / name for name in FILES], logs)
     start_jax()
-    from tirefit.report.canvas import save_picture
     from tirefit.vehicle.diagnose import diagnose_vehicle
 
     # The first line of progress at once, as programs take seconds to compile.
@@ -53,14 +52,8 @@ def diagnose_car(
                 logs, vehicle, front or "brush", rear or "brush",
                 holdout=holdout, without=without, progress=progress,
             )  # fmt: skip
-        with staged(out, FILES, result) as folder:
-            result.save(folder)
-            if figures:
-                save_picture(result.plot(), folder / FILES[1])
-                result.save(folder / FILES[2])
-    say(str(result))
-    written = FILES if figures else FILES[:1]
-    say("wrote " + ", ".join(str(out / name) for name in written))
+        drawn, page = ({FILES[1]: ""}, FILES[2]) if figures else ({}, "")
+        write_result(result, out, FILES, drawn, page)
 
 
 @contextmanager

@@ -16,11 +16,10 @@ from tirefit.cli.options import (
     numbers,
     read_config,
     read_options,
-    say,
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_results, claimed, staged
+from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.results import InputProblem, UsageError
 
 FILES = ("estimates.csv", "summary.json", "estimates.png")
@@ -96,18 +95,13 @@ def _checked(log, out, follow, setting) -> dict[str, float]:
 def _whole(log: Path, names, values, how, out: Path, seed: int) -> None:
     from tirefit.data.read import read
     from tirefit.online.estimate import estimate as estimate_log
-    from tirefit.report.canvas import save_picture
 
     # Logs have gaps: a row that cannot be used is flagged and no error.
     table = read(log, **(how | {"mask_bad_rows": True, "curve": False}))
     warn(table)
     _say_masked(table)
     result = estimate_log(table, names, values, seed=seed)
-    with staged(out, FILES, result) as folder:
-        result.save(folder)
-        save_picture(result.plot(), folder / FILES[2])
-    say(str(result))
-    say("wrote " + ", ".join(str(out / name) for name in FILES))
+    write_result(result, out, FILES, {FILES[2]: ""})
 
 
 def _say_masked(table) -> None:

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from tirefit.cli.options import say, start_jax
-from tirefit.cli.output import check_results, claimed, staged
+from tirefit.cli.options import start_jax
+from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 FIGURE = "trajectory.png"
@@ -33,15 +33,10 @@ def fit_vehicle(
     models, out = models_of(model), out or Path(f"{vehicle.stem}.fit")
     check_results([out / name for name in FILES], logs)
     start_jax()
-    from tirefit.report.canvas import save_picture
     from tirefit.vehicle.trajectory import fit_trajectory
 
     with claimed(out):
         how = {k: v for k, v in how.items() if v is not None}
         result = fit_trajectory(logs, vehicle, **(models | how))
-        with staged(out, FILES, result) as folder:
-            result.save(folder)
-            save_picture(result.plot(), folder / FIGURE)
-    say(str(result))
-    say("wrote " + ", ".join(str(out / name) for name in FILES))
+        write_result(result, out, FILES, {FIGURE: ""})
     return exit_code(result.outcomes)

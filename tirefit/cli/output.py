@@ -6,9 +6,10 @@ import re
 import shutil
 import signal
 import threading
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from tirefit.cli.options import CONTEXT, say
 from tirefit.door import replaced_inputs
@@ -222,6 +223,29 @@ def staged(
         raise _of(directory, folder, error) from None
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def write_result(
+    result: Any, out: Path, known: Collection[str], figures: Mapping[str, str], page: str = ""
+) -> None:
+    """Write a result with its figures into a claimed folder; print it, and the files.
+
+    Args:
+        known: every file that the command may write, in the order of the printed list.
+        figures: name of a file -> argument of ``result.plot``, empty for the default.
+        page: name of the page; none if empty.
+    """
+    from tirefit.report.canvas import save_picture
+
+    with staged(out, known, result) as folder:
+        result.save(folder)
+        for name, what in figures.items():
+            save_picture(result.plot(*filter(None, [what])), folder / name)
+        if page:
+            result.save(folder / page)
+        written = [out / name for name in known if (folder / name).exists()]
+    say(str(result))
+    say("wrote " + ", ".join(map(str, written)))
 
 
 def swept(directory: Path) -> None:

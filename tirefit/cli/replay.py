@@ -5,13 +5,13 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import errors_to_exit, named_path, say, start_jax
-from tirefit.cli.output import check_results, claimed, staged
+from tirefit.cli.options import errors_to_exit, named_path, start_jax
+from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.data.remote import file_at
 from tirefit.results import InputProblem, UsageError
 
-RECORD, FIGURES, PAGE = "replay.json", ("replay.png", "series.png"), "replay.html"
-FILES = (RECORD, *FIGURES, PAGE)
+FIGURES, PAGE = {"replay.png": "path", "series.png": "series"}, "replay.html"
+FILES = ("replay.json", *FIGURES, PAGE)
 
 
 def replay(
@@ -67,11 +67,9 @@ def replay(
             raise UsageError(InputProblem(reason, remedy))
         check_results([out / name for name in FILES])
         start_jax()
-        from tirefit.report.canvas import save_picture
         from tirefit.vehicle.replay import HORIZONS
         from tirefit.vehicle.replay import replay as predicted
 
-        written = [RECORD, *FIGURES, *([PAGE] if html else [])]
         with claimed(out):
             result = predicted(
                 logs,
@@ -83,11 +81,4 @@ def replay(
                 effects=effects,
                 seed=seed,
             )
-            with staged(out, FILES, result) as folder:
-                result.save(folder)
-                for what, name in zip(("path", "series"), FIGURES, strict=True):
-                    save_picture(result.plot(what), folder / name)
-                if html:
-                    result.save(folder / PAGE)
-        say(str(result))
-        say("wrote " + ", ".join(str(out / name) for name in written))
+            write_result(result, out, FILES, FIGURES, PAGE if html else "")
