@@ -203,7 +203,8 @@ SENSORS = (
         # A brush with another load equals one with another friction; this is exact if the
         # stiffness does not depend on the load.
         change=multiplies(
-            "friction", lambda a, _, rows: 1 + PER_MILLE * a * (1 / rows.fz - 1)
+            "friction",
+            lambda a, _, rows: (1 + PER_MILLE * a / rows.fz) / (1 + PER_MILLE * a),
         ),
         formula="F_z + amplitude", means="the load is off by a constant",
         remedy="check the zero of the load cell, and the mass of rim and hub",

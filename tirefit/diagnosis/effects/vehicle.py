@@ -179,7 +179,7 @@ SPEEDS = (
         family="friction x acceleration", scale=0.15,
         change=multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
         unit="over its range in the file", remedy="add m h a_x / wheelbase to fz",
-        formula="F_z + amplitude (geometric mean F_z) a_x: m h a_x / wheelbase",
+        formula="F_z + amplitude (mean F_z) a_x: m h a_x / wheelbase",
         means="acceleration moves load between the axles, which fz does not include",
         parameter="share", bounds=(SHARE,), prior=of_a_known_height, needs=("a_x",),
         told_apart_by="loads",
