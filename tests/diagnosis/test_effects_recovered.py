@@ -44,8 +44,8 @@ class Drive:
 
     @property
     def load(self):
-        """Load over its geometric mean."""
-        return self.fz / np.exp(np.mean(np.log(self.fz)))
+        """Load over its mean."""
+        return self.fz / np.mean(self.fz)
 
     @property
     def cruise(self):
@@ -216,7 +216,7 @@ TRUTHS = {
         (0.9, lambda w, a: force(w, mu=MU * np.sqrt(1 - a * (used(w)) ** 2))),
         (0.9, lambda w, a: force(w) * np.sqrt(1 - a * (used(w)) ** 2)),
     ],
-    "load_transfer": [(0.08, lambda w, a: force(w, fz=w.fz + a * geometric(w) * over_range(
+    "load_transfer": [(0.08, lambda w, a: force(w, fz=w.fz + a * 4000 * over_range(
         swing(w, 0.9))))],
     "wheel_inertia": [(1.4, lambda w, a: force(w) - a * spin_up(w) / RADIUS)],
     "channel_delay": [
@@ -320,10 +320,6 @@ def used(w):
     return 1500 * swing(w, 1.9) / (MU * w.fz)
 
 
-def geometric(w):
-    return np.exp(np.mean(np.log(w.fz)))
-
-
 def by_sweep_force(w, slip_of):
     return force(w, by_sweep(w, slip_of))
 
@@ -394,12 +390,6 @@ WIDER = {
     "steering_delay": 0.04,
     "steering_lag": 0.06,
     "wheel_inertia": 0.06,
-    # Loads of 3 to 5 kN: their mean is 2 % above their geometric mean.
-    "load_crosstalk": 0.04,
-    "load_offset": 0.04,
-    "conicity": 0.04,
-    "floor_slope": 0.04,
-    "camber_thrust": 0.04,
     # The largest force over load stands in for mu; the turning points are estimated.
     "friction_ellipse": 0.06,
     "force_hysteresis": 0.06,

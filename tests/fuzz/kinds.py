@@ -162,7 +162,7 @@ def _diagnosis() -> bytes:
         "candidates": [{"effects": [id], "parameters": {f"{id}: power": size}}],
         "base_parameters": values, "extended_parameters": values,
         "extension": {
-            "mode": "x", "variants": {id: 0}, "fz": 3600.0,
+            "mode": "x", "variants": {id: 0},
             "load": 4e3, "at": [4e3, 12.0], "slowest": 0.4, "brisk": 5.0,
             "cruise": 12.0, "rise": 0.04, "peak": 0.9, "used": 0.9,
             "pressure": [2e5, 4e4],

@@ -35,7 +35,7 @@ def document(path, *effects, model="brush", parameters=None, **known):
         "base_parameters": values, "extended_parameters": values,
         "extension": {
             "mode": "x", "variants": dict.fromkeys(names, 0),
-            "fz": F0, "load": 4000.0, "at": [4000.0, 12.0], "slowest": 0.4,
+            "load": F0, "at": [4000.0, 12.0], "slowest": 0.4,
             "brisk": 5.0, "cruise": 12.0, "rise": 0.04, "peak": 0.9, "used": 0.9,
             "pressure": [2e5, 0.0],
         },

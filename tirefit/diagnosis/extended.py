@@ -55,7 +55,6 @@ class Extension(NamedTuple):
     Attributes:
         mode: slip that causes the forces: x, y or xy.
         variants: number of the formula of each fitted effect, by its id.
-        fz: geometric mean of the load [N].
         load: mean load [N].
         at: median load [N] and speed [m/s].
         slowest: speed below which a wheel counts as standing [m/s].
@@ -66,7 +65,6 @@ class Extension(NamedTuple):
 
     mode: Annotated[str, Field(pattern="^(x|y|xy)$")]
     variants: Mapping[str, int]
-    fz: PositiveFloat
     load: PositiveFloat
     at: tuple[float, float]
     slowest: PositiveFloat
@@ -89,7 +87,6 @@ def extension_of(base: Base, chosen: Fit) -> Extension:
     return Extension(
         mode=prepared.mode,
         variants={a.effect.id: a.variant for a in atoms},
-        fz=float(fz[0] / prepared.covariates.fz[0]),
         at=(float(base.design.reference[0]), float(base.design.reference[1])),
         slowest=slowest(column(prepared.data, "v")),
         used=float(np.max(share)),
@@ -109,13 +106,13 @@ def _covariates(to: Extension, given: TireInputs, force) -> Covariates:
     own = across if to.mode == "y" else slip
     mean, span = to.pressure
     pressure = jnp.where(given.pressure == 0, mean, given.pressure)
-    load = jnp.maximum(given.fz, _NO_LOAD * to.fz)
+    load = jnp.maximum(given.fz, _NO_LOAD * to.load)
     share = force / (to.used * load)
     # The added square keeps the size of the slip differentiable at zero.
     size = jnp.sqrt(slip**2 + across**2 + 1e-30)
     known = {name: getattr(to, name) for name in _OF_RUN}
     known |= dict(
-        fz=load / to.fz,
+        fz=load / to.load,
         load=to.load,
         v=given.v,
         gamma=given.gamma,
@@ -320,8 +317,7 @@ def extend(tire: AbstractTire, name: str, document: Document, finish: Callable) 
     plain = finish(with_values(tire, document.base_parameters))
     to = document.extension
     sentences.append(
-        f"in these formulas F_z0 = {to.fz:.5g} N, mean F_z = {to.load:.5g} N and"
-        f" v0 = {to.cruise:.4g} m/s"
+        f"in these formulas F_z0 = mean F_z = {to.load:.5g} N and v0 = {to.cruise:.4g} m/s"
     )
     extended = Extended(
         tire=bare,
@@ -362,7 +358,7 @@ def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]
 
 def _has_inputs(atom: Atom, amplitude: float, to: Extension) -> bool:
     """Whether an effect depends only on inputs of a tire."""
-    given = TireInputs(0.01, 0.01, to.fz, to.cruise)
+    given = TireInputs(0.01, 0.01, to.load, to.cruise)
     try:
         atom.change(null_state(), amplitude, _covariates(to, given, to.load))
     except TypeError:  # it uses a covariate that is None

@@ -149,7 +149,9 @@ CODE = {
     # A brush with another load equals one with another friction; this is exact if the
     # stiffness does not depend on the load.
     "load_offset": code(
-        multiplies("friction", lambda a, _, rows: 1 + PER_MILLE * a * (1 / rows.fz - 1))
+        multiplies(
+            "friction", lambda a, _, rows: (1 + PER_MILLE * a / rows.fz) / (1 + PER_MILLE * a)
+        )
     ),
     "force_crosstalk": code(adds("force", lambda a, _, rows: a * rows.across)),
     "force_hysteresis": code(adds("force", _force_hysteresis)),

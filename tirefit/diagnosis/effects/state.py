@@ -26,7 +26,7 @@ class Covariates(NamedTuple):
     of :class:`rows.slips.Past`; they are zero without sweeps.
     """
 
-    fz: Values  # load over its geometric mean
+    fz: Values  # load over its mean
     v: Values  # speed [m/s]
     time: Values  # -1/2 to 1/2 over the record
     temperature: Values  # about its mean [20 K]

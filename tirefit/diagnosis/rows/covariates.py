@@ -185,7 +185,7 @@ def covariates_of(data: TireData, mode: str, sweeps: Sweeps, slip, second, radiu
     of_runs = (name for name in Covariates._fields if name.startswith("run_"))
     of_the_fit = ("force", "usage", "traction", *of_runs)
     return Covariates(
-        fz=fz / np.exp(np.mean(np.log(fz))), v=v, time=_over_range(time),
+        fz=fz / np.mean(fz), v=v, time=_over_range(time),
         temperature=(temperature - np.mean(temperature)) / 20.0,
         inflation=_over_range(column(data, "pressure")), gamma=column(data, "gamma"),
         rate=sweeps.rate, turning=sweeps.turning, side=np.sign(slip), other=other,
