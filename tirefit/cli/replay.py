@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import errors_to_exit, named_path, say, start_jax
+from tirefit.cli.options import errors_to_exit, named_path, progress_bar, say, start_jax
 from tirefit.cli.output import check_results, claimed, staged
 from tirefit.data.remote import file_at
 from tirefit.results import InputProblem, UsageError
@@ -73,16 +73,12 @@ def replay(
 
         written = [RECORD, *FIGURES, *([PAGE] if html else [])]
         with claimed(out):
-            result = predicted(
-                logs,
-                vehicle,
-                front,
-                rear,
-                horizons=horizon or HORIZONS,
-                steering_delay=steering_delay,
-                effects=effects,
-                seed=seed,
-            )
+            with progress_bar("replay", soon=0.0) as progress:
+                result = predicted(
+                    logs, vehicle, front, rear,
+                    horizons=horizon or HORIZONS, steering_delay=steering_delay,
+                    effects=effects, seed=seed, progress=progress,
+                )  # fmt: skip
             with staged(out, FILES, result) as folder:
                 result.save(folder)
                 for what, name in zip(("path", "series"), FIGURES, strict=True):
