@@ -18,6 +18,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tirefit.cli import silence
 from tirefit.data.remote import file_at
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
@@ -232,6 +233,8 @@ def forces_named(force: list[str] | None) -> list[str] | None:
 _COMMANDS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _SOON, _NOW_AND_THEN = 5.0, 10.0
 """Seconds until the first line of progress without a terminal, and between others."""
+_KNOWN = 2.0
+"""Seconds of work from which its end is estimated."""
 
 
 def read_options(given: DataOptions, config) -> dict[str, Any]:
@@ -282,6 +285,7 @@ def say(text: str) -> None:
     Raises:
         OSError: it cannot be written, for example to a file on a full disk.
     """
+    silence.broken()
     try:
         typer.echo(_printable(text))
     except BrokenPipeError:
@@ -292,6 +296,7 @@ def say(text: str) -> None:
 
 def complain(text: str) -> None:
     """Print a text on standard error; if that fails, the exit code is enough."""
+    silence.broken()
     with suppress(OSError):
         typer.echo(_printable(text), err=True)
 
@@ -351,9 +356,10 @@ class _Clock:
         self.silence = soon
 
     def left(self, share: float) -> str:
-        if not share:
+        passed = time.monotonic() - self.begun
+        if not share or passed < _KNOWN:
             return ""
-        seconds = (time.monotonic() - self.begun) * (1 - share) / share
+        seconds = passed * (1 - share) / share
         amount, unit = (seconds, "s") if seconds < 100 else (seconds / 60, "min")
         return f", about {amount:.2g} {unit} left"
 
@@ -397,7 +403,12 @@ def progress_bar(title: str, soon: float = _SOON) -> Iterator[Any]:
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(title, total=1.0, note="")
-        yield lambda share, note: bar.update(task, completed=share, note=note + clock.left(share))
+
+        def show(share, note):
+            silence.broken()
+            bar.update(task, completed=share, note=note + clock.left(share))
+
+        yield show
 
 
 def read_config(path: Path | None):

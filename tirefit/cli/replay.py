@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import errors_to_exit, named_path, start_jax
+from tirefit.cli.options import errors_to_exit, named_path, progress_bar, start_jax
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.data.remote import file_at
 from tirefit.results import InputProblem, UsageError
@@ -71,14 +71,16 @@ def replay(
         from tirefit.vehicle.replay import replay as predicted
 
         with claimed(out):
-            result = predicted(
-                logs,
-                vehicle,
-                front,
-                rear,
-                horizons=horizon or HORIZONS,
-                steering_delay=steering_delay,
-                effects=effects,
-                seed=seed,
-            )
+            with progress_bar("replay", soon=0.0) as progress:
+                result = predicted(
+                    logs,
+                    vehicle,
+                    front,
+                    rear,
+                    horizons=horizon or HORIZONS,
+                    steering_delay=steering_delay,
+                    effects=effects,
+                    seed=seed,
+                    progress=progress,
+                )
             write_result(result, out, FILES, FIGURES, PAGE if html else "")

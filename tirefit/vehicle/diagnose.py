@@ -198,7 +198,7 @@ def diagnose_vehicle(
     vehicle, effects = known_vehicle(vehicle), CAR_EFFECTS if effects is None else effects
     _check(vehicle, effects, without)
     given = axle_tire(front), axle_tire(rear)
-    tell = _Progress(progress or (lambda share, note: None))
+    tell = Steps(progress or (lambda share, note: None), _STEPS)
     tell("reading logs")
 
     def cut(some):
@@ -250,15 +250,15 @@ def diagnose_vehicle(
     )
 
 
-class _Progress:
-    """Reports steps and their share in about :data:`_STEPS` of them, slower near the end."""
+class Steps:
+    """Reports steps and their share in about ``count`` of them, slower near the end."""
 
-    def __init__(self, report: Callable[[float, str], None]):
-        self.report, self.done = report, 0
+    def __init__(self, report: Callable[[float, str], None], count: int):
+        self.report, self.count, self.done = report, count, 0
 
     def __call__(self, note: str) -> None:
         self.done += 1
-        self.report(self.done / (self.done + max(_STEPS - self.done, 0.1 * self.done)), note)
+        self.report(self.done / (self.done + max(self.count - self.done, 0.1 * self.done)), note)
 
 
 def _searched(subject: Windows) -> tuple[Windows, Search]:

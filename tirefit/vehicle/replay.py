@@ -8,7 +8,7 @@ same size is added to the log.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -33,7 +33,7 @@ from tirefit.precision import require_x64
 from tirefit.results import InputProblem, Outcome, UsageError
 from tirefit.vehicle.applied import applied
 from tirefit.vehicle.car import Car, State, accelerations, car_of, predicted, steps_a_sample
-from tirefit.vehicle.diagnose import VehicleDiagnosis
+from tirefit.vehicle.diagnose import Steps, VehicleDiagnosis
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.windows import (
     cut_logs,
@@ -191,6 +191,7 @@ def replay(
     effects: VehicleDiagnosis | str | Path | None = None,
     steering_delay: float | None = None,
     seed: int = 0,
+    progress: Callable[[float, str], None] | None = None,
 ) -> Replay:
     """Predict measured logs from their measured states, and compare by horizon.
 
@@ -206,6 +207,7 @@ def replay(
         steering_delay: delay [s] of the wheels behind the logged steering; that of the
             vehicle if None.
         seed: of the draws of the tires' parameters.
+        progress: called with the share done and the present step.
 
     Returns:
         Errors by horizon of the car, of the same with linear tires, of a car without
@@ -224,6 +226,8 @@ def replay(
         ((38,), ['floor', 'linear tire', 'no slip', 'tire'])
     """
     require_x64("a replay")
+    tell = Steps(progress or (lambda share, note: None), len(logs) + 4 + NOISES)
+    tell("reading logs")
     vehicle = known_vehicle(vehicle)
     horizons = _checked(vehicle, horizons, steering_delay or 0.0)
     if steering_delay is not None and vehicle.steering is not None:
@@ -238,7 +242,7 @@ def replay(
     found = cut_logs(
         logs,
         vehicle,
-        partial(_windows, vehicle, horizons, generator, apply, thinned),
+        partial(_windows, vehicle, horizons, generator, apply, thinned, tell),
         f"as long as the shortest horizon, {horizons[0]:g} s",
         "shorter horizons",
     )
@@ -252,7 +256,9 @@ def replay(
     axles = zip((car.front, car.rear), car.loads, strict=True)
     straight = replace_tires(car, *(linear(t, fz, speed) for t, fz in axles))
     parts = steps_a_sample(car, float(joined.v_x.min()), rate)
+    tell("predictions")
     tire, states = _compared(car, joined, steps, rate, parts)
+    tell("predictions of other cars")
     models = {
         "tire": tire,
         "linear tire": _compared(straight, joined, steps, rate, parts)[0],
@@ -262,9 +268,13 @@ def replay(
         models["with the effects"], _ = _compared(
             car, changed, steps, rate, 2 * parts, named.changes(changed.samples)
         )
-    again = [_compared(car, each, steps, rate, parts)[0] for each in noisy]
+    again = []
+    for each in noisy:
+        tell("predictions with noise")
+        again.append(_compared(car, each, steps, rate, parts)[0])
     models["floor"] = _floor(tire, again)
     left = merged((k, (*log.missing, *left_out(log.motion, vehicle))) for k, log in found.items())
+    tell("band of the tires' parameters")
     held = _held(car, tires, joined, steps, rate, parts, generator)
     counts = np.isfinite(tire.of["yaw_rate"]).sum(axis=0)
     return Replay(
@@ -324,12 +334,13 @@ def replace_tires(car: Car, front: AbstractTire, rear: AbstractTire) -> Car:
 
 
 def _windows(
-    vehicle: Vehicle, horizons, generator, apply, thinned, track: Track, motion: Motion
+    vehicle: Vehicle, horizons, generator, apply, thinned, tell, track: Track, motion: Motion
 ) -> list[_Windows] | None:
     """The windows of a log, from a start every :data:`EVERY` seconds where the log is
     settled and the car fast enough, to the longest horizon; None of none. Behind them
     the same windows of the log with noise, :data:`NOISES` times, and with what
     ``apply`` makes of the channels and the rows."""
+    tell("windows of a log")
     rate = vehicle.filter.sample_rate
     most, least = round(horizons[-1] * rate) + 1, round(horizons[0] * rate) + 1
     good = motion.settled & (motion.v_x > vehicle.v_min)
