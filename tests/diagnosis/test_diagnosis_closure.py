@@ -139,8 +139,11 @@ def test_closure_of_draws_is_computed_from_their_forces():
     assert found.remaining_rms == pytest.approx((1 - found.closed) * found.rms)
     # No more is claimed than that the gap is not doubled.
     assert closure_on_rows(truth, 0 * gap, 9 * gap, variance, ALONE, 1.0).closed == -1
-    tiny = closure_on_rows(truth / 40, 0 * gap, 0 * gap, variance, ALONE, 1.0)
-    assert tiny.closed is None and not tiny.resolvable
+    # A gap of twice the least energy is not resolved by a fifth of the independent rows.
+    steady = np.full((ROWS, 2), np.sqrt(2 * 3 * np.sqrt(2 / ROWS) * 100.0))
+    for rows_each, seen in ((1.0, True), (5.0, False)):
+        tiny = closure_on_rows(steady, 0 * gap, 0 * gap, variance, ALONE, rows_each)
+        assert tiny.resolvable is seen is (tiny.closed is not None)
     # Where one run is closed and another is not, both are all that is known.
     halves = np.repeat([0, 1], ROWS // 2)
     mixed = np.where(halves == 0, gap, 0.2 * gap)
@@ -163,14 +166,22 @@ def test_closure_elsewhere_is_right_for_known_energies():
     assert worse.closed == -1
 
 
-def test_nine_rows_give_no_certain_closure():
-    """They are one block of the bootstrap, which has no spread."""
+@pytest.mark.parametrize("rows_each", [5.0, 9.0])
+def test_nine_rows_give_no_certain_closure(rows_each):
+    """They are one block of the bootstrap, which has no spread: the energy of the noise is
+    known to the root of 2 over the number of independent rows."""
     generator = np.random.default_rng(2)
     gap, noise = 8 * np.cos(np.arange(9)), generator.standard_normal(9)
+    before, after = gap + noise, 0.5 * noise
     found = closure_elsewhere(
-        gap + noise, 0.5 * noise, np.ones(9), np.zeros(9, int), 1.0, generator
+        before, after, np.ones(9), np.zeros(9, int), rows_each, generator
     )
-    assert 0.6 < found.closed_ci[0] < 0.92 < found.closed_ci[1] < 1.0
+    left, error = np.mean(after**2) - 1, np.sqrt(2 * rows_each / 9)
+    root = np.linspace(0, 6, 6001)
+    below = np.cumsum(np.exp(-0.5 * ((root**2 - left) / error) ** 2))
+    ends = np.interp([0.95, 0.05], below / below[-1], root) ** 2
+    closed = 1 - np.sqrt(ends / (np.mean(before**2 - after**2) + ends))
+    np.testing.assert_allclose(found.closed_ci, closed, atol=0.01)
 
 
 def test_closure_elsewhere_contains_the_truth_in_90_percent():
