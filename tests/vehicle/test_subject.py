@@ -212,7 +212,8 @@ def test_size_and_sign_of_an_effect_are_those_of_an_independent_simulation(effec
 
 
 @pytest.mark.long
-def test_a_floor_slope_is_recovered_from_poses(tmp_path):
+def test_a_floor_slope_and_a_zero_are_recovered_from_poses_of_another_point(tmp_path):
+    ahead, left, zero = 0.4, 0.3, 0.01  # of the tracked point [m], and of the sideslip [rad]
     mass, inertia, arms, slope, downhill = 1400.0, 2300.0, (1.2, 1.4), 0.03, 0.6
     tires, g = ((9e4, 0.9), (1.2e5, 0.9)), 9.81
 
@@ -242,23 +243,30 @@ def test_a_floor_slope_is_recovered_from_poses(tmp_path):
     time = np.arange(0, 30, 0.02)
     path = solve_ivp(rates, (0, 30), np.zeros(5), t_eval=time, rtol=1e-8, max_step=0.02).y
     noise = np.random.default_rng(3).standard_normal((3, len(time)))
-    yaw, x, y = path[2] + 5e-4 * noise[0], path[3] + 2e-3 * noise[1], path[4] + 2e-3 * noise[2]
+    cos, sin = np.cos(path[2]), np.sin(path[2])
+    x, y = path[3] + ahead * cos - left * sin, path[4] + ahead * sin + left * cos
+    # A larger sideslip is logged as a smaller heading.
+    yaw, x, y = path[2] - zero + 5e-4 * noise[0], x + 2e-3 * noise[1], y + 2e-3 * noise[2]
     log, file = tmp_path / "slope.csv", tmp_path / "vehicle.toml"
     np.savetxt(log, np.stack([time, x, y, yaw, steer(time)], axis=1), "%.9g", ",",
                header="time,x,y,yaw,steer", comments="")  # fmt: skip
     file.write_text(
         f"mass = {mass}\nl_f = {arms[0]}\nl_r = {arms[1]}\nyaw_inertia = {inertia}\n"
+        f"tracked_point = [{arms[1] + ahead}, {left}]\n"
         f'gravity = {g}\n[columns]\ntime = "time"\nx = "x"\ny = "y"\nyaw = "yaw"\n'
         'steering = "steer"\n[steering]\ncommand = [-1.0, 1.0]\nangle = [-1.0, 1.0]\n'
         "[filter]\ncutoff = 4.0\nsample_rate = 50\n"
     )
-    library = [effect for effect in CAR_EFFECTS if effect.id == "floor_slope"]
+    library = [effect for effect in CAR_EFFECTS if effect.id in ("floor_slope", "sideslip_zero")]
     made = windows(log, file, [Brush(cpa2=c, mu=mu) for c, mu in tires], library)
     made = replace(made, noise=np.array([5e-4, 2e-3, 2e-3]))
     start = made.start
-    both = Start(start.z, np.zeros(2), start.state)
-    fit = made.refit([both], [(0, 1)])[0]
+    begin = Start(start.z, np.zeros(3), start.state)
+    fit = made.refit([begin], [(0, 1, 4)])[0]
     # Force to the left slope (s cos(yaw) - c sin(yaw)) for downhill = atan2(s, c).
     found = 0.02 * fit.amplitude[[1, 0]]
     true = slope * np.array([np.sin(downhill), np.cos(downhill)])
     np.testing.assert_allclose(found, true, atol=0.003)
+    assert 0.02 * fit.amplitude[2] == pytest.approx(zero, abs=0.002)
+    # What is left is the noise: of no more than the samples that the start states leave free.
+    assert np.mean(fit.residual**2) < 1.1
