@@ -173,9 +173,7 @@ def test_nine_rows_give_no_certain_closure(rows_each):
     generator = np.random.default_rng(2)
     gap, noise = 8 * np.cos(np.arange(9)), generator.standard_normal(9)
     before, after = gap + noise, 0.5 * noise
-    found = closure_elsewhere(
-        before, after, np.ones(9), np.zeros(9, int), rows_each, generator
-    )
+    found = closure_elsewhere(before, after, np.ones(9), np.zeros(9, int), rows_each, generator)
     left, error = np.mean(after**2) - 1, np.sqrt(2 * rows_each / 9)
     root = np.linspace(0, 6, 6001)
     below = np.cumsum(np.exp(-0.5 * ((root**2 - left) / error) ** 2))

@@ -550,6 +550,10 @@ def test_the_wheel_speed_shows_another_slip_definition():
     found = prepare(read_frame(wrong), rig, ("fx",)).slip_check
     assert (found.read_as, found.fits) == ("sigma_x", "kappa")
     assert not found.agrees and found.rms > 0.01 > 100 * found.scatter
+    odds = next(e for e in EFFECTS if e.id == "slip_definition").odds
+    files = [(wrong, rig), (frame, RIG), (frame, rig)]
+    seen, unknown, denied = (odds(prepare(read_frame(f), r, ("fx",))) for f, r in files)
+    assert seen > unknown == 0 > denied
     assert prepare(read_frame(frame), RIG, ("fx",)).slip_check is None
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from fits.formulas import brush
@@ -124,6 +125,27 @@ def test_derivatives_from_sample_to_sample_are_differences_of_the_whole_motion(s
         slope = (ends[0] - ends[1]) / (2 * step)
         found = now.by_start(2)[..., k]
         np.testing.assert_allclose(found, slope, atol=0.01 * np.abs(slope).max())
+
+
+def test_the_noise_of_a_fit_is_that_of_a_ridge_with_explicit_start_states(small):
+    """Of all effects and unlisted forces, of twice their usual size, with the degrees of
+    freedom of its hat matrix."""
+    fit = small.refit([small.start], [()])[0]
+    small = small.following(fit)
+    now, by = small.at(fit, range(small.model.size))
+    w, _, c, q = by.shape
+    weight = 1 / small.noise[:, None]
+    starts = block_diag(*(now.by_start(2) * weight).reshape(w, -1, 2))
+    seen = np.concatenate([(by * weight).reshape(-1, q), small.discrepancy.additive], axis=1)
+    root = np.append(np.ones(TIRES), np.full(seen.shape[1] - TIRES, 1 / 2))
+    whole = np.block([[starts, seen], [np.zeros((len(root), 2 * w)), np.diag(root)]])
+    target = np.concatenate([-(now.motion.missed * weight[:, 0]).ravel(), -fit.z])
+    target = np.pad(target, (0, len(root) - TIRES))
+    unit, m = np.linalg.qr(whole)[0], len(starts)
+    rest = (target - unit @ (unit.T @ target))[:m].reshape(-1, c)
+    level = np.mean(rest**2, axis=0) * m / (m - np.sum(unit[:m] ** 2))
+    found = small.with_noise_of(fit).noise
+    np.testing.assert_allclose(found, small.noise * np.sqrt(level), rtol=1e-4)
 
 
 def test_an_unlisted_force_acts_as_the_side_force_of_a_bank(tmp_path):

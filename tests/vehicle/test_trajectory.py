@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from test_car import GRAVITY, INERTIA, L_F, L_R, MASS, TIRES, slopes
-from test_replay import TOML
+from test_replay import RATES, TOML, TURNED, write_rates
 from typer.testing import CliRunner
 
 import tirefit
@@ -121,6 +121,24 @@ def test_profile_and_covariance_intervals_agree_if_nearly_normal(found, drive):
                 other.parameters[name].ci95, one.ci95, atol=0.5 * one.std, err_msg=name
             )
             assert other.parameters[name].ci95 != one.ci95
+
+
+@pytest.mark.long
+def test_a_turned_sensor_of_the_speeds_is_found_and_written(tmp_path):
+    time = np.arange(0, 12, 0.01)
+    given = [lambda t: 3.0, steer]
+    true = solve_ivp(
+        slopes, (0, 12), np.zeros(5), t_eval=time, rtol=1e-8, max_step=0.01, args=given
+    )
+    noise = 0.005 * np.random.default_rng(4).standard_normal((2, len(time)))
+    v_y, turn = true.y[:2] + noise
+    write_rates(tmp_path / "drive.csv", time, 3.0 + 0 * time, v_y, turn, steer(time))
+    (tmp_path / "vehicle.toml").write_text(RATES)
+    log, vehicle = [tmp_path / "drive.csv"], tmp_path / "vehicle.toml"
+    found = fit_trajectory(log, vehicle, unknowns=("sideslip_zero",))
+    zero = found.parameters["sideslip_zero"]
+    assert abs(found.vehicle.sideslip_offset - TURNED) < 3 * zero.std < 0.01
+    assert found.vehicle.sideslip_offset == pytest.approx(-zero.value)
 
 
 @pytest.mark.long
