@@ -9,11 +9,17 @@ from conftest_diagnosis import Toy, log_normal, weighed_of
 from scipy.special import softmax
 
 from tirefit.diagnosis.engine.discrepancy import Cell, Discrepancy, places_of
+from tirefit.diagnosis.engine.left_out import NOISE, SMOOTH, Ladder, Step
 from tirefit.diagnosis.rows.forces import Design
 from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary import closure
 from tirefit.diagnosis.summary.case import Case
-from tirefit.diagnosis.summary.closure import closure_elsewhere, closure_on_rows, plausible_forces
+from tirefit.diagnosis.summary.closure import (
+    closure_elsewhere,
+    closure_on_rows,
+    held_out,
+    plausible_forces,
+)
 
 ROWS = 240
 ALONE = np.zeros(ROWS, int)
@@ -164,6 +170,19 @@ def test_closure_elsewhere_is_right_for_known_energies():
     assert tiny.closed is None and not tiny.resolvable
     worse = closure_elsewhere(gap + noise, 3 * gap + noise, variance, run, 1.0, generator)
     assert worse.closed == -1
+
+
+def test_the_gap_on_parts_left_out_is_that_beyond_the_noise():
+    """5^2 = 4^2 + 3^2; 90 % are 1.645 standard errors, within the range of a closure."""
+    last = Step(SMOOTH, 4.0, 0.9, 0.0, 0.0, 0.0), Step(NOISE, 3.0, 1.0, 0.0, 0.0, 0.0)
+    ends = {0.1: (0.4 - 0.1645, 0.4 + 0.1645), 0.9: (-1.0, 1.0)}
+    for std, interval in ends.items():
+        steps = Step((), 5.0, 0.0, 0.0, 0.0, 0.0), Step(("one",), 4.2, 0.4, std, 0.0, 0.0)
+        case = SimpleNamespace(verdict=SimpleNamespace(key=("one",)))
+        found, _ = held_out(case, (), None, Ladder("parts", (*steps, *last)), None)
+        assert (found.rms, found.closed) == (pytest.approx(4.0), 0.4)
+        assert found.remaining_rms == pytest.approx(0.6 * 4.0)
+        np.testing.assert_allclose(found.closed_ci, interval, atol=1e-4)
 
 
 @pytest.mark.parametrize("rows_each", [5.0, 9.0])
