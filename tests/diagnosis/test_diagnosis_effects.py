@@ -199,6 +199,16 @@ def test_the_work_of_sliding_agrees_with_its_integral():
     assert cold[202, 2] < 0.1 + cold[:, 2].min() < cold[200, 2]
 
 
+def test_each_further_run_costs_half_the_logarithm_of_its_rows():
+    frame, _ = record(None)
+    rows = np.arange(240)
+    few, many = (
+        BY_ID["friction_run"].odds(prepared_of(frame | {"run": rows * runs // 240}))
+        for runs in (2, 6)
+    )
+    assert few - many == pytest.approx(0.5 * (6 - 2) * np.log(40))
+
+
 def test_constants_of_an_effect_come_from_the_fitted_rows():
     frame, _ = record(None, seed=1)
     fitted = prepared_of(frame)
