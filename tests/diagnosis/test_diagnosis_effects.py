@@ -171,9 +171,10 @@ def test_a_load_offset_changes_the_load():
 
 
 def test_the_lateral_force_uses_part_of_the_friction():
-    rows = _rows(across=np.array([0.0, 1800.0, -3600.0]), peak=0.9, fz=1.0, load=4000.0)
-    found = _changed("friction_ellipse", 1.0, rows).friction
-    np.testing.assert_allclose(found, [1.0, np.sqrt(0.75), np.sqrt(0.05)], rtol=1e-9)
+    across, fz = np.array([0.0, 1800.0, 1800.0, -3600.0]), np.array([1.0, 1.0, 2.0, 1.0])
+    found = _changed("friction_ellipse", 1.0, _rows(across=across, peak=0.9, fz=fz, load=4000.0))
+    # Shares of 0, 1/2, 1/4 and all of the friction; a twentieth of the square is kept.
+    np.testing.assert_allclose(found.friction**2, [1.0, 3 / 4, 15 / 16, 0.05], rtol=1e-9)
 
 
 def test_the_work_of_sliding_agrees_with_its_integral():
