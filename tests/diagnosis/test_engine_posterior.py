@@ -110,12 +110,12 @@ def test_posterior_probabilities_sum_to_one():
 
 
 def test_sets_without_a_refit_that_the_data_could_not_show_are_hidden():
-    """Two sets of equal weight: only the one below 20 to 1 may hide an effect."""
+    """Of two sets only the one below 20 to 1 may hide an effect."""
     found = searched(subject(listed))
     whole = weighed(found).log_total
-    found.guessed |= {(7,): (whole - 1.0, 2.9), (8,): (whole - 1.0, 3.1)}
-    share = np.exp(-1.0)
-    assert weighed(found).hidden == pytest.approx(share / (1 + 2 * share), rel=1e-3)
+    found.guessed |= {(7,): (whole - 1.0, 2.9), (8,): (whole - 2.0, 3.1)}
+    weak, clear = np.exp([-1.0, -2.0])
+    assert weighed(found).hidden == pytest.approx(weak / (1 + weak + clear), rel=1e-3)
 
 
 def test_variants_of_an_effect_share_its_probability():
