@@ -310,6 +310,16 @@ def test_the_slip_rate_of_a_noisy_sweep_is_found():
     assert not slip_rate(shuffled, time, np.zeros(400, int)).present
 
 
+def test_hardly_a_row_is_certain_of_the_wrong_direction():
+    """Near its ends a slow sweep is within the error of its slope, which the noise causes."""
+    time, wrong = np.arange(400) * 0.01, 0
+    for seed in range(10):
+        noise = 0.002 * np.random.default_rng(seed).standard_normal(400)
+        found = slip_rate(0.1 + 0.02 * np.sin(2 * time) + noise, time, np.zeros(400, int), 0.002)
+        wrong += np.count_nonzero(found.turning * np.sign(np.cos(2 * time)) <= -1)
+    assert wrong <= 2
+
+
 def test_turning_points_of_a_saw_tooth_stay_sharp():
     """One-sided windows: no parabola extends across a turning point of the slip."""
     time = np.arange(240) * 0.01
