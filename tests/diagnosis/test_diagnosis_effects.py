@@ -1,6 +1,5 @@
 """The library of effects: scale-free, in closed form, and found in their own truths."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest_diagnosis import RIG, brush, record
@@ -263,11 +262,3 @@ def test_slip_noise_from_a_speed_falls_with_the_speed(tmp_path):
     noise = {"sigma_x": 0.003, "sigma_x_speed": 0.01}
     problem = build(read_frame(frame), "brush", parse_config({"noise": noise})).problem
     np.testing.assert_allclose(problem.slip_noise["sigma_x"], right)
-
-
-def test_a_drift_of_the_slip_offset_is_not_named_friction():
-    """Half a per cent of slip over the record is an offset, not a factor."""
-    rows = _rows()
-    state = _changed("slip_zero_drift", 0.01, rows)
-    np.testing.assert_allclose(state.shift, 0.01 * jnp.asarray(rows.time), atol=1e-12)
-    assert float(state.friction) == float(state.stiffness) == 1.0

@@ -84,28 +84,6 @@ def test_a_lower_kinetic_friction_lowers_only_the_plateau():
     np.testing.assert_allclose(ours, Brush()(small).fx, rtol=0.01)
 
 
-def test_a_flexible_carcass_reduces_the_slip():
-    """Compared with the slip that solves x = slip - share F(x) / F_z."""
-    share, fz, tire = 0.02, 4000.0, Brush()
-
-    def excess(x):
-        return x + share * float(tire(TireInputs(x, 0.0, fz)).fx) / fz - 0.06
-
-    inner = brentq(excess, 0, 0.06)
-    right, rigid = (float(tire(TireInputs(x, 0.0, fz)).fx) for x in (inner, 0.06))
-    effect = next(e for e in EFFECTS if e.id == "carcass_flexibility")
-    frame, _ = record(None)
-    prepared = prepare(read_frame(frame), RIG, ("fx",))
-    rows = prepared.covariates._replace(traction=np.array(rigid / fz))
-    state = effect.change(null_state(), share, (), rows)
-    inputs = TireInputs(0.06, 0.0, fz, 0.0)
-    slip = 0.06 + state.shift
-    ours = force_of_state(tire, None, state, slip, 0.0, inputs)[0]
-    # The force of the base model approximates the true one to first order.
-    assert rigid - right > 400
-    assert abs(ours - right) < 0.4 * (rigid - right)
-
-
 @pytest.fixture(scope="module")
 def base():
     frame, _ = record(None, seed=2)

@@ -92,22 +92,6 @@ def test_the_fastest_rate_agrees_with_the_linear_car():
     assert stiffest(linear, speed) == pytest.approx(np.abs(np.linalg.eigvals(matrix)).max())
 
 
-def test_the_forces_agree_with_derive():
-    v_x, steering, v_y, turn = 3.0, 0.1, -0.2, 1.0
-    lateral, yaw = accelerations(car(), v_x, steering, v_y, turn)
-    # The formulas of derive, positive to the right.
-    wheelbase = L_F + L_R
-    rear = -(MASS * L_F * lateral - INERTIA * yaw) / wheelbase
-    front = -(MASS * L_R * lateral + INERTIA * yaw) / wheelbase / np.cos(steering)
-    for force, (c, mu), slip, other in (
-        (front, TIRES["front"], np.arctan2(v_y + L_F * turn, v_x) - steering, L_R),
-        (rear, TIRES["rear"], np.arctan2(v_y - L_R * turn, v_x), L_F),
-    ):
-        fz = MASS * GRAVITY * other / wheelbase
-        size = brush(np.tan(abs(slip)), fz, v_x, c, mu)
-        assert float(force) == pytest.approx(np.sign(slip) * size, rel=1e-9)
-
-
 def test_changes_of_the_car_enter_newton_and_euler():
     """Every change at once; stiffness and friction are those of another brush."""
     front = Axle(1.3, 0.8, load=1.1, slip=0.01, fall=0.2, sliding=0.3, force=2.0)

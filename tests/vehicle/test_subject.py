@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from fits.formulas import brush
 from fits.withheld_vehicle.drives import LISTED, Trial, drive, trial, written
 from tirefit.data.vehicle import load_vehicle
-from tirefit.diagnosis.engine.fit import Start, fitted
+from tirefit.diagnosis.engine.fit import Start
 from tirefit.fitting.source import axle_tire
 from tirefit.models import Brush
 from tirefit.vehicle import subject
@@ -159,25 +159,6 @@ def test_an_unlisted_force_acts_as_the_side_force_of_a_bank(tmp_path):
     front, rear = (weight * car[arm] / wheelbase * ones for arm in ("l_r", "l_f"))
     found = -(now.by_force(0, front) + now.by_force(1, rear))
     np.testing.assert_allclose(found * 0.02, by, atol=0.02 * np.abs(by).max())
-
-
-@pytest.mark.parametrize("sign", [0.0, 1.0])
-def test_the_log_evidence_is_the_integral_over_the_amplitude(sign):
-    generator = np.random.default_rng(2)
-    column, residual = generator.standard_normal((2, 30))
-    residual = residual + 0.4 * column
-    one = np.array([0.5])  # linear, so any point of expansion gives the same
-    linear = residual - 0.5 * column, column[:, None]
-    low = 0.0 if sign else -np.inf
-    fit = fitted((0,), ("a",), Start(one[:0], one), linear, np.ones(1), one,
-                 np.array([sign]), (np.array([low]), np.array([np.inf])))  # fmt: skip
-
-    def density(a):
-        value = np.exp(-0.5 * np.sum((residual - a * column) ** 2) - a**2 / 2)
-        return value / np.sqrt(2 * np.pi)
-
-    whole = (2 if sign else 1) * quad(density, low, np.inf)[0]
-    assert fit.log_evidence == pytest.approx(np.log(whole), abs=1e-6)
 
 
 SIZES = {
