@@ -130,7 +130,11 @@ def exact_start(result):
 
 def test_a_steering_delay_is_detected_and_can_be_declared(drive):
     given = [drive / "late.csv"], drive / "vehicle.toml", FRONT, REAR
-    as_logged = replay(*given, horizons=(0.5,)).models["tire"].rms()
+    found = replay(*given, horizons=(0.5,))
+    as_logged, (fan,) = found.models["tire"].rms(), found.fans.values()
+    ahead, behind = (one["x"] + 1j * one["y"] for one in (fan.predicted, fan.measured))
+    across = ((ahead - behind) * np.exp(-1j * fan.measured["heading"])).imag[:, 50]
+    np.testing.assert_allclose(found.models["tire"].of["lateral"][:, 0], across, atol=1e-9)
     stated = replay(*given, horizons=(0.5,), steering_delay=LATE).models["tire"].rms()
     toml = drive / "late.toml"
     toml.write_text(TOML.replace("[filter]", f"delay = {LATE}\n[filter]"))
