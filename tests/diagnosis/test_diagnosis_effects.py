@@ -7,13 +7,12 @@ from conftest_diagnosis import RIG, brush, record
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS, atoms_of
-from tirefit.diagnosis.effects.state import force_of_state, null_state
+from tirefit.diagnosis.effects.state import null_state
 from tirefit.diagnosis.rows.covariates import half_force_slip
 from tirefit.diagnosis.rows.prepared import on_scale_of, prepare
 from tirefit.diagnosis.rows.rig import Rig, load_rig
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.problem import build
-from tirefit.models import Brush, TireInputs
 from tirefit.results import DataError
 
 BY_ID = {effect.id: effect for effect in EFFECTS}
@@ -156,17 +155,6 @@ def _changed(effect, amplitude, rows, variant=0):
 
 def _rows(**given):
     return prepared_of(record(None)[0]).covariates._replace(**given)
-
-
-def test_a_load_offset_changes_the_load():
-    rows = _rows(fz=np.array([0.5, 1.0, 1.5]))
-    friction = _changed("load_offset", 60.0, rows).friction
-    # Friction at the load of reference stays: it is the base model's to fit.
-    for load, factor in zip(4000 * rows.fz, friction, strict=True):
-        state = null_state()._replace(friction=factor * (1 + 0.06))
-        ours = force_of_state(Brush(), None, state, 0.06, 0.0, TireInputs(0.06, 0.0, load))[0]
-        right = float(Brush()(TireInputs(0.06, 0.0, load + 240.0)).fx)
-        assert float(ours) == pytest.approx(right, rel=5e-3)
 
 
 def test_the_lateral_force_uses_part_of_the_friction():

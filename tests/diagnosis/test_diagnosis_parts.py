@@ -45,14 +45,6 @@ def test_the_null_state_gives_the_base_model():
         np.testing.assert_allclose(ours[0], tire(inputs).fx, rtol=1e-12, atol=1e-9)
 
 
-def test_similarity_is_exact_for_a_brush():
-    state = null_state()._replace(stiffness=jnp.array(1.3), friction=jnp.array(0.8))
-    inputs = TireInputs(0.06, 0.0, 4000.0, 10.0)
-    ours = force_of_state(Brush(), None, state, 0.06, 0.0, inputs)[0]
-    scaled = Brush(cpa2=1.3 * 5e4, mu=0.8)(inputs).fx
-    np.testing.assert_allclose(ours, scaled, rtol=1e-12)
-
-
 @pytest.mark.parametrize(("skew", "flat"), [(0.3, 0.0), (-0.2, 0.4), (0.5, 0.9)])
 def test_the_pressure_shape_agrees_with_the_contact_patch(skew, flat):
     """Pressure between S(24) and S(25), static friction above kinetic."""
@@ -71,17 +63,6 @@ def test_the_pressure_shape_agrees_with_the_contact_patch(skew, flat):
     inputs = TireInputs(slip, 0.0, fz, 0.0)
     ours = force_of_state(Brush(), None, state, slip, 0.0, inputs)[0]
     np.testing.assert_allclose(ours, sliding + sticking, rtol=1e-9)
-
-
-def test_a_lower_kinetic_friction_lowers_only_the_plateau():
-    """S(31): kinetic friction gives the plateau, static friction the breakaway."""
-    state = null_state()._replace(kinetic=jnp.array(0.8))
-    plateau = TireInputs(0.5, 0.0, 4000.0, 0.0)
-    ours = force_of_state(Brush(), None, state, 0.5, 0.0, plateau)[0]
-    np.testing.assert_allclose(ours, 0.8 * 4000.0, rtol=1e-12)
-    small = TireInputs(0.001, 0.0, 4000.0, 0.0)
-    ours = force_of_state(Brush(), None, state, 0.001, 0.0, small)[0]
-    np.testing.assert_allclose(ours, Brush()(small).fx, rtol=0.01)
 
 
 @pytest.fixture(scope="module")
