@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from tirefit.models import Brush, TireInputs
 from tirefit.report.replay import replay_text
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle.replay import HORIZONS, QUANTITIES, replay
+from tirefit.vehicle.windows import integrated
 
 FRONT, REAR = (Brush(cpa2=cpa2, mu=mu) for cpa2, mu in TIRES.values())
 ROOT = Path(__file__).parents[2]
@@ -43,17 +45,6 @@ sample_rate = 100.0
 [keep]
 v_min = 1.0
 """
-RATES = TOML.replace(
-    'x = "x"\ny = "y"\nyaw = "yaw"', 'v_x = "vx"\nv_y = "vy"\nyaw_rate = "r"'
-)  # fmt: skip
-TURNED = 0.03  # rad that the sensor of the speeds is turned to the left
-
-
-def write_rates(path, time, v_x, v_y, turn, angle):
-    """A log of rates whose sensor of the speeds is turned to the left."""
-    cos, sin = np.cos(TURNED), np.sin(TURNED)
-    rows = time, cos * v_x + sin * v_y, cos * v_y - sin * v_x, turn, angle
-    np.savetxt(path, np.stack(rows, axis=1), "%.9g", ",", header="t,vx,vy,r,steer", comments="")
 
 
 def steer(time):
@@ -77,8 +68,7 @@ def drive(tmp_path_factory):
             max_step=0.01,
             args=[lambda t: 2.5, lambda t, d=delay: steer(t - d)],
         )
-        v_y, turn, yaw, x, y = true.y
-        write_rates(folder / f"{name}-rates.csv", time, 2.5 + 0 * time, v_y, turn, steer(time))
+        _, _, yaw, x, y = true.y
         rows = np.stack([time, x, y, yaw, steer(time)], axis=1)
         np.savetxt(folder / f"{name}.csv", rows, "%.9g", ",", header="t,x,y,yaw,steer", comments="")
     return folder
@@ -101,15 +91,15 @@ def test_the_true_car_predicts_its_log(exact):
     assert exact.windows == (55, 54, 52, 48, 36)
 
 
-def test_a_log_of_rates_is_integrated_to_the_path_of_the_poses(exact, drive):
-    """Speeds of a turned sensor, as stated; relative to the first sample."""
-    file = drive / "rates.toml"
-    file.write_text(f"sideslip_offset = {TURNED}\n{RATES}")
-    found = replay([drive / "exact-rates.csv"], file, FRONT, REAR, horizons=HORIZONS)
-    rms, of_poses = (one.models["tire"].rms() for one in (found, exact))
-    assert found.windows == exact.windows
-    for name in QUANTITIES:
-        np.testing.assert_allclose(rms[name], of_poses[name], atol=0.02, err_msg=name)
+def test_rates_of_a_drifting_circle_are_integrated_to_its_path():
+    """Sideways at half of the speed ahead; to the trapezoidal rule at 100 Hz."""
+    time, speed, turn = np.arange(0, 3, 0.01), 2.0 + 1.0j, 0.8
+    even = {"yaw_rate": turn, "v_x": speed.real, "v_y": speed.imag}
+    motion = SimpleNamespace(**{k: np.full(len(time), v) for k, v in even.items()})
+    heading, x, y = integrated(motion, 100.0)
+    np.testing.assert_allclose(heading, turn * time, atol=1e-12)
+    path = speed * (np.exp(1j * turn * time) - 1) / (1j * turn)
+    np.testing.assert_allclose(x + 1j * y, path, atol=1e-4)
 
 
 def test_a_car_without_slip_follows_its_wheels(exact, drive):

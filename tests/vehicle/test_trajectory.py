@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from test_car import GRAVITY, INERTIA, L_F, L_R, MASS, TIRES, slopes
-from test_replay import RATES, TOML, TURNED, write_rates
+from test_replay import TOML
 from typer.testing import CliRunner
 
 import tirefit
@@ -132,12 +132,15 @@ def test_a_turned_sensor_of_the_speeds_is_found_and_written(tmp_path):
     )
     noise = 0.005 * np.random.default_rng(4).standard_normal((2, len(time)))
     v_y, turn = true.y[:2] + noise
-    write_rates(tmp_path / "drive.csv", time, 3.0 + 0 * time, v_y, turn, steer(time))
-    (tmp_path / "vehicle.toml").write_text(RATES)
-    log, vehicle = [tmp_path / "drive.csv"], tmp_path / "vehicle.toml"
-    found = fit_trajectory(log, vehicle, unknowns=("sideslip_zero",))
+    seen, log = (3.0 + 1j * v_y) * np.exp(-0.03j), tmp_path / "drive.csv"  # turned to the left
+    rows = np.stack([time, seen.real, seen.imag, turn, steer(time)], axis=1)
+    np.savetxt(log, rows, "%.9g", ",", header="t,vx,vy,r,steer", comments="")
+    rates = 'v_x = "vx"\nv_y = "vy"\nyaw_rate = "r"'
+    vehicle = tmp_path / "vehicle.toml"
+    vehicle.write_text(TOML.replace('x = "x"\ny = "y"\nyaw = "yaw"', rates))
+    found = fit_trajectory([log], vehicle, unknowns=("sideslip_zero",))
     zero = found.parameters["sideslip_zero"]
-    assert abs(found.vehicle.sideslip_offset - TURNED) < 3 * zero.std < 0.01
+    assert abs(found.vehicle.sideslip_offset - 0.03) < 3 * zero.std < 0.01
     assert found.vehicle.sideslip_offset == pytest.approx(-zero.value)
 
 
