@@ -9,11 +9,17 @@ from conftest_diagnosis import Toy, log_normal, weighed_of
 from scipy.special import softmax
 
 from tirefit.diagnosis.engine.discrepancy import Cell, Discrepancy, places_of
+from tirefit.diagnosis.engine.left_out import NOISE, SMOOTH, Ladder, Step
 from tirefit.diagnosis.rows.forces import Design
 from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary import closure
 from tirefit.diagnosis.summary.case import Case
-from tirefit.diagnosis.summary.closure import closure_elsewhere, closure_on_rows, plausible_forces
+from tirefit.diagnosis.summary.closure import (
+    closure_elsewhere,
+    closure_on_rows,
+    held_out,
+    plausible_forces,
+)
 
 ROWS = 240
 ALONE = np.zeros(ROWS, int)
@@ -139,8 +145,11 @@ def test_closure_of_draws_is_computed_from_their_forces():
     assert found.remaining_rms == pytest.approx((1 - found.closed) * found.rms)
     # No more is claimed than that the gap is not doubled.
     assert closure_on_rows(truth, 0 * gap, 9 * gap, variance, ALONE, 1.0).closed == -1
-    tiny = closure_on_rows(truth / 40, 0 * gap, 0 * gap, variance, ALONE, 1.0)
-    assert tiny.closed is None and not tiny.resolvable
+    # A gap of twice the least energy is not resolved by a fifth of the independent rows.
+    steady = np.full((ROWS, 2), np.sqrt(2 * 3 * np.sqrt(2 / ROWS) * 100.0))
+    for rows_each, seen in ((1.0, True), (5.0, False)):
+        tiny = closure_on_rows(steady, 0 * gap, 0 * gap, variance, ALONE, rows_each)
+        assert tiny.resolvable is seen is (tiny.closed is not None)
     # Where one run is closed and another is not, both are all that is known.
     halves = np.repeat([0, 1], ROWS // 2)
     mixed = np.where(halves == 0, gap, 0.2 * gap)
@@ -163,14 +172,33 @@ def test_closure_elsewhere_is_right_for_known_energies():
     assert worse.closed == -1
 
 
-def test_nine_rows_give_no_certain_closure():
-    """They are one block of the bootstrap, which has no spread."""
+def test_the_gap_on_parts_left_out_is_that_beyond_the_noise():
+    """5^2 = 4^2 + 3^2; 90 % are 1.645 standard errors, within the range of a closure."""
+    last = Step(SMOOTH, 4.0, 0.9, 0.0, 0.0, 0.0), Step(NOISE, 3.0, 1.0, 0.0, 0.0, 0.0)
+    ends = {0.1: (0.4 - 0.1645, 0.4 + 0.1645), 0.9: (-1.0, 1.0)}
+    for std, interval in ends.items():
+        steps = Step((), 5.0, 0.0, 0.0, 0.0, 0.0), Step(("one",), 4.2, 0.4, std, 0.0, 0.0)
+        case = SimpleNamespace(verdict=SimpleNamespace(key=("one",)))
+        found, _ = held_out(case, (), None, Ladder("parts", (*steps, *last)), None)
+        assert (found.rms, found.closed) == (pytest.approx(4.0), 0.4)
+        assert found.remaining_rms == pytest.approx(0.6 * 4.0)
+        np.testing.assert_allclose(found.closed_ci, interval, atol=1e-4)
+
+
+@pytest.mark.parametrize("rows_each", [5.0, 9.0])
+def test_nine_rows_give_no_certain_closure(rows_each):
+    """They are one block of the bootstrap, which has no spread: the energy of the noise is
+    known to the root of 2 over the number of independent rows."""
     generator = np.random.default_rng(2)
     gap, noise = 8 * np.cos(np.arange(9)), generator.standard_normal(9)
-    found = closure_elsewhere(
-        gap + noise, 0.5 * noise, np.ones(9), np.zeros(9, int), 1.0, generator
-    )
-    assert 0.6 < found.closed_ci[0] < 0.92 < found.closed_ci[1] < 1.0
+    before, after = gap + noise, 0.5 * noise
+    found = closure_elsewhere(before, after, np.ones(9), np.zeros(9, int), rows_each, generator)
+    left, error = np.mean(after**2) - 1, np.sqrt(2 * rows_each / 9)
+    root = np.linspace(0, 6, 6001)
+    below = np.cumsum(np.exp(-0.5 * ((root**2 - left) / error) ** 2))
+    ends = np.interp([0.95, 0.05], below / below[-1], root) ** 2
+    closed = 1 - np.sqrt(ends / (np.mean(before**2 - after**2) + ends))
+    np.testing.assert_allclose(found.closed_ci, closed, atol=0.01)
 
 
 def test_closure_elsewhere_contains_the_truth_in_90_percent():

@@ -15,7 +15,8 @@ from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
-from tirefit.diagnosis.summary.forecast import _MOMENT, _with_moment, next_measurements
+from tirefit.diagnosis.rows.subject import fit_base
+from tirefit.diagnosis.summary.forecast import _MOMENT, _changed, _with_moment, next_measurements
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.models import Asymmetric, Brush, TireInputs, forces
 
@@ -189,6 +190,18 @@ def test_one_load_and_one_sign_suggest_another_sign_or_load():
     assert first.p_now < 0.6 and first.p_after > 0.9
     adds = {step.add for step in found.next_measurement}
     assert any("opposite sign" in add or "more loads" in add for add in adds)
+
+
+def test_other_speeds_are_those_of_rows_measured_there():
+    """Half and twice the speed in turn: every covariate that follows from it."""
+    frame, rig, factors = rich(), Rig(noise=ALMOST_NO_NOISE), (0.5, 2.0)
+    base = fit_base(prepare(read_frame(frame), rig, ("fx",)), "brush", EFFECTS[:2], rig)
+    n, ours = len(frame["v"]), _changed(base, {"v": factors}).design.rows
+    measured = read_frame(frame | {"v": np.resize(factors, n) * frame["v"]})
+    right = prepare(measured, rig, ("fx",)).covariates
+    for name in ("v", "pace", "sliding", "step"):
+        found = getattr(ours, name)[:n]
+        np.testing.assert_allclose(found, getattr(right, name), rtol=1e-9, err_msg=name)
 
 
 def test_the_predicted_moment_agrees_with_the_model(studied):

@@ -1,6 +1,5 @@
 """The library of effects: scale-free, in closed form, and found in their own truths."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest_diagnosis import RIG, brush, record
@@ -8,13 +7,12 @@ from conftest_diagnosis import RIG, brush, record
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS, atoms_of
-from tirefit.diagnosis.effects.state import force_of_state, null_state
+from tirefit.diagnosis.effects.state import null_state
 from tirefit.diagnosis.rows.covariates import half_force_slip
 from tirefit.diagnosis.rows.prepared import on_scale_of, prepare
 from tirefit.diagnosis.rows.rig import Rig, load_rig
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.problem import build
-from tirefit.models import Brush, TireInputs
 from tirefit.results import DataError
 
 BY_ID = {effect.id: effect for effect in EFFECTS}
@@ -159,21 +157,11 @@ def _rows(**given):
     return prepared_of(record(None)[0]).covariates._replace(**given)
 
 
-def test_a_load_offset_changes_the_load():
-    rows = _rows(fz=np.array([0.5, 1.0, 1.5]))
-    friction = _changed("load_offset", 60.0, rows).friction
-    # Friction at the load of reference stays: it is the base model's to fit.
-    for load, factor in zip(4000 * rows.fz, friction, strict=True):
-        state = null_state()._replace(friction=factor * (1 + 0.06))
-        ours = force_of_state(Brush(), None, state, 0.06, 0.0, TireInputs(0.06, 0.0, load))[0]
-        right = float(Brush()(TireInputs(0.06, 0.0, load + 240.0)).fx)
-        assert float(ours) == pytest.approx(right, rel=5e-3)
-
-
 def test_the_lateral_force_uses_part_of_the_friction():
-    rows = _rows(across=np.array([0.0, 1800.0, -3600.0]), peak=0.9, fz=1.0, load=4000.0)
-    found = _changed("friction_ellipse", 1.0, rows).friction
-    np.testing.assert_allclose(found, [1.0, np.sqrt(0.75), np.sqrt(0.05)], rtol=1e-9)
+    across, fz = np.array([0.0, 1800.0, 1800.0, -3600.0]), np.array([1.0, 1.0, 2.0, 1.0])
+    found = _changed("friction_ellipse", 1.0, _rows(across=across, peak=0.9, fz=fz, load=4000.0))
+    # Shares of 0, 1/2, 1/4 and all of the friction; a twentieth of the square is kept.
+    np.testing.assert_allclose(found.friction**2, [1.0, 3 / 4, 15 / 16, 0.05], rtol=1e-9)
 
 
 def test_the_work_of_sliding_agrees_with_its_integral():
@@ -197,6 +185,16 @@ def test_the_work_of_sliding_agrees_with_its_integral():
     paused = frame | {"time": time + 100.0 * (time > 20)}
     cold = prepared_of(paused).covariates.work
     assert cold[202, 2] < 0.1 + cold[:, 2].min() < cold[200, 2]
+
+
+def test_each_further_run_costs_half_the_logarithm_of_its_rows():
+    frame, _ = record(None)
+    rows = np.arange(240)
+    few, many = (
+        BY_ID["friction_run"].odds(prepared_of(frame | {"run": rows * runs // 240}))
+        for runs in (2, 6)
+    )
+    assert few - many == pytest.approx(0.5 * (6 - 2) * np.log(40))
 
 
 def test_constants_of_an_effect_come_from_the_fitted_rows():
@@ -252,11 +250,3 @@ def test_slip_noise_from_a_speed_falls_with_the_speed(tmp_path):
     noise = {"sigma_x": 0.003, "sigma_x_speed": 0.01}
     problem = build(read_frame(frame), "brush", parse_config({"noise": noise})).problem
     np.testing.assert_allclose(problem.slip_noise["sigma_x"], right)
-
-
-def test_a_drift_of_the_slip_offset_is_not_named_friction():
-    """Half a per cent of slip over the record is an offset, not a factor."""
-    rows = _rows()
-    state = _changed("slip_zero_drift", 0.01, rows)
-    np.testing.assert_allclose(state.shift, 0.01 * jnp.asarray(rows.time), atol=1e-12)
-    assert float(state.friction) == float(state.stiffness) == 1.0

@@ -145,7 +145,7 @@ def shifted(effect, frame, amplitude):
     prepared = prepare(read_frame(frame), RIG, ("fy",))
     (atom,) = atoms_of([KNOWN[effect]])
     moved = atom.change(null_state(), amplitude, prepared.covariates)
-    return prepared, np.asarray(moved.shift)
+    return prepared, np.asarray(moved.shift), np.asarray(moved.force)
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def shifted(effect, frame, amplitude):
 def test_a_steering_delay_changes_the_slip_by_the_angle(effect, logged, amplitude):
     """Rows 0.1 s apart: the rate gives the angle in between."""
     frame = front(logged)
-    prepared, shift = shifted(effect, frame, amplitude)
+    prepared, shift, force = shifted(effect, frame, amplitude)
     slip = prepared.past[:, AHEAD]
     turned = frame["steering"] - steer(frame["time"])
     right = np.tan(np.arctan(slip) + turned) - slip
@@ -163,6 +163,10 @@ def test_a_steering_delay_changes_the_slip_by_the_angle(effect, logged, amplitud
     assert np.sqrt(np.mean(right**2)) > 5e-3
     missed = np.sqrt(np.mean((shift - right)[inside] ** 2))
     assert missed < 0.03 * np.sqrt(np.mean(right**2))
+    # A force derived across the logged wheels: the law is of first order in an error that is
+    # not small beside the angle.
+    more = frame["fy"] - front_axle()["fy"]
+    assert np.std((force - more)[inside]) < 0.25 * np.std(more)
 
 
 @pytest.mark.parametrize(

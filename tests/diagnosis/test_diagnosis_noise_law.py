@@ -63,15 +63,26 @@ def test_noise_that_falls_with_the_force_is_not_modelled():
     assert noise.source == "given"
 
 
-def alike(residual, given, slip=SLIP):
+def alike(residual, given, slip=SLIP, groups=None):
     """The noise of records with a constant force, in the order of time."""
     basis = np.stack([slip**k for k in range(5)], axis=1)
     waves = np.stack([f(40 * slip) for f in (np.sin, np.cos)], axis=1)
     level, zero = None if given is None else np.full(ROWS, given), np.zeros(ROWS)
     return judge_noise(
-        residual, zero, LOAD, LOAD, level, basis, waves, [np.argsort(slip)],
+        residual, zero, LOAD, LOAD, level, basis, waves,
+        [np.argsort(slip)] if groups is None else groups,
         np.arange(float(ROWS)), zero.astype(int),
     )  # fmt: skip
+
+
+def test_neighbours_lower_the_level_of_white_noise_only_by_chance():
+    """Their scatter must be two standard errors below it: one record in forty."""
+    lower = 0
+    for seed in range(40):
+        white = 40 * np.random.default_rng(seed).standard_normal(ROWS)
+        with_them, without = (alike(white, None, groups=g) for g in (None, []))
+        lower += np.mean(with_them.std) < np.mean(without.std)
+    assert lower <= 4
 
 
 def first_order(fade, seed):

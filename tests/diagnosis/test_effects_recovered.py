@@ -162,10 +162,14 @@ def lagging_steering(w, a):
     return steer(w.t) - np.cos(phase) * steer(w.t - phase / omega)
 
 
+def fastest(w):
+    """Sliding speed over the largest one of the file (95 %)."""
+    return w.sliding / np.quantile(w.sliding, 0.95)
+
+
 def speed_law(w, a, v_st, exponent):
-    """S(37) of friction at all, with the largest sliding speed of the file (95 %)."""
-    brisk = np.quantile(w.sliding, 0.95)
-    return MU * (1 - a * (1 - np.exp(-((w.sliding / brisk / v_st) ** exponent))))
+    """S(37) of friction at all."""
+    return MU * (1 - a * (1 - np.exp(-((fastest(w) / v_st) ** exponent))))
 
 
 OFFSETS = np.array([-0.004, 0.001, 0.005, -0.003, 0.003, -0.002])
@@ -271,6 +275,9 @@ TRUTHS = {
         (0.15, lambda w, a: force(w, mu=speed_law(w, a, 0.15, 1.0))),
         (-0.15, lambda w, a: force(w, mu=speed_law(w, a, 0.6, 1.0))),
         (0.15, lambda w, a: force(w, mu=speed_law(w, a, 0.6, 0.5))),
+        (0.15, None),
+        (0.15, None),
+        (0.15, lambda w, a: force(w, mu=MU * (1 - a * np.log1p(fastest(w) / 0.1) / np.log(11)))),
     ],
     "kinetic_friction": [(0.2, lambda w, a: patch(w, mu_s=MU * (1 + a) * np.ones(240)))],
     "pressure_asymmetry": [(0.25, lambda w, a: patch(w, pressure=lambda xi, used: (

@@ -8,7 +8,6 @@ import pytest
 from conftest_diagnosis import Toy, log_normal
 from scipy.integrate import quad, simpson
 from scipy.optimize import least_squares
-from scipy.special import log_ndtr
 from scipy.stats import norm
 
 from tirefit.diagnosis.engine.fit import Start, fitted
@@ -231,12 +230,3 @@ def test_priors_sum_to_those_of_their_size():
 def test_parts_of_a_set_come_largest_first():
     assert parts_of(("a", "b", "c"))[:2] == [("a", "b", "c"), ("a", "b")]
     assert [len(k) for k in parts_of(("a", "b", "c"))] == [3, 2, 2, 2, 1, 1, 1]
-
-
-def test_an_effect_of_one_sign_loses_evidence_on_the_other():
-    """The same data with a prior of either sign: the evidences average to the free one."""
-    free, positive = (toy([(0, 0.3)], low=low) for low in (-9.0, 0.0))
-    fit, one_sided = free.fit((0,)), positive.fit((0,))
-    z = fit.amplitude[0] / fit.errors[0]
-    gained = one_sided.log_evidence - fit.log_evidence
-    assert gained == pytest.approx(np.log(2) + log_ndtr(z), abs=1e-6) and gained > 0

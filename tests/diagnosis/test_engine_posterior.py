@@ -107,6 +107,15 @@ def test_posterior_probabilities_sum_to_one():
     assert weighed_of({(): 1.0}).best == () and weighed_of({(): 1.0}).ranked == []
 
 
+def test_sets_without_a_refit_that_the_data_could_not_show_are_hidden():
+    """Of two sets only the one below 20 to 1 may hide an effect."""
+    found = searched(subject(listed))
+    whole = weighed(found).log_total
+    found.guessed |= {(7,): (whole - 1.0, 2.9), (8,): (whole - 2.0, 3.1)}
+    weak, clear = np.exp([-1.0, -2.0])
+    assert weighed(found).hidden == pytest.approx(weak / (1 + weak + clear), rel=1e-3)
+
+
 def test_variants_of_an_effect_share_its_probability():
     """One effect with two equal variants is as probable as with one."""
     generator = np.random.default_rng(2)
@@ -272,9 +281,11 @@ def found_in(truth, seed=1, **other):
     return search, posterior, out
 
 
-def test_the_findings_come_from_the_fits_and_the_data_left_out():
-    """The features of each effect, by hand; the gains against the set without it."""
-    search, posterior, out = found_in(both)
+@pytest.mark.parametrize("size", [0.8, 0.35])
+def test_the_findings_come_from_the_fits_and_the_data_left_out(size):
+    """The features of each effect, by hand; the gains against the set without it. A small
+    effect has other odds beside an unlisted one."""
+    search, posterior, out = found_in(lambda t: size * t[:, 0] + hidden(t))
     found = findings_of(search, posterior, out)
     best = next(iter(found.gains))
     assert best == posterior.best and best in found.features

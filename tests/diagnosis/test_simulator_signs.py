@@ -160,8 +160,12 @@ def test_columns_of_a_mirrored_simulator_are_reported():
     assert doubt(larger, given, simulator_at(str(TIR)), **BRAKING) == ""
 
 
-def test_simulated_columns_may_have_other_signs():
-    data = read_frame(frame() | {"fy_sim": frame()["fy"]}, **BRAKING)
+@pytest.mark.parametrize("signs", ["braking", "iso-w"])
+def test_simulated_columns_may_have_other_signs(signs):
+    """Than those of the file, in whose signs they were read."""
+    columns = {k: getattr(CONVENTIONS[signs], k) * x for k, x in frame().items()}
+    raw = columns["fy"]
+    data = read_frame(columns | {"fy_sim": raw}, convention=signs)
     for name, convention in CONVENTIONS.items():
         given = Given(kind="columns", source="columns", signs=name)
-        np.testing.assert_array_equal(given.beside(data)["fy_sim"], convention.fy * data["fy_sim"])
+        np.testing.assert_array_equal(given.beside(data)["fy_sim"], convention.fy * raw)

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from fits.formulas import brush
 from tirefit.models import Brush
-from tirefit.vehicle.car import Car, State, accelerations, predicted, stiffest
+from tirefit.vehicle.car import Axle, Car, Changes, State, accelerations, predicted, stiffest
 from tirefit.vehicle.replay import LinearTire
 
 MASS, INERTIA, L_F, L_R, GRAVITY = 5.1, 0.12, 0.17, 0.16, 9.81
@@ -92,17 +92,24 @@ def test_the_fastest_rate_agrees_with_the_linear_car():
     assert stiffest(linear, speed) == pytest.approx(np.abs(np.linalg.eigvals(matrix)).max())
 
 
-def test_the_forces_agree_with_derive():
-    v_x, steering, v_y, turn = 3.0, 0.1, -0.2, 1.0
-    lateral, yaw = accelerations(car(), v_x, steering, v_y, turn)
-    # The formulas of derive, positive to the right.
-    wheelbase = L_F + L_R
-    rear = -(MASS * L_F * lateral - INERTIA * yaw) / wheelbase
-    front = -(MASS * L_R * lateral + INERTIA * yaw) / wheelbase / np.cos(steering)
-    for force, (c, mu), slip, other in (
-        (front, TIRES["front"], np.arctan2(v_y + L_F * turn, v_x) - steering, L_R),
-        (rear, TIRES["rear"], np.arctan2(v_y - L_R * turn, v_x), L_F),
+def test_changes_of_the_car_enter_newton_and_euler():
+    """Every change at once; stiffness and friction are those of another brush."""
+    front = Axle(1.3, 0.8, load=1.1, slip=0.01, fall=0.2, sliding=0.3, force=2.0)
+    rear = Axle(0.9, 1.2, load=0.95, slip=-0.02, fall=0.1, sliding=0.2, force=-1.5)
+    changes = Changes(front, rear, inertia=1.4, ahead=0.02, force=3.0, moment=-0.5)
+    v_x, steering, v_y, turn, late = 3.0, 0.1, -0.25, 1.2, (0.015, -0.01)
+    found = accelerations(car(), v_x, steering, v_y, turn, changes, late)
+    forces, arms = [], (L_F - 0.02, -L_R - 0.02)
+    for axle, (c, mu), arm, other, wheel, more in zip(
+        (front, rear), TIRES.values(), arms, arms[::-1], (steering, 0.0), late, strict=True
     ):
-        fz = MASS * GRAVITY * other / wheelbase
-        size = brush(np.tan(abs(slip)), fz, v_x, c, mu)
-        assert float(force) == pytest.approx(np.sign(slip) * size, rel=1e-9)
+        angle = np.arctan2(v_y + arm * turn, v_x) - wheel + more + axle.slip
+        fz = MASS * GRAVITY * abs(other) / (L_F + L_R) * axle.load
+        size = brush(np.tan(abs(angle)), fz, v_x, c * axle.stiffness, mu * axle.friction)
+        far = (np.tan(angle) * axle.stiffness / axle.friction / axle.sliding) ** 2
+        lost = axle.fall * far / (1 + far)
+        forces.append(np.sign(angle) * size * (1 - lost) + axle.force)
+    ahead, behind = forces[0] * np.cos(steering), forces[1]
+    lateral = (3.0 - ahead - behind) / MASS
+    yaw = (-0.5 - arms[0] * ahead - arms[1] * behind) / (1.4 * INERTIA)
+    np.testing.assert_allclose(found, (lateral, yaw), rtol=1e-9)

@@ -128,42 +128,67 @@ def test_an_unknown_effect_and_a_log_without_windows_are_refused(late):
         tirefit.diagnose_vehicle([log], vehicle, *tires, window=5.0)
 
 
+ROWS = Samples(1.1, 0.2, 0.4, 0.3, 0.25, 0.7, 1e4, 2.5, sliding=jnp.array([0.2, 0.1]))
+SPEED, ALONG, ACROSS, TURN, TIME, HEADING, WEIGHT, WHEELBASE, _ = ROWS
+A = 0.1
+OF_AXLES = {
+    # id: (number of an axle, its value with the amplitude)
+    "lateral_load_transfer": ("friction", 1 - A * ACROSS**2),
+    "aerodynamic_load": ("load", 1 + A * (SPEED**2 - 1)),
+    "friction_speed": ("friction", 1 - A * (SPEED - 1)),
+    "sliding_friction": ("fall", A),
+    "friction_drift": ("friction", 1 + A * TIME),
+    "drive_force": ("friction", 1 - A * ALONG**2),
+}
+CHANGED = {
+    # id: {number: its value with the amplitude} of each variant, by the formula of the manual
+    "steering_ratio": [{"steering.ratio": 1 + A}],
+    "steering_offset": [{"steering.offset": A}],
+    "steering_delay": [{"steering.delay": A}],
+    "steering_lag": [{"steering.lag": A}],
+    "steering_play": [{"steering.play": A}],
+    "compliance_steer": [{"steering.yields": A}],
+    "yaw_inertia": [{"car.inertia": np.exp(A)}],
+    "centre_of_gravity": [{"car.ahead": A * WHEELBASE}],
+    "longitudinal_load_transfer": [
+        {"car.front.load": 1 - 2 * A * ALONG, "car.rear.load": 1 + 2 * A * ALONG}
+    ],
+    "relaxation_length": [{"car.relaxation": A * WHEELBASE}],
+    "yaw_resistance": [{"car.moment": -A * WEIGHT * WHEELBASE**2 * TURN}],
+    "bank": [{"car.force": A * WEIGHT}],
+    "floor_slope": [
+        {"car.force": A * WEIGHT * size * np.sin(towards - HEADING)}
+        for size, towards in ((1, 0), (1, np.pi / 2), (0.98995, np.pi / 4), (0.98995, -np.pi / 4))
+    ],
+    "sideslip_zero": [{"reading.sideslip": A}],
+    "yaw_rate_zero": [{"reading.yaw_rate": A}],
+    "tracked_point": [{"reading.ahead": A * WHEELBASE}],
+} | {
+    id: [
+        {f"car.{axle}.{name}": value for axle in axles}
+        for axles in (("front", "rear"), ("front",), ("rear",))
+    ]
+    for id, (name, value) in OF_AXLES.items()
+}  # fmt: skip
+
+
 @pytest.mark.parametrize("effect", CAR_EFFECTS, ids=lambda effect: effect.id)
-def test_only_a_nonzero_amplitude_changes_the_prediction(effect):
-    rows = Samples(
-        speed=1.1,
-        along=0.2,
-        across=0.4,
-        turn=0.3,
-        time=0.25,
-        heading=0.7,
-        weight=1e4,
-        wheelbase=2.5,
-        sliding=jnp.array([0.2, 0.1]),
-    )
-    for constants in effect.variants:
-        numbers = [
-            np.hstack([*map(np.ravel, np.atleast_1d(part))])
-            for size in (0.0, effect.scale)
-            for part in [
-                [
-                    float(x)
-                    for name, x in _leaves(effect.change(Setting(), size, constants, rows))
-                    if "sliding" not in name
-                ]
-            ]
-        ]
-        null = [float(x) for name, x in _leaves(Setting()) if "sliding" not in name]
-        np.testing.assert_allclose(numbers[0], null)
-        assert np.abs(numbers[1] - numbers[0]).max() > 0
+def test_an_effect_changes_its_number_by_its_formula(effect):
+    for constants, changed in zip(effect.variants, CHANGED[effect.id], strict=True):
+        for size, right in ((0.0, {}), (A, changed)):
+            found = dict(_leaves(effect.change(Setting(), size, constants, ROWS)))
+            wanted = dict(_leaves(Setting())) | right
+            if effect.id == "sliding_friction":
+                wanted |= {"car.front.sliding": 0.2, "car.rear.sliding": 0.1}
+            assert {k: float(x) for k, x in found.items()} == pytest.approx(wanted, rel=1e-5)
 
 
 def _leaves(setting, name=""):
     for key, value in setting._asdict().items():
         if hasattr(value, "_asdict"):
-            yield from _leaves(value, f"{name}.{key}")
+            yield from _leaves(value, f"{name}{key}.")
         else:
-            yield f"{name}.{key}", value
+            yield f"{name}{key}", value
 
 
 def test_every_withheld_effect_is_one_of_the_library():

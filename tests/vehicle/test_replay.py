@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from tirefit.models import Brush, TireInputs
 from tirefit.report.replay import replay_text
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle.replay import HORIZONS, QUANTITIES, replay
+from tirefit.vehicle.windows import integrated
 
 FRONT, REAR = (Brush(cpa2=cpa2, mu=mu) for cpa2, mu in TIRES.values())
 ROOT = Path(__file__).parents[2]
@@ -89,6 +91,17 @@ def test_the_true_car_predicts_its_log(exact):
     assert exact.windows == (55, 54, 52, 48, 36)
 
 
+def test_rates_of_a_drifting_circle_are_integrated_to_its_path():
+    """Sideways at half of the speed ahead; to the trapezoidal rule at 100 Hz."""
+    time, speed, turn = np.arange(0, 3, 0.01), 2.0 + 1.0j, 0.8
+    even = {"yaw_rate": turn, "v_x": speed.real, "v_y": speed.imag}
+    motion = SimpleNamespace(**{k: np.full(len(time), v) for k, v in even.items()})
+    heading, x, y = integrated(motion, 100.0)
+    np.testing.assert_allclose(heading, turn * time, atol=1e-12)
+    path = speed * (np.exp(1j * turn * time) - 1) / (1j * turn)
+    np.testing.assert_allclose(x + 1j * y, path, atol=1e-4)
+
+
 def test_a_car_without_slip_follows_its_wheels(exact, drive):
     # By hand: r = v tan(delta) / L, of one start.
     log = np.loadtxt(drive / "exact.csv", delimiter=",", skiprows=1)
@@ -107,7 +120,11 @@ def exact_start(result):
 
 def test_a_steering_delay_is_detected_and_can_be_declared(drive):
     given = [drive / "late.csv"], drive / "vehicle.toml", FRONT, REAR
-    as_logged = replay(*given, horizons=(0.5,)).models["tire"].rms()
+    found = replay(*given, horizons=(0.5,))
+    as_logged, (fan,) = found.models["tire"].rms(), found.fans.values()
+    ahead, behind = (one["x"] + 1j * one["y"] for one in (fan.predicted, fan.measured))
+    across = ((ahead - behind) * np.exp(-1j * fan.measured["heading"])).imag[:, 50]
+    np.testing.assert_allclose(found.models["tire"].of["lateral"][:, 0], across, atol=1e-9)
     stated = replay(*given, horizons=(0.5,), steering_delay=LATE).models["tire"].rms()
     toml = drive / "late.toml"
     toml.write_text(TOML.replace("[filter]", f"delay = {LATE}\n[filter]"))

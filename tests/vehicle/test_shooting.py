@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from tirefit.vehicle.windows import Data, linearised, minimised
+from tirefit.vehicle.windows import Data, linearised, minimised, sandwich
 
 TIME = np.linspace(0.0, 1.0, 21)
 NOISE, PULL = np.array([0.02, 0.05]), np.array([0.0, 4.0, 0.0])
@@ -65,3 +65,23 @@ def test_start_states_alone_are_found():
     began = run(z, away, data)
     _, again, *_ = minimised(run, z, away, began, data, NOISE, PULL, tolerance=1e-5)
     np.testing.assert_allclose(again, starts, atol=3e-5)
+
+
+@pytest.mark.parametrize("pull", [0.0, 3.0])
+def test_the_sandwich_of_a_mean_is_its_standard_error_between_windows(pull):
+    """A mean of windows that differ by more than their noise of 0.5, whose start state takes
+    off the second sample less the first."""
+    values = np.random.default_rng(1).normal(0.0, 2.0, (WINDOWS, 2))
+    middle, one = values.mean(axis=1), np.ones((WINDOWS, 2, 1, 1))
+    information = 2 * WINDOWS / 0.5**2 + pull
+    best = 2 * values.sum() / 2 / 0.5**2 / information
+    missed = best - values[..., None]
+    apart = one * np.array([-1.0, 1.0])[:, None, None]
+    found, count = sandwich(missed, one, apart, np.array([0.5]), np.array([pull]))
+    sums = 2 * (best - middle) / 0.5**2
+    between = WINDOWS / (WINDOWS - 1) * np.sum(sums**2)
+    assert count == WINDOWS
+    np.testing.assert_allclose(found, [[(between + pull) / information**2]], rtol=1e-6)
+    if not pull:
+        error = middle.std(ddof=1) / np.sqrt(WINDOWS)
+        np.testing.assert_allclose(np.sqrt(found), [[error]], rtol=1e-6)

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import solve_ivp
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from fits.formulas import brush
 from fits.withheld_vehicle.drives import LISTED, Trial, drive, trial, written
 from tirefit.data.vehicle import load_vehicle
-from tirefit.diagnosis.engine.fit import Start, fitted
+from tirefit.diagnosis.engine.fit import Start
 from tirefit.fitting.source import axle_tire
 from tirefit.models import Brush
 from tirefit.vehicle import subject
@@ -125,6 +126,27 @@ def test_derivatives_from_sample_to_sample_are_differences_of_the_whole_motion(s
         np.testing.assert_allclose(found, slope, atol=0.01 * np.abs(slope).max())
 
 
+def test_the_noise_of_a_fit_is_that_of_a_ridge_with_explicit_start_states(small):
+    """Of all effects and unlisted forces, of twice their usual size, with the degrees of
+    freedom of its hat matrix."""
+    fit = small.refit([small.start], [()])[0]
+    small = small.following(fit)
+    now, by = small.at(fit, range(small.model.size))
+    w, _, c, q = by.shape
+    weight = 1 / small.noise[:, None]
+    starts = block_diag(*(now.by_start(2) * weight).reshape(w, -1, 2))
+    seen = np.concatenate([(by * weight).reshape(-1, q), small.discrepancy.additive], axis=1)
+    root = np.append(np.ones(TIRES), np.full(seen.shape[1] - TIRES, 1 / 2))
+    whole = np.block([[starts, seen], [np.zeros((len(root), 2 * w)), np.diag(root)]])
+    target = np.concatenate([-(now.motion.missed * weight[:, 0]).ravel(), -fit.z])
+    target = np.pad(target, (0, len(root) - TIRES))
+    unit, m = np.linalg.qr(whole)[0], len(starts)
+    rest = (target - unit @ (unit.T @ target))[:m].reshape(-1, c)
+    level = np.mean(rest**2, axis=0) * m / (m - np.sum(unit[:m] ** 2))
+    found = small.with_noise_of(fit).noise
+    np.testing.assert_allclose(found, small.noise * np.sqrt(level), rtol=1e-4)
+
+
 def test_an_unlisted_force_acts_as_the_side_force_of_a_bank(tmp_path):
     library = tuple(effect for effect in CAR_EFFECTS if effect.id == "bank")
     made, one = of_trial(tmp_path, 5, library=library)
@@ -136,25 +158,6 @@ def test_an_unlisted_force_acts_as_the_side_force_of_a_bank(tmp_path):
     front, rear = (weight * car[arm] / wheelbase * ones for arm in ("l_r", "l_f"))
     found = -(now.by_force(0, front) + now.by_force(1, rear))
     np.testing.assert_allclose(found * 0.02, by, atol=0.02 * np.abs(by).max())
-
-
-@pytest.mark.parametrize("sign", [0.0, 1.0])
-def test_the_log_evidence_is_the_integral_over_the_amplitude(sign):
-    generator = np.random.default_rng(2)
-    column, residual = generator.standard_normal((2, 30))
-    residual = residual + 0.4 * column
-    one = np.array([0.5])  # linear, so any point of expansion gives the same
-    linear = residual - 0.5 * column, column[:, None]
-    low = 0.0 if sign else -np.inf
-    fit = fitted((0,), ("a",), Start(one[:0], one), linear, np.ones(1), one,
-                 np.array([sign]), (np.array([low]), np.array([np.inf])))  # fmt: skip
-
-    def density(a):
-        value = np.exp(-0.5 * np.sum((residual - a * column) ** 2) - a**2 / 2)
-        return value / np.sqrt(2 * np.pi)
-
-    whole = (2 if sign else 1) * quad(density, low, np.inf)[0]
-    assert fit.log_evidence == pytest.approx(np.log(whole), abs=1e-6)
 
 
 SIZES = {
@@ -211,7 +214,8 @@ def test_size_and_sign_of_an_effect_are_those_of_an_independent_simulation(effec
 
 
 @pytest.mark.long
-def test_a_floor_slope_is_recovered_from_poses(tmp_path):
+def test_a_floor_slope_and_a_zero_are_recovered_from_poses_of_another_point(tmp_path):
+    ahead, left, zero = 0.4, 0.3, 0.01  # of the tracked point [m], and of the sideslip [rad]
     mass, inertia, arms, slope, downhill = 1400.0, 2300.0, (1.2, 1.4), 0.03, 0.6
     tires, g = ((9e4, 0.9), (1.2e5, 0.9)), 9.81
 
@@ -241,23 +245,30 @@ def test_a_floor_slope_is_recovered_from_poses(tmp_path):
     time = np.arange(0, 30, 0.02)
     path = solve_ivp(rates, (0, 30), np.zeros(5), t_eval=time, rtol=1e-8, max_step=0.02).y
     noise = np.random.default_rng(3).standard_normal((3, len(time)))
-    yaw, x, y = path[2] + 5e-4 * noise[0], path[3] + 2e-3 * noise[1], path[4] + 2e-3 * noise[2]
+    cos, sin = np.cos(path[2]), np.sin(path[2])
+    x, y = path[3] + ahead * cos - left * sin, path[4] + ahead * sin + left * cos
+    # A larger sideslip is logged as a smaller heading.
+    yaw, x, y = path[2] - zero + 5e-4 * noise[0], x + 2e-3 * noise[1], y + 2e-3 * noise[2]
     log, file = tmp_path / "slope.csv", tmp_path / "vehicle.toml"
     np.savetxt(log, np.stack([time, x, y, yaw, steer(time)], axis=1), "%.9g", ",",
                header="time,x,y,yaw,steer", comments="")  # fmt: skip
     file.write_text(
         f"mass = {mass}\nl_f = {arms[0]}\nl_r = {arms[1]}\nyaw_inertia = {inertia}\n"
+        f"tracked_point = [{arms[1] + ahead}, {left}]\n"
         f'gravity = {g}\n[columns]\ntime = "time"\nx = "x"\ny = "y"\nyaw = "yaw"\n'
         'steering = "steer"\n[steering]\ncommand = [-1.0, 1.0]\nangle = [-1.0, 1.0]\n'
         "[filter]\ncutoff = 4.0\nsample_rate = 50\n"
     )
-    library = [effect for effect in CAR_EFFECTS if effect.id == "floor_slope"]
+    library = [effect for effect in CAR_EFFECTS if effect.id in ("floor_slope", "sideslip_zero")]
     made = windows(log, file, [Brush(cpa2=c, mu=mu) for c, mu in tires], library)
     made = replace(made, noise=np.array([5e-4, 2e-3, 2e-3]))
     start = made.start
-    both = Start(start.z, np.zeros(2), start.state)
-    fit = made.refit([both], [(0, 1)])[0]
+    begin = Start(start.z, np.zeros(3), start.state)
+    fit = made.refit([begin], [(0, 1, 4)])[0]
     # Force to the left slope (s cos(yaw) - c sin(yaw)) for downhill = atan2(s, c).
     found = 0.02 * fit.amplitude[[1, 0]]
     true = slope * np.array([np.sin(downhill), np.cos(downhill)])
     np.testing.assert_allclose(found, true, atol=0.003)
+    assert 0.02 * fit.amplitude[2] == pytest.approx(zero, abs=0.002)
+    # What is left is the noise: of no more than the samples that the start states leave free.
+    assert np.mean(fit.residual**2) < 1.1

@@ -111,6 +111,27 @@ def test_the_saved_fit_is_accepted_by_the_other_commands(found, tmp_path):
 
 
 @pytest.mark.long
+def test_a_turned_sensor_of_the_speeds_is_found_and_written(tmp_path):
+    time = np.arange(0, 12, 0.01)
+    given = [lambda t: 3.0, steer]
+    true = solve_ivp(
+        slopes, (0, 12), np.zeros(5), t_eval=time, rtol=1e-8, max_step=0.01, args=given
+    )
+    noise = 0.005 * np.random.default_rng(4).standard_normal((2, len(time)))
+    v_y, turn = true.y[:2] + noise
+    seen, log = (3.0 + 1j * v_y) * np.exp(-0.03j), tmp_path / "drive.csv"  # turned to the left
+    rows = np.stack([time, seen.real, seen.imag, turn, steer(time)], axis=1)
+    np.savetxt(log, rows, "%.9g", ",", header="t,vx,vy,r,steer", comments="")
+    rates = 'v_x = "vx"\nv_y = "vy"\nyaw_rate = "r"'
+    vehicle = tmp_path / "vehicle.toml"
+    vehicle.write_text(TOML.replace('x = "x"\ny = "y"\nyaw = "yaw"', rates))
+    found = fit_trajectory([log], vehicle, unknowns=("sideslip_zero",))
+    zero = found.parameters["sideslip_zero"]
+    assert abs(found.vehicle.sideslip_offset - 0.03) < 3 * zero.std < 0.01
+    assert found.vehicle.sideslip_offset == pytest.approx(-zero.value)
+
+
+@pytest.mark.long
 def test_inertia_and_centre_of_gravity_are_found_or_reported_open(drive):
     vehicle = load_vehicle(drive / "vehicle.toml")
     moved = {"l_f": L_F + 0.01, "l_r": L_R - 0.01, "yaw_inertia": 1.3 * INERTIA}

@@ -114,7 +114,7 @@ def _changed(base: Base, change: dict) -> Base:
     scaled = {k: np.resize(change[k], size) for k in ("fz", "v") if k in change}
     inputs = inputs._replace(**{k: getattr(inputs, k) * f for k, f in scaled.items()})
     if "v" in scaled:
-        scaled |= dict.fromkeys(("sliding", "step"), scaled["v"])
+        scaled |= dict.fromkeys(("pace", "sliding", "step"), scaled["v"])
         scaled["lag"] = 1 / scaled["v"]
     if "slip" in change:
         scaled = dict.fromkeys(("rate", "lag", "past", "pull", "twist"), slip)
