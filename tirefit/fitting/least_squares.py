@@ -244,6 +244,13 @@ class NormalEquations(optx.AbstractLeastSquaresSolver):
 _advance = jax.jit(NormalEquations.advance, compiler_options=BRIEF)
 
 
+def advanced(solver: NormalEquations, z, state: _State, found: Normal, lower, upper):
+    """:meth:`NormalEquations.advance`, compiled, for NumPy code."""
+    # One type of every number: one compiled program.
+    known = jax.tree.map(np.asarray, (z, state, found))
+    return _advance(solver, *known, lower, upper)
+
+
 def on_host(
     linearise: Callable[[np.ndarray], Normal],
     start: Float[Values, " p"],
@@ -258,9 +265,7 @@ def on_host(
     state = solver.begin(z)
     while steps < max_steps and not state.done:
         found = linearise(np.asarray(state.trial))
-        # One type of every number: one compiled program.
-        known = jax.tree.map(np.asarray, (z, state, found))
-        z, state = _advance(solver, *known, lower, upper)
+        z, state = advanced(solver, z, state, found, lower, upper)
         steps += 1
     cost = float(state.best.cost)
     ended = bool(state.done) and np.isfinite(cost)

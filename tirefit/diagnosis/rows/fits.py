@@ -3,7 +3,6 @@ simulator known by its forces, and refits of hypotheses."""
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,11 +17,10 @@ from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given
 from tirefit.diagnosis.rows.slips import slip_nodes
-from tirefit.fitting import least_squares as one_start
 from tirefit.fitting.across_files import HUBER
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import REACH
-from tirefit.fitting.least_squares import MAX_STEPS, TOLERANCE
+from tirefit.fitting.least_squares import MAX_STEPS, Normal, NormalEquations, advanced
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.problem import build
 from tirefit.fitting.solve import starting_points
@@ -34,6 +32,8 @@ from tirefit.results import DataError
 _STEPS, _TOLERANCE, _FARTHEST = 26, 1e-3, 20.0
 """Largest number of steps of a refit; chi-squared that one more step may gain (whole
 units of evidence matter); and largest amplitude in prior scales."""
+
+_SOLVER = NormalEquations(rtol=0.0, atol=_TOLERANCE)
 
 _LEAST_ROWS = 256
 """Smallest number of rows for which a diagnosis is compiled; small files share it."""
@@ -51,14 +51,6 @@ class Refit(NamedTuple):
     amplitude: np.ndarray
 
 
-class Normal(NamedTuple):
-    """Sums of squares (h,), half their curvatures (h, w, w) and gradients (h, w)."""
-
-    cost: np.ndarray
-    normal: np.ndarray
-    gradient: np.ndarray
-
-
 class _Hypotheses:
     """Sets of atoms to be refitted from ``starts`` (h, w). Smaller sets are padded with
     amplitudes without effect."""
@@ -72,13 +64,12 @@ class _Hypotheses:
         self.forces, none = design.forces, len(design.prior_scale)
         index = [[*s, *[none] * (MOST_EFFECTS - len(s))] for s in self.sets]
         self.center = np.append(design.prior_center, 0.0)[index]
-        self.low = np.maximum(np.append(design.low, -np.inf), -_FARTHEST)[index]
-        self.high = np.minimum(np.append(design.high, np.inf), _FARTHEST)[index]
-
-    def allowed(self, numbers, points) -> np.ndarray:
-        """The points (k, w) with the amplitudes clipped to their bounds."""
-        amplitudes = np.clip(points[:, self.p :], self.low[numbers], self.high[numbers])
-        return np.concatenate([points[:, : self.p], amplitudes], axis=1)
+        ends = np.append(design.low, -np.inf)[index], np.append(design.high, np.inf)[index]
+        free = np.full((len(sets), self.p), np.inf)
+        self.bounds = tuple(
+            np.hstack([side * free, np.clip(end, -_FARTHEST, _FARTHEST)])
+            for side, end in zip((-1.0, 1.0), ends, strict=True)
+        )
 
     def at(self, numbers, points) -> Normal:
         """Normal equations at points (k, w), priors included."""
@@ -103,72 +94,31 @@ class _Hypotheses:
 def refit(model: Tire, starts, sets, design: Design) -> Refit:
     """Sets of atoms refitted from starts (z, amplitudes in prior scales)."""
     those = _Hypotheses(model, starts, sets, design)
-    z, _ = minimised(those.at, those.starts, those.allowed, 0.0, _TOLERANCE, _STEPS)
+    z, _ = minimised(those.at, those.starts, those.bounds, _SOLVER, _STEPS)
     return Refit(z[:, : those.p], z[:, those.p :])
 
 
-def _after_step(z, at: Normal, allowed: Callable, damping, longest: float):
-    """Damped steps of many fits, as in :mod:`tirefit.fitting.least_squares`."""
+def minimised(at: Callable, starts, bounds, solver: NormalEquations, most: int):
+    """Least squares from each of some starts (h, w), in lockstep, as ``at`` is faster for many.
 
-    def limited(system, right):
-        move = np.linalg.solve(system, right[..., None])[..., 0]
-        asked = z + np.clip(move, -longest, longest)
-        reached = allowed(asked)
-        return reached, (reached == asked) & (np.abs(move) <= longest)
+    Args:
+        at: normal equations at points (k, w) of some of these, by their numbers (k,).
+        bounds: smallest and largest values, (h, w) each.
 
-    size, one = np.diagonal(at.normal, axis1=1, axis2=2), np.eye(z.shape[1])
-    size = np.maximum(size, one_start.LEAST_SCALE * size.max(axis=1, keepdims=True))
-    size = (size + one_start.NO_CURVATURE) * damping[:, None]
-    system = at.normal + size[:, :, None] * one
-    reached, free = limited(system, -at.gradient)
-    if free.all():
-        return reached
-    fixed = np.where(free, 0.0, reached - z)
-    both = free[:, :, None] & free[:, None, :]
-    steep = at.gradient + (at.normal @ fixed[:, :, None])[..., 0]
-    beside = np.where(free, -steep, fixed)
-    return limited(np.where(both, system, one), beside)[0]
-
-
-def _gain(move, at: Normal):
-    """Decrease of the costs for linear residuals."""
-    straight = 2 * at.gradient + (at.normal @ move[:, :, None])[..., 0]
-    return -np.sum(move * straight, axis=1)
-
-
-def minimised(
-    at: Callable, starts, allowed: Callable, relative: float, absolute: float, most: int
-) -> tuple[np.ndarray, Normal]:
-    """``least_squares.damped_gauss_newton`` from each of some starts (h, w): ``at`` and
-    ``allowed`` take numbers of these (k,) and points (k, w)."""
-    going, law = np.arange(len(starts)), one_start
-    h, w = starts.shape
-    best = Normal(np.full(h, np.inf), np.tile(np.eye(w), (h, 1, 1)), np.zeros((h, w)))
-    trial = allowed(going, starts)
-    z, damping, promised = trial.copy(), np.full(h, law.FIRST_DAMPING), np.ones(h)
+    Returns:
+        The ends (h, w), and their sums of squares (h,).
+    """
+    z, (low, high) = np.array(starts), bounds
+    states = [solver.begin(start) for start in np.clip(starts, low, high)]
     for _ in range(most):
-        new = at(going, trial[going])
-        better = new.cost < best.cost[going]
-        with np.errstate(all="ignore"):
-            share = (best.cost[going] - new.cost) / promised[going]
-        mine = going[better]
-        z[mine] = trial[mine]
-        for old, here in zip(best, new, strict=True):
-            old[mine] = here[better]
-        eased = np.where(share > law.GOOD, law.EASE, law.EASE_A_LITTLE)
-        factor = np.where(better & (share > law.FAIR), eased, law.STIFFEN)
-        damping[going] = np.maximum(damping[going] * factor, law.LEAST_DAMPING)
-        around, here = Normal(*(part[going] for part in best)), z[going]
-        step = partial(_after_step, here, around, partial(allowed, going))
-        whole = step(np.full(len(going), law.LEAST_DAMPING), np.inf)
-        gain = np.abs(_gain(whole - here, around))
-        trial[going] = step(damping[going], law.LONGEST_STEP)
-        promised[going] = _gain(trial[going] - here, around)
-        settled = gain <= relative * around.cost + absolute
-        going = going[~(settled | (damping[going] > law.STUCK))]
-        if not len(going):
+        going = [k for k, state in enumerate(states) if not state.done]
+        if not going:
             break
-    return z, best
+        found = at(going, np.array([states[k].trial for k in going]))
+        for k, *normal in zip(going, *found[:3], strict=True):
+            given = z[k], states[k], Normal(*normal), low[k], high[k]
+            z[k], states[k] = advanced(solver, *given)
+    return z, np.array([float(state.best.cost) for state in states])
 
 
 def design_of(prepared: Prepared, effects, rig) -> Design:
@@ -246,12 +196,10 @@ def first_fit(
             found.append((missed @ missed, by @ by.T, -by @ missed))
         return Normal(*(np.array(part) for part in zip(*found, strict=True)))
 
-    def allowed(numbers, points):
-        return np.clip(points, -REACH, REACH)
-
-    starts = starting_points(task, config.starts, 0)
-    z, ends = minimised(at, starts, allowed, TOLERANCE, TOLERANCE**2, MAX_STEPS)
-    return tire, z[int(np.argmin(ends.cost))], starts[0]
+    starts = np.asarray(starting_points(task, config.starts, 0))
+    bounds = np.full_like(starts, -REACH), np.full_like(starts, REACH)
+    z, costs = minimised(at, starts, bounds, NormalEquations(), MAX_STEPS)
+    return tire, z[int(np.argmin(costs))], starts[0]
 
 
 def begin(prepared: Prepared, tire: Tire, z, guess, rig, simulated: bool):
