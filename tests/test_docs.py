@@ -19,7 +19,7 @@ from tirefit.display import Record
 from tirefit.fitting.config import load_config
 from tirefit.names import EFFECT_NAMES
 from tirefit.results import Outcome, exit_code
-from tirefit.sim.brake_summary import UNITS
+from tirefit.sim.brake_result import UNITS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

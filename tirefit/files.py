@@ -159,8 +159,7 @@ def write_text_atomic(path: str | os.PathLike, text: str) -> None:
 def write_texts(texts: Mapping[Any, str | bytes], gone: Iterable[Path] = ()) -> None:
     """Write several files that belong together, as :func:`write_text_atomic`.
 
-    All content is on the disk before the first file is replaced. If two processes write
-    the same files, or one is killed, all of them are from one process.
+    All content is on the disk before the first file is replaced.
 
     Args:
         texts: path -> content; the document that the others belong to is the last.
@@ -171,8 +170,6 @@ def write_texts(texts: Mapping[Any, str | bytes], gone: Iterable[Path] = ()) -> 
     """
     made: dict[Path, Path] = {}
     with ExitStack() as waiting:
-        if len(texts) > 1:
-            waiting.enter_context(_alone({Path(path).parent for path in texts}))
         for path, text in reversed([(Path(path), text) for path, text in texts.items()]):
             temporary = waiting.enter_context(_temporary(path))
             temporary.write_bytes(text if isinstance(text, bytes) else text.encode())
@@ -185,42 +182,13 @@ def write_texts(texts: Mapping[Any, str | bytes], gone: Iterable[Path] = ()) -> 
             os.replace(temporary, path)
 
 
-# --- two processes --------------------------------------------------------------
-
-_PATIENCE = 2.0
-"""Seconds to wait for another process, which replaces its files in far less time. A
-folder may be locked longer, while another command runs in it."""
-
-
-def took_lock(handle: int, without_locks: bool = True) -> bool:
-    """Lock an open file or folder until its handle is closed; returns whether it succeeded.
-
-    Args:
-        without_locks: the answer where the file system has no locks.
-    """
-    if fcntl is None:
-        return without_locks
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return without_locks
+def took_lock(handle: int) -> bool:
+    """Lock an open folder until its handle is closed; returns whether no other process holds
+    it, also where the file system has no locks."""
+    if fcntl is not None:
+        with suppress(OSError):
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return False
     return True
-
-
-@contextmanager
-def _alone(folders: set[Path]) -> Iterator[None]:
-    """Context manager: hold the locks of these folders, for which other processes wait."""
-    handles: list[int] = []
-    until = time.monotonic() + _PATIENCE
-    try:
-        for folder in sorted(folders) if fcntl is not None else ():
-            with suppress(OSError):  # writing into the folder will raise the error
-                handles.append(os.open(folder, os.O_RDONLY))
-                while not took_lock(handles[-1]) and time.monotonic() < until:
-                    time.sleep(0.01)
-        yield
-    finally:
-        for handle in handles:
-            os.close(handle)

@@ -84,7 +84,7 @@ def made(road: str, speed: float, tire, limit: float, steer: float = 0.0):
 
 def numbers(controller: str, key: str, values, against) -> dict:
     """Mean and interval over the seeds, and the same of the difference to ``abs``."""
-    from tirefit.sim.brake_summary import interval
+    from tirefit.sim.brake_result import interval
 
     whole, apart = interval(values), interval(values - against)
 
@@ -108,7 +108,8 @@ def stops(case: str, asked) -> list[dict]:
     """Numbers of ``tirefit brake`` by controller and road; writes the figures of seed 0."""
     from tirefit.report.braking import compare_figure, paths_figure, stop_figure
     from tirefit.report.canvas import save_picture
-    from tirefit.sim.brake_result import Braking, braked
+    from tirefit.sim.brake_result import Braking
+    from tirefit.sim.manoeuvre import braked
 
     road, speed, tire, limit = CASES[case][0]
     request, controllers = made(road, speed, tire, limit)
@@ -124,7 +125,7 @@ def stops(case: str, asked) -> list[dict]:
 
 def rows_of(road: str, tire: str, many) -> list[dict]:
     """Rows of one manoeuvre: ``many`` has the numbers (k,) by controller."""
-    from tirefit.sim.brake_summary import UNITS
+    from tirefit.sim.brake_result import UNITS
 
     rows = []
     for name, all_ in many.items():
@@ -143,7 +144,7 @@ def tires(asked) -> list[dict]:
     import numpy as np
 
     from tirefit.sim.brake_request import arrays, plant_of
-    from tirefit.sim.brake_result import many_stops
+    from tirefit.sim.manoeuvre import many_stops
 
     rows = []
     keys = jax.vmap(jax.random.key)(jnp.arange(asked.stops))

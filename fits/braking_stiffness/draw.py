@@ -33,9 +33,9 @@ from tirefit.online.controller import NoController
 from tirefit.online.xbs import Xbs
 from tirefit.params import with_values
 from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
-from tirefit.sim.brake import simulate_stop
+from tirefit.sim.brake import Sensors, simulate_stop
 from tirefit.sim.brake_request import Request, arrays, plant_of
-from tirefit.sim.brake_vehicle import Hydraulics, Sensors
+from tirefit.sim.brake_vehicle import Hydraulics
 
 jax.config.update("jax_enable_x64", True)
 HERE = Path(__file__).parent

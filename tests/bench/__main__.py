@@ -494,9 +494,9 @@ def braking_stops(stops: int = 1000, peers: int = 2) -> None:
     from tirefit.models import MODELS
     from tirefit.online.abs import ConventionalABS
     from tirefit.params import parameter_values, with_values
+    from tirefit.sim.brake import draw_noise
     from tirefit.sim.brake_request import Request, arrays, plant_of
-    from tirefit.sim.brake_result import many_stops
-    from tirefit.sim.brake_vehicle import draw_noise
+    from tirefit.sim.manoeuvre import many_stops
 
     speed, rate, samples, edge = 8.0, 200.0, 900, round(stops ** (1 / 3))
     tires = [(4e4 * (1 + 0.05 * k), 0.5 + 0.03 * k) for k in range(edge)]

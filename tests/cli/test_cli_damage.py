@@ -12,7 +12,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib import import_module
@@ -28,7 +27,6 @@ from test_cli_fit import FAST, write
 from tirefit.cli.options import complain, say
 from tirefit.cli.output import claimed, staged
 from tirefit.diagnosis import diagnose as engine
-from tirefit.files import took_lock, write_texts
 
 LOG = ("sigma_x,fx,fz,v,time", *(f"{0.0005 * k},{50 * k},4000,20,{k / 100}" for k in range(60)))
 
@@ -139,34 +137,6 @@ def test_the_second_process_in_a_folder_is_refused(run, inputs, tmp_path, name):
         result = run(*INTO_FOLDERS[name], "--out", "o", exit_code=2)
         assert "o: another tirefit is writing its results" in result.stderr
         assert result.stdout == "" and there(tmp_path / "o") == []
-
-
-def test_a_process_waits_while_another_replaces_its_files(tmp_path, monkeypatch):
-    """The second one begins after the first has replaced its files."""
-    one, two = tmp_path / "one", tmp_path / "two"
-    waits_or_done = threading.Event()
-
-    def watched(handle):
-        took = took_lock(handle)
-        if not took:
-            waits_or_done.set()
-        return took
-
-    def written():
-        try:
-            write_texts({one: "a", two: "a"})
-        finally:
-            waits_or_done.set()
-
-    monkeypatch.setattr("tirefit.files.took_lock", watched)
-    monkeypatch.setattr("tirefit.files._PATIENCE", float("inf"))
-    writer = threading.Thread(target=written)
-    with claimed(tmp_path):
-        writer.start()
-        waits_or_done.wait()
-        assert there(tmp_path) == []
-    writer.join()
-    assert one.read_text() == two.read_text() == "a"
 
 
 def test_one_full_folder_does_not_stop_the_other_files(run, unrendered, inputs, tmp_path):

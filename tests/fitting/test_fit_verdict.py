@@ -267,7 +267,7 @@ def test_unknown_solver_is_refused():
     [(1.6, 0.0, True), (0.0, -0.3, True), (0.0, 0.0, False)],
 )
 def test_residuals_that_follow_the_load_hint_at_brush_load(stiffness_power, mu_load, hinted):
-    from tirefit.sim.rig import simulate_rig
+    from tirefit.sim.simulate import simulate
 
     values = {
         "cpa2": 5e4,
@@ -276,7 +276,7 @@ def test_residuals_that_follow_the_load_hint_at_brush_load(stiffness_power, mu_l
         "mu_load": mu_load,
         "fz0": 4000.0,
     }
-    made = simulate_rig("brush-load", values, load=[2000.0, 4000.0, 6000.0], seed=1)
+    made = simulate("rig", model="brush-load", values=values, load=[2000.0, 4000.0, 6000.0], seed=1)
     data = read_frame(dict(made.columns), convention="braking")
     said = " ".join(fit(data, "brush").warnings)
     assert ("use brush-load: fitted to these rows" in said) is hinted
@@ -286,10 +286,10 @@ def test_residuals_that_follow_the_load_hint_at_brush_load(stiffness_power, mu_l
 
 def test_a_fit_with_slip_noise_at_several_loads_has_a_verdict():
     """Without one residual per row and force there is no hint."""
-    from tirefit.sim.rig import simulate_rig
+    from tirefit.sim.simulate import simulate
 
     values = {"cpa2": 5e4, "mu": 0.9, "stiffness_power": 1.6, "fz0": 4000.0}
-    made = simulate_rig("brush-load", values, load=[2000.0, 6000.0], seed=1)
+    made = simulate("rig", model="brush-load", values=values, load=[2000.0, 6000.0], seed=1)
     columns = {name: column[::4] for name, column in made.columns.items()}
     data = read_frame(columns, convention="braking")
     result = fit(data, "brush", config={"noise": {"sigma_x": 0.001}})

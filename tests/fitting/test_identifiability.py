@@ -8,7 +8,7 @@ from tirefit.data.read import read_frame
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.identifiability import MODELS_ASKED, identifiability
 from tirefit.results import UsageError
-from tirefit.sim.rig import simulate_rig
+from tirefit.sim.simulate import simulate
 
 
 def brush_by_hand(cpa2, mu, sigma, load):
@@ -41,7 +41,7 @@ def test_the_expected_scatter_agrees_with_repeated_fits():
 
 
 def swept(largest, **more):
-    made = simulate_rig(largest=largest, force_std=0.01, seed=3, **more)
+    made = simulate("rig", largest=largest, force_std=0.01, seed=3, **more)
     return read_frame(made.columns)
 
 
@@ -92,10 +92,10 @@ def test_the_suggested_loads_determine_the_load_dependence():
 
 def test_rows_with_the_same_noise_count_once():
     """Each row four times with the same noise: a quarter of the information."""
-    made = simulate_rig(largest=0.1, points=400, force_std=0.02, seed=5).columns
+    made = simulate("rig", largest=0.1, points=400, force_std=0.02, seed=5).columns
     rng = np.random.default_rng(6)
     noise = np.repeat(0.02 * 4000.0 * rng.normal(size=200), 8)[: len(made["fx"]) * 4]
-    clean = simulate_rig(largest=0.1, points=1600, force_std=0.0).columns
+    clean = simulate("rig", largest=0.1, points=1600, force_std=0.0).columns
     white = clean | {"fx": clean["fx"] + 80.0 * rng.normal(size=1600)}
     same = clean | {"fx": clean["fx"] + noise}
     one, other = (identifiability(read_frame(c), ["brush"]) for c in (white, same))
@@ -111,7 +111,9 @@ def test_rows_with_the_same_noise_count_once():
 def test_standard_errors_of_many_rows_use_their_number():
     """512 of 5,000 rows are used; the result is that of all."""
     few, many = (
-        identifiability(read_frame(simulate_rig(largest=0.1, points=n, seed=2).columns), ["brush"])
+        identifiability(
+            read_frame(simulate("rig", largest=0.1, points=n, seed=2).columns), ["brush"]
+        )
         for n in (500, 5000)
     )
     for a, b in zip(few.gates[0].parameters, many.gates[0].parameters, strict=True):

@@ -14,9 +14,8 @@ from tirefit.online.lugre_observer import LuGreObserver, peak_share
 from tirefit.online.methods import estimator_of
 from tirefit.online.run import Stream, run
 from tirefit.params import with_values
-from tirefit.sim.braking import Braking, simulate_braking
+from tirefit.sim.braking import Braking, WheelNumbers, braked_wheel, simulate_braking
 from tirefit.sim.lugre import Bristles
-from tirefit.sim.wheel import WheelNumbers, braked_wheel
 
 LOAD, RADIUS, INERTIA, V = 27e3, 0.5, 15.0, 20.0
 

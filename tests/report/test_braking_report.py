@@ -11,8 +11,8 @@ from tirefit.online.controllers import controller_of
 from tirefit.params import with_values
 from tirefit.report.braking import braking_text, compare_figure, path_of, paths_figure, stop_figure
 from tirefit.sim.brake_request import Request, known_to_controllers, tire_curve
-from tirefit.sim.brake_result import braked
 from tirefit.sim.brake_vehicle import four_wheels
+from tirefit.sim.manoeuvre import braked
 
 
 @pytest.fixture(scope="module")

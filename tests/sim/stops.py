@@ -8,9 +8,9 @@ import pytest
 from tirefit.models import MODELS
 from tirefit.online.abs import ConventionalABS
 from tirefit.params import with_values
-from tirefit.sim.brake import simulate_stop
+from tirefit.sim.brake import Sensors, simulate_stop
 from tirefit.sim.brake_request import Request, arrays, plant_of
-from tirefit.sim.brake_vehicle import GRAVITY, Sensors
+from tirefit.sim.brake_vehicle import GRAVITY
 
 VALUES = {"cpa2": 4e4, "m": 0.5}
 SMOOTH = Sensors(0.0, 0.0, 0.0, 0.0, 0.0)

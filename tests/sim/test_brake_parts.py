@@ -11,19 +11,17 @@ from tirefit.fitting.store import StoredFit
 from tirefit.models import MODELS
 from tirefit.params import specs, with_values
 from tirefit.results import UsageError
+from tirefit.sim.brake import Sensors, draw_noise, wheel_speeds
 from tirefit.sim.brake_request import Request, check, plant_of, with_numbers
-from tirefit.sim.brake_summary import interval
-from tirefit.sim.brake_tire import on_road
+from tirefit.sim.brake_result import interval
 from tirefit.sim.brake_vehicle import (
     GRAVITY,
     ROADS,
     Hydraulics,
-    Sensors,
-    draw_noise,
     four_wheels,
+    on_road,
     quarter_car,
     road_of,
-    wheel_speeds,
 )
 
 

@@ -10,12 +10,10 @@ from stops import RATE, VALUES, check_energy, check_locked_distance, smooth, sto
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.online.abs import ConventionalABS
 from tirefit.params import with_values
-from tirefit.sim.brake import xbs_true
-from tirefit.sim.brake_plant import contacts, rolling
+from tirefit.sim.brake import contacts, rolling, xbs_true
 from tirefit.sim.brake_request import plant_of
-from tirefit.sim.brake_summary import reason_of, summarise
-from tirefit.sim.brake_tire import Slips
-from tirefit.sim.brake_vehicle import GRAVITY
+from tirefit.sim.brake_result import reason_of, summarise
+from tirefit.sim.brake_vehicle import GRAVITY, Slips
 
 touched = eqx.filter_jit(contacts)
 slope_of = eqx.filter_jit(xbs_true)

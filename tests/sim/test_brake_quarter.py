@@ -12,11 +12,11 @@ from stops import OFF, RATE, SAMPLES, VALUES, check_energy, check_locked_distanc
 from tirefit.models import MODELS
 from tirefit.online.abs import ConventionalABS
 from tirefit.params import parameter_values, with_values
-from tirefit.sim.brake import simulate_stop
+from tirefit.sim.brake import Sensors, draw_noise, simulate_stop
 from tirefit.sim.brake_request import Request, arrays, plant_of
-from tirefit.sim.brake_result import braked, many_stops
-from tirefit.sim.brake_summary import UNITS, summarise
-from tirefit.sim.brake_vehicle import Hydraulics, Sensors, draw_noise
+from tirefit.sim.brake_result import UNITS, summarise
+from tirefit.sim.brake_vehicle import Hydraulics
+from tirefit.sim.manoeuvre import braked, many_stops
 
 TIRE = with_values(MODELS["brush-m"], {"cpa2": 4e4, "m": 0.5})
 STOPS = 4

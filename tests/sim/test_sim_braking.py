@@ -6,9 +6,19 @@ from scipy.integrate import solve_ivp
 
 import tirefit
 from tirefit.models import LuGre, TireInputs, forces
-from tirefit.sim.braking import BRAKE_GAIN, LOAD, PEAK, Braking, simulate_braking, source_tire
-from tirefit.sim.rig import simulate_rig
-from tirefit.sim.wheel import STEADY, WheelNumbers, braked_wheel, lugre_tire
+from tirefit.sim.braking import (
+    BRAKE_GAIN,
+    LOAD,
+    PEAK,
+    STEADY,
+    Braking,
+    WheelNumbers,
+    braked_wheel,
+    lugre_tire,
+    simulate_braking,
+    source_tire,
+)
+from tirefit.sim.simulate import simulate
 
 
 def test_the_source_tire_has_the_printed_values():
@@ -107,7 +117,7 @@ def test_the_brake_pressure_gives_the_torque():
 @pytest.mark.parametrize("lateral", [False, True])
 def test_a_fit_recovers_the_tire_of_a_rig_sweep(lateral):
     values = {"cpa2": 6e4, "mu": 0.8}
-    made = simulate_rig("brush", values, lateral=lateral, load=[3e3, 5e3])
+    made = simulate("rig", model="brush", values=values, lateral=lateral, load=[3e3, 5e3])
     data = tirefit.read_frame(made.columns)
     fit = tirefit.fit(data, "brush", config={"force": "fy" if lateral else "fx"})
     for name, truth in values.items():

@@ -17,10 +17,10 @@ from tirefit.online.abs import ConventionalABS
 from tirefit.online.controllers import CONTROLLERS, controller_of
 from tirefit.online.xbs import Xbs
 from tirefit.params import with_values
-from tirefit.sim.brake import simulate_stop
+from tirefit.sim.brake import Sensors, simulate_stop
 from tirefit.sim.brake_request import Request, arrays, known_to_controllers, plant_of
-from tirefit.sim.brake_summary import summarise
-from tirefit.sim.brake_vehicle import Hydraulics, Sensors
+from tirefit.sim.brake_result import summarise
+from tirefit.sim.brake_vehicle import Hydraulics
 
 RATE, STOPS, SAMPLES = 200.0, 50, 1400
 """One program of a controller serves all tires, roads and speeds."""

@@ -49,29 +49,16 @@ def _decay(v_s, v_st, exponent):
     return jnp.where(moving, jnp.exp(-(ratio**exponent)), 1.0)
 
 
-def _v_st(free: bool):
-    return par(
-        30.0,
-        (0.1, 1000.0),
-        "m/s",
-        "sliding speed over which friction falls",
-        "S(36)-(37)",
-        "v_{st}",
-        free=free,
-        scale="log",
-    )
+def falling_speed(default: float = 30.0, free: bool = True, source: str = "S(36)-(37)"):
+    """Field of the speed v_st of a fall of the friction."""
+    meaning = "sliding speed over which friction falls"
+    return par(default, (0.1, 1000.0), "m/s", meaning, source, "v_{st}", free=free, scale="log")
 
 
-def _exponent(free: bool):
-    return par(
-        0.5,
-        (0.1, 3.0),
-        "-",
-        "exponent of the friction's fall with sliding speed",
-        "S(36)-(37)",
-        r"\varepsilon",
-        free=free,
-    )
+def falling_exponent(free: bool = True, source: str = "S(36)-(37)"):
+    """Field of the exponent of that fall."""
+    meaning = "exponent of the friction's fall with sliding speed"
+    return par(0.5, (0.1, 3.0), "-", meaning, source, r"\varepsilon", free=free)
 
 
 class Exponential(AbstractFrictionLaw):
@@ -80,8 +67,8 @@ class Exponential(AbstractFrictionLaw):
     h: float = par(
         0.5, (0.0, 1.0), "-", "friction at high sliding speed over that at rest", "S(37)", "h"
     )
-    v_st: float = _v_st(free=False)
-    exponent: float = _exponent(free=False)
+    v_st: float = falling_speed(free=False)
+    exponent: float = falling_exponent(free=False)
 
     def apply(self, level, v_s):
         decay = _decay(v_s, self.v_st, self.exponent)
@@ -92,8 +79,8 @@ class Stribeck(AbstractFrictionLaw):
     r""":math:`\mu_k = \mu_c + (\mu_s - \mu_c) e^{-(v_s/v_{st})^\varepsilon}`, S(36)."""
 
     mu_c: float = par(0.6, (0.01, 5.0), "-", "friction at high sliding speed", "S(36)", r"\mu_c")
-    v_st: float = _v_st(free=True)
-    exponent: float = _exponent(free=True)
+    v_st: float = falling_speed()
+    exponent: float = falling_exponent()
 
     def apply(self, level, v_s):
         decay = _decay(v_s, self.v_st, self.exponent)

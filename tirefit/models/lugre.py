@@ -23,7 +23,7 @@ import jax.numpy as jnp
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import polar, resultant
-from tirefit.models.friction import Stribeck
+from tirefit.models.friction import Stribeck, falling_exponent, falling_speed
 from tirefit.params import par
 from tirefit.slip import lateral_slip
 
@@ -59,24 +59,8 @@ class AbstractLuGre(AbstractTire):
         1.2, (0.01, 5.0), "-", "level of g at rest (static friction)", "S(17c)", r"\mu_s"
     )
     mu_c: float = par(0.6, (0.01, 5.0), "-", "level of g at high sliding speed", "S(17c)", r"\mu_c")
-    v_st: float = par(
-        10.0,
-        (0.1, 1000.0),
-        "m/s",
-        "sliding speed over which g falls",
-        "S(17c)",
-        "v_{st}",
-        scale="log",
-    )
-    exponent: float = par(
-        0.5,
-        (0.1, 3.0),
-        "-",
-        "exponent of the fall of g with sliding speed",
-        "S(17c)",
-        r"\varepsilon",
-        free=False,
-    )
+    v_st: float = falling_speed(10.0, source="S(17c)")
+    exponent: float = falling_exponent(free=False, source="S(17c)")
     sigma2: float = par(
         0.001, (0.0, 1.0), "s/m", "viscous friction over load", "S(17b)", r"\sigma_2"
     )

@@ -181,17 +181,10 @@ def nominal_friction():
     return par(0.98, (0.01, 5.0), "-", "expected friction", "S(48)", r"\mu_0")
 
 
-def force_noise():
-    """Field of the standard deviation of the force over the load, S section 5.1."""
-    return par(
-        0.0447,
-        (1e-5, 1.0),
-        "-",
-        "std of the force over the load",
-        "S §5.1",
-        r"\sigma_F",
-        scale="log",
-    )
+def force_noise(default: float = 0.0447, source: str = "S §5.1"):
+    """Field of the standard deviation of the force over the load."""
+    meaning = "std of the force over the load"
+    return par(default, (1e-5, 1.0), "-", meaning, source, r"\sigma_F", scale="log")
 
 
 def slip_noise():
@@ -199,13 +192,13 @@ def slip_noise():
     return par(0.00447, (0.0, 1.0), "-", "std of the slip", "S §5.1", r"\sigma_\lambda")
 
 
-def excitation():
+def excitation(source: str = "S §5.3"):
     """Field of the smallest excitation with which a sample is used."""
-    return par(
-        0.1,
-        (0.0, 1.0),
-        "-",
-        "smallest expected force over load of a sample that is used",
-        "S §5.3",
-        "u_{min}",
-    )
+    meaning = "smallest expected force over load of a sample that is used"
+    return par(0.1, (0.0, 1.0), "-", meaning, source, "u_{min}")
+
+
+def brake_gain():
+    """Field of the brake force over the brake pressure."""
+    meaning = "brake force over brake pressure"
+    return par(0.04, (1e-7, 10.0), "N/Pa", meaning, "S §3.1", "g_b", scale="log")

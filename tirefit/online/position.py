@@ -29,7 +29,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tirefit.online.base import Estimate, Flag, Method, Sample, choose, code, flag_of, floats
+from tirefit.online.base import (
+    Estimate,
+    Flag,
+    Method,
+    Sample,
+    choose,
+    code,
+    excitation,
+    flag_of,
+    floats,
+    force_noise,
+)
 from tirefit.online.regression import RESOLVED, SLIDING, Regressors, regressors
 from tirefit.online.vehicle import AbstractVehicleMethod, wrapped
 from tirefit.params import par
@@ -142,23 +153,8 @@ class Position(AbstractVehicleMethod):
         "",
         r"\epsilon",
     )
-    force_noise: float = par(
-        0.05,
-        (1e-5, 1.0),
-        "-",
-        "std of the filtered force over the load",
-        "S §3.3",
-        r"\sigma_F",
-        scale="log",
-    )
-    least_use: float = par(
-        0.1,
-        (0.0, 1.0),
-        "-",
-        "smallest expected force over load of a sample that is used",
-        "S §3.3",
-        "u_{min}",
-    )
+    force_noise: float = force_noise(0.05, "S §3.3")
+    least_use: float = excitation("S §3.3")
 
     def init(self) -> PositionState:
         of_signals = Filtered(*[jnp.zeros(len(_SIGNALS))] * 3)

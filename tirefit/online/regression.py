@@ -131,5 +131,6 @@ class AbstractRegression(AbstractEstimator):
             (slides, Flag.OUT_OF_RANGE),
             (idle, Flag.LITTLE_EXCITATION),
         )
-        stiffness = self.cpa2 * jnp.stack([theta[0], jnp.sqrt(covariance[0, 0])])
-        return Estimate(*jnp.stack([jnp.stack([mu, mu_std]), stiffness], 1), flag, surprise)
+        value = jnp.stack([mu, self.cpa2 * theta[0]])
+        std = jnp.stack([mu_std, self.cpa2 * jnp.sqrt(covariance[0, 0])])
+        return Estimate(value, std, flag, surprise)

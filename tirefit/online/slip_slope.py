@@ -23,6 +23,7 @@ from tirefit.online.base import (
     Flag,
     Method,
     Sample,
+    brake_gain,
     choose,
     flag_of,
     floats,
@@ -55,6 +56,11 @@ def road_of(relative, rough) -> Float[Array, ""]:
     """
     smooth = jnp.where(relative >= STIFF, 1.0, jnp.where(relative >= SOFT, 3.0, 4.0))
     return jnp.where(rough, jnp.where(relative >= SOFT, 2.0, 3.0), smooth)
+
+
+def _most_use(default: float):
+    meaning = "largest force over load of a sample that is used"
+    return par(default, (0.01, 2.0), "-", meaning, "S §3.1", "u_{max}")
 
 
 class SlipSlopeState(NamedTuple):
@@ -99,14 +105,7 @@ class SlipSlope(AbstractEstimator):
     drift_offset: float = par(
         1e-5, (0.0, 1.0), "1/sqrt(s)", "random walk of the offset", "S §3.1", r"q_\delta"
     )
-    most_use: float = par(
-        0.3,
-        (0.01, 2.0),
-        "-",
-        "largest force over load of a sample that is used",
-        "S §3.1",
-        "u_{max}",
-    )
+    most_use: float = _most_use(0.3)
     rough: float = par(
         0.003,
         (0.0, 1.0),
@@ -223,17 +222,8 @@ class SlipSlopeBraking(SlipSlope):
         "straight line",
     )
 
-    most_use: float = par(
-        0.5,
-        (0.01, 2.0),
-        "-",
-        "largest force over load of a sample that is used",
-        "S §3.1",
-        "u_{max}",
-    )
-    gain: float = par(
-        0.04, (1e-7, 10.0), "N/Pa", "brake force over brake pressure", "S §3.1", "g_b", scale="log"
-    )
+    most_use: float = _most_use(0.5)
+    gain: float = brake_gain()
     gain_spread: float = par(
         0.1, (0.0, 1.0), "-", "relative std of the brake's gain", "S §3.1", r"\sigma_g"
     )

@@ -32,7 +32,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tirefit.online.base import AbstractEstimator, Estimate, Flag, Method, Sample, choose, flag_of
+from tirefit.online.base import (
+    AbstractEstimator,
+    Estimate,
+    Flag,
+    Method,
+    Sample,
+    brake_gain,
+    choose,
+    flag_of,
+)
 from tirefit.params import par
 
 _NODES, _FREQUENCIES = 256, 4096
@@ -415,9 +424,7 @@ class XbsBraking(Xbs):
         "brush",
     )
 
-    gain: float = par(
-        0.04, (1e-7, 10.0), "N/Pa", "brake force over brake pressure", "S §3.1", "g_b", scale="log"
-    )
+    gain: float = brake_gain()
 
     def _force(self, sample: Sample):
         return self.gain * sample["brake_pressure"], sample["fz"]

@@ -12,8 +12,7 @@ from tirefit.report.canvas import COLORS, DARK, GREY, Picture, panel_title, tidy
 from tirefit.report.numbers import format_number, plain_text
 from tirefit.report.text import table
 from tirefit.sim.brake_request import tire_curve
-from tirefit.sim.brake_result import Braking, Stop
-from tirefit.sim.brake_summary import MEANINGS, UNITS
+from tirefit.sim.brake_result import MEANINGS, UNITS, Braking, Stop
 from tirefit.sim.brake_vehicle import road_of
 
 _SHORT = {

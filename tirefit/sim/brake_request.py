@@ -12,16 +12,16 @@ import numpy as np
 from tirefit.models import AbstractTire, TireInputs, modelled
 from tirefit.params import parameter_values
 from tirefit.results import InputProblem, UsageError
-from tirefit.sim.brake_plant import Plant
-from tirefit.sim.brake_tire import on_road, wheel_slips
+from tirefit.sim.brake import Plant, Sensors
 from tirefit.sim.brake_vehicle import (
     GRAVITY,
     Hydraulics,
-    Sensors,
     Vehicle,
     four_wheels,
+    on_road,
     quarter_car,
     road_of,
+    wheel_slips,
 )
 
 VEHICLES = {"car": four_wheels, "quarter": quarter_car}

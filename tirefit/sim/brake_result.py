@@ -1,30 +1,173 @@
-"""The result of ``tirefit brake``: one stop or many, of one or more controllers."""
+"""The result of ``tirefit brake``: numbers of one stop or many, of one or more controllers."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
+from scipy import stats
 
-from tirefit import __version__
 from tirefit.data.write import csv_text
 from tirefit.display import Record
 from tirefit.files import json_safe
-from tirefit.precision import require_x64
 from tirefit.results import Outcome
-from tirefit.sim.brake import Log, simulate_stop
-from tirefit.sim.brake_plant import Plant
-from tirefit.sim.brake_request import Request, arrays, check, plant_of
-from tirefit.sim.brake_summary import MEANINGS, UNITS, Summary, interval, reason_of, summarise
+from tirefit.sim.brake import SPUN, STANDS, Log, Plant
+from tirefit.sim.brake_request import Request
+
+LOCKED_SLIP = 0.9  # slip kappa above which a wheel counts as locked
+RECOVERED = 0.8
+"""Share of the available friction at which a controller has adapted to a new road."""
+_SLOW = 2.0
+"""Speed [m/s] below which locking and pressure are ignored: brake controllers switch off there."""
+_WINDOW = 1.0  # length [s] of the running mean from which fluctuations are measured
+_BUILT_UP = 0.5  # time [s] after which the first rise of the pressure is over
+_HELD = 0.1  # time [s] over which a recovered friction is averaged
+
+
+class Summary(NamedTuple):
+    """Numbers of one stop, or (k,) of many; NaN where there is none.
+
+    Their units are in :data:`UNITS`, their meanings in :data:`MEANINGS`.
+    """
+
+    stopping_distance: Float[Array | np.ndarray, "*k"]
+    stopping_time: Float[Array | np.ndarray, "*k"]
+    mean_friction_used: Float[Array | np.ndarray, "*k"]
+    locked_time: Float[Array | np.ndarray, "*k"]
+    pressure_rms_fluctuation: Float[Array | np.ndarray, "*k"]
+    slip_speed_rms_fluctuation: Float[Array | np.ndarray, "*k"]
+    recovery_time: Float[Array | np.ndarray, "*k"]
+    heading: Float[Array | np.ndarray, "*k"]
+    stopped: Float[Array | np.ndarray, "*k"]
+    end_time: Float[Array | np.ndarray, "*k"]
+    end_speed: Float[Array | np.ndarray, "*k"]
+    fine: Float[Array | np.ndarray, "*k"]
+
+
+_NUMBERS = {
+    "stopping_distance": ("m", f"distance until the car is slower than {STANDS:g} m/s"),
+    "stopping_time": ("s", f"time until the car is slower than {STANDS:g} m/s"),
+    "mean_friction_used": ("-", "mean over time of sum F_x / sum mu_peak F_z of the wheels"),
+    "locked_time": ("s", f"time with a wheel at kappa >= {LOCKED_SLIP:g}, above {_SLOW:g} m/s"),
+    "pressure_rms_fluctuation": (
+        "Pa",
+        f"rms of the wheels' pressures about their running means over {_WINDOW:g} s,"
+        f" from {_BUILT_UP:g} s on, above {_SLOW:g} m/s",
+    ),
+    "slip_speed_rms_fluctuation": ("m/s", "the same of v - R omega"),
+    "recovery_time": (
+        "s",
+        "from all wheels on the new road until the friction used is"
+        f" {RECOVERED:g} over {_HELD:g} s",
+    ),
+    "heading": ("rad", "angle by which the car has turned since the braking began"),
+}
+UNITS = {name: unit for name, (unit, _) in _NUMBERS.items()}
+"""Name of a reported number -> its unit, in the order of the report."""
+MEANINGS = {name: meaning for name, (_, meaning) in _NUMBERS.items()}
+
+
+def _fluctuation(values, counted, samples: int):
+    """Rms of columns (n, w) about their running means over ``samples`` rows, in the rows
+    that ``counted`` (n,) marks."""
+    smooth = jax.vmap(partial(jnp.convolve, v=jnp.ones(samples), mode="same"), 1, 1)
+    counted = counted[:, None]
+    mean = smooth(values * counted) / jnp.maximum(smooth(counted), 1.0)
+    total = jnp.sum(counted * (values - mean) ** 2)
+    return jnp.sqrt(total / jnp.maximum(values.shape[1] * jnp.sum(counted), 1.0))
+
+
+def _recovery(plant: Plant, log: Log, used, period: float):
+    """Time [s] from the jump of the friction until the new friction is used."""
+    car = plant.vehicle
+    behind = jnp.max(jnp.asarray(car.x)) - jnp.min(jnp.asarray(car.x))
+    on_it = (log.motion.distance >= plant.road.jump + behind) & (log.moving > 0)
+    held = max(round(_HELD / period), 1)
+    before = jnp.concatenate([jnp.zeros(1), jnp.cumsum(used)])
+    n = len(used)
+    start = jnp.maximum(jnp.arange(n) + 1 - held, 0)
+    mean = (before[1:] - before[start]) / held
+    there = on_it & (mean >= RECOVERED)
+    crossed, recovered = jnp.argmax(on_it), jnp.argmax(there)
+    return jnp.where(jnp.any(there), (recovered - crossed) * period, jnp.nan)
+
+
+def summarise(plant: Plant, log: Log, period: float) -> Summary:
+    """The summary of one log; a pure function, for vmap."""
+    n = len(log.moving)
+    s, moving = log.motion, log.moving
+    end = jnp.sum(moving).astype(int)
+    last = jnp.minimum(end, n - 1)
+    ended = end < n
+    stopped = ended & (s.v_x[last] <= STANDS) & (jnp.abs(s.heading[last]) <= SPUN)
+    there = jnp.sum(log.reading.truth.mu * log.contacts.fz, axis=1)
+    used = jnp.sum(log.contacts.fx, axis=1) / there
+    fast = moving * (s.v_x > _SLOW)
+    locked = jnp.any(log.contacts.slips.kappa >= LOCKED_SLIP, axis=1)
+    judged = fast * (log.reading.time >= _BUILT_UP)
+    turning = s.omega * jnp.asarray(plant.vehicle.radius)[None]
+    sliding = log.contacts.v_x - turning
+    samples = min(round(_WINDOW / period), n)  # at most the whole log
+    time = last * period
+    return Summary(
+        stopping_distance=jnp.where(stopped, s.distance[last], jnp.nan),
+        stopping_time=jnp.where(stopped, time, jnp.nan),
+        mean_friction_used=jnp.sum(used * moving) / jnp.maximum(jnp.sum(moving), 1.0),
+        locked_time=jnp.sum(fast * locked) * period,
+        pressure_rms_fluctuation=_fluctuation(s.pressure, judged, samples),
+        slip_speed_rms_fluctuation=_fluctuation(sliding, judged, samples),
+        recovery_time=_recovery(plant, log, used, period),
+        heading=s.heading[last],
+        stopped=stopped.astype(float),
+        end_time=time,
+        end_speed=s.v_x[last],
+        fine=jnp.min(log.fine),
+    )
+
+
+def reason_of(summary: Summary) -> str:
+    """Why one stop ended, as text."""
+    time, speed = float(summary.end_time), float(summary.end_speed)
+    if float(summary.fine) < 1:
+        return "the integration failed: a step needed more than 4096 substeps"
+    if float(summary.stopped) > 0:
+        return f"stopped: slower than {STANDS:g} m/s"
+    if abs(float(summary.heading)) > SPUN:
+        return f"spun: turned by more than 90 degrees after {time:.3g} s"
+    return (
+        f"did not stop: still {speed:.3g} m/s at the time limit of {time:.4g} s; brake"
+        " harder, or raise --time-limit"
+    )
+
+
+class Interval(NamedTuple):
+    """Mean of k values with its 95 % confidence interval; ``std`` of a single value."""
+
+    mean: float
+    low: float
+    high: float
+    std: float
+    k: int
+
+
+def interval(values: np.ndarray) -> Interval:
+    """The :class:`Interval` of values (k,) by Student's t; NaN are ignored."""
+    known: Any = np.asarray(values, float)
+    known = known[np.isfinite(known)]
+    k = len(known)
+    mean = float(known.mean()) if k else np.nan
+    std = float(known.std(ddof=1)) if k > 1 else np.nan
+    half = float(stats.t.ppf(0.975, k - 1)) * std / np.sqrt(k)
+    return Interval(mean, mean - half, mean + half, std, k)
+
+
+# --- the result ---------------------------------------------------------------------
 
 SCHEMA = "tirefit.brake/1"
-
-_TOGETHER = 50
-"""Stops in one batch: more need much memory, and all wait for the slowest one."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +217,7 @@ class Stop:
         return reason_of(self.summary)
 
     def to_dict(self) -> dict[str, Any]:
-        """The numbers of the stop, by the names in :data:`tirefit.sim.brake_summary.UNITS`."""
+        """The numbers of the stop, by the names in :data:`UNITS`."""
         numbers = {name: float(getattr(self.summary, name)) for name in UNITS}
         stopped = bool(float(self.summary.stopped) > 0)
         return {**numbers, "stopped": stopped, "reason": self.reason}
@@ -179,78 +322,3 @@ class Braking(Record):
             for key in (*UNITS, "stopped"):
                 rows[key] += np.asarray(getattr(all_, key)).tolist()
         return rows
-
-
-@eqx.filter_jit
-def many_stops(
-    plants: Plant, controller, sensors, speed, keys, samples: int, queue: int
-) -> Summary:
-    """Summaries (k,) of stops in one vmapped run.
-
-    Args:
-        plants: leaves (k, ...): tires and roads.
-        controller: the same for all stops.
-        keys: random keys (k,) of the noise; other arguments as in
-            :func:`tirefit.sim.brake.simulate_stop`.
-    """
-
-    def one(given):
-        plant, key = given
-        log = simulate_stop(plant, controller, sensors, speed, key, samples, queue)
-        return summarise(plant, log, 1 / controller.rate)
-
-    return jax.lax.map(one, (plants, keys), batch_size=_TOGETHER)
-
-
-def braked(
-    request: Request,
-    controllers: Mapping[str, Any],
-    *,
-    seed: int = 0,
-    stops: int = 1,
-    progress: Callable[[float, str], None] | None = None,
-) -> Braking:
-    """Brake with each of the controllers, under the same noise.
-
-    Args:
-        request: tire, road, speed, vehicle.
-        controllers: name -> record with ``rate``, ``init``, ``step``.
-        seed: of the noise; stop k has ``seed + k``.
-        stops: number of seeds.
-        progress: called with the share done and the next step.
-
-    Raises:
-        UsageError: a problem of the request; 32-bit floats.
-    """
-    require_x64("a simulated stop")
-    check(request)
-    plant, sensors = plant_of(request), arrays(request.sensors)
-    speed, wheels = jnp.asarray(request.speed, float), plant.vehicle.wheels
-    done, many = {}, {}
-    for number, (name, controller) in enumerate(controllers.items()):
-        if progress is not None:
-            progress(number / len(controllers), name)
-        rate = controller.rate
-        how = (request.samples(rate), request.hydraulics.queue(rate))
-        run = partial(simulate_stop, plant, controller, sensors, speed)
-        log = run(jax.random.key(seed), *how)
-        summary = jax.jit(summarise, static_argnums=2)(plant, log, 1 / rate)
-        done[name] = _stop(name, log, summary, wheels, controller)
-        if stops > 1:
-            plants = jax.tree.map(lambda x: jnp.repeat(x[None], stops, 0), plant)
-            keys = jax.vmap(jax.random.key)(jnp.arange(seed, seed + stops))
-            all_ = many_stops(plants, controller, sensors, speed, keys, *how)
-            many[name] = jax.tree.map(np.asarray, all_)
-    return Braking(request, done, many, seed, __version__)
-
-
-def _stop(name, log: Log, summary, wheels, controller) -> Stop:
-    """The stop with its rows until the end, as NumPy arrays."""
-    end = min(int(np.sum(log.moving)) + 1, len(log.moving))
-    kept = jax.tree.map(lambda leaf: np.asarray(leaf)[:end], log)
-    leaves = {
-        key: np.asarray(value).tolist()
-        for key, value in vars(controller).items()
-        if isinstance(value, int | float | jax.Array | np.ndarray)
-    }
-    return Stop(name, kept, jax.tree.map(np.asarray, summary), wheels, leaves)

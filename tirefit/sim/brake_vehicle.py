@@ -1,22 +1,33 @@
-"""The braked vehicle (a quarter car or four wheels), its brakes, sensors and road.
+r"""The braked vehicle (a quarter car or four wheels), its brakes, and tires on a road.
 
 Axes are those of ISO 8855 (x forward, y left) at the centre of gravity. Arrays of values
 per wheel have an axis of length w: one wheel, or four in the order of
 :data:`tirefit.data.table.WHEELS`.
+
+The friction of the road scales a tire by similarity: same stiffness, peak of the road:
+
+.. math:: F(\sigma) = \lambda F_0(\sigma / \lambda), \qquad
+    \lambda = \mu_{road} / \mu_0
+
+with :math:`\mu_0` the largest force over load of the given tire. For a brush this
+changes only :math:`\mu`, for LuGre only g. The sliding speed is not scaled.
 """
 
 import re
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from tirefit.data.table import WHEELS
+from tirefit.models import AbstractTire, TireInputs
 from tirefit.online.vehicle import GRAVITY
 from tirefit.results import UsageError
 from tirefit.sim.drive import Car
+from tirefit.slip import sigma_from_kappa
 
 Wheels = Float[Array | np.ndarray, " w"]
 Number = Float[Array | np.ndarray, ""] | float
@@ -126,60 +137,6 @@ class Hydraulics(NamedTuple):
         return round(self.delay * rate)
 
 
-class Sensors(NamedTuple):
-    """Noise of the sensors and unevenness of the road."""
-
-    speed_std: float = 0.005  # [m/s] of a wheel's circumferential speed
-    speed_step: float = 0.01  # [m/s] resolution of that speed
-    deceleration_std: float = 0.1  # [m/s2]
-    pressure_std: float = 2e4  # [Pa]
-    road_std: float = 0.01  # standard deviation of the force d over the static load
-    road_corner: float = 1.0  # [Hz] corner frequency of d
-
-
-class Noise(NamedTuple):
-    """Standard normal numbers of a stop of n samples on w wheels. ``road`` (n + 1, w) is
-    the force d over the static load, a stationary process of first order. In the 2-20 Hz
-    of O, above its corner, the rate of d is white: the w of O(2)."""
-
-    speed: Float[Array, "n w"]
-    pressure: Float[Array, "n w"]
-    deceleration: Float[Array, " n"]
-    road: Float[Array, "m w"]
-
-
-def draw_noise(key, sensors: Sensors, samples: int, wheels: int, rate: float) -> Noise:
-    """The noise of one stop; controllers with the same key have the same noise."""
-    keys = jax.random.split(key, 4)
-    shape = (samples, wheels)
-    kept = jnp.exp(-2 * np.pi * sensors.road_corner / rate)
-    pushes = jax.random.normal(keys[3], (samples + 1, wheels))
-
-    def move(d, push):
-        d = kept * d + jnp.sqrt(1 - kept**2) * push
-        return d, d
-
-    first, rest = pushes[0], pushes[1:]
-    _, later = jax.lax.scan(move, first, rest)
-    road = sensors.road_std * jnp.concatenate([first[None], later])
-    return Noise(
-        jax.random.normal(keys[0], shape),
-        jax.random.normal(keys[1], shape),
-        jax.random.normal(keys[2], (samples,)),
-        road,
-    )
-
-
-def wheel_speeds(sensors: Sensors, turning, noise):
-    """Measured circumferential speeds (w,) [m/s]: with noise, then rounded to steps; zero
-    for a standing wheel, which gives no pulses."""
-    step = sensors.speed_step
-    noisy = turning + sensors.speed_std * noise * (turning > 0)
-    safe = jnp.where(step > 0, step, 1.0)
-    reported = jnp.where(step > 0, jnp.round(noisy / safe) * step, noisy)
-    return jnp.maximum(reported, 0.0)
-
-
 ROADS = ("mu=0.4", "mu=0.3:0.8@20", "left=0.3,right=0.8")
 """Examples of the syntax of a road: constant; another friction after 20 m; split."""
 
@@ -242,3 +199,137 @@ def road_of(text: str) -> Road:
             reason = f"--road {text!r}: friction {mu:g} is out of range"
             raise UsageError(reason, f"give {_LEAST:g} (ice) to {_MOST:g}")
     return road
+
+
+# --- tires -----------------------------------------------------------------------
+
+LOW_SPEED = 0.3
+"""Speed [m/s] below which the slip velocity is divided by this speed, as the slip would
+be infinitely stiff at standstill. The force of a locked wheel fades below a tenth of it,
+in the last 0.1 m."""
+_LOCKED = 0.99  # largest kappa, that of a standing wheel (sigma 99)
+_LEAST_KAPPA = -5.0
+_LEAST_LOAD = 1.0
+_SPEEDS, _LOADS, _SLIPS = 16, 5, 200
+_HALVINGS = 60
+"""Golden-section steps about the best slip of a grid: the peak is exact to rounding."""
+
+
+class Slips(NamedTuple):
+    """Slips of the wheels."""
+
+    kappa: Float[Array, " w"]  # practical slip
+    alpha: Float[Array, " w"]  # [rad]
+    speed: Float[Array, " w"]  # [m/s] by which the sliding speed was divided
+
+
+def wheel_slips(v_x, v_y, turning) -> Slips:
+    """Slips of wheels (w,) from the speeds of their centres along and across them, and
+    their circumferential speed R omega; all [m/s]."""
+    speed = jnp.maximum(v_x, LOW_SPEED)
+    kappa = jnp.clip((v_x - turning) / speed, _LEAST_KAPPA, _LOCKED)
+    return Slips(kappa, jnp.arctan2(v_y, speed), speed)
+
+
+class RoadTire(eqx.Module):
+    """A tire with a table of its peaks.
+
+    ``peak`` (roads, speeds, loads): largest force over load; ``at``: its kappa, for the
+    ascending frictions ``roads``, for ``speeds`` [m/s] and ``loads`` [N]; ``usual``: the
+    peak of the given tire, mu_0.
+    """
+
+    tire: AbstractTire
+    usual: Float[Array, ""]
+    roads: Float[Array, " m"]
+    speeds: Float[Array, " s"]
+    loads: Float[Array, " l"]
+    peak: Float[Array, "m s l"]
+    at: Float[Array, "m s l"]
+
+    def forces(
+        self, mu: Float[Array, " w"], slips: Slips, fz: Float[Array, " w"]
+    ) -> tuple[Float[Array, " w"], Float[Array, " w"]]:
+        """Forces [N] (w,) along and across wheels on a road of friction mu (w,)."""
+        return jax.vmap(self._force)(mu, *slips, jnp.maximum(fz, _LEAST_LOAD))
+
+    def _force(self, mu, kappa, alpha, speed, fz):
+        inputs = _similar(mu / self.usual, kappa, alpha, speed, fz)
+        made = self.tire(inputs)
+        across = jnp.zeros(()) if made.fy is None else made.fy
+        return mu / self.usual * made.fx, mu / self.usual * across
+
+    def peaks(self, mu, speed, fz):
+        """Largest braking force over load (w,) on roads mu (w,), at speeds [m/s] and
+        loads [N] (w,); and its kappa (w,)."""
+        place = [
+            jnp.interp(value, known, jnp.arange(len(known), dtype=float))
+            for value, known in ((mu, self.roads), (speed, self.speeds), (fz, self.loads))
+        ]
+        peak, at = (
+            jax.scipy.ndimage.map_coordinates(table, place, order=1, mode="nearest")
+            for table in (self.peak, self.at)
+        )
+        return peak, at
+
+
+def _similar(factor, kappa, alpha, speed, fz) -> TireInputs:
+    """The inputs of the given tire that are similar to inputs on a road."""
+    sigma = sigma_from_kappa(kappa)
+    scaled = sigma / factor
+    # Change alpha and speed so that sigma_y is scaled and v_s is not.
+    narrower = (1 + sigma) / (1 + scaled)
+    angle = jnp.arctan(jnp.tan(alpha) / factor * narrower)
+    return TireInputs(scaled, angle, fz, speed * factor / narrower)
+
+
+def on_road(tire: AbstractTire, speed, fz, roads) -> RoadTire:
+    """A tire with its peaks, for braking from ``speed`` [m/s] at load ``fz`` [N] on
+    ``roads`` (m,), given by their friction."""
+    # Decided here from the values of a .tir file, which a traced program does not know.
+    return _peaked(tire, speed, fz, roads, "v" not in tire.needs)
+
+
+@eqx.filter_jit
+def _peaked(tire: AbstractTire, speed, fz, roads, one_speed: bool) -> RoadTire:
+    shares = jnp.geomspace(0.01, 1.0, _SPEEDS)[-1 if one_speed else 0 :]
+    speeds = jnp.asarray(speed) * shares
+    loads = jnp.asarray(fz) * jnp.linspace(0.2, 2.4, _LOADS)
+    roads = jnp.sort(jnp.asarray(roads, float))
+
+    def own(k):
+        return tire(TireInputs(sigma_from_kappa(k), 0.0, fz, speed)).fx / fz
+
+    usual, _ = _highest(own)
+
+    def highest(mu, v, load):
+        def curve(k):
+            inputs = _similar(mu / usual, k, 0.0, v, load)
+            return mu / usual * tire(inputs).fx / load
+
+        return _highest(curve)
+
+    over_loads = jax.vmap(highest, (None, None, 0))
+    over_speeds = jax.vmap(over_loads, (None, 0, None))
+    peak, at = jax.vmap(over_speeds, (0, None, None))(roads, speeds, loads)
+    return RoadTire(tire, usual, roads, speeds, loads, peak, at)
+
+
+def _highest(curve):
+    """Largest value of a curve over kappa, and its kappa; the first of a plateau."""
+    grid = jnp.concatenate(
+        [jnp.geomspace(1e-4, 0.1, _SLIPS), jnp.linspace(0.1, _LOCKED, _SLIPS)[1:]]
+    )
+    best = jnp.argmax(jax.vmap(curve)(grid))
+    shorter = (np.sqrt(5) - 1) / 2
+
+    def narrow(_, ends):
+        low, high = ends
+        left, right = high - shorter * (high - low), low + shorter * (high - low)
+        keep = curve(left) >= curve(right)
+        return jnp.where(keep, low, left), jnp.where(keep, right, high)
+
+    ends = grid[jnp.maximum(best - 1, 0)], grid[jnp.minimum(best + 1, len(grid) - 1)]
+    low, high = jax.lax.fori_loop(0, _HALVINGS, narrow, ends)
+    place = (low + high) / 2
+    return curve(place), place

@@ -3,15 +3,35 @@
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit import __version__
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import given_tire
 from tirefit.fitting.tir import remarks
 from tirefit.online.controllers import CONTROLLERS, controller_of
 from tirefit.params import by_owner, check_names
 from tirefit.precision import require_x64
-from tirefit.sim.brake_request import Request, check, doubts, known_to_controllers, with_numbers
-from tirefit.sim.brake_result import Braking, braked
+from tirefit.sim.brake import Log, Plant, simulate_stop
+from tirefit.sim.brake_request import (
+    Request,
+    arrays,
+    check,
+    doubts,
+    known_to_controllers,
+    plant_of,
+    with_numbers,
+)
+from tirefit.sim.brake_result import Braking, Stop, Summary, summarise
+
+_TOGETHER = 50
+"""Stops in one batch: more need much memory, and all wait for the slowest one."""
 
 _DEFAULT, _VALUES = "brush-m", {"cpa2": 4e4, "m": 0.5}
 """A tire with a peak: the sliding friction is four fifths of the peak, S(33)."""
@@ -88,3 +108,78 @@ def _tire(source, values: dict[str, float], signs: str | None):
     messages = remarks(given.tir, given.tire) if given.tir else ()
     name = os.fspath(source) if isinstance(source, str | os.PathLike) else given.name
     return name, given.tire, [f"{name}: {text}" for text in messages]
+
+
+@eqx.filter_jit
+def many_stops(
+    plants: Plant, controller, sensors, speed, keys, samples: int, queue: int
+) -> Summary:
+    """Summaries (k,) of stops in one vmapped run.
+
+    Args:
+        plants: leaves (k, ...): tires and roads.
+        controller: the same for all stops.
+        keys: random keys (k,) of the noise; other arguments as in
+            :func:`tirefit.sim.brake.simulate_stop`.
+    """
+
+    def one(given):
+        plant, key = given
+        log = simulate_stop(plant, controller, sensors, speed, key, samples, queue)
+        return summarise(plant, log, 1 / controller.rate)
+
+    return jax.lax.map(one, (plants, keys), batch_size=_TOGETHER)
+
+
+def braked(
+    request: Request,
+    controllers: Mapping[str, Any],
+    *,
+    seed: int = 0,
+    stops: int = 1,
+    progress: Callable[[float, str], None] | None = None,
+) -> Braking:
+    """Brake with each of the controllers, under the same noise.
+
+    Args:
+        request: tire, road, speed, vehicle.
+        controllers: name -> record with ``rate``, ``init``, ``step``.
+        seed: of the noise; stop k has ``seed + k``.
+        stops: number of seeds.
+        progress: called with the share done and the next step.
+
+    Raises:
+        UsageError: a problem of the request; 32-bit floats.
+    """
+    require_x64("a simulated stop")
+    check(request)
+    plant, sensors = plant_of(request), arrays(request.sensors)
+    speed, wheels = jnp.asarray(request.speed, float), plant.vehicle.wheels
+    done, many = {}, {}
+    for number, (name, controller) in enumerate(controllers.items()):
+        if progress is not None:
+            progress(number / len(controllers), name)
+        rate = controller.rate
+        how = (request.samples(rate), request.hydraulics.queue(rate))
+        run = partial(simulate_stop, plant, controller, sensors, speed)
+        log = run(jax.random.key(seed), *how)
+        summary = jax.jit(summarise, static_argnums=2)(plant, log, 1 / rate)
+        done[name] = _stop(name, log, summary, wheels, controller)
+        if stops > 1:
+            plants = jax.tree.map(lambda x: jnp.repeat(x[None], stops, 0), plant)
+            keys = jax.vmap(jax.random.key)(jnp.arange(seed, seed + stops))
+            all_ = many_stops(plants, controller, sensors, speed, keys, *how)
+            many[name] = jax.tree.map(np.asarray, all_)
+    return Braking(request, done, many, seed, __version__)
+
+
+def _stop(name, log: Log, summary, wheels, controller) -> Stop:
+    """The stop with its rows until the end, as NumPy arrays."""
+    end = min(int(np.sum(log.moving)) + 1, len(log.moving))
+    kept = jax.tree.map(lambda leaf: np.asarray(leaf)[:end], log)
+    leaves = {
+        key: np.asarray(value).tolist()
+        for key, value in vars(controller).items()
+        if isinstance(value, int | float | jax.Array | np.ndarray)
+    }
+    return Stop(name, kept, jax.tree.map(np.asarray, summary), wheels, leaves)

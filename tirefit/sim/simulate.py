@@ -3,20 +3,45 @@
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
+
 from tirefit.fitting.problem import find_model
-from tirefit.params import check_names, check_values
+from tirefit.models import MODELS, TireInputs, forces
+from tirefit.params import check_names, check_values, with_values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError, did_you_mean
 from tirefit.sim.braking import SimulatedLog, simulate_braking
 from tirefit.sim.drive import simulate_drive
-from tirefit.sim.rig import simulate_rig
-from tirefit.sim.settings import KINDS
+from tirefit.sim.settings import KINDS, Sweeps
 
-_MADE: dict[str, Any] = {
-    "braking": simulate_braking,
-    "drive": simulate_drive,
-    "rig": lambda how: simulate_rig(**vars(how)),
-}
+
+def simulate_rig(how: Sweeps) -> SimulatedLog:
+    """Sweep the slip upward in even steps, once at every load and speed.
+
+    Returns:
+        Measured and true time, sigma_x or alpha, fz, v, and the fx, or fy and mz, of the model.
+        The noise of the moment is that of the forces at a lever of 0.1 m.
+    """
+    slip = how.largest * np.arange(1, how.points + 1) / how.points
+    grid = np.meshgrid(how.load, how.speed, slip, indexing="ij")
+    fz, v, slip = (part.ravel() for part in grid)
+    n = len(slip)
+    name, force_names = ("alpha", ("fy", "mz")) if how.lateral else ("sigma_x", ("fx",))
+    time = np.arange(n) / how.rate
+    inputs = TireInputs(**{name: slip}, fz=fz, v=v, time=time)
+    tire = with_values(MODELS[how.model], how.values)
+    made = forces(tire, inputs, np.arange(n) // how.points)._asdict()
+    felt = {k: np.asarray(made[k]) for k in force_names if made[k] is not None}
+    truth = {"time": time, name: slip, **felt, "fz": fz, "v": v}
+    random = np.random.default_rng(how.seed)
+    seen = {name: slip + how.slip_std * random.standard_normal(n)}
+    for key, force in felt.items():
+        size = how.force_std * fz * (0.1 if key == "mz" else 1.0)
+        seen[key] = force + size * random.standard_normal(n)
+    return SimulatedLog(truth | seen, truth)
+
+
+_MADE: dict[str, Any] = {"braking": simulate_braking, "drive": simulate_drive, "rig": simulate_rig}
 
 
 def simulate(kind: str = "braking", **settings) -> SimulatedLog:
