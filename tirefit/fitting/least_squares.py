@@ -214,7 +214,7 @@ class NormalEquations(optx.AbstractLeastSquaresSolver):
     def terminate(self, fn, y, args, options, state: _State, tags):
         failed = state.done & ~jnp.isfinite(state.best.cost)
         results = optx.RESULTS
-        return state.done, results.where(failed, results.nonfinite, results.successful)
+        return state.done, results.where(failed, results.nonlinear_divergence, results.successful)
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         return y, aux, {}
