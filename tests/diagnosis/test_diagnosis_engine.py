@@ -266,18 +266,6 @@ def test_a_filtered_force_has_no_gap(fade, seed):
     assert found.noise.forces["fx"] == pytest.approx(80, rel=0.15)
 
 
-def test_the_map_shows_the_parameter_and_its_covariate(diagnosed):
-    found, _ = diagnosed("load_friction")
-    first, *others = found.map
-    assert (first.parameter, first.covariate) == ("friction", "fz")
-    # No other quantity does as well: time comes near, the loads came one by one.
-    rest = max(c.log_evidence for c in others if c.covariate != "fz")
-    assert first.log_evidence > rest + 10
-    assert 0.5 < first.explains <= 1.0
-    best = max(cell.log_evidence for cell in diagnosed("none")[0].map)
-    assert best < 3
-
-
 def test_the_wheel_speed_identifies_the_slip_definition():
     """kappa logged as sigma: speeds and forces agree on it."""
     frame, _ = record(None, seed=12)

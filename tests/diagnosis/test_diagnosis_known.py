@@ -93,7 +93,7 @@ def test_an_undeclared_reference_point_is_found():
     assert found.effects == ("tracked_point",)
     (size,) = found.candidates[0].parameters.values()
     assert abs(size.value + 0.3) < 4 * size.std < 0.1
-    assert "tracked_point is not stated: measure it" in " ".join(found.data.motion)
+    assert "vehicle.toml does not state tracked_point" in " ".join(found.data.motion)
     assert KNOWN["tracked_point"].remedy.startswith("measure")
 
 

@@ -128,7 +128,7 @@ def test_the_acceleration_of_a_derived_force_explains_nothing(driven):
     said = " ".join(found.data.motion)
     assert "fy was derived from a_y (646.2 kg of it)" in said
     assert "without any tire model" in said
-    assert "the yaw inertia to 1 of it (yaw_inertia is not stated: measure it)" in said
+    assert "does not state tracked_point, clock, yaw_inertia: measure them" in said
     whole = diagnosis_text(found, full=True)
     assert said.split(";")[0] in " ".join(whole.split())
     measured = drive(Car(), measured=True, rows=240)

@@ -144,7 +144,7 @@ def split():
 
 def test_predictions_agree_with_refits_to_the_other_parts(split):
     of, sets, folds, out = split
-    assert (out.on, out.across_runs) == ("6 blocks", True)
+    assert out.on == "6 blocks"
     assert out.effects == ((), ("a",), ("a", "b")) and out.as_given is None
     for s, fit in enumerate(sets):
         k = len(fit.amplitude)

@@ -64,7 +64,7 @@ def test_whole_runs_are_left_out_where_there_are_four(count):
     first = np.arange(90 * count + 4)
     rows = prepared({name: x[first] for name, x in logs(count + 1).items()})
     folds = folds_of(rows, 1.0)
-    assert folds.across_runs and folds.number == count
+    assert folds.number == count
     assert folds.on == f"{count} runs left out in turn"
     for fold in range(count):
         (run,) = set(rows.run[folds.code == fold])
@@ -78,7 +78,7 @@ def test_consecutive_rows_are_left_out_together(count, across_runs):
     rows = prepared(logs(count))
     folds = folds_of(rows, 1.0, across_runs)
     order = np.lexsort((rows.time, rows.run))
-    assert not folds.across_runs and np.all(folds.code >= 0)
+    assert "runs" not in folds.on and np.all(folds.code >= 0)
     assert np.all(np.diff(folds.code[order]) >= 0)
     assert np.ptp(np.bincount(folds.code)) <= 1 and folds.number >= 7
     assert folds.on == f"{folds.number} blocks of time left out in turn"
@@ -132,7 +132,7 @@ def test_losses_agree_with_refits_without_the_fold(five):
     none, offset = refitted(five), refitted(five, "slip_offset")
     found = predicted(five, [none, offset], none, folds)
     assert found.effects == ((), ("slip_offset",))
-    assert found.on == folds.on and found.across_runs
+    assert found.on == folds.on
     for fold in range(folds.number):
         for k in (0, 1):
             loss, size = by_scipy(five, fold, folds.code, bool(k))

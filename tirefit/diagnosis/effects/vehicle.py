@@ -150,7 +150,7 @@ def _within_the_past(prior, prepared, rig):
     return prior._replace(low=max(prior.low, first), high=min(prior.high, last))
 
 
-def said_of_motion(base) -> tuple[str, ...]:
+def said_of_motion(base, rig) -> tuple[str, ...]:
     """A sentence about a base fit's force if it was derived from the motion."""
     rows, derived = base.rows, base.rows.derived
     if derived is None:
@@ -168,6 +168,8 @@ def said_of_motion(base) -> tuple[str, ...]:
             f" {_rms(observed + on_a_path):.3g} N rms, the base fit by"
             f" {_rms(missed):.3g} N"
         )
+    if unstated := [of.key for key, of in _QUANTITIES.items() if not _error(key, rows, rig)[1]]:
+        message += f"; vehicle.toml does not state {', '.join(unstated)}: measure them"
     return (message,)
 
 

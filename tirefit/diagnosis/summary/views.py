@@ -88,7 +88,7 @@ def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
         channels=base.rows.channels,
         assumptions=(*doubts, *data.source.notes, *rig.notes, *rig.beside(data)),
         set_aside=data.first_masked(),
-        motion=said_of_motion(base),
+        motion=said_of_motion(base, rig),
     )
 
 
