@@ -33,10 +33,9 @@ def problems(rows: int):
     coefficients of F_x and F_y from near the end of the stages."""
     from tirefit.fitting.config import FitConfig
     from tirefit.fitting.mf.bins import settings_of
-    from tirefit.fitting.mf.cells import groups_of
     from tirefit.fitting.mf.fit import nominal_of, problem_from
     from tirefit.fitting.mf.parts import coefficients_of
-    from tirefit.fitting.mf.rows import rows_of_forces
+    from tirefit.fitting.mf.rows import groups_of, rows_of_forces
     from tirefit.fitting.mf.stages import Search, first_values, problem_of, search
 
     config = FitConfig()
@@ -50,12 +49,13 @@ def problems(rows: int):
         starts.append(np.zeros(len(named)))
         starts[-1][named] = [empty.unit(n, values[n]) for n in empty.names if n in values]
     work = Search(empty, groups, starts[0], np.diag(empty.free.astype(float)))
-    pure = problem_of(work, "fy", 1, lateral)
+    pure = problem_of(work, groups["fy"][:1], lateral)
     # SciPy has no limits of the curvature factors, so that ours has none here either.
-    yield "F_y", pure.with_blocks(pure.blocks), starts
+    yield "F_y", pure.with_blocks([one for one in pure.blocks if not one.is_limit]), starts
     done = search(empty, parts, groups)
-    each = [problem_of(done, force, len(groups[force]), done.moved) for force in parts]
-    both = each[0].with_blocks([block for problem in each for block in problem.blocks])
+    each = [problem_of(done, done.groups[force], done.moved) for force in parts]
+    blocks = [one for problem in each for one in problem.blocks if not one.is_limit]
+    both = each[0].with_blocks(blocks)
     generator = np.random.default_rng(0)
     beside = 0.05 * both.free * generator.standard_normal(len(done.u))
     yield "F_x, F_y", both, [done.u + beside]

@@ -10,7 +10,7 @@ from tirefit.data.read import read_frame
 from tirefit.data.tir import read_tir
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.priors import published_priors
-from tirefit.fitting.mf.store import tir_of
+from tirefit.fitting.mf.result import tir_of
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
 from tirefit.results import UsageError

@@ -13,7 +13,7 @@ from tirefit.data.tir import read_tir
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.mf.fit import fit_magic_formula
-from tirefit.fitting.mf.store import tir_of
+from tirefit.fitting.mf.result import tir_of
 from tirefit.models import TireInputs
 from tirefit.params import with_values
 from tirefit.results import DataError, UsageError

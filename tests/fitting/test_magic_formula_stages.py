@@ -11,12 +11,11 @@ from scipy.stats import t
 from tirefit.data.read import read_frame
 from tirefit.data.tir import read_tir
 from tirefit.fitting.config import FitConfig, parse_config
-from tirefit.fitting.mf.cells import cells_of, groups_of
 from tirefit.fitting.mf.fit import fit_magic_formula, nominal_of, problem_from
 from tirefit.fitting.mf.guards import check_guards
 from tirefit.fitting.mf.left_out import beyond_of
 from tirefit.fitting.mf.parts import own_coefficients
-from tirefit.fitting.mf.rows import ForceRows
+from tirefit.fitting.mf.rows import ForceRows, cells_of, groups_of
 from tirefit.fitting.mf.solve import curvature_at
 from tirefit.fitting.mf.stages import problem_of, search
 from tirefit.fitting.noise import beyond_loads, design_effect, noise_law
@@ -297,7 +296,7 @@ def test_the_covariance_holds_the_coefficients_that_are_not_identified():
     work = search(problem, rows, groups_of(rows, {"fy": np.repeat([0, 1, 2], 61)}, False))
     names = [n for n in work.moved if n in own_coefficients("6.1", "fy")]
     at = np.flatnonzero(np.isin(problem.names, names))
-    last = problem_of(work, "fy", 1, names)
+    last = problem_of(work, work.groups["fy"], names)
     expected = np.linalg.inv(curvature_at(last, work.u)[np.ix_(at, at)] + np.eye(len(at)))
     np.testing.assert_allclose(work.covariance[np.ix_(at, at)], expected, rtol=1e-6, atol=1e-9)
     held = [i for i in at if problem.names[i] in work.held]

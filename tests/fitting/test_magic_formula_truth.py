@@ -18,7 +18,7 @@ from tirefit.diagnosis.diagnose import diagnose
 from tirefit.fitting.mf import fit as fit_module
 from tirefit.fitting.mf.convert import converted
 from tirefit.fitting.mf.fit import fit_magic_formula
-from tirefit.fitting.mf.store import save_magic_formula, tir_of
+from tirefit.fitting.mf.result import save_magic_formula, tir_of
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit
 from tirefit.models import forces

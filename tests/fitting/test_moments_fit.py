@@ -13,7 +13,7 @@ from tirefit.data.tir_keys import PRESSURE_TERMS
 from tirefit.fitting.mf.convert import converted
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.parts import parts_named
-from tirefit.fitting.mf.store import save_magic_formula, tir_of
+from tirefit.fitting.mf.result import save_magic_formula, tir_of
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit
 from tirefit.models import TireInputs, forces

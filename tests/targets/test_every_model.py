@@ -104,31 +104,31 @@ FAR = {
         {"fz": [2.5, 2.5]},
         "commonroad",
         {"vehicle": True},
-        "fz 8.581 N, measured 2.5 to 2.5 N",
+        "fz 8.581 N, measured fz 2.5 N",
     ),
     "a load of --over": (
         {"fz": [3000.0, 5000.0]},
         "gymkhana-stp",
         {"over": {"fz": (1000.0, 5000.0)}},
-        "fz 1000 to 5000 N, measured 3000 to 5000 N",
+        "fz 1000 to 5000 N, measured fz 3000 to 5000 N",
     ),
     "an angle of --over": (
         {"alpha": [-0.05, 0.08]},
         "gymkhana-stp",
         {"over": {"alpha": (-0.2, 0.2)}},
-        "alpha -0.2 to 0.2 rad, measured -0.05 to 0.08 rad",
+        "alpha -0.2 to 0.2 rad, measured alpha -0.05 to 0.08 rad",
     ),
     "angles too small for a refit": (
         {"alpha": [-0.004, 0.004]},
         "gymkhana-stp",
         {},
-        "alpha -0.2 to 0.2 rad, measured -0.004 to 0.004 rad",
+        "alpha -0.2 to 0.2 rad, measured alpha -0.004 to 0.004 rad",
     ),
     "a slip of --over": (
         {"sigma_x": [0.0, 0.05]},
         "commonroad",
         {"over": {"kappa": (-0.3, 0.0)}},
-        "kappa -0.3 to 0 -, measured -0.04762 to 0 -",
+        "kappa -0.3 to 0, measured kappa -0.04762 to 0",
     ),
 }
 

@@ -99,11 +99,11 @@ BAD += " jac print signbit static_assert INFINITY 1x été math_errhandling atom
 
 
 @pytest.mark.parametrize("target", ["c", "numpy", "casadi", "jax"])
-@pytest.mark.parametrize("name", BAD.split())
-def test_a_reserved_name_is_refused_with_a_reason(name, target, tmp_path):
+def test_a_reserved_name_is_refused_with_a_reason(target, tmp_path):
+    assert [name for name in BAD.split() if not reserved(name)] == []
     path = tmp_path / f"tire{'.h' if target == 'c' else '.py'}"
     with pytest.raises(tirefit.UsageError, match="not valid as a name of a function: ") as caught:
-        tirefit.export("brush", target, path, name=name)
+        tirefit.export("brush", target, path, name="logb")
     assert "--name my_tire" in caught.value.problems[0].remedy and not path.exists()
 
 

@@ -133,5 +133,5 @@ def test_contradicting_options_are_refused(tmp_path):
     done = ran("brush", "--to", "commonroad", "--over", "fz=9:1", "--out", path)
     assert done.exit_code == 2 and "NAME=LOW:HIGH" in done.stderr
     done = ran("brush", "--to", "c", "--over", "fz=1:9", "--out", tmp_path / "x.h")
-    assert done.exit_code == 2 and "leave them out" in done.stderr
+    assert done.exit_code == 2 and "leave it out" in done.stderr
     assert not list(tmp_path.iterdir())

@@ -13,7 +13,7 @@ from tirefit.cli.commands import app
 from tirefit.data.tir import brush_of, read_tir, reduced_tir
 from tirefit.fitting.mf import convert
 from tirefit.fitting.mf.fit import fit_magic_formula
-from tirefit.fitting.mf.store import save_magic_formula
+from tirefit.fitting.mf.result import save_magic_formula
 from tirefit.fitting.tir import own_tire
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values

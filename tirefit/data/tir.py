@@ -104,19 +104,19 @@ def reduced_tir(cpa2: float, mu: float, fz: float, radius: float) -> TirFile:
         UsageError: values that are not positive; it lists all of them.
     """
     given = {"cpa2": cpa2, "mu": mu, "fz": fz, "radius": radius}
-    wrong = [name for name, value in given.items() if not 0 < value < float("inf")]
-    if wrong:
-        raise UsageError(
-            [
-                InputProblem(f"{name} = {given[name]:g} is not positive", "give it in SI")
-                for name in wrong
-            ]
-        )
+    UsageError.raise_for(
+        [
+            InputProblem(f"{name} = {value:g} is not positive", "give it in SI")
+            for name, value in given.items()
+            if not 0 < value < math.inf
+        ]
+    )
     slope, weight = 2 * cpa2 / fz, 2 * cpa2 / (mu * fz)
     values = {"UNLOADED_RADIUS": radius, "FNOMIN": fz, "QBZ1": 0.0, "QCZ1": 1.0, "QDZ1": 0.0}
-    # The same lateral stiffness at every load; the longitudinal one stationary at FNOMIN.
     values |= {"PKX3": -1.0, "PKY2": 1e-8, "PKY4": 1.0}
-    notes = {}
+    notes = {"FNOMIN": "Nominal wheel load", "UNLOADED_RADIUS": "Free tyre radius"}
+    notes |= dict.fromkeys(("PKY2", "PKY4"), "Stiffness the same at every load")
+    notes |= {"PKX3": "Stiffness stationary at FNOMIN", "QBZ1": "No aligning moment"}
     for axis, sign in (("X", 1), ("Y", -1)):  # in ISO-W axes the cornering stiffness is negative
         for start, value, note in (
             ("PC", 1.0, "Shape: no peak"),

@@ -18,8 +18,7 @@ from tirefit.data.tire_file import tire_kind
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.likelihood import row_forces
 from tirefit.fitting.mf.parts import SLIPS_OF
-from tirefit.fitting.mf.predict import magic_formula_forces
-from tirefit.fitting.mf.result import MagicFormulaFit
+from tirefit.fitting.mf.result import MagicFormulaFit, magic_formula_forces
 from tirefit.fitting.noise import noise_std
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import FitResult

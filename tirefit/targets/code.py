@@ -1,5 +1,6 @@
 """Source code of a tire's forces: C, NumPy and CasADi."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
@@ -7,23 +8,116 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.slip import CONVENTIONS
-from tirefit.targets.languages import CASADI, NUMPY, C, body, results
-from tirefit.targets.program import Program
-from tirefit.targets.tire import ALWAYS, UNITS, Tire
+from tirefit.targets.program import Program, Term
+from tirefit.targets.tire import ALWAYS, QUANTITIES, Tire
 
-MEANING = {
-    "kappa": "practical slip: sliding speed over forward speed of the wheel centre",
-    "alpha": "slip angle",
-    "fz": "load",
-    "v": "forward speed of the wheel centre",
-    "gamma": "camber",
-    "pressure": "inflation pressure (0: nominal)",
-    "fx": "longitudinal force",
-    "fy": "lateral force",
-    "mz": "aligning moment",
-    "mx": "overturning moment",
-    "my": "rolling resistance moment",
-}
+
+class Language(NamedTuple):
+    """The syntax of the operations of a language.
+
+    Attributes:
+        usual: name of a function, as a format of that of the operation.
+        calls: operation -> another name of its function, or a format of the arguments.
+        number: a constant.
+        line: a statement that gives a value a name.
+        within: operations that are written inline, as compilers do not vectorise loops
+            with boolean variables.
+    """
+
+    usual: str
+    calls: Mapping[str, str]
+    number: Callable[[float], str]
+    line: str
+    within: frozenset[str] = frozenset()
+
+
+_SIGNS = {
+    "add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}",
+    "neg": "-{}", "lt": "{} < {}", "le": "{} <= {}", "gt": "{} > {}", "ge": "{} >= {}",
+    "eq": "{} == {}", "ne": "{} != {}",
+}  # fmt: skip
+
+
+def _in_python(value: float) -> str:
+    text = repr(float(value))
+    return text if math.isfinite(value) else f"float({text!r})"
+
+
+def _in_c(value: float) -> str:
+    text = repr(float(value))
+    return f"TIREFIT_C({text.replace('inf', 'INFINITY').replace('nan', 'NAN')})"
+
+
+TRUTHS = frozenset({"lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not"})
+"""Operations whose result is true or false."""
+
+C = Language(
+    "TIREFIT_F({})",
+    _SIGNS | {
+        "abs": "TIREFIT_F(fabs)", "cos": "TIREFIT_COS",
+        "max": "({0} > {1} ? {0} : {1})", "min": "({0} < {1} ? {0} : {1})",
+        "sign": "(tirefit_real)(({0} > 0) - ({0} < 0))", "where": "({0} ? {1} : {2})",
+        "and": "({0} && {1})", "or": "({0} || {1})", "not": "!{}",
+    },
+    _in_c, "const tirefit_real {name} = {value};", TRUTHS,
+)  # fmt: skip
+
+NUMPY = Language(
+    "np.{}",
+    _SIGNS | {
+        "asin": "np.arcsin", "acos": "np.arccos", "atan": "np.arctan", "atan2": "np.arctan2",
+        "asinh": "np.arcsinh", "pow": "np.power", "max": "np.maximum", "min": "np.minimum",
+        "and": "np.logical_and", "or": "np.logical_or", "not": "np.logical_not",
+    },
+    _in_python, "{name} = {value}",
+)  # fmt: skip
+
+CASADI = Language(
+    "ca.{}",
+    _SIGNS | {
+        "pow": "{} ** {}", "cbrt": "ca.sign({0}) * ca.fabs({0}) ** (1 / 3)",
+        "abs": "ca.fabs", "max": "ca.fmax", "min": "ca.fmin", "where": "ca.if_else",
+        "and": "ca.logic_and", "or": "ca.logic_or", "not": "ca.logic_not",
+    },
+    _in_python, "{name} = {value}",
+)  # fmt: skip
+
+
+def body(program: Program, language: Language, indent: str = "    ") -> list[str]:
+    """Statements of the operations of a program, one per line.
+
+    The inputs keep their names; the k-th operation is named ``t{k}``, or written inline
+    if it is a condition of C.
+    """
+    lines = []
+    for k, (op, args) in enumerate(program.operations):
+        if op == "input" or op in language.within:
+            continue
+        value = _expression(program, language, op, args)
+        lines.append(indent + language.line.format(name=f"t{k}", value=value))
+    return lines
+
+
+def results(program: Program, language: Language) -> list[str]:
+    """The outputs of a program as expressions."""
+    return [_argument(program, language, one) for one in program.outputs.values()]
+
+
+def _argument(program: Program, language: Language, arg) -> str:
+    if not isinstance(arg, Term):
+        text = language.number(arg)
+        return f"({text})" if text.startswith("-") else text
+    op, args = program.operations[arg.place]
+    if op in language.within:
+        return f"({_expression(program, language, op, args)})"
+    return program.inputs[args[0]] if op == "input" else f"t{arg.place}"
+
+
+def _expression(program: Program, language: Language, op: str, args) -> str:
+    given = [_argument(program, language, arg) for arg in args]
+    how = language.calls.get(op, language.usual.format(op))
+    return how.format(*given) if "{" in how else f"{how}({', '.join(given)})"
+
 
 PARAMETERS = "parameters (+- standard error):"
 """Line above the parameters in the head of a file."""
@@ -38,7 +132,7 @@ def header(tire: Tire, program: Program, convention: str) -> list[str]:
     return [
         tire.origin,
         f"signs: {convention} ({CONVENTIONS[convention].description})",
-        *(f"{name} [{UNITS[name]}]: {MEANING[name]}" for name in names),
+        *("{} [{}]: {}".format(name, *QUANTITIES[name]) for name in names),
         "at low speed compute kappa with max(speed, a few tenths of a m/s)",
         f"measured range: {tire.ranges(convention)}",
         PARAMETERS,

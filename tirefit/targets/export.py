@@ -1,7 +1,7 @@
 """Export a fitted tire as a file of another program: :func:`export`."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -13,18 +13,16 @@ from tirefit.door import UNSEALED, replaced_inputs, sealed_text, unsealed
 from tirefit.files import write_texts
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.tir import TIR_SIGNS
-from tirefit.results import DataError, InputProblem, Outcome, UsageError, did_you_mean
+from tirefit.results import DataError, InputProblem, Outcome, UsageError, unknown_names
 from tirefit.slip import CONVENTIONS
-from tirefit.targets.chrono import chrono_source, held_by_chrono
 from tirefit.targets.code import Draft, c_source, casadi_source, header, numpy_source
 from tirefit.targets.identifiers import reserved
-from tirefit.targets.loss import check_loss
 from tirefit.targets.mujoco import mujoco_source
 from tirefit.targets.parameters import PARAMETER_FILES, ParameterFile, one_line, parameter_text
-from tirefit.targets.refit import over_problems
+from tirefit.targets.refit import check_loss, over_problems
 from tirefit.targets.shape import Shape, shape_of
 from tirefit.targets.stablehlo import jax_source
-from tirefit.targets.tir import held_as_tir, tir_source
+from tirefit.targets.tir import chrono_source, held_as_tir, held_by_chrono, tir_source
 from tirefit.targets.tire import Tire, tire_of
 
 if TYPE_CHECKING:
@@ -184,7 +182,7 @@ def export(
         model: version of the Magic Formula of a ``.tir``: ``mf52``, ``mf61``, ``mf62``.
         wheel: data that a target needs in addition to the tire, in SI units, see :data:`TARGETS`.
         force: replace a file that is not an unchanged export, and write one that misses
-            the tire by more than :data:`~tirefit.targets.loss.MOST` of the load, or that
+            the tire by more than :data:`~tirefit.targets.refit.MOST` of the load, or that
             uses the tire far from where it was measured.
 
     Returns:
@@ -203,27 +201,48 @@ def export(
         True
     """
     path = Path(path)
-    chosen = TARGETS.get(target)
-    if name is None or not _is_code(chosen):
-        name = path.stem
     axles = {"": source, "front": front, "rear": rear}
     given = {axle: one for axle, one in axles.items() if one is not None}
-    car = vehicle is not None or over or "" not in given
-    problems = [*_unknown(target, given, convention)]
-    problems += _useless(target, model, wheel, forces, convention, car)
+    problems = unknown_names("--to", [target], TARGETS)
+    problems += unknown_names("--convention", [convention], CONVENTIONS)
+    if not given or "" in given and len(given) > 1:
+        remedy = "give one tire, or those of --front and --rear"
+        problems.append(InputProblem("no tire is given", remedy))
+    UsageError.raise_for(problems)
+    chosen = TARGETS[target]
+    single = chosen if isinstance(chosen, Target) else None
+    is_code = single is not None and single.prepare is None
+    name = name if name is not None and is_code else path.stem
     problems += over_problems(over or {})
-    made = _files(chosen, path)
-    problems += _unwritable(chosen, made, name, force)
+    for option, value, is_used in (
+        ("--model", model, single and single.prepare),
+        ("--wheel", wheel, single and single.prepare),
+        ("--convention", convention != TIR_SIGNS, is_code),
+        ("--forces", forces, is_code),
+        ("--front, --rear, --vehicle or --over", vehicle or over or "" not in given, not single),
+    ):
+        if value and not is_used:
+            reason = f"{option} with --to {target}, which does not use it"
+            problems.append(InputProblem(reason, "leave it out, or see --list"))
+    if is_code and (why := reserved(name)):
+        reason = f"{name!r} is not valid as a name of a function: {why}"
+        problems.append(InputProblem(reason, "name the function with --name, as in --name my_tire"))
+    made = {path: chosen.ending}
+    made |= {path.with_suffix(end): end for end in (single.beside if single else ())}
+    for file, ending in made.items():
+        faults = output_problems(file, ending)
+        if not (faults or force):
+            faults = unsealed(file, "choose another file, or replace it with --force")
+        problems += faults
     UsageError.raise_for(problems)
     read = {"the tire": given.values(), "--vehicle": [vehicle], "--diagnosis": [diagnosis]}
-    DataError.raise_for(replaced_inputs([path for path, _ in made], read))
+    DataError.raise_for(replaced_inputs([*made], read))
     tires = {axle: tire_of(one, values, diagnosis) for axle, one in given.items()}
     first = f"written by tirefit export, {UNSEALED}, tirefit {__version__}: "
     first += f"{' and '.join(tire.name for tire in tires.values())} for {target}"
     if isinstance(chosen, ParameterFile):
         found = parameter_text(target, tires, path, first, vehicle, over, force)
         return _written(target, path, *found[1:], {path: found[0]})
-    assert chosen is not None
     (tire,) = tires.values()
     if chosen.prepare is not None:
         held = chosen.prepare(tire, model, wheel or {})
@@ -232,19 +251,25 @@ def export(
     if forces:
         asked = forces.split(",") if isinstance(forces, str) else forces
         tire = replace(tire, asked=tuple(asked))
+    text, shape = _drafted(target, tire, convention, name, wheel or {}, first)
+    texts = {chosen.ending: text} if isinstance(text, str) else text
+    files = {path.with_suffix(end): each for end, each in texts.items()}
+    return _written(target, path, shape, tire.notes, files)
+
+
+def _drafted(target: str, tire: Tire, convention, name, wheel, first):
+    """The text of one tire, or of several files by their endings, and its shape."""
     try:
         program = tire.program(convention)
         shape = shape_of(tire, program, convention)
         above = [first, *header(tire, program, convention), *shape.sentences]
-        draft = Draft(tire, program, convention, one_line(above), name, wheel or {})
-        text = chosen.write(draft)
+        chosen = TARGETS[target]
+        assert isinstance(chosen, Target)
+        return chosen.write(Draft(tire, program, convention, one_line(above), name, wheel)), shape
     except NotImplementedError as error:
         reason = f"{tire.name} cannot be written for {target}: {error}"
         remedy = "export another model, fitted to its curve by `tirefit convert`"
         raise UsageError(InputProblem(reason, remedy)) from None
-    texts = {chosen.ending: text} if isinstance(text, str) else text
-    files = {path.with_suffix(end): each for end, each in texts.items()}
-    return _written(target, path, shape, tire.notes, files)
 
 
 def _written(target, path: Path, shape: Shape, notes, texts) -> Exported:
@@ -252,57 +277,3 @@ def _written(target, path: Path, shape: Shape, notes, texts) -> Exported:
     write_texts(texts)
     named = {path.name: text for path, text in texts.items()}
     return Exported(target, path, shape, notes, named)
-
-
-def _unknown(target: str, given: Mapping, convention: str) -> Iterator[InputProblem]:
-    for what, named, known in (
-        ("--to", target, TARGETS),
-        ("--convention", convention, CONVENTIONS),
-    ):
-        if named not in known:
-            remedy = f"{did_you_mean(named, known)}valid: {', '.join(known)}"
-            yield InputProblem(f"{what}: {named!r} is not known", remedy)
-    if not given or "" in given and len(given) > 1:
-        remedy = "give one tire, or those of --front and --rear"
-        yield InputProblem("no tire is given", remedy)
-
-
-def _useless(target: str, model, wheel, forces, convention, car):
-    """Problems of options that a target does not use."""
-    chosen, leave_out = TARGETS.get(target), "leave it out"
-    for option, value in (("--model", model), ("--wheel", wheel)):
-        if value and not (isinstance(chosen, Target) and chosen.prepare):
-            reason = f"{option} with --to {target}, which does not use it"
-            yield InputProblem(reason, leave_out)
-    if convention != TIR_SIGNS and not _is_code(chosen):
-        reason = f"--convention {convention}: the signs of {target} are fixed"
-        yield InputProblem(reason, leave_out)
-    if forces and not _is_code(chosen):
-        yield InputProblem(f"--forces with --to {target}, which has all forces", leave_out)
-    if car and isinstance(chosen, Target):
-        reason = f"{target} describes one tire exactly: no axles, vehicle or range"
-        yield InputProblem(reason, "leave them out, or see --list")
-
-
-def _files(chosen: Target | ParameterFile | None, path: Path) -> list[tuple[Path, str]]:
-    """The files to write, each with the ending that its name must have."""
-    beside = chosen.beside if isinstance(chosen, Target) else ()
-    ending = chosen.ending if chosen else ""
-    return [(path, ending), *((path.with_suffix(end), end) for end in beside)]
-
-
-def _unwritable(chosen: Target | ParameterFile | None, made, name, force):
-    """Problems of the name of the function, and of the files to write."""
-    if _is_code(chosen) and (why := reserved(name)):
-        remedy = "name the function with --name, as in --name my_tire"
-        yield InputProblem(f"{name!r} is not valid as a name of a function: {why}", remedy)
-    for one, end in made:
-        if problems := output_problems(one, end):
-            yield from problems
-        elif not force:
-            yield from unsealed(one, "choose another file, or replace it with --force")
-
-
-def _is_code(chosen: Target | ParameterFile | None) -> bool:
-    """Whether a target is source code: a named function, in any signs."""
-    return chosen is None or isinstance(chosen, Target) and chosen.prepare is None

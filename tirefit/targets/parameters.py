@@ -14,8 +14,7 @@ from tirefit.data.vehicle import Vehicle
 from tirefit.results import InputProblem, UsageError
 from tirefit.targets.car import Axle, axles_of, vehicle_of
 from tirefit.targets.formulas import COMMONROAD, GAZEBO, PACEJKA, SLIPX, Formula
-from tirefit.targets.loss import MOST
-from tirefit.targets.refit import Ranges, Refit, beyond_measured, percent, ranges_of, refit
+from tirefit.targets.refit import MOST, Ranges, Refit, beyond_measured, percent, ranges_of, refit
 from tirefit.targets.shape import Shape, shape_of
 from tirefit.targets.tire import Tire, turned_range
 
@@ -108,7 +107,7 @@ def parameter_text(
         first: the first line.
         vehicle: ``vehicle.toml``; its car is written if the target has one.
         over: kappa, alpha and fz of the refit, in the signs of :data:`SIGNS`.
-        force: write a file with an error above :data:`~tirefit.targets.loss.MOST`.
+        force: write a file with an error above :data:`~tirefit.targets.refit.MOST`.
 
     Raises:
         UsageError: a tire that the target cannot represent, or a larger error; missing
@@ -125,7 +124,12 @@ def parameter_text(
             tire = replace(tire, load=(low + high) / 2)
         ranges = ranges_of(tire, narrowed, axle.static)
         if far := beyond_measured(tire, ranges, SIGNS):
-            notes += [f"warning: {line}" for line in _far(axle.named([far]), target, force)]
+            (where,) = axle.named([far])
+            reason = f"{target} would use this tire far from where it was measured: {where}"
+            if not force:
+                remedy = "give a tire measured there, or another range (--over), or accept it"
+                raise UsageError(InputProblem(reason, f"{remedy} by --force"))
+            notes.append(f"warning: {reason}")
         fit = refit(tire, kind.formula, ranges)
         shape = shape_of(tire, kind.formula.program(fit.values, SIGNS), SIGNS)
         answers = [fit.sentence(SIGNS), *fit.other_loads(), *axle.notes]
@@ -164,19 +168,6 @@ def parameter_text(
         lines = [*(f"# {line}" for line in sheet.above), *_yaml(text)]
         text = "\n".join(lines) + "\n"
     return text, Shape(tuple(sentences), tuple(failed), curves), tuple(notes)
-
-
-def _far(where: list[str], target: str, force: bool) -> list[str]:
-    """Sentences on ranges beyond the measured ones.
-
-    Raises:
-        UsageError: without ``force``.
-    """
-    reason = f"{target} would use this tire far from where it was measured: {where[0]}"
-    remedy = "give a tire measured there, or another range (--over), or accept it by --force"
-    if not force:
-        raise UsageError(InputProblem(reason, remedy))
-    return [reason]
 
 
 def _lost(tire: Tire, formula: Formula) -> list[str]:

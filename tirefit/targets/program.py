@@ -1,19 +1,21 @@
 """Straight-line programs of the forces of a model, traced from its JAX function.
 
 A model is written once, in JAX. :func:`traced` converts that function, with its parameter
-values, to a list of scalar operations that :mod:`tirefit.targets.languages` prints in
-other languages, so that no formula is written twice.
+values, to a list of scalar operations that :mod:`tirefit.targets.code` prints in other
+languages, so that no formula is written twice.
 """
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax.extend import core
 
-from tirefit.targets.algebra import in_order, simplified
+_COMMUTE = frozenset({"add", "mul", "min", "max", "eq"})
 
 MOST_OPERATIONS = 20_000
 """Largest number of operations that other compilers can handle."""
@@ -34,22 +36,11 @@ class Operation(NamedTuple):
     args: tuple
 
 
+@dataclass(frozen=True, order=True, slots=True)
 class Term:
-    """A value that depends on the inputs: its index in a :class:`Graph`."""
+    """A value that depends on the inputs: the number of the operation that gives it."""
 
-    __slots__ = ("place",)
-
-    def __init__(self, place: int):
-        self.place = place
-
-    def __hash__(self):
-        return self.place
-
-    def __eq__(self, other):
-        return isinstance(other, Term) and other.place == self.place
-
-    def __lt__(self, other):
-        return self.place < other.place
+    place: int
 
 
 class Graph:
@@ -69,19 +60,15 @@ class Graph:
             self.operations.append(key)
         return self._known[key]
 
-    def parts(self, value) -> tuple[str, tuple]:
-        """Operation and arguments of a term; ("", ()) for a constant."""
-        return self.operations[value.place] if isinstance(value, Term) else ("", ())
-
     def apply(self, op: str, *args):
         """The result of an operation on terms and constants: a term or a constant."""
         if not any(isinstance(arg, Term) for arg in args):
             with np.errstate(all="ignore"):
                 return _OPERATIONS[op](*args).item()
-        args = in_order(op, args, lambda one: isinstance(one, Term))
-        if (simpler := simplified(self, op, args)) is not None:
-            return simpler
-        return self.term(op, *args)
+        if op in _COMMUTE:  # constants first
+            args = tuple(sorted(args, key=lambda one: (isinstance(one, Term), one)))
+        simpler = _simplified(self, op, args)
+        return self.term(op, *args) if simpler is None else simpler
 
 
 class Program(NamedTuple):
@@ -89,7 +76,7 @@ class Program(NamedTuple):
 
     Attributes:
         inputs: names of the arguments, in order.
-        outputs: name and value of each result: a place or a constant.
+        outputs: name and value of each result: a :class:`Term` or a constant.
         operations: in order; ``("input", (k,))`` is the k-th argument.
     """
 
@@ -244,16 +231,84 @@ def _power(graph: Graph, x, y: int):
     return result
 
 
+def _simplified(graph: "Graph", op: str, args: tuple) -> Any:
+    """An equivalent of an operation that is simpler and differs by rounding at most; None
+    if there is none.
+
+    A product with an exact zero is zero, as the derivative by an input without effect.
+
+    Args:
+        args: terms and constants; not only constants.
+    """
+    apply, x, y = graph.apply, args[0], args[-1]
+
+    def known(*values) -> bool:
+        return not any(isinstance(value, Term) for value in values)
+
+    # A term is matched by its operation and arguments, a constant by its value.
+    match (op, *(one if known(one) else graph.operations[one.place] for one in args)):
+        case ("add", 0.0, _):
+            return y
+        case ("add", ("neg", (a,)), _):
+            return apply("sub", y, a)
+        case ("add" | "sub", _, ("neg", (a,))):
+            return apply("sub" if op == "add" else "add", x, a)
+        case ("sub", _, 0.0) | ("pow", _, 1.0):
+            return x
+        case ("sub", 0.0, _) | ("mul", -1.0, _):
+            return apply("neg", y)
+        case ("mul" | "div", 0.0, _):
+            return 0.0
+        case ("mul", 1.0, _):
+            return y
+        case ("mul", _, ("mul", (a, b))) if known(x, a):
+            return apply("mul", x * a, b)
+        case ("mul", _, ("neg", (a,))) if known(x):
+            return apply("mul", -x, a)
+        case ("mul", ("neg", (a,)), _):
+            return apply("neg", apply("mul", a, y))
+        case ("mul", _, ("neg", (a,))):
+            return apply("neg", apply("mul", a, x))
+        case ("div", _, _) if known(y):
+            usual = y != 0.0 and math.isfinite(1 / y)
+            return apply("mul", 1 / y, x) if usual else None
+        case ("div", ("neg", (a,)), _):
+            return apply("neg", apply("div", a, y))
+        case ("div", _, ("neg", (a,))):
+            return apply("neg", apply("div", x, a))
+        case ("div", _, ("mul", (a, b))) if known(a):
+            return apply("mul", 1 / a, apply("div", x, b))
+        case ("div", _, ("where", (condition, a, b))) if known(a, b) and a and b:
+            return apply("mul", x, apply("where", condition, 1 / a, 1 / b))
+        case ("neg", ("neg", (a,))):
+            return a
+        case ("neg", ("sub", (a, b))):
+            return apply("sub", b, a)
+        case ("neg", ("mul", (a, b))) if known(a):
+            return apply("mul", -a, b)
+        case ("pow", _, 0.0):
+            return 1.0
+        case ("pow", _, 0.5):
+            return apply("sqrt", x)
+        case ("pow", _, 2.0):
+            return apply("mul", x, x)
+        case ("where", _, _, _) if known(x):
+            return args[1] if x else y
+        case ("where", _, _, _) if args[1] == y:
+            return y
+    return None
+
+
 def _with_reciprocals(program: Program) -> Program:
     """Several quotients with the same denominator as products with its reciprocal."""
     graph, terms = Graph(), list[Any]()
     count = Counter(args[1] for op, args in program.operations if op == "div")
 
     def read(value):
-        return terms[value] if isinstance(value, Place) else value
+        return terms[value.place] if isinstance(value, Term) else value
 
     for op, args in program.operations:
-        if op == "div" and isinstance(args[1], Place) and count[args[1]] > 1:
+        if op == "div" and isinstance(args[1], Term) and count[args[1]] > 1:
             one = graph.term("div", 1.0, read(args[1]))
             terms.append(graph.apply("mul", read(args[0]), one))
         elif op == "input":
@@ -265,7 +320,7 @@ def _with_reciprocals(program: Program) -> Program:
 
 
 def _pruned(program: Program) -> Program:
-    """The program without unused operations; arguments of operations are indices."""
+    """The program without unused operations."""
     used, wanted = set(), [v for v in program.outputs.values() if isinstance(v, Term)]
     while wanted:
         term = wanted.pop()
@@ -277,15 +332,11 @@ def _pruned(program: Program) -> Program:
     new = {old: k for k, (old, _) in enumerate(kept)}
 
     def placed(value):
-        return Place(new[value.place]) if isinstance(value, Term) else value
+        return Term(new[value.place]) if isinstance(value, Term) else value
 
     operations = [Operation(o.op, tuple(map(placed, o.args))) for _, o in kept]
     outputs = {name: placed(value) for name, value in program.outputs.items()}
     return Program(program.inputs, outputs, operations)
-
-
-class Place(int):
-    """The number of an operation whose result is meant."""
 
 
 _OPERATIONS: dict[str, Callable] = {

@@ -1,4 +1,4 @@
-"""Fit the parameters of a simulator's formula to a tire, and compute its errors."""
+"""Fit the parameters of a simulator's formula to a tire, and compute the errors of files."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,13 +10,64 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
+from tirefit.fitting.tir import USUAL_SHARES, USUAL_SLIP
 from tirefit.models import TireInputs, forces
 from tirefit.results import InputProblem, UsageError
 from tirefit.slip import sigma_from_kappa
 from tirefit.targets.code import compiled
 from tirefit.targets.formulas import Curves, Formula, magic_formula_of
-from tirefit.targets.loss import grid_of
-from tirefit.targets.tire import ALWAYS, INPUTS, UNITS, Tire, turned_range
+from tirefit.targets.tire import ALWAYS, INPUTS, Tire, range_text, turned_range
+
+MOST = 0.05
+"""Largest error over the load that is written without ``force``."""
+
+_SLIP_OF = {"fx": "kappa", "fy": "alpha"}
+
+
+def grid_of(
+    ranges: Mapping[str, tuple[float, float]], kappa: int, alpha: int, fz: int
+) -> np.ndarray:
+    """Slips and loads (3, n) on a grid with these numbers of points; with 0, a slip is zero."""
+    counts = {"kappa": kappa, "alpha": alpha, "fz": fz}
+    axes = [np.linspace(*ranges[k], n) if n else [0.0] for k, n in counts.items()]
+    return np.stack([one.ravel() for one in np.meshgrid(*axes, indexing="ij")])
+
+
+def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, ...]:
+    """A sentence on the largest error within the measured range, over usual slips where
+    a slip was not measured; none if it is exact.
+
+    Raises:
+        UsageError: the error exceeds :data:`MOST` of the load, without ``force``.
+    """
+    if held.model is tire.model:
+        return ()
+    compared = [f for f in _SLIP_OF if f in tire.modelled and f in held.modelled]
+    # A force whose slip was not measured, like fx of a fit to fy, is in the file as well.
+    slips = [_SLIP_OF[force] for force in compared]
+    ranges = dict.fromkeys(slips, (-USUAL_SLIP, USUAL_SLIP))
+    ranges["fz"] = USUAL_SHARES[0] * tire.load, USUAL_SHARES[-1] * tire.load
+    for name, ends in ranges.items():
+        low, high = np.clip(ends, *tire.measured.get(name, (-np.inf, np.inf)))
+        ranges[name] = float(low), float(high)
+    along, across = (31 if k in slips else 0 for k in _SLIP_OF.values())
+    kappa, alpha, fz = grid_of(ranges, along, across, 5)
+    at = TireInputs(sigma_from_kappa(kappa), alpha, fz, tire.speed)
+    both = [forces(one.model, at)._asdict() for one in (tire, held)]
+    pure, missed, sizes = kappa * alpha == 0, [0.0], []
+    for name in compared:
+        off = np.abs(both[0][name] - both[1][name]) / fz
+        missed.append(float(np.max(off)))
+        alone = float(np.max(off[pure]))
+        sizes.append(f"{name} {missed[-1]:.2%} (in pure slip {alone:.2%})")
+    where = range_text(turned_range(ranges, "iso-w"))
+    sentence = f"largest error of the file in F_z: {', '.join(sizes)}, over {where}"
+    if max(missed) > MOST and not force:
+        remedy = "export to c, casadi or numpy, which hold it, or accept it by --force"
+        reason = f"{tire.name} for {target}: {sentence}; the limit is {MOST:.0%}"
+        raise UsageError(InputProblem(reason, remedy))
+    return (sentence,)
+
 
 EXACT = 1e-9
 """Error over load below which a formula represents a tire exactly."""
@@ -93,13 +144,10 @@ class Refit(NamedTuple):
             how = "refitted" if kind in self.refitted else "by formula"
             size = f"largest error {percent(self.miss[kind])} % of F_z"
             sentences.append(f"{_KINDS[kind].words} {how}: {size}")
-        used, where = {"fz"}.union(*(_KINDS[kind].slips for kind in self.miss)), []
-        for name, (low, high) in turned_range(self.ranges, convention).items():
-            if name in used:
-                unit = f" {UNITS[name]}".removesuffix(" -")
-                ends = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-                where.append(f"{name} {ends}{unit}")
-        return f"{'; '.join(sentences)}; over {', '.join(where)} ({convention})"
+        used = {"fz"}.union(*(_KINDS[kind].slips for kind in self.miss))
+        ranges = {name: ends for name, ends in self.ranges.items() if name in used}
+        where = range_text(turned_range(ranges, convention))
+        return f"{'; '.join(sentences)}; over {where} ({convention})"
 
     def other_loads(self) -> list[str]:
         """A sentence on the error at other loads, if the formula was fitted at one."""
@@ -151,15 +199,14 @@ def beyond_measured(tire: Tire, ranges: Ranges, convention: str) -> str:
     own = {"kappa": "fx", "alpha": "fy"}
     used, known = (turned_range(one, convention) for one in (ranges, tire.measured))
     for name in [name for name in used if name in known]:
-        low, high, least, most = (end + 0.0 for end in (*used[name], *known[name]))  # no -0
+        (low, high), (least, most) = used[name], known[name]
         less, more = least - _NARROW, most + _NARROW
         if name == "fz":
-            less, more = (share * end for share, end in zip(OTHER_LOADS, known[name], strict=True))
+            less, more = OTHER_LOADS[0] * least, OTHER_LOADS[1] * most
         judged = name == "fz" or not tire.fitted or own[name] in tire.fitted
         if judged and (low < less or high > more):
-            unit = f" {UNITS[name]}".removesuffix(" -")
-            wide = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-            found.append(f"{name} {wide}{unit}, measured {least:.4g} to {most:.4g}{unit}")
+            both = (range_text({name: ends}) for ends in ((low, high), (least, most)))
+            found.append(", measured ".join(both))
     return "; ".join(found)
 
 
@@ -168,13 +215,11 @@ def over_problems(over: Ranges) -> list[InputProblem]:
     problems = []
     for name, (low, high) in over.items():
         least = 0.0 if name == "fz" else _NARROW
-        if name not in INPUTS[:ALWAYS] or not math.isfinite(high - low):
-            remedy = "give kappa, alpha or fz as NAME=LOW:HIGH"
-            problems.append(InputProblem(f"--over {name}={low:g}:{high:g} is not a range", remedy))
-        elif high - low <= least or name == "fz" and low <= 0:
+        is_known = name in INPUTS[:ALWAYS] and (name != "fz" or low > 0)
+        if not is_known or not least < high - low < math.inf:
             reason = f"--over {name}={low:g}:{high:g} is not a range"
-            remedy = f"NAME=LOW:HIGH with LOW below HIGH by more than {least:g}"
-            remedy += ", and fz above zero; without it, one load" if name == "fz" else ""
+            remedy = "give kappa, alpha or fz as NAME=LOW:HIGH, with LOW below HIGH by more than"
+            remedy += f" {least:g}, and fz above zero; without fz, one load"
             problems.append(InputProblem(reason, remedy))
     return problems
 

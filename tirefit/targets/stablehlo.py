@@ -2,8 +2,6 @@
 
 import base64
 import textwrap
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import jax
 import jax.numpy as jnp
@@ -39,21 +37,13 @@ def {name}({inputs}):
 '''
 
 
-@contextmanager
-def _without_paths() -> Iterator[None]:
-    """Remove names of local files from the source locations of a program."""
-    option = "jax_hlo_source_file_canonicalization_regex"
-    before = getattr(jax.config, option)
-    jax.config.update(option, ".*")
-    try:
-        yield
-    finally:
-        jax.config.update(option, before)
+_PATHS = "jax_hlo_source_file_canonicalization_regex"
+"""Option of JAX: the part of the names of local files that a program does not state."""
 
 
 def jax_source(draft: Draft) -> str:
     """A Python module with a function of arrays; it needs only JAX."""
-    names, (forces, _) = draft.forces.inputs, draft.tire.function(draft.convention)
+    names, forces = draft.forces.inputs, draft.tire.function(draft.convention)
 
     def one(*given):
         known = dict(zip(names, given, strict=True))
@@ -62,9 +52,13 @@ def jax_source(draft: Draft) -> str:
 
     shape = export.symbolic_shape("n")
     arrays = [jax.ShapeDtypeStruct(shape, jnp.float64)] * len(names)
-    with _without_paths():
+    before = getattr(jax.config, _PATHS)
+    jax.config.update(_PATHS, ".*")
+    try:
         program = export.export(jax.jit(jax.vmap(one)), platforms=_PLATFORMS)(*arrays)
         text = base64.b64encode(program.serialize(vjp_order=1)).decode()
+    finally:
+        jax.config.update(_PATHS, before)
     above = [*draft.above, f"StableHLO of jax {jax.__version__}, for {_PLATFORMS}"]
     loader = _LOADER.format(
         program="\n".join(textwrap.wrap(text, 88)),

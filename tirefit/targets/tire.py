@@ -43,10 +43,20 @@ _USUAL_LOAD = 4000.0
 _SPEED = 10.0
 """Speed [m/s] at which tires are compared if it was measured, or nothing was."""
 
-UNITS = {
-    "kappa": "-", "alpha": "rad", "fz": "N", "v": "m/s", "gamma": "rad",
-    "pressure": "Pa", "fx": "N", "fy": "N", "mz": "N m", "mx": "N m", "my": "N m",
-}  # fmt: skip
+QUANTITIES = {
+    "kappa": ("-", "practical slip: sliding speed over forward speed of the wheel centre"),
+    "alpha": ("rad", "slip angle"),
+    "fz": ("N", "load"),
+    "v": ("m/s", "forward speed of the wheel centre"),
+    "gamma": ("rad", "camber"),
+    "pressure": ("Pa", "inflation pressure (0: nominal)"),
+    "fx": ("N", "longitudinal force"),
+    "fy": ("N", "lateral force"),
+    "mz": ("N m", "aligning moment"),
+    "mx": ("N m", "overturning moment"),
+    "my": ("N m", "rolling resistance moment"),
+}
+"""Input or output of an exported tire -> its unit and meaning."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +92,6 @@ class Tire:
     fitted: tuple[str, ...] = ()
 
     @property
-    def largest_load(self) -> float:
-        """The largest load that was measured [N]."""
-        return max(self.load, self.measured.get("fz", (0.0, 0.0))[1])
-
-    @property
     def speed(self) -> float:
         """The speed [m/s] at which forces are compared: a measured one."""
         low, high = self.measured.get("v", (_SPEED, _SPEED))
@@ -107,11 +112,8 @@ class Tire:
 
     def ranges(self, convention: str) -> str:
         """The measured range of each input as text, in the signs of a convention."""
-        texts = []
-        for name, (low, high) in turned_range(self.measured, convention).items():
-            texts.append(f"{name} {low:.4g} to {high:.4g} {UNITS[name]}")
-        known = "; beyond it the model extrapolates" if texts else "not known"
-        return ", ".join(texts) + known
+        text = range_text(turned_range(self.measured, convention))
+        return f"{text}; beyond it the model extrapolates" if text else "not known"
 
     @cached_property
     def outputs(self) -> tuple[str, ...]:
@@ -123,8 +125,8 @@ class Tire:
         given = modelled(self.model)
         return check_names("force", self.asked, given) if self.asked else given
 
-    def function(self, convention: str) -> tuple[Callable, tuple[str, ...]]:
-        """The forces as a JAX function of the scalars :data:`INPUTS`, and their names.
+    def function(self, convention: str) -> Callable:
+        """The :attr:`outputs` as a JAX function of the scalars :data:`INPUTS`.
 
         Args:
             convention: a key of ``slip.CONVENTIONS``; kappa, alpha, camber, load and
@@ -143,7 +145,7 @@ class Tire:
             found = self.model(given)._asdict()
             return tuple(getattr(signs, name) * found[name] for name in outputs)
 
-        return forces, outputs
+        return forces
 
     def program(self, convention: str, jacobian: bool = False) -> Program:
         """The forces as a program of the inputs that change a force.
@@ -151,8 +153,8 @@ class Tire:
         Args:
             jacobian: add the derivatives by kappa, alpha and fz, named ``fx_kappa``.
         """
-        function, outputs = self.function(convention)
-        program = traced(function, INPUTS, outputs, range(ALWAYS) if jacobian else ())
+        by = range(ALWAYS) if jacobian else ()
+        program = traced(self.function(convention), INPUTS, self.outputs, by)
         used = {args[0] for op, args in program.operations if op == "input"}
         keep = [k for k in range(len(INPUTS)) if k < ALWAYS or k in used]
         operations = [
@@ -173,6 +175,16 @@ def turned_range(
         sign = getattr(signs, {"kappa": "slip"}.get(name, name), 1)
         found[name] = (low, high) if sign > 0 else (-high, -low)
     return found
+
+
+def range_text(ranges: Mapping[str, tuple[float, float]]) -> str:
+    """Ranges of inputs with their units, as text; a range of one value as that value."""
+    texts = []
+    for name, ends in ranges.items():
+        low, high = (end + 0.0 for end in ends)  # no -0
+        wide = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
+        texts.append(f"{name} {wide} {QUANTITIES[name][0]}".removesuffix(" -"))
+    return ", ".join(texts)
 
 
 def tire_of(

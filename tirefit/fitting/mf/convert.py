@@ -69,25 +69,18 @@ def virtual_test(
     slip, angle, load, camber, inflation = np.concatenate(
         [np.broadcast_arrays(*part) for part in parts], axis=1
     )
-    inputs = TireInputs(
-        -slip / (1 + slip),
-        angle,
-        load,
-        np.full(len(load), tire.nominal.LONGVL),
-        camber,
-        inflation,
-        np.zeros(len(load)),
-    )
-    own = tire_of(tir, signs=signs, combination=combination)
+    zero = np.zeros(len(load))
+    sigma_x, speed = -slip / (1 + slip), zero + tire.nominal.LONGVL
+    inputs = TireInputs(sigma_x, angle, load, speed, camber, inflation, zero)
     inputs = turned_inputs(inputs, turned_by(signs))
+    own = tire_of(tir, signs=signs, combination=combination)
     given = forces(own, inputs)._asdict()
-    given = {name: given[name] for name in ("fx", "fy", "mz", *moments)}
-    columns = {k: np.asarray(v) for k, v in (inputs._asdict() | given).items() if v is not None}
+    wanted = inputs._asdict() | {name: given[name] for name in ("fx", "fy", "mz", *moments)}
+    columns = {k: np.asarray(v) for k, v in wanted.items() if v is not None}
     if "mz" in columns and "fx" not in columns:  # M_z without F_x is known only for free rolling
         columns["mz"] = np.where(slip == 0, columns["mz"], np.nan)
-    used, run = np.full(len(load), True), np.repeat(np.arange(len(parts)), _SLIPS)
-    names = tuple(f"sweep {i}" for i in range(len(parts)))
-    data = TireData(tir.path, columns, used, run, names, Source(path=tir.path))
+    run, names = np.repeat(np.arange(len(parts)), _SLIPS), [f"sweep {i}" for i in range(len(parts))]
+    data = TireData(tir.path, columns, zero == 0, run, tuple(names), Source(path=tir.path))
     noise = "the test has no noise: standard errors come from misfit of the version"
     assumptions = (noise, *remarks(tir, own, data, signs))
     return replace(data, source=replace(data.source, assumptions=assumptions))

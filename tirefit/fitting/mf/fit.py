@@ -4,7 +4,8 @@ import importlib.metadata
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -15,22 +16,21 @@ from tirefit.data.tir import TirFile, read_tir
 from tirefit.fitting.config import FitConfig, ParameterConfig, parse_config
 from tirefit.fitting.estimate import data_record
 from tirefit.fitting.mf.bins import binned, settings_of
-from tirefit.fitting.mf.cells import groups_of
 from tirefit.fitting.mf.guards import check_guards
-from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, LeftOut, cross_validated
+from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, cross_validated
 from tirefit.fitting.mf.parts import (
     HELD,
     MOMENTS,
     NEARLY_PURE,
     NEVER_FITTED,
     PARTS,
+    SLIPS_OF,
     VERSIONS,
     coefficients_of,
     own_coefficients,
     parts_named,
 )
 from tirefit.fitting.mf.priors import (
-    Borrowed,
     Prior,
     borrowed_from,
     normal_form,
@@ -39,7 +39,7 @@ from tirefit.fitting.mf.priors import (
     with_dimensions,
 )
 from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
-from tirefit.fitting.mf.rows import ForceRows, joined, rows_of_part
+from tirefit.fitting.mf.rows import ForceRows, groups_of, joined, rows_of_part
 from tirefit.fitting.mf.solve import Problem, row_values
 from tirefit.fitting.mf.stages import Search, search
 from tirefit.fitting.mf.temperature import UNUSED, at_reference
@@ -125,14 +125,18 @@ def fit_magic_formula(
         notes += taken
     also = other.numbers if other else ()
     tire, assumed = nominal_of(model, rows, config, constants, also)
-    borrowed = borrowed_from(other, tire, rows, config) if other else Borrowed({}, ())
-    notes += [*assumed, *borrowed.notes, *_unused_slip_noise(whole, config)]
-    problem, priors = problem_from(tire, config, borrowed.priors)
+    borrowed, borrowing = borrowed_from(other, tire, rows, config) if other else ({}, [])
+    notes += [*assumed, *borrowing, *_unused_slip_noise(whole, config)]
+    problem, priors = problem_from(tire, config, borrowed)
     settings = {force: settings_of(of_force) for force, of_force in rows.items()}
     codes = {force: code for force, (_, code) in settings.items()}
     start = _start(problem, first) if first else None
-    kinds = sum(len(set(of.pure)) for of in rows.values())
-    say = _Steps(progress, kinds)
+    # As many stages as kinds of rows, and about as many parts left out.
+    steps, done = 2 * sum(len(set(of.pure)) for of in rows.values()), count()
+
+    def say(note: str) -> None:
+        now = next(done)
+        progress(now / max(steps, now + 1), note)
 
     def fitted_to(rows: Mapping[str, ForceRows]) -> Search:
         groups = groups_of(rows, codes, "combined" in parts)
@@ -148,60 +152,33 @@ def fit_magic_formula(
         if "temperature" in whole:
             notes.append(UNUSED)
     left_out, bands = cross_validated(work, rows, settings, leave_out, say)
-    fitted = _Fitted(work, rows, left_out, bands, borrowed.priors.keys())
-    result = _result(model, whole, fitted, priors, notes)
-    return replace(result, warmth=warmth)
-
-
-class _Fitted(NamedTuple):
-    """The search and its rows, the cross-validation and its bands, and the coefficients
-    whose prior is that of another tire."""
-
-    work: Search
-    rows: Mapping[str, ForceRows]
-    left_out: tuple[LeftOut, ...]
-    bands: Mapping[str, Band]
-    borrowed: Collection[str]
-
-
-class _Steps:
-    """Progress in steps: ``stages`` of them, and about as many parts left out."""
-
-    def __init__(self, progress: Callable[[float, str], None], stages: int):
-        self._progress, self._done, self._all = progress, 0, 2 * stages
-
-    def __call__(self, note: str) -> None:
-        self._progress(self._done / max(self._all, self._done + 1), note)
-        self._done += 1
+    coefficients, covariance = _coefficients(work, bands, priors, borrowed.keys())
+    result = _result(model, whole, work, rows, bands, notes)
+    return MagicFormulaFit(
+        **result, coefficients=coefficients, covariance=covariance, left_out=left_out, warmth=warmth
+    )
 
 
 def _check_settings(model: str, config: FitConfig) -> None:
     """Raises one UsageError for all settings that a Magic Formula does not have."""
-    problems = []
-    own = coefficients_of(VERSIONS[model])
+    own, faults = coefficients_of(VERSIONS[model]), []
     given = {*specs(Nominal()), *specs(Scaling()), *NEVER_FITTED}
     for name, asked in config.parameters.items():
         if name not in own and (name not in given or asked.value is None):
-            reason = f"parameters.{name}: {model} does not fit it"
             remedy = f"its coefficients are {', '.join(own)}"
-            problems.append(InputProblem(reason, remedy, config.source))
-        wrong = [key for key in ("lower", "upper", "tied") if getattr(asked, key)]
-        wrong += ["per_run"] if asked.per_run else []
+            faults.append((f"parameters.{name}: {model} does not fit it", remedy))
+        wrong = [key for key in ("lower", "upper", "tied", "per_run") if getattr(asked, key)]
         if asked.value is not None and asked.free and asked.prior is None:
             wrong.append("value with free")
         if wrong:
             reason = f"parameters.{name}: {', '.join(wrong)} in a Magic Formula"
-            remedy = "give value to hold it there, or a prior of mean and std"
-            problems.append(InputProblem(reason, remedy, config.source))
-    brush = {"force", "solver", "starts", "posterior"} & config.model_fields_set
-    if brush:
+            faults.append((reason, "give value to hold it there, or a prior of mean and std"))
+    if brush := {"force", "solver", "starts", "posterior"} & config.model_fields_set:
         reason = f"{', '.join(sorted(brush))} in a Magic Formula"
-        remedy = "leave it out: a Magic Formula is fitted in fixed stages"
-        problems.append(InputProblem(reason, remedy, config.source))
+        faults.append((reason, "leave it out: a Magic Formula is fitted in fixed stages"))
     if config.noise.loss not in ("squares", FitConfig().noise.loss):
-        reason = f"noise.loss = {config.noise.loss!r} in a Magic Formula"
-        problems.append(InputProblem(reason, "leave it out", config.source))
-    UsageError.raise_for(problems)
+        faults.append((f"noise.loss = {config.noise.loss!r} in a Magic Formula", "leave it out"))
+    UsageError.raise_for([InputProblem(*fault, config.source) for fault in faults])
 
 
 def nominal_of(
@@ -277,23 +254,22 @@ def problem_from(
     ``borrowed``, else the published ones."""
     known = specs(tire)
     names = tuple(name for name in coefficients_of(tire.version) if name in known)
-    all_priors = {**published_priors(), **(borrowed or {})}
-    priors = {name: all_priors[name] for name in names}
-    usual = {name: ParameterConfig(free=False) for name in HELD}
-    asked = {n: (usual | config.parameters).get(n, ParameterConfig()) for n in names}
-    for name, one in asked.items():
-        if one.prior is not None:
-            priors[name] = prior_given(name, one.prior.mean, one.prior.std)
-        elif one.value is not None:
-            priors[name] = priors[name]._replace(centre=one.value, log=False)
-    held = [
-        one.free is False or (one.value is not None and one.prior is None) for one in asked.values()
-    ]
-    centre = np.array([priors[name].centre for name in names])
-    spread = np.array([priors[name].spread for name in names])
+    usual = {**published_priors(), **(borrowed or {})}
+    priors, free = {}, []
+    for name in names:
+        asked = config.parameters.get(name) or ParameterConfig(free=False if name in HELD else None)
+        prior = usual[name]
+        if asked.prior is not None:
+            prior = prior_given(name, asked.prior.mean, asked.prior.std)
+        elif asked.value is not None:
+            prior = prior._replace(centre=asked.value, log=False)
+        priors[name] = prior
+        free.append(asked.free is not False and (asked.value is None or asked.prior is not None))
+    centre = np.array([prior.centre for prior in priors.values()])
+    spread = np.array([prior.spread for prior in priors.values()])
+    log = np.array([prior.log for prior in priors.values()])
     tire = with_values(tire, dict(zip(names, centre.tolist(), strict=True)))
-    log = np.array([priors[name].log for name in names])
-    return Problem(tire, names, centre, spread, log, ~np.array(held), ()), priors
+    return Problem(tire, names, centre, spread, log, np.array(free), ()), priors
 
 
 def _unused_slip_noise(data: TireData, config: FitConfig) -> list[str]:
@@ -305,102 +281,97 @@ def _unused_slip_noise(data: TireData, config: FitConfig) -> list[str]:
     return [f"{', '.join(stated)}: {reason}"] if stated else []
 
 
-def _result(model, data: TireData, fitted: _Fitted, priors, notes) -> MagicFormulaFit:
-    work, rows, bands = fitted.work, fitted.rows, fitted.bands
-    problem, forces = work.problem, tuple(work.groups)
-    values, of_part = problem.values(work.u), coefficients_of(problem.tire.version)
-    scale = problem.scale(work.u) * _wider(problem, bands)
+def _coefficients(
+    work: Search, bands: Mapping[str, Band], priors: Mapping[str, Prior], borrowed: Collection[str]
+) -> tuple[dict[str, Coefficient], np.ndarray]:
+    """The coefficients, and their covariance (p, p) with the factors of the bands.
+
+    Args:
+        borrowed: coefficients whose prior is that of another tire.
+    """
+    problem, of_part = work.problem, coefficients_of(work.problem.tire.version)
+    scale, values = problem.scale(work.u), problem.values(work.u)
+    for force, band in bands.items():
+        own = own_coefficients(problem.tire.version, force)
+        scale = scale * np.where(np.isin(problem.names, own), band.wider, 1.0)
     covariance = work.covariance * np.outer(scale, scale)
-    shares = np.diagonal(work.covariance)
-    coefficients = {
-        name: Coefficient(
-            value=values[name],
-            std=float(np.sqrt(covariance[i, i])),
-            origin=_origin(
-                bool(problem.free[i]),
-                shares[i],
-                name in work.moved - work.held,
-                name in fitted.borrowed,
-            ),
-            part=of_part[name],
-            prior_mean=priors[name].centre,
-            prior_std=priors[name].std,
+    found = {}
+    for i, name in enumerate(problem.names):
+        # Posterior over prior variance.
+        share, moved = work.covariance[i, i], name in work.moved - work.held
+        origin = "prior" if share > 0.5 else "fitted"
+        origin = origin if moved else "held"
+        origin = origin if problem.free[i] else "given"
+        if origin != "fitted" and name in borrowed:
+            origin = "borrowed"
+        found[name] = Coefficient(
+            values[name],
+            float(np.sqrt(covariance[i, i])),
+            origin,
+            of_part[name],
+            priors[name].centre,
+            priors[name].std,
         )
-        for i, name in enumerate(problem.names)
+    return found, covariance
+
+
+def _result(model, data: TireData, work: Search, rows, bands, notes) -> dict[str, Any]:
+    """The fields of the result, without those of the coefficients."""
+    problem, forces = work.problem, tuple(work.groups)
+    tire = with_values(problem.tire, problem.values(work.u))
+    every = [rows[force] for force in forces]
+    kinds = {force: [group.pure for group in groups] for force, groups in work.groups.items()}
+    used = {force: rows[force].part(rows[force].chosen(kinds[force])) for force in forces}
+    missed = {
+        force: row_values(problem, work.u, force, some.inputs) - some.observed
+        for force, some in used.items()
     }
-    residuals = {force: _residuals(work, rows[force]) for force in forces}
-    tire = with_values(problem.tire, values)
-    ranges = _ranges([rows[force] for force in forces])
+    ranges = _ranges(every)
     # A force whose own slip was not swept has no curve to guard.
-    guarded = tuple(
-        force
-        for force in forces
-        if force in ("fx", "fy") and rows[force].slip_range > 2 * NEARLY_PURE
-    )
-    return MagicFormulaFit(
+    curves = [force for force in forces if force in ("fx", "fy")]
+    slips = {force: rows[force].column(SLIPS_OF[force][0]) for force in curves}
+    guarded = tuple(force for force, slip in slips.items() if np.ptp(slip) > 2 * NEARLY_PURE)
+    typical = {
+        k: float(np.median(np.concatenate([r.column(k) for r in every]))) for k in ("fz", "v")
+    }
+    return dict(
         model=model,
         parts=tuple(part for part in PARTS if part in {s.part for s in work.stages}),
         forces=forces,
-        coefficients=coefficients,
-        covariance=covariance,
         tire=tire,
         noise={force: bands[force].law for force in forces},
         noise_estimated={force: rows[force].estimated for force in forces},
         wider={force: bands[force].wider for force in forces},
         inflation={force: work.rows_per_one(force) for force in forces},
-        fitted={
-            force: (float(np.sqrt(np.mean(missed**2))), len(missed))
-            for force, missed in residuals.items()
-        },
+        fitted={force: (_size(off), len(off)) for force, off in missed.items()},
         stages=tuple(work.stages_at_end()),
-        left_out=fitted.left_out,
         guards=check_guards(tire, ranges, guarded) if guarded else (),
         ranges=ranges,
-        reference=_reference([rows[force] for force in forces]),
+        reference=typical | {of.force: _size(of.observed) for of in every},
         data=data_record(data, data.n, ()),
-        notes=(*notes, *_far(work, rows, residuals), *_not_reached(work, tire)),
+        notes=(*notes, *_far(work, used, missed), *_not_reached(work, tire)),
         version=importlib.metadata.version("tirefit"),
         binned={force: binned(rows[force]) for force in forces},
     )
 
 
-def _wider(problem: Problem, bands: Mapping[str, Band]) -> np.ndarray:
-    """Factor (p,) of the standard error of each coefficient: that of its force."""
-    factors = np.full(len(problem.names), 1.0)
-    for force, band in bands.items():
-        own = own_coefficients(problem.tire.version, force)
-        factors[np.isin(problem.names, own)] = band.wider
-    return factors
+def _size(values: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
-def _residuals(work: Search, rows: ForceRows) -> np.ndarray:
-    """Predicted - measured force (n,) [N, N m] of the fitted rows."""
-    fitted = rows.chosen([group.pure for group in work.groups[rows.force]])
-    some = rows.part(fitted)
-    return row_values(work.problem, work.u, rows.force, some.inputs) - some.observed
-
-
-def _reference(rows: Sequence[ForceRows]) -> dict[str, float]:
-    """Median load and speed, and the root mean square of each force."""
-    loads = np.concatenate([of_force.column("fz") for of_force in rows])
-    speeds = np.concatenate([of_force.column("v") for of_force in rows])
-    sizes = {r.force: float(np.sqrt(np.mean(r.observed**2))) for r in rows}
-    return {"fz": float(np.median(loads)), "v": float(np.median(speeds))} | sizes
-
-
-def _far(work: Search, rows: Mapping[str, ForceRows], residuals) -> list[str]:
+def _far(work: Search, used: Mapping[str, ForceRows], missed) -> list[str]:
     """Notes on the number of rows of each force that are far from the formula."""
     messages = []
-    for force, missed in residuals.items():
-        groups = work.groups[force]
-        some = rows[force].part(rows[force].chosen([g.pure for g in groups]))
-        fz, predicted = some.column("fz"), missed + some.observed
-        variance = np.max([g.row_variance(fz, predicted) for g in groups], axis=0)
-        far = int(np.count_nonzero(missed**2 > _FAR**2 * variance))
+    for force, off in missed.items():
+        rows, groups = used[force], work.groups[force]
+        predicted = off + rows.observed
+        variance = [group.row_variance(rows.column("fz"), predicted) for group in groups]
+        far = int(np.count_nonzero(off**2 > _FAR**2 * np.max(variance, axis=0)))
         if far:
             messages.append(
                 f"residuals beyond {_FAR:g} standard deviations in {far} of"
-                f" {len(missed)} rows of {force}, which were fitted like the others:"
+                f" {len(off)} rows of {force}, which were fitted like the others:"
                 " mask rows that are wrong"
             )
     return messages
@@ -410,14 +381,11 @@ def _not_reached(work: Search, tire: MFTire) -> list[str]:
     """Notes on friction coefficients that no row reaches."""
     messages = []
     for force, shape, peak in (("fx", "PCX1", "PDX1"), ("fy", "PCY1", "PDY1")):
-        pure = [g.cells for g in work.groups.get(force, ()) if g.pure]
+        pure = [group.cells.inputs for group in work.groups.get(force, ()) if group.pure]
         if not pure or peak not in work.moved:
             continue
-        cells = pure[0]
-        fz = np.asarray(cells.inputs.fz)
-        friction = np.abs(frictions(tire, cells.inputs)[force])
-        given = np.abs(row_values(work.problem, work.u, force, cells.inputs))
-        share = float(np.max(given / fz / friction))
+        given = row_values(work.problem, work.u, force, pure[0]) / np.asarray(pure[0].fz)
+        share = float(np.max(np.abs(given / frictions(tire, pure[0])[force])))
         if share < _REACHED:
             value = work.problem.values(work.u)[peak]
             messages.append(
@@ -426,17 +394,6 @@ def _not_reached(work: Search, tire: MFTire) -> list[str]:
                 f" {shape} trade off; measure larger slips, or give one of them"
             )
     return messages
-
-
-def _origin(free: bool, share: float, moved: bool, borrowed: bool) -> str:
-    """A key of :data:`ORIGINS`; ``share`` is the posterior over the prior variance."""
-    if borrowed and not (free and moved and share <= 0.5):
-        return "borrowed"
-    if not free:
-        return "given"
-    if not moved:
-        return "held"
-    return "prior" if share > 0.5 else "fitted"
 
 
 def _ranges(rows: Sequence[ForceRows]) -> dict[str, tuple[float, float]]:

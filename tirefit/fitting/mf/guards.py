@@ -5,7 +5,6 @@ twice the largest, cambers and pressures of the data, slips to lock and to 30 de
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -25,15 +24,19 @@ GUARDS = {
 
 _BEYOND = 2.0  # largest load of the grid over that of the data
 
-_LOADS = 9
+_LOADS = 5  # number of loads within the data, and of those from there to the largest
 _SMALL, _CLEAR = 0.004, 0.06
 """Slip at which the slope at zero is taken, and the smallest slip at which shifts and
 camber thrust do not change the sign of the force."""
 
-_KAPPA = np.array([_SMALL, _CLEAR, 0.09, 0.13, 0.18, 0.25, 0.35, 0.5, 0.7, 0.99])
-_ALPHA = np.array([_SMALL, _CLEAR, 0.09, 0.13, 0.18, 0.24, 0.31, 0.38, 0.45, 0.5236])
+_STEPS = {
+    "kappa": np.array([_SMALL, _CLEAR, 0.09, 0.13, 0.18, 0.25, 0.35, 0.5, 0.7, 0.99]),
+    "alpha": np.array([_SMALL, _CLEAR, 0.09, 0.13, 0.18, 0.24, 0.31, 0.38, 0.45, 0.5236]),
+}
+_SLIP_OF = {"fx": "kappa", "fy": "alpha"}
 _ELLIPSE = 1.25
 _LEAST_PEAK = 0.1
+_TURNED = 0.1  # share of the largest force by which a combined one may have the other sign
 
 
 class Guard(NamedTuple):
@@ -45,107 +48,78 @@ class Guard(NamedTuple):
     holds_inside: bool  # at the loads and slips of the data
 
 
-@dataclass(frozen=True)
-class _Grid:
-    """Forces per load of a tire."""
+class _Grid(NamedTuple):
+    """Forces over load of a tire, by fx and fy, in states of load, camber and pressure."""
 
+    slips: Mapping[str, np.ndarray]  # (slips,) of ``pure``, ascending
     pure: Mapping[str, np.ndarray]  # (states, slips)
-    slips: Mapping[str, np.ndarray]  # of ``pure``, ascending
-    both: Mapping[str, np.ndarray]  # (states, slips)
-    signs: Mapping[str, np.ndarray]
-    fz: np.ndarray  # (states,)
+    both: Mapping[str, np.ndarray]  # (states, combined slips)
+    signs: Mapping[str, np.ndarray]  # of the slips of ``both``
+    fz: np.ndarray  # (states,), the loads of one camber and pressure in turn
     gamma: np.ndarray
     pressure: np.ndarray
     inside: np.ndarray  # (states,) whether the load is one of the data's
 
+    def peaks(self, force: str) -> tuple[np.ndarray, np.ndarray]:
+        """Largest force over load in either direction of slip, (states,) each; positive
+        where the force has the sign of the slip."""
+        ahead, values = self.slips[force] > 0, self.pure[force]
+        return np.max(values[:, ahead], axis=1), np.max(-values[:, ~ahead], axis=1)
 
-def _states(ranges: Mapping[str, tuple[float, float]], inside: bool):
-    """Loads, cambers and pressures of the grid, each (states,), loads fastest."""
+
+def _grid(tire: MFTire, ranges: Mapping[str, tuple[float, float]], within: bool) -> _Grid:
+    """The grid of all states, or of those at loads and slips of the data."""
     low, high = ranges["fz"]
-    loads = np.linspace(low, high, 5)
-    if not inside:
-        beyond = np.linspace(high, _BEYOND * high, _LOADS - 4)
-        loads = np.unique(np.concatenate([loads, beyond]))
+    loads = np.linspace(low, high, _LOADS)
+    if not within:
+        loads = np.unique([*loads, *np.linspace(high, _BEYOND * high, _LOADS)])
     cambers = np.unique([*ranges["gamma"], 0.0])
     pressures = np.unique(ranges.get("pressure", (0.0, 0.0)))
-    shape = np.meshgrid(pressures, cambers, loads, indexing="ij")
-    pressure, gamma, fz = (part.ravel() for part in shape)
-    return fz, gamma, pressure
-
-
-def _evaluated(tire: MFTire, fz, gamma, pressure, kappa, alpha):
-    """fx and fy over the load, (states, slips), kappa and alpha (slips,)."""
-    shape = len(fz), len(kappa)
-    sigma_x = np.where(kappa < 1, kappa / (1 - kappa), 0.0)
+    states = np.meshgrid(pressures, cambers, loads, indexing="ij")
+    pressure, gamma, fz = (one.ravel() for one in states)
+    slips, some = {}, []
+    for force, name in _SLIP_OF.items():
+        low, high = ranges[name] if within else (-np.inf, np.inf)
+        slip = np.concatenate([-_STEPS[name][::-1], _STEPS[name]])
+        # The slips that the data reach on either side, and the small ones always.
+        slips[force] = slip[(slip >= min(low, -_CLEAR)) & (slip <= max(high, _CLEAR))]
+        # Every second one, from the first at which a force is clear of shifts.
+        some.append(slips[force][np.isin(np.abs(slips[force]), _STEPS[name][1:8:2])])
+    one, other = (slip.ravel() for slip in np.meshgrid(*some))
+    kappa = np.concatenate([slips["fx"], 0 * slips["fy"], one])
+    alpha = np.concatenate([0 * slips["fx"], slips["fy"], other])
     cells = np.broadcast_arrays(
-        sigma_x[None], alpha[None], fz[:, None], gamma[:, None], pressure[:, None]
+        kappa / (1 - kappa), alpha, fz[:, None], gamma[:, None], pressure[:, None]
     )
-    slip, angle, load, camber, inflation = (
-        pad_rows(cell.ravel(), padded_size(cell.size)) for cell in cells
-    )
-    inputs = TireInputs(slip, angle, load, gamma=camber, pressure=inflation)
-    given = forces(tire, inputs)
-    size = shape[0] * shape[1]
-    return {
-        name: np.asarray(getattr(given, name))[:size].reshape(shape) / fz[:, None]
-        for name in ("fx", "fy")
-    }
-
-
-def _within(slips: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
-    """The slips that the data reach on either side, and the small ones always."""
-    low, high = limits
-    kept = (slips >= min(low, -_CLEAR)) & (slips <= max(high, _CLEAR))
-    return slips[kept]
-
-
-def _grid(tire: MFTire, ranges, within: bool) -> _Grid:
-    """The grid of all states, or of those at loads and slips of the data."""
-    fz, gamma, pressure = _states(ranges, within)
-    kappa = np.concatenate([-_KAPPA[::-1], _KAPPA])
-    alpha = np.concatenate([-_ALPHA[::-1], _ALPHA])
-    if within:
-        kappa, alpha = (_within(kappa, ranges["kappa"]), _within(alpha, ranges["alpha"]))
-    # Every second slip, from the ones at which a force is clear of shifts.
-    one, other = (
-        np.array([slip for slip in slips if abs(slip) in steps[1:8:2]])
-        for slips, steps in ((kappa, _KAPPA), (alpha, _ALPHA))
-    )
-    one, other = (slips.ravel() for slips in np.meshgrid(one, other))
-    along, across = np.r_[kappa, 0 * alpha, one], np.r_[0 * kappa, alpha, other]
-    found = _evaluated(tire, fz, gamma, pressure, along, across)
-    cuts = np.cumsum([len(kappa), len(alpha)])
-    (fx, _, fx_both), (_, fy, fy_both) = (np.split(found[k], cuts, axis=1) for k in ("fx", "fy"))
-    pure, both = {"fx": fx, "fy": fy}, {"fx": fx_both, "fy": fy_both}
+    padded = (pad_rows(cell.ravel(), padded_size(cell.size)) for cell in cells)
+    sigma_x, angle, load, camber, inflation = padded
+    found = forces(tire, TireInputs(sigma_x, angle, load, gamma=camber, pressure=inflation))
+    cuts, pure, both = np.cumsum([len(slip) for slip in slips.values()]), {}, {}
+    for k, force in enumerate(slips):
+        values = np.asarray(getattr(found, force))[: cells[0].size].reshape(cells[0].shape)
+        parts = np.split(values / fz[:, None], cuts, axis=1)
+        pure[force], both[force] = parts[k], parts[-1]
     signs = {"fx": np.sign(one), "fy": np.sign(other)}
     inside = fz <= ranges["fz"][1] * (1 + 1e-9)
-    slips = {"fx": kappa, "fy": alpha}
-    return _Grid(pure, slips, both, signs, fz, gamma, pressure, inside)
-
-
-def _peaks(grid: _Grid, force: str) -> tuple[np.ndarray, np.ndarray]:
-    """Largest force over load in either direction of slip, (states,) each; positive
-    where the force has the sign of the slip."""
-    towards = grid.slips[force] > 0
-    return (
-        np.max(grid.pure[force][:, towards], axis=1),
-        np.max(-grid.pure[force][:, ~towards], axis=1),
-    )
+    return _Grid(slips, pure, both, signs, fz, gamma, pressure, inside)
 
 
 def _failures(grid: _Grid, fitted: tuple[str, ...]) -> dict[str, tuple[str, np.ndarray]]:
     """Guard -> (words, which states fail it (states,)), the worst of its forces."""
     failing: dict[str, list] = {name: [] for name in GUARDS}
     for force in fitted:
-        slip, values = grid.slips[force], grid.pure[force]
+        slip, largest = grid.slips[force], f"the largest {force}"
+        along = grid.pure[force] * np.sign(slip)  # positive in the direction of the slip
         small, clear = np.abs(slip) <= _SMALL, np.abs(slip) >= _CLEAR
-        slope = np.sum(values[:, small] * np.sign(slip[small]), axis=1)
-        failing["stiffness"].append((f"the slope of {force}", slope <= 0))
-        peaks = np.minimum(*_peaks(grid, force))
-        failing["peak"].append((f"the largest {force}", peaks < _LEAST_PEAK))
-        against = np.any(values[:, clear] * np.sign(slip[clear]) <= 0, axis=1)
-        failing["sign"].append((force, against))
-        failing["load"].append((f"the largest {force}", _falls(grid, force)))
+        flat = np.sum(along[:, small], axis=1) <= 0
+        failing["stiffness"].append((f"the slope of {force}", flat))
+        failing["peak"].append((largest, np.minimum(*grid.peaks(force)) < _LEAST_PEAK))
+        failing["sign"].append((force, np.any(along[:, clear] <= 0, axis=1)))
+        # Compare each state with the one before it, which has the next smaller load.
+        whole = np.stack(grid.peaks(force)) * grid.fz
+        falls = np.any(np.diff(whole, prepend=whole[:, :1]) < 0, axis=0)
+        same_state = np.diff(grid.fz, prepend=grid.fz[:1]) > 0
+        failing["load"].append((largest, falls & same_state & grid.inside))
     if len(fitted) == 2:
         failing["ellipse"].append(("the combined force", _outside(grid)))
     return {
@@ -155,29 +129,15 @@ def _failures(grid: _Grid, fitted: tuple[str, ...]) -> dict[str, tuple[str, np.n
     }
 
 
-def _falls(grid: _Grid, force: str) -> np.ndarray:
-    """States within the data whose largest force is below that at a smaller load."""
-    falls = np.zeros(len(grid.fz), bool)
-    for peak in _peaks(grid, force):
-        # Compare each state with the one before it, which has the next smaller load.
-        whole = peak * grid.fz
-        down = np.diff(whole, prepend=whole[:1]) < 0
-        same_state = np.diff(grid.fz, prepend=grid.fz[:1]) > 0
-        falls |= down & same_state & grid.inside
-    return falls
-
-
 def _outside(grid: _Grid) -> np.ndarray:
     """States in which some combined force is outside the ellipse, or turned round."""
-    share = np.zeros_like(grid.both["fx"])
-    turned = np.zeros(len(grid.fz), bool)
+    share, turned = np.zeros_like(grid.both["fx"]), np.zeros(len(grid.fz), bool)
     for force, values in grid.both.items():
-        towards = grid.signs[force] > 0
-        ahead, behind = _peaks(grid, force)
-        largest = np.where(towards[None], ahead[:, None], behind[:, None])
+        ahead, behind = grid.peaks(force)
+        largest = np.where(grid.signs[force] > 0, ahead[:, None], behind[:, None])
         share += (values / np.maximum(largest, 1e-3)) ** 2
         # Fx at a large slip angle may vanish, and what kappa induces moves F_y.
-        turned |= np.any(values * grid.signs[force] < -0.1 * largest, axis=1)
+        turned |= np.any(values * grid.signs[force] < -_TURNED * largest, axis=1)
     return turned | np.any(share > _ELLIPSE**2, axis=1)
 
 

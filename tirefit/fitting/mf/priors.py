@@ -112,13 +112,6 @@ _SCALED: dict[str, dict[str, tuple[str, ...]]] = {
 """Force -> the coefficients of its friction and of its stiffness."""
 
 
-class Borrowed(NamedTuple):
-    """Priors by coefficient, and notes on them."""
-
-    priors: Mapping[str, Prior]
-    notes: tuple[str, ...]
-
-
 def with_dimensions(
     like: TirFile, rows: Mapping[str, ForceRows], config: FitConfig, constants: Mapping[str, float]
 ) -> tuple[FitConfig, list[str]]:
@@ -142,8 +135,9 @@ def with_dimensions(
 
 def borrowed_from(
     like: TirFile, tire: MFTire, rows: Mapping[str, ForceRows], config: FitConfig
-) -> Borrowed:
-    """Priors from the coefficients of another tire that the settings do not give.
+) -> tuple[dict[str, Prior], list[str]]:
+    """Priors from the coefficients of another tire that the settings do not give, and
+    notes on them, on the scales, and on forces that have no rows.
 
     Args:
         like: the other tire; if its version differs, both must have the coefficient.
@@ -151,45 +145,35 @@ def borrowed_from(
         rows: measured rows, by force.
     """
     values, of_part = normal_form(like.numbers), coefficients_of(tire.version)
-    messages = []
+    scales = []
     for force, kinds in _SCALED.items():
         by = next((by for by in (force, *_SCALED) if by in rows), "")
         for kind, names in kinds.items() if by else ():
             scale = _scale(like, tire, rows[by], kind)
             values |= {name: scale * values.get(name, 0.0) for name in names}
-            messages.append(f"{kind} of {force} times {scale:.3g} (from the rows of {by})")
-    own = parameter_values(tire)
+            scales.append(f"{kind} of {force} times {scale:.3g} (from the rows of {by})")
+    own, published = parameter_values(tire), published_priors()
     priors = {}
     for name in of_part.keys() & values.keys() & own.keys() - config.parameters.keys():
-        prior, value = published_priors()[name], values[name]
+        prior, value = published[name], values[name]
         if value and (value > 0 or not prior.log):
-            spread = ALIKE * prior.spread
-            priors[name] = Prior(value, spread, prior.log, (value,))
-    return Borrowed(priors, _notes(like, tire, rows, priors, messages))
-
-
-def _notes(like: TirFile, tire: MFTire, rows, priors, scales) -> tuple[str, ...]:
-    """Sentences on the priors and scales, and on forces that have no rows."""
-    of_part, name = coefficients_of(tire.version), Path(like.path).name
-    messages = [
-        f"priors of {len(priors)} coefficients are those of {name} (MF {like.version}),"
+            priors[name] = Prior(value, ALIKE * prior.spread, prior.log, (value,))
+    file, parts = Path(like.path).name, {of_part[name] for name in priors}
+    notes = [
+        f"priors of {len(priors)} coefficients are those of {file} (MF {like.version}),"
         f" {ALIKE:g} times as wide as the spread of published tires; its forces at"
         f" {own_tire(like).nominal.FNOMIN:g} N are used at FNOMIN ="
         f" {tire.nominal.FNOMIN:g} N",
-        f"scaled coefficients of {name}: {', '.join(scales)}",
+        f"scaled coefficients of {file}: {', '.join(scales)}",
     ]
-    parts = {of_part[name] for name in priors}
-    whole = [
-        part.meaning
-        for part in PARTS.values()
-        if part.name in parts and not set(part.forces) & rows.keys()
-    ]
-    if whole:
-        messages.append(f"borrowed, since not measured: {', '.join(whole)}")
-    lost = [k for k, v in like.numbers.items() if k in published_priors() and v]
-    if lost := [k for k in lost if k not in of_part]:
-        messages.append(f"not borrowed, as MF {tire.version} lacks them: {', '.join(lost)}")
-    return tuple(messages)
+    absent = [p for p in PARTS.values() if p.name in parts and not {*p.forces} & rows.keys()]
+    if absent:
+        meanings = ", ".join(part.meaning for part in absent)
+        notes.append(f"borrowed, since not measured: {meanings}")
+    lost = [k for k, v in like.numbers.items() if k in published and v and k not in of_part]
+    if lost:
+        notes.append(f"not borrowed, as MF {tire.version} lacks them: {', '.join(lost)}")
+    return priors, notes
 
 
 def _scale(like: TirFile, tire: MFTire, rows: ForceRows, kind: str) -> float:

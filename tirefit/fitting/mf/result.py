@@ -1,25 +1,30 @@
-"""The result of a fit of a whole Magic Formula: :class:`MagicFormulaFit`."""
+"""The result of a fit of a whole Magic Formula: :class:`MagicFormulaFit`, its files and forces."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
+from tirefit.data.tir import new_tir
+from tirefit.data.tir_file import TirFile
 from tirefit.display import Record
 from tirefit.door import sealed
-from tirefit.files import json_safe, json_text
+from tirefit.files import json_safe, json_text, write_texts
 from tirefit.fitting.layout import FreeParameter, Layout
 from tirefit.fitting.mf.bins import SlipBins
 from tirefit.fitting.mf.guards import Guard
 from tirefit.fitting.mf.left_out import LeftOut
+from tirefit.fitting.mf.parts import VERSIONS, coefficients_of
+from tirefit.fitting.mf.solve import Problem, blocks_of, propagated
 from tirefit.fitting.mf.stages import Stage
 from tirefit.fitting.mf.temperature import FrictionTemperature
 from tirefit.fitting.noise import NoiseLaw
 from tirefit.fitting.result import SCHEMA, FitResult, layout_record
 from tirefit.fitting.store import StoredFit
-from tirefit.models import AbstractTire
+from tirefit.models import AbstractTire, TireInputs
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire
 from tirefit.params import parameter_values, specs, with_values
 from tirefit.results import Outcome
@@ -62,7 +67,7 @@ class MagicFormulaFit(Record):
     text_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_report"
     plot_by: ClassVar[str] = "tirefit.report.mf_draw:plot_magic_formula"
     page_by: ClassVar[str] = "tirefit.report.mf_draw:magic_formula_page"
-    save_by: ClassVar[str] = "tirefit.fitting.mf.store:save_magic_formula"
+    save_by: ClassVar[str] = "tirefit.fitting.mf.result:save_magic_formula"
 
     model: str
     parts: tuple[str, ...]  # the stages
@@ -112,51 +117,38 @@ class MagicFormulaFit(Record):
     @property
     def stored(self) -> StoredFit:
         """The fit in the form of one read from a file, for predictions."""
-        layout = self._layout
-        free = [p.name for p in layout.free]
-        at = [list(self.coefficients).index(name) for name in free]
-        # At z = 0 a parameter is in the middle of its bounds.
-        slope = np.array([(p.spec.upper - p.spec.lower) / 4 for p in layout.free])
-        covariance = self.covariance[np.ix_(at, at)] / np.outer(slope, slope)
-        template = with_values(
-            MAGIC_FORMULAS[self.model],
-            {k: v for k, v in parameter_values(self.tire).items() if k not in free},
-        )
-        noise = {force: self._noise_record(force) for force in self.forces}
-        return StoredFit(
-            self.model,
-            template,
-            layout,
-            np.zeros(len(free)),
-            covariance,
-            noise,
-            {"reference": dict(self.reference), "data": dict(self.data)},
-        )
-
-    @property
-    def _layout(self) -> Layout:
         known, free = specs(self.tire), []
         for name, one in self.coefficients.items():
             if one.origin != "given":
                 reach = _REACH * one.prior_std
                 low, high = one.value - reach, one.value + reach
-                spec = known[name]._replace(lower=low, upper=high)
-                free.append(FreeParameter(name, spec))
-        return Layout(tuple(free))
-
-    def _noise_record(self, force: str) -> dict[str, Any]:
-        law = self.noise[force]
-        typical = law.std(self.reference["fz"], self.reference[force])
-        return {
-            "median_std": float(typical),
-            "proportional_to_load": law.constant == 0 and law.share > 0,
-            "constant": law.constant,
-            "share_of_load": law.share,
-            "share_of_force": law.of_force,
-            "share_beyond": law.beyond,
-            "loads": law.loads,
-            "source": "estimated" if self.noise_estimated[force] else "given",
-        }
+                free.append(FreeParameter(name, known[name]._replace(lower=low, upper=high)))
+        names = [parameter.name for parameter in free]
+        at = [list(self.coefficients).index(name) for name in names]
+        # At z = 0 a parameter is in the middle of its bounds.
+        slope = np.array([(p.spec.upper - p.spec.lower) / 4 for p in free])
+        values = {k: v for k, v in parameter_values(self.tire).items() if k not in names}
+        noise = {}
+        for force, law in self.noise.items():
+            noise[force] = {
+                "median_std": float(law.std(self.reference["fz"], self.reference[force])),
+                "proportional_to_load": law.constant == 0 and law.share > 0,
+                "constant": law.constant,
+                "share_of_load": law.share,
+                "share_of_force": law.of_force,
+                "share_beyond": law.beyond,
+                "loads": law.loads,
+                "source": "estimated" if self.noise_estimated[force] else "given",
+            }
+        return StoredFit(
+            self.model,
+            with_values(MAGIC_FORMULAS[self.model], values),
+            Layout(tuple(free)),
+            np.zeros(len(free)),
+            self.covariance[np.ix_(at, at)] / np.outer(slope, slope),
+            noise,
+            {"reference": dict(self.reference), "data": dict(self.data)},
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able content of ``fit.json``."""
@@ -196,6 +188,74 @@ class MagicFormulaFit(Record):
     def to_json(self) -> str:
         """Text of ``fit.json``, with a checksum."""
         return json_text(sealed(self.to_dict()))
+
+
+def tir_of(fit: MagicFormulaFit) -> TirFile:
+    """The tire property file of a fit; comments give origin and standard error."""
+    version = VERSIONS[fit.model]
+    known = specs(fit.tire)
+    notes = {}
+    for name, one in fit.coefficients.items():
+        error = f" +- {one.std:.3g}" if one.std else ""
+        notes[name] = f"{known[name].meaning}; {one.origin}{error}"
+    comment = [
+        f"Magic Formula {version} fitted by tirefit {fit.version}",
+        f"to {', '.join(Path(file).name for file in fit.data['file'].split(', '))}",
+        f"forces: {', '.join(fit.forces)}; ISO-W axes; standard errors after +-",
+        *fit.notes,
+    ]
+    if missing := {"fx", "fy", "mz"} - set(fit.forces):
+        of = {one.origin for one in fit.coefficients.values()}
+        other = " or borrowed" if "borrowed" in of else ""
+        message = f"not fitted: {', '.join(sorted(missing))}; values of priors{other}"
+        comment.append(message)
+    lost = {k for k, one in fit.coefficients.items() if one.part in fit.tire.lacks}
+    values = {k: v for k, v in parameter_values(fit.tire).items() if k not in lost}
+    return new_tir(version, values, fit.ranges, notes, comment)
+
+
+def save_magic_formula(fit: MagicFormulaFit, directory: str | os.PathLike) -> list[Path]:
+    """Write ``fit.tir`` and ``fit.json``, both or none."""
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    texts = {"fit.tir": tir_of(fit).text, "fit.json": fit.to_json()}
+    write_texts({directory / name: text for name, text in texts.items()})
+    return [directory / name for name in texts]
+
+
+def magic_formula_forces(
+    fit: StoredFit, forces: Sequence[str], inputs: TireInputs
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Forces, and their variance from the posterior of the coefficients.
+
+    The variance is linear in the covariance of all coefficients (Laplace); coefficients
+    that the data do not identify have the variance of their priors.
+
+    Args:
+        fit: of an :class:`MFTire`.
+        forces: of fx, fy, mz, mx and my.
+        inputs: arrays (n,).
+
+    Returns:
+        (force, variance): dicts of arrays (n,).
+    """
+    tire = fit.at_estimate()
+    assert isinstance(tire, MFTire)
+    names = tuple(coefficients_of(tire.version))
+    at = [names.index(p.name) for p in fit.layout.free]
+    slope = np.array([(p.spec.upper - p.spec.lower) / 4 for p in fit.layout.free])
+    covariance = np.zeros((len(names), len(names)))
+    covariance[np.ix_(at, at)] = fit.covariance * np.outer(slope, slope)
+    values = parameter_values(tire)
+    centre = np.array([values[name] for name in names])
+    one = np.full(len(names), 1.0)
+    mean, variance = {}, {}
+    for force in forces:
+        nothing = np.zeros(np.shape(inputs.fz))
+        blocks = blocks_of(force, inputs, nothing, nothing + 1.0)
+        problem = Problem(tire, names, centre, one, one < 0, one > 0, blocks)
+        mean[force], variance[force] = propagated(problem, 0 * one, covariance)
+    return mean, variance
 
 
 TireLike = FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike

@@ -1,14 +1,23 @@
-"""The measured rows of each force, from one or more files."""
+"""The measured rows of each force, from one or more files, and their cells.
+
+A Magic Formula is fitted to cells in place of the rows. A cell holds the rows of one
+setting of the rig at nearly the same slips, load and camber. It is fitted with its mean
+inputs and its mean force. The scatter of its rows about their mean is measurement noise,
+which averages out over the rows. The difference between its mean and the formula is
+misfit, which does not.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.table import Source, TireData, join
+from tirefit.data.table import TireData, join
 from tirefit.data.tir_check import PRESSURES
 from tirefit.fitting.config import FitConfig
 from tirefit.fitting.mf.parts import MOMENTS, PARTS, SLIPS_OF, is_pure, parts_named
+from tirefit.fitting.noise import NoiseLaw, noise_law
 from tirefit.fitting.problem import force_scale
 from tirefit.models import TireInputs
 from tirefit.results import DataError
@@ -41,11 +50,6 @@ class ForceRows:
         """One of the inputs, (n,)."""
         return np.asarray(getattr(self.inputs, name))
 
-    @property
-    def slip_range(self) -> float:
-        """Largest minus smallest slip of the force, sigma_x or alpha [rad]."""
-        return float(np.ptp(self.column(SLIPS_OF[self.force][-1])))
-
     def chosen(self, kinds: Sequence[bool]) -> np.ndarray:
         """Which rows (n,) are among the kinds: pure (True) or combined slip (False)."""
         return np.isin(self.pure, kinds)
@@ -73,18 +77,15 @@ def joined(tables: Sequence[TireData]) -> TireData:
         return tables[0]
     names = dict.fromkeys(name for table in tables for name in table.columns)
     wanted = [name for name in names if name in (*_ASIDE, *SLIPS_OF)]
-    return join([_filled(table, wanted) for table in tables])
-
-
-def _filled(table: TireData, names: Sequence[str]) -> TireData:
-    missing = {
-        name: np.full(len(table), 0.0 if name in _ASIDE else np.nan)
-        for name in names
-        if name not in table
-    }
-    messages = tuple(f"no column {name}: {_ASIDE[name]}" for name in missing if name in _ASIDE)
-    source: Source = replace(table.source, assumptions=(*table.source.assumptions, *messages))
-    return replace(table, columns={**table.columns, **missing}, source=source)
+    filled = []
+    for table in tables:
+        lost = {name: _ASIDE.get(name) for name in wanted if name not in table}
+        empty = {name: np.full(len(table), 0.0 if why else np.nan) for name, why in lost.items()}
+        messages = (f"no column {name}: {why}" for name, why in lost.items() if why)
+        assumptions = (*table.source.assumptions, *messages)
+        source = replace(table.source, assumptions=assumptions)
+        filled.append(replace(table, columns={**table.columns, **empty}, source=source))
+    return join(filled)
 
 
 def rows_of_part(
@@ -99,22 +100,20 @@ def rows_of_part(
     forces = list(dict.fromkeys(f for name in parts for f in PARTS[name].forces))
     forces = [force for force in forces if force != "mz" or part not in MOMENTS]
     rows = rows_of_forces(whole, forces, config)
-    source = whole.file
     pressures = next(iter(rows.values())).column("pressure")
-    typical = np.median(pressures[pressures > 0]) if np.any(pressures > 0) else None
-    if typical is not None and not PRESSURES[0] <= typical <= PRESSURES[1]:
-        reason = f"a median pressure of {typical:g} Pa, which no tire has"
+    pressures = pressures[pressures > 0]
+    lacking = "mx is not fitted: the data have no fy, from which the model computes it"
+    if len(pressures) and not PRESSURES[0] <= np.median(pressures) <= PRESSURES[1]:
+        reason = f"a median pressure of {np.median(pressures):g} Pa, which no tire has"
         remedy = "name the unit of its column, as in --unit pressure=bar"
-        raise DataError(reason, remedy, source)
+        raise DataError(reason, remedy, whole.file)
     if "combined" not in parts and not np.any(rows[part].pure):
         reason = f"--part {part}: the data have too few rows of {part} in pure slip"
         remedy = "leave out --part: its rows of combined slip are fitted too"
-        raise DataError(reason, remedy, source)
-    lacking = "mx is not fitted: the data have no fy, from which the model computes it"
+        raise DataError(reason, remedy, whole.file)
     if part in MOMENTS and part not in rows:
         reason = lacking if part in whole else f"the data have no {part}"
-        remedy = f"leave out --part {part}, or see `tirefit inspect`"
-        raise DataError(reason, remedy, source)
+        raise DataError(reason, f"leave out --part {part}, or see `tirefit inspect`", whole.file)
     notes = [lacking] if "mx" in {*parts} & {*whole.columns} - {*rows} else []
     if "mz" in rows and "fy" not in rows:
         notes.append(
@@ -132,23 +131,31 @@ def rows_of_forces(
     Raises:
         DataError: a force has fewer than 30 rows, or none is there with its slip.
     """
-    rows = {}
+    rows: dict[str, ForceRows] = {}
     for force in forces:
-        if force not in data or not any(slip in data for slip in SLIPS_OF[force]):
-            continue
-        if force == "mx" and "fy" not in rows:
+        if not any({force, slip} <= data.columns.keys() for slip in SLIPS_OF[force]):
             continue
         there = np.isfinite(data.columns[force]) & data.used
-        if not np.any(there):
+        count = np.count_nonzero(there)
+        if not count or (force == "mx" and "fy" not in rows):
             continue
-        if np.count_nonzero(there) < _FEWEST:
-            raise DataError(
-                f"{np.count_nonzero(there)} rows of {force}: a Magic Formula needs"
-                f" at least {_FEWEST}",
-                "measure more, or fit a brush model",
-                data.file,
-            )
-        rows[force] = _rows_of(replace(data, used=there), force, config)
+        if count < _FEWEST:
+            reason = f"{count} rows of {force}: a Magic Formula needs at least {_FEWEST}"
+            raise DataError(reason, "measure more, or fit a brush model", data.file)
+        some = replace(data, used=there)
+        zero = np.zeros(count)
+        inputs = (some.usable(k) if k in data else zero for k in TireInputs._fields)
+        std, estimated, _ = force_scale(some, force, config.noise)
+        pure = is_pure(some, force)
+        rows[force] = ForceRows(
+            force,
+            TireInputs(*map(np.nan_to_num, inputs)),
+            some.usable(force),
+            np.asarray(std, float),
+            estimated,
+            data.run[there],
+            pure & (np.count_nonzero(pure) >= _FEWEST),
+        )
     if not rows:
         raise DataError(
             f"no {' or '.join(forces)} with its slip: a fit needs fx with sigma_x"
@@ -159,19 +166,157 @@ def rows_of_forces(
     return rows
 
 
-def _rows_of(data: TireData, force: str, config: FitConfig) -> ForceRows:
-    def column(name):
-        return data.usable(name) if name in data else np.zeros(data.n)
+_WIDTH = {"sigma_x": 0.005, "alpha": 0.005, "gamma": 0.005}
+"""Width of a cell at small slip [-], [rad]. The force at the mean input of a cell
+differs from the mean force by (B width)^2 / 24 of it: 0.1 % at B = 30."""
 
-    inputs = TireInputs(*(np.nan_to_num(column(name)) for name in TireInputs._fields))
-    std, estimated, _ = force_scale(data, force, config.noise)
-    pure = is_pure(data, force)
-    return ForceRows(
-        force,
-        inputs,
-        data.usable(force),
-        np.asarray(std, float),
-        estimated,
-        data.run[data.used],
-        pure & (np.count_nonzero(pure) >= _FEWEST),
-    )
+_SINGLE = 4096
+"""Number of rows below which every row is a cell: so few take no longer to fit."""
+
+_WIDENS = 0.1
+"""Slip above which cells widen with the slip: the curves are nearly straight there."""
+
+_SHARE = {"fz": 0.05, "pressure": 0.02, "v": 0.05}
+"""Relative width of a cell in load, pressure and speed."""
+
+_AT_FIRST = 0.05
+"""Noise relative to the root mean square of the force, before the first residuals."""
+
+
+class Cells(NamedTuple):
+    """m cells of the n rows of one force, in the order of their setting and slips."""
+
+    inputs: TireInputs  # (m,) means
+    observed: np.ndarray  # (m,) means
+    rows: np.ndarray  # (m,) number in the cell
+    code: np.ndarray  # (n,) cell of each row
+    setting: np.ndarray  # (m,) of the rig
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """Mean of the values (n,) over the rows of each cell: (m,)."""
+        return np.bincount(self.code, values, len(self.rows)) / self.rows
+
+    def white_law(self, rows: ForceRows, predicted: np.ndarray) -> NoiseLaw:
+        """Noise law of one row, from the scatter within the cells.
+
+        Args:
+            predicted: (n,) force of the formula at each row.
+        """
+        residual = rows.observed - predicted
+        free = (1 - 1 / self.rows)[self.code]
+        shared = free > 0
+        if not np.any(shared):
+            return NoiseLaw(0.0, 0.0, 0.0)
+        scatter = (residual - self.mean(residual)[self.code])[shared]
+        scatter = scatter / np.sqrt(free[shared])
+        return noise_law(scatter, rows.column("fz")[shared], predicted[shared])
+
+
+def cells_of(rows: ForceRows, setting: np.ndarray) -> Cells:
+    """The cells of the rows of one force.
+
+    Args:
+        rows: n rows.
+        setting: (n,) number of the setting of the rig at each row.
+    """
+    columns = {k: np.asarray(part) for k, part in rows.inputs._asdict().items()}
+    # Of all forces and moments, only M_y depends on speed.
+    names = [*_WIDTH, *(name for name in _SHARE if name != "v" or rows.force == "my")]
+    places = [setting, *(_place(columns, name) for name in names)]
+    if len(setting) < _SINGLE:
+        places.append(np.arange(len(setting)))
+    found, code = np.unique(np.stack(places), axis=1, return_inverse=True)
+    code = code.ravel()
+    count = np.bincount(code)
+    means = {name: np.bincount(code, part) / count for name, part in columns.items()}
+    observed = np.bincount(code, rows.observed) / count
+    return Cells(TireInputs(**means), observed, count, code, found[0])
+
+
+def _place(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    """For each row (n,), the number of the interval that one input lies in."""
+    if name in _WIDTH:
+        stretched = _WIDENS * np.arcsinh(columns[name] / _WIDENS)
+        return np.rint(stretched / _WIDTH[name]).astype(int)
+    logarithm = np.log(np.maximum(columns[name], 1e-9))
+    return np.rint(logarithm / _SHARE[name]).astype(int)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Cells of one force in pure or in combined slip, with their noise."""
+
+    force: str
+    pure: bool
+    cells: Cells
+    given: np.ndarray | None  # (m,) variance of each mean where noise is given
+    white: NoiseLaw = NoiseLaw(0.0, 0.0)  # of one row
+    misfit: NoiseLaw | None = None  # of a cell's mean less the formula
+    each: float = 1.0  # cells per independent cell, as neighbours have similar misfit
+
+    @property
+    def title(self) -> str:
+        """The name of its stage."""
+        slip = "pure" if self.pure else "combined"
+        return self.force + ("" if self.force in MOMENTS else f" in {slip} slip")
+
+    def variance(self, predicted: np.ndarray) -> np.ndarray:
+        """Variance (m,) of each cell's mean about the formula.
+
+        Args:
+            predicted: (m,) force of the formula.
+        """
+        known = self.known(predicted)
+        # A force that is zero everywhere gives no size: 1 N, or 1 N m.
+        mean_square = float(np.mean(self.cells.observed**2)) or 1.0
+        if self.misfit is None:
+            return known + _AT_FIRST**2 * mean_square
+        misfit = self.misfit.variance(np.asarray(self.cells.inputs.fz), predicted)
+        return known + np.maximum(misfit, 1e-12 * mean_square)
+
+    def row_variance(self, fz: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+        """Variance (n,) of single rows about the formula: noise and misfit."""
+        misfit = self.misfit or NoiseLaw(0.0, 0.0)
+        single = self.white.variance(fz, predicted)
+        if self.given is not None:
+            single = np.median(self.given * self.cells.rows)
+        return single + misfit.variance(fz, predicted)
+
+    def known(self, predicted: np.ndarray) -> np.ndarray:
+        """Variance (m,) of each cell's mean from measurement noise alone."""
+        if self.given is not None:
+            return self.given
+        return self.white.variance(self.cells.inputs.fz, predicted) / self.cells.rows
+
+    def part(self, chosen: np.ndarray) -> "Group":
+        """The group of the ``chosen`` cells, (m,) bool; their rows have no code."""
+        cells, given = self.cells, self.given
+        inputs = TireInputs(*(np.asarray(column)[chosen] for column in cells.inputs))
+        observed, rows = cells.observed[chosen], cells.rows[chosen]
+        some = Cells(inputs, observed, rows, np.zeros(0, int), cells.setting[chosen])
+        given = None if given is None else given[chosen]
+        return replace(self, cells=some, given=given)
+
+
+def groups_of(
+    rows: Mapping[str, ForceRows], settings: Mapping[str, np.ndarray], both: bool
+) -> dict[str, list[Group]]:
+    """The groups of each force: pure slip, then combined slip if ``both``.
+
+    Args:
+        settings: by force, the setting of the rig (n,) of each row.
+        both: whether to include the rows of combined slip.
+    """
+    groups: dict[str, list[Group]] = {}
+    for force, of_force in rows.items():
+        for pure in (True, False):
+            chosen = of_force.chosen([pure])
+            if np.any(chosen) and (pure or both):
+                some = of_force.part(chosen)
+                cells = cells_of(some, settings[force][chosen])
+                given = None
+                if not some.estimated:
+                    given = cells.mean(some.std**2) / cells.rows
+                group = Group(force, pure, cells, given)
+                groups.setdefault(force, []).append(group)
+    return groups

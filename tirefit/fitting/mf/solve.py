@@ -9,8 +9,8 @@ evaluations; forward tangents would cost one evaluation per coefficient. Blocks 
 sizes, so that all files, forces and stages share three compiled programs.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -48,12 +48,13 @@ draws the same curve, whether it limits E to one or not."""
 
 
 class Block(NamedTuple):
-    """Rows of one force; each (n,), n one of ``_ROWS``."""
+    """Rows of one force, or points at which its curvature factors are limited; (n,) each."""
 
     force: str
     inputs: TireInputs
     observed: np.ndarray
     weight: np.ndarray  # 1 / noise, zero in padding rows
+    is_limit: bool = False  # the residual is the excess of the curvature factors
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,6 @@ class Problem:
     log: np.ndarray  # (p,) where u is log(coefficient / centre)
     free: np.ndarray  # (p,) coefficients that this stage moves
     blocks: tuple[Block, ...]
-    limits: Mapping[str, TireInputs] = field(default_factory=dict)  # keep E < 1 there
 
     def values(self, u) -> dict[str, float]:
         """Coefficient -> value at u (p,)."""
@@ -94,16 +94,9 @@ class Problem:
         """The same problem with exactly these coefficients free."""
         return replace(self, free=np.isin(self.names, list(names)))
 
-    def with_blocks(
-        self, blocks: Sequence[Block], limits: Mapping[str, TireInputs] | None = None
-    ) -> "Problem":
+    def with_blocks(self, blocks: Iterable[Block]) -> "Problem":
         """The same problem with other rows."""
-        return replace(self, blocks=tuple(blocks), limits=limits or {})
-
-    def columns(self, force: str) -> tuple[tuple[str, ...], np.ndarray]:
-        """The coefficients of a force, and their indices in u."""
-        names = influences(self.tire.version, force)
-        return names, np.array([self.names.index(name) for name in names])
+        return replace(self, blocks=tuple(blocks))
 
 
 class Minimum(NamedTuple):
@@ -135,25 +128,23 @@ def blocks_of(force: str, inputs: TireInputs, observed, std) -> tuple[Block, ...
     return tuple(blocks)
 
 
-def _gradients(force: str, names: tuple[str, ...], tire: MFTire, theta, inputs):
-    """Force (n,) of each row, and its derivative in each coefficient (p, n)."""
+@partial(jax.jit, static_argnames=("force", "is_limit", "names"), compiler_options=BRIEF)
+def _pass(force, is_limit, names, tire, theta, scale, inputs, observed, weight):
+    """Residuals (n,) of a block over the noise, and their derivatives in u (p, n)."""
 
     def one(given, sample):
-        return getattr(with_values(tire, given)(sample), force)
+        changed = with_values(tire, given)
+        if not is_limit:
+            return getattr(changed(sample), force)
+        largest = curvatures(changed, sample)[force][0]
+        return jnp.maximum(largest - _LARGEST_E, 0.0) / _OVER
 
     given = dict(zip(names, theta, strict=True))
     value, slopes = jax.vmap(jax.value_and_grad(one), in_axes=(None, 0))(given, inputs)
     # Without the barrier the compiler evaluates the formula again for every column.
     columns = jax.lax.optimization_barrier([slopes[name] for name in names])
-    return value, jnp.stack(columns)
-
-
-@partial(jax.jit, static_argnames=("force", "names"), compiler_options=BRIEF)
-def _pass(force, names, tire, theta, scale, inputs, observed, weight):
-    """Residuals (n,) of a block over the noise, and their derivatives in u (p, n)."""
-    value, slope = _gradients(force, names, tire, theta, inputs)
     residual = (value - observed) * weight
-    return residual, slope * (weight[None, :] * scale[:, None])
+    return residual, jnp.stack(columns) * (weight[None, :] * scale[:, None])
 
 
 def _passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
@@ -161,53 +152,24 @@ def _passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
     (n,) and their derivatives (p, n)."""
     natural, scale = problem.natural(u), problem.scale(u)
     for block in problem.blocks:
-        names, at = problem.columns(block.force)
-        residual, slope = _pass(
-            block.force,
-            names,
-            problem.tire,
-            natural[at],
-            scale[at],
-            block.inputs,
-            block.observed,
-            block.weight,
-        )
+        names = influences(problem.tire.version, block.force)
+        at = np.array([problem.names.index(name) for name in names])
+        rows = block.inputs, block.observed, block.weight
+        given = names, problem.tire, natural[at], scale[at]
+        residual, slope = _pass(block.force, block.is_limit, *given, *rows)
         yield block, at, np.asarray(residual), np.asarray(slope)
 
 
-@partial(jax.jit, static_argnames=("force", "names"), compiler_options=BRIEF)
-def _excess(force, names, tire, theta, scale, inputs):
-    """Excess (n,) of curvature factors over their limit, and its derivatives (p, n)."""
-
-    def one(given, sample):
-        largest = curvatures(with_values(tire, given), sample)[force][0]
-        return jnp.maximum(largest - _LARGEST_E, 0.0) / _OVER
-
-    given = dict(zip(names, theta, strict=True))
-    value, slopes = jax.vmap(jax.value_and_grad(one), in_axes=(None, 0))(given, inputs)
-    return value, jnp.stack([slopes[name] for name in names]) * scale[:, None]
-
-
-def limits_of(force: str, inputs: Sequence[TireInputs]) -> dict[str, TireInputs]:
+def limit_of(force: str, inputs: Sequence[TireInputs]) -> list[Block]:
     """The points at which the curvature factors of a force are limited: some of the
-    inputs (of arrays), evenly taken in the order of load."""
+    inputs (of arrays), evenly taken in the order of load; none for M_x and M_y."""
     if force not in ("fx", "fy", "mz"):
-        return {}
+        return []
     columns = [np.concatenate(parts) for parts in zip(*inputs, strict=True)]
     order = np.argsort(columns[TireInputs._fields.index("fz")], kind="stable")
     some = order[np.linspace(0, len(order) - 1, _LIMITED).astype(int)]
-    return {force: TireInputs(*(column[some] for column in columns))}
-
-
-def _all_passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
-    """Indices in u, residuals (n,), derivatives (p, n) of the blocks and the limits."""
-    for _, at, residual, slopes in _passes(problem, u):
-        yield at, residual, slopes
-    for force, inputs in problem.limits.items():
-        names, at = problem.columns(force)
-        natural, scale = problem.natural(u)[at], problem.scale(u)[at]
-        value, slope = _excess(force, names, problem.tire, natural, scale, inputs)
-        yield at, np.asarray(value), np.asarray(slope)
+    points = TireInputs(*(column[some] for column in columns))
+    return [Block(force, points, np.zeros(_LIMITED), np.ones(_LIMITED), is_limit=True)]
 
 
 def _passed(problem: Problem, u: np.ndarray, moved: np.ndarray):
@@ -215,7 +177,7 @@ def _passed(problem: Problem, u: np.ndarray, moved: np.ndarray):
     the coefficients ``moved`` (p,)."""
     size = len(u)
     cost, curvature, slope = 0.0, np.zeros((size, size)), np.zeros(size)
-    for at, residual, slopes in _all_passes(problem, u):
+    for _, at, residual, slopes in _passes(problem, u):
         cost += float(residual @ residual)
         chosen = moved[at]
         at, slopes = at[chosen], slopes[chosen]
@@ -238,10 +200,10 @@ def row_values(problem: Problem, u: np.ndarray, force: str, inputs: TireInputs) 
 
 def row_gradients(problem: Problem, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (n,) of the problem's rows over the noise, and their derivatives in u
-    (n, p); padding rows are omitted."""
+    (n, p); padding rows and limits are omitted."""
     values, slopes = [], []
     for block, at, residual, slope in _passes(problem, u):
-        used = block.weight > 0
+        used = (block.weight > 0) & (not block.is_limit)
         values.append(residual[used])
         whole = np.zeros((len(values[-1]), len(u)))
         whole[:, at] = slope.T[used]

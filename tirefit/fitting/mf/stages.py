@@ -13,16 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.fitting.mf.cells import Group
-from tirefit.fitting.mf.parts import MOMENTS, PARTS, coefficients_of, own_coefficients
-from tirefit.fitting.mf.rows import ForceRows
+from tirefit.fitting.mf.parts import PARTS, coefficients_of, own_coefficients
+from tirefit.fitting.mf.rows import ForceRows, Group
 from tirefit.fitting.mf.solve import (
     Block,
     Minimum,
     Problem,
     blocks_of,
     curvature_at,
-    limits_of,
+    limit_of,
     minimise,
     row_gradients,
     row_values,
@@ -124,11 +123,11 @@ def search(
     """
     start = np.zeros(len(problem.names)) if first is None else first
     nothing = np.diag(problem.free.astype(float))
-    work = Search(problem, dict(groups), start, nothing, near=first is not None)
+    work = Search(problem, {}, start, nothing, near=first is not None)
     for force in (force for force in PARTS if force in groups):
-        for count in range(1, len(groups[force]) + 1):
-            progress(_title(groups[force][count - 1]))
-            _one_stage(work, force, count, rows[force])
+        for group in groups[force]:
+            progress(group.title)
+            _one_stage(work, group, rows[force], is_last=group is groups[force][-1])
     return work
 
 
@@ -138,55 +137,62 @@ def without(work: Search, keeps: Mapping[str, Sequence[np.ndarray]]) -> Search:
     Args:
         keeps: by force, which cells of each group are kept, (m,) bool.
     """
-    problem, covariance = work.problem, np.diag(work.problem.free.astype(float))
-    groups = {
-        force: [
-            group.part(keep)
-            for group, keep in zip(work.groups[force], kept, strict=True)
-            if np.any(keep)
-        ]
-        for force, kept in keeps.items()
-        if any(map(np.any, kept))
-    }
-    left = Search(problem, groups, work.u.copy(), covariance, near=True)
-    for force in groups:
-        for count in range(1, len(groups[force]) + 1):
-            _one_stage(left, force, count, None)
+    covariance = np.diag(work.problem.free.astype(float))
+    left = Search(work.problem, {}, work.u.copy(), covariance, near=True)
+    for force, kept in keeps.items():
+        pairs = zip(work.groups[force], kept, strict=True)
+        groups = [group.part(keep) for group, keep in pairs if np.any(keep)]
+        for k, group in enumerate(groups, 1):
+            _one_stage(left, group, None, is_last=k == len(groups))
     return left
 
 
-def _title(group: Group) -> str:
-    slip = "pure" if group.pure else "combined"
-    return group.force + ("" if group.force in MOMENTS else f" in {slip} slip")
-
-
-def _one_stage(work: Search, force: str, count: int, rows: ForceRows | None) -> None:
-    """Fit the first ``count`` groups of a force; the last of them is new.
+def _one_stage(work: Search, group: Group, rows: ForceRows | None, is_last: bool) -> None:
+    """Fit a new group of a force together with the groups of that force before it.
 
     Args:
         rows: of the force, for starts and noise; None in a continued search.
+        is_last: whether it is the last group of the force.
     """
-    is_last = count == len(work.groups[force])
-    names = _to_move(work, force, is_last)
-    if rows is not None:
-        few = problem_of(work, force, count, names, _ENOUGH)
-        starts = _starts(work, work.groups[force][count - 1])
+    groups = work.groups.setdefault(group.force, [])
+    starts = _starts(work, group) if rows is not None else []
+    groups.append(group)
+    names = _to_move(work, group.force, is_last)
+    if starts:
+        few = problem_of(work, groups, names, _ENOUGH)
         ends = [minimise(few, start, _TRIES, _ROUGHLY) for start in starts]
         work.u = min(ends, key=lambda end: end.cost).u
     for _ in range(_ROUNDS):
-        problem = problem_of(work, force, count, names)
-        work.u = minimise(problem, work.u, _TRIES, _ROUGHLY).u
-        if _learn_noise(work, force, count, rows) < _SETTLED:
+        work.u = minimise(problem_of(work, groups, names), work.u, _TRIES, _ROUGHLY).u
+        predicted = row_values(work.problem, work.u, group.force, group.cells.inputs)
+        before = groups[-1].variance(predicted)
+        groups[-1] = group = _with_noise(work, group, predicted, rows)
+        if np.max(np.abs(np.sqrt(group.variance(predicted) / before) - 1)) < _SETTLED:
             break
-    _learn_weight(work, force, count, names)
-    moved = problem = problem_of(work, force, count, names)
+    groups[-1] = group = replace(group, each=_cells_per_one(work, group, names))
+    moved = problem = problem_of(work, groups, names)
     end = minimise(problem, work.u)
     if is_last:
         moved, end = _hold(work, problem, end)
     work.u, work.moved = end.u, work.moved | set(names)
     # The covariance includes the held coefficients: the rows may determine them at this end.
     work.covariance = _covariance(work.covariance, problem, end.u)
-    _note(work, force, count, moved, end)
+    rmse = work.rmse(group)
+    work.stages.append(
+        Stage(
+            name=group.title,
+            force=group.force,
+            pure=group.pure,
+            rows=int(np.sum(group.cells.rows)),
+            cells=len(group.cells.rows),
+            moved=int(np.count_nonzero(moved.free)),
+            chi2=end.cost - float(end.u @ end.u),
+            steps=end.steps,
+            converged=end.converged,
+            rmse=rmse,
+            rmse_at_end=rmse,
+        )
+    )
 
 
 def _to_move(work: Search, force: str, is_last: bool) -> list[str]:
@@ -202,7 +208,7 @@ def _to_move(work: Search, force: str, is_last: bool) -> list[str]:
     return [name for name in own if part[name] == force]
 
 
-def _blocks(work: Search, group: Group, most: int | None = None) -> list[Block]:
+def _blocks(group: Group, most: int | None = None) -> list[Block]:
     """The cells of a group as blocks, at most ``most`` of them, evenly taken."""
     cells = group.cells
     chosen = np.arange(len(cells.rows))
@@ -213,64 +219,49 @@ def _blocks(work: Search, group: Group, most: int | None = None) -> list[Block]:
     return list(blocks_of(group.force, inputs, cells.observed[chosen], std))
 
 
-def problem_of(work: Search, force: str, count: int, names, most=None) -> Problem:
-    """The problem of the first ``count`` groups of a force, with the coefficients
-    ``names`` free; at most ``most`` cells of a group, evenly taken."""
-    groups = work.groups[force][:count]
-    blocks = [block for group in groups for block in _blocks(work, group, most)]
-    limits = limits_of(force, [group.cells.inputs for group in groups])
-    return work.problem.with_free(names).with_blocks(blocks, limits)
+def problem_of(work: Search, groups: Sequence[Group], names, most=None) -> Problem:
+    """The problem of some groups of a force, with the coefficients ``names`` free; at
+    most ``most`` cells of a group, evenly taken."""
+    blocks = [block for group in groups for block in _blocks(group, most)]
+    limit = limit_of(groups[0].force, [group.cells.inputs for group in groups])
+    return work.problem.with_free(names).with_blocks([*blocks, *limit])
 
 
-def _learn_noise(work: Search, force: str, count: int, rows) -> float:
-    """Estimate the newest group's noise from its residuals; largest relative change."""
-    group = work.groups[force][count - 1]
+def _with_noise(work: Search, group: Group, predicted: np.ndarray, rows) -> Group:
+    """The group with its noise and misfit estimated from the residuals."""
     cells = group.cells
-    predicted = row_values(work.problem, work.u, force, cells.inputs)
-    residual = predicted - cells.observed
-    before = group.variance(predicted)
     if rows is not None and group.given is None:
         some = rows.part(rows.chosen([group.pure]))
-        of_rows = row_values(work.problem, work.u, force, some.inputs)
+        of_rows = row_values(work.problem, work.u, group.force, some.inputs)
         group = replace(group, white=cells.white_law(some, of_rows))
-    known = group.known(predicted)
-    misfit = noise_law(residual, np.asarray(cells.inputs.fz), predicted, known)
-    group = replace(group, misfit=misfit)
-    work.groups[force][count - 1] = group
-    return float(np.max(np.abs(np.sqrt(group.variance(predicted) / before) - 1)))
+    fz, known = np.asarray(cells.inputs.fz), group.known(predicted)
+    return replace(group, misfit=noise_law(predicted - cells.observed, fz, predicted, known))
 
 
-def _learn_weight(work: Search, force: str, count: int, names) -> None:
-    """Set the number of cells per independent cell of the newest group.
+def _cells_per_one(work: Search, group: Group, names) -> float:
+    """Number of cells of a group per independent cell.
 
     The misfit of neighbouring cells of a sweep is correlated. The number is the larger
     of the autocorrelation time of their residuals along the slip, and of the design
     effect of the settings on the slope of the deviance.
     """
-    group = replace(work.groups[force][count - 1], each=1.0)
-    work.groups[force][count - 1] = group
-    problem = work.problem.with_free(names).with_blocks(_blocks(work, group))
+    problem = work.problem.with_free(names).with_blocks(_blocks(replace(group, each=1.0)))
     residual, slopes = row_gradients(problem, work.u)
     setting = group.cells.setting
     parts = [residual[setting == code] for code in np.unique(setting)]
     by_setting = design_effect(residual, slopes[:, problem.free], setting)
-    each = max(autocorrelation_time(parts), by_setting)
-    work.groups[force][count - 1] = replace(group, each=each)
+    return max(autocorrelation_time(parts), by_setting)
 
 
 def _hold(work: Search, problem: Problem, end: Minimum) -> tuple[Problem, Minimum]:
     """Fix coefficients that the rows do not identify at the centre of their priors."""
-    covariance = _covariance(work.covariance, problem, end.u)
-    left = np.diagonal(covariance)
-    moving = np.flatnonzero(problem.free)
-    held = [problem.names[i] for i in moving if left[i] > _HELD]
+    left = np.diagonal(_covariance(work.covariance, problem, end.u))
+    held = problem.free & (left > _HELD)
     own = own_coefficients(problem.tire.version, problem.blocks[0].force)
-    work.held = (work.held - set(own)) | set(held)
-    u, at = end.u.copy(), np.isin(problem.names, held)
-    u[at] = 0.0
-    moved = [problem.names[i] for i in moving if problem.names[i] not in held]
-    problem = problem.with_free(moved)
-    return problem, minimise(problem, u)
+    names = np.array(problem.names)
+    work.held = (work.held - set(own)) | set(names[held].tolist())
+    problem = problem.with_free(names[problem.free & ~held].tolist())
+    return problem, minimise(problem, np.where(held, 0.0, end.u))
 
 
 def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarray:
@@ -295,30 +286,10 @@ def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarr
     return covariance
 
 
-def _note(work: Search, force: str, count: int, problem: Problem, end: Minimum):
-    group = work.groups[force][count - 1]
-    rmse = work.rmse(group)
-    work.stages.append(
-        Stage(
-            name=_title(group),
-            force=force,
-            pure=group.pure,
-            rows=int(np.sum(group.cells.rows)),
-            cells=len(group.cells.rows),
-            moved=int(np.count_nonzero(problem.free)),
-            chi2=end.cost - float(end.u @ end.u),
-            steps=end.steps,
-            converged=end.converged,
-            rmse=rmse,
-            rmse_at_end=rmse,
-        )
-    )
-
-
 def _starts(work: Search, group: Group) -> list[np.ndarray]:
     """First values of u; in combined slip, the end of the stage of pure slip."""
     problem = work.problem
-    if any(stage.force == group.force for stage in work.stages):
+    if work.groups[group.force]:
         return [work.u]
     starts = [work.u] if work.near else []
     for values in first_values(group):
@@ -341,24 +312,20 @@ sharp peak belong to different local minima."""
 
 
 def first_values(group: Group) -> list[dict[str, float]]:
-    """Coefficients to start from, one set per shape."""
-    return [_look(group) | shape for shape in _SHAPES.get(group.force, ({},))]
-
-
-def _look(group: Group) -> dict[str, float]:
-    """Friction from the largest forces, and stiffness from the slope at small slips."""
-    if group.force not in ("fx", "fy"):
-        return {}
-    inputs, force = group.cells.inputs, group.cells.observed
-    slip = np.asarray(inputs.sigma_x if group.force == "fx" else inputs.alpha)
-    fz, size = np.asarray(inputs.fz), np.abs(slip)
-    low = size <= max(np.quantile(size, 0.2), 0.1 * size.max())
-    peak = float(np.clip(np.quantile(np.abs(force) / fz, 0.98), 0.1, 3.0))
-    share = slip[low] * fz[low]
-    slope = 1.2 * float(share @ force[low] / max(share @ share, 1e-12))
-    slope = max(slope, peak / max(size.max(), 1e-6))
-    if group.force == "fx":
-        return {"PDX1": peak, "PKX1": slope}
-    # K = PKY1 F_z0 sin(2 arctan(F_z / (PKY2 F_z0))) at F_z = F_z0.
-    at_nominal = np.sin(2 * np.arctan(1 / 2.5))
-    return {"PDY1": peak, "PKY1": -slope / at_nominal, "PKY2": 2.5}
+    """Coefficients to start from, one set per shape: friction from the largest forces,
+    and stiffness from the slope at small slips."""
+    values, inputs, force = {}, group.cells.inputs, group.cells.observed
+    if group.force in ("fx", "fy"):
+        slip = np.asarray(inputs.sigma_x if group.force == "fx" else inputs.alpha)
+        fz, size = np.asarray(inputs.fz), np.abs(slip)
+        low = size <= max(np.quantile(size, 0.2), 0.1 * size.max())
+        peak = float(np.clip(np.quantile(np.abs(force) / fz, 0.98), 0.1, 3.0))
+        share = slip[low] * fz[low]
+        slope = 1.2 * float(share @ force[low] / max(share @ share, 1e-12))
+        slope = max(slope, peak / max(size.max(), 1e-6))
+        # K = PKY1 F_z0 sin(2 arctan(F_z / (PKY2 F_z0))) at F_z = F_z0.
+        at_nominal = np.sin(2 * np.arctan(1 / 2.5))
+        values = {"PDY1": peak, "PKY1": -slope / at_nominal, "PKY2": 2.5}
+        if group.force == "fx":
+            values = {"PDX1": peak, "PKX1": slope}
+    return [values | shape for shape in _SHAPES.get(group.force, ({},))]

@@ -80,7 +80,11 @@ def at_reference(
         work = fitted(now)
         step, std, shift = _step(work, now, warmth)
         b += step
-        now = {f: _corrected(work, of, b * warmth[f]) for f, of in rows.items()}
+        now = {}
+        for force, of in rows.items():
+            slope, half = _expanded(work, force, of.inputs)
+            change = b * warmth[force]
+            now[force] = replace(of, observed=of.observed - change * (slope + change * half))
         if abs(step) < _SETTLED * std:
             break
     work = replace(work, covariance=work.covariance + std**2 * np.outer(shift, shift))
@@ -100,12 +104,6 @@ def _expanded(work: Search, force: str, inputs) -> tuple[np.ndarray, np.ndarray]
     return (high - low) / (2 * _STEP), (high + low - 2 * middle) / (2 * _STEP**2)
 
 
-def _corrected(work: Search, rows: ForceRows, change: np.ndarray) -> ForceRows:
-    """The rows with forces corrected for a relative ``change`` (n,) of friction."""
-    slope, half = _expanded(work, rows.force, rows.inputs)
-    return replace(rows, observed=rows.observed - change * (slope + change * half))
-
-
 def _step(work: Search, rows: Rows, warmth) -> tuple[float, float, np.ndarray]:
     """The Gauss-Newton step of b, its standard error, and du/db (p,) of the best fit."""
     information, downhill, shift = 0.0, 0.0, np.zeros(len(work.u))
@@ -118,7 +116,7 @@ def _step(work: Search, rows: Rows, warmth) -> tuple[float, float, np.ndarray]:
         slope = _expanded(work, force, group.cells.inputs)[0]
         slope = group.cells.mean(own) * slope / std
         names = [n for n in work.moved - work.held if of_part[n] == force]
-        problem = problem_of(work, force, 1, names)
+        problem = problem_of(work, [group], names)
         residual, gradient = row_gradients(problem, work.u)
         gradient, u = gradient[:, problem.free], work.u[problem.free]
         normal = gradient.T @ gradient + np.eye(len(u))
