@@ -52,49 +52,31 @@ class Picture(Figure):
             self.savefig(target, format=kind, **how)
 
 
-def frame(
-    result: FitResult, height: float, width: float = WIDTH
-) -> tuple[Picture, tuple[float, float]]:
-    """An empty picture with title and footnote.
+def frame(result: FitResult, height: float, width: float = WIDTH, note: str = "") -> Picture:
+    """An empty picture with title, verdict, note and footnote.
 
     Args:
         result: whose model, file and verdict the title names.
-        height, width: of the picture in inches.
-
-    Returns:
-        (picture, (bottom, top)): the share of the height that is free for axes.
+        height, width: of the space for axes, and of the picture, in inches.
+        note: below the verdict in small print.
     """
-    picture = Picture(figsize=(width, height))
-    title = f"{result.model} fitted to {fit_files(result, 68)}"
     lines = textwrap.wrap(verdict_line(result), 100, max_lines=2, placeholder=" …")
-    picture.text(
-        0.02,
-        1 - 0.10 / height,
-        plain_text(title),
-        va="top",
-        fontsize=10.5,
-        fontweight="bold",
-        color=DARK,
-    )
-    picture.text(
-        0.02,
-        1 - 0.31 / height,
-        plain_text("\n".join(lines)),
-        va="top",
-        fontsize=8.5,
-        color=RED if result.outcomes else DARK,
-        linespacing=1.15,
-    )
-    picture.text(
-        0.02,
-        0.05 / height,
-        f"tirefit {result.version} · braking positive, SI · seed {result.seed}"
-        f" · {_rows(result.statistics.n)}",
-        va="bottom",
-        fontsize=6.5,
-        color=GREY,
-    )
-    return picture, (0.2 / height, 1 - (0.38 + 0.15 * len(lines)) / height)
+    head = 0.4 + 0.15 * len(lines) + 0.14 * (len(note.splitlines()) + bool(note))
+    height += head + 0.2
+    picture = Picture(figsize=(width, height))
+    picture.set_layout_engine("constrained", rect=(0, 0.2 / height, 1, 1 - (head + 0.2) / height))
+    title = plain_text(f"{result.model} fitted to {fit_files(result, 68)}")
+    verdict = {"color": RED if result.outcomes else DARK, "linespacing": 1.15}
+    foot = f"tirefit {result.version} · braking positive, SI · seed {result.seed}"
+    foot += f" · {_rows(result.statistics.n)}"
+    for y, text, size, style in (
+        (height - 0.10, title, 10.5, {"fontweight": "bold", "color": DARK}),
+        (height - 0.31, plain_text("\n".join(lines)), 8.5, verdict),
+        (0.17, foot, 6.5, {"color": GREY}),
+        (height - head + 0.14 * len(note.splitlines()), note, 7.5, {"color": DARK}),
+    ):
+        picture.text(0.02, y / height, text, va="top", fontsize=size, **style)
+    return picture
 
 
 def _rows(count: int) -> str:
@@ -116,6 +98,14 @@ def drawn(values: np.ndarray, among: int | None = None) -> np.ndarray:
     far = np.argpartition(np.abs(values - np.median(values)), -_FARTHEST)[-_FARTHEST:]
     rest = np.random.default_rng(0).integers(0, count, int(share * count))
     return np.unique(np.concatenate([far, rest]))
+
+
+def dots(
+    axes: Any, x: np.ndarray, y: np.ndarray, size: float, color: Any, alpha: float = 1.0, **how: Any
+) -> None:
+    """Draw many points without edges, as an image in vector graphics."""
+    style = {"marker": "o", "ms": size, "mew": 0, "color": color, "alpha": alpha}
+    axes.plot(x, y, linestyle="none", rasterized=True, zorder=2, **style, **how)
 
 
 def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:

@@ -20,6 +20,7 @@ from tirefit.report.canvas import (
     ORANGE,
     PURPLE,
     Picture,
+    dots,
     panel_title,
     tidy,
 )
@@ -234,10 +235,7 @@ def draw_comparison(figure, panel: Comparison, after: str, base: str = "base") -
 
 def _draw_load(axes, curve: LoadCurve, axis: SlipAxis, color: str) -> None:
     center = axis.shown(curve.center)
-    axes.plot(
-        axis.shown(curve.slip), curve.force, ls="none", marker="o", ms=1.8,
-        markeredgewidth=0, alpha=0.4, color=color, rasterized=True, zorder=2,
-    )  # fmt: skip
+    dots(axes, axis.shown(curve.slip), curve.force, 1.8, color, 0.4)
     axes.fill_between(center, curve.low, curve.high, color=color, alpha=0.3, lw=0, zorder=1)
     axes.plot(center, curve.base, color=color, lw=1.2, ls=(0, (4, 2)), zorder=3)
     axes.plot(center, curve.extended, color=color, lw=1.4, zorder=4)

@@ -6,15 +6,8 @@ from tirefit.diagnosis.summary.records import Status
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.diagnosis_details import details
 from tirefit.report.diagnosis_draw import diagnosis_figure, panel_pictures, panels_of
-from tirefit.report.diagnosis_sections import (
-    Section,
-    answer,
-    first_screen,
-    foot_line,
-    head_lines,
-    subject,
-)
-from tirefit.report.html import GOOD, OPEN, image_of, rendered
+from tirefit.report.diagnosis_sections import answer, first_screen, foot_line, head_lines, subject
+from tirefit.report.html import GOOD, OPEN, Section, fragment, image_of, page
 
 _ALTERNATIVES = {
     "sizes": "Size of each effect that helps, in groups of the rows",
@@ -42,37 +35,34 @@ def _answer(result: Diagnosis) -> Mapping:
     }
 
 
-def _shown(sections: Sequence[Section], pictures: Mapping) -> list[Mapping]:
-    shown: list[Mapping] = []
-    for section in sections:
-        names = [name for name in section.pictures if name in pictures]
-        images = [image_of(pictures[name], _alternative(name)) for name in names]
-        shown.append(section._asdict() | {"pictures": images})
-    return shown
+def _shown(sections: Sequence[Section], pictures: Mapping) -> list[Section]:
+    """The sections with the pictures that their names stand for."""
+    return [
+        section._replace(
+            pictures=[
+                image_of(pictures[name], _alternative(name))
+                for name in section.pictures
+                if name in pictures
+            ]
+        )
+        for section in sections
+    ]
 
 
 def diagnosis_page(result: Diagnosis) -> str:
     """The whole diagnosis as one HTML document, without script or external files."""
-    pictures = panel_pictures(result)
-    return rendered(
-        "diagnosis_page.html",
-        title=subject(result),
-        answer=_answer(result),
-        sections=_shown(first_screen(result), pictures),
-        details=_shown(details(result), {}),
-        foot=foot_line(result),
-        record=result.to_json(),
-    )
+    sections = [
+        *_shown(first_screen(result), panel_pictures(result)),
+        *(section._replace(folded=True) for section in details(result)),
+        Section("", [foot_line(result)]),
+    ]
+    return page(subject(result), sections, _answer(result), record=result.to_json())
 
 
 def diagnosis_fragment(result: Diagnosis) -> str:
     """The answer, the first screen and the figure for a notebook."""
     picture = diagnosis_figure(result)
     picture.set_dpi(90)
-    return rendered(
-        "diagnosis_fragment.html",
-        title=f"{subject(result)}, {result.n} rows",
-        answer=_answer(result),
-        sections=_shown(first_screen(result), {}),
-        picture=image_of(picture, "; ".join(map(_alternative, panels_of(result)))),
-    )
+    image = image_of(picture, "; ".join(map(_alternative, panels_of(result))))
+    sections = [Section("", pictures=[image]), *_shown(first_screen(result), {})]
+    return fragment(f"{subject(result)}, {result.n} rows", sections, _answer(result))

@@ -1,7 +1,7 @@
 """Draw the fitted curves of several files in one figure: results -> arrays -> axes."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import matplotlib as mpl
@@ -11,9 +11,10 @@ from tirefit.fitting.bands import force_band
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs
-from tirefit.report.canvas import COLORS, GREY, tidy
+from tirefit.report.canvas import COLORS, GREY, dots, tidy
 from tirefit.report.curves import FORCE_LABEL, SlipAxis, slip_axis
 from tirefit.report.numbers import plain_text
+from tirefit.report.panels import legend_below
 
 _POINTS = 160
 _MOST_POINTS = 300
@@ -126,24 +127,15 @@ def _colors(count: int) -> Sequence:
     return list(mpl.colormaps["viridis"](np.linspace(0, 0.92, count)))
 
 
-def draw_overlay(axes, overlay: Overlay) -> None:
+def draw_overlay(figure: Any, overlay: Overlay) -> None:
     """Draw each curve in its colour; with many files, colours follow their order."""
+    axes = figure.subplots()
     count = len(overlay.curves)
     few = count <= len(COLORS)
     for i, (one, color) in enumerate(zip(overlay.curves, _colors(count), strict=True)):
         named = count <= _MOST_NAMED or i in (0, count - 1)
         if few:
-            axes.plot(
-                one.at_slip,
-                one.at_force,
-                linestyle="none",
-                marker="o",
-                markersize=2,
-                markeredgewidth=0,
-                alpha=0.3,
-                color=color,
-                rasterized=True,
-            )
+            dots(axes, one.at_slip, one.at_force, 2, color, 0.3)
         axes.fill_between(one.slip, one.low, one.high, color=color, alpha=0.3, lw=0)
         axes.plot(
             one.slip, one.force, color=color, lw=1.3, label=plain_text(one.name) if named else None
@@ -151,4 +143,4 @@ def draw_overlay(axes, overlay: Overlay) -> None:
     axes.axhline(0, color=GREY, lw=0.5, zorder=0)
     tidy(axes, overlay.x_label, overlay.y_label)
     title = overlay.note if count <= _MOST_NAMED else f"{overlay.note}; first and last"
-    axes.legend(fontsize=7.5, title=title, title_fontsize=7.5, frameon=False)
+    legend_below(figure, axes.get_legend_handles_labels()[0], title, 3)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tirefit.report.canvas import BLUE, DARK, GREEN, GREY, ORANGE, RED, Picture, panel_title, tidy
-from tirefit.report.html import image_of, rendered
+from tirefit.report.html import Section, image_of, page
 from tirefit.report.numbers import format_number
 from tirefit.report.text import indented, table
 from tirefit.vehicle.replay import QUANTITIES, Fans, Replay
@@ -112,13 +112,8 @@ def replay_page(result: Replay) -> str:
         image_of(replay_figure(result), "error over the horizon, path with predictions"),
         image_of(series_figure(result), "yaw rate and lateral acceleration over time"),
     ]
-    return rendered(
-        "report_page.html",
-        title=_head(result),
-        pictures=pictures,
-        report=replay_text(result),
-        record=result.to_json(),
-    )
+    sections = [Section("", pictures=pictures), Section("Report", text=replay_text(result))]
+    return page(_head(result), sections, record=result.to_json())
 
 
 _HELD = {"lateral": "lateral position [m]", "yaw_rate": "yaw rate [rad/s]"}
