@@ -8,7 +8,7 @@ import numpy as np
 from tirefit.data.run_names import clipped
 from tirefit.fitting.derived import quantity_of
 from tirefit.fitting.result import Estimate, FitResult
-from tirefit.report.canvas import BLUE, GREY, RED, tidy
+from tirefit.report.canvas import BLUE, DARK, GREY, RED, tidy
 from tirefit.report.labels import short_run
 from tirefit.report.numbers import plain_text
 
@@ -106,11 +106,13 @@ def draw_points(axes, points: Points, named: bool = True) -> None:
         axes.vlines(at[rows], first, last[rows], color=color, lw=1.4)
         axes.plot(at[rows], value, "o", markersize=size, color=color, markerfacecolor=face)
     missing = np.isnan(points.value)
-    axes.plot(at[missing], np.full(missing.sum(), low), "x", color=RED, clip_on=False)
+    if missing.any():
+        axes.plot(at[missing], np.full(missing.sum(), low), "x", color=RED, clip_on=False)
     every = -(-len(at) // _MOST_NAMES)
     texts = [plain_text(clipped(name, 18)) for name in points.names[::every]]
     axes.set_xticks(at[::every], texts if named else [])
-    tidy(axes, "", points.label)
+    tidy(axes)
+    axes.set_title(points.label, fontsize=8.5, loc="left", color=DARK, pad=2)
     if named and sum(map(len, texts)) > 60:
         axes.tick_params(axis="x", labelrotation=90, labelsize=7)
     axes.set_xlim(-0.6, len(at) - 0.4)
@@ -123,4 +125,3 @@ def draw_by_name(figure: Any, panels: Sequence[Points]) -> None:
     cells = figure.subplots(len(panels), 1, squeeze=False).ravel()
     for axes, points in zip(cells, panels, strict=True):
         draw_points(axes, points, named=axes is cells[-1])
-    figure.align_ylabels()

@@ -4,8 +4,11 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from tirefit.fitting.result import FitResult
-from tirefit.report.canvas import DARK, WIDTH, Picture, frame
+from tirefit.report import canvas
+from tirefit.report.canvas import DARK, RED, WIDTH, Picture, frame
 from tirefit.report.html import image_of
+from tirefit.report.labels import fit_files
+from tirefit.report.text import verdict_line
 
 WIDE = 4.6
 """Width [in] of a picture of a page: on a screen of 375 pixels, 8.5 points are then 9.6
@@ -49,8 +52,14 @@ def together(result: FitResult, panels: Sequence[Panel], columns: int = 1) -> Pi
     first = (len(panels) - 1) % columns + 1
     rows = [panels[:first], *(panels[i : i + columns] for i in range(first, len(panels), columns))]
     heights = [max(panel.size[1] for panel in row) for row in rows]
-    width = max(WIDTH, *(panel.size[0] for panel in panels))
-    picture = frame(result, sum(heights), width, panels[0].note)
+    size = max(WIDTH, *(panel.size[0] for panel in panels)), sum(heights)
+    count = result.statistics.n
+    foot = f"tirefit {result.version} · braking positive, SI · seed {result.seed} · {count} rows"
+    if count > canvas.MOST_DRAWN:
+        foot += f", {canvas.MOST_DRAWN} of them drawn"
+    title = f"{result.model} fitted to {fit_files(result, 68)}"
+    color = RED if result.outcomes else DARK
+    picture = frame(title, verdict_line(result), foot, size, panels[0].note, color)
     parts = picture.subfigures(len(rows), 1, squeeze=False, height_ratios=heights)
     for part, row in zip(parts.ravel(), rows, strict=True):
         for cell, panel in zip(part.subfigures(1, len(row), squeeze=False)[0], row, strict=True):
