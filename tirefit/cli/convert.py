@@ -15,6 +15,7 @@ from tirefit.cli.magic_formula import (
     only_of_magic_formula,
 )
 from tirefit.cli.options import (
+    SeedOrNone,
     SignsOption,
     complain,
     errors_to_exit,
@@ -75,9 +76,7 @@ def convert(
     ] = None,
     signs: SignsOption = None,
     combination: CombinationOption = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
-    ] = None,
+    seed: SeedOrNone = None,
     cpa2: Annotated[
         float | None, typer.Option(help="write a reduced .tir of a brush with this c_p a^2 [N]")
     ] = None,

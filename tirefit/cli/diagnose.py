@@ -11,13 +11,15 @@ from typer.core import TyperCommand
 
 from tirefit.cli.diagnose_vehicle import TireOption, diagnose_car, refuse_tires
 from tirefit.cli.fit_one import wrote
-from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, attempted, fleet
+from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet, one_by_one, worst_of
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
     Folder,
+    Full,
+    Seed,
     SideOption,
     SignsOption,
     complain,
@@ -125,11 +127,11 @@ def diagnose(
     figures: Annotated[
         bool, typer.Option("--figures", help="write NAME.png and NAME.html")
     ] = False,
-    full: Annotated[bool, typer.Option("--full", help="print the report with all details")] = False,
+    full: Full = False,
     resume: Annotated[bool, typer.Option("--resume", help="skip finished files")] = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")] = 0,
+    seed: Seed = 0,
 ) -> None:
     """Find the effects that explain the gap between a model or simulator and data."""
     with errors_to_exit():
@@ -284,24 +286,12 @@ def _all(pieces: list[Piece], task: _Task, sharing: Sharing) -> ExitCode:
         outcomes = fleet("diagnose", pieces, _one, task, sharing, task.out)
         codes = [outcome.code for outcome in outcomes]
     else:
-        codes = _one_by_one(pieces, task)
+        with progress_bar("diagnose") as progress:
+            codes = [outcome.code for outcome in one_by_one(pieces, _one, task, progress)]
     if len(pieces) > 1:
         done = codes.count(ExitCode.OK)
         say(f"{done} of {len(pieces)} files diagnosed, results in {task.out}")
-    return next((c for c in reversed(codes) if c != ExitCode.OK), ExitCode.OK)
-
-
-def _one_by_one(pieces: list[Piece], task: _Task) -> list[ExitCode]:
-    codes = []
-    with progress_bar("diagnose") as progress:
-        for number, piece in enumerate(pieces):
-            note = f"{number + 1} of {len(pieces)}: {piece.file}"
-            progress(number / len(pieces), note)
-            # With one file, show the traceback of a fault of the program.
-            alone = len(pieces) == 1
-            found = _one(piece, task) if alone else attempted(_one, task, piece)
-            codes.append(found[0])
-    return codes
+    return worst_of(codes)
 
 
 def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:

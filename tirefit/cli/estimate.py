@@ -10,6 +10,7 @@ import typer
 from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
+    Seed,
     complain,
     errors_to_exit,
     named_path,
@@ -49,7 +50,7 @@ def estimate(
         list[str] | None,
         typer.Option("--set", metavar="[METHOD.]NAME=VALUE", help="setting of a method"),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")] = 0,
+    seed: Seed = 0,
 ) -> None:
     """Estimate friction and stiffness at each row, from the rows up to it."""
     with errors_to_exit():

@@ -125,7 +125,7 @@ def _files(out: Path) -> list[Path]:
 def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -> None:
     """Print the result and write it into the claimed folder; ``also``: figures."""
     from tirefit.fitting.result import SCHEMA
-    from tirefit.report.draw import FIGURE_FILES
+    from tirefit.report.fit_panels import FIGURE_FILES
     from tirefit.report.mf_draw import MAGIC_FORMULA_FILES, save_pictures
 
     # Figures and draws of an earlier fit would be mistaken for those of this one.

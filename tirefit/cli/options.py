@@ -58,6 +58,13 @@ Files = Annotated[
 Folder = Annotated[
     Path, typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results")
 ]
+OutFile = Annotated[
+    Path, typer.Option(metavar="FILE.csv", parser=named_path, help="CSV file to write")
+]
+_SEED = typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
+Seed = Annotated[int, _SEED]
+SeedOrNone = Annotated[int | None, _SEED]
+Full = Annotated[bool, typer.Option("--full", help="print the report with all details")]
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model")
 ]

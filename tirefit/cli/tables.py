@@ -15,6 +15,7 @@ from tirefit.cli.options import (
     DataOptions,
     Files,
     JsonOption,
+    OutFile,
     SetOption,
     SideOption,
     SignsOption,
@@ -36,10 +37,6 @@ from tirefit.data.remote import expanded
 from tirefit.data.tire_file import tire_kind
 from tirefit.files import json_safe
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
-
-OutFile = Annotated[
-    Path, typer.Option(metavar="FILE.csv", parser=named_path, help="CSV file to write")
-]
 
 
 class Axle(StrEnum):

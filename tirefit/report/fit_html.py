@@ -1,7 +1,7 @@
 """A fit as one self-contained page."""
 
 from tirefit.fitting.result import SCHEMA, FitResult
-from tirefit.report.fit_panels import page_pictures
+from tirefit.report.fit_panels import PANELS, page_panels
 from tirefit.report.fit_tables import (
     FORCE_UNIT,
     chain_rows,
@@ -18,9 +18,12 @@ from tirefit.report.fit_tables import (
     rows_text,
     run_rows,
 )
-from tirefit.report.html import image_of, rendered, verdict_parts
+from tirefit.report.html import Section, page, verdict_parts
 from tirefit.report.labels import fit_files, run_lines
 from tirefit.report.numbers import format_number
+from tirefit.report.panels import images_of
+
+_MANY = 8  # largest number of parameters whose profiles are shown at once
 
 
 def _quality(result: FitResult) -> list[str]:
@@ -80,30 +83,37 @@ def _provenance(result: FitResult) -> list[str]:
     ]
 
 
+_NONE = ["nothing that was asked: every parameter and derived quantity is identified"]
+_ROUTES = "95 %, by each of the ways; where they agree, any will do"
+
+
+def _sections(result: FitResult) -> list[Section]:
+    pictures = dict.fromkeys(PANELS, list[dict]())
+    pictures |= {name: images_of(panels) for name, panels in page_panels(result).items()}
+    runs, at = "; ".join(run_lines(result)), f"at {reference_text(result)}; {result.source}"
+    pairs = [f"correlated: {line}" for line in correlation_lines(result, most=20)]
+    many = len(result.parameters) > _MANY
+    return [
+        Section("", [f"runs: {runs}"] * bool(runs), (), pictures["fit"]),
+        Section("Parameters", (), parameter_rows(result), (), result.source),
+        Section("Derived quantities", (), derived_rows(result), (), at),
+        Section("Derived quantities by run", (), derived_by_run(result), (), at),
+        Section("Run by run", (), (), pictures["runs"]),
+        Section("What the data do not tell", [*(open_lines(result) or _NONE), *pairs]),
+        Section("Rows far from everything", far_lines(result)),
+        Section("Residuals", _quality(result), (), pictures["residuals"]),
+        Section("Residuals by run", (), run_rows(result), (), "bias: measured − fitted"),
+        Section("Intervals", (), route_rows(result), (), _ROUTES),
+        Section("Profile likelihood of each", (), (), pictures["profile"], folded=many),
+        Section("Posterior", posterior_lines(result), (), pictures["corner"]),
+        Section("The chains, in order", (), chain_rows(result), pictures["trace"], folded=True),
+        Section("Where this comes from", _provenance(result)),
+    ]
+
+
 def fit_page(result: FitResult) -> str:
     """The whole fit as one HTML document with its pictures, no script or resource."""
-    runs = run_lines(result)
-    return rendered(
-        "fit_page.html",
-        title=f"{result.model} fitted to {fit_files(result, 60)}",
-        subtitle=f"{', '.join(result.forces)}, {result.statistics.n} rows; braking"
-        f" positive, SI; seed {result.seed}; tirefit {result.version}",
-        verdict=verdict_parts(result),
-        source=result.source,
-        runs=runs,
-        parameters=parameter_rows(result),
-        reference=reference_text(result),
-        derived=derived_rows(result),
-        derived_by_run=derived_by_run(result),
-        open=open_lines(result),
-        far=far_lines(result),
-        correlations=correlation_lines(result, most=20),
-        pictures={k: [image_of(*one) for one in v] for k, v in page_pictures(result).items()},
-        routes=route_rows(result),
-        quality=_quality(result),
-        by_run=run_rows(result),
-        posterior=posterior_lines(result),
-        chains=chain_rows(result),
-        provenance=_provenance(result),
-        record=result.to_json(),
-    )
+    subtitle = f"{', '.join(result.forces)}, {result.statistics.n} rows; braking positive, SI;"
+    subtitle += f" seed {result.seed}; tirefit {result.version}"
+    title = f"{result.model} fitted to {fit_files(result, 60)}"
+    return page(title, _sections(result), verdict_parts(result), subtitle, result.to_json())
