@@ -215,6 +215,30 @@ def test_implausible_forces_are_reported_with_a_plausible_unit(factors, remedy):
         assert warned(columns, units={name: "kN"}, **BRAKING) == ()
 
 
+@pytest.mark.parametrize(
+    ("slip", "unit", "larger"),
+    [("alpha", "deg", "rad"), ("alpha", "-deg", "-rad"), ("kappa", "%", "-")],
+)
+@pytest.mark.parametrize("largest", [0.02, 0.15, 0.4])
+def test_a_slip_in_a_larger_unit_than_it_is_read_in_is_reported(slip, unit, larger, largest):
+    """From slips far below the peak to slips far above it."""
+    size = np.linspace(-largest, largest, 50)
+    signed = -size if unit[0] == "-" else size
+    columns = {slip: signed, {"alpha": "fy", "kappa": "fx"}[slip]: force(size)}
+    columns["fz"] = np.full(50, LOAD)
+    (text,) = warned(columns, units={slip: unit}, **BRAKING)
+    assert text.startswith(f"'{slip}', read in {unit}, is too small for")
+    assert text.endswith(f"if it is in {larger}, pass --unit {slip}={larger}")
+    assert warned(columns, units={slip: larger}, **BRAKING) == ()
+
+
+def test_slips_about_zero_are_not_too_small_for_noise():
+    alpha, noise = 1e-4 * RNG.standard_normal((2, 500))
+    columns = {"alpha": alpha, "fy": 1e6 * (alpha + 3 * noise), "fz": np.full(500, LOAD)}
+    assert np.percentile(abs(columns["fy"]) / LOAD, 99) > 100 * np.percentile(abs(alpha), 99)
+    assert warned(columns, **BRAKING) == ()
+
+
 def test_one_of_two_forces_in_kilonewton_is_found():
     alpha = np.linspace(-0.1, 0.1, len(KAPPA))
     columns = frame(KAPPA) | {"alpha": alpha, "Fy": 30 * alpha}

@@ -47,11 +47,6 @@ _EMPTY, _NOT_A_NUMBER = "where a number is needed", "is not a number"
 NO_VALUE, NO_RUN = "the value is not available", "is not a run's name"
 _MISSING = (_EMPTY, _NOT_A_NUMBER, NO_VALUE, NO_RUN)
 """Rules that cells without a value break: their rows are excluded, not refused."""
-_SHARES = (5e-3, 5.0)
-_HEAVIEST = 1e3
-"""Largest median load [N] for which kN are suggested: no wheel carries a meganewton."""
-_LONGEST_ARM = 0.5  # m, of M_z over the load: five times the trail of a truck's tire
-_LEAST_SLIP = (("fx", "sigma_x", 0.01), ("fy", "alpha", np.radians(0.5)))
 
 
 class BadRows(NamedTuple):
@@ -279,57 +274,6 @@ def check_variation(columns: Mapping[str, np.ndarray], file: str) -> list[InputP
     value = ", ".join(f"{name} = {columns[name][0]:.6g}" for name in slips)
     remedy = "a fit needs rows at several slips: check that the right column is read"
     return [InputProblem(f"constant slip ({value} in all used rows)", remedy, file)]
-
-
-def doubt_units(columns: Mapping[str, np.ndarray], headers: Mapping[str, str]) -> list[str]:
-    """Warnings on forces that no tire has at its load.
-
-    Force over load is some 5 to 30 times the slip until the tire slides, then about the
-    friction. If the 99th percentile is out of ``_SHARES``, a unit is wrong. A small
-    force is not reported if the slips are small as well.
-
-    Args:
-        columns: (n,) canonical columns, used rows only.
-        headers: the header of each column in the file.
-    """
-    messages = []
-    for force, slip, least in _LEAST_SLIP:
-        if force not in columns or "fz" not in columns:
-            continue
-        share = np.percentile(abs(columns[force]) / columns["fz"], 99)
-        slips = slip in columns and np.percentile(abs(columns[slip]), 99) > least
-        name = repr(headers.get(force, force))
-        low, high = _SHARES
-        if share > high:
-            mended, column = share / 1000, "fz"
-            much, why = f"{share:.0f} times the load", "which no tire has"
-        elif share < low and slips:
-            mended, column = share * 1000, force
-            much = f"only {share:.2g} of the load"
-            why = "too little at these slips"
-        else:
-            continue
-        remedy = f"check the units of {force} and fz"
-        possible = column != "fz" or np.median(columns["fz"]) < _HEAVIEST
-        if 10 * low < mended < high and possible:
-            where = headers.get(column, f"--constant {column}")
-            remedy = f"if {where!r} is in kN, pass --unit {column}=kN"
-            if column not in headers:
-                remedy = f"give {where} in N, not in kN"
-        messages.append(
-            f"{name} reaches {much}, {why}: the unit of one of the two is probably wrong"
-            f" (kN read as N?); {remedy}"
-        )
-    if {"mz", "fz"} <= set(columns):
-        arm = np.percentile(abs(columns["mz"]) / columns["fz"], 99)
-        if arm > _LONGEST_ARM:
-            name = repr(headers.get("mz", "mz"))
-            messages.append(
-                f"{name} reaches {arm:.2g} m times the load, an arm that no tire has: one of the"
-                " two is in another unit than it was read in; check the units of mz and of the"
-                " forces (--unit fz=kN, --unit mz=Nmm)"
-            )
-    return messages
 
 
 def doubt_time(time: np.ndarray, run: np.ndarray, lines: np.ndarray, header: str) -> list[str]:

@@ -17,6 +17,7 @@ from tirefit.data.cells import words_of
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Plan, plan_columns
 from tirefit.data.declared import Options, Signs
+from tirefit.data.doubtful_units import doubt_units
 from tirefit.data.findings import findings
 from tirefit.data.kinds import read_table
 from tirefit.data.quaternion import with_headings
@@ -399,8 +400,7 @@ def _drop_idle_forces(reading: _Reading) -> None:
             reading.columns.pop(name)
             header = reading.headers.pop(name, name)
             reading.idle.append(header)
-            sentence = f"column {header!r} not used: it is zero in all rows"
-            reading.assumptions.append(sentence)
+            reading.assumptions.append(f"column {header!r} not used: it is zero in all rows")
 
 
 def _problems_of_rows(reading: _Reading) -> tuple[list[InputProblem], list[InputProblem]]:
@@ -474,7 +474,7 @@ def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:
     doubts = [doubt] if doubt else []
     units = {c.name: c.unit_text for c in reading.plan.columns.values()}
     doubts += signs.doubt_signs(used, reading.headers, definition, read_as, units)
-    doubts += reading.unread + reading.doubts + check.doubt_units(used, reading.headers)
+    doubts += reading.unread + reading.doubts + doubt_units(used, reading.headers, reading.plan)
     if "time" in used and reading.options.curve:
         header = reading.headers.get("time", "time")
         doubts += check.doubt_time(used["time"], run[good], lines, header)
