@@ -7,6 +7,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import time
 from contextlib import redirect_stdout
 from glob import glob
 from pathlib import Path
@@ -23,11 +24,11 @@ FILES = (ROOT / "docs" / "reference" / "files.md").read_text(encoding="utf-8")
 FENCE = re.compile(r'^ *```(\w*)(?: title="(.*)")?$')
 SHELL = ("console", "sh")
 
-NOT_RUN = {
-    "docs/how-to/cluster.md": "needs a scheduler and workers on other machines",
-    "docs/how-to/magic-formula.md": "the commands of docs/tutorials/rig.md",
-}
-"""Page -> why its commands are not run."""
+REPEATED = {"docs/how-to/magic-formula.md": "docs/tutorials/rig.md"}
+"""Page -> the page that runs the same commands; they take minutes."""
+
+SCHEDULER = "tcp://127.0.0.1:8786"
+"""Address on the page of clusters; another scheduler of this machine may have the port."""
 
 
 class Block(NamedTuple):
@@ -113,9 +114,38 @@ def undocumented(path):
     return sorted(set(content) - keys)
 
 
-def run(command):
+@pytest.fixture
+def served(tmp_path):
+    """Start a `dask` command of a page in the background; its processes end with the test."""
+    processes, file = [], tmp_path / "scheduler.json"
+
+    def start(words):
+        if words[1] == "scheduler":
+            words = [*words, "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+            words += ["--scheduler-file", str(file)]
+        else:
+            words = [word for word in words if word != SCHEDULER] + ["--scheduler-file", str(file)]
+        line = [str(Path(sys.executable).parent / "dask"), *words[1:]]
+        with (tmp_path / f"{words[1]}.log").open("w") as log:
+            processes.append(subprocess.Popen(line, stdout=log, stderr=log))
+        while not file.exists():
+            assert processes[0].poll() is None, (tmp_path / "scheduler.log").read_text()
+            time.sleep(0.1)
+
+    start.address = lambda: json.loads(file.read_text())["address"]
+    yield start
+    for process in reversed(processes):
+        process.terminate()
+        process.wait()
+
+
+def run(command, served):
     """Run a command here if it is tirefit, else as a process; what it prints."""
     words = shlex.split(command, comments=True)
+    if words[0] == "dask":
+        served(words)
+        return ""
+    words = [served.address() if word == SCHEDULER else word for word in words]
     given = None
     if "<" in words:
         given = Path(words[words.index("<") + 1]).read_text(encoding="utf-8")
@@ -134,7 +164,7 @@ def run(command):
     return subprocess.run(words, capture_output=True, text=True, check=True).stdout
 
 
-def run_block(block, names):
+def run_block(block, names, served):
     """Run the commands or the code of a block; what code printed."""
     if block.title and "." in block.title:  # a file that later commands read
         text = "\n".join([*block.lines, ""])
@@ -148,7 +178,7 @@ def run_block(block, names):
         for command, shown in steps(block):
             if command.startswith(("gcc", "./call")) and shutil.which("gcc") is None:
                 continue
-            printed = run(command)
+            printed = run(command, served)
             assert missing(shown, printed) is None, (command, printed)
     return ""
 
@@ -162,10 +192,10 @@ SHORT = ("docs/getting-started.md", "docs/tutorials/friction.md")
     [
         pytest.param(name, marks=[pytest.mark.long] * (name not in SHORT))
         for name in PAGES
-        if name not in NOT_RUN
+        if name not in REPEATED
     ],
 )
-def test_commands_of_a_page_print_the_shown_output(page, unrendered, tmp_path, monkeypatch):
+def test_commands_of_a_page_print_the_shown_output(page, unrendered, served, tmp_path, monkeypatch):
     large = shutil.ignore_patterns("*.png", "*.ipynb")
     shutil.copytree(ROOT / "fits", tmp_path / "fits", ignore=large)
     for samples in ("docs/samples", "tirefit/samples", "tests/data/tir"):
@@ -178,14 +208,23 @@ def test_commands_of_a_page_print_the_shown_output(page, unrendered, tmp_path, m
     for block in blocks(PAGES[page].read_text(encoding="utf-8")):
         if not block.language and printed:  # the output of the code above it
             assert missing(block.lines, printed) is None, printed
-        printed = run_block(block, names)
+        printed = run_block(block, names, served)
     written = [*tmp_path.glob("*.json"), *tmp_path.glob("[!fdt]*/**/*.json")]
     if "how-to" not in page:
         assert {str(path): undocumented(path) for path in written if undocumented(path)} == {}
 
 
-def test_a_page_that_is_not_run_exists():
-    assert NOT_RUN.keys() <= PAGES.keys()
+def commands(page):
+    """All commands of a page, without comments."""
+    text = PAGES[page].read_text(encoding="utf-8")
+    found = [command for one in blocks(text) if one.language in SHELL for command, _ in steps(one)]
+    return [shlex.split(command, comments=True) for command in found]
+
+
+@pytest.mark.parametrize("page", REPEATED)
+def test_the_commands_of_a_page_that_is_not_run_are_those_of_another(page):
+    assert commands(page)
+    assert [one for one in commands(page) if one not in commands(REPEATED[page])] == []
 
 
 @pytest.mark.parametrize(

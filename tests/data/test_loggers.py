@@ -336,15 +336,15 @@ def motec_log(unit="deg", names=NAMES):
     return motec(columns, dict(zip(names, ["s", "km/h", "km/h", "deg/s", unit], strict=True)))
 
 
-@pytest.mark.parametrize("unit", ["deg", "rad"])
-def test_the_shown_vehicle_file_derives_the_front_axle_of_a_log(tmp_path, unit):
+@pytest.mark.parametrize(("unit", "lateral"), [("deg", "Lat Vel"), ("rad", "Lateral Speed")])
+def test_the_shown_vehicle_file_derives_the_front_axle_of_a_log(tmp_path, unit, lateral):
     path, toml = tmp_path / "log.csv", tmp_path / "car.toml"
-    path.write_text(motec_log(unit), newline="")
+    path.write_text(motec_log(unit, (*NAMES[:2], lateral, *NAMES[3:])), newline="")
     (problem,) = refused(read, path)
     toml.write_text(problem.remedy.partition("\n")[2])
     assert "steering ratio" in toml.read_text()
     vehicle = load_vehicle(toml)
-    assert vehicle.columns.v_y == "Lat Vel"
+    assert vehicle.columns.v_y == lateral
     found = derive(path, vehicle, "front").columns
     steering = np.interp(found["time"], motion()[0], motion()[-1])
     np.testing.assert_allclose(found["steering"], steering, atol=5e-4)  # 5 Hz low-pass

@@ -15,8 +15,8 @@ _ENDS = {
     "y": "y",
     "yaw": "yaw psi heading theta",
     "v_x": "vx speedx velx velocityx vlong vlon longvel linearx groundspeed corrspeed gpsspeed"
-    " vehiclespeed velocity",
-    "v_y": "vy speedy vely velocityy vlat latvel lineary lateralvel lateralvelocity",
+    " vehiclespeed velocity longitudinalspeed",
+    "v_y": "vy speedy vely velocityy vlat latvel lineary lateralvel lateralvelocity lateralspeed",
     "yaw_rate": "r yawrate yawvelocity psidot gyroz angularz angularvelocityz",
     "a_y": "ay accy accely latacc lateralacceleration gforcelat accellateral",
     "steering": "steering steer delta steeringangle steeredangle steerangle steeringwheel"
