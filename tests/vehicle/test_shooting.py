@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
+from tirefit.vehicle.intervals import INTERVALS, Optimum, ends_by
 from tirefit.vehicle.shooting import Data, linearised, minimised, sandwich
 
 TIME = np.linspace(0.0, 1.0, 21)
@@ -85,3 +86,24 @@ def test_the_sandwich_of_a_mean_is_its_standard_error_between_windows(pull):
     if not pull:
         error = middle.std(ddof=1) / np.sqrt(WINDOWS)
         np.testing.assert_allclose(np.sqrt(found), [[error]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("how", INTERVALS)
+def test_intervals_of_a_straight_line_are_those_of_the_given_errors(how):
+    """Of the sandwich, whatever the curvature is; the likelihood is normal."""
+    noise, pull, none = np.array([0.5]), np.zeros(2), np.zeros((WINDOWS, 1))
+    logged = 0.5 * np.random.default_rng(2).standard_normal((WINDOWS, len(TIME), 1))
+    data = Data(none, none, logged, none)
+
+    def line(z, start, window):
+        return (z[0] + z[1] * TIME + start[0] * TIME**2)[:, None] - window.logged
+
+    run = linearised(lambda z, start, window, parts: line(z, start, window), 1)
+    z = jnp.zeros(2)
+    z, starts, now, _ = minimised(run, z, none, run(z, none, data), data, noise, pull)
+    std, reach = np.array([0.3, 0.7]), 2.2
+    optimum = Optimum(line, z, starts, now, jnp.asarray(noise), jnp.asarray(pull), data)
+    ends = ends_by(how, optimum, std, reach, 0) - np.asarray(z)
+    # 1000 draws know a quantile of 2.5 % to a tenth.
+    tolerance = 0.15 if how == "importance" else 1e-3
+    np.testing.assert_allclose(ends, reach * np.outer((-1, 1), std), rtol=tolerance)
