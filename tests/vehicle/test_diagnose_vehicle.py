@@ -3,6 +3,7 @@ independent program (fits/withheld_vehicle/drives.py)."""
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +20,7 @@ from tirefit.results import DataError, UsageError
 from tirefit.vehicle import subject
 from tirefit.vehicle.applied import Applied
 from tirefit.vehicle.car import cubic, delayed, lagged, with_play
+from tirefit.vehicle.diagnose import _errors
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples, Setting
 from tirefit.vehicle.model import Model
 
@@ -193,6 +195,16 @@ def _leaves(setting, name=""):
             yield from _leaves(value, f"{name}{key}.")
         else:
             yield f"{name}{key}", value
+
+
+@pytest.mark.parametrize("spread", [0.01, 1.0])
+def test_the_error_of_an_amplitude_is_at_least_that_between_parts(spread):
+    """The jackknife gives root(F - 1) times the scatter over F parts."""
+    fit = SimpleNamespace(key=("one",), errors=np.array([0.2]))
+    each = 1 + spread * np.array([[-1.0], [0.0], [1.0], [0.0]])
+    out = SimpleNamespace(effects=((), ("one",)), amplitude=(None, each))
+    right = max(0.2, np.sqrt(3) * spread * np.sqrt(0.5))
+    assert _errors(fit, out) == pytest.approx(right)
 
 
 def test_a_log_is_corrected_for_its_errors(late):
