@@ -17,6 +17,7 @@ from tirefit.diagnosis.effects.tire import STEPS
 from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.runs import offsets_of_runs
 from tirefit.diagnosis.rows.subject import fit_base
 
 KNOWN = effects_by_id(EFFECTS)
@@ -418,8 +419,24 @@ WIDER = {
 }
 
 
-def recovered(id, variant, made):
-    """Amplitude of a variant refitted to a force (n,), beside stiffness and friction."""
+LEFT = {
+    # At turning points, whose place is estimated.
+    "force_hysteresis-0": 0.4,
+    "force_hysteresis-1": 0.4,
+    "friction_hysteresis-0": 0.4,
+    # A filter acts on the force of the base model; the pattern comes from the plain fit.
+    "channel_delay-2": 0.3,
+    "relaxation_length-1": 0.3,
+    "stiffness_run-0": 0.2,
+    # The angle before a sweep is not known; there the force is steep.
+    "steering_delay-0": 0.55,
+    "steering_lag-0": 0.55,
+}
+"""Largest share of an effect that its refit leaves, instead of a twentieth."""
+
+
+def refitted(id, variant, made):
+    """The base, and a variant refitted to a force (n,) beside stiffness and friction."""
     w, lateral = drive(), id in LATERAL
     frame = {"time": w.t, "fz": w.fz, "v": w.v}
     if lateral:
@@ -437,8 +454,7 @@ def recovered(id, variant, made):
     usual = prior.center[variant] or 0.3
     starts = [Start(base.z, np.array([sign * usual])) for sign in (1.0, -1.0)]
     fits = base.refit(starts, [(variant,)] * 2)
-    best = max(fits, key=lambda fit: fit.log_evidence)
-    return base.amplitudes(best.atoms, best.amplitude)[variant]
+    return base, max(fits, key=lambda fit: fit.log_evidence)
 
 
 OFTEN = {
@@ -475,6 +491,20 @@ def test_the_amplitude_of_an_effect_is_recovered(id, variant, amplitude, truth):
         ]
     made = truth(drive(), amplitude)
     # The effect is well above the noise of 3 N, so that its sign is not by chance.
-    assert np.sqrt(np.mean((made - force(drive())) ** 2)) > 10
+    size = np.std(made - force(drive()))
+    assert size > 10
     tolerance = WIDER.get(f"{id}-{variant}", WIDER.get(id, EXACT))
-    assert recovered(id, variant, made) == pytest.approx(amplitude, rel=tolerance)
+    base, fit = refitted(id, variant, made)
+    amplitudes = base.amplitudes(fit.atoms, fit.amplitude)
+    assert amplitudes[variant] == pytest.approx(amplitude, rel=tolerance)
+    # A term that is missing, of the load for instance, need not change the amplitude.
+    (found,) = base.forces(fit.z, amplitudes).values()
+    assert np.std(made - found) < LEFT.get(f"{id}-{variant}", 0.05) * size
+
+
+def test_offsets_of_runs_are_found_in_newtons():
+    made = force(drive()) + 16e3 * OFFSETS[drive().block]
+    base, fit = refitted("force_offset_run", 0, made)
+    found = offsets_of_runs(base, fit)["force_offset"]
+    values = [value - found.common for value, _ in found.values.values()]
+    np.testing.assert_allclose(values, 16e3 * OFFSETS, atol=3.0)

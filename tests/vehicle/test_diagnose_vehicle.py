@@ -3,6 +3,7 @@ independent program (fits/withheld_vehicle/drives.py)."""
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,11 +13,16 @@ from typer.testing import CliRunner
 import tirefit
 from fits.withheld_vehicle.drives import LISTED, Trial, trial, written
 from tirefit.cli.commands import app
+from tirefit.data.vehicle import load_vehicle
+from tirefit.diagnosis.effects import Atom
 from tirefit.models import Brush
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle import subject
+from tirefit.vehicle.applied import Applied
 from tirefit.vehicle.car import cubic, delayed, lagged, with_play
+from tirefit.vehicle.diagnose import _errors
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples, Setting
+from tirefit.vehicle.model import Model
 
 FEW = ("steering_delay", "yaw_inertia", "steering_offset", "relaxation_length")
 LIBRARY = tuple(effect for effect in CAR_EFFECTS if effect.id in FEW)
@@ -189,6 +195,34 @@ def _leaves(setting, name=""):
             yield from _leaves(value, f"{name}{key}.")
         else:
             yield f"{name}{key}", value
+
+
+@pytest.mark.parametrize("spread", [0.01, 1.0])
+def test_the_error_of_an_amplitude_is_at_least_that_between_parts(spread):
+    """The jackknife gives root(F - 1) times the scatter over F parts."""
+    fit = SimpleNamespace(key=("one",), errors=np.array([0.2]))
+    each = 1 + spread * np.array([[-1.0], [0.0], [1.0], [0.0]])
+    out = SimpleNamespace(effects=((), ("one",)), amplitude=(None, each))
+    right = max(0.2, np.sqrt(3) * spread * np.sqrt(0.5))
+    assert _errors(fit, out) == pytest.approx(right)
+
+
+def test_a_log_is_corrected_for_its_errors(late):
+    """Written with errors of the sideslip, the yaw rate and the point."""
+    vehicle, sizes = load_vehicle(late[1]), {"sideslip_zero": 0.02, "yaw_rate_zero": 0.03}
+    sizes["tracked_point"] = 0.1
+    atoms = tuple(Atom(one) for one in CAR_EFFECTS if one.id in sizes)
+    scales = tuple(atom.effect.scale for atom in atoms)
+    z = np.append(np.zeros(4), np.divide([sizes[atom.effect.id] for atom in atoms], scales))
+    true, v_x = {"v_y": np.array([0.3, -0.2]), "yaw_rate": np.array([0.5, 0.8])}, np.array([2, 3])
+    ahead = 0.1 * (vehicle.l_f + vehicle.l_r)
+    logged = {
+        "v_y": true["v_y"] + 0.02 * v_x + ahead * true["yaw_rate"],
+        "yaw_rate": true["yaw_rate"] + 0.03,
+    }
+    found = Applied(Model(atoms, scales, 2), z, 1.0).corrected(logged, v_x, vehicle)
+    for name, right in true.items():
+        np.testing.assert_allclose(found[name], right, rtol=1e-9, err_msg=name)
 
 
 def test_every_withheld_effect_is_one_of_the_library():

@@ -3,6 +3,7 @@ with explicit start states, quadrature of the evidence, and simulations in plain
 (fits/withheld_vehicle/drives.py)."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,11 +34,11 @@ def few_windows():
         yield
 
 
-def windows(log, vehicle_file, tires, library):
-    """The subject of one log, and its motion."""
+def windows(logs, vehicle_file, tires, library):
+    """The subject of some logs."""
     vehicle = load_vehicle(vehicle_file)
     found = cut_logs(
-        [log], vehicle, lambda track, motion: windows_of(track, motion, vehicle, 1.0), "", ""
+        logs, vehicle, lambda track, motion: windows_of(track, motion, vehicle, 1.0), "", ""
     )
     return subject_of(found, vehicle, [axle_tire(one) for one in tires], library)[0]
 
@@ -47,7 +48,7 @@ def of_trial(folder, number, effect="", size=0.0, library=CAR_EFFECTS, off=1.0):
     one = Trial(number, effect, size, one.car, seconds=16.0)
     log, vehicle = written(one, folder)
     tires = [Brush(cpa2=off * c, mu=mu) for c, mu in one.car["tires"]]
-    made = windows(log, vehicle, tires, library)
+    made = windows([log], vehicle, tires, library)
     noise = (0.02, 0.004) if not one.car["small"] else (0.006, 0.004 / 0.3)
     return replace(made, noise=np.array(noise)), one
 
@@ -145,6 +146,19 @@ def test_the_noise_of_a_fit_is_that_of_a_ridge_with_explicit_start_states(small)
     level = np.mean(rest**2, axis=0) * m / (m - np.sum(unit[:m] ** 2))
     found = small.with_noise_of(fit).noise
     np.testing.assert_allclose(found, small.noise * np.sqrt(level), rtol=1e-4)
+
+
+def test_the_time_of_effects_runs_over_all_logs(tmp_path):
+    """The same log twice."""
+    one = Trial(5, "", 0.0, trial(5, "none").car, seconds=6.0)
+    log, vehicle = written(one, tmp_path)
+    again = tmp_path / f"again{Path(log).suffix}"
+    again.write_bytes(Path(log).read_bytes())
+    tires = [Brush(cpa2=c, mu=mu) for c, mu in one.car["tires"]]
+    cut = windows([log, again], vehicle, tires, CAR_EFFECTS[:1]).cut
+    first, second = (cut.rows.time[cut.log == k] for k in (0, 1))
+    np.testing.assert_allclose(second, first + 0.5, atol=1e-9)
+    assert -0.5 <= first.min() < first.max() <= 0.0
 
 
 def test_an_unlisted_force_acts_as_the_side_force_of_a_bank(tmp_path):
@@ -260,7 +274,7 @@ def test_a_floor_slope_and_a_zero_are_recovered_from_poses_of_another_point(tmp_
         "[filter]\ncutoff = 4.0\nsample_rate = 50\n"
     )
     library = [effect for effect in CAR_EFFECTS if effect.id in ("floor_slope", "sideslip_zero")]
-    made = windows(log, file, [Brush(cpa2=c, mu=mu) for c, mu in tires], library)
+    made = windows([log], file, [Brush(cpa2=c, mu=mu) for c, mu in tires], library)
     made = replace(made, noise=np.array([5e-4, 2e-3, 2e-3]))
     start = made.start
     begin = Start(start.z, np.zeros(3), start.state)
