@@ -136,6 +136,16 @@ def _follows_load(problem: FitProblem, scale: np.ndarray) -> bool:
     return bool(np.ptp(scale) > 1e-9 * scale.max() and np.ptp(ratio) < 1e-9 * ratio.max())
 
 
+def _shares_of_slip(solved: Solved, slip: str) -> dict[str, float]:
+    """Share of the variance of each force about its prediction that the noise of its slip
+    makes, over all rows."""
+    shares = {}
+    for name in (c.name for c in solved.problem.channels if c.slip == slip):
+        of_force = solved.problem.used(solved.problem.rows.scale[name]) ** 2
+        shares[name] = float(1 - np.sum(of_force) / np.sum(solved.at.variance[name]))
+    return shares
+
+
 def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
     problem = settled.solved.problem
     record: dict[str, Any] = {"loss": config.noise.loss}
@@ -160,6 +170,7 @@ def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
             )
     for slip, std in problem.slip_noise.items():
         record[slip] = {"median_std": float(np.median(std)), "source": "given"}
+        record[slip]["share_of_variance"] = _shares_of_slip(settled.solved, slip)
     record["inflation"] = {k: float(rule.inflation) for k, rule in problem.rules.items()}
     return record
 

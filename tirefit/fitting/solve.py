@@ -15,6 +15,7 @@ from tirefit.fitting.inference import (
     Linearised,
     best_of,
     covariance,
+    deviance_at,
     inflation,
     linearise,
     minima,
@@ -44,7 +45,12 @@ then ends where the sum of squares has doubled."""
 _SLIP_ROUNDS, _SLIP_STEP = 40, 0.3
 """Steps of a search with noisy slips, and the longest one in z."""
 _SETTLED_SLIPS = 1e-4
-"""Deviance that the last step could gain: 0.01 standard errors."""
+"""Deviance that one more step could gain: 0.01 standard errors."""
+_LARGE = 3.0  # residual of one row in 400
+_SLIP_HALVINGS, _MAY_RISE = 6, 0.5
+"""Halvings of a step, and the deviance by which it may rise: where slips are judged for the
+forces, the density is not that of the lowest deviance. Of 100 files with 5 N and 0.02 rad, one
+ended 80 above its lowest deviance without halvings."""
 _STEEP = 12.0
 """Steepness above which the slips are judged for the forces: at 9, intervals from the joint
 likelihood held in 23 of 24 files, at 15 in 14 of 16, at 60 in 6 of 12."""
@@ -179,30 +185,44 @@ def _settle_noise(task: FitTask, z, solver: Solver):
 def _settle_slips(problem: FitProblem, z):
     """The problem and the parameters at the largest likelihood over parameters, density of
     the slips and noise. Each step is Newton's for the profile over the density."""
-    problem, densities = with_densities(problem, {}, z)
+
+    def laid(problem, factors, z):
+        problem, densities = with_densities(problem, factors, z)
+        return problem, densities, _used(problem, linearise(problem, z))
+
+    here = laid(problem, {}, z)
     for _ in range(_SLIP_ROUNDS):
-        slope, information = _profiled(problem, densities, z)
+        problem, densities, at = here
+        slope, information = _profiled(problem, densities, at)
         step = -np.linalg.solve(information, slope)
-        gain, step = -slope @ step, np.clip(step, -_SLIP_STEP, _SLIP_STEP)
-        z = np.clip(z + step, -REACH, REACH)
-        problem, densities = with_densities(problem, _scale_updates(problem, z), z)
-        if gain < _SETTLED_SLIPS:
+        if -slope @ step < _SETTLED_SLIPS:
             break
-    return problem, z
+        step = np.clip(step, -_SLIP_STEP, _SLIP_STEP)
+        for _ in range(_SLIP_HALVINGS):
+            there = np.clip(z + step, -REACH, REACH)
+            here = laid(problem, {}, there)
+            if deviance_at(here[0], here[2]) < deviance_at(problem, at) + _MAY_RISE:
+                break
+            step = step / 2
+        z = there
+        if factors := _scale_updates(here[0], z):
+            here = laid(here[0], factors, z)
+    return here[0], z
 
 
-def _profiled(problem: FitProblem, densities: Mapping[str, SlipDensity], z, fixed=False):
-    """Half the slope (p,) of the deviance at z, and its curvature (p, p) from the slopes of
-    the rows: with the density profiled out where the likelihood depends on it, or fixed."""
-    at = _used(problem, linearise(problem, z))
-    slope, information = np.zeros(z.size), np.eye(z.size) / REACH**2
+def _profiled(problem: FitProblem, densities: Mapping[str, SlipDensity], at, fixed=False):
+    """Half the slope (p,) of the deviance, and its curvature (p, p) from the slopes of the
+    rows: with the density profiled out where the likelihood depends on it, or fixed."""
+    size = problem.layout.size
+    slope, information = np.zeros(size), np.eye(size) / REACH**2
     for name, values in at.values.items():
         slopes = at.slopes[name]
         slope += slopes.T @ values
         if name not in densities:
             information += slopes.T @ slopes
             continue
-        scores = -slopes * values[:, None]
+        # Squares of large residuals say nothing of the curvature, and make the steps too short.
+        scores = -slopes * np.where(values > _LARGE, 1.0, values)[:, None]
         fixed = fixed or problem.rows.nodes[name].of_force is not None
         information += scores.T @ scores if fixed else densities[name].profiled(scores)
     return slope, information
@@ -214,7 +234,8 @@ def _widened(problem: FitProblem, z) -> FitProblem:
     if not problem.slip_noise or problem.layout.is_sparse:
         return problem
     plain, densities = with_densities(problem, {}, z)
-    profiled, known = (_profiled(plain, densities, z, fixed)[1] for fixed in (False, True))
+    at = _used(plain, linearise(plain, z))
+    profiled, known = (_profiled(plain, densities, at, fixed)[1] for fixed in (False, True))
     values, axes = np.linalg.eigh(known)
     root, inverse = (axes * values**power @ axes.T for power in (0.5, -0.5))
     ratios, turned = np.linalg.eigh(inverse @ profiled @ inverse)

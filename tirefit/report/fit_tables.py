@@ -148,15 +148,20 @@ def _differs(record: dict) -> str:
 
 
 def noise_text(result: FitResult) -> str:
-    """Standard deviation of each noise, its source, and the distribution assumed."""
-    parts = []
+    """Standard deviation of each noise, its source, and the distribution assumed; for noise of
+    a slip also its part of the scatter, and what is assumed of the true slips."""
+    parts, of_slip = [], ""
     for name, record in result.noise.items():
         if isinstance(record, dict) and "median_std" in record:
             unit = FORCE_UNIT.get(name, "rad" if name == "alpha" else "-")
             unit = "" if unit == "-" else f" {unit}"
             std = format_number(record["median_std"], 3)
             parts.append(f"{name} {std}{unit} ({record['source']}{_differs(record)})")
-    return f"{', '.join(parts)}; {_noise_model(result)}"
+            for force, share in record.get("share_of_variance", {}).items():
+                of_slip += f"; noise of {name}: {100 * share:.2g} % of the variance of {force}"
+    if of_slip:
+        of_slip += " about its prediction; true slips: a smooth density that is estimated here"
+    return f"{', '.join(parts)}; {_noise_model(result)}{of_slip}"
 
 
 def run_rows(result: FitResult) -> Rows:
