@@ -1050,7 +1050,6 @@ def test_the_text_fits_one_screen_and_full_lists_all():
     assert "highest fz, left out of both fits: gap of 151 N" in full
     assert "load F_z 6000 N 81 % < 1e-12" in full
     assert "size of the slip shrinking 53 % 0.013" in full
-    assert "friction load F_z 412 83 %" in full
     assert "0.061 friction drift + load friction; friction drift 0.1234" in full
     assert (
         "pressure asymmetry of 0.24: recognised with probability 0.50, else taken for"
@@ -1205,8 +1204,8 @@ def test_the_page_contains_the_numbers_of_the_record(page_text):
     assert json.loads(record) == json.loads(diagnosis().to_json())
     shown = re.sub(r"<[^>]*>", " ", page_text.split("<pre>")[0])
     for part in (
-        "0.870", "0.061", "0.1234 ± 0.0056", "12.3", "4.5", "80 % [70 %, 85 %]", "81 %",
-        "&lt; 1e-12", "0.21", "0.96", "0.71", "0.00041", "0.0021 s", "19.7 N",
+        "0.870", "0.061", "0.1234 ± 0.0056", "80 % [70 %, 85 %]", "81 %",
+        "&lt; 1e-12", "0.21", "0.96", "0.71", "19.7 N",
         "0.00123", "outliers", "360 rows count as 287 in a fit",
         "ab12", "51234", "0.912", "fx_relative = 0.01", "F&lt;x&gt;", "iso-w", "125 N",
         "45.3 N", "seed 3", "27500 ± 5000", "94.0 ± 3.0 %",

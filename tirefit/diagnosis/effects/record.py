@@ -117,7 +117,7 @@ class Effect:
     needs: tuple[str, ...] = ()
     channels: tuple[str, ...] = ()
     variants: tuple[tuple[float, ...], ...] = ((),)
-    which: Callable[[tuple[float, ...], Any, object], str] | None = None
+    which: Callable[[tuple[float, ...], Covariates | None, object], str] | None = None
     during: Callable[[tuple[float, ...]], tuple[float, float]] | None = None
     singular: bool = False
     looks_like: tuple[str, ...] = ()
