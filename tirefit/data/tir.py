@@ -8,17 +8,208 @@ the units of the file on writing.
 import math
 import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from tirefit.data.text import decoded
-from tirefit.data.tir_check import notes_on, problems_of
-from tirefit.data.tir_file import TirFile, parsed, shortest
-from tirefit.data.tir_keys import COEFFICIENTS, LIMITS, ONLY_IN
+from tirefit.data.tir_file import Entry, TirFile, parsed, shortest
+from tirefit.data.tir_keys import (
+    COEFFICIENTS,
+    FITTYP,
+    LIMITS,
+    ONLY_IN,
+    POSITIVE,
+    PRESSURE_TERMS,
+    REQUIRED,
+    SIDES,
+    UNITS,
+)
 from tirefit.data.tire_file import other_tire
 from tirefit.door import TIRE, content_of, control_character
 from tirefit.results import DataError, InputProblem, UsageError
+
+PRESSURES = (1e4, 5e6)
+"""Range of inflation pressures [Pa], from a kart to an aircraft."""
+
+_PER_DEGREE = 2.0
+"""Largest |PKY1| [1/deg]. The smallest of truck tires is 5 per radian, the largest of
+race tires 60 per radian, which is 1 per degree."""
+
+_OLDER = (5.0, 51.0, 60.0)
+"""FITTYP of MF-Tyre 5.0, 5.1 and 6.0, which are evaluated as 5.2 and 6.1."""
+
+_NAMED = 6
+"""Largest number of keys or values that a sentence lists; it counts the others."""
+
+
+def problems_of(tir: TirFile) -> list[InputProblem]:
+    """All problems that prevent an evaluation, in the order of the lines."""
+    problems = [
+        *_of_units(tir),
+        *_of_model(tir),
+        *_twice(tir),
+        *_no_numbers(tir),
+        *_missing(tir),
+        *_of_values(tir),
+        *_of_limits(tir),
+    ]
+    return sorted(problems, key=lambda problem: problem.row or 0)
+
+
+def notes_on(tir: TirFile) -> list[str]:
+    """Sentences on assumptions, and on content that is not used."""
+    messages = list(tir.notes)
+    if tir.numbers.get("FITTYP") not in FITTYP:
+        messages.append(f"taken as Magic Formula {tir.version}: {tir.stated.because}")
+    messages += [f"no {force} in this file: {why}" for force, why in tir.lacks.items()]
+    if tir.commas:
+        messages.append(f"{tir.commas} values have a decimal comma: read as decimal point")
+    if empty := [e.key for e in tir.wanted() if not e.text]:
+        messages.append(f"keys without a value are ignored: {_listed(empty)}")
+    if tir.foreign:
+        messages.append(
+            f"MF {tir.version} has no {_listed(tir.foreign)}: ignored, which changes"
+            " the tire against programs that use them"
+        )
+    entry = tir.find("FE_METHOD")
+    if entry and entry.text.upper() == "YES" and not tir.ellipse:
+        messages.append(f"FE_METHOD = 'YES' is not used: MF {tir.version} has no friction ellipse")
+    use_mode = tir.numbers.get("USE_MODE")
+    if use_mode is not None and use_mode % 10 < 4 and not tir.lacks:
+        messages.append(f"USE_MODE = {use_mode:g} is not used: all forces, with combined slip")
+    if (number := tir.numbers.get("FITTYP")) in _OLDER:
+        messages.append(f"FITTYP = {number:g}: the equations of MF {tir.version} are used")
+    if tir.is_infofile:
+        messages.append("read as an infofile of CarMaker, in SI units")
+    elif not any(entry.section == "UNITS" for entry in tir.entries):
+        messages.append("there is no [UNITS] section: SI units assumed")
+    if tir.unit("ANGLE") != 1:
+        messages.append(
+            "ANGLE applies to the limits of alpha and gamma only: coefficients are per radian"
+        )
+    if tir.numbers.get("PKY1", 0) > 0 and tir.numbers.get("PDY1", 0) > 0:
+        messages.append(
+            "PKY1 > 0 gives F_y > 0 for alpha > 0: these are not the ISO-W axes of a"
+            " .tir file (--signs adapted-sae reads such a file)"
+        )
+    return messages
+
+
+def _problem(tir: TirFile, key: str, reason: str, remedy: str) -> InputProblem:
+    entry = tir.find(key)
+    return InputProblem(reason, remedy, tir.path, entry.row if entry else None)
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more
+
+
+def _of_units(tir: TirFile) -> Iterator[InputProblem]:
+    for quantity, sizes in UNITS.items():
+        entry = tir.find(quantity, "UNITS")
+        if entry is None or entry.text.lower() in sizes:
+            continue
+        reason = f"{quantity} = {entry.value} in [UNITS] is not supported"
+        remedy = f"write the file with one of {', '.join(sizes)}"
+        yield InputProblem(reason, remedy, tir.path, entry.row)
+    entry, stiffness = tir.find("ANGLE", "UNITS"), tir.numbers.get("PKY1", 0.0)
+    if entry and tir.unit("ANGLE") != 1 and 0 < abs(stiffness) < _PER_DEGREE:
+        reason = f"ANGLE = {entry.value}, and PKY1 = {stiffness:g} is per degree"
+        remedy = "write the coefficients per radian, with ANGLE = 'radians'"
+        yield InputProblem(reason, remedy, tir.path, entry.row)
+
+
+def _of_model(tir: TirFile) -> Iterator[InputProblem]:
+    if tir.stated.name is None:
+        known = ", ".join(f"{number} (MF {name})" for number, name in FITTYP.items())
+        remedy = f"write FITTYP to [MODEL]: {known}"
+        yield _problem(tir, "FITTYP", tir.stated.because, remedy)
+    entry = tir.find("FILE_TYPE")
+    if entry and entry.text.lower() != "tir":
+        reason = f"FILE_TYPE = {entry.value}, not 'tir'"
+        yield InputProblem(reason, "give a tire property file", tir.path, entry.row)
+    entry = tir.find("TYRESIDE")
+    if entry and tir.side not in SIDES:
+        reason = f"TYRESIDE = {entry.value} is not a side"
+        yield InputProblem(reason, f"one of {', '.join(SIDES)}", tir.path, entry.row)
+    if tir.numbers.get("USE_MODE", 0) < 0:
+        reason = f"USE_MODE = {tir.numbers['USE_MODE']:g} mirrors the tire"
+        remedy = "that is not supported: drop the minus and choose the side with --side"
+        yield _problem(tir, "USE_MODE", reason, remedy)
+
+
+def _twice(tir: TirFile) -> Iterator[InputProblem]:
+    """Keys with two values; a coefficient must not have them even in two sections."""
+    seen: dict[tuple[str | None, str], Entry] = {}
+    for entry in tir.entries:
+        anywhere = entry.key in COEFFICIENTS and entry.section != "UNITS"
+        first = seen.setdefault((None if anywhere else entry.section, entry.key), entry)
+        if (tir.number(first) or first.text) != (tir.number(entry) or entry.text):
+            reason = (
+                f"{entry.key} = {entry.value} contradicts {entry.key} = {first.value}"
+                f" in row {first.row}"
+            )
+            yield InputProblem(reason, "remove one of them", tir.path, entry.row)
+
+
+def _no_numbers(tir: TirFile) -> Iterator[InputProblem]:
+    """One problem for all values that are not numbers."""
+    bad = [e for e in tir.wanted() if e.text and tir.number(e) is None]
+    if bad:
+        message = f"{bad[0].key} = {bad[0].value} is not a number"
+        if len(bad) > 1:
+            some = [f"{entry.key} = {entry.value}" for entry in bad]
+            message = f"{len(bad)} values are not numbers: {_listed(some)}"
+        if sum("," in entry.value for entry in bad) == len(bad):
+            message += "; other values have a decimal point"
+        remedy = "give numbers such as 1.5 or -2e-3; removing a line changes the tire"
+        yield InputProblem(message, remedy, tir.path, bad[0].row)
+
+
+def _missing(tir: TirFile) -> Iterator[InputProblem]:
+    there = tir.numbers
+    if "FNOMIN" not in there:
+        reason = "FNOMIN is missing: the nominal load of all forces"
+        yield InputProblem(reason, "add it to [VERTICAL]", tir.path)
+    if len(tir.lacks) == len(REQUIRED):
+        reasons = "; ".join(f"no {force}: {why}" for force, why in tir.lacks.items())
+        remedy = "add the coefficients of at least one force"
+        yield InputProblem(f"no force is described: {reasons}", remedy, tir.path)
+    acting = [key for key in PRESSURE_TERMS if tir.numbers.get(key)]
+    if acting and "NOMPRES" not in there:
+        reason = f"NOMPRES is missing: the nominal pressure, to which {acting[0]} refers"
+        remedy = f"add it to [OPERATING_CONDITIONS], or set {', '.join(acting)} to 0"
+        yield InputProblem(reason, remedy, tir.path)
+    if tir.numbers.get("LMUV") and "LONGVL" not in there:
+        reason = "LONGVL is missing: LMUV refers to the nominal speed"
+        yield InputProblem(reason, "add it to [MODEL], or set LMUV to 0", tir.path)
+
+
+def _of_values(tir: TirFile) -> Iterator[InputProblem]:
+    numbers = tir.numbers
+    for key in POSITIVE:
+        if numbers.get(key, 1.0) <= 0:
+            reason = f"{key} = {numbers[key]:g} is not positive"
+            yield _problem(tir, key, reason, f"correct {key}")
+    low, high = PRESSURES
+    for key in ("NOMPRES", "INFLPRES"):
+        pressure = numbers.get(key)
+        if pressure is not None and pressure > 0 and not low <= pressure <= high:
+            reason = f"{key} is {pressure:g} Pa by [UNITS], which no tire has"
+            remedy = "correct it, or add PRESSURE = 'pascal' or 'bar' to [UNITS]"
+            yield _problem(tir, key, reason, remedy)
+
+
+def _of_limits(tir: TirFile) -> Iterator[InputProblem]:
+    for least, most in LIMITS.values():
+        low, high = tir.numbers.get(least), tir.numbers.get(most)
+        if low is not None and high is not None and low > high:
+            reason = f"{least} = {low:g} contradicts {most} = {high:g}"
+            remedy = "the smallest value is above the largest: correct one"
+            yield _problem(tir, least, reason, remedy)
+
 
 __all__ = ["TirFile", "brush_of", "notes_on", "parse_tir", "read_tir", "reduced_tir"]
 

@@ -1,15 +1,21 @@
-"""Source code of a tire's forces: C, NumPy and CasADi."""
+"""Source code of a tire's forces: C, NumPy, CasADi, and modules for JAX and MuJoCo."""
 
+import base64
 import math
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import export
 
+from tirefit.params import parameter_values
 from tirefit.slip import CONVENTIONS
 from tirefit.targets.program import Program, Term
-from tirefit.targets.tire import ALWAYS, QUANTITIES, Tire
+from tirefit.targets.tire import ALWAYS, INPUTS, QUANTITIES, Tire
 
 
 class Language(NamedTuple):
@@ -304,3 +310,110 @@ def _c_function(program: Program, name: str, given, count: int) -> list[str]:
         lines.append(f"    {place} = {result};")
     head = f"TIREFIT_INLINE void {name}({', '.join([*inputs, *given])})"
     return [head, "{", *lines, "}"]
+
+
+_PLATFORMS = ("cpu", "cuda", "rocm", "tpu")
+
+_LOADER = '''\
+import base64
+
+import jax
+import jax.numpy as jnp
+import jax.export
+
+_PROGRAM = """
+{program}
+"""
+_PROGRAM = jax.export.deserialize(bytearray(base64.b64decode(_PROGRAM)))
+
+
+def {name}({inputs}):
+    """Forces ({outputs}) of arrays or numbers; within jax.jit, and differentiable once
+    backwards (jax.grad, jax.vjp). Arrays take the place of jax.vmap."""
+    if not jax.config.jax_enable_x64:
+        raise RuntimeError("first: jax.config.update('jax_enable_x64', True)")
+    given = [jnp.asarray(one, float) for one in ({inputs},)]
+    given = jnp.broadcast_arrays(*given)
+    found = _PROGRAM.call(*(one.ravel() for one in given))
+    return tuple(one.reshape(given[0].shape) for one in found)
+'''
+
+
+_PATHS = "jax_hlo_source_file_canonicalization_regex"
+"""Option of JAX: the part of the names of local files that a program does not state."""
+
+
+def jax_source(draft: Draft) -> str:
+    """A Python module with a function of arrays; it needs only JAX."""
+    names, forces = draft.forces.inputs, draft.tire.function(draft.convention)
+
+    def one(*given):
+        known = dict(zip(names, given, strict=True))
+        found = forces(*(known.get(name, 0.0) for name in INPUTS))
+        return tuple(jnp.asarray(force, float) for force in found)
+
+    shape = export.symbolic_shape("n")
+    arrays = [jax.ShapeDtypeStruct(shape, jnp.float64)] * len(names)
+    before = getattr(jax.config, _PATHS)
+    jax.config.update(_PATHS, ".*")
+    try:
+        program = export.export(jax.jit(jax.vmap(one)), platforms=_PLATFORMS)(*arrays)
+        text = base64.b64encode(program.serialize(vjp_order=1)).decode()
+    finally:
+        jax.config.update(_PATHS, before)
+    above = [*draft.above, f"StableHLO of jax {jax.__version__}, for {_PLATFORMS}"]
+    loader = _LOADER.format(
+        program="\n".join(textwrap.wrap(text, 88)),
+        name=draft.name,
+        inputs=", ".join(names),
+        outputs=", ".join(draft.forces.outputs),
+    )
+    return "\n".join([*(f"# {line}" for line in above), "", loader])
+
+
+_WIDE, _MANY = 0.2, 3.0
+"""Half width of the bounds of the friction for ``mujoco.sysid``: a share of it if no
+standard error is known, else a number of standard errors."""
+
+_SNIPPET = '''
+
+def sysid_parameters(geoms):
+    """Sliding friction of the geoms of the wheels as a mujoco.sysid.ParameterDict.
+
+    Use it if MuJoCo's contact computes the tire forces. If the function above computes
+    them (data.xfrc_applied), the geoms must have no friction.
+    """
+    from mujoco import sysid
+
+    def write(spec, parameter):
+        for name in geoms:
+            geom = spec.geom(name)
+            geom.friction = [parameter.value[0], *geom.friction[1:]]
+
+    found = sysid.ParameterDict()
+    found.add(
+        sysid.Parameter(
+            "tire_friction", nominal={peak!r}, min_value={low!r}, max_value={high!r},
+            modifier=write,
+        )
+    )
+    return found
+'''
+
+
+def mujoco_source(draft: Draft) -> str:
+    """A Python module: the forces by NumPy, and the parameter of ``mujoco.sysid``."""
+    tire, names = draft.tire, list(draft.forces.outputs)
+    at = {"fz": CONVENTIONS[draft.convention].fz * tire.load, "v": tire.speed}
+    slip, peak = np.linspace(0.0, 0.95, 191), 0.0
+    for force, own in (("fx", "kappa"), ("fy", "alpha")):
+        if force in names:
+            given = [slip if k == own else at.get(k, 0.0) for k in draft.forces.inputs]
+            found = compiled(draft.forces)(*given)[names.index(force)]
+            peak = max(peak, float(np.max(np.abs(found))) / tire.load)
+    share = _WIDE
+    if "mu" in tire.spread:
+        share = _MANY * tire.spread["mu"] / parameter_values(tire.model)["mu"]
+    low, high = (float(f"{(1 + k * share) * peak:.6g}") for k in (-1, 1))
+    peak = float(f"{peak:.6g}")
+    return numpy_source(draft) + _SNIPPET.format(peak=peak, low=low, high=high)

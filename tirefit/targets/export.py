@@ -15,13 +15,19 @@ from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.tir import TIR_SIGNS
 from tirefit.results import DataError, InputProblem, Outcome, UsageError, unknown_names
 from tirefit.slip import CONVENTIONS
-from tirefit.targets.code import Draft, c_source, casadi_source, header, numpy_source
+from tirefit.targets.code import (
+    Draft,
+    c_source,
+    casadi_source,
+    header,
+    jax_source,
+    mujoco_source,
+    numpy_source,
+)
 from tirefit.targets.identifiers import reserved
-from tirefit.targets.mujoco import mujoco_source
 from tirefit.targets.parameters import PARAMETER_FILES, ParameterFile, one_line, parameter_text
 from tirefit.targets.refit import check_loss, over_problems
 from tirefit.targets.shape import Shape, shape_of
-from tirefit.targets.stablehlo import jax_source
 from tirefit.targets.tir import chrono_source, held_as_tir, held_by_chrono, tir_source
 from tirefit.targets.tire import Tire, tire_of
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.table import TireData, join
-from tirefit.data.tir_check import PRESSURES
+from tirefit.data.tir import PRESSURES
 from tirefit.fitting.config import FitConfig
 from tirefit.fitting.mf.parts import MOMENTS, PARTS, SLIPS_OF, is_pure, parts_named
 from tirefit.fitting.noise import NoiseLaw, noise_law
