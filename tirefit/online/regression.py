@@ -83,10 +83,10 @@ def corrected(p, gain, slope, noise) -> Float[Array, "2 2"]:
 
     Sums of products, not matrix products, which take longer for so few elements.
     """
-    by_slope = jnp.sum(p * slope, axis=1)
-    crossed = gain[:, None] * by_slope
+    by_slope = jnp.sum(p * slope[None], axis=1)
+    crossed = jnp.outer(gain, by_slope)
     spread = jnp.sum(slope * by_slope) + noise
-    return p - crossed - crossed.T + spread * gain[:, None] * gain
+    return p - crossed - crossed.T + spread * jnp.outer(gain, gain)
 
 
 class AbstractRegression(AbstractEstimator):
@@ -136,7 +136,7 @@ class AbstractRegression(AbstractEstimator):
         safe = jnp.where(curved, theta[1], 1.0)
         mu = jnp.where(curved, theta[0] ** 2 / safe * self.mu, jnp.nan)
         slope = jnp.stack([2 / theta[0], -1 / safe])  # of ln mu
-        mu_std = mu * jnp.sqrt(jnp.sum(slope * covariance * slope[:, None]))
+        mu_std = mu * jnp.sqrt(jnp.sum(covariance * jnp.outer(slope, slope)))
         flag = flag_of(
             (~(mu_std < RESOLVED * mu), Flag.LOW_USE),
             (slides, Flag.OUT_OF_RANGE),
