@@ -78,6 +78,17 @@ def limited(theta) -> Float[Array, "2"]:
     return theta.at[0].max(_LEAST_THETA)
 
 
+def corrected(p, gain, slope, noise) -> Float[Array, "2 2"]:
+    """(I - gain slope^T) P (I - gain slope^T)^T + noise gain gain^T.
+
+    Sums of products, not matrix products, which take longer for so few elements.
+    """
+    by_slope = jnp.sum(p * slope[None], axis=1)
+    crossed = jnp.outer(gain, by_slope)
+    spread = jnp.sum(slope * by_slope) + noise
+    return p - crossed - crossed.T + spread * jnp.outer(gain, gain)
+
+
 class AbstractRegression(AbstractEstimator):
     """Settings and derived parameters that estimators on theta share."""
 
@@ -125,7 +136,7 @@ class AbstractRegression(AbstractEstimator):
         safe = jnp.where(curved, theta[1], 1.0)
         mu = jnp.where(curved, theta[0] ** 2 / safe * self.mu, jnp.nan)
         slope = jnp.stack([2 / theta[0], -1 / safe])  # of ln mu
-        mu_std = mu * jnp.sqrt(slope @ covariance @ slope)
+        mu_std = mu * jnp.sqrt(jnp.sum(covariance * jnp.outer(slope, slope)))
         flag = flag_of(
             (~(mu_std < RESOLVED * mu), Flag.LOW_USE),
             (slides, Flag.OUT_OF_RANGE),

@@ -14,11 +14,12 @@ allows for a change; for a constant tire its errors are too wide by about sqrt(2
 
 from typing import ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tirefit.online.base import Estimate, Method, Sample, choose, floats, widest
-from tirefit.online.regression import AbstractRegression, limited
+from tirefit.online.regression import AbstractRegression, corrected, limited
 from tirefit.params import par
 
 _SAMPLES_OF_NOISE = 20.0
@@ -91,7 +92,13 @@ class Rls(AbstractRegression):
         return after, self._estimate(after, idle, slides, surprise)
 
     def hold(self, state: RlsState, dt, steps) -> tuple[RlsState, Estimate]:
-        held = state._replace(p=self._forgotten(state.p, self.forgetting ** (-steps)))
+        # A branch, as nearly every row comes without lost samples.
+        p = jax.lax.cond(
+            steps > 0,
+            lambda: self._forgotten(state.p, self.forgetting ** (-steps)),
+            lambda: state.p,
+        )
+        held = state._replace(p=p)
         return held, self._estimate(held, False, False, jnp.nan)
 
     def open(self, state: RlsState) -> RlsState:
@@ -106,8 +113,9 @@ class Rls(AbstractRegression):
     def _estimate(self, s: RlsState, idle, slides, surprise) -> Estimate:
         ratio = s.theta[1] / s.theta[0]
         slope = jnp.stack([-(ratio**2), 2 * ratio])  # of theta_2 over theta
-        inverse = jnp.eye(2) - jnp.outer(s.of_u2, slope) / (1 + slope @ s.of_u2)
-        covariance = s.squares / s.weight * (inverse @ s.p @ inverse.T)
+        # M^-1 = I - gain slope^T, by Sherman and Morrison.
+        gain = s.of_u2 / (1 + jnp.sum(slope * s.of_u2))
+        covariance = s.squares / s.weight * corrected(s.p, gain, slope, 0.0)
         return self.estimate(s.theta, covariance, idle, slides, surprise)
 
 
@@ -150,12 +158,11 @@ class Mit(AbstractRegression):
         error = x.y - s.theta @ x.u - s.theta[1] * ratio * x.u2
         # The slope of the prediction S(49).
         g = x.u + x.u2 * jnp.stack([-(ratio**2), 2 * ratio])
-        h = s.covariance @ g
-        spread = g @ h + self.force_noise**2 / count
+        noise = self.force_noise**2 / count
+        spread = g @ s.covariance @ g + noise
         # The mean of several samples moves the estimate as far as all of them.
         k = count * floats(self.gain0, self.gain1) * g
-        crossed = jnp.outer(k, h)
-        covariance = s.covariance - crossed - crossed.T + spread * jnp.outer(k, k)
+        covariance = corrected(s.covariance, k, g, noise)
         updated = MitState(limited(s.theta + k * error), covariance)
         idle, slides = self.beyond(x, s.theta[0], count)
         after: MitState = choose(idle | slides, state, updated)
