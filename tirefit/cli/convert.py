@@ -32,10 +32,7 @@ _SLIPS = 61  # slips of the grid, both ends included
 _SLIP_MAX = 0.3
 _SHARES_OF_NOMINAL = (0.5, 1.0, 1.5)
 
-
-class Force(StrEnum):
-    fx = "fx"
-    fy = "fy"
+Force = StrEnum("Force", "fx fy")
 
 
 def convert(

@@ -38,18 +38,10 @@ from tirefit.results import ExitCode, InputProblem, UsageError
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-
-class Solver(StrEnum):
-    optimistix = "optimistix"
-    jaxopt = "jaxopt"
-    gauss_newton = "gauss-newton"
-
-
-class Sampler(StrEnum):
-    emcee = "emcee"
-    nuts = "nuts"
-    importance = "importance"
-
+Solver = StrEnum(
+    "Solver", {"optimistix": "optimistix", "jaxopt": "jaxopt", "gauss_newton": "gauss-newton"}
+)
+Sampler = StrEnum("Sampler", "emcee nuts importance")
 
 PAGE_OF_ALL = "fits.html"
 

@@ -69,11 +69,7 @@ SetOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
 
-
-class Side(StrEnum):
-    left = "left"
-    right = "right"
-
+Side = StrEnum("Side", "left right")
 
 SideOption = Annotated[
     Side | None, typer.Option(help="FILE.tir: side of the vehicle (default: TYRESIDE of the file)")

@@ -38,10 +38,7 @@ from tirefit.data.tire_file import tire_kind
 from tirefit.files import json_safe
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
-
-class Axle(StrEnum):
-    rear = "rear"
-    front = "front"
+Axle = StrEnum("Axle", "rear front")
 
 
 def version() -> None:
