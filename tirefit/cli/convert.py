@@ -20,7 +20,7 @@ from tirefit.cli.options import (
     complain,
     errors_to_exit,
     model_names,
-    named_path,
+    path_option,
     say,
     start_jax,
 )
@@ -42,11 +42,7 @@ def convert(
     *,
     out: Annotated[
         Path,
-        typer.Option(
-            metavar="FOLDER|FILE.tir",
-            parser=named_path,
-            help="folder of the results; with --cpa2: .tir file to write",
-        ),
+        path_option("FOLDER|FILE.tir", "folder of the results; with --cpa2: .tir file to write"),
     ],
     magic_formula: Annotated[
         str | None,

@@ -22,7 +22,7 @@ from tirefit.cli.options import (
     errors_to_exit,
     forces_named,
     has_terminal,
-    named_path,
+    path_option,
     read_config,
     read_options,
     refuse_with_vehicle,
@@ -80,9 +80,7 @@ def fit(
     ] = None,
     sampler: Annotated[Sampler | None, typer.Option(help="posterior sampler")] = None,
     seed: SeedOrNone = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results")
-    ] = None,
+    out: Annotated[Path | None, path_option("FOLDER", "folder of the results")] = None,
     force: Annotated[
         list[str] | None, typer.Option(help="force to fit: fx, fy, mz (repeat for more)")
     ] = None,
