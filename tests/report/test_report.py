@@ -435,6 +435,14 @@ def test_corner_labels_do_not_overlap_the_numbers(plain, size):
     assert overlapping(texts) == []
 
 
+def test_the_corner_prints_strong_correlations(plain):
+    draws = np.random.default_rng(1).normal(1.0, 0.1, (4, 500, 3))
+    draws[..., 1] = 2 - draws[..., 0] + 0.2 * (draws[..., 1] - 1)
+    (axes,) = figure_of(with_chains(renamed(plain, 3), draws), "corner").axes
+    said = [text.get_text() for text in axes.texts if "±" not in text.get_text()]
+    assert said == ["−0.98"]  # 1 / sqrt(1 + 0.2**2), to two digits
+
+
 def test_figures_mark_parameters_that_are_not_identified(plain, sampled):
     labels = [axes.get_xlabel() for axes in vague(plain).plot("profile").axes]
     assert any("not identified" in label for label in labels)

@@ -20,7 +20,7 @@ from tirefit.cli.options import (
     complain,
     errors_to_exit,
     model_names,
-    named_path,
+    path_option,
     say,
     start_jax,
 )
@@ -32,10 +32,7 @@ _SLIPS = 61  # slips of the grid, both ends included
 _SLIP_MAX = 0.3
 _SHARES_OF_NOMINAL = (0.5, 1.0, 1.5)
 
-
-class Force(StrEnum):
-    fx = "fx"
-    fy = "fy"
+Force = StrEnum("Force", "fx fy")
 
 
 def convert(
@@ -45,11 +42,7 @@ def convert(
     *,
     out: Annotated[
         Path,
-        typer.Option(
-            metavar="FOLDER|FILE.tir",
-            parser=named_path,
-            help="folder of the results; with --cpa2: .tir file to write",
-        ),
+        path_option("FOLDER|FILE.tir", "folder of the results; with --cpa2: .tir file to write"),
     ],
     magic_formula: Annotated[
         str | None,

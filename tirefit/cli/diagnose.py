@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.core import TyperCommand
 
+from tirefit import __version__
 from tirefit.cli.diagnose_vehicle import TireOption, diagnose_car, refuse_tires
 from tirefit.cli.fit_one import wrote
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet, one_by_one, worst_of
@@ -306,8 +307,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     expected = written + drawn if figures else written
     document = out / f"{name}.json"
     if task.resume and all(_is_whole(out / one, len(table)) for one in expected):
-        record = _of_before(document)
-        if record and _is_done(document, table, task.settings, kept, seed):
+        if record := _done_before(document, table, task.settings, kept, seed):
             say(f"{file}: done before, kept: {document}")
             return ExitCode.OK, record
     result = study(table, holdout=kept, seed=seed, **task.settings)
@@ -324,16 +324,6 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     return exit_code(result.outcomes), record_of_document(document)
 
 
-def _of_before(document: Path) -> "FileRecord | None":
-    """The record of a document for the table of all results; None if it is damaged."""
-    from tirefit.diagnosis.summary.result import record_of_document
-
-    try:
-        return record_of_document(document)
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        return None
-
-
 def _is_whole(path: Path, rows: int) -> bool:
     """Whether a file exists and is complete: not empty, as after a crash or on a full
     disk; for a table, with as many lines as rows."""
@@ -344,13 +334,14 @@ def _is_whole(path: Path, rows: int) -> bool:
     return path.read_bytes().count(b"\n") == rows + 1
 
 
-def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
-    """Whether the document is of this file, these settings, this seed and version."""
-    from importlib.metadata import version
-
+def _done_before(path: Path, table, settings: dict, kept, seed: int) -> "FileRecord | None":
+    """The record of a document if it is whole, and of this file, these settings, this seed
+    and version."""
     from tirefit.diagnosis.effects import EFFECTS
+    from tirefit.diagnosis.summary.result import record_of_document
 
     try:
+        record = record_of_document(path)
         content = json.loads(path.read_text(encoding="utf-8"))
         data, sim = content["data"], content["simulator"]
         there = [
@@ -363,8 +354,8 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
             content["version"],
             content["settings"],
         ]
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return False
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return None
     source, rig, given = table.source, settings["rig"], settings.get("sim")
     # The stand-in for a simulator follows from the data.
     model = settings["model"] or there[3]
@@ -377,7 +368,7 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
         [*source.notes, *rig.notes, *rig.beside(table)],
         *base,
         seed,
-        version("tirefit"),
+        __version__,
         {
             "rig": asdict(rig),
             "effects": [e.id for e in EFFECTS if e.id not in settings["without"]],
@@ -386,4 +377,4 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
         },
     ]
     # Compare as in the document, where tuples are lists.
-    return there == json.loads(json.dumps(asked))
+    return record if there == json.loads(json.dumps(asked)) else None

@@ -13,8 +13,8 @@ from tirefit.cli.options import (
     Seed,
     complain,
     errors_to_exit,
-    named_path,
     numbers,
+    path_option,
     read_config,
     read_options,
     start_jax,
@@ -36,12 +36,7 @@ def estimate(
         str, typer.Option(metavar="NAME[,NAME...]", help="methods (see `tirefit methods`)")
     ] = "rls",
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            parser=named_path,
-            help="folder of the results (required without --follow)",
-        ),
+        Path | None, path_option("FOLDER", "folder of the results (required without --follow)")
     ] = None,
     follow: Annotated[
         bool, typer.Option("--follow", help="read rows from standard input as they come (LOG is -)")

@@ -22,7 +22,7 @@ from tirefit.cli.options import (
     errors_to_exit,
     forces_named,
     has_terminal,
-    named_path,
+    path_option,
     read_config,
     read_options,
     refuse_with_vehicle,
@@ -38,18 +38,10 @@ from tirefit.results import ExitCode, InputProblem, UsageError
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-
-class Solver(StrEnum):
-    optimistix = "optimistix"
-    jaxopt = "jaxopt"
-    gauss_newton = "gauss-newton"
-
-
-class Sampler(StrEnum):
-    emcee = "emcee"
-    nuts = "nuts"
-    importance = "importance"
-
+Solver = StrEnum(
+    "Solver", {"optimistix": "optimistix", "jaxopt": "jaxopt", "gauss_newton": "gauss-newton"}
+)
+Sampler = StrEnum("Sampler", "emcee nuts importance")
 
 PAGE_OF_ALL = "fits.html"
 
@@ -88,9 +80,7 @@ def fit(
     ] = None,
     sampler: Annotated[Sampler | None, typer.Option(help="posterior sampler")] = None,
     seed: SeedOrNone = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results")
-    ] = None,
+    out: Annotated[Path | None, path_option("FOLDER", "folder of the results")] = None,
     force: Annotated[
         list[str] | None, typer.Option(help="force to fit: fx, fy, mz (repeat for more)")
     ] = None,

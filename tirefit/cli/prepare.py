@@ -15,7 +15,7 @@ from tirefit.cli.options import (
     Folder,
     completed,
     errors_to_exit,
-    named_path,
+    path_option,
     read_config,
     read_options,
     say,
@@ -69,10 +69,8 @@ def prepare(
     ] = None,
     repeat: Annotated[
         Path | None,
-        typer.Option(
-            metavar="PREPARE.JSON",
-            parser=named_path,
-            help="repeat the steps of this record, on the same file or on others",
+        path_option(
+            "PREPARE.JSON", "repeat the steps of this record, on the same file or on others"
         ),
     ] = None,
     jobs: Jobs = None,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import OutFile, errors_to_exit, named_path, numbers, say, start_jax
+from tirefit.cli.options import OutFile, errors_to_exit, numbers, path_option, say, start_jax
 from tirefit.cli.output import check_table
 from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
@@ -22,10 +22,7 @@ simulate = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Truth = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE.csv", parser=named_path, help="CSV file of the true values"),
-]
+Truth = Annotated[Path | None, path_option("FILE.csv", "CSV file of the true values")]
 
 
 def _option(one: Field) -> inspect.Parameter:

@@ -6,6 +6,7 @@ Only matplotlib's object API is used: pyplot imports slowly and keeps global lis
 import io
 import textwrap
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -139,6 +140,14 @@ def panel_title(axes, text: str, note: str = "") -> None:
             color=GREY,
             va="bottom",
         )
+
+
+def save_pictures(
+    pictures: Iterable[tuple[str, Picture]], folder: Path, svg: bool = False
+) -> list[Path]:
+    """Write named pictures as PNG, and as SVG if ``svg``; returns the files."""
+    ends = (".png", ".svg") if svg else (".png",)
+    return [save_picture(one, folder / f"{name}{end}") for name, one in pictures for end in ends]
 
 
 def save_picture(picture: Picture, path: Path) -> Path:

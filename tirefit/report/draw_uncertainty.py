@@ -54,7 +54,9 @@ def draw_corner(axes: Any, corner: Corner) -> None:
             value_of = corner.correlation[i, j]
             if abs(value_of) >= _WORTH_SAYING:
                 shown = f"{value_of:+.2f}".replace("-", "−")
-                axes.text(i + 0.5, j + 0.5, shown, ha="center", color=DARK, **(text | {"size": 6}))
+                axes.text(
+                    i + 0.5, j + 0.5, shown, ha="center", color=DARK, **(text | {"fontsize": 6})
+                )
         color = DARK if corner.identified[i] else RED
         axes.text(count + 0.1, i + 0.5, value, color=color, clip_on=False, **text)
     axes.set_xlim(0, count)

@@ -3,16 +3,15 @@
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.report.fit_panels import PANELS, page_panels
 from tirefit.report.fit_tables import (
-    FORCE_UNIT,
     chain_rows,
     correlation_lines,
     derived_by_run,
     derived_rows,
     far_lines,
-    noise_text,
     open_lines,
     parameter_rows,
     posterior_lines,
+    quality_items,
     reference_text,
     route_rows,
     rows_text,
@@ -20,26 +19,9 @@ from tirefit.report.fit_tables import (
 )
 from tirefit.report.html import Section, page, verdict_parts
 from tirefit.report.labels import fit_files, run_lines
-from tirefit.report.numbers import format_number
 from tirefit.report.panels import images_of
 
 _MANY = 8  # largest number of parameters whose profiles are shown at once
-
-
-def _quality(result: FitResult) -> list[str]:
-    s = result.statistics
-    lines = [
-        f"RMSE {format_number(s.rmse)} {FORCE_UNIT[result.forces[0]]}, R² {s.r2:.5f}",
-        f"{s.n} rows, which count as {s.n_effective:.0f} independent ones;"
-        f" {s.dof:.0f} degrees of freedom",
-        f"AICc {s.aicc:.2f}, BIC {s.bic:.2f}",
-        f"noise: {noise_text(result)}",
-        f"{'converged' if s.converged else 'NOT CONVERGED'}, {s.starts_agreeing} of"
-        f" {s.starts} starts at the same place",
-    ]
-    if s.chi2_dof is not None:
-        lines.insert(1, f"χ²/dof {format_number(s.chi2_dof, 3)}")
-    return lines
 
 
 def _asked(result: FitResult) -> list[str]:
@@ -93,6 +75,7 @@ def _sections(result: FitResult) -> list[Section]:
     runs, at = "; ".join(run_lines(result)), f"at {reference_text(result)}; {result.source}"
     pairs = [f"correlated: {line}" for line in correlation_lines(result, most=20)]
     many = len(result.parameters) > _MANY
+    quality = [f"{name}: {text}" for name, text in quality_items(result)]
     return [
         Section("", [f"runs: {runs}"] * bool(runs), (), pictures["fit"]),
         Section("Parameters", (), parameter_rows(result), (), result.source),
@@ -101,7 +84,7 @@ def _sections(result: FitResult) -> list[Section]:
         Section("Run by run", (), (), pictures["runs"]),
         Section("What the data do not tell", [*(open_lines(result) or _NONE), *pairs]),
         Section("Rows far from everything", far_lines(result)),
-        Section("Residuals", _quality(result), (), pictures["residuals"]),
+        Section("Residuals", quality, (), pictures["residuals"]),
         Section("Residuals by run", (), run_rows(result), (), "bias: measured − fitted"),
         Section("Intervals", (), route_rows(result), (), _ROUTES),
         Section("Profile likelihood of each", (), (), pictures["profile"], folded=many),

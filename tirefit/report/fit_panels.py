@@ -8,7 +8,7 @@ from typing import Any
 
 from tirefit.fitting.result import FitResult
 from tirefit.report.by_name import draw_by_name, has_runs, run_points
-from tirefit.report.canvas import Picture, save_picture
+from tirefit.report.canvas import Picture, save_pictures
 from tirefit.report.curves import FitCurve, fit_curve
 from tirefit.report.draw import (
     draw_autocorrelation,
@@ -188,11 +188,8 @@ def save_figures(result: FitResult, directory: str | os.PathLike, svg: bool = Fa
     """
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    written, missing = [], missing_of(result)
-    for name in (name for name in PANELS if name not in missing):
-        picture = figure_of(result, name)
-        for suffix in (".png", ".svg") if svg else (".png",):
-            written.append(save_picture(picture, directory / f"{name}{suffix}"))
+    names = [name for name in PANELS if name not in missing_of(result)]
+    written = save_pictures(((name, figure_of(result, name)) for name in names), directory, svg)
     # Remove figures of an earlier fit, which would be mistaken for new ones.
     for name in FIGURE_FILES:
         if directory / name not in written:

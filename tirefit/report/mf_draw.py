@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from tirefit.fitting.mf.result import MagicFormulaFit
-from tirefit.report.canvas import GREY, Picture, panel_title, save_picture
+from tirefit.report.canvas import GREY, Picture, panel_title, save_pictures
 from tirefit.report.curves import FORCE_LABEL
 from tirefit.report.draw import draw_fit
 from tirefit.report.html import Section, image_of, page
@@ -20,7 +20,7 @@ MAGIC_FORMULA_FILES = tuple(
     for name in ("fit", *FORCE_LABEL, "residuals", "ellipse")
     for suffix in (".png", ".svg")
 )
-"""Every file that :func:`save_pictures` may write."""
+"""Every file that :func:`save_magic_formula` may write."""
 
 _HEIGHT = 3.5  # height of a panel with its legend [in]
 
@@ -88,11 +88,8 @@ def magic_formula_page(fit: MagicFormulaFit) -> str:
     return page(_title(fit), sections, record=fit.to_json())
 
 
-def save_pictures(fit: MagicFormulaFit, folder: Path, svg: bool = False) -> list[Path]:
+def save_magic_formula(fit: MagicFormulaFit, folder: Path, svg: bool = False) -> list[Path]:
     """Write the figures as PNG, and as SVG if ``svg``; returns the files."""
-    written, panels = [], panels_of(fit)
-    for name, shown in {"fit": _first(fit, panels), **panels}.items():
-        picture = stacked(shown, _title(fit))
-        for suffix in (".png", ".svg") if svg else (".png",):
-            written.append(save_picture(picture, folder / f"{name}{suffix}"))
-    return written
+    panels = panels_of(fit)
+    named = {"fit": _first(fit, panels), **panels}.items()
+    return save_pictures(((name, stacked(some, _title(fit))) for name, some in named), folder, svg)
