@@ -30,6 +30,7 @@ from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.fitting.config import FitConfig
 from tirefit.fitting.estimate import data_record
+from tirefit.fitting.family import NEAR_PEAK
 from tirefit.fitting.identified import limited
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.mf.result import TireLike
@@ -39,7 +40,7 @@ from tirefit.fitting.result import Estimate, layout_record
 from tirefit.fitting.solve import solve_problem
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.fitting.store import at_estimate
-from tirefit.models import MODELS, AbstractTire
+from tirefit.models import MODELS, AbstractTire, TireInputs, forces
 from tirefit.params import constrain, with_values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
@@ -73,6 +74,8 @@ WINDOW = 0.5
 """Length [s] of a window."""
 _ROUNDS = 3
 """Number of times that the noise of the channels is estimated again."""
+_MOST_SLIPS = 99.5
+"""Percentile of the derived slip angles that counts as their largest: few are errors."""
 _START_ROWS = 4000
 """Approximate number of rows to which the first tire of an axle is fitted."""
 SCHEMA = "tirefit.trajectory/1"
@@ -116,10 +119,34 @@ class TrajectoryFit(Record):
         return tuple(self.rows["front"].runs)
 
     @property
+    def reached(self) -> dict[str, float]:
+        """Axle -> share of the peak of its tire that the slip angles of its rows reach."""
+        found = {}
+        for axle, tire in self.axles.items():
+            rows = self.rows[axle]
+            own = np.percentile(np.abs(rows["alpha"]), _MOST_SLIPS)
+            alpha = np.append(own, np.linspace(0.0, 1.0, 200) * np.pi / 2)
+            at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
+            force = np.abs(np.asarray(forces(tire.tire, at).fy))
+            found[axle] = float(force[0] / force.max())
+        return found
+
+    @property
     def limits(self) -> dict[Outcome, str]:
-        """Whether the search converged, and the parameters that are not determined."""
+        """Whether the search converged, the parameters that are not determined, and the
+        axles whose friction follows from the shape of the model."""
         loose = ", ".join(name for name, one in self.parameters.items() if not one.identified)
+        below = [
+            f"{100 * share:.0f} % ({axle})"
+            for axle, share in self.reached.items()
+            if share < NEAR_PEAK
+        ]
+        shape = (
+            f"{Outcome.SHAPE_DEPENDENT}: the slip angles reach {', '.join(below)} of the peak;"
+            " compare with front=brush-d,rear=brush-d and with magic-formula"
+        )
         return {
+            Outcome.SHAPE_DEPENDENT: shape if below else "",
             Outcome.NOT_CONVERGED: "" if self.converged else "the search did not converge",
             Outcome.NOT_IDENTIFIED: loose and f"these logs do not determine {loose}",
         }
@@ -193,7 +220,7 @@ def fit_trajectory(
         >>> found = fit_trajectory([samples / "drive.csv"], samples / "vehicle.toml")
         >>> low, high = found.parameters["front.cpa2"].ci95
         >>> str(found.status), low < 43.6e3 < high  # [N], that of the simulated car
-        ('ok', True)
+        ('friction rests on the shape of the model', True)
     """
     require_x64("a fit by trajectory")
     vehicle = known_vehicle(vehicle)
