@@ -43,8 +43,8 @@ from tirefit.vehicle.model import PARAMETERS, Model
 from tirefit.vehicle.samples import LEAST_WINDOWS, Cut, joined_windows
 from tirefit.vehicle.shooting import CHANNELS, windows_of
 from tirefit.vehicle.subject import Windows
-from tirefit.vehicle.trajectory import derived_rows, started
-from tirefit.vehicle.windows import CutLog, cut_logs, known_vehicle, steering_problems
+from tirefit.vehicle.trajectory import started
+from tirefit.vehicle.windows import CutLog, cut_logs, derived_rows, known_vehicle, steering_problems
 
 SCHEMA = "tirefit.vehicle_diagnosis/1"
 

@@ -21,8 +21,6 @@ import numpy as np
 from scipy.special import stdtrit
 
 from tirefit import __version__
-from tirefit.data.motion import slip_and_force
-from tirefit.data.read import read_frame
 from tirefit.data.table import TireData
 from tirefit.data.vehicle import Vehicle, vehicle_toml
 from tirefit.display import Record
@@ -47,7 +45,7 @@ from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.vehicle.car import Car, State, car_of, delayed, predicted, steps_a_sample
 from tirefit.vehicle.intervals import INTERVALS, Optimum, ends_by
 from tirefit.vehicle.shooting import CHANNELS, Data, linearised, minimised, sandwich, windows_of
-from tirefit.vehicle.windows import cut_logs, known_vehicle, steering_problems
+from tirefit.vehicle.windows import cut_logs, derived_rows, known_vehicle, steering_problems
 
 
 class Unknown(NamedTuple):
@@ -76,8 +74,6 @@ _ROUNDS = 3
 """Number of times that the noise of the channels is estimated again."""
 _MOST_SLIPS = 99.5
 """Percentile of the derived slip angles that counts as their largest: few are errors."""
-_START_ROWS = 4000
-"""Approximate number of rows to which the first tire of an axle is fitted."""
 SCHEMA = "tirefit.trajectory/1"
 
 
@@ -256,24 +252,6 @@ def _check(vehicle: Vehicle, unknowns, given, intervals: str) -> None:
             reason = f"the {axle} tire {tire.name} has no free parameters"
             problems.append(InputProblem(reason, "name a model, such as brush"))
     UsageError.raise_for(problems)
-
-
-def derived_rows(found, vehicle: Vehicle, axle: str) -> TireData:
-    """Slip angle and force of an axle by the equations of ``derive``, of all logs."""
-    columns: dict[str, list] = {"alpha": [], "fy": [], "v": [], "run": []}
-    for log in found.values():
-        motion, (name, *_) = log.motion, log.runs
-        alpha, force, speed = slip_and_force(motion, vehicle, axle)
-        good = motion.settled & (motion.v_x > vehicle.v_min)
-        good &= (np.abs(alpha) < np.pi / 2) & (speed > 0)  # not while the car spins
-        each = alpha[good], force[good], speed[good]
-        for key, values in zip(columns, (*each, [name] * good.sum()), strict=True):
-            columns[key].extend(values)
-    step = max(len(columns["run"]) // _START_ROWS, 1)
-    cells = {k: np.array(v)[::step] for k, v in columns.items()}
-    arm = vehicle.l_r if axle == "front" else vehicle.l_f
-    load = vehicle.mass * vehicle.gravity * arm / (vehicle.l_f + vehicle.l_r)
-    return read_frame(cells | {"fz": np.full(len(cells["run"]), load)}, ", ".join(found))
 
 
 def started(tire: GivenTire, rows: TireData) -> GivenTire:
