@@ -155,6 +155,8 @@ def run(command, served):
         result = CliRunner().invoke(app, words[1:], input=given)
         # An exported tire may exceed the ellipse, which its page shows or states.
         code = 4 if "the tire fails a check of its forces" in result.output else 0
+        # The sample's drive does not reach the peak, nor do some of the fits.
+        code = code or 6 * ("friction rests on the shape of the model:" in result.output)
         assert result.exit_code == code, (command, result.output, result.exception)
         return result.output
     if words[0] in ("make", "source", "pip"):  # the installation, which the tests stand on

@@ -1,6 +1,7 @@
 """Fits by trajectory of simulated drives with known tires and unknowns."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ import tirefit
 from fits.formulas import brush
 from tirefit import fit_trajectory, replay
 from tirefit.cli.commands import app
+from tirefit.data.read import read_frame
 from tirefit.data.vehicle import load_vehicle
 from tirefit.models import Brush
-from tirefit.results import DataError, UsageError
+from tirefit.results import DataError, Outcome, UsageError
 from tirefit.targets.tire import tire_of
 
 DELAY, OFFSET = 0.06, 0.012  # s, rad
@@ -77,6 +79,20 @@ def test_the_tires_and_the_steering_are_recovered(found):
     assert found.noise["x"] == pytest.approx(1e-3, rel=0.15)
     text = found.summary()
     assert "steering_delay" in text and "NOT IDENTIFIED" not in text
+
+
+def test_a_friction_above_all_slip_angles_rests_on_the_shape_of_the_model(found):
+    assert found.status == Outcome.SHAPE_DEPENDENT
+    rear = found.rows["rear"]
+    alpha = np.percentile(np.abs(rear["alpha"]), 99.5)
+    cpa2, mu = (found.parameters[f"rear.{name}"].value for name in ("cpa2", "mu"))
+    of_full = np.tan(alpha) * 2 * cpa2 / (3 * mu * rear["fz"][0])
+    assert found.reached["rear"] == pytest.approx(1 - (1 - of_full) ** 3, rel=1e-6)
+    assert f"{100 * found.reached['rear']:.0f} % (rear) of the peak" in " ".join(str(found).split())
+    columns = {"alpha": np.linspace(-0.9, 0.9, 100), "v": np.full(100, 3.0)}
+    rows = read_frame(columns | {"fy": columns["alpha"], "fz": np.full(100, rear["fz"][0])})
+    slid = replace(found, rows={"front": rows, "rear": rows})
+    assert slid.status == Outcome.OK and min(slid.reached.values()) > 0.98
 
 
 def test_the_saved_fit_predicts_the_log(found, drive, tmp_path):
@@ -156,7 +172,7 @@ def test_the_command_writes_files_that_other_commands_read(drive, tmp_path):
         "--model", "front=brush,rear=brush", "--out", str(tmp_path / "out"),
     ]  # fmt: skip
     done = CliRunner().invoke(app, line)
-    assert done.exit_code == 0 and "FIT BY TRAJECTORY: front brush, rear brush" in done.stdout
+    assert done.exit_code == 6 and "FIT BY TRAJECTORY: front brush, rear brush" in done.stdout
     content = json.loads((tmp_path / "out" / "trajectory.json").read_text())
     assert content["schema"] == "tirefit.trajectory/1"
     assert set(content["parameters"]) == set(TRUE)

@@ -26,7 +26,6 @@ def _rows(fit: TrajectoryFit) -> list[list[str]]:
 
 def _notes(fit: TrajectoryFit) -> list[str]:
     return [
-        *fit.warnings,
         f"95 % by covariance; {fit.blocks} blocks of windows count as independent",
         "speed and steering are those of the log; axle loads are static; no drive force",
     ]
@@ -48,7 +47,8 @@ def _answer(fit: TrajectoryFit) -> str:
 def trajectory_text(fit: TrajectoryFit) -> str:
     """The report: tires and unknowns of the car, noise, assumptions."""
     messages = [line for note in _notes(fit) for line in indented(note)]
-    answer = ["ANSWER", *indented(_answer(fit)), "FOUND", *table(_rows(fit))]
+    first = [line for note in (*fit.warnings, _answer(fit)) for line in indented(note)]
+    answer = ["ANSWER", *first, "FOUND", *table(_rows(fit))]
     return "\n".join([_head(fit), *answer, "NOTES", *messages])
 
 

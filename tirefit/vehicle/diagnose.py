@@ -47,13 +47,14 @@ from tirefit.vehicle.car import car_of
 from tirefit.vehicle.effects import CAR_EFFECTS
 from tirefit.vehicle.model import PARAMETERS, Model
 from tirefit.vehicle.subject import Windows
-from tirefit.vehicle.trajectory import derived_rows, started
+from tirefit.vehicle.trajectory import started
 from tirefit.vehicle.windows import (
     CHANNELS,
     LEAST_WINDOWS,
     Cut,
     CutLog,
     cut_logs,
+    derived_rows,
     joined_windows,
     known_vehicle,
     steering_problems,

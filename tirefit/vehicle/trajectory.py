@@ -21,8 +21,6 @@ import numpy as np
 from scipy.special import stdtrit
 
 from tirefit import __version__
-from tirefit.data.motion import slip_and_force
-from tirefit.data.read import read_frame
 from tirefit.data.table import TireData
 from tirefit.data.vehicle import Vehicle, vehicle_toml
 from tirefit.display import Record
@@ -30,6 +28,7 @@ from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.fitting.config import FitConfig
 from tirefit.fitting.estimate import data_record
+from tirefit.fitting.family import NEAR_PEAK
 from tirefit.fitting.identified import limited
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.mf.result import TireLike
@@ -39,7 +38,7 @@ from tirefit.fitting.result import Estimate, layout_record
 from tirefit.fitting.solve import solve_problem
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.fitting.store import at_estimate
-from tirefit.models import MODELS, AbstractTire
+from tirefit.models import MODELS, AbstractTire, TireInputs, forces
 from tirefit.params import constrain, with_values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
@@ -50,6 +49,7 @@ from tirefit.vehicle.windows import (
     CHANNELS,
     Data,
     cut_logs,
+    derived_rows,
     known_vehicle,
     linearised,
     minimised,
@@ -83,8 +83,8 @@ WINDOW = 0.5
 """Length [s] of a window."""
 _ROUNDS = 3
 """Number of times that the noise of the channels is estimated again."""
-_START_ROWS = 4000
-"""Approximate number of rows to which the first tire of an axle is fitted."""
+_MOST_SLIPS = 99.5
+"""Percentile of the derived slip angles that counts as their largest: few are errors."""
 SCHEMA = "tirefit.trajectory/1"
 
 
@@ -124,10 +124,34 @@ class TrajectoryFit(Record):
         return tuple(self.rows["front"].runs)
 
     @property
+    def reached(self) -> dict[str, float]:
+        """Axle -> share of the peak of its tire that the slip angles of its rows reach."""
+        found = {}
+        for axle, tire in self.axles.items():
+            rows = self.rows[axle]
+            own = np.percentile(np.abs(rows["alpha"]), _MOST_SLIPS)
+            alpha = np.append(own, np.linspace(0.0, 1.0, 200) * np.pi / 2)
+            at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
+            force = np.abs(np.asarray(forces(tire.tire, at).fy))
+            found[axle] = float(force[0] / force.max())
+        return found
+
+    @property
     def limits(self) -> dict[Outcome, str]:
-        """Whether the search converged, and the parameters that are not determined."""
+        """Whether the search converged, the parameters that are not determined, and the
+        axles whose friction follows from the shape of the model."""
         loose = ", ".join(name for name, one in self.parameters.items() if not one.identified)
+        below = [
+            f"{100 * share:.0f} % ({axle})"
+            for axle, share in self.reached.items()
+            if share < NEAR_PEAK
+        ]
+        shape = (
+            f"{Outcome.SHAPE_DEPENDENT}: the slip angles reach {', '.join(below)} of the peak;"
+            " compare with front=brush-d,rear=brush-d and with magic-formula"
+        )
         return {
+            Outcome.SHAPE_DEPENDENT: shape if below else "",
             Outcome.NOT_CONVERGED: "" if self.converged else "the search did not converge",
             Outcome.NOT_IDENTIFIED: loose and f"these logs do not determine {loose}",
         }
@@ -195,7 +219,7 @@ def fit_trajectory(
         >>> found = fit_trajectory([samples / "drive.csv"], samples / "vehicle.toml")
         >>> low, high = found.parameters["front.cpa2"].ci95
         >>> str(found.status), low < 43.6e3 < high  # [N], that of the simulated car
-        ('ok', True)
+        ('friction rests on the shape of the model', True)
     """
     require_x64("a fit by trajectory")
     vehicle = known_vehicle(vehicle)
@@ -227,24 +251,6 @@ def _check(vehicle: Vehicle, unknowns, given) -> None:
             reason = f"the {axle} tire {tire.name} has no free parameters"
             problems.append(InputProblem(reason, "name a model, such as brush"))
     UsageError.raise_for(problems)
-
-
-def derived_rows(found, vehicle: Vehicle, axle: str) -> TireData:
-    """Slip angle and force of an axle by the equations of ``derive``, of all logs."""
-    columns: dict[str, list] = {"alpha": [], "fy": [], "v": [], "run": []}
-    for log in found.values():
-        motion, (name, *_) = log.motion, log.runs
-        alpha, force, speed = slip_and_force(motion, vehicle, axle)
-        good = motion.settled & (motion.v_x > vehicle.v_min)
-        good &= (np.abs(alpha) < np.pi / 2) & (speed > 0)  # not while the car spins
-        each = alpha[good], force[good], speed[good]
-        for key, values in zip(columns, (*each, [name] * good.sum()), strict=True):
-            columns[key].extend(values)
-    step = max(len(columns["run"]) // _START_ROWS, 1)
-    cells = {k: np.array(v)[::step] for k, v in columns.items()}
-    arm = vehicle.l_r if axle == "front" else vehicle.l_f
-    load = vehicle.mass * vehicle.gravity * arm / (vehicle.l_f + vehicle.l_r)
-    return read_frame(cells | {"fz": np.full(len(cells["run"]), load)}, ", ".join(found))
 
 
 def started(tire: GivenTire, rows: TireData) -> GivenTire:

@@ -4,7 +4,7 @@ with the start states eliminated."""
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Generic, NamedTuple, TypeVar
@@ -15,8 +15,10 @@ import numpy as np
 
 from tirefit.data.contradictions import compare
 from tirefit.data.derive import name_problems, names_of_runs, run_name
-from tirefit.data.motion import Motion, not_ahead, read_motion, road_wheel
+from tirefit.data.motion import Motion, not_ahead, read_motion, road_wheel, slip_and_force
+from tirefit.data.read import read_frame
 from tirefit.data.remote import file_at
+from tirefit.data.table import TireData
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.diagnosis.effects.state import peak_ratio, slope_at_rest
@@ -28,6 +30,9 @@ from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.vehicle.effects import Samples
 
 Piece = TypeVar("Piece")
+
+_START_ROWS = 4000
+"""Approximate number of rows to which the first tire of an axle is fitted."""
 
 
 class CutLog(NamedTuple, Generic[Piece]):
@@ -397,3 +402,21 @@ def _sliding(axle: GivenTire, load: float, speed: float) -> float:
     at_rest = TireInputs(fz=load, v=speed)
     slope = slope_at_rest(axle.tire, at_rest, "y")
     return float(3 * peak_ratio(axle.tire, load, speed) * load / slope)
+
+
+def derived_rows(found: Mapping[str, CutLog], vehicle: Vehicle, axle: str) -> TireData:
+    """Slip angle and force of an axle by the equations of ``derive``, of all logs."""
+    columns: dict[str, list] = {"alpha": [], "fy": [], "v": [], "run": []}
+    for log in found.values():
+        motion, (name, *_) = log.motion, log.runs
+        alpha, force, speed = slip_and_force(motion, vehicle, axle)
+        good = motion.settled & (motion.v_x > vehicle.v_min)
+        good &= (np.abs(alpha) < np.pi / 2) & (speed > 0)  # not while the car spins
+        each = alpha[good], force[good], speed[good]
+        for key, values in zip(columns, (*each, [name] * good.sum()), strict=True):
+            columns[key].extend(values)
+    step = max(len(columns["run"]) // _START_ROWS, 1)
+    cells = {k: np.array(v)[::step] for k, v in columns.items()}
+    arm = vehicle.l_r if axle == "front" else vehicle.l_f
+    load = vehicle.mass * vehicle.gravity * arm / (vehicle.l_f + vehicle.l_r)
+    return read_frame(cells | {"fz": np.full(len(cells["run"]), load)}, ", ".join(found))
