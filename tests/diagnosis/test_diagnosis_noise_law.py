@@ -51,6 +51,13 @@ def test_excess_noise_is_found_in_quiet_rows():
     assert judged(np.full(ROWS, 100.0)).excess == pytest.approx(2.5, rel=0.15)
 
 
+def test_the_noise_by_the_slip_is_beside_that_of_the_force():
+    """Of 20 N where the force is steep, beside an unknown one of 10 N."""
+    found = np.mean([judged(np.full(ROWS, 10.0), None, seed).std for seed in range(5)], axis=0)
+    for part, right in ((SPREAD > 0, np.hypot(10, 20)), (SPREAD == 0, 10.0)):
+        assert np.mean(found[part]) == pytest.approx(right, rel=0.1)
+
+
 def test_uniform_noise_keeps_the_stated_level():
     noise = judged(np.full(ROWS, 40.0))
     assert noise.flags == () and noise.source == "given"

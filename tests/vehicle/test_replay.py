@@ -1,6 +1,7 @@
 """Replays of logs of a known car."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -152,6 +153,16 @@ def test_the_band_of_a_fit_contains_the_true_motion(drive):
     assert found.logs == {"exact": True, "late": False}
     assert found.held.keys() == QUANTITIES.keys()
     assert all(0 <= share <= 1 for each in found.held.values() for share in each)
+    # To first order a wrong stiffness errs by as many standard deviations in every window:
+    # 1.6 of them are inside of 1.96, 2.3 are not. 24 draws know both ends to a seventh.
+    given = axle_tire(fits["front"])
+    layout, true = given.fit[0], {"cpa2": TIRES["front"][0], "mu": TIRES["front"][1]}
+    for off, inside in ((1.6, 1.0), (2.3, 0.0)):
+        z = np.array(layout.unconstrained(true)) + [0.02 * off, 0.0]
+        tire = replace(given, fit=(layout, z, np.diag([0.02**2, 1e-12])))
+        log = [drive / "exact.csv"], drive / "vehicle.toml"
+        held = replay(*log, tire, REAR, horizons=(0.5,), seed=1).held
+        assert held["yaw_rate"][0] == pytest.approx(inside, abs=0.1)
 
 
 def test_the_command_writes_numbers_and_figure(drive, tmp_path):

@@ -127,6 +127,14 @@ def test_derivatives_from_sample_to_sample_are_differences_of_the_whole_motion(s
         np.testing.assert_allclose(found, slope, atol=0.01 * np.abs(slope).max())
 
 
+def test_the_best_start_states_leave_nothing_that_they_explain(small):
+    now = small.at_best_starts(small.coefficients())
+    by = (now.by_start(2) / small.noise[:, None]).reshape(len(small.cut.log), -1, 2)
+    left = (now.motion.missed / small.noise).reshape(len(by), -1)
+    along = np.abs(np.einsum("wms,wm->ws", by, left)) / np.linalg.norm(by, axis=1)
+    assert np.max(along) < 1e-3 * np.max(np.linalg.norm(left, axis=1))
+
+
 def test_the_noise_of_a_fit_is_that_of_a_ridge_with_explicit_start_states(small):
     """Of all effects and unlisted forces, of twice their usual size, with the degrees of
     freedom of its hat matrix."""
