@@ -55,8 +55,10 @@ KEYS = {
         "rms_held_out", "closed_held_out",
     ],
     "candidates 0": [
-        "effects", "family", "probability", "parameters",
+        "effects", "family", "probability", "parameters", "z", "z_given_rivals",
+        "closed", "closed_ci",
     ],
+    "resolution": ["smallest unlisted remainder that would have been seen"],
     "candidates 0 parameters": ["slip_offset: amplitude"],
     "candidates 0 parameters slip_offset: amplitude": [
         "value", "std", "unit", "formula",

@@ -130,6 +130,10 @@ def candidate(effects, probability):
         family="friction x load",
         probability=probability,
         parameters={f"{effect}: amplitude": Amplitude(0.1234, 0.0056, "-") for effect in effects},
+        z=12.3,
+        z_given_rivals=4.5,
+        closed=0.8,
+        closed_ci=(0.7, 0.85),
     )
 
 

@@ -100,7 +100,7 @@ def document_of(
         where=tuple(regions(base, missed, shown.gap)),
         verdict=message,
         ladder=ladder,
-        candidates=_candidates(case),
+        candidates=_candidates(case, rows[main]["base"], truth[main]),
         untestable=tuple(case.untestable),
         resolution=_resolution(case),
         forecast=tuple(confusion(case.search)),
@@ -216,15 +216,29 @@ def sizes_of(fit: Fit, scale, groups, widening=1.0) -> dict[str, tuple[SizeByGro
     }
 
 
-def _candidates(case: Case) -> tuple[Candidate, ...]:
-    """The most probable sets of effects, and the unknown."""
+def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
+    """The most probable sets of effects, and the unknown.
+
+    Args:
+        before, truth: (n,) base force, (n, draws) of the true one, first channel.
+    """
     total, verdict = _chances(case), case.verdict
     ranked = sorted(total, key=lambda k: (k == verdict.key, total[k]), reverse=True)
-    listed = [_candidate(case, key, total[key]) for key in ranked[:_LISTED]]
+    listed = [
+        _candidate(case, key, total[key], _closure_by(case, key, before, truth))
+        for key in ranked[:_LISTED]
+    ]
     alone = verdict.unlisted if not verdict.key else 0.0
     if alone > _MENTIONED:
         unknown = Candidate(
-            effects=("unknown",), family="unknown", probability=alone, parameters={}
+            effects=("unknown",),
+            family="unknown",
+            probability=alone,
+            parameters={},
+            z=None,
+            z_given_rivals=None,
+            closed=0.0,
+            closed_ci=(0.0, 0.0),
         )
         listed.append(unknown)
     return tuple(listed)
@@ -244,7 +258,7 @@ def _chances(case: Case) -> dict:
     return shared | ({verdict.key: verdict.probability} if named else {})
 
 
-def _candidate(case: Case, key, probability: float) -> Candidate:
+def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
     spread, parameters = hypothesis.errors * np.sqrt(case.widening), {}
     if key in case.predicted.effects:
@@ -252,6 +266,7 @@ def _candidate(case: Case, key, probability: float) -> Candidate:
         spread = np.maximum(spread, jackknife_error(left_out))
     if key == case.verdict.key:
         spread = np.maximum(spread, _between_parts(case))
+    ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
     atoms = [base.atoms[k] for k in hypothesis.atoms]
     scale = np.asarray(base.design.prior_scale)[list(hypothesis.atoms)]
     sizes = hypothesis.amplitude * scale
@@ -267,6 +282,10 @@ def _candidate(case: Case, key, probability: float) -> Candidate:
         family=" + ".join(dict.fromkeys(atom.effect.family for atom in atoms)),
         probability=probability,
         parameters=parameters,
+        z=max((case.search.score.get(effect, 0.0) for effect in hypothesis.effects), key=abs),
+        z_given_rivals=float(np.min(np.abs(ratio))),
+        closed=closure.closed,
+        closed_ci=closure.closed_ci,
     )
 
 
@@ -283,6 +302,17 @@ def _between_parts(case: Case) -> np.ndarray:
                 square[place] += chance * (own - fit.amplitude[place]) ** 2
                 total[place] += chance
     return np.sqrt(square / total)
+
+
+def _closure_by(case: Case, key, before, truth) -> Shrinkage:
+    """Closure of the gap of the first channel by a set of effects; arguments as in
+    :func:`_candidates`."""
+    at, hypothesis = case.base.measured, case.weighed.best_of[key]
+    main = at.rows.channels[0]
+    after = at.forces(hypothesis.z, at.amplitudes(hypothesis.atoms, hypothesis.amplitude))[main]
+    noise = at.noise[main]
+    given = noise.std**2, at.rows.run, noise.inflation
+    return closure_on_rows(truth, before, after, *given)
 
 
 def _resolution(case: Case) -> float:

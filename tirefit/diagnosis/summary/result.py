@@ -195,12 +195,16 @@ class Amplitude(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A set of effects that may explain the gap."""
+    """A set of effects that may explain the gap; scores of the unknown are None."""
 
     effects: tuple[str, ...]
     family: str
     probability: float
     parameters: Mapping[str, Amplitude]  # ``effect: parameter`` -> size
+    z: float | None  # score at the base fit
+    z_given_rivals: float | None  # smallest amplitude over error in the set
+    closed: float | None
+    closed_ci: tuple[float | None, float | None]
 
 
 class Forecast(NamedTuple):
@@ -235,6 +239,7 @@ class Settings:
 
 
 NOT_WRITTEN = {"written": False}
+_SEEN = "smallest unlisted remainder that would have been seen"
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -310,7 +315,8 @@ class Diagnosis(Record):
         """Content of ``NAME.json``."""
         content = {"schema": SCHEMA} | mappings(self)
         on, steps = content["ladder"].values()
-        return json_safe(content | {"ladder": steps, "ladder_on": on})
+        content |= {"ladder": steps, "ladder_on": on, "resolution": {_SEEN: self.resolution}}
+        return json_safe(content)
 
     def files(self, name: str = "") -> dict[str, str]:
         """``NAME.json`` and ``NAME.rows.csv``."""
