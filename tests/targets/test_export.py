@@ -277,14 +277,14 @@ def test_a_fit_is_exported_with_its_errors_and_its_range_in_the_signs_of_the_fil
         done = tirefit.export(source, "numpy", tmp_path / "tire.py")
         text = done.path.read_text()
         # Driving positive: braking to kappa 0.25 / 1.25 is -0.2.
-        assert "kappa -0.2 to 0.1111 -" in text and "mu = " in text
+        assert "kappa -0.2 to 0.1111;" in text and "mu = " in text
         line = next(x for x in text.splitlines() if "cpa2 = " in x)
         std = fit.least_squares["cpa2"].std
         assert float(line.split("+-")[1].split()[0]) == pytest.approx(std, rel=0.06)
         assert any("fy was not fitted" in note for note in done.notes)
     path = tmp_path / "tire.h"
     tirefit.export(fit, "c", path, convention="braking")
-    assert "kappa -0.1111 to 0.2 -" in path.read_text()
+    assert "kappa -0.1111 to 0.2;" in path.read_text()
     with pytest.raises(UsageError, match="together with a fit"):
         tirefit.export(fit, "c", path, values={"mu": 0.5})
 
@@ -293,7 +293,7 @@ def test_ranges_of_a_tir_file_keep_its_signs():
     tire, numbers = tire_of(MF61), read_tir(MF61).numbers
     low, high = numbers["KPUMIN"], numbers["KPUMAX"]
     assert tire.measured["kappa"] == (-high, -low)
-    assert f"kappa {low:.4g} to {high:.4g} -" in tire.ranges("iso-w")
+    assert f"kappa {low:.4g} to {high:.4g}, " in tire.ranges("iso-w")
 
 
 def test_an_exported_program_is_simplified_and_differentiated():

@@ -214,10 +214,9 @@ def export(
     if not given or "" in given and len(given) > 1:
         remedy = "give one tire, or those of --front and --rear"
         problems.append(InputProblem("no tire is given", remedy))
-    UsageError.raise_for(problems)
-    chosen = TARGETS[target]
+    chosen = TARGETS.get(target)
     single = chosen if isinstance(chosen, Target) else None
-    is_code = single is not None and single.prepare is None
+    is_code = chosen is None or single is not None and single.prepare is None
     name = name if name is not None and is_code else path.stem
     problems += over_problems(over or {})
     for option, value, is_used in (
@@ -227,13 +226,13 @@ def export(
         ("--forces", forces, is_code),
         ("--front, --rear, --vehicle or --over", vehicle or over or "" not in given, not single),
     ):
-        if value and not is_used:
+        if chosen and value and not is_used:
             reason = f"{option} with --to {target}, which does not use it"
             problems.append(InputProblem(reason, "leave it out, or see --list"))
     if is_code and (why := reserved(name)):
         reason = f"{name!r} is not valid as a name of a function: {why}"
         problems.append(InputProblem(reason, "name the function with --name, as in --name my_tire"))
-    made = {path: chosen.ending}
+    made = {path: chosen.ending if chosen else ""}
     made |= {path.with_suffix(end): end for end in (single.beside if single else ())}
     for file, ending in made.items():
         faults = output_problems(file, ending)
@@ -241,6 +240,7 @@ def export(
             faults = unsealed(file, "choose another file, or replace it with --force")
         problems += faults
     UsageError.raise_for(problems)
+    assert chosen is not None
     read = {"the tire": given.values(), "--vehicle": [vehicle], "--diagnosis": [diagnosis]}
     DataError.raise_for(replaced_inputs([*made], read))
     tires = {axle: tire_of(one, values, diagnosis) for axle, one in given.items()}
