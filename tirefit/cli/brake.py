@@ -21,10 +21,7 @@ from tirefit.results import InputProblem, UsageError
 _FIGURES = {"stop.png": "stop", "slip.png": "slip", "compare.png": "compare"}
 FILES = ("summary.json", "series.csv", "stops.csv", *_FIGURES)
 
-
-class Vehicle(StrEnum):
-    car = "car"
-    quarter = "quarter"
+Vehicle = StrEnum("Vehicle", "car quarter")
 
 
 def brake(

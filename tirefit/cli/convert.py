@@ -15,11 +15,12 @@ from tirefit.cli.magic_formula import (
     only_of_magic_formula,
 )
 from tirefit.cli.options import (
+    SeedOrNone,
     SignsOption,
     complain,
     errors_to_exit,
     model_names,
-    named_path,
+    path_option,
     say,
     start_jax,
 )
@@ -31,10 +32,7 @@ _SLIPS = 61  # slips of the grid, both ends included
 _SLIP_MAX = 0.3
 _SHARES_OF_NOMINAL = (0.5, 1.0, 1.5)
 
-
-class Force(StrEnum):
-    fx = "fx"
-    fy = "fy"
+Force = StrEnum("Force", "fx fy")
 
 
 def convert(
@@ -44,11 +42,7 @@ def convert(
     *,
     out: Annotated[
         Path,
-        typer.Option(
-            metavar="FOLDER|FILE.tir",
-            parser=named_path,
-            help="folder of the results; with --cpa2: .tir file to write",
-        ),
+        path_option("FOLDER|FILE.tir", "folder of the results; with --cpa2: .tir file to write"),
     ],
     magic_formula: Annotated[
         str | None,
@@ -75,9 +69,7 @@ def convert(
     ] = None,
     signs: SignsOption = None,
     combination: CombinationOption = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
-    ] = None,
+    seed: SeedOrNone = None,
     cpa2: Annotated[
         float | None, typer.Option(help="write a reduced .tir of a brush with this c_p a^2 [N]")
     ] = None,

@@ -9,16 +9,14 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import errors_to_exit, named_path, say
+from tirefit.cli.options import errors_to_exit, path_option, say
 from tirefit.cli.output import check_results
 from tirefit.results import DataError, InputProblem
 
 
 def demo(
     context: typer.Context,
-    out: Annotated[
-        Path, typer.Option(metavar="FOLDER", parser=named_path, help="samples and results")
-    ] = Path("tirefit-demo"),
+    out: Annotated[Path, path_option("FOLDER", "samples and results")] = Path("tirefit-demo"),
 ) -> None:
     """Fit and diagnose measured samples that ship with tirefit."""
     with errors_to_exit():

@@ -9,15 +9,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.core import TyperCommand
 
+from tirefit import __version__
 from tirefit.cli.diagnose_vehicle import TireOption, diagnose_car, refuse_tires
 from tirefit.cli.fit_one import wrote
-from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, attempted, fleet
+from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet, one_by_one, worst_of
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
     Folder,
+    Full,
+    Seed,
     SideOption,
     SignsOption,
     complain,
@@ -125,11 +128,11 @@ def diagnose(
     figures: Annotated[
         bool, typer.Option("--figures", help="write NAME.png and NAME.html")
     ] = False,
-    full: Annotated[bool, typer.Option("--full", help="print the report with all details")] = False,
+    full: Full = False,
     resume: Annotated[bool, typer.Option("--resume", help="skip finished files")] = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")] = 0,
+    seed: Seed = 0,
 ) -> None:
     """Find the effects that explain the gap between a model or simulator and data."""
     with errors_to_exit():
@@ -284,24 +287,12 @@ def _all(pieces: list[Piece], task: _Task, sharing: Sharing) -> ExitCode:
         outcomes = fleet("diagnose", pieces, _one, task, sharing, task.out)
         codes = [outcome.code for outcome in outcomes]
     else:
-        codes = _one_by_one(pieces, task)
+        with progress_bar("diagnose") as progress:
+            codes = [outcome.code for outcome in one_by_one(pieces, _one, task, progress)]
     if len(pieces) > 1:
         done = codes.count(ExitCode.OK)
         say(f"{done} of {len(pieces)} files diagnosed, results in {task.out}")
-    return next((c for c in reversed(codes) if c != ExitCode.OK), ExitCode.OK)
-
-
-def _one_by_one(pieces: list[Piece], task: _Task) -> list[ExitCode]:
-    codes = []
-    with progress_bar("diagnose") as progress:
-        for number, piece in enumerate(pieces):
-            note = f"{number + 1} of {len(pieces)}: {piece.file}"
-            progress(number / len(pieces), note)
-            # With one file, show the traceback of a fault of the program.
-            alone = len(pieces) == 1
-            found = _one(piece, task) if alone else attempted(_one, task, piece)
-            codes.append(found[0])
-    return codes
+    return worst_of(codes)
 
 
 def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
@@ -316,8 +307,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     expected = written + drawn if figures else written
     document = out / f"{name}.json"
     if task.resume and all(_is_whole(out / one, len(table)) for one in expected):
-        record = _of_before(document)
-        if record and _is_done(document, table, task.settings, kept, seed):
+        if record := _done_before(document, table, task.settings, kept, seed):
             say(f"{file}: done before, kept: {document}")
             return ExitCode.OK, record
     result = study(table, holdout=kept, seed=seed, **task.settings)
@@ -334,16 +324,6 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     return exit_code(result.outcomes), record_of_document(document)
 
 
-def _of_before(document: Path) -> "FileRecord | None":
-    """The record of a document for the table of all results; None if it is damaged."""
-    from tirefit.diagnosis.summary.result import record_of_document
-
-    try:
-        return record_of_document(document)
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        return None
-
-
 def _is_whole(path: Path, rows: int) -> bool:
     """Whether a file exists and is complete: not empty, as after a crash or on a full
     disk; for a table, with as many lines as rows."""
@@ -354,13 +334,14 @@ def _is_whole(path: Path, rows: int) -> bool:
     return path.read_bytes().count(b"\n") == rows + 1
 
 
-def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
-    """Whether the document is of this file, these settings, this seed and version."""
-    from importlib.metadata import version
-
+def _done_before(path: Path, table, settings: dict, kept, seed: int) -> "FileRecord | None":
+    """The record of a document if it is whole, and of this file, these settings, this seed
+    and version."""
     from tirefit.diagnosis.effects import EFFECTS
+    from tirefit.diagnosis.summary.result import record_of_document
 
     try:
+        record = record_of_document(path)
         content = json.loads(path.read_text(encoding="utf-8"))
         data, sim = content["data"], content["simulator"]
         there = [
@@ -373,8 +354,8 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
             content["version"],
             content["settings"],
         ]
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return False
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return None
     source, rig, given = table.source, settings["rig"], settings.get("sim")
     # The stand-in for a simulator follows from the data.
     model = settings["model"] or there[3]
@@ -387,7 +368,7 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
         [*source.notes, *rig.notes, *rig.beside(table)],
         *base,
         seed,
-        version("tirefit"),
+        __version__,
         {
             "rig": asdict(rig),
             "effects": [e.id for e in EFFECTS if e.id not in settings["without"]],
@@ -396,4 +377,4 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
         },
     ]
     # Compare as in the document, where tuples are lists.
-    return there == json.loads(json.dumps(asked))
+    return record if there == json.loads(json.dumps(asked)) else None

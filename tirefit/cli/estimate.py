@@ -10,10 +10,11 @@ import typer
 from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
+    Seed,
     complain,
     errors_to_exit,
-    named_path,
     numbers,
+    path_option,
     read_config,
     read_options,
     start_jax,
@@ -35,12 +36,7 @@ def estimate(
         str, typer.Option(metavar="NAME[,NAME...]", help="methods (see `tirefit methods`)")
     ] = "rls",
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            parser=named_path,
-            help="folder of the results (required without --follow)",
-        ),
+        Path | None, path_option("FOLDER", "folder of the results (required without --follow)")
     ] = None,
     follow: Annotated[
         bool, typer.Option("--follow", help="read rows from standard input as they come (LOG is -)")
@@ -49,7 +45,7 @@ def estimate(
         list[str] | None,
         typer.Option("--set", metavar="[METHOD.]NAME=VALUE", help="setting of a method"),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")] = 0,
+    seed: Seed = 0,
 ) -> None:
     """Estimate friction and stiffness at each row, from the rows up to it."""
     with errors_to_exit():

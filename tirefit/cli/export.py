@@ -5,16 +5,20 @@ from typing import Annotated
 
 from typer import Argument, Exit, Option
 
-from tirefit.cli.options import complain, errors_to_exit, named_path, numbers, pairs, say, start_jax
+from tirefit.cli.options import (
+    complain,
+    errors_to_exit,
+    numbers,
+    pairs,
+    path_option,
+    say,
+    start_jax,
+)
 from tirefit.cli.output import check_inputs_kept
 from tirefit.results import InputProblem, UsageError, exit_code
 
 _OVER = "range of a refit: kappa, alpha [rad], fz [N], iso-w signs"
 _DIAGNOSIS = "result of `tirefit diagnose`; the effects that it names change the tire"
-
-
-def _path(metavar: str, help: str):
-    return Option(metavar=metavar, parser=named_path, help=help)
 
 
 Text = str | None
@@ -26,15 +30,15 @@ def export(
     source: Annotated[Text, Argument(metavar="[FIT.json|FILE.tir|MODEL]", help="the tire")] = None,
     *,
     to: Annotated[Text, Option(metavar="TARGET", help="target program (--list)")] = None,
-    out: Annotated[File, _path("FILE", "file to write")] = None,
+    out: Annotated[File, path_option("FILE", "file to write")] = None,
     front: Annotated[Text, Option(metavar="FIT", help="tire of the front axle")] = None,
     rear: Annotated[Text, Option(metavar="FIT", help="tire of the rear axle")] = None,
-    vehicle: Annotated[File, _path("TOML", "the car: vehicle.toml")] = None,
+    vehicle: Annotated[File, path_option("TOML", "the car: vehicle.toml")] = None,
     over: Annotated[Texts, Option(metavar="NAME=LOW:HIGH", help=_OVER)] = None,
     parameter: Annotated[
         Texts, Option("--set", metavar="NAME=VALUE", help="parameter of a model or .tir")
     ] = None,
-    diagnosis: Annotated[File, _path("NAME.json", _DIAGNOSIS)] = None,
+    diagnosis: Annotated[File, path_option("NAME.json", _DIAGNOSIS)] = None,
     model: Annotated[Text, Option(help="version of a .tir to write: mf52, mf61, mf62")] = None,
     wheel: Annotated[
         Texts, Option(metavar="NAME=VALUE", help="property of the wheel, SI units (--list)")

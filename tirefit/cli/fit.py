@@ -1,5 +1,6 @@
 """``tirefit fit``: fit files and write folders of results."""
 
+from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,19 +9,20 @@ import typer
 
 from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_files, fit_one
 from tirefit.cli.fit_vehicle import Intervals, fit_vehicle
-from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
+from tirefit.cli.fleet import Jobs, Outcome, Piece, Scheduler, Sharing, fleet, one_by_one, worst_of
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, only_of_magic_formula
 from tirefit.cli.notes import merged_notes
 from tirefit.cli.options import (
     DataOptions,
     Files,
+    Full,
+    SeedOrNone,
     complain,
     completed,
-    error_text,
     errors_to_exit,
     forces_named,
     has_terminal,
-    named_path,
+    path_option,
     read_config,
     read_options,
     refuse_with_vehicle,
@@ -31,23 +33,15 @@ from tirefit.cli.options import (
 from tirefit.cli.output import check_distinct, check_results, is_page
 from tirefit.data.remote import expanded
 from tirefit.names import MODEL_NAMES
-from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.results import ExitCode, InputProblem, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-
-class Solver(StrEnum):
-    optimistix = "optimistix"
-    jaxopt = "jaxopt"
-    gauss_newton = "gauss-newton"
-
-
-class Sampler(StrEnum):
-    emcee = "emcee"
-    nuts = "nuts"
-    importance = "importance"
-
+Solver = StrEnum(
+    "Solver", {"optimistix": "optimistix", "jaxopt": "jaxopt", "gauss_newton": "gauss-newton"}
+)
+Sampler = StrEnum("Sampler", "emcee nuts importance")
 
 PAGE_OF_ALL = "fits.html"
 
@@ -85,12 +79,8 @@ def fit(
         Solver | None, typer.Option(help="least-squares solver; jaxopt is no longer maintained")
     ] = None,
     sampler: Annotated[Sampler | None, typer.Option(help="posterior sampler")] = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results")
-    ] = None,
+    seed: SeedOrNone = None,
+    out: Annotated[Path | None, path_option("FOLDER", "folder of the results")] = None,
     force: Annotated[
         list[str] | None, typer.Option(help="force to fit: fx, fy, mz (repeat for more)")
     ] = None,
@@ -157,7 +147,7 @@ def fit(
             "--html", help="write the report as one page: fit.html (several files: fits.html)"
         ),
     ] = False,
-    full: Annotated[bool, typer.Option("--full", help="print the report with all details")] = False,
+    full: Full = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
 ) -> None:
@@ -192,8 +182,7 @@ def fit(
             settings = settings.model_copy(update={"posterior": chosen})
         if only_of_magic_formula(settings.model, whole, unused):
             (directory,) = _output_directories(files, out, joint=True)
-            also = Also(svg, html, full)
-            code = fit_whole(files, directory, settings, how, whole, strict, also)
+            code = fit_whole(files, directory, settings, how, whole, strict, Also(svg, html, full))
             raise typer.Exit(code)
         directories = _output_directories(files, out, joint)
         start_jax()
@@ -207,92 +196,75 @@ def fit(
         made += sharing.files(out or Path(), directories) if apart else []
         check_results(made, files)
         keep = resume and (apart or not html or len(files) == 1)
-        also = Also(svg, html, full)
-        task = FitTask(settings, how, posterior, resume, keep, also, strict)
+        task = FitTask(settings, how, posterior, resume, keep, Also(svg, html, full), strict)
+        groups: list[Any] = [files] if joint else files
+        pieces = [Piece(*pair) for pair in zip(groups, directories, strict=True)]
+        fits: dict[str, Any] = {}
         if apart:
-            worst = _fit_apart(files, directories, task, sharing, out or Path())
+            done = _done(fleet("fit", pieces, _attempt, task, sharing, out or Path()), pieces)
         else:
-            groups = [files] if joint else [[file] for file in files]
-            worst = _fit_all(groups, directories, task)
-        raise typer.Exit(worst)
+            done = _fit_here(pieces, task, fits)
+        _report_all(done, pieces, fits)
+        raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
-def _fit_all(groups, directories, task: FitTask) -> ExitCode:
-    """Fit every group of files; one bad file does not stop the others."""
-    codes: list[ExitCode] = []
-    records, rows, failed = [], [], {}
-    with merged_notes(len(groups) > 1):
-        for i, (group, directory) in enumerate(zip(groups, directories, strict=True)):
-            if len(groups) > 1 and has_terminal():
-                complain(f"file {i + 1} of {len(groups)}: {group[0]}")
-            try:
-                record, result = fit_one(group, directory, task)
-            except TirefitError as error:
-                if len(groups) == 1 or error.exit_code == ExitCode.USAGE:
-                    raise
-                complain(error_text(error))
-                codes.append(error.exit_code)
-                failed[str(group[0])] = "; ".join(p.reason for p in error.problems)
-                continue
-            except OSError as error:  # its report was printed
-                if len(groups) == 1 or isinstance(error, BrokenPipeError):
-                    raise
-                complain(error_text(error))
-                codes.append(ExitCode.USAGE)
-                continue
-            codes.append(exit_code_of(record, task.strict))
-            records.append(record)
-            rows += [] if result is None else [(directory, result)]
-            if "interrupted" in record.outcomes:
-                left = len(groups) - i - 1
-                if left:
-                    complain(f"interrupted: the last {left} of {len(groups)} not fitted")
-                break
-    if len(groups) > 1:
-        say(_summary(records))
-        _page_of_all(directories[0].parent, rows, failed, task.also.html)
-    return _worst(codes)
+def _fit_here(pieces: list[Piece], task: FitTask, fits: dict[str, Any]) -> list[Outcome]:
+    """Fit every piece in this process; add the fits for a page of all to ``fits``."""
+
+    def attempt(piece: Piece, task: FitTask) -> tuple[ExitCode, "FileRecord"]:
+        record, result = fit_one(_files_of(piece), piece.to, task)
+        if task.also.html and result is not None:
+            fits[piece.to.name] = result
+        return exit_code_of(record, task.strict), record
+
+    def tell(_, note: str) -> None:
+        if len(pieces) > 1 and has_terminal():
+            complain(f"file {note}")
+
+    with merged_notes(len(pieces) > 1):
+        return _done(one_by_one(pieces, attempt, task, tell), pieces)
 
 
-def _fit_apart(files, directories, task: FitTask, sharing: Sharing, out: Path):
-    """Fit by the workers of a cluster, which write a page of the fleet instead."""
-    pieces = [Piece(*pair) for pair in zip(files, directories, strict=True)]
-    codes, records = [], []
-    for outcome in fleet("fit", pieces, _attempt, task, sharing, out):
-        codes.append(outcome.code)
-        if outcome.record is not None and outcome.record.rows:
-            records.append(outcome.record)
-    if len(files) > 1:
-        say(_summary(records))
-        _page_of_all(directories[0].parent, [], {}, asked=False)
-    return _worst(codes)
+def _files_of(piece: Piece) -> list[Path]:
+    return piece.file if isinstance(piece.file, list) else [piece.file]
 
 
 def _attempt(piece: Piece, task: FitTask) -> tuple[ExitCode, "FileRecord"]:
-    record, _ = fit_one([piece.file], piece.to, task)
+    record, _ = fit_one(_files_of(piece), piece.to, task)
     return exit_code_of(record, task.strict), record
 
 
-def _worst(codes: list[ExitCode]) -> ExitCode:
-    """The smallest exit code above 0, in the order of severity."""
-    return min((code for code in codes if code), default=ExitCode.OK)
+def _done(outcomes: Iterator[Outcome], pieces: list[Piece]) -> list[Outcome]:
+    """The outcomes up to an interrupt."""
+    done = []
+    for outcome in outcomes:
+        done.append(outcome)
+        if "interrupted" in outcome.record.outcomes and (left := len(pieces) - len(done)):
+            complain(f"interrupted: the last {left} of {len(pieces)} not fitted")
+            break
+    return done
 
 
-def _page_of_all(folder: Path, rows, failed: dict[str, str], asked: bool) -> None:
+def _report_all(done: list[Outcome], pieces: list[Piece], fits: dict[str, Any]) -> None:
+    """Of several fits, print the summary and write the page."""
+    if len(pieces) > 1:
+        from tirefit.report.text import summary_table
+
+        records = [outcome.record for outcome in done]
+        say(summary_table([record for record in records if record.rows]))
+        failed = {record.file: record.problem for record in records if not record.rows}
+        _page_of_all(pieces[0].to.parent, fits, failed)
+
+
+def _page_of_all(folder: Path, fits: dict[str, Any], failed: dict[str, str]) -> None:
     """Write the page of all fits; remove that of an earlier command."""
     from tirefit.fitting.result import SCHEMA
 
     page = folder / PAGE_OF_ALL
-    if asked and rows:
+    if fits:
         from tirefit.report.fits_html import write_fits_page
 
-        write_fits_page({path.name: result for path, result in rows}, page, failed)
+        write_fits_page(fits, page, failed)
         say(f"wrote {page}")
     elif is_page(page, SCHEMA):
         page.unlink()
-
-
-def _summary(records: list["FileRecord"]) -> str:
-    from tirefit.report.text import summary_table
-
-    return summary_table(records)

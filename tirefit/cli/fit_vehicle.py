@@ -11,11 +11,7 @@ from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 FIGURE = "trajectory.png"
 FILES = ("trajectory.json", "front.json", "rear.json", "vehicle.toml", FIGURE)
 
-
-class Intervals(StrEnum):
-    covariance = "covariance"
-    profile = "profile"
-    importance = "importance"
+Intervals = StrEnum("Intervals", "covariance profile importance")
 
 
 def models_of(text: str | None) -> dict[str, Any]:

@@ -1,11 +1,12 @@
-"""Distribute the files of a command to the workers of a cluster, and report in order.
+"""Run a command on many files: here one by one, or by the workers of a cluster.
 
-The workers write the results; they return the output of the command for a file, and its
-record for the table of all results.
+A file that fails stops no other file. Workers write the results; they return the output of
+the command for a file, and its record for the table of all results.
 """
 
 import os
 import pickle
+import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import chdir, closing, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -46,6 +47,78 @@ Scheduler = Annotated[
 TABLE, PAGE = "results.parquet", "fleet.html"
 
 
+class Piece(NamedTuple):
+    """A file, or files that are fitted together, and the folder or name of the results."""
+
+    file: Any
+    to: Any
+
+
+Attempt = Callable[[Piece, Any], tuple[ExitCode, "FileRecord"]]
+"""Function of a command for one file; the second argument is shared by all files."""
+
+
+class Outcome(NamedTuple):
+    """One file: its exit code, its record in the table of all results, whether it ends the
+    command; of a worker also its standard output, error output and notes."""
+
+    code: ExitCode
+    record: "FileRecord"
+    last: bool = False
+    output: str = ""
+    complained: str = ""
+    notes: tuple = ()
+
+
+def worst_of(codes: Iterable[ExitCode]) -> ExitCode:
+    """The smallest exit code above 0, in the order of severity."""
+    return min((code for code in codes if code), default=ExitCode.OK)
+
+
+def attempted(attempt: Attempt, task: Any, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
+    """Run one file; neither a bad file nor a fault of the program stops the others."""
+    try:
+        return attempt(piece, task)
+    except BrokenPipeError:
+        raise
+    except OSError as error:  # its report was printed
+        code, problem = ExitCode.USAGE, error_text(error)
+    except TirefitError as error:
+        if error.exit_code == ExitCode.USAGE:
+            raise
+        code, problem = error.exit_code, error_text(error)
+    except Exception as error:
+        reason = f"a fault of the program: {type(error).__name__}: {error}"
+        remedy = "run the command on this file only to see where; please report it"
+        code, problem = ExitCode.DATA, error_text(DataError(reason, remedy, str(piece.file)))
+    complain(problem)
+    return code, _failed(piece, problem)
+
+
+def _failed(piece: Piece, printed: str) -> "FileRecord":
+    from tirefit.data.records import FAILED, FileRecord
+
+    problem = " ".join(printed.partition("\n")[2].split())  # without "error:"
+    return FileRecord(str(piece.file), str(piece.to), "", FAILED, problem=problem)
+
+
+def one_by_one(
+    pieces: Sequence[Piece], attempt: Attempt, task: Any, tell: Callable[[float, str], None]
+) -> Iterator[Outcome]:
+    """Process every file here, in order; yield each outcome.
+
+    With one file, a fault of the program shows its traceback.
+
+    Args:
+        tell: is called before each file with the share that is done and a note.
+    """
+    count = len(pieces)
+    for number, piece in enumerate(pieces):
+        tell(number / count, f"{number + 1} of {count}: {piece.file}")
+        done = attempt(piece, task) if count == 1 else attempted(attempt, task, piece)
+        yield Outcome(*done)
+
+
 @dataclass(frozen=True)
 class Sharing:
     """Where the work is done: in this process, in several others, or on a cluster."""
@@ -69,37 +142,12 @@ class Sharing:
         Raises:
             UsageError: one of them is also a result of one file (``made``).
         """
-        if not self.apart:
-            return []
-        ours = [out / TABLE, out / PAGE]
+        ours = [out / TABLE, out / PAGE] if self.apart else []
         if both := sorted(set(ours) & set(made)):
             reason = "it would be both the result of one file and that of all"
             remedy = "rename the file, or leave out --jobs and --scheduler"
             raise UsageError(reason, remedy, str(both[0]))
         return ours
-
-
-class Piece(NamedTuple):
-    """A file, and the folder or name of its results."""
-
-    file: Any
-    to: Any
-
-
-class Outcome(NamedTuple):
-    """One file: its exit code, whether that ends the command, its standard output and
-    error output, its record in the table of all results, and its notes."""
-
-    code: ExitCode
-    last: bool = False
-    output: str = ""
-    complained: str = ""
-    record: "FileRecord | None" = None
-    notes: tuple = ()
-
-
-Attempt = Callable[[Piece, Any], tuple[ExitCode, "FileRecord"]]
-"""Function of a command for one file; the second argument is shared by all files."""
 
 
 def fleet(
@@ -110,11 +158,12 @@ def fleet(
     At the end ``out`` holds the table of all results and its page.
     """
     from tirefit.data.records import records_into
+    from tirefit.report.fleet_html import write_fleet_page
 
-    packed = _Packed(os.getcwd(), __version__, pickle.dumps((attempt, task)))
-    work = partial(_apart, packed)
+    content = pickle.dumps((attempt, task))
+    work = partial(_apart, (os.getcwd(), __version__), content)
     out.mkdir(parents=True, exist_ok=True)
-    left = set(range(len(pieces)))
+    left = dict(enumerate(pieces))
     try:
         with (
             records_into(out / TABLE) as table,
@@ -123,7 +172,7 @@ def fleet(
             closing(shared(work, pieces, client)) as results,
             merged_notes(len(pieces) > 1) as notes,
         ):
-            for outcome in _in_order(results, pieces, progress, left):
+            for outcome in _in_order(results, left, progress):
                 typer.echo(outcome.output, nl=False)
                 typer.echo(outcome.complained, nl=False, err=True)
                 if outcome.last:
@@ -132,25 +181,20 @@ def fleet(
                 table.add(outcome.record)
                 yield outcome
     finally:
-        for number in left:  # after an interrupt: remove half-written results
-            _sweep(pieces[number])
-    from tirefit.report.fleet_html import write_fleet_page
-
+        for piece in left.values():  # after an interrupt: remove half-written results
+            _sweep(piece)
     write_fleet_page(out / TABLE, out / PAGE, title)
     say(f"all results: {out / TABLE}, {out / PAGE}")
 
 
-def _in_order(results, pieces, progress, left) -> Iterator[Outcome]:
-    """Outcomes in the order of the pieces; shows the progress."""
+def _in_order(results, left: dict[int, Piece], progress) -> Iterator[Outcome]:
+    """Outcomes in the order of the files; takes the files that are done from ``left``."""
     waiting: dict[int, Outcome] = {}
-    following, n = 0, len(pieces)
+    following, count = 0, len(left)
     for number, result in results:
-        left.discard(number)
-        progress(1 - len(left) / n, f"{n - len(left)} of {n} files")
-        if isinstance(result, Ended):
-            _sweep(pieces[number])
-            result = _lost(pieces[number], result)
-        waiting[number] = result
+        piece = left.pop(number)
+        progress(1 - len(left) / count, f"{count - len(left)} of {count} files")
+        waiting[number] = _lost(piece, result) if isinstance(result, Ended) else result
         while following in waiting:
             yield waiting.pop(following)
             following += 1
@@ -162,82 +206,51 @@ def _sweep(piece: Piece) -> None:
 
 
 def _lost(piece: Piece, ended: Ended) -> Outcome:
-    reason = f"each of {ended.workers} workers that ran only this file died"
+    _sweep(piece)
+    reason = f"each of {ended.workers} workers that ran this file died"
     remedy = "if memory is short, give fewer --jobs; then --resume"
-    error = DataError(reason, remedy, str(piece.file))
-    return _failed(piece, ExitCode.DATA, error_text(error) + "\n")
-
-
-def _failed(piece: Piece, code: ExitCode, complained: str, **more) -> Outcome:
-    from tirefit.data.records import FAILED, FileRecord
-
-    record = FileRecord(str(piece.file), str(piece.to), "", FAILED, problem=complained.strip())
-    return Outcome(code, complained=complained, record=record, **more)
+    problem = error_text(DataError(reason, remedy, str(piece.file)))
+    return Outcome(ExitCode.DATA, _failed(piece, problem), complained=problem + "\n")
 
 
 # --- In a worker ----------------------------------------------------------------------
 
-
-class _Packed(NamedTuple):
-    """The data of a worker in addition to the file, as bytes, as JAX arrays have 64 bits
-    only after JAX has been configured."""
-
-    folder: str  # working directory of the command
-    version: str  # of the command
-    content: bytes  # the attempt with what all files share
+_ALONE = threading.Lock()  # output is redirected for the whole process
 
 
 @lru_cache(maxsize=2)
 def _unpacked(content: bytes) -> tuple[Attempt, Any]:
+    """The attempt with what all files share; JAX arrays have 64 bits only after the start."""
     start_jax()
     return pickle.loads(content)
 
 
-def _apart(packed: _Packed, piece: Piece) -> Outcome:
-    """Process one file in a worker without output; errors become its outcome."""
-    output, complained = Unheard(), Unheard()
-    with redirect_stdout(output), redirect_stderr(complained), merged_notes() as held:
+def _apart(of_command: tuple[str, str], content: bytes, piece: Piece) -> Outcome:
+    """Process one file in a worker without output; errors become its outcome.
+
+    Args:
+        of_command: working directory and version of the command.
+        content: the attempt with what all files share, as bytes.
+    """
+    output, complained, last = Unheard(), Unheard(), False
+    with _ALONE, redirect_stdout(output), redirect_stderr(complained), merged_notes() as held:
         try:
-            with errors_to_exit(), _where_the_command_runs(packed):
-                code, record = attempted(*_unpacked(packed.content), piece)
+            with errors_to_exit(), _where_the_command_runs(*of_command):
+                code, record = attempted(*_unpacked(content), piece)
         except typer.Exit as end:
-            code = ExitCode(end.exit_code)
-            return _failed(piece, code, complained.getvalue(), last=True)
+            code, last = ExitCode(end.exit_code), True
+            record = _failed(piece, complained.getvalue())
         notes = tuple(held)
         held.clear()
-    text = complained.getvalue()
-    if record is None:
-        return _failed(piece, code, text)._replace(output=output.getvalue())
-    return Outcome(code, False, output.getvalue(), text, record, notes)
+    return Outcome(code, record, last, output.getvalue(), complained.getvalue(), notes)
 
 
-def _where_the_command_runs(packed: _Packed) -> chdir:
-    if packed.version != __version__:
-        reason = f"a worker runs tirefit {__version__}, the command {packed.version}"
+def _where_the_command_runs(folder: str, version: str) -> chdir:
+    if version != __version__:
+        reason = f"a worker runs tirefit {__version__}, the command {version}"
         raise UsageError(reason, "install the same for all workers")
-    if not os.path.isdir(packed.folder):
-        reason = f"a worker does not see the folder of the command, {packed.folder}"
+    if not os.path.isdir(folder):
+        reason = f"a worker does not see the folder of the command, {folder}"
         remedy = "run workers where it is mounted: they read files and write results"
         raise UsageError(reason, remedy)
-    return chdir(packed.folder)
-
-
-def attempted(attempt: Callable, task: Any, piece: Piece) -> tuple[ExitCode, "FileRecord | None"]:
-    """Run one file; neither a bad file nor a fault of the program stops the others."""
-    try:
-        return attempt(piece, task)
-    except TirefitError as error:
-        if error.exit_code == ExitCode.USAGE:
-            raise
-        complain(error_text(error))
-        return error.exit_code, None
-    except BrokenPipeError:
-        raise
-    except OSError as error:  # its report was printed
-        complain(error_text(error))
-        return ExitCode.USAGE, None
-    except Exception as error:
-        reason = f"a fault of the program: {type(error).__name__}: {error}"
-        remedy = "run the command on this file only to see where; please report it"
-        complain(error_text(DataError(reason, remedy, str(piece.file))))
-        return ExitCode.DATA, None
+    return chdir(folder)

@@ -14,12 +14,7 @@ from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
 
-
-class Combination(StrEnum):
-    none = "none"
-    similarity = "similarity"
-    ellipse = "ellipse"
-
+Combination = StrEnum("Combination", "none similarity ellipse")
 
 CombinationOption = Annotated[
     Combination | None,
@@ -125,8 +120,8 @@ def _files(out: Path) -> list[Path]:
 def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -> None:
     """Print the result and write it into the claimed folder; ``also``: figures."""
     from tirefit.fitting.result import SCHEMA
-    from tirefit.report.draw import FIGURE_FILES
-    from tirefit.report.mf_draw import MAGIC_FORMULA_FILES, save_pictures
+    from tirefit.report.fit_panels import FIGURE_FILES
+    from tirefit.report.mf_draw import MAGIC_FORMULA_FILES, save_magic_formula
 
     # Figures and draws of an earlier fit would be mistaken for those of this one.
     earlier = ["posterior.nc", *FIGURE_FILES, *MAGIC_FORMULA_FILES]
@@ -134,7 +129,7 @@ def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -
     with staged(out, earlier, result) as folder:
         written = result.save(folder)
         if also is not None:
-            written += save_pictures(result, folder, also.svg)
+            written += save_magic_formula(result, folder, also.svg)
             written += result.save(folder / PAGE) if also.html else []
     full = also is not None and also.full
     say(result.summary(full=full).replace(_ADVICE, advice))

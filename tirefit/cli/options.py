@@ -34,6 +34,11 @@ def named_path(text: str) -> Path:
     return Path(text)
 
 
+def path_option(metavar: str, help: str) -> Any:
+    """An option that takes the path of a file or folder."""
+    return typer.Option(metavar=metavar, parser=named_path, help=help)
+
+
 def completed(*names: str) -> Callable[[str], list[str]]:
     """Completion of an option from its names."""
 
@@ -54,19 +59,18 @@ Files = Annotated[
         " paths, addresses (s3://...), or patterns of them in quotes",
     ),
 ]
-Folder = Annotated[
-    Path, typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results")
-]
+Folder = Annotated[Path, path_option("FOLDER", "folder of the results")]
+OutFile = Annotated[Path, path_option("FILE.csv", "CSV file to write")]
+_SEED = typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
+Seed = Annotated[int, _SEED]
+SeedOrNone = Annotated[int | None, _SEED]
+Full = Annotated[bool, typer.Option("--full", help="print the report with all details")]
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
 
-
-class Side(StrEnum):
-    left = "left"
-    right = "right"
-
+Side = StrEnum("Side", "left right")
 
 SideOption = Annotated[
     Side | None, typer.Option(help="FILE.tir: side of the vehicle (default: TYRESIDE of the file)")
@@ -85,9 +89,7 @@ SignsOption = Annotated[
 class DataOptions:
     """Options that describe the data files; every field is an option."""
 
-    config: Annotated[
-        Path | None, typer.Option(metavar="FIT.TOML", parser=named_path, help="settings file")
-    ] = None
+    config: Annotated[Path | None, path_option("FIT.TOML", "settings file")] = None
     column: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=HEADER", help="header of a quantity, e.g. fx=Force"),

@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tirefit import __version__
-from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
+from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet, one_by_one, worst_of
 from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,
     Folder,
-    complain,
     completed,
-    error_text,
     errors_to_exit,
-    named_path,
+    path_option,
     read_config,
     read_options,
     say,
@@ -25,7 +23,7 @@ from tirefit.cli.options import (
 )
 from tirefit.cli.output import check_distinct, check_results, claimed, staged
 from tirefit.data.remote import expanded, file_at
-from tirefit.results import DataError, ExitCode, TirefitError, UsageError
+from tirefit.results import DataError, ExitCode, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -71,10 +69,8 @@ def prepare(
     ] = None,
     repeat: Annotated[
         Path | None,
-        typer.Option(
-            metavar="PREPARE.JSON",
-            parser=named_path,
-            help="repeat the steps of this record, on the same file or on others",
+        path_option(
+            "PREPARE.JSON", "repeat the steps of this record, on the same file or on others"
         ),
     ] = None,
     jobs: Jobs = None,
@@ -112,10 +108,10 @@ def prepare(
         task = _Task(out, how, config)
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
         with claimed(out), merged_notes(len(files) > 1):
+            outcomes = one_by_one(pieces, _one, task, lambda *_: None)
             if sharing.apart:
                 outcomes = fleet("prepare", pieces, _one, task, sharing, out)
-                raise typer.Exit(max(outcome.code for outcome in outcomes))
-            raise typer.Exit(_all(pieces, task))
+            raise typer.Exit(worst_of([outcome.code for outcome in outcomes]))
 
 
 def _settings(base, changes: dict[str, Any]):
@@ -158,20 +154,6 @@ class _Task:
     out: Path
     how: dict[str, Any]
     config: Any
-
-
-def _all(pieces: list[Piece], task: _Task) -> ExitCode:
-    """Prepare every file; one that fails does not stop the others."""
-    worst = ExitCode.OK
-    for piece in pieces:
-        try:
-            _one(piece, task)
-        except TirefitError as error:
-            if error.exit_code == ExitCode.USAGE or len(pieces) == 1:
-                raise
-            complain(error_text(error))
-            worst = max(worst, error.exit_code)
-    return worst
 
 
 def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:

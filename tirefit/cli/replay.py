@@ -5,11 +5,12 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import errors_to_exit, named_path, start_jax
+from tirefit.cli.options import Folder, Seed, errors_to_exit, start_jax
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.data.remote import file_at
 from tirefit.results import InputProblem, UsageError
 
+_TIRE = "FIT.json|FILE.tir|MODEL"
 FIGURES, PAGE = {"replay.png": "path", "series.png": "series"}, "replay.html"
 FILES = ("replay.json", *FIGURES, PAGE)
 
@@ -22,15 +23,9 @@ def replay(
     vehicle: Annotated[
         Path, typer.Option(metavar="VEHICLE.toml", help="vehicle.toml of the car and its log")
     ],
-    front: Annotated[
-        str, typer.Option(metavar="FIT.json|FILE.tir|MODEL", help="tire of the front axle")
-    ],
-    rear: Annotated[
-        str, typer.Option(metavar="FIT.json|FILE.tir|MODEL", help="tire of the rear axle")
-    ],
-    out: Annotated[
-        Path, typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results")
-    ],
+    front: Annotated[str, typer.Option(metavar=_TIRE, help="tire of the front axle")],
+    rear: Annotated[str, typer.Option(metavar=_TIRE, help="tire of the rear axle")],
+    out: Folder,
     horizon: Annotated[
         list[float] | None,
         typer.Option(
@@ -50,7 +45,7 @@ def replay(
             metavar="S", help="delay of the road wheels after the log [s]; default steering.delay"
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="seed of the random numbers")] = 0,
+    seed: Seed = 0,
     html: Annotated[
         bool, typer.Option("--html", help="write the report as one page, replay.html")
     ] = False,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import errors_to_exit, named_path, numbers, say, start_jax
+from tirefit.cli.options import OutFile, errors_to_exit, numbers, path_option, say, start_jax
 from tirefit.cli.output import check_table
 from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
@@ -22,11 +22,7 @@ simulate = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Out = Annotated[Path, typer.Option(metavar="FILE.csv", parser=named_path, help="CSV file to write")]
-Truth = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE.csv", parser=named_path, help="CSV file of the true values"),
-]
+Truth = Annotated[Path | None, path_option("FILE.csv", "CSV file of the true values")]
 
 
 def _option(one: Field) -> inspect.Parameter:
@@ -51,7 +47,7 @@ def _option(one: Field) -> inspect.Parameter:
 def _command(kind: str) -> Callable:
     """The command of one kind of simulation, with its settings as options."""
 
-    def run(*, out: Out, truth: Truth = None, **given) -> None:
+    def run(*, out: OutFile, truth: Truth = None, **given) -> None:
         with errors_to_exit():
             problems: list[InputProblem] = []
             if "values" in given:

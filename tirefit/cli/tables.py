@@ -15,6 +15,7 @@ from tirefit.cli.options import (
     DataOptions,
     Files,
     JsonOption,
+    OutFile,
     SetOption,
     SideOption,
     SignsOption,
@@ -22,9 +23,9 @@ from tirefit.cli.options import (
     error_text,
     errors_to_exit,
     model_names,
-    named_path,
     numbers,
     pairs,
+    path_option,
     read_config,
     read_options,
     say,
@@ -37,14 +38,7 @@ from tirefit.data.tire_file import tire_kind
 from tirefit.files import json_safe
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
-OutFile = Annotated[
-    Path, typer.Option(metavar="FILE.csv", parser=named_path, help="CSV file to write")
-]
-
-
-class Axle(StrEnum):
-    rear = "rear"
-    front = "front"
+Axle = StrEnum("Axle", "rear front")
 
 
 def version() -> None:
@@ -129,10 +123,8 @@ def derive(
     files: Files,
     vehicle: Annotated[
         Path,
-        typer.Option(
-            metavar="VEHICLE.TOML",
-            parser=named_path,
-            help="mass, geometry, inertia and columns of the log (see VEHICLE.md)",
+        path_option(
+            "VEHICLE.TOML", "mass, geometry, inertia and columns of the log (see VEHICLE.md)"
         ),
     ],
     out: OutFile,
