@@ -14,7 +14,7 @@ from tirefit.fitting.importance import draw_weighted, smoothed
 from tirefit.fitting.nuts import nuts_chunk, nuts_start
 from tirefit.fitting.posterior import _density, sample
 from tirefit.fitting.store import posterior_content
-from tirefit.report.draw import save_figures
+from tirefit.report.fit_panels import save_figures
 from tirefit.report.text import fit_report
 from tirefit.results import Outcome, UsageError
 

@@ -21,6 +21,29 @@ def without_pictures(make):
         return make()
 
 
+def drawn_texts(picture):
+    """(text, extent in pixels) of every text in a figure."""
+    picture.draw_without_rendering()
+    ticks = [
+        tick.label1
+        for axes in picture.axes
+        for axis in (axes.xaxis, axes.yaxis)
+        for tick in axis._update_ticks()  # those within the limits
+    ]
+    written = [*picture.texts, *(t for a in picture.axes for t in a.texts), *ticks]
+    shown = [t for t in written if t.get_text() and t.get_visible()]
+    return [(t.get_text(), t.get_window_extent()) for t in shown]
+
+
+def overlapping(texts):
+    return [
+        (one, other)
+        for i, (one, a) in enumerate(texts)
+        for other, b in texts[:i]
+        if a.x0 < b.x1 and b.x0 < a.x1 and a.y0 < b.y1 and b.y0 < a.y1
+    ]
+
+
 class Page(HTMLParser):
     """Balance of tags, external resources, and texts of a page."""
 

@@ -464,7 +464,7 @@ def test_the_ladder_is_first_in_text_and_page(page_text):
     assert all(row in flat(text) for row in rows)
     assert text.index("ANSWER") < text.index(title) < text.index("EFFECTS")
     page = re.sub(r"<[^>]*>", " ", page_text)
-    assert page.index("How far the gap") < page.index("Effects") < page.index("Details")
+    assert page.index("How far the gap") < page.index("Effects") < page.index("Gap on the rows")
     document = json.loads(diagnosis().to_json())
     assert document["ladder_on"] == "6 runs, each left out in turn"
     assert document["ladder"][1]["effects"] == ["slip_offset"]
@@ -944,7 +944,6 @@ def test_a_failed_save_leaves_no_figure(tmp_path, monkeypatch):
     path, drawn = tmp_path / "drum.png", diagnosis().plot()
     assert save_picture(drawn, path) == path
     picture = matplotlib.image.imread(path)
-    assert picture.shape[:2] == (1170, 1430)
     assert picture[:, :, :3].std() > 0.05
     before = path.read_bytes()
 

@@ -170,10 +170,10 @@ def several():
 
 def test_overlaid_curves_agree_with_the_models(several, plain):
     overlay = overlay_of(several, "fx")
-    assert [one.name for one in overlay.curves] == list(several)
+    assert [one.label for one in overlay.curves] == list(several)
     assert overlay.y_label == "longitudinal force $F_x$ [N]"
     assert overlay.note == "at $F_z$ = 4000 N"
-    for one, result in zip(overlay.curves, several.values(), strict=True):
+    for one, group, result in zip(overlay.curves, overlay.groups, several.values(), strict=True):
         values = {k: result.least_squares[k].value for k in result.labels}
         inputs = TireInputs(sigma_x=one.slip, fz=4000.0, v=20.0)
         expected = forces(with_values(MODELS["brush"], values), inputs).fx
@@ -181,7 +181,7 @@ def test_overlaid_curves_agree_with_the_models(several, plain):
         assert np.all(one.low <= one.force) and np.all(one.force <= one.high)
         # It ends where its rows do.
         assert one.slip[-1] == pytest.approx(result.table["sigma_x"].max())
-        assert len(one.at_slip) == result.statistics.n
+        assert len(group.slip) == result.statistics.n
     heavy = replace(plain, reference={"fz": 5000.0, "v": 20.0})
     over_load = overlay_of({"a": plain, "b": heavy}, "fx")
     assert over_load.y_label == "$F_x / F_z$ [-]"
@@ -199,9 +199,9 @@ def test_points_at_other_inputs_than_the_curve_are_omitted(plain):
     aside[30:40] = 0.1
     inputs = rows.inputs._replace(fz=jnp.asarray(load), alpha=jnp.asarray(aside))
     moved = replace(plain, problem=problem.with_rows(inputs=inputs))
-    (one,) = overlay_of({"a": moved}, "fx").curves
+    (one,) = overlay_of({"a": moved}, "fx").groups
     expected = problem.used(rows.observed["fx"])[40:]
-    np.testing.assert_array_equal(one.at_force, expected)
+    np.testing.assert_array_equal(one.force, expected)
 
 
 def test_the_page_of_several_has_a_row_for_each(several):

@@ -11,7 +11,7 @@ from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
 from tirefit.report.mf_curves import ellipse_panel, force_panels, residual_panel
-from tirefit.report.mf_draw import magic_formula_page, save_pictures
+from tirefit.report.mf_draw import magic_formula_page, save_magic_formula
 from tirefit.results import UsageError
 
 LOADS = (2000.0, 4000.0, 6000.0)
@@ -89,7 +89,7 @@ def test_the_ellipse_shows_both_forces_of_similar_rows(fit, table):
 
 
 def test_figures_and_page_are_written_completely(fit, tmp_path):
-    names = {path.name for path in save_pictures(fit, tmp_path, svg=True)}
+    names = {path.name for path in save_magic_formula(fit, tmp_path, svg=True)}
     assert names == {
         f"{name}.{kind}"
         for name in ("fit", "fx", "fy", "residuals", "ellipse")

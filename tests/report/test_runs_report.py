@@ -3,10 +3,10 @@
 import json
 import re
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
+from pages import drawn_texts, overlapping
 
 from tirefit.data.merged import merged
 from tirefit.data.run_names import run_names
@@ -17,8 +17,7 @@ from tirefit.fitting.store import record_of_fit
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 from tirefit.report.by_name import run_points
-from tirefit.report.draw_corner import corner_figure
-from tirefit.report.draw_uncertainty import profile_figure, trace_figure
+from tirefit.report.fit_panels import figure_of
 from tirefit.report.html import fit_fragment
 from tirefit.report.text import fit_report, summary_table
 from tirefit.report.uncertainty import corner_data, trace_data
@@ -120,31 +119,8 @@ def test_a_summary_has_every_column_of_every_fit(by_run):
     assert all(line.startswith(("  run0", "  fit ", "  ---")) for line in lines[2:] if line)
 
 
-def drawn_texts(picture):
-    """(text, extent in pixels) of every text in a figure."""
-    picture.draw_without_rendering()
-    ticks = [
-        tick.label1
-        for axes in picture.axes
-        for axis in (axes.xaxis, axes.yaxis)
-        for tick in axis._update_ticks()  # those within the limits
-    ]
-    written = [*picture.texts, *(t for a in picture.axes for t in a.texts), *ticks]
-    shown = [t for t in written if t.get_text() and t.get_visible()]
-    return [(t.get_text(), t.get_window_extent()) for t in shown]
-
-
-def overlapping(texts):
-    return [
-        (one, other)
-        for i, (one, a) in enumerate(texts)
-        for other, b in texts[:i]
-        if a.x0 < b.x1 and b.x0 < a.x1 and a.y0 < b.y1 and b.y0 < a.y1
-    ]
-
-
 def test_a_corner_of_twenty_parameters_is_legible(by_run):
-    picture = corner_figure(by_run)
+    picture = figure_of(by_run, "corner")
     texts = drawn_texts(picture)
     labels = [text for text, _ in texts if "(run" in text]
     assert len(labels) == 2 * 20 and len(set(labels)) == 20
@@ -160,7 +136,7 @@ def test_the_grid_shows_the_density_of_the_regions(by_run):
     assert len(corner.labels) == 14
     flat = by_run.chains.reshape(-1, 28)[:, 14:]
     np.testing.assert_allclose(corner.correlation, np.corrcoef(flat.T), atol=1e-9)
-    picture = corner_figure(by_run, ["mu"])
+    picture = figure_of(by_run, "corner", parameters=["mu"])
     image = picture.axes[0].images[0].get_array()
     bins = corner.density.shape[1]
     for i, j in ((1, 0), (13, 4)):
@@ -178,7 +154,9 @@ def test_corner_and_trace_draw_the_requested_parameters(by_run):
         "$c_p a^2$ (run02)",
         r"$\mu$ (run02)",
     ]
-    assert len(by_run.plot("corner", parameters=["mu[run02]", "mu[run03]"]).axes) == 3
+    (axes,) = by_run.plot("corner", parameters=["mu[run02]", "mu[run03]"]).axes
+    names = [label.get_text() for label in axes.get_yticklabels(minor=True)]
+    assert names == [r"$\mu$ (run02) [-]", r"$\mu$ (run03) [-]"]
     assert len(by_run.plot("trace", parameters=["mu"]).axes) == 28
     with pytest.raises(UsageError, match=r"no free parameter d, mu\[x\]") as caught:
         by_run.plot("corner", parameters=["mu", "d", "mu[x]"])
@@ -190,7 +168,7 @@ def test_a_trace_shows_the_parameters_that_agree_least(by_run):
     worst = by_run.labels[-10:]
     np.testing.assert_allclose(trace.rhat, [by_run.posterior.rhat[label] for label in worst])
     assert trace.note == ("10 of 28 parameters; the others: R-hat at most 1.018, ESS at least 900")
-    assert overlapping(drawn_texts(trace_figure(by_run))) == []
+    assert overlapping(drawn_texts(figure_of(by_run, "trace"))) == []
 
 
 def test_long_names_do_not_overlap_their_panels(by_run):
@@ -216,17 +194,11 @@ def test_long_names_do_not_overlap_their_panels(by_run):
     )
     for count in (4, 6):
         asked = [f"mu[{name}]" for name in names[:count]]
-        picture = corner_figure(result, asked)
-        picture.draw_without_rendering()
-        boxes = [a.yaxis.label.get_window_extent() for a in picture.axes]
-        written = [box for box in boxes if box.height > 5]
-        assert len(written) == count - 1
-        tops = sorted((box.y0, box.y1) for box in written)
-        assert all(low[1] < high[0] for low, high in pairwise(tops))
+        assert overlapping(drawn_texts(figure_of(result, "corner", parameters=asked))) == []
 
 
 def test_a_profile_of_some_parameters_states_their_number(by_run):
-    picture = profile_figure(by_run)
+    picture = figure_of(by_run, "profile")
     assert len(picture.axes) == 24
     assert "24 of 28 parameters" in [text.get_text() for text in picture.texts]
 

@@ -140,10 +140,8 @@ def _draw_stop(all_axes, stop: Stop) -> None:
         all_axes[5].plot(time, log.contacts.slips.kappa[:, k], **style)
     all_axes[0].plot(time, log.motion.v_x, color=DARK, linewidth=1.1, label="body")
     if "reference_speed" in log.info:
-        reference = log.info["reference_speed"][:, 0]
-        all_axes[0].plot(
-            time, reference, color=DARK, linewidth=0.7, linestyle=":", label="reference"
-        )
+        style = {"color": DARK, "linewidth": 0.7, "linestyle": ":", "label": "reference"}
+        all_axes[0].plot(time, log.info["reference_speed"][:, 0], **style)
     all_axes[3].plot(time, log.reading.deceleration, color=DARK, **lines)
     peak = {"color": GREY, "linewidth": 0.9, "linestyle": "--"}
     truth, of = log.reading.truth, f" ({names[0]})" if len(names) > 1 else ""
@@ -155,24 +153,24 @@ def _draw_stop(all_axes, stop: Stop) -> None:
 def _draw_stiffness(axes, stop: Stop) -> None:
     """Extended braking stiffness of the first wheel: true, estimated and target."""
     time, info = stop.log.reading.time, stop.log.info
-    style = {"linewidth": 0.9}
-    axes.plot(time, stop.log.xbs_true[:, 0] / 1e3, color=GREY, label="true", **style)
-    if "xbs" in info:
-        axes.plot(time, info["xbs"][:, 0] / 1e3, color=COLORS[0], label="estimated", **style)
-    if "xbs_wanted" in info:
-        axes.plot(
-            time,
-            info["xbs_wanted"][:, 0] / 1e3,
-            color=DARK,
-            linestyle=":",
-            label="wanted, O(22)",
-            **style,
-        )
+    axes.plot(time, stop.log.xbs_true[:, 0] / 1e3, color=GREY, label="true", linewidth=0.9)
+    for name, label, color, line in (
+        ("xbs", "estimated", COLORS[0], "-"),
+        ("xbs_wanted", "wanted, O(22)", DARK, ":"),
+    ):
+        if name in info:
+            values = info[name][:, 0] / 1e3
+            axes.plot(time, values, line, color=color, label=label, linewidth=0.9)
+
+
+def _fast(stop: Stop) -> np.ndarray:
+    """The samples (n,) bool at which the car is faster than 0.3 of its initial speed."""
+    return np.asarray(stop.log.motion.v_x > 0.3 * stop.log.motion.v_x[0])
 
 
 def _stiffness_limit(stop: Stop) -> float:
     """Upper axis limit [kN s/m] of estimate and truth while the car is fast."""
-    fast = stop.log.motion.v_x > 0.3 * stop.log.motion.v_x[0]
+    fast = _fast(stop)
     known = [np.asarray(stop.log.xbs_true)[fast, 0]]
     known += [np.asarray(stop.log.info["xbs"])[fast, 0]] if "xbs" in stop.log.info else []
     return 1.1 * float(np.nanpercentile(np.concatenate(known), 95)) / 1e3
@@ -180,8 +178,7 @@ def _stiffness_limit(stop: Stop) -> float:
 
 def _slip_limit(stop: Stop) -> float:
     """Upper axis limit of the slips while the car is fast, at least three times the peak."""
-    fast = stop.log.motion.v_x > 0.3 * stop.log.motion.v_x[0]
-    kappa = stop.log.contacts.slips.kappa[fast]
+    kappa = stop.log.contacts.slips.kappa[_fast(stop)]
     least = 3 * float(np.max(stop.log.reading.truth.peak))
     return float(np.clip(1.1 * np.percentile(kappa, 99.5), min(least, 1.05), 1.05))
 
@@ -308,32 +305,22 @@ def paths_figure(result: Braking) -> Picture:
     limit = min(_PEAKS_SHOWN * peak, 1.0)
     for mu, (kappa, force) in tire_curve(result.request, limit).items():
         axes.plot(kappa, force, color=DARK, linewidth=1.1, zorder=3)
-        axes.annotate(
-            f"tire at $\\mu$ = {mu:g}",
-            (kappa[-1], force[-1]),
-            fontsize=7.5,
-            ha="right",
-            va="bottom",
-            xytext=(0, 3),
-            textcoords="offset points",
-            color=DARK,
-        )
+        text = f"tire at $\\mu$ = {mu:g}"
+        place = {"xytext": (0, 3), "textcoords": "offset points", "ha": "right", "va": "bottom"}
+        axes.annotate(text, (kappa[-1], force[-1]), fontsize=7.5, color=DARK, **place)
     edges = np.linspace(0.0, limit, 41)
     for color, (name, path) in zip(COLORS, paths.items(), strict=False):
         axes.plot(path.kappa, path.force, ".", color=color, markersize=2, alpha=0.35)
         beyond = path.mean[0] > limit
         note = f", at $\\kappa$ = {path.mean[0]:.2f}" if beyond else ""
-        axes.plot(
-            min(path.mean[0], limit),
-            path.mean[1],
-            ">" if beyond else "o",
-            color=color,
-            markersize=8,
-            markeredgecolor="white",
-            zorder=4,
-            clip_on=False,
-            label=f"{name}: mean{note}",
-        )
+        style: dict[str, Any] = {
+            "markersize": 8,
+            "markeredgecolor": "white",
+            "clip_on": False,
+            "zorder": 4,
+        }
+        style |= {"color": color, "label": f"{name}: mean{note}"}
+        axes.plot(min(path.mean[0], limit), path.mean[1], ">" if beyond else "o", **style)
         counts, _ = np.histogram(np.clip(path.kappa, 0.0, limit), edges)
         share = counts / max(len(path.kappa), 1)
         below.stairs(100 * share, edges, color=color, linewidth=1.1)

@@ -1,22 +1,20 @@
 """Estimates by run or by file: estimates -> arrays -> axes."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tirefit.data.run_names import clipped
 from tirefit.fitting.derived import quantity_of
 from tirefit.fitting.result import Estimate, FitResult
-from tirefit.report.canvas import BLUE, DARK, GREY, RED, Picture, frame, tidy
-from tirefit.report.fit_tables import reference_text
+from tirefit.report.canvas import BLUE, DARK, GREY, RED, tidy
 from tirefit.report.labels import short_run
 from tirefit.report.numbers import plain_text
 
 _SAME = 1e-6
 """Two quantities are proportional if their ratio varies by less than this (relative)."""
 _MOST_NAMES = 40
-_LEFT = 0.88  # width of a label and its numbers [inches]
 
 
 class Points(NamedTuple):
@@ -106,21 +104,15 @@ def draw_points(axes, points: Points, named: bool = True) -> None:
         first = np.where(np.isnan(points.low), low, np.maximum(points.low, low))[rows]
         last = np.where(np.isnan(points.high), high, np.minimum(points.high, high))
         axes.vlines(at[rows], first, last[rows], color=color, lw=1.4)
-        axes.plot(
-            at[rows],
-            value,
-            linestyle="none",
-            marker="o",
-            markersize=size,
-            color=color,
-            markerfacecolor=face,
-        )
+        axes.plot(at[rows], value, "o", markersize=size, color=color, markerfacecolor=face)
     missing = np.isnan(points.value)
-    axes.plot(at[missing], np.full(missing.sum(), low), "x", color=RED, clip_on=False)
+    if missing.any():
+        axes.plot(at[missing], np.full(missing.sum(), low), "x", color=RED, clip_on=False)
     every = -(-len(at) // _MOST_NAMES)
     texts = [plain_text(clipped(name, 18)) for name in points.names[::every]]
     axes.set_xticks(at[::every], texts if named else [])
-    tidy(axes, "", points.label)
+    tidy(axes)
+    axes.set_title(points.label, fontsize=8.5, loc="left", color=DARK, pad=2)
     if named and sum(map(len, texts)) > 60:
         axes.tick_params(axis="x", labelrotation=90, labelsize=7)
     axes.set_xlim(-0.6, len(at) - 0.4)
@@ -128,36 +120,8 @@ def draw_points(axes, points: Points, named: bool = True) -> None:
     axes.grid(axis="y", color=GREY, alpha=0.25, lw=0.5)
 
 
-def place_points(picture: Picture, panels: Sequence[Points], bottom, top) -> None:
-    """One row per quantity, the names below the last."""
-    width, height = picture.get_size_inches()
-    texts = [clipped(name, 18) for name in panels[0].names]
-    turned = sum(map(len, texts)) > 60
-    bottom += (0.15 + 0.055 * max(map(len, texts)) if turned else 0.3) / height
-    step = (top - bottom) / len(panels)
-    for i, points in enumerate(panels):
-        low = top - (i + 1) * step + 0.08 / height
-        box = (_LEFT / width, low, 1 - (_LEFT + 0.14) / width, step - 0.16 / height)
-        axes = picture.add_axes(box)
-        draw_points(axes, points, named=i == len(panels) - 1)
-    picture.align_ylabels()
-
-
-def runs_figure(result: FitResult) -> Picture:
-    """Draw every parameter and derived quantity that differs by run."""
-    panels = run_points(result)
-    picture, (bottom, top) = frame(result, 2.0 + 1.45 * len(panels))
-    height = picture.get_figheight()
-    at = reference_text(result).replace("F_z", "$F_z$")
-    vague = any((~points.known).any() for points in panels)
-    note = f"values and 95 % intervals by run ({result.source}); derived at {at}"
-    picture.text(
-        0.02,
-        top - 0.02 / height,
-        note + ("; grey: not identified" if vague else ""),
-        va="top",
-        fontsize=7.5,
-        color=DARK,
-    )
-    place_points(picture, panels, bottom, top - 0.25 / height)
-    return picture
+def draw_by_name(figure: Any, panels: Sequence[Points]) -> None:
+    """Draw one row per quantity, the names below the last."""
+    cells = figure.subplots(len(panels), 1, squeeze=False).ravel()
+    for axes, points in zip(cells, panels, strict=True):
+        draw_points(axes, points, named=axes is cells[-1])

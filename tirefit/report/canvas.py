@@ -6,6 +6,7 @@ Only matplotlib's object API is used: pyplot imports slowly and keeps global lis
 import io
 import textwrap
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tirefit.files import replacing
-from tirefit.fitting.result import FitResult
-from tirefit.report.labels import fit_files
 from tirefit.report.numbers import plain_text
-from tirefit.report.text import verdict_line
 
 BLUE, ORANGE, GREEN = "#0072B2", "#E69F00", "#009E73"
 RED, SKY, PURPLE = "#D55E00", "#56B4E9", "#CC79A7"
@@ -53,53 +51,32 @@ class Picture(Figure):
 
 
 def frame(
-    result: FitResult, height: float, width: float = WIDTH
-) -> tuple[Picture, tuple[float, float]]:
-    """An empty picture with title and footnote.
+    title: str, text: str, foot: str, size: tuple[float, float], note: str = "", color: str = DARK
+) -> Picture:
+    """An empty picture with title, text, note and footnote, and a layout between them.
 
     Args:
-        result: whose model, file and verdict the title names.
-        height, width: of the picture in inches.
-
-    Returns:
-        (picture, (bottom, top)): the share of the height that is free for axes.
+        size: width of the picture, and height of the space for axes, in inches.
+        note: below the text in small print, may hold mathematics.
+        color: of the text.
     """
+    width, height = size
+    lines = textwrap.wrap(text, int(14.3 * width), max_lines=2, placeholder=" …")
+    head = 0.4 + 0.15 * len(lines) + 0.14 * (len(note.splitlines()) + bool(note))
+    height += head + 0.2
     picture = Picture(figsize=(width, height))
-    title = f"{result.model} fitted to {fit_files(result, 68)}"
-    lines = textwrap.wrap(verdict_line(result), 100, max_lines=2, placeholder=" …")
-    picture.text(
-        0.02,
-        1 - 0.10 / height,
-        plain_text(title),
-        va="top",
-        fontsize=10.5,
-        fontweight="bold",
-        color=DARK,
-    )
-    picture.text(
-        0.02,
-        1 - 0.31 / height,
-        plain_text("\n".join(lines)),
-        va="top",
-        fontsize=8.5,
-        color=RED if result.outcomes else DARK,
-        linespacing=1.15,
-    )
-    picture.text(
-        0.02,
-        0.05 / height,
-        f"tirefit {result.version} · braking positive, SI · seed {result.seed}"
-        f" · {_rows(result.statistics.n)}",
-        va="bottom",
-        fontsize=6.5,
-        color=GREY,
-    )
-    return picture, (0.2 / height, 1 - (0.38 + 0.15 * len(lines)) / height)
-
-
-def _rows(count: int) -> str:
-    some = f", {MOST_DRAWN} of them drawn" if count > MOST_DRAWN else ""
-    return f"{count} rows{some}"
+    box = (0, 0.2 / height, 1, 1 - (head + 0.2) / height)
+    picture.set_layout_engine("constrained", rect=box)
+    for y, said, letters, weight, shade in (
+        (height - 0.10, plain_text(title), 10.5, "bold", DARK),
+        (height - 0.31, plain_text("\n".join(lines)), 8.5, "normal", color),
+        (0.17, plain_text(foot), 6.5, "normal", GREY),
+        (height - head + 0.14 * len(note.splitlines()), note, 7.5, "normal", DARK),
+    ):
+        picture.text(
+            0.02, y / height, said, va="top", fontsize=letters, fontweight=weight, color=shade
+        )
+    return picture
 
 
 def drawn(values: np.ndarray, among: int | None = None) -> np.ndarray:
@@ -116,6 +93,20 @@ def drawn(values: np.ndarray, among: int | None = None) -> np.ndarray:
     far = np.argpartition(np.abs(values - np.median(values)), -_FARTHEST)[-_FARTHEST:]
     rest = np.random.default_rng(0).integers(0, count, int(share * count))
     return np.unique(np.concatenate([far, rest]))
+
+
+def dots(
+    axes: Any, x: np.ndarray, y: np.ndarray, size: float, color: Any, alpha: float = 1.0, **how: Any
+) -> None:
+    """Draw many points without edges, as an image in vector graphics."""
+    style = {"marker": "o", "ms": size, "mew": 0, "color": color, "alpha": alpha}
+    axes.plot(x, y, linestyle="none", rasterized=True, zorder=2, **style, **how)
+
+
+def boxed(axes: Any, x: float, y: float, text: str, size: float, **how: Any) -> None:
+    """Write a text on white, which lines do not cross."""
+    box = {"color": "white", "pad": 0.5}
+    axes.text(x, y, plain_text(text), fontsize=size, color=DARK, bbox=box, **how)
 
 
 def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:
@@ -149,6 +140,14 @@ def panel_title(axes, text: str, note: str = "") -> None:
             color=GREY,
             va="bottom",
         )
+
+
+def save_pictures(
+    pictures: Iterable[tuple[str, Picture]], folder: Path, svg: bool = False
+) -> list[Path]:
+    """Write named pictures as PNG, and as SVG if ``svg``; returns the files."""
+    ends = (".png", ".svg") if svg else (".png",)
+    return [save_picture(one, folder / f"{name}{end}") for name, one in pictures for end in ends]
 
 
 def save_picture(picture: Picture, path: Path) -> Path:

@@ -7,7 +7,7 @@ from tirefit.diagnosis.effects.per_run import RELATIVE
 from tirefit.diagnosis.summary.result import SCHEMA, Diagnosis
 from tirefit.models import MODELS
 from tirefit.params import specs
-from tirefit.report.diagnosis_sections import Section, gap_line
+from tirefit.report.diagnosis_sections import gap_line
 from tirefit.report.diagnosis_words import (
     amount_text,
     amplitude_text,
@@ -22,6 +22,7 @@ from tirefit.report.diagnosis_words import (
     slip_check_line,
     untestable_lines,
 )
+from tirefit.report.html import Section
 from tirefit.report.numbers import format_estimate, format_number
 
 _LEAST = 0.005  # smallest probability of a candidate that is listed

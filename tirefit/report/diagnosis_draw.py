@@ -1,7 +1,7 @@
 """Draw the figures of a diagnosis from arrays: ladder, effects, location of the gap."""
 
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import matplotlib as mpl
@@ -20,6 +20,9 @@ from tirefit.report.canvas import (
     ORANGE,
     PURPLE,
     Picture,
+    boxed,
+    dots,
+    frame,
     panel_title,
     tidy,
 )
@@ -40,8 +43,8 @@ from tirefit.report.diagnosis_panels import (
 from tirefit.report.diagnosis_sections import answer, subject
 from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_number, plain_text
+from tirefit.report.panels import Panel, alone
 
-_FORCE = {"fx": "$F_x$ [N]", "fy": "$F_y$ [N]", "mz": "$M_z$ [N m]"}
 _SIZE = (11.0, 9.0)
 _PANEL = (5.6, 4.4)
 _NARROW = 0.035
@@ -85,20 +88,10 @@ def draw_ladder(figure, bars: Sequence[LadderBar], unit: str, on: str) -> None:
             axes.plot(bar.held_out, place, "D", ms=6, mfc="white", mec=DARK)
         if bar.kind in ("smooth", "noise"):
             axes.axvline(bar.rms, color=_KIND[bar.kind], lw=1.2, ls=(0, (4, 2)), zorder=0)
-        closed = (
-            ""
-            if bar.closed is None or bar.kind == "noise"
-            else f", {100 * bar.closed:.0f} % closed"
-        )
-        text = f"{bar.label}: {format_number(bar.rms, 3)} {unit}{closed}"
-        axes.text(
-            0.01 * reach,
-            place + 0.24,
-            plain_text(text),
-            fontsize=9,
-            color=DARK,
-            bbox={"color": "white", "pad": 0.5},
-        )
+        text = f"{bar.label}: {format_number(bar.rms, 3)} {unit}"
+        if bar.closed is not None and bar.kind != "noise":
+            text += f", {100 * bar.closed:.0f} % closed"
+        boxed(axes, 0.01 * reach, place + 0.24, text, 9)
     rows = "data left out" if on else "the rows fitted"
     tidy(axes, f"rms on {rows} [{unit}]", size=9.5)
     axes.set_xlim(0, reach)
@@ -119,15 +112,9 @@ def draw_chances(figure, bars: Sequence[ChanceBar]) -> None:
     for place, bar in zip(places, bars, strict=True):
         axes.barh(place, bar.probability, 0.6, color=_KIND[bar.kind])
         inside = bar.probability > 0.85
-        axes.text(
-            bar.probability + (-0.01 if inside else 0.01),
-            place,
-            f"{bar.probability:.2f}",
-            va="center",
-            fontsize=8.5,
-            ha="right" if inside else "left",
-            color="white" if inside else DARK,
-        )
+        side, color, shift = ("right", "white", -0.01) if inside else ("left", DARK, 0.01)
+        style = {"va": "center", "ha": side, "color": color, "fontsize": 8.5}
+        axes.text(bar.probability + shift, place, f"{bar.probability:.2f}", **style)
     tidy(axes, "probability that it (or a twin) is a cause")
     axes.set_yticks(places, [textwrap.fill(bar.label, 18) for bar in bars])
     axes.set_ylim(-0.6, top - 0.4)
@@ -145,16 +132,9 @@ def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
     rows, columns = panel.mean.shape
     reach = float(np.nanmax(np.abs(panel.mean), initial=1e-3))
     colors = mpl.colormaps["RdBu_r"].with_extremes(bad="#eeeeee")
-    image = axes.pcolormesh(
-        panel.edges,
-        np.arange(rows + 1) - 0.5,
-        np.ma.masked_invalid(panel.mean),
-        cmap=colors,
-        vmin=-reach,
-        vmax=reach,
-        edgecolors="white",
-        linewidth=0.4,
-    )
+    style = {"cmap": colors, "vmin": -reach, "vmax": reach, "edgecolors": "white"}
+    mean = np.ma.masked_invalid(panel.mean)
+    image = axes.pcolormesh(panel.edges, np.arange(rows + 1) - 0.5, mean, lw=0.4, **style)
     axes.set_facecolor("#eeeeee")
     center = (panel.edges[:-1] + panel.edges[1:]) / 2
     width = np.diff(panel.edges) / np.ptp(panel.edges)
@@ -166,15 +146,8 @@ def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
         if panel.beyond[row, column]:
             axes.plot(center[column], row - 0.2, marker="o", ms=3, **style)
         if (share := panel.energy[row, column]) >= 0.03:
-            axes.text(
-                center[column],
-                row + 0.15,
-                f"{100 * share:.0f}",
-                ha="center",
-                va="center",
-                fontsize=7,
-                **style,
-            )
+            middle = {"ha": "center", "va": "center", "fontsize": 7}
+            axes.text(center[column], row + 0.15, f"{100 * share:.0f}", **middle, **style)
     tidy(axes, "slip / slip of full sliding")
     axes.set_ylabel(covariate_label(panel), fontsize=8.5, color=DARK)
     axes.set_yticks(range(rows), level_labels(panel))
@@ -182,12 +155,8 @@ def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
     bar.ax.tick_params(labelsize=7.5, length=3)
     bar.set_label("% of $F_z$", fontsize=8)
     bar.outline.set_visible(False)
-    name = panel.channel.capitalize()
-    panel_title(
-        axes,
-        f"Where: measured {name} minus {base}",
-        "dot: beyond the noise (5 % false); number: % of the gap's energy",
-    )
+    note = "dot: beyond the noise (5 % false); number: % of the gap's energy"
+    panel_title(axes, f"Where: measured {panel.channel.capitalize()} minus {base}", note)
 
 
 def draw_comparison(figure, panel: Comparison, after: str, base: str = "base") -> None:
@@ -202,7 +171,8 @@ def draw_comparison(figure, panel: Comparison, after: str, base: str = "base") -
     axis = slip_axis(panel.slip_name, slips)
     for i, curve in enumerate(panel.curves):
         _draw_load(top, curve, axis, COLORS[i % len(COLORS)])
-    tidy(top, f"{axis.label} [{axis.unit}]", _FORCE[panel.channel])
+    force = f"${channel_name(panel.channel)}$ [{FORCE_UNIT[panel.channel]}]"
+    tidy(top, f"{axis.label} [{axis.unit}]", force)
     handles: list[Line2D | Patch] = [
         Line2D([], [], ls="none", marker="o", ms=3, color=color, label=load_label(curve))
         for curve, color in zip(panel.curves, COLORS, strict=False)
@@ -212,32 +182,20 @@ def draw_comparison(figure, panel: Comparison, after: str, base: str = "base") -
         Line2D([], [], color=GREY, lw=1.4, label="after"),
         Patch(color=GREY, alpha=0.3, lw=0, label="after: 80 % of rows"),
     ]
-    top.legend(
-        handles=handles, fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.02)
-    )
+    beside = {"fontsize": 7, "frameon": False, "loc": "upper left", "bbox_to_anchor": (1.0, 1.04)}
+    top.legend(handles=handles, **beside)
     panel_title(top, "Before and after", f"after: {after}")
-    bottom.plot(
-        panel.center,
-        panel.before,
-        color=DARK,
-        ls=(0, (4, 2)),
-        marker="o",
-        ms=2.5,
-        lw=1.2,
-        label=base,
-    )
-    bottom.plot(panel.center, panel.after, color=BLUE, marker="o", ms=2.5, lw=1.4, label="after")
+    points = {"marker": "o", "ms": 2.5, "lw": 1.3}
+    bottom.plot(panel.center, panel.before, color=DARK, ls=(0, (4, 2)), label=base, **points)
+    bottom.plot(panel.center, panel.after, color=BLUE, label="after", **points)
     bottom.set_ylim(bottom=0)
     tidy(bottom, "slip / slip of full sliding", "rms residual [N]")
-    bottom.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.05))
+    bottom.legend(**beside)
 
 
 def _draw_load(axes, curve: LoadCurve, axis: SlipAxis, color: str) -> None:
     center = axis.shown(curve.center)
-    axes.plot(
-        axis.shown(curve.slip), curve.force, ls="none", marker="o", ms=1.8,
-        markeredgewidth=0, alpha=0.4, color=color, rasterized=True, zorder=2,
-    )  # fmt: skip
+    dots(axes, axis.shown(curve.slip), curve.force, 1.8, color, 0.4)
     axes.fill_between(center, curve.low, curve.high, color=color, alpha=0.3, lw=0, zorder=1)
     axes.plot(center, curve.base, color=color, lw=1.2, ls=(0, (4, 2)), zorder=3)
     axes.plot(center, curve.extended, color=color, lw=1.4, zorder=4)
@@ -259,100 +217,74 @@ def draw_waterfall(figure, steps: list[WaterfallBar], channel: str = "") -> None
         inside = right > 0.6 * whole
         room = right - left > 0.45 * whole
         at = left + 0.012 * whole if room else left if inside else right
-        axes.text(
-            at + (0 if room else -0.012 * whole if inside else 0.012 * whole),
-            place,
-            plain_text(step.text),
-            va="center",
-            fontsize=8,
-            ha="right" if inside and not room else "left",
-            color="white" if room and step.kind in ("whole", "effect") else DARK,
-        )
+        at += 0 if room else -0.012 * whole if inside else 0.012 * whole
+        color = "white" if room and step.kind in ("whole", "effect") else DARK
+        style = {"va": "center", "ha": "right" if inside and not room else "left", "color": color}
+        axes.text(at, place, plain_text(step.text), fontsize=8, **style)
     for place, step in zip(places[1:-1], steps[1:-1], strict=True):
         axes.plot([whole * step.after] * 2, [place - 0.69, place + 0.31], color=GREY, lw=0.8)
     tidy(axes, "share of the squared error [%]")
     axes.set_yticks(places, [plain_text(step.label) for step in steps])
     axes.set_xlim(0, 1.02 * whole)
-    panel_title(
-        axes,
-        f"Budget{channel}: from the simulator's error to the noise",
-        "parts add in squares; a bar is a share of their sum [90 % interval]",
-    )
+    note = "parts add in squares; a bar is a share of their sum [90 % interval]"
+    panel_title(axes, f"Budget{channel}: from the simulator's error to the noise", note)
 
 
-def panels_of(result: Diagnosis) -> dict[str, Callable]:
-    """Name of a panel -> function that draws it on a figure."""
+def panels_of(result: Diagnosis) -> dict[str, Panel]:
+    """Name of a panel -> the panel."""
     base, after = "simulator" if result.simulator else "base fit", after_label(result)
-    panels: dict[str, Callable] = {
-        "ladder": partial(
-            draw_ladder,
-            bars=ladder_bars(result),
-            on=result.ladder.on,
-            unit=FORCE_UNIT[result.data.channels[0]],
+    unit = FORCE_UNIT[result.data.channels[0]]
+    ladder = partial(draw_ladder, bars=ladder_bars(result), on=result.ladder.on, unit=unit)
+    compared = partial(draw_comparison, panel=result.comparison, after=after, base=base)
+    where = partial(draw_where, panel=result.residual_map, base=base)
+    panels = {
+        "ladder": Panel(ladder, "Rms on data left out, step by step, down to the noise", _PHONE),
+        "which": Panel(
+            partial(draw_chances, bars=chance_bars(result)),
+            "Probability that each effect is a cause, as bars",
+            _PANEL,
         ),
-        "which": partial(draw_chances, bars=chance_bars(result)),
-        "before and after": partial(
-            draw_comparison, panel=result.comparison, after=after, base=base
+        "before and after": Panel(
+            compared, "Force over slip and residuals, of the base fit and after it", _PANEL
         ),
-        "where": partial(draw_where, panel=result.residual_map, base=base),
+        "where": Panel(
+            where, "Map of measured minus fitted force over slip and another quantity", _PANEL
+        ),
     }
     if result.look is not None:
         beside = after if result.comparison.named else "the base fit"
-        panels["what is left"] = partial(draw_look, panel=result.look, beside=beside)
+        look = partial(draw_look, panel=result.look, beside=beside)
+        text = "Remainder: change of a parameter over the quantity that it depends on"
+        panels["what is left"] = Panel(look, text, _PANEL)
     if any(result.verdict.sizes.get(effect) for effect in result.verdict.helping):
-        panels["sizes"] = partial(draw_sizes, result=result)
-    several = len(result.budgets) > 1
+        text = "Size of each effect that helps, in groups of the rows"
+        panels["sizes"] = Panel(partial(draw_sizes, result=result), text, _PHONE)
     for channel in result.budgets if result.simulator else ():
-        of = f" of {channel_name(channel)}" * several
-        bars = waterfall_steps(result, channel)
-        panels[f"budget{of}"] = partial(draw_waterfall, steps=bars, channel=of)
+        of = f" of {channel_name(channel)}" * (len(result.budgets) > 1)
+        bars = partial(draw_waterfall, steps=waterfall_steps(result, channel), channel=of)
+        text = f"Waterfall from the simulator's error, part by part, to the noise{of}"
+        panels[f"budget{of}"] = Panel(bars, text, _PANEL)
     return panels
 
 
 def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
-    """Each panel as a separate picture, for phones."""
-    pictures = {}
-    for name, draw in panels_of(result).items():
-        size = _PHONE if name in ("ladder", "sizes") else _PANEL
-        pictures[name] = Picture(figsize=size, layout="constrained")
-        draw(pictures[name])
-    return pictures
+    """Each panel as a separate picture."""
+    return {name: alone(panel) for name, panel in panels_of(result).items()}
 
 
 def diagnosis_figure(result: Diagnosis) -> Picture:
     """All panels below the answer, the ladder first; below the first four the remainder,
     if it has a shape, and the budget of a simulator for each channel."""
     panels = panels_of(result)
-    feet = (_FOOT,) * (len(panels) - _SQUARE)
-    width, height = _SIZE
-    picture = Picture(figsize=(width, height * (1 + sum(feet))), layout="constrained")
-    heights = (0.08, 1, *feet)
-    parts = picture.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)
-    head, body, *foot = parts.ravel()
-    cells = [*body.subfigures(2, 2).ravel(), *foot]
-    for cell, draw in zip(cells, panels.values(), strict=True):
-        draw(cell)
-    head.text(
-        0.01,
-        0.95,
-        plain_text(subject(result)),
-        va="top",
-        fontsize=12,
-        fontweight="bold",
-        color=DARK,
-    )
-    sentence = textwrap.fill(answer(result), 140, max_lines=3, placeholder=" …")
-    head.text(0.01, 0.55, plain_text(sentence), va="top", fontsize=9, color=DARK)
-    head.text(
-        0.99,
-        0.95,
-        f"tirefit {result.version} · braking positive, SI · seed"
-        f" {result.seed} · {format_number(result.n)} rows",
-        va="top",
-        ha="right",
-        fontsize=7,
-        color=GREY,
-    )
+    heights = (1, *(_FOOT,) * (len(panels) - _SQUARE))
+    foot = f"tirefit {result.version} · braking positive, SI · seed {result.seed}"
+    foot += f" · {format_number(result.n)} rows"
+    size = _SIZE[0], _SIZE[1] * sum(heights)
+    picture = frame(subject(result), answer(result), foot, size)
+    body, *more = picture.subfigures(len(heights), 1, squeeze=False, height_ratios=heights).ravel()
+    cells = [*body.subfigures(2, 2).ravel(), *more]
+    for cell, panel in zip(cells, panels.values(), strict=True):
+        panel.draw(cell)
     return picture
 
 
@@ -370,5 +302,5 @@ def plot_diagnosis(result: Diagnosis, panel: str | None = None):
     """
     if panel is None:
         return diagnosis_figure(result)
-    check_names("panel", [panel], panels_of(result))
-    return panel_pictures(result)[panel]
+    check_names("panel", [panel], panels := panels_of(result))
+    return alone(panels[panel])

@@ -5,32 +5,10 @@ from collections.abc import Mapping, Sequence
 from tirefit.diagnosis.summary.records import Status
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.diagnosis_details import details
-from tirefit.report.diagnosis_draw import diagnosis_figure, panel_pictures, panels_of
-from tirefit.report.diagnosis_sections import (
-    Section,
-    answer,
-    first_screen,
-    foot_line,
-    head_lines,
-    subject,
-)
-from tirefit.report.html import GOOD, OPEN, image_of, rendered
-
-_ALTERNATIVES = {
-    "sizes": "Size of each effect that helps, in groups of the rows",
-    "ladder": "Rms on data left out, step by step, down to the noise",
-    "which": "Probability that each effect is a cause, as bars",
-    "where": "Map of measured minus fitted force over slip and another quantity",
-    "before and after": "Force over slip and residuals, of the base fit and after it",
-    "what is left": "Remainder: change of a parameter over the quantity that it depends on",
-    "budget": "Waterfall from the simulator's error, part by part, to the noise",
-}
-
-
-def _alternative(name: str) -> str:
-    """Description of a panel by name; for a panel of a channel, by the text before ``of``."""
-    kind, of_channel, channel = name.partition(" of ")
-    return _ALTERNATIVES[kind] + (f", of {channel}" if of_channel else "")
+from tirefit.report.diagnosis_draw import diagnosis_figure, panels_of
+from tirefit.report.diagnosis_sections import answer, first_screen, foot_line, head_lines, subject
+from tirefit.report.html import GOOD, OPEN, Section, fragment, image_of, page
+from tirefit.report.panels import Panel, images_of
 
 
 def _answer(result: Diagnosis) -> Mapping:
@@ -42,37 +20,28 @@ def _answer(result: Diagnosis) -> Mapping:
     }
 
 
-def _shown(sections: Sequence[Section], pictures: Mapping) -> list[Mapping]:
-    shown: list[Mapping] = []
-    for section in sections:
-        names = [name for name in section.pictures if name in pictures]
-        images = [image_of(pictures[name], _alternative(name)) for name in names]
-        shown.append(section._asdict() | {"pictures": images})
-    return shown
+def _shown(sections: Sequence[Section], panels: Mapping[str, Panel]) -> list[Section]:
+    """The sections with the pictures of the panels that they name."""
+    named = ([panels[k] for k in one.pictures if k in panels] for one in sections)
+    return [
+        one._replace(pictures=images_of(some)) for one, some in zip(sections, named, strict=True)
+    ]
 
 
 def diagnosis_page(result: Diagnosis) -> str:
     """The whole diagnosis as one HTML document, without script or external files."""
-    pictures = panel_pictures(result)
-    return rendered(
-        "diagnosis_page.html",
-        title=subject(result),
-        answer=_answer(result),
-        sections=_shown(first_screen(result), pictures),
-        details=_shown(details(result), {}),
-        foot=foot_line(result),
-        record=result.to_json(),
-    )
+    sections = [
+        *_shown(first_screen(result), panels_of(result)),
+        *(section._replace(folded=True) for section in details(result)),
+        Section("", [foot_line(result)]),
+    ]
+    return page(subject(result), sections, _answer(result), record=result.to_json())
 
 
 def diagnosis_fragment(result: Diagnosis) -> str:
     """The answer, the first screen and the figure for a notebook."""
     picture = diagnosis_figure(result)
     picture.set_dpi(90)
-    return rendered(
-        "diagnosis_fragment.html",
-        title=f"{subject(result)}, {result.n} rows",
-        answer=_answer(result),
-        sections=_shown(first_screen(result), {}),
-        picture=image_of(picture, "; ".join(map(_alternative, panels_of(result)))),
-    )
+    image = image_of(picture, "; ".join(panel.alternative for panel in panels_of(result).values()))
+    sections = [Section("", pictures=[image]), *_shown(first_screen(result), {})]
+    return fragment(f"{subject(result)}, {result.n} rows", sections, _answer(result))

@@ -10,7 +10,7 @@ import numpy as np
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH, Step
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.diagnosis.summary.views import LoadCurve, LookCurve, ResidualMap
-from tirefit.report.canvas import BLUE, DARK, GREY, panel_title, tidy
+from tirefit.report.canvas import BLUE, DARK, GREY, boxed, panel_title, tidy
 from tirefit.report.diagnosis_sections import step_label
 from tirefit.report.diagnosis_words import (
     NAMED_VALUES,
@@ -184,11 +184,8 @@ def draw_sizes(figure, result: Diagnosis) -> None:
             ticks += places.tolist()
             unit = covariate_unit(one.covariate)
             labels += [f"{format_number(at, 3)} {unit}".rstrip() for at in one.at]
-            axes.text(
-                0.01, row + 0.5, f"{name_of(effect)}, by {covariate_text(one.covariate)}",
-                transform=axes.get_yaxis_transform(), fontsize=8.5, color=DARK,
-                bbox={"color": "white", "pad": 0.5},
-            )  # fmt: skip
+            text = f"{name_of(effect)}, by {covariate_text(one.covariate)}"
+            boxed(axes, 0.01, row + 0.5, text, 8.5, transform=axes.get_yaxis_transform())
             row -= len(size) + 1.2
     axes.set_yticks(ticks, labels)
     axes.set_ylim(row + 1.5, 1.4)

@@ -1,8 +1,7 @@
 """The first screen of a diagnosis: the answer, and what a reader acts on."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from tirefit.report.diagnosis_words import (
     words_on,
 )
 from tirefit.report.fit_tables import FORCE_UNIT
+from tirefit.report.html import Section
 from tirefit.report.numbers import format_estimate, format_number
 
 _SHOWN = (
@@ -50,16 +50,6 @@ _TELLS_MORE = 0.1
 is proposed."""
 
 _CLOSED = "closed: removed share of the first row's rms beyond the noise, ± std"
-
-
-class Section(NamedTuple):
-    """A part of the report: title, a table under its header, lines, and names of the
-    pictures that a page shows there."""
-
-    title: str
-    lines: Sequence[str] = ()
-    table: Sequence[tuple[str, ...]] = ()
-    pictures: Sequence[str] = ()
 
 
 def subject(result: Diagnosis) -> str:

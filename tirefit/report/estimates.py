@@ -4,8 +4,8 @@ import numpy as np
 
 from tirefit.online.base import PARAMETERS, Flag, code
 from tirefit.online.result import Estimates, changes
-from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
-from tirefit.report.numbers import format_estimate, format_number, plain_text
+from tirefit.report.canvas import COLORS, DARK, GREY, Picture, frame, tidy
+from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.text import table
 
 _ROOM = 0.15  # margin of an axis, over the range of the estimates
@@ -123,7 +123,10 @@ def estimates_figure(result: Estimates) -> Picture:
     """
     parameters = list(dict.fromkeys(p for m in result.methods.values() for p in m.parameters))
     panels = len(parameters) + (result.use is not None)
-    picture = Picture(figsize=(7.0, 0.7 + 1.9 * panels), layout="constrained")
+    title = f"online estimates of {result.data['name']}"
+    foot = f"tirefit {result.version} · braking positive, SI · band: one standard deviation · grey"
+    foot += " and strips: flagged rows"
+    picture = frame(title, "", foot, (7.0, 0.5 + 1.9 * panels))
     all_axes = picture.subplots(panels, 1, sharex=True, squeeze=False)[:, 0]
     for axes, parameter in zip(all_axes, parameters, strict=False):
         _draw(axes, result, parameter)
@@ -136,13 +139,4 @@ def estimates_figure(result: Estimates) -> Picture:
             all_axes[-1].set_ylim(min(known.min(), 0.0), 1.1 * known.max())
     all_axes[-1].set_xlabel("time [s]", fontsize=8.5, color=DARK)
     all_axes[0].legend(fontsize=7.5, frameon=False, loc="upper right", ncols=5)
-    picture.suptitle(
-        plain_text(f"online estimates of {result.data['name']}"), fontsize=10, color=DARK
-    )
-    picture.supxlabel(
-        f"tirefit {result.version} · braking positive, SI · band: one standard"
-        " deviation · grey and strips: flagged rows",
-        fontsize=6.5,
-        color=GREY,
-    )
     return picture

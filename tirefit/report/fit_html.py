@@ -1,42 +1,27 @@
 """A fit as one self-contained page."""
 
 from tirefit.fitting.result import SCHEMA, FitResult
-from tirefit.report.fit_panels import page_pictures
+from tirefit.report.fit_panels import PANELS, page_panels
 from tirefit.report.fit_tables import (
-    FORCE_UNIT,
     chain_rows,
     correlation_lines,
     derived_by_run,
     derived_rows,
     far_lines,
-    noise_text,
     open_lines,
     parameter_rows,
     posterior_lines,
+    quality_items,
     reference_text,
     route_rows,
     rows_text,
     run_rows,
 )
-from tirefit.report.html import image_of, rendered, verdict_parts
+from tirefit.report.html import Section, page, verdict_parts
 from tirefit.report.labels import fit_files, run_lines
-from tirefit.report.numbers import format_number
+from tirefit.report.panels import images_of
 
-
-def _quality(result: FitResult) -> list[str]:
-    s = result.statistics
-    lines = [
-        f"RMSE {format_number(s.rmse)} {FORCE_UNIT[result.forces[0]]}, R² {s.r2:.5f}",
-        f"{s.n} rows, which count as {s.n_effective:.0f} independent ones;"
-        f" {s.dof:.0f} degrees of freedom",
-        f"AICc {s.aicc:.2f}, BIC {s.bic:.2f}",
-        f"noise: {noise_text(result)}",
-        f"{'converged' if s.converged else 'NOT CONVERGED'}, {s.starts_agreeing} of"
-        f" {s.starts} starts at the same place",
-    ]
-    if s.chi2_dof is not None:
-        lines.insert(1, f"χ²/dof {format_number(s.chi2_dof, 3)}")
-    return lines
+_MANY = 8  # largest number of parameters whose profiles are shown at once
 
 
 def _asked(result: FitResult) -> list[str]:
@@ -80,30 +65,38 @@ def _provenance(result: FitResult) -> list[str]:
     ]
 
 
+_NONE = ["nothing that was asked: every parameter and derived quantity is identified"]
+_ROUTES = "95 %, by each of the ways; where they agree, any will do"
+
+
+def _sections(result: FitResult) -> list[Section]:
+    pictures = dict.fromkeys(PANELS, list[dict]())
+    pictures |= {name: images_of(panels) for name, panels in page_panels(result).items()}
+    runs, at = "; ".join(run_lines(result)), f"at {reference_text(result)}; {result.source}"
+    pairs = [f"correlated: {line}" for line in correlation_lines(result, most=20)]
+    many = len(result.parameters) > _MANY
+    quality = [f"{name}: {text}" for name, text in quality_items(result)]
+    return [
+        Section("", [f"runs: {runs}"] * bool(runs), (), pictures["fit"]),
+        Section("Parameters", (), parameter_rows(result), (), result.source),
+        Section("Derived quantities", (), derived_rows(result), (), at),
+        Section("Derived quantities by run", (), derived_by_run(result), (), at),
+        Section("Run by run", (), (), pictures["runs"]),
+        Section("What the data do not tell", [*(open_lines(result) or _NONE), *pairs]),
+        Section("Rows far from everything", far_lines(result)),
+        Section("Residuals", quality, (), pictures["residuals"]),
+        Section("Residuals by run", (), run_rows(result), (), "bias: measured − fitted"),
+        Section("Intervals", (), route_rows(result), (), _ROUTES),
+        Section("Profile likelihood of each", (), (), pictures["profile"], folded=many),
+        Section("Posterior", posterior_lines(result), (), pictures["corner"]),
+        Section("The chains, in order", (), chain_rows(result), pictures["trace"], folded=True),
+        Section("Where this comes from", _provenance(result)),
+    ]
+
+
 def fit_page(result: FitResult) -> str:
     """The whole fit as one HTML document with its pictures, no script or resource."""
-    runs = run_lines(result)
-    return rendered(
-        "fit_page.html",
-        title=f"{result.model} fitted to {fit_files(result, 60)}",
-        subtitle=f"{', '.join(result.forces)}, {result.statistics.n} rows; braking"
-        f" positive, SI; seed {result.seed}; tirefit {result.version}",
-        verdict=verdict_parts(result),
-        source=result.source,
-        runs=runs,
-        parameters=parameter_rows(result),
-        reference=reference_text(result),
-        derived=derived_rows(result),
-        derived_by_run=derived_by_run(result),
-        open=open_lines(result),
-        far=far_lines(result),
-        correlations=correlation_lines(result, most=20),
-        pictures={k: [image_of(*one) for one in v] for k, v in page_pictures(result).items()},
-        routes=route_rows(result),
-        quality=_quality(result),
-        by_run=run_rows(result),
-        posterior=posterior_lines(result),
-        chains=chain_rows(result),
-        provenance=_provenance(result),
-        record=result.to_json(),
-    )
+    subtitle = f"{', '.join(result.forces)}, {result.statistics.n} rows; braking positive, SI;"
+    subtitle += f" seed {result.seed}; tirefit {result.version}"
+    title = f"{result.model} fitted to {fit_files(result, 60)}"
+    return page(title, _sections(result), verdict_parts(result), subtitle, result.to_json())

@@ -3,21 +3,24 @@
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 from tirefit.data.merged import merged
 from tirefit.data.run_names import name_pattern, run_names
 from tirefit.files import write_text_atomic
 from tirefit.fitting.derived import quantity_of
 from tirefit.fitting.result import SCHEMA, FitResult
-from tirefit.report.by_name import Points, distinct, place_points, points_of
-from tirefit.report.canvas import Picture
-from tirefit.report.fit_panels import WIDE, Shown, below
+from tirefit.report.by_name import Points, distinct, draw_by_name, points_of
 from tirefit.report.fit_tables import FORCE_UNIT, Rows, rows_text, value_text
-from tirefit.report.html import GOOD, OPEN, image_of, rendered
+from tirefit.report.html import GOOD, OPEN, Section, page
 from tirefit.report.numbers import format_number
 from tirefit.report.overlay import draw_overlay, overlay_of
+from tirefit.report.panels import WIDE, Panel, images_of
 from tirefit.results import Outcome, UsageError
 
+_CURVES = """with the 95 % band of each fit, over the slips of its own rows; points: rows within \
+10 % of the load, and 0.01 of the other slip, of their curve"""
+_BY_FILE = "values and 95 % intervals; grey: not identified"
 _TOGETHER = 3  # quantities by file in one picture
 
 
@@ -70,7 +73,7 @@ def _verdict(fits: Mapping[str, FitResult], failed: Mapping[str, str]) -> Mappin
             lines.append(f"{name}: {result.status}: {result.warnings[0]}")
     good = set(by_status) == {Outcome.OK} and not failed
     return {
-        "sentence": f"of {len(fits) + len(failed)} files: {', '.join(parts)}",
+        "sentence": f"Verdict: of {len(fits) + len(failed)} files: {', '.join(parts)}",
         "lines": [*lines, *(f"{k}: not fitted: {v}" for k, v in failed.items())],
         "color": GOOD if good else OPEN,
     }
@@ -86,28 +89,28 @@ def _points(fits: Mapping[str, FitResult], part: str) -> list[Points]:
     return panels
 
 
-def _by_file(fits: Mapping[str, FitResult]) -> list[Shown]:
-    panels = distinct(_points(fits, "parameters"), _points(fits, "derived"))
-    shown = []
-    for first in range(0, len(panels), _TOGETHER):
-        some = panels[first : first + _TOGETHER]
-        picture = Picture(figsize=(WIDE, 1.1 + 1.3 * len(some)))
-        place_points(picture, some, 0.02, 0.98)
-        labels = ", ".join(points.label for points in some)
-        shown.append(Shown(picture, f"{labels} by file, with 95 % intervals"))
-    return shown
+def _by_file(fits: Mapping[str, FitResult]) -> list[Panel]:
+    points = distinct(_points(fits, "parameters"), _points(fits, "derived"))
+    groups = [points[i : i + _TOGETHER] for i in range(0, len(points), _TOGETHER)]
+    return [
+        Panel(
+            partial(draw_by_name, panels=some),
+            f"{', '.join(one.label for one in some)} by file, with 95 % intervals",
+            (WIDE, 1.1 + 1.3 * len(some)),
+        )
+        for some in groups
+    ]
 
 
-def _overlays(fits: Mapping[str, FitResult]) -> list[Shown]:
-    shown = []
-    for channel in dict.fromkeys(c for r in fits.values() for c in r.forces):
-        overlay = overlay_of(fits, channel)
-        picture = Picture(figsize=(WIDE, 4.0), layout="constrained")
-        axes = picture.subplots()
-        draw_overlay(axes, overlay)
-        below(picture, axes.get_legend(), columns=3)
-        shown.append(Shown(picture, f"Fitted curves of {channel} of all files"))
-    return shown
+def _overlays(fits: Mapping[str, FitResult]) -> list[Panel]:
+    return [
+        Panel(
+            partial(draw_overlay, overlay=overlay_of(fits, channel)),
+            f"Fitted curves of {channel} of all files",
+            (WIDE, 4.0),
+        )
+        for channel in dict.fromkeys(c for r in fits.values() for c in r.forces)
+    ]
 
 
 def _one_of(values) -> str:
@@ -171,19 +174,20 @@ def fits_page(fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = 
     pattern = [name_pattern(names)] if run_names(names).pattern else []
     by_name = dict(zip(run_names(names).short, fits.values(), strict=True))
     results = list(fits.values())
-    return rendered(
-        "fits_page.html",
-        title=f"{_one_of(r.model for r in results)} fitted to {len(fits)} files",
-        subtitle="; ".join([*pattern, *_said(results)]),
-        verdict=_verdict(by_name, failed or {}),
-        curves=[image_of(*one) for one in _overlays(by_name)],
-        parameters=_parameters(by_name),
-        derived=_table(by_name, "derived"),
-        by_file=[image_of(*one) for one in _by_file(by_name)],
-        per_run=sorted({quantity_of(k) for r in results for k in r.labels if "[" in k}),
-        provenance=_provenance(fits),
-        files=_files(by_name),
-    )
+    per_run = sorted({quantity_of(k) for r in results for k in r.labels if "[" in k})
+    of_runs = f"one for each run, on the pages of the fits: {', '.join(per_run)}"
+    curves, points = images_of(_overlays(by_name)), images_of(_by_file(by_name))
+    at = "at the median load and speed of each file"
+    sections = [
+        Section("Curves", (), (), curves, _CURVES),
+        Section("Parameters and derived quantities by file", (), (), points, _BY_FILE),
+        Section("Parameters", [of_runs] * bool(per_run), _parameters(by_name)),
+        Section("Derived quantities", (), _table(by_name, "derived"), (), at),
+        Section("Where this comes from", _provenance(fits), _files(by_name)),
+    ]
+    title = f"{_one_of(r.model for r in results)} fitted to {len(fits)} files"
+    subtitle = "; ".join([*pattern, *_said(results)])
+    return page(title, sections, _verdict(by_name, failed or {}), subtitle)
 
 
 def write_fits_page(

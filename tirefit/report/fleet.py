@@ -1,7 +1,7 @@
 """Quantities over many files for a page: as arrays, and as figures."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
@@ -119,33 +119,17 @@ def quantity_figure(quantity: Quantity, dated: bool) -> Picture:
     def at(when):
         return (when * 86400).astype("datetime64[s]") if dated else when
 
-    axes.errorbar(
-        at(drawn.when),
-        drawn.value,
-        yerr=(drawn.value - drawn.low, drawn.high - drawn.value),
-        fmt="o",
-        ms=2.5,
-        lw=0.7,
-        color=BLUE,
-        ecolor=BLUE,
-        alpha=0.8,
-    )
-    axes.errorbar(
-        at(drawn.other_when),
-        drawn.other_value,
-        yerr=drawn.other_bar,
-        fmt="x",
-        ms=4,
-        lw=0.7,
-        color=RED,
-    )
+    bars = drawn.value - drawn.low, drawn.high - drawn.value
+    style: dict[str, Any] = {"lw": 0.7, "color": BLUE, "alpha": 0.8}
+    axes.errorbar(at(drawn.when), drawn.value, bars, fmt="o", ms=2.5, **style)
+    others = at(drawn.other_when), drawn.other_value, drawn.other_bar
+    axes.errorbar(*others, fmt="x", ms=4, lw=0.7, color=RED)
     ends = np.array([quantity.when.min(), quantity.when.max()])
     share = (ends - quantity.when.mean()) / (np.ptp(ends) or 1.0)
     line = across.middle + across.change * share
     axes.plot(at(ends), line, color=DARK, lw=1)
-    axes.fill_between(
-        at(ends), line - across.scatter, line + across.scatter, color=GREY, alpha=0.25, lw=0
-    )
+    low, high = line - across.scatter, line + across.scatter
+    axes.fill_between(at(ends), low, high, color=GREY, alpha=0.25, lw=0)
     what = "medians and central 68 % of neighbours" if drawn.binned else "files ± std"
     text = f"{what}; grey: scatter between files {format_number(across.scatter)}"
     tidy(axes, "date in the file's name" if dated else "file", "")

@@ -9,11 +9,17 @@ from tirefit import __version__
 from tirefit.data.records import FAILED
 from tirefit.files import write_text_atomic
 from tirefit.report.fleet import Fleet, Quantity, fleet_of, quantity_figure
-from tirefit.report.html import image_of, rendered
+from tirefit.report.html import Section, image_of, page
 from tirefit.report.numbers import format_estimate, format_number
 
 _PICTURES, _LISTED = 12, 40
 """Largest numbers of drawn quantities and of listed files."""
+_DISTANCE = f"""\
+distance from the line over time, in units of the file's own standard deviation and the scatter \
+between files together. The line is robust (Huber), and the scatter is that of the middle half of \
+the files. Among files that do not differ, one would be listed for one quantity in a hundred; a \
+drift is reported at the same odds. The {_LISTED} farthest are listed, the others are in the table \
+of results"""
 
 
 def write_fleet_page(table: Path, path: Path, command: str) -> None:
@@ -24,23 +30,22 @@ def write_fleet_page(table: Path, path: Path, command: str) -> None:
 def fleet_page(fleet: Fleet, command: str) -> str:
     """Status, quantities over the files, files that differ, files without a result."""
     status = Counter(fleet.files["status"])
-    n = len(fleet.files["file"])
-    drawn = fleet.quantities[:_PICTURES]
-    return rendered(
-        "fleet_page.html",
-        title=f"tirefit {command}: {n} files",
-        status=[f"{count} {name}" for name, count in status.most_common(_LISTED)],
-        settings=_settings(fleet, command),
-        quantities=_quantities(fleet),
-        pictures=[
-            image_of(quantity_figure(one, fleet.dates is not None), f"{one.name} over the files")
-            for one in drawn
-        ],
-        left=[one.name for one in fleet.quantities[_PICTURES:]],
-        outliers=_outliers(fleet),
-        failed=_failed(fleet),
-        listed=_LISTED,
-    )
+    pictures = [
+        image_of(quantity_figure(one, fleet.dates is not None), f"{one.name} over the files")
+        for one in fleet.quantities[:_PICTURES]
+    ]
+    left = [one.name for one in fleet.quantities[_PICTURES:]]
+    quantities, outliers, failed = _quantities(fleet), _outliers(fleet), _failed(fleet)
+    none = "no quantity of three files or more"
+    sections = [
+        Section("", [f"{count} {name}" for name, count in status.most_common(_LISTED)]),
+        Section("Quantities", [none] * (len(quantities) == 1), quantities, pictures),
+        Section("", [f"not drawn: {', '.join(left)}"] if left else ()),
+        Section("Files that differ", ["none"] * (len(outliers) == 1), outliers, note=_DISTANCE),
+        Section("Files without a result", ["none"] * (len(failed) == 1), failed),
+        Section("Settings", _settings(fleet, command)),
+    ]
+    return page(f"tirefit {command}: {len(fleet.files['file'])} files", sections)
 
 
 def _different(fleet: Fleet, column: str) -> str:

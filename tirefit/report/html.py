@@ -1,9 +1,11 @@
 """Fits and data as self-contained fragments of HTML for notebooks."""
 
 import base64
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
@@ -34,9 +36,44 @@ def _templates() -> jinja2.Environment:
     )
 
 
-def rendered(template: str, **values) -> str:
-    """A template of ``tirefit/report/templates`` with its values put in, escaped."""
-    return _templates().get_template(template).render(values)
+class Section(NamedTuple):
+    """A part of a report: title, lines, a table under its header, pictures (for templates, or
+    names of panels), a note in small print, a text as it is printed, and whether a page shows
+    only its title until it is opened."""
+
+    title: str
+    lines: Sequence[str] = ()
+    table: Sequence[Sequence[str]] = ()
+    pictures: Sequence = ()
+    note: str = ""
+    text: str = ""
+    folded: bool = False
+
+
+def page(
+    title: str,
+    sections: Sequence[Section],
+    verdict: Mapping[str, Any] | None = None,
+    subtitle: str = "",
+    record: str = "",
+) -> str:
+    """One HTML document, without script or external resource; every value is escaped.
+
+    Args:
+        verdict: its ``sentence``, ``lines`` and ``color``.
+        record: the whole result as JSON.
+    """
+    return _templates().get_template("page.html").render(vars())
+
+
+def fragment(
+    title: str,
+    sections: Sequence[Section],
+    verdict: Mapping[str, Any] | None = None,
+    subtitle: str = "",
+) -> str:
+    """The same as a part of a document, for notebooks."""
+    return _templates().get_template("fragment.html").render(vars())
 
 
 def png_text(picture) -> str:
@@ -51,30 +88,22 @@ def image_of(picture, alternative: str, least: int = 0) -> dict:
 
 def record_fragment(record: Record) -> str:
     """The text and the figure of any record as a fragment of HTML, for notebooks."""
-    png = ""
+    pictures = []
     with suppress(UsageError):  # a fit of another process has no data to draw
-        png = png_text(record.plot())
-    return rendered("record_fragment.html", text=record.summary(), png=png)
+        pictures.append(image_of(record.plot(), ""))
+    return fragment("", [Section("", text=record.summary(), pictures=pictures)])
 
 
 def record_page(record: Record) -> str:
     """The notebook form of a record as a page that needs no other file."""
-    title, fragment = type(record).__name__, record._repr_html_()
-    return rendered("record_page.html", title=title, fragment=fragment)
-
-
-def _figure(result: FitResult) -> str:
-    from tirefit.report.draw import fit_figure  # Matplotlib, for a fit with its data
-
-    picture = fit_figure(result)
-    picture.set_dpi(90)
-    return png_text(picture)
+    pictures = [image_of(record.plot(), "")]
+    return page(type(record).__name__, [Section("", text=record.summary(), pictures=pictures)])
 
 
 def verdict_parts(result: FitResult) -> dict:
     """Sentence, further lines and colour of the verdict."""
     return {
-        "sentence": verdict_line(result),
+        "sentence": f"Verdict: {verdict_line(result)}",
         "lines": result.warnings[bool(result.outcomes) :],
         "color": OPEN if result.outcomes else GOOD,
     }
@@ -82,15 +111,16 @@ def verdict_parts(result: FitResult) -> dict:
 
 def fit_fragment(result: FitResult) -> str:
     """Parameters, verdict and the fitted curve; no script, no external resource."""
-    return rendered(
-        "fit_fragment.html",
-        model=result.model,
-        file=fit_files(result),
-        n=result.statistics.n,
-        source=result.source,
-        rows=parameter_rows(result),
-        verdict=verdict_parts(result),
-        png=_figure(result),
+    from tirefit.report.fit_panels import figure_of  # Matplotlib, for a fit with its data
+
+    picture = figure_of(result, "fit")
+    picture.set_dpi(90)
+    image = image_of(picture, "measured points and fitted curve")
+    return fragment(
+        result.model,
+        [Section("", table=parameter_rows(result), pictures=[image])],
+        verdict_parts(result),
+        f"fitted to {fit_files(result)}, {result.statistics.n} rows; {result.source}",
     )
 
 
@@ -117,10 +147,5 @@ def data_fragment(data: TireData) -> str:
     rows: list[tuple[str, ...]]
     rows = [("column", "in the file", "unit", "min", "median", "max")]
     rows += [_range_row(data, name) for name in data.columns]
-    return rendered(
-        "data_fragment.html",
-        name=data.file,
-        rows_used=used,
-        rows=rows,
-        notes=[*source.notes, *(str(problem) for problem in source.masked[:5])],
-    )
+    notes = [*source.notes, *(str(problem) for problem in source.masked[:5])]
+    return fragment(data.file, [Section("", notes, rows)], subtitle=used)

@@ -2,39 +2,46 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from tirefit.fitting.mf.result import MagicFormulaFit
-from tirefit.report.canvas import GREY, Picture, panel_title, save_picture
+from tirefit.report.canvas import GREY, Picture, panel_title, save_pictures
 from tirefit.report.curves import FORCE_LABEL
 from tirefit.report.draw import draw_fit
-from tirefit.report.fit_panels import WIDE, Shown, below
-from tirefit.report.html import image_of, rendered
+from tirefit.report.html import Section, image_of, page
 from tirefit.report.labels import fit_files
 from tirefit.report.magic_formula import magic_formula_report
 from tirefit.report.mf_curves import Panel, panels_of
 from tirefit.report.numbers import plain_text
+from tirefit.report.panels import WIDE, legend_below
 
 MAGIC_FORMULA_FILES = tuple(
     f"{name}{suffix}"
     for name in ("fit", *FORCE_LABEL, "residuals", "ellipse")
     for suffix in (".png", ".svg")
 )
-"""Every file that :func:`save_pictures` may write."""
+"""Every file that :func:`save_magic_formula` may write."""
 
 _HEIGHT = 3.5  # height of a panel with its legend [in]
 
 
-def _draw(axes, panel: Panel) -> None:
-    """Draw a panel on given axes, with its legend inside."""
-    draw_fit(axes, panel.curve._replace(note=""), beside=False)
+def _draw(figure: Any, panel: Panel) -> None:
+    """Draw a panel with its legend below it."""
+    handles = _draw_on(figure.subplots(), panel)
+    legend_below(figure, handles, columns=3)
+
+
+def _draw_on(axes: Any, panel: Panel) -> list:
+    """Draw a panel on given axes; returns the entries of its legend."""
+    handles = draw_fit(axes, panel.curve)
     panel_title(axes, panel.title, panel.curve.note)
-    x = [one.slip for one in panel.curve.groups]
-    x += [one.slip for one in panel.curve.curves]
+    x = [g.slip for g in panel.curve.groups] + [c.slip for c in panel.curve.curves]
     low, high = min(v.min() for v in x), max(v.max() for v in x)
     margin = 0.02 * (high - low)
     axes.set_xlim(low - margin, high + margin)
     if panel.ticks:
         axes.set_xticks(*zip(*panel.ticks, strict=True))
+    return handles
 
 
 def stacked(panels: Sequence[Panel], title: str = "") -> Picture:
@@ -44,9 +51,7 @@ def stacked(panels: Sequence[Panel], title: str = "") -> Picture:
         picture.suptitle(plain_text(title), fontsize=9.5, color=GREY)
     parts = picture.subfigures(len(panels), squeeze=False).ravel()
     for part, panel in zip(parts, panels, strict=True):
-        axes = part.subplots()
-        _draw(axes, panel)
-        below(part, axes.get_legend(), 3)
+        _draw(part, panel)
     return picture
 
 
@@ -64,7 +69,7 @@ def plot_magic_formula(fit: MagicFormulaFit, ax=None):
     first = _first(fit, panels_of(fit))
     if ax is None:
         return stacked(first, _title(fit))
-    _draw(ax, first[0])
+    ax.legend(handles=_draw_on(ax, first[0]), fontsize=7, framealpha=0.85, edgecolor="none")
     return ax.figure
 
 
@@ -76,21 +81,15 @@ def _first(fit: MagicFormulaFit, panels: Mapping[str, Sequence[Panel]]) -> list[
 def magic_formula_page(fit: MagicFormulaFit) -> str:
     """The fit as one self-contained HTML page: figures, report and record."""
     panels = [panel for named in panels_of(fit).values() for panel in named]
-    pictures = [Shown(stacked([panel]), panel.title) for panel in panels]
-    return rendered(
-        "report_page.html",
-        title=_title(fit),
-        pictures=[image_of(*one) for one in pictures],
-        report=magic_formula_report(fit, full=True),
-        record=fit.to_json(),
-    )
+    sections = [
+        Section("", pictures=[image_of(stacked([panel]), panel.title) for panel in panels]),
+        Section("Report", text=magic_formula_report(fit, full=True)),
+    ]
+    return page(_title(fit), sections, record=fit.to_json())
 
 
-def save_pictures(fit: MagicFormulaFit, folder: Path, svg: bool = False) -> list[Path]:
+def save_magic_formula(fit: MagicFormulaFit, folder: Path, svg: bool = False) -> list[Path]:
     """Write the figures as PNG, and as SVG if ``svg``; returns the files."""
-    written, panels = [], panels_of(fit)
-    for name, shown in {"fit": _first(fit, panels), **panels}.items():
-        picture = stacked(shown, _title(fit))
-        for suffix in (".png", ".svg") if svg else (".png",):
-            written.append(save_picture(picture, folder / f"{name}{suffix}"))
-    return written
+    panels = panels_of(fit)
+    named = {"fit": _first(fit, panels), **panels}.items()
+    return save_pictures(((name, stacked(some, _title(fit))) for name, some in named), folder, svg)

@@ -36,18 +36,16 @@ def _parameter_rows(models: Mapping[str, AbstractTire]) -> list[list[str]]:
             known.setdefault(name, spec)
     rows = [["parameter", "unit", "bounds", "start", "source", "meaning"]]
     for name, spec in known.items():
-        low, high = format_number(spec.lower, 3), format_number(spec.upper, 3)
-        rows.append(
-            [
-                name,
-                spec.unit,
-                f"[{low}, {high}]",
-                format_number(spec.default, 3),
-                spec.source,
-                spec.meaning,
-            ]
-        )
+        *numbers, meaning = _row(name, spec)
+        rows.append([*numbers, spec.source, meaning])
     return rows
+
+
+def _row(label: str, spec: Spec) -> list[str]:
+    """Name, unit, bounds, default and meaning of a parameter or setting."""
+    low, high = format_number(spec.lower, 3), format_number(spec.upper, 3)
+    default = format_number(spec.default, 3)
+    return [label, spec.unit, f"[{low}, {high}]", default, spec.meaning]
 
 
 def _folded(rows: list[list[str]]) -> list[str]:
@@ -67,13 +65,9 @@ def _folded(rows: list[list[str]]) -> list[str]:
 def models_table(models: Mapping[str, AbstractTire]) -> str:
     """Models by name, every parameter once, then the spelled combinations."""
     families: dict[str, list[str]] = {}
-    named = []
     for name in models:
-        family = _spelled(name, models)
-        if family:
-            families.setdefault(family, []).append(name)
-        else:
-            named.append(name)
+        families.setdefault(_spelled(name, models), []).append(name)
+    named = families.pop("", [])
     rows = [["model", "parameters"]]
     rows += [[name, _parameters(models[name])] for name in named]
     lines = ["MODELS (in brackets: fixed unless freed)", *_folded(rows), ""]
@@ -117,19 +111,9 @@ def models_dict(models: Mapping[str, AbstractTire]) -> dict[str, dict]:
     }
 
 
-def _settings(kind: type[AbstractEstimator]) -> dict[str, Spec]:
-    return specs(kind())
-
-
 def _wrapped(head: str, text: str) -> list[str]:
     lead = f"    {head:<10}"
     return textwrap.wrap(text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead))
-
-
-def _row(label: str, spec: Spec) -> list[str]:
-    low, high = format_number(spec.lower, 3), format_number(spec.upper, 3)
-    default = format_number(spec.default, 3)
-    return [label, spec.unit, f"[{low}, {high}]", default, spec.meaning]
 
 
 def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
@@ -139,7 +123,7 @@ def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
     for name, kind in methods.items():
         method = kind.method
         estimates = (f"{p} [{PARAMETERS[p].unit}]" for p in method.parameters)
-        settings = _settings(kind)
+        settings = specs(kind())
         for key, spec in settings.items():
             alike = (spec.unit, spec.bounds, spec.default)
             known.setdefault(key, {}).setdefault(alike, []).append((name, spec))
@@ -167,7 +151,7 @@ def methods_dict(methods: Mapping[str, type[AbstractEstimator]]) -> dict[str, di
             "parameters": {p: PARAMETERS[p]._asdict() for p in kind.method.parameters},
             "valid": kind.method.valid,
             "source": kind.method.source,
-            "settings": {k: spec._asdict() for k, spec in _settings(kind).items()},
+            "settings": {k: spec._asdict() for k, spec in specs(kind()).items()},
         }
         for name, kind in methods.items()
     }

@@ -1,7 +1,7 @@
 """Draw the fitted curves of several files in one figure: results -> arrays -> axes."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 import matplotlib as mpl
@@ -11,9 +11,10 @@ from tirefit.fitting.bands import force_band
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs
-from tirefit.report.canvas import COLORS, GREY, tidy
-from tirefit.report.curves import FORCE_LABEL, SlipAxis, slip_axis
+from tirefit.report.canvas import COLORS, GREY, dots, tidy
+from tirefit.report.curves import FORCE_LABEL, Curve, FitCurve, Group, SlipAxis, slip_axis
 from tirefit.report.numbers import plain_text
+from tirefit.report.panels import legend_below
 
 _POINTS = 160
 _MOST_POINTS = 300
@@ -22,27 +23,6 @@ _OTHER = {"sigma_x": "alpha", "alpha": "sigma_x"}
 _NEAR_LOAD, _NEAR_SLIP = 0.1, 0.01
 """A point is drawn with a curve if its load (relative) and other slip differ by less."""
 _SAME_LOAD = 0.02  # relative spread of the loads up to which forces are drawn in newtons
-
-
-class OverlayCurve(NamedTuple):
-    """The curve (m,) of one file over the range of slip of its rows."""
-
-    name: str
-    slip: np.ndarray
-    force: np.ndarray
-    low: np.ndarray  # ends of its 95 % band
-    high: np.ndarray
-    at_slip: np.ndarray  # some of its measured points (n,)
-    at_force: np.ndarray
-
-
-class Overlay(NamedTuple):
-    """One force over its slip for several files; ``note`` gives the loads."""
-
-    x_label: str
-    y_label: str
-    curves: tuple[OverlayCurve, ...]
-    note: str
 
 
 def _slips(result: FitResult, channel: str) -> np.ndarray:
@@ -61,31 +41,25 @@ def _conditions(result: FitResult, slip: str) -> dict[str, float]:
     return middle
 
 
-def _curve(result: FitResult, name: str, channel: str, axis: SlipAxis, over_load: bool):
+def _drawn(
+    result: FitResult, name: str, channel: str, axis: SlipAxis, over_load: bool
+) -> tuple[Group, Curve]:
+    """Some measured points of one file, and its curve over the range of slip of its rows."""
     problem, slip = result.problem, CHANNEL_SLIP[channel]
     slips, middle = _slips(result, channel), _conditions(result, slip)
-    low, high = min(float(slips.min()), 0.0), max(float(slips.max()), 0.0)
-    first, last = axis.shown(np.array([low, high]))
-    shown = np.linspace(float(first), float(last), _POINTS)
-    grid = np.asarray(axis.canonical(shown), float)
+    first, last = axis.shown(np.array([min(slips.min(), 0.0), max(slips.max(), 0.0)]))
+    grid = np.asarray(axis.canonical(np.linspace(first, last, _POINTS)), float)
     columns = {k: np.full(_POINTS, v) for k, v in middle.items()} | {slip: grid}
     inputs = TireInputs(**{k: jnp.asarray(v) for k, v in columns.items()})
-    run = np.zeros(_POINTS, int)
-    band = force_band(result, channel, inputs, run, np.zeros(_POINTS))
+    band = force_band(result, channel, inputs, np.zeros(_POINTS, int), np.zeros(_POINTS))
     unit = middle["fz"] if over_load else 1.0
     near = _near(result, slip, middle)
     near = near[:: -(-len(near) // _MOST_POINTS) or 1]
     load = problem.used(problem.rows.inputs.fz) if over_load else 1.0
     measured = problem.used(problem.rows.observed[channel]) / load
-    return OverlayCurve(
-        name,
-        axis.shown(grid),
-        band.force / unit,
-        band.low / unit,
-        band.high / unit,
-        axis.shown(slips)[near],
-        measured[near],
-    )
+    ends = band.low / unit, band.high / unit
+    group = Group(name, axis.shown(slips)[near], measured[near])
+    return group, Curve(name, axis.shown(grid), band.force / unit, *ends, *ends, None)
 
 
 def _near(result: FitResult, slip: str, middle: Mapping[str, float]) -> np.ndarray:
@@ -97,7 +71,7 @@ def _near(result: FitResult, slip: str, middle: Mapping[str, float]) -> np.ndarr
     return np.flatnonzero(near & (np.abs(aside - middle[other]) <= _NEAR_SLIP))
 
 
-def overlay_of(fits: Mapping[str, FitResult], channel: str) -> Overlay:
+def overlay_of(fits: Mapping[str, FitResult], channel: str) -> FitCurve:
     """The curves of all fits that have this force, each at the median load of its rows.
 
     If the loads differ by more than 2 %, forces are divided by the load. A parameter per
@@ -114,10 +88,9 @@ def overlay_of(fits: Mapping[str, FitResult], channel: str) -> Overlay:
     if over_load:
         y_label = f"{ratio} [{'m' if channel == 'mz' else '-'}]"
         note = f"each at its own median load, {min(loads):.4g} to {max(loads):.4g} N"
-    curves = tuple(
-        _curve(result, name, channel, axis, bool(over_load)) for name, result in given.items()
-    )
-    return Overlay(f"{axis.label} [{axis.unit}]", y_label, curves, note)
+    each = [_drawn(one, name, channel, axis, bool(over_load)) for name, one in given.items()]
+    groups, curves = zip(*each, strict=True)
+    return FitCurve(channel, f"{axis.label} [{axis.unit}]", y_label, groups, curves, "", note)
 
 
 def _colors(count: int) -> Sequence:
@@ -126,29 +99,19 @@ def _colors(count: int) -> Sequence:
     return list(mpl.colormaps["viridis"](np.linspace(0, 0.92, count)))
 
 
-def draw_overlay(axes, overlay: Overlay) -> None:
+def draw_overlay(figure: Any, overlay: FitCurve) -> None:
     """Draw each curve in its colour; with many files, colours follow their order."""
-    count = len(overlay.curves)
-    few = count <= len(COLORS)
-    for i, (one, color) in enumerate(zip(overlay.curves, _colors(count), strict=True)):
+    axes, count = figure.subplots(), len(overlay.curves)
+    for i, (group, one, color) in enumerate(
+        zip(overlay.groups, overlay.curves, _colors(count), strict=True)
+    ):
+        if count <= len(COLORS):
+            dots(axes, group.slip, group.force, 2, color, 0.3)
         named = count <= _MOST_NAMED or i in (0, count - 1)
-        if few:
-            axes.plot(
-                one.at_slip,
-                one.at_force,
-                linestyle="none",
-                marker="o",
-                markersize=2,
-                markeredgewidth=0,
-                alpha=0.3,
-                color=color,
-                rasterized=True,
-            )
+        label = plain_text(one.label) if named else None
         axes.fill_between(one.slip, one.low, one.high, color=color, alpha=0.3, lw=0)
-        axes.plot(
-            one.slip, one.force, color=color, lw=1.3, label=plain_text(one.name) if named else None
-        )
+        axes.plot(one.slip, one.force, color=color, lw=1.3, label=label)
     axes.axhline(0, color=GREY, lw=0.5, zorder=0)
     tidy(axes, overlay.x_label, overlay.y_label)
     title = overlay.note if count <= _MOST_NAMED else f"{overlay.note}; first and last"
-    axes.legend(fontsize=7.5, title=title, title_fontsize=7.5, frameon=False)
+    legend_below(figure, axes.get_legend_handles_labels()[0], title, 3)

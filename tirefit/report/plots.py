@@ -2,98 +2,42 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from tirefit.fitting.result import FitResult, information
 from tirefit.params import check_names
-from tirefit.report import draw
-from tirefit.report.by_name import has_runs
+from tirefit.report.curves import fit_curve
+from tirefit.report.draw import draw_fit
+from tirefit.report.fit_panels import PANELS, figure_of, missing_of
 from tirefit.report.fit_tables import value_text
-from tirefit.report.html import rendered
+from tirefit.report.html import Section, fragment
 from tirefit.report.numbers import format_number
 from tirefit.report.text import table
-from tirefit.report.uncertainty import has_trace
 from tirefit.results import UsageError
 
 
-def _needs(result: FitResult, what: str, there: bool) -> None:
-    if not there:
-        raise UsageError(f"this fit has no {what}")
-
-
-def plot_fit(result: FitResult, what: str = "fit", **how):
+def plot_fit(result: FitResult, what: str = "fit", ax: Any = None, **how: Any) -> Any:
     """The matplotlib figure of a fit that :meth:`FitResult.plot` returns.
+
+    Args:
+        result: a fit from this process.
+        what: ``fit``, ``residuals``, ``runs``, ``profile``, ``corner`` or ``trace``.
+        ax: axes of your own figure, on which only the first force of ``fit`` is drawn.
+        how: ``parameters`` of the corner and the trace: those to draw, by label or by name
+            (for all runs); by default all, or those that are correlated or disagree most.
 
     Raises:
         UsageError: no such figure, or the fit does not have what it shows.
     """
-    check_names("figure", [what], _FIGURES)
-    return _FIGURES[what](result, **how)
-
-
-def _plot_curve(result: FitResult, ax=None):
-    """Measured points and the fitted curve with its bands.
-
-    Args:
-        result: a fit from this process.
-        ax: axes of your own figure, on which only the first force is drawn.
-    """
+    check_names("figure", [what], PANELS)
+    if what in (missing := missing_of(result)):
+        raise UsageError(f"this fit has no {missing[what]}")
     if ax is None:
-        return draw.fit_figure(result)
-    draw.draw_fit(ax, draw.fit_curve(result), beside=False)
+        return figure_of(result, what, **how)
+    curve = fit_curve(result)
+    handles = draw_fit(ax, curve)
+    ax.legend(handles=handles, fontsize=7, framealpha=0.85, edgecolor="none", title=curve.note)
     return ax.figure
-
-
-def _plot_residuals(result: FitResult):
-    """Residuals over every input, their distribution, and their sequence."""
-    return draw.residual_figure(result)
-
-
-def _plot_corner(result: FitResult, parameters: Sequence[str] | None = None):
-    """The posterior of every parameter and every pair.
-
-    Args:
-        result: a fit with its posterior.
-        parameters: those to draw, by label or by name (for all runs); by default all,
-            or the twenty that are correlated most.
-    """
-    _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
-    return draw.corner_figure(result, parameters)
-
-
-def _plot_trace(result: FitResult, parameters: Sequence[str] | None = None):
-    """Posterior draws in order, by ensemble.
-
-    Args:
-        result: a fit with its posterior.
-        parameters: as for the corner; by default all, or the ten of largest R-hat.
-    """
-    _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
-    remedy = "chain: its posterior is of independent points (plot('corner') draws it)"
-    _needs(result, remedy, has_trace(result))
-    return draw.trace_figure(result, parameters)
-
-
-def _plot_profile(result: FitResult):
-    """Profile likelihood, covariance and posterior of every parameter."""
-    _needs(result, "profile likelihood", bool(result.profiles))
-    return draw.profile_figure(result)
-
-
-def _plot_runs(result: FitResult):
-    """Parameters and derived quantities of each run, with 95 % intervals."""
-    remedy = "parameter for each run (per_run = true under [parameters.NAME])"
-    _needs(result, remedy, has_runs(result))
-    return draw.runs_figure(result)
-
-
-_FIGURES = {
-    "fit": _plot_curve,
-    "residuals": _plot_residuals,
-    "profile": _plot_profile,
-    "corner": _plot_corner,
-    "trace": _plot_trace,
-    "runs": _plot_runs,
-}
 
 
 @dataclass(frozen=True)
@@ -109,7 +53,7 @@ class Comparison:
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
     def _repr_html_(self) -> str:
-        return rendered("table_fragment.html", rows=self.rows, notes=self.notes)
+        return fragment("", [Section("", self.notes, self.rows)])
 
 
 def _comparable(results: Sequence[FitResult]) -> None:

@@ -1,6 +1,6 @@
 """Figure of a whole rig test: channels, segments and kept rows."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.patches import Patch
@@ -10,8 +10,7 @@ from tirefit.data.prepare.prepare import Prepared
 from tirefit.data.prepare.set_points import SHOWN
 from tirefit.data.prepare.slips import LEAST, swept_range
 from tirefit.data.units import slip_from_sigma
-from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, RED, Picture, tidy
-from tirefit.report.numbers import plain_text
+from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, RED, Picture, frame, tidy
 
 _GREEN, _PURPLE, _SKY = COLORS[2], COLORS[4], COLORS[5]
 
@@ -156,18 +155,16 @@ def view_of(prepared: Prepared) -> RigView:
     return RigView(title, note, clock, _panels(prepared), _strips(prepared))
 
 
+def _strength(strip: Strip) -> float:
+    """Opacity of the segments of one kind."""
+    return 0.45 if strip.is_kept else 0.22
+
+
 def _draw(axes, panel: Panel, strips: list[Strip]) -> None:
+    whole = {"transform": axes.get_xaxis_transform(), "linewidth": 0, "zorder": 0}
     for strip in strips:
-        strength = 0.45 if strip.is_kept else 0.22
-        axes.broken_barh(
-            strip.spans,
-            (0, 1),
-            transform=axes.get_xaxis_transform(),
-            facecolor=_COLOR[strip.kind],
-            alpha=strength,
-            linewidth=0,
-            zorder=0,
-        )
+        color = {"facecolor": _COLOR[strip.kind], "alpha": _strength(strip)}
+        axes.broken_barh(strip.spans, (0, 1), **color, **whole)
     for setting in panel.settings:
         axes.axhline(setting, color=DARK, linewidth=0.5, linestyle=":", zorder=1)
     axes.plot(panel.time, panel.value, color=DARK, linewidth=0.6, zorder=2)
@@ -179,42 +176,21 @@ def prepared_figure(prepared: Prepared) -> Picture:
     """Draw the whole test: every channel that changed, with segments in the background
     (strong colours: kept), and dotted lines for settings."""
     view = view_of(prepared)
-    count = len(view.panels)
-    picture = Picture(figsize=(10.0, 1.15 + 1.0 * count))
-    height = picture.get_figheight()
-    bottom, top = 0.48 / height, 1 - 0.66 / height
-    all_axes = picture.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
-    picture.subplots_adjust(left=0.085, right=0.985, bottom=bottom, top=top, hspace=0.14)
+    picture = frame(view.title, "", view.note, (10.0, 0.4 + 1.0 * len(view.panels)))
+    body = picture.subfigures(1, 1)  # whose legend is below the title
+    all_axes = body.subplots(len(view.panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(all_axes, view.panels, strict=True):
         _draw(axes, panel, view.strips)
     all_axes[-1].set_xlabel(view.clock, fontsize=8, color=DARK)
-    picture.align_ylabels(all_axes)
-    picture.text(
-        0.012,
-        1 - 0.08 / height,
-        plain_text(view.title),
-        va="top",
-        fontsize=10.5,
-        fontweight="bold",
-        color=DARK,
-    )
+    body.align_ylabels(all_axes)
     handles = [
         Patch(
-            facecolor=_COLOR[s.kind],
-            alpha=0.45 if s.is_kept else 0.22,
-            label=f"{s.kind} {s.rows / len(prepared.data):.0%}",
+            facecolor=_COLOR[strip.kind],
+            alpha=_strength(strip),
+            label=f"{strip.kind} {strip.rows / len(prepared.data):.0%}",
         )
-        for s in view.strips
+        for strip in view.strips
     ]
-    picture.legend(
-        handles=handles,
-        loc="upper left",
-        bbox_to_anchor=(0.005, 1 - 0.27 / height),
-        ncols=len(handles),
-        fontsize=7.5,
-        frameon=False,
-        handlelength=1.2,
-        columnspacing=1.2,
-    )
-    picture.text(0.012, 0.06 / height, view.note, fontsize=6.5, color=GREY)
+    style: dict[str, Any] = {"fontsize": 7.5, "frameon": False, "handlelength": 1.2}
+    body.legend(handles=handles, loc="outside upper left", ncols=len(handles), **style)
     return picture

@@ -1,9 +1,12 @@
 """Report of a replay: text, figures and page."""
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 import numpy as np
 
 from tirefit.report.canvas import BLUE, DARK, GREEN, GREY, ORANGE, RED, Picture, panel_title, tidy
-from tirefit.report.html import image_of, rendered
+from tirefit.report.html import Section, image_of, page
 from tirefit.report.numbers import format_number
 from tirefit.report.text import indented, table
 from tirefit.vehicle.replay import QUANTITIES, Fans, Replay
@@ -35,6 +38,7 @@ _SHOWN = 40
 """Largest number of windows that are drawn: about ten seconds of driving."""
 _FAN = 1.0
 """Duration [s] of a drawn prediction."""
+_PREDICTED = f"predicted, {_FAN:g} s"
 
 
 def answer(result: Replay) -> str:
@@ -112,13 +116,8 @@ def replay_page(result: Replay) -> str:
         image_of(replay_figure(result), "error over the horizon, path with predictions"),
         image_of(series_figure(result), "yaw rate and lateral acceleration over time"),
     ]
-    return rendered(
-        "report_page.html",
-        title=_head(result),
-        pictures=pictures,
-        report=replay_text(result),
-        record=result.to_json(),
-    )
+    sections = [Section("", pictures=pictures), Section("Report", text=replay_text(result))]
+    return page(_head(result), sections, record=result.to_json())
 
 
 _HELD = {"lateral": "lateral position [m]", "yaw_rate": "yaw rate [rad/s]"}
@@ -132,13 +131,8 @@ def replay_figure(result: Replay) -> Picture:
     for ax, (name, label) in zip(axes, _HELD.items(), strict=True):
         for model, errors in result.models.items():
             values = [np.nan if v is None else v for v in errors.rms()[name]]
-            ax.plot(
-                result.horizons,
-                values,
-                ".:" if model == "floor" else ".-",
-                color=_COLORS[model],
-                label=_LABELS[model],
-            )
+            style = ".:" if model == "floor" else ".-"
+            ax.plot(result.horizons, values, style, color=_COLORS[model], label=_LABELS[model])
         ax.set(xscale="log", yscale="log")
         ax.set_xticks(result.horizons, [f"{h:g}" for h in result.horizons])
         ax.minorticks_off()
@@ -146,25 +140,26 @@ def replay_figure(result: Replay) -> Picture:
     panel_title(axes[0], "Error over the horizon")
     axes[0].legend(frameon=False, fontsize=7.5)
     name, fans = _longest(result)
-    rows = _stretch(fans)
-    near = fans.time[rows] <= fans.time[rows, :1] + _FAN
-    for k, (row, there) in enumerate(zip(rows, near, strict=True)):
-        for of, color, width, label in (
-            (fans.measured, DARK, 1.4, "measured"),
-            (fans.predicted, BLUE, 0.9, f"predicted, {_FAN:g} s"),
-        ):
-            path.plot(
-                of["x"][row][there],
-                of["y"][row][there],
-                color=color,
-                lw=width,
-                label=label * (k == 0),
-            )
+    _draw_stretch(path, fans, lambda of, row: (of["x"][row], of["y"][row]))
     path.set_aspect("equal", "datalim")
     tidy(path, "x [m]", "y [m]")
     panel_title(path, f"A stretch of {name}, with predictions")
     path.legend(frameon=False, fontsize=7.5)
     return picture
+
+
+def _draw_stretch(axes: Any, fans: Fans, series: Callable[[Mapping, int], tuple]) -> None:
+    """Draw the first second of every window of a stretch, measured and predicted.
+
+    Args:
+        series: x and y of the line of one window.
+    """
+    styles = (fans.measured, DARK, 1.4, "measured"), (fans.predicted, BLUE, 0.9, _PREDICTED)
+    for k, row in enumerate(_stretch(fans)):
+        near = fans.time[row] <= fans.time[row][0] + _FAN
+        for of, color, width, label in styles:
+            x, y = series(of, row)
+            axes.plot(x[near], y[near], color=color, lw=width, label=label * (k == 0))
 
 
 def series_figure(result: Replay) -> Picture:
@@ -173,25 +168,14 @@ def series_figure(result: Replay) -> Picture:
     name, fans = _longest(result)
     axes = picture.subplots(2, 1, sharex=True)
     labels = {"yaw_rate": "yaw rate [rad/s]", "a_y": "lateral acceleration [m/s²]"}
+    rows = _stretch(fans)
     for ax, (key, label) in zip(axes, labels.items(), strict=True):
-        for k, row in enumerate(_stretch(fans)):
-            time = fans.time[row]
-            near = time <= time[0] + _FAN
-            ax.plot(
-                time[near],
-                fans.measured[key][row][near],
-                color=DARK,
-                lw=1.4,
-                label="measured" * (k == 0),
-            )
-            ax.plot(
-                time[near],
-                fans.predicted[key][row][near],
-                color=BLUE,
-                lw=0.9,
-                label=f"predicted, {_FAN:g} s" * (k == 0),
-            )
-            ax.plot(time[0], fans.predicted[key][row][0], ".", color=BLUE, ms=4)
+
+        def series(of: Mapping, row: int, key: str = key) -> tuple:
+            return fans.time[row], of[key][row]
+
+        _draw_stretch(ax, fans, series)
+        ax.plot(fans.time[rows, 0], fans.predicted[key][rows, 0], ".", color=BLUE, ms=4)
         tidy(ax, "", label)
     axes[1].set_xlabel("time [s]", fontsize=8.5)
     panel_title(axes[0], f"The same stretch of {name}", "dots: starts of a prediction")

@@ -14,9 +14,9 @@ from tirefit.report.fit_tables import (
     derived_by_run,
     derived_rows,
     far_lines,
-    noise_text,
     parameter_rows,
     posterior_lines,
+    quality_items,
     reference_text,
     route_rows,
     rows_text,
@@ -125,16 +125,6 @@ def _header(result: FitResult, full: bool) -> list[str]:
     return lines
 
 
-def parameter_lines(result: FitResult) -> list[str]:
-    """The table of the parameters, after an empty line."""
-    return ["", f"PARAMETERS ({result.source})", *table(parameter_rows(result))]
-
-
-def _routes(result: FitResult) -> list[str]:
-    """The intervals by each route; the short report has them if they disagree."""
-    return ["", "INTERVALS BY ROUTE", *table(route_rows(result))]
-
-
 def _derived(result: FitResult) -> list[str]:
     at, lines, shared = reference_text(result), [], derived_rows(result)
     if len(shared) > 1:
@@ -146,49 +136,25 @@ def _derived(result: FitResult) -> list[str]:
 
 
 def _quality(result: FitResult, full: bool) -> list[str]:
-    s = result.statistics
-    unit = FORCE_UNIT[result.forces[0]]
-    lines = ["", "QUALITY"]
-    count = f"{s.n} rows count as {s.n_effective:.0f}"
-    lines += wrapped("RMSE", f"{format_number(s.rmse)} {unit}   R² {s.r2:.5f}   {count}")
-    if s.chi2_dof is not None:
-        lines += wrapped("χ²/dof", format_number(s.chi2_dof, 3))
-    criteria = f"AICc {s.aicc:.2f}   BIC {s.bic:.2f}   dof {s.dof:.0f}"
-    lines += wrapped("information", criteria) if full else []
-    lines += wrapped("noise", noise_text(result))
-    ending = "converged" if s.converged else "NOT CONVERGED"
-    how = f"{s.starts_agreeing} of {s.starts} starts ({result.solver})"
-    lines += wrapped("solution", f"{ending}, {how}, seed {result.seed}")
+    items = quality_items(result)
+    lines = [
+        x for name, text in items if full or name != "information" for x in wrapped(name, text)
+    ]
     for i, text in enumerate(posterior_lines(result) if not full else ()):
         lines += wrapped("posterior" if i == 0 else "", text)
-    return lines
-
-
-def _by_run(result: FitResult) -> list[str]:
-    rows = run_rows(result)
-    if len(rows) == 1:
-        return []
-    return ["", "BY RUN (bias: measured - fitted)", *table(rows, right=(1, 2, 3))]
+    return _block("QUALITY", lines)
 
 
 def _posterior(result: FitResult) -> list[str]:
-    if result.posterior is None:
-        return []
+    lines = [line for text in posterior_lines(result) for line in textwrap.wrap(text, WIDTH - 2)]
     rows = chain_rows(result)
-    lines = [
-        line
-        for text in posterior_lines(result)
-        for line in textwrap.wrap(text, WIDTH, initial_indent="  ", subsequent_indent="  ")
-    ]
     chains = table(rows, right=(1, 2, 3)) if len(rows) > 1 else []
-    return ["", "POSTERIOR", *lines, *chains]
+    return _block("POSTERIOR", [*(f"  {line}" for line in lines), *chains])
 
 
-def _correlations(result: FitResult) -> list[str]:
-    lines = correlation_lines(result)
-    if not lines:
-        return []
-    return ["", "CORRELATIONS ABOVE 0.9", *(f"  {text}"[:WIDTH] for text in lines)]
+def _block(title: str, lines: Sequence[str]) -> list[str]:
+    """Lines under their title, after an empty line; nothing without lines."""
+    return ["", title, *lines] if lines else []
 
 
 def verdict_line(result: FitResult) -> str:
@@ -218,11 +184,18 @@ def fit_report(result: FitResult, full: bool = False) -> str:
             information criteria.
     """
     differ = bool(result.verdict.disagreements)
-    lines = [*_header(result, full), *parameter_lines(result)]
-    lines += _routes(result) if full or differ else []
+    parameters = _block(f"PARAMETERS ({result.source})", table(parameter_rows(result)))
+    lines = [*_header(result, full), *parameters]
+    # The short report has the intervals by each route if they disagree.
+    routes = table(route_rows(result)) if full or differ else []
+    lines += _block("INTERVALS BY ROUTE", routes)
     lines += [*_derived(result), *_quality(result, full)]
-    lines += [*_by_run(result), *_posterior(result)] if full else []
-    return "\n".join([*lines, *_correlations(result), *_verdict(result)]) + "\n"
+    if full and len(rows := run_rows(result)) > 1:
+        lines += _block("BY RUN (bias: measured - fitted)", table(rows, right=(1, 2, 3)))
+    lines += _posterior(result) if full else []
+    pairs = [f"  {text}"[:WIDTH] for text in correlation_lines(result)]
+    lines += _block("CORRELATIONS ABOVE 0.9", pairs)
+    return "\n".join([*lines, *_verdict(result)]) + "\n"
 
 
 def summary_table(fits: Sequence[FileRecord]) -> str:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tirefit.models import TireInputs, forces
-from tirefit.report.canvas import BLUE, GREY, Picture, panel_title, tidy
+from tirefit.report.canvas import BLUE, GREY, Picture, dots, panel_title, tidy
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.text import indented, table
 from tirefit.vehicle.trajectory import UNKNOWNS, TrajectoryFit
@@ -60,15 +60,8 @@ def trajectory_figure(fit: TrajectoryFit) -> Picture:
     for ax, (axle, tire) in zip(picture.subplots(1, 2), fit.axles.items(), strict=True):
         rows = fit.rows[axle]
         some = generator.permutation(len(rows))[:_POINTS]
-        ax.plot(
-            rows["alpha"][some],
-            rows["fy"][some],
-            ".",
-            color=GREY,
-            ms=2,
-            label="derived from the log",
-            rasterized=True,
-        )
+        alpha, force = rows["alpha"][some], rows["fy"][some]
+        dots(ax, alpha, force, 1.4, GREY, label="derived from the log")
         reach = np.percentile(np.abs(rows["alpha"]), _REACH)
         alpha, fz, v = np.linspace(-reach, reach, 121), rows["fz"][0], rows["v"].mean()
 

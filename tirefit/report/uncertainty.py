@@ -34,8 +34,6 @@ class Corner(NamedTuple):
     density: np.ndarray  # (p, bins), peaks at 1
     joint: dict[tuple[int, int], np.ndarray]  # (row > column) -> (bins, bins)
     levels: dict[tuple[int, int], tuple[float, float]]  # of contours with 95 %, 50 % inside
-    interval: np.ndarray  # (p, 2) of the posterior
-    median: np.ndarray  # (p,) of the posterior
     estimate: np.ndarray  # (p,) least squares
     identified: tuple[bool, ...]
     correlation: np.ndarray  # (p, p), NaN where a draw is constant
@@ -171,15 +169,12 @@ def corner_data(result: FitResult, parameters: Sequence[str] | None = None) -> C
             pair = edges[i], edges[j]
             joint[i, j] = joint_density(flat[:, i], flat[:, j], pair)
             levels[i, j] = enclosing(joint[i, j], (0.95, 0.5))
-    low, median, high = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
     return Corner(
         tuple(symbol(result, label) for label in labels),
         edges,
         density,
         joint,
         levels,
-        np.stack([low, high], axis=1),
-        median,
         np.array([result.least_squares[label].value for label in labels]),
         tuple(result.least_squares[label].identified for label in labels),
         _correlation(flat),

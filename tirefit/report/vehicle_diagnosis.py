@@ -5,6 +5,8 @@ import numpy as np
 from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.engine.left_out import NOISE
 from tirefit.report.canvas import BLUE, GREY, ORANGE, Picture, panel_title, tidy
+from tirefit.report.diagnosis_draw import draw_ladder
+from tirefit.report.diagnosis_panels import LadderBar
 from tirefit.report.diagnosis_sections import each_text, or_twins, sizes_text
 from tirefit.report.diagnosis_words import amount_text, listing, name_with_id, set_name, share_text
 from tirefit.report.numbers import format_number
@@ -19,6 +21,7 @@ _CHANNELS = {
     "x": "x",
     "y": "y",
 }
+_KINDS = {"noise": "noise", "anything smooth": "smooth", "tires fitted": "base"}
 _STATES = ("as given", "tires fitted", "with the effects")
 
 
@@ -128,26 +131,19 @@ def vehicle_diagnosis_figure(result: VehicleDiagnosis) -> Picture:
     """The rms over the noise on data left out, step by step, and the errors of the car by
     channel."""
     picture = Picture(figsize=(10.0, 3.6), layout="constrained")
-    left, right = picture.subplots(1, 2, width_ratios=(1.5, 1))
-    steps = result.ladder.steps
-    names = _steps(result)
-    values = [step.rms_left_out for step in steps]
-    colors = [GREY if n in ("noise", "anything smooth") else BLUE for n in names]
-    places = np.arange(len(steps))[::-1]
-    left.barh(places, values, color=colors, height=0.6)
-    left.set_yticks(places, names)
-    for place, value in zip(places, values, strict=True):
-        left.annotate(
-            format_number(value, 2),
-            (value, place),
-            (3, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=8,
+    first, second = picture.subfigures(1, 2, squeeze=False, width_ratios=(1.5, 1))[0]
+    bars = [
+        LadderBar(
+            name,
+            step.rms_left_out,
+            None,
+            None if step.effects in ((), NOISE) else step.closed,
+            _KINDS.get(name, "effect"),
         )
-    left.margins(x=0.12)
-    tidy(left, "rms of data left out, over the noise", "")
-    panel_title(left, "Remaining error, step by step")
+        for name, step in zip(_steps(result), result.ladder.steps, strict=True)
+    ]
+    draw_ladder(first, bars, "× noise", result.ladder.on)
+    right = second.subplots()
     miss, width = result.held_out or result.miss, 0.25
     for k, (label, part, color) in enumerate(zip(_STATES, miss, (GREY, ORANGE, BLUE), strict=True)):
         values = [part[c] / result.noise[c] for c in result.noise]
