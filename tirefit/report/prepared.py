@@ -177,7 +177,7 @@ def prepared_figure(prepared: Prepared) -> Picture:
     (strong colours: kept), and dotted lines for settings."""
     view = view_of(prepared)
     picture = frame(view.title, "", view.note, (10.0, 0.4 + 1.0 * len(view.panels)))
-    body = picture.subfigures(1, 1)  # whose legend is below the title
+    body: Any = picture.subfigures(1, 1)  # whose legend is below the title
     all_axes = body.subplots(len(view.panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(all_axes, view.panels, strict=True):
         _draw(axes, panel, view.strips)
