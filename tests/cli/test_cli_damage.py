@@ -24,6 +24,7 @@ from test_cli_diagnose import LOADS, READ, WITHOUT
 from test_cli_diagnose import write as write_sweeps
 from test_cli_fit import FAST, write
 
+from tirefit.cli import output
 from tirefit.cli.options import complain, say
 from tirefit.cli.output import claimed, staged
 from tirefit.diagnosis import diagnose as engine
@@ -110,7 +111,8 @@ def test_full_and_missing_folders_are_named_and_the_report_printed(
     (tmp_path / "o").mkdir()
     (tmp_path / "o" / "notes.txt").write_text("mine")
     with monkeypatch.context() as patch:
-        patch.setattr(MODULES[name], "staged", with_quota)
+        for module in (MODULES[name], output):
+            patch.setattr(module, "staged", with_quota, raising=False)
         full = run(*INTO_FOLDERS[name], "--out", "o", exit_code=2)
     assert REPORTS[name] in full.stdout and "wrote" not in full.stdout
     assert full.stderr.startswith("error:\n  o/")

@@ -177,11 +177,12 @@ def prepared_figure(prepared: Prepared) -> Picture:
     (strong colours: kept), and dotted lines for settings."""
     view = view_of(prepared)
     picture = frame(view.title, "", view.note, (10.0, 0.4 + 1.0 * len(view.panels)))
-    all_axes = picture.subplots(len(view.panels), 1, sharex=True, squeeze=False)[:, 0]
+    body: Any = picture.subfigures(1, 1)  # whose legend is below the title
+    all_axes = body.subplots(len(view.panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(all_axes, view.panels, strict=True):
         _draw(axes, panel, view.strips)
     all_axes[-1].set_xlabel(view.clock, fontsize=8, color=DARK)
-    picture.align_ylabels(all_axes)
+    body.align_ylabels(all_axes)
     handles = [
         Patch(
             facecolor=_COLOR[strip.kind],
@@ -191,5 +192,5 @@ def prepared_figure(prepared: Prepared) -> Picture:
         for strip in view.strips
     ]
     style: dict[str, Any] = {"fontsize": 7.5, "frameon": False, "handlelength": 1.2}
-    picture.legend(handles=handles, loc="outside upper left", ncols=len(handles), **style)
+    body.legend(handles=handles, loc="outside upper left", ncols=len(handles), **style)
     return picture

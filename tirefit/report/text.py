@@ -190,8 +190,7 @@ def fit_report(result: FitResult, full: bool = False) -> str:
     routes = table(route_rows(result)) if full or differ else []
     lines += _block("INTERVALS BY ROUTE", routes)
     lines += [*_derived(result), *_quality(result, full)]
-    rows = run_rows(result)
-    if full and len(rows) > 1:
+    if full and len(rows := run_rows(result)) > 1:
         lines += _block("BY RUN (bias: measured - fitted)", table(rows, right=(1, 2, 3)))
     lines += _posterior(result) if full else []
     pairs = [f"  {text}"[:WIDTH] for text in correlation_lines(result)]
