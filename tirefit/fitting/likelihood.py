@@ -252,7 +252,10 @@ def _slip_likelihoods(problem: FitProblem, forces, slip: str):
         of_force = log_of(*integrals(place, residuals, measured=False))
         # Far above the peak no slip belongs to a force: the row misses the curve.
         for residual in residuals:
-            off = jnp.maximum(jnp.min(residual, axis=1), -jnp.max(residual, axis=1))
+            # Slopes of jnp.min are 0/0 where a program computes the residuals twice.
+            ends = jnp.stack([jnp.argmin(residual, axis=1), jnp.argmax(residual, axis=1)], axis=1)
+            low, high = jnp.take_along_axis(residual, ends, axis=1).T
+            off = jnp.maximum(low, -high)
             of_force += jnp.maximum(off - _BEYOND, 0.0) ** 2 / 2
     return log_of(log, weight), of_force, weight
 
