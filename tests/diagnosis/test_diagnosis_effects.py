@@ -157,6 +157,12 @@ def _rows(**given):
     return prepared_of(record(None)[0]).covariates._replace(**given)
 
 
+def test_a_load_offset_changes_the_load():
+    """Friction at the load of reference stays: it is the base model's to fit."""
+    found = _changed("load_offset", 60.0, _rows(fz=np.array([0.5, 1.0, 1.5]))).friction
+    np.testing.assert_allclose(found, [1.06, 1.0, 0.98])
+
+
 def test_the_lateral_force_uses_part_of_the_friction():
     across, fz = np.array([0.0, 1800.0, 1800.0, -3600.0]), np.array([1.0, 1.0, 2.0, 1.0])
     found = _changed("friction_ellipse", 1.0, _rows(across=across, peak=0.9, fz=fz, load=4000.0))
