@@ -180,22 +180,6 @@ def quality_items(result: FitResult) -> list[tuple[str, str]]:
     return [item for item in items if item[1]]
 
 
-def quality_items(result: FitResult) -> list[tuple[str, str]]:
-    """(name, text) of misfit, information criteria, noise and solution."""
-    s = result.statistics
-    rmse = f"{format_number(s.rmse)} {FORCE_UNIT[result.forces[0]]}   R² {s.r2:.5f}"
-    ending = "converged" if s.converged else "NOT CONVERGED"
-    how = f"{s.starts_agreeing} of {s.starts} starts ({result.solver})"
-    items = [
-        ("RMSE", f"{rmse}   {s.n} rows count as {s.n_effective:.0f}"),
-        ("χ²/dof", "" if s.chi2_dof is None else format_number(s.chi2_dof, 3)),
-        ("information", f"AICc {s.aicc:.2f}   BIC {s.bic:.2f}   dof {s.dof:.0f}"),
-        ("noise", noise_text(result)),
-        ("solution", f"{ending}, {how}, seed {result.seed}"),
-    ]
-    return [item for item in items if item[1]]
-
-
 def run_rows(result: FitResult) -> Rows:
     """Rows, RMSE and bias of every run, if there are several."""
     problem, name = result.problem, result.forces[0]
