@@ -176,7 +176,7 @@ def test_the_command_writes_numbers_and_figure(drive, tmp_path):
         done.exit_code == 0
         and "0.5 s after a start, the predicted car has an rms error of" in done.stdout
     )
-    assert done.stderr.startswith("replay: 11 %, reading logs")  # at once
+    assert done.stderr.startswith("replay: 17 %, reading logs")  # at once
     content = json.loads((tmp_path / "out" / "replay.json").read_text())
     assert content["schema"] == "tirefit.replay/1" and content["horizons"] == [0.5]
     assert set(content["rms"]) == {"tire", "linear tire", "no slip", "floor"}

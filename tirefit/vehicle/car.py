@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tirefit.data.vehicle import Vehicle
-from tirefit.models import AbstractTire, TireInputs
+from tirefit.models import AbstractTire, TireForces, TireInputs
 
 _STABLE, _MOST_PARTS = 0.5, 50
 """Largest step of the integration over the car's shortest time constant; most steps
@@ -31,6 +31,26 @@ from one sample to the next."""
 
 AT_ONCE = 1e-9  # time constant [s] that means no lag
 _TOUCH = 1e-9  # play [rad] that means no play, with distinct sides of the gap
+
+
+class LinearTire(AbstractTire):
+    """A lateral force in proportion to the slip angle.
+
+    Attributes:
+        stiffness: force over slip angle and load [1/rad].
+    """
+
+    stiffness: float
+
+    def __call__(self, inputs: TireInputs) -> TireForces:
+        force = jnp.asarray(self.stiffness * inputs.fz * inputs.alpha)
+        return TireForces(None, force, None)
+
+
+def linear(tire: AbstractTire, fz: float, v: float) -> LinearTire:
+    """The linear tire of the same slope at zero slip."""
+    force = lambda alpha: tire(TireInputs(alpha=alpha, fz=fz, v=v)).fy  # noqa: E731
+    return LinearTire(float(jax.grad(force)(0.0)) / fz)
 
 
 class Car(eqx.Module):

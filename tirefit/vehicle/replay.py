@@ -27,12 +27,12 @@ from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.display import Record
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import GivenTire, axle_tire
-from tirefit.models import AbstractTire, TireForces, TireInputs
+from tirefit.models import AbstractTire
 from tirefit.models.mf import Pair
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, Outcome, UsageError
 from tirefit.vehicle.applied import applied
-from tirefit.vehicle.car import Car, State, accelerations, car_of, predicted, steps_a_sample
+from tirefit.vehicle.car import Car, State, accelerations, car_of, linear, predicted, steps_a_sample
 from tirefit.vehicle.diagnose import Steps, VehicleDiagnosis
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.windows import (
@@ -161,26 +161,6 @@ class _Windows(NamedTuple):
     samples: Samples | None = None
 
 
-class LinearTire(AbstractTire):
-    """A lateral force in proportion to the slip angle.
-
-    Attributes:
-        stiffness: force over slip angle and load [1/rad].
-    """
-
-    stiffness: float
-
-    def __call__(self, inputs: TireInputs) -> TireForces:
-        force = jnp.asarray(self.stiffness * inputs.fz * inputs.alpha)
-        return TireForces(None, force, None)
-
-
-def linear(tire: AbstractTire, fz: float, v: float) -> LinearTire:
-    """The linear tire of the same slope at zero slip."""
-    force = lambda alpha: tire(TireInputs(alpha=alpha, fz=fz, v=v)).fy  # noqa: E731
-    return LinearTire(float(jax.grad(force)(0.0)) / fz)
-
-
 def replay(
     logs: Sequence[str | Path],
     vehicle: Vehicle | str | Path,
@@ -226,7 +206,7 @@ def replay(
         ((38,), ['floor', 'linear tire', 'no slip', 'tire'])
     """
     require_x64("a replay")
-    tell = Steps(progress or (lambda share, note: None), len(logs) + 4 + NOISES)
+    tell = Steps(progress or (lambda share, note: None), len(logs) + 5)
     tell("reading logs")
     vehicle = known_vehicle(vehicle)
     horizons = _checked(vehicle, horizons, steering_delay or 0.0)
@@ -268,10 +248,8 @@ def replay(
         models["with the effects"], _ = _compared(
             car, changed, steps, rate, 2 * parts, named.changes(changed.samples)
         )
-    again = []
-    for each in noisy:
-        tell("predictions with noise")
-        again.append(_compared(car, each, steps, rate, parts)[0])
+    tell("predictions with noise")
+    again = [_compared(car, each, steps, rate, parts)[0] for each in noisy]
     models["floor"] = _floor(tire, again)
     left = merged((k, (*log.missing, *left_out(log.motion, vehicle))) for k, log in found.items())
     tell("band of the tires' parameters")
