@@ -8,8 +8,16 @@ from scipy.integrate import solve_ivp
 
 from fits.formulas import brush
 from tirefit.models import Brush
-from tirefit.vehicle.car import Axle, Car, Changes, State, accelerations, predicted, stiffest
-from tirefit.vehicle.replay import LinearTire
+from tirefit.vehicle.car import (
+    Axle,
+    Car,
+    Changes,
+    LinearTire,
+    State,
+    accelerations,
+    predicted,
+    stiffest,
+)
 
 MASS, INERTIA, L_F, L_R, GRAVITY = 5.1, 0.12, 0.17, 0.16, 9.81
 TIRES = {"front": (40.0, 0.9), "rear": (120.0, 0.75)}
