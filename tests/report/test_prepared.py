@@ -45,7 +45,7 @@ def test_the_view_reports_kept_rows_and_draws_varying_channels(prepared):
 def test_the_figure_has_a_panel_per_channel_and_a_colour_per_kind(prepared):
     view, picture = view_of(prepared), prepared_figure(prepared)
     assert len(picture.axes) == len(view.panels)
-    (legend,) = picture.legends
+    (legend,) = picture.subfigs[0].legends
     texts = [text.get_text() for text in legend.get_texts()]
     assert [text.rsplit(" ", 1)[0] for text in texts] == [s.kind for s in view.strips]
     assert picture.axes[-1].get_xlabel() == "time [s]"
