@@ -28,8 +28,8 @@ from tirefit.models import AbstractTire, TireInputs
 from tirefit.params import Values, with_values
 
 _BEYOND = 3.0
-"""Force standard deviations above the peak from which a row misses the curve: one row in 700
-is there by its noise. Nearer, one-sided misses would raise the friction of sliding rows."""
+"""Force standard deviations above the peak from which a row misses the curve: one in 700 does
+by its noise. With less, one-sided misses raise the friction of sliding rows."""
 
 CHANNEL_SLIP = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
 """Force channel -> the slip that drives it in pure slip."""
@@ -250,9 +250,9 @@ def _slip_likelihoods(problem: FitProblem, forces, slip: str):
     of_force = None
     if nodes.of_force is not None:
         of_force = log_of(*integrals(place, residuals, measured=False))
-        # Far above the peak no slip belongs to a force: the row misses the curve.
+        # No slip belongs to a force far above the peak. Slopes of jnp.min would be 0/0 where a
+        # program computes the residuals twice.
         for residual in residuals:
-            # Slopes of jnp.min are 0/0 where a program computes the residuals twice.
             ends = jnp.stack([jnp.argmin(residual, axis=1), jnp.argmax(residual, axis=1)], axis=1)
             low, high = jnp.take_along_axis(residual, ends, axis=1).T
             off = jnp.maximum(low, -high)
