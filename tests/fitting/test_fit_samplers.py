@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
-from recipes import GIVEN, curve, table
+from recipes import GIVEN, brush_force, curve, table
 
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.importance import draw_weighted, smoothed
 from tirefit.fitting.nuts import nuts_chunk, nuts_start
-from tirefit.fitting.posterior import _density, sample
+from tirefit.fitting.posterior import _density, _whitening, sample
 from tirefit.fitting.store import posterior_content
 from tirefit.report.fit_panels import save_figures
 from tirefit.report.text import fit_report
@@ -311,3 +311,30 @@ def test_a_density_is_differentiable_and_batched(given):
     slope = jax.jacfwd(density)(u)
     assert np.all(np.isfinite(slope))
     assert np.count_nonzero(np.abs(slope) > 0) == 10  # each point its own
+
+
+def test_slips_with_noise_are_sampled_by_points_like_a_grid():
+    """Each evaluation integrates over the true slip of every row: a chain takes minutes."""
+    generator = np.random.default_rng(3)
+    slip = np.linspace(-0.12, 0.12, 60)
+    columns = {
+        "alpha": np.arctan(slip) + 0.01 * generator.standard_normal(60),
+        "fy": brush_force(slip, 3e4, 0.95, fz=4000.0) + 200 * generator.standard_normal(60),
+        "fz": np.full(60, 4000.0),
+    }
+    found = fit(columns, config={"model": "brush", "noise": {"fy": 200.0, "alpha": 0.01}})
+    drawn = sample(found)
+    assert drawn.posterior.sampler == "importance" and not drawn.posterior.note
+    # The same density on a grid over six standard deviations.
+    axis = np.linspace(-6, 6, 41)
+    u = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    log = np.asarray(_density(found.solved)(u))
+    weight = np.exp(log - log.max())
+    center, root = _whitening(found.solved)
+    z = center + u @ root.T
+    values = np.asarray(found.problem.layout.vector(z.T)).T
+    mean = weight @ values / weight.sum()
+    std = np.sqrt(weight @ (values - mean) ** 2 / weight.sum())
+    draws = flat(drawn)
+    assert np.all(np.abs(draws.mean(axis=0) - mean) < 0.06 * std)  # 4000 draws: 0.016
+    np.testing.assert_allclose(draws.std(axis=0), std, rtol=0.06)

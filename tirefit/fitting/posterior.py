@@ -222,8 +222,9 @@ def sample(
         result: a fit from this process (``tirefit.fit``).
         sampler: ``emcee``, the default up to 20 parameters; ``nuts`` (gradients), the
             default above; ``importance`` (no chain: independent points, weighted; by far
-            the fastest if the posterior is compact), which falls back to the default if
-            its weights are unreliable, with a note.
+            the fastest if the posterior is compact), the default for slips with noise, whose
+            likelihood is an integral over the true slip of each row. It falls back to a
+            chain if its weights are unreliable, with a note.
         ensembles: independent ensembles, at least 4.
         walkers: walkers per ensemble. For emcee an even number, by default 64, more for
             many parameters; for nuts the number of separate chains, by default 8.
@@ -256,7 +257,8 @@ def sample(
     solved: Solved = result.solved
     seed = result.seed if seed is None else seed
     size = solved.problem.layout.size
-    sampler = sampler or sampler_of_chains(None, size)
+    usual = "importance" if solved.problem.slip_noise else sampler_of_chains(None, size)
+    sampler = sampler or usual
     shape = _shape(sampler_of_chains(sampler, size), size, ensembles, walkers)
     path = None if checkpoint is None else Path(checkpoint)
     run = _Run(sampler, seed, shape, effective_samples, max_steps, path, resume, progress)
