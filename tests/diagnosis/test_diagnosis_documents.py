@@ -25,7 +25,7 @@ SLACK = 0.1
 
 GAPS = ("none", "shift", "ripple", "late", "step", "kappa", "load", "half", "noise")
 OFTEN_NONE = {
-    "closed", "closed_ci", "holdout", "taken_for", "settings",
+    "closed", "closed_ci", "z", "z_given_rivals", "holdout", "taken_for", "settings",
     "path", "sha256", "given", "slip_check", "next_measurement_reason",
     "simulator", "tests", "closed_left_out", "closed_left_out_std", "ladder",
 }  # fmt: skip

@@ -134,7 +134,9 @@ def test_the_error_of_a_parameter_is_that_of_the_fits_or_of_the_parts_left_out()
     case = SimpleNamespace(
         chosen=chosen, predicted=out, parts={key: 0.8, (): 0.2}, widening=4.0,
         weighed=SimpleNamespace(best_of={key: chosen, (): plain}),
-        base=SimpleNamespace(simulator=SimpleNamespace(z=[0.8, 1.0]), layout=layout),
+        base=SimpleNamespace(
+            simulator=SimpleNamespace(z=[0.8, 1.0]), tire=SimpleNamespace(layout=layout)
+        ),
     )  # fmt: skip
     one, other = parameter_changes(case).values()
     assert one.std == pytest.approx(2 * np.sqrt(4 * 0.01 + 0.2 * 0.1**2))

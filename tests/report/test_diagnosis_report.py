@@ -245,7 +245,7 @@ def records(channel):
         "base_parameters": {"cpa2": 51234.0, "mu": 0.912},
         "extended_parameters": {"cpa2": 51235.0, "mu": 0.913},
         "extension": Extension(
-            "x", {"load_friction": 0}, 3634.0, 4000.0, (4000.0, 12.0), 0.4, 7.5,
+            "x", {"load_friction": 0}, 4000.0, (4000.0, 12.0), 0.4, 7.5,
             12.0, 0.04, 0.97, 0.91, (0.0, 0.0),
         ),
         "settings": Settings(

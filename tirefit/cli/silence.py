@@ -13,6 +13,9 @@ from contextlib import contextmanager, suppress
 _MOST = 30.0
 """Seconds without output until a line is printed, and between two lines."""
 
+WATCHER = "silence"
+"""Name of the thread that waits; a process with this one alone can be forked."""
+
 _LATEST = [0.0]
 """Time of the latest output."""
 
@@ -37,7 +40,7 @@ def reported(most: float = _MOST) -> Iterator[None]:
                     passed = time.monotonic() - begun
                     print(f"still at work, for {passed:.0f} s", file=sys.stderr, flush=True)
 
-    watcher = threading.Thread(target=watch, name="silence", daemon=True)
+    watcher = threading.Thread(target=watch, name=WATCHER, daemon=True)
     watcher.start()
     try:
         yield

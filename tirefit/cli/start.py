@@ -7,6 +7,7 @@ import warnings
 from contextlib import suppress
 from pathlib import Path
 
+from tirefit.cli import silence
 from tirefit.results import InputProblem, UsageError
 
 _READ_BY_JAX = ("JAX_", "XLA_", "EQX_")
@@ -85,7 +86,8 @@ def _refuse_flags() -> None:
         UsageError: XLA ended the child.
     """
     flags = os.environ.get("XLA_FLAGS")
-    alone = threading.active_count() == 1 and "jax" not in sys.modules
+    threads = {thread.name for thread in threading.enumerate()} - {silence.WATCHER}
+    alone = len(threads) == 1 and "jax" not in sys.modules
     if not flags or not alone or not hasattr(os, "fork"):
         return
     child = os.fork()
