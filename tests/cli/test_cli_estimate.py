@@ -199,7 +199,7 @@ def test_a_lugre_wheel_is_simulated_and_observed(run, tmp_path):
     result = run("simulate", "braking", "--out", "m.csv", "--tire", "brush", exit_code=2)
     assert "magic-formula or lugre" in result.stderr
     for setting, said in (
-        ("gain=0.5", "l1 <= sigma0/sigma1"),
+        ("gain=0.5", "none of lugre-observer has it"),
         ("theta=9", "theta at first: 0.05 to 4\n"),
     ):
         arguments = ("--method", "lugre-observer", "--set", setting, "--out", "o")
