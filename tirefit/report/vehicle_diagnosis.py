@@ -10,6 +10,7 @@ from tirefit.report.diagnosis_panels import LadderBar
 from tirefit.report.diagnosis_sections import each_text, or_twins, sizes_text
 from tirefit.report.diagnosis_words import amount_text, listing, name_with_id, set_name, share_text
 from tirefit.report.numbers import format_number
+from tirefit.report.panels import legend_below
 from tirefit.report.text import indented, table
 from tirefit.vehicle.diagnose import Miss, VehicleDiagnosis
 
@@ -153,5 +154,5 @@ def vehicle_diagnosis_figure(result: VehicleDiagnosis) -> Picture:
     tidy(right, "", f"rms over {result.window:g} s, over the noise")
     on = "held-out logs" if result.held_out else "these logs"
     panel_title(right, "Error of the car", on)
-    right.legend(frameon=False, fontsize=8)
+    legend_below(second, right.get_legend_handles_labels()[0], columns=3)
     return picture
