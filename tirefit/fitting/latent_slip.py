@@ -69,16 +69,19 @@ def node_weights(place: Float[Array, "n q"]) -> Float[Array, "n q"]:
     return jnp.exp(-(place**2) / 2) * share
 
 
-def unbent(force: Float[Array, "n q"], place: Float[Array, "n q"]) -> Float[Array, "n q"]:
-    """Forces at the nodes whose chords have no error on average: chords of a curve lie on
-    its inner side. None moves past a neighbour, and so above a peak."""
+def unbent(force: Float[Array, "n q"], place: Float[Array, "n q"], within: bool):
+    """Forces (n, q) at the nodes whose chords have no error on average: chords of a curve lie
+    on its inner side. ``within``: none moves past a neighbour, and so above a peak; the corners
+    of this limit make searches long, so it is for steep forces only."""
     wide = jnp.diff(place, axis=1)
     bend = 2 * jnp.diff(jnp.diff(force, axis=1) / wide, axis=1)
     bend = bend / (wide[:, 1:] + wide[:, :-1])
     off = bend * (wide[:, 1:] ** 2 + wide[:, :-1] ** 2) / 24
-    step = jnp.abs(jnp.diff(force, axis=1))
-    least = jnp.minimum(step[:, 1:], step[:, :-1])
-    return force.at[:, 1:-1].add(-jnp.clip(off, -least, least))
+    if within:
+        step = jnp.abs(jnp.diff(force, axis=1))
+        least = jnp.minimum(step[:, 1:], step[:, :-1])
+        off = jnp.clip(off, -least, least)
+    return force.at[:, 1:-1].add(-off)
 
 
 def _erfcx(x):

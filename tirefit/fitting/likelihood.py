@@ -238,9 +238,13 @@ def _slip_likelihoods(problem: FitProblem, forces, slip: str):
     alone (None where that is not needed); the weights of the nodes in the first."""
     rows, nodes = problem.rows, problem.rows.nodes[slip]
     place = _places(rows, slip)
+    steep = nodes.of_force is not None
+    chords = {
+        c.name: unbent(forces[c.name], place, steep) for c in problem.channels if c.slip == slip
+    }
     residuals = [
-        (rows.observed[name][:, None] - unbent(forces[name], place)) / rows.scale[name][:, None]
-        for name in (c.name for c in problem.channels if c.slip == slip)
+        (rows.observed[name][:, None] - force) / rows.scale[name][:, None]
+        for name, force in chords.items()
     ]
 
     def log_of(factor, weight):
@@ -248,7 +252,7 @@ def _slip_likelihoods(problem: FitProblem, forces, slip: str):
 
     log, weight = integrals(place, residuals)
     of_force = None
-    if nodes.of_force is not None:
+    if steep:
         of_force = log_of(*integrals(place, residuals, measured=False))
         # No slip belongs to a force far above the peak. Slopes of jnp.min would be 0/0 where a
         # program computes the residuals twice.
