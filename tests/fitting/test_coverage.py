@@ -67,9 +67,9 @@ def test_intervals_at_low_friction_use_cover_or_are_reported(setting):
         holds_or_says(
             "brush", SETTINGS[setting], synthetic("brush", SETTINGS[setting], 400, 0.26, seed)
         )
-        for seed in range(20)
+        for seed in range(60)
     ]
-    low = binom.ppf(0.0005, 20, 0.95) / 20
+    low = binom.ppf(0.0005, 60, 0.95) / 60
     assert np.mean(outcomes) >= low
 
 

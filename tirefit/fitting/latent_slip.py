@@ -71,8 +71,7 @@ def node_weights(place: Float[Array, "n q"]) -> Float[Array, "n q"]:
 
 def unbent(force: Float[Array, "n q"], place: Float[Array, "n q"], within: bool):
     """Forces (n, q) at the nodes whose chords have no error on average: chords of a curve lie
-    on its inner side. ``within``: none moves past a neighbour, and so above a peak; the corners
-    of this limit make searches long, so it is for steep forces only."""
+    on its inner side. ``within``: no node moves past a neighbour, and so above a peak."""
     wide = jnp.diff(place, axis=1)
     bend = 2 * jnp.diff(jnp.diff(force, axis=1) / wide, axis=1)
     bend = bend / (wide[:, 1:] + wide[:, :-1])

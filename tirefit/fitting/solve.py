@@ -45,13 +45,13 @@ then ends where the sum of squares has doubled."""
 _SLIP_ROUNDS, _SLIP_STEP = 40, 0.3
 """Steps of a search with noisy slips, and the longest one in z."""
 _SETTLED_SLIPS = 1e-4
-"""Deviance that one more step could gain: 0.01 standard errors."""
+"""Deviance that the last step could gain: 0.01 standard errors."""
 _LARGE = 3.0  # residual of one row in 400
 _SLIP_HALVINGS, _MAY_RISE = 6, 0.5
 """Halvings of a step, and the deviance by which it may rise: where slips are judged for the
 forces, the density is not that of the lowest deviance. Of 100 files with 5 N and 0.02 rad, one
-ended 80 above its lowest deviance without halvings. For other forces, halvings end searches
-early, and the profiles then take ten times as long."""
+ended 80 above its lowest deviance without halvings. Elsewhere they end a
+search early: the fit of one file then took 70 s, mostly its profiles, instead of 10."""
 _STEEP = 12.0
 """Steepness above which the slips are judged for the forces: at 9, intervals from the joint
 likelihood held in 23 of 24 files, at 15 in 14 of 16, at 60 in 6 of 12."""
@@ -120,7 +120,7 @@ def with_densities(
     if not rows.slip_std:
         return problem, {}
     # Near the limit, a search must not change its likelihood with every step.
-    before = any(laid.of_force is not None for laid in problem.rows.nodes.values())
+    before = _judges_slips(problem)
     steep = float(steepness(problem, z)) > (_STEEP / 2 if before else _STEEP)
     measured = np.flatnonzero(np.ones(problem.n, bool) if counted is None else counted)
     for slip, std in rows.slip_std.items():
@@ -139,6 +139,11 @@ def with_densities(
         densities[slip] = density
         nodes[slip] = nodes[slip]._replace(density=jax.device_put(density.at(at)))
     return problem.with_rows(nodes=nodes), densities
+
+
+def _judges_slips(problem: FitProblem) -> bool:
+    """Whether measured slips are judged for the forces; see :mod:`latent_slip`."""
+    return any(laid.of_force is not None for laid in problem.rows.nodes.values())
 
 
 def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
@@ -196,20 +201,21 @@ def _settle_slips(problem: FitProblem, z):
         problem, densities, at = here
         slope, information = _profiled(problem, densities, at)
         step = -np.linalg.solve(information, slope)
-        if -slope @ step < _SETTLED_SLIPS:
-            break
+        gain = -slope @ step
         step = np.clip(step, -_SLIP_STEP, _SLIP_STEP)
         for _ in range(_SLIP_HALVINGS):
             there = np.clip(z + step, -REACH, REACH)
             here = laid(problem, {}, there)
-            marks = [nodes.of_force for nodes in here[0].rows.nodes.values()]
-            steep = any(mark is not None for mark in marks)
-            if not steep or deviance_at(here[0], here[2]) < deviance_at(problem, at) + _MAY_RISE:
+            if not _judges_slips(here[0]):
+                break
+            if deviance_at(here[0], here[2]) < deviance_at(problem, at) + _MAY_RISE:
                 break
             step = step / 2
         z = there
         if factors := _scale_updates(here[0], z):
             here = laid(here[0], factors, z)
+        if gain < _SETTLED_SLIPS:
+            break
     return here[0], z
 
 
@@ -224,9 +230,10 @@ def _profiled(problem: FitProblem, densities: Mapping[str, SlipDensity], at, fix
         if name not in densities:
             information += slopes.T @ slopes
             continue
+        judged = problem.rows.nodes[name].of_force is not None
         # Squares of large residuals say nothing of the curvature, and make the steps too short.
-        scores = -slopes * np.where(values > _LARGE, 1.0, values)[:, None]
-        fixed = fixed or problem.rows.nodes[name].of_force is not None
+        scores = -slopes * np.where(judged & (values > _LARGE), 1.0, values)[:, None]
+        fixed = fixed or judged
         information += scores.T @ scores if fixed else densities[name].profiled(scores)
     return slope, information
 
