@@ -1,4 +1,4 @@
-"""Tire property files (``.tir``): :func:`read_tir`, :func:`new_tir`.
+"""Tire property files (``.tir``): :func:`read_tir`, :func:`new_tir`, and checks of their values.
 
 The text of a file is kept: sections, order, comments and unknown keys are not changed;
 only changed values are rewritten. Numbers are converted to SI on reading and back to
@@ -28,6 +28,8 @@ from tirefit.data.tir_keys import (
 from tirefit.data.tire_file import other_tire
 from tirefit.door import TIRE, content_of, control_character
 from tirefit.results import DataError, InputProblem, UsageError
+
+__all__ = ["TirFile", "brush_of", "notes_on", "parse_tir", "read_tir", "reduced_tir"]
 
 PRESSURES = (1e4, 5e6)
 """Range of inflation pressures [Pa], from a kart to an aircraft."""
@@ -209,9 +211,6 @@ def _of_limits(tir: TirFile) -> Iterator[InputProblem]:
             reason = f"{least} = {low:g} contradicts {most} = {high:g}"
             remedy = "the smallest value is above the largest: correct one"
             yield _problem(tir, least, reason, remedy)
-
-
-__all__ = ["TirFile", "brush_of", "notes_on", "parse_tir", "read_tir", "reduced_tir"]
 
 
 def parse_tir(text: str, path: str = "", notes: Sequence[str] = ()) -> TirFile:

@@ -79,8 +79,9 @@ def virtual_test(
     columns = {k: np.asarray(v) for k, v in wanted.items() if v is not None}
     if "mz" in columns and "fx" not in columns:  # M_z without F_x is known only for free rolling
         columns["mz"] = np.where(slip == 0, columns["mz"], np.nan)
-    run, names = np.repeat(np.arange(len(parts)), _SLIPS), [f"sweep {i}" for i in range(len(parts))]
-    data = TireData(tir.path, columns, zero == 0, run, tuple(names), Source(path=tir.path))
+    used, run = np.full(len(load), True), np.repeat(np.arange(len(parts)), _SLIPS)
+    names = tuple(f"sweep {i}" for i in range(len(parts)))
+    data = TireData(tir.path, columns, used, run, names, Source(path=tir.path))
     noise = "the test has no noise: standard errors come from misfit of the version"
     assumptions = (noise, *remarks(tir, own, data, signs))
     return replace(data, source=replace(data.source, assumptions=assumptions))

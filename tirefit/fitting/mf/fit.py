@@ -297,11 +297,12 @@ def _coefficients(
     covariance = work.covariance * np.outer(scale, scale)
     found = {}
     for i, name in enumerate(problem.names):
-        # Posterior over prior variance.
-        share, moved = work.covariance[i, i], name in work.moved - work.held
-        origin = "prior" if share > 0.5 else "fitted"
-        origin = origin if moved else "held"
-        origin = origin if problem.free[i] else "given"
+        if not problem.free[i]:
+            origin = "given"
+        elif name not in work.moved - work.held:
+            origin = "held"
+        else:  # by the posterior variance over that of the prior
+            origin = "prior" if work.covariance[i, i] > 0.5 else "fitted"
         if origin != "fitted" and name in borrowed:
             origin = "borrowed"
         found[name] = Coefficient(
